@@ -1,0 +1,1 @@
+"""Stock scenes, as TOML."""
