@@ -52,7 +52,7 @@ class Shape:
 
 def sphere(radius):
     """Sphere of a radius (m). Raises SceneError unless radius > 0."""
-    radius = _length("radius", radius)
+    radius = positive_length("radius", radius)
     return Shape(
         name="sphere",
         radius=radius,
@@ -84,7 +84,7 @@ def chamfered_cuboid(size=(0.055, 0.023, 0.016), chamfer=0.005):
     Raises SceneError unless all sizes are > 0 and 0 < chamfer < half the smaller of x and y.
     """
     x, y, z = _size(size)
-    c = _length("chamfer", chamfer)
+    c = positive_length("chamfer", chamfer)
     if c >= 0.5 * min(x, y):
         raise SceneError(
             f"chamfer = {chamfer!r} m must be less than half of size x and of size y, {0.5 * min(x, y):g} m"
@@ -100,7 +100,9 @@ def prism(sides, radius, height):
 
     Raises SceneError for fewer than 3 sides and for lengths that are not > 0.
     """
-    return _extruded("prism", _regular_polygon(_sides(sides), _length("radius", radius)), _length("height", height))
+    return _extruded(
+        "prism", _regular_polygon(_sides(sides), positive_length("radius", radius)), positive_length("height", height)
+    )
 
 
 def cylinder(radius, height, sides=24):
@@ -109,9 +111,9 @@ def cylinder(radius, height, sides=24):
     Its corners stand outside the cylinder by 0.6 % of the radius at 24 sides, its faces inside by 0.3 %.
     Raises SceneError for fewer than 3 sides and for lengths that are not > 0.
     """
-    sides, radius = _sides(sides), _length("radius", radius)
+    sides, radius = _sides(sides), positive_length("radius", radius)
     corner = radius * sqrt(2.0 * pi / (sides * sin(2.0 * pi / sides)))
-    return _extruded("cylinder", _regular_polygon(sides, corner), _length("height", height))
+    return _extruded("cylinder", _regular_polygon(sides, corner), positive_length("height", height))
 
 
 def hull(points):
@@ -153,7 +155,7 @@ def load_stl(path, unit=1.0):
     """
     import trimesh
 
-    unit = _length("unit", unit)
+    unit = positive_length("unit", unit)
     if not Path(path).is_file():
         raise SceneError(f"stl = {str(path)!r}: there is no such file")
     try:
@@ -249,9 +251,9 @@ def _polytope(name, vertices, faces):
     """Shape of a convex polytope from its vertices and planar faces; the frame is moved to the centre of mass."""
     volume, centre, second = mass_properties(vertices, faces)
     vertices = vertices - centre
-    normals = np.stack([_loop_normal(vertices[list(loop)]) for loop in faces])
+    normals = np.stack([loop_normal(vertices[list(loop)]) for loop in faces])
     radius = float(np.linalg.norm(vertices, axis=1).max())
-    edges = _edges(faces)
+    edges = edges_of_faces(faces)
     directions, of_edge = _directions(vertices, edges, TOLERANCE * radius)
     gyration, principal = _principal(np.trace(second) * np.eye(3) - second)
     return Shape(
@@ -284,14 +286,15 @@ def _regular_polygon(sides, radius):
     return radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
 
-def _loop_normal(loop):
+def loop_normal(loop):
     """Unit normal of a planar loop [k, 3] by the right-hand rule (Newell's sum about the first corner)."""
     arms = loop - loop[0]
     area = np.cross(arms, np.roll(arms, -1, axis=0)).sum(axis=0)
     return area / np.linalg.norm(area)
 
 
-def _edges(faces):
+def edges_of_faces(faces):
+    """Vertex indices [E, 2] of the edges of a polyhedron, each once. Raises SceneError if its faces do not close."""
     sides = [(loop[i - 1], loop[i]) for loop in faces for i in range(len(loop))]
     if len(set(sides)) != len(sides) or {side[::-1] for side in sides} != set(sides):
         raise SceneError(
@@ -407,14 +410,15 @@ def _positive(key, value, allowed):
     return float(value)
 
 
-def _length(key, value):
+def positive_length(key, value):
+    """The value as a float; raises SceneError naming the key unless it is a number > 0 and finite."""
     return _positive(key, value, "a positive length (m)")
 
 
 def _size(size):
     if np.shape(size) != (3,):
         raise SceneError(f"size = {size!r} must be three positive lengths [x, y, z] (m)")
-    return tuple(_length(f"size[{i}]", value) for i, value in enumerate(size))
+    return tuple(positive_length(f"size[{i}]", value) for i, value in enumerate(size))
 
 
 def _sides(sides):

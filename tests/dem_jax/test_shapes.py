@@ -30,7 +30,7 @@ def inertia_in_body_frame(shape):
 
 
 def assert_sound(shape):
-    """What holds for every polytope: convex planar faces, two on each edge, Euler's formula, mass centre at the origin."""
+    """What holds for every polytope: convex planar faces, two on each edge, Euler's formula, centre at the origin."""
     size = shape.bounding_radius
     assert len(shape.vertices) - len(shape.edges) + len(shape.faces) == 2
     for loop, normal, offset in zip(shape.faces, shape.normals, shape.offsets, strict=True):
