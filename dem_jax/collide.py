@@ -72,10 +72,10 @@ def _zonotope_axes(a: Hulls, b: Hulls, rel: Relative):
     d = expand(rel.offset, 0)
     na_eb = jnp.abs(dot(expand(na, 1), expand(eb, 0)))  # [m, j, P]
     ea_nb = jnp.abs(dot(expand(ea, 1), expand(nb, 0)))  # [i, m, P]
-    faces_a = a.offsets[:half] + _sum(b.half_lengths[j] * na_eb[:, j] for j in range(eb[0].shape[0])) - jnp.abs(dot(na, d))
+    faces_a = a.offsets[:half] + _sum(b.half_lengths[j : j + 1] * na_eb[:, j] for j in range(eb[0].shape[0])) - jnp.abs(dot(na, d))
     faces_b = (
         b.offsets[: nb[0].shape[0]]
-        + _sum(a.half_lengths[i] * ea_nb[i] for i in range(ea[0].shape[0]))
+        + _sum(a.half_lengths[i : i + 1] * ea_nb[i] for i in range(ea[0].shape[0]))
         - jnp.abs(dot(nb, d))
     )
     axis = vector.cross(expand(ea, 1), expand(eb, 0))  # [i, j, P]
