@@ -1,6 +1,6 @@
 """One time step, read top to bottom as the physics, and the loops around it."""
 
-from functools import partial
+from functools import cache, partial
 
 import jax
 import jax.numpy as jnp
@@ -25,8 +25,23 @@ def advance(system: System, state: State) -> State:
     return integrate.kick(system, state)
 
 
-@partial(jax.jit, static_argnames=("samples", "frames"))
+# On the CPU the older way of fusing makes whole steps about 1.5 to 3 times faster (measured, jax 0.10).
+COMPILER_OPTIONS = {"cpu": {"xla_cpu_use_fusion_emitters": False}}
+
+
+@cache
+def jit(function, backend: str, **options):
+    """``jax.jit`` with the options that suit a backend."""
+    return jax.jit(function, compiler_options=COMPILER_OPTIONS.get(backend), **options)
+
+
 def chunk(system: System, state: State, count, frame_every, samples: int, frames: int):
+    """``run_chunk``, compiled: the form for long runs."""
+    compiled = jit(run_chunk, jax.default_backend(), static_argnames=("samples", "frames"))
+    return compiled(system, state, count, frame_every, samples=samples, frames=frames)
+
+
+def run_chunk(system: System, state: State, count, frame_every, samples: int, frames: int):
     """Run ``count`` samples (at most ``samples``) and keep them, and a frame after each ``frame_every`` samples.
 
     Everything but the two capacities may change without compiling again. Returns the state, the samples [samples]
