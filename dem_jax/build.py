@@ -10,7 +10,7 @@ import numpy as np
 
 from dem_jax import arrange, buckets, forces, hulls, materials, meshes, neighbours, pose, rotation, shapes
 from dem_jax.errors import SceneError
-from dem_jax.scene import SHAPE_KEYS, PieceShape, Scene
+from dem_jax.scene import SHAPE_KEYS, PieceShape, Scene, Wall
 from dem_jax.types import Law, Pieces, State, System, Walls, float_dtype
 
 
@@ -102,6 +102,39 @@ def build(scene: Scene, seed: int = 0) -> Built:
     state = first_state(system, start, frames, -settling)
     names = tuple(b.name for b in blocks)
     return Built(system, state, step, tuple(made), frames, settling, samples, frame_every, names)
+
+
+def state_of_seed(scene: Scene, built: Built, seed: int) -> State:
+    """The first state of the same scene with another seed, for the system that was built. Raises SceneError."""
+    region = _walls_of(scene)[-1]
+    start = _placed(scene, built.shapes, region, np.random.default_rng(seed))
+    return first_state(built.system, start, built.frames, -built.settling_steps)
+
+
+def self_contained(scene: Scene) -> Scene:
+    """The scene with the contents of the STL files that it names in their place. Raises SceneError."""
+    rows = [_with_points(row, scene.folder) for row in scene.piece]
+    portion = scene.portion and _with_points(scene.portion, scene.folder)
+    walls = []
+    for wall in scene.wall:
+        if wall.stl is None or wall.corners is not None:
+            walls.append(wall)
+            continue
+        panels = [corners.tolist() for _, corners, _ in _panels_of(wall, scene.folder)]
+        walls += [Wall(group=wall.group, thickness=wall.thickness, corners=_tuples(c)) for c in panels]
+    return scene.model_copy(update={"piece": tuple(rows), "portion": portion, "wall": tuple(walls), "folder": "."})
+
+
+def _with_points(row: PieceShape, folder):
+    """The row of a hull with the corners of its STL; others as they are."""
+    if row.shape != "hull" or row.stl is None or row.points is not None:
+        return row
+    corners = shapes.hull_of_stl(Path(folder) / row.stl, row.unit).vertices
+    return row.model_copy(update={"stl": None, "unit": 1.0, "points": _tuples(corners.tolist())})
+
+
+def _tuples(points):
+    return tuple(tuple(p) for p in points)
 
 
 @dataclass(frozen=True)

@@ -25,12 +25,12 @@ def advance(system: System, state: State) -> State:
     return integrate.kick(system, state)
 
 
-@partial(jax.jit, static_argnames=("samples", "frames"))
-def chunk(system: System, state: State, count, frame_every, samples: int, frames: int):
+def run_samples(system: System, state: State, count, frame_every, phase, *, samples: int, frames: int):
     """Run ``count`` samples (at most ``samples``) and keep them, and a frame after each ``frame_every`` samples.
 
-    Everything but the two capacities may change without compiling again. Returns the state, the samples [samples]
-    and the frames [frames, 13, N] (position, orientation, velocity, angular velocity), of which the first are filled.
+    phase: samples since the last frame, below ``frame_every``. Everything but the two capacities may change without
+    compiling again. Returns the state, the samples [samples] and the frames [frames, 13, N] (position, orientation,
+    velocity, angular velocity), of which the first (count + phase) // frame_every are filled.
     """
     recorded = jax.tree.map(
         lambda x: jnp.zeros((samples, *x.shape), x.dtype), jax.eval_shape(partial(measure.sample, system), state)
@@ -51,12 +51,23 @@ def chunk(system: System, state: State, count, frame_every, samples: int, frames
         state, sample = _one_sample(system, system.substeps, state)
         recorded = jax.tree.map(lambda rows, row: rows.at[done].set(row), recorded, sample)
         if frames:
-            poses = poses.at[jnp.minimum(done // frame_every, frames - 1)].set(measure.frame(system, state))
+            poses = poses.at[jnp.minimum((done + phase) // frame_every, frames - 1)].set(measure.frame(system, state))
         return state, recorded, poses, done + 1
 
     start = (state, recorded, poses, jnp.zeros((), jnp.int32))
     state, recorded, poses, _ = jax.lax.while_loop(lambda carry: carry[3] < count, block, start)
     return state, recorded, poses
+
+
+def compiler_options() -> dict:
+    """Options that make whole steps fastest: on the CPU, XLA's newer fusion recomputes too much."""
+    return {"xla_cpu_use_fusion_emitters": False} if jax.default_backend() == "cpu" else {}
+
+
+@partial(jax.jit, static_argnames=("samples", "frames"))
+def chunk(system: System, state: State, count, frame_every, samples: int, frames: int):
+    """``run_samples``, compiled, from a time at which a frame was stored."""
+    return run_samples(system, state, count, frame_every, 0, samples=samples, frames=frames)
 
 
 def rollout(system: System, state: State, samples: int, substeps: int) -> tuple[State, Sample]:
