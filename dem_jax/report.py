@@ -12,14 +12,12 @@ class Progress:
     def __init__(self, job, shown):
         self._job, self._bar = job, None
         self._from = int(np.max(job.state.step)) // job.steps_per_sample
-        self._computed = self._since = 0
+        self._since = 0.0
         if shown:
             from tqdm import tqdm
 
-            total = job.samples - self._from
-            ms = 1e3 * job.scene.run.sample
-            self._bar = tqdm(total=total * ms, unit="ms", file=sys.stderr, bar_format=FORMAT, dynamic_ncols=True)
-            self._ms = ms
+            total, ms = job.samples - self._from, 1e3 * job.scene.run.sample
+            self._bar = tqdm(total=total, unit_scale=ms, file=sys.stderr, bar_format=FORMAT, dynamic_ncols=True)
             self._bar.set_description_str(self._phase(self._from))
 
     def __enter__(self):
@@ -52,7 +50,7 @@ class Progress:
             self._bar.set_postfix_str(f"{1e6 * (now - self._since) / steps:.3g} µs/step", refresh=False)
         self._since = now
         self._bar.set_description_str(self._phase(span.first + span.count), refresh=False)
-        self._bar.update(span.count * self._ms)
+        self._bar.update(span.count)
 
 
 FORMAT = "{desc}: {percentage:3.0f}% |{bar}| {n:.0f}/{total:.0f} ms [{elapsed} < {remaining}{postfix}]"
@@ -89,6 +87,8 @@ def _peaks(members, group):
     traces = [m.pif_kg(group) for m in members]
     times = np.array([1e3 * m.time[np.argmax(t)] for m, t in zip(members, traces, strict=True)])
     peaks = np.array([t.max() for t in traces])
+    if not peaks.any():
+        return f"peak PIF on {group}: nothing has landed"
     instants = np.array([m.pif_kg(group, mean=False).max() for m in members])
     return (
         f"peak PIF on {group}: {_range(peaks, '{:.3g}')} kg at t = {_range(times, '{:.4g}')} ms (mean over a sample; "
@@ -113,8 +113,8 @@ def impact_duration(run, group, block):
 def _durations(members, group, block):
     ms = np.array([1e3 * impact_duration(m, group, block) for m in members])
     if not np.isfinite(ms).any():
-        return f"impact: nothing has settled in {block}"
-    return f"impact: {_range(ms[np.isfinite(ms)], '{:.4g}')} ms from first force to the last piece at rest"
+        return f"duration of the impact: nothing has settled in {block}"
+    return f"duration of the impact: {_range(ms[np.isfinite(ms)], '{:.4g}')} ms from first force to the last piece at rest"
 
 
 def _range(values, form):

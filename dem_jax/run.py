@@ -55,7 +55,8 @@ def resume(path, duration=None, progress=False) -> record.Run:
             system, state = restart.unpack(job.system, job.state, arrays)
         except RecordError as error:
             raise RecordError(f"{path}: {error}") from error
-        job = replace(job, system=system, state=state, samples_kept=samples, frames_kept=frames)
+        kept = tuple(header.info.get("notes", ()))
+        job = replace(job, system=system, state=state, samples_kept=samples, frames_kept=frames, notes=kept)
     if samples == job.samples:
         return record.load_run(path)
     return _into_file(job, path, record.Writer.resume(path, scene=scene.to_toml()), progress)
@@ -73,6 +74,7 @@ class Job:
     state: State
     samples_kept: int = 0  # already in the file
     frames_kept: int = 0
+    notes: tuple = ()  # already in the file
     clock: dict = field(default_factory=lambda: {"compile": 0.0, "start": time.perf_counter()})
 
     samples = property(lambda self: self.built.samples)
@@ -171,9 +173,9 @@ class Span:
 def _run(job: Job, target, progress):
     """Run a job to its end. target: returns what to append to, asked only once there is something."""
     with jax.enable_x64(job.scene.run.precision == "f64"), Progress(job, progress) as shown:
-        notes = []
+        notes = list(job.notes)
         for span in spans(job, shown):
-            notes += span.notes
+            notes += [note for note in span.notes if note not in notes]
             failed = failure.find(span.samples, span.count)
             if failed:
                 _stop(job, target, span, failed)
