@@ -430,10 +430,10 @@ def _capacity(made, polytopes, panels):
     """Kinds of contact that the scene can have, with candidates and slots to begin with (grown when they overflow)."""
     p, s = len(polytopes), len(made) - len(polytopes)
     wanted = [
-        ("hull-hull", p * (p - 1) // 2, 3 * p),
+        ("hull-hull", p * (p - 1) // 2, 2 * p + 4),
         ("sphere-sphere", s * (s - 1) // 2, 4 * s),
         ("hull-sphere", p * s, 4 * min(p, s)),
-        ("wall-hull", panels * p, 3 * p),
+        ("wall-hull", panels * p, 2 * p + 4),
         ("wall-sphere", panels * s, 3 * s),
     ]
     out = []

@@ -120,7 +120,7 @@ def constants(system: System, kind, a, b) -> Slots:
         live=live,
         a=a,
         b=b,
-        hull_a=hulls.gather(system.hulls, system.shape[a]) if kind != "spheres" else None,
+        hull_a=hulls.gather(system.hulls, system.shape[a], kind == "mixed") if kind != "spheres" else None,
         hull_b=_hull_of_piece(system, b) if kind == "hulls" else None,
         radius_a=pieces.radius[own],
         radius_b=pieces.radius[b],
@@ -135,8 +135,8 @@ def constants(system: System, kind, a, b) -> Slots:
 def _hull_of_piece(system: System, b):
     """Hulls of pieces: one row that broadcasts where all polytopes are alike, which saves gathering it."""
     if system.alike:
-        return hulls.gather(system.hulls, jnp.zeros((1,), jnp.int32))
-    return hulls.gather(system.hulls, system.shape[b])
+        return hulls.gather(system.hulls, jnp.zeros((1,), jnp.int32), False)
+    return hulls.gather(system.hulls, system.shape[b], False)
 
 
 def _note_overlap(guard: Guard, first_time, relative, a, b) -> Guard:

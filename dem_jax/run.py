@@ -239,12 +239,16 @@ def _program(arguments, frames, clock, shown):
         if shown:
             shown.compiling()
         start = time.perf_counter()
-        function = partial(stepping.run_samples, samples=SAMPLES, frames=frames)
+        function = partial(_chunk, frames)
         if arguments[1].step.ndim:
             function = jax.vmap(function, in_axes=(None, 0, None, None, None))
-        _PROGRAMS[key] = jax.jit(function).lower(*arguments).compile(compiler_options=stepping.compiler_options())
+        _PROGRAMS[key] = stepping.jit(function, jax.default_backend()).lower(*arguments).compile()
         clock["compile"] += time.perf_counter() - start
     return _PROGRAMS[key]
+
+
+def _chunk(frames, system, state, count, every, phase):
+    return stepping.run_chunk(system, state, count, every, SAMPLES, frames, phase)
 
 
 def _stop(job: Job, target, span: Span, failed):

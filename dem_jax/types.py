@@ -33,7 +33,9 @@ class Hulls:
 
     normals: tuple  # [F, S] x 3: outward unit normals; of a zonotope face f + F/2 is opposite to face f
     offsets: Array  # [F, S] (m): n . x <= offset
-    corners: tuple  # [k, F, S] x 3 (m): corners of each face in order, the last one repeated
+    corners: tuple | None  # [k, F, S] x 3 (m): corners of each face in order, the last one repeated
+    loops: Array  # [3 (k + 1), F S] (m): the same as columns, each closed by its first corner; not gathered to pairs
+    row: Array  # [S] int32: which shape of the table
     vertices: tuple  # [V, S] x 3 (m)
     directions: tuple  # [D, S] x 3: unit edge directions
     bounding_radius: Array  # [S] (m)
