@@ -10,7 +10,7 @@ import numpy as np
 
 from dem_jax import arrange, buckets, forces, hulls, materials, meshes, neighbours, pose, rotation, shapes
 from dem_jax.errors import SceneError
-from dem_jax.scene import SHAPE_KEYS, PieceShape, Scene
+from dem_jax.scene import SHAPE_KEYS, PieceShape, Scene, Wall
 from dem_jax.types import Law, Pieces, State, System, Walls, float_dtype
 
 
@@ -104,6 +104,39 @@ def build(scene: Scene, seed: int = 0) -> Built:
     return Built(system, state, step, tuple(made), frames, settling, samples, frame_every, names)
 
 
+def state_of_seed(scene: Scene, built: Built, seed: int) -> State:
+    """The first state of the same scene with another seed, for the system that was built. Raises SceneError."""
+    region = _walls_of(scene)[-1]
+    start = _placed(scene, built.shapes, region, np.random.default_rng(seed))
+    return first_state(built.system, start, built.frames, -built.settling_steps)
+
+
+def self_contained(scene: Scene) -> Scene:
+    """The scene with the contents of the STL files that it names in their place. Raises SceneError."""
+    rows = [_named(f"piece.{n}", _with_points, row, scene.folder) for n, row in enumerate(scene.piece)]
+    portion = scene.portion and _named("portion", _with_points, scene.portion, scene.folder)
+    walls = []
+    for n, wall in enumerate(scene.wall):
+        if wall.stl is None or wall.corners is not None:
+            walls.append(wall)
+            continue
+        panels = [corners.tolist() for _, corners, _ in _named(f"wall.{n}", _panels_of, wall, scene.folder)]
+        walls += [Wall(group=wall.group, thickness=wall.thickness, corners=_tuples(c)) for c in panels]
+    return scene.model_copy(update={"piece": tuple(rows), "portion": portion, "wall": tuple(walls), "folder": "."})
+
+
+def _with_points(row: PieceShape, folder):
+    """The row of a hull with the corners of its STL; others as they are."""
+    if row.shape != "hull" or row.stl is None or row.points is not None:
+        return row
+    corners = shapes.hull_of_stl(Path(folder) / row.stl, row.unit).vertices
+    return row.model_copy(update={"stl": None, "unit": 1.0, "points": _tuples(corners.tolist())})
+
+
+def _tuples(points):
+    return tuple(tuple(p) for p in points)
+
+
 @dataclass(frozen=True)
 class Start:
     """Poses and velocities of the pieces at the start, in the user's body frames."""
@@ -140,15 +173,23 @@ def _pieces_of(scene: Scene):
     if scene.piece:
         cache: dict = {}
         out = []
-        for row in scene.piece:
+        for n, row in enumerate(scene.piece):
             key = row.model_dump_json(include=set(PieceShape.model_fields))
             if key not in cache:
-                cache[key] = make_shape(row, scene.folder)
+                cache[key] = _named(f"piece.{n}", make_shape, row, scene.folder)
             out.append(cache[key])
         return out
-    shape = make_shape(scene.portion, scene.folder)
+    shape = _named("portion", make_shape, scene.portion, scene.folder)
     number = scene.portion.count or arrange.count(scene.portion.target_weight, scene.material.density * shape.volume)
     return [shape] * number
+
+
+def _named(key, function, *arguments):
+    """The function's value; an error names the key of the section that it is about."""
+    try:
+        return function(*arguments)
+    except SceneError as error:
+        raise SceneError(f"{key}.{error}") from error
 
 
 def _distinct(made):
@@ -226,7 +267,7 @@ def _panels_of(wall, folder):
 
 def _wall_arrays(panels, motions, joint, dtype) -> Walls:
     groups = list(dict.fromkeys(group for group, _, _ in panels))
-    made = [_plate(corners, thickness) for _, corners, thickness in panels]
+    made = [_plate(corners, thickness, f"corners of wall group {group!r}") for group, corners, thickness in panels]
     reports = {}
     for i, group in enumerate(groups):
         reports.setdefault(joint.get(group, group), []).append(i)
@@ -262,9 +303,9 @@ def _hull_table(made, plates):
     return (hulls.table(every, np.float64) if every else None), np.array(rows, int)
 
 
-def _plate(corners, thickness):
+def _plate(corners, thickness, name):
     """A panel as a shape about its own centre with the surface's normal along z, its centre and its rotation."""
-    vertices = meshes.plate(corners, thickness)[0]
+    vertices = meshes.plate(corners, thickness, name)[0]
     x = corners[1] - corners[0]
     z = np.cross(corners - corners[0], np.roll(corners, -1, axis=0) - corners[0]).sum(0)
     z /= np.linalg.norm(z)

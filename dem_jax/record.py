@@ -167,10 +167,45 @@ def load_run(path):
         series = {n: file[n][()] for n in SERIES if n in file}
         series |= {g: {n: d[()] for n, d in file[g].items()} if g in file else {} for g in SERIES_GROUPS}
         pieces = Frames(**{f.name: file[f"pieces/{f.name}"][()] for f in fields(Frames)}) if "pieces" in file else None
-        restart = _flat({name: item[()] for name, item in _datasets(file.get("restart", {}))})
+        restart = flat({name: item[()] for name, item in _datasets(file.get("restart", {}))})
     run = Run(header=header, pieces=pieces, restart=restart, **series)
     _check_lengths(run, path)
     return run
+
+
+def load_restart(path):
+    """What is needed to go on with a file: header, restart state (path -> array), samples and frames in the file.
+
+    Raises RecordError as `load_run`; a file without samples is fine, one without a restart state is not.
+    """
+    with _reading(path) as file:
+        header = _read_header(file, path)
+        restart = flat({name: item[()] for name, item in _datasets(file.get("restart", {}))})
+        counts = [len(file[name]) if name in file else 0 for name in ("time", "pieces/time")]
+    if not restart:
+        raise RecordError(f"{path} holds no state to go on from: its run stopped before the first flush")
+    return header, restart, *counts
+
+
+def check_target(path, overwrite=False):
+    """Raise RecordError if a file cannot be written, or exists and is not to be overwritten."""
+    path = Path(path)
+    if not path.absolute().parent.is_dir():
+        raise RecordError(f"{path} cannot be written: there is no folder {str(path.parent)!r}")
+    if path.exists() and not (overwrite and path.is_file()):
+        raise RecordError(f"{path} exists; give another name, or overwrite = true to replace it")
+    if path.exists():
+        _check_writable(path)
+
+
+def assembled(header, parts, restart=None):
+    """The run of series path -> [array, ...], in pieces along the time axis; None if there are no samples."""
+    series = {name: np.concatenate(arrays, axis=_time_axis(name, header)) for name, arrays in parts.items()}
+    if "time" not in series:
+        return None
+    poses = {f.name: series.pop(f"pieces/{f.name}", None) for f in fields(Frames)}
+    pieces = None if poses["time"] is None else Frames(**poses)
+    return Run(header=header, pieces=pieces, restart=restart or {}, **_nested(series))
 
 
 class Writer:
@@ -192,23 +227,21 @@ class Writer:
 
         Raises RecordError if it exists and overwrite is not set, or if it cannot be written.
         """
-        path = Path(path)
-        if not path.absolute().parent.is_dir():
-            raise RecordError(f"{path} cannot be written: there is no folder {str(path.parent)!r}")
-        if path.exists() and not (overwrite and path.is_file()):
-            raise RecordError(f"{path} exists; give another name, or overwrite = true to replace it")
+        check_target(path, overwrite)
         writer = cls(path, header, False, interval)
-        if path.exists():
-            _check_writable(path)
-        else:
+        if not Path(path).exists():
             writer._commit()
         return writer
 
     @classmethod
-    def resume(cls, path, interval=1.0):
-        """Go on with a file, from the state of `load_run(path).restart`. Raises RecordError as `load_run`."""
+    def resume(cls, path, interval=1.0, scene=None):
+        """Go on with a file, from the state of `load_restart(path)`; scene: TOML text, to replace the file's.
+
+        Raises RecordError as `load_run`.
+        """
         with _reading(path) as file:
             header, names = _read_header(file, path), {name for name, _ in _datasets(file)}
+        header = replace(header, scene=scene or header.scene)
         writer = cls(path, header, True, interval)
         writer._names = {n for n in names if not n.startswith("restart/")} or None
         return writer
@@ -221,7 +254,7 @@ class Writer:
         one before. info: added to the header's. Raises ValueError for names that differ from the first append's, or
         lengths that differ from time's.
         """
-        series = {name: np.asarray(a) for name, a in _flat(samples).items()}
+        series = {name: np.asarray(a) for name, a in flat(samples).items()}
         self._check(series, "time")
         poses = {f"pieces/{name}": np.asarray(a) for name, a in (frames or {}).items()}
         self._check(poses, "pieces/time")
@@ -229,7 +262,7 @@ class Writer:
             self._pending.setdefault(name, []).append(array)
         self._names = (self._names or set()) | set(self._pending)
         if restart:
-            self._restart = {name: np.asarray(a) for name, a in _flat(restart).items()}
+            self._restart = {name: np.asarray(a) for name, a in flat(restart).items()}
         self._info |= info or {}
         if self._is_due():
             self.flush()
@@ -303,6 +336,8 @@ class Writer:
     def _write(self, file):
         if not self._exists:
             _write_header(file, self._header)
+        elif file.attrs["scene"] != self._header.scene:
+            file.attrs["scene"] = self._header.scene
         if self._info:
             file.attrs["info"] = json.dumps(self._header.info | self._info)
         for name, arrays in self._pending.items():
@@ -364,12 +399,12 @@ def _datasets(group, prefix=""):
             yield prefix + name, item
 
 
-def _flat(tree, prefix=""):
+def flat(tree, prefix=""):
     """path -> array of nested dicts."""
-    flat = {}
+    out = {}
     for name, item in tree.items():
-        flat |= _flat(item, f"{prefix}{name}/") if isinstance(item, dict) else {prefix + name: item}
-    return flat
+        out |= flat(item, f"{prefix}{name}/") if isinstance(item, dict) else {prefix + name: item}
+    return out
 
 
 def _nested(flat):
@@ -387,7 +422,7 @@ def _nested(flat):
 def _series_of(run):
     """path -> array of all of a run's series."""
     series = {name: getattr(run, name) for name in SERIES} | {group: getattr(run, group) for group in SERIES_GROUPS}
-    return _flat({name: item for name, item in series.items() if item is not None})
+    return flat({name: item for name, item in series.items() if item is not None})
 
 
 # --- header and checks ---

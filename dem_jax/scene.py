@@ -3,11 +3,15 @@
 SI units unless a key's name says otherwise (``_deg``: degrees). See ``dem_jax/scenes/*.toml`` for the stock scenes.
 """
 
+import difflib
+import json
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from types import UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic.fields import FieldInfo
 
 from dem_jax.errors import SceneError
 
@@ -177,7 +181,7 @@ class Drop(Section):
 class Scene(Section):
     """A whole scene. ``load_scene`` reads one; ``replace`` makes a changed one."""
 
-    name: str = "scene"
+    name: str = Field("scene", pattern=r"^[^/\\]+$", description="of the files that a run writes")
     material: Material = Material()
     run: RunSettings = RunSettings()
     portion: Portion | None = None
@@ -214,12 +218,64 @@ def load_scene(source, changes: dict[str, Any] | None = None) -> Scene:
     tree, path = _read(source, ())
     for key, value in (changes or {}).items():
         _set(tree, key.split("."), value)
-    return _validated(tree, str(path))
+    return _validated(tree, path.stem if path.parent == STOCK else str(path))
 
 
 def parse(text: str, source="scene") -> Scene:
     """A scene from TOML text that is complete in itself or has a stock scene as its base. Raises SceneError."""
     return _validated(_based(_loads(text, source), Path("."), source, ()), source)
+
+
+def described(scene: Scene) -> str:
+    """The scene as TOML text with every key that there is, its description and its default; ``parse`` reads it back."""
+    lines = []
+    for key, field in Scene.model_fields.items():
+        value = getattr(scene, key)
+        section = next(iter(_models(field.annotation)), None)
+        if section is None:
+            if key != "folder":
+                lines.append(_described_line(key, field, value))
+        elif isinstance(value, tuple):
+            lines += _described_rows(f"[[{key}]]", section, value)
+        else:
+            lines += _described_rows(f"[{key}]", section, () if value is None else (value,))
+    return "\n".join(lines) + "\n"
+
+
+def _described_rows(head, section, rows):
+    """A table, or the tables of a list; the first with all comments; commented out if the scene has none."""
+    text = (section.__doc__ or "").splitlines()[0]
+    lines = ["", f"# {text}"]
+    if not rows:
+        fields = section.model_fields.items()
+        return [*lines, f"# {head}"] + [f"# {_described_line(k, f, None).removeprefix('# ')}" for k, f in fields]
+    for n, row in enumerate(rows):
+        lines += ([""] if n else []) + [head]
+        for key, field in section.model_fields.items():
+            value = getattr(row, key)
+            if n == 0:
+                lines.append(_described_line(key, field, value))
+            elif value is not None:
+                lines.append(f"{key} = {_value(_plain(value))}")
+    return lines
+
+
+def _described_line(key, field, value):
+    """key = value  # description; allowed; default."""
+    default = None if field.is_required() else field.default
+    shown = default if value is None else value
+    head = f"{key} = {_value(_plain(shown))}" if shown is not None else f"{key} ="
+    notes = [field.description or "", allowed(field)]
+    if field.is_required():
+        notes.append("required")
+    elif default is not None and value is not None and value != default:
+        notes.append(f"default: {_value(_plain(default))}")
+    line = f"{head:<40} # {'; '.join(note for note in notes if note)}"
+    return line if value is not None else f"# {line}"
+
+
+def _plain(value):
+    return list(value) if isinstance(value, tuple) else value
 
 
 def stock_scenes() -> dict[str, str]:
@@ -245,10 +301,12 @@ def _read(source, seen):
         text = path.read_text()
     except (OSError, UnicodeDecodeError) as error:
         raise SceneError(f"scene {path}: cannot be read ({type(error).__name__}); allowed: a TOML text file") from error
-    tree = _based(_loads(text, path), path.parent, path, (*seen, path.resolve()))
+    own = _loads(text, path)
+    name = own.get("name", path.stem)
+    tree = _based(own, path.parent, path, (*seen, path.resolve()))
+    tree["name"] = name
     if path != stock:
         tree["folder"] = str(path.parent)
-        tree.setdefault("name", path.stem)
     return tree, path
 
 
@@ -289,13 +347,16 @@ def _set(tree, keys, value):
         below = tree.get(key) if isinstance(tree, dict) else None
         if isinstance(below, (list, tuple)):
             index = keys[i + 1]
-            if not index.isdigit() or int(index) >= len(below):
-                raise SceneError(f"{'.'.join(keys)} = {value!r}: {key} is a list; allowed: {key}.0 to {key}.{len(below) - 1}")
+            if not index.isdecimal() or int(index) >= len(below) or i + 2 == len(keys):
+                rows = f"{key}.0.KEY to {key}.{len(below) - 1}.KEY" if below else f"none, this scene has no {key}"
+                raise SceneError(f"{'.'.join(keys)} = {_short(value)}: {key} is a list; allowed: {rows}")
             rows = [dict(row) for row in below]
             tree[key] = rows
             return _set(rows[int(index)], keys[i + 2 :], value)
         if below is None:
             below = {}
+        if not isinstance(below, dict):
+            raise SceneError(f"{'.'.join(keys)} = {_short(value)}: unknown key; {key} is a value, not a table")
         tree[key] = below = dict(below)
         tree = below
     tree[keys[-1]] = value
@@ -316,35 +377,83 @@ def _validated(tree, source) -> Scene:
     try:
         return Scene.model_validate(tree)
     except ValidationError as error:
-        raise SceneError(f"{source}: {_one_line(error)}") from error
+        raise SceneError(f"{source}: {_one_line(error, tree)}") from error
 
 
-def _one_line(error: ValidationError) -> str:
+def _one_line(error: ValidationError, tree) -> str:
     """The first mistake: key, value, and what is allowed."""
     first = error.errors()[0]
-    place = [str(p) for p in first["loc"] if p not in ("float", "literal['auto']", "constrained-float")]
-    key, value = ".".join(place), first["input"]
-    if first["type"] == "extra_forbidden":
-        known = ", ".join(_known_keys(place[:-1]))
-        return f"{key} = {_short(value)}: unknown key; allowed: {known}"
-    if first["type"] == "missing":
-        return f"{key}: missing; it must be given"
     if first["type"] == "value_error":
-        return f"{key + ': ' if key else ''}{first['ctx']['error']}"
-    more = len(error.errors()) - 1
-    message = first["msg"][0].lower() + first["msg"][1:]
-    return f"{key} = {_short(value)}: {message}" + (f" (and {more} more)" if more and len(place) < 1 else "")
+        return f"{'.'.join(map(str, first['loc']))}: {first['ctx']['error']}".removeprefix(": ")
+    place, model, field = _field_at(first["loc"])
+    key = ".".join(place)
+    if first["type"] == "extra_forbidden":
+        known = list(model.model_fields)
+        near = difflib.get_close_matches(place[-1], known, 1)
+        hint = f"did you mean {near[0]!r}? " if near else ""
+        return f"{key} = {_short(first['input'])}: unknown key; {hint}allowed: {', '.join(known)}"
+    if field is None:
+        tables = "tables [[{0}]]" if get_origin(Scene.model_fields[place[0]].annotation) is tuple else "a table [{0}]"
+        return f"{key} = {_short(first['input'])}: allowed: {tables.format(place[0])}"
+    if first["type"] == "missing" and len(place) == len(first["loc"]):
+        return f"{key}: missing; it must be given: {allowed(field)}"
+    return f"{key} = {_short(_at(tree, place))}: allowed: {allowed(field)}"
 
 
-def _known_keys(place):
-    model = Scene
-    for key in place:
-        if key.isdigit():
+def _field_at(loc):
+    """Of a pydantic location: the keys down to a field, the section that the last key is in, and its field or None."""
+    place, model, field = [], Scene, None
+    for key in loc:
+        place.append(str(key))
+        if isinstance(key, int):
             continue
-        annotation = model.model_fields[key].annotation
-        models = [m for m in _models(annotation)]
-        model = models[0] if models else model
-    return model.model_fields
+        section, field = model, model.model_fields.get(key)
+        inside = next(iter(_models(field.annotation)), None) if field else None
+        if inside is None:
+            return place, section, field
+        model = inside
+    return place, model, None
+
+
+def _at(tree, place):
+    for key in place:
+        tree = tree[int(key)] if isinstance(tree, (list, tuple)) else tree.get(key)
+    return tree
+
+
+def allowed(field) -> str:
+    """What a field takes, in words."""
+    return _words(Annotated[(field.annotation, *field.metadata)] if field.metadata else field.annotation)
+
+
+def _words(annotation) -> str:
+    """What a type takes, in words."""
+    limits = []
+    while get_origin(annotation) is Annotated:
+        annotation, *metadata = get_args(annotation)
+        limits += [words for m in metadata for words in _limits(m)]
+    origin, args = get_origin(annotation), get_args(annotation)
+    if origin is Literal:
+        return " or ".join(json.dumps(a) for a in args)
+    if origin in (Union, UnionType):
+        return " or ".join(_words(a) for a in args if a is not type(None)) + " and".join(limits)
+    if origin is tuple:
+        several = args[-1] is Ellipsis
+        of_each = _words(args[0])
+        return f"a list, each {of_each}" if several else f"a list of {len(args)}, each {of_each}"
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return "a table"
+    plain = {float: "a number", int: "a whole number", bool: "true or false", str: "a text"}
+    return plain[annotation] + " and".join(limits)
+
+
+def _limits(metadata) -> list[str]:
+    """The limits that an annotation sets, in words."""
+    if isinstance(metadata, FieldInfo):
+        return [words for m in metadata.metadata for words in _limits(m)]
+    signs = (("gt", ">"), ("ge", ">="), ("lt", "<"), ("le", "<="), ("pattern", "that matches"))
+    values = [(sign, getattr(metadata, name, None)) for name, sign in signs]
+    return [f" {sign} {value}" for sign, value in values if value is not None]
 
 
 def _models(annotation):
@@ -355,7 +464,7 @@ def _models(annotation):
 
 
 def _short(value):
-    text = repr(value)
+    text = repr(value) if isinstance(value, dict) else _value(value)
     return text if len(text) <= 60 else text[:57] + "..."
 
 
@@ -376,8 +485,6 @@ def _is_tables(value):
 
 
 def _value(value):
-    import json
-
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):

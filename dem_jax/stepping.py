@@ -41,11 +41,12 @@ def chunk(system: System, state: State, count, frame_every, samples: int, frames
     return compiled(system, state, count, frame_every, samples=samples, frames=frames)
 
 
-def run_chunk(system: System, state: State, count, frame_every, samples: int, frames: int):
+def run_chunk(system: System, state: State, count, frame_every, samples: int, frames: int, phase=0):
     """Run ``count`` samples (at most ``samples``) and keep them, and a frame after each ``frame_every`` samples.
 
-    Everything but the two capacities may change without compiling again. Returns the state, the samples [samples]
-    and the frames [frames, 13, N] (position, orientation, velocity, angular velocity), of which the first are filled.
+    phase: samples since the last frame, below ``frame_every``. Everything but the two capacities may change without
+    compiling again. Returns the state, the samples [samples] and the frames [frames, 13, N] (position, orientation,
+    velocity, angular velocity), of which the first (count + phase) // frame_every are filled.
     """
     recorded = jax.tree.map(
         lambda x: jnp.zeros((samples, *x.shape), x.dtype), jax.eval_shape(partial(measure.sample, system), state)
@@ -66,7 +67,7 @@ def run_chunk(system: System, state: State, count, frame_every, samples: int, fr
         state, sample = _one_sample(system, system.substeps, state)
         recorded = jax.tree.map(lambda rows, row: rows.at[done].set(row), recorded, sample)
         if frames:
-            poses = poses.at[jnp.minimum(done // frame_every, frames - 1)].set(measure.frame(system, state))
+            poses = poses.at[jnp.minimum((done + phase) // frame_every, frames - 1)].set(measure.frame(system, state))
         return state, recorded, poses, done + 1
 
     start = (state, recorded, poses, jnp.zeros((), jnp.int32))
