@@ -48,7 +48,7 @@ def grown(system: System, state: State, guard: Guard) -> tuple[System, State]:
     rows = []
     for source, candidates, slots in system.capacity:
         near, touching = _most(guard.needed[source])
-        every = _pair_count(system, source)
+        every = neighbours.pair_count(system, source)
         rows.append((source, _enough(candidates, near, every), _enough(slots, touching, every)))
     bodies = system.pieces.mass.shape[0] - 1 + system.walls.group.shape[0]
     most = int(np.max(guard.touching))
@@ -94,9 +94,6 @@ def _enough(have, needed, every):
         return have
     return min(every, round_up(int(np.ceil(HEAD_ROOM * needed))))
 
-
-def _pair_count(system: System, source):
-    return jax.eval_shape(lambda: neighbours.all_pairs(system, source))[0].shape[0]
 
 
 def _widened(table: ContactTable, old, new) -> ContactTable:
