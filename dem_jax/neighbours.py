@@ -14,10 +14,11 @@ from dem_jax.types import ContactTable, Guard, Slots, State, System
 EMPTY = -1
 
 # Kinds of contact by what computes their geometry, and the sources of their pairs, each with slots of its own.
+# In the order of the alphabet, as JAX sorts the keys of a dict: ``incidence`` counts on one order everywhere.
 SOURCES = {
     "hulls": ("hull-hull", "wall-hull"),
-    "spheres": ("sphere-sphere",),
     "mixed": ("hull-sphere", "wall-sphere"),
+    "spheres": ("sphere-sphere",),
 }
 
 
