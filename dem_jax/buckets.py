@@ -12,7 +12,7 @@ class BucketParts:
     """What a bucket adds to a scene; the lower edge of its closed flaps is at height ``bottom`` on the z axis."""
 
     panels: list  # of (group, corners [4, 3] (m), thickness (m))
-    motions: list  # of Motion, one for each flap
+    motions: list  # of Motion, one for each flap that opens
     joint: dict  # flap's group -> the group that its force is added to
     block: Block
     interior_low: np.ndarray  # [3] (m): box above the hinges
@@ -47,7 +47,8 @@ def parts(bucket: Bucket, name: str, bottom: float) -> BucketParts:
         lip = (-sign * bucket.lap * np.cos(slope), bottom - bucket.lap * np.sin(slope))
         corners = [(-x, *edge), (x, *edge), (x, *lip), (-x, *lip)]
         panels.append((group, _facing_up(np.array(corners)), bucket.thickness))
-        motions.append(_hinge(bucket, group, (0.0, *edge), sign))
+        if bucket.opening_angle_deg:
+            motions.append(_hinge(bucket, group, (0.0, *edge), sign))
     margin = 0.01
     block = Block(name=name, low=(-x - margin, -y - margin, bottom - margin), high=(x + margin, y + margin, top))
     return BucketParts(panels, motions, joint, block, np.array([-x, -y, hinge]), np.array([x, y, top]))

@@ -80,13 +80,14 @@ def build(scene: Scene, seed: int = 0) -> Built:
         gravity=jnp.asarray(scene.run.gravity, dtype),
         dt=jnp.asarray(step.dt, dtype),
         substeps=jnp.asarray(step.substeps // parts, jnp.int32),
-        skin=jnp.asarray(2.5 * speed * interval, dtype),
+        skin=jnp.asarray(3.5 * speed * interval, dtype),
         block_low=jnp.asarray(np.array([b.low for b in blocks]).reshape(-1, 3).T, dtype),
         block_high=jnp.asarray(np.array([b.high for b in blocks]).reshape(-1, 3).T, dtype),
         domain_low=jnp.asarray(domain[0], dtype),
         domain_high=jnp.asarray(domain[1], dtype),
         capacity=_capacity(made, polytopes, len(panels)),
         touching=min(12, len(made) - 1 + len(panels)),
+        row_capacity=_row_capacity(made),
         has_hulls=bool(polytopes),
         alike=len({id(made[i]) for i in polytopes}) == 1,
         has_friction=max(scene.material.friction_wall, scene.material.friction_piece) > 0,
@@ -442,6 +443,15 @@ def _capacity(made, polytopes, panels):
             slots = min(pairs, round_up(slots))
             out.append((kind, pairs if pairs <= 4 * slots + 256 else 4 * slots, slots))
     return tuple(out)
+
+
+def _row_capacity(made) -> int:
+    """Pieces that three cells of their bounding diameter hold when densely packed, to begin with; 0 for few pieces."""
+    if len(made) <= neighbours.ALL_PAIRS:
+        return 0
+    cell = 2 * max(shape.bounding_radius for shape in made)
+    volume = min(shape.volume for shape in made)
+    return round_up(int(np.ceil(3 * 0.65 * cell**3 / volume)))
 
 
 def round_up(slots: int) -> int:

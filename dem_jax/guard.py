@@ -21,7 +21,7 @@ LARGEST_RAISE = 4.0  # of the skin at once: a state that went wrong may report a
 def fresh(state: State) -> State:
     """The state at the start of a chunk: needs and travel are noted anew."""
     guard = state.guard
-    zeros = jax.tree.map(np.zeros_like, {"needed": guard.needed, "touching": guard.touching, "travel": guard.travel})
+    zeros = jax.tree.map(np.zeros_like, {name: getattr(guard, name) for name in ("needed", "touching", "row", "travel")})
     return state.replace(guard=guard.replace(**zeros))
 
 
@@ -36,6 +36,8 @@ def outgrown(system: System, guard: Guard) -> list[str]:
             out.append(f"{touching} pairs {source} for {slots} slots")
     if np.max(guard.touching) > system.touching:
         out.append(f"{np.max(guard.touching)} contacts of a piece for {system.touching}")
+    if np.max(guard.row) > system.row_capacity:
+        out.append(f"{np.max(guard.row)} pieces in a row of cells for {system.row_capacity}")
     if np.max(guard.travel) > system.skin:
         out.append(f"bodies approached by {np.max(guard.travel):.3g} m between rebuilds, with a skin of {system.skin:.3g} m")
     return out
@@ -51,6 +53,9 @@ def grown(system: System, state: State, guard: Guard) -> tuple[System, State]:
     bodies = system.pieces.mass.shape[0] - 1 + system.walls.group.shape[0]
     most = int(np.max(guard.touching))
     touching = system.touching if most <= system.touching else min(bodies, most + 2)
+    row = int(np.max(guard.row))
+    if row > system.row_capacity:
+        system = system.replace(row_capacity=round_up(int(HEAD_ROOM * row)))
     travel = np.max(guard.travel)
     if travel > system.skin:
         raised = min(HEAD_ROOM * travel, LARGEST_RAISE * float(system.skin))

@@ -7,11 +7,13 @@ an error here but data: the host grows the capacity and runs the chunk again.
 """
 
 import jax.numpy as jnp
+import numpy as np
 
 from dem_jax import bodies, boundary, contact, forces, hulls, rotation, vector
 from dem_jax.types import ContactTable, Guard, Slots, State, System
 
 EMPTY = -1
+ALL_PAIRS = 256  # up to so many pieces every pair is looked at: quicker than any list
 
 # Kinds of contact by what computes their geometry, and the sources of their pairs, each with slots of its own.
 # In the order of the alphabet, as JAX sorts the keys of a dict: ``incidence`` counts on one order everywhere.
@@ -44,11 +46,13 @@ def rebuild(system: System, state: State) -> State:
     stacked = bodies.stack(system, state, jnp.zeros_like(state.velocity), panels)
     guard = state.guard
     first_time = guard.start_overlap < 0
-    tables, slots, needed = {}, {}, {}
+    before, _ = find_incidence(system, state.contacts)
+    tables, slots, needed, column = {}, {}, {}, 0
     for kind, sources in kinds(system).items():
         pairs = []
         for source, candidates, room in sources:
-            a, b = all_pairs(system, source)
+            a, b, row = pairs_of(system, source, stacked)
+            guard = guard.replace(row=jnp.maximum(guard.row, row))
             near = within_bounds(system, stacked, a, b)
             first, a, b = compact(near, a, b, candidates)
             trial = constants(system, kind, a, b)
@@ -57,7 +61,9 @@ def rebuild(system: System, state: State) -> State:
             second, a, b = compact(overlap > -system.skin, a, b, room)
             needed[source] = jnp.maximum(guard.needed[source], jnp.stack([first, second]))
             pairs.append((a, b))
-        tables[kind] = carry_history(state.contacts[kind], pairs, state.position.shape[1])
+        old = state.contacts[kind]
+        tables[kind] = carry_history(old, pairs, before, column)
+        column += 2 * old.a.shape[0]
         slots[kind] = constants(system, kind, tables[kind].a, tables[kind].b)
     incidence, touching = find_incidence(system, tables)
     guard = guard.replace(
@@ -69,18 +75,52 @@ def rebuild(system: System, state: State) -> State:
     return state.replace(contacts=tables, slots=slots, incidence=incidence, anchor=anchor, guard=guard)
 
 
-def all_pairs(system: System, source):
-    """Every pair (a, b) of a source, in rising order, two int32 arrays of body numbers."""
+def pairs_of(system: System, source, stacked):
+    """Pairs (a, b) of a source of contacts to be looked at, two int32 arrays of body numbers, and how many in a row.
+
+    Every pair where that is quick, else those of neighbouring cells; places without a pair hold EMPTY.
+    """
     pieces = system.pieces
+    none = jnp.zeros((), jnp.int32)
     if source.startswith("wall"):
         second = pieces.polytopes if source == "wall-hull" else pieces.spheres
         first = jnp.arange(system.walls.group.shape[0], dtype=jnp.int32) + pieces.mass.shape[0]
-        return _product(first, second)
+        return *_product(first, second), none
     if source == "hull-sphere":
-        return _product(pieces.polytopes, pieces.spheres)
+        return *_product(pieces.polytopes, pieces.spheres), none
     members = pieces.polytopes if source == "hull-hull" else pieces.spheres
-    i, j = jnp.triu_indices(members.shape[0], 1)
-    return members[i], members[j]
+    if system.row_capacity and members.shape[0] > ALL_PAIRS:
+        return cell_pairs(system, members, stacked)
+    i, j = np.triu_indices(members.shape[0], 1)
+    return members[i], members[j], none
+
+
+def cell_pairs(system: System, members, stacked):
+    """Pairs of pieces in the same or in neighbouring cells, each once, and the most pieces in a row of three cells.
+
+    Pieces are sorted by cell, z fastest, so that three cells one above the other are one range of the sorted list:
+    the rest of a piece's own cell and the one above, and four rows beside it, hold its partners of higher rank.
+    """
+    size = 2 * jnp.max(system.pieces.bounding_radius[members]) + system.skin
+    place = stacked[:3, members] - system.domain_low[:, None]
+    count = jnp.ceil((system.domain_high - system.domain_low) / size).astype(jnp.int32) + 2
+    cell = jnp.clip(jnp.floor(place / size).astype(jnp.int32) + 1, 1, count[:, None] - 2)
+    key = (cell[0] * count[1] + cell[1]) * count[2] + cell[2]
+    order = jnp.argsort(key)
+    key = key[order]
+    rows = [(0, 1), (1, -1), (1, 0), (1, 1)]
+    beside = jnp.stack([key + (dx * count[1] + dy) * count[2] for dx, dy in rows])
+    start = jnp.searchsorted(key, beside - 1).astype(jnp.int32)
+    end = jnp.searchsorted(key, beside + 1, side="right").astype(jnp.int32)
+    own = jnp.arange(members.shape[0], dtype=jnp.int32)[None]
+    start = jnp.concatenate([own + 1, start])  # [5, members]
+    end = jnp.concatenate([jnp.searchsorted(key, key + 1, side="right").astype(jnp.int32)[None], end])
+    partner = start[None] + jnp.arange(system.row_capacity, dtype=jnp.int32)[:, None, None]
+    there = partner < end[None]
+    i = members[order[jnp.broadcast_to(own[None], partner.shape)]]
+    j = members[order[jnp.minimum(partner, members.shape[0] - 1)]]
+    a = jnp.where(there, jnp.minimum(i, j), EMPTY).reshape(-1)
+    return a, jnp.where(there, jnp.maximum(i, j), EMPTY).reshape(-1), jnp.max(end - start)
 
 
 def _product(first, second):
@@ -90,6 +130,8 @@ def _product(first, second):
 def within_bounds(system: System, stacked, a, b):
     """Whether the bounds of two bodies are nearer than the skin, [pairs] bool."""
     pieces = system.pieces.mass.shape[0]
+    live = a >= 0
+    a, b = jnp.maximum(a, 0), jnp.maximum(b, 0)
     first, second = bodies.take(stacked, a), bodies.take(stacked, b)
     local = vector.rotate_back(first.rotation, bodies.offset(first, second))
     # the box that bounds a: of a panel its own, of a piece none, but a sphere about its centre
@@ -97,7 +139,7 @@ def within_bounds(system: System, stacked, a, b):
     away = tuple(jnp.maximum(jnp.abs(c) - h, 0) for c, h in zip(local, half, strict=True))
     radius = jnp.concatenate([system.pieces.bounding_radius, jnp.zeros_like(system.walls.half_extent[0])])
     reach = radius[a] + radius[b] + system.skin
-    return vector.dot(away, away) < reach * reach
+    return live & (vector.dot(away, away) < reach * reach)
 
 
 def _depth(kind, slots: Slots, stacked):
@@ -158,23 +200,20 @@ def compact(mask, a, b, slots):
     return count, jnp.where(keep, a[where], EMPTY), jnp.where(keep, b[where], EMPTY)
 
 
-def carry_history(old: ContactTable, pairs, pieces) -> ContactTable:
-    """A table of the new pairs, source by source, each with the history that it had in the old table, or none."""
-    parts, start = [], 0
-    for a, b in pairs:
-        part = slice(start, start + a.shape[0])
-        start += a.shape[0]
-        parts.append(_carry(old.replace(**{k: getattr(old, k)[..., part] for k in old.__dataclass_fields__}), a, b, pieces))
-    join = lambda name: jnp.concatenate([getattr(p, name) for p in parts], axis=-1)  # noqa: E731
-    return ContactTable(*(join(name) for name in ContactTable.__dataclass_fields__))
+def carry_history(old: ContactTable, pairs, incidence, column) -> ContactTable:
+    """A table of the new pairs, source by source, each with the history that it had in the old table, or none.
 
-
-def _carry(old: ContactTable, a, b, pieces) -> ContactTable:
-    last = jnp.iinfo(jnp.int32).max
-    old_key = jnp.where(old.a >= 0, old.a * pieces + old.b, last)
-    key = jnp.where(a >= 0, a * pieces + b, last)
-    slot = jnp.minimum(jnp.searchsorted(old_key, key), old_key.shape[0] - 1)
-    known = (old_key[slot] == key) & (a >= 0)
+    incidence: [touching, N] of the old tables; column: where the loads on b of this kind begin in it. A pair that was
+    known stands among the few contacts of its b, so that no sorting and no search is needed.
+    """
+    a, b = (jnp.concatenate(part) for part in zip(*pairs, strict=True))
+    slots = old.a.shape[0]
+    slot = incidence[:, jnp.maximum(b, 0)] - column  # [touching, P]
+    inside = (slot >= 0) & (slot < slots)
+    slot = jnp.where(inside, slot, 0)
+    match = inside & (old.a[slot] == a[None]) & (a >= 0)[None]
+    known = jnp.any(match, axis=0)
+    slot = jnp.max(jnp.where(match, slot, 0), axis=0)
     return ContactTable(
         a,
         b,
@@ -239,4 +278,4 @@ def empty_guard(system: System, dtype) -> Guard:
     """A guard that has seen nothing."""
     needed = {source: jnp.zeros((2,), jnp.int32) for source, _, _ in system.capacity}
     zero = jnp.zeros((), jnp.int32)
-    return Guard(needed, zero, jnp.zeros((), dtype), -jnp.ones((), dtype), jnp.zeros((2,), jnp.int32))
+    return Guard(needed, zero, zero, jnp.zeros((), dtype), -jnp.ones((), dtype), jnp.zeros((2,), jnp.int32))

@@ -94,7 +94,7 @@ class Law:
     damping: Array  # damping ratio of the unloading branch; 0 in the paper's model
 
 
-@pytree(static=("capacity", "touching", "has_hulls", "alike", "has_friction", "has_rotation", "has_damping", "ledger", "block_samples", "parts"))
+@pytree(static=("capacity", "touching", "row_capacity", "has_hulls", "alike", "has_friction", "has_rotation", "has_damping", "ledger", "block_samples", "parts"))
 class System:
     """All that never changes while a scene runs: arrays, and the static choices that decide what is compiled."""
 
@@ -113,6 +113,7 @@ class System:
     domain_high: Array  # [3] (m)
     capacity: tuple  # ((source of contacts, candidates, slots), ...): the sources that the scene has, see neighbours
     touching: int  # most contacts that a piece may have at once
+    row_capacity: int  # most pieces in three neighbouring cells in a row; 0: every pair is looked at
     has_hulls: bool  # whether any piece is a polytope
     alike: bool  # whether all polytopes among the pieces are one shape
     has_friction: bool
@@ -171,6 +172,7 @@ class Guard:
 
     needed: dict  # source of contacts -> int32 [2]: most candidates and slots that any rebuild wanted
     touching: Array  # int32: most contacts of one piece that any rebuild wanted
+    row: Array  # int32: most pieces in three neighbouring cells in a row
     travel: Array  # (m): most that two bodies can have approached each other between rebuilds
     start_overlap: Array  # (-): largest overlap at the first rebuild, relative to the width of the piece; -1: not yet
     start_pair: Array  # [2] int32: a and b of that pair
