@@ -16,10 +16,11 @@ EMPTY = -1
 ALL_PAIRS = 256  # up to so many pieces every pair is looked at: quicker than any list
 
 # Kinds of contact by what computes their geometry, and the sources of their pairs, each with slots of its own.
+# In the order of the alphabet, as JAX sorts the keys of a dict: ``incidence`` counts on one order everywhere.
 SOURCES = {
     "hulls": ("hull-hull", "wall-hull"),
-    "spheres": ("sphere-sphere",),
     "mixed": ("hull-sphere", "wall-sphere"),
+    "spheres": ("sphere-sphere",),
 }
 
 
