@@ -51,6 +51,8 @@ def grown(system: System, state: State, guard: Guard) -> tuple[System, State]:
     for source, candidates, slots in system.capacity:
         near, touching = _most(guard.needed[source])
         every = _pair_count(system, source)
+        if near > candidates:  # of those that found no place, as many may touch as of those that did
+            touching = -(-touching * near // candidates)
         rows.append((source, _enough(candidates, near, every), _enough(slots, touching, every)))
     bodies = system.pieces.mass.shape[0] - 1 + system.walls.group.shape[0]
     most = int(np.max(guard.touching))
