@@ -218,6 +218,12 @@ class FreeRotation:
         return abs(rate), modulus, amplitude
 
     @property
+    def amplitudes(self):
+        """Largest spins about the three axes (rad/s), [3]."""
+        amplitude, swapped = self._elliptic()[2], self._ordered()[1]
+        return np.array(amplitude[::-1] if swapped else amplitude)
+
+    @property
     def period(self):
         """(s)."""
         from scipy.special import ellipk
