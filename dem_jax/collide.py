@@ -11,7 +11,6 @@ facing faces, so that it moves continuously as a piece tips.
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 
 from dem_jax import vector
