@@ -149,6 +149,8 @@ def _loads_of_pieces(state: State, done):
 def _loads_of_walls(system: System, state: State, done, panels: boundary.Panels):
     """Force on each wall group, and torque about its pivot, [6, G] (N, N m)."""
     total = jnp.zeros((6, len(system.walls.groups)), state.position.dtype)
+    if not system.walls.groups:
+        return total
     pieces = state.position.shape[1]
     for kind, d in done.items():
         slots = state.slots[kind]
