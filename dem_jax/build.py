@@ -336,20 +336,21 @@ def _motion_row(motion):
 
 def _piece_arrays(scene: Scene, made) -> Pieces:
     m = scene.material
-    volume = np.array([s.volume for s in made])
-    mass = m.density * volume
-    size = np.array([shapes.size_length(s, m.stiffness_size) for s in made])
+    distinct, index = _distinct(made)
+    each = lambda value: np.array([value(shape) for shape in distinct])[index]  # noqa: E731
+    mass = m.density * each(lambda s: s.volume)
+    size = each(lambda s: shapes.size_length(s, m.stiffness_size))
     own = materials.stiffness(m.youngs_modulus, size, m.softening)
     wall = materials.stiffness(m.wall_youngs_modulus, size, m.softening)
     none = np.zeros(0, int)
     return Pieces(
         mass=mass,
-        inertia=mass * np.array([s.gyration for s in made]).T,
+        inertia=mass * each(lambda s: s.gyration).T,
         load_stiffness=own,
         wall_stiffness=own * wall / (own + wall),
-        radius=np.array([s.radius for s in made]),
-        bounding_radius=np.array([s.bounding_radius for s in made]),
-        width=np.array([_width(s) for s in made]),
+        radius=each(lambda s: s.radius),
+        bounding_radius=each(lambda s: s.bounding_radius),
+        width=each(_width),
         polytopes=none,
         spheres=none,
     )

@@ -38,8 +38,10 @@ def outgrown(system: System, guard: Guard) -> list[str]:
         out.append(f"{np.max(guard.touching)} contacts of a piece for {system.touching}")
     if np.max(guard.row) > system.row_capacity:
         out.append(f"{np.max(guard.row)} pieces in a row of cells for {system.row_capacity}")
+    if system.row_capacity and np.max(guard.row) > system.row_capacity:
+        out.append(f"{np.max(guard.row)} pieces in a row of cells for {system.row_capacity}")
     if np.max(guard.travel) > system.skin:
-        out.append(f"bodies approached by {np.max(guard.travel):.3g} m between rebuilds, with a skin of {system.skin:.3g} m")
+        out.append(f"bodies approached by {np.max(guard.travel):.3g} m between rebuilds, with a skin of {float(system.skin):.3g} m")
     return out
 
 
@@ -48,7 +50,7 @@ def grown(system: System, state: State, guard: Guard) -> tuple[System, State]:
     rows = []
     for source, candidates, slots in system.capacity:
         near, touching = _most(guard.needed[source])
-        every = _pair_count(system, source)
+        every = neighbours.pair_count(system, source)
         rows.append((source, _enough(candidates, near, every), _enough(slots, touching, every)))
     bodies = system.pieces.mass.shape[0] - 1 + system.walls.group.shape[0]
     most = int(np.max(guard.touching))
@@ -60,14 +62,14 @@ def grown(system: System, state: State, guard: Guard) -> tuple[System, State]:
     if travel > system.skin:
         raised = min(HEAD_ROOM * travel, LARGEST_RAISE * float(system.skin))
         system = system.replace(skin=jnp.asarray(raised, system.skin.dtype))
-    return with_capacity(system, state, tuple(rows), touching)
+    return with_capacity(system, state, tuple(rows), touching, row)
 
 
-def with_capacity(system: System, state: State, capacity, touching) -> tuple[System, State]:
+def with_capacity(system: System, state: State, capacity, touching, row_capacity) -> tuple[System, State]:
     """System and state with other capacities, none smaller than before."""
-    if (capacity, touching) == (system.capacity, system.touching):
+    larger = system.replace(capacity=capacity, touching=touching, row_capacity=row_capacity)
+    if jax.tree.structure(larger) == jax.tree.structure(system):
         return system, state
-    larger = system.replace(capacity=capacity, touching=touching)
     old, new = neighbours.kinds(system), neighbours.kinds(larger)
     tables = {kind: _widened(table, old[kind], new[kind]) for kind, table in state.contacts.items()}
     known = {source: state.guard.needed[source] for source, _, _ in capacity}
@@ -93,10 +95,6 @@ def _enough(have, needed, every):
     if needed <= have:
         return have
     return min(every, round_up(int(np.ceil(HEAD_ROOM * needed))))
-
-
-def _pair_count(system: System, source):
-    return jax.eval_shape(lambda: neighbours.all_pairs(system, source))[0].shape[0]
 
 
 def _widened(table: ContactTable, old, new) -> ContactTable:

@@ -16,10 +16,11 @@ EMPTY = -1
 ALL_PAIRS = 256  # up to so many pieces every pair is looked at: quicker than any list
 
 # Kinds of contact by what computes their geometry, and the sources of their pairs, each with slots of its own.
+# In the order of the alphabet, as JAX sorts the keys of a dict: ``incidence`` counts on one order everywhere.
 SOURCES = {
     "hulls": ("hull-hull", "wall-hull"),
-    "spheres": ("sphere-sphere",),
     "mixed": ("hull-sphere", "wall-sphere"),
+    "spheres": ("sphere-sphere",),
 }
 
 
@@ -52,7 +53,7 @@ def rebuild(system: System, state: State) -> State:
         for source, candidates, room in sources:
             a, b, row = pairs_of(system, source, stacked)
             guard = guard.replace(row=jnp.maximum(guard.row, row))
-            near = within_bounds(system, stacked, a, b)
+            near = within_bounds(system, stacked, source, a, b)
             first, a, b = compact(near, a, b, candidates)
             trial = constants(system, kind, a, b)
             overlap = _depth(kind, trial, stacked)
@@ -94,6 +95,19 @@ def pairs_of(system: System, source, stacked):
     return members[i], members[j], none
 
 
+def pair_count(system: System, source) -> int:
+    """How many pairs of a source there are at all."""
+    pieces, panels = system.pieces, system.walls.group.shape[0]
+    p, s = pieces.polytopes.shape[0], pieces.spheres.shape[0]
+    return {
+        "hull-hull": p * (p - 1) // 2,
+        "sphere-sphere": s * (s - 1) // 2,
+        "hull-sphere": p * s,
+        "wall-hull": panels * p,
+        "wall-sphere": panels * s,
+    }[source]
+
+
 def cell_pairs(system: System, members, stacked):
     """Pairs of pieces in the same or in neighbouring cells, each once, and the most pieces in a row of three cells.
 
@@ -126,18 +140,21 @@ def _product(first, second):
     return jnp.repeat(first, second.shape[0]), jnp.tile(second, first.shape[0])
 
 
-def within_bounds(system: System, stacked, a, b):
-    """Whether the bounds of two bodies are nearer than the skin, [pairs] bool."""
-    pieces = system.pieces.mass.shape[0]
+def within_bounds(system: System, stacked, source, a, b):
+    """Whether the bounds of two bodies are nearer than the skin, [pairs] bool: spheres, of a panel the box around it."""
     live = a >= 0
     a, b = jnp.maximum(a, 0), jnp.maximum(b, 0)
-    first, second = bodies.take(stacked, a), bodies.take(stacked, b)
-    local = vector.rotate_back(first.rotation, bodies.offset(first, second))
-    # the box that bounds a: of a panel its own, of a piece none, but a sphere about its centre
-    half = tuple(jnp.concatenate([jnp.zeros((pieces,), c.dtype), c])[a] for c in system.walls.half_extent)
-    away = tuple(jnp.maximum(jnp.abs(c) - h, 0) for c, h in zip(local, half, strict=True))
-    radius = jnp.concatenate([system.pieces.bounding_radius, jnp.zeros_like(system.walls.half_extent[0])])
-    reach = radius[a] + radius[b] + system.skin
+    radius = system.pieces.bounding_radius
+    reach = radius[b] + system.skin
+    if source.startswith("wall"):
+        panel = a - radius.shape[0]
+        first, second = bodies.take(stacked, a), bodies.take(stacked, b)
+        local = vector.rotate_back(first.rotation, bodies.offset(first, second))
+        half = tuple(c[panel] for c in system.walls.half_extent)
+        away = tuple(jnp.maximum(jnp.abs(c) - h, 0) for c, h in zip(local, half, strict=True))
+    else:
+        reach = reach + radius[a]
+        away = vector.sub(stacked[:3, b], stacked[:3, a])
     return live & (vector.dot(away, away) < reach * reach)
 
 

@@ -205,7 +205,8 @@ def assembled(header, parts, restart=None):
         return None
     poses = {f.name: series.pop(f"pieces/{f.name}", None) for f in fields(Frames)}
     pieces = None if poses["time"] is None else Frames(**poses)
-    return Run(header=header, pieces=pieces, restart=restart or {}, **_nested(series))
+    groups = {group: {} for group in SERIES_GROUPS} | _nested(series)
+    return Run(header=header, pieces=pieces, restart=restart or {}, **groups)
 
 
 class Writer:

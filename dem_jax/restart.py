@@ -17,7 +17,9 @@ def pack(system: System, state: State) -> dict:
     out = {path: np.asarray(leaf) for path, leaf in _leaves(state)[0]}
     for source, candidates, slots in system.capacity:
         out[f"capacity/{source}"] = np.array([candidates, slots], np.int32)
-    return out | {"touching": np.array(system.touching, np.int32), "skin": np.asarray(system.skin)}
+    for name in ("touching", "row_capacity"):
+        out[name] = np.array(getattr(system, name), np.int32)
+    return out | {"skin": np.asarray(system.skin)}
 
 
 def unpack(system: System, state: State, arrays: dict) -> tuple[System, State]:
@@ -29,7 +31,8 @@ def unpack(system: System, state: State, arrays: dict) -> tuple[System, State]:
     for source, _, _ in system.capacity:
         candidates, slots = _found(arrays, f"capacity/{source}")
         rows.append((source, int(candidates), int(slots)))
-    system, state = guard.with_capacity(system, state, tuple(rows), int(_found(arrays, "touching")))
+    others = (int(_found(arrays, name)) for name in ("touching", "row_capacity"))
+    system, state = guard.with_capacity(system, state, tuple(rows), *others)
     system = system.replace(skin=jnp.asarray(_found(arrays, "skin")))
     named, structure = _leaves(state)
     leaves = []

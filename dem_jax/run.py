@@ -179,14 +179,23 @@ def _run(job: Job, target, progress):
             failed = failure.find(span.samples, span.count)
             if failed:
                 _stop(job, target, span, failed)
-            ends = span.first + span.count
-            whole = ends == 0 or span.count == job.stride  # an end that every run of this scene has
-            state = restart.pack(span.system, span.state) if whole else None
             facts = {"notes": notes} if span.notes else None
-            target().append(*_recorded(job, span, span.count), restart=state, info=facts)
+            target().append(*_recorded(job, span, span.count), restart=_restart_of(job, span), info=facts)
             shown.advance(span)
         clock = {"compile_time": job.clock["compile"], "elapsed": time.perf_counter() - job.clock["start"]}
         target().append({}, info=clock)
+
+
+def _restart_of(job: Job, span: Span):
+    """The state to go on from after a span, or None for that of the span before.
+
+    Only at the end of a whole chunk, or at its beginning if it is the first: there every run of the scene, however
+    long, begins a chunk, which is why going on gives the same bits.
+    """
+    if span.count == job.stride or span.first + span.count == 0:
+        return restart.pack(span.system, span.state)
+    is_first = span.first * job.steps_per_sample == int(np.max(job.state.step))
+    return restart.pack(span.system, span.start) if is_first else None
 
 
 def spans(job: Job, shown):

@@ -1,0 +1,60 @@
+"""The main job: 50 g of marshmallows from the feed bucket into the weigh bucket, in double precision."""
+
+import numpy as np
+import pytest
+
+import dem_jax
+
+PIECE = 5.832e-3  # kg
+
+
+@pytest.fixture(scope="module")
+def run():
+    scene = dem_jax.load_scene("weigh-bucket").replace(run={"precision": "f64", "duration": 0.7})
+    return dem_jax.simulate(scene, seed=0)
+
+
+def test_count_is_eq_16_rounded(run):
+    assert run.pieces.position.shape[1] == round(0.05 / PIECE) == 9
+
+
+def test_all_pieces_end_inside(run):
+    x, y, z = run.pieces.position[-1].T
+    assert np.all(np.abs(x) < 0.07) and np.all(np.abs(y) < 0.06) and np.all(z > 0)
+    assert np.all(z < 0.216)  # the upper edge of the weigh bucket
+
+
+def test_settled_mass_ends_as_the_portion(run):
+    assert run.settled_mass["wb"][-1] == pytest.approx(9 * PIECE, rel=1e-9)
+    assert run.settled_mass["wb"][run.time < 0.2].max() == 0.0  # the fall of 0.25 m takes 0.226 s
+
+
+def test_floor_force_at_the_end_is_the_weight(run):
+    end = run.time > run.time[-1] - 0.15
+    total = sum(run.mean_force[g][end, 2].mean() for g in ("wb_flaps", "wb_walls"))
+    assert -total == pytest.approx(9 * PIECE * 9.81, rel=5e-3)  # what is left of the pieces' momentum after 0.55 s
+
+
+def test_momentum_balance_closes_to_rounding(run):
+    """Interval-mean wall forces and gravity integrate to the change of momentum from sample to sample."""
+    force = -sum(run.mean_force.values()) + np.array([0, 0, -9.81]) * 9 * PIECE
+    change = np.diff(run.momentum, axis=0)
+    interval = run.time[1] - run.time[0]
+    # rounding of momenta of about 0.1 kg m/s, over tens of steps
+    np.testing.assert_allclose(change, force[1:] * interval, rtol=0, atol=1e-14)
+
+
+def test_energy_ledger_closes(run):
+    """Total energy moves by less than 1 % of what the impact dissipates; it is second order in the time step."""
+    total = run.energy["total"]
+    spent = run.energy["dissipated"][-1] - run.energy["dissipated"][0]
+    assert np.ptp(total) < 0.01 * spent
+
+
+def test_peak_force_and_its_time(run):
+    """A free fall of 0.25 m from the closed flaps' edge, and more for pieces above it; force within the stiff limit."""
+    pif = run.pif_kg("wb_flaps")
+    peak = int(np.argmax(pif))
+    assert 0.21 < run.time[peak] < 0.26
+    one = 2.21 * np.sqrt(PIECE * 33327.17) / 9.81  # kg: peak of one piece that lands flat at 2.21 m/s (VALIDATION, sec. 2)
+    assert one / 3 < pif[peak] < 9 * one
