@@ -112,7 +112,9 @@ def _add_render(commands):
     kind.add_argument("--gif", action="store_true", help="an animation (default)")
     kind.add_argument("--png", action="store_true", help="a picture of the end")
     kind.add_argument("--at", type=float, metavar="S", help="a picture of the time S (s)")
-    kind.add_argument("--strip", type=_strip, metavar="N|T,T,...", help="a film strip: of N instants, or of these times (s)")
+    kind.add_argument(
+        "--strip", type=_strip, metavar="N|T,T,...", help="a film strip: of N instants, or of these times (s)"
+    )
     command.add_argument("--out", metavar="FILE", help="default: the file's name .gif, or -scene.png")
     command.add_argument("--colour", choices=["speed", "piece"], default="speed", help="of the pieces (default: speed)")
     command.add_argument("--azimuth", type=float, default=25.0, metavar="DEG", help="of the eye about z (default: 25)")
@@ -146,7 +148,9 @@ def _strip(text):
     try:
         return int(text) if text.isdecimal() else [float(t) for t in text.split(",")]
     except ValueError as error:
-        raise argparse.ArgumentTypeError(f"{text!r}: allowed: a number of instants, or times (s) with commas") from error
+        raise argparse.ArgumentTypeError(
+            f"{text!r}: allowed: a number of instants, or times (s) with commas"
+        ) from error
 
 
 # --- commands ---

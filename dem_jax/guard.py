@@ -21,7 +21,9 @@ LARGEST_RAISE = 4.0  # of the skin at once: a state that went wrong may report a
 def fresh(state: State) -> State:
     """The state at the start of a chunk: needs and travel are noted anew."""
     guard = state.guard
-    zeros = jax.tree.map(np.zeros_like, {name: getattr(guard, name) for name in ("needed", "touching", "row", "travel")})
+    zeros = jax.tree.map(
+        np.zeros_like, {name: getattr(guard, name) for name in ("needed", "touching", "row", "travel")}
+    )
     return state.replace(guard=guard.replace(**zeros))
 
 
@@ -39,7 +41,8 @@ def outgrown(system: System, guard: Guard) -> list[str]:
     if np.max(guard.row) > system.row_capacity:
         out.append(f"{np.max(guard.row)} pieces in a row of cells for {system.row_capacity}")
     if np.max(guard.travel) > system.skin:
-        out.append(f"bodies approached by {np.max(guard.travel):.3g} m between rebuilds, with a skin of {float(system.skin):.3g} m")
+        way, skin = float(np.max(guard.travel)), float(system.skin)
+        out.append(f"bodies approached by {way:.3g} m between rebuilds, with a skin of {skin:.3g} m")
     return out
 
 

@@ -11,7 +11,7 @@ import dem_jax
 from dem_jax.__main__ import main
 
 SET = [  # --set of plate-drop -> what the line must hold
-    ("material.restituton=0.5", r"material\.restituton = 0\.5: unknown key; did you mean 'restitution'\? allowed: density, "),
+    ("material.restituton=0.5", r"material\.restituton = 0\.5: unknown key; did you mean 'restitution'\? allowed: den"),
     ("matrial.restitution=0.5", r"matrial = .*: unknown key; did you mean 'material'\?"),
     ("speed=3", r"speed = 3: unknown key; allowed: name, material, run,"),
     ("piece.0.mass=3", r"piece\.0\.mass = 3: unknown key; .*allowed: shape, scale_factor"),
@@ -44,14 +44,14 @@ SET = [  # --set of plate-drop -> what the line must hold
     ("run.domain_low=[0, 0, 5]", r"run\.domain_low = .*: allowed: below run\.domain_high"),
     ("run.domain_high=[1, 1, 0.1]", r"piece\.0\.position = .*: outside the domain"),
     ("piece.0.shape=ball", r'piece\.0\.shape = "ball": allowed: "chamfered-cuboid" or "cuboid" or "sphere"'),
-    ("piece.0.size=[0.1, -0.1, 0.1]", r"piece\.0\.size = \[0\.1, -0\.1, 0\.1\]: allowed: a list of 3, each a number > 0"),
+    ("piece.0.size=[0.1, -0.1, 0.1]", r"piece\.0\.size = .* allowed: a list of 3, each a number > 0"),
     ("piece.0.scale_factor=0", r"piece\.0\.scale_factor = 0: allowed: a number > 0"),
     ("piece.0.sides=2", r"piece\.0\.sides = 2: allowed: a whole number >= 3"),
     ("piece.0.radius=0.1", r"piece\.0\.radius = 0\.1: not a key of shape 'chamfered-cuboid'; allowed: chamfer, size"),
     ("piece.0.shape=sphere", r"piece\.0\.radius: missing; shape 'sphere' needs it"),
     ("piece.0.shape=hull", r"piece\.0\.shape 'hull': points, stl: exactly one of the two"),
     ("piece.0.chamfer=0.1", r"piece\.0\.chamfer"),
-    ("piece.0.position=[0, 0, 0]", r"piece 0 and wall group 'plate' overlap at the start by .* %.*; allowed: at most 0\.1 %"),
+    ("piece.0.position=[0, 0, 0]", r"piece 0 and wall group 'plate' overlap .* %.*; allowed: at most 0\.1 %"),
     ("piece.0.orientation=[0, 0, 0, 0]", r"piece\.0\.orientation = .*: allowed: a quaternion that is not zero"),
     ("wall.0.group='a b'", r'wall\.0\.group = "a b": allowed: a text that matches'),
     ("wall.0.thickness=-0.1", r"wall\.0\.thickness = -0\.1: allowed: a number > 0"),
@@ -72,16 +72,16 @@ TOML = [  # a scene file -> what the line must hold
     ("[portion]\nregion_low = [0,0,0]\nregion_high = [0.01,0.01,1]", r"region of 0\.01 x 0\.01 m is too narrow"),
     ("[portion]\ncount = 0", r"portion\.count = 0: allowed: a whole number >= 1"),
     ('base = "plate-drop"\n[[motion]]\ngroup = "plat"', r"motion\.group = 'plat': no wall has this group"),
-    ('base = "plate-drop"\n[[motion]]\ngroup = "plate"\naxis = [0,0,0]', r"motion\.axis = .*: allowed: a vector that is not zero"),
+    ('base = "plate-drop"\n[[motion]]\ngroup = "plate"\naxis = [0,0,0]', r"motion\.axis = .*: allowed: a vector that"),
     ('base = "plate-drop"\n[[motion]]\nstart = 1', r"motion\.0\.group: missing; it must be given: a text"),
     ('base = "plate-drop"\n[[wall]]\ngroup = "w"', r"wall 'w': corners, stl: exactly one of the two"),
-    ('base = "plate-drop"\n[[wall]]\ngroup = "w"\nstl = "gone.stl"', r"wall\.0\.stl = '.*gone\.stl': there is no such file"),
-    ('[[piece]]\nshape = "hull"\nposition = [0,0,1]\nstl = "open.stl"', r"piece\.0\.stl = '.*open\.stl' is an open mesh"),
+    ('base = "plate-drop"\n[[wall]]\ngroup = "w"\nstl = "gone.stl"', r"wall\.0\.stl = '.*gone\.stl': there is no"),
+    ('[[piece]]\nshape = "hull"\nposition = [0,0,1]\nstl = "open.stl"', r"piece\.0\.stl = '.*open\.stl' is an open m"),
     ('[[piece]]\nshape = "hull"\nposition = [0,0,1]\nstl = "bent.stl"', r"piece\.0\.stl = '.*bent\.stl' is not convex"),
     ('[[piece]]\nshape = "hull"\nposition = [0,0,1]\nstl = "text.stl"', r"piece\.0\.stl = '.*text\.stl'"),
     ('[[piece]]\nshape = "hull"\nposition = [0,0,1]\npoints = [[0,0,0],[1,0,0],[0,1,0],[1,1,0]]', r"piece\.0\.points"),
-    ('[weigh_bucket]\nflap_angle_deg = 95\n[portion]', r"weigh_bucket\.flap_angle_deg = 95: allowed: a number > 0 and < 90"),
-    ('[weigh_bucket]\nmouth = [0.1]\n[portion]', r"weigh_bucket\.mouth = \[0\.1\]: allowed: a list of 2, each a number > 0"),
+    ('[weigh_bucket]\nflap_angle_deg = 95\n[portion]', r"weigh_bucket\.flap_angle_deg = 95: allowed: .* > 0 and < 90"),
+    ('[weigh_bucket]\nmouth = [0.1]\n[portion]', r"weigh_bucket\.mouth = \[0\.1\]: allowed: a list of 2, each a"),
 ]  # fmt: skip
 
 COMMANDS = [  # a command -> what the line must hold
@@ -119,7 +119,11 @@ COMMANDS = [  # a command -> what the line must hold
 def whole(tmp_path_factory):
     """The file of a short run without frames."""
     path = tmp_path_factory.mktemp("whole") / "whole.h5"
-    scene = {"piece": [{"shape": "sphere", "radius": 0.01, "position": [0, 0, 0.1]}], "run.duration": 1e-3, "run.frames": 0}
+    scene = {
+        "piece": [{"shape": "sphere", "radius": 0.01, "position": [0, 0, 0.1]}],
+        "run.duration": 1e-3,
+        "run.frames": 0,
+    }
     dem_jax.simulate(dem_jax.load_scene("plate-drop", scene), out=path)
     return path
 

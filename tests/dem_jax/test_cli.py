@@ -40,7 +40,10 @@ def scene(tmp_path):
 
 
 def process(*arguments, **environment):
-    settings = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "JAX_COMPILATION_CACHE_DIR": jax.config.jax_compilation_cache_dir}
+    settings = os.environ | {
+        "PYTHONPATH": os.pathsep.join(sys.path),
+        "JAX_COMPILATION_CACHE_DIR": jax.config.jax_compilation_cache_dir,
+    }
     command = [sys.executable, *arguments]
     return subprocess.run(command, env=settings | environment, capture_output=True, text=True)
 
@@ -116,7 +119,9 @@ def test_a_run_that_goes_wrong_exits_with_1_and_says_where_its_file_is(scene, ca
     assert main(["run", scene, "--quiet", "--set", "run.domain_low=[-1, -1, 0.011]"]) == 1
     out, err = capsys.readouterr()
     assert len(err.splitlines()) == 1 and out == ""
-    assert "ball: piece 0 at t =" in err and "below z = 0.011 m" in err and "what was computed before is in ball.h5" in err
+    assert (
+        "ball: piece 0 at t =" in err and "below z = 0.011 m" in err and "what was computed before is in ball.h5" in err
+    )
     assert dem_jax.load_run("ball.h5").time[-1] == pytest.approx(np.sqrt(2 * 0.001 / 9.81), abs=6e-5)
 
 
@@ -152,7 +157,9 @@ def test_as_a_process_it_keeps_compiled_programs_in_the_users_cache(scene, tmp_p
 
 
 def test_nothing_heavy_is_imported_before_it_is_used():
-    program = "import sys, dem_jax, dem_jax.__main__ as m; m.main(['scenes']); print(sorted(sys.modules), file=sys.stderr)"
+    program = (
+        "import sys, dem_jax, dem_jax.__main__ as m; m.main(['scenes']); print(sorted(sys.modules), file=sys.stderr)"
+    )
     loaded = eval(process("-c", program).stderr)
     assert {"jax", "numpy", "scipy", "h5py", "matplotlib", "trimesh", "tqdm"}.isdisjoint(loaded)
     program = "import sys, dem_jax; dem_jax.simulate; print(sorted(sys.modules))"
@@ -161,9 +168,8 @@ def test_nothing_heavy_is_imported_before_it_is_used():
 
 
 def test_the_version_is_that_of_the_project():
-    from pathlib import Path
-
     import tomllib
+    from pathlib import Path
 
     project = Path(__file__).parents[2] / "pyproject.toml"
     assert tomllib.loads(project.read_text())["project"]["version"] == dem_jax.__version__

@@ -18,7 +18,8 @@ def scattered(**changes):
             "shape": "sphere", "radius": 0.01, "count": 2, "arrangement": "scattered",
             "region_low": [-0.05, -0.05, 0.0], "region_high": [0.05, 0.05, 0.1],
         },
-        "piece": [], "name": "scattered", "run.precision": "f64", "run.duration": 0.02, "run.sample": 2e-5, "run.frames": 7e-4,
+        "piece": [], "name": "scattered",
+        "run.precision": "f64", "run.duration": 0.02, "run.sample": 2e-5, "run.frames": 7e-4,
     }  # fmt: skip
     return dem_jax.load_scene("plate-drop", base | changes)
 
@@ -87,5 +88,7 @@ def test_overlapping_starts_name_the_run():
     job = run.prepare(scattered(), (3, 4, 5), 3)
     with jax.enable_x64(True):
         job = run.replace(job, state=job.state.replace(position=job.state.position.at[2, 2, 1].set(0.0)))
-    with pytest.raises(SceneError, match=r"piece 1 and wall group 'plate' of run 2 \(seed 5\) overlap at the start by 50 %"):
+    with pytest.raises(
+        SceneError, match=r"piece 1 and wall group 'plate' of run 2 \(seed 5\) overlap at the start by 50 %"
+    ):
         run.drive(job, None, False, False)
