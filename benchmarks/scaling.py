@@ -12,6 +12,7 @@ from benchmarks import lattice, report
 SIZES = {"cpu": (343, 1000, 8000), "gpu": (1000, 10_000, 100_000, 1_000_000)}
 MEMBERS = {"cpu": (1, 8, 64), "gpu": (64, 256, 1024, 4096)}
 SAMPLES, REPEATS = 10, 5
+SIZE_HEAD = ("shape", "pieces", "µs per step", "piece-steps per s", "slots", "bytes held per piece", "compile (s)", "set-up (s)")
 
 
 def time_chunk(system, state, members=None):
@@ -96,7 +97,7 @@ Ensembles of nine marshmallows at rest (48 slots of contacts each), `vmap`:
 
 Pieces on a lattice in a box, each touching its six neighbours:
 
-{report.table(("shape", "pieces", "µs per step", "piece-steps per s", "slots", "bytes held per piece", "compile (s)", "set-up (s)"), sizes)}
+{report.table(SIZE_HEAD, sizes)}
 """
     report.write(f"scaling_{kind}", text)
 

@@ -532,6 +532,7 @@ def first_state(system: System, start: Start, frames, step: int) -> State:
         position_rest=(position - high).astype(dtype),
         orientation=q,
         velocity=start.velocity.T.astype(dtype),
+        velocity_rest=zero(3, n),
         angular_momentum=np.stack(momentum),
         force=zero(3, n),
         torque=zero(3, n),

@@ -10,7 +10,8 @@ def kick(system: System, state: State) -> State:
     """Half a step of acceleration: velocity and angular momentum by force and torque, to dt / 2 later."""
     half = 0.5 * system.dt
     acceleration = state.force / system.pieces.mass[None] + system.gravity[:, None]
-    state = state.replace(velocity=state.velocity + half * acceleration)
+    velocity, rest = _add(state.velocity, state.velocity_rest, half * acceleration)
+    state = state.replace(velocity=velocity, velocity_rest=rest)
     if system.has_rotation:
         state = state.replace(angular_momentum=state.angular_momentum + half * state.torque)
     return state
@@ -32,7 +33,8 @@ def drift(system: System, state: State):
 def _add(position, rest, change):
     """position + rest + change, and what rounding leaves over (compensated summation; not needed in double precision).
 
-    In single precision a step near rest is smaller than the spacing of numbers at 0.1 m.
+    In single precision a step near rest is smaller than the spacing of numbers at 0.1 m, and the change of velocity by
+    gravity in half a step is only 120 spacings at 2 m/s, rounded the same way each time. Velocities likewise.
     """
     if position.dtype == jnp.float64:
         return position + change, rest

@@ -94,7 +94,22 @@ class Law:
     damping: Array  # damping ratio of the unloading branch; 0 in the paper's model
 
 
-@pytree(static=("capacity", "touching", "row_capacity", "has_hulls", "alike", "has_friction", "has_rotation", "has_damping", "ledger", "block_samples", "parts"))
+CHOICES = (
+    "capacity",
+    "touching",
+    "row_capacity",
+    "has_hulls",
+    "alike",
+    "has_friction",
+    "has_rotation",
+    "has_damping",
+    "ledger",
+    "block_samples",
+    "parts",
+)
+
+
+@pytree(static=CHOICES)
 class System:
     """All that never changes while a scene runs: arrays, and the static choices that decide what is compiled."""
 
@@ -187,6 +202,7 @@ class State:
     position_rest: Array  # [3, N] (m): what rounding left over of the position (zero in double precision)
     orientation: Array  # [4, N]: unit quaternion w x y z, principal frame to world
     velocity: Array  # [3, N] (m/s)
+    velocity_rest: Array  # [3, N] (m/s): what rounding left over of the velocity
     angular_momentum: Array  # [3, N] (kg m2/s), world frame
     force: Array  # [3, N] (N): of contacts
     torque: Array  # [3, N] (N m): of contacts, about the centre of mass
