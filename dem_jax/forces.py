@@ -73,7 +73,7 @@ def _resolve(system: System, kind, table: ContactTable, slots: Slots, stacked) -
         dashpot = contact.unloading_damping(
             f, table.overlap, overlap, slots.stiffness, unload, slots.mass, law.damping, system.dt
         )
-    motion, along, slip, at_b = _approach(system, a, b, offset, shape)
+    motion, along, slip, at_b = _approach(system, a, b, offset, shape, table.overlap, overlap)
     force = vector.scale(f + dashpot, shape.normal)
     tangent, spring = None, table.spring
     if system.has_friction:
@@ -102,11 +102,18 @@ def _velocity(body: Body, arm):
     return vector.add(body.velocity, vector.cross(body.spin, arm))
 
 
-def _approach(system: System, a: Body, b: Body, offset, shape: collide.Geometry):
-    """Displacement in this step of b relative to a at the contact point, its normal part, the rest of it; arm of b."""
+def _approach(system: System, a: Body, b: Body, offset, shape: collide.Geometry, before, overlap):
+    """Displacement in touch of b relative to a at the contact point in this step, its normal part, the rest; arm of b.
+
+    In the step of first touch only the last part of the way is in touch: overlap over approach. The whole of it would
+    begin the tangential spring half a step too early, which costs the second order in the time step.
+    """
     at_b = vector.sub(shape.point, offset)
     motion = vector.scale(system.dt, vector.sub(_velocity(b, at_b), _velocity(a, shape.point)))
     along = vector.dot(motion, shape.normal)
+    first = (before <= 0) & (overlap > 0)
+    part = jnp.where(first, overlap / jnp.where(first, jnp.maximum(-along, overlap), 1), 1)
+    motion, along = vector.scale(part, motion), part * along
     return motion, along, vector.add_scaled(motion, -along, shape.normal), at_b
 
 
