@@ -112,7 +112,9 @@ def _add_render(commands):
     kind.add_argument("--gif", action="store_true", help="an animation (default)")
     kind.add_argument("--png", action="store_true", help="a picture of the end")
     kind.add_argument("--at", type=float, metavar="S", help="a picture of the time S (s)")
-    kind.add_argument("--strip", type=_strip, metavar="N|T,T,...", help="a film strip: of N instants, or of these times (s)")
+    kind.add_argument(
+        "--strip", type=_strip, metavar="N|T,T,...", help="a film strip: of N instants, or of these times (s)"
+    )
     command.add_argument("--out", metavar="FILE", help="default: the file's name .gif, or -scene.png")
     command.add_argument("--colour", choices=["speed", "piece"], default="speed", help="of the pieces (default: speed)")
     command.add_argument("--azimuth", type=float, default=25.0, metavar="DEG", help="of the eye about z (default: 25)")
@@ -146,7 +148,9 @@ def _strip(text):
     try:
         return int(text) if text.isdecimal() else [float(t) for t in text.split(",")]
     except ValueError as error:
-        raise argparse.ArgumentTypeError(f"{text!r}: allowed: a number of instants, or times (s) with commas") from error
+        raise argparse.ArgumentTypeError(
+            f"{text!r}: allowed: a number of instants, or times (s) with commas"
+        ) from error
 
 
 # --- commands ---
@@ -273,7 +277,7 @@ def _use_cache():
     """
     import jax
 
-    if jax.config.jax_compilation_cache_dir is None:
+    if not jax.config.jax_compilation_cache_dir:
         base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
         jax.config.update("jax_compilation_cache_dir", str(Path(base) / "dem_jax" / "jax"))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)

@@ -11,7 +11,6 @@ weighted by depth, from the edges of the two facing faces, so that it moves cont
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 
 from dem_jax import vector

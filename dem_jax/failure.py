@@ -18,8 +18,8 @@ def check_start(job, guard):
     a, b = (body_name(job.system, body) for body in guard.start_pair.reshape(-1, 2)[member])
     where = "" if job.runs is None else f" of run {member} (seed {job.seeds[member]})"
     raise SceneError(
-        f"{job.scene.name}: {b} and {a}{where} overlap at the start by {100 * overlap[member]:.3g} % of the piece's width; "
-        f"allowed: at most {100 * START_OVERLAP:g} %"
+        f"{job.scene.name}: {b} and {a}{where} overlap at the start by {100 * overlap[member]:.3g} % "
+        f"of the piece's width; allowed: at most {100 * START_OVERLAP:g} %"
     )
 
 
@@ -85,8 +85,9 @@ def _what_happened(job, state, piece):
     side, limit, key = ("below", low, "domain_low") if below[axis] else ("above", high, "domain_high")
     speed = np.linalg.norm(rest[0])
     return (
-        f"it left the domain {side} {'xyz'[axis]} = {limit[axis]:.4g} m at {speed:.3g} m/s; likely cause: no wall holds it there, "
-        f"or a contact threw it ({_step_advice(job)}); the domain is set by run.{key}"
+        f"it left the domain {side} {'xyz'[axis]} = {limit[axis]:.4g} m at {speed:.3g} m/s; "
+        f"likely cause: no wall holds it there, or a contact threw it ({_step_advice(job)}); "
+        f"the domain is set by run.{key}"
     )
 
 

@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 
 from dem_jax import bodies, boundary, collide, contact, vector
 from dem_jax.bodies import Body
@@ -181,6 +182,6 @@ def _work(system: System, twice_load, motion):
 
 
 def empty_ledger(system: System, dtype) -> Ledger:
-    """A ledger of zeros."""
-    zero = jnp.zeros((), dtype)
-    return Ledger(jnp.zeros((3, len(system.walls.groups)), dtype), zero, zero, zero)
+    """A ledger of zeros, in numpy."""
+    zero = np.zeros((), dtype)
+    return Ledger(np.zeros((3, len(system.walls.groups)), dtype), zero, zero, zero)

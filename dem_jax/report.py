@@ -12,7 +12,7 @@ class Progress:
     def __init__(self, job, shown):
         self._job, self._bar = job, None
         self._from = int(np.max(job.state.step)) // job.steps_per_sample
-        self._since = 0.0
+        self._since, self._compiled = time.perf_counter(), job.clock["compile"]
         if shown:
             from tqdm import tqdm
 
@@ -44,11 +44,11 @@ class Progress:
         """A chunk is done."""
         if self._bar is None:
             return
-        now = time.perf_counter()
+        now, compiled = time.perf_counter(), self._job.clock["compile"]
+        took = now - self._since - (compiled - self._compiled)
         steps = span.count * self._job.steps_per_sample * (self._job.runs or 1)
-        if self._since:
-            self._bar.set_postfix_str(f"{1e6 * (now - self._since) / steps:.3g} µs/step", refresh=False)
-        self._since = now
+        self._since, self._compiled = now, compiled
+        self._bar.set_postfix_str(f"{1e6 * took / steps:.3g} µs/step", refresh=False)
         self._bar.set_description_str(self._phase(span.first + span.count), refresh=False)
         self._bar.update(span.count)
 
@@ -60,8 +60,10 @@ def summary(run) -> list[str]:
     """Lines on a run or an ensemble: step, compile time, peak PIF, duration of the impact, settled mass."""
     info, count = run.info, run.header.piece_count
     lines = [info["step"]] if "step" in info else []
-    many = "" if run.run_count is None else f"{run.run_count} runs of "
-    lines.append(f"{many}{count} piece{'s' if count != 1 else ''}, {run.time[-1]:.6g} s in samples of {run.sample:.3g} s, {run.precision}")
+    pieces = f"{count} piece{'s' if count != 1 else ''}"
+    if run.run_count is not None:
+        pieces = f"{run.run_count} runs of {pieces}"
+    lines.append(f"{pieces}, {run.time[-1]:.6g} s in samples of {run.sample:.3g} s, {run.precision}")
     if "elapsed" in info:
         lines.append(f"{info['elapsed']:.1f} s elapsed, of which {info['compile_time']:.1f} s compiling")
     lines += [f"note: {note}" for note in info.get("notes", ())]
@@ -79,7 +81,7 @@ def summary(run) -> list[str]:
 
 
 def main_group(run):
-    """The wall group whose force is the product impact force: the weigh bucket's flaps, or the first; None: no walls."""
+    """The wall group whose force is the PIF: the weigh bucket's flaps, or the first; None: no walls."""
     return "wb_flaps" if "wb_flaps" in run.force else next(iter(run.force), None)
 
 
@@ -114,7 +116,9 @@ def _durations(members, group, block):
     ms = np.array([1e3 * impact_duration(m, group, block) for m in members])
     if not np.isfinite(ms).any():
         return f"duration of the impact: nothing has settled in {block}"
-    return f"duration of the impact: {_range(ms[np.isfinite(ms)], '{:.4g}')} ms from first force to the last piece at rest"
+    return (
+        f"duration of the impact: {_range(ms[np.isfinite(ms)], '{:.4g}')} ms from first force to the last piece at rest"
+    )
 
 
 def _range(values, form):

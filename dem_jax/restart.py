@@ -39,9 +39,8 @@ def unpack(system: System, state: State, arrays: dict) -> tuple[System, State]:
     for path, leaf in named:
         array = _found(arrays, path)
         if (array.shape, array.dtype) != (leaf.shape, leaf.dtype):
-            raise RecordError(
-                f"restart/{path} is {array.dtype}{list(array.shape)}, but the scene needs {leaf.dtype}{list(leaf.shape)}"
-            )
+            found, needed = (f"{x.dtype}{list(x.shape)}" for x in (array, leaf))
+            raise RecordError(f"restart/{path} is {found}, but the scene needs {needed}")
         leaves.append(jnp.asarray(array))
     kept = jax.tree.unflatten(structure, leaves)
     return system, kept.replace(slots=state.slots, incidence=state.incidence, anchor=state.anchor)

@@ -49,7 +49,9 @@ def resume(path, duration=None, progress=False) -> record.Run:
     many = header.run_count is not None
     job = prepare(scene, header.seed if many else (header.seed,), header.run_count)
     if samples > job.samples:
-        raise SceneError(f"duration = {scene.run.duration:g}: allowed: at least {samples * scene.run.sample:g} s, which {path} holds")
+        raise SceneError(
+            f"duration = {scene.run.duration:g}: allowed: at least {samples * scene.run.sample:g} s, which {path} holds"
+        )
     with jax.enable_x64(scene.run.precision == "f64"):
         try:
             system, state = restart.unpack(job.system, job.state, arrays)
@@ -210,7 +212,7 @@ def spans(job: Job, shown):
 
 
 def advance(job: Job, system: System, state: State, first, count, shown) -> Span:
-    """One chunk, run again from its first state until nothing was outgrown. Raises SceneError for an overlapping start."""
+    """One chunk, run again from its first state until nothing is outgrown. Raises SceneError if the start overlaps."""
     notes = []
     start = guard.fresh(state)
     for _ in range(ATTEMPTS):

@@ -49,7 +49,9 @@ class Material(Section):
     stiffness_size: str = Field("equivalent-diameter", description="L of eqs 7-8, a name of shapes.SIZE_LENGTHS")
     separation: float = Field(0.001, ge=0, lt=1, description="lambda of eq. 1")
     tangential_stiffness: Positive = Field(1.0, description="K_t / K_nl")
-    unloading_damping: float = Field(0.0, ge=0, le=1, description="damping ratio of the unloading branch; 0: as in the paper")
+    unloading_damping: float = Field(
+        0.0, ge=0, le=1, description="damping ratio of the unloading branch; 0: as in the paper"
+    )
 
 
 class RunSettings(Section):
@@ -62,7 +64,9 @@ class RunSettings(Section):
     gravity: Vector = Field((0.0, 0.0, -9.81), description="m/s2")
     frames: NotNegative = Field(1e-3, description="s between stored poses; 0: none")
     energy: bool = Field(True, description="keep the ledger of dissipated energy and work of walls")
-    domain_low: Vector | None = Field(None, description="m; a piece below this has left the scene; unset: from the walls")
+    domain_low: Vector | None = Field(
+        None, description="m; a piece below this has left the scene; unset: from the walls"
+    )
     domain_high: Vector | None = Field(None, description="m")
     rebuild_steps: int = Field(50, ge=1, description="about how many steps candidate pairs are kept")
 
@@ -72,7 +76,9 @@ class PieceShape(Section):
 
     shape: Literal["chamfered-cuboid", "cuboid", "sphere", "prism", "cylinder", "hull"] = "chamfered-cuboid"
     scale_factor: Positive = Field(1.0, description="SF, on all lengths")
-    size: Size | None = Field(None, description="m, edges x, y, z of a cuboid; unset: the marshmallow's 55 x 23 x 16 mm")
+    size: Size | None = Field(
+        None, description="m, edges x, y, z of a cuboid; unset: the marshmallow's 55 x 23 x 16 mm"
+    )
     chamfer: Positive | None = Field(None, description="m, of a chamfered cuboid; unset: 5 mm")
     radius: Positive | None = Field(None, description="m, of a sphere, a cylinder or a prism (circumscribed)")
     height: Positive | None = Field(None, description="m, of a cylinder or a prism")
@@ -111,7 +117,9 @@ class Portion(PieceShape):
     )
     settling_time: Positive = Field(0.5, description="s that the pieces are given to settle before time zero")
     region_low: Vector | None = Field(None, description="m; box in which pieces are scattered; unset: the feed bucket")
-    region_high: Vector | None = Field(None, description="m; it is filled from below, and left upwards if it is too small")
+    region_high: Vector | None = Field(
+        None, description="m; it is filled from below, and left upwards if it is too small"
+    )
     spacing: float = Field(1.02, ge=1.0, description="of the grid of scattered pieces, in bounding diameters")
 
 
@@ -119,7 +127,9 @@ class Wall(Section):
     """A convex panel, or the panels of an STL, in a named group."""
 
     group: str = Field(min_length=1, pattern=r"^[A-Za-z0-9_.-]+$")
-    corners: Points | None = Field(None, description="m, of a convex planar polygon, counter-clockwise seen by the pieces")
+    corners: Points | None = Field(
+        None, description="m, of a convex planar polygon, counter-clockwise seen by the pieces"
+    )
     stl: str | None = Field(None, description="file, relative to the scene's; facets face the pieces")
     unit: Positive = Field(1.0, description="m per unit of the STL")
     thickness: Positive = Field(0.01, description="m, behind the surface")
@@ -175,7 +185,9 @@ class Bucket(Section):
 class Drop(Section):
     """Where the feed bucket is above the weigh bucket."""
 
-    height: Positive = Field(0.25, description="m, from the lower edge of the closed feed flaps to that of the weigh flaps")
+    height: Positive = Field(
+        0.25, description="m, from the lower edge of the closed feed flaps to that of the weigh flaps"
+    )
 
 
 class Scene(Section):
@@ -345,8 +357,9 @@ def _merged(below, above):
 def _set(tree, keys, value):
     for i, key in enumerate(keys[:-1]):
         below = tree.get(key) if isinstance(tree, dict) else None
-        if isinstance(below, (list, tuple)):
-            index = keys[i + 1]
+        index = keys[i + 1]
+        if isinstance(below, (list, tuple)) or (below is None and index.isdecimal()):
+            below = below or ()
             if not index.isdecimal() or int(index) >= len(below) or i + 2 == len(keys):
                 rows = f"{key}.0.KEY to {key}.{len(below) - 1}.KEY" if below else f"none, this scene has no {key}"
                 raise SceneError(f"{'.'.join(keys)} = {_short(value)}: {key} is a list; allowed: {rows}")
@@ -363,7 +376,7 @@ def _set(tree, keys, value):
 
 
 def parse_setting(text: str):
-    """``section.key=value`` of a command line -> (key, value), the value read as TOML, else as text. Raises SceneError."""
+    """``section.key=value`` of a command line -> (key, value): the value as TOML, else as text. Raises SceneError."""
     key, equals, value = text.partition("=")
     if not equals or not key.strip():
         raise SceneError(f"--set {text!r}: allowed: section.key=value")
@@ -389,7 +402,7 @@ def _one_line(error: ValidationError, tree) -> str:
     key = ".".join(place)
     if first["type"] == "extra_forbidden":
         known = list(model.model_fields)
-        near = difflib.get_close_matches(place[-1], known, 1)
+        near = difflib.get_close_matches(place[-1], known, 1, 0.75)
         hint = f"did you mean {near[0]!r}? " if near else ""
         return f"{key} = {_short(first['input'])}: unknown key; {hint}allowed: {', '.join(known)}"
     if field is None:

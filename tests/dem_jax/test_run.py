@@ -82,7 +82,7 @@ def test_samples_are_at_the_ends_of_their_intervals_and_frames_begin_at_the_rele
 
 
 def test_frames_that_do_not_fit_into_chunks_hold_the_motion_of_their_times():
-    """Free fall is exact to rounding: 1e-12 m in 0.02 s. Chunks of 100 samples, frames every 7: none begins with a frame."""
+    """Free fall is exact to rounding: 1e-12 m in 0.02 s. Chunks of about 100 samples, frames every 7."""
     result = dem_jax.simulate(balls([0.05], **{"run.frames": 7 * 2e-5, "run.duration": 0.02}))
     t = result.pieces.time
     np.testing.assert_allclose(result.pieces.position[:, 0, 2], 0.05 - 0.5 * G * t**2, rtol=0, atol=1e-12)
@@ -90,7 +90,7 @@ def test_frames_that_do_not_fit_into_chunks_hold_the_motion_of_their_times():
 
 
 def test_orientations_are_those_of_the_body_frame_in_which_the_shape_was_given():
-    """A cuboid, longest along y, spins freely about its own z axis: by 30 rad/s x 0.02 s = 0.6 rad, second order in dt."""
+    """A cuboid, longest along y, spins freely about its own z axis: by 30 rad/s x 0.02 s = 0.6 rad."""
     start = np.array([0.8, 0.0, 0.6, 0.0])  # about y, so that the spin axis is not vertical
     axis = matrix_of_quaternion(start) @ np.array([0.0, 0.0, 1.0])
     piece = {
@@ -132,7 +132,10 @@ def test_forces_of_both_flaps_are_reported_as_one_and_torques_for_each():
     total = sum(force for force in result.mean_force.values()).sum(axis=0) * result.sample
     weight = 2 * 300.0 * 4 / 3 * np.pi * 0.01**3 * G * result.time[-1]
     assert total[2] < 0, "they lie on the flaps, which open slowly at first"
-    start = result.momentum[0] + (sum(f[0] for f in result.mean_force.values()) + [0, 0, weight / result.time[-1]]) * result.sample
+    start = (
+        result.momentum[0]
+        + (sum(f[0] for f in result.mean_force.values()) + [0, 0, weight / result.time[-1]]) * result.sample
+    )
     np.testing.assert_allclose(result.momentum[-1], start - total - [0, 0, weight], rtol=0, atol=1e-12)
     assert result.pieces.time[0] == 0 and result.time[0] == pytest.approx(3e-5)
 
@@ -264,13 +267,18 @@ def test_overlapping_pieces_are_named_and_nothing_is_written(tmp_path):
 def test_a_piece_that_leaves_the_domain_is_named_with_its_time_and_what_was_before_is_saved(tmp_path):
     """It is thrown sideways at 4 m/s and leaves at x = 0.05 m, after 12.5 ms: at the sample that follows."""
     out = tmp_path / "run.h5"
-    scene = balls([0.012, 0.2], **{"piece.1.velocity": [4.0, 0.0, 0.0], "piece.1.position": [0, 0, 0.2], "run.domain_high": [0.05, 1, 1]})
+    scene = balls(
+        [0.012, 0.2],
+        **{"piece.1.velocity": [4.0, 0.0, 0.0], "piece.1.position": [0, 0, 0.2], "run.domain_high": [0.05, 1, 1]},
+    )
     with pytest.raises(SimulationError) as caught:
         dem_jax.simulate(scene, out=out)
     error = caught.value
     assert (error.piece, error.path) == (1, out)
     assert error.time == pytest.approx(0.0125, abs=2.1e-5)
-    assert re.search(r"balls: piece 1 at t = 0\.0125.* left the domain above x = 0\.05 m at 4 m/s; likely cause", str(error))
+    assert re.search(
+        r"balls: piece 1 at t = 0\.0125.* left the domain above x = 0\.05 m at 4 m/s; likely cause", str(error)
+    )
     saved = dem_jax.load_run(out)
     whole = dem_jax.simulate(scene.replace(run={"domain_high": (1.0, 1.0, 1.0)}))
     assert len(saved.time) == round(error.time / 2e-5) - 1
@@ -285,7 +293,9 @@ def test_motion_that_is_not_finite_stops_the_run():
     job = run.prepare(balls([0.012, 0.1]), (0,), None)
     with jax.enable_x64(True):
         job = run.replace(job, state=job.state.replace(velocity=job.state.velocity.at[2, 1].set(np.nan)))
-    with pytest.raises(SimulationError, match=r"piece 1 at t = 2e-05 s: its motion is not finite; .* lower run\.step; or restitution"):
+    with pytest.raises(
+        SimulationError, match=r"piece 1 at t = 2e-05 s: its motion is not finite; .* lower run\.step; or restitution"
+    ):
         run.drive(job, None, False, False)
 
 
@@ -293,7 +303,9 @@ def test_a_contact_deeper_than_half_the_piece_stops_the_run(tmp_path):
     """A ball far too soft for its speed: m v^2 = K s^2 reaches half its diameter at v = s sqrt(K / m)."""
     out = tmp_path / "run.h5"
     scene = balls(**{"material.softening": 1e-6, "piece.0.velocity": [0, 0, -3.0]})
-    with pytest.raises(SimulationError, match=r"piece 0 at .* contact with wall group 'plate' is 50\.. % .* material\.softening"):
+    with pytest.raises(
+        SimulationError, match=r"piece 0 at .* contact with wall group 'plate' is 50\.. % .* material\.softening"
+    ):
         dem_jax.simulate(scene, out=out)
     saved = dem_jax.load_run(out)
     assert 0.49 < saved.overlap[-1] <= failure.DEEPEST
@@ -334,7 +346,10 @@ def test_a_killed_run_goes_on_and_ends_with_the_bits_of_one_that_was_not(tmp_pat
     """Killed while settling, and after the release."""
     (tmp_path / "scene.toml").write_text(settling().to_toml())
     out = tmp_path / "run.h5"
-    environment = os.environ | {"JAX_COMPILATION_CACHE_DIR": jax.config.jax_compilation_cache_dir, "PYTHONPATH": os.pathsep.join(sys.path)}
+    environment = os.environ | {
+        "JAX_COMPILATION_CACHE_DIR": jax.config.jax_compilation_cache_dir,
+        "PYTHONPATH": os.pathsep.join(sys.path),
+    }
     command = [sys.executable, "-c", KILLED, str(tmp_path / "scene.toml"), str(out), str(flushes)]
     assert subprocess.run(command, env=environment, capture_output=True).returncode == -signal.SIGKILL
     with h5py.File(out) as file:

@@ -1,0 +1,129 @@
+"""Free rotation of the marshmallow about its middle axis, against Jacobi's elliptic functions."""
+
+from functools import cache
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from dem_jax import build, rotation, validation
+from dem_jax.validation import FreeRotation
+
+SPIN = (0.5, 30.0, 0.5)  # rad/s, body axes
+STEPS = (1e-3, 5e-4, 2.5e-4)  # s: 0.03 to 0.0075 rad at 30 rad/s
+COUNT = 6400  # two halves of the period at the finest step, more than four periods at the coarsest
+
+
+@cache
+def made():
+    return build.build(validation.plate_scene({"angular_velocity": SPIN}))
+
+
+def problem():
+    return FreeRotation(tuple(np.asarray(made().system.pieces.inertia[:, 0])), SPIN)
+
+
+def read(system, state):
+    inertia = tuple(system.pieces.inertia)
+    q, p = tuple(state.orientation), tuple(state.angular_momentum)
+    omega = rotation.angular_velocity(q, p, inertia)
+    body = rotation.vector.rotate_back(rotation.matrix(q), omega)
+    energy = 0.5 * sum(w * l for w, l in zip(omega, p, strict=True))
+    return {"spin": jnp.stack(body)[:, 0], "energy": energy[0], "momentum": state.angular_momentum[:, 0]}
+
+
+@cache
+def runs():
+    """For each step size: time [T] and what was read [T, ...]."""
+    system, state = validation.lasting(made().system), made().state
+    many = jax.jit(jax.vmap(lambda dt: validation.trace(system.replace(dt=dt), state, COUNT, read)[1]))
+    found = jax.tree.map(np.asarray, many(jnp.asarray(STEPS)))
+    time = np.array(STEPS)[:, None] * np.arange(1, COUNT + 1)
+    return [(time[k], {name: x[k] for name, x in found.items()}) for k in range(len(STEPS))]
+
+
+def test_closed_form_equals_reference_numbers():
+    # The digits are those printed; of the moments the first has five.
+    case = problem()
+    np.testing.assert_allclose(case.moments, (3.6855e-7, 1.494566e-6, 1.614284e-6), rtol=1e-5)
+    np.testing.assert_allclose(case.twice_energy, 1.3456051085e-3, rtol=1e-9)
+    np.testing.assert_allclose(case.momentum_squared, 2.0110402110e-9, rtol=1e-9)
+    np.testing.assert_allclose(case.period, 1.4906593610, rtol=1e-9)
+    np.testing.assert_allclose(case.amplitudes, (18.734943, 30.004978, 27.448620), rtol=4e-8)
+
+
+def test_closed_form_equals_the_equations_of_motion():
+    # Euler's equations, integrated to 1e-12; four kinds of start: about either axis, either sign.
+    moments = (1.0, 2.0, 3.0)
+    time = np.linspace(0, 20, 41)
+    for spin in ((0.3, 1.0, 0.9), (-0.8, -0.7, 0.2), (1.0, 0.4, -0.3), (0.2, -1.0, -1.1)):
+        def rate(_, w):
+            i = np.array(moments)
+            return np.cross(i * w, w) / i
+
+        ode = solve_ivp(rate, (0, 20), spin, t_eval=time, rtol=1e-12, atol=1e-13, method="DOP853").y.T
+        np.testing.assert_allclose(FreeRotation(moments, spin).spin_at(time), ode, atol=1e-9)
+
+
+def flips(time, spin):
+    """Times at which the spin about the middle axis changes sign, linear within a step."""
+    w = spin[:, 1]
+    k = np.flatnonzero(w[1:] * w[:-1] < 0)
+    return time[k] + (time[k + 1] - time[k]) * w[k] / (w[k] - w[k + 1])
+
+
+def test_flip_times_converge_at_second_order():
+    exact = np.array(problem().flip_times)
+    errors = np.array([flips(time, found["spin"])[:2] - exact for time, found in runs()])
+    ratio = errors[:-1] / errors[1:]
+    assert (np.abs(ratio / 4 - 1) < 0.02).all(), ratio  # 2^2, and what the fourth order leaves at 0.03 rad a step
+    assert (np.abs(errors[-1]) < 1e-4 * exact).all(), errors
+
+
+def test_spin_converges_at_second_order():
+    case = problem()
+    worst = []
+    for time, found in runs():
+        early = time < case.period
+        worst.append(np.abs(found["spin"] - case.spin_at(time))[early].max())
+    ratio = np.divide(worst[:-1], worst[1:])
+    assert (np.abs(ratio / 4 - 1) < 0.1).all(), (worst, ratio)
+
+
+def test_angular_momentum_is_kept_to_rounding_and_energy_is_bounded():
+    case = problem()
+    size = np.sqrt(case.momentum_squared)
+    off = []
+    for time, found in runs():
+        assert (found["momentum"] == found["momentum"][0]).all()  # in space: not touched at all
+        body = found["spin"] * case.moments  # in the body: turned, so its length is kept
+        assert np.abs(np.linalg.norm(body, axis=1) / size - 1).max() < 1e-13  # the quaternion is normalised each step
+        error = found["energy"] / (0.5 * case.twice_energy) - 1
+        half = len(time) // 2
+        off.append(np.abs(error).max())
+        # Bounded: the second half of the run, more than two periods at the coarsest step, is no worse than the first.
+        if time[half] > case.period:
+            assert np.abs(error[half:]).max() < 1.05 * np.abs(error[:half]).max()
+    ratio = np.divide(off[:-1], off[1:])
+    assert (np.abs(ratio / 4 - 1) < 0.05).all(), (off, ratio)
+    assert off[0] < 1e-4
+
+
+def test_rotation_returns_when_time_is_reversed():
+    # The splitting is symmetric: forth and back is the identity to rounding, whatever the step.
+    inertia = problem().moments
+    q = tuple(jnp.asarray(c)[None] for c in (0.5, 0.5, -0.5, 0.5))
+    start = tuple(jnp.asarray(c)[None] for c in (2e-6, 4e-5, 1e-6))
+    there, _ = rotation.free_rotation(q, start, inertia, 0.01)
+    back, _ = rotation.free_rotation(there, start, inertia, -0.01)
+    np.testing.assert_allclose(np.stack(back), np.stack(q), atol=1e-15)
+    assert np.abs(np.stack(there) - np.stack(q)).max() > 0.05
+
+
+def test_sphere_turns_about_a_fixed_axis_exactly():
+    # One step of any length: the orientation is the rotation by omega dt.
+    omega, dt = np.array([3.0, -4.0, 12.0]), 0.05
+    q, _ = rotation.spin(tuple(jnp.asarray(c)[None] for c in (1.0, 0, 0, 0.0)), tuple(jnp.asarray(2e-6 * omega)[:, None]), (2e-6,) * 3, dt)
+    half = 0.5 * 13.0 * dt
+    np.testing.assert_allclose(np.stack(q)[:, 0], [np.cos(half), *(np.sin(half) * omega / 13.0)], atol=1e-15)
