@@ -273,7 +273,7 @@ def _use_cache():
     """
     import jax
 
-    if jax.config.jax_compilation_cache_dir is None:
+    if not jax.config.jax_compilation_cache_dir:
         base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
         jax.config.update("jax_compilation_cache_dir", str(Path(base) / "dem_jax" / "jax"))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)

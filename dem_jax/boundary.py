@@ -17,6 +17,8 @@ class Panels(NamedTuple):
     pivot: tuple  # [G] x 3 (m): reference point of each group
     velocity: tuple  # [W] x 3 (m/s): of the centre
     spin: tuple  # [W] x 3 (rad/s)
+    pivot_velocity: tuple  # [G] x 3 (m/s)
+    group_spin: tuple  # [G] x 3 (rad/s)
 
 
 def smooth_step(u):
@@ -59,7 +61,8 @@ def panels(walls: Walls, t, t_velocity) -> Panels:
     centre, frame = vector.unpack(walls.centre), tuple(vector.unpack(row) for row in walls.rotation)
     if not walls.moving:
         rest = tuple(jnp.zeros_like(c) for c in centre)
-        return Panels(centre, frame, vector.unpack(walls.pivot), rest, rest)
+        still = tuple(jnp.zeros_like(c) for c in walls.pivot)
+        return Panels(centre, frame, vector.unpack(walls.pivot), rest, rest, still, still)
     turn, pivot = group_pose(walls, t)
     angle_rate = _rate(lambda t: group_angle(walls, t), t_velocity)
     shift_rate = _rate(lambda t: vibration(walls.shake, t), t_velocity)
@@ -67,9 +70,12 @@ def panels(walls: Walls, t, t_velocity) -> Panels:
     per_panel = lambda v: tuple(c[g] for c in v)  # noqa: E731
     turn = tuple(per_panel(row) for row in turn)
     arm = vector.rotate(turn, vector.sub(centre, per_panel(walls.pivot)))
-    spin = vector.scale(angle_rate[g], per_panel(walls.axis))
-    velocity = vector.add(vector.scale(shift_rate[g], per_panel(walls.stroke)), vector.cross(spin, arm))
-    return Panels(vector.add(per_panel(pivot), arm), vector.compose(turn, frame), pivot, velocity, spin)
+    group_spin = vector.scale(angle_rate, vector.unpack(walls.axis))
+    pivot_velocity = vector.scale(shift_rate, vector.unpack(walls.stroke))
+    spin = per_panel(group_spin)
+    velocity = vector.add(per_panel(pivot_velocity), vector.cross(spin, arm))
+    place = vector.add(per_panel(pivot), arm)
+    return Panels(place, vector.compose(turn, frame), pivot, velocity, spin, pivot_velocity, group_spin)
 
 
 def _rate(function, t):

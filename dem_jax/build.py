@@ -74,17 +74,17 @@ def build(scene: Scene, seed: int = 0) -> Built:
             dtype,
         ),
         hulls=_typed(table, dtype) if table else None,
-        shape=jnp.asarray(shape_rows, jnp.int32),
+        shape=jnp.asarray(np.asarray(shape_rows, np.int32)),
         walls=walls,
         law=_typed(_law(scene), dtype),
-        gravity=jnp.asarray(scene.run.gravity, dtype),
-        dt=jnp.asarray(step.dt, dtype),
-        substeps=jnp.asarray(step.substeps // parts, jnp.int32),
-        skin=jnp.asarray(3.5 * speed * interval, dtype),
-        block_low=jnp.asarray(np.array([b.low for b in blocks]).reshape(-1, 3).T, dtype),
-        block_high=jnp.asarray(np.array([b.high for b in blocks]).reshape(-1, 3).T, dtype),
-        domain_low=jnp.asarray(domain[0], dtype),
-        domain_high=jnp.asarray(domain[1], dtype),
+        gravity=jnp.asarray(np.asarray(scene.run.gravity, dtype)),
+        dt=jnp.asarray(np.asarray(step.dt, dtype)),
+        substeps=jnp.asarray(np.asarray(step.substeps // parts, np.int32)),
+        skin=jnp.asarray(np.asarray(3.5 * speed * interval, dtype)),
+        block_low=jnp.asarray(np.asarray(np.array([b.low for b in blocks]).reshape(-1, 3).T, dtype)),
+        block_high=jnp.asarray(np.asarray(np.array([b.high for b in blocks]).reshape(-1, 3).T, dtype)),
+        domain_low=jnp.asarray(np.asarray(domain[0], dtype)),
+        domain_high=jnp.asarray(np.asarray(domain[1], dtype)),
         capacity=_capacity(made, polytopes, len(panels)),
         touching=min(12, len(made) - 1 + len(panels)),
         row_capacity=_row_capacity(made),
@@ -306,15 +306,16 @@ def _hull_table(made, plates):
 
 def _plate(corners, thickness, name):
     """A panel as a shape about its own centre with the surface's normal along z, its centre and its rotation."""
-    vertices = meshes.plate(corners, thickness, name)[0]
+    meshes.plate(corners, thickness, name)  # raises what is wrong with the corners as they were given
+    plate = meshes.plate(meshes.without_collinear(corners), thickness, name)
     x = corners[1] - corners[0]
     z = np.cross(corners - corners[0], np.roll(corners, -1, axis=0) - corners[0]).sum(0)
     z /= np.linalg.norm(z)
     x = (x - (x @ z) * z) / np.linalg.norm(x - (x @ z) * z)
     turn = np.stack([x, np.cross(z, x), z], axis=1)  # panel frame -> scene
-    local = vertices @ turn
-    shape = shapes.hull(local)
-    centre = turn @ (local.mean(0) - shape.vertices.mean(0))  # of mass: where hull() puts the origin
+    local = plate.vertices @ turn
+    shape = shapes.polytope(name, local, plate.faces)
+    centre = turn @ (local.mean(0) - shape.vertices.mean(0))  # of mass: where polytope() puts the origin
     return dataclasses.replace(shape, principal=np.array([1.0, 0, 0, 0])), centre, turn
 
 
@@ -505,7 +506,7 @@ def _typed(tree, dtype):
 
     def leaf(x):
         x = np.asarray(x)
-        return jnp.asarray(x, jnp.int32 if x.dtype.kind == "i" else dtype)
+        return jnp.asarray(x.astype(np.int32 if x.dtype.kind == "i" else dtype))  # converted here: nothing to compile
 
     return jax.tree.map(leaf, tree)
 
@@ -515,32 +516,38 @@ def first_state(system: System, start: Start, frames, step: int) -> State:
     dtype = system.dt.dtype
     position = start.position.T.astype(np.float64)
     high = position.astype(dtype)
-    q = rotation.multiply(tuple(start.orientation.T), tuple(np.asarray(frames).T))
-    q = jnp.stack([jnp.asarray(c, dtype) for c in q])
-    spin = tuple(jnp.asarray(c, dtype) for c in start.spin.T)
-    momentum = rotation.angular_momentum(tuple(q), spin, tuple(system.pieces.inertia))
+    q = np.stack(rotation.multiply(tuple(start.orientation.T), tuple(np.asarray(frames).T))).astype(dtype)
+    inertia = np.asarray(system.pieces.inertia)
+    momentum = rotation.angular_momentum(tuple(q), tuple(start.spin.T.astype(dtype)), tuple(inertia))
     groups = len(system.walls.groups)
-    zero = lambda *shape: jnp.zeros(shape, dtype)  # noqa: E731
+    zero = lambda *shape: np.zeros(shape, dtype)  # noqa: E731
     n = position.shape[1]
     contacts = {
         kind: neighbours.empty_table(sum(row[2] for row in rows), dtype)
         for kind, rows in neighbours.kinds(system).items()
     }
-    return State(
-        step=jnp.asarray(step, jnp.int32),
-        position=jnp.asarray(high),
-        position_rest=jnp.asarray(position - high, dtype),
+    state = State(
+        step=np.int32(step),
+        position=high,
+        position_rest=(position - high).astype(dtype),
         orientation=q,
-        velocity=jnp.asarray(start.velocity.T, dtype),
-        angular_momentum=jnp.stack(momentum),
+        velocity=start.velocity.T.astype(dtype),
+        angular_momentum=np.stack(momentum),
         force=zero(3, n),
         torque=zero(3, n),
         wall_force=zero(3, groups),
         wall_torque=zero(3, groups),
         contacts=contacts,
-        slots={kind: neighbours.constants(system, kind, t.a, t.b) for kind, t in contacts.items()},
-        incidence=jnp.zeros((system.touching, n), jnp.int32),
+        slots=_unfilled_slots(system, contacts),
+        incidence=np.zeros((system.touching, n), np.int32),
         ledger=forces.empty_ledger(system, dtype),
         anchor=zero(7, n),
         guard=neighbours.empty_guard(system, dtype),
     )
+    return jax.tree.map(jnp.asarray, state)  # made in numpy: each operation of jax.numpy would be compiled
+
+
+def _unfilled_slots(system: System, contacts):
+    """Slots of the right form, which the first rebuild fills."""
+    find = lambda: {k: neighbours.constants(system, k, jnp.asarray(t.a), jnp.asarray(t.b)) for k, t in contacts.items()}  # noqa: E731
+    return jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), jax.eval_shape(find))

@@ -5,8 +5,8 @@ normal points from a to b, the point is relative to the origin of a. ``Relative`
 
 Depth and normal of two convex polytopes are the smallest overlap over the separating axes: the face
 normals of both and the cross products of their edge directions. That is exact for overlapping polytopes;
-for separated ones a depth of -g says that they are at least g apart. The contact point is the centroid of the overlap weighted by depth, from the edges of the two
-facing faces, so that it moves continuously as a piece tips.
+for separated ones a depth of -g says that they are at least g apart. The contact point is the centroid of the overlap
+weighted by depth, from the edges of the two facing faces, so that it moves continuously as a piece tips.
 """
 
 from typing import NamedTuple
@@ -39,12 +39,13 @@ class Geometry(NamedTuple):
 
 def hull_hull(a: Hulls, b: Hulls, rel: Relative) -> Geometry:
     """Contact of convex polytopes (their tables gathered to [.., P] or of one common shape, [.., 1])."""
-    depth, normal = separating_axes(a, b, rel)
-    return Geometry(depth, normal, pressure_centre(a, b, rel, depth, normal))
+    depth, normal, along = separating_axes(a, b, rel)
+    return Geometry(depth, normal, pressure_centre(a, b, rel, along, normal))
 
 
 def separating_axes(a: Hulls, b: Hulls, rel: Relative):
-    """Smallest overlap over all separating axes, [P] (m), and its axis, unit, from a to b."""
+    """Smallest overlap over all separating axes, [P] (m); the axis, unit, from a to b; the overlap along it, which is
+    larger by up to FACE_PREFERENCE where a face's axis was preferred."""
     test = _zonotope_axes if a.is_zonotope and b.is_zonotope else _polytope_axes
     return _smallest(*test(a, b, rel), rel)
 
@@ -124,7 +125,7 @@ def _smallest(overlaps, axes, rel):
     from_edge = vector.scale(1 / _safe_root(dot(from_edge, from_edge)), from_edge)
     use_edge = least[2] < face - FACE_PREFERENCE * jnp.abs(face)
     normal = _towards_b(vector.where(use_edge, from_edge, from_face), rel)
-    return jnp.minimum(face, least[2]), _kept(*normal)
+    return jnp.minimum(face, least[2]), _kept(*normal), jnp.where(use_edge, least[2], face)
 
 
 def _first_where(mask):
@@ -139,7 +140,7 @@ def _towards_b(normal, rel):
 
 
 def pressure_centre(a: Hulls, b: Hulls, rel: Relative, depth, normal):
-    """Centroid of the overlap weighted by depth, [P] x 3 (m), in a's frame.
+    """Centroid of the overlap weighted by depth, [P] x 3 (m), in a's frame; depth: [P] (m) the overlap along the normal.
 
     The edges of the face of each body that looks most along the normal are clipped by the other body; over what
     remains inside, the depth below the other's surface along the normal is linear, and its line integral is closed.

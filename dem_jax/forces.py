@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 
 from dem_jax import bodies, boundary, collide, contact, vector
 from dem_jax.bodies import Body
@@ -16,8 +17,7 @@ class Contacts(NamedTuple):
     load_a: object  # [6, P] (N, N m): force and torque on a, about its centre
     load_b: object  # [6, P]: on b
     lever: object  # [3, P] (m): contact point relative to the centre of a
-    dissipated: object  # (J)
-    wall_work: object  # (J)
+    stored: object  # (J): change of what the contacts would give back
 
 
 def contacts(system: System, state: State, omega, panels: boundary.Panels) -> State:
@@ -30,7 +30,8 @@ def contacts(system: System, state: State, omega, panels: boundary.Panels) -> St
     load = _loads_of_pieces(state, done)
     wall = _loads_of_walls(system, state, done, panels)
     tables = {kind: d.table for kind, d in done.items()}
-    state = state.replace(force=load[:3], torque=load[3:], contacts=tables, ledger=_ledger(system, state, done, wall))
+    ledger = _ledger(system, state, omega, panels, done, load, wall)
+    state = state.replace(force=load[:3], torque=load[3:], contacts=tables, ledger=ledger)
     return state.replace(wall_force=wall[:3], wall_torque=wall[3:])
 
 
@@ -73,71 +74,62 @@ def _resolve(system: System, kind, table: ContactTable, slots: Slots, stacked) -
         dashpot = contact.unloading_damping(
             f, table.overlap, overlap, slots.stiffness, unload, slots.mass, law.damping, system.dt
         )
-    motion, along, slip, at_b = _approach(system, a, b, offset, shape, table.overlap, overlap)
+    at_b = vector.sub(shape.point, offset)
     force = vector.scale(f + dashpot, shape.normal)
-    tangent, spring = None, table.spring
+    spring, point = table.spring, table.point
     if system.has_friction:
-        before = vector.unpack(table.spring)
         tangent = contact.tangential_force(
-            before, shape.normal, slip, f, law.tangential * slots.stiffness, slots.friction
+            vector.unpack(spring),
+            shape.normal,
+            _slip(system, a, b, offset, table, shape, overlap),
+            f,
+            law.tangential * slots.stiffness,
+            slots.friction,
         )
-        spring = jnp.stack(tangent)
+        spring, point = jnp.stack(tangent), jnp.stack(shape.point)
         force = vector.add(force, tangent)
-    dissipated = wall_work = jnp.zeros((), f.dtype)
+    after = table.replace(force=f, overlap=jnp.maximum(overlap, 0), spring=spring, point=point)
+    stored = jnp.zeros((), f.dtype)
     if system.ledger:
-        dissipated = _dissipated(system, table, f, dashpot, along, slip, tangent, slots.stiffness, unload)
-        wall_work = _wall_work(system, slots, force, a, shape.point)
+        stored = jnp.sum(elastic_energy(system, after, slots) - elastic_energy(system, table, slots))
     reaction = vector.scale(-1, force)
     return Contacts(
-        table.replace(force=f, overlap=jnp.maximum(overlap, 0), spring=spring),
+        after,
         jnp.stack([*reaction, *vector.cross(shape.point, reaction)]),
         jnp.stack([*force, *vector.cross(at_b, force)]),
         jnp.stack(shape.point),
-        dissipated,
-        wall_work,
+        stored,
     )
 
 
-def _velocity(body: Body, arm):
-    return vector.add(body.velocity, vector.cross(body.spin, arm))
+def _slip(system: System, a: Body, b: Body, offset, table: ContactTable, shape: collide.Geometry, overlap):
+    """Tangential displacement in this step of b relative to a at the contact point, [P] x 3 (m).
 
-
-def _approach(system: System, a: Body, b: Body, offset, shape: collide.Geometry, before, overlap):
-    """Displacement in touch of b relative to a at the contact point in this step, its normal part, the rest; arm of b.
-
-    In the step of first touch only the last part of the way is in touch: overlap over approach. The whole of it would
-    begin the tangential spring half a step too early, which costs the second order in the time step.
+    Of second order in the time step: the arms, like the velocities, are those at the middle of the step, and of the step
+    of first touch only the last part, overlap over approach, counts.
     """
-    at_b = vector.sub(shape.point, offset)
-    motion = vector.scale(system.dt, vector.sub(_velocity(b, at_b), _velocity(a, shape.point)))
+    first = table.overlap <= 0
+    before = vector.where(first, shape.point, vector.unpack(table.point))
+    arm_a = vector.scale(0.5, vector.add(before, shape.point))
+    way = vector.scale(system.dt, vector.sub(b.velocity, a.velocity))  # of the centres
+    middle = vector.where(first, offset, vector.add_scaled(offset, -0.5, way))
+    arm_b = vector.sub(arm_a, middle)
+    turn = vector.sub(vector.cross(b.spin, arm_b), vector.cross(a.spin, arm_a))
+    motion = vector.add_scaled(way, system.dt, turn)
     along = vector.dot(motion, shape.normal)
-    first = (before <= 0) & (overlap > 0)
-    part = jnp.where(first, overlap / jnp.where(first, jnp.maximum(-along, overlap), 1), 1)
-    motion, along = vector.scale(part, motion), part * along
-    return motion, along, vector.add_scaled(motion, -along, shape.normal), at_b
+    touching = first & (overlap > 0)
+    part = jnp.where(touching, overlap / jnp.where(touching, jnp.maximum(-along, overlap), 1), 1)
+    return vector.scale(part, vector.add_scaled(motion, -along, shape.normal))
 
 
-def _dissipated(system: System, table, f, dashpot, along, slip, tangent, stiffness, unload):
-    """Work (J) that contacts took in this step and did not store.
-
-    Trapezoidal in the forces of the last step and of this one: closed to second order in the time step.
-    """
-    taken = -0.5 * (table.force + f + 2 * dashpot) * along
-    stored = 0.5 * (f * f - table.force * table.force) / unload
-    if tangent is not None:
-        before = vector.unpack(table.spring)
-        taken = taken - 0.5 * vector.dot(vector.add(before, tangent), slip)
-        change = vector.dot(tangent, tangent) - vector.dot(before, before)
-        stored = stored + 0.5 * change / (system.law.tangential * stiffness)
-    return jnp.sum(taken - stored)
-
-
-def _wall_work(system: System, slots: Slots, force, a: Body, point):
-    """Work (J) of moving walls on the pieces in this step."""
-    if not system.walls.moving:
-        return jnp.zeros((), point[0].dtype)
-    by_wall = jnp.any(slots.member, axis=0)
-    return system.dt * jnp.sum(jnp.where(by_wall, vector.dot(force, _velocity(a, point)), 0))
+def elastic_energy(system: System, table: ContactTable, slots: Slots):
+    """What each contact would give back along its unloading branch and by its tangential spring, [P] (J)."""
+    law = system.law
+    energy = 0.5 * table.force * table.force * (law.restitution * law.restitution) / slots.stiffness
+    if system.has_friction:
+        spring = vector.unpack(table.spring)
+        energy = energy + 0.5 * vector.dot(spring, spring) / (law.tangential * slots.stiffness)
+    return energy
 
 
 def _loads_of_pieces(state: State, done):
@@ -156,6 +148,8 @@ def _loads_of_pieces(state: State, done):
 def _loads_of_walls(system: System, state: State, done, panels: boundary.Panels):
     """Force on each wall group, and torque about its pivot, [6, G] (N, N m)."""
     total = jnp.zeros((6, len(system.walls.groups)), state.position.dtype)
+    if not system.walls.groups:
+        return total
     pieces = state.position.shape[1]
     for kind, d in done.items():
         slots = state.slots[kind]
@@ -169,21 +163,35 @@ def _loads_of_walls(system: System, state: State, done, panels: boundary.Panels)
     return total
 
 
-def _ledger(system: System, state: State, done, wall) -> Ledger:
+def _ledger(system: System, state: State, omega, panels: boundary.Panels, done, load, wall) -> Ledger:
+    """The ledger after this step; load, wall: forces and torques on pieces [6, N] and on wall groups [6, G] now."""
     ledger = state.ledger
     overlap = ledger.overlap
     for kind, d in done.items():
         overlap = jnp.maximum(overlap, jnp.max(d.table.overlap / state.slots[kind].width))
     if system.ledger:
+        on_pieces = _work(system, jnp.concatenate([state.force, state.torque]) + load, [*state.velocity, *omega])
+        by_walls = jnp.zeros_like(on_pieces)
+        if system.walls.moving:
+            on_walls = jnp.concatenate([state.wall_force, state.wall_torque]) + wall
+            by_walls = -_work(system, on_walls, [*panels.pivot_velocity, *panels.group_spin])
+        stored = sum(d.stored for d in done.values())
         ledger = ledger.replace(
-            dissipated=ledger.dissipated + sum(d.dissipated for d in done.values()),
-            wall_work=ledger.wall_work + sum(d.wall_work for d in done.values()),
+            dissipated=ledger.dissipated + (by_walls - on_pieces - stored), wall_work=ledger.wall_work + by_walls
         )
     impulse = ledger.impulse + 0.5 * system.dt * (state.wall_force + wall[:3])
     return ledger.replace(impulse=impulse, overlap=overlap)
 
 
+def _work(system: System, twice_load, motion):
+    """Work (J) in this step of loads on bodies that move at a velocity and a spin, six rows each.
+
+    Trapezoidal, each load at its own point of attack: closed to second order in the time step.
+    """
+    return 0.5 * system.dt * jnp.sum(twice_load * jnp.stack(motion))
+
+
 def empty_ledger(system: System, dtype) -> Ledger:
-    """A ledger of zeros."""
-    zero = jnp.zeros((), dtype)
-    return Ledger(jnp.zeros((3, len(system.walls.groups)), dtype), zero, zero, zero)
+    """A ledger of zeros, in numpy."""
+    zero = np.zeros((), dtype)
+    return Ledger(np.zeros((3, len(system.walls.groups)), dtype), zero, zero, zero)

@@ -38,8 +38,6 @@ def outgrown(system: System, guard: Guard) -> list[str]:
         out.append(f"{np.max(guard.touching)} contacts of a piece for {system.touching}")
     if np.max(guard.row) > system.row_capacity:
         out.append(f"{np.max(guard.row)} pieces in a row of cells for {system.row_capacity}")
-    if system.row_capacity and np.max(guard.row) > system.row_capacity:
-        out.append(f"{np.max(guard.row)} pieces in a row of cells for {system.row_capacity}")
     if np.max(guard.travel) > system.skin:
         out.append(f"bodies approached by {np.max(guard.travel):.3g} m between rebuilds, with a skin of {float(system.skin):.3g} m")
     return out
@@ -51,13 +49,13 @@ def grown(system: System, state: State, guard: Guard) -> tuple[System, State]:
     for source, candidates, slots in system.capacity:
         near, touching = _most(guard.needed[source])
         every = neighbours.pair_count(system, source)
+        if near > candidates:  # of those that found no place, as many may touch as of those that did
+            touching = -(-touching * near // candidates)
         rows.append((source, _enough(candidates, near, every), _enough(slots, touching, every)))
-    bodies = system.pieces.mass.shape[0] - 1 + system.walls.group.shape[0]
+    pieces = system.pieces.mass.shape[0]
     most = int(np.max(guard.touching))
-    touching = system.touching if most <= system.touching else min(bodies, most + 2)
-    row = int(np.max(guard.row))
-    if row > system.row_capacity:
-        system = system.replace(row_capacity=round_up(int(HEAD_ROOM * row)))
+    touching = system.touching if most <= system.touching else min(pieces - 1 + system.walls.group.shape[0], most + 2)
+    row = _enough(system.row_capacity, int(np.max(guard.row)), pieces)
     travel = np.max(guard.travel)
     if travel > system.skin:
         raised = min(HEAD_ROOM * travel, LARGEST_RAISE * float(system.skin))

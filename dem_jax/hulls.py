@@ -3,6 +3,7 @@
 import jax
 import numpy as np
 
+from dem_jax.pose import matrix_of_quaternion
 from dem_jax.types import Hulls
 
 
@@ -56,9 +57,7 @@ def gather(hulls: Hulls, index, corners: bool) -> Hulls:
 
 
 def _row(shape):
-    from scipy.spatial.transform import Rotation
-
-    turn = Rotation.from_quat(np.asarray(shape.principal), scalar_first=True).as_matrix()  # principal -> body
+    turn = matrix_of_quaternion(shape.principal)  # principal -> body
     vertices = shape.vertices @ turn
     generators = shape.generators
     return {

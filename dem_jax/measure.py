@@ -2,7 +2,7 @@
 
 import jax.numpy as jnp
 
-from dem_jax import rotation, vector
+from dem_jax import forces, rotation, vector
 from dem_jax.types import Sample, State, System
 
 SETTLED_SPEED = 0.1  # m/s: slower pieces inside the block count as settled (paper, section 2.1)
@@ -63,12 +63,7 @@ def elastic_energy(system: System, state: State):
     """Energy that contacts would give back (J)."""
     total = jnp.zeros((), state.position.dtype)
     for kind, table in state.contacts.items():
-        k = state.slots[kind].stiffness
-        k_unload = k / (system.law.restitution * system.law.restitution)
-        total = total + 0.5 * jnp.sum(table.force * table.force / k_unload)
-        if system.has_friction:
-            spring = vector.unpack(table.spring)
-            total = total + 0.5 * jnp.sum(vector.dot(spring, spring) / (system.law.tangential * k))
+        total = total + jnp.sum(forces.elastic_energy(system, table, state.slots[kind]))
     return total
 
 

@@ -43,6 +43,12 @@ def plate(polygon, thickness, name="panel"):
     return Plate(vertices, faces, normals, (vertices @ normals.T).max(axis=0), edges)
 
 
+def without_collinear(polygon):
+    """The polygon [k, 3] without the corners that lie on the line between their neighbours."""
+    size = float(np.linalg.norm(np.ptp(polygon, axis=0)))
+    return polygon[_without_collinear(polygon, list(range(len(polygon))), loop_normal(polygon), TOLERANCE * size)]
+
+
 def panels_of_stl(path, unit=1.0, angle=0.01):
     """Convex panels, each [k, 3] (m), of the facets of an STL, counter-clockwise about the facets' own normals.
 

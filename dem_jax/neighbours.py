@@ -33,10 +33,11 @@ def kinds(system: System) -> dict:
 
 
 def empty_table(slots, dtype) -> ContactTable:
-    """A table without contacts."""
-    none = jnp.full((slots,), EMPTY, jnp.int32)
-    zero = jnp.zeros((slots,), dtype)
-    return ContactTable(none, none, zero, zero, jnp.zeros((3, slots), dtype))
+    """A table without contacts, in numpy."""
+    none = np.full((slots,), EMPTY, np.int32)
+    zero = np.zeros((slots,), dtype)
+    three = np.zeros((3, slots), dtype)
+    return ContactTable(none, none, zero, zero, three, three)
 
 
 def rebuild(system: System, state: State) -> State:
@@ -236,6 +237,7 @@ def carry_history(old: ContactTable, pairs, incidence, column) -> ContactTable:
         jnp.where(known, old.force[slot], 0),
         jnp.where(known, old.overlap[slot], 0),
         jnp.where(known[None], old.spring[:, slot], 0),
+        jnp.where(known[None], old.point[:, slot], 0),
     )
 
 
@@ -291,7 +293,7 @@ def _wall_travel(system: System, state: State, start):
 
 
 def empty_guard(system: System, dtype) -> Guard:
-    """A guard that has seen nothing."""
-    needed = {source: jnp.zeros((2,), jnp.int32) for source, _, _ in system.capacity}
-    zero = jnp.zeros((), jnp.int32)
-    return Guard(needed, zero, zero, jnp.zeros((), dtype), -jnp.ones((), dtype), jnp.zeros((2,), jnp.int32))
+    """A guard that has seen nothing, in numpy."""
+    needed = {source: np.zeros((2,), np.int32) for source, _, _ in system.capacity}
+    zero = np.zeros((), np.int32)
+    return Guard(needed, zero, zero, np.zeros((), dtype), -np.ones((), dtype), np.zeros((2,), np.int32))

@@ -12,7 +12,7 @@ class Progress:
     def __init__(self, job, shown):
         self._job, self._bar = job, None
         self._from = int(np.max(job.state.step)) // job.steps_per_sample
-        self._since = 0.0
+        self._since, self._compiled = time.perf_counter(), job.clock["compile"]
         if shown:
             from tqdm import tqdm
 
@@ -44,11 +44,11 @@ class Progress:
         """A chunk is done."""
         if self._bar is None:
             return
-        now = time.perf_counter()
+        now, compiled = time.perf_counter(), self._job.clock["compile"]
+        took = now - self._since - (compiled - self._compiled)
         steps = span.count * self._job.steps_per_sample * (self._job.runs or 1)
-        if self._since:
-            self._bar.set_postfix_str(f"{1e6 * (now - self._since) / steps:.3g} µs/step", refresh=False)
-        self._since = now
+        self._since, self._compiled = now, compiled
+        self._bar.set_postfix_str(f"{1e6 * took / steps:.3g} µs/step", refresh=False)
         self._bar.set_description_str(self._phase(span.first + span.count), refresh=False)
         self._bar.update(span.count)
 

@@ -345,8 +345,9 @@ def _merged(below, above):
 def _set(tree, keys, value):
     for i, key in enumerate(keys[:-1]):
         below = tree.get(key) if isinstance(tree, dict) else None
-        if isinstance(below, (list, tuple)):
-            index = keys[i + 1]
+        index = keys[i + 1]
+        if isinstance(below, (list, tuple)) or (below is None and index.isdecimal()):
+            below = below or ()
             if not index.isdecimal() or int(index) >= len(below) or i + 2 == len(keys):
                 rows = f"{key}.0.KEY to {key}.{len(below) - 1}.KEY" if below else f"none, this scene has no {key}"
                 raise SceneError(f"{'.'.join(keys)} = {_short(value)}: {key} is a list; allowed: {rows}")
@@ -389,7 +390,7 @@ def _one_line(error: ValidationError, tree) -> str:
     key = ".".join(place)
     if first["type"] == "extra_forbidden":
         known = list(model.model_fields)
-        near = difflib.get_close_matches(place[-1], known, 1)
+        near = difflib.get_close_matches(place[-1], known, 1, 0.75)
         hint = f"did you mean {near[0]!r}? " if near else ""
         return f"{key} = {_short(first['input'])}: unknown key; {hint}allowed: {', '.join(known)}"
     if field is None:

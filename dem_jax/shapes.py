@@ -128,7 +128,7 @@ def hull(points):
     triangles, normals = _hull_triangles(points, size)
     faces = _merged_faces(points, triangles, normals, TOLERANCE * size)
     used = np.unique(np.concatenate(faces))
-    return _polytope("hull", points[used], tuple(tuple(np.searchsorted(used, loop).tolist()) for loop in faces))
+    return polytope("hull", points[used], tuple(tuple(np.searchsorted(used, loop).tolist()) for loop in faces))
 
 
 def hull_of_stl(path, unit=1.0, tolerance=1e-3):
@@ -247,7 +247,7 @@ def _fan(loop):
     return np.array([(loop[0], loop[i], loop[i + 1]) for i in range(1, len(loop) - 1)])
 
 
-def _polytope(name, vertices, faces):
+def polytope(name, vertices, faces):
     """Shape of a convex polytope from its vertices and planar faces; the frame is moved to the centre of mass."""
     volume, centre, second = mass_properties(vertices, faces)
     vertices = vertices - centre
@@ -278,7 +278,7 @@ def _extruded(name, outline, height):
     k = len(outline)
     vertices = np.concatenate([np.c_[outline, np.full(k, z)] for z in (0.5 * height, -0.5 * height)])
     walls = tuple((i, k + i, k + (i + 1) % k, (i + 1) % k) for i in range(k))
-    return _polytope(name, vertices, (tuple(range(k)), tuple(range(2 * k - 1, k - 1, -1)), *walls))
+    return polytope(name, vertices, (tuple(range(k)), tuple(range(2 * k - 1, k - 1, -1)), *walls))
 
 
 def _regular_polygon(sides, radius):

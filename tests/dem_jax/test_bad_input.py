@@ -1,0 +1,184 @@
+"""Bad input: exit code 2 and one line on stderr that names key, value and what is allowed; nothing is written."""
+
+import re
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import dem_jax
+from dem_jax.__main__ import main
+
+SET = [  # --set of plate-drop -> what the line must hold
+    ("material.restituton=0.5", r"material\.restituton = 0\.5: unknown key; did you mean 'restitution'\? allowed: density, "),
+    ("matrial.restitution=0.5", r"matrial = .*: unknown key; did you mean 'material'\?"),
+    ("speed=3", r"speed = 3: unknown key; allowed: name, material, run,"),
+    ("piece.0.mass=3", r"piece\.0\.mass = 3: unknown key; .*allowed: shape, scale_factor"),
+    ("piece.1.radius=3", r"piece\.1\.radius = 3: piece is a list; allowed: piece\.0\.KEY to piece\.0\.KEY"),
+    ("piece.0=3", r"piece\.0 = 3: piece is a list"),
+    ("motion.0.start=1", r"motion\.0\.start = 1: motion is a list; allowed: none"),
+    ("name.x=3", r"name\.x = 3: unknown key; name is a value, not a table"),
+    ("name=a/b", r'name = "a/b": allowed: a text that matches'),
+    ("material=3", r"material = 3: allowed: a table \[material\]"),
+    ("piece=3", r"piece = 3: allowed: tables \[\[piece\]\]"),
+    ("material.restitution=0", r"material\.restitution = 0: allowed: a number > 0 and <= 1"),
+    ("material.restitution=1.01", r"material\.restitution = 1\.01: allowed: a number > 0 and <= 1"),
+    ("material.restitution=-0.1", r"material\.restitution = -0\.1: allowed: a number > 0 and <= 1"),
+    ("material.restitution=high", r'material\.restitution = "high": allowed: a number > 0 and <= 1'),
+    ("material.density=nan", r"material\.density = nan: allowed: a number > 0"),
+    ("material.friction_wall=-1", r"material\.friction_wall = -1: allowed: a number >= 0"),
+    ("material.separation=1", r"material\.separation = 1: allowed: a number >= 0 and < 1"),
+    ("material.stiffness_size=width2", r"stiffness_size = .*width2.* allowed: equivalent-diameter"),
+    ("run.step=-1.0", r'run\.step = -1\.0: allowed: "auto" or a number > 0'),
+    ("run.step=automatic", r'run\.step = "automatic": allowed: "auto" or a number > 0'),
+    ("run.step=1e-3", r"run\.step = 0\.001: allowed: at most 3\.\d+e-05 s, the stability limit"),
+    ("run.duration=inf", r"run\.duration = inf: allowed: a number > 0"),
+    ("run.duration=true", r"run\.duration = true: allowed: a number > 0"),
+    ("run.precision=f16", r'run\.precision = "f16": allowed: "f32" or "f64"'),
+    ("run.gravity=[0, -9.81]", r"run\.gravity = \[0, -9\.81\]: allowed: a list of 3, each a number"),
+    ('run.gravity=[0, 0, "g"]', r'run\.gravity = \[0, 0, "g"\]: allowed: a list of 3, each a number'),
+    ("run.energy=1", r"run\.energy = 1: allowed: true or false"),
+    ("run.rebuild_steps=0", r"run\.rebuild_steps = 0: allowed: a whole number >= 1"),
+    ("run.rebuild_steps=1.5", r"run\.rebuild_steps = 1\.5: allowed: a whole number >= 1"),
+    ("run.domain_low=[0, 0, 5]", r"run\.domain_low = .*: allowed: below run\.domain_high"),
+    ("run.domain_high=[1, 1, 0.1]", r"piece\.0\.position = .*: outside the domain"),
+    ("piece.0.shape=ball", r'piece\.0\.shape = "ball": allowed: "chamfered-cuboid" or "cuboid" or "sphere"'),
+    ("piece.0.size=[0.1, -0.1, 0.1]", r"piece\.0\.size = \[0\.1, -0\.1, 0\.1\]: allowed: a list of 3, each a number > 0"),
+    ("piece.0.scale_factor=0", r"piece\.0\.scale_factor = 0: allowed: a number > 0"),
+    ("piece.0.sides=2", r"piece\.0\.sides = 2: allowed: a whole number >= 3"),
+    ("piece.0.radius=0.1", r"piece\.0\.radius = 0\.1: not a key of shape 'chamfered-cuboid'; allowed: chamfer, size"),
+    ("piece.0.shape=sphere", r"piece\.0\.radius: missing; shape 'sphere' needs it"),
+    ("piece.0.shape=hull", r"piece\.0\.shape 'hull': points, stl: exactly one of the two"),
+    ("piece.0.chamfer=0.1", r"piece\.0\.chamfer"),
+    ("piece.0.position=[0, 0, 0]", r"piece 0 and wall group 'plate' overlap at the start by .* %.*; allowed: at most 0\.1 %"),
+    ("piece.0.orientation=[0, 0, 0, 0]", r"piece\.0\.orientation = .*: allowed: a quaternion that is not zero"),
+    ("wall.0.group='a b'", r'wall\.0\.group = "a b": allowed: a text that matches'),
+    ("wall.0.thickness=-0.1", r"wall\.0\.thickness = -0\.1: allowed: a number > 0"),
+    ("wall.0.corners=[[0,0,0],[1,0,0]]", r"corners of wall group 'plate'.*at least 3 corners"),
+    ("wall.0.corners=[[0,0,0],[1,0,0],[1,1,0.5],[0,1,0]]", r"corners of wall group 'plate' corner .* off its plane"),
+    ("piece=[]", r"a scene needs \[portion\] or at least one \[\[piece\]\]"),
+    ("run.duration", r"--set 'run\.duration': allowed: section\.key=value"),
+]  # fmt: skip
+
+TOML = [  # a scene file -> what the line must hold
+    ("[run\nduration = 1", r"scene\.toml: not valid TOML"),
+    ('base = "plate-drp"', r"'plate-drp': no such file, nor one of the stock scenes"),
+    ('base = "scene.toml"', r"based on itself"),
+    ("base = 3", r"base = 3: allowed: a stock scene's name or a path"),
+    ("[run]\nduration = 1", r"a scene needs \[portion\] or at least one \[\[piece\]\]"),
+    ("[[piece]]\nshape = 'cuboid'", r"piece\.0\.position: missing; it must be given: a list of 3, each a number"),
+    ("[portion]", r"portion: region_low, region_high: missing"),
+    ("[portion]\nregion_low = [0,0,0]\nregion_high = [0.01,0.01,1]", r"region of 0\.01 x 0\.01 m is too narrow"),
+    ("[portion]\ncount = 0", r"portion\.count = 0: allowed: a whole number >= 1"),
+    ('base = "plate-drop"\n[[motion]]\ngroup = "plat"', r"motion\.group = 'plat': no wall has this group"),
+    ('base = "plate-drop"\n[[motion]]\ngroup = "plate"\naxis = [0,0,0]', r"motion\.axis = .*: allowed: a vector that is not zero"),
+    ('base = "plate-drop"\n[[motion]]\nstart = 1', r"motion\.0\.group: missing; it must be given: a text"),
+    ('base = "plate-drop"\n[[wall]]\ngroup = "w"', r"wall 'w': corners, stl: exactly one of the two"),
+    ('base = "plate-drop"\n[[wall]]\ngroup = "w"\nstl = "gone.stl"', r"wall\.0\.stl = '.*gone\.stl': there is no such file"),
+    ('[[piece]]\nshape = "hull"\nposition = [0,0,1]\nstl = "open.stl"', r"piece\.0\.stl = '.*open\.stl' is an open mesh"),
+    ('[[piece]]\nshape = "hull"\nposition = [0,0,1]\nstl = "bent.stl"', r"piece\.0\.stl = '.*bent\.stl' is not convex"),
+    ('[[piece]]\nshape = "hull"\nposition = [0,0,1]\nstl = "text.stl"', r"piece\.0\.stl = '.*text\.stl'"),
+    ('[[piece]]\nshape = "hull"\nposition = [0,0,1]\npoints = [[0,0,0],[1,0,0],[0,1,0],[1,1,0]]', r"piece\.0\.points"),
+    ('[weigh_bucket]\nflap_angle_deg = 95\n[portion]', r"weigh_bucket\.flap_angle_deg = 95: allowed: a number > 0 and < 90"),
+    ('[weigh_bucket]\nmouth = [0.1]\n[portion]', r"weigh_bucket\.mouth = \[0\.1\]: allowed: a list of 2, each a number > 0"),
+]  # fmt: skip
+
+COMMANDS = [  # a command -> what the line must hold
+    (["run"], r"either a SCENE or --resume FILE"),
+    (["run", "plate-drop", "--resume", "x.h5"], r"either a SCENE or --resume FILE"),
+    (["run", "nowhere.toml"], r"'nowhere\.toml': no such file, nor one of the stock scenes \(plate-drop"),
+    (["run", "."], r"no such file"),
+    (["run", "--resume", "gone.h5"], r"gone\.h5: there is no such file"),
+    (["run", "--resume", "cut.h5"], r"cut\.h5"),
+    (["run", "--resume", "text.stl"], r"text\.stl is not an HDF5 file"),
+    (["run", "--resume", "x.h5", "--set", "run.step=1"], r"allowed beside it: --duration"),
+    (["run", "plate-drop", "--out", "text.stl"], r"text\.stl exists; give another name, or overwrite"),
+    (["run", "plate-drop", "--out", "no/where.h5"], r"no/where\.h5 cannot be written: there is no folder 'no'"),
+    (["run", "plate-drop", "--seed", "-1"], r"--seed: '-1': allowed: a whole number of at least 0"),
+    (["run", "plate-drop", "--duration", "-1"], r"run\.duration = -1\.0: allowed: a number > 0"),
+    (["run", "plate-drop", "--speed", "3"], r"unrecognized arguments: --speed 3"),
+    (["ensemble", "plate-drop", "--runs", "0"], r"--runs: '0': allowed: a whole number of at least 1"),
+    (["ensemble", "plate-drop", "--runs", "many"], r"--runs: 'many': allowed"),
+    (["scenes", "nothing"], r"'nothing': no such file, nor one of the stock scenes"),
+    (["plot", "gone.h5"], r"gone\.h5: there is no such file"),
+    (["plot", "cut.h5"], r"cut\.h5"),
+    (["plot", "whole.h5", "--group", "wb"], r"group = 'wb' is not in this run; it has: plate"),
+    (["plot", "whole.h5", "--out", "a.xls"], r"a\.xls must end in one of: \.png"),
+    (["render", "gone.h5"], r"gone\.h5: there is no such file"),
+    (["render", "whole.h5"], r"the run has no frames; set run\.frames"),
+    (["render", "whole.h5", "--run", "1"], r"--run 1: whole\.h5 holds a single run"),
+    (["render", "whole.h5", "--strip", "a,b"], r"--strip: 'a,b': allowed: a number of instants"),
+    (["vtk", "whole.h5"], r"the run has no frames"),
+    (["walk"], r"invalid choice: 'walk'"),
+    ([], r"the following arguments are required: COMMAND"),
+]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """The file of a short run without frames."""
+    path = tmp_path_factory.mktemp("whole") / "whole.h5"
+    scene = {"piece": [{"shape": "sphere", "radius": 0.01, "position": [0, 0, 0.1]}], "run.duration": 1e-3, "run.frames": 0}
+    dem_jax.simulate(dem_jax.load_scene("plate-drop", scene), out=path)
+    return path
+
+
+@pytest.fixture
+def folder(tmp_path, whole):
+    """A folder with broken and whole files."""
+    import trimesh
+
+    box = trimesh.creation.box((0.02, 0.02, 0.02))
+    trimesh.Trimesh(box.vertices, box.faces[1:]).export(tmp_path / "open.stl")
+    star = trimesh.creation.icosphere(1)
+    star.vertices *= (0.01 + 0.01 * (np.arange(len(star.vertices)) % 2))[:, None]
+    star.export(tmp_path / "bent.stl")
+    (tmp_path / "text.stl").write_text("no triangles")
+    (tmp_path / "whole.h5").write_bytes(whole.read_bytes())
+    (tmp_path / "cut.h5").write_bytes(whole.read_bytes()[:3000])
+    return tmp_path
+
+
+def refused(argv, expected, folder, capsys):
+    before = {path: path.read_bytes() for path in folder.iterdir()}
+    try:
+        code = main(argv)
+    except SystemExit as stop:
+        code = stop.code
+    out, err = capsys.readouterr()
+    assert code == 2 and out == ""
+    assert len(err.splitlines()) == 1, err
+    assert re.search(expected, err), err
+    assert {path: path.read_bytes() for path in folder.iterdir()} == before, "nothing is written"
+
+
+@pytest.mark.parametrize(("setting", "expected"), SET)
+def test_a_setting_that_cannot_be(setting, expected, tmp_path, capsys):
+    refused(["run", "plate-drop", "--quiet", "--set", setting], expected, tmp_path, capsys)
+
+
+@pytest.mark.parametrize(("text", "expected"), TOML)
+def test_a_scene_file_that_cannot_be(text, expected, folder, capsys):
+    (folder / "scene.toml").write_text(text)
+    refused(["run", "scene.toml", "--quiet"], expected, folder, capsys)
+
+
+@pytest.mark.parametrize(("argv", "expected"), COMMANDS)
+def test_a_command_that_cannot_be(argv, expected, folder, capsys):
+    refused(argv, expected, folder, capsys)
+
+
+def test_pieces_that_overlap_at_the_start_are_both_named(tmp_path, capsys):
+    (tmp_path / "scene.toml").write_text(
+        'base = "plate-drop"\n[[piece]]\nposition = [0, 0, 0.1]\n[[piece]]\nposition = [0.01, 0, 0.112]\n'
+    )
+    expected = r"piece 1 and piece 0 overlap at the start by 25 % of the piece's width; allowed: at most 0\.1 %"
+    refused(["run", "scene.toml", "--quiet"], expected, tmp_path, capsys)
+
+
+def test_as_a_process(tmp_path):
+    command = [sys.executable, "-m", "dem_jax", "run", "plate-drop", "--set", "material.restitution=2"]
+    done = subprocess.run(command, capture_output=True, text=True, env={"PYTHONPATH": ":".join(sys.path)})
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == "dem_jax: plate-drop: material.restitution = 2: allowed: a number > 0 and <= 1\n"

@@ -1,0 +1,91 @@
+"""Ensembles: each member is its own single run, with the same guards, and a failure says whose it is."""
+
+import jax
+import numpy as np
+import pytest
+
+import dem_jax
+from dem_jax import build, run
+from dem_jax.errors import SceneError, SimulationError
+
+PATHS = ("force/plate", "mean_force/plate", "settled_mass/plate", "energy/total", "momentum", "overlap")
+
+
+def scattered(**changes):
+    """Two balls let go at random places a little above the plate; both have landed after 20 ms."""
+    base = {
+        "portion": {
+            "shape": "sphere", "radius": 0.01, "count": 2, "arrangement": "scattered",
+            "region_low": [-0.05, -0.05, 0.0], "region_high": [0.05, 0.05, 0.1],
+        },
+        "piece": [], "name": "scattered", "run.precision": "f64", "run.duration": 0.02, "run.sample": 2e-5, "run.frames": 7e-4,
+    }  # fmt: skip
+    return dem_jax.load_scene("plate-drop", base | changes)
+
+
+def at(result, path):
+    group, _, name = path.partition("/")
+    return getattr(result, group)[name] if name else getattr(result, group)
+
+
+@pytest.fixture(scope="module")
+def three():
+    return dem_jax.ensemble(scattered(), runs=3, seed=7)
+
+
+def test_every_member_equals_its_own_single_run(three):
+    """To 1e-9 of the largest value: vectorised sums round otherwise (1e-16), which the stiff branch amplifies."""
+    assert three.run_count == 3 and three.seed == (7, 8, 9) and three.force["plate"].shape == (3, 1000, 3)
+    for k in range(3):
+        alone, member = dem_jax.simulate(scattered(), seed=7 + k), three.member(k)
+        assert np.abs(alone.force["plate"]).max() > 0.01, "the balls have landed"
+        for path in PATHS:
+            scale = 1e-9 * np.abs(at(alone, path)).max() + 1e-300
+            np.testing.assert_allclose(at(member, path), at(alone, path), rtol=0, atol=scale, err_msg=path)
+        np.testing.assert_array_equal(member.pieces.time, alone.pieces.time)
+        np.testing.assert_allclose(member.pieces.position, alone.pieces.position, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(member.pieces.orientation, alone.pieces.orientation, rtol=0, atol=1e-9)
+        assert member.seed == 7 + k
+
+
+def test_members_differ_by_their_seed_alone(three):
+    starts = three.pieces.position[:, 0]
+    assert np.ptp(starts, axis=0).max() > 1e-3
+    again = dem_jax.ensemble(scattered(), runs=3, seed=8)
+    np.testing.assert_array_equal(again.pieces.position[:2, 0], starts[1:])
+
+
+def test_capacities_are_grown_for_all(three, monkeypatch):
+    monkeypatch.setattr(build, "_capacity", lambda *_: (("sphere-sphere", 1, 1), ("wall-sphere", 2, 1)))
+    grown = dem_jax.ensemble(scattered(), runs=3, seed=7)
+    assert any("2 pairs wall-sphere for 1 slots" in note for note in grown.info["notes"])
+    for path in PATHS:
+        scale = 1e-12 * np.abs(at(three, path)).max()
+        np.testing.assert_allclose(at(grown, path), at(three, path), rtol=0, atol=scale, err_msg=path)
+
+
+def test_a_file_has_a_leading_run_axis_and_can_be_gone_on_with(three, tmp_path, monkeypatch):
+    monkeypatch.setattr(run, "CHUNK_TIME", 4e-2)
+    written = dem_jax.ensemble(scattered(**{"run.duration": 0.011}), runs=3, seed=7, out=tmp_path / "runs.h5")
+    assert written.time.shape == (550,) and written.settled_mass["plate"].shape == (3, 550)
+    longer = dem_jax.resume(tmp_path / "runs.h5", duration=0.02)
+    for path in PATHS:
+        np.testing.assert_array_equal(at(longer, path), at(three, path), err_msg=path)
+    np.testing.assert_array_equal(longer.pieces.position, three.pieces.position)
+
+
+def test_the_member_that_fails_is_named(tmp_path):
+    job = run.prepare(scattered(), (3, 4, 5), 3)
+    with jax.enable_x64(True):
+        job = run.replace(job, state=job.state.replace(velocity=job.state.velocity.at[1, 2, 0].set(np.inf)))
+    with pytest.raises(SimulationError, match=r"scattered, run 1 \(seed 4\): piece 0 at t = 2e-05 s") as caught:
+        run.drive(job, tmp_path / "runs.h5", False, False)
+    assert (caught.value.member, caught.value.piece) == (1, 0)
+
+
+def test_overlapping_starts_name_the_run():
+    job = run.prepare(scattered(), (3, 4, 5), 3)
+    with jax.enable_x64(True):
+        job = run.replace(job, state=job.state.replace(position=job.state.position.at[2, 2, 1].set(0.0)))
+    with pytest.raises(SceneError, match=r"piece 1 and wall group 'plate' of run 2 \(seed 5\) overlap at the start by 50 %"):
+        run.drive(job, None, False, False)
