@@ -40,7 +40,7 @@ SLIDING = {**CUBOID, "position": (-0.05, 0.002, 0.0099995), "velocity": (0.8, 0.
 BALL = {"shape": "sphere", "radius": 0.012, "position": (-0.03, 0.002, 0.0119), "velocity": (0.9, 0.0, 0.0)}
 
 
-OVERHANGING = {**CUBOID, "position": (0.002, SIZE - 0.003, 0.0099995), "orientation": (1.0, 0.0, 0.0, 0.4)}
+OVERHANGING = {**CUBOID, "position": (0.002, SIZE + 0.004, 0.0099995), "orientation": (1.0, 0.0, 0.0, 0.4)}
 
 
 @pytest.fixture(scope="module")
@@ -87,9 +87,8 @@ def test_the_rim_of_a_plate_of_panels_is_still_an_edge(whole):
     _, before, one = whole(OVERHANGING)
     _, after, many = run(TWO, OVERHANGING, 500)
     turned = np.abs(np.sum(np.asarray(before.orientation) * np.asarray(OVERHANGING["orientation"])[:, None]))
-    assert np.asarray(before.position)[2, 0] < 0.0099995 - 5e-4 and turned < np.linalg.norm(OVERHANGING["orientation"]) * 0.999
-    print(np.abs(after.position - before.position).max(), np.abs(many.mean_force - one.mean_force).mean() / np.abs(one.mean_force).mean())
-    np.testing.assert_allclose(after.position, before.position, rtol=0, atol=2e-4)
+    assert np.asarray(before.position)[2, 0] < 0.0099995 - 3e-4 and turned < np.linalg.norm(OVERHANGING["orientation"]) * 0.999
+    np.testing.assert_allclose(after.position, before.position, rtol=0, atol=1e-6)
 
 
 def test_without_the_seams_two_panels_would_count_twice(whole):
