@@ -58,12 +58,12 @@ def build(scene: Scene, seed: int = 0) -> Built:
     samples = max(1, round(scene.run.duration / scene.run.sample))
     frame_every = max(1, round(scene.run.frames / scene.run.sample)) if scene.run.frames else 0
     block_samples, parts = _cadence(scene, step.substeps, frame_every)
-    walls, plates = _wall_arrays(panels, motions, joint, dtype)
+    walls, plates, seams = _wall_arrays(panels, motions, joint, dtype)
     domain = _domain(scene, panels, start, made)
     speed = _speed_bound(scene, domain, start)
     interval = step.dt * step.substeps * block_samples / parts
     polytopes = [i for i, m in enumerate(made) if m.radius == 0]
-    table, shape_rows = _hull_table(made, plates)
+    table, shape_rows = _hull_table(made, plates, seams)
     system = System(
         pieces=_typed(
             dataclasses.replace(
@@ -275,12 +275,13 @@ def _wall_arrays(panels, motions, joint, dtype) -> Walls:
     rows = [_motion_row(motions.get(group)) for group in groups]
     columns = lambda k, size: np.array([row[k] for row in rows], float).reshape(len(groups), size).T  # noqa: E731
     extent = [np.abs(shape.vertices).max(0) for shape, _, _ in made]
+    seams, plane = _seams([(group, corners) for group, corners, _ in panels])
     walls = Walls(
         centre=np.array([c for _, c, _ in made], float).reshape(-1, 3).T,
         rotation=np.array([r for _, _, r in made], float).reshape(-1, 3, 3).transpose(1, 2, 0),
         half_extent=np.array(extent, float).reshape(-1, 3).T,
         group=np.array([groups.index(group) for group, _, _ in panels], int),
-        seams=None,
+        plane=plane,
         pivot=columns(0, 3),
         axis=columns(1, 3),
         swing=columns(2, 1)[0],
@@ -291,17 +292,47 @@ def _wall_arrays(panels, motions, joint, dtype) -> Walls:
         reports=tuple((name, tuple(members)) for name, members in reports.items()),
         moving=any(group in motions for group in groups),
     )
-    return _typed(walls, dtype), [shape for shape, _, _ in made]
+    if seams:  # scene to panel frame
+        seams = [across @ turn for across, (_, _, turn) in zip(seams, made, strict=True)]
+    return _typed(walls, dtype), [shape for shape, _, _ in made], seams
 
 
-def _hull_table(made, plates):
+def _seams(panels):
+    """For each panel (group, corners) the directions [m, 3] outward across edges where another panel of its group
+    continues its plane, and the number [W] of that plane, -1 where none does; None, None if there are no seams at all.
+    """
+    across, planes, known = [np.zeros((0, 3)) for _ in panels], np.full(len(panels), -1), []
+    for group in {group for group, _ in panels}:
+        members = [i for i, (name, _) in enumerate(panels) if name == group]
+        flags = meshes.seams([panels[i][1] for i in members])
+        for i, flag in zip(members, flags, strict=True):
+            if not any(flag):
+                continue
+            corners = panels[i][1]
+            normal = shapes.loop_normal(corners)
+            out = np.cross(np.roll(corners, -1, axis=0) - corners, normal)[flag]
+            across[i] = out / np.linalg.norm(out, axis=1, keepdims=True)
+            size = np.linalg.norm(np.ptp(corners, axis=0))
+            found = [
+                k
+                for k, (name, point, other) in enumerate(known)
+                if name == group and other @ normal > np.cos(1e-3) and abs((corners[0] - point) @ other) < 1e-3 * size
+            ]
+            planes[i] = found[0] if found else len(known)
+            known += [] if found else [(group, corners[0], normal)]
+    return (across, planes) if known else (None, None)
+
+
+def _hull_table(made, plates, seams):
     """The table of hulls of pieces and panels (None if there are none), and the row of each body."""
     distinct, index = _distinct([shape for shape in made if shape.radius == 0])
     numbers = iter(index)
     rows = [next(numbers) if shape.radius == 0 else 0 for shape in made]
     rows += [len(distinct) + k for k in range(len(plates))]
     every = [*distinct, *plates]
-    return (hulls.table(every, np.float64) if every else None), np.array(rows, int)
+    if seams:
+        seams = [np.zeros((0, 3))] * len(distinct) + seams
+    return (hulls.table(every, np.float64, seams) if every else None), np.array(rows, int)
 
 
 def _plate(corners, thickness, name):

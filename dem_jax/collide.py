@@ -21,6 +21,11 @@ from dem_jax.vector import dot, expand
 # of the depth, because an edge-edge axis nearly parallel to a face's flickers. The depth stays the exact minimum.
 FACE_PREFERENCE = 0.02
 
+# Beyond a seam the wall goes on, so that nothing is pushed across it: the overlap along an axis that points so is raised
+# by this many bounding radii of the piece times the sine of the angle at which it does.
+SEAM_SLOPE = 10.0
+SEAM_SINE = 1e-5  # a sphere's normal that points across a seam by no more is taken to stand on both panels
+
 
 class Relative(NamedTuple):
     """Body b as seen from body a."""
@@ -35,19 +40,23 @@ class Geometry(NamedTuple):
     depth: jnp.ndarray  # [P] (m), negative: separated by at least that much
     normal: tuple  # [P] x 3, unit, from a to b
     point: tuple  # [P] x 3 (m)
+    weight: jnp.ndarray | None = None  # [P]: how much of the overlap is this body's, where panels continue each other
 
 
 def hull_hull(a: Hulls, b: Hulls, rel: Relative) -> Geometry:
     """Contact of convex polytopes (their tables gathered to [.., P] or of one common shape, [.., 1])."""
     depth, normal, along = separating_axes(a, b, rel)
-    return Geometry(depth, normal, pressure_centre(a, b, rel, along, normal))
+    return Geometry(depth, normal, *pressure_centre(a, b, rel, along, normal))
 
 
 def separating_axes(a: Hulls, b: Hulls, rel: Relative):
     """Smallest overlap over all separating axes, [P] (m); the axis, unit, from a to b; the overlap along it, which is
     larger by up to FACE_PREFERENCE where a face's axis was preferred."""
     test = _zonotope_axes if a.is_zonotope and b.is_zonotope else _polytope_axes
-    return _smallest(*test(a, b, rel), rel)
+    overlaps, axes = test(a, b, rel)
+    if a.seams is not None:
+        overlaps = _barred_by_seams(overlaps, axes, a, b, rel)
+    return _smallest(overlaps, axes, rel)
 
 
 def _rounding(a: Hulls, b: Hulls, rel: Relative):
@@ -128,6 +137,22 @@ def _smallest(overlaps, axes, rel):
     return jnp.minimum(face, least[2]), _kept(*normal), jnp.where(use_edge, least[2], face)
 
 
+def _barred_by_seams(overlaps, axes, a: Hulls, b: Hulls, rel: Relative):
+    """The overlaps, raised along axes that point from panel a across a seam, in proportion so that they never jump."""
+    na, nb, ea, eb = axes
+    edges = vector.cross(expand(ea, 1), expand(eb, 0))
+    edges = vector.scale(1 / _safe_root(dot(edges, edges)), edges)
+    out = []
+    for overlap, axis in zip(overlaps, (na, nb, edges), strict=True):
+        side = tuple(range(axis[0].ndim - 1))
+        sign = jnp.where(dot(axis, tuple(jnp.expand_dims(c, side) for c in rel.offset)) < 0, -1, 1).astype(overlap.dtype)
+        across = jnp.zeros_like(overlap)
+        for k in range(a.seams[0].shape[0]):
+            across = jnp.maximum(across, sign * dot(axis, tuple(jnp.expand_dims(c[k], side) for c in a.seams)))
+        out.append(overlap + SEAM_SLOPE * jnp.expand_dims(b.bounding_radius, side) * across)
+    return out
+
+
 def _first_where(mask):
     """Index of the first row in which the mask holds, [P] int32; a minimum, which unlike argmin vectorises."""
     rows = mask.shape[0]
@@ -140,7 +165,9 @@ def _towards_b(normal, rel):
 
 
 def pressure_centre(a: Hulls, b: Hulls, rel: Relative, depth, normal):
-    """Centroid of the overlap weighted by depth, [P] x 3 (m), in a's frame; depth: [P] (m) the overlap along the normal.
+    """Centroid of the overlap weighted by depth, [P] x 3 (m), in a's frame, and its weight [P] (m2).
+
+    depth: [P] (m), the overlap along the normal.
 
     The edges of the face of each body that looks most along the normal are clipped by the other body; over what
     remains inside, the depth below the other's surface along the normal is linear, and its line integral is closed.
@@ -150,26 +177,34 @@ def pressure_centre(a: Hulls, b: Hulls, rel: Relative, depth, normal):
     n = expand(normal, 0)
     normals_b = vector.rotate(turn, _half_spaces(b))
     on_b = vector.scale(-1, vector.rotate_back(rel.rotation, normal))
-    corners_a = _facing_corners(a, normal)
-    corners_b = vector.add(vector.rotate(turn, _facing_corners(b, on_b)), d)
+    face_a = _facing(a, normal)
+    corners_a = _corners(a, face_a)
+    corners_b = vector.add(vector.rotate(turn, _corners(b, _facing(b, on_b))), d)
     corners_b, normals_b = _kept(*corners_b), _kept(*normals_b)
     height_a, height_b = dot(n, corners_a), dot(n, corners_b)
     top = _kept(jnp.max(height_a, axis=0))  # a's extent along the normal; b begins below it by the depth
     in_b = vector.sub(corners_a, d)
     first = _clipped(in_b, corners_a, normals_b, b, height_a - (top - depth)[None])
     second = _clipped(corners_b, corners_b, _half_spaces(a), a, top[None] - height_b)
+    if a.open_edges is not None:  # an edge in the middle of a wall is no edge of the overlap
+        is_open = a.open_edges.at[:, face_a].get(mode="promise_in_bounds")
+        first = tuple(is_open * part for part in first)
     weight, *moment = (jnp.sum(p, axis=0) + jnp.sum(q, axis=0) for p, q in zip(first, second, strict=True))
     scale = 1 / jnp.maximum(weight, jnp.finfo(weight.dtype).tiny)
-    return vector.where(weight > 0, vector.scale(scale, moment), vector.scale(top - 0.5 * depth, normal))
+    point = vector.where(weight > 0, vector.scale(scale, moment), vector.scale(top - 0.5 * depth, normal))
+    return point, weight
 
 
-def _facing_corners(hull: Hulls, normal):
-    """Corners [k + 1, P] of the face whose outward normal lies most along a direction given in the hull's frame."""
+def _facing(hull: Hulls, normal):
+    """Column [P] of the face whose outward normal lies most along a direction given in the hull's frame."""
     along = dot(hull.normals, expand(normal, 0))
     face = _first_where(along == jnp.max(along, axis=0)[None])
-    rows = hull.loops.shape[1] // hull.normals[0].shape[0]
-    corners = hull.loops.at[:, face * rows + hull.row].get(mode="promise_in_bounds")
-    return tuple(jnp.split(corners, 3))
+    return face * (hull.loops.shape[1] // hull.normals[0].shape[0]) + hull.row
+
+
+def _corners(hull: Hulls, column):
+    """Corners [k + 1, P] x 3 of a face (m)."""
+    return tuple(jnp.split(hull.loops.at[:, column].get(mode="promise_in_bounds"), 3))
 
 
 def _half_spaces(hull: Hulls):
@@ -240,7 +275,11 @@ def hull_sphere(a: Hulls, radius, centre) -> Geometry:
     tiny = jnp.finfo(distance.dtype).tiny
     normal = vector.where(outside, vector.scale(1 / jnp.maximum(distance, tiny), away), face_normal)
     depth = radius - jnp.where(outside, distance, inside)
-    return Geometry(depth, normal, vector.add_scaled(centre, 0.5 * depth - radius, normal))
+    weight = None
+    if a.seams is not None:  # beside a panel that another continues, the other has the contact
+        across = [dot(normal, tuple(c[k] for c in a.seams)) for k in range(a.seams[0].shape[0])]
+        weight = jnp.where(jnp.max(jnp.stack(across), axis=0) > SEAM_SINE, 0, 1).astype(depth.dtype)
+    return Geometry(depth, normal, vector.add_scaled(centre, 0.5 * depth - radius, normal), weight)
 
 
 def _closest_on_faces(hull: Hulls, height, centre):

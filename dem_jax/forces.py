@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from dem_jax import bodies, boundary, collide, contact, vector
+from dem_jax import bodies, boundary, collide, contact, seams, vector
 from dem_jax.bodies import Body
 from dem_jax.types import ContactTable, Ledger, Slots, State, System
 
@@ -26,7 +26,13 @@ def contacts(system: System, state: State, omega, panels: boundary.Panels) -> St
     state: positions now, velocities of the interval that led here; omega: [3, N] (rad/s) likewise.
     """
     stacked = bodies.stack(system, state, omega, panels)
-    done = {kind: _resolve(system, kind, state.contacts[kind], state.slots[kind], stacked) for kind in state.contacts}
+    done, column = {}, 0
+    for kind, table in state.contacts.items():
+        slots, siblings = state.slots[kind], None
+        if slots.plane is not None:
+            siblings = seams.siblings(slots, state.incidence, column)
+        done[kind] = _resolve(system, kind, table, slots, stacked, siblings)
+        column += 2 * table.a.shape[0]
     load = _loads_of_pieces(state, done)
     wall = _loads_of_walls(system, state, done, panels)
     tables = {kind: d.table for kind, d in done.items()}
@@ -45,7 +51,7 @@ def geometry(kind, slots: Slots, a: Body, b: Body, offset) -> collide.Geometry:
     else:
         found = collide.hull_hull(slots.hull_a, slots.hull_b, collide.Relative(_relative(a, b), local))
     turn = a.rotation
-    return collide.Geometry(found.depth, vector.rotate(turn, found.normal), vector.rotate(turn, found.point))
+    return found._replace(normal=vector.rotate(turn, found.normal), point=vector.rotate(turn, found.point))
 
 
 def depth(kind, slots: Slots, a: Body, b: Body, offset):
@@ -60,13 +66,21 @@ def _relative(a: Body, b: Body):
     return vector.compose(vector.transpose(a.rotation), b.rotation)
 
 
-def _resolve(system: System, kind, table: ContactTable, slots: Slots, stacked) -> Contacts:
-    """Geometry and force law of the contacts of one kind."""
+def _resolve(system: System, kind, table: ContactTable, slots: Slots, stacked, siblings) -> Contacts:
+    """Geometry and force law of the contacts of one kind. siblings: seams.Siblings where walls have seams."""
     law = system.law
     a, b = bodies.take(stacked, slots.a), bodies.take(stacked, slots.b)
     offset = bodies.offset(a, b)
     shape = geometry(kind, slots, a, b, offset)
     overlap = jnp.where(slots.live, shape.depth, -1)
+    at_b = vector.sub(shape.point, offset)
+    before, share = table, None
+    if siblings is not None and shape.weight is not None:
+        overlap = jnp.where((shape.weight > 0) | (slots.plane < 0), overlap, -1)
+        share = seams.share(jnp.where(overlap > 0, shape.weight, 0), siblings)
+        at_b = seams.centre(share, at_b, siblings)
+        shape = shape._replace(point=vector.add(at_b, offset))
+        table = seams.history(table, siblings)
     unload = slots.stiffness / (law.restitution * law.restitution)  # eq. 6
     f = contact.normal_force(table.force, table.overlap, overlap, slots.stiffness, unload, law.separation)
     dashpot = jnp.zeros_like(f)
@@ -74,7 +88,6 @@ def _resolve(system: System, kind, table: ContactTable, slots: Slots, stacked) -
         dashpot = contact.unloading_damping(
             f, table.overlap, overlap, slots.stiffness, unload, slots.mass, law.damping, system.dt
         )
-    at_b = vector.sub(shape.point, offset)
     force = vector.scale(f + dashpot, shape.normal)
     spring, point = table.spring, table.point
     if system.has_friction:
@@ -88,10 +101,12 @@ def _resolve(system: System, kind, table: ContactTable, slots: Slots, stacked) -
         )
         spring, point = jnp.stack(tangent), jnp.stack(shape.point)
         force = vector.add(force, tangent)
+    if share is not None:
+        force = vector.scale(share, force)
     after = table.replace(force=f, overlap=jnp.maximum(overlap, 0), spring=spring, point=point)
     stored = jnp.zeros((), f.dtype)
     if system.ledger:
-        stored = jnp.sum(elastic_energy(system, after, slots) - elastic_energy(system, table, slots))
+        stored = jnp.sum(elastic_energy(system, after, slots) - elastic_energy(system, before, slots))
     reaction = vector.scale(-1, force)
     return Contacts(
         after,

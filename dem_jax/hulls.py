@@ -7,10 +7,11 @@ from dem_jax.pose import matrix_of_quaternion
 from dem_jax.types import Hulls
 
 
-def table(shapes, dtype) -> Hulls:
+def table(shapes, dtype, seams=None) -> Hulls:
     """Stack polytopes [S] into one table, padded by repetition, which adds nothing to any minimum, maximum or sum.
 
     Vertices are taken in the principal frame. The table is one of zonotopes if all its shapes are.
+    seams: None, or for each shape [m, 3] outward unit directions across those edges of its face along z that are seams.
     """
     rows = [_row(shape) for shape in shapes]
     zonotopes = all(row["half_lengths"] is not None for row in rows)
@@ -46,14 +47,17 @@ def table(shapes, dtype) -> Hulls:
         bounding_radius=np.array([np.linalg.norm(row["vertices"], axis=1).max() for row in rows], dtype),
         half_lengths=lengths,
         cross_widths=widths,
+        seams=_components(_filled(seams), dtype) if seams else None,
+        open_edges=_open_edges(normals, loops, seams, dtype) if seams else None,
         is_zonotope=zonotopes,
     )
 
 
 def gather(hulls: Hulls, index, corners: bool) -> Hulls:
     """The rows of the table that belong to pairs, [.., P]; corners, of which there are many, only where asked for."""
-    rows = hulls.replace(loops=None, corners=hulls.corners if corners else None)
-    return jax.tree.map(lambda array: array[..., index], rows).replace(loops=hulls.loops)
+    rows = hulls.replace(loops=None, open_edges=None, corners=hulls.corners if corners else None)
+    rows = jax.tree.map(lambda array: array[..., index], rows)
+    return rows.replace(loops=hulls.loops, open_edges=hulls.open_edges)
 
 
 def _row(shape):
@@ -112,6 +116,23 @@ def _columns(loops, dtype):
     stacked = np.stack(loops, axis=-1)  # [k, F, 3, S]
     closed = np.concatenate([stacked, stacked[:1]]).transpose(2, 0, 1, 3)
     return closed.reshape(3 * closed.shape[1], -1).astype(dtype)
+
+
+def _filled(seams):
+    count = max(len(rows) for rows in seams)
+    return [np.concatenate([np.reshape(rows, (-1, 3)), np.zeros((count - len(rows), 3))]) for rows in seams]
+
+
+def _open_edges(normals, loops, seams, dtype):
+    """Hulls.open_edges of S shapes with face normals [F, 3], face loops [k, F, 3] and seams [m, 3]."""
+    out = []
+    for n, corners, rows in zip(normals, loops, seams, strict=True):
+        across = np.cross(np.roll(corners, -1, axis=0) - corners, n)
+        across /= np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1e-300)
+        shut = (across @ np.reshape(rows, (-1, 3)).T > 1 - 1e-9).any(-1) & (n[:, 2] > 0.5)
+        out.append(np.where(shut, 0.0, 1.0))
+    stacked = np.stack(out, axis=-1)  # [k, F, S]
+    return stacked.reshape(len(stacked), -1).astype(dtype)
 
 
 def _pad(rows, count):

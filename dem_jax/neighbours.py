@@ -189,7 +189,15 @@ def constants(system: System, kind, a, b) -> Slots:
         mass=jnp.where(wall, pieces.mass[b], contact.series(pieces.mass[own], pieces.mass[b])),
         width=jnp.where(wall, pieces.width[b], jnp.minimum(pieces.width[own], pieces.width[b])),
         member=(wall & live)[None] & (group[None] == groups),
+        plane=_plane(system, jnp.where(wall & live, a - number, EMPTY)),
     )
+
+
+def _plane(system: System, panel):
+    """Slots.plane; panel: [P] int32, EMPTY where there is none."""
+    if system.walls.plane is None:
+        return None
+    return jnp.where(panel >= 0, system.walls.plane[panel], EMPTY)
 
 
 def _hull_of_piece(system: System, b):

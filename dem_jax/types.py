@@ -41,6 +41,8 @@ class Hulls:
     bounding_radius: Array  # [S] (m)
     half_lengths: Array | None  # [D, S] (m): of a zonotope, the lengths of its generators
     cross_widths: Array | None  # [D, F/2, S] (m): of a zonotope, C of collide._zonotope_axes
+    seams: tuple | None  # [m, S] x 3: of a panel, outward across each edge where another continues its plane; else 0
+    open_edges: Array | None  # [k, F S]: 0 for those edges, 1 for all others, as columns; not gathered to pairs
     is_zonotope: bool
 
 
@@ -70,7 +72,7 @@ class Walls:
     rotation: Array  # [3, 3, W]: panel frame (z along the surface's normal) to scene, in the rest pose
     half_extent: Array  # [3, W] (m): of the box around the panel, in its frame
     group: Array  # [W] int32
-    seams: tuple | None  # [k, W] x 3: in-plane outward directions of edges shared with a coplanar panel (panel frame)
+    plane: Array | None  # [W] int32: the same number for panels that continue each other in a plane, -1 for all others
     pivot: Array  # [3, G] (m): a point on the hinge's axis; torques are about it
     axis: Array  # [3, G]: unit direction of the hinge
     swing: Array  # [G] (rad): angle of the open flap
@@ -170,6 +172,7 @@ class Slots:
     mass: Array  # [P] (kg): effective mass
     width: Array  # [P] (m): of the narrower piece
     member: Array  # [G, P] bool: whether a is a panel of the group
+    plane: Array | None  # [P] int32: of a, where it is a panel that another continues; else -1
 
 
 @pytree

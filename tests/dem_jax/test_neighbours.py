@@ -1,0 +1,225 @@
+"""Candidate pairs against brute force, contact history across rebuilds, and what is reported when something overflows."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.optimize import nnls
+from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
+
+from dem_jax import build, guard, neighbours, stepping
+from dem_jax.scene import Scene
+
+SETTINGS = {"precision": "f64", "sample": 1e-4, "frames": 0.0}
+FLOOR = {"group": "floor", "corners": [(-0.4, -0.4, 0.0), (0.4, -0.4, 0.0), (0.4, 0.4, 0.0), (-0.4, 0.4, 0.0)]}
+SKIN = 2e-3
+COUNT = 12
+
+
+def poses(kind, random, count, size):
+    """Places [N, 3] and orientations [N, 4]; size: of a piece."""
+    q = random.normal(size=(count, 4))
+    side = int(np.ceil(count ** (1 / 3)))
+    cells = np.array([(i, j, k) for k in range(side) for j in range(side) for i in range(side)][:count])
+    place = {
+        "random": lambda: random.uniform(-1.5, 1.5, (count, 3)) * size + (0, 0, 1.6 * size),
+        "packed": lambda: (cells - 1) * 0.6 * size + (0, 0, size),
+        "clustered": lambda: random.normal(size=(count, 3)) * 0.25 * size + (0, 0, 0.7 * size),
+        "collinear": lambda: np.outer(np.arange(count), (0, 0, 0.7 * size)) + (0, 0, 0.3 * size),
+        "far apart": lambda: (cells - 1) * 3.0 * size + (0, 0, 3.5 * size),
+    }[kind]()
+    return place, q / np.linalg.norm(q, axis=1, keepdims=True)
+
+
+KINDS = ("random", "packed", "clustered", "collinear", "far apart")
+
+
+@pytest.fixture(scope="module")
+def marshmallows():
+    """A dozen marshmallows over a floor, with room for every pair."""
+    pieces = [{"position": (0.07 * (k % 4), 0.07 * (k // 4), 0.3)} for k in range(COUNT)]
+    made = build.build(Scene(piece=pieces, wall=[FLOOR], run=SETTINGS), 0)
+    system = made.system.replace(skin=jnp.asarray(SKIN))
+    every = tuple((source, pairs, pairs) for source, pairs in (("hull-hull", COUNT * (COUNT - 1) // 2), ("wall-hull", COUNT)))
+    system, state = guard.with_capacity(system, made.state, every, COUNT)
+    return made, system, state, jax.jit(partial(neighbours.rebuild, system))
+
+
+def placed(state, place, orientation):
+    return state.replace(position=jnp.asarray(place.T), orientation=jnp.asarray(orientation.T))
+
+
+def corners(made, place, orientation):
+    """Vertices [N, V, 3] in the world."""
+    turn = Rotation.from_quat(orientation, scalar_first=True).as_matrix()
+    return np.einsum("nij,vj->nvi", turn, made.shapes[0].vertices) + place[:, None]
+
+
+def distance(a, b):
+    """Distance (m) of two convex bodies from their corners; 0 if they overlap."""
+    found = ConvexHull((b[None] - a[:, None]).reshape(-1, 3))
+    rows = np.vstack([-found.equations[:, :3].T, found.equations[:, 3]])
+    if found.equations[:, 3].max() <= 0:
+        return 0.0
+    left = rows @ nnls(rows, np.array([0, 0, 0, 1.0]))[0] - np.array([0, 0, 0, 1.0])
+    return np.linalg.norm(left[:3] / left[3])
+
+
+def pairs_in(table):
+    return {(a, b) for a, b in zip(np.asarray(table.a).tolist(), np.asarray(table.b).tolist(), strict=True) if a >= 0}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_pair_nearer_than_the_skin_is_a_candidate(marshmallows, kind):
+    made, _, state, rebuild = marshmallows
+    random = np.random.default_rng(1)
+    place, orientation = poses(kind, random, COUNT, 0.045)
+    found = rebuild(placed(state, place, orientation))
+    listed = pairs_in(found.contacts["hulls"])
+    solid = corners(made, place, orientation)
+    near = {(i, j) for i in range(COUNT) for j in range(i + 1, COUNT) if distance(solid[i], solid[j]) < SKIN}
+    near |= {(COUNT, k) for k in range(COUNT) if -0.01 - SKIN < solid[k, :, 2].min() < SKIN}
+    assert near <= listed
+    assert len(near) >= (0 if kind == "far apart" else 8)
+    if kind == "far apart":
+        assert not listed
+    incidence = np.asarray(found.incidence)
+    loads = np.sum(incidence < 2 * found.contacts["hulls"].a.shape[0], axis=0)
+    each = [sum(k in pair for pair in listed) for k in range(COUNT)]
+    np.testing.assert_array_equal(loads, each)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_cells_find_the_same_pairs_as_looking_at_all(kind):
+    """300 spheres, more than are looked at pair by pair; some lie outside the domain that cells are counted in."""
+    count, radius = 300, 0.01
+    assert count > neighbours.ALL_PAIRS
+    random = np.random.default_rng(2)
+    place, _ = poses(kind, random, count, 2 * radius)
+    if kind == "clustered":
+        place = place * 3
+    made, rebuild = spheres(count, radius)
+    state = made.state.replace(position=jnp.asarray(place.T))
+    found = rebuild(made.system.replace(skin=jnp.asarray(SKIN), **box_around(place, kind)), state)
+    gap = np.linalg.norm(place[:, None] - place[None], axis=-1) - 2 * radius
+    near = {(i, j) for i, j in zip(*np.nonzero(np.triu(gap < SKIN, 1)), strict=True)}
+    assert not any(n > c for (_, *room), n in zip(made.system.capacity, found.guard.needed.values()) for n, c in zip(n, room))
+    assert int(found.guard.row) <= made.system.row_capacity
+    assert pairs_in(found.contacts["spheres"]) == near
+    assert len(near) > 50 or kind == "far apart"
+
+
+def box_around(place, kind):
+    low, high = place.min(0), place.max(0)
+    if kind == "random":  # some of the pieces have left
+        low, high = low + 0.01, high - 0.01
+    return {"domain_low": jnp.asarray(low), "domain_high": jnp.asarray(high)}
+
+
+_SPHERES = {}
+
+
+def spheres(count, radius):
+    """A system of spheres with room for very many pairs, and its compiled rebuild; made once."""
+    if not _SPHERES:
+        pieces = [
+            {"shape": "sphere", "radius": radius, "position": (0.025 * (k % 20), 0.025 * (k // 20), 0.0)} for k in range(count)
+        ]
+        made = build.build(Scene(piece=pieces, run=SETTINGS), 0)
+        system = made.system.replace(row_capacity=count)
+        system, state = guard.with_capacity(system, made.state, (("sphere-sphere", 20000, 20000),), count)
+        _SPHERES["made"] = build.dataclasses.replace(made, system=system, state=state)
+        _SPHERES["rebuild"] = jax.jit(neighbours.rebuild)
+    return _SPHERES["made"], _SPHERES["rebuild"]
+
+
+def test_too_many_pairs_are_reported_not_lost_in_silence(marshmallows):
+    made, _, state, _ = marshmallows
+    small = (("hull-hull", 8, 8), ("wall-hull", 8, 8))
+    system = made.system.replace(skin=jnp.asarray(SKIN), capacity=small, touching=2)
+    tables = {"hulls": neighbours.empty_table(16, np.float64)}
+    state = guard.with_scratch(system, placed(made.state, *poses("clustered", np.random.default_rng(3), COUNT, 0.045)).replace(contacts=tables))
+    after = jax.device_get(jax.jit(neighbours.rebuild)(system, state)).guard
+    assert after.needed["hull-hull"][0] > 8
+    assert after.touching > 2
+    said = " ".join(guard.outgrown(system, after))
+    assert "hull-hull" in said and "contacts of a piece" in said
+    larger, again = guard.grown(system, state, after)
+    for _ in range(4):  # what was cut off in one stage shows in the next
+        after = jax.device_get(jax.jit(neighbours.rebuild)(larger, again)).guard
+        left = guard.outgrown(larger, after)
+        if not left:
+            break
+        larger, again = guard.grown(larger, again, after)
+    assert not left
+
+
+def test_the_order_of_the_slots_does_not_matter(marshmallows):
+    """Tables permuted before a rebuild keep the history of each pair, and the forces of the next step."""
+    _, system, state, rebuild = marshmallows
+    random = np.random.default_rng(4)
+    state = placed(state, *poses("packed", random, COUNT, 0.045))
+    advance = jax.jit(partial(stepping.advance, system))
+    settled = rebuild(state)
+    for _ in range(3):
+        settled = advance(settled)
+    table = settled.contacts["hulls"]
+    assert (np.asarray(table.force) > 0).sum() > 5 and np.abs(np.asarray(table.spring)).max() > 0
+    order = random.permutation(table.a.shape[0])
+    mixed = settled.replace(contacts={"hulls": jax.tree.map(lambda x: x[..., order], table)})
+    one, other = (advance(rebuild(s)) for s in (settled, mixed))
+    np.testing.assert_array_equal(one.contacts["hulls"].force, other.contacts["hulls"].force)
+    np.testing.assert_array_equal(one.force, other.force)
+    np.testing.assert_array_equal(one.torque, other.torque)
+    # and a rebuild between two steps changes nothing
+    np.testing.assert_allclose(advance(settled).force, one.force, rtol=0, atol=1e-12 * np.abs(one.force).max())
+
+
+def incline(rebuild_steps):
+    """A marshmallow on a slope of 10 degrees (as gravity askew), below the angle of friction, and what became of it."""
+    piece = {"position": (0.0, 0.0, 0.008 - 2e-6)}
+    slope = np.radians(10)
+    gravity = (9.81 * np.sin(slope), 0.0, -9.81 * np.cos(slope))
+    settings = {**SETTINGS, "gravity": gravity, "rebuild_steps": rebuild_steps}
+    made = build.build(Scene(piece=[piece], wall=[FLOOR], run=settings), 0)
+    state, recorded, _ = stepping.chunk(made.system, made.state, np.int32(1000), np.int32(1), samples=1024, frames=0)
+    assert not guard.outgrown(made.system, jax.device_get(state.guard))
+    return made, state, jax.tree.map(lambda x: np.asarray(x)[:1000], recorded)
+
+
+def test_a_stuck_contact_holds_through_many_rebuilds():
+    made, often, trace = incline(16)
+    rare, seldom, _ = incline(512)
+    assert rare.system.block_samples > 8 * made.system.block_samples
+    np.testing.assert_allclose(often.position, seldom.position, rtol=0, atol=1e-12)
+    # m g sin 10 / K_t is 0.3 um; without its spring it would have gone 8 mm down the slope
+    assert abs(float(often.position[0, 0])) < 2e-5
+    force = trace.mean_force[-500:, :, 0].mean(0)
+    weight = 5.832e-3 * 9.81
+    np.testing.assert_allclose(force, weight * np.array([np.sin(np.radians(10)), 0, -np.cos(np.radians(10))]), atol=5e-3 * weight)
+
+
+def test_travel_bounds_how_far_bodies_have_approached_each_other(marshmallows):
+    """Random motions of all pieces after a rebuild: no gap has shrunk by more, so no pair within it was missed."""
+    made, system, state, rebuild = marshmallows
+    random = np.random.default_rng(5)
+    travel = jax.jit(partial(neighbours.travel, system))
+    place, orientation = poses("random", random, COUNT, 0.09)
+    start = rebuild(placed(state, place, orientation))
+    solid = corners(made, place, orientation)
+    gaps = lambda s: np.array([distance(s[i], s[j]) for i in range(COUNT) for j in range(i + 1, COUNT)])  # noqa: E731
+    before, tightest = gaps(solid), []
+    for size in (1e-4, 1e-3, 5e-3):
+        moved = place + random.normal(size=(COUNT, 3)) * size
+        turn = Rotation.from_rotvec(random.normal(size=(COUNT, 3)) * size / 0.02)
+        turned = (turn * Rotation.from_quat(orientation, scalar_first=True)).as_quat(scalar_first=True)
+        said = float(travel(placed(start, moved, turned).replace(velocity=jnp.zeros((3, COUNT))), start.step))
+        shrunk = (before - gaps(corners(made, moved, turned))).max()
+        assert 0 < shrunk <= said
+        floor = solid[:, :, 2].min(1) - corners(made, moved, turned)[:, :, 2].min(1)
+        assert floor.max() <= said
+        tightest.append(shrunk / said)
+    assert max(tightest) > 0.2  # a bound that is of use
