@@ -1,0 +1,76 @@
+"""Walls in motion: poses and velocities of groups and panels as functions of time."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from dem_jax import rotation, vector
+from dem_jax.types import Walls
+
+
+class Panels(NamedTuple):
+    """The W panels at one time, in the world frame."""
+
+    centre: tuple  # [W] x 3 (m)
+    rotation: tuple  # rows of [W]: panel frame to world
+    pivot: tuple  # [G] x 3 (m): reference point of each group
+    velocity: tuple  # [G] x 3 (m/s): of the pivot
+    spin: tuple  # [G] x 3 (rad/s)
+
+
+def smooth_step(u):
+    """0 for u <= 0, 1 for u >= 1, between them the quintic without a jump in velocity or acceleration."""
+    u = jnp.clip(u, 0, 1)
+    return u * u * u * (10 + u * (6 * u - 15))
+
+
+def opening(timing, t):
+    """How far the flaps are open, 0 to 1, [G]; timing: start, opening, dwell, closing, period (s; 0: once)."""
+    start, opens, dwell, closes, period = timing
+    since = t - start
+    cyclic = (period > 0) & (since > 0)
+    since = jnp.where(cyclic, jnp.mod(since, jnp.where(period > 0, period, 1)), since)
+    return smooth_step(since / opens) - smooth_step((since - opens - dwell) / closes)
+
+
+def vibration(shake, t):
+    """Displacement of a vibrating group in units of its amplitude, [G]; shake: frequency (Hz), start, end, ramp (s)."""
+    frequency, start, end, ramp = shake
+    envelope = smooth_step((t - start) / ramp) * smooth_step((end - t) / ramp)
+    return envelope * jnp.sin(2 * jnp.pi * frequency * (t - start))
+
+
+def group_angle(walls: Walls, t):
+    """Angle of each group about its hinge (rad), [G]."""
+    return walls.swing * opening(walls.timing, t)
+
+
+def group_pose(walls: Walls, t):
+    """Rotation (rows of [G]) about its pivot, and the pivot's place ([G] x 3, m), of each group at time t (s)."""
+    turn = rotation.axis_angle(vector.unpack(walls.axis), group_angle(walls, t))
+    shift = vibration(walls.shake, t)
+    pivot = vector.add_scaled(vector.unpack(walls.pivot), shift, vector.unpack(walls.stroke))
+    return turn, pivot
+
+
+def panels(walls: Walls, t, t_velocity) -> Panels:
+    """Poses of all panels at time t and velocities of all groups at time t_velocity (s)."""
+    centre, frame = vector.unpack(walls.centre), tuple(vector.unpack(row) for row in walls.rotation)
+    if not walls.moving:
+        rest = tuple(jnp.zeros_like(c) for c in walls.pivot)
+        return Panels(centre, frame, vector.unpack(walls.pivot), rest, rest)
+    turn, pivot = group_pose(walls, t)
+    g = walls.group
+    turn_w = tuple(tuple(c[g] for c in row) for row in turn)
+    arm = vector.sub(centre, tuple(c[g] for c in walls.pivot))
+    centre = vector.add(tuple(c[g] for c in pivot), vector.rotate(turn_w, arm))
+    angle_rate = _rate(lambda t: group_angle(walls, t), t_velocity)
+    shift_rate = _rate(lambda t: vibration(walls.shake, t), t_velocity)
+    velocity = vector.scale(shift_rate, vector.unpack(walls.stroke))
+    spin = vector.scale(angle_rate, vector.unpack(walls.axis))
+    return Panels(centre, vector.compose(turn_w, frame), pivot, velocity, spin)
+
+
+def _rate(function, t):
+    return jax.jvp(function, (t,), (jnp.ones_like(t),))[1]

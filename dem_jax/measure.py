@@ -1,0 +1,95 @@
+"""What is read from a state: energies, momentum, settled mass, and whether anything has gone wrong."""
+
+import jax.numpy as jnp
+
+from dem_jax import forces, rotation, vector
+from dem_jax.types import Sample, State, System
+
+SETTLED_SPEED = 0.1  # m/s: slower pieces inside the block count as settled (paper, section 2.1)
+
+
+def sample(system: System, state: State) -> Sample:
+    """A sample of the interval that ends now."""
+    interval = system.dt * (system.substeps * system.parts).astype(system.dt.dtype)
+    speed = vector.norm(tuple(state.velocity))
+    return Sample(
+        step=state.step,
+        force=state.wall_force,
+        mean_force=state.ledger.impulse / interval,
+        torque=state.wall_torque,
+        settled_mass=settled_mass(system, state, speed),
+        energy=energies(system, state),
+        momentum=jnp.sum(system.pieces.mass * state.velocity, axis=1),
+        overlap=state.ledger.overlap,
+        fastest=jnp.max(speed),
+        culprit=culprit(system, state),
+    )
+
+
+def settled_mass(system: System, state: State, speed):
+    """Mass of the pieces whose centre is inside a block and that are slower than 0.1 m/s, [B] (kg)."""
+    x = state.position[:, None, :]
+    low, high = system.block_low[:, :, None], system.block_high[:, :, None]
+    inside = jnp.all((x >= low) & (x <= high), axis=0)
+    counted = inside & (speed < SETTLED_SPEED)[None]
+    return jnp.sum(jnp.where(counted, system.pieces.mass[None], 0), axis=1)
+
+
+def energies(system: System, state: State):
+    """kinetic, potential, elastic, dissipated, wall_work, total, [6] (J); total stays constant.
+
+    Elastic is what contacts give back along their unloading branch, F^2 / 2 K_nu, and the tangential springs;
+    total = kinetic + potential + elastic + dissipated - wall_work.
+    """
+    kinetic = kinetic_energy(system, state)
+    potential = -jnp.sum(system.pieces.mass * (system.gravity[:, None] * state.position).sum(0))
+    elastic = elastic_energy(system, state)
+    spent, walls = state.ledger.dissipated, state.ledger.wall_work
+    return jnp.stack([kinetic, potential, elastic, spent, walls, kinetic + potential + elastic + spent - walls])
+
+
+def kinetic_energy(system: System, state: State):
+    """Energy of translation and rotation of all pieces (J)."""
+    v = tuple(state.velocity)
+    twice = jnp.sum(system.pieces.mass * vector.dot(v, v))
+    if system.has_rotation:
+        turn = rotation.matrix(tuple(state.orientation))
+        p = vector.rotate_back(turn, tuple(state.angular_momentum))
+        twice = twice + sum(jnp.sum(c * c / i) for c, i in zip(p, system.pieces.inertia, strict=True))
+    return 0.5 * twice
+
+
+def elastic_energy(system: System, state: State):
+    """Energy that contacts would give back (J)."""
+    total = jnp.zeros((), state.position.dtype)
+    for kind, _, _ in system.capacity:
+        table = state.contacts[kind]
+        if not table.a.shape[0]:
+            continue
+        k = forces.stiffness(system, kind, jnp.maximum(table.a, 0), jnp.maximum(table.b, 0))
+        k_unload = k / (system.law.restitution * system.law.restitution)
+        total = total + 0.5 * jnp.sum(table.force * table.force / k_unload)
+        if system.has_friction:
+            spring = vector.unpack(table.spring)
+            total = total + 0.5 * jnp.sum(vector.dot(spring, spring) / (system.law.tangential * k))
+    return total
+
+
+def culprit(system: System, state: State):
+    """The first piece whose state is not finite or whose centre has left the domain; -1: none."""
+    x = state.position
+    motion = jnp.concatenate([state.velocity, state.angular_momentum, state.orientation])
+    fine = jnp.all((x >= system.domain_low[:, None]) & (x <= system.domain_high[:, None]), axis=0)
+    bad = ~(fine & jnp.all(jnp.isfinite(motion), axis=0))
+    return jnp.where(jnp.any(bad), jnp.argmax(bad), -1).astype(jnp.int32)
+
+
+def frame(system: System, state: State):
+    """Position, orientation, velocity and angular velocity of every piece, [13, N]."""
+    omega = jnp.zeros_like(state.velocity)
+    if system.has_rotation:
+        moments = vector.unpack(system.pieces.inertia)
+        omega = jnp.stack(
+            rotation.angular_velocity(tuple(state.orientation), tuple(state.angular_momentum), moments)
+        )
+    return jnp.concatenate([state.position, state.orientation, state.velocity, omega])

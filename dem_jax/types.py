@@ -1,0 +1,188 @@
+"""What a simulation is made of: System (never changes while it runs), State (what a step changes), Sample (what is read).
+
+All are frozen dataclasses registered as pytrees. Arrays keep the piece, panel or contact index last; leading axes hold
+components. N pieces, W panels in G wall groups, B blocks, P contact slots. SI units. An ensemble puts a member axis first.
+"""
+
+import dataclasses
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+
+Array = jax.Array
+
+
+def pytree(cls=None, *, static=()):
+    """Make a frozen dataclass that JAX sees as a tree of its fields, the static ones as part of its structure."""
+    if cls is None:
+        return partial(pytree, static=static)
+    cls = dataclasses.dataclass(frozen=True)(cls)
+    names = [f.name for f in dataclasses.fields(cls)]
+    data = [n for n in names if n not in static]
+    cls.replace = dataclasses.replace
+    return jax.tree_util.register_dataclass(cls, data_fields=data, meta_fields=list(static))
+
+
+@pytree(static=("is_zonotope",))
+class Hulls:
+    """A table of S convex polytopes, padded by repetition to the same counts of faces, corners and edge directions.
+
+    Gathered to pairs, the last axis is the pair; with one shape it stays 1 and broadcasts.
+    """
+
+    normals: tuple  # [F, S] x 3: outward unit normals; of a zonotope face f + F/2 is opposite to face f
+    offsets: Array  # [F, S] (m): n . x <= offset
+    corners: tuple  # [k, F, S] x 3 (m): corners of each face in order, the last one repeated
+    vertices: tuple  # [V, S] x 3 (m)
+    directions: tuple  # [D, S] x 3: unit edge directions
+    bounding_radius: Array  # [S] (m)
+    half_lengths: Array | None  # [D, S] (m): of a zonotope, the lengths of its generators
+    cross_widths: Array | None  # [D, F/2, S] (m): of a zonotope, C of collide._zonotope_axes
+    is_zonotope: bool
+
+
+@pytree
+class Pieces:
+    """The N pieces. The principal frame of a piece is its body frame here."""
+
+    mass: Array  # [N] (kg)
+    inertia: Array  # [3, N] (kg m2): principal moments
+    load_stiffness: Array  # [N] (N/m): K_nl,p of eq. 7, softened
+    wall_stiffness: Array  # [N] (N/m): K_nl of the piece against a wall, eqs 5 and 8, softened
+    radius: Array  # [N] (m): of a sphere; 0 of a polytope
+    bounding_radius: Array  # [N] (m)
+    width: Array  # [N] (m): smallest width, the measure of how deep a contact is
+    shape: Array  # [N] int32: row in the table of hulls
+    polytopes: Array  # int32: which pieces are polytopes ...
+    spheres: Array  # int32: ... and which are spheres
+
+
+@pytree(static=("groups", "moving"))
+class Walls:
+    """Convex plates in G groups, each group moved as a rigid body: a hinge and a vibration, zero where it has none."""
+
+    hulls: Hulls | None  # [.., W], about each panel's centre, the surface's normal along z
+    centre: Array  # [3, W] (m): in the scene's rest pose
+    rotation: Array  # [3, 3, W]: panel frame to scene, in the rest pose
+    half_extent: Array  # [3, W] (m): of the box around the panel, in its frame
+    group: Array  # [W] int32
+    seams: tuple | None  # [k, W] x 3: in-plane outward directions of edges shared with a coplanar panel (panel frame)
+    pivot: Array  # [3, G] (m): a point on the hinge's axis; torques are about it
+    axis: Array  # [3, G]: unit direction of the hinge
+    swing: Array  # [G] (rad): angle of the open flap
+    timing: Array  # [5, G] (s): start, opening, dwell, closing, period (inf: once)
+    stroke: Array  # [3, G] (m): amplitude of the vibration
+    shake: Array  # [4, G]: frequency (Hz), start (s), end (s), ramp (s)
+    groups: tuple  # names of the G groups
+    moving: bool  # whether any group moves
+
+
+@pytree
+class Law:
+    """Parameters of the contact law, numbers."""
+
+    restitution: Array  # epsilon of eq. 6
+    separation: Array  # lambda of eq. 1
+    friction_piece: Array  # mu, piece-piece
+    friction_wall: Array  # mu, piece-wall
+    tangential: Array  # K_t / K_nl
+    damping: Array  # damping ratio of the unloading branch; 0 in the paper's model
+
+
+@pytree(static=("capacity", "has_friction", "has_rotation", "has_damping", "ledger", "block_samples", "parts"))
+class System:
+    """All that never changes while a scene runs: arrays, and the static choices that decide what is compiled."""
+
+    pieces: Pieces
+    hulls: Hulls | None  # shapes of the pieces that are polytopes
+    walls: Walls
+    law: Law
+    gravity: Array  # [3] (m/s2)
+    dt: Array  # (s)
+    substeps: Array  # int32: steps per sample (per part of a sample, if it has parts)
+    skin: Array  # (m): pairs nearer than this are candidates until the next rebuild
+    block_low: Array  # [3, B] (m): corners of the blocks in which settled mass is counted
+    block_high: Array  # [3, B] (m)
+    domain_low: Array  # [3] (m): a piece outside has left the scene
+    domain_high: Array  # [3] (m)
+    capacity: tuple  # ((kind of contact, candidates, slots), ...): the kinds that the scene can have
+    has_friction: bool
+    has_rotation: bool
+    has_damping: bool
+    ledger: bool  # whether work and dissipation are added up
+    block_samples: int  # samples between rebuilds of the candidate pairs, or, where this is 1 ...
+    parts: int  # ... the parts, a rebuild before each, that a long sample interval is cut into
+
+
+@pytree
+class ContactTable:
+    """P slots for contacts of one kind, ordered by (a, b); an empty slot has a = -1. History of eqs 1-4 per slot."""
+
+    a: Array  # [P] int32: piece, or panel of a wall
+    b: Array  # [P] int32: piece
+    force: Array  # [P] (N): F_n of the last step
+    overlap: Array  # [P] (m): s_n of the last step
+    spring: Array  # [3, P] (N): tangential force on b of the last step, world frame
+
+
+@pytree
+class Ledger:
+    """What a run adds up; ``impulse`` and ``overlap`` start anew with each sample interval."""
+
+    impulse: Array  # [3, G] (N s): of the pieces on each wall group
+    overlap: Array  # (-): largest overlap relative to the width of the piece
+    dissipated: Array  # (J): work that contacts took and did not store
+    wall_work: Array  # (J): work of the walls on the pieces
+
+
+@pytree
+class Guard:
+    """What must not happen silently, as data: the host looks at it after each chunk."""
+
+    needed: dict  # kind of contact -> int32 [2]: most candidates and slots that any rebuild wanted
+    travel: Array  # (m): most that two bodies can have approached each other between rebuilds
+
+
+@pytree
+class State:
+    """What a step changes. Velocities and momenta are at the time of the positions."""
+
+    step: Array  # int32: time is step * dt
+    position: Array  # [3, N] (m): centres of mass
+    position_rest: Array  # [3, N] (m): what rounding left over of the position (zero in double precision)
+    orientation: Array  # [4, N]: unit quaternion w x y z, principal frame to world
+    velocity: Array  # [3, N] (m/s)
+    angular_momentum: Array  # [3, N] (kg m2/s), world frame
+    force: Array  # [3, N] (N): of contacts
+    torque: Array  # [3, N] (N m): of contacts, about the centre of mass
+    wall_force: Array  # [3, G] (N): of the pieces on each wall group
+    wall_torque: Array  # [3, G] (N m): likewise, about the group's pivot
+    contacts: dict  # kind -> ContactTable
+    ledger: Ledger
+    anchor: Array  # [7, N]: position and orientation at the last rebuild
+    guard: Guard
+
+
+@pytree
+class Sample:
+    """What is read at the end of a sample interval."""
+
+    step: Array  # int32
+    force: Array  # [3, G] (N): of the pieces on each wall group, instantaneous
+    mean_force: Array  # [3, G] (N): mean over the interval; closes the momentum balance
+    torque: Array  # [3, G] (N m): instantaneous, about the group's pivot
+    settled_mass: Array  # [B] (kg): inside the block and slower than 0.1 m/s
+    energy: Array  # [6] (J): kinetic, potential, elastic, dissipated, wall_work, total (conserved)
+    momentum: Array  # [3] (kg m/s)
+    overlap: Array  # (-): largest overlap of the interval relative to the width of the piece
+    fastest: Array  # (m/s): fastest piece
+    culprit: Array  # int32: first piece that is not finite or has left the domain; -1: none
+
+
+ENERGIES = ("kinetic", "potential", "elastic", "dissipated", "wall_work", "total")
+
+
+def float_dtype(precision):
+    """The dtype of a precision, "f32" or "f64"."""
+    return {"f32": jnp.float32, "f64": jnp.float64}[precision]
