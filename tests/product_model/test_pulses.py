@@ -13,7 +13,7 @@ from product_model.pulses import cumulative_sum
 from product_model.smooth import peak_factor
 
 DIFFERENTIABLE = ("interval-mean", "smooth")
-GRID = Grid(0.2, 30e-6, 4000)
+GRID = Grid(0.15, 30e-6, 5000)
 
 
 def some_pulses(pieces=40, dt_impact=500e-6, seed=0):
@@ -103,17 +103,19 @@ def test_derivatives_equal_finite_differences(form, name):
     """A linear functional of the force, central differences at relative steps of 1e-8 ... 1e-5 (VALIDATION section 5).
 
     The interval mean is piecewise linear in the edges' times: below a step of 1e-7 no edge of this key crosses a bin, and what
-    is left is rounding, 1e-16/1e-7. The smooth form holds at larger steps as well.
+    is left is the rounding of a sum of 13334 terms, divided by the step. The smooth form holds at larger steps as well.
     """
     params = parameters(form=form, pieces=12, duration=0.4, smooth_width=1e-4, **BASE)
     leaves = {key: jnp.asarray(value) for key, value in BASE.items()}
-    weights = jnp.sin(jnp.arange(params_samples(params)) / 70.0)
+    weights = jnp.asarray(np.sin(np.arange(params_samples(params)) / 70.0))
     run = jax.jit(lambda value: total(leaves | {name: value}, params, weights))
     slope = float(jax.grad(run)(leaves[name]))
+    rounding = 1e-13 * float(total(leaves, params, jnp.abs(weights)))
     for step in (1e-8, 1e-7) if form == "interval-mean" else (1e-7, 1e-6, 1e-5):
         h = step * BASE[name]
         difference = (float(run(leaves[name] + h)) - float(run(leaves[name] - h))) / (2 * h)
-        assert slope == pytest.approx(difference, rel=1e-6 if step >= 1e-7 else 1e-5)
+        assert abs(slope - difference) < 1e-6 * abs(slope) + rounding / h
+        assert rounding / h < 0.01 * abs(slope)  # so that the line above says something
 
 
 def params_samples(params):
@@ -138,7 +140,8 @@ def test_gradients_are_finite_in_every_corner(form, corner, pieces):
     leaves = {key: jnp.asarray(value) for key, value in values.items()}
     slopes = jax.jit(jax.grad(lambda leaves: jnp.sum(portion(leaves, jax.random.key(2), **static_of(params)).force ** 2)))(leaves)
     assert all(np.isfinite(float(slope)) for slope in slopes.values())
-    assert float(slopes["dt_impact"]) != 0.0
+    if form != "rectangular":  # a pulse between two samples is not seen by the sampled form
+        assert float(slopes["dt_impact"]) != 0.0
 
 
 def test_the_derivative_at_equal_limits_is_the_one_sided_one():

@@ -1,11 +1,15 @@
 """Precision is the caller's explicit choice, with and without the global flag."""
 
+import os
 import subprocess
 import sys
+from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 
+import product_model
 from product_model import compiled, ensemble, parameters, simulate
 
 SCRIPT = """
@@ -22,7 +26,8 @@ print(repr(float(np.asarray(double.force).sum())))
 
 
 def test_double_precision_without_the_global_flag_gives_the_same_numbers():
-    done = subprocess.run([sys.executable, "-c", SCRIPT], capture_output=True, text=True, check=True)
+    environment = os.environ | {"PYTHONPATH": str(Path(product_model.__file__).parents[1])}
+    done = subprocess.run([sys.executable, "-c", SCRIPT], capture_output=True, text=True, check=True, env=environment)
     expected = float(np.asarray(simulate(parameters(pieces=9, duration=0.3, sample=1e-3), 3).force).sum())
     assert float(done.stdout) == pytest.approx(expected, rel=1e-14)
 
@@ -30,13 +35,12 @@ def test_double_precision_without_the_global_flag_gives_the_same_numbers():
 @pytest.mark.parametrize(("precision", "dtype"), [("f32", np.float32), ("f64", np.float64)])
 def test_every_entry_point_keeps_the_precision(precision, dtype):
     params = parameters(pieces=4, duration=0.3, sample=1e-3, precision=precision)
-    for trace in (simulate(params, 0), compiled(params)(0), ensemble(params, 0, 2)):
+    for trace in (simulate(params, 0), compiled(params)(jax.random.key(0)), ensemble(params, 0, 2)):
         assert {leaf.dtype for leaf in (trace.force, trace.height, trace.pulses.start, trace.sigma_height)} == {np.dtype(dtype)}
 
 
 def test_single_precision_is_as_good_as_its_digits():
     """Same heights in f32 and f64: times good to 2e-8 s, so 1e-3 of a sample, on pulses whose edges lie anywhere in one."""
-    import jax
     import jax.numpy as jnp
 
     from product_model import model
