@@ -1,1 +1,1 @@
-"""Under construction."""
+"""Calibration of the Product Model to traces of the discrete element method."""
