@@ -6,13 +6,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from calibrate.summaries import Window, log_increments, moments_of_pulses
+from calibrate.summaries import LONGEST_LAG, log_increments, moments_of_pulses
 from product_model import fall, model
 from product_model.grid import Grid
 from product_model.pulses import interval_mean
 
-NAMES = ("dt_impact", "gamma_low", "gamma_high", "h_mean")
-BLOCKS = ("arrival", "spread", "increments")
+BLOCKS = ("height", "spread", "increments")
 
 
 @jax.tree_util.register_dataclass
@@ -36,17 +35,17 @@ class Draws:
 class Measured:
     """Summaries of the K measured traces and what is needed to simulate comparable ones.
 
-    arrival, spread: [K] (s); increments: [K, lags]; scale: [2 + lags] their standard deviations, which make blocks comparable
-    window: constants of the moments; gravity: [] (m/s2); floor: [] (s) least spread that is told from none
-    grid: static; lags: static (bins)
-    from_momentum: static; True: arrival counts from the release that the balance of momentum tells
+    height, spread: [K] (m); increments: [K, lags]; scale: [2 + lags] their standard deviations, which make blocks comparable
+    end: [] (s) end of the traces after the release; gravity: [] (m/s2); floor: [] (m) least spread that is told from none
+    grid: static, fine grid of the increments; lags: static (bins)
+    from_momentum: static; True: time counts from the release that the balance of momentum tells, not from that of the file
     """
 
-    arrival: jax.Array
+    height: jax.Array
     spread: jax.Array
     increments: jax.Array
     scale: jax.Array
-    window: Window
+    end: jax.Array
     gravity: jax.Array
     floor: jax.Array
     grid: Grid = field(metadata={"static": True})
@@ -55,11 +54,11 @@ class Measured:
 
     def columns(self):
         """[K, 2 + lags] all summaries."""
-        return jnp.concatenate([self.arrival[:, None], self.spread[:, None], self.increments], axis=1)
+        return jnp.concatenate([self.height[:, None], self.spread[:, None], self.increments], axis=1)
 
 
 def pulses_of(theta, draws: Draws, gravity):
-    """Pulses of all M simulated portions (leading axis M) at `theta`, a dict of NAMES."""
+    """Pulses of all M simulated portions (leading axis M) at `theta`, a dict of the four parameters."""
 
     def one(z, v, mass, offset):
         sigma = fall.sigma_height(theta["gamma_low"], theta["gamma_high"], z)
@@ -71,21 +70,24 @@ def pulses_of(theta, draws: Draws, gravity):
 
 
 def _fine(pulses, mass, phase, grid: Grid):
-    """Force over the weight on the fine grid, beginning `phase` of a bin before the first impact (after a few empty bins)."""
+    """Force over the weight on the fine grid, beginning so long before the first impact that no lag reaches out of it."""
     first = jnp.min(jnp.where(mass > 0.0, pulses.start, jnp.inf))
-    shifted = pulses.start - first + grid.sample * (4.0 + phase)
+    shifted = pulses.start - first + grid.sample * (LONGEST_LAG + 4.0 + phase)
     weight = jnp.sum(pulses.weight)
     return interval_mean(model.Pulses(shifted, pulses.duration, pulses.force / weight, pulses.weight / weight), grid)
 
 
 def moments(theta, draws: Draws, measured: Measured):
-    """Arrival [M] and spread [M] (s) of all simulated portions at `theta`."""
+    """Mean drop height [M] and spread [M] (m) of all simulated portions at `theta`."""
     pulses, axes = pulses_of(theta, draws, measured.gravity)
-    arrival, spread = jax.vmap(lambda p: moments_of_pulses(p, measured.window, measured.floor), in_axes=(axes,))(pulses)
-    if measured.from_momentum:  # counts from the release that the balance of momentum tells of this pulse train
-        impulse = pulses.force * pulses.duration - pulses.weight * (pulses.start + pulses.duration)
-        arrival = arrival + jnp.sum(impulse, axis=1) / jnp.sum(pulses.weight, axis=1)
-    return arrival, spread
+    # the balance of momentum puts the release of every simulated portion at dt_impact: its weight sets in so much later
+    origin = theta["dt_impact"] if measured.from_momentum else 0.0
+
+    def one(portion):
+        times, jumps = portion.edges()
+        return moments_of_pulses(times - origin, jumps, measured.end, measured.gravity, measured.floor)
+
+    return jax.vmap(one, in_axes=(axes,))(pulses)
 
 
 def increments(theta, draws: Draws, measured: Measured, fine: int):
@@ -93,7 +95,7 @@ def increments(theta, draws: Draws, measured: Measured, fine: int):
     some = jax.tree.map(lambda leaf: leaf[:fine], draws)
     pulses, axes = pulses_of(theta, some, measured.gravity)
     render = jax.vmap(lambda p, m, f: _fine(p, m, f, measured.grid), in_axes=(axes, 0, 0))
-    return log_increments(render(pulses, some.mass, some.phase), measured.lags)
+    return jax.vmap(lambda force: log_increments(force, measured.lags))(render(pulses, some.mass, some.phase))
 
 
 def energy_distance(x, y):
@@ -108,10 +110,10 @@ def energy_distance(x, y):
 
 
 def moment_distances(theta, draws: Draws, measured: Measured):
-    """[2] energy distances of arrival and spread, each over its scale."""
-    arrival, spread = moments(theta, draws, measured)
-    of_arrival = energy_distance(measured.arrival, arrival) / measured.scale[0]
-    return jnp.stack([of_arrival, energy_distance(measured.spread, spread) / measured.scale[1]])
+    """[2] energy distances of height and spread, each over its scale."""
+    height, spread = moments(theta, draws, measured)
+    of_height = energy_distance(measured.height, height) / measured.scale[0]
+    return jnp.stack([of_height, energy_distance(measured.spread, spread) / measured.scale[1]])
 
 
 def increment_distance(theta, draws: Draws, measured: Measured, fine: int):
@@ -129,8 +131,8 @@ def distances(theta, draws: Draws, measured: Measured, fine: int):
 def joint_distance(theta, draws: Draws, measured: Measured, fine: int):
     """One energy distance of all summaries together, each over its scale. Kept for comparison: it hardly tells gamma_high."""
     some = jax.tree.map(lambda leaf: leaf[:fine], draws)
-    arrival, spread = moments(theta, some, measured)
-    y = jnp.concatenate([arrival[:, None], spread[:, None], increments(theta, draws, measured, fine)], axis=1)
+    height, spread = moments(theta, some, measured)
+    y = jnp.concatenate([height[:, None], spread[:, None], increments(theta, draws, measured, fine)], axis=1)
     y, x = y / measured.scale, measured.columns() / measured.scale
     return 2.0 * _mean_norm(x, y) - _mean_norm(y, y) * fine / max(fine - 1, 1)
 
