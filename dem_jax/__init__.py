@@ -1,1 +1,35 @@
-"""Under construction."""
+"""Product impact force of a combination scale by the discrete element method.
+
+``scene = load_scene("weigh-bucket")``, ``run = simulate(scene, seed=0)``, ``runs = ensemble(scene, runs=64)``,
+``run.save(path)``, ``load_run(path)``, ``resume(path)``. Nothing is imported before it is used.
+"""
+
+__version__ = "0.1.0"
+
+_HOME = {
+    "Scene": "scene",
+    "load_scene": "scene",
+    "stock_scenes": "scene",
+    "simulate": "run",
+    "resume": "run",
+    "ensemble": "monte_carlo",
+    "Run": "record",
+    "load_run": "record",
+    "SceneError": "errors",
+    "RecordError": "errors",
+    "SimulationError": "errors",
+}
+
+__all__ = [*_HOME, "__version__"]
+
+
+def __getattr__(name):
+    if name not in _HOME:
+        raise AttributeError(f"module 'dem_jax' has no attribute {name!r}")
+    from importlib import import_module
+
+    return getattr(import_module(f"dem_jax.{_HOME[name]}"), name)
+
+
+def __dir__():
+    return __all__

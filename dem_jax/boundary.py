@@ -15,8 +15,8 @@ class Panels(NamedTuple):
     centre: tuple  # [W] x 3 (m)
     rotation: tuple  # rows of [W]: panel frame to world
     pivot: tuple  # [G] x 3 (m): reference point of each group
-    velocity: tuple  # [G] x 3 (m/s): of the pivot
-    spin: tuple  # [G] x 3 (rad/s)
+    velocity: tuple  # [W] x 3 (m/s): of the centre
+    spin: tuple  # [W] x 3 (rad/s)
 
 
 def smooth_step(u):
@@ -58,18 +58,18 @@ def panels(walls: Walls, t, t_velocity) -> Panels:
     """Poses of all panels at time t and velocities of all groups at time t_velocity (s)."""
     centre, frame = vector.unpack(walls.centre), tuple(vector.unpack(row) for row in walls.rotation)
     if not walls.moving:
-        rest = tuple(jnp.zeros_like(c) for c in walls.pivot)
+        rest = tuple(jnp.zeros_like(c) for c in centre)
         return Panels(centre, frame, vector.unpack(walls.pivot), rest, rest)
     turn, pivot = group_pose(walls, t)
-    g = walls.group
-    turn_w = tuple(tuple(c[g] for c in row) for row in turn)
-    arm = vector.sub(centre, tuple(c[g] for c in walls.pivot))
-    centre = vector.add(tuple(c[g] for c in pivot), vector.rotate(turn_w, arm))
     angle_rate = _rate(lambda t: group_angle(walls, t), t_velocity)
     shift_rate = _rate(lambda t: vibration(walls.shake, t), t_velocity)
-    velocity = vector.scale(shift_rate, vector.unpack(walls.stroke))
-    spin = vector.scale(angle_rate, vector.unpack(walls.axis))
-    return Panels(centre, vector.compose(turn_w, frame), pivot, velocity, spin)
+    g = walls.group
+    per_panel = lambda v: tuple(c[g] for c in v)  # noqa: E731
+    turn = tuple(per_panel(row) for row in turn)
+    arm = vector.rotate(turn, vector.sub(centre, per_panel(walls.pivot)))
+    spin = vector.scale(angle_rate[g], per_panel(walls.axis))
+    velocity = vector.add(vector.scale(shift_rate[g], per_panel(walls.stroke)), vector.cross(spin, arm))
+    return Panels(vector.add(per_panel(pivot), arm), vector.compose(turn, frame), pivot, velocity, spin)
 
 
 def _rate(function, t):

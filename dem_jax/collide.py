@@ -11,6 +11,7 @@ facing faces, so that it moves continuously as a piece tips.
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 
 from dem_jax import vector
@@ -46,8 +47,7 @@ def hull_hull(a: Hulls, b: Hulls, rel: Relative) -> Geometry:
 def separating_axes(a: Hulls, b: Hulls, rel: Relative):
     """Smallest overlap over all separating axes, [P] (m), and its axis, unit, from a to b."""
     test = _zonotope_axes if a.is_zonotope and b.is_zonotope else _polytope_axes
-    faces, edges, sin2, axes = test(a, b, rel)
-    return _smallest(faces, edges, sin2, axes, rel)
+    return _smallest(*test(a, b, rel), rel)
 
 
 def _rounding(a: Hulls, b: Hulls, rel: Relative):
@@ -66,16 +66,16 @@ def _zonotope_axes(a: Hulls, b: Hulls, rel: Relative):
     """
     half = a.normals[0].shape[0] // 2
     na, nb = ([c[: h.normals[0].shape[0] // 2] for c in h.normals] for h in (a, b))
-    nb = vector.rotate(vector.expand_matrix(rel.rotation, 0), nb)
-    ea = a.directions
-    eb = vector.rotate(vector.expand_matrix(rel.rotation, 0), b.directions)
-    d = expand(rel.offset, 0)
+    turn = vector.expand_matrix(rel.rotation, 0)
+    nb, eb = _kept(*vector.rotate(turn, nb)), _kept(*vector.rotate(turn, b.directions))
+    ea, d = a.directions, expand(rel.offset, 0)
     na_eb = jnp.abs(dot(expand(na, 1), expand(eb, 0)))  # [m, j, P]
     ea_nb = jnp.abs(dot(expand(ea, 1), expand(nb, 0)))  # [i, m, P]
-    faces_a = a.offsets[:half] + _sum(b.half_lengths[j] * na_eb[:, j] for j in range(eb[0].shape[0])) - jnp.abs(dot(na, d))
+    na_eb, ea_nb = _kept(na_eb, ea_nb)
+    faces_a = a.offsets[:half] + _sum(b.half_lengths[j : j + 1] * na_eb[:, j] for j in range(eb[0].shape[0])) - jnp.abs(dot(na, d))
     faces_b = (
         b.offsets[: nb[0].shape[0]]
-        + _sum(a.half_lengths[i] * ea_nb[i] for i in range(ea[0].shape[0]))
+        + _sum(a.half_lengths[i : i + 1] * ea_nb[i] for i in range(ea[0].shape[0]))
         - jnp.abs(dot(nb, d))
     )
     axis = vector.cross(expand(ea, 1), expand(eb, 0))  # [i, j, P]
@@ -84,8 +84,8 @@ def _zonotope_axes(a: Hulls, b: Hulls, rel: Relative):
     width_b = _sum(b.cross_widths[:, m][None] * ea_nb[:, m][:, None] for m in range(nb[0].shape[0]))
     gap = jnp.abs(dot(axis, expand(d, 0)))
     slack = _rounding(a, b, rel)[None, None]
-    edges = (width_a + width_b - gap + slack) * _inverse_sqrt(sin2)
-    return (faces_a, faces_b), edges, sin2, (na, nb, ea, eb)
+    edges = (width_a + width_b - gap + slack) / _safe_root(sin2)
+    return _kept(faces_a, faces_b, edges), (na, nb, ea, eb)
 
 
 def _polytope_axes(a: Hulls, b: Hulls, rel: Relative):
@@ -104,29 +104,35 @@ def _polytope_axes(a: Hulls, b: Hulls, rel: Relative):
     forward = jnp.max(along_a, axis=2) - jnp.min(along_b, axis=2)
     backward = jnp.max(along_b, axis=2) - jnp.min(along_a, axis=2)
     slack = _rounding(a, b, rel)[None, None]
-    edges = (jnp.minimum(forward, backward) + slack) * _inverse_sqrt(sin2)
-    return (faces_a, faces_b), edges, sin2, (na, nb, ea, eb)
+    edges = (jnp.minimum(forward, backward) + slack) / _safe_root(sin2)
+    return _kept(faces_a, faces_b, edges), (na, nb, ea, eb)
 
 
-def _smallest(faces, edges, sin2, axes, rel):
-    """The smallest overlap, and the unit axis that it belongs to, turned from a to b."""
-    faces_a, faces_b = faces
+def _smallest(overlaps, axes, rel):
+    """The smallest overlap, and the unit axis that it belongs to, turned from a to b.
+
+    overlaps: [m, P] of a's faces, [m, P] of b's faces, [i, j, P] of the edge-edge axes (m).
+    """
     na, nb, ea, eb = axes
     pairs = rel.offset[0].shape
-    ka, kb = jnp.argmin(faces_a, axis=0), jnp.argmin(faces_b, axis=0)
-    least_a, least_b = jnp.min(faces_a, axis=0), jnp.min(faces_b, axis=0)
-    face = jnp.minimum(least_a, least_b)
-    flat = edges.reshape(-1, *edges.shape[2:])
-    ke = jnp.argmin(flat, axis=0)
-    edge = jnp.min(flat, axis=0)
-    depth = jnp.minimum(face, edge)
-    from_face = vector.where(least_a <= least_b, _pick(na, ka, pairs), _pick(nb, kb, pairs))
     columns = eb[0].shape[0]
-    from_edge = vector.cross(_pick(ea, ke // columns, pairs), _pick(eb, ke % columns, pairs))
-    from_edge = vector.scale(_inverse_sqrt(dot(from_edge, from_edge)), from_edge)
-    use_edge = edge < face - FACE_PREFERENCE * jnp.abs(face)
-    normal = vector.where(use_edge, from_edge, from_face)
-    return depth, _towards_b(normal, rel)
+    overlaps = [x.reshape(-1, *pairs) for x in overlaps]
+    least = _kept(*(jnp.min(x, axis=0) for x in overlaps))
+    of_a, of_b, edge = (_first_where(x == m[None]) for x, m in zip(overlaps, least, strict=True))
+    face = jnp.minimum(least[0], least[1])
+    from_face = vector.where(least[0] <= least[1], _pick(na, of_a, pairs), _pick(nb, of_b, pairs))
+    from_edge = vector.cross(_pick(ea, edge // columns, pairs), _pick(eb, edge % columns, pairs))
+    from_edge = vector.scale(1 / _safe_root(dot(from_edge, from_edge)), from_edge)
+    use_edge = least[2] < face - FACE_PREFERENCE * jnp.abs(face)
+    normal = _towards_b(vector.where(use_edge, from_edge, from_face), rel)
+    return jnp.minimum(face, least[2]), _kept(*normal)
+
+
+def _first_where(mask):
+    """Index of the first row in which the mask holds, [P] int32; a minimum, which unlike argmin vectorises."""
+    rows = mask.shape[0]
+    number = jnp.arange(rows, dtype=jnp.int32)[:, None]
+    return jnp.min(jnp.where(mask, number, rows - 1), axis=0)
 
 
 def _towards_b(normal, rel):
@@ -142,64 +148,74 @@ def pressure_centre(a: Hulls, b: Hulls, rel: Relative, depth, normal):
     turn = vector.expand_matrix(rel.rotation, 0)
     d = expand(rel.offset, 0)
     n = expand(normal, 0)
-    back = vector.transpose(rel.rotation)
+    normals_b = vector.rotate(turn, _half_spaces(b))
+    on_b = vector.scale(-1, vector.rotate_back(rel.rotation, normal))
     corners_a = _facing_corners(a, normal)
-    in_b = vector.add(vector.rotate(turn, _facing_corners(b, vector.scale(-1, vector.rotate(back, normal)))), d)
-    top = jnp.max(dot(n, corners_a), axis=0)[None]  # a's extent along the normal
-    bottom = top - depth[None]  # where b begins
-    first = _clipped_moments(corners_a, b, _plane_distances(b, turn, d, corners_a), dot(n, corners_a) - bottom)
-    second = _clipped_moments(in_b, a, _plane_distances(a, None, None, in_b), top - dot(n, in_b))
-    weight = first[0] + second[0]
-    moment = vector.add(first[1], second[1])
+    corners_b = vector.add(vector.rotate(turn, _facing_corners(b, on_b)), d)
+    corners_b, normals_b = _kept(*corners_b), _kept(*normals_b)
+    height_a, height_b = dot(n, corners_a), dot(n, corners_b)
+    top = _kept(jnp.max(height_a, axis=0))  # a's extent along the normal; b begins below it by the depth
+    in_b = vector.sub(corners_a, d)
+    first = _clipped(in_b, corners_a, normals_b, b, height_a - (top - depth)[None])
+    second = _clipped(corners_b, corners_b, _half_spaces(a), a, top[None] - height_b)
+    weight, *moment = (jnp.sum(p, axis=0) + jnp.sum(q, axis=0) for p, q in zip(first, second, strict=True))
     scale = 1 / jnp.maximum(weight, jnp.finfo(weight.dtype).tiny)
-    fallback = vector.scale(top[0] - 0.5 * depth, normal)
-    return vector.where(weight > 0, vector.scale(scale, moment), fallback)
+    return vector.where(weight > 0, vector.scale(scale, moment), vector.scale(top - 0.5 * depth, normal))
 
 
 def _facing_corners(hull: Hulls, normal):
-    """Corners [k, P] of the face whose outward normal lies most along a direction given in the hull's frame."""
-    face = jnp.argmax(dot(hull.normals, expand(normal, 0)), axis=0)
-    pairs = normal[0].shape
-    return tuple(_take(c, face, pairs) for c in hull.corners)
+    """Corners [k + 1, P] of the face whose outward normal lies most along a direction given in the hull's frame."""
+    along = dot(hull.normals, expand(normal, 0))
+    face = _first_where(along == jnp.max(along, axis=0)[None])
+    rows = hull.loops.shape[1] // hull.normals[0].shape[0]
+    corners = hull.loops.at[:, face * rows + hull.row].get(mode="promise_in_bounds")
+    return tuple(jnp.split(corners, 3))
 
 
-def _plane_distances(hull: Hulls, turn, offset, points):
-    """Signed distances of points [k, P] along the hull's face normals from its centre plane, [m, k, P] (m)."""
-    normals = hull.normals
-    if hull.is_zonotope:
-        normals = tuple(c[: c.shape[0] // 2] for c in normals)
-    if turn is not None:
-        normals, points = vector.rotate(turn, normals), vector.sub(points, offset)
-    return dot(expand(normals, 1), expand(points, 0))
+def _half_spaces(hull: Hulls):
+    """Face normals, of a zonotope one of each opposite pair."""
+    half = hull.normals[0].shape[0] // 2
+    return tuple(c[:half] for c in hull.normals) if hull.is_zonotope else hull.normals
 
 
-def _clipped_moments(corners, other: Hulls, u, depth):
-    """Line integrals, over the edges of a face inside the other body, of depth [P] (m2) and of depth times position.
+def _clipped(points, corners, normals, other: Hulls, depth):
+    """For each edge of a face, the line integral of depth over its part inside the other body, and of depth times
+    position: four arrays [k, P] (m2, m3).
 
-    corners: [k, P] x 3, consecutive; u: [m, k, P] their distances along the other's normals; depth: [k, P] (m).
+    points: [k + 1, P] x 3, the corners relative to the other's origin; normals: [m, P] x 3 of the other;
+    depth: [k + 1, P] (m).
     """
-    du = jnp.roll(u, -1, axis=1) - u
-    tiny = jnp.finfo(u.dtype).tiny ** 0.5
-    slope = 1 / jnp.where(jnp.abs(du) < tiny, tiny, du)
-    high = other.offsets[: u.shape[0]][:, None]
-    leave = (high - u) * slope
-    if other.is_zonotope:
-        enter = (-high - u) * slope
-        start = jnp.max(jnp.minimum(enter, leave), axis=0)
-        end = jnp.min(jnp.maximum(enter, leave), axis=0)
-    else:  # half-spaces: leaving where the distance grows, entering where it falls
-        outside = (du >= 0) & (jnp.abs(du) < tiny) & (u > high)
-        start = jnp.max(jnp.where(du < 0, leave, jnp.where(outside, jnp.inf, -jnp.inf)), axis=0)
-        end = jnp.min(jnp.where(du >= 0, leave, jnp.inf), axis=0)
-    start, end = jnp.clip(start, 0, 1), jnp.clip(end, 0, 1)
+    u = _kept(dot(expand(normals, 1), expand(points, 0)) / other.offsets[: normals[0].shape[0], None])  # [m, k + 1, P]
+    du = u[:, 1:] - u[:, :-1]
+    tiny = jnp.finfo(depth.dtype).tiny ** 0.5
+    du = jnp.where(jnp.abs(du) < tiny, tiny, du)
+    if other.is_zonotope:  # a slab |u| < 1: entered and left where u is -1 and 1, whichever comes first
+        middle, half = -u[:, :-1] / du, 1 / jnp.abs(du)
+        start, end = jnp.max(middle - half, axis=0), jnp.min(middle + half, axis=0)
+    else:  # a half-space u < 1: left where u grows, entered where it falls
+        crossing = (1 - u[:, :-1]) / du
+        start = jnp.max(jnp.where(du < 0, crossing, -jnp.inf), axis=0)
+        end = jnp.min(jnp.where(du < 0, jnp.inf, crossing), axis=0)
+    start, end = _kept(jnp.clip(start, 0, 1), jnp.clip(end, 0, 1))
     part = jnp.maximum(end - start, 0)
     middle = 0.5 * (start + end)
-    edge = tuple(jnp.roll(c, -1, axis=0) - c for c in corners)
-    slope = jnp.roll(depth, -1, axis=0) - depth
-    weight = part * vector.norm(edge) * jnp.maximum(depth + slope * middle, 0)
-    along = weight * middle + part**3 / 12 * slope * vector.norm(edge)
-    moment = tuple(jnp.sum(weight * c + along * e, axis=0) for c, e in zip(corners, edge, strict=True))
-    return jnp.sum(weight, axis=0), moment
+    rise = depth[1:] - depth[:-1]
+    edge = tuple(c[1:] - c[:-1] for c in corners)
+    length = vector.norm(edge)
+    weight = part * length * jnp.maximum(depth[:-1] + rise * middle, 0)
+    along = weight * middle + part * part * part * rise * length / 12
+    weight, along = _kept(weight, along)
+    return weight, *(weight * c[:-1] + along * e for c, e in zip(corners, edge, strict=True))
+
+
+def _kept(*arrays):
+    """The same finite arrays, to the last bit, each computed once although several kernels use it.
+
+    XLA fuses a cheap producer into every consumer, and on the CPU an optimisation barrier does not stop it; what ends
+    in a division it takes for too expensive to repeat. (It may not cancel x - x, which could be inf - inf.)
+    """
+    kept = tuple(x / (1 + (x - x)) for x in arrays)
+    return kept if len(kept) > 1 else kept[0]
 
 
 def sphere_sphere(radius_a, radius_b, offset) -> Geometry:
@@ -246,10 +262,10 @@ def _closest_on_faces(hull: Hulls, height, centre):
     return foot, squared
 
 
-def _inverse_sqrt(x):
-    """1 / sqrt(x), bounded where parallel edges make x vanish."""
+def _safe_root(x):
+    """sqrt(x), bounded below where parallel edges make x vanish."""
     eps = float(jnp.finfo(x.dtype).eps)
-    return 1 / jnp.sqrt(jnp.maximum(x, eps * eps))
+    return jnp.sqrt(jnp.maximum(x, eps * eps))
 
 
 def _sum(terms):

@@ -1,4 +1,4 @@
-"""What goes wrong because of what a person wrote: one line each, naming key, value and what is allowed."""
+"""What goes wrong: one line each, naming key, value and what is allowed, or piece, time and likely cause."""
 
 
 class SceneError(ValueError):
@@ -7,3 +7,16 @@ class SceneError(ValueError):
 
 class RecordError(ValueError):
     """A file of results is missing, damaged or would be overwritten."""
+
+
+class SimulationError(RuntimeError):
+    """A run had to stop: a piece that is not finite or left the domain, or a contact that is too deep.
+
+    piece: its number. time: (s) since the release. member: of an ensemble, else None. path: file with what was
+    computed before, or None. run: the same as record.Run where no file was asked for, or None.
+    """
+
+    def __init__(self, message, piece=None, time=None, member=None):
+        super().__init__(message)
+        self.piece, self.time, self.member = piece, time, member
+        self.path = self.run = None

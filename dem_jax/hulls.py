@@ -1,5 +1,6 @@
 """Tables of convex polytopes as arrays, from shapes (``dem_jax.shapes``), and their rows gathered to pairs."""
 
+import jax
 import numpy as np
 
 from dem_jax.types import Hulls
@@ -37,6 +38,8 @@ def table(shapes, dtype) -> Hulls:
         normals=_components(normals, dtype),
         offsets=_last(offsets, dtype),
         corners=_components(loops, dtype),
+        loops=_columns(loops, dtype),
+        row=np.arange(len(rows)),
         vertices=_components([_pad(row["vertices"], corners) for row in rows], dtype),
         directions=_components(directions, dtype),
         bounding_radius=np.array([np.linalg.norm(row["vertices"], axis=1).max() for row in rows], dtype),
@@ -46,13 +49,10 @@ def table(shapes, dtype) -> Hulls:
     )
 
 
-def gather(hulls: Hulls, index) -> Hulls:
-    """The rows of the table that belong to pairs, [.., P]; a table of one shape stays [.., 1]."""
-    import jax
-
-    if hulls.bounding_radius.shape[0] == 1:
-        return hulls
-    return jax.tree.map(lambda array: array[..., index], hulls)
+def gather(hulls: Hulls, index, corners: bool) -> Hulls:
+    """The rows of the table that belong to pairs, [.., P]; corners, of which there are many, only where asked for."""
+    rows = hulls.replace(loops=None, corners=hulls.corners if corners else None)
+    return jax.tree.map(lambda array: array[..., index], rows).replace(loops=hulls.loops)
 
 
 def _row(shape):
@@ -106,6 +106,13 @@ def _cross_widths(directions, half_lengths, normals):
             if size > 1e-12 * length:
                 out[i, np.argmax(np.abs(normals @ c))] += size
     return out
+
+
+def _columns(loops, dtype):
+    """S arrays [k, F, 3] -> [3 (k + 1), F S], each loop closed."""
+    stacked = np.stack(loops, axis=-1)  # [k, F, 3, S]
+    closed = np.concatenate([stacked, stacked[:1]]).transpose(2, 0, 1, 3)
+    return closed.reshape(3 * closed.shape[1], -1).astype(dtype)
 
 
 def _pad(rows, count):

@@ -9,7 +9,7 @@ from dem_jax.types import State, System
 def kick(system: System, state: State) -> State:
     """Half a step of acceleration: velocity and angular momentum by force and torque, to dt / 2 later."""
     half = 0.5 * system.dt
-    acceleration = state.force / system.pieces.mass + system.gravity[:, None]
+    acceleration = state.force / system.pieces.mass[None] + system.gravity[:, None]
     state = state.replace(velocity=state.velocity + half * acceleration)
     if system.has_rotation:
         state = state.replace(angular_momentum=state.angular_momentum + half * state.torque)
@@ -22,7 +22,7 @@ def drift(system: System, state: State):
     state = state.replace(step=state.step + 1, position=position, position_rest=rest)
     if not system.has_rotation:
         return state, jnp.zeros_like(position)
-    free = rotation.free_rotation if system.hulls is not None else rotation.spin
+    free = rotation.free_rotation if system.has_hulls else rotation.spin
     q, omega = free(
         tuple(state.orientation), vector.unpack(state.angular_momentum), vector.unpack(system.pieces.inertia), system.dt
     )

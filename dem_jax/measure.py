@@ -2,7 +2,7 @@
 
 import jax.numpy as jnp
 
-from dem_jax import forces, rotation, vector
+from dem_jax import rotation, vector
 from dem_jax.types import Sample, State, System
 
 SETTLED_SPEED = 0.1  # m/s: slower pieces inside the block count as settled (paper, section 2.1)
@@ -19,7 +19,7 @@ def sample(system: System, state: State) -> Sample:
         torque=state.wall_torque,
         settled_mass=settled_mass(system, state, speed),
         energy=energies(system, state),
-        momentum=jnp.sum(system.pieces.mass * state.velocity, axis=1),
+        momentum=jnp.sum(system.pieces.mass[None] * state.velocity, axis=1),
         overlap=state.ledger.overlap,
         fastest=jnp.max(speed),
         culprit=culprit(system, state),
@@ -42,7 +42,7 @@ def energies(system: System, state: State):
     total = kinetic + potential + elastic + dissipated - wall_work.
     """
     kinetic = kinetic_energy(system, state)
-    potential = -jnp.sum(system.pieces.mass * (system.gravity[:, None] * state.position).sum(0))
+    potential = -jnp.sum(system.pieces.mass * jnp.sum(system.gravity[:, None] * state.position, axis=0))
     elastic = elastic_energy(system, state)
     spent, walls = state.ledger.dissipated, state.ledger.wall_work
     return jnp.stack([kinetic, potential, elastic, spent, walls, kinetic + potential + elastic + spent - walls])
@@ -62,11 +62,8 @@ def kinetic_energy(system: System, state: State):
 def elastic_energy(system: System, state: State):
     """Energy that contacts would give back (J)."""
     total = jnp.zeros((), state.position.dtype)
-    for kind, _, _ in system.capacity:
-        table = state.contacts[kind]
-        if not table.a.shape[0]:
-            continue
-        k = forces.stiffness(system, kind, jnp.maximum(table.a, 0), jnp.maximum(table.b, 0))
+    for kind, table in state.contacts.items():
+        k = state.slots[kind].stiffness
         k_unload = k / (system.law.restitution * system.law.restitution)
         total = total + 0.5 * jnp.sum(table.force * table.force / k_unload)
         if system.has_friction:

@@ -184,7 +184,7 @@ def _outline(loops):
 
 
 def _bulge(corners, normal):
-    """How far [k] (m) each corner of a loop [k, 3] stands out of the line between its neighbours; negative if reflex."""
+    """How far [k] (m) each corner of a loop [k, 3] is out of the line between its neighbours; negative if reflex."""
     before, after = corners - np.roll(corners, 1, axis=0), np.roll(corners, -1, axis=0) - corners
     chord = np.linalg.norm(before + after, axis=1)
     return np.cross(before, after) @ normal / np.maximum(chord, 1e-300)

@@ -33,7 +33,9 @@ class Hulls:
 
     normals: tuple  # [F, S] x 3: outward unit normals; of a zonotope face f + F/2 is opposite to face f
     offsets: Array  # [F, S] (m): n . x <= offset
-    corners: tuple  # [k, F, S] x 3 (m): corners of each face in order, the last one repeated
+    corners: tuple | None  # [k, F, S] x 3 (m): corners of each face in order, the last one repeated
+    loops: Array  # [3 (k + 1), F S] (m): the same as columns, each closed by its first corner; not gathered to pairs
+    row: Array  # [S] int32: which shape of the table
     vertices: tuple  # [V, S] x 3 (m)
     directions: tuple  # [D, S] x 3: unit edge directions
     bounding_radius: Array  # [S] (m)
@@ -53,18 +55,19 @@ class Pieces:
     radius: Array  # [N] (m): of a sphere; 0 of a polytope
     bounding_radius: Array  # [N] (m)
     width: Array  # [N] (m): smallest width, the measure of how deep a contact is
-    shape: Array  # [N] int32: row in the table of hulls
     polytopes: Array  # int32: which pieces are polytopes ...
     spheres: Array  # int32: ... and which are spheres
 
 
-@pytree(static=("groups", "moving"))
+@pytree(static=("groups", "reports", "moving"))
 class Walls:
-    """Convex plates in G groups, each group moved as a rigid body: a hinge and a vibration, zero where it has none."""
+    """Convex plates in G groups, each group moved as a rigid body: a hinge and a vibration, zero where it has none.
 
-    hulls: Hulls | None  # [.., W], about each panel's centre, the surface's normal along z
+    A name that forces are reported under may stand for several groups (``wb_flaps`` for both flaps).
+    """
+
     centre: Array  # [3, W] (m): in the scene's rest pose
-    rotation: Array  # [3, 3, W]: panel frame to scene, in the rest pose
+    rotation: Array  # [3, 3, W]: panel frame (z along the surface's normal) to scene, in the rest pose
     half_extent: Array  # [3, W] (m): of the box around the panel, in its frame
     group: Array  # [W] int32
     seams: tuple | None  # [k, W] x 3: in-plane outward directions of edges shared with a coplanar panel (panel frame)
@@ -75,6 +78,7 @@ class Walls:
     stroke: Array  # [3, G] (m): amplitude of the vibration
     shake: Array  # [4, G]: frequency (Hz), start (s), end (s), ramp (s)
     groups: tuple  # names of the G groups
+    reports: tuple  # ((reported name, (group, ...)), ...)
     moving: bool  # whether any group moves
 
 
@@ -90,12 +94,13 @@ class Law:
     damping: Array  # damping ratio of the unloading branch; 0 in the paper's model
 
 
-@pytree(static=("capacity", "has_friction", "has_rotation", "has_damping", "ledger", "block_samples", "parts"))
+@pytree(static=("capacity", "touching", "row_capacity", "has_hulls", "alike", "has_friction", "has_rotation", "has_damping", "ledger", "block_samples", "parts"))
 class System:
     """All that never changes while a scene runs: arrays, and the static choices that decide what is compiled."""
 
     pieces: Pieces
-    hulls: Hulls | None  # shapes of the pieces that are polytopes
+    hulls: Hulls | None  # shapes of the polytopes among the pieces, then of the panels
+    shape: Array  # [N + W] int32: row of each body in the table of hulls (0 of a sphere)
     walls: Walls
     law: Law
     gravity: Array  # [3] (m/s2)
@@ -106,7 +111,11 @@ class System:
     block_high: Array  # [3, B] (m)
     domain_low: Array  # [3] (m): a piece outside has left the scene
     domain_high: Array  # [3] (m)
-    capacity: tuple  # ((kind of contact, candidates, slots), ...): the kinds that the scene can have
+    capacity: tuple  # ((source of contacts, candidates, slots), ...): the sources that the scene has, see neighbours
+    touching: int  # most contacts that a piece may have at once
+    row_capacity: int  # most pieces in three neighbouring cells in a row; 0: every pair is looked at
+    has_hulls: bool  # whether any piece is a polytope
+    alike: bool  # whether all polytopes among the pieces are one shape
     has_friction: bool
     has_rotation: bool
     has_damping: bool
@@ -117,13 +126,34 @@ class System:
 
 @pytree
 class ContactTable:
-    """P slots for contacts of one kind, ordered by (a, b); an empty slot has a = -1. History of eqs 1-4 per slot."""
+    """P slots for contacts between two kinds of bodies; an empty slot has a = -1. History of eqs 1-4 per slot.
 
-    a: Array  # [P] int32: piece, or panel of a wall
-    b: Array  # [P] int32: piece
+    Bodies are numbered pieces first, then panels. b is always a piece, a is a piece or a panel.
+    """
+
+    a: Array  # [P] int32
+    b: Array  # [P] int32
     force: Array  # [P] (N): F_n of the last step
     overlap: Array  # [P] (m): s_n of the last step
     spring: Array  # [3, P] (N): tangential force on b of the last step, world frame
+
+
+@pytree
+class Slots:
+    """What stays the same in each slot between two rebuilds."""
+
+    live: Array  # [P] bool: whether the slot holds a pair
+    a: Array  # [P] int32: as in the table, 0 where empty
+    b: Array  # [P] int32
+    hull_a: Hulls | None  # [.., P] or [.., 1]
+    hull_b: Hulls | None
+    radius_a: Array  # [P] (m): of spheres
+    radius_b: Array  # [P] (m)
+    stiffness: Array  # [P] (N/m): K_nl, eq. 5
+    friction: Array  # [P]: mu
+    mass: Array  # [P] (kg): effective mass
+    width: Array  # [P] (m): of the narrower piece
+    member: Array  # [G, P] bool: whether a is a panel of the group
 
 
 @pytree
@@ -140,8 +170,12 @@ class Ledger:
 class Guard:
     """What must not happen silently, as data: the host looks at it after each chunk."""
 
-    needed: dict  # kind of contact -> int32 [2]: most candidates and slots that any rebuild wanted
+    needed: dict  # source of contacts -> int32 [2]: most candidates and slots that any rebuild wanted
+    touching: Array  # int32: most contacts of one piece that any rebuild wanted
+    row: Array  # int32: most pieces in three neighbouring cells in a row
     travel: Array  # (m): most that two bodies can have approached each other between rebuilds
+    start_overlap: Array  # (-): largest overlap at the first rebuild, relative to the width of the piece; -1: not yet
+    start_pair: Array  # [2] int32: a and b of that pair
 
 
 @pytree
@@ -158,7 +192,9 @@ class State:
     torque: Array  # [3, N] (N m): of contacts, about the centre of mass
     wall_force: Array  # [3, G] (N): of the pieces on each wall group
     wall_torque: Array  # [3, G] (N m): likewise, about the group's pivot
-    contacts: dict  # kind -> ContactTable
+    contacts: dict  # kind of contact -> ContactTable
+    slots: dict  # kind of contact -> Slots
+    incidence: Array  # [touching, N] int32: where the contacts of each piece stand among all (see forces.gather_loads)
     ledger: Ledger
     anchor: Array  # [7, N]: position and orientation at the last rebuild
     guard: Guard

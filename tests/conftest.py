@@ -1,4 +1,4 @@
-"""Settings of every test: no implicit promotion of dtype or rank, double precision, a compilation cache that outlives the run."""
+"""Settings of every test: no implicit promotion of dtype or rank, double precision, a lasting compilation cache."""
 
 import os
 import tempfile

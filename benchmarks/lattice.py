@@ -1,0 +1,82 @@
+"""Dense systems of any size for timing: pieces on a lattice, each touching its six neighbours, in a box."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+PRESS = 5e-4  # overlap of neighbours relative to the pitch
+SKIN = 5e-4  # m: for pieces at rest, as in a settled heap
+
+
+def box_scene(shape: str, count: int, precision="f32"):
+    """Scene of ``count`` pieces, spheres of 10 mm radius or marshmallows, in a box that their lattice fills."""
+    from dem_jax.scene import parse
+
+    pitch = np.array([0.02] * 3 if shape == "sphere" else [0.055, 0.023, 0.016]) * (1 - PRESS)
+    cells = lattice_cells(count)
+    size = cells * pitch
+    x, y, z = (0.5 * size[0], 0.5 * size[1], size[2])
+    corners = [
+        [(-x, -y, 0), (x, -y, 0), (x, y, 0), (-x, y, 0)],
+        [(-x, -y, 0), (-x, y, 0), (-x, y, z), (-x, -y, z)],
+        [(x, y, 0), (x, -y, 0), (x, -y, z), (x, y, z)],
+        [(x, -y, 0), (-x, -y, 0), (-x, -y, z), (x, -y, z)],
+        [(-x, y, 0), (x, y, 0), (x, y, z), (-x, y, z)],
+    ]
+    walls = "\n".join(f'[[wall]]\ngroup = "box"\ncorners = {[list(map(float, c)) for c in row]}' for row in corners)
+    radius = "radius = 0.01" if shape == "sphere" else ""
+    scene = parse(f"""
+[portion]
+shape = "{shape}"
+{radius}
+count = {count}
+arrangement = "scattered"
+region_low = [0.0, 0.0, 0.0]
+region_high = [{size.max() + 0.2}, {size.max() + 0.2}, 1.0]
+[run]
+duration = 3e-5
+frames = 0.0
+precision = "{precision}"
+domain_low = {[float(-v) for v in size + 0.2]}
+domain_high = {[float(v) for v in size * 30 + 100]}
+[material]
+restitution = 0.1
+{walls}
+""")
+    return scene, positions(cells, pitch, count)
+
+
+def lattice_cells(count: int):
+    """Cells of a nearly cubic lattice [3] for a number of pieces."""
+    side = int(np.ceil(count ** (1 / 3) - 1e-9))
+    return np.array([side, side, int(np.ceil(count / side**2))])
+
+
+def positions(cells, pitch, count):
+    """Centres [3, count] (m) of the lattice, from below, with a jitter of a tenth of the overlap."""
+    index = np.stack(np.unravel_index(np.arange(count), cells[::-1]))[::-1]
+    jitter = np.random.default_rng(0).uniform(-0.05, 0.05, index.shape) * PRESS
+    return (index + 0.5 + jitter) * pitch[:, None] - np.array([0.5 * cells[0], 0.5 * cells[1], 0.0])[:, None] * pitch[:, None]
+
+
+def system_of(shape: str, count: int):
+    """System and first state on the lattice, with capacities that fit, found by rebuilding until nothing overflows."""
+    from dem_jax import build, guard, neighbours
+
+    scene, centres = box_scene(shape, count)
+    built = build.build(scene, 0)
+    upright = jnp.zeros_like(built.state.orientation).at[0].set(1)
+    high = centres.astype(np.float32)
+    state = built.state.replace(
+        position=jnp.asarray(high),
+        position_rest=jnp.asarray(centres - high, jnp.float32),
+        orientation=upright,
+    )
+    system = built.system.replace(skin=jnp.float32(SKIN), domain_high=jnp.max(state.position, axis=1) + 1)
+    for _ in range(8):
+        rebuilt = jax.jit(neighbours.rebuild)(system, state)
+        seen = jax.device_get(rebuilt.guard)
+        if not guard.outgrown(system, seen):
+            return system, rebuilt
+        system, state = guard.grown(system, guard.fresh(state), seen)
+    raise RuntimeError(f"capacities did not settle for {count} pieces")

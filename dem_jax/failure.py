@@ -1,0 +1,113 @@
+"""What makes a run stop: where it shows in the samples, and a line with piece, time and likely cause."""
+
+import numpy as np
+
+from dem_jax import neighbours
+from dem_jax.errors import SceneError, SimulationError
+
+DEEPEST = 0.5  # of the narrower piece's width: beyond, a contact may push out on the wrong side
+START_OVERLAP = 1e-3  # of the narrower piece's width, that pieces may overlap by at the start
+
+
+def check_start(job, guard):
+    """Raise SceneError if bodies overlap at the first rebuild by more than is allowed. guard: numpy."""
+    overlap = np.atleast_1d(guard.start_overlap)
+    member = int(np.argmax(overlap))
+    if not overlap[member] > START_OVERLAP:
+        return
+    a, b = (body_name(job.system, body) for body in guard.start_pair.reshape(-1, 2)[member])
+    where = "" if job.runs is None else f" of run {member} (seed {job.seeds[member]})"
+    raise SceneError(
+        f"{job.scene.name}: {b} and {a}{where} overlap at the start by {100 * overlap[member]:.3g} % of the piece's width; "
+        f"allowed: at most {100 * START_OVERLAP:g} %"
+    )
+
+
+def find(samples, count):
+    """(member, sample) of the first sample that a run cannot go on from, or None. samples: numpy [.., T]."""
+    culprit, overlap = (np.atleast_2d(x)[:, :count] for x in (samples.culprit, samples.overlap))
+    bad = (culprit >= 0) | ~(overlap <= DEEPEST)
+    if not bad.any():
+        return None
+    k = int(np.argmax(bad.any(axis=0)))
+    return int(np.argmax(bad[:, k])), k
+
+
+def describe(job, span, state, member, k) -> SimulationError:
+    """The error of a run whose sample k of a span failed; state: of that time, numpy, of an ensemble stacked."""
+    samples = span.samples
+    if job.runs is not None:
+        state, samples = _member(state, member), _member(samples, member)
+    if samples.culprit[k] >= 0:
+        piece = int(samples.culprit[k])
+        what = _what_happened(job, state, piece)
+    else:
+        piece, what = _deep(job, span.system, state, float(samples.overlap[k]))
+    at = (span.first + k + 1) * job.scene.run.sample
+    return _error(job, f"piece {piece} at t = {at:.6g} s: {what}", piece, at, member)
+
+
+def restless(job, first, reasons) -> SimulationError:
+    """The error of a chunk for which no room is enough."""
+    at = first * job.scene.run.sample
+    return _error(job, f"from t = {at:.6g} s: {'; '.join(reasons)}; lower run.rebuild_steps or run.step", None, at, 0)
+
+
+def body_name(system, body):
+    """A body by its number: pieces first, then panels."""
+    pieces = system.pieces.mass.shape[0]
+    if body < pieces:
+        return f"piece {int(body)}"
+    return f"wall group {system.walls.groups[int(system.walls.group[body - pieces])]!r}"
+
+
+def _error(job, line, piece, at, member):
+    """An error whose line begins with the scene and, of an ensemble, the run."""
+    many = job.runs is not None
+    name = f"{job.scene.name}, run {member} (seed {job.seeds[member]})" if many else job.scene.name
+    return SimulationError(f"{name}: {line}", piece, at, member if many else None)
+
+
+def _member(tree, k):
+    import jax
+
+    return jax.tree.map(lambda x: x[k], tree)
+
+
+def _what_happened(job, state, piece):
+    position = np.asarray(state.position)[:, piece]
+    rest = [np.asarray(x)[:, piece] for x in (state.velocity, state.angular_momentum, state.orientation)]
+    if not all(np.isfinite(x).all() for x in (position, *rest)):
+        return f"its motion is not finite; likely cause: {_step_advice(job)}"
+    low, high = np.asarray(job.system.domain_low), np.asarray(job.system.domain_high)
+    below, above = position < low, position > high
+    axis = int(np.argmax(below | above))
+    side, limit, key = ("below", low, "domain_low") if below[axis] else ("above", high, "domain_high")
+    speed = np.linalg.norm(rest[0])
+    return (
+        f"it left the domain {side} {'xyz'[axis]} = {limit[axis]:.4g} m at {speed:.3g} m/s; likely cause: no wall holds it there, "
+        f"or a contact threw it ({_step_advice(job)}); the domain is set by run.{key}"
+    )
+
+
+def _deep(job, system, state, overlap):
+    """The piece in the deepest contact, and what to say of it."""
+    worst, a, b = -1.0, None, None
+    for kind in neighbours.kinds(system):
+        relative = np.asarray(state.contacts[kind].overlap) / np.asarray(state.slots[kind].width)
+        k = int(np.argmax(relative))
+        if relative[k] > worst:
+            worst, a, b = relative[k], int(state.contacts[kind].a[k]), int(state.contacts[kind].b[k])
+    return b, (
+        f"its contact with {body_name(system, a)} is {100 * overlap:.3g} % of the piece's width deep (at most "
+        f"{100 * DEEPEST:g} %); likely cause: the material is too soft for this load (raise material.softening), "
+        f"or the piece is pinched between walls"
+    )
+
+
+def _step_advice(job):
+    step, scene = job.built.step, job.scene
+    return (
+        f"time step of {step.dt:.3g} s (dt/dt_crit = {step.dt / step.critical:.2g}) too long, lower run.step; "
+        f"or restitution {scene.material.restitution:g} too low for it"
+    )

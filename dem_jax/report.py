@@ -1,0 +1,125 @@
+"""What a run says while it goes and when it has ended. On stderr, so that stdout stays the summary."""
+
+import sys
+import time
+
+import numpy as np
+
+
+class Progress:
+    """A bar with simulated time, speed and an estimate of what is left; silent unless asked for. A context manager."""
+
+    def __init__(self, job, shown):
+        self._job, self._bar = job, None
+        self._from = int(np.max(job.state.step)) // job.steps_per_sample
+        self._since = 0.0
+        if shown:
+            from tqdm import tqdm
+
+            total, ms = job.samples - self._from, 1e3 * job.scene.run.sample
+            self._bar = tqdm(total=total, unit_scale=ms, file=sys.stderr, bar_format=FORMAT, dynamic_ncols=True)
+            self._bar.set_description_str(self._phase(self._from))
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        if self._bar is not None:
+            self._bar.close()
+
+    def _phase(self, at):
+        return "settling" if at < 0 else "running"
+
+    def compiling(self):
+        """A program is about to be compiled."""
+        if self._bar is not None:
+            self._bar.set_description_str("compiling")
+
+    def note(self, text):
+        """Something that a person should know, above the bar."""
+        if self._bar is not None:
+            self._bar.write(text, file=sys.stderr)
+
+    def advance(self, span):
+        """A chunk is done."""
+        if self._bar is None:
+            return
+        now = time.perf_counter()
+        steps = span.count * self._job.steps_per_sample * (self._job.runs or 1)
+        if self._since:
+            self._bar.set_postfix_str(f"{1e6 * (now - self._since) / steps:.3g} µs/step", refresh=False)
+        self._since = now
+        self._bar.set_description_str(self._phase(span.first + span.count), refresh=False)
+        self._bar.update(span.count)
+
+
+FORMAT = "{desc}: {percentage:3.0f}% |{bar}| {n:.0f}/{total:.0f} ms [{elapsed} < {remaining}{postfix}]"
+
+
+def summary(run) -> list[str]:
+    """Lines on a run or an ensemble: step, compile time, peak PIF, duration of the impact, settled mass."""
+    info, count = run.info, run.header.piece_count
+    lines = [info["step"]] if "step" in info else []
+    many = "" if run.run_count is None else f"{run.run_count} runs of "
+    lines.append(f"{many}{count} piece{'s' if count != 1 else ''}, {run.time[-1]:.6g} s in samples of {run.sample:.3g} s, {run.precision}")
+    if "elapsed" in info:
+        lines.append(f"{info['elapsed']:.1f} s elapsed, of which {info['compile_time']:.1f} s compiling")
+    lines += [f"note: {note}" for note in info.get("notes", ())]
+    group = main_group(run)
+    block = next(iter(run.settled_mass), None)
+    members = [run] if run.run_count is None else [run.member(k) for k in range(run.run_count)]
+    if group:
+        lines.append(_peaks(members, group))
+    if block:
+        mass = 1e3 * np.array([m.settled_mass[block][-1] for m in members])
+        lines.append(f"settled mass in {block} at the end: {_range(mass, '{:.4g}')} g")
+    if group and block:
+        lines.append(_durations(members, group, block))
+    return lines
+
+
+def main_group(run):
+    """The wall group whose force is the product impact force: the weigh bucket's flaps, or the first; None: no walls."""
+    return "wb_flaps" if "wb_flaps" in run.force else next(iter(run.force), None)
+
+
+def _peaks(members, group):
+    traces = [m.pif_kg(group) for m in members]
+    times = np.array([1e3 * m.time[np.argmax(t)] for m, t in zip(members, traces, strict=True)])
+    peaks = np.array([t.max() for t in traces])
+    if not peaks.any():
+        return f"peak PIF on {group}: nothing has landed"
+    instants = np.array([m.pif_kg(group, mean=False).max() for m in members])
+    return (
+        f"peak PIF on {group}: {_range(peaks, '{:.3g}')} kg at t = {_range(times, '{:.4g}')} ms (mean over a sample; "
+        f"instantaneous {_range(instants, '{:.3g}')} kg)"
+    )
+
+
+def impact_duration(run, group, block):
+    """Time (s) from the first force on a group until the settled mass in a block is at its final value for good.
+
+    nan if nothing has landed or settled. run: a single run.
+    """
+    felt = np.flatnonzero(run.mean_force[group].any(axis=-1))
+    mass = run.settled_mass[block]
+    if not len(felt) or not mass[-1] > 0:
+        return np.nan
+    unsettled = np.flatnonzero(mass < mass[-1] * (1 - 1e-6))
+    end = run.time[unsettled[-1] + 1] if len(unsettled) else run.time[0]
+    return max(0.0, float(end - run.time[felt[0]]))
+
+
+def _durations(members, group, block):
+    ms = np.array([1e3 * impact_duration(m, group, block) for m in members])
+    if not np.isfinite(ms).any():
+        return f"duration of the impact: nothing has settled in {block}"
+    return f"duration of the impact: {_range(ms[np.isfinite(ms)], '{:.4g}')} ms from first force to the last piece at rest"
+
+
+def _range(values, form):
+    """A single value, or the median with the range of 5 to 95 %."""
+    if len(values) == 1:
+        return form.format(values[0])
+    low, middle, high = (form.format(v) for v in np.quantile(values, [0.05, 0.5, 0.95]))
+    return f"{middle} ({low} to {high})"

@@ -1,0 +1,57 @@
+"""A state as named arrays, and back: all that is needed to go on bit for bit.
+
+What the rebuild at the start of a chunk fills anew (slots, incidence, anchor) is left out.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dem_jax import guard
+from dem_jax.errors import RecordError
+from dem_jax.types import State, System
+
+
+def pack(system: System, state: State) -> dict:
+    """path -> array of the state, of the skin and of the capacities."""
+    out = {path: np.asarray(leaf) for path, leaf in _leaves(state)[0]}
+    for source, candidates, slots in system.capacity:
+        out[f"capacity/{source}"] = np.array([candidates, slots], np.int32)
+    return out | {"touching": np.array(system.touching, np.int32), "skin": np.asarray(system.skin)}
+
+
+def unpack(system: System, state: State, arrays: dict) -> tuple[System, State]:
+    """System and state that ``pack`` was given; system, state: those that the scene begins with.
+
+    Raises RecordError for arrays that are missing or of another form: the file is damaged or of another version.
+    """
+    rows = []
+    for source, _, _ in system.capacity:
+        candidates, slots = _found(arrays, f"capacity/{source}")
+        rows.append((source, int(candidates), int(slots)))
+    system, state = guard.with_capacity(system, state, tuple(rows), int(_found(arrays, "touching")))
+    system = system.replace(skin=jnp.asarray(_found(arrays, "skin")))
+    named, structure = _leaves(state)
+    leaves = []
+    for path, leaf in named:
+        array = _found(arrays, path)
+        if (array.shape, array.dtype) != (leaf.shape, leaf.dtype):
+            raise RecordError(
+                f"restart/{path} is {array.dtype}{list(array.shape)}, but the scene needs {leaf.dtype}{list(leaf.shape)}"
+            )
+        leaves.append(jnp.asarray(array))
+    kept = jax.tree.unflatten(structure, leaves)
+    return system, kept.replace(slots=state.slots, incidence=state.incidence, anchor=state.anchor)
+
+
+def _leaves(state: State):
+    """[(path, array)] of what is kept, and its structure."""
+    kept = state.replace(slots={}, incidence=None, anchor=None)
+    paths, structure = jax.tree_util.tree_flatten_with_path(kept)
+    return [(jax.tree_util.keystr(path, simple=True, separator="/"), leaf) for path, leaf in paths], structure
+
+
+def _found(arrays, path):
+    if path not in arrays:
+        raise RecordError(f"restart/{path} is missing: the file is damaged or of another version")
+    return arrays[path]

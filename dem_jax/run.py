@@ -1,0 +1,313 @@
+"""The driver on the host: a scene becomes a run, chunk by chunk, and nothing that goes wrong passes unseen.
+
+After each chunk the guard is read: what outgrew a capacity or the skin is run again with more room; a start with
+overlaps, a piece that is not finite or left the domain and a contact that is too deep stop the run.
+"""
+
+import time
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dem_jax import build, failure, guard, record, restart, series, stepping
+from dem_jax.errors import RecordError, SceneError, SimulationError
+from dem_jax.report import Progress
+from dem_jax.scene import Scene, load_scene, parse
+from dem_jax.types import Sample, State, System
+
+SAMPLES = 1024  # capacity of a chunk: one for all scenes, so that they share compiled programs
+FRAMES = 64
+CHUNK_TIME = 1.0  # s that a chunk should take
+ATTEMPTS = 12  # to find room for a chunk
+
+
+def simulate(scene, seed=0, out=None, overwrite=False, progress=False) -> record.Run:
+    """Run a scene and return what was sampled.
+
+    scene: a Scene, or what ``load_scene`` takes. seed: of a portion's arrangement. out: HDF5 file that is written as
+    the run goes; an existing one is an error unless overwrite. progress: show a bar on stderr.
+    Raises SceneError for a scene that cannot be used, RecordError for a file that cannot be written, SimulationError
+    (with what was computed before saved, or as its ``run``) for a run that went wrong.
+    """
+    return drive(prepare(scene, (seed,), None), out, overwrite, progress)
+
+
+def resume(path, duration=None, progress=False) -> record.Run:
+    """Go on with the run in a file, to its end or to another duration (s); the bits are those of an uninterrupted run.
+
+    Raises RecordError for a file that cannot be gone on from, SceneError for a duration that is already exceeded.
+    """
+    header, arrays, samples, frames = record.load_restart(path)
+    scene = parse(header.scene, path)
+    if duration is not None:
+        scene = scene.replace({"run.duration": duration})
+    many = header.run_count is not None
+    job = prepare(scene, header.seed if many else (header.seed,), header.run_count)
+    if samples > job.samples:
+        raise SceneError(f"duration = {scene.run.duration:g}: allowed: at least {samples * scene.run.sample:g} s, which {path} holds")
+    with jax.enable_x64(scene.run.precision == "f64"):
+        try:
+            system, state = restart.unpack(job.system, job.state, arrays)
+        except RecordError as error:
+            raise RecordError(f"{path}: {error}") from error
+        kept = tuple(header.info.get("notes", ()))
+        job = replace(job, system=system, state=state, samples_kept=samples, frames_kept=frames, notes=kept)
+    if samples == job.samples:
+        return record.load_run(path)
+    return _into_file(job, path, record.Writer.resume(path, scene=scene.to_toml()), progress)
+
+
+@dataclass(frozen=True)
+class Job:
+    """A run that is set up; of an ensemble, state has a leading run axis. Counts are in samples from the release."""
+
+    scene: Scene
+    seeds: tuple
+    runs: int | None  # of an ensemble
+    built: build.Built
+    system: System
+    state: State
+    samples_kept: int = 0  # already in the file
+    frames_kept: int = 0
+    notes: tuple = ()  # already in the file
+    clock: dict = field(default_factory=lambda: {"compile": 0.0, "start": time.perf_counter()})
+
+    samples = property(lambda self: self.built.samples)
+    every = property(lambda self: self.built.frame_every)  # samples between frames; 0: none
+    frame_capacity = property(lambda self: FRAMES if self.built.frame_every else 0)
+    steps_per_sample = property(lambda self: self.built.step.substeps)
+
+    @property
+    def stride(self):
+        """Samples per chunk, a multiple of the samples between rebuilds: a rebuild at its start is due anyway."""
+        block = self.system.block_samples
+        bodies = self.state.position.shape[-1] * (self.runs or 1)
+        wanted = CHUNK_TIME / (self.steps_per_sample * (10e-6 + 2e-6 * bodies))
+        room = min(SAMPLES, (FRAMES - 1) * self.every + 1) if self.every else SAMPLES
+        return max(1, int(min(wanted, room)) // block) * block
+
+
+def prepare(scene, seeds, runs) -> Job:
+    """Set up a run (runs: None) or an ensemble, one seed for each run. Raises SceneError."""
+    scene = build.self_contained(scene if isinstance(scene, Scene) else load_scene(scene))
+    with jax.enable_x64(scene.run.precision == "f64"):
+        built = build.build(scene, int(seeds[0]))
+        system, state = built.system, built.state
+        if runs is not None:
+            states = [build.state_of_seed(scene, built, int(seed)) for seed in seeds]
+            state = jax.tree.map(lambda *x: jnp.asarray(np.stack(x)), *states)
+    return Job(scene, tuple(seeds), runs, built, system, state)
+
+
+def drive(job: Job, out, overwrite, progress) -> record.Run:
+    """Run a job from its beginning, into a file or into memory."""
+    if out is None:
+        memory = Memory(header_of(job))
+        _run(job, lambda: memory, progress)
+        return memory.run()
+    record.check_target(out, overwrite)
+    return _into_file(job, out, partial(record.Writer.create, out, header_of(job), overwrite), progress)
+
+
+def _into_file(job: Job, path, writer, progress):
+    """Run into a file; writer: a Writer, or a function that makes it once there is something to write."""
+    with ExitStack() as stack:
+        made = []
+
+        def target():
+            if not made:
+                made.append(stack.enter_context(writer() if callable(writer) else writer))
+            return made[0]
+
+        try:
+            _run(job, target, progress)
+        except SimulationError as error:
+            error.path = Path(path) if made and error.time > 0 else None
+            raise
+    return record.load_run(path)
+
+
+def header_of(job: Job) -> record.Header:
+    """What the file says about the run."""
+    from dem_jax import __version__
+
+    step, scene = job.built.step, job.scene
+    return record.Header(
+        scene=scene.to_toml(),
+        seed=job.seeds[0] if job.runs is None else job.seeds,
+        dt=step.dt,
+        precision=scene.run.precision,
+        version=__version__,
+        sample=scene.run.sample,
+        gravity=scene.run.gravity,
+        groups=tuple(name for name, _ in job.system.walls.reports),
+        blocks=job.built.blocks,
+        piece_count=job.state.position.shape[-1],
+        run_count=job.runs,
+        info={"step": str(step), "critical_step": step.critical, "stable_step": step.stable, "limit": step.limit},
+    )
+
+
+# --- the loop over chunks ---
+
+
+@dataclass(frozen=True)
+class Span:
+    """A chunk that stands: samples ``first`` to ``first + count``, and where it led."""
+
+    first: int  # before the release: negative
+    count: int
+    system: System
+    start: State
+    state: State
+    samples: Sample  # numpy [.., samples]
+    poses: np.ndarray  # [.., frames, 13, N]
+    notes: tuple  # what was run again, and why
+
+
+def _run(job: Job, target, progress):
+    """Run a job to its end. target: returns what to append to, asked only once there is something."""
+    with jax.enable_x64(job.scene.run.precision == "f64"), Progress(job, progress) as shown:
+        notes = list(job.notes)
+        for span in spans(job, shown):
+            notes += [note for note in span.notes if note not in notes]
+            failed = failure.find(span.samples, span.count)
+            if failed:
+                _stop(job, target, span, failed)
+            ends = span.first + span.count
+            whole = ends == 0 or span.count == job.stride  # an end that every run of this scene has
+            state = restart.pack(span.system, span.state) if whole else None
+            facts = {"notes": notes} if span.notes else None
+            target().append(*_recorded(job, span, span.count), restart=state, info=facts)
+            shown.advance(span)
+        clock = {"compile_time": job.clock["compile"], "elapsed": time.perf_counter() - job.clock["start"]}
+        target().append({}, info=clock)
+
+
+def spans(job: Job, shown):
+    """The chunks of a job, from its state to its last sample. Where they end depends on the scene alone."""
+    system, state = job.system, job.state
+    at = int(np.max(state.step)) // job.steps_per_sample
+    while at < job.samples:
+        end = min(at + job.stride, job.samples if at >= 0 else 0)
+        span = advance(job, system, state, at, end - at, shown)
+        yield span
+        system, state, at = span.system, span.state, end
+
+
+def advance(job: Job, system: System, state: State, first, count, shown) -> Span:
+    """One chunk, run again from its first state until nothing was outgrown. Raises SceneError for an overlapping start."""
+    notes = []
+    start = guard.fresh(state)
+    for _ in range(ATTEMPTS):
+        after, samples, poses = execute(job, system, start, first, count, shown)
+        seen = jax.device_get(after.guard)
+        failure.check_start(job, seen)
+        reasons = guard.outgrown(system, seen)
+        failed = failure.find(samples, count)
+        if not reasons or (failed and notes):
+            break
+        notes.append(f"from t = {first * job.scene.run.sample:.6g} s: {'; '.join(reasons)}: run again with more room")
+        shown.note(notes[-1])
+        system, start = guard.grown(system, start, seen)
+    else:
+        raise failure.restless(job, first, reasons)
+    return Span(first, count, system, start, after, samples, poses, tuple(notes))
+
+
+def execute(job: Job, system: System, state: State, first, count, shown=None):
+    """Run the compiled chunk: the state on the device, samples and poses as numpy."""
+    every = job.every or 1
+    arguments = system, state, *(np.int32(x) for x in (count, every, first % every))
+    program = _program(arguments, job.frame_capacity, job.clock, shown)
+    after, samples, poses = program(*arguments)
+    return after, *jax.device_get((samples, poses))
+
+
+_PROGRAMS = {}  # compiled chunks by the form of their arguments
+
+
+def _program(arguments, frames, clock, shown):
+    leaves, structure = jax.tree.flatten(arguments)
+    key = structure, tuple((x.shape, str(x.dtype)) for x in leaves), frames
+    if key not in _PROGRAMS:
+        if shown:
+            shown.compiling()
+        start = time.perf_counter()
+        function = partial(_chunk, frames)
+        if arguments[1].step.ndim:
+            function = jax.vmap(function, in_axes=(None, 0, None, None, None))
+        _PROGRAMS[key] = stepping.jit(function, jax.default_backend()).lower(*arguments).compile()
+        clock["compile"] += time.perf_counter() - start
+    return _PROGRAMS[key]
+
+
+def _chunk(frames, system, state, count, every, phase):
+    return stepping.run_chunk(system, state, count, every, SAMPLES, frames, phase)
+
+
+def _stop(job: Job, target, span: Span, failed):
+    """Save what was computed before the failure and raise it."""
+    member, k = failed
+    state, _, _ = execute(job, span.system, span.start, span.first, k + 1)
+    error = failure.describe(job, span, jax.device_get(state), member, k)
+    if span.first >= 0:
+        into = target()
+        into.append(*_recorded(job, span, k), info={"stopped": str(error)})
+        error.run = into.run() if isinstance(into, Memory) else None
+    raise error
+
+
+# --- what is recorded ---
+
+
+def _recorded(job: Job, span: Span, count):
+    """Series and poses of the first samples of a span that are not in the file yet, as Writer.append takes them."""
+    if span.first < 0:
+        return {}, None
+    run_axis = () if job.runs is None else (slice(None),)
+    old = min(max(0, job.samples_kept - span.first), count)
+    number = np.arange(span.first + old, span.first + count)
+    rows = jax.tree.map(lambda x: x[(*run_axis, slice(old, count))], span.samples)
+    samples = series.of_samples(span.system, job.built.blocks, rows, (number + 1) * job.scene.run.sample)
+    return samples if len(number) else {}, _frames(job, span, count, run_axis)
+
+
+def _frames(job: Job, span: Span, count, run_axis):
+    """Poses of the frames that a span ended and that are not in the file yet; that of the release is number 0."""
+    if not job.every:
+        return None
+    before = span.first // job.every
+    number = np.arange(before + 1, (span.first + count) // job.every + 1)
+    poses = span.poses[(*run_axis, slice(0, len(number)))]
+    if span.first == 0:
+        release = series.pose_of(span.system, span.start)
+        number, poses = np.append(0, number), np.concatenate([np.expand_dims(release, -3), poses], axis=-3)
+    new = number >= job.frames_kept
+    poses = poses[(*run_axis, new)]
+    time_of = number[new] * (job.every * job.scene.run.sample)
+    return series.of_poses(poses, job.built.frames, time_of) if new.any() else None
+
+
+class Memory:
+    """Keeps what a record.Writer would write."""
+
+    def __init__(self, header):
+        self._header, self._parts, self._restart = header, {}, {}
+
+    def append(self, samples, frames=None, restart=None, info=None):
+        """As Writer.append."""
+        poses = {f"pieces/{name}": array for name, array in (frames or {}).items()}
+        for name, array in (record.flat(samples) | poses).items():
+            self._parts.setdefault(name, []).append(array)
+        self._restart = restart or self._restart
+        self._header = replace(self._header, info=self._header.info | (info or {}))
+
+    def run(self) -> record.Run:
+        """All that was appended."""
+        return record.assembled(self._header, self._parts, self._restart)
