@@ -21,8 +21,9 @@ AGREEMENT = 0.1  # starts agree where they differ by less than this share of the
 class Fit:
     """What a fit found. All SI.
 
-    parameters: name -> {"value", "low", "high", "sd", "local_sd"}: 90 % interval of the parametric bootstrap, its standard deviation
-    and the fast local estimate; `free` names those fitted. starts: name -> [S]; losses: [S]; converged, agreed: [S]
+    parameters: name -> {"value", "low", "high", "sd", "local_sd"}: 90 % interval of the parametric bootstrap, its
+    standard deviation and the fast local estimate; `free` names those fitted. starts: name -> [S]; losses: [S];
+    converged, agreed: [S]
     distances: block -> energy distance; p_values: name -> p-value; rmse_g: the paper's figure, for comparison only
     statements: what the data can and cannot tell, in words
     """
@@ -48,13 +49,22 @@ def default_start(targets: list[Target], measured) -> dict:
     """Start values from the traces' own mean drop height and spreads; dt_impact: the paper's 500 us."""
     spread = np.asarray(measured.spread)
     low, high = np.quantile(spread, [0.25, 0.95])
-    return {"dt_impact": 500e-6, "gamma_low": float(low), "gamma_high": float(max(1.5 * high, 1.5 * low)),
-            "h_mean": float(np.mean(np.asarray(measured.height)))}
+    return {
+        "dt_impact": 500e-6,
+        "gamma_low": float(low),
+        "gamma_high": float(max(1.5 * high, 1.5 * low)),
+        "h_mean": float(np.mean(np.asarray(measured.height))),
+    }
 
 
 def several_starts(start: dict, free: tuple, count: int = SPREAD_OF_STARTS) -> dict:
     """`start` and `count` others about it, by factors of up to two: name -> [1 + count]."""
-    factors = {"dt_impact": (2.0, 0.6, 1.3), "gamma_low": (0.5, 1.4, 0.8), "gap": (2.0, 0.5, 1.2), "h_mean": (1.1, 0.9, 1.03)}
+    factors = {
+        "dt_impact": (2.0, 0.6, 1.3),
+        "gamma_low": (0.5, 1.4, 0.8),
+        "gap": (2.0, 0.5, 1.2),
+        "h_mean": (1.1, 0.9, 1.03),
+    }
     rows = [start]
     for k in range(count):
         gap = (start["gamma_high"] - start["gamma_low"]) * factors["gap"][k % 3]
@@ -77,21 +87,27 @@ def _checked_start(start, fixed, targets, measured):
         if not (np.isfinite(value) and (value > 0 or (name == "gamma_low" and value == 0))):
             raise BadInput(f"{name} = {value:g}: must be greater than 0 ({'s' if name == 'dt_impact' else 'm'})")
     if values["gamma_high"] < values["gamma_low"]:
-        raise BadInput(f"gamma_high = {values['gamma_high']:g} m: must be at least gamma_low = {values['gamma_low']:g} m")
+        raise BadInput(
+            f"gamma_high = {values['gamma_high']:g} m: must be at least gamma_low = {values['gamma_low']:g} m"
+        )
     return {name: float(values[name]) for name in NAMES}
 
 
-def fit(traces, start=None, *, fixed=None, align="release", simulations=512, fine=128, bootstrap=100, seed=0, progress=None) -> Fit:
+def fit(
+    traces, start=None, *, fixed=None, align="release", simulations=512, fine=128, bootstrap=100, seed=0, progress=None
+) -> Fit:
     """Fit dt_impact, gamma_low, gamma_high and h_mean to `traces`, a list of `Target`.
 
     start: dict of start values, any subset (the others from the traces); fixed: dict of parameters that are not fitted
     align: "release" or "first-impact"; simulations, fine: simulated portions of the moments and of the increments
     bootstrap: number of refits for the intervals, 0 for the local estimate only; seed: of all random numbers
-    progress: called with (name of the stage, done, of) while it works. Runs in double precision whatever the global flag says.
-    Raises `BadInput`.
+    progress: called with (name of the stage, done, of) while it works. Runs in double precision whatever the global
+    flag says. Raises `BadInput`.
     """
     with jax.enable_x64(True):
-        return _fit(list(traces), start, fixed or {}, align, simulations, fine, bootstrap, seed, progress or (lambda *_: None))
+        return _fit(
+            list(traces), start, fixed or {}, align, simulations, fine, bootstrap, seed, progress or (lambda *_: None)
+        )
 
 
 def _fit(targets, start, fixed, align, simulations, fine, bootstrap, seed, progress):
@@ -115,15 +131,35 @@ def _fit(targets, start, fixed, align, simulations, fine, bootstrap, seed, progr
     refits = uncertainty.bootstrap(theta, targets, draws, measured, free, fine, bootstrap, seed, progress)
     parameters = uncertainty.table(theta, free, local, refits)
     ends = {name: [float(v) for v in solutions.theta[name]] for name in NAMES}
-    agreed = [all(abs(ends[n][s] - ends[n][best]) <= AGREEMENT * _half(parameters[n]) for n in free) for s in range(len(losses))]
-    blocks = {name: float(value) for name, value in zip(("height", "spread", "increments"), solutions.distances[best], strict=True)}
-    p_values = goodness.p_values(theta, targets, measured, refits, seed)
+    agreed = [
+        all(abs(ends[n][s] - ends[n][best]) <= AGREEMENT * _half(parameters[n]) for n in free)
+        for s in range(len(losses))
+    ]
+    blocks = {
+        name: float(value)
+        for name, value in zip(("height", "spread", "increments"), solutions.distances[best], strict=True)
+    }
+    p_values = goodness.p_values(theta, targets, measured, solutions.distances[best], refits, seed)
     result = Fit(
-        parameters=parameters, free=free, starts=ends, losses=[float(v) for v in losses],
-        converged=[bool(v) for v in solutions.converged], agreed=agreed, distances=blocks, p_values=p_values,
-        rmse_g=goodness.rmse_g(theta, targets, align, seed), statements=[],
-        info={"traces": len(targets), "pieces": sorted({t.pieces for t in targets}), "align": align, "bootstrap": bootstrap,
-              "simulations": int(draws.z.shape[0]), "seed": seed, "best_start": best},
+        parameters=parameters,
+        free=free,
+        starts=ends,
+        losses=[float(v) for v in losses],
+        converged=[bool(v) for v in solutions.converged],
+        agreed=agreed,
+        distances=blocks,
+        p_values=p_values,
+        rmse_g=goodness.rmse_g(theta, targets, align, seed),
+        statements=[],
+        info={
+            "traces": len(targets),
+            "pieces": sorted({t.pieces for t in targets}),
+            "align": align,
+            "bootstrap": bootstrap,
+            "simulations": int(draws.z.shape[0]),
+            "seed": seed,
+            "best_start": best,
+        },
     )
     result.statements.extend(uncertainty.statements(result, targets) + goodness.statements(p_values, targets))
     return result

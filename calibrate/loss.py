@@ -35,10 +35,13 @@ class Draws:
 class Measured:
     """Summaries of the K measured traces and what is needed to simulate comparable ones.
 
-    height, spread: [K] (m); increments: [K, lags]; scale: [2 + lags] their standard deviations, which make blocks comparable
-    end: [] (s) end of the traces after the release; gravity: [] (m/s2); floor: [] (m) least spread that is told from none
+    height, spread: [K] (m); increments: [K, lags]; scale: [2 + lags] their standard deviations, which make blocks
+    comparable
+    end: [] (s) end of the traces after the release; gravity: [] (m/s2); floor: [] (m) least spread that is told from
+    none
     grid: static, fine grid of the increments; lags: static (bins)
-    from_momentum: static; True: time counts from the release that the balance of momentum tells, not from that of the file
+    from_momentum: static; True: time counts from the release that the balance of momentum tells, not from that of
+    the file
     """
 
     height: jax.Array
@@ -70,7 +73,9 @@ def pulses_of(theta, draws: Draws, gravity):
 
 
 def _fine(pulses, mass, phase, grid: Grid):
-    """Force over the weight on the fine grid, beginning so long before the first impact that no lag reaches out of it."""
+    """Force over the weight on the fine grid, beginning so long before the first impact that no lag reaches out
+    of it.
+    """
     first = jnp.min(jnp.where(mass > 0.0, pulses.start, jnp.inf))
     shifted = pulses.start - first + grid.sample * (LONGEST_LAG + 4.0 + phase)
     weight = jnp.sum(pulses.weight)
@@ -129,7 +134,9 @@ def distances(theta, draws: Draws, measured: Measured, fine: int):
 
 
 def joint_distance(theta, draws: Draws, measured: Measured, fine: int):
-    """One energy distance of all summaries together, each over its scale. Kept for comparison: it hardly tells gamma_high."""
+    """One energy distance of all summaries together, each over its scale. Kept for comparison: it hardly tells
+    gamma_high.
+    """
     some = jax.tree.map(lambda leaf: leaf[:fine], draws)
     height, spread = moments(theta, some, measured)
     y = jnp.concatenate([height[:, None], spread[:, None], increments(theta, draws, measured, fine)], axis=1)

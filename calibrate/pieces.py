@@ -21,7 +21,8 @@ def _volume(portion: dict) -> float | None:
 
 
 def piece_mass(scene: str) -> float | None:
-    """(kg) of one piece of the scene's portion, None where the text does not tell (pieces of different or meshed shapes).
+    """(kg) of one piece of the scene's portion, None where the text does not tell (pieces of different or meshed
+    shapes).
 
     Raises `BadInput` where the text is not TOML.
     """

@@ -18,8 +18,8 @@ FLOOR = 1e-4  # m, least spread of drop heights that is told from none
 
 
 def bin_length(targets: list[Target], bin_length=None) -> float:
-    """(s) bin of the increments: as given, else the multiple of the coarsest sample time nearest 60 us, a sixteenth to a quarter of
-    the pulses of the pieces that the paper deals with."""
+    """(s) bin of the increments: as given, else the multiple of the coarsest sample time nearest 60 us, a sixteenth
+    to a quarter of the pulses of the pieces that the paper deals with."""
     coarsest = max(trace.sample for trace in targets)
     return bin_length or coarsest * max(1, round(60e-6 / coarsest))
 
@@ -31,15 +31,17 @@ def fine_grid(targets: list[Target], bin_: float) -> Grid:
 
 
 def _active(trace: Target) -> float:
-    """(s) from the first impact until 99 % of the impulsive momentum is there: where the force last exceeds 1.5 of the weight."""
+    """(s) from the first impact until 99 % of the impulsive momentum is there: where the force last exceeds 1.5
+    of the weight.
+    """
     above = np.flatnonzero(trace.force > 1.5 * trace.weight)
     last = float(trace.time[above[-1]]) if len(above) else trace.first_impact
     return max(last - trace.first_impact, 0.02)
 
 
 def measure(targets: list[Target], align: str = "release", bin_=None) -> Measured:
-    """Summaries of the traces. align: "release" (time zero of the files) or "first-impact" (times of the files are not trusted; the
-    balance of momentum tells how long each portion had been falling). Raises `BadInput`.
+    """Summaries of the traces. align: "release" (time zero of the files) or "first-impact" (times of the files are
+    not trusted; the balance of momentum tells how long each portion had been falling). Raises `BadInput`.
     """
     if align not in ALIGNMENTS:
         raise BadInput(f"align = {align}: must be one of {', '.join(ALIGNMENTS)}")

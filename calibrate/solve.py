@@ -1,8 +1,8 @@
 """The fit itself: Adam on the blocks, in one compiled program that maps over starts and over data sets.
 
-Height and spread are fitted first (they hardly depend on dt_impact and cost O(pieces)), then dt_impact alone to the increments,
-whose derivatives with respect to the times of impact are interference of single pulses: right on average, but so scattered that
-they would hide what the spread says. Two or three rounds make the two agree.
+Height and spread are fitted first (they hardly depend on dt_impact and cost O(pieces)), then dt_impact alone to the
+increments, whose derivatives with respect to the times of impact are interference of single pulses: right on
+average, but so scattered that they would hide what the spread says. Two or three rounds make the two agree.
 """
 
 from dataclasses import dataclass

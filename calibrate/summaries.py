@@ -1,17 +1,20 @@
-"""What is compared between measured and simulated traces: a few numbers per trace, each of which tells of one parameter.
+"""What is compared between measured and simulated traces: a few numbers per trace, each of which tells of one
+parameter.
 
 height     (m)  mean drop height of the pieces, from the momentum they deliver   -> h_mean
-spread     (m)  standard deviation of their drop heights, likewise               -> gamma_low, gamma_high by its distribution
-increments [lags] logarithm of the summed squared increments of the force at short lags -> dt_impact
+spread     (m)  standard deviation of their drop heights, likewise               -> gamma_low, gamma_high by its
+distribution increments [lags] logarithm of the summed squared increments of the force at short lags -> dt_impact
 
-Height and spread need no look at single pulses. A piece that falls from rest brings the momentum m g t and then weighs m g; with
-P(t) the momentum delivered up to t, F - P/t is free of the weight of what has landed, and for pulses short against the fall
+Height and spread need no look at single pulses. A piece that falls from rest brings the momentum m g t and then
+weighs m g; with P(t) the momentum delivered up to t, F - P/t is free of the weight of what has landed, and for
+pulses short against the fall
 
     int F dt = M g T,   int F (2 t - T) g/2 dt = sum m g h_i,   int F (4 t^3 - T^3) g^2/12 dt = sum m g h_i^2
 
-(T the end of the trace, time from the release). These linear functionals are applied to measured traces as sums over samples and to
-simulated pulses in closed form, O(pieces), with neither grid nor noise. For the Product Model they give the sample mean and variance
-of the drop heights, which are sufficient: nothing that the times of impact say of h_mean and the limits is lost.
+(T the end of the trace, time from the release). These linear functionals are applied to measured traces as sums over
+samples and to simulated pulses in closed form, O(pieces), with neither grid nor noise. For the Product Model they
+give the sample mean and variance of the drop heights, which are sufficient: nothing that the times of impact say of
+h_mean and the limits is lost.
 """
 
 import jax
@@ -34,12 +37,16 @@ def moments_of_trace(time, force, sample, gravity, floor):
     """
     end, middle = time[-1], time - 0.5 * sample
     first = gravity / 2.0 * (2.0 * middle - end)
-    second = gravity**2 / 12.0 * (4.0 * (middle**3 + 0.25 * middle * sample**2) - end**3)  # mean of t^3 over the interval
+    second = (
+        gravity**2 / 12.0 * (4.0 * (middle**3 + 0.25 * middle * sample**2) - end**3)
+    )  # mean of t^3 over the interval
     return _height_and_spread([np.sum(force * w) * sample for w in (1.0 / end, first, second)], floor, np)
 
 
 def moments_of_pulses(times, jumps, end, gravity, floor):
-    """The same of a simulated portion, from the times (s) and jumps (N) of its edges [E]; what lands after `end` is not seen."""
+    """The same of a simulated portion, from the times (s) and jumps (N) of its edges [E]; what lands after `end`
+    is not seen.
+    """
     s = jnp.minimum(times, end)
     integrals = (end - s) / end, gravity / 2.0 * s * (end - s), gravity**2 / 12.0 * s * (end**3 - s**3)
     return _height_and_spread([jnp.sum(jumps * integral) for integral in integrals], floor, jnp)
@@ -73,7 +80,9 @@ def autocorrelation(force, lags):
 
 
 def log_increments(force, lags):
-    """[lags]: log of the sum of squared increments at each of the static `lags` (bins) of `force` [T], after the low pass."""
+    """[lags]: log of the sum of squared increments at each of the static `lags` (bins) of `force` [T], after the
+    low pass.
+    """
     smooth = low_pass(force)
     lagged = autocorrelation(smooth, (0, *lags))
     ends = jnp.stack([jnp.sum(smooth[:lag] ** 2) + jnp.sum(smooth[-lag:] ** 2) for lag in lags])

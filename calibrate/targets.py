@@ -17,9 +17,10 @@ ONSET = 0.02  # share of the largest force at which a trace is taken to begin: i
 class Target:
     """One measured trace.
 
-    time: [T] (s) after the release, ends of the sample intervals, equidistant; force: [T] (N) means over them, downward positive
-    m_piece: (kg) weight of one piece; pieces: number of pieces; height_offset: (m) known deviation of this trace's mean drop height
-    from the others'; gravity: (m/s2); name: for messages
+    time: [T] (s) after the release, ends of the sample intervals, equidistant; force: [T] (N) means over them,
+    downward positive
+    m_piece: (kg) weight of one piece; pieces: number of pieces; height_offset: (m) known deviation of this trace's
+    mean drop height from the others'; gravity: (m/s2); name: for messages
     """
 
     time: np.ndarray
@@ -47,7 +48,9 @@ class Target:
 
 
 def target(time, force, m_piece, pieces, *, height_offset=0.0, gravity=9.81, name="trace") -> Target:
-    """A checked `Target`. Raises `BadInput`: empty, different lengths, NaN, time not increasing or not equidistant, mass, pieces."""
+    """A checked `Target`. Raises `BadInput`: empty, different lengths, NaN, time not increasing or not
+    equidistant, mass, pieces.
+    """
     time, force = np.asarray(time, np.float64), np.asarray(force, np.float64)
     if time.ndim != 1 or force.shape != time.shape:
         raise BadInput(f"{name}: time {time.shape} and force {force.shape} must be of one length")
@@ -72,10 +75,10 @@ def target(time, force, m_piece, pieces, *, height_offset=0.0, gravity=9.81, nam
 def read(path, m_piece=None, pieces=None, group=None) -> list[Target]:
     """All traces of one file; the suffix tells the format.
 
-    `.h5`: a run, or an ensemble with a leading run axis, in the layout of the discrete element runs; the mean force of the wall group
-    `group` (default wb_flaps, or the only one there is), weight and number of the pieces from the file unless given.
-    `.csv`: a header line, then time (s) and one force (N) per further column; m_piece and pieces must be given.
-    Raises `BadInput`.
+    `.h5`: a run, or an ensemble with a leading run axis, in the layout of the discrete element runs; the mean force
+    of the wall group `group` (default wb_flaps, or the only one there is), weight and number of the pieces from the
+    file unless given. `.csv`: a header line, then time (s) and one force (N) per further column; m_piece and pieces
+    must be given. Raises `BadInput`.
     """
     path = Path(path)
     if not path.is_file():
@@ -134,7 +137,9 @@ def _group(path, groups, group):
 
 
 def rebin(trace: Target, start: float, sample: float, samples: int) -> np.ndarray:
-    """Mean force [samples] (N) over intervals of `sample` from `start`, by the integral of the trace: exact for nested grids."""
+    """Mean force [samples] (N) over intervals of `sample` from `start`, by the integral of the trace: exact for
+    nested grids.
+    """
     edges = np.concatenate([[trace.time[0] - trace.sample], trace.time])
     impulse = np.concatenate([[0.0], np.cumsum(trace.force) * trace.sample])
     return np.diff(np.interp(start + sample * np.arange(samples + 1), edges, impulse)) / sample

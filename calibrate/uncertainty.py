@@ -1,14 +1,17 @@
-"""How sure a fit is: a parametric bootstrap of refits, a fast local estimate, and what the data cannot tell, in words."""
+"""How sure a fit is: a parametric bootstrap of refits, a fast local estimate, and what the data cannot tell, in
+words.
+"""
 
+from dataclasses import dataclass, replace
 from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from calibrate.loss import increment_distance, increments, moment_distances, moments
+from calibrate.loss import Measured, increment_distance, increments, moment_distances, moments
 from calibrate.prepare import draw
-from calibrate.solve import solve_data_sets
+from calibrate.solve import Solution, solve_data_sets
 from calibrate.unconstrained import NAMES, to_parameters, to_unconstrained
 
 LEVEL = 0.90
@@ -23,7 +26,9 @@ def _replicas(theta, draws, measured, count):
 
 
 def data_sets(theta, targets, measured, count: int, seed: int):
-    """`count` synthetic data sets of the composition of `targets`, other random numbers than any fit's: `Measured` with leading axis."""
+    """`count` synthetic data sets of the composition of `targets`, other random numbers than any fit's:
+    `Measured` with leading axis.
+    """
     many = _unstratified(draw(targets, count * len(targets), seed), seed)
     height, spread, lags = _replicas(theta, many, measured, many.z.shape[0])
     shape = (count, len(targets))
@@ -31,21 +36,25 @@ def data_sets(theta, targets, measured, count: int, seed: int):
 
 
 def _unstratified(draws, seed):
-    from dataclasses import replace
-
     z = np.random.default_rng([seed, 1]).standard_normal(draws.z.shape[0])
     return replace(draws, z=jnp.asarray(z))
 
 
 def measured_like(measured, height, spread, lags):
     """`measured` with other summaries."""
-    from dataclasses import replace
-
     return replace(measured, height=height, spread=spread, increments=lags)
 
 
+@dataclass(frozen=True)
+class Refits:
+    """The bootstrap: solution, with leading axis [B], and the data sets that it fits, with the same axis."""
+
+    solution: Solution
+    sets: Measured
+
+
 def bootstrap(theta, targets, draws, measured, free, fine, count, seed, progress):
-    """`count` refits to data sets simulated at `theta`: a `Solution` with leading axis [count], or None for count = 0."""
+    """`count` refits to data sets simulated at `theta`: `Refits`, or None for count = 0."""
     if count == 0:
         return None
     count = -(-count // BATCH) * BATCH
@@ -55,12 +64,14 @@ def bootstrap(theta, targets, draws, measured, free, fine, count, seed, progress
         some = measured_like(sets, *(a[first : first + BATCH] for a in (sets.height, sets.spread, sets.increments)))
         parts.append(jax.block_until_ready(solve_data_sets(theta, draws, some, free, fine)))
         progress("bootstrap", first + BATCH, count)
-    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
+    return Refits(jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts), sets)
 
 
 @partial(jax.jit, static_argnames=("free", "fine"))
 def _slopes(u, fixed, draws, measured, free, fine):
-    """Gradients of the blocks' losses in their own coordinates at `u`: dict of [] (a leading axis for mapped data sets)."""
+    """Gradients of the blocks' losses in their own coordinates at `u`: dict of [] (a leading axis for mapped data
+    sets).
+    """
     shape = {name: value for name, value in u.items() if name != "dt_impact"}
     pulse = {name: value for name, value in u.items() if name == "dt_impact"}
     slope = {}
@@ -72,13 +83,13 @@ def _slopes(u, fixed, draws, measured, free, fine):
 
 
 def local_estimate(theta, targets, draws, measured, free, fine, seed, count: int = 64) -> dict:
-    """Standard deviation of each free parameter without refits: slope^-1 (covariance of gradients) slope^-T, name -> sd.
+    """Standard deviation of each free parameter without refits: slope^-1 (covariance of gradients) slope^-T, name ->
+    sd.
 
-    The gradients of `count` synthetic data sets at `theta` give the covariance, central differences of the mean gradient over two
-    per cent the slope (the second derivative of an energy distance between samples is zero almost everywhere).
+    The gradients of `count` synthetic data sets at `theta` give the covariance, central differences of the mean
+    gradient over two per cent the slope (the second derivative of an energy distance between samples is zero almost
+    everywhere).
     """
-    from calibrate.loss import Measured
-
     fixed = {name: theta[name] for name in NAMES if name not in free}
     u = to_unconstrained(theta, free)
     names = sorted(u)
@@ -87,7 +98,10 @@ def local_estimate(theta, targets, draws, measured, free, fine, seed, count: int
     mapped = jax.jit(jax.vmap(lambda u, m: _slopes(u, fixed, draws, m, free, fine), in_axes=(None, axes)))
     vector = lambda u: np.stack([np.asarray(mapped(u, sets)[name]) for name in names], axis=1)  # noqa: E731
     step = {name: 0.1 if name in ("ratio", "gap", "fraction") else 0.02 for name in names}
-    columns = [(vector(u | {n: u[n] + step[n]}).mean(0) - vector(u | {n: u[n] - step[n]}).mean(0)) / (2 * step[n]) for n in names]
+    columns = [
+        (vector(u | {n: u[n] + step[n]}).mean(0) - vector(u | {n: u[n] - step[n]}).mean(0)) / (2 * step[n])
+        for n in names
+    ]
     inverse = np.linalg.pinv(np.stack(columns, axis=1))
     covariance = inverse @ np.cov(vector(u), rowvar=False).reshape(len(names), len(names)) @ inverse.T
     jacobian = jax.jacfwd(lambda u: to_parameters(u, fixed))(u)
@@ -99,15 +113,28 @@ def local_estimate(theta, targets, draws, measured, free, fine, seed, count: int
 
 
 def table(theta, free, local, refits) -> dict:
-    """name -> value, low, high (90 %), sd, local_sd. The interval mirrors the quantiles of ln(refit/value) about the value."""
+    """name -> value, low, high (90 %), sd, local_sd. The interval mirrors the quantiles of ln(refit/value) about
+    the value.
+    """
     result = {}
     for name in NAMES:
         value = float(theta[name])
-        row = {"value": value, "low": value, "high": value, "sd": 0.0, "local_sd": local.get(name, 0.0), "free": name in free}
+        row = {
+            "value": value,
+            "low": value,
+            "high": value,
+            "sd": 0.0,
+            "local_sd": local.get(name, 0.0),
+            "free": name in free,
+        }
         if name in free and refits is not None:
-            ratios = np.log(np.maximum(np.asarray(refits.theta[name]), 1e-12) / max(value, 1e-12))
+            ratios = np.log(np.maximum(np.asarray(refits.solution.theta[name]), 1e-12) / max(value, 1e-12))
             low, high = np.quantile(ratios, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
-            row |= {"low": value * np.exp(-high), "high": value * np.exp(-low), "sd": float(np.std(np.exp(ratios)) * value)}
+            row |= {
+                "low": value * np.exp(-high),
+                "high": value * np.exp(-low),
+                "sd": float(np.std(np.exp(ratios)) * value),
+            }
         elif name in free:
             row |= {"low": value - 1.645 * local[name], "high": value + 1.645 * local[name], "sd": local[name]}
         result[name] = {key: (bool(v) if key == "free" else float(v)) for key, v in row.items()}
@@ -122,7 +149,9 @@ def statements(result, targets) -> list[str]:
         row = result.parameters[name]
         half = 0.5 * (row["high"] - row["low"]) / max(row["value"], 1e-12)
         if half > 0.25:
-            lines.append(f"{name} is hardly told by these traces: its 90 % interval is +-{100 * half:.0f} % of its value")
+            lines.append(
+                f"{name} is hardly told by these traces: its 90 % interval is +-{100 * half:.0f} % of its value"
+            )
     if "gamma_high" in result.free:
         lines.append(
             f"gamma_high is a three-sigma quantity that only about half of the {count} traces say anything of: no estimator can know "

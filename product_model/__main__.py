@@ -38,8 +38,12 @@ def _parser():
     for name, (metavar, kind, text) in FLAGS.items():
         default = getattr(Parameters, name)
         shown = "" if default is None else f" (default {default:g})"
-        simulate.add_argument(f"--{name.replace('_', '-')}", metavar=metavar, type=kind, default=default, help=text + shown)
-    simulate.add_argument("--form", choices=FORMS, default=Parameters.form, help=f"pulse form (default {Parameters.form})")
+        simulate.add_argument(
+            f"--{name.replace('_', '-')}", metavar=metavar, type=kind, default=default, help=text + shown
+        )
+    simulate.add_argument(
+        "--form", choices=FORMS, default=Parameters.form, help=f"pulse form (default {Parameters.form})"
+    )
     simulate.add_argument("--precision", choices=tuple(DTYPES), default=Parameters.precision, help="default f64")
     simulate.add_argument("--runs", type=int, default=1, metavar="K", help="number of random portions (default 1)")
     simulate.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the random numbers (default 0)")
@@ -62,8 +66,9 @@ def _simulate(args):
     trace = ensemble(params, args.seed, args.runs)
     if args.runs == 1:
         import jax
+        import numpy as np
 
-        trace = jax.tree.map(lambda leaf: leaf[0], trace)
+        trace = jax.tree.map(lambda leaf: np.asarray(leaf)[0], trace)
     save(args.out, trace, params, seed=args.seed, overwrite=args.force)
     if args.plot:
         from product_model.plot import figure
@@ -87,11 +92,17 @@ def _report(trace, params, args):
 
     from product_model.monte_carlo import QUANTILES, peaks
 
-    print(f"{args.runs} portion(s) of {trace.height.shape[-1]} pieces of {float(params.m_piece) * 1e3:g} g, "
-          f"{trace.grid.samples} samples of {trace.grid.sample * 1e6:g} us, {params.form}, {params.precision}")
+    print(
+        f"{args.runs} portion(s) of {trace.height.shape[-1]} pieces of {float(params.m_piece) * 1e3:g} g, "
+        f"{trace.grid.samples} samples of {trace.grid.sample * 1e6:g} us, {params.form}, {params.precision}"
+    )
     print("quantile".ljust(22) + "".join(f"{100 * q:>10.0f} %" for q in QUANTILES))
-    units = {"peak_kg": ("peak PIF (g)", 1e3), "peak_time": ("its time (ms)", 1e3), "first": ("first impact (ms)", 1e3),
-             "duration": ("total duration (ms)", 1e3)}
+    units = {
+        "peak_kg": ("peak PIF (g)", 1e3),
+        "peak_time": ("its time (ms)", 1e3),
+        "first": ("first impact (ms)", 1e3),
+        "duration": ("total duration (ms)", 1e3),
+    }
     for name, values in peaks(trace).quantiles().items():
         print(units[name][0].ljust(22) + "".join(f"{units[name][1] * v:>12.2f}" for v in values))
     redrawn, late = int(np.sum(trace.redrawn)), int(np.sum(trace.late))

@@ -1,7 +1,7 @@
 """The random fall of a portion, eqs 18-22, as differentiable functions of given random numbers.
 
-The random numbers go in as arguments, so that a fit can keep them fixed while the parameters move (common random numbers):
-the derivatives of what comes out are then pathwise derivatives, exact almost everywhere.
+The random numbers go in as arguments, so that a fit can keep them fixed while the parameters move (common random
+numbers): the derivatives of what comes out are then pathwise derivatives, exact almost everywhere.
 """
 
 import math
@@ -20,8 +20,8 @@ def standard_normal(v):
 def sigma_height(gamma_low, gamma_high, z):
     """Eqs 19-22: standard deviation (m) of the drop heights from a standard normal `z` [...].
 
-    Half of all portions have exactly gamma_low; the others are half-normal above it with scale (gamma_high - gamma_low)/3,
-    so that one portion in 740 exceeds gamma_high: it is a three-sigma quantity and no limit.
+    Half of all portions have exactly gamma_low; the others are half-normal above it with scale (gamma_high -
+    gamma_low)/3, so that one portion in 740 exceeds gamma_high: it is a three-sigma quantity and no limit.
     Written so that the derivative is also right where gamma_high = gamma_low.
     """
     return gamma_low + (gamma_high - gamma_low) / 3.0 * jnp.maximum(z, 0.0)
@@ -32,8 +32,9 @@ def drop_heights(h_mean, sigma, v):
 
     h_mean: [] (m); sigma: [] (m); v: [pieces] uniform on (-1, 1).
     A normal height can be negative, which no drop is. Such a piece is drawn again from the normal cut off at zero, the
-    rejected number itself (uniform below the cut) serving as the new one: the heights then follow the normal distribution
-    given that all are positive, every other piece keeps its height, and no further random numbers are needed.
+    rejected number itself (uniform below the cut) serving as the new one: the heights then follow the normal
+    distribution given that all are positive, every other piece keeps its height, and no further random numbers are
+    needed.
     """
     wide = sigma > 0.0
     ratio = h_mean / jnp.where(wide, sigma, 1.0)

@@ -22,9 +22,10 @@ _static = partial(field, metadata={"static": True})
 class Parameters:
     """All inputs of the model. Leaves can be traced, mapped and differentiated; the other fields are static.
 
-    Leaves, each a float or [] array: h_mean, gamma_low, gamma_high, dt_impact, m_piece, gravity. Units and sources of the
-    defaults: `INPUTS`. `pieces` None: eq. 16 from m_target; `duration` None: until all but one in 10^4 pieces have landed in
-    a portion that spreads like gamma_high.
+    Leaves, each a float or [] array: h_mean, gamma_low, gamma_high, dt_impact, m_piece, gravity. Units and sources
+    of the
+    defaults: `INPUTS`. `pieces` None: eq. 16 from m_target; `duration` None: until all but one in 10^4 pieces have
+    landed in a portion that spreads like gamma_high.
     """
 
     h_mean: float | jax.Array = 0.25
@@ -73,7 +74,13 @@ INPUTS = (
     Input("gravity", "g", "m/s²", "acceleration due to gravity", "paper, section 3.1"),
     Input("start", "", "s", "beginning of the trace after release", "chosen: the release"),
     Input("duration", "", "s", "length of the trace", "chosen: until the pieces have landed"),
-    Input("form", "", "", "rectangular, interval-mean or smooth", "chosen: means over Δt_sample, exact for every Δt_impact"),
+    Input(
+        "form",
+        "",
+        "",
+        "rectangular, interval-mean or smooth",
+        "chosen: means over Δt_sample, exact for every Δt_impact",
+    ),
     Input("smooth_width", "τ", "s", "width of the smooth form's Gaussian", "chosen: a tenth of the default Δt_impact"),
     Input("precision", "", "", "f32 or f64", "chosen"),
 )
@@ -189,7 +196,9 @@ def grid_of(params: Parameters) -> Grid:
 
 
 def table() -> str:
-    """Inputs and outputs of the model as in Fig. 7, with the default of each input and its source: a Markdown table."""
+    """Inputs and outputs of the model as in Fig. 7, with the default of each input and its source: a Markdown
+    table.
+    """
     defaults = {f.name: f.default for f in fields(Parameters)}
     rows = ["| input | symbol | unit | default | meaning | source of the default |", "|---|---|---|---|---|---|"]
     for row in INPUTS:

@@ -59,7 +59,9 @@ class Pulses:
     weight: jax.Array
 
     def edges(self):
-        """Times [2 pieces] (s) and jumps [2 pieces] (N) of the total force, eq. 15: its rising edges, then its falling ones."""
+        """Times [2 pieces] (s) and jumps [2 pieces] (N) of the total force, eq. 15: its rising edges, then its
+        falling ones.
+        """
         times = jnp.concatenate([self.start, self.start + self.duration])
         return times, jnp.concatenate([self.force, self.weight - self.force])
 

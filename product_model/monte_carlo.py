@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from functools import partial
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from product_model.inputs import BadInput, Parameters, check
@@ -46,22 +45,18 @@ class Peaks:
 
     def quantiles(self, levels=QUANTILES) -> dict:
         """Name -> [levels] quantiles over the runs."""
-        return {name: np.quantile(getattr(self, name), levels) for name in ("peak_kg", "peak_time", "first", "duration")}
-
-
-@jax.jit
-def _peaks(trace: Trace):
-    start = trace.pulses.start
-    first, last = jnp.min(start, axis=-1), jnp.max(start, axis=-1)
-    return jnp.max(trace.pif_kg, axis=-1), jnp.argmax(trace.force, axis=-1), first, last - first + trace.pulses.duration
+        return {
+            name: np.quantile(getattr(self, name), levels) for name in ("peak_kg", "peak_time", "first", "duration")
+        }
 
 
 def peaks(trace: Trace) -> Peaks:
     """Peak PIF, its time and the total duration of every portion of an ensemble (or of one trace: [1])."""
-    if trace.force.ndim == 1:
-        trace = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], trace)
-    peak, index, first, duration = (np.asarray(value) for value in _peaks(trace))
-    return Peaks(peak, trace.time[index], first, duration)
+    force, start = np.atleast_2d(np.asarray(trace.force)), np.atleast_2d(np.asarray(trace.pulses.start))
+    first, last = start.min(axis=1), start.max(axis=1)
+    duration = last - first + np.asarray(trace.pulses.duration)
+    peak = force.max(axis=1) / np.asarray(trace.gravity)
+    return Peaks(peak, trace.time[force.argmax(axis=1)], first, duration)
 
 
 def bands(trace: Trace, levels=QUANTILES) -> np.ndarray:

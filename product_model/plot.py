@@ -30,7 +30,7 @@ def _bands(ax, time_ms, trace):
     low, mid, high = bands(trace, (0.05, 0.5, 0.95))
     ax.fill_between(time_ms, low, high, alpha=0.3, lw=0, label=f"5-95 % of {len(trace.force)} portions")
     ax.plot(time_ms, mid, lw=1, label="median")
-    ax.plot(time_ms, np.asarray(trace.pif_kg[0]), lw=0.6, color="k", label="one portion")
+    ax.plot(time_ms, np.asarray(trace.pif_kg)[0], lw=0.6, color="k", label="one portion")
 
 
 def _peaks(ax, trace):

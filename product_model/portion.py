@@ -45,7 +45,7 @@ class Trace:
     @property
     def pif_kg(self):
         """[T] (kg) product impact force as a weight, eq. 24."""
-        return self.force / self._over_time(self.gravity)
+        return _concrete(self.force) / self._over_time(_concrete(self.gravity))
 
     @property
     def pif_g(self):
@@ -55,12 +55,13 @@ class Trace:
     @property
     def redrawn(self):
         """[] pieces whose drop height would have been negative and was drawn again."""
-        return self.again.sum(axis=-1)
+        return _concrete(self.again).sum(axis=-1)
 
     @property
     def late(self):
         """[] pieces whose pulse is not over at the last sample: lengthen the trace if there are any."""
-        return (self.pulses.start + self._over_time(self.pulses.duration) > self.grid.end).sum(axis=-1)
+        end = _concrete(self.pulses.start) + self._over_time(_concrete(self.pulses.duration))
+        return (end > self.grid.end).sum(axis=-1)
 
     def settled_mass(self):
         """[T] (kg) mass whose pulse is over at each sample time: the static weight of Fig. 6 over g."""
@@ -72,6 +73,13 @@ class Trace:
 
     def _over_time(self, value):
         return value[..., None] if getattr(value, "ndim", 0) else value
+
+
+def _concrete(value):
+    """A NumPy array of a value that is one, so that its precision does not hang on the global flag; a traced
+    value as it is.
+    """
+    return value if isinstance(value, jax.core.Tracer) else np.asarray(value)
 
 
 def _settled(time, end, mass):
@@ -101,7 +109,9 @@ def random_numbers(key, pieces: int, dtype):
 
 @partial(jax.jit, static_argnames=("pieces", "grid", "form", "smooth_width"))
 def portion(leaves, key, *, pieces: int, grid: Grid, form: str, smooth_width: float) -> Trace:
-    """Eqs 9-22 for one key. leaves: dict of the names in `LEAVES`, [] each and all of one dtype, which is that of the result."""
+    """Eqs 9-22 for one key. leaves: dict of the names in `LEAVES`, [] each and all of one dtype, which is that of
+    the result.
+    """
     z, v = random_numbers(key, pieces, jnp.result_type(leaves["h_mean"]))
     sigma = fall.sigma_height(leaves["gamma_low"], leaves["gamma_high"], z)
     height, again = fall.drop_heights(leaves["h_mean"], sigma, v)
@@ -135,7 +145,12 @@ def _cast(value, dtype):
 
 def static_of(params: Parameters) -> dict:
     """The static choices that fix the program: a new set compiles anew."""
-    return {"pieces": pieces_of(params), "grid": grid_of(params), "form": params.form, "smooth_width": params.smooth_width}
+    return {
+        "pieces": pieces_of(params),
+        "grid": grid_of(params),
+        "form": params.form,
+        "smooth_width": params.smooth_width,
+    }
 
 
 def as_key(key):
@@ -147,8 +162,8 @@ def simulate(params: Parameters, key) -> Trace:
     """The product impact force of one random portion (eqs 9-22).
 
     params: `Parameters`; key: a jax random key, or an integer seed. The same key gives the same trace.
-    Raises `BadInput` with one line where an input is out of range. Compiles once for each set of static inputs; in a loop
-    that counts microseconds use `compiled`.
+    Raises `BadInput` with one line where an input is out of range. Compiles once for each set of static inputs; in a
+    loop that counts microseconds use `compiled`.
     """
     check(params)
     with in_precision(params.precision):
@@ -156,7 +171,8 @@ def simulate(params: Parameters, key) -> Trace:
 
 
 def compiled(params: Parameters):
-    """`key -> Trace` with all checks done and all inputs fixed beforehand: the fast way to many traces of one set of inputs.
+    """`key -> Trace` with all checks done and all inputs fixed beforehand: the fast way to many traces of one set of
+    inputs.
 
     The first call compiles.
     """

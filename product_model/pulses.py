@@ -1,7 +1,7 @@
 """Sampled and interval-mean force of rectangular pulses: O(pieces + samples), by depositing edges and summing up.
 
-Both are sums of steps. A step is put on the grid by adding its height to one bin (two, where it is shared) and one cumulative
-sum over time turns the deposits into the force.
+Both are sums of steps. A step is put on the grid by adding its height to one bin (two, where it is shared) and one
+cumulative sum over time turns the deposits into the force.
 """
 
 import jax.numpy as jnp
@@ -34,9 +34,9 @@ def in_samples(times, grid: Grid, margin: int = 0):
 def rectangular(pulses: Pulses, grid: Grid):
     """The paper's form: force [T] (N) at each sample time, t_i <= t_k < t_i + Delta t for the pulse of piece i.
 
-    A pulse covers the samples that fall into it: Delta t/sample of them on average, exactly so where that is a whole number.
-    Heights are differentiable, times are not. The impulse of the force as a function of time is m v exactly; that of its samples
-    is so only where Delta t is a whole number of samples.
+    A pulse covers the samples that fall into it: Delta t/sample of them on average, exactly so where that is a whole
+    number. Heights are differentiable, times are not. The impulse of the force as a function of time is m v exactly;
+    that of its samples is so only where Delta t is a whole number of samples.
     """
     times, jumps = pulses.edges()
     first = jnp.ceil(in_samples(times, grid)).astype(jnp.int32) - 1
@@ -46,8 +46,8 @@ def rectangular(pulses: Pulses, grid: Grid):
 def interval_mean(pulses: Pulses, grid: Grid):
     """Mean of the rectangular force over the interval that ends at each sample time: [T] (N).
 
-    Exact for every Delta t, also below one sample; the impulse of the samples is m v to rounding. Piecewise linear in the edges'
-    times and hence differentiable almost everywhere.
+    Exact for every Delta t, also below one sample; the impulse of the samples is m v to rounding. Piecewise linear
+    in the edges' times and hence differentiable almost everywhere.
     """
     times, jumps = pulses.edges()
     position = in_samples(times, grid)

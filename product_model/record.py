@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from product_model.inputs import LEAVES, BadInput, Parameters
-from product_model.pulses import rectangular
 from product_model.portion import Trace, in_precision
+from product_model.pulses import rectangular
 
 GROUP = "wb_flaps"  # wall group whose force this is in the discrete element model
 BLOCK = "wb"  # block whose settled mass it is
@@ -17,7 +17,9 @@ SUFFIXES = (".h5", ".hdf5", ".csv", ".mat")
 
 
 def check_output(path, overwrite: bool = False) -> Path:
-    """`path` if it may be written, else `BadInput`: unknown suffix, missing folder, or a file that nobody asked to replace."""
+    """`path` if it may be written, else `BadInput`: unknown suffix, missing folder, or a file that nobody asked
+    to replace.
+    """
     path = Path(path)
     if path.suffix not in SUFFIXES:
         raise BadInput(f"out = {path}: must end in one of {', '.join(SUFFIXES)}")
@@ -31,8 +33,8 @@ def check_output(path, overwrite: bool = False) -> Path:
 def save(path, trace: Trace, params: Parameters, *, seed=None, overwrite: bool = False) -> Path:
     """Write `trace` (one portion or an ensemble); the suffix chooses the format. Returns the path.
 
-    `.h5`: /time, /force/wb_flaps and /mean_force/wb_flaps [T, 3] (N, downward negative), /settled_mass/wb, /pif, /pieces/...,
-    with a leading run axis for an ensemble and the inputs as TOML text in the attribute `scene`.
+    `.h5`: /time, /force/wb_flaps and /mean_force/wb_flaps [T, 3] (N, downward negative), /settled_mass/wb, /pif,
+    /pieces/..., with a leading run axis for an ensemble and the inputs as TOML text in the attribute `scene`.
     `.csv`: time_s, then force_n and pif_g of each run. `.mat`: the same arrays and the inputs for MATLAB.
     The file appears only when it is complete. Raises `BadInput` as `check_output` does.
     """
@@ -147,7 +149,9 @@ def load(path) -> dict:
     try:
         with h5py.File(path, "r") as file:
             values = {}
-            file.visititems(lambda name, item: values.update({name: item[()]}) if isinstance(item, h5py.Dataset) else None)
+            file.visititems(
+                lambda name, item: values.update({name: item[()]}) if isinstance(item, h5py.Dataset) else None
+            )
             return values | {"attrs": dict(file.attrs)}
     except OSError as error:
         raise BadInput(f"{path}: not a readable HDF5 file ({error})") from None

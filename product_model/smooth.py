@@ -1,7 +1,7 @@
 """Infinitely differentiable pulses: the rectangle seen through a Gaussian of standard deviation `width`.
 
-The impulse and the mean time of a pulse stay as they are for every width; its variance in time grows by width^2, and the top of a
-lone pulse is lowered by the factor `peak_factor`. As width -> 0 the form tends to `interval_mean`.
+The impulse and the mean time of a pulse stay as they are for every width; its variance in time grows by width^2, and
+the top of a lone pulse is lowered by the factor `peak_factor`. As width -> 0 the form tends to `interval_mean`.
 """
 
 import math
@@ -25,7 +25,9 @@ def peak_factor(width, dt_impact):
 
 
 def _ramp(u):
-    """Integral of the Gaussian step, u Phi(u) + phi(u); written as max(u, 0) + what is small, to keep its precision."""
+    """Integral of the Gaussian step, u Phi(u) + phi(u); written as max(u, 0) + what is small, to keep its
+    precision.
+    """
     below = -jnp.abs(u)
     return jnp.maximum(u, 0.0) + below * ndtr(below) + jnp.exp(-0.5 * u * u) / math.sqrt(2.0 * math.pi)
 
@@ -33,8 +35,8 @@ def _ramp(u):
 def smooth(pulses: Pulses, grid: Grid, width: float):
     """Interval mean of the smoothed force: [T] (N). width: (s), positive and static; the cost grows with width/sample.
 
-    Each edge deposits the second differences of the ramp on the bins within `REACH` widths. Their sum and their first moment
-    are those of the sharp edge, hence the exact impulse.
+    Each edge deposits the second differences of the ramp on the bins within `REACH` widths. Their sum and their
+    first moment are those of the sharp edge, hence the exact impulse.
     """
     bins = width / grid.sample
     reach = math.ceil(REACH * bins) + 1

@@ -1,7 +1,8 @@
 """Real time: one sample per call, bounded state, the same numbers as the batch form.
 
-`start` draws a portion and sorts its edges; `step` is a pure function, for use inside a model of the weighing station that is
-itself a scan. The state holds the sample counter and a few numbers per piece, and does not grow with time.
+`start` draws a portion and sorts its edges; `step` is a pure function, for use inside a model of the weighing
+station that is itself a scan. The state holds the sample counter and a few numbers per piece, and does not grow with
+time.
 """
 
 from dataclasses import dataclass
@@ -39,8 +40,8 @@ class Stream:
 def start(params: Parameters, key) -> Stream:
     """A stream of the portion that `simulate(params, key)` makes. Forms: rectangular and interval-mean.
 
-    Raises `BadInput` where an input is out of range or the form is smooth (its pulses begin before the impact, so that there
-    is no next sample without looking ahead).
+    Raises `BadInput` where an input is out of range or the form is smooth (its pulses begin before the impact, so
+    that there is no next sample without looking ahead).
     """
     check(params)
     if params.form == "smooth":
@@ -68,7 +69,9 @@ def _sorted_edges(pulses: Pulses, grid: Grid, form: str) -> Stream:
 
 
 def step(stream: Stream):
-    """(next stream, force [] (N) of this sample). O(log pieces); after the last sample of the grid the static weight goes on."""
+    """(next stream, force [] (N) of this sample). O(log pieces); after the last sample of the grid the static
+    weight goes on.
+    """
     passed = jnp.searchsorted(stream.bin, stream.sample, side="right", method="scan_unrolled").astype(jnp.int32)
     force = stream.level[stream.passed] + (stream.excess[passed] - stream.excess[stream.passed])
     return Stream(stream.bin, stream.level, stream.excess, passed, stream.sample + 1), force

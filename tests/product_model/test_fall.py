@@ -1,4 +1,6 @@
-"""Eqs 18-22: the distributions, by statistical tests. Each states its false-alarm rate; keys are fixed, so a pass stays a pass."""
+"""Eqs 18-22: the distributions, by statistical tests. Each states its false-alarm rate; keys are fixed, so a pass
+stays a pass.
+"""
 
 import jax
 import jax.numpy as jnp
@@ -36,7 +38,9 @@ def test_the_others_are_half_normal(portions):
 
 
 def test_heights_and_arrival_times(portions):
-    """Standardised heights are normal; impact times follow from them by eq. 14, checked through their own distribution."""
+    """Standardised heights are normal; impact times follow from them by eq. 14, checked through their own
+    distribution.
+    """
     sigma = np.asarray(portions.sigma_height)[:, None]
     eta = (np.asarray(portions.height) - 0.25) / sigma
     kept = ~np.asarray(portions.again)
@@ -53,7 +57,9 @@ def test_spread_and_heights_are_independent(portions):
 
 
 def test_negative_heights_are_drawn_again_and_counted():
-    """With sigma = h_mean a normal height is negative with probability Phi(-1); what remains is the normal cut off at zero."""
+    """With sigma = h_mean a normal height is negative with probability Phi(-1); what remains is the normal cut
+    off at zero.
+    """
     trace = ensemble(parameters(h_mean=0.05, gamma_low=0.05, gamma_high=0.05, pieces=50, sample=1e-3), 4, 400)
     height, again = np.asarray(trace.height), np.asarray(trace.again)
     assert (height > 0).all() and np.isfinite(np.asarray(trace.force)).all()

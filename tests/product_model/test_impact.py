@@ -11,14 +11,22 @@ from product_model.grid import Grid, grid_over
 
 @pytest.mark.parametrize(
     ("m_target", "m_piece", "pieces"),
-    [(0.05, 5.832e-3, 9), (0.05, 5.832e-3 * 0.027, 318), (0.1, 5.832e-3 * 0.064, 268), (0.05, 0.02, 3), (0.001, 0.01, 1)],
+    [
+        (0.05, 5.832e-3, 9),
+        (0.05, 5.832e-3 * 0.027, 318),
+        (0.1, 5.832e-3 * 0.064, 268),
+        (0.05, 0.02, 3),
+        (0.001, 0.01, 1),
+    ],
 )
 def test_number_of_pieces_is_eq_16_rounded(m_target, m_piece, pieces):
     assert model.number_of_pieces(m_target, m_piece) == pieces
 
 
 def test_one_piece_by_hand():
-    """h = 0.25 m, m = 5.832 g, 500 us: v = 2.21472346 m/s, t = 0.22576182 s, I = 12.916267 mN s, F = 25.832535 N, 57.21192 g after it."""
+    """h = 0.25 m, m = 5.832 g, 500 us: v = 2.21472346 m/s, t = 0.22576182 s, I = 12.916267 mN s, F = 25.832535 N,
+    57.21192 g after it.
+    """
     pulses = model.pulses(np.array([0.25]), np.array([5.832e-3]), 500e-6, 9.81)
     assert float(model.impact_velocity(0.25)) == pytest.approx(2.2147234590, abs=1e-10)  # VALIDATION section 2
     assert float(pulses.start[0]) == pytest.approx(2.2147234590 / 9.81, abs=1e-10)

@@ -81,7 +81,12 @@ def test_bad_input_is_one_clear_line(case, capsys):
 
 
 def test_unknown_words_are_one_clear_line(capsys):
-    for arguments in (["simulate", "--h-mean", "high"], ["simulate", "--colour", "red"], ["dance"], ["simulate", "--form", "round"]):
+    for arguments in (
+        ["simulate", "--h-mean", "high"],
+        ["simulate", "--colour", "red"],
+        ["dance"],
+        ["simulate", "--form", "round"],
+    ):
         with pytest.raises(SystemExit) as stop:
             main(arguments)
         assert stop.value.code == 2

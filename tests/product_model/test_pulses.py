@@ -45,7 +45,9 @@ def test_impulse_of_each_piece_is_exact():
 
 
 def test_sampled_rectangles_have_the_exact_impulse_on_whole_samples():
-    """Delta t a whole number of samples: each pulse covers exactly that many. Otherwise one sample more or less, right on average."""
+    """Delta t a whole number of samples: each pulse covers exactly that many. Otherwise one sample more or less,
+    right on average.
+    """
     pulses = some_pulses(dt_impact=17 * 30e-6)
     bare = model.Pulses(pulses.start, pulses.duration, pulses.force, jnp.zeros(40))
     impulse = float(render(bare, GRID, "rectangular", 1.0).sum()) * GRID.sample
@@ -61,14 +63,19 @@ def test_smooth_tends_to_the_interval_mean_as_its_width_vanishes():
     pulses = some_pulses()
     sharp = render(pulses, GRID, "interval-mean", 1.0)
     scale = float(jnp.abs(sharp).max())
-    worst = [float(jnp.abs(render(pulses, GRID, "smooth", width) - sharp).max()) / scale for width in (3e-5, 3e-6, 3e-7, 3e-9)]
+    worst = [
+        float(jnp.abs(render(pulses, GRID, "smooth", width) - sharp).max()) / scale
+        for width in (3e-5, 3e-6, 3e-7, 3e-9)
+    ]
     assert all(later < earlier for earlier, later in zip(worst, worst[1:], strict=False))
     assert worst[-1] < 1e-3  # an edge is moved by about its width, 1e-4 of a bin
 
 
 @pytest.mark.parametrize("ratio", [0.1, 0.25, 0.5])
 def test_bias_of_the_smooth_peak_is_as_documented(ratio):
-    """A lone pulse, sampled so finely that the mean over a sample is the value: relative error (sample/width)^2/24 < 2e-6."""
+    """A lone pulse, sampled so finely that the mean over a sample is the value: relative error
+    (sample/width)^2/24 < 2e-6.
+    """
     one = model.pulses(jnp.asarray([0.25]), jnp.asarray([1e-3]), jnp.asarray(500e-6), jnp.asarray(0.0))
     one = model.Pulses(jnp.asarray([0.004]), one.duration, jnp.asarray([1.0]), jnp.zeros(1))
     width = ratio * 500e-6
@@ -84,7 +91,9 @@ def test_the_blocked_sum_is_a_cumulative_sum():
 
 
 def test_edges_outside_the_grid_count_as_level_or_not_at_all():
-    pulses = model.Pulses(jnp.asarray([-1.0, 5.0]), jnp.asarray(500e-6), jnp.asarray([3.0, 4.0]), jnp.asarray([0.5, 0.6]))
+    pulses = model.Pulses(
+        jnp.asarray([-1.0, 5.0]), jnp.asarray(500e-6), jnp.asarray([3.0, 4.0]), jnp.asarray([0.5, 0.6])
+    )
     for form in ("rectangular", *DIFFERENTIABLE):
         np.testing.assert_allclose(render(pulses, Grid(0.0, 1e-4, 50), form, 1e-4), 0.5, rtol=1e-12)
 
@@ -102,8 +111,9 @@ BASE = {"h_mean": 0.25, "gamma_low": 0.02, "gamma_high": 0.06, "dt_impact": 487e
 def test_derivatives_equal_finite_differences(form, name):
     """A linear functional of the force, central differences at relative steps of 1e-8 ... 1e-5 (VALIDATION section 5).
 
-    The interval mean is piecewise linear in the edges' times: below a step of 1e-7 no edge of this key crosses a bin, and what
-    is left is the rounding of a sum of 13334 terms, divided by the step. The smooth form holds at larger steps as well.
+    The interval mean is piecewise linear in the edges' times: below a step of 1e-7 no edge of this key crosses a
+    bin, and what is left is the rounding of a sum of 13334 terms, divided by the step. The smooth form holds at
+    larger steps as well.
     """
     params = parameters(form=form, pieces=12, duration=0.4, smooth_width=1e-4, **BASE)
     leaves = {key: jnp.asarray(value) for key, value in BASE.items()}
@@ -138,7 +148,9 @@ def test_gradients_are_finite_in_every_corner(form, corner, pieces):
     values = BASE | CORNERS[corner]
     params = parameters(form=form, pieces=pieces, duration=0.4, sample=1e-4, **values)
     leaves = {key: jnp.asarray(value) for key, value in values.items()}
-    slopes = jax.jit(jax.grad(lambda leaves: jnp.sum(portion(leaves, jax.random.key(2), **static_of(params)).force ** 2)))(leaves)
+    slopes = jax.jit(
+        jax.grad(lambda leaves: jnp.sum(portion(leaves, jax.random.key(2), **static_of(params)).force ** 2))
+    )(leaves)
     assert all(np.isfinite(float(slope)) for slope in slopes.values())
     if form != "rectangular":  # a pulse between two samples is not seen by the sampled form
         assert float(slopes["dt_impact"]) != 0.0
@@ -159,4 +171,6 @@ def test_parameters_can_be_mapped_and_differentiated_from_outside():
     slope = jax.grad(lambda h: simulate(params.replace(h_mean=h), jax.random.key(0)).force.sum())(0.25)
     assert np.isfinite(float(slope)) and float(slope) != 0.0
     many = jax.vmap(lambda h: simulate(params.replace(h_mean=h), jax.random.key(0)).force)(jnp.asarray([0.2, 0.3]))
-    np.testing.assert_allclose(many[1], simulate(params.replace(h_mean=0.3), jax.random.key(0)).force, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(
+        many[1], simulate(params.replace(h_mean=0.3), jax.random.key(0)).force, rtol=1e-12, atol=1e-12
+    )

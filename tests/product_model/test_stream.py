@@ -35,7 +35,9 @@ def test_calls_one_by_one_compile_once_and_go_on_after_the_grid():
 
 
 def test_a_station_model_takes_the_stream_as_its_input():
-    """An under-damped oscillator (50 Hz) driven by the stream inside one scan settles at the static deflection of the portion."""
+    """An under-damped oscillator (50 Hz) driven by the stream inside one scan settles at the static deflection of
+    the portion.
+    """
     params = parameters(pieces=9, sample=1e-4, duration=0.6)
     state = stream.start(params, 0)
     stiffness, mass, damping = 1e5, 1.0, 60.0
