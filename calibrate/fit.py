@@ -46,15 +46,18 @@ class Fit:
 
 
 def default_start(targets: list[Target], measured) -> dict:
-    """Start values from the traces' own mean drop height and spreads; dt_impact: the paper's 500 us."""
-    spread = np.asarray(measured.spread)
-    low, high = np.quantile(spread, [0.25, 0.95])
-    return {
-        "dt_impact": 500e-6,
-        "gamma_low": float(low),
-        "gamma_high": float(max(1.5 * high, 1.5 * low)),
-        "h_mean": float(np.mean(np.asarray(measured.height))),
-    }
+    """Start values from the traces' own mean drop height and spreads; dt_impact: the paper's 500 us.
+
+    Raises `BadInput` where the momentum of the traces is not that of falling portions of their weight.
+    """
+    height = float(np.mean(np.asarray(measured.height)))
+    if not height > 0:
+        raise BadInput(
+            f"the momentum of the traces tells a mean drop height of {height:g} m: look at the weight of the pieces "
+            f"({targets[0].m_piece:g} kg), their number ({targets[0].pieces}), time zero and --align"
+        )
+    low, high = np.quantile(np.asarray(measured.spread), [0.25, 0.95])
+    return {"dt_impact": 500e-6, "gamma_low": float(low), "gamma_high": float(1.5 * high), "h_mean": height}
 
 
 def several_starts(start: dict, free: tuple, count: int = SPREAD_OF_STARTS) -> dict:

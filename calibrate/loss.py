@@ -140,7 +140,7 @@ def joint_distance(theta, draws: Draws, measured: Measured, fine: int):
     some = jax.tree.map(lambda leaf: leaf[:fine], draws)
     height, spread = moments(theta, some, measured)
     y = jnp.concatenate([height[:, None], spread[:, None], increments(theta, draws, measured, fine)], axis=1)
-    y, x = y / measured.scale, measured.columns() / measured.scale
+    y, x = y / measured.scale[None, :], measured.columns() / measured.scale[None, :]
     return 2.0 * _mean_norm(x, y) - _mean_norm(y, y) * fine / max(fine - 1, 1)
 
 

@@ -43,14 +43,17 @@ def descend(slope, u, steps: int, first: float, last: float):
 
     Its memory is short (0.8 and 0.9), so that the steep way down to the valley is soon forgotten on the flat floor.
     """
-    optimiser = optax.adam(optax.exponential_decay(first, steps, last / first), b1=0.8, b2=0.9)
+    dtype = jax.tree.leaves(u)[0].dtype
+    optimiser = optax.scale_by_adam(b1=0.8, b2=0.9)
+    sizes = -first * (last / first) ** (jnp.arange(steps, dtype=dtype) / steps)
 
-    def step(carry, _):
+    def step(carry, size):
         u, state = carry
         move, state = optimiser.update(slope(u), state)
-        return (optax.apply_updates(u, move), state), None
+        return (jax.tree.map(lambda old, change: old + size * change, u, move), state), None
 
-    return jax.lax.scan(step, (u, optimiser.init(u)), None, length=steps)[0][0]
+    with jax.numpy_dtype_promotion("standard"):  # optax counts its steps in whole numbers
+        return jax.lax.scan(step, (u, optimiser.init(u)), sizes)[0][0]
 
 
 SHAPE_PLAN = ((100, 0.2, 0.01), (60, 0.05, 0.002), (40, 0.005, 0.0002))  # steps, first and last step size of each round

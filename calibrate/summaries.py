@@ -75,8 +75,10 @@ def autocorrelation(force, lags):
     rows = jnp.zeros(count * block, force.dtype).at[: force.shape[0]].set(force).reshape(count, block)
     product = lambda a, b: jnp.matmul(a.T, b, precision=jax.lax.Precision.HIGHEST)  # noqa: E731
     near, far = product(rows, rows), product(rows[:-1], rows[1:])
-    trace = lambda matrix, lag: jnp.sum(jnp.diagonal(matrix, lag))  # noqa: E731
-    return jnp.stack([trace(near, lag) + (trace(far, lag - block) if lag else 0.0) for lag in lags])
+    column = np.arange(block)[None, :] - np.arange(block)[:, None]  # lag of each entry of `near`; of `far` less `block`
+    masks = [np.stack([column == lag - shift for lag in lags]).reshape(len(lags), -1) for shift in (0, block)]
+    total = [jnp.asarray(mask, force.dtype) @ part.reshape(-1) for mask, part in zip(masks, (near, far), strict=True)]
+    return total[0] + total[1]
 
 
 def log_increments(force, lags):

@@ -154,8 +154,8 @@ def statements(result, targets) -> list[str]:
             )
     if "gamma_high" in result.free:
         lines.append(
-            f"gamma_high is a three-sigma quantity that only about half of the {count} traces say anything of: no estimator can know "
-            f"gamma_high - gamma_low better than to {100 / np.sqrt(max(count, 1)):.0f} % (one standard deviation)"
+            f"gamma_high is a three-sigma quantity that only about half of the {count} traces say anything of: no "
+            f"estimator can know gamma_high - gamma_low better than to {100 / np.sqrt(max(count, 1)):.0f} % (one standard deviation)"
         )
     if pieces < 20:
         lines.append(f"with {pieces:.0f} pieces a trace tells its own spread only to {100 / np.sqrt(2 * pieces):.0f} %")

@@ -5,7 +5,7 @@ import json
 import jax
 import numpy as np
 import pytest
-from test_loss import TRUTH, traces
+from synthetic import TRUTH, traces
 
 from calibrate import BadInput, fit, target
 from calibrate.__main__ import main
@@ -82,19 +82,21 @@ def test_fixed_parameters_stay():
     assert found.parameters["gamma_low"]["value"] == pytest.approx(0.02, rel=0.3)
 
 
-def test_rebounds_are_told():
-    """Every trace hit once more, by half its force 60 ms later: the model has no such thing and the p-value says so."""
-    data = [
-        target(
-            t.time,
-            t.force + 0.5 * np.interp(t.time - 0.06, t.time, np.maximum(t.force - t.weight, 0)),
-            t.m_piece,
-            t.pieces,
-        )
-        for t in traces(32, 32)
-    ]
-    found = fit(data, bootstrap=0, simulations=128, fine=32)
-    assert found.p_values["all"] < 0.05 and "does not describe" in found.statements[-1]
+def test_a_delayed_second_peak_is_told():
+    """Half of every portion lands 60 ms late: the model has no such thing and the p-value says so."""
+    data = []
+    for trace in traces(32, 32):
+        late = np.interp(trace.time - 0.06, trace.time, trace.force)
+        data.append(target(trace.time, 0.5 * (trace.force + late), trace.m_piece, trace.pieces))
+    found = fit(data, align="first-impact", bootstrap=0, simulations=128, fine=32)
+    assert found.p_values["all"] < 0.05
+    assert found.p_values["late impulse"] < 0.05 or found.p_values["peak"] < 0.05
+
+
+def test_a_wrong_weight_is_told():
+    heavy = [target(t.time, t.force, 2 * t.m_piece, t.pieces) for t in traces(4, 4)]
+    with pytest.raises(BadInput, match="weight of the pieces"):
+        fit([target(t.time, t.force, 0.4 * t.m_piece, t.pieces, name=t.name) for t in heavy])
 
 
 def test_starts_keep_what_is_fixed():

@@ -4,21 +4,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from synthetic import TRUTH, traces
 
 from calibrate.loss import increment_distance, moment_distances
 from calibrate.prepare import draw, measure
 from calibrate.solve import solve_joint, solve_starts
-from calibrate.targets import target
 from calibrate.unconstrained import NAMES, to_parameters, to_unconstrained
-from product_model import ensemble, parameters
-
-TRUTH = {"dt_impact": 500e-6, "gamma_low": 0.02, "gamma_high": 0.06, "h_mean": 0.25}
-
-
-def traces(count=16, pieces=16, seed=100, **changes):
-    params = parameters(pieces=pieces, m_piece=0.05 / pieces, sample=6e-5, duration=0.42, **(TRUTH | changes))
-    made = ensemble(params, seed, count)
-    return [target(made.time, np.asarray(force), 0.05 / pieces, pieces) for force in made.force]
 
 
 def arrays(theta):
@@ -27,7 +18,7 @@ def arrays(theta):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_derivatives_equal_central_differences(name):
-    """At a relative step of 1e-7: the distances are sums of |x - y|, piecewise linear, with no kink within the step here."""
+    """At a relative step of 1e-7: the distances are sums of |x - y|, with no kink within the step here."""
     data = traces()
     measured, draws = measure(data), draw(data, 64, 0)
     block = (
@@ -55,7 +46,10 @@ CORNERS = {
 def test_gradients_are_finite_in_every_corner(corner, count, pieces):
     data = traces(count, pieces)
     measured, draws = measure(data), draw(data, 16, 0)
-    loss = lambda t: jnp.sum(moment_distances(t, draws, measured)) + increment_distance(t, draws, measured, 8)  # noqa: E731
+
+    def loss(theta):
+        return jnp.sum(moment_distances(theta, draws, measured)) + increment_distance(theta, draws, measured, 8)
+
     slopes = jax.jit(jax.grad(loss))(arrays(TRUTH | CORNERS[corner]))
     assert all(np.isfinite(float(slope)) for slope in slopes.values())
 
@@ -68,7 +62,7 @@ def test_coordinates_go_there_and_back(free):
 
 
 def test_one_joint_distance_leaves_gamma_high_where_it_started():
-    """VALIDATION section 5: the blocks find gamma_high, the joint whitened distance of all summaries stays nearer its start."""
+    """The blocks find gamma_high from wherever they start; the joint distance of all summaries stays near its start."""
     data = traces(64, 64)
     measured, draws = measure(data), draw(data, 256, 1)
     ends = {"blocks": [], "joint": []}

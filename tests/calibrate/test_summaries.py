@@ -26,11 +26,11 @@ def test_momentum_tells_mean_and_spread_of_the_drop_heights(trace):
 
 
 def test_pulses_and_their_sampled_trace_have_the_same_moments():
-    """A weight function varies by (sample/fall time)^2 = 2e-8 within a sample; the spread comes from a difference of moments."""
+    """Weights vary by (sample/fall time)^2 = 2e-8 within a sample; the spread comes from a difference of moments."""
     made = simulate(parameters(pieces=64, sample=3e-5, duration=0.4), 3)
     sampled = moments_of_trace(made.time, np.asarray(made.force), 3e-5, 9.81, 1e-4)
     closed = moments_of_pulses(*made.pulses.edges(), made.grid.end, 9.81, 1e-4)
-    assert [float(v) for v in closed] == pytest.approx(list(sampled), rel=1e-5)
+    assert [float(v) for v in closed] == pytest.approx([float(v) for v in sampled], rel=1e-5)
 
 
 def test_momentum_tells_the_release_wherever_the_file_puts_its_zero(trace):

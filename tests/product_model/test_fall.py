@@ -5,7 +5,7 @@ stays a pass.
 import jax
 import jax.numpy as jnp
 import numpy as np
-import paper
+import paper_equations as paper
 import pytest
 from scipy import stats
 

@@ -2,7 +2,7 @@
 
 import jax
 import numpy as np
-import paper
+import paper_equations as paper
 import pytest
 
 from product_model import model, parameters, simulate
