@@ -155,7 +155,14 @@ def statements(result, targets) -> list[str]:
     if "gamma_high" in result.free:
         lines.append(
             f"gamma_high is a three-sigma quantity that only about half of the {count} traces say anything of: no "
-            f"estimator can know gamma_high - gamma_low better than to {100 / np.sqrt(max(count, 1)):.0f} % (one standard deviation)"
+            f"estimator can know gamma_high - gamma_low better than to {100 / np.sqrt(max(count, 1)):.0f} % (one "
+            "standard deviation)"
+        )
+    final = float(np.median([np.mean(t.force[-max(len(t.force) // 20, 1) :]) / t.weight for t in targets]))
+    if abs(final - 1.0) > 0.02:
+        lines.append(
+            f"the traces end at {100 * final:.0f} % of the weight of their pieces: look at the weight and number of the "
+            "pieces, the wall group, and whether all have landed"
         )
     if pieces < 20:
         lines.append(f"with {pieces:.0f} pieces a trace tells its own spread only to {100 / np.sqrt(2 * pieces):.0f} %")

@@ -94,9 +94,9 @@ def test_a_delayed_second_peak_is_told():
 
 
 def test_a_wrong_weight_is_told():
-    heavy = [target(t.time, t.force, 2 * t.m_piece, t.pieces) for t in traces(4, 4)]
-    with pytest.raises(BadInput, match="weight of the pieces"):
-        fit([target(t.time, t.force, 0.4 * t.m_piece, t.pieces, name=t.name) for t in heavy])
+    wrong = [target(t.time, t.force, 1.25 * t.m_piece, t.pieces) for t in traces(4, 4)]
+    found = fit(wrong, bootstrap=0, simulations=64, fine=16)
+    assert any("end at 80 % of the weight" in line for line in found.statements)
 
 
 def test_starts_keep_what_is_fixed():
