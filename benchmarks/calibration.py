@@ -1,6 +1,6 @@
-"""Recovery, coverage and speed of the fit: `python -m benchmarks.calibration [--sets 20] [--refits 48] [--out FILE]`.
+"""Recovery, coverage and speed of the fit: `python -m benchmarks.calibration [--sets 20] [--refits 48]`, a table.
 
-Recovery, coverage and speed of the fit: `python -m benchmarks.calibration [--sets 20] [--refits 48]` prints a table.
+Synthetic data sets of K = 64 traces with known parameters, drawn with other keys than the fits use, beside an oracle
 that knows the drop heights: the maximum likelihood of eqs 18-22 by quadrature over the spread.
 """
 

@@ -136,7 +136,8 @@ def table(theta, free, local, refits) -> dict:
                 "sd": float(np.std(np.exp(ratios)) * value),
             }
         elif name in free:
-            row |= {"low": value - 1.645 * local[name], "high": value + 1.645 * local[name], "sd": local[name]}
+            factor = np.exp(1.645 * local[name] / max(value, 1e-12))
+            row |= {"low": value / factor, "high": value * factor, "sd": local[name]}
         result[name] = {key: (bool(v) if key == "free" else float(v)) for key, v in row.items()}
     return result
 
@@ -161,8 +162,8 @@ def statements(result, targets) -> list[str]:
     final = float(np.median([np.mean(t.force[-max(len(t.force) // 20, 1) :]) / t.weight for t in targets]))
     if abs(final - 1.0) > 0.02:
         lines.append(
-            f"the traces end at {100 * final:.0f} % of the weight of their pieces: look at the weight and number of the "
-            "pieces, the wall group, and whether all have landed"
+            f"the traces end at {100 * final:.0f} % of the weight of their pieces: look at the weight and number of "
+            "the pieces, the wall group, and whether all have landed"
         )
     if pieces < 20:
         lines.append(f"with {pieces:.0f} pieces a trace tells its own spread only to {100 / np.sqrt(2 * pieces):.0f} %")

@@ -99,7 +99,7 @@ def test_edges_outside_the_grid_count_as_level_or_not_at_all():
 
 
 def total(leaves, params, weights):
-    force = portion(leaves, jax.random.key(2), **static_of(params)).force
+    force = portion(leaves, jax.random.key(3), **static_of(params)).force  # z = 1.1: gamma_high matters
     return jnp.sum(weights * force)
 
 
