@@ -41,7 +41,7 @@ def tangential_force(spring, normal, slip, normal_force, stiffness, friction):
     slip that turns, is the mean-normal one of Rice and Tracey. (Cutting the sum back along itself has it relax
     to the slip's direction with an error of first order in the step.)
     """
-    tiny = jnp.finfo(normal_force.dtype).tiny
+    tiny = jnp.finfo(spring[0].dtype).tiny
     before = vector.norm(spring)
     turned = vector.add_scaled(spring, -vector.dot(spring, normal), normal)
     old = vector.scale(1 / jnp.maximum(vector.norm(turned), tiny), turned)  # direction

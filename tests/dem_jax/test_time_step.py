@@ -1,0 +1,170 @@
+"""The time step: how it is chosen, what limits it, and the errors that its resolution leaves."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from dem_jax import build, contact, materials, shapes, validation
+from dem_jax.errors import SceneError
+from dem_jax.validation import NormalImpact
+
+MASS = 5.832e-3  # kg
+DIAMETER = (6 * 19440e-9 / np.pi) ** (1 / 3)  # m, of the sphere of equal volume
+
+
+def step_of(run=None, piece=None, **material):
+    """The choice of the time step of a scene."""
+    return build.build(validation.plate_scene(piece or {}, run=run, **material)).step
+
+
+def exact_quarter(softening=1.0):
+    """Quarter period (s) of the marshmallow on the plate, from eqs 5, 7 and 8."""
+    own, wall = softening * 1e8 * DIAMETER, softening * 1e11 * DIAMETER
+    return np.pi / 2 * np.sqrt(MASS / (own * wall / (own + wall)))
+
+
+def test_stiffness_of_the_marshmallow():
+    pieces = build.build(validation.plate_scene({})).system.pieces
+    np.testing.assert_allclose(pieces.wall_stiffness, 33327.17, rtol=2e-7)  # printed digits
+    np.testing.assert_allclose(pieces.mass, MASS, rtol=1e-12)
+
+
+def test_softening_by_a_hundred_makes_steps_ten_times_longer():
+    # Both moduli are softened, so that K_nl goes with the softening factor and the step with its root.
+    np.testing.assert_allclose(step_of(softening=0.01).critical / step_of(softening=1.0).critical, 10, rtol=1e-12)
+
+
+@pytest.mark.parametrize("epsilon", [0.1, 0.3, 0.5, 0.9])
+def test_critical_step_is_the_smaller_of_loading_and_unloading(epsilon):
+    # 15 steps per loading and 10 per unloading quarter period, which is epsilon times as long: equal at 2/3.
+    step = step_of(restitution=epsilon, softening=0.01)
+    load, unload = exact_quarter(0.01) / 15, epsilon * exact_quarter(0.01) / 10
+    np.testing.assert_allclose(step.critical, min(load, unload), rtol=1e-9)
+    assert ("unloading" in step.limit) == (unload < load)
+    assert "chamfered-cuboid" in step.limit and "wall" in step.limit
+
+
+def test_step_divides_the_sample_interval():
+    step = step_of()
+    assert step.dt <= step.critical
+    np.testing.assert_allclose(step.dt * step.substeps, 30e-6, rtol=1e-14)
+    asked = step_of(run={"step": 4e-6})
+    assert asked.substeps == 8 and asked.dt <= 4e-6
+
+
+def test_limit_is_the_smallest_piece():
+    small = {"shape": "sphere", "radius": 0.002, "position": (0.0, 0.0, 0.05)}
+    large = {"shape": "chamfered-cuboid", "position": (0.0, 0.0, 0.2)}
+    scene = validation.plate_scene(large).replace(piece=[large, small])
+    both, alone = build.build(scene).step, step_of(piece=small)
+    # Against the wall: its own mass on nearly its own stiffness. Against the marshmallow: series stiffness, but nearly
+    # the same mass. The wall is the stiffer one.
+    np.testing.assert_allclose(both.critical, alone.critical, rtol=1e-12)
+    assert "sphere" in both.limit
+
+
+def test_pair_and_wall_limit_alike():
+    # Two like pieces: half the mass on half the stiffness, so the wall's K_nl, 0.1 % below E_p L, is what differs.
+    two = [{"position": (0.0, 0.0, 0.1)}, {"position": (0.0, 0.0, 0.2)}]
+    pair = build.build(validation.plate_scene({}).replace(piece=two)).step.critical
+    np.testing.assert_allclose(pair, step_of().critical, rtol=6e-4)
+    assert pair < step_of().critical
+
+
+def test_step_over_the_stability_limit_is_an_error():
+    stable = step_of().stable
+    with pytest.raises(SceneError, match=r"run\.step = .*allowed: at most"):
+        step_of(run={"step": 1.01 * stable})
+    assert step_of(run={"step": 0.99 * stable, "sample": 1e-3}).dt <= 0.99 * stable
+
+
+def test_stability_limit_is_that_of_the_unloading_branch():
+    # The oscillator (m_eff, K_nu) is stable in velocity Verlet below 2 / omega. The smallest m_eff of the marshmallow's
+    # corners over all directions, by a random search from above; the bound takes all directions at all corners.
+    shape = shapes.chamfered_cuboid()
+    up = np.random.default_rng(0).normal(size=(20000, 3))
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
+    turning = np.cross(shape.vertices[:, None], up[None])
+    least = 1 / (1 + np.sum(turning**2 / shape.gyration, axis=2).max())
+    exact = 2 * 0.1 * np.sqrt(least) * exact_quarter(0.01) / (np.pi / 2)
+    step = step_of(restitution=0.1)
+    assert 0.98 * exact < step.stable <= exact * (1 + 1e-6)
+
+
+def test_oscillation_on_the_unloading_branch_blows_up_above_the_limit_only():
+    def swing(ratio):
+        dt = ratio * materials.stable_step(1.0, 1.0, 1.0, 1.0)  # m = K = epsilon = 1
+        s, v, largest = 1.0, 0.0, 1.0
+        for _ in range(400):
+            v -= 0.5 * dt * s
+            s += dt * v
+            v -= 0.5 * dt * s
+            largest = max(largest, abs(s))
+        return largest
+
+    assert swing(0.99) < 1.1
+    assert swing(1.01) > 1e6
+
+
+@partial(jax.jit, static_argnames="steps")
+def scalar_impacts(dt, phase, epsilon, steps):
+    """Rebound over impact speed, and peak force over v sqrt(m K), of velocity Verlet with eqs 1-4; m = K = v = 1."""
+
+    def one(dt, phase, epsilon):
+        def step(carry, _):
+            s, v, force, overlap = carry
+            v = v - 0.5 * dt * force
+            s = s + dt * v
+            f = contact.normal_force(force, overlap, s, 1.0, 1.0 / epsilon**2, 0.001)
+            v = v - 0.5 * dt * f
+            return (s, v, f, jnp.maximum(s, 0.0)), f
+
+        start = (-phase * dt, jnp.ones_like(dt), jnp.zeros_like(dt), jnp.zeros_like(dt))
+        (_, v, _, _), force = jax.lax.scan(step, start, None, length=steps)
+        return -v, jnp.max(force)
+
+    return jax.vmap(one)(dt, phase, epsilon)
+
+
+def worst_errors(epsilon, number):
+    """Worst relative errors of restitution and of peak force over phases of first touch."""
+    phase = (np.arange(200) + 0.5) / 200
+    dt = np.full_like(phase, np.pi / 2 / number)
+    rebound, peak = scalar_impacts(*map(jnp.asarray, (dt, phase, np.full_like(phase, epsilon))), steps=2000)
+    exact = NormalImpact(1.0, 1.0, epsilon, 1.0).rebound_speed
+    return np.abs(np.asarray(rebound) / exact - 1).max(), np.abs(np.asarray(peak) - 1).max()
+
+
+@pytest.mark.parametrize(
+    ("epsilon", "number", "restitution", "peak"),
+    [
+        (0.1, 10, 0.50, 3e-3),
+        (0.1, 15, 0.041, 1.3e-3),
+        (0.1, 20, 0.076, None),
+        (0.1, 30, 0.032, 3.4e-4),
+        (0.1, 50, 0.011, None),
+        (0.1, 60, 0.0078, 9e-5),
+        (0.1, 100, 0.0028, None),
+        (0.1, 112, 0.0019, 2e-5),
+        (0.3, 15, 0.0027, None),
+        (0.3, 30, 0.0035, None),
+        (0.5, 15, 0.0015, None),
+        (0.7, 15, 0.0013, None),
+    ],
+)
+def test_errors_of_a_resolution(epsilon, number, restitution, peak):
+    # The scheme's own numbers, from an independent computation with other phases: worst over phases.
+    found = worst_errors(epsilon, number)
+    assert 0.85 * restitution < found[0] < 1.15 * restitution
+    if peak:
+        assert 0.8 * peak < found[1] < 1.25 * peak  # one digit of some
+
+
+def test_default_resolution_keeps_restitution_within_half_a_per_cent():
+    # The default is 10 steps per unloading quarter period (15 per loading one, where that is finer).
+    for epsilon in (0.1, 0.3, 0.5, 0.7):
+        number = max(materials.LOAD_STEPS, materials.UNLOAD_STEPS / epsilon)
+        assert worst_errors(epsilon, number)[0] < 0.005
