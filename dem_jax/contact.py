@@ -37,16 +37,22 @@ def tangential_force(spring, normal, slip, normal_force, stiffness, friction):
 
     spring: the force of the last step (N); normal: unit; slip: tangential displacement of b relative to a in
     this step (m); stiffness: K_t (N/m); friction: mu. The old force is turned with the normal, keeping its
-    size; beyond mu F_n it is cut back along its direction (radial return).
+    size. Where the sum exceeds mu F_n it slides: the size is mu F_n, and the direction, which lags behind that of a
+    slip that turns, is the mean-normal one of Rice and Tracey. (Cutting the sum back along itself has it relax
+    to the slip's direction with an error of first order in the step.)
     """
+    tiny = jnp.finfo(normal_force.dtype).tiny
+    before = vector.norm(spring)
     turned = vector.add_scaled(spring, -vector.dot(spring, normal), normal)
-    before, after = vector.norm(spring), vector.norm(turned)
-    turned = vector.scale(before / jnp.maximum(after, jnp.finfo(after.dtype).tiny), turned)
-    trial = vector.add_scaled(turned, -stiffness, slip)
-    size = vector.norm(trial)
+    old = vector.scale(1 / jnp.maximum(vector.norm(turned), tiny), turned)  # direction
+    added = vector.scale(-stiffness, slip)
+    trial = vector.add_scaled(added, before, old)
     limit = friction * normal_force
-    cut = jnp.where(size > limit, limit / jnp.maximum(size, jnp.finfo(size.dtype).tiny), 1)
-    return vector.scale(cut, trial)
+    slides = vector.norm(trial) > limit
+    kept = jnp.maximum(0.5 * (before + limit - vector.dot(added, old)), 0)
+    toward = vector.add_scaled(added, kept, old)
+    size = jnp.maximum(vector.norm(toward), tiny)
+    return vector.where(slides, vector.scale(limit / size, toward), trial)
 
 
 def series(k1, k2):

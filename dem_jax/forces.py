@@ -89,21 +89,21 @@ def _resolve(system: System, kind, table: ContactTable, slots: Slots, stacked, s
             f, table.overlap, overlap, slots.stiffness, unload, slots.mass, law.damping, system.dt
         )
     force = vector.scale(f + dashpot, shape.normal)
-    spring = table.spring
+    spring, point = table.spring, table.point
     if system.has_friction:
         tangent = contact.tangential_force(
             vector.unpack(spring),
             shape.normal,
-            _slip(system, a, b, at_b, shape, table.overlap, overlap),
+            _slip(system, a, b, offset, table, shape, overlap),
             f,
             law.tangential * slots.stiffness,
             slots.friction,
         )
-        spring = jnp.stack(tangent)
+        spring, point = jnp.stack(tangent), jnp.stack(shape.point)
         force = vector.add(force, tangent)
     if share is not None:
         force = vector.scale(share, force)
-    after = table.replace(force=f, overlap=jnp.maximum(overlap, 0), spring=spring)
+    after = table.replace(force=f, overlap=jnp.maximum(overlap, 0), spring=spring, point=point)
     stored = jnp.zeros((), f.dtype)
     if system.ledger:
         stored = jnp.sum(elastic_energy(system, after, slots) - elastic_energy(system, before, slots))
@@ -117,20 +117,23 @@ def _resolve(system: System, kind, table: ContactTable, slots: Slots, stacked, s
     )
 
 
-def _velocity(body: Body, arm):
-    return vector.add(body.velocity, vector.cross(body.spin, arm))
+def _slip(system: System, a: Body, b: Body, offset, table: ContactTable, shape: collide.Geometry, overlap):
+    """Tangential displacement in this step of b relative to a at the contact point, [P] x 3 (m).
 
-
-def _slip(system: System, a: Body, b: Body, at_b, shape: collide.Geometry, before, overlap):
-    """Tangential displacement in touch of b relative to a at the contact point in this step, [P] x 3 (m).
-
-    In the step of first touch only the last part of the way is in touch: overlap over approach. The whole of it would
-    begin the tangential spring half a step too early, which costs the second order in the time step.
+    Of second order in the time step: the arms, like the velocities, are those at the middle of the step, and of the step
+    of first touch only the last part, overlap over approach, counts.
     """
-    motion = vector.scale(system.dt, vector.sub(_velocity(b, at_b), _velocity(a, shape.point)))
+    first = table.overlap <= 0
+    before = vector.where(first, shape.point, vector.unpack(table.point))
+    arm_a = vector.scale(0.5, vector.add(before, shape.point))
+    way = vector.scale(system.dt, vector.sub(b.velocity, a.velocity))  # of the centres
+    middle = vector.where(first, offset, vector.add_scaled(offset, -0.5, way))
+    arm_b = vector.sub(arm_a, middle)
+    turn = vector.sub(vector.cross(b.spin, arm_b), vector.cross(a.spin, arm_a))
+    motion = vector.add_scaled(way, system.dt, turn)
     along = vector.dot(motion, shape.normal)
-    first = (before <= 0) & (overlap > 0)
-    part = jnp.where(first, overlap / jnp.where(first, jnp.maximum(-along, overlap), 1), 1)
+    touching = first & (overlap > 0)
+    part = jnp.where(touching, overlap / jnp.where(touching, jnp.maximum(-along, overlap), 1), 1)
     return vector.scale(part, vector.add_scaled(motion, -along, shape.normal))
 
 

@@ -36,7 +36,8 @@ def empty_table(slots, dtype) -> ContactTable:
     """A table without contacts, in numpy."""
     none = np.full((slots,), EMPTY, np.int32)
     zero = np.zeros((slots,), dtype)
-    return ContactTable(none, none, zero, zero, np.zeros((3, slots), dtype))
+    three = np.zeros((3, slots), dtype)
+    return ContactTable(none, none, zero, zero, three, three)
 
 
 def rebuild(system: System, state: State) -> State:
@@ -244,6 +245,7 @@ def carry_history(old: ContactTable, pairs, incidence, column) -> ContactTable:
         jnp.where(known, old.force[slot], 0),
         jnp.where(known, old.overlap[slot], 0),
         jnp.where(known[None], old.spring[:, slot], 0),
+        jnp.where(known[None], old.point[:, slot], 0),
     )
 
 
