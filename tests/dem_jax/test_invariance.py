@@ -18,10 +18,10 @@ FLOOR = np.array([(-0.2, -0.15, 0.0), (0.2, -0.15, 0.0), (0.2, 0.15, 0.0), (-0.2
 SIDE = np.array([(0.06, 0.15, -0.02), (0.06, -0.15, -0.02), (0.06, -0.15, 0.2), (0.06, 0.15, 0.2)])
 GRAVITY = np.array([0.0, 0.0, -9.81])
 SAMPLES = 250  # of 0.1 ms: several collisions of pieces with each other and with both walls
-MIRROR = np.diag([1.0, -1.0, 1.0])
+SAME, MIRROR = np.eye(3), np.diag([1.0, -1.0, 1.0])
 
 
-def scene(turn=np.eye(3), shift=(0.0, 0.0, 0.0), order=range(4)):
+def scene(turn=SAME, shift=(0.0, 0.0, 0.0), order=range(4)):
     """The scene turned by a matrix (a reflection mirrors it) and shifted; pieces in an order."""
     hand = np.linalg.det(turn)
     rows = []
@@ -72,7 +72,7 @@ def plain():
 TOLERANCE = 1e-8
 
 
-def assert_same(plain, other, turn=np.eye(3), shift=(0.0, 0.0, 0.0), order=(0, 1, 2, 3)):
+def assert_same(plain, other, turn=SAME, shift=(0.0, 0.0, 0.0), order=(0, 1, 2, 3)):
     (state, recorded, touches), (moved, found, again) = plain, other
     assert again == touches
     size = np.abs(recorded.force).max()

@@ -140,7 +140,9 @@ def test_too_many_pairs_are_reported_not_lost_in_silence(marshmallows):
     small = (("hull-hull", 8, 8), ("wall-hull", 8, 8))
     system = made.system.replace(skin=jnp.asarray(SKIN), capacity=small, touching=2)
     tables = {"hulls": neighbours.empty_table(16, np.float64)}
-    state = guard.with_scratch(system, placed(made.state, *poses("clustered", np.random.default_rng(3), COUNT, 0.045)).replace(contacts=tables))
+    state = guard.with_scratch(
+        system, placed(made.state, *poses("clustered", np.random.default_rng(3), COUNT, 0.045)).replace(contacts=tables)
+    )
     after = jax.device_get(jax.jit(neighbours.rebuild)(system, state)).guard
     assert after.needed["hull-hull"][0] > 8
     assert after.touching > 2
