@@ -1,0 +1,172 @@
+"""The public fit: traces in, parameters with intervals, statements and a goodness of fit out."""
+
+from dataclasses import asdict, dataclass, field
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from calibrate import goodness, uncertainty
+from calibrate.errors import BadInput
+from calibrate.prepare import draw, measure
+from calibrate.solve import solve_starts
+from calibrate.targets import Target
+from calibrate.unconstrained import NAMES
+
+SPREAD_OF_STARTS = 3  # further starts beside the given one
+AGREEMENT = 0.1  # starts agree where they differ by less than this share of the interval's half width
+
+
+@dataclass(frozen=True)
+class Fit:
+    """What a fit found. All SI.
+
+    parameters: name -> {"value", "low", "high", "sd", "local_sd"}: 90 % interval of the parametric bootstrap, its
+    standard deviation and the fast local estimate; `free` names those fitted. starts: name -> [S]; losses: [S];
+    converged, agreed: [S]
+    distances: block -> energy distance; p_values: name -> p-value; rmse_g: the paper's figure, for comparison only
+    statements: what the data can and cannot tell, in words
+    """
+
+    parameters: dict
+    free: tuple
+    starts: dict
+    losses: list
+    converged: list
+    agreed: list
+    distances: dict
+    p_values: dict
+    rmse_g: float
+    statements: list
+    info: dict = field(default_factory=dict)
+
+    def to_dict(self) -> dict:
+        """Plain numbers, strings and lists, as written to fit.json."""
+        return asdict(self)
+
+
+def default_start(targets: list[Target], measured) -> dict:
+    """Start values from the traces' own mean drop height and spreads; dt_impact: the paper's 500 us.
+
+    Raises `BadInput` where the momentum of the traces is not that of falling portions of their weight.
+    """
+    height = float(np.mean(np.asarray(measured.height)))
+    if not height > 0:
+        raise BadInput(
+            f"the momentum of the traces tells a mean drop height of {height:g} m: look at the weight of the pieces "
+            f"({targets[0].m_piece:g} kg), their number ({targets[0].pieces}), time zero and --align"
+        )
+    low, high = np.quantile(np.asarray(measured.spread), [0.25, 0.95])
+    return {"dt_impact": 500e-6, "gamma_low": float(low), "gamma_high": float(1.5 * high), "h_mean": height}
+
+
+def several_starts(start: dict, free: tuple, count: int = SPREAD_OF_STARTS) -> dict:
+    """`start` and `count` others about it, by factors of up to two: name -> [1 + count]."""
+    factors = {
+        "dt_impact": (2.0, 0.6, 1.3),
+        "gamma_low": (0.5, 1.4, 0.8),
+        "gap": (2.0, 0.5, 1.2),
+        "h_mean": (1.1, 0.9, 1.03),
+    }
+    rows = [start]
+    for k in range(count):
+        gap = (start["gamma_high"] - start["gamma_low"]) * factors["gap"][k % 3]
+        row = {name: start[name] * factors[name][k % 3] for name in ("dt_impact", "gamma_low", "h_mean")}
+        row["gamma_high"] = row["gamma_low"] + gap
+        row |= {name: start[name] for name in NAMES if name not in free}
+        row["gamma_high"] = max(row["gamma_high"], row["gamma_low"])
+        if "gamma_low" in free and "gamma_high" not in free:
+            row["gamma_low"] = min(row["gamma_low"], row["gamma_high"])
+        rows.append(row)
+    return {name: jnp.asarray([row[name] for row in rows]) for name in NAMES}
+
+
+def _checked_start(start, fixed, targets, measured):
+    unknown = sorted((set(start or {}) | set(fixed or {})) - set(NAMES))
+    if unknown:
+        raise BadInput(f"{unknown[0]}: unknown; known are {', '.join(NAMES)}")
+    values = default_start(targets, measured) | dict(start or {}) | dict(fixed or {})
+    for name, value in values.items():
+        if not (np.isfinite(value) and (value > 0 or (name == "gamma_low" and value == 0))):
+            raise BadInput(f"{name} = {value:g}: must be greater than 0 ({'s' if name == 'dt_impact' else 'm'})")
+    if values["gamma_high"] < values["gamma_low"]:
+        raise BadInput(
+            f"gamma_high = {values['gamma_high']:g} m: must be at least gamma_low = {values['gamma_low']:g} m"
+        )
+    return {name: float(values[name]) for name in NAMES}
+
+
+def fit(
+    traces, start=None, *, fixed=None, align="release", simulations=512, fine=128, bootstrap=100, seed=0, progress=None
+) -> Fit:
+    """Fit dt_impact, gamma_low, gamma_high and h_mean to `traces`, a list of `Target`.
+
+    start: dict of start values, any subset (the others from the traces); fixed: dict of parameters that are not fitted
+    align: "release" or "first-impact"; simulations, fine: simulated portions of the moments and of the increments
+    bootstrap: number of refits for the intervals, 0 for the local estimate only; seed: of all random numbers
+    progress: called with (name of the stage, done, of) while it works. Runs in double precision whatever the global
+    flag says. Raises `BadInput`.
+    """
+    with jax.enable_x64(True):
+        return _fit(
+            list(traces), start, fixed or {}, align, simulations, fine, bootstrap, seed, progress or (lambda *_: None)
+        )
+
+
+def _fit(targets, start, fixed, align, simulations, fine, bootstrap, seed, progress):
+    measured = measure(targets, align)
+    start = _checked_start(start, fixed, targets, measured)
+    free = tuple(name for name in NAMES if name not in fixed)
+    if not free:
+        raise BadInput("fixed: at least one parameter must be free")
+    draws = draw(targets, simulations, seed)
+    fine = min(fine, draws.z.shape[0])
+    starts = several_starts(start, free)
+    progress("starts", 0, 1)
+    solutions = jax.block_until_ready(solve_starts(starts, draws, measured, free, fine))
+    progress("starts", 1, 1)
+    losses = np.asarray(solutions.loss)
+    if not np.isfinite(losses).any():
+        raise BadInput("the fit diverged from every start: look at the traces, or give a start nearer to them")
+    best = int(np.nanargmin(losses))
+    theta = {name: solutions.theta[name][best] for name in NAMES}
+    local = uncertainty.local_estimate(theta, targets, draws, measured, free, fine, seed)
+    refits = uncertainty.bootstrap(theta, targets, draws, measured, free, fine, bootstrap, seed, progress)
+    parameters = uncertainty.table(theta, free, local, refits)
+    ends = {name: [float(v) for v in solutions.theta[name]] for name in NAMES}
+    agreed = [
+        all(abs(ends[n][s] - ends[n][best]) <= AGREEMENT * _half(parameters[n]) for n in free)
+        for s in range(len(losses))
+    ]
+    blocks = {
+        name: float(value)
+        for name, value in zip(("height", "spread", "increments"), solutions.distances[best], strict=True)
+    }
+    p_values = goodness.p_values(theta, targets, measured, solutions.distances[best], refits, seed)
+    result = Fit(
+        parameters=parameters,
+        free=free,
+        starts=ends,
+        losses=[float(v) for v in losses],
+        converged=[bool(v) for v in solutions.converged],
+        agreed=agreed,
+        distances=blocks,
+        p_values=p_values,
+        rmse_g=goodness.rmse_g(theta, targets, align, seed),
+        statements=[],
+        info={
+            "traces": len(targets),
+            "pieces": sorted({t.pieces for t in targets}),
+            "align": align,
+            "bootstrap": bootstrap,
+            "simulations": int(draws.z.shape[0]),
+            "seed": seed,
+            "best_start": best,
+        },
+    )
+    result.statements.extend(uncertainty.statements(result, targets) + goodness.statements(p_values, targets))
+    return result
+
+
+def _half(row):
+    return max(0.5 * (row["high"] - row["low"]), 1e-3 * abs(row["value"]))

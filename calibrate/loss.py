@@ -1,0 +1,150 @@
+"""Energy distances between measured and simulated summaries, one block at a time, with common random numbers."""
+
+from dataclasses import dataclass, field
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from calibrate.summaries import LONGEST_LAG, log_increments, moments_of_pulses
+from product_model import fall, model
+from product_model.grid import Grid
+from product_model.pulses import interval_mean
+
+BLOCKS = ("height", "spread", "increments")
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Draws:
+    """Random numbers of M simulated portions of up to n pieces, kept while the parameters move.
+
+    z: [M] normal (stratified); v: [M, n] uniform on (-1, 1); phase: [M] in (0, 1), where in a bin a trace begins
+    mass: [M, n] (kg), zero where a portion has fewer pieces; offset: [M] (m) known deviation of the drop height
+    """
+
+    z: jax.Array
+    v: jax.Array
+    phase: jax.Array
+    mass: jax.Array
+    offset: jax.Array
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Measured:
+    """Summaries of the K measured traces and what is needed to simulate comparable ones.
+
+    height, spread: [K] (m); increments: [K, lags]; scale: [2 + lags] their standard deviations, which make blocks
+    comparable
+    end: [] (s) end of the traces after the release; gravity: [] (m/s2); floor: [] (m) least spread that is told from
+    none
+    grid: static, fine grid of the increments; lags: static (bins)
+    from_momentum: static; True: time counts from the release that the balance of momentum tells, not from that of
+    the file
+    """
+
+    height: jax.Array
+    spread: jax.Array
+    increments: jax.Array
+    scale: jax.Array
+    end: jax.Array
+    gravity: jax.Array
+    floor: jax.Array
+    grid: Grid = field(metadata={"static": True})
+    lags: tuple = field(metadata={"static": True})
+    from_momentum: bool = field(metadata={"static": True}, default=False)
+
+    def columns(self):
+        """[K, 2 + lags] all summaries."""
+        return jnp.concatenate([self.height[:, None], self.spread[:, None], self.increments], axis=1)
+
+
+def pulses_of(theta, draws: Draws, gravity):
+    """Pulses of all M simulated portions (leading axis M) at `theta`, a dict of the four parameters."""
+
+    def one(z, v, mass, offset):
+        sigma = fall.sigma_height(theta["gamma_low"], theta["gamma_high"], z)
+        height, _ = fall.drop_heights(theta["h_mean"] + offset, sigma, v)
+        return model.pulses(height, mass, theta["dt_impact"], gravity)
+
+    axes = model.Pulses(start=0, duration=None, force=0, weight=0)
+    return jax.vmap(one, out_axes=axes)(draws.z, draws.v, draws.mass, draws.offset), axes
+
+
+def _fine(pulses, mass, phase, grid: Grid):
+    """Force over the weight on the fine grid, beginning so long before the first impact that no lag reaches out
+    of it.
+    """
+    first = jnp.min(jnp.where(mass > 0.0, pulses.start, jnp.inf))
+    shifted = pulses.start - first + grid.sample * (LONGEST_LAG + 4.0 + phase)
+    weight = jnp.sum(pulses.weight)
+    return interval_mean(model.Pulses(shifted, pulses.duration, pulses.force / weight, pulses.weight / weight), grid)
+
+
+def moments(theta, draws: Draws, measured: Measured):
+    """Mean drop height [M] and spread [M] (m) of all simulated portions at `theta`."""
+    pulses, axes = pulses_of(theta, draws, measured.gravity)
+    # the balance of momentum puts the release of every simulated portion at dt_impact: its weight sets in so much later
+    origin = theta["dt_impact"] if measured.from_momentum else 0.0
+
+    def one(portion):
+        times, jumps = portion.edges()
+        return moments_of_pulses(times - origin, jumps, measured.end, measured.gravity, measured.floor)
+
+    return jax.vmap(one, in_axes=(axes,))(pulses)
+
+
+def increments(theta, draws: Draws, measured: Measured, fine: int):
+    """Log squared increments [fine, lags] of the first `fine` simulated portions at `theta`."""
+    some = jax.tree.map(lambda leaf: leaf[:fine], draws)
+    pulses, axes = pulses_of(theta, some, measured.gravity)
+    render = jax.vmap(lambda p, m, f: _fine(p, m, f, measured.grid), in_axes=(axes, 0, 0))
+    return jax.vmap(lambda force: log_increments(force, measured.lags))(render(pulses, some.mass, some.phase))
+
+
+def energy_distance(x, y):
+    """Energy distance of two samples x [K], y [M] of a number, without the part that depends on x alone.
+
+    2 E|x - y| - E|y - y'| over pairs of different y (U-statistic): its mean is least where the distributions agree, for
+    every K and M. The second term is a weighted sum of the sorted y.
+    """
+    count = y.shape[0]
+    rank = jnp.asarray((2.0 * np.arange(count) - count + 1.0) * 2.0 / (count * max(count - 1, 1)), y.dtype)
+    return 2.0 * jnp.mean(jnp.abs(x[:, None] - y[None, :])) - jnp.sum(rank * jnp.sort(y))
+
+
+def moment_distances(theta, draws: Draws, measured: Measured):
+    """[2] energy distances of height and spread, each over its scale."""
+    height, spread = moments(theta, draws, measured)
+    of_height = energy_distance(measured.height, height) / measured.scale[0]
+    return jnp.stack([of_height, energy_distance(measured.spread, spread) / measured.scale[1]])
+
+
+def increment_distance(theta, draws: Draws, measured: Measured, fine: int):
+    """[] energy distance of the log squared increments, over their scale, mean over the lags."""
+    simulated = increments(theta, draws, measured, fine)
+    return jnp.mean(jax.vmap(energy_distance, in_axes=1)(measured.increments, simulated) / measured.scale[2:])
+
+
+def distances(theta, draws: Draws, measured: Measured, fine: int):
+    """[3] energy distances of the BLOCKS."""
+    last = increment_distance(theta, draws, measured, fine)
+    return jnp.concatenate([moment_distances(theta, draws, measured), last[None]])
+
+
+def joint_distance(theta, draws: Draws, measured: Measured, fine: int):
+    """One energy distance of all summaries together, each over its scale. Kept for comparison: it hardly tells
+    gamma_high.
+    """
+    some = jax.tree.map(lambda leaf: leaf[:fine], draws)
+    height, spread = moments(theta, some, measured)
+    y = jnp.concatenate([height[:, None], spread[:, None], increments(theta, draws, measured, fine)], axis=1)
+    y, x = y / measured.scale[None, :], measured.columns() / measured.scale[None, :]
+    return 2.0 * _mean_norm(x, y) - _mean_norm(y, y) * fine / max(fine - 1, 1)
+
+
+def _mean_norm(x, y):
+    squared = jnp.sum((x[:, None, :] - y[None, :, :]) ** 2, axis=-1)
+    apart = squared > 0.0
+    return jnp.mean(jnp.where(apart, jnp.sqrt(jnp.where(apart, squared, 1.0)), 0.0))

@@ -1,0 +1,87 @@
+"""From traces to their summaries and the random numbers of the simulated ones."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.stats import norm
+
+from calibrate.errors import BadInput
+from calibrate.loss import Draws, Measured
+from calibrate.summaries import LONGEST_LAG, log_increments, moments_of_trace, momentum_release
+from calibrate.targets import ALIGNMENTS, Target, rebin
+from product_model.grid import Grid
+
+LAGS = (2, 3, 5, 8, 12, 18, 28)  # bins; a pulse of the start value is about 8 bins long
+FLOOR = 1e-4  # m, least spread of drop heights that is told from none
+
+
+def bin_length(targets: list[Target], bin_length=None) -> float:
+    """(s) bin of the increments: as given, else the multiple of the coarsest sample time nearest 60 us, a sixteenth
+    to a quarter of the pulses of the pieces that the paper deals with."""
+    coarsest = max(trace.sample for trace in targets)
+    return bin_length or coarsest * max(1, round(60e-6 / coarsest))
+
+
+def fine_grid(targets: list[Target], bin_: float) -> Grid:
+    """Grid that holds the impacts of every trace with a margin, beginning before the first impact."""
+    length = max(_active(trace) for trace in targets)
+    return Grid(0.0, bin_, math.ceil(1.3 * length / bin_) + 3 * LONGEST_LAG)
+
+
+def _active(trace: Target) -> float:
+    """(s) from the first impact until 99 % of the impulsive momentum is there: where the force last exceeds 1.5
+    of the weight.
+    """
+    above = np.flatnonzero(trace.force > 1.5 * trace.weight)
+    last = float(trace.time[above[-1]]) if len(above) else trace.first_impact
+    return max(last - trace.first_impact, 0.02)
+
+
+def measure(targets: list[Target], align: str = "release", bin_=None) -> Measured:
+    """Summaries of the traces. align: "release" (time zero of the files) or "first-impact" (times of the files are
+    not trusted; the balance of momentum tells how long each portion had been falling). Raises `BadInput`.
+    """
+    if align not in ALIGNMENTS:
+        raise BadInput(f"align = {align}: must be one of {', '.join(ALIGNMENTS)}")
+    if not targets:
+        raise BadInput("no traces")
+    if len({round(trace.gravity, 6) for trace in targets}) > 1:
+        raise BadInput("gravity: must be the same in all traces")
+    bin_ = bin_length(targets, bin_)
+    grid = fine_grid(targets, bin_)
+    rows = [_summaries(trace, align, bin_) for trace in targets]
+    columns = np.array([row[:-1] for row in rows])
+    scale = columns.std(axis=0, ddof=1) if len(rows) > 3 else np.array([0.01, 0.01, *([0.2] * len(LAGS))])
+    arrays = (columns[:, 0], columns[:, 1], columns[:, 2:], np.maximum(scale, 1e-6))
+    end = float(np.mean([row[-1] for row in rows]))
+    numbers = (end, targets[0].gravity, FLOOR)
+    return Measured(*map(jnp.asarray, (*arrays, *numbers)), grid=grid, lags=LAGS, from_momentum=align == "first-impact")
+
+
+def _summaries(trace: Target, align: str, bin_: float) -> list:
+    origin = 0.0
+    if align == "first-impact":
+        origin = momentum_release(trace.time, trace.force, trace.sample, trace.weight)
+    height, spread = moments_of_trace(trace.time - origin, trace.force, trace.sample, trace.gravity, FLOOR)
+    start = trace.first_impact - (LONGEST_LAG + 4) * bin_
+    force = rebin(trace, start, bin_, math.floor((trace.time[-1] - start) / bin_)) / trace.weight
+    lags = np.asarray(_log_increments(jnp.asarray(force)))
+    return [float(height) - trace.height_offset, float(spread), *lags, float(trace.time[-1] - origin)]
+
+
+_log_increments = jax.jit(lambda force: log_increments(force, LAGS))
+
+
+def draw(targets: list[Target], simulations: int, seed: int) -> Draws:
+    """Random numbers of `simulations` portions, taking the compositions of the traces in turn. z is stratified."""
+    count = -(-simulations // len(targets)) * len(targets)
+    random = np.random.default_rng(seed)
+    z = norm.ppf((random.permutation(count) + random.uniform(size=count)) / count)
+    of = [targets[k % len(targets)] for k in range(count)]
+    pieces = max(trace.pieces for trace in targets)
+    mass = np.array([[trace.m_piece] * trace.pieces + [0.0] * (pieces - trace.pieces) for trace in of])
+    offset = np.zeros(count)  # the summaries of the traces have theirs subtracted
+    v = random.uniform(-1.0, 1.0, (count, pieces))
+    return Draws(*map(jnp.asarray, (z, v, random.uniform(size=count), mass, offset)))

@@ -1,0 +1,107 @@
+"""The fit itself: Adam on the blocks, in one compiled program that maps over starts and over data sets.
+
+Height and spread are fitted first (they hardly depend on dt_impact and cost O(pieces)), then dt_impact alone to the
+increments, whose derivatives with respect to the times of impact are interference of single pulses: right on
+average, but so scattered that they would hide what the spread says. Two or three rounds make the two agree.
+"""
+
+from dataclasses import dataclass
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import optax
+
+from calibrate.loss import Draws, Measured, distances, increment_distance, joint_distance, moment_distances
+from calibrate.unconstrained import to_parameters, to_unconstrained
+
+TOLERANCE = 3e-3  # in ln of a parameter: change of the last round, far below any statistical error of a fit
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Solution:
+    """Where a fit ended, [] each (leading axes for several starts or data sets).
+
+    theta: dict of the four parameters (SI); distances: [3] energy distances of the blocks; loss: their sum
+    change: largest change of ln(parameter) in the last round
+    """
+
+    theta: dict
+    distances: jax.Array
+    loss: jax.Array
+    change: jax.Array
+
+    @property
+    def converged(self):
+        """True where the last round changed no parameter by more than TOLERANCE and everything is finite."""
+        return (self.change < TOLERANCE) & jnp.isfinite(self.loss)
+
+
+def descend(slope, u, steps: int, first: float, last: float):
+    """Least value by Adam from `u` (a dict), its steps falling from `first` to `last`; `slope(u)` is the gradient.
+
+    Its memory is short (0.8 and 0.9), so that the steep way down to the valley is soon forgotten on the flat floor.
+    """
+    dtype = jax.tree.leaves(u)[0].dtype
+    optimiser = optax.scale_by_adam(b1=0.8, b2=0.9)
+    sizes = -first * (last / first) ** (jnp.arange(steps, dtype=dtype) / steps)
+
+    def step(carry, size):
+        u, state = carry
+        move, state = optimiser.update(slope(u), state)
+        return (jax.tree.map(lambda old, change: old + size * change, u, move), state), None
+
+    with jax.numpy_dtype_promotion("standard"):  # optax counts its steps in whole numbers
+        return jax.lax.scan(step, (u, optimiser.init(u)), sizes)[0][0]
+
+
+SHAPE_PLAN = ((100, 0.2, 0.01), (60, 0.05, 0.002), (40, 0.005, 0.0002))  # steps, first and last step size of each round
+PULSE_PLAN = ((24, 0.25, 0.01), (12, 0.02, 0.001), (8, 0.002, 0.0002))
+
+
+def _round(u, fixed, draws, measured, fine, number: int):
+    """One round over both groups of parameters. The first goes far, the later ones adjust."""
+    shape = {name: value for name, value in u.items() if name != "dt_impact"}
+    pulse = {name: value for name, value in u.items() if name == "dt_impact"}
+    if shape:
+        whole = lambda s: jnp.sum(moment_distances(to_parameters(s | pulse, fixed), draws, measured))  # noqa: E731
+        shape = descend(jax.grad(whole), shape, *SHAPE_PLAN[number])
+    if pulse:
+        alone = lambda p: increment_distance(to_parameters(shape | p, fixed), draws, measured, fine)  # noqa: E731
+        pulse = descend(jax.jacfwd(alone), pulse, *PULSE_PLAN[number])
+    return shape | pulse
+
+
+def solve(start, draws: Draws, measured: Measured, free: tuple, fine: int, rounds=(0, 1, 2)) -> Solution:
+    """Fit of the `free` parameters from `start`, a dict of the four ([] each); the others keep their value."""
+    fixed = {name: value for name, value in start.items() if name not in free}
+    u = to_unconstrained(start, free)
+    for number in rounds:
+        before = u
+        u = _round(u, fixed, draws, measured, fine, number)
+    theta, was = to_parameters(u, fixed), to_parameters(before, fixed)
+    change = jnp.max(jnp.stack([jnp.abs(jnp.log((theta[k] + 1e-12) / (was[k] + 1e-12))) for k in sorted(theta)]))
+    parts = distances(theta, draws, measured, fine)
+    return Solution(theta, parts, jnp.sum(parts), change)
+
+
+@partial(jax.jit, static_argnames=("free", "fine"))
+def solve_starts(starts, draws, measured, free, fine) -> Solution:
+    """`solve` from several starts at once: every leaf of `starts` and of the result has a leading axis [starts]."""
+    return jax.vmap(lambda start: solve(start, draws, measured, free, fine))(starts)
+
+
+@partial(jax.jit, static_argnames=("free", "fine"))
+def solve_data_sets(start, draws, measured, free, fine) -> Solution:
+    """`solve` of several data sets from one start: `measured` has a leading axis on its summaries only."""
+    axes = Measured(0, 0, 0, None, None, None, None, measured.grid, measured.lags, measured.from_momentum)
+    return jax.vmap(lambda m: solve(start, draws, m, free, fine, rounds=(1, 2)), in_axes=(axes,))(measured)
+
+
+@partial(jax.jit, static_argnames=("free", "fine", "steps"))
+def solve_joint(start, draws, measured, free, fine, steps=150) -> dict:
+    """The fit to the one joint distance, for comparison only: theta."""
+    fixed = {name: value for name, value in start.items() if name not in free}
+    slope = jax.grad(lambda u: joint_distance(to_parameters(u, fixed), draws, measured, fine))
+    return to_parameters(descend(slope, to_unconstrained(start, free), steps, 0.1, 0.005), fixed)

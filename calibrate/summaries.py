@@ -1,0 +1,91 @@
+"""What is compared between measured and simulated traces: a few numbers per trace, each of which tells of one
+parameter.
+
+height     (m)  mean drop height of the pieces, from the momentum they deliver   -> h_mean
+spread     (m)  standard deviation of their drop heights, likewise               -> gamma_low, gamma_high by its
+distribution increments [lags] logarithm of the summed squared increments of the force at short lags -> dt_impact
+
+Height and spread need no look at single pulses. A piece that falls from rest brings the momentum m g t and then
+weighs m g; with P(t) the momentum delivered up to t, F - P/t is free of the weight of what has landed, and for
+pulses short against the fall
+
+    int F dt = M g T,   int F (2 t - T) g/2 dt = sum m g h_i,   int F (4 t^3 - T^3) g^2/12 dt = sum m g h_i^2
+
+(T the end of the trace, time from the release). These linear functionals are applied to measured traces as sums over
+samples and to simulated pulses in closed form, O(pieces), with neither grid nor noise. For the Product Model they
+give the sample mean and variance of the drop heights, which are sufficient: nothing that the times of impact say of
+h_mean and the limits is lost.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+
+def _height_and_spread(moments, floor, xp):
+    zeroth, first, second = moments
+    mean = first / zeroth
+    variance = second / zeroth - mean**2
+    wide = variance > floor**2
+    return mean, xp.where(wide, xp.sqrt(xp.where(wide, variance, 1.0)), floor)
+
+
+def moments_of_trace(time, force, sample, gravity, floor):
+    """Mean drop height and spread (m), [] each, of one measured trace (NumPy).
+
+    time: [T] (s) ends of the intervals after the release; force: [T] (N) means over them; floor: (m) least spread.
+    """
+    end, middle = time[-1], time - 0.5 * sample
+    first = gravity / 2.0 * (2.0 * middle - end)
+    second = (
+        gravity**2 / 12.0 * (4.0 * (middle**3 + 0.25 * middle * sample**2) - end**3)
+    )  # mean of t^3 over the interval
+    return _height_and_spread([np.sum(force * w) * sample for w in (1.0 / end, first, second)], floor, np)
+
+
+def moments_of_pulses(times, jumps, end, gravity, floor):
+    """The same of a simulated portion, from the times (s) and jumps (N) of its edges [E]; what lands after `end`
+    is not seen.
+    """
+    s = jnp.minimum(times, end)
+    integrals = (end - s) / end, gravity / 2.0 * s * (end - s), gravity**2 / 12.0 * s * (end**3 - s**3)
+    return _height_and_spread([jnp.sum(jumps * integral) for integral in integrals], floor, jnp)
+
+
+def momentum_release(time, force, sample, weight):
+    """Release (s) that the balance of momentum tells, int F dt = weight (end - release): [] for one trace [T] (N)."""
+    return time[-1] - np.sum(force) * sample / weight
+
+
+LONGEST_LAG = 32  # bins; also the block of the autocorrelation below
+
+
+def low_pass(force):
+    """Mean over four neighbouring bins along the last axis: takes out the ripple of edges within one bin."""
+    return 0.25 * (force[..., :-3] + force[..., 1:-2] + force[..., 2:-1] + force[..., 3:])
+
+
+def autocorrelation(force, lags):
+    """Sum over k of F_k F_(k + lag) for `force` [T], at each of the static `lags` (0 ... LONGEST_LAG - 1): [lags].
+
+    From the products of neighbouring blocks, which are matrix products: ten times as fast as shifted sums on a CPU.
+    """
+    block = LONGEST_LAG
+    count = -(-force.shape[0] // block) + 1
+    rows = jnp.zeros(count * block, force.dtype).at[: force.shape[0]].set(force).reshape(count, block)
+    product = lambda a, b: jnp.matmul(a.T, b, precision=jax.lax.Precision.HIGHEST)  # noqa: E731
+    near, far = product(rows, rows), product(rows[:-1], rows[1:])
+    column = np.arange(block)[None, :] - np.arange(block)[:, None]  # lag of each entry of `near`; of `far` less `block`
+    masks = [np.stack([column == lag - shift for lag in lags]).reshape(len(lags), -1) for shift in (0, block)]
+    total = [jnp.asarray(mask, force.dtype) @ part.reshape(-1) for mask, part in zip(masks, (near, far), strict=True)]
+    return total[0] + total[1]
+
+
+def log_increments(force, lags):
+    """[lags]: log of the sum of squared increments at each of the static `lags` (bins) of `force` [T], after the
+    low pass.
+    """
+    smooth = low_pass(force)
+    lagged = autocorrelation(smooth, (0, *lags))
+    ends = jnp.stack([jnp.sum(smooth[:lag] ** 2) + jnp.sum(smooth[-lag:] ** 2) for lag in lags])
+    return jnp.log(jnp.maximum(2.0 * lagged[0] - ends - 2.0 * lagged[1:], 1e-12 * jnp.maximum(lagged[0], 1e-12)))

@@ -1,0 +1,145 @@
+"""The traces that the Product Model is fitted to: from HDF5 ensembles and runs, CSV tables, or arrays."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from calibrate.errors import BadInput
+from calibrate.pieces import piece_mass
+
+ALIGNMENTS = ("release", "first-impact")
+GROUP = "wb_flaps"
+ONSET = 0.02  # share of the largest force at which a trace is taken to begin: its first impact
+
+
+@dataclass(frozen=True)
+class Target:
+    """One measured trace.
+
+    time: [T] (s) after the release, ends of the sample intervals, equidistant; force: [T] (N) means over them,
+    downward positive
+    m_piece: (kg) weight of one piece; pieces: number of pieces; height_offset: (m) known deviation of this trace's
+    mean drop height from the others'; gravity: (m/s2); name: for messages
+    """
+
+    time: np.ndarray
+    force: np.ndarray
+    m_piece: float
+    pieces: int
+    height_offset: float = 0.0
+    gravity: float = 9.81
+    name: str = "trace"
+
+    @property
+    def sample(self) -> float:
+        """(s) sample time."""
+        return float((self.time[-1] - self.time[0]) / (len(self.time) - 1))
+
+    @property
+    def weight(self) -> float:
+        """(N) of the whole portion."""
+        return self.m_piece * self.pieces * self.gravity
+
+    @property
+    def first_impact(self) -> float:
+        """(s) beginning of the first sample whose force exceeds ONSET of the largest."""
+        return float(self.time[np.argmax(self.force > ONSET * self.force.max())]) - self.sample
+
+
+def target(time, force, m_piece, pieces, *, height_offset=0.0, gravity=9.81, name="trace") -> Target:
+    """A checked `Target`. Raises `BadInput`: empty, different lengths, NaN, time not increasing or not
+    equidistant, mass, pieces.
+    """
+    time, force = np.asarray(time, np.float64), np.asarray(force, np.float64)
+    if time.ndim != 1 or force.shape != time.shape:
+        raise BadInput(f"{name}: time {time.shape} and force {force.shape} must be of one length")
+    if len(time) < 16:
+        raise BadInput(f"{name}: {len(time)} samples; at least 16 are needed")
+    if not (np.isfinite(time).all() and np.isfinite(force).all()):
+        raise BadInput(f"{name}: sample {int(np.argmin(np.isfinite(time) & np.isfinite(force)))} is not finite")
+    steps = np.diff(time)
+    if (steps <= 0).any():
+        raise BadInput(f"{name}: time must increase, and does not at sample {int(np.argmax(steps <= 0)) + 1}")
+    if (np.abs(steps - steps.mean()) > 1e-3 * steps.mean()).any():
+        raise BadInput(f"{name}: time must be equidistant; its steps lie between {steps.min():g} and {steps.max():g} s")
+    if not (np.isfinite(m_piece) and m_piece > 0):
+        raise BadInput(f"m_piece = {m_piece:g}: must be greater than 0 (kg)")
+    if pieces < 1:
+        raise BadInput(f"pieces = {pieces}: must be at least 1")
+    if force.max() <= 0:
+        raise BadInput(f"{name}: the force is nowhere positive (downward is positive)")
+    return Target(time, force, float(m_piece), int(pieces), float(height_offset), float(gravity), name)
+
+
+def read(path, m_piece=None, pieces=None, group=None) -> list[Target]:
+    """All traces of one file; the suffix tells the format.
+
+    `.h5`: a run, or an ensemble with a leading run axis, in the layout of the discrete element runs; the mean force
+    of the wall group `group` (default wb_flaps, or the only one there is), weight and number of the pieces from the
+    file unless given. `.csv`: a header line, then time (s) and one force (N) per further column; m_piece and pieces
+    must be given. Raises `BadInput`.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise BadInput(f"{path}: no such file")
+    if path.suffix.lower() == ".csv":
+        return _read_csv(path, m_piece, pieces)
+    return _read_hdf5(path, m_piece, pieces, group)
+
+
+def _read_csv(path, m_piece, pieces):
+    for name, value in (("m_piece", m_piece), ("pieces", pieces)):
+        if value is None:
+            raise BadInput(f"{path}: a CSV table does not say {name}; give --{name.replace('_', '-')}")
+    with open(path) as file:
+        header = file.readline().strip().split(",")
+    try:
+        table = np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2)
+    except ValueError as error:
+        raise BadInput(f"{path}: not a table of numbers ({error})") from None
+    if table.size == 0 or table.shape[1] < 2:
+        raise BadInput(f"{path}: needs a time column and at least one force column")
+    columns = [k for k in range(1, table.shape[1]) if not header[k].strip().startswith("pif")]
+    return [target(table[:, 0], table[:, k], m_piece, pieces, name=f"{path}:{header[k].strip()}") for k in columns]
+
+
+def _read_hdf5(path, m_piece, pieces, group):
+    import h5py
+
+    try:
+        with h5py.File(path, "r") as file:
+            attrs, time = dict(file.attrs), np.asarray(file["time"], np.float64)
+            name = _group(path, sorted(file["mean_force"]), group)
+            force = -np.asarray(file[f"mean_force/{name}"][..., 2], np.float64)
+            count = file["pieces/position"].shape[-2] if "pieces/position" in file else None
+            count = file["pieces/drop_height"].shape[-1] if "pieces/drop_height" in file else count
+    except (OSError, KeyError) as error:
+        raise BadInput(f"{path}: not a trace file ({str(error).strip(chr(39))})") from None
+    m_piece = piece_mass(str(attrs.get("scene", ""))) if m_piece is None else m_piece
+    pieces = attrs.get("piece_count", count) if pieces is None else pieces
+    for key, value in (("m_piece", m_piece), ("pieces", pieces)):
+        if value is None:
+            raise BadInput(f"{path}: its scene does not tell {key}; give --{key.replace('_', '-')}")
+    gravity = float(np.linalg.norm(attrs.get("gravity", (0.0, 0.0, -9.81))))
+    runs = force if force.ndim == 2 else force[None]
+    if len(runs) == 0:
+        raise BadInput(f"{path}: holds no runs")
+    return [target(time, run, m_piece, int(pieces), gravity=gravity, name=f"{path}:{k}") for k, run in enumerate(runs)]
+
+
+def _group(path, groups, group):
+    if group in groups:
+        return group
+    if group is None and (GROUP in groups or len(groups) == 1):
+        return GROUP if GROUP in groups else groups[0]
+    raise BadInput(f"{path}: group = {group or GROUP}: has {', '.join(groups)}; choose one with --group")
+
+
+def rebin(trace: Target, start: float, sample: float, samples: int) -> np.ndarray:
+    """Mean force [samples] (N) over intervals of `sample` from `start`, by the integral of the trace: exact for
+    nested grids.
+    """
+    edges = np.concatenate([[trace.time[0] - trace.sample], trace.time])
+    impulse = np.concatenate([[0.0], np.cumsum(trace.force) * trace.sample])
+    return np.diff(np.interp(start + sample * np.arange(samples + 1), edges, impulse)) / sample

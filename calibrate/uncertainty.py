@@ -1,0 +1,174 @@
+"""How sure a fit is: a parametric bootstrap of refits, a fast local estimate, and what the data cannot tell, in
+words.
+"""
+
+from dataclasses import dataclass, replace
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from calibrate.loss import Measured, increment_distance, increments, moment_distances, moments
+from calibrate.prepare import draw
+from calibrate.solve import Solution, solve_data_sets
+from calibrate.unconstrained import NAMES, to_parameters, to_unconstrained
+
+LEVEL = 0.90
+BATCH = 8  # refits at once
+UNITS = {"dt_impact": ("us", 1e6), "gamma_low": ("mm", 1e3), "gamma_high": ("mm", 1e3), "h_mean": ("mm", 1e3)}
+
+
+@partial(jax.jit, static_argnames=("count",))
+def _replicas(theta, draws, measured, count):
+    """Summaries of simulated portions at `theta`, as if measured: height, spread [M], increments [M, lags]."""
+    return *moments(theta, draws, measured), increments(theta, draws, measured, count)
+
+
+def data_sets(theta, targets, measured, count: int, seed: int):
+    """`count` synthetic data sets of the composition of `targets`, other random numbers than any fit's:
+    `Measured` with leading axis.
+    """
+    many = _unstratified(draw(targets, count * len(targets), seed), seed)
+    height, spread, lags = _replicas(theta, many, measured, many.z.shape[0])
+    shape = (count, len(targets))
+    return measured_like(measured, height.reshape(shape), spread.reshape(shape), lags.reshape(*shape, -1))
+
+
+def _unstratified(draws, seed):
+    z = np.random.default_rng([seed, 1]).standard_normal(draws.z.shape[0])
+    return replace(draws, z=jnp.asarray(z))
+
+
+def measured_like(measured, height, spread, lags):
+    """`measured` with other summaries."""
+    return replace(measured, height=height, spread=spread, increments=lags)
+
+
+@dataclass(frozen=True)
+class Refits:
+    """The bootstrap: solution, with leading axis [B], and the data sets that it fits, with the same axis."""
+
+    solution: Solution
+    sets: Measured
+
+
+def bootstrap(theta, targets, draws, measured, free, fine, count, seed, progress):
+    """`count` refits to data sets simulated at `theta`: `Refits`, or None for count = 0."""
+    if count == 0:
+        return None
+    count = -(-count // BATCH) * BATCH
+    sets = data_sets(theta, targets, measured, count, seed + 1_000_003)
+    parts = []
+    for first in range(0, count, BATCH):
+        some = measured_like(sets, *(a[first : first + BATCH] for a in (sets.height, sets.spread, sets.increments)))
+        parts.append(jax.block_until_ready(solve_data_sets(theta, draws, some, free, fine)))
+        progress("bootstrap", first + BATCH, count)
+    return Refits(jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts), sets)
+
+
+@partial(jax.jit, static_argnames=("free", "fine"))
+def _slopes(u, fixed, draws, measured, free, fine):
+    """Gradients of the blocks' losses in their own coordinates at `u`: dict of [] (a leading axis for mapped data
+    sets).
+    """
+    shape = {name: value for name, value in u.items() if name != "dt_impact"}
+    pulse = {name: value for name, value in u.items() if name == "dt_impact"}
+    slope = {}
+    if shape:
+        slope |= jax.grad(lambda s: jnp.sum(moment_distances(to_parameters(s | pulse, fixed), draws, measured)))(shape)
+    if pulse:
+        slope |= jax.jacfwd(lambda p: increment_distance(to_parameters(shape | p, fixed), draws, measured, fine))(pulse)
+    return slope
+
+
+def local_estimate(theta, targets, draws, measured, free, fine, seed, count: int = 64) -> dict:
+    """Standard deviation of each free parameter without refits: slope^-1 (covariance of gradients) slope^-T, name ->
+    sd.
+
+    The gradients of `count` synthetic data sets at `theta` give the covariance, central differences of the mean
+    gradient over two per cent the slope (the second derivative of an energy distance between samples is zero almost
+    everywhere).
+    """
+    fixed = {name: theta[name] for name in NAMES if name not in free}
+    u = to_unconstrained(theta, free)
+    names = sorted(u)
+    sets = data_sets(theta, targets, measured, count, seed + 2_000_003)
+    axes = Measured(0, 0, 0, None, None, None, None, measured.grid, measured.lags, measured.from_momentum)
+    mapped = jax.jit(jax.vmap(lambda u, m: _slopes(u, fixed, draws, m, free, fine), in_axes=(None, axes)))
+    vector = lambda u: np.stack([np.asarray(mapped(u, sets)[name]) for name in names], axis=1)  # noqa: E731
+    step = {name: 0.1 if name in ("ratio", "gap", "fraction") else 0.02 for name in names}
+    columns = [
+        (vector(u | {n: u[n] + step[n]}).mean(0) - vector(u | {n: u[n] - step[n]}).mean(0)) / (2 * step[n])
+        for n in names
+    ]
+    inverse = np.linalg.pinv(np.stack(columns, axis=1))
+    covariance = inverse @ np.cov(vector(u), rowvar=False).reshape(len(names), len(names)) @ inverse.T
+    jacobian = jax.jacfwd(lambda u: to_parameters(u, fixed))(u)
+    result = {}
+    for name in free:
+        row = np.array([float(jacobian[name].get(k, 0.0)) if isinstance(jacobian[name], dict) else 0.0 for k in names])
+        result[name] = float(np.sqrt(max(row @ covariance @ row, 0.0)))
+    return result
+
+
+def table(theta, free, local, refits) -> dict:
+    """name -> value, low, high (90 %), sd, local_sd. The interval mirrors the quantiles of ln(refit/value) about
+    the value.
+    """
+    result = {}
+    for name in NAMES:
+        value = float(theta[name])
+        row = {
+            "value": value,
+            "low": value,
+            "high": value,
+            "sd": 0.0,
+            "local_sd": local.get(name, 0.0),
+            "free": name in free,
+        }
+        if name in free and refits is not None:
+            ratios = np.log(np.maximum(np.asarray(refits.solution.theta[name]), 1e-12) / max(value, 1e-12))
+            low, high = np.quantile(ratios, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
+            row |= {
+                "low": value * np.exp(-high),
+                "high": value * np.exp(-low),
+                "sd": float(np.std(np.exp(ratios)) * value),
+            }
+        elif name in free:
+            factor = np.exp(1.645 * local[name] / max(value, 1e-12))
+            row |= {"low": value / factor, "high": value * factor, "sd": local[name]}
+        result[name] = {key: (bool(v) if key == "free" else float(v)) for key, v in row.items()}
+    return result
+
+
+def statements(result, targets) -> list[str]:
+    """What the data can and cannot tell, in words and numbers."""
+    lines = []
+    count, pieces = len(targets), float(np.mean([t.pieces for t in targets]))
+    for name in result.free:
+        row = result.parameters[name]
+        half = 0.5 * (row["high"] - row["low"]) / max(row["value"], 1e-12)
+        if half > 0.25:
+            lines.append(
+                f"{name} is hardly told by these traces: its 90 % interval is +-{100 * half:.0f} % of its value"
+            )
+    if "gamma_high" in result.free:
+        lines.append(
+            f"gamma_high is a three-sigma quantity that only about half of the {count} traces say anything of: no "
+            f"estimator can know gamma_high - gamma_low better than to {100 / np.sqrt(max(count, 1)):.0f} % (one "
+            "standard deviation)"
+        )
+    final = float(np.median([np.mean(t.force[-max(len(t.force) // 20, 1) :]) / t.weight for t in targets]))
+    if abs(final - 1.0) > 0.02:
+        lines.append(
+            f"the traces end at {100 * final:.0f} % of the weight of their pieces: look at the weight and number of "
+            "the pieces, the wall group, and whether all have landed"
+        )
+    if pieces < 20:
+        lines.append(f"with {pieces:.0f} pieces a trace tells its own spread only to {100 / np.sqrt(2 * pieces):.0f} %")
+    if not all(result.converged):
+        lines.append(f"{result.converged.count(False)} of {len(result.converged)} starts did not converge")
+    if not all(result.agreed):
+        lines.append(f"{result.agreed.count(False)} of {len(result.agreed)} starts ended elsewhere: trust the fit less")
+    return lines

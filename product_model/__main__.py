@@ -1,0 +1,130 @@
+"""Command line: `python -m product_model simulate ...` and `python -m product_model table`."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from product_model.inputs import DTYPES, FORMS, BadInput, Parameters, table
+
+
+class _Parser(argparse.ArgumentParser):
+    """Says what is wrong in one line and leaves with code 2."""
+
+    def error(self, message):
+        self.exit(2, f"{self.prog}: {message}\n")
+
+
+FLAGS = {
+    "m_target": ("KG", float, "target weight of the portion"),
+    "m_piece": ("KG", float, "weight of one piece"),
+    "pieces": ("N", int, "number of pieces (default: eq. 16)"),
+    "h_mean": ("M", float, "mean drop height"),
+    "dt_impact": ("S", float, "length of the pulse of one piece"),
+    "gamma_low": ("M", float, "lower limit of sigma_height"),
+    "gamma_high": ("M", float, "upper (three-sigma) limit of sigma_height"),
+    "sample": ("S", float, "sample time"),
+    "start": ("S", float, "beginning of the trace after release"),
+    "duration": ("S", float, "length of the trace (default: until the pieces have landed)"),
+    "gravity": ("M/S2", float, "acceleration due to gravity"),
+    "smooth_width": ("S", float, "width of the smooth form"),
+}
+
+
+def _parser():
+    parser = _Parser(prog="product_model", description="Impact-force curves of the Product Model")
+    commands = parser.add_subparsers(dest="command", required=True, parser_class=_Parser)
+    commands.add_parser("table", help="inputs and outputs of the model, defaults and their sources")
+    simulate = commands.add_parser("simulate", help="random portions, written to a file")
+    for name, (metavar, kind, text) in FLAGS.items():
+        default = getattr(Parameters, name)
+        shown = "" if default is None else f" (default {default:g})"
+        simulate.add_argument(
+            f"--{name.replace('_', '-')}", metavar=metavar, type=kind, default=default, help=text + shown
+        )
+    simulate.add_argument(
+        "--form", choices=FORMS, default=Parameters.form, help=f"pulse form (default {Parameters.form})"
+    )
+    simulate.add_argument("--precision", choices=tuple(DTYPES), default=Parameters.precision, help="default f64")
+    simulate.add_argument("--runs", type=int, default=1, metavar="K", help="number of random portions (default 1)")
+    simulate.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the random numbers (default 0)")
+    simulate.add_argument("--out", default="trace.h5", metavar="FILE", help=".h5, .csv or .mat (default trace.h5)")
+    simulate.add_argument("--plot", metavar="FILE", help="also draw a figure (.png, .pdf or .svg)")
+    simulate.add_argument("--force", "--overwrite", action="store_true", help="replace files that exist")
+    return parser
+
+
+def _simulate(args):
+    from product_model import ensemble, parameters, save
+    from product_model.record import check_output
+
+    params = parameters(form=args.form, precision=args.precision, **{name: getattr(args, name) for name in FLAGS})
+    if args.runs < 1:
+        raise BadInput(f"runs = {args.runs}: must be at least 1")
+    check_output(args.out, args.force)
+    if args.plot:
+        _check_figure(args.plot, args.force)
+    trace = ensemble(params, args.seed, args.runs)
+    if args.runs == 1:
+        import jax
+        import numpy as np
+
+        trace = jax.tree.map(lambda leaf: np.asarray(leaf)[0], trace)
+    save(args.out, trace, params, seed=args.seed, overwrite=args.force)
+    if args.plot:
+        from product_model.plot import figure
+
+        figure(trace).savefig(args.plot, dpi=150)
+    _report(trace, params, args)
+
+
+def _check_figure(path, force):
+    path = Path(path)
+    if path.suffix not in (".png", ".pdf", ".svg"):
+        raise BadInput(f"plot = {path}: must end in .png, .pdf or .svg")
+    if not path.parent.is_dir():
+        raise BadInput(f"plot = {path}: the folder does not exist")
+    if path.exists() and not force:
+        raise BadInput(f"plot = {path}: exists; give another name, or --force to replace it")
+
+
+def _report(trace, params, args):
+    import numpy as np
+
+    from product_model.monte_carlo import QUANTILES, peaks
+
+    print(
+        f"{args.runs} portion(s) of {trace.height.shape[-1]} pieces of {float(params.m_piece) * 1e3:g} g, "
+        f"{trace.grid.samples} samples of {trace.grid.sample * 1e6:g} us, {params.form}, {params.precision}"
+    )
+    print("quantile".ljust(22) + "".join(f"{100 * q:>10.0f} %" for q in QUANTILES))
+    units = {
+        "peak_kg": ("peak PIF (g)", 1e3),
+        "peak_time": ("its time (ms)", 1e3),
+        "first": ("first impact (ms)", 1e3),
+        "duration": ("total duration (ms)", 1e3),
+    }
+    for name, values in peaks(trace).quantiles().items():
+        print(units[name][0].ljust(22) + "".join(f"{units[name][1] * v:>12.2f}" for v in values))
+    redrawn, late = int(np.sum(trace.redrawn)), int(np.sum(trace.late))
+    print(f"drop heights drawn again because negative: {redrawn}; pulses not over at the end: {late}")
+    if late:
+        print("warning: the trace ends before all pieces have landed; give a longer --duration", file=sys.stderr)
+    print(f"written: {args.out}" + (f", {args.plot}" if args.plot else ""))
+
+
+def main(argv=None) -> int:
+    """Run the command line; returns the exit code (2 on bad input, with one line on stderr)."""
+    args = _parser().parse_args(argv)
+    if args.command == "table":
+        print(table())
+        return 0
+    try:
+        _simulate(args)
+    except BadInput as error:
+        print(f"product_model: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,72 @@
+"""The impact of point masses, eqs 9-17 and 24 of Profe, Kostetzer and Ament (SIMULTECH 2023)."""
+
+import math
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+
+GRAVITY = 9.81  # m/s2, the paper's value
+
+
+def number_of_pieces(m_target: float, m_piece: float) -> int:
+    """Eq. 16, rounded to the nearest whole piece (halves up) and at least one.
+
+    m_target: (kg) target weight of the portion; m_piece: (kg) weight of one piece.
+    """
+    return max(1, math.floor(m_target / m_piece + 0.5))
+
+
+def impact_velocity(height, gravity=GRAVITY):
+    """Eq. 9: speed (m/s) just before impact of a mass dropped from rest at `height` [...] (m)."""
+    return jnp.sqrt(2.0 * gravity * height)
+
+
+def impulse(mass, velocity):
+    """Eqs 10-11: impulse (N s) that brings `mass` (kg) from `velocity` (m/s) to rest; no rebound."""
+    return mass * velocity
+
+
+def impact_force(impulse, dt_impact):
+    """Eqs 12-13: height (N) of the rectangle of area `impulse` (N s) and length `dt_impact` (s)."""
+    return impulse / dt_impact
+
+
+def fall_time(height, gravity=GRAVITY):
+    """Eq. 14: time (s) from release at rest to impact from `height` [...] (m)."""
+    return jnp.sqrt(2.0 * height / gravity)
+
+
+def pif_kg(force, gravity=GRAVITY):
+    """Eq. 24: the product impact force as a weight (kg) from `force` (N)."""
+    return force / gravity
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Pulses:
+    """What every piece does to the weigh bucket: a pulse of equal length (eq. 17), then its static weight.
+
+    start:    [pieces] (s)  moment of impact t_i, eq. 14
+    duration: []       (s)  Delta t_impact
+    force:    [pieces] (N)  F_impact,i, eq. 13
+    weight:   [pieces] (N)  static weight m_i g after the pulse
+    """
+
+    start: jax.Array
+    duration: jax.Array
+    force: jax.Array
+    weight: jax.Array
+
+    def edges(self):
+        """Times [2 pieces] (s) and jumps [2 pieces] (N) of the total force, eq. 15: its rising edges, then its
+        falling ones.
+        """
+        times = jnp.concatenate([self.start, self.start + self.duration])
+        return times, jnp.concatenate([self.force, self.weight - self.force])
+
+
+def pulses(height, mass, dt_impact, gravity) -> Pulses:
+    """Eqs 9-14 and 17 for pieces of `mass` [pieces] (kg) dropped from `height` [pieces] (m)."""
+    force = impact_force(impulse(mass, impact_velocity(height, gravity)), dt_impact)
+    return Pulses(fall_time(height, gravity), dt_impact, force, mass * gravity)

@@ -1,0 +1,64 @@
+"""Monte Carlo: many random portions from one key, and what their forces have in common."""
+
+from dataclasses import dataclass
+from functools import partial
+
+import jax
+import numpy as np
+
+from product_model.inputs import BadInput, Parameters, check
+from product_model.portion import Trace, as_key, in_precision, leaves_of, portion, static_of
+
+QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
+
+
+@partial(jax.jit, static_argnames=("static",))
+def _portions(leaves, keys, static):
+    return jax.vmap(lambda key: portion(leaves, key, **dict(static)))(keys)
+
+
+def ensemble(params: Parameters, key, runs: int) -> Trace:
+    """`runs` independent portions from one key: a `Trace` with a leading axis [runs].
+
+    Raises `BadInput` where an input is out of range.
+    """
+    check(params)
+    if runs < 1:
+        raise BadInput(f"runs = {runs}: must be at least 1")
+    with in_precision(params.precision):
+        keys = jax.random.split(as_key(key), runs)
+        return _portions(leaves_of(params), keys, tuple(static_of(params).items()))
+
+
+@dataclass(frozen=True)
+class Peaks:
+    """What a designer asks of each portion, arrays [runs].
+
+    peak_kg:   (kg) largest PIF;  peak_time: (s) when it occurs after release
+    first:     (s)  first impact;  duration: (s) from the first impact to the end of the last pulse
+    """
+
+    peak_kg: np.ndarray
+    peak_time: np.ndarray
+    first: np.ndarray
+    duration: np.ndarray
+
+    def quantiles(self, levels=QUANTILES) -> dict:
+        """Name -> [levels] quantiles over the runs."""
+        return {
+            name: np.quantile(getattr(self, name), levels) for name in ("peak_kg", "peak_time", "first", "duration")
+        }
+
+
+def peaks(trace: Trace) -> Peaks:
+    """Peak PIF, its time and the total duration of every portion of an ensemble (or of one trace: [1])."""
+    force, start = np.atleast_2d(np.asarray(trace.force)), np.atleast_2d(np.asarray(trace.pulses.start))
+    first, last = start.min(axis=1), start.max(axis=1)
+    duration = last - first + np.asarray(trace.pulses.duration)
+    peak = force.max(axis=1) / np.asarray(trace.gravity)
+    return Peaks(peak, trace.time[force.argmax(axis=1)], first, duration)
+
+
+def bands(trace: Trace, levels=QUANTILES) -> np.ndarray:
+    """Pointwise quantiles of the PIF over the runs: [levels, T] (kg)."""
+    return np.quantile(np.asarray(trace.pif_kg), levels, axis=0)

@@ -1,0 +1,194 @@
+"""One random portion: from the inputs and a key to the force over time."""
+
+import contextlib
+from dataclasses import dataclass, field
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from product_model import fall, model
+from product_model import pulses as sharp
+from product_model import smooth as smoothed
+from product_model.grid import Grid
+from product_model.inputs import DTYPES, LEAVES, Parameters, check, grid_of, pieces_of
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Trace:
+    """The force of one portion, or of several with a leading axis [runs] on every array.
+
+    force:        [T] (N)       total force in the form that was asked for, downward positive
+    pulses:       [pieces]      start (s), duration (s), force (N), weight (N) of every piece's pulse
+    height:       [pieces] (m)  drop heights
+    sigma_height: [] (m)        their standard deviation in this portion, eqs 19-22
+    again:        [pieces]      True where the drop height would have been negative and was drawn again
+    gravity:      [] (m/s2)
+    grid:         static        sample times
+    """
+
+    force: jax.Array
+    pulses: model.Pulses
+    height: jax.Array
+    sigma_height: jax.Array
+    again: jax.Array
+    gravity: jax.Array
+    grid: Grid = field(metadata={"static": True})
+
+    @property
+    def time(self) -> np.ndarray:
+        """[T] (s) sample times after release, double precision."""
+        return self.grid.times()
+
+    @property
+    def pif_kg(self):
+        """[T] (kg) product impact force as a weight, eq. 24."""
+        return _concrete(self.force) / self._over_time(_concrete(self.gravity))
+
+    @property
+    def pif_g(self):
+        """[T] (g) product impact force as a weight, eq. 24."""
+        return 1e3 * self.pif_kg
+
+    @property
+    def redrawn(self):
+        """[] pieces whose drop height would have been negative and was drawn again."""
+        return _concrete(self.again).sum(axis=-1)
+
+    @property
+    def late(self):
+        """[] pieces whose pulse is not over at the last sample: lengthen the trace if there are any."""
+        end = _concrete(self.pulses.start) + self._over_time(_concrete(self.pulses.duration))
+        return (end > self.grid.end).sum(axis=-1)
+
+    def settled_mass(self):
+        """[T] (kg) mass whose pulse is over at each sample time: the static weight of Fig. 6 over g."""
+        end = np.asarray(self.pulses.start, np.float64) + np.asarray(self._over_time(self.pulses.duration), np.float64)
+        mass = np.asarray(self.pulses.weight, np.float64) / np.asarray(self._over_time(self.gravity), np.float64)
+        if end.ndim == 1:
+            return _settled(self.time, end, mass)
+        return np.stack([_settled(self.time, e, m) for e, m in zip(end, mass, strict=True)])
+
+    def _over_time(self, value):
+        return value[..., None] if getattr(value, "ndim", 0) else value
+
+
+def _concrete(value):
+    """A NumPy array of a value that is one, so that its precision does not hang on the global flag; a traced
+    value as it is.
+    """
+    return value if isinstance(value, jax.core.Tracer) else np.asarray(value)
+
+
+def _settled(time, end, mass):
+    order = np.argsort(end)
+    total = np.concatenate([[0.0], np.cumsum(mass[order])])
+    return total[np.searchsorted(end[order], time, side="right")]
+
+
+def render(pulses: model.Pulses, grid: Grid, form: str, smooth_width: float):
+    """Force [T] (N) of `pulses` in one of the three forms."""
+    if form == "rectangular":
+        return sharp.rectangular(pulses, grid)
+    if form == "interval-mean":
+        return sharp.interval_mean(pulses, grid)
+    return smoothed.smooth(pulses, grid, smooth_width)
+
+
+def random_numbers(key, pieces: int, dtype):
+    """What a portion draws: z [] normal for its spread, v [pieces] uniform on (-1, 1) for its drop heights.
+
+    All from one call of the generator, which on a CPU costs more to enter than to fill.
+    """
+    lowest = np.nextafter(np.array(-1.0, dtype), np.array(0.0, dtype))
+    v = jax.random.uniform(key, (pieces + 1,), dtype, lowest, 1.0)
+    return fall.standard_normal(v[0]), v[1:]
+
+
+@partial(jax.jit, static_argnames=("pieces", "grid", "form", "smooth_width"))
+def portion(leaves, key, *, pieces: int, grid: Grid, form: str, smooth_width: float) -> Trace:
+    """Eqs 9-22 for one key. leaves: dict of the names in `LEAVES`, [] each and all of one dtype, which is that of
+    the result.
+    """
+    z, v = random_numbers(key, pieces, jnp.result_type(leaves["h_mean"]))
+    sigma = fall.sigma_height(leaves["gamma_low"], leaves["gamma_high"], z)
+    height, again = fall.drop_heights(leaves["h_mean"], sigma, v)
+    mass = jnp.broadcast_to(leaves["m_piece"], (pieces,))
+    pulses = model.pulses(height, mass, leaves["dt_impact"], leaves["gravity"])
+    return Trace(
+        force=render(pulses, grid, form, smooth_width),
+        pulses=pulses,
+        height=height,
+        sigma_height=sigma,
+        again=again,
+        gravity=leaves["gravity"],
+        grid=grid,
+    )
+
+
+def in_precision(precision: str):
+    """Context in which arrays of `precision` ("f32" or "f64") exist, whatever the global flag says."""
+    return jax.enable_x64(True) if precision == "f64" and not jax.config.jax_enable_x64 else contextlib.nullcontext()
+
+
+def leaves_of(params: Parameters) -> dict:
+    """The leaves of `params` in its precision; call it inside `in_precision`."""
+    dtype = DTYPES[params.precision]
+    return {name: _cast(getattr(params, name), dtype) for name in LEAVES}
+
+
+def _cast(value, dtype):
+    return jnp.asarray(value).astype(dtype) if isinstance(value, jax.Array) else np.asarray(value, dtype)
+
+
+def static_of(params: Parameters) -> dict:
+    """The static choices that fix the program: a new set compiles anew."""
+    return {
+        "pieces": pieces_of(params),
+        "grid": grid_of(params),
+        "form": params.form,
+        "smooth_width": params.smooth_width,
+    }
+
+
+def as_key(key):
+    """A random key from a key or an integer seed."""
+    return jax.random.key(int(key)) if isinstance(key, (int, np.integer)) else key
+
+
+def simulate(params: Parameters, key) -> Trace:
+    """The product impact force of one random portion (eqs 9-22).
+
+    params: `Parameters`; key: a jax random key, or an integer seed. The same key gives the same trace.
+    Raises `BadInput` with one line where an input is out of range. Compiles once for each set of static inputs; in a
+    loop that counts microseconds use `compiled`.
+    """
+    check(params)
+    with in_precision(params.precision):
+        return portion(leaves_of(params), as_key(key), **static_of(params))
+
+
+def compiled(params: Parameters):
+    """`key -> Trace` with all checks done and all inputs fixed beforehand: the fast way to many traces of one set of
+    inputs.
+
+    The first call compiles.
+    """
+    check(params)
+    static = static_of(params)
+    with in_precision(params.precision):
+        leaves = leaves_of(params)
+    run = jax.jit(lambda key: portion(leaves, key, **static))
+    if params.precision == "f32" or jax.config.jax_enable_x64:
+        return run
+    return _within_x64(run)
+
+
+def _within_x64(run):
+    def in_double(key):
+        with jax.enable_x64(True):
+            return run(key)
+
+    return in_double

@@ -1,0 +1,157 @@
+"""Traces as files: HDF5 in the layout of the discrete element runs, CSV as a plain table, and MATLAB .mat."""
+
+import dataclasses
+import importlib.metadata
+import os
+from pathlib import Path
+
+import numpy as np
+
+from product_model.inputs import LEAVES, BadInput, Parameters
+from product_model.portion import Trace, in_precision
+from product_model.pulses import rectangular
+
+GROUP = "wb_flaps"  # wall group whose force this is in the discrete element model
+BLOCK = "wb"  # block whose settled mass it is
+SUFFIXES = (".h5", ".hdf5", ".csv", ".mat")
+
+
+def check_output(path, overwrite: bool = False) -> Path:
+    """`path` if it may be written, else `BadInput`: unknown suffix, missing folder, or a file that nobody asked
+    to replace.
+    """
+    path = Path(path)
+    if path.suffix not in SUFFIXES:
+        raise BadInput(f"out = {path}: must end in one of {', '.join(SUFFIXES)}")
+    if not path.parent.is_dir():
+        raise BadInput(f"out = {path}: the folder does not exist")
+    if path.exists() and not overwrite:
+        raise BadInput(f"out = {path}: exists; give another name, or --force to replace it")
+    return path
+
+
+def save(path, trace: Trace, params: Parameters, *, seed=None, overwrite: bool = False) -> Path:
+    """Write `trace` (one portion or an ensemble); the suffix chooses the format. Returns the path.
+
+    `.h5`: /time, /force/wb_flaps and /mean_force/wb_flaps [T, 3] (N, downward negative), /settled_mass/wb, /pif,
+    /pieces/..., with a leading run axis for an ensemble and the inputs as TOML text in the attribute `scene`.
+    `.csv`: time_s, then force_n and pif_g of each run. `.mat`: the same arrays and the inputs for MATLAB.
+    The file appears only when it is complete. Raises `BadInput` as `check_output` does.
+    """
+    path = check_output(path, overwrite)
+    write = {".csv": _csv, ".mat": _mat}.get(path.suffix, _hdf5)
+    part = path.with_name(f".{path.name}.part{os.getpid()}")
+    try:
+        write(part, trace, params, seed)
+        os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)
+    return path
+
+
+def inputs_of(params: Parameters, trace: Trace) -> dict:
+    """All inputs as plain numbers and strings, with the number of pieces and the length that were used."""
+    values = {f.name: getattr(params, f.name) for f in dataclasses.fields(params)}
+    values |= {name: float(values[name]) for name in LEAVES}
+    return values | {"pieces": int(trace.height.shape[-1]), "duration": trace.grid.sample * trace.grid.samples}
+
+
+def scene_text(params: Parameters, trace: Trace) -> str:
+    """The inputs as TOML text."""
+    lines = ['base = "product-model"', "", "[portion]", f"count = {trace.height.shape[-1]}"]
+    lines += [f"piece_mass = {float(params.m_piece)!r}", f"target_weight = {params.m_target!r}", "", "[product_model]"]
+    for name, value in inputs_of(params, trace).items():
+        lines.append(f'{name} = "{value}"' if isinstance(value, str) else f"{name} = {value!r}")
+    return "\n".join(lines) + "\n"
+
+
+def version() -> str:
+    """Version of the installed distribution."""
+    try:
+        return importlib.metadata.version("product-impact")
+    except importlib.metadata.PackageNotFoundError:
+        return "unknown"
+
+
+def instantaneous(trace: Trace, params: Parameters) -> np.ndarray:
+    """[T] or [runs, T] (N) the same portions as sampled rectangles."""
+    import jax
+
+    with in_precision(params.precision):
+        sample = lambda pulses: rectangular(pulses, trace.grid)  # noqa: E731
+        return np.asarray((sample if trace.force.ndim == 1 else jax.vmap(sample))(trace.pulses))
+
+
+def _downward(force):
+    vector = np.zeros((*force.shape, 3), force.dtype)
+    vector[..., 2] = -force
+    return vector
+
+
+def _hdf5(path, trace: Trace, params: Parameters, seed):
+    import h5py
+
+    mean = np.asarray(trace.force)
+    table = {
+        "time": (trace.time, "s"),
+        f"force/{GROUP}": (_downward(instantaneous(trace, params)), "N"),
+        f"mean_force/{GROUP}": (_downward(mean), "N"),
+        f"settled_mass/{BLOCK}": (trace.settled_mass(), "kg"),
+        "pif": (np.asarray(trace.pif_kg), "kg"),
+        "pieces/drop_height": (np.asarray(trace.height), "m"),
+        "pieces/impact_time": (np.asarray(trace.pulses.start), "s"),
+        "pieces/sigma_height": (np.asarray(trace.sigma_height), "m"),
+        "pieces/redrawn": (np.asarray(trace.redrawn), "1"),
+        "pieces/late": (np.asarray(trace.late), "1"),
+    }
+    with h5py.File(path, "w") as file:
+        for name, (values, unit) in table.items():
+            file.create_dataset(name, data=values).attrs["units"] = unit
+        file.attrs["scene"] = scene_text(params, trace)
+        file.attrs["program"] = "product_model"
+        file.attrs["version"] = version()
+        file.attrs["precision"] = params.precision
+        file.attrs["time_step"] = params.sample
+        if seed is not None:
+            file.attrs["seed"] = seed
+
+
+def _columns(trace: Trace):
+    force, pif = np.atleast_2d(np.asarray(trace.force)), np.atleast_2d(np.asarray(trace.pif_g))
+    names = [""] if trace.force.ndim == 1 else [f"_{run + 1:04d}" for run in range(len(force))]
+    columns = {"time_s": trace.time}
+    for name, f, p in zip(names, force, pif, strict=True):
+        columns |= {f"force_n{name}": f, f"pif_g{name}": p}
+    return columns
+
+
+def _csv(path, trace: Trace, params: Parameters, seed):
+    columns = _columns(trace)
+    np.savetxt(path, np.stack(list(columns.values()), axis=1), "%.9g", ",", header=",".join(columns), comments="")
+
+
+def _mat(path, trace: Trace, params: Parameters, seed):
+    from scipy.io import savemat
+
+    inputs = {k: np.nan if v is None else v for k, v in inputs_of(params, trace).items()}
+    arrays = {"time_s": trace.time, "force_n": np.asarray(trace.force), "pif_g": np.asarray(trace.pif_g)}
+    with open(path, "wb") as file:
+        savemat(file, arrays | {"settled_mass_kg": trace.settled_mass(), "inputs": inputs}, oned_as="column")
+
+
+def load(path) -> dict:
+    """Name -> array of every dataset of an HDF5 file that `save` wrote; its attributes under "attrs".
+
+    Raises `BadInput` where the file is missing or not HDF5.
+    """
+    import h5py
+
+    try:
+        with h5py.File(path, "r") as file:
+            values = {}
+            file.visititems(
+                lambda name, item: values.update({name: item[()]}) if isinstance(item, h5py.Dataset) else None
+            )
+            return values | {"attrs": dict(file.attrs)}
+    except OSError as error:
+        raise BadInput(f"{path}: not a readable HDF5 file ({error})") from None

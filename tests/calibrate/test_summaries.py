@@ -1,0 +1,95 @@
+"""The summaries: closed forms against the sampled traces, and what they are meant to be."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from calibrate.loss import energy_distance
+from calibrate.prepare import LAGS, draw, measure
+from calibrate.summaries import autocorrelation, log_increments, moments_of_pulses, moments_of_trace, momentum_release
+from calibrate.targets import rebin, target
+from product_model import ensemble, parameters, simulate
+
+
+@pytest.fixture(scope="module")
+def trace():
+    return simulate(parameters(pieces=64, sample=3e-5, dt_impact=1e-5, duration=0.4), 3)
+
+
+def test_momentum_tells_mean_and_spread_of_the_drop_heights(trace):
+    """For pulses short against the fall (10 us in 226 ms) to their ratio."""
+    mean, spread = moments_of_trace(trace.time, np.asarray(trace.force), 3e-5, 9.81, 1e-4)
+    height = np.asarray(trace.height)
+    assert mean == pytest.approx(height.mean(), rel=2e-4)
+    assert spread == pytest.approx(height.std(), rel=5e-3)
+
+
+def test_pulses_and_their_sampled_trace_have_the_same_moments():
+    """Weights vary by (sample/fall time)^2 = 2e-8 within a sample; the spread comes from a difference of moments."""
+    made = simulate(parameters(pieces=64, sample=3e-5, duration=0.4), 3)
+    sampled = moments_of_trace(made.time, np.asarray(made.force), 3e-5, 9.81, 1e-4)
+    closed = moments_of_pulses(*made.pulses.edges(), made.grid.end, 9.81, 1e-4)
+    assert [float(v) for v in closed] == pytest.approx([float(v) for v in sampled], rel=1e-5)
+
+
+def test_momentum_tells_the_release_wherever_the_file_puts_its_zero(trace):
+    weight = 64 * 5.832e-3 * 9.81
+    for shift in (0.0, -0.15, 0.3):
+        release = momentum_release(trace.time + shift, np.asarray(trace.force), 3e-5, weight)
+        assert release == pytest.approx(shift + 1e-5, abs=1e-9)  # later than the release by the length of a pulse
+
+
+def test_increments_equal_shifted_differences():
+    force = np.random.default_rng(0).uniform(size=1000)
+    smooth = (force[:-3] + force[1:-2] + force[2:-1] + force[3:]) / 4
+    expected = [np.log(((smooth[lag:] - smooth[:-lag]) ** 2).sum()) for lag in LAGS]
+    np.testing.assert_allclose(log_increments(jnp.asarray(force), LAGS), expected, rtol=1e-12)
+    direct = [(force[lag:] * force[: len(force) - lag]).sum() for lag in range(32)]
+    np.testing.assert_allclose(autocorrelation(jnp.asarray(force), range(32)), direct, rtol=1e-12)
+
+
+def test_energy_distance_by_its_definition():
+    random = np.random.default_rng(1)
+    x, y = random.standard_normal(7), random.standard_normal(11)
+    pairs = [abs(a - b) for i, a in enumerate(y) for j, b in enumerate(y) if i != j]
+    expected = 2 * np.abs(x[:, None] - y[None, :]).mean() - np.mean(pairs)
+    assert float(energy_distance(jnp.asarray(x), jnp.asarray(y))) == pytest.approx(expected, rel=1e-12)
+    assert np.isfinite(jax.grad(energy_distance, argnums=1)(jnp.asarray(x), jnp.zeros(1))).all()
+
+
+def test_rebinning_keeps_the_impulse_and_nests():
+    time = 1e-4 * np.arange(1, 401)
+    force = np.random.default_rng(2).uniform(size=400)
+    one = target(time, force, 1e-3, 3)
+    np.testing.assert_allclose(rebin(one, 0.0, 4e-4, 100), force.reshape(100, 4).mean(1), rtol=1e-9)
+    assert rebin(one, 0.0, 7.3e-4, 55).sum() * 7.3e-4 == pytest.approx(
+        np.interp(55 * 7.3e-4, [0, *time], [0, *np.cumsum(force) * 1e-4])
+    )
+
+
+def test_summaries_do_not_hang_on_the_sample_time_or_the_zero_of_time():
+    made = {s: ensemble(parameters(pieces=20, sample=s, duration=0.42), 0, 3) for s in (3e-5, 6e-5)}
+    rows = {}
+    for s, trace in made.items():
+        rows[s] = measure([target(trace.time, np.asarray(trace.force[k]), 5.832e-3, 20) for k in range(3)])
+    np.testing.assert_allclose(rows[3e-5].height, rows[6e-5].height, rtol=1e-6)
+    np.testing.assert_allclose(rows[3e-5].spread, rows[6e-5].spread, rtol=1e-4)
+    np.testing.assert_allclose(rows[3e-5].increments, rows[6e-5].increments, atol=0.03)  # where in a bin a pulse begins
+    late = made[3e-5]
+    shifted = [target(late.time - 0.1, np.asarray(late.force[k]), 5.832e-3, 20) for k in range(3)]
+    unshifted = [target(late.time, np.asarray(late.force[k]), 5.832e-3, 20) for k in range(3)]
+    a, b = (measure(traces, "first-impact") for traces in (shifted, unshifted))
+    np.testing.assert_allclose(a.height, b.height, rtol=1e-9)
+    np.testing.assert_allclose(a.spread, b.spread, rtol=1e-7)
+
+
+def test_draws_take_the_compositions_in_turn():
+    time = 1e-4 * np.arange(1, 401)
+    traces = [target(time, np.ones(400), 1e-3, n) for n in (2, 5)]
+    draws = draw(traces, 7, 0)
+    np.testing.assert_array_equal((np.asarray(draws.mass) > 0).sum(1), [2, 5] * 4)
+    z = np.sort(np.asarray(draws.z))
+    from scipy.stats import norm
+
+    assert (np.floor(norm.cdf(z) * 8) == np.arange(8)).all()  # one in each stratum
