@@ -94,9 +94,7 @@ def reference(points):
 
 
 def references(ia, ib, shapes_, pose_a, pose_b):
-    found = [
-        reference(differences(shapes_[i], shapes_[j], pose_a, pose_b, k)) for k, (i, j) in enumerate(zip(ia, ib, strict=True))
-    ]
+    found = [reference(differences(shapes_[i], shapes_[j], pose_a, pose_b, k)) for k, (i, j) in enumerate(zip(ia, ib, strict=True))]
     return np.array([d for d, _ in found]), np.array([n for _, n in found])
 
 
@@ -190,7 +188,8 @@ def test_bodies_may_change_places_and_be_turned_together(tables, kind, rows):
 ANGLES = np.array([1.5, 1.0, 0.1, 3e-2, 1e-2, 3e-3, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 0.0])
 
 
-def about(axis, angles, count=len(ANGLES)):
+def about(axis, angles, count=None):
+    count = count or len(ANGLES)
     return Rotation.from_euler(axis, np.broadcast_to(np.asarray(angles, float), count)[:, None])
 
 

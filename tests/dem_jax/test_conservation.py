@@ -158,9 +158,7 @@ def box(restitution):
     """Eight marshmallows in random poses, in two columns of four layers, above the floor of a box of 120 x 120 mm."""
     random = np.random.default_rng(3)
     corners = np.array([(x, y, z) for z in (0, 1) for x in (-1, 1) for y in (-1, 1)]) * (0.03, 0.03, 0.062) + (0, 0, 0.04)
-    pieces = [
-        {"position": (x + random.normal(size=3) * 5e-4).tolist(), "orientation": quaternion(random)} for x in corners
-    ]
+    pieces = [{"position": (x + random.normal(size=3) * 5e-4).tolist(), "orientation": quaternion(random)} for x in corners]
     a, low, high = 0.06, -0.02, 0.2
     sides = [
         [(a, -a, low), (-a, -a, low), (-a, -a, high), (a, -a, high)],

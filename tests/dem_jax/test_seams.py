@@ -26,9 +26,7 @@ def run(panels, piece, samples, precision="f64"):
     settings = {"precision": precision, "sample": 1e-4, "frames": 0.0}
     made = build.build(Scene(piece=[piece], wall=walls, run=settings), 0)
     system = made.system.replace(skin=made.system.skin * 0 + 0.01)
-    state, recorded, _ = stepping.chunk(
-        system, made.state, np.int32(samples), np.int32(1), samples=SAMPLES, frames=0
-    )
+    state, recorded, _ = stepping.chunk(system, made.state, np.int32(samples), np.int32(1), samples=SAMPLES, frames=0)
     assert not guard.outgrown(system, jax.device_get(state.guard))
     return made, state, jax.tree.map(lambda x: np.asarray(x)[:samples], recorded)
 
@@ -58,9 +56,7 @@ def whole():
 
 
 @pytest.mark.parametrize("panels", [TWO, FOUR], ids=["two", "four"])
-@pytest.mark.parametrize(
-    "piece", [FALLING, TILTED, SLIDING, BALL], ids=["flat", "tilted", "sliding", "ball"]
-)
+@pytest.mark.parametrize("piece", [FALLING, TILTED, SLIDING, BALL], ids=["flat", "tilted", "sliding", "ball"])
 def test_a_piece_feels_no_seam(whole, panels, piece):
     """Forces, motion and the largest overlap are those on one panel, for 50 ms, across the seams and beside them.
 
