@@ -66,16 +66,15 @@ def panels(walls: Walls, t, t_velocity) -> Panels:
     turn, pivot = group_pose(walls, t)
     angle_rate = _rate(lambda t: group_angle(walls, t), t_velocity)
     shift_rate = _rate(lambda t: vibration(walls.shake, t), t_velocity)
-    g = walls.group
-    per_panel = lambda v: tuple(c[g] for c in v)  # noqa: E731
-    turn = tuple(per_panel(row) for row in turn)
-    arm = vector.rotate(turn, vector.sub(centre, per_panel(walls.pivot)))
     group_spin = vector.scale(angle_rate, vector.unpack(walls.axis))
     pivot_velocity = vector.scale(shift_rate, vector.unpack(walls.stroke))
-    spin = per_panel(group_spin)
-    velocity = vector.add(per_panel(pivot_velocity), vector.cross(spin, arm))
-    place = vector.add(per_panel(pivot), arm)
-    return Panels(place, vector.compose(turn, frame), pivot, velocity, spin, pivot_velocity, group_spin)
+    of_group = jnp.stack([*turn[0], *turn[1], *turn[2], *walls.pivot, *pivot, *pivot_velocity, *group_spin])
+    c = of_group[:, walls.group]  # one gather, group to panel
+    turn, hinge, pivot_w, velocity, spin = (c[:3], c[3:6], c[6:9]), c[9:12], c[12:15], c[15:18], c[18:21]
+    arm = vector.rotate(turn, vector.sub(centre, hinge))
+    velocity = vector.add(velocity, vector.cross(spin, arm))
+    place = vector.add(pivot_w, arm)
+    return Panels(place, vector.compose(turn, frame), pivot, velocity, tuple(spin), pivot_velocity, group_spin)
 
 
 def _rate(function, t):

@@ -316,7 +316,7 @@ def _sum(terms):
 
 def _pick(v, index, pairs):
     """Entry index [P] of each pair's list v: [K, 1 or P] x 3."""
-    return tuple(_take(c, index, pairs) for c in v)
+    return tuple(_take(jnp.stack(v), index, pairs))
 
 
 def _take(table, index, pairs):

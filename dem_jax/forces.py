@@ -16,7 +16,7 @@ class Contacts(NamedTuple):
     table: ContactTable  # with the new history
     load_a: object  # [6, P] (N, N m): force and torque on a, about its centre
     load_b: object  # [6, P]: on b
-    lever: object  # [3, P] (m): contact point relative to the centre of a
+    place: object  # [3, P] (m): contact point
     stored: object  # (J): change of what the contacts would give back
 
 
@@ -112,7 +112,7 @@ def _resolve(system: System, kind, table: ContactTable, slots: Slots, stacked, s
         after,
         jnp.stack([*reaction, *vector.cross(shape.point, reaction)]),
         jnp.stack([*force, *vector.cross(at_b, force)]),
-        jnp.stack(shape.point),
+        jnp.stack(vector.add(a.centre, shape.point)),
         stored,
     )
 
@@ -165,17 +165,12 @@ def _loads_of_walls(system: System, state: State, done, panels: boundary.Panels)
     total = jnp.zeros((6, len(system.walls.groups)), state.position.dtype)
     if not system.walls.groups:
         return total
-    pieces = state.position.shape[1]
     for kind, d in done.items():
-        slots = state.slots[kind]
-        panel = jnp.maximum(slots.a - pieces, 0)
-        group = system.walls.group[panel]
-        arm = tuple(c[panel] - p[group] for c, p in zip(panels.centre, panels.pivot, strict=True))
         force = vector.unpack(d.load_a)
-        about_pivot = vector.cross(vector.add(arm, vector.unpack(d.lever)), force)
-        rows = jnp.stack([*force, *about_pivot])
-        total = total + jnp.sum(jnp.where(slots.member[None], rows[:, None], 0), axis=2)
-    return total
+        rows = jnp.stack([*force, *vector.cross(vector.unpack(d.place), force)])
+        total = total + jnp.sum(jnp.where(state.slots[kind].member[None], rows[:, None], 0), axis=2)
+    about_pivot = vector.sub(total[3:], vector.cross(panels.pivot, total[:3]))
+    return jnp.concatenate([total[:3], jnp.stack(about_pivot)])
 
 
 def _ledger(system: System, state: State, omega, panels: boundary.Panels, done, load, wall) -> Ledger:
