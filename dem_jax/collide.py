@@ -190,7 +190,7 @@ def pressure_centre(a: Hulls, b: Hulls, rel: Relative, depth, normal):
         is_open = a.open_edges.at[:, face_a].get(mode="promise_in_bounds")
         first = tuple(is_open * part for part in first)
     weight, *moment = (jnp.sum(p, axis=0) + jnp.sum(q, axis=0) for p, q in zip(first, second, strict=True))
-    scale = 1 / jnp.maximum(weight, jnp.finfo(weight.dtype).tiny)
+    scale = 1 / jnp.where(weight > 0, weight, 1)
     point = vector.where(weight > 0, vector.scale(scale, moment), vector.scale(top - 0.5 * depth, normal))
     return point, weight
 
@@ -222,7 +222,7 @@ def _clipped(points, corners, normals, other: Hulls, depth):
     """
     u = _kept(dot(expand(normals, 1), expand(points, 0)) / other.offsets[: normals[0].shape[0], None])  # [m, k + 1, P]
     du = u[:, 1:] - u[:, :-1]
-    tiny = jnp.finfo(depth.dtype).tiny ** 0.5
+    tiny = jnp.finfo(depth.dtype).tiny ** 0.25  # so small that its square, in derivatives, does not overflow
     du = jnp.where(jnp.abs(du) < tiny, tiny, du)
     if other.is_zonotope:  # a slab |u| < 1: entered and left where u is -1 and 1, whichever comes first
         middle, half = -u[:, :-1] / du, 1 / jnp.abs(du)

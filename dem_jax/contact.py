@@ -41,18 +41,16 @@ def tangential_force(spring, normal, slip, normal_force, stiffness, friction):
     slip that turns, is the mean-normal one of Rice and Tracey. (Cutting the sum back along itself has it relax
     to the slip's direction with an error of first order in the step.)
     """
-    tiny = jnp.finfo(spring[0].dtype).tiny
     before = vector.norm(spring)
     turned = vector.add_scaled(spring, -vector.dot(spring, normal), normal)
-    old = vector.scale(1 / jnp.maximum(vector.norm(turned), tiny), turned)  # direction
+    old = vector.unit(turned)
     added = vector.scale(-stiffness, slip)
     trial = vector.add_scaled(added, before, old)
     limit = friction * normal_force
     slides = vector.norm(trial) > limit
     kept = jnp.maximum(0.5 * (before + limit - vector.dot(added, old)), 0)
-    toward = vector.add_scaled(added, kept, old)
-    size = jnp.maximum(vector.norm(toward), tiny)
-    return vector.where(slides, vector.scale(limit / size, toward), trial)
+    toward = vector.unit(vector.add_scaled(added, kept, old))
+    return vector.where(slides, vector.scale(limit, toward), trial)
 
 
 def series(k1, k2):

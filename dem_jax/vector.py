@@ -55,6 +55,12 @@ def norm(a):
     return safe_sqrt(dot(a, a))
 
 
+def unit(a):
+    """a / |a|, and 0 (with derivative 0) where a is 0."""
+    size = norm(a)
+    return scale(jnp.where(size > 0, 1 / jnp.where(size > 0, size, 1), 0), a)
+
+
 def expand(a, axis):
     """Insert an axis of length 1 into each component."""
     return tuple(jnp.expand_dims(p, axis) for p in a)
