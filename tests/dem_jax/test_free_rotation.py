@@ -124,6 +124,7 @@ def test_rotation_returns_when_time_is_reversed():
 def test_sphere_turns_about_a_fixed_axis_exactly():
     # One step of any length: the orientation is the rotation by omega dt.
     omega, dt = np.array([3.0, -4.0, 12.0]), 0.05
-    q, _ = rotation.spin(tuple(jnp.asarray(c)[None] for c in (1.0, 0, 0, 0.0)), tuple(jnp.asarray(2e-6 * omega)[:, None]), (2e-6,) * 3, dt)
+    upright, momentum = (jnp.asarray(c)[None] for c in (1.0, 0.0, 0.0, 0.0)), jnp.asarray(2e-6 * omega)[:, None]
+    q, _ = rotation.spin(tuple(upright), tuple(momentum), (2e-6,) * 3, dt)
     half = 0.5 * 13.0 * dt
     np.testing.assert_allclose(np.stack(q)[:, 0], [np.cos(half), *(np.sin(half) * omega / 13.0)], atol=1e-15)

@@ -81,7 +81,6 @@ def test_box_sticks_or_slides():
     made, start = placed({"shape": "cuboid", "size": (0.04, 0.03, 0.01)}, 0.005)
     degrees, friction = np.array([10.0, 15.0, 20.0, 30.0]), np.array([0.3, 0.3, 0.3, 0.3])  # sticks below 16.7 degrees
     time, found = run(made, start, degrees, friction, 0.2)
-    mass, stiffness = float(made.system.pieces.mass[0]), float(made.system.pieces.wall_stiffness[0])
     for i, angle in enumerate(np.radians(degrees)):
         velocity = found["velocity"][i, :, 0]
         assert np.abs(found["upright"][i, :, 2] - 1).max() < 1e-5  # stays flat, within 0.25 degrees

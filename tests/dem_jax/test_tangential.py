@@ -201,7 +201,8 @@ def test_spring_that_is_reversed_unloads_before_it_slides():
     # One step of slip against a spring at its limit: elastic up to twice the limit, then sliding the other way.
     normal, zero = tuple(jnp.asarray(c) for c in (0.0, 0.0, 1.0)), jnp.zeros(())
     spring = (jnp.asarray(2.0), zero, zero)
-    after = [float(contact.tangential_force(spring, normal, (jnp.asarray(x), zero, zero), 2.0, 1.0, 1.0)[0]) for x in (1.0, 3.5, 4.5, 100.0)]
+    slips = [(jnp.asarray(x), zero, zero) for x in (1.0, 3.5, 4.5, 100.0)]
+    after = [float(contact.tangential_force(spring, normal, slip, 2.0, 1.0, 1.0)[0]) for slip in slips]
     np.testing.assert_allclose(after, [1.0, -1.5, -2.0, -2.0], rtol=1e-14)
 
 
