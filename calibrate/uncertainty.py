@@ -16,6 +16,7 @@ from calibrate.unconstrained import NAMES, to_parameters, to_unconstrained
 
 LEVEL = 0.90
 BATCH = 8  # refits at once
+FEW_TRACES = 16  # below, no estimator knows gamma_high - gamma_low better than to a quarter (one standard deviation)
 UNITS = {"dt_impact": ("us", 1e6), "gamma_low": ("mm", 1e3), "gamma_high": ("mm", 1e3), "h_mean": ("mm", 1e3)}
 
 
@@ -154,6 +155,8 @@ def statements(result, targets) -> list[str]:
                 f"{name} is hardly told by these traces: its 90 % interval is +-{100 * half:.0f} % of its value"
             )
     if "gamma_high" in result.free:
+        if count < FEW_TRACES:
+            lines.append(f"{count} traces are too few to tell gamma_high: take at least {FEW_TRACES}, or fix it")
         lines.append(
             f"gamma_high is a three-sigma quantity that only about half of the {count} traces say anything of: no "
             f"estimator can know gamma_high - gamma_low better than to {100 / np.sqrt(max(count, 1)):.0f} % (one "
