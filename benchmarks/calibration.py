@@ -1,7 +1,10 @@
-"""Recovery, coverage and speed of the fit: `python -m benchmarks.calibration [--sets 20] [--refits 48]`, a table.
+"""Recovery, coverage and speed of the fit: `python -m benchmarks.calibration [--sets 20] [--refits 48] [--minutes 30]`, a
+table.
 
 Synthetic data sets of K = 64 traces with known parameters, drawn with other keys than the fits use, beside an oracle
-that knows the drop heights: the maximum likelihood of eqs 18-22 by quadrature over the spread.
+that knows the drop heights: the maximum likelihood of eqs 18-22 by quadrature over the spread. With `--refits 0` the
+intervals are those of the local estimate. `--minutes` begins no further data set after that time, for each number of
+pieces; the table says how many there were.
 """
 
 import argparse
@@ -66,10 +69,21 @@ def one_set(pieces, seed, refits):
     return errors, covered, known, marks[("starts", True)] - begin, time.perf_counter() - marks[("starts", True)]
 
 
-def table(sets: int, refits: int, counts) -> str:
+def several_sets(pieces, sets, refits, minutes):
+    """Results of `one_set` for the seeds 0, 1, ..."""
+    results, begin = [], time.perf_counter()
+    for seed in tqdm(range(sets), desc=f"n = {pieces}"):
+        if len(results) > 2 and time.perf_counter() - begin > 60 * minutes:
+            break
+        results.append(one_set(pieces, seed, refits))
+    return results
+
+
+def table(sets: int, refits: int, counts, minutes: float = float("inf")) -> str:
     """The Markdown table."""
+    intervals = f"{refits} refits each" if refits else "no refits: intervals of the local estimate"
     lines = [
-        f"{sets} data sets of K = 64 traces, truth 500 us, 20 mm, 60 mm, 250 mm; {refits} refits each; jax "
+        f"Data sets of K = 64 traces, truth 500 us, 20 mm, 60 mm, 250 mm; {intervals}; jax "
         f"{jax.__version__}, Python {platform.python_version()}, {os.cpu_count()} cores; load average at the start "
         f"{os.getloadavg()[0]:.2f}",
         "",
@@ -77,7 +91,7 @@ def table(sets: int, refits: int, counts) -> str:
         "|---|---|---|---|---|---|---|",
     ]
     for pieces in counts:
-        results = [one_set(pieces, seed, refits) for seed in tqdm(range(sets), desc=f"n = {pieces}")]
+        results = several_sets(pieces, sets, refits, minutes)
         errors, covered, known = (np.array([r[k] for r in results], float) for k in range(3))
         for k, name in enumerate(NAMES):
             best = (
@@ -87,7 +101,7 @@ def table(sets: int, refits: int, counts) -> str:
             )
             lines.append(
                 f"| {pieces} | {name} | {100 * errors[:, k].mean():+.2f} | {100 * errors[:, k].std(ddof=1):.2f} | "
-                f"{best} | {covered[:, k].sum():.0f} of {sets} |"
+                f"{best} | {covered[:, k].sum():.0f} of {len(results)} |"
             )
         seconds = np.array([r[3:] for r in results])
         lines.append(
@@ -103,9 +117,10 @@ if __name__ == "__main__":
     parser.add_argument("--sets", type=int, default=20)
     parser.add_argument("--refits", type=int, default=48)
     parser.add_argument("--pieces", type=int, nargs="+", default=[64, 9, 318])
+    parser.add_argument("--minutes", type=float, default=float("inf"))
     parser.add_argument("--out", type=Path)
     args = parser.parse_args()
-    text = table(args.sets, args.refits, args.pieces)
+    text = table(args.sets, args.refits, args.pieces, args.minutes)
     print(text)
     if args.out:
         args.out.write_text(text + "\n")

@@ -171,6 +171,7 @@ def _fit(targets, start, fixed, align, simulations, fine, bootstrap, seed, progr
             "best_start": best,
         },
     )
+    result.statements.extend(uncertainty.without_spread(measured))
     result.statements.extend(uncertainty.statements(result, targets) + goodness.statements(p_values, refit_count))
     return result
 

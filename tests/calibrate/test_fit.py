@@ -93,6 +93,16 @@ def test_a_delayed_second_peak_is_told():
     assert found.p_values["late impulse"] < 0.05 or found.p_values["peak"] < 0.05
 
 
+def test_traces_that_tell_no_spread_are_told():
+    from dataclasses import replace
+
+    from calibrate.uncertainty import without_spread
+
+    measured = measure(traces(8, 8))
+    heap = replace(measured, spread=measured.spread.at[:3].set(measured.floor))
+    assert without_spread(measured) == [] and "3 of 8 traces tell no spread" in without_spread(heap)[0]
+
+
 def test_too_few_traces_to_tell_gamma_high():
     with pytest.raises(BadInput, match="3 traces are too few to tell gamma_high"):
         fit(traces(3, 8))
