@@ -14,6 +14,7 @@ from calibrate.targets import Target
 from calibrate.unconstrained import NAMES
 
 SPREAD_OF_STARTS = 3  # further starts beside the given one
+LEAST_TRACES = 4  # half of the traces say nothing of gamma_high; two of the rest are needed to tell a scatter
 AGREEMENT = 0.1  # starts agree where they differ by less than this share of the interval's half width
 
 
@@ -119,6 +120,11 @@ def _fit(targets, start, fixed, align, simulations, fine, bootstrap, seed, progr
     free = tuple(name for name in NAMES if name not in fixed)
     if not free:
         raise BadInput("fixed: at least one parameter must be free")
+    if "gamma_high" in free and len(targets) < LEAST_TRACES:
+        raise BadInput(
+            f"{len(targets)} traces are too few to tell gamma_high; at least {LEAST_TRACES} are needed, or a fixed "
+            "gamma_high (--fix-gamma-high)"
+        )
     draws = draw(targets, simulations, seed)
     fine = min(fine, draws.z.shape[0])
     starts = several_starts(start, free)
@@ -143,6 +149,7 @@ def _fit(targets, start, fixed, align, simulations, fine, bootstrap, seed, progr
         for name, value in zip(("height", "spread", "increments"), solutions.distances[best], strict=True)
     }
     p_values = goodness.p_values(theta, targets, measured, solutions.distances[best], refits, seed)
+    refit_count = 0 if refits is None else len(np.asarray(refits.solution.loss))
     result = Fit(
         parameters=parameters,
         free=free,
@@ -158,13 +165,14 @@ def _fit(targets, start, fixed, align, simulations, fine, bootstrap, seed, progr
             "traces": len(targets),
             "pieces": sorted({t.pieces for t in targets}),
             "align": align,
-            "bootstrap": bootstrap,
+            "bootstrap": refit_count,
             "simulations": int(draws.z.shape[0]),
             "seed": seed,
             "best_start": best,
         },
     )
-    result.statements.extend(uncertainty.statements(result, targets) + goodness.statements(p_values, targets))
+    result.statements.extend(uncertainty.without_spread(measured))
+    result.statements.extend(uncertainty.statements(result, targets) + goodness.statements(p_values, refit_count))
     return result
 
 

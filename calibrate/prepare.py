@@ -25,9 +25,14 @@ def bin_length(targets: list[Target], bin_length=None) -> float:
 
 
 def fine_grid(targets: list[Target], bin_: float) -> Grid:
-    """Grid that holds the impacts of every trace with a margin, beginning before the first impact."""
+    """Grid that holds the impacts of every trace with a margin, beginning before the first impact.
+
+    Its length goes up in steps of an eighth to a quarter, so that similar data sets share one compiled program.
+    """
     length = max(_active(trace) for trace in targets)
-    return Grid(0.0, bin_, math.ceil(1.3 * length / bin_) + 3 * LONGEST_LAG)
+    bins = math.ceil(1.3 * length / bin_) + 3 * LONGEST_LAG
+    step = max(2 ** (bins.bit_length() - 3), 1)
+    return Grid(0.0, bin_, -(-bins // step) * step)
 
 
 def _active(trace: Target) -> float:

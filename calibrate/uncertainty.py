@@ -16,6 +16,7 @@ from calibrate.unconstrained import NAMES, to_parameters, to_unconstrained
 
 LEVEL = 0.90
 BATCH = 8  # refits at once
+FEW_TRACES = 16  # below, no estimator knows gamma_high - gamma_low better than to a quarter (one standard deviation)
 UNITS = {"dt_impact": ("us", 1e6), "gamma_low": ("mm", 1e3), "gamma_high": ("mm", 1e3), "h_mean": ("mm", 1e3)}
 
 
@@ -67,7 +68,6 @@ def bootstrap(theta, targets, draws, measured, free, fine, count, seed, progress
     return Refits(jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts), sets)
 
 
-@partial(jax.jit, static_argnames=("free", "fine"))
 def _slopes(u, fixed, draws, measured, free, fine):
     """Gradients of the blocks' losses in their own coordinates at `u`: dict of [] (a leading axis for mapped data
     sets).
@@ -82,6 +82,12 @@ def _slopes(u, fixed, draws, measured, free, fine):
     return slope
 
 
+@partial(jax.jit, static_argnames=("free", "fine"))
+def _slopes_of_sets(u, fixed, draws, sets, free, fine):
+    axes = Measured(0, 0, 0, None, None, None, None, sets.grid, sets.lags, sets.from_momentum)
+    return jax.vmap(lambda m: _slopes(u, fixed, draws, m, free, fine), in_axes=(axes,))(sets)
+
+
 def local_estimate(theta, targets, draws, measured, free, fine, seed, count: int = 64) -> dict:
     """Standard deviation of each free parameter without refits: slope^-1 (covariance of gradients) slope^-T, name ->
     sd.
@@ -94,9 +100,11 @@ def local_estimate(theta, targets, draws, measured, free, fine, seed, count: int
     u = to_unconstrained(theta, free)
     names = sorted(u)
     sets = data_sets(theta, targets, measured, count, seed + 2_000_003)
-    axes = Measured(0, 0, 0, None, None, None, None, measured.grid, measured.lags, measured.from_momentum)
-    mapped = jax.jit(jax.vmap(lambda u, m: _slopes(u, fixed, draws, m, free, fine), in_axes=(None, axes)))
-    vector = lambda u: np.stack([np.asarray(mapped(u, sets)[name]) for name in names], axis=1)  # noqa: E731
+
+    def vector(u):
+        slopes = _slopes_of_sets(u, fixed, draws, sets, free, fine)
+        return np.stack([np.asarray(slopes[name]) for name in names], axis=1)
+
     step = {name: 0.1 if name in ("ratio", "gap", "fraction") else 0.02 for name in names}
     columns = [
         (vector(u | {n: u[n] + step[n]}).mean(0) - vector(u | {n: u[n] - step[n]}).mean(0)) / (2 * step[n])
@@ -142,6 +150,19 @@ def table(theta, free, local, refits) -> dict:
     return result
 
 
+def without_spread(measured) -> list[str]:
+    """Says so where many traces tell no spread at all: the balance of momentum gives a negative variance of the drop
+    heights. Pieces of a portion of one have none.
+    """
+    count = int(np.sum(np.asarray(measured.spread) <= measured.floor))
+    if count <= 0.05 * len(measured.spread):
+        return []
+    return [
+        f"{count} of {len(measured.spread)} traces tell no spread of the drop heights: do they end before their pieces are at "
+        "rest, or are the pieces of a portion one heap? gamma_low and gamma_high are not to be trusted"
+    ]
+
+
 def statements(result, targets) -> list[str]:
     """What the data can and cannot tell, in words and numbers."""
     lines = []
@@ -154,6 +175,8 @@ def statements(result, targets) -> list[str]:
                 f"{name} is hardly told by these traces: its 90 % interval is +-{100 * half:.0f} % of its value"
             )
     if "gamma_high" in result.free:
+        if count < FEW_TRACES:
+            lines.append(f"{count} traces are too few to tell gamma_high: take at least {FEW_TRACES}, or fix it")
         lines.append(
             f"gamma_high is a three-sigma quantity that only about half of the {count} traces say anything of: no "
             f"estimator can know gamma_high - gamma_low better than to {100 / np.sqrt(max(count, 1)):.0f} % (one "

@@ -89,14 +89,43 @@ def test_a_delayed_second_peak_is_told():
         late = np.interp(trace.time - 0.06, trace.time, trace.force)
         data.append(target(trace.time, 0.5 * (trace.force + late), trace.m_piece, trace.pieces))
     found = fit(data, align="first-impact", bootstrap=0, simulations=128, fine=32)
-    assert found.p_values["all"] < 0.05
+    assert any("does not describe these traces" in line for line in found.statements)
     assert found.p_values["late impulse"] < 0.05 or found.p_values["peak"] < 0.05
+
+
+def test_traces_that_tell_no_spread_are_told():
+    from dataclasses import replace
+
+    from calibrate.uncertainty import without_spread
+
+    measured = measure(traces(8, 8))
+    heap = replace(measured, spread=measured.spread.at[:3].set(measured.floor))
+    assert without_spread(measured) == [] and "3 of 8 traces tell no spread" in without_spread(heap)[0]
+
+
+def test_too_few_traces_to_tell_gamma_high():
+    with pytest.raises(BadInput, match="3 traces are too few to tell gamma_high"):
+        fit(traces(3, 8))
+    found = fit(traces(3, 8), fixed={"gamma_high": 0.06, "dt_impact": 5e-4}, bootstrap=0, simulations=64, fine=16)
+    assert not any("gamma_high" in line for line in found.statements)
+
+
+def test_an_alarm_needs_enough_refits():
+    from calibrate.goodness import ALARM, SETS, statements
+
+    names = ("height", "spread", "increments", "peak", "late impulse")
+    assert len(names) / (SETS + 1) < ALARM
+    fine = dict.fromkeys((*names, "all"), 0.5)
+    assert len(statements(fine, 104)) == 1
+    assert "too few" in statements(fine, 24)[0] and "need bootstrap" in statements(fine, 0)[0]
+    assert "does not describe" in statements(fine | {"peak": 1e-3, "all": 5e-3}, 104)[0]
 
 
 def test_a_wrong_weight_is_told():
     wrong = [target(t.time, t.force, 1.25 * t.m_piece, t.pieces) for t in traces(4, 4)]
     found = fit(wrong, bootstrap=0, simulations=64, fine=16)
     assert any("end at 80 % of the weight" in line for line in found.statements)
+    assert any("4 traces are too few to tell gamma_high" in line for line in found.statements)
 
 
 def test_starts_keep_what_is_fixed():
