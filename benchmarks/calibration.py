@@ -113,11 +113,7 @@ def table(sets: int, refits: int, counts, minutes: float = float("inf"), only_re
         results = several_sets(pieces, sets, refits, minutes, only_recovery)
         errors, covered, known = (np.array([r[k] for r in results], float) for k in range(3))
         for k, name in enumerate(NAMES):
-            best = (
-                f"{100 * known[:, k - 1].mean():+.2f} | {100 * known[:, k - 1].std(ddof=1):.2f}"
-                if k in (1, 2)
-                else " | "
-            )
+            best = f"{100 * known[:, k - 1].mean():+.2f} | {100 * known[:, k - 1].std(ddof=1):.2f}" if k in (1, 2) else " | "
             lines.append(
                 f"| {pieces} | {name} | {100 * errors[:, k].mean():+.2f} | {100 * errors[:, k].std(ddof=1):.2f} | "
                 f"{best} | {f'{covered[:, k].sum():.0f} of ' if not only_recovery else 'not run, '}{len(results)} sets |"

@@ -23,9 +23,7 @@ def _parser():
     parser = _Parser(prog="calibrate", description="Fit the Product Model to impact-force traces")
     commands = parser.add_subparsers(dest="command", required=True, parser_class=_Parser)
     fit = commands.add_parser("fit", help="fit to one or several trace files")
-    fit.add_argument(
-        "traces", nargs="+", metavar="FILE", help="HDF5 runs or ensembles, or CSV tables (time, force columns)"
-    )
+    fit.add_argument("traces", nargs="+", metavar="FILE", help="HDF5 runs or ensembles, or CSV tables (time, force columns)")
     fit.add_argument("--m-piece", type=float, metavar="KG", help="weight of one piece (default: from the file's scene)")
     fit.add_argument("--pieces", type=int, metavar="N", help="number of pieces (default: from the file)")
     fit.add_argument("--group", metavar="NAME", help="wall group whose force is fitted (default wb_flaps)")
@@ -40,13 +38,9 @@ def _parser():
         fit.add_argument(f"--{flag}", type=float, metavar=unit, help=f"start value of {name}")
         fit.add_argument(f"--fix-{flag}", type=float, metavar=unit, help=f"keep {name} at this value")
     fit.add_argument("--simulations", type=int, default=512, metavar="M", help="simulated portions (default 512)")
-    fit.add_argument(
-        "--bootstrap", type=int, default=100, metavar="B", help="refits for the intervals; 0: local estimate only"
-    )
+    fit.add_argument("--bootstrap", type=int, default=100, metavar="B", help="refits for the intervals; 0: local estimate only")
     fit.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the random numbers (default 0)")
-    fit.add_argument(
-        "--out", default="fit.json", metavar="FILE", help="JSON file (default fit.json); the figure goes beside it"
-    )
+    fit.add_argument("--out", default="fit.json", metavar="FILE", help="JSON file (default fit.json); the figure goes beside it")
     fit.add_argument("--no-plot", action="store_true", help="draw no figure")
     fit.add_argument("--force", "--overwrite", action="store_true", help="replace files that exist")
     return parser

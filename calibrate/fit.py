@@ -91,15 +91,11 @@ def _checked_start(start, fixed, targets, measured):
         if not (np.isfinite(value) and (value > 0 or (name == "gamma_low" and value == 0))):
             raise BadInput(f"{name} = {value:g}: must be greater than 0 ({'s' if name == 'dt_impact' else 'm'})")
     if values["gamma_high"] < values["gamma_low"]:
-        raise BadInput(
-            f"gamma_high = {values['gamma_high']:g} m: must be at least gamma_low = {values['gamma_low']:g} m"
-        )
+        raise BadInput(f"gamma_high = {values['gamma_high']:g} m: must be at least gamma_low = {values['gamma_low']:g} m")
     return {name: float(values[name]) for name in NAMES}
 
 
-def fit(
-    traces, start=None, *, fixed=None, align="release", simulations=512, fine=128, bootstrap=100, seed=0, progress=None
-) -> Fit:
+def fit(traces, start=None, *, fixed=None, align="release", simulations=512, fine=128, bootstrap=100, seed=0, progress=None) -> Fit:
     """Fit dt_impact, gamma_low, gamma_high and h_mean to `traces`, a list of `Target`.
 
     start: dict of start values, any subset (the others from the traces); fixed: dict of parameters that are not fitted
@@ -109,9 +105,7 @@ def fit(
     flag says. Raises `BadInput`.
     """
     with jax.enable_x64(True):
-        return _fit(
-            list(traces), start, fixed or {}, align, simulations, fine, bootstrap, seed, progress or (lambda *_: None)
-        )
+        return _fit(list(traces), start, fixed or {}, align, simulations, fine, bootstrap, seed, progress or (lambda *_: None))
 
 
 def _fit(targets, start, fixed, align, simulations, fine, bootstrap, seed, progress):
@@ -140,14 +134,8 @@ def _fit(targets, start, fixed, align, simulations, fine, bootstrap, seed, progr
     refits = uncertainty.bootstrap(theta, targets, draws, measured, free, fine, bootstrap, seed, progress)
     parameters = uncertainty.table(theta, free, local, refits)
     ends = {name: [float(v) for v in solutions.theta[name]] for name in NAMES}
-    agreed = [
-        all(abs(ends[n][s] - ends[n][best]) <= AGREEMENT * _half(parameters[n]) for n in free)
-        for s in range(len(losses))
-    ]
-    blocks = {
-        name: float(value)
-        for name, value in zip(("height", "spread", "increments"), solutions.distances[best], strict=True)
-    }
+    agreed = [all(abs(ends[n][s] - ends[n][best]) <= AGREEMENT * _half(parameters[n]) for n in free) for s in range(len(losses))]
+    blocks = {name: float(value) for name, value in zip(("height", "spread", "increments"), solutions.distances[best], strict=True)}
     p_values = goodness.p_values(theta, targets, measured, solutions.distances[best], refits, seed)
     refit_count = 0 if refits is None else len(np.asarray(refits.solution.loss))
     result = Fit(

@@ -109,7 +109,7 @@ def statements(p: dict, refits: int) -> list[str]:
     return [
         *lines,
         f"the Product Model does not describe these traces (p = {p['all']:.2g}, worst: {worst}): look for rebounds, "
-        "delayed second peaks or impacts that are not rectangular; the intervals hold only within the model"
+        "delayed second peaks or impacts that are not rectangular; the intervals hold only within the model",
     ]
 
 

@@ -22,9 +22,7 @@ def figure(result, targets: list[Target], seed: int = 0, bin_: float = 5e-4):
     model = simulated_targets(theta, targets, max(128, len(targets)), seed + 7_000_003)
     begin = min((t.first_impact if align == "release" else 0.0) for t in targets) - 5e-3
     last = max(
-        float(t.time[np.flatnonzero(t.force > 1.5 * t.weight)[-1]])
-        if (t.force > 1.5 * t.weight).any()
-        else t.first_impact
+        float(t.time[np.flatnonzero(t.force > 1.5 * t.weight)[-1]]) if (t.force > 1.5 * t.weight).any() else t.first_impact
         for t in targets
     )
     length = max(last - (begin if align == "release" else min(t.first_impact for t in targets)) + 0.02, 0.03)

@@ -37,9 +37,7 @@ def moments_of_trace(time, force, sample, gravity, floor):
     """
     end, middle = time[-1], time - 0.5 * sample
     first = gravity / 2.0 * (2.0 * middle - end)
-    second = (
-        gravity**2 / 12.0 * (4.0 * (middle**3 + 0.25 * middle * sample**2) - end**3)
-    )  # mean of t^3 over the interval
+    second = gravity**2 / 12.0 * (4.0 * (middle**3 + 0.25 * middle * sample**2) - end**3)  # mean of t^3 over the interval
     return _height_and_spread([np.sum(force * w) * sample for w in (1.0 / end, first, second)], floor, np)
 
 

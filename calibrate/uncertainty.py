@@ -106,10 +106,7 @@ def local_estimate(theta, targets, draws, measured, free, fine, seed, count: int
         return np.stack([np.asarray(slopes[name]) for name in names], axis=1)
 
     step = {name: 0.1 if name in ("ratio", "gap", "fraction") else 0.02 for name in names}
-    columns = [
-        (vector(u | {n: u[n] + step[n]}).mean(0) - vector(u | {n: u[n] - step[n]}).mean(0)) / (2 * step[n])
-        for n in names
-    ]
+    columns = [(vector(u | {n: u[n] + step[n]}).mean(0) - vector(u | {n: u[n] - step[n]}).mean(0)) / (2 * step[n]) for n in names]
     inverse = np.linalg.pinv(np.stack(columns, axis=1))
     covariance = inverse @ np.cov(vector(u), rowvar=False).reshape(len(names), len(names)) @ inverse.T
     jacobian = jax.jacfwd(lambda u: to_parameters(u, fixed))(u)
@@ -171,9 +168,7 @@ def statements(result, targets) -> list[str]:
         row = result.parameters[name]
         half = 0.5 * (row["high"] - row["low"]) / max(row["value"], 1e-12)
         if half > 0.25:
-            lines.append(
-                f"{name} is hardly told by these traces: its 90 % interval is +-{100 * half:.0f} % of its value"
-            )
+            lines.append(f"{name} is hardly told by these traces: its 90 % interval is +-{100 * half:.0f} % of its value")
     if "gamma_high" in result.free:
         if count < FEW_TRACES:
             lines.append(f"{count} traces are too few to tell gamma_high: take at least {FEW_TRACES}, or fix it")

@@ -9,9 +9,7 @@ import math
 import jax.numpy as jnp
 
 NAMES = ("dt_impact", "gamma_low", "gamma_high", "h_mean")
-MEAN = 1.0 / (
-    3.0 * math.sqrt(2.0 * math.pi)
-)  # E max(z, 0)/3, so that gamma_low + MEAN (gamma_high - gamma_low) = E sigma_height
+MEAN = 1.0 / (3.0 * math.sqrt(2.0 * math.pi))  # E max(z, 0)/3, so that gamma_low + MEAN (gamma_high - gamma_low) = E sigma_height
 LEAST, MOST = 1e-3, 1e3  # bounds of (gamma_high - gamma_low)/gamma_low that a fit is started from
 
 

@@ -38,12 +38,8 @@ def _parser():
     for name, (metavar, kind, text) in FLAGS.items():
         default = getattr(Parameters, name)
         shown = "" if default is None else f" (default {default:g})"
-        simulate.add_argument(
-            f"--{name.replace('_', '-')}", metavar=metavar, type=kind, default=default, help=text + shown
-        )
-    simulate.add_argument(
-        "--form", choices=FORMS, default=Parameters.form, help=f"pulse form (default {Parameters.form})"
-    )
+        simulate.add_argument(f"--{name.replace('_', '-')}", metavar=metavar, type=kind, default=default, help=text + shown)
+    simulate.add_argument("--form", choices=FORMS, default=Parameters.form, help=f"pulse form (default {Parameters.form})")
     simulate.add_argument("--precision", choices=tuple(DTYPES), default=Parameters.precision, help="default f64")
     simulate.add_argument("--runs", type=int, default=1, metavar="K", help="number of random portions (default 1)")
     simulate.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the random numbers (default 0)")

@@ -45,9 +45,7 @@ class Peaks:
 
     def quantiles(self, levels=QUANTILES) -> dict:
         """Name -> [levels] quantiles over the runs."""
-        return {
-            name: np.quantile(getattr(self, name), levels) for name in ("peak_kg", "peak_time", "first", "duration")
-        }
+        return {name: np.quantile(getattr(self, name), levels) for name in ("peak_kg", "peak_time", "first", "duration")}
 
 
 def peaks(trace: Trace) -> Peaks:

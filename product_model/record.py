@@ -149,9 +149,7 @@ def load(path) -> dict:
     try:
         with h5py.File(path, "r") as file:
             values = {}
-            file.visititems(
-                lambda name, item: values.update({name: item[()]}) if isinstance(item, h5py.Dataset) else None
-            )
+            file.visititems(lambda name, item: values.update({name: item[()]}) if isinstance(item, h5py.Dataset) else None)
             return values | {"attrs": dict(file.attrs)}
     except OSError as error:
         raise BadInput(f"{path}: not a readable HDF5 file ({error})") from None

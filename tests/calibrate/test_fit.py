@@ -65,9 +65,7 @@ def test_portions_of_different_pieces_heights_and_sample_times_fit_together():
 
     data = []
     for k, (pieces, offset, sample) in enumerate([(20, 0.0, 6e-5), (50, 0.03, 3e-5), (35, -0.02, 6e-5)]):
-        params = parameters(
-            pieces=pieces, m_piece=1e-3, sample=sample, duration=0.45, **TRUTH | {"h_mean": 0.25 + offset}
-        )
+        params = parameters(pieces=pieces, m_piece=1e-3, sample=sample, duration=0.45, **TRUTH | {"h_mean": 0.25 + offset})
         made = ensemble(params, 40 + k, 16)
         data += [target(made.time, np.asarray(f), 1e-3, pieces, height_offset=offset) for f in made.force]
     found = fit(data, bootstrap=0, simulations=240, fine=48).parameters

@@ -36,9 +36,7 @@ def test_double_precision_without_the_global_flag_gives_the_same_numbers():
 def test_every_entry_point_keeps_the_precision(precision, dtype):
     params = parameters(pieces=4, duration=0.3, sample=1e-3, precision=precision)
     for trace in (simulate(params, 0), compiled(params)(jax.random.key(0)), ensemble(params, 0, 2)):
-        assert {leaf.dtype for leaf in (trace.force, trace.height, trace.pulses.start, trace.sigma_height)} == {
-            np.dtype(dtype)
-        }
+        assert {leaf.dtype for leaf in (trace.force, trace.height, trace.pulses.start, trace.sigma_height)} == {np.dtype(dtype)}
 
 
 def test_single_precision_is_as_good_as_its_digits():
@@ -55,8 +53,6 @@ def test_single_precision_is_as_good_as_its_digits():
     force = {}
     for dtype in (np.float32, np.float64):
         pulses = model.pulses(*(jnp.asarray(v, dtype) for v in (height, np.full(64, 1e-3), 500e-6, 9.81)))
-        force[dtype] = np.asarray(
-            jax.jit(render, static_argnums=(1, 2, 3))(pulses, Grid(0.15, 30e-6, 5000), "interval-mean", 1.0)
-        )
+        force[dtype] = np.asarray(jax.jit(render, static_argnums=(1, 2, 3))(pulses, Grid(0.15, 30e-6, 5000), "interval-mean", 1.0))
     lone = 1e-3 * 2.2 / 500e-6
     assert np.abs(force[np.float32] - force[np.float64]).max() < 5e-3 * lone

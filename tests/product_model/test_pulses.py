@@ -63,10 +63,7 @@ def test_smooth_tends_to_the_interval_mean_as_its_width_vanishes():
     pulses = some_pulses()
     sharp = render(pulses, GRID, "interval-mean", 1.0)
     scale = float(jnp.abs(sharp).max())
-    worst = [
-        float(jnp.abs(render(pulses, GRID, "smooth", width) - sharp).max()) / scale
-        for width in (3e-5, 3e-6, 3e-7, 3e-9)
-    ]
+    worst = [float(jnp.abs(render(pulses, GRID, "smooth", width) - sharp).max()) / scale for width in (3e-5, 3e-6, 3e-7, 3e-9)]
     assert all(later < earlier for earlier, later in zip(worst, worst[1:], strict=False))
     assert worst[-1] < 1e-3  # an edge is moved by about its width, 1e-4 of a bin
 
@@ -91,9 +88,7 @@ def test_the_blocked_sum_is_a_cumulative_sum():
 
 
 def test_edges_outside_the_grid_count_as_level_or_not_at_all():
-    pulses = model.Pulses(
-        jnp.asarray([-1.0, 5.0]), jnp.asarray(500e-6), jnp.asarray([3.0, 4.0]), jnp.asarray([0.5, 0.6])
-    )
+    pulses = model.Pulses(jnp.asarray([-1.0, 5.0]), jnp.asarray(500e-6), jnp.asarray([3.0, 4.0]), jnp.asarray([0.5, 0.6]))
     for form in ("rectangular", *DIFFERENTIABLE):
         np.testing.assert_allclose(render(pulses, Grid(0.0, 1e-4, 50), form, 1e-4), 0.5, rtol=1e-12)
 
@@ -148,9 +143,7 @@ def test_gradients_are_finite_in_every_corner(form, corner, pieces):
     values = BASE | CORNERS[corner]
     params = parameters(form=form, pieces=pieces, duration=0.4, sample=1e-4, **values)
     leaves = {key: jnp.asarray(value) for key, value in values.items()}
-    slopes = jax.jit(
-        jax.grad(lambda leaves: jnp.sum(portion(leaves, jax.random.key(2), **static_of(params)).force ** 2))
-    )(leaves)
+    slopes = jax.jit(jax.grad(lambda leaves: jnp.sum(portion(leaves, jax.random.key(2), **static_of(params)).force ** 2)))(leaves)
     assert all(np.isfinite(float(slope)) for slope in slopes.values())
     if form != "rectangular":  # a pulse between two samples is not seen by the sampled form
         assert float(slopes["dt_impact"]) != 0.0
@@ -171,6 +164,4 @@ def test_parameters_can_be_mapped_and_differentiated_from_outside():
     slope = jax.grad(lambda h: simulate(params.replace(h_mean=h), jax.random.key(0)).force.sum())(0.25)
     assert np.isfinite(float(slope)) and float(slope) != 0.0
     many = jax.vmap(lambda h: simulate(params.replace(h_mean=h), jax.random.key(0)).force)(jnp.asarray([0.2, 0.3]))
-    np.testing.assert_allclose(
-        many[1], simulate(params.replace(h_mean=0.3), jax.random.key(0)).force, rtol=1e-12, atol=1e-12
-    )
+    np.testing.assert_allclose(many[1], simulate(params.replace(h_mean=0.3), jax.random.key(0)).force, rtol=1e-12, atol=1e-12)
