@@ -16,6 +16,7 @@ import jax.numpy as jnp
 from dem_jax import vector
 from dem_jax.types import Hulls
 from dem_jax.vector import dot, expand
+from dem_jax.vector import kept as _kept
 
 # Normals: a face's normal is taken instead of an edge-edge axis whose overlap is smaller by less than this part
 # of the depth, because an edge-edge axis nearly parallel to a face's flickers. The depth stays the exact minimum.
@@ -241,16 +242,6 @@ def _clipped(points, corners, normals, other: Hulls, depth):
     along = weight * middle + part * part * part * rise * length / 12
     weight, along = _kept(weight, along)
     return weight, *(weight * c[:-1] + along * e for c, e in zip(corners, edge, strict=True))
-
-
-def _kept(*arrays):
-    """The same finite arrays, to the last bit, each computed once although several kernels use it.
-
-    XLA fuses a cheap producer into every consumer, and on the CPU an optimisation barrier does not stop it; what ends
-    in a division it takes for too expensive to repeat. (It may not cancel x - x, which could be inf - inf.)
-    """
-    kept = tuple(x / (1 + (x - x)) for x in arrays)
-    return kept if len(kept) > 1 else kept[0]
 
 
 def sphere_sphere(radius_a, radius_b, offset) -> Geometry:

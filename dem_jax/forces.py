@@ -91,15 +91,13 @@ def _resolve(system: System, kind, table: ContactTable, slots: Slots, stacked, s
     force = vector.scale(f + dashpot, shape.normal)
     spring, point = table.spring, table.point
     if system.has_friction:
-        tangent = contact.tangential_force(
-            vector.unpack(spring),
-            shape.normal,
-            _slip(system, a, b, offset, table, shape, overlap),
-            f,
-            law.tangential * slots.stiffness,
-            slots.friction,
+        slip = vector.kept(*_slip(system, a, b, offset, table, shape.normal, at_b, overlap))
+        tangent = vector.kept(
+            *contact.tangential_force(
+                vector.unpack(spring), shape.normal, slip, f, law.tangential * slots.stiffness, slots.friction
+            )
         )
-        spring, point = jnp.stack(tangent), jnp.stack(shape.point)
+        spring, point = jnp.stack(tangent), jnp.stack(at_b)
         force = vector.add(force, tangent)
     if share is not None:
         force = vector.scale(share, force)
@@ -117,24 +115,22 @@ def _resolve(system: System, kind, table: ContactTable, slots: Slots, stacked, s
     )
 
 
-def _slip(system: System, a: Body, b: Body, offset, table: ContactTable, shape: collide.Geometry, overlap):
+def _slip(system: System, a: Body, b: Body, offset, table: ContactTable, normal, at_b, overlap):
     """Tangential displacement in this step of b relative to a at the contact point, [P] x 3 (m).
 
     Of second order in the time step: the arms, like the velocities, are those at the middle of the step, and of the step
     of first touch only the last part, overlap over approach, counts.
     """
     first = table.overlap <= 0
-    before = vector.where(first, shape.point, vector.unpack(table.point))
-    arm_a = vector.scale(0.5, vector.add(before, shape.point))
     way = vector.scale(system.dt, vector.sub(b.velocity, a.velocity))  # of the centres
-    middle = vector.where(first, offset, vector.add_scaled(offset, -0.5, way))
-    arm_b = vector.sub(arm_a, middle)
+    arm_b = vector.where(first, at_b, vector.scale(0.5, vector.add(vector.unpack(table.point), at_b)))
+    arm_a = vector.add(arm_b, vector.where(first, offset, vector.add_scaled(offset, -0.5, way)))
     turn = vector.sub(vector.cross(b.spin, arm_b), vector.cross(a.spin, arm_a))
     motion = vector.add_scaled(way, system.dt, turn)
-    along = vector.dot(motion, shape.normal)
+    along = vector.dot(motion, normal)
     touching = first & (overlap > 0)
     part = jnp.where(touching, overlap / jnp.where(touching, jnp.maximum(-along, overlap), 1), 1)
-    return vector.scale(part, vector.add_scaled(motion, -along, shape.normal))
+    return vector.scale(part, vector.add_scaled(motion, -along, normal))
 
 
 def elastic_energy(system: System, table: ContactTable, slots: Slots):

@@ -33,7 +33,12 @@ def history(table: ContactTable, of: Siblings) -> ContactTable:
     rank = jnp.argmax(jnp.where(of.there, table.overlap[of.slot], -1), axis=0)[None]
     deepest = jnp.take_along_axis(of.slot, rank, axis=0)[0]
     pick = jnp.where(jnp.any(of.there, axis=0), deepest, jnp.arange(deepest.shape[0], dtype=deepest.dtype))
-    return table.replace(force=table.force[pick], overlap=table.overlap[pick], spring=table.spring[:, pick])
+    return table.replace(
+        force=table.force[pick],
+        overlap=table.overlap[pick],
+        spring=table.spring[:, pick],
+        point=table.point[:, pick],
+    )
 
 
 def share(weight, of: Siblings):

@@ -153,7 +153,7 @@ class ContactTable:
     force: Array  # [P] (N): F_n of the last step
     overlap: Array  # [P] (m): s_n of the last step
     spring: Array  # [3, P] (N): tangential force on b of the last step, world frame
-    point: Array  # [3, P] (m): contact point of the last step relative to the centre of a, world axes; where there is friction
+    point: Array  # [3, P] (m): contact point of the last step relative to the centre of b, world axes; where there is friction
 
 
 @pytree

@@ -100,3 +100,13 @@ def unpack(array):
 def pack(a):
     """The tuple of components -> [3, ...]."""
     return jnp.stack(a)
+
+
+def kept(*arrays):
+    """The same finite arrays, to the last bit, each computed once although several kernels use it.
+
+    XLA fuses a cheap producer into every consumer, and on the CPU an optimisation barrier does not stop it; what ends
+    in a division it takes for too expensive to repeat. (It may not cancel x - x, which could be inf - inf.)
+    """
+    kept = tuple(x / (1 + (x - x)) for x in arrays)
+    return kept if len(kept) > 1 else kept[0]
