@@ -15,8 +15,7 @@ import jax.numpy as jnp
 
 from dem_jax import vector
 from dem_jax.types import Hulls
-from dem_jax.vector import dot, expand
-from dem_jax.vector import kept as _kept
+from dem_jax.vector import dot, expand, kept
 
 # Normals: a face's normal is taken instead of an edge-edge axis whose overlap is smaller by less than this part
 # of the depth, because an edge-edge axis nearly parallel to a face's flickers. The depth stays the exact minimum.
@@ -77,11 +76,11 @@ def _zonotope_axes(a: Hulls, b: Hulls, rel: Relative):
     half = a.normals[0].shape[0] // 2
     na, nb = ([c[: h.normals[0].shape[0] // 2] for c in h.normals] for h in (a, b))
     turn = vector.expand_matrix(rel.rotation, 0)
-    nb, eb = _kept(*vector.rotate(turn, nb)), _kept(*vector.rotate(turn, b.directions))
+    nb, eb = kept(*vector.rotate(turn, nb)), kept(*vector.rotate(turn, b.directions))
     ea, d = a.directions, expand(rel.offset, 0)
     na_eb = jnp.abs(dot(expand(na, 1), expand(eb, 0)))  # [m, j, P]
     ea_nb = jnp.abs(dot(expand(ea, 1), expand(nb, 0)))  # [i, m, P]
-    na_eb, ea_nb = _kept(na_eb, ea_nb)
+    na_eb, ea_nb = kept(na_eb, ea_nb)
     faces_a = a.offsets[:half] + _sum(b.half_lengths[j : j + 1] * na_eb[:, j] for j in range(eb[0].shape[0])) - jnp.abs(dot(na, d))
     faces_b = (
         b.offsets[: nb[0].shape[0]]
@@ -95,7 +94,7 @@ def _zonotope_axes(a: Hulls, b: Hulls, rel: Relative):
     gap = jnp.abs(dot(axis, expand(d, 0)))
     slack = _rounding(a, b, rel)[None, None]
     edges = (width_a + width_b - gap + slack) / _safe_root(sin2)
-    return _kept(faces_a, faces_b, edges), (na, nb, ea, eb)
+    return kept(faces_a, faces_b, edges), (na, nb, ea, eb)
 
 
 def _polytope_axes(a: Hulls, b: Hulls, rel: Relative):
@@ -115,7 +114,7 @@ def _polytope_axes(a: Hulls, b: Hulls, rel: Relative):
     backward = jnp.max(along_b, axis=2) - jnp.min(along_a, axis=2)
     slack = _rounding(a, b, rel)[None, None]
     edges = (jnp.minimum(forward, backward) + slack) / _safe_root(sin2)
-    return _kept(faces_a, faces_b, edges), (na, nb, ea, eb)
+    return kept(faces_a, faces_b, edges), (na, nb, ea, eb)
 
 
 def _smallest(overlaps, axes, rel):
@@ -127,7 +126,7 @@ def _smallest(overlaps, axes, rel):
     pairs = rel.offset[0].shape
     columns = eb[0].shape[0]
     overlaps = [x.reshape(-1, *pairs) for x in overlaps]
-    least = _kept(*(jnp.min(x, axis=0) for x in overlaps))
+    least = kept(*(jnp.min(x, axis=0) for x in overlaps))
     of_a, of_b, edge = (_first_where(x == m[None]) for x, m in zip(overlaps, least, strict=True))
     face = jnp.minimum(least[0], least[1])
     from_face = vector.where(least[0] <= least[1], _pick(na, of_a, pairs), _pick(nb, of_b, pairs))
@@ -135,7 +134,7 @@ def _smallest(overlaps, axes, rel):
     from_edge = vector.scale(1 / _safe_root(dot(from_edge, from_edge)), from_edge)
     use_edge = least[2] < face - FACE_PREFERENCE * jnp.abs(face)
     normal = _towards_b(vector.where(use_edge, from_edge, from_face), rel)
-    return jnp.minimum(face, least[2]), _kept(*normal), jnp.where(use_edge, least[2], face)
+    return jnp.minimum(face, least[2]), kept(*normal), jnp.where(use_edge, least[2], face)
 
 
 def _barred_by_seams(overlaps, axes, a: Hulls, b: Hulls, rel: Relative):
@@ -181,9 +180,9 @@ def pressure_centre(a: Hulls, b: Hulls, rel: Relative, depth, normal):
     face_a = _facing(a, normal)
     corners_a = _corners(a, face_a)
     corners_b = vector.add(vector.rotate(turn, _corners(b, _facing(b, on_b))), d)
-    corners_b, normals_b = _kept(*corners_b), _kept(*normals_b)
+    corners_b, normals_b = kept(*corners_b), kept(*normals_b)
     height_a, height_b = dot(n, corners_a), dot(n, corners_b)
-    top = _kept(jnp.max(height_a, axis=0))  # a's extent along the normal; b begins below it by the depth
+    top = kept(jnp.max(height_a, axis=0))  # a's extent along the normal; b begins below it by the depth
     in_b = vector.sub(corners_a, d)
     first = _clipped(in_b, corners_a, normals_b, b, height_a - (top - depth)[None])
     second = _clipped(corners_b, corners_b, _half_spaces(a), a, top[None] - height_b)
@@ -221,7 +220,7 @@ def _clipped(points, corners, normals, other: Hulls, depth):
     points: [k + 1, P] x 3, the corners relative to the other's origin; normals: [m, P] x 3 of the other;
     depth: [k + 1, P] (m).
     """
-    u = _kept(dot(expand(normals, 1), expand(points, 0)) / other.offsets[: normals[0].shape[0], None])  # [m, k + 1, P]
+    u = kept(dot(expand(normals, 1), expand(points, 0)) / other.offsets[: normals[0].shape[0], None])  # [m, k + 1, P]
     du = u[:, 1:] - u[:, :-1]
     tiny = jnp.finfo(depth.dtype).tiny ** 0.25  # so small that its square, in derivatives, does not overflow
     du = jnp.where(jnp.abs(du) < tiny, tiny, du)
@@ -232,7 +231,7 @@ def _clipped(points, corners, normals, other: Hulls, depth):
         crossing = (1 - u[:, :-1]) / du
         start = jnp.max(jnp.where(du < 0, crossing, -jnp.inf), axis=0)
         end = jnp.min(jnp.where(du < 0, jnp.inf, crossing), axis=0)
-    start, end = _kept(jnp.clip(start, 0, 1), jnp.clip(end, 0, 1))
+    start, end = kept(jnp.clip(start, 0, 1), jnp.clip(end, 0, 1))
     part = jnp.maximum(end - start, 0)
     middle = 0.5 * (start + end)
     rise = depth[1:] - depth[:-1]
@@ -240,7 +239,7 @@ def _clipped(points, corners, normals, other: Hulls, depth):
     length = vector.norm(edge)
     weight = part * length * jnp.maximum(depth[:-1] + rise * middle, 0)
     along = weight * middle + part * part * part * rise * length / 12
-    weight, along = _kept(weight, along)
+    weight, along = kept(weight, along)
     return weight, *(weight * c[:-1] + along * e for c, e in zip(corners, edge, strict=True))
 
 
