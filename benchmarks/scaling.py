@@ -20,13 +20,13 @@ def time_chunk(system, state, members=None):
     import jax
     import jax.numpy as jnp
 
-    from dem_jax import stepping
+    from dem_jax import compiling, stepping
 
-    count, every, phase = jnp.int32(SAMPLES), jnp.int32(1), jnp.int32(0)
+    count, every, phase, backend = jnp.int32(SAMPLES), jnp.int32(1), jnp.int32(0), jax.default_backend()
     run = lambda system, state: stepping.run_chunk(system, state, count, every, SAMPLES, 0, phase)  # noqa: E731
     run = run if members is None else jax.vmap(run, in_axes=(None, 0))
     start = time.perf_counter()
-    compiled = stepping.jit(run, jax.default_backend()).lower(system, state).compile()
+    compiled = compiling.jit(run, backend).lower(system, state).compile()
     compile_time = time.perf_counter() - start
     steps = SAMPLES * int(system.substeps) * system.parts
     times = []

@@ -26,9 +26,7 @@ def stack(system: System, state: State, omega, panels: boundary.Panels):
     pieces = jnp.concatenate(
         [state.position, state.position_rest, _matrix_rows(state.orientation), state.velocity, omega]
     )
-    zero = jnp.zeros_like(panels.centre[0])
-    rows = [*panels.centre, zero, zero, zero, *(c for row in panels.rotation for c in row), *panels.velocity, *panels.spin]
-    return jnp.concatenate([pieces, jnp.stack(rows)], axis=1)
+    return jnp.concatenate([pieces, panels.rows], axis=1)
 
 
 def _matrix_rows(orientation):

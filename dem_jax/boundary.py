@@ -6,19 +6,26 @@ import jax
 import jax.numpy as jnp
 
 from dem_jax import rotation, vector
-from dem_jax.types import Walls
+from dem_jax.types import System, Walls
 
 
 class Panels(NamedTuple):
-    """The W panels at one time, in the world frame."""
+    """The W panels and their G groups at one time, in the world frame."""
 
-    centre: tuple  # [W] x 3 (m)
-    rotation: tuple  # rows of [W]: panel frame to world
-    pivot: tuple  # [G] x 3 (m): reference point of each group
-    velocity: tuple  # [W] x 3 (m/s): of the centre
-    spin: tuple  # [W] x 3 (rad/s)
-    pivot_velocity: tuple  # [G] x 3 (m/s)
-    group_spin: tuple  # [G] x 3 (rad/s)
+    rows: jax.Array  # [21, W]: centre (m), zeros, rotation panel to world, velocity (m/s), spin (rad/s), as bodies.Body
+    groups: jax.Array  # [9, G]: pivot (m), its velocity (m/s), spin (rad/s)
+
+    centre = property(lambda self: _three(self.rows, 0))
+    rotation = property(lambda self: tuple(_three(self.rows, k) for k in (6, 9, 12)))
+    velocity = property(lambda self: _three(self.rows, 15))
+    spin = property(lambda self: _three(self.rows, 18))
+    pivot = property(lambda self: _three(self.groups, 0))
+    pivot_velocity = property(lambda self: _three(self.groups, 3))
+    group_spin = property(lambda self: _three(self.groups, 6))
+
+
+def _three(rows, first):
+    return tuple(rows[..., first + k, :] for k in range(3))
 
 
 def smooth_step(u):
@@ -60,9 +67,8 @@ def panels(walls: Walls, t, t_velocity) -> Panels:
     """Poses of all panels at time t and velocities of all groups at time t_velocity (s)."""
     centre, frame = vector.unpack(walls.centre), tuple(vector.unpack(row) for row in walls.rotation)
     if not walls.moving:
-        rest = tuple(jnp.zeros_like(c) for c in centre)
-        still = tuple(jnp.zeros_like(c) for c in walls.pivot)
-        return Panels(centre, frame, vector.unpack(walls.pivot), rest, rest, still, still)
+        rest, still = (tuple(jnp.zeros_like(c) for c in a) for a in (walls.centre, walls.pivot))
+        return _packed(centre, frame, rest, rest, tuple(walls.pivot), still, still)
     turn, pivot = group_pose(walls, t)
     angle_rate = _rate(lambda t: group_angle(walls, t), t_velocity)
     shift_rate = _rate(lambda t: vibration(walls.shake, t), t_velocity)
@@ -74,7 +80,36 @@ def panels(walls: Walls, t, t_velocity) -> Panels:
     arm = vector.rotate(turn, vector.sub(centre, hinge))
     velocity = vector.add(velocity, vector.cross(spin, arm))
     place = vector.add(pivot_w, arm)
-    return Panels(place, vector.compose(turn, frame), pivot, velocity, tuple(spin), pivot_velocity, group_spin)
+    return _packed(place, vector.compose(turn, frame), velocity, tuple(spin), pivot, pivot_velocity, group_spin)
+
+
+def _packed(centre, frame, velocity, spin, pivot, pivot_velocity, group_spin) -> Panels:
+    rest = tuple(jnp.zeros_like(c) for c in centre)
+    rows = [*centre, *rest, *(c for row in frame for c in row), *velocity, *spin]
+    return Panels(jnp.stack(rows), jnp.stack([*pivot, *pivot_velocity, *group_spin]))
+
+
+def after_step(system: System, step) -> Panels:
+    """The panels at the end of a step, with the velocities of its middle."""
+    time = system.dt * step.astype(system.dt.dtype)
+    return panels(system.walls, time, time - 0.5 * system.dt)
+
+
+def schedule(system: System, step, count: int) -> Panels:
+    """The panels after each of the ``count`` steps that follow a step: arrays with a leading axis [count].
+
+    All at once: where the flaps are would take a step of few pieces a third of its time.
+    """
+    if not system.walls.moving:
+        return after_step(system, step)
+    return jax.vmap(lambda ahead: after_step(system, step + ahead))(jnp.arange(1, count + 1, dtype=jnp.int32))
+
+
+def scheduled(system: System, schedule: Panels, index) -> Panels:
+    """The panels of a schedule at an index."""
+    if not system.walls.moving:
+        return schedule
+    return jax.tree.map(lambda rows: jax.lax.dynamic_index_in_dim(rows, index, keepdims=False), schedule)
 
 
 def _rate(function, t):

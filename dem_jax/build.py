@@ -1,6 +1,7 @@
 """From a scene to a system and its first state: shapes to tables, materials to stiffness, walls to panels, slots."""
 
 import dataclasses
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,6 +13,8 @@ from dem_jax import arrange, buckets, forces, hulls, materials, meshes, neighbou
 from dem_jax.errors import SceneError
 from dem_jax.scene import SHAPE_KEYS, PieceShape, Scene, Wall
 from dem_jax.types import Law, Pieces, State, System, Walls, float_dtype
+
+SKIN = 0.01  # of the width of the narrowest piece: see neighbours
 
 
 @dataclass(frozen=True)
@@ -60,8 +63,6 @@ def build(scene: Scene, seed: int = 0) -> Built:
     block_samples, parts = _cadence(scene, step.substeps, frame_every)
     walls, plates, seams = _wall_arrays(panels, motions, joint, dtype)
     domain = _domain(scene, panels, start, made)
-    speed = _speed_bound(scene, domain, start)
-    interval = step.dt * step.substeps * block_samples / parts
     polytopes = [i for i, m in enumerate(made) if m.radius == 0]
     table, shape_rows = _hull_table(made, plates, seams)
     system = System(
@@ -80,7 +81,7 @@ def build(scene: Scene, seed: int = 0) -> Built:
         gravity=jnp.asarray(np.asarray(scene.run.gravity, dtype)),
         dt=jnp.asarray(np.asarray(step.dt, dtype)),
         substeps=jnp.asarray(np.asarray(step.substeps // parts, np.int32)),
-        skin=jnp.asarray(np.asarray(3.5 * speed * interval, dtype)),
+        skin=jnp.asarray(np.asarray(SKIN * pieces.width.min(), dtype)),
         block_low=jnp.asarray(np.asarray(np.array([b.low for b in blocks]).reshape(-1, 3).T, dtype)),
         block_high=jnp.asarray(np.asarray(np.array([b.high for b in blocks]).reshape(-1, 3).T, dtype)),
         domain_low=jnp.asarray(np.asarray(domain[0], dtype)),
@@ -96,6 +97,7 @@ def build(scene: Scene, seed: int = 0) -> Built:
         ledger=scene.run.energy,
         block_samples=block_samples,
         parts=parts,
+        block_steps=_round_to(8, step.substeps // parts * block_samples),
     )
     only_spheres = not polytopes
     system = system.replace(has_rotation=not only_spheres or system.has_friction or bool(np.any(start.spin)))
@@ -461,20 +463,18 @@ def _cadence(scene: Scene, substeps, frame_every):
 
 
 def _capacity(made, polytopes, panels):
-    """Kinds of contact that the scene can have, with candidates and slots to begin with (grown when they overflow)."""
+    """Kinds of contact that the scene can have, with candidates and slots to begin with (grown when they overflow).
+
+    What a settled heap was seen to need.
+    """
     p, s = len(polytopes), len(made) - len(polytopes)
-    wanted = [
-        ("hull-hull", p * (p - 1) // 2, 2 * p + 4),
-        ("sphere-sphere", s * (s - 1) // 2, 4 * s),
-        ("hull-sphere", p * s, 4 * min(p, s)),
-        ("wall-hull", panels * p, 2 * p + 4),
-        ("wall-sphere", panels * s, 3 * s),
-    ]
+    walls = 4 * s ** (2 / 3) + 8 if panels else 0
+    wanted = {"hulls": (9 * p, 3 * p + 5), "mixed": (8 * min(p, s) + 2 * walls, 4 * min(p, s) + walls), "spheres": (8 * s, 4 * s)}
     out = []
-    for kind, pairs, slots in wanted:
+    for kind in neighbours.SOURCES:
+        pairs = neighbours.pair_count(kind, p, s, panels)
         if pairs:
-            slots = min(pairs, round_up(slots))
-            out.append((kind, pairs if pairs <= 4 * slots + 256 else 4 * slots, slots))
+            out.append((kind, *(min(pairs, round_up(math.ceil(count))) for count in wanted[kind])))
     return tuple(out)
 
 
@@ -492,7 +492,11 @@ def round_up(slots: int) -> int:
     unit = 8
     while slots > 16 * unit:
         unit *= 2
-    return -(-slots // unit) * unit
+    return _round_to(unit, slots)
+
+
+def _round_to(unit, count):
+    return -(-count // unit) * unit
 
 
 def _domain(scene: Scene, panels, start: Start, made):
@@ -510,14 +514,6 @@ def _domain(scene: Scene, panels, start: Start, made):
         k = int(np.argmax(out.any(1)))
         raise SceneError(f"piece.{k}.position = {tuple(start.position[k])}: outside the domain {tuple(low)} to {tuple(high)}")
     return low, high
-
-
-def _speed_bound(scene: Scene, domain, start: Start):
-    """A speed (m/s) that pieces hardly exceed: of the start, and of a fall through half the domain."""
-    first = np.linalg.norm(start.velocity, axis=1).max()
-    g = np.array(scene.run.gravity)
-    fall = np.abs(g) @ (domain[1] - domain[0])
-    return float(np.sqrt(first**2 + fall)) + 0.2
 
 
 def _law(scene: Scene) -> Law:
@@ -554,8 +550,7 @@ def first_state(system: System, start: Start, frames, step: int) -> State:
     zero = lambda *shape: np.zeros(shape, dtype)  # noqa: E731
     n = position.shape[1]
     contacts = {
-        kind: neighbours.empty_table(sum(row[2] for row in rows), dtype)
-        for kind, rows in neighbours.kinds(system).items()
+        kind: neighbours.empty_table(slots, dtype) for kind, _, slots in system.capacity
     }
     state = State(
         step=np.int32(step),
@@ -571,9 +566,10 @@ def first_state(system: System, start: Start, frames, step: int) -> State:
         wall_torque=zero(3, groups),
         contacts=contacts,
         slots=_unfilled_slots(system, contacts),
-        incidence=np.zeros((system.touching, n), np.int32),
+        incidence=np.full((system.touching, n), 2 * sum(slots for *_, slots in system.capacity), np.int32),
         ledger=forces.empty_ledger(system, dtype),
         anchor=zero(7, n),
+        lead=zero(),
         guard=neighbours.empty_guard(system, dtype),
     )
     return jax.tree.map(jnp.asarray, state)  # made in numpy: each operation of jax.numpy would be compiled

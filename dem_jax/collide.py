@@ -172,27 +172,51 @@ def pressure_centre(a: Hulls, b: Hulls, rel: Relative, depth, normal):
     The edges of the face of each body that looks most along the normal are clipped by the other body; over what
     remains inside, the depth below the other's surface along the normal is linear, and its line integral is closed.
     """
-    turn = vector.expand_matrix(rel.rotation, 0)
-    d = expand(rel.offset, 0)
-    n = expand(normal, 0)
-    normals_b = vector.rotate(turn, _half_spaces(b))
+    integrate = _zonogons if a.is_zonotope and b.is_zonotope else _polygons
     on_b = vector.scale(-1, vector.rotate_back(rel.rotation, normal))
-    face_a = _facing(a, normal)
-    corners_a = _corners(a, face_a)
-    corners_b = vector.add(vector.rotate(turn, _corners(b, _facing(b, on_b))), d)
-    corners_b, normals_b = kept(*corners_b), kept(*normals_b)
-    height_a, height_b = dot(n, corners_a), dot(n, corners_b)
-    top = kept(jnp.max(height_a, axis=0))  # a's extent along the normal; b begins below it by the depth
-    in_b = vector.sub(corners_a, d)
-    first = _clipped(in_b, corners_a, normals_b, b, height_a - (top - depth)[None])
-    second = _clipped(corners_b, corners_b, _half_spaces(a), a, top[None] - height_b)
-    if a.open_edges is not None:  # an edge in the middle of a wall is no edge of the overlap
-        is_open = a.open_edges.at[:, face_a].get(mode="promise_in_bounds")
-        first = tuple(is_open * part for part in first)
-    weight, *moment = (jnp.sum(p, axis=0) + jnp.sum(q, axis=0) for p, q in zip(first, second, strict=True))
+    top, (weight, *moment) = integrate(a, b, rel, depth, normal, _facing(a, normal), _facing(b, on_b))
     scale = 1 / jnp.where(weight > 0, weight, 1)
     point = vector.where(weight > 0, vector.scale(scale, moment), vector.scale(top - 0.5 * depth, normal))
     return point, weight
+
+
+def _polygons(a: Hulls, b: Hulls, rel: Relative, depth, normal, face_a, face_b):
+    """Of any faces (columns [P] of their tables): a's extent along the normal [P] (m), and the line integrals of depth
+    and of depth times position over all edges, four arrays [P]."""
+    turn, d, n = vector.expand_matrix(rel.rotation, 0), expand(rel.offset, 0), expand(normal, 0)
+    corners_a = _vectors(a.loops, face_a)
+    corners_b = vector.add(vector.rotate(turn, _vectors(b.loops, face_b)), d)
+    corners_b, normals_b = kept(*corners_b), kept(*vector.rotate(turn, b.normals))
+    height_a, height_b = dot(n, corners_a), dot(n, corners_b)
+    top = kept(jnp.max(height_a, axis=0))  # a's extent along the normal; b begins below it by the depth
+    first = _clipped(vector.sub(corners_a, d), corners_a, normals_b, b.offsets, height_a - (top - depth)[None])
+    second = _clipped(corners_b, corners_b, a.normals, a.offsets, top[None] - height_b)
+    if a.open_edges is not None:  # an edge in the middle of a wall is no edge of the overlap
+        is_open = a.open_edges.at[:, face_a].get(mode="promise_in_bounds")
+        first = tuple(is_open * part for part in first)
+    return top, [jnp.sum(p, axis=0) + jnp.sum(q, axis=0) for p, q in zip(first, second, strict=True)]
+
+
+def _zonogons(a: Hulls, b: Hulls, rel: Relative, depth, normal, face_a, face_b):
+    """``_polygons`` of bodies whose faces are centrally symmetric: half of the edges say all, which halves the work."""
+    turn, n = vector.expand_matrix(rel.rotation, 0), expand(normal, 0)
+    centre_a, edges_a = _centred(a.loops, face_a)
+    centre_b, edges_b = _centred(b.loops, face_b)
+    centre_b = vector.add(vector.rotate(rel.rotation, centre_b), rel.offset)
+    edges_b = kept(*vector.rotate(turn, edges_b))
+    half = a.normals[0].shape[0] // 2, b.normals[0].shape[0] // 2
+    slabs_a = vector.scale(1 / a.offsets[: half[0]], tuple(c[: half[0]] for c in a.normals))
+    slabs_b = vector.rotate(turn, tuple(c[: half[1]] for c in b.normals))
+    slabs_b = kept(*vector.scale(1 / b.offsets[: half[1]], slabs_b))
+    rise_a, rise_b = dot(n, edges_a), dot(n, edges_b)
+    height_a, height_b = dot(normal, centre_a), dot(normal, centre_b)
+    top = kept(height_a + 0.5 * jnp.sum(jnp.abs(rise_a), axis=0))
+    is_open = None if a.open_edges is None else a.open_edges.at[:, face_a].get(mode="promise_in_bounds")
+    inside = _clipped_zonogon(vector.sub(centre_a, rel.offset), edges_a, slabs_b, height_a - (top - depth), rise_a, is_open)
+    other = _clipped_zonogon(centre_b, edges_b, slabs_a, top - height_b, -rise_b, None)
+    weight = inside[0] + other[0]
+    about = vector.add(vector.scale(inside[0], centre_a), vector.scale(other[0], centre_b))
+    return top, (weight, *vector.add(about, vector.add(inside[1:], other[1:])))
 
 
 def _facing(hull: Hulls, normal):
@@ -202,45 +226,79 @@ def _facing(hull: Hulls, normal):
     return face * (hull.loops.shape[1] // hull.normals[0].shape[0]) + hull.row
 
 
-def _corners(hull: Hulls, column):
-    """Corners [k + 1, P] x 3 of a face (m)."""
-    return tuple(jnp.split(hull.loops.at[:, column].get(mode="promise_in_bounds"), 3))
+def _vectors(loops, column):
+    """The vectors [k, P] x 3 (m) in columns [P] of Hulls.loops."""
+    return tuple(jnp.split(loops.at[:, column].get(mode="promise_in_bounds"), 3))
 
 
-def _half_spaces(hull: Hulls):
-    """Face normals, of a zonotope one of each opposite pair."""
-    half = hull.normals[0].shape[0] // 2
-    return tuple(c[:half] for c in hull.normals) if hull.is_zonotope else hull.normals
+def _centred(loops, column):
+    """Centre [P] x 3 and half of the edges [K, P] x 3 (m) of the faces of zonotopes in columns [P] of Hulls.loops."""
+    found = _vectors(loops, column)
+    return tuple(c[0] for c in found), tuple(c[1:] for c in found)
 
 
-def _clipped(points, corners, normals, other: Hulls, depth):
-    """For each edge of a face, the line integral of depth over its part inside the other body, and of depth times
-    position: four arrays [k, P] (m2, m3).
+def _clipped_zonogon(centre, edges, slabs, depth, rise, is_open):
+    """Line integrals of depth, and of depth times position about the centre, over the part of a face's edges that is
+    inside a zonotope: four arrays [P] (m2, m3).
 
-    points: [k + 1, P] x 3, the corners relative to the other's origin; normals: [m, P] x 3 of the other;
-    depth: [k + 1, P] (m).
+    centre: [P] x 3 (m), of the face relative to the zonotope's; edges: [K, P] x 3 (m), the first half of them in
+    order, the others being opposite; slabs: [m, P] x 3 (1/m), the zonotope being where all |slab . x| < 1; depth: [P]
+    (m) at the centre; rise: [K, P] (m) of depth along the edges; is_open: [2 K, P], 1 for each edge that counts, or None.
     """
-    u = kept(dot(expand(normals, 1), expand(points, 0)) / other.offsets[: normals[0].shape[0], None])  # [m, k + 1, P]
+    count = rise.shape[0]
+    corner = kept(*(_begin(c) for c in edges))  # [K, P]: of each edge, about the centre
+    across = expand(slabs, 1)
+    du = dot(across, expand(edges, 0))  # [m, K, P]
+    tiny = jnp.finfo(du.dtype).tiny ** 0.25  # so small that its square, in derivatives, does not overflow
+    du = jnp.where(jnp.abs(du) < tiny, tiny, du)
+    # A slab is entered and left where slab . x is -1 and 1, whichever comes first along the edge or its opposite.
+    at_centre, to_corner, half = dot(slabs, expand(centre, 0))[:, None] / du, dot(across, expand(corner, 0)) / du, 1 / jnp.abs(du)
+    sums = []
+    for k, sign in enumerate((1, -1)):  # the edge that begins at a corner, and the opposite one
+        middle = -to_corner - sign * at_centre
+        start, end = jnp.max(middle - half, axis=0), jnp.min(middle + half, axis=0)
+        weight, along = _integrals(start, end, vector.norm(edges), depth[None] + sign * _begin(rise), sign * rise)
+        if is_open is not None:  # an edge in the middle of a wall is no edge of the overlap
+            part = is_open[k * count : (k + 1) * count]
+            weight, along = part * weight, part * along
+        sums.append((weight, sign * weight, sign * along))
+    both = [p + q for p, q in zip(*sums, strict=True)]
+    moments = (jnp.sum(both[1] * c + both[2] * e, axis=0) for c, e in zip(corner, edges, strict=True))
+    return jnp.sum(both[0], axis=0), *moments
+
+
+def _begin(steps):
+    """Where each of the first half of the steps [K, P] around a centrally symmetric loop begins, about its centre."""
+    number = jnp.arange(steps.shape[0])[:, None]
+    return _sum(jnp.where(number > j, 0.5, -0.5).astype(steps.dtype) * steps[j : j + 1] for j in range(steps.shape[0]))
+
+
+def _clipped(points, corners, normals, offsets, depth):
+    """For each edge of a face, the line integral of depth over its part inside a polytope, and of depth times position:
+    four arrays [k, P] (m2, m3).
+
+    points: [k + 1, P] x 3, the corners relative to the polytope's origin; normals: [m, P] x 3 and offsets: [m, P] of its
+    faces; depth: [k + 1, P] (m).
+    """
+    u = kept(dot(expand(normals, 1), expand(points, 0)) / offsets[:, None])  # [m, k + 1, P]
     du = u[:, 1:] - u[:, :-1]
     tiny = jnp.finfo(depth.dtype).tiny ** 0.25  # so small that its square, in derivatives, does not overflow
     du = jnp.where(jnp.abs(du) < tiny, tiny, du)
-    if other.is_zonotope:  # a slab |u| < 1: entered and left where u is -1 and 1, whichever comes first
-        middle, half = -u[:, :-1] / du, 1 / jnp.abs(du)
-        start, end = jnp.max(middle - half, axis=0), jnp.min(middle + half, axis=0)
-    else:  # a half-space u < 1: left where u grows, entered where it falls
-        crossing = (1 - u[:, :-1]) / du
-        start = jnp.max(jnp.where(du < 0, crossing, -jnp.inf), axis=0)
-        end = jnp.min(jnp.where(du < 0, jnp.inf, crossing), axis=0)
+    crossing = (1 - u[:, :-1]) / du  # a half-space u < 1 is left where u grows, entered where it falls
+    start = jnp.max(jnp.where(du < 0, crossing, -jnp.inf), axis=0)
+    end = jnp.min(jnp.where(du < 0, jnp.inf, crossing), axis=0)
+    edge = tuple(c[1:] - c[:-1] for c in corners)
+    weight, along = _integrals(start, end, vector.norm(edge), depth[:-1], depth[1:] - depth[:-1])
+    return weight, *(weight * c[:-1] + along * e for c, e in zip(corners, edge, strict=True))
+
+
+def _integrals(start, end, length, depth, rise):
+    """Integrals of depth, and of depth times t, over the part of edges (t from 0 to 1) from start to end, [k, P] (m2)."""
     start, end = kept(jnp.clip(start, 0, 1), jnp.clip(end, 0, 1))
     part = jnp.maximum(end - start, 0)
     middle = 0.5 * (start + end)
-    rise = depth[1:] - depth[:-1]
-    edge = tuple(c[1:] - c[:-1] for c in corners)
-    length = vector.norm(edge)
-    weight = part * length * jnp.maximum(depth[:-1] + rise * middle, 0)
-    along = weight * middle + part * part * part * rise * length / 12
-    weight, along = kept(weight, along)
-    return weight, *(weight * c[:-1] + along * e for c, e in zip(corners, edge, strict=True))
+    weight = part * length * jnp.maximum(depth + rise * middle, 0)
+    return kept(weight, weight * middle + part * part * part * rise * length / 12)
 
 
 def sphere_sphere(radius_a, radius_b, offset) -> Geometry:

@@ -5,31 +5,41 @@ import jax.numpy as jnp
 from dem_jax import vector
 
 
-def normal_force(force, overlap, new_overlap, load_stiffness, unload_stiffness, separation):
+def normal_force(force, approach, overlap, load_stiffness, unload_stiffness, separation):
     """Walton-Braun hysteretic linear spring, eqs 1-4: F_n at the current step.
 
-    force: F_n of the last step (N) and overlap: s_n of the last step (m), both 0 at first touch;
-    new_overlap: s_n now (m), separated where not positive; stiffness K_nl, K_nu (N/m); separation: lambda.
+    force: F_n of the last step (N), 0 at first touch; approach: by how much the bodies have come nearer at the contact
+    point in this step (m), Delta s_n of eq. 4; overlap: s_n now (m), separated where not positive; stiffness K_nl, K_nu
+    (N/m); separation: lambda. The branches of eq. 1 amount to the unloading line, held between the two others.
+
+    Where bodies do not turn the approach is the change of the overlap, as eq. 4 has it. Where they do, the overlap is that
+    of the deepest corner, while the force acts at the contact point: only along the way of that point does the
+    unloading line give back what it took, so that no energy comes from nothing.
     """
-    s = jnp.maximum(new_overlap, 0)
-    ds = s - overlap  # eq. 4
+    s = jnp.maximum(overlap, 0)
     loading = load_stiffness * s  # eq. 2
-    unloading = force + unload_stiffness * ds  # eq. 3
-    f = jnp.where(ds >= 0, jnp.minimum(loading, unloading), jnp.maximum(unloading, separation * loading))  # eq. 1
-    return jnp.where(s > 0, f, 0)
+    unloading = force + unload_stiffness * approach  # eq. 3
+    return jnp.minimum(jnp.maximum(unloading, separation * loading), loading)  # eq. 1; 0 where separated
 
 
-def unloading_damping(force, overlap, new_overlap, load_stiffness, unload_stiffness, mass, ratio, dt):
+def recoverable_energy(force, overlap, load_stiffness, unload_stiffness, separation):
+    """Work (J) that a contact with F_n and s_n does if it parts now: down its unloading line to that of separation, and
+    along that one to the end."""
+    floor = separation * load_stiffness
+    rest = jnp.maximum(unload_stiffness * overlap - force, 0) / (unload_stiffness - floor)  # (m): where the lines meet
+    return 0.5 * (force + floor * rest) * (overlap - rest) + 0.5 * floor * rest * rest
+
+
+def unloading_damping(force, approach, overlap, load_stiffness, unload_stiffness, mass, ratio, dt):
     """Viscous part (N) added on the unloading branch only, where eqs 1-4 have none and a resting piece rings for ever.
 
-    A dashpot of the given damping ratio of the oscillator (effective mass, K_nu), never making the sum adhesive.
-    Not part of the paper's model; off by default.
+    A dashpot of the given damping ratio of the oscillator (effective mass, K_nu), never making the sum adhesive; force:
+    F_n now. Not part of the paper's model; off by default.
     """
-    s = jnp.maximum(new_overlap, 0)
-    rate = (s - overlap) / dt
-    dashpot = 2 * ratio * jnp.sqrt(mass * unload_stiffness) * rate
-    on_branch = (s > 0) & (overlap > 0) & (force < load_stiffness * s)
-    return jnp.where(on_branch, jnp.clip(dashpot, -force, jnp.maximum(load_stiffness * s - force, 0)), 0)
+    loading = load_stiffness * jnp.maximum(overlap, 0)
+    dashpot = 2 * ratio * jnp.sqrt(mass * unload_stiffness) * approach / dt
+    on_branch = (force > 0) & (force < loading)
+    return jnp.where(on_branch, jnp.clip(dashpot, -force, jnp.maximum(loading - force, 0)), 0)
 
 
 def tangential_force(spring, normal, slip, normal_force, stiffness, friction):

@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from dem_jax import neighbours
 from dem_jax.errors import SceneError, SimulationError
 
 DEEPEST = 0.5  # of the narrower piece's width: beyond, a contact may push out on the wrong side
@@ -94,7 +93,7 @@ def _what_happened(job, state, piece):
 def _deep(job, system, state, overlap):
     """The piece in the deepest contact, and what to say of it."""
     worst, a, b = -1.0, None, None
-    for kind in neighbours.kinds(system):
+    for kind in state.contacts:
         relative = np.asarray(state.contacts[kind].overlap) / np.asarray(state.slots[kind].width)
         k = int(np.argmax(relative))
         if relative[k] > worst:

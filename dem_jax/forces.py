@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from dem_jax import bodies, boundary, collide, contact, seams, vector
+from dem_jax import bodies, boundary, collide, contact, hulls, seams, vector
 from dem_jax.bodies import Body
 from dem_jax.types import ContactTable, Ledger, Slots, State, System
 
@@ -41,7 +41,7 @@ def contacts(system: System, state: State, omega, panels: boundary.Panels) -> St
     return state.replace(wall_force=wall[:3], wall_torque=wall[3:])
 
 
-def geometry(kind, slots: Slots, a: Body, b: Body, offset) -> collide.Geometry:
+def geometry(system: System, kind, slots: Slots, a: Body, b: Body, offset) -> collide.Geometry:
     """Depth, normal (a to b) and point (relative to the centre of a) of each slot, in world axes."""
     if kind == "spheres":
         return collide.sphere_sphere(slots.radius_a, slots.radius_b, offset)
@@ -49,15 +49,16 @@ def geometry(kind, slots: Slots, a: Body, b: Body, offset) -> collide.Geometry:
     if kind == "mixed":
         found = collide.hull_sphere(slots.hull_a, slots.radius_b, local)
     else:
-        found = collide.hull_hull(slots.hull_a, slots.hull_b, collide.Relative(_relative(a, b), local))
+        hull_a, hull_b = (hulls.with_faces(rows, system.hulls) for rows in (slots.hull_a, slots.hull_b))
+        found = collide.hull_hull(hull_a, hull_b, collide.Relative(_relative(a, b), local))
     turn = a.rotation
     return found._replace(normal=vector.rotate(turn, found.normal), point=vector.rotate(turn, found.point))
 
 
-def depth(kind, slots: Slots, a: Body, b: Body, offset):
+def depth(system: System, kind, slots: Slots, a: Body, b: Body, offset):
     """Depth alone of each slot, [P] (m)."""
     if kind != "hulls":
-        return geometry(kind, slots, a, b, offset).depth
+        return geometry(system, kind, slots, a, b, offset).depth
     local = vector.rotate_back(a.rotation, offset)
     return collide.separating_axes(slots.hull_a, slots.hull_b, collide.Relative(_relative(a, b), local))[0]
 
@@ -71,7 +72,7 @@ def _resolve(system: System, kind, table: ContactTable, slots: Slots, stacked, s
     law = system.law
     a, b = bodies.take(stacked, slots.a), bodies.take(stacked, slots.b)
     offset = bodies.offset(a, b)
-    shape = geometry(kind, slots, a, b, offset)
+    shape = geometry(system, kind, slots, a, b, offset)
     overlap = jnp.where(slots.live, shape.depth, -1)
     at_b = vector.sub(shape.point, offset)
     before, share = table, None
@@ -82,26 +83,26 @@ def _resolve(system: System, kind, table: ContactTable, slots: Slots, stacked, s
         shape = shape._replace(point=vector.add(at_b, offset))
         table = seams.history(table, siblings)
     unload = slots.stiffness / (law.restitution * law.restitution)  # eq. 6
-    f = contact.normal_force(table.force, table.overlap, overlap, slots.stiffness, unload, law.separation)
+    slip, approach = _motion(system, a, b, offset, table, shape.normal, at_b, overlap)
+    f = contact.normal_force(table.force, approach, overlap, slots.stiffness, unload, law.separation)
     dashpot = jnp.zeros_like(f)
     if system.has_damping:
         dashpot = contact.unloading_damping(
-            f, table.overlap, overlap, slots.stiffness, unload, slots.mass, law.damping, system.dt
+            f, approach, overlap, slots.stiffness, unload, slots.mass, law.damping, system.dt
         )
     force = vector.scale(f + dashpot, shape.normal)
-    spring, point = table.spring, table.point
+    spring = table.spring
     if system.has_friction:
-        slip = vector.kept(*_slip(system, a, b, offset, table, shape.normal, at_b, overlap))
         tangent = vector.kept(
             *contact.tangential_force(
                 vector.unpack(spring), shape.normal, slip, f, law.tangential * slots.stiffness, slots.friction
             )
         )
-        spring, point = jnp.stack(tangent), jnp.stack(at_b)
+        spring = jnp.stack(tangent)
         force = vector.add(force, tangent)
     if share is not None:
         force = vector.scale(share, force)
-    after = table.replace(force=f, overlap=jnp.maximum(overlap, 0), spring=spring, point=point)
+    after = table.replace(force=f, overlap=jnp.maximum(overlap, 0), spring=spring, point=jnp.stack(at_b))
     stored = jnp.zeros((), f.dtype)
     if system.ledger:
         stored = jnp.sum(elastic_energy(system, after, slots) - elastic_energy(system, before, slots))
@@ -115,8 +116,8 @@ def _resolve(system: System, kind, table: ContactTable, slots: Slots, stacked, s
     )
 
 
-def _slip(system: System, a: Body, b: Body, offset, table: ContactTable, normal, at_b, overlap):
-    """Tangential displacement in this step of b relative to a at the contact point, [P] x 3 (m).
+def _motion(system: System, a: Body, b: Body, offset, table: ContactTable, normal, at_b, overlap):
+    """Motion in this step of b relative to a at the contact point: tangential, [P] x 3 (m), and towards a, [P] (m).
 
     Of second order in the time step: the arms, like the velocities, are those at the middle of the step, and of the step
     of first touch only the last part, overlap over approach, counts.
@@ -130,13 +131,15 @@ def _slip(system: System, a: Body, b: Body, offset, table: ContactTable, normal,
     along = vector.dot(motion, normal)
     touching = first & (overlap > 0)
     part = jnp.where(touching, overlap / jnp.where(touching, jnp.maximum(-along, overlap), 1), 1)
-    return vector.scale(part, vector.add_scaled(motion, -along, normal))
+    slip = vector.kept(*vector.scale(part, vector.add_scaled(motion, -along, normal)))
+    return slip, vector.kept(-along)
 
 
 def elastic_energy(system: System, table: ContactTable, slots: Slots):
-    """What each contact would give back along its unloading branch and by its tangential spring, [P] (J)."""
+    """What each contact would give back, along its unloading branch and by its tangential spring, [P] (J)."""
     law = system.law
-    energy = 0.5 * table.force * table.force * (law.restitution * law.restitution) / slots.stiffness
+    unload = slots.stiffness / (law.restitution * law.restitution)
+    energy = contact.recoverable_energy(table.force, table.overlap, slots.stiffness, unload, law.separation)
     if system.has_friction:
         spring = vector.unpack(table.spring)
         energy = energy + 0.5 * vector.dot(spring, spring) / (law.tangential * slots.stiffness)
@@ -176,11 +179,11 @@ def _ledger(system: System, state: State, omega, panels: boundary.Panels, done, 
     for kind, d in done.items():
         overlap = jnp.maximum(overlap, jnp.max(d.table.overlap / state.slots[kind].width))
     if system.ledger:
-        on_pieces = _work(system, jnp.concatenate([state.force, state.torque]) + load, [*state.velocity, *omega])
+        on_pieces = _work(system, jnp.concatenate([state.force, state.torque]) + load, jnp.concatenate([state.velocity, omega]))
         by_walls = jnp.zeros_like(on_pieces)
         if system.walls.moving:
             on_walls = jnp.concatenate([state.wall_force, state.wall_torque]) + wall
-            by_walls = -_work(system, on_walls, [*panels.pivot_velocity, *panels.group_spin])
+            by_walls = -_work(system, on_walls, panels.groups[3:])
         stored = sum(d.stored for d in done.values())
         ledger = ledger.replace(
             dissipated=ledger.dissipated + (by_walls - on_pieces - stored), wall_work=ledger.wall_work + by_walls
@@ -194,7 +197,7 @@ def _work(system: System, twice_load, motion):
 
     Trapezoidal, each load at its own point of attack: closed to second order in the time step.
     """
-    return 0.5 * system.dt * jnp.sum(twice_load * jnp.stack(motion))
+    return 0.5 * system.dt * jnp.sum(twice_load * motion)
 
 
 def empty_ledger(system: System, dtype) -> Ledger:

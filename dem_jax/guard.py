@@ -30,34 +30,35 @@ def fresh(state: State) -> State:
 def outgrown(system: System, guard: Guard) -> list[str]:
     """What a chunk that ended with this guard outgrew, in words; empty: its result stands."""
     out = []
-    for source, candidates, slots in system.capacity:
-        near, touching = _most(guard.needed[source])
+    for kind, candidates, slots in system.capacity:
+        near, touching = _most(guard.needed[kind])
         if near > candidates:
-            out.append(f"{near} candidate pairs {source} for {candidates}")
+            out.append(f"{near} candidate pairs of {kind} for {candidates}")
         if touching > slots:
-            out.append(f"{touching} pairs {source} for {slots} slots")
+            out.append(f"{touching} pairs of {kind} for {slots} slots")
     if np.max(guard.touching) > system.touching:
         out.append(f"{np.max(guard.touching)} contacts of a piece for {system.touching}")
     if np.max(guard.row) > system.row_capacity:
         out.append(f"{np.max(guard.row)} pieces in a row of cells for {system.row_capacity}")
     if np.max(guard.travel) > system.skin:
         way, skin = float(np.max(guard.travel)), float(system.skin)
-        out.append(f"bodies approached by {way:.3g} m between rebuilds, with a skin of {skin:.3g} m")
+        out.append(f"bodies approached by {way:.3g} m more than expected between rebuilds, with a skin of {skin:.3g} m")
     return out
 
 
 def grown(system: System, state: State, guard: Guard) -> tuple[System, State]:
     """The system with room for what a chunk needed, and the state that the chunk began with, fitted to it."""
     rows = []
-    for source, candidates, slots in system.capacity:
-        near, touching = _most(guard.needed[source])
-        every = neighbours.pair_count(system, source)
+    pieces, panels = system.pieces.mass.shape[0], system.walls.group.shape[0]
+    polytopes, spheres = system.pieces.polytopes.shape[0], system.pieces.spheres.shape[0]
+    for kind, candidates, slots in system.capacity:
+        near, touching = _most(guard.needed[kind])
+        every = neighbours.pair_count(kind, polytopes, spheres, panels)
         if near > candidates:  # of those that found no place, as many may touch as of those that did
             touching = -(-touching * near // candidates)
-        rows.append((source, _enough(candidates, near, every), _enough(slots, touching, every)))
-    pieces = system.pieces.mass.shape[0]
+        rows.append((kind, _enough(candidates, near, every), _enough(slots, touching, every)))
     most = int(np.max(guard.touching))
-    touching = system.touching if most <= system.touching else min(pieces - 1 + system.walls.group.shape[0], most + 2)
+    touching = system.touching if most <= system.touching else min(pieces - 1 + panels, most + 2)
     row = _enough(system.row_capacity, int(np.max(guard.row)), pieces)
     travel = np.max(guard.travel)
     if travel > system.skin:
@@ -71,19 +72,17 @@ def with_capacity(system: System, state: State, capacity, touching, row_capacity
     larger = system.replace(capacity=capacity, touching=touching, row_capacity=row_capacity)
     if jax.tree.structure(larger) == jax.tree.structure(system):
         return system, state
-    old, new = neighbours.kinds(system), neighbours.kinds(larger)
-    tables = {kind: _widened(table, old[kind], new[kind]) for kind, table in state.contacts.items()}
-    known = {source: state.guard.needed[source] for source, _, _ in capacity}
-    state = state.replace(contacts=tables, guard=state.guard.replace(needed=known))
-    return larger, with_scratch(larger, state)
+    tables = {kind: _widened(state.contacts[kind], slots) for kind, _, slots in capacity}
+    return larger, with_scratch(larger, state.replace(contacts=tables))
 
 
 def with_scratch(system: System, state: State) -> State:
-    """The state with arrays of the right form, empty, for all that a rebuild fills."""
-    find = partial(neighbours.rebuild, system)
-    form = jax.eval_shape(jax.vmap(find) if state.step.ndim else find, state.replace(slots={}, incidence=None))
-    empty = lambda tree: jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), tree)  # noqa: E731
-    return state.replace(slots=empty(form.slots), incidence=empty(form.incidence))
+    """The state with the incidence of its tables, and with empty slots of the right form, which a rebuild fills."""
+    batched = jax.vmap if state.step.ndim else lambda function: function
+    find = batched(lambda tables: neighbours.find_incidence(system, tables)[0])
+    state = state.replace(slots={}, incidence=jax.jit(find)(state.contacts))
+    form = jax.eval_shape(batched(partial(neighbours.rebuild, system)), state)
+    return state.replace(slots=jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), form.slots))
 
 
 def _most(needed):
@@ -98,17 +97,9 @@ def _enough(have, needed, every):
     return min(every, round_up(int(np.ceil(HEAD_ROOM * needed))))
 
 
-def _widened(table: ContactTable, old, new) -> ContactTable:
-    """The table with empty slots behind those of each source; old, new: rows of neighbours.kinds."""
-    parts, start = [], 0
-    for (_, _, before), (_, _, after) in zip(old, new, strict=True):
-        part = jax.tree.map(lambda x, at=slice(start, start + before): np.asarray(x)[..., at], table)
-        start += before
-        parts.append(_padded(part, after - before))
-    return jax.tree.map(lambda *x: jnp.asarray(np.concatenate(x, axis=-1)), *parts)
-
-
-def _padded(table: ContactTable, more) -> ContactTable:
+def _widened(table: ContactTable, slots) -> ContactTable:
+    """The table with empty slots behind its own."""
+    more = slots - table.a.shape[-1]
     pad = lambda x, value: np.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, more)], constant_values=value)  # noqa: E731
     fill = {"a": neighbours.EMPTY, "b": neighbours.EMPTY}
-    return ContactTable(**{name: pad(x, fill.get(name, 0)) for name, x in vars(table).items()})
+    return ContactTable(**{name: jnp.asarray(pad(x, fill.get(name, 0))) for name, x in vars(table).items()})

@@ -26,7 +26,8 @@ def table(shapes, dtype, seams=None) -> Hulls:
         order = _padded_faces(len(row["normals"]), faces, zonotopes)
         normals.append(row["normals"][order])
         offsets.append(row["offsets"][order])
-        loops.append(np.stack([_pad(c.T, sides) for c in (row["corners"][f] for f in order)], axis=1))  # [k, F, 3]
+        pad = _pad_halves if zonotopes else _pad
+        loops.append(np.stack([pad(row["corners"][f].T, sides) for f in order], axis=1))  # [k, F, 3]
     directions = [_pad(row["directions"], edges) for row in rows]
     widths = lengths = None
     if zonotopes:
@@ -40,7 +41,7 @@ def table(shapes, dtype, seams=None) -> Hulls:
         normals=_components(normals, dtype),
         offsets=_last(offsets, dtype),
         corners=_components(loops, dtype),
-        loops=_columns(loops, dtype),
+        loops=_columns([_half_loop(c) for c in loops] if zonotopes else [_closed(c) for c in loops], dtype),
         row=np.arange(len(rows)),
         vertices=_components([_pad(row["vertices"], corners) for row in rows], dtype),
         directions=_components(directions, dtype),
@@ -54,9 +55,14 @@ def table(shapes, dtype, seams=None) -> Hulls:
 
 
 def gather(hulls: Hulls, index, corners: bool) -> Hulls:
-    """The rows of the table that belong to pairs, [.., P]; corners, of which there are many, only where asked for."""
+    """The rows of the table that belong to pairs, [.., P]; corners, of which there are many, only where asked for; loops
+    and open_edges stay in the table, see ``with_faces``."""
     rows = hulls.replace(loops=None, open_edges=None, corners=hulls.corners if corners else None)
-    rows = jax.tree.map(lambda array: array[..., index], rows)
+    return jax.tree.map(lambda array: array[..., index], rows)
+
+
+def with_faces(rows: Hulls, hulls: Hulls) -> Hulls:
+    """Gathered rows with the columns of the table that they came from."""
     return rows.replace(loops=hulls.loops, open_edges=hulls.open_edges)
 
 
@@ -111,11 +117,23 @@ def _cross_widths(directions, half_lengths, normals):
     return out
 
 
-def _columns(loops, dtype):
-    """S arrays [k, F, 3] -> [3 (k + 1), F S], each loop closed."""
-    stacked = np.stack(loops, axis=-1)  # [k, F, 3, S]
-    closed = np.concatenate([stacked, stacked[:1]]).transpose(2, 0, 1, 3)
-    return closed.reshape(3 * closed.shape[1], -1).astype(dtype)
+def _columns(vectors, dtype):
+    """S arrays [k, F, 3] -> [3 k, F S]."""
+    stacked = np.stack(vectors, axis=-1).transpose(2, 0, 1, 3)  # [3, k, F, S]
+    return stacked.reshape(3 * stacked.shape[1], -1).astype(dtype)
+
+
+def _closed(loop):
+    """The corners [k, F, 3] of faces, and again the first."""
+    return np.concatenate([loop, loop[:1]])
+
+
+def _half_loop(loop):
+    """Centre and first half of the edges, [1 + k/2, F, 3], of centrally symmetric faces with corners [k, F, 3]."""
+    edges = np.roll(loop, -1, axis=0) - loop
+    half = len(loop) // 2
+    centre = 0.5 * (loop[:1] + loop[half : half + 1])
+    return np.concatenate([centre, edges[:half]])
 
 
 def _filled(seams):
@@ -137,6 +155,13 @@ def _open_edges(normals, loops, seams, dtype):
 
 def _pad(rows, count):
     return np.concatenate([rows, np.repeat(rows[-1:], count - len(rows), axis=0)])
+
+
+def _pad_halves(loop, count):
+    """The corners [k, 3] of a centrally symmetric face, each half of the loop ended by repeating where it leads."""
+    half, more = len(loop) // 2, (count - len(loop)) // 2
+    first, second = (np.repeat(loop[k : k + 1], more, axis=0) for k in (half, 0))
+    return np.concatenate([loop[:half], first, loop[half:], second])
 
 
 def _pad_zero(rows, count):

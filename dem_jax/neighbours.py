@@ -1,11 +1,13 @@
 """Which pairs may touch before the next rebuild, and contact history carried across a rebuild by partner.
 
 A rebuild looks at pairs in stages, each on what the one before left: bounding spheres (of a panel and a piece: box and
-sphere), then the full separating-axis test with a skin. Pairs whose gap is larger than the skin cannot touch until two
-bodies have approached each other by that much; ``travel`` measures whether they have. More candidates than slots is not
-an error here but data: the host grows the capacity and runs the chunk again.
+sphere), then the full separating-axis test. What is left are pairs nearer than the way that the speeds of the fastest
+take two bodies until the next rebuild (``State.lead``) and a skin for what changes speeds; ``travel`` measures whether
+two bodies have approached each other by more. More candidates than slots is not an error here but data: the host grows
+the capacity and runs the chunk again.
 """
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -15,21 +17,13 @@ from dem_jax.types import ContactTable, Guard, Slots, State, System
 EMPTY = -1
 ALL_PAIRS = 256  # up to so many pieces every pair is looked at: quicker than any list
 
-# Kinds of contact by what computes their geometry, and the sources of their pairs, each with slots of its own.
+# Kinds of contact by what computes their geometry, each with slots of its own, and the sources of their pairs.
 # In the order of the alphabet, as JAX sorts the keys of a dict: ``incidence`` counts on one order everywhere.
 SOURCES = {
     "hulls": ("hull-hull", "wall-hull"),
     "mixed": ("hull-sphere", "wall-sphere"),
     "spheres": ("sphere-sphere",),
 }
-
-
-def kinds(system: System) -> dict:
-    """The kinds of contact that a scene can have: kind -> ((source, candidates, slots), ...)."""
-    found = {
-        kind: tuple(row for row in system.capacity if row[0] in sources) for kind, sources in SOURCES.items()
-    }
-    return {kind: rows for kind, rows in found.items() if rows}
 
 
 def empty_table(slots, dtype) -> ContactTable:
@@ -42,30 +36,31 @@ def empty_table(slots, dtype) -> ContactTable:
 
 def rebuild(system: System, state: State) -> State:
     """Find the candidate pairs anew and carry the history of those that remain."""
-    time = system.dt * state.step.astype(system.dt.dtype)
-    panels = boundary.panels(system.walls, time, time)
+    panels = _panels_at(system, state.step)
     stacked = bodies.stack(system, state, jnp.zeros_like(state.velocity), panels)
+    lead = _interval(system) * _pace(system, state, panels)
+    reach = system.skin + lead
     guard = state.guard
     first_time = guard.start_overlap < 0
-    before, _ = find_incidence(system, state.contacts)
     tables, slots, needed, column = {}, {}, {}, 0
-    for kind, sources in kinds(system).items():
-        pairs = []
-        for source, candidates, room in sources:
-            a, b, row = pairs_of(system, source, stacked)
+    for kind, candidates, room in system.capacity:
+        near, a, b = [], [], []
+        for source in SOURCES[kind]:
+            first, second, row = pairs_of(system, source, stacked, reach)
             guard = guard.replace(row=jnp.maximum(guard.row, row))
-            near = within_bounds(system, stacked, source, a, b)
-            first, a, b = compact(near, a, b, candidates)
-            trial = constants(system, kind, a, b)
-            overlap = _depth(kind, trial, stacked)
-            guard = _note_overlap(guard, first_time, overlap / trial.width, a, b)
-            second, a, b = compact(overlap > -system.skin, a, b, room)
-            needed[source] = jnp.maximum(guard.needed[source], jnp.stack([first, second]))
-            pairs.append((a, b))
+            near.append(within_bounds(system, stacked, source, first, second, reach))
+            a.append(first)
+            b.append(second)
+        number, a, b = compact(jnp.concatenate(near), jnp.concatenate(a), jnp.concatenate(b), candidates)
+        trial = constants(system, kind, a, b)
+        overlap = _depth(system, kind, trial, stacked)
+        guard = _note_overlap(guard, first_time, overlap / trial.width, a, b)
+        touching, a, b = compact(overlap > -reach, a, b, room)
+        needed[kind] = jnp.maximum(guard.needed[kind], jnp.stack([number, touching]))
         old = state.contacts[kind]
-        tables[kind] = carry_history(old, pairs, before, column)
+        tables[kind] = carry_history(old, a, b, state.incidence, column)
         column += 2 * old.a.shape[0]
-        slots[kind] = constants(system, kind, tables[kind].a, tables[kind].b)
+        slots[kind] = constants(system, kind, a, b)
     incidence, touching = find_incidence(system, tables)
     guard = guard.replace(
         needed=needed,
@@ -73,13 +68,14 @@ def rebuild(system: System, state: State) -> State:
         start_overlap=jnp.maximum(guard.start_overlap, 0),
     )
     anchor = jnp.concatenate([state.position, state.orientation])
-    return state.replace(contacts=tables, slots=slots, incidence=incidence, anchor=anchor, guard=guard)
+    return state.replace(contacts=tables, slots=slots, incidence=incidence, anchor=anchor, lead=lead, guard=guard)
 
 
-def pairs_of(system: System, source, stacked):
+def pairs_of(system: System, source, stacked, reach):
     """Pairs (a, b) of a source of contacts to be looked at, two int32 arrays of body numbers, and how many in a row.
 
-    Every pair where that is quick, else those of neighbouring cells; places without a pair hold EMPTY.
+    reach: gap (m) within which pairs count. Every pair where that is quick, else those of neighbouring cells; places
+    without a pair hold EMPTY.
     """
     pieces = system.pieces
     none = jnp.zeros((), jnp.int32)
@@ -91,31 +87,27 @@ def pairs_of(system: System, source, stacked):
         return *_product(pieces.polytopes, pieces.spheres), none
     members = pieces.polytopes if source == "hull-hull" else pieces.spheres
     if system.row_capacity and members.shape[0] > ALL_PAIRS:
-        return cell_pairs(system, members, stacked)
+        return cell_pairs(system, members, stacked, reach)
     i, j = np.triu_indices(members.shape[0], 1)
     return members[i], members[j], none
 
 
-def pair_count(system: System, source) -> int:
-    """How many pairs of a source there are at all."""
-    pieces, panels = system.pieces, system.walls.group.shape[0]
-    p, s = pieces.polytopes.shape[0], pieces.spheres.shape[0]
+def pair_count(kind, polytopes, spheres, panels) -> int:
+    """How many pairs of a kind there are at all, from the numbers of polytopes and spheres among the pieces and of panels."""
     return {
-        "hull-hull": p * (p - 1) // 2,
-        "sphere-sphere": s * (s - 1) // 2,
-        "hull-sphere": p * s,
-        "wall-hull": panels * p,
-        "wall-sphere": panels * s,
-    }[source]
+        "hulls": polytopes * (polytopes - 1) // 2 + panels * polytopes,
+        "mixed": polytopes * spheres + panels * spheres,
+        "spheres": spheres * (spheres - 1) // 2,
+    }[kind]
 
 
-def cell_pairs(system: System, members, stacked):
+def cell_pairs(system: System, members, stacked, reach):
     """Pairs of pieces in the same or in neighbouring cells, each once, and the most pieces in a row of three cells.
 
     Pieces are sorted by cell, z fastest, so that three cells one above the other are one range of the sorted list:
     the rest of a piece's own cell and the one above, and four rows beside it, hold its partners of higher rank.
     """
-    size = 2 * jnp.max(system.pieces.bounding_radius[members]) + system.skin
+    size = 2 * jnp.max(system.pieces.bounding_radius[members]) + reach
     place = stacked[:3, members] - system.domain_low[:, None]
     count = jnp.ceil((system.domain_high - system.domain_low) / size).astype(jnp.int32) + 2
     cell = jnp.clip(jnp.floor(place / size).astype(jnp.int32) + 1, 1, count[:, None] - 2)
@@ -141,12 +133,12 @@ def _product(first, second):
     return jnp.repeat(first, second.shape[0]), jnp.tile(second, first.shape[0])
 
 
-def within_bounds(system: System, stacked, source, a, b):
-    """Whether the bounds of two bodies are nearer than the skin, [pairs] bool: spheres, of a panel the box around it."""
+def within_bounds(system: System, stacked, source, a, b, gap):
+    """Whether the bounds of two bodies are nearer than a gap (m), [pairs] bool: spheres, of a panel the box around it."""
     live = a >= 0
     a, b = jnp.maximum(a, 0), jnp.maximum(b, 0)
     radius = system.pieces.bounding_radius
-    reach = radius[b] + system.skin
+    reach = radius[b] + gap
     if source.startswith("wall"):
         panel = a - radius.shape[0]
         first, second = bodies.take(stacked, a), bodies.take(stacked, b)
@@ -159,10 +151,10 @@ def within_bounds(system: System, stacked, source, a, b):
     return live & (vector.dot(away, away) < reach * reach)
 
 
-def _depth(kind, slots: Slots, stacked):
+def _depth(system: System, kind, slots: Slots, stacked):
     """Overlap of each pair by the full test, [pairs] (m); of an empty one, minus infinity."""
     a, b = bodies.take(stacked, slots.a), bodies.take(stacked, slots.b)
-    return jnp.where(slots.live, forces.depth(kind, slots, a, b, bodies.offset(a, b)), -jnp.inf)
+    return jnp.where(slots.live, forces.depth(system, kind, slots, a, b, bodies.offset(a, b)), -jnp.inf)
 
 
 def constants(system: System, kind, a, b) -> Slots:
@@ -219,19 +211,41 @@ def _note_overlap(guard: Guard, first_time, relative, a, b) -> Guard:
 
 def compact(mask, a, b, slots):
     """The pairs where mask holds, in order, in a number of slots: how many there are, a, b (EMPTY where none)."""
-    count = jnp.sum(mask, dtype=jnp.int32)
-    (where,) = jnp.nonzero(mask, size=slots, fill_value=-1)
+    count, where = _first_set(mask, slots)
     keep = where >= 0
     return count, jnp.where(keep, a[where], EMPTY), jnp.where(keep, b[where], EMPTY)
 
 
-def carry_history(old: ContactTable, pairs, incidence, column) -> ContactTable:
-    """A table of the new pairs, source by source, each with the history that it had in the old table, or none.
+def _first_set(mask, slots):
+    """How many entries of a mask hold, and the places [slots] of the first of them, in order, -1 where there are no more.
+
+    Thirty-two entries to a word: adding up and searching is a matter of few words, not of all pairs. (As
+    ``jnp.nonzero``, which took ten times as long on a CPU.)
+    """
+    bit = jnp.arange(32, dtype=jnp.uint32)[:, None]
+    bits = jnp.pad(mask, (0, -mask.shape[0] % 32)).reshape(-1, 32).T.astype(jnp.uint32)
+    words = jnp.sum(bits << bit, axis=0, dtype=jnp.uint32)
+    until = jnp.cumsum(jax.lax.population_count(words).astype(jnp.int32))
+    wanted = jnp.arange(slots, dtype=jnp.int32)
+    word = jnp.searchsorted(until, wanted, side="right", method="scan_unrolled").astype(jnp.int32)
+    inside = jnp.minimum(word, words.shape[0] - 1)
+    left, rank = words[inside], wanted - jnp.where(inside > 0, until[inside - 1], 0)
+    place = 32 * inside
+    for half in (16, 8, 4, 2, 1):  # which bit of the word is the one of that rank
+        low = left & jnp.uint32((1 << half) - 1)
+        below = jax.lax.population_count(low).astype(jnp.int32)
+        above = rank >= below
+        rank, place = jnp.where(above, rank - below, rank), jnp.where(above, place + half, place)
+        left = jnp.where(above, left >> jnp.uint32(half), low)
+    return until[-1], jnp.where(wanted < until[-1], place, -1)
+
+
+def carry_history(old: ContactTable, a, b, incidence, column) -> ContactTable:
+    """A table of the pairs (a, b), each with the history that it had in the old table, or none.
 
     incidence: [touching, N] of the old tables; column: where the loads on b of this kind begin in it. A pair that was
     known stands among the few contacts of its b, so that no sorting and no search is needed.
     """
-    a, b = (jnp.concatenate(part) for part in zip(*pairs, strict=True))
     slots = old.a.shape[0]
     slot = incidence[:, jnp.maximum(b, 0)] - column  # [touching, P]
     inside = (slot >= 0) & (slot < slots)
@@ -274,34 +288,56 @@ def find_incidence(system: System, tables):
 def travel(system: System, state: State, start):
     """The most that any two bodies can have approached each other since the last rebuild, at step ``start`` (m).
 
-    Per piece: the way of its centre, the turn of its bounding sphere's surface, and what its present speed adds within
-    a sample interval; twice the largest, or the largest of a piece and of a wall.
+    On a way of the length that present speeds give a body comes no further from where it was than half of that and of
+    its displacement now; of both, those of the two bodies that went furthest.
     """
     position, orientation = state.anchor[:3], state.anchor[3:]
     way = vector.norm(tuple(state.position - position))
-    way = way + vector.norm(tuple(state.velocity)) * system.dt * system.substeps.astype(system.dt.dtype)
     if system.has_hulls:
         turn = rotation.multiply(tuple(state.orientation), rotation.conjugate(tuple(orientation)))
         way = way + 2 * vector.norm(turn[1:]) * system.pieces.bounding_radius
-    piece = jnp.max(way)
-    if not system.walls.moving:
-        return 2 * piece
-    return piece + jnp.maximum(piece, _wall_travel(system, state, start))
+    now = _panels_at(system, state.step)
+    of_walls = None
+    if system.walls.moving:
+        before = _panels_at(system, start)
+        turn = vector.sub(now.rotation[0], before.rotation[0]), vector.sub(now.rotation[1], before.rotation[1])
+        turned = jnp.sqrt(vector.dot(turn[0], turn[0]) + vector.dot(turn[1], turn[1]))
+        of_walls = vector.norm(vector.sub(now.centre, before.centre)) + turned * vector.norm(tuple(system.walls.half_extent))
+    return 0.5 * (_of_two(way, of_walls) + _interval(system) * _pace(system, state, now))
 
 
-def _wall_travel(system: System, state: State, start):
-    before, now = (system.dt * s.astype(system.dt.dtype) for s in (start, state.step))
-    old = boundary.panels(system.walls, before, before)
-    new = boundary.panels(system.walls, now, now)
-    radius = vector.norm(tuple(system.walls.half_extent))
-    way = vector.norm(vector.sub(new.centre, old.centre))
-    turn = vector.sub(new.rotation[0], old.rotation[0]), vector.sub(new.rotation[1], old.rotation[1])
-    turned = jnp.sqrt(vector.dot(turn[0], turn[0]) + vector.dot(turn[1], turn[1]))
-    return jnp.max(way + turned * radius)
+def _pace(system: System, state: State, panels: boundary.Panels):
+    """The most by which any two bodies approach each other now (m/s)."""
+    speed = vector.norm(tuple(state.velocity))
+    if system.has_hulls:
+        omega = rotation.angular_velocity(
+            tuple(state.orientation), vector.unpack(state.angular_momentum), vector.unpack(system.pieces.inertia)
+        )
+        speed = speed + vector.norm(omega) * system.pieces.bounding_radius
+    of_walls = None
+    if system.walls.moving:
+        of_walls = vector.norm(panels.velocity) + vector.norm(panels.spin) * vector.norm(tuple(system.walls.half_extent))
+    return _of_two(speed, of_walls)
+
+
+def _of_two(pieces, walls):
+    """The largest of two pieces, or of a piece and a wall, added up; walls: None where they rest."""
+    piece = jnp.max(pieces)
+    return 2 * piece if walls is None else piece + jnp.maximum(piece, jnp.max(walls))
+
+
+def _interval(system: System):
+    """Time between rebuilds (s)."""
+    return system.dt * (system.substeps * system.block_samples).astype(system.dt.dtype)
+
+
+def _panels_at(system: System, step) -> boundary.Panels:
+    time = system.dt * step.astype(system.dt.dtype)
+    return boundary.panels(system.walls, time, time)
 
 
 def empty_guard(system: System, dtype) -> Guard:
     """A guard that has seen nothing, in numpy."""
-    needed = {source: np.zeros((2,), np.int32) for source, _, _ in system.capacity}
+    needed = {kind: np.zeros((2,), np.int32) for kind, _, _ in system.capacity}
     zero = np.zeros((), np.int32)
     return Guard(needed, zero, zero, np.zeros((), dtype), -np.ones((), dtype), np.zeros((2,), np.int32))

@@ -1,6 +1,6 @@
 """A state as named arrays, and back: all that is needed to go on bit for bit.
 
-What the rebuild at the start of a chunk fills anew (slots, incidence, anchor) is left out.
+What the rebuild at the start of a chunk fills anew (slots, anchor, lead) is left out.
 """
 
 import jax
@@ -15,8 +15,8 @@ from dem_jax.types import State, System
 def pack(system: System, state: State) -> dict:
     """path -> array of the state, of the skin and of the capacities."""
     out = {path: np.asarray(leaf) for path, leaf in _leaves(state)[0]}
-    for source, candidates, slots in system.capacity:
-        out[f"capacity/{source}"] = np.array([candidates, slots], np.int32)
+    for kind, candidates, slots in system.capacity:
+        out[f"capacity/{kind}"] = np.array([candidates, slots], np.int32)
     for name in ("touching", "row_capacity"):
         out[name] = np.array(getattr(system, name), np.int32)
     return out | {"skin": np.asarray(system.skin)}
@@ -28,9 +28,9 @@ def unpack(system: System, state: State, arrays: dict) -> tuple[System, State]:
     Raises RecordError for arrays that are missing or of another form: the file is damaged or of another version.
     """
     rows = []
-    for source, _, _ in system.capacity:
-        candidates, slots = _found(arrays, f"capacity/{source}")
-        rows.append((source, int(candidates), int(slots)))
+    for kind, _, _ in system.capacity:
+        candidates, slots = _found(arrays, f"capacity/{kind}")
+        rows.append((kind, int(candidates), int(slots)))
     others = (int(_found(arrays, name)) for name in ("touching", "row_capacity"))
     system, state = guard.with_capacity(system, state, tuple(rows), *others)
     system = system.replace(skin=jnp.asarray(_found(arrays, "skin")))
@@ -43,12 +43,12 @@ def unpack(system: System, state: State, arrays: dict) -> tuple[System, State]:
             raise RecordError(f"restart/{path} is {found}, but the scene needs {needed}")
         leaves.append(jnp.asarray(array))
     kept = jax.tree.unflatten(structure, leaves)
-    return system, kept.replace(slots=state.slots, incidence=state.incidence, anchor=state.anchor)
+    return system, kept.replace(slots=state.slots, anchor=state.anchor, lead=state.lead)
 
 
 def _leaves(state: State):
     """[(path, array)] of what is kept, and its structure."""
-    kept = state.replace(slots={}, incidence=None, anchor=None)
+    kept = state.replace(slots={}, anchor=None, lead=None)
     paths, structure = jax.tree_util.tree_flatten_with_path(kept)
     return [(jax.tree_util.keystr(path, simple=True, separator="/"), leaf) for path, leaf in paths], structure
 

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dem_jax import build, failure, guard, record, restart, series, stepping
+from dem_jax import build, compiling, failure, guard, record, restart, series, stepping
 from dem_jax.errors import RecordError, SceneError, SimulationError
 from dem_jax.report import Progress
 from dem_jax.scene import Scene, load_scene, parse
@@ -96,6 +96,7 @@ class Job:
 
 def prepare(scene, seeds, runs) -> Job:
     """Set up a run (runs: None) or an ensemble, one seed for each run. Raises SceneError."""
+    compiling.loops_as_one()
     scene = build.self_contained(scene if isinstance(scene, Scene) else load_scene(scene))
     with jax.enable_x64(scene.run.precision == "f64"):
         built = build.build(scene, int(seeds[0]))
@@ -250,10 +251,11 @@ def _program(arguments, frames, clock, shown):
         if shown:
             shown.compiling()
         start = time.perf_counter()
+        backend = jax.default_backend()
         function = partial(_chunk, frames)
         if arguments[1].step.ndim:
             function = jax.vmap(function, in_axes=(None, 0, None, None, None))
-        _PROGRAMS[key] = stepping.jit(function, jax.default_backend()).lower(*arguments).compile()
+        _PROGRAMS[key] = compiling.jit(function, backend).lower(*arguments).compile()
         clock["compile"] += time.perf_counter() - start
     return _PROGRAMS[key]
 

@@ -1,12 +1,13 @@
 """One time step, read top to bottom as the physics, and the loops around it."""
 
-from functools import cache, partial
+from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from dem_jax import boundary, forces, integrate, measure, neighbours
-from dem_jax.types import Sample, State, System
+from dem_jax import boundary, compiling, forces, integrate, measure, neighbours
+from dem_jax.types import Array, Sample, State, System
 
 
 def step(system: System, state: State) -> tuple[State, Sample]:
@@ -15,29 +16,20 @@ def step(system: System, state: State) -> tuple[State, Sample]:
     return state, measure.sample(system, state)
 
 
-def advance(system: System, state: State) -> State:
-    """One time step: kick, drift, walls, contacts, kick."""
+def advance(system: System, state: State, panels: boundary.Panels | None = None) -> State:
+    """One time step: kick, drift, walls, contacts, kick. panels: boundary.after_step of it, if that is known already."""
     state = integrate.kick(system, state)
     state, omega = integrate.drift(system, state)
-    time = system.dt * state.step.astype(system.dt.dtype)
-    panels = boundary.panels(system.walls, time, time - 0.5 * system.dt)
+    if panels is None:
+        panels = boundary.after_step(system, state.step)
     state = forces.contacts(system, state, omega, panels)
     return integrate.kick(system, state)
 
 
-# On the CPU the older way of fusing makes whole steps about 1.5 to 3 times faster (measured, jax 0.10).
-COMPILER_OPTIONS = {"cpu": {"xla_cpu_use_fusion_emitters": False}}
-
-
-@cache
-def jit(function, backend: str, **options):
-    """``jax.jit`` with the options that suit a backend."""
-    return jax.jit(function, compiler_options=COMPILER_OPTIONS.get(backend), **options)
-
-
 def chunk(system: System, state: State, count, frame_every, samples: int, frames: int):
     """``run_chunk``, compiled: the form for long runs."""
-    compiled = jit(run_chunk, jax.default_backend(), static_argnames=("samples", "frames"))
+    backend = jax.default_backend()
+    compiled = compiling.jit(run_chunk, backend, static_argnames=("samples", "frames"))
     return compiled(system, state, count, frame_every, samples=samples, frames=frames)
 
 
@@ -55,16 +47,15 @@ def run_chunk(system: System, state: State, count, frame_every, samples: int, fr
 
     def block(carry):
         state, recorded, poses, done = carry
-        start = state.step
-        state = neighbours.rebuild(system, state)
-        carry = state, recorded, poses, done
+        state, window = _look_around(system, state)
         end = jnp.minimum(done + system.block_samples, count)
-        state, recorded, poses, _ = jax.lax.fori_loop(done, end, one, carry)
-        return _seen(system, state, start), recorded, poses, end
+        carry = state, recorded, poses, done
+        state, recorded, poses, _ = jax.lax.fori_loop(done, end, partial(one, window), carry)
+        return _seen(system, state, window), recorded, poses, end
 
-    def one(_, carry):
+    def one(window, _, carry):
         state, recorded, poses, done = carry
-        state, sample = _one_sample(system, system.substeps, state)
+        state, sample = _one_sample(system, system.substeps, state, window)
         recorded = jax.tree.map(lambda rows, row: rows.at[done].set(row), recorded, sample)
         if frames:
             poses = poses.at[jnp.minimum((done + phase) // frame_every, frames - 1)].set(measure.frame(system, state))
@@ -80,36 +71,50 @@ def rollout(system: System, state: State, samples: int, substeps: int) -> tuple[
 
     Returns the last state and the samples, each field with a leading axis [samples]. Use ``chunk`` for long runs.
     """
-    system = system.replace(substeps=jnp.full_like(system.substeps, substeps))
+    steps = substeps * system.block_samples
+    system = system.replace(substeps=jnp.full_like(system.substeps, substeps), block_steps=steps)
 
     def body(state, _):
-        start = state.step
-        state = neighbours.rebuild(system, state)
-        state, recorded = _scan(system.block_samples, partial(_one_sample, system, substeps), state)
-        return _seen(system, state, start), recorded
+        state, window = _look_around(system, state)
+        one = lambda state, _: _one_sample(system, substeps, state, window)  # noqa: E731
+        state, recorded = jax.lax.scan(one, state, None, length=system.block_samples)
+        return _seen(system, state, window), recorded
 
     blocks = -(-samples // system.block_samples)
     state, recorded = jax.lax.scan(body, state, None, length=blocks)
     return state, jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:samples], recorded)
 
 
-def _scan(count, body, state):
-    return jax.lax.scan(lambda state, _: body(state), state, None, length=count)
+class Window(NamedTuple):
+    """What is known ahead for the steps between two rebuilds."""
+
+    start: Array  # int32: the step of the rebuild
+    walls: boundary.Panels  # boundary.schedule
 
 
-def _one_sample(system: System, substeps, state: State) -> tuple[State, Sample]:
+def _look_around(system: System, state: State) -> tuple[State, Window]:
+    """Find the candidate pairs anew, and where the walls will be until the next rebuild."""
+    walls = boundary.schedule(system, state.step, system.block_steps)
+    return neighbours.rebuild(system, state), Window(state.step, walls)
+
+
+def _one_sample(system: System, substeps, state: State, window: Window) -> tuple[State, Sample]:
     """Advance by one sample interval. substeps: an int (differentiable) or an array (not compiled anew for another)."""
-    start = state.step
     state = _new_interval(state)
     for part in range(system.parts):
         if part:
-            state = neighbours.rebuild(system, _seen(system, state, start))
-            start = state.step
-        if isinstance(substeps, int):
-            state, _ = jax.lax.scan(lambda s, _: (advance(system, s), None), state, None, length=substeps)
-        else:
-            state = jax.lax.fori_loop(0, substeps, lambda _, s: advance(system, s), state)
+            state, window = _look_around(system, _seen(system, state, window))
+        state = _advance_by(system, substeps, state, window)
     return state, measure.sample(system, state)
+
+
+def _advance_by(system: System, substeps, state: State, window: Window) -> State:
+    def one(state):
+        return advance(system, state, boundary.scheduled(system, window.walls, state.step - window.start))
+
+    if isinstance(substeps, int):
+        return jax.lax.scan(lambda state, _: (one(state), None), state, None, length=substeps)[0]
+    return jax.lax.fori_loop(0, substeps, lambda _, state: one(state), state)
 
 
 def _new_interval(state: State) -> State:
@@ -119,7 +124,7 @@ def _new_interval(state: State) -> State:
     )
 
 
-def _seen(system: System, state: State, start) -> State:
-    """Note how far bodies have moved since the rebuild at step ``start``."""
-    travel = jnp.maximum(state.guard.travel, neighbours.travel(system, state, start))
+def _seen(system: System, state: State, window: Window) -> State:
+    """Note how far bodies have moved since the last rebuild, beyond what their speeds made expect."""
+    travel = jnp.maximum(state.guard.travel, neighbours.travel(system, state, window.start) - state.lead)
     return state.replace(guard=state.guard.replace(travel=travel))

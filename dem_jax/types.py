@@ -33,8 +33,9 @@ class Hulls:
 
     normals: tuple  # [F, S] x 3: outward unit normals; of a zonotope face f + F/2 is opposite to face f
     offsets: Array  # [F, S] (m): n . x <= offset
-    corners: tuple | None  # [k, F, S] x 3 (m): corners of each face in order, the last one repeated
-    loops: Array  # [3 (k + 1), F S] (m): the same as columns, each closed by its first corner; not gathered to pairs
+    corners: tuple | None  # [k, F, S] x 3 (m): corners of each face in order, some repeated
+    loops: Array | None  # [3 (1 + k), F S] (m): the same as columns, each closed by its first corner; of zonotopes, whose
+    # edges come in opposite pairs, [3 (1 + k/2), F S]: centre of the face, then the first half of its edges
     row: Array  # [S] int32: which shape of the table
     vertices: tuple  # [V, S] x 3 (m)
     directions: tuple  # [D, S] x 3: unit edge directions
@@ -108,6 +109,7 @@ CHOICES = (
     "ledger",
     "block_samples",
     "parts",
+    "block_steps",
 )
 
 
@@ -123,12 +125,12 @@ class System:
     gravity: Array  # [3] (m/s2)
     dt: Array  # (s)
     substeps: Array  # int32: steps per sample (per part of a sample, if it has parts)
-    skin: Array  # (m): pairs nearer than this are candidates until the next rebuild
+    skin: Array  # (m): pairs nearer than this, beyond the way that present speeds take them, are candidates
     block_low: Array  # [3, B] (m): corners of the blocks in which settled mass is counted
     block_high: Array  # [3, B] (m)
     domain_low: Array  # [3] (m): a piece outside has left the scene
     domain_high: Array  # [3] (m)
-    capacity: tuple  # ((source of contacts, candidates, slots), ...): the sources that the scene has, see neighbours
+    capacity: tuple  # ((kind of contact, candidates, slots), ...): the kinds that the scene has, see neighbours
     touching: int  # most contacts that a piece may have at once
     row_capacity: int  # most pieces in three neighbouring cells in a row; 0: every pair is looked at
     has_hulls: bool  # whether any piece is a polytope
@@ -139,6 +141,7 @@ class System:
     ledger: bool  # whether work and dissipation are added up
     block_samples: int  # samples between rebuilds of the candidate pairs, or, where this is 1 ...
     parts: int  # ... the parts, a rebuild before each, that a long sample interval is cut into
+    block_steps: int  # at least as many steps as there are between rebuilds
 
 
 @pytree
@@ -189,10 +192,10 @@ class Ledger:
 class Guard:
     """What must not happen silently, as data: the host looks at it after each chunk."""
 
-    needed: dict  # source of contacts -> int32 [2]: most candidates and slots that any rebuild wanted
+    needed: dict  # kind of contact -> int32 [2]: most candidates and slots that any rebuild wanted
     touching: Array  # int32: most contacts of one piece that any rebuild wanted
     row: Array  # int32: most pieces in three neighbouring cells in a row
-    travel: Array  # (m): most that two bodies can have approached each other between rebuilds
+    travel: Array  # (m): most that two bodies can have approached each other between rebuilds, beyond State.lead
     start_overlap: Array  # (-): largest overlap at the first rebuild, relative to the width of the piece; -1: not yet
     start_pair: Array  # [2] int32: a and b of that pair
 
@@ -217,6 +220,7 @@ class State:
     incidence: Array  # [touching, N] int32: where the contacts of each piece stand among all (see forces.gather_loads)
     ledger: Ledger
     anchor: Array  # [7, N]: position and orientation at the last rebuild
+    lead: Array  # (m): most that two bodies approach each other at the speeds they had then, until the next rebuild
     guard: Guard
 
 

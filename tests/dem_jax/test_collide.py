@@ -15,7 +15,7 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from dem_jax import collide, hulls, shapes
-from dem_jax.stepping import COMPILER_OPTIONS
+from dem_jax.compiling import OPTIONS
 
 BATCH = 192  # pairs at a time: one compiled program for each table of shapes
 ROUNDING = 1e-14  # m: bodies are 0.1 m in size, a depth is a difference of sums of a few such lengths
@@ -39,9 +39,9 @@ def principal(shape):
     return shape.vertices @ Rotation.from_quat(shape.principal, scalar_first=True).as_matrix()
 
 
-@partial(jax.jit, compiler_options=COMPILER_OPTIONS["cpu"])
+@partial(jax.jit, compiler_options=OPTIONS["cpu"])
 def _computed(table, ia, ib, turn, offset):
-    a, b = hulls.gather(table, ia, False), hulls.gather(table, ib, False)
+    a, b = (hulls.with_faces(hulls.gather(table, i, False), table) for i in (ia, ib))
     rows = tuple(tuple(row) for row in turn)
     return collide.hull_hull(a, b, collide.Relative(rows, tuple(offset)))
 

@@ -1,23 +1,31 @@
 """Momentum, angular momentum and energy: what contacts must conserve, and what balances to the end."""
 
 from dataclasses import replace
+from functools import partial
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dem_jax import build, guard, stepping
+from dem_jax import build, guard, measure, neighbours, stepping, validation
 from dem_jax.scene import Scene, load_scene
 
 SAMPLES = 1024  # capacity of a chunk
 
 
 def built(scene, skin=None):
-    """The scene's system and first state; skin (m): larger than its own, so that a chunk never has to be run again."""
+    """The scene's system and first state; skin (m): larger than its own, so that a chunk never has to be run again, and
+    with room for all pairs."""
     made = build.build(scene, 0)
-    system = made.system
-    return replace(made, system=system.replace(skin=system.skin * 0 + skin) if skin else system)
+    if not skin:
+        return made
+    system = made.system.replace(skin=made.system.skin * 0 + skin)
+    counts = system.pieces.polytopes.shape[0], system.pieces.spheres.shape[0], system.walls.group.shape[0]
+    room = tuple((kind, *[neighbours.pair_count(kind, *counts)] * 2) for kind, *_ in system.capacity)
+    system, state = guard.with_capacity(system, made.state, room, system.touching, system.row_capacity)
+    return replace(made, system=system, state=state)
 
 
 def run(made, samples, finer=1, state=None):
@@ -154,6 +162,46 @@ def test_the_ledger_of_a_tumbling_impact_with_friction_closes_at_second_order():
     assert off[1] / off[2] == pytest.approx(4, rel=0.1)
 
 
+@pytest.mark.parametrize(("restitution", "friction"), [(0.1, 0.3), (0.1, 0.0), (0.7, 0.3), (1.0, 0.0)])
+def test_energy_never_grows_in_an_impact_that_tips_and_turns(restitution, friction):
+    """At the paper's softening the pulse is so long that a piece rolls from corner to corner while it lasts.
+
+    What may come from nothing is the work on the separation line, lambda = 0.1 % of the work of loading, as the overlap
+    grows by turning, and what the time step leaves, which falls with its square.
+    """
+    made = build.build(validation.plate_scene({}, restitution=restitution, friction_wall=friction), 0)
+    turns = Rotation.random(24, random_state=4)
+    frame = Rotation.from_quat(made.frames[0], scalar_first=True)  # principal to body
+    height = [1e-5 - turn.apply(made.shapes[0].vertices)[:, 2].min() for turn in turns]
+    start = jnp.array(height), jnp.asarray((turns * frame).as_quat(scalar_first=True))
+    rise = []
+    for finer in (1, 2):
+        system = validation.lasting(made.system).replace(dt=made.system.dt / finer)
+        energy = np.asarray(impact_energies(system, made.state, *start, int(6e-3 / float(system.dt))))
+        mechanical = energy[..., :3].sum(-1)
+        rise.append((mechanical - np.minimum.accumulate(mechanical, axis=1)).max() / mechanical[0, 0])
+    print(f"restitution {restitution}, friction {friction}: rise {rise}")
+    assert rise[1] < 2e-3
+    if restitution == 1:
+        assert rise[0] / rise[1] > 3
+
+
+@partial(jax.jit, static_argnames="steps")
+def impact_energies(system, state, heights, orientations, steps):
+    """Energies [K, steps, 6] of pieces that fall at 2 m/s onto the plate, side by side."""
+
+    def one(height, orientation):
+        zero = jnp.zeros_like(height)
+        start = state.replace(
+            position=jnp.stack([zero, zero, height])[:, None],
+            orientation=orientation[:, None],
+            velocity=jnp.stack([zero, zero, zero - 2])[:, None],
+        )
+        return validation.trace(system, start, steps, measure.energies)[1]
+
+    return jax.vmap(one)(heights, orientations)
+
+
 def box(restitution):
     """Eight marshmallows in random poses, in two columns of four layers, above the floor of a box of 120 x 120 mm."""
     random = np.random.default_rng(3)
@@ -181,16 +229,16 @@ def test_pieces_in_a_box_lose_energy_and_come_to_rest(restitution, samples):
         state, recorded = run(made, samples - 1000, state=state)
         energy = np.concatenate([energy, recorded.energy])
     mechanical = energy[:, :3].sum(1)
-    # largest rise above any earlier value: the force acts at the centre of the overlap, not at the deepest corner
-    rise = (mechanical - np.minimum.accumulate(mechanical)).max()
+    rise = (mechanical - np.minimum.accumulate(mechanical)).max()  # the largest above any earlier value
     off = np.abs(energy[:, 5] - energy[0, 5]).max()
     print(f"restitution {restitution}: rise {rise:.2g} J of {mechanical[0]:.3g} J, ledger {off:.2g} J")
-    assert rise < 5e-3 * mechanical[0]
-    assert off < 5e-4 * mechanical[0]
+    # The steps that epsilon = 0.7 allows are 7 times longer, and what is not closed grows with their square.
+    assert rise < (1e-9 if restitution < 0.5 else 3e-4) * mechanical[0]
+    assert off < 1e-3 * mechanical[0]
     assert energy[-1, 0] < 0.05 * mechanical[0]
     if restitution < 0.5:
         return  # its small steps make waiting for rest too long for a test
     floor = -recorded.mean_force[-400:].sum(-1)[:, 2].mean() / (9.81 * float(made.system.pieces.mass.sum())) - 1
     print(f"at rest {energy[-1, 0]:.2g} J, force on walls / weight - 1 = {floor:.2g}")
-    assert energy[-1, 0] < 1e-5  # J: they still rock
-    assert abs(floor) < 1e-3  # 0.2 s at 1e-6 J: 0.02 m/s of momentum left over 0.2 s at 9.81 m/s2 at most
+    assert energy[-1, 0] < 1e-6  # J
+    assert abs(floor) < 1e-4

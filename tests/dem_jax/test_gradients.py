@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dem_jax import build, stepping, validation
+from dem_jax import build, compiling, stepping, validation
 from dem_jax.validation import NormalImpact
 
 G = 9.81  # m/s2
@@ -69,7 +69,7 @@ def start_of(shape):
 def derivatives(shape):
     """Reverse mode and central finite differences, [3 outcomes, 3 parameters], and the outcomes."""
     parameters = start_of(shape)
-    options = {"compiler_options": stepping.COMPILER_OPTIONS["cpu"]}
+    options = {"compiler_options": compiling.OPTIONS["cpu"]}
     function = jax.jit(lambda p: outcome(shape, p), **options)
     pull = jax.jit(lambda p, weights: jax.vjp(lambda p: outcome(shape, p), p)[1](weights)[0], **options)
     reverse = np.stack([pull(parameters, weights) for weights in jnp.eye(3)])

@@ -43,7 +43,7 @@ def marshmallows():
     pieces = [{"position": (0.07 * (k % 4), 0.07 * (k // 4), 0.3)} for k in range(COUNT)]
     made = build.build(Scene(piece=pieces, wall=[FLOOR], run=SETTINGS), 0)
     system = made.system.replace(skin=jnp.asarray(SKIN))
-    every = tuple((source, pairs, pairs) for source, pairs in (("hull-hull", COUNT * (COUNT - 1) // 2), ("wall-hull", COUNT)))
+    every = (("hulls", *[neighbours.pair_count("hulls", COUNT, 0, 1)] * 2),)
     system, state = guard.with_capacity(system, made.state, every, COUNT, system.row_capacity)
     return made, system, state, jax.jit(partial(neighbours.rebuild, system))
 
@@ -129,7 +129,7 @@ def spheres(count, radius):
         ]
         made = build.build(Scene(piece=pieces, run=SETTINGS), 0)
         system = made.system
-        system, state = guard.with_capacity(system, made.state, (("sphere-sphere", 20000, 20000),), count, count)
+        system, state = guard.with_capacity(system, made.state, (("spheres", 20000, 20000),), count, count)
         _SPHERES["made"] = build.dataclasses.replace(made, system=system, state=state)
         _SPHERES["rebuild"] = jax.jit(neighbours.rebuild)
     return _SPHERES["made"], _SPHERES["rebuild"]
@@ -137,17 +137,17 @@ def spheres(count, radius):
 
 def test_too_many_pairs_are_reported_not_lost_in_silence(marshmallows):
     made, _, state, _ = marshmallows
-    small = (("hull-hull", 8, 8), ("wall-hull", 8, 8))
+    small = (("hulls", 8, 8),)
     system = made.system.replace(skin=jnp.asarray(SKIN), capacity=small, touching=2)
-    tables = {"hulls": neighbours.empty_table(16, np.float64)}
+    tables = {"hulls": neighbours.empty_table(8, np.float64)}
     state = guard.with_scratch(
         system, placed(made.state, *poses("clustered", np.random.default_rng(3), COUNT, 0.045)).replace(contacts=tables)
     )
     after = jax.device_get(jax.jit(neighbours.rebuild)(system, state)).guard
-    assert after.needed["hull-hull"][0] > 8
+    assert after.needed["hulls"][0] > 8
     assert after.touching > 2
     said = " ".join(guard.outgrown(system, after))
-    assert "hull-hull" in said and "contacts of a piece" in said
+    assert "of hulls for 8" in said and "contacts of a piece" in said
     larger, again = guard.grown(system, state, after)
     for _ in range(4):  # what was cut off in one stage shows in the next
         after = jax.device_get(jax.jit(neighbours.rebuild)(larger, again)).guard
@@ -170,7 +170,8 @@ def test_the_order_of_the_slots_does_not_matter(marshmallows):
     table = settled.contacts["hulls"]
     assert (np.asarray(table.force) > 0).sum() > 5 and np.abs(np.asarray(table.spring)).max() > 0
     order = random.permutation(table.a.shape[0])
-    mixed = settled.replace(contacts={"hulls": jax.tree.map(lambda x: x[..., order], table)})
+    tables = {"hulls": jax.tree.map(lambda x: x[..., order], table)}
+    mixed = settled.replace(contacts=tables, incidence=neighbours.find_incidence(system, tables)[0])
     one, other = (advance(rebuild(s)) for s in (settled, mixed))
     np.testing.assert_array_equal(one.contacts["hulls"].force, other.contacts["hulls"].force)
     np.testing.assert_array_equal(one.force, other.force)

@@ -118,7 +118,8 @@ def scalar_impacts(dt, phase, epsilon, steps):
             s, v, force, overlap = carry
             v = v - 0.5 * dt * force
             s = s + dt * v
-            f = contact.normal_force(force, overlap, s, 1.0, 1.0 / epsilon**2, 0.001)
+            approach = jnp.maximum(s, 0.0) - overlap
+            f = contact.normal_force(force, approach, s, 1.0, 1.0 / epsilon**2, 0.001)
             v = v - 0.5 * dt * f
             return (s, v, f, jnp.maximum(s, 0.0)), f
 

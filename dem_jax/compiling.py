@@ -1,0 +1,31 @@
+"""How XLA is told to compile the loops over time steps. A step of few pieces is hundreds of small operations.
+
+On the CPU XLA runs each of them as a task of its own, which takes longer than the operation itself; of a loop that it
+takes for small it makes one function instead. What counts as small can be set only for a whole process, by XLA_FLAGS,
+before XLA is first used. With that, with the older way of fusing, and without the library that it hands sums and
+extremes to, steps of 9, 64 and 343 pieces take about half as long (measured, jax 0.10). Results are the same.
+"""
+
+import os
+from functools import cache
+
+import jax
+
+OPTIONS = {"cpu": {"xla_cpu_use_fusion_emitters": False, "xla_cpu_experimental_ynn_fusion_type": ""}}
+SMALL_LOOPS = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1073741824"
+
+
+def loops_as_one():
+    """Have XLA make one function of each loop, in all that this process compiles; without effect once XLA is in use.
+
+    Leaves XLA_FLAGS alone if it says something of ``xla_backend_extra_options`` already.
+    """
+    flags = os.environ.get("XLA_FLAGS", "")
+    if "xla_backend_extra_options" not in flags:
+        os.environ["XLA_FLAGS"] = f"{flags} {SMALL_LOOPS}".strip()
+
+
+@cache
+def jit(function, backend: str, **options):
+    """``jax.jit`` with the options that suit a backend."""
+    return jax.jit(function, compiler_options=OPTIONS.get(backend), **options)
