@@ -47,7 +47,7 @@ def cost_of_a_step(count: int):
     from dem_jax import run
 
     system, state, job = packed(count)
-    samples = max(system.block_samples, int(1.0 / (30e-6 * count**0.8 * job.steps_per_sample)) // 10 * 10)
+    samples = max(20, int(1.0 / (30e-6 * count**0.8 * job.steps_per_sample)) // 10 * 10)
     samples = min(samples, run.SAMPLES)
     times = []
     for _ in range(REPEATS):

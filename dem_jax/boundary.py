@@ -106,10 +106,10 @@ def schedule(system: System, step, count: int) -> Panels:
 
 
 def scheduled(system: System, schedule: Panels, index) -> Panels:
-    """The panels of a schedule at an index."""
+    """The panels of a schedule at an index; not a number beyond its end."""
     if not system.walls.moving:
         return schedule
-    return jax.tree.map(lambda rows: jax.lax.dynamic_index_in_dim(rows, index, keepdims=False), schedule)
+    return jax.tree.map(lambda rows: rows.at[index].get(mode="fill", fill_value=jnp.nan), schedule)
 
 
 def _rate(function, t):

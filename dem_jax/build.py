@@ -60,7 +60,7 @@ def build(scene: Scene, seed: int = 0) -> Built:
     settling = _settling_samples(scene) * step.substeps
     samples = max(1, round(scene.run.duration / scene.run.sample))
     frame_every = max(1, round(scene.run.frames / scene.run.sample)) if scene.run.frames else 0
-    block_samples, parts = _cadence(scene, step.substeps, frame_every)
+    parts = _parts(step.substeps, scene.run.rebuild_steps)
     walls, plates, seams = _wall_arrays(panels, motions, joint, dtype)
     domain = _domain(scene, panels, start, made)
     polytopes = [i for i, m in enumerate(made) if m.radius == 0]
@@ -95,9 +95,8 @@ def build(scene: Scene, seed: int = 0) -> Built:
         has_rotation=True,
         has_damping=scene.material.unloading_damping > 0,
         ledger=scene.run.energy,
-        block_samples=block_samples,
         parts=parts,
-        block_steps=_round_to(8, step.substeps // parts * block_samples),
+        block_steps=_round_to(8, scene.run.rebuild_steps),
     )
     only_spheres = not polytopes
     system = system.replace(has_rotation=not only_spheres or system.has_friction or bool(np.any(start.spin)))
@@ -451,15 +450,12 @@ def _eccentricity(shape):
     return float(1 / (1 + np.linalg.eigvalsh(compliance).max()))
 
 
-def _cadence(scene: Scene, substeps, frame_every):
-    """Samples between rebuilds, or parts of a sample, so that a rebuild comes about every ``run.rebuild_steps`` steps."""
-    target = scene.run.rebuild_steps
-    if substeps <= target:
-        return max(1, round(target / substeps)), 1
-    parts = -(-substeps // target)
+def _parts(substeps, most) -> int:
+    """Parts, of equally many steps, that a sample interval is cut into, so that none has more steps than ``most``."""
+    parts = -(-substeps // most)
     while substeps % parts:
         parts += 1
-    return 1, parts
+    return parts
 
 
 def _capacity(made, polytopes, panels):

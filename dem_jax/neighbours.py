@@ -327,8 +327,8 @@ def _of_two(pieces, walls):
 
 
 def _interval(system: System):
-    """Time between rebuilds (s)."""
-    return system.dt * (system.substeps * system.block_samples).astype(system.dt.dtype)
+    """Longest time between rebuilds (s)."""
+    return system.dt * system.block_steps
 
 
 def _panels_at(system: System, step) -> boundary.Panels:

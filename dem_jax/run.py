@@ -87,7 +87,7 @@ class Job:
     @property
     def stride(self):
         """Samples per chunk, a multiple of the samples between rebuilds: a rebuild at its start is due anyway."""
-        block = self.system.block_samples
+        block = max(1, self.system.block_steps // int(self.system.substeps))
         bodies = self.state.position.shape[-1] * (self.runs or 1)
         wanted = CHUNK_TIME / (self.steps_per_sample * (10e-6 + 2e-6 * bodies))
         room = min(SAMPLES, (FRAMES - 1) * self.every + 1) if self.every else SAMPLES

@@ -68,7 +68,7 @@ class RunSettings(Section):
         None, description="m; a piece below this has left the scene; unset: from the walls"
     )
     domain_high: Vector | None = Field(None, description="m")
-    rebuild_steps: int = Field(48, ge=1, description="about how many steps candidate pairs are kept")
+    rebuild_steps: int = Field(48, ge=1, description="how many steps candidate pairs are kept at most")
 
 
 class PieceShape(Section):

@@ -48,7 +48,7 @@ def run_chunk(system: System, state: State, count, frame_every, samples: int, fr
     def block(carry):
         state, recorded, poses, done = carry
         state, window = _look_around(system, state)
-        end = jnp.minimum(done + system.block_samples, count)
+        end = jnp.minimum(done + jnp.maximum(system.block_steps // system.substeps, 1), count)
         carry = state, recorded, poses, done
         state, recorded, poses, _ = jax.lax.fori_loop(done, end, partial(one, window), carry)
         return _seen(system, state, window), recorded, poses, end
@@ -71,16 +71,16 @@ def rollout(system: System, state: State, samples: int, substeps: int) -> tuple[
 
     Returns the last state and the samples, each field with a leading axis [samples]. Use ``chunk`` for long runs.
     """
-    steps = substeps * system.block_samples
-    system = system.replace(substeps=jnp.full_like(system.substeps, substeps), block_steps=steps)
+    block = max(1, system.block_steps // substeps)
+    system = system.replace(substeps=jnp.full_like(system.substeps, substeps), block_steps=block * substeps)
 
     def body(state, _):
         state, window = _look_around(system, state)
         one = lambda state, _: _one_sample(system, substeps, state, window)  # noqa: E731
-        state, recorded = jax.lax.scan(one, state, None, length=system.block_samples)
+        state, recorded = jax.lax.scan(one, state, None, length=block)
         return _seen(system, state, window), recorded
 
-    blocks = -(-samples // system.block_samples)
+    blocks = -(-samples // block)
     state, recorded = jax.lax.scan(body, state, None, length=blocks)
     return state, jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:samples], recorded)
 

@@ -107,7 +107,6 @@ CHOICES = (
     "has_rotation",
     "has_damping",
     "ledger",
-    "block_samples",
     "parts",
     "block_steps",
 )
@@ -124,7 +123,7 @@ class System:
     law: Law
     gravity: Array  # [3] (m/s2)
     dt: Array  # (s)
-    substeps: Array  # int32: steps per sample (per part of a sample, if it has parts)
+    substeps: Array  # int32: steps per sample (per part of a sample, if it has parts), at most block_steps
     skin: Array  # (m): pairs nearer than this, beyond the way that present speeds take them, are candidates
     block_low: Array  # [3, B] (m): corners of the blocks in which settled mass is counted
     block_high: Array  # [3, B] (m)
@@ -139,9 +138,8 @@ class System:
     has_rotation: bool
     has_damping: bool
     ledger: bool  # whether work and dissipation are added up
-    block_samples: int  # samples between rebuilds of the candidate pairs, or, where this is 1 ...
-    parts: int  # ... the parts, a rebuild before each, that a long sample interval is cut into
-    block_steps: int  # at least as many steps as there are between rebuilds
+    parts: int  # a sample interval of more steps than the next is cut into so many parts, a rebuild before each
+    block_steps: int  # most steps between rebuilds of the candidate pairs; a rebuild comes before the sample that exceeds it
 
 
 @pytree

@@ -1,0 +1,67 @@
+"""What compiles anew and what does not, and how XLA is asked to compile."""
+
+import os
+
+import jax
+import numpy as np
+import pytest
+
+from dem_jax import compiling, run, stepping
+from dem_jax.scene import load_scene
+
+BASE = {"run.duration": 6e-4, "portion.settling_time": 6e-4, "portion.count": 3}
+
+# Key and value, and whether the time step stays what it was.
+SAME_PROGRAM = {
+    "seed": {},
+    "drop height": {"drop.height": 0.4},
+    "density": {"material.density": 250.0},
+    "restitution and its time step": {"material.restitution": 0.3},
+    "softening and its time step": {"material.softening": 0.02},
+    "friction": {"material.friction_piece": 0.5},
+    "flap timing": {"feed_bucket.opening_time": 0.1, "feed_bucket.opening_start": 0.01},
+    "sample interval": {"run.sample": 6e-5},
+    "duration": {"run.duration": 1.2e-3},
+}
+
+
+@pytest.fixture
+def traces(monkeypatch):
+    """Counts how often a step is traced."""
+    count = []
+    advance = stepping.advance
+    monkeypatch.setattr(stepping, "advance", lambda *args: count.append(1) or advance(*args))
+    monkeypatch.setattr(run, "_PROGRAMS", {})
+    return count
+
+
+def test_other_values_do_not_compile_anew(traces):
+    def go(changes, seed=0):
+        scene = load_scene("weigh-bucket").replace(BASE | changes)
+        return run.simulate(scene, seed=seed)
+
+    go({})
+    first = len(traces)
+    assert first > 0 and len(run._PROGRAMS) == 1
+    for name, changes in SAME_PROGRAM.items():
+        result = go(changes, seed=1)
+        assert np.isfinite(result.energy["kinetic"]).all()
+        assert len(traces) == first and len(run._PROGRAMS) == 1, name
+    go({"portion.count": 4})
+    assert len(traces) == 2 * first  # the count of pieces is part of the program: the test can fail
+
+
+def test_flags_of_the_person_are_left_alone(monkeypatch):
+    mine = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=7"
+    monkeypatch.setenv("XLA_FLAGS", mine)
+    compiling.loops_as_one()
+    assert os.environ["XLA_FLAGS"] == mine
+    monkeypatch.setenv("XLA_FLAGS", "--xla_cpu_enable_fast_math=false")
+    compiling.loops_as_one()
+    compiling.loops_as_one()
+    assert os.environ["XLA_FLAGS"] == f"--xla_cpu_enable_fast_math=false {compiling.SMALL_LOOPS}"
+
+
+def test_every_option_is_known_to_the_compiler():
+    compiled = compiling.jit(lambda x: x + 1, "cpu")
+    assert float(compiled(jax.numpy.ones(()))) == 2.0
