@@ -13,6 +13,7 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from dem_jax import build, compiling, failure, guard, record, restart, series, stepping
 from dem_jax.errors import RecordError, SceneError, SimulationError
@@ -235,26 +236,39 @@ def advance(job: Job, system: System, state: State, first, count, shown) -> Span
 def execute(job: Job, system: System, state: State, first, count, shown=None):
     """Run the compiled chunk: the state on the device, samples and poses as numpy."""
     every = job.every or 1
+    mesh = None if job.runs is None else _mesh(job.runs)
+    if mesh:
+        state = jax.device_put(state, NamedSharding(mesh, PartitionSpec("runs")))
     arguments = system, state, *(np.int32(x) for x in (count, every, first % every))
-    program = _program(arguments, job.frame_capacity, job.clock, shown)
+    program = _program(arguments, mesh, job.frame_capacity, job.clock, shown)
     after, samples, poses = program(*arguments)
     return after, *jax.device_get((samples, poses))
+
+
+def _mesh(runs) -> Mesh:
+    """As many devices as can have equally many runs each."""
+    devices = jax.devices()
+    count = max(n for n in range(1, len(devices) + 1) if runs % n == 0)
+    return Mesh(np.array(devices[:count]), ("runs",))
 
 
 _PROGRAMS = {}  # compiled chunks by the form of their arguments
 
 
-def _program(arguments, frames, clock, shown):
+def _program(arguments, mesh, frames, clock, shown):
     leaves, structure = jax.tree.flatten(arguments)
-    key = structure, tuple((x.shape, str(x.dtype)) for x in leaves), frames
+    key = structure, tuple((x.shape, str(x.dtype)) for x in leaves), mesh, frames
     if key not in _PROGRAMS:
         if shown:
             shown.compiling()
         start = time.perf_counter()
         backend = jax.default_backend()
         function = partial(_chunk, frames)
-        if arguments[1].step.ndim:
+        if mesh:
+            together, each = PartitionSpec(), PartitionSpec("runs")
             function = jax.vmap(function, in_axes=(None, 0, None, None, None))
+            sides = {"in_specs": (together, each, together, together, together), "out_specs": each}
+            function = jax.shard_map(function, mesh=mesh, check_vma=False, **sides)
         _PROGRAMS[key] = compiling.jit(function, backend).lower(*arguments).compile()
         clock["compile"] += time.perf_counter() - start
     return _PROGRAMS[key]

@@ -1,5 +1,9 @@
 """Ensembles: each member is its own single run, with the same guards, and a failure says whose it is."""
 
+import os
+import subprocess
+import sys
+
 import jax
 import numpy as np
 import pytest
@@ -92,3 +96,31 @@ def test_overlapping_starts_name_the_run():
         SceneError, match=r"piece 1 and wall group 'plate' of run 2 \(seed 5\) overlap at the start by 50 %"
     ):
         run.drive(job, None, False, False)
+
+
+SHARDED = """
+import sys, jax, numpy as np
+jax.config.update("jax_enable_x64", True)
+import dem_jax
+runs = dem_jax.ensemble(sys.argv[1], runs=4, seed=7)
+series = {path: getattr(runs, path.split("/")[0])[path.split("/")[1]] for path in sys.argv[3].split()}
+np.savez(sys.argv[2], devices=len(jax.devices()), position=runs.pieces.position, **series)
+"""
+
+
+def test_the_bits_do_not_depend_on_the_number_of_devices(tmp_path):
+    scene = scattered(**{"run.duration": 0.012})
+    (tmp_path / "scene.toml").write_text(scene.to_toml())
+    found = []
+    for devices in (1, 2, 3):  # 3 does not divide the number of runs: two of them are used
+        command = [sys.executable, "-c", SHARDED, "scene.toml", f"{devices}.npz", "force/plate mean_force/plate energy/total"]
+        done = subprocess.run(
+            command, env=dict(os.environ, JAX_NUM_CPU_DEVICES=str(devices)), cwd=tmp_path, capture_output=True, text=True
+        )
+        assert done.returncode == 0, done.stderr
+        found.append(dict(np.load(tmp_path / f"{devices}.npz")))
+    assert [int(f.pop("devices")) for f in found] == [1, 2, 3]
+    assert np.abs(found[0]["force/plate"]).max() > 0.01
+    for other in found[1:]:
+        for path, array in found[0].items():
+            np.testing.assert_array_equal(other[path], array, err_msg=path)
