@@ -87,3 +87,9 @@ def log_increments(force, lags):
     lagged = autocorrelation(smooth, (0, *lags))
     ends = jnp.stack([jnp.sum(smooth[:lag] ** 2) + jnp.sum(smooth[-lag:] ** 2) for lag in lags])
     return jnp.log(jnp.maximum(2.0 * lagged[0] - ends - 2.0 * lagged[1:], 1e-12 * jnp.maximum(lagged[0], 1e-12)))
+
+
+def log_increments_of_trace(force, lags):
+    """The same of one measured trace (NumPy), by its definition: traces of any length, without a program for each."""
+    smooth = low_pass(force)
+    return np.array([np.log(max(np.sum((smooth[lag:] - smooth[:-lag]) ** 2), 1e-12 * np.sum(smooth**2), 1e-24)) for lag in lags])
