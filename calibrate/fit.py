@@ -9,11 +9,12 @@ import numpy as np
 from calibrate import goodness, uncertainty
 from calibrate.errors import BadInput
 from calibrate.prepare import draw, measure
-from calibrate.solve import solve_starts
+from calibrate.solve import scan_lengths, solve_starts
 from calibrate.targets import Target
 from calibrate.unconstrained import NAMES
 
-SPREAD_OF_STARTS = 3  # further starts beside the given one
+STARTS = 4
+SCAN = (0.7, 90.0, 12)  # least and greatest dt_impact (bins) that the first guess looks at, and how many
 LEAST_TRACES = 4  # half of the traces say nothing of gamma_high; two of the rest are needed to tell a scatter
 AGREEMENT = 0.1  # starts agree where they differ by less than this share of the interval's half width
 
@@ -46,8 +47,9 @@ class Fit:
         return asdict(self)
 
 
-def default_start(targets: list[Target], measured) -> dict:
-    """Start values from the traces' own mean drop height and spreads; dt_impact: the paper's 500 us.
+def default_start(targets: list[Target], measured, draws) -> dict:
+    """Start values that the traces tell: h_mean and the limits from their own mean drop heights and spreads, dt_impact
+    as the best of a coarse scan of the increments.
 
     Raises `BadInput` where the momentum of the traces is not that of falling portions of their weight.
     """
@@ -58,35 +60,39 @@ def default_start(targets: list[Target], measured) -> dict:
             f"({targets[0].m_piece:g} kg), their number ({targets[0].pieces}), time zero and --align"
         )
     low, high = np.quantile(np.asarray(measured.spread), [0.25, 0.95])
-    return {"dt_impact": 500e-6, "gamma_low": float(low), "gamma_high": float(1.5 * high), "h_mean": height}
+    start = {"gamma_low": float(low), "gamma_high": float(1.5 * high), "h_mean": height}
+    lengths = measured.grid.sample * np.geomspace(*SCAN)
+    return start | {"dt_impact": float(lengths[int(np.argmin(scan_lengths(lengths, start, draws, measured)))])}
 
 
-def several_starts(start: dict, free: tuple, count: int = SPREAD_OF_STARTS) -> dict:
-    """`start` and `count` others about it, by factors of up to two: name -> [1 + count]."""
+def several_starts(start: dict, own: dict, free: tuple, count: int = STARTS) -> dict:
+    """`count` starts: `start`, then `own`, which the traces tell, and others about that by factors of up to two: name
+    -> [count]. The parameters that are not `free` have the value of `start` in all.
+    """
     factors = {
-        "dt_impact": (2.0, 0.6, 1.3),
-        "gamma_low": (0.5, 1.4, 0.8),
-        "gap": (2.0, 0.5, 1.2),
-        "h_mean": (1.1, 0.9, 1.03),
+        "dt_impact": (1.0, 2.0, 0.6, 1.3),
+        "gamma_low": (1.0, 0.5, 1.4, 0.8),
+        "gap": (1.0, 2.0, 0.5, 1.2),
+        "h_mean": (1.0, 1.1, 0.9, 1.03),
     }
     rows = [start]
-    for k in range(count):
-        gap = (start["gamma_high"] - start["gamma_low"]) * factors["gap"][k % 3]
-        row = {name: start[name] * factors[name][k % 3] for name in ("dt_impact", "gamma_low", "h_mean")}
-        row["gamma_high"] = row["gamma_low"] + gap
+    for k in range(4):
+        row = {name: own[name] * factors[name][k] for name in ("dt_impact", "gamma_low", "h_mean")}
+        row["gamma_high"] = row["gamma_low"] + (own["gamma_high"] - own["gamma_low"]) * factors["gap"][k]
         row |= {name: start[name] for name in NAMES if name not in free}
         row["gamma_high"] = max(row["gamma_high"], row["gamma_low"])
         if "gamma_low" in free and "gamma_high" not in free:
             row["gamma_low"] = min(row["gamma_low"], row["gamma_high"])
-        rows.append(row)
-    return {name: jnp.asarray([row[name] for row in rows]) for name in NAMES}
+        if row != start:
+            rows.append(row)
+    return {name: jnp.asarray([row[name] for row in rows[:count]]) for name in NAMES}
 
 
-def _checked_start(start, fixed, targets, measured):
+def _checked_start(start, fixed, own):
     unknown = sorted((set(start or {}) | set(fixed or {})) - set(NAMES))
     if unknown:
         raise BadInput(f"{unknown[0]}: unknown; known are {', '.join(NAMES)}")
-    values = default_start(targets, measured) | dict(start or {}) | dict(fixed or {})
+    values = own | dict(start or {}) | dict(fixed or {})
     for name, value in values.items():
         if not (np.isfinite(value) and (value > 0 or (name == "gamma_low" and value == 0))):
             raise BadInput(f"{name} = {value:g}: must be greater than 0 ({'s' if name == 'dt_impact' else 'm'})")
@@ -110,7 +116,10 @@ def fit(traces, start=None, *, fixed=None, align="release", simulations=512, fin
 
 def _fit(targets, start, fixed, align, simulations, fine, bootstrap, seed, progress):
     measured = measure(targets, align)
-    start = _checked_start(start, fixed, targets, measured)
+    draws = draw(targets, simulations, seed)
+    fine = min(fine, draws.z.shape[0])
+    own = default_start(targets, measured, draws)
+    start = _checked_start(start, fixed, own)
     free = tuple(name for name in NAMES if name not in fixed)
     if not free:
         raise BadInput("fixed: at least one parameter must be free")
@@ -119,9 +128,7 @@ def _fit(targets, start, fixed, align, simulations, fine, bootstrap, seed, progr
             f"{len(targets)} traces are too few to tell gamma_high; at least {LEAST_TRACES} are needed, or a fixed "
             "gamma_high (--fix-gamma-high)"
         )
-    draws = draw(targets, simulations, seed)
-    fine = min(fine, draws.z.shape[0])
-    starts = several_starts(start, free)
+    starts = several_starts(start, own, free)
     progress("starts", 0, 1)
     solutions = jax.block_until_ready(solve_starts(starts, draws, measured, free, fine))
     progress("starts", 1, 1)

@@ -6,10 +6,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from calibrate.summaries import LONGEST_LAG, log_increments, moments_of_pulses
+from calibrate.summaries import log_increments, moments_of_pulses
 from product_model import fall, model
 from product_model.grid import Grid
-from product_model.pulses import interval_mean
+from product_model.pulses import deposits
 
 BLOCKS = ("height", "spread", "increments")
 
@@ -72,14 +72,12 @@ def _pulses_of(theta, z, v, mass, offset, gravity):
     return model.pulses(height, mass, theta["dt_impact"], gravity)
 
 
-def _fine(pulses, mass, phase, grid: Grid):
-    """Force over the weight on the fine grid, beginning so long before the first impact that no lag reaches out
-    of it.
-    """
+def _changes(pulses, mass, phase, grid: Grid):
+    """Changes of the force over the weight from bin to bin of the fine grid, from the first impact on."""
     first = jnp.min(jnp.where(mass > 0.0, pulses.start, jnp.inf))
-    shifted = pulses.start - first + grid.sample * (LONGEST_LAG + 4.0 + phase)
+    shifted = pulses.start - first + grid.sample * phase
     weight = jnp.sum(pulses.weight)
-    return interval_mean(model.Pulses(shifted, pulses.duration, pulses.force / weight, pulses.weight / weight), grid)
+    return deposits(model.Pulses(shifted, pulses.duration, pulses.force / weight, pulses.weight / weight), grid)
 
 
 def moments(theta, draws: Draws, measured: Measured):
@@ -103,7 +101,7 @@ def increments(theta, draws: Draws, measured: Measured, fine: int):
     def one(draw):
         z, v, phase, mass, offset = draw
         pulses = _pulses_of(theta, z, v, mass, offset, measured.gravity)
-        return log_increments(_fine(pulses, mass, phase, measured.grid), measured.lags)
+        return log_increments(_changes(pulses, mass, phase, measured.grid), measured.lags)
 
     some = draws.z, draws.v, draws.phase, draws.mass, draws.offset
     return jax.lax.map(one, jax.tree.map(lambda leaf: leaf[:fine], some))

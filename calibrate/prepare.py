@@ -8,7 +8,7 @@ from scipy.stats import norm
 
 from calibrate.errors import BadInput
 from calibrate.loss import Draws, Measured
-from calibrate.summaries import LONGEST_LAG, log_increments_of_trace, moments_of_trace, momentum_release
+from calibrate.summaries import BLOCK, log_increments_of_trace, moments_of_trace, momentum_release
 from calibrate.targets import ALIGNMENTS, Target, rebin
 from product_model.grid import Grid
 
@@ -24,12 +24,12 @@ def bin_length(targets: list[Target], bin_length=None) -> float:
 
 
 def fine_grid(targets: list[Target], bin_: float) -> Grid:
-    """Grid that holds the impacts of every trace with a margin, beginning before the first impact.
+    """Grid that holds the impacts of every trace with a margin, beginning at the first impact.
 
     Its length goes up in steps of an eighth to a quarter, so that similar data sets share one compiled program.
     """
     length = max(_active(trace) for trace in targets)
-    bins = math.ceil(1.3 * length / bin_) + 3 * LONGEST_LAG
+    bins = math.ceil(1.3 * length / bin_) + BLOCK
     step = max(2 ** (bins.bit_length() - 3), 1)
     return Grid(0.0, bin_, -(-bins // step) * step)
 
@@ -86,7 +86,7 @@ def _summaries(trace: Target, align: str, bin_: float) -> list:
     if align == "first-impact":
         origin = momentum_release(trace.time, trace.force, trace.sample, trace.weight)
     height, spread = moments_of_trace(trace.time - origin, trace.force, trace.sample, trace.gravity, FLOOR)
-    start = trace.first_impact - (LONGEST_LAG + 4) * bin_
+    start = trace.first_impact - (BLOCK + 4) * bin_
     force = rebin(trace, start, bin_, math.floor((trace.time[-1] - start) / bin_)) / trace.weight
     lags = log_increments_of_trace(force, LAGS)
     return [float(height) - trace.height_offset, float(spread), *lags, float(trace.time[-1] - origin)]

@@ -43,9 +43,10 @@ def descend(slope, u, steps, first, last):
     """Least value by Adam from `u` (a dict), its steps falling from `first` to `last`; `slope(u)` is the gradient.
 
     Its memory is short (0.8 and 0.9), so that the steep way down to the valley is soon forgotten on the flat floor.
+    In one dimension there is no valley, and a memory of the direction only overshoots.
     """
     dtype = jax.tree.leaves(u)[0].dtype
-    optimiser = optax.scale_by_adam(b1=0.8, b2=0.9)
+    optimiser = optax.scale_by_adam(b1=0.8 if len(u) > 1 else 0.0, b2=0.9)
 
     def step(k, carry):
         u, state = carry
@@ -60,7 +61,8 @@ def descend(slope, u, steps, first, last):
 
 # steps, first and last step size of each round
 SHAPE_PLAN = np.array([(100, 0.2, 0.01), (60, 0.05, 0.002), (40, 0.005, 0.0002)])
-PULSE_PLAN = np.array([(24, 0.25, 0.01), (10, 0.02, 0.001), (6, 0.002, 0.0002)])
+PULSE_PLAN = np.array([(20, 0.25, 0.01), (8, 0.02, 0.001), (4, 0.002, 0.0002)])
+SCANNED = 32  # simulated portions of the coarse scan for the first guess
 
 
 def _round(u, fixed, draws, measured, fine, number):
@@ -125,6 +127,13 @@ def solve_data_sets(start, draws, measured, free, fine) -> Solution:
     count = measured.height.shape[0]
     starts = {name: _repeated(jnp.asarray(value), count) for name, value in start.items()}
     return _solve_all(starts, draws, measured, 1, free, fine)
+
+
+@jax.jit
+def scan_lengths(lengths, start, draws, measured):
+    """[L] distance of the increments at each dt_impact of `lengths` (s), the other parameters as in `start`."""
+    at = lambda length: increment_distance(start | {"dt_impact": length}, draws, measured, SCANNED)  # noqa: E731
+    return jax.lax.map(at, lengths)
 
 
 @partial(jax.jit, static_argnames=("free", "fine", "steps"))

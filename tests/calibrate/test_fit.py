@@ -9,7 +9,7 @@ from synthetic import TRUTH, traces
 
 from calibrate import BadInput, fit, target
 from calibrate.__main__ import main
-from calibrate.fit import several_starts
+from calibrate.fit import default_start, several_starts
 from calibrate.prepare import draw, measure
 from calibrate.solve import solve_starts
 from calibrate.unconstrained import NAMES
@@ -127,8 +127,19 @@ def test_a_wrong_weight_is_told():
 
 
 def test_starts_keep_what_is_fixed():
-    starts = several_starts(TRUTH, ("dt_impact", "gamma_low"))
-    assert (np.asarray(starts["h_mean"]) == 0.25).all() and len(np.unique(np.asarray(starts["dt_impact"]))) == 4
+    own = {name: 1.1 * value for name, value in TRUTH.items()}
+    for starts in (several_starts(TRUTH, own, ("dt_impact", "gamma_low")), several_starts(own | TRUTH, TRUTH, ("dt_impact",))):
+        assert (np.asarray(starts["h_mean"]) == 0.25).all() and len(np.unique(np.asarray(starts["dt_impact"]))) == 4
+        assert (np.asarray(starts["gamma_low"]) <= np.asarray(starts["gamma_high"])).all()
+
+
+@pytest.mark.parametrize("dt_impact", [120e-6, 500e-6, 2e-3])
+def test_the_first_guess_is_near(dt_impact):
+    """The scan goes up in steps of a factor of 1.56; the spreads are told to about a quarter by 32 traces."""
+    data = traces(32, 32, dt_impact=dt_impact)
+    own = default_start(data, measure(data), draw(data, 64, 0))
+    for name, share in {"dt_impact": 0.35, "gamma_low": 0.25, "gamma_high": 0.6, "h_mean": 0.02}.items():
+        assert own[name] == pytest.approx((TRUTH | {"dt_impact": dt_impact})[name], rel=share)
 
 
 TIME = 1e-3 * np.arange(1, 401)
