@@ -8,7 +8,7 @@ import pytest
 from synthetic import TRUTH, traces
 
 from calibrate import BadInput, fit, target
-from calibrate.__main__ import main
+from calibrate.__main__ import _use_cache, main
 from calibrate.fit import default_start, several_starts
 from calibrate.prepare import draw, measure
 from calibrate.solve import solve_starts
@@ -140,6 +140,21 @@ def test_the_first_guess_is_near(dt_impact):
     own = default_start(data, measure(data), draw(data, 64, 0))
     for name, share in {"dt_impact": 0.35, "gamma_low": 0.25, "gamma_high": 0.6, "h_mean": 0.02}.items():
         assert own[name] == pytest.approx((TRUTH | {"dt_impact": dt_impact})[name], rel=share)
+
+
+def test_compiled_programs_are_kept_in_the_users_cache(tmp_path, monkeypatch):
+    names = ("jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs", "jax_persistent_cache_min_entry_size_bytes")
+    before = {name: getattr(jax.config, name) for name in names}
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    try:
+        _use_cache()
+        assert jax.config.jax_compilation_cache_dir == before["jax_compilation_cache_dir"]  # a folder that is named stays
+        jax.config.update("jax_compilation_cache_dir", None)
+        _use_cache()
+        assert jax.config.jax_compilation_cache_dir == str(tmp_path / "calibrate" / "jax")
+    finally:
+        for name, value in before.items():
+            jax.config.update(name, value)
 
 
 TIME = 1e-3 * np.arange(1, 401)
