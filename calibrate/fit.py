@@ -8,6 +8,7 @@ import numpy as np
 
 from calibrate import goodness, uncertainty
 from calibrate.errors import BadInput
+from calibrate.loss import BLOCKS
 from calibrate.prepare import draw, measure
 from calibrate.solve import scan_lengths, solve_starts
 from calibrate.targets import Target
@@ -92,7 +93,12 @@ def _checked_start(start, fixed, own):
     unknown = sorted((set(start or {}) | set(fixed or {})) - set(NAMES))
     if unknown:
         raise BadInput(f"{unknown[0]}: unknown; known are {', '.join(NAMES)}")
-    values = own | dict(start or {}) | dict(fixed or {})
+    given = dict(start or {}) | dict(fixed or {})
+    values = own | given
+    if "gamma_low" not in given:
+        values["gamma_low"] = min(values["gamma_low"], values["gamma_high"])
+    elif "gamma_high" not in given:
+        values["gamma_high"] = max(values["gamma_low"], values["gamma_high"])
     for name, value in values.items():
         if not (np.isfinite(value) and (value > 0 or (name == "gamma_low" and value == 0))):
             raise BadInput(f"{name} = {value:g}: must be greater than 0 ({'s' if name == 'dt_impact' else 'm'})")
@@ -120,17 +126,9 @@ def _fit(targets, start, fixed, align, simulations, fine, bootstrap, seed, progr
     fine = min(fine, draws.z.shape[0])
     own = default_start(targets, measured, draws)
     start = _checked_start(start, fixed, own)
-    free = tuple(name for name in NAMES if name not in fixed)
-    if not free:
-        raise BadInput("fixed: at least one parameter must be free")
-    if "gamma_high" in free and len(targets) < LEAST_TRACES:
-        raise BadInput(
-            f"{len(targets)} traces are too few to tell gamma_high; at least {LEAST_TRACES} are needed, or a fixed "
-            "gamma_high (--fix-gamma-high)"
-        )
-    starts = several_starts(start, own, free)
+    free = _free(fixed, len(targets))
     progress("starts", 0, 1)
-    solutions = jax.block_until_ready(solve_starts(starts, draws, measured, free, fine))
+    solutions = jax.block_until_ready(solve_starts(several_starts(start, own, free), draws, measured, free, fine))
     progress("starts", 1, 1)
     losses = np.asarray(solutions.loss)
     if not np.isfinite(losses).any():
@@ -141,34 +139,48 @@ def _fit(targets, start, fixed, align, simulations, fine, bootstrap, seed, progr
     refits = uncertainty.bootstrap(theta, targets, draws, measured, free, fine, bootstrap, seed, progress)
     parameters = uncertainty.table(theta, free, local, refits)
     ends = {name: [float(v) for v in solutions.theta[name]] for name in NAMES}
-    agreed = [all(abs(ends[n][s] - ends[n][best]) <= AGREEMENT * _half(parameters[n]) for n in free) for s in range(len(losses))]
-    blocks = {name: float(value) for name, value in zip(("height", "spread", "increments"), solutions.distances[best], strict=True)}
-    p_values = goodness.p_values(theta, targets, measured, solutions.distances[best], refits, seed)
-    refit_count = 0 if refits is None else len(np.asarray(refits.solution.loss))
     result = Fit(
         parameters=parameters,
         free=free,
         starts=ends,
         losses=[float(v) for v in losses],
         converged=[bool(v) for v in solutions.converged],
-        agreed=agreed,
-        distances=blocks,
-        p_values=p_values,
+        agreed=_agreed(ends, best, parameters, free),
+        distances={name: float(value) for name, value in zip(BLOCKS, solutions.distances[best], strict=True)},
+        p_values=goodness.p_values(theta, targets, measured, solutions.distances[best], refits, seed),
         rmse_g=goodness.rmse_g(theta, targets, align, seed),
         statements=[],
         info={
             "traces": len(targets),
             "pieces": sorted({t.pieces for t in targets}),
             "align": align,
-            "bootstrap": refit_count,
+            "bootstrap": 0 if refits is None else len(np.asarray(refits.solution.loss)),
             "simulations": int(draws.z.shape[0]),
             "seed": seed,
             "best_start": best,
         },
     )
-    result.statements.extend(uncertainty.without_spread(measured))
-    result.statements.extend(uncertainty.statements(result, targets) + goodness.statements(p_values, refit_count))
+    result.statements.extend(uncertainty.without_spread(measured) + uncertainty.statements(result, targets))
+    result.statements.extend(goodness.statements(result.p_values, result.info["bootstrap"]))
     return result
+
+
+def _free(fixed, count):
+    free = tuple(name for name in NAMES if name not in fixed)
+    if not free:
+        raise BadInput("fixed: at least one parameter must be free")
+    if "gamma_high" in free and count < LEAST_TRACES:
+        raise BadInput(
+            f"{count} traces are too few to tell gamma_high; at least {LEAST_TRACES} are needed, or a fixed "
+            "gamma_high (--fix-gamma-high)"
+        )
+    return free
+
+
+def _agreed(ends, best, parameters, free):
+    """[S] whether each start ended where the best one did, within a share of the intervals."""
+    near = lambda name, end: abs(end - ends[name][best]) <= AGREEMENT * _half(parameters[name])  # noqa: E731
+    return [all(near(name, ends[name][s]) for name in free) for s in range(len(ends["h_mean"]))]
 
 
 def _half(row):

@@ -1,9 +1,9 @@
 """What is compared between measured and simulated traces: a few numbers per trace, each of which tells of one
 parameter.
 
-height     (m)  mean drop height of the pieces, from the momentum they deliver   -> h_mean
-spread     (m)  standard deviation of their drop heights, likewise               -> gamma_low, gamma_high by its
-distribution increments [lags] logarithm of the summed squared increments of the force at short lags -> dt_impact
+height      (m)     mean drop height of the pieces, from the momentum they deliver -> h_mean
+spread      (m)     standard deviation of their drop heights, likewise -> gamma_low, gamma_high by its distribution
+increments  [lags]  logarithm of the summed squared increments of the force at short lags -> dt_impact
 
 Height and spread need no look at single pulses. A piece that falls from rest brings the momentum m g t and then
 weighs m g; with P(t) the momentum delivered up to t, F - P/t is free of the weight of what has landed, and for

@@ -9,7 +9,7 @@ from synthetic import TRUTH, traces
 
 from calibrate import BadInput, fit, target
 from calibrate.__main__ import _use_cache, main
-from calibrate.fit import default_start, several_starts
+from calibrate.fit import _checked_start, default_start, several_starts
 from calibrate.prepare import draw, measure
 from calibrate.solve import solve_starts
 from calibrate.unconstrained import NAMES
@@ -131,6 +131,14 @@ def test_starts_keep_what_is_fixed():
     for starts in (several_starts(TRUTH, own, ("dt_impact", "gamma_low")), several_starts(own | TRUTH, TRUTH, ("dt_impact",))):
         assert (np.asarray(starts["h_mean"]) == 0.25).all() and len(np.unique(np.asarray(starts["dt_impact"]))) == 4
         assert (np.asarray(starts["gamma_low"]) <= np.asarray(starts["gamma_high"])).all()
+
+
+def test_a_limit_that_is_given_moves_the_other_one_that_is_not():
+    own = dict(TRUTH)
+    assert _checked_start({}, {"gamma_high": 0.01}, own)["gamma_low"] == 0.01
+    assert _checked_start({"gamma_low": 0.08}, {}, own)["gamma_high"] == 0.08
+    with pytest.raises(BadInput, match="gamma_high = 0.01 m: must be at least gamma_low = 0.03 m"):
+        _checked_start({"gamma_low": 0.03}, {"gamma_high": 0.01}, own)
 
 
 @pytest.mark.parametrize("dt_impact", [120e-6, 500e-6, 2e-3])
