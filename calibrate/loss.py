@@ -36,7 +36,8 @@ class Measured:
     """Summaries of the K measured traces and what is needed to simulate comparable ones.
 
     height, spread: [K] (m); increments: [K, lags]
-    scale: [2] standard deviations of height (m) and of spread squared (m2), which make blocks comparable
+    scale: [2 + lags] standard deviations of height (m), of spread squared (m2) and of the increments, which make
+    blocks comparable
     whiten: [lags, lags] what makes of the increments uncorrelated columns of standard deviation 1
     end: [] (s) end of the traces after the release; gravity: [] (m/s2); floor: [] (m) least spread that is told from
     none
@@ -56,6 +57,11 @@ class Measured:
     grid: Grid = field(metadata={"static": True})
     lags: tuple = field(metadata={"static": True})
     from_momentum: bool = field(metadata={"static": True}, default=False)
+
+    @property
+    def single_lags(self):
+        """[lags, lags] each lag by itself, in units of its standard deviation."""
+        return jnp.diag(1.0 / self.scale[2:])
 
     def columns(self, height, spread, increments):
         """[..., 2 + lags] what the distances compare, in units of its standard deviation: height, spread squared (to
@@ -125,10 +131,13 @@ def moment_distances(theta, draws: Draws, measured: Measured):
     return jnp.stack([of_height, energy_distance(measured.spread**2, spread**2) / measured.scale[1]])
 
 
-def increment_distance(theta, draws: Draws, measured: Measured, fine: int):
-    """[] energy distance of the whitened log squared increments, mean over the columns."""
-    simulated = increments(theta, draws, measured, fine) @ measured.whiten
-    return jnp.mean(jax.vmap(energy_distance, in_axes=1)(measured.increments @ measured.whiten, simulated))
+def increment_distance(theta, draws: Draws, measured: Measured, fine: int, combine=None):
+    """[] energy distance of the log squared increments, mean over the columns that the matrix `combine` [lags, lags]
+    makes of them (None: the whitened ones).
+    """
+    combine = measured.whiten if combine is None else combine
+    simulated = increments(theta, draws, measured, fine) @ combine
+    return jnp.mean(jax.vmap(energy_distance, in_axes=1)(measured.increments @ combine, simulated))
 
 
 def distances(theta, draws: Draws, measured: Measured, fine: int):

@@ -58,8 +58,8 @@ def measure(targets: list[Target], align: str = "release", bin_=None) -> Measure
     rows = [_summaries(trace, align, bin_) for trace in targets]
     columns = np.array([row[:-1] for row in rows])
     height, spread, increments = columns[:, 0], columns[:, 1], columns[:, 2:]
-    moments = np.stack([height, spread**2], axis=1)
-    scale = moments.std(axis=0, ddof=1) if len(rows) > 3 else np.array([0.01, 2e-4])
+    compared = np.column_stack([height, spread**2, increments])
+    scale = compared.std(axis=0, ddof=1) if len(rows) > 3 else np.array([0.01, 2e-4, *([0.2] * len(LAGS))])
     end = float(np.mean([row[-1] for row in rows]))
     arrays = (height, spread, increments, np.maximum(scale, 1e-9), whitening(increments), end, targets[0].gravity, FLOOR)
     return Measured(*map(jnp.asarray, arrays), grid=grid, lags=LAGS, from_momentum=align == "first-impact")

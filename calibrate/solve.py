@@ -3,6 +3,10 @@
 Height and spread are fitted first (they hardly depend on dt_impact and cost O(pieces)), then dt_impact alone to the
 increments, whose derivatives with respect to the times of impact are interference of single pulses: right on
 average, but so scattered that they would hide what the spread says. Two or three rounds make the two agree.
+
+The first round takes each lag by itself: its distance has one least value in dt_impact, whatever the traces are. The
+later ones take the whitened columns, which have several, but scatter half as much about the right one; what they find
+counts if it lies where it can be expected, as for traces that the model describes. Otherwise the first value stays.
 """
 
 from dataclasses import dataclass, replace
@@ -24,7 +28,8 @@ TOLERANCE = 3e-3  # in ln of a parameter: change of the last round, far below an
 class Solution:
     """Where a fit ended, [] each (leading axes for several starts or data sets).
 
-    theta: dict of the four parameters (SI); distances: [3] energy distances of the blocks; loss: their sum
+    theta: dict of the four parameters (SI); distances: [3] energy distances of the blocks; loss: their sum with each
+    lag by itself, by which starts are compared
     change: largest change of ln(parameter) in the last round
     """
 
@@ -61,7 +66,8 @@ def descend(slope, u, steps, first, last):
 
 # steps, first and last step size of each round
 SHAPE_PLAN = np.array([(100, 0.2, 0.01), (60, 0.05, 0.002), (40, 0.005, 0.0002)])
-PULSE_PLAN = np.array([(20, 0.25, 0.01), (8, 0.02, 0.001), (4, 0.002, 0.0002)])
+PULSE_PLAN = np.array([(24, 0.4, 0.01), (8, 0.02, 0.001), (4, 0.002, 0.0002)])
+REACH = 0.4  # times 1/sqrt(traces): four standard deviations of what the two columns of increments differ by, in ln dt_impact
 SCANNED = 32  # simulated portions of the coarse scan for the first guess
 
 
@@ -73,7 +79,8 @@ def _round(u, fixed, draws, measured, fine, number):
         whole = lambda s: jnp.sum(moment_distances(to_parameters(s | pulse, fixed), draws, measured))  # noqa: E731
         shape = descend(jax.grad(whole), shape, *jnp.asarray(SHAPE_PLAN)[number])
     if pulse:
-        alone = lambda p: increment_distance(to_parameters(shape | p, fixed), draws, measured, fine)  # noqa: E731
+        combine = jnp.where(number == 0, measured.single_lags, measured.whiten)
+        alone = lambda p: increment_distance(to_parameters(shape | p, fixed), draws, measured, fine, combine)  # noqa: E731
         pulse = descend(jax.jacfwd(alone), pulse, *jnp.asarray(PULSE_PLAN)[number])
     return shape | pulse
 
@@ -86,15 +93,20 @@ def solve(start, draws: Draws, measured: Measured, free: tuple, fine: int, first
     fixed = {name: value for name, value in start.items() if name not in free}
 
     def one(number, carry):
-        u, _ = carry
-        return _round(u, fixed, draws, measured, fine, number), u
+        u, before, coarse = carry
+        u, before = _round(u, fixed, draws, measured, fine, number), u
+        return u, before, jax.tree.map(lambda new, old: jnp.where(number == 0, new, old), u, coarse)
 
     u = to_unconstrained(start, free)
-    u, before = jax.lax.fori_loop(first, len(SHAPE_PLAN), one, (u, u))
+    u, before, coarse = jax.lax.fori_loop(first, len(SHAPE_PLAN), one, (u, u, u))
+    if "dt_impact" in u:
+        near = jnp.abs(u["dt_impact"] - coarse["dt_impact"]) < REACH / np.sqrt(measured.height.shape[0])
+        u, before = (v | {"dt_impact": jnp.where(near, v["dt_impact"], coarse["dt_impact"])} for v in (u, before))
     theta, was = to_parameters(u, fixed), to_parameters(before, fixed)
     change = jnp.max(jnp.stack([jnp.abs(jnp.log((theta[k] + 1e-12) / (was[k] + 1e-12))) for k in sorted(theta)]))
     parts = distances(theta, draws, measured, fine)
-    return Solution(theta, parts, jnp.sum(parts), change)
+    loss = jnp.sum(parts[:2]) + increment_distance(theta, draws, measured, fine, measured.single_lags)
+    return Solution(theta, parts, loss, change)
 
 
 @partial(jax.jit, static_argnames=("free", "fine"))
@@ -132,7 +144,10 @@ def solve_data_sets(start, draws, measured, free, fine) -> Solution:
 @jax.jit
 def scan_lengths(lengths, start, draws, measured):
     """[L] distance of the increments at each dt_impact of `lengths` (s), the other parameters as in `start`."""
-    at = lambda length: increment_distance(start | {"dt_impact": length}, draws, measured, SCANNED)  # noqa: E731
+
+    def at(length):
+        return increment_distance(start | {"dt_impact": length}, draws, measured, SCANNED, measured.single_lags)
+
     return jax.lax.map(at, lengths)
 
 
