@@ -101,7 +101,9 @@ def solve(start, draws: Draws, measured: Measured, free: tuple, fine: int, first
     u, before, coarse = jax.lax.fori_loop(first, len(SHAPE_PLAN), one, (u, u, u))
     if "dt_impact" in u:
         near = jnp.abs(u["dt_impact"] - coarse["dt_impact"]) < REACH / np.sqrt(measured.height.shape[0])
-        u, before = (v | {"dt_impact": jnp.where(near, v["dt_impact"], coarse["dt_impact"])} for v in (u, before))
+        settled = jnp.abs(u["dt_impact"] - before["dt_impact"]) < TOLERANCE
+        counts = near & settled
+        u, before = (v | {"dt_impact": jnp.where(counts, v["dt_impact"], coarse["dt_impact"])} for v in (u, before))
     theta, was = to_parameters(u, fixed), to_parameters(before, fixed)
     change = jnp.max(jnp.stack([jnp.abs(jnp.log((theta[k] + 1e-12) / (was[k] + 1e-12))) for k in sorted(theta)]))
     parts = distances(theta, draws, measured, fine)
