@@ -1,80 +1,100 @@
 """Speed of the Product Model: `python -m benchmarks.product_model [--out FILE]` prints a Markdown table.
 
-318 pieces, 100 ms at 30 us. Each row: median and quartiles of repeated timings, compile time beside.
+318 pieces, 100 ms at 30 us. Each row: median and quartiles of repeated timings, compile time beside. Single traces are
+dispatched synchronously (`jax_cpu_enable_async_dispatch` off), as a program that waits for each of them should: a
+handover to another thread costs more than a third of a trace.
 """
 
 import argparse
-import os
-import platform
 import statistics
 import time
 from pathlib import Path
 
 import jax
 
+from benchmarks import report
 from product_model import compiled, ensemble, parameters, stream
 from product_model.portion import in_precision
 
-REPEATS = 15
+BATCH = 512
+SAMPLES = 3334
 
 
-def timed(call, loops: int):
-    """(compile time, sorted times of one call) in seconds; every call is waited for at the end of its loop."""
+def timed(call, repeats: int):
+    """(compile time, sorted times) in seconds of `repeats` calls, each timed by itself and waited for, so that other
+    programs on the same core spoil only those that they interrupt.
+    """
     begin = time.perf_counter()
     jax.block_until_ready(call())
     first = time.perf_counter() - begin
     times = []
-    for _ in range(REPEATS):
+    for _ in range(repeats):
         begin = time.perf_counter()
-        for _ in range(loops):
-            result = call()
-        jax.block_until_ready(result)
-        times.append((time.perf_counter() - begin) / loops)
+        jax.block_until_ready(call())
+        times.append(time.perf_counter() - begin)
     return first, sorted(times)
 
 
+def settings(precision, form):
+    """318 pieces: SF = 0.3, 50 g."""
+    return parameters(m_piece=0.157464e-3, start=0.18, duration=0.1, precision=precision, form=form)
+
+
+def single(precision, form, generator):
+    """One trace from one key of the random generator named."""
+    key, run = jax.random.key(0, impl=generator), compiled(settings(precision, form))
+    first, times = timed(lambda: run(key), 200 if form == "smooth" else 4000)
+    low, mid, high = (1e6 * q for q in statistics.quantiles(times, n=4))
+    best = f"{1e6 * times[0]:.1f}"
+    return [f"one trace, {form}, {generator}", precision, f"{mid:.1f} us", f"{low:.1f} to {high:.1f}", best, f"{first:.2f}"]
+
+
+def batch(precision, form):
+    """Traces per second of a batch."""
+    params, key = settings(precision, form), jax.random.key(0)
+    first, times = timed(lambda: ensemble(params, key, BATCH).force, 80)
+    high, mid, low = (BATCH / q for q in statistics.quantiles(times, n=4))
+    best = f"{BATCH / times[0]:,.0f}"
+    return [f"batch of {BATCH}, {form}", precision, f"{mid:,.0f} per s", f"{low:,.0f} to {high:,.0f}", best, f"{first:.2f}"]
+
+
+def streaming(precision, form):
+    """How much faster than real time a stream inside a scan is: the sample time over the time per sample."""
+    params = settings(precision, form)
+    state = stream.start(params, jax.random.key(0))
+    with in_precision(precision):
+        scan = jax.jit(lambda s: jax.lax.scan(lambda s, _: stream.step(s), s, None, length=SAMPLES)[1])
+        first, times = timed(lambda: scan(state), 80)
+    length = SAMPLES * params.sample
+    high, mid, low = (length / q for q in statistics.quantiles(times, n=4))
+    best = f"{length / times[0]:,.0f}"
+    return [f"stream in a scan, {form}", precision, f"{mid:,.0f} x real time", f"{low:,.0f} to {high:,.0f}", best, f"{first:.2f}"]
+
+
 def rows():
-    """(name, precision, compile time, times of one unit, unit) of every measurement."""
+    """Rows of the table."""
     for precision in ("f32", "f64"):
         for form in ("interval-mean", "rectangular", "smooth"):
-            params = parameters(
-                m_piece=0.157464e-3, start=0.18, duration=0.1, precision=precision, form=form
-            )  # 318 pieces: SF = 0.3, 50 g
-            key, run = jax.random.key(0), compiled(params)
-            yield f"one trace, {form}", precision, *timed(lambda run=run, key=key: run(key), 100), "us"
+            yield single(precision, form, "threefry2x32")
             if form == "smooth":
                 continue
-            first, times = timed(lambda params=params, key=key: ensemble(params, key, 512).force, 3)
-            yield f"per trace of a batch of 512, {form}", precision, first, [t / 512 for t in times], "us"
-            state = stream.start(params, key)
-            with in_precision(precision):
-                scan = jax.jit(lambda s: jax.lax.scan(lambda s, _: stream.step(s), s, None, length=3334)[1])
-                first, times = timed(lambda scan=scan, state=state: scan(state), 20)
-            yield f"per sample of a stream inside a scan, {form}", precision, first, [t / 3334 for t in times], "ns"
+            yield single(precision, form, "rbg")
+            yield batch(precision, form)
+            yield streaming(precision, form)
 
 
 def table() -> str:
     """The Markdown table."""
-    load = os.getloadavg()[0]
-    lines = [
-        f"jax {jax.__version__}, Python {platform.python_version()}, {os.cpu_count()} cores, {jax.default_backend()}; "
-        f"load average at the start {load:.2f}",
-        "",
-        "| what | precision | median | quartiles | compile (s) |",
-        "|---|---|---|---|---|",
-    ]
-    for name, precision, first, times, unit in rows():
-        factor = {"us": 1e6, "ns": 1e9}[unit]
-        low, mid, high = (factor * q for q in statistics.quantiles(times, n=4))
-        lines.append(f"| {name} | {precision} | {mid:.3g} {unit} | {low:.3g} ... {high:.3g} | {first:.2f} |")
-    lines += ["", f"load average at the end {os.getloadavg()[0]:.2f}"]
-    return "\n".join(lines)
+    head = ("what", "precision", "median", "quartiles", "best", "compile (s)")
+    text = ["# Speed of the Product Model", "", report.environment(), "", "318 pieces, 100 ms at 30 us.", ""]
+    return "\n".join([*text, report.table(head, list(rows()))])
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path)
     args = parser.parse_args()
+    jax.config.update("jax_cpu_enable_async_dispatch", False)
     text = table()
     print(text)
     if args.out:

@@ -76,8 +76,23 @@ def _progress():
     return bar, show
 
 
+def _use_cache():
+    """Keep compiled programs in the user's cache folder, so that a second fit need not compile.
+
+    JAX_COMPILATION_CACHE_DIR names another folder.
+    """
+    import jax
+
+    if not jax.config.jax_compilation_cache_dir:
+        base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+        jax.config.update("jax_compilation_cache_dir", str(Path(base) / "calibrate" / "jax"))
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+        jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
+
+
 def _fit(args):
     paths = _outputs(args)
+    _use_cache()
     from calibrate.fit import fit
     from calibrate.targets import read
 

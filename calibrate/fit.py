@@ -8,12 +8,14 @@ import numpy as np
 
 from calibrate import goodness, uncertainty
 from calibrate.errors import BadInput
+from calibrate.loss import BLOCKS
 from calibrate.prepare import draw, measure
-from calibrate.solve import solve_starts
+from calibrate.solve import scan_lengths, solve_starts
 from calibrate.targets import Target
 from calibrate.unconstrained import NAMES
 
-SPREAD_OF_STARTS = 3  # further starts beside the given one
+STARTS = 4
+SCAN = (0.7, 90.0, 12)  # least and greatest dt_impact (bins) that the first guess looks at, and how many
 LEAST_TRACES = 4  # half of the traces say nothing of gamma_high; two of the rest are needed to tell a scatter
 AGREEMENT = 0.1  # starts agree where they differ by less than this share of the interval's half width
 
@@ -46,8 +48,9 @@ class Fit:
         return asdict(self)
 
 
-def default_start(targets: list[Target], measured) -> dict:
-    """Start values from the traces' own mean drop height and spreads; dt_impact: the paper's 500 us.
+def default_start(targets: list[Target], measured, draws) -> dict:
+    """Start values that the traces tell: h_mean and the limits from their own mean drop heights and spreads, dt_impact
+    as the best of a coarse scan of the increments.
 
     Raises `BadInput` where the momentum of the traces is not that of falling portions of their weight.
     """
@@ -58,35 +61,44 @@ def default_start(targets: list[Target], measured) -> dict:
             f"({targets[0].m_piece:g} kg), their number ({targets[0].pieces}), time zero and --align"
         )
     low, high = np.quantile(np.asarray(measured.spread), [0.25, 0.95])
-    return {"dt_impact": 500e-6, "gamma_low": float(low), "gamma_high": float(1.5 * high), "h_mean": height}
+    start = {"gamma_low": float(low), "gamma_high": float(1.5 * high), "h_mean": height}
+    lengths = measured.grid.sample * np.geomspace(*SCAN)
+    return start | {"dt_impact": float(lengths[int(np.argmin(scan_lengths(lengths, start, draws, measured)))])}
 
 
-def several_starts(start: dict, free: tuple, count: int = SPREAD_OF_STARTS) -> dict:
-    """`start` and `count` others about it, by factors of up to two: name -> [1 + count]."""
+def several_starts(start: dict, own: dict, free: tuple, count: int = STARTS) -> dict:
+    """`count` starts: `start`, then `own`, which the traces tell, and others about that by factors of up to two: name
+    -> [count]. The parameters that are not `free` have the value of `start` in all.
+    """
     factors = {
-        "dt_impact": (2.0, 0.6, 1.3),
-        "gamma_low": (0.5, 1.4, 0.8),
-        "gap": (2.0, 0.5, 1.2),
-        "h_mean": (1.1, 0.9, 1.03),
+        "dt_impact": (1.0, 2.0, 0.6, 1.3),
+        "gamma_low": (1.0, 0.5, 1.4, 0.8),
+        "gap": (1.0, 2.0, 0.5, 1.2),
+        "h_mean": (1.0, 1.1, 0.9, 1.03),
     }
     rows = [start]
-    for k in range(count):
-        gap = (start["gamma_high"] - start["gamma_low"]) * factors["gap"][k % 3]
-        row = {name: start[name] * factors[name][k % 3] for name in ("dt_impact", "gamma_low", "h_mean")}
-        row["gamma_high"] = row["gamma_low"] + gap
+    for k in range(4):
+        row = {name: own[name] * factors[name][k] for name in ("dt_impact", "gamma_low", "h_mean")}
+        row["gamma_high"] = row["gamma_low"] + (own["gamma_high"] - own["gamma_low"]) * factors["gap"][k]
         row |= {name: start[name] for name in NAMES if name not in free}
         row["gamma_high"] = max(row["gamma_high"], row["gamma_low"])
         if "gamma_low" in free and "gamma_high" not in free:
             row["gamma_low"] = min(row["gamma_low"], row["gamma_high"])
-        rows.append(row)
-    return {name: jnp.asarray([row[name] for row in rows]) for name in NAMES}
+        if row != start:
+            rows.append(row)
+    return {name: jnp.asarray([row[name] for row in rows[:count]]) for name in NAMES}
 
 
-def _checked_start(start, fixed, targets, measured):
+def _checked_start(start, fixed, own):
     unknown = sorted((set(start or {}) | set(fixed or {})) - set(NAMES))
     if unknown:
         raise BadInput(f"{unknown[0]}: unknown; known are {', '.join(NAMES)}")
-    values = default_start(targets, measured) | dict(start or {}) | dict(fixed or {})
+    given = dict(start or {}) | dict(fixed or {})
+    values = own | given
+    if "gamma_low" not in given:
+        values["gamma_low"] = min(values["gamma_low"], values["gamma_high"])
+    elif "gamma_high" not in given:
+        values["gamma_high"] = max(values["gamma_low"], values["gamma_high"])
     for name, value in values.items():
         if not (np.isfinite(value) and (value > 0 or (name == "gamma_low" and value == 0))):
             raise BadInput(f"{name} = {value:g}: must be greater than 0 ({'s' if name == 'dt_impact' else 'm'})")
@@ -110,20 +122,13 @@ def fit(traces, start=None, *, fixed=None, align="release", simulations=512, fin
 
 def _fit(targets, start, fixed, align, simulations, fine, bootstrap, seed, progress):
     measured = measure(targets, align)
-    start = _checked_start(start, fixed, targets, measured)
-    free = tuple(name for name in NAMES if name not in fixed)
-    if not free:
-        raise BadInput("fixed: at least one parameter must be free")
-    if "gamma_high" in free and len(targets) < LEAST_TRACES:
-        raise BadInput(
-            f"{len(targets)} traces are too few to tell gamma_high; at least {LEAST_TRACES} are needed, or a fixed "
-            "gamma_high (--fix-gamma-high)"
-        )
     draws = draw(targets, simulations, seed)
     fine = min(fine, draws.z.shape[0])
-    starts = several_starts(start, free)
+    own = default_start(targets, measured, draws)
+    start = _checked_start(start, fixed, own)
+    free = _free(fixed, len(targets))
     progress("starts", 0, 1)
-    solutions = jax.block_until_ready(solve_starts(starts, draws, measured, free, fine))
+    solutions = jax.block_until_ready(solve_starts(several_starts(start, own, free), draws, measured, free, fine))
     progress("starts", 1, 1)
     losses = np.asarray(solutions.loss)
     if not np.isfinite(losses).any():
@@ -134,34 +139,48 @@ def _fit(targets, start, fixed, align, simulations, fine, bootstrap, seed, progr
     refits = uncertainty.bootstrap(theta, targets, draws, measured, free, fine, bootstrap, seed, progress)
     parameters = uncertainty.table(theta, free, local, refits)
     ends = {name: [float(v) for v in solutions.theta[name]] for name in NAMES}
-    agreed = [all(abs(ends[n][s] - ends[n][best]) <= AGREEMENT * _half(parameters[n]) for n in free) for s in range(len(losses))]
-    blocks = {name: float(value) for name, value in zip(("height", "spread", "increments"), solutions.distances[best], strict=True)}
-    p_values = goodness.p_values(theta, targets, measured, solutions.distances[best], refits, seed)
-    refit_count = 0 if refits is None else len(np.asarray(refits.solution.loss))
     result = Fit(
         parameters=parameters,
         free=free,
         starts=ends,
         losses=[float(v) for v in losses],
         converged=[bool(v) for v in solutions.converged],
-        agreed=agreed,
-        distances=blocks,
-        p_values=p_values,
+        agreed=_agreed(ends, best, parameters, free),
+        distances={name: float(value) for name, value in zip(BLOCKS, solutions.distances[best], strict=True)},
+        p_values=goodness.p_values(theta, targets, measured, solutions.distances[best], refits, seed),
         rmse_g=goodness.rmse_g(theta, targets, align, seed),
         statements=[],
         info={
             "traces": len(targets),
             "pieces": sorted({t.pieces for t in targets}),
             "align": align,
-            "bootstrap": refit_count,
+            "bootstrap": 0 if refits is None else len(np.asarray(refits.solution.loss)),
             "simulations": int(draws.z.shape[0]),
             "seed": seed,
             "best_start": best,
         },
     )
-    result.statements.extend(uncertainty.without_spread(measured))
-    result.statements.extend(uncertainty.statements(result, targets) + goodness.statements(p_values, refit_count))
+    result.statements.extend(uncertainty.without_spread(measured) + uncertainty.statements(result, targets))
+    result.statements.extend(goodness.statements(result.p_values, result.info["bootstrap"]))
     return result
+
+
+def _free(fixed, count):
+    free = tuple(name for name in NAMES if name not in fixed)
+    if not free:
+        raise BadInput("fixed: at least one parameter must be free")
+    if "gamma_high" in free and count < LEAST_TRACES:
+        raise BadInput(
+            f"{count} traces are too few to tell gamma_high; at least {LEAST_TRACES} are needed, or a fixed "
+            "gamma_high (--fix-gamma-high)"
+        )
+    return free
+
+
+def _agreed(ends, best, parameters, free):
+    """[S] whether each start ended where the best one did, within a share of the intervals."""
+    near = lambda name, end: abs(end - ends[name][best]) <= AGREEMENT * _half(parameters[name])  # noqa: E731
+    return [all(near(name, ends[name][s]) for name in free) for s in range(len(ends["h_mean"]))]
 
 
 def _half(row):

@@ -77,10 +77,9 @@ def complete_distances(parts, measured) -> np.ndarray:
     """[..., 3] energy distances of the blocks with the part that depends on the data alone, which the loss leaves
     out.
     """
-    scale = np.asarray(measured.scale)
-    height, spread = (_within(np.asarray(a)) / scale[k] for k, a in enumerate((measured.height, measured.spread)))
-    lags = np.mean(_within(np.moveaxis(np.asarray(measured.increments), -2, -1)) / scale[2:], axis=-1)
-    return np.asarray(parts) - np.stack([height, spread, lags], axis=-1)
+    columns = measured.columns(measured.height, measured.spread, measured.increments)
+    within = _within(np.moveaxis(np.asarray(columns), -2, -1))
+    return np.asarray(parts) - np.stack([within[..., 0], within[..., 1], np.mean(within[..., 2:], axis=-1)], axis=-1)
 
 
 def _of_blocks(distances, measured, refits):

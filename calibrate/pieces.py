@@ -3,26 +3,51 @@
 import math
 import tomllib
 
+from scipy.spatial import ConvexHull, QhullError
+
 from calibrate.errors import BadInput
 
-MARSHMALLOW = 19440e-9  # m3, the paper's chamfered cuboid at SF = 1
+MARSHMALLOW, CHAMFER = (0.055, 0.023, 0.016), 0.005  # m, the paper's chamfered cuboid at SF = 1
 
 
-def _volume(portion: dict) -> float | None:
-    """(m3) of the named shape with its own sizes; None where only a mesh knows."""
-    shape, scale = portion.get("shape"), float(portion.get("scale_factor") or 1.0)
-    if shape == "sphere" and portion.get("radius"):
-        return scale**3 * 4.0 / 3.0 * math.pi * portion["radius"] ** 3
-    if shape == "cuboid" and portion.get("size"):
-        return scale**3 * math.prod(portion["size"])
-    if shape == "chamfered-cuboid" and not portion.get("size"):
-        return scale**3 * MARSHMALLOW
-    return None
+def _chamfered_cuboid(size=MARSHMALLOW, chamfer=CHAMFER):
+    x, y, z = size
+    return (x * y - 2.0 * chamfer**2) * z
+
+
+def _prism(radius, height, sides):
+    return 0.5 * sides * math.sin(2.0 * math.pi / sides) * radius**2 * height
+
+
+def _hull(points, unit=1.0):
+    return ConvexHull(points).volume * unit**3
+
+
+VOLUMES = {
+    "sphere": lambda radius: 4.0 / 3.0 * math.pi * radius**3,
+    "cuboid": lambda size: math.prod(size),
+    "chamfered-cuboid": _chamfered_cuboid,
+    "prism": _prism,
+    "cylinder": lambda radius, height, sides=None: math.pi * radius**2 * height,
+    "hull": _hull,
+}
+SIZES = ("size", "chamfer", "radius", "height", "sides", "points", "unit")
+
+
+def _volume(piece: dict) -> float | None:
+    """(m3) of the named shape with its own sizes; None where the text does not tell (a hull in a file of its own)."""
+    shape, scale = piece.get("shape", "chamfered-cuboid"), float(piece.get("scale_factor") or 1.0)
+    sizes = {name: piece[name] for name in SIZES if piece.get(name) is not None}
+    sizes = {name: value for name, value in sizes.items() if name != "unit" or shape == "hull"}
+    try:
+        return scale**3 * VOLUMES[shape](**sizes)
+    except (KeyError, TypeError, ValueError, QhullError):
+        return None
 
 
 def piece_mass(scene: str) -> float | None:
-    """(kg) of one piece of the scene's portion, None where the text does not tell (pieces of different or meshed
-    shapes).
+    """(kg) of one piece of the scene's portion, None where the text does not tell (pieces of different weights, a hull
+    in a file of its own).
 
     Raises `BadInput` where the text is not TOML.
     """
@@ -33,8 +58,9 @@ def piece_mass(scene: str) -> float | None:
     portion = tree.get("portion") or {}
     if "piece_mass" in portion:
         return float(portion["piece_mass"])
-    listed = tree.get("piece") or [portion]
+    listed = tree.get("piece") or ([portion] if portion else [])
     density = float(tree.get("material", {}).get("density", 300.0))
-    volumes = {_volume(piece) for piece in listed}
-    volume = volumes.pop() if len(volumes) == 1 else None
-    return None if volume is None else volume * density
+    volumes = [_volume(piece) for piece in listed]
+    if not volumes or None in volumes or max(volumes) > (1.0 + 1e-9) * min(volumes):
+        return None
+    return volumes[0] * density

@@ -2,14 +2,13 @@
 
 import math
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.stats import norm
 
 from calibrate.errors import BadInput
 from calibrate.loss import Draws, Measured
-from calibrate.summaries import LONGEST_LAG, log_increments, moments_of_trace, momentum_release
+from calibrate.summaries import BLOCK, log_increments_of_trace, moments_of_trace, momentum_release
 from calibrate.targets import ALIGNMENTS, Target, rebin
 from product_model.grid import Grid
 
@@ -25,12 +24,12 @@ def bin_length(targets: list[Target], bin_length=None) -> float:
 
 
 def fine_grid(targets: list[Target], bin_: float) -> Grid:
-    """Grid that holds the impacts of every trace with a margin, beginning before the first impact.
+    """Grid that holds the impacts of every trace with a margin, beginning at the first impact.
 
     Its length goes up in steps of an eighth to a quarter, so that similar data sets share one compiled program.
     """
     length = max(_active(trace) for trace in targets)
-    bins = math.ceil(1.3 * length / bin_) + 3 * LONGEST_LAG
+    bins = math.ceil(1.3 * length / bin_) + BLOCK
     step = max(2 ** (bins.bit_length() - 3), 1)
     return Grid(0.0, bin_, -(-bins // step) * step)
 
@@ -58,11 +57,28 @@ def measure(targets: list[Target], align: str = "release", bin_=None) -> Measure
     grid = fine_grid(targets, bin_)
     rows = [_summaries(trace, align, bin_) for trace in targets]
     columns = np.array([row[:-1] for row in rows])
-    scale = columns.std(axis=0, ddof=1) if len(rows) > 3 else np.array([0.01, 0.01, *([0.2] * len(LAGS))])
-    arrays = (columns[:, 0], columns[:, 1], columns[:, 2:], np.maximum(scale, 1e-6))
+    height, spread, increments = columns[:, 0], columns[:, 1], columns[:, 2:]
+    compared = np.column_stack([height, spread**2, increments])
+    scale = compared.std(axis=0, ddof=1) if len(rows) > 3 else np.array([0.01, 2e-4, *([0.2] * len(LAGS))])
     end = float(np.mean([row[-1] for row in rows]))
-    numbers = (end, targets[0].gravity, FLOOR)
-    return Measured(*map(jnp.asarray, (*arrays, *numbers)), grid=grid, lags=LAGS, from_momentum=align == "first-impact")
+    arrays = (height, spread, increments, np.maximum(scale, 1e-9), whitening(increments), end, targets[0].gravity, FLOOR)
+    return Measured(*map(jnp.asarray, arrays), grid=grid, lags=LAGS, from_momentum=align == "first-impact")
+
+
+def whitening(columns) -> np.ndarray:
+    """[lags, lags] makes of the log increments [K, lags] of the traces uncorrelated columns of standard deviation 1.
+
+    Traces scatter by the interference of their pulses, at all lags alike; what tells of the length of a pulse is how
+    the lags differ. The correlation is shrunk towards none by 2/K, so that few traces are not taken at their word.
+    """
+    count, lags = columns.shape
+    if count < 4:
+        return np.eye(lags) / 0.2
+    sd = np.maximum(columns.std(axis=0, ddof=1), 1e-3)
+    share = 2.0 / count
+    correlation = (1.0 - share) * np.cov(columns / sd, rowvar=False) + share * np.eye(lags)
+    variance, direction = np.linalg.eigh(correlation)
+    return direction / np.sqrt(variance) / sd[:, None]
 
 
 def _summaries(trace: Target, align: str, bin_: float) -> list:
@@ -70,13 +86,10 @@ def _summaries(trace: Target, align: str, bin_: float) -> list:
     if align == "first-impact":
         origin = momentum_release(trace.time, trace.force, trace.sample, trace.weight)
     height, spread = moments_of_trace(trace.time - origin, trace.force, trace.sample, trace.gravity, FLOOR)
-    start = trace.first_impact - (LONGEST_LAG + 4) * bin_
+    start = trace.first_impact - (BLOCK + 4) * bin_
     force = rebin(trace, start, bin_, math.floor((trace.time[-1] - start) / bin_)) / trace.weight
-    lags = np.asarray(_log_increments(jnp.asarray(force)))
+    lags = log_increments_of_trace(force, LAGS)
     return [float(height) - trace.height_offset, float(spread), *lags, float(trace.time[-1] - origin)]
-
-
-_log_increments = jax.jit(lambda force: log_increments(force, LAGS))
 
 
 def draw(targets: list[Target], simulations: int, seed: int) -> Draws:

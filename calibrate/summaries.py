@@ -1,9 +1,9 @@
 """What is compared between measured and simulated traces: a few numbers per trace, each of which tells of one
 parameter.
 
-height     (m)  mean drop height of the pieces, from the momentum they deliver   -> h_mean
-spread     (m)  standard deviation of their drop heights, likewise               -> gamma_low, gamma_high by its
-distribution increments [lags] logarithm of the summed squared increments of the force at short lags -> dt_impact
+height      (m)     mean drop height of the pieces, from the momentum they deliver -> h_mean
+spread      (m)     standard deviation of their drop heights, likewise -> gamma_low, gamma_high by its distribution
+increments  [lags]  logarithm of the summed squared increments of the force at short lags -> dt_impact
 
 Height and spread need no look at single pulses. A piece that falls from rest brings the momentum m g t and then
 weighs m g; with P(t) the momentum delivered up to t, F - P/t is free of the weight of what has landed, and for
@@ -55,35 +55,41 @@ def momentum_release(time, force, sample, weight):
     return time[-1] - np.sum(force) * sample / weight
 
 
-LONGEST_LAG = 32  # bins; also the block of the autocorrelation below
+BLOCK = 32  # bins; the longest lag is three bins less
+SMOOTH = 4  # bins of the mean that takes out the ripple of edges within one bin
 
 
-def low_pass(force):
-    """Mean over four neighbouring bins along the last axis: takes out the ripple of edges within one bin."""
-    return 0.25 * (force[..., :-3] + force[..., 1:-2] + force[..., 2:-1] + force[..., 3:])
-
-
-def autocorrelation(force, lags):
-    """Sum over k of F_k F_(k + lag) for `force` [T], at each of the static `lags` (0 ... LONGEST_LAG - 1): [lags].
-
-    From the products of neighbouring blocks, which are matrix products: ten times as fast as shifted sums on a CPU.
+def increment_kernel(lag: int) -> np.ndarray:
+    """[BLOCK] K with sum over t of (s_(t + lag) - s_t)^2 = sum over k of K_|k| R_k, where s is a trace after the mean
+    over SMOOTH bins and R the autocorrelation of its changes before that.
     """
-    block = LONGEST_LAG
-    count = -(-force.shape[0] // block) + 1
-    rows = jnp.zeros(count * block, force.dtype).at[: force.shape[0]].set(force).reshape(count, block)
-    product = lambda a, b: jnp.matmul(a.T, b, precision=jax.lax.Precision.HIGHEST)  # noqa: E731
-    near, far = product(rows, rows), product(rows[:-1], rows[1:])
-    column = np.arange(block)[None, :] - np.arange(block)[:, None]  # lag of each entry of `near`; of `far` less `block`
-    masks = [np.stack([column == lag - shift for lag in lags]).reshape(len(lags), -1) for shift in (0, block)]
-    total = [jnp.asarray(mask, force.dtype) @ part.reshape(-1) for mask, part in zip(masks, (near, far), strict=True)]
-    return total[0] + total[1]
+    window = np.convolve(np.ones(lag), np.full(SMOOTH, 1.0 / SMOOTH))
+    kernel = np.correlate(window, window, "full")[len(window) - 1 :]
+    return np.concatenate([kernel, np.zeros(BLOCK - len(kernel))])
 
 
-def log_increments(force, lags):
-    """[lags]: log of the sum of squared increments at each of the static `lags` (bins) of `force` [T], after the
-    low pass.
+def log_increments(changes, lags):
+    """[lags]: log of the sum of squared increments, at each of the static `lags` (bins), of the smoothed trace whose
+    changes from bin to bin are `changes` [T]; zero before them, constant after them.
+
+    From the products of neighbouring blocks of changes, which are matrix products: on a CPU several times as fast as
+    sums over the trace, which itself is not needed.
     """
-    smooth = low_pass(force)
-    lagged = autocorrelation(smooth, (0, *lags))
-    ends = jnp.stack([jnp.sum(smooth[:lag] ** 2) + jnp.sum(smooth[-lag:] ** 2) for lag in lags])
-    return jnp.log(jnp.maximum(2.0 * lagged[0] - ends - 2.0 * lagged[1:], 1e-12 * jnp.maximum(lagged[0], 1e-12)))
+    count = -(-changes.shape[0] // BLOCK) + 1
+    rows = jnp.zeros(count * BLOCK, changes.dtype).at[: changes.shape[0]].set(changes).reshape(count, BLOCK)
+    product = lambda a, b: jnp.matmul(a.T, b, precision=jax.lax.Precision.HIGHEST).reshape(-1)  # noqa: E731
+    apart = np.arange(BLOCK)[None, :] - np.arange(BLOCK)[:, None]
+    kernels = np.stack([increment_kernel(lag) for lag in lags])
+    within = jnp.asarray(kernels[:, np.abs(apart)].reshape(len(lags), -1), changes.dtype)
+    beyond = 2.0 * np.where(apart < 0, kernels[:, (BLOCK + apart) % BLOCK], 0.0)
+    across = jnp.asarray(beyond.reshape(len(lags), -1), changes.dtype)
+    squares = within @ product(rows, rows) + across @ product(rows[:-1], rows[1:])
+    return jnp.log(jnp.maximum(squares, 1e-12 * jnp.maximum(jnp.sum(changes**2), 1e-12)))
+
+
+def log_increments_of_trace(force, lags):
+    """The same of one measured trace [T] (NumPy), by its definition: traces of any length, without a program for
+    each.
+    """
+    smooth = np.convolve(force, np.full(SMOOTH, 1.0 / SMOOTH), "valid")
+    return np.array([np.log(max(np.sum((smooth[lag:] - smooth[:-lag]) ** 2), 1e-12 * np.sum(smooth**2), 1e-24)) for lag in lags])

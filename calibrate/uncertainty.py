@@ -11,11 +11,11 @@ import numpy as np
 
 from calibrate.loss import Measured, increment_distance, increments, moment_distances, moments
 from calibrate.prepare import draw
-from calibrate.solve import Solution, solve_data_sets
+from calibrate.solve import Solution, axes_of_sets, solve_data_sets
 from calibrate.unconstrained import NAMES, to_parameters, to_unconstrained
 
 LEVEL = 0.90
-BATCH = 8  # refits at once
+BATCH = 4  # refits at once: as many as a fit has starts, so that both are one program
 FEW_TRACES = 16  # below, no estimator knows gamma_high - gamma_low better than to a quarter (one standard deviation)
 UNITS = {"dt_impact": ("us", 1e6), "gamma_low": ("mm", 1e3), "gamma_high": ("mm", 1e3), "h_mean": ("mm", 1e3)}
 
@@ -84,8 +84,7 @@ def _slopes(u, fixed, draws, measured, free, fine):
 
 @partial(jax.jit, static_argnames=("free", "fine"))
 def _slopes_of_sets(u, fixed, draws, sets, free, fine):
-    axes = Measured(0, 0, 0, None, None, None, None, sets.grid, sets.lags, sets.from_momentum)
-    return jax.vmap(lambda m: _slopes(u, fixed, draws, m, free, fine), in_axes=(axes,))(sets)
+    return jax.vmap(lambda m: _slopes(u, fixed, draws, m, free, fine), in_axes=(axes_of_sets(sets),))(sets)
 
 
 def local_estimate(theta, targets, draws, measured, free, fine, seed, count: int = 64) -> dict:

@@ -68,5 +68,6 @@ class Pulses:
 
 def pulses(height, mass, dt_impact, gravity) -> Pulses:
     """Eqs 9-14 and 17 for pieces of `mass` [pieces] (kg) dropped from `height` [pieces] (m)."""
-    force = impact_force(impulse(mass, impact_velocity(height, gravity)), dt_impact)
-    return Pulses(fall_time(height, gravity), dt_impact, force, mass * gravity)
+    start = fall_time(height, gravity)
+    force = impact_force(impulse(mass, gravity * start), dt_impact)  # eq. 9 as g t: one root instead of two
+    return Pulses(start, dt_impact, force, mass * gravity)

@@ -174,7 +174,8 @@ def compiled(params: Parameters):
     """`key -> Trace` with all checks done and all inputs fixed beforehand: the fast way to many traces of one set of
     inputs.
 
-    The first call compiles.
+    The first call compiles. Where every trace is waited for, `jax.config.update("jax_cpu_enable_async_dispatch", False)`
+    at the start of the program and a key of the generator "rbg" each save a quarter of the time on a CPU.
     """
     check(params)
     static = static_of(params)

@@ -49,11 +49,15 @@ def interval_mean(pulses: Pulses, grid: Grid):
     Exact for every Delta t, also below one sample; the impulse of the samples is m v to rounding. Piecewise linear
     in the edges' times and hence differentiable almost everywhere.
     """
+    return cumulative_sum(deposits(pulses, grid))
+
+
+def deposits(pulses: Pulses, grid: Grid):
+    """Changes [T] (N) of the interval mean from one sample to the next: each edge's jump, shared by two neighbours."""
     times, jumps = pulses.edges()
     position = in_samples(times, grid)
     whole = jnp.floor(position)
     later = jumps * (position - whole)
     bin_ = whole.astype(jnp.int32)
-    deposits = jnp.zeros(grid.samples, jumps.dtype)
-    deposits = deposits.at[jnp.concatenate([bin_, bin_ + 1])].add(jnp.concatenate([jumps - later, later]), mode="drop")
-    return cumulative_sum(deposits)
+    nothing = jnp.zeros(grid.samples, jumps.dtype)
+    return nothing.at[jnp.concatenate([bin_, bin_ + 1])].add(jnp.concatenate([jumps - later, later]), mode="drop")

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from calibrate.loss import energy_distance
-from calibrate.prepare import LAGS, draw, measure
-from calibrate.summaries import autocorrelation, log_increments, moments_of_pulses, moments_of_trace, momentum_release
+from calibrate.prepare import LAGS, draw, measure, whitening
+from calibrate.summaries import log_increments, log_increments_of_trace, moments_of_pulses, moments_of_trace, momentum_release
 from calibrate.targets import rebin, target
 from product_model import ensemble, parameters, simulate
 
@@ -41,12 +41,26 @@ def test_momentum_tells_the_release_wherever_the_file_puts_its_zero(trace):
 
 
 def test_increments_equal_shifted_differences():
-    force = np.random.default_rng(0).uniform(size=1000)
+    """Those of the simulated traces, from their changes alone, and those of the measured ones, by definition. The
+    trace is at rest for the longest lag before and after, as both take for granted.
+    """
+    inner = np.random.default_rng(0).uniform(size=1000)
+    force = np.concatenate([np.zeros(32), inner, np.full(32, inner[-1])])
     smooth = (force[:-3] + force[1:-2] + force[2:-1] + force[3:]) / 4
     expected = [np.log(((smooth[lag:] - smooth[:-lag]) ** 2).sum()) for lag in LAGS]
-    np.testing.assert_allclose(log_increments(jnp.asarray(force), LAGS), expected, rtol=1e-12)
-    direct = [(force[lag:] * force[: len(force) - lag]).sum() for lag in range(32)]
-    np.testing.assert_allclose(autocorrelation(jnp.asarray(force), range(32)), direct, rtol=1e-12)
+    np.testing.assert_allclose(log_increments_of_trace(force, LAGS), expected, rtol=1e-12)
+    np.testing.assert_allclose(log_increments(jnp.diff(jnp.asarray(force), prepend=0.0), LAGS), expected, rtol=1e-12)
+
+
+def test_whitened_increments_are_uncorrelated_and_few_traces_are_not_taken_at_their_word():
+    """Shrinkage by 2/K: within a few times that of the unit matrix."""
+    random = np.random.default_rng(1)
+    columns = random.standard_normal((400, 7)) @ random.standard_normal((7, 7))
+    white = columns @ whitening(columns)
+    np.testing.assert_allclose(np.cov(white, rowvar=False), np.eye(7), atol=0.2)
+    few = columns[:5] @ whitening(columns[:5])
+    assert np.isfinite(few).all() and few.std(axis=0).max() < 2.0
+    assert np.isfinite(whitening(columns[:1])).all()
 
 
 def test_energy_distance_by_its_definition():
