@@ -176,7 +176,6 @@ def run(args):
 def ensemble(args):
     """python -m dem_jax ensemble"""
     _use_cache()
-    _use_cores()
     scene, out = _scene_and_target(args, "-ensemble")
     from dem_jax.monte_carlo import ensemble as together
 
@@ -283,15 +282,6 @@ def _use_cache():
         jax.config.update("jax_compilation_cache_dir", str(Path(base) / "dem_jax" / "jax"))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
         jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
-
-
-def _use_cores():
-    """One device for each core of a CPU, unless JAX_NUM_CPU_DEVICES says otherwise, for the runs of an ensemble."""
-    import jax
-
-    if "JAX_NUM_CPU_DEVICES" not in os.environ:
-        mine = getattr(os, "sched_getaffinity", None)  # not everywhere
-        jax.config.update("jax_num_cpu_devices", len(mine(0)) if mine else os.cpu_count())
 
 
 if __name__ == "__main__":

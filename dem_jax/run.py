@@ -4,7 +4,9 @@ After each chunk the guard is read: what outgrew a capacity or the skin is run a
 overlaps, a piece that is not finite or left the domain and a contact that is too deep stop the run.
 """
 
+import os
 import time
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -236,13 +238,42 @@ def advance(job: Job, system: System, state: State, first, count, shown) -> Span
 def execute(job: Job, system: System, state: State, first, count, shown=None):
     """Run the compiled chunk: the state on the device, samples and poses as numpy."""
     every = job.every or 1
-    mesh = None if job.runs is None else _mesh(job.runs)
-    if mesh:
-        state = jax.device_put(state, NamedSharding(mesh, PartitionSpec("runs")))
-    arguments = system, state, *(np.int32(x) for x in (count, every, first % every))
-    program = _program(arguments, mesh, job.frame_capacity, job.clock, shown)
-    after, samples, poses = program(*arguments)
+    rest = tuple(np.int32(x) for x in (count, every, first % every))
+    if job.runs is None:
+        return _computed(_program((system, state, *rest), None, job, shown), system, state, rest)
+    if jax.default_backend() == "cpu":
+        return _in_threads(job, system, state, rest, shown)
+    return _together(job, system, state, rest, shown)
+
+
+def _together(job: Job, system: System, state: State, rest, shown):
+    """The chunk of all runs of an ensemble side by side, shared out among devices."""
+    mesh = _mesh(job.runs)
+    state = jax.device_put(state, NamedSharding(mesh, PartitionSpec("runs")))
+    return _computed(_program((system, state, *rest), mesh, job, shown), system, state, rest)
+
+
+def _computed(program, system, state, rest):
+    after, samples, poses = program(system, state, *rest)
     return after, *jax.device_get((samples, poses))
+
+
+def _in_threads(job: Job, system: System, state: State, rest, shown):
+    """The chunk of each run of an ensemble by itself, on all cores of a CPU at once.
+
+    A run side by side with others, by ``jax.vmap``, takes no less time there (measured: 14.6 us a step of nine pieces
+    alone, 13 to 14 in batches of 2 to 64); this way it has the bits that it has alone.
+    """
+    states = [jax.tree.map(lambda x, k=k: x[k], state) for state in [jax.device_get(state)] for k in range(job.runs)]
+    program = _program((system, states[0], *rest), None, job, shown)
+    one = lambda state: jax.device_get(_computed(program, system, state, rest))  # noqa: E731
+    with ThreadPoolExecutor(_cores()) as pool:
+        return jax.tree.map(lambda *x: np.stack(x), *pool.map(one, states))
+
+
+def _cores() -> int:
+    mine = getattr(os, "sched_getaffinity", None)  # not everywhere
+    return len(mine(0)) if mine else os.cpu_count()
 
 
 def _mesh(runs) -> Mesh:
@@ -255,22 +286,23 @@ def _mesh(runs) -> Mesh:
 _PROGRAMS = {}  # compiled chunks by the form of their arguments
 
 
-def _program(arguments, mesh, frames, clock, shown):
+def _program(arguments, mesh, job: Job, shown):
+    """The compiled chunk of a run, or, on the devices of a mesh, of the runs of an ensemble side by side."""
     leaves, structure = jax.tree.flatten(arguments)
-    key = structure, tuple((x.shape, str(x.dtype)) for x in leaves), mesh, frames
+    key = structure, tuple((np.shape(x), str(x.dtype)) for x in leaves), mesh, job.frame_capacity
     if key not in _PROGRAMS:
         if shown:
             shown.compiling()
         start = time.perf_counter()
         backend = jax.default_backend()
-        function = partial(_chunk, frames)
+        function = partial(_chunk, job.frame_capacity)
         if mesh:
-            together, each = PartitionSpec(), PartitionSpec("runs")
+            same, each = PartitionSpec(), PartitionSpec("runs")
             function = jax.vmap(function, in_axes=(None, 0, None, None, None))
-            sides = {"in_specs": (together, each, together, together, together), "out_specs": each}
+            sides = {"in_specs": (same, each, same, same, same), "out_specs": each}
             function = jax.shard_map(function, mesh=mesh, check_vma=False, **sides)
         _PROGRAMS[key] = compiling.jit(function, backend).lower(*arguments).compile()
-        clock["compile"] += time.perf_counter() - start
+        job.clock["compile"] += time.perf_counter() - start
     return _PROGRAMS[key]
 
 

@@ -10,7 +10,7 @@ PIECE = 5.832e-3  # kg
 
 @pytest.fixture(scope="module")
 def run():
-    scene = dem_jax.load_scene("weigh-bucket").replace(run={"precision": "f64", "duration": 0.7})
+    scene = dem_jax.load_scene("weigh-bucket").replace(run={"precision": "f64", "duration": 0.9})
     return dem_jax.simulate(scene, seed=0)
 
 
@@ -30,9 +30,9 @@ def test_settled_mass_ends_as_the_portion(run):
 
 
 def test_floor_force_at_the_end_is_the_weight(run):
-    end = run.time > run.time[-1] - 0.15
+    end = run.time > run.time[-1] - 0.2
     total = sum(run.mean_force[g][end, 2].mean() for g in ("wb_flaps", "wb_walls"))
-    assert -total == pytest.approx(9 * PIECE * 9.81, rel=5e-3)  # what is left of the pieces' momentum after 0.55 s
+    assert -total == pytest.approx(9 * PIECE * 9.81, rel=1e-3)  # a piece that had stood on edge fell at 0.55 s
 
 
 def test_momentum_balance_closes_to_rounding(run):
