@@ -200,8 +200,7 @@ def main(argv=None):
     found = measure(rows, sizes, 0.2 if options.quick else ROUND_TIME)
     every = [t for timed in found.values() for t in timed.values() if isinstance(t, Timed)]
     waited = statistics.median(w / b for t in every for w, b in zip(t.wall, t.busy, strict=True))
-    report.RESULTS.mkdir(exist_ok=True)
-    figure(rows, found, report.RESULTS / "peers.png")
+    figure(rows, found, report.place("peers.png", options.quick))
     text = f"""# The same packed box with other programs
 
 {start}; load at the end {os.getloadavg()[0]:.2f}; {time.perf_counter() - began:.0f} s in all
@@ -217,7 +216,7 @@ they are {waited:.2f} times as long (median). {unsettled(rows, found)}
 
 ![µs per step over the number of pieces](peers.png)
 """
-    report.write("peers", text)
+    report.write("peers", text, options.quick)
 
 
 if __name__ == "__main__":
