@@ -136,7 +136,7 @@ def tables(rows, found) -> str:
         head = [f"N = {n}" for n in sizes]
         parts += [
             f"## {title}\n\nµs per step:\n\n{report.table(('program', 'what it models', *head), body)}",
-            f"Times ours, round by round:\n\n{report.table(('program', *head), ratio)}",
+            f"Their time over ours, round by round (above 1: we are quicker):\n\n{report.table(('program', *head), ratio)}",
             f"Seconds for a simulated second:\n\n{report.table(('program', *head), rate)}",
             f"Set-up (s), compiling included:\n\n{report.table(('program', *head), setup)}",
         ]
