@@ -94,7 +94,7 @@ def settled(shape, count) -> Path:
     width = width_of(shape, count)
     position, orientation = lattice(shape, count, width, np.random.default_rng(0))
     height = float(position[:, 2].max()) + BOUNDING[shape]
-    duration = round(float(np.sqrt(2 * 0.5 * height / GRAVITY)) + 0.25, 2)
+    duration = round(float(np.sqrt(2 * 0.5 * height / GRAVITY)) + 0.35, 2)
     settings = {"duration": duration, "sample": 2e-4, "frames": duration, "energy": False}
     loose = scene(shape, width, height, position, orientation, {"restitution": 0.5, "softening": 0.03}, settings)
     last = simulate(loose).pieces
