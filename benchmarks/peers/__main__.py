@@ -100,8 +100,13 @@ def side_by_side(rows, count, path, round_time):
                 out[peer.name] = f"stopped: {str(error)[:200]}"
             print(f"{peer.name}, {count}: {out[peer.name]}", file=sys.stderr, flush=True)
         for _ in range(ROUNDS):
-            for name, (child, steps) in running.items():
-                wall, busy = child.run(steps)
+            for name, (child, steps) in list(running.items()):
+                try:
+                    wall, busy = child.run(steps)
+                except Stopped as error:
+                    out[name] = f"stopped: {str(error)[:200]}"
+                    del running[name]
+                    continue
                 out[name].wall.append(wall / steps)
                 out[name].busy.append(busy / steps)
     return out
@@ -109,12 +114,20 @@ def side_by_side(rows, count, path, round_time):
 
 def measure(rows, sizes, round_time):
     """(shape, count) -> name -> Timed or why there is none."""
+    from dem_jax import SimulationError
+
     found = {}
     for shape in dict.fromkeys(row.shape for row in rows):
         for count in sizes:
             chosen = [row for row in rows if row.shape == shape and count in row.sizes]
-            if chosen:
-                found[shape, count] = side_by_side(chosen, count, packing.settled(shape, count), round_time)
+            if not chosen:
+                continue
+            try:
+                path = packing.settled(shape, count)
+            except SimulationError as error:
+                found[shape, count] = dict.fromkeys((row.name for row in chosen), f"no packing: {error}")
+                continue
+            found[shape, count] = side_by_side(chosen, count, path, round_time)
     return found
 
 
@@ -126,8 +139,8 @@ def tables(rows, found) -> str:
         body, ratio, rate, setup = [], [], [], []
         for row in (row for row in rows if row.shape == shape):
             cells = [found[shape, n].get(row.name) for n in sizes]
-            times = [c.busy if isinstance(c, Timed) else None for c in cells]
-            mine = [found[shape, n]["ours"].busy for n in sizes]
+            times = [_times(c) for c in cells]
+            mine = [_times(found[shape, n].get("ours")) for n in sizes]
             body.append((row.name, row.models, *(_cell(c, lambda c: report.spread(c.busy, 1e6)) for c in cells)))
             rate.append((row.name, *("" if t is None else f"{statistics.median(t) / row.step:.3g}" for t in times)))
             setup.append((row.name, *("" if t is None else f"{c.setup:.1f}" for c, t in zip(cells, times, strict=True))))
@@ -143,6 +156,11 @@ def tables(rows, found) -> str:
     return "\n\n".join(parts)
 
 
+def _times(timed):
+    """Seconds per step of each round, or None."""
+    return timed.busy if isinstance(timed, Timed) else None
+
+
 def _cell(timed, shown):
     if timed is None:
         return ""
@@ -151,7 +169,7 @@ def _cell(timed, shown):
 
 def _ratio(theirs, mine):
     """Their time over ours, of each round."""
-    return "" if theirs is None else report.spread([a / b for a, b in zip(theirs, mine, strict=True)])
+    return "" if theirs is None or mine is None else report.spread([a / b for a, b in zip(theirs, mine, strict=True)])
 
 
 def unsettled(rows, found) -> str:
