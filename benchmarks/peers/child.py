@@ -21,11 +21,16 @@ class Child:
     """A started program; a context manager that ends it."""
 
     def __init__(self, command, script="", folder=None):
-        """command: words; script: what it is told first; folder: to work in."""
+        """command: words; script: what it is told first, by ``include`` of a file in the folder that it works in.
+
+        (Written to it line by line, a long one would wait for an answer to be read, and the answer for the rest.)
+        """
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
         self._process = subprocess.Popen(command, cwd=folder, text=True, **pipes)
         self._last = deque(maxlen=40)
-        self._say(script)
+        if script:
+            (folder / "script").write_text(script)
+            self._say("include script\n")
 
     def __enter__(self):
         return self

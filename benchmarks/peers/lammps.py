@@ -44,50 +44,49 @@ def _tail(box: p.Packing, wall):
 
 
 def _limits(box: p.Packing):
-    """Low and high ends of LAMMPS's own box along x, y and z."""
+    """The lines of a data file with the ends of LAMMPS's own box."""
     x = 0.5 * box.width + 0.05
-    return (-x, x), (-x, x), (-0.05, box.height + 0.2)
+    return [f"{-x} {x} xlo xhi", f"{-x} {x} ylo yhi", f"{-0.05} {box.height + 0.2} zlo zhi"]
 
 
-def _started(lines):
-    return Child(["stdbuf", "-oL", "lmp", "-log", "none"], "\n".join(lines))
+def _started(lines, folder):
+    return Child(["stdbuf", "-oL", "lmp", "-log", "none"], "\n".join(lines), folder)
 
 
-def spheres(path, _):
+def spheres(path, folder):
     """Spheres at the poses of a packing."""
     box = p.load(path)
+    (folder / "spheres.data").write_text(sphere_data(box, 1))
     law = f"{p.PAIR} {p.PAIR} {DAMPING} {0.5 * DAMPING}"
     wall = f"{p.WALL} {p.WALL} {DAMPING} {0.5 * DAMPING} {p.WALL_FRICTION} 1"
-    limits = " ".join(f"{low} {high}" for low, high in _limits(box))
     return _started(
         [
             *_head("sphere", "off"),
-            f"region box block {limits}",
-            "create_box 1 box",
-            *(f"create_atoms 1 single {x:.9g} {y:.9g} {z:.9g}" for x, y, z in box.position),
-            f"set group all diameter {2 * p.RADIUS} density {p.DENSITY}",
+            "read_data spheres.data",
             f"pair_style gran/hooke/history {law} {p.FRICTION} 1",
             "pair_coeff * *",
             "fix motion all nve/sphere",
             *_tail(box, f"wall/gran hooke/history {wall}"),
-        ]
+        ],
+        folder,
     )
 
 
 def bodies(path, folder):
     """Pieces at the poses of a packing."""
     box = p.load(path)
-    (folder / "bodies.data").write_text(data(box))
+    (folder / "bodies.data").write_text(body_data(box))
     damping = "0.01 0.01"  # N s/m
     return _started(
         [
             *_head("body rounded/polyhedron 1 32", "on"),
-            f"read_data {folder}/bodies.data",
+            "read_data bodies.data",
             f"pair_style body/rounded/polyhedron {damping} {p.FRICTION} 1 {0.1 * ROUND}",
             f"pair_coeff * * {p.PAIR} 0",
             "fix motion all nve/body",
             *_tail(box, f"wall/body/polyhedron {p.WALL} {damping}"),
-        ]
+        ],
+        folder,
     )
 
 
@@ -102,7 +101,7 @@ def faces(corners):
     return edges, sides + ends
 
 
-def data(box: p.Packing) -> str:
+def body_data(box: p.Packing) -> str:
     """A data file with the bodies of a packing."""
     local = p.vertices()
     local = local - np.sign(local) * 0.5 * ROUND
@@ -117,6 +116,12 @@ def data(box: p.Packing) -> str:
         values = [f"{v:.12g}" for v in (*moments, *(local @ turn.T).ravel())] + tail
         shapes += [f"{n} 3 {len(values)}", f"{len(local)} {len(edges)} {len(sides)}"]
         shapes += [" ".join(values[k : k + 12]) for k in range(0, len(values), 12)]  # it takes 32 lines at most
-    limits = [f"{a} {b} {k}lo {k}hi" for k, (a, b) in zip("xyz", _limits(box), strict=True)]
-    head = ["packed pieces", "", f"{box.count} atoms", f"{box.count} bodies", "1 atom types", *limits]
+    head = ["packed pieces", "", f"{box.count} atoms", f"{box.count} bodies", "1 atom types", *_limits(box)]
     return "\n".join([*head, "", "Atoms", "", *atoms, "", "Bodies", "", *shapes, ""])
+
+
+def sphere_data(box: p.Packing, types) -> str:
+    """A data file with the spheres of a packing, for LIGGGHTS too; types: number of kinds of atoms that it makes room for."""
+    head = ["packed spheres", "", f"{box.count} atoms", f"{types} atom types", *_limits(box)]
+    rows = [f"{n} 1 {2 * p.RADIUS:.9g} {p.DENSITY} {x:.9g} {y:.9g} {z:.9g}" for n, (x, y, z) in enumerate(box.position, 1)]
+    return "\n".join([*head, "", "Atoms", "", *rows, ""])

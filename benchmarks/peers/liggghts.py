@@ -6,6 +6,7 @@ import subprocess
 
 from benchmarks.peers import packing as p
 from benchmarks.peers.child import Child
+from benchmarks.peers.lammps import sphere_data
 
 MODEL = "model edinburgh/stiffness tangential history"
 OPTIONS = "fixKc on limitForce on"  # with no adhesion: loading K, unloading K / eps2, never attractive
@@ -22,8 +23,8 @@ def version():
     return done.stdout.partition("LIGGGHTS-PUBLIC ")[2].split(",")[0] or "of unknown version"
 
 
-def _head(box: p.Packing, height):
-    """Box, walls, contact law, gravity."""
+def _head(box: p.Packing, domain):
+    """Box, walls, contact law, gravity; domain: the lines that make LIGGGHTS's own box."""
     x = 0.5 * box.width
     pairs = lambda a, b: f"peratomtypepair 2 {a} {b} {b} {b}"  # noqa: E731
     properties = {
@@ -45,8 +46,7 @@ def _head(box: p.Packing, height):
         "newton off",
         "communicate single vel yes",
         "units si",
-        f"region box block {-x - 0.05} {x + 0.05} {-x - 0.05} {x + 0.05} -0.05 {height} units box",
-        "create_box 2 box",
+        *domain,
         f"neighbor {SKIN} bin",
         "neigh_modify delay 0",
         *(f"fix p{n} all property/global {name} {value}" for n, (name, value) in enumerate(properties.items())),
@@ -74,10 +74,8 @@ def _started(lines, folder):
 def spheres(path, folder):
     """Spheres at the poses of a packing."""
     box = p.load(path)
-    lines = _head(box, box.height + 0.1)
-    lines += [f"create_atoms 1 single {x:.9g} {y:.9g} {z:.9g} units box" for x, y, z in box.position]
-    lines += [f"set group all diameter {2 * p.RADIUS} density {p.DENSITY}", "fix motion all nve/sphere"]
-    return _started(lines, folder)
+    (folder / "spheres.data").write_text(sphere_data(box, 2))
+    return _started([*_head(box, ["read_data spheres.data"]), "fix motion all nve/sphere"], folder)
 
 
 def clumps(path, folder):
@@ -87,7 +85,9 @@ def clumps(path, folder):
     x, height = 0.5 * box.width - 0.002, 6 * box.count * p.MASS / p.DENSITY / box.width**2 + 0.06
     (folder / "clump.txt").write_text("".join(f"{x} {y} {z} {r}\n" for x, y, z, r in CLUMP))
     inertia = f"{p.INERTIA[0]} 0 0 {p.INERTIA[1]} 0 {p.INERTIA[2]}"
-    lines = _head(box, height + 0.1) + [
+    ends = f"{-x - 0.05} {x + 0.05}"
+    domain = [f"region box block {ends} {ends} -0.05 {height + 0.1} units box", "create_box 2 box"]
+    lines = _head(box, domain) + [
         "fix motion all multisphere",
         "fix shape all particletemplate/multisphere 15485863 atom_type 1 density constant 300 nspheres 8 ntry 200000 "
         f"spheres file clump.txt scale 1 mass {p.MASS} inertia_tensor {inertia} use_density type 1",

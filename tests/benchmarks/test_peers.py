@@ -14,6 +14,8 @@ from benchmarks.peers.child import Child, Stopped
 
 ECHO = "from benchmarks.peers.child import serve; serve(lambda steps: sum(range(20000 * steps)))"
 
+TOLD = "print(open(input().split()[1]).read());" + ECHO  # reads the script that it is to include, and answers at length
+
 
 @pytest.fixture
 def box():
@@ -52,7 +54,7 @@ def test_faces_for_lammps_close_the_piece():
 
 
 def test_lammps_data_has_as_many_numbers_as_it_says(box):
-    lines = lammps.data(box).split("Bodies\n\n")[1].split()
+    lines = lammps.body_data(box).split("Bodies\n\n")[1].split()
     number, integers, doubles = int(lines[0]), int(lines[1]), int(lines[2])
     assert (number, integers) == (1, 3)
     assert len(lines) == box.count * (3 + integers + doubles)
@@ -69,12 +71,14 @@ def test_clump_fills_the_length_width_and_height_of_the_piece():
     np.testing.assert_allclose(reach, np.abs(packing.vertices()).max(axis=0), rtol=1e-12)
 
 
-def test_a_child_runs_when_told_and_says_why_it_stopped(monkeypatch):
+def test_a_child_runs_when_told_and_says_why_it_stopped(monkeypatch, tmp_path):
     monkeypatch.setenv("PYTHONPATH", ":".join(sys.path))
     with Child([sys.executable, "-c", ECHO]) as child:
         child.run(1)
         wall, busy = child.run(200)
         assert 0 < busy <= 1.1 * wall  # one thread; the two clocks are not read at the same instant
+    with Child([sys.executable, "-c", TOLD], "x\n" * 100_000, tmp_path) as child:  # longer than a pipe holds
+        child.run(1)
     with Child([sys.executable, "-c", "raise RuntimeError('no walls')"]) as child:
         with pytest.raises(Stopped, match="RuntimeError: no walls"):
             child.run(1)
