@@ -8,6 +8,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 RESULTS = Path(__file__).with_name("results")
+QUICK = Path("out/benchmarks")  # what a quick run makes does not replace what a whole one has measured
 
 
 def environment() -> str:
@@ -50,11 +51,17 @@ def table(head, rows) -> str:
     return "\n".join(lines)
 
 
-def write(name: str, text: str) -> Path:
-    """Write results/NAME.md and print it."""
-    RESULTS.mkdir(exist_ok=True)
-    path = RESULTS / f"{name}.md"
+def place(file: str, quick=False) -> Path:
+    """Where a result file goes; the folder is made."""
+    folder = QUICK if quick else RESULTS
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder / file
+
+
+def write(name: str, text: str, quick=False) -> Path:
+    """Write NAME.md and print it."""
+    path = place(f"{name}.md", quick)
     path.write_text(text.rstrip() + "\n")
     print(text)
-    print(f"\nwrote benchmarks/results/{name}.md")
+    print(f"\nwrote {path}")
     return path

@@ -99,7 +99,7 @@ Pieces on a lattice in a box, each touching its six neighbours:
 
 {report.table(SIZE_HEAD, sizes)}
 """
-    report.write(f"scaling_{kind}", text)
+    report.write(f"scaling_{kind}", text, options.quick)
 
 
 if __name__ == "__main__":

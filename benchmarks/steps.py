@@ -105,7 +105,7 @@ Packed marshmallows in the closed feed bucket, f32, one core; median (lowest to 
 
 Peak memory of the process: {memory:.0f} MB.
 """
-    report.write("steps", text)
+    report.write("steps", text, options.quick)
 
 
 if __name__ == "__main__":
