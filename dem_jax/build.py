@@ -60,7 +60,8 @@ def build(scene: Scene, seed: int = 0) -> Built:
     settling = _settling_samples(scene) * step.substeps
     samples = max(1, round(scene.run.duration / scene.run.sample))
     frame_every = max(1, round(scene.run.frames / scene.run.sample)) if scene.run.frames else 0
-    parts = _parts(step.substeps, scene.run.rebuild_steps)
+    block_steps = _round_to(8, scene.run.rebuild_steps)
+    parts = -(-step.substeps // block_steps)
     walls, plates, seams = _wall_arrays(panels, motions, joint, dtype)
     domain = _domain(scene, panels, start, made)
     polytopes = [i for i, m in enumerate(made) if m.radius == 0]
@@ -96,7 +97,7 @@ def build(scene: Scene, seed: int = 0) -> Built:
         has_damping=scene.material.unloading_damping > 0,
         ledger=scene.run.energy,
         parts=parts,
-        block_steps=_round_to(8, scene.run.rebuild_steps),
+        block_steps=block_steps,
     )
     only_spheres = not polytopes
     system = system.replace(has_rotation=not only_spheres or system.has_friction or bool(np.any(start.spin)))
@@ -415,6 +416,8 @@ def choose_step(scene: Scene, made, pieces: Pieces) -> TimeStep:
     if wanted > stable:
         raise SceneError(f"run.step = {wanted:g}: allowed: at most {stable:.4g} s, the stability limit of {limit}")
     substeps = max(1, int(np.ceil(sample / wanted - 1e-9)))
+    parts = -(-substeps // _round_to(8, scene.run.rebuild_steps))
+    substeps = parts * -(-substeps // parts)  # that many parts of equally many steps, see System.parts
     return TimeStep(sample / substeps, substeps, critical, stable, limit)
 
 
@@ -448,14 +451,6 @@ def _eccentricity(shape):
     arms = np.cross(vertices[:, None], np.eye(3)[None])  # [V, 3, 3]: r x n for n along each axis
     compliance = np.einsum("vik,vjk->vij", arms / shape.gyration, arms)
     return float(1 / (1 + np.linalg.eigvalsh(compliance).max()))
-
-
-def _parts(substeps, most) -> int:
-    """Parts, of equally many steps, that a sample interval is cut into, so that none has more steps than ``most``."""
-    parts = -(-substeps // most)
-    while substeps % parts:
-        parts += 1
-    return parts
 
 
 def _capacity(made, polytopes, panels):
@@ -565,6 +560,7 @@ def first_state(system: System, start: Start, frames, step: int) -> State:
         incidence=np.full((system.touching, n), 2 * sum(slots for *_, slots in system.capacity), np.int32),
         ledger=forces.empty_ledger(system, dtype),
         anchor=zero(7, n),
+        since=np.int32(step),
         lead=zero(),
         guard=neighbours.empty_guard(system, dtype),
     )

@@ -68,7 +68,7 @@ def rebuild(system: System, state: State) -> State:
         start_overlap=jnp.maximum(guard.start_overlap, 0),
     )
     anchor = jnp.concatenate([state.position, state.orientation])
-    return state.replace(contacts=tables, slots=slots, incidence=incidence, anchor=anchor, lead=lead, guard=guard)
+    return state.replace(contacts=tables, slots=slots, incidence=incidence, anchor=anchor, since=state.step, lead=lead, guard=guard)
 
 
 def pairs_of(system: System, source, stacked, reach):
@@ -285,8 +285,8 @@ def find_incidence(system: System, tables):
     return jnp.where(rank < count[None], order[at], columns), jnp.max(count)
 
 
-def travel(system: System, state: State, start):
-    """The most that any two bodies can have approached each other since the last rebuild, at step ``start`` (m).
+def travel(system: System, state: State):
+    """The most that any two bodies can have approached each other since the last rebuild (m).
 
     On a way of the length that present speeds give a body comes no further from where it was than half of that and of
     its displacement now; of both, those of the two bodies that went furthest.
@@ -299,7 +299,7 @@ def travel(system: System, state: State, start):
     now = _panels_at(system, state.step)
     of_walls = None
     if system.walls.moving:
-        before = _panels_at(system, start)
+        before = _panels_at(system, state.since)
         turn = vector.sub(now.rotation[0], before.rotation[0]), vector.sub(now.rotation[1], before.rotation[1])
         turned = jnp.sqrt(vector.dot(turn[0], turn[0]) + vector.dot(turn[1], turn[1]))
         of_walls = vector.norm(vector.sub(now.centre, before.centre)) + turned * vector.norm(tuple(system.walls.half_extent))

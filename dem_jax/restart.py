@@ -1,6 +1,6 @@
 """A state as named arrays, and back: all that is needed to go on bit for bit.
 
-What the rebuild at the start of a chunk fills anew (slots, anchor, lead) is left out.
+What the rebuild at the start of a chunk fills anew (slots, anchor, since, lead) is left out.
 """
 
 import jax
@@ -43,12 +43,12 @@ def unpack(system: System, state: State, arrays: dict) -> tuple[System, State]:
             raise RecordError(f"restart/{path} is {found}, but the scene needs {needed}")
         leaves.append(jnp.asarray(array))
     kept = jax.tree.unflatten(structure, leaves)
-    return system, kept.replace(slots=state.slots, anchor=state.anchor, lead=state.lead)
+    return system, kept.replace(slots=state.slots, anchor=state.anchor, since=state.since, lead=state.lead)
 
 
 def _leaves(state: State):
     """[(path, array)] of what is kept, and its structure."""
-    kept = state.replace(slots={}, anchor=None, lead=None)
+    kept = state.replace(slots={}, anchor=None, since=None, lead=None)
     paths, structure = jax.tree_util.tree_flatten_with_path(kept)
     return [(jax.tree_util.keystr(path, simple=True, separator="/"), leaf) for path, leaf in paths], structure
 

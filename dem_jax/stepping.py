@@ -1,13 +1,12 @@
 """One time step, read top to bottom as the physics, and the loops around it."""
 
 from functools import partial
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from dem_jax import boundary, compiling, forces, integrate, measure, neighbours
-from dem_jax.types import Array, Sample, State, System
+from dem_jax.types import Sample, State, System
 
 
 def step(system: System, state: State) -> tuple[State, Sample]:
@@ -47,15 +46,15 @@ def run_chunk(system: System, state: State, count, frame_every, samples: int, fr
 
     def block(carry):
         state, recorded, poses, done = carry
-        state, window = _look_around(system, state)
+        state, walls = _look_around(system, state)
         end = jnp.minimum(done + jnp.maximum(system.block_steps // system.substeps, 1), count)
         carry = state, recorded, poses, done
-        state, recorded, poses, _ = jax.lax.fori_loop(done, end, partial(one, window), carry)
-        return _seen(system, state, window), recorded, poses, end
+        state, recorded, poses, _ = jax.lax.fori_loop(done, end, partial(one, walls), carry)
+        return _seen(system, state), recorded, poses, end
 
-    def one(window, _, carry):
+    def one(walls, _, carry):
         state, recorded, poses, done = carry
-        state, sample = _one_sample(system, system.substeps, state, window)
+        state, sample = _one_sample(system, system.substeps, state, walls)
         recorded = jax.tree.map(lambda rows, row: rows.at[done].set(row), recorded, sample)
         if frames:
             poses = poses.at[jnp.minimum((done + phase) // frame_every, frames - 1)].set(measure.frame(system, state))
@@ -75,42 +74,37 @@ def rollout(system: System, state: State, samples: int, substeps: int) -> tuple[
     system = system.replace(substeps=jnp.full_like(system.substeps, substeps), block_steps=block * substeps)
 
     def body(state, _):
-        state, window = _look_around(system, state)
-        one = lambda state, _: _one_sample(system, substeps, state, window)  # noqa: E731
+        state, walls = _look_around(system, state)
+        one = lambda state, _: _one_sample(system, substeps, state, walls)  # noqa: E731
         state, recorded = jax.lax.scan(one, state, None, length=block)
-        return _seen(system, state, window), recorded
+        return _seen(system, state), recorded
 
     blocks = -(-samples // block)
     state, recorded = jax.lax.scan(body, state, None, length=blocks)
     return state, jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:samples], recorded)
 
 
-class Window(NamedTuple):
-    """What is known ahead for the steps between two rebuilds."""
-
-    start: Array  # int32: the step of the rebuild
-    walls: boundary.Panels  # boundary.schedule
+def _look_around(system: System, state: State) -> tuple[State, boundary.Panels]:
+    """Find the candidate pairs anew, and where the walls will be after each step until the next rebuild."""
+    return neighbours.rebuild(system, state), boundary.schedule(system, state.step, system.block_steps)
 
 
-def _look_around(system: System, state: State) -> tuple[State, Window]:
-    """Find the candidate pairs anew, and where the walls will be until the next rebuild."""
-    walls = boundary.schedule(system, state.step, system.block_steps)
-    return neighbours.rebuild(system, state), Window(state.step, walls)
-
-
-def _one_sample(system: System, substeps, state: State, window: Window) -> tuple[State, Sample]:
+def _one_sample(system: System, substeps, state: State, walls: boundary.Panels) -> tuple[State, Sample]:
     """Advance by one sample interval. substeps: an int (differentiable) or an array (not compiled anew for another)."""
-    state = _new_interval(state)
-    for part in range(system.parts):
-        if part:
-            state, window = _look_around(system, _seen(system, state, window))
-        state = _advance_by(system, substeps, state, window)
+    state = _advance_by(system, substeps, _new_interval(state), walls)
+
+    def another_part(state, _):
+        state, walls = _look_around(system, _seen(system, state))
+        return _advance_by(system, substeps, state, walls), None
+
+    if system.parts > 1:
+        state, _ = jax.lax.scan(another_part, state, None, length=system.parts - 1)
     return state, measure.sample(system, state)
 
 
-def _advance_by(system: System, substeps, state: State, window: Window) -> State:
+def _advance_by(system: System, substeps, state: State, walls: boundary.Panels) -> State:
     def one(state):
-        return advance(system, state, boundary.scheduled(system, window.walls, state.step - window.start))
+        return advance(system, state, boundary.scheduled(system, walls, state.step - state.since))
 
     if isinstance(substeps, int):
         return jax.lax.scan(lambda state, _: (one(state), None), state, None, length=substeps)[0]
@@ -124,7 +118,7 @@ def _new_interval(state: State) -> State:
     )
 
 
-def _seen(system: System, state: State, window: Window) -> State:
+def _seen(system: System, state: State) -> State:
     """Note how far bodies have moved since the last rebuild, beyond what their speeds made expect."""
-    travel = jnp.maximum(state.guard.travel, neighbours.travel(system, state, window.start) - state.lead)
+    travel = jnp.maximum(state.guard.travel, neighbours.travel(system, state) - state.lead)
     return state.replace(guard=state.guard.replace(travel=travel))

@@ -218,6 +218,7 @@ class State:
     incidence: Array  # [touching, N] int32: where the contacts of each piece stand among all (see forces.gather_loads)
     ledger: Ledger
     anchor: Array  # [7, N]: position and orientation at the last rebuild
+    since: Array  # int32: the step of the last rebuild
     lead: Array  # (m): most that two bodies approach each other at the speeds they had then, until the next rebuild
     guard: Guard
 

@@ -218,7 +218,7 @@ def test_travel_bounds_how_far_bodies_have_approached_each_other(marshmallows):
         moved = place + random.normal(size=(COUNT, 3)) * size
         turn = Rotation.from_rotvec(random.normal(size=(COUNT, 3)) * size / 0.02)
         turned = (turn * Rotation.from_quat(orientation, scalar_first=True)).as_quat(scalar_first=True)
-        said = float(travel(placed(start, moved, turned).replace(velocity=jnp.zeros((3, COUNT))), start.step))
+        said = float(travel(placed(start, moved, turned).replace(velocity=jnp.zeros((3, COUNT)))))
         shrunk = (before - gaps(corners(made, moved, turned))).max()
         assert 0 < shrunk <= said
         floor = solid[:, :, 2].min(1) - corners(made, moved, turned)[:, :, 2].min(1)
