@@ -14,7 +14,7 @@ from dem_jax.errors import SceneError
 from dem_jax.scene import SHAPE_KEYS, PieceShape, Scene, Wall
 from dem_jax.types import Law, Pieces, State, System, Walls, float_dtype
 
-SKIN = 0.01  # of the width of the narrowest piece: see neighbours
+SKIN = 0.03  # of the width of the narrowest piece: see neighbours
 
 
 @dataclass(frozen=True)
