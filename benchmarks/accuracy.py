@@ -142,13 +142,13 @@ def exact(kind, begin, restitution=0.1, softening=0.01) -> Impacts:
     return replace(fine, peak=np.array([c.peak_force for c in cases]), rebound=np.array([c.rebound_speed for c in cases]))
 
 
-def cost_of_a_step(kind, start, precision, rebuild_steps=50):
-    """Seconds of processor time per step of one impact, alone, at the default sampling."""
+def cost_of_a_step(kind, start, precision, **changes):
+    """Seconds of processor time per step of one impact, alone, at the default sampling; changes: keys of ``run``."""
     import jax
 
     from dem_jax import run
 
-    scene = plate(kind, start, DEFAULT, precision, sample=30e-6, rebuild_steps=rebuild_steps, duration=1.0)
+    scene = plate(kind, start, DEFAULT, precision, sample=30e-6, duration=1.0, **changes)
     job = run.prepare(scene, (0,), None)
     times = []
     for _ in range(6):
@@ -188,7 +188,7 @@ def impact_points(kind, count, numbers, cadences):
             points.append(Point(label, precision, work, *shown, (number, precision) == (DEFAULT, "f32"), number))
     at_default = next(p for p in points if p.default)
     for cadence in cadences:
-        each = cost_of_a_step(kind, begin[0], "f32", cadence)
+        each = cost_of_a_step(kind, begin[0], "f32", rebuild_steps=cadence)
         work = each * WINDOW[kind["shape"]] / true.quarter * DEFAULT
         label = f"{DEFAULT} steps, f32, rebuilt every {cadence} steps"
         points.append(replace(at_default, label=label, series=f"rebuilt every {cadence}", work=work, default=False))

@@ -1,5 +1,4 @@
-"""Recovery, coverage and speed of the fit: `python -m benchmarks.calibration [--sets 20] [--refits 48] [--minutes 30]`, a
-table.
+"""Recovery, coverage and speed of the fit: `python -m benchmarks.calibration [--sets 20] [--refits 48] [--minutes 10]`.
 
 Synthetic data sets of K = 64 traces with known parameters, drawn with other keys than the fits use, beside an oracle
 that knows the drop heights: the maximum likelihood of eqs 18-22 by quadrature over the spread. The oracle is also run
@@ -10,7 +9,6 @@ pieces; the table says how many there were.
 
 import argparse
 import time
-from pathlib import Path
 
 import jax
 import numpy as np
@@ -115,7 +113,7 @@ def rows(pieces, results):
 HEAD = ("n", "parameter", "bias %", "sd %", "oracle bias %", "oracle sd %", f"oracle sd %, {ORACLE_SETS} sets", "coverage of 90 %")
 
 
-def table(sets: int, refits: int, counts, minutes: float = float("inf")) -> str:
+def table(sets: int, refits: int, counts, minutes: float) -> str:
     """The Markdown table."""
     begin = report.environment()
     lines, timings = [], []
@@ -136,16 +134,18 @@ def table(sets: int, refits: int, counts, minutes: float = float("inf")) -> str:
     return "\n".join([*head, report.table(HEAD, lines), "", *timings])
 
 
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
+def main(argv=None):
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.calibration", description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="two sets of nine pieces, without refits")
     parser.add_argument("--sets", type=int, default=20)
     parser.add_argument("--refits", type=int, default=48)
     parser.add_argument("--pieces", type=int, nargs="+", default=[64, 9, 318])
-    parser.add_argument("--minutes", type=float, default=float("inf"))
-    parser.add_argument("--out", type=Path)
-    args = parser.parse_args()
+    parser.add_argument("--minutes", type=float, default=10)
+    options = parser.parse_args(argv)
     jax.config.update("jax_enable_x64", True)
-    text = table(args.sets, args.refits, args.pieces, args.minutes)
-    print(text)
-    if args.out:
-        args.out.write_text(text + "\n")
+    sizes = (2, 0, [9]) if options.quick else (options.sets, options.refits, options.pieces)
+    report.write("calibration", table(*sizes, options.minutes), options.quick)
+
+
+if __name__ == "__main__":
+    main()

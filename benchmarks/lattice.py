@@ -4,6 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from benchmarks.box import open_box
+
 PRESS = 5e-4  # overlap of neighbours relative to the pitch
 SKIN = 5e-4  # m: for pieces at rest, as in a settled heap
 
@@ -15,14 +17,7 @@ def box_scene(shape: str, count: int, precision="f32"):
     pitch = np.array([0.02] * 3 if shape == "sphere" else [0.055, 0.023, 0.016]) * (1 - PRESS)
     cells = lattice_cells(count)
     size = cells * pitch
-    x, y, z = (0.5 * size[0], 0.5 * size[1], size[2])
-    corners = [
-        [(-x, -y, 0), (x, -y, 0), (x, y, 0), (-x, y, 0)],
-        [(-x, -y, 0), (-x, y, 0), (-x, y, z), (-x, -y, z)],
-        [(x, y, 0), (x, -y, 0), (x, -y, z), (x, y, z)],
-        [(x, -y, 0), (-x, -y, 0), (-x, -y, z), (x, -y, z)],
-        [(-x, y, 0), (x, y, 0), (x, y, z), (-x, y, z)],
-    ]
+    corners = open_box(0.5 * size[0], 0.5 * size[1], size[2])
     walls = "\n".join(f'[[wall]]\ngroup = "box"\ncorners = {[list(map(float, c)) for c in row]}' for row in corners)
     radius = "radius = 0.01" if shape == "sphere" else ""
     scene = parse(f"""

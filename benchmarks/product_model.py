@@ -1,4 +1,4 @@
-"""Speed of the Product Model: `python -m benchmarks.product_model [--out FILE]` prints a Markdown table.
+"""Speed of the Product Model: `python -m benchmarks.product_model`.
 
 318 pieces, 100 ms at 30 us. Each row: median and quartiles of repeated timings, compile time beside. Single traces are
 dispatched synchronously (`jax_cpu_enable_async_dispatch` off), as a program that waits for each of them should: a
@@ -8,7 +8,6 @@ handover to another thread costs more than a third of a trace.
 import argparse
 import statistics
 import time
-from pathlib import Path
 
 import jax
 
@@ -83,19 +82,15 @@ def rows():
             yield streaming(precision, form)
 
 
-def table() -> str:
-    """The Markdown table."""
+def main(argv=None):
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.product_model", description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="the same, written to out/benchmarks")
+    options = parser.parse_args(argv)
+    jax.config.update("jax_cpu_enable_async_dispatch", False)
     head = ("what", "precision", "median", "quartiles", "best", "compile (s)")
     text = ["# Speed of the Product Model", "", report.environment(), "", "318 pieces, 100 ms at 30 us.", ""]
-    return "\n".join([*text, report.table(head, list(rows()))])
+    report.write("product_model", "\n".join([*text, report.table(head, list(rows()))]), options.quick)
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path)
-    args = parser.parse_args()
-    jax.config.update("jax_cpu_enable_async_dispatch", False)
-    text = table()
-    print(text)
-    if args.out:
-        args.out.write_text(text + "\n")
+    main()

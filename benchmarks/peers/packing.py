@@ -7,6 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.box import open_box
+
 DENSITY = 300.0  # kg/m3
 MASS = 5.832e-3  # kg, of a marshmallow and of the sphere of its volume
 INERTIA = (3.6855e-7, 1.494566e-6, 1.614284e-6)  # kg m2, of a marshmallow about x, y, z
@@ -49,18 +51,10 @@ def scene(shape, width, height, position, orientation, material, run):
     """The box with pieces at poses [N, 3], [N, 4]; material, run: keys of these sections."""
     from dem_jax.scene import load_scene
 
-    x, high = 0.5 * width, height
-    corners = [
-        [(-x, -x, 0.0), (x, -x, 0.0), (x, x, 0.0), (-x, x, 0.0)],
-        [(-x, -x, 0.0), (-x, x, 0.0), (-x, x, high), (-x, -x, high)],
-        [(x, x, 0.0), (x, -x, 0.0), (x, -x, high), (x, x, high)],
-        [(x, -x, 0.0), (-x, -x, 0.0), (-x, -x, high), (x, -x, high)],
-        [(-x, x, 0.0), (x, x, 0.0), (x, x, high), (-x, x, high)],
-    ]
     kind = {"shape": shape, "radius": float(RADIUS)} if shape == "sphere" else {"shape": shape}
     poses = zip(position.tolist(), orientation.tolist(), strict=True)
     pieces = [kind | {"position": tuple(p), "orientation": tuple(q)} for p, q in poses]
-    walls = [{"group": "box", "corners": row, "thickness": 0.02} for row in corners]
+    walls = [{"group": "box", "corners": row, "thickness": 0.02} for row in open_box(0.5 * width, 0.5 * width, height)]
     return load_scene("plate-drop").replace(name="box", piece=pieces, wall=walls, block=[], material=material, run=run)
 
 
@@ -109,14 +103,3 @@ def load(path) -> Packing:
     """The packing in a file."""
     with np.load(path) as file:
         return Packing(str(file["shape"]), float(file["width"]), file["position"].astype(float), file["orientation"].astype(float))
-
-
-def matrices(quaternions):
-    """Rotation matrices [N, 3, 3] of quaternions w x y z [N, 4]."""
-    w, x, y, z = (quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)).T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), -1, 0)

@@ -7,8 +7,6 @@ import shutil
 import subprocess
 import sys
 
-VOLUME = 19440e-9  # m3
-
 
 def version():
     """That of the program, or None if it is not found."""
@@ -45,6 +43,8 @@ def build(box, p):
         PolyhedraMat,
     )
 
+    from dem_jax.pose import matrix_of_quaternion
+
     scene = Omega()
     # Force = young * volume of the overlap: as stiff as ours for two faces of 10 cm2.
     material = PolyhedraMat(density=p.DENSITY, young=p.PAIR / 1e-3, poisson=0.2, frictionAngle=atan(p.FRICTION))
@@ -52,7 +52,7 @@ def build(box, p):
     for axis, place, sense in ((2, 0.0, 1), (0, -half, 1), (0, half, -1), (1, -half, 1), (1, half, -1)):
         scene.bodies.append(utils.wall(place, axis=axis, sense=sense, material=material))
     corners = p.vertices()
-    for position, turn in zip(box.position, p.matrices(box.orientation)):  # noqa: B905  (YADE's own, older Python)
+    for position, turn in zip(box.position, matrix_of_quaternion(box.orientation)):  # noqa: B905  (YADE's own, older Python)
         points = [Vector3(*map(float, v)) for v in corners @ turn.T + position]
         scene.bodies.append(polyhedra_utils.polyhedra(material, v=points))
     scene.engines = [
