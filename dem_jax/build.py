@@ -23,6 +23,7 @@ class TimeStep:
 
     dt: float  # s
     substeps: int  # steps per sample
+    parts: int  # of equally many steps that a sample is cut into, none of more steps than a rebuild is good for
     critical: float  # s: the smallest critical step, by materials.steps
     stable: float  # s: linear stability limit, which no step may exceed
     limit: str  # what sets the critical step, in words
@@ -60,8 +61,6 @@ def build(scene: Scene, seed: int = 0) -> Built:
     settling = _settling_samples(scene) * step.substeps
     samples = max(1, round(scene.run.duration / scene.run.sample))
     frame_every = max(1, round(scene.run.frames / scene.run.sample)) if scene.run.frames else 0
-    block_steps = _round_to(8, scene.run.rebuild_steps)
-    parts = -(-step.substeps // block_steps)
     walls, plates, seams = _wall_arrays(panels, motions, joint, dtype)
     domain = _domain(scene, panels, start, made)
     polytopes = [i for i, m in enumerate(made) if m.radius == 0]
@@ -81,7 +80,7 @@ def build(scene: Scene, seed: int = 0) -> Built:
         law=_typed(_law(scene), dtype),
         gravity=jnp.asarray(np.asarray(scene.run.gravity, dtype)),
         dt=jnp.asarray(np.asarray(step.dt, dtype)),
-        substeps=jnp.asarray(np.asarray(step.substeps // parts, np.int32)),
+        substeps=jnp.asarray(np.asarray(step.substeps // step.parts, np.int32)),
         skin=jnp.asarray(np.asarray(SKIN * pieces.width.min(), dtype)),
         block_low=jnp.asarray(np.asarray(np.array([b.low for b in blocks]).reshape(-1, 3).T, dtype)),
         block_high=jnp.asarray(np.asarray(np.array([b.high for b in blocks]).reshape(-1, 3).T, dtype)),
@@ -96,8 +95,8 @@ def build(scene: Scene, seed: int = 0) -> Built:
         has_rotation=True,
         has_damping=scene.material.unloading_damping > 0,
         ledger=scene.run.energy,
-        parts=parts,
-        block_steps=block_steps,
+        parts=step.parts,
+        block_steps=_block_steps(scene),
     )
     only_spheres = not polytopes
     system = system.replace(has_rotation=not only_spheres or system.has_friction or bool(np.any(start.spin)))
@@ -416,9 +415,14 @@ def choose_step(scene: Scene, made, pieces: Pieces) -> TimeStep:
     if wanted > stable:
         raise SceneError(f"run.step = {wanted:g}: allowed: at most {stable:.4g} s, the stability limit of {limit}")
     substeps = max(1, int(np.ceil(sample / wanted - 1e-9)))
-    parts = -(-substeps // _round_to(8, scene.run.rebuild_steps))
-    substeps = parts * -(-substeps // parts)  # that many parts of equally many steps, see System.parts
-    return TimeStep(sample / substeps, substeps, critical, stable, limit)
+    parts = -(-substeps // _block_steps(scene))
+    substeps = parts * -(-substeps // parts)
+    return TimeStep(sample / substeps, substeps, parts, critical, stable, limit)
+
+
+def _block_steps(scene: Scene) -> int:
+    """Most steps between rebuilds: few distinct numbers, as they are part of what is compiled."""
+    return _round_to(8, scene.run.rebuild_steps)
 
 
 def _possible_contacts(made, pieces: Pieces):

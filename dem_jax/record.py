@@ -268,10 +268,6 @@ class Writer:
         if self._is_due():
             self.flush()
 
-    def append_frames(self, frames):
-        """Add poses only: the fields of Frames -> arrays."""
-        self.append({}, frames)
-
     def write_restart(self, arrays):
         """Replace the restart state only: path -> array."""
         self.append({}, restart=arrays)

@@ -215,7 +215,7 @@ class State:
     wall_torque: Array  # [3, G] (N m): likewise, about the group's pivot
     contacts: dict  # kind of contact -> ContactTable
     slots: dict  # kind of contact -> Slots
-    incidence: Array  # [touching, N] int32: where the contacts of each piece stand among all (see forces.gather_loads)
+    incidence: Array  # [touching, N] int32: where the contacts of each piece stand among all (see neighbours.find_incidence)
     ledger: Ledger
     anchor: Array  # [7, N]: position and orientation at the last rebuild
     since: Array  # int32: the step of the last rebuild

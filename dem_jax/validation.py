@@ -276,6 +276,11 @@ def lasting(system: System) -> System:
     return system.replace(skin=jnp.full_like(system.skin, 10.0))
 
 
+def refined(system: System, times: int) -> System:
+    """The system with so many steps in place of one."""
+    return system.replace(dt=system.dt / times, substeps=system.substeps * times, block_steps=system.block_steps * times)
+
+
 def trace(system: System, state: State, steps: int, read, every: int = 1):
     """Run and read ``read(system, state)`` after each ``every`` steps; returns the last state and what was read.
 

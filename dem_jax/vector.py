@@ -97,11 +97,6 @@ def unpack(array):
     return (array[0], array[1], array[2])
 
 
-def pack(a):
-    """The tuple of components -> [3, ...]."""
-    return jnp.stack(a)
-
-
 def kept(*arrays):
     """The same finite arrays, to the last bit, each computed once although several kernels use it.
 

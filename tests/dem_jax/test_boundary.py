@@ -6,15 +6,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dem_jax import boundary, build, guard, stepping
+from dem_jax import boundary, build, guard, stepping, validation
 from dem_jax.scene import Scene
 
 SAMPLES = 1024
 
 
 def run(made, samples, finer=1, skin=0.01):
-    substeps, longest = made.system.substeps * finer, made.system.block_steps * finer
-    system = made.system.replace(dt=made.system.dt / finer, substeps=substeps, block_steps=longest)
+    system = validation.refined(made.system, finer)
     system = system.replace(skin=system.skin * 0 + skin)
     state, recorded, _ = stepping.chunk(system, made.state, np.int32(samples), np.int32(1), samples=SAMPLES, frames=0)
     assert not guard.outgrown(system, jax.device_get(state.guard))

@@ -30,8 +30,7 @@ def built(scene, skin=None):
 
 def run(made, samples, finer=1, state=None):
     """The state after some samples, and the samples, as numpy; finer: steps per step of the scene."""
-    substeps, longest = made.system.substeps * finer, made.system.block_steps * finer
-    system = made.system.replace(dt=made.system.dt / finer, substeps=substeps, block_steps=longest)
+    system = validation.refined(made.system, finer)
     count, every = np.int32(samples), np.int32(1)
     start = made.state if state is None else state
     state, recorded, _ = stepping.chunk(system, start, count, every, samples=SAMPLES, frames=0)
