@@ -10,7 +10,7 @@ import subprocess
 import sys
 import time
 
-BENCHMARKS = ("steps", "accuracy", "peers", "scaling", "product_model", "calibration")
+BENCHMARKS = ("steps", "skips", "accuracy", "peers", "scaling", "product_model", "calibration")
 
 
 def command(name, quick):

@@ -56,7 +56,7 @@ def positions(cells, pitch, count):
 
 def system_of(shape: str, count: int):
     """System and first state on the lattice, with capacities that fit, found by rebuilding until nothing overflows."""
-    from dem_jax import build, guard, neighbours
+    from dem_jax import build, guard, neighbours, run
 
     scene, centres = box_scene(shape, count)
     built = build.build(scene, 0)
@@ -67,9 +67,11 @@ def system_of(shape: str, count: int):
         position_rest=jnp.asarray(centres - high, jnp.float32),
         orientation=upright,
     )
-    system = built.system.replace(skin=jnp.float32(SKIN), domain_high=jnp.max(state.position, axis=1) + 1)
+    block = run.SLOT_BLOCK if jax.default_backend() == "cpu" else 0
+    system = built.system.replace(skin=jnp.float32(SKIN), domain_high=jnp.max(state.position, axis=1) + 1, slot_block=block)
+    rebuild = jax.jit(neighbours.rebuild)
     for _ in range(8):
-        rebuilt = jax.jit(neighbours.rebuild)(system, state)
+        rebuilt = rebuild(system, state)
         seen = jax.device_get(rebuilt.guard)
         if not guard.outgrown(system, seen):
             return system, rebuilt

@@ -1,44 +1,74 @@
-"""Growth with the number of pieces and of ensemble members, on whatever device JAX has: ``python -m benchmarks.scaling``.
+"""Growth with the number of pieces, of ensemble members and of cores, on whatever device JAX has.
 
-Pieces on a lattice, each touching its neighbours, in a box; ensembles of nine marshmallows at rest in the feed bucket.
+``python -m benchmarks.scaling`` (``--quick``: the smallest sizes; ``--sizes N ...``: these numbers of pieces). Pieces on a
+lattice, each touching its neighbours, in a box; ensembles of nine marshmallows at rest in the feed bucket. Each row is
+measured by a process of its own, whose memory is that row's alone; on a CPU it pins itself to one core, and times are
+those on the processor.
 """
 
 import argparse
+import json
+import os
+import resource
 import statistics
+import subprocess
+import sys
 import time
+
+import numpy as np
 
 from benchmarks import lattice, report
 
-SIZES = {"cpu": (343, 1000, 8000), "gpu": (1000, 10_000, 100_000, 1_000_000)}
+SHAPES = ("sphere", "chamfered-cuboid")
+SIZES = {"cpu": (343, 1000, 3000, 8000, 20_000, 50_000), "gpu": (1000, 10_000, 100_000, 1_000_000)}
 MEMBERS = {"cpu": (1, 8, 64), "gpu": (64, 256, 1024, 4096)}
-SAMPLES, REPEATS = 10, 5
-SIZE_HEAD = ("shape", "pieces", "µs per step", "piece-steps per s", "slots", "bytes held per piece", "compile (s)", "set-up (s)")
+UNTIMED, REPEATS = 4, 5  # chunks
+BLOCKS = 2  # rebuilds in a chunk that is timed, each with the steps until the next
+DROPS = 8  # of the ensemble that is shared out among cores
+SIZE_HEAD = (
+    "shape", "pieces", "µs per step", "µs per step and piece", "pairs listed per piece", "bytes held per piece",
+    "memory of the process (MB)", "compile (s)", "set-up (s)",
+)  # fmt: skip
+
+MEMBER_HEAD = ("members", "µs per step of all", "µs per member-step", "drops of 0.2 s per s", "memory (MB)", "compile (s)")
 
 
 def time_chunk(system, state, members=None):
-    """Seconds per step (a value per repeat, the first dropped), compile time (s)."""
+    """Seconds per step (a value per repeat), compile time (s).
+
+    Each chunk goes on from the one before, the first few untimed: on a perfect lattice tangential forces begin as rounding,
+    so small that their squares are denormal numbers, on which a CPU takes many times as long.
+    """
     import jax
     import jax.numpy as jnp
 
     from dem_jax import compiling, stepping
 
-    count, every, phase, backend = jnp.int32(SAMPLES), jnp.int32(1), jnp.int32(0), jax.default_backend()
-    run = lambda system, state: stepping.run_chunk(system, state, count, every, SAMPLES, 0, phase)  # noqa: E731
+    backend = jax.default_backend()
+    samples = BLOCKS * max(1, system.block_steps // int(system.substeps))
+    count, every, phase = jnp.int32(samples), jnp.int32(1), jnp.int32(0)
+    run = lambda system, state: stepping.run_chunk(system, state, count, every, samples, 0, phase)  # noqa: E731
     run = run if members is None else jax.vmap(run, in_axes=(None, 0))
     start = time.perf_counter()
     compiled = compiling.jit(run, backend).lower(system, state).compile()
     compile_time = time.perf_counter() - start
-    steps = SAMPLES * int(system.substeps) * system.parts
+    steps = samples * int(system.substeps) * system.parts
+    clock = time.process_time if backend == "cpu" else time.perf_counter
     times = []
-    for _ in range(REPEATS + 1):
-        start = time.perf_counter()
-        jax.block_until_ready(compiled(system, state))
-        times.append((time.perf_counter() - start) / steps)
-    return times[1:], compile_time
+    for _ in range(UNTIMED + REPEATS):
+        start = clock()
+        state, *_ = jax.block_until_ready(compiled(system, state))
+        times.append((clock() - start) / steps)
+    return times[UNTIMED:], compile_time
 
 
-def size_row(shape: str, count: int):
-    """A row of the table of sizes."""
+def memory():
+    """Most memory (MB) that this process has held."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def size_row(shape: str, count: int) -> dict:
+    """A number of pieces."""
     import jax
 
     start = time.perf_counter()
@@ -46,59 +76,178 @@ def size_row(shape: str, count: int):
     setup = time.perf_counter() - start
     times, compile_time = time_chunk(system, state)
     held = sum(x.nbytes for x in jax.tree.leaves((system, state)))
-    rate = count / statistics.median(times)
-    slots = sum(table.a.shape[0] for table in state.contacts.values())
-    row = [shape, count, report.spread(times, 1e6), f"{rate:.3g}", slots, f"{held / count:.0f}"]
-    return [*row, f"{compile_time:.1f}", f"{setup:.1f}"]
+    listed = sum(int((np.asarray(table.a) >= 0).sum()) for table in state.contacts.values())
+    found = {"shape": shape, "count": count, "times": times, "listed": listed / count, "held": held / count}
+    return found | {"memory": memory(), "compile": compile_time, "setup": setup}
 
 
-def member_row(count: int):
-    """A row of the table of ensembles."""
+def member_row(count: int) -> dict:
+    """An ensemble side by side."""
     import jax
 
     from benchmarks.steps import packed
 
     system, state, _ = packed(9)
     state = jax.tree.map(lambda x: jax.numpy.broadcast_to(x, (count, *x.shape)), state)
-    times, compile_time = time_chunk(system, state, count)
-    each = statistics.median(times) / count
-    return [count, report.spread(times, 1e6), f"{each * 1e6:.3g}", f"{1 / (each * 33_334):.3g}", f"{compile_time:.1f}"]
+    times, compile_time = time_chunk(system.replace(slot_block=0), state, count)
+    return {"count": count, "times": times, "dt": float(system.dt), "memory": memory(), "compile": compile_time}
 
 
-def attempt(row, *arguments):
-    """The row, or why there is none."""
-    try:
-        made = row(*arguments)
-    except Exception as error:  # out of memory at some size must not lose the rows before it
-        made = [*arguments, f"failed: {type(error).__name__}: {str(error).splitlines()[0][:80]}"]
-    print(made, flush=True)
-    return made
+def core_row(cores: int) -> dict:
+    """An ensemble of drops by the public call, on so many cores: seconds by the clock without compiling."""
+    import dem_jax
+
+    settings = {"run.duration": 0.01, "portion.settling_time": 0.1, "run.frames": 0.0}
+    scene = dem_jax.load_scene("weigh-bucket", settings)
+    dem_jax.ensemble(scene, runs=DROPS, seed=0)  # compiles
+    times = []
+    for repeat in range(3):
+        start = time.perf_counter()
+        dem_jax.ensemble(scene, runs=DROPS, seed=100 + repeat)
+        times.append(time.perf_counter() - start)
+    return {"cores": cores, "times": times}
+
+
+ROWS = {"size": size_row, "members": member_row, "cores": core_row}
+
+
+def measured(kind, *arguments) -> dict:
+    """A row measured by a process of its own, or {"failed": why}."""
+    words = [sys.executable, "-m", "benchmarks.scaling", "--row", kind, *map(str, arguments)]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    if done.returncode:  # out of memory at some size must not lose the other rows
+        last = (done.stderr.strip() or f"exit code {done.returncode}").splitlines()[-1]
+        return {"failed": last[:120]}
+    found = json.loads(done.stdout.splitlines()[-1])
+    print(kind, *arguments, {k: v for k, v in found.items() if k != "times"}, report.spread(found["times"], 1e6), flush=True)
+    return found
+
+
+def serve(kind, *arguments):
+    """Measure a row in this process and print it."""
+    cores = sorted(os.sched_getaffinity(0))
+    if kind == "cores":
+        os.sched_setaffinity(0, cores[: int(arguments[0])])
+    else:
+        import jax
+
+        if jax.default_backend() == "cpu":  # its threads are started at the first computation
+            os.sched_setaffinity(0, cores[-1:])
+    print(json.dumps(ROWS[kind](*(int(x) if x.isdecimal() else x for x in arguments))))
+
+
+def size_cells(row):
+    """Cells of the table of sizes."""
+    each = statistics.median(row["times"]) / row["count"] * 1e6
+    return (
+        row["shape"], row["count"], report.spread(row["times"], 1e6), f"{each:.3g}", f"{row['listed']:.2f}", f"{row['held']:.0f}",
+        f"{row['memory']:.0f}", f"{row['compile']:.1f}", f"{row['setup']:.1f}",
+    )  # fmt: skip
+
+
+def exponent(rows, value) -> float:
+    """Growth of a value with the number of pieces, from the first to the last row: 1 is linear."""
+    first, last = rows[0], rows[-1]
+    return float(np.log(value(last) / value(first)) / np.log(last["count"] / first["count"]))
+
+
+def time_of(row):
+    """Median time of a step (s)."""
+    return statistics.median(row["times"])
+
+
+def time_per_pair(row):
+    """The same over the pairs listed per piece."""
+    return time_of(row) / row["listed"]
+
+
+def all_held(row):
+    """Bytes held by system and state."""
+    return row["held"] * row["count"]
+
+
+def growth(rows):
+    """For each shape, in words, how time and memory grow."""
+    lines = []
+    for shape in SHAPES:
+        own = [row for row in rows if row.get("shape") == shape]
+        if len(own) < 2:
+            continue
+        more = (own[-1]["memory"] - own[0]["memory"]) / (own[-1]["count"] - own[0]["count"]) * 1e3
+        lines.append(
+            f"- {shape}, {own[0]['count']} to {own[-1]['count']} pieces: a step grows with exponent {exponent(own, time_of):.3f} "
+            f"(per pair listed {exponent(own, time_per_pair):.3f}), what is held with "
+            f"{exponent(own, all_held):.3f}; the process needs {more:.1f} kB for each more piece."
+        )
+    return "\n".join(lines)
+
+
+def member_cells(row):
+    """Cells of the table of ensembles."""
+    each = statistics.median(row["times"]) / row["count"]
+    drops = row["dt"] / (0.2 * each)
+    return (
+        row["count"], report.spread(row["times"], 1e6), f"{each * 1e6:.3g}", f"{drops:.3g}", f"{row['memory']:.0f}",
+        f"{row['compile']:.1f}",
+    )  # fmt: skip
+
+
+def core_cells(rows):
+    """Rows of the table of cores."""
+    done = [row for row in rows if "failed" not in row]
+    each = [statistics.median(row["times"]) for row in done]
+    return [(r["cores"], report.spread(r["times"]), f"{each[0] / t:.2f}") for r, t in zip(done, each, strict=True)]
 
 
 def main(argv=None):
-    import jax
-
     parser = argparse.ArgumentParser(prog="python -m benchmarks.scaling", description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="only the smallest sizes")
+    parser.add_argument("--sizes", type=int, nargs="+", help="numbers of pieces")
+    parser.add_argument("--row", nargs="+", help=argparse.SUPPRESS)
     options = parser.parse_args(argv)
-    kind = "cpu" if jax.default_backend() == "cpu" else "gpu"
-    take = slice(1) if options.quick else slice(None)
-    members = [attempt(member_row, count) for count in MEMBERS[kind][take]]
-    sizes = [attempt(size_row, shape, n) for shape in ("sphere", "chamfered-cuboid") for n in SIZES[kind][take]]
-    text = f"""# Scaling on {jax.devices()[0].device_kind}
+    if options.row:
+        return serve(*options.row)
+    device = subprocess.run(
+        [sys.executable, "-c", "import jax; d = jax.devices()[0]; print(d.platform, d.device_kind)"],
+        capture_output=True, text=True, check=True,
+    ).stdout.split(maxsplit=1)  # fmt: skip
+    kind = "cpu" if device[0] == "cpu" else "gpu"
+    name = report.processor() if kind == "cpu" else device[1].strip()
+    take = slice(2) if options.quick else slice(None)
+    start = report.environment()
+    every = [(shape, n) for shape in SHAPES for n in (options.sizes or SIZES[kind][take])]
+    sizes = [measured("size", *which) for which in every]
+    members = [measured("members", count) for count in MEMBERS[kind][take]]
+    cores = [measured("cores", n) for n in range(1, len(os.sched_getaffinity(0)) + 1)] if kind == "cpu" else []
+    names = [f"{n} of {shape}" for shape, n in every] + [f"{n} members" for n in MEMBERS[kind][take]]
+    rows = zip(names, sizes + members, strict=True)
+    failed = [f"- {name}: {row['failed']}" for name, row in rows if "failed" in row]
+    sizes, members = ([row for row in rows if "failed" not in row] for rows in (sizes, members))
+    text = f"""# Scaling on {name}
 
-{report.environment()}
+{start}; load at the end {os.getloadavg()[0]:.2f}
 
-f32; median (lowest to highest) of {REPEATS} chunks of {SAMPLES} samples; a rebuild of the neighbours every 50 steps is included.
+f32; {"one core, seconds on the processor; " if kind == "cpu" else ""}median (lowest to highest) of {REPEATS} chunks of {BLOCKS}
+rebuilds of the neighbours, each with the steps until the next. Each row is a process of its own.
 
-Ensembles of nine marshmallows at rest (48 slots of contacts each), `vmap`:
+Pieces on a lattice in a box, each touching its six neighbours (near walls fewer, which small numbers feel):
 
-{report.table(("members", "µs per step of all", "µs per member-step", "drops of 0.2 s per s", "compile (s)"), members)}
+{report.table(SIZE_HEAD, [size_cells(row) for row in sizes])}
 
-Pieces on a lattice in a box, each touching its six neighbours:
+{growth(sizes)}
 
-{report.table(SIZE_HEAD, sizes)}
+Ensembles of nine marshmallows at rest, side by side by `vmap`:
+
+{report.table(MEMBER_HEAD, [member_cells(row) for row in members])}
 """
+    if cores:
+        text += f"""
+An ensemble of {DROPS} drops by `dem_jax.ensemble`, without compiling:
+
+{report.table(("cores", "s by the clock", "times as fast as on one"), core_cells(cores))}
+"""
+    if failed:
+        text += "\nNot measured:\n\n" + "\n".join(failed) + "\n"
     report.write(f"scaling_{kind}", text, options.quick)
 
 

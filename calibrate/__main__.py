@@ -1,6 +1,7 @@
 """Command line: `python -m calibrate fit runs.h5`."""
 
 import argparse
+import contextlib
 import json
 import os
 import sys
@@ -62,18 +63,25 @@ def _outputs(args):
     return paths
 
 
+@contextlib.contextmanager
 def _progress():
+    """What shows the progress of a fit; the bar appears when there is some."""
     from tqdm import tqdm
 
-    bar = tqdm(total=1, desc="starts", file=sys.stderr)
+    bars = []
 
     def show(stage, done, total):
-        bar.set_description(stage)
-        bar.total = total
-        bar.n = done
-        bar.refresh()
+        if not bars:
+            bars.append(tqdm(total=1, file=sys.stderr))
+        bars[0].set_description(stage)
+        bars[0].total, bars[0].n = total, done
+        bars[0].refresh()
 
-    return bar, show
+    try:
+        yield show
+    finally:
+        for bar in bars:
+            bar.close()
 
 
 def _use_cache():
@@ -99,8 +107,7 @@ def _fit(args):
     targets = [trace for path in args.traces for trace in read(path, args.m_piece, args.pieces, args.group)]
     given = {name: getattr(args, name) for name in NAMES if getattr(args, name) is not None}
     fixed = {name: getattr(args, f"fix_{name}") for name in NAMES if getattr(args, f"fix_{name}") is not None}
-    bar, show = _progress()
-    with bar:
+    with _progress() as show:
         result = fit(
             targets,
             given,

@@ -17,7 +17,7 @@ from calibrate.unconstrained import NAMES
 STARTS = 4
 SCAN = (0.7, 90.0, 12)  # least and greatest dt_impact (bins) that the first guess looks at, and how many
 LEAST_TRACES = 4  # half of the traces say nothing of gamma_high; two of the rest are needed to tell a scatter
-AGREEMENT = 0.1  # starts agree where they differ by less than this share of the interval's half width
+AGREEMENT = 0.1  # share of the interval's half width: starts that differ by less agree, one whose last round changed less converged
 
 
 @dataclass(frozen=True)
@@ -144,7 +144,7 @@ def _fit(targets, start, fixed, align, simulations, fine, bootstrap, seed, progr
         free=free,
         starts=ends,
         losses=[float(v) for v in losses],
-        converged=[bool(v) for v in solutions.converged],
+        converged=_settled(ends, solutions.change, parameters, free),
         agreed=_agreed(ends, best, parameters, free),
         distances={name: float(value) for name, value in zip(BLOCKS, solutions.distances[best], strict=True)},
         p_values=goodness.p_values(theta, targets, measured, solutions.distances[best], refits, seed),
@@ -181,6 +181,12 @@ def _agreed(ends, best, parameters, free):
     """[S] whether each start ended where the best one did, within a share of the intervals."""
     near = lambda name, end: abs(end - ends[name][best]) <= AGREEMENT * _half(parameters[name])  # noqa: E731
     return [all(near(name, ends[name][s]) for name in free) for s in range(len(ends["h_mean"]))]
+
+
+def _settled(ends, change, parameters, free):
+    """[S] whether the last round of each start changed nothing by more than a share of the intervals."""
+    still = lambda name, s: float(change[name][s]) * ends[name][s] <= AGREEMENT * _half(parameters[name])  # noqa: E731
+    return [all(still(name, s) for name in free) for s in range(len(ends["h_mean"]))]
 
 
 def _half(row):

@@ -19,12 +19,14 @@ BLOCKS = ("height", "spread", "increments")
 class Draws:
     """Random numbers of M simulated portions of up to n pieces, kept while the parameters move.
 
-    z: [M] normal (stratified); v: [M, n] uniform on (-1, 1); phase: [M] in (0, 1), where in a bin a trace begins
+    z: [M] normal (stratified); v: [M, n] uniform on (-1, 1); last: [M] the v of the piece that lands when the first
+    impacts are over (drop heights grow with v); phase: [M] in (0, 1), where in a bin a trace begins
     mass: [M, n] (kg), zero where a portion has fewer pieces; offset: [M] (m) known deviation of the drop height
     """
 
     z: jax.Array
     v: jax.Array
+    last: jax.Array
     phase: jax.Array
     mass: jax.Array
     offset: jax.Array
@@ -91,11 +93,13 @@ def moments(theta, draws: Draws, measured: Measured):
     # the balance of momentum puts the release of every simulated portion at dt_impact: its weight sets in so much later
     origin = theta["dt_impact"] if measured.from_momentum else 0.0
 
-    def one(z, v, mass, offset):
-        times, jumps = _pulses_of(theta, z, v, mass, offset, measured.gravity).edges()
-        return moments_of_pulses(times - origin, jumps, measured.end, measured.gravity, measured.floor)
+    def one(z, v, last, mass, offset):
+        pulses = _pulses_of(theta, z, jnp.minimum(v, last), mass, offset, measured.gravity)
+        times, jumps = pulses.edges()
+        landed = jnp.where(jnp.tile(mass > 0.0, 2), times - origin, 0.0)
+        return moments_of_pulses(landed, jumps, jnp.sum(pulses.weight), measured.end, measured.gravity, measured.floor)
 
-    return jax.vmap(one)(draws.z, draws.v, draws.mass, draws.offset)
+    return jax.vmap(one)(draws.z, draws.v, draws.last, draws.mass, draws.offset)
 
 
 def increments(theta, draws: Draws, measured: Measured, fine: int):

@@ -8,7 +8,7 @@ from scipy.stats import norm
 
 from calibrate.errors import BadInput
 from calibrate.loss import Draws, Measured
-from calibrate.summaries import BLOCK, log_increments_of_trace, moments_of_trace, momentum_release
+from calibrate.summaries import BLOCK, log_increments_of_trace, moments_of_trace, momentum_release, still_falling
 from calibrate.targets import ALIGNMENTS, Target, rebin
 from product_model.grid import Grid
 
@@ -85,7 +85,8 @@ def _summaries(trace: Target, align: str, bin_: float) -> list:
     origin = 0.0
     if align == "first-impact":
         origin = momentum_release(trace.time, trace.force, trace.sample, trace.weight)
-    height, spread = moments_of_trace(trace.time - origin, trace.force, trace.sample, trace.gravity, FLOOR)
+    measured = trace.sample, trace.weight, trace.pieces, trace.gravity, FLOOR
+    height, spread = moments_of_trace(trace.time - origin, trace.force, *measured)
     start = trace.first_impact - (BLOCK + 4) * bin_
     force = rebin(trace, start, bin_, math.floor((trace.time[-1] - start) / bin_)) / trace.weight
     lags = log_increments_of_trace(force, LAGS)
@@ -102,4 +103,5 @@ def draw(targets: list[Target], simulations: int, seed: int) -> Draws:
     mass = np.array([[trace.m_piece] * trace.pieces + [0.0] * (pieces - trace.pieces) for trace in of])
     offset = np.zeros(count)  # the summaries of the traces have theirs subtracted
     v = random.uniform(-1.0, 1.0, (count, pieces))
-    return Draws(*map(jnp.asarray, (z, v, random.uniform(size=count), mass, offset)))
+    last = [np.sort(row[: trace.pieces])[-1 - still_falling(trace.pieces)] for row, trace in zip(v, of, strict=True)]
+    return Draws(*map(jnp.asarray, (z, v, np.array(last), random.uniform(size=count), mass, offset)))

@@ -1,12 +1,14 @@
-"""The fit itself: Adam on the blocks, in one compiled program that maps over starts and over data sets.
+"""The fit itself: rounds until nothing changes, in one compiled program that maps over starts and over data sets.
 
-Height and spread are fitted first (they hardly depend on dt_impact and cost O(pieces)), then dt_impact alone to the
-increments, whose derivatives with respect to the times of impact are interference of single pulses: right on
-average, but so scattered that they would hide what the spread says. Two or three rounds make the two agree.
+In each round height and spread are fitted first, by Adam (they hardly depend on dt_impact and cost O(pieces)), then
+dt_impact alone to the increments, whose derivatives with respect to the times of impact are interference of single
+pulses: right on average, but so scattered that they would hide what the spread says. In one dimension the sign of the
+slope is enough: the interval about the last value is halved until it is narrow. A round reaches as far as the one
+before it has moved, so that rounds become fine as the fit settles, and go on where the valley is flat.
 
-The first round takes each lag by itself: its distance has one least value in dt_impact, whatever the traces are. The
-later ones take the whitened columns, which have several, but scatter half as much about the right one; what they find
-counts if it lies where it can be expected, as for traces that the model describes. Otherwise the first value stays.
+The rounds take each lag by itself: its distance has one least value in dt_impact, whatever the traces are. At the end
+come the whitened columns, which have several, but scatter half as much about the right one; the least value counts if
+it lies where it can be expected, as for traces that the model describes. Otherwise the value of the rounds stays.
 """
 
 from dataclasses import dataclass, replace
@@ -20,7 +22,15 @@ import optax
 from calibrate.loss import Draws, Measured, distances, increment_distance, joint_distance, moment_distances
 from calibrate.unconstrained import to_parameters, to_unconstrained
 
-TOLERANCE = 3e-3  # in ln of a parameter: change of the last round, far below any statistical error of a fit
+TOLERANCE = 1e-3  # in ln of a parameter: rounds end when one changes nothing by more than this
+ROUNDS = 16  # most rounds
+STEPS, FINER = 50, 20  # of Adam in a round; by how much its last step is smaller than its first
+FINEST = 4e-4  # of ln dt_impact
+# reach of the first round of a fit and of refits: first step of Adam, half interval of ln dt_impact
+FAR, NEAR = (0.2, 3.0), (0.05, 0.05)
+LEAST_REACH = 0.01
+EXPECTED = 0.4  # times 1/sqrt(traces): four standard deviations of what the two columns of increments differ by, in ln dt_impact
+SCANNED = 32  # simulated portions of the coarse scan for the first guess
 
 
 @jax.tree_util.register_dataclass
@@ -30,91 +40,115 @@ class Solution:
 
     theta: dict of the four parameters (SI); distances: [3] energy distances of the blocks; loss: their sum with each
     lag by itself, by which starts are compared
-    change: largest change of ln(parameter) in the last round
+    change: dict of what the last round changed in the ln of each parameter; rounds: how many there were
     """
 
     theta: dict
     distances: jax.Array
     loss: jax.Array
-    change: jax.Array
-
-    @property
-    def converged(self):
-        """True where the last round changed no parameter by more than TOLERANCE and everything is finite."""
-        return (self.change < TOLERANCE) & jnp.isfinite(self.loss)
+    change: dict
+    rounds: jax.Array
 
 
-def descend(slope, u, steps, first, last):
-    """Least value by Adam from `u` (a dict), its steps falling from `first` to `last`; `slope(u)` is the gradient.
+def descend(slope, u, first, steps=STEPS, finer=FINER):
+    """Least value by Adam from `u` (a dict), its steps falling from `first` to `first/finer`; `slope(u)` is the gradient.
 
     Its memory is short (0.8 and 0.9), so that the steep way down to the valley is soon forgotten on the flat floor.
-    In one dimension there is no valley, and a memory of the direction only overshoots.
     """
-    dtype = jax.tree.leaves(u)[0].dtype
-    optimiser = optax.scale_by_adam(b1=0.8 if len(u) > 1 else 0.0, b2=0.9)
+    optimiser = optax.scale_by_adam(b1=0.8, b2=0.9)
 
     def step(k, carry):
         u, state = carry
-        size = (-first * (last / first) ** (k / steps)).astype(dtype)
+        size = -first * finer ** (-k / steps)
         with jax.numpy_dtype_promotion("standard"):  # optax counts its steps in whole numbers
             move, state = optimiser.update(slope(u), state)
-        return jax.tree.map(lambda old, change: old + size * change, u, move), state
+        return jax.tree.map(lambda old, change: old + size.astype(old.dtype) * change, u, move), state
 
     with jax.numpy_dtype_promotion("standard"):
-        return jax.lax.fori_loop(0, jnp.asarray(steps, jnp.int32), step, (u, optimiser.init(u)))[0]
+        return jax.lax.fori_loop(0, steps, step, (u, optimiser.init(u)))[0]
 
 
-# steps, first and last step size of each round
-SHAPE_PLAN = np.array([(100, 0.2, 0.01), (60, 0.05, 0.002), (40, 0.005, 0.0002)])
-PULSE_PLAN = np.array([(24, 0.4, 0.01), (8, 0.02, 0.001), (4, 0.002, 0.0002)])
-REACH = 0.4  # times 1/sqrt(traces): four standard deviations of what the two columns of increments differ by, in ln dt_impact
-SCANNED = 32  # simulated portions of the coarse scan for the first guess
+def halve(slope, x, reach):
+    """Where `slope(x)` [] changes from negative to positive within `reach` of `x`, to FINEST; an end of the interval if
+    it does not.
+    """
+
+    def half(ends):
+        low, high = ends
+        middle = 0.5 * (low + high)
+        rising = slope(middle) > 0.0
+        return jnp.where(rising, low, middle), jnp.where(rising, middle, high)
+
+    low, high = jax.lax.while_loop(lambda ends: ends[1] - ends[0] > FINEST, half, (x - reach, x + reach))
+    return 0.5 * (low + high)
 
 
-def _round(u, fixed, draws, measured, fine, number):
-    """One round over both groups of parameters. The first goes far, the later ones adjust."""
-    shape = {name: value for name, value in u.items() if name != "dt_impact"}
+def _shape(u, fixed, draws, measured, reach):
+    """`u` with all but dt_impact fitted to height and spread; reach: first step."""
     pulse = {name: value for name, value in u.items() if name == "dt_impact"}
-    if shape:
-        whole = lambda s: jnp.sum(moment_distances(to_parameters(s | pulse, fixed), draws, measured))  # noqa: E731
-        shape = descend(jax.grad(whole), shape, *jnp.asarray(SHAPE_PLAN)[number])
-    if pulse:
-        combine = jnp.where(number == 0, measured.single_lags, measured.whiten)
-        alone = lambda p: increment_distance(to_parameters(shape | p, fixed), draws, measured, fine, combine)  # noqa: E731
-        pulse = descend(jax.jacfwd(alone), pulse, *jnp.asarray(PULSE_PLAN)[number])
-    return shape | pulse
+    shape = {name: value for name, value in u.items() if name != "dt_impact"}
+    if not shape:
+        return u
+    whole = lambda s: jnp.sum(moment_distances(to_parameters(s | pulse, fixed), draws, measured))  # noqa: E731
+    return descend(jax.grad(whole), shape, reach) | pulse
 
 
-def solve(start, draws: Draws, measured: Measured, free: tuple, fine: int, first=0) -> Solution:
+def _pulse(u, fixed, draws, measured, fine, reach, combine):
+    """`u` with dt_impact fitted to the columns of the increments that `combine` makes."""
+    if "dt_impact" not in u:
+        return u
+    alone = lambda x: increment_distance(to_parameters(u | {"dt_impact": x}, fixed), draws, measured, fine, combine)  # noqa: E731
+    return u | {"dt_impact": halve(jax.jacfwd(alone), u["dt_impact"], reach)}
+
+
+def _logs(u, fixed):
+    return {name: jnp.log(value + 1e-12) for name, value in to_parameters(u, fixed).items()}
+
+
+def _apart(a, b):
+    return jax.tree.map(lambda x, y: jnp.abs(x - y), a, b)
+
+
+def _largest(tree):
+    return jnp.max(jnp.stack(jax.tree.leaves(tree)))
+
+
+def solve(start, draws: Draws, measured: Measured, free: tuple, fine: int, reach) -> Solution:
     """Fit of the `free` parameters from `start`, a dict of the four ([] each); the others keep their value.
 
-    first: number of the first round; the rounds are a loop, so that the program of one serves all.
+    reach: [2] of the first round: first step of Adam, half interval of ln dt_impact.
     """
     fixed = {name: value for name, value in start.items() if name not in free}
 
-    def one(number, carry):
-        u, before, coarse = carry
-        u, before = _round(u, fixed, draws, measured, fine, number), u
-        return u, before, jax.tree.map(lambda new, old: jnp.where(number == 0, new, old), u, coarse)
+    def one(carry):
+        number, u, _, step, half = carry
+        new = _pulse(_shape(u, fixed, draws, measured, step), fixed, draws, measured, fine, half, measured.single_lags)
+        moved, change = _largest(_apart(new, u)), _apart(_logs(new, fixed), _logs(u, fixed))
+        return number + 1, new, change, jnp.clip(moved, LEAST_REACH, step), jnp.clip(3.0 * moved, LEAST_REACH, half)
+
+    def unsettled(carry):
+        number, _, change, *_ = carry
+        return (number < ROUNDS) & (_largest(change) > TOLERANCE)
 
     u = to_unconstrained(start, free)
-    u, before, coarse = jax.lax.fori_loop(first, len(SHAPE_PLAN), one, (u, u, u))
+    change = jax.tree.map(lambda v: jnp.full_like(v, jnp.inf), dict(start))
+    rounds, u, change, *_ = jax.lax.while_loop(unsettled, one, (jnp.zeros((), jnp.int32), u, change, *reach))
     if "dt_impact" in u:
-        near = jnp.abs(u["dt_impact"] - coarse["dt_impact"]) < REACH / np.sqrt(measured.height.shape[0])
-        settled = jnp.abs(u["dt_impact"] - before["dt_impact"]) < TOLERANCE
-        counts = near & settled
-        u, before = (v | {"dt_impact": jnp.where(counts, v["dt_impact"], coarse["dt_impact"])} for v in (u, before))
-    theta, was = to_parameters(u, fixed), to_parameters(before, fixed)
-    change = jnp.max(jnp.stack([jnp.abs(jnp.log((theta[k] + 1e-12) / (was[k] + 1e-12))) for k in sorted(theta)]))
+        expected = EXPECTED / np.sqrt(measured.height.shape[0])
+        white = _pulse(u, fixed, draws, measured, fine, expected, measured.whiten)
+        inside = jnp.abs(white["dt_impact"] - u["dt_impact"]) < 0.99 * expected
+        u = u | {"dt_impact": jnp.where(inside, white["dt_impact"], u["dt_impact"])}
+        u = _shape(u, fixed, draws, measured, jnp.full_like(u["dt_impact"], LEAST_REACH))
+    theta = to_parameters(u, fixed)
     parts = distances(theta, draws, measured, fine)
     loss = jnp.sum(parts[:2]) + increment_distance(theta, draws, measured, fine, measured.single_lags)
-    return Solution(theta, parts, loss, change)
+    return Solution(theta, parts, loss, change, rounds)
 
 
 @partial(jax.jit, static_argnames=("free", "fine"))
-def _solve_all(starts, draws, measured, first, free, fine) -> Solution:
+def _solve_all(starts, draws, measured, reach, free, fine) -> Solution:
     axes = axes_of_sets(measured)
-    return jax.vmap(lambda start, m: solve(start, draws, m, free, fine, first), in_axes=(0, axes))(starts, measured)
+    return jax.vmap(lambda start, m: solve(start, draws, m, free, fine, reach), in_axes=(0, axes))(starts, measured)
 
 
 def axes_of_sets(measured: Measured) -> Measured:
@@ -127,20 +161,24 @@ def _repeated(leaf, count):
     return jnp.broadcast_to(leaf, (count, *jnp.shape(leaf)))
 
 
+def _reach(pair):
+    return tuple(jnp.asarray(value) for value in pair)
+
+
 def solve_starts(starts, draws, measured, free, fine) -> Solution:
     """`solve` from several starts at once: every leaf of `starts` and of the result has a leading axis [starts]."""
     count = len(starts["h_mean"])
     summaries = {name: _repeated(getattr(measured, name), count) for name in ("height", "spread", "increments")}
-    return _solve_all(starts, draws, replace(measured, **summaries), 0, free, fine)
+    return _solve_all(starts, draws, replace(measured, **summaries), _reach(FAR), free, fine)
 
 
 def solve_data_sets(start, draws, measured, free, fine) -> Solution:
-    """`solve` of several data sets from one start, without the round that goes far: `measured` has a leading axis on
+    """`solve` of several data sets from one start, without going far: `measured` has a leading axis on
     its summaries only. As many sets as starts share the program of `solve_starts`.
     """
     count = measured.height.shape[0]
     starts = {name: _repeated(jnp.asarray(value), count) for name, value in start.items()}
-    return _solve_all(starts, draws, measured, 1, free, fine)
+    return _solve_all(starts, draws, measured, _reach(NEAR), free, fine)
 
 
 @jax.jit
@@ -158,4 +196,4 @@ def solve_joint(start, draws, measured, free, fine, steps=150) -> dict:
     """The fit to the one joint distance, for comparison only: theta."""
     fixed = {name: value for name, value in start.items() if name not in free}
     slope = jax.grad(lambda u: joint_distance(to_parameters(u, fixed), draws, measured, fine))
-    return to_parameters(descend(slope, to_unconstrained(start, free), steps, 0.1, 0.005), fixed)
+    return to_parameters(descend(slope, to_unconstrained(start, free), jnp.asarray(0.1), steps, 20), fixed)

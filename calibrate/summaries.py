@@ -6,15 +6,18 @@ spread      (m)     standard deviation of their drop heights, likewise -> gamma_
 increments  [lags]  logarithm of the summed squared increments of the force at short lags -> dt_impact
 
 Height and spread need no look at single pulses. A piece that falls from rest brings the momentum m g t and then
-weighs m g; with P(t) the momentum delivered up to t, F - P/t is free of the weight of what has landed, and for
-pulses short against the fall
+weighs m g; for pulses short against the fall
 
     int F dt = M g T,   int F (2 t - T) g/2 dt = sum m g h_i,   int F (4 t^3 - T^3) g^2/12 dt = sum m g h_i^2
 
-(T the end of the trace, time from the release). These linear functionals are applied to measured traces as sums over
-samples and to simulated pulses in closed form, O(pieces), with neither grid nor noise. For the Product Model they
-give the sample mean and variance of the drop heights, which are sufficient: nothing that the times of impact say of
-h_mean and the limits is lost.
+(T the end, time from the release). These linear functionals are applied to measured traces as sums over samples and
+to simulated pulses in closed form, O(pieces), with neither grid nor noise. For the Product Model they give the sample
+mean and variance of the drop heights, which are sufficient: nothing that the times of impact say of h_mean and the
+limits is lost.
+
+T is not the end of the trace but that of the first impacts, when the momentum of the pieces still falling is that of
+less than one and a half of them (of one in fifty, where there are many); what is left is taken to land then. Rebounds,
+sliding and the walls' share of the weight after that, which the model knows nothing of, would weigh with T^3.
 """
 
 import jax
@@ -22,32 +25,50 @@ import jax.numpy as jnp
 import numpy as np
 
 
-def _height_and_spread(moments, floor, xp):
+def still_falling(pieces: int) -> int:
+    """Number of pieces, the last to land, that are taken to land when the first impacts are over: one in fifty."""
+    return pieces // 50
+
+
+def first_rest(time, force, sample, weight, pieces) -> int:
+    """Number of samples of a measured trace [T] until the first impacts are over: until the momentum that is not yet
+    delivered is that of less than half a piece more than `still_falling`, falling freely; T if the trace ends before.
+    """
+    falling = np.where(time > 0.0, time - np.cumsum(force) * sample / weight, np.inf)
+    over = falling <= (still_falling(pieces) + 0.5) / pieces * time
+    return int(np.argmax(over)) + 1 if over.any() else len(time)
+
+
+def _height_and_spread(moments, end, weight, gravity, floor, xp):
     zeroth, first, second = moments
-    mean = first / zeroth
-    variance = second / zeroth - mean**2
+    rest = weight * end - zeroth  # momentum not yet delivered: lands at the end
+    mean = gravity / 2.0 * (first + end * rest) / weight
+    variance = gravity**2 / 4.0 * (second + end**3 * rest) / weight - mean**2
     wide = variance > floor**2
     return mean, xp.where(wide, xp.sqrt(xp.where(wide, variance, 1.0)), floor)
 
 
-def moments_of_trace(time, force, sample, gravity, floor):
-    """Mean drop height and spread (m), [] each, of one measured trace (NumPy).
+def moments_of_trace(time, force, sample, weight, pieces, gravity, floor):
+    """Mean drop height and spread (m), [] each, of the first impacts of one measured trace (NumPy).
 
-    time: [T] (s) ends of the intervals after the release; force: [T] (N) means over them; floor: (m) least spread.
+    time: [T] (s) ends of the intervals after the release; force: [T] (N) means over them; weight: (N) of all `pieces`;
+    floor: (m) least spread.
     """
-    end, middle = time[-1], time - 0.5 * sample
-    first = gravity / 2.0 * (2.0 * middle - end)
-    second = gravity**2 / 12.0 * (4.0 * (middle**3 + 0.25 * middle * sample**2) - end**3)  # mean of t^3 over the interval
-    return _height_and_spread([np.sum(force * w) * sample for w in (1.0 / end, first, second)], floor, np)
+    count = first_rest(time, force, sample, weight, pieces)
+    end, middle, force = time[count - 1], time[:count] - 0.5 * sample, force[:count]
+    cube = middle**3 + 0.25 * middle * sample**2  # mean of t^3 over the interval
+    weights = np.ones(count), 2.0 * middle - end, (4.0 * cube - end**3) / 3.0
+    return _height_and_spread([np.sum(force * w) * sample for w in weights], end, weight, gravity, floor, np)
 
 
-def moments_of_pulses(times, jumps, end, gravity, floor):
-    """The same of a simulated portion, from the times (s) and jumps (N) of its edges [E]; what lands after `end`
-    is not seen.
+def moments_of_pulses(times, jumps, weight, end, gravity, floor):
+    """The same of a simulated portion, from the times (s) and jumps (N) of its edges [E], up to its last edge or the
+    `end` of the traces (s).
     """
+    end = jnp.minimum(jnp.max(times), end)
     s = jnp.minimum(times, end)
-    integrals = (end - s) / end, gravity / 2.0 * s * (end - s), gravity**2 / 12.0 * s * (end**3 - s**3)
-    return _height_and_spread([jnp.sum(jumps * integral) for integral in integrals], floor, jnp)
+    integrals = end - s, s * (end - s), s * (end**3 - s**3) / 3.0
+    return _height_and_spread([jnp.sum(jumps * integral) for integral in integrals], end, weight, gravity, floor, jnp)
 
 
 def momentum_release(time, force, sample, weight):

@@ -92,14 +92,14 @@ def _read_csv(path, m_piece, pieces):
     for name, value in (("m_piece", m_piece), ("pieces", pieces)):
         if value is None:
             raise BadInput(f"{path}: a CSV table does not say {name}; give --{name.replace('_', '-')}")
-    with open(path) as file:
-        header = file.readline().strip().split(",")
     try:
-        table = np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2)
+        header, *rows = path.read_text(encoding="utf-8").strip().splitlines() or [""]
+        header = header.split(",")
+        table = np.loadtxt(rows, delimiter=",", ndmin=2) if rows else np.zeros((0, len(header)))
     except ValueError as error:
         raise BadInput(f"{path}: not a table of numbers ({error})") from None
-    if table.size == 0 or table.shape[1] < 2:
-        raise BadInput(f"{path}: needs a time column and at least one force column")
+    if table.size == 0 or table.shape[1] < 2 or len(header) != table.shape[1]:
+        raise BadInput(f"{path}: needs a header line, then rows of a time and at least one force")
     columns = [k for k in range(1, table.shape[1]) if not header[k].strip().startswith("pif")]
     return [target(table[:, 0], table[:, k], m_piece, pieces, name=f"{path}:{header[k].strip()}") for k in columns]
 

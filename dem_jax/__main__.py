@@ -100,7 +100,7 @@ def _add_plot(commands):
     command.add_argument("file", metavar="FILE", help="HDF5 file of a run or an ensemble")
     command.add_argument("--out", metavar="FILE", help=".png, .pdf or .svg (default: the file's name .png)")
     command.add_argument("--group", help="wall group (default: wb_flaps, or the first)")
-    command.add_argument("--block", help="block of the settled mass (default: the first)")
+    command.add_argument("--block", help="block of the settled mass (default: wb, or the first)")
     command.add_argument("--start", type=float, metavar="S", help="s, where the time axis begins")
     command.add_argument("--end", type=float, metavar="S", help="s, where it ends")
 

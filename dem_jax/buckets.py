@@ -1,10 +1,10 @@
-"""Panels, hinges and evaluation block of a bucket with two flaps, from its few named sizes."""
+"""Panels, motions and evaluation block of a bucket with two flaps, and of a linear feeder, from their few named sizes."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from dem_jax.scene import Block, Bucket, Motion
+from dem_jax.scene import Block, Bucket, Feeder, Motion
 
 
 @dataclass(frozen=True)
@@ -72,3 +72,45 @@ def _hinge(bucket: Bucket, group, pivot, sign) -> Motion:
         dwell=bucket.open_dwell,
         closing=bucket.closing_time,
     )
+
+
+@dataclass(frozen=True)
+class FeederParts:
+    """What a linear feeder adds to a scene."""
+
+    panels: list  # of (group, corners [4, 3] (m), thickness (m))
+    motion: Motion
+    interior_low: np.ndarray  # [3] (m): box above the pan
+    interior_high: np.ndarray  # [3] (m)
+
+
+def feeder_parts(feeder: Feeder, bucket: BucketParts) -> FeederParts:
+    """The feeder's parts, group ``lf``: a pan that comes from the negative x side, its lower end over the feed bucket."""
+    tilt, y = np.radians(feeder.tilt_deg), 0.5 * feeder.width
+    along, up = np.array([np.cos(tilt), -np.sin(tilt)]), np.array([np.sin(tilt), np.cos(tilt)])  # in x and z
+    edge = np.array([bucket.interior_low[0] + feeder.overhang, bucket.interior_high[2] + feeder.clearance])
+    back = edge - feeder.length * along
+    tops = [point + feeder.wall_height * up for point in (back, edge)]
+
+    def at(point, side):
+        return (point[0], side * y, point[1])
+
+    corners = [  # seen from inside, counter-clockwise
+        [at(back, -1), at(edge, -1), at(edge, 1), at(back, 1)],
+        [at(edge, -1), at(back, -1), at(tops[0], -1), at(tops[1], -1)],
+        [at(back, 1), at(edge, 1), at(tops[1], 1), at(tops[0], 1)],
+        [at(back, -1), at(back, 1), at(tops[0], 1), at(tops[0], -1)],
+    ]
+    throw = tilt - np.radians(feeder.stroke_angle_deg)
+    stroke = feeder.stroke * np.array([np.cos(throw), 0.0, -np.sin(throw)])
+    motion = Motion(
+        group="lf",
+        stroke=tuple(stroke.tolist()),
+        frequency=feeder.frequency,
+        shake_start=feeder.start,
+        shake_end=feeder.start + feeder.duration,
+        shake_ramp=feeder.ramp,
+    )
+    panels = [("lf", np.array(c), feeder.thickness) for c in corners]
+    end = min(edge[0], bucket.interior_low[0]) - 0.01  # none begins above the bucket
+    return FeederParts(panels, motion, np.array([back[0], -y, back[1]]), np.array([end, y, tops[0][1]]))

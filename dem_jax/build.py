@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dem_jax import arrange, buckets, forces, hulls, materials, meshes, neighbours, pose, rotation, shapes
+from dem_jax import arrange, buckets, forces, hulls, materials, meshes, neighbours, pairs, pose, rotation, shapes
 from dem_jax.errors import SceneError
 from dem_jax.scene import SHAPE_KEYS, PieceShape, Scene, Wall
 from dem_jax.types import Law, Pieces, State, System, Walls, float_dtype
@@ -24,7 +24,7 @@ class TimeStep:
     dt: float  # s
     substeps: int  # steps per sample
     parts: int  # of equally many steps that a sample is cut into, none of more steps than a rebuild is good for
-    critical: float  # s: the smallest critical step, by materials.steps
+    critical: float  # s: the smallest critical step, by materials.steps or by the accuracy asked for
     stable: float  # s: linear stability limit, which no step may exceed
     limit: str  # what sets the critical step, in words
 
@@ -54,8 +54,8 @@ def build(scene: Scene, seed: int = 0) -> Built:
     """Everything that a run of the scene needs. Raises SceneError."""
     dtype = float_dtype(scene.run.precision)
     made = _pieces_of(scene)
-    panels, motions, joint, blocks, region = _walls_of(scene)
-    start = _placed(scene, made, region, np.random.default_rng(seed))
+    panels, motions, joint, blocks, regions = _walls_of(scene)
+    start = _placed(scene, made, regions, np.random.default_rng(seed))
     pieces = _piece_arrays(scene, made)
     step = choose_step(scene, made, pieces)
     settling = _settling_samples(scene) * step.substeps
@@ -88,7 +88,9 @@ def build(scene: Scene, seed: int = 0) -> Built:
         domain_high=jnp.asarray(np.asarray(domain[1], dtype)),
         capacity=_capacity(made, polytopes, len(panels)),
         touching=min(12, len(made) - 1 + len(panels)),
-        row_capacity=_row_capacity(made),
+        neighbours=scene.run.neighbours,
+        row_capacity=_row_capacity(made, scene.run.neighbours),
+        partition=_partition(made, scene.run.neighbours, domain),
         has_hulls=bool(polytopes),
         alike=len({id(made[i]) for i in polytopes}) == 1,
         has_friction=max(scene.material.friction_wall, scene.material.friction_piece) > 0,
@@ -97,6 +99,7 @@ def build(scene: Scene, seed: int = 0) -> Built:
         ledger=scene.run.energy,
         parts=step.parts,
         block_steps=_block_steps(scene),
+        slot_block=0,
     )
     only_spheres = not polytopes
     system = system.replace(has_rotation=not only_spheres or system.has_friction or bool(np.any(start.spin)))
@@ -108,8 +111,8 @@ def build(scene: Scene, seed: int = 0) -> Built:
 
 def state_of_seed(scene: Scene, built: Built, seed: int) -> State:
     """The first state of the same scene with another seed, for the system that was built. Raises SceneError."""
-    region = _walls_of(scene)[-1]
-    start = _placed(scene, built.shapes, region, np.random.default_rng(seed))
+    regions = _walls_of(scene)[-1]
+    start = _placed(scene, built.shapes, regions, np.random.default_rng(seed))
     return first_state(built.system, start, built.frames, -built.settling_steps)
 
 
@@ -182,8 +185,13 @@ def _pieces_of(scene: Scene):
             out.append(cache[key])
         return out
     shape = _named("portion", make_shape, scene.portion, scene.folder)
+    return [shape] * sum(_counts(scene, shape))
+
+
+def _counts(scene: Scene, shape):
+    """Pieces of the portion, and on the feeder."""
     number = scene.portion.count or arrange.count(scene.portion.target_weight, scene.material.density * shape.volume)
-    return [shape] * number
+    return number, (scene.feeder.count or number) if scene.feeder else 0
 
 
 def _named(key, function, *arguments):
@@ -200,7 +208,7 @@ def _distinct(made):
     return distinct, [place[id(m)] for m in made]
 
 
-def _placed(scene: Scene, made, region, random) -> Start:
+def _placed(scene: Scene, made, regions, random) -> Start:
     if scene.piece:
         rows = scene.piece
         q = np.array([p.orientation for p in rows], float)
@@ -217,11 +225,14 @@ def _placed(scene: Scene, made, region, random) -> Start:
     portion = scene.portion
     low, high = portion.region_low, portion.region_high
     if low is None or high is None:
-        if region is None:
+        if not regions:
             raise SceneError("portion: region_low, region_high: missing; a scene without a feed bucket needs both")
-        low, high = region
+        low, high = regions[0]
     radius = max(m.bounding_radius for m in made)
-    position, orientation = arrange.scatter(len(made), radius, portion.spacing, low, high, random)
+    boxes = [(low, high), *regions[1:]]
+    groups = zip(_counts(scene, made[0]), boxes, strict=False)
+    placed = [arrange.scatter(number, radius, portion.spacing, *box, random) for number, box in groups]
+    position, orientation = (np.concatenate(rows) for rows in zip(*placed, strict=True))
     rest = np.zeros_like(position)
     return Start(position, orientation, rest, rest)
 
@@ -233,8 +244,9 @@ def _settling_samples(scene: Scene) -> int:
 
 
 def _walls_of(scene: Scene):
-    """Panels (group, corners, thickness), motions by group, reported names, blocks, and where a portion starts."""
-    panels, motions, joint, blocks, region = [], list(scene.motion), {}, list(scene.block), None
+    """Panels (group, corners, thickness), motions by group, reported names, blocks, and the boxes (low, high) in which
+    pieces start: of the feed bucket, of the feeder."""
+    panels, motions, joint, blocks, regions = [], list(scene.motion), {}, list(scene.block), []
     for wall in scene.wall:
         panels += _panels_of(wall, scene.folder)
     found = []
@@ -243,11 +255,17 @@ def _walls_of(scene: Scene):
         blocks.append(found[-1].block)
     if scene.feed_bucket:
         found.append(buckets.parts(scene.feed_bucket, "fb", scene.drop.height if scene.weigh_bucket else 0.0))
-        region = found[-1].interior_low, found[-1].interior_high
+        regions.append((found[-1].interior_low, found[-1].interior_high))
     for bucket in found:
         panels += bucket.panels
         motions += bucket.motions
         joint |= bucket.joint
+    if scene.feeder:
+        feeder = buckets.feeder_parts(scene.feeder, found[-1])
+        panels += feeder.panels
+        motions.append(feeder.motion)
+        blocks.append(found[-1].block)
+        regions.append((feeder.interior_low, feeder.interior_high))
     known = {group for group, _, _ in panels}
     by_group = {}
     for motion in motions:
@@ -255,7 +273,7 @@ def _walls_of(scene: Scene):
             why = "has two motions" if motion.group in by_group else "no wall has this group"
             raise SceneError(f"motion.group = {motion.group!r}: {why}; allowed: one each for {', '.join(sorted(known))}")
         by_group[motion.group] = motion
-    return panels, by_group, joint, blocks, region
+    return panels, by_group, joint, blocks, regions
 
 
 def _panels_of(wall, folder):
@@ -401,13 +419,7 @@ def choose_step(scene: Scene, made, pieces: Pieces) -> TimeStep:
     """The time step: as asked for, or from the smallest critical step over all contacts that can be. Raises SceneError."""
     epsilon, sample = scene.material.restitution, scene.run.sample
     contacts = _possible_contacts(made, pieces)
-    load, unload = materials.steps(contacts["mass"], contacts["stiffness"], epsilon)
-    both = np.minimum(load, unload)
-    worst = int(np.argmin(both))
-    critical = float(both[worst])
-    branch = "loading" if load[worst] <= unload[worst] else "unloading"
-    count = materials.LOAD_STEPS if branch == "loading" else materials.UNLOAD_STEPS
-    limit = f"{count} steps per {branch} quarter period, {contacts['words'][worst]}"
+    critical, limit = (_accurate_step if scene.run.accuracy else _default_step)(scene, contacts)
     stable = float(
         materials.stable_step(contacts["mass"], contacts["stiffness"], epsilon, contacts["eccentricity"]).min()
     )
@@ -420,25 +432,56 @@ def choose_step(scene: Scene, made, pieces: Pieces) -> TimeStep:
     return TimeStep(sample / substeps, substeps, parts, critical, stable, limit)
 
 
+def _default_step(scene: Scene, contacts):
+    """The critical step (s) of the default resolution, and what sets it."""
+    load, unload = materials.steps(contacts["mass"], contacts["stiffness"], scene.material.restitution)
+    both = np.minimum(load, unload)
+    worst = int(np.argmin(both))
+    branch = "loading" if load[worst] <= unload[worst] else "unloading"
+    count = materials.LOAD_STEPS if branch == "loading" else materials.UNLOAD_STEPS
+    return float(both[worst]), f"{count} steps per {branch} quarter period, {contacts['words'][worst]}"
+
+
+def _accurate_step(scene: Scene, contacts):
+    """The largest step (s) that keeps the accuracy that the scene asks for, and what sets it. Raises SceneError."""
+    asked = scene.run.accuracy.model_dump(exclude_none=True)
+    found = []
+    for mass, spring, least, words in zip(*(contacts[k] for k in ("mass", "stiffness", "eccentricity", "words")), strict=True):
+        bound = materials.SPHERE if least == 1 else materials.POLYTOPE
+        for key, value in asked.items():
+            finest = bound.single[key]
+            if scene.run.precision == "f32" and value < finest:
+                raise SceneError(
+                    f"run.accuracy.{key} = {value:g}: allowed in single precision: at least {finest:g} for {words}; "
+                    f'or run.precision = "f64"'
+                )
+        number, key = bound.steps(asked, scene.material.restitution)
+        quarter = materials.quarter_period(mass, spring)
+        why = f"run.accuracy.{key} = {asked[key]:g}" if key else "the coarsest step whose error is known (run.accuracy)"
+        step = np.sqrt(least) * quarter / number
+        found.append((float(step), f"{why}: {quarter / step:.3g} steps per loading quarter period, {words}"))
+    return min(found)
+
+
 def _block_steps(scene: Scene) -> int:
     """Most steps between rebuilds: few distinct numbers, as they are part of what is compiled."""
     return _round_to(8, scene.run.rebuild_steps)
 
 
 def _possible_contacts(made, pieces: Pieces):
-    """Effective mass, K_nl and eccentricity of each piece against a wall and each pair of unlike or like pieces."""
+    """Effective mass, K_nl and eccentricity of each kind of piece against a wall and against the kinds that move quickest
+    on its contact, about the centre of mass and off it: of as many kinds as pieces, all pairs would be too many to list."""
     _, index = _distinct(made)
-    first = [index.index(k) for k in sorted(set(index))]
+    _, first, number = np.unique(index, return_index=True, return_counts=True)
     least = np.array([_eccentricity(made[i]) for i in first])
     mass, k = pieces.mass[first], pieces.load_stiffness[first]
     rows = [(mass[i], pieces.wall_stiffness[first[i]], least[i], _words(made[p], "a wall")) for i, p in enumerate(first)]
     for i, p in enumerate(first):
-        for j, q in enumerate(first):
-            if j < i or (i == j and index.count(index[p]) < 2):
-                continue
-            m = mass[i] * mass[j] / (mass[i] + mass[j])
-            worst = min(least[i], least[j])
-            rows.append((m, k[i] * k[j] / (k[i] + k[j]), worst, _words(made[p], f"another ({made[q].name})")))
+        others = slice(i if number[i] > 1 else i + 1, None)
+        m, s = mass[i] * mass[others] / (mass[i] + mass[others]), k[i] * k[others] / (k[i] + k[others])
+        worst = np.minimum(least[i], least[others])
+        for j in {int(np.argmin(m / s)), int(np.argmin(m * worst / s))} if len(m) else ():
+            rows.append((m[j], s[j], worst[j], _words(made[p], f"another ({made[first[others][j]].name})")))
     m, s, e, words = zip(*rows, strict=True)
     return {"mass": np.array(m), "stiffness": np.array(s), "eccentricity": np.array(e), "words": words}
 
@@ -467,24 +510,36 @@ def _capacity(made, polytopes, panels):
     wanted = {"hulls": (9 * p, 3 * p + 5), "mixed": (8 * min(p, s) + 2 * walls, 4 * min(p, s) + walls), "spheres": (8 * s, 4 * s)}
     out = []
     for kind in neighbours.SOURCES:
-        pairs = neighbours.pair_count(kind, p, s, panels)
-        if pairs:
-            out.append((kind, *(min(pairs, round_up(math.ceil(count))) for count in wanted[kind])))
+        every = pairs.pair_count(kind, p, s, panels)
+        if every:
+            out.append((kind, *(round_up(min(every, math.ceil(count))) for count in wanted[kind])))
     return tuple(out)
 
 
-def _row_capacity(made) -> int:
-    """Pieces that three cells of their bounding diameter hold when densely packed, to begin with; 0 for few pieces."""
-    if len(made) <= neighbours.ALL_PAIRS:
+def _row_capacity(made, choice) -> int:
+    """Pieces that three cells of their bounding diameter hold when densely packed, to begin with; 0 without cells."""
+    if pairs.choice(choice, len(made)) != "cells":
         return 0
-    cell = 2 * max(shape.bounding_radius for shape in made)
-    volume = min(shape.volume for shape in made)
+    cell, volume = _diameter_and_volume(made)
     return round_up(int(np.ceil(3 * 0.65 * cell**3 / volume)))
 
 
+def _partition(made, choice, domain):
+    """Room for the list of jax-md to begin with, where the scene chooses it."""
+    if pairs.choice(choice, len(made)) != "jax-md":
+        return None
+    pairs.jax_md()  # before anything is traced
+    return pairs.first_partition(len(made), *_diameter_and_volume(made), domain[1] - domain[0])
+
+
+def _diameter_and_volume(made):
+    """Diameter of the largest bounding sphere (m) and volume of the smallest piece (m3)."""
+    return 2 * max(shape.bounding_radius for shape in made), min(shape.volume for shape in made)
+
+
 def round_up(slots: int) -> int:
-    """A capacity at least as large, from few distinct ones: multiples of 8, further up of ever larger powers of two."""
-    unit = 8
+    """A capacity at least as large, from few distinct ones: 8, multiples of 16, further up of ever larger powers of two."""
+    unit = 8 if slots <= 8 else 16
     while slots > 16 * unit:
         unit *= 2
     return _round_to(unit, slots)
@@ -561,6 +616,8 @@ def first_state(system: System, start: Start, frames, step: int) -> State:
         wall_torque=zero(3, groups),
         contacts=contacts,
         slots=_unfilled_slots(system, contacts),
+        filled={kind: np.int32(0) for kind in contacts},
+        busiest=np.int32(0),
         incidence=np.full((system.touching, n), 2 * sum(slots for *_, slots in system.capacity), np.int32),
         ledger=forces.empty_ledger(system, dtype),
         anchor=zero(7, n),

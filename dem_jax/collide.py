@@ -126,11 +126,12 @@ def _smallest(overlaps, axes, rel):
     pairs = rel.offset[0].shape
     columns = eb[0].shape[0]
     overlaps = [x.reshape(-1, *pairs) for x in overlaps]
-    least = kept(*(jnp.min(x, axis=0) for x in overlaps))
-    of_a, of_b, edge = (_first_where(x == m[None]) for x, m in zip(overlaps, least, strict=True))
+    least, (of_a, of_b, edge) = zip(*(_least(x) for x in overlaps), strict=True)
+    least = kept(*least)
     face = jnp.minimum(least[0], least[1])
-    from_face = vector.where(least[0] <= least[1], _pick(na, of_a, pairs), _pick(nb, of_b, pairs))
-    from_edge = vector.cross(_pick(ea, edge // columns, pairs), _pick(eb, edge % columns, pairs))
+    from_face = vector.where(least[0] <= least[1], _select(na, of_a), _select(nb, of_b))
+    row = edge // columns
+    from_edge = vector.cross(_select(ea, row), _select(eb, edge - columns * row))
     from_edge = vector.scale(1 / _safe_root(dot(from_edge, from_edge)), from_edge)
     use_edge = least[2] < face - FACE_PREFERENCE * jnp.abs(face)
     normal = _towards_b(vector.where(use_edge, from_edge, from_face), rel)
@@ -151,6 +152,15 @@ def _barred_by_seams(overlaps, axes, a: Hulls, b: Hulls, rel: Relative):
             across = jnp.maximum(across, sign * dot(axis, tuple(jnp.expand_dims(c[k], side) for c in a.seams)))
         out.append(overlap + SEAM_SLOPE * jnp.expand_dims(b.bounding_radius, side) * across)
     return out
+
+
+def _least(rows):
+    """The smallest of the rows [K, P], and the first row that has it, [P] int32. One after the other, which vectorises."""
+    least, index = rows[0], jnp.zeros(rows.shape[1:], jnp.int32)
+    for k in range(1, rows.shape[0]):
+        less = rows[k] < least
+        least, index = jnp.where(less, rows[k], least), jnp.where(less, k, index)
+    return least, index
 
 
 def _first_where(mask):
@@ -360,6 +370,14 @@ def _sum(terms):
     for term in terms:
         total = term if total is None else total + term
     return total
+
+
+def _select(v, index):
+    """Entry index [P] of each pair's short list v, [K, 1 or P] x 3: a row of selections, which unlike a gather vectorises."""
+    out = tuple(c[0] for c in v)
+    for k in range(1, v[0].shape[0]):
+        out = vector.where(index == k, tuple(c[k] for c in v), out)
+    return out
 
 
 def _pick(v, index, pairs):

@@ -1,7 +1,9 @@
 """Contact forces of one configuration: for each kind of contact, geometry, then the force law, then sums over bodies."""
 
+import math
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -9,15 +11,25 @@ from dem_jax import bodies, boundary, collide, contact, hulls, seams, vector
 from dem_jax.bodies import Body
 from dem_jax.types import ContactTable, Ledger, Slots, State, System
 
+LEAST_BLOCK = 16  # slots: a vector of single precision in the widest registers
+FEW_SLOTS, MANY_SLOTS = 64, 1024  # below which polytopes, and spheres, are quicker all at once
+
 
 class Contacts(NamedTuple):
-    """What the contacts of one kind do in one step."""
+    """What contacts of one kind do in one step."""
 
     table: ContactTable  # with the new history
-    load_a: object  # [6, P] (N, N m): force and torque on a, about its centre
-    load_b: object  # [6, P]: on b
-    place: object  # [3, P] (m): contact point
-    stored: object  # (J): change of what the contacts would give back
+    load_a: jax.Array  # [6, P] (N, N m): force and torque on a, about its centre
+    load_b: jax.Array  # [6, P]: on b
+    sums: "Sums"  # of these contacts
+
+
+class Sums(NamedTuple):
+    """What is added up over contacts."""
+
+    wall: jax.Array  # [6, G] (N, N m): force on each wall group and torque about the origin
+    stored: jax.Array  # (J): change of what the contacts would give back
+    overlap: jax.Array  # (-): the largest, relative to the width of the piece
 
 
 def contacts(system: System, state: State, omega, panels: boundary.Panels) -> State:
@@ -26,19 +38,69 @@ def contacts(system: System, state: State, omega, panels: boundary.Panels) -> St
     state: positions now, velocities of the interval that led here; omega: [3, N] (rad/s) likewise.
     """
     stacked = bodies.stack(system, state, omega, panels)
-    done, column = {}, 0
+    loads = jnp.zeros((6, 2 * sum(slots for *_, slots in system.capacity) + 1), stacked.dtype)
+    sums = _no_sums(system, stacked.dtype)
+    tables, column = {}, 0
     for kind, table in state.contacts.items():
-        slots, siblings = state.slots[kind], None
-        if slots.plane is not None:
-            siblings = seams.siblings(slots, state.incidence, column)
-        done[kind] = _resolve(system, kind, table, slots, stacked, siblings)
+        tables[kind], loads, sums = _contacts_of_kind(system, state, kind, stacked, loads, sums, column)
         column += 2 * table.a.shape[0]
-    load = _loads_of_pieces(state, done)
-    wall = _loads_of_walls(system, state, done, panels)
-    tables = {kind: d.table for kind, d in done.items()}
-    ledger = _ledger(system, state, omega, panels, done, load, wall)
+    load = _loads_of_pieces(system, state, loads)
+    about_pivot = vector.sub(sums.wall[3:], vector.cross(panels.pivot, sums.wall[:3]))
+    wall = jnp.concatenate([sums.wall[:3], jnp.stack(about_pivot)])
+    ledger = _ledger(system, state, omega, panels, sums, load, wall)
     state = state.replace(force=load[:3], torque=load[3:], contacts=tables, ledger=ledger)
     return state.replace(wall_force=wall[:3], wall_torque=wall[3:])
+
+
+def _contacts_of_kind(system: System, state: State, kind, stacked, loads, sums: Sums, column):
+    """The table of a kind after this step, the loads [6, columns] with those of its contacts from ``column`` on, the sums.
+
+    Block by block of slots, as far as slots are filled: what is free costs nothing, and a block stays in the cache.
+    """
+    table, slots = state.contacts[kind], state.slots[kind]
+    room = table.a.shape[0]
+    size = block_size(system, kind, room)
+
+    def add(part: Contacts, first, loads, sums):
+        loads = jax.lax.dynamic_update_slice_in_dim(loads, part.load_b, column + first, 1)
+        loads = jax.lax.dynamic_update_slice_in_dim(loads, part.load_a, column + room + first, 1)
+        return loads, Sums(sums.wall + part.sums.wall, sums.stored + part.sums.stored, jnp.maximum(sums.overlap, part.sums.overlap))
+
+    if not size:
+        siblings = None if slots.plane is None else seams.siblings(slots, state.incidence, column)
+        part = _resolve(system, kind, table, slots, stacked, siblings)
+        return part.table, *add(part, 0, loads, sums)
+
+    def block(k, carry):
+        after, loads, sums = carry  # read from one table and put into another: in one alone, all of it is copied each time
+        part = _resolve(system, kind, block_of(table, k, size), block_of(slots, k, size), stacked, None)
+        put = lambda whole, rows: jax.lax.dynamic_update_slice_in_dim(whole, rows, k * size, -1)  # noqa: E731
+        return jax.tree.map(put, after, part.table), *add(part, k * size, loads, sums)
+
+    blocks = (state.filled[kind] + size - 1) // size
+    return jax.lax.fori_loop(0, blocks, block, (table, loads, sums))
+
+
+def block_size(system: System, kind, room) -> int:
+    """How many of ``room`` slots of a kind are computed at a time; 0: all at once.
+
+    An eighth of the room or less, so that a last block that is hardly filled costs little, but enough for vectors. With
+    spheres a slot is so cheap that cutting out the blocks pays only where there are many.
+    """
+    if not system.slot_block or system.walls.plane is not None:  # across a seam slots look at each other
+        return 0
+    if room < (FEW_SLOTS if kind == "hulls" else MANY_SLOTS):
+        return 0
+    wanted = LEAST_BLOCK
+    while 2 * wanted <= system.slot_block and 16 * wanted <= room:
+        wanted *= 2
+    return math.gcd(room, wanted)
+
+
+def block_of(tree, k, size):
+    """Slots k size to (k + 1) size of arrays [.., P]; those that broadcast over slots as they are."""
+    cut = lambda x: x if x.shape[-1] == 1 else jax.lax.dynamic_slice_in_dim(x, k * size, size, -1)  # noqa: E731
+    return jax.tree.map(cut, tree)
 
 
 def geometry(system: System, kind, slots: Slots, a: Body, b: Body, offset) -> collide.Geometry:
@@ -103,17 +165,23 @@ def _resolve(system: System, kind, table: ContactTable, slots: Slots, stacked, s
     if share is not None:
         force = vector.scale(share, force)
     after = table.replace(force=f, overlap=jnp.maximum(overlap, 0), spring=spring, point=jnp.stack(at_b))
-    stored = jnp.zeros((), f.dtype)
+    sums = _no_sums(system, f.dtype)
+    sums = sums._replace(overlap=jnp.max(after.overlap / slots.width))
     if system.ledger:
         stored = jnp.sum(elastic_energy(system, after, slots) - elastic_energy(system, before, slots))
+        sums = sums._replace(stored=stored)
     reaction = vector.scale(-1, force)
-    return Contacts(
-        after,
-        jnp.stack([*reaction, *vector.cross(shape.point, reaction)]),
-        jnp.stack([*force, *vector.cross(at_b, force)]),
-        jnp.stack(vector.add(a.centre, shape.point)),
-        stored,
-    )
+    if system.walls.groups:
+        rows = jnp.stack([*reaction, *vector.cross(vector.add(a.centre, shape.point), reaction)])
+        sums = sums._replace(wall=jnp.sum(jnp.where(slots.member[None], rows[:, None], 0), axis=2))
+    load_a = jnp.stack([*reaction, *vector.cross(shape.point, reaction)])
+    load_b = jnp.stack([*force, *vector.cross(at_b, force)])
+    return Contacts(after, load_a, load_b, sums)
+
+
+def _no_sums(system: System, dtype) -> Sums:
+    zero = jnp.zeros((), dtype)
+    return Sums(jnp.zeros((6, len(system.walls.groups)), dtype), zero, zero)
 
 
 def _motion(system: System, a: Body, b: Body, offset, table: ContactTable, normal, at_b, overlap):
@@ -146,47 +214,30 @@ def elastic_energy(system: System, table: ContactTable, slots: Slots):
     return energy
 
 
-def _loads_of_pieces(state: State, done):
+def _loads_of_pieces(system: System, state: State, loads):
     """Force and torque on each piece, [6, N] (N, N m): the sum over its contacts, found by ``incidence``.
 
-    A gather and a sum over a short axis: the same bits every time, on a GPU too, where adding up in place is not.
+    Gathers and sums: the same bits every time, on a GPU too, where adding up in place is not.
     """
-    parts = [part for d in done.values() for part in (d.load_b, d.load_a)]
-    if not parts:
-        return jnp.zeros((6, state.position.shape[1]), state.position.dtype)
-    none = jnp.zeros((6, 1), parts[0].dtype)
-    rows = jnp.concatenate([*parts, none], axis=1)
-    return jnp.sum(rows.at[:, state.incidence].get(mode="promise_in_bounds"), axis=1)
+    load_of = lambda columns: loads.at[:, columns].get(mode="promise_in_bounds")  # noqa: E731
+    if not system.slot_block:
+        return jnp.sum(load_of(state.incidence), axis=1)
+    none = jnp.zeros((6, state.position.shape[1]), loads.dtype)
+    return jax.lax.fori_loop(0, state.busiest, lambda k, total: total + load_of(state.incidence[k]), none)
 
 
-def _loads_of_walls(system: System, state: State, done, panels: boundary.Panels):
-    """Force on each wall group, and torque about its pivot, [6, G] (N, N m)."""
-    total = jnp.zeros((6, len(system.walls.groups)), state.position.dtype)
-    if not system.walls.groups:
-        return total
-    for kind, d in done.items():
-        force = vector.unpack(d.load_a)
-        rows = jnp.stack([*force, *vector.cross(vector.unpack(d.place), force)])
-        total = total + jnp.sum(jnp.where(state.slots[kind].member[None], rows[:, None], 0), axis=2)
-    about_pivot = vector.sub(total[3:], vector.cross(panels.pivot, total[:3]))
-    return jnp.concatenate([total[:3], jnp.stack(about_pivot)])
-
-
-def _ledger(system: System, state: State, omega, panels: boundary.Panels, done, load, wall) -> Ledger:
+def _ledger(system: System, state: State, omega, panels: boundary.Panels, sums: Sums, load, wall) -> Ledger:
     """The ledger after this step; load, wall: forces and torques on pieces [6, N] and on wall groups [6, G] now."""
     ledger = state.ledger
-    overlap = ledger.overlap
-    for kind, d in done.items():
-        overlap = jnp.maximum(overlap, jnp.max(d.table.overlap / state.slots[kind].width))
+    overlap = jnp.maximum(ledger.overlap, sums.overlap)
     if system.ledger:
         on_pieces = _work(system, jnp.concatenate([state.force, state.torque]) + load, jnp.concatenate([state.velocity, omega]))
         by_walls = jnp.zeros_like(on_pieces)
         if system.walls.moving:
             on_walls = jnp.concatenate([state.wall_force, state.wall_torque]) + wall
             by_walls = -_work(system, on_walls, panels.groups[3:])
-        stored = sum(d.stored for d in done.values())
         ledger = ledger.replace(
-            dissipated=ledger.dissipated + (by_walls - on_pieces - stored), wall_work=ledger.wall_work + by_walls
+            dissipated=ledger.dissipated + (by_walls - on_pieces - sums.stored), wall_work=ledger.wall_work + by_walls
         )
     impulse = ledger.impulse + 0.5 * system.dt * (state.wall_force + wall[:3])
     return ledger.replace(impulse=impulse, overlap=overlap)

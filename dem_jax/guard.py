@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dem_jax import neighbours
+from dem_jax import neighbours, pairs
 from dem_jax.build import round_up
 from dem_jax.types import ContactTable, Guard, State, System
 
@@ -22,7 +22,7 @@ def fresh(state: State) -> State:
     """The state at the start of a chunk: needs and travel are noted anew."""
     guard = state.guard
     zeros = jax.tree.map(
-        np.zeros_like, {name: getattr(guard, name) for name in ("needed", "touching", "row", "travel")}
+        np.zeros_like, {name: getattr(guard, name) for name in ("needed", "touching", "row", "partition", "reach", "travel")}
     )
     return state.replace(guard=guard.replace(**zeros))
 
@@ -40,6 +40,14 @@ def outgrown(system: System, guard: Guard) -> list[str]:
         out.append(f"{np.max(guard.touching)} contacts of a piece for {system.touching}")
     if np.max(guard.row) > system.row_capacity:
         out.append(f"{np.max(guard.row)} pieces in a row of cells for {system.row_capacity}")
+    if system.partition:
+        listed, filling = _most(guard.partition)
+        if listed > system.partition.pairs:
+            out.append(f"more than {system.partition.pairs} pairs in the list of jax-md")
+        if filling > system.partition.cell:
+            out.append(f"{filling} pieces in a cell of jax-md for {system.partition.cell}")
+        if np.max(guard.reach) > system.partition.reach:
+            out.append(f"pairs within {np.max(guard.reach):.3g} m for a list of jax-md within {system.partition.reach:.3g} m")
     if np.max(guard.travel) > system.skin:
         way, skin = float(np.max(guard.travel)), float(system.skin)
         out.append(f"bodies approached by {way:.3g} m more than expected between rebuilds, with a skin of {skin:.3g} m")
@@ -53,7 +61,7 @@ def grown(system: System, state: State, guard: Guard) -> tuple[System, State]:
     polytopes, spheres = system.pieces.polytopes.shape[0], system.pieces.spheres.shape[0]
     for kind, candidates, slots in system.capacity:
         near, touching = _most(guard.needed[kind])
-        every = neighbours.pair_count(kind, polytopes, spheres, panels)
+        every = pairs.pair_count(kind, polytopes, spheres, panels)
         if near > candidates:  # of those that found no place, as many may touch as of those that did
             touching = -(-touching * near // candidates)
         rows.append((kind, _enough(candidates, near, every), _enough(slots, touching, every)))
@@ -64,11 +72,26 @@ def grown(system: System, state: State, guard: Guard) -> tuple[System, State]:
     if travel > system.skin:
         raised = min(HEAD_ROOM * travel, LARGEST_RAISE * float(system.skin))
         system = system.replace(skin=jnp.asarray(raised, system.skin.dtype))
+    system = system.replace(partition=_grown_partition(system.partition, guard, pieces))
     return with_capacity(system, state, tuple(rows), touching, row)
 
 
+def _grown_partition(partition, guard: Guard, pieces):
+    """The room of jax-md's list, where there is one, for what was needed."""
+    if partition is None:
+        return None
+    listed, filling = _most(guard.partition)
+    reach = partition.reach
+    if np.max(guard.reach) > reach:
+        reach = min(HEAD_ROOM * float(np.max(guard.reach)), LARGEST_RAISE * reach)
+    room = _enough(partition.pairs, listed, pieces * (pieces - 1) // 2)
+    return partition._replace(pairs=room, cell=_enough(partition.cell, filling, pieces), reach=reach)
+
+
 def with_capacity(system: System, state: State, capacity, touching, row_capacity) -> tuple[System, State]:
-    """System and state with other capacities, none smaller than before."""
+    """System and state with capacities at least as large as these, none smaller than before."""
+    both = zip(capacity, system.capacity, strict=True)
+    capacity = tuple((kind, max(near, n), max(slots, s)) for (kind, near, slots), (_, n, s) in both)
     larger = system.replace(capacity=capacity, touching=touching, row_capacity=row_capacity)
     if jax.tree.structure(larger) == jax.tree.structure(system):
         return system, state
@@ -86,7 +109,7 @@ def with_scratch(system: System, state: State) -> State:
 
 
 def _most(needed):
-    """Most candidates and slots that any run needed."""
+    """The most that any run needed of two things, such as candidates and slots."""
     near, touching = np.reshape(needed, (-1, 2)).max(axis=0)
     return int(near), int(touching)
 
@@ -94,7 +117,7 @@ def _most(needed):
 def _enough(have, needed, every):
     if needed <= have:
         return have
-    return min(every, round_up(int(np.ceil(HEAD_ROOM * needed))))
+    return round_up(min(every, int(np.ceil(HEAD_ROOM * needed))))
 
 
 def _widened(table: ContactTable, slots) -> ContactTable:

@@ -1,5 +1,6 @@
 """Motion over one time step: kick, drift, kick (velocity Verlet in translation, a symplectic splitting in rotation)."""
 
+import jax
 import jax.numpy as jnp
 
 from dem_jax import rotation, vector
@@ -28,6 +29,23 @@ def drift(system: System, state: State):
         tuple(state.orientation), vector.unpack(state.angular_momentum), vector.unpack(system.pieces.inertia), system.dt
     )
     return state.replace(orientation=jnp.stack(q)), jnp.stack(omega)
+
+
+def flight(system: System, state: State, steps) -> State:
+    """So many steps of free fall at once: what ``kick`` and ``drift`` without contacts amount to, to rounding."""
+    time = system.dt * steps.astype(system.dt.dtype)
+    fall = system.gravity[:, None] * time
+    position, rest = _add(state.position, state.position_rest, time * (state.velocity + 0.5 * fall))
+    velocity, velocity_rest = _add(state.velocity, state.velocity_rest, jnp.broadcast_to(fall, position.shape))
+    zeros = {name: jnp.zeros_like(getattr(state, name)) for name in ("force", "torque", "wall_force", "wall_torque")}
+    state = state.replace(position=position, position_rest=rest, velocity=velocity, velocity_rest=velocity_rest, **zeros)
+    state = state.replace(step=state.step + steps)
+    if not system.has_rotation:
+        return state
+    free = rotation.free_rotation if system.has_hulls else rotation.spin
+    momentum, inertia = vector.unpack(state.angular_momentum), vector.unpack(system.pieces.inertia)
+    turn = lambda _, q: jnp.stack(free(tuple(q), momentum, inertia, system.dt)[0])  # noqa: E731
+    return state.replace(orientation=jax.lax.fori_loop(0, steps, turn, state.orientation))
 
 
 def _add(position, rest, change):

@@ -1,6 +1,6 @@
 """Monte Carlo: many runs of a scene that differ by their seed, computed together."""
 
-from dem_jax import record, run
+from dem_jax import hosts, record, run
 
 
 def ensemble(scene, runs=64, seed=0, out=None, overwrite=False, progress=False) -> record.Run:
@@ -9,8 +9,13 @@ def ensemble(scene, runs=64, seed=0, out=None, overwrite=False, progress=False) 
     The runs share one system and one compiled program. On a CPU each has a thread to itself, on all cores, and the bits that
     it has alone. Elsewhere they are stepped together by ``jax.vmap``, shared out among as many of JAX's devices as divide
     their number, and equal single runs up to rounding, which contacts amplify in time. A scene whose pieces are listed
-    one by one has nothing that a seed could change: its runs are alike. If one run fails, all stop.
+    one by one has nothing that a seed could change: its runs are alike. If one run fails, all stop; with
+    ``run.until_settled`` they are released, and end, when all are settled.
+
+    Where ``jax.distributed`` was initialised, all processes must call this with the same arguments: each computes its
+    share of the runs on its own devices, the first writes the file, and all return the whole ensemble or raise the same.
     Arguments and errors as ``simulate``.
     """
     seeds = tuple(range(int(seed), int(seed) + int(runs)))
-    return run.drive(run.prepare(scene, seeds, len(seeds)), out, overwrite, progress)
+    with hosts.together():
+        return run.drive(run.prepare(scene, seeds, len(seeds)), out, overwrite, progress)

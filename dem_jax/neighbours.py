@@ -1,21 +1,19 @@
 """Which pairs may touch before the next rebuild, and contact history carried across a rebuild by partner.
 
-A rebuild looks at pairs in stages, each on what the one before left: bounding spheres (of a panel and a piece: box and
-sphere), then the full separating-axis test. What is left are pairs nearer than the way that the speeds of the fastest
-take two bodies until the next rebuild (``State.lead``) and a skin for what changes speeds; ``travel`` measures whether
-two bodies have approached each other by more. More candidates than slots is not an error here but data: the host grows
-the capacity and runs the chunk again.
+A rebuild looks at those of ``pairs`` in stages, each on what the one before left: bounding spheres (of a panel and a
+piece: box and sphere), then the full separating-axis test. What is left are pairs nearer than the way that the speeds
+of the fastest take two bodies until the next rebuild (``State.lead``) and a skin for what changes speeds; ``travel``
+measures whether two bodies have approached each other by more. More candidates than slots is not an error here but data:
+the host grows the capacity and runs the chunk again.
 """
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dem_jax import bodies, boundary, contact, forces, hulls, rotation, vector
+from dem_jax import bodies, boundary, contact, forces, hulls, pairs, rotation, vector
+from dem_jax.pairs import EMPTY
 from dem_jax.types import ContactTable, Guard, Slots, State, System
-
-EMPTY = -1
-ALL_PAIRS = 256  # up to so many pieces every pair is looked at: quicker than any list
 
 # Kinds of contact by what computes their geometry, each with slots of its own, and the sources of their pairs.
 # In the order of the alphabet, as JAX sorts the keys of a dict: ``incidence`` counts on one order everywhere.
@@ -42,20 +40,20 @@ def rebuild(system: System, state: State) -> State:
     reach = system.skin + lead
     guard = state.guard
     first_time = guard.start_overlap < 0
-    tables, slots, needed, column = {}, {}, {}, 0
+    tables, slots, needed, filled, column = {}, {}, {}, {}, 0
     for kind, candidates, room in system.capacity:
         near, a, b = [], [], []
         for source in SOURCES[kind]:
-            first, second, row = pairs_of(system, source, stacked, reach)
-            guard = guard.replace(row=jnp.maximum(guard.row, row))
+            first, second, need = pairs.of_source(system, source, stacked, reach)
+            guard = pairs.noted(guard, need)
             near.append(within_bounds(system, stacked, source, first, second, reach))
             a.append(first)
             b.append(second)
         number, a, b = compact(jnp.concatenate(near), jnp.concatenate(a), jnp.concatenate(b), candidates)
-        trial = constants(system, kind, a, b)
-        overlap = _depth(system, kind, trial, stacked)
-        guard = _note_overlap(guard, first_time, overlap / trial.width, a, b)
+        overlap, relative = _depths(system, kind, a, b, number, stacked)
+        guard = _note_overlap(guard, first_time, relative, a, b)
         touching, a, b = compact(overlap > -reach, a, b, room)
+        filled[kind] = jnp.minimum(touching, room)
         needed[kind] = jnp.maximum(guard.needed[kind], jnp.stack([number, touching]))
         old = state.contacts[kind]
         tables[kind] = carry_history(old, a, b, state.incidence, column)
@@ -68,69 +66,9 @@ def rebuild(system: System, state: State) -> State:
         start_overlap=jnp.maximum(guard.start_overlap, 0),
     )
     anchor = jnp.concatenate([state.position, state.orientation])
-    return state.replace(contacts=tables, slots=slots, incidence=incidence, anchor=anchor, since=state.step, lead=lead, guard=guard)
-
-
-def pairs_of(system: System, source, stacked, reach):
-    """Pairs (a, b) of a source of contacts to be looked at, two int32 arrays of body numbers, and how many in a row.
-
-    reach: gap (m) within which pairs count. Every pair where that is quick, else those of neighbouring cells; places
-    without a pair hold EMPTY.
-    """
-    pieces = system.pieces
-    none = jnp.zeros((), jnp.int32)
-    if source.startswith("wall"):
-        second = pieces.polytopes if source == "wall-hull" else pieces.spheres
-        first = jnp.arange(system.walls.group.shape[0], dtype=jnp.int32) + pieces.mass.shape[0]
-        return *_product(first, second), none
-    if source == "hull-sphere":
-        return *_product(pieces.polytopes, pieces.spheres), none
-    members = pieces.polytopes if source == "hull-hull" else pieces.spheres
-    if system.row_capacity and members.shape[0] > ALL_PAIRS:
-        return cell_pairs(system, members, stacked, reach)
-    i, j = np.triu_indices(members.shape[0], 1)
-    return members[i], members[j], none
-
-
-def pair_count(kind, polytopes, spheres, panels) -> int:
-    """How many pairs of a kind there are at all, from the numbers of polytopes and spheres among the pieces and of panels."""
-    return {
-        "hulls": polytopes * (polytopes - 1) // 2 + panels * polytopes,
-        "mixed": polytopes * spheres + panels * spheres,
-        "spheres": spheres * (spheres - 1) // 2,
-    }[kind]
-
-
-def cell_pairs(system: System, members, stacked, reach):
-    """Pairs of pieces in the same or in neighbouring cells, each once, and the most pieces in a row of three cells.
-
-    Pieces are sorted by cell, z fastest, so that three cells one above the other are one range of the sorted list:
-    the rest of a piece's own cell and the one above, and four rows beside it, hold its partners of higher rank.
-    """
-    size = 2 * jnp.max(system.pieces.bounding_radius[members]) + reach
-    place = stacked[:3, members] - system.domain_low[:, None]
-    count = jnp.ceil((system.domain_high - system.domain_low) / size).astype(jnp.int32) + 2
-    cell = jnp.clip(jnp.floor(place / size).astype(jnp.int32) + 1, 1, count[:, None] - 2)
-    key = (cell[0] * count[1] + cell[1]) * count[2] + cell[2]
-    order = jnp.argsort(key)
-    key = key[order]
-    rows = [(0, 1), (1, -1), (1, 0), (1, 1)]
-    beside = jnp.stack([key + (dx * count[1] + dy) * count[2] for dx, dy in rows])
-    start = jnp.searchsorted(key, beside - 1).astype(jnp.int32)
-    end = jnp.searchsorted(key, beside + 1, side="right").astype(jnp.int32)
-    own = jnp.arange(members.shape[0], dtype=jnp.int32)[None]
-    start = jnp.concatenate([own + 1, start])  # [5, members]
-    end = jnp.concatenate([jnp.searchsorted(key, key + 1, side="right").astype(jnp.int32)[None], end])
-    partner = start[None] + jnp.arange(system.row_capacity, dtype=jnp.int32)[:, None, None]
-    there = partner < end[None]
-    i = members[order[jnp.broadcast_to(own[None], partner.shape)]]
-    j = members[order[jnp.minimum(partner, members.shape[0] - 1)]]
-    a = jnp.where(there, jnp.minimum(i, j), EMPTY).reshape(-1)
-    return a, jnp.where(there, jnp.maximum(i, j), EMPTY).reshape(-1), jnp.max(end - start)
-
-
-def _product(first, second):
-    return jnp.repeat(first, second.shape[0]), jnp.tile(second, first.shape[0])
+    busiest = jnp.minimum(touching, system.touching)
+    state = state.replace(contacts=tables, slots=slots, filled=filled, busiest=busiest, incidence=incidence)
+    return state.replace(anchor=anchor, since=state.step, lead=lead, guard=guard)
 
 
 def within_bounds(system: System, stacked, source, a, b, gap):
@@ -151,10 +89,27 @@ def within_bounds(system: System, stacked, source, a, b, gap):
     return live & (vector.dot(away, away) < reach * reach)
 
 
-def _depth(system: System, kind, slots: Slots, stacked):
-    """Overlap of each pair by the full test, [pairs] (m); of an empty one, minus infinity."""
-    a, b = bodies.take(stacked, slots.a), bodies.take(stacked, slots.b)
-    return jnp.where(slots.live, forces.depth(system, kind, slots, a, b, bodies.offset(a, b)), -jnp.inf)
+def _depths(system: System, kind, a, b, number, stacked):
+    """Overlap of each pair by the full test, [pairs] (m), and relative to its width; of an empty one, minus infinity.
+
+    number: how many pairs there are, the first ones; of the rest, as many as fill a block are looked at too.
+    """
+
+    def of_pairs(a, b):
+        slots = constants(system, kind, a, b)
+        body_a, body_b = bodies.take(stacked, slots.a), bodies.take(stacked, slots.b)
+        depth = forces.depth(system, kind, slots, body_a, body_b, bodies.offset(body_a, body_b))
+        return jnp.where(slots.live, jnp.stack([depth, depth / slots.width]), -jnp.inf)
+
+    size = forces.block_size(system, kind, a.shape[0])
+    if not size:
+        return of_pairs(a, b)
+
+    def block(k, found):
+        return jax.lax.dynamic_update_slice_in_dim(found, of_pairs(*forces.block_of((a, b), k, size)), k * size, 1)
+
+    none = jnp.full((2, a.shape[0]), -jnp.inf, stacked.dtype)
+    return jax.lax.fori_loop(0, (jnp.minimum(number, a.shape[0]) + size - 1) // size, block, none)
 
 
 def constants(system: System, kind, a, b) -> Slots:
@@ -340,4 +295,5 @@ def empty_guard(system: System, dtype) -> Guard:
     """A guard that has seen nothing, in numpy."""
     needed = {kind: np.zeros((2,), np.int32) for kind, _, _ in system.capacity}
     zero = np.zeros((), np.int32)
-    return Guard(needed, zero, zero, np.zeros((), dtype), -np.ones((), dtype), np.zeros((2,), np.int32))
+    none = pairs.no_need(dtype)
+    return Guard(needed, zero, *none, np.zeros((), dtype), -np.ones((), dtype), np.zeros((2,), np.int32))

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from dem_jax.errors import RecordError
+from dem_jax.report import main_block, main_group
 
 FORCE_COLOUR, MASS_COLOUR = "#1f4e9c", "#c8561b"
 MEMBERS = 5  # runs of an ensemble that are drawn one by one
@@ -28,12 +29,12 @@ def figure_of_run(run, group=None, block=None, start=None, end=None, title=None)
 
     A run is drawn by the means over its sample intervals, on the instantaneous values in a lighter tone; an ensemble by
     its median, the band from 5 to 95 % and some members, all of interval means. group: by default wb_flaps or the
-    first; block: the first. start, end: (s) of what is shown, by default from just before the first force.
+    first; block: wb or the first. start, end: (s) of what is shown, by default from just before the first force.
     Raises RecordError for a group or block that the run does not have.
     """
     from matplotlib.figure import Figure
 
-    group = group or ("wb_flaps" if "wb_flaps" in run.force else next(iter(run.force), "none"))
+    group = group or main_group(run) or "none"
     figure = Figure(figsize=(7.2, 4.2), layout="constrained")
     axes = figure.add_subplot()
     mean = run.pif_kg(group)
@@ -74,7 +75,7 @@ def _draw_ensemble(axes, ms, values, colour, label, band=None):
 
 
 def _draw_mass(axes, run, block):
-    block = block or next(iter(run.settled_mass), None)
+    block = block or main_block(run)
     if block is None:
         return
     if block not in run.settled_mass:

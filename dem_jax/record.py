@@ -92,6 +92,7 @@ class Run:
     energy: kind -> [T] (J). overlap: [T] the largest overlap over the piece's size, or None. momentum: [T, 3] (kg m/s)
     of all pieces, or None.
     pieces: stored poses or None. restart: path -> array, all that is needed to go on.
+    settled: time (s) at which the run ended because all was at rest (``run.until_settled``), None: it went on to its end.
     header: scene, seed, time step and the like; its fields are attributes of the run too.
     """
 
@@ -115,6 +116,7 @@ class Run:
     sample = property(lambda self: self.header.sample)
     run_count = property(lambda self: self.header.run_count)
     info = property(lambda self: self.header.info)
+    settled = property(lambda self: self.info.get("settled"))
 
     def save(self, path, overwrite=False):
         """Write the run to an HDF5 file. Raises RecordError if it exists, unless overwrite, or cannot be written."""

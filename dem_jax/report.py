@@ -49,8 +49,9 @@ class Progress:
         steps = span.count * self._job.steps_per_sample * (self._job.runs or 1)
         self._since, self._compiled = now, compiled
         self._bar.set_postfix_str(f"{1e6 * took / steps:.3g} µs/step", refresh=False)
-        self._bar.set_description_str(self._phase(span.first + span.count), refresh=False)
-        self._bar.update(span.count)
+        self._bar.set_description_str(self._phase(span.end), refresh=False)
+        left_out = (0 if span.end < 0 else self._job.samples) - span.end if span.settled else 0
+        self._bar.update(span.count + left_out)
 
 
 FORMAT = "{desc}: {percentage:3.0f}% |{bar}| {n:.0f}/{total:.0f} ms [{elapsed} < {remaining}{postfix}]"
@@ -63,12 +64,15 @@ def summary(run) -> list[str]:
     pieces = f"{count} piece{'s' if count != 1 else ''}"
     if run.run_count is not None:
         pieces = f"{run.run_count} runs of {pieces}"
-    lines.append(f"{pieces}, {run.time[-1]:.6g} s in samples of {run.sample:.3g} s, {run.precision}")
+    ended = "" if run.settled is None else ", then all was settled"
+    lines.append(f"{pieces}, {run.time[-1]:.6g} s in samples of {run.sample:.3g} s, {run.precision}{ended}")
+    if "settling" in info:
+        lines.append(f"released after {info['settling']:.6g} s of settling, when all was settled")
     if "elapsed" in info:
         lines.append(f"{info['elapsed']:.1f} s elapsed, of which {info['compile_time']:.1f} s compiling")
     lines += [f"note: {note}" for note in info.get("notes", ())]
     group = main_group(run)
-    block = next(iter(run.settled_mass), None)
+    block = main_block(run)
     members = [run] if run.run_count is None else [run.member(k) for k in range(run.run_count)]
     if group:
         lines.append(_peaks(members, group))
@@ -83,6 +87,11 @@ def summary(run) -> list[str]:
 def main_group(run):
     """The wall group whose force is the PIF: the weigh bucket's flaps, or the first; None: no walls."""
     return "wb_flaps" if "wb_flaps" in run.force else next(iter(run.force), None)
+
+
+def main_block(run):
+    """The block whose settled mass counts: the weigh bucket's, or the first; None: there is none."""
+    return "wb" if "wb" in run.settled_mass else next(iter(run.settled_mass), None)
 
 
 def _peaks(members, group):

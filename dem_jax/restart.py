@@ -1,6 +1,6 @@
 """A state as named arrays, and back: all that is needed to go on bit for bit.
 
-What the rebuild at the start of a chunk fills anew (slots, anchor, since, lead) is left out.
+What the rebuild at the start of a chunk fills anew is left out.
 """
 
 import jax
@@ -11,6 +11,8 @@ from dem_jax import guard
 from dem_jax.errors import RecordError
 from dem_jax.types import State, System
 
+FILLED_ANEW = ("slots", "filled", "busiest", "anchor", "since", "lead")
+
 
 def pack(system: System, state: State) -> dict:
     """path -> array of the state, of the skin and of the capacities."""
@@ -19,6 +21,8 @@ def pack(system: System, state: State) -> dict:
         out[f"capacity/{kind}"] = np.array([candidates, slots], np.int32)
     for name in ("touching", "row_capacity"):
         out[name] = np.array(getattr(system, name), np.int32)
+    if system.partition:
+        out["partition"] = np.array([system.partition.pairs, system.partition.cell, system.partition.reach])
     return out | {"skin": np.asarray(system.skin)}
 
 
@@ -34,6 +38,10 @@ def unpack(system: System, state: State, arrays: dict) -> tuple[System, State]:
     others = (int(_found(arrays, name)) for name in ("touching", "row_capacity"))
     system, state = guard.with_capacity(system, state, tuple(rows), *others)
     system = system.replace(skin=jnp.asarray(_found(arrays, "skin")))
+    if system.partition:
+        listed, filling, reach = _found(arrays, "partition").tolist()
+        room = system.partition._replace(pairs=int(listed), cell=int(filling), reach=reach)
+        system = system.replace(partition=room)
     named, structure = _leaves(state)
     leaves = []
     for path, leaf in named:
@@ -43,12 +51,12 @@ def unpack(system: System, state: State, arrays: dict) -> tuple[System, State]:
             raise RecordError(f"restart/{path} is {found}, but the scene needs {needed}")
         leaves.append(jnp.asarray(array))
     kept = jax.tree.unflatten(structure, leaves)
-    return system, kept.replace(slots=state.slots, anchor=state.anchor, since=state.since, lead=state.lead)
+    return system, kept.replace(**{name: getattr(state, name) for name in FILLED_ANEW})
 
 
 def _leaves(state: State):
     """[(path, array)] of what is kept, and its structure."""
-    kept = state.replace(slots={}, anchor=None, since=None, lead=None)
+    kept = state.replace(**dict.fromkeys(FILLED_ANEW))
     paths, structure = jax.tree_util.tree_flatten_with_path(kept)
     return [(jax.tree_util.keystr(path, simple=True, separator="/"), leaf) for path, leaf in paths], structure
 

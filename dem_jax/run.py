@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from dem_jax import build, compiling, failure, guard, record, restart, series, stepping
+from dem_jax import build, compiling, failure, guard, hosts, record, restart, series, settled, stepping
 from dem_jax.errors import RecordError, SceneError, SimulationError
 from dem_jax.report import Progress
 from dem_jax.scene import Scene, load_scene, parse
@@ -26,6 +26,7 @@ from dem_jax.types import Sample, State, System
 SAMPLES = 1024  # capacity of a chunk: one for all scenes, so that they share compiled programs
 FRAMES = 64
 CHUNK_TIME = 1.0  # s that a chunk should take
+SLOT_BLOCK = 64  # slots that a CPU computes at a time, at most: they stay in its cache
 ATTEMPTS = 12  # to find room for a chunk
 
 
@@ -43,6 +44,7 @@ def simulate(scene, seed=0, out=None, overwrite=False, progress=False) -> record
 def resume(path, duration=None, progress=False) -> record.Run:
     """Go on with the run in a file, to its end or to another duration (s); the bits are those of an uninterrupted run.
 
+    A run that ended because all was settled is at its end.
     Raises RecordError for a file that cannot be gone on from, SceneError for a duration that is already exceeded.
     """
     header, arrays, samples, frames = record.load_restart(path)
@@ -50,7 +52,13 @@ def resume(path, duration=None, progress=False) -> record.Run:
     if duration is not None:
         scene = scene.replace({"run.duration": duration})
     many = header.run_count is not None
-    job = prepare(scene, header.seed if many else (header.seed,), header.run_count)
+    with hosts.together(many):
+        return _go_on(path, scene, header, arrays, samples, frames, progress)
+
+
+def _go_on(path, scene, header, arrays, samples, frames, progress):
+    seeds = (header.seed,) if header.run_count is None else header.seed
+    job = prepare(scene, seeds, header.run_count)
     if samples > job.samples:
         raise SceneError(
             f"duration = {scene.run.duration:g}: allowed: at least {samples * scene.run.sample:g} s, which {path} holds"
@@ -60,11 +68,12 @@ def resume(path, duration=None, progress=False) -> record.Run:
             system, state = restart.unpack(job.system, job.state, arrays)
         except RecordError as error:
             raise RecordError(f"{path}: {error}") from error
-        kept = tuple(header.info.get("notes", ()))
-        job = replace(job, system=system, state=state, samples_kept=samples, frames_kept=frames, notes=kept)
-    if samples == job.samples:
+        notes, slow = tuple(header.info.get("notes", ())), bool(arrays.get("slow", True))
+        kept = {"samples_kept": samples, "frames_kept": frames, "notes": notes, "slow": slow}
+        job = replace(job, system=system, state=state, **kept)
+    if samples == job.samples or "settled" in header.info:
         return record.load_run(path)
-    return _into_file(job, path, record.Writer.resume(path, scene=scene.to_toml()), progress)
+    return _into_file(job, path, partial(record.Writer.resume, path, scene=scene.to_toml()), progress)
 
 
 @dataclass(frozen=True)
@@ -80,8 +89,11 @@ class Job:
     samples_kept: int = 0  # already in the file
     frames_kept: int = 0
     notes: tuple = ()  # already in the file
+    rule: settled.Rule | None = None  # of run.until_settled
+    slow: bool = True  # all since the rule was last looked at
     clock: dict = field(default_factory=lambda: {"compile": 0.0, "start": time.perf_counter()})
 
+    shared = property(lambda self: self.runs is not None and hosts.several())
     samples = property(lambda self: self.built.samples)
     every = property(lambda self: self.built.frame_every)  # samples between frames; 0: none
     frame_capacity = property(lambda self: FRAMES if self.built.frame_every else 0)
@@ -90,11 +102,22 @@ class Job:
     @property
     def stride(self):
         """Samples per chunk, a multiple of the samples between rebuilds: a rebuild at its start is due anyway."""
-        block = max(1, self.system.block_steps // int(self.system.substeps))
+        block = samples_per_block(self.system)
         bodies = self.state.position.shape[-1] * (self.runs or 1)
         wanted = CHUNK_TIME / (self.steps_per_sample * (10e-6 + 2e-6 * bodies))
         room = min(SAMPLES, (FRAMES - 1) * self.every + 1) if self.every else SAMPLES
         return max(1, int(min(wanted, room)) // block) * block
+
+    def chunk_end(self, at):
+        """Where the chunk that begins at a sample ends, in every run of the scene, however long."""
+        end = at + self.stride if at >= 0 else min(at + self.stride, 0)
+        is_looked_at = self.rule and at >= self.rule.start
+        return min(end, self.rule.next_look(at)) if is_looked_at else end
+
+
+def samples_per_block(system: System) -> int:
+    """Samples between rebuilds of the candidate pairs."""
+    return max(1, system.block_steps // int(system.substeps))
 
 
 def prepare(scene, seeds, runs) -> Job:
@@ -103,31 +126,34 @@ def prepare(scene, seeds, runs) -> Job:
     scene = build.self_contained(scene if isinstance(scene, Scene) else load_scene(scene))
     with jax.enable_x64(scene.run.precision == "f64"):
         built = build.build(scene, int(seeds[0]))
-        system, state = built.system, built.state
+        block = SLOT_BLOCK if jax.default_backend() == "cpu" else 0
+        system, state = built.system.replace(slot_block=block), built.state
         if runs is not None:
             states = [build.state_of_seed(scene, built, int(seed)) for seed in seeds]
             state = jax.tree.map(lambda *x: jnp.asarray(np.stack(x)), *states)
-    return Job(scene, tuple(seeds), runs, built, system, state)
+    rule = settled.rule_of(scene, system, built.settling_steps // built.step.substeps, samples_per_block(system))
+    return Job(scene, tuple(seeds), runs, built, system, state, rule=rule)
 
 
 def drive(job: Job, out, overwrite, progress) -> record.Run:
     """Run a job from its beginning, into a file or into memory."""
-    if out is None:
-        memory = Memory(header_of(job))
-        _run(job, lambda: memory, progress)
-        return memory.run()
-    record.check_target(out, overwrite)
-    return _into_file(job, out, partial(record.Writer.create, out, header_of(job), overwrite), progress)
+    with hosts.together(job.shared):
+        if out is None:
+            memory = Memory(header_of(job))
+            _run(job, lambda: memory, progress)
+            return memory.run()
+        _by_first(job, partial(record.check_target, out, overwrite))
+        return _into_file(job, out, partial(record.Writer.create, out, header_of(job), overwrite), progress)
 
 
 def _into_file(job: Job, path, writer, progress):
-    """Run into a file; writer: a Writer, or a function that makes it once there is something to write."""
+    """Run into a file; writer: a function that makes the Writer, once there is something to write."""
     with ExitStack() as stack:
         made = []
 
         def target():
             if not made:
-                made.append(stack.enter_context(writer() if callable(writer) else writer))
+                made.append(stack.enter_context(writer()) if _writes(job) else Nowhere())
             return made[0]
 
         try:
@@ -135,7 +161,20 @@ def _into_file(job: Job, path, writer, progress):
         except SimulationError as error:
             error.path = Path(path) if made and error.time > 0 else None
             raise
-    return record.load_run(path)
+        _by_first(job, made[0].flush)
+    return _by_first(job, partial(record.load_run, path))
+
+
+def _writes(job: Job) -> bool:
+    """Whether this process has the file: of several that share an ensemble the first."""
+    return not job.shared or hosts.is_first()
+
+
+def _by_first(job: Job, function):
+    """The value of a function that only the process that has the file calls."""
+    if not job.shared:
+        return function()
+    return hosts.exchange(lambda: function() if hosts.is_first() else None)[0]
 
 
 def header_of(job: Job) -> record.Header:
@@ -174,22 +213,55 @@ class Span:
     samples: Sample  # numpy [.., samples]
     poses: np.ndarray  # [.., frames, 13, N]
     notes: tuple  # what was run again, and why
+    slow: bool = True  # all since the rule of run.until_settled was last looked at
+    settled: bool = False  # all was at rest: what would follow up to the release, or up to the end, is left out
+
+    end = property(lambda self: self.first + self.count)
 
 
 def _run(job: Job, target, progress):
     """Run a job to its end. target: returns what to append to, asked only once there is something."""
-    with jax.enable_x64(job.scene.run.precision == "f64"), Progress(job, progress) as shown:
+    with jax.enable_x64(job.scene.run.precision == "f64"), Progress(job, progress and _writes(job)) as shown:
+        _check_alike(job)
         notes = list(job.notes)
         for span in spans(job, shown):
             notes += [note for note in span.notes if note not in notes]
             failed = failure.find(span.samples, span.count)
             if failed:
                 _stop(job, target, span, failed)
-            facts = {"notes": notes} if span.notes else None
-            target().append(*_recorded(job, span, span.count), restart=_restart_of(job, span), info=facts)
+            rows = _recorded(job, span, span.count)
+            _append(job, target, *rows, restart=_restart_of(job, span), info=_facts(job, span, notes))
             shown.advance(span)
         clock = {"compile_time": job.clock["compile"], "elapsed": time.perf_counter() - job.clock["start"]}
-        target().append({}, info=clock)
+        _append(job, target, {}, info=clock)
+
+
+def _append(job: Job, target, *rows, **more):
+    """Append to the target; what goes wrong in one process stops all."""
+    if job.shared:
+        hosts.exchange(lambda: target().append(*rows, **more))
+    else:
+        target().append(*rows, **more)
+
+
+def _check_alike(job: Job):
+    """Raise SceneError if processes that share an ensemble were given different ones."""
+    if job.shared:
+        first, *others = hosts.exchange(lambda: (job.scene.to_toml(), job.seeds, job.samples_kept))
+        strange = [k for k, other in enumerate(others, 1) if other != first]
+        if strange:
+            raise SceneError(f"process {strange[0]} has another scene, seed or number of runs than process 0; allowed: the same")
+
+
+def _facts(job: Job, span: Span, notes):
+    """What a span adds to the file's info: ``settled`` (s), the end of a run that ended early; ``settling`` (s), how
+    long a portion settled if that was cut short."""
+    facts = {"notes": notes} if span.notes else {}
+    if span.settled and span.first >= 0:
+        facts["settled"] = span.end * job.scene.run.sample
+    elif span.settled:
+        facts["settling"] = (span.end - job.rule.start) * job.scene.run.sample
+    return facts
 
 
 def _restart_of(job: Job, span: Span):
@@ -198,21 +270,41 @@ def _restart_of(job: Job, span: Span):
     Only at the end of a whole chunk, or at its beginning if it is the first: there every run of the scene, however
     long, begins a chunk, which is why going on gives the same bits.
     """
-    if span.count == job.stride or span.first + span.count == 0:
-        return restart.pack(span.system, span.state)
-    is_first = span.first * job.steps_per_sample == int(np.max(job.state.step))
-    return restart.pack(span.system, span.start) if is_first else None
+    if span.end == job.chunk_end(span.first):
+        state, slow = span.state, span.slow
+    elif span.first * job.steps_per_sample == int(np.max(job.state.step)):
+        state, slow = span.start, job.slow
+    else:
+        return None
+    return restart.pack(span.system, state) | ({"slow": np.array(slow)} if job.rule else {})
 
 
 def spans(job: Job, shown):
     """The chunks of a job, from its state to its last sample. Where they end depends on the scene alone."""
-    system, state = job.system, job.state
+    system, state, slow = job.system, job.state, job.slow
     at = int(np.max(state.step)) // job.steps_per_sample
     while at < job.samples:
-        end = min(at + job.stride, job.samples if at >= 0 else 0)
-        span = advance(job, system, state, at, end - at, shown)
+        end = min(job.chunk_end(at), job.samples)
+        span = _looked_at(job, advance(job, system, state, at, end - at, shown), slow)
         yield span
-        system, state, at = span.system, span.state, end
+        system, state, slow = span.system, span.state, span.slow
+        at = end if not span.settled else 0 if end < 0 else job.samples
+
+
+def _looked_at(job: Job, span: Span, slow) -> Span:
+    """The span with what the rule of ``run.until_settled`` says of its end; slow: whether all was before it.
+
+    A portion at rest is released at once: no wall moves before the release, so nothing but the step's number differs.
+    """
+    rule = job.rule
+    if not rule:
+        return span
+    slow = (slow or rule.looks_from(span.first)) and rule.is_slow(span.samples, span.count)
+    is_over = rule.start <= span.first < span.end < 0 or span.first >= 0 and span.end >= rule.still
+    at_rest = slow and is_over and rule.next_look(span.first) == span.end
+    released = at_rest and span.first < 0
+    state = span.state.replace(step=jnp.zeros_like(span.state.step)) if released else span.state
+    return replace(span, state=state, slow=slow, settled=at_rest)
 
 
 def advance(job: Job, system: System, state: State, first, count, shown) -> Span:
@@ -241,14 +333,23 @@ def execute(job: Job, system: System, state: State, first, count, shown=None):
     rest = tuple(np.int32(x) for x in (count, every, first % every))
     if job.runs is None:
         return _computed(_program((system, state, *rest), None, job, shown), system, state, rest)
-    if jax.default_backend() == "cpu":
-        return _in_threads(job, system, state, rest, shown)
-    return _together(job, system, state, rest, shown)
+    if not job.shared:
+        return _many(job, system, state, rest, shown)
+    state, mine = jax.device_get(state), hosts.share(job.runs)
+    own = jax.tree.map(lambda x: x[mine], state)
+    parts = hosts.exchange(lambda: jax.device_get(_many(job, system, own, rest, shown)) if len(own.step) else None)
+    return jax.tree.map(lambda *x: np.concatenate(x), *(part for part in parts if part is not None))
+
+
+def _many(job: Job, system: System, state: State, rest, shown):
+    """The chunk of some runs of an ensemble, on the devices of this process."""
+    by = _in_threads if jax.default_backend() == "cpu" else _together
+    return by(job, system, state, rest, shown)
 
 
 def _together(job: Job, system: System, state: State, rest, shown):
-    """The chunk of all runs of an ensemble side by side, shared out among devices."""
-    mesh = _mesh(job.runs)
+    """The chunk of runs of an ensemble side by side, shared out among devices."""
+    mesh = _mesh(len(state.step))
     state = jax.device_put(state, NamedSharding(mesh, PartitionSpec("runs")))
     return _computed(_program((system, state, *rest), mesh, job, shown), system, state, rest)
 
@@ -265,9 +366,13 @@ def _in_threads(job: Job, system: System, state: State, rest, shown):
     alone, 13 to 14 in batches of 2 to 64); this way it has the bits that it has alone.
     """
     state = jax.device_get(state)
-    states = [jax.tree.map(lambda x, k=k: x[k], state) for k in range(job.runs)]
+    states = [jax.tree.map(lambda x, k=k: x[k], state) for k in range(len(state.step))]
     program = _program((system, states[0], *rest), None, job, shown)
-    one = lambda state: jax.device_get(_computed(program, system, state, rest))  # noqa: E731
+
+    def one(state):
+        with jax.enable_x64(job.scene.run.precision == "f64"):  # which holds for one thread only
+            return jax.device_get(_computed(program, system, state, rest))
+
     with ThreadPoolExecutor(_cores()) as pool:
         return jax.tree.map(lambda *x: np.stack(x), *pool.map(one, states))
 
@@ -278,8 +383,8 @@ def _cores() -> int:
 
 
 def _mesh(runs) -> Mesh:
-    """As many devices as can have equally many runs each."""
-    devices = jax.devices()
+    """As many devices of this process as can have equally many runs each."""
+    devices = jax.local_devices()
     count = max(n for n in range(1, len(devices) + 1) if runs % n == 0)
     return Mesh(np.array(devices[:count]), ("runs",))
 
@@ -317,8 +422,8 @@ def _stop(job: Job, target, span: Span, failed):
     state, _, _ = execute(job, span.system, span.start, span.first, k + 1)
     error = failure.describe(job, span, jax.device_get(state), member, k)
     if span.first >= 0:
+        _append(job, target, *_recorded(job, span, k), info={"stopped": str(error)})
         into = target()
-        into.append(*_recorded(job, span, k), info={"stopped": str(error)})
         error.run = into.run() if isinstance(into, Memory) else None
     raise error
 
@@ -352,6 +457,16 @@ def _frames(job: Job, span: Span, count, run_axis):
     poses = poses[(*run_axis, new)]
     time_of = number[new] * (job.every * job.scene.run.sample)
     return series.of_poses(poses, job.built.frames, time_of) if new.any() else None
+
+
+class Nowhere:
+    """Keeps nothing: another process does."""
+
+    def append(self, *_, **__):
+        """As Writer.append."""
+
+    def flush(self):
+        """As Writer.flush."""
 
 
 class Memory:

@@ -54,12 +54,34 @@ class Material(Section):
     )
 
 
+Error = Annotated[float, Field(gt=0, le=0.2)]
+
+
+class Accuracy(Section):
+    """The errors of a single impact that are accepted, relative: the time step follows from them (dem_jax/materials.py)."""
+
+    restitution: Error | None = Field(None, description="of the speed of rebound")
+    peak_force: Error | None = None
+
+    @model_validator(mode="after")
+    def _says_something(self):
+        if self.restitution is None and self.peak_force is None:
+            raise ValueError("missing: restitution, peak_force; at least one must be given: a number > 0 and <= 0.2")
+        return self
+
+
 class RunSettings(Section):
     """How a scene is run and what is kept."""
 
     duration: Positive = Field(0.2, description="s, from the release of the portion")
+    until_settled: bool = Field(False, description="end once all is at rest: settling before the release, and the run")
+    settled_speed: Positive = Field(0.01, description="m/s; at rest are pieces that have all been slower ...")
+    settled_time: Positive = Field(0.02, description="s ... for so long, after the last motion of a wall")
     sample: Positive = Field(30e-6, description="s between samples")
     step: Literal["auto"] | Positive = Field("auto", description='s, or "auto"')
+    accuracy: Accuracy | None = Field(
+        None, description="instead of step: { restitution = 0.01, peak_force = 0.001 }, relative errors, both or one"
+    )
     precision: Literal["f32", "f64"] = "f32"
     gravity: Vector = Field((0.0, 0.0, -9.81), description="m/s2")
     frames: NotNegative = Field(1e-3, description="s between stored poses; 0: none")
@@ -69,6 +91,15 @@ class RunSettings(Section):
     )
     domain_high: Vector | None = Field(None, description="m")
     rebuild_steps: int = Field(48, ge=1, description="how many steps candidate pairs are kept at most")
+    neighbours: Literal["auto", "all-pairs", "cells", "jax-md"] = Field(
+        "auto", description="how pairs of pieces are found; auto: all pairs of few, cells for many"
+    )
+
+    @model_validator(mode="after")
+    def _has_one_step(self):
+        if self.accuracy is not None and self.step != "auto":
+            raise ValueError(f'step = {self.step:g}: beside accuracy, from which the step follows; allowed: "auto"')
+        return self
 
 
 class PieceShape(Section):
@@ -190,6 +221,28 @@ class Drop(Section):
     )
 
 
+class Feeder(Section):
+    """A linear feeder: a vibrating pan whose lower end hangs over the feed bucket. Its pieces are like the portion's.
+
+    The paper gives neither geometry nor vibration; these are plausible values (named assumptions).
+    """
+
+    count: int | None = Field(None, ge=1, description="pieces that lie on the pan at first; unset: as many as the portion has")
+    length: Positive = Field(0.28, description="m, of the pan along x")
+    width: Positive = Field(0.09, description="m, inner width of the pan")
+    wall_height: Positive = Field(0.06, description="m, of its sides")
+    tilt_deg: float = Field(3.0, ge=0, lt=45, description="degrees by which the pan descends towards the bucket")
+    overhang: float = Field(0.0, description="m by which the edge of the pan stands over the inside of the feed bucket")
+    clearance: Positive = Field(0.02, description="m from the feed bucket's upper edge to that of the pan")
+    stroke: NotNegative = Field(4e-4, description="m, amplitude of the vibration")
+    stroke_angle_deg: float = Field(25.0, gt=0, lt=90, description="degrees of the stroke above the horizontal, forwards and up")
+    frequency: Positive = Field(50.0, description="Hz")
+    start: float = Field(0.27, description="s after the release; by default when the flaps of the feed bucket are shut")
+    duration: Positive = Field(0.7, description="s of vibration")
+    ramp: Positive = Field(0.02, description="s, to full amplitude and back")
+    thickness: Positive = Field(0.005, description="m")
+
+
 class Scene(Section):
     """A whole scene. ``load_scene`` reads one; ``replace`` makes a changed one."""
 
@@ -203,6 +256,7 @@ class Scene(Section):
     block: Annotated[tuple[Block, ...], BeforeValidator(_tuple)] = ()
     feed_bucket: Bucket | None = None
     weigh_bucket: Bucket | None = None
+    feeder: Feeder | None = None
     drop: Drop = Drop()
     folder: str = Field(".", description="folder that files named in the scene are relative to")
 
@@ -210,6 +264,12 @@ class Scene(Section):
     def _has_pieces(self):
         if not self.piece and self.portion is None:
             raise ValueError("a scene needs [portion] or at least one [[piece]]")
+        return self
+
+    @model_validator(mode="after")
+    def _feeder_feeds_a_bucket(self):
+        if self.feeder and (self.feed_bucket is None or self.piece):
+            raise ValueError("[feeder] needs a [feed_bucket] below it and a [portion], and no [[piece]]")
         return self
 
     def replace(self, changes: dict[str, Any] | None = None, **sections) -> "Scene":
@@ -287,6 +347,8 @@ def _described_line(key, field, value):
 
 
 def _plain(value):
+    if isinstance(value, BaseModel):
+        return value.model_dump(exclude_none=True)
     return list(value) if isinstance(value, tuple) else value
 
 
@@ -502,6 +564,8 @@ def _value(value):
         return "true" if value else "false"
     if isinstance(value, str):
         return json.dumps(value, ensure_ascii=False)
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{k} = {_value(v)}" for k, v in value.items()) + " }"
     if isinstance(value, (list, tuple)):
         return "[" + ", ".join(_value(v) for v in value) + "]"
     return repr(value)

@@ -6,6 +6,7 @@ components. N pieces, W panels in G wall groups, B blocks, P contact slots. SI u
 
 import dataclasses
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -97,10 +98,22 @@ class Law:
     damping: Array  # damping ratio of the unloading branch; 0 in the paper's model
 
 
+class Partition(NamedTuple):
+    """What jax-md's list must know before anything is compiled. Cells are counted round and round, as in a periodic box."""
+
+    diameter: float  # (m): of the largest bounding sphere
+    reach: float  # (m): largest gap within which pairs are listed
+    sides: tuple  # (int, int, int): numbers of cells, at least 3
+    pairs: int  # most pairs in the list
+    cell: int  # most pieces in a cell
+
+
 CHOICES = (
     "capacity",
     "touching",
+    "neighbours",
     "row_capacity",
+    "partition",
     "has_hulls",
     "alike",
     "has_friction",
@@ -109,6 +122,7 @@ CHOICES = (
     "ledger",
     "parts",
     "block_steps",
+    "slot_block",
 )
 
 
@@ -131,7 +145,9 @@ class System:
     domain_high: Array  # [3] (m)
     capacity: tuple  # ((kind of contact, candidates, slots), ...): the kinds that the scene has, see neighbours
     touching: int  # most contacts that a piece may have at once
-    row_capacity: int  # most pieces in three neighbouring cells in a row; 0: every pair is looked at
+    neighbours: str  # how pairs of pieces are found, as in scene.RunSettings
+    row_capacity: int  # most pieces in three neighbouring cells in a row, where there are cells
+    partition: Partition | None  # of jax-md's list
     has_hulls: bool  # whether any piece is a polytope
     alike: bool  # whether all polytopes among the pieces are one shape
     has_friction: bool
@@ -140,6 +156,7 @@ class System:
     ledger: bool  # whether work and dissipation are added up
     parts: int  # a sample interval of more steps than the next is cut into so many parts, a rebuild before each
     block_steps: int  # most steps between rebuilds of the candidate pairs; a rebuild comes before the sample that exceeds it
+    slot_block: int  # contacts are computed so many at a time, at most; 0: all slots at once
 
 
 @pytree
@@ -193,6 +210,8 @@ class Guard:
     needed: dict  # kind of contact -> int32 [2]: most candidates and slots that any rebuild wanted
     touching: Array  # int32: most contacts of one piece that any rebuild wanted
     row: Array  # int32: most pieces in three neighbouring cells in a row
+    partition: Array  # int32 [2]: most pairs, and most pieces in a cell, that any list of jax-md wanted
+    reach: Array  # (m): the largest reach that any list of jax-md wanted
     travel: Array  # (m): most that two bodies can have approached each other between rebuilds, beyond State.lead
     start_overlap: Array  # (-): largest overlap at the first rebuild, relative to the width of the piece; -1: not yet
     start_pair: Array  # [2] int32: a and b of that pair
@@ -215,6 +234,8 @@ class State:
     wall_torque: Array  # [3, G] (N m): likewise, about the group's pivot
     contacts: dict  # kind of contact -> ContactTable
     slots: dict  # kind of contact -> Slots
+    filled: dict  # kind of contact -> int32: how many slots hold a pair, the first ones
+    busiest: Array  # int32: most contacts of a piece
     incidence: Array  # [touching, N] int32: where the contacts of each piece stand among all (see neighbours.find_incidence)
     ledger: Ledger
     anchor: Array  # [7, N]: position and orientation at the last rebuild

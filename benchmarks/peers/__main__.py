@@ -1,7 +1,8 @@
 """Steps of the same packed box with each program that is installed, in turn: ``python -m benchmarks.peers``.
 
-``--quick``: 8 and 64 pieces. ``--python FILE``: the interpreter that has MuJoCo, if it is not this one. Programs are
-found on PATH; what is missing is named and left out. One core: the process pins itself and all others to it.
+``--quick``: 8 and 64 pieces. ``--patient``: slow programs with 1000 pieces too. ``--python FILE``: the interpreter that
+has MuJoCo, if it is not this one. Programs are found on PATH; what is missing is named and left out. One core: the process
+pins itself and all others to it.
 """
 
 import argparse
@@ -38,9 +39,13 @@ class Peer:
     step: float = packing.STEP  # s
 
 
-def peers(python):
-    """All that are installed, ourselves first of each shape, and lines on versions and on what is missing."""
+def peers(python, patient=False):
+    """All that are installed, ourselves first of each shape, and lines on versions and on what is missing.
+
+    patient: also those numbers of pieces of which a step takes a program a good part of a second.
+    """
     few, many = (8, 64, 343, 1000), (8, 64, 343, 1000, 8000)
+    slow = few if patient else few[:3]
     versions = {
         "LIGGGHTS": liggghts.version(),
         "LAMMPS": lammps.version(),
@@ -51,9 +56,9 @@ def peers(python):
     rows = [
         Peer("ours", "exact piece, hysteresis, friction; f32", PIECE, few, ours.pieces, 3000),
         Peer("LIGGGHTS clumps", "8 spheres, hysteresis, friction", PIECE, few, liggghts.clumps, 60_000),
-        Peer("MuJoCo", "mesh, rigid contact, steps of 1 ms", PIECE, few[:3], meshes, 100, mujoco.STEP),
-        Peer("LAMMPS bodies", "exact piece, rounded; no hysteresis", PIECE, few[:3], lammps.bodies, 100),
-        Peer("YADE", "exact piece; force by volume of overlap", PIECE, few, yade.polyhedra, 100),
+        Peer("MuJoCo", "mesh, rigid contact, steps of 1 ms", PIECE, slow, meshes, 100, mujoco.STEP),
+        Peer("LAMMPS bodies", "exact piece, rounded; no hysteresis", PIECE, slow, lammps.bodies, 100),
+        Peer("YADE", "exact piece; force by volume of overlap", PIECE, slow, yade.polyhedra, 100),
         Peer("ours", "spheres, hysteresis, friction; f32", SPHERE, many, ours.pieces, 3000),
         Peer("LIGGGHTS", "spheres, hysteresis, friction", SPHERE, many, liggghts.spheres, 3000),
         Peer("LAMMPS", "spheres, dashpot, friction", SPHERE, many, lammps.spheres, 3000),
@@ -209,11 +214,12 @@ def main(argv=None):
     parser.add_argument("--quick", action="store_true", help="8 and 64 pieces, short rounds")
     parser.add_argument("--python", default=os.environ.get("PEERS_PYTHON", sys.executable), help="interpreter that has MuJoCo")
     parser.add_argument("--sizes", type=int, nargs="+", default=[8, 64, 343, 1000, 8000], help="numbers of pieces")
+    parser.add_argument("--patient", action="store_true", help="also YADE, LAMMPS bodies and MuJoCo with 1000 pieces")
     options = parser.parse_args(argv)
     os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     os.environ["OMP_NUM_THREADS"] = "1"
     start, began = report.environment(), time.perf_counter()
-    rows, notes = peers(options.python)
+    rows, notes = peers(options.python, options.patient)
     sizes = [n for n in options.sizes if n <= 64] if options.quick else options.sizes
     found = measure(rows, sizes, 0.1 if options.quick else ROUND_TIME)
     every = [t for timed in found.values() for t in timed.values() if isinstance(t, Timed)]
@@ -225,10 +231,10 @@ def main(argv=None):
 
 {"; ".join(notes)}.
 
-Pieces settled in an open box, the same poses for all (LIGGGHTS places its clumps itself); restitution 0.1, friction 0.7
-between pieces and 0.3 on walls, steps of {packing.STEP * 1e6:.2f} µs unless said. All programs run side by side on one
-core, each in its turn for {ROUNDS} rounds; seconds are those on the processor, median (lowest to highest); by the clock
-they are {waited:.2f} times as long (median). {unsettled(rows, found)}
+Pieces turned at random and settled in an open box, the same poses for all (LIGGGHTS places its clumps itself);
+restitution 0.1, friction 0.7 between pieces and 0.3 on walls, steps of {packing.STEP * 1e6:.2f} µs unless said. All
+programs run side by side on one core, each in its turn for {ROUNDS} rounds; seconds are those on the processor, median
+(lowest to highest); by the clock they are {waited:.2f} times as long (median). {unsettled(rows, found)}
 
 {tables(rows, found)}
 

@@ -59,20 +59,15 @@ def scene(shape, width, height, position, orientation, material, run):
 
 
 def lattice(shape, count, width, random):
-    """Poses [N, 3], [N, 4] of pieces above the floor, none touching: marshmallows lie flat but for a tilt of up to 15 degrees."""
+    """Poses [N, 3], [N, 4] of pieces above the floor, turned at random, none touching."""
     columns = int(width / (1.02 * BOUNDING[shape]))
-    pitch = np.array([width / columns, width / columns, 1.02 * BOUNDING[shape] if shape == "sphere" else 0.0305])
+    pitch = np.array([width / columns, width / columns, 1.02 * BOUNDING[shape]])
     k = np.arange(count)
     index = np.stack([k % columns, k // columns % columns, k // columns**2], axis=1)
-    room = pitch - BOUNDING[shape]
-    room[2] = 0.02 * pitch[2] if shape == "sphere" else 0.0
-    position = (index + 0.5) * pitch + random.uniform(-0.5, 0.5, (count, 3)) * room - [0.5 * width, 0.5 * width, -0.001]
-    yaw, way = random.uniform(0, np.pi, (2, count))
-    tilt = random.uniform(-0.5, 0.5, count) * np.radians(15)  # half angles
-    c, s = np.cos(0.5 * yaw), np.sin(0.5 * yaw)
-    x, y = np.sin(tilt) * np.cos(way), np.sin(tilt) * np.sin(way)
-    w = np.cos(tilt)  # tilt (w, x, y, 0) after yaw (c, 0, 0, s)
-    return position, np.stack([w * c, x * c + y * s, y * c - x * s, w * s], axis=1)
+    jitter = random.uniform(-0.5, 0.5, (count, 3)) * (pitch - BOUNDING[shape])
+    position = (index + 0.5) * pitch + jitter - [0.5 * width, 0.5 * width, -0.001]
+    turns = random.normal(size=(count, 4))
+    return position, turns / np.linalg.norm(turns, axis=1, keepdims=True)
 
 
 def settled(shape, count) -> Path:

@@ -6,7 +6,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from scipy.spatial import ConvexHull
+from scipy.spatial import ConvexHull, cKDTree
 
 from benchmarks.peers import __main__ as peers
 from benchmarks.peers import lammps, liggghts, mujoco, packing
@@ -104,3 +104,27 @@ def test_tables_show_times_ratios_and_why_there_is_none():
     assert "| other | 0.375 (0.25 to 0.5) |  |" in text  # each round by itself
     assert "| other | 0.5 |  |" in text  # 1 us for a step of 2 us
     assert "other at N = 8 (3 of 10 steps)" in peers.unsettled([*rows, other], found)
+
+
+def test_slow_programs_run_with_many_pieces_only_if_asked(monkeypatch):
+    for program in (peers.liggghts, peers.lammps, peers.yade):
+        monkeypatch.setattr(program, "version", lambda: "1")
+    monkeypatch.setattr(peers.mujoco, "version", lambda python: "1")
+    largest = lambda patient: {(p.name, p.shape): max(p.sizes) for p in peers.peers(sys.executable, patient)[0]}  # noqa: E731
+    usual, patient = largest(False), largest(True)
+    slow = {(name, peers.PIECE) for name in ("YADE", "LAMMPS bodies", "MuJoCo")}
+    assert {row for row in usual if usual[row] < patient[row]} == slow
+    assert usual["ours", peers.PIECE] == usual["LIGGGHTS clumps", peers.PIECE] == 1000
+    assert {usual[name, peers.SPHERE] for name in ("ours", "LIGGGHTS", "LAMMPS")} == {8000}
+
+
+@pytest.mark.parametrize("shape, count", [("chamfered-cuboid", 1000), ("sphere", 8000)])
+def test_many_loose_pieces_are_in_the_box_and_apart(shape, count):
+    width = packing.width_of(shape, count)
+    position, _ = packing.lattice(shape, count, width, np.random.default_rng(0))
+    if shape == "sphere":
+        assert np.abs(position[:, :2]).max() + packing.RADIUS < 0.5 * width and position[:, 2].min() > packing.RADIUS
+        near = cKDTree(position).query(position, k=2)[0][:, 1]
+        assert near.min() > 2 * packing.RADIUS
+    else:  # turning about any axis, a piece stays in its column; the pitch upwards holds a piece tilted by 15 degrees
+        assert np.abs(position[:, :2]).max() + 0.5 * packing.BOUNDING[shape] < 0.5 * width + 1e-9

@@ -63,4 +63,4 @@ def test_a_strange_name_is_an_error_in_one_line(capsys):
     with pytest.raises(SystemExit) as stopped:
         every.main(["stesp"])
     assert stopped.value.code == 2
-    assert "'stesp': there are steps, accuracy" in capsys.readouterr().err
+    assert "'stesp': there are steps, skips, accuracy" in capsys.readouterr().err

@@ -242,13 +242,22 @@ def test_command_line_writes_json_and_figure_and_overwrites_nothing(capsys):
         (["t.csv"], "give --m-piece"),
         (["t.csv", "--m-piece", "1e-3", "--pieces", "5", "--out", "x.txt"], "must end in .json"),
         (["broken.h5"], "not a trace file"),
+        (["empty.csv", "--m-piece", "1e-3", "--pieces", "5"], "needs a header line"),
+        (["header.csv", "--m-piece", "1e-3", "--pieces", "5"], "needs a header line"),
+        (["binary.csv", "--m-piece", "1e-3", "--pieces", "5"], "not a table of numbers"),
         (["t.csv", "--bootstrap", "-1"], "bootstrap = -1"),
     ],
 )
 def test_bad_files_are_one_clear_line(arguments, message, capsys):
     np.savetxt("t.csv", np.stack([TIME, np.ones(400)], 1), delimiter=",", header="time_s,force_n", comments="")
-    with open("broken.h5", "wb") as file:
-        file.write(b"\x89HDF\r\n")
+    for name, content in (
+        ("broken.h5", b"\x89HDF\r\n"),
+        ("empty.csv", b""),
+        ("header.csv", b"t,f\n"),
+        ("binary.csv", b"\xff\xfe\n"),
+    ):
+        with open(name, "wb") as file:
+            file.write(content)
     assert main(["fit", *arguments]) == 2
     error = capsys.readouterr().err
     assert message in error and len([line for line in error.splitlines() if line.strip()]) == 1

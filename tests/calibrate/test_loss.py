@@ -8,7 +8,7 @@ from synthetic import TRUTH, traces
 
 from calibrate.loss import increment_distance, moment_distances
 from calibrate.prepare import draw, measure
-from calibrate.solve import solve_joint, solve_starts
+from calibrate.solve import FINEST, halve, solve_joint, solve_starts
 from calibrate.unconstrained import NAMES, to_parameters, to_unconstrained
 
 
@@ -52,6 +52,12 @@ def test_gradients_are_finite_in_every_corner(corner, count, pieces):
 
     slopes = jax.jit(jax.grad(loss))(arrays(TRUTH | CORNERS[corner]))
     assert all(np.isfinite(float(slope)) for slope in slopes.values())
+
+
+@pytest.mark.parametrize(("least", "found"), [(0.3, 0.3), (-1.7, -1.7), (5.0, 2.0), (-5.0, -2.0)])
+def test_halving_finds_the_least_value_or_the_end_of_the_interval(least, found):
+    slope = lambda x: jnp.tanh(x - least)  # noqa: E731
+    assert float(halve(slope, jnp.asarray(0.0), 2.0)) == pytest.approx(found, abs=FINEST)
 
 
 @pytest.mark.parametrize("free", [NAMES, ("gamma_low",), ("gamma_high", "h_mean"), ("dt_impact",)])

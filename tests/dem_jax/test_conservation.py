@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dem_jax import build, guard, measure, neighbours, stepping, validation
+from dem_jax import build, guard, measure, pairs, stepping, validation
 from dem_jax.scene import Scene, load_scene
 
 SAMPLES = 1024  # capacity of a chunk
@@ -23,7 +23,7 @@ def built(scene, skin=None):
         return made
     system = made.system.replace(skin=made.system.skin * 0 + skin)
     counts = system.pieces.polytopes.shape[0], system.pieces.spheres.shape[0], system.walls.group.shape[0]
-    room = tuple((kind, *[neighbours.pair_count(kind, *counts)] * 2) for kind, *_ in system.capacity)
+    room = tuple((kind, *[pairs.pair_count(kind, *counts)] * 2) for kind, *_ in system.capacity)
     system, state = guard.with_capacity(system, made.state, room, system.touching, system.row_capacity)
     return replace(made, system=system, state=state)
 

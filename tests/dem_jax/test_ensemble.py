@@ -51,6 +51,17 @@ def test_every_member_equals_its_own_single_run(three):
             np.testing.assert_array_equal(getattr(member.pieces, path), getattr(alone.pieces, path), err_msg=path)
 
 
+def test_precision_is_the_scenes_whatever_the_global_flag_is(three):
+    """The flag of the whole process, which threads see."""
+    jax.config.update("jax_enable_x64", False)
+    try:
+        found = dem_jax.ensemble(scattered(), runs=3, seed=7)
+    finally:
+        jax.config.update("jax_enable_x64", True)
+    for path in PATHS:
+        np.testing.assert_array_equal(at(found, path), at(three, path), err_msg=path)
+
+
 def test_members_differ_by_their_seed_alone(three):
     starts = three.pieces.position[:, 0]
     assert np.ptp(starts, axis=0).max() > 1e-3

@@ -247,7 +247,7 @@ def test_pieces_that_outrun_the_skin_are_run_again_with_a_larger_one():
         job = run.replace(job, system=job.system.replace(skin=job.system.skin * 1e-5))
     grown = run.drive(job, None, False, False)
     assert any("than expected between rebuilds, with a skin of" in note for note in grown.info["notes"])
-    assert_same(ample, grown, exactly=False, tolerance=1e-12)
+    assert_same(ample, grown, exactly=False, tolerance=1e-9)  # not bits: how long a fall is a jump depends on the skin
 
 
 # --- what stops a run ---

@@ -9,6 +9,7 @@ import pytest
 
 from dem_jax import build, contact, materials, shapes, validation
 from dem_jax.errors import SceneError
+from dem_jax.scene import Scene
 from dem_jax.validation import NormalImpact
 
 MASS = 5.832e-3  # kg
@@ -53,6 +54,26 @@ def test_step_divides_the_sample_interval():
     np.testing.assert_allclose(step.dt * step.substeps, 30e-6, rtol=1e-14)
     asked = step_of(run={"step": 4e-6})
     assert asked.substeps == 8 and asked.dt <= 4e-6
+
+
+def test_limit_is_the_quickest_of_all_contacts_that_can_be():
+    """Of forty kinds, one of them twice, against a search through all pairs."""
+    random = np.random.default_rng(0)
+    rows = [{"shape": "sphere", "radius": r} for r in random.uniform(0.01, 0.03, 20)]
+    rows += [{"shape": "cuboid", "size": tuple(size)} for size in random.uniform(0.01, 0.05, (20, 3)).tolist()]
+    rows += rows[-1:]
+    pieces = [{**row, "position": (0.1 * k, 0.0, 0.0)} for k, row in enumerate(rows)]
+    scene = Scene(piece=pieces, material={"restitution": 0.5})
+    made = build._pieces_of(scene)
+    arrays = build._piece_arrays(scene, made)
+    m, k, e = arrays.mass, arrays.load_stiffness, np.array([build._eccentricity(shape) for shape in made])
+    slow = [(m / arrays.wall_stiffness), (m * e / arrays.wall_stiffness)]
+    i, j = np.triu_indices(len(made), 1)
+    pair = m[i] * m[j] / (m[i] + m[j]) * (k[i] + k[j]) / (k[i] * k[j])
+    slow = [np.concatenate(both).min() for both in zip(slow, (pair, pair * np.minimum(e[i], e[j])), strict=True)]
+    step = build.choose_step(scene, made, arrays)
+    np.testing.assert_allclose(step.critical, np.pi / 2 * np.sqrt(slow[0]) * min(1 / 15, 0.5 / 10), rtol=1e-12)
+    np.testing.assert_allclose(step.stable, 2 * 0.5 * np.sqrt(slow[1]), rtol=1e-12)
 
 
 def test_limit_is_the_smallest_piece():

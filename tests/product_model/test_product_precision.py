@@ -39,6 +39,20 @@ def test_every_entry_point_keeps_the_precision(precision, dtype):
         assert {leaf.dtype for leaf in (trace.force, trace.height, trace.pulses.start, trace.sigma_height)} == {np.dtype(dtype)}
 
 
+@pytest.mark.parametrize("precision", ["f32", "f64"])
+def test_the_fast_way_makes_the_same_trace(precision):
+    """To rounding: with its inputs fixed the compiler may work out products of them beforehand."""
+    import jax.numpy as jnp
+
+    params = parameters(pieces=9, duration=0.3, sample=1e-3, precision=precision)
+    fast, slow = compiled(params)(jax.random.key(5)), simulate(params, 5)
+    assert jax.tree.structure(fast) == jax.tree.structure(slow) and fast.grid == slow.grid
+    for a, b in zip(jax.tree.leaves(fast), jax.tree.leaves(slow), strict=True):
+        assert a.dtype == b.dtype and a.shape == b.shape
+        eps = jnp.finfo(a.dtype).eps if a.dtype != bool else 0.0
+        np.testing.assert_allclose(np.asarray(a), np.asarray(b), rtol=16 * eps, atol=16 * eps * float(np.max(np.asarray(b))))
+
+
 def test_single_precision_is_as_good_as_its_digits():
     """Same heights in f32 and f64: times good to 2e-8 s, so 1e-3 of a sample, on pulses whose edges lie anywhere
     in one.

@@ -1,0 +1,84 @@
+"""Several processes that compute one ensemble (``jax.distributed``): what one of them found or raised, all know.
+
+All decide alike because all know the same, so none waits for a word that another does not send.
+"""
+
+import pickle
+from contextlib import contextmanager
+from functools import partial
+
+import jax
+import numpy as np
+
+LEAST = 2**16  # bytes of a message: few sizes, as each is compiled
+
+
+def several() -> bool:
+    """Whether this process is one of several."""
+    return jax.distributed.is_initialized() and jax.process_count() > 1
+
+
+def is_first() -> bool:
+    """Whether this is the process that writes and shows."""
+    return not several() or jax.process_index() == 0
+
+
+def share(count) -> slice:
+    """Those of ``count`` runs that are this process's: in order, as evenly as can be."""
+    k, n = jax.process_index(), jax.process_count()
+    return slice(count * k // n, count * (k + 1) // n)
+
+
+def exchange(function) -> list:
+    """The values of ``function()`` in all processes, in their order. If it raises in any of them, all raise that.
+
+    Values are pickled: arrays of numpy, not of JAX.
+    """
+    if not several():
+        return [function()]
+    value, error = None, None
+    try:
+        value = function()
+    except BaseException as raised:  # an interrupt as well: the others must not wait for what will not come
+        error = raised
+    each = [pickle.loads(message) for message in _gathered(_pickled(value, error))]
+    for _, found in each:
+        if found is not None:
+            found.known_to_all = True
+            raise found from error
+    return [found for found, _ in each]
+
+
+@contextmanager
+def together(shared=True):
+    """What a process raises in here, the others raise at their next exchange."""
+    try:
+        yield
+    except BaseException as error:
+        if shared and several() and not getattr(error, "known_to_all", False):
+            exchange(partial(_raise, error))
+        raise
+
+
+def _raise(error):
+    raise error
+
+
+def _pickled(value, error) -> bytes:
+    try:
+        message = pickle.dumps((value, error))
+        pickle.loads(message)  # not every exception that can be written can be read
+        return message
+    except Exception as strange:
+        cause = error or strange
+        return pickle.dumps((None, RuntimeError(f"{type(cause).__name__}: {cause}")))
+
+
+def _gathered(message: bytes) -> list[bytes]:
+    """The messages of all processes."""
+    from jax.experimental.multihost_utils import process_allgather
+
+    lengths = np.ravel(process_allgather(np.array(len(message), np.int32)))
+    room = max(LEAST, 1 << int(lengths.max() - 1).bit_length())
+    rows = process_allgather(np.frombuffer(message.ljust(room, b"\0"), np.uint8))
+    return [bytes(row[:length]) for row, length in zip(rows, lengths, strict=True)]

@@ -1,0 +1,75 @@
+"""When all is at rest, so that a run may end early (``run.until_settled``): decided on the host, between chunks."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from dem_jax.errors import SceneError
+from dem_jax.scene import Scene
+from dem_jax.types import Sample, System
+
+
+@dataclass(frozen=True)
+class Rule:
+    """When a run may end; times in samples from the release.
+
+    Looked at after each ``window``, counted from the start of settling and from the release: so it depends on the
+    scene alone, not on how a run is cut into chunks.
+    """
+
+    speed: float  # m/s: all pieces have been slower throughout the last window
+    window: int  # a multiple of the samples between rebuilds, which are due at its end anyway
+    start: int  # first sample of settling that may end early (negative), or 0
+    still: int  # from here on no wall moves
+
+    def next_look(self, at):
+        """The end of the window that a sample is in."""
+        origin = self.start if at < 0 else 0
+        return at + self.window - (at - origin) % self.window
+
+    def looks_from(self, at):
+        """Whether a window begins at a sample."""
+        return self.next_look(at) == at + self.window
+
+    def is_slow(self, samples: Sample, count):
+        """Whether all pieces of all runs are slow in the first ``count`` samples; samples: numpy [.., T]."""
+        return bool(np.all(samples.fastest[..., :count] < self.speed))
+
+
+def rule_of(scene: Scene, system: System, settling, samples_per_block) -> Rule | None:
+    """The rule of a scene, None if its runs go on to the end. settling: samples before the release. Raises SceneError."""
+    if not scene.run.until_settled:
+        return None
+    for n, motion in enumerate(scene.motion):
+        never = f"run.until_settled = true: group {motion.group!r} never rests"
+        if motion.swing_deg and motion.period:
+            raise SceneError(f"{never}: motion.{n}.period = {motion.period:g}; allowed: 0 (once)")
+        if any(motion.stroke) and motion.shake_end >= scene.run.duration:
+            raise SceneError(
+                f"{never}: motion.{n}.shake_end = {motion.shake_end:g}; allowed: below run.duration = {scene.run.duration:g}"
+            )
+    speed, gravity = scene.run.settled_speed, math.hypot(*scene.run.gravity)
+    if 0 < scene.run.settled_time * gravity <= 2 * speed:
+        raise SceneError(
+            f"run.settled_time = {scene.run.settled_time:g}: at the top of a bounce pieces are slow for longer; allowed: "
+            f"above {2 * speed / gravity:.4g} s, in which gravity turns run.settled_speed = {speed:g} round"
+        )
+    begins, ends = _moving(system.walls)
+    wanted = max(1, math.ceil(scene.run.settled_time / scene.run.sample - 1e-9))
+    return Rule(
+        speed=speed,
+        window=-(-wanted // samples_per_block) * samples_per_block,
+        start=0 if begins < 0 else -settling,
+        still=math.ceil(ends / scene.run.sample - 1e-3),
+    )
+
+
+def _moving(walls):
+    """Times (s) at which the first wall begins to move and the last one has ended; 0, 0 if none moves."""
+    swings, shakes = np.asarray(walls.swing) != 0, np.any(np.asarray(walls.stroke) != 0, axis=0)
+    start, opening, dwell, closing, _ = np.asarray(walls.timing, float)
+    _, shake_start, shake_end, _ = np.asarray(walls.shake, float)
+    begins = np.concatenate([start[swings], shake_start[shakes]])
+    ends = np.concatenate([(start + opening + dwell + closing)[swings], shake_end[shakes]])
+    return begins.min(initial=0.0), ends.max(initial=0.0)

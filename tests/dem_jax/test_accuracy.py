@@ -1,0 +1,125 @@
+"""``run.accuracy``: an impact errs by less than the scene accepts, with a step that is no finer than that needs."""
+
+from functools import cache
+
+import jax
+import numpy as np
+import pytest
+
+from benchmarks import accuracy
+from dem_jax import build, load_scene, materials, report, run, scene, simulate, validation
+from dem_jax.errors import SceneError
+
+KINDS = {"sphere": accuracy.SPHERE, "marshmallow": accuracy.PIECE}
+
+
+def step_of(kind, asked, restitution=0.1, precision="f64", **settings):
+    """The choice of the time step of an impact with ``run.accuracy``."""
+    settings = {"accuracy": asked, "precision": precision, "sample": 1e-3} | settings
+    return build.build(validation.plate_scene(KINDS[kind], run=settings, restitution=restitution)).step
+
+
+@cache
+def reference(name, restitution):
+    """Impacts that are to be repeated, and their fine result: six phases, or six orientations that strike once."""
+    kind = KINDS[name]
+    window = None if name == "sphere" else 2e-4 + accuracy.quarter_period(kind["shape"], 0.01) * (1 + restitution)
+    begin = accuracy.starts(kind, 6 if name == "sphere" else 16, apart=3e-3)
+    fine = accuracy.exact(kind, begin, restitution, window=window)
+    if name != "sphere":
+        chosen = np.flatnonzero(fine.once)[:6]
+        assert len(chosen) == 6
+        fine, begin = fine.of(chosen), [begin[k] for k in chosen]
+    return begin, fine, window
+
+
+@pytest.mark.parametrize("name", KINDS)
+@pytest.mark.parametrize("restitution", [0.1, 0.5])
+@pytest.mark.parametrize("asked", [{"restitution": 0.1}, {"restitution": 0.01}, {"peak_force": 2e-3}, {"peak_force": 1e-4}])
+def test_impacts_err_by_less_than_is_accepted(name, restitution, asked):
+    """With steps as large as they may be."""
+    begin, fine, window = reference(name, restitution)
+    kind, step = KINDS[name], step_of(name, asked, restitution).critical
+    number = accuracy.quarter_period(kind["shape"], 0.01) / step
+    found = accuracy.impacts(kind, begin, number, "f64", restitution, window=window)
+    errors = dict(zip(("peak_force", "restitution"), found.errors(fine).max(axis=1), strict=False))
+    for quantity, limit in asked.items():
+        assert errors[quantity] < limit
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_the_bound_is_not_far_above_the_error(name):
+    """At a fifth of the steps for 0.5 % the sphere errs by more than that; so does one of six marshmallows."""
+    begin, fine, window = reference(name, 0.1)
+    kind = KINDS[name]
+    number = 0.2 * accuracy.quarter_period(kind["shape"], 0.01) / step_of(name, {"restitution": 5e-3}).critical
+    found = accuracy.impacts(kind, begin, number, "f64", 0.1, window=window)
+    assert found.errors(fine)[1].max() > 5e-3
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_laxer_accuracy_takes_larger_steps_within_stability(name):
+    default = step_of(name, None).critical
+    steps = [step_of(name, {"restitution": r}) for r in (0.2, 0.1, 0.03, 0.01, 1e-3)]
+    critical = [s.critical for s in steps]
+    assert critical == sorted(critical, reverse=True) and critical[0] > 1.5 * default > critical[-1]
+    assert all(s.critical < s.stable and s.dt <= s.critical for s in steps)
+    both = step_of(name, {"restitution": 0.1, "peak_force": 1e-4})
+    assert both.critical == step_of(name, {"peak_force": 1e-4}).critical < critical[1]
+
+
+def test_the_bounds_and_the_steps_are_each_others_inverse():
+    for bound in (materials.SPHERE, materials.POLYTOPE):
+        for restitution in (0.05, 0.1, 0.7):
+            for asked in ({"restitution": 3e-3}, {"peak_force": 3e-5}, {"restitution": 1e-3, "peak_force": 1e-3}):
+                number, key = bound.steps(asked, restitution)
+                reached = bound.errors(number, restitution)
+                assert reached[key] == pytest.approx(asked[key], rel=1e-12)
+                assert all(reached[k] <= asked[k] * (1 + 1e-12) for k in asked)
+            number, key = bound.steps({"peak_force": 0.2}, restitution)
+            assert key is None and number == bound.least(restitution)
+
+
+def test_the_limit_is_named():
+    words = str(step_of("sphere", {"restitution": 0.01, "peak_force": 0.1}))
+    assert "from run.accuracy.restitution = 0.01: " in words and "steps per loading quarter period, sphere of" in words
+    assert "the coarsest step whose error is known (run.accuracy): " in str(step_of("sphere", {"peak_force": 0.2}))
+    found = simulate(load_scene("plate-drop", {"run.accuracy.restitution": 0.05, "run.duration": 1e-3}))
+    assert "run.accuracy.restitution = 0.05" in report.summary(found)[0]
+
+
+def test_every_accuracy_is_the_same_program():
+    """As the step is a number of the system, and steps per sample are too."""
+    programs = {
+        jax.tree.structure(run.prepare(load_scene("plate-drop", {"run.accuracy.restitution": r}), (0,), None).system)
+        for r in (0.2, 0.03, 5e-3)
+    }
+    assert len(programs) == 1
+
+
+def test_a_scene_says_it_in_a_table_of_its_own_and_reads_it_back(tmp_path):
+    (tmp_path / "mine.toml").write_text('base = "plate-drop"\n[run.accuracy]\nrestitution = 0.02\npeak_force = 0.001\n')
+    mine = load_scene(tmp_path / "mine.toml")
+    assert (mine.run.accuracy.restitution, mine.run.accuracy.peak_force) == (0.02, 0.001)
+    assert scene.parse(mine.to_toml()) == mine
+    assert scene.parse(scene.described(mine)).run == mine.run
+    assert load_scene("plate-drop", {"run.accuracy": {"peak_force": 0.01}}).run.accuracy.restitution is None
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"run.accuracy.restitution": 0.3}, r"run\.accuracy\.restitution = 0\.3: allowed: a number > 0 and <= 0\.2"),
+        ({"run.accuracy.peak_force": 0.0}, r"run\.accuracy\.peak_force = 0\.0: allowed: a number > 0 and <= 0\.2"),
+        ({"run.accuracy.peak": 0.1}, r"run\.accuracy\.peak = 0\.1: unknown key; allowed: restitution, peak_force"),
+        ({"run.accuracy": {}}, r"run\.accuracy: missing: restitution, peak_force; at least one"),
+        ({"run.accuracy": 0.01}, r"run\.accuracy = 0\.01: allowed: a table"),
+        ({"run.accuracy.restitution": 0.1, "run.step": 4e-6}, r"run: step = 4e-06: beside accuracy.*allowed: \"auto\""),
+        ({"run.accuracy.restitution": 1e-5}, r"run\.accuracy\.restitution = 1e-05: allowed in single precision: at least"),
+    ],
+)
+def test_what_is_not_allowed_is_said(changes, message):
+    with pytest.raises(SceneError, match=message):
+        build.build(load_scene("plate-drop", changes))
+    if changes.get("run.accuracy.restitution") == 1e-5:
+        build.build(load_scene("plate-drop", changes | {"run.precision": "f64"}))

@@ -1,0 +1,143 @@
+"""What a scene does not need is left out: the same trace with it and without, to rounding.
+
+Elsewhere: ways of searching for pairs (test_pairs), blocks of slots and the jump of free fall (test_blocks).
+"""
+
+from functools import cache
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from dem_jax import build, guard, run, stepping
+from dem_jax.scene import Scene
+
+SAMPLES = 150  # of 30 us
+ROUNDING = 1e-9  # of the largest force: rounding of 1e-16, which collisions enlarge
+SIZE = 0.1  # m, half of the floor
+FLOOR = [(-SIZE, -SIZE, 0.0), (SIZE, -SIZE, 0.0), (SIZE, SIZE, 0.0), (-SIZE, SIZE, 0.0)]
+SIDE = [(SIZE, -SIZE, 0.0), (SIZE, -SIZE, 0.1), (SIZE, SIZE, 0.1), (SIZE, SIZE, 0.0)]
+BEHIND = [(-SIZE, -SIZE, 0.0), (-SIZE, SIZE, 0.0), (-SIZE, SIZE, 0.1), (-SIZE, -SIZE, 0.1)]
+THROWN = (  # onto the floor, against the walls, and one onto another, each at a time of its own
+    {"position": (0.03, 0.0, 0.0102), "velocity": (0.5, 0.1, -0.8), "orientation": (1.0, 0.01, 0.02, 0.1)},
+    {"position": (0.07, 0.055, 0.03), "velocity": (1.5, 0.0, 0.0), "orientation": (1.0, 0.1, 0.2, 0.0)},
+    {"position": (-0.067, 0.03, 0.03), "velocity": (-2.0, 0.0, -0.1), "angular_velocity": (5.0, 20.0, 0.0)},
+    {"position": (0.03, 0.005, 0.032), "velocity": (0.3, 0.0, -2.0), "orientation": (1.0, 0.02, -0.02, 0.3)},
+)
+BALLS = tuple(
+    {"shape": "sphere", "radius": 0.012, "position": place, "velocity": way}
+    for place, way in (
+        ((0.02, 0.0, 0.0123), (1.0, 0.0, -0.5)),
+        ((0.047, 0.004, 0.0127), (-1.0, 0.2, 0.0)),
+        ((0.087, 0.05, 0.03), (1.0, 0.0, 0.0)),
+        ((-0.086, -0.05, 0.03), (-1.5, 0.3, 0.0)),
+    )
+)
+
+
+def scene(pieces=THROWN, panels=(), **sections):
+    """Pieces in a box of three walls in groups of their own, and more panels."""
+    walls = [*zip(("floor", "side", "behind"), (FLOOR, SIDE, BEHIND), strict=True), *panels]
+    settings = {"precision": "f64", "sample": 3e-5, "frames": 0.0} | sections.pop("run", {})
+    return Scene(piece=pieces, wall=[{"group": g, "corners": c} for g, c in walls], run=settings, **sections)
+
+
+def traced(made, frames=0, **choices):
+    """Samples of a scene that was built, with some of the system's fields replaced."""
+    system = made.system.replace(**choices)
+    state = guard.with_scratch(system, made.state)
+    state, rows, _ = stepping.chunk(system, state, np.int32(SAMPLES), np.int32(50), samples=SAMPLES, frames=frames)
+    assert not guard.outgrown(system, jax.device_get(state.guard))
+    return jax.device_get(rows)
+
+
+@cache
+def built(friction=True, balls=False):
+    material = {} if friction else {"friction_piece": 0.0, "friction_wall": 0.0}
+    return build.build(scene(BALLS if balls else THROWN, material=material), 0)
+
+
+@cache
+def as_built(friction=True, balls=False):
+    """What happens with all skips, computed once."""
+    rows = traced(built(friction, balls))
+    for group in range(3):  # each wall is struck within the run, and not from its beginning
+        struck = np.abs(rows.mean_force[:, :, group]).max(axis=1) > 0
+        assert struck.any() and not struck[0]
+    return rows
+
+
+def assert_same(rows, others, fields=("force", "mean_force", "torque", "momentum", "energy", "overlap", "fastest")):
+    """Fields that have one value for each wall group may have more groups in ``rows`` than in ``others``."""
+    for name in fields:
+        one, other = getattr(rows, name), getattr(others, name)
+        if one.ndim == 3:
+            one = one[..., : other.shape[-1]]
+        np.testing.assert_allclose(one, other, rtol=0, atol=ROUNDING * np.abs(other).max(), err_msg=name)
+
+
+def test_friction_left_out_where_there_is_none():
+    made = built(friction=False)
+    assert not made.system.has_friction
+    assert_same(traced(made, has_friction=True), as_built(friction=False))
+
+
+def test_rotation_left_out_of_spheres_without_friction():
+    made = built(friction=False, balls=True)
+    assert not made.system.has_rotation
+    assert_same(traced(made, has_rotation=True), as_built(friction=False, balls=True))
+
+
+def test_damping_left_out_where_its_ratio_is_zero():
+    assert not built().system.has_damping
+    assert_same(traced(built(), has_damping=True), as_built())
+
+
+def test_the_ledger_changes_nothing_but_itself():
+    assert built().system.ledger
+    assert_same(traced(built(), ledger=False), as_built(), ("force", "mean_force", "torque", "momentum", "overlap", "fastest"))
+
+
+def test_one_shape_as_many():
+    assert built().system.alike
+    assert_same(traced(built(), alike=False), as_built())
+
+
+def test_walls_that_move_by_nothing_rest():
+    walls = built().system.walls
+    assert not walls.moving
+    assert_same(traced(built(), walls=walls.replace(moving=True)), as_built())
+
+
+def test_frames_are_only_looked_at():
+    assert_same(traced(built(), frames=4), as_built())
+
+
+def test_seams_that_nothing_touches():
+    """Two panels in one plane below the floor bring in the computation of seams."""
+    x, z = 0.5 * SIZE, -0.3
+    far = [[(a, -x, z), (a + x, -x, z), (a + x, x, z), (a, x, z)] for a in (-x, 0.0)]
+    made = build.build(scene(panels=[("far", corners) for corners in far]), 0)
+    assert made.system.walls.plane is not None and built().system.walls.plane is None
+    rows = traced(made)
+    assert np.abs(rows.force[:, :, 3]).max() == 0
+    assert_same(rows, as_built())
+
+
+def test_candidates_of_a_window_as_those_of_every_step():
+    """A rebuild before each step finds what one before each ninth sample did: contacts begin within the windows."""
+    system = built().system
+    total = int(system.substeps) * system.parts
+    assert system.block_steps == 48
+    each = {"substeps": jnp.full_like(system.substeps, 1), "parts": total, "block_steps": 1}
+    assert_same(traced(built(), **each), as_built())
+    struck = np.abs(as_built().mean_force).max(axis=1) > 0
+    begins = np.argmax(struck, axis=0)  # sample of first touch of each wall
+    assert (begins % (48 // total) > 0).any()
+
+
+@pytest.mark.parametrize("balls", [False, True])
+def test_blocks_of_slots_and_jumps(balls):
+    """As the driver runs it on a CPU."""
+    assert_same(traced(built(friction=not balls, balls=balls), slot_block=run.SLOT_BLOCK), as_built(not balls, balls))
