@@ -134,7 +134,9 @@ def skips(quick) -> list[Skip]:
     """All rows."""
     import jax.numpy as jnp
 
-    few, sizes = (9, (9, 64)) if quick else (64, (64, 256, 1000))
+    from dem_jax import pairs
+
+    few, sizes = (9, (9, 64)) if quick else (64, (64, 343, 1000))
     here = "test_skips.py: "
     smooth = {"friction_piece": 0.0, "friction_wall": 0.0}
     pieces, balls = lambda: heap(few), lambda: heap(few, "sphere")
@@ -167,11 +169,12 @@ def skips(quick) -> list[Skip]:
              needing=("a floor of two panels", own_seam), test=here + "seams"),
         Skip("contacts in free flight", "one piece dropped from 0.25 m", lambda: fall(0.25), {"slot_block": 0},
              needing=("the piece on the floor", lambda: fall(0.008)), test="test_blocks.py"),
-        Skip("free slots", plain, pieces, {"slot_block": 0}, test="test_blocks.py, " + here + "blocks"),
+        Skip("free slots, forces of blocks of slots apart", plain, pieces, {"slot_block": 0},
+             test="test_blocks.py, " + here + "blocks"),
         Skip("a rebuild before each step", plain, pieces, every_step, test=here + "candidates"),
     ]  # fmt: skip
     for count in sizes:
-        best = "cells" if count > 256 else "all-pairs"
+        best = pairs.choice("auto", count)
         for choice in SEARCHES:
             other = lambda count=count, choice=choice: heap(count, run={"neighbours": choice})  # noqa: E731
             if choice != best:

@@ -43,9 +43,12 @@ class Geometry(NamedTuple):
     weight: jnp.ndarray | None = None  # [P]: how much of the overlap is this body's, where panels continue each other
 
 
-def hull_hull(a: Hulls, b: Hulls, rel: Relative) -> Geometry:
-    """Contact of convex polytopes (their tables gathered to [.., P] or of one common shape, [.., 1])."""
-    depth, normal, along = separating_axes(a, b, rel)
+def hull_hull(a: Hulls, b: Hulls, rel: Relative, axes=None) -> Geometry:
+    """Contact of convex polytopes (their tables gathered to [.., P] or of one common shape, [.., 1]).
+
+    axes: what ``separating_axes`` says of them, if that is known already.
+    """
+    depth, normal, along = axes or separating_axes(a, b, rel)
     return Geometry(depth, normal, *pressure_centre(a, b, rel, along, normal))
 
 

@@ -103,38 +103,49 @@ def block_of(tree, k, size):
     return jax.tree.map(cut, tree)
 
 
-def geometry(system: System, kind, slots: Slots, a: Body, b: Body, offset) -> collide.Geometry:
-    """Depth, normal (a to b) and point (relative to the centre of a) of each slot, in world axes."""
+def geometry(system: System, kind, slots: Slots, a: Body, b: Body, offset):
+    """Depth of each slot, [P] (m), and a function that says the rest, which nobody needs where nothing touches: a
+    ``collide.Geometry`` with normal (a to b) and point (relative to the centre of a) in world axes."""
     if kind == "spheres":
-        return collide.sphere_sphere(slots.radius_a, slots.radius_b, offset)
+        found = collide.sphere_sphere(slots.radius_a, slots.radius_b, offset)
+        return found.depth, lambda: found
     local = vector.rotate_back(a.rotation, offset)
     if kind == "mixed":
         found = collide.hull_sphere(slots.hull_a, slots.radius_b, local)
-    else:
-        hull_a, hull_b = (hulls.with_faces(rows, system.hulls) for rows in (slots.hull_a, slots.hull_b))
-        found = collide.hull_hull(hull_a, hull_b, collide.Relative(_relative(a, b), local))
-    turn = a.rotation
-    return found._replace(normal=vector.rotate(turn, found.normal), point=vector.rotate(turn, found.point))
+        return found.depth, lambda: _in_world(found, a)
+    hull_a, hull_b = (hulls.with_faces(rows, system.hulls) for rows in (slots.hull_a, slots.hull_b))
+    relative = collide.Relative(vector.compose(vector.transpose(a.rotation), b.rotation), local)
+    axes = collide.separating_axes(hull_a, hull_b, relative)
+    return axes[0], lambda: _in_world(collide.hull_hull(hull_a, hull_b, relative, axes), a)
 
 
-def depth(system: System, kind, slots: Slots, a: Body, b: Body, offset):
-    """Depth alone of each slot, [P] (m)."""
-    if kind != "hulls":
-        return geometry(system, kind, slots, a, b, offset).depth
-    local = vector.rotate_back(a.rotation, offset)
-    return collide.separating_axes(slots.hull_a, slots.hull_b, collide.Relative(_relative(a, b), local))[0]
-
-
-def _relative(a: Body, b: Body):
-    return vector.compose(vector.transpose(a.rotation), b.rotation)
+def _in_world(found: collide.Geometry, a: Body) -> collide.Geometry:
+    """The same in world axes."""
+    return found._replace(normal=vector.rotate(a.rotation, found.normal), point=vector.rotate(a.rotation, found.point))
 
 
 def _resolve(system: System, kind, table: ContactTable, slots: Slots, stacked, siblings) -> Contacts:
     """Geometry and force law of the contacts of one kind. siblings: seams.Siblings where walls have seams."""
-    law = system.law
     a, b = bodies.take(stacked, slots.a), bodies.take(stacked, slots.b)
     offset = bodies.offset(a, b)
-    shape = geometry(system, kind, slots, a, b, offset)
+    depth, rest = geometry(system, kind, slots, a, b, offset)
+    loaded = lambda: _loaded(system, table, slots, a, b, offset, rest(), siblings)  # noqa: E731
+    if kind != "hulls" or not system.slot_block:
+        return loaded()
+    is_touching = jnp.any((depth > 0) & slots.live | (table.overlap > 0))
+    return jax.lax.cond(is_touching, loaded, lambda: _separated(system, table))
+
+
+def _separated(system: System, table: ContactTable) -> Contacts:
+    """What ``_loaded`` says where nothing touches, nor did before."""
+    none = jnp.zeros((6, table.force.shape[0]), table.force.dtype)
+    after = table.replace(force=none[0], overlap=none[0], spring=none[:3])
+    return Contacts(after, none, none, _no_sums(system, none.dtype))
+
+
+def _loaded(system: System, table: ContactTable, slots: Slots, a: Body, b: Body, offset, shape, siblings) -> Contacts:
+    """Force law of contacts of a shape, a collide.Geometry in world axes."""
+    law = system.law
     overlap = jnp.where(slots.live, shape.depth, -1)
     at_b = vector.sub(shape.point, offset)
     before, share = table, None

@@ -52,7 +52,7 @@ def rebuild(system: System, state: State) -> State:
         number, a, b = compact(jnp.concatenate(near), jnp.concatenate(a), jnp.concatenate(b), candidates)
         overlap, relative = _depths(system, kind, a, b, number, stacked)
         guard = _note_overlap(guard, first_time, relative, a, b)
-        touching, a, b = compact(overlap > -reach, a, b, room)
+        touching, a, b = in_order(overlap, reach, a, b, room)
         filled[kind] = jnp.minimum(touching, room)
         needed[kind] = jnp.maximum(guard.needed[kind], jnp.stack([number, touching]))
         old = state.contacts[kind]
@@ -98,7 +98,7 @@ def _depths(system: System, kind, a, b, number, stacked):
     def of_pairs(a, b):
         slots = constants(system, kind, a, b)
         body_a, body_b = bodies.take(stacked, slots.a), bodies.take(stacked, slots.b)
-        depth = forces.depth(system, kind, slots, body_a, body_b, bodies.offset(body_a, body_b))
+        depth, _ = forces.geometry(system, kind, slots, body_a, body_b, bodies.offset(body_a, body_b))
         return jnp.where(slots.live, jnp.stack([depth, depth / slots.width]), -jnp.inf)
 
     size = forces.block_size(system, kind, a.shape[0])
@@ -171,6 +171,16 @@ def compact(mask, a, b, slots):
     return count, jnp.where(keep, a[where], EMPTY), jnp.where(keep, b[where], EMPTY)
 
 
+def in_order(overlap, reach, a, b, slots):
+    """As ``compact``, the pairs nearer than ``reach``, those that overlap first: blocks of slots behind them end early."""
+    apart, far = _first_set((overlap <= 0) & (overlap > -reach), slots)
+    touching, where = _first_set(overlap > 0, slots)
+    behind = jnp.maximum(jnp.arange(slots, dtype=jnp.int32) - touching, 0)
+    where = jnp.where(where >= 0, where, far[behind])
+    keep = where >= 0
+    return touching + apart, jnp.where(keep, a[where], EMPTY), jnp.where(keep, b[where], EMPTY)
+
+
 def _first_set(mask, slots):
     """How many entries of a mask hold, and the places [slots] of the first of them, in order, -1 where there are no more.
 
@@ -229,15 +239,22 @@ def find_incidence(system: System, tables):
         return jnp.zeros((system.touching, pieces), jnp.int32), jnp.zeros((), jnp.int32)
     owner = jnp.concatenate(owner)
     columns = owner.shape[0]
-    owner = jnp.where(owner >= 0, owner, pieces)
-    order = jnp.argsort(owner, stable=True).astype(jnp.int32)
-    sorted_owner = owner[order]
-    number = jnp.arange(pieces, dtype=jnp.int32)
-    first = jnp.searchsorted(sorted_owner, number).astype(jnp.int32)
-    count = jnp.searchsorted(sorted_owner, number, side="right").astype(jnp.int32) - first
+    order, first = _grouped(jnp.where(owner >= 0, owner, pieces), pieces)
+    count = first[1:] - first[:-1]
     rank = jnp.arange(system.touching, dtype=jnp.int32)[:, None]
-    at = jnp.minimum(first[None] + rank, columns - 1)
+    at = jnp.minimum(first[None, :-1] + rank, columns - 1)
     return jnp.where(rank < count[None], order[at], columns), jnp.max(count)
+
+
+def _grouped(owner, groups):
+    """The places of an array [P] of owners in the order of their owner, [P], and where each group begins, [groups + 1]."""
+    places = owner.shape[0]
+    number, place = jnp.arange(groups + 1, dtype=jnp.int32), jnp.arange(places, dtype=jnp.int32)
+    if (groups + 1) * places < 2**31:  # owner and place in one number: on a CPU sorted five times as fast
+        key = jnp.sort(owner * places + place)
+        return key % places, jnp.searchsorted(key, number * places).astype(jnp.int32)
+    owner, order = jax.lax.sort((owner, place), num_keys=1, is_stable=True)
+    return order, jnp.searchsorted(owner, number).astype(jnp.int32)
 
 
 def travel(system: System, state: State):

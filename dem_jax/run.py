@@ -25,7 +25,7 @@ from dem_jax.types import Sample, State, System
 
 SAMPLES = 1024  # capacity of a chunk: one for all scenes, so that they share compiled programs
 FRAMES = 64
-CHUNK_TIME = 1.0  # s that a chunk should take
+CHUNK_TIME = 4.0  # s that a chunk should take, by an estimate from above
 SLOT_BLOCK = 64  # slots that a CPU computes at a time, at most: they stay in its cache
 ATTEMPTS = 12  # to find room for a chunk
 

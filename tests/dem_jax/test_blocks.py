@@ -64,6 +64,9 @@ def test_blocks_of_slots_do_not_change_the_trace():
         in_blocks, rows, (_, most) = traced(heap(), 64)
         size = forces.block_size(build.build(heap(), 0).system.replace(slot_block=64), "hulls", 176)
     assert most > 2 * size > 0  # several blocks
+    touching = np.asarray(in_blocks.contacts["hulls"].overlap).reshape(-1, size) > 0
+    filled = touching[: -(-int(in_blocks.filled["hulls"]) // size)]
+    assert filled[0].all() and not filled.any(axis=1).all()  # and some, behind, where nothing touches
     assert np.abs(samples.force).max() > 10
     for name in ("position", "orientation", "velocity", "angular_momentum"):
         assert difference(getattr(in_blocks, name), getattr(state, name)) < 1e-7, name  # contacts amplify rounding
