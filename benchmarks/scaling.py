@@ -25,11 +25,16 @@ MEMBERS = {"cpu": (1, 8, 64), "gpu": (64, 256, 1024, 4096)}
 UNTIMED, REPEATS = 4, 5  # chunks
 BLOCKS = 2  # rebuilds in a chunk that is timed, each with the steps until the next
 DROPS = 8  # of the ensemble that is shared out among cores
+WHOLE_DROPS = 64  # of the stock scene, to the end
 SIZE_HEAD = (
     "shape", "pieces", "µs per step", "µs per step and piece", "pairs listed per piece", "bytes held per piece",
     "memory of the process (MB)", "compile (s)", "set-up (s)",
 )  # fmt: skip
 
+DROP_HEAD = (
+    "until settled", "s by the clock", "settling and fall and landing of each (s)", "µs of a core per member-step",
+    "s by the clock for 0.2 s of each",
+)  # fmt: skip
 MEMBER_HEAD = ("members", "µs per step of all", "µs per member-step", "drops of 0.2 s per s", "memory (MB)", "compile (s)")
 
 
@@ -108,7 +113,21 @@ def core_row(cores: int) -> dict:
     return {"cores": cores, "times": times}
 
 
-ROWS = {"size": size_row, "members": member_row, "cores": core_row}
+def drops_row(until_settled) -> dict:
+    """The stock ensemble of drops by the public call, on all cores: seconds by the clock without compiling."""
+    import dem_jax
+
+    settings = {"run.duration": 0.4, "run.frames": 0.0, "run.until_settled": until_settled == "yes"}
+    scene = dem_jax.load_scene("weigh-bucket", settings)
+    dem_jax.ensemble(scene, runs=WHOLE_DROPS, seed=0)  # compiles, also what is outgrown
+    start = time.perf_counter()
+    made = dem_jax.ensemble(scene, runs=WHOLE_DROPS, seed=0)
+    seconds = time.perf_counter() - start
+    each = made.info.get("settling", scene.portion.settling_time) + made.info.get("settled", scene.run.duration)
+    return {"until": until_settled, "times": [seconds], "each": each, "dt": made.dt, "cores": len(os.sched_getaffinity(0))}
+
+
+ROWS = {"size": size_row, "members": member_row, "cores": core_row, "drops": drops_row}
 
 
 def measured(kind, *arguments) -> dict:
@@ -128,7 +147,7 @@ def serve(kind, *arguments):
     cores = sorted(os.sched_getaffinity(0))
     if kind == "cores":
         os.sched_setaffinity(0, cores[: int(arguments[0])])
-    else:
+    elif kind != "drops":
         import jax
 
         if jax.default_backend() == "cpu":  # its threads are started at the first computation
@@ -199,6 +218,13 @@ def core_cells(rows):
     return [(r["cores"], report.spread(r["times"]), f"{each[0] / t:.2f}") for r, t in zip(done, each, strict=True)]
 
 
+def drop_cells(row):
+    """Cells of the table of whole drops."""
+    (seconds,) = row["times"]
+    each = seconds * row["cores"] / (WHOLE_DROPS * row["each"] / row["dt"])
+    return row["until"], f"{seconds:.1f}", f"{row['each']:.2f}", f"{each * 1e6:.3g}", f"{0.2 * seconds / row['each']:.1f}"
+
+
 def main(argv=None):
     parser = argparse.ArgumentParser(prog="python -m benchmarks.scaling", description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="only the smallest sizes")
@@ -219,10 +245,13 @@ def main(argv=None):
     sizes = [measured("size", *which) for which in every]
     members = [measured("members", count) for count in MEMBERS[kind][take]]
     cores = [measured("cores", n) for n in range(1, len(os.sched_getaffinity(0)) + 1)] if kind == "cpu" else []
+    ends = ("no", "yes") if kind == "cpu" and not options.quick else ()
+    drops = [measured("drops", end) for end in ends]
     names = [f"{n} of {shape}" for shape, n in every] + [f"{n} members" for n in MEMBERS[kind][take]]
-    rows = zip(names, sizes + members, strict=True)
+    names += [f"drops, until settled: {end}" for end in ends]
+    rows = zip(names, sizes + members + drops, strict=True)
     failed = [f"- {name}: {row['failed']}" for name, row in rows if "failed" in row]
-    sizes, members = ([row for row in rows if "failed" not in row] for rows in (sizes, members))
+    sizes, members, drops = ([row for row in rows if "failed" not in row] for rows in (sizes, members, drops))
     text = f"""# Scaling on {name}
 
 {start}; load at the end {os.getloadavg()[0]:.2f}
@@ -236,7 +265,7 @@ Pieces on a lattice in a box, each touching its six neighbours (near walls fewer
 
 {growth(sizes)}
 
-Ensembles of nine marshmallows at rest, side by side by `vmap`:
+Ensembles of nine marshmallows at rest, side by side by `vmap`{" (not so on a CPU)" if kind == "cpu" else ""}:
 
 {report.table(MEMBER_HEAD, [member_cells(row) for row in members])}
 """
@@ -245,6 +274,13 @@ Ensembles of nine marshmallows at rest, side by side by `vmap`:
 An ensemble of {DROPS} drops by `dem_jax.ensemble`, without compiling:
 
 {report.table(("cores", "s by the clock", "times as fast as on one"), core_cells(cores))}
+"""
+    if drops:
+        text += f"""
+{WHOLE_DROPS} drops of the stock scene (nine marshmallows) by `dem_jax.ensemble`, each in a thread with the bits that it has
+alone, without compiling, in steps of {drops[0]["dt"] * 1e6:.3g} µs, on {drops[0]["cores"]} cores:
+
+{report.table(DROP_HEAD, [drop_cells(row) for row in drops])}
 """
     if failed:
         text += "\nNot measured:\n\n" + "\n".join(failed) + "\n"

@@ -33,3 +33,9 @@ def test_a_row_that_fails_says_why_and_leaves_the_others(monkeypatch, tmp_path):
     assert scaling.core_cells([{"failed": "x"}, {"cores": 1, "times": [4.0]}, {"cores": 2, "times": [2.0]}]) == [
         (1, "4 (4 to 4)", "1.00"), (2, "2 (2 to 2)", "2.00")
     ]  # fmt: skip
+
+
+def test_whole_drops_in_the_table():
+    row = {"until": "yes", "times": [40.0], "each": 0.5, "dt": 5e-6, "cores": 2}
+    cells = scaling.drop_cells(row)  # 80 s of cores for 64 members of 100 000 steps
+    assert cells == ("yes", "40.0", "0.50", "12.5", "16.0") and len(cells) == len(scaling.DROP_HEAD)
