@@ -157,7 +157,7 @@ def _loaded(system: System, table: ContactTable, slots: Slots, a: Body, b: Body,
         table = seams.history(table, siblings)
     unload = slots.stiffness / (law.restitution * law.restitution)  # eq. 6
     slip, approach = _motion(system, a, b, offset, table, shape.normal, at_b, overlap)
-    f = contact.normal_force(table.force, approach, overlap, slots.stiffness, unload, law.separation)
+    f = vector.kept(contact.normal_force(table.force, approach, overlap, slots.stiffness, unload, law.separation))
     dashpot = jnp.zeros_like(f)
     if system.has_damping:
         dashpot = contact.unloading_damping(
