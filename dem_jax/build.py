@@ -538,8 +538,9 @@ def _diameter_and_volume(made):
 
 
 def round_up(slots: int) -> int:
-    """A capacity at least as large, from few distinct ones: 8, multiples of 16, further up of ever larger powers of two."""
-    unit = 8 if slots <= 8 else 16
+    """A capacity at least as large, from few distinct ones: 8, multiples of 16, above 64 of 32, further up of ever larger
+    powers of two."""
+    unit = 8 if slots <= 8 else 16 if slots <= 64 else 32
     while slots > 16 * unit:
         unit *= 2
     return _round_to(unit, slots)
