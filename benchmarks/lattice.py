@@ -8,6 +8,7 @@ from benchmarks.box import open_box
 
 PRESS = 5e-4  # overlap of neighbours relative to the pitch
 SKIN = 5e-4  # m: for pieces at rest, as in a settled heap
+SPEED, TURN = 1e-3, 1e-4  # m/s, rad, about: on a perfect lattice at rest there are denormal numbers, which a CPU is slow at
 
 
 def box_scene(shape: str, count: int, precision="f32"):
@@ -60,12 +61,13 @@ def system_of(shape: str, count: int):
 
     scene, centres = box_scene(shape, count)
     built = build.build(scene, 0)
-    upright = jnp.zeros_like(built.state.orientation).at[0].set(1)
     high = centres.astype(np.float32)
+    velocity, turns = np.random.default_rng(1).normal(0, 1, (2, *centres.shape)) * np.reshape([SPEED, TURN], (2, 1, 1))
     state = built.state.replace(
         position=jnp.asarray(high),
         position_rest=jnp.asarray(centres - high, jnp.float32),
-        orientation=upright,
+        orientation=jnp.asarray(np.concatenate([np.ones((1, count)), 0.5 * turns]), jnp.float32),
+        velocity=jnp.asarray(velocity, jnp.float32),
     )
     block = run.SLOT_BLOCK if jax.default_backend() == "cpu" else 0
     system = built.system.replace(skin=jnp.float32(SKIN), domain_high=jnp.max(state.position, axis=1) + 1, slot_block=block)
