@@ -98,8 +98,7 @@ def core_row(cores: int) -> dict:
     """An ensemble of drops by the public call, on so many cores: seconds by the clock without compiling."""
     import dem_jax
 
-    settings = {"run.duration": 0.01, "portion.settling_time": 0.1, "run.frames": 0.0}
-    scene = dem_jax.load_scene("weigh-bucket", settings)
+    scene = dem_jax.load_scene("weigh-bucket", {"run.duration": 0.4, "run.frames": 0.0})
     dem_jax.ensemble(scene, runs=DROPS, seed=0)  # compiles
     times = []
     for repeat in range(3):
@@ -270,7 +269,7 @@ Ensembles of nine marshmallows at rest, side by side by `vmap`{" (not so on a CP
 """
     if cores:
         text += f"""
-An ensemble of {DROPS} drops by `dem_jax.ensemble`, without compiling:
+An ensemble of {DROPS} drops of the stock scene by `dem_jax.ensemble`, without compiling:
 
 {report.table(("cores", "s by the clock", "times as fast as on one"), core_cells(cores))}
 """

@@ -238,7 +238,9 @@ def test_pieces_in_a_box_lose_energy_and_come_to_rest(restitution, samples):
     assert energy[-1, 0] < 0.05 * mechanical[0]
     if restitution < 0.5:
         return  # its small steps make waiting for rest too long for a test
-    floor = -recorded.mean_force[-400:].sum(-1)[:, 2].mean() / (9.81 * float(made.system.pieces.mass.sum())) - 1
+    mass, time = float(made.system.pieces.mass.sum()), 400 * 5e-4
+    floor = -recorded.mean_force[-400:].sum(-1)[:, 2].mean() / (9.81 * mass) - 1
+    ringing = np.sqrt(2 * energy[-401:, 0].max() / mass)  # m/s: momentum may differ by as much at both ends
     print(f"at rest {energy[-1, 0]:.2g} J, force on walls / weight - 1 = {floor:.2g}")
     assert energy[-1, 0] < 1e-6  # J
-    assert abs(floor) < 1e-4
+    assert abs(floor) < 2 * ringing / (9.81 * time) < 5e-3
