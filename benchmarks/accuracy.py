@@ -119,7 +119,7 @@ def impacts(kind, begin, number, precision, restitution=0.1, softening=0.01, win
     down, still = np.array([[0.0, 0.0, -SPEED]]), np.zeros((1, 3))
     with jax.enable_x64(precision == "f64"):
         placed = [build.Start(np.array([place]), np.array([turn]), down, still) for place, turn, _ in begin]
-        states = [build.first_state(job.system, start, job.built.frames, 0) for start in placed]
+        states = [build.started(job.built, start) for start in placed]
         job = replace(job, seeds=(0,) * len(begin), runs=len(begin))
         job = replace(job, state=jax.tree.map(lambda *x: jax.numpy.asarray(np.stack(x)), *states))
     found = run.drive(job, None, False, False)

@@ -69,8 +69,8 @@ def system_of(shape: str, count: int):
         orientation=jnp.asarray(np.concatenate([np.ones((1, count)), 0.5 * turns]), jnp.float32),
         velocity=jnp.asarray(velocity, jnp.float32),
     )
-    block = run.SLOT_BLOCK if jax.default_backend() == "cpu" else 0
-    system = built.system.replace(skin=jnp.float32(SKIN), domain_high=jnp.max(state.position, axis=1) + 1, slot_block=block)
+    high = jnp.max(state.position, axis=1) + 1
+    system = built.system.replace(skin=jnp.float32(SKIN), domain_high=high, slot_block=run.slot_block())
     rebuild = jax.jit(neighbours.rebuild)
     for _ in range(8):
         rebuilt = rebuild(system, state)

@@ -17,7 +17,7 @@ import time
 
 import numpy as np
 
-from benchmarks import lattice, report
+from benchmarks import chunk, lattice, report
 
 SHAPES = ("sphere", "chamfered-cuboid")
 SIZES = {"cpu": (343, 1000, 3000, 8000, 20_000, 50_000), "gpu": (1000, 10_000, 100_000, 1_000_000)}
@@ -41,20 +41,15 @@ MEMBER_HEAD = ("members", "µs per step of all", "µs per member-step", "drops o
 def time_chunk(system, state, members=None):
     """Seconds per step (a value per repeat), compile time (s). Each chunk goes on from the one before."""
     import jax
-    import jax.numpy as jnp
 
-    from dem_jax import compiling, stepping
+    from dem_jax import run
 
-    backend = jax.default_backend()
-    samples = BLOCKS * max(1, system.block_steps // int(system.substeps))
-    count, every, phase = jnp.int32(samples), jnp.int32(1), jnp.int32(0)
-    run = lambda system, state: stepping.run_chunk(system, state, count, every, samples, 0, phase)  # noqa: E731
-    run = run if members is None else jax.vmap(run, in_axes=(None, 0))
+    samples = BLOCKS * run.samples_per_block(system)
     start = time.perf_counter()
-    compiled = compiling.jit(run, backend).lower(system, state).compile()
+    compiled = chunk.compiled(system, state, samples, members=members)
     compile_time = time.perf_counter() - start
     steps = samples * int(system.substeps) * system.parts
-    clock = time.process_time if backend == "cpu" else time.perf_counter
+    clock = time.process_time if jax.default_backend() == "cpu" else time.perf_counter
     times = []
     for _ in range(UNTIMED + REPEATS):
         start = clock()

@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from benchmarks import report
+from benchmarks import chunk, report
 from benchmarks.box import open_box
 
 ROUNDS = 5
@@ -94,9 +94,8 @@ def moving(scene):
 def prepared(scene, computed, frames, quick):
     """A compiled chunk with system and state that have room for all it needs, and its number of steps."""
     import jax
-    import jax.numpy as jnp
 
-    from dem_jax import compiling, guard, run, stepping
+    from dem_jax import guard, run
 
     job = run.prepare(scene, (0,), None)
     system = job.system.replace(**{name: value(job.system) if callable(value) else value for name, value in computed.items()})
@@ -104,10 +103,8 @@ def prepared(scene, computed, frames, quick):
     each = int(system.substeps) * system.parts
     steps = STEPS * max(1, 64 // state.position.shape[1])  # so that starting a chunk is a small part of it
     samples = max(8, steps // (4 * each if quick else each))
-    count, every, phase = jnp.int32(samples), jnp.int32(1), jnp.int32(0)
-    function = lambda system, state: stepping.run_chunk(system, state, count, every, samples, frames, phase)  # noqa: E731
     for _ in range(run.ATTEMPTS):
-        program = compiling.jit(function, jax.default_backend()).lower(system, state).compile()
+        program = chunk.compiled(system, state, samples, frames)
         seen = jax.device_get(program(system, state)[0].guard)
         if not guard.outgrown(system, seen):
             return program, system, state, samples * each

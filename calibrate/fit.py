@@ -179,14 +179,17 @@ def _free(fixed, count):
 
 def _agreed(ends, best, parameters, free):
     """[S] whether each start ended where the best one did, within a share of the intervals."""
-    near = lambda name, end: abs(end - ends[name][best]) <= AGREEMENT * _half(parameters[name])  # noqa: E731
-    return [all(near(name, ends[name][s]) for name in free) for s in range(len(ends["h_mean"]))]
+    return _little(lambda name, s: abs(ends[name][s] - ends[name][best]), len(ends["h_mean"]), parameters, free)
 
 
 def _settled(ends, change, parameters, free):
     """[S] whether the last round of each start changed nothing by more than a share of the intervals."""
-    still = lambda name, s: float(change[name][s]) * ends[name][s] <= AGREEMENT * _half(parameters[name])  # noqa: E731
-    return [all(still(name, s) for name in free) for s in range(len(ends["h_mean"]))]
+    return _little(lambda name, s: float(change[name][s]) * ends[name][s], len(ends["h_mean"]), parameters, free)
+
+
+def _little(distance, count, parameters, free):
+    """[count] whether distance(name, s) is within a share of the intervals of all free parameters."""
+    return [all(distance(name, s) <= AGREEMENT * _half(parameters[name]) for name in free) for s in range(count)]
 
 
 def _half(row):

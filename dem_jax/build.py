@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dem_jax import arrange, buckets, forces, hulls, materials, meshes, neighbours, pairs, pose, rotation, shapes
+from dem_jax import arrange, buckets, contact, forces, hulls, materials, meshes, neighbours, pairs, pose, rotation, shapes
 from dem_jax.errors import SceneError
 from dem_jax.scene import SHAPE_KEYS, PieceShape, Scene, Wall
 from dem_jax.types import Law, Pieces, State, System, Walls, float_dtype
@@ -36,6 +36,16 @@ class TimeStep:
 
 
 @dataclass(frozen=True)
+class Start:
+    """Poses and velocities of the pieces at the start, in the user's body frames."""
+
+    position: np.ndarray  # [N, 3] (m)
+    orientation: np.ndarray  # [N, 4]
+    velocity: np.ndarray  # [N, 3] (m/s)
+    spin: np.ndarray  # [N, 3] (rad/s), world frame
+
+
+@dataclass(frozen=True)
 class Built:
     """A system with its first state, and what a host needs beside them."""
 
@@ -48,6 +58,7 @@ class Built:
     samples: int  # to be run
     frame_every: int  # samples between stored frames; 0: none
     blocks: tuple  # names of the blocks
+    regions: list  # boxes (low [3], high [3]) (m) in which pieces are scattered: of the feed bucket, of the feeder
 
 
 def build(scene: Scene, seed: int = 0) -> Built:
@@ -106,14 +117,18 @@ def build(scene: Scene, seed: int = 0) -> Built:
     frames = np.array([m.principal for m in made])
     state = first_state(system, start, frames, -settling)
     names = tuple(b.name for b in blocks)
-    return Built(system, state, step, tuple(made), frames, settling, samples, frame_every, names)
+    return Built(system, state, step, tuple(made), frames, settling, samples, frame_every, names, regions)
 
 
 def state_of_seed(scene: Scene, built: Built, seed: int) -> State:
     """The first state of the same scene with another seed, for the system that was built. Raises SceneError."""
-    regions = _walls_of(scene)[-1]
-    start = _placed(scene, built.shapes, regions, np.random.default_rng(seed))
-    return first_state(built.system, start, built.frames, -built.settling_steps)
+    start = _placed(scene, built.shapes, built.regions, np.random.default_rng(seed))
+    return started(built, start)
+
+
+def started(built: Built, start: Start) -> State:
+    """The first state with other poses and velocities."""
+    return built.state.replace(**jax.tree.map(jnp.asarray, _motion(built.system, start, built.frames)))
 
 
 def self_contained(scene: Scene) -> Scene:
@@ -140,16 +155,6 @@ def _with_points(row: PieceShape, folder):
 
 def _tuples(points):
     return tuple(tuple(p) for p in points)
-
-
-@dataclass(frozen=True)
-class Start:
-    """Poses and velocities of the pieces at the start, in the user's body frames."""
-
-    position: np.ndarray  # [N, 3] (m)
-    orientation: np.ndarray  # [N, 4]
-    velocity: np.ndarray  # [N, 3] (m/s)
-    spin: np.ndarray  # [N, 3] (rad/s), world frame
 
 
 def make_shape(row: PieceShape, folder=".") -> shapes.Shape:
@@ -478,7 +483,7 @@ def _possible_contacts(made, pieces: Pieces):
     rows = [(mass[i], pieces.wall_stiffness[first[i]], least[i], _words(made[p], "a wall")) for i, p in enumerate(first)]
     for i, p in enumerate(first):
         others = slice(i if number[i] > 1 else i + 1, None)
-        m, s = mass[i] * mass[others] / (mass[i] + mass[others]), k[i] * k[others] / (k[i] + k[others])
+        m, s = contact.series(mass[i], mass[others]), contact.series(k[i], k[others])
         worst = np.minimum(least[i], least[others])
         for j in {int(np.argmin(m / s)), int(np.argmin(m * worst / s))} if len(m) else ():
             rows.append((m[j], s[j], worst[j], _words(made[p], f"another ({made[first[others][j]].name})")))
@@ -589,28 +594,36 @@ def _typed(tree, dtype):
     return jax.tree.map(leaf, tree)
 
 
-def first_state(system: System, start: Start, frames, step: int) -> State:
-    """The state at a step, without any contact, from poses in the user's body frames; frames: Built.frames."""
+def _motion(system: System, start: Start, frames) -> dict:
+    """The fields of State that follow from poses and velocities in the user's body frames, in numpy; frames: Built.frames."""
     dtype = system.dt.dtype
     position = start.position.T.astype(np.float64)
     high = position.astype(dtype)
     q = np.stack(rotation.multiply(tuple(start.orientation.T), tuple(np.asarray(frames).T))).astype(dtype)
     inertia = np.asarray(system.pieces.inertia)
     momentum = rotation.angular_momentum(tuple(q), tuple(start.spin.T.astype(dtype)), tuple(inertia))
+    return {
+        "position": high,
+        "position_rest": (position - high).astype(dtype),
+        "orientation": q,
+        "velocity": start.velocity.T.astype(dtype),
+        "angular_momentum": np.stack(momentum),
+    }
+
+
+def first_state(system: System, start: Start, frames, step: int) -> State:
+    """The state at a step, without any contact; start, frames: as of ``_motion``."""
+    dtype = system.dt.dtype
     groups = len(system.walls.groups)
     zero = lambda *shape: np.zeros(shape, dtype)  # noqa: E731
-    n = position.shape[1]
+    n = len(start.position)
     contacts = {
         kind: neighbours.empty_table(slots, dtype) for kind, _, slots in system.capacity
     }
     state = State(
+        **_motion(system, start, frames),
         step=np.int32(step),
-        position=high,
-        position_rest=(position - high).astype(dtype),
-        orientation=q,
-        velocity=start.velocity.T.astype(dtype),
         velocity_rest=zero(3, n),
-        angular_momentum=np.stack(momentum),
         force=zero(3, n),
         torque=zero(3, n),
         wall_force=zero(3, groups),

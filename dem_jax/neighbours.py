@@ -167,8 +167,7 @@ def _note_overlap(guard: Guard, first_time, relative, a, b) -> Guard:
 def compact(mask, a, b, slots):
     """The pairs where mask holds, in order, in a number of slots: how many there are, a, b (EMPTY where none)."""
     count, where = _first_set(mask, slots)
-    keep = where >= 0
-    return count, jnp.where(keep, a[where], EMPTY), jnp.where(keep, b[where], EMPTY)
+    return count, *_taken(where, a, b)
 
 
 def in_order(overlap, reach, a, b, slots):
@@ -176,9 +175,12 @@ def in_order(overlap, reach, a, b, slots):
     apart, far = _first_set((overlap <= 0) & (overlap > -reach), slots)
     touching, where = _first_set(overlap > 0, slots)
     behind = jnp.maximum(jnp.arange(slots, dtype=jnp.int32) - touching, 0)
-    where = jnp.where(where >= 0, where, far[behind])
-    keep = where >= 0
-    return touching + apart, jnp.where(keep, a[where], EMPTY), jnp.where(keep, b[where], EMPTY)
+    return touching + apart, *_taken(jnp.where(where >= 0, where, far[behind]), a, b)
+
+
+def _taken(where, a, b):
+    """The pairs at places [slots], EMPTY where that is negative."""
+    return tuple(jnp.where(where >= 0, x[where], EMPTY) for x in (a, b))
 
 
 def _first_set(mask, slots):

@@ -115,6 +115,11 @@ class Job:
         return min(end, self.rule.next_look(at)) if is_looked_at else end
 
 
+def slot_block() -> int:
+    """System.slot_block for this backend."""
+    return SLOT_BLOCK if jax.default_backend() == "cpu" else 0
+
+
 def samples_per_block(system: System) -> int:
     """Samples between rebuilds of the candidate pairs."""
     return max(1, system.block_steps // int(system.substeps))
@@ -126,8 +131,7 @@ def prepare(scene, seeds, runs) -> Job:
     scene = build.self_contained(scene if isinstance(scene, Scene) else load_scene(scene))
     with jax.enable_x64(scene.run.precision == "f64"):
         built = build.build(scene, int(seeds[0]))
-        block = SLOT_BLOCK if jax.default_backend() == "cpu" else 0
-        system, state = built.system.replace(slot_block=block), built.state
+        system, state = built.system.replace(slot_block=slot_block()), built.state
         if runs is not None:
             states = [build.state_of_seed(scene, built, int(seed)) for seed in seeds]
             state = jax.tree.map(lambda *x: jnp.asarray(np.stack(x)), *states)

@@ -126,5 +126,5 @@ def test_many_loose_pieces_are_in_the_box_and_apart(shape, count):
         assert np.abs(position[:, :2]).max() + packing.RADIUS < 0.5 * width and position[:, 2].min() > packing.RADIUS
         near = cKDTree(position).query(position, k=2)[0][:, 1]
         assert near.min() > 2 * packing.RADIUS
-    else:  # turning about any axis, a piece stays in its column; the pitch upwards holds a piece tilted by 15 degrees
+    else:  # turning about any axis, a piece stays in its column
         assert np.abs(position[:, :2]).max() + 0.5 * packing.BOUNDING[shape] < 0.5 * width + 1e-9
