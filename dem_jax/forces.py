@@ -73,7 +73,7 @@ def _contacts_of_kind(system: System, state: State, kind, stacked, loads, sums: 
 
     def block(k, carry):
         after, loads, sums = carry  # read from one table and put into another: in one alone, all of it is copied each time
-        part = _resolve(system, kind, block_of(table, k, size), block_of(slots, k, size), stacked, None)
+        part = _resolve(system, kind, block_of(table, k, size), block_of_slots(system, slots, k, size), stacked, None)
         put = lambda whole, rows: jax.lax.dynamic_update_slice_in_dim(whole, rows, k * size, -1)  # noqa: E731
         return jax.tree.map(put, after, part.table), *add(part, k * size, loads, sums)
 
@@ -101,6 +101,19 @@ def block_of(tree, k, size):
     """Slots k size to (k + 1) size of arrays [.., P]; those that broadcast over slots as they are."""
     cut = lambda x: x if x.shape[-1] == 1 else jax.lax.dynamic_slice_in_dim(x, k * size, size, -1)  # noqa: E731
     return jax.tree.map(cut, tree)
+
+
+def block_of_slots(system: System, slots: Slots, k, size) -> Slots:
+    """``block_of`` slots. Where no wall is among them and pieces are alike, their hulls are those that stand before all
+    others (``neighbours.slots_of``): many slots then share what is in the cache already."""
+    rows = block_of(slots.replace(hull_a=None), k, size)
+    if slots.hull_a is None:
+        return rows
+    first = k * size
+    if slots.hull_a.offsets.shape[-1] > slots.a.shape[0]:
+        first = jnp.where(jnp.all(rows.a < system.pieces.mass.shape[0]), 0, first + size)
+    cut = lambda x: jax.lax.dynamic_slice_in_dim(x, first, size, -1)  # noqa: E731
+    return rows.replace(hull_a=jax.tree.map(cut, slots.hull_a))
 
 
 def geometry(system: System, kind, slots: Slots, a: Body, b: Body, offset):

@@ -55,9 +55,10 @@ def table(shapes, dtype, seams=None) -> Hulls:
 
 
 def gather(hulls: Hulls, index, corners: bool) -> Hulls:
-    """The rows of the table that belong to pairs, [.., P]; corners, of which there are many, only where asked for; loops
-    and open_edges stay in the table, see ``with_faces``."""
-    rows = hulls.replace(loops=None, open_edges=None, corners=hulls.corners if corners else None)
+    """The rows of the table that belong to pairs, [.., P]; corners, of which there are many, only where asked for, and
+    vertices where they are needed, not of zonotopes; loops and open_edges stay in the table, see ``with_faces``."""
+    vertices = None if hulls.is_zonotope else hulls.vertices
+    rows = hulls.replace(loops=None, open_edges=None, vertices=vertices, corners=hulls.corners if corners else None)
     return jax.tree.map(lambda array: array[..., index], rows)
 
 

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dem_jax import bodies, boundary, contact, forces, hulls, pairs, rotation, vector
+from dem_jax.compaction import compact, grouped, in_order
 from dem_jax.pairs import EMPTY
 from dem_jax.types import ContactTable, Guard, Slots, State, System
 
@@ -42,10 +43,10 @@ def rebuild(system: System, state: State) -> State:
     first_time = guard.start_overlap < 0
     tables, slots, needed, filled, column = {}, {}, {}, {}, 0
     for kind, candidates, room in system.capacity:
-        near, a, b = [], [], []
+        near, a, b, missed = [], [], [], 0
         for source in SOURCES[kind]:
-            first, second, need = pairs.of_source(system, source, stacked, reach)
-            guard = pairs.noted(guard, need)
+            first, second, need = pairs.of_source(system, source, stacked, reach, candidates)
+            guard, missed = pairs.noted(guard, need), missed + need.missed
             near.append(within_bounds(system, stacked, source, first, second, reach))
             a.append(first)
             b.append(second)
@@ -54,11 +55,11 @@ def rebuild(system: System, state: State) -> State:
         guard = _note_overlap(guard, first_time, relative, a, b)
         touching, a, b = in_order(overlap, reach, a, b, room)
         filled[kind] = jnp.minimum(touching, room)
-        needed[kind] = jnp.maximum(guard.needed[kind], jnp.stack([number, touching]))
+        needed[kind] = jnp.maximum(guard.needed[kind], jnp.stack([number + missed, touching]))
         old = state.contacts[kind]
         tables[kind] = carry_history(old, a, b, state.incidence, column)
         column += 2 * old.a.shape[0]
-        slots[kind] = constants(system, kind, a, b)
+        slots[kind] = slots_of(system, kind, a, b)
     incidence, touching = find_incidence(system, tables)
     guard = guard.replace(
         needed=needed,
@@ -110,6 +111,17 @@ def _depths(system: System, kind, a, b, number, stacked):
 
     none = jnp.full((2, a.shape[0]), -jnp.inf, stacked.dtype)
     return jax.lax.fori_loop(0, (jnp.minimum(number, a.shape[0]) + size - 1) // size, block, none)
+
+
+def slots_of(system: System, kind, a, b) -> Slots:
+    """``constants`` as ``State.slots`` holds them: where slots are computed in blocks and all polytopes are alike, with
+    their hull a block long before the hulls of the slots, for ``forces.block_of_slots``."""
+    slots = constants(system, kind, a, b)
+    size = forces.block_size(system, kind, a.shape[0]) if kind == "hulls" and system.alike else 0
+    if not size:
+        return slots
+    before = lambda one, rows: jnp.concatenate([jnp.repeat(one, size, -1), rows], -1)  # noqa: E731
+    return slots.replace(hull_a=jax.tree.map(before, slots.hull_b, slots.hull_a))
 
 
 def constants(system: System, kind, a, b) -> Slots:
@@ -164,49 +176,6 @@ def _note_overlap(guard: Guard, first_time, relative, a, b) -> Guard:
     )
 
 
-def compact(mask, a, b, slots):
-    """The pairs where mask holds, in order, in a number of slots: how many there are, a, b (EMPTY where none)."""
-    count, where = _first_set(mask, slots)
-    return count, *_taken(where, a, b)
-
-
-def in_order(overlap, reach, a, b, slots):
-    """As ``compact``, the pairs nearer than ``reach``, those that overlap first: blocks of slots behind them end early."""
-    apart, far = _first_set((overlap <= 0) & (overlap > -reach), slots)
-    touching, where = _first_set(overlap > 0, slots)
-    behind = jnp.maximum(jnp.arange(slots, dtype=jnp.int32) - touching, 0)
-    return touching + apart, *_taken(jnp.where(where >= 0, where, far[behind]), a, b)
-
-
-def _taken(where, a, b):
-    """The pairs at places [slots], EMPTY where that is negative."""
-    return tuple(jnp.where(where >= 0, x[where], EMPTY) for x in (a, b))
-
-
-def _first_set(mask, slots):
-    """How many entries of a mask hold, and the places [slots] of the first of them, in order, -1 where there are no more.
-
-    Thirty-two entries to a word: adding up and searching is a matter of few words, not of all pairs. (As
-    ``jnp.nonzero``, which took ten times as long on a CPU.)
-    """
-    bit = jnp.arange(32, dtype=jnp.uint32)[:, None]
-    bits = jnp.pad(mask, (0, -mask.shape[0] % 32)).reshape(-1, 32).T.astype(jnp.uint32)
-    words = jnp.sum(bits << bit, axis=0, dtype=jnp.uint32)
-    until = jnp.cumsum(jax.lax.population_count(words).astype(jnp.int32))
-    wanted = jnp.arange(slots, dtype=jnp.int32)
-    word = jnp.searchsorted(until, wanted, side="right", method="scan_unrolled").astype(jnp.int32)
-    inside = jnp.minimum(word, words.shape[0] - 1)
-    left, rank = words[inside], wanted - jnp.where(inside > 0, until[inside - 1], 0)
-    place = 32 * inside
-    for half in (16, 8, 4, 2, 1):  # which bit of the word is the one of that rank
-        low = left & jnp.uint32((1 << half) - 1)
-        below = jax.lax.population_count(low).astype(jnp.int32)
-        above = rank >= below
-        rank, place = jnp.where(above, rank - below, rank), jnp.where(above, place + half, place)
-        left = jnp.where(above, left >> jnp.uint32(half), low)
-    return until[-1], jnp.where(wanted < until[-1], place, -1)
-
-
 def carry_history(old: ContactTable, a, b, incidence, column) -> ContactTable:
     """A table of the pairs (a, b), each with the history that it had in the old table, or none.
 
@@ -241,22 +210,11 @@ def find_incidence(system: System, tables):
         return jnp.zeros((system.touching, pieces), jnp.int32), jnp.zeros((), jnp.int32)
     owner = jnp.concatenate(owner)
     columns = owner.shape[0]
-    order, first = _grouped(jnp.where(owner >= 0, owner, pieces), pieces)
+    order, first = grouped(jnp.where(owner >= 0, owner, pieces), pieces)
     count = first[1:] - first[:-1]
     rank = jnp.arange(system.touching, dtype=jnp.int32)[:, None]
     at = jnp.minimum(first[None, :-1] + rank, columns - 1)
     return jnp.where(rank < count[None], order[at], columns), jnp.max(count)
-
-
-def _grouped(owner, groups):
-    """The places of an array [P] of owners in the order of their owner, [P], and where each group begins, [groups + 1]."""
-    places = owner.shape[0]
-    number, place = jnp.arange(groups + 1, dtype=jnp.int32), jnp.arange(places, dtype=jnp.int32)
-    if (groups + 1) * places < 2**31:  # owner and place in one number: on a CPU sorted five times as fast
-        key = jnp.sort(owner * places + place)
-        return key % places, jnp.searchsorted(key, number * places).astype(jnp.int32)
-    owner, order = jax.lax.sort((owner, place), num_keys=1, is_stable=True)
-    return order, jnp.searchsorted(owner, number).astype(jnp.int32)
 
 
 def travel(system: System, state: State):
@@ -315,4 +273,5 @@ def empty_guard(system: System, dtype) -> Guard:
     needed = {kind: np.zeros((2,), np.int32) for kind, _, _ in system.capacity}
     zero = np.zeros((), np.int32)
     none = pairs.no_need(dtype)
-    return Guard(needed, zero, *none, np.zeros((), dtype), -np.ones((), dtype), np.zeros((2,), np.int32))
+    nothing, nobody = np.zeros((), dtype), np.zeros((2,), np.int32)
+    return Guard(needed, zero, none.row, none.partition, none.reach, nothing, nothing - 1, nobody)

@@ -1,8 +1,8 @@
 """Pairs of bodies to be looked at, by what finds them: every pair, sorted cells, or the neighbour list of jax-md.
 
-Each source takes (system, members, stacked, reach): body numbers [M] int32, ``bodies.stack`` and the gap (m) within which
-pairs count, and answers with the pairs (a, b), a < b, two int32 arrays that hold EMPTY where there is no pair, and what
-it would have needed to find them all.
+Each source takes (system, members, stacked, reach, room): body numbers [M] int32, ``bodies.stack``, the gap (m) within
+which pairs count and a number of pairs to keep, and answers with the pairs (a, b), a < b, two int32 arrays that hold EMPTY
+where there is no pair, and what it would have needed to find them all.
 """
 
 from typing import NamedTuple
@@ -11,33 +11,35 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from dem_jax import vector
+from dem_jax.compaction import EMPTY, first_set
 from dem_jax.types import Guard, Partition, System
 
-EMPTY = -1
 ALL_PAIRS = 1024  # "auto": up to so many pieces every pair is looked at, which is quicker than any list; beyond, cells
 ROUNDING = 1e-4  # of the cutoff of jax-md's list, by which it is larger than the sum of what it is made of
 
 
 class Need(NamedTuple):
-    """What a search would have needed; fields as in ``types.Guard``."""
+    """What a search would have needed; row, partition and reach as in ``types.Guard``."""
 
     row: jax.Array
     partition: jax.Array
     reach: jax.Array
+    missed: jax.Array  # int32: pairs for which there was no room
 
 
 def no_need(dtype) -> Need:
     """That of a search that needs nothing, in numpy."""
-    return Need(np.zeros((), np.int32), np.zeros((2,), np.int32), np.zeros((), dtype))
+    return Need(np.zeros((), np.int32), np.zeros((2,), np.int32), np.zeros((), dtype), np.zeros((), np.int32))
 
 
 def noted(guard: Guard, need: Need) -> Guard:
     """The guard with the largest needs so far."""
-    return guard.replace(**{name: jnp.maximum(getattr(guard, name), value) for name, value in need._asdict().items()})
+    return guard.replace(**{name: jnp.maximum(getattr(guard, name), getattr(need, name)) for name in ("row", "partition", "reach")})
 
 
-def of_source(system: System, source, stacked, reach):
-    """Pairs of a source of contacts (a name of neighbours.SOURCES), and Need."""
+def of_source(system: System, source, stacked, reach, room):
+    """Pairs of a source of contacts (a name of neighbours.SOURCES), at most ``room`` where they are many, and Need."""
     pieces = system.pieces
     if source.startswith("wall"):
         second = pieces.polytopes if source == "wall-hull" else pieces.spheres
@@ -47,7 +49,7 @@ def of_source(system: System, source, stacked, reach):
         return *_product(pieces.polytopes, pieces.spheres), no_need(reach.dtype)
     members = pieces.polytopes if source == "hull-hull" else pieces.spheres
     find = {"all-pairs": all_pairs, "cells": cell_pairs, "jax-md": jax_md_pairs}
-    return find[choice(system.neighbours, members.shape[0])](system, members, stacked, reach)
+    return find[choice(system.neighbours, members.shape[0])](system, members, stacked, reach, room)
 
 
 def choice(neighbours, members: int) -> str:
@@ -72,14 +74,15 @@ def _product(first, second):
     return jnp.repeat(first, second.shape[0]), jnp.tile(second, first.shape[0])
 
 
-def all_pairs(system: System, members, stacked, reach):
+def all_pairs(system: System, members, stacked, reach, room):
     """Every pair there is, and Need: nothing."""
     i, j = np.triu_indices(members.shape[0], 1)
     return members[i], members[j], no_need(reach.dtype)
 
 
-def cell_pairs(system: System, members, stacked, reach):
-    """Pairs of pieces in the same or in neighbouring cells, each once, and Need: the most pieces in a row of three cells.
+def cell_pairs(system: System, members, stacked, reach, room):
+    """Pairs of pieces in the same or in neighbouring cells whose bounding spheres are within reach, each once, and Need:
+    the most pieces in a row of three cells.
 
     Pieces are sorted by cell, z fastest, so that three cells one above the other are one range of the sorted list:
     the rest of a piece's own cell and the one above, and four rows beside it, hold its partners of higher rank.
@@ -90,24 +93,29 @@ def cell_pairs(system: System, members, stacked, reach):
     cell = jnp.clip(jnp.floor(place / size).astype(jnp.int32) + 1, 1, count[:, None] - 2)
     key = (cell[0] * count[1] + cell[1]) * count[2] + cell[2]
     order = jnp.argsort(key)
-    key = key[order]
+    key, number = key[order], members.shape[0]
     rows = [(0, 1), (1, -1), (1, 0), (1, 1)]
     beside = jnp.stack([key + (dx * count[1] + dy) * count[2] for dx, dy in rows])
     start = jnp.searchsorted(key, beside - 1).astype(jnp.int32)
     end = jnp.searchsorted(key, beside + 1, side="right").astype(jnp.int32)
-    own = jnp.arange(members.shape[0], dtype=jnp.int32)[None]
+    own = jnp.arange(number, dtype=jnp.int32)[None]
     start = jnp.concatenate([own + 1, start])  # [5, members]
     end = jnp.concatenate([jnp.searchsorted(key, key + 1, side="right").astype(jnp.int32)[None], end])
     partner = start[None] + jnp.arange(system.row_capacity, dtype=jnp.int32)[:, None, None]
-    there = partner < end[None]
-    i = members[order[jnp.broadcast_to(own[None], partner.shape)]]
-    j = members[order[jnp.minimum(partner, members.shape[0] - 1)]]
-    a = jnp.where(there, jnp.minimum(i, j), EMPTY).reshape(-1)
-    need = no_need(reach.dtype)._replace(row=jnp.max(end - start))
-    return a, jnp.where(there, jnp.maximum(i, j), EMPTY).reshape(-1), need
+    body = members[order]
+    ball = jnp.concatenate([stacked[:3, body], system.pieces.bounding_radius[body][None]])
+    here, there = ball[:, None, None], ball[:, jnp.minimum(partner, number - 1)]
+    away, near = tuple(there[:3] - here[:3]), here[3] + there[3] + reach
+    is_near = (vector.dot(away, away) < near * near) & (partner < end[None])
+    found, where = first_set(is_near.reshape(-1), room)
+    rank, row, i = jnp.unravel_index(jnp.maximum(where, 0), partner.shape)
+    i, j = body[i], body[start[row, i] + rank]
+    a, b = (jnp.where(where >= 0, x, EMPTY) for x in (jnp.minimum(i, j), jnp.maximum(i, j)))
+    need = no_need(reach.dtype)._replace(row=jnp.max(end - start), missed=jnp.maximum(found - room, 0))
+    return a, b, need
 
 
-def jax_md_pairs(system: System, members, stacked, reach):
+def jax_md_pairs(system: System, members, stacked, reach, room):
     """Pairs of pieces whose bounding spheres of the largest size are within ``Partition.reach``, and Need: room and reach.
 
     By ``jax_md.partition.neighbor_list`` in free space. Its cutoff is static while ours is not: what goes beyond it is

@@ -170,6 +170,20 @@ def test_too_many_pairs_are_reported_not_lost_in_silence(marshmallows):
     assert not left
 
 
+def test_every_search_counts_the_pairs_that_it_has_no_room_for():
+    """With room for 64 candidates, all ways of searching report as many as with room for all."""
+    place, _ = poses("clustered", np.random.default_rng(2), COUNT_SPHERES, 2 * RADIUS)
+    needed = {}
+    for choice in ("all-pairs", "cells"):
+        for room in (64, 20000):
+            system, state, rebuild = spheres(choice, "f64")
+            box = {name: jnp.asarray(corner) for name, corner in box_around(place, "clustered").items()}
+            small = system.replace(capacity=(("spheres", room, 20000),), skin=jnp.full_like(system.skin, SKIN), **box)
+            after = rebuild(small, state.replace(position=jnp.asarray(place.T)))
+            needed[choice, room] = int(after.guard.needed["spheres"][0])
+    assert len(set(needed.values())) == 1 and needed["cells", 64] > 640
+
+
 def test_the_order_of_the_slots_does_not_matter(marshmallows):
     """Tables permuted before a rebuild keep the history of each pair, and the forces of the next step."""
     _, system, state, rebuild = marshmallows
