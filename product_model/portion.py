@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from product_model import fall, model
+from product_model import draws, fall, model
 from product_model import pulses as sharp
 from product_model import smooth as smoothed
 from product_model.grid import Grid
@@ -103,7 +103,7 @@ def random_numbers(key, pieces: int, dtype):
     All from one call of the generator, which on a CPU costs more to enter than to fill.
     """
     lowest = np.nextafter(np.array(-1.0, dtype), np.array(0.0, dtype))
-    v = jax.random.uniform(key, (pieces + 1,), dtype, lowest, 1.0)
+    v = draws.uniform(key, pieces + 1, dtype, lowest, 1.0)
     return fall.standard_normal(v[0]), v[1:]
 
 
