@@ -644,5 +644,5 @@ def first_state(system: System, start: Start, frames, step: int) -> State:
 
 def _unfilled_slots(system: System, contacts):
     """Slots of the right form, which the first rebuild fills."""
-    find = lambda: {k: neighbours.slots_of(system, k, jnp.asarray(t.a), jnp.asarray(t.b)) for k, t in contacts.items()}  # noqa: E731
+    find = lambda: {k: neighbours.constants(system, k, jnp.asarray(t.a), jnp.asarray(t.b)) for k, t in contacts.items()}  # noqa: E731
     return jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), jax.eval_shape(find))

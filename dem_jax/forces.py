@@ -73,7 +73,7 @@ def _contacts_of_kind(system: System, state: State, kind, stacked, loads, sums: 
 
     def block(k, carry):
         after, loads, sums = carry  # read from one table and put into another: in one alone, all of it is copied each time
-        part = _resolve(system, kind, block_of(table, k, size), block_of_slots(system, slots, k, size), stacked, None)
+        part = _resolve(system, kind, block_of(table, k, size), block_of_slots(system, kind, slots, k, size), stacked, None)
         put = lambda whole, rows: jax.lax.dynamic_update_slice_in_dim(whole, rows, k * size, -1)  # noqa: E731
         return jax.tree.map(put, after, part.table), *add(part, k * size, loads, sums)
 
@@ -103,17 +103,14 @@ def block_of(tree, k, size):
     return jax.tree.map(cut, tree)
 
 
-def block_of_slots(system: System, slots: Slots, k, size) -> Slots:
-    """``block_of`` slots. Where no wall is among them and pieces are alike, their hulls are those that stand before all
-    others (``neighbours.slots_of``): many slots then share what is in the cache already."""
+def block_of_slots(system: System, kind, slots: Slots, k, size) -> Slots:
+    """``block_of`` slots. Where polytopes are alike and no wall is among the slots, nor among those of the first block,
+    the hulls are those of the first block, which the cache holds already."""
     rows = block_of(slots.replace(hull_a=None), k, size)
-    if slots.hull_a is None:
-        return rows
-    first = k * size
-    if slots.hull_a.offsets.shape[-1] > slots.a.shape[0]:
-        first = jnp.where(jnp.all(rows.a < system.pieces.mass.shape[0]), 0, first + size)
-    cut = lambda x: jax.lax.dynamic_slice_in_dim(x, first, size, -1)  # noqa: E731
-    return rows.replace(hull_a=jax.tree.map(cut, slots.hull_a))
+    if kind == "hulls" and system.alike:
+        pieces = system.pieces.mass.shape[0]
+        k = jnp.where(jnp.all(slots.a[:size] < pieces) & jnp.all(rows.a < pieces), 0, k)
+    return rows.replace(hull_a=block_of(slots.hull_a, k, size))
 
 
 def geometry(system: System, kind, slots: Slots, a: Body, b: Body, offset):

@@ -59,7 +59,7 @@ def rebuild(system: System, state: State) -> State:
         old = state.contacts[kind]
         tables[kind] = carry_history(old, a, b, state.incidence, column)
         column += 2 * old.a.shape[0]
-        slots[kind] = slots_of(system, kind, a, b)
+        slots[kind] = constants(system, kind, a, b)
     incidence, touching = find_incidence(system, tables)
     guard = guard.replace(
         needed=needed,
@@ -111,17 +111,6 @@ def _depths(system: System, kind, a, b, number, stacked):
 
     none = jnp.full((2, a.shape[0]), -jnp.inf, stacked.dtype)
     return jax.lax.fori_loop(0, (jnp.minimum(number, a.shape[0]) + size - 1) // size, block, none)
-
-
-def slots_of(system: System, kind, a, b) -> Slots:
-    """``constants`` as ``State.slots`` holds them: where slots are computed in blocks and all polytopes are alike, with
-    their hull a block long before the hulls of the slots, for ``forces.block_of_slots``."""
-    slots = constants(system, kind, a, b)
-    size = forces.block_size(system, kind, a.shape[0]) if kind == "hulls" and system.alike else 0
-    if not size:
-        return slots
-    before = lambda one, rows: jnp.concatenate([jnp.repeat(one, size, -1), rows], -1)  # noqa: E731
-    return slots.replace(hull_a=jax.tree.map(before, slots.hull_b, slots.hull_a))
 
 
 def constants(system: System, kind, a, b) -> Slots:

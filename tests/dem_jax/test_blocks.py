@@ -67,6 +67,8 @@ def test_blocks_of_slots_do_not_change_the_trace():
     touching = np.asarray(in_blocks.contacts["hulls"].overlap).reshape(-1, size) > 0
     filled = touching[: -(-int(in_blocks.filled["hulls"]) // size)]
     assert filled[0].all() and not filled.any(axis=1).all()  # and some, behind, where nothing touches
+    no_wall = (np.asarray(in_blocks.contacts["hulls"].a).reshape(-1, size) < len(state.position[0])).all(axis=1)
+    assert no_wall[0] and 1 < no_wall[: len(filled)].sum() < len(filled)  # which share their hulls, and some that do not
     assert np.abs(samples.force).max() > 10
     for name in ("position", "orientation", "velocity", "angular_momentum"):
         assert difference(getattr(in_blocks, name), getattr(state, name)) < 1e-7, name  # contacts amplify rounding
