@@ -175,8 +175,8 @@ def compiled(params: Parameters):
     inputs.
 
     The first call compiles. Where every trace is waited for, `jax.config.update("jax_cpu_enable_async_dispatch", False)`
-    at the start of the program and a key of the generator "rbg" each save a quarter of the time on a CPU. Only what is
-    random comes out of the compiled program, each array of which costs microseconds; the rest is made once.
+    at the start of the program saves a quarter of the time on a CPU. Only what is random comes out of the compiled
+    program, each array of which costs microseconds; the rest is made once.
     """
     check(params)
     static = static_of(params)
