@@ -104,6 +104,7 @@ def build(scene: Scene, seed: int = 0) -> Built:
         partition=_partition(made, scene.run.neighbours, domain),
         has_hulls=bool(polytopes),
         alike=len({id(made[i]) for i in polytopes}) == 1,
+        escape_stops=scene.run.escape == "stop",
         has_friction=max(scene.material.friction_wall, scene.material.friction_piece) > 0,
         has_rotation=True,
         has_damping=scene.material.unloading_damping > 0,

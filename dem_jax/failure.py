@@ -46,6 +46,17 @@ def describe(job, span, state, member, k) -> SimulationError:
     return _error(job, f"piece {piece} at t = {at:.6g} s: {what}", piece, at, member)
 
 
+def escapes(job, state) -> list[str]:
+    """What to note of the pieces that are outside the domain, where that stops no run."""
+    if job.system.escape_stops:
+        return []
+    low, high = (np.asarray(x)[:, None] for x in (job.system.domain_low, job.system.domain_high))
+    position = np.asarray(state.position)
+    position = position.reshape(-1, *position.shape[-2:])  # [runs, 3, N]
+    out = np.argwhere(((position < low) | (position > high)).any(axis=1))
+    return [f"{_name(job, member)}: piece {piece} left the domain" for member, piece in out]
+
+
 def restless(job, first, reasons) -> SimulationError:
     """The error of a chunk for which no room is enough."""
     at = first * job.scene.run.sample
@@ -62,9 +73,11 @@ def body_name(system, body):
 
 def _error(job, line, piece, at, member):
     """An error whose line begins with the scene and, of an ensemble, the run."""
-    many = job.runs is not None
-    name = f"{job.scene.name}, run {member} (seed {job.seeds[member]})" if many else job.scene.name
-    return SimulationError(f"{name}: {line}", piece, at, member if many else None)
+    return SimulationError(f"{_name(job, member)}: {line}", piece, at, None if job.runs is None else member)
+
+
+def _name(job, member):
+    return job.scene.name if job.runs is None else f"{job.scene.name}, run {member} (seed {job.seeds[member]})"
 
 
 def _member(tree, k):
@@ -86,7 +99,7 @@ def _what_happened(job, state, piece):
     return (
         f"it left the domain {side} {'xyz'[axis]} = {limit[axis]:.4g} m at {speed:.3g} m/s; "
         f"likely cause: no wall holds it there, or a contact threw it ({_step_advice(job)}); "
-        f"the domain is set by run.{key}"
+        f'the domain is set by run.{key}, and run.escape = "note" goes on without the piece'
     )
 
 

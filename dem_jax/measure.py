@@ -21,7 +21,7 @@ def sample(system: System, state: State) -> Sample:
         energy=energies(system, state),
         momentum=jnp.sum(system.pieces.mass[None] * state.velocity, axis=1),
         overlap=state.ledger.overlap,
-        fastest=jnp.max(speed),
+        fastest=jnp.max(speed if system.escape_stops else jnp.where(in_domain(system, state), speed, 0)),
         culprit=culprit(system, state),
     )
 
@@ -68,12 +68,18 @@ def elastic_energy(system: System, state: State):
 
 
 def culprit(system: System, state: State):
-    """The first piece whose state is not finite or whose centre has left the domain; -1: none."""
-    x = state.position
-    motion = jnp.concatenate([state.velocity, state.angular_momentum, state.orientation])
-    fine = jnp.all((x >= system.domain_low[:, None]) & (x <= system.domain_high[:, None]), axis=0)
-    bad = ~(fine & jnp.all(jnp.isfinite(motion), axis=0))
+    """The first piece whose state is not finite, or whose centre has left the domain where that counts; -1: none."""
+    motion = jnp.concatenate([state.position, state.velocity, state.angular_momentum, state.orientation])
+    bad = ~jnp.all(jnp.isfinite(motion), axis=0)
+    if system.escape_stops:
+        bad = bad | ~in_domain(system, state)
     return jnp.where(jnp.any(bad), jnp.argmax(bad), -1).astype(jnp.int32)
+
+
+def in_domain(system: System, state: State):
+    """Whether the centre of each piece is inside the domain, [N] bool."""
+    x = state.position
+    return jnp.all((x >= system.domain_low[:, None]) & (x <= system.domain_high[:, None]), axis=0)
 
 
 def frame(system: System, state: State):

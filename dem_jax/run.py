@@ -233,6 +233,10 @@ def _run(job: Job, target, progress):
             failed = failure.find(span.samples, span.count)
             if failed:
                 _stop(job, target, span, failed)
+            for note in failure.escapes(job, span.state):
+                if not any(known.startswith(note) for known in notes):
+                    notes.append(f"{note} before t = {span.end * job.scene.run.sample:.4g} s")
+                    shown.note(notes[-1])
             rows = _recorded(job, span, span.count)
             _append(job, target, *rows, restart=_restart_of(job, span), info=_facts(job, span, notes))
             shown.advance(span)
@@ -260,7 +264,7 @@ def _check_alike(job: Job):
 def _facts(job: Job, span: Span, notes):
     """What a span adds to the file's info: ``settled`` (s), the end of a run that ended early; ``settling`` (s), how
     long a portion settled if that was cut short."""
-    facts = {"notes": notes} if span.notes else {}
+    facts = {"notes": notes} if notes else {}
     if span.settled and span.first >= 0:
         facts["settled"] = span.end * job.scene.run.sample
     elif span.settled:

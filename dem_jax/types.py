@@ -116,6 +116,7 @@ CHOICES = (
     "partition",
     "has_hulls",
     "alike",
+    "escape_stops",
     "has_friction",
     "has_rotation",
     "has_damping",
@@ -150,6 +151,7 @@ class System:
     partition: Partition | None  # of jax-md's list
     has_hulls: bool  # whether any piece is a polytope
     alike: bool  # whether all polytopes among the pieces are one shape
+    escape_stops: bool  # whether a piece outside the domain stops the run
     has_friction: bool
     has_rotation: bool
     has_damping: bool
@@ -256,7 +258,7 @@ class Sample:
     energy: Array  # [6] (J): kinetic, potential, elastic, dissipated, wall_work, total (conserved)
     momentum: Array  # [3] (kg m/s)
     overlap: Array  # (-): largest overlap of the interval relative to the width of the piece
-    fastest: Array  # (m/s): fastest piece
+    fastest: Array  # (m/s): fastest piece in the domain
     culprit: Array  # int32: first piece that is not finite or has left the domain; -1: none
 
 

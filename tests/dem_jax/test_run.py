@@ -288,6 +288,26 @@ def test_a_piece_that_leaves_the_domain_is_named_with_its_time_and_what_was_befo
     assert_same(saved, caught.value.run)
 
 
+@pytest.mark.parametrize("runs", [None, 2])
+def test_a_piece_that_leaves_the_domain_is_noted_where_that_is_asked_for(tmp_path, runs):
+    """The others do not notice, and the run ends when those that are left are at rest. One note, also where it goes on."""
+    sideways = {"piece.1.velocity": [4.0, 0.0, 0.0], "piece.1.position": [0, 0, 0.2], "run.domain_high": [0.05, 1, 1]}
+    settled = {"run.until_settled": True, "run.settled_time": 0.01, "run.settled_speed": 0.03, "run.duration": 0.2}
+    scene = balls([0.012, 0.2], **sideways, **settled, **{"run.escape": "note"})
+    out = tmp_path / "run.h5"
+    result = dem_jax.simulate(scene, out=out) if runs is None else dem_jax.ensemble(scene, runs, out=out)
+    named = ["balls"] if runs is None else ["balls, run 0 (seed 0)", "balls, run 1 (seed 1)"]
+    notes = [note for note in result.info["notes"] if "left the domain" in note]
+    assert [note.split(" before t = ")[0] for note in notes] == [f"{name}: piece 1 left the domain" for name in named]
+    assert all(0.0125 < float(note.split(" before t = ")[1].rstrip(" s")) < 0.1 for note in notes)
+    assert result.info["settled"] == pytest.approx(result.time[-1]) and result.time[-1] < 0.15
+    within = dem_jax.simulate(scene.replace(run={"domain_high": (2.0, 1.0, 1.0), "until_settled": False}))
+    mine = result if runs is None else result.member(1)
+    np.testing.assert_array_equal(mine.force["plate"], within.force["plate"][: len(result.time)])
+    longer = dem_jax.run.resume(out, 0.3)
+    assert [note for note in longer.info["notes"] if "left the domain" in note] == notes
+
+
 def test_motion_that_is_not_finite_stops_the_run():
     job = run.prepare(balls([0.012, 0.1]), (0,), None)
     with jax.enable_x64(True):
