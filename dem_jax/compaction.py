@@ -31,8 +31,7 @@ def first_set(mask, slots):
     """How many entries of a mask hold, and the places [slots] of the first of them, in order, EMPTY where there are no more.
 
     Thirty-two entries to a word: adding up is a matter of few words, not of all pairs. Each word counts up by one where the
-    slots of those before it end, so that a sum over slots says of which word each slot is. (As ``jnp.nonzero``, which
-    took some fifty times as long on a CPU.)
+    slots of those before it end, so that a sum over slots says of which word each slot is.
     """
     bit = jnp.arange(32, dtype=jnp.uint32)[:, None]
     bits = jnp.pad(mask, (0, -mask.shape[0] % 32)).reshape(-1, 32).T.astype(jnp.uint32)
