@@ -12,6 +12,7 @@ import numpy as np
 
 from dem_jax import neighbours, pairs
 from dem_jax.build import round_up
+from dem_jax.compaction import EMPTY
 from dem_jax.types import ContactTable, Guard, State, System
 
 HEAD_ROOM = 1.25  # of what was needed, so that the next chunk does not outgrow it again
@@ -124,5 +125,5 @@ def _widened(table: ContactTable, slots) -> ContactTable:
     """The table with empty slots behind its own."""
     more = slots - table.a.shape[-1]
     pad = lambda x, value: np.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, more)], constant_values=value)  # noqa: E731
-    fill = {"a": neighbours.EMPTY, "b": neighbours.EMPTY}
+    fill = {"a": EMPTY, "b": EMPTY}
     return ContactTable(**{name: jnp.asarray(pad(x, fill.get(name, 0))) for name, x in vars(table).items()})

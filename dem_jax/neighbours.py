@@ -12,8 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dem_jax import bodies, boundary, contact, forces, hulls, pairs, rotation, vector
-from dem_jax.compaction import compact, grouped, in_order
-from dem_jax.pairs import EMPTY
+from dem_jax.compaction import EMPTY, compact, grouped, in_order
 from dem_jax.types import ContactTable, Guard, Slots, State, System
 
 # Kinds of contact by what computes their geometry, each with slots of its own, and the sources of their pairs.
