@@ -62,6 +62,7 @@ def test_flags_of_the_person_are_left_alone(monkeypatch):
     assert os.environ["XLA_FLAGS"] == f"--xla_cpu_enable_fast_math=false {compiling.SMALL_LOOPS}"
 
 
-def test_every_option_is_known_to_the_compiler():
-    compiled = compiling.jit(lambda x: x + 1, "cpu")
+@pytest.mark.parametrize("wide", [False, True])
+def test_every_option_is_known_to_the_compiler(wide):
+    compiled = compiling.jit(lambda x: x + 1, "cpu", wide)
     assert float(compiled(jax.numpy.ones(()))) == 2.0
