@@ -6,6 +6,7 @@ component axis of length 3 that is summed over does not vectorise. A vector here
 ``(x, y, z)`` of arrays of one shape (or shapes of one rank that broadcast), in any unit.
 """
 
+import jax
 import jax.numpy as jnp
 
 
@@ -103,5 +104,16 @@ def kept(*arrays):
     XLA fuses a cheap producer into every consumer, and on the CPU an optimisation barrier does not stop it; what ends
     in a division it takes for too expensive to repeat. (It may not cancel x - x, which could be inf - inf.)
     """
-    kept = tuple(x / (1 + (x - x)) for x in arrays)
+    kept = tuple(_kept(x) for x in arrays)
     return kept if len(kept) > 1 else kept[0]
+
+
+@jax.custom_jvp
+def _kept(x):
+    return x / (1 + (x - x))
+
+
+@_kept.defjvp
+def _derivative_of_kept(primals, tangents):
+    """That of the identity: of what stands above, XLA would make a program twice as large."""
+    return _kept(*primals), *tangents
