@@ -160,7 +160,7 @@ def skips(quick) -> list[Skip]:
         Skip("frames", f"{plain}, frames = 0", pieces, frames=64, test=here + "frames"),
         Skip("motion of walls", f"{plain}, walls at rest", pieces, shaken,
              needing=("a floor that shakes", lambda: moving(heap(few))), test=here + "walls"),
-        Skip("a shape for each pair", f"{plain} of one shape", pieces, {"alike": False},
+        Skip("a shape for each pair", f"{plain} of one shape", pieces, {"alike": ()},
              needing=("two sizes", lambda: mixture(few)), test=here + "one_shape"),
         Skip("seams", f"{plain}, no seam", pieces, other=far_seam,
              needing=("a floor of two panels", own_seam), test=here + "seams"),

@@ -103,7 +103,7 @@ def build(scene: Scene, seed: int = 0) -> Built:
         row_capacity=_row_capacity(made, scene.run.neighbours),
         partition=_partition(made, scene.run.neighbours, domain),
         has_hulls=bool(polytopes),
-        alike=len({id(made[i]) for i in polytopes}) == 1,
+        alike=_alike(made),
         escape_stops=scene.run.escape == "stop",
         has_friction=max(scene.material.friction_wall, scene.material.friction_piece) > 0,
         has_rotation=True,
@@ -119,6 +119,12 @@ def build(scene: Scene, seed: int = 0) -> Built:
     state = first_state(system, start, frames, -settling)
     names = tuple(b.name for b in blocks)
     return Built(system, state, step, tuple(made), frames, settling, samples, frame_every, names, regions)
+
+
+def _alike(made):
+    """System.alike."""
+    of_kind = {"hulls": {id(m) for m in made if m.radius == 0}, "spheres": {id(m) for m in made if m.radius > 0}}
+    return tuple(kind for kind, different in of_kind.items() if len(different) == 1)
 
 
 def state_of_seed(scene: Scene, built: Built, seed: int) -> State:

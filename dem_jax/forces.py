@@ -112,7 +112,7 @@ def block_of_slots(system: System, kind, slots: Slots, k, size) -> Slots:
     """``block_of`` slots. Where polytopes are alike and no wall is among the slots, nor among those of the first block,
     the hulls are those of the first block, which the cache holds already."""
     rows = block_of(slots.replace(hull_a=None), k, size)
-    if kind == "hulls" and system.alike:
+    if kind == "hulls" and kind in system.alike:
         pieces = system.pieces.mass.shape[0]
         k = jnp.where(jnp.all(slots.a[:size] < pieces) & jnp.all(rows.a < pieces), 0, k)
     return rows.replace(hull_a=block_of(slots.hull_a, k, size))
@@ -197,7 +197,7 @@ def _loaded(system: System, table: ContactTable, slots: Slots, a: Body, b: Body,
         stored = jnp.sum(elastic_energy(system, after, slots) - elastic_energy(system, before, slots))
         sums = sums._replace(stored=stored)
     reaction = vector.scale(-1, force)
-    if system.walls.groups:
+    if slots.member is not None and system.walls.groups:
         rows = jnp.stack([*reaction, *vector.cross(vector.add(a.centre, shape.point), reaction)])
         sums = sums._replace(wall=jnp.sum(jnp.where(slots.member[None], rows[:, None], 0), axis=2))
     load_a = jnp.stack([*reaction, *vector.cross(shape.point, reaction)])

@@ -118,6 +118,8 @@ def constants(system: System, kind, a, b) -> Slots:
     number = pieces.mass.shape[0]
     live = a >= 0
     a, b = jnp.maximum(a, 0), jnp.maximum(b, 0)
+    if kind == "spheres":
+        return _between_spheres(system, live, a, b)
     wall = a >= number
     own = jnp.minimum(a, number - 1)  # a, where it is a piece
     group = system.walls.group[jnp.maximum(a - number, 0)] if system.walls.group.shape[0] else jnp.zeros_like(a)
@@ -127,7 +129,7 @@ def constants(system: System, kind, a, b) -> Slots:
         live=live,
         a=a,
         b=b,
-        hull_a=hulls.gather(system.hulls, system.shape[a], kind == "mixed") if kind != "spheres" else None,
+        hull_a=hulls.gather(system.hulls, system.shape[a], kind == "mixed"),
         hull_b=_hull_of_piece(system, b) if kind == "hulls" else None,
         radius_a=pieces.radius[own],
         radius_b=pieces.radius[b],
@@ -140,6 +142,28 @@ def constants(system: System, kind, a, b) -> Slots:
     )
 
 
+def _between_spheres(system: System, live, a, b) -> Slots:
+    """Slots of pairs of spheres. Where all are alike one value of each constant broadcasts, which saves reading it."""
+    pieces = system.pieces
+    first, second = (pieces.spheres[:1],) * 2 if "spheres" in system.alike else (a, b)
+    radius = pieces.radius[first]
+    return Slots(
+        live=live,
+        a=a,
+        b=b,
+        hull_a=None,
+        hull_b=None,
+        radius_a=radius,
+        radius_b=pieces.radius[second],
+        stiffness=contact.series(pieces.load_stiffness[first], pieces.load_stiffness[second]),
+        friction=jnp.full_like(radius, system.law.friction_piece),
+        mass=contact.series(pieces.mass[first], pieces.mass[second]),
+        width=jnp.minimum(pieces.width[first], pieces.width[second]),
+        member=None,
+        plane=None,
+    )
+
+
 def _plane(system: System, panel):
     """Slots.plane; panel: [P] int32, EMPTY where there is none."""
     if system.walls.plane is None:
@@ -149,7 +173,7 @@ def _plane(system: System, panel):
 
 def _hull_of_piece(system: System, b):
     """Hulls of pieces: one row that broadcasts where all polytopes are alike, which saves gathering it."""
-    if system.alike:
+    if "hulls" in system.alike:
         return hulls.gather(system.hulls, jnp.zeros((1,), jnp.int32), False)
     return hulls.gather(system.hulls, system.shape[b], False)
 

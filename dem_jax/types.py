@@ -150,7 +150,7 @@ class System:
     row_capacity: int  # most pieces in three neighbouring cells in a row, where there are cells
     partition: Partition | None  # of jax-md's list
     has_hulls: bool  # whether any piece is a polytope
-    alike: bool  # whether all polytopes among the pieces are one shape
+    alike: tuple  # "hulls" if all polytopes among the pieces are one shape, "spheres" if all spheres are
     escape_stops: bool  # whether a piece outside the domain stops the run
     has_friction: bool
     has_rotation: bool
@@ -185,13 +185,13 @@ class Slots:
     b: Array  # [P] int32
     hull_a: Hulls | None  # [.., P] or [.., 1]
     hull_b: Hulls | None
-    radius_a: Array  # [P] (m): of spheres
+    radius_a: Array  # [P] or [1], as the next five (m): of spheres
     radius_b: Array  # [P] (m)
     stiffness: Array  # [P] (N/m): K_nl, eq. 5
     friction: Array  # [P]: mu
     mass: Array  # [P] (kg): effective mass
     width: Array  # [P] (m): of the narrower piece
-    member: Array  # [G, P] bool: whether a is a panel of the group
+    member: Array | None  # [G, P] bool: whether a is a panel of the group; None between spheres
     plane: Array | None  # [P] int32: of a, where it is a panel that another continues; else -1
 
 

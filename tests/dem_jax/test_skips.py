@@ -99,9 +99,11 @@ def test_the_ledger_changes_nothing_but_itself():
     assert_same(traced(built(), ledger=False), as_built(), ("force", "mean_force", "torque", "momentum", "overlap", "fastest"))
 
 
-def test_one_shape_as_many():
-    assert built().system.alike
-    assert_same(traced(built(), alike=False), as_built())
+@pytest.mark.parametrize("balls", [False, True])
+def test_one_shape_as_many(balls):
+    made = built(friction=not balls, balls=balls)
+    assert made.system.alike == ("spheres" if balls else "hulls",)
+    assert_same(traced(made, alike=()), as_built(not balls, balls))
 
 
 def test_walls_that_move_by_nothing_rest():
