@@ -23,6 +23,7 @@ SHAPES = ("sphere", "chamfered-cuboid")
 SIZES = {"cpu": (343, 1000, 3000, 8000, 20_000, 50_000), "gpu": (1000, 10_000, 100_000, 1_000_000)}
 MEMBERS = {"cpu": (1, 8, 64), "gpu": (64, 256, 1024, 4096)}
 UNTIMED, REPEATS = 2, 3  # chunks
+ROUNDS = 3  # of all numbers of pieces, so that what else the machine does falls on all alike
 BLOCKS = 2  # rebuilds in a chunk that is timed, each with the steps until the next
 DROPS = 8  # of the ensemble that is shared out among cores
 WHOLE_DROPS = 64  # of the stock scene, to the end
@@ -132,6 +133,12 @@ def measured(kind, *arguments) -> dict:
     return found
 
 
+def together(rows) -> dict:
+    """One row of those of several rounds: all times, the rest of the first; or {"failed": why} if any failed."""
+    failed = [row for row in rows if "failed" in row]
+    return failed[0] if failed else rows[0] | {"times": [t for row in rows for t in row["times"]]}
+
+
 def serve(kind, *arguments):
     """Measure a row in this process and print it."""
     from dem_jax.compiling import loops_as_one
@@ -235,7 +242,8 @@ def main(argv=None):
     take = slice(2) if options.quick else slice(None)
     start = report.environment()
     every = [(shape, n) for shape in SHAPES for n in (options.sizes or SIZES[kind][take])]
-    sizes = [measured("size", *which) for which in every]
+    rounds = [[measured("size", *which) for which in every] for _ in range(1 if options.quick else ROUNDS)]
+    sizes = [together(rows) for rows in zip(*rounds, strict=True)]
     members = [measured("members", count) for count in MEMBERS[kind][take]]
     cores = [measured("cores", n) for n in range(1, len(os.sched_getaffinity(0)) + 1)] if kind == "cpu" else []
     ends = ("no", "yes") if kind == "cpu" and not options.quick else ()
@@ -250,7 +258,8 @@ def main(argv=None):
 {start}; load at the end {os.getloadavg()[0]:.2f}
 
 f32; {"one core, seconds on the processor; " if kind == "cpu" else ""}median (lowest to highest) of {REPEATS} chunks of {BLOCKS}
-rebuilds of the neighbours, each with the steps until the next. Each row is a process of its own.
+rebuilds of the neighbours, each with the steps until the next. Each row is a process of its own; numbers of pieces
+are measured in {len(rounds)} rounds, one after the other.
 
 Pieces on a lattice in a box, each touching its six neighbours (near walls fewer, which small numbers feel):
 
