@@ -162,6 +162,8 @@ def skips(quick) -> list[Skip]:
              needing=("a floor that shakes", lambda: moving(heap(few))), test=here + "walls"),
         Skip("a shape for each pair", f"{plain} of one shape", pieces, {"alike": ()},
              needing=("two sizes", lambda: mixture(few)), test=here + "one_shape"),
+        Skip("constants for each pair", f"{sizes[-1]} balls of one radius", lambda: heap(sizes[-1], "sphere"), {"alike": ()},
+             test=here + "one_shape"),
         Skip("seams", f"{plain}, no seam", pieces, other=far_seam,
              needing=("a floor of two panels", own_seam), test=here + "seams"),
         Skip("contacts in free flight", "one piece dropped from 0.25 m", lambda: fall(0.25), {"slot_block": 0},

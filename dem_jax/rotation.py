@@ -53,25 +53,41 @@ def axis_angle(axis, angle):
     )
 
 
+def _half_angle(u_squared):
+    """Cosine, and sine over u, of half the angle a, where u is tan(a/4): with any u they make a unit quaternion."""
+    inverse = 1.0 / (1.0 + u_squared)
+    return (1.0 - u_squared) * inverse, 2.0 * inverse
+
+
+def _tangent(x_squared):
+    """tan(x) / x by two terms of its series: angles of 4x are a = 0.001 rad to 5e-16 of a, 0.03 rad to 4e-10 (a^4 / 1920)."""
+    return 1.0 + x_squared / 3.0
+
+
 def _turn(q, p, axis, angle):
-    """Turn the body about its own coordinate axis: q <- q e^(angle/2), body-frame momentum p turned back."""
-    half = 0.5 * angle
-    c, s = jnp.cos(half), jnp.sin(half)
-    zero = jnp.zeros_like(c)
-    q = multiply(q, (c, *(s if i == axis else zero for i in range(3))))
+    """Turn the body about its own coordinate axis: q <- q e^(angle/2), body-frame momentum p turned back.
+
+    Without sine and cosine, which took a tenth of a step: by tan(angle/4), see ``_tangent``.
+    """
+    x = 0.25 * angle
+    u = x * _tangent(x * x)
+    c, s = _half_angle(u * u)
+    s = s * u
+    i, j, k = ((axis + n) % 3 for n in range(3))
+    w, a, b, d = q[0], q[1 + i], q[1 + j], q[1 + k]
+    q, p = list(q), list(p)
+    q[0], q[1 + i], q[1 + j], q[1 + k] = w * c - a * s, a * c + w * s, b * c + d * s, d * c - b * s
     cos, sin = c * c - s * s, 2 * c * s
-    j, k = (axis + 1) % 3, (axis + 2) % 3
-    p = list(p)
     p[j], p[k] = cos * p[j] + sin * p[k], cos * p[k] - sin * p[j]
-    return q, tuple(p)
+    return tuple(q), tuple(p)
 
 
 def free_rotation(q, momentum, inertia, dt):
     """Rotate free rigid bodies by dt, to second order, conserving angular momentum to rounding.
 
     The splitting into rotations about the principal axes x, y, z, y, x of Dullweber, Leimkuhler and
-    McLachlan (J. Chem. Phys. 107, 5840, 1997): each is solved exactly, the product is symmetric and
-    symplectic, so that the energy error stays bounded. The momentum in space is not touched at all.
+    McLachlan (J. Chem. Phys. 107, 5840, 1997): each turns by an angle as exact as ``_tangent`` is, the
+    product is symmetric and symplectic, so that the energy error stays bounded. The momentum in space is not touched at all.
 
     q: unit quaternion, momentum: world-frame angular momentum (kg m2/s), inertia: three principal
     moments (kg m2), dt (s). Returns the new quaternion and the angular velocity of the interval
@@ -88,12 +104,12 @@ def free_rotation(q, momentum, inertia, dt):
 
 
 def spin(q, momentum, inertia, dt):
-    """The free rotation of bodies whose three moments are equal: about a fixed axis, exactly."""
+    """The free rotation of bodies whose three moments are equal, about a fixed axis: its angle is exact as ``_tangent`` is."""
     omega = vector.scale(1 / inertia[0], momentum)
-    speed = vector.norm(omega)
-    half = 0.5 * dt * speed
-    s = 0.5 * dt * jnp.sinc(half / jnp.pi)
-    return normalise(multiply((jnp.cos(half), *vector.scale(s, omega)), q)), omega
+    x = vector.scale(0.25 * dt, omega)
+    u = vector.scale(_tangent(vector.dot(x, x)), x)
+    c, s = _half_angle(vector.dot(u, u))
+    return normalise(multiply((c, *vector.scale(s, u)), q)), omega
 
 
 def angular_velocity(q, momentum, inertia):

@@ -121,10 +121,23 @@ def test_rotation_returns_when_time_is_reversed():
     assert np.abs(np.stack(there) - np.stack(q)).max() > 0.05
 
 
-def test_sphere_turns_about_a_fixed_axis_exactly():
-    # One step of any length: the orientation is the rotation by omega dt.
-    omega, dt = np.array([3.0, -4.0, 12.0]), 0.05
-    upright, momentum = (jnp.asarray(c)[None] for c in (1.0, 0.0, 0.0, 0.0)), jnp.asarray(2e-6 * omega)[:, None]
+def turned_sphere(angle):
+    """Orientation of a sphere after one step that turns it by an angle (rad), and where it should be: [4] each."""
+    axis, dt = np.array([3.0, -4.0, 12.0]) / 13, 0.05
+    upright, momentum = (jnp.asarray(c)[None] for c in (1.0, 0.0, 0.0, 0.0)), jnp.asarray(2e-6 * angle / dt * axis)[:, None]
     q, _ = rotation.spin(tuple(upright), tuple(momentum), (2e-6,) * 3, dt)
-    half = 0.5 * 13.0 * dt
-    np.testing.assert_allclose(np.stack(q)[:, 0], [np.cos(half), *(np.sin(half) * omega / 13.0)], atol=1e-15)
+    return np.stack(q)[:, 0], np.array([np.cos(0.5 * angle), *(np.sin(0.5 * angle) * axis)])
+
+
+def test_sphere_turns_about_a_fixed_axis_exactly():
+    # A step of 6 us at 300 rad/s turns by 2 mrad.
+    found, exact = turned_sphere(2e-3)
+    np.testing.assert_allclose(found, exact, rtol=0, atol=2e-16)
+
+
+def test_angle_of_a_long_step_is_exact_to_fifth_order():
+    for angle in (0.1, 0.2, 0.4):
+        found, exact = turned_sphere(angle)
+        off = 2 * np.arcsin(np.linalg.norm(found - exact) / 2)  # half the angle between the two
+        np.testing.assert_allclose(2 * off, angle**5 / 1920, rtol=0.1)
+        np.testing.assert_allclose(np.linalg.norm(found), 1, rtol=1e-15)
