@@ -221,7 +221,7 @@ def _zonogons(a: Hulls, b: Hulls, rel: Relative, depth, normal, face_a, face_b):
     slabs_a = vector.scale(1 / a.offsets[: half[0]], tuple(c[: half[0]] for c in a.normals))
     slabs_b = vector.rotate(turn, tuple(c[: half[1]] for c in b.normals))
     slabs_b = kept(*vector.scale(1 / b.offsets[: half[1]], slabs_b))
-    rise_a, rise_b = dot(n, edges_a), dot(n, edges_b)
+    rise_a, rise_b = kept(dot(n, edges_a), dot(n, edges_b))
     height_a, height_b = dot(normal, centre_a), dot(normal, centre_b)
     top = kept(height_a + 0.5 * jnp.sum(jnp.abs(rise_a), axis=0))
     is_open = None if a.open_edges is None else a.open_edges.at[:, face_a].get(mode="promise_in_bounds")
@@ -265,12 +265,15 @@ def _clipped_zonogon(centre, edges, slabs, depth, rise, is_open):
     tiny = jnp.finfo(du.dtype).tiny ** 0.25  # so small that its square, in derivatives, does not overflow
     du = jnp.where(jnp.abs(du) < tiny, tiny, du)
     # A slab is entered and left where slab . x is -1 and 1, whichever comes first along the edge or its opposite.
-    at_centre, to_corner, half = dot(slabs, expand(centre, 0))[:, None] / du, dot(across, expand(corner, 0)) / du, 1 / jnp.abs(du)
+    inverse = 1 / du
+    at_centre, half = kept(dot(slabs, expand(centre, 0)))[:, None] * inverse, jnp.abs(inverse)
+    at_corner = kept(dot(across, expand(corner, 0)) * inverse)
+    length, to_begin = kept(vector.norm(edges), _begin(rise))
     sums = []
-    for k, sign in enumerate((1, -1)):  # the edge that begins at a corner, and the opposite one
-        middle = -to_corner - sign * at_centre
-        start, end = jnp.max(middle - half, axis=0), jnp.min(middle + half, axis=0)
-        weight, along = _integrals(start, end, vector.norm(edges), depth[None] + sign * _begin(rise), sign * rise)
+    # Of the edge that begins at a corner, and of the opposite one:
+    for k, sign, before in ((0, 1, at_corner + at_centre), (1, -1, at_corner - at_centre)):
+        start, end = -jnp.min(before + half, axis=0), -jnp.max(before - half, axis=0)
+        weight, along = _integrals(start, end, length, depth[None] + sign * to_begin, sign * rise)
         if is_open is not None:  # an edge in the middle of a wall is no edge of the overlap
             part = is_open[k * count : (k + 1) * count]
             weight, along = part * weight, part * along

@@ -53,7 +53,7 @@ def tangential_force(spring, normal, slip, normal_force, stiffness, friction):
     """
     before = vector.norm(spring)
     turned = vector.add_scaled(spring, -vector.dot(spring, normal), normal)
-    old = vector.unit(turned)
+    old = vector.kept(*vector.unit(turned))
     added = vector.scale(-stiffness, slip)
     trial = vector.add_scaled(added, before, old)
     limit = friction * normal_force

@@ -221,7 +221,7 @@ def _motion(system: System, a: Body, b: Body, offset, table: ContactTable, norma
     arm_b = vector.where(first, at_b, vector.scale(0.5, vector.add(vector.unpack(table.point), at_b)))
     arm_a = vector.add(arm_b, vector.where(first, offset, vector.add_scaled(offset, -0.5, way)))
     turn = vector.sub(vector.cross(b.spin, arm_b), vector.cross(a.spin, arm_a))
-    motion = vector.add_scaled(way, system.dt, turn)
+    motion = vector.kept(*vector.add_scaled(way, system.dt, turn))
     along = vector.dot(motion, normal)
     touching = first & (overlap > 0)
     part = jnp.where(touching, overlap / jnp.where(touching, jnp.maximum(-along, overlap), 1), 1)
