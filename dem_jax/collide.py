@@ -97,7 +97,7 @@ def _zonotope_axes(a: Hulls, b: Hulls, rel: Relative):
     gap = jnp.abs(dot(axis, expand(d, 0)))
     slack = _rounding(a, b, rel)[None, None]
     edges = (width_a + width_b - gap + slack) / _safe_root(sin2)
-    return kept(faces_a, faces_b, edges), (na, nb, ea, eb)
+    return (*kept(faces_a, faces_b), edges), (na, nb, ea, eb)
 
 
 def _polytope_axes(a: Hulls, b: Hulls, rel: Relative):
