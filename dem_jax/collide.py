@@ -218,9 +218,8 @@ def _zonogons(a: Hulls, b: Hulls, rel: Relative, depth, normal, face_a, face_b):
     centre_b = vector.add(vector.rotate(rel.rotation, centre_b), rel.offset)
     edges_b = kept(*vector.rotate(turn, edges_b))
     half = a.normals[0].shape[0] // 2, b.normals[0].shape[0] // 2
-    slabs_a = vector.scale(1 / a.offsets[: half[0]], tuple(c[: half[0]] for c in a.normals))
-    slabs_b = vector.rotate(turn, tuple(c[: half[1]] for c in b.normals))
-    slabs_b = kept(*vector.scale(1 / b.offsets[: half[1]], slabs_b))
+    slabs_a = tuple(c[: half[0]] for c in a.normals), a.offsets[: half[0]]
+    slabs_b = kept(*vector.rotate(turn, tuple(c[: half[1]] for c in b.normals))), b.offsets[: half[1]]
     rise_a, rise_b = kept(dot(n, edges_a), dot(n, edges_b))
     height_a, height_b = dot(normal, centre_a), dot(normal, centre_b)
     top = kept(height_a + 0.5 * jnp.sum(jnp.abs(rise_a), axis=0))
@@ -255,18 +254,20 @@ def _clipped_zonogon(centre, edges, slabs, depth, rise, is_open):
     inside a zonotope: four arrays [P] (m2, m3).
 
     centre: [P] x 3 (m), of the face relative to the zonotope's; edges: [K, P] x 3 (m), the first half of them in
-    order, the others being opposite; slabs: [m, P] x 3 (1/m), the zonotope being where all |slab . x| < 1; depth: [P]
-    (m) at the centre; rise: [K, P] (m) of depth along the edges; is_open: [2 K, P], 1 for each edge that counts, or None.
+    order, the others being opposite; slabs: normals [m, P] x 3 and offsets [m, P] (m), the zonotope being where all
+    |normal . x| < offset; depth: [P] (m) at the centre; rise: [K, P] (m) of depth along the edges; is_open: [2 K, P],
+    1 for each edge that counts, or None.
     """
     count = rise.shape[0]
     corner = kept(*(_begin(c) for c in edges))  # [K, P]: of each edge, about the centre
-    across = expand(slabs, 1)
+    normals, offsets = slabs
+    across = expand(normals, 1)
     du = dot(across, expand(edges, 0))  # [m, K, P]
     tiny = jnp.finfo(du.dtype).tiny ** 0.25  # so small that its square, in derivatives, does not overflow
     du = jnp.where(jnp.abs(du) < tiny, tiny, du)
-    # A slab is entered and left where slab . x is -1 and 1, whichever comes first along the edge or its opposite.
+    # A slab is entered and left where normal . x is -offset and offset, whichever comes first along the edge.
     inverse = 1 / du
-    at_centre, half = kept(dot(slabs, expand(centre, 0)))[:, None] * inverse, jnp.abs(inverse)
+    at_centre, half = kept(dot(normals, expand(centre, 0)))[:, None] * inverse, offsets[:, None] * jnp.abs(inverse)
     at_corner = kept(dot(across, expand(corner, 0)) * inverse)
     length, to_begin = kept(vector.norm(edges), _begin(rise))
     sums = []

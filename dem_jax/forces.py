@@ -111,11 +111,13 @@ def block_of(tree, k, size):
 def block_of_slots(system: System, kind, slots: Slots, k, size) -> Slots:
     """``block_of`` slots. Where polytopes are alike and no wall is among the slots, nor among those of the first block,
     the hulls are those of the first block, which the cache holds already."""
+    if kind != "hulls" or kind not in system.alike:
+        return block_of(slots, k, size)
     rows = block_of(slots.replace(hull_a=None), k, size)
-    if kind == "hulls" and kind in system.alike:
-        pieces = system.pieces.mass.shape[0]
-        k = jnp.where(jnp.all(slots.a[:size] < pieces) & jnp.all(rows.a < pieces), 0, k)
-    return rows.replace(hull_a=block_of(slots.hull_a, k, size))
+    pieces = system.pieces.mass.shape[0]
+    alike = jnp.all(slots.a[:size] < pieces) & jnp.all(rows.a < pieces)
+    first = jax.tree.map(lambda x: x if x.shape[-1] == 1 else x[..., :size], slots.hull_a)
+    return rows.replace(hull_a=jax.lax.cond(alike, lambda: first, lambda: block_of(slots.hull_a, k, size)))
 
 
 def geometry(system: System, kind, slots: Slots, a: Body, b: Body, offset):
