@@ -15,31 +15,42 @@ class Body(NamedTuple):
     """Bodies of P slots."""
 
     centre: tuple  # [P] x 3 (m)
-    rest: tuple  # [P] x 3 (m): low-order part of the centre
-    rotation: tuple  # rows of [P]: body frame to world
     velocity: tuple  # [P] x 3 (m/s), of the centre
     spin: tuple  # [P] x 3 (rad/s)
+    rest: tuple | None  # [P] x 3 (m): low-order part of the centre; None in double precision
+    rotation: tuple | None  # rows of [P]: body frame to world; None of a sphere
 
 
 def stack(system: System, state: State, omega, panels: boundary.Panels):
-    """All bodies, [21, N + W]: the rows of ``Body`` one below the other. omega: [3, N] (rad/s)."""
-    pieces = jnp.concatenate(
-        [state.position, state.position_rest, _matrix_rows(state.orientation), state.velocity, omega]
-    )
-    return jnp.concatenate([pieces, panels.rows], axis=1)
+    """All bodies, [rows, N + W]: of ``Body``, one below the other, what any contact of the system needs. omega: [3, N]
+    (rad/s)."""
+    pieces, walls = [state.position, state.velocity, omega], [panels.rows[:9]]
+    if _has_rest(state.position):
+        pieces, walls = [*pieces, state.position_rest], [*walls, jnp.zeros_like(panels.rows[:3])]
+    if any(kind != "spheres" for kind, *_ in system.capacity):
+        rows = _matrix_rows(state.orientation) if system.has_hulls else jnp.zeros((9, omega.shape[1]), omega.dtype)
+        pieces, walls = [*pieces, rows], [*walls, panels.rows[9:]]
+    return jnp.concatenate([jnp.concatenate(pieces), jnp.concatenate(walls)], axis=1)
+
+
+def _has_rest(stacked):
+    return stacked.dtype != jnp.float64
 
 
 def _matrix_rows(orientation):
     return jnp.stack([c for row in rotation.matrix(tuple(orientation)) for c in row])
 
 
-def take(stacked, index) -> Body:
-    """The bodies of slots, by index [P]."""
-    c = stacked.at[:, index].get(mode="promise_in_bounds")
+def take(stacked, index, turned=True) -> Body:
+    """The bodies of slots, by index [P]; turned: whether their rotation is needed."""
+    frame = 12 if _has_rest(stacked) else 9
+    c = stacked[: frame + 9 if turned else frame].at[:, index].get(mode="promise_in_bounds")
     three = lambda i: (c[i], c[i + 1], c[i + 2])  # noqa: E731
-    return Body(three(0), three(3), (three(6), three(9), three(12)), three(15), three(18))
+    rest = three(9) if _has_rest(stacked) else None
+    return Body(three(0), three(3), three(6), rest, tuple(three(frame + i) for i in (0, 3, 6)) if turned else None)
 
 
 def offset(a: Body, b: Body):
     """Centre of b minus centre of a, [P] x 3 (m), with what rounding left over of both."""
-    return vector.add(vector.sub(b.centre, a.centre), vector.sub(b.rest, a.rest))
+    offset = vector.sub(b.centre, a.centre)
+    return offset if a.rest is None else vector.add(offset, vector.sub(b.rest, a.rest))

@@ -12,13 +12,13 @@ from dem_jax.types import System, Walls
 class Panels(NamedTuple):
     """The W panels and their G groups at one time, in the world frame."""
 
-    rows: jax.Array  # [21, W]: centre (m), zeros, rotation panel to world, velocity (m/s), spin (rad/s), as bodies.Body
+    rows: jax.Array  # [18, W]: centre (m), velocity (m/s), spin (rad/s), rotation panel to world
     groups: jax.Array  # [9, G]: pivot (m), its velocity (m/s), spin (rad/s)
 
     centre = property(lambda self: _three(self.rows, 0))
-    rotation = property(lambda self: tuple(_three(self.rows, k) for k in (6, 9, 12)))
-    velocity = property(lambda self: _three(self.rows, 15))
-    spin = property(lambda self: _three(self.rows, 18))
+    velocity = property(lambda self: _three(self.rows, 3))
+    spin = property(lambda self: _three(self.rows, 6))
+    rotation = property(lambda self: tuple(_three(self.rows, k) for k in (9, 12, 15)))
     pivot = property(lambda self: _three(self.groups, 0))
     pivot_velocity = property(lambda self: _three(self.groups, 3))
     group_spin = property(lambda self: _three(self.groups, 6))
@@ -84,8 +84,7 @@ def panels(walls: Walls, t, t_velocity) -> Panels:
 
 
 def _packed(centre, frame, velocity, spin, pivot, pivot_velocity, group_spin) -> Panels:
-    rest = tuple(jnp.zeros_like(c) for c in centre)
-    rows = [*centre, *rest, *(c for row in frame for c in row), *velocity, *spin]
+    rows = [*centre, *velocity, *spin, *(c for row in frame for c in row)]
     return Panels(jnp.stack(rows), jnp.stack([*pivot, *pivot_velocity, *group_spin]))
 
 
