@@ -158,7 +158,7 @@ def _barred_by_seams(overlaps, axes, a: Hulls, b: Hulls, rel: Relative):
 
 
 def _least(rows):
-    """The smallest of the rows [K, P], and the first row that has it, [P] int32. One after the other, which vectorises."""
+    """The smallest of the rows [K, ...], and the first row that has it, int32. One after the other, which vectorises."""
     least, index = rows[0], jnp.zeros(rows.shape[1:], jnp.int32)
     for k in range(1, rows.shape[0]):
         less = rows[k] < least
@@ -328,13 +328,10 @@ def sphere_sphere(radius_a, radius_b, offset) -> Geometry:
 
 def hull_sphere(a: Hulls, radius, centre) -> Geometry:
     """A convex polytope a and a sphere b whose centre (in a's frame, [P] x 3) may lie in it or outside."""
-    height = dot(a.normals, expand(centre, 0)) - a.offsets  # [F, P]
-    inside = jnp.max(height, axis=0)
-    pairs = centre[0].shape
-    face_normal = _pick(a.normals, jnp.argmax(height, axis=0), pairs)
+    height = kept(dot(a.normals, expand(centre, 0)) - a.offsets)  # [F, P]
+    inside, face_normal = jnp.max(height, axis=0), _select(a.normals, _least(-height)[1])
     foot, squared = _closest_on_faces(a, height, expand(centre, 0))
-    k = jnp.argmin(squared, axis=0)
-    away = vector.sub(centre, _pick(foot, k, pairs))
+    away = kept(*vector.sub(centre, _select(foot, _least(squared)[1])))
     distance = vector.norm(away)
     outside = (inside > 0) & (distance > 0)
     tiny = jnp.finfo(distance.dtype).tiny
@@ -355,15 +352,12 @@ def _closest_on_faces(hull: Hulls, height, centre):
     length2 = dot(edge, edge)
     t = jnp.clip(dot(to_centre, edge) / jnp.maximum(length2, jnp.finfo(length2.dtype).tiny), 0, 1)
     away = vector.add_scaled(to_centre, -t, edge)
-    squared = dot(away, away)
-    nearest = jnp.argmin(squared, axis=0)[None]
-    on_edge = tuple(jnp.take_along_axis(c + t * e, nearest, axis=0)[0] for c, e in zip(corners, edge, strict=True))
+    squared, nearest = _least(kept(dot(away, away)))
+    on_edge = _select(vector.add_scaled(corners, t, edge), nearest)
     normals = tuple(jnp.broadcast_to(c, height.shape) for c in hull.normals)
     within = jnp.all(dot(vector.cross(expand(normals, 0), edge), to_centre) >= 0, axis=0)
     on_face = vector.add_scaled(centre, -height, normals)
-    foot = vector.where(within, on_face, on_edge)
-    squared = jnp.where(within, height * height, jnp.min(squared, axis=0))
-    return foot, squared
+    return kept(*vector.where(within, on_face, on_edge)), kept(jnp.where(within, height * height, squared))
 
 
 def _safe_root(x):
@@ -380,22 +374,8 @@ def _sum(terms):
 
 
 def _select(v, index):
-    """Entry index [P] of each pair's short list v, [K, 1 or P] x 3: a row of selections, which unlike a gather vectorises."""
+    """Entry index of each list v, [K, ...] x 3: a row of selections, which unlike a gather vectorises."""
     out = tuple(c[0] for c in v)
     for k in range(1, v[0].shape[0]):
         out = vector.where(index == k, tuple(c[k] for c in v), out)
     return out
-
-
-def _pick(v, index, pairs):
-    """Entry index [P] of each pair's list v: [K, 1 or P] x 3."""
-    return tuple(_take(jnp.stack(v), index, pairs))
-
-
-def _take(table, index, pairs):
-    """Row of a table [..., K, 1 or P] by index [P] -> [..., P]."""
-    if table.shape[-1] == 1:
-        return table[..., 0][..., index]
-    shape = (*table.shape[:-1], *pairs)
-    rows = jnp.broadcast_to(index, (*shape[:-2], 1, *pairs))
-    return jnp.take_along_axis(jnp.broadcast_to(table, shape), rows, axis=-2)[..., 0, :]
