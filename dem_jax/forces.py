@@ -97,11 +97,6 @@ def block_size(system: System, kind, room) -> int:
     return math.gcd(room, wanted)
 
 
-def are_few(system: System) -> bool:
-    """Whether the contacts of each kind are computed all at once."""
-    return not any(block_size(system, kind, slots) for kind, _, slots in system.capacity)
-
-
 def block_of(tree, k, size):
     """Slots k size to (k + 1) size of arrays [.., P]; those that broadcast over slots as they are."""
     cut = lambda x: x if x.shape[-1] == 1 else jax.lax.dynamic_slice_in_dim(x, k * size, size, -1)  # noqa: E731

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from dem_jax import build, compiling, failure, forces, guard, hosts, record, restart, series, settled, stepping
+from dem_jax import build, compiling, failure, guard, hosts, record, restart, series, settled, stepping
 from dem_jax.errors import RecordError, SceneError, SimulationError
 from dem_jax.report import Progress
 from dem_jax.scene import Scene, load_scene, parse
@@ -415,7 +415,7 @@ def _program(arguments, mesh, job: Job, shown):
             function = jax.vmap(function, in_axes=(None, 0, None, None, None))
             sides = {"in_specs": (same, each, same, same, same), "out_specs": each}
             function = jax.shard_map(function, mesh=mesh, check_vma=False, **sides)
-        _PROGRAMS[key] = compiling.jit(function, backend, forces.are_few(arguments[0])).lower(*arguments).compile()
+        _PROGRAMS[key] = compiling.jit(function, backend).lower(*arguments).compile()
         job.clock["compile"] += time.perf_counter() - start
     return _PROGRAMS[key]
 

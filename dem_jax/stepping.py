@@ -28,7 +28,7 @@ def advance(system: System, state: State, panels: boundary.Panels | None = None)
 def chunk(system: System, state: State, count, frame_every, samples: int, frames: int):
     """``run_chunk``, compiled: the form for long runs."""
     backend = jax.default_backend()
-    compiled = compiling.jit(run_chunk, backend, forces.are_few(system), static_argnames=("samples", "frames"))
+    compiled = compiling.jit(run_chunk, backend, static_argnames=("samples", "frames"))
     return compiled(system, state, count, frame_every, samples=samples, frames=frames)
 
 

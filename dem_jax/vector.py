@@ -99,10 +99,10 @@ def unpack(array):
 
 
 def kept(*arrays):
-    """The same finite arrays, to the last bit, each computed once although several kernels use it.
+    """The same arrays, to the last bit, each computed once although several kernels use it.
 
     XLA fuses a cheap producer into every consumer, and on the CPU an optimisation barrier does not stop it; what ends
-    in a division it takes for too expensive to repeat. (It may not cancel x - x, which could be inf - inf.)
+    in a division it takes for too expensive to repeat.
     """
     kept = tuple(_kept(x) for x in arrays)
     return kept if len(kept) > 1 else kept[0]
@@ -110,10 +110,12 @@ def kept(*arrays):
 
 @jax.custom_jvp
 def _kept(x):
-    return x / (1 + (x - x))
+    """x / 1, where it takes the compiler of machine code, who leaves the division out, to see that it is 1."""
+    bits = jax.lax.bitcast_convert_type(x, {4: jnp.int32, 8: jnp.int64}[x.dtype.itemsize])
+    return x / jnp.maximum(jnp.minimum(bits, 1), 1).astype(x.dtype)
 
 
 @_kept.defjvp
 def _derivative_of_kept(primals, tangents):
-    """That of the identity: of what stands above, XLA would make a program twice as large."""
+    """That of the identity."""
     return _kept(*primals), *tangents

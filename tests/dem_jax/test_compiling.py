@@ -3,10 +3,11 @@
 import os
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dem_jax import compiling, run, stepping
+from dem_jax import compiling, run, stepping, vector
 from dem_jax.scene import load_scene
 
 BASE = {"run.duration": 6e-4, "portion.settling_time": 6e-4, "portion.count": 3}
@@ -62,7 +63,32 @@ def test_flags_of_the_person_are_left_alone(monkeypatch):
     assert os.environ["XLA_FLAGS"] == f"--xla_cpu_enable_fast_math=false {compiling.SMALL_LOOPS}"
 
 
-@pytest.mark.parametrize("wide", [False, True])
-def test_every_option_is_known_to_the_compiler(wide):
-    compiled = compiling.jit(lambda x: x + 1, "cpu", wide)
-    assert float(compiled(jax.numpy.ones(()))) == 2.0
+def test_every_option_is_known_to_the_compiler():
+    compiled = compiling.jit(lambda x: x + 1, "cpu")
+    assert float(compiled(jnp.ones(()))) == 2.0
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_what_is_kept_is_the_same_to_the_last_bit(dtype):
+    info = np.finfo(dtype)
+    hard = [0.0, -0.0, 1 / 3, -1.0, np.inf, -np.inf, info.max, -info.tiny, np.nan]
+    x = np.concatenate([np.array(hard, dtype), np.random.default_rng(0).normal(size=100).astype(dtype)])
+    unsigned = {np.float32: np.uint32, np.float64: np.uint64}[dtype]
+    for kept in (vector.kept, jax.jit(vector.kept)):
+        np.testing.assert_array_equal(np.asarray(kept(jnp.asarray(x))).view(unsigned), x.view(unsigned))
+    for gradient in (jax.grad(lambda x: 3 * vector.kept(x)), jax.jacfwd(lambda x: 3 * vector.kept(x))):
+        assert float(gradient(jnp.asarray(0.7, dtype))) == 3
+
+
+def test_what_is_kept_is_computed_once_by_the_compiled_program():
+    # A kernel of its own, beside the one that uses it three times.
+    def three(kept, a, b):
+        x = kept(a * b + a)
+        return jnp.stack([2 * x + b, x * x * b, x - b])
+
+    def kernels(kept):
+        ones = jnp.ones(64)
+        text = compiling.jit(lambda a, b: three(kept, a, b), "cpu").lower(ones, ones).compile().as_text()
+        return text.count("kind=kLoop")
+
+    assert kernels(vector.kept) == kernels(lambda x: x) + 1
