@@ -44,7 +44,8 @@ def _matrix_rows(orientation):
 def take(stacked, index, turned=True) -> Body:
     """The bodies of slots, by index [P]; turned: whether their rotation is needed."""
     frame = 12 if _has_rest(stacked) else 9
-    c = stacked[: frame + 9 if turned else frame].at[:, index].get(mode="promise_in_bounds")
+    rows = stacked[: frame + 9 if turned else frame]
+    c = [row.at[index].get(mode="promise_in_bounds") for row in rows]  # of all rows at once: twice the time on a CPU
     three = lambda i: (c[i], c[i + 1], c[i + 2])  # noqa: E731
     rest = three(9) if _has_rest(stacked) else None
     return Body(three(0), three(3), three(6), rest, tuple(three(frame + i) for i in (0, 3, 6)) if turned else None)

@@ -39,6 +39,7 @@ def contacts(system: System, state: State, omega, panels: boundary.Panels) -> St
     """
     stacked = bodies.stack(system, state, omega, panels)
     loads = jnp.zeros((6, 2 * sum(slots for *_, slots in system.capacity) + 1), stacked.dtype)
+    loads = jax.lax.optimization_barrier(loads)  # XLA would pad the first part: masked reads past its end, slow on unused pages
     sums = _no_sums(system, stacked.dtype)
     tables, column = {}, 0
     for kind, table in state.contacts.items():

@@ -1,13 +1,14 @@
 """What compiles anew and what does not, and how XLA is asked to compile."""
 
 import os
+import re
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dem_jax import compiling, run, stepping, vector
+from dem_jax import build, compiling, run, stepping, vector
 from dem_jax.scene import load_scene
 
 BASE = {"run.duration": 6e-4, "portion.settling_time": 6e-4, "portion.count": 3}
@@ -92,3 +93,13 @@ def test_what_is_kept_is_computed_once_by_the_compiled_program():
         return text.count("kind=kLoop")
 
     assert kernels(vector.kept) == kernels(lambda x: x) + 1
+
+
+def test_loads_of_contacts_are_not_padded_by_the_compiled_program():
+    # Padding reads on, masked, past the end of what is padded: several times the time of a step if those pages are unused.
+    scene = load_scene("weigh-bucket").replace(BASE)
+    built = build.build(scene, 0)
+    rows = 2 * sum(slots for *_, slots in built.system.capacity) + 1
+    text = compiling.jit(stepping.step, "cpu").lower(built.system, built.state).compile().as_text()
+    assert f"f32[6,{rows}]" in text
+    assert not re.search(rf"f32\[6,{rows}\]\S* pad\(", text)
