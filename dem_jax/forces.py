@@ -116,11 +116,6 @@ def block_of_slots(system: System, kind, slots: Slots, k, size) -> Slots:
     return rows.replace(hull_a=jax.lax.cond(alike, lambda: first, lambda: block_of(slots.hull_a, k, size)))
 
 
-def bodies_of(kind, stacked, slots: Slots) -> tuple[Body, Body]:
-    """Both bodies of slots of a kind; spheres without their rotation, which no contact needs."""
-    return bodies.take(stacked, slots.a, kind != "spheres"), bodies.take(stacked, slots.b, kind == "hulls")
-
-
 def geometry(system: System, kind, slots: Slots, a: Body, b: Body, offset):
     """Depth of each slot, [P] (m), and a function that says the rest, which nobody needs where nothing touches: a
     ``collide.Geometry`` with normal (a to b) and point (relative to the centre of a) in world axes."""
@@ -144,7 +139,7 @@ def _in_world(found: collide.Geometry, a: Body) -> collide.Geometry:
 
 def _resolve(system: System, kind, table: ContactTable, slots: Slots, stacked, siblings) -> Contacts:
     """Geometry and force law of the contacts of one kind. siblings: seams.Siblings where walls have seams."""
-    a, b = bodies_of(kind, stacked, slots)
+    a, b = bodies.take(stacked, slots.a), bodies.take(stacked, slots.b)
     offset = bodies.offset(a, b)
     depth, rest = geometry(system, kind, slots, a, b, offset)
     loaded = lambda: _loaded(system, table, slots, a, b, offset, rest(), siblings)  # noqa: E731
