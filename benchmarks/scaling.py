@@ -27,6 +27,8 @@ ROUNDS = 3  # of all numbers of pieces, so that what else the machine does falls
 BLOCKS = 2  # rebuilds in a chunk that is timed, each with the steps until the next
 DROPS = 8  # of the ensemble that is shared out among cores
 WHOLE_DROPS = 64  # of the stock scene, to the end
+BESIDE = {9: 1.0, 318: 0.3}  # pieces of 50 g: scale factor
+BESIDE_RUNS = 4  # drops one after the other, and as an ensemble
 SIZE_HEAD = (
     "shape", "pieces", "µs per step", "µs per step and piece", "pairs listed per piece", "bytes held per piece",
     "memory of the process (MB)", "compile (s)", "set-up (s)",
@@ -36,6 +38,7 @@ DROP_HEAD = (
     "until settled", "s by the clock", "settling and fall and landing of each (s)", "µs of a core per member-step",
     "s by the clock for 0.2 s of each",
 )  # fmt: skip
+BESIDE_HEAD = ("pieces", "µs per step, drops one after the other", "µs per member-step of their ensemble", "ratio")
 MEMBER_HEAD = ("members", "µs per step of all", "µs per member-step", "drops of 0.2 s per s", "memory (MB)", "compile (s)")
 
 
@@ -104,6 +107,28 @@ def core_row(cores: int) -> dict:
     return {"cores": cores, "times": times}
 
 
+def beside_row(count: int) -> dict:
+    """The same drops one after the other and as an ensemble, in turns on one core: seconds of the processor per step."""
+    import dem_jax
+
+    settings = {"portion.scale_factor": BESIDE[count], "portion.settling_time": 0.1, "run.duration": 0.05, "run.frames": 0.0}
+    scene = dem_jax.load_scene("weigh-bucket", settings)
+    seeds = range(BESIDE_RUNS)
+    ways = {
+        "times": lambda: [dem_jax.simulate(scene, seed=seed) for seed in seeds][0],
+        "beside": lambda: dem_jax.ensemble(scene, runs=BESIDE_RUNS, seed=seeds[0]),
+    }
+    found = {"times": [], "beside": []}
+    for repeat in range(1 + REPEATS):  # the first compiles, also what is outgrown
+        for name, way in ways.items():
+            start = time.process_time()
+            header = way().header
+            each = (time.process_time() - start) / (BESIDE_RUNS * (scene.portion.settling_time + scene.run.duration) / header.dt)
+            if repeat:
+                found[name].append(each)
+    return found | {"pieces": header.piece_count}
+
+
 def drops_row(until_settled) -> dict:
     """The stock ensemble of drops by the public call, on all cores: seconds by the clock without compiling."""
     import dem_jax
@@ -118,7 +143,7 @@ def drops_row(until_settled) -> dict:
     return {"until": until_settled, "times": [seconds], "each": each, "dt": made.dt, "cores": len(os.sched_getaffinity(0))}
 
 
-ROWS = {"size": size_row, "members": member_row, "cores": core_row, "drops": drops_row}
+ROWS = {"size": size_row, "members": member_row, "beside": beside_row, "cores": core_row, "drops": drops_row}
 
 
 def measured(kind, *arguments) -> dict:
@@ -211,6 +236,12 @@ def member_cells(row):
     )  # fmt: skip
 
 
+def beside_cells(row):
+    """Cells of the table of drops alone and in an ensemble."""
+    ratios = [together / alone for alone, together in zip(row["times"], row["beside"], strict=True)]
+    return row["pieces"], report.spread(row["times"], 1e6), report.spread(row["beside"], 1e6), report.spread(ratios)
+
+
 def core_cells(rows):
     """Rows of the table of cores."""
     done = [row for row in rows if "failed" not in row]
@@ -245,14 +276,17 @@ def main(argv=None):
     rounds = [[measured("size", *which) for which in every] for _ in range(1 if options.quick else ROUNDS)]
     sizes = [together(rows) for rows in zip(*rounds, strict=True)]
     members = [measured("members", count) for count in MEMBERS[kind][take]]
+    beside = [measured("beside", n) for n in (list(BESIDE)[take] if kind == "cpu" else ())]
     cores = [measured("cores", n) for n in range(1, len(os.sched_getaffinity(0)) + 1)] if kind == "cpu" else []
     ends = ("no", "yes") if kind == "cpu" and not options.quick else ()
     drops = [measured("drops", end) for end in ends]
     names = [f"{n} of {shape}" for shape, n in every] + [f"{n} members" for n in MEMBERS[kind][take]]
+    names += [f"drops of {n} pieces" for n in list(BESIDE)[: len(beside)]]
     names += [f"drops, until settled: {end}" for end in ends]
-    rows = zip(names, sizes + members + drops, strict=True)
+    rows = zip(names, sizes + members + beside + drops, strict=True)
     failed = [f"- {name}: {row['failed']}" for name, row in rows if "failed" in row]
-    sizes, members, drops = ([row for row in rows if "failed" not in row] for rows in (sizes, members, drops))
+    parts = sizes, members, beside, drops
+    sizes, members, beside, drops = ([row for row in rows if "failed" not in row] for rows in parts)
     text = f"""# Scaling on {name}
 
 {start}; load at the end {os.getloadavg()[0]:.2f}
@@ -270,6 +304,13 @@ Pieces on a lattice in a box, each touching its six neighbours (near walls fewer
 Ensembles of nine marshmallows at rest, side by side by `vmap`{" (not so on a CPU)" if kind == "cpu" else ""}:
 
 {report.table(MEMBER_HEAD, [member_cells(row) for row in members])}
+"""
+    if beside:
+        text += f"""
+{BESIDE_RUNS} drops of 50 g, one after the other by `dem_jax.simulate` and as an ensemble by `dem_jax.ensemble`, in turns on one
+core, seconds on the processor without compiling, from the first fall into the feed bucket on:
+
+{report.table(BESIDE_HEAD, [beside_cells(row) for row in beside])}
 """
     if cores:
         text += f"""
