@@ -10,9 +10,11 @@ spheres 0.97.
 """
 
 import os
+import warnings
 from functools import cache
 
 import jax
+from jax._src.xla_bridge import backends_are_initialized
 
 OPTIONS = {
     "cpu": {
@@ -25,13 +27,21 @@ SMALL_LOOPS = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_thresho
 
 
 def loops_as_one():
-    """Have XLA make one function of each loop, in all that this process compiles; without effect once XLA is in use.
+    """Have XLA make one function of each loop, in all that this process compiles; too late, with a warning, once XLA is in use.
 
     Leaves XLA_FLAGS alone if it says something of ``xla_backend_extra_options`` already.
     """
     flags = os.environ.get("XLA_FLAGS", "")
-    if "xla_backend_extra_options" not in flags:
-        os.environ["XLA_FLAGS"] = f"{flags} {SMALL_LOOPS}".strip()
+    if "xla_backend_extra_options" in flags:
+        return
+    os.environ["XLA_FLAGS"] = f"{flags} {SMALL_LOOPS}".strip()
+    if backends_are_initialized() and jax.default_backend() == "cpu":
+        warnings.warn(
+            "steps of few pieces will take two to three times as long: JAX computed something before the first simulation; "
+            "call dem_jax.compiling.loops_as_one() before that",
+            RuntimeWarning,
+            stacklevel=4,  # who called simulate or ensemble
+        )
 
 
 @cache

@@ -59,9 +59,18 @@ def test_flags_of_the_person_are_left_alone(monkeypatch):
     compiling.loops_as_one()
     assert os.environ["XLA_FLAGS"] == mine
     monkeypatch.setenv("XLA_FLAGS", "--xla_cpu_enable_fast_math=false")
+    monkeypatch.setattr(compiling, "backends_are_initialized", lambda: False)
     compiling.loops_as_one()
     compiling.loops_as_one()
     assert os.environ["XLA_FLAGS"] == f"--xla_cpu_enable_fast_math=false {compiling.SMALL_LOOPS}"
+
+
+def test_a_warning_says_that_it_is_too_late_to_make_one_function_of_each_loop(monkeypatch):
+    jnp.ones(()).block_until_ready()
+    compiling.loops_as_one()  # said in time, by conftest.py
+    monkeypatch.setenv("XLA_FLAGS", "")
+    with pytest.warns(RuntimeWarning, match=r"two to three times as long.* call dem_jax.compiling.loops_as_one\(\) before"):
+        compiling.loops_as_one()
 
 
 def test_every_option_is_known_to_the_compiler():
