@@ -308,7 +308,7 @@ Ensembles of nine marshmallows at rest, side by side by `vmap`{" (not so on a CP
     if beside:
         text += f"""
 {BESIDE_RUNS} drops of 50 g, one after the other by `dem_jax.simulate` and as an ensemble by `dem_jax.ensemble`, in turns on one
-core, seconds on the processor without compiling, from the first fall into the feed bucket on:
+core, seconds on the processor with set-up and without compiling, from the first fall into the feed bucket on:
 
 {report.table(BESIDE_HEAD, [beside_cells(row) for row in beside])}
 """
