@@ -128,7 +128,7 @@ def test_runs_side_by_side_on_several_devices_equal_their_own_single_runs(tmp_pa
     alone = dem_jax.ensemble(scene, runs=4, seed=7)
     assert np.abs(alone.force["plate"]).max() > 0.01
     paths = [path for path in PATHS if "/" in path]
-    for devices, used in ((2, 2), (3, 2)):  # 3 does not divide the number of runs
+    for devices, used in ((1, 1), (2, 2), (3, 2)):  # 3 does not divide the number of runs
         search = os.pathsep.join([str(Path(dem_jax.__file__).parents[1]), os.environ.get("PYTHONPATH", "")])
         setting = dict(os.environ, JAX_NUM_CPU_DEVICES=str(devices), PYTHONPATH=search)
         command = [sys.executable, "-c", SHARDED, "found.npz", " ".join(paths)]
