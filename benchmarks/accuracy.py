@@ -27,6 +27,8 @@ NUMBERS = (8, 12, 16, 25, 40, 63, 100, 160, 250, 400)
 ROUNDS = 15  # in which the costs of a step are measured, one after the other, so that what else the machine does falls on all
 DEFAULT = 100  # steps per loading quarter period of the default at restitution 0.1: ten in an unloading one
 QUANTITIES = ("peak force", "restitution", "impulse")
+SOFT_HEAD = ("softening", "peak, f32", "impulse, f32", "peak, f64", "impulse, f64", "steps over those at 1")
+DROP_HEAD = ("drop", "s per drop", "peak PIF (g)", "settled (ms)", "peak (%)", "settled time (%)", "impulse (%)")
 
 
 # --- single impacts ---
@@ -502,14 +504,12 @@ def main(argv=None):
     softened = [] if options.quick else softening_rows(PIECE, count)
     drop, dropped = drop_points(seeds, options.quick)
     figure(sphere, piece, drop, report.place("accuracy.png", options.quick))
-    soft_head = ("softening", "peak, f32", "impulse, f32", "peak, f64", "impulse, f64", "steps over those at 1")
-    drop_head = ("drop", "s per drop", "peak PIF (g)", "settled (ms)", "peak (%)", "settled time (%)", "impulse (%)")
     soft_text = f"""## Softening, the tilted marshmallow
 
 Peak force, over the root of the softening, and impulse in the first {1e3 * LONG:g} ms, in which other corners strike too, against
 softening 1 with {FINE // 4} steps; root mean square:
 
-{report.table(soft_head, softened)}
+{report.table(SOFT_HEAD, softened)}
 """
     after = WINDOW["chamfered-cuboid"] * 1e3
     text = f"""# Run time against error
@@ -543,7 +543,7 @@ over the seeds, and differences of the means from the reference, with standard e
 the standard error is not resolved by so many seeds. A clump of spheres can't be said in a scene (each piece is one convex
 shape): its cost is in `peers.md`.
 
-{report.table(drop_head, dropped)}
+{report.table(DROP_HEAD, dropped)}
 """
     report.write("accuracy", text, options.quick)
 

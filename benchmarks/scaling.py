@@ -113,20 +113,19 @@ def beside_row(count: int) -> dict:
 
     settings = {"portion.scale_factor": BESIDE[count], "portion.settling_time": 0.1, "run.duration": 0.05, "run.frames": 0.0}
     scene = dem_jax.load_scene("weigh-bucket", settings)
-    seeds = range(BESIDE_RUNS)
     ways = {
-        "times": lambda: [dem_jax.simulate(scene, seed=seed) for seed in seeds][0],
-        "beside": lambda: dem_jax.ensemble(scene, runs=BESIDE_RUNS, seed=seeds[0]),
+        "times": lambda: [dem_jax.simulate(scene, seed=seed) for seed in range(BESIDE_RUNS)],
+        "beside": lambda: [dem_jax.ensemble(scene, runs=BESIDE_RUNS, seed=0)],
     }
-    found = {"times": [], "beside": []}
-    for repeat in range(1 + REPEATS):  # the first compiles, also what is outgrown
+    found = {name: [] for name in ways}
+    for _ in range(1 + REPEATS):
         for name, way in ways.items():
             start = time.process_time()
-            header = way().header
-            each = (time.process_time() - start) / (BESIDE_RUNS * (scene.portion.settling_time + scene.run.duration) / header.dt)
-            if repeat:
-                found[name].append(each)
-    return found | {"pieces": header.piece_count}
+            made = way()[0]
+            steps = BESIDE_RUNS * (scene.portion.settling_time + scene.run.duration) / made.dt
+            found[name].append((time.process_time() - start) / steps)
+    # The first of each compiles, also what is outgrown.
+    return {name: times[1:] for name, times in found.items()} | {"pieces": made.header.piece_count}
 
 
 def drops_row(until_settled) -> dict:
@@ -147,19 +146,19 @@ ROWS = {"size": size_row, "members": member_row, "beside": beside_row, "cores": 
 
 
 def measured(kind, *arguments) -> dict:
-    """A row measured by a process of its own, or {"failed": why}."""
+    """A row measured by a process of its own, or {"failed": which, and why}."""
     words = [sys.executable, "-m", "benchmarks.scaling", "--row", kind, *map(str, arguments)]
     done = subprocess.run(words, capture_output=True, text=True, check=False)
     if done.returncode:  # out of memory at some size must not lose the other rows
         last = (done.stderr.strip() or f"exit code {done.returncode}").splitlines()[-1]
-        return {"failed": last[:120]}
+        return {"failed": f"{' '.join(words[4:])}: {last[:120]}"}
     found = json.loads(done.stdout.splitlines()[-1])
     print(kind, *arguments, {k: v for k, v in found.items() if k != "times"}, report.spread(found["times"], 1e6), flush=True)
     return found
 
 
 def together(rows) -> dict:
-    """One row of those of several rounds: all times, the rest of the first; or {"failed": why} if any failed."""
+    """One row of those of several rounds: all times, the rest of the first; or the first that failed."""
     failed = [row for row in rows if "failed" in row]
     return failed[0] if failed else rows[0] | {"times": [t for row in rows for t in row["times"]]}
 
@@ -256,6 +255,61 @@ def drop_cells(row):
     return row["until"], f"{seconds:.1f}", f"{row['each']:.2f}", f"{each * 1e6:.3g}", f"{0.2 * seconds / row['each']:.1f}"
 
 
+def all_rows(kind, sizes, quick) -> dict:
+    """Rows, some of which may have failed, by what they measure; kind: "cpu" or "gpu"; sizes: numbers of pieces, or None."""
+    take = slice(2) if quick else slice(None)
+    every = [(shape, n) for shape in SHAPES for n in (sizes or SIZES[kind][take])]
+    rounds = [[measured("size", *which) for which in every] for _ in range(1 if quick else ROUNDS)]
+    rows = {"size": [together(of_one) for of_one in zip(*rounds, strict=True)]}
+    rows["members"] = [measured("members", count) for count in MEMBERS[kind][take]]
+    if kind == "cpu":
+        rows["beside"] = [measured("beside", n) for n in list(BESIDE)[: 1 if quick else None]]
+        rows["cores"] = [measured("cores", n) for n in range(1, len(os.sched_getaffinity(0)) + 1)]
+    if kind == "cpu" and not quick:
+        rows["drops"] = [measured("drops", end) for end in ("no", "yes")]
+    return rows
+
+
+def sections(kind, found) -> str:
+    """The tables of rows (``all_rows`` without those that failed), and what they say."""
+    text = f"""\
+f32; {"one core, seconds on the processor; " if kind == "cpu" else ""}median (lowest to highest) of {REPEATS} chunks of {BLOCKS}
+rebuilds of the neighbours, each with the steps until the next. Each row is a process of its own; numbers of pieces
+are measured in {ROUNDS} rounds (of a quick run: one), one after the other.
+
+Pieces on a lattice in a box, each touching its six neighbours (near walls fewer, which small numbers feel):
+
+{report.table(SIZE_HEAD, [size_cells(row) for row in found["size"]])}
+
+{growth(found["size"])}
+
+Ensembles of nine marshmallows at rest, side by side by `vmap`{" (not so on a CPU)" if kind == "cpu" else ""}:
+
+{report.table(MEMBER_HEAD, [member_cells(row) for row in found["members"]])}
+"""
+    if found.get("beside"):
+        text += f"""
+{BESIDE_RUNS} drops of 50 g, one after the other by `dem_jax.simulate` and as an ensemble by `dem_jax.ensemble`, in turns on one
+core, seconds on the processor with set-up and without compiling, from the first fall into the feed bucket on:
+
+{report.table(BESIDE_HEAD, [beside_cells(row) for row in found["beside"]])}
+"""
+    if found.get("cores"):
+        text += f"""
+An ensemble of {DROPS} drops of the stock scene by `dem_jax.ensemble`, without compiling:
+
+{report.table(("cores", "s by the clock", "times as fast as on one"), core_cells(found["cores"]))}
+"""
+    if found.get("drops"):
+        text += f"""
+{WHOLE_DROPS} drops of the stock scene (nine marshmallows) by `dem_jax.ensemble`, each in a thread with the bits that it has
+alone, without compiling, in steps of {found["drops"][0]["dt"] * 1e6:.3g} µs, on {found["drops"][0]["cores"]} cores:
+
+{report.table(DROP_HEAD, [drop_cells(row) for row in found["drops"]])}
+"""
+    return text
+
+
 def main(argv=None):
     parser = argparse.ArgumentParser(prog="python -m benchmarks.scaling", description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="only the smallest sizes")
@@ -270,63 +324,13 @@ def main(argv=None):
     ).stdout.split(maxsplit=1)  # fmt: skip
     kind = "cpu" if device[0] == "cpu" else "gpu"
     name = report.processor() if kind == "cpu" else device[1].strip()
-    take = slice(2) if options.quick else slice(None)
     start = report.environment()
-    every = [(shape, n) for shape in SHAPES for n in (options.sizes or SIZES[kind][take])]
-    rounds = [[measured("size", *which) for which in every] for _ in range(1 if options.quick else ROUNDS)]
-    sizes = [together(rows) for rows in zip(*rounds, strict=True)]
-    members = [measured("members", count) for count in MEMBERS[kind][take]]
-    beside = [measured("beside", n) for n in (list(BESIDE)[take] if kind == "cpu" else ())]
-    cores = [measured("cores", n) for n in range(1, len(os.sched_getaffinity(0)) + 1)] if kind == "cpu" else []
-    ends = ("no", "yes") if kind == "cpu" and not options.quick else ()
-    drops = [measured("drops", end) for end in ends]
-    names = [f"{n} of {shape}" for shape, n in every] + [f"{n} members" for n in MEMBERS[kind][take]]
-    names += [f"drops of {n} pieces" for n in list(BESIDE)[: len(beside)]]
-    names += [f"drops, until settled: {end}" for end in ends]
-    rows = zip(names, sizes + members + beside + drops, strict=True)
-    failed = [f"- {name}: {row['failed']}" for name, row in rows if "failed" in row]
-    parts = sizes, members, beside, drops
-    sizes, members, beside, drops = ([row for row in rows if "failed" not in row] for rows in parts)
-    text = f"""# Scaling on {name}
-
-{start}; load at the end {os.getloadavg()[0]:.2f}
-
-f32; {"one core, seconds on the processor; " if kind == "cpu" else ""}median (lowest to highest) of {REPEATS} chunks of {BLOCKS}
-rebuilds of the neighbours, each with the steps until the next. Each row is a process of its own; numbers of pieces
-are measured in {len(rounds)} rounds, one after the other.
-
-Pieces on a lattice in a box, each touching its six neighbours (near walls fewer, which small numbers feel):
-
-{report.table(SIZE_HEAD, [size_cells(row) for row in sizes])}
-
-{growth(sizes)}
-
-Ensembles of nine marshmallows at rest, side by side by `vmap`{" (not so on a CPU)" if kind == "cpu" else ""}:
-
-{report.table(MEMBER_HEAD, [member_cells(row) for row in members])}
-"""
-    if beside:
-        text += f"""
-{BESIDE_RUNS} drops of 50 g, one after the other by `dem_jax.simulate` and as an ensemble by `dem_jax.ensemble`, in turns on one
-core, seconds on the processor with set-up and without compiling, from the first fall into the feed bucket on:
-
-{report.table(BESIDE_HEAD, [beside_cells(row) for row in beside])}
-"""
-    if cores:
-        text += f"""
-An ensemble of {DROPS} drops of the stock scene by `dem_jax.ensemble`, without compiling:
-
-{report.table(("cores", "s by the clock", "times as fast as on one"), core_cells(cores))}
-"""
-    if drops:
-        text += f"""
-{WHOLE_DROPS} drops of the stock scene (nine marshmallows) by `dem_jax.ensemble`, each in a thread with the bits that it has
-alone, without compiling, in steps of {drops[0]["dt"] * 1e6:.3g} µs, on {drops[0]["cores"]} cores:
-
-{report.table(DROP_HEAD, [drop_cells(row) for row in drops])}
-"""
+    rows = all_rows(kind, options.sizes, options.quick)
+    found = {what: [row for row in some if "failed" not in row] for what, some in rows.items()}
+    failed = [row["failed"] for some in rows.values() for row in some if "failed" in row]
+    text = f"# Scaling on {name}\n\n{start}; load at the end {os.getloadavg()[0]:.2f}\n\n{sections(kind, found)}"
     if failed:
-        text += "\nNot measured:\n\n" + "\n".join(failed) + "\n"
+        text += "\nNot measured:\n\n" + "\n".join(f"- {which}" for which in failed) + "\n"
     report.write(f"scaling_{kind}", text, options.quick)
 
 
