@@ -277,8 +277,10 @@ def lasting(system: System) -> System:
 
 
 def refined(system: System, times: int) -> System:
-    """The system with so many steps in place of one."""
-    return system.replace(dt=system.dt / times, substeps=system.substeps * times, block_steps=system.block_steps * times)
+    """The system with so many steps in place of one; rebuilds after as many steps as before, so that it is the same program,
+    unless a sample is longer than that."""
+    substeps = system.substeps * times
+    return system.replace(dt=system.dt / times, substeps=substeps, block_steps=max(system.block_steps, int(substeps)))
 
 
 def trace(system: System, state: State, steps: int, read, every: int = 1):
