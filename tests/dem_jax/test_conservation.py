@@ -1,7 +1,6 @@
 """Momentum, angular momentum and energy: what contacts must conserve, and what balances to the end."""
 
 from dataclasses import replace
-from functools import partial
 
 import jax
 import jax.numpy as jnp
