@@ -153,6 +153,8 @@ def skips(quick) -> list[Skip]:
         Skip("friction", f"{plain} without", without, {"has_friction": True}, needing=(rough, pieces), test=here + "friction"),
         Skip("rotation", f"{few} balls without friction", smooth_balls, {"has_rotation": True},
              needing=(f"{few} balls with friction", balls), test=here + "rotation"),
+        Skip("friction and rotation", f"{few} balls without friction", smooth_balls, {"has_friction": True, "has_rotation": True},
+             needing=(f"{few} balls with friction", balls), test=here + "rotation"),
         Skip("damping", f"{plain} without", pieces, {"has_damping": True},
              needing=("unloading_damping = 0.1", damped), test=here + "damping"),
         Skip("energy ledger", f"{plain}, energy = false", silent, {"ledger": True},

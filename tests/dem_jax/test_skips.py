@@ -83,10 +83,11 @@ def test_friction_left_out_where_there_is_none():
     assert_same(traced(made, has_friction=True), as_built(friction=False))
 
 
-def test_rotation_left_out_of_spheres_without_friction():
+@pytest.mark.parametrize("friction", [False, True])
+def test_rotation_left_out_of_spheres_without_friction(friction):
     made = built(friction=False, balls=True)
     assert not made.system.has_rotation
-    assert_same(traced(made, has_rotation=True), as_built(friction=False, balls=True))
+    assert_same(traced(made, has_rotation=True, has_friction=friction), as_built(friction=False, balls=True))
 
 
 def test_damping_left_out_where_its_ratio_is_zero():
