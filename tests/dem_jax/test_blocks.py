@@ -23,13 +23,11 @@ def heap():
 
 
 def high():
-    """A spinning marshmallow and a sphere without contacts until each strikes the plate, both within a window of rebuild.
-
-    And as many more above, out of reach, as it takes to be of the size of ``heap``: the same program.
-    """
-    pieces = [{"position": (0.0, 0.0, 0.04), "velocity": (0.1, 0.0, -1.5), "angular_velocity": (30.0, -20.0, 10.0)}]
-    pieces += [{"position": (0.0, 0.0, 0.2 + 0.1 * k), "angular_velocity": (10.0, 0.0, 1.0 * k)} for k in range(35)]
-    pieces += [{"shape": "sphere", "radius": 0.01, "position": (0.1, 0.0, 0.02), "velocity": (0.0, 0.0, -2.0)}]
+    """A spinning marshmallow and a sphere without contacts until each strikes the plate, both within a window of rebuild."""
+    pieces = [
+        {"position": (0.0, 0.0, 0.04), "velocity": (0.1, 0.0, -1.5), "angular_velocity": (30.0, -20.0, 10.0)},
+        {"shape": "sphere", "radius": 0.01, "position": (0.1, 0.0, 0.02), "velocity": (0.0, 0.0, -2.0)},
+    ]
     return load_scene("plate-drop").replace(piece=pieces, run={"precision": "f64", "frames": 0.0})
 
 
