@@ -144,7 +144,7 @@ def folder(tmp_path, whole):
     return tmp_path
 
 
-def refused(argv, expected, folder, capsys):
+def assert_refused(argv, expected, folder, capsys):
     before = {path: path.read_bytes() for path in folder.iterdir()}
     try:
         code = main(argv)
@@ -159,18 +159,18 @@ def refused(argv, expected, folder, capsys):
 
 @pytest.mark.parametrize(("setting", "expected"), SET)
 def test_a_setting_that_cannot_be(setting, expected, tmp_path, capsys):
-    refused(["run", "plate-drop", "--quiet", "--set", setting], expected, tmp_path, capsys)
+    assert_refused(["run", "plate-drop", "--quiet", "--set", setting], expected, tmp_path, capsys)
 
 
 @pytest.mark.parametrize(("text", "expected"), TOML)
 def test_a_scene_file_that_cannot_be(text, expected, folder, capsys):
     (folder / "scene.toml").write_text(text)
-    refused(["run", "scene.toml", "--quiet"], expected, folder, capsys)
+    assert_refused(["run", "scene.toml", "--quiet"], expected, folder, capsys)
 
 
 @pytest.mark.parametrize(("argv", "expected"), COMMANDS)
 def test_a_command_that_cannot_be(argv, expected, folder, capsys):
-    refused(argv, expected, folder, capsys)
+    assert_refused(argv, expected, folder, capsys)
 
 
 def test_pieces_that_overlap_at_the_start_are_both_named(tmp_path, capsys):
@@ -178,7 +178,7 @@ def test_pieces_that_overlap_at_the_start_are_both_named(tmp_path, capsys):
         'base = "plate-drop"\n[[piece]]\nposition = [0, 0, 0.1]\n[[piece]]\nposition = [0.01, 0, 0.112]\n'
     )
     expected = r"piece 1 and piece 0 overlap at the start by 25 % of the piece's width; allowed: at most 0\.1 %"
-    refused(["run", "scene.toml", "--quiet"], expected, tmp_path, capsys)
+    assert_refused(["run", "scene.toml", "--quiet"], expected, tmp_path, capsys)
 
 
 def test_as_a_process(tmp_path):
