@@ -627,6 +627,7 @@ def first_state(system: System, start: Start, frames, step: int) -> State:
     contacts = {
         kind: neighbours.empty_table(slots, dtype) for kind, _, slots in system.capacity
     }
+    columns = 2 * sum(slots for *_, slots in system.capacity)  # of loads
     state = State(
         **_motion(system, start, frames),
         step=np.int32(step),
@@ -639,7 +640,8 @@ def first_state(system: System, start: Start, frames, step: int) -> State:
         slots=_unfilled_slots(system, contacts),
         filled={kind: np.int32(0) for kind in contacts},
         busiest=np.int32(0),
-        incidence=np.full((system.touching, n), 2 * sum(slots for *_, slots in system.capacity), np.int32),
+        incidence=np.full((system.touching, n), columns, np.int32),
+        loads=zero(6, columns + 1),
         ledger=forces.empty_ledger(system, dtype),
         anchor=zero(7, n),
         since=np.int32(step),

@@ -13,6 +13,7 @@ from dem_jax.types import ContactTable, Ledger, Slots, State, System
 
 LEAST_BLOCK = 32  # slots: in blocks of 16 a step of 64 pieces takes a quarter longer
 FEW_SLOTS, MANY_SLOTS = 64, 1024  # below which polytopes, and spheres, are quicker all at once
+HISTORY = ("force", "overlap", "spring", "point")  # of a ContactTable: what a step changes
 
 
 class Contacts(NamedTuple):
@@ -38,14 +39,13 @@ def contacts(system: System, state: State, omega, panels: boundary.Panels) -> St
     state: positions now, velocities of the interval that led here; omega: [3, N] (rad/s) likewise.
     """
     stacked = bodies.stack(system, state, omega, panels)
-    loads = jnp.zeros((6, 2 * sum(slots for *_, slots in system.capacity) + 1), stacked.dtype)
-    loads = jax.lax.optimization_barrier(loads)  # XLA would pad the first part: masked reads past its end, slow on unused pages
-    sums = _no_sums(system, stacked.dtype)
+    loads, sums = state.loads, _no_sums(system, stacked.dtype)
     tables, column = {}, 0
     for kind, table in state.contacts.items():
         tables[kind], loads, sums = _contacts_of_kind(system, state, kind, stacked, loads, sums, column)
         column += 2 * table.a.shape[0]
-    load = _loads_of_pieces(system, state, loads)
+    state = state.replace(loads=loads)
+    load = _loads_of_pieces(system, state)
     about_pivot = vector.sub(sums.wall[3:], vector.cross(panels.pivot, sums.wall[:3]))
     wall = jnp.concatenate([sums.wall[:3], jnp.stack(about_pivot)])
     ledger = _ledger(system, state, omega, panels, sums, load, wall)
@@ -73,13 +73,28 @@ def _contacts_of_kind(system: System, state: State, kind, stacked, loads, sums: 
         return part.table, *add(part, 0, loads, sums)
 
     def block(k, carry):
-        after, loads, sums = carry  # read from one table and put into another: in one alone, all of it is copied each time
-        part = _resolve(system, kind, block_of(table, k, size), block_of_slots(system, kind, slots, k, size), stacked, None)
+        table, loads, sums = carry
+        before = _in_one(kind, block_of(table, k, size))
+        part = _resolve(system, kind, before, block_of_slots(system, kind, slots, k, size), stacked, None)
+        after = _in_one(kind, part.table)
         put = lambda whole, rows: jax.lax.dynamic_update_slice_in_dim(whole, rows, k * size, -1)  # noqa: E731
-        return jax.tree.map(put, after, part.table), *add(part, k * size, loads, sums)
+        table = table.replace(**{name: put(getattr(table, name), getattr(after, name)) for name in HISTORY})
+        return table, *add(part, k * size, loads, sums)
 
     blocks = (state.filled[kind] + size - 1) // size
     return jax.lax.fori_loop(0, blocks, block, (table, loads, sums))
+
+
+def _in_one(kind, table: ContactTable) -> ContactTable:
+    """The same rows of a table, their history computed by one kernel, before or after all that a block does with it.
+
+    XLA then sees that nobody needs the old values any more, and writes over them; else it copies the whole table in each
+    step. Of polytopes the branch of ``_resolve`` shows it that already.
+    """
+    if kind == "hulls":
+        return table
+    rows = vector.kept(jnp.concatenate([table.force[None], table.overlap[None], table.spring, table.point]))
+    return table.replace(force=rows[0], overlap=rows[1], spring=rows[2:5], point=rows[5:])
 
 
 def block_size(system: System, kind, room) -> int:
@@ -238,15 +253,15 @@ def elastic_energy(system: System, table: ContactTable, slots: Slots):
     return energy
 
 
-def _loads_of_pieces(system: System, state: State, loads):
+def _loads_of_pieces(system: System, state: State):
     """Force and torque on each piece, [6, N] (N, N m): the sum over its contacts, found by ``incidence``.
 
     Gathers and sums: the same bits every time, on a GPU too, where adding up in place is not.
     """
-    load_of = lambda columns: loads.at[:, columns].get(mode="promise_in_bounds")  # noqa: E731
+    load_of = lambda columns: state.loads.at[:, columns].get(mode="promise_in_bounds")  # noqa: E731
     if not system.slot_block:
         return jnp.sum(load_of(state.incidence), axis=1)
-    none = jnp.zeros((6, state.position.shape[1]), loads.dtype)
+    none = jnp.zeros((6, state.position.shape[1]), state.loads.dtype)
     return jax.lax.fori_loop(0, state.busiest, lambda k, total: total + load_of(state.incidence[k]), none)
 
 

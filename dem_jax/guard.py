@@ -106,7 +106,8 @@ def with_scratch(system: System, state: State) -> State:
     find = batched(lambda tables: neighbours.find_incidence(system, tables)[0])
     state = state.replace(slots={}, incidence=jax.jit(find)(state.contacts))
     form = jax.eval_shape(batched(partial(neighbours.rebuild, system)), state)
-    return state.replace(slots=jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), form.slots))
+    empty = lambda x: jnp.zeros(x.shape, x.dtype)  # noqa: E731
+    return state.replace(slots=jax.tree.map(empty, form.slots), loads=empty(form.loads))
 
 
 def _most(needed):

@@ -67,7 +67,8 @@ def rebuild(system: System, state: State) -> State:
     )
     anchor = jnp.concatenate([state.position, state.orientation])
     busiest = jnp.minimum(touching, system.touching)
-    state = state.replace(contacts=tables, slots=slots, filled=filled, busiest=busiest, incidence=incidence)
+    loads = jnp.zeros((6, column + 1), stacked.dtype)
+    state = state.replace(contacts=tables, slots=slots, filled=filled, busiest=busiest, incidence=incidence, loads=loads)
     return state.replace(anchor=anchor, since=state.step, lead=lead, guard=guard)
 
 

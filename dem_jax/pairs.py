@@ -85,31 +85,31 @@ def cell_pairs(system: System, members, stacked, reach, room):
     the most pieces in a row of three cells.
 
     Pieces are sorted by cell, z fastest, so that three cells one above the other are one range of the sorted list:
-    the rest of a piece's own cell and the one above, and four rows beside it, hold its partners of higher rank.
+    the rest of a piece's own cell and the one above, and four rows beside it, hold its partners of higher rank. Pairs
+    come out piece by piece, as from ``all_pairs``: what one slot reads of bodies the next ones find in the cache.
     """
     size = 2 * jnp.max(system.pieces.bounding_radius[members]) + reach
     place = stacked[:3, members] - system.domain_low[:, None]
     count = jnp.ceil((system.domain_high - system.domain_low) / size).astype(jnp.int32) + 2
     cell = jnp.clip(jnp.floor(place / size).astype(jnp.int32) + 1, 1, count[:, None] - 2)
     key = (cell[0] * count[1] + cell[1]) * count[2] + cell[2]
-    order = jnp.argsort(key)
-    key, number = key[order], members.shape[0]
+    order, number = jnp.argsort(key), members.shape[0]
+    ranked = key[order]
+    own = jnp.zeros_like(key).at[order].set(jnp.arange(number, dtype=key.dtype))  # where in the sorted list
     rows = [(0, 1), (1, -1), (1, 0), (1, 1)]
-    beside = jnp.stack([key + (dx * count[1] + dy) * count[2] for dx, dy in rows])
-    start = jnp.searchsorted(key, beside - 1).astype(jnp.int32)
-    end = jnp.searchsorted(key, beside + 1, side="right").astype(jnp.int32)
-    own = jnp.arange(number, dtype=jnp.int32)[None]
-    start = jnp.concatenate([own + 1, start])  # [5, members]
-    end = jnp.concatenate([jnp.searchsorted(key, key + 1, side="right").astype(jnp.int32)[None], end])
-    partner = start[None] + jnp.arange(system.row_capacity, dtype=jnp.int32)[:, None, None]
-    body = members[order]
-    ball = jnp.concatenate([stacked[:3, body], system.pieces.bounding_radius[body][None]])
-    here, there = ball[:, None, None], ball[:, jnp.minimum(partner, number - 1)]
+    beside = jnp.stack([key + (dx * count[1] + dy) * count[2] for dx, dy in rows], axis=1)
+    start = jnp.searchsorted(ranked, beside - 1).astype(jnp.int32)
+    start = jnp.concatenate([own[:, None] + 1, start], axis=1)  # [members, 5]
+    last = jnp.concatenate([key[:, None], beside], axis=1)
+    end = jnp.searchsorted(ranked, last + 1, side="right").astype(jnp.int32)
+    partner = start[..., None] + jnp.arange(system.row_capacity, dtype=jnp.int32)[None, None]  # [members, 5, row]
+    ball = jnp.concatenate([stacked[:3, members], system.pieces.bounding_radius[members][None]])
+    here, there = ball[..., None, None], ball[:, order][:, jnp.minimum(partner, number - 1)]
     away, near = tuple(there[:3] - here[:3]), here[3] + there[3] + reach
-    is_near = (vector.dot(away, away) < near * near) & (partner < end[None])
+    is_near = (vector.dot(away, away) < near * near) & (partner < end[..., None])
     found, where = first_set(is_near.reshape(-1), room)
-    rank, row, i = jnp.unravel_index(jnp.maximum(where, 0), partner.shape)
-    i, j = body[i], body[start[row, i] + rank]
+    i, row, rank = jnp.unravel_index(jnp.maximum(where, 0), partner.shape)
+    i, j = members[i], members[order[start[i, row] + rank]]
     a, b = (jnp.where(where >= 0, x, EMPTY) for x in (jnp.minimum(i, j), jnp.maximum(i, j)))
     need = no_need(reach.dtype)._replace(row=jnp.max(end - start), missed=jnp.maximum(found - room, 0))
     return a, b, need

@@ -11,7 +11,7 @@ from dem_jax import guard
 from dem_jax.errors import RecordError
 from dem_jax.types import State, System
 
-FILLED_ANEW = ("slots", "filled", "busiest", "anchor", "since", "lead")
+FILLED_ANEW = ("slots", "filled", "busiest", "loads", "anchor", "since", "lead")
 
 
 def pack(system: System, state: State) -> dict:

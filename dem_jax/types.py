@@ -239,6 +239,7 @@ class State:
     filled: dict  # kind of contact -> int32: how many slots hold a pair, the first ones
     busiest: Array  # int32: most contacts of a piece
     incidence: Array  # [touching, N] int32: where the contacts of each piece stand among all (see neighbours.find_incidence)
+    loads: Array  # [6, columns] (N, N m): of each contact on b and on a, about their centres; of the last column, zero
     ledger: Ledger
     anchor: Array  # [7, N]: position and orientation at the last rebuild
     since: Array  # int32: the step of the last rebuild
