@@ -15,7 +15,7 @@ from dem_jax import vector
 from dem_jax.compaction import EMPTY, first_set
 from dem_jax.types import Guard, Partition, System
 
-ALL_PAIRS = 1024  # "auto": up to so many pieces every pair is looked at, which is quicker than any list; beyond, cells
+ALL_PAIRS = 512  # "auto": up to so many pieces every pair is looked at, which is as quick as any list; beyond, cells
 ROUNDING = 1e-4  # of the cutoff of jax-md's list, by which it is larger than the sum of what it is made of
 
 
