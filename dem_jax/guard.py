@@ -55,6 +55,12 @@ def outgrown(system: System, guard: Guard) -> list[str]:
     return out
 
 
+def standing(system: System, guard: Guard) -> np.ndarray:
+    """Which runs of an ensemble outgrew nothing, so that their results stand, [runs] bool."""
+    of_run = lambda k: jax.tree.map(lambda x: x[k], guard)  # noqa: E731
+    return np.array([not outgrown(system, of_run(k)) for k in range(len(guard.travel))])
+
+
 def grown(system: System, state: State, guard: Guard) -> tuple[System, State]:
     """The system with room for what a chunk needed, and the state that the chunk began with, fitted to it."""
     rows = []

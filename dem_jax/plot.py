@@ -86,7 +86,7 @@ def _draw_mass(axes, run, block):
         right.plot(1e3 * run.time, grams, color=MASS_COLOUR, lw=1.3, label=f"settled mass in {block}")
     else:
         _draw_ensemble(right, 1e3 * run.time, grams, MASS_COLOUR, f"settled mass in {block}")
-    right.set_ylim(0.0, 1.12 * max(grams.max(), 1e-9))
+    right.set_ylim(0.0, 1.3 * max(grams.max(), 1e-9))  # below the peak and its label
     right.set_ylabel("settled mass (g)", color=MASS_COLOUR)
     right.tick_params(axis="y", labelcolor=MASS_COLOUR)
     right.spines["top"].set_visible(False)

@@ -11,6 +11,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -316,11 +317,14 @@ def _looked_at(job: Job, span: Span, slow) -> Span:
 
 
 def advance(job: Job, system: System, state: State, first, count, shown) -> Span:
-    """One chunk, run again from its first state until nothing is outgrown. Raises SceneError if the start overlaps."""
+    """One chunk, run again from its first state until nothing is outgrown. Raises SceneError if the start overlaps.
+
+    Of an ensemble in threads only the runs that outgrew something are run again.
+    """
     notes = []
-    start = guard.fresh(state)
+    start, known = guard.fresh(state), None
     for _ in range(ATTEMPTS):
-        after, samples, poses = execute(job, system, start, first, count, shown)
+        after, samples, poses = execute(job, system, start, first, count, shown, known)
         seen = jax.device_get(after.guard)
         failure.check_start(job, seen)
         reasons = guard.outgrown(system, seen)
@@ -329,34 +333,44 @@ def advance(job: Job, system: System, state: State, first, count, shown) -> Span
             break
         notes.append(f"from t = {first * job.scene.run.sample:.6g} s: {'; '.join(reasons)}: run again with more room")
         shown.note(notes[-1])
+        if job.runs is not None:
+            known = Known(guard.standing(system, seen), (guard.grown(system, after, seen)[1], samples, poses))
         system, start = guard.grown(system, start, seen)
     else:
         raise failure.restless(job, first, reasons)
     return Span(first, count, system, start, after, samples, poses, tuple(notes))
 
 
-def execute(job: Job, system: System, state: State, first, count, shown=None):
-    """Run the compiled chunk: the state on the device, samples and poses as numpy."""
+class Known(NamedTuple):
+    """What an ensemble's chunk need not compute again."""
+
+    stands: np.ndarray  # [runs] bool: whether a run outgrew nothing
+    results: tuple  # the state, with the room that the others need, samples and poses of all runs
+
+
+def execute(job: Job, system: System, state: State, first, count, shown=None, known=None):
+    """Run the compiled chunk: the state on the device, samples and poses as numpy. known: of an ensemble, see Known."""
     every = job.every or 1
     rest = tuple(np.int32(x) for x in (count, every, first % every))
     if job.runs is None:
         return _computed(_program((system, state, *rest), None, job, shown), system, state, rest)
     if not job.shared:
-        return _many(job, system, state, rest, shown)
-    state, mine = jax.device_get(state), hosts.share(job.runs)
-    own = jax.tree.map(lambda x: x[mine], state)
-    parts = hosts.exchange(lambda: jax.device_get(_many(job, system, own, rest, shown)) if len(own.step) else None)
+        return _many(job, system, state, rest, shown, known)
+    mine = hosts.share(job.runs)
+    own, known = jax.tree.map(lambda x: x[mine], jax.device_get((state, known)))
+    parts = hosts.exchange(lambda: jax.device_get(_many(job, system, own, rest, shown, known)) if len(own.step) else None)
     return jax.tree.map(lambda *x: np.concatenate(x), *(part for part in parts if part is not None))
 
 
-def _many(job: Job, system: System, state: State, rest, shown):
+def _many(job: Job, system: System, state: State, rest, shown, known):
     """The chunk of some runs of an ensemble, on the devices of this process."""
     by = _in_threads if jax.default_backend() == "cpu" else _together
-    return by(job, system, state, rest, shown)
+    return by(job, system, state, rest, shown, known)
 
 
-def _together(job: Job, system: System, state: State, rest, shown):
-    """The chunk of runs of an ensemble side by side, shared out among devices."""
+def _together(job: Job, system: System, state: State, rest, shown, known):
+    """The chunk of runs of an ensemble side by side, shared out among devices; all of them, whatever is known of some:
+    fewer would be another program."""
     mesh = _mesh(len(state.step))
     state = jax.device_put(state, NamedSharding(mesh, PartitionSpec("runs")))
     return _computed(_program((system, state, *rest), mesh, job, shown), system, state, rest)
@@ -367,22 +381,24 @@ def _computed(program, system, state, rest):
     return after, *jax.device_get((samples, poses))
 
 
-def _in_threads(job: Job, system: System, state: State, rest, shown):
+def _in_threads(job: Job, system: System, state: State, rest, shown, known):
     """The chunk of each run of an ensemble by itself, on all cores of a CPU at once.
 
     A run side by side with others, by ``jax.vmap``, takes no less time there (measured: 11.6 us a step of nine pieces
     alone, 13 to 17 a member in batches of 64 to 1); this way it has the bits that it has alone.
     """
-    state = jax.device_get(state)
-    states = [jax.tree.map(lambda x, k=k: x[k], state) for k in range(len(state.step))]
-    program = _program((system, states[0], *rest), None, job, shown)
+    state, known = jax.device_get((state, known))
+    of_run = lambda k, tree: jax.tree.map(lambda x: x[k], tree)  # noqa: E731
+    program = _program((system, of_run(0, state), *rest), None, job, shown)
 
-    def one(state):
+    def one(k):
+        if known and known.stands[k]:
+            return of_run(k, known.results)
         with jax.enable_x64(job.scene.run.precision == "f64"):  # which holds for one thread only
-            return jax.device_get(_computed(program, system, state, rest))
+            return jax.device_get(_computed(program, system, of_run(k, state), rest))
 
     with ThreadPoolExecutor(_cores()) as pool:
-        return jax.tree.map(lambda *x: np.stack(x), *pool.map(one, states))
+        return jax.tree.map(lambda *x: np.stack(x), *pool.map(one, range(len(state.step))))
 
 
 def _cores() -> int:

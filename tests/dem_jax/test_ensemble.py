@@ -78,6 +78,29 @@ def test_capacities_are_grown_for_all(three, monkeypatch):
         np.testing.assert_allclose(at(grown, path), at(three, path), rtol=0, atol=scale, err_msg=path)
 
 
+def test_only_the_runs_that_outgrew_something_are_run_again(monkeypatch):
+    """Two of three runs begin too high to need the slots that are missing."""
+
+    def two_high(slots):
+        monkeypatch.setattr(build, "_capacity", lambda *_: (("mixed", 8, slots), ("spheres", 8, 8)))
+        job = run.prepare(scattered(), (7, 8, 9), 3)
+        with jax.enable_x64(True):
+            system = job.system.replace(domain_high=job.system.domain_high + 1)
+            state = job.state.replace(position=job.state.position.at[::2, 2].add(0.3))
+        return run.replace(job, system=system, state=state)
+
+    ample = run.drive(two_high(8), None, False, False)
+    computed, compute = [], run._computed
+    monkeypatch.setattr(run, "_computed", lambda *arguments: computed.append(arguments) or compute(*arguments))
+    grown = run.drive(two_high(1), None, False, False)
+    assert any("2 pairs of mixed for 1 slots" in note for note in grown.info["notes"])
+    assert len(computed) == 3 + 1, "one chunk of three runs, and of the low one again"
+    assert np.abs(ample.force["plate"][1]).max() > 0.01 and not ample.force["plate"][::2].any()
+    for path in PATHS:
+        scale = 1e-12 * np.abs(at(ample, path)).max()
+        np.testing.assert_allclose(at(grown, path), at(ample, path), rtol=0, atol=scale, err_msg=path)
+
+
 def test_a_file_has_a_leading_run_axis_and_can_be_gone_on_with(three, tmp_path, monkeypatch):
     monkeypatch.setattr(run, "CHUNK_TIME", 4e-2)
     written = dem_jax.ensemble(scattered(**{"run.duration": 0.011}), runs=3, seed=7, out=tmp_path / "runs.h5")
