@@ -107,7 +107,7 @@ def with_capacity(system: System, state: State, capacity, touching, row_capacity
 
 
 def with_scratch(system: System, state: State) -> State:
-    """The state with the incidence of its tables, and with empty slots of the right form, which a rebuild fills."""
+    """The state with the incidence of its tables, and with empty slots and loads of the right form, which a rebuild fills."""
     batched = jax.vmap if state.step.ndim else lambda function: function
     find = batched(lambda tables: neighbours.find_incidence(system, tables)[0])
     state = state.replace(slots={}, incidence=jax.jit(find)(state.contacts))
