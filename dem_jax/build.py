@@ -112,6 +112,7 @@ def build(scene: Scene, seed: int = 0) -> Built:
         parts=step.parts,
         block_steps=_block_steps(scene),
         slot_block=0,
+        runs=0,
     )
     only_spheres = not polytopes
     system = system.replace(has_rotation=not only_spheres or system.has_friction or bool(np.any(start.spin)))
@@ -640,6 +641,8 @@ def first_state(system: System, start: Start, frames, step: int) -> State:
         slots=_unfilled_slots(system, contacts),
         filled={kind: np.int32(0) for kind in contacts},
         busiest=np.int32(0),
+        walled=None,
+        most_walled=None,
         incidence=np.full((system.touching, n), columns, np.int32),
         loads=zero(6, columns + 1),
         ledger=forces.empty_ledger(system, dtype),

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dem_jax import bodies, boundary, collide, contact, hulls, seams, vector
+from dem_jax import bodies, boundary, collide, contact, hulls, of_run, seams, vector
 from dem_jax.bodies import Body
 from dem_jax.types import ContactTable, Ledger, Slots, State, System
 
@@ -20,8 +20,8 @@ class Contacts(NamedTuple):
     """What contacts of one kind do in one step."""
 
     table: ContactTable  # with the new history
-    load_a: jax.Array  # [6, P] (N, N m): force and torque on a, about its centre
-    load_b: jax.Array  # [6, P]: on b
+    load_a: jax.Array  # [6, P] (N, N m): force and torque on a, about its centre; or [7, P], as ``State.loads``
+    load_b: jax.Array  # on b
     sums: "Sums"  # of these contacts
 
 
@@ -29,7 +29,6 @@ class Sums(NamedTuple):
     """What is added up over contacts."""
 
     wall: jax.Array  # [6, G] (N, N m): force on each wall group and torque about the origin
-    stored: jax.Array  # (J): change of what the contacts would give back
     overlap: jax.Array  # (-): the largest, relative to the width of the piece
 
 
@@ -46,7 +45,11 @@ def contacts(system: System, state: State, omega, panels: boundary.Panels) -> St
         column += 2 * table.a.shape[0]
     state = state.replace(loads=loads)
     load = _loads_of_pieces(system, state)
-    about_pivot = vector.sub(sums.wall[3:], vector.cross(panels.pivot, sums.wall[:3]))
+    if system.runs:
+        sums = Sums(_loads_of_walls(system, state), of_run.largest(system, load[6]))
+        load = load[:6]
+    pivot = tuple(of_run.shared(system, c) for c in panels.pivot)
+    about_pivot = vector.sub(sums.wall[3:], vector.cross(pivot, sums.wall[:3]))
     wall = jnp.concatenate([sums.wall[:3], jnp.stack(about_pivot)])
     ledger = _ledger(system, state, omega, panels, sums, load, wall)
     state = state.replace(force=load[:3], torque=load[3:], contacts=tables, ledger=ledger)
@@ -65,7 +68,7 @@ def _contacts_of_kind(system: System, state: State, kind, stacked, loads, sums: 
     def add(part: Contacts, first, loads, sums):
         loads = jax.lax.dynamic_update_slice_in_dim(loads, part.load_b, column + first, 1)
         loads = jax.lax.dynamic_update_slice_in_dim(loads, part.load_a, column + room + first, 1)
-        return loads, Sums(sums.wall + part.sums.wall, sums.stored + part.sums.stored, jnp.maximum(sums.overlap, part.sums.overlap))
+        return loads, Sums(sums.wall + part.sums.wall, jnp.maximum(sums.overlap, part.sums.overlap))
 
     if not size:
         siblings = None if slots.plane is None else seams.siblings(slots, state.incidence, column)
@@ -166,7 +169,7 @@ def _resolve(system: System, kind, table: ContactTable, slots: Slots, stacked, s
 
 def _separated(system: System, table: ContactTable) -> Contacts:
     """What ``_loaded`` says where nothing touches, nor did before."""
-    none = jnp.zeros((6, table.force.shape[0]), table.force.dtype)
+    none = jnp.zeros((rows_of_loads(system), table.force.shape[0]), table.force.dtype)
     after = table.replace(force=none[0], overlap=none[0], spring=none[:3])
     return Contacts(after, none, none, _no_sums(system, none.dtype))
 
@@ -176,7 +179,7 @@ def _loaded(system: System, table: ContactTable, slots: Slots, a: Body, b: Body,
     law = system.law
     overlap = jnp.where(slots.live, shape.depth, -1)
     at_b = vector.sub(shape.point, offset)
-    before, share = table, None
+    share = None
     if siblings is not None and shape.weight is not None:
         overlap = jnp.where((shape.weight > 0) | (slots.plane < 0), overlap, -1)
         share = seams.share(jnp.where(overlap > 0, shape.weight, 0), siblings)
@@ -205,22 +208,26 @@ def _loaded(system: System, table: ContactTable, slots: Slots, a: Body, b: Body,
         force = vector.scale(share, force)
     after = table.replace(force=f, overlap=jnp.maximum(overlap, 0), spring=spring, point=jnp.stack(at_b))
     sums = _no_sums(system, f.dtype)
-    sums = sums._replace(overlap=jnp.max(after.overlap / slots.width))
-    if system.ledger:
-        stored = jnp.sum(elastic_energy(system, after, slots) - elastic_energy(system, before, slots))
-        sums = sums._replace(stored=stored)
+    relative = after.overlap / slots.width
+    sums = sums._replace(overlap=jnp.max(relative))
     reaction = vector.scale(-1, force)
-    if slots.member is not None and system.walls.groups:
+    if slots.member is not None and sums.wall.shape[1]:
         rows = jnp.stack([*reaction, *vector.cross(vector.add(a.centre, shape.point), reaction)])
         sums = sums._replace(wall=jnp.sum(jnp.where(slots.member[None], rows[:, None], 0), axis=2))
-    load_a = jnp.stack([*reaction, *vector.cross(shape.point, reaction)])
-    load_b = jnp.stack([*force, *vector.cross(at_b, force)])
+    more = [relative] if system.runs else []
+    load_a = jnp.stack([*reaction, *vector.cross(shape.point, reaction), *more])
+    load_b = jnp.stack([*force, *vector.cross(at_b, force), *more])
     return Contacts(after, load_a, load_b, sums)
 
 
 def _no_sums(system: System, dtype) -> Sums:
-    zero = jnp.zeros((), dtype)
-    return Sums(jnp.zeros((6, len(system.walls.groups)), dtype), zero, zero)
+    groups = 0 if system.runs else len(system.walls.groups)  # of runs side by side, added up at the end
+    return Sums(jnp.zeros((6, groups), dtype), jnp.zeros((), dtype))
+
+
+def rows_of_loads(system: System) -> int:
+    """Rows of ``State.loads``."""
+    return 7 if system.runs else 6
 
 
 def _motion(system: System, a: Body, b: Body, offset, table: ContactTable, normal, at_b, overlap):
@@ -254,40 +261,61 @@ def elastic_energy(system: System, table: ContactTable, slots: Slots):
 
 
 def _loads_of_pieces(system: System, state: State):
-    """Force and torque on each piece, [6, N] (N, N m): the sum over its contacts, found by ``incidence``.
+    """Force and torque on each piece, [6, N] (N, N m): the sum over its contacts, found by ``incidence``; of runs side by
+    side also its largest overlap, [7, N].
 
     Gathers and sums: the same bits every time, on a GPU too, where adding up in place is not.
     """
     load_of = lambda columns: state.loads.at[:, columns].get(mode="promise_in_bounds")  # noqa: E731
     if not system.slot_block:
         return jnp.sum(load_of(state.incidence), axis=1)
-    none = jnp.zeros((6, state.position.shape[1]), state.loads.dtype)
-    return jax.lax.fori_loop(0, state.busiest, lambda k, total: total + load_of(state.incidence[k]), none)
+    none = jnp.zeros((rows_of_loads(system), state.position.shape[1]), state.loads.dtype)
+
+    def add(k, total):
+        load = load_of(state.incidence[k])
+        return total + load if not system.runs else jnp.concatenate([(total + load)[:6], jnp.maximum(total, load)[6:]])
+
+    return jax.lax.fori_loop(0, state.busiest, add, none)
+
+
+def _loads_of_walls(system: System, state: State):
+    """Force on each wall group and torque about the origin (N, N m), [6, G, R] of R runs side by side.
+
+    What the walls of a group do to a piece, added up piece by piece, is the reaction.
+    """
+    place = vector.unpack(state.position)
+    number = jnp.arange(len(system.walls.groups), dtype=jnp.int32)[:, None]
+
+    def add(k, total):
+        columns, group = state.walled[0, k], state.walled[1, k]
+        load = state.loads.at[:6, columns].get(mode="promise_in_bounds")
+        about_origin = jnp.stack(vector.add(vector.cross(place, load[:3]), load[3:]))
+        rows = jnp.concatenate([load[:3], about_origin])
+        return total - jnp.where(group[None] == number, rows[:, None], 0)
+
+    none = jnp.zeros((6, len(system.walls.groups), state.position.shape[1]), state.loads.dtype)
+    return of_run.total(system, jax.lax.fori_loop(0, state.most_walled, add, none))
 
 
 def _ledger(system: System, state: State, omega, panels: boundary.Panels, sums: Sums, load, wall) -> Ledger:
-    """The ledger after this step; load, wall: forces and torques on pieces [6, N] and on wall groups [6, G] now."""
+    """The ledger after this step; load, wall: forces and torques on pieces [6, N] and on wall groups [6, G] now.
+
+    Work in a step is trapezoidal, each load at its own point of attack: closed to second order in the time step.
+    """
     ledger = state.ledger
     overlap = jnp.maximum(ledger.overlap, sums.overlap)
     if system.ledger:
-        on_pieces = _work(system, jnp.concatenate([state.force, state.torque]) + load, jnp.concatenate([state.velocity, omega]))
+        twice = jnp.concatenate([state.force, state.torque]) + load
+        motion = jnp.concatenate([state.velocity, omega])
+        on_pieces = 0.5 * system.dt * of_run.total(system, jnp.sum(twice * motion, axis=0))
         by_walls = jnp.zeros_like(on_pieces)
         if system.walls.moving:
             on_walls = jnp.concatenate([state.wall_force, state.wall_torque]) + wall
-            by_walls = -_work(system, on_walls, panels.groups[3:])
-        ledger = ledger.replace(
-            dissipated=ledger.dissipated + (by_walls - on_pieces - sums.stored), wall_work=ledger.wall_work + by_walls
-        )
+            motion = of_run.shared(system, panels.groups[3:])
+            by_walls = -0.5 * system.dt * jnp.sum(on_walls * motion, axis=(0, 1))
+        ledger = ledger.replace(taken=ledger.taken + (by_walls - on_pieces), wall_work=ledger.wall_work + by_walls)
     impulse = ledger.impulse + 0.5 * system.dt * (state.wall_force + wall[:3])
     return ledger.replace(impulse=impulse, overlap=overlap)
-
-
-def _work(system: System, twice_load, motion):
-    """Work (J) in this step of loads on bodies that move at a velocity and a spin, six rows each.
-
-    Trapezoidal, each load at its own point of attack: closed to second order in the time step.
-    """
-    return 0.5 * system.dt * jnp.sum(twice_load * motion)
 
 
 def empty_ledger(system: System, dtype) -> Ledger:

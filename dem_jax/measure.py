@@ -1,8 +1,9 @@
 """What is read from a state: energies, momentum, settled mass, and whether anything has gone wrong."""
 
+import jax
 import jax.numpy as jnp
 
-from dem_jax import forces, rotation, vector
+from dem_jax import forces, of_run, rotation, vector
 from dem_jax.types import Sample, State, System
 
 SETTLED_SPEED = 0.1  # m/s: slower pieces inside the block count as settled (paper, section 2.1)
@@ -19,9 +20,9 @@ def sample(system: System, state: State) -> Sample:
         torque=state.wall_torque,
         settled_mass=settled_mass(system, state, speed),
         energy=energies(system, state),
-        momentum=jnp.sum(system.pieces.mass[None] * state.velocity, axis=1),
+        momentum=of_run.total(system, system.pieces.mass[None] * state.velocity),
         overlap=state.ledger.overlap,
-        fastest=jnp.max(speed if system.escape_stops else jnp.where(in_domain(system, state), speed, 0)),
+        fastest=of_run.largest(system, speed if system.escape_stops else jnp.where(in_domain(system, state), speed, 0)),
         culprit=culprit(system, state),
     )
 
@@ -32,7 +33,7 @@ def settled_mass(system: System, state: State, speed):
     low, high = system.block_low[:, :, None], system.block_high[:, :, None]
     inside = jnp.all((x >= low) & (x <= high), axis=0)
     counted = inside & (speed < SETTLED_SPEED)[None]
-    return jnp.sum(jnp.where(counted, system.pieces.mass[None], 0), axis=1)
+    return of_run.total(system, jnp.where(counted, system.pieces.mass[None], 0))
 
 
 def energies(system: System, state: State):
@@ -42,29 +43,33 @@ def energies(system: System, state: State):
     total = kinetic + potential + elastic + dissipated - wall_work.
     """
     kinetic = kinetic_energy(system, state)
-    potential = -jnp.sum(system.pieces.mass * jnp.sum(system.gravity[:, None] * state.position, axis=0))
+    potential = -of_run.total(system, system.pieces.mass * jnp.sum(system.gravity[:, None] * state.position, axis=0))
     elastic = elastic_energy(system, state)
-    spent, walls = state.ledger.dissipated, state.ledger.wall_work
-    return jnp.stack([kinetic, potential, elastic, spent, walls, kinetic + potential + elastic + spent - walls])
+    walls = state.ledger.wall_work
+    lost = state.ledger.taken - elastic if system.ledger else walls
+    return jnp.stack([kinetic, potential, elastic, lost, walls, kinetic + potential + elastic + lost - walls])
 
 
 def kinetic_energy(system: System, state: State):
     """Energy of translation and rotation of all pieces (J)."""
     v = tuple(state.velocity)
-    twice = jnp.sum(system.pieces.mass * vector.dot(v, v))
+    twice = of_run.total(system, system.pieces.mass * vector.dot(v, v))
     if system.has_rotation:
         turn = rotation.matrix(tuple(state.orientation))
         p = vector.rotate_back(turn, tuple(state.angular_momentum))
-        twice = twice + sum(jnp.sum(c * c / i) for c, i in zip(p, system.pieces.inertia, strict=True))
+        twice = twice + sum(of_run.total(system, c * c / i) for c, i in zip(p, system.pieces.inertia, strict=True))
     return 0.5 * twice
 
 
 def elastic_energy(system: System, state: State):
     """Energy that contacts would give back (J)."""
-    total = jnp.zeros((), state.position.dtype)
-    for kind, table in state.contacts.items():
-        total = total + jnp.sum(forces.elastic_energy(system, table, state.slots[kind]))
-    return total
+    each = [forces.elastic_energy(system, table, state.slots[kind]) for kind, table in state.contacts.items()]
+    if not system.runs:
+        return sum((jnp.sum(energy) for energy in each), jnp.zeros((), state.position.dtype))
+    none = jnp.zeros_like(state.position[0])
+    columns = jnp.concatenate([*(part for energy in each for part in (energy, jnp.zeros_like(energy))), none[:1]])
+    add = lambda k, energy: energy + columns.at[state.incidence[k]].get(mode="promise_in_bounds")  # noqa: E731
+    return of_run.total(system, jax.lax.fori_loop(0, state.busiest, add, none))
 
 
 def culprit(system: System, state: State):
@@ -73,7 +78,7 @@ def culprit(system: System, state: State):
     bad = ~jnp.all(jnp.isfinite(motion), axis=0)
     if system.escape_stops:
         bad = bad | ~in_domain(system, state)
-    return jnp.where(jnp.any(bad), jnp.argmax(bad), -1).astype(jnp.int32)
+    return of_run.first_of(system, bad)
 
 
 def in_domain(system: System, state: State):

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dem_jax import bodies, boundary, contact, forces, hulls, pairs, rotation, vector
+from dem_jax import bodies, boundary, contact, forces, hulls, of_run, pairs, rotation, vector
 from dem_jax.compaction import EMPTY, compact, grouped, in_order
 from dem_jax.types import ContactTable, Guard, Slots, State, System
 
@@ -22,6 +22,10 @@ SOURCES = {
     "mixed": ("hull-sphere", "wall-sphere"),
     "spheres": ("sphere-sphere",),
 }
+
+
+# Of a State, what a rebuild fills anew.
+FILLED = ("slots", "filled", "busiest", "walled", "most_walled", "loads", "anchor", "since", "lead")
 
 
 def empty_table(slots, dtype) -> ContactTable:
@@ -52,9 +56,12 @@ def rebuild(system: System, state: State) -> State:
         number, a, b = compact(jnp.concatenate(near), jnp.concatenate(a), jnp.concatenate(b), candidates)
         overlap, relative = _depths(system, kind, a, b, number, stacked)
         guard = _note_overlap(guard, first_time, relative, a, b)
-        touching, a, b = in_order(overlap, reach, a, b, room)
+        touching, a, b = in_order(overlap, of_run.at(system, reach, jnp.maximum(b, 0)), a, b, room)
         filled[kind] = jnp.minimum(touching, room)
-        needed[kind] = jnp.maximum(guard.needed[kind], jnp.stack([number + missed, touching]))
+        wanted = jnp.stack([number + missed, touching])
+        if system.runs:
+            wanted = _of_fullest_run(system, wanted, b)
+        needed[kind] = jnp.maximum(guard.needed[kind], wanted)
         old = state.contacts[kind]
         tables[kind] = carry_history(old, a, b, state.incidence, column)
         column += 2 * old.a.shape[0]
@@ -67,9 +74,20 @@ def rebuild(system: System, state: State) -> State:
     )
     anchor = jnp.concatenate([state.position, state.orientation])
     busiest = jnp.minimum(touching, system.touching)
-    loads = jnp.zeros((6, column + 1), stacked.dtype)
+    loads = jnp.zeros((forces.rows_of_loads(system), column + 1), stacked.dtype)
     state = state.replace(contacts=tables, slots=slots, filled=filled, busiest=busiest, incidence=incidence, loads=loads)
+    if system.runs:
+        walled, most = find_walled(system, tables)
+        state = state.replace(walled=walled, most_walled=most)
     return state.replace(anchor=anchor, since=state.step, lead=lead, guard=guard)
+
+
+def _of_fullest_run(system: System, wanted, b):
+    """Of runs side by side, the candidates and slots that one run wants; wanted: of all; b: [slots], pieces in slots."""
+    each = jnp.zeros((system.runs + 1,), jnp.int32)
+    run = jnp.where(b >= 0, b % system.runs, system.runs)
+    mean = (wanted + system.runs - 1) // system.runs
+    return mean.at[1].max(jnp.max(each.at[run].add(1)[:-1]))
 
 
 def within_bounds(system: System, stacked, source, a, b, gap):
@@ -77,7 +95,7 @@ def within_bounds(system: System, stacked, source, a, b, gap):
     live = a >= 0
     a, b = jnp.maximum(a, 0), jnp.maximum(b, 0)
     radius = system.pieces.bounding_radius
-    reach = radius[b] + gap
+    reach = radius[b] + of_run.at(system, gap, b)
     if source.startswith("wall"):
         panel = a - radius.shape[0]
         first, second = bodies.take(stacked, a), bodies.take(stacked, b)
@@ -219,6 +237,27 @@ def find_incidence(system: System, tables):
     """
     pieces = system.pieces.mass.shape[0]
     owner = [part for t in tables.values() for part in (t.b, jnp.where(t.a < pieces, t.a, EMPTY))]
+    return _columns_of(system, owner)
+
+
+def find_walled(system: System, tables):
+    """As ``find_incidence``, [2, touching, N] and how many at most: where the loads of walls on each piece stand, and the
+    number of each wall's group."""
+    pieces = system.pieces.mass.shape[0]
+    panel = [part for t in tables.values() for part in (t.a - pieces, jnp.full_like(t.a, EMPTY))]
+    owner = [part for t in tables.values() for part in (jnp.where(t.a >= pieces, t.b, EMPTY), jnp.full_like(t.b, EMPTY))]
+    columns, most = _columns_of(system, owner)
+    panel = jnp.maximum(jnp.concatenate([*panel, jnp.zeros((1,), jnp.int32)]), 0)
+    group = system.walls.group[panel] if system.walls.group.shape[0] else panel
+    return jnp.stack([columns, group[columns]]), jnp.minimum(most, system.touching)
+
+
+def _columns_of(system: System, owner):
+    """The columns that belong to each piece, [touching, N], in order and ended by the last, and how many at most.
+
+    owner: parts of an array [columns - 1] of pieces, EMPTY where a column is nobody's.
+    """
+    pieces = system.pieces.mass.shape[0]
     if not owner:
         return jnp.zeros((system.touching, pieces), jnp.int32), jnp.zeros((), jnp.int32)
     owner = jnp.concatenate(owner)
@@ -231,7 +270,7 @@ def find_incidence(system: System, tables):
 
 
 def travel(system: System, state: State):
-    """The most that any two bodies can have approached each other since the last rebuild (m).
+    """The most that any two bodies of a run can have approached each other since the last rebuild (m).
 
     On a way of the length that present speeds give a body comes no further from where it was than half of that and of
     its displacement now; of both, those of the two bodies that went furthest.
@@ -248,7 +287,7 @@ def travel(system: System, state: State):
         turn = vector.sub(now.rotation[0], before.rotation[0]), vector.sub(now.rotation[1], before.rotation[1])
         turned = jnp.sqrt(vector.dot(turn[0], turn[0]) + vector.dot(turn[1], turn[1]))
         of_walls = vector.norm(vector.sub(now.centre, before.centre)) + turned * vector.norm(tuple(system.walls.half_extent))
-    return 0.5 * (_of_two(way, of_walls) + _interval(system) * _pace(system, state, now))
+    return 0.5 * (_of_two(system, way, of_walls) + _interval(system) * _pace(system, state, now))
 
 
 def _pace(system: System, state: State, panels: boundary.Panels):
@@ -262,12 +301,12 @@ def _pace(system: System, state: State, panels: boundary.Panels):
     of_walls = None
     if system.walls.moving:
         of_walls = vector.norm(panels.velocity) + vector.norm(panels.spin) * vector.norm(tuple(system.walls.half_extent))
-    return _of_two(speed, of_walls)
+    return _of_two(system, speed, of_walls)
 
 
-def _of_two(pieces, walls):
+def _of_two(system: System, pieces, walls):
     """The largest of two pieces, or of a piece and a wall, added up; walls: None where they rest."""
-    piece = jnp.max(pieces)
+    piece = of_run.largest(system, pieces)
     return 2 * piece if walls is None else piece + jnp.maximum(piece, jnp.max(walls))
 
 

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dem_jax import vector
+from dem_jax import of_run, vector
 from dem_jax.compaction import EMPTY, first_set
 from dem_jax.types import Guard, Partition, System
 
@@ -46,10 +46,12 @@ def of_source(system: System, source, stacked, reach, room):
         first = jnp.arange(system.walls.group.shape[0], dtype=jnp.int32) + pieces.mass.shape[0]
         return *_product(first, second), no_need(reach.dtype)
     if source == "hull-sphere":
-        return *_product(pieces.polytopes, pieces.spheres), no_need(reach.dtype)
+        first, second = (of_run.apart(system, x) for x in (pieces.polytopes, pieces.spheres))
+        a, b = jnp.broadcast_arrays(first[:, None], second[None])
+        return a.reshape(-1), b.reshape(-1), no_need(reach.dtype)
     members = pieces.polytopes if source == "hull-hull" else pieces.spheres
     find = {"all-pairs": all_pairs, "cells": cell_pairs, "jax-md": jax_md_pairs}
-    return find[choice(system.neighbours, members.shape[0])](system, members, stacked, reach, room)
+    return find[choice(system.neighbours, members.shape[0] // max(1, system.runs))](system, members, stacked, reach, room)
 
 
 def choice(neighbours, members: int) -> str:
@@ -75,9 +77,10 @@ def _product(first, second):
 
 
 def all_pairs(system: System, members, stacked, reach, room):
-    """Every pair there is, and Need: nothing."""
-    i, j = np.triu_indices(members.shape[0], 1)
-    return members[i], members[j], no_need(reach.dtype)
+    """Every pair there is, of pieces of one run, and Need: nothing."""
+    each = of_run.apart(system, members)
+    i, j = np.triu_indices(each.shape[0], 1)
+    return each[i].reshape(-1), each[j].reshape(-1), no_need(reach.dtype)
 
 
 def cell_pairs(system: System, members, stacked, reach, room):

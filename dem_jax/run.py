@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from dem_jax import build, compiling, failure, guard, hosts, record, restart, series, settled, stepping
+from dem_jax import build, compiling, failure, guard, hosts, joined, record, restart, series, settled, stepping
 from dem_jax.errors import RecordError, SceneError, SimulationError
 from dem_jax.report import Progress
 from dem_jax.scene import Scene, load_scene, parse
@@ -382,23 +382,29 @@ def _computed(program, system, state, rest):
 
 
 def _in_threads(job: Job, system: System, state: State, rest, shown, known):
-    """The chunk of each run of an ensemble by itself, on all cores of a CPU at once.
+    """The chunk of the runs of an ensemble on all cores of a CPU at once: each run by itself, or some as one system.
 
-    A run side by side with others, by ``jax.vmap``, takes about as long there (measured in turns, at best: 10.2 us a step of
-    nine pieces alone, 9.1 a member of 64; of 8 members 14, of one 25); this way it has the bits that it has alone.
+    Side by side by ``jax.vmap`` they take about as long there as alone (measured in turns, at best: 10.2 us a step of nine
+    pieces alone, 9.1 a member of 64; of 8 members 14, of one 25).
     """
     state, known = jax.device_get((state, known))
-    of_run = lambda k, tree: jax.tree.map(lambda x: x[k], tree)  # noqa: E731
-    program = _program((system, of_run(0, state), *rest), None, job, shown)
+    of_runs = lambda k, tree: jax.tree.map(lambda x: x[k], tree)  # noqa: E731
+    runs = len(state.step)
+    groups, together, form = list(range(runs)), np.stack, None
+    if joined.is_worthwhile(system, job.runs):
+        size = joined.AT_ONCE
+        groups = [np.minimum(np.arange(k, k + size), runs - 1) for k in range(0, runs, size)]  # the last one filled up
+        together, form = np.concatenate, "joined"
+    program = _program((system, of_runs(groups[0], state), *rest), form, job, shown)
 
     def one(k):
-        if known and known.stands[k]:
-            return of_run(k, known.results)
+        if known and np.all(known.stands[k]):
+            return of_runs(k, known.results)
         with jax.enable_x64(job.scene.run.precision == "f64"):  # which holds for one thread only
-            return jax.device_get(_computed(program, system, of_run(k, state), rest))
+            return jax.device_get(_computed(program, system, of_runs(k, state), rest))
 
     with ThreadPoolExecutor(_cores()) as pool:
-        return jax.tree.map(lambda *x: np.stack(x), *pool.map(one, range(len(state.step))))
+        return jax.tree.map(lambda *x: together(x)[:runs], *pool.map(one, groups))
 
 
 def _cores() -> int:
@@ -416,28 +422,29 @@ def _mesh(runs) -> Mesh:
 _PROGRAMS = {}  # compiled chunks by the form of their arguments
 
 
-def _program(arguments, mesh, job: Job, shown):
-    """The compiled chunk of a run, or, on the devices of a mesh, of the runs of an ensemble side by side."""
+def _program(arguments, form, job: Job, shown):
+    """The compiled chunk of a run (form: None), of runs as one system ("joined"), or of the runs of an ensemble side by side
+    on the devices of a mesh."""
     leaves, structure = jax.tree.flatten(arguments)
-    key = structure, tuple((np.shape(x), str(x.dtype)) for x in leaves), mesh, job.frame_capacity
+    key = structure, tuple((np.shape(x), str(x.dtype)) for x in leaves), form, job.frame_capacity
     if key not in _PROGRAMS:
         if shown:
             shown.compiling()
         start = time.perf_counter()
         backend = jax.default_backend()
-        function = partial(_chunk, job.frame_capacity)
-        if mesh:
+        function = partial(_chunk, joined if form == "joined" else stepping, job.frame_capacity)
+        if isinstance(form, Mesh):
             same, each = PartitionSpec(), PartitionSpec("runs")
             function = jax.vmap(function, in_axes=(None, 0, None, None, None))
             sides = {"in_specs": (same, each, same, same, same), "out_specs": each}
-            function = jax.shard_map(function, mesh=mesh, check_vma=False, **sides)
+            function = jax.shard_map(function, mesh=form, check_vma=False, **sides)
         _PROGRAMS[key] = compiling.jit(function, backend).lower(*arguments).compile()
         job.clock["compile"] += time.perf_counter() - start
     return _PROGRAMS[key]
 
 
-def _chunk(frames, system, state, count, every, phase):
-    return stepping.run_chunk(system, state, count, every, SAMPLES, frames, phase)
+def _chunk(of, frames, system, state, count, every, phase):
+    return of.run_chunk(system, state, count, every, SAMPLES, frames, phase)
 
 
 def _stop(job: Job, target, span: Span, failed):

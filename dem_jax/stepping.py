@@ -5,7 +5,7 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
-from dem_jax import boundary, compiling, forces, integrate, measure, neighbours
+from dem_jax import boundary, compiling, forces, integrate, measure, neighbours, of_run
 from dem_jax.types import Sample, State, System
 
 
@@ -106,8 +106,23 @@ def _advance_by(system: System, substeps, state: State, walls: boundary.Panels) 
     """``substeps`` steps; without looking at contacts, and in one jump, where nothing is near anything."""
     if not system.slot_block:
         return _steps(system, substeps, state, walls)
+    if system.runs:
+        return _advance_each_by(system, substeps, state, walls)
     near = sum(state.filled.values()) > 0
     return jax.lax.cond(near, lambda s: _steps(system, substeps, s, walls), lambda s: integrate.flight(system, s, substeps), state)
+
+
+def _advance_each_by(system: System, substeps, state: State, walls: boundary.Panels) -> State:
+    """``_advance_by`` of runs side by side: of those without anything near, in one jump, as by themselves."""
+    last = state.loads.shape[1] - 1  # the column of those that have no contact
+    near = of_run.any_of(system, state.incidence[0] < last)  # [runs]
+    still = lambda s: s  # noqa: E731
+    stepped = jax.lax.cond(jnp.any(near), lambda s: _steps(system, substeps, s, walls), still, state)
+    flown = jax.lax.cond(jnp.all(near), still, lambda s: integrate.flight(system, s, substeps), state)
+    pieces = of_run.at(system, near, jnp.arange(state.position.shape[1]))
+    pick = lambda which, names: {n: jnp.where(which, getattr(stepped, n), getattr(flown, n)) for n in names}  # noqa: E731
+    of_pieces = pick(pieces, ("position", "position_rest", "orientation", "velocity", "velocity_rest", "force", "torque"))
+    return stepped.replace(step=state.step + substeps, **of_pieces, **pick(near, ("wall_force", "wall_torque")))
 
 
 def _steps(system: System, substeps, state: State, walls: boundary.Panels) -> State:
@@ -128,5 +143,5 @@ def _new_interval(state: State) -> State:
 
 def _seen(system: System, state: State) -> State:
     """Note how far bodies have moved since the last rebuild, beyond what their speeds made expect."""
-    travel = jnp.maximum(state.guard.travel, neighbours.travel(system, state) - state.lead)
+    travel = jnp.maximum(state.guard.travel, jnp.max(neighbours.travel(system, state) - state.lead))
     return state.replace(guard=state.guard.replace(travel=travel))

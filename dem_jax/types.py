@@ -1,7 +1,8 @@
 """What a simulation is made of: System (never changes while it runs), State (what a step changes), Sample (what is read).
 
 All are frozen dataclasses registered as pytrees. Arrays keep the piece, panel or contact index last; leading axes hold
-components. N pieces, W panels in G wall groups, B blocks, P contact slots. SI units. An ensemble puts a member axis first.
+components. N pieces, W panels in G wall groups, B blocks, P contact slots. SI units. An ensemble puts a member axis first;
+where R of its runs are one system (``System.runs``), N counts the pieces of all and what there is of each run has R last.
 """
 
 import dataclasses
@@ -124,6 +125,7 @@ CHOICES = (
     "parts",
     "block_steps",
     "slot_block",
+    "runs",
 )
 
 
@@ -159,6 +161,7 @@ class System:
     parts: int  # a sample interval of more steps than the next is cut into so many parts, a rebuild before each
     block_steps: int  # most steps between rebuilds of the candidate pairs; a rebuild comes before the sample that exceeds it
     slot_block: int  # contacts are computed so many at a time, at most; 0: all slots at once
+    runs: int  # how many runs of an ensemble this is, side by side (see joined); 0: one run by itself
 
 
 @pytree
@@ -201,7 +204,7 @@ class Ledger:
 
     impulse: Array  # [3, G] (N s): of the pieces on each wall group
     overlap: Array  # (-): largest overlap relative to the width of the piece
-    dissipated: Array  # (J): work that contacts took and did not store
+    taken: Array  # (J): work that contacts took: what they store and what is lost
     wall_work: Array  # (J): work of the walls on the pieces
 
 
@@ -238,8 +241,11 @@ class State:
     slots: dict  # kind of contact -> Slots
     filled: dict  # kind of contact -> int32: how many slots hold a pair, the first ones
     busiest: Array  # int32: most contacts of a piece
+    walled: Array | None  # [2, touching, N] int32: of runs side by side, as ``incidence`` the contacts with walls, and their groups
+    most_walled: Array | None  # int32: most contacts of a piece with walls
     incidence: Array  # [touching, N] int32: where the contacts of each piece stand among all (see neighbours.find_incidence)
-    loads: Array  # [6, columns] (N, N m): of each contact on b and on a, about their centres; of the last column, zero
+    loads: Array  # [6, columns] (N, N m): of each contact on b and on a, about their centres; of the last column, zero; of runs
+    # side by side a seventh row, overlap relative to width
     ledger: Ledger
     anchor: Array  # [7, N]: position and orientation at the last rebuild
     since: Array  # int32: the step of the last rebuild
