@@ -45,7 +45,7 @@ def system_of(system: System, runs: int) -> System:
     """The system of so many runs as one."""
     pieces, panels = system.pieces.mass.shape[0], system.walls.group.shape[0]
     each = lambda x: jnp.repeat(x, runs, axis=-1)  # noqa: E731
-    numbers = lambda x: (runs * x[:, None] + jnp.arange(runs, dtype=x.dtype)).reshape(-1)  # noqa: E731
+    numbers = lambda x: (runs * x[:, None] + jnp.arange(runs, dtype=x.dtype)[None]).reshape(-1)  # noqa: E731
     rows = {name: numbers(getattr(system.pieces, name)) for name in ("polytopes", "spheres")}
     return system.replace(
         pieces=jax.tree.map(each, system.pieces).replace(**rows),
