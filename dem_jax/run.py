@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from dem_jax import build, compiling, failure, guard, hosts, joined, record, restart, series, settled, stepping
+from dem_jax import build, compiling, failure, guard, hosts, joined, neighbours, record, restart, series, settled, stepping
 from dem_jax.errors import RecordError, SceneError, SimulationError
 from dem_jax.report import Progress
 from dem_jax.scene import Scene, load_scene, parse
@@ -26,7 +26,8 @@ from dem_jax.types import Sample, State, System
 
 SAMPLES = 1024  # capacity of a chunk: one for all scenes, so that they share compiled programs
 FRAMES = 64
-CHUNK_TIME = 4.0  # s that a chunk should take, by an estimate from above
+CHUNK_TIME = 8.0  # s that a chunk should take on one core, by this estimate of a step and, in it, of each body (s):
+STEP_TIME, BODY_TIME = 5e-6, 0.3e-6  # pieces in flight take less, packed ones up to five times as long
 SLOT_BLOCK = 64  # slots that a CPU computes at a time, at most: they stay in its cache
 ATTEMPTS = 12  # to find room for a chunk
 
@@ -105,7 +106,7 @@ class Job:
         """Samples per chunk, a multiple of the samples between rebuilds: a rebuild at its start is due anyway."""
         block = samples_per_block(self.system)
         bodies = self.state.position.shape[-1] * (self.runs or 1)
-        wanted = CHUNK_TIME / (self.steps_per_sample * (10e-6 + 2e-6 * bodies))
+        wanted = CHUNK_TIME / (self.steps_per_sample * (STEP_TIME + BODY_TIME * bodies))
         room = min(SAMPLES, (FRAMES - 1) * self.every + 1) if self.every else SAMPLES
         return max(1, int(min(wanted, room)) // block) * block
 
@@ -387,7 +388,8 @@ def _in_threads(job: Job, system: System, state: State, rest, shown, known):
     Side by side by ``jax.vmap`` they take about as long there as alone (measured in turns, at best: 10.2 us a step of nine
     pieces alone, 9.1 a member of 64; of 8 members 14, of one 25).
     """
-    state, known = jax.device_get((state, known))
+    filled = {name: getattr(state, name) for name in neighbours.FILLED}  # anew, so that it need not be carried about
+    bare = lambda state: state.replace(**dict.fromkeys(filled))  # noqa: E731
     of_runs = lambda k, tree: jax.tree.map(lambda x: x[k], tree)  # noqa: E731
     runs = len(state.step)
     groups, together, form = list(range(runs)), np.stack, None
@@ -395,16 +397,20 @@ def _in_threads(job: Job, system: System, state: State, rest, shown, known):
         size = joined.AT_ONCE
         groups = [np.minimum(np.arange(k, k + size), runs - 1) for k in range(0, runs, size)]  # the last one filled up
         together, form = np.concatenate, "joined"
-    program = _program((system, of_runs(groups[0], state), *rest), form, job, shown)
+    some = jax.device_put(of_runs(groups[0], jax.device_get(filled)))
+    kept, known = jax.device_get((bare(state), known and known._replace(results=(bare(known.results[0]), *known.results[1:]))))
+    program = _program((system, of_runs(groups[0], kept).replace(**some), *rest), form, job, shown)
 
     def one(k):
         if known and np.all(known.stands[k]):
             return of_runs(k, known.results)
         with jax.enable_x64(job.scene.run.precision == "f64"):  # which holds for one thread only
-            return jax.device_get(_computed(program, system, of_runs(k, state), rest))
+            after, *seen = _computed(program, system, of_runs(k, kept).replace(**some), rest)
+            return jax.device_get(bare(after)), *seen
 
     with ThreadPoolExecutor(_cores()) as pool:
-        return jax.tree.map(lambda *x: together(x)[:runs], *pool.map(one, groups))
+        after, *seen = jax.tree.map(lambda *x: together(x)[:runs], *pool.map(one, groups))
+    return after.replace(**filled), *seen
 
 
 def _cores() -> int:

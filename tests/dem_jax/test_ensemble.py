@@ -102,7 +102,7 @@ def test_only_the_runs_that_outgrew_something_are_run_again(monkeypatch):
 
 
 def test_a_file_has_a_leading_run_axis_and_can_be_gone_on_with(three, tmp_path, monkeypatch):
-    monkeypatch.setattr(run, "CHUNK_TIME", 4e-2)
+    monkeypatch.setattr(run, "CHUNK_TIME", 1.2e-2)
     written = dem_jax.ensemble(scattered(**{"run.duration": 0.011}), runs=3, seed=7, out=tmp_path / "runs.h5")
     assert written.time.shape == (550,) and written.settled_mass["plate"].shape == (3, 550)
     longer = dem_jax.resume(tmp_path / "runs.h5", duration=0.02)

@@ -22,7 +22,7 @@ jax.distributed.initialize(coordinator_address=f"localhost:{port}", num_processe
 import dem_jax
 from dem_jax import record, run
 from dem_jax.errors import RecordError
-run.CHUNK_TIME = 0.02
+run.CHUNK_TIME = 0.007
 mine, other = int(index) == 0, int(index) == 1
 calls, threads = [], run._in_threads
 def counted(job, system, state, *rest):
@@ -126,7 +126,7 @@ def assert_same(a, b):
 
 
 def test_members_have_the_same_bits_in_one_process_and_in_two(two, monkeypatch):
-    monkeypatch.setattr(run, "CHUNK_TIME", 0.02)
+    monkeypatch.setattr(run, "CHUNK_TIME", 0.007)
     alone = dem_jax.ensemble(scene(), runs=3, seed=7)
     assert np.abs(alone.force["plate"]).max() > 0.01 and 0.01 < alone.settled < 0.05
     (first, second), folder = two

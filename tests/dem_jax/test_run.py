@@ -64,7 +64,7 @@ def assert_same(a, b, exactly=True, tolerance=0.0):
 @pytest.fixture(autouse=True)
 def short_chunks(monkeypatch):
     """Chunks of 100 samples at most, so that a short run has several."""
-    monkeypatch.setattr(run, "CHUNK_TIME", 100 * 5 * 12e-6)
+    monkeypatch.setattr(run, "CHUNK_TIME", 100 * 5 * 5.3e-6)
 
 
 # --- what a run holds ---
@@ -336,7 +336,7 @@ KILLED = """
 import os, signal, sys
 import dem_jax
 from dem_jax import record, run
-run.CHUNK_TIME = 100 * 5 * 12e-6
+run.CHUNK_TIME = 100 * 5 * 5.3e-6
 append, count = record.Writer.append, 0
 def killing(self, *args, **kw):
     global count
@@ -354,7 +354,7 @@ dem_jax.simulate(sys.argv[1], seed=5, out=sys.argv[2])
 def uninterrupted(tmp_path_factory):
     folder = tmp_path_factory.mktemp("whole")
     patch = pytest.MonkeyPatch()
-    patch.setattr(run, "CHUNK_TIME", 100 * 5 * 12e-6)
+    patch.setattr(run, "CHUNK_TIME", 100 * 5 * 5.3e-6)
     dem_jax.simulate(settling(), seed=5, out=folder / "run.h5")
     patch.undo()
     return folder / "run.h5"

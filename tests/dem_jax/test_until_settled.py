@@ -73,7 +73,7 @@ def test_a_run_that_does_not_come_to_rest_goes_on_to_its_end():
 
 def test_where_chunks_end_changes_nothing(monkeypatch):
     expected = dem_jax.simulate(ball())
-    monkeypatch.setattr(run, "CHUNK_TIME", 20 * 5 * 12e-6)  # several in a window
+    monkeypatch.setattr(run, "CHUNK_TIME", 20 * 5 * 5.3e-6)  # several in a window
     found = dem_jax.simulate(ball())
     assert len(found.time) == len(expected.time)
     assert_begins(expected, found)
@@ -147,7 +147,7 @@ class Stopped(Exception):
 @pytest.mark.parametrize("appends", [1, 4, 8, 12, 17])
 def test_a_run_that_was_stopped_goes_on_to_the_same_end(settled, tmp_path, monkeypatch, appends):
     """While it settles, about the release and after it; windows of several chunks."""
-    monkeypatch.setattr(run, "CHUNK_TIME", 90 * 10 * 12e-6)
+    monkeypatch.setattr(run, "CHUNK_TIME", 90 * 10 * 5.3e-6)
     out, count = tmp_path / "run.h5", []
     append = record.Writer.append
 
