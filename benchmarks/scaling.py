@@ -25,10 +25,9 @@ MEMBERS = {"cpu": (1, 8, 64), "gpu": (64, 256, 1024, 4096)}
 UNTIMED, REPEATS = 2, 3  # chunks
 ROUNDS = 3  # of all numbers of pieces, so that what else the machine does falls on all alike
 BLOCKS = 2  # rebuilds in a chunk that is timed, each with the steps until the next
-DROPS = 8  # of the ensemble that is shared out among cores
+DROPS = 32  # of the ensemble that is shared out among cores
 WHOLE_DROPS = 64  # of the stock scene, to the end
-BESIDE = {9: 1.0, 318: 0.3}  # pieces of 50 g: scale factor
-BESIDE_RUNS = 4  # drops one after the other, and as an ensemble
+BESIDE = {9: (1.0, 64), 30: (0.656, 64), 318: (0.3, 4)}  # pieces of 50 g: scale factor; drops one after the other, and together
 SIZE_HEAD = (
     "shape", "pieces", "µs per step", "µs per step and piece", "pairs listed per piece", "bytes held per piece",
     "memory of the process (MB)", "compile (s)", "set-up (s)",
@@ -38,7 +37,7 @@ DROP_HEAD = (
     "until settled", "s by the clock", "settling and fall and landing of each (s)", "µs of a core per member-step",
     "s by the clock for 0.2 s of each",
 )  # fmt: skip
-BESIDE_HEAD = ("pieces", "µs per step, drops one after the other", "µs per member-step of their ensemble", "ratio")
+BESIDE_HEAD = ("pieces", "drops", "µs per step, drops one after the other", "µs per member-step of their ensemble", "ratio")
 MEMBER_HEAD = ("members", "µs per step of all", "µs per member-step", "drops of 0.2 s per s", "memory (MB)", "compile (s)")
 
 
@@ -111,21 +110,22 @@ def beside_row(count: int) -> dict:
     """The same drops one after the other and as an ensemble, in turns on one core: seconds of the processor per step."""
     import dem_jax
 
-    settings = {"portion.scale_factor": BESIDE[count], "portion.settling_time": 0.1, "run.duration": 0.05, "run.frames": 0.0}
+    factor, runs = BESIDE[count]
+    settings = {"portion.scale_factor": factor, "portion.settling_time": 0.1, "run.duration": 0.05, "run.frames": 0.0}
     scene = dem_jax.load_scene("weigh-bucket", settings)
     ways = {
-        "times": lambda: [dem_jax.simulate(scene, seed=seed) for seed in range(BESIDE_RUNS)],
-        "beside": lambda: [dem_jax.ensemble(scene, runs=BESIDE_RUNS, seed=0)],
+        "times": lambda: [dem_jax.simulate(scene, seed=seed) for seed in range(runs)],
+        "beside": lambda: [dem_jax.ensemble(scene, runs=runs, seed=0)],
     }
     found = {name: [] for name in ways}
     for _ in range(1 + REPEATS):
         for name, way in ways.items():
             start = time.process_time()
             made = way()[0]
-            steps = BESIDE_RUNS * (scene.portion.settling_time + scene.run.duration) / made.dt
+            steps = runs * (scene.portion.settling_time + scene.run.duration) / made.dt
             found[name].append((time.process_time() - start) / steps)
     # The first of each compiles, also what is outgrown.
-    return {name: times[1:] for name, times in found.items()} | {"pieces": made.header.piece_count}
+    return {name: times[1:] for name, times in found.items()} | {"pieces": made.header.piece_count, "runs": runs}
 
 
 def drops_row(until_settled) -> dict:
@@ -238,7 +238,7 @@ def member_cells(row):
 def beside_cells(row):
     """Cells of the table of drops alone and in an ensemble."""
     ratios = [together / alone for alone, together in zip(row["times"], row["beside"], strict=True)]
-    return row["pieces"], report.spread(row["times"], 1e6), report.spread(row["beside"], 1e6), report.spread(ratios)
+    return row["pieces"], row["runs"], report.spread(row["times"], 1e6), report.spread(row["beside"], 1e6), report.spread(ratios)
 
 
 def core_cells(rows):
@@ -289,8 +289,8 @@ Ensembles of nine marshmallows at rest, side by side by `vmap`{" (not so on a CP
 """
     if found.get("beside"):
         text += f"""
-{BESIDE_RUNS} drops of 50 g, one after the other by `dem_jax.simulate` and as an ensemble by `dem_jax.ensemble`, in turns on one
-core, seconds on the processor with set-up and without compiling, from the first fall into the feed bucket on:
+Drops of 50 g, one after the other by `dem_jax.simulate` and as an ensemble by `dem_jax.ensemble`, in turns on one core,
+seconds on the processor with set-up and without compiling, from the first fall into the feed bucket on (0.15 s of each):
 
 {report.table(BESIDE_HEAD, [beside_cells(row) for row in found["beside"]])}
 """
@@ -302,8 +302,8 @@ An ensemble of {DROPS} drops of the stock scene by `dem_jax.ensemble`, without c
 """
     if found.get("drops"):
         text += f"""
-{WHOLE_DROPS} drops of the stock scene (nine marshmallows) by `dem_jax.ensemble`, each in a thread with the bits that it has
-alone, without compiling, in steps of {found["drops"][0]["dt"] * 1e6:.3g} µs, on {found["drops"][0]["cores"]} cores:
+{WHOLE_DROPS} drops of the stock scene (nine marshmallows) by `dem_jax.ensemble`, without compiling, in steps of
+{found["drops"][0]["dt"] * 1e6:.3g} µs, on {found["drops"][0]["cores"]} cores:
 
 {report.table(DROP_HEAD, [drop_cells(row) for row in found["drops"]])}
 """

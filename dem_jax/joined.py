@@ -1,8 +1,9 @@
-"""Runs of an ensemble side by side as one system whose runs do not see each other.
+"""Runs of an ensemble side by side as one system whose runs do not see each other: on a CPU, where pieces are few.
 
-On a CPU a step of few pieces is hundreds of loops over few numbers. Of several runs as one system they are longer, and
-blocks of slots are as full as all runs together fill them, while of one run the last is hardly filled. Each run has the
-pairs, slots and samples that it has by itself.
+A step of nine pieces by itself computes all of its 32 slots, however few are filled, in hundreds of loops over 32 numbers.
+Side by side only the blocks that all runs together fill are computed, and a member's step takes a third of the time (of 30
+pieces half, of 60 two thirds, of 318 as long). Each run has the pairs, slots and samples that it has by itself, to rounding,
+and the same bits in whatever place and company.
 """
 
 from functools import partial
@@ -16,7 +17,7 @@ from dem_jax.types import ContactTable, Guard, State, System
 
 MOST_PIECES = 64  # of a run, for which it pays
 AT_ONCE = 16  # runs: more gain little and leave cores without work; always as many, as each number is a program of its own
-SLOT_BLOCK = 128  # slots computed at a time
+SLOT_BLOCK = 32  # slots computed at a time: of nine pieces 64 take 1.2 times as long, 16 1.1 times
 OF_PIECES = (
     "position", "position_rest", "orientation", "velocity", "velocity_rest", "angular_momentum", "force", "torque",
 )  # fmt: skip

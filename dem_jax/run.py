@@ -383,10 +383,10 @@ def _computed(program, system, state, rest):
 
 
 def _in_threads(job: Job, system: System, state: State, rest, shown, known):
-    """The chunk of the runs of an ensemble on all cores of a CPU at once: each run by itself, or some as one system.
+    """The chunk of the runs of an ensemble on all cores of a CPU at once: each run by itself, or sixteen as one system.
 
-    Side by side by ``jax.vmap`` they take about as long there as alone (measured in turns, at best: 10.2 us a step of nine
-    pieces alone, 9.1 a member of 64; of 8 members 14, of one 25).
+    By ``jax.vmap`` they would take about as long as alone (measured in turns, at best: 10.2 us a step of nine pieces alone,
+    9.1 a member of 64; of 8 members 14, of one 25).
     """
     filled = {name: getattr(state, name) for name in neighbours.FILLED}  # anew, so that it need not be carried about
     bare = lambda state: state.replace(**dict.fromkeys(filled))  # noqa: E731
