@@ -388,29 +388,30 @@ def _in_threads(job: Job, system: System, state: State, rest, shown, known):
     By ``jax.vmap`` they would take about as long as alone (measured in turns, at best: 10.2 us a step of nine pieces alone,
     9.1 a member of 64; of 8 members 14, of one 25).
     """
-    filled = {name: getattr(state, name) for name in neighbours.FILLED}  # anew, so that it need not be carried about
+    filled = {name: getattr(state, name) for name in neighbours.FILLED}  # which the chunk fills anew: any run's will do
     bare = lambda state: state.replace(**dict.fromkeys(filled))  # noqa: E731
     of_runs = lambda k, tree: jax.tree.map(lambda x: x[k], tree)  # noqa: E731
-    runs = len(state.step)
-    groups, together, form = list(range(runs)), np.stack, None
+    kept = jax.device_get(bare(state))
+    runs = len(kept.step)
+    groups, together, form = range(runs), np.stack, None
     if joined.is_worthwhile(system, job.runs):
-        size = joined.AT_ONCE
-        groups = [np.minimum(np.arange(k, k + size), runs - 1) for k in range(0, runs, size)]  # the last one filled up
+        last_run = runs - 1  # also fills up the last group
+        groups = [np.minimum(k + np.arange(joined.AT_ONCE), last_run) for k in range(0, runs, joined.AT_ONCE)]
         together, form = np.concatenate, "joined"
-    some = jax.device_put(of_runs(groups[0], jax.device_get(filled)))
-    kept, known = jax.device_get((bare(state), known and known._replace(results=(bare(known.results[0]), *known.results[1:]))))
-    program = _program((system, of_runs(groups[0], kept).replace(**some), *rest), form, job, shown)
+    unfilled = jax.device_put(of_runs(groups[0], jax.device_get(filled)))
+    stands, results = jax.device_get((known.stands, (bare(known.results[0]), *known.results[1:]))) if known else (None, None)
+    program = _program((system, of_runs(groups[0], kept).replace(**unfilled), *rest), form, job, shown)
 
     def one(k):
-        if known and np.all(known.stands[k]):
-            return of_runs(k, known.results)
+        if known and np.all(stands[k]):
+            return of_runs(k, results)
         with jax.enable_x64(job.scene.run.precision == "f64"):  # which holds for one thread only
-            after, *seen = _computed(program, system, of_runs(k, kept).replace(**some), rest)
-            return jax.device_get(bare(after)), *seen
+            after, samples, poses = _computed(program, system, of_runs(k, kept).replace(**unfilled), rest)
+            return jax.device_get(bare(after)), samples, poses
 
     with ThreadPoolExecutor(_cores()) as pool:
-        after, *seen = jax.tree.map(lambda *x: together(x)[:runs], *pool.map(one, groups))
-    return after.replace(**filled), *seen
+        after, samples, poses = jax.tree.map(lambda *x: together(x)[:runs], *pool.map(one, groups))
+    return after.replace(**filled), samples, poses
 
 
 def _cores() -> int:
