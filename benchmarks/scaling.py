@@ -14,6 +14,7 @@ import statistics
 import subprocess
 import sys
 import time
+from functools import partial
 
 import numpy as np
 
@@ -27,7 +28,12 @@ ROUNDS = 3  # of all numbers of pieces, so that what else the machine does falls
 BLOCKS = 2  # rebuilds in a chunk that is timed, each with the steps until the next
 DROPS = 32  # of the ensemble that is shared out among cores
 WHOLE_DROPS = 64  # of the stock scene, to the end
-BESIDE = {9: (1.0, 64), 30: (0.656, 64), 318: (0.3, 4)}  # pieces of 50 g: scale factor; drops one after the other, and together
+BESIDE = {  # drops of 50 g: scale factor, drops one after the other and together, settling and run of each (s)
+    "9": (1.0, 64, 0.1, 0.05),
+    "9-whole": (1.0, 16, 0.5, 0.4),
+    "30": (0.656, 64, 0.1, 0.05),
+    "318": (0.3, 4, 0.1, 0.05),
+}
 SIZE_HEAD = (
     "shape", "pieces", "µs per step", "µs per step and piece", "pairs listed per piece", "bytes held per piece",
     "memory of the process (MB)", "compile (s)", "set-up (s)",
@@ -37,7 +43,9 @@ DROP_HEAD = (
     "until settled", "s by the clock", "settling and fall and landing of each (s)", "µs of a core per member-step",
     "s by the clock for 0.2 s of each",
 )  # fmt: skip
-BESIDE_HEAD = ("pieces", "drops", "µs per step, drops one after the other", "µs per member-step of their ensemble", "ratio")
+BESIDE_HEAD = (
+    "pieces", "drops", "s of each", "µs per step, drops one after the other", "µs per member-step of their ensemble", "ratio",
+)  # fmt: skip
 MEMBER_HEAD = ("members", "µs per step of all", "µs per member-step", "drops of 0.2 s per s", "memory (MB)", "compile (s)")
 
 
@@ -106,12 +114,12 @@ def core_row(cores: int) -> dict:
     return {"cores": cores, "times": times}
 
 
-def beside_row(count: int) -> dict:
+def beside_row(name) -> dict:
     """The same drops one after the other and as an ensemble, in turns on one core: seconds of the processor per step."""
     import dem_jax
 
-    factor, runs = BESIDE[count]
-    settings = {"portion.scale_factor": factor, "portion.settling_time": 0.1, "run.duration": 0.05, "run.frames": 0.0}
+    factor, runs, settling, duration = BESIDE[str(name)]
+    settings = {"portion.scale_factor": factor, "portion.settling_time": settling, "run.duration": duration, "run.frames": 0.0}
     scene = dem_jax.load_scene("weigh-bucket", settings)
     ways = {
         "times": lambda: [dem_jax.simulate(scene, seed=seed) for seed in range(runs)],
@@ -122,10 +130,12 @@ def beside_row(count: int) -> dict:
         for name, way in ways.items():
             start = time.process_time()
             made = way()[0]
-            steps = runs * (scene.portion.settling_time + scene.run.duration) / made.dt
+            steps = runs * (settling + duration) / made.dt
             found[name].append((time.process_time() - start) / steps)
     # The first of each compiles, also what is outgrown.
-    return {name: times[1:] for name, times in found.items()} | {"pieces": made.header.piece_count, "runs": runs}
+    return {name: times[1:] for name, times in found.items()} | {
+        "pieces": made.header.piece_count, "runs": runs, "each": settling + duration
+    }  # fmt: skip
 
 
 def drops_row(until_settled) -> dict:
@@ -145,9 +155,9 @@ def drops_row(until_settled) -> dict:
 ROWS = {"size": size_row, "members": member_row, "beside": beside_row, "cores": core_row, "drops": drops_row}
 
 
-def measured(kind, *arguments) -> dict:
-    """A row measured by a process of its own, or {"failed": which, and why}."""
-    words = [sys.executable, "-m", "benchmarks.scaling", "--row", kind, *map(str, arguments)]
+def measured(kind, *arguments, pinned=False) -> dict:
+    """A row measured by a process of its own, pinned to one core or not, or {"failed": which, and why}."""
+    words = [sys.executable, "-m", "benchmarks.scaling", *["--pinned"] * pinned, "--row", kind, *map(str, arguments)]
     done = subprocess.run(words, capture_output=True, text=True, check=False)
     if done.returncode:  # out of memory at some size must not lose the other rows
         last = (done.stderr.strip() or f"exit code {done.returncode}").splitlines()[-1]
@@ -163,19 +173,16 @@ def together(rows) -> dict:
     return failed[0] if failed else rows[0] | {"times": [t for row in rows for t in row["times"]]}
 
 
-def serve(kind, *arguments):
+def serve(pinned, kind, *arguments):
     """Measure a row in this process and print it."""
     from dem_jax.compiling import loops_as_one
 
-    loops_as_one()  # as in production, before JAX starts
     cores = sorted(os.sched_getaffinity(0))
-    if kind == "cores":
+    if pinned:  # before JAX starts its threads
+        os.sched_setaffinity(0, cores[-1:])
+    elif kind == "cores":
         os.sched_setaffinity(0, cores[: int(arguments[0])])
-    elif kind != "drops":
-        import jax
-
-        if jax.default_backend() == "cpu":  # its threads are started at the first computation
-            os.sched_setaffinity(0, cores[-1:])
+    loops_as_one()  # as in production
     print(json.dumps(ROWS[kind](*(int(x) if x.isdecimal() else x for x in arguments))))
 
 
@@ -238,7 +245,8 @@ def member_cells(row):
 def beside_cells(row):
     """Cells of the table of drops alone and in an ensemble."""
     ratios = [together / alone for alone, together in zip(row["times"], row["beside"], strict=True)]
-    return row["pieces"], row["runs"], report.spread(row["times"], 1e6), report.spread(row["beside"], 1e6), report.spread(ratios)
+    times = report.spread(row["times"], 1e6), report.spread(row["beside"], 1e6)
+    return row["pieces"], row["runs"], f"{row['each']:g}", *times, report.spread(ratios)
 
 
 def core_cells(rows):
@@ -259,11 +267,12 @@ def all_rows(kind, sizes, quick) -> dict:
     """Rows, some of which may have failed, by what they measure; kind: "cpu" or "gpu"; sizes: numbers of pieces, or None."""
     take = slice(2) if quick else slice(None)
     every = [(shape, n) for shape in SHAPES for n in (sizes or SIZES[kind][take])]
-    rounds = [[measured("size", *which) for which in every] for _ in range(1 if quick else ROUNDS)]
+    alone = partial(measured, pinned=kind == "cpu")
+    rounds = [[alone("size", *which) for which in every] for _ in range(1 if quick else ROUNDS)]
     rows = {"size": [together(of_one) for of_one in zip(*rounds, strict=True)]}
-    rows["members"] = [measured("members", count) for count in MEMBERS[kind][take]]
+    rows["members"] = [alone("members", count) for count in MEMBERS[kind][take]]
     if kind == "cpu":
-        rows["beside"] = [measured("beside", n) for n in list(BESIDE)[: 1 if quick else None]]
+        rows["beside"] = [alone("beside", n) for n in list(BESIDE)[: 1 if quick else None]]
         rows["cores"] = [measured("cores", n) for n in range(1, len(os.sched_getaffinity(0)) + 1)]
     if kind == "cpu" and not quick:
         rows["drops"] = [measured("drops", end) for end in ("no", "yes")]
@@ -290,7 +299,7 @@ Ensembles of nine marshmallows at rest, side by side by `vmap`{" (not so on a CP
     if found.get("beside"):
         text += f"""
 Drops of 50 g, one after the other by `dem_jax.simulate` and as an ensemble by `dem_jax.ensemble`, in turns on one core,
-seconds on the processor with set-up and without compiling, from the first fall into the feed bucket on (0.15 s of each):
+seconds on the processor with set-up and without compiling, from the first fall into the feed bucket on:
 
 {report.table(BESIDE_HEAD, [beside_cells(row) for row in found["beside"]])}
 """
@@ -315,9 +324,10 @@ def main(argv=None):
     parser.add_argument("--quick", action="store_true", help="only the smallest sizes")
     parser.add_argument("--sizes", type=int, nargs="+", help="numbers of pieces")
     parser.add_argument("--row", nargs="+", help=argparse.SUPPRESS)
+    parser.add_argument("--pinned", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args(argv)
     if options.row:
-        return serve(*options.row)
+        return serve(options.pinned, *options.row)
     device = subprocess.run(
         [sys.executable, "-c", "import jax; d = jax.devices()[0]; print(d.platform, d.device_kind)"],
         capture_output=True, text=True, check=True,
