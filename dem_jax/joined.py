@@ -1,9 +1,9 @@
 """Runs of an ensemble side by side as one system whose runs do not see each other: on a CPU, where pieces are few.
 
 A step of nine pieces by itself computes all of its 32 slots, however few are filled, in hundreds of loops over 32 numbers.
-Side by side only the blocks that all runs together fill are computed, and a member's step takes a third of the time (of 30
-pieces half, of 60 two thirds, of 318 as long). Each run has the pairs, slots and samples that it has by itself, to rounding,
-and the same bits in whatever place and company.
+Side by side only the blocks that all runs together fill are computed. Against a thread for each run that takes 0.5 times as
+long for a whole stock drop of nine pieces; for the first 0.15 s of a drop 0.26 times, of 30 pieces 0.57, of 61 0.63, of 318 1.2.
+Each run has the pairs, slots and samples that it has by itself, to rounding, and the same bits in whatever place and company.
 """
 
 from functools import partial
