@@ -114,11 +114,11 @@ def core_row(cores: int) -> dict:
     return {"cores": cores, "times": times}
 
 
-def beside_row(name) -> dict:
+def beside_row(which) -> dict:
     """The same drops one after the other and as an ensemble, in turns on one core: seconds of the processor per step."""
     import dem_jax
 
-    factor, runs, settling, duration = BESIDE[str(name)]
+    factor, runs, settling, duration = BESIDE[str(which)]
     settings = {"portion.scale_factor": factor, "portion.settling_time": settling, "run.duration": duration, "run.frames": 0.0}
     scene = dem_jax.load_scene("weigh-bucket", settings)
     ways = {

@@ -106,14 +106,12 @@ def _what_happened(job, state, piece):
 def _deep(job, system, state, overlap):
     """The piece in the deepest contact, and what to say of it."""
     worst, a, b = -1.0, None, None
-    width = np.asarray(system.pieces.width)
+    width = np.append(system.pieces.width, np.full(system.walls.group.shape[0], np.inf))  # of pieces, then of panels
     for table in state.contacts.values():
-        of_a, of_b = np.asarray(table.a), np.asarray(table.b)
-        narrower = np.minimum(width[of_b], np.where(of_a < len(width), width[np.minimum(of_a, len(width) - 1)], np.inf))
-        relative = np.asarray(table.overlap) / narrower
+        relative = np.asarray(table.overlap) / np.minimum(width[table.a], width[table.b])
         k = int(np.argmax(relative))
         if relative[k] > worst:
-            worst, a, b = relative[k], int(of_a[k]), int(of_b[k])
+            worst, a, b = relative[k], int(table.a[k]), int(table.b[k])
     return b, (
         f"its contact with {body_name(system, a)} is {100 * overlap:.3g} % of the piece's width deep (at most "
         f"{100 * DEEPEST:g} %); likely cause: the material is too soft for this load (raise material.softening), "

@@ -209,12 +209,13 @@ def _loaded(system: System, table: ContactTable, slots: Slots, a: Body, b: Body,
     after = table.replace(force=f, overlap=jnp.maximum(overlap, 0), spring=spring, point=jnp.stack(at_b))
     sums = _no_sums(system, f.dtype)
     relative = after.overlap / slots.width
-    sums = sums._replace(overlap=jnp.max(relative))
+    more = [relative] if system.runs else []
+    if not system.runs:
+        sums = sums._replace(overlap=jnp.max(relative))
     reaction = vector.scale(-1, force)
     if slots.member is not None and sums.wall.shape[1]:
         rows = jnp.stack([*reaction, *vector.cross(vector.add(a.centre, shape.point), reaction)])
         sums = sums._replace(wall=jnp.sum(jnp.where(slots.member[None], rows[:, None], 0), axis=2))
-    more = [relative] if system.runs else []
     load_a = jnp.stack([*reaction, *vector.cross(shape.point, reaction), *more])
     load_b = jnp.stack([*force, *vector.cross(at_b, force), *more])
     return Contacts(after, load_a, load_b, sums)
@@ -298,24 +299,29 @@ def _loads_of_walls(system: System, state: State):
 
 
 def _ledger(system: System, state: State, omega, panels: boundary.Panels, sums: Sums, load, wall) -> Ledger:
-    """The ledger after this step; load, wall: forces and torques on pieces [6, N] and on wall groups [6, G] now.
-
-    Work in a step is trapezoidal, each load at its own point of attack: closed to second order in the time step.
-    """
+    """The ledger after this step; load, wall: forces and torques on pieces [6, N] and on wall groups [6, G] now."""
     ledger = state.ledger
     overlap = jnp.maximum(ledger.overlap, sums.overlap)
     if system.ledger:
         twice = jnp.concatenate([state.force, state.torque]) + load
         motion = jnp.concatenate([state.velocity, omega])
-        on_pieces = 0.5 * system.dt * of_run.total(system, jnp.sum(twice * motion, axis=0))
+        on_pieces = _work(system, of_run.apart(system, twice * motion))
         by_walls = jnp.zeros_like(on_pieces)
         if system.walls.moving:
             on_walls = jnp.concatenate([state.wall_force, state.wall_torque]) + wall
             motion = of_run.shared(system, panels.groups[3:])
-            by_walls = -0.5 * system.dt * jnp.sum(on_walls * motion, axis=(0, 1))
+            by_walls = -_work(system, on_walls * motion)
         ledger = ledger.replace(taken=ledger.taken + (by_walls - on_pieces), wall_work=ledger.wall_work + by_walls)
     impulse = ledger.impulse + 0.5 * system.dt * (state.wall_force + wall[:3])
     return ledger.replace(impulse=impulse, overlap=overlap)
+
+
+def _work(system: System, twice_power):
+    """Work (J) in this step, from loads on bodies, before and after it, times velocities and spins, [6, bodies] (W).
+
+    Trapezoidal, each load at its own point of attack: closed to second order in the time step.
+    """
+    return 0.5 * system.dt * jnp.sum(twice_power, axis=(0, 1))
 
 
 def empty_ledger(system: System, dtype) -> Ledger:

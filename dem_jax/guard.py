@@ -107,13 +107,13 @@ def with_capacity(system: System, state: State, capacity, touching, row_capacity
 
 
 def with_scratch(system: System, state: State) -> State:
-    """The state with the incidence of its tables, and with empty slots and loads of the right form, which a rebuild fills."""
+    """The state with the incidence of its tables, and with what a rebuild fills empty and of the right form."""
     batched = jax.vmap if state.step.ndim else lambda function: function
     find = batched(lambda tables: neighbours.find_incidence(system, tables)[0])
     state = state.replace(slots={}, incidence=jax.jit(find)(state.contacts))
     form = jax.eval_shape(batched(partial(neighbours.rebuild, system)), state)
-    empty = lambda x: jnp.zeros(x.shape, x.dtype)  # noqa: E731
-    return state.replace(slots=jax.tree.map(empty, form.slots), loads=empty(form.loads))
+    unfilled = {name: getattr(form, name) for name in neighbours.FILLED}
+    return state.replace(**jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), unfilled))
 
 
 def _most(needed):

@@ -6,12 +6,10 @@ long for a whole stock drop of nine pieces; for the first 0.15 s of a drop 0.26 
 Each run has the pairs, slots and samples that it has by itself, to rounding, and the same bits in whatever place and company.
 """
 
-from functools import partial
-
 import jax
 import jax.numpy as jnp
 
-from dem_jax import neighbours, pairs, stepping
+from dem_jax import guard, neighbours, pairs, stepping
 from dem_jax.compaction import EMPTY, grouped
 from dem_jax.types import ContactTable, Guard, State, System
 
@@ -75,14 +73,11 @@ def joined(one: System, states: State) -> State:
     state = states.replace(
         step=states.step[0],
         contacts=tables,
-        incidence=neighbours.find_incidence(one, tables)[0],
         guard=jax.tree.map(lambda x: jnp.max(x, axis=0), states.guard),
         **{name: beside(getattr(states, name)) for name in OF_PIECES},
         **last,
     )
-    form = jax.eval_shape(partial(neighbours.rebuild, one), state.replace(slots={}))
-    empty = {name: getattr(form, name) for name in neighbours.FILLED}
-    return state.replace(**jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), empty))
+    return guard.with_scratch(one, state)
 
 
 def split(system: System, states: State, state: State) -> State:
@@ -113,16 +108,16 @@ def _tables(table: ContactTable, runs, pieces, slots) -> ContactTable:
     return ContactTable(jnp.where(there, a, EMPTY), jnp.where(there, b, EMPTY), *history)
 
 
-def _guards(before: Guard, guard: Guard, pieces) -> Guard:
+def _guards(before: Guard, after: Guard, pieces) -> Guard:
     """The guards of runs: what their system noted holds for each, but the overlap at the start for that which has it."""
     runs = before.travel.shape[0]
-    each = jax.tree.map(lambda x: jnp.broadcast_to(x, (runs, *x.shape)), guard)
-    is_its = jnp.arange(runs, dtype=jnp.int32) == guard.start_pair[1] % runs
-    overlap = jnp.where(is_its, guard.start_overlap, 0)
+    each = jax.tree.map(lambda x: jnp.broadcast_to(x, (runs, *x.shape)), after)
+    is_its = jnp.arange(runs, dtype=jnp.int32) == after.start_pair[1] % runs
+    overlap = jnp.where(is_its, after.start_overlap, 0)
     known = before.start_overlap >= 0
     return each.replace(
         start_overlap=jnp.where(known, before.start_overlap, overlap),
-        start_pair=jnp.where(known[:, None], before.start_pair, _number(guard.start_pair, runs, pieces)[None]),
+        start_pair=jnp.where(known[:, None], before.start_pair, _number(after.start_pair, runs, pieces)[None]),
     )
 
 

@@ -1,6 +1,5 @@
 """What is read from a state: energies, momentum, settled mass, and whether anything has gone wrong."""
 
-import jax
 import jax.numpy as jnp
 
 from dem_jax import forces, of_run, rotation, vector
@@ -63,13 +62,11 @@ def kinetic_energy(system: System, state: State):
 
 def elastic_energy(system: System, state: State):
     """Energy that contacts would give back (J)."""
-    each = [forces.elastic_energy(system, table, state.slots[kind]) for kind, table in state.contacts.items()]
-    if not system.runs:
-        return sum((jnp.sum(energy) for energy in each), jnp.zeros((), state.position.dtype))
-    none = jnp.zeros_like(state.position[0])
-    columns = jnp.concatenate([*(part for energy in each for part in (energy, jnp.zeros_like(energy))), none[:1]])
-    add = lambda k, energy: energy + columns.at[state.incidence[k]].get(mode="promise_in_bounds")  # noqa: E731
-    return of_run.total(system, jax.lax.fori_loop(0, state.busiest, add, none))
+    total = jnp.zeros((system.runs,) if system.runs else (), state.position.dtype)
+    for kind, table in state.contacts.items():
+        slots = state.slots[kind]
+        total = total + of_run.total_of_contacts(system, forces.elastic_energy(system, table, slots), slots.b)
+    return total
 
 
 def culprit(system: System, state: State):

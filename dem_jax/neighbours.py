@@ -84,10 +84,9 @@ def rebuild(system: System, state: State) -> State:
 
 def _of_fullest_run(system: System, wanted, b):
     """Of runs side by side, the candidates and slots that one run wants; wanted: of all; b: [slots], pieces in slots."""
-    each = jnp.zeros((system.runs + 1,), jnp.int32)
-    run = jnp.where(b >= 0, b % system.runs, system.runs)
+    each = of_run.total_of_contacts(system, (b >= 0).astype(jnp.int32), b)
     mean = (wanted + system.runs - 1) // system.runs
-    return mean.at[1].max(jnp.max(each.at[run].add(1)[:-1]))
+    return mean.at[1].max(jnp.max(each))
 
 
 def within_bounds(system: System, stacked, source, a, b, gap):

@@ -14,6 +14,13 @@ def total(system: System, of_pieces):
     return jnp.sum(apart(system, of_pieces), axis=_axis(system))
 
 
+def total_of_contacts(system: System, of_contacts, piece):
+    """Sum over the contacts [P] of each run, [R], which are with these pieces [P]; of one run, over all."""
+    if not system.runs:
+        return jnp.sum(of_contacts)
+    return jnp.zeros((system.runs,), of_contacts.dtype).at[piece % system.runs].add(of_contacts)
+
+
 def largest(system: System, of_pieces):
     """The largest of the pieces of each run, as ``total``."""
     return jnp.max(apart(system, of_pieces), axis=_axis(system))

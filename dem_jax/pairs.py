@@ -47,8 +47,7 @@ def of_source(system: System, source, stacked, reach, room):
         return *_product(first, second), no_need(reach.dtype)
     if source == "hull-sphere":
         first, second = (of_run.apart(system, x) for x in (pieces.polytopes, pieces.spheres))
-        a, b = jnp.broadcast_arrays(first[:, None], second[None])
-        return a.reshape(-1), b.reshape(-1), no_need(reach.dtype)
+        return *_product(first, second), no_need(reach.dtype)
     members = pieces.polytopes if source == "hull-hull" else pieces.spheres
     find = {"all-pairs": all_pairs, "cells": cell_pairs, "jax-md": jax_md_pairs}
     return find[choice(system.neighbours, members.shape[0] // max(1, system.runs))](system, members, stacked, reach, room)
@@ -73,7 +72,8 @@ def pair_count(kind, polytopes, spheres, panels) -> int:
 
 
 def _product(first, second):
-    return jnp.repeat(first, second.shape[0]), jnp.tile(second, first.shape[0])
+    """Each of the first with each of the second; where both have a run axis behind, of the same run."""
+    return tuple(x.reshape(-1) for x in jnp.broadcast_arrays(first[:, None], second[None]))
 
 
 def all_pairs(system: System, members, stacked, reach, room):
