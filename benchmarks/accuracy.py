@@ -112,7 +112,8 @@ def impacts(kind, begin, number, precision, restitution=0.1, softening=0.01, win
     """Impacts from all of ``begin``, each step sampled."""
     import jax
 
-    from dem_jax import build, run
+    from dem_jax import build
+    from dem_jax.drive import run
 
     window = window or WINDOW[kind["shape"]]
     quarter = quarter_period(kind["shape"], softening)
@@ -175,7 +176,7 @@ def costs_of_a_step(kind, start, variants):
     """
     import jax
 
-    from dem_jax import run
+    from dem_jax.drive import run
 
     jobs, times = {}, {}
     for name, (precision, changes) in variants.items():
@@ -288,7 +289,8 @@ def step_rows(worst, numbers, restitutions):
 
 def nearest_bound(kind, worst):
     """The largest ratios of the worst errors of peak force and of rebound to materials.ErrorBound, where that holds."""
-    from dem_jax import build, materials, validation
+    from dem_jax import build, validation
+    from dem_jax.contact import materials
 
     bound = materials.SPHERE if kind is SPHERE else materials.POLYTOPE
     made = build.build(validation.plate_scene(kind, restitution=0.1)).step
@@ -346,8 +348,8 @@ def drops(scene, seeds) -> Drops:
     """Run a scene with all seeds, again if anything was compiled meanwhile: the time is that of running alone."""
     import jax
 
-    from dem_jax import run
-    from dem_jax.report import impact_duration
+    from dem_jax.drive import run
+    from dem_jax.show.summary import impact_duration
 
     job = run.prepare(scene, tuple(range(seeds)), seeds)
     with jax.enable_x64(scene.run.precision == "f64"):

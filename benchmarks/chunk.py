@@ -6,7 +6,8 @@ def compiled(system, state, samples, frames=0, members=None):
     import jax
     import jax.numpy as jnp
 
-    from dem_jax import compiling, stepping
+    from dem_jax import compiling
+    from dem_jax.step import stepping
 
     count, every, phase = jnp.int32(samples), jnp.int32(1), jnp.int32(0)
     run = lambda system, state: stepping.run_chunk(system, state, count, every, samples, frames, phase)  # noqa: E731

@@ -57,7 +57,9 @@ def positions(cells, pitch, count):
 
 def system_of(shape: str, count: int):
     """System and first state on the lattice, with capacities that fit, found by rebuilding until nothing overflows."""
-    from dem_jax import build, guard, neighbours, run
+    from dem_jax import build
+    from dem_jax.drive import run
+    from dem_jax.pairs import guard, neighbours
 
     scene, centres = box_scene(shape, count)
     built = build.build(scene, 0)

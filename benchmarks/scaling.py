@@ -53,7 +53,7 @@ def time_chunk(system, state, members=None):
     """Seconds per step (a value per repeat), compile time (s). Each chunk goes on from the one before."""
     import jax
 
-    from dem_jax import run
+    from dem_jax.drive import run
 
     samples = BLOCKS * run.samples_per_block(system)
     start = time.perf_counter()

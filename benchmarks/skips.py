@@ -95,7 +95,8 @@ def prepared(scene, computed, frames, quick):
     """A compiled chunk with system and state that have room for all it needs, and its number of steps."""
     import jax
 
-    from dem_jax import guard, run
+    from dem_jax.drive import run
+    from dem_jax.pairs import guard
 
     job = run.prepare(scene, (0,), None)
     system = job.system.replace(**{name: value(job.system) if callable(value) else value for name, value in computed.items()})
@@ -131,7 +132,7 @@ def skips(quick) -> list[Skip]:
     """All rows."""
     import jax.numpy as jnp
 
-    from dem_jax import pairs
+    from dem_jax.pairs import search
 
     few, sizes = (9, (9, 64)) if quick else (64, (64, 343, 1000))
     here = "test_skips.py: "
@@ -175,7 +176,7 @@ def skips(quick) -> list[Skip]:
         Skip("a rebuild before each step", plain, pieces, every_step, test=here + "candidates"),
     ]  # fmt: skip
     for count in sizes:
-        best = pairs.choice("auto", count)
+        best = search.choice("auto", count)
         for choice in SEARCHES:
             other = lambda count=count, choice=choice: heap(count, run={"neighbours": choice})  # noqa: E731
             if choice != best:

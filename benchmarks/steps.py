@@ -23,8 +23,8 @@ REPEATS = 7
 
 def packed(count: int):
     """A system and a state of ``count`` marshmallows at rest in the closed feed bucket."""
-    from dem_jax import run
-    from dem_jax.report import Progress
+    from dem_jax.drive import run
+    from dem_jax.drive.progress import Progress
     from dem_jax.scene import load_scene
 
     factor = min(1.0, (PORTION / (count * 5.832e-3)) ** (1 / 3))
@@ -44,7 +44,7 @@ def cost_of_a_step(count: int):
     import jax
     import numpy as np
 
-    from dem_jax import run
+    from dem_jax.drive import run
 
     system, state, job = packed(count)
     samples = max(20, int(1.0 / (30e-6 * count**0.8 * job.steps_per_sample)) // 10 * 10)

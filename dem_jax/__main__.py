@@ -164,11 +164,11 @@ def run(args):
         raise SceneError("run --resume: allowed beside it: --duration, --no-plot, --quiet; the rest is in the file")
     _use_cache()
     if args.resume:
-        from dem_jax.run import resume
+        from dem_jax.drive.run import resume
 
         return _finish(resume(args.resume, args.duration, progress=not args.quiet), Path(args.resume), args)
     scene, out = _scene_and_target(args, "")
-    from dem_jax.run import simulate
+    from dem_jax.drive.run import simulate
 
     return _finish(simulate(scene, args.seed, out, args.overwrite, progress=not args.quiet), out, args)
 
@@ -177,7 +177,7 @@ def ensemble(args):
     """python -m dem_jax ensemble"""
     _use_cache()
     scene, out = _scene_and_target(args, "-ensemble")
-    from dem_jax.monte_carlo import ensemble as together
+    from dem_jax.drive.ensemble import ensemble as together
 
     done = together(scene, args.runs, args.seed, out, args.overwrite, progress=not args.quiet)
     return _finish(done, out, args)
@@ -198,8 +198,8 @@ def scenes(args):
 
 def plot(args):
     """python -m dem_jax plot"""
-    from dem_jax.plot import plot_run
-    from dem_jax.record import load_run
+    from dem_jax.show.plot import plot_run
+    from dem_jax.store.record import load_run
 
     out = args.out or Path(args.file).with_suffix(".png")
     print(plot_run(load_run(args.file), out, args.group, args.block, args.start, args.end))
@@ -207,8 +207,8 @@ def plot(args):
 
 def render(args):
     """python -m dem_jax render"""
-    from dem_jax.render import Camera
-    from dem_jax.render import render as draw
+    from dem_jax.show.render import Camera
+    from dem_jax.show.render import render as draw
 
     run, bodies = _stored(args)
     still = args.png or args.at is not None or args.strip is not None
@@ -220,7 +220,7 @@ def render(args):
 
 def vtk(args):
     """python -m dem_jax vtk"""
-    from dem_jax.vtk import export_vtk
+    from dem_jax.show.vtk import export_vtk
 
     run, (shapes, walls, wall_pose) = _stored(args)
     if run.pieces is None:
@@ -232,8 +232,8 @@ def vtk(args):
 
 def _stored(args):
     """A run of a file, and what drawing.bodies_of finds of its scene."""
-    from dem_jax.drawing import bodies_of
-    from dem_jax.record import load_run
+    from dem_jax.show.drawing import bodies_of
+    from dem_jax.store.record import load_run
 
     found = load_run(args.file)
     if found.run_count is not None:
@@ -244,8 +244,8 @@ def _stored(args):
 
 
 def _scene_and_target(args, suffix):
-    from dem_jax.record import check_target
     from dem_jax.scene import load_scene, parse_setting
+    from dem_jax.store.record import check_target
 
     changes = dict(parse_setting(text) for text in args.settings)
     if args.duration is not None:
@@ -258,11 +258,11 @@ def _scene_and_target(args, suffix):
 
 def _finish(done, out, args):
     """Draw the figure and print the summary."""
-    from dem_jax.report import summary
+    from dem_jax.show.summary import summary
 
     files = [out]
     if not args.no_plot and done.force:
-        from dem_jax.plot import plot_run
+        from dem_jax.show.plot import plot_run
 
         files.append(plot_run(done, out.with_suffix(".png")))
     for line in summary(done):

@@ -11,8 +11,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dem_jax import neighbours, stepping
+from dem_jax.pairs import neighbours
 from dem_jax.scene import Scene, load_scene
+from dem_jax.step import stepping
 from dem_jax.types import State, System
 
 

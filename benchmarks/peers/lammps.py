@@ -8,7 +8,7 @@ import numpy as np
 
 from benchmarks.peers import packing as p
 from benchmarks.peers.child import Child
-from dem_jax.pose import matrix_of_quaternion
+from dem_jax.maths.pose import matrix_of_quaternion
 
 SKIN = 0.002  # m
 ROUND = 1e-3  # m: diameter of the rounding; the corners are drawn in by half of it

@@ -16,7 +16,7 @@ def pieces(path, _):
 
 def start(box: p.Packing):
     """The box as a job that is set up, in single precision, at the poses of a packing."""
-    from dem_jax import run
+    from dem_jax.drive import run
 
     settings = {"step": p.STEP, "sample": SUBSTEPS * p.STEP, "duration": 1e3, "frames": 0.0, "energy": False}
     material = {"restitution": p.RESTITUTION}
@@ -34,8 +34,8 @@ class Advance:
         self.job, self.system, self.state, self.at = job, job.system, job.state, 0
 
     def __call__(self, steps):
-        from dem_jax import run
-        from dem_jax.report import Progress
+        from dem_jax.drive import run
+        from dem_jax.drive.progress import Progress
 
         end = self.at + max(1, round(steps / SUBSTEPS))
         while self.at < end:

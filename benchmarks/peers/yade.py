@@ -43,7 +43,7 @@ def build(box, p):
         PolyhedraMat,
     )
 
-    from dem_jax.pose import matrix_of_quaternion
+    from dem_jax.maths.pose import matrix_of_quaternion
 
     scene = Omega()
     # Force = young * volume of the overlap: as stiff as ours for two faces of 10 cm2.

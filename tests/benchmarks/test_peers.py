@@ -11,7 +11,7 @@ from scipy.spatial import ConvexHull, cKDTree
 from benchmarks.peers import __main__ as peers
 from benchmarks.peers import lammps, liggghts, mujoco, packing
 from benchmarks.peers.child import Child, Stopped
-from dem_jax.pose import matrix_of_quaternion
+from dem_jax.maths.pose import matrix_of_quaternion
 
 ECHO = "from benchmarks.peers.child import serve; serve(lambda steps: sum(range(20000 * steps)))"
 

@@ -7,8 +7,11 @@ import numpy as np
 import pytest
 
 from benchmarks import accuracy
-from dem_jax import build, load_scene, materials, report, run, scene, simulate, validation
+from dem_jax import build, load_scene, scene, simulate, validation
+from dem_jax.contact import materials
+from dem_jax.drive import run
 from dem_jax.errors import SceneError
+from dem_jax.show import summary
 
 KINDS = {"sphere": accuracy.SPHERE, "marshmallow": accuracy.PIECE}
 
@@ -85,7 +88,7 @@ def test_the_limit_is_named():
     assert "from run.accuracy.restitution = 0.01: " in words and "steps per loading quarter period, sphere of" in words
     assert "the coarsest step whose error is known (run.accuracy): " in str(step_of("sphere", {"peak_force": 0.2}))
     found = simulate(load_scene("plate-drop", {"run.accuracy.restitution": 0.05, "run.duration": 1e-3}))
-    assert "run.accuracy.restitution = 0.05" in report.summary(found)[0]
+    assert "run.accuracy.restitution = 0.05" in summary.summary(found)[0]
 
 
 def test_every_accuracy_is_the_same_program():

@@ -3,8 +3,11 @@
 import jax
 import numpy as np
 
-from dem_jax import build, forces, guard, stepping
+from dem_jax import build
+from dem_jax.contact import forces
+from dem_jax.pairs import guard
 from dem_jax.scene import load_scene
+from dem_jax.step import stepping
 
 SAMPLES, PER_CHUNK = 200, 50  # of 30 us
 

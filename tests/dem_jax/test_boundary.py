@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dem_jax import boundary, build, guard, stepping, validation
+from dem_jax import build, validation
+from dem_jax.contact import boundary
+from dem_jax.pairs import guard
 from dem_jax.scene import Scene
+from dem_jax.step import stepping
 
 SAMPLES = 1024
 

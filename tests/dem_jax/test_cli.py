@@ -64,7 +64,7 @@ def test_run_writes_file_and_figure_and_says_what_happened(scene, tmp_path, caps
 
 
 def test_peak_and_duration_in_the_summary_are_those_of_the_run(scene, capsys):
-    from dem_jax.report import impact_duration
+    from dem_jax.show.summary import impact_duration
 
     assert main(["run", scene, "--quiet", "--no-plot", "--out", "x.h5"]) == 0
     out, err = capsys.readouterr()

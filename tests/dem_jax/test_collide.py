@@ -14,8 +14,9 @@ from scipy.optimize import nnls
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from dem_jax import collide, hulls, shapes
+from dem_jax import shapes
 from dem_jax.compiling import OPTIONS
+from dem_jax.contact import collide, hulls
 
 BATCH = 192  # pairs at a time: one compiled program for each table of shapes
 ROUNDING = 1e-14  # m: bodies are 0.1 m in size, a depth is a difference of sums of a few such lengths

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dem_jax import compaction
+from dem_jax.maths import compaction
 
 
 @pytest.mark.parametrize(("length", "share"), [(1, 0.0), (1, 1.0), (31, 0.5), (32, 1.0), (1000, 0.0), (1000, 0.02), (1000, 0.7)])

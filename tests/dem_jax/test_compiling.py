@@ -8,8 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dem_jax import build, compiling, forces, guard, run, stepping, vector
+from dem_jax import build, compiling
+from dem_jax.contact import forces
+from dem_jax.drive import run
+from dem_jax.maths import vector
+from dem_jax.pairs import guard
 from dem_jax.scene import load_scene
+from dem_jax.step import stepping
 
 BASE = {"run.duration": 6e-4, "portion.settling_time": 6e-4, "portion.count": 3}
 

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dem_jax import build, guard, measure, pairs, stepping, validation
+from dem_jax import build, validation
+from dem_jax.pairs import guard, search
 from dem_jax.scene import Scene, load_scene
+from dem_jax.step import measure, stepping
 
 SAMPLES = 1024  # capacity of a chunk
 PART = 200  # steps of an impact at a time, whatever the time step: one program for all
@@ -23,7 +25,7 @@ def built(scene, skin=None):
         return made
     system = made.system.replace(skin=made.system.skin * 0 + skin)
     counts = system.pieces.polytopes.shape[0], system.pieces.spheres.shape[0], system.walls.group.shape[0]
-    room = tuple((kind, *[pairs.pair_count(kind, *counts)] * 2) for kind, *_ in system.capacity)
+    room = tuple((kind, *[search.pair_count(kind, *counts)] * 2) for kind, *_ in system.capacity)
     system, state = guard.with_capacity(system, made.state, room, system.touching, system.row_capacity)
     return replace(made, system=system, state=state)
 

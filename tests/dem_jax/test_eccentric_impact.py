@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dem_jax import build, measure, rotation, validation
+from dem_jax import build, validation
+from dem_jax.maths import rotation
+from dem_jax.step import measure
 from dem_jax.validation import EccentricImpact
 
 SPEED, SPIN = 2.0, 30.0  # m/s, rad/s

@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from dem_jax import build, rotation, validation
+from dem_jax import build, validation
+from dem_jax.maths import rotation
 from dem_jax.validation import FreeRotation
 
 SPIN = (0.5, 30.0, 0.5)  # rad/s, body axes

@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dem_jax import build, compiling, stepping, validation
+from dem_jax import build, compiling, validation
+from dem_jax.step import stepping
 from dem_jax.validation import NormalImpact
 
 G = 9.81  # m/s2

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 import dem_jax
-from dem_jax import record, run
+from dem_jax.drive import run
+from dem_jax.store import record
 
 SCRIPT = """
 import pickle, sys
@@ -20,7 +21,8 @@ jax.config.update("jax_cpu_collectives_implementation", "gloo")
 port, index = sys.argv[1:3]
 jax.distributed.initialize(coordinator_address=f"localhost:{port}", num_processes=2, process_id=int(index))
 import dem_jax
-from dem_jax import record, run
+from dem_jax.drive import run
+from dem_jax.store import record
 from dem_jax.errors import RecordError
 run.CHUNK_TIME = 0.007
 mine, other = int(index) == 0, int(index) == 1

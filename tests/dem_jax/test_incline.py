@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from dem_jax import build, rotation, validation
+from dem_jax import build, validation
+from dem_jax.maths import rotation
 
 G = 9.81  # m/s2
 EPSILON = 0.5  # restitution does not enter; steps are larger than at 0.1

@@ -5,8 +5,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dem_jax import build, guard, stepping
+from dem_jax import build
+from dem_jax.pairs import guard
 from dem_jax.scene import Scene
+from dem_jax.step import stepping
 
 PIECES = (
     ((-0.02, 0.01, 0.030), (1.0, 0.3, 0.2, 0.1), (0.2, 0.1, -1.0), (5.0, -3.0, 2.0)),

@@ -4,9 +4,11 @@ import jax
 import numpy as np
 import pytest
 
-from dem_jax import build, joined, run
+from dem_jax import build
+from dem_jax.drive import run
 from dem_jax.errors import SceneError, SimulationError
 from dem_jax.scene import Scene, load_scene
+from dem_jax.step import joined
 
 RUNS = joined.AT_ONCE + 3  # two groups, the second filled up by its last run
 ROUNDING = 1e-9  # of the largest value: rounding of 1e-16, which collisions enlarge
@@ -103,8 +105,8 @@ def test_the_bits_of_a_run_do_not_depend_on_its_place_and_company(side_by_side):
 @pytest.mark.parametrize(("room", "note"), [((1, 1), "candidate pairs of hulls for 1"), ((8, 1), "pairs of hulls for 1 slots")])
 def test_room_is_grown_for_all(side_by_side, monkeypatch, room, note):
     """Too few candidates for all together, or too few slots for one run."""
-    full = build._capacity
-    monkeypatch.setattr(build, "_capacity", lambda *a: (("hulls", *room), *full(*a)[1:]))
+    full = build.system._capacity
+    monkeypatch.setattr(build.system, "_capacity", lambda *a: (("hulls", *room), *full(*a)[1:]))
     grown = driven(job_of())
     assert any(note in line for line in grown.info["notes"])
     assert_same(grown, side_by_side)

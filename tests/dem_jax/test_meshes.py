@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from dem_jax import meshes, shapes
+from dem_jax import shapes
 from dem_jax.errors import SceneError
+from dem_jax.shapes import meshes
 
 SINGLE = 1e-6  # relative; an STL stores single precision
 

@@ -10,8 +10,10 @@ from scipy.optimize import nnls
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from dem_jax import build, guard, neighbours, pairs, stepping
+from dem_jax import build
+from dem_jax.pairs import guard, neighbours, search
 from dem_jax.scene import Scene
+from dem_jax.step import stepping
 
 SETTINGS = {"precision": "f64", "sample": 1e-4, "frames": 0.0}
 FLOOR = {"group": "floor", "corners": [(-0.4, -0.4, 0.0), (0.4, -0.4, 0.0), (0.4, 0.4, 0.0), (-0.4, 0.4, 0.0)]}
@@ -43,7 +45,7 @@ def marshmallows():
     pieces = [{"position": (0.07 * (k % 4), 0.07 * (k // 4), 0.3)} for k in range(COUNT)]
     made = build.build(Scene(piece=pieces, wall=[FLOOR], run=SETTINGS), 0)
     system = made.system.replace(skin=jnp.asarray(SKIN))
-    every = (("hulls", *[pairs.pair_count("hulls", COUNT, 0, 1)] * 2),)
+    every = (("hulls", *[search.pair_count("hulls", COUNT, 0, 1)] * 2),)
     system, state = guard.with_capacity(system, made.state, every, COUNT, system.row_capacity)
     return made, system, state, jax.jit(partial(neighbours.rebuild, system))
 

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 import dem_jax
-from dem_jax import guard, neighbours, restart, run
+from dem_jax.drive import restart, run
 from dem_jax.errors import SceneError
+from dem_jax.pairs import guard, neighbours
 from dem_jax.scene import Scene
 
 FLOOR = {"group": "floor", "corners": [(-0.2, -0.2, 0.0), (0.2, -0.2, 0.0), (0.2, 0.2, 0.0), (-0.2, 0.2, 0.0)]}

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from dem_jax.errors import RecordError
-from dem_jax.plot import FORCE_COLOUR, MASS_COLOUR, figure_of_run, plot_run
-from dem_jax.record import Header, Run
+from dem_jax.show.plot import FORCE_COLOUR, MASS_COLOUR, figure_of_run, plot_run
+from dem_jax.store.record import Header, Run
 
 SCENE = 'name = "weigh-bucket"\n[portion]\nscale_factor = 0.4\n[material]\nrestitution = 0.7\n'
 G = 9.81

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from dem_jax.errors import RecordError
-from dem_jax.record import Header, Run, Writer, load_run
+from dem_jax.store.record import Header, Run, Writer, load_run
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 
@@ -192,7 +192,7 @@ def test_product_impact_force_is_the_force_along_gravity_over_g():
 KILLED = """
 import os, signal, sys
 sys.path[:0] = [{repository!r}, {tests!r}]
-import dem_jax.record as record
+import dem_jax.store.record as record
 from test_record import header, samples, frames
 from pathlib import Path
 
@@ -245,7 +245,7 @@ def test_a_process_killed_at_any_moment_leaves_a_consistent_file():
 import sys
 sys.path[:0] = [{str(REPOSITORY)!r}, {str(Path(__file__).parent)!r}]
 import numpy as np
-from dem_jax.record import Writer
+from dem_jax.store.record import Writer
 from test_record import header, samples
 writer = Writer.create("run.h5", header(), overwrite=True, interval=0)
 print("started", flush=True)
@@ -325,7 +325,7 @@ def test_a_write_that_fails_leaves_the_old_file_and_can_be_tried_again(tmp_path,
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setattr("dem_jax.record._extend", full)
+        patch.setattr("dem_jax.store.record._extend", full)
         with pytest.raises(RecordError, match=r"run\.h5 cannot be written: No space left on device"):
             writer.append(samples(10, 10))
     assert path.read_bytes() == before and [p.name for p in tmp_path.iterdir()] == ["run.h5"]

@@ -5,14 +5,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dem_jax import contact
+from dem_jax.contact import springs
 
 K, EPSILON, LAMBDA = 2.0, 0.5, 0.001
 
 
 def law(force, overlap, new_overlap):
     """F_n where the bodies do not turn: the approach is the change of the overlap (0 where apart), eq. 4."""
-    return contact.normal_force(force, max(new_overlap, 0.0) - overlap, new_overlap, K, K / EPSILON**2, LAMBDA)
+    return springs.normal_force(force, max(new_overlap, 0.0) - overlap, new_overlap, K, K / EPSILON**2, LAMBDA)
 
 
 @pytest.mark.parametrize(
@@ -41,7 +41,7 @@ def path(overlaps, epsilon, separation=0.0):
 
     def one(carry, s):
         force, overlap = carry
-        f = contact.normal_force(force, s - overlap, s, 1.0, 1.0 / epsilon**2, separation)
+        f = springs.normal_force(force, s - overlap, s, 1.0, 1.0 / epsilon**2, separation)
         return (f, jnp.maximum(s, 0.0)), f
 
     zero = jnp.zeros(())
@@ -116,4 +116,4 @@ def test_force_stays_between_floor_and_loading_line():
 
 
 def test_stiffness_of_a_pair_is_in_series():
-    np.testing.assert_allclose(contact.series(3.0, 6.0), 2.0, rtol=1e-15)
+    np.testing.assert_allclose(springs.series(3.0, 6.0), 2.0, rtol=1e-15)

@@ -5,11 +5,12 @@ import numpy as np
 import pytest
 from matplotlib.collections import PolyCollection
 
-from dem_jax import meshes, shapes
+from dem_jax import shapes
 from dem_jax.errors import RecordError
-from dem_jax.pose import matrix_of_quaternion
-from dem_jax.record import Frames
-from dem_jax.render import Camera, _bodies, _clipped, _project, figure_of, painter_order, render, scene_of
+from dem_jax.maths.pose import matrix_of_quaternion
+from dem_jax.shapes import meshes
+from dem_jax.show.render import Camera, _bodies, _clipped, _project, figure_of, painter_order, render, scene_of
+from dem_jax.store.record import Frames
 
 STILL = {"plate": (np.eye(3), np.zeros(3))}
 

@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 
 import dem_jax
-from dem_jax import build, failure, run, scene
+from dem_jax import build, scene
+from dem_jax.drive import failure, run
 from dem_jax.errors import RecordError, SceneError, SimulationError
-from dem_jax.pose import matrix_of_quaternion
+from dem_jax.maths.pose import matrix_of_quaternion
 
 G = 9.81
 
@@ -43,7 +44,7 @@ def settling(**changes):
 
 def series(result):
     """Every array of a run, by path."""
-    from dem_jax.record import _series_of
+    from dem_jax.store.record import _series_of
 
     poses = {} if result.pieces is None else {f"pieces/{k}": v for k, v in vars(result.pieces).items()}
     return _series_of(result) | poses
@@ -219,7 +220,7 @@ def test_a_run_that_outgrows_its_capacities_equals_one_with_ample_room(monkeypat
     ample = dem_jax.simulate(crowd())
     assert "notes" not in ample.info
     tight = (("mixed", 1, 1), ("spheres", 1, 1))
-    monkeypatch.setattr(build, "_capacity", lambda *_: tight)
+    monkeypatch.setattr(build.system, "_capacity", lambda *_: tight)
     grown = dem_jax.simulate(crowd())
     assert any("candidate pairs of spheres for 1" in note for note in grown.info["notes"])
     assert any("run again with more room" in note for note in grown.info["notes"])
@@ -304,7 +305,7 @@ def test_a_piece_that_leaves_the_domain_is_noted_where_that_is_asked_for(tmp_pat
     within = dem_jax.simulate(scene.replace(run={"domain_high": (2.0, 1.0, 1.0), "until_settled": False}))
     mine = result if runs is None else result.member(1)
     np.testing.assert_array_equal(mine.force["plate"], within.force["plate"][: len(result.time)])
-    longer = dem_jax.run.resume(out, 0.3)
+    longer = dem_jax.resume(out, 0.3)
     assert [note for note in longer.info["notes"] if "left the domain" in note] == notes
 
 
@@ -335,7 +336,8 @@ def test_a_contact_deeper_than_half_the_piece_stops_the_run(tmp_path):
 KILLED = """
 import os, signal, sys
 import dem_jax
-from dem_jax import record, run
+from dem_jax.drive import run
+from dem_jax.store import record
 run.CHUNK_TIME = 100 * 5 * 5.3e-6
 append, count = record.Writer.append, 0
 def killing(self, *args, **kw):
@@ -398,7 +400,7 @@ def test_a_run_that_has_ended_goes_on_to_a_longer_duration(tmp_path, uninterrupt
 
 
 def test_grown_capacities_are_kept_over_a_restart(tmp_path, monkeypatch):
-    monkeypatch.setattr(build, "_capacity", lambda *_: (("mixed", 1, 1), ("spheres", 1, 1)))
+    monkeypatch.setattr(build.system, "_capacity", lambda *_: (("mixed", 1, 1), ("spheres", 1, 1)))
     dem_jax.simulate(crowd(), out=tmp_path / "whole.h5")
     dem_jax.simulate(crowd(**{"run.duration": 0.012}), out=tmp_path / "run.h5")
     resumed = dem_jax.resume(tmp_path / "run.h5", duration=0.02)

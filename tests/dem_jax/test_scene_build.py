@@ -5,8 +5,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dem_jax import arrange, build, guard, shapes, stepping
-from dem_jax.scene import Scene, load_scene
+from dem_jax import build, shapes
+from dem_jax.pairs import guard
+from dem_jax.scene import Scene, arrange, load_scene
+from dem_jax.step import stepping
 
 FLOOR = {"group": "floor", "corners": [(-0.4, -0.4, 0.0), (0.4, -0.4, 0.0), (0.4, 0.4, 0.0), (-0.4, 0.4, 0.0)]}
 SETTINGS = {"precision": "f64", "sample": 1e-4, "frames": 0.0}

@@ -4,8 +4,10 @@ import jax
 import numpy as np
 import pytest
 
-from dem_jax import build, guard, stepping
+from dem_jax import build
+from dem_jax.pairs import guard
 from dem_jax.scene import Scene
+from dem_jax.step import stepping
 
 SAMPLES = 1024
 SIZE = 0.12  # m, half of the plate

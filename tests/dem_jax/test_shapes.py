@@ -5,7 +5,7 @@ import pytest
 
 from dem_jax import shapes
 from dem_jax.errors import SceneError
-from dem_jax.pose import matrix_of_quaternion, quaternion_of_matrix
+from dem_jax.maths.pose import matrix_of_quaternion, quaternion_of_matrix
 
 ROUNDING = 1e-12  # relative; sums of some tens of double-precision terms
 SINGLE = 2e-6  # relative; an STL keeps coordinates to 6e-8, volume and inertia multiply 3 to 5 of them

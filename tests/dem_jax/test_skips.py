@@ -10,8 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dem_jax import build, guard, run, stepping
+from dem_jax import build
+from dem_jax.drive import run
+from dem_jax.pairs import guard
 from dem_jax.scene import Scene
+from dem_jax.step import stepping
 
 SAMPLES = 150  # of 30 us
 ROUNDING = 1e-9  # of the largest force: rounding of 1e-16, which collisions enlarge

@@ -6,7 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dem_jax import build, contact, validation
+from dem_jax import build, validation
+from dem_jax.contact import springs
 from dem_jax.validation import ObliqueImpact
 
 RADIUS = 0.01  # m
@@ -169,7 +170,7 @@ def turning_slip(steps, limit):
         force, angle = now
         slip = (jnp.cos(angle) / steps, jnp.sin(angle) / steps, jnp.zeros_like(angle))
         normal = tuple(jnp.asarray(c) for c in (0.0, 0.0, 1.0))
-        return contact.tangential_force(spring, normal, slip, force, 10.0, 1.0), None
+        return springs.tangential_force(spring, normal, slip, force, 10.0, 1.0), None
 
     zero = jnp.zeros(())
     last, _ = jax.lax.scan(one, (zero, zero, zero), (limit(time), middle))
@@ -192,7 +193,7 @@ def test_spring_turns_with_the_normal_and_keeps_its_size():
     spring = tuple(jnp.asarray(c) for c in (3.0, 0.0, 4.0))
     normal = tuple(jnp.asarray(c) for c in (0.0, 0.6, 0.8))
     still = tuple(jnp.zeros(()) for _ in range(3))
-    turned = np.array(contact.tangential_force(spring, normal, still, 100.0, 1.0, 1.0))
+    turned = np.array(springs.tangential_force(spring, normal, still, 100.0, 1.0, 1.0))
     np.testing.assert_allclose(turned @ np.array([0.0, 0.6, 0.8]), 0, atol=1e-14)
     np.testing.assert_allclose(np.linalg.norm(turned), 5.0, rtol=1e-15)
 
@@ -202,7 +203,7 @@ def test_spring_that_is_reversed_unloads_before_it_slides():
     normal, zero = tuple(jnp.asarray(c) for c in (0.0, 0.0, 1.0)), jnp.zeros(())
     spring = (jnp.asarray(2.0), zero, zero)
     slips = [(jnp.asarray(x), zero, zero) for x in (1.0, 3.5, 4.5, 100.0)]
-    after = [float(contact.tangential_force(spring, normal, slip, 2.0, 1.0, 1.0)[0]) for slip in slips]
+    after = [float(springs.tangential_force(spring, normal, slip, 2.0, 1.0, 1.0)[0]) for slip in slips]
     np.testing.assert_allclose(after, [1.0, -1.5, -2.0, -2.0], rtol=1e-14)
 
 

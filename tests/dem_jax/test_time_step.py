@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dem_jax import build, contact, materials, shapes, validation
+from dem_jax import build, shapes, validation
+from dem_jax.contact import materials, springs
 from dem_jax.errors import SceneError
 from dem_jax.scene import Scene
 from dem_jax.validation import NormalImpact
@@ -64,9 +65,9 @@ def test_limit_is_the_quickest_of_all_contacts_that_can_be():
     rows += rows[-1:]
     pieces = [{**row, "position": (0.1 * k, 0.0, 0.0)} for k, row in enumerate(rows)]
     scene = Scene(piece=pieces, material={"restitution": 0.5})
-    made = build._pieces_of(scene)
-    arrays = build._piece_arrays(scene, made)
-    m, k, e = arrays.mass, arrays.load_stiffness, np.array([build._eccentricity(shape) for shape in made])
+    made = build.system._pieces_of(scene)
+    arrays = build.system._piece_arrays(scene, made)
+    m, k, e = arrays.mass, arrays.load_stiffness, np.array([build.system._eccentricity(shape) for shape in made])
     slow = [(m / arrays.wall_stiffness), (m * e / arrays.wall_stiffness)]
     i, j = np.triu_indices(len(made), 1)
     pair = m[i] * m[j] / (m[i] + m[j]) * (k[i] + k[j]) / (k[i] * k[j])
@@ -140,7 +141,7 @@ def scalar_impacts(dt, phase, epsilon, steps):
             v = v - 0.5 * dt * force
             s = s + dt * v
             approach = jnp.maximum(s, 0.0) - overlap
-            f = contact.normal_force(force, approach, s, 1.0, 1.0 / epsilon**2, 0.001)
+            f = springs.normal_force(force, approach, s, 1.0, 1.0 / epsilon**2, 0.001)
             v = v - 0.5 * dt * f
             return (s, v, f, jnp.maximum(s, 0.0)), f
 

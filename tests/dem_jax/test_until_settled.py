@@ -5,8 +5,10 @@ import numpy as np
 import pytest
 
 import dem_jax
-from dem_jax import record, report, run
+from dem_jax.drive import run
 from dem_jax.errors import SceneError
+from dem_jax.show import summary
+from dem_jax.store import record
 
 WINDOW = 48 * 2e-5  # s: a multiple of the samples between rebuilds
 SPEED = 4e-3  # m/s
@@ -58,7 +60,7 @@ def test_a_run_that_ends_early_is_the_beginning_of_the_whole_one():
     assert end == found.time[-1] == pytest.approx(len(found.time) * 2e-5)
     assert np.remainder(end / WINDOW + 0.5, 1) == pytest.approx(0.5), "after a whole number of windows"
     assert 0.020 < end < 0.03, "the impact takes about 5 ms"
-    assert any(line.endswith(f"{end:.6g} s in samples of 2e-05 s, f64, then all was settled") for line in report.summary(found))
+    assert any(line.endswith(f"{end:.6g} s in samples of 2e-05 s, f64, then all was settled") for line in summary.summary(found))
     speed, time = np.abs(found.pieces.velocity[:, 0, 2]), found.pieces.time
     assert speed[time > end - WINDOW].max() < SPEED
     before = (time > end - 2 * WINDOW) & (time <= end - WINDOW)
@@ -68,7 +70,7 @@ def test_a_run_that_ends_early_is_the_beginning_of_the_whole_one():
 def test_a_run_that_does_not_come_to_rest_goes_on_to_its_end():
     found = dem_jax.simulate(ball(**{"run.duration": 0.02}))
     assert found.settled is None and found.time[-1] == pytest.approx(0.02)
-    assert not any("settled at" in line or "all was settled" in line for line in report.summary(found))
+    assert not any("settled at" in line or "all was settled" in line for line in summary.summary(found))
 
 
 def test_where_chunks_end_changes_nothing(monkeypatch):
@@ -121,7 +123,7 @@ def settled(tmp_path_factory):
 def test_a_portion_at_rest_is_released_at_once(settled):
     found, _ = settled
     assert 0.1 < found.info["settling"] < 0.5, "of 0.6 s"
-    assert any(f"released after {found.info['settling']:.6g} s of settling" in line for line in report.summary(found))
+    assert any(f"released after {found.info['settling']:.6g} s of settling" in line for line in summary.summary(found))
     assert np.linalg.norm(found.pieces.velocity[0]) < 0.01 and found.pieces.time[0] == 0
     mass = 300 * 4 / 3 * np.pi * 0.01**3
     last = found.time > found.settled - 0.02

@@ -6,11 +6,12 @@ import xml.etree.ElementTree as ET
 import numpy as np
 import pytest
 
-from dem_jax import meshes, shapes
+from dem_jax import shapes
 from dem_jax.errors import RecordError
-from dem_jax.pose import matrix_of_quaternion
-from dem_jax.record import Frames
-from dem_jax.vtk import export_vtk
+from dem_jax.maths.pose import matrix_of_quaternion
+from dem_jax.shapes import meshes
+from dem_jax.show.vtk import export_vtk
+from dem_jax.store.record import Frames
 
 QUARTER = np.array([np.sqrt(0.5), 0, 0, np.sqrt(0.5)])  # about z
 

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 import dem_jax
-from dem_jax import boundary, build
+from dem_jax import build
+from dem_jax.contact import boundary
 from dem_jax.errors import SceneError
 from dem_jax.scene import load_scene
 

@@ -1,0 +1,381 @@
+"""Overlap depth, contact normal and contact point of two bodies.
+
+Every function takes many pairs at once, pair index last, and answers in the frame of body a: the
+normal points from a to b, the point is relative to the origin of a. ``Relative`` says where b is.
+
+Depth and normal of two convex polytopes are the smallest overlap over the separating axes: the face
+normals of both and the cross products of their edge directions. That is exact for overlapping polytopes;
+for separated ones a depth of -g says that they are at least g apart. The contact point is the centroid of the overlap
+weighted by depth, from the edges of the two facing faces, so that it moves continuously as a piece tips.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from dem_jax.maths import vector
+from dem_jax.maths.vector import dot, expand, kept
+from dem_jax.types import Hulls
+
+# Normals: a face's normal is taken instead of an edge-edge axis whose overlap is smaller by less than this part
+# of the depth, because an edge-edge axis nearly parallel to a face's flickers. The depth stays the exact minimum.
+FACE_PREFERENCE = 0.02
+
+# Beyond a seam the wall goes on, so that nothing is pushed across it: the overlap along an axis that points so is raised
+# by this many bounding radii of the piece times the sine of the angle at which it does.
+SEAM_SLOPE = 10.0
+SEAM_SINE = 1e-5  # a sphere's normal that points across a seam by no more is taken to stand on both panels
+
+
+class Relative(NamedTuple):
+    """Body b as seen from body a."""
+
+    rotation: tuple  # rows of [P]: takes vectors from b's frame to a's
+    offset: tuple  # [P] x 3 (m): origin of b in a's frame
+
+
+class Geometry(NamedTuple):
+    """A contact as geometry, in the frame of body a."""
+
+    depth: jnp.ndarray  # [P] (m), negative: separated by at least that much
+    normal: tuple  # [P] x 3, unit, from a to b
+    point: tuple  # [P] x 3 (m)
+    weight: jnp.ndarray | None = None  # [P]: how much of the overlap is this body's, where panels continue each other
+
+
+def hull_hull(a: Hulls, b: Hulls, rel: Relative, axes=None) -> Geometry:
+    """Contact of convex polytopes (their tables gathered to [.., P] or of one common shape, [.., 1]).
+
+    axes: what ``separating_axes`` says of them, if that is known already.
+    """
+    depth, normal, along = axes or separating_axes(a, b, rel)
+    return Geometry(depth, normal, *pressure_centre(a, b, rel, along, normal))
+
+
+def separating_axes(a: Hulls, b: Hulls, rel: Relative):
+    """Smallest overlap over all separating axes, [P] (m); the axis, unit, from a to b; the overlap along it, which is
+    larger by up to FACE_PREFERENCE where a face's axis was preferred."""
+    test = _zonotope_axes if a.is_zonotope and b.is_zonotope else _polytope_axes
+    overlaps, axes = test(a, b, rel)
+    if a.seams is not None:
+        overlaps = _barred_by_seams(overlaps, axes, a, b, rel)
+    return _smallest(overlaps, axes, rel)
+
+
+def _rounding(a: Hulls, b: Hulls, rel: Relative):
+    """A bound on the rounding error of the numerator of an edge-edge overlap, [P] (m)."""
+    eps = jnp.finfo(rel.offset[0].dtype).eps
+    reach = jnp.abs(rel.offset[0]) + jnp.abs(rel.offset[1]) + jnp.abs(rel.offset[2])
+    return 4 * eps * (a.bounding_radius + b.bounding_radius + reach)
+
+
+def _zonotope_axes(a: Hulls, b: Hulls, rel: Relative):
+    """Overlaps of centrally symmetric polytopes: half-widths are sums of |n . g| over a few generators.
+
+    The half-width of a along an edge-edge axis e_i x f_j is sum_k |(e_i x f_j) . g_k| = sum_k |f_j . (g_k x e_i)|,
+    and every g_k x e_i is parallel to a face normal n_m of a: sum_m C[i, m] |f_j . n_m|, so that the same
+    products serve the face axes of b and the widths of all edge-edge axes.
+    """
+    half = a.normals[0].shape[0] // 2
+    na, nb = ([c[: h.normals[0].shape[0] // 2] for c in h.normals] for h in (a, b))
+    turn = vector.expand_matrix(rel.rotation, 0)
+    nb, eb = kept(*vector.rotate(turn, nb)), kept(*vector.rotate(turn, b.directions))
+    ea, d = a.directions, expand(rel.offset, 0)
+    na_eb = jnp.abs(dot(expand(na, 1), expand(eb, 0)))  # [m, j, P]
+    ea_nb = jnp.abs(dot(expand(ea, 1), expand(nb, 0)))  # [i, m, P]
+    na_eb, ea_nb = kept(na_eb, ea_nb)
+    faces_a = a.offsets[:half] + _sum(b.half_lengths[j : j + 1] * na_eb[:, j] for j in range(eb[0].shape[0])) - jnp.abs(dot(na, d))
+    faces_b = (
+        b.offsets[: nb[0].shape[0]]
+        + _sum(a.half_lengths[i : i + 1] * ea_nb[i] for i in range(ea[0].shape[0]))
+        - jnp.abs(dot(nb, d))
+    )
+    axis = vector.cross(expand(ea, 1), expand(eb, 0))  # [i, j, P]
+    sin2 = dot(axis, axis)
+    width_a = _sum(a.cross_widths[:, m][:, None] * na_eb[m][None] for m in range(half))
+    width_b = _sum(b.cross_widths[:, m][None] * ea_nb[:, m][:, None] for m in range(nb[0].shape[0]))
+    gap = jnp.abs(dot(axis, expand(d, 0)))
+    slack = _rounding(a, b, rel)[None, None]
+    edges = (width_a + width_b - gap + slack) / _safe_root(sin2)
+    return (*kept(faces_a, faces_b), edges), (na, nb, ea, eb)
+
+
+def _polytope_axes(a: Hulls, b: Hulls, rel: Relative):
+    """Overlaps of any convex polytopes: extents along an axis are extremes over the vertices."""
+    turn = vector.expand_matrix(rel.rotation, 0)
+    d = expand(rel.offset, 0)
+    va, vb = a.vertices, vector.add(vector.rotate(turn, b.vertices), d)
+    na, nb = a.normals, vector.scale(-1, vector.rotate(turn, b.normals))
+    ea, eb = a.directions, vector.rotate(turn, b.directions)
+    faces_a = a.offsets - jnp.min(dot(expand(na, 1), expand(vb, 0)), axis=1)
+    faces_b = jnp.max(dot(expand(nb, 1), expand(va, 0)), axis=1) + b.offsets - dot(nb, d)
+    axis = vector.cross(expand(ea, 1), expand(eb, 0))
+    sin2 = dot(axis, axis)
+    along_a = dot(expand(axis, 2), expand(expand(va, 0), 0))
+    along_b = dot(expand(axis, 2), expand(expand(vb, 0), 0))
+    forward = jnp.max(along_a, axis=2) - jnp.min(along_b, axis=2)
+    backward = jnp.max(along_b, axis=2) - jnp.min(along_a, axis=2)
+    slack = _rounding(a, b, rel)[None, None]
+    edges = (jnp.minimum(forward, backward) + slack) / _safe_root(sin2)
+    return kept(faces_a, faces_b, edges), (na, nb, ea, eb)
+
+
+def _smallest(overlaps, axes, rel):
+    """The smallest overlap, and the unit axis that it belongs to, turned from a to b.
+
+    overlaps: [m, P] of a's faces, [m, P] of b's faces, [i, j, P] of the edge-edge axes (m).
+    """
+    na, nb, ea, eb = axes
+    pairs = rel.offset[0].shape
+    columns = eb[0].shape[0]
+    overlaps = [x.reshape(-1, *pairs) for x in overlaps]
+    least, (of_a, of_b, edge) = zip(*(_least(x) for x in overlaps), strict=True)
+    least = kept(*least)
+    face = jnp.minimum(least[0], least[1])
+    from_face = vector.where(least[0] <= least[1], _select(na, of_a), _select(nb, of_b))
+    row = edge // columns
+    from_edge = vector.cross(_select(ea, row), _select(eb, edge - columns * row))
+    from_edge = vector.scale(1 / _safe_root(dot(from_edge, from_edge)), from_edge)
+    use_edge = least[2] < face - FACE_PREFERENCE * jnp.abs(face)
+    normal = _towards_b(vector.where(use_edge, from_edge, from_face), rel)
+    return jnp.minimum(face, least[2]), kept(*normal), jnp.where(use_edge, least[2], face)
+
+
+def _barred_by_seams(overlaps, axes, a: Hulls, b: Hulls, rel: Relative):
+    """The overlaps, raised along axes that point from panel a across a seam, in proportion so that they never jump."""
+    na, nb, ea, eb = axes
+    edges = vector.cross(expand(ea, 1), expand(eb, 0))
+    edges = vector.scale(1 / _safe_root(dot(edges, edges)), edges)
+    out = []
+    for overlap, axis in zip(overlaps, (na, nb, edges), strict=True):
+        side = tuple(range(axis[0].ndim - 1))
+        sign = jnp.where(dot(axis, tuple(jnp.expand_dims(c, side) for c in rel.offset)) < 0, -1, 1).astype(overlap.dtype)
+        across = jnp.zeros_like(overlap)
+        for k in range(a.seams[0].shape[0]):
+            across = jnp.maximum(across, sign * dot(axis, tuple(jnp.expand_dims(c[k], side) for c in a.seams)))
+        out.append(overlap + SEAM_SLOPE * jnp.expand_dims(b.bounding_radius, side) * across)
+    return out
+
+
+def _least(rows):
+    """The smallest of the rows [K, ...], and the first row that has it, int32. One after the other, which vectorises."""
+    least, index = rows[0], jnp.zeros(rows.shape[1:], jnp.int32)
+    for k in range(1, rows.shape[0]):
+        less = rows[k] < least
+        least, index = jnp.where(less, rows[k], least), jnp.where(less, k, index)
+    return least, index
+
+
+def _first_where(mask):
+    """Index of the first row in which the mask holds, [P] int32; a minimum, which unlike argmin vectorises."""
+    rows = mask.shape[0]
+    number = jnp.arange(rows, dtype=jnp.int32)[:, None]
+    return jnp.min(jnp.where(mask, number, rows - 1), axis=0)
+
+
+def _towards_b(normal, rel):
+    return vector.scale(jnp.where(dot(normal, rel.offset) < 0, -1, 1).astype(normal[0].dtype), normal)
+
+
+def pressure_centre(a: Hulls, b: Hulls, rel: Relative, depth, normal):
+    """Centroid of the overlap weighted by depth, [P] x 3 (m), in a's frame, and its weight [P] (m2).
+
+    depth: [P] (m), the overlap along the normal.
+
+    The edges of the face of each body that looks most along the normal are clipped by the other body; over what
+    remains inside, the depth below the other's surface along the normal is linear, and its line integral is closed.
+    """
+    integrate = _zonogons if a.is_zonotope and b.is_zonotope else _polygons
+    on_b = vector.scale(-1, vector.rotate_back(rel.rotation, normal))
+    top, (weight, *moment) = integrate(a, b, rel, depth, normal, _facing(a, normal), _facing(b, on_b))
+    scale = 1 / jnp.where(weight > 0, weight, 1)
+    point = vector.where(weight > 0, vector.scale(scale, moment), vector.scale(top - 0.5 * depth, normal))
+    return point, weight
+
+
+def _polygons(a: Hulls, b: Hulls, rel: Relative, depth, normal, face_a, face_b):
+    """Of any faces (columns [P] of their tables): a's extent along the normal [P] (m), and the line integrals of depth
+    and of depth times position over all edges, four arrays [P]."""
+    turn, d, n = vector.expand_matrix(rel.rotation, 0), expand(rel.offset, 0), expand(normal, 0)
+    corners_a = _vectors(a.loops, face_a)
+    corners_b = vector.add(vector.rotate(turn, _vectors(b.loops, face_b)), d)
+    corners_b, normals_b = kept(*corners_b), kept(*vector.rotate(turn, b.normals))
+    height_a, height_b = dot(n, corners_a), dot(n, corners_b)
+    top = kept(jnp.max(height_a, axis=0))  # a's extent along the normal; b begins below it by the depth
+    first = _clipped(vector.sub(corners_a, d), corners_a, normals_b, b.offsets, height_a - (top - depth)[None])
+    second = _clipped(corners_b, corners_b, a.normals, a.offsets, top[None] - height_b)
+    if a.open_edges is not None:  # an edge in the middle of a wall is no edge of the overlap
+        is_open = a.open_edges.at[:, face_a].get(mode="promise_in_bounds")
+        first = tuple(is_open * part for part in first)
+    return top, [jnp.sum(p, axis=0) + jnp.sum(q, axis=0) for p, q in zip(first, second, strict=True)]
+
+
+def _zonogons(a: Hulls, b: Hulls, rel: Relative, depth, normal, face_a, face_b):
+    """``_polygons`` of bodies whose faces are centrally symmetric: half of the edges say all, which halves the work."""
+    turn, n = vector.expand_matrix(rel.rotation, 0), expand(normal, 0)
+    centre_a, edges_a = _centred(a.loops, face_a)
+    centre_b, edges_b = _centred(b.loops, face_b)
+    centre_b = vector.add(vector.rotate(rel.rotation, centre_b), rel.offset)
+    edges_b = kept(*vector.rotate(turn, edges_b))
+    half = a.normals[0].shape[0] // 2, b.normals[0].shape[0] // 2
+    slabs_a = tuple(c[: half[0]] for c in a.normals), a.offsets[: half[0]]
+    slabs_b = kept(*vector.rotate(turn, tuple(c[: half[1]] for c in b.normals))), b.offsets[: half[1]]
+    rise_a, rise_b = kept(dot(n, edges_a), dot(n, edges_b))
+    height_a, height_b = dot(normal, centre_a), dot(normal, centre_b)
+    top = kept(height_a + 0.5 * jnp.sum(jnp.abs(rise_a), axis=0))
+    is_open = None if a.open_edges is None else a.open_edges.at[:, face_a].get(mode="promise_in_bounds")
+    inside = _clipped_zonogon(vector.sub(centre_a, rel.offset), edges_a, slabs_b, height_a - (top - depth), rise_a, is_open)
+    other = _clipped_zonogon(centre_b, edges_b, slabs_a, top - height_b, -rise_b, None)
+    weight = inside[0] + other[0]
+    about = vector.add(vector.scale(inside[0], centre_a), vector.scale(other[0], centre_b))
+    return top, (weight, *vector.add(about, vector.add(inside[1:], other[1:])))
+
+
+def _facing(hull: Hulls, normal):
+    """Column [P] of the face whose outward normal lies most along a direction given in the hull's frame."""
+    along = dot(hull.normals, expand(normal, 0))
+    face = _first_where(along == jnp.max(along, axis=0)[None])
+    return face * (hull.loops.shape[1] // hull.normals[0].shape[0]) + hull.row
+
+
+def _vectors(loops, column):
+    """The vectors [k, P] x 3 (m) in columns [P] of Hulls.loops."""
+    return tuple(jnp.split(loops.at[:, column].get(mode="promise_in_bounds"), 3))
+
+
+def _centred(loops, column):
+    """Centre [P] x 3 and half of the edges [K, P] x 3 (m) of the faces of zonotopes in columns [P] of Hulls.loops."""
+    found = _vectors(loops, column)
+    return tuple(c[0] for c in found), tuple(c[1:] for c in found)
+
+
+def _clipped_zonogon(centre, edges, slabs, depth, rise, is_open):
+    """Line integrals of depth, and of depth times position about the centre, over the part of a face's edges that is
+    inside a zonotope: four arrays [P] (m2, m3).
+
+    centre: [P] x 3 (m), of the face relative to the zonotope's; edges: [K, P] x 3 (m), the first half of them in
+    order, the others being opposite; slabs: normals [m, P] x 3 and offsets [m, P] (m), the zonotope being where all
+    |normal . x| < offset; depth: [P] (m) at the centre; rise: [K, P] (m) of depth along the edges; is_open: [2 K, P],
+    1 for each edge that counts, or None.
+    """
+    count = rise.shape[0]
+    corner = kept(*(_begin(c) for c in edges))  # [K, P]: of each edge, about the centre
+    normals, offsets = slabs
+    across = expand(normals, 1)
+    du = dot(across, expand(edges, 0))  # [m, K, P]
+    tiny = jnp.finfo(du.dtype).tiny ** 0.25  # so small that its square, in derivatives, does not overflow
+    du = jnp.where(jnp.abs(du) < tiny, tiny, du)
+    # A slab is entered and left where normal . x is -offset and offset, whichever comes first along the edge.
+    inverse = 1 / du
+    at_centre, half = kept(dot(normals, expand(centre, 0)))[:, None] * inverse, offsets[:, None] * jnp.abs(inverse)
+    at_corner = kept(dot(across, expand(corner, 0)) * inverse)
+    length, to_begin = kept(vector.norm(edges), _begin(rise))
+    sums = []
+    # Of the edge that begins at a corner, and of the opposite one:
+    for k, sign, before in ((0, 1, at_corner + at_centre), (1, -1, at_corner - at_centre)):
+        start, end = -jnp.min(before + half, axis=0), -jnp.max(before - half, axis=0)
+        weight, along = _integrals(start, end, length, depth[None] + sign * to_begin, sign * rise)
+        if is_open is not None:  # an edge in the middle of a wall is no edge of the overlap
+            part = is_open[k * count : (k + 1) * count]
+            weight, along = part * weight, part * along
+        sums.append((weight, sign * weight, sign * along))
+    both = [p + q for p, q in zip(*sums, strict=True)]
+    moments = (jnp.sum(both[1] * c + both[2] * e, axis=0) for c, e in zip(corner, edges, strict=True))
+    return jnp.sum(both[0], axis=0), *moments
+
+
+def _begin(steps):
+    """Where each of the first half of the steps [K, P] around a centrally symmetric loop begins, about its centre."""
+    number = jnp.arange(steps.shape[0])[:, None]
+    return _sum(jnp.where(number > j, 0.5, -0.5).astype(steps.dtype) * steps[j : j + 1] for j in range(steps.shape[0]))
+
+
+def _clipped(points, corners, normals, offsets, depth):
+    """For each edge of a face, the line integral of depth over its part inside a polytope, and of depth times position:
+    four arrays [k, P] (m2, m3).
+
+    points: [k + 1, P] x 3, the corners relative to the polytope's origin; normals: [m, P] x 3 and offsets: [m, P] of its
+    faces; depth: [k + 1, P] (m).
+    """
+    u = kept(dot(expand(normals, 1), expand(points, 0)) / offsets[:, None])  # [m, k + 1, P]
+    du = u[:, 1:] - u[:, :-1]
+    tiny = jnp.finfo(depth.dtype).tiny ** 0.25  # so small that its square, in derivatives, does not overflow
+    du = jnp.where(jnp.abs(du) < tiny, tiny, du)
+    crossing = (1 - u[:, :-1]) / du  # a half-space u < 1 is left where u grows, entered where it falls
+    start = jnp.max(jnp.where(du < 0, crossing, -jnp.inf), axis=0)
+    end = jnp.min(jnp.where(du < 0, jnp.inf, crossing), axis=0)
+    edge = tuple(c[1:] - c[:-1] for c in corners)
+    weight, along = _integrals(start, end, vector.norm(edge), depth[:-1], depth[1:] - depth[:-1])
+    return weight, *(weight * c[:-1] + along * e for c, e in zip(corners, edge, strict=True))
+
+
+def _integrals(start, end, length, depth, rise):
+    """Integrals of depth, and of depth times t, over the part of edges (t from 0 to 1) from start to end, [k, P] (m2)."""
+    start, end = kept(jnp.clip(start, 0, 1), jnp.clip(end, 0, 1))
+    part = jnp.maximum(end - start, 0)
+    middle = 0.5 * (start + end)
+    weight = part * length * jnp.maximum(depth + rise * middle, 0)
+    return kept(weight, weight * middle + part * part * part * rise * length / 12)
+
+
+def sphere_sphere(radius_a, radius_b, offset) -> Geometry:
+    """Two spheres; offset: centre of b relative to a, [P] x 3 (m). In world axes."""
+    distance = vector.norm(offset)
+    normal = vector.scale(1 / jnp.maximum(distance, jnp.finfo(distance.dtype).tiny), offset)
+    depth = radius_a + radius_b - distance
+    return Geometry(depth, normal, vector.scale(radius_a - 0.5 * depth, normal))
+
+
+def hull_sphere(a: Hulls, radius, centre) -> Geometry:
+    """A convex polytope a and a sphere b whose centre (in a's frame, [P] x 3) may lie in it or outside."""
+    height = kept(dot(a.normals, expand(centre, 0)) - a.offsets)  # [F, P]
+    inside, face_normal = jnp.max(height, axis=0), _select(a.normals, _least(-height)[1])
+    foot, squared = _closest_on_faces(a, height, expand(centre, 0))
+    away = kept(*vector.sub(centre, _select(foot, _least(squared)[1])))
+    distance = vector.norm(away)
+    outside = (inside > 0) & (distance > 0)
+    tiny = jnp.finfo(distance.dtype).tiny
+    normal = vector.where(outside, vector.scale(1 / jnp.maximum(distance, tiny), away), face_normal)
+    depth = radius - jnp.where(outside, distance, inside)
+    weight = None
+    if a.seams is not None:  # beside a panel that another continues, the other has the contact
+        across = [dot(normal, tuple(c[k] for c in a.seams)) for k in range(a.seams[0].shape[0])]
+        weight = jnp.where(jnp.max(jnp.stack(across), axis=0) > SEAM_SINE, 0, 1).astype(depth.dtype)
+    return Geometry(depth, normal, vector.add_scaled(centre, 0.5 * depth - radius, normal), weight)
+
+
+def _closest_on_faces(hull: Hulls, height, centre):
+    """Closest point of each face polygon to a point: [F, P] x 3 (m), and its squared distance [F, P] (m2)."""
+    corners = hull.corners  # [k, F, P]
+    edge = tuple(jnp.roll(c, -1, axis=0) - c for c in corners)
+    to_centre = vector.sub(expand(centre, 0), corners)
+    length2 = dot(edge, edge)
+    t = jnp.clip(dot(to_centre, edge) / jnp.maximum(length2, jnp.finfo(length2.dtype).tiny), 0, 1)
+    away = vector.add_scaled(to_centre, -t, edge)
+    squared, nearest = _least(kept(dot(away, away)))
+    on_edge = _select(vector.add_scaled(corners, t, edge), nearest)
+    normals = tuple(jnp.broadcast_to(c, height.shape) for c in hull.normals)
+    within = jnp.all(dot(vector.cross(expand(normals, 0), edge), to_centre) >= 0, axis=0)
+    on_face = vector.add_scaled(centre, -height, normals)
+    return kept(*vector.where(within, on_face, on_edge)), kept(jnp.where(within, height * height, squared))
+
+
+def _safe_root(x):
+    """sqrt(x), bounded below where parallel edges make x vanish."""
+    eps = float(jnp.finfo(x.dtype).eps)
+    return jnp.sqrt(jnp.maximum(x, eps * eps))
+
+
+def _sum(terms):
+    total = None
+    for term in terms:
+        total = term if total is None else total + term
+    return total
+
+
+def _select(v, index):
+    """Entry index of each list v, [K, ...] x 3: a row of selections, which unlike a gather vectorises."""
+    out = tuple(c[0] for c in v)
+    for k in range(1, v[0].shape[0]):
+        out = vector.where(index == k, tuple(c[k] for c in v), out)
+    return out

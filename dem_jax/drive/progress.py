@@ -1,0 +1,57 @@
+"""What a run says while it goes. On stderr, so that stdout stays the summary."""
+
+import sys
+import time
+
+import numpy as np
+
+
+class Progress:
+    """A bar with simulated time, speed and an estimate of what is left; silent unless asked for. A context manager."""
+
+    def __init__(self, job, shown):
+        self._job, self._bar = job, None
+        self._from = int(np.max(job.state.step)) // job.steps_per_sample
+        self._since, self._compiled = time.perf_counter(), job.clock["compile"]
+        if shown:
+            from tqdm import tqdm
+
+            total, ms = job.samples - self._from, 1e3 * job.scene.run.sample
+            self._bar = tqdm(total=total, unit_scale=ms, file=sys.stderr, bar_format=FORMAT, dynamic_ncols=True)
+            self._bar.set_description_str(self._phase(self._from))
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        if self._bar is not None:
+            self._bar.close()
+
+    def _phase(self, at):
+        return "settling" if at < 0 else "running"
+
+    def compiling(self):
+        """A program is about to be compiled."""
+        if self._bar is not None:
+            self._bar.set_description_str("compiling")
+
+    def note(self, text):
+        """Something that a person should know, above the bar."""
+        if self._bar is not None:
+            self._bar.write(text, file=sys.stderr)
+
+    def advance(self, span):
+        """A chunk is done."""
+        if self._bar is None:
+            return
+        now, compiled = time.perf_counter(), self._job.clock["compile"]
+        took = now - self._since - (compiled - self._compiled)
+        steps = span.count * self._job.steps_per_sample * (self._job.runs or 1)
+        self._since, self._compiled = now, compiled
+        self._bar.set_postfix_str(f"{1e6 * took / steps:.3g} µs/step", refresh=False)
+        self._bar.set_description_str(self._phase(span.end), refresh=False)
+        left_out = (0 if span.end < 0 else self._job.samples) - span.end if span.settled else 0
+        self._bar.update(span.count + left_out)
+
+
+FORMAT = "{desc}: {percentage:3.0f}% |{bar}| {n:.0f}/{total:.0f} ms [{elapsed} < {remaining}{postfix}]"

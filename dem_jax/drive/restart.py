@@ -1,0 +1,65 @@
+"""A state as named arrays, and back: all that is needed to go on bit for bit.
+
+What the rebuild at the start of a chunk fills anew is left out.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dem_jax.errors import RecordError
+from dem_jax.pairs import guard, neighbours
+from dem_jax.types import State, System
+
+
+def pack(system: System, state: State) -> dict:
+    """path -> array of the state, of the skin and of the capacities."""
+    out = {path: np.asarray(leaf) for path, leaf in _leaves(state)[0]}
+    for kind, candidates, slots in system.capacity:
+        out[f"capacity/{kind}"] = np.array([candidates, slots], np.int32)
+    for name in ("touching", "row_capacity"):
+        out[name] = np.array(getattr(system, name), np.int32)
+    if system.partition:
+        out["partition"] = np.array([system.partition.pairs, system.partition.cell, system.partition.reach])
+    return out | {"skin": np.asarray(system.skin)}
+
+
+def unpack(system: System, state: State, arrays: dict) -> tuple[System, State]:
+    """System and state that ``pack`` was given; system, state: those that the scene begins with.
+
+    Raises RecordError for arrays that are missing or of another form: the file is damaged or of another version.
+    """
+    rows = []
+    for kind, _, _ in system.capacity:
+        candidates, slots = _found(arrays, f"capacity/{kind}")
+        rows.append((kind, int(candidates), int(slots)))
+    others = (int(_found(arrays, name)) for name in ("touching", "row_capacity"))
+    system, state = guard.with_capacity(system, state, tuple(rows), *others)
+    system = system.replace(skin=jnp.asarray(_found(arrays, "skin")))
+    if system.partition:
+        listed, filling, reach = _found(arrays, "partition").tolist()
+        room = system.partition._replace(pairs=int(listed), cell=int(filling), reach=reach)
+        system = system.replace(partition=room)
+    named, structure = _leaves(state)
+    leaves = []
+    for path, leaf in named:
+        array = _found(arrays, path)
+        if (array.shape, array.dtype) != (leaf.shape, leaf.dtype):
+            found, needed = (f"{x.dtype}{list(x.shape)}" for x in (array, leaf))
+            raise RecordError(f"restart/{path} is {found}, but the scene needs {needed}")
+        leaves.append(jnp.asarray(array))
+    kept = jax.tree.unflatten(structure, leaves)
+    return system, kept.replace(**{name: getattr(state, name) for name in neighbours.FILLED})
+
+
+def _leaves(state: State):
+    """[(path, array)] of what is kept, and its structure."""
+    kept = state.replace(**dict.fromkeys(neighbours.FILLED))
+    paths, structure = jax.tree_util.tree_flatten_with_path(kept)
+    return [(jax.tree_util.keystr(path, simple=True, separator="/"), leaf) for path, leaf in paths], structure
+
+
+def _found(arrays, path):
+    if path not in arrays:
+        raise RecordError(f"restart/{path} is missing: the file is damaged or of another version")
+    return arrays[path]

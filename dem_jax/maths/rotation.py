@@ -1,0 +1,126 @@
+"""Unit quaternions (w, x, y, z), body frame to world frame, and the free rotation of a rigid body.
+
+Quaternions are tuples of four arrays, vectors tuples of three (see ``vector``).
+"""
+
+import jax.numpy as jnp
+
+from dem_jax.maths import vector
+
+
+def multiply(p, q):
+    """Hamilton product p q: first the rotation q, then p."""
+    w, x, y, z = p
+    a, b, c, d = q
+    return (
+        w * a - x * b - y * c - z * d,
+        w * b + x * a + y * d - z * c,
+        w * c - x * d + y * a + z * b,
+        w * d + x * c - y * b + z * a,
+    )
+
+
+def conjugate(q):
+    """The inverse rotation."""
+    return (q[0], -q[1], -q[2], -q[3])
+
+
+def normalise(q):
+    """q / |q|."""
+    inverse = 1.0 / jnp.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    return tuple(c * inverse for c in q)
+
+
+def matrix(q):
+    """Rotation matrix (three rows of three arrays) of a unit quaternion."""
+    w, x, y, z = q
+    return (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+
+
+def axis_angle(axis, angle):
+    """Rotation matrix about a unit axis by an angle (rad); Rodrigues' formula."""
+    c, s = jnp.cos(angle), jnp.sin(angle)
+    x, y, z = axis
+    u = 1 - c
+    return (
+        (c + u * x * x, u * x * y - s * z, u * x * z + s * y),
+        (u * y * x + s * z, c + u * y * y, u * y * z - s * x),
+        (u * z * x - s * y, u * z * y + s * x, c + u * z * z),
+    )
+
+
+def _half_angle(u_squared):
+    """Cosine, and sine over u, of half the angle a, where u is tan(a/4): with any u they make a unit quaternion."""
+    inverse = 1.0 / (1.0 + u_squared)
+    return (1.0 - u_squared) * inverse, 2.0 * inverse
+
+
+def _tangent(x_squared):
+    """tan(x) / x by two terms of its series: angles of 4x are a = 0.001 rad to 5e-16 of a, 0.03 rad to 4e-10 (a^4 / 1920)."""
+    return 1.0 + x_squared / 3.0
+
+
+def _turn(q, p, axis, angle):
+    """Turn the body about its own coordinate axis: q <- q e^(angle/2), body-frame momentum p turned back.
+
+    Without sine and cosine, which took a tenth of a step: by tan(angle/4), see ``_tangent``.
+    """
+    x = 0.25 * angle
+    u = x * _tangent(x * x)
+    c, s = _half_angle(u * u)
+    s = s * u
+    i, j, k = ((axis + n) % 3 for n in range(3))
+    w, a, b, d = q[0], q[1 + i], q[1 + j], q[1 + k]
+    q, p = list(q), list(p)
+    q[0], q[1 + i], q[1 + j], q[1 + k] = w * c - a * s, a * c + w * s, b * c + d * s, d * c - b * s
+    cos, sin = c * c - s * s, 2 * c * s
+    p[j], p[k] = cos * p[j] + sin * p[k], cos * p[k] - sin * p[j]
+    return tuple(q), tuple(p)
+
+
+def free_rotation(q, momentum, inertia, dt):
+    """Rotate free rigid bodies by dt, to second order, conserving angular momentum to rounding.
+
+    The splitting into rotations about the principal axes x, y, z, y, x of Dullweber, Leimkuhler and
+    McLachlan (J. Chem. Phys. 107, 5840, 1997): each turns by an angle as exact as ``_tangent`` is, the
+    product is symmetric and symplectic, so that the energy error stays bounded. The momentum in space is not touched at all.
+
+    q: unit quaternion, momentum: world-frame angular momentum (kg m2/s), inertia: three principal
+    moments (kg m2), dt (s). Returns the new quaternion and the angular velocity of the interval
+    (rad/s, world frame; the mean of its ends).
+    """
+    before = matrix(q)
+    p = vector.rotate_back(before, momentum)
+    start = vector.rotate(before, tuple(c / i for c, i in zip(p, inertia, strict=True)))
+    for axis, part in ((0, 0.5), (1, 0.5), (2, 1.0), (1, 0.5), (0, 0.5)):
+        q, p = _turn(q, p, axis, part * dt * p[axis] / inertia[axis])
+    q = normalise(q)
+    end = angular_velocity(q, momentum, inertia)
+    return q, vector.scale(0.5, vector.add(start, end))
+
+
+def spin(q, momentum, inertia, dt):
+    """The free rotation of bodies whose three moments are equal, about a fixed axis: its angle is exact as ``_tangent`` is."""
+    omega = vector.scale(1 / inertia[0], momentum)
+    x = vector.scale(0.25 * dt, omega)
+    u = vector.scale(_tangent(vector.dot(x, x)), x)
+    c, s = _half_angle(vector.dot(u, u))
+    return normalise(multiply((c, *vector.scale(s, u)), q)), omega
+
+
+def angular_velocity(q, momentum, inertia):
+    """World-frame angular velocity (rad/s) of bodies with a world-frame angular momentum."""
+    r = matrix(q)
+    p = vector.rotate_back(r, momentum)
+    return vector.rotate(r, tuple(c / i for c, i in zip(p, inertia, strict=True)))
+
+
+def angular_momentum(q, omega, inertia):
+    """World-frame angular momentum (kg m2/s) of bodies with a world-frame angular velocity."""
+    r = matrix(q)
+    w = vector.rotate_back(r, omega)
+    return vector.rotate(r, tuple(c * i for c, i in zip(w, inertia, strict=True)))

@@ -1,0 +1,1 @@
+"""Which pairs may touch: search, rebuild, history carried across it, room for all of it."""

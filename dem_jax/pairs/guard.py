@@ -1,0 +1,149 @@
+"""What a host does when a chunk outgrew a capacity or its skin: grow it, and go back to the last good state.
+
+Capacities are static, so growing one compiles anew; the skin is an array. All arrays may have a leading run axis
+(ensembles): the largest need of all runs counts.
+"""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dem_jax.maths.compaction import EMPTY
+from dem_jax.pairs import neighbours, search
+from dem_jax.types import ContactTable, Guard, State, System
+
+HEAD_ROOM = 1.25  # of what was needed, so that the next chunk does not outgrow it again
+LARGEST_RAISE = 4.0  # of the skin at once: a state that went wrong may report any travel
+
+
+def fresh(state: State) -> State:
+    """The state at the start of a chunk: needs and travel are noted anew."""
+    guard = state.guard
+    zeros = jax.tree.map(
+        np.zeros_like, {name: getattr(guard, name) for name in ("needed", "touching", "row", "partition", "reach", "travel")}
+    )
+    return state.replace(guard=guard.replace(**zeros))
+
+
+def outgrown(system: System, guard: Guard) -> list[str]:
+    """What a chunk that ended with this guard outgrew, in words; empty: its result stands."""
+    out = []
+    for kind, candidates, slots in system.capacity:
+        near, touching = _most(guard.needed[kind])
+        if near > candidates:
+            out.append(f"{near} candidate pairs of {kind} for {candidates}")
+        if touching > slots:
+            out.append(f"{touching} pairs of {kind} for {slots} slots")
+    if np.max(guard.touching) > system.touching:
+        out.append(f"{np.max(guard.touching)} contacts of a piece for {system.touching}")
+    if np.max(guard.row) > system.row_capacity:
+        out.append(f"{np.max(guard.row)} pieces in a row of cells for {system.row_capacity}")
+    if system.partition:
+        listed, filling = _most(guard.partition)
+        if listed > system.partition.pairs:
+            out.append(f"more than {system.partition.pairs} pairs in the list of jax-md")
+        if filling > system.partition.cell:
+            out.append(f"{filling} pieces in a cell of jax-md for {system.partition.cell}")
+        if np.max(guard.reach) > system.partition.reach:
+            out.append(f"pairs within {np.max(guard.reach):.3g} m for a list of jax-md within {system.partition.reach:.3g} m")
+    if np.max(guard.travel) > system.skin:
+        way, skin = float(np.max(guard.travel)), float(system.skin)
+        out.append(f"bodies approached by {way:.3g} m more than expected between rebuilds, with a skin of {skin:.3g} m")
+    return out
+
+
+def standing(system: System, guard: Guard) -> np.ndarray:
+    """Which runs of an ensemble outgrew nothing, so that their results stand, [runs] bool."""
+    of_run = lambda k: jax.tree.map(lambda x: x[k], guard)  # noqa: E731
+    return np.array([not outgrown(system, of_run(k)) for k in range(len(guard.travel))])
+
+
+def grown(system: System, state: State, guard: Guard) -> tuple[System, State]:
+    """The system with room for what a chunk needed, and the state that the chunk began with, fitted to it."""
+    rows = []
+    pieces, panels = system.pieces.mass.shape[0], system.walls.group.shape[0]
+    polytopes, spheres = system.pieces.polytopes.shape[0], system.pieces.spheres.shape[0]
+    for kind, candidates, slots in system.capacity:
+        near, touching = _most(guard.needed[kind])
+        every = search.pair_count(kind, polytopes, spheres, panels)
+        if near > candidates:  # of those that found no place, as many may touch as of those that did
+            touching = -(-touching * near // candidates)
+        rows.append((kind, _enough(candidates, near, every), _enough(slots, touching, every)))
+    most = int(np.max(guard.touching))
+    touching = system.touching if most <= system.touching else min(pieces - 1 + panels, most + 2)
+    row = _enough(system.row_capacity, int(np.max(guard.row)), pieces)
+    travel = np.max(guard.travel)
+    if travel > system.skin:
+        raised = min(HEAD_ROOM * travel, LARGEST_RAISE * float(system.skin))
+        system = system.replace(skin=jnp.asarray(raised, system.skin.dtype))
+    system = system.replace(partition=_grown_partition(system.partition, guard, pieces))
+    return with_capacity(system, state, tuple(rows), touching, row)
+
+
+def _grown_partition(partition, guard: Guard, pieces):
+    """The room of jax-md's list, where there is one, for what was needed."""
+    if partition is None:
+        return None
+    listed, filling = _most(guard.partition)
+    reach = partition.reach
+    if np.max(guard.reach) > reach:
+        reach = min(HEAD_ROOM * float(np.max(guard.reach)), LARGEST_RAISE * reach)
+    room = _enough(partition.pairs, listed, pieces * (pieces - 1) // 2)
+    return partition._replace(pairs=room, cell=_enough(partition.cell, filling, pieces), reach=reach)
+
+
+def with_capacity(system: System, state: State, capacity, touching, row_capacity) -> tuple[System, State]:
+    """System and state with capacities at least as large as these, none smaller than before."""
+    both = zip(capacity, system.capacity, strict=True)
+    capacity = tuple((kind, max(near, n), max(slots, s)) for (kind, near, slots), (_, n, s) in both)
+    larger = system.replace(capacity=capacity, touching=touching, row_capacity=row_capacity)
+    if jax.tree.structure(larger) == jax.tree.structure(system):
+        return system, state
+    tables = {kind: _widened(state.contacts[kind], slots) for kind, _, slots in capacity}
+    return larger, with_scratch(larger, state.replace(contacts=tables))
+
+
+def with_scratch(system: System, state: State) -> State:
+    """The state with the incidence of its tables, and with what a rebuild fills empty and of the right form."""
+    batched = jax.vmap if state.step.ndim else lambda function: function
+    find = batched(lambda tables: neighbours.find_incidence(system, tables)[0])
+    state = state.replace(slots={}, incidence=jax.jit(find)(state.contacts))
+    form = jax.eval_shape(batched(partial(neighbours.rebuild, system)), state)
+    unfilled = {name: getattr(form, name) for name in neighbours.FILLED}
+    return state.replace(**jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), unfilled))
+
+
+def _most(needed):
+    """The most that any run needed of two things, such as candidates and slots."""
+    near, touching = np.reshape(needed, (-1, 2)).max(axis=0)
+    return int(near), int(touching)
+
+
+def _enough(have, needed, every):
+    if needed <= have:
+        return have
+    return round_up(min(every, int(np.ceil(HEAD_ROOM * needed))))
+
+
+def _widened(table: ContactTable, slots) -> ContactTable:
+    """The table with empty slots behind its own."""
+    more = slots - table.a.shape[-1]
+    pad = lambda x, value: np.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, more)], constant_values=value)  # noqa: E731
+    fill = {"a": EMPTY, "b": EMPTY}
+    return ContactTable(**{name: jnp.asarray(pad(x, fill.get(name, 0))) for name, x in vars(table).items()})
+
+
+def round_up(slots: int) -> int:
+    """A capacity at least as large, from few distinct ones: 8, multiples of 16, above 64 of 32, further up of ever larger
+    powers of two."""
+    unit = 8 if slots <= 8 else 16 if slots <= 64 else 32
+    while slots > 16 * unit:
+        unit *= 2
+    return round_to(unit, slots)
+
+
+def round_to(unit: int, count: int) -> int:
+    """The smallest multiple of a unit that is not below a count."""
+    return -(-count // unit) * unit

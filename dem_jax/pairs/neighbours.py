@@ -1,0 +1,330 @@
+"""Which pairs may touch before the next rebuild, and contact history carried across a rebuild by partner.
+
+A rebuild looks at those of ``pairs`` in stages, each on what the one before left: bounding spheres (of a panel and a
+piece: box and sphere), then the full separating-axis test. What is left are pairs nearer than the way that the speeds
+of the fastest take two bodies until the next rebuild (``State.lead``) and a skin for what changes speeds; ``travel``
+measures whether two bodies have approached each other by more. More candidates than slots is not an error here but data:
+the host grows the capacity and runs the chunk again.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dem_jax.contact import bodies, boundary, forces, hulls, of_run, springs
+from dem_jax.maths import rotation, vector
+from dem_jax.maths.compaction import EMPTY, compact, grouped, in_order
+from dem_jax.pairs import search
+from dem_jax.types import ContactTable, Guard, Slots, State, System
+
+# Kinds of contact by what computes their geometry, each with slots of its own, and the sources of their pairs.
+# In the order of the alphabet, as JAX sorts the keys of a dict: ``incidence`` counts on one order everywhere.
+SOURCES = {
+    "hulls": ("hull-hull", "wall-hull"),
+    "mixed": ("hull-sphere", "wall-sphere"),
+    "spheres": ("sphere-sphere",),
+}
+
+
+# Of a State, what a rebuild fills anew.
+FILLED = ("slots", "filled", "busiest", "walled", "most_walled", "loads", "anchor", "since", "lead")
+
+
+def empty_table(slots, dtype) -> ContactTable:
+    """A table without contacts, in numpy."""
+    none = np.full((slots,), EMPTY, np.int32)
+    zero = np.zeros((slots,), dtype)
+    three = np.zeros((3, slots), dtype)
+    return ContactTable(none, none, zero, zero, three, three)
+
+
+def rebuild(system: System, state: State) -> State:
+    """Find the candidate pairs anew and carry the history of those that remain."""
+    panels = _panels_at(system, state.step)
+    stacked = bodies.stack(system, state, jnp.zeros_like(state.velocity), panels)
+    lead = _interval(system) * _pace(system, state, panels)
+    reach = system.skin + lead
+    guard = state.guard
+    first_time = guard.start_overlap < 0
+    tables, slots, needed, filled, column = {}, {}, {}, {}, 0
+    for kind, candidates, room in system.capacity:
+        near, a, b, missed = [], [], [], 0
+        for source in SOURCES[kind]:
+            first, second, need = search.of_source(system, source, stacked, reach, candidates)
+            guard, missed = search.noted(guard, need), missed + need.missed
+            near.append(within_bounds(system, stacked, source, first, second, reach))
+            a.append(first)
+            b.append(second)
+        number, a, b = compact(jnp.concatenate(near), jnp.concatenate(a), jnp.concatenate(b), candidates)
+        overlap, relative = _depths(system, kind, a, b, number, stacked)
+        guard = _note_overlap(guard, first_time, relative, a, b)
+        touching, a, b = in_order(overlap, of_run.at(system, reach, jnp.maximum(b, 0)), a, b, room)
+        filled[kind] = jnp.minimum(touching, room)
+        wanted = jnp.stack([number + missed, touching])
+        if system.runs:
+            wanted = _of_fullest_run(system, wanted, b)
+        needed[kind] = jnp.maximum(guard.needed[kind], wanted)
+        old = state.contacts[kind]
+        tables[kind] = carry_history(old, a, b, state.incidence, column)
+        column += 2 * old.a.shape[0]
+        slots[kind] = constants(system, kind, a, b)
+    incidence, touching = find_incidence(system, tables)
+    guard = guard.replace(
+        needed=needed,
+        touching=jnp.maximum(guard.touching, touching),
+        start_overlap=jnp.maximum(guard.start_overlap, 0),
+    )
+    anchor = jnp.concatenate([state.position, state.orientation])
+    busiest = jnp.minimum(touching, system.touching)
+    loads = jnp.zeros((forces.rows_of_loads(system), column + 1), stacked.dtype)
+    state = state.replace(contacts=tables, slots=slots, filled=filled, busiest=busiest, incidence=incidence, loads=loads)
+    if system.runs:
+        walled, most = find_walled(system, tables)
+        state = state.replace(walled=walled, most_walled=most)
+    return state.replace(anchor=anchor, since=state.step, lead=lead, guard=guard)
+
+
+def _of_fullest_run(system: System, wanted, b):
+    """Of runs side by side, the candidates and slots that one run wants; wanted: of all; b: [slots], pieces in slots."""
+    each = of_run.total_of_contacts(system, (b >= 0).astype(jnp.int32), b)
+    mean = (wanted + system.runs - 1) // system.runs
+    return mean.at[1].max(jnp.max(each))
+
+
+def within_bounds(system: System, stacked, source, a, b, gap):
+    """Whether the bounds of two bodies are nearer than a gap (m), [pairs] bool: spheres, of a panel the box around it."""
+    live = a >= 0
+    a, b = jnp.maximum(a, 0), jnp.maximum(b, 0)
+    radius = system.pieces.bounding_radius
+    reach = radius[b] + of_run.at(system, gap, b)
+    if source.startswith("wall"):
+        panel = a - radius.shape[0]
+        first, second = bodies.take(stacked, a), bodies.take(stacked, b)
+        local = vector.rotate_back(first.rotation, bodies.offset(first, second))
+        half = tuple(c[panel] for c in system.walls.half_extent)
+        away = tuple(jnp.maximum(jnp.abs(c) - h, 0) for c, h in zip(local, half, strict=True))
+    else:
+        reach = reach + radius[a]
+        away = vector.sub(stacked[:3, b], stacked[:3, a])
+    return live & (vector.dot(away, away) < reach * reach)
+
+
+def _depths(system: System, kind, a, b, number, stacked):
+    """Overlap of each pair by the full test, [pairs] (m), and relative to its width; of an empty one, minus infinity.
+
+    number: how many pairs there are, the first ones; of the rest, as many as fill a block are looked at too.
+    """
+
+    def of_pairs(a, b):
+        slots = constants(system, kind, a, b)
+        body_a, body_b = bodies.take(stacked, slots.a), bodies.take(stacked, slots.b)
+        depth, _ = forces.geometry(system, kind, slots, body_a, body_b, bodies.offset(body_a, body_b))
+        return jnp.where(slots.live, jnp.stack([depth, depth / slots.width]), -jnp.inf)
+
+    size = forces.block_size(system, kind, a.shape[0])
+    if not size:
+        return of_pairs(a, b)
+
+    def block(k, found):
+        return jax.lax.dynamic_update_slice_in_dim(found, of_pairs(*forces.block_of((a, b), k, size)), k * size, 1)
+
+    none = jnp.full((2, a.shape[0]), -jnp.inf, stacked.dtype)
+    return jax.lax.fori_loop(0, (jnp.minimum(number, a.shape[0]) + size - 1) // size, block, none)
+
+
+def constants(system: System, kind, a, b) -> Slots:
+    """What stays the same in the slots of pairs (a, b) until the next rebuild."""
+    pieces = system.pieces
+    number = pieces.mass.shape[0]
+    live = a >= 0
+    a, b = jnp.maximum(a, 0), jnp.maximum(b, 0)
+    if kind == "spheres":
+        return _between_spheres(system, live, a, b)
+    wall = a >= number
+    own = jnp.minimum(a, number - 1)  # a, where it is a piece
+    group = system.walls.group[jnp.maximum(a - number, 0)] if system.walls.group.shape[0] else jnp.zeros_like(a)
+    groups = jnp.arange(len(system.walls.groups), dtype=jnp.int32)[:, None]
+    pair_stiffness = springs.series(pieces.load_stiffness[own], pieces.load_stiffness[b])
+    return Slots(
+        live=live,
+        a=a,
+        b=b,
+        hull_a=hulls.gather(system.hulls, system.shape[a], kind == "mixed"),
+        hull_b=_hull_of_piece(system, b) if kind == "hulls" else None,
+        radius_a=pieces.radius[own],
+        radius_b=pieces.radius[b],
+        stiffness=jnp.where(wall, pieces.wall_stiffness[b], pair_stiffness),
+        friction=jnp.where(wall, system.law.friction_wall, system.law.friction_piece),
+        mass=jnp.where(wall, pieces.mass[b], springs.series(pieces.mass[own], pieces.mass[b])),
+        width=jnp.where(wall, pieces.width[b], jnp.minimum(pieces.width[own], pieces.width[b])),
+        member=(wall & live)[None] & (group[None] == groups),
+        plane=_plane(system, jnp.where(wall & live, a - number, EMPTY)),
+    )
+
+
+def _between_spheres(system: System, live, a, b) -> Slots:
+    """Slots of pairs of spheres. Where all are alike one value of each constant broadcasts, which saves reading it."""
+    pieces = system.pieces
+    first, second = (pieces.spheres[:1],) * 2 if "spheres" in system.alike else (a, b)
+    radius = pieces.radius[first]
+    return Slots(
+        live=live,
+        a=a,
+        b=b,
+        hull_a=None,
+        hull_b=None,
+        radius_a=radius,
+        radius_b=pieces.radius[second],
+        stiffness=springs.series(pieces.load_stiffness[first], pieces.load_stiffness[second]),
+        friction=jnp.full_like(radius, system.law.friction_piece),
+        mass=springs.series(pieces.mass[first], pieces.mass[second]),
+        width=jnp.minimum(pieces.width[first], pieces.width[second]),
+        member=None,
+        plane=None,
+    )
+
+
+def _plane(system: System, panel):
+    """Slots.plane; panel: [P] int32, EMPTY where there is none."""
+    if system.walls.plane is None:
+        return None
+    return jnp.where(panel >= 0, system.walls.plane[panel], EMPTY)
+
+
+def _hull_of_piece(system: System, b):
+    """Hulls of pieces: one row that broadcasts where all polytopes are alike, which saves gathering it."""
+    if "hulls" in system.alike:
+        return hulls.gather(system.hulls, jnp.zeros((1,), jnp.int32), False)
+    return hulls.gather(system.hulls, system.shape[b], False)
+
+
+def _note_overlap(guard: Guard, first_time, relative, a, b) -> Guard:
+    """Note the deepest pair of all, if this is the first rebuild."""
+    worst = jnp.argmax(relative)
+    more = first_time & (relative[worst] > guard.start_overlap)
+    return guard.replace(
+        start_overlap=jnp.where(more, relative[worst], guard.start_overlap),
+        start_pair=jnp.where(more, jnp.stack([a[worst], b[worst]]), guard.start_pair),
+    )
+
+
+def carry_history(old: ContactTable, a, b, incidence, column) -> ContactTable:
+    """A table of the pairs (a, b), each with the history that it had in the old table, or none.
+
+    incidence: [touching, N] of the old tables; column: where the loads on b of this kind begin in it. A pair that was
+    known stands among the few contacts of its b, so that no sorting and no search is needed.
+    """
+    slots = old.a.shape[0]
+    slot = incidence[:, jnp.maximum(b, 0)] - column  # [touching, P]
+    inside = (slot >= 0) & (slot < slots)
+    slot = jnp.where(inside, slot, 0)
+    match = inside & (old.a[slot] == a[None]) & (a >= 0)[None]
+    known = jnp.any(match, axis=0)
+    slot = jnp.max(jnp.where(match, slot, 0), axis=0)
+    return ContactTable(
+        a,
+        b,
+        jnp.where(known, old.force[slot], 0),
+        jnp.where(known, old.overlap[slot], 0),
+        jnp.where(known[None], old.spring[:, slot], 0),
+        jnp.where(known[None], old.point[:, slot], 0),
+    )
+
+
+def find_incidence(system: System, tables):
+    """Where the loads of each piece stand in the columns that forces adds up, [touching, N], and how many at most.
+
+    The columns are, for each kind, the P loads on b, then the P loads on a; one more holds zeros.
+    """
+    pieces = system.pieces.mass.shape[0]
+    owner = [part for t in tables.values() for part in (t.b, jnp.where(t.a < pieces, t.a, EMPTY))]
+    return _columns_of(system, owner)
+
+
+def find_walled(system: System, tables):
+    """As ``find_incidence``, [2, touching, N] and how many at most: where the loads of walls on each piece stand, and the
+    number of each wall's group."""
+    pieces = system.pieces.mass.shape[0]
+    panel = [part for t in tables.values() for part in (t.a - pieces, jnp.full_like(t.a, EMPTY))]
+    owner = [part for t in tables.values() for part in (jnp.where(t.a >= pieces, t.b, EMPTY), jnp.full_like(t.b, EMPTY))]
+    columns, most = _columns_of(system, owner)
+    panel = jnp.maximum(jnp.concatenate([*panel, jnp.zeros((1,), jnp.int32)]), 0)
+    group = system.walls.group[panel] if system.walls.group.shape[0] else panel
+    return jnp.stack([columns, group[columns]]), jnp.minimum(most, system.touching)
+
+
+def _columns_of(system: System, owner):
+    """The columns that belong to each piece, [touching, N], in order and ended by the last, and how many at most.
+
+    owner: parts of an array [columns - 1] of pieces, EMPTY where a column is nobody's.
+    """
+    pieces = system.pieces.mass.shape[0]
+    if not owner:
+        return jnp.zeros((system.touching, pieces), jnp.int32), jnp.zeros((), jnp.int32)
+    owner = jnp.concatenate(owner)
+    columns = owner.shape[0]
+    order, first = grouped(jnp.where(owner >= 0, owner, pieces), pieces)
+    count = first[1:] - first[:-1]
+    rank = jnp.arange(system.touching, dtype=jnp.int32)[:, None]
+    at = jnp.minimum(first[None, :-1] + rank, columns - 1)
+    return jnp.where(rank < count[None], order[at], columns), jnp.max(count)
+
+
+def travel(system: System, state: State):
+    """The most that any two bodies of a run can have approached each other since the last rebuild (m).
+
+    On a way of the length that present speeds give a body comes no further from where it was than half of that and of
+    its displacement now; of both, those of the two bodies that went furthest.
+    """
+    position, orientation = state.anchor[:3], state.anchor[3:]
+    way = vector.norm(tuple(state.position - position))
+    if system.has_hulls:
+        turn = rotation.multiply(tuple(state.orientation), rotation.conjugate(tuple(orientation)))
+        way = way + 2 * vector.norm(turn[1:]) * system.pieces.bounding_radius
+    now = _panels_at(system, state.step)
+    of_walls = None
+    if system.walls.moving:
+        before = _panels_at(system, state.since)
+        turn = vector.sub(now.rotation[0], before.rotation[0]), vector.sub(now.rotation[1], before.rotation[1])
+        turned = jnp.sqrt(vector.dot(turn[0], turn[0]) + vector.dot(turn[1], turn[1]))
+        of_walls = vector.norm(vector.sub(now.centre, before.centre)) + turned * vector.norm(tuple(system.walls.half_extent))
+    return 0.5 * (_of_two(system, way, of_walls) + _interval(system) * _pace(system, state, now))
+
+
+def _pace(system: System, state: State, panels: boundary.Panels):
+    """The most by which any two bodies approach each other now (m/s)."""
+    speed = vector.norm(tuple(state.velocity))
+    if system.has_hulls:
+        omega = rotation.angular_velocity(
+            tuple(state.orientation), vector.unpack(state.angular_momentum), vector.unpack(system.pieces.inertia)
+        )
+        speed = speed + vector.norm(omega) * system.pieces.bounding_radius
+    of_walls = None
+    if system.walls.moving:
+        of_walls = vector.norm(panels.velocity) + vector.norm(panels.spin) * vector.norm(tuple(system.walls.half_extent))
+    return _of_two(system, speed, of_walls)
+
+
+def _of_two(system: System, pieces, walls):
+    """The largest of two pieces, or of a piece and a wall, added up; walls: None where they rest."""
+    piece = of_run.largest(system, pieces)
+    return 2 * piece if walls is None else piece + jnp.maximum(piece, jnp.max(walls))
+
+
+def _interval(system: System):
+    """Longest time between rebuilds (s)."""
+    return system.dt * system.block_steps
+
+
+def _panels_at(system: System, step) -> boundary.Panels:
+    time = system.dt * step.astype(system.dt.dtype)
+    return boundary.panels(system.walls, time, time)
+
+
+def empty_guard(system: System, dtype) -> Guard:
+    """A guard that has seen nothing, in numpy."""
+    needed = {kind: np.zeros((2,), np.int32) for kind, _, _ in system.capacity}
+    zero = np.zeros((), np.int32)
+    none = search.no_need(dtype)
+    nothing, nobody = np.zeros((), dtype), np.zeros((2,), np.int32)
+    return Guard(needed, zero, none.row, none.partition, none.reach, nothing, nothing - 1, nobody)

@@ -1,0 +1,182 @@
+"""Pairs of bodies to be looked at, by what finds them: every pair, sorted cells, or the neighbour list of jax-md.
+
+Each source takes (system, members, stacked, reach, room): body numbers [M] int32, ``bodies.stack``, the gap (m) within
+which pairs count and a number of pairs to keep, and answers with the pairs (a, b), a < b, two int32 arrays that hold EMPTY
+where there is no pair, and what it would have needed to find them all.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dem_jax.contact import of_run
+from dem_jax.maths import vector
+from dem_jax.maths.compaction import EMPTY, first_set
+from dem_jax.types import Guard, Partition, System
+
+ALL_PAIRS = 512  # "auto": up to so many pieces every pair is looked at, which is as quick as any list; beyond, cells
+ROUNDING = 1e-4  # of the cutoff of jax-md's list, by which it is larger than the sum of what it is made of
+
+
+class Need(NamedTuple):
+    """What a search would have needed; row, partition and reach as in ``types.Guard``."""
+
+    row: jax.Array
+    partition: jax.Array
+    reach: jax.Array
+    missed: jax.Array  # int32: pairs for which there was no room
+
+
+def no_need(dtype) -> Need:
+    """That of a search that needs nothing, in numpy."""
+    return Need(np.zeros((), np.int32), np.zeros((2,), np.int32), np.zeros((), dtype), np.zeros((), np.int32))
+
+
+def noted(guard: Guard, need: Need) -> Guard:
+    """The guard with the largest needs so far."""
+    return guard.replace(**{name: jnp.maximum(getattr(guard, name), getattr(need, name)) for name in ("row", "partition", "reach")})
+
+
+def of_source(system: System, source, stacked, reach, room):
+    """Pairs of a source of contacts (a name of neighbours.SOURCES), at most ``room`` where they are many, and Need."""
+    pieces = system.pieces
+    if source.startswith("wall"):
+        second = pieces.polytopes if source == "wall-hull" else pieces.spheres
+        first = jnp.arange(system.walls.group.shape[0], dtype=jnp.int32) + pieces.mass.shape[0]
+        return *_product(first, second), no_need(reach.dtype)
+    if source == "hull-sphere":
+        first, second = (of_run.apart(system, x) for x in (pieces.polytopes, pieces.spheres))
+        return *_product(first, second), no_need(reach.dtype)
+    members = pieces.polytopes if source == "hull-hull" else pieces.spheres
+    find = {"all-pairs": all_pairs, "cells": cell_pairs, "jax-md": jax_md_pairs}
+    return find[choice(system.neighbours, members.shape[0] // max(1, system.runs))](system, members, stacked, reach, room)
+
+
+def choice(neighbours, members: int) -> str:
+    """What finds the pairs of so many pieces, where the scene says how."""
+    if members < 2:
+        return "all-pairs"
+    if neighbours == "auto":
+        return "cells" if members > ALL_PAIRS else "all-pairs"
+    return neighbours
+
+
+def pair_count(kind, polytopes, spheres, panels) -> int:
+    """How many pairs of a kind there are at all, from the numbers of polytopes and spheres among the pieces and of panels."""
+    return {
+        "hulls": polytopes * (polytopes - 1) // 2 + panels * polytopes,
+        "mixed": polytopes * spheres + panels * spheres,
+        "spheres": spheres * (spheres - 1) // 2,
+    }[kind]
+
+
+def _product(first, second):
+    """Each of the first with each of the second; where both have a run axis behind, of the same run."""
+    return tuple(x.reshape(-1) for x in jnp.broadcast_arrays(first[:, None], second[None]))
+
+
+def all_pairs(system: System, members, stacked, reach, room):
+    """Every pair there is, of pieces of one run, and Need: nothing."""
+    each = of_run.apart(system, members)
+    i, j = np.triu_indices(each.shape[0], 1)
+    return each[i].reshape(-1), each[j].reshape(-1), no_need(reach.dtype)
+
+
+def cell_pairs(system: System, members, stacked, reach, room):
+    """Pairs of pieces in the same or in neighbouring cells whose bounding spheres are within reach, each once, and Need:
+    the most pieces in a row of three cells.
+
+    Pieces are sorted by cell, z fastest, so that three cells one above the other are one range of the sorted list:
+    the rest of a piece's own cell and the one above, and four rows beside it, hold its partners of higher rank. Pairs
+    come out piece by piece, as from ``all_pairs``: what one slot reads of bodies the next ones find in the cache.
+    """
+    size = 2 * jnp.max(system.pieces.bounding_radius[members]) + reach
+    place = stacked[:3, members] - system.domain_low[:, None]
+    count = jnp.ceil((system.domain_high - system.domain_low) / size).astype(jnp.int32) + 2
+    cell = jnp.clip(jnp.floor(place / size).astype(jnp.int32) + 1, 1, count[:, None] - 2)
+    key = (cell[0] * count[1] + cell[1]) * count[2] + cell[2]
+    order, number = jnp.argsort(key), members.shape[0]
+    ranked = key[order]
+    own = jnp.zeros_like(key).at[order].set(jnp.arange(number, dtype=key.dtype))  # where in the sorted list
+    rows = [(0, 1), (1, -1), (1, 0), (1, 1)]
+    beside = jnp.stack([key + (dx * count[1] + dy) * count[2] for dx, dy in rows], axis=1)
+    start = jnp.searchsorted(ranked, beside - 1).astype(jnp.int32)
+    start = jnp.concatenate([own[:, None] + 1, start], axis=1)  # [members, 5]
+    last = jnp.concatenate([key[:, None], beside], axis=1)
+    end = jnp.searchsorted(ranked, last + 1, side="right").astype(jnp.int32)
+    partner = start[..., None] + jnp.arange(system.row_capacity, dtype=jnp.int32)[None, None]  # [members, 5, row]
+    ball = jnp.concatenate([stacked[:3, members], system.pieces.bounding_radius[members][None]])
+    here, there = ball[..., None, None], ball[:, order][:, jnp.minimum(partner, number - 1)]
+    away, near = tuple(there[:3] - here[:3]), here[3] + there[3] + reach
+    is_near = (vector.dot(away, away) < near * near) & (partner < end[..., None])
+    found, where = first_set(is_near.reshape(-1), room)
+    i, row, rank = jnp.unravel_index(jnp.maximum(where, 0), partner.shape)
+    i, j = members[i], members[order[start[i, row] + rank]]
+    a, b = (jnp.where(where >= 0, x, EMPTY) for x in (jnp.minimum(i, j), jnp.maximum(i, j)))
+    need = no_need(reach.dtype)._replace(row=jnp.max(end - start), missed=jnp.maximum(found - room, 0))
+    return a, b, need
+
+
+def jax_md_pairs(system: System, members, stacked, reach, room):
+    """Pairs of pieces whose bounding spheres of the largest size are within ``Partition.reach``, and Need: room and reach.
+
+    By ``jax_md.partition.neighbor_list`` in free space. Its cutoff is static while ours is not: what goes beyond it is
+    missed, and is noted as a need. jax-md tells that a list overflowed, not by how much: then twice its room is needed.
+    """
+    listing = system.partition
+    cutoff = (1 + ROUNDING) * (listing.diameter + listing.reach)
+    size = (1 + ROUNDING) * cutoff
+    place = (stacked[:3, members] - system.domain_low[:, None]).T
+    number = members.shape[0]
+    box = np.array(listing.sides) * size
+    room = min(listing.pairs, 27 * listing.cell * number - 1)  # the last place of its scratch takes what is no pair
+    with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
+        partition, space = jax_md()
+        form = partition.NeighborListFormat.OrderedSparse
+        functions = partition.neighbor_list(space.free()[0], box, cutoff, format=form)
+        empty = partition.NeighborList(
+            idx=jnp.full((2, room), number, jnp.int32),
+            reference_position=place,
+            error=partition.PartitionError(jnp.zeros((), jnp.uint8)),
+            cell_list_capacity=listing.cell,
+            max_occupancy=room,
+            format=form,
+            cell_size=size,
+            cell_list_fn=partition.cell_list(box, size),
+            update_fn=functions.update,
+        )
+        found = functions.update(place, empty)
+        filling = jnp.max(partition.count_cell_filling(place, box[None], size)).astype(jnp.int32)
+    there = found.idx[0] < number
+    overflow = (found.error.code & int(partition.PartitionErrorCode.NEIGHBOR_LIST_OVERFLOW)) > 0
+    listed = jnp.where(overflow, 2 * room, jnp.sum(there, dtype=jnp.int32)).astype(jnp.int32)
+    a, b = (jnp.where(there, members[jnp.minimum(row, number - 1)], EMPTY) for row in found.idx)
+    wanted = 2 * jnp.max(system.pieces.bounding_radius[members]) + reach - listing.diameter
+    return a, b, no_need(reach.dtype)._replace(partition=jnp.stack([listed, filling]), reach=wanted)
+
+
+def jax_md():
+    """jax-md's ``partition`` and ``space``.
+
+    Imported only where a scene asks for its list, as that takes seconds and hundreds of MB. It computes as it is
+    imported, which a trace under way must not see, and promotes dtypes.
+    """
+    with jax.ensure_compile_time_eval(), jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
+        from jax_md import partition, space
+    return partition, space
+
+
+def first_partition(members: int, diameter, volume, extent) -> Partition:
+    """Room for jax-md's list to begin with, for densely packed pieces.
+
+    diameter: (m) of the largest bounding sphere; volume: (m3) of the smallest piece; extent: [3] (m) of the domain.
+    """
+    reach = 0.1 * diameter
+    cutoff = diameter + reach
+    dense = 0.65 * cutoff**3 / volume  # pieces in a cell
+    most = max(3, 2 * int(np.ceil(members ** (1 / 3))))  # cells along a side: beyond, they would mostly be empty
+    sides = tuple(int(np.clip(np.ceil(x / cutoff), 3, most)) for x in extent)
+    pairs = min(members * (members - 1) // 2, int(np.ceil(2 / 3 * np.pi * dense * members)))
+    return Partition(float(diameter), float(reach), sides, max(1, pairs), int(np.ceil(dense)) + 1)

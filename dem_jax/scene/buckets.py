@@ -1,0 +1,116 @@
+"""Panels, motions and evaluation block of a bucket with two flaps, and of a linear feeder, from their few named sizes."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dem_jax.scene.sections import Block, Bucket, Feeder, Motion
+
+
+@dataclass(frozen=True)
+class BucketParts:
+    """What a bucket adds to a scene; the lower edge of its closed flaps is at height ``bottom`` on the z axis."""
+
+    panels: list  # of (group, corners [4, 3] (m), thickness (m))
+    motions: list  # of Motion, one for each flap that opens
+    joint: dict  # flap's group -> the group that its force is added to
+    block: Block
+    interior_low: np.ndarray  # [3] (m): box above the hinges
+    interior_high: np.ndarray  # [3] (m)
+
+
+def depth(bucket: Bucket) -> float:
+    """Height (m) of the closed flaps, from their lower edge to the hinges."""
+    return 0.5 * bucket.mouth[1] * np.tan(np.radians(bucket.flap_angle_deg))
+
+
+def parts(bucket: Bucket, name: str, bottom: float) -> BucketParts:
+    """The bucket's parts; groups ``name_walls`` and ``name_flaps``, block ``name``."""
+    x, y = 0.5 * bucket.mouth[0], 0.5 * bucket.mouth[1]
+    hinge = bottom + depth(bucket)
+    top, skirt = hinge + bucket.wall_height, hinge - bucket.lap
+    # Without the lap a piece whose corner reaches a little past the free edge of a panel would be pushed along it.
+    slope = np.radians(bucket.flap_angle_deg)
+    walls = f"{name}_walls"
+    sides = [  # seen from inside, counter-clockwise; the end walls reach down beside the flaps
+        [(x, -y, skirt), (-x, -y, skirt), (-x, -y, top), (x, -y, top)],
+        [(-x, y, skirt), (x, y, skirt), (x, y, top), (-x, y, top)],
+        [(-x, -y, bottom), (-x, y, bottom), (-x, y, top), (-x, -y, top)],
+        [(x, y, bottom), (x, -y, bottom), (x, -y, top), (x, y, top)],
+    ]
+    panels = [(walls, np.array(corners), bucket.thickness) for corners in sides]
+    motions, joint = [], {}
+    for side, sign in (("left", -1), ("right", 1)):
+        group = f"{name}_flap_{side}"
+        joint[group] = f"{name}_flaps"
+        edge = (sign * y, hinge)
+        lip = (-sign * bucket.lap * np.cos(slope), bottom - bucket.lap * np.sin(slope))
+        corners = [(-x, *edge), (x, *edge), (x, *lip), (-x, *lip)]
+        panels.append((group, _facing_up(np.array(corners)), bucket.thickness))
+        if bucket.opening_angle_deg:
+            motions.append(_hinge(bucket, group, (0.0, *edge), sign))
+    margin = 0.01
+    block = Block(name=name, low=(-x - margin, -y - margin, bottom - margin), high=(x + margin, y + margin, top))
+    return BucketParts(panels, motions, joint, block, np.array([-x, -y, hinge]), np.array([x, y, top]))
+
+
+def _facing_up(corners):
+    """The corners in the order in which the polygon's normal points up."""
+    normal = np.cross(corners[1] - corners[0], corners[2] - corners[1])
+    return corners if normal[2] > 0 else corners[::-1]
+
+
+def _hinge(bucket: Bucket, group, pivot, sign) -> Motion:
+    """Flaps swing down and outwards: the flap hinged at +y turns about +x, the other about -x."""
+    return Motion(
+        group=group,
+        pivot=pivot,
+        axis=(1.0, 0.0, 0.0),
+        swing_deg=sign * bucket.opening_angle_deg,
+        start=bucket.opening_start,
+        opening=bucket.opening_time,
+        dwell=bucket.open_dwell,
+        closing=bucket.closing_time,
+    )
+
+
+@dataclass(frozen=True)
+class FeederParts:
+    """What a linear feeder adds to a scene."""
+
+    panels: list  # of (group, corners [4, 3] (m), thickness (m))
+    motion: Motion
+    interior_low: np.ndarray  # [3] (m): box above the pan
+    interior_high: np.ndarray  # [3] (m)
+
+
+def feeder_parts(feeder: Feeder, bucket: BucketParts) -> FeederParts:
+    """The feeder's parts, group ``lf``: a pan that comes from the negative x side, its lower end over the feed bucket."""
+    tilt, y = np.radians(feeder.tilt_deg), 0.5 * feeder.width
+    along, up = np.array([np.cos(tilt), -np.sin(tilt)]), np.array([np.sin(tilt), np.cos(tilt)])  # in x and z
+    edge = np.array([bucket.interior_low[0] + feeder.overhang, bucket.interior_high[2] + feeder.clearance])
+    back = edge - feeder.length * along
+    tops = [point + feeder.wall_height * up for point in (back, edge)]
+
+    def at(point, side):
+        return (point[0], side * y, point[1])
+
+    corners = [  # seen from inside, counter-clockwise
+        [at(back, -1), at(edge, -1), at(edge, 1), at(back, 1)],
+        [at(edge, -1), at(back, -1), at(tops[0], -1), at(tops[1], -1)],
+        [at(back, 1), at(edge, 1), at(tops[1], 1), at(tops[0], 1)],
+        [at(back, -1), at(back, 1), at(tops[0], 1), at(tops[0], -1)],
+    ]
+    throw = tilt - np.radians(feeder.stroke_angle_deg)
+    stroke = feeder.stroke * np.array([np.cos(throw), 0.0, -np.sin(throw)])
+    motion = Motion(
+        group="lf",
+        stroke=tuple(stroke.tolist()),
+        frequency=feeder.frequency,
+        shake_start=feeder.start,
+        shake_end=feeder.start + feeder.duration,
+        shake_ramp=feeder.ramp,
+    )
+    panels = [("lf", np.array(c), feeder.thickness) for c in corners]
+    end = min(edge[0], bucket.interior_low[0]) - 0.01  # none begins above the bucket
+    return FeederParts(panels, motion, np.array([back[0], -y, back[1]]), np.array([end, y, tops[0][1]]))

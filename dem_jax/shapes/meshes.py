@@ -1,0 +1,260 @@
+"""Walls from STL files: coplanar facets as convex panels, and the plate of some thickness behind a panel. Host side."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from dem_jax.errors import SceneError
+from dem_jax.shapes.shape import TOLERANCE, load_stl, loop_normal, positive_length
+
+
+class Plate(NamedTuple):
+    """Convex plate behind a panel, in the panel's frame.
+
+    vertices: [2k, 3] (m) the panel's corners, then the same behind it.
+    faces: vertex loops, counter-clockwise seen from outside: the surface, the back, the k sides.
+    normals: [k + 2, 3] outward unit normals; offsets: [k + 2] (m): n . x <= offset inside.
+    edges: [3k, 2] vertex indices: edge i of the surface runs from corner i to the next; then the back's; then across.
+    """
+
+    vertices: np.ndarray
+    faces: tuple[tuple[int, ...], ...]
+    normals: np.ndarray
+    offsets: np.ndarray
+    edges: np.ndarray
+
+
+def plate(polygon, thickness, name="panel"):
+    """Plate behind a convex planar polygon [k, 3] (m), whose normal by the right-hand rule points to the pieces.
+
+    thickness: (m), to the other side. name: what an error calls the panel.
+    Raises SceneError for fewer than 3 corners, corners that coincide or are off their common plane by more than
+    TOLERANCE of the panel's size, a reflex corner, an outline that crosses itself and a thickness that is not > 0.
+    """
+    corners = _checked_polygon(polygon, name)
+    thickness = positive_length(f"{name}.thickness", thickness)
+    k, normal = len(corners), loop_normal(corners)
+    vertices = np.concatenate([corners, corners - thickness * normal])
+    ring = [(i, (i + 1) % k) for i in range(k)]
+    sides = tuple((i, k + i, k + j, j) for i, j in ring)
+    faces = (tuple(range(k)), tuple(range(2 * k - 1, k - 1, -1)), *sides)
+    normals = np.stack([loop_normal(vertices[list(loop)]) for loop in faces])
+    edges = np.array(ring + [(k + i, k + j) for i, j in ring] + [(i, k + i) for i in range(k)])
+    return Plate(vertices, faces, normals, (vertices @ normals.T).max(axis=0), edges)
+
+
+def without_collinear(polygon):
+    """The polygon [k, 3] without the corners that lie on the line between their neighbours."""
+    size = float(np.linalg.norm(np.ptp(polygon, axis=0)))
+    return polygon[_without_collinear(polygon, list(range(len(polygon))), loop_normal(polygon), TOLERANCE * size)]
+
+
+def panels_of_stl(path, unit=1.0, angle=0.01):
+    """Convex panels, each [k, 3] (m), of the facets of an STL, counter-clockwise about the facets' own normals.
+
+    unit: metres per unit of the file. angle: (degrees) adjacent facets whose normals differ by no more from that of the
+    largest among them are merged, and laid into their mean plane. What is not convex, or has a hole, is cut into convex
+    parts. The mesh need not be closed. Raises SceneError for a file that is missing, unreadable, empty or without area.
+    """
+    mesh = load_stl(path, unit)
+    tolerance = TOLERANCE * mesh.scale
+    vertices = np.asarray(mesh.vertices, np.float64)
+    panels = []
+    for group in _coplanar_groups(mesh, np.cos(np.radians(angle)), tolerance):
+        normal = mesh.area_faces[group] @ mesh.face_normals[group]
+        normal /= np.linalg.norm(normal)
+        triangles = mesh.faces[group].tolist()
+        used = np.unique(mesh.faces[group])
+        height = (vertices - vertices[used].mean(axis=0)) @ normal
+        flat = vertices - height[:, None] * normal
+        loops = _convex_parts(flat, [tuple(triangle) for triangle in triangles], normal, tolerance)
+        panels += [flat[loop] for loop in loops]
+    return panels
+
+
+def seams(panels, tolerance=None):
+    """For each panel [k, 3] a list of k booleans: whether the edge from corner i to the next borders a coplanar panel.
+
+    Such an edge is no edge of the wall: a piece that slides across must not catch on it. Coplanar panels have the same
+    normal (to 1e-3); edges that overlap only in part count. tolerance: (m) by default 1e-4 of the largest panel's size.
+    """
+    tolerance = tolerance or 1e-4 * max(float(np.linalg.norm(np.ptp(p, axis=0))) for p in panels)
+    normals = np.stack([loop_normal(np.asarray(p, np.float64)) for p in panels])
+    alike = normals @ normals.T > np.cos(1e-3)
+    found = []
+    for i, panel in enumerate(panels):
+        others = [_sides(panels[j]) for j in np.flatnonzero(alike[i]) if j != i]
+        found.append(
+            [any(_overlaps(*side, *other, tolerance) for other in others) for side in zip(*_sides(panel), strict=True)]
+        )
+    return found
+
+
+def _sides(panel):
+    """Starts and ends [k, 3] of a panel's edges."""
+    return np.asarray(panel, np.float64), np.roll(np.asarray(panel, np.float64), -1, axis=0)
+
+
+def _overlaps(start, end, starts, ends, tolerance):
+    """Whether one of some edges [k, 3] runs along the edge start-end, the other way, for more than tolerance (m)."""
+    length = np.linalg.norm(end - start)
+    along = (end - start) / length
+    distance = [np.linalg.norm(np.cross(points - start, along), axis=1) for points in (starts, ends)]
+    head, tail = (ends - start) @ along, (starts - start) @ along
+    shared = np.minimum(tail, length) - np.maximum(head, 0.0)
+    return bool(((np.maximum(*distance) <= tolerance) & (shared > tolerance)).any())
+
+
+# --- facets to convex polygons ---
+
+
+def _coplanar_groups(mesh, cosine, tolerance):
+    """Groups of facets (index arrays), each grown from its largest over shared edges to those in the same plane.
+
+    A facet is in the plane if its normal is, or (slivers, whose normal says little) if all its corners are.
+    """
+    neighbours = [[] for _ in mesh.faces]
+    for a, b in mesh.face_adjacency.tolist():
+        neighbours[a].append(b)
+        neighbours[b].append(a)
+    free = np.ones(len(mesh.faces), bool)
+    groups = []
+    for seed in np.argsort(-mesh.area_faces, kind="stable"):
+        if not free[seed]:
+            continue
+        along = mesh.face_normals @ mesh.face_normals[seed]
+        off_plane = np.abs((mesh.triangles - mesh.triangles[seed, 0]) @ mesh.face_normals[seed]).max(axis=1)
+        joins = free & ((along >= cosine) | ((along > 0.0) & (off_plane <= tolerance)))
+        group, front = {int(seed)}, [int(seed)]
+        while front:
+            new = [f for f in neighbours[front.pop()] if joins[f] and f not in group]
+            group.update(new)
+            front += new
+        group = np.array(sorted(group))
+        free[group] = False
+        groups.append(group)
+    return groups
+
+
+def _convex_parts(points, triangles, normal, tolerance):
+    """Convex loops (lists of indices of points) that together cover coplanar triangles, without collinear corners."""
+    outline = _outline(triangles)
+    if outline is not None and _is_convex(points[outline], normal, tolerance):
+        loops = [outline]
+    else:
+        loops = _merged_while_convex(points, triangles, normal, tolerance)
+    loops = [_without_collinear(points, list(loop), normal, tolerance) for loop in loops]
+    return [loop for loop in loops if len(loop) >= 3]
+
+
+def _merged_while_convex(points, loops, normal, tolerance):
+    """Loops joined in pairs over shared edges, the longest edge first, as long as the pair is convex."""
+    loops = dict(enumerate(loops))
+    owner = {side: i for i, loop in loops.items() for side in _directed(loop)}
+    shared = [side for side in owner if side[0] < side[1] and side[::-1] in owner]
+    shared.sort(key=lambda side: -np.linalg.norm(points[side[0]] - points[side[1]]))
+    joined = True
+    while joined:
+        joined = False
+        for side in shared:
+            a, b = owner.get(side), owner.get(side[::-1])
+            if a is None or b is None or a == b:
+                continue
+            pair = _outline([loops[a], loops[b]])
+            if pair is not None and _is_convex(points[pair], normal, tolerance):
+                for gone in _directed(loops[a]) + _directed(loops.pop(b)):
+                    del owner[gone]
+                loops[a] = pair
+                owner.update({new: a for new in _directed(pair)})
+                joined = True
+    return list(loops.values())
+
+
+def _directed(loop):
+    return [(int(loop[i - 1]), int(loop[i])) for i in range(len(loop))]
+
+
+def _outline(loops):
+    """The one loop (a list) around some loops that share edges; None if there are several, or if it touches itself."""
+    sides = [side for loop in loops for side in _directed(loop)]
+    inside = set(sides)
+    rim = [side for side in sides if side[::-1] not in inside]
+    following = dict(rim)
+    if len(following) != len(rim):
+        return None
+    start = rim[0][0] if rim else None
+    outline = [start]
+    while rim and (corner := following[outline[-1]]) != start:
+        outline.append(corner)
+    return outline if rim and len(outline) == len(rim) else None
+
+
+def _bulge(corners, normal):
+    """How far [k] (m) each corner of a loop [k, 3] is out of the line between its neighbours; negative if reflex."""
+    before, after = corners - np.roll(corners, 1, axis=0), np.roll(corners, -1, axis=0) - corners
+    chord = np.linalg.norm(before + after, axis=1)
+    return np.cross(before, after) @ normal / np.maximum(chord, 1e-300)
+
+
+def _is_convex(corners, normal, tolerance):
+    return bool((_bulge(corners, normal) >= -tolerance).all()) and _turns(corners, normal) == 1
+
+
+def _turns(corners, normal):
+    """How often a loop [k, 3] winds about its normal: 1 for a simple outline."""
+    after = np.roll(corners, -1, axis=0) - corners
+    before = np.roll(after, 1, axis=0)
+    turn = np.arctan2(np.cross(before, after) @ normal, (before * after).sum(axis=1))
+    return round(float(turn.sum() / (2.0 * np.pi)))
+
+
+def _without_collinear(points, loop, normal, tolerance):
+    """The loop without corners that stand out by no more than tolerance (m), the flattest dropped first."""
+    while len(loop) >= 3:
+        bulge = np.abs(_bulge(points[loop], normal))
+        flattest = int(np.argmin(bulge))
+        if bulge[flattest] > tolerance:
+            break
+        del loop[flattest]
+    return loop
+
+
+# --- checks of what a person wrote ---
+
+
+def _checked_polygon(polygon, name):
+    try:
+        corners = np.asarray(polygon, np.float64)
+    except (TypeError, ValueError) as error:
+        raise SceneError(f"{name} must be a list of corners [x, y, z] (m)") from error
+    if corners.ndim != 2 or corners.shape[1] != 3 or len(corners) < 3:
+        raise SceneError(f"{name} of form {list(corners.shape)} must be a list of at least 3 corners [x, y, z] (m)")
+    if not np.isfinite(corners).all():
+        raise SceneError(f"{name} corner {int(np.argmin(np.isfinite(corners).all(axis=1)))} must be finite (m)")
+    size = float(np.linalg.norm(np.ptp(corners, axis=0)))
+    sides = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
+    if sides.min() <= TOLERANCE * size:
+        i = int(np.argmin(sides))
+        raise SceneError(f"{name} corners {i} and {(i + 1) % len(corners)} coincide at {corners[i].tolist()} m")
+    _check_form(corners, size, name)
+    return corners
+
+
+def _check_form(corners, size, name):
+    arms = corners - corners[0]
+    area = np.linalg.norm(np.cross(arms, np.roll(arms, -1, axis=0)).sum(axis=0)) / 2.0
+    if area <= TOLERANCE * size**2:
+        raise SceneError(f"{name} has no area ({area:.3g} m2): its corners must not lie on one line or cancel out")
+    normal = loop_normal(corners)
+    off_plane = np.abs((corners - corners.mean(axis=0)) @ normal)
+    if off_plane.max() > TOLERANCE * size:
+        far, allowed = int(np.argmax(off_plane)), TOLERANCE * size
+        raise SceneError(
+            f"{name} corner {far} is {off_plane[far]:.3g} m off its plane; at most {allowed:.1g} m is allowed"
+        )
+    bulge = _bulge(corners, normal)
+    if bulge.min() < -TOLERANCE * size:
+        reflex = int(np.argmin(bulge))
+        raise SceneError(f"{name} must be convex; its corner {reflex} at {corners[reflex].tolist()} m is reflex")
+    if _turns(corners, normal) != 1:
+        raise SceneError(f"{name} must be convex; its outline crosses itself")

@@ -1,0 +1,1 @@
+"""Figures, animations, exports and the summary of a run."""

@@ -1,0 +1,47 @@
+"""Shapes, walls and wall poses of a stored run, from the scene in its file: what pictures and exports need."""
+
+from functools import cache
+
+import jax
+import numpy as np
+
+from dem_jax import build
+from dem_jax.contact import boundary
+from dem_jax.scene import parse
+from dem_jax.shapes import meshes
+
+
+def bodies_of(run):
+    """The arguments of render.render and vtk.export_vtk for a single run: shapes, walls, wall_pose.
+
+    shapes: a Shape per piece. walls: group -> [(vertices [V, 3] (m), faces)] in the scene's rest pose, the first face
+    being the touched surface. wall_pose: t (s) -> group -> (rotation [3, 3], origin [3] (m)). Raises SceneError.
+    """
+    scene = parse(run.scene, "the file's scene")
+    panels, motions, joint, *_ = build.system._walls_of(scene)
+    with jax.enable_x64(True):
+        walls = build.system._wall_arrays(panels, motions, joint, np.float64)[0]
+    solids = {group: [] for group in walls.groups}
+    for group, corners, thickness in panels:
+        plate = meshes.plate(corners, thickness)
+        solids[group].append((plate.vertices, plate.faces))
+    return build.system._pieces_of(scene), solids, _pose_function(walls)
+
+
+def _pose_function(walls):
+    """t (s) -> group -> (rotation [3, 3], origin [3] (m)) from the rest pose."""
+    still = {group: (np.eye(3), np.zeros(3)) for group in walls.groups}
+    if not walls.moving:
+        return lambda t: still
+    program = jax.jit(boundary.group_pose)
+    rest = np.asarray(walls.pivot)
+
+    @cache
+    def pose(t):
+        with jax.enable_x64(True):
+            turn, pivot = jax.device_get(program(walls, np.float64(t)))
+        turns, pivots = np.moveaxis(np.array(turn), -1, 0), np.array(pivot).T
+        origins = pivots - np.einsum("gij,gj->gi", turns, rest.T)
+        return {group: (turns[i], origins[i]) for i, group in enumerate(walls.groups)}
+
+    return pose

@@ -1,0 +1,140 @@
+"""The figure of a run or an ensemble: product impact force and settled mass over time, as Figs 11-14 of the paper."""
+
+import tomllib
+from pathlib import Path
+
+import numpy as np
+
+from dem_jax.errors import RecordError
+from dem_jax.show.summary import main_block, main_group
+
+FORCE_COLOUR, MASS_COLOUR = "#1f4e9c", "#c8561b"
+MEMBERS = 5  # runs of an ensemble that are drawn one by one
+PICTURE_FORMATS = (".png", ".pdf", ".svg")
+
+
+def plot_run(run, path, group=None, block=None, start=None, end=None, title=None):
+    """Save the figure of a run or an ensemble as PNG, PDF or SVG; see `figure_of_run`. Returns the path.
+
+    Raises RecordError for a group or block that the run does not have, another file format and a file that cannot be
+    written.
+    """
+    path = Path(path)
+    check_format(path, PICTURE_FORMATS)
+    return save_figure(figure_of_run(run, group, block, start, end, title), path, dpi=200)
+
+
+def figure_of_run(run, group=None, block=None, start=None, end=None, title=None):
+    """Figure (matplotlib.figure.Figure) with PIF in kg (left) and settled mass in g (right) over ms.
+
+    A run is drawn by the means over its sample intervals, on the instantaneous values in a lighter tone; an ensemble by
+    its median, the band from 5 to 95 % and some members, all of interval means. group: by default wb_flaps or the
+    first; block: wb or the first. start, end: (s) of what is shown, by default from just before the first force.
+    Raises RecordError for a group or block that the run does not have.
+    """
+    from matplotlib.figure import Figure
+
+    group = group or main_group(run) or "none"
+    figure = Figure(figsize=(7.2, 4.2), layout="constrained")
+    axes = figure.add_subplot()
+    mean = run.pif_kg(group)
+    if run.run_count is None:
+        _draw_run(axes, run, group, mean)
+    else:
+        _draw_ensemble(axes, 1e3 * run.time, mean, FORCE_COLOUR, f"PIF on {group}", "5 to 95 %")
+        for k, member in enumerate(mean[:MEMBERS]):
+            label = None if k else "single runs"
+            axes.plot(1e3 * run.time, member, color=FORCE_COLOUR, lw=0.4, alpha=0.5, zorder=1, label=label)
+    axes.set_xlabel("time since release (ms)")
+    axes.set_ylabel("product impact force / g (kg)", color=FORCE_COLOUR)
+    axes.tick_params(axis="y", labelcolor=FORCE_COLOUR)
+    _draw_mass(axes, run, block)
+    _limit(axes, run, mean, start, end)
+    figure.suptitle(_title(run) if title is None else title, fontsize=11)
+    figure.legend(loc="outside lower center", ncols=4, frameon=False, fontsize=8)
+    return figure
+
+
+def _draw_run(axes, run, group, mean):
+    ms = 1e3 * run.time
+    instants = run.pif_kg(group, mean=False)
+    axes.plot(ms, instants, color=FORCE_COLOUR, lw=0.6, alpha=0.35, label=f"PIF on {group}, instantaneous")
+    axes.plot(ms, mean, color=FORCE_COLOUR, lw=1.1, label=f"mean over {1e6 * run.sample:.3g} µs")
+    peak = int(np.argmax(mean))
+    if mean[peak] > 0.0:
+        axes.plot(ms[peak], mean[peak], "o", ms=4, mfc="none", color=FORCE_COLOUR)
+        words = f"{mean[peak]:.3g} kg at {ms[peak]:.1f} ms"
+        axes.annotate(words, (ms[peak], mean[peak]), (6, 5), textcoords="offset points", fontsize=8, color=FORCE_COLOUR)
+
+
+def _draw_ensemble(axes, ms, values, colour, label, band=None):
+    """Median over the runs [K, T] and the band from 5 to 95 %."""
+    low, middle, high = np.quantile(values, [0.05, 0.5, 0.95], axis=0)
+    axes.plot(ms, middle, color=colour, lw=1.3, label=f"{label}, median")
+    axes.fill_between(ms, low, high, color=colour, alpha=0.2, lw=0, label=band)
+
+
+def _draw_mass(axes, run, block):
+    block = block or main_block(run)
+    if block is None:
+        return
+    if block not in run.settled_mass:
+        raise RecordError(f"block = {block!r} is not in this run; it has: {', '.join(run.settled_mass) or 'none'}")
+    grams = 1e3 * np.asarray(run.settled_mass[block], np.float64)
+    right = axes.twinx()
+    if run.run_count is None:
+        right.plot(1e3 * run.time, grams, color=MASS_COLOUR, lw=1.3, label=f"settled mass in {block}")
+    else:
+        _draw_ensemble(right, 1e3 * run.time, grams, MASS_COLOUR, f"settled mass in {block}")
+    right.set_ylim(0.0, 1.3 * max(grams.max(), 1e-9))  # below the peak and its label
+    right.set_ylabel("settled mass (g)", color=MASS_COLOUR)
+    right.tick_params(axis="y", labelcolor=MASS_COLOUR)
+    right.spines["top"].set_visible(False)
+
+
+def _limit(axes, run, mean, start, end):
+    """Limits of the axes: time from shortly before the first force, force from its range in that time."""
+    if start is None:
+        felt = np.flatnonzero(np.abs(mean).reshape(-1, len(run.time)).max(axis=0) > 0.0)
+        first = run.time[felt[0]] if len(felt) else run.time[0]
+        start = max(run.time[0], first - 0.05 * (run.time[-1] - first))
+    end = run.time[-1] if end is None else end
+    shown = np.asarray(mean)[..., (run.time >= start) & (run.time <= end)]
+    top = max(float(shown.max(initial=0.0)), 1e-9)
+    axes.set_xlim(1e3 * start, 1e3 * end)
+    axes.set_ylim(min(0.0, 1.05 * float(shown.min(initial=0.0))), 1.15 * top)
+    axes.grid(alpha=0.25, lw=0.5)
+    axes.spines["top"].set_visible(False)
+
+
+def _title(run):
+    """Scene, pieces, SF and restitution, as far as the scene's TOML says them."""
+    tree = tomllib.loads(run.scene)
+    first = (tree.get("piece") or [tree.get("portion", {})])[0]
+    words = [str(tree.get("name", tree.get("base", "")))]
+    words.append(f"{run.header.piece_count} piece" + ("s" if run.header.piece_count != 1 else ""))
+    if "scale_factor" in first:
+        words.append(f"SF = {first['scale_factor']:g}")
+    if "restitution" in tree.get("material", {}):
+        words.append(f"ε = {tree['material']['restitution']:g}")
+    if run.run_count is not None:
+        words.append(f"{run.run_count} runs")
+    return ", ".join(word for word in words if word)
+
+
+# --- shared with render ---
+
+
+def check_format(path, allowed):
+    """Raise RecordError unless the path ends as one of the allowed formats."""
+    if path.suffix.lower() not in allowed:
+        raise RecordError(f"{path} must end in one of: {', '.join(allowed)}")
+
+
+def save_figure(figure, path, **options):
+    """Save a figure; a path that cannot be written is a RecordError."""
+    try:
+        figure.savefig(path, **options)
+    except OSError as error:
+        raise RecordError(f"{path} cannot be written: {error.strerror or error}") from error
+    return path

@@ -1,0 +1,400 @@
+"""Pictures of a scene with its pieces: one instant, a film strip of several, or an animated GIF. Host side, matplotlib.
+
+All bodies are convex: the faces of one never hide each other once those that look away are left out, and the order in
+which two are drawn follows from the side of a plane between them on which the eye is.
+"""
+
+import heapq
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from dem_jax.errors import RecordError
+from dem_jax.maths.pose import matrix_of_quaternion
+from dem_jax.shapes import loop_normal, surface
+from dem_jax.show.plot import check_format, save_figure
+
+PICTURES, ANIMATIONS = (".png", ".pdf", ".svg"), (".gif",)
+PALETTE = ("#f3c6cf", "#fbe9c6", "#cfe3f1", "#d8ecd0", "#e6d7f0", "#f8d5b5")  # of pieces told apart by number
+WALL_COLOUR, INK = (0.62, 0.69, 0.76), (0.25, 0.22, 0.2)
+FULL_HEIGHT = 6.0  # inches, of one picture
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Where the scene is seen from.
+
+    azimuth: (degrees) of the eye about z, from x. elevation: (degrees) of the eye above the horizontal.
+    distance: of the eye from the middle of the scene, in radii of the scene.
+    """
+
+    azimuth: float = 25.0
+    elevation: float = 14.0
+    distance: float = 5.0
+
+
+class Solid(NamedTuple):
+    """A convex body: vertices [V, 3] (m), faces, outward normals [F, 3], offsets [F] (m), with or without outlines."""
+
+    vertices: np.ndarray
+    faces: tuple[tuple[int, ...], ...]
+    normals: np.ndarray
+    offsets: np.ndarray
+    outlined: bool
+
+
+class View(NamedTuple):
+    """A camera set up: the box [2, 3] (m) that is shown, the eye [3] (m), and right, up and forward in rows [3, 3]."""
+
+    box: np.ndarray
+    eye: np.ndarray
+    axes: np.ndarray
+
+
+def render(frames, shapes, walls, wall_pose, path, at=None, strip=None, camera=None, colour="speed", title="", fps=25):
+    """Write a picture or an animation of stored poses; what it is follows from the path.
+
+    frames: record.Frames of a single run. shapes: a Shape for each of the N pieces. walls: group -> list of (vertices
+    [V, 3] (m), faces) in the group's rest frame, the first face being the surface that the pieces touch; wall_pose:
+    t -> group -> (rotation [3, 3], origin [3] (m)). path: .gif is the animation, looping, of at most 200 frames at fps
+    per second; .png, .pdf, .svg the instant `at` (s; by default the last), or a film strip of the instants `strip`:
+    their times (s), or their number, evenly spaced.
+    Each instant shows the stored frame nearest to it. colour: "speed" or "piece". title: stands before the time.
+    Returns the path. Raises RecordError for another format, no frames, or a file that cannot be written.
+    """
+    path = Path(path)
+    check_format(path, PICTURES + ANIMATIONS)
+    if frames is None or not np.isfinite(frames.position).all(axis=-1).any():
+        raise RecordError(f"{path} cannot be drawn: the run has no frames; set run.frames to the time between them (s)")
+    if frames.position.ndim != 3:
+        raise RecordError(f"{path} cannot be drawn: frames of an ensemble; choose one of its runs")
+    scene = scene_of(frames, shapes, walls, wall_pose, camera or Camera(), colour)
+    if path.suffix.lower() in ANIMATIONS:
+        return _animate(scene, path, title, fps)
+    return save_figure(figure_of(scene, _instants(frames.time, at, strip), title), path, dpi=150)
+
+
+class Scene(NamedTuple):
+    """All that is drawn, at all times."""
+
+    frames: object  # record.Frames
+    pieces: list[Solid]  # in their body frames
+    plates: list[tuple[str, Solid]]  # (group, panel) in the groups' rest frames
+    wall_pose: object
+    view: View
+    colour: str
+    fastest: float  # (m/s) end of the scale of colours
+
+
+def scene_of(frames, shapes, walls, wall_pose, camera, colour="speed"):
+    """What `figure_of` draws; arguments as `render`."""
+    if colour not in ("speed", "piece"):
+        raise RecordError(f'colour = {colour!r} is unknown; allowed: "speed", "piece"')
+    known = {}
+    for shape in shapes:  # pieces share few shapes
+        if id(shape) not in known:
+            known[id(shape)] = _solid(*surface(shape), outlined=shape.radius == 0.0)
+    plates = [(group, _solid(*plate)) for group, parts in walls.items() for plate in parts]
+    radii = np.array([shape.bounding_radius for shape in shapes])
+    speed = np.linalg.norm(frames.velocity, axis=-1)
+    fastest = float(np.max(speed, where=np.isfinite(speed), initial=0.0))
+    view = _view(_shown_box(frames, radii, plates, wall_pose), camera)
+    return Scene(frames, [known[id(shape)] for shape in shapes], plates, wall_pose, view, colour, fastest or 1.0)
+
+
+def figure_of(scene, indices, title=""):
+    """Figure with the stored frames of these indices side by side."""
+    figure, axes = _empty_figure(scene, len(indices))
+    for i, ax in zip(indices, axes, strict=True):
+        ax.add_collection(_collection(scene, i))
+        ax.set_title(_caption(scene, i, title), fontsize=10)
+    return figure
+
+
+def _instants(times, at, strip):
+    """Indices of the frames nearest to the instants asked for."""
+    if strip is None:
+        wanted = [times[-1] if at is None else at]
+    else:
+        wanted = np.linspace(times[0], times[-1], strip) if isinstance(strip, int) else strip
+    return [int(np.argmin(np.abs(times - t))) for t in wanted]
+
+
+def _caption(scene, i, title):
+    time = f"t = {1e3 * scene.frames.time[i]:.1f} ms"
+    return f"{title}\n{time}" if title else time
+
+
+def _animate(scene, path, title, fps):
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from PIL import Image
+
+    figure, (ax,) = _empty_figure(scene, 1)
+    figure.set_dpi(100)
+    canvas = FigureCanvasAgg(figure)
+    count = len(scene.frames.time)
+    pictures = []
+    for i in np.unique(np.linspace(0, count - 1, min(count, 200)).round().astype(int)):
+        for old in ax.collections:
+            old.remove()
+        ax.add_collection(_collection(scene, i))
+        ax.set_title(_caption(scene, i, title), fontsize=10)
+        canvas.draw()
+        pictures.append(Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3]).quantize(256, dither=0))
+    try:
+        pause = max(20, round(1000 / fps))
+        pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=pause, loop=0)
+    except OSError as error:
+        raise RecordError(f"{path} cannot be written: {error.strerror or error}") from error
+    return path
+
+
+# --- the figure around the scene ---
+
+
+def _empty_figure(scene, count):
+    """Figure with `count` axes that frame the view, a bar of length and, if colours are speeds, their scale."""
+    from matplotlib.figure import Figure
+
+    low, high = _drawn_bounds(scene)
+    aspect = float(np.clip((high[0] - low[0]) / (high[1] - low[1]), 0.4, 1.8))
+    height = FULL_HEIGHT if aspect < 1.2 else FULL_HEIGHT * 1.2 / aspect
+    figure = Figure(figsize=(count * height * aspect + 1.1, height + 0.6), layout="constrained")
+    axes = figure.subplots(1, count, squeeze=False)[0]
+    for ax in axes:
+        ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", xticks=[], yticks=[])
+        ax.set_axis_off()
+    _length_bar(axes[0], scene.view, low, high)
+    if scene.colour == "speed":
+        _speed_scale(figure, axes, scene.fastest)
+    return figure, axes
+
+
+def _drawn_bounds(scene):
+    """Lowest and highest point [2], [2] of the image of the pieces at all times and walls at a few, with a margin."""
+    finite, view = np.isfinite(scene.frames.position).all(axis=-1), scene.view
+    centres = scene.frames.position[finite]
+    radii = np.array([np.linalg.norm(piece.vertices, axis=1).max() for piece in scene.pieces])
+    radii = np.broadcast_to(radii, finite.shape)[finite]
+    flat, size = _project(view, centres), (radii / ((centres - view.eye) @ view.axes[2]))[:, None]
+    low, high = [(flat - size).min(axis=0)], [(flat + size).max(axis=0)]
+    for i in np.unique(np.linspace(0, len(scene.frames.time) - 1, 5).astype(int)) if scene.plates else ():
+        points = np.concatenate([path.vertices for path in _collection(scene, i).get_paths()])
+        low.append(points.min(axis=0))
+        high.append(points.max(axis=0))
+    low, high = np.min(low, axis=0), np.max(high, axis=0)
+    return low - 0.04 * (high - low).max(), high + 0.02 * (high - low).max()
+
+
+def _length_bar(ax, view, low, high):
+    """A bar of round length, as long as it looks in the middle of the scene."""
+    middle = view.box.mean(axis=0)
+    per_metre = 1.0 / float((middle - view.eye) @ view.axes[2])
+    length = _round_length(0.25 * (high[0] - low[0]) / per_metre)
+    left, y = low[0] + 0.03 * (high[0] - low[0]), low[1] + 0.015 * (high[1] - low[1])
+    ax.plot([left, left + length * per_metre], [y, y], color=INK, lw=2, solid_capstyle="butt", zorder=5)
+    ax.text(left, y + 0.01 * (high[1] - low[1]), f"{1e3 * length:g} mm", color=INK, fontsize=8, va="bottom", zorder=5)
+
+
+def _round_length(length):
+    """The largest of 1, 2, 5 times a power of ten that is no longer."""
+    power = 10.0 ** np.floor(np.log10(length))
+    return max(step * power for step in (1.0, 2.0, 5.0) if step * power <= length)
+
+
+def _speed_scale(figure, axes, fastest):
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    scale = ScalarMappable(Normalize(0.0, fastest), _speed_colours())
+    figure.colorbar(scale, ax=list(axes), label="speed (m/s)", shrink=0.5, aspect=25, pad=0.02)
+
+
+def _speed_colours():
+    """Cream at rest, over orange, to dark red."""
+    from matplotlib.colors import LinearSegmentedColormap
+
+    return LinearSegmentedColormap.from_list("speed", ["#fdf3e1", "#fdd49e", "#f4935a", "#d7452f", "#8e1220"])
+
+
+# --- the scene as polygons on the screen ---
+
+
+def _solid(vertices, faces, outlined=True):
+    vertices = np.asarray(vertices, np.float64)
+    normals = np.stack([loop_normal(vertices[list(loop)]) for loop in faces])
+    return Solid(vertices, faces, normals, (vertices @ normals.T).max(axis=0), outlined)
+
+
+def _placed(solid, rotation, origin):
+    normals = solid.normals @ np.asarray(rotation).T
+    vertices = solid.vertices @ np.asarray(rotation).T + origin
+    return solid._replace(vertices=vertices, normals=normals, offsets=solid.offsets + normals @ origin)
+
+
+def _shown_box(frames, radii, plates, wall_pose):
+    """Box [2, 3] (m) around all places of the pieces and walls; of walls that are far larger, only what is near."""
+    finite = np.isfinite(frames.position).all(axis=-1)
+    radius = np.broadcast_to(radii, finite.shape)[finite][:, None]
+    low, high = (frames.position[finite] - radius).min(axis=0), (frames.position[finite] + radius).max(axis=0)
+    if not plates:
+        return np.stack([low, high])
+    reach = 0.25 * np.linalg.norm(high - low)
+    corners = []
+    for t in frames.time[:: max(1, len(frames.time) // 20)]:
+        poses = wall_pose(float(t))
+        corners += [_placed(plate, *poses[group]).vertices for group, plate in plates]
+    corners = np.concatenate(corners)
+    low_wall, high_wall = corners.min(axis=0) - 1e-3 * reach, corners.max(axis=0) + 1e-3 * reach
+    if np.linalg.norm(high_wall - low_wall) > 10.0 * reach:
+        low_wall, high_wall = np.maximum(low_wall, low - reach), np.minimum(high_wall, high + reach)
+    return np.stack([np.minimum(low, low_wall), np.maximum(high, high_wall)])
+
+
+def _view(box, camera):
+    azimuth, elevation = np.radians(camera.azimuth), np.radians(camera.elevation)
+    forward = -np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
+    right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
+    eye = box.mean(axis=0) - camera.distance * 0.5 * np.linalg.norm(box[1] - box[0]) * forward
+    return View(box, eye, np.stack([right, np.cross(right, forward), forward]))
+
+
+def _project(view, points):
+    """Perspective image [..., 2] of points [..., 3]."""
+    seen = (points - view.eye) @ view.axes.T
+    return seen[..., :2] / seen[..., 2:]
+
+
+def _collection(scene, i):
+    """PolyCollection of stored frame i, farthest polygons first."""
+    from matplotlib.collections import PolyCollection
+
+    bodies, paints, pieces = _bodies(scene, i)
+    polygons, fills, inks = [], [], []
+    for b in painter_order(bodies, scene.view):
+        is_wall = b >= pieces
+        for loop, fill in _visible_faces(scene.view, bodies[b], paints[b]):
+            loop = _clipped(loop, scene.view.box) if is_wall else loop
+            if len(loop) < 3:
+                continue
+            polygons.append(_project(scene.view, loop))
+            fills.append(fill)
+            inks.append(fill if not bodies[b].outlined else (*INK, 0.35 if is_wall else 0.7))
+    width = 0.5 if len(scene.pieces) < 100 else 0.25
+    return PolyCollection(polygons, facecolors=fills, edgecolors=inks, linewidths=width, joinstyle="round")
+
+
+def _bodies(scene, i):
+    """Pieces whose pose at frame i is finite, then panels; the colour (r, g, b, a) of each; the number of pieces."""
+    frames = scene.frames
+    here = np.flatnonzero(np.isfinite(np.c_[frames.position[i], frames.orientation[i]]).all(axis=-1))
+    turns = matrix_of_quaternion(frames.orientation[i][here])
+    pieces = [_placed(scene.pieces[n], turn, frames.position[i, n]) for n, turn in zip(here, turns, strict=True)]
+    colours = _piece_colours(scene, i)
+    poses = scene.wall_pose(float(frames.time[i])) if scene.plates else {}
+    plates = [_placed(plate, *poses[group]) for group, plate in scene.plates]
+    seen = [plate.normals[0] @ scene.view.eye > plate.offsets[0] for plate in plates]  # else before the pieces
+    paints = [colours[n] for n in here] + [(*WALL_COLOUR, 0.25 if s else 0.08) for s in seen]
+    return pieces + plates, paints, len(pieces)
+
+
+def _piece_colours(scene, i):
+    from matplotlib.colors import to_rgb
+
+    if scene.colour == "piece":
+        return [(*to_rgb(PALETTE[n % len(PALETTE)]), 1.0) for n in range(len(scene.pieces))]
+    speed = np.linalg.norm(scene.frames.velocity[i], axis=-1)
+    return [tuple(c) for c in _speed_colours()(speed / scene.fastest)]
+
+
+def _visible_faces(view, body, paint):
+    """(loop [k, 3], colour) of faces that look to the eye, shaded by their angle to a light up on the eye's left."""
+    light = np.array([-0.45, 0.75, -0.5]) @ view.axes
+    shade = 0.74 + 0.26 * np.clip(body.normals @ (light / np.linalg.norm(light)), 0.0, 1.0)
+    for f in np.flatnonzero(body.normals @ view.eye > body.offsets):
+        yield body.vertices[list(body.faces[f])], (*(shade[f] * np.array(paint[:3])), paint[3])
+
+
+def _clipped(loop, box):
+    """The part of a convex loop [k, 3] inside a box [2, 3]."""
+    for axis in range(3):
+        for side, sign in ((0, 1.0), (1, -1.0)):
+            if len(loop) == 0:
+                return loop
+            inside = sign * (loop[:, axis] - box[side, axis])
+            kept = []
+            for k in range(len(loop)):
+                before, here = inside[k - 1], inside[k]
+                if (before < 0.0) != (here < 0.0):
+                    kept.append(loop[k - 1] + (loop[k] - loop[k - 1]) * before / (before - here))
+                if here >= 0.0:
+                    kept.append(loop[k])
+            loop = np.array(kept)
+    return loop
+
+
+# --- which body is drawn first ---
+
+
+def painter_order(bodies, view):
+    """Indices of disjoint convex bodies: what hides another comes after it; a cycle starts with its farthest."""
+    centres = np.stack([body.vertices.mean(axis=0) for body in bodies])
+    radii = np.array([np.linalg.norm(b.vertices - c, axis=1).max() for b, c in zip(bodies, centres, strict=True)])
+    flat = [_project(view, body.vertices) for body in bodies]
+    low, high = np.stack([f.min(axis=0) for f in flat]), np.stack([f.max(axis=0) for f in flat])
+    meet = ((low[:, None] < high[None]) & (low[None] < high[:, None])).all(axis=-1)
+    after = [[] for _ in bodies]  # after[a]: the bodies that must come after a
+    waits = np.zeros(len(bodies), int)
+    for a, b in zip(*np.nonzero(np.triu(meet, 1)), strict=True):
+        first, second = (a, b) if _hides(bodies, centres, radii, b, a, view.eye) else (b, a)
+        after[first].append(second)
+        waits[second] += 1
+    return _sorted_by(after, waits, np.linalg.norm(centres - view.eye, axis=1))
+
+
+def _hides(bodies, centres, radii, b, a, eye):
+    """Whether b can hide a: the eye is on b's side of the plane that parts them best."""
+    between = centres[b] - centres[a]
+    distance = np.linalg.norm(between)
+    if distance > radii[a] + radii[b]:
+        middle = centres[a] + between * (radii[a] + 0.5 * (distance - radii[a] - radii[b])) / distance
+        return (eye - middle) @ between > 0.0
+    normal_a, level_a, gap_a = _best_plane(bodies[a], bodies[b], between)
+    normal_b, level_b, gap_b = _best_plane(bodies[b], bodies[a], -between)
+    return normal_a @ eye > level_a if gap_a >= gap_b else normal_b @ eye <= level_b
+
+
+def _best_plane(body, other, between):
+    """Of the planes of a body's faces (of a ball: that between the centres), the one with the widest gap to another."""
+    if not body.outlined:
+        normal = between / np.linalg.norm(between)
+        level = (body.vertices @ normal).max()
+        return normal, level, (other.vertices @ normal).min() - level
+    gaps = (other.vertices @ body.normals.T).min(axis=0) - body.offsets
+    best = int(np.argmax(gaps))
+    return body.normals[best], body.offsets[best], gaps[best]
+
+
+def _sorted_by(after, waits, distance):
+    """Topological order, the farthest of those that are free first; a cycle is cut at its farthest."""
+    waits = waits.copy()
+    done = np.zeros(len(after), bool)
+    free = [(-distance[k], k) for k in range(len(after)) if waits[k] == 0]
+    heapq.heapify(free)
+    order = []
+    while len(order) < len(after):
+        if not free:
+            k = int(np.argmax(np.where(done, -np.inf, distance)))
+        else:
+            k = heapq.heappop(free)[1]
+        if done[k]:
+            continue
+        done[k] = True
+        order.append(k)
+        for n in after[k]:
+            waits[n] -= 1
+            if waits[n] == 0 and not done[n]:
+                heapq.heappush(free, (-distance[n], n))
+    return order

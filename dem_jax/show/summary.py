@@ -1,0 +1,84 @@
+"""What a run says when it has ended."""
+
+import numpy as np
+
+
+def summary(run) -> list[str]:
+    """Lines on a run or an ensemble: step, compile time, peak PIF, duration of the impact, settled mass."""
+    info, count = run.info, run.header.piece_count
+    lines = [info["step"]] if "step" in info else []
+    pieces = f"{count} piece{'s' if count != 1 else ''}"
+    if run.run_count is not None:
+        pieces = f"{run.run_count} runs of {pieces}"
+    ended = "" if run.settled is None else ", then all was settled"
+    lines.append(f"{pieces}, {run.time[-1]:.6g} s in samples of {run.sample:.3g} s, {run.precision}{ended}")
+    if "settling" in info:
+        lines.append(f"released after {info['settling']:.6g} s of settling, when all was settled")
+    if "elapsed" in info:
+        lines.append(f"{info['elapsed']:.1f} s elapsed, of which {info['compile_time']:.1f} s compiling")
+    lines += [f"note: {note}" for note in info.get("notes", ())]
+    group = main_group(run)
+    block = main_block(run)
+    members = [run] if run.run_count is None else [run.member(k) for k in range(run.run_count)]
+    if group:
+        lines.append(_peaks(members, group))
+    if block:
+        mass = 1e3 * np.array([m.settled_mass[block][-1] for m in members])
+        lines.append(f"settled mass in {block} at the end: {_range(mass, '{:.4g}')} g")
+    if group and block:
+        lines.append(_durations(members, group, block))
+    return lines
+
+
+def main_group(run):
+    """The wall group whose force is the PIF: the weigh bucket's flaps, or the first; None: no walls."""
+    return "wb_flaps" if "wb_flaps" in run.force else next(iter(run.force), None)
+
+
+def main_block(run):
+    """The block whose settled mass counts: the weigh bucket's, or the first; None: there is none."""
+    return "wb" if "wb" in run.settled_mass else next(iter(run.settled_mass), None)
+
+
+def _peaks(members, group):
+    traces = [m.pif_kg(group) for m in members]
+    times = np.array([1e3 * m.time[np.argmax(t)] for m, t in zip(members, traces, strict=True)])
+    peaks = np.array([t.max() for t in traces])
+    if not peaks.any():
+        return f"peak PIF on {group}: nothing has landed"
+    instants = np.array([m.pif_kg(group, mean=False).max() for m in members])
+    return (
+        f"peak PIF on {group}: {_range(peaks, '{:.3g}')} kg at t = {_range(times, '{:.4g}')} ms (mean over a sample; "
+        f"instantaneous {_range(instants, '{:.3g}')} kg)"
+    )
+
+
+def impact_duration(run, group, block):
+    """Time (s) from the first force on a group until the settled mass in a block is at its final value for good.
+
+    nan if nothing has landed or settled. run: a single run.
+    """
+    felt = np.flatnonzero(run.mean_force[group].any(axis=-1))
+    mass = run.settled_mass[block]
+    if not len(felt) or not mass[-1] > 0:
+        return np.nan
+    unsettled = np.flatnonzero(mass < mass[-1] * (1 - 1e-6))
+    end = run.time[unsettled[-1] + 1] if len(unsettled) else run.time[0]
+    return max(0.0, float(end - run.time[felt[0]]))
+
+
+def _durations(members, group, block):
+    ms = np.array([1e3 * impact_duration(m, group, block) for m in members])
+    if not np.isfinite(ms).any():
+        return f"duration of the impact: nothing has settled in {block}"
+    return (
+        f"duration of the impact: {_range(ms[np.isfinite(ms)], '{:.4g}')} ms from first force to the last piece at rest"
+    )
+
+
+def _range(values, form):
+    """A single value, or the median with the range of 5 to 95 %."""
+    if len(values) == 1:
+        return form.format(values[0])
+    low, middle, high = (form.format(v) for v in np.quantile(values, [0.05, 0.5, 0.95]))
+    return f"{middle} ({low} to {high})"

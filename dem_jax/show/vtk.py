@@ -1,0 +1,103 @@
+"""Export of stored poses for ParaView: one .vtp file per frame for the pieces and for the walls, and a .pvd of each."""
+
+import base64
+from pathlib import Path
+
+import numpy as np
+
+from dem_jax.errors import RecordError
+from dem_jax.maths.pose import matrix_of_quaternion
+from dem_jax.shapes import surface
+
+VTK_TYPES = {"f": "Float64", "i": "Int64"}
+
+
+def export_vtk(frames, shapes, folder, walls=None, wall_pose=None):
+    """Write pieces.pvd and walls.pvd, which ParaView opens as animations, and their frames into a folder.
+
+    frames: record.Frames of a single run. shapes: a Shape for each of the N pieces. walls: group -> list of (vertices
+    [V, 3] (m), faces) in the group's rest frame; wall_pose: t -> group -> (rotation [3, 3], origin [3] (m)), both or
+    neither. Facets carry the piece's number, speed (m/s) and spin (rad/s); those of walls the group's number, in the
+    order of walls. Returns the paths of the .pvd files. Raises RecordError if the folder cannot be written.
+    """
+    folder = Path(folder)
+    solids = [surface(shape) for shape in shapes]
+    groups = [group for group, plates in (walls or {}).items() for _ in plates]
+    plates = [plate for plates in (walls or {}).values() for plate in plates]
+    try:
+        (folder / "frames").mkdir(parents=True, exist_ok=True)
+        names = {"pieces": [], "walls": []} if plates else {"pieces": []}
+        for i, t in enumerate(frames.time):
+            speed = np.linalg.norm(frames.velocity[i], axis=-1)
+            spin = np.linalg.norm(frames.angular_velocity[i], axis=-1)
+            data = {"piece": np.arange(len(solids)), "speed": speed, "spin": spin}
+            rotations = matrix_of_quaternion(frames.orientation[i])
+            names["pieces"].append(_frame(folder, "pieces", i, _placed(solids, rotations, frames.position[i]), data))
+            if plates:
+                poses = wall_pose(float(t))
+                placed = _placed(plates, *zip(*(poses[group] for group in groups), strict=True))
+                number = {"group": np.array([list(walls).index(group) for group in groups])}
+                names["walls"].append(_frame(folder, "walls", i, placed, number))
+        return [_collection(folder / f"{kind}.pvd", frames.time, files) for kind, files in names.items()]
+    except OSError as error:
+        raise RecordError(f"{folder} cannot be written: {error.strerror or error}") from error
+
+
+def _placed(solids, rotations, origins):
+    """(vertices, faces) of each body, turned and moved."""
+    bodies = zip(solids, rotations, origins, strict=True)
+    return [(vertices @ np.asarray(turn).T + origin, faces) for (vertices, faces), turn, origin in bodies]
+
+
+def _frame(folder, kind, i, bodies, data):
+    """Write one frame; its name relative to the folder."""
+    name = f"frames/{kind}_{i:05d}.vtp"
+    (folder / name).write_text(polydata(bodies, data))
+    return name
+
+
+def polydata(bodies, data):
+    """VTK XML PolyData (text) of bodies, a list of (vertices [V, 3], faces); data: name -> a value per body."""
+    counts = [len(vertices) for vertices, _ in bodies]
+    starts = np.cumsum([0, *counts])
+    loops = [np.asarray(loop) + start for (_, faces), start in zip(bodies, starts, strict=False) for loop in faces]
+    body_of_loop = np.repeat(np.arange(len(bodies)), [len(faces) for _, faces in bodies])
+    cell_data = [_array(name, np.asarray(values)[body_of_loop]) for name, values in data.items()]
+    return "\n".join(
+        [
+            '<?xml version="1.0"?>',
+            '<VTKFile type="PolyData" version="1.0" byte_order="LittleEndian" header_type="UInt64">',
+            f'<PolyData><Piece NumberOfPoints="{starts[-1]}" NumberOfVerts="0" NumberOfLines="0" NumberOfStrips="0"',
+            f' NumberOfPolys="{len(loops)}">',
+            "<Points>",
+            _array("Points", np.concatenate([vertices for vertices, _ in bodies])),
+            "</Points>",
+            "<Polys>",
+            _array("connectivity", np.concatenate(loops)),
+            _array("offsets", np.cumsum([len(loop) for loop in loops])),
+            "</Polys>",
+            "<CellData>",
+            *cell_data,
+            "</CellData>",
+            "</Piece></PolyData></VTKFile>\n",
+        ]
+    )
+
+
+def _array(name, array):
+    """A DataArray element: base64 of its length in bytes and its little-endian values."""
+    array = np.asarray(array)
+    array = np.ascontiguousarray(array, "<f8" if array.dtype.kind == "f" else "<i8")
+    content = np.array(array.nbytes, "<u8").tobytes() + array.tobytes()
+    components = array.shape[1] if array.ndim == 2 else 1
+    head = f'type="{VTK_TYPES[array.dtype.kind]}" Name="{name}" NumberOfComponents="{components}" format="binary"'
+    return f"<DataArray {head}>{base64.b64encode(content).decode()}</DataArray>"
+
+
+def _collection(path, times, files):
+    entries = [
+        f'<DataSet timestep="{float(t)!r}" part="0" file="{name}"/>' for t, name in zip(times, files, strict=True)
+    ]
+    head = '<?xml version="1.0"?>\n<VTKFile type="Collection" version="1.0" byte_order="LittleEndian"><Collection>'
+    path.write_text("\n".join([head, *entries, "</Collection></VTKFile>\n"]))
+    return path

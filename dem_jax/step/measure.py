@@ -1,0 +1,96 @@
+"""What is read from a state: energies, momentum, settled mass, and whether anything has gone wrong."""
+
+import jax.numpy as jnp
+
+from dem_jax.contact import forces, of_run
+from dem_jax.maths import rotation, vector
+from dem_jax.types import Sample, State, System
+
+SETTLED_SPEED = 0.1  # m/s: slower pieces inside the block count as settled (paper, section 2.1)
+
+
+def sample(system: System, state: State) -> Sample:
+    """A sample of the interval that ends now."""
+    interval = system.dt * (system.substeps * system.parts).astype(system.dt.dtype)
+    speed = vector.norm(tuple(state.velocity))
+    return Sample(
+        step=state.step,
+        force=state.wall_force,
+        mean_force=state.ledger.impulse / interval,
+        torque=state.wall_torque,
+        settled_mass=settled_mass(system, state, speed),
+        energy=energies(system, state),
+        momentum=of_run.total(system, system.pieces.mass[None] * state.velocity),
+        overlap=state.ledger.overlap,
+        fastest=of_run.largest(system, speed if system.escape_stops else jnp.where(in_domain(system, state), speed, 0)),
+        culprit=culprit(system, state),
+    )
+
+
+def settled_mass(system: System, state: State, speed):
+    """Mass of the pieces whose centre is inside a block and that are slower than 0.1 m/s, [B] (kg)."""
+    x = state.position[:, None, :]
+    low, high = system.block_low[:, :, None], system.block_high[:, :, None]
+    inside = jnp.all((x >= low) & (x <= high), axis=0)
+    counted = inside & (speed < SETTLED_SPEED)[None]
+    return of_run.total(system, jnp.where(counted, system.pieces.mass[None], 0))
+
+
+def energies(system: System, state: State):
+    """kinetic, potential, elastic, dissipated, wall_work, total, [6] (J); total stays constant.
+
+    Elastic is what contacts give back along their unloading branch, F^2 / 2 K_nu, and the tangential springs;
+    total = kinetic + potential + elastic + dissipated - wall_work.
+    """
+    kinetic = kinetic_energy(system, state)
+    potential = -of_run.total(system, system.pieces.mass * jnp.sum(system.gravity[:, None] * state.position, axis=0))
+    elastic = elastic_energy(system, state)
+    walls = state.ledger.wall_work
+    lost = state.ledger.taken - elastic if system.ledger else walls
+    return jnp.stack([kinetic, potential, elastic, lost, walls, kinetic + potential + elastic + lost - walls])
+
+
+def kinetic_energy(system: System, state: State):
+    """Energy of translation and rotation of all pieces (J)."""
+    v = tuple(state.velocity)
+    twice = of_run.total(system, system.pieces.mass * vector.dot(v, v))
+    if system.has_rotation:
+        turn = rotation.matrix(tuple(state.orientation))
+        p = vector.rotate_back(turn, tuple(state.angular_momentum))
+        twice = twice + sum(of_run.total(system, c * c / i) for c, i in zip(p, system.pieces.inertia, strict=True))
+    return 0.5 * twice
+
+
+def elastic_energy(system: System, state: State):
+    """Energy that contacts would give back (J)."""
+    total = jnp.zeros((system.runs,) if system.runs else (), state.position.dtype)
+    for kind, table in state.contacts.items():
+        slots = state.slots[kind]
+        total = total + of_run.total_of_contacts(system, forces.elastic_energy(system, table, slots), slots.b)
+    return total
+
+
+def culprit(system: System, state: State):
+    """The first piece whose state is not finite, or whose centre has left the domain where that counts; -1: none."""
+    motion = jnp.concatenate([state.position, state.velocity, state.angular_momentum, state.orientation])
+    bad = ~jnp.all(jnp.isfinite(motion), axis=0)
+    if system.escape_stops:
+        bad = bad | ~in_domain(system, state)
+    return of_run.first_of(system, bad)
+
+
+def in_domain(system: System, state: State):
+    """Whether the centre of each piece is inside the domain, [N] bool."""
+    x = state.position
+    return jnp.all((x >= system.domain_low[:, None]) & (x <= system.domain_high[:, None]), axis=0)
+
+
+def frame(system: System, state: State):
+    """Position, orientation, velocity and angular velocity of every piece, [13, N]."""
+    omega = jnp.zeros_like(state.velocity)
+    if system.has_rotation:
+        moments = vector.unpack(system.pieces.inertia)
+        omega = jnp.stack(
+            rotation.angular_velocity(tuple(state.orientation), tuple(state.angular_momentum), moments)
+        )
+    return jnp.concatenate([state.position, state.orientation, state.velocity, omega])

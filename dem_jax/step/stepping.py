@@ -1,0 +1,150 @@
+"""One time step, read top to bottom as the physics, and the loops around it."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+
+from dem_jax import compiling
+from dem_jax.contact import boundary, forces, of_run
+from dem_jax.pairs import neighbours
+from dem_jax.step import integrate, measure
+from dem_jax.types import Sample, State, System
+
+
+def step(system: System, state: State) -> tuple[State, Sample]:
+    """One time step of a system, and what can be read after it."""
+    state = advance(system, state)
+    return state, measure.sample(system, state)
+
+
+def advance(system: System, state: State, panels: boundary.Panels | None = None) -> State:
+    """One time step: kick, drift, walls, contacts, kick. panels: boundary.after_step of it, if that is known already."""
+    state = integrate.kick(system, state)
+    state, omega = integrate.drift(system, state)
+    if panels is None:
+        panels = boundary.after_step(system, state.step)
+    state = forces.contacts(system, state, omega, panels)
+    return integrate.kick(system, state)
+
+
+def chunk(system: System, state: State, count, frame_every, samples: int, frames: int):
+    """``run_chunk``, compiled: the form for long runs."""
+    backend = jax.default_backend()
+    compiled = compiling.jit(run_chunk, backend, static_argnames=("samples", "frames"))
+    return compiled(system, state, count, frame_every, samples=samples, frames=frames)
+
+
+def run_chunk(system: System, state: State, count, frame_every, samples: int, frames: int, phase=0):
+    """Run ``count`` samples (at most ``samples``) and keep them, and a frame after each ``frame_every`` samples.
+
+    phase: samples since the last frame, below ``frame_every``. Everything but the two capacities may change without
+    compiling again. Returns the state, the samples [samples] and the frames [frames, 13, N] (position, orientation,
+    velocity, angular velocity), of which the first (count + phase) // frame_every are filled.
+    """
+    recorded = jax.tree.map(
+        lambda x: jnp.zeros((samples, *x.shape), x.dtype), jax.eval_shape(partial(measure.sample, system), state)
+    )
+    poses = jnp.zeros((frames, 13, state.position.shape[1]), state.position.dtype)
+
+    def block(carry):
+        state, recorded, poses, done = carry
+        state, walls = _look_around(system, state)
+        end = jnp.minimum(done + jnp.maximum(system.block_steps // system.substeps, 1), count)
+        carry = state, recorded, poses, done
+        state, recorded, poses, _ = jax.lax.fori_loop(done, end, partial(one, walls), carry)
+        return _seen(system, state), recorded, poses, end
+
+    def one(walls, _, carry):
+        state, recorded, poses, done = carry
+        state, sample = _one_sample(system, system.substeps, state, walls)
+        recorded = jax.tree.map(lambda rows, row: rows.at[done].set(row), recorded, sample)
+        if frames:
+            poses = poses.at[jnp.minimum((done + phase) // frame_every, frames - 1)].set(measure.frame(system, state))
+        return state, recorded, poses, done + 1
+
+    start = (state, recorded, poses, jnp.zeros((), jnp.int32))
+    state, recorded, poses, _ = jax.lax.while_loop(lambda carry: carry[3] < count, block, start)
+    return state, recorded, poses
+
+
+def rollout(system: System, state: State, samples: int, substeps: int) -> tuple[State, Sample]:
+    """Run a given number of samples of ``substeps`` steps, differentiable in reverse mode with respect to every array.
+
+    Returns the last state and the samples, each field with a leading axis [samples]. Use ``chunk`` for long runs.
+    """
+    block = max(1, system.block_steps // substeps)
+    system = system.replace(substeps=jnp.full_like(system.substeps, substeps), block_steps=block * substeps)
+
+    def body(state, _):
+        state, walls = _look_around(system, state)
+        one = lambda state, _: _one_sample(system, substeps, state, walls)  # noqa: E731
+        state, recorded = jax.lax.scan(one, state, None, length=block)
+        return _seen(system, state), recorded
+
+    blocks = -(-samples // block)
+    state, recorded = jax.lax.scan(body, state, None, length=blocks)
+    return state, jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:samples], recorded)
+
+
+def _look_around(system: System, state: State) -> tuple[State, boundary.Panels]:
+    """Find the candidate pairs anew, and where the walls will be after each step until the next rebuild."""
+    return neighbours.rebuild(system, state), boundary.schedule(system, state.step, system.block_steps)
+
+
+def _one_sample(system: System, substeps, state: State, walls: boundary.Panels) -> tuple[State, Sample]:
+    """Advance by one sample interval. substeps: an int (differentiable) or an array (not compiled anew for another)."""
+    state = _advance_by(system, substeps, _new_interval(state), walls)
+
+    def another_part(state, _):
+        state, walls = _look_around(system, _seen(system, state))
+        return _advance_by(system, substeps, state, walls), None
+
+    if system.parts > 1:
+        state, _ = jax.lax.scan(another_part, state, None, length=system.parts - 1)
+    return state, measure.sample(system, state)
+
+
+def _advance_by(system: System, substeps, state: State, walls: boundary.Panels) -> State:
+    """``substeps`` steps; without looking at contacts, and in one jump, where nothing is near anything."""
+    if not system.slot_block:
+        return _steps(system, substeps, state, walls)
+    if system.runs:
+        return _advance_each_by(system, substeps, state, walls)
+    near = sum(state.filled.values()) > 0
+    return jax.lax.cond(near, lambda s: _steps(system, substeps, s, walls), lambda s: integrate.flight(system, s, substeps), state)
+
+
+def _advance_each_by(system: System, substeps, state: State, walls: boundary.Panels) -> State:
+    """``_advance_by`` of runs side by side: of those without anything near, in one jump, as by themselves."""
+    last = state.loads.shape[1] - 1  # the column of those that have no contact
+    near = of_run.any_of(system, state.incidence[0] < last)  # [runs]
+    still = lambda s: s  # noqa: E731
+    stepped = jax.lax.cond(jnp.any(near), lambda s: _steps(system, substeps, s, walls), still, state)
+    flown = jax.lax.cond(jnp.all(near), still, lambda s: integrate.flight(system, s, substeps), state)
+    pieces = of_run.at(system, near, jnp.arange(state.position.shape[1]))
+    pick = lambda which, names: {n: jnp.where(which, getattr(stepped, n), getattr(flown, n)) for n in names}  # noqa: E731
+    of_pieces = pick(pieces, ("position", "position_rest", "orientation", "velocity", "velocity_rest", "force", "torque"))
+    return stepped.replace(step=state.step + substeps, **of_pieces, **pick(near, ("wall_force", "wall_torque")))
+
+
+def _steps(system: System, substeps, state: State, walls: boundary.Panels) -> State:
+    def one(state):
+        return advance(system, state, boundary.scheduled(system, walls, state.step - state.since))
+
+    if isinstance(substeps, int):
+        return jax.lax.scan(lambda state, _: (one(state), None), state, None, length=substeps)[0]
+    return jax.lax.fori_loop(0, substeps, lambda _, state: one(state), state)
+
+
+def _new_interval(state: State) -> State:
+    ledger = state.ledger
+    return state.replace(
+        ledger=ledger.replace(impulse=jnp.zeros_like(ledger.impulse), overlap=jnp.zeros_like(ledger.overlap))
+    )
+
+
+def _seen(system: System, state: State) -> State:
+    """Note how far bodies have moved since the last rebuild, beyond what their speeds made expect."""
+    travel = jnp.maximum(state.guard.travel, jnp.max(neighbours.travel(system, state) - state.lead))
+    return state.replace(guard=state.guard.replace(travel=travel))
