@@ -18,14 +18,14 @@ def bodies_of(run):
     being the touched surface. wall_pose: t (s) -> group -> (rotation [3, 3], origin [3] (m)). Raises SceneError.
     """
     scene = parse(run.scene, "the file's scene")
-    panels, motions, joint, *_ = build.system._walls_of(scene)
+    panels, motions, joint, *_ = build.walls.walls_of(scene)
     with jax.enable_x64(True):
-        walls = build.system._wall_arrays(panels, motions, joint, np.float64)[0]
+        walls = build.walls.wall_arrays(panels, motions, joint, np.float64)[0]
     solids = {group: [] for group in walls.groups}
     for group, corners, thickness in panels:
         plate = meshes.plate(corners, thickness)
         solids[group].append((plate.vertices, plate.faces))
-    return build.system._pieces_of(scene), solids, _pose_function(walls)
+    return build.pieces.pieces_of(scene), solids, _pose_function(walls)
 
 
 def _pose_function(walls):

@@ -71,7 +71,7 @@ def test_members_differ_by_their_seed_alone(three):
 
 
 def test_capacities_are_grown_for_all(three, monkeypatch):
-    monkeypatch.setattr(build.system, "_capacity", lambda *_: (("mixed", 2, 1), ("spheres", 1, 1)))
+    monkeypatch.setattr(build.system, "capacity", lambda *_: (("mixed", 2, 1), ("spheres", 1, 1)))
     grown = dem_jax.ensemble(scattered(), runs=3, seed=7)
     assert any("2 pairs of mixed for 1 slots" in note for note in grown.info["notes"])
     for path in PATHS:
@@ -83,7 +83,7 @@ def test_only_the_runs_that_outgrew_something_are_run_again(monkeypatch):
     """Two of three runs begin too high to need the slots that are missing."""
 
     def two_high(slots):
-        monkeypatch.setattr(build.system, "_capacity", lambda *_: (("mixed", 8, slots), ("spheres", 8, 8)))
+        monkeypatch.setattr(build.system, "capacity", lambda *_: (("mixed", 8, slots), ("spheres", 8, 8)))
         job = run.prepare(scattered(), (7, 8, 9), 3)
         with jax.enable_x64(True):
             system = job.system.replace(domain_high=job.system.domain_high + 1)

@@ -105,8 +105,8 @@ def test_the_bits_of_a_run_do_not_depend_on_its_place_and_company(side_by_side):
 @pytest.mark.parametrize(("room", "note"), [((1, 1), "candidate pairs of hulls for 1"), ((8, 1), "pairs of hulls for 1 slots")])
 def test_room_is_grown_for_all(side_by_side, monkeypatch, room, note):
     """Too few candidates for all together, or too few slots for one run."""
-    full = build.system._capacity
-    monkeypatch.setattr(build.system, "_capacity", lambda *a: (("hulls", *room), *full(*a)[1:]))
+    full = build.system.capacity
+    monkeypatch.setattr(build.system, "capacity", lambda *a: (("hulls", *room), *full(*a)[1:]))
     grown = driven(job_of())
     assert any(note in line for line in grown.info["notes"])
     assert_same(grown, side_by_side)

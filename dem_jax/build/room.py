@@ -1,0 +1,44 @@
+"""How many pairs and contacts there is room for to begin with; outgrown, it is enlarged (pairs.guard)."""
+
+import math
+
+import numpy as np
+
+from dem_jax.pairs import guard, neighbours, search
+
+
+def capacity(made, polytopes, panels):
+    """Kinds of contact that the scene can have, with candidates and slots to begin with (grown when they overflow).
+
+    What a settled heap was seen to need.
+    """
+    p, s = len(polytopes), len(made) - len(polytopes)
+    walls = 4 * s ** (2 / 3) + 8 if panels else 0
+    wanted = {"hulls": (9 * p, 3 * p + 5), "mixed": (8 * min(p, s) + 2 * walls, 4 * min(p, s) + walls), "spheres": (8 * s, 4 * s)}
+    out = []
+    for kind in neighbours.SOURCES:
+        every = search.pair_count(kind, p, s, panels)
+        if every:
+            out.append((kind, *(guard.round_up(min(every, math.ceil(count))) for count in wanted[kind])))
+    return tuple(out)
+
+
+def row_capacity(made, choice) -> int:
+    """Pieces that three cells of their bounding diameter hold when densely packed, to begin with; 0 without cells."""
+    if search.choice(choice, len(made)) != "cells":
+        return 0
+    cell, volume = _diameter_and_volume(made)
+    return guard.round_up(int(np.ceil(3 * 0.65 * cell**3 / volume)))
+
+
+def partition(made, choice, domain):
+    """Room for the list of jax-md to begin with, where the scene chooses it."""
+    if search.choice(choice, len(made)) != "jax-md":
+        return None
+    search.jax_md()  # before anything is traced
+    return search.first_partition(len(made), *_diameter_and_volume(made), domain[1] - domain[0])
+
+
+def _diameter_and_volume(made):
+    """Diameter of the largest bounding sphere (m) and volume of the smallest piece (m3)."""
+    return 2 * max(shape.bounding_radius for shape in made), min(shape.volume for shape in made)

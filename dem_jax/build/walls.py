@@ -1,0 +1,143 @@
+"""Panels of the walls, the groups that they move in, and the seams between them."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+
+from dem_jax import shapes
+from dem_jax.build.typed import typed
+from dem_jax.errors import SceneError
+from dem_jax.scene import Scene, buckets
+from dem_jax.shapes import meshes
+from dem_jax.types import Walls
+
+
+def walls_of(scene: Scene):
+    """Panels (group, corners, thickness), motions by group, reported names, blocks, and the boxes (low, high) in which
+    pieces start: of the feed bucket, of the feeder."""
+    panels, motions, joint, blocks, regions = [], list(scene.motion), {}, list(scene.block), []
+    for wall in scene.wall:
+        panels += panels_of(wall, scene.folder)
+    found = []
+    if scene.weigh_bucket:
+        found.append(buckets.parts(scene.weigh_bucket, "wb", 0.0))
+        blocks.append(found[-1].block)
+    if scene.feed_bucket:
+        found.append(buckets.parts(scene.feed_bucket, "fb", scene.drop.height if scene.weigh_bucket else 0.0))
+        regions.append((found[-1].interior_low, found[-1].interior_high))
+    for bucket in found:
+        panels += bucket.panels
+        motions += bucket.motions
+        joint |= bucket.joint
+    if scene.feeder:
+        feeder = buckets.feeder_parts(scene.feeder, found[-1])
+        panels += feeder.panels
+        motions.append(feeder.motion)
+        blocks.append(found[-1].block)
+        regions.append((feeder.interior_low, feeder.interior_high))
+    known = {group for group, _, _ in panels}
+    by_group = {}
+    for motion in motions:
+        if motion.group not in known or motion.group in by_group:
+            why = "has two motions" if motion.group in by_group else "no wall has this group"
+            raise SceneError(f"motion.group = {motion.group!r}: {why}; allowed: one each for {', '.join(sorted(known))}")
+        by_group[motion.group] = motion
+    return panels, by_group, joint, blocks, regions
+
+
+def panels_of(wall, folder):
+    if (wall.corners is None) == (wall.stl is None):
+        raise SceneError(f"wall {wall.group!r}: corners, stl: exactly one of the two must be given")
+    if wall.corners is not None:
+        return [(wall.group, np.array(wall.corners, float), wall.thickness)]
+    polygons = meshes.panels_of_stl(Path(folder) / wall.stl, wall.unit)
+    return [(wall.group, polygon, wall.thickness) for polygon in polygons]
+
+
+def wall_arrays(panels, motions, joint, dtype) -> Walls:
+    groups = list(dict.fromkeys(group for group, _, _ in panels))
+    made = [_plate(corners, thickness, f"corners of wall group {group!r}") for group, corners, thickness in panels]
+    reports = {}
+    for i, group in enumerate(groups):
+        reports.setdefault(joint.get(group, group), []).append(i)
+    rows = [_motion_row(motions.get(group)) for group in groups]
+    columns = lambda k, size: np.array([row[k] for row in rows], float).reshape(len(groups), size).T  # noqa: E731
+    extent = [np.abs(shape.vertices).max(0) for shape, _, _ in made]
+    seams, plane = _seams([(group, corners) for group, corners, _ in panels])
+    walls = Walls(
+        centre=np.array([c for _, c, _ in made], float).reshape(-1, 3).T,
+        rotation=np.array([r for _, _, r in made], float).reshape(-1, 3, 3).transpose(1, 2, 0),
+        half_extent=np.array(extent, float).reshape(-1, 3).T,
+        group=np.array([groups.index(group) for group, _, _ in panels], int),
+        plane=plane,
+        pivot=columns(0, 3),
+        axis=columns(1, 3),
+        swing=columns(2, 1)[0],
+        timing=columns(3, 5),
+        stroke=columns(4, 3),
+        shake=columns(5, 4),
+        groups=tuple(groups),
+        reports=tuple((name, tuple(members)) for name, members in reports.items()),
+        moving=any(group in motions for group in groups),
+    )
+    if seams:  # scene to panel frame
+        seams = [across @ turn for across, (_, _, turn) in zip(seams, made, strict=True)]
+    return typed(walls, dtype), [shape for shape, _, _ in made], seams
+
+
+def _seams(panels):
+    """For each panel (group, corners) the directions [m, 3] outward across edges where another panel of its group
+    continues its plane, and the number [W] of that plane, -1 where none does; None, None if there are no seams at all.
+    """
+    across, planes, known = [np.zeros((0, 3)) for _ in panels], np.full(len(panels), -1), []
+    for group in {group for group, _ in panels}:
+        members = [i for i, (name, _) in enumerate(panels) if name == group]
+        flags = meshes.seams([panels[i][1] for i in members])
+        for i, flag in zip(members, flags, strict=True):
+            if not any(flag):
+                continue
+            corners = panels[i][1]
+            normal = shapes.loop_normal(corners)
+            out = np.cross(np.roll(corners, -1, axis=0) - corners, normal)[flag]
+            across[i] = out / np.linalg.norm(out, axis=1, keepdims=True)
+            size = np.linalg.norm(np.ptp(corners, axis=0))
+            found = [
+                k
+                for k, (name, point, other) in enumerate(known)
+                if name == group and other @ normal > np.cos(1e-3) and abs((corners[0] - point) @ other) < 1e-3 * size
+            ]
+            planes[i] = found[0] if found else len(known)
+            known += [] if found else [(group, corners[0], normal)]
+    return (across, planes) if known else (None, None)
+
+
+def _plate(corners, thickness, name):
+    """A panel as a shape about its own centre with the surface's normal along z, its centre and its rotation."""
+    meshes.plate(corners, thickness, name)  # raises what is wrong with the corners as they were given
+    plate = meshes.plate(meshes.without_collinear(corners), thickness, name)
+    x = corners[1] - corners[0]
+    z = np.cross(corners - corners[0], np.roll(corners, -1, axis=0) - corners[0]).sum(0)
+    z /= np.linalg.norm(z)
+    x = (x - (x @ z) * z) / np.linalg.norm(x - (x @ z) * z)
+    turn = np.stack([x, np.cross(z, x), z], axis=1)  # panel frame -> scene
+    local = plate.vertices @ turn
+    shape = shapes.polytope(name, local, plate.faces)
+    centre = turn @ (local.mean(0) - shape.vertices.mean(0))  # of mass: where polytope() puts the origin
+    return dataclasses.replace(shape, principal=np.array([1.0, 0, 0, 0])), centre, turn
+
+
+def _motion_row(motion):
+    if motion is None:
+        return (0, 0, 0), (1, 0, 0), (0,), (0, 1, 0, 1, 0), (0, 0, 0), (0, 0, 1, 1)
+    axis = np.array(motion.axis)
+    if not np.linalg.norm(axis) > 0:
+        raise SceneError(f"motion.axis = {motion.axis}: allowed: a vector that is not zero")
+    return (
+        motion.pivot,
+        axis / np.linalg.norm(axis),
+        (np.radians(motion.swing_deg),),
+        (motion.start, motion.opening, motion.dwell, motion.closing, motion.period),
+        motion.stroke,
+        (motion.frequency, motion.shake_start, motion.shake_end, motion.shake_ramp),
+    )
