@@ -1,13 +1,12 @@
 """What a simulation is made of: System (never changes while it runs), State (what a step changes), Sample (what is read).
 
 All are frozen dataclasses registered as pytrees. Arrays keep the piece, panel or contact index last; leading axes hold
-components. N pieces, W panels in G wall groups, B blocks, P contact slots. SI units. An ensemble puts a member axis first;
-where R of its runs are one system (``System.runs``), N counts the pieces of all and what there is of each run has R last.
+components. N pieces, W panels in G wall groups, B blocks, P contact slots. SI units. R runs, mostly one, are computed as one
+system whose runs do not see each other: N counts the pieces of all, and what there is of each run has R last (``of_run``).
 """
 
 import dataclasses
-from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,18 +14,19 @@ import jax.numpy as jnp
 Array = jax.Array
 
 
-def pytree(cls=None, *, static=()):
-    """Make a frozen dataclass that JAX sees as a tree of its fields, the static ones as part of its structure."""
-    if cls is None:
-        return partial(pytree, static=static)
+def static():
+    """A field that is part of what is compiled, not an array."""
+    return dataclasses.field(metadata={"static": True})
+
+
+def pytree(cls):
+    """Make a frozen dataclass that JAX sees as a tree of its fields, the ``static`` ones as part of its structure."""
     cls = dataclasses.dataclass(frozen=True)(cls)
-    names = [f.name for f in dataclasses.fields(cls)]
-    data = [n for n in names if n not in static]
     cls.replace = dataclasses.replace
-    return jax.tree_util.register_dataclass(cls, data_fields=data, meta_fields=list(static))
+    return jax.tree_util.register_dataclass(cls)
 
 
-@pytree(static=("is_zonotope",))
+@pytree
 class Hulls:
     """A table of S convex polytopes, padded by repetition to the same counts of faces, corners and edge directions.
 
@@ -46,7 +46,7 @@ class Hulls:
     cross_widths: Array | None  # [D, F/2, S] (m): of a zonotope, C of collide._zonotope_axes
     seams: tuple | None  # [m, S] x 3: of a panel, outward across each edge where another continues its plane; else 0
     open_edges: Array | None  # [k, F S]: 0 for those edges, 1 for all others, as columns; not gathered to pairs
-    is_zonotope: bool
+    is_zonotope: bool = static()
 
 
 @pytree
@@ -55,8 +55,9 @@ class Pieces:
 
     mass: Array  # [N] (kg)
     inertia: Array  # [3, N] (kg m2): principal moments
-    load_stiffness: Array  # [N] (N/m): K_nl,p of eq. 7, softened
-    wall_stiffness: Array  # [N] (N/m): K_nl of the piece against a wall, eqs 5 and 8, softened
+    size: Array  # [N] (m): L of eqs 7 and 8
+    curvature: Array  # [N] (1/m): of the sphere of equal volume
+    material: Array  # [N] int32: row of Materials
     radius: Array  # [N] (m): of a sphere; 0 of a polytope
     bounding_radius: Array  # [N] (m)
     width: Array  # [N] (m): smallest width, the measure of how deep a contact is
@@ -64,7 +65,7 @@ class Pieces:
     spheres: Array  # int32: ... and which are spheres
 
 
-@pytree(static=("groups", "reports", "moving"))
+@pytree
 class Walls:
     """Convex plates in G groups, each group moved as a rigid body: a hinge and a vibration, zero where it has none.
 
@@ -75,6 +76,7 @@ class Walls:
     rotation: Array  # [3, 3, W]: panel frame (z along the surface's normal) to scene, in the rest pose
     half_extent: Array  # [3, W] (m): of the box around the panel, in its frame
     group: Array  # [W] int32
+    material: Array  # [W] int32: row of Materials
     plane: Array | None  # [W] int32: the same number for panels that continue each other in a plane, -1 for all others
     pivot: Array  # [3, G] (m): a point on the hinge's axis; torques are about it
     axis: Array  # [3, G]: unit direction of the hinge
@@ -82,21 +84,20 @@ class Walls:
     timing: Array  # [5, G] (s): start, opening, dwell, closing, period (inf: once)
     stroke: Array  # [3, G] (m): amplitude of the vibration
     shake: Array  # [4, G]: frequency (Hz), start (s), end (s), ramp (s)
-    groups: tuple  # names of the G groups
-    reports: tuple  # ((reported name, (group, ...)), ...)
-    moving: bool  # whether any group moves
+    groups: tuple = static()  # names of the G groups
+    reports: tuple = static()  # ((reported name, (group, ...)), ...)
+    moving: bool = static()  # whether any group moves
 
 
 @pytree
-class Law:
-    """Parameters of the contact law, numbers."""
+class Materials:
+    """The M materials of pieces and walls, and what each pair of them has; [1, 1] where all pairs have the same."""
 
-    restitution: Array  # epsilon of eq. 6
-    separation: Array  # lambda of eq. 1
-    friction_piece: Array  # mu, piece-piece
-    friction_wall: Array  # mu, piece-wall
-    tangential: Array  # K_t / K_nl
-    damping: Array  # damping ratio of the unloading branch; 0 in the paper's model
+    youngs_modulus: Array  # [M] (Pa): softened by NSF
+    poisson_ratio: Array  # [M]
+    restitution: Array  # [M, M]: epsilon of eq. 6
+    friction: Array | None  # [M, M]: mu; None: no pair has any, and nothing of friction is computed
+    pull_off: Array | None  # [M, M] (N): largest adhesive force; None: no pair has any
 
 
 class Partition(NamedTuple):
@@ -109,27 +110,7 @@ class Partition(NamedTuple):
     cell: int  # most pieces in a cell
 
 
-CHOICES = (
-    "capacity",
-    "touching",
-    "neighbours",
-    "row_capacity",
-    "partition",
-    "has_hulls",
-    "alike",
-    "escape_stops",
-    "has_friction",
-    "has_rotation",
-    "has_damping",
-    "ledger",
-    "parts",
-    "block_steps",
-    "slot_block",
-    "runs",
-)
-
-
-@pytree(static=CHOICES)
+@pytree
 class System:
     """All that never changes while a scene runs: arrays, and the static choices that decide what is compiled."""
 
@@ -137,7 +118,9 @@ class System:
     hulls: Hulls | None  # shapes of the polytopes among the pieces, then of the panels
     shape: Array  # [N + W] int32: row of each body in the table of hulls (0 of a sphere)
     walls: Walls
-    law: Law
+    materials: Materials
+    law: Any  # a contact law, see contact.law
+    reach: Array  # (m): the longest gap across which the law acts; 0: none
     gravity: Array  # [3] (m/s2)
     dt: Array  # (s)
     substeps: Array  # int32: steps per sample (per part of a sample, if it has parts), at most block_steps
@@ -146,37 +129,41 @@ class System:
     block_high: Array  # [3, B] (m)
     domain_low: Array  # [3] (m): a piece outside has left the scene
     domain_high: Array  # [3] (m)
-    capacity: tuple  # ((kind of contact, candidates, slots), ...): the kinds that the scene has, see neighbours
-    touching: int  # most contacts that a piece may have at once
-    neighbours: str  # how pairs of pieces are found, as in scene.RunSettings
-    row_capacity: int  # most pieces in three neighbouring cells in a row, where there are cells
-    partition: Partition | None  # of jax-md's list
-    has_hulls: bool  # whether any piece is a polytope
-    alike: tuple  # "hulls" if all polytopes among the pieces are one shape, "spheres" if all spheres are
-    escape_stops: bool  # whether a piece outside the domain stops the run
-    has_friction: bool
-    has_rotation: bool
-    has_damping: bool
-    ledger: bool  # whether work and dissipation are added up
-    parts: int  # a sample interval of more steps than the next is cut into so many parts, a rebuild before each
-    block_steps: int  # most steps between rebuilds of the candidate pairs; a rebuild comes before the sample that exceeds it
-    slot_block: int  # contacts are computed so many at a time, at most; 0: all slots at once
-    runs: int  # how many runs of an ensemble this is, side by side (see joined); 0: one run by itself
+    capacity: tuple = static()  # ((kind of contact, candidates, slots), ...): the kinds that the scene has, see neighbours
+    touching: int = static()  # most contacts that a piece may have at once
+    neighbours: str = static()  # how pairs of pieces are found, as in scene.RunSettings
+    row_capacity: int = static()  # most pieces in three neighbouring cells in a row, where there are cells
+    partition: Partition | None = static()  # of jax-md's list
+    has_hulls: bool = static()  # whether any piece is a polytope
+    alike: tuple = static()  # "hulls" if all polytopes among the pieces are one shape, "spheres" if all spheres are
+    escape_stops: bool = static()  # whether a piece outside the domain stops the run
+    has_rotation: bool = static()
+    ledger: bool = static()  # whether work and dissipation are added up
+    parts: int = static()  # a sample interval of more steps than the next is cut into so many parts, a rebuild before each
+    block_steps: int = static()  # most steps between rebuilds of the pairs; one comes before the sample that exceeds it
+    slot_block: int = static()  # contacts are computed so many at a time, at most; 0: all slots at once
+    runs: int = static()  # R, how many runs this is, side by side; they do not see each other
+
+
+@pytree
+class Memory:
+    """What contacts remember of the last step."""
+
+    overlap: Array  # [P] (m): s_n, more by the law's reach; 0: no contact
+    point: Array  # [3, P] (m): contact point relative to the centre of b, world axes
+    law: Any  # [.., P]: the history that the contact law keeps
 
 
 @pytree
 class ContactTable:
-    """P slots for contacts between two kinds of bodies; an empty slot has a = -1. History of eqs 1-4 per slot.
+    """P slots for contacts between two kinds of bodies; an empty slot has a = -1.
 
     Bodies are numbered pieces first, then panels. b is always a piece, a is a piece or a panel.
     """
 
     a: Array  # [P] int32
     b: Array  # [P] int32
-    force: Array  # [P] (N): F_n of the last step
-    overlap: Array  # [P] (m): s_n of the last step
-    spring: Array  # [3, P] (N): tangential force on b of the last step, world frame
-    point: Array  # [3, P] (m): contact point of the last step relative to the centre of b, world axes; where there is friction
+    memory: Memory
 
 
 @pytree
@@ -188,24 +175,21 @@ class Slots:
     b: Array  # [P] int32
     hull_a: Hulls | None  # [.., P] or [.., 1]
     hull_b: Hulls | None
-    radius_a: Array  # [P] or [1], as the next five (m): of spheres
-    radius_b: Array  # [P] (m)
-    stiffness: Array  # [P] (N/m): K_nl, eq. 5
-    friction: Array  # [P]: mu
-    mass: Array  # [P] (kg): effective mass
-    width: Array  # [P] (m): of the narrower piece
-    member: Array | None  # [G, P] bool: whether a is a panel of the group; None between spheres
+    radius_a: Array  # [P] or [1] (m): of spheres
+    radius_b: Array  # [P] or [1] (m)
+    width: Array  # [P] or [1] (m): of the narrower piece
     plane: Array | None  # [P] int32: of a, where it is a panel that another continues; else -1
+    pair: Any  # [P] or [1]: the constants of the contact law
 
 
 @pytree
 class Ledger:
-    """What a run adds up; ``impulse`` and ``overlap`` start anew with each sample interval."""
+    """What each run adds up; ``impulse`` and ``overlap`` start anew with each sample interval."""
 
-    impulse: Array  # [3, G] (N s): of the pieces on each wall group
-    overlap: Array  # (-): largest overlap relative to the width of the piece
-    taken: Array  # (J): work that contacts took: what they store and what is lost
-    wall_work: Array  # (J): work of the walls on the pieces
+    impulse: Array  # [3, G, R] (N s): of the pieces on each wall group
+    overlap: Array  # [R] (-): largest overlap relative to the width of the piece
+    taken: Array  # [R] (J): work that contacts took: what they store and what is lost
+    wall_work: Array  # [R] (J): work of the walls on the pieces
 
 
 @pytree
@@ -217,16 +201,15 @@ class Guard:
     row: Array  # int32: most pieces in three neighbouring cells in a row
     partition: Array  # int32 [2]: most pairs, and most pieces in a cell, that any list of jax-md wanted
     reach: Array  # (m): the largest reach that any list of jax-md wanted
-    travel: Array  # (m): most that two bodies can have approached each other between rebuilds, beyond State.lead
+    travel: Array  # (m): most that two bodies can have approached each other between rebuilds, beyond Scratch.lead
     start_overlap: Array  # (-): largest overlap at the first rebuild, relative to the width of the piece; -1: not yet
     start_pair: Array  # [2] int32: a and b of that pair
 
 
 @pytree
-class State:
-    """What a step changes. Velocities and momenta are at the time of the positions."""
+class Motion:
+    """How the pieces of all runs move, and the loads on them. Velocities and momenta are at the time of the positions."""
 
-    step: Array  # int32: time is step * dt
     position: Array  # [3, N] (m): centres of mass
     position_rest: Array  # [3, N] (m): what rounding left over of the position (zero in double precision)
     orientation: Array  # [4, N]: unit quaternion w x y z, principal frame to world
@@ -235,38 +218,68 @@ class State:
     angular_momentum: Array  # [3, N] (kg m2/s), world frame
     force: Array  # [3, N] (N): of contacts
     torque: Array  # [3, N] (N m): of contacts, about the centre of mass
-    wall_force: Array  # [3, G] (N): of the pieces on each wall group
-    wall_torque: Array  # [3, G] (N m): likewise, about the group's pivot
-    contacts: dict  # kind of contact -> ContactTable
+
+
+@pytree
+class WallLoads:
+    """Loads of the pieces on each wall group."""
+
+    force: Array  # [3, G, R] (N)
+    torque: Array  # [3, G, R] (N m): about the group's pivot
+
+
+@pytree
+class Scratch:
+    """What the rebuild at the beginning of each block of steps fills anew, from the rest of the state."""
+
     slots: dict  # kind of contact -> Slots
     filled: dict  # kind of contact -> int32: how many slots hold a pair, the first ones
     busiest: Array  # int32: most contacts of a piece
-    walled: Array | None  # [2, touching, N] int32: of runs side by side, as ``incidence`` the contacts with walls, and their groups
-    most_walled: Array | None  # int32: most contacts of a piece with walls
+    walled: Array  # [2, touching, N] int32: like ``State.incidence`` of contacts with walls, and the numbers of their groups
+    most_walled: Array  # int32: most contacts of a piece with walls
+    loads: Array  # [6, columns] (N, N m): of each contact on b and on a, about their centres; of the last column, zero
+    anchor: Array  # [7, N]: position and orientation at the rebuild
+    since: Array  # int32: the step of the rebuild
+    lead: Array  # [R] (m): most that two bodies approach each other at the speeds they had then, until the next rebuild
+
+
+@pytree
+class State:
+    """What a step changes."""
+
+    step: Array  # int32: time is step * dt
+    motion: Motion
+    walls: WallLoads
+    contacts: dict  # kind of contact -> ContactTable
     incidence: Array  # [touching, N] int32: where the contacts of each piece stand among all (see neighbours.find_incidence)
-    loads: Array  # [6, columns] (N, N m): of each contact on b and on a, about their centres; of the last column, zero; of runs
-    # side by side a seventh row, overlap relative to width
     ledger: Ledger
-    anchor: Array  # [7, N]: position and orientation at the last rebuild
-    since: Array  # int32: the step of the last rebuild
-    lead: Array  # (m): most that two bodies approach each other at the speeds they had then, until the next rebuild
     guard: Guard
+    scratch: Scratch
+
+    position = property(lambda self: self.motion.position)
+    orientation = property(lambda self: self.motion.orientation)
+    velocity = property(lambda self: self.motion.velocity)
+    angular_momentum = property(lambda self: self.motion.angular_momentum)
+
+    def moved(self, **fields) -> "State":
+        """The state with some fields of its motion replaced."""
+        return self.replace(motion=self.motion.replace(**fields))
 
 
 @pytree
 class Sample:
-    """What is read at the end of a sample interval."""
+    """What is read of each run at the end of a sample interval."""
 
     step: Array  # int32
-    force: Array  # [3, G] (N): of the pieces on each wall group, instantaneous
-    mean_force: Array  # [3, G] (N): mean over the interval; closes the momentum balance
-    torque: Array  # [3, G] (N m): instantaneous, about the group's pivot
-    settled_mass: Array  # [B] (kg): inside the block and slower than 0.1 m/s
-    energy: Array  # [6] (J): kinetic, potential, elastic, dissipated, wall_work, total (conserved)
-    momentum: Array  # [3] (kg m/s)
-    overlap: Array  # (-): largest overlap of the interval relative to the width of the piece
-    fastest: Array  # (m/s): fastest piece in the domain
-    culprit: Array  # int32: first piece that is not finite or has left the domain; -1: none
+    force: Array  # [3, G, R] (N): of the pieces on each wall group, instantaneous
+    mean_force: Array  # [3, G, R] (N): mean over the interval; closes the momentum balance
+    torque: Array  # [3, G, R] (N m): instantaneous, about the group's pivot
+    settled_mass: Array  # [B, R] (kg): inside the block and slower than 0.1 m/s
+    energy: Array  # [6, R] (J): kinetic, potential, elastic, dissipated, wall_work, total (conserved)
+    momentum: Array  # [3, R] (kg m/s)
+    overlap: Array  # [R] (-): largest overlap of the interval relative to the width of the piece
+    fastest: Array  # [R] (m/s): fastest piece in the domain
+    culprit: Array  # [R] int32: first piece that is not finite or has left the domain; -1: none
 
 
 ENERGIES = ("kinetic", "potential", "elastic", "dissipated", "wall_work", "total")

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from dem_jax import shapes
-from dem_jax.contact import materials
+from dem_jax.build.law import PIECE
 from dem_jax.errors import SceneError
 from dem_jax.scene import SHAPE_KEYS, PieceShape, Scene, arrange
 from dem_jax.types import Pieces
@@ -76,19 +76,18 @@ def with_points(row: PieceShape, folder):
 
 
 def piece_arrays(scene: Scene, made) -> Pieces:
+    """Arrays of the pieces, in numpy."""
     m = scene.material
     distinct, index = distinct_shapes(made)
     each = lambda value: np.array([value(shape) for shape in distinct])[index]  # noqa: E731
     mass = m.density * each(lambda s: s.volume)
-    size = each(lambda s: shapes.size_length(s, m.stiffness_size))
-    own = materials.stiffness(m.youngs_modulus, size, m.softening)
-    wall = materials.stiffness(m.wall_youngs_modulus, size, m.softening)
     none = np.zeros(0, int)
     return Pieces(
         mass=mass,
         inertia=mass * each(lambda s: s.gyration).T,
-        load_stiffness=own,
-        wall_stiffness=own * wall / (own + wall),
+        size=each(lambda s: shapes.size_length(s, m.stiffness_size)),
+        curvature=2 / each(shapes.SIZE_LENGTHS["equivalent-diameter"]),
+        material=np.full(len(made), PIECE),
         radius=each(lambda s: s.radius),
         bounding_radius=each(lambda s: s.bounding_radius),
         width=each(_width),

@@ -1,18 +1,19 @@
 """Where the pieces begin, and the first state."""
 
 from dataclasses import dataclass
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from dem_jax.build.pieces import counts
-from dem_jax.contact import forces
+from dem_jax.contact import ledger
 from dem_jax.errors import SceneError
 from dem_jax.maths import rotation
 from dem_jax.pairs import neighbours
 from dem_jax.scene import Scene, arrange
-from dem_jax.types import State, System
+from dem_jax.types import Motion, State, System, WallLoads
 
 
 @dataclass(frozen=True)
@@ -60,59 +61,43 @@ def settling_samples(scene: Scene) -> int:
     return max(1, round(scene.portion.settling_time / scene.run.sample))
 
 
-def motion_of_start(system: System, start: Start, frames) -> dict:
-    """The fields of State that follow from poses and velocities in the user's body frames, in numpy; frames: Built.frames."""
+def motion_of_start(system: System, start: Start, frames) -> Motion:
+    """Poses and velocities in the user's body frames as those of principal frames, in numpy; frames: Built.frames."""
     dtype = system.dt.dtype
     position = start.position.T.astype(np.float64)
     high = position.astype(dtype)
     q = np.stack(rotation.multiply(tuple(start.orientation.T), tuple(np.asarray(frames).T))).astype(dtype)
     inertia = np.asarray(system.pieces.inertia)
     momentum = rotation.angular_momentum(tuple(q), tuple(start.spin.T.astype(dtype)), tuple(inertia))
-    return {
-        "position": high,
-        "position_rest": (position - high).astype(dtype),
-        "orientation": q,
-        "velocity": start.velocity.T.astype(dtype),
-        "angular_momentum": np.stack(momentum),
-    }
+    none = np.zeros_like(high)
+    return Motion(
+        position=high,
+        position_rest=(position - high).astype(dtype),
+        orientation=q,
+        velocity=start.velocity.T.astype(dtype),
+        velocity_rest=none,
+        angular_momentum=np.stack(momentum),
+        force=none,
+        torque=none,
+    )
 
 
 def first_state(system: System, start: Start, frames, step: int) -> State:
     """The state at a step, without any contact; start, frames: as of ``motion_of_start``."""
-    dtype = system.dt.dtype
-    groups = len(system.walls.groups)
-    zero = lambda *shape: np.zeros(shape, dtype)  # noqa: E731
-    n = len(start.position)
-    contacts = {
-        kind: neighbours.empty_table(slots, dtype) for kind, _, slots in system.capacity
-    }
-    columns = 2 * sum(slots for *_, slots in system.capacity)  # of loads
+    dtype, n = system.dt.dtype, len(start.position)
+    groups, runs = len(system.walls.groups), system.runs
+    contacts = {kind: neighbours.empty_table(system, kind, room) for kind, _, room in system.capacity}
+    columns = 2 * sum(room for *_, room in system.capacity)  # of loads
     state = State(
-        **motion_of_start(system, start, frames),
         step=np.int32(step),
-        velocity_rest=zero(3, n),
-        force=zero(3, n),
-        torque=zero(3, n),
-        wall_force=zero(3, groups),
-        wall_torque=zero(3, groups),
+        motion=motion_of_start(system, start, frames),
+        walls=WallLoads(np.zeros((3, groups, runs), dtype), np.zeros((3, groups, runs), dtype)),
         contacts=contacts,
-        slots=_unfilled_slots(system, contacts),
-        filled={kind: np.int32(0) for kind in contacts},
-        busiest=np.int32(0),
-        walled=None,
-        most_walled=None,
         incidence=np.full((system.touching, n), columns, np.int32),
-        loads=zero(6, columns + 1),
-        ledger=forces.empty_ledger(system, dtype),
-        anchor=zero(7, n),
-        since=np.int32(step),
-        lead=zero(),
+        ledger=ledger.empty_ledger(system, dtype),
         guard=neighbours.empty_guard(system, dtype),
+        scratch=None,
     )
-    return jax.tree.map(jnp.asarray, state)  # made in numpy: each operation of jax.numpy would be compiled
-
-
-def _unfilled_slots(system: System, contacts):
-    """Slots of the right form, which the first rebuild fills."""
-    find = lambda: {k: neighbours.constants(system, k, jnp.asarray(t.a), jnp.asarray(t.b)) for k, t in contacts.items()}  # noqa: E731
-    return jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), jax.eval_shape(find))
+    form = jax.eval_shape(partial(neighbours.rebuild, system), state).scratch
+    scratch = jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), form)
+    return jax.tree.map(jnp.asarray, state.replace(scratch=scratch))  # in numpy: each operation of jax.numpy would be compiled

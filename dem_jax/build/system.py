@@ -7,16 +7,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from dem_jax.build.law import law_of, materials_of
 from dem_jax.build.pieces import alike, distinct_shapes, named, piece_arrays, pieces_of, tuples, with_points
 from dem_jax.build.room import capacity, partition, row_capacity
 from dem_jax.build.start import Start, first_state, motion_of_start, placed, settling_samples
-from dem_jax.build.time_step import TimeStep, block_steps, choose_step
+from dem_jax.build.time_step import TimeStep, block_steps, choose_step, longest_reach, possible_contacts
 from dem_jax.build.typed import typed
 from dem_jax.build.walls import panels_of, wall_arrays, walls_of
 from dem_jax.contact import hulls
+from dem_jax.contact.law import ContactLaw
 from dem_jax.errors import SceneError
 from dem_jax.scene import Scene, Wall
-from dem_jax.types import Law, State, System, float_dtype
+from dem_jax.types import State, System, float_dtype
 
 SKIN = 0.03  # of the width of the narrowest piece: see pairs.neighbours
 
@@ -37,14 +39,16 @@ class Built:
     regions: list  # boxes (low [3], high [3]) (m) in which pieces are scattered: of the feed bucket, of the feeder
 
 
-def build(scene: Scene, seed: int = 0) -> Built:
-    """Everything that a run of the scene needs. Raises SceneError."""
+def build(scene: Scene, seed: int = 0, law: ContactLaw | None = None) -> Built:
+    """Everything that a run of the scene needs. law: instead of the scene's. Raises SceneError."""
     dtype = float_dtype(scene.run.precision)
     made = pieces_of(scene)
     panels, motions, joint, blocks, regions = walls_of(scene)
     start = placed(scene, made, regions, np.random.default_rng(seed))
     pieces = piece_arrays(scene, made)
-    step = choose_step(scene, made, pieces)
+    law, materials = law or law_of(scene), materials_of(scene)
+    contacts = possible_contacts(law, materials, made, pieces)
+    step = choose_step(scene, law, contacts)
     settling = settling_samples(scene) * step.substeps
     samples = max(1, round(scene.run.duration / scene.run.sample))
     frame_every = max(1, round(scene.run.frames / scene.run.sample)) if scene.run.frames else 0
@@ -64,7 +68,9 @@ def build(scene: Scene, seed: int = 0) -> Built:
         hulls=typed(table, dtype) if table else None,
         shape=jnp.asarray(np.asarray(shape_rows, np.int32)),
         walls=walls,
-        law=typed(_law(scene), dtype),
+        materials=typed(materials, dtype),
+        law=typed(law, dtype),
+        reach=jnp.asarray(np.asarray(longest_reach(law, contacts), dtype)),
         gravity=jnp.asarray(np.asarray(scene.run.gravity, dtype)),
         dt=jnp.asarray(np.asarray(step.dt, dtype)),
         substeps=jnp.asarray(np.asarray(step.substeps // step.parts, np.int32)),
@@ -81,17 +87,15 @@ def build(scene: Scene, seed: int = 0) -> Built:
         has_hulls=bool(polytopes),
         alike=alike(made),
         escape_stops=scene.run.escape == "stop",
-        has_friction=max(scene.material.friction_wall, scene.material.friction_piece) > 0,
         has_rotation=True,
-        has_damping=scene.material.unloading_damping > 0,
         ledger=scene.run.energy,
         parts=step.parts,
         block_steps=block_steps(scene),
         slot_block=0,
-        runs=0,
+        runs=1,
     )
     only_spheres = not polytopes
-    system = system.replace(has_rotation=not only_spheres or system.has_friction or bool(np.any(start.spin)))
+    system = system.replace(has_rotation=not only_spheres or materials.friction is not None or bool(np.any(start.spin)))
     frames = np.array([m.principal for m in made])
     state = first_state(system, start, frames, -settling)
     names = tuple(b.name for b in blocks)
@@ -141,18 +145,6 @@ def _domain(scene: Scene, panels, start: Start, made):
     return low, high
 
 
-def _law(scene: Scene) -> Law:
-    m = scene.material
-    return Law(
-        restitution=np.float64(m.restitution),
-        separation=np.float64(m.separation),
-        friction_piece=np.float64(m.friction_piece),
-        friction_wall=np.float64(m.friction_wall),
-        tangential=np.float64(m.tangential_stiffness),
-        damping=np.float64(m.unloading_damping),
-    )
-
-
 def state_of_seed(scene: Scene, built: Built, seed: int) -> State:
     """The first state of the same scene with another seed, for the system that was built. Raises SceneError."""
     start = placed(scene, built.shapes, built.regions, np.random.default_rng(seed))
@@ -161,4 +153,4 @@ def state_of_seed(scene: Scene, built: Built, seed: int) -> State:
 
 def started(built: Built, start: Start) -> State:
     """The first state with other poses and velocities."""
-    return built.state.replace(**jax.tree.map(jnp.asarray, motion_of_start(built.system, start, built.frames)))
+    return built.state.replace(motion=jax.tree.map(jnp.asarray, motion_of_start(built.system, start, built.frames)))

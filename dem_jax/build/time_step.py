@@ -1,16 +1,20 @@
 """The time step: as asked for, or from the smallest critical step over all contacts that can be."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from dem_jax.build.pieces import distinct_shapes
-from dem_jax.contact import materials, springs
+from dem_jax.contact.law import ContactLaw, Couple, walton_braun_accuracy
+from dem_jax.contact.law.springs import quarter_period, series
+from dem_jax.contact.law.walton_braun import WaltonBraun
+from dem_jax.contact.materials import couple
 from dem_jax.errors import SceneError
 from dem_jax.maths import pose
 from dem_jax.pairs import guard
 from dem_jax.scene import Scene
-from dem_jax.types import Pieces
+from dem_jax.types import Materials, Pieces
 
 
 @dataclass(frozen=True)
@@ -20,7 +24,7 @@ class TimeStep:
     dt: float  # s
     substeps: int  # steps per sample
     parts: int  # of equally many steps that a sample is cut into, none of more steps than a rebuild is good for
-    critical: float  # s: the smallest critical step, by materials.steps or by the accuracy asked for
+    critical: float  # s: the smallest critical step, by the law's critical steps or by the accuracy asked for
     stable: float  # s: linear stability limit, which no step may exceed
     limit: str  # what sets the critical step, in words
 
@@ -31,14 +35,21 @@ class TimeStep:
         )
 
 
-def choose_step(scene: Scene, made, pieces: Pieces) -> TimeStep:
+@dataclass(frozen=True)
+class PossibleContact:
+    """A kind of contact that a scene can have."""
+
+    mass: float  # (kg): effective mass of a central contact
+    eccentricity: float  # smallest ratio of the effective mass of an off-centre contact to it
+    pair: Any  # the law's constants, each [1]
+    words: str
+
+
+def choose_step(scene: Scene, law: ContactLaw, contacts: list[PossibleContact]) -> TimeStep:
     """The time step: as asked for, or from the smallest critical step over all contacts that can be. Raises SceneError."""
-    epsilon, sample = scene.material.restitution, scene.run.sample
-    contacts = _possible_contacts(made, pieces)
-    critical, limit = (_accurate_step if scene.run.accuracy else _default_step)(scene, contacts)
-    stable = float(
-        materials.stable_step(contacts["mass"], contacts["stiffness"], epsilon, contacts["eccentricity"]).min()
-    )
+    sample = scene.run.sample
+    critical, limit = (_accurate_step if scene.run.accuracy else _default_step)(scene, law, contacts)
+    stable = min(float(np.min(law.stable_step(c.pair, c.mass * c.eccentricity))) for c in contacts)
     wanted = critical if scene.run.step == "auto" else scene.run.step
     if wanted > stable:
         raise SceneError(f"run.step = {wanted:g}: allowed: at most {stable:.4g} s, the stability limit of {limit}")
@@ -48,34 +59,38 @@ def choose_step(scene: Scene, made, pieces: Pieces) -> TimeStep:
     return TimeStep(sample / substeps, substeps, parts, critical, stable, limit)
 
 
-def _default_step(scene: Scene, contacts):
+def longest_reach(law: ContactLaw, contacts: list[PossibleContact]) -> float:
+    """The longest gap (m) across which the law acts."""
+    reaches = [law.reach(c.pair) for c in contacts]
+    return max(0.0 if reach is None else float(np.max(reach)) for reach in reaches)
+
+
+def _default_step(_, law: ContactLaw, contacts):
     """The critical step (s) of the default resolution, and what sets it."""
-    load, unload = materials.steps(contacts["mass"], contacts["stiffness"], scene.material.restitution)
-    both = np.minimum(load, unload)
-    worst = int(np.argmin(both))
-    branch = "loading" if load[worst] <= unload[worst] else "unloading"
-    count = materials.LOAD_STEPS if branch == "loading" else materials.UNLOAD_STEPS
-    return float(both[worst]), f"{count} steps per {branch} quarter period, {contacts['words'][worst]}"
+    steps = [(float(np.min(s)), f"{what}, {c.words}") for c in contacts for what, s in law.critical_steps(c.pair, c.mass).items()]
+    return min(steps, key=lambda pair: pair[0])
 
 
-def _accurate_step(scene: Scene, contacts):
+def _accurate_step(scene: Scene, law: ContactLaw, contacts):
     """The largest step (s) that keeps the accuracy that the scene asks for, and what sets it. Raises SceneError."""
+    if not isinstance(law, WaltonBraun):
+        raise SceneError(f"run.accuracy: known of the law of Walton and Braun only, not of {type(law).__name__}; give run.step")
     asked = scene.run.accuracy.model_dump(exclude_none=True)
     found = []
-    for mass, spring, least, words in zip(*(contacts[k] for k in ("mass", "stiffness", "eccentricity", "words")), strict=True):
-        bound = materials.SPHERE if least == 1 else materials.POLYTOPE
+    for c in contacts:
+        bound = walton_braun_accuracy.SPHERE if c.eccentricity == 1 else walton_braun_accuracy.POLYTOPE
         for key, value in asked.items():
             finest = bound.single[key]
             if scene.run.precision == "f32" and value < finest:
                 raise SceneError(
-                    f"run.accuracy.{key} = {value:g}: allowed in single precision: at least {finest:g} for {words}; "
+                    f"run.accuracy.{key} = {value:g}: allowed in single precision: at least {finest:g} for {c.words}; "
                     f'or run.precision = "f64"'
                 )
-        number, key = bound.steps(asked, scene.material.restitution)
-        quarter = materials.quarter_period(mass, spring)
+        number, key = bound.steps(asked, float(np.min(c.pair.restitution)))
+        quarter = float(np.min(quarter_period(c.mass, c.pair.stiffness)))
         why = f"run.accuracy.{key} = {asked[key]:g}" if key else "the coarsest step whose error is known (run.accuracy)"
-        step = np.sqrt(least) * quarter / number
-        found.append((float(step), f"{why}: {quarter / step:.3g} steps per loading quarter period, {words}"))
+        step = np.sqrt(c.eccentricity) * quarter / number
+        found.append((float(step), f"{why}: {quarter / step:.3g} steps per loading quarter period, {c.words}"))
     return min(found)
 
 
@@ -84,22 +99,43 @@ def block_steps(scene: Scene) -> int:
     return guard.round_to(8, scene.run.rebuild_steps)
 
 
-def _possible_contacts(made, pieces: Pieces):
-    """Effective mass, K_nl and eccentricity of each kind of piece against a wall and against the kinds that move quickest
-    on its contact, about the centre of mass and off it: of as many kinds as pieces, all pairs would be too many to list."""
+def possible_contacts(law: ContactLaw, materials: Materials, made, pieces: Pieces) -> list[PossibleContact]:
+    """Each kind of piece against each material of walls, and against the kinds that move quickest on its contact, about the
+    centre of mass and off it: of as many kinds as pieces, all pairs would be too many to list."""
     _, index = distinct_shapes(made)
-    _, first, number = np.unique(index, return_index=True, return_counts=True)
-    least = np.array([_eccentricity(made[i]) for i in first])
-    mass, k = pieces.mass[first], pieces.load_stiffness[first]
-    rows = [(mass[i], pieces.wall_stiffness[first[i]], least[i], _words(made[p], "a wall")) for i, p in enumerate(first)]
+    _, first, number = np.unique(np.stack([index, pieces.material]), axis=1, return_index=True, return_counts=True)
+    order = np.argsort(first)
+    first, number = first[order], number[order]
+    least = {id(made[i]): _eccentricity(made[i]) for i in first}
+    least = np.array([least[id(made[i])] for i in first])
+    out = []
     for i, p in enumerate(first):
-        others = slice(i if number[i] > 1 else i + 1, None)
-        m, s = springs.series(mass[i], mass[others]), springs.series(k[i], k[others])
-        worst = np.minimum(least[i], least[others])
-        for j in {int(np.argmin(m / s)), int(np.argmin(m * worst / s))} if len(m) else ():
-            rows.append((m[j], s[j], worst[j], _words(made[p], f"another ({made[first[others][j]].name})")))
-    m, s, e, words = zip(*rows, strict=True)
-    return {"mass": np.array(m), "stiffness": np.array(s), "eccentricity": np.array(e), "words": words}
+        for wall in range(len(materials.youngs_modulus)):
+            pair = law.pair(_couple(materials, pieces, p, None, wall))
+            out.append(PossibleContact(float(pieces.mass[p]), float(least[i]), pair, _words(made[p], "a wall")))
+        others = first[i if number[i] > 1 else i + 1 :]
+        if not len(others):
+            continue
+        couple = _couple(materials, pieces, np.full(len(others), p), others, None)
+        pairs, worst = law.pair(couple), np.minimum(least[i], least[len(first) - len(others) :])
+        critical = np.min([np.broadcast_to(s, couple.mass.shape) for s in law.critical_steps(pairs, couple.mass).values()], axis=0)
+        stable = np.broadcast_to(law.stable_step(pairs, couple.mass * worst), couple.mass.shape)
+        for j in sorted({int(np.argmin(critical)), int(np.argmin(stable))}):
+            pair = law.pair(_couple(materials, pieces, p, others[j], None))
+            words = _words(made[p], f"another ({made[others[j]].name})")
+            out.append(PossibleContact(float(couple.mass[j]), float(worst[j]), pair, words))
+    return out
+
+
+def _couple(materials: Materials, pieces: Pieces, b, a, wall: int | None) -> Couple:
+    """The couple of pieces b and a, or of b and a wall of a material."""
+    b = np.atleast_1d(b)
+    own = b if a is None else np.atleast_1d(a)
+    material = pieces.material[own] if wall is None else np.full(len(b), wall)
+    curvature = pieces.curvature[own] if wall is None else np.zeros(len(b))
+    mass = series(pieces.mass[own], pieces.mass[b]) if wall is None else pieces.mass[b]
+    both = lambda rows: (rows[own], rows[b])  # noqa: E731
+    return couple(materials, (material, pieces.material[b]), both(pieces.size), (curvature, pieces.curvature[b]), mass)
 
 
 def _words(shape, other):

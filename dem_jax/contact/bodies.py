@@ -27,7 +27,7 @@ def stack(system: System, state: State, omega, panels: boundary.Panels):
     (rad/s)."""
     pieces, walls = [state.position, state.velocity, omega], [panels.rows[:9]]
     if _has_rest(state.position):
-        pieces, walls = [*pieces, state.position_rest], [*walls, jnp.zeros_like(panels.rows[:3])]
+        pieces, walls = [*pieces, state.motion.position_rest], [*walls, jnp.zeros_like(panels.rows[:3])]
     if any(kind != "spheres" for kind, *_ in system.capacity):
         rows = _matrix_rows(state.orientation) if system.has_hulls else jnp.zeros((9, omega.shape[1]), omega.dtype)
         pieces, walls = [*pieces, rows], [*walls, panels.rows[9:]]

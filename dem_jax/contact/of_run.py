@@ -1,56 +1,73 @@
-"""Sums and extremes over the pieces of each run, where several runs are one system (``System.runs``); else over all pieces.
+"""Sums and extremes over the pieces or contacts of each run: R runs, mostly one, are one system (``System.runs``).
 
-Of R runs of N pieces, piece n of run r is number R n + r, so that the same piece of all runs is one vector for the processor
+Of R runs of n pieces, piece k of run r is number R k + r, so that the same piece of all runs is one vector for the processor
 and no run is computed otherwise than another. What there is of each run has the run last as well: [.., R].
 """
 
+from collections.abc import Callable
+
+import jax
 import jax.numpy as jnp
 
-from dem_jax.types import System
+from dem_jax.types import Array, State, System
 
 
-def total(system: System, of_pieces):
-    """Sum over the pieces of each run: [.., N R] to [.., R]; of one run, [.., N] to [..]."""
-    return jnp.sum(apart(system, of_pieces), axis=_axis(system))
+def total(system: System, of_pieces: Array) -> Array:
+    """Sum over the pieces of each run: [.., N] to [.., R]."""
+    return jnp.sum(apart(system, of_pieces), axis=-2)
 
 
-def total_of_contacts(system: System, of_contacts, piece):
-    """Sum over the contacts [P] of each run, [R], which are with these pieces [P]; of one run, over all."""
-    if not system.runs:
-        return jnp.sum(of_contacts)
-    return jnp.zeros((system.runs,), of_contacts.dtype).at[piece % system.runs].add(of_contacts)
-
-
-def largest(system: System, of_pieces):
+def largest(system: System, of_pieces: Array) -> Array:
     """The largest of the pieces of each run, as ``total``."""
-    return jnp.max(apart(system, of_pieces), axis=_axis(system))
+    return jnp.max(apart(system, of_pieces), axis=-2)
 
 
-def any_of(system: System, of_pieces):
+def any_of(system: System, of_pieces: Array) -> Array:
     """Whether it holds for any of the pieces of each run, as ``total``."""
-    return jnp.any(apart(system, of_pieces), axis=_axis(system))
+    return jnp.any(apart(system, of_pieces), axis=-2)
 
 
-def first_of(system: System, of_pieces):
+def first_of(system: System, of_pieces: Array) -> Array:
     """Number within its run of the first piece for which it holds, int32, -1 if there is none, as ``total``."""
-    first = jnp.argmax(apart(system, of_pieces), axis=_axis(system))
+    first = jnp.argmax(apart(system, of_pieces), axis=-2)
     return jnp.where(any_of(system, of_pieces), first, -1).astype(jnp.int32)
 
 
-def apart(system: System, of_pieces):
-    """[.., N R] as [.., N, R]; of one run as it is."""
-    return of_pieces.reshape(*of_pieces.shape[:-1], -1, system.runs) if system.runs else of_pieces
+def apart(system: System, of_pieces: Array) -> Array:
+    """[.., N] as [.., n, R]."""
+    return of_pieces.reshape(*of_pieces.shape[:-1], of_pieces.shape[-1] // system.runs, system.runs)
 
 
-def shared(system: System, value):
-    """What is the same for all runs, [..], to go with what there is of each: [.., 1]."""
-    return value[..., None] if system.runs else value
+def total_of_contacts(system: System, of_contacts: Array, piece: Array) -> Array:
+    """Sum over the contacts [P] of each run, [R], which are with these pieces [P]."""
+    return jnp.sum(jnp.where(_is_of(system, piece), of_contacts, 0), axis=1, dtype=of_contacts.dtype)
 
 
-def at(system: System, of_runs, piece):
-    """The value of the run that each piece [P] belongs to; of one run, the value."""
-    return of_runs[..., piece % system.runs] if system.runs else of_runs
+def largest_of_contacts(system: System, of_contacts: Array, piece: Array) -> Array:
+    """The largest of the contacts [P] of each run that are with these pieces, none below 0, [R]."""
+    return jnp.max(jnp.where(_is_of(system, piece), of_contacts, 0), axis=1)
 
 
-def _axis(system: System) -> int:
-    return -2 if system.runs else -1
+def at(system: System, of_runs: Array, piece: Array) -> Array:
+    """The value [..] of the run that each piece [P] belongs to, [.., P]; of a single run [.., 1]."""
+    return of_runs if system.runs == 1 else of_runs[..., piece % system.runs]
+
+
+def either(system: System, which: Array, one: Callable, other: Callable, state: State) -> State:
+    """A state after ``one``, of those runs [R] for which ``which`` holds, and after ``other``, which changes but the step, the
+    motion and the loads of walls, of the rest; each is computed only if some run needs it."""
+    if system.runs == 1:
+        return jax.lax.cond(which[0], one, other, state)
+    still = lambda s: s  # noqa: E731
+    first = jax.lax.cond(jnp.any(which), one, still, state)
+    second = jax.lax.cond(jnp.all(which), still, other, state)
+    pick = lambda a, b: jnp.where(jnp.broadcast_to(jnp.tile(which, a.shape[-1] // system.runs), a.shape), a, b)  # noqa: E731
+    motion, walls = (jax.tree.map(pick, getattr(first, name), getattr(second, name)) for name in ("motion", "walls"))
+    return first.replace(step=jnp.maximum(first.step, second.step), motion=motion, walls=walls)
+
+
+def _is_of(system: System, piece: Array) -> Array:
+    """Whether each piece [P] is of each run, [R, P], or [1, 1] of a single one."""
+    if system.runs == 1:
+        return jnp.ones((1, 1), bool)
+    return piece[None] % system.runs == jnp.arange(system.runs, dtype=piece.dtype)[:, None]

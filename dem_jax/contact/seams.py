@@ -8,9 +8,10 @@ once per panel touched, and what is dissipated is smaller by as much.
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 
-from dem_jax.types import ContactTable, Slots
+from dem_jax.types import Memory, Slots
 
 
 class Siblings(NamedTuple):
@@ -28,17 +29,12 @@ def siblings(slots: Slots, incidence, column) -> Siblings:
     return Siblings(slot, inside & (slots.plane >= 0)[None] & (slots.plane[slot] == slots.plane[None]))
 
 
-def history(table: ContactTable, of: Siblings) -> ContactTable:
-    """The table with the history of the deepest sibling, so that a contact goes on as a piece comes onto a panel."""
-    rank = jnp.argmax(jnp.where(of.there, table.overlap[of.slot], -1), axis=0)[None]
+def memory(own: Memory, of: Siblings) -> Memory:
+    """The memory of the deepest sibling, so that a contact goes on as a piece comes onto a panel."""
+    rank = jnp.argmax(jnp.where(of.there, own.overlap[of.slot], -1), axis=0)[None]
     deepest = jnp.take_along_axis(of.slot, rank, axis=0)[0]
     pick = jnp.where(jnp.any(of.there, axis=0), deepest, jnp.arange(deepest.shape[0], dtype=deepest.dtype))
-    return table.replace(
-        force=table.force[pick],
-        overlap=table.overlap[pick],
-        spring=table.spring[:, pick],
-        point=table.point[:, pick],
-    )
+    return jax.tree.map(lambda rows: rows[..., pick], own)
 
 
 def share(weight, of: Siblings):

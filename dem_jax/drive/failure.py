@@ -108,7 +108,7 @@ def _deep(job, system, state, overlap):
     worst, a, b = -1.0, None, None
     width = np.append(system.pieces.width, np.full(system.walls.group.shape[0], np.inf))  # of pieces, then of panels
     for table in state.contacts.values():
-        relative = np.asarray(table.overlap) / np.minimum(width[table.a], width[table.b])
+        relative = np.asarray(table.memory.overlap) / np.minimum(width[table.a], width[table.b])
         k = int(np.argmax(relative))
         if relative[k] > worst:
             worst, a, b = relative[k], int(table.a[k]), int(table.b[k])

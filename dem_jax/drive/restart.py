@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dem_jax.errors import RecordError
-from dem_jax.pairs import guard, neighbours
+from dem_jax.pairs import guard
 from dem_jax.types import State, System
 
 
@@ -49,13 +49,12 @@ def unpack(system: System, state: State, arrays: dict) -> tuple[System, State]:
             raise RecordError(f"restart/{path} is {found}, but the scene needs {needed}")
         leaves.append(jnp.asarray(array))
     kept = jax.tree.unflatten(structure, leaves)
-    return system, kept.replace(**{name: getattr(state, name) for name in neighbours.FILLED})
+    return system, kept.replace(scratch=state.scratch)
 
 
 def _leaves(state: State):
     """[(path, array)] of what is kept, and its structure."""
-    kept = state.replace(**dict.fromkeys(neighbours.FILLED))
-    paths, structure = jax.tree_util.tree_flatten_with_path(kept)
+    paths, structure = jax.tree_util.tree_flatten_with_path(state.replace(scratch=None))
     return [(jax.tree_util.keystr(path, simple=True, separator="/"), leaf) for path, leaf in paths], structure
 
 

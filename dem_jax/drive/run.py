@@ -22,7 +22,7 @@ from dem_jax import build, compiling
 from dem_jax.drive import failure, hosts, restart, settled
 from dem_jax.drive.progress import Progress
 from dem_jax.errors import RecordError, SceneError, SimulationError
-from dem_jax.pairs import guard, neighbours
+from dem_jax.pairs import guard
 from dem_jax.scene import Scene, load_scene, parse
 from dem_jax.step import joined, stepping
 from dem_jax.store import record, series
@@ -392,8 +392,7 @@ def _in_threads(job: Job, system: System, state: State, rest, shown, known):
     By ``jax.vmap`` they would take about as long as alone (measured in turns, at best: 10.2 us a step of nine pieces alone,
     9.1 a member of 64; of 8 members 14, of one 25).
     """
-    filled = {name: getattr(state, name) for name in neighbours.FILLED}  # which the chunk fills anew: any run's will do
-    bare = lambda state: state.replace(**dict.fromkeys(filled))  # noqa: E731
+    bare = lambda state: state.replace(scratch=None)  # which the chunk fills anew: any run's will do  # noqa: E731
     of_runs = lambda k, tree: jax.tree.map(lambda x: x[k], tree)  # noqa: E731
     kept = jax.device_get(bare(state))
     runs = len(kept.step)
@@ -402,20 +401,20 @@ def _in_threads(job: Job, system: System, state: State, rest, shown, known):
         last_run = runs - 1  # also fills up the last group
         groups = [np.minimum(k + np.arange(joined.AT_ONCE), last_run) for k in range(0, runs, joined.AT_ONCE)]
         together, form = np.concatenate, "joined"
-    unfilled = jax.device_put(of_runs(groups[0], jax.device_get(filled)))
+    unfilled = jax.device_put(of_runs(groups[0], jax.device_get(state.scratch)))
     stands, results = jax.device_get((known.stands, (bare(known.results[0]), *known.results[1:]))) if known else (None, None)
-    program = _program((system, of_runs(groups[0], kept).replace(**unfilled), *rest), form, job, shown)
+    program = _program((system, of_runs(groups[0], kept).replace(scratch=unfilled), *rest), form, job, shown)
 
     def one(k):
         if known and np.all(stands[k]):
             return of_runs(k, results)
         with jax.enable_x64(job.scene.run.precision == "f64"):  # which holds for one thread only
-            after, samples, poses = _computed(program, system, of_runs(k, kept).replace(**unfilled), rest)
+            after, samples, poses = _computed(program, system, of_runs(k, kept).replace(scratch=unfilled), rest)
             return jax.device_get(bare(after)), samples, poses
 
     with ThreadPoolExecutor(_cores()) as pool:
         after, samples, poses = jax.tree.map(lambda *x: together(x)[:runs], *pool.map(one, groups))
-    return after.replace(**filled), samples, poses
+    return after.replace(scratch=state.scratch), samples, poses
 
 
 def _cores() -> int:

@@ -109,10 +109,9 @@ def with_scratch(system: System, state: State) -> State:
     """The state with the incidence of its tables, and with what a rebuild fills empty and of the right form."""
     batched = jax.vmap if state.step.ndim else lambda function: function
     find = batched(lambda tables: neighbours.find_incidence(system, tables)[0])
-    state = state.replace(slots={}, incidence=jax.jit(find)(state.contacts))
-    form = jax.eval_shape(batched(partial(neighbours.rebuild, system)), state)
-    unfilled = {name: getattr(form, name) for name in neighbours.FILLED}
-    return state.replace(**jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), unfilled))
+    state = state.replace(scratch=None, incidence=jax.jit(find)(state.contacts))
+    form = jax.eval_shape(batched(partial(neighbours.rebuild, system)), state).scratch
+    return state.replace(scratch=jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), form))
 
 
 def _most(needed):
@@ -127,12 +126,11 @@ def _enough(have, needed, every):
     return round_up(min(every, int(np.ceil(HEAD_ROOM * needed))))
 
 
-def _widened(table: ContactTable, slots) -> ContactTable:
+def _widened(table: ContactTable, slots: int) -> ContactTable:
     """The table with empty slots behind its own."""
     more = slots - table.a.shape[-1]
-    pad = lambda x, value: np.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, more)], constant_values=value)  # noqa: E731
-    fill = {"a": EMPTY, "b": EMPTY}
-    return ContactTable(**{name: jnp.asarray(pad(x, fill.get(name, 0))) for name, x in vars(table).items()})
+    pad = lambda x, value: jnp.asarray(np.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, more)], constant_values=value))  # noqa: E731
+    return ContactTable(pad(table.a, EMPTY), pad(table.b, EMPTY), jax.tree.map(lambda x: pad(x, 0), table.memory))
 
 
 def round_up(slots: int) -> int:

@@ -2,7 +2,7 @@
 
 A rebuild looks at those of ``pairs`` in stages, each on what the one before left: bounding spheres (of a panel and a
 piece: box and sphere), then the full separating-axis test. What is left are pairs nearer than the way that the speeds
-of the fastest take two bodies until the next rebuild (``State.lead``) and a skin for what changes speeds; ``travel``
+of the fastest take two bodies until the next rebuild (``Scratch.lead``) and a skin for what changes speeds; ``travel``
 measures whether two bodies have approached each other by more. More candidates than slots is not an error here but data:
 the host grows the capacity and runs the chunk again.
 """
@@ -11,11 +11,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dem_jax.contact import bodies, boundary, forces, hulls, of_run, springs
+from dem_jax.contact import blocks, bodies, boundary, of_run
+from dem_jax.contact.geometry import geometry
 from dem_jax.maths import rotation, vector
 from dem_jax.maths.compaction import EMPTY, compact, grouped, in_order
 from dem_jax.pairs import search
-from dem_jax.types import ContactTable, Guard, Slots, State, System
+from dem_jax.pairs.slots import constants
+from dem_jax.types import ContactTable, Guard, Memory, Scratch, Slots, State, System
 
 # Kinds of contact by what computes their geometry, each with slots of its own, and the sources of their pairs.
 # In the order of the alphabet, as JAX sorts the keys of a dict: ``incidence`` counts on one order everywhere.
@@ -26,24 +28,12 @@ SOURCES = {
 }
 
 
-# Of a State, what a rebuild fills anew.
-FILLED = ("slots", "filled", "busiest", "walled", "most_walled", "loads", "anchor", "since", "lead")
-
-
-def empty_table(slots, dtype) -> ContactTable:
-    """A table without contacts, in numpy."""
-    none = np.full((slots,), EMPTY, np.int32)
-    zero = np.zeros((slots,), dtype)
-    three = np.zeros((3, slots), dtype)
-    return ContactTable(none, none, zero, zero, three, three)
-
-
 def rebuild(system: System, state: State) -> State:
     """Find the candidate pairs anew and carry the history of those that remain."""
     panels = _panels_at(system, state.step)
     stacked = bodies.stack(system, state, jnp.zeros_like(state.velocity), panels)
     lead = _interval(system) * _pace(system, state, panels)
-    reach = system.skin + lead
+    reach = system.skin + system.reach + lead
     guard = state.guard
     first_time = guard.start_overlap < 0
     tables, slots, needed, filled, column = {}, {}, {}, {}, 0
@@ -60,14 +50,11 @@ def rebuild(system: System, state: State) -> State:
         guard = _note_overlap(guard, first_time, relative, a, b)
         touching, a, b = in_order(overlap, of_run.at(system, reach, jnp.maximum(b, 0)), a, b, room)
         filled[kind] = jnp.minimum(touching, room)
-        wanted = jnp.stack([number + missed, touching])
-        if system.runs:
-            wanted = _of_fullest_run(system, wanted, b)
-        needed[kind] = jnp.maximum(guard.needed[kind], wanted)
+        needed[kind] = jnp.maximum(guard.needed[kind], _of_fullest_run(system, number + missed, touching, b))
         old = state.contacts[kind]
-        tables[kind] = carry_history(old, a, b, state.incidence, column)
-        column += 2 * old.a.shape[0]
         slots[kind] = constants(system, kind, a, b)
+        tables[kind] = carry_history(system, old, slots[kind], a, b, state.incidence, column)
+        column += 2 * old.a.shape[0]
     incidence, touching = find_incidence(system, tables)
     guard = guard.replace(
         needed=needed,
@@ -75,19 +62,25 @@ def rebuild(system: System, state: State) -> State:
         start_overlap=jnp.maximum(guard.start_overlap, 0),
     )
     anchor = jnp.concatenate([state.position, state.orientation])
-    busiest = jnp.minimum(touching, system.touching)
-    loads = jnp.zeros((forces.rows_of_loads(system), column + 1), stacked.dtype)
-    state = state.replace(contacts=tables, slots=slots, filled=filled, busiest=busiest, incidence=incidence, loads=loads)
-    if system.runs:
-        walled, most = find_walled(system, tables)
-        state = state.replace(walled=walled, most_walled=most)
-    return state.replace(anchor=anchor, since=state.step, lead=lead, guard=guard)
+    walled, most_walled = find_walled(system, tables)
+    scratch = Scratch(
+        slots=slots,
+        filled=filled,
+        busiest=jnp.minimum(touching, system.touching),
+        walled=walled,
+        most_walled=most_walled,
+        loads=jnp.zeros((6, column + 1), stacked.dtype),
+        anchor=anchor,
+        since=state.step,
+        lead=lead,
+    )
+    return state.replace(contacts=tables, incidence=incidence, guard=guard, scratch=scratch)
 
 
-def _of_fullest_run(system: System, wanted, b):
-    """Of runs side by side, the candidates and slots that one run wants; wanted: of all; b: [slots], pieces in slots."""
+def _of_fullest_run(system: System, near, touching, b):
+    """The candidates and slots that one run wants, [2]; near, touching: those of all runs; b: [slots], pieces in slots."""
     each = of_run.total_of_contacts(system, (b >= 0).astype(jnp.int32), b)
-    mean = (wanted + system.runs - 1) // system.runs
+    mean = (jnp.stack([near, touching]) + system.runs - 1) // system.runs
     return mean.at[1].max(jnp.max(each))
 
 
@@ -118,84 +111,18 @@ def _depths(system: System, kind, a, b, number, stacked):
     def of_pairs(a, b):
         slots = constants(system, kind, a, b)
         body_a, body_b = bodies.take(stacked, slots.a), bodies.take(stacked, slots.b)
-        depth, _ = forces.geometry(system, kind, slots, body_a, body_b, bodies.offset(body_a, body_b))
+        depth, _ = geometry(system, kind, slots, body_a, body_b, bodies.offset(body_a, body_b))
         return jnp.where(slots.live, jnp.stack([depth, depth / slots.width]), -jnp.inf)
 
-    size = forces.block_size(system, kind, a.shape[0])
+    size = blocks.block_size(system, kind, a.shape[0])
     if not size:
         return of_pairs(a, b)
 
     def block(k, found):
-        return jax.lax.dynamic_update_slice_in_dim(found, of_pairs(*forces.block_of((a, b), k, size)), k * size, 1)
+        return jax.lax.dynamic_update_slice_in_dim(found, of_pairs(*blocks.block_of((a, b), k, size)), k * size, 1)
 
     none = jnp.full((2, a.shape[0]), -jnp.inf, stacked.dtype)
     return jax.lax.fori_loop(0, (jnp.minimum(number, a.shape[0]) + size - 1) // size, block, none)
-
-
-def constants(system: System, kind, a, b) -> Slots:
-    """What stays the same in the slots of pairs (a, b) until the next rebuild."""
-    pieces = system.pieces
-    number = pieces.mass.shape[0]
-    live = a >= 0
-    a, b = jnp.maximum(a, 0), jnp.maximum(b, 0)
-    if kind == "spheres":
-        return _between_spheres(system, live, a, b)
-    wall = a >= number
-    own = jnp.minimum(a, number - 1)  # a, where it is a piece
-    group = system.walls.group[jnp.maximum(a - number, 0)] if system.walls.group.shape[0] else jnp.zeros_like(a)
-    groups = jnp.arange(len(system.walls.groups), dtype=jnp.int32)[:, None]
-    pair_stiffness = springs.series(pieces.load_stiffness[own], pieces.load_stiffness[b])
-    return Slots(
-        live=live,
-        a=a,
-        b=b,
-        hull_a=hulls.gather(system.hulls, system.shape[a], kind == "mixed"),
-        hull_b=_hull_of_piece(system, b) if kind == "hulls" else None,
-        radius_a=pieces.radius[own],
-        radius_b=pieces.radius[b],
-        stiffness=jnp.where(wall, pieces.wall_stiffness[b], pair_stiffness),
-        friction=jnp.where(wall, system.law.friction_wall, system.law.friction_piece),
-        mass=jnp.where(wall, pieces.mass[b], springs.series(pieces.mass[own], pieces.mass[b])),
-        width=jnp.where(wall, pieces.width[b], jnp.minimum(pieces.width[own], pieces.width[b])),
-        member=(wall & live)[None] & (group[None] == groups),
-        plane=_plane(system, jnp.where(wall & live, a - number, EMPTY)),
-    )
-
-
-def _between_spheres(system: System, live, a, b) -> Slots:
-    """Slots of pairs of spheres. Where all are alike one value of each constant broadcasts, which saves reading it."""
-    pieces = system.pieces
-    first, second = (pieces.spheres[:1],) * 2 if "spheres" in system.alike else (a, b)
-    radius = pieces.radius[first]
-    return Slots(
-        live=live,
-        a=a,
-        b=b,
-        hull_a=None,
-        hull_b=None,
-        radius_a=radius,
-        radius_b=pieces.radius[second],
-        stiffness=springs.series(pieces.load_stiffness[first], pieces.load_stiffness[second]),
-        friction=jnp.full_like(radius, system.law.friction_piece),
-        mass=springs.series(pieces.mass[first], pieces.mass[second]),
-        width=jnp.minimum(pieces.width[first], pieces.width[second]),
-        member=None,
-        plane=None,
-    )
-
-
-def _plane(system: System, panel):
-    """Slots.plane; panel: [P] int32, EMPTY where there is none."""
-    if system.walls.plane is None:
-        return None
-    return jnp.where(panel >= 0, system.walls.plane[panel], EMPTY)
-
-
-def _hull_of_piece(system: System, b):
-    """Hulls of pieces: one row that broadcasts where all polytopes are alike, which saves gathering it."""
-    if "hulls" in system.alike:
-        return hulls.gather(system.hulls, jnp.zeros((1,), jnp.int32), False)
-    return hulls.gather(system.hulls, system.shape[b], False)
 
 
 def _note_overlap(guard: Guard, first_time, relative, a, b) -> Guard:
@@ -208,27 +135,36 @@ def _note_overlap(guard: Guard, first_time, relative, a, b) -> Guard:
     )
 
 
-def carry_history(old: ContactTable, a, b, incidence, column) -> ContactTable:
-    """A table of the pairs (a, b), each with the history that it had in the old table, or none.
+def carry_history(system: System, old: ContactTable, slots: Slots, a, b, incidence, column) -> ContactTable:
+    """A table of the pairs (a, b), each with the memory that it had in the old table, or none.
 
     incidence: [touching, N] of the old tables; column: where the loads on b of this kind begin in it. A pair that was
     known stands among the few contacts of its b, so that no sorting and no search is needed.
     """
-    slots = old.a.shape[0]
+    room = old.a.shape[0]
     slot = incidence[:, jnp.maximum(b, 0)] - column  # [touching, P]
-    inside = (slot >= 0) & (slot < slots)
+    inside = (slot >= 0) & (slot < room)
     slot = jnp.where(inside, slot, 0)
     match = inside & (old.a[slot] == a[None]) & (a >= 0)[None]
     known = jnp.any(match, axis=0)
     slot = jnp.max(jnp.where(match, slot, 0), axis=0)
-    return ContactTable(
-        a,
-        b,
-        jnp.where(known, old.force[slot], 0),
-        jnp.where(known, old.overlap[slot], 0),
-        jnp.where(known[None], old.spring[:, slot], 0),
-        jnp.where(known[None], old.point[:, slot], 0),
-    )
+    fresh = no_memory(system, slots)
+    pick = lambda rows, new: jnp.where(known.reshape((1,) * (new.ndim - 1) + (-1,)), rows[..., slot], new)  # noqa: E731
+    memory = jax.tree.map(pick, old.memory, fresh)
+    return ContactTable(a, b, memory)
+
+
+def no_memory(system: System, slots: Slots) -> Memory:
+    """The memory of contacts that begin, in slots."""
+    zero = jnp.zeros(slots.a.shape, system.dt.dtype)
+    return Memory(zero, jnp.zeros((3, *zero.shape), zero.dtype), system.law.start(slots.pair, zero))
+
+
+def empty_table(system: System, kind: str, room: int) -> ContactTable:
+    """A table without contacts, in numpy."""
+    none = np.full((room,), EMPTY, np.int32)
+    memory = jax.eval_shape(lambda a: no_memory(system, constants(system, kind, a, a)), none)
+    return ContactTable(none, none, jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), memory))
 
 
 def find_incidence(system: System, tables):
@@ -276,7 +212,7 @@ def travel(system: System, state: State):
     On a way of the length that present speeds give a body comes no further from where it was than half of that and of
     its displacement now; of both, those of the two bodies that went furthest.
     """
-    position, orientation = state.anchor[:3], state.anchor[3:]
+    position, orientation = state.scratch.anchor[:3], state.scratch.anchor[3:]
     way = vector.norm(tuple(state.position - position))
     if system.has_hulls:
         turn = rotation.multiply(tuple(state.orientation), rotation.conjugate(tuple(orientation)))
@@ -284,7 +220,7 @@ def travel(system: System, state: State):
     now = _panels_at(system, state.step)
     of_walls = None
     if system.walls.moving:
-        before = _panels_at(system, state.since)
+        before = _panels_at(system, state.scratch.since)
         turn = vector.sub(now.rotation[0], before.rotation[0]), vector.sub(now.rotation[1], before.rotation[1])
         turned = jnp.sqrt(vector.dot(turn[0], turn[0]) + vector.dot(turn[1], turn[1]))
         of_walls = vector.norm(vector.sub(now.centre, before.centre)) + turned * vector.norm(tuple(system.walls.half_extent))

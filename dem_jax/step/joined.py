@@ -17,11 +17,6 @@ from dem_jax.types import ContactTable, Guard, State, System
 MOST_PIECES = 64  # of a run, for which it pays
 AT_ONCE = 16  # runs: more gain little and leave cores without work; always as many, as each number is a program of its own
 SLOT_BLOCK = 32  # slots computed at a time: of nine pieces 64 take 1.2 times as long, 16 1.1 times
-OF_PIECES = (
-    "position", "position_rest", "orientation", "velocity", "velocity_rest", "angular_momentum", "force", "torque",
-)  # fmt: skip
-OF_WALLS = ("wall_force", "wall_torque")
-
 
 def is_worthwhile(system: System, runs: int) -> bool:
     """Whether so many runs of a system are quicker as one: with few pieces, every pair of which is looked at, and no seams."""
@@ -35,7 +30,7 @@ def run_chunk(system: System, states: State, count, frame_every, samples: int, f
     """``stepping.run_chunk`` of states with a leading run axis, which all that it returns has too."""
     runs = states.step.shape[0]
     one = system_of(system, runs)
-    state, recorded, poses = stepping.run_chunk(one, joined(one, states), count, frame_every, samples, frames, phase)
+    state, recorded, poses = stepping.chunk_of_runs(one, joined(one, states), count, frame_every, samples, frames, phase)
     recorded = recorded.replace(step=jnp.broadcast_to(recorded.step[:, None], (samples, runs)))
     poses = poses.reshape(frames, 13, states.position.shape[-1], runs)
     return split(system, states, state), *jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), (recorded, poses))
@@ -62,21 +57,17 @@ def joined(one: System, states: State) -> State:
     beside = lambda x: jnp.moveaxis(x, 0, -1).reshape(*x.shape[1:-1], -1)  # noqa: E731
     run = jnp.arange(one.runs, dtype=jnp.int32)[:, None]
     number = lambda x: jnp.where(x < pieces, one.runs * x + run, x + (one.runs - 1) * pieces)  # noqa: E731
-    tables = {
-        kind: ContactTable(
-            beside(jnp.where(t.a >= 0, number(t.a), EMPTY)),
-            beside(jnp.where(t.b >= 0, number(t.b), EMPTY)),
-            *(beside(x) for x in (t.force, t.overlap, t.spring, t.point)),
-        )
-        for kind, t in states.contacts.items()
-    }
-    last = jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), {name: getattr(states, name) for name in (*OF_WALLS, "ledger")})
-    state = states.replace(
+    numbered = lambda x: jnp.where(x >= 0, number(x), EMPTY)  # noqa: E731
+    tables = {kind: t.replace(a=numbered(t.a), b=numbered(t.b)) for kind, t in states.contacts.items()}
+    state = State(
         step=states.step[0],
-        contacts=tables,
+        motion=jax.tree.map(beside, states.motion),
+        walls=jax.tree.map(beside, states.walls),
+        contacts=jax.tree.map(beside, tables),
+        incidence=states.incidence,
+        ledger=jax.tree.map(beside, states.ledger),
         guard=jax.tree.map(lambda x: jnp.max(x, axis=0), states.guard),
-        **{name: beside(getattr(states, name)) for name in OF_PIECES},
-        **last,
+        scratch=states.scratch,
     )
     return guard.with_scratch(one, state)
 
@@ -84,16 +75,17 @@ def joined(one: System, states: State) -> State:
 def split(system: System, states: State, state: State) -> State:
     """The states of runs that were one, as ``states`` of the same runs before them; what a rebuild fills is that of those."""
     runs, pieces = states.step.shape[0], states.position.shape[-1]
-    apart = lambda x: jnp.moveaxis(x.reshape(*x.shape[:-1], pieces, runs), -1, 0)  # noqa: E731
+    apart = lambda x: jnp.moveaxis(x.reshape(*x.shape[:-1], -1, runs), -1, 0)  # noqa: E731
     tables = {kind: _tables(table, runs, pieces, states.contacts[kind].a.shape[-1]) for kind, table in state.contacts.items()}
-    last = {name: jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), getattr(state, name)) for name in (*OF_WALLS, "ledger")}
-    return states.replace(
+    return State(
         step=jnp.broadcast_to(state.step, (runs,)),
+        motion=jax.tree.map(apart, state.motion),
+        walls=jax.tree.map(apart, state.walls),
         contacts=tables,
         incidence=jax.vmap(lambda tables: neighbours.find_incidence(system, tables)[0])(tables),
+        ledger=jax.tree.map(apart, state.ledger),
         guard=_guards(states.guard, state.guard, pieces),
-        **{name: apart(getattr(state, name)) for name in OF_PIECES},
-        **last,
+        scratch=states.scratch,
     )
 
 
@@ -103,10 +95,9 @@ def _tables(table: ContactTable, runs, pieces, slots) -> ContactTable:
     rank = jnp.arange(slots, dtype=jnp.int32)[None]
     there = rank < (first[1:] - first[:-1])[:, None]
     where = order[jnp.minimum(first[:-1, None] + rank, order.shape[0] - 1)]  # [runs, slots]
-    a, b = (_number(x[where], runs, pieces) for x in (table.a, table.b))
-    of_run = lambda x: jnp.moveaxis(jnp.where(there, x[..., where], 0), -2, 0)  # noqa: E731
-    history = (of_run(x) for x in (table.force, table.overlap, table.spring, table.point))
-    return ContactTable(jnp.where(there, a, EMPTY), jnp.where(there, b, EMPTY), *history)
+    a, b = (jnp.where(there, _number(x[where], runs, pieces), EMPTY) for x in (table.a, table.b))
+    of_run = lambda x: jnp.moveaxis(jnp.where(jnp.broadcast_to(there, x[..., where].shape), x[..., where], 0), -2, 0)  # noqa: E731
+    return ContactTable(a, b, jax.tree.map(of_run, table.memory))
 
 
 def _guards(before: Guard, after: Guard, pieces) -> Guard:

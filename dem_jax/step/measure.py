@@ -15,9 +15,9 @@ def sample(system: System, state: State) -> Sample:
     speed = vector.norm(tuple(state.velocity))
     return Sample(
         step=state.step,
-        force=state.wall_force,
+        force=state.walls.force,
         mean_force=state.ledger.impulse / interval,
-        torque=state.wall_torque,
+        torque=state.walls.torque,
         settled_mass=settled_mass(system, state, speed),
         energy=energies(system, state),
         momentum=of_run.total(system, system.pieces.mass[None] * state.velocity),
@@ -37,7 +37,7 @@ def settled_mass(system: System, state: State, speed):
 
 
 def energies(system: System, state: State):
-    """kinetic, potential, elastic, dissipated, wall_work, total, [6] (J); total stays constant.
+    """kinetic, potential, elastic, dissipated, wall_work, total, [6, R] (J); total stays constant.
 
     Elastic is what contacts give back along their unloading branch, F^2 / 2 K_nu, and the tangential springs;
     total = kinetic + potential + elastic + dissipated - wall_work.
@@ -63,9 +63,9 @@ def kinetic_energy(system: System, state: State):
 
 def elastic_energy(system: System, state: State):
     """Energy that contacts would give back (J)."""
-    total = jnp.zeros((system.runs,) if system.runs else (), state.position.dtype)
+    total = jnp.zeros((system.runs,), state.position.dtype)
     for kind, table in state.contacts.items():
-        slots = state.slots[kind]
+        slots = state.scratch.slots[kind]
         total = total + of_run.total_of_contacts(system, forces.elastic_energy(system, table, slots), slots.b)
     return total
 

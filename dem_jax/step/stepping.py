@@ -6,16 +6,21 @@ import jax
 import jax.numpy as jnp
 
 from dem_jax import compiling
-from dem_jax.contact import boundary, forces, of_run
+from dem_jax.contact import boundary, forces, ledger, of_run
 from dem_jax.pairs import neighbours
 from dem_jax.step import integrate, measure
 from dem_jax.types import Sample, State, System
 
 
 def step(system: System, state: State) -> tuple[State, Sample]:
-    """One time step of a system, and what can be read after it."""
+    """One time step of a single run, and what can be read after it."""
     state = advance(system, state)
-    return state, measure.sample(system, state)
+    return state, of_single(measure.sample(system, state))
+
+
+def of_single(sample: Sample) -> Sample:
+    """Samples without their run axis, of length one."""
+    return jax.tree.map(lambda x: x[..., 0], sample).replace(step=sample.step)
 
 
 def advance(system: System, state: State, panels: boundary.Panels | None = None) -> State:
@@ -36,10 +41,16 @@ def chunk(system: System, state: State, count, frame_every, samples: int, frames
 
 
 def run_chunk(system: System, state: State, count, frame_every, samples: int, frames: int, phase=0):
+    """``chunk_of_runs`` of a single run, its samples without a run axis."""
+    state, recorded, poses = chunk_of_runs(system, state, count, frame_every, samples, frames, phase)
+    return state, of_single(recorded), poses
+
+
+def chunk_of_runs(system: System, state: State, count, frame_every, samples: int, frames: int, phase=0):
     """Run ``count`` samples (at most ``samples``) and keep them, and a frame after each ``frame_every`` samples.
 
     phase: samples since the last frame, below ``frame_every``. Everything but the two capacities may change without
-    compiling again. Returns the state, the samples [samples] and the frames [frames, 13, N] (position, orientation,
+    compiling again. Returns the state, the samples [samples, .., R] and the frames [frames, 13, N] (position, orientation,
     velocity, angular velocity), of which the first (count + phase) // frame_every are filled.
     """
     recorded = jax.tree.map(
@@ -71,7 +82,8 @@ def run_chunk(system: System, state: State, count, frame_every, samples: int, fr
 def rollout(system: System, state: State, samples: int, substeps: int) -> tuple[State, Sample]:
     """Run a given number of samples of ``substeps`` steps, differentiable in reverse mode with respect to every array.
 
-    Returns the last state and the samples, each field with a leading axis [samples]. Use ``chunk`` for long runs.
+    Of a single run. Returns the last state and the samples, each field with a leading axis [samples]. Use ``chunk`` for long
+    runs.
     """
     block = max(1, system.block_steps // substeps)
     system = system.replace(substeps=jnp.full_like(system.substeps, substeps), block_steps=block * substeps)
@@ -84,7 +96,7 @@ def rollout(system: System, state: State, samples: int, substeps: int) -> tuple[
 
     blocks = -(-samples // block)
     state, recorded = jax.lax.scan(body, state, None, length=blocks)
-    return state, jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:samples], recorded)
+    return state, of_single(jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:samples], recorded))
 
 
 def _look_around(system: System, state: State) -> tuple[State, boundary.Panels]:
@@ -94,7 +106,7 @@ def _look_around(system: System, state: State) -> tuple[State, boundary.Panels]:
 
 def _one_sample(system: System, substeps, state: State, walls: boundary.Panels) -> tuple[State, Sample]:
     """Advance by one sample interval. substeps: an int (differentiable) or an array (not compiled anew for another)."""
-    state = _advance_by(system, substeps, _new_interval(state), walls)
+    state = _advance_by(system, substeps, state.replace(ledger=ledger.new_interval(state.ledger)), walls)
 
     def another_part(state, _):
         state, walls = _look_around(system, _seen(system, state))
@@ -109,42 +121,21 @@ def _advance_by(system: System, substeps, state: State, walls: boundary.Panels) 
     """``substeps`` steps; without looking at contacts, and in one jump, where nothing is near anything."""
     if not system.slot_block:
         return _steps(system, substeps, state, walls)
-    if system.runs:
-        return _advance_each_by(system, substeps, state, walls)
-    near = sum(state.filled.values()) > 0
-    return jax.lax.cond(near, lambda s: _steps(system, substeps, s, walls), lambda s: integrate.flight(system, s, substeps), state)
-
-
-def _advance_each_by(system: System, substeps, state: State, walls: boundary.Panels) -> State:
-    """``_advance_by`` of runs side by side: of those without anything near, in one jump, as by themselves."""
-    last = state.loads.shape[1] - 1  # the column of those that have no contact
-    near = of_run.any_of(system, state.incidence[0] < last)  # [runs]
-    still = lambda s: s  # noqa: E731
-    stepped = jax.lax.cond(jnp.any(near), lambda s: _steps(system, substeps, s, walls), still, state)
-    flown = jax.lax.cond(jnp.all(near), still, lambda s: integrate.flight(system, s, substeps), state)
-    pieces = of_run.at(system, near, jnp.arange(state.position.shape[1]))
-    pick = lambda which, names: {n: jnp.where(which, getattr(stepped, n), getattr(flown, n)) for n in names}  # noqa: E731
-    of_pieces = pick(pieces, ("position", "position_rest", "orientation", "velocity", "velocity_rest", "force", "torque"))
-    return stepped.replace(step=state.step + substeps, **of_pieces, **pick(near, ("wall_force", "wall_torque")))
+    near = of_run.any_of(system, state.incidence[0] < state.scratch.loads.shape[1] - 1)  # [R]: whether a run has any contact
+    step = lambda s: _steps(system, substeps, s, walls)  # noqa: E731
+    return of_run.either(system, near, step, lambda s: integrate.flight(system, s, substeps), state)
 
 
 def _steps(system: System, substeps, state: State, walls: boundary.Panels) -> State:
     def one(state):
-        return advance(system, state, boundary.scheduled(system, walls, state.step - state.since))
+        return advance(system, state, boundary.scheduled(system, walls, state.step - state.scratch.since))
 
     if isinstance(substeps, int):
         return jax.lax.scan(lambda state, _: (one(state), None), state, None, length=substeps)[0]
     return jax.lax.fori_loop(0, substeps, lambda _, state: one(state), state)
 
 
-def _new_interval(state: State) -> State:
-    ledger = state.ledger
-    return state.replace(
-        ledger=ledger.replace(impulse=jnp.zeros_like(ledger.impulse), overlap=jnp.zeros_like(ledger.overlap))
-    )
-
-
 def _seen(system: System, state: State) -> State:
     """Note how far bodies have moved since the last rebuild, beyond what their speeds made expect."""
-    travel = jnp.maximum(state.guard.travel, jnp.max(neighbours.travel(system, state) - state.lead))
+    travel = jnp.maximum(state.guard.travel, jnp.max(neighbours.travel(system, state) - state.scratch.lead))
     return state.replace(guard=state.guard.replace(travel=travel))

@@ -1,0 +1,62 @@
+"""Contacts computed a block of slots at a time: what is free costs nothing, and a block stays in the cache."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dem_jax.maths import vector
+from dem_jax.types import Memory, Slots, System
+
+LEAST_BLOCK = 32  # slots: in blocks of 16 a step of 64 pieces takes a quarter longer
+FEW_SLOTS, MANY_SLOTS = 64, 1024  # below which polytopes, and spheres, are quicker all at once
+
+
+def block_size(system: System, kind, room) -> int:
+    """How many of ``room`` slots of a kind are computed at a time; 0: all at once.
+
+    An eighth of the room or less, so that a last block that is hardly filled costs little, but enough for vectors. With
+    spheres a slot is so cheap that cutting out the blocks pays only where there are many.
+    """
+    if not system.slot_block or system.walls.plane is not None:  # across a seam slots look at each other
+        return 0
+    if room < (FEW_SLOTS if kind == "hulls" else MANY_SLOTS):
+        return 0
+    wanted = LEAST_BLOCK
+    while 2 * wanted <= system.slot_block and 16 * wanted <= room:
+        wanted *= 2
+    return math.gcd(room, wanted)
+
+
+def block_of(tree, k, size):
+    """Slots k size to (k + 1) size of arrays [.., P]; those that broadcast over slots as they are."""
+    cut = lambda x: x if x.shape[-1] == 1 else jax.lax.dynamic_slice_in_dim(x, k * size, size, -1)  # noqa: E731
+    return jax.tree.map(cut, tree)
+
+
+def block_of_slots(system: System, kind, slots: Slots, k, size) -> Slots:
+    """``block_of`` slots. Where polytopes are alike and no wall is among the slots, nor among those of the first block,
+    the hulls are those of the first block, which the cache holds already."""
+    if kind != "hulls" or kind not in system.alike:
+        return block_of(slots, k, size)
+    rows = block_of(slots.replace(hull_a=None), k, size)
+    pieces = system.pieces.mass.shape[0]
+    alike = jnp.all(slots.a[:size] < pieces) & jnp.all(rows.a < pieces)
+    first = jax.tree.map(lambda x: x if x.shape[-1] == 1 else x[..., :size], slots.hull_a)
+    return rows.replace(hull_a=jax.lax.cond(alike, lambda: first, lambda: block_of(slots.hull_a, k, size)))
+
+
+def in_one(kind, memory: Memory) -> Memory:
+    """The same rows of a memory, computed by one kernel, before or after all that a block does with it.
+
+    XLA then sees that nobody needs the old values any more, and writes over them; else it copies the whole memory in each
+    step. Of polytopes the branch of ``forces._resolve`` shows it that already.
+    """
+    if kind == "hulls":
+        return memory
+    leaves, structure = jax.tree.flatten(memory)
+    rows = [leaf.reshape(-1, leaf.shape[-1]) for leaf in leaves]
+    together = vector.kept(jnp.concatenate(rows))
+    parts = jnp.split(together, np.cumsum([len(part) for part in rows])[:-1])
+    return jax.tree.unflatten(structure, [part.reshape(leaf.shape) for part, leaf in zip(parts, leaves, strict=True)])

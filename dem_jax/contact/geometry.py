@@ -1,0 +1,27 @@
+"""Kinds of contact by what computes their geometry: spheres, polytopes, a polytope and a sphere."""
+
+from dem_jax.contact import collide, hulls
+from dem_jax.contact.bodies import Body
+from dem_jax.maths import vector
+from dem_jax.types import Slots, System
+
+
+def geometry(system: System, kind, slots: Slots, a: Body, b: Body, offset):
+    """Depth of each slot, [P] (m), and a function that says the rest, which nobody needs where nothing touches: a
+    ``collide.Geometry`` with normal (a to b) and point (relative to the centre of a) in world axes."""
+    if kind == "spheres":
+        found = collide.sphere_sphere(slots.radius_a, slots.radius_b, offset)
+        return found.depth, lambda: found
+    local = vector.rotate_back(a.rotation, offset)
+    if kind == "mixed":
+        found = collide.hull_sphere(slots.hull_a, slots.radius_b, local)
+        return found.depth, lambda: _in_world(found, a)
+    hull_a, hull_b = (hulls.with_faces(rows, system.hulls) for rows in (slots.hull_a, slots.hull_b))
+    relative = collide.Relative(vector.compose(vector.transpose(a.rotation), b.rotation), local)
+    axes = collide.separating_axes(hull_a, hull_b, relative)
+    return axes[0], lambda: _in_world(collide.hull_hull(hull_a, hull_b, relative, axes), a)
+
+
+def _in_world(found: collide.Geometry, a: Body) -> collide.Geometry:
+    """The same in world axes."""
+    return found._replace(normal=vector.rotate(a.rotation, found.normal), point=vector.rotate(a.rotation, found.point))

@@ -1,0 +1,73 @@
+"""Contact laws: from what two bodies are made of to the force between them.
+
+A law is a value with a type: a frozen pytree (``types.pytree``) of its parameters with the methods of ``ContactLaw``. There
+is no base class and no list of names in the step; whatever has these methods is a law. One file for each law:
+``walton_braun`` (the paper's, the default), ``linear_dashpot``, ``hertz_mindlin``; ``cohesion`` makes a cohesive law of any
+of them, ``friction`` is the tangential spring that they share. ``CHOICES`` says which section of a scene makes which.
+"""
+
+from typing import Any, NamedTuple, Protocol
+
+import jax
+
+Array = jax.Array
+
+
+class Couple(NamedTuple):
+    """Two kinds of bodies, b a piece and a a piece or a wall, as a law sees them; arrays [P], or [1] where all are alike.
+
+    Moduli are softened by NSF. Pairs of arrays are of a and of b.
+    """
+
+    youngs_modulus: tuple[Array, Array]  # (Pa)
+    poisson_ratio: tuple[Array, Array]
+    size: tuple[Array, Array]  # (m): L of eqs 7 and 8; of a wall that of the piece
+    curvature: tuple[Array, Array]  # (1/m): one over the radius; of a wall 0, of a polytope that of the sphere of its size
+    mass: Array  # (kg): effective mass
+    restitution: Array
+    friction: Array | None  # mu; None where no pair of the scene has any
+    pull_off: Array | None  # (N): largest adhesive force; None where no pair of the scene has any
+
+
+class Contact(NamedTuple):
+    """What a contact does in one step, arrays [P]."""
+
+    overlap: Array  # (m): s_n now; separated where not positive
+    approach: Array  # (m): by how much the bodies came nearer at the contact point in this step, Delta s_n of eq. 4
+    slip: tuple  # [P] x 3 (m): tangential way of b relative to a at the contact point in this step
+    normal: tuple  # [P] x 3: unit, from a to b
+    dt: Array  # (s)
+
+
+class Response(NamedTuple):
+    """What a law answers."""
+
+    push: Array  # [P] (N): along the normal on b; positive pushes apart
+    drag: tuple | None  # [P] x 3 (N): tangential, on b; None of a law without friction
+    history: Any  # as it was given, after this step
+
+
+class ContactLaw(Protocol):
+    """The methods of a law. ``pair`` is what its own method ``pair`` made, ``history`` what ``start`` began with: nobody else
+    looks inside. All but ``critical_steps`` and ``stable_step`` are traced; those take numpy in double precision."""
+
+    def pair(self, couple: Couple) -> Any:
+        """Constants of pairs of bodies: a pytree of arrays whose last axis is that of the couple's."""
+
+    def start(self, pair: Any, like: Array) -> Any:
+        """The history of contacts at first touch: a pytree of arrays [.., P] of zeros; like: [P], of the right dtype."""
+
+    def force(self, pair: Any, history: Any, contact: Contact) -> Response:
+        """Force in this step, and the history after it. Called once a step."""
+
+    def energy(self, pair: Any, history: Any, overlap: Array) -> Array:
+        """What each contact would give back, [P] (J)."""
+
+    def reach(self, pair: Any) -> Array | None:
+        """Gap (m), [P] or [1], across which the law still acts; None: it ends where bodies part."""
+
+    def critical_steps(self, pair: Any, mass) -> dict:
+        """The largest time steps (s) that resolve contacts of effective masses (kg), by what limits them, in words."""
+
+    def stable_step(self, pair: Any, mass):
+        """Time steps (s), like mass, above which a contact of that effective mass (kg) gains energy."""

@@ -1,0 +1,135 @@
+"""Walton-Braun hysteretic linear spring, eqs 1-6 of the paper, with the Coulomb-limited tangential spring."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dem_jax.contact.law import Contact, Couple, Response
+from dem_jax.contact.law.friction import tangential_force
+from dem_jax.contact.law.springs import quarter_period, series
+from dem_jax.maths import vector
+from dem_jax.types import pytree
+
+Array = jax.Array
+
+LOAD_STEPS = 15  # N_load: steps per quarter period of the loading branch
+UNLOAD_STEPS = 10  # N_unload: of the unloading branch; restitution is then within 0.3 % (error ~ 1/(epsilon N)^2)
+
+
+class Pair(NamedTuple):
+    """Constants of pairs, [P] or [1]."""
+
+    stiffness: Array  # (N/m): K_nl, eq. 5
+    restitution: Array  # epsilon of eq. 6
+    friction: Array | None  # mu
+    mass: Array | None  # (kg): effective mass, where there is damping
+
+    @property
+    def unload(self) -> Array:
+        """K_nu (N/m), eq. 6."""
+        return self.stiffness / (self.restitution * self.restitution)
+
+
+class History(NamedTuple):
+    """Of contacts, at the last step."""
+
+    force: Array  # [P] (N): F_n
+    spring: Array | None  # [3, P] (N): tangential force on b, world axes; None without friction
+
+
+@pytree
+class WaltonBraun:
+    """The law of the paper: it ends where bodies part, and the residual overlap is not remembered."""
+
+    separation: Array  # lambda of eq. 1
+    tangential: Array  # K_t / K_nl
+    damping: Array | None  # damping ratio of the unloading branch; None: as in the paper
+
+    def pair(self, couple: Couple) -> Pair:
+        """K_nl = E L of each body (eqs 7, 8), in series (eq. 5)."""
+        of_a, of_b = (e * size for e, size in zip(couple.youngs_modulus, couple.size, strict=True))
+        mass = None if self.damping is None else couple.mass
+        return Pair(series(of_a, of_b), couple.restitution, couple.friction, mass)
+
+    def start(self, pair: Pair, like: Array) -> History:
+        """No force."""
+        zero = jnp.zeros_like(like)
+        return History(zero, None if pair.friction is None else jnp.stack([zero] * 3))
+
+    def force(self, pair: Pair, history: History, contact: Contact) -> Response:
+        """Eqs 1-4, and the tangential spring."""
+        c = contact
+        f = vector.kept(normal_force(history.force, c.approach, c.overlap, pair.stiffness, pair.unload, self.separation))
+        push = f
+        if self.damping is not None:
+            push = f + unloading_damping(
+                f, c.approach, c.overlap, pair.stiffness, pair.unload, pair.mass, self.damping, c.dt
+            )
+        if history.spring is None:
+            return Response(push, None, History(f, None))
+        stiffness = self.tangential * pair.stiffness
+        drag = vector.kept(*tangential_force(vector.unpack(history.spring), c.normal, c.slip, f, stiffness, pair.friction))
+        return Response(push, drag, History(f, jnp.stack(drag)))
+
+    def energy(self, pair: Pair, history: History, overlap: Array) -> Array:
+        """What is got back along the unloading branch and from the tangential spring (J)."""
+        energy = recoverable_energy(history.force, overlap, pair.stiffness, pair.unload, self.separation)
+        if history.spring is None:
+            return energy
+        spring = vector.unpack(history.spring)
+        return energy + 0.5 * vector.dot(spring, spring) / (self.tangential * pair.stiffness)
+
+    def reach(self, pair: Pair) -> None:
+        """None: no force across a gap."""
+        return None
+
+    def critical_steps(self, pair: Pair, mass) -> dict:
+        """By the loading and by the unloading branch (s)."""
+        load = quarter_period(mass, pair.stiffness)
+        return {
+            f"{LOAD_STEPS} steps per loading quarter period": load / LOAD_STEPS,
+            f"{UNLOAD_STEPS} steps per unloading quarter period": pair.restitution * load / UNLOAD_STEPS,
+        }
+
+    def stable_step(self, pair: Pair, mass):
+        """Linear stability limit 2 / omega (s) on the unloading branch."""
+        return 2 * pair.restitution * np.sqrt(mass / pair.stiffness)
+
+
+def normal_force(force, approach, overlap, load_stiffness, unload_stiffness, separation):
+    """F_n at the current step (N), eqs 1-4.
+
+    force: F_n of the last step (N), 0 at first touch; approach: by how much the bodies have come nearer at the contact
+    point in this step (m), Delta s_n of eq. 4; overlap: s_n now (m), separated where not positive; stiffness K_nl, K_nu
+    (N/m); separation: lambda. The branches of eq. 1 amount to the unloading line, held between the two others.
+
+    Where bodies do not turn the approach is the change of the overlap, as eq. 4 has it. Where they do, the overlap is that
+    of the deepest corner, while the force acts at the contact point: only along the way of that point does the
+    unloading line give back what it took, so that no energy comes from nothing.
+    """
+    s = jnp.maximum(overlap, 0)
+    loading = load_stiffness * s  # eq. 2
+    unloading = force + unload_stiffness * approach  # eq. 3
+    return jnp.minimum(jnp.maximum(unloading, separation * loading), loading)  # eq. 1; 0 where separated
+
+
+def recoverable_energy(force, overlap, load_stiffness, unload_stiffness, separation):
+    """Work (J) that a contact with F_n and s_n does if it parts now: down its unloading line to that of separation, and
+    along that one to the end."""
+    floor = separation * load_stiffness
+    rest = jnp.maximum(unload_stiffness * overlap - force, 0) / (unload_stiffness - floor)  # (m): where the lines meet
+    return 0.5 * (force + floor * rest) * (overlap - rest) + 0.5 * floor * rest * rest
+
+
+def unloading_damping(force, approach, overlap, load_stiffness, unload_stiffness, mass, ratio, dt):
+    """Viscous part (N) added on the unloading branch only, where eqs 1-4 have none and a resting piece rings for ever.
+
+    A dashpot of the given damping ratio of the oscillator (effective mass, K_nu), never making the sum adhesive; force:
+    F_n now. Not part of the paper's model; off by default.
+    """
+    loading = load_stiffness * jnp.maximum(overlap, 0)
+    dashpot = 2 * ratio * jnp.sqrt(mass * unload_stiffness) * approach / dt
+    on_branch = (force > 0) & (force < loading)
+    return jnp.where(on_branch, jnp.clip(dashpot, -force, jnp.maximum(loading - force, 0)), 0)
