@@ -103,8 +103,8 @@ def spring(shape, softening, restitution=0.1):
     from dem_jax import build, validation
 
     kind = SPHERE if shape == "sphere" else PIECE
-    pieces = build.build(validation.plate_scene(kind, softening=softening)).system.pieces
-    mass, stiffness = float(pieces.mass[0]), float(pieces.wall_stiffness[0])
+    system = build.build(validation.plate_scene(kind, softening=softening)).system
+    mass, stiffness = float(system.pieces.mass[0]), float(validation.wall_stiffness(system)[0])
     return validation.NormalImpact(mass, stiffness, restitution, SPEED, GRAVITY)
 
 
@@ -252,7 +252,7 @@ def resolution(kind, count, numbers, restitutions):
     """Worst errors of one pulse: (steps per loading quarter period, restitution) -> (of peak force, of rebound speed).
 
     Over ``count`` phases of a sphere, or orientations of a piece that strikes with one corner alone until its force is
-    gone. materials.ErrorBound are their bounds. numbers: steps, or (steps, precision); double precision unless said.
+    gone. walton_braun_accuracy.ErrorBound are their bounds. numbers: steps, or (steps, precision); double precision unless said.
     Those that are unstable are left out.
     """
     from dem_jax import build
@@ -288,11 +288,11 @@ def step_rows(worst, numbers, restitutions):
 
 
 def nearest_bound(kind, worst):
-    """The largest ratios of the worst errors of peak force and of rebound to materials.ErrorBound, where that holds."""
+    """The largest ratios of the worst errors of peak force and of rebound to walton_braun_accuracy.ErrorBound, where that holds."""
     from dem_jax import build, validation
-    from dem_jax.contact import materials
+    from dem_jax.contact.law import walton_braun_accuracy
 
-    bound = materials.SPHERE if kind is SPHERE else materials.POLYTOPE
+    bound = walton_braun_accuracy.SPHERE if kind is SPHERE else walton_braun_accuracy.POLYTOPE
     made = build.build(validation.plate_scene(kind, restitution=0.1)).step
     eccentric = made.stable * spring(kind["shape"], 0.01).frequency / (2 * 0.1)  # root of the least effective mass
     ratios = []
@@ -315,7 +315,7 @@ def step_section(count, numbers, restitutions):
         peak, rebound = nearest_bound(kind, worst)
         text.append(f"{what}; double precision unless said:\n\n{report.table(heads, step_rows(worst, every, restitutions))}")
         text.append(
-            f"Of the bounds in `dem_jax/materials.py`, from which `run.accuracy` takes the step, these errors reach at most "
+            f"Of the bounds in `dem_jax/contact/law/walton_braun_accuracy.py`, from which `run.accuracy` takes the step, these errors reach at most "
             f"{100 * rebound:.0f} % (restitution) and {100 * peak:.0f} % (peak force)."
         )
     return "\n\n".join(text)

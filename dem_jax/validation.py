@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from dem_jax.contact.law.springs import series
 from dem_jax.pairs import neighbours
 from dem_jax.scene import Scene, load_scene
 from dem_jax.step import stepping
@@ -277,6 +278,27 @@ def lasting(system: System) -> System:
     return system.replace(skin=jnp.full_like(system.skin, 10.0))
 
 
+def with_restitution(system: System, restitution) -> System:
+    """The system with one coefficient of restitution (epsilon) for all pairs of materials."""
+    return _with_pairs(system, "restitution", restitution)
+
+
+def with_friction(system: System, friction) -> System:
+    """The system with one coefficient of friction (mu) for all pairs of materials."""
+    return _with_pairs(system, "friction", friction)
+
+
+def _with_pairs(system: System, name, value) -> System:
+    table = jnp.broadcast_to(value, getattr(system.materials, name).shape).astype(system.dt.dtype)
+    return system.replace(materials=system.materials.replace(**{name: table}))
+
+
+def wall_stiffness(system: System):
+    """K_nl (N/m) of each piece against the first wall, [N], eqs 5, 7 and 8."""
+    modulus, pieces = system.materials.youngs_modulus, system.pieces
+    return series(modulus[pieces.material] * pieces.size, modulus[system.walls.material[0]] * pieces.size)
+
+
 def refined(system: System, times: int) -> System:
     """The system with so many steps in place of one; rebuilds after as many steps as before, so that it is the same program,
     unless a sample is longer than that."""
@@ -302,8 +324,8 @@ def motion(system: System, state: State) -> dict:
     """What the closed forms speak of: normal force and overlap summed over contacts, and the motion of piece 0."""
     tables = state.contacts.values()
     return {
-        "force": sum(jnp.sum(t.force) for t in tables),
-        "overlap": sum(jnp.sum(t.overlap) for t in tables),
+        "force": sum(jnp.sum(t.memory.law.force) for t in tables),
+        "overlap": sum(jnp.sum(t.memory.overlap) for t in tables),
         "position": state.position[:, 0],
         "velocity": state.velocity[:, 0],
         "momentum": state.angular_momentum[:, 0],

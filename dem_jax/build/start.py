@@ -86,13 +86,12 @@ def first_state(system: System, start: Start, frames, step: int) -> State:
     """The state at a step, without any contact; start, frames: as of ``motion_of_start``."""
     dtype, n = system.dt.dtype, len(start.position)
     groups, runs = len(system.walls.groups), system.runs
-    contacts = {kind: neighbours.empty_table(system, kind, room) for kind, _, room in system.capacity}
     columns = 2 * sum(room for *_, room in system.capacity)  # of loads
     state = State(
         step=np.int32(step),
         motion=motion_of_start(system, start, frames),
         walls=WallLoads(np.zeros((3, groups, runs), dtype), np.zeros((3, groups, runs), dtype)),
-        contacts=contacts,
+        contacts=neighbours.no_contacts(system),
         incidence=np.full((system.touching, n), columns, np.int32),
         ledger=ledger.empty_ledger(system, dtype),
         guard=neighbours.empty_guard(system, dtype),

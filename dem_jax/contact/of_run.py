@@ -39,8 +39,11 @@ def apart(system: System, of_pieces: Array) -> Array:
 
 
 def total_of_contacts(system: System, of_contacts: Array, piece: Array) -> Array:
-    """Sum over the contacts [P] of each run, [R], which are with these pieces [P]."""
-    return jnp.sum(jnp.where(_is_of(system, piece), of_contacts, 0), axis=1, dtype=of_contacts.dtype)
+    """Sum over the contacts [P] of each run, [R], which are with these pieces [P]; of several runs one contact after the other,
+    so that the sum of a run does not depend on its company."""
+    if system.runs == 1:
+        return jnp.sum(of_contacts, dtype=of_contacts.dtype)[None]
+    return jnp.zeros((system.runs,), of_contacts.dtype).at[piece % system.runs].add(of_contacts)
 
 
 def largest_of_contacts(system: System, of_contacts: Array, piece: Array) -> Array:

@@ -160,6 +160,11 @@ def no_memory(system: System, slots: Slots) -> Memory:
     return Memory(zero, jnp.zeros((3, *zero.shape), zero.dtype), system.law.start(slots.pair, zero))
 
 
+def no_contacts(system: System) -> dict:
+    """Tables without contacts, by kind, in numpy."""
+    return {kind: empty_table(system, kind, room) for kind, _, room in system.capacity}
+
+
 def empty_table(system: System, kind: str, room: int) -> ContactTable:
     """A table without contacts, in numpy."""
     none = np.full((room,), EMPTY, np.int32)

@@ -51,7 +51,8 @@ def of_source(system: System, source, stacked, reach, room):
         return *_product(first, second), no_need(reach.dtype)
     members = pieces.polytopes if source == "hull-hull" else pieces.spheres
     find = {"all-pairs": all_pairs, "cells": cell_pairs, "jax-md": jax_md_pairs}
-    return find[choice(system.neighbours, members.shape[0] // system.runs)](system, members, stacked, reach, room)
+    search = find[choice(system.neighbours, members.shape[0] // system.runs)]
+    return search(system, members, stacked, jnp.max(reach), room)
 
 
 def choice(neighbours, members: int) -> str:

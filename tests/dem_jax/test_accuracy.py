@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks import accuracy
 from dem_jax import build, load_scene, scene, simulate, validation
-from dem_jax.contact import materials
+from dem_jax.contact.law import walton_braun_accuracy
 from dem_jax.drive import run
 from dem_jax.errors import SceneError
 from dem_jax.show import summary
@@ -72,7 +72,7 @@ def test_laxer_accuracy_takes_larger_steps_within_stability(name):
 
 
 def test_the_bounds_and_the_steps_are_each_others_inverse():
-    for bound in (materials.SPHERE, materials.POLYTOPE):
+    for bound in (walton_braun_accuracy.SPHERE, walton_braun_accuracy.POLYTOPE):
         for restitution in (0.05, 0.1, 0.7):
             for asked in ({"restitution": 3e-3}, {"peak_force": 3e-5}, {"restitution": 1e-3, "peak_force": 1e-3}):
                 number, key = bound.steps(asked, restitution)

@@ -4,7 +4,7 @@ import jax
 import numpy as np
 
 from dem_jax import build
-from dem_jax.contact import forces
+from dem_jax.contact import blocks
 from dem_jax.pairs import guard
 from dem_jax.scene import load_scene
 from dem_jax.step import stepping
@@ -47,7 +47,7 @@ def traced(scene, slot_block):
     for _ in range(SAMPLES // PER_CHUNK):
         state, rows, _ = stepping.chunk(system, state, np.int32(PER_CHUNK), np.int32(1), samples=PER_CHUNK, frames=0)
         samples.append(jax.device_get(rows))
-        filled.append(sum(int(n) for n in state.filled.values()))
+        filled.append(sum(int(n) for n in state.scratch.filled.values()))
     assert not guard.outgrown(system, jax.device_get(state.guard))
     return jax.device_get(state), jax.tree.map(lambda *x: np.concatenate(x), *samples), (min(filled), max(filled))
 
@@ -65,10 +65,10 @@ def test_blocks_of_slots_do_not_change_the_trace():
     with jax.enable_x64(True):
         state, samples, _ = traced(heap(), 0)
         in_blocks, rows, (_, most) = traced(heap(), 64)
-        size = forces.block_size(build.build(heap(), 0).system.replace(slot_block=64), "hulls", 176)
+        size = blocks.block_size(build.build(heap(), 0).system.replace(slot_block=64), "hulls", 176)
     assert most > 2 * size > 0  # several blocks
-    touching = np.asarray(in_blocks.contacts["hulls"].overlap).reshape(-1, size) > 0
-    filled = touching[: -(-int(in_blocks.filled["hulls"]) // size)]
+    touching = np.asarray(in_blocks.contacts["hulls"].memory.overlap).reshape(-1, size) > 0
+    filled = touching[: -(-int(in_blocks.scratch.filled["hulls"]) // size)]
     assert filled[0].all() and not filled.any(axis=1).all()  # and some, behind, where nothing touches
     no_wall = (np.asarray(in_blocks.contacts["hulls"].a).reshape(-1, size) < len(state.position[0])).all(axis=1)
     assert no_wall[0] and 1 < no_wall[: len(filled)].sum() < len(filled)  # which share their hulls, and some that do not
@@ -103,7 +103,7 @@ def test_free_fall_is_exact_where_it_can_be():
         samples = jax.tree.map(lambda x: x[:20], samples)
         g, v = np.array([1.0, -2.0, -9.81]), np.array([p.velocity for p in scene.piece])
         start = np.array([p.position for p in scene.piece])
-        assert int(state.step) == 20 * made.step.substeps and sum(state.filled.values()) == 0
+        assert int(state.step) == 20 * made.step.substeps and sum(state.scratch.filled.values()) == 0
         np.testing.assert_allclose(state.position.T, start + v * time + 0.5 * g * time**2, rtol=0, atol=1e-15)
         np.testing.assert_allclose(state.velocity.T, v + g * time, rtol=0, atol=1e-14)
         spin = np.asarray(samples.energy[:, 0]) + np.asarray(samples.energy[:, 1])

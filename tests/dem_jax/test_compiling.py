@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from dem_jax import build, compiling
-from dem_jax.contact import forces
+from dem_jax.contact import blocks
 from dem_jax.drive import run
 from dem_jax.maths import vector
 from dem_jax.pairs import guard
@@ -127,7 +127,7 @@ def test_a_step_writes_over_history_and_loads(shape):
     capacity = tuple((kind, near, rooms[kind]) for kind, near, _ in built.system.capacity)
     system, state = guard.with_capacity(built.system, built.state, capacity, built.system.touching, 1)
     system = system.replace(slot_block=run.slot_block())
-    assert all(forces.block_size(system, kind, room) for kind, room in rooms.items())
+    assert all(blocks.block_size(system, kind, room) for kind, room in rooms.items())
     steps = lambda system, state: jax.lax.fori_loop(0, 9, lambda _, state: stepping.advance(system, state), state)  # noqa: E731
     text = compiling.jit(steps, "cpu").lower(system, state).compile().as_text()
     loop, entry = text.split("\nENTRY ")

@@ -87,7 +87,7 @@ def test_only_the_runs_that_outgrew_something_are_run_again(monkeypatch):
         job = run.prepare(scattered(), (7, 8, 9), 3)
         with jax.enable_x64(True):
             system = job.system.replace(domain_high=job.system.domain_high + 1)
-            state = job.state.replace(position=job.state.position.at[::2, 2].add(0.3))
+            state = job.state.moved(position=job.state.position.at[::2, 2].add(0.3))
         return run.replace(job, system=system, state=state)
 
     ample = run.drive(two_high(8), None, False, False)
@@ -115,7 +115,7 @@ def test_a_file_has_a_leading_run_axis_and_can_be_gone_on_with(three, tmp_path, 
 def test_the_member_that_fails_is_named(tmp_path):
     job = run.prepare(scattered(), (3, 4, 5), 3)
     with jax.enable_x64(True):
-        job = run.replace(job, state=job.state.replace(velocity=job.state.velocity.at[1, 2, 0].set(np.inf)))
+        job = run.replace(job, state=job.state.moved(velocity=job.state.velocity.at[1, 2, 0].set(np.inf)))
     with pytest.raises(SimulationError, match=r"scattered, run 1 \(seed 4\): piece 0 at t = 2e-05 s") as caught:
         run.drive(job, tmp_path / "runs.h5", False, False)
     assert (caught.value.member, caught.value.piece) == (1, 0)
@@ -124,7 +124,7 @@ def test_the_member_that_fails_is_named(tmp_path):
 def test_overlapping_starts_name_the_run():
     job = run.prepare(scattered(), (3, 4, 5), 3)
     with jax.enable_x64(True):
-        job = run.replace(job, state=job.state.replace(position=job.state.position.at[2, 2, 1].set(0.0)))
+        job = run.replace(job, state=job.state.moved(position=job.state.position.at[2, 2, 1].set(0.0)))
     with pytest.raises(
         SceneError, match=r"piece 1 and wall group 'plate' of run 2 \(seed 5\) overlap at the start by 50 %"
     ):

@@ -78,7 +78,7 @@ after = go().time[-1]
 # a run of the second process is thrown sideways
 job = run.prepare("scene.toml", (3, 4), 2)
 with jax.enable_x64(True):
-    job = run.replace(job, state=job.state.replace(velocity=job.state.velocity.at[1, 0, 1].set(2000.0)))
+    job = run.replace(job, state=job.state.moved(velocity=job.state.velocity.at[1, 0, 1].set(2000.0)))
 thrown = caught(lambda: run.drive(job, "thrown.h5", False, False))
 pickle.dump((same, single, wrong, after, thrown), open(f"found-{index}", "wb"))
 """

@@ -18,11 +18,11 @@ def placed(piece, height, **material):
     """A system, and a function that makes its first state for an angle: at rest, sunk in by its weight."""
     material = {"restitution": EPSILON} | material
     made = build.build(validation.plate_scene(piece | {"position": (0.0, 0.0, height)}, (0.0, 0.0, -G), **material))
-    mass, stiffness = made.system.pieces.mass[0], made.system.pieces.wall_stiffness[0]
+    mass, stiffness = made.system.pieces.mass[0], validation.wall_stiffness(made.system)[0]
 
     def start(angle):
         sunk = mass * G * jnp.cos(angle) / stiffness
-        return made.state.replace(position=made.state.position - jnp.stack([0 * sunk, 0 * sunk, sunk])[:, None])
+        return made.state.moved(position=made.state.position - jnp.stack([0 * sunk, 0 * sunk, sunk])[:, None])
 
     return made, start
 
@@ -33,7 +33,7 @@ def on_incline(system, start, angle, friction, steps, every):
 
     def one(angle, friction):
         gravity = G * jnp.stack([jnp.sin(angle), 0 * angle, -jnp.cos(angle)])
-        changed = system.replace(gravity=gravity, law=system.law.replace(friction_wall=friction))
+        changed = validation.with_friction(system.replace(gravity=gravity), friction)
         return validation.trace(validation.lasting(changed), start(angle), steps, read, every)[1]
 
     return jax.vmap(one)(angle, friction)

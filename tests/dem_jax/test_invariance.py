@@ -56,7 +56,7 @@ def run(of):
         state, recorded, _ = stepping.chunk(system, state, np.int32(10), np.int32(1), samples=1024, frames=0)
         samples.append(jax.tree.map(lambda x: np.asarray(x)[:10], recorded))
         table = jax.device_get(state.contacts["hulls"])
-        touches += int(((table.a >= 0) & (table.a < len(PIECES)) & (table.force > 0)).sum())
+        touches += int(((table.a >= 0) & (table.a < len(PIECES)) & (table.memory.law.force > 0)).sum())
     assert not guard.outgrown(system, jax.device_get(state.guard))
     return jax.device_get(state), jax.tree.map(lambda *x: np.concatenate(x), *samples), touches
 

@@ -45,7 +45,7 @@ def job_of(order=range(RUNS), duration=0.012):
     with jax.enable_x64(True):
         state, pick = job.state, lambda x: x[np.array(order)]
         position = state.position.at[:, 2].add(pick(high)[:, None])
-        return run.replace(job, state=state.replace(velocity=state.velocity + pick(way), position=position))
+        return run.replace(job, state=state.moved(velocity=state.velocity + pick(way), position=position))
 
 
 def driven(job):
@@ -130,7 +130,7 @@ def test_the_run_that_fails_is_named():
     job = job_of()
     last = RUNS - 1
     with jax.enable_x64(True):
-        job = run.replace(job, state=job.state.replace(velocity=job.state.velocity.at[last, 2, 0].set(np.inf)))
+        job = run.replace(job, state=job.state.moved(velocity=job.state.velocity.at[last, 2, 0].set(np.inf)))
     with pytest.raises(SimulationError, match=rf"run {last} \(seed {last}\): piece 0 at t = 3e-05 s") as caught:
         driven(job)
     assert (caught.value.member, caught.value.piece) == (last, 0)
@@ -139,7 +139,7 @@ def test_the_run_that_fails_is_named():
 def test_a_contact_that_is_too_deep_names_its_run_and_bodies():
     job = job_of()
     with jax.enable_x64(True):
-        job = run.replace(job, state=job.state.replace(velocity=job.state.velocity.at[5, 2, 3].set(-300.0)))
+        job = run.replace(job, state=job.state.moved(velocity=job.state.velocity.at[5, 2, 3].set(-300.0)))
     with pytest.raises(SimulationError, match=r"run 5 \(seed 5\): piece 3 .* its contact with wall group 'floor'") as caught:
         driven(job)
     assert (caught.value.member, caught.value.piece) == (5, 3)
@@ -149,7 +149,7 @@ def test_a_contact_that_is_too_deep_names_its_run_and_bodies():
 def test_a_start_with_overlap_names_the_run_and_the_bodies(piece, other):
     job = job_of()
     with jax.enable_x64(True):
-        job = run.replace(job, state=job.state.replace(position=job.state.position.at[7, 2, piece].set(0.002)))
+        job = run.replace(job, state=job.state.moved(position=job.state.position.at[7, 2, piece].set(0.002)))
     with pytest.raises(SceneError, match=rf"piece {piece} and {other} of run 7 \(seed 7\) overlap at the start"):
         driven(job)
 

@@ -51,7 +51,7 @@ def marshmallows():
 
 
 def placed(state, place, orientation):
-    return state.replace(position=jnp.asarray(place.T), orientation=jnp.asarray(orientation.T))
+    return state.moved(position=jnp.asarray(place.T), orientation=jnp.asarray(orientation.T))
 
 
 def corners(made, place, orientation):
@@ -110,7 +110,7 @@ def test_all_ways_of_searching_find_the_pairs_of_a_brute_force_search(kind, prec
     for choice in CHOICES:
         system, state, rebuild = spheres(choice, precision)
         box = {name: jnp.asarray(corner) for name, corner in box_around(place, kind).items()}
-        after = rebuild(system.replace(skin=jnp.full_like(system.skin, SKIN), **box), state.replace(position=jnp.asarray(place.T)))
+        after = rebuild(system.replace(skin=jnp.full_like(system.skin, SKIN), **box), state.moved(position=jnp.asarray(place.T)))
         assert not guard.outgrown(system, jax.device_get(after.guard))
         found[choice] = pairs_in(after.contacts["spheres"])
     place = place.astype(float)
@@ -153,7 +153,7 @@ def test_too_many_pairs_are_reported_not_lost_in_silence(marshmallows):
     made, _, state, _ = marshmallows
     small = (("hulls", 8, 8),)
     system = made.system.replace(skin=jnp.asarray(SKIN), capacity=small, touching=2)
-    tables = {"hulls": neighbours.empty_table(8, np.float64)}
+    tables = {"hulls": neighbours.empty_table(system, "hulls", 8)}
     state = guard.with_scratch(
         system, placed(made.state, *poses("clustered", np.random.default_rng(3), COUNT, 0.045)).replace(contacts=tables)
     )
@@ -181,7 +181,7 @@ def test_every_search_counts_the_pairs_that_it_has_no_room_for():
             system, state, rebuild = spheres(choice, "f64")
             box = {name: jnp.asarray(corner) for name, corner in box_around(place, "clustered").items()}
             small = system.replace(capacity=(("spheres", room, 20000),), skin=jnp.full_like(system.skin, SKIN), **box)
-            after = rebuild(small, state.replace(position=jnp.asarray(place.T)))
+            after = rebuild(small, state.moved(position=jnp.asarray(place.T)))
             needed[choice, room] = int(after.guard.needed["spheres"][0])
     assert len(set(needed.values())) == 1 and needed["cells", 64] > 640
 
@@ -196,16 +196,16 @@ def test_the_order_of_the_slots_does_not_matter(marshmallows):
     for _ in range(3):
         settled = advance(settled)
     table = settled.contacts["hulls"]
-    assert (np.asarray(table.force) > 0).sum() > 5 and np.abs(np.asarray(table.spring)).max() > 0
+    assert (np.asarray(table.memory.law.force) > 0).sum() > 5 and np.abs(np.asarray(table.memory.law.spring)).max() > 0
     order = random.permutation(table.a.shape[0])
     tables = {"hulls": jax.tree.map(lambda x: x[..., order], table)}
     mixed = settled.replace(contacts=tables, incidence=neighbours.find_incidence(system, tables)[0])
     one, other = (advance(rebuild(s)) for s in (settled, mixed))
-    np.testing.assert_array_equal(one.contacts["hulls"].force, other.contacts["hulls"].force)
-    np.testing.assert_array_equal(one.force, other.force)
-    np.testing.assert_array_equal(one.torque, other.torque)
+    np.testing.assert_array_equal(one.contacts["hulls"].memory.law.force, other.contacts["hulls"].memory.law.force)
+    np.testing.assert_array_equal(one.motion.force, other.motion.force)
+    np.testing.assert_array_equal(one.motion.torque, other.motion.torque)
     # and a rebuild between two steps changes nothing
-    np.testing.assert_allclose(advance(settled).force, one.force, rtol=0, atol=1e-12 * np.abs(one.force).max())
+    np.testing.assert_allclose(advance(settled).motion.force, one.motion.force, rtol=0, atol=1e-12 * np.abs(one.motion.force).max())
 
 
 def incline(rebuild_steps):
@@ -246,7 +246,7 @@ def test_travel_bounds_how_far_bodies_have_approached_each_other(marshmallows):
         moved = place + random.normal(size=(COUNT, 3)) * size
         turn = Rotation.from_rotvec(random.normal(size=(COUNT, 3)) * size / 0.02)
         turned = (turn * Rotation.from_quat(orientation, scalar_first=True)).as_quat(scalar_first=True)
-        said = float(travel(placed(start, moved, turned).replace(velocity=jnp.zeros((3, COUNT)))))
+        said = float(travel(placed(start, moved, turned).moved(velocity=jnp.zeros((3, COUNT))))[0])
         shrunk = (before - gaps(corners(made, moved, turned))).max()
         assert 0 < shrunk <= said
         floor = solid[:, :, 2].min(1) - corners(made, moved, turned)[:, :, 2].min(1)

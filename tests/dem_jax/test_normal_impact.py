@@ -39,14 +39,14 @@ def built(shape, precision="f64"):
 
 def problem(shape, restitution, gravity, separation=0.001):
     pieces = built(shape).system.pieces
-    mass, stiffness = float(pieces.mass[0]), float(pieces.wall_stiffness[0])
+    mass, stiffness = float(pieces.mass[0]), float(validation.wall_stiffness(built(shape).system)[0])
     return NormalImpact(mass, stiffness, restitution, SPEED, gravity, separation)
 
 
 def start_of(made, height, speed):
     """The state of a piece at a height that falls with a speed."""
     zero = jnp.zeros_like(height)
-    return made.state.replace(
+    return made.state.moved(
         position=jnp.stack([zero, zero, height])[:, None], velocity=jnp.stack([zero, zero, -speed])[:, None]
     )
 
@@ -57,9 +57,8 @@ def run(system, states, dt, restitution, gravity):
 
     def one(state, dt, restitution, gravity):
         zero = jnp.zeros_like(gravity)
-        changed = validation.lasting(system).replace(
-            dt=dt, law=system.law.replace(restitution=restitution), gravity=jnp.stack([zero, zero, -gravity])
-        )
+        changed = validation.lasting(system).replace(dt=dt, gravity=jnp.stack([zero, zero, -gravity]))
+        changed = validation.with_restitution(changed, restitution)
         return validation.trace(changed, state, 800, validation.motion)
 
     return jax.vmap(one)(states, dt, restitution, gravity)

@@ -65,7 +65,7 @@ def test_a_restart_keeps_the_room_of_the_list():
 def test_the_list_of_jax_md_can_be_made_for_many_members_at_once():
     job = run.prepare(heap("jax-md"), (0,), None)
     shifts = jnp.asarray([0.0, 0.002, 0.004], job.state.position.dtype)
-    pressed = lambda shift: job.state.replace(position=job.state.position * (1 - 15 * shift))  # noqa: E731
+    pressed = lambda shift: job.state.moved(position=job.state.position * (1 - 15 * shift))  # noqa: E731
     rebuild = partial(neighbours.rebuild, job.system)
     together = jax.jit(jax.vmap(rebuild))(jax.vmap(pressed)(shifts))
     counts = []

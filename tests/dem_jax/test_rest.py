@@ -20,7 +20,7 @@ def fall(system, state, damping, every):
     system = validation.lasting(system).replace(law=system.law.replace(damping=damping))
 
     def read(system, state):
-        return validation.motion(system, state) | {"impulse": state.ledger.impulse[2, 0]}
+        return validation.motion(system, state) | {"impulse": state.ledger.impulse[2, 0, 0]}
 
     return validation.trace(system, state, 400, read, every)[1]
 

@@ -312,7 +312,7 @@ def test_a_piece_that_leaves_the_domain_is_noted_where_that_is_asked_for(tmp_pat
 def test_motion_that_is_not_finite_stops_the_run():
     job = run.prepare(balls([0.012, 0.1]), (0,), None)
     with jax.enable_x64(True):
-        job = run.replace(job, state=job.state.replace(velocity=job.state.velocity.at[2, 1].set(np.nan)))
+        job = run.replace(job, state=job.state.moved(velocity=job.state.velocity.at[2, 1].set(np.nan)))
     with pytest.raises(
         SimulationError, match=r"piece 1 at t = 2e-05 s: its motion is not finite; .* lower run\.step; or restitution"
     ):

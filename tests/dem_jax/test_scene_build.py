@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dem_jax import build, shapes
-from dem_jax.pairs import guard
+from dem_jax import build, shapes, validation
+from dem_jax.pairs import guard, neighbours
 from dem_jax.scene import Scene, arrange, load_scene
 from dem_jax.step import stepping
 
@@ -23,22 +23,26 @@ def test_count_by_eq_16(target, factor, expected):
 
 
 def test_mass_inertia_and_stiffness_of_a_marshmallow_reach_the_system():
-    pieces = build.build(load_scene("plate-drop", {"run.precision": "f64"})).system.pieces
+    system = build.build(load_scene("plate-drop", {"run.precision": "f64"})).system
+    pieces = system.pieces
     assert float(pieces.mass[0]) == pytest.approx(5.832e-3, rel=1e-12)
     np.testing.assert_allclose(pieces.inertia[:, 0], (3.6855e-7, 1.494566e-6, 1.614284e-6), rtol=3e-7)  # seven digits
     # eqs 5, 7, 8 with L = 33.36 mm, E_p 1e8, E_b 1e11 Pa, both times 0.01
     size = (6 * 19440e-9 / np.pi) ** (1 / 3)
     own, wall = 0.01 * 1e8 * size, 0.01 * 1e11 * size
-    assert float(pieces.load_stiffness[0]) == pytest.approx(own, rel=1e-12)
-    assert float(pieces.wall_stiffness[0]) == pytest.approx(own * wall / (own + wall), rel=1e-12)
-    assert float(pieces.wall_stiffness[0]) == pytest.approx(33327.17, abs=0.005)
+    stiffness = float(validation.wall_stiffness(system)[0])
+    assert stiffness == pytest.approx(own * wall / (own + wall), rel=1e-12)
+    assert stiffness == pytest.approx(33327.17, abs=0.005)
+    slots = neighbours.rebuild(system, build.build(load_scene("plate-drop", {"run.precision": "f64"})).state).scratch.slots
+    assert float(slots["hulls"].pair.stiffness[0]) == pytest.approx(stiffness, rel=1e-15)  # what the law is given
     assert float(pieces.width[0]) == pytest.approx(0.016, rel=1e-12)
 
 
 def test_the_scale_factor_scales_mass_inertia_and_stiffness():
     rows = [{"position": (0.1 * k, 0.0, 0.1), "scale_factor": factor} for k, factor in enumerate((1.0, 0.3))]
-    pieces = build.build(Scene(piece=rows, wall=[FLOOR], run=SETTINGS)).system.pieces
-    for array, power in ((pieces.mass, 3), (pieces.inertia[0], 5), (pieces.wall_stiffness, 1), (pieces.bounding_radius, 1)):
+    system = build.build(Scene(piece=rows, wall=[FLOOR], run=SETTINGS)).system
+    pieces, stiffness = system.pieces, validation.wall_stiffness(system)
+    for array, power in ((pieces.mass, 3), (pieces.inertia[0], 5), (stiffness, 1), (pieces.bounding_radius, 1)):
         assert float(array[1] / array[0]) == pytest.approx(0.3**power, rel=1e-12)
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from dem_jax import build
 from dem_jax.drive import run
-from dem_jax.pairs import guard
+from dem_jax.pairs import guard, neighbours
 from dem_jax.scene import Scene
 from dem_jax.step import stepping
 
@@ -49,7 +49,7 @@ def scene(pieces=THROWN, panels=(), **sections):
 def traced(made, frames=0, **choices):
     """Samples of a scene that was built, with some of the system's fields replaced."""
     system = made.system.replace(**choices)
-    state = guard.with_scratch(system, made.state)
+    state = guard.with_scratch(system, made.state.replace(contacts=neighbours.no_contacts(system)))
     state, rows, _ = stepping.chunk(system, state, np.int32(SAMPLES), np.int32(50), samples=SAMPLES, frames=frames)
     assert not guard.outgrown(system, jax.device_get(state.guard))
     return jax.device_get(rows)
@@ -80,22 +80,29 @@ def assert_same(rows, others, fields=("force", "mean_force", "torque", "momentum
         np.testing.assert_allclose(one, other, rtol=0, atol=ROUNDING * np.abs(other).max(), err_msg=name)
 
 
+def smooth(made):
+    """The materials of a system, with friction computed though it is zero."""
+    return made.system.materials.replace(friction=jnp.zeros((1, 1), made.system.dt.dtype))
+
+
 def test_friction_left_out_where_there_is_none():
     made = built(friction=False)
-    assert not made.system.has_friction
-    assert_same(traced(made, has_friction=True), as_built(friction=False))
+    assert made.system.materials.friction is None
+    assert_same(traced(made, materials=smooth(made)), as_built(friction=False))
 
 
 @pytest.mark.parametrize("friction", [False, True])
 def test_rotation_left_out_of_spheres_without_friction(friction):
     made = built(friction=False, balls=True)
     assert not made.system.has_rotation
-    assert_same(traced(made, has_rotation=True, has_friction=friction), as_built(friction=False, balls=True))
+    materials = smooth(made) if friction else made.system.materials
+    assert_same(traced(made, has_rotation=True, materials=materials), as_built(friction=False, balls=True))
 
 
 def test_damping_left_out_where_its_ratio_is_zero():
-    assert not built().system.has_damping
-    assert_same(traced(built(), has_damping=True), as_built())
+    law = built().system.law
+    assert law.damping is None
+    assert_same(traced(built(), law=law.replace(damping=jnp.zeros_like(law.separation))), as_built())
 
 
 def test_the_ledger_changes_nothing_but_itself():

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dem_jax import build, validation
-from dem_jax.contact import springs
+from dem_jax.contact.law import friction as friction_law
 from dem_jax.validation import ObliqueImpact
 
 RADIUS = 0.01  # m
@@ -31,11 +31,10 @@ def run(system, state, rows):
 
     def one(dt, epsilon, friction, tangential, gap, along, normal, spin):
         zero = jnp.zeros_like(dt)
-        changed = validation.lasting(system).replace(
-            dt=dt, law=system.law.replace(restitution=epsilon, friction_wall=friction, tangential=tangential)
-        )
+        changed = validation.lasting(system).replace(dt=dt, law=system.law.replace(tangential=tangential))
+        changed = validation.with_friction(validation.with_restitution(changed, epsilon), friction)
         inertia = system.pieces.inertia[1, 0]
-        start = state.replace(
+        start = state.moved(
             position=jnp.stack([zero, zero, RADIUS + gap])[:, None],
             velocity=jnp.stack([along, zero, normal])[:, None],
             angular_momentum=jnp.stack([zero, inertia * spin, zero])[:, None],
@@ -53,7 +52,7 @@ def impacts(rows, steps):
     """
     made = built(STIFF, 0.0)
     pieces = made.system.pieces
-    dt = np.pi / 2 * np.sqrt(float(pieces.mass[0] / pieces.wall_stiffness[0])) / steps
+    dt = np.pi / 2 * np.sqrt(float(pieces.mass[0] / validation.wall_stiffness(made.system)[0])) / steps
     full = [(dt, e, mu, k, 0.5 * NORMAL * dt, v, -NORMAL, -w / RADIUS) for e, mu, k, v, w in rows]
     found = run(made.system, made.state, jnp.asarray(np.array(full)))
     force = np.asarray(found["force"])
@@ -109,7 +108,7 @@ def rolling(rows, dt):
     """Time (s) and the traces of a sphere at rest on the plate under gravity; rows: mu, speed (m/s), spin (rad/s)."""
     made = built(1.0, G)
     pieces = made.system.pieces
-    sunk = -float(pieces.mass[0]) * G / float(pieces.wall_stiffness[0])
+    sunk = -float(pieces.mass[0]) * G / float(validation.wall_stiffness(made.system)[0])
     full = [(dt, 0.5, mu, 1.0, sunk, v, 0.0, w) for mu, v, w in rows]
     found = jax.tree.map(np.asarray, run(made.system, made.state, jnp.asarray(np.array(full))))
     time = dt * np.arange(1, 4097)
@@ -155,7 +154,7 @@ def test_angular_momentum_about_the_contact_is_kept():
     # ringing of s (by less than m g / K = 6e-9 m) changes of the arm.
     made = built(1.0, G)
     mass, inertia = float(made.system.pieces.mass[0]), float(made.system.pieces.inertia[1, 0])
-    arm = RADIUS - 0.5 * mass * G / float(made.system.pieces.wall_stiffness[0])
+    arm = RADIUS - 0.5 * mass * G / float(validation.wall_stiffness(made.system)[0])
     _, velocity, spin, _ = rolling([(0.3, 0.1, 0.0), (0.3, 0.0, 10.0), (0.05, 0.1, -20.0)], 5e-6)
     kept = mass * velocity * arm + inertia * spin
     assert np.abs(kept / kept[:, :1] - 1).max() < 3e-7
@@ -170,7 +169,7 @@ def turning_slip(steps, limit):
         force, angle = now
         slip = (jnp.cos(angle) / steps, jnp.sin(angle) / steps, jnp.zeros_like(angle))
         normal = tuple(jnp.asarray(c) for c in (0.0, 0.0, 1.0))
-        return springs.tangential_force(spring, normal, slip, force, 10.0, 1.0), None
+        return friction_law.tangential_force(spring, normal, slip, force, 10.0, 1.0), None
 
     zero = jnp.zeros(())
     last, _ = jax.lax.scan(one, (zero, zero, zero), (limit(time), middle))
@@ -193,7 +192,7 @@ def test_spring_turns_with_the_normal_and_keeps_its_size():
     spring = tuple(jnp.asarray(c) for c in (3.0, 0.0, 4.0))
     normal = tuple(jnp.asarray(c) for c in (0.0, 0.6, 0.8))
     still = tuple(jnp.zeros(()) for _ in range(3))
-    turned = np.array(springs.tangential_force(spring, normal, still, 100.0, 1.0, 1.0))
+    turned = np.array(friction_law.tangential_force(spring, normal, still, 100.0, 1.0, 1.0))
     np.testing.assert_allclose(turned @ np.array([0.0, 0.6, 0.8]), 0, atol=1e-14)
     np.testing.assert_allclose(np.linalg.norm(turned), 5.0, rtol=1e-15)
 
@@ -203,14 +202,14 @@ def test_spring_that_is_reversed_unloads_before_it_slides():
     normal, zero = tuple(jnp.asarray(c) for c in (0.0, 0.0, 1.0)), jnp.zeros(())
     spring = (jnp.asarray(2.0), zero, zero)
     slips = [(jnp.asarray(x), zero, zero) for x in (1.0, 3.5, 4.5, 100.0)]
-    after = [float(springs.tangential_force(spring, normal, slip, 2.0, 1.0, 1.0)[0]) for slip in slips]
+    after = [float(friction_law.tangential_force(spring, normal, slip, 2.0, 1.0, 1.0)[0]) for slip in slips]
     np.testing.assert_allclose(after, [1.0, -1.5, -2.0, -2.0], rtol=1e-14)
 
 
 def test_sticking_impact_converges_at_second_order():
     # Grip at first touch, K_t / K_n = 2/7: all depends on the spring beginning when the touch does, not a step before.
     made = built(STIFF, 0.0)
-    quarter = np.pi / 2 * np.sqrt(float(made.system.pieces.mass[0] / made.system.pieces.wall_stiffness[0]))
+    quarter = np.pi / 2 * np.sqrt(float(made.system.pieces.mass[0] / validation.wall_stiffness(made.system)[0]))
 
     def speeds(number, phase):
         dt = quarter / number

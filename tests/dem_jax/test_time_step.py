@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dem_jax import build, shapes, validation
-from dem_jax.contact import materials, springs
+from dem_jax.contact.law import walton_braun
 from dem_jax.errors import SceneError
 from dem_jax.scene import Scene
 from dem_jax.validation import NormalImpact
@@ -29,8 +29,9 @@ def exact_quarter(softening=1.0):
 
 
 def test_stiffness_of_the_marshmallow():
-    pieces = build.build(validation.plate_scene({})).system.pieces
-    np.testing.assert_allclose(pieces.wall_stiffness, 33327.17, rtol=2e-7)  # printed digits
+    system = build.build(validation.plate_scene({})).system
+    pieces = system.pieces
+    np.testing.assert_allclose(validation.wall_stiffness(system), 33327.17, rtol=2e-7)  # printed digits
     np.testing.assert_allclose(pieces.mass, MASS, rtol=1e-12)
 
 
@@ -67,12 +68,14 @@ def test_limit_is_the_quickest_of_all_contacts_that_can_be():
     scene = Scene(piece=pieces, material={"restitution": 0.5})
     made = build.pieces.pieces_of(scene)
     arrays = build.pieces.piece_arrays(scene, made)
-    m, k, e = arrays.mass, arrays.load_stiffness, np.array([build.time_step._eccentricity(shape) for shape in made])
-    slow = [(m / arrays.wall_stiffness), (m * e / arrays.wall_stiffness)]
+    m, k, e = arrays.mass, 0.01 * 1e8 * arrays.size, np.array([build.time_step._eccentricity(shape) for shape in made])
+    wall = 0.01 * 1e11 * arrays.size
+    slow = [m / (k * wall / (k + wall)), m * e / (k * wall / (k + wall))]
     i, j = np.triu_indices(len(made), 1)
     pair = m[i] * m[j] / (m[i] + m[j]) * (k[i] + k[j]) / (k[i] * k[j])
     slow = [np.concatenate(both).min() for both in zip(slow, (pair, pair * np.minimum(e[i], e[j])), strict=True)]
-    step = build.choose_step(scene, made, arrays)
+    law, materials = build.law.law_of(scene), build.law.materials_of(scene)
+    step = build.choose_step(scene, law, build.time_step.possible_contacts(law, materials, made, arrays))
     np.testing.assert_allclose(step.critical, np.pi / 2 * np.sqrt(slow[0]) * min(1 / 15, 0.5 / 10), rtol=1e-12)
     np.testing.assert_allclose(step.stable, 2 * 0.5 * np.sqrt(slow[1]), rtol=1e-12)
 
@@ -118,7 +121,8 @@ def test_stability_limit_is_that_of_the_unloading_branch():
 
 def test_oscillation_on_the_unloading_branch_blows_up_above_the_limit_only():
     def swing(ratio):
-        dt = ratio * materials.stable_step(1.0, 1.0, 1.0, 1.0)  # m = K = epsilon = 1
+        law, pair = walton_braun.WaltonBraun(0.0, 1.0, None), walton_braun.Pair(1.0, 1.0, None, None)
+        dt = ratio * law.stable_step(pair, 1.0)  # m = K = epsilon = 1
         s, v, largest = 1.0, 0.0, 1.0
         for _ in range(400):
             v -= 0.5 * dt * s
@@ -141,7 +145,7 @@ def scalar_impacts(dt, phase, epsilon, steps):
             v = v - 0.5 * dt * force
             s = s + dt * v
             approach = jnp.maximum(s, 0.0) - overlap
-            f = springs.normal_force(force, approach, s, 1.0, 1.0 / epsilon**2, 0.001)
+            f = walton_braun.normal_force(force, approach, s, 1.0, 1.0 / epsilon**2, 0.001)
             v = v - 0.5 * dt * f
             return (s, v, f, jnp.maximum(s, 0.0)), f
 
@@ -189,5 +193,5 @@ def test_errors_of_a_resolution(epsilon, number, restitution, peak):
 def test_default_resolution_keeps_restitution_within_half_a_per_cent():
     # The default is 10 steps per unloading quarter period (15 per loading one, where that is finer).
     for epsilon in (0.1, 0.3, 0.5, 0.7):
-        number = max(materials.LOAD_STEPS, materials.UNLOAD_STEPS / epsilon)
+        number = max(walton_braun.LOAD_STEPS, walton_braun.UNLOAD_STEPS / epsilon)
         assert worst_errors(epsilon, number)[0] < 0.005
