@@ -88,7 +88,8 @@ def _possible_contacts(made, pieces: Pieces):
     """Effective mass, K_nl and eccentricity of each kind of piece against a wall and against the kinds that move quickest
     on its contact, about the centre of mass and off it: of as many kinds as pieces, all pairs would be too many to list."""
     _, index = distinct_shapes(made)
-    _, first, number = np.unique(index, return_index=True, return_counts=True)
+    kinds = np.stack([index, pieces.mass, pieces.load_stiffness])  # one shape may be of several materials
+    _, first, number = np.unique(kinds, axis=1, return_index=True, return_counts=True)
     least = np.array([_eccentricity(made[i]) for i in first])
     mass, k = pieces.mass[first], pieces.load_stiffness[first]
     rows = [(mass[i], pieces.wall_stiffness[first[i]], least[i], _words(made[p], "a wall")) for i, p in enumerate(first)]

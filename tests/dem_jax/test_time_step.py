@@ -65,8 +65,8 @@ def test_limit_is_the_quickest_of_all_contacts_that_can_be():
     rows += rows[-1:]
     pieces = [{**row, "position": (0.1 * k, 0.0, 0.0)} for k, row in enumerate(rows)]
     scene = Scene(piece=pieces, material={"restitution": 0.5})
-    made = build.pieces.pieces_of(scene)
-    arrays = build.pieces.piece_arrays(scene, made)
+    goods = build.pieces.goods_of(scene)
+    made, arrays = goods.shapes, build.pieces.piece_arrays(scene, goods)
     m, k, e = arrays.mass, arrays.load_stiffness, np.array([build.time_step._eccentricity(shape) for shape in made])
     slow = [(m / arrays.wall_stiffness), (m * e / arrays.wall_stiffness)]
     i, j = np.triu_indices(len(made), 1)
