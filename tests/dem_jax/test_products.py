@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import dem_jax
 from dem_jax import build
 from dem_jax.build import portion
 from dem_jax.build.pieces import goods_of
@@ -239,6 +240,23 @@ def test_walls_of_an_stl_keep_their_material(tmp_path):
         wall=[{"group": "table", "stl": str(tmp_path / "table.stl"), "material": "steel"}], material={"steel": {}}
     )
     assert {wall.material for wall in build.self_contained(scene).wall} == {"steel"}
+
+
+def test_an_ensemble_of_a_mixed_portion_is_its_seeds_one_by_one():
+    """To the last bit; and the momentum of every interval closes with the masses that the materials say."""
+    balls = [{"shape": "sphere", "radius": 0.01, "size_spread": 0.2}, {"shape": "sphere", "radius": 0.01, "material": "gummy"}]
+    changes = {"portion.product": balls, "portion.target_weight": 0.04, "portion.arrangement": "scattered"}
+    scene = parse(SCENE).replace(changes | {"run.duration": 0.1, "run.sample": 1e-3, "feed_bucket.opening_start": 1.0})
+    runs = dem_jax.ensemble(scene, runs=2, seed=3)
+    alone = dem_jax.simulate(scene, seed=4)
+    np.testing.assert_array_equal(runs.member(1).force["fb_flaps"], alone.force["fb_flaps"])
+    assert np.abs(runs.member(0).force["fb_flaps"] - alone.force["fb_flaps"]).max() > 0.01
+    mass, _ = masses(scene)
+    # what gravity gives in each interval is what the pieces have and what the bucket takes
+    taken = sum(force[1:] for force in alone.mean_force.values()) * 1e-3
+    given = np.tile(mass.sum() * np.array([0.0, 0.0, -9.81e-3]), (len(taken), 1))
+    np.testing.assert_allclose(np.diff(alone.momentum, axis=0) + taken, given, rtol=0, atol=1e-9 * np.abs(alone.momentum).max())
+    assert np.abs(taken).max() > np.abs(given).max(), "some land"
 
 
 MISTAKES = [  # changes of the scene -> what the line must hold
