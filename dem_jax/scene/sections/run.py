@@ -10,7 +10,7 @@ Error = Annotated[float, Field(gt=0, le=0.2)]
 
 
 class Accuracy(Section):
-    """The errors of a single impact that are accepted, relative: the time step follows from them (dem_jax/materials.py)."""
+    """The errors of a single impact that are accepted, relative: the time step follows from them (dem_jax.build.time_step)."""
 
     restitution: Error | None = Field(None, description="of the speed of rebound")
     peak_force: Error | None = None
