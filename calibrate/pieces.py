@@ -58,9 +58,17 @@ def piece_mass(scene: str) -> float | None:
     portion = tree.get("portion") or {}
     if "piece_mass" in portion:
         return float(portion["piece_mass"])
-    listed = tree.get("piece") or ([portion] if portion else [])
-    density = float(tree.get("material", {}).get("density", 300.0))
-    volumes = [_volume(piece) for piece in listed]
-    if not volumes or None in volumes or max(volumes) > (1.0 + 1e-9) * min(volumes):
+    listed = tree.get("piece") or portion.get("product") or ([portion] if portion else [])
+    masses = [_mass(piece, tree.get("material", {})) for piece in listed]
+    if not masses or None in masses or max(masses) > (1.0 + 1e-9) * min(masses):
         return None
-    return volumes[0] * density
+    return masses[0]
+
+
+def _mass(piece: dict, material: dict) -> float | None:
+    """(kg) of a piece of the scene's material or of one by name; None where the text does not tell."""
+    volume = _volume(piece)
+    if volume is None or piece.get("size_spread"):
+        return None
+    own = material.get(piece.get("material"), {})
+    return volume * float(own.get("density", material.get("density", 300.0)))

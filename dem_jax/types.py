@@ -98,6 +98,7 @@ class Materials:
     restitution: Array  # [M, M]: epsilon of eq. 6
     friction: Array | None  # [M, M]: mu; None: no pair has any, and nothing of friction is computed
     pull_off: Array | None  # [M, M] (N): largest adhesive force; None: no pair has any
+    is_wall: tuple = static()  # [M] bool: whether it is a material of walls
 
 
 class Partition(NamedTuple):
@@ -135,7 +136,7 @@ class System:
     row_capacity: int = static()  # most pieces in three neighbouring cells in a row, where there are cells
     partition: Partition | None = static()  # of jax-md's list
     has_hulls: bool = static()  # whether any piece is a polytope
-    alike: tuple = static()  # "hulls" if all polytopes among the pieces are one shape, "spheres" if all spheres are
+    alike: tuple = static()  # "hulls" if all polytopes among the pieces are one shape, "spheres" if all spheres are (and of one material)
     escape_stops: bool = static()  # whether a piece outside the domain stops the run
     has_rotation: bool = static()
     ledger: bool = static()  # whether work and dissipation are added up

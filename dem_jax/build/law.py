@@ -5,9 +5,8 @@ import numpy as np
 from dem_jax.contact.law import ContactLaw
 from dem_jax.contact.law.walton_braun import WaltonBraun
 from dem_jax.scene import Scene
+from dem_jax.scene.materials import MaterialTable, material_table
 from dem_jax.types import Materials
-
-PIECE, WALL = 0, 1  # rows of Materials
 
 
 def law_of(scene: Scene) -> ContactLaw:
@@ -18,18 +17,24 @@ def law_of(scene: Scene) -> ContactLaw:
 
 
 def materials_of(scene: Scene) -> Materials:
-    """The table of materials."""
-    m = scene.material
-    friction = np.array([[m.friction_piece, m.friction_wall], [m.friction_wall, m.friction_wall]])
+    """The table of materials. Raises SceneError."""
+    table = material_table(scene)
     return Materials(
-        youngs_modulus=m.softening * np.array([m.youngs_modulus, m.wall_youngs_modulus]),
-        poisson_ratio=np.array([0.3, 0.3]),
-        restitution=_in_short(np.full((2, 2), m.restitution)),
-        friction=_in_short(friction) if friction.any() else None,
-        pull_off=None,
+        youngs_modulus=scene.material.softening * table.youngs_modulus,
+        poisson_ratio=table.poisson_ratio,
+        restitution=_in_short(table, table.restitution),
+        friction=_if_any(table, table.friction),
+        pull_off=_if_any(table, table.pull_off),
+        is_wall=tuple(table.is_wall.tolist()),
     )
 
 
-def _in_short(table):
-    """A table of pairs; [1, 1] if all have the same."""
-    return table[:1, :1] if (table == table[0, 0]).all() else table
+def _in_short(table: MaterialTable, pairs: np.ndarray) -> np.ndarray:
+    """A table of pairs; [1, 1] if all have the same. Two walls never touch: what stands between them is left alone."""
+    met = ~(table.is_wall[:, None] & table.is_wall)
+    return pairs[:1, :1] if (pairs[met] == pairs[0, 0]).all() else pairs
+
+
+def _if_any(table: MaterialTable, pairs: np.ndarray) -> np.ndarray | None:
+    met = ~(table.is_wall[:, None] & table.is_wall)
+    return _in_short(table, pairs) if pairs[met].any() else None

@@ -1,19 +1,23 @@
 """Where the pieces begin, and the first state."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import ArrayLike
 
-from dem_jax.build.pieces import counts
 from dem_jax.contact import ledger
 from dem_jax.errors import SceneError
 from dem_jax.maths import rotation
 from dem_jax.pairs import neighbours
 from dem_jax.scene import Scene, arrange
+from dem_jax.shapes import Shape
 from dem_jax.types import Motion, State, System, WallLoads
+
+Box = tuple[ArrayLike, ArrayLike]  # lowest and highest corner [3] (m)
 
 
 @dataclass(frozen=True)
@@ -26,7 +30,11 @@ class Start:
     spin: np.ndarray  # [N, 3] (rad/s), world frame
 
 
-def placed(scene: Scene, made, regions, random) -> Start:
+def placed(
+    scene: Scene, made: Sequence[Shape], numbers: tuple[int, ...], regions: Sequence[Box], random: np.random.Generator
+) -> Start:
+    """Where the pieces begin: as listed, or scattered in the regions, so many in each (Goods.numbers). Pieces that differ
+    are mixed at random. Raises SceneError."""
     if scene.piece:
         rows = scene.piece
         q = np.array([p.orientation for p in rows], float)
@@ -41,27 +49,30 @@ def placed(scene: Scene, made, regions, random) -> Start:
             np.array([p.angular_velocity for p in rows], float),
         )
     portion = scene.portion
+    assert portion is not None  # as a Scene makes sure
     low, high = portion.region_low, portion.region_high
-    if low is None or high is None:
-        if not regions:
-            raise SceneError("portion: region_low, region_high: missing; a scene without a feed bucket needs both")
-        low, high = regions[0]
+    if (low is None or high is None) and not regions:
+        raise SceneError("portion: region_low, region_high: missing; a scene without a feed bucket needs both")
+    own = regions[0] if low is None or high is None else (low, high)
     radius = max(m.bounding_radius for m in made)
-    boxes = [(low, high), *regions[1:]]
-    groups = zip(counts(scene, made[0]), boxes, strict=False)
+    boxes = [own, *regions[1:]]
+    groups = zip(numbers, boxes, strict=False)
     placed = [arrange.scatter(number, radius, portion.spacing, *box, random) for number, box in groups]
+    if portion.product or portion.size_spread > 0:  # they come one product after the other, in order of size
+        placed = [(position[random.permutation(len(position))], turn) for position, turn in placed]
     position, orientation = (np.concatenate(rows) for rows in zip(*placed, strict=True))
     rest = np.zeros_like(position)
     return Start(position, orientation, rest, rest)
 
 
 def settling_samples(scene: Scene) -> int:
-    if scene.piece or scene.portion.arrangement == "scattered":
+    """Sample intervals before time zero."""
+    if scene.piece or scene.portion is None or scene.portion.arrangement == "scattered":
         return 0
     return max(1, round(scene.portion.settling_time / scene.run.sample))
 
 
-def motion_of_start(system: System, start: Start, frames) -> Motion:
+def motion_of_start(system: System, start: Start, frames: np.ndarray) -> Motion:
     """Poses and velocities in the user's body frames as those of principal frames, in numpy; frames: Built.frames."""
     dtype = system.dt.dtype
     position = start.position.T.astype(np.float64)
@@ -82,7 +93,7 @@ def motion_of_start(system: System, start: Start, frames) -> Motion:
     )
 
 
-def first_state(system: System, start: Start, frames, step: int) -> State:
+def first_state(system: System, start: Start, frames: np.ndarray, step: int) -> State:
     """The state at a step, without any contact; start, frames: as of ``motion_of_start``."""
     dtype, n = system.dt.dtype, len(start.position)
     groups, runs = len(system.walls.groups), system.runs

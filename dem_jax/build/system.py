@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dem_jax.build.law import law_of, materials_of
-from dem_jax.build.pieces import alike, distinct_shapes, named, piece_arrays, pieces_of, tuples, with_points
+from dem_jax.build.pieces import alike, distinct_shapes, goods_of, named, piece_arrays, tuples, with_points
 from dem_jax.build.room import capacity, partition, row_capacity
 from dem_jax.build.start import Start, first_state, motion_of_start, placed, settling_samples
 from dem_jax.build.time_step import TimeStep, block_steps, choose_step, longest_reach, possible_contacts
@@ -17,7 +17,7 @@ from dem_jax.build.walls import panels_of, wall_arrays, walls_of
 from dem_jax.contact import hulls
 from dem_jax.contact.law import ContactLaw
 from dem_jax.errors import SceneError
-from dem_jax.scene import Scene, Wall
+from dem_jax.scene import Scene
 from dem_jax.types import State, System, float_dtype
 
 SKIN = 0.03  # of the width of the narrowest piece: see pairs.neighbours
@@ -37,15 +37,17 @@ class Built:
     frame_every: int  # samples between stored frames; 0: none
     blocks: tuple  # names of the blocks
     regions: list  # boxes (low [3], high [3]) (m) in which pieces are scattered: of the feed bucket, of the feeder
+    numbers: tuple  # pieces in each of these boxes; () of pieces listed one by one
 
 
 def build(scene: Scene, seed: int = 0, law: ContactLaw | None = None) -> Built:
     """Everything that a run of the scene needs. law: instead of the scene's. Raises SceneError."""
     dtype = float_dtype(scene.run.precision)
-    made = pieces_of(scene)
+    goods = goods_of(scene)
+    made = list(goods.shapes)
     panels, motions, joint, blocks, regions = walls_of(scene)
-    start = placed(scene, made, regions, np.random.default_rng(seed))
-    pieces = piece_arrays(scene, made)
+    start = placed(scene, made, goods.numbers, regions, np.random.default_rng(seed))
+    pieces = piece_arrays(scene, goods)
     law, materials = law or law_of(scene), materials_of(scene)
     contacts = possible_contacts(law, materials, made, pieces)
     step = choose_step(scene, law, contacts)
@@ -85,7 +87,7 @@ def build(scene: Scene, seed: int = 0, law: ContactLaw | None = None) -> Built:
         row_capacity=row_capacity(made, scene.run.neighbours),
         partition=partition(made, scene.run.neighbours, domain),
         has_hulls=bool(polytopes),
-        alike=alike(made),
+        alike=alike(goods),
         escape_stops=scene.run.escape == "stop",
         has_rotation=True,
         ledger=scene.run.energy,
@@ -99,20 +101,23 @@ def build(scene: Scene, seed: int = 0, law: ContactLaw | None = None) -> Built:
     frames = np.array([m.principal for m in made])
     state = first_state(system, start, frames, -settling)
     names = tuple(b.name for b in blocks)
-    return Built(system, state, step, tuple(made), frames, settling, samples, frame_every, names, regions)
+    return Built(system, state, step, tuple(made), frames, settling, samples, frame_every, names, regions, goods.numbers)
 
 
 def self_contained(scene: Scene) -> Scene:
     """The scene with the contents of the STL files that it names in their place. Raises SceneError."""
     rows = [named(f"piece.{n}", with_points, row, scene.folder) for n, row in enumerate(scene.piece)]
     portion = scene.portion and named("portion", with_points, scene.portion, scene.folder)
+    if portion and portion.product:
+        products = [named(f"portion.product.{n}", with_points, row, scene.folder) for n, row in enumerate(portion.product)]
+        portion = portion.model_copy(update={"product": tuple(products)})
     walls = []
     for n, wall in enumerate(scene.wall):
         if wall.stl is None or wall.corners is not None:
             walls.append(wall)
             continue
         panels = [corners.tolist() for _, corners, _ in named(f"wall.{n}", panels_of, wall, scene.folder)]
-        walls += [Wall(group=wall.group, thickness=wall.thickness, corners=tuples(c)) for c in panels]
+        walls += [wall.model_copy(update={"stl": None, "unit": 1.0, "corners": tuples(c)}) for c in panels]
     return scene.model_copy(update={"piece": tuple(rows), "portion": portion, "wall": tuple(walls), "folder": "."})
 
 
@@ -147,7 +152,7 @@ def _domain(scene: Scene, panels, start: Start, made):
 
 def state_of_seed(scene: Scene, built: Built, seed: int) -> State:
     """The first state of the same scene with another seed, for the system that was built. Raises SceneError."""
-    start = placed(scene, built.shapes, built.regions, np.random.default_rng(seed))
+    start = placed(scene, built.shapes, built.numbers, built.regions, np.random.default_rng(seed))
     return started(built, start)
 
 

@@ -1,5 +1,6 @@
 """The time step: as asked for, or from the smallest critical step over all contacts that can be."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +15,7 @@ from dem_jax.errors import SceneError
 from dem_jax.maths import pose
 from dem_jax.pairs import guard
 from dem_jax.scene import Scene
+from dem_jax.shapes import Shape
 from dem_jax.types import Materials, Pieces
 
 
@@ -99,7 +101,7 @@ def block_steps(scene: Scene) -> int:
     return guard.round_to(8, scene.run.rebuild_steps)
 
 
-def possible_contacts(law: ContactLaw, materials: Materials, made, pieces: Pieces) -> list[PossibleContact]:
+def possible_contacts(law: ContactLaw, materials: Materials, made: Sequence[Shape], pieces: Pieces) -> list[PossibleContact]:
     """Each kind of piece against each material of walls, and against the kinds that move quickest on its contact, about the
     centre of mass and off it: of as many kinds as pieces, all pairs would be too many to list."""
     _, index = distinct_shapes(made)
@@ -110,7 +112,7 @@ def possible_contacts(law: ContactLaw, materials: Materials, made, pieces: Piece
     least = np.array([least[id(made[i])] for i in first])
     out = []
     for i, p in enumerate(first):
-        for wall in range(len(materials.youngs_modulus)):
+        for wall in np.flatnonzero(materials.is_wall):
             pair = law.pair(_couple(materials, pieces, p, None, wall))
             out.append(PossibleContact(float(pieces.mass[p]), float(least[i]), pair, _words(made[p], "a wall")))
         others = first[i if number[i] > 1 else i + 1 :]
@@ -127,7 +129,7 @@ def possible_contacts(law: ContactLaw, materials: Materials, made, pieces: Piece
     return out
 
 
-def _couple(materials: Materials, pieces: Pieces, b, a, wall: int | None) -> Couple:
+def _couple(materials: Materials, pieces: Pieces, b, a, wall: np.integer | None) -> Couple:
     """The couple of pieces b and a, or of b and a wall of a material."""
     b = np.atleast_1d(b)
     own = b if a is None else np.atleast_1d(a)

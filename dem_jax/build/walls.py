@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 
 from dem_jax import shapes
-from dem_jax.build.law import WALL
 from dem_jax.build.typed import typed
 from dem_jax.errors import SceneError
 from dem_jax.scene import Scene, buckets
@@ -71,7 +70,7 @@ def wall_arrays(panels, motions, joint, dtype) -> Walls:
         rotation=np.array([r for _, _, r in made], float).reshape(-1, 3, 3).transpose(1, 2, 0),
         half_extent=np.array(extent, float).reshape(-1, 3).T,
         group=np.array([groups.index(group) for group, _, _ in panels], int),
-        material=np.full(len(panels), WALL),
+        material=materials,
         plane=plane,
         pivot=columns(0, 3),
         axis=columns(1, 3),

@@ -1,36 +1,15 @@
 """What a person writes: sections of a scene, TOML in and out, buckets and how pieces are laid out."""
 
-from dem_jax.scene.sections import (
-    SHAPE_KEYS,
-    STOCK,
-    Accuracy,
-    Block,
-    Bucket,
-    Drop,
-    Error,
-    Feeder,
-    Material,
-    Motion,
-    NotNegative,
-    Piece,
-    PieceShape,
-    Points,
-    Portion,
-    Positive,
-    Quaternion,
-    RunSettings,
-    Scene,
-    Section,
-    Size,
-    Vector,
-    Wall,
-    allowed,
-    described,
-    load_scene,
-    parse,
-    parse_setting,
-    stock_scenes,
-)
+from dem_jax.scene.changes import parse_setting
+from dem_jax.scene.files import STOCK, load_scene, parse, stock_scenes
+from dem_jax.scene.scene import Scene
+from dem_jax.scene.sections.base import NotNegative, Points, Positive, Quaternion, Section, Size, Vector
+from dem_jax.scene.sections.buckets import Bucket, Drop, Feeder
+from dem_jax.scene.sections.material import Material, NamedMaterial, Pair
+from dem_jax.scene.sections.pieces import SHAPE_KEYS, Piece, PieceShape, Portion, Product
+from dem_jax.scene.sections.run import Accuracy, Error, RunSettings
+from dem_jax.scene.sections.walls import Block, Motion, Wall
+from dem_jax.scene.words import allowed, described
 
 __all__ = [
     "Accuracy",
@@ -41,12 +20,15 @@ __all__ = [
     "Feeder",
     "Material",
     "Motion",
+    "NamedMaterial",
     "NotNegative",
+    "Pair",
     "Piece",
     "PieceShape",
     "Points",
     "Portion",
     "Positive",
+    "Product",
     "Quaternion",
     "RunSettings",
     "SHAPE_KEYS",

@@ -1,6 +1,7 @@
 """Where the pieces of a portion begin: scattered at random, so that none overlap."""
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from dem_jax.errors import SceneError
 
@@ -10,7 +11,9 @@ def count(target_weight: float, piece_mass: float) -> int:
     return max(1, round(target_weight / piece_mass))
 
 
-def scatter(number: int, bounding_radius: float, spacing: float, low, high, random: np.random.Generator):
+def scatter(
+    number: int, bounding_radius: float, spacing: float, low: ArrayLike, high: ArrayLike, random: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
     """Positions [number, 3] (m) and orientations [number, 4] of pieces on a jittered grid, layer upon layer.
 
     The grid's cells hold the bounding sphere of a piece in any orientation, so that no two can overlap; which cells of
@@ -36,7 +39,7 @@ def scatter(number: int, bounding_radius: float, spacing: float, low, high, rand
     return positions, random_orientations(number, random)
 
 
-def random_orientations(number: int, random: np.random.Generator):
+def random_orientations(number: int, random: np.random.Generator) -> np.ndarray:
     """Quaternions [number, 4], uniform over all rotations."""
     q = random.normal(size=(number, 4))
     return q / np.linalg.norm(q, axis=1, keepdims=True)

@@ -4,7 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dem_jax.scene.sections import Block, Bucket, Feeder, Motion
+from dem_jax.scene.sections.buckets import Bucket, Feeder
+from dem_jax.scene.sections.walls import Block, Motion
+
+FEEDER = "lf"  # wall group of the feeder
 
 
 @dataclass(frozen=True)
@@ -54,13 +57,13 @@ def parts(bucket: Bucket, name: str, bottom: float) -> BucketParts:
     return BucketParts(panels, motions, joint, block, np.array([-x, -y, hinge]), np.array([x, y, top]))
 
 
-def _facing_up(corners):
+def _facing_up(corners: np.ndarray) -> np.ndarray:
     """The corners in the order in which the polygon's normal points up."""
     normal = np.cross(corners[1] - corners[0], corners[2] - corners[1])
     return corners if normal[2] > 0 else corners[::-1]
 
 
-def _hinge(bucket: Bucket, group, pivot, sign) -> Motion:
+def _hinge(bucket: Bucket, group: str, pivot: tuple[float, float, float], sign: int) -> Motion:
     """Flaps swing down and outwards: the flap hinged at +y turns about +x, the other about -x."""
     return Motion(
         group=group,
@@ -92,7 +95,7 @@ def feeder_parts(feeder: Feeder, bucket: BucketParts) -> FeederParts:
     back = edge - feeder.length * along
     tops = [point + feeder.wall_height * up for point in (back, edge)]
 
-    def at(point, side):
+    def at(point: np.ndarray, side: int) -> tuple[float, float, float]:
         return (point[0], side * y, point[1])
 
     corners = [  # seen from inside, counter-clockwise
@@ -104,13 +107,13 @@ def feeder_parts(feeder: Feeder, bucket: BucketParts) -> FeederParts:
     throw = tilt - np.radians(feeder.stroke_angle_deg)
     stroke = feeder.stroke * np.array([np.cos(throw), 0.0, -np.sin(throw)])
     motion = Motion(
-        group="lf",
+        group=FEEDER,
         stroke=tuple(stroke.tolist()),
         frequency=feeder.frequency,
         shake_start=feeder.start,
         shake_end=feeder.start + feeder.duration,
         shake_ramp=feeder.ramp,
     )
-    panels = [("lf", np.array(c), feeder.thickness) for c in corners]
+    panels = [(FEEDER, np.array(c), feeder.thickness) for c in corners]
     end = min(edge[0], bucket.interior_low[0]) - 0.01  # none begins above the bucket
     return FeederParts(panels, motion, np.array([back[0], -y, back[1]]), np.array([end, y, tops[0][1]]))

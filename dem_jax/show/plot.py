@@ -110,11 +110,13 @@ def _limit(axes, run, mean, start, end):
 def _title(run):
     """Scene, pieces, SF and restitution, as far as the scene's TOML says them."""
     tree = tomllib.loads(run.scene)
-    first = (tree.get("piece") or [tree.get("portion", {})])[0]
+    portion = tree.get("portion", {})
+    rows = tree.get("piece") or portion.get("product") or [portion]
+    factors = {row["scale_factor"] for row in rows if "scale_factor" in row}
     words = [str(tree.get("name", tree.get("base", "")))]
     words.append(f"{run.header.piece_count} piece" + ("s" if run.header.piece_count != 1 else ""))
-    if "scale_factor" in first:
-        words.append(f"SF = {first['scale_factor']:g}")
+    if len(factors) == 1:
+        words.append(f"SF = {factors.pop():g}")
     if "restitution" in tree.get("material", {}):
         words.append(f"ε = {tree['material']['restitution']:g}")
     if run.run_count is not None:

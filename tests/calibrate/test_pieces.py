@@ -39,3 +39,16 @@ def test_what_the_text_does_not_tell_is_none():
     assert piece_mass("[portion]\npiece_mass = 0.002\n") == 0.002
     with pytest.raises(BadInput, match="not TOML"):
         piece_mass("portion = ")
+
+
+def test_weight_follows_the_material_by_name():
+    """Two products of one weight have it: half of the volume of twice the density."""
+    head = "[material]\ndensity = 250.0\n[material.gummy]\ndensity = 500.0\n[material.nut]\nrestitution = 0.3\n"
+    cuboid = 'shape = "cuboid"\nsize = [0.03, 0.02, {}]\nmaterial = "{}"\n'
+    for section in ("[portion]\n", "[[piece]]\n", "[[portion.product]]\n"):
+        assert piece_mass(head + section + cuboid.format(0.01, "gummy")) == pytest.approx(3e-3, rel=1e-12)
+        assert piece_mass(head + section + cuboid.format(0.01, "nut")) == pytest.approx(1.5e-3, rel=1e-12)
+        assert piece_mass(head + section + cuboid.format(0.01, "nut") + "size_spread = 0.1\n") is None
+    one, other = (f"[[portion.product]]\n{cuboid.format(*row)}" for row in ((0.01, "gummy"), (0.02, "nut")))
+    assert piece_mass(head + one + other) == pytest.approx(3e-3, rel=1e-12)
+    assert piece_mass(head + one + other.replace("nut", "gummy")) is None

@@ -66,8 +66,8 @@ def test_limit_is_the_quickest_of_all_contacts_that_can_be():
     rows += rows[-1:]
     pieces = [{**row, "position": (0.1 * k, 0.0, 0.0)} for k, row in enumerate(rows)]
     scene = Scene(piece=pieces, material={"restitution": 0.5})
-    made = build.pieces.pieces_of(scene)
-    arrays = build.pieces.piece_arrays(scene, made)
+    goods = build.pieces.goods_of(scene)
+    made, arrays = goods.shapes, build.pieces.piece_arrays(scene, goods)
     m, k, e = arrays.mass, 0.01 * 1e8 * arrays.size, np.array([build.time_step._eccentricity(shape) for shape in made])
     wall = 0.01 * 1e11 * arrays.size
     slow = [m / (k * wall / (k + wall)), m * e / (k * wall / (k + wall))]

@@ -1,0 +1,72 @@
+"""Changes of a scene as trees of plain values, before they are checked: one over another, and single keys."""
+
+import tomllib
+from collections.abc import Iterable
+from typing import Any
+
+from pydantic import BaseModel
+
+from dem_jax.errors import SceneError
+from dem_jax.scene.sections.pieces import OF_PRODUCT
+from dem_jax.scene.words import short
+
+Tree = dict[str, Any]
+
+
+def on_top(below: Tree, above: Tree) -> Tree:
+    """One scene over another. Products of a portion replace the one product that the portion below is of."""
+    portion = above.get("portion")
+    if isinstance(portion, dict) and portion.get("product") and isinstance(below.get("portion"), dict):
+        below = below | {"portion": {k: v for k, v in below["portion"].items() if k not in OF_PRODUCT}}
+    return merged(below, above)
+
+
+def merged(below: Tree, above: Tree) -> Tree:
+    """Tables are merged key by key, all else is replaced."""
+    out = dict(below)
+    for key, item in above.items():
+        if isinstance(item, BaseModel):
+            item = item.model_dump()
+        nested = isinstance(item, dict) and isinstance(out.get(key), dict)
+        out[key] = merged(out[key], item) if nested else item
+    return out
+
+
+def set_key(tree: Tree, keys: list[str], item: Any) -> None:
+    """Set ``keys`` ("piece", "0", "radius") of the tree; what is changed is copied first. Raises SceneError."""
+    for i, key in enumerate(keys[:-1]):
+        below = tree.get(key) if isinstance(tree, dict) else None
+        index = keys[i + 1]
+        if isinstance(below, (list, tuple)) or (below is None and index.isdecimal()):
+            below = below or ()
+            if not index.isdecimal() or int(index) >= len(below) or i + 2 == len(keys):
+                rows = f"{key}.0.KEY to {key}.{len(below) - 1}.KEY" if below else f"none, this scene has no {key}"
+                raise SceneError(f"{'.'.join(keys)} = {short(item)}: {key} is a list; allowed: {rows}")
+            tree[key] = copies = [dict(row) for row in below]
+            return set_key(copies[int(index)], keys[i + 2 :], item)
+        if below is None:
+            below = {}
+        if not isinstance(below, dict):
+            raise SceneError(f"{'.'.join(keys)} = {short(item)}: unknown key; {key} is a value, not a table")
+        tree[key] = below = dict(below)
+        tree = below
+    tree[keys[-1]] = item
+
+
+def new_materials(tree: Tree, keys: Iterable[str]) -> dict[str, str]:
+    """Names of materials that the tree does not have and dotted keys begin: name -> key."""
+    material = tree.get("material")
+    known = {name for name, item in material.items() if isinstance(item, dict)} if isinstance(material, dict) else set()
+    parts = {key: key.split(".") for key in keys}
+    return {p[1]: key for key, p in parts.items() if p[0] == "material" and len(p) == 3 and p[1] not in known}
+
+
+def parse_setting(text: str) -> tuple[str, Any]:
+    """``section.key=value`` of a command line -> (key, value): the value as TOML, else as text. Raises SceneError."""
+    key, equals, item = text.partition("=")
+    if not equals or not key.strip():
+        raise SceneError(f"--set {text!r}: allowed: section.key=value")
+    try:
+        return key.strip(), tomllib.loads(f"value = {item}")["value"]
+    except tomllib.TOMLDecodeError:
+        return key.strip(), item.strip()

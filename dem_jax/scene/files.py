@@ -1,0 +1,75 @@
+"""Scenes from TOML: stock scenes by name, files by path, text; one based on another."""
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from dem_jax.errors import SceneError
+from dem_jax.scene.changes import Tree, on_top
+from dem_jax.scene.scene import Scene, validated
+
+STOCK = Path(__file__).parent.parent / "scenes"
+
+
+def load_scene(source: str | Path, changes: dict[str, Any] | None = None) -> Scene:
+    """Read a stock scene by name or a TOML file by path, with changes as of ``Scene.replace``. Raises SceneError."""
+    tree, path = _read(source, ())
+    return validated(tree, path.stem if path.parent == STOCK else str(path), changes)
+
+
+def parse(text: str, source: str | Path = "scene") -> Scene:
+    """A scene from TOML text that is complete in itself or has a stock scene as its base. Raises SceneError."""
+    return validated(_based(_loads(text, source), Path("."), source, ()), str(source))
+
+
+def stock_scenes() -> dict[str, str]:
+    """Names of the stock scenes and what each shows (the first comment line of its file)."""
+    out = {}
+    for path in sorted(STOCK.glob("*.toml")):
+        first = path.read_text().splitlines()[0]
+        out[path.stem] = first.lstrip("# ").strip()
+    return out
+
+
+def _read(source: str | Path, seen: tuple[Path, ...]) -> tuple[Tree, Path]:
+    path = Path(source)
+    stock = STOCK / f"{source}.toml"
+    if stock.is_file() and path.suffix != ".toml":
+        path = stock
+    if not path.is_file():
+        names = ", ".join(stock_scenes())
+        raise SceneError(f"scene {str(source)!r}: no such file, nor one of the stock scenes ({names})")
+    if path.resolve() in seen:
+        raise SceneError(f"scene {path}: base: it is based on itself; allowed: a chain without a circle")
+    try:
+        text = path.read_text()
+    except (OSError, UnicodeDecodeError) as error:
+        raise SceneError(f"scene {path}: cannot be read ({type(error).__name__}); allowed: a TOML text file") from error
+    own = _loads(text, path)
+    name = own.get("name", path.stem)
+    tree = _based(own, path.parent, path, (*seen, path.resolve()))
+    tree["name"] = name
+    if path != stock:
+        tree["folder"] = str(path.parent)
+    return tree, path
+
+
+def _loads(text: str, source: str | Path) -> Tree:
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise SceneError(f"scene {source}: not valid TOML: {error}") from error
+
+
+def _based(tree: Tree, folder: Path, source: str | Path, seen: tuple[Path, ...]) -> Tree:
+    """The tree on top of its base."""
+    base = tree.pop("base", None)
+    if base is None:
+        return tree
+    if not isinstance(base, str):
+        raise SceneError(f"scene {source}: base = {base!r}: allowed: a stock scene's name or a path")
+    beside = folder / base
+    below, _ = _read(beside if beside.is_file() else base, seen)
+    if "piece" in tree and "portion" not in tree:
+        below.pop("portion", None)  # pieces listed one by one: [portion] is not used
+    return on_top(below, tree)

@@ -1,0 +1,147 @@
+"""Materials of a scene as arrays: what each is, and what holds between any two."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dem_jax.errors import SceneError
+from dem_jax.scene import buckets
+from dem_jax.scene.scene import Scene
+from dem_jax.scene.sections.material import DEFAULT, WALL, Material, NamedMaterial
+
+
+@dataclass(frozen=True)
+class MaterialTable:
+    """The M materials that pieces and walls of a scene are of, in float64: first those of pieces, then those of walls.
+
+    A name stands twice if pieces and walls are of it, as what it does not set differs (see sections.material). Where any
+    name no material, "default" comes first of all, and "wall" first of the walls'. What stands between two walls means
+    nothing: they never touch.
+    """
+
+    names: tuple[str, ...]
+    is_wall: np.ndarray  # [M] bool
+    density: np.ndarray  # [M] (kg/m3)
+    youngs_modulus: np.ndarray  # [M] (Pa): E_p of pieces, E_b of walls, not softened
+    poisson_ratio: np.ndarray  # [M]
+    restitution: np.ndarray  # [M, M], symmetric, as the next two: epsilon of eq. 6
+    friction: np.ndarray  # [M, M]: mu
+    pull_off: np.ndarray  # [M, M] (N): largest adhesive force of a contact
+
+
+@dataclass(frozen=True)
+class _Row:
+    """A material with all that it does not set filled in."""
+
+    name: str
+    is_wall: bool
+    density: float
+    youngs_modulus: float
+    poisson_ratio: float
+    restitution: float
+    friction_piece: float
+    friction_wall: float
+    pull_off: float
+
+
+def material_table(scene: Scene) -> MaterialTable:
+    """The materials in use, and the pairs by the rules of sections.material.Pair. Raises SceneError."""
+    of_pieces, of_walls = _names_of_pieces(scene), list(materials_of_groups(scene).values())
+    rows = [_row(scene.material, name, False) for name in _in_order(of_pieces)]
+    rows += [_row(scene.material, name, True) for name in _in_order(of_walls)]
+    each = lambda key: np.array([getattr(row, key) for row in rows])  # noqa: E731
+    listed = {frozenset(pair.of): pair for pair in scene.pair}
+
+    def pairs(key: str, rule: Callable[[_Row, _Row], float]) -> np.ndarray:
+        said = [[getattr(listed.get(frozenset((a.name, b.name))), key, None) for b in rows] for a in rows]
+        return np.array([[rule(a, b) if s is None else s for b, s in zip(rows, line, strict=True)]
+                         for a, line in zip(rows, said, strict=True)], float)  # fmt: skip
+
+    return MaterialTable(
+        names=tuple(row.name for row in rows),
+        is_wall=each("is_wall"),
+        density=each("density"),
+        youngs_modulus=each("youngs_modulus"),
+        poisson_ratio=each("poisson_ratio"),
+        restitution=pairs("restitution", _of_piece_or_mean("restitution", "restitution")),
+        friction=pairs("friction", _of_piece_or_mean("friction_piece", "friction_wall")),
+        pull_off=pairs("pull_off", _of_piece_or_mean("pull_off", "pull_off")),
+    )
+
+
+def rows_of_pieces(table: MaterialTable, names: Sequence[str | None]) -> np.ndarray:
+    """Rows [N] int of the table, of pieces with these materials' names (None: [material])."""
+    row = {name: k for k, name in enumerate(table.names) if not table.is_wall[k]}
+    return np.array([row[name or DEFAULT] for name in names], int)
+
+
+def rows_of_groups(table: MaterialTable, scene: Scene, groups: Sequence[str]) -> np.ndarray:
+    """Rows [G] int of the table, of wall groups (types.Walls.groups); those of panels are these at Walls.group."""
+    row = {name: k for k, name in enumerate(table.names) if table.is_wall[k]}
+    of_group = materials_of_groups(scene)
+    return np.array([row[of_group[group] or WALL] for group in groups], int)
+
+
+def materials_of_groups(scene: Scene) -> dict[str, str | None]:
+    """Wall group -> name of its material, None: [material]. Raises SceneError where a group has two."""
+    owners = [(f"wall.{n}", wall.group, wall.material) for n, wall in enumerate(scene.wall)]
+    for key, short in (("weigh_bucket", "wb"), ("feed_bucket", "fb")):
+        bucket = getattr(scene, key)
+        if bucket:
+            owners += [(key, group, bucket.material) for group, *_ in buckets.parts(bucket, short, 0.0).panels]
+    if scene.feeder:
+        owners.append(("feeder", buckets.FEEDER, scene.feeder.material))
+    found: dict[str, str | None] = {}
+    for key, group, name in owners:
+        if found.setdefault(group, name) != name:
+            raise SceneError(
+                f"{key}.material = {name or 'unset'}: wall group {group!r} has {found[group] or 'none'}; "
+                "allowed: one material for all of a group"
+            )
+    return found
+
+
+def _names_of_pieces(scene: Scene) -> list[str | None]:
+    if scene.piece:
+        return [row.material for row in scene.piece]
+    assert scene.portion is not None  # as a Scene makes sure
+    return [row.material for row in scene.portion.rows]
+
+
+def _in_order(names: Sequence[str | None]) -> list[str | None]:
+    """Each name once, None first."""
+    return sorted(dict.fromkeys(names), key=lambda name: name is not None)
+
+
+def _row(base: Material, name: str | None, is_wall: bool) -> _Row:
+    """The material with the name, None: [material] itself, as pieces or as walls have it."""
+    own = NamedMaterial() if name is None else base.named[name]
+
+    def said(key: str, inherited: str | None = None) -> float:
+        value = getattr(own, key)
+        return getattr(base, inherited or key) if value is None else value
+
+    return _Row(
+        name=name or (WALL if is_wall else DEFAULT),
+        is_wall=is_wall,
+        density=said("density"),
+        youngs_modulus=said("youngs_modulus", "wall_youngs_modulus" if is_wall else None),
+        poisson_ratio=said("poisson_ratio", "wall_poisson_ratio" if is_wall else None),
+        restitution=said("restitution"),
+        friction_piece=said("friction_piece"),
+        friction_wall=said("friction_wall"),
+        pull_off=said("pull_off"),
+    )
+
+
+def _of_piece_or_mean(between_pieces: str, on_wall: str) -> Callable[[_Row, _Row], float]:
+    """What holds between two materials that are not listed as a pair."""
+
+    def rule(a: _Row, b: _Row) -> float:
+        if a.is_wall != b.is_wall:
+            return getattr(b if a.is_wall else a, on_wall)
+        one, other = getattr(a, between_pieces), getattr(b, between_pieces)
+        return one if one == other else 0.5 * (one + other)
+
+    return rule

@@ -1,0 +1,121 @@
+"""A whole scene: plain, frozen data of which each section says what it takes. SI units unless a key's name says otherwise
+(``_deg``: degrees). See ``dem_jax/scenes/*.toml`` for the stock scenes."""
+
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator, Field, ValidationError, model_validator
+
+from dem_jax.errors import SceneError
+from dem_jax.scene.changes import new_materials, on_top, set_key
+from dem_jax.scene.sections.base import Section, as_tuple
+from dem_jax.scene.sections.buckets import Bucket, Drop, Feeder
+from dem_jax.scene.sections.material import DEFAULT, WALL, Material, Pair
+from dem_jax.scene.sections.pieces import Piece, Portion
+from dem_jax.scene.sections.run import RunSettings
+from dem_jax.scene.sections.walls import Block, Motion, Wall
+from dem_jax.scene.text import toml, value
+from dem_jax.scene.words import choices, one_line
+
+
+class Scene(Section):
+    """A whole scene. ``load_scene`` reads one; ``replace`` makes a changed one."""
+
+    name: str = Field("scene", pattern=r"^[^/\\]+$", description="of the files that a run writes")
+    material: Material = Material()
+    run: RunSettings = RunSettings()
+    portion: Portion | None = None
+    piece: Annotated[tuple[Piece, ...], BeforeValidator(as_tuple)] = ()
+    wall: Annotated[tuple[Wall, ...], BeforeValidator(as_tuple)] = ()
+    motion: Annotated[tuple[Motion, ...], BeforeValidator(as_tuple)] = ()
+    block: Annotated[tuple[Block, ...], BeforeValidator(as_tuple)] = ()
+    feed_bucket: Bucket | None = None
+    weigh_bucket: Bucket | None = None
+    feeder: Feeder | None = None
+    drop: Drop = Drop()
+    pair: Annotated[tuple[Pair, ...], BeforeValidator(as_tuple)] = ()
+    folder: str = Field(".", description="folder that files named in the scene are relative to")
+
+    @model_validator(mode="after")
+    def _has_pieces(self) -> "Scene":
+        if not self.piece and self.portion is None:
+            raise ValueError("a scene needs [portion] or at least one [[piece]]")
+        return self
+
+    @model_validator(mode="after")
+    def _feeder_feeds_a_bucket(self) -> "Scene":
+        if self.feeder and (self.feed_bucket is None or self.piece):
+            raise ValueError("[feeder] needs a [feed_bucket] below it and a [portion], and no [[piece]]")
+        return self
+
+    @model_validator(mode="after")
+    def _names_materials_that_exist(self) -> "Scene":
+        known = list(self.material.named)
+        for key, name in materials_named(self):
+            if name not in known:
+                allowed = choices(name, known) if known else "allowed: a name of a [material.NAME], of which there is none"
+                raise ValueError(f"{key} = {value(name)}: no such material; {allowed}")
+        return self
+
+    @model_validator(mode="after")
+    def _lists_each_pair_once(self) -> "Scene":
+        known, seen = [DEFAULT, WALL, *self.material.named], set()
+        for n, pair in enumerate(self.pair):
+            for name in pair.of:
+                if name not in known:
+                    raise ValueError(f"pair.{n}.of = {value(pair.of)}: no such material; {choices(name, known)}")
+            if frozenset(pair.of) in seen:
+                raise ValueError(f"pair.{n}.of = {value(pair.of)}: is listed already; allowed: each pair once")
+            seen.add(frozenset(pair.of))
+        return self
+
+    def replace(self, changes: dict[str, Any] | None = None, **sections: Any) -> "Scene":
+        """A scene with some values changed: ``scene.replace(material={"restitution": 0.3})`` or
+        ``scene.replace({"material.restitution": 0.3})``. Lists are replaced whole. Raises SceneError."""
+        return validated(self.model_dump(exclude_unset=False), "scene", changes, sections)
+
+    def to_toml(self) -> str:
+        """The scene as TOML text, complete with defaults; ``parse`` reads it back."""
+        return toml(self.model_dump(exclude_none=True))
+
+
+def materials_named(scene: Scene) -> list[tuple[str, str]]:
+    """(key, name) wherever the scene names a material for pieces or walls."""
+    products = scene.portion.product if scene.portion else ()
+    places = {
+        "portion": scene.portion,
+        **{f"portion.product.{n}": row for n, row in enumerate(products)},
+        **{f"piece.{n}": row for n, row in enumerate(scene.piece)},
+        **{f"wall.{n}": row for n, row in enumerate(scene.wall)},
+        "weigh_bucket": scene.weigh_bucket,
+        "feed_bucket": scene.feed_bucket,
+        "feeder": scene.feeder,
+    }
+    return [(f"{key}.material", row.material) for key, row in places.items() if row and row.material is not None]
+
+
+def validated(
+    tree: dict[str, Any], source: str, changes: dict[str, Any] | None = None, sections: dict[str, Any] | None = None
+) -> Scene:
+    """The scene of a tree of plain values with changes by dotted keys and then by sections. Raises SceneError, whose
+    words begin with ``source``."""
+    new = new_materials(tree, changes or ())
+    tree = dict(tree)
+    for key, item in (changes or {}).items():
+        set_key(tree, key.split("."), item)
+    tree = on_top(tree, sections or {})
+    try:
+        scene = Scene.model_validate(tree)
+    except ValidationError as error:
+        raise SceneError(f"{source}: {one_line(error, tree, Scene)}") from error
+    _check_new_materials(scene, new, source)
+    return scene
+
+
+def _check_new_materials(scene: Scene, new: dict[str, str], source: str) -> None:
+    """A key like material.NAME.restitution whose NAME nothing in the scene has is a slip of the pen. Raises SceneError."""
+    used = {name for _, name in materials_named(scene)} | {name for pair in scene.pair for name in pair.of}
+    for name, key in new.items():
+        if name not in used:
+            known = [other for other in scene.material.named if other not in new]
+            allowed = choices(name, known) if known else "allowed: a name that a piece or wall has"
+            raise SceneError(f"{source}: {key}: nothing is of a material {name!r}; {allowed}")

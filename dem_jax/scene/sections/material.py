@@ -1,0 +1,91 @@
+"""What pieces and walls are made of."""
+
+import re
+from typing import Annotated
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from dem_jax.scene.sections.base import NotNegative, Positive, Section, as_tuple
+
+DEFAULT, WALL = "default", "wall"  # names of [material] in [[pair]]: of pieces, and of walls, that name no other
+
+Restitution = Annotated[float, Field(gt=0, le=1)]
+PoissonRatio = Annotated[float, Field(ge=0, lt=0.5)]
+
+
+class NamedMaterial(Section):
+    """A material that pieces or walls name; what it does not set is as in [material]."""
+
+    density: Positive | None = Field(None, description="kg/m3, pieces")
+    youngs_modulus: Positive | None = Field(
+        None, description="Pa: E_p of pieces, E_b of walls; unset: youngs_modulus or wall_youngs_modulus of [material]"
+    )
+    poisson_ratio: PoissonRatio | None = Field(
+        None, description="unset: poisson_ratio or, of walls, wall_poisson_ratio of [material]"
+    )
+    restitution: Restitution | None = Field(None, description="epsilon of eq. 6, of pieces")
+    friction_piece: NotNegative | None = Field(None, description="mu between pieces")
+    friction_wall: NotNegative | None = Field(None, description="mu between such a piece and a wall")
+    pull_off: NotNegative | None = Field(None, description="N, largest adhesive force of a contact, of pieces")
+
+
+class Material(Section, extra="allow"):
+    """What pieces and walls are made of, and the contact law's parameters. Values are the paper's (section 4.2).
+
+    Tables in it, ``[material.NAME]``, are materials by name: ``scene.material.named``.
+    """
+
+    __pydantic_extra__: dict[str, NamedMaterial]
+
+    density: Positive = Field(300.0, description="kg/m3, pieces")
+    youngs_modulus: Positive = Field(1.0e8, description="Pa, pieces (E_p)")
+    wall_youngs_modulus: Positive = Field(1.0e11, description="Pa, walls (E_b)")
+    restitution: Restitution = Field(0.1, description="epsilon of eq. 6")
+    friction_piece: NotNegative = Field(0.7, description="mu between pieces")
+    friction_wall: NotNegative = Field(0.3, description="mu between piece and wall")
+    softening: Positive = Field(0.01, description="NSF, on both moduli")
+    stiffness_size: str = Field("equivalent-diameter", description="L of eqs 7-8, a name of shapes.SIZE_LENGTHS")
+    separation: float = Field(0.001, ge=0, lt=1, description="lambda of eq. 1")
+    tangential_stiffness: Positive = Field(1.0, description="K_t / K_nl")
+    unloading_damping: float = Field(
+        0.0, ge=0, le=1, description="damping ratio of the unloading branch; 0: as in the paper"
+    )
+    poisson_ratio: PoissonRatio = Field(0.3, description="pieces")
+    wall_poisson_ratio: PoissonRatio = Field(0.3, description="walls")
+    pull_off: NotNegative = Field(0.0, description="N, largest adhesive force of a contact")
+
+    @property
+    def named(self) -> dict[str, NamedMaterial]:
+        """The materials by name, in the order in which they were written."""
+        return dict(self.__pydantic_extra__ or {})
+
+    @model_validator(mode="after")
+    def _has_good_names(self) -> "Material":
+        for name in self.named:
+            if name in (DEFAULT, WALL) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]*", name):
+                words = f'a letter, then letters, digits, "_" and "-", and neither "{DEFAULT}" nor "{WALL}"'
+                raise ValueError(f"a table by the name of {name!r}; allowed: {words}")
+        return self
+
+
+class Pair(Section):
+    """What holds between two materials; what a pair does not set, and pairs that are not listed, follow these rules.
+
+    Two pieces of one material: its restitution, friction_piece and pull_off. Two pieces of different materials: the
+    arithmetic mean of both. A piece and a wall: the restitution, friction_wall and pull_off of the piece's material.
+    Stiffness follows from both moduli, eq. 5. Materials by name hold for pieces and walls alike: ``of = ["gummy",
+    "gummy"]`` is said of two pieces and of a piece on a wall.
+    """
+
+    of: Annotated[tuple[str, str], BeforeValidator(as_tuple)] = Field(
+        description=f'names of two materials, in any order; [material] itself is "{DEFAULT}" of pieces, "{WALL}" of walls'
+    )
+    restitution: Restitution | None = Field(None, description="epsilon of eq. 6")
+    friction: NotNegative | None = Field(None, description="mu")
+    pull_off: NotNegative | None = Field(None, description="N, largest adhesive force of a contact")
+
+    @model_validator(mode="after")
+    def _says_something(self) -> "Pair":
+        if self.restitution is None and self.friction is None and self.pull_off is None:
+            raise ValueError("missing: restitution, friction, pull_off; at least one must be given")
+        return self

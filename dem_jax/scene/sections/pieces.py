@@ -1,0 +1,103 @@
+"""Pieces, listed one by one or made by the scene."""
+
+from typing import Annotated, Literal
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from dem_jax.scene.sections.base import MaterialName, Points, Positive, Quaternion, Section, Size, Vector, as_tuple
+from dem_jax.scene.text import value
+
+
+class PieceShape(Section):
+    """The shape of a piece, with the sizes that it takes."""
+
+    shape: Literal["chamfered-cuboid", "cuboid", "sphere", "prism", "cylinder", "hull"] = "chamfered-cuboid"
+    scale_factor: Positive = Field(1.0, description="SF, on all lengths")
+    size: Size | None = Field(
+        None, description="m, edges x, y, z of a cuboid; unset: the marshmallow's 55 x 23 x 16 mm"
+    )
+    chamfer: Positive | None = Field(None, description="m, of a chamfered cuboid; unset: 5 mm")
+    radius: Positive | None = Field(None, description="m, of a sphere, a cylinder or a prism (circumscribed)")
+    height: Positive | None = Field(None, description="m, of a cylinder or a prism")
+    sides: int | None = Field(None, ge=3, description="of a prism or a cylinder")
+    points: Points | None = Field(None, description="m, point set of a hull")
+    stl: str | None = Field(None, description="file of a hull, relative to the scene's")
+    unit: Positive = Field(1.0, description="m per unit of the STL or the points")
+
+
+SHAPE_KEYS = {
+    "sphere": {"radius"},
+    "cuboid": {"size"},
+    "chamfered-cuboid": {"size", "chamfer"},
+    "prism": {"sides", "radius", "height"},
+    "cylinder": {"radius", "height", "sides"},
+    "hull": {"points", "stl", "unit"},
+}
+
+
+Spread = Annotated[
+    float,
+    Field(ge=0, le=0.5, description="relative standard deviation of the linear size, lognormal; 0: all are alike"),
+]
+
+
+class Piece(PieceShape):
+    """A piece listed one by one."""
+
+    material: MaterialName = None
+
+    position: Vector = Field(description="m, centre of mass")
+    orientation: Quaternion = Field((1.0, 0.0, 0.0, 0.0), description="quaternion w x y z, body to world")
+    velocity: Vector = Field((0.0, 0.0, 0.0), description="m/s")
+    angular_velocity: Vector = Field((0.0, 0.0, 0.0), description="rad/s, world frame")
+
+
+class Product(PieceShape):
+    """One of several products that a portion is mixed of, with shape, material and share."""
+
+    material: MaterialName = None
+    share: Positive = Field(1.0, description="of the portion's weight or count (share_by), relative to the other shares")
+    size_spread: Spread = 0.0
+
+
+MOST_PRODUCTS = 16
+OF_PRODUCT = {*PieceShape.model_fields, "material", "size_spread"}  # keys of a portion that go to its products
+
+
+class Portion(PieceShape):
+    """Pieces made by the scene, at random by the seed: all of one product, or of several, one [[portion.product]] each.
+
+    Beside products the keys of shape, material and size spread belong to each product. How many pieces there are of
+    each, and of which sizes: dem_jax/build/portion.py.
+    """
+
+    material: MaterialName = None
+    size_spread: Spread = 0.0
+    product: Annotated[tuple[Product, ...], BeforeValidator(as_tuple)] = ()
+    share_by: Literal["weight", "count"] = Field("weight", description="what the shares of the products are of")
+
+    target_weight: Positive = Field(0.05, description="kg; eq. 16 gives the count, rounded, unless count is set")
+    count: int | None = Field(None, ge=1, description="number of pieces")
+    arrangement: Literal["settled", "scattered"] = Field(
+        "settled", description="settled in the closed feed bucket before time zero, or let go as scattered"
+    )
+    settling_time: Positive = Field(0.5, description="s that the pieces are given to settle before time zero")
+    region_low: Vector | None = Field(None, description="m; box in which pieces are scattered; unset: the feed bucket")
+    region_high: Vector | None = Field(
+        None, description="m; it is filled from below, and left upwards if it is too small"
+    )
+    spacing: float = Field(1.02, ge=1.0, description="of the grid of scattered pieces, in bounding diameters")
+
+    @property
+    def rows(self) -> "tuple[Product | Portion, ...]":
+        """What shapes, materials and sizes are read from: the products, or the portion itself where it has none."""
+        return self.product or (self,)
+
+    @model_validator(mode="after")
+    def _leaves_shapes_to_its_products(self) -> "Portion":
+        if len(self.product) > MOST_PRODUCTS:
+            raise ValueError(f"{len(self.product)} products; allowed: at most {MOST_PRODUCTS}")
+        for key, field in type(self).model_fields.items():
+            if self.product and key in OF_PRODUCT and getattr(self, key) != field.default:
+                raise ValueError(f"{key} = {value(getattr(self, key))}: beside products; allowed: in each [[portion.product]]")
+        return self

@@ -1,0 +1,57 @@
+"""How a scene is run."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from dem_jax.scene.sections.base import NotNegative, Positive, Section, Vector
+
+Error = Annotated[float, Field(gt=0, le=0.2)]
+
+
+class Accuracy(Section):
+    """The errors of a single impact that are accepted, relative: the time step follows from them (dem_jax.build.time_step)."""
+
+    restitution: Error | None = Field(None, description="of the speed of rebound")
+    peak_force: Error | None = None
+
+    @model_validator(mode="after")
+    def _says_something(self) -> "Accuracy":
+        if self.restitution is None and self.peak_force is None:
+            raise ValueError("missing: restitution, peak_force; at least one must be given: a number > 0 and <= 0.2")
+        return self
+
+
+class RunSettings(Section):
+    """How a scene is run and what is kept."""
+
+    duration: Positive = Field(0.2, description="s, from the release of the portion")
+    until_settled: bool = Field(False, description="end once all is at rest: settling before the release, and the run")
+    settled_speed: Positive = Field(0.01, description="m/s; at rest are pieces that have all been slower ...")
+    settled_time: Positive = Field(0.02, description="s ... for so long, after the last motion of a wall")
+    sample: Positive = Field(30e-6, description="s between samples")
+    step: Literal["auto"] | Positive = Field("auto", description='s, or "auto"')
+    accuracy: Accuracy | None = Field(
+        None, description="instead of step: { restitution = 0.01, peak_force = 0.001 }, relative errors, both or one"
+    )
+    precision: Literal["f32", "f64"] = "f32"
+    gravity: Vector = Field((0.0, 0.0, -9.81), description="m/s2")
+    frames: NotNegative = Field(1e-3, description="s between stored poses; 0: none")
+    energy: bool = Field(True, description="keep the ledger of dissipated energy and work of walls")
+    domain_low: Vector | None = Field(
+        None, description="m; a piece below this has left the scene; unset: from the walls"
+    )
+    domain_high: Vector | None = Field(None, description="m")
+    escape: Literal["stop", "note"] = Field(
+        "stop", description='a piece that leaves the domain stops the run, or is noted in the file and flies on: "note"'
+    )
+    rebuild_steps: int = Field(48, ge=1, description="how many steps candidate pairs are kept at most")
+    neighbours: Literal["auto", "all-pairs", "cells", "jax-md"] = Field(
+        "auto", description="how pairs of pieces are found; auto: all pairs of few, cells for many"
+    )
+
+    @model_validator(mode="after")
+    def _has_one_step(self) -> "RunSettings":
+        if self.accuracy is not None and self.step != "auto":
+            raise ValueError(f'step = {self.step:g}: beside accuracy, from which the step follows; allowed: "auto"')
+        return self

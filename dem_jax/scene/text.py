@@ -1,0 +1,24 @@
+"""Plain values as TOML text, with each list on one line."""
+
+from typing import Any
+
+import tomli_w
+
+
+def toml(tree: dict[str, Any]) -> str:
+    """Nested tables, lists of tables and plain values as TOML; floats are exact. Raises TypeError for other values."""
+    return _on_one_line(tomli_w.dumps(tree, indent=0))
+
+
+def value(item: Any) -> str:
+    """One value as TOML on one line, tables inline; what TOML does not know as Python shows it."""
+    try:
+        text = toml({"item": [[item]]})  # in a list of a list a table is always written inline
+    except (TypeError, ValueError):
+        return repr(item)
+    return text.removeprefix("item = [[").removesuffix("]]\n")
+
+
+def _on_one_line(text: str) -> str:
+    """tomli-w puts each element of a list on a line; within a string, a line break is written as an escape."""
+    return text.replace("[\n", "[").replace(",\n]", "]").replace(",\n", ", ")
