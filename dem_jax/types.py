@@ -64,9 +64,9 @@ class Pieces:
     spheres: Array  # int32: ... and which are spheres
 
 
-@pytree(static=("groups", "reports", "moving"))
+@pytree(static=("groups", "reports"))
 class Walls:
-    """Convex plates in G groups, each group moved as a rigid body: a hinge and a vibration, zero where it has none.
+    """Convex plates in G groups, each group moved as a rigid body or at rest.
 
     A name that forces are reported under may stand for several groups (``wb_flaps`` for both flaps).
     """
@@ -76,15 +76,15 @@ class Walls:
     half_extent: Array  # [3, W] (m): of the box around the panel, in its frame
     group: Array  # [W] int32
     plane: Array | None  # [W] int32: the same number for panels that continue each other in a plane, -1 for all others
-    pivot: Array  # [3, G] (m): a point on the hinge's axis; torques are about it
-    axis: Array  # [3, G]: unit direction of the hinge
-    swing: Array  # [G] (rad): angle of the open flap
-    timing: Array  # [5, G] (s): start, opening, dwell, closing, period (inf: once)
-    stroke: Array  # [3, G] (m): amplitude of the vibration
-    shake: Array  # [4, G]: frequency (Hz), start (s), end (s), ramp (s)
+    pivot: Array  # [3, G] (m): moves with the group; torques are about it; on the axis of a hinge
+    motions: tuple  # of the kinds in contact.motion, each of all groups that move so; none: all rest
     groups: tuple  # names of the G groups
     reports: tuple  # ((reported name, (group, ...)), ...)
-    moving: bool  # whether any group moves
+
+    @property
+    def moving(self) -> bool:
+        """Whether any group moves."""
+        return bool(self.motions)
 
 
 @pytree

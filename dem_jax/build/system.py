@@ -13,7 +13,7 @@ from dem_jax.build.start import Start, first_state, motion_of_start, placed, set
 from dem_jax.build.time_step import TimeStep, block_steps, choose_step
 from dem_jax.build.typed import typed
 from dem_jax.build.walls import panels_of, wall_arrays, walls_of
-from dem_jax.contact import hulls
+from dem_jax.contact import hulls, motion
 from dem_jax.errors import SceneError
 from dem_jax.scene import Scene, Wall
 from dem_jax.types import Law, State, System, float_dtype
@@ -99,7 +99,7 @@ def build(scene: Scene, seed: int = 0) -> Built:
 
 
 def self_contained(scene: Scene) -> Scene:
-    """The scene with the contents of the STL files that it names in their place. Raises SceneError."""
+    """The scene with the contents of the STL and CSV files that it names in their place. Raises SceneError."""
     rows = [named(f"piece.{n}", with_points, row, scene.folder) for n, row in enumerate(scene.piece)]
     portion = scene.portion and named("portion", with_points, scene.portion, scene.folder)
     walls = []
@@ -109,7 +109,9 @@ def self_contained(scene: Scene) -> Scene:
             continue
         panels = [corners.tolist() for _, corners, _ in named(f"wall.{n}", panels_of, wall, scene.folder)]
         walls += [Wall(group=wall.group, thickness=wall.thickness, corners=tuples(c)) for c in panels]
-    return scene.model_copy(update={"piece": tuple(rows), "portion": portion, "wall": tuple(walls), "folder": "."})
+    motions = tuple(motion.written_out(row, scene.folder) for row in scene.motion)
+    changes = {"piece": tuple(rows), "portion": portion, "wall": tuple(walls), "motion": motions, "folder": "."}
+    return scene.model_copy(update=changes)
 
 
 def _hull_table(made, plates, seams):
