@@ -315,7 +315,8 @@ def step_section(count, numbers, restitutions):
         peak, rebound = nearest_bound(kind, worst)
         text.append(f"{what}; double precision unless said:\n\n{report.table(heads, step_rows(worst, every, restitutions))}")
         text.append(
-            f"Of the bounds in `dem_jax/contact/law/walton_braun_accuracy.py`, from which `run.accuracy` takes the step, these errors reach at most "
+            "Of the bounds in `dem_jax/contact/law/walton_braun_accuracy.py`, from which `run.accuracy` takes the step, "
+            f"these errors reach at most "
             f"{100 * rebound:.0f} % (restitution) and {100 * peak:.0f} % (peak force)."
         )
     return "\n\n".join(text)

@@ -67,7 +67,7 @@ class Pieces:
 
 @pytree
 class Walls:
-    """Convex plates in G groups, each group moved as a rigid body: a hinge and a vibration, zero where it has none.
+    """Convex plates in G groups, each group moved as a rigid body or at rest.
 
     A name that forces are reported under may stand for several groups (``wb_flaps`` for both flaps).
     """
@@ -78,15 +78,15 @@ class Walls:
     group: Array  # [W] int32
     material: Array  # [W] int32: row of Materials
     plane: Array | None  # [W] int32: the same number for panels that continue each other in a plane, -1 for all others
-    pivot: Array  # [3, G] (m): a point on the hinge's axis; torques are about it
-    axis: Array  # [3, G]: unit direction of the hinge
-    swing: Array  # [G] (rad): angle of the open flap
-    timing: Array  # [5, G] (s): start, opening, dwell, closing, period (inf: once)
-    stroke: Array  # [3, G] (m): amplitude of the vibration
-    shake: Array  # [4, G]: frequency (Hz), start (s), end (s), ramp (s)
+    pivot: Array  # [3, G] (m): moves with the group; torques are about it; on the axis of a hinge
+    motions: tuple  # of the kinds in contact.motion, each of all groups that move so; none: all rest
     groups: tuple = static()  # names of the G groups
     reports: tuple = static()  # ((reported name, (group, ...)), ...)
-    moving: bool = static()  # whether any group moves
+
+    @property
+    def moving(self) -> bool:
+        """Whether any group moves."""
+        return bool(self.motions)
 
 
 @pytree
@@ -136,7 +136,7 @@ class System:
     row_capacity: int = static()  # most pieces in three neighbouring cells in a row, where there are cells
     partition: Partition | None = static()  # of jax-md's list
     has_hulls: bool = static()  # whether any piece is a polytope
-    alike: tuple = static()  # "hulls" if all polytopes among the pieces are one shape, "spheres" if all spheres are (and of one material)
+    alike: tuple = static()  # "hulls" if all polytopes of pieces are one shape, "spheres" if all spheres are, of one material
     escape_stops: bool = static()  # whether a piece outside the domain stops the run
     has_rotation: bool = static()
     ledger: bool = static()  # whether work and dissipation are added up

@@ -14,7 +14,7 @@ from dem_jax.build.start import Start, first_state, motion_of_start, placed, set
 from dem_jax.build.time_step import TimeStep, block_steps, choose_step, longest_reach, possible_contacts
 from dem_jax.build.typed import typed
 from dem_jax.build.walls import panels_of, wall_arrays, walls_of
-from dem_jax.contact import hulls
+from dem_jax.contact import hulls, motion
 from dem_jax.contact.law import ContactLaw
 from dem_jax.errors import SceneError
 from dem_jax.scene import Scene
@@ -54,7 +54,7 @@ def build(scene: Scene, seed: int = 0, law: ContactLaw | None = None) -> Built:
     settling = settling_samples(scene) * step.substeps
     samples = max(1, round(scene.run.duration / scene.run.sample))
     frame_every = max(1, round(scene.run.frames / scene.run.sample)) if scene.run.frames else 0
-    walls, plates, seams = wall_arrays(panels, motions, joint, dtype)
+    walls, plates, seams = wall_arrays(scene, panels, motions, joint, dtype)
     domain = _domain(scene, panels, start, made)
     polytopes = [i for i, m in enumerate(made) if m.radius == 0]
     table, shape_rows = _hull_table(made, plates, seams)
@@ -105,7 +105,7 @@ def build(scene: Scene, seed: int = 0, law: ContactLaw | None = None) -> Built:
 
 
 def self_contained(scene: Scene) -> Scene:
-    """The scene with the contents of the STL files that it names in their place. Raises SceneError."""
+    """The scene with the contents of the STL and CSV files that it names in their place. Raises SceneError."""
     rows = [named(f"piece.{n}", with_points, row, scene.folder) for n, row in enumerate(scene.piece)]
     portion = scene.portion and named("portion", with_points, scene.portion, scene.folder)
     if portion and portion.product:
@@ -118,7 +118,9 @@ def self_contained(scene: Scene) -> Scene:
             continue
         panels = [corners.tolist() for _, corners, _ in named(f"wall.{n}", panels_of, wall, scene.folder)]
         walls += [wall.model_copy(update={"stl": None, "unit": 1.0, "corners": tuples(c)}) for c in panels]
-    return scene.model_copy(update={"piece": tuple(rows), "portion": portion, "wall": tuple(walls), "folder": "."})
+    motions = tuple(motion.written_out(row, scene.folder) for row in scene.motion)
+    changes = {"piece": tuple(rows), "portion": portion, "wall": tuple(walls), "motion": motions, "folder": "."}
+    return scene.model_copy(update=changes)
 
 
 def _hull_table(made, plates, seams):

@@ -7,16 +7,19 @@ import numpy as np
 
 from dem_jax import shapes
 from dem_jax.build.typed import typed
+from dem_jax.contact import motion
 from dem_jax.errors import SceneError
 from dem_jax.scene import Scene, buckets
+from dem_jax.scene.materials import material_table, rows_of_groups
 from dem_jax.shapes import meshes
 from dem_jax.types import Walls
 
 
 def walls_of(scene: Scene):
-    """Panels (group, corners, thickness), motions by group, reported names, blocks, and the boxes (low, high) in which
+    """Panels (group, corners, thickness), sections of motions, reported names, blocks, and the boxes (low, high) in which
     pieces start: of the feed bucket, of the feeder."""
-    panels, motions, joint, blocks, regions = [], list(scene.motion), {}, list(scene.block), []
+    panels, joint, blocks, regions = [], {}, list(scene.block), []
+    motions = [motion.written_out(row, scene.folder) for row in scene.motion]
     for wall in scene.wall:
         panels += panels_of(wall, scene.folder)
     found = []
@@ -37,13 +40,10 @@ def walls_of(scene: Scene):
         blocks.append(found[-1].block)
         regions.append((feeder.interior_low, feeder.interior_high))
     known = {group for group, _, _ in panels}
-    by_group = {}
-    for motion in motions:
-        if motion.group not in known or motion.group in by_group:
-            why = "has two motions" if motion.group in by_group else "no wall has this group"
-            raise SceneError(f"motion.group = {motion.group!r}: {why}; allowed: one each for {', '.join(sorted(known))}")
-        by_group[motion.group] = motion
-    return panels, by_group, joint, blocks, regions
+    for row in motions:
+        if row.group not in known:
+            raise SceneError(f"motion.group = {row.group!r}: no wall has this group; allowed: {', '.join(sorted(known))}")
+    return panels, motions, joint, blocks, regions
 
 
 def panels_of(wall, folder):
@@ -55,32 +55,29 @@ def panels_of(wall, folder):
     return [(wall.group, polygon, wall.thickness) for polygon in polygons]
 
 
-def wall_arrays(panels, motions, joint, dtype) -> Walls:
+def wall_arrays(scene: Scene, panels, motions, joint, dtype) -> tuple[Walls, list, list | None]:
+    """The walls, the shapes of their panels and the seams of each. Raises SceneError."""
     groups = list(dict.fromkeys(group for group, _, _ in panels))
     made = [_plate(corners, thickness, f"corners of wall group {group!r}") for group, corners, thickness in panels]
     reports = {}
     for i, group in enumerate(groups):
         reports.setdefault(joint.get(group, group), []).append(i)
-    rows = [_motion_row(motions.get(group)) for group in groups]
-    columns = lambda k, size: np.array([row[k] for row in rows], float).reshape(len(groups), size).T  # noqa: E731
+    group = np.array([groups.index(name) for name, _, _ in panels], int)
+    material = rows_of_groups(material_table(scene), scene, groups)
+    moved, pivot = motion.motions_of(motions, tuple(groups))
     extent = [np.abs(shape.vertices).max(0) for shape, _, _ in made]
     seams, plane = _seams([(group, corners) for group, corners, _ in panels])
     walls = Walls(
         centre=np.array([c for _, c, _ in made], float).reshape(-1, 3).T,
         rotation=np.array([r for _, _, r in made], float).reshape(-1, 3, 3).transpose(1, 2, 0),
         half_extent=np.array(extent, float).reshape(-1, 3).T,
-        group=np.array([groups.index(group) for group, _, _ in panels], int),
-        material=materials,
+        group=group,
+        material=material[group],
         plane=plane,
-        pivot=columns(0, 3),
-        axis=columns(1, 3),
-        swing=columns(2, 1)[0],
-        timing=columns(3, 5),
-        stroke=columns(4, 3),
-        shake=columns(5, 4),
+        pivot=pivot,
+        motions=moved,
         groups=tuple(groups),
         reports=tuple((name, tuple(members)) for name, members in reports.items()),
-        moving=any(group in motions for group in groups),
     )
     if seams:  # scene to panel frame
         seams = [across @ turn for across, (_, _, turn) in zip(seams, made, strict=True)]
@@ -126,19 +123,3 @@ def _plate(corners, thickness, name):
     shape = shapes.polytope(name, local, plate.faces)
     centre = turn @ (local.mean(0) - shape.vertices.mean(0))  # of mass: where polytope() puts the origin
     return dataclasses.replace(shape, principal=np.array([1.0, 0, 0, 0])), centre, turn
-
-
-def _motion_row(motion):
-    if motion is None:
-        return (0, 0, 0), (1, 0, 0), (0,), (0, 1, 0, 1, 0), (0, 0, 0), (0, 0, 1, 1)
-    axis = np.array(motion.axis)
-    if not np.linalg.norm(axis) > 0:
-        raise SceneError(f"motion.axis = {motion.axis}: allowed: a vector that is not zero")
-    return (
-        motion.pivot,
-        axis / np.linalg.norm(axis),
-        (np.radians(motion.swing_deg),),
-        (motion.start, motion.opening, motion.dwell, motion.closing, motion.period),
-        motion.stroke,
-        (motion.frequency, motion.shake_start, motion.shake_end, motion.shake_ramp),
-    )

@@ -1,11 +1,12 @@
-"""Walls in motion: poses and velocities of groups and panels as functions of time."""
+"""Panels of walls in motion: their poses and velocities at a time, and at the steps ahead."""
 
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from dem_jax.maths import rotation, vector
+from dem_jax.contact import motion
+from dem_jax.maths import vector
 from dem_jax.types import System, Walls
 
 
@@ -28,59 +29,21 @@ def _three(rows, first):
     return tuple(rows[..., first + k, :] for k in range(3))
 
 
-def smooth_step(u):
-    """0 for u <= 0, 1 for u >= 1, between them the quintic without a jump in velocity or acceleration."""
-    u = jnp.clip(u, 0, 1)
-    return u * u * u * (10 + u * (6 * u - 15))
-
-
-def opening(timing, t):
-    """How far the flaps are open, 0 to 1, [G]; timing: start, opening, dwell, closing, period (s; 0: once)."""
-    start, opens, dwell, closes, period = timing
-    since = t - start
-    cyclic = (period > 0) & (since > 0)
-    since = jnp.where(cyclic, jnp.mod(since, jnp.where(period > 0, period, 1)), since)
-    return smooth_step(since / opens) - smooth_step((since - opens - dwell) / closes)
-
-
-def vibration(shake, t):
-    """Displacement of a vibrating group in units of its amplitude, [G]; shake: frequency (Hz), start, end, ramp (s)."""
-    frequency, start, end, ramp = shake
-    envelope = smooth_step((t - start) / ramp) * smooth_step((end - t) / ramp)
-    return envelope * jnp.sin(2 * jnp.pi * frequency * (t - start))
-
-
-def group_angle(walls: Walls, t):
-    """Angle of each group about its hinge (rad), [G]."""
-    return walls.swing * opening(walls.timing, t)
-
-
-def group_pose(walls: Walls, t):
-    """Rotation (rows of [G]) about its pivot, and the pivot's place ([G] x 3, m), of each group at time t (s)."""
-    turn = rotation.axis_angle(vector.unpack(walls.axis), group_angle(walls, t))
-    shift = vibration(walls.shake, t)
-    pivot = vector.add_scaled(vector.unpack(walls.pivot), shift, vector.unpack(walls.stroke))
-    return turn, pivot
-
-
 def panels(walls: Walls, t, t_velocity) -> Panels:
     """Poses of all panels at time t and velocities of all groups at time t_velocity (s)."""
     centre, frame = vector.unpack(walls.centre), tuple(vector.unpack(row) for row in walls.rotation)
     if not walls.moving:
         rest, still = (tuple(jnp.zeros_like(c) for c in a) for a in (walls.centre, walls.pivot))
         return _packed(centre, frame, rest, rest, tuple(walls.pivot), still, still)
-    turn, pivot = group_pose(walls, t)
-    angle_rate = _rate(lambda t: group_angle(walls, t), t_velocity)
-    shift_rate = _rate(lambda t: vibration(walls.shake, t), t_velocity)
-    group_spin = vector.scale(angle_rate, vector.unpack(walls.axis))
-    pivot_velocity = vector.scale(shift_rate, vector.unpack(walls.stroke))
-    of_group = jnp.stack([*turn[0], *turn[1], *turn[2], *walls.pivot, *pivot, *pivot_velocity, *group_spin])
+    moved = motion.frames(walls, t, t_velocity)
+    turn, velocities = moved.turn, (*moved.velocity, *moved.spin)
+    of_group = jnp.stack([*turn[0], *turn[1], *turn[2], *walls.pivot, *moved.pivot, *velocities])
     c = of_group[:, walls.group]  # one gather, group to panel
     turn, hinge, pivot_w, velocity, spin = (c[:3], c[3:6], c[6:9]), c[9:12], c[12:15], c[15:18], c[18:21]
     arm = vector.rotate(turn, vector.sub(centre, hinge))
     velocity = vector.add(velocity, vector.cross(spin, arm))
     place = vector.add(pivot_w, arm)
-    return _packed(place, vector.compose(turn, frame), velocity, tuple(spin), pivot, pivot_velocity, group_spin)
+    return _packed(place, vector.compose(turn, frame), velocity, tuple(spin), moved.pivot, moved.velocity, moved.spin)
 
 
 def _packed(centre, frame, velocity, spin, pivot, pivot_velocity, group_spin) -> Panels:
@@ -109,7 +72,3 @@ def scheduled(system: System, schedule: Panels, index) -> Panels:
     if not system.walls.moving:
         return schedule
     return jax.tree.map(lambda rows: rows.at[index].get(mode="fill", fill_value=jnp.nan), schedule)
-
-
-def _rate(function, t):
-    return jax.jvp(function, (t,), (jnp.ones_like(t),))[1]

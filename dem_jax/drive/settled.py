@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dem_jax.contact import motion
 from dem_jax.errors import SceneError
 from dem_jax.scene import Scene
 from dem_jax.types import Sample, System
@@ -41,21 +42,17 @@ def rule_of(scene: Scene, system: System, settling, samples_per_block) -> Rule |
     """The rule of a scene, None if its runs go on to the end. settling: samples before the release. Raises SceneError."""
     if not scene.run.until_settled:
         return None
-    for n, motion in enumerate(scene.motion):
-        never = f"run.until_settled = true: group {motion.group!r} never rests"
-        if motion.swing_deg and motion.period:
-            raise SceneError(f"{never}: motion.{n}.period = {motion.period:g}; allowed: 0 (once)")
-        if any(motion.stroke) and motion.shake_end >= scene.run.duration:
-            raise SceneError(
-                f"{never}: motion.{n}.shake_end = {motion.shake_end:g}; allowed: below run.duration = {scene.run.duration:g}"
-            )
+    for n, section in enumerate(scene.motion):
+        why = motion.endless(section, scene.run.duration)
+        if why:
+            raise SceneError(f"run.until_settled = true: group {section.group!r} never rests: motion.{n}.{why}")
     speed, gravity = scene.run.settled_speed, math.hypot(*scene.run.gravity)
     if 0 < scene.run.settled_time * gravity <= 2 * speed:
         raise SceneError(
             f"run.settled_time = {scene.run.settled_time:g}: at the top of a bounce pieces are slow for longer; allowed: "
             f"above {2 * speed / gravity:.4g} s, in which gravity turns run.settled_speed = {speed:g} round"
         )
-    begins, ends = _moving(system.walls)
+    begins, ends = motion.interval(system.walls)
     wanted = max(1, math.ceil(scene.run.settled_time / scene.run.sample - 1e-9))
     return Rule(
         speed=speed,
@@ -63,13 +60,3 @@ def rule_of(scene: Scene, system: System, settling, samples_per_block) -> Rule |
         start=0 if begins < 0 else -settling,
         still=math.ceil(ends / scene.run.sample - 1e-3),
     )
-
-
-def _moving(walls):
-    """Times (s) at which the first wall begins to move and the last one has ended; 0, 0 if none moves."""
-    swings, shakes = np.asarray(walls.swing) != 0, np.any(np.asarray(walls.stroke) != 0, axis=0)
-    start, opening, dwell, closing, _ = np.asarray(walls.timing, float)
-    _, shake_start, shake_end, _ = np.asarray(walls.shake, float)
-    begins = np.concatenate([start[swings], shake_start[shakes]])
-    ends = np.concatenate([(start + opening + dwell + closing)[swings], shake_end[shakes]])
-    return begins.min(initial=0.0), ends.max(initial=0.0)

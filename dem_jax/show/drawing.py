@@ -6,7 +6,7 @@ import jax
 import numpy as np
 
 from dem_jax import build
-from dem_jax.contact import boundary
+from dem_jax.contact import motion
 from dem_jax.scene import parse
 from dem_jax.shapes import meshes
 
@@ -20,7 +20,7 @@ def bodies_of(run):
     scene = parse(run.scene, "the file's scene")
     panels, motions, joint, *_ = build.walls.walls_of(scene)
     with jax.enable_x64(True):
-        walls = build.walls.wall_arrays(panels, motions, joint, np.float64)[0]
+        walls = build.walls.wall_arrays(scene, panels, motions, joint, np.float64)[0]
     solids = {group: [] for group in walls.groups}
     for group, corners, thickness in panels:
         plate = meshes.plate(corners, thickness)
@@ -33,7 +33,7 @@ def _pose_function(walls):
     still = {group: (np.eye(3), np.zeros(3)) for group in walls.groups}
     if not walls.moving:
         return lambda t: still
-    program = jax.jit(boundary.group_pose)
+    program = jax.jit(lambda walls, t: motion.frames(walls, t, t)[:2])
     rest = np.asarray(walls.pivot)
 
     @cache

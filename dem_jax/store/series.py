@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from dem_jax.contact import motion
 from dem_jax.maths import rotation
 from dem_jax.maths.pose import matrix_of_quaternion
 from dem_jax.types import ENERGIES, Sample, State, System
@@ -11,7 +12,7 @@ WITHOUT_LEDGER = ENERGIES[:3]  # what is known where dissipation and work of wal
 
 def moving_groups(system: System) -> dict[str, int]:
     """Name and index of each wall group that moves."""
-    moves = (np.asarray(system.walls.swing) != 0) | (np.asarray(system.walls.stroke) != 0).any(axis=0)
+    moves = motion.moves(system.walls)
     return {name: i for i, name in enumerate(system.walls.groups) if moves[i]}
 
 

@@ -8,8 +8,10 @@ from scipy.spatial.transform import Rotation
 
 from dem_jax import build, validation
 from dem_jax.contact import boundary
+from dem_jax.contact.motion import Hinge, Vibration
+from dem_jax.maths.smooth import smooth_step
 from dem_jax.pairs import guard
-from dem_jax.scene import Scene
+from dem_jax.scene import Motion, Scene
 from dem_jax.step import stepping
 
 SAMPLES = 1024
@@ -24,7 +26,7 @@ def run(made, samples, finer=1, skin=0.01):
 
 
 def test_smooth_step_is_smooth_at_its_ends():
-    step = boundary.smooth_step
+    step = smooth_step
     assert [float(step(u)) for u in (-1.0, 0.0, 0.5, 1.0, 2.0)] == pytest.approx([0, 0, 0.5, 1, 1], abs=1e-15)
     rate = jax.grad(step)
     for end in (1e-9, 1 - 1e-9):
@@ -34,22 +36,24 @@ def test_smooth_step_is_smooth_at_its_ends():
 
 
 def test_a_flap_opens_dwells_closes_and_does_so_again():
-    once, again = (np.array([0.1, 0.2, 0.3, 0.4, period]) for period in (0.0, 2.0))
+    times = {"start": 0.1, "opening": 0.2, "dwell": 0.3, "closing": 0.4}
+    once, again = (Hinge.of([Motion(group="flap", **times, period=period)]) for period in (0.0, 2.0))
     for t, expected in ((0.0, 0), (0.1, 0), (0.2, 0.5), (0.3, 1), (0.6, 1), (0.8, 0.5), (1.0, 0), (1.9, 0)):
-        for timing in (once, again):
-            assert float(boundary.opening(timing, t)) == pytest.approx(expected, abs=1e-12)
-    assert float(boundary.opening(once, 2.2)) == 0
-    assert float(boundary.opening(again, 2.2)) == pytest.approx(0.5, abs=1e-12)
-    assert float(boundary.opening(again, -1.8)) == 0  # not before it starts
+        for hinge in (once, again):
+            assert float(hinge.opened(t)[0]) == pytest.approx(expected, abs=1e-12)
+    assert float(once.opened(2.2)[0]) == 0
+    assert float(again.opened(2.2)[0]) == pytest.approx(0.5, abs=1e-12)
+    assert float(again.opened(-1.8)[0]) == 0  # not before it starts
 
 
 def test_a_vibration_is_a_sine_that_starts_and_ends_gently():
-    shake = np.array([5.0, 1.0, 3.0, 0.1])
+    keys = {"frequency": 5.0, "shake_start": 1.0, "shake_end": 3.0, "shake_ramp": 0.1}
+    vibration = Vibration.of([Motion(group="pan", **keys)])
     for t in (0.5, 1.0, 3.0, 3.5):
-        assert float(boundary.vibration(shake, t)) == pytest.approx(0, abs=1e-14)
+        assert float(vibration.displacement(t)[0]) == pytest.approx(0, abs=1e-14)
     for t in (1.15, 1.83, 2.5):
-        assert float(boundary.vibration(shake, t)) == pytest.approx(np.sin(2 * np.pi * 5 * (t - 1)), abs=1e-13)
-    assert float(boundary.vibration(shake, 1.05)) == pytest.approx(0.5, abs=1e-13)
+        assert float(vibration.displacement(t)[0]) == pytest.approx(np.sin(2 * np.pi * 5 * (t - 1)), abs=1e-13)
+    assert float(vibration.displacement(1.05)[0]) == pytest.approx(0.5, abs=1e-13)
 
 
 def plate(group, half=0.1, z=0.0, **more):

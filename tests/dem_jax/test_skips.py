@@ -11,9 +11,11 @@ import numpy as np
 import pytest
 
 from dem_jax import build
+from dem_jax.build.typed import typed
+from dem_jax.contact.motion import Hinge, Vibration
 from dem_jax.drive import run
 from dem_jax.pairs import guard, neighbours
-from dem_jax.scene import Scene
+from dem_jax.scene import Motion, Scene
 from dem_jax.step import stepping
 
 SAMPLES = 150  # of 30 us
@@ -120,7 +122,11 @@ def test_one_shape_as_many(balls):
 def test_walls_that_move_by_nothing_rest():
     walls = built().system.walls
     assert not walls.moving
-    assert_same(traced(built(), walls=walls.replace(moving=True)), as_built())
+    idle = [Motion(group=group) for group in walls.groups]
+    motions = tuple(kind.of(idle) for kind in (Hinge, Vibration))
+    moved = walls.replace(motions=typed(motions, walls.pivot.dtype))
+    assert moved.moving
+    assert_same(traced(built(), walls=moved), as_built())
 
 
 def test_frames_are_only_looked_at():

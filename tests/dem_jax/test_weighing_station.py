@@ -6,7 +6,6 @@ import pytest
 
 import dem_jax
 from dem_jax import build
-from dem_jax.contact import boundary
 from dem_jax.errors import SceneError
 from dem_jax.scene import load_scene
 
@@ -19,8 +18,9 @@ def test_the_cycle_is_that_of_table_1():
         scene = load_scene("weighing-station").replace(run={"precision": "f64"})
         walls = build.build(scene).system.walls
         time = np.linspace(-0.2, 1.2, 1401)
-        opened = np.array([boundary.opening(walls.timing, t) for t in time])
-        shift = np.array([boundary.vibration(walls.shake, t) for t in time]) * np.linalg.norm(walls.stroke, axis=0)
+        hinge, vibration = walls.motions
+        opened = np.array([hinge.opened(t) for t in time])
+        shift = np.array([vibration.displacement(t) for t in time]) * np.linalg.norm(vibration.stroke, axis=0)
     of = walls.groups.index
     weigh, feed = opened[:, of("wb_flap_left")], opened[:, of("fb_flap_right")]
     starts = time[np.argmax(feed > 0)]

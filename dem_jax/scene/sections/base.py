@@ -16,6 +16,7 @@ Vector = Annotated[tuple[float, float, float], BeforeValidator(as_tuple)]
 Quaternion = Annotated[tuple[float, float, float, float], BeforeValidator(as_tuple)]
 Size = Annotated[tuple[Positive, Positive, Positive], BeforeValidator(as_tuple)]
 Points = Annotated[tuple[Vector, ...], BeforeValidator(as_tuple)]
+Numbers = Annotated[tuple[float, ...], BeforeValidator(as_tuple)]
 MaterialName = Annotated[str | None, Field(description="name of a [material.NAME]; unset: [material] itself")]
 
 

@@ -2,7 +2,7 @@
 
 from pydantic import Field
 
-from dem_jax.scene.sections.base import MaterialName, NotNegative, Points, Positive, Section, Vector
+from dem_jax.scene.sections.base import MaterialName, NotNegative, Numbers, Points, Positive, Section, Vector
 
 
 class Wall(Section):
@@ -19,7 +19,10 @@ class Wall(Section):
 
 
 class Motion(Section):
-    """How a wall group moves: about a hinge, and/or vibrating. Times are from the release of the portion."""
+    """How a wall group moves: about a hinge, by a table, vibrating, or several of these. Times are from the release.
+
+    A hinge goes along with what a table moves, and all of it vibrates.
+    """
 
     group: str
     pivot: Vector = Field((0.0, 0.0, 0.0), description="m, a point of the hinge's axis")
@@ -35,6 +38,12 @@ class Motion(Section):
     shake_start: float = Field(0.0, description="s")
     shake_end: float = Field(1e3, description="s")
     shake_ramp: Positive = Field(0.02, description="s, to full amplitude and back")
+    table: str | None = Field(
+        None, description="CSV file, relative to the scene's, with columns time (s) and angle_deg, x, y or z (m)"
+    )
+    times: Numbers | None = Field(None, description="s, in a table's place; at rest before the first and after the last")
+    angles_deg: Numbers | None = Field(None, description="degrees at these times, right-handed about the axis")
+    ways: Points | None = Field(None, description="m at these times, from where the walls are given")
 
 
 class Block(Section):

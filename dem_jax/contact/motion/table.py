@@ -1,0 +1,168 @@
+"""Turning and shifting by a table of times, angles and ways: cubics between its rows, at rest before and after it.
+
+Between rows the piecewise cubic Hermite interpolation of Fritsch and Carlson (SIAM J. Numer. Anal. 17, 238, 1980): velocity
+has no jump, and angle and ways never go beyond those of the rows on both sides. Slopes are zero at the first and the last row.
+Of a smooth monotonic motion the error goes with the third power of the rows' distance, next to an extremum with the second.
+"""
+
+import csv
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
+
+from dem_jax.contact.motion.columns import axes, column
+from dem_jax.errors import SceneError
+from dem_jax.scene import Motion
+from dem_jax.types import Array, pytree
+
+COLUMNS = ("time", "angle_deg", "x", "y", "z")
+
+
+@pytree
+class Table:
+    """Tables of at most R rows that G groups follow; that of a group at rest holds zeros.
+
+    A row's cubic, highest power first, holds from its time to the next.
+    """
+
+    axis: Array | None  # [3, G]: unit direction; None: no table has angles
+    pivot: Array | None  # [3, G] (m): a point of the axis, at rest
+    times: Array  # [R, G] (s); inf after the last row
+    angles: Array | None  # [4, R, G] (rad/s3 .. rad)
+    ways: Array | None  # [3, 4, R, G] (m/s3 .. m)
+
+    @staticmethod
+    def asked(section: Motion) -> bool:
+        """Whether the section has a table."""
+        return section.times is not None
+
+    @classmethod
+    def of(cls, sections: list[Motion]) -> "Table":
+        """Of a section for each group, with its table ``written_out`` if it has one, in numpy. Raises SceneError."""
+        most = max(len(row.times or (0.0,)) for row in sections)
+        times = np.full((most, len(sections)), np.inf)
+        angles, ways = np.zeros((4, most, len(sections))), np.zeros((3, 4, most, len(sections)))
+        for group, row in enumerate(sections):
+            count = len(row.times or (0.0,))
+            times[:count, group] = row.times or (0.0,)
+            if row.angles_deg is not None:
+                angles[:, :count, group] = _cubics(row.times, np.radians(row.angles_deg))
+            for k, way in enumerate(np.array(row.ways).T if row.ways is not None else ()):
+                ways[k, :, :count, group] = _cubics(row.times, way)
+        turns, shifts = (any(getattr(row, key) is not None for row in sections) for key in ("angles_deg", "ways"))
+        axis, pivot = (axes(sections), column(sections, "pivot")) if turns else (None, None)
+        return cls(axis, pivot, times, angles if turns else None, ways if shifts else None)
+
+    def moves(self) -> np.ndarray:
+        """Which groups have a table, [G] bool, in numpy."""
+        return np.isfinite(np.asarray(self.times)[1])
+
+    def at(self, t: jax.Array) -> tuple[jax.Array | None, tuple | None]:
+        """Angle (rad), [G], and shift (m), 3 x [G], each None if no table has it."""
+        after = jax.vmap(lambda times: jnp.searchsorted(times, t, side="right"), in_axes=-1)(self.times)
+        row = jnp.maximum(after - 1, 0)[None]  # [1, G]
+        since = jnp.where(after > 0, t - jnp.take_along_axis(self.times, row, axis=0)[0], 0)
+
+        def value(cubics):
+            a, b, c, d = jnp.take_along_axis(cubics, row[None], axis=1)[:, 0]
+            return d + since * (c + since * (b + since * a))
+
+        angle = None if self.angles is None else value(self.angles)
+        return angle, None if self.ways is None else tuple(value(way) for way in self.ways)
+
+    def interval(self) -> tuple[np.ndarray, np.ndarray]:
+        """Times (s) of the first and the last rows, [G] each."""
+        times = np.asarray(self.times, float)
+        return times[0], np.where(np.isfinite(times), times, -np.inf).max(axis=0)
+
+    @staticmethod
+    def endless(section: Motion, duration: float) -> None:
+        """A table has an end."""
+
+
+def _cubics(times, values) -> np.ndarray:
+    """The cubic of each row in the time since it, [4, R], highest power first; of the last, the value that it keeps."""
+    slopes = PchipInterpolator(times, values).derivative()(times)
+    slopes[[0, -1]] = 0
+    last = np.array([0, 0, 0, values[-1]])[:, None]
+    return np.concatenate([CubicHermiteSpline(times, values, slopes).c, last], axis=1)
+
+
+def written_out(section: Motion, folder: str | Path) -> Motion:
+    """The section with the rows of its CSV in the file's place, checked; others as they are. Raises SceneError."""
+    given = [key for key in ("table", "times", "angles_deg", "ways") if getattr(section, key) is not None]
+    if not given:
+        return section
+    if section.table is not None:
+        if len(given) > 1:
+            raise SceneError(f"motion.table = {section.table!r}: beside {given[1]}; allowed: one of the two")
+        return _of_file(section, Path(folder) / section.table)
+    if section.times is None or len(given) == 1:
+        raise SceneError(f"motion.{given[0]}: without {'angles_deg or ways' if section.times else 'times'}; {_BOTH}")
+    rows = {key: len(getattr(section, key)) for key in given}
+    if len(set(rows.values())) > 1:
+        counts = ", ".join(f"{count} {key}" for key, count in rows.items())
+        raise SceneError(f"motion.times (group {section.group!r}): {counts}; allowed: as many of each")
+    _check_times(section.times, "motion.times", lambda n: f"times.{n}")
+    return section
+
+
+_BOTH = "allowed: times with angles_deg, ways or both"
+
+
+def _check_times(times, key, name) -> None:
+    """name: of a row's number."""
+    if len(times) < 2:
+        raise SceneError(f"{key}: {len(times)} rows; allowed: at least 2")
+    for n in np.flatnonzero(np.diff(times) <= 0)[:1] + 1:
+        raise SceneError(f"{key}: {name(n)} = {times[n]:g} after {times[n - 1]:g}; allowed: times that increase")
+
+
+def _of_file(section: Motion, path: Path) -> Motion:
+    """The section with the table of a CSV file."""
+    key = f"motion.table = {section.table!r}"
+    columns, lines = _read(path, key)
+    _check_times(columns["time"], key, lambda n: f"line {lines[n]}: time")
+    angles = columns.get("angle_deg")
+    ways = None
+    if set("xyz") & set(columns):
+        still = (0.0,) * len(lines)
+        ways = tuple(zip(*(columns.get(axis, still) for axis in "xyz"), strict=True))
+    return section.model_copy(update={"table": None, "times": columns["time"], "angles_deg": angles, "ways": ways})
+
+
+def _read(path: Path, key: str) -> tuple[dict[str, tuple], list[int]]:
+    """Columns of a CSV file by name, and the number of each row's line."""
+    allowed = "time (s), angle_deg, x, y, z (m), separated by commas"
+    try:
+        with open(path, newline="", encoding="utf-8-sig") as file:
+            reader = csv.reader(file)
+            head = [name.strip() for name in next(reader, [])]
+            rows = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise SceneError(f"{key}: cannot be read ({type(error).__name__}); allowed: a CSV file with a header") from error
+    for n, name in enumerate(head):
+        if name not in COLUMNS or name in head[:n]:
+            raise SceneError(f"{key}: {'a second' if name in COLUMNS else 'unknown'} column {name!r}; allowed: {allowed}")
+    if "time" not in head or len(head) < 2:
+        raise SceneError(f"{key}: columns {', '.join(head) or 'missing'}; allowed: time, and at least one of {allowed[10:]}")
+    values = [_numbers(row, head, f"{key}: line {line}") for line, row in rows]
+    columns = zip(*values, strict=True) if values else [()] * len(head)
+    return dict(zip(head, columns, strict=True)), [line for line, _ in rows]
+
+
+def _numbers(row, head, place) -> tuple[float, ...]:
+    """The numbers of a line."""
+    if len(row) != len(head):
+        raise SceneError(f"{place}: {len(row)} cells; allowed: {len(head)}, one for each column")
+    for name, cell in zip(head, row, strict=True):
+        try:
+            good = np.isfinite(float(cell))
+        except ValueError:
+            good = False
+        if not good:
+            raise SceneError(f"{place}: {name} = {cell.strip()}; allowed: a finite number")
+    return tuple(float(cell) for cell in row)

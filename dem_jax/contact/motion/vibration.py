@@ -1,0 +1,61 @@
+"""A sine along a straight line that starts and ends gently."""
+
+from typing import ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dem_jax.contact.motion.columns import column
+from dem_jax.maths import vector
+from dem_jax.maths.smooth import smooth_step
+from dem_jax.scene import Motion
+from dem_jax.types import Array, pytree
+
+
+@pytree
+class Vibration:
+    """Vibrations of G groups; one that does not vibrate has no stroke."""
+
+    stroke: Array  # [3, G] (m): amplitude
+    frequency: Array  # [G] (Hz)
+    shake_start: Array  # [G] (s)
+    shake_end: Array  # [G] (s)
+    shake_ramp: Array  # [G] (s): to full amplitude and back
+    axis: ClassVar[None] = None
+    pivot: ClassVar[None] = None
+
+    @staticmethod
+    def asked(section: Motion) -> bool:
+        """Whether the section has a stroke."""
+        return any(section.stroke)
+
+    @classmethod
+    def of(cls, sections: list[Motion]) -> "Vibration":
+        """Of a section for each group, in numpy."""
+        return cls(*(column(sections, key) for key in ("stroke", "frequency", "shake_start", "shake_end", "shake_ramp")))
+
+    def moves(self) -> np.ndarray:
+        """Which groups vibrate, [G] bool, in numpy."""
+        return np.any(np.asarray(self.stroke) != 0, axis=0)
+
+    def displacement(self, t: jax.Array) -> jax.Array:
+        """Displacement at a time (s) in units of the amplitude, [G]."""
+        ramp = self.shake_ramp
+        envelope = smooth_step((t - self.shake_start) / ramp) * smooth_step((self.shake_end - t) / ramp)
+        return envelope * jnp.sin(2 * jnp.pi * self.frequency * (t - self.shake_start))
+
+    def at(self, t: jax.Array) -> tuple[None, tuple]:
+        """No angle, and the shift (m), 3 x [G]."""
+        return None, vector.scale(self.displacement(t), vector.unpack(self.stroke))
+
+    def interval(self) -> tuple[np.ndarray, np.ndarray]:
+        """Times (s) at which they begin and end, [G] each."""
+        return np.asarray(self.shake_start, float), np.asarray(self.shake_end, float)
+
+    @staticmethod
+    def endless(section: Motion, duration: float) -> str | None:
+        """Why the section's vibration does not end in a run of so many seconds."""
+        if section.shake_end < duration:
+            return None
+        return f"shake_end = {section.shake_end:g}; allowed: below run.duration = {duration:g}"
