@@ -1,6 +1,8 @@
 """Shapes of pieces and walls: exact mass properties, faces, edges, convex parts; STL in. Host side, float64, SI."""
 
 from dem_jax.shapes.checks import positive_length
+from dem_jax.shapes.compound import Placed, checked_mass, compound, tube
+from dem_jax.shapes.decomposed import Decomposition, decompose, decomposed
 from dem_jax.shapes.hull import hull, placed_hull
 from dem_jax.shapes.mass import MassProperties, mass_properties
 from dem_jax.shapes.polytope import edges_of_faces, loop_normal, polytope
@@ -22,13 +24,19 @@ from dem_jax.shapes.stl import hull_of_stl, load_stl
 __all__ = [
     "SIZE_LENGTHS",
     "TOLERANCE",
+    "Decomposition",
     "MassProperties",
     "Part",
+    "Placed",
     "Shape",
     "chamfered_cuboid",
+    "checked_mass",
+    "compound",
     "convex_surface",
     "cuboid",
     "cylinder",
+    "decompose",
+    "decomposed",
     "edges_of_faces",
     "extents",
     "hull",
@@ -45,4 +53,5 @@ __all__ = [
     "size_length",
     "sphere",
     "surface",
+    "tube",
 ]
