@@ -7,7 +7,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dem_jax.build.pieces import alike, distinct_shapes, named, piece_arrays, pieces_of, tuples, with_points
+from dem_jax.build.pieces import (
+    alike,
+    distinct_shapes,
+    named,
+    piece_arrays,
+    pieces_of,
+    refuse_parts,
+    tuples,
+    with_points,
+)
 from dem_jax.build.room import capacity, partition, row_capacity
 from dem_jax.build.start import Start, first_state, motion_of_start, placed, settling_samples
 from dem_jax.build.time_step import TimeStep, block_steps, choose_step
@@ -41,6 +50,7 @@ def build(scene: Scene, seed: int = 0) -> Built:
     """Everything that a run of the scene needs. Raises SceneError."""
     dtype = float_dtype(scene.run.precision)
     made = pieces_of(scene)
+    refuse_parts(made)
     panels, motions, joint, blocks, regions = walls_of(scene)
     start = placed(scene, made, regions, np.random.default_rng(seed))
     pieces = piece_arrays(scene, made)

@@ -2,7 +2,7 @@
 
 from dem_jax.shapes.checks import positive_length
 from dem_jax.shapes.compound import Placed, checked_mass, compound, tube
-from dem_jax.shapes.decomposed import Decomposition, decompose, decomposed
+from dem_jax.shapes.decomposed import JOINT, Decomposition, decompose, decomposed
 from dem_jax.shapes.hull import hull, placed_hull
 from dem_jax.shapes.mass import MassProperties, mass_properties
 from dem_jax.shapes.polytope import edges_of_faces, loop_normal, polytope
@@ -19,9 +19,10 @@ from dem_jax.shapes.shape import (
     size_length,
     surface,
 )
-from dem_jax.shapes.stl import hull_of_stl, load_stl
+from dem_jax.shapes.stl import hull_of_stl, load_stl, placed_hull_of_stl
 
 __all__ = [
+    "JOINT",
     "SIZE_LENGTHS",
     "TOLERANCE",
     "Decomposition",
@@ -46,6 +47,7 @@ __all__ = [
     "mass_properties",
     "parts_of",
     "placed_hull",
+    "placed_hull_of_stl",
     "polytope",
     "positive_length",
     "prism",

@@ -71,15 +71,15 @@ def tube(outer_radius: float, inner_radius: float, height: float, sides: int = 1
 def checked_mass(volume: float, centre: Sequence[float], gyration: Sequence[float]) -> MassProperties:
     """Mass properties that a person gives: volume (m3), centre [3] (m), gyration: inertia over mass about the centre, as
     xx, yy, zz, xy, xz, yz (m2). Raises SceneError for values that no body has."""
-    positive("mass.volume", volume, "a positive volume (m3)")
-    centre = finite_vector("mass.centre", centre)
-    xx, yy, zz, xy, xz, yz = finite_vector("mass.gyration", gyration, 6)
+    positive("mass_properties.volume", volume, "a positive volume (m3)")
+    centre = finite_vector("mass_properties.centre", centre)
+    xx, yy, zz, xy, xz, yz = finite_vector("mass_properties.gyration", gyration, 6)
     tensor = np.array([(xx, xy, xz), (xy, yy, yz), (xz, yz, zz)])
     moments = np.linalg.eigvalsh(tensor)
     if moments[0] <= 0.0 or moments[2] > (1.0 + 1e-9) * (moments[0] + moments[1]):
         raise SceneError(
-            f"mass.gyration = {tuple(gyration)!r} belongs to no body: its principal moments {moments.tolist()} m2 must be "
-            "positive, none above the sum of the others"
+            f"mass_properties.gyration = {tuple(gyration)!r} belongs to no body: its principal moments {moments.tolist()} m2 "
+            "must be positive, none above the sum of the others"
         )
     return MassProperties(float(volume), centre, tensor)
 

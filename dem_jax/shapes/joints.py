@@ -83,7 +83,8 @@ def _is_covered(loop: np.ndarray, normal: np.ndarray, others: list[tuple[np.ndar
 def _without(polygon: np.ndarray, normals: np.ndarray, offsets: np.ndarray) -> list[np.ndarray]:
     """Convex pieces of a convex polygon [k, 3] that are outside a polytope."""
     pieces = []
-    for normal, offset in zip(normals, offsets, strict=True):
+    cuts = (polygon @ normals.T > offsets).any(axis=0)
+    for normal, offset in zip(normals[cuts], offsets[cuts], strict=True):
         outside = clipped(polygon, -normal, -offset)
         if len(outside) >= 3:
             pieces.append(outside)

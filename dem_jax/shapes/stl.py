@@ -7,7 +7,7 @@ import numpy as np
 
 from dem_jax.errors import SceneError
 from dem_jax.shapes.checks import positive_length
-from dem_jax.shapes.hull import hull
+from dem_jax.shapes.hull import placed_hull
 from dem_jax.shapes.shape import Shape
 
 if TYPE_CHECKING:
@@ -20,13 +20,18 @@ def hull_of_stl(path: str | Path, unit: float = 1.0, tolerance: float = 1e-3) ->
     tolerance: largest fraction by which the convex hull's volume may exceed the mesh's.
     Raises SceneError for a file that is missing or unreadable, an open mesh, and a mesh that is not convex.
     """
+    return placed_hull_of_stl(path, unit, tolerance)[0]
+
+
+def placed_hull_of_stl(path: str | Path, unit: float = 1.0, tolerance: float = 1e-3) -> tuple[Shape, np.ndarray]:
+    """As ``hull_of_stl``, and the centre of mass [3] (m) in the frame of the file."""
     mesh = closed_mesh(path, unit)
-    shape = hull(mesh.vertices)
+    shape, centre = placed_hull(mesh.vertices)
     excess = shape.volume / abs(mesh.volume) - 1.0 if mesh.volume else float("inf")
     if excess > tolerance:
         allowed = f'at most {100 * tolerance:g} % is allowed; shape = "decomposed" cuts it into convex parts'
         raise SceneError(f"stl = {str(path)!r} is not convex: its hull has {100 * excess:.2g} % more volume; {allowed}")
-    return shape
+    return shape, centre
 
 
 def closed_mesh(path: str | Path, unit: float = 1.0) -> "trimesh.Trimesh":

@@ -46,7 +46,7 @@ def mass_of_union(parts: Sequence[Part], depths: dict[tuple[int, int], float], s
             names = f"part.{i} ({parts[i].shape.name}) and part.{j} ({parts[j].shape.name})"
             raise SceneError(
                 f"{names} overlap by {depths[i, j]:.3g} m: a ball and a polytope may only touch, as the mass of what "
-                "they share is not known exactly; allowed: a hull of points for the ball, or mass given beside part"
+                "they share is not known exactly; allowed: a hull of points for the ball, or mass_properties given"
             )
     solids = [i for i, part in enumerate(parts) if part.shape.radius == 0.0]
     balls = [i for i, part in enumerate(parts) if part.shape.radius > 0.0]

@@ -279,9 +279,9 @@ def test_mass_that_a_person_gives_is_taken():
         (lambda: shapes.tube(0.01, 0.01, 0.1), r"inner_radius = 0\.01 m must be less than outer_radius = 0\.01 m"),
         (lambda: shapes.tube(0.01, 0.005, 0.1, 2), r"sides = 2 must be a whole number of at least 3"),
         (lambda: shapes.tube(0.01, 0.005, -0.1), r"height = -0\.1"),
-        (lambda: shapes.checked_mass(0.0, (0, 0, 0), (1, 1, 1, 0, 0, 0)), r"mass\.volume = 0\.0"),
-        (lambda: shapes.checked_mass(1.0, (0, 0, 0), (1, 1, 3, 0, 0, 0)), r"mass\.gyration = .* belongs to no body"),
-        (lambda: shapes.checked_mass(1.0, (0, 0, 0), (1, 1, 1)), r"mass\.gyration = .* list of 6 finite numbers"),
+        (lambda: shapes.checked_mass(0.0, (0, 0, 0), (1, 1, 1, 0, 0, 0)), r"mass_properties\.volume = 0\.0"),
+        (lambda: shapes.checked_mass(1.0, (0, 0, 0), (1, 1, 3, 0, 0, 0)), r"mass_properties\.gyration = .* belongs to no body"),
+        (lambda: shapes.checked_mass(1.0, (0, 0, 0), (1, 1, 1)), r"mass_properties\.gyration = .* list of 6 finite numbers"),
     ],
 )
 def test_bad_parts_are_refused_by_key_and_value(make, message):
