@@ -518,8 +518,7 @@ def _one_line(error: ValidationError, tree) -> str:
         hint = f"did you mean {near[0]!r}? " if near else ""
         return f"{key} = {_short(first['input'])}: unknown key; {hint}allowed: {', '.join(known)}"
     if field is None:
-        tables = "tables [[{0}]]" if get_origin(Scene.model_fields[place[0]].annotation) is tuple else "a table [{0}]"
-        return f"{key} = {_short(first['input'])}: allowed: {tables.format(place[0])}"
+        return f"{key} = {_short(first['input'])}: allowed: {_tables([name for name in place if not name.isdecimal()])}"
     if first["type"] == "missing" and len(place) == len(first["loc"]):
         return f"{key}: missing; it must be given: {allowed(field)}"
     return f"{key} = {_short(_at(tree, place))}: allowed: {allowed(field)}"
@@ -538,6 +537,20 @@ def _field_at(loc):
             return place, section, field
         model = inside
     return place, model, None
+
+
+def _tables(names: list[str]) -> str:
+    """The head of a table, or of a list of tables, by the keys that lead to it."""
+    model = Scene
+    for name in names:
+        annotation = model.model_fields[name].annotation
+        model = next(_models(annotation))
+    head = ".".join(names)
+    return f"tables [[{head}]]" if _has_list(annotation) else f"a table [{head}]"
+
+
+def _has_list(annotation) -> bool:
+    return get_origin(annotation) is tuple or any(_has_list(part) for part in get_args(annotation))
 
 
 def _at(tree, place):

@@ -6,7 +6,7 @@ import pytest
 from dem_jax import shapes
 from dem_jax.errors import SceneError
 from dem_jax.maths.pose import matrix_of_quaternion
-from dem_jax.shapes import Placed
+from dem_jax.shapes import Placed, union
 from dem_jax.shapes.balls import moments_of_balls
 
 ROUNDING = 1e-12  # relative; sums of some tens of double-precision terms
@@ -117,6 +117,13 @@ def test_overlaps_are_counted_once():
     inside = shapes.compound([box((3, 2, 2), (0, 0, 0)), box((1, 1, 1), (0.5, 0, 0))])
     assert inside.volume == pytest.approx(12, rel=ROUNDING)
     assert inside.fused.tolist() == [0, 0] and all(inside.parts[1].inner)
+
+
+def test_more_overlaps_than_can_be_summed_are_refused(monkeypatch):
+    monkeypatch.setattr(union, "MOST_TERMS", 3)
+    bars = [box((3, 1, 1), (0, 0, 0)), box((1, 3, 1), (0, 0, 0)), box((1, 1, 3), (0, 0, 0))]  # 3 pairs and a triple
+    with pytest.raises(SceneError, match=r"part: more than 3 overlaps of 3 parts; allowed: parts that touch"):
+        shapes.compound(bars)
 
 
 def test_turned_bars_that_cross_share_a_rhombic_prism():

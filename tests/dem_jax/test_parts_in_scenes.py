@@ -96,6 +96,8 @@ def test_stl_files_of_parts_are_put_into_the_scene(tmp_path):
         ({"shape": "compound", "part": [{"shape": "cuboid"}]}, r"piece\.0\.part\.0\.size: missing; shape 'cuboid' needs it"),
         ({"shape": "compound", "part": [{"shape": "tube"}]}, r"piece\.0\.part\.0\.shape = \"tube\": allowed: \"chamfered-cuboid\""),
         ({"shape": "compound", "part": [{"radious": 1}]}, r"piece\.0\.part\.0\.radious = 1: unknown key; did you mean 'radius'"),
+        ({"shape": "compound", "part": [3]}, r"piece\.0\.part\.0 = 3: allowed: tables \[\[piece\.part\]\]"),
+        ({"shape": "compound", "part": [], "mass_properties": 3}, r"mass_properties = 3: allowed: a table \[piece\.mass_prop"),
         ({"shape": "compound", "part": [{"shape": "sphere", "radius": 1.0}]}, r"piece\.0\.part: 1 given; .* at least two"),
         ({"shape": "decomposed"}, r"piece\.0\.stl: missing; shape 'decomposed' needs it"),
         ({"shape": "decomposed", "stl": "none.stl"}, r"piece\.0\.stl = 'none\.stl': there is no such file"),
