@@ -11,30 +11,75 @@ import numpy as np
 from dem_jax import shapes
 from dem_jax.build import portion
 from dem_jax.errors import SceneError
-from dem_jax.scene import SHAPE_KEYS, PieceShape, Portion, Scene, arrange
+from dem_jax.scene import SHAPE_KEYS, BodyMass, ConvexShape, Part, PieceShape, Portion, Scene, arrange
 from dem_jax.scene.materials import material_table, rows_of_pieces
 from dem_jax.types import Pieces
 
+REQUIRED = {
+    "sphere": ("radius",),
+    "cuboid": ("size",),
+    "prism": ("sides", "radius", "height"),
+    "cylinder": ("radius", "height"),
+    "tube": ("outer_radius", "inner_radius", "height"),
+    "compound": ("part",),
+    "decomposed": ("stl",),
+}
+SIZES = frozenset().union(*SHAPE_KEYS.values()) - {"unit"}  # keys that belong to some shapes only; unit is never unset
+
 
 def make_shape(row: PieceShape, folder: str | Path = ".") -> shapes.Shape:
-    """The shape that a scene names, scaled. Raises SceneError."""
-    given = {k for k in ("size", "chamfer", "radius", "height", "sides", "points", "stl") if getattr(row, k) is not None}
-    stray = sorted(given - SHAPE_KEYS[row.shape])
+    """The shape that a scene names, scaled; STL files are looked for in a folder. Raises SceneError."""
+    given = _given(row)
+    if row.shape == "compound":
+        return shapes.scaled(_compound(row, folder), row.scale_factor)
+    if row.shape == "decomposed":
+        return shapes.scaled(shapes.decomposed(Path(folder) / row.stl, row.unit, **_cutting(row))[0], row.scale_factor)
+    if row.shape == "tube":
+        return shapes.scaled(shapes.tube(**given), row.scale_factor)
+    return _placed_shape(row, folder)[0]
+
+
+def _given(row: ConvexShape) -> dict[str, Any]:
+    """The sizes of a shape that are set. Raises SceneError for those of other shapes, and for one that it needs."""
+    given = {k: getattr(row, k) for k in sorted(SIZES & set(type(row).model_fields)) if getattr(row, k) not in (None, ())}
+    stray = sorted(set(given) - SHAPE_KEYS[row.shape])
     if stray:
         allowed = ", ".join(sorted(SHAPE_KEYS[row.shape]))
-        raise SceneError(f"{stray[0]} = {getattr(row, stray[0])}: not a key of shape {row.shape!r}; allowed: {allowed}")
-    if row.shape == "hull":
-        if (row.points is None) == (row.stl is None):
-            raise SceneError("shape 'hull': points, stl: exactly one of the two must be given")
-        if row.stl is not None:
-            return shapes.scaled(shapes.hull_of_stl(Path(folder) / row.stl, row.unit), row.scale_factor)
-        return shapes.scaled(shapes.hull(np.array(row.points) * row.unit), row.scale_factor)
-    required = {"sphere": ["radius"], "cuboid": ["size"], "prism": ["sides", "radius", "height"]}
-    for key in required.get(row.shape, ["radius", "height"] if row.shape == "cylinder" else []):
-        if getattr(row, key) is None:
+        raise SceneError(f"{stray[0]} = {given[stray[0]]}: not a key of shape {row.shape!r}; allowed: {allowed}")
+    if row.shape == "hull" and (row.points is None) == (row.stl is None):
+        raise SceneError("shape 'hull': points, stl: exactly one of the two must be given")
+    for key in REQUIRED.get(row.shape, ()):
+        if key not in given:
             raise SceneError(f"{key}: missing; shape {row.shape!r} needs it")
-    maker = getattr(shapes, row.shape.replace("-", "_"))
-    return shapes.scaled(maker(**{k: getattr(row, k) for k in given}), row.scale_factor)
+    return given
+
+
+def _placed_shape(row: ConvexShape, folder: str | Path) -> tuple[shapes.Shape, np.ndarray]:
+    """A convex shape, scaled, and its centre of mass [3] (m) in the frame of its points or its STL, else zero. Raises
+    SceneError."""
+    given = _given(row)
+    if row.stl is not None:
+        shape, centre = shapes.placed_hull_of_stl(Path(folder) / row.stl, row.unit)
+    elif row.points is not None:
+        shape, centre = shapes.placed_hull(np.array(row.points) * row.unit)
+    else:
+        shape, centre = getattr(shapes, row.shape.replace("-", "_"))(**given), np.zeros(3)
+    return shapes.scaled(shape, row.scale_factor), row.scale_factor * centre
+
+
+def _compound(row: PieceShape, folder: str | Path) -> shapes.Shape:
+    placed = []
+    for n, part in enumerate(row.part):
+        shape, centre = named(f"part.{n}", _placed_shape, part, folder)
+        placed.append(shapes.Placed(shape, centre if part.position is None else part.position, part.orientation))
+    given = row.mass_properties
+    mass = given and shapes.checked_mass(given.volume, given.centre, given.gyration)
+    return shapes.compound(placed, mass, row.joint_tolerance or shapes.TOLERANCE)
+
+
+def _cutting(row: PieceShape) -> dict[str, Any]:
+    """How an STL is decomposed: what the row says of it."""
+    return {k: getattr(row, k) for k in ("concavity", "max_parts", "loss") if getattr(row, k) is not None}
 
 
 @dataclass(frozen=True)
@@ -117,11 +162,45 @@ def distinct_shapes(made: Sequence[shapes.Shape]) -> tuple[list[shapes.Shape], l
 
 
 def with_points(row: PieceShape, folder: str | Path) -> PieceShape:
-    """The row of a hull with the corners of its STL; others as they are."""
-    if row.shape != "hull" or row.stl is None or row.points is not None:
+    """The row with the corners of the STL that it names, whole or cut into parts; others as they are. Raises SceneError."""
+    _given(row)
+    if row.shape == "decomposed":
+        return _cut(row, shapes.decompose(Path(folder) / row.stl, row.unit, **_cutting(row)))
+    if row.shape == "compound":
+        parts = [named(f"part.{n}", _part_with_points, part, folder) for n, part in enumerate(row.part)]
+        return row.model_copy(update={"part": tuple(parts)})
+    if row.shape != "hull" or row.stl is None:
         return row
     corners = shapes.hull_of_stl(Path(folder) / row.stl, row.unit).vertices
     return row.model_copy(update={"stl": None, "unit": 1.0, "points": tuples(corners.tolist())})
+
+
+def _part_with_points(part: Part, folder: str | Path) -> Part:
+    if part.stl is None:
+        return part
+    shape, centre = _placed_shape(part, folder)
+    points = tuples((shape.vertices + centre).tolist())
+    return part.model_copy(update={"stl": None, "unit": 1.0, "scale_factor": 1.0, "points": points})
+
+
+def _cut(row: PieceShape, found: shapes.Decomposition) -> PieceShape:
+    """The row of a decomposed STL as a compound of hulls with the mass of the STL; a single part is a hull."""
+    whole = {"stl": None, "unit": 1.0, "concavity": None, "max_parts": None, "loss": None}
+    said = f"{row.stl}: {found}"
+    whole["note"] = said if row.note is None else f"{row.note}; {said}"
+    points = [tuples(part.tolist()) for part in found.points]
+    if len(points) == 1:
+        return row.model_copy(update=whole | {"shape": "hull", "points": points[0]})
+    g = found.mass.gyration.tolist()
+    mass = BodyMass(
+        volume=found.mass.volume,
+        centre=tuple(found.mass.centre.tolist()),
+        gyration=(g[0][0], g[1][1], g[2][2], g[0][1], g[0][2], g[1][2]),
+    )
+    parts = tuple(Part(shape="hull", points=each) for each in points)
+    return row.model_copy(
+        update=whole | {"shape": "compound", "part": parts, "mass_properties": mass, "joint_tolerance": shapes.JOINT}
+    )
 
 
 def piece_arrays(scene: Scene, goods: Goods) -> Pieces:
@@ -147,11 +226,23 @@ def piece_arrays(scene: Scene, goods: Goods) -> Pieces:
 
 
 def _width(shape: shapes.Shape) -> float:
-    """Smallest width (m): twice the smallest distance of a face from the centre's opposite side."""
+    """Smallest width (m): least extent along the normal of a face; of several parts that of the narrowest."""
     if shape.radius > 0:
         return 2 * shape.radius
+    if shape.parts:
+        return min(_width(part.shape) for part in shape.parts)
     heights = shape.vertices @ shape.normals.T
     return float((heights.max(0) - heights.min(0)).min())
+
+
+def refuse_parts(made: list[shapes.Shape]) -> None:
+    """Raises SceneError for a piece of several convex parts."""
+    for n, shape in enumerate(made):
+        if len(shapes.parts_of(shape)) > 1:
+            raise SceneError(
+                f"piece.{n}.shape = {shape.name!r}: {len(shape.parts)} convex parts; allowed in a run so far: one; "
+                "it can be made, weighed and drawn"
+            )
 
 
 def alike(goods: Goods) -> tuple[str, ...]:

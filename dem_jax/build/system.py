@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dem_jax.build.law import law_of, materials_of
-from dem_jax.build.pieces import alike, distinct_shapes, goods_of, named, piece_arrays, tuples, with_points
+from dem_jax.build.pieces import alike, distinct_shapes, goods_of, named, piece_arrays, refuse_parts, tuples, with_points
 from dem_jax.build.room import capacity, partition, row_capacity
 from dem_jax.build.start import Start, first_state, motion_of_start, placed, settling_samples
 from dem_jax.build.time_step import TimeStep, block_steps, choose_step, longest_reach, possible_contacts
@@ -45,6 +45,7 @@ def build(scene: Scene, seed: int = 0, law: ContactLaw | None = None) -> Built:
     dtype = float_dtype(scene.run.precision)
     goods = goods_of(scene)
     made = list(goods.shapes)
+    refuse_parts(made)
     panels, motions, joint, blocks, regions = walls_of(scene)
     start = placed(scene, made, goods.numbers, regions, np.random.default_rng(seed))
     pieces = piece_arrays(scene, goods)

@@ -6,7 +6,7 @@ from dem_jax.scene.scene import Scene
 from dem_jax.scene.sections.base import NotNegative, Points, Positive, Quaternion, Section, Size, Vector
 from dem_jax.scene.sections.buckets import Bucket, Drop, Feeder
 from dem_jax.scene.sections.material import Material, NamedMaterial, Pair
-from dem_jax.scene.sections.pieces import SHAPE_KEYS, Piece, PieceShape, Portion, Product
+from dem_jax.scene.sections.pieces import SHAPE_KEYS, BodyMass, ConvexShape, Part, Piece, PieceShape, Portion, Product
 from dem_jax.scene.sections.run import Accuracy, Error, RunSettings
 from dem_jax.scene.sections.walls import Block, Motion, Wall
 from dem_jax.scene.words import allowed, described
@@ -14,7 +14,9 @@ from dem_jax.scene.words import allowed, described
 __all__ = [
     "Accuracy",
     "Block",
+    "BodyMass",
     "Bucket",
+    "ConvexShape",
     "Drop",
     "Error",
     "Feeder",
@@ -23,6 +25,7 @@ __all__ = [
     "NamedMaterial",
     "NotNegative",
     "Pair",
+    "Part",
     "Piece",
     "PieceShape",
     "Points",

@@ -1,35 +1,43 @@
-"""Shapes of pieces and walls: exact mass properties, faces, edges; STL in. Host side, float64, SI."""
+"""Shapes of pieces and walls: exact mass properties, faces, edges, convex parts; STL in. Host side, float64, SI."""
 
+from dem_jax.shapes.checks import positive_length
+from dem_jax.shapes.compound import Placed, checked_mass, compound, tube
+from dem_jax.shapes.decomposed import JOINT, Decomposition, decompose, decomposed
+from dem_jax.shapes.hull import hull, placed_hull
+from dem_jax.shapes.mass import MassProperties, mass_properties
+from dem_jax.shapes.polytope import edges_of_faces, loop_normal, polytope
+from dem_jax.shapes.primitives import chamfered_cuboid, cuboid, cylinder, prism, sphere
 from dem_jax.shapes.shape import (
     SIZE_LENGTHS,
     TOLERANCE,
+    Part,
     Shape,
-    chamfered_cuboid,
-    cuboid,
-    cylinder,
-    edges_of_faces,
+    convex_surface,
     extents,
-    hull,
-    hull_of_stl,
-    load_stl,
-    loop_normal,
-    mass_properties,
-    polytope,
-    positive_length,
-    prism,
+    parts_of,
     scaled,
     size_length,
-    sphere,
     surface,
 )
+from dem_jax.shapes.stl import hull_of_stl, load_stl, placed_hull_of_stl
 
 __all__ = [
+    "JOINT",
     "SIZE_LENGTHS",
-    "Shape",
     "TOLERANCE",
+    "Decomposition",
+    "MassProperties",
+    "Part",
+    "Placed",
+    "Shape",
     "chamfered_cuboid",
+    "checked_mass",
+    "compound",
+    "convex_surface",
     "cuboid",
     "cylinder",
+    "decompose",
+    "decomposed",
     "edges_of_faces",
     "extents",
     "hull",
@@ -37,6 +45,9 @@ __all__ = [
     "load_stl",
     "loop_normal",
     "mass_properties",
+    "parts_of",
+    "placed_hull",
+    "placed_hull_of_stl",
     "polytope",
     "positive_length",
     "prism",
@@ -44,4 +55,5 @@ __all__ = [
     "size_length",
     "sphere",
     "surface",
+    "tube",
 ]

@@ -1,11 +1,21 @@
 """Walls from STL files: coplanar facets as convex panels, and the plate of some thickness behind a panel. Host side."""
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from dem_jax.errors import SceneError
-from dem_jax.shapes.shape import TOLERANCE, load_stl, loop_normal, positive_length
+from dem_jax.shapes.checks import positive_length
+from dem_jax.shapes.polytope import loop_normal
+from dem_jax.shapes.shape import TOLERANCE
+from dem_jax.shapes.stl import load_stl
+
+if TYPE_CHECKING:
+    import trimesh
+
+Loop = Sequence[int]  # indices of points
 
 
 class Plate(NamedTuple):
@@ -24,7 +34,7 @@ class Plate(NamedTuple):
     edges: np.ndarray
 
 
-def plate(polygon, thickness, name="panel"):
+def plate(polygon: Any, thickness: float, name: str = "panel") -> Plate:
     """Plate behind a convex planar polygon [k, 3] (m), whose normal by the right-hand rule points to the pieces.
 
     thickness: (m), to the other side. name: what an error calls the panel.
@@ -43,13 +53,13 @@ def plate(polygon, thickness, name="panel"):
     return Plate(vertices, faces, normals, (vertices @ normals.T).max(axis=0), edges)
 
 
-def without_collinear(polygon):
+def without_collinear(polygon: np.ndarray) -> np.ndarray:
     """The polygon [k, 3] without the corners that lie on the line between their neighbours."""
     size = float(np.linalg.norm(np.ptp(polygon, axis=0)))
     return polygon[_without_collinear(polygon, list(range(len(polygon))), loop_normal(polygon), TOLERANCE * size)]
 
 
-def panels_of_stl(path, unit=1.0, angle=0.01):
+def panels_of_stl(path: str | Path, unit: float = 1.0, angle: float = 0.01) -> list[np.ndarray]:
     """Convex panels, each [k, 3] (m), of the facets of an STL, counter-clockwise about the facets' own normals.
 
     unit: metres per unit of the file. angle: (degrees) adjacent facets whose normals differ by no more from that of the
@@ -72,7 +82,7 @@ def panels_of_stl(path, unit=1.0, angle=0.01):
     return panels
 
 
-def seams(panels, tolerance=None):
+def seams(panels: Sequence[np.ndarray], tolerance: float | None = None) -> list[list[bool]]:
     """For each panel [k, 3] a list of k booleans: whether the edge from corner i to the next borders a coplanar panel.
 
     Such an edge is no edge of the wall: a piece that slides across must not catch on it. Coplanar panels have the same
@@ -90,12 +100,12 @@ def seams(panels, tolerance=None):
     return found
 
 
-def _sides(panel):
+def _sides(panel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Starts and ends [k, 3] of a panel's edges."""
     return np.asarray(panel, np.float64), np.roll(np.asarray(panel, np.float64), -1, axis=0)
 
 
-def _overlaps(start, end, starts, ends, tolerance):
+def _overlaps(start: np.ndarray, end: np.ndarray, starts: np.ndarray, ends: np.ndarray, tolerance: float) -> bool:
     """Whether one of some edges [k, 3] runs along the edge start-end, the other way, for more than tolerance (m)."""
     length = np.linalg.norm(end - start)
     along = (end - start) / length
@@ -108,7 +118,7 @@ def _overlaps(start, end, starts, ends, tolerance):
 # --- facets to convex polygons ---
 
 
-def _coplanar_groups(mesh, cosine, tolerance):
+def _coplanar_groups(mesh: "trimesh.Trimesh", cosine: float, tolerance: float) -> list[np.ndarray]:
     """Groups of facets (index arrays), each grown from its largest over shared edges to those in the same plane.
 
     A facet is in the plane if its normal is, or (slivers, whose normal says little) if all its corners are.
@@ -136,7 +146,7 @@ def _coplanar_groups(mesh, cosine, tolerance):
     return groups
 
 
-def _convex_parts(points, triangles, normal, tolerance):
+def _convex_parts(points: np.ndarray, triangles: list[Loop], normal: np.ndarray, tolerance: float) -> list[Loop]:
     """Convex loops (lists of indices of points) that together cover coplanar triangles, without collinear corners."""
     outline = _outline(triangles)
     if outline is not None and _is_convex(points[outline], normal, tolerance):
@@ -147,7 +157,7 @@ def _convex_parts(points, triangles, normal, tolerance):
     return [loop for loop in loops if len(loop) >= 3]
 
 
-def _merged_while_convex(points, loops, normal, tolerance):
+def _merged_while_convex(points: np.ndarray, loops: list[Loop], normal: np.ndarray, tolerance: float) -> list[Loop]:
     """Loops joined in pairs over shared edges, the longest edge first, as long as the pair is convex."""
     loops = dict(enumerate(loops))
     owner = {side: i for i, loop in loops.items() for side in _directed(loop)}
@@ -170,11 +180,11 @@ def _merged_while_convex(points, loops, normal, tolerance):
     return list(loops.values())
 
 
-def _directed(loop):
+def _directed(loop: Loop) -> list[tuple[int, int]]:
     return [(int(loop[i - 1]), int(loop[i])) for i in range(len(loop))]
 
 
-def _outline(loops):
+def _outline(loops: Sequence[Loop]) -> list[int] | None:
     """The one loop (a list) around some loops that share edges; None if there are several, or if it touches itself."""
     sides = [side for loop in loops for side in _directed(loop)]
     inside = set(sides)
@@ -189,18 +199,18 @@ def _outline(loops):
     return outline if rim and len(outline) == len(rim) else None
 
 
-def _bulge(corners, normal):
+def _bulge(corners: np.ndarray, normal: np.ndarray) -> np.ndarray:
     """How far [k] (m) each corner of a loop [k, 3] is out of the line between its neighbours; negative if reflex."""
     before, after = corners - np.roll(corners, 1, axis=0), np.roll(corners, -1, axis=0) - corners
     chord = np.linalg.norm(before + after, axis=1)
     return np.cross(before, after) @ normal / np.maximum(chord, 1e-300)
 
 
-def _is_convex(corners, normal, tolerance):
+def _is_convex(corners: np.ndarray, normal: np.ndarray, tolerance: float) -> bool:
     return bool((_bulge(corners, normal) >= -tolerance).all()) and _turns(corners, normal) == 1
 
 
-def _turns(corners, normal):
+def _turns(corners: np.ndarray, normal: np.ndarray) -> int:
     """How often a loop [k, 3] winds about its normal: 1 for a simple outline."""
     after = np.roll(corners, -1, axis=0) - corners
     before = np.roll(after, 1, axis=0)
@@ -208,7 +218,7 @@ def _turns(corners, normal):
     return round(float(turn.sum() / (2.0 * np.pi)))
 
 
-def _without_collinear(points, loop, normal, tolerance):
+def _without_collinear(points: np.ndarray, loop: list[int], normal: np.ndarray, tolerance: float) -> list[int]:
     """The loop without corners that stand out by no more than tolerance (m), the flattest dropped first."""
     while len(loop) >= 3:
         bulge = np.abs(_bulge(points[loop], normal))
@@ -222,7 +232,7 @@ def _without_collinear(points, loop, normal, tolerance):
 # --- checks of what a person wrote ---
 
 
-def _checked_polygon(polygon, name):
+def _checked_polygon(polygon: Any, name: str) -> np.ndarray:
     try:
         corners = np.asarray(polygon, np.float64)
     except (TypeError, ValueError) as error:
@@ -240,7 +250,7 @@ def _checked_polygon(polygon, name):
     return corners
 
 
-def _check_form(corners, size, name):
+def _check_form(corners: np.ndarray, size: float, name: str) -> None:
     arms = corners - corners[0]
     area = np.linalg.norm(np.cross(arms, np.roll(arms, -1, axis=0)).sum(axis=0)) / 2.0
     if area <= TOLERANCE * size**2:

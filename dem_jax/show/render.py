@@ -1,7 +1,7 @@
 """Pictures of a scene with its pieces: one instant, a film strip of several, or an animated GIF. Host side, matplotlib.
 
-All bodies are convex: the faces of one never hide each other once those that look away are left out, and the order in
-which two are drawn follows from the side of a plane between them on which the eye is.
+A piece is drawn part by part, so that all bodies are convex: the faces of one never hide each other once those that look
+away are left out, and the order in which two are drawn follows from the side of a plane between them on which the eye is.
 """
 
 import heapq
@@ -13,7 +13,7 @@ import numpy as np
 
 from dem_jax.errors import RecordError
 from dem_jax.maths.pose import matrix_of_quaternion
-from dem_jax.shapes import loop_normal, surface
+from dem_jax.shapes import convex_surface, loop_normal, parts_of
 from dem_jax.show.plot import check_format, save_figure
 
 PICTURES, ANIMATIONS = (".png", ".pdf", ".svg"), (".gif",)
@@ -80,7 +80,7 @@ class Scene(NamedTuple):
     """All that is drawn, at all times."""
 
     frames: object  # record.Frames
-    pieces: list[Solid]  # in their body frames
+    pieces: list[tuple[Solid, ...]]  # the convex parts of each, in its body frame
     plates: list[tuple[str, Solid]]  # (group, panel) in the groups' rest frames
     wall_pose: object
     view: View
@@ -95,7 +95,7 @@ def scene_of(frames, shapes, walls, wall_pose, camera, colour="speed"):
     known = {}
     for shape in shapes:  # pieces share few shapes
         if id(shape) not in known:
-            known[id(shape)] = _solid(*surface(shape), outlined=shape.radius == 0.0)
+            known[id(shape)] = tuple(_part(part) for part in parts_of(shape))
     plates = [(group, _solid(*plate)) for group, parts in walls.items() for plate in parts]
     radii = np.array([shape.bounding_radius for shape in shapes])
     speed = np.linalg.norm(frames.velocity, axis=-1)
@@ -176,7 +176,7 @@ def _drawn_bounds(scene):
     """Lowest and highest point [2], [2] of the image of the pieces at all times and walls at a few, with a margin."""
     finite, view = np.isfinite(scene.frames.position).all(axis=-1), scene.view
     centres = scene.frames.position[finite]
-    radii = np.array([np.linalg.norm(piece.vertices, axis=1).max() for piece in scene.pieces])
+    radii = np.array([max(np.linalg.norm(part.vertices, axis=1).max() for part in piece) for piece in scene.pieces])
     radii = np.broadcast_to(radii, finite.shape)[finite]
     flat, size = _project(view, centres), (radii / ((centres - view.eye) @ view.axes[2]))[:, None]
     low, high = [(flat - size).min(axis=0)], [(flat + size).max(axis=0)]
@@ -228,6 +228,12 @@ def _solid(vertices, faces, outlined=True):
     return Solid(vertices, faces, normals, (vertices @ normals.T).max(axis=0), outlined)
 
 
+def _part(part):
+    """A convex part of a piece, in the piece's body frame."""
+    vertices, faces = convex_surface(part.shape)
+    return _solid(vertices + part.centre, faces, outlined=part.shape.radius == 0.0)
+
+
 def _placed(solid, rotation, origin):
     normals = solid.normals @ np.asarray(rotation).T
     vertices = solid.vertices @ np.asarray(rotation).T + origin
@@ -271,10 +277,10 @@ def _collection(scene, i):
     """PolyCollection of stored frame i, farthest polygons first."""
     from matplotlib.collections import PolyCollection
 
-    bodies, paints, pieces = _bodies(scene, i)
+    bodies, paints, parts = _bodies(scene, i)
     polygons, fills, inks = [], [], []
     for b in painter_order(bodies, scene.view):
-        is_wall = b >= pieces
+        is_wall = b >= parts
         for loop, fill in _visible_faces(scene.view, bodies[b], paints[b]):
             loop = _clipped(loop, scene.view.box) if is_wall else loop
             if len(loop) < 3:
@@ -287,17 +293,18 @@ def _collection(scene, i):
 
 
 def _bodies(scene, i):
-    """Pieces whose pose at frame i is finite, then panels; the colour (r, g, b, a) of each; the number of pieces."""
+    """Parts of pieces whose pose at frame i is finite, then panels; the colour (r, g, b, a) of each; the number of parts."""
     frames = scene.frames
     here = np.flatnonzero(np.isfinite(np.c_[frames.position[i], frames.orientation[i]]).all(axis=-1))
     turns = matrix_of_quaternion(frames.orientation[i][here])
-    pieces = [_placed(scene.pieces[n], turn, frames.position[i, n]) for n, turn in zip(here, turns, strict=True)]
+    of_piece = zip(here, turns, strict=True)
+    parts = [_placed(part, turn, frames.position[i, n]) for n, turn in of_piece for part in scene.pieces[n]]
     colours = _piece_colours(scene, i)
     poses = scene.wall_pose(float(frames.time[i])) if scene.plates else {}
     plates = [_placed(plate, *poses[group]) for group, plate in scene.plates]
     seen = [plate.normals[0] @ scene.view.eye > plate.offsets[0] for plate in plates]  # else before the pieces
-    paints = [colours[n] for n in here] + [(*WALL_COLOUR, 0.25 if s else 0.08) for s in seen]
-    return pieces + plates, paints, len(pieces)
+    paints = [colours[n] for n in here for _ in scene.pieces[n]] + [(*WALL_COLOUR, 0.25 if s else 0.08) for s in seen]
+    return parts + plates, paints, len(parts)
 
 
 def _piece_colours(scene, i):

@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from dem_jax.scene import parse
+
 
 def summary(run) -> list[str]:
     """Lines on a run or an ensemble: step, compile time, peak PIF, duration of the impact, settled mass."""
@@ -16,7 +18,7 @@ def summary(run) -> list[str]:
         lines.append(f"released after {info['settling']:.6g} s of settling, when all was settled")
     if "elapsed" in info:
         lines.append(f"{info['elapsed']:.1f} s elapsed, of which {info['compile_time']:.1f} s compiling")
-    lines += [f"note: {note}" for note in info.get("notes", ())]
+    lines += [f"note: {note}" for note in (*info.get("notes", ()), *_notes_on_shapes(run))]
     group = main_group(run)
     block = main_block(run)
     members = [run] if run.run_count is None else [run.member(k) for k in range(run.run_count)]
@@ -28,6 +30,13 @@ def summary(run) -> list[str]:
     if group and block:
         lines.append(_durations(members, group, block))
     return lines
+
+
+def _notes_on_shapes(run) -> list[str]:
+    """What the scene says of the shapes of its pieces, each thing once."""
+    scene = parse(run.scene, "the file's scene")
+    rows = scene.piece or (scene.portion,)
+    return list(dict.fromkeys(row.note for row in rows if row.note))
 
 
 def main_group(run):

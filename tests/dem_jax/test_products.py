@@ -160,7 +160,7 @@ def test_a_portion_of_three_products_has_its_weight_by_shares():
     assert abs(mass.sum() - 0.2) < 0.5 * mass.min()
     built = build.build(scene)
     np.testing.assert_allclose(built.system.pieces.mass, mass, rtol=1e-12)
-    assert set(built.system.alike) == {"hulls", "spheres"}, "spheres of two materials are one shape"
+    assert built.system.alike == ("hulls",), "spheres are of two materials"
     assert parse(scene.to_toml()) == scene == parse(described(scene))
 
 
@@ -175,7 +175,7 @@ def test_products_are_mixed_by_the_seed_and_keep_their_sizes():
     """Ensembles build once: a seed moves pieces and changes none. Each product is found low and high in the grid."""
     scene = parse(SCENE).replace({"portion.target_weight": 1.0, "portion.product.0.size_spread": 0.2})
     built, other = build.build(scene, 1), build.build(scene, 2)
-    for name in ("mass", "inertia", "bounding_radius", "load_stiffness"):
+    for name in ("mass", "inertia", "bounding_radius", "size", "material"):
         np.testing.assert_array_equal(getattr(built.system.pieces, name), getattr(other.system.pieces, name))
     moved = build.state_of_seed(scene, built, 2)
     np.testing.assert_array_equal(moved.position, other.state.position)

@@ -70,8 +70,20 @@ def stacked():
     return frames, [shapes.chamfered_cuboid()] * 27, box_of_walls(0.11, 0.11, 0.2)
 
 
+def made_of_parts():
+    """Tubes, one beside the next on a grid, and dumb-bells, turned at random: parts that touch, in rings and in rows."""
+    rng = np.random.default_rng(3)
+    blocks = [((0.02, 0.02, 0.02), -0.02), ((0.02, 0.006, 0.006), 0.0), ((0.02, 0.02, 0.02), 0.02)]
+    bell = shapes.compound([shapes.Placed(shapes.cuboid(size), (x, 0, 0)) for size, x in blocks])
+    kinds = [shapes.tube(0.02, 0.014, 0.03, 6), bell]
+    pitch = 2.01 * max(s.bounding_radius for s in kinds)
+    place = pitch * (np.array([(n % 2, n // 2 % 2, n // 4) for n in range(6)]) - (0.5, 0.5, -0.6))
+    frames = Frames(np.zeros(1), place[None], rng.normal(size=(1, 6, 4)), np.ones((1, 6, 3)), np.zeros((1, 6, 3)))
+    return frames, [kinds[n % 2] for n in range(6)], box_of_walls(0.08, 0.08, 0.2)
+
+
 @pytest.mark.parametrize("camera", [Camera(), Camera(-70, 35, 3), Camera(200, 80, 8), Camera(0, 0, 4)])
-@pytest.mark.parametrize("arranged", [packed, stacked])
+@pytest.mark.parametrize("arranged", [packed, stacked, made_of_parts])
 def test_what_is_drawn_last_is_what_a_ray_from_the_eye_meets_first(camera, arranged):
     frames, pieces, walls = arranged()
     scene = scene_of(frames, pieces, {"plate": walls}, lambda t: STILL, camera)

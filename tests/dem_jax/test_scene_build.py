@@ -23,8 +23,8 @@ def test_count_by_eq_16(target, factor, expected):
 
 
 def test_mass_inertia_and_stiffness_of_a_marshmallow_reach_the_system():
-    system = build.build(load_scene("plate-drop", {"run.precision": "f64"})).system
-    pieces = system.pieces
+    made = build.build(load_scene("plate-drop", {"run.precision": "f64"}))
+    system, pieces = made.system, made.system.pieces
     assert float(pieces.mass[0]) == pytest.approx(5.832e-3, rel=1e-12)
     np.testing.assert_allclose(pieces.inertia[:, 0], (3.6855e-7, 1.494566e-6, 1.614284e-6), rtol=3e-7)  # seven digits
     # eqs 5, 7, 8 with L = 33.36 mm, E_p 1e8, E_b 1e11 Pa, both times 0.01
@@ -33,7 +33,7 @@ def test_mass_inertia_and_stiffness_of_a_marshmallow_reach_the_system():
     stiffness = float(validation.wall_stiffness(system)[0])
     assert stiffness == pytest.approx(own * wall / (own + wall), rel=1e-12)
     assert stiffness == pytest.approx(33327.17, abs=0.005)
-    slots = neighbours.rebuild(system, build.build(load_scene("plate-drop", {"run.precision": "f64"})).state).scratch.slots
+    slots = neighbours.rebuild(validation.lasting(system), made.state).scratch.slots
     assert float(slots["hulls"].pair.stiffness[0]) == pytest.approx(stiffness, rel=1e-15)  # what the law is given
     assert float(pieces.width[0]) == pytest.approx(0.016, rel=1e-12)
 

@@ -309,3 +309,19 @@ def test_bad_sizes_are_refused_by_key_and_value(make, message):
     with pytest.raises(SceneError, match=message) as caught:
         make()
     assert "\n" not in str(caught.value)
+
+
+def test_a_hull_of_two_thousand_facets_has_the_combinatorics_of_a_triangulated_sphere():
+    """Points evenly on a sphere (a golden spiral): every facet is a triangle, so that F = 2 V - 4 and E = 3 V - 6."""
+    z, turn = 1 - (2 * np.arange(1002) + 1) / 1002, np.pi * (3 - np.sqrt(5)) * np.arange(1002)
+    ring = np.sqrt(1 - z * z)
+    found = shapes.hull(0.01 * np.stack([ring * np.cos(turn), ring * np.sin(turn), z], axis=1))
+    assert (len(found.vertices), len(found.faces), len(found.edges)) == (1002, 2000, 3000)
+    assert found.generators is None
+    assert_sound(found)
+
+
+def test_parallel_edges_of_a_many_sided_prism_share_a_direction():
+    solid = shapes.hull(shapes.cylinder(0.01, 0.03, 400).vertices @ rotation(2).T)
+    assert (len(solid.vertices), len(solid.faces), len(solid.edges)) == (800, 402, 1200)
+    assert len(solid.edge_directions) == len(solid.generators) == 201

@@ -65,7 +65,8 @@ def test_limit_is_the_quickest_of_all_contacts_that_can_be():
     rows += [{"shape": "cuboid", "size": tuple(size)} for size in random.uniform(0.01, 0.05, (20, 3)).tolist()]
     rows += rows[-1:]
     pieces = [{**row, "position": (0.1 * k, 0.0, 0.0)} for k, row in enumerate(rows)]
-    scene = Scene(piece=pieces, material={"restitution": 0.5})
+    floor = {"group": "floor", "corners": [(-1, -1, -1), (1, -1, -1), (1, 1, -1), (-1, 1, -1)]}
+    scene = Scene(piece=pieces, wall=[floor], material={"restitution": 0.5})
     goods = build.pieces.goods_of(scene)
     made, arrays = goods.shapes, build.pieces.piece_arrays(scene, goods)
     m, k, e = arrays.mass, 0.01 * 1e8 * arrays.size, np.array([build.time_step._eccentricity(shape) for shape in made])

@@ -72,6 +72,19 @@ def test_frames_hold_the_pieces_where_they_are(tmp_path):
     np.testing.assert_allclose(last["spin"], [2.0] * 10 + [0.0] * facets, rtol=1e-15)
 
 
+def test_a_piece_of_parts_is_drawn_without_what_is_inside(tmp_path):
+    pasta = shapes.tube(0.01, 0.006, 0.02, 8)
+    still = np.zeros((1, 1, 3))
+    frames = Frames(np.zeros(1), still + (0, 0, 0.1), np.array([[QUARTER]]), still, still)
+    (collection,) = export_vtk(frames, [pasta], tmp_path)
+    found = arrays(tmp_path / "frames" / "pieces_00000.vtp")
+    np.testing.assert_array_equal(found["offsets"], np.arange(4, 4 * 32 + 1, 4))  # of eight staves four faces each show
+    loops = [tuple(loop) for loop in found["connectivity"].reshape(-1, 4)]
+    volume, centre, _ = shapes.mass_properties(found["Points"], loops)
+    assert volume == pytest.approx(pasta.volume, rel=1e-11)
+    np.testing.assert_allclose(centre, (0, 0, 0.1), atol=1e-12)
+
+
 def test_walls_follow_their_motion(tmp_path):
     frames, kinds = two_pieces()
     walls, pose = one_flap()

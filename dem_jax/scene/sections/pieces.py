@@ -8,8 +8,8 @@ from dem_jax.scene.sections.base import MaterialName, Points, Positive, Quaterni
 from dem_jax.scene.text import value
 
 
-class PieceShape(Section):
-    """The shape of a piece, with the sizes that it takes."""
+class ConvexShape(Section):
+    """A convex shape, with the sizes that it takes."""
 
     shape: Literal["chamfered-cuboid", "cuboid", "sphere", "prism", "cylinder", "hull"] = "chamfered-cuboid"
     scale_factor: Positive = Field(1.0, description="SF, on all lengths")
@@ -18,11 +18,55 @@ class PieceShape(Section):
     )
     chamfer: Positive | None = Field(None, description="m, of a chamfered cuboid; unset: 5 mm")
     radius: Positive | None = Field(None, description="m, of a sphere, a cylinder or a prism (circumscribed)")
-    height: Positive | None = Field(None, description="m, of a cylinder or a prism")
-    sides: int | None = Field(None, ge=3, description="of a prism or a cylinder")
+    height: Positive | None = Field(None, description="m, of a cylinder, a prism or a tube")
+    sides: int | None = Field(None, ge=3, description="of a prism, a cylinder or a tube")
     points: Points | None = Field(None, description="m, point set of a hull")
-    stl: str | None = Field(None, description="file of a hull, relative to the scene's")
+    stl: str | None = Field(None, description="file of a hull or of what is decomposed, relative to the scene's")
     unit: Positive = Field(1.0, description="m per unit of the STL or the points")
+
+
+class Part(ConvexShape):
+    """A convex part of a compound, in the axes of the whole."""
+
+    position: Vector | None = Field(
+        None, description="m, of its centre of mass; unset: a hull stays where its points are, others at the origin"
+    )
+    orientation: Quaternion = Field((1.0, 0.0, 0.0, 0.0), description="quaternion w x y z, axes of the part to those of the whole")
+
+
+class BodyMass(Section):
+    """Mass properties of a compound that are not those of its parts' union, for uniform density."""
+
+    volume: Positive = Field(description="m3")
+    centre: Vector = Field(description="m, of mass, in the axes in which the parts are listed")
+    gyration: Annotated[tuple[float, float, float, float, float, float], BeforeValidator(as_tuple)] = Field(
+        description="m2, inertia over mass about the centre: xx, yy, zz, xy, xz, yz"
+    )
+
+
+class PieceShape(ConvexShape):
+    """The shape of a piece, with the sizes that it takes."""
+
+    shape: Literal[
+        "chamfered-cuboid", "cuboid", "sphere", "prism", "cylinder", "hull", "tube", "compound", "decomposed"
+    ] = "chamfered-cuboid"
+    outer_radius: Positive | None = Field(None, description="m, of a tube")
+    inner_radius: Positive | None = Field(None, description="m, of a tube")
+    part: Annotated[tuple[Part, ...], BeforeValidator(as_tuple)] = Field(
+        (), description="of a compound: convex shapes with position and orientation, that touch or overlap"
+    )
+    mass_properties: BodyMass | None = Field(
+        None, description="of a compound, before scaling; unset: the exact ones of the union of its parts"
+    )
+    joint_tolerance: float | None = Field(
+        None, gt=0, le=0.01, description="of a compound, fraction of its size within which parts touch and are flush; unset: 1e-6"
+    )
+    concavity: float | None = Field(None, ge=0.01, le=1, description="at which decomposing cuts a part further; unset: 0.05")
+    max_parts: int | None = Field(None, ge=1, description="of what is decomposed; unset: as many as it takes")
+    loss: Positive | None = Field(
+        None, description="what decomposing may lose, as fraction of the volume and of the size; unset: 0.05"
+    )
+    note: str | None = Field(None, description="said with the results; what decomposing lost is written here")
 
 
 SHAPE_KEYS = {
@@ -32,6 +76,9 @@ SHAPE_KEYS = {
     "prism": {"sides", "radius", "height"},
     "cylinder": {"radius", "height", "sides"},
     "hull": {"points", "stl", "unit"},
+    "tube": {"outer_radius", "inner_radius", "height", "sides"},
+    "compound": {"part", "mass_properties", "joint_tolerance"},
+    "decomposed": {"stl", "unit", "concavity", "max_parts", "loss"},
 }
 
 

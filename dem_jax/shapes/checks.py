@@ -1,0 +1,60 @@
+"""Checks of what a person wrote: one clear line that names the key, the value and what is allowed."""
+
+from math import isfinite
+from typing import Any
+
+import numpy as np
+
+from dem_jax.errors import SceneError
+
+
+def positive(key: str, value: Any, allowed: str) -> float:
+    """The value as a float. Raises SceneError with the key and what is allowed unless it is a finite number > 0."""
+    number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+    if not number or not isfinite(value) or value <= 0.0:
+        raise SceneError(f"{key} = {value!r} must be {allowed}")
+    return float(value)
+
+
+def positive_length(key: str, value: Any) -> float:
+    """The value as a float; raises SceneError naming the key unless it is a number > 0 and finite."""
+    return positive(key, value, "a positive length (m)")
+
+
+def three_lengths(size: Any) -> tuple[float, float, float]:
+    """The edges x, y, z (m) of a size. Raises SceneError unless they are three positive lengths."""
+    if np.shape(size) != (3,):
+        raise SceneError(f"size = {size!r} must be three positive lengths [x, y, z] (m)")
+    x, y, z = (positive_length(f"size[{i}]", value) for i, value in enumerate(size))
+    return x, y, z
+
+
+def whole_sides(sides: Any) -> int:
+    """The number of sides. Raises SceneError unless it is a whole number of at least 3."""
+    if isinstance(sides, bool) or not isinstance(sides, int | np.integer) or sides < 3:
+        raise SceneError(f"sides = {sides!r} must be a whole number of at least 3")
+    return int(sides)
+
+
+def finite_vector(key: str, value: Any, length: int = 3) -> np.ndarray:
+    """The value as an array [length]. Raises SceneError naming the key unless it is so many finite numbers."""
+    try:
+        array = np.asarray(value, np.float64)
+    except (TypeError, ValueError) as error:
+        raise SceneError(f"{key} = {value!r} must be a list of {length} finite numbers") from error
+    if array.shape != (length,) or not np.isfinite(array).all():
+        raise SceneError(f"{key} = {value!r} must be a list of {length} finite numbers")
+    return array
+
+
+def solid_points(points: Any) -> np.ndarray:
+    """The points as an array [P, 3] (m). Raises SceneError unless they are at least four finite [x, y, z]."""
+    try:
+        array = np.asarray(points, np.float64)
+    except (TypeError, ValueError) as error:
+        raise SceneError("points must be a list of [x, y, z] (m)") from error
+    if array.ndim != 2 or array.shape[1] != 3 or len(array) < 4:
+        raise SceneError(f"points of form {list(array.shape)} must be a list of at least 4 [x, y, z] (m)")
+    if not np.isfinite(array).all():
+        raise SceneError(f"points[{int(np.argmin(np.isfinite(array).all(axis=1)))}] must be finite (m)")
+    return array

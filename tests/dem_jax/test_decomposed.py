@@ -1,0 +1,139 @@
+"""An STL that is not convex, cut into convex parts: what is kept exactly, what is lost and said, and in a scene's file."""
+
+import importlib.util
+import re
+import sys
+
+import numpy as np
+import pytest
+import trimesh
+
+from dem_jax import build, shapes
+from dem_jax.errors import SceneError
+from dem_jax.maths.pose import matrix_of_quaternion
+from dem_jax.scene import load_scene, parse
+
+SINGLE = 2e-6  # relative; an STL keeps coordinates to 6e-8, volume and inertia multiply 3 to 5 of them
+
+needs_coacd = pytest.mark.skipif(
+    any(importlib.util.find_spec(name) is None for name in ("coacd", "rtree")),
+    reason='CoACD is not installed: pip install "product-impact[decompose]"',
+)
+
+
+@pytest.fixture(scope="module")
+def bent(tmp_path_factory):
+    """An L of two arms 20 mm long, 10 mm square, in millimetres, away from the origin."""
+    outline = np.array([(0, 0), (20, 0), (20, 10), (10, 10), (10, 20), (0, 20)], float) + (100, 50)
+    path = tmp_path_factory.mktemp("stl") / "bent.stl"
+    corners = np.concatenate([np.c_[outline, np.full(6, z)] for z in (10.0, 0.0)])
+    top = [(0, 1, 2), (0, 2, 3), (0, 3, 5), (3, 4, 5)]
+    sides = [t for i in range(6) for t in [(i, 6 + i, 6 + (i + 1) % 6), (i, 6 + (i + 1) % 6, (i + 1) % 6)]]
+    trimesh.Trimesh(corners, [*top, *[tuple(6 + i for i in t[::-1]) for t in top], *sides]).export(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def ring(tmp_path_factory):
+    path = tmp_path_factory.mktemp("stl") / "ring.stl"
+    trimesh.creation.torus(0.03, 0.01, major_sections=24, minor_sections=12).export(path)
+    return path
+
+
+def inertia(shape):
+    axes = matrix_of_quaternion(shape.principal)
+    return axes @ np.diag(shape.gyration) @ axes.T
+
+
+@needs_coacd
+def test_an_l_is_cut_in_two_that_continue_each_other(bent):
+    shape, found = shapes.decomposed(bent, 1e-3)
+    exact = shapes.compound(
+        [shapes.Placed(shapes.cuboid((0.02, 0.01, 0.01))), shapes.Placed(shapes.cuboid((0.01, 0.01, 0.01)), (-0.005, 0.01, 0))]
+    )
+    assert shape.volume == pytest.approx(3e-6, rel=1e-5) and shape.volume == found.mass.volume  # 0.1 m off in single precision
+    np.testing.assert_allclose(inertia(shape), inertia(exact), atol=1e-4 * exact.gyration.max())
+    assert len(shape.parts) == 2 and shape.fused.tolist() == [0, 0]
+    assert [sum(part.inner) for part in shape.parts] in ([1, 0], [0, 1], [1, 1])  # the cut; one side of it stands out
+    assert abs(found.volume_excess) < 1e-3 and found.surface_distance < 1e-5
+    np.testing.assert_allclose(np.ptp(shape.vertices, axis=0), (0.02, 0.02, 0.01), rtol=1e-3)
+    assert str(found).startswith("2 convex parts, volume ")
+
+
+@needs_coacd
+def test_a_ring_keeps_the_mass_of_its_mesh_and_says_what_its_parts_lose(ring):
+    shape, found = shapes.decomposed(ring)
+    mesh = trimesh.load_mesh(ring)
+    assert shape.volume == pytest.approx(mesh.volume, rel=SINGLE)
+    polar = mesh.moment_inertia[2, 2] / mesh.volume
+    assert shape.gyration[2] == pytest.approx(polar, rel=1e-5)  # trimesh's own sums
+    assert len(shape.parts) >= 6  # fewer convex parts close the hole or leave the ring by more than 5 % of its size
+    assert len(set(shape.fused.tolist())) == 1
+    assert 0 < found.volume_excess < 0.05 and 0 < found.surface_distance < 0.05 * found.size
+    hole = shape.vertices[:, :2]
+    assert np.linalg.norm(hole, axis=1).min() > 0.0195  # corners of parts are points of the mesh
+    finer = shapes.decompose(ring, concavity=0.02)
+    assert len(finer.points) > len(found.points)
+    assert finer.volume_excess < found.volume_excess and finer.surface_distance < found.surface_distance
+
+
+@needs_coacd
+def test_the_same_file_is_cut_the_same_way(ring):
+    first, second = (shapes.decompose(ring, max_parts=8, loss=1.0) for _ in range(2))
+    assert len(first.points) == 8
+    for a, b in zip(first.points, second.points, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+@needs_coacd
+def test_what_is_convex_is_one_hull(tmp_path):
+    trimesh.creation.box((0.03, 0.02, 0.01)).export(tmp_path / "box.stl")
+    shape, found = shapes.decomposed(tmp_path / "box.stl")
+    assert len(found.points) == 1 and shape.parts == () and len(shape.generators) == 3
+    assert shape.volume == pytest.approx(6e-6, rel=1e-4)  # CoACD makes its mesh anew
+
+
+@needs_coacd
+def test_a_loss_above_what_is_allowed_is_refused(ring):
+    with pytest.raises(SceneError, match=r"ring\.stl' is lost in part .* 2 convex parts, volume \+.*loss = 0\.05 is allowed"):
+        shapes.decompose(ring, max_parts=2)
+
+
+def test_without_coacd_it_is_said_what_to_install(bent, monkeypatch):
+    monkeypatch.setitem(sys.modules, "coacd", None)
+    with pytest.raises(SceneError, match=r"needs CoACD: pip install \"product-impact\[decompose\]\"") as caught:
+        shapes.decompose(bent)
+    assert "\n" not in str(caught.value)
+
+
+def test_bad_input_is_refused(bent, tmp_path):
+    with pytest.raises(SceneError, match=r"concavity = 0\.001 must be a number from 0\.01 to 1"):
+        shapes.decompose(bent, concavity=0.001)
+    with pytest.raises(SceneError, match=r"loss = 0 must be a positive"):
+        shapes.decompose(bent, loss=0)
+    opened = trimesh.load_mesh(bent)
+    opened.update_faces(np.arange(len(opened.faces)) > 0)
+    opened.export(tmp_path / "open.stl")
+    with pytest.raises(SceneError, match=r"open\.stl' is an open mesh"):
+        shapes.decompose(tmp_path / "open.stl")
+    with pytest.raises(SceneError, match=r"bent\.stl' is not convex: .*; shape = \"decomposed\" cuts it into convex parts"):
+        shapes.hull_of_stl(bent)
+
+
+@needs_coacd
+def test_a_run_has_the_parts_in_its_own_file(bent):
+    scene = load_scene("plate-drop", {"run.precision": "f64"}).replace(
+        piece=[{"shape": "decomposed", "stl": bent.name, "unit": 1e-3, "scale_factor": 0.5, "position": (0, 0, 0.1)}],
+        folder=str(bent.parent),
+    )
+    direct = build.make_shape(scene.piece[0], scene.folder)
+    kept = parse(build.self_contained(scene).to_toml())
+    row = kept.piece[0]
+    assert row.shape == "compound" and row.stl is None and len(row.part) == 2
+    assert re.match(r"bent\.stl: 2 convex parts, volume .* %, surfaces within", row.note)
+    again = build.make_shape(row, "nowhere")
+    for field in ("vertices", "gyration", "principal", "fused", "offsets"):
+        np.testing.assert_allclose(getattr(again, field), getattr(direct, field), rtol=1e-12, atol=1e-15)
+    assert again.volume == direct.volume == pytest.approx(3e-6 / 8, rel=1e-5)
+    assert [part.inner for part in again.parts] == [part.inner for part in direct.parts]
+    assert parse(build.self_contained(kept).to_toml()) == kept
