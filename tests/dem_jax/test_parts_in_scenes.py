@@ -92,7 +92,10 @@ def test_stl_files_of_parts_are_put_into_the_scene(tmp_path):
         ({"shape": "tube", "outer_radius": 0.01, "height": 0.02}, r"inner_radius: missing; shape 'tube' needs it"),
         ({"shape": "tube", "outer_radius": 0.01, "inner_radius": 0.02, "height": 0.02}, r"piece\.0\.inner_radius = 0\.02 m must"),
         ({"shape": "compound"}, r"piece\.0\.part: missing; shape 'compound' needs it"),
-        ({"shape": "cuboid", "size": (1, 1, 1), "part": [{"shape": "sphere", "radius": 1.0}]}, r"part = .*: not a key of shape 'cuboid'; allowed: size"),
+        (
+            {"shape": "cuboid", "size": (1, 1, 1), "part": [{"shape": "sphere", "radius": 1.0}]},
+            r"part = .*: not a key of shape 'cuboid'; allowed: size",
+        ),
         ({"shape": "compound", "part": [{"shape": "cuboid"}]}, r"piece\.0\.part\.0\.size: missing; shape 'cuboid' needs it"),
         ({"shape": "compound", "part": [{"shape": "tube"}]}, r"piece\.0\.part\.0\.shape = \"tube\": allowed: \"chamfered-cuboid\""),
         ({"shape": "compound", "part": [{"radious": 1}]}, r"piece\.0\.part\.0\.radious = 1: unknown key; did you mean 'radius'"),
