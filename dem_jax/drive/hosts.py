@@ -49,6 +49,13 @@ def exchange(function) -> list:
     return [found for found, _ in each]
 
 
+def by_first(function, shared=True):
+    """The value of a function that, of processes that share a task, only the first calls."""
+    if not shared:
+        return function()
+    return exchange(lambda: function() if is_first() else None)[0]
+
+
 @contextmanager
 def together(shared=True):
     """What a process raises in here, the others raise at their next exchange."""

@@ -12,7 +12,7 @@ class Progress:
     def __init__(self, job, shown):
         self._job, self._bar = job, None
         self._from = int(np.max(job.state.step)) // job.steps_per_sample
-        self._since, self._compiled = time.perf_counter(), job.clock["compile"]
+        self._since, self._compiled = time.perf_counter(), job.clock.compile
         if shown:
             from tqdm import tqdm
 
@@ -44,7 +44,7 @@ class Progress:
         """A chunk is done."""
         if self._bar is None:
             return
-        now, compiled = time.perf_counter(), self._job.clock["compile"]
+        now, compiled = time.perf_counter(), self._job.clock.compile
         took = now - self._since - (compiled - self._compiled)
         steps = span.count * self._job.steps_per_sample * (self._job.runs or 1)
         self._since, self._compiled = now, compiled

@@ -10,7 +10,9 @@ import pytest
 
 from dem_jax import build, compiling
 from dem_jax.contact import blocks
-from dem_jax.drive import run
+from dem_jax.drive import programs
+from dem_jax.drive.interface import simulate
+from dem_jax.drive.prepare import slot_block
 from dem_jax.maths import vector
 from dem_jax.pairs import guard
 from dem_jax.scene import load_scene
@@ -38,22 +40,22 @@ def traces(monkeypatch):
     count = []
     advance = stepping.advance
     monkeypatch.setattr(stepping, "advance", lambda *args: count.append(1) or advance(*args))
-    monkeypatch.setattr(run, "_PROGRAMS", {})
+    monkeypatch.setattr(programs, "KEPT", {})
     return count
 
 
 def test_other_values_do_not_compile_anew(traces):
     def go(changes, seed=0):
         scene = load_scene("weigh-bucket").replace(BASE | changes)
-        return run.simulate(scene, seed=seed)
+        return simulate(scene, seed=seed)
 
     go({})
     first = len(traces)
-    assert first > 0 and len(run._PROGRAMS) == 1
+    assert first > 0 and len(programs.KEPT) == 1
     for name, changes in SAME_PROGRAM.items():
         result = go(changes, seed=1)
         assert np.isfinite(result.energy["kinetic"]).all()
-        assert len(traces) == first and len(run._PROGRAMS) == 1, name
+        assert len(traces) == first and len(programs.KEPT) == 1, name
     go({"portion.count": 4})
     assert len(traces) == 2 * first  # the count of pieces is part of the program: the test can fail
 
@@ -126,7 +128,7 @@ def test_a_step_writes_over_history_and_loads(shape):
     rooms = {kind: 1024 + 64 * k for k, (kind, *_) in enumerate(built.system.capacity)}
     capacity = tuple((kind, near, rooms[kind]) for kind, near, _ in built.system.capacity)
     system, state = guard.with_capacity(built.system, built.state, capacity, built.system.touching, 1)
-    system = system.replace(slot_block=run.slot_block())
+    system = system.replace(slot_block=slot_block())
     assert all(blocks.block_size(system, kind, room) for kind, room in rooms.items())
     steps = lambda system, state: jax.lax.fori_loop(0, 9, lambda _, state: stepping.advance(system, state), state)  # noqa: E731
     text = compiling.jit(steps, "cpu").lower(system, state).compile().as_text()
