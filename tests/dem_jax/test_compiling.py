@@ -2,6 +2,8 @@
 
 import os
 import re
+import subprocess
+import sys
 
 import jax
 import jax.numpy as jnp
@@ -66,7 +68,7 @@ def test_flags_of_the_person_are_left_alone(monkeypatch):
     compiling.loops_as_one()
     assert os.environ["XLA_FLAGS"] == mine
     monkeypatch.setenv("XLA_FLAGS", "--xla_cpu_enable_fast_math=false")
-    monkeypatch.setattr(compiling, "backends_are_initialized", lambda: False)
+    monkeypatch.setattr(compiling, "is_in_use", lambda: False)
     compiling.loops_as_one()
     compiling.loops_as_one()
     assert os.environ["XLA_FLAGS"] == f"--xla_cpu_enable_fast_math=false {compiling.SMALL_LOOPS}"
@@ -80,9 +82,33 @@ def test_a_warning_says_that_it_is_too_late_to_make_one_function_of_each_loop(mo
         compiling.loops_as_one()
 
 
+def test_whether_jax_is_in_use_is_known_and_changes_nothing():
+    program = (
+        "import os, jax; from dem_jax import compiling\n"
+        "print(compiling.is_in_use(), compiling.is_in_use(), len(jax.devices()), compiling.is_in_use())"
+    )
+    settings = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "JAX_NUM_CPU_DEVICES": "3"}
+    done = subprocess.run([sys.executable, "-c", program], env=settings, capture_output=True, text=True)
+    assert done.stdout.split() == ["False", "False", "3", "True"], done.stderr
+    devices = jax.config.jax_num_cpu_devices
+    jnp.ones(()).block_until_ready()
+    assert compiling.is_in_use() and jax.config.jax_num_cpu_devices == devices
+
+
 def test_every_option_is_known_to_the_compiler():
+    """To those of all versions that are supported: one that a new version lacks shows here."""
+    assert compiling.known("cpu") == compiling.OPTIONS["cpu"]
     compiled = compiling.jit(lambda x: x + 1, "cpu")
     assert float(compiled(jnp.ones(()))) == 2.0
+
+
+def test_options_that_the_compiler_does_not_have_are_not_asked_for(monkeypatch):
+    wanted = compiling.OPTIONS["cpu"]
+    monkeypatch.setitem(compiling.OPTIONS, "cpu", wanted | {"xla_cpu_of_another_version": True})
+    assert compiling.known("cpu") == wanted
+    compiled = compiling.jit(lambda x: x + 2, "cpu")
+    assert float(compiled(jnp.ones(()))) == 3.0
+    assert compiling.known("another") == {}
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
