@@ -48,7 +48,7 @@ def loops_as_one() -> None:
 
 def is_in_use() -> bool:
     """Whether JAX has begun to use XLA. It does not say so; but from then on it refuses another number of CPU devices."""
-    devices = jax.config.jax_num_cpu_devices
+    devices = jax.config.jax_num_cpu_devices  # type: ignore[attr-defined]
     try:
         jax.config.update("jax_num_cpu_devices", devices + 1)
     except RuntimeError:

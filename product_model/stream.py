@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from product_model.grid import Grid
 from product_model.inputs import BadInput, Parameters, check
 from product_model.model import Pulses
-from product_model.portion import as_key, in_precision, leaves_of, portion, static_of
+from product_model.portion import Key, as_key, in_precision, leaves_of, portion, static_of
 
 _FAR = 2**30  # sample number no stream reaches
 
@@ -37,7 +37,7 @@ class Stream:
     sample: jax.Array
 
 
-def start(params: Parameters, key) -> Stream:
+def start(params: Parameters, key: Key) -> Stream:
     """A stream of the portion that `simulate(params, key)` makes. Forms: rectangular and interval-mean.
 
     Raises `BadInput` where an input is out of range or the form is smooth (its pulses begin before the impact, so
@@ -68,7 +68,7 @@ def _sorted_edges(pulses: Pulses, grid: Grid, form: str) -> Stream:
     )
 
 
-def step(stream: Stream):
+def step(stream: Stream) -> tuple[Stream, jax.Array]:
     """(next stream, force [] (N) of this sample). O(log pieces); after the last sample of the grid the static
     weight goes on.
     """

@@ -63,7 +63,7 @@ def use_cache() -> None:
     """
     import jax
 
-    if not jax.config.jax_compilation_cache_dir:
+    if not jax.config.jax_compilation_cache_dir:  # type: ignore[attr-defined]
         base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
         jax.config.update("jax_compilation_cache_dir", str(Path(base) / "dem_jax" / "jax"))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)

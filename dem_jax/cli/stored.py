@@ -15,7 +15,7 @@ def add_arguments(command: Parser) -> None:
     command.add_argument("--run", type=whole, default=0, metavar="K", help="which run of an ensemble (default: 0)")
 
 
-def stored(args: Args) -> tuple["Run", tuple[Any, ...]]:
+def stored(args: Args) -> tuple["Run", tuple[Any, Any, Any]]:
     """A run of a file, and what drawing.bodies_of finds of its scene. Raises RecordError."""
     from dem_jax.show.drawing import bodies_of
     from dem_jax.store.record import load_run

@@ -24,9 +24,9 @@ class Clock:
 class Times(NamedTuple):
     """How long a chunk is, in samples, int32: may change without compiling again."""
 
-    count: np.ndarray
-    every: np.ndarray  # samples between frames
-    phase: np.ndarray  # samples since the last frame
+    length: np.int32
+    every: np.int32  # samples between frames
+    phase: np.int32  # samples since the last frame
 
 
 class Computed(NamedTuple):

@@ -34,7 +34,7 @@ def execute(
 ) -> Computed:
     """Compute ``count`` samples from sample ``first`` on. known: of an ensemble, see Known."""
     every = job.every or 1
-    times = Times(*(np.int32(x) for x in (count, every, first % every)))
+    times = Times(np.int32(count), np.int32(every), np.int32(first % every))
     compiling = shown.compiling if shown else lambda: None
     return job.way(Chunk(system, state, times, job.frame_capacity, job.double, job.clock, compiling, known))
 

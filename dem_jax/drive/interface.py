@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from functools import partial
-from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -14,7 +14,7 @@ from dem_jax.errors import RecordError, SceneError
 from dem_jax.scene import Scene, parse
 from dem_jax.store import record
 
-FileName = str | PathLike[str]
+FileName = str | Path
 
 
 def simulate(

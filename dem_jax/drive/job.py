@@ -77,8 +77,9 @@ class Job:
     def chunk_end(self, at: int) -> int:
         """Where the chunk that begins at a sample ends, in every run of the scene, however long."""
         end = at + self.stride if at >= 0 else min(at + self.stride, 0)
-        is_looked_at = self.rule is not None and at >= self.rule.start
-        return min(end, self.rule.next_look(at)) if is_looked_at else end
+        if self.rule is None or at < self.rule.start:
+            return end
+        return min(end, self.rule.next_look(at))
 
 
 def samples_per_block(system: System) -> int:

@@ -1,7 +1,7 @@
 """From a scene to a job."""
 
 from collections.abc import Sequence
-from os import PathLike
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +15,7 @@ from dem_jax.scene import Scene, load_scene
 SLOT_BLOCK = 64  # slots that a CPU computes at a time, at most: they stay in its cache
 
 
-def prepare(scene: Scene | str | PathLike[str], seeds: Sequence[int], runs: int | None) -> Job:
+def prepare(scene: Scene | str | Path, seeds: Sequence[int], runs: int | None) -> Job:
     """Set up a run (runs: None) or an ensemble, one seed for each run. Raises SceneError."""
     compiling.loops_as_one()
     scene = build.self_contained(scene if isinstance(scene, Scene) else load_scene(scene))

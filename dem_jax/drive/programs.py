@@ -27,8 +27,8 @@ def program(chunk: Chunk, run_chunk: RunChunk, mesh: Mesh | None = None) -> Call
     if key not in KEPT:
         chunk.compiling()
         start = time.perf_counter()
-        function = partial(_chunk, run_chunk, chunk.frames)
-        function = function if mesh is None else _shared_out(function, mesh)
+        one = partial(_chunk, run_chunk, chunk.frames)
+        function = one if mesh is None else _shared_out(one, mesh)
         KEPT[key] = compiling.jit(function, jax.default_backend()).lower(*arguments).compile()
         chunk.clock.compile += time.perf_counter() - start
     return KEPT[key]
@@ -42,5 +42,5 @@ def _shared_out(function: RunChunk, mesh: Mesh) -> RunChunk:
     """The function of runs side by side, as many on each device."""
     same, each = PartitionSpec(), PartitionSpec("runs")
     function = jax.vmap(function, in_axes=(None, 0, None, None, None))
-    sides = {"in_specs": (same, each, same, same, same), "out_specs": each}
-    return jax.shard_map(function, mesh=mesh, check_vma=False, **sides)
+    sides = same, each, same, same, same
+    return jax.shard_map(function, mesh=mesh, in_specs=sides, out_specs=each, check_vma=False)

@@ -36,7 +36,7 @@ def rows_of(job: Job, span: Span, count: int) -> tuple[dict[str, Any], dict[str,
     """Series and poses of the first samples of a span that are not in the file yet, as Writer.append takes them."""
     if span.first < 0:
         return {}, None
-    run_axis = () if job.runs is None else (slice(None),)
+    run_axis: tuple[Any, ...] = () if job.runs is None else (slice(None),)
     old = min(max(0, job.samples_kept - span.first), count)
     number = np.arange(span.first + old, span.first + count)
     rows = jax.tree.map(lambda x: x[(*run_axis, slice(old, count))], span.samples)
@@ -44,7 +44,7 @@ def rows_of(job: Job, span: Span, count: int) -> tuple[dict[str, Any], dict[str,
     return samples if len(number) else {}, _frames_of(job, span, count, run_axis)
 
 
-def _frames_of(job: Job, span: Span, count: int, run_axis: tuple[slice, ...]) -> dict[str, Any] | None:
+def _frames_of(job: Job, span: Span, count: int, run_axis: tuple[Any, ...]) -> dict[str, Any] | None:
     """Poses of the frames that a span ended and that are not in the file yet; that of the release is number 0."""
     if not job.every:
         return None

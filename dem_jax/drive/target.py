@@ -91,7 +91,7 @@ class File:
 
     def failed(self, error: SimulationError) -> None:
         """Leave the file's name as the error's ``path``, if it has samples."""
-        error.path = self._path if self._writer is not None and error.time > 0 else None
+        error.path = self._path if self._writer is not None and (error.time or 0) > 0 else None
 
     def __enter__(self) -> "File":
         return self
