@@ -6,6 +6,7 @@ time.
 """
 
 from dataclasses import dataclass
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -51,7 +52,9 @@ def start(params: Parameters, key: Key) -> Stream:
         return _sorted_edges(portion(leaves_of(params), as_key(key), **static).pulses, static["grid"], params.form)
 
 
+@partial(jax.jit, static_argnames=("grid", "form"))
 def _sorted_edges(pulses: Pulses, grid: Grid, form: str) -> Stream:
+    """Compiled as the batch form is, whose division by the sample time some versions of XLA round otherwise."""
     times, jumps = pulses.edges()
     position = (times - grid.start) / grid.sample
     order = jnp.argsort(position)
