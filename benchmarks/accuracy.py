@@ -113,21 +113,21 @@ def impacts(kind, begin, number, precision, restitution=0.1, softening=0.01, win
     import jax
 
     from dem_jax import build
-    from dem_jax.drive import run
+    from dem_jax.drive.interface import drive
+    from dem_jax.drive.prepare import prepare
 
     window = window or WINDOW[kind["shape"]]
     quarter = quarter_period(kind["shape"], softening)
     length = round(window / (quarter / number)) * quarter / number
     kept = {"duration": length, "frames": length}
     scene = plate(kind, begin[0], number, precision, restitution, softening, **kept)
-    job = run.prepare(scene, (0,), None)
+    job = prepare(scene, (0,) * len(begin), len(begin))
     down, still = np.array([[0.0, 0.0, -SPEED]]), np.zeros((1, 3))
     with jax.enable_x64(precision == "f64"):
         placed = [build.Start(np.array([place]), np.array([turn]), down, still) for place, turn, _ in begin]
         states = [build.started(job.built, start) for start in placed]
-        job = replace(job, seeds=(0,) * len(begin), runs=len(begin))
         job = replace(job, state=jax.tree.map(lambda *x: jax.numpy.asarray(np.stack(x)), *states))
-    found = run.drive(job, None, False, False)
+    found = drive(job, None, False, False)
     force, mean = (-x["plate"][..., 2].astype(float) for x in (found.force, found.mean_force))
     last = {name: np.asarray(getattr(found.pieces, name)[:, -1, 0], float) for name in ("position", "velocity")}
     speed = last["velocity"][:, 2]
@@ -176,17 +176,18 @@ def costs_of_a_step(kind, start, variants):
     """
     import jax
 
-    from dem_jax.drive import run
+    from dem_jax.drive.execute import execute
+    from dem_jax.drive.prepare import prepare
 
     jobs, times = {}, {}
     for name, (precision, changes) in variants.items():
         scene = plate(kind, start, DEFAULT, precision, sample=30e-6, duration=1.0, **changes)
-        jobs[name], times[name] = run.prepare(scene, (0,), None), []
+        jobs[name], times[name] = prepare(scene, (0,), None), []
     for _ in range(1 + ROUNDS):  # the first compiles
         for name, job in jobs.items():
             begin = time.process_time()
             with jax.enable_x64(job.scene.run.precision == "f64"):
-                run.execute(job, job.system, job.state, 0, 200)
+                execute(job, job.system, job.state, 0, 200)
             times[name].append((time.process_time() - begin) / (200 * job.steps_per_sample))
     return {name: statistics.median(each[1:]) for name, each in times.items()}
 
@@ -349,17 +350,19 @@ def drops(scene, seeds) -> Drops:
     """Run a scene with all seeds, again if anything was compiled meanwhile: the time is that of running alone."""
     import jax
 
-    from dem_jax.drive import run
+    from dem_jax.drive.execute import execute
+    from dem_jax.drive.interface import drive
+    from dem_jax.drive.prepare import prepare
     from dem_jax.show.summary import impact_duration
 
-    job = run.prepare(scene, tuple(range(seeds)), seeds)
+    job = prepare(scene, tuple(range(seeds)), seeds)
     with jax.enable_x64(scene.run.precision == "f64"):
-        run.execute(job, job.system, job.state, 0, 0)  # no samples: it compiles
+        execute(job, job.system, job.state, 0, 0)  # no samples: it compiles
     while True:
-        compiled, start = job.clock["compile"], time.process_time()
-        found = run.drive(job, None, False, False)
+        compiled, start = job.clock.compile, time.process_time()
+        found = drive(job, None, False, False)
         took = time.process_time() - start
-        if job.clock["compile"] == compiled:
+        if job.clock.compile == compiled:
             break
     members = [found.member(k) for k in range(seeds)]
     vertical = sum(-found.mean_force[group][..., 2].astype(float) for group in ("wb_flaps", "wb_walls"))

@@ -58,7 +58,7 @@ def positions(cells, pitch, count):
 def system_of(shape: str, count: int):
     """System and first state on the lattice, with capacities that fit, found by rebuilding until nothing overflows."""
     from dem_jax import build
-    from dem_jax.drive import run
+    from dem_jax.drive.prepare import slot_block
     from dem_jax.pairs import guard, neighbours
 
     scene, centres = box_scene(shape, count)
@@ -72,7 +72,7 @@ def system_of(shape: str, count: int):
         velocity=jnp.asarray(velocity, jnp.float32),
     )
     high = jnp.max(state.position, axis=1) + 1
-    system = built.system.replace(skin=jnp.float32(SKIN), domain_high=high, slot_block=run.slot_block())
+    system = built.system.replace(skin=jnp.float32(SKIN), domain_high=high, slot_block=slot_block())
     rebuild = jax.jit(neighbours.rebuild)
     for _ in range(8):
         rebuilt = rebuild(system, state)

@@ -53,9 +53,9 @@ def time_chunk(system, state, members=None):
     """Seconds per step (a value per repeat), compile time (s). Each chunk goes on from the one before."""
     import jax
 
-    from dem_jax.drive import run
+    from dem_jax.drive.job import samples_per_block
 
-    samples = BLOCKS * run.samples_per_block(system)
+    samples = BLOCKS * samples_per_block(system)
     start = time.perf_counter()
     compiled = chunk.compiled(system, state, samples, members=members)
     compile_time = time.perf_counter() - start

@@ -106,16 +106,17 @@ def prepared(scene, computed, frames, quick):
     """A compiled chunk with system and state that have room for all it needs, and its number of steps."""
     import jax
 
-    from dem_jax.drive import run
+    from dem_jax.drive.prepare import prepare
+    from dem_jax.drive.span import ATTEMPTS
     from dem_jax.pairs import guard
 
-    job = run.prepare(scene, (0,), None)
+    job = prepare(scene, (0,), None)
     system = job.system.replace(**{name: value(job.system) if callable(value) else value for name, value in computed.items()})
     state = guard.with_scratch(system, job.state)
     each = int(system.substeps) * system.parts
     steps = STEPS * max(1, 64 // state.position.shape[1])  # so that starting a chunk is a small part of it
     samples = max(8, steps // (4 * each if quick else each))
-    for _ in range(run.ATTEMPTS):
+    for _ in range(ATTEMPTS):
         program = chunk.compiled(system, state, samples, frames)
         seen = jax.device_get(program(system, state)[0].guard)
         if not guard.outgrown(system, seen):

@@ -23,7 +23,8 @@ REPEATS = 7
 
 def packed(count: int):
     """A system and a state of ``count`` marshmallows at rest in the closed feed bucket."""
-    from dem_jax.drive import run
+    from dem_jax.drive.loop import spans
+    from dem_jax.drive.prepare import prepare
     from dem_jax.drive.progress import Progress
     from dem_jax.scene import load_scene
 
@@ -34,8 +35,8 @@ def packed(count: int):
         material={"softening": 0.001},
         run={"duration": 3e-5, "frames": 0.0},
     )
-    job = run.prepare(scene, (0,), None)
-    *_, last = run.spans(job, Progress(job, False))
+    job = prepare(scene, (0,), None)
+    *_, last = spans(job, Progress(job, False))
     return last.system, last.state, job
 
 
@@ -44,20 +45,21 @@ def cost_of_a_step(count: int):
     import jax
     import numpy as np
 
-    from dem_jax.drive import run
+    from dem_jax.drive.chunk import SAMPLES
+    from dem_jax.drive.execute import execute
 
     system, state, job = packed(count)
     samples = max(20, int(1.0 / (30e-6 * count**0.8 * job.steps_per_sample)) // 10 * 10)
-    samples = min(samples, run.SAMPLES)
+    samples = min(samples, SAMPLES)
     times = []
     for _ in range(REPEATS):
         start = time.perf_counter()
-        after, _, _ = run.execute(job, system, state, 0, samples)
+        after, _, _ = execute(job, system, state, 0, samples)
         jax.block_until_ready(after)
         times.append((time.perf_counter() - start) / (samples * job.steps_per_sample))
     table = state.contacts["hulls"]
     active = int(np.sum(np.asarray(table.overlap) > 0))
-    return times[1:], active, table.a.shape[0], job.clock["compile"]
+    return times[1:], active, table.a.shape[0], job.clock.compile
 
 
 def whole_runs():

@@ -5,22 +5,27 @@ import contextlib
 import json
 import os
 import sys
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from calibrate.errors import BadInput
+
+if TYPE_CHECKING:
+    from calibrate.fit import Fit
 
 
 class _Parser(argparse.ArgumentParser):
     """Says what is wrong in one line and leaves with code 2."""
 
-    def error(self, message):
+    def error(self, message: str) -> NoReturn:
         self.exit(2, f"{self.prog}: {message}\n")
 
 
 NAMES = ("dt_impact", "gamma_low", "gamma_high", "h_mean")
 
 
-def _parser():
+def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="calibrate", description="Fit the Product Model to impact-force traces")
     commands = parser.add_subparsers(dest="command", required=True, parser_class=_Parser)
     fit = commands.add_parser("fit", help="fit to one or several trace files")
@@ -47,7 +52,7 @@ def _parser():
     return parser
 
 
-def _outputs(args):
+def _outputs(args: argparse.Namespace) -> list[Path]:
     out = Path(args.out)
     if out.suffix != ".json":
         raise BadInput(f"out = {out}: must end in .json")
@@ -64,13 +69,13 @@ def _outputs(args):
 
 
 @contextlib.contextmanager
-def _progress():
+def _progress() -> Iterator[Callable[[str, int, int], None]]:
     """What shows the progress of a fit; the bar appears when there is some."""
     from tqdm import tqdm
 
-    bars = []
+    bars: list[Any] = []
 
-    def show(stage, done, total):
+    def show(stage: str, done: int, total: int) -> None:
         if not bars:
             bars.append(tqdm(total=1, file=sys.stderr))
         bars[0].set_description(stage)
@@ -84,21 +89,21 @@ def _progress():
             bar.close()
 
 
-def _use_cache():
+def _use_cache() -> None:
     """Keep compiled programs in the user's cache folder, so that a second fit need not compile.
 
     JAX_COMPILATION_CACHE_DIR names another folder.
     """
     import jax
 
-    if not jax.config.jax_compilation_cache_dir:
+    if not jax.config.jax_compilation_cache_dir:  # type: ignore[attr-defined]
         base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
         jax.config.update("jax_compilation_cache_dir", str(Path(base) / "calibrate" / "jax"))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
         jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
 
 
-def _fit(args):
+def _fit(args: argparse.Namespace) -> None:
     paths = _outputs(args)
     _use_cache()
     from calibrate.fit import fit
@@ -129,7 +134,7 @@ def _fit(args):
     print(f"written: {', '.join(map(str, paths))}")
 
 
-def report(result) -> str:
+def report(result: "Fit") -> str:
     """The fit as a table with 90 % intervals, then the statements."""
     units = {"dt_impact": ("us", 1e6), "gamma_low": ("mm", 1e3), "gamma_high": ("mm", 1e3), "h_mean": ("mm", 1e3)}
     lines = ["parameter           value      90 % interval            sd   local sd"]
@@ -145,7 +150,7 @@ def report(result) -> str:
     return "\n".join(lines + [f"- {line}" for line in result.statements])
 
 
-def main(argv=None) -> int:
+def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code (2 on bad input, with one line on stderr)."""
     args = _parser().parse_args(argv)
     try:

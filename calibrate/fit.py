@@ -1,6 +1,8 @@
 """The public fit: traces in, parameters with intervals, statements and a goodness of fit out."""
 
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, field
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -8,11 +10,15 @@ import numpy as np
 
 from calibrate import goodness, uncertainty
 from calibrate.errors import BadInput
-from calibrate.loss import BLOCKS
+from calibrate.loss import BLOCKS, Draws, Measured
 from calibrate.prepare import draw, measure
 from calibrate.solve import scan_lengths, solve_starts
 from calibrate.targets import Target
-from calibrate.unconstrained import NAMES
+from calibrate.uncertainty import Tell
+from calibrate.unconstrained import NAMES, Free, Theta
+
+Rows = dict[str, dict[str, Any]]  # Fit.parameters
+Ends = dict[str, list[float]]  # Fit.starts
 
 STARTS = 4
 SCAN = (0.7, 90.0, 12)  # least and greatest dt_impact (bins) that the first guess looks at, and how many
@@ -31,24 +37,24 @@ class Fit:
     statements: what the data can and cannot tell, in words
     """
 
-    parameters: dict
-    free: tuple
-    starts: dict
-    losses: list
-    converged: list
-    agreed: list
-    distances: dict
-    p_values: dict
+    parameters: dict[str, dict[str, Any]]
+    free: Free
+    starts: dict[str, list[float]]
+    losses: list[float]
+    converged: list[bool]
+    agreed: list[bool]
+    distances: dict[str, float]
+    p_values: dict[str, float]
     rmse_g: float
-    statements: list
-    info: dict = field(default_factory=dict)
+    statements: list[str]
+    info: dict[str, Any] = field(default_factory=dict)
 
-    def to_dict(self) -> dict:
+    def to_dict(self) -> dict[str, Any]:
         """Plain numbers, strings and lists, as written to fit.json."""
         return asdict(self)
 
 
-def default_start(targets: list[Target], measured, draws) -> dict:
+def default_start(targets: list[Target], measured: Measured, draws: Draws) -> dict[str, float]:
     """Start values that the traces tell: h_mean and the limits from their own mean drop heights and spreads, dt_impact
     as the best of a coarse scan of the increments.
 
@@ -66,7 +72,7 @@ def default_start(targets: list[Target], measured, draws) -> dict:
     return start | {"dt_impact": float(lengths[int(np.argmin(scan_lengths(lengths, start, draws, measured)))])}
 
 
-def several_starts(start: dict, own: dict, free: tuple, count: int = STARTS) -> dict:
+def several_starts(start: Theta, own: Theta, free: Free, count: int = STARTS) -> Theta:
     """`count` starts: `start`, then `own`, which the traces tell, and others about that by factors of up to two: name
     -> [count]. The parameters that are not `free` have the value of `start` in all.
     """
@@ -89,7 +95,7 @@ def several_starts(start: dict, own: dict, free: tuple, count: int = STARTS) -> 
     return {name: jnp.asarray([row[name] for row in rows[:count]]) for name in NAMES}
 
 
-def _checked_start(start, fixed, own):
+def _checked_start(start: Theta | None, fixed: Theta, own: Theta) -> dict[str, float]:
     unknown = sorted((set(start or {}) | set(fixed or {})) - set(NAMES))
     if unknown:
         raise BadInput(f"{unknown[0]}: unknown; known are {', '.join(NAMES)}")
@@ -107,7 +113,18 @@ def _checked_start(start, fixed, own):
     return {name: float(values[name]) for name in NAMES}
 
 
-def fit(traces, start=None, *, fixed=None, align="release", simulations=512, fine=128, bootstrap=100, seed=0, progress=None) -> Fit:
+def fit(
+    traces: Iterable[Target],
+    start: dict[str, float] | None = None,
+    *,
+    fixed: dict[str, float] | None = None,
+    align: str = "release",
+    simulations: int = 512,
+    fine: int = 128,
+    bootstrap: int = 100,
+    seed: int = 0,
+    progress: Tell | None = None,
+) -> Fit:
     """Fit dt_impact, gamma_low, gamma_high and h_mean to `traces`, a list of `Target`.
 
     start: dict of start values, any subset (the others from the traces); fixed: dict of parameters that are not fitted
@@ -120,12 +137,22 @@ def fit(traces, start=None, *, fixed=None, align="release", simulations=512, fin
         return _fit(list(traces), start, fixed or {}, align, simulations, fine, bootstrap, seed, progress or (lambda *_: None))
 
 
-def _fit(targets, start, fixed, align, simulations, fine, bootstrap, seed, progress):
+def _fit(
+    targets: list[Target],
+    given: dict[str, float] | None,
+    fixed: dict[str, float],
+    align: str,
+    simulations: int,
+    fine: int,
+    bootstrap: int,
+    seed: int,
+    progress: Tell,
+) -> Fit:
     measured = measure(targets, align)
     draws = draw(targets, simulations, seed)
     fine = min(fine, draws.z.shape[0])
     own = default_start(targets, measured, draws)
-    start = _checked_start(start, fixed, own)
+    start = _checked_start(given, fixed, own)
     free = _free(fixed, len(targets))
     progress("starts", 0, 1)
     solutions = jax.block_until_ready(solve_starts(several_starts(start, own, free), draws, measured, free, fine))
@@ -165,7 +192,7 @@ def _fit(targets, start, fixed, align, simulations, fine, bootstrap, seed, progr
     return result
 
 
-def _free(fixed, count):
+def _free(fixed: dict[str, float], count: int) -> Free:
     free = tuple(name for name in NAMES if name not in fixed)
     if not free:
         raise BadInput("fixed: at least one parameter must be free")
@@ -177,20 +204,20 @@ def _free(fixed, count):
     return free
 
 
-def _agreed(ends, best, parameters, free):
+def _agreed(ends: Ends, best: int, parameters: Rows, free: Free) -> list[bool]:
     """[S] whether each start ended where the best one did, within a share of the intervals."""
     return _little(lambda name, s: abs(ends[name][s] - ends[name][best]), len(ends["h_mean"]), parameters, free)
 
 
-def _settled(ends, change, parameters, free):
+def _settled(ends: Ends, change: Theta, parameters: Rows, free: Free) -> list[bool]:
     """[S] whether the last round of each start changed nothing by more than a share of the intervals."""
     return _little(lambda name, s: float(change[name][s]) * ends[name][s], len(ends["h_mean"]), parameters, free)
 
 
-def _little(distance, count, parameters, free):
+def _little(distance: Callable[[str, int], float], count: int, parameters: Rows, free: Free) -> list[bool]:
     """[count] whether distance(name, s) is within a share of the intervals of all free parameters."""
     return [all(distance(name, s) <= AGREEMENT * _half(parameters[name]) for name in free) for s in range(count)]
 
 
-def _half(row):
+def _half(row: dict[str, Any]) -> float:
     return max(0.5 * (row["high"] - row["low"]), 1e-3 * abs(row["value"]))

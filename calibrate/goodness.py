@@ -2,9 +2,12 @@
 
 import jax
 import numpy as np
+from numpy.typing import ArrayLike
 
-from calibrate.loss import BLOCKS
+from calibrate.loss import BLOCKS, Measured
 from calibrate.targets import Target, rebin
+from calibrate.uncertainty import Refits
+from calibrate.unconstrained import Theta
 from product_model import parameters as inputs
 from product_model import simulate
 
@@ -22,12 +25,12 @@ def check_summaries(trace: Target) -> np.ndarray:
     return np.array([np.log(max(force.max(), 1e-6)), 1e-3 * (above[-1] + 1 if len(above) else 0)])
 
 
-def _energy(x, y):
+def _energy(x: np.ndarray, y: np.ndarray) -> float:
     """Energy distance of two samples [K] and [M] of a number, U-statistic."""
     return 2.0 * np.abs(x[:, None] - y[None, :]).mean() - _within(x) - _within(y)
 
 
-def simulated_targets(theta, targets: list[Target], count: int, seed: int) -> list[Target]:
+def simulated_targets(theta: Theta, targets: list[Target], count: int, seed: int) -> list[Target]:
     """`count` traces of the model with the compositions and sample times of `targets` in turn."""
     out = []
     keys = jax.random.split(jax.random.key(seed), count)
@@ -47,12 +50,20 @@ def simulated_targets(theta, targets: list[Target], count: int, seed: int) -> li
     return out
 
 
-def p_values(theta, targets, measured, distances, refits, seed, sets: int = SETS) -> dict:
+def p_values(
+    theta: Theta,
+    targets: list[Target],
+    measured: Measured,
+    distances: ArrayLike,
+    refits: Refits | None,
+    seed: int,
+    sets: int = SETS,
+) -> dict[str, float]:
     """name -> p-value, small where the traces differ from what the model makes. The blocks' minimised distances
     against those of the bootstrap refits (left out without them), the unfitted checks against synthetic data sets.
     "all": the least, times their number.
     """
-    result = {}
+    result: dict[str, float] = {}
     if refits is not None:
         result |= _of_blocks(distances, measured, refits)
     model = np.array([check_summaries(t) for t in simulated_targets(theta, targets, 768, seed + 3_000_003)])
@@ -67,13 +78,13 @@ def p_values(theta, targets, measured, distances, refits, seed, sets: int = SETS
     return result
 
 
-def _within(x):
+def _within(x: np.ndarray) -> np.ndarray:
     """Mean distance of pairs of different entries of `x` [..., K]."""
     rank = 2.0 * np.arange(x.shape[-1]) - x.shape[-1] + 1.0
     return 2.0 * np.sort(x, axis=-1) @ rank / max(x.shape[-1] * (x.shape[-1] - 1), 1)
 
 
-def complete_distances(parts, measured) -> np.ndarray:
+def complete_distances(parts: ArrayLike, measured: Measured) -> np.ndarray:
     """[..., 3] energy distances of the blocks with the part that depends on the data alone, which the loss leaves
     out.
     """
@@ -82,13 +93,13 @@ def complete_distances(parts, measured) -> np.ndarray:
     return np.asarray(parts) - np.stack([within[..., 0], within[..., 1], np.mean(within[..., 2:], axis=-1)], axis=-1)
 
 
-def _of_blocks(distances, measured, refits):
+def _of_blocks(distances: ArrayLike, measured: Measured, refits: Refits) -> dict[str, float]:
     observed = complete_distances(distances, measured)
     null = complete_distances(refits.solution.distances, refits.sets)
     return {name: float((1 + np.sum(null[:, k] >= observed[k])) / (1 + len(null))) for k, name in enumerate(BLOCKS)}
 
 
-def rmse_g(theta, targets: list[Target], align: str, seed: int) -> float:
+def rmse_g(theta: Theta, targets: list[Target], align: str, seed: int) -> float:
     """The paper's figure (g): root mean square difference of the PIF of each trace and of one random model trace,
     aligned alike, mean over the traces. Dominated by the random times of impact, hence never fitted."""
     values = []
@@ -99,12 +110,12 @@ def rmse_g(theta, targets: list[Target], align: str, seed: int) -> float:
     return float(np.mean(values))
 
 
-def statements(p: dict, refits: int) -> list[str]:
+def statements(p: dict[str, float], refits: int) -> list[str]:
     """In words: does the model describe the traces? refits: number of the bootstrap, which limits what blocks can say"""
     lines = _limits(p, refits)
     if p["all"] >= ALARM:
         return [*lines, f"no difference from what the Product Model makes was found (p = {p['all']:.2g})"]
-    worst = min((name for name in p if name != "all"), key=p.get)
+    worst = min((name for name in p if name != "all"), key=p.__getitem__)
     return [
         *lines,
         f"the Product Model does not describe these traces (p = {p['all']:.2g}, worst: {worst}): look for rebounds, "
@@ -112,7 +123,7 @@ def statements(p: dict, refits: int) -> list[str]:
     ]
 
 
-def _limits(p, refits):
+def _limits(p: dict[str, float], refits: int) -> list[str]:
     if not refits:
         return ["goodness of fit from peak and late impulse alone: the distances of the blocks need bootstrap refits"]
     if len(p) - 1 >= ALARM * (1 + refits):

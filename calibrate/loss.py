@@ -1,12 +1,14 @@
 """Energy distances between measured and simulated summaries, one block at a time, with common random numbers."""
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from calibrate.summaries import log_increments, moments_of_pulses
+from calibrate.unconstrained import Theta
 from product_model import fall, model
 from product_model.grid import Grid
 from product_model.pulses import deposits
@@ -57,15 +59,15 @@ class Measured:
     gravity: jax.Array
     floor: jax.Array
     grid: Grid = field(metadata={"static": True})
-    lags: tuple = field(metadata={"static": True})
+    lags: tuple[int, ...] = field(metadata={"static": True})
     from_momentum: bool = field(metadata={"static": True}, default=False)
 
     @property
-    def single_lags(self):
+    def single_lags(self) -> jax.Array:
         """[lags, lags] each lag by itself, in units of its standard deviation."""
         return jnp.diag(1.0 / self.scale[2:])
 
-    def columns(self, height, spread, increments):
+    def columns(self, height: jax.Array, spread: jax.Array, increments: jax.Array) -> jax.Array:
         """[..., 2 + lags] what the distances compare, in units of its standard deviation: height, spread squared (to
         which the few widest portions, which alone tell of gamma_high, contribute more than to spread), increments.
         """
@@ -73,14 +75,16 @@ class Measured:
         return jnp.concatenate([moments, increments @ self.whiten], axis=-1)
 
 
-def _pulses_of(theta, z, v, mass, offset, gravity):
+def _pulses_of(
+    theta: Theta, z: jax.Array, v: jax.Array, mass: jax.Array, offset: jax.Array, gravity: jax.Array
+) -> model.Pulses:
     """Pulses of one simulated portion at `theta`, a dict of the four parameters."""
     sigma = fall.sigma_height(theta["gamma_low"], theta["gamma_high"], z)
     height, _ = fall.drop_heights(theta["h_mean"] + offset, sigma, v)
     return model.pulses(height, mass, theta["dt_impact"], gravity)
 
 
-def _changes(pulses, mass, phase, grid: Grid):
+def _changes(pulses: model.Pulses, mass: jax.Array, phase: jax.Array, grid: Grid) -> jax.Array:
     """Changes of the force over the weight from bin to bin of the fine grid, from the first impact on."""
     first = jnp.min(jnp.where(mass > 0.0, pulses.start, jnp.inf))
     shifted = pulses.start - first + grid.sample * phase
@@ -88,12 +92,14 @@ def _changes(pulses, mass, phase, grid: Grid):
     return deposits(model.Pulses(shifted, pulses.duration, pulses.force / weight, pulses.weight / weight), grid)
 
 
-def moments(theta, draws: Draws, measured: Measured):
+def moments(theta: Theta, draws: Draws, measured: Measured) -> tuple[jax.Array, jax.Array]:
     """Mean drop height [M] and spread [M] (m) of all simulated portions at `theta`."""
     # the balance of momentum puts the release of every simulated portion at dt_impact: its weight sets in so much later
     origin = theta["dt_impact"] if measured.from_momentum else 0.0
 
-    def one(z, v, last, mass, offset):
+    def one(
+        z: jax.Array, v: jax.Array, last: jax.Array, mass: jax.Array, offset: jax.Array
+    ) -> tuple[jax.Array, jax.Array]:
         pulses = _pulses_of(theta, z, jnp.minimum(v, last), mass, offset, measured.gravity)
         times, jumps = pulses.edges()
         landed = jnp.where(jnp.tile(mass > 0.0, 2), times - origin, 0.0)
@@ -102,13 +108,13 @@ def moments(theta, draws: Draws, measured: Measured):
     return jax.vmap(one)(draws.z, draws.v, draws.last, draws.mass, draws.offset)
 
 
-def increments(theta, draws: Draws, measured: Measured, fine: int):
+def increments(theta: Theta, draws: Draws, measured: Measured, fine: int) -> jax.Array:
     """Log squared increments [fine, lags] of the first `fine` simulated portions at `theta`.
 
     One portion after the other: a trace then stays in the cache of the processor, three times as fast as all at once.
     """
 
-    def one(draw):
+    def one(draw: Any) -> jax.Array:
         z, v, phase, mass, offset = draw
         pulses = _pulses_of(theta, z, v, mass, offset, measured.gravity)
         return log_increments(_changes(pulses, mass, phase, measured.grid), measured.lags)
@@ -117,7 +123,7 @@ def increments(theta, draws: Draws, measured: Measured, fine: int):
     return jax.lax.map(one, jax.tree.map(lambda leaf: leaf[:fine], some))
 
 
-def energy_distance(x, y):
+def energy_distance(x: jax.Array, y: jax.Array) -> jax.Array:
     """Energy distance of two samples x [K], y [M] of a number, without the part that depends on x alone.
 
     2 E|x - y| - E|y - y'| over pairs of different y (U-statistic): its mean is least where the distributions agree, for
@@ -128,14 +134,16 @@ def energy_distance(x, y):
     return 2.0 * jnp.mean(jnp.abs(x[:, None] - y[None, :])) - jnp.sum(rank * jnp.sort(y))
 
 
-def moment_distances(theta, draws: Draws, measured: Measured):
+def moment_distances(theta: Theta, draws: Draws, measured: Measured) -> jax.Array:
     """[2] energy distances of height and of spread squared, each over its scale."""
     height, spread = moments(theta, draws, measured)
     of_height = energy_distance(measured.height, height) / measured.scale[0]
     return jnp.stack([of_height, energy_distance(measured.spread**2, spread**2) / measured.scale[1]])
 
 
-def increment_distance(theta, draws: Draws, measured: Measured, fine: int, combine=None):
+def increment_distance(
+    theta: Theta, draws: Draws, measured: Measured, fine: int, combine: jax.Array | None = None
+) -> jax.Array:
     """[] energy distance of the log squared increments, mean over the columns that the matrix `combine` [lags, lags]
     makes of them (None: the whitened ones).
     """
@@ -144,13 +152,13 @@ def increment_distance(theta, draws: Draws, measured: Measured, fine: int, combi
     return jnp.mean(jax.vmap(energy_distance, in_axes=1)(measured.increments @ combine, simulated))
 
 
-def distances(theta, draws: Draws, measured: Measured, fine: int):
+def distances(theta: Theta, draws: Draws, measured: Measured, fine: int) -> jax.Array:
     """[3] energy distances of the BLOCKS."""
     last = increment_distance(theta, draws, measured, fine)
     return jnp.concatenate([moment_distances(theta, draws, measured), last[None]])
 
 
-def joint_distance(theta, draws: Draws, measured: Measured, fine: int):
+def joint_distance(theta: Theta, draws: Draws, measured: Measured, fine: int) -> jax.Array:
     """One energy distance of all summaries together, each over its scale. Kept for comparison: it hardly tells
     gamma_high.
     """
@@ -160,7 +168,7 @@ def joint_distance(theta, draws: Draws, measured: Measured, fine: int):
     return 2.0 * _mean_norm(x, y) - _mean_norm(y, y) * fine / max(fine - 1, 1)
 
 
-def _mean_norm(x, y):
+def _mean_norm(x: jax.Array, y: jax.Array) -> jax.Array:
     squared = jnp.sum((x[:, None, :] - y[None, :, :]) ** 2, axis=-1)
     apart = squared > 0.0
     return jnp.mean(jnp.where(apart, jnp.sqrt(jnp.where(apart, squared, 1.0)), 0.0))

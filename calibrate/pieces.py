@@ -2,6 +2,8 @@
 
 import math
 import tomllib
+from collections.abc import Callable, Sequence
+from typing import Any
 
 from scipy.spatial import ConvexHull, QhullError
 
@@ -10,20 +12,20 @@ from calibrate.errors import BadInput
 MARSHMALLOW, CHAMFER = (0.055, 0.023, 0.016), 0.005  # m, the paper's chamfered cuboid at SF = 1
 
 
-def _chamfered_cuboid(size=MARSHMALLOW, chamfer=CHAMFER):
+def _chamfered_cuboid(size: Sequence[float] = MARSHMALLOW, chamfer: float = CHAMFER) -> float:
     x, y, z = size
     return (x * y - 2.0 * chamfer**2) * z
 
 
-def _prism(radius, height, sides):
+def _prism(radius: float, height: float, sides: int) -> float:
     return 0.5 * sides * math.sin(2.0 * math.pi / sides) * radius**2 * height
 
 
-def _hull(points, unit=1.0):
+def _hull(points: Sequence[Sequence[float]], unit: float = 1.0) -> float:
     return ConvexHull(points).volume * unit**3
 
 
-VOLUMES = {
+VOLUMES: dict[str, Callable[..., float]] = {
     "sphere": lambda radius: 4.0 / 3.0 * math.pi * radius**3,
     "cuboid": lambda size: math.prod(size),
     "chamfered-cuboid": _chamfered_cuboid,
@@ -34,7 +36,7 @@ VOLUMES = {
 SIZES = ("size", "chamfer", "radius", "height", "sides", "points", "unit")
 
 
-def _volume(piece: dict) -> float | None:
+def _volume(piece: dict[str, Any]) -> float | None:
     """(m3) of the named shape with its own sizes; None where the text does not tell (a hull in a file of its own)."""
     shape, scale = piece.get("shape", "chamfered-cuboid"), float(piece.get("scale_factor") or 1.0)
     sizes = {name: piece[name] for name in SIZES if piece.get(name) is not None}
@@ -59,16 +61,17 @@ def piece_mass(scene: str) -> float | None:
     if "piece_mass" in portion:
         return float(portion["piece_mass"])
     listed = tree.get("piece") or portion.get("product") or ([portion] if portion else [])
-    masses = [_mass(piece, tree.get("material", {})) for piece in listed]
-    if not masses or None in masses or max(masses) > (1.0 + 1e-9) * min(masses):
+    known = (_mass(piece, tree.get("material", {})) for piece in listed)
+    masses = [mass for mass in known if mass is not None]
+    if not masses or len(masses) < len(listed) or max(masses) > (1.0 + 1e-9) * min(masses):
         return None
     return masses[0]
 
 
-def _mass(piece: dict, material: dict) -> float | None:
+def _mass(piece: dict[str, Any], material: dict[str, Any]) -> float | None:
     """(kg) of a piece of the scene's material or of one by name; None where the text does not tell."""
     volume = _volume(piece)
     if volume is None or piece.get("size_spread"):
         return None
-    own = material.get(piece.get("material"), {})
+    own = material.get(piece.get("material") or "", {})
     return volume * float(own.get("density", material.get("density", 300.0)))

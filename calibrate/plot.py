@@ -1,19 +1,25 @@
 """The figure of a fit: traces and bands, residual bands, summaries. matplotlib is imported only when one is drawn."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
+from calibrate.fit import Fit
 from calibrate.goodness import simulated_targets
 from calibrate.targets import Target, rebin
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
-def _curves(targets: list[Target], align: str, bin_: float, start: float, length: float):
+
+def _curves(targets: list[Target], align: str, bin_: float, start: float, length: float) -> np.ndarray:
     """[K, T] (kg) PIF of each trace on one grid, from its first impact or from its release."""
     origin = [t.first_impact if align == "first-impact" else 0.0 for t in targets]
     rows = [rebin(t, o + start, bin_, int(length / bin_)) for t, o in zip(targets, origin, strict=True)]
     return np.array(rows) / targets[0].gravity
 
 
-def figure(result, targets: list[Target], seed: int = 0, bin_: float = 5e-4):
+def figure(result: Fit, targets: list[Target], seed: int = 0, bin_: float = 5e-4) -> "Figure":
     """Traces and the model's 5-95 % band, the difference of their quantiles, and the distribution of the spreads."""
     from matplotlib.figure import Figure
 

@@ -1,6 +1,7 @@
 """From traces to their summaries and the random numbers of the simulated ones."""
 
 import math
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -16,7 +17,7 @@ LAGS = (2, 3, 5, 8, 12, 18, 28)  # bins; a pulse of the start value is about 8 b
 FLOOR = 1e-4  # m, least spread of drop heights that is told from none
 
 
-def bin_length(targets: list[Target], bin_length=None) -> float:
+def bin_length(targets: list[Target], bin_length: float | None = None) -> float:
     """(s) bin of the increments: as given, else the multiple of the coarsest sample time nearest 60 us, a sixteenth
     to a quarter of the pulses of the pieces that the paper deals with."""
     coarsest = max(trace.sample for trace in targets)
@@ -43,7 +44,7 @@ def _active(trace: Target) -> float:
     return max(last - trace.first_impact, 0.02)
 
 
-def measure(targets: list[Target], align: str = "release", bin_=None) -> Measured:
+def measure(targets: list[Target], align: str = "release", bin_: float | None = None) -> Measured:
     """Summaries of the traces. align: "release" (time zero of the files) or "first-impact" (times of the files are
     not trusted; the balance of momentum tells how long each portion had been falling). Raises `BadInput`.
     """
@@ -61,11 +62,21 @@ def measure(targets: list[Target], align: str = "release", bin_=None) -> Measure
     compared = np.column_stack([height, spread**2, increments])
     scale = compared.std(axis=0, ddof=1) if len(rows) > 3 else np.array([0.01, 2e-4, *([0.2] * len(LAGS))])
     end = float(np.mean([row[-1] for row in rows]))
-    arrays = (height, spread, increments, np.maximum(scale, 1e-9), whitening(increments), end, targets[0].gravity, FLOOR)
-    return Measured(*map(jnp.asarray, arrays), grid=grid, lags=LAGS, from_momentum=align == "first-impact")
+    arrays: dict[str, Any] = {
+        "height": height,
+        "spread": spread,
+        "increments": increments,
+        "scale": np.maximum(scale, 1e-9),
+        "whiten": whitening(increments),
+        "end": end,
+        "gravity": targets[0].gravity,
+        "floor": FLOOR,
+    }
+    arrays = {name: jnp.asarray(value) for name, value in arrays.items()}
+    return Measured(**arrays, grid=grid, lags=LAGS, from_momentum=align == "first-impact")
 
 
-def whitening(columns) -> np.ndarray:
+def whitening(columns: np.ndarray) -> np.ndarray:
     """[lags, lags] makes of the log increments [K, lags] of the traces uncorrelated columns of standard deviation 1.
 
     Traces scatter by the interference of their pulses, at all lags alike; what tells of the length of a pulse is how
@@ -81,7 +92,7 @@ def whitening(columns) -> np.ndarray:
     return direction / np.sqrt(variance) / sd[:, None]
 
 
-def _summaries(trace: Target, align: str, bin_: float) -> list:
+def _summaries(trace: Target, align: str, bin_: float) -> list[float]:
     origin = 0.0
     if align == "first-impact":
         origin = momentum_release(trace.time, trace.force, trace.sample, trace.weight)

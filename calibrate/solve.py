@@ -11,8 +11,10 @@ come the whitened columns, which have several, but scatter half as much about th
 it lies where it can be expected, as for traces that the model describes. Otherwise the value of the rounds stays.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -20,7 +22,7 @@ import numpy as np
 import optax
 
 from calibrate.loss import Draws, Measured, distances, increment_distance, joint_distance, moment_distances
-from calibrate.unconstrained import to_parameters, to_unconstrained
+from calibrate.unconstrained import Free, Theta, to_parameters, to_unconstrained
 
 TOLERANCE = 1e-3  # in ln of a parameter: rounds end when one changes nothing by more than this
 ROUNDS = 16  # most rounds
@@ -43,21 +45,23 @@ class Solution:
     change: dict of what the last round changed in the ln of each parameter; rounds: how many there were
     """
 
-    theta: dict
+    theta: Theta
     distances: jax.Array
     loss: jax.Array
-    change: dict
+    change: Theta
     rounds: jax.Array
 
 
-def descend(slope, u, first, steps=STEPS, finer=FINER):
+def descend(
+    slope: Callable[[Theta], Theta], u: Theta, first: jax.Array, steps: int = STEPS, finer: float = FINER
+) -> Theta:
     """Least value by Adam from `u` (a dict), its steps falling from `first` to `first/finer`; `slope(u)` is the gradient.
 
     Its memory is short (0.8 and 0.9), so that the steep way down to the valley is soon forgotten on the flat floor.
     """
     optimiser = optax.scale_by_adam(b1=0.8, b2=0.9)
 
-    def step(k, carry):
+    def step(k: jax.Array, carry: Any) -> Any:
         u, state = carry
         size = -first * finer ** (-k / steps)
         with jax.numpy_dtype_promotion("standard"):  # optax counts its steps in whole numbers
@@ -68,12 +72,12 @@ def descend(slope, u, first, steps=STEPS, finer=FINER):
         return jax.lax.fori_loop(0, steps, step, (u, optimiser.init(u)))[0]
 
 
-def halve(slope, x, reach):
+def halve(slope: Callable[[jax.Array], jax.Array], x: jax.Array, reach: jax.Array | float) -> jax.Array:
     """Where `slope(x)` [] changes from negative to positive within `reach` of `x`, to FINEST; an end of the interval if
     it does not.
     """
 
-    def half(ends):
+    def half(ends: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         low, high = ends
         middle = 0.5 * (low + high)
         rising = slope(middle) > 0.0
@@ -83,7 +87,7 @@ def halve(slope, x, reach):
     return 0.5 * (low + high)
 
 
-def _shape(u, fixed, draws, measured, reach):
+def _shape(u: Theta, fixed: Theta, draws: Draws, measured: Measured, reach: jax.Array) -> Theta:
     """`u` with all but dt_impact fitted to height and spread; reach: first step."""
     pulse = {name: value for name, value in u.items() if name == "dt_impact"}
     shape = {name: value for name, value in u.items() if name != "dt_impact"}
@@ -93,7 +97,9 @@ def _shape(u, fixed, draws, measured, reach):
     return descend(jax.grad(whole), shape, reach) | pulse
 
 
-def _pulse(u, fixed, draws, measured, fine, reach, combine):
+def _pulse(
+    u: Theta, fixed: Theta, draws: Draws, measured: Measured, fine: int, reach: jax.Array | float, combine: jax.Array
+) -> Theta:
     """`u` with dt_impact fitted to the columns of the increments that `combine` makes."""
     if "dt_impact" not in u:
         return u
@@ -101,32 +107,34 @@ def _pulse(u, fixed, draws, measured, fine, reach, combine):
     return u | {"dt_impact": halve(jax.jacfwd(alone), u["dt_impact"], reach)}
 
 
-def _logs(u, fixed):
+def _logs(u: Theta, fixed: Theta) -> Theta:
     return {name: jnp.log(value + 1e-12) for name, value in to_parameters(u, fixed).items()}
 
 
-def _apart(a, b):
+def _apart(a: Theta, b: Theta) -> Theta:
     return jax.tree.map(lambda x, y: jnp.abs(x - y), a, b)
 
 
-def _largest(tree):
+def _largest(tree: Theta) -> jax.Array:
     return jnp.max(jnp.stack(jax.tree.leaves(tree)))
 
 
-def solve(start, draws: Draws, measured: Measured, free: tuple, fine: int, reach) -> Solution:
+def solve(
+    start: Theta, draws: Draws, measured: Measured, free: Free, fine: int, reach: tuple[jax.Array, ...]
+) -> Solution:
     """Fit of the `free` parameters from `start`, a dict of the four ([] each); the others keep their value.
 
     reach: [2] of the first round: first step of Adam, half interval of ln dt_impact.
     """
     fixed = {name: value for name, value in start.items() if name not in free}
 
-    def one(carry):
+    def one(carry: Any) -> Any:
         number, u, _, step, half = carry
         new = _pulse(_shape(u, fixed, draws, measured, step), fixed, draws, measured, fine, half, measured.single_lags)
         moved, change = _largest(_apart(new, u)), _apart(_logs(new, fixed), _logs(u, fixed))
         return number + 1, new, change, jnp.clip(moved, LEAST_REACH, step), jnp.clip(3.0 * moved, LEAST_REACH, half)
 
-    def unsettled(carry):
+    def unsettled(carry: Any) -> jax.Array:
         number, _, change, *_ = carry
         return (number < ROUNDS) & (_largest(change) > TOLERANCE)
 
@@ -146,33 +154,35 @@ def solve(start, draws: Draws, measured: Measured, free: tuple, fine: int, reach
 
 
 @partial(jax.jit, static_argnames=("free", "fine"))
-def _solve_all(starts, draws, measured, reach, free, fine) -> Solution:
+def _solve_all(
+    starts: Theta, draws: Draws, measured: Measured, reach: tuple[jax.Array, ...], free: Free, fine: int
+) -> Solution:
     axes = axes_of_sets(measured)
     return jax.vmap(lambda start, m: solve(start, draws, m, free, fine, reach), in_axes=(0, axes))(starts, measured)
 
 
 def axes_of_sets(measured: Measured) -> Measured:
     """The axes of `jax.vmap` over several data sets: only the summaries of the traces have one."""
-    none = dict.fromkeys(("scale", "whiten", "end", "gravity", "floor"))
-    return replace(measured, height=0, spread=0, increments=0, **none)
+    none: dict[str, Any] = dict.fromkeys(("scale", "whiten", "end", "gravity", "floor"))
+    return replace(measured, **none | dict.fromkeys(("height", "spread", "increments"), 0))
 
 
-def _repeated(leaf, count):
+def _repeated(leaf: jax.Array, count: int) -> jax.Array:
     return jnp.broadcast_to(leaf, (count, *jnp.shape(leaf)))
 
 
-def _reach(pair):
+def _reach(pair: tuple[float, float]) -> tuple[jax.Array, ...]:
     return tuple(jnp.asarray(value) for value in pair)
 
 
-def solve_starts(starts, draws, measured, free, fine) -> Solution:
+def solve_starts(starts: Theta, draws: Draws, measured: Measured, free: Free, fine: int) -> Solution:
     """`solve` from several starts at once: every leaf of `starts` and of the result has a leading axis [starts]."""
     count = len(starts["h_mean"])
-    summaries = {name: _repeated(getattr(measured, name), count) for name in ("height", "spread", "increments")}
+    summaries: dict[str, Any] = {name: _repeated(getattr(measured, name), count) for name in ("height", "spread", "increments")}
     return _solve_all(starts, draws, replace(measured, **summaries), _reach(FAR), free, fine)
 
 
-def solve_data_sets(start, draws, measured, free, fine) -> Solution:
+def solve_data_sets(start: Theta, draws: Draws, measured: Measured, free: Free, fine: int) -> Solution:
     """`solve` of several data sets from one start, without going far: `measured` has a leading axis on
     its summaries only. As many sets as starts share the program of `solve_starts`.
     """
@@ -182,17 +192,17 @@ def solve_data_sets(start, draws, measured, free, fine) -> Solution:
 
 
 @jax.jit
-def scan_lengths(lengths, start, draws, measured):
+def scan_lengths(lengths: jax.Array, start: Theta, draws: Draws, measured: Measured) -> jax.Array:
     """[L] distance of the increments at each dt_impact of `lengths` (s), the other parameters as in `start`."""
 
-    def at(length):
+    def at(length: jax.Array) -> jax.Array:
         return increment_distance(start | {"dt_impact": length}, draws, measured, SCANNED, measured.single_lags)
 
     return jax.lax.map(at, lengths)
 
 
 @partial(jax.jit, static_argnames=("free", "fine", "steps"))
-def solve_joint(start, draws, measured, free, fine, steps=150) -> dict:
+def solve_joint(start: Theta, draws: Draws, measured: Measured, free: Free, fine: int, steps: int = 150) -> Theta:
     """The fit to the one joint distance, for comparison only: theta."""
     fixed = {name: value for name, value in start.items() if name not in free}
     slope = jax.grad(lambda u: joint_distance(to_parameters(u, fixed), draws, measured, fine))

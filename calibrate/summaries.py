@@ -20,6 +20,9 @@ less than one and a half of them (of one in fifty, where there are many); what i
 sliding and the walls' share of the weight after that, which the model knows nothing of, would weigh with T^3.
 """
 
+from collections.abc import Sequence
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -30,7 +33,7 @@ def still_falling(pieces: int) -> int:
     return pieces // 50
 
 
-def first_rest(time, force, sample, weight, pieces) -> int:
+def first_rest(time: np.ndarray, force: np.ndarray, sample: float, weight: float, pieces: int) -> int:
     """Number of samples of a measured trace [T] until the first impacts are over: until the momentum that is not yet
     delivered is that of less than half a piece more than `still_falling`, falling freely; T if the trace ends before.
     """
@@ -39,7 +42,8 @@ def first_rest(time, force, sample, weight, pieces) -> int:
     return int(np.argmax(over)) + 1 if over.any() else len(time)
 
 
-def _height_and_spread(moments, end, weight, gravity, floor, xp):
+def _height_and_spread(moments: Sequence[Any], end: Any, weight: Any, gravity: Any, floor: Any, xp: Any) -> tuple[Any, Any]:
+    """xp: numpy or jax.numpy, whose arrays the others are."""
     zeroth, first, second = moments
     rest = weight * end - zeroth  # momentum not yet delivered: lands at the end
     mean = gravity / 2.0 * (first + end * rest) / weight
@@ -48,7 +52,9 @@ def _height_and_spread(moments, end, weight, gravity, floor, xp):
     return mean, xp.where(wide, xp.sqrt(xp.where(wide, variance, 1.0)), floor)
 
 
-def moments_of_trace(time, force, sample, weight, pieces, gravity, floor):
+def moments_of_trace(
+    time: np.ndarray, force: np.ndarray, sample: float, weight: float, pieces: int, gravity: float, floor: float
+) -> tuple[np.floating, np.floating]:
     """Mean drop height and spread (m), [] each, of the first impacts of one measured trace (NumPy).
 
     time: [T] (s) ends of the intervals after the release; force: [T] (N) means over them; weight: (N) of all `pieces`;
@@ -61,7 +67,9 @@ def moments_of_trace(time, force, sample, weight, pieces, gravity, floor):
     return _height_and_spread([np.sum(force * w) * sample for w in weights], end, weight, gravity, floor, np)
 
 
-def moments_of_pulses(times, jumps, weight, end, gravity, floor):
+def moments_of_pulses(
+    times: jax.Array, jumps: jax.Array, weight: jax.Array, end: jax.Array, gravity: jax.Array, floor: jax.Array
+) -> tuple[jax.Array, jax.Array]:
     """The same of a simulated portion, from the times (s) and jumps (N) of its edges [E], up to its last edge or the
     `end` of the traces (s).
     """
@@ -71,7 +79,7 @@ def moments_of_pulses(times, jumps, weight, end, gravity, floor):
     return _height_and_spread([jnp.sum(jumps * integral) for integral in integrals], end, weight, gravity, floor, jnp)
 
 
-def momentum_release(time, force, sample, weight):
+def momentum_release(time: np.ndarray, force: np.ndarray, sample: float, weight: float) -> float:
     """Release (s) that the balance of momentum tells, int F dt = weight (end - release): [] for one trace [T] (N)."""
     return time[-1] - np.sum(force) * sample / weight
 
@@ -89,7 +97,7 @@ def increment_kernel(lag: int) -> np.ndarray:
     return np.concatenate([kernel, np.zeros(BLOCK - len(kernel))])
 
 
-def log_increments(changes, lags):
+def log_increments(changes: jax.Array, lags: Sequence[int]) -> jax.Array:
     """[lags]: log of the sum of squared increments, at each of the static `lags` (bins), of the smoothed trace whose
     changes from bin to bin are `changes` [T]; zero before them, constant after them.
 
@@ -108,7 +116,7 @@ def log_increments(changes, lags):
     return jnp.log(jnp.maximum(squares, 1e-12 * jnp.maximum(jnp.sum(changes**2), 1e-12)))
 
 
-def log_increments_of_trace(force, lags):
+def log_increments_of_trace(force: np.ndarray, lags: Sequence[int]) -> np.ndarray:
     """The same of one measured trace [T] (NumPy), by its definition: traces of any length, without a program for
     each.
     """

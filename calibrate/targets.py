@@ -1,9 +1,11 @@
 """The traces that the Product Model is fitted to: from HDF5 ensembles and runs, CSV tables, or arrays."""
 
 from dataclasses import dataclass
+from os import PathLike
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from calibrate.errors import BadInput
 from calibrate.pieces import piece_mass
@@ -47,7 +49,16 @@ class Target:
         return float(self.time[np.argmax(self.force > ONSET * self.force.max())]) - self.sample
 
 
-def target(time, force, m_piece, pieces, *, height_offset=0.0, gravity=9.81, name="trace") -> Target:
+def target(
+    time: ArrayLike,
+    force: ArrayLike,
+    m_piece: float,
+    pieces: int,
+    *,
+    height_offset: float = 0.0,
+    gravity: float = 9.81,
+    name: str = "trace",
+) -> Target:
     """A checked `Target`. Raises `BadInput`: empty, different lengths, NaN, time not increasing or not
     equidistant, mass, pieces.
     """
@@ -72,7 +83,9 @@ def target(time, force, m_piece, pieces, *, height_offset=0.0, gravity=9.81, nam
     return Target(time, force, float(m_piece), int(pieces), float(height_offset), float(gravity), name)
 
 
-def read(path, m_piece=None, pieces=None, group=None) -> list[Target]:
+def read(
+    path: str | PathLike[str], m_piece: float | None = None, pieces: int | None = None, group: str | None = None
+) -> list[Target]:
     """All traces of one file; the suffix tells the format.
 
     `.h5`: a run, or an ensemble with a leading run axis, in the layout of the discrete element runs; the mean force
@@ -88,13 +101,14 @@ def read(path, m_piece=None, pieces=None, group=None) -> list[Target]:
     return _read_hdf5(path, m_piece, pieces, group)
 
 
-def _read_csv(path, m_piece, pieces):
-    for name, value in (("m_piece", m_piece), ("pieces", pieces)):
-        if value is None:
-            raise BadInput(f"{path}: a CSV table does not say {name}; give --{name.replace('_', '-')}")
+def _read_csv(path: Path, m_piece: float | None, pieces: int | None) -> list[Target]:
+    if m_piece is None:
+        raise BadInput(f"{path}: a CSV table does not say m_piece; give --m-piece")
+    if pieces is None:
+        raise BadInput(f"{path}: a CSV table does not say pieces; give --pieces")
     try:
-        header, *rows = path.read_text(encoding="utf-8").strip().splitlines() or [""]
-        header = header.split(",")
+        names, *rows = path.read_text(encoding="utf-8").strip().splitlines() or [""]
+        header = names.split(",")
         table = np.loadtxt(rows, delimiter=",", ndmin=2) if rows else np.zeros((0, len(header)))
     except ValueError as error:
         raise BadInput(f"{path}: not a table of numbers ({error})") from None
@@ -104,7 +118,7 @@ def _read_csv(path, m_piece, pieces):
     return [target(table[:, 0], table[:, k], m_piece, pieces, name=f"{path}:{header[k].strip()}") for k in columns]
 
 
-def _read_hdf5(path, m_piece, pieces, group):
+def _read_hdf5(path: Path, m_piece: float | None, pieces: int | None, group: str | None) -> list[Target]:
     import h5py
 
     try:
@@ -118,9 +132,10 @@ def _read_hdf5(path, m_piece, pieces, group):
         raise BadInput(f"{path}: not a trace file ({str(error).strip(chr(39))})") from None
     m_piece = piece_mass(str(attrs.get("scene", ""))) if m_piece is None else m_piece
     pieces = attrs.get("piece_count", count) if pieces is None else pieces
-    for key, value in (("m_piece", m_piece), ("pieces", pieces)):
-        if value is None:
-            raise BadInput(f"{path}: its scene does not tell {key}; give --{key.replace('_', '-')}")
+    if m_piece is None:
+        raise BadInput(f"{path}: its scene does not tell m_piece; give --m-piece")
+    if pieces is None:
+        raise BadInput(f"{path}: its scene does not tell pieces; give --pieces")
     gravity = float(np.linalg.norm(attrs.get("gravity", (0.0, 0.0, -9.81))))
     runs = force if force.ndim == 2 else force[None]
     if len(runs) == 0:
@@ -128,8 +143,8 @@ def _read_hdf5(path, m_piece, pieces, group):
     return [target(time, run, m_piece, int(pieces), gravity=gravity, name=f"{path}:{k}") for k, run in enumerate(runs)]
 
 
-def _group(path, groups, group):
-    if group in groups:
+def _group(path: Path, groups: list[str], group: str | None) -> str:
+    if group is not None and group in groups:
         return group
     if group is None and (GROUP in groups or len(groups) == 1):
         return GROUP if GROUP in groups else groups[0]

@@ -2,17 +2,25 @@
 words.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from calibrate.loss import Measured, increment_distance, increments, moment_distances, moments
+from calibrate.loss import Draws, Measured, increment_distance, increments, moment_distances, moments
 from calibrate.prepare import draw
 from calibrate.solve import Solution, axes_of_sets, solve_data_sets
-from calibrate.unconstrained import NAMES, to_parameters, to_unconstrained
+from calibrate.targets import Target
+from calibrate.unconstrained import NAMES, Free, Theta, to_parameters, to_unconstrained
+
+if TYPE_CHECKING:
+    from calibrate.fit import Fit
+
+Tell = Callable[[str, int, int], object]  # of progress: name of the stage, done, of
 
 LEVEL = 0.90
 BATCH = 4  # refits at once: as many as a fit has starts, so that both are one program
@@ -21,12 +29,12 @@ UNITS = {"dt_impact": ("us", 1e6), "gamma_low": ("mm", 1e3), "gamma_high": ("mm"
 
 
 @partial(jax.jit, static_argnames=("count",))
-def _replicas(theta, draws, measured, count):
+def _replicas(theta: Theta, draws: Draws, measured: Measured, count: int) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Summaries of simulated portions at `theta`, as if measured: height, spread [M], increments [M, lags]."""
     return *moments(theta, draws, measured), increments(theta, draws, measured, count)
 
 
-def data_sets(theta, targets, measured, count: int, seed: int):
+def data_sets(theta: Theta, targets: list[Target], measured: Measured, count: int, seed: int) -> Measured:
     """`count` synthetic data sets of the composition of `targets`, other random numbers than any fit's:
     `Measured` with leading axis.
     """
@@ -36,12 +44,12 @@ def data_sets(theta, targets, measured, count: int, seed: int):
     return measured_like(measured, height.reshape(shape), spread.reshape(shape), lags.reshape(*shape, -1))
 
 
-def _unstratified(draws, seed):
+def _unstratified(draws: Draws, seed: int) -> Draws:
     z = np.random.default_rng([seed, 1]).standard_normal(draws.z.shape[0])
     return replace(draws, z=jnp.asarray(z))
 
 
-def measured_like(measured, height, spread, lags):
+def measured_like(measured: Measured, height: jax.Array, spread: jax.Array, lags: jax.Array) -> Measured:
     """`measured` with other summaries."""
     return replace(measured, height=height, spread=spread, increments=lags)
 
@@ -54,7 +62,17 @@ class Refits:
     sets: Measured
 
 
-def bootstrap(theta, targets, draws, measured, free, fine, count, seed, progress):
+def bootstrap(
+    theta: Theta,
+    targets: list[Target],
+    draws: Draws,
+    measured: Measured,
+    free: Free,
+    fine: int,
+    count: int,
+    seed: int,
+    progress: Tell,
+) -> Refits | None:
     """`count` refits to data sets simulated at `theta`: `Refits`, or None for count = 0."""
     if count == 0:
         return None
@@ -68,13 +86,13 @@ def bootstrap(theta, targets, draws, measured, free, fine, count, seed, progress
     return Refits(jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts), sets)
 
 
-def _slopes(u, fixed, draws, measured, free, fine):
+def _slopes(u: Theta, fixed: Theta, draws: Draws, measured: Measured, fine: int) -> Theta:
     """Gradients of the blocks' losses in their own coordinates at `u`: dict of [] (a leading axis for mapped data
     sets).
     """
     shape = {name: value for name, value in u.items() if name != "dt_impact"}
     pulse = {name: value for name, value in u.items() if name == "dt_impact"}
-    slope = {}
+    slope: Theta = {}
     if shape:
         slope |= jax.grad(lambda s: jnp.sum(moment_distances(to_parameters(s | pulse, fixed), draws, measured)))(shape)
     if pulse:
@@ -82,12 +100,14 @@ def _slopes(u, fixed, draws, measured, free, fine):
     return slope
 
 
-@partial(jax.jit, static_argnames=("free", "fine"))
-def _slopes_of_sets(u, fixed, draws, sets, free, fine):
-    return jax.vmap(lambda m: _slopes(u, fixed, draws, m, free, fine), in_axes=(axes_of_sets(sets),))(sets)
+@partial(jax.jit, static_argnames=("fine",))
+def _slopes_of_sets(u: Theta, fixed: Theta, draws: Draws, sets: Measured, fine: int) -> Theta:
+    return jax.vmap(lambda m: _slopes(u, fixed, draws, m, fine), in_axes=(axes_of_sets(sets),))(sets)
 
 
-def local_estimate(theta, targets, draws, measured, free, fine, seed, count: int = 64) -> dict:
+def local_estimate(
+    theta: Theta, targets: list[Target], draws: Draws, measured: Measured, free: Free, fine: int, seed: int, count: int = 64
+) -> dict[str, float]:
     """Standard deviation of each free parameter without refits: slope^-1 (covariance of gradients) slope^-T, name ->
     sd.
 
@@ -100,8 +120,8 @@ def local_estimate(theta, targets, draws, measured, free, fine, seed, count: int
     names = sorted(u)
     sets = data_sets(theta, targets, measured, count, seed + 2_000_003)
 
-    def vector(u):
-        slopes = _slopes_of_sets(u, fixed, draws, sets, free, fine)
+    def vector(u: Theta) -> np.ndarray:
+        slopes = _slopes_of_sets(u, fixed, draws, sets, fine)
         return np.stack([np.asarray(slopes[name]) for name in names], axis=1)
 
     step = {name: 0.1 if name in ("ratio", "gap", "fraction") else 0.02 for name in names}
@@ -116,7 +136,7 @@ def local_estimate(theta, targets, draws, measured, free, fine, seed, count: int
     return result
 
 
-def table(theta, free, local, refits) -> dict:
+def table(theta: Theta, free: Free, local: dict[str, float], refits: Refits | None) -> dict[str, dict[str, Any]]:
     """name -> value, low, high (90 %), sd, local_sd. The interval mirrors the quantiles of ln(refit/value) about
     the value.
     """
@@ -146,7 +166,7 @@ def table(theta, free, local, refits) -> dict:
     return result
 
 
-def without_spread(measured) -> list[str]:
+def without_spread(measured: Measured) -> list[str]:
     """Says so where many traces tell no spread at all: the balance of momentum gives a negative variance of the drop
     heights. Pieces of a portion of one have none.
     """
@@ -159,7 +179,7 @@ def without_spread(measured) -> list[str]:
     ]
 
 
-def statements(result, targets) -> list[str]:
+def statements(result: "Fit", targets: list[Target]) -> list[str]:
     """What the data can and cannot tell, in words and numbers."""
     lines = []
     count, pieces = len(targets), float(np.mean([t.pieces for t in targets]))

@@ -4,15 +4,17 @@
 ``run.save(path)``, ``load_run(path)``, ``resume(path)``. Nothing is imported before it is used.
 """
 
+from typing import Any
+
 __version__ = "0.1.0"
 
 _HOME = {
     "Scene": "scene",
     "load_scene": "scene",
     "stock_scenes": "scene",
-    "simulate": "drive.run",
-    "resume": "drive.run",
-    "ensemble": "drive.ensemble",
+    "simulate": "drive.interface",
+    "resume": "drive.interface",
+    "ensemble": "drive.interface",
     "Run": "store.record",
     "load_run": "store.record",
     "SceneError": "errors",
@@ -23,7 +25,7 @@ _HOME = {
 __all__ = [*_HOME, "__version__"]
 
 
-def __getattr__(name):
+def __getattr__(name: str) -> Any:
     if name not in _HOME:
         raise AttributeError(f"module 'dem_jax' has no attribute {name!r}")
     from importlib import import_module
@@ -31,5 +33,5 @@ def __getattr__(name):
     return getattr(import_module(f"dem_jax.{_HOME[name]}"), name)
 
 
-def __dir__():
+def __dir__() -> list[str]:
     return __all__

@@ -3,7 +3,8 @@
 On the CPU XLA runs each of them as a task of its own, which takes longer than the operation itself; of a loop that it
 takes for small it makes one function instead. What counts as small can be set only for a whole process, by XLA_FLAGS,
 before XLA is first used. With that, with the older way of fusing, and without the library that it hands sums and
-extremes to, steps of 9, 64 and 343 pieces take about half as long (measured, jax 0.10). Results are the same.
+extremes to, steps of 9, 64 and 343 pieces take about half as long (measured, jax 0.10). Results are the same. Such options
+come and go with the compiler: those that it does not have are not asked for.
 
 Vectors of 512 bits, where a processor has them, make steps of nine pieces take 0.90 times as long, of 343 0.95, of 8000
 spheres 0.97.
@@ -11,12 +12,13 @@ spheres 0.97.
 
 import os
 import warnings
+from collections.abc import Callable
 from functools import cache
+from typing import Any
 
 import jax
-from jax._src.xla_bridge import backends_are_initialized
 
-OPTIONS = {
+OPTIONS: dict[str, dict[str, Any]] = {
     "cpu": {
         "xla_cpu_use_fusion_emitters": False,
         "xla_cpu_experimental_ynn_fusion_type": "",
@@ -26,7 +28,7 @@ OPTIONS = {
 SMALL_LOOPS = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1073741824"
 
 
-def loops_as_one():
+def loops_as_one() -> None:
     """Have XLA make one function of each loop, in all that this process compiles; too late, with a warning, once XLA is in use.
 
     Leaves XLA_FLAGS alone if it says something of ``xla_backend_extra_options`` already.
@@ -35,7 +37,7 @@ def loops_as_one():
     if "xla_backend_extra_options" in flags:
         return
     os.environ["XLA_FLAGS"] = f"{flags} {SMALL_LOOPS}".strip()
-    if backends_are_initialized() and jax.default_backend() == "cpu":
+    if is_in_use() and jax.default_backend() == "cpu":
         warnings.warn(
             "steps of few pieces will take two to three times as long: JAX computed something before the first simulation; "
             "call dem_jax.compiling.loops_as_one() before that",
@@ -44,7 +46,36 @@ def loops_as_one():
         )
 
 
+def is_in_use() -> bool:
+    """Whether JAX has begun to use XLA. It does not say so; but from then on it refuses another number of CPU devices."""
+    devices = jax.config.jax_num_cpu_devices  # type: ignore[attr-defined]
+    try:
+        jax.config.update("jax_num_cpu_devices", devices + 1)
+    except RuntimeError:
+        return True
+    jax.config.update("jax_num_cpu_devices", devices)
+    return False
+
+
 @cache
-def jit(function, backend: str, **options):
-    """``jax.jit`` with the options that suit a backend."""
-    return jax.jit(function, compiler_options=OPTIONS.get(backend), **options)
+def jit(function: Callable[..., Any], backend: str, **options: Any) -> Any:
+    """``jax.jit`` with those options that suit a backend and that its compiler has."""
+    return jax.jit(function, compiler_options=known(backend), **options)
+
+
+def known(backend: str) -> dict[str, Any]:
+    """Those of the OPTIONS of a backend, JAX's default one, that its compiler has."""
+    wanted = OPTIONS.get(backend, {})
+    if _are_known(backend, tuple(wanted.items())):
+        return dict(wanted)
+    return {name: value for name, value in wanted.items() if _are_known(backend, ((name, value),))}
+
+
+@cache
+def _are_known(backend: str, options: tuple[tuple[str, Any], ...]) -> bool:
+    """Whether a program of nothing compiles with these options (10 ms)."""
+    try:
+        jax.jit(lambda: 0, compiler_options=dict(options)).lower().compile()
+    except jax.errors.JaxRuntimeError:
+        return False
+    return True

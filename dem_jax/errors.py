@@ -1,5 +1,8 @@
 """What goes wrong: one line each, naming key, value and what is allowed, or piece, time and likely cause."""
 
+from pathlib import Path
+from typing import Any
+
 
 class SceneError(ValueError):
     """A scene, or a shape, panel or STL that it names, cannot be used as written."""
@@ -16,7 +19,8 @@ class SimulationError(RuntimeError):
     computed before, or None. run: the same as record.Run where no file was asked for, or None.
     """
 
-    def __init__(self, message, piece=None, time=None, member=None):
+    def __init__(self, message: str, piece: int | None = None, time: float | None = None, member: int | None = None) -> None:
         super().__init__(message)
         self.piece, self.time, self.member = piece, time, member
-        self.path = self.run = None
+        self.path: Path | None = None
+        self.run: Any = None

@@ -6,7 +6,7 @@ system whose runs do not see each other: N counts the pieces of all, and what th
 """
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self, TypeVar, dataclass_transform
 
 import jax
 import jax.numpy as jnp
@@ -14,20 +14,30 @@ import jax.numpy as jnp
 Array = jax.Array
 
 
-def static():
+T = TypeVar("T")
+
+
+def static() -> Any:
     """A field that is part of what is compiled, not an array."""
     return dataclasses.field(metadata={"static": True})
 
 
-def pytree(cls):
+@dataclass_transform(frozen_default=True, field_specifiers=(static,))
+def pytree(cls: type[T]) -> type[T]:
     """Make a frozen dataclass that JAX sees as a tree of its fields, the ``static`` ones as part of its structure."""
-    cls = dataclasses.dataclass(frozen=True)(cls)
-    cls.replace = dataclasses.replace
-    return jax.tree_util.register_dataclass(cls)
+    return jax.tree_util.register_dataclass(dataclasses.dataclass(frozen=True)(cls))
+
+
+class Tree:
+    """What the trees here can do."""
+
+    def replace(self, **changes: Any) -> Self:
+        """The same but for ``changes``."""
+        return dataclasses.replace(self, **changes)  # type: ignore[type-var]
 
 
 @pytree
-class Hulls:
+class Hulls(Tree):
     """A table of S convex polytopes, padded by repetition to the same counts of faces, corners and edge directions.
 
     Gathered to pairs, the last axis is the pair; with one shape it stays 1 and broadcasts.
@@ -50,7 +60,7 @@ class Hulls:
 
 
 @pytree
-class Pieces:
+class Pieces(Tree):
     """The N pieces. The principal frame of a piece is its body frame here."""
 
     mass: Array  # [N] (kg)
@@ -66,7 +76,7 @@ class Pieces:
 
 
 @pytree
-class Walls:
+class Walls(Tree):
     """Convex plates in G groups, each group moved as a rigid body or at rest.
 
     A name that forces are reported under may stand for several groups (``wb_flaps`` for both flaps).
@@ -90,7 +100,7 @@ class Walls:
 
 
 @pytree
-class Materials:
+class Materials(Tree):
     """The M materials of pieces and walls, and what each pair of them has; [1, 1] where all pairs have the same."""
 
     youngs_modulus: Array  # [M] (Pa): softened by NSF
@@ -112,7 +122,7 @@ class Partition(NamedTuple):
 
 
 @pytree
-class System:
+class System(Tree):
     """All that never changes while a scene runs: arrays, and the static choices that decide what is compiled."""
 
     pieces: Pieces
@@ -147,7 +157,7 @@ class System:
 
 
 @pytree
-class Memory:
+class Memory(Tree):
     """What contacts remember of the last step."""
 
     overlap: Array  # [P] (m): s_n, more by the law's reach; 0: no contact
@@ -156,7 +166,7 @@ class Memory:
 
 
 @pytree
-class ContactTable:
+class ContactTable(Tree):
     """P slots for contacts between two kinds of bodies; an empty slot has a = -1.
 
     Bodies are numbered pieces first, then panels. b is always a piece, a is a piece or a panel.
@@ -168,7 +178,7 @@ class ContactTable:
 
 
 @pytree
-class Slots:
+class Slots(Tree):
     """What stays the same in each slot between two rebuilds."""
 
     live: Array  # [P] bool: whether the slot holds a pair
@@ -184,7 +194,7 @@ class Slots:
 
 
 @pytree
-class Ledger:
+class Ledger(Tree):
     """What each run adds up; ``impulse`` and ``overlap`` start anew with each sample interval."""
 
     impulse: Array  # [3, G, R] (N s): of the pieces on each wall group
@@ -194,7 +204,7 @@ class Ledger:
 
 
 @pytree
-class Guard:
+class Guard(Tree):
     """What must not happen silently, as data: the host looks at it after each chunk."""
 
     needed: dict  # kind of contact -> int32 [2]: most candidates and slots that any rebuild wanted
@@ -208,7 +218,7 @@ class Guard:
 
 
 @pytree
-class Motion:
+class Motion(Tree):
     """How the pieces of all runs move, and the loads on them. Velocities and momenta are at the time of the positions."""
 
     position: Array  # [3, N] (m): centres of mass
@@ -222,7 +232,7 @@ class Motion:
 
 
 @pytree
-class WallLoads:
+class WallLoads(Tree):
     """Loads of the pieces on each wall group."""
 
     force: Array  # [3, G, R] (N)
@@ -230,7 +240,7 @@ class WallLoads:
 
 
 @pytree
-class Scratch:
+class Scratch(Tree):
     """What the rebuild at the beginning of each block of steps fills anew, from the rest of the state."""
 
     slots: dict  # kind of contact -> Slots
@@ -245,7 +255,7 @@ class Scratch:
 
 
 @pytree
-class State:
+class State(Tree):
     """What a step changes."""
 
     step: Array  # int32: time is step * dt
@@ -262,13 +272,13 @@ class State:
     velocity = property(lambda self: self.motion.velocity)
     angular_momentum = property(lambda self: self.motion.angular_momentum)
 
-    def moved(self, **fields) -> "State":
+    def moved(self, **fields: Any) -> "State":
         """The state with some fields of its motion replaced."""
         return self.replace(motion=self.motion.replace(**fields))
 
 
 @pytree
-class Sample:
+class Sample(Tree):
     """What is read of each run at the end of a sample interval."""
 
     step: Array  # int32
@@ -286,6 +296,6 @@ class Sample:
 ENERGIES = ("kinetic", "potential", "elastic", "dissipated", "wall_work", "total")
 
 
-def float_dtype(precision):
+def float_dtype(precision: str) -> Any:
     """The dtype of a precision, "f32" or "f64"."""
     return {"f32": jnp.float32, "f64": jnp.float64}[precision]

@@ -2,15 +2,20 @@
 
 import argparse
 import sys
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, NoReturn
 
 from product_model.inputs import DTYPES, FORMS, BadInput, Parameters, table
+
+if TYPE_CHECKING:
+    from product_model.portion import Trace
 
 
 class _Parser(argparse.ArgumentParser):
     """Says what is wrong in one line and leaves with code 2."""
 
-    def error(self, message):
+    def error(self, message: str) -> NoReturn:
         self.exit(2, f"{self.prog}: {message}\n")
 
 
@@ -30,7 +35,7 @@ FLAGS = {
 }
 
 
-def _parser():
+def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="product_model", description="Impact-force curves of the Product Model")
     commands = parser.add_subparsers(dest="command", required=True, parser_class=_Parser)
     commands.add_parser("table", help="inputs and outputs of the model, defaults and their sources")
@@ -49,7 +54,7 @@ def _parser():
     return parser
 
 
-def _simulate(args):
+def _simulate(args: argparse.Namespace) -> None:
     from product_model import ensemble, parameters, save
     from product_model.record import check_output
 
@@ -73,8 +78,8 @@ def _simulate(args):
     _report(trace, params, args)
 
 
-def _check_figure(path, force):
-    path = Path(path)
+def _check_figure(name: str, force: bool) -> None:
+    path = Path(name)
     if path.suffix not in (".png", ".pdf", ".svg"):
         raise BadInput(f"plot = {path}: must end in .png, .pdf or .svg")
     if not path.parent.is_dir():
@@ -83,7 +88,7 @@ def _check_figure(path, force):
         raise BadInput(f"plot = {path}: exists; give another name, or --force to replace it")
 
 
-def _report(trace, params, args):
+def _report(trace: "Trace", params: Parameters, args: argparse.Namespace) -> None:
     import numpy as np
 
     from product_model.monte_carlo import QUANTILES, peaks
@@ -108,7 +113,7 @@ def _report(trace, params, args):
     print(f"written: {args.out}" + (f", {args.plot}" if args.plot else ""))
 
 
-def main(argv=None) -> int:
+def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code (2 on bad input, with one line on stderr)."""
     args = _parser().parse_args(argv)
     if args.command == "table":

@@ -4,16 +4,20 @@ JAX rolls the rounds of Threefry into a loop on a CPU, each turn of which is a d
 than all the rest of one portion. Written out, the rounds are one function.
 """
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+DType = type[np.floating] | np.dtype[np.floating]
+
 ROTATIONS = ((13, 15, 26, 6), (17, 29, 16, 24))  # of Threefry-2x32 with 20 rounds, Salmon et al., SC 2011
 PARITY = 0x1BD11BDA
-MANTISSA = {"float32": (9, 0x3F800000, jnp.uint32), "float64": (12, 0x3FF0000000000000, jnp.uint64)}
+MANTISSA: dict[str, Any] = {"float32": (9, 0x3F800000, jnp.uint32), "float64": (12, 0x3FF0000000000000, jnp.uint64)}
 
 
-def uniform(key, count: int, dtype, low, high):
+def uniform(key: jax.Array, count: int, dtype: DType, low: float | np.ndarray, high: float | np.ndarray) -> jax.Array:
     """[count] uniform on [low, high), the same as ``jax.random.uniform`` gives for a key of any generator."""
     if str(jax.random.key_impl(key)) != "threefry2x32":
         return jax.random.uniform(key, (count,), dtype, low, high)
@@ -25,7 +29,7 @@ def uniform(key, count: int, dtype, low, high):
     return jnp.maximum(low, unit * (high - low) + low)
 
 
-def threefry(key, count: int):
+def threefry(key: jax.Array, count: int) -> tuple[jax.Array, jax.Array]:
     """Two words [count] each, uint32: Threefry-2x32 of the counters 0 to count - 1. key: [2] uint32."""
     keys = key[0], key[1], key[0] ^ key[1] ^ jnp.uint32(PARITY)
     a = jnp.broadcast_to(keys[0], (count,))

@@ -6,18 +6,21 @@ numbers): the derivatives of what comes out are then pathwise derivatives, exact
 
 import math
 
+import jax
 import jax.numpy as jnp
 from jax.scipy.special import erf, erfinv
+
+from product_model.model import Numbers
 
 LOWEST_HEIGHT = 1e-9  # m; keeps the slope of the fall time finite where a redrawn height rounds to zero
 
 
-def standard_normal(v):
+def standard_normal(v: jax.Array) -> jax.Array:
     """Standard normal numbers from `v` [...] uniform on (-1, 1)."""
     return jnp.asarray(math.sqrt(2.0), v.dtype) * erfinv(v)
 
 
-def sigma_height(gamma_low, gamma_high, z):
+def sigma_height(gamma_low: Numbers, gamma_high: Numbers, z: jax.Array) -> jax.Array:
     """Eqs 19-22: standard deviation (m) of the drop heights from a standard normal `z` [...].
 
     Half of all portions have exactly gamma_low; the others are half-normal above it with scale (gamma_high -
@@ -27,7 +30,7 @@ def sigma_height(gamma_low, gamma_high, z):
     return gamma_low + (gamma_high - gamma_low) / 3.0 * jnp.maximum(z, 0.0)
 
 
-def drop_heights(h_mean, sigma, v):
+def drop_heights(h_mean: Numbers, sigma: jax.Array, v: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Eq. 18 for given random numbers: heights [pieces] (m) and which of them [pieces] had to be drawn again.
 
     h_mean: [] (m); sigma: [] (m); v: [pieces] uniform on (-1, 1).

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import jax
 import numpy as np
@@ -12,7 +12,7 @@ from product_model.grid import Grid, grid_over
 from product_model.model import GRAVITY, number_of_pieces
 
 FORMS = ("rectangular", "interval-mean", "smooth")
-DTYPES = {"f32": np.float32, "f64": np.float64}
+DTYPES: dict[str, type[np.floating]] = {"f32": np.float32, "f64": np.float64}
 
 _static = partial(field, metadata={"static": True})
 
@@ -43,7 +43,7 @@ class Parameters:
     smooth_width: float = _static(default=50e-6)
     precision: str = _static(default="f64")
 
-    def replace(self, **changes) -> "Parameters":
+    def replace(self, **changes: Any) -> "Parameters":
         """The same inputs but for `changes`."""
         return replace(self, **changes)
 
@@ -97,7 +97,7 @@ class BadInput(ValueError):
     """One clear line that names what is wrong, its value and what is allowed."""
 
 
-def _finite_or_none(value):
+def _finite_or_none(value: float | None) -> float | None:
     if value is not None and not np.isfinite(value):
         raise ValueError("must be finite")
     return value
@@ -121,12 +121,12 @@ class _Checked(BaseModel):
     sample: _Positive
     start: float
     duration: _Positive | None
-    form: Literal[FORMS]
+    form: Literal["rectangular", "interval-mean", "smooth"]
     smooth_width: _Positive
-    precision: Literal[tuple(DTYPES)]
+    precision: Literal["f32", "f64"]
 
     @model_validator(mode="after")
-    def _ordered(self):
+    def _ordered(self) -> "_Checked":
         if self.gamma_high < self.gamma_low:
             raise ValueError(f"gamma_high = {self.gamma_high:g} m: must be at least gamma_low = {self.gamma_low:g} m")
         if self.pieces is None and self.m_target / self.m_piece > 1e7:
@@ -162,7 +162,7 @@ def check(params: Parameters) -> Parameters:
     return params
 
 
-def parameters(**values) -> Parameters:
+def parameters(**values: Any) -> Parameters:
     """Checked `Parameters` from keywords; raises `BadInput` (unknown name, wrong type or range)."""
     unknown = sorted(set(values) - {f.name for f in fields(Parameters)})
     if unknown:
@@ -170,7 +170,7 @@ def parameters(**values) -> Parameters:
     return check(Parameters(**values))
 
 
-def _plain(value):
+def _plain(value: Any) -> Any:
     return value.item() if hasattr(value, "item") and getattr(value, "ndim", 1) == 0 else value
 
 

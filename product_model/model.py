@@ -6,6 +6,8 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
+Numbers = float | jax.Array
+
 GRAVITY = 9.81  # m/s2, the paper's value
 
 
@@ -17,27 +19,27 @@ def number_of_pieces(m_target: float, m_piece: float) -> int:
     return max(1, math.floor(m_target / m_piece + 0.5))
 
 
-def impact_velocity(height, gravity=GRAVITY):
+def impact_velocity(height: Numbers, gravity: Numbers = GRAVITY) -> jax.Array:
     """Eq. 9: speed (m/s) just before impact of a mass dropped from rest at `height` [...] (m)."""
     return jnp.sqrt(2.0 * gravity * height)
 
 
-def impulse(mass, velocity):
+def impulse(mass: jax.Array, velocity: Numbers) -> jax.Array:
     """Eqs 10-11: impulse (N s) that brings `mass` (kg) from `velocity` (m/s) to rest; no rebound."""
     return mass * velocity
 
 
-def impact_force(impulse, dt_impact):
+def impact_force(impulse: jax.Array, dt_impact: Numbers) -> jax.Array:
     """Eqs 12-13: height (N) of the rectangle of area `impulse` (N s) and length `dt_impact` (s)."""
     return impulse / dt_impact
 
 
-def fall_time(height, gravity=GRAVITY):
+def fall_time(height: Numbers, gravity: Numbers = GRAVITY) -> jax.Array:
     """Eq. 14: time (s) from release at rest to impact from `height` [...] (m)."""
     return jnp.sqrt(2.0 * height / gravity)
 
 
-def pif_kg(force, gravity=GRAVITY):
+def pif_kg(force: jax.Array, gravity: Numbers = GRAVITY) -> jax.Array:
     """Eq. 24: the product impact force as a weight (kg) from `force` (N)."""
     return force / gravity
 
@@ -58,7 +60,7 @@ class Pulses:
     force: jax.Array
     weight: jax.Array
 
-    def edges(self):
+    def edges(self) -> tuple[jax.Array, jax.Array]:
         """Times [2 pieces] (s) and jumps [2 pieces] (N) of the total force, eq. 15: its rising edges, then its
         falling ones.
         """
@@ -66,7 +68,7 @@ class Pulses:
         return times, jnp.concatenate([self.force, self.weight - self.force])
 
 
-def pulses(height, mass, dt_impact, gravity) -> Pulses:
+def pulses(height: jax.Array, mass: jax.Array, dt_impact: jax.Array, gravity: Numbers) -> Pulses:
     """Eqs 9-14 and 17 for pieces of `mass` [pieces] (kg) dropped from `height` [pieces] (m)."""
     start = fall_time(height, gravity)
     force = impact_force(impulse(mass, gravity * start), dt_impact)  # eq. 9 as g t: one root instead of two

@@ -1,23 +1,25 @@
 """Monte Carlo: many random portions from one key, and what their forces have in common."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import jax
 import numpy as np
 
 from product_model.inputs import BadInput, Parameters, check
-from product_model.portion import Trace, as_key, in_precision, leaves_of, portion, static_of
+from product_model.portion import Key, Leaves, Trace, as_key, in_precision, leaves_of, portion, static_of
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 
 
 @partial(jax.jit, static_argnames=("static",))
-def _portions(leaves, keys, static):
+def _portions(leaves: Leaves, keys: jax.Array, static: tuple[tuple[str, Any], ...]) -> Trace:
     return jax.vmap(lambda key: portion(leaves, key, **dict(static)))(keys)
 
 
-def ensemble(params: Parameters, key, runs: int) -> Trace:
+def ensemble(params: Parameters, key: Key, runs: int) -> Trace:
     """`runs` independent portions from one key: a `Trace` with a leading axis [runs].
 
     Raises `BadInput` where an input is out of range.
@@ -43,7 +45,7 @@ class Peaks:
     first: np.ndarray
     duration: np.ndarray
 
-    def quantiles(self, levels=QUANTILES) -> dict:
+    def quantiles(self, levels: Sequence[float] = QUANTILES) -> dict[str, np.ndarray]:
         """Name -> [levels] quantiles over the runs."""
         return {name: np.quantile(getattr(self, name), levels) for name in ("peak_kg", "peak_time", "first", "duration")}
 
@@ -57,6 +59,6 @@ def peaks(trace: Trace) -> Peaks:
     return Peaks(peak, trace.time[force.argmax(axis=1)], first, duration)
 
 
-def bands(trace: Trace, levels=QUANTILES) -> np.ndarray:
+def bands(trace: Trace, levels: Sequence[float] = QUANTILES) -> np.ndarray:
     """Pointwise quantiles of the PIF over the runs: [levels, T] (kg)."""
     return np.quantile(np.asarray(trace.pif_kg), levels, axis=0)

@@ -1,8 +1,10 @@
 """One random portion: from the inputs and a key to the force over time."""
 
 import contextlib
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -11,8 +13,12 @@ import numpy as np
 from product_model import draws, fall, model
 from product_model import pulses as sharp
 from product_model import smooth as smoothed
+from product_model.draws import DType
 from product_model.grid import Grid
 from product_model.inputs import DTYPES, LEAVES, Parameters, check, grid_of, pieces_of
+
+Key = int | np.integer | jax.Array  # a random key of JAX, or an integer seed
+Leaves = dict[str, Any]  # name -> [] array
 
 
 @jax.tree_util.register_dataclass
@@ -43,27 +49,27 @@ class Trace:
         return self.grid.times()
 
     @property
-    def pif_kg(self):
+    def pif_kg(self) -> np.ndarray:
         """[T] (kg) product impact force as a weight, eq. 24."""
         return _concrete(self.force) / self._over_time(_concrete(self.gravity))
 
     @property
-    def pif_g(self):
+    def pif_g(self) -> np.ndarray:
         """[T] (g) product impact force as a weight, eq. 24."""
         return 1e3 * self.pif_kg
 
     @property
-    def redrawn(self):
+    def redrawn(self) -> np.ndarray:
         """[] pieces whose drop height would have been negative and was drawn again."""
         return _concrete(self.again).sum(axis=-1)
 
     @property
-    def late(self):
+    def late(self) -> np.ndarray:
         """[] pieces whose pulse is not over at the last sample: lengthen the trace if there are any."""
         end = _concrete(self.pulses.start) + self._over_time(_concrete(self.pulses.duration))
         return (end > self.grid.end).sum(axis=-1)
 
-    def settled_mass(self):
+    def settled_mass(self) -> np.ndarray:
         """[T] (kg) mass whose pulse is over at each sample time: the static weight of Fig. 6 over g."""
         end = np.asarray(self.pulses.start, np.float64) + np.asarray(self._over_time(self.pulses.duration), np.float64)
         mass = np.asarray(self.pulses.weight, np.float64) / np.asarray(self._over_time(self.gravity), np.float64)
@@ -71,24 +77,24 @@ class Trace:
             return _settled(self.time, end, mass)
         return np.stack([_settled(self.time, e, m) for e, m in zip(end, mass, strict=True)])
 
-    def _over_time(self, value):
+    def _over_time(self, value: Any) -> Any:
         return value[..., None] if getattr(value, "ndim", 0) else value
 
 
-def _concrete(value):
+def _concrete(value: Any) -> Any:
     """A NumPy array of a value that is one, so that its precision does not hang on the global flag; a traced
     value as it is.
     """
     return value if isinstance(value, jax.core.Tracer) else np.asarray(value)
 
 
-def _settled(time, end, mass):
+def _settled(time: np.ndarray, end: np.ndarray, mass: np.ndarray) -> np.ndarray:
     order = np.argsort(end)
     total = np.concatenate([[0.0], np.cumsum(mass[order])])
     return total[np.searchsorted(end[order], time, side="right")]
 
 
-def render(pulses: model.Pulses, grid: Grid, form: str, smooth_width: float):
+def render(pulses: model.Pulses, grid: Grid, form: str, smooth_width: float) -> jax.Array:
     """Force [T] (N) of `pulses` in one of the three forms."""
     if form == "rectangular":
         return sharp.rectangular(pulses, grid)
@@ -97,7 +103,7 @@ def render(pulses: model.Pulses, grid: Grid, form: str, smooth_width: float):
     return smoothed.smooth(pulses, grid, smooth_width)
 
 
-def random_numbers(key, pieces: int, dtype):
+def random_numbers(key: jax.Array, pieces: int, dtype: DType) -> tuple[jax.Array, jax.Array]:
     """What a portion draws: z [] normal for its spread, v [pieces] uniform on (-1, 1) for its drop heights.
 
     All from one call of the generator, which on a CPU costs more to enter than to fill.
@@ -108,7 +114,7 @@ def random_numbers(key, pieces: int, dtype):
 
 
 @partial(jax.jit, static_argnames=("pieces", "grid", "form", "smooth_width"))
-def portion(leaves, key, *, pieces: int, grid: Grid, form: str, smooth_width: float) -> Trace:
+def portion(leaves: Leaves, key: jax.Array, *, pieces: int, grid: Grid, form: str, smooth_width: float) -> Trace:
     """Eqs 9-22 for one key. leaves: dict of the names in `LEAVES`, [] each and all of one dtype, which is that of
     the result.
     """
@@ -128,22 +134,23 @@ def portion(leaves, key, *, pieces: int, grid: Grid, form: str, smooth_width: fl
     )
 
 
-def in_precision(precision: str):
+def in_precision(precision: str) -> contextlib.AbstractContextManager[Any]:
     """Context in which arrays of `precision` ("f32" or "f64") exist, whatever the global flag says."""
-    return jax.enable_x64(True) if precision == "f64" and not jax.config.jax_enable_x64 else contextlib.nullcontext()
+    needed = precision == "f64" and not jax.config.jax_enable_x64  # type: ignore[attr-defined]
+    return jax.enable_x64(True) if needed else contextlib.nullcontext()
 
 
-def leaves_of(params: Parameters) -> dict:
+def leaves_of(params: Parameters) -> Leaves:
     """The leaves of `params` in its precision; call it inside `in_precision`."""
     dtype = DTYPES[params.precision]
     return {name: _cast(getattr(params, name), dtype) for name in LEAVES}
 
 
-def _cast(value, dtype):
+def _cast(value: Any, dtype: DType) -> np.ndarray | jax.Array:
     return jnp.asarray(value).astype(dtype) if isinstance(value, jax.Array) else np.asarray(value, dtype)
 
 
-def static_of(params: Parameters) -> dict:
+def static_of(params: Parameters) -> dict[str, Any]:
     """The static choices that fix the program: a new set compiles anew."""
     return {
         "pieces": pieces_of(params),
@@ -153,12 +160,12 @@ def static_of(params: Parameters) -> dict:
     }
 
 
-def as_key(key):
+def as_key(key: Key) -> jax.Array:
     """A random key from a key or an integer seed."""
     return jax.random.key(int(key)) if isinstance(key, (int, np.integer)) else key
 
 
-def simulate(params: Parameters, key) -> Trace:
+def simulate(params: Parameters, key: Key) -> Trace:
     """The product impact force of one random portion (eqs 9-22).
 
     params: `Parameters`; key: a jax random key, or an integer seed. The same key gives the same trace.
@@ -170,7 +177,7 @@ def simulate(params: Parameters, key) -> Trace:
         return portion(leaves_of(params), as_key(key), **static_of(params))
 
 
-def compiled(params: Parameters):
+def compiled(params: Parameters) -> Callable[[jax.Array], Trace]:
     """`key -> Trace` with all checks done and all inputs fixed beforehand: the fast way to many traces of one set of
     inputs.
 
@@ -186,22 +193,22 @@ def compiled(params: Parameters):
         duration, gravity = jnp.asarray(leaves["dt_impact"]), jnp.asarray(leaves["gravity"])
 
     @jax.jit
-    def random_parts(key):
+    def random_parts(key: jax.Array) -> tuple[jax.Array, ...]:
         trace = portion(leaves, key, **static)
         return trace.force, trace.pulses.start, trace.pulses.force, trace.height, trace.sigma_height, trace.again
 
-    def run(key):
+    def run(key: jax.Array) -> Trace:
         force, start, height_of_pulse, height, sigma, again = random_parts(key)
         pulses = model.Pulses(start, duration, height_of_pulse, weight)
         return Trace(force, pulses, height, sigma, again, gravity, static["grid"])
 
-    if params.precision == "f32" or jax.config.jax_enable_x64:
+    if params.precision == "f32" or jax.config.jax_enable_x64:  # type: ignore[attr-defined]
         return run
     return _within_x64(run)
 
 
-def _within_x64(run):
-    def in_double(key):
+def _within_x64(run: Callable[[jax.Array], Trace]) -> Callable[[jax.Array], Trace]:
+    def in_double(key: jax.Array) -> Trace:
         with jax.enable_x64(True):
             return run(key)
 

@@ -4,6 +4,7 @@ Both are sums of steps. A step is put on the grid by adding its height to one bi
 cumulative sum over time turns the deposits into the force.
 """
 
+import jax
 import jax.numpy as jnp
 from jax import lax
 
@@ -13,7 +14,7 @@ from product_model.model import Pulses
 BLOCK = 32  # samples per block of the cumulative sum, measured: a third of the time of jnp.cumsum on a CPU
 
 
-def cumulative_sum(values):
+def cumulative_sum(values: jax.Array) -> jax.Array:
     """Sum of all entries up to each, `values` [T]; in blocks, by products with a triangle of ones."""
     blocks = -(-values.shape[0] // BLOCK)
     padded = jnp.zeros(blocks * BLOCK, values.dtype).at[: values.shape[0]].set(values).reshape(blocks, BLOCK)
@@ -23,7 +24,7 @@ def cumulative_sum(values):
     return (within + before[:, None]).reshape(-1)[: values.shape[0]]
 
 
-def in_samples(times, grid: Grid, margin: int = 0):
+def in_samples(times: jax.Array, grid: Grid, margin: int = 0) -> jax.Array:
     """Times (s) as positions on the grid: x in [k, k + 1) lies in the interval of sample k.
 
     What lies before the grid is moved to its beginning and what lies beyond to past its end (by `margin` samples more).
@@ -31,7 +32,7 @@ def in_samples(times, grid: Grid, margin: int = 0):
     return jnp.clip((times - grid.start) / grid.sample, -float(margin), float(grid.samples + 1 + margin))
 
 
-def rectangular(pulses: Pulses, grid: Grid):
+def rectangular(pulses: Pulses, grid: Grid) -> jax.Array:
     """The paper's form: force [T] (N) at each sample time, t_i <= t_k < t_i + Delta t for the pulse of piece i.
 
     A pulse covers the samples that fall into it: Delta t/sample of them on average, exactly so where that is a whole
@@ -43,7 +44,7 @@ def rectangular(pulses: Pulses, grid: Grid):
     return cumulative_sum(jnp.zeros(grid.samples, jumps.dtype).at[jnp.maximum(first, 0)].add(jumps, mode="drop"))
 
 
-def interval_mean(pulses: Pulses, grid: Grid):
+def interval_mean(pulses: Pulses, grid: Grid) -> jax.Array:
     """Mean of the rectangular force over the interval that ends at each sample time: [T] (N).
 
     Exact for every Delta t, also below one sample; the impulse of the samples is m v to rounding. Piecewise linear
@@ -52,7 +53,7 @@ def interval_mean(pulses: Pulses, grid: Grid):
     return cumulative_sum(deposits(pulses, grid))
 
 
-def deposits(pulses: Pulses, grid: Grid):
+def deposits(pulses: Pulses, grid: Grid) -> jax.Array:
     """Changes [T] (N) of the interval mean from one sample to the next: each edge's jump, shared by two neighbours."""
     times, jumps = pulses.edges()
     position = in_samples(times, grid)

@@ -3,7 +3,9 @@
 import dataclasses
 import importlib.metadata
 import os
+from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -11,12 +13,14 @@ from product_model.inputs import LEAVES, BadInput, Parameters
 from product_model.portion import Trace, in_precision
 from product_model.pulses import rectangular
 
+FileName = str | PathLike[str]
+
 GROUP = "wb_flaps"  # wall group whose force this is in the discrete element model
 BLOCK = "wb"  # block whose settled mass it is
 SUFFIXES = (".h5", ".hdf5", ".csv", ".mat")
 
 
-def check_output(path, overwrite: bool = False) -> Path:
+def check_output(path: FileName, overwrite: bool = False) -> Path:
     """`path` if it may be written, else `BadInput`: unknown suffix, missing folder, or a file that nobody asked
     to replace.
     """
@@ -30,7 +34,7 @@ def check_output(path, overwrite: bool = False) -> Path:
     return path
 
 
-def save(path, trace: Trace, params: Parameters, *, seed=None, overwrite: bool = False) -> Path:
+def save(path: FileName, trace: Trace, params: Parameters, *, seed: int | None = None, overwrite: bool = False) -> Path:
     """Write `trace` (one portion or an ensemble); the suffix chooses the format. Returns the path.
 
     `.h5`: /time, /force/wb_flaps and /mean_force/wb_flaps [T, 3] (N, downward negative), /settled_mass/wb, /pif,
@@ -49,7 +53,7 @@ def save(path, trace: Trace, params: Parameters, *, seed=None, overwrite: bool =
     return path
 
 
-def inputs_of(params: Parameters, trace: Trace) -> dict:
+def inputs_of(params: Parameters, trace: Trace) -> dict[str, Any]:
     """All inputs as plain numbers and strings, with the number of pieces and the length that were used."""
     values = {f.name: getattr(params, f.name) for f in dataclasses.fields(params)}
     values |= {name: float(values[name]) for name in LEAVES}
@@ -82,13 +86,13 @@ def instantaneous(trace: Trace, params: Parameters) -> np.ndarray:
         return np.asarray((sample if trace.force.ndim == 1 else jax.vmap(sample))(trace.pulses))
 
 
-def _downward(force):
+def _downward(force: np.ndarray) -> np.ndarray:
     vector = np.zeros((*force.shape, 3), force.dtype)
     vector[..., 2] = -force
     return vector
 
 
-def _hdf5(path, trace: Trace, params: Parameters, seed):
+def _hdf5(path: Path, trace: Trace, params: Parameters, seed: int | None) -> None:
     import h5py
 
     mean = np.asarray(trace.force)
@@ -116,7 +120,7 @@ def _hdf5(path, trace: Trace, params: Parameters, seed):
             file.attrs["seed"] = seed
 
 
-def _columns(trace: Trace):
+def _columns(trace: Trace) -> dict[str, np.ndarray]:
     force, pif = np.atleast_2d(np.asarray(trace.force)), np.atleast_2d(np.asarray(trace.pif_g))
     names = [""] if trace.force.ndim == 1 else [f"_{run + 1:04d}" for run in range(len(force))]
     columns = {"time_s": trace.time}
@@ -125,12 +129,12 @@ def _columns(trace: Trace):
     return columns
 
 
-def _csv(path, trace: Trace, params: Parameters, seed):
+def _csv(path: Path, trace: Trace, params: Parameters, seed: int | None) -> None:
     columns = _columns(trace)
     np.savetxt(path, np.stack(list(columns.values()), axis=1), "%.9g", ",", header=",".join(columns), comments="")
 
 
-def _mat(path, trace: Trace, params: Parameters, seed):
+def _mat(path: Path, trace: Trace, params: Parameters, seed: int | None) -> None:
     from scipy.io import savemat
 
     inputs = {k: np.nan if v is None else v for k, v in inputs_of(params, trace).items()}
@@ -139,7 +143,7 @@ def _mat(path, trace: Trace, params: Parameters, seed):
         savemat(file, arrays | {"settled_mass_kg": trace.settled_mass(), "inputs": inputs}, oned_as="column")
 
 
-def load(path) -> dict:
+def load(path: FileName) -> dict[str, Any]:
     """Name -> array of every dataset of an HDF5 file that `save` wrote; its attributes under "attrs".
 
     Raises `BadInput` where the file is missing or not HDF5.

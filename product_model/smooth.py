@@ -6,17 +6,18 @@ the top of a lone pulse is lowered by the factor `peak_factor`. As width -> 0 th
 
 import math
 
+import jax
 import jax.numpy as jnp
 from jax.scipy.special import erf, ndtr
 
 from product_model.grid import Grid
-from product_model.model import Pulses
+from product_model.model import Numbers, Pulses
 from product_model.pulses import cumulative_sum, in_samples
 
 REACH = 8.5  # standard deviations beyond which a Gaussian edge is 0 or 1 to double precision
 
 
-def peak_factor(width, dt_impact):
+def peak_factor(width: Numbers, dt_impact: Numbers) -> jax.Array:
     """Height of a smooth pulse over that of the rectangle, erf(Delta t / (2 sqrt(2) width)): the bias of a lone peak.
 
     width = Delta t/10: 1 - 6e-7; /4: 0.9545; /2: 0.6827.
@@ -24,7 +25,7 @@ def peak_factor(width, dt_impact):
     return erf(dt_impact / (2.0 * math.sqrt(2.0) * width))
 
 
-def _ramp(u):
+def _ramp(u: jax.Array) -> jax.Array:
     """Integral of the Gaussian step, u Phi(u) + phi(u); written as max(u, 0) + what is small, to keep its
     precision.
     """
@@ -32,7 +33,7 @@ def _ramp(u):
     return jnp.maximum(u, 0.0) + below * ndtr(below) + jnp.exp(-0.5 * u * u) / math.sqrt(2.0 * math.pi)
 
 
-def smooth(pulses: Pulses, grid: Grid, width: float):
+def smooth(pulses: Pulses, grid: Grid, width: float) -> jax.Array:
     """Interval mean of the smoothed force: [T] (N). width: (s), positive and static; the cost grows with width/sample.
 
     Each edge deposits the second differences of the ramp on the bins within `REACH` widths. Their sum and their

@@ -6,6 +6,7 @@ time.
 """
 
 from dataclasses import dataclass
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +14,7 @@ import jax.numpy as jnp
 from product_model.grid import Grid
 from product_model.inputs import BadInput, Parameters, check
 from product_model.model import Pulses
-from product_model.portion import as_key, in_precision, leaves_of, portion, static_of
+from product_model.portion import Key, as_key, in_precision, leaves_of, portion, static_of
 
 _FAR = 2**30  # sample number no stream reaches
 
@@ -37,7 +38,7 @@ class Stream:
     sample: jax.Array
 
 
-def start(params: Parameters, key) -> Stream:
+def start(params: Parameters, key: Key) -> Stream:
     """A stream of the portion that `simulate(params, key)` makes. Forms: rectangular and interval-mean.
 
     Raises `BadInput` where an input is out of range or the form is smooth (its pulses begin before the impact, so
@@ -51,7 +52,9 @@ def start(params: Parameters, key) -> Stream:
         return _sorted_edges(portion(leaves_of(params), as_key(key), **static).pulses, static["grid"], params.form)
 
 
+@partial(jax.jit, static_argnames=("grid", "form"))
 def _sorted_edges(pulses: Pulses, grid: Grid, form: str) -> Stream:
+    """Compiled as the batch form is, whose division by the sample time some versions of XLA round otherwise."""
     times, jumps = pulses.edges()
     position = (times - grid.start) / grid.sample
     order = jnp.argsort(position)
@@ -68,7 +71,7 @@ def _sorted_edges(pulses: Pulses, grid: Grid, form: str) -> Stream:
     )
 
 
-def step(stream: Stream):
+def step(stream: Stream) -> tuple[Stream, jax.Array]:
     """(next stream, force [] (N) of this sample). O(log pieces); after the last sample of the grid the static
     weight goes on.
     """

@@ -1,14 +1,22 @@
 """What makes a run stop: where it shows in the samples, and a line with piece, time and likely cause."""
 
+from typing import TYPE_CHECKING, Any
+
+import jax
 import numpy as np
 
+from dem_jax.drive.job import Job
 from dem_jax.errors import SceneError, SimulationError
+from dem_jax.types import Guard, Sample, State, System
+
+if TYPE_CHECKING:
+    from dem_jax.drive.span import Span
 
 DEEPEST = 0.5  # of the narrower piece's width: beyond, a contact may push out on the wrong side
 START_OVERLAP = 1e-3  # of the narrower piece's width, that pieces may overlap by at the start
 
 
-def check_start(job, guard):
+def check_start(job: Job, guard: Guard) -> None:
     """Raise SceneError if bodies overlap at the first rebuild by more than is allowed. guard: numpy."""
     overlap = np.atleast_1d(guard.start_overlap)
     member = int(np.argmax(overlap))
@@ -22,7 +30,7 @@ def check_start(job, guard):
     )
 
 
-def find(samples, count):
+def find(samples: Sample, count: int) -> tuple[int, int] | None:
     """(member, sample) of the first sample that a run cannot go on from, or None. samples: numpy [.., T]."""
     culprit, overlap = (np.atleast_2d(x)[:, :count] for x in (samples.culprit, samples.overlap))
     bad = (culprit >= 0) | ~(overlap <= DEEPEST)
@@ -32,7 +40,7 @@ def find(samples, count):
     return int(np.argmax(bad[:, k])), k
 
 
-def describe(job, span, state, member, k) -> SimulationError:
+def describe(job: Job, span: "Span", state: State, member: int, k: int) -> SimulationError:
     """The error of a run whose sample k of a span failed; state: of that time, numpy, of an ensemble stacked."""
     samples = span.samples
     if job.runs is not None:
@@ -41,12 +49,12 @@ def describe(job, span, state, member, k) -> SimulationError:
         piece = int(samples.culprit[k])
         what = _what_happened(job, state, piece)
     else:
-        piece, what = _deep(job, span.system, state, float(samples.overlap[k]))
+        piece, what = _deep(span.system, state, float(samples.overlap[k]))
     at = (span.first + k + 1) * job.scene.run.sample
     return _error(job, f"piece {piece} at t = {at:.6g} s: {what}", piece, at, member)
 
 
-def escapes(job, state) -> list[str]:
+def escapes(job: Job, state: State) -> list[str]:
     """What to note of the pieces that are outside the domain, where that stops no run."""
     if job.system.escape_stops:
         return []
@@ -57,13 +65,13 @@ def escapes(job, state) -> list[str]:
     return [f"{_name(job, member)}: piece {piece} left the domain" for member, piece in out]
 
 
-def restless(job, first, reasons) -> SimulationError:
+def restless(job: Job, first: int, reasons: list[str]) -> SimulationError:
     """The error of a chunk for which no room is enough."""
     at = first * job.scene.run.sample
     return _error(job, f"from t = {at:.6g} s: {'; '.join(reasons)}; lower run.rebuild_steps or run.step", None, at, 0)
 
 
-def body_name(system, body):
+def body_name(system: System, body: int) -> str:
     """A body by its number: pieces first, then panels."""
     pieces = system.pieces.mass.shape[0]
     if body < pieces:
@@ -71,22 +79,20 @@ def body_name(system, body):
     return f"wall group {system.walls.groups[int(system.walls.group[body - pieces])]!r}"
 
 
-def _error(job, line, piece, at, member):
+def _error(job: Job, line: str, piece: int | None, at: float, member: int) -> SimulationError:
     """An error whose line begins with the scene and, of an ensemble, the run."""
     return SimulationError(f"{_name(job, member)}: {line}", piece, at, None if job.runs is None else member)
 
 
-def _name(job, member):
+def _name(job: Job, member: int) -> str:
     return job.scene.name if job.runs is None else f"{job.scene.name}, run {member} (seed {job.seeds[member]})"
 
 
-def _member(tree, k):
-    import jax
-
+def _member(tree: Any, k: int) -> Any:
     return jax.tree.map(lambda x: x[k], tree)
 
 
-def _what_happened(job, state, piece):
+def _what_happened(job: Job, state: State, piece: int) -> str:
     position = np.asarray(state.position)[:, piece]
     rest = [np.asarray(x)[:, piece] for x in (state.velocity, state.angular_momentum, state.orientation)]
     if not all(np.isfinite(x).all() for x in (position, *rest)):
@@ -103,15 +109,15 @@ def _what_happened(job, state, piece):
     )
 
 
-def _deep(job, system, state, overlap):
+def _deep(system: System, state: State, overlap: float) -> tuple[int, str]:
     """The piece in the deepest contact, and what to say of it."""
-    worst, a, b = -1.0, None, None
+    worst, a, b = -1.0, 0, 0
     width = np.append(system.pieces.width, np.full(system.walls.group.shape[0], np.inf))  # of pieces, then of panels
     for table in state.contacts.values():
         relative = np.asarray(table.memory.overlap) / np.minimum(width[table.a], width[table.b])
         k = int(np.argmax(relative))
         if relative[k] > worst:
-            worst, a, b = relative[k], int(table.a[k]), int(table.b[k])
+            worst, a, b = float(relative[k]), int(table.a[k]), int(table.b[k])
     return b, (
         f"its contact with {body_name(system, a)} is {100 * overlap:.3g} % of the piece's width deep (at most "
         f"{100 * DEEPEST:g} %); likely cause: the material is too soft for this load (raise material.softening), "
@@ -119,7 +125,7 @@ def _deep(job, system, state, overlap):
     )
 
 
-def _step_advice(job):
+def _step_advice(job: Job) -> str:
     step, scene = job.built.step, job.scene
     return (
         f"time step of {step.dt:.3g} s (dt/dt_crit = {step.dt / step.critical:.2g}) too long, lower run.step; "

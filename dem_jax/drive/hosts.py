@@ -4,11 +4,15 @@ All decide alike because all know the same, so none waits for a word that anothe
 """
 
 import pickle
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
+from typing import Any, NoReturn, TypeVar
 
 import jax
 import numpy as np
+
+T = TypeVar("T")
 
 LEAST = 2**16  # bytes of a message: few sizes, as each is compiled
 
@@ -23,20 +27,21 @@ def is_first() -> bool:
     return not several() or jax.process_index() == 0
 
 
-def share(count) -> slice:
+def share(count: int) -> slice:
     """Those of ``count`` runs that are this process's: in order, as evenly as can be."""
     k, n = jax.process_index(), jax.process_count()
     return slice(count * k // n, count * (k + 1) // n)
 
 
-def exchange(function) -> list:
+def exchange(function: Callable[[], T]) -> list[T]:
     """The values of ``function()`` in all processes, in their order. If it raises in any of them, all raise that.
 
     Values are pickled: arrays of numpy, not of JAX.
     """
     if not several():
         return [function()]
-    value, error = None, None
+    value: Any = None
+    error: BaseException | None = None
     try:
         value = function()
     except BaseException as raised:  # an interrupt as well: the others must not wait for what will not come
@@ -49,8 +54,16 @@ def exchange(function) -> list:
     return [found for found, _ in each]
 
 
+def by_first(function: Callable[[], T], shared: bool = True) -> T:
+    """The value of a function that, of processes that share a task, only the first calls."""
+    if not shared:
+        return function()
+    found: list[Any] = exchange(lambda: function() if is_first() else None)
+    return found[0]
+
+
 @contextmanager
-def together(shared=True):
+def together(shared: bool = True) -> Iterator[None]:
     """What a process raises in here, the others raise at their next exchange."""
     try:
         yield
@@ -60,11 +73,11 @@ def together(shared=True):
         raise
 
 
-def _raise(error):
+def _raise(error: BaseException) -> NoReturn:
     raise error
 
 
-def _pickled(value, error) -> bytes:
+def _pickled(value: Any, error: BaseException | None) -> bytes:
     try:
         message = pickle.dumps((value, error))
         pickle.loads(message)  # not every exception that can be written can be read

@@ -2,17 +2,24 @@
 
 import sys
 import time
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
+
+from dem_jax.drive.job import Job
+
+if TYPE_CHECKING:
+    from dem_jax.drive.span import Span
 
 
 class Progress:
     """A bar with simulated time, speed and an estimate of what is left; silent unless asked for. A context manager."""
 
-    def __init__(self, job, shown):
-        self._job, self._bar = job, None
+    def __init__(self, job: Job, shown: bool) -> None:
+        self._job = job
+        self._bar: Any = None
         self._from = int(np.max(job.state.step)) // job.steps_per_sample
-        self._since, self._compiled = time.perf_counter(), job.clock["compile"]
+        self._since, self._compiled = time.perf_counter(), job.clock.compile
         if shown:
             from tqdm import tqdm
 
@@ -20,31 +27,31 @@ class Progress:
             self._bar = tqdm(total=total, unit_scale=ms, file=sys.stderr, bar_format=FORMAT, dynamic_ncols=True)
             self._bar.set_description_str(self._phase(self._from))
 
-    def __enter__(self):
+    def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *_):
+    def __exit__(self, *_: object) -> None:
         if self._bar is not None:
             self._bar.close()
 
-    def _phase(self, at):
+    def _phase(self, at: int) -> str:
         return "settling" if at < 0 else "running"
 
-    def compiling(self):
+    def compiling(self) -> None:
         """A program is about to be compiled."""
         if self._bar is not None:
             self._bar.set_description_str("compiling")
 
-    def note(self, text):
+    def note(self, text: str) -> None:
         """Something that a person should know, above the bar."""
         if self._bar is not None:
             self._bar.write(text, file=sys.stderr)
 
-    def advance(self, span):
+    def advance(self, span: "Span") -> None:
         """A chunk is done."""
         if self._bar is None:
             return
-        now, compiled = time.perf_counter(), self._job.clock["compile"]
+        now, compiled = time.perf_counter(), self._job.clock.compile
         took = now - self._since - (compiled - self._compiled)
         steps = span.count * self._job.steps_per_sample * (self._job.runs or 1)
         self._since, self._compiled = now, compiled

@@ -3,6 +3,8 @@
 What the rebuild at the start of a chunk fills anew is left out.
 """
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,7 +14,7 @@ from dem_jax.pairs import guard
 from dem_jax.types import State, System
 
 
-def pack(system: System, state: State) -> dict:
+def pack(system: System, state: State) -> dict[str, np.ndarray]:
     """path -> array of the state, of the skin and of the capacities."""
     out = {path: np.asarray(leaf) for path, leaf in _leaves(state)[0]}
     for kind, candidates, slots in system.capacity:
@@ -24,7 +26,7 @@ def pack(system: System, state: State) -> dict:
     return out | {"skin": np.asarray(system.skin)}
 
 
-def unpack(system: System, state: State, arrays: dict) -> tuple[System, State]:
+def unpack(system: System, state: State, arrays: dict[str, np.ndarray]) -> tuple[System, State]:
     """System and state that ``pack`` was given; system, state: those that the scene begins with.
 
     Raises RecordError for arrays that are missing or of another form: the file is damaged or of another version.
@@ -52,13 +54,13 @@ def unpack(system: System, state: State, arrays: dict) -> tuple[System, State]:
     return system, kept.replace(scratch=state.scratch)
 
 
-def _leaves(state: State):
+def _leaves(state: State) -> tuple[list[tuple[str, Any]], Any]:
     """[(path, array)] of what is kept, and its structure."""
     paths, structure = jax.tree_util.tree_flatten_with_path(state.replace(scratch=None))
     return [(jax.tree_util.keystr(path, simple=True, separator="/"), leaf) for path, leaf in paths], structure
 
 
-def _found(arrays, path):
+def _found(arrays: dict[str, np.ndarray], path: str) -> np.ndarray:
     if path not in arrays:
         raise RecordError(f"restart/{path} is missing: the file is damaged or of another version")
     return arrays[path]

@@ -24,21 +24,21 @@ class Rule:
     start: int  # first sample of settling that may end early (negative), or 0
     still: int  # from here on no wall moves
 
-    def next_look(self, at):
+    def next_look(self, at: int) -> int:
         """The end of the window that a sample is in."""
         origin = self.start if at < 0 else 0
         return at + self.window - (at - origin) % self.window
 
-    def looks_from(self, at):
+    def looks_from(self, at: int) -> bool:
         """Whether a window begins at a sample."""
         return self.next_look(at) == at + self.window
 
-    def is_slow(self, samples: Sample, count):
+    def is_slow(self, samples: Sample, count: int) -> bool:
         """Whether all pieces of all runs are slow in the first ``count`` samples; samples: numpy [.., T]."""
         return bool(np.all(samples.fastest[..., :count] < self.speed))
 
 
-def rule_of(scene: Scene, system: System, settling, samples_per_block) -> Rule | None:
+def rule_of(scene: Scene, system: System, settling: int, samples_per_block: int) -> Rule | None:
     """The rule of a scene, None if its runs go on to the end. settling: samples before the release. Raises SceneError."""
     if not scene.run.until_settled:
         return None

@@ -5,16 +5,18 @@ import math
 import jax
 import jax.numpy as jnp
 
+Array = jax.Array
+
 EMPTY = -1
 
 
-def compact(mask, a, b, slots):
+def compact(mask: Array, a: Array, b: Array, slots: int) -> tuple[Array, Array, Array]:
     """The pairs where mask holds, in order, in a number of slots: how many there are, a, b (EMPTY where none)."""
     count, where = first_set(mask, slots)
     return count, *_taken(where, a, b)
 
 
-def in_order(overlap, reach, a, b, slots):
+def in_order(overlap: Array, reach: Array | float, a: Array, b: Array, slots: int) -> tuple[Array, Array, Array]:
     """As ``compact``, the pairs nearer than ``reach``, those that overlap first: blocks of slots behind them end early."""
     apart, far = first_set((overlap <= 0) & (overlap > -reach), slots)
     touching, where = first_set(overlap > 0, slots)
@@ -22,12 +24,12 @@ def in_order(overlap, reach, a, b, slots):
     return touching + apart, *_taken(jnp.where(where >= 0, where, far[behind]), a, b)
 
 
-def _taken(where, a, b):
+def _taken(where: Array, a: Array, b: Array) -> tuple[Array, Array]:
     """The pairs at places [slots], EMPTY where that is negative."""
-    return tuple(jnp.where(where >= 0, x[where], EMPTY) for x in (a, b))
+    return jnp.where(where >= 0, a[where], EMPTY), jnp.where(where >= 0, b[where], EMPTY)
 
 
-def first_set(mask, slots):
+def first_set(mask: Array, slots: int) -> tuple[Array, Array]:
     """How many entries of a mask hold, and the places [slots] of the first of them, in order, EMPTY where there are no more.
 
     Thirty-two entries to a word: adding up is a matter of few words, not of all pairs. Each word counts up by one where the
@@ -51,7 +53,7 @@ def first_set(mask, slots):
     return until[-1], jnp.where(wanted < until[-1], place, EMPTY)
 
 
-def grouped(owner, groups):
+def grouped(owner: Array, groups: int) -> tuple[Array, Array]:
     """The places of an array [P] of owners (0 to ``groups``) in the order of their owner, [P], and where each group
     begins, [groups + 1].
 

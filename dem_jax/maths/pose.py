@@ -1,9 +1,10 @@
 """Rotations on the host, in numpy: quaternions `w x y z` of unit length, body to world."""
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 
-def matrix_of_quaternion(quaternion):
+def matrix_of_quaternion(quaternion: ArrayLike) -> np.ndarray:
     """Rotation matrices [..., 3, 3] of quaternions [..., 4] (w x y z); lengths other than one are divided out."""
     q = np.asarray(quaternion, np.float64)
     w, x, y, z = np.moveaxis(q / np.linalg.norm(q, axis=-1, keepdims=True), -1, 0)
@@ -15,7 +16,7 @@ def matrix_of_quaternion(quaternion):
     return np.stack([np.stack(row, -1) for row in rows], -2)
 
 
-def quaternion_of_matrix(matrix):
+def quaternion_of_matrix(matrix: ArrayLike) -> np.ndarray:
     """Unit quaternion [4] (w x y z, w >= 0) of a rotation matrix [3, 3].
 
     The eigenvector of Bar-Itzhack's symmetric 4 x 4 matrix: no branch is near-singular at any angle.

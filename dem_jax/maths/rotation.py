@@ -3,12 +3,17 @@
 Quaternions are tuples of four arrays, vectors tuples of three (see ``vector``).
 """
 
+import jax
 import jax.numpy as jnp
 
 from dem_jax.maths import vector
+from dem_jax.maths.vector import Matrix, Vector
+
+Array = jax.Array
+Quaternion = tuple[Array, Array, Array, Array]
 
 
-def multiply(p, q):
+def multiply(p: Quaternion, q: Quaternion) -> Quaternion:
     """Hamilton product p q: first the rotation q, then p."""
     w, x, y, z = p
     a, b, c, d = q
@@ -20,18 +25,18 @@ def multiply(p, q):
     )
 
 
-def conjugate(q):
+def conjugate(q: Quaternion) -> Quaternion:
     """The inverse rotation."""
     return (q[0], -q[1], -q[2], -q[3])
 
 
-def normalise(q):
+def normalise(q: Quaternion) -> Quaternion:
     """q / |q|."""
     inverse = 1.0 / jnp.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
-    return tuple(c * inverse for c in q)
+    return (q[0] * inverse, q[1] * inverse, q[2] * inverse, q[3] * inverse)
 
 
-def matrix(q):
+def matrix(q: Quaternion) -> Matrix:
     """Rotation matrix (three rows of three arrays) of a unit quaternion."""
     w, x, y, z = q
     return (
@@ -41,7 +46,7 @@ def matrix(q):
     )
 
 
-def axis_angle(axis, angle):
+def axis_angle(axis: Vector, angle: Array) -> Matrix:
     """Rotation matrix about a unit axis by an angle (rad); Rodrigues' formula."""
     c, s = jnp.cos(angle), jnp.sin(angle)
     x, y, z = axis
@@ -53,18 +58,18 @@ def axis_angle(axis, angle):
     )
 
 
-def _half_angle(u_squared):
+def _half_angle(u_squared: Array) -> tuple[Array, Array]:
     """Cosine, and sine over u, of half the angle a, where u is tan(a/4): with any u they make a unit quaternion."""
     inverse = 1.0 / (1.0 + u_squared)
     return (1.0 - u_squared) * inverse, 2.0 * inverse
 
 
-def _tangent(x_squared):
+def _tangent(x_squared: Array) -> Array:
     """tan(x) / x by two terms of its series: angles of 4x are a = 0.001 rad to 5e-16 of a, 0.03 rad to 4e-10 (a^4 / 1920)."""
     return 1.0 + x_squared / 3.0
 
 
-def _turn(q, p, axis, angle):
+def _turn(q: Quaternion, p: Vector, axis: int, angle: Array) -> tuple[Quaternion, Vector]:
     """Turn the body about its own coordinate axis: q <- q e^(angle/2), body-frame momentum p turned back.
 
     Without sine and cosine, which took a tenth of a step: by tan(angle/4), see ``_tangent``.
@@ -75,14 +80,14 @@ def _turn(q, p, axis, angle):
     s = s * u
     i, j, k = ((axis + n) % 3 for n in range(3))
     w, a, b, d = q[0], q[1 + i], q[1 + j], q[1 + k]
-    q, p = list(q), list(p)
-    q[0], q[1 + i], q[1 + j], q[1 + k] = w * c - a * s, a * c + w * s, b * c + d * s, d * c - b * s
+    turned, back = list(q), list(p)
+    turned[0], turned[1 + i], turned[1 + j], turned[1 + k] = w * c - a * s, a * c + w * s, b * c + d * s, d * c - b * s
     cos, sin = c * c - s * s, 2 * c * s
-    p[j], p[k] = cos * p[j] + sin * p[k], cos * p[k] - sin * p[j]
-    return tuple(q), tuple(p)
+    back[j], back[k] = cos * p[j] + sin * p[k], cos * p[k] - sin * p[j]
+    return (turned[0], turned[1], turned[2], turned[3]), (back[0], back[1], back[2])
 
 
-def free_rotation(q, momentum, inertia, dt):
+def free_rotation(q: Quaternion, momentum: Vector, inertia: Vector, dt: Array | float) -> tuple[Quaternion, Vector]:
     """Rotate free rigid bodies by dt, to second order, conserving angular momentum to rounding.
 
     The splitting into rotations about the principal axes x, y, z, y, x of Dullweber, Leimkuhler and
@@ -95,7 +100,7 @@ def free_rotation(q, momentum, inertia, dt):
     """
     before = matrix(q)
     p = vector.rotate_back(before, momentum)
-    start = vector.rotate(before, tuple(c / i for c, i in zip(p, inertia, strict=True)))
+    start = vector.rotate(before, _over(p, inertia))
     for axis, part in ((0, 0.5), (1, 0.5), (2, 1.0), (1, 0.5), (0, 0.5)):
         q, p = _turn(q, p, axis, part * dt * p[axis] / inertia[axis])
     q = normalise(q)
@@ -103,7 +108,7 @@ def free_rotation(q, momentum, inertia, dt):
     return q, vector.scale(0.5, vector.add(start, end))
 
 
-def spin(q, momentum, inertia, dt):
+def spin(q: Quaternion, momentum: Vector, inertia: Vector, dt: Array | float) -> tuple[Quaternion, Vector]:
     """The free rotation of bodies whose three moments are equal, about a fixed axis: its angle is exact as ``_tangent`` is."""
     omega = vector.scale(1 / inertia[0], momentum)
     x = vector.scale(0.25 * dt, omega)
@@ -112,15 +117,19 @@ def spin(q, momentum, inertia, dt):
     return normalise(multiply((c, *vector.scale(s, u)), q)), omega
 
 
-def angular_velocity(q, momentum, inertia):
+def angular_velocity(q: Quaternion, momentum: Vector, inertia: Vector) -> Vector:
     """World-frame angular velocity (rad/s) of bodies with a world-frame angular momentum."""
     r = matrix(q)
     p = vector.rotate_back(r, momentum)
-    return vector.rotate(r, tuple(c / i for c, i in zip(p, inertia, strict=True)))
+    return vector.rotate(r, _over(p, inertia))
 
 
-def angular_momentum(q, omega, inertia):
+def angular_momentum(q: Quaternion, omega: Vector, inertia: Vector) -> Vector:
     """World-frame angular momentum (kg m2/s) of bodies with a world-frame angular velocity."""
     r = matrix(q)
     w = vector.rotate_back(r, omega)
-    return vector.rotate(r, tuple(c * i for c, i in zip(w, inertia, strict=True)))
+    return vector.rotate(r, (w[0] * inertia[0], w[1] * inertia[1], w[2] * inertia[2]))
+
+
+def _over(p: Vector, inertia: Vector) -> Vector:
+    return (p[0] / inertia[0], p[1] / inertia[1], p[2] / inertia[2])

@@ -6,99 +6,110 @@ component axis of length 3 that is summed over does not vectorise. A vector here
 ``(x, y, z)`` of arrays of one shape (or shapes of one rank that broadcast), in any unit.
 """
 
+from typing import Any, overload
+
 import jax
 import jax.numpy as jnp
 
+Array = jax.Array
+Vector = tuple[Array, Array, Array]
+Matrix = tuple[Vector, Vector, Vector]
 
-def dot(a, b):
+
+def dot(a: Vector, b: Vector) -> Array:
     """a . b."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-def cross(a, b):
+def cross(a: Vector, b: Vector) -> Vector:
     """a x b."""
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
-def add(a, b):
+def add(a: Vector, b: Vector) -> Vector:
     """a + b."""
     return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
 
 
-def sub(a, b):
+def sub(a: Vector, b: Vector) -> Vector:
     """a - b."""
     return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
 
 
-def scale(s, a):
+def scale(s: Array | float, a: Vector) -> Vector:
     """s a, with s an array or a number."""
     return (s * a[0], s * a[1], s * a[2])
 
 
-def add_scaled(a, s, b):
+def add_scaled(a: Vector, s: Array | float, b: Vector) -> Vector:
     """a + s b."""
     return (a[0] + s * b[0], a[1] + s * b[1], a[2] + s * b[2])
 
 
-def where(condition, a, b):
+def where(condition: Array, a: Vector, b: Vector) -> Vector:
     """a where the condition holds, b elsewhere."""
-    return tuple(jnp.where(condition, p, q) for p, q in zip(a, b, strict=True))
+    return (jnp.where(condition, a[0], b[0]), jnp.where(condition, a[1], b[1]), jnp.where(condition, a[2], b[2]))
 
 
-def safe_sqrt(x):
+def safe_sqrt(x: Array) -> Array:
     """Square root with derivative 0 (instead of infinity) at and below 0."""
     positive = x > 0
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, x, jnp.ones_like(x))), jnp.zeros_like(x))
 
 
-def norm(a):
+def norm(a: Vector) -> Array:
     """|a|, differentiable (with derivative 0) at a = 0."""
     return safe_sqrt(dot(a, a))
 
 
-def unit(a):
+def unit(a: Vector) -> Vector:
     """a / |a|, and 0 (with derivative 0) where a is 0."""
     size = norm(a)
     return scale(jnp.where(size > 0, 1 / jnp.where(size > 0, size, 1), 0), a)
 
 
-def expand(a, axis):
+def expand(a: Vector, axis: int) -> Vector:
     """Insert an axis of length 1 into each component."""
-    return tuple(jnp.expand_dims(p, axis) for p in a)
+    return (jnp.expand_dims(a[0], axis), jnp.expand_dims(a[1], axis), jnp.expand_dims(a[2], axis))
 
 
-def rotate(r, a):
+def rotate(r: Matrix, a: Vector) -> Vector:
     """R a."""
     return (dot(r[0], a), dot(r[1], a), dot(r[2], a))
 
 
-def transpose(r):
+def transpose(r: Matrix) -> Matrix:
     """Transpose of R, the inverse rotation."""
-    return tuple((r[0][i], r[1][i], r[2][i]) for i in range(3))
+    x, y, z = r
+    return ((x[0], y[0], z[0]), (x[1], y[1], z[1]), (x[2], y[2], z[2]))
 
 
-def rotate_back(r, a):
+def rotate_back(r: Matrix, a: Vector) -> Vector:
     """R^T a."""
     return rotate(transpose(r), a)
 
 
-def compose(r, s):
+def compose(r: Matrix, s: Matrix) -> Matrix:
     """R S."""
-    columns = [rotate(r, c) for c in transpose(s)]
-    return transpose(tuple(columns))
+    x, y, z = transpose(s)
+    return transpose((rotate(r, x), rotate(r, y), rotate(r, z)))
 
 
-def expand_matrix(r, axis):
+def expand_matrix(r: Matrix, axis: int) -> Matrix:
     """Insert an axis of length 1 into each entry."""
-    return tuple(expand(row, axis) for row in r)
+    return (expand(r[0], axis), expand(r[1], axis), expand(r[2], axis))
 
 
-def unpack(array):
+def unpack(array: Array) -> Vector:
     """[3, ...] -> the tuple of its components."""
     return (array[0], array[1], array[2])
 
 
-def kept(*arrays):
+@overload
+def kept(array: Array, /) -> Array: ...
+@overload
+def kept(*arrays: Array) -> tuple[Array, ...]: ...
+def kept(*arrays: Array) -> Any:
     """The same arrays, to the last bit, each computed once although several kernels use it.
 
     XLA fuses a cheap producer into every consumer, and on the CPU an optimisation barrier does not stop it; what ends
@@ -109,13 +120,13 @@ def kept(*arrays):
 
 
 @jax.custom_jvp
-def _kept(x):
+def _kept(x: Array) -> Array:
     """x / 1, where it takes the compiler of machine code, who leaves the division out, to see that it is 1."""
     bits = jax.lax.bitcast_convert_type(x, {4: jnp.int32, 8: jnp.int64}[x.dtype.itemsize])
     return x / jnp.maximum(jnp.minimum(bits, 1), 1).astype(x.dtype)
 
 
 @_kept.defjvp
-def _derivative_of_kept(primals, tangents):
+def _derivative_of_kept(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
     """That of the identity."""
     return _kept(*primals), *tangents

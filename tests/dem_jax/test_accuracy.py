@@ -9,7 +9,7 @@ import pytest
 from benchmarks import accuracy
 from dem_jax import build, load_scene, scene, simulate, validation
 from dem_jax.contact.law import walton_braun_accuracy
-from dem_jax.drive import run
+from dem_jax.drive.prepare import prepare
 from dem_jax.errors import SceneError
 from dem_jax.show import summary
 
@@ -94,7 +94,7 @@ def test_the_limit_is_named():
 def test_every_accuracy_is_the_same_program():
     """As the step is a number of the system, and steps per sample are too."""
     programs = {
-        jax.tree.structure(run.prepare(load_scene("plate-drop", {"run.accuracy.restitution": r}), (0,), None).system)
+        jax.tree.structure(prepare(load_scene("plate-drop", {"run.accuracy.restitution": r}), (0,), None).system)
         for r in (0.2, 0.03, 5e-3)
     }
     assert len(programs) == 1

@@ -15,7 +15,7 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from dem_jax import shapes
-from dem_jax.compiling import OPTIONS
+from dem_jax.compiling import known
 from dem_jax.contact import collide, hulls
 
 BATCH = 192  # pairs at a time: one compiled program for each table of shapes
@@ -40,7 +40,7 @@ def principal(shape):
     return shape.vertices @ Rotation.from_quat(shape.principal, scalar_first=True).as_matrix()
 
 
-@partial(jax.jit, compiler_options=OPTIONS["cpu"])
+@partial(jax.jit, compiler_options=known("cpu"))
 def _computed(table, ia, ib, turn, offset):
     a, b = (hulls.with_faces(hulls.gather(table, i, False), table) for i in (ia, ib))
     rows = tuple(tuple(row) for row in turn)

@@ -2,6 +2,8 @@
 
 import os
 import re
+import subprocess
+import sys
 
 import jax
 import jax.numpy as jnp
@@ -10,7 +12,9 @@ import pytest
 
 from dem_jax import build, compiling
 from dem_jax.contact import blocks
-from dem_jax.drive import run
+from dem_jax.drive import programs
+from dem_jax.drive.interface import simulate
+from dem_jax.drive.prepare import slot_block
 from dem_jax.maths import vector
 from dem_jax.pairs import guard
 from dem_jax.scene import load_scene
@@ -38,22 +42,22 @@ def traces(monkeypatch):
     count = []
     advance = stepping.advance
     monkeypatch.setattr(stepping, "advance", lambda *args: count.append(1) or advance(*args))
-    monkeypatch.setattr(run, "_PROGRAMS", {})
+    monkeypatch.setattr(programs, "KEPT", {})
     return count
 
 
 def test_other_values_do_not_compile_anew(traces):
     def go(changes, seed=0):
         scene = load_scene("weigh-bucket").replace(BASE | changes)
-        return run.simulate(scene, seed=seed)
+        return simulate(scene, seed=seed)
 
     go({})
     first = len(traces)
-    assert first > 0 and len(run._PROGRAMS) == 1
+    assert first > 0 and len(programs.KEPT) == 1
     for name, changes in SAME_PROGRAM.items():
         result = go(changes, seed=1)
         assert np.isfinite(result.energy["kinetic"]).all()
-        assert len(traces) == first and len(run._PROGRAMS) == 1, name
+        assert len(traces) == first and len(programs.KEPT) == 1, name
     go({"portion.count": 4})
     assert len(traces) == 2 * first  # the count of pieces is part of the program: the test can fail
 
@@ -64,7 +68,7 @@ def test_flags_of_the_person_are_left_alone(monkeypatch):
     compiling.loops_as_one()
     assert os.environ["XLA_FLAGS"] == mine
     monkeypatch.setenv("XLA_FLAGS", "--xla_cpu_enable_fast_math=false")
-    monkeypatch.setattr(compiling, "backends_are_initialized", lambda: False)
+    monkeypatch.setattr(compiling, "is_in_use", lambda: False)
     compiling.loops_as_one()
     compiling.loops_as_one()
     assert os.environ["XLA_FLAGS"] == f"--xla_cpu_enable_fast_math=false {compiling.SMALL_LOOPS}"
@@ -78,9 +82,33 @@ def test_a_warning_says_that_it_is_too_late_to_make_one_function_of_each_loop(mo
         compiling.loops_as_one()
 
 
+def test_whether_jax_is_in_use_is_known_and_changes_nothing():
+    program = (
+        "import os, jax; from dem_jax import compiling\n"
+        "print(compiling.is_in_use(), compiling.is_in_use(), len(jax.devices()), compiling.is_in_use())"
+    )
+    settings = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "JAX_NUM_CPU_DEVICES": "3"}
+    done = subprocess.run([sys.executable, "-c", program], env=settings, capture_output=True, text=True)
+    assert done.stdout.split() == ["False", "False", "3", "True"], done.stderr
+    devices = jax.config.jax_num_cpu_devices
+    jnp.ones(()).block_until_ready()
+    assert compiling.is_in_use() and jax.config.jax_num_cpu_devices == devices
+
+
 def test_every_option_is_known_to_the_compiler():
+    """To those of all versions that are supported: one that a new version lacks shows here."""
+    assert compiling.known("cpu") == compiling.OPTIONS["cpu"]
     compiled = compiling.jit(lambda x: x + 1, "cpu")
     assert float(compiled(jnp.ones(()))) == 2.0
+
+
+def test_options_that_the_compiler_does_not_have_are_not_asked_for(monkeypatch):
+    wanted = compiling.OPTIONS["cpu"]
+    monkeypatch.setitem(compiling.OPTIONS, "cpu", wanted | {"xla_cpu_of_another_version": True})
+    assert compiling.known("cpu") == wanted
+    compiled = compiling.jit(lambda x: x + 2, "cpu")
+    assert float(compiled(jnp.ones(()))) == 3.0
+    assert compiling.known("another") == {}
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
@@ -126,7 +154,7 @@ def test_a_step_writes_over_history_and_loads(shape):
     rooms = {kind: 1024 + 64 * k for k, (kind, *_) in enumerate(built.system.capacity)}
     capacity = tuple((kind, near, rooms[kind]) for kind, near, _ in built.system.capacity)
     system, state = guard.with_capacity(built.system, built.state, capacity, built.system.touching, 1)
-    system = system.replace(slot_block=run.slot_block())
+    system = system.replace(slot_block=slot_block())
     assert all(blocks.block_size(system, kind, room) for kind, room in rooms.items())
     steps = lambda system, state: jax.lax.fori_loop(0, 9, lambda _, state: stepping.advance(system, state), state)  # noqa: E731
     text = compiling.jit(steps, "cpu").lower(system, state).compile().as_text()

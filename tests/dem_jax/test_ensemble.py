@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import jax
@@ -11,7 +12,9 @@ import pytest
 
 import dem_jax
 from dem_jax import build
-from dem_jax.drive import run
+from dem_jax.drive import execute
+from dem_jax.drive.interface import drive
+from dem_jax.drive.prepare import prepare
 from dem_jax.errors import SceneError, SimulationError
 
 PATHS = ("force/plate", "mean_force/plate", "settled_mass/plate", "energy/total", "momentum", "overlap")
@@ -84,16 +87,16 @@ def test_only_the_runs_that_outgrew_something_are_run_again(monkeypatch):
 
     def two_high(slots):
         monkeypatch.setattr(build.system, "capacity", lambda *_: (("mixed", 8, slots), ("spheres", 8, 8)))
-        job = run.prepare(scattered(), (7, 8, 9), 3)
+        job = prepare(scattered(), (7, 8, 9), 3)
         with jax.enable_x64(True):
             system = job.system.replace(domain_high=job.system.domain_high + 1)
             state = job.state.moved(position=job.state.position.at[::2, 2].add(0.3))
-        return run.replace(job, system=system, state=state)
+        return replace(job, system=system, state=state)
 
-    ample = run.drive(two_high(8), None, False, False)
-    computed, compute = [], run._computed
-    monkeypatch.setattr(run, "_computed", lambda *arguments: computed.append(arguments) or compute(*arguments))
-    grown = run.drive(two_high(1), None, False, False)
+    ample = drive(two_high(8), None, False, False)
+    computed, compute = [], execute.computed
+    monkeypatch.setattr(execute, "computed", lambda *arguments: computed.append(arguments) or compute(*arguments))
+    grown = drive(two_high(1), None, False, False)
     assert any("2 pairs of mixed for 1 slots" in note for note in grown.info["notes"])
     assert len(computed) == 3 + 1, "one chunk of three runs, and of the low one again"
     assert np.abs(ample.force["plate"][1]).max() > 0.01 and not ample.force["plate"][::2].any()
@@ -103,7 +106,7 @@ def test_only_the_runs_that_outgrew_something_are_run_again(monkeypatch):
 
 
 def test_a_file_has_a_leading_run_axis_and_can_be_gone_on_with(three, tmp_path, monkeypatch):
-    monkeypatch.setattr(run, "CHUNK_TIME", 1.2e-2)
+    monkeypatch.setattr("dem_jax.drive.job.CHUNK_TIME", 1.2e-2)
     written = dem_jax.ensemble(scattered(**{"run.duration": 0.011}), runs=3, seed=7, out=tmp_path / "runs.h5")
     assert written.time.shape == (550,) and written.settled_mass["plate"].shape == (3, 550)
     longer = dem_jax.resume(tmp_path / "runs.h5", duration=0.02)
@@ -113,32 +116,32 @@ def test_a_file_has_a_leading_run_axis_and_can_be_gone_on_with(three, tmp_path, 
 
 
 def test_the_member_that_fails_is_named(tmp_path):
-    job = run.prepare(scattered(), (3, 4, 5), 3)
+    job = prepare(scattered(), (3, 4, 5), 3)
     with jax.enable_x64(True):
-        job = run.replace(job, state=job.state.moved(velocity=job.state.velocity.at[1, 2, 0].set(np.inf)))
+        job = replace(job, state=job.state.moved(velocity=job.state.velocity.at[1, 2, 0].set(np.inf)))
     with pytest.raises(SimulationError, match=r"scattered, run 1 \(seed 4\): piece 0 at t = 2e-05 s") as caught:
-        run.drive(job, tmp_path / "runs.h5", False, False)
+        drive(job, tmp_path / "runs.h5", False, False)
     assert (caught.value.member, caught.value.piece) == (1, 0)
 
 
 def test_overlapping_starts_name_the_run():
-    job = run.prepare(scattered(), (3, 4, 5), 3)
+    job = prepare(scattered(), (3, 4, 5), 3)
     with jax.enable_x64(True):
-        job = run.replace(job, state=job.state.moved(position=job.state.position.at[2, 2, 1].set(0.0)))
+        job = replace(job, state=job.state.moved(position=job.state.position.at[2, 2, 1].set(0.0)))
     with pytest.raises(
         SceneError, match=r"piece 1 and wall group 'plate' of run 2 \(seed 5\) overlap at the start by 50 %"
     ):
-        run.drive(job, None, False, False)
+        drive(job, None, False, False)
 
 
 SHARDED = """
 import sys, jax, numpy as np
 jax.config.update("jax_enable_x64", True)
 import dem_jax
-from dem_jax.drive import run
-run._in_threads = run._together
+from dem_jax.drive import execute, programs
+execute.in_threads = execute.on_devices
 runs = dem_jax.ensemble("scene.toml", runs=4, seed=7)
-(program,) = run._PROGRAMS.values()
+(program,) = programs.KEPT.values()
 spread = len(program.input_shardings[0][1].step.device_set)
 series = {path: getattr(runs, path.split("/")[0])[path.split("/")[1]] for path in sys.argv[2].split()}
 np.savez(sys.argv[1], devices=spread, position=runs.pieces.position, **series)

@@ -70,7 +70,7 @@ def derivatives(shape):
     """Reverse mode and central finite differences, [3 outcomes, 3 parameters], and the outcomes."""
     parameters = start_of(shape)
     # Few steps: all the time goes into compiling, which takes six times as long where LLVM optimises.
-    options = {"compiler_options": compiling.OPTIONS["cpu"] | {"xla_backend_optimization_level": 0}}
+    options = {"compiler_options": compiling.known("cpu") | {"xla_backend_optimization_level": 0}}
     function = jax.jit(lambda p: outcome(shape, p), **options)
     pull = jax.jit(lambda p, weights: jax.vjp(lambda p: outcome(shape, p), p)[1](weights)[0], **options)
     reverse = np.stack([pull(parameters, weights) for weights in jnp.eye(3)])

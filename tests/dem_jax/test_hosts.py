@@ -11,26 +11,29 @@ import numpy as np
 import pytest
 
 import dem_jax
-from dem_jax.drive import run
 from dem_jax.store import record
 
 SCRIPT = """
 import pickle, sys
+from dataclasses import replace
 import jax
 jax.config.update("jax_cpu_collectives_implementation", "gloo")
 port, index = sys.argv[1:3]
 jax.distributed.initialize(coordinator_address=f"localhost:{port}", num_processes=2, process_id=int(index))
 import dem_jax
-from dem_jax.drive import run
+import dem_jax.drive.job
+from dem_jax.drive import execute, hosts, loop
+from dem_jax.drive.interface import drive
+from dem_jax.drive.prepare import prepare
 from dem_jax.store import record
 from dem_jax.errors import RecordError
-run.CHUNK_TIME = 0.007
+dem_jax.drive.job.CHUNK_TIME = 0.007
 mine, other = int(index) == 0, int(index) == 1
-calls, threads = [], run._in_threads
-def counted(job, system, state, *rest):
-    calls.append(len(state.step))
-    return threads(job, system, state, *rest)
-run._in_threads = counted
+calls, threads = [], execute.in_threads
+def counted(chunk):
+    calls.append(len(chunk.state.step))
+    return threads(chunk)
+execute.in_threads = counted
 def caught(function):
     try:
         return function()
@@ -42,7 +45,7 @@ held = dem_jax.ensemble("scene.toml", runs=3, seed=7)
 written = dem_jax.ensemble("scene.toml", runs=3, seed=7, out=f"runs-{index}.h5")
 scene = dem_jax.load_scene("scene.toml", {"run.duration": 0.01})
 dem_jax.ensemble(scene, runs=3, seed=7, out="short.h5" if mine else "no.h5")
-run.hosts.exchange(lambda: None)
+hosts.exchange(lambda: None)
 longer = dem_jax.resume("short.h5", duration=0.05)
 same = set(calls), held, written, longer
 single = dem_jax.ensemble(dem_jax.load_scene("scene.toml", {"run.duration": 2e-3}), runs=1, seed=7)
@@ -56,10 +59,10 @@ wrong = {
     "differs": go("material.restitution", 0.2 if mine else 0.3),
     "unknown": go("run.step", "auto" if mine else 1.0),
 }
-run._in_threads = lambda *a: counted(*a) if mine else 1 / 0
+execute.in_threads = lambda *a: counted(*a) if mine else 1 / 0
 wrong["computing"] = go()
-run._in_threads = counted
-append, recorded = record.Writer.append, run._recorded
+execute.in_threads = counted
+append, recorded = record.Writer.append, loop.rows_of
 def full(self, samples, *args, **kw):
     if samples and samples["time"][-1] > 1e-3:
         raise RecordError("no room")
@@ -70,16 +73,16 @@ def local(*args):
     return recorded(*args)
 record.Writer.append = full
 wrong["writing"] = go(out="full.h5")
-record.Writer.append, run._recorded = append, local
+record.Writer.append, loop.rows_of = append, local
 wrong["between"] = go()
-run._recorded = recorded
+loop.rows_of = recorded
 after = go().time[-1]
 
 # a run of the second process is thrown sideways
-job = run.prepare("scene.toml", (3, 4), 2)
+job = prepare("scene.toml", (3, 4), 2)
 with jax.enable_x64(True):
-    job = run.replace(job, state=job.state.moved(velocity=job.state.velocity.at[1, 0, 1].set(2000.0)))
-thrown = caught(lambda: run.drive(job, "thrown.h5", False, False))
+    job = replace(job, state=job.state.moved(velocity=job.state.velocity.at[1, 0, 1].set(2000.0)))
+thrown = caught(lambda: drive(job, "thrown.h5", False, False))
 pickle.dump((same, single, wrong, after, thrown), open(f"found-{index}", "wb"))
 """
 
@@ -128,7 +131,7 @@ def assert_same(a, b):
 
 
 def test_members_have_the_same_bits_in_one_process_and_in_two(two, monkeypatch):
-    monkeypatch.setattr(run, "CHUNK_TIME", 0.007)
+    monkeypatch.setattr("dem_jax.drive.job.CHUNK_TIME", 0.007)
     alone = dem_jax.ensemble(scene(), runs=3, seed=7)
     assert np.abs(alone.force["plate"]).max() > 0.01 and 0.01 < alone.settled < 0.05
     (first, second), folder = two

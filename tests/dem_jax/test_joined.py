@@ -1,11 +1,15 @@
 """Runs of an ensemble as one system: each is what it is by itself, in whatever place and company it is."""
 
+from dataclasses import replace
+
 import jax
 import numpy as np
 import pytest
 
 from dem_jax import build
-from dem_jax.drive import run
+from dem_jax.drive import execute
+from dem_jax.drive.interface import drive, resume
+from dem_jax.drive.prepare import prepare
 from dem_jax.errors import SceneError, SimulationError
 from dem_jax.scene import Scene, load_scene
 from dem_jax.step import joined
@@ -39,17 +43,17 @@ def scene(duration=0.012):
 
 def job_of(order=range(RUNS), duration=0.012):
     """Runs that begin with other velocities each, some of them too high to hit anything for a while."""
-    job = run.prepare(scene(duration), tuple(order), len(order))
+    job = prepare(scene(duration), tuple(order), len(order))
     random = np.random.default_rng(0)
     way, high = random.normal(0, 0.05, (RUNS, 3, 5)), np.where(np.arange(RUNS) % 4 == 1, 0.004, 0.0)
     with jax.enable_x64(True):
         state, pick = job.state, lambda x: x[np.array(order)]
         position = state.position.at[:, 2].add(pick(high)[:, None])
-        return run.replace(job, state=state.moved(velocity=state.velocity + pick(way), position=position))
+        return replace(job, state=state.moved(velocity=state.velocity + pick(way), position=position))
 
 
 def driven(job):
-    return run.drive(job, None, False, False)
+    return drive(job, None, False, False)
 
 
 @pytest.fixture(scope="module")
@@ -71,16 +75,14 @@ def assert_same(found, wanted, rounding=ROUNDING):
         np.testing.assert_allclose(getattr(found.pieces, name), series, rtol=0, atol=rounding * np.abs(series).max(), err_msg=name)
 
 
-def alone(monkeypatch, job):
+def alone(job):
     """The same ensemble, each run by itself."""
-    monkeypatch.setattr(joined, "is_worthwhile", lambda *_: False)
-    found = driven(job)
-    monkeypatch.undo()
-    return found
+    assert job.way is execute.side_by_side
+    return driven(replace(job, way=execute.in_threads))
 
 
-def test_each_run_is_what_it_is_by_itself(side_by_side, monkeypatch):
-    wanted = alone(monkeypatch, job_of())
+def test_each_run_is_what_it_is_by_itself(side_by_side):
+    wanted = alone(job_of())
     struck = np.abs(wanted.force["side"]).max(axis=(1, 2)) > 0
     assert struck.all(), "the wall is hit"
     first = np.argmax(np.abs(wanted.force["floor"]).max(axis=2) > 0, axis=1)
@@ -113,12 +115,12 @@ def test_room_is_grown_for_all(side_by_side, monkeypatch, room, note):
 
 
 def test_going_on_gives_the_same_bits(side_by_side, tmp_path, monkeypatch):
-    monkeypatch.setattr(run, "CHUNK_TIME", 2e-3)
+    monkeypatch.setattr("dem_jax.drive.job.CHUNK_TIME", 2e-3)
     whole = driven(job_of())
     job = job_of(duration=0.006)
     assert job.stride < 200, "in several chunks"
-    run.drive(job, tmp_path / "runs.h5", False, False)
-    longer = run.resume(tmp_path / "runs.h5", duration=0.012)
+    drive(job, tmp_path / "runs.h5", False, False)
+    longer = resume(tmp_path / "runs.h5", duration=0.012)
     for name in SERIES:
         for key, series in getattr(whole, name).items():
             np.testing.assert_array_equal(getattr(longer, name)[key], series, err_msg=f"{name} {key}")
@@ -130,7 +132,7 @@ def test_the_run_that_fails_is_named():
     job = job_of()
     last = RUNS - 1
     with jax.enable_x64(True):
-        job = run.replace(job, state=job.state.moved(velocity=job.state.velocity.at[last, 2, 0].set(np.inf)))
+        job = replace(job, state=job.state.moved(velocity=job.state.velocity.at[last, 2, 0].set(np.inf)))
     with pytest.raises(SimulationError, match=rf"run {last} \(seed {last}\): piece 0 at t = 3e-05 s") as caught:
         driven(job)
     assert (caught.value.member, caught.value.piece) == (last, 0)
@@ -139,7 +141,7 @@ def test_the_run_that_fails_is_named():
 def test_a_contact_that_is_too_deep_names_its_run_and_bodies():
     job = job_of()
     with jax.enable_x64(True):
-        job = run.replace(job, state=job.state.moved(velocity=job.state.velocity.at[5, 2, 3].set(-300.0)))
+        job = replace(job, state=job.state.moved(velocity=job.state.velocity.at[5, 2, 3].set(-300.0)))
     with pytest.raises(SimulationError, match=r"run 5 \(seed 5\): piece 3 .* its contact with wall group 'floor'") as caught:
         driven(job)
     assert (caught.value.member, caught.value.piece) == (5, 3)
@@ -149,18 +151,18 @@ def test_a_contact_that_is_too_deep_names_its_run_and_bodies():
 def test_a_start_with_overlap_names_the_run_and_the_bodies(piece, other):
     job = job_of()
     with jax.enable_x64(True):
-        job = run.replace(job, state=job.state.moved(position=job.state.position.at[7, 2, piece].set(0.002)))
+        job = replace(job, state=job.state.moved(position=job.state.position.at[7, 2, piece].set(0.002)))
     with pytest.raises(SceneError, match=rf"piece {piece} and {other} of run 7 \(seed 7\) overlap at the start"):
         driven(job)
 
 
 def test_only_where_it_pays():
-    system = run.prepare(scene(), (0,), None).system
+    system = prepare(scene(), (0,), None).system
     assert joined.is_worthwhile(system, joined.AT_ONCE)
     assert not joined.is_worthwhile(system, joined.AT_ONCE - 1)
     assert not joined.is_worthwhile(system.replace(slot_block=0), joined.AT_ONCE), "no CPU"
     assert not joined.is_worthwhile(system.replace(neighbours="cells"), joined.AT_ONCE)
     with jax.enable_x64(True):
         many = {"portion.count": joined.MOST_PIECES + 1, "portion.scale_factor": 0.5}
-        heap = run.prepare(load_scene("weigh-bucket", many), (0,), None).system
+        heap = prepare(load_scene("weigh-bucket", many), (0,), None).system
     assert not joined.is_worthwhile(heap, joined.AT_ONCE)

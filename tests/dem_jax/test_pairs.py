@@ -1,5 +1,6 @@
 """Whole runs by each way of searching for pairs, and what happens when the list of jax-md outgrows its room."""
 
+from dataclasses import replace
 from functools import partial
 
 import jax
@@ -8,7 +9,9 @@ import numpy as np
 import pytest
 
 import dem_jax
-from dem_jax.drive import restart, run
+from dem_jax.drive import restart
+from dem_jax.drive.interface import drive
+from dem_jax.drive.prepare import prepare
 from dem_jax.errors import SceneError
 from dem_jax.pairs import guard, neighbours
 from dem_jax.scene import Scene
@@ -43,10 +46,10 @@ def test_a_run_does_not_depend_on_how_pairs_are_found(runs, choice):
 
 
 def test_a_list_without_room_grows_and_the_run_is_the_same(runs):
-    job = run.prepare(heap("jax-md"), (0,), None)
+    job = prepare(heap("jax-md"), (0,), None)
     small = job.system.partition._replace(pairs=60, cell=1, reach=4e-4, sides=(3, 3, 3))
-    job = run.replace(job, system=job.system.replace(partition=small))
-    grown = run.drive(job, None, False, False)
+    job = replace(job, system=job.system.replace(partition=small))
+    grown = drive(job, None, False, False)
     notes = " ".join(grown.header.info["notes"])
     assert "more than 60 pairs in the list of jax-md" in notes
     assert "pieces in a cell of jax-md for 1" in notes and "for a list of jax-md within 0.0004 m" in notes
@@ -56,14 +59,14 @@ def test_a_list_without_room_grows_and_the_run_is_the_same(runs):
 
 
 def test_a_restart_keeps_the_room_of_the_list():
-    job = run.prepare(heap("jax-md"), (0,), None)
+    job = prepare(heap("jax-md"), (0,), None)
     larger = job.system.replace(partition=job.system.partition._replace(pairs=777, cell=55, reach=0.0123))
     system, _ = restart.unpack(job.system, job.state, restart.pack(larger, job.state))
     assert system.partition == larger.partition
 
 
 def test_the_list_of_jax_md_can_be_made_for_many_members_at_once():
-    job = run.prepare(heap("jax-md"), (0,), None)
+    job = prepare(heap("jax-md"), (0,), None)
     shifts = jnp.asarray([0.0, 0.002, 0.004], job.state.position.dtype)
     pressed = lambda shift: job.state.moved(position=job.state.position * (1 - 15 * shift))  # noqa: E731
     rebuild = partial(neighbours.rebuild, job.system)

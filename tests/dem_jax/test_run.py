@@ -5,6 +5,7 @@ import re
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 
 import h5py
 import jax
@@ -13,7 +14,9 @@ import pytest
 
 import dem_jax
 from dem_jax import build, scene
-from dem_jax.drive import failure, run
+from dem_jax.drive import failure, programs
+from dem_jax.drive.interface import drive
+from dem_jax.drive.prepare import prepare
 from dem_jax.errors import RecordError, SceneError, SimulationError
 from dem_jax.maths.pose import matrix_of_quaternion
 
@@ -65,7 +68,7 @@ def assert_same(a, b, exactly=True, tolerance=0.0):
 @pytest.fixture(autouse=True)
 def short_chunks(monkeypatch):
     """Chunks of 100 samples at most, so that a short run has several."""
-    monkeypatch.setattr(run, "CHUNK_TIME", 100 * 5 * 5.3e-6)
+    monkeypatch.setattr("dem_jax.drive.job.CHUNK_TIME", 100 * 5 * 5.3e-6)
 
 
 # --- what a run holds ---
@@ -162,10 +165,10 @@ def test_same_scene_and_seed_give_the_same_bits_and_another_seed_does_not():
 
 def test_other_numbers_need_no_other_program():
     dem_jax.simulate(balls())
-    before = len(run._PROGRAMS)
+    before = len(programs.KEPT)
     dem_jax.simulate(balls([0.02], **{"run.duration": 0.01, "run.frames": 1e-4, "run.gravity": [0, 0, -1.62]}))
     dem_jax.simulate(balls(**{"material.density": 310.0, "material.friction_wall": 0.1, "run.step": 3.4e-6}))
-    assert len(run._PROGRAMS) == before
+    assert len(programs.KEPT) == before
 
 
 def test_a_file_written_as_the_run_goes_is_the_run(tmp_path):
@@ -230,12 +233,12 @@ def test_a_run_that_outgrows_its_capacities_equals_one_with_ample_room(monkeypat
 def test_a_piece_with_more_contacts_than_foreseen_is_given_room():
     scene = crowd()
     ample = dem_jax.simulate(scene)
-    job = run.prepare(scene, (0,), None)
+    job = prepare(scene, (0,), None)
     with jax.enable_x64(True):
         system = job.system.replace(touching=1)
         state = job.state.replace(incidence=job.state.incidence[:1])
-    job = run.replace(job, system=system, state=state)
-    grown = run.drive(job, None, False, False)
+    job = replace(job, system=system, state=state)
+    grown = drive(job, None, False, False)
     assert any("contacts of a piece for 1" in note for note in grown.info["notes"])
     assert_same(ample, grown, exactly=False, tolerance=1e-12)
 
@@ -243,10 +246,10 @@ def test_a_piece_with_more_contacts_than_foreseen_is_given_room():
 def test_pieces_that_outrun_the_skin_are_run_again_with_a_larger_one():
     scene = crowd(**{"run.duration": 0.05})
     ample = dem_jax.simulate(scene)
-    job = run.prepare(scene, (0,), None)
+    job = prepare(scene, (0,), None)
     with jax.enable_x64(True):
-        job = run.replace(job, system=job.system.replace(skin=job.system.skin * 1e-5))
-    grown = run.drive(job, None, False, False)
+        job = replace(job, system=job.system.replace(skin=job.system.skin * 1e-5))
+    grown = drive(job, None, False, False)
     assert any("than expected between rebuilds, with a skin of" in note for note in grown.info["notes"])
     assert_same(ample, grown, exactly=False, tolerance=1e-9)  # not bits: how long a fall is a jump depends on the skin
 
@@ -310,13 +313,13 @@ def test_a_piece_that_leaves_the_domain_is_noted_where_that_is_asked_for(tmp_pat
 
 
 def test_motion_that_is_not_finite_stops_the_run():
-    job = run.prepare(balls([0.012, 0.1]), (0,), None)
+    job = prepare(balls([0.012, 0.1]), (0,), None)
     with jax.enable_x64(True):
-        job = run.replace(job, state=job.state.moved(velocity=job.state.velocity.at[2, 1].set(np.nan)))
+        job = replace(job, state=job.state.moved(velocity=job.state.velocity.at[2, 1].set(np.nan)))
     with pytest.raises(
         SimulationError, match=r"piece 1 at t = 2e-05 s: its motion is not finite; .* lower run\.step; or restitution"
     ):
-        run.drive(job, None, False, False)
+        drive(job, None, False, False)
 
 
 def test_a_contact_deeper_than_half_the_piece_stops_the_run(tmp_path):
@@ -336,9 +339,9 @@ def test_a_contact_deeper_than_half_the_piece_stops_the_run(tmp_path):
 KILLED = """
 import os, signal, sys
 import dem_jax
-from dem_jax.drive import run
+import dem_jax.drive.job
 from dem_jax.store import record
-run.CHUNK_TIME = 100 * 5 * 5.3e-6
+dem_jax.drive.job.CHUNK_TIME = 100 * 5 * 5.3e-6
 append, count = record.Writer.append, 0
 def killing(self, *args, **kw):
     global count
@@ -356,7 +359,7 @@ dem_jax.simulate(sys.argv[1], seed=5, out=sys.argv[2])
 def uninterrupted(tmp_path_factory):
     folder = tmp_path_factory.mktemp("whole")
     patch = pytest.MonkeyPatch()
-    patch.setattr(run, "CHUNK_TIME", 100 * 5 * 5.3e-6)
+    patch.setattr("dem_jax.drive.job.CHUNK_TIME", 100 * 5 * 5.3e-6)
     dem_jax.simulate(settling(), seed=5, out=folder / "run.h5")
     patch.undo()
     return folder / "run.h5"

@@ -13,7 +13,7 @@ import pytest
 from dem_jax import build
 from dem_jax.build.typed import typed
 from dem_jax.contact.motion import Hinge, Vibration
-from dem_jax.drive import run
+from dem_jax.drive.prepare import SLOT_BLOCK
 from dem_jax.pairs import guard, neighbours
 from dem_jax.scene import Motion, Scene
 from dem_jax.step import stepping
@@ -159,4 +159,4 @@ def test_candidates_of_a_window_as_those_of_every_step():
 @pytest.mark.parametrize("balls", [False, True])
 def test_blocks_of_slots_and_jumps(balls):
     """As the driver runs it on a CPU."""
-    assert_same(traced(built(friction=not balls, balls=balls), slot_block=run.SLOT_BLOCK), as_built(not balls, balls))
+    assert_same(traced(built(friction=not balls, balls=balls), slot_block=SLOT_BLOCK), as_built(not balls, balls))

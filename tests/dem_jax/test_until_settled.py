@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import dem_jax
-from dem_jax.drive import run
+from dem_jax.drive.prepare import prepare
 from dem_jax.errors import SceneError
 from dem_jax.show import summary
 from dem_jax.store import record
@@ -75,7 +75,7 @@ def test_a_run_that_does_not_come_to_rest_goes_on_to_its_end():
 
 def test_where_chunks_end_changes_nothing(monkeypatch):
     expected = dem_jax.simulate(ball())
-    monkeypatch.setattr(run, "CHUNK_TIME", 20 * 5 * 5.3e-6)  # several in a window
+    monkeypatch.setattr("dem_jax.drive.job.CHUNK_TIME", 20 * 5 * 5.3e-6)  # several in a window
     found = dem_jax.simulate(ball())
     assert len(found.time) == len(expected.time)
     assert_begins(expected, found)
@@ -102,8 +102,8 @@ NEVER = [
 def test_motion_without_an_end_is_refused(motion, message):
     scene = ball(motion=[{"group": "plate"} | motion])
     with pytest.raises(SceneError, match=r"run\.until_settled = true: group 'plate' never rests: " + message):
-        run.prepare(scene, (0,), None)
-    run.prepare(scene.replace(run={"until_settled": False}), (0,), None)
+        prepare(scene, (0,), None)
+    prepare(scene.replace(run={"until_settled": False}), (0,), None)
 
 
 def test_a_time_too_short_to_tell_rest_from_the_top_of_a_bounce_is_refused():
@@ -149,7 +149,7 @@ class Stopped(Exception):
 @pytest.mark.parametrize("appends", [1, 4, 8, 12, 17])
 def test_a_run_that_was_stopped_goes_on_to_the_same_end(settled, tmp_path, monkeypatch, appends):
     """While it settles, about the release and after it; windows of several chunks."""
-    monkeypatch.setattr(run, "CHUNK_TIME", 90 * 10 * 5.3e-6)
+    monkeypatch.setattr("dem_jax.drive.job.CHUNK_TIME", 90 * 10 * 5.3e-6)
     out, count = tmp_path / "run.h5", []
     append = record.Writer.append
 

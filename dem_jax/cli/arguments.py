@@ -1,0 +1,52 @@
+"""What commands share: the parser, and values that are checked as they are read."""
+
+import argparse
+from collections.abc import Callable
+from typing import Any, NoReturn
+
+BAD_INPUT = 2  # exit code
+
+Args = argparse.Namespace
+Commands = Any  # argparse's own type of what add_subparsers returns is private
+
+
+class Parser(argparse.ArgumentParser):
+    """Says what is wrong in one line."""
+
+    def error(self, message: str) -> NoReturn:
+        """Exit with code 2."""
+        self.exit(BAD_INPUT, f"{self.prog}: {one_line(message)} (see --help)\n")
+
+
+def one_line(message: object) -> str:
+    """The message without line breaks."""
+    return " ".join(str(message).split())
+
+
+def command(commands: Commands, name: str, action: Callable[[Args], None], text: str) -> Parser:
+    """A command that calls ``action``."""
+    made = commands.add_parser(name, help=text, description=text)
+    made.set_defaults(action=action)
+    return made
+
+
+def positive(text: str) -> int:
+    """A whole number of at least 1."""
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text!r}: allowed: a whole number of at least 1")
+    return int(text)
+
+
+def whole(text: str) -> int:
+    """A whole number of at least 0."""
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"{text!r}: allowed: a whole number of at least 0")
+    return int(text)
+
+
+def instants(text: str) -> int | list[float]:
+    """A number of instants, or times (s) with commas."""
+    try:
+        return int(text) if text.isdecimal() else [float(t) for t in text.split(",")]
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"{text!r}: allowed: a number of instants, or times (s) with commas") from error

@@ -1,0 +1,44 @@
+"""All commands together, and what the exit code is."""
+
+import os
+import sys
+from collections.abc import Sequence
+
+from dem_jax.cli import ensemble, plot, render, run, scenes, vtk
+from dem_jax.cli.arguments import BAD_INPUT, Parser, one_line
+from dem_jax.errors import RecordError, SceneError, SimulationError
+
+COMMANDS = (run, ensemble, scenes, plot, render, vtk)
+FAILED, INTERRUPTED = 1, 130
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run a command; the exit code: 0, 1 for a run that went wrong, 2 for bad input (one line on stderr)."""
+    try:
+        args = parser().parse_args(argv)
+        args.action(args)
+        return 0
+    except (SceneError, RecordError) as error:
+        return _fail(BAD_INPUT, error)
+    except SimulationError as error:
+        where = f"; what was computed before is in {error.path}" if error.path else "; nothing was recorded before"
+        return _fail(FAILED, f"{error}{where}")
+    except KeyboardInterrupt:
+        return _fail(INTERRUPTED, "interrupted; python -m dem_jax run --resume FILE goes on with a run")
+    except BrokenPipeError:  # of `| head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+
+
+def parser() -> Parser:
+    """The command line."""
+    top = Parser(prog="dem_jax", description="Product impact force of a combination scale (discrete element method).")
+    commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    for command in COMMANDS:
+        command.add(commands)
+    return top
+
+
+def _fail(code: int, message: object) -> int:
+    print(f"dem_jax: {one_line(message)}", file=sys.stderr)
+    return code

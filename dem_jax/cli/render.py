@@ -1,0 +1,36 @@
+"""python -m dem_jax render"""
+
+from pathlib import Path
+
+from dem_jax.cli import stored
+from dem_jax.cli.arguments import Args, Commands, command, instants
+
+
+def add(commands: Commands) -> None:
+    """Add the command to the parser."""
+    made = command(commands, "render", render, "Draw the scene with its pieces: animation, picture or film strip.")
+    stored.add_arguments(made)
+    kind = made.add_mutually_exclusive_group()
+    kind.add_argument("--gif", action="store_true", help="an animation (default)")
+    kind.add_argument("--png", action="store_true", help="a picture of the end")
+    kind.add_argument("--at", type=float, metavar="S", help="a picture of the time S (s)")
+    kind.add_argument(
+        "--strip", type=instants, metavar="N|T,T,...", help="a film strip: of N instants, or of these times (s)"
+    )
+    made.add_argument("--out", metavar="FILE", help="default: the file's name .gif, or -scene.png")
+    made.add_argument("--colour", choices=["speed", "piece"], default="speed", help="of the pieces (default: speed)")
+    made.add_argument("--azimuth", type=float, default=25.0, metavar="DEG", help="of the eye about z (default: 25)")
+    made.add_argument("--elevation", type=float, default=14.0, metavar="DEG", help="of the eye (default: 14)")
+
+
+def render(args: Args) -> None:
+    """Draw a run of a file."""
+    from dem_jax.show.render import Camera
+    from dem_jax.show.render import render as draw
+
+    run, bodies = stored.stored(args)
+    still = args.png or args.at is not None or args.strip is not None
+    path = Path(args.file)
+    out = args.out or (path.with_name(f"{path.stem}-scene.png") if still else path.with_suffix(".gif"))
+    camera = Camera(args.azimuth, args.elevation)
+    print(draw(run.pieces, *bodies, out, at=args.at, strip=args.strip, camera=camera, colour=args.colour))

@@ -1,0 +1,70 @@
+"""What run and ensemble share: the scene and its changes, where the file goes, and what is said at the end."""
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from dem_jax.cli.arguments import Args, Parser, whole
+
+if TYPE_CHECKING:
+    from dem_jax.scene import Scene
+    from dem_jax.store.record import Run
+
+
+def add_arguments(command: Parser, scene_optional: bool = False) -> None:
+    """The arguments of a command that simulates a scene."""
+    command.add_argument(
+        "scene", nargs="?" if scene_optional else None, metavar="SCENE", help="a stock scene's name, or a .toml file"
+    )
+    command.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE", dest="settings",
+        help='change the scene, such as --set material.restitution=0.3 (see "dem_jax scenes NAME" for all keys)',
+    )  # fmt: skip
+    command.add_argument("--seed", type=whole, default=0, help="of the arrangement of a portion (default: 0)")
+    command.add_argument("--duration", type=float, metavar="S", help="s from the release; as --set run.duration=S")
+    command.add_argument("--out", metavar="FILE", help="HDF5 file to write (default: the scene's name .h5)")
+    command.add_argument("--overwrite", action="store_true", help="replace an existing file")
+    command.add_argument("--no-plot", action="store_true", help="do not draw the figure beside the file")
+    command.add_argument("--quiet", action="store_true", help="no progress bar")
+
+
+def scene_and_target(args: Args, suffix: str) -> tuple["Scene", Path]:
+    """The scene with its changes, and the file to write; suffix: of the file's name. Raises SceneError and RecordError."""
+    from dem_jax.scene import load_scene, parse_setting
+    from dem_jax.store.record import check_target
+
+    changes = dict(parse_setting(text) for text in args.settings)
+    if args.duration is not None:
+        changes["run.duration"] = args.duration
+    scene = load_scene(args.scene, changes)
+    out = Path(args.out or f"{scene.name}{suffix}.h5")
+    check_target(out, args.overwrite)
+    return scene, out
+
+
+def finish(done: "Run", out: Path, args: Args) -> None:
+    """Draw the figure and print the summary."""
+    from dem_jax.show.summary import summary
+
+    files = [out]
+    if not args.no_plot and done.force:
+        from dem_jax.show.plot import plot_run
+
+        files.append(plot_run(done, out.with_suffix(".png")))
+    for line in summary(done):
+        print(line)
+    print(f"wrote {', '.join(map(str, files))}")
+
+
+def use_cache() -> None:
+    """Keep compiled programs in the user's cache folder, so that a second start need not compile.
+
+    JAX_COMPILATION_CACHE_DIR names another folder.
+    """
+    import jax
+
+    if not jax.config.jax_compilation_cache_dir:  # type: ignore[attr-defined]
+        base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+        jax.config.update("jax_compilation_cache_dir", str(Path(base) / "dem_jax" / "jax"))
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+        jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)

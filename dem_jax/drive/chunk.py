@@ -1,0 +1,60 @@
+"""A chunk: the samples that a compiled program computes at once, and what it makes of them."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from dem_jax.types import Sample, State, System
+
+SAMPLES = 1024  # capacity of a chunk: one for all scenes, so that they share compiled programs
+FRAMES = 64  # as well, of scenes with frames
+
+
+@dataclass
+class Clock:
+    """What a job took so far (s)."""
+
+    compile: float = 0.0
+    start: float = field(default_factory=time.perf_counter)  # by the clock
+
+
+class Times(NamedTuple):
+    """How long a chunk is, in samples, int32: may change without compiling again."""
+
+    length: np.int32
+    every: np.int32  # samples between frames
+    phase: np.int32  # samples since the last frame
+
+
+class Computed(NamedTuple):
+    """What a chunk ends with; of an ensemble with a leading run axis."""
+
+    state: State  # on the device
+    samples: Sample  # numpy [.., SAMPLES]
+    poses: np.ndarray  # [.., frames, 13, N]
+
+
+class Known(NamedTuple):
+    """What an ensemble's chunk need not compute again."""
+
+    stands: np.ndarray  # [runs] bool: whether a run outgrew nothing
+    results: Computed  # of all runs; the state with the room that the others need
+
+
+class Chunk(NamedTuple):
+    """What is to be computed."""
+
+    system: System
+    state: State
+    times: Times
+    frames: int  # FRAMES, or 0
+    double: bool  # precision
+    clock: Clock
+    compiling: Callable[[], None]  # called before a program is compiled
+    known: Known | None  # of an ensemble
+
+
+Way = Callable[[Chunk], Computed]  # how chunks are computed, see execute

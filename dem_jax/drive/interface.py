@@ -1,0 +1,109 @@
+"""The interface of Python: simulate a scene, an ensemble of it, or go on with a file."""
+
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jax
+
+from dem_jax.drive import hosts, loop, recorded, restart, target
+from dem_jax.drive.job import Job
+from dem_jax.drive.prepare import prepare
+from dem_jax.errors import RecordError, SceneError
+from dem_jax.scene import Scene, parse
+from dem_jax.store import record
+
+FileName = str | Path
+
+
+def simulate(
+    scene: Scene | FileName, seed: int = 0, out: FileName | None = None, overwrite: bool = False, progress: bool = False
+) -> record.Run:
+    """Run a scene and return what was sampled.
+
+    scene: a Scene, or what ``load_scene`` takes. seed: of a portion's arrangement. out: HDF5 file that is written as
+    the run goes; an existing one is an error unless overwrite. progress: show a bar on stderr.
+    Raises SceneError for a scene that cannot be used, RecordError for a file that cannot be written, SimulationError
+    (with what was computed before saved, or as its ``run``) for a run that went wrong.
+    """
+    return drive(prepare(scene, (seed,), None), out, overwrite, progress)
+
+
+def ensemble(
+    scene: Scene | FileName,
+    runs: int = 64,
+    seed: int = 0,
+    out: FileName | None = None,
+    overwrite: bool = False,
+    progress: bool = False,
+) -> record.Run:
+    """Run a scene with the seeds seed, seed + 1, ..., seed + runs - 1; every series has a leading run axis.
+
+    The runs share one system and one compiled program. On a CPU each has a thread to itself, on all cores, and the bits that
+    it has alone; sixteen or more runs of few pieces (``joined``) are computed sixteen at a time, in half of the time or less,
+    and each has the same bits in any such ensemble. Elsewhere runs are stepped together by ``jax.vmap``, shared out among as
+    many of JAX's devices as divide their number. Those and these equal single runs up to rounding, which contacts amplify in
+    time. A scene whose pieces are listed one by one has nothing that a seed could change: its runs are alike. If one run
+    fails, all stop; with ``run.until_settled`` they are released, and end, when all are settled.
+
+    Where ``jax.distributed`` was initialised, all processes must call this with the same arguments: each computes its
+    share of the runs on its own devices, the first writes the file, and all return the whole ensemble or raise the same.
+    Arguments and errors as ``simulate``.
+    """
+    seeds = tuple(range(int(seed), int(seed) + int(runs)))
+    with hosts.together():
+        return drive(prepare(scene, seeds, len(seeds)), out, overwrite, progress)
+
+
+def resume(path: FileName, duration: float | None = None, progress: bool = False) -> record.Run:
+    """Go on with the run in a file, to its end or to another duration (s); the bits are those of an uninterrupted run.
+
+    A run that ended because all was settled is at its end.
+    Raises RecordError for a file that cannot be gone on from, SceneError for a duration that is already exceeded.
+    """
+    header, arrays, samples, frames = record.load_restart(path)
+    scene = parse(header.scene, path)
+    if duration is not None:
+        scene = scene.replace({"run.duration": duration})
+    with hosts.together(header.run_count is not None):
+        seeds = (header.seed,) if header.run_count is None else header.seed
+        job = prepare(scene, seeds, header.run_count)
+        if samples > job.samples:
+            held = f"allowed: at least {samples * scene.run.sample:g} s, which {path} holds"
+            raise SceneError(f"duration = {scene.run.duration:g}: {held}")
+        job = _gone_on(job, path, header, arrays, samples, frames)
+        if samples == job.samples or "settled" in header.info:
+            return record.load_run(path)
+        writer = partial(record.Writer.resume, path, scene=scene.to_toml())
+        return _into_file(job, path, writer, progress)
+
+
+def drive(job: Job, out: FileName | None = None, overwrite: bool = False, progress: bool = False) -> record.Run:
+    """Run a job from its beginning, into a file or into memory. Arguments and errors as ``simulate``."""
+    with hosts.together(job.shared):
+        if out is None:
+            memory = target.Memory(recorded.header_of(job))
+            loop.run(job, memory, progress)
+            return memory.run()
+        hosts.by_first(partial(record.check_target, out, overwrite), job.shared)
+        return _into_file(job, out, partial(record.Writer.create, out, recorded.header_of(job), overwrite), progress)
+
+
+def _gone_on(job: Job, path: FileName, header: record.Header, arrays: dict[str, Any], samples: int, frames: int) -> Job:
+    """The job at the state of a file's restart arrays; samples, frames: how many the file holds. Raises RecordError."""
+    with jax.enable_x64(job.double):
+        try:
+            system, state = restart.unpack(job.system, job.state, arrays)
+        except RecordError as error:
+            raise RecordError(f"{path}: {error}") from error
+        notes, slow = tuple(header.info.get("notes", ())), bool(arrays.get("slow", True))
+    return replace(job, system=system, state=state, samples_kept=samples, frames_kept=frames, notes=notes, slow=slow)
+
+
+def _into_file(job: Job, path: FileName, writer: target.MakeWriter, progress: bool) -> record.Run:
+    """Run into a file; writer: makes what writes it, once there is something to write."""
+    with target.File(path, writer if job.writes else target.Nowhere) as file:
+        loop.run(job, file, progress)
+        hosts.by_first(file.flush, job.shared)
+    return hosts.by_first(partial(record.load_run, path), job.shared)

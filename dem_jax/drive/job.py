@@ -1,0 +1,87 @@
+"""A run, or an ensemble, that is set up."""
+
+from dataclasses import dataclass, field
+
+from dem_jax import build
+from dem_jax.drive import hosts, settled
+from dem_jax.drive.chunk import FRAMES, SAMPLES, Clock, Way
+from dem_jax.scene import Scene
+from dem_jax.types import State, System
+
+CHUNK_TIME = 8.0  # s that a chunk should take on one core, by this estimate of a step and, in it, of each body (s):
+STEP_TIME, BODY_TIME = 5e-6, 0.3e-6  # pieces in flight take less, packed ones up to five times as long
+
+
+@dataclass(frozen=True)
+class Job:
+    """A run that is set up; of an ensemble, state has a leading run axis. Counts are in samples from the release."""
+
+    scene: Scene
+    seeds: tuple[int, ...]
+    runs: int | None  # of an ensemble
+    built: build.Built
+    system: System
+    state: State
+    way: Way  # how its chunks are computed
+    rule: settled.Rule | None = None  # of run.until_settled
+    samples_kept: int = 0  # already in the file
+    frames_kept: int = 0
+    notes: tuple[str, ...] = ()  # already in the file
+    slow: bool = True  # all since the rule was last looked at
+    clock: Clock = field(default_factory=Clock)
+
+    @property
+    def shared(self) -> bool:
+        """Whether several processes compute it."""
+        return self.runs is not None and hosts.several()
+
+    @property
+    def writes(self) -> bool:
+        """Whether this process has the file and shows progress: of several that share an ensemble the first."""
+        return not self.shared or hosts.is_first()
+
+    @property
+    def double(self) -> bool:
+        """Whether in double precision."""
+        return self.scene.run.precision == "f64"
+
+    @property
+    def samples(self) -> int:
+        """Where the run ends."""
+        return self.built.samples
+
+    @property
+    def every(self) -> int:
+        """Samples between frames; 0: none."""
+        return self.built.frame_every
+
+    @property
+    def frame_capacity(self) -> int:
+        """Of a chunk."""
+        return FRAMES if self.every else 0
+
+    @property
+    def steps_per_sample(self) -> int:
+        """Time steps of a sample interval."""
+        return self.built.step.substeps
+
+    @property
+    def stride(self) -> int:
+        """Samples per chunk, a multiple of the samples between rebuilds: a rebuild at its start is due anyway."""
+        block = samples_per_block(self.system)
+        bodies = self.state.position.shape[-1] * (self.runs or 1)
+        wanted = CHUNK_TIME / (self.steps_per_sample * (STEP_TIME + BODY_TIME * bodies))
+        room = min(SAMPLES, (FRAMES - 1) * self.every + 1) if self.every else SAMPLES
+        return max(1, int(min(wanted, room)) // block) * block
+
+    def chunk_end(self, at: int) -> int:
+        """Where the chunk that begins at a sample ends, in every run of the scene, however long."""
+        end = at + self.stride if at >= 0 else min(at + self.stride, 0)
+        if self.rule is None or at < self.rule.start:
+            return end
+        return min(end, self.rule.next_look(at))
+
+
+def samples_per_block(system: System) -> int:
+    """Samples between rebuilds of the candidate pairs."""
+    return max(1, system.block_steps // int(system.substeps))

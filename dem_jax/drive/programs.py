@@ -1,0 +1,46 @@
+"""Compiled chunks, kept for as long as the process lives."""
+
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import jax
+import numpy as np
+from jax.sharding import Mesh, PartitionSpec
+
+from dem_jax import compiling
+from dem_jax.drive.chunk import SAMPLES, Chunk
+from dem_jax.types import State, System
+
+KEPT: dict[Any, Callable[..., Any]] = {}  # by the form of their arguments
+
+RunChunk = Callable[..., Any]  # such as stepping.run_chunk
+
+
+def program(chunk: Chunk, run_chunk: RunChunk, mesh: Mesh | None = None) -> Callable[..., Any]:
+    """The compiled program of a chunk: of (system, state, count, every, phase), as ``run_chunk``; mesh: of devices, among
+    which the runs of an ensemble are shared out."""
+    arguments = chunk.system, chunk.state, *chunk.times
+    leaves, structure = jax.tree.flatten(arguments)
+    key = structure, tuple((np.shape(x), str(x.dtype)) for x in leaves), run_chunk, mesh, chunk.frames
+    if key not in KEPT:
+        chunk.compiling()
+        start = time.perf_counter()
+        one = partial(_chunk, run_chunk, chunk.frames)
+        function = one if mesh is None else _shared_out(one, mesh)
+        KEPT[key] = compiling.jit(function, jax.default_backend()).lower(*arguments).compile()
+        chunk.clock.compile += time.perf_counter() - start
+    return KEPT[key]
+
+
+def _chunk(run_chunk: RunChunk, frames: int, system: System, state: State, count: Any, every: Any, phase: Any) -> Any:
+    return run_chunk(system, state, count, every, SAMPLES, frames, phase)
+
+
+def _shared_out(function: RunChunk, mesh: Mesh) -> RunChunk:
+    """The function of runs side by side, as many on each device."""
+    same, each = PartitionSpec(), PartitionSpec("runs")
+    function = jax.vmap(function, in_axes=(None, 0, None, None, None))
+    sides = same, each, same, same, same
+    return jax.shard_map(function, mesh=mesh, in_specs=sides, out_specs=each, check_vma=False)

@@ -1,0 +1,86 @@
+"""What the file says of a job, and what a span adds to it: series, poses, facts, and the state to go on from."""
+
+from typing import Any
+
+import jax
+import numpy as np
+
+from dem_jax.drive import restart
+from dem_jax.drive.job import Job
+from dem_jax.drive.span import Span
+from dem_jax.store import record, series
+
+
+def header_of(job: Job) -> record.Header:
+    """What the file says about the run."""
+    from dem_jax import __version__
+
+    step, scene = job.built.step, job.scene
+    return record.Header(
+        scene=scene.to_toml(),
+        seed=job.seeds[0] if job.runs is None else job.seeds,
+        dt=step.dt,
+        precision=scene.run.precision,
+        version=__version__,
+        sample=scene.run.sample,
+        gravity=scene.run.gravity,
+        groups=tuple(name for name, _ in job.system.walls.reports),
+        blocks=job.built.blocks,
+        piece_count=job.state.position.shape[-1],
+        run_count=job.runs,
+        info={"step": str(step), "critical_step": step.critical, "stable_step": step.stable, "limit": step.limit},
+    )
+
+
+def rows_of(job: Job, span: Span, count: int) -> tuple[dict[str, Any], dict[str, Any] | None]:
+    """Series and poses of the first samples of a span that are not in the file yet, as Writer.append takes them."""
+    if span.first < 0:
+        return {}, None
+    run_axis: tuple[Any, ...] = () if job.runs is None else (slice(None),)
+    old = min(max(0, job.samples_kept - span.first), count)
+    number = np.arange(span.first + old, span.first + count)
+    rows = jax.tree.map(lambda x: x[(*run_axis, slice(old, count))], span.samples)
+    samples = series.of_samples(span.system, job.built.blocks, rows, (number + 1) * job.scene.run.sample)
+    return samples if len(number) else {}, _frames_of(job, span, count, run_axis)
+
+
+def _frames_of(job: Job, span: Span, count: int, run_axis: tuple[Any, ...]) -> dict[str, Any] | None:
+    """Poses of the frames that a span ended and that are not in the file yet; that of the release is number 0."""
+    if not job.every:
+        return None
+    before = span.first // job.every
+    number = np.arange(before + 1, (span.first + count) // job.every + 1)
+    poses = span.poses[(*run_axis, slice(0, len(number)))]
+    if span.first == 0:
+        release = series.pose_of(span.system, span.start)
+        number, poses = np.append(0, number), np.concatenate([np.expand_dims(release, -3), poses], axis=-3)
+    new = number >= job.frames_kept
+    poses = poses[(*run_axis, new)]
+    time_of = number[new] * (job.every * job.scene.run.sample)
+    return series.of_poses(poses, job.built.frames, time_of) if new.any() else None
+
+
+def facts_of(job: Job, span: Span, notes: list[str]) -> dict[str, Any]:
+    """What a span adds to the file's info: ``settled`` (s), the end of a run that ended early; ``settling`` (s), how
+    long a portion settled if that was cut short."""
+    facts: dict[str, Any] = {"notes": notes} if notes else {}
+    if span.settled and span.first >= 0:
+        facts["settled"] = span.end * job.scene.run.sample
+    elif span.settled and job.rule is not None:
+        facts["settling"] = (span.end - job.rule.start) * job.scene.run.sample
+    return facts
+
+
+def restart_of(job: Job, span: Span) -> dict[str, np.ndarray] | None:
+    """The state to go on from after a span, or None for that of the span before.
+
+    Only at the end of a whole chunk, or at its beginning if it is the first: there every run of the scene, however
+    long, begins a chunk, which is why going on gives the same bits.
+    """
+    if span.end == job.chunk_end(span.first):
+        state, slow = span.state, span.slow
+    elif span.first * job.steps_per_sample == int(np.max(job.state.step)):
+        state, slow = span.start, job.slow
+    else:
+        return None
+    return restart.pack(span.system, state) | ({"slow": np.array(slow)} if job.rule else {})
