@@ -57,18 +57,32 @@ def after_step(system: System, step) -> Panels:
     return panels(system.walls, time, time - 0.5 * system.dt)
 
 
-def schedule(system: System, step, count: int) -> Panels:
-    """The panels after each of the ``count`` steps that follow a step: arrays with a leading axis [count].
+def at_rebuild(system: System, step) -> Panels:
+    """The panels at the end of a step, with their velocities then."""
+    time = system.dt * step.astype(system.dt.dtype)
+    return panels(system.walls, time, time)
+
+
+class Ahead(NamedTuple):
+    """Where the panels are at a rebuild and until the next."""
+
+    now: Panels
+    after: Panels  # each of the steps that follow: arrays with a leading axis [count], unless all walls rest
+
+
+def ahead(system: System, step, count: int) -> Ahead:
+    """The panels at a step and after each of the ``count`` steps that follow.
 
     All at once: where the flaps are would take a step of few pieces a third of its time.
     """
+    now = at_rebuild(system, step)
     if not system.walls.moving:
-        return after_step(system, step)
-    return jax.vmap(lambda ahead: after_step(system, step + ahead))(jnp.arange(1, count + 1, dtype=jnp.int32))
+        return Ahead(now, now)
+    return Ahead(now, jax.vmap(lambda k: after_step(system, step + k))(jnp.arange(1, count + 1, dtype=jnp.int32)))
 
 
-def scheduled(system: System, schedule: Panels, index) -> Panels:
-    """The panels of a schedule at an index; not a number beyond its end."""
+def after(system: System, of: Ahead, steps) -> Panels:
+    """The panels so many steps after the rebuild, at least one; not a number beyond the last."""
     if not system.walls.moving:
-        return schedule
-    return jax.tree.map(lambda rows: rows.at[index].get(mode="fill", fill_value=jnp.nan), schedule)
+        return of.after
+    return jax.tree.map(lambda rows: rows.at[steps - 1].get(mode="fill", fill_value=jnp.nan), of.after)

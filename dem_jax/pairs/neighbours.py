@@ -17,7 +17,7 @@ from dem_jax.maths import rotation, vector
 from dem_jax.maths.compaction import EMPTY, compact, grouped, in_order
 from dem_jax.pairs import search
 from dem_jax.pairs.slots import constants
-from dem_jax.types import ContactTable, Guard, Memory, Scratch, Slots, State, System
+from dem_jax.types import Array, ContactTable, Guard, Memory, Scratch, Slots, State, System
 
 # Kinds of contact by what computes their geometry, each with slots of its own, and the sources of their pairs.
 # In the order of the alphabet, as JAX sorts the keys of a dict: ``incidence`` counts on one order everywhere.
@@ -28,9 +28,10 @@ SOURCES = {
 }
 
 
-def rebuild(system: System, state: State) -> State:
-    """Find the candidate pairs anew and carry the history of those that remain."""
-    panels = _panels_at(system, state.step)
+def rebuild(system: System, state: State, panels: boundary.Panels | None = None) -> State:
+    """Find the candidate pairs anew and carry the history of those that remain. panels: boundary.at_rebuild, if known."""
+    if panels is None:
+        panels = boundary.at_rebuild(system, state.step)
     stacked = bodies.stack(system, state, jnp.zeros_like(state.velocity), panels)
     lead = _interval(system) * _pace(system, state, panels)
     reach = system.skin + system.reach + lead
@@ -211,8 +212,10 @@ def _columns_of(system: System, owner):
     return jnp.where(rank < count[None], order[at], columns), jnp.max(count)
 
 
-def travel(system: System, state: State):
-    """The most that any two bodies of a run can have approached each other since the last rebuild (m).
+def travel(system: System, state: State, before: boundary.Panels, now: boundary.Panels) -> Array:
+    """The most that any two bodies of a run can have approached each other since the last rebuild, [R] (m).
+
+    before, now: the panels then and now.
 
     On a way of the length that present speeds give a body comes no further from where it was than half of that and of
     its displacement now; of both, those of the two bodies that went furthest.
@@ -222,10 +225,8 @@ def travel(system: System, state: State):
     if system.has_hulls:
         turn = rotation.multiply(tuple(state.orientation), rotation.conjugate(tuple(orientation)))
         way = way + 2 * vector.norm(turn[1:]) * system.pieces.bounding_radius
-    now = _panels_at(system, state.step)
     of_walls = None
     if system.walls.moving:
-        before = _panels_at(system, state.scratch.since)
         turn = vector.sub(now.rotation[0], before.rotation[0]), vector.sub(now.rotation[1], before.rotation[1])
         turned = jnp.sqrt(vector.dot(turn[0], turn[0]) + vector.dot(turn[1], turn[1]))
         of_walls = vector.norm(vector.sub(now.centre, before.centre)) + turned * vector.norm(tuple(system.walls.half_extent))
@@ -255,11 +256,6 @@ def _of_two(system: System, pieces, walls):
 def _interval(system: System):
     """Longest time between rebuilds (s)."""
     return system.dt * system.block_steps
-
-
-def _panels_at(system: System, step) -> boundary.Panels:
-    time = system.dt * step.astype(system.dt.dtype)
-    return boundary.panels(system.walls, time, time)
 
 
 def empty_guard(system: System, dtype) -> Guard:

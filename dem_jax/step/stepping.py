@@ -62,17 +62,17 @@ def chunk_of_runs(system: System, state: State, count, frame_every, samples: int
         state, recorded, poses, done = carry
         state, walls = _look_around(system, state)
         end = jnp.minimum(done + jnp.maximum(system.block_steps // system.substeps, 1), count)
-        carry = state, recorded, poses, done
-        state, recorded, poses, _ = jax.lax.fori_loop(done, end, partial(one, walls), carry)
-        return _seen(system, state), recorded, poses, end
+        carry = (state, walls), recorded, poses, done
+        (state, walls), recorded, poses, _ = jax.lax.fori_loop(done, end, one, carry)
+        return _seen(system, state, walls), recorded, poses, end
 
-    def one(walls, _, carry):
-        state, recorded, poses, done = carry
-        state, sample = _one_sample(system, system.substeps, state, walls)
+    def one(_, carry):
+        now, recorded, poses, done = carry
+        now, sample = _one_sample(system, system.substeps, *now)
         recorded = jax.tree.map(lambda rows, row: rows.at[done].set(row), recorded, sample)
         if frames:
-            poses = poses.at[jnp.minimum((done + phase) // frame_every, frames - 1)].set(measure.frame(system, state))
-        return state, recorded, poses, done + 1
+            poses = poses.at[jnp.minimum((done + phase) // frame_every, frames - 1)].set(measure.frame(system, now[0]))
+        return now, recorded, poses, done + 1
 
     start = (state, recorded, poses, jnp.zeros((), jnp.int32))
     state, recorded, poses, _ = jax.lax.while_loop(lambda carry: carry[3] < count, block, start)
@@ -89,35 +89,36 @@ def rollout(system: System, state: State, samples: int, substeps: int) -> tuple[
     system = system.replace(substeps=jnp.full_like(system.substeps, substeps), block_steps=block * substeps)
 
     def body(state, _):
-        state, walls = _look_around(system, state)
-        one = lambda state, _: _one_sample(system, substeps, state, walls)  # noqa: E731
-        state, recorded = jax.lax.scan(one, state, None, length=block)
-        return _seen(system, state), recorded
+        one = lambda now, _: _one_sample(system, substeps, *now)  # noqa: E731
+        now, recorded = jax.lax.scan(one, _look_around(system, state), None, length=block)
+        return _seen(system, *now), recorded
 
     blocks = -(-samples // block)
     state, recorded = jax.lax.scan(body, state, None, length=blocks)
     return state, of_single(jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:samples], recorded))
 
 
-def _look_around(system: System, state: State) -> tuple[State, boundary.Panels]:
+def _look_around(system: System, state: State) -> tuple[State, boundary.Ahead]:
     """Find the candidate pairs anew, and where the walls will be after each step until the next rebuild."""
-    return neighbours.rebuild(system, state), boundary.schedule(system, state.step, system.block_steps)
+    walls = boundary.ahead(system, state.step, system.block_steps)
+    return neighbours.rebuild(system, state, walls.now), walls
 
 
-def _one_sample(system: System, substeps, state: State, walls: boundary.Panels) -> tuple[State, Sample]:
-    """Advance by one sample interval. substeps: an int (differentiable) or an array (not compiled anew for another)."""
+def _one_sample(system: System, substeps, state: State, walls: boundary.Ahead):
+    """Advance by one sample interval: ((state, walls since its last rebuild), sample). substeps: an int (differentiable) or an
+    array (not compiled anew for another)."""
     state = _advance_by(system, substeps, state.replace(ledger=ledger.new_interval(state.ledger)), walls)
 
-    def another_part(state, _):
-        state, walls = _look_around(system, _seen(system, state))
-        return _advance_by(system, substeps, state, walls), None
+    def another_part(carry, _):
+        state, walls = _look_around(system, _seen(system, *carry))
+        return (_advance_by(system, substeps, state, walls), walls), None
 
     if system.parts > 1:
-        state, _ = jax.lax.scan(another_part, state, None, length=system.parts - 1)
-    return state, measure.sample(system, state)
+        (state, walls), _ = jax.lax.scan(another_part, (state, walls), None, length=system.parts - 1)
+    return (state, walls), measure.sample(system, state)
 
 
-def _advance_by(system: System, substeps, state: State, walls: boundary.Panels) -> State:
+def _advance_by(system: System, substeps, state: State, walls: boundary.Ahead) -> State:
     """``substeps`` steps; without looking at contacts, and in one jump, where nothing is near anything."""
     if not system.slot_block:
         return _steps(system, substeps, state, walls)
@@ -126,16 +127,18 @@ def _advance_by(system: System, substeps, state: State, walls: boundary.Panels) 
     return of_run.either(system, near, step, lambda s: integrate.flight(system, s, substeps), state)
 
 
-def _steps(system: System, substeps, state: State, walls: boundary.Panels) -> State:
+def _steps(system: System, substeps, state: State, walls: boundary.Ahead) -> State:
     def one(state):
-        return advance(system, state, boundary.scheduled(system, walls, state.step - state.scratch.since))
+        return advance(system, state, boundary.after(system, walls, state.step - state.scratch.since + 1))
 
     if isinstance(substeps, int):
         return jax.lax.scan(lambda state, _: (one(state), None), state, None, length=substeps)[0]
     return jax.lax.fori_loop(0, substeps, lambda _, state: one(state), state)
 
 
-def _seen(system: System, state: State) -> State:
+def _seen(system: System, state: State, walls: boundary.Ahead) -> State:
     """Note how far bodies have moved since the last rebuild, beyond what their speeds made expect."""
-    travel = jnp.maximum(state.guard.travel, jnp.max(neighbours.travel(system, state) - state.scratch.lead))
+    now = boundary.after(system, walls, state.step - state.scratch.since)
+    beyond = jnp.max(neighbours.travel(system, state, walls.now, now) - state.scratch.lead)
+    travel = jnp.maximum(state.guard.travel, beyond)
     return state.replace(guard=state.guard.replace(travel=travel))

@@ -11,6 +11,7 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from dem_jax import build
+from dem_jax.contact import boundary
 from dem_jax.pairs import guard, neighbours, search
 from dem_jax.scene import Scene
 from dem_jax.step import stepping
@@ -236,7 +237,8 @@ def test_travel_bounds_how_far_bodies_have_approached_each_other(marshmallows):
     """Random motions of all pieces after a rebuild: no gap has shrunk by more, so no pair within it was missed."""
     made, system, state, rebuild = marshmallows
     random = np.random.default_rng(5)
-    travel = jax.jit(partial(neighbours.travel, system))
+    panels = boundary.at_rebuild(system, state.step)
+    travel = jax.jit(lambda state: neighbours.travel(system, state, panels, panels))
     place, orientation = poses("random", random, COUNT, 0.09)
     start = rebuild(placed(state, place, orientation))
     solid = corners(made, place, orientation)
