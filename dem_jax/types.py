@@ -6,7 +6,7 @@ system whose runs do not see each other: N counts the pieces of all, and what th
 """
 
 import dataclasses
-from typing import Any, NamedTuple, Self, TypeVar, dataclass_transform
+from typing import TYPE_CHECKING, Any, NamedTuple, Self, TypeVar, dataclass_transform
 
 import jax
 import jax.numpy as jnp
@@ -24,16 +24,19 @@ def static() -> Any:
 
 @dataclass_transform(frozen_default=True, field_specifiers=(static,))
 def pytree(cls: type[T]) -> type[T]:
-    """Make a frozen dataclass that JAX sees as a tree of its fields, the ``static`` ones as part of its structure."""
-    return jax.tree_util.register_dataclass(dataclasses.dataclass(frozen=True)(cls))
+    """Make a frozen dataclass that JAX sees as a tree of its fields, the ``static`` ones as part of its structure; its method
+    ``replace(**changes)`` gives the same but for the changes."""
+    cls = dataclasses.dataclass(frozen=True)(cls)
+    cls.replace = dataclasses.replace  # type: ignore[attr-defined]
+    return jax.tree_util.register_dataclass(cls)
 
 
 class Tree:
-    """What the trees here can do."""
+    """For type checkers, which do not see that ``pytree`` gives a class a method."""
 
-    def replace(self, **changes: Any) -> Self:
-        """The same but for ``changes``."""
-        return dataclasses.replace(self, **changes)  # type: ignore[type-var]
+    if TYPE_CHECKING:
+
+        def replace(self, **changes: Any) -> Self: ...
 
 
 @pytree
