@@ -328,3 +328,31 @@ def test_an_error_in_a_function_says_in_which():
     with pytest.raises(AttributeError, match="height") as caught:
         computed("f64", None, quantities=(own,))
     assert "in the function of the quantity 'own'" in caught.value.__notes__
+
+
+# --- one by one ---
+
+
+@pytest.mark.parametrize("runs", [None, JOINED])
+def test_contacts_are_those_that_the_poses_show(runs):
+    """Spheres: a contact is a distance below that of touch. The floor rests here; two balls meet on it, one hits a wall."""
+    radius = 0.012
+    pieces = [
+        {"position": (x, 0.0, z), "velocity": (v, 0.0, -0.1), "shape": "sphere", "radius": radius}
+        for x, z, v in ((0.086, 0.0122, 0.5), (0.0, 0.0121, 0.4), (0.0252, 0.0123, -0.4), (-0.05, 0.05, 0.0))
+    ]
+    made = scene(samples=300, frames=SAMPLE).replace(motion=[], piece=pieces)
+    run = dem_jax.simulate(made) if runs is None else dem_jax.ensemble(made, runs=runs)
+    position = run.pieces.position[..., 1:, :, :]
+    first, second = np.triu_indices(4, 1)
+    apart = np.linalg.norm(position[..., first, :] - position[..., second, :], axis=-1)
+    wanted = {
+        "floor": (position[..., 2] < radius).sum(axis=-1),
+        "side": (SIZE - position[..., 0] < radius).sum(axis=-1),
+        "between_pieces": (apart < 2 * radius).sum(axis=-1),
+    }
+    assert run.contacts.keys() == wanted.keys()
+    for name, count in wanted.items():
+        np.testing.assert_array_equal(run.contacts[name], count, err_msg=name)
+    most = {name: count.max() for name, count in wanted.items()}
+    assert most == {"floor": 3, "side": 1, "between_pieces": 1} and all(count.min() == 0 for count in wanted.values())
