@@ -15,6 +15,7 @@ _HOME = {
     "simulate": "drive.interface",
     "resume": "drive.interface",
     "ensemble": "drive.interface",
+    "Quantity": "step.quantity",
     "Run": "store.record",
     "load_run": "store.record",
     "SceneError": "errors",

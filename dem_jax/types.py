@@ -157,6 +157,8 @@ class System(Tree):
     block_steps: int = static()  # most steps between rebuilds of the pairs; one comes before the sample that exceeds it
     slot_block: int = static()  # contacts are computed so many at a time, at most; 0: all slots at once
     runs: int = static()  # R, how many runs this is, side by side; they do not see each other
+    blocks: tuple = static()  # names of the B blocks
+    quantities: tuple = static()  # step.quantity.Quantity of all that is sampled
 
 
 @pytree
@@ -280,23 +282,22 @@ class State(Tree):
         return self.replace(motion=self.motion.replace(**fields))
 
 
-@pytree
-class Sample(Tree):
-    """What is read of each run at the end of a sample interval."""
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Sample:
+    """What is read of each run at the end of a sample interval: the quantities of a System, each an attribute too."""
 
-    step: Array  # int32
-    force: Array  # [3, G, R] (N): of the pieces on each wall group, instantaneous
-    mean_force: Array  # [3, G, R] (N): mean over the interval; closes the momentum balance
-    torque: Array  # [3, G, R] (N m): instantaneous, about the group's pivot
-    settled_mass: Array  # [B, R] (kg): inside the block and slower than 0.1 m/s
-    energy: Array  # [6, R] (J): kinetic, potential, elastic, dissipated, wall_work, total (conserved)
-    momentum: Array  # [3, R] (kg m/s)
-    overlap: Array  # [R] (-): largest overlap of the interval relative to the width of the piece
-    fastest: Array  # [R] (m/s): fastest piece in the domain
-    culprit: Array  # [R] int32: first piece that is not finite or has left the domain; -1: none
+    values: dict[str, Array]  # name of the quantity -> [its axes, the last one first, R]
 
+    def __getattr__(self, name: str) -> Array:
+        values = self.__dict__.get("values", {})  # not there while it is unpickled
+        if name not in values:
+            raise AttributeError(f"a sample has no {name!r}; it has: {', '.join(values)}")
+        return values[name]
 
-ENERGIES = ("kinetic", "potential", "elastic", "dissipated", "wall_work", "total")
+    def replace(self, **values: Array) -> "Sample":
+        """With other values of some quantities."""
+        return Sample(self.values | values)
 
 
 def float_dtype(precision: str) -> Any:

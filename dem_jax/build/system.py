@@ -18,6 +18,7 @@ from dem_jax.contact import hulls, motion
 from dem_jax.contact.law import ContactLaw
 from dem_jax.errors import SceneError
 from dem_jax.scene import Scene
+from dem_jax.step.quantities import QUANTITIES
 from dem_jax.types import State, System, float_dtype
 
 SKIN = 0.03  # of the width of the narrowest piece: see pairs.neighbours
@@ -35,7 +36,6 @@ class Built:
     settling_steps: int  # steps before time zero
     samples: int  # to be run
     frame_every: int  # samples between stored frames; 0: none
-    blocks: tuple  # names of the blocks
     regions: list  # boxes (low [3], high [3]) (m) in which pieces are scattered: of the feed bucket, of the feeder
     numbers: tuple  # pieces in each of these boxes; () of pieces listed one by one
 
@@ -96,13 +96,14 @@ def build(scene: Scene, seed: int = 0, law: ContactLaw | None = None) -> Built:
         block_steps=block_steps(scene),
         slot_block=0,
         runs=1,
+        blocks=tuple(b.name for b in blocks),
+        quantities=QUANTITIES,
     )
     only_spheres = not polytopes
     system = system.replace(has_rotation=not only_spheres or materials.friction is not None or bool(np.any(start.spin)))
     frames = np.array([m.principal for m in made])
     state = first_state(system, start, frames, -settling)
-    names = tuple(b.name for b in blocks)
-    return Built(system, state, step, tuple(made), frames, settling, samples, frame_every, names, regions, goods.numbers)
+    return Built(system, state, step, tuple(made), frames, settling, samples, frame_every, regions, goods.numbers)
 
 
 def self_contained(scene: Scene) -> Scene:

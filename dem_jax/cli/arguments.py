@@ -11,7 +11,13 @@ Commands = Any  # argparse's own type of what add_subparsers returns is private
 
 
 class Parser(argparse.ArgumentParser):
-    """Says what is wrong in one line."""
+    """Says what is wrong in one line; its help ends with ``more``, which is computed when it is asked for."""
+
+    more: Callable[[], str] | None = None
+
+    def format_help(self) -> str:
+        """The help."""
+        return super().format_help() + (f"\n{self.more()}" if self.more else "")
 
     def error(self, message: str) -> NoReturn:
         """Exit with code 2."""
@@ -28,6 +34,14 @@ def command(commands: Commands, name: str, action: Callable[[Args], None], text:
     made = commands.add_parser(name, help=text, description=text)
     made.set_defaults(action=action)
     return made
+
+
+def quantities() -> str:
+    """A table of what is sampled."""
+    from dem_jax.step.quantities import QUANTITIES
+    from dem_jax.step.quantity import listed
+
+    return listed(QUANTITIES)
 
 
 def positive(text: str) -> int:

@@ -3,13 +3,14 @@
 from pathlib import Path
 
 from dem_jax.cli import simulating
-from dem_jax.cli.arguments import Args, Commands, command
+from dem_jax.cli.arguments import Args, Commands, command, quantities
 from dem_jax.errors import SceneError
 
 
 def add(commands: Commands) -> None:
     """Add the command to the parser."""
     made = command(commands, "run", run, "Simulate a scene: an HDF5 file, a figure and a summary.")
+    made.more = lambda: f"what the file holds, sampled each run.sample:\n{quantities()}"
     simulating.add_arguments(made, scene_optional=True)
     made.add_argument("--resume", metavar="FILE", help="go on with the run in a file instead of a scene")
 

@@ -1,18 +1,22 @@
 """python -m dem_jax scenes"""
 
-from dem_jax.cli.arguments import Args, Commands, command
+from dem_jax.cli.arguments import Args, Commands, command, quantities
 
 
 def add(commands: Commands) -> None:
     """Add the command to the parser."""
     made = command(commands, "scenes", scenes, "List the stock scenes, or print one with all its keys.")
     made.add_argument("name", nargs="?", metavar="SCENE", help="print this scene as TOML: every key, unit and value")
+    made.add_argument("--quantities", action="store_true", help="list what is sampled: name, unit, path in a file, meaning")
 
 
 def scenes(args: Args) -> None:
     """List the stock scenes, or print one."""
     from dem_jax.scene import described, load_scene, stock_scenes
 
+    if args.quantities:
+        print(quantities(), end="")
+        return
     if args.name:
         print(described(load_scene(args.name)), end="")
         return

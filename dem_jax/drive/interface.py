@@ -1,5 +1,6 @@
 """The interface of Python: simulate a scene, an ensemble of it, or go on with a file."""
 
+from collections.abc import Iterable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -12,22 +13,30 @@ from dem_jax.drive.job import Job
 from dem_jax.drive.prepare import prepare
 from dem_jax.errors import RecordError, SceneError
 from dem_jax.scene import Scene, parse
+from dem_jax.step.quantity import Quantity
 from dem_jax.store import record
 
 FileName = str | Path
 
 
 def simulate(
-    scene: Scene | FileName, seed: int = 0, out: FileName | None = None, overwrite: bool = False, progress: bool = False
+    scene: Scene | FileName,
+    seed: int = 0,
+    out: FileName | None = None,
+    overwrite: bool = False,
+    progress: bool = False,
+    quantities: Iterable[Quantity] = (),
 ) -> record.Run:
     """Run a scene and return what was sampled.
 
     scene: a Scene, or what ``load_scene`` takes. seed: of a portion's arrangement. out: HDF5 file that is written as
     the run goes; an existing one is an error unless overwrite. progress: show a bar on stderr.
+    quantities: to sample beside those of dem_jax.
     Raises SceneError for a scene that cannot be used, RecordError for a file that cannot be written, SimulationError
-    (with what was computed before saved, or as its ``run``) for a run that went wrong.
+    (with what was computed before saved, or as its ``run``) for a run that went wrong, ValueError for a quantity that does
+    not fit its axes.
     """
-    return drive(prepare(scene, (seed,), None), out, overwrite, progress)
+    return drive(prepare(scene, (seed,), None, quantities), out, overwrite, progress)
 
 
 def ensemble(
@@ -37,6 +46,7 @@ def ensemble(
     out: FileName | None = None,
     overwrite: bool = False,
     progress: bool = False,
+    quantities: Iterable[Quantity] = (),
 ) -> record.Run:
     """Run a scene with the seeds seed, seed + 1, ..., seed + runs - 1; every series has a leading run axis.
 
@@ -53,13 +63,15 @@ def ensemble(
     """
     seeds = tuple(range(int(seed), int(seed) + int(runs)))
     with hosts.together():
-        return drive(prepare(scene, seeds, len(seeds)), out, overwrite, progress)
+        return drive(prepare(scene, seeds, len(seeds), quantities), out, overwrite, progress)
 
 
-def resume(path: FileName, duration: float | None = None, progress: bool = False) -> record.Run:
+def resume(
+    path: FileName, duration: float | None = None, progress: bool = False, quantities: Iterable[Quantity] = ()
+) -> record.Run:
     """Go on with the run in a file, to its end or to another duration (s); the bits are those of an uninterrupted run.
 
-    A run that ended because all was settled is at its end.
+    A run that ended because all was settled is at its end. quantities: the same that the run was begun with.
     Raises RecordError for a file that cannot be gone on from, SceneError for a duration that is already exceeded.
     """
     header, arrays, samples, frames = record.load_restart(path)
@@ -67,8 +79,8 @@ def resume(path: FileName, duration: float | None = None, progress: bool = False
     if duration is not None:
         scene = scene.replace({"run.duration": duration})
     with hosts.together(header.run_count is not None):
-        seeds = (header.seed,) if header.run_count is None else header.seed
-        job = prepare(scene, seeds, header.run_count)
+        seeds = header.seed if isinstance(header.seed, tuple) else (header.seed,)
+        job = prepare(scene, seeds, header.run_count, quantities)
         if samples > job.samples:
             held = f"allowed: at least {samples * scene.run.sample:g} s, which {path} holds"
             raise SceneError(f"duration = {scene.run.duration:g}: {held}")
@@ -94,7 +106,7 @@ def _gone_on(job: Job, path: FileName, header: record.Header, arrays: dict[str, 
     """The job at the state of a file's restart arrays; samples, frames: how many the file holds. Raises RecordError."""
     with jax.enable_x64(job.double):
         try:
-            system, state = restart.unpack(job.system, job.state, arrays)
+            system, state = restart.unpack(restart.sampling(job.system, header), job.state, arrays)
         except RecordError as error:
             raise RecordError(f"{path}: {error}") from error
         notes, slow = tuple(header.info.get("notes", ())), bool(arrays.get("slow", True))

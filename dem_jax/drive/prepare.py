@@ -1,6 +1,6 @@
 """From a scene to a job."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import jax
@@ -11,17 +11,22 @@ from dem_jax import build, compiling
 from dem_jax.drive import execute, settled
 from dem_jax.drive.job import Job, samples_per_block
 from dem_jax.scene import Scene, load_scene
+from dem_jax.step.quantity import Quantity, checked
 
 SLOT_BLOCK = 64  # slots that a CPU computes at a time, at most: they stay in its cache
 
 
-def prepare(scene: Scene | str | Path, seeds: Sequence[int], runs: int | None) -> Job:
-    """Set up a run (runs: None) or an ensemble, one seed for each run. Raises SceneError."""
+def prepare(scene: Scene | str | Path, seeds: Sequence[int], runs: int | None, quantities: Iterable[Quantity] = ()) -> Job:
+    """Set up a run (runs: None) or an ensemble, one seed for each run. quantities: to sample beside those of dem_jax.
+
+    Raises SceneError, and ValueError for two quantities of one name.
+    """
     compiling.loops_as_one()
     scene = build.self_contained(scene if isinstance(scene, Scene) else load_scene(scene))
     with jax.enable_x64(scene.run.precision == "f64"):
         built = build.build(scene, int(seeds[0]))
-        system, state = built.system.replace(slot_block=slot_block()), built.state
+        sampled = checked((*built.system.quantities, *quantities))
+        system, state = built.system.replace(slot_block=slot_block(), quantities=sampled), built.state
         if runs is not None:
             states = [build.state_of_seed(scene, built, int(seed)) for seed in seeds]
             state = jax.tree.map(lambda *x: jnp.asarray(np.stack(x)), *states)

@@ -25,10 +25,11 @@ def header_of(job: Job) -> record.Header:
         sample=scene.run.sample,
         gravity=scene.run.gravity,
         groups=tuple(name for name, _ in job.system.walls.reports),
-        blocks=job.built.blocks,
+        blocks=job.system.blocks,
         piece_count=job.state.position.shape[-1],
         run_count=job.runs,
         info={"step": str(step), "critical_step": step.critical, "stable_step": step.stable, "limit": step.limit},
+        quantities=series.declared(job.system),
     )
 
 
@@ -40,7 +41,7 @@ def rows_of(job: Job, span: Span, count: int) -> tuple[dict[str, Any], dict[str,
     old = min(max(0, job.samples_kept - span.first), count)
     number = np.arange(span.first + old, span.first + count)
     rows = jax.tree.map(lambda x: x[(*run_axis, slice(old, count))], span.samples)
-    samples = series.of_samples(span.system, job.built.blocks, rows, (number + 1) * job.scene.run.sample)
+    samples = series.of_samples(span.system, rows, (number + 1) * job.scene.run.sample)
     return samples if len(number) else {}, _frames_of(job, span, count, run_axis)
 
 

@@ -3,6 +3,7 @@
 What the rebuild at the start of a chunk fills anew is left out.
 """
 
+from dataclasses import replace
 from typing import Any
 
 import jax
@@ -11,6 +12,9 @@ import numpy as np
 
 from dem_jax.errors import RecordError
 from dem_jax.pairs import guard
+from dem_jax.step.quantities import QUANTITIES
+from dem_jax.step.quantity import Quantity
+from dem_jax.store.header import Header, Stored
 from dem_jax.types import State, System
 
 
@@ -52,6 +56,31 @@ def unpack(system: System, state: State, arrays: dict[str, np.ndarray]) -> tuple
         leaves.append(jnp.asarray(array))
     kept = jax.tree.unflatten(structure, leaves)
     return system, kept.replace(scratch=state.scratch)
+
+
+def sampling(system: System, header: Header) -> System:
+    """The system that samples what a file holds; of the quantities of dem_jax, those that it does not hold are not kept.
+
+    Raises RecordError for quantities of a user's that the file does not hold, or that it does and the system does not, and
+    for one of another unit or of other axes.
+    """
+    held = {stored.name: stored for stored in header.held}
+    for lost in sorted(held.keys() - {quantity.name for quantity in system.quantities}):
+        raise RecordError(f"it holds the quantity {lost!r}, which dem_jax does not know; allowed: with it among quantities")
+    return system.replace(quantities=tuple(_as_held(quantity, held.get(quantity.name)) for quantity in system.quantities))
+
+
+def _as_held(quantity: Quantity, stored: Stored | None) -> Quantity:
+    """The quantity, kept only if a file holds it. Raises RecordError if it does not fit the file."""
+    if stored is None:
+        if quantity.kept and quantity not in QUANTITIES:
+            raise RecordError(f"it does not hold the quantity {quantity.name!r}; allowed: those that the run was begun with")
+        return replace(quantity, kept=False)
+    forms = (stored.unit, stored.axes), (quantity.unit, quantity.axis_names)
+    found, own = (f"in {unit!r} along {', '.join(axes) or 'no axis'}" for unit, axes in forms)
+    if found != own:
+        raise RecordError(f"it holds the quantity {quantity.name!r} {found}, not {own}")
+    return quantity
 
 
 def _leaves(state: State) -> tuple[list[tuple[str, Any]], Any]:

@@ -31,7 +31,6 @@ def run_chunk(system: System, states: State, count, frame_every, samples: int, f
     runs = states.step.shape[0]
     one = system_of(system, runs)
     state, recorded, poses = stepping.chunk_of_runs(one, joined(one, states), count, frame_every, samples, frames, phase)
-    recorded = recorded.replace(step=jnp.broadcast_to(recorded.step[:, None], (samples, runs)))
     poses = poses.reshape(frames, 13, states.position.shape[-1], runs)
     return split(system, states, state), *jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), (recorded, poses))
 

@@ -4,39 +4,38 @@ import jax.numpy as jnp
 
 from dem_jax.contact import forces, of_run
 from dem_jax.maths import rotation, vector
-from dem_jax.types import Sample, State, System
+from dem_jax.types import Array, Sample, State, System
 
 SETTLED_SPEED = 0.1  # m/s: slower pieces inside the block count as settled (paper, section 2.1)
+ENERGIES = ("kinetic", "potential", "elastic", "dissipated", "wall_work", "total")  # the rows of ``energies``
 
 
 def sample(system: System, state: State) -> Sample:
-    """A sample of the interval that ends now."""
-    interval = system.dt * (system.substeps * system.parts).astype(system.dt.dtype)
-    speed = vector.norm(tuple(state.velocity))
-    return Sample(
-        step=state.step,
-        force=state.walls.force,
-        mean_force=state.ledger.impulse / interval,
-        torque=state.walls.torque,
-        settled_mass=settled_mass(system, state, speed),
-        energy=energies(system, state),
-        momentum=of_run.total(system, system.pieces.mass[None] * state.velocity),
-        overlap=state.ledger.overlap,
-        fastest=of_run.largest(system, speed if system.escape_stops else jnp.where(in_domain(system, state), speed, 0)),
-        culprit=culprit(system, state),
-    )
+    """A sample of the interval that ends now: the quantities of the system."""
+    return Sample({quantity.name: quantity.measured(system, state) for quantity in system.quantities})
 
 
-def settled_mass(system: System, state: State, speed):
+def interval(system: System) -> Array:
+    """The sample interval (s)."""
+    return system.dt * (system.substeps * system.parts).astype(system.dt.dtype)
+
+
+def settled_mass(system: System, state: State) -> Array:
     """Mass of the pieces whose centre is inside a block and that are slower than 0.1 m/s, [B] (kg)."""
     x = state.position[:, None, :]
     low, high = system.block_low[:, :, None], system.block_high[:, :, None]
     inside = jnp.all((x >= low) & (x <= high), axis=0)
-    counted = inside & (speed < SETTLED_SPEED)[None]
+    counted = inside & (vector.norm(tuple(state.velocity)) < SETTLED_SPEED)[None]
     return of_run.total(system, jnp.where(counted, system.pieces.mass[None], 0))
 
 
-def energies(system: System, state: State):
+def fastest(system: System, state: State) -> Array:
+    """Speed of the fastest piece (m/s), [R], of those in the domain where the others stop no run."""
+    speed = vector.norm(tuple(state.velocity))
+    return of_run.largest(system, speed if system.escape_stops else jnp.where(in_domain(system, state), speed, 0))
+
+
+def energies(system: System, state: State) -> Array:
     """kinetic, potential, elastic, dissipated, wall_work, total, [6, R] (J); total stays constant.
 
     Elastic is what contacts give back along their unloading branch, F^2 / 2 K_nu, and the tangential springs;
@@ -50,7 +49,7 @@ def energies(system: System, state: State):
     return jnp.stack([kinetic, potential, elastic, lost, walls, kinetic + potential + elastic + lost - walls])
 
 
-def kinetic_energy(system: System, state: State):
+def kinetic_energy(system: System, state: State) -> Array:
     """Energy of translation and rotation of all pieces (J)."""
     v = tuple(state.velocity)
     twice = of_run.total(system, system.pieces.mass * vector.dot(v, v))
@@ -61,7 +60,7 @@ def kinetic_energy(system: System, state: State):
     return 0.5 * twice
 
 
-def elastic_energy(system: System, state: State):
+def elastic_energy(system: System, state: State) -> Array:
     """Energy that contacts would give back (J)."""
     total = jnp.zeros((system.runs,), state.position.dtype)
     for kind, table in state.contacts.items():
@@ -70,7 +69,7 @@ def elastic_energy(system: System, state: State):
     return total
 
 
-def culprit(system: System, state: State):
+def culprit(system: System, state: State) -> Array:
     """The first piece whose state is not finite, or whose centre has left the domain where that counts; -1: none."""
     motion = jnp.concatenate([state.position, state.velocity, state.angular_momentum, state.orientation])
     bad = ~jnp.all(jnp.isfinite(motion), axis=0)
@@ -79,13 +78,13 @@ def culprit(system: System, state: State):
     return of_run.first_of(system, bad)
 
 
-def in_domain(system: System, state: State):
+def in_domain(system: System, state: State) -> Array:
     """Whether the centre of each piece is inside the domain, [N] bool."""
     x = state.position
     return jnp.all((x >= system.domain_low[:, None]) & (x <= system.domain_high[:, None]), axis=0)
 
 
-def frame(system: System, state: State):
+def frame(system: System, state: State) -> Array:
     """Position, orientation, velocity and angular velocity of every piece, [13, N]."""
     omega = jnp.zeros_like(state.velocity)
     if system.has_rotation:

@@ -20,7 +20,7 @@ def step(system: System, state: State) -> tuple[State, Sample]:
 
 def of_single(sample: Sample) -> Sample:
     """Samples without their run axis, of length one."""
-    return jax.tree.map(lambda x: x[..., 0], sample.replace(step=None)).replace(step=sample.step)
+    return jax.tree.map(lambda x: x[..., 0], sample)
 
 
 def advance(system: System, state: State, panels: boundary.Panels | None = None) -> State:

@@ -1,40 +1,38 @@
 """From the arrays of a chunk to the series and poses of a file, in the user's names and body frames."""
 
+from typing import Any
+
 import numpy as np
 
-from dem_jax.contact import motion
 from dem_jax.maths import rotation
 from dem_jax.maths.pose import matrix_of_quaternion
-from dem_jax.types import ENERGIES, Sample, State, System
-
-WITHOUT_LEDGER = ENERGIES[:3]  # what is known where dissipation and work of walls are not added up
-
-
-def moving_groups(system: System) -> dict[str, int]:
-    """Name and index of each wall group that moves."""
-    moves = motion.moves(system.walls)
-    return {name: i for i, name in enumerate(system.walls.groups) if moves[i]}
+from dem_jax.step.quantity import Quantity
+from dem_jax.store.header import Stored
+from dem_jax.types import Sample, State, System
 
 
-def of_samples(system: System, blocks, samples: Sample, time) -> dict:
-    """The series of record.Run of samples [.., T]; time: [T] (s); blocks: names."""
-    add = lambda loads, members: loads[..., list(members)].sum(axis=-1)  # noqa: E731
-    reports = system.walls.reports
-    kinds = ENERGIES if system.ledger else WITHOUT_LEDGER
-    return {
-        "time": time,
-        "force": {name: add(samples.force, members) for name, members in reports},
-        "mean_force": {name: add(samples.mean_force, members) for name, members in reports},
-        "torque": {name: samples.torque[..., i] for name, i in moving_groups(system).items()},
-        "settled_mass": {name: samples.settled_mass[..., i] for i, name in enumerate(blocks)},
-        "energy": {kind: samples.energy[..., ENERGIES.index(kind)] for kind in kinds},
-        "momentum": samples.momentum,
-        "overlap": samples.overlap,
-    }
+def declared(system: System) -> tuple[Stored, ...]:
+    """What a file of the system's runs says of the quantities that it holds."""
+    found = []
+    for quantity in kept(system):
+        rows = quantity.rows(system)
+        labels = None if rows is None else tuple(name for name, _ in rows)
+        found.append(Stored(quantity.name, quantity.unit, quantity.axis_names, quantity.help, labels))
+    return tuple(found)
 
 
-def of_poses(poses, frames, time) -> dict:
-    """The fields of record.Frames of poses [.., F, 13, N]; frames: Built.frames, [N, 4]; time: [F] (s)."""
+def of_samples(system: System, samples: Sample, time: np.ndarray) -> dict[str, Any]:
+    """The series of store.run.Run of samples [.., T]; time: [T] (s)."""
+    return {"time": time} | {q.name: q.datasets(system, np.asarray(samples.values[q.name])) for q in kept(system)}
+
+
+def kept(system: System) -> list[Quantity]:
+    """The quantities that are written."""
+    return [quantity for quantity in system.quantities if quantity.kept]
+
+
+def of_poses(poses: np.ndarray, frames: np.ndarray, time: np.ndarray) -> dict[str, np.ndarray]:
+    """The fields of store.run.Frames of poses [.., F, 13, N]; frames: Built.frames, [N, 4]; time: [F] (s)."""
     poses = np.moveaxis(poses, -2, -1)
     back = rotation.conjugate(tuple(frames.T.astype(poses.dtype)))
     q = np.stack(rotation.multiply(tuple(np.moveaxis(poses[..., 3:7], -1, 0)), back), axis=-1)
@@ -47,7 +45,7 @@ def of_poses(poses, frames, time) -> dict:
     }
 
 
-def pose_of(system: System, state: State):
+def pose_of(system: System, state: State) -> np.ndarray:
     """Position, orientation, velocity and angular velocity (rad/s), [.., 13, N], as measure.frame, in numpy."""
     q, momentum = np.asarray(state.orientation), np.asarray(state.angular_momentum)
     spin = np.zeros_like(momentum)

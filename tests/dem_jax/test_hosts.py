@@ -124,7 +124,7 @@ def two(tmp_path_factory):
 
 
 def assert_same(a, b):
-    for x, y in ((record._series_of(a), record._series_of(b)), (vars(a.pieces), vars(b.pieces)), (a.restart, b.restart)):
+    for x, y in ((record.series_of(a), record.series_of(b)), (vars(a.pieces), vars(b.pieces)), (a.restart, b.restart)):
         assert x.keys() == y.keys()
         for name, array in x.items():
             np.testing.assert_array_equal(y[name], array, err_msg=name)

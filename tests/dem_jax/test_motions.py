@@ -284,8 +284,8 @@ def test_a_run_goes_on_when_its_table_is_gone(tmp_path):
     stored = dem_jax.scene.parse(dem_jax.load_run(out).scene)
     assert stored.motion[0].table is None and len(stored.motion[0].times) == 41
     found = dem_jax.resume(out, duration=0.06)
-    for name, array in record._series_of(whole).items():
-        np.testing.assert_array_equal(record._series_of(found)[name], array, err_msg=name)
+    for name, array in record.series_of(whole).items():
+        np.testing.assert_array_equal(record.series_of(found)[name], array, err_msg=name)
     assert found.mean_force["plate"].any()
     with pytest.raises(SceneError, match=r"motion\.table = 'way\.csv': cannot be read"):
         dem_jax.simulate(scene)

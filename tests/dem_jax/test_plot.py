@@ -34,7 +34,7 @@ def made_up(runs=None):
     header = Header(SCENE, 7, 5e-6, "f32", "0.1", 30e-6, (0.0, 0.0, -G), ("wb_walls", "wb_flaps"), ("wb",), 9, runs)
     force = {"wb_walls": 0 * vector(instants), "wb_flaps": vector(instants)}
     mean_force = {"wb_walls": 0 * vector(means), "wb_flaps": vector(means)}
-    return Run(header, time, force, mean_force, {"wb": pick(mass)})
+    return Run(header, time, {"force": force, "mean_force": mean_force, "settled_mass": {"wb": pick(mass)}})
 
 
 def lines(axes):
@@ -126,11 +126,9 @@ def test_what_is_not_there_is_named(tmp_path):
 
 
 def test_a_run_without_blocks_or_forces_is_still_a_figure():
-    (only,) = figure_of_run(replace(made_up(), settled_mass={})).axes
+    run = made_up()
+    (only,) = figure_of_run(replace(run, series=run.series | {"settled_mass": {}})).axes
     assert "mean over 30 µs" in lines(only)
-    still = made_up()
-    still = replace(
-        still, mean_force={"wb_flaps": 0 * still.force["wb_flaps"]}, force={"wb_flaps": 0 * still.force["wb_flaps"]}
-    )
-    left, _ = figure_of_run(still).axes
+    still = {"wb_flaps": 0 * run.force["wb_flaps"]}
+    left, _ = figure_of_run(replace(run, series=run.series | {"mean_force": still, "force": still})).axes
     assert left.get_xlim()[0] == pytest.approx(0.03)

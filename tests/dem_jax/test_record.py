@@ -14,6 +14,12 @@ import pytest
 from dem_jax.errors import RecordError
 from dem_jax.store.record import Header, Run, Writer, load_run
 
+LABELS = {
+    **dict.fromkeys(("force", "mean_force", "torque"), ("wb_flaps", "wb_walls")),
+    "settled_mass": ("wb",),
+    "energy": ("kinetic", "potential"),
+}
+STORED = tuple(stored._replace(labels=LABELS.get(stored.name)) for stored in Header("", 0, 1.0, "", "", 1.0, (), (), (), 1).held)
 REPOSITORY = Path(__file__).resolve().parents[2]
 
 
@@ -30,6 +36,7 @@ def header(**changes):
         blocks=("wb",),
         piece_count=3,
         info={"limited by": "unloading"},
+        quantities=STORED,
     )
     return replace(plain, **changes)
 
@@ -169,17 +176,17 @@ def test_saving_and_loading_are_inverse(tmp_path):
         np.testing.assert_array_equal(again.mean_force["wb_walls"], run.mean_force["wb_walls"])
         np.testing.assert_array_equal(again.pieces.orientation, run.pieces.orientation)
         assert {k: v.tolist() for k, v in again.restart.items()} == {k: v.tolist() for k, v in run.restart.items()}
-    bare = Run(header(groups=(), blocks=()), time=np.arange(3.0), force={}, mean_force={}, settled_mass={})
+    bare = Run(header(groups=(), blocks=(), quantities=()), time=np.arange(3.0), series={})
     bare.save(tmp_path / "bare.h5")
     assert load_run(tmp_path / "bare.h5").pieces is None
 
 
 def test_product_impact_force_is_the_force_along_gravity_over_g():
     force = np.array([(0.0, 0, 0), (3, 4, -9.81), (0, 0, -44.145)])
-    run = Run(header(), np.arange(3.0), {"wb_flaps": force}, {"wb_flaps": force / 2}, {})
+    run = Run(header(), np.arange(3.0), {"force": {"wb_flaps": force}, "mean_force": {"wb_flaps": force / 2}})
     np.testing.assert_allclose(run.pif_kg("wb_flaps", mean=False), [0, 1, 4.5], rtol=1e-15)
     np.testing.assert_allclose(run.pif_kg("wb_flaps"), [0, 0.5, 2.25], rtol=1e-15)
-    ensemble = replace(run, mean_force={"wb_flaps": np.stack([force, 2 * force])}, header=header(run_count=2))
+    ensemble = replace(run, series={"mean_force": {"wb_flaps": np.stack([force, 2 * force])}}, header=header(run_count=2))
     np.testing.assert_allclose(ensemble.pif_kg("wb_flaps"), [[0, 1, 4.5], [0, 2, 9]], rtol=1e-15)
     floating = replace(run, header=header(gravity=(0.0, 0.0, 0.0)))
     np.testing.assert_allclose(floating.pif_kg("wb_flaps", mean=False), [0, 1, 4.5], rtol=1e-15)
@@ -192,7 +199,7 @@ def test_product_impact_force_is_the_force_along_gravity_over_g():
 KILLED = """
 import os, signal, sys
 sys.path[:0] = [{repository!r}, {tests!r}]
-import dem_jax.store.record as record
+import dem_jax.store.writer as record
 from test_record import header, samples, frames
 from pathlib import Path
 
@@ -218,7 +225,7 @@ def run_killed(then, interval=0):
         "die()",
         "writer._interval = 9; writer.append(samples(1000, 5)); die()",  # not flushed yet
         "record.os.replace = die; writer.append(samples(1000, 5))",  # the copy is complete, not yet in place
-        "record._replace_group = die; writer.append(samples(1000, 5), restart={'step': record.np.int64(10)})",
+        "record.replace_restart = die; writer.append(samples(1000, 5), restart={'step': record.np.int64(10)})",
         "record.shutil.copyfile = lambda a, b: (Path(b).write_bytes(b'HDF'), die()); writer.append(samples(1000, 5))",
     ],
 )
@@ -325,7 +332,7 @@ def test_a_write_that_fails_leaves_the_old_file_and_can_be_tried_again(tmp_path,
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setattr("dem_jax.store.record._extend", full)
+        patch.setattr("dem_jax.store.writer.extend", full)
         with pytest.raises(RecordError, match=r"run\.h5 cannot be written: No space left on device"):
             writer.append(samples(10, 10))
     assert path.read_bytes() == before and [p.name for p in tmp_path.iterdir()] == ["run.h5"]

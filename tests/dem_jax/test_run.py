@@ -48,10 +48,10 @@ def settling(**changes):
 
 def series(result):
     """Every array of a run, by path."""
-    from dem_jax.store.record import _series_of
+    from dem_jax.store.record import series_of
 
     poses = {} if result.pieces is None else {f"pieces/{k}": v for k, v in vars(result.pieces).items()}
-    return _series_of(result) | poses
+    return series_of(result) | poses
 
 
 def assert_same(a, b, exactly=True, tolerance=0.0):

@@ -36,7 +36,7 @@ def portion(**changes):
 
 def series(result):
     poses = {f"pieces/{k}": v for k, v in vars(result.pieces).items()}
-    return record._series_of(result) | poses
+    return record.series_of(result) | poses
 
 
 def assert_begins(whole, part):

@@ -1,0 +1,99 @@
+"""All that is sampled: one entry each. It is then in every sample, file and run, and in ``python -m dem_jax run --help``."""
+
+import jax
+import jax.numpy as jnp
+
+from dem_jax.contact import of_run
+from dem_jax.step import measure
+from dem_jax.step.quantity import Axis, Quantity, Rows, checked
+from dem_jax.types import Array, State, System
+
+
+def _energies(system: System) -> Rows:
+    """Dissipation and the work of walls, and with them the total, are known only where they are added up."""
+    known = measure.ENERGIES if system.ledger else measure.ENERGIES[:3]
+    return tuple(zip(known, range(len(known)), strict=True))
+
+
+ENERGY = Axis("kind of energy", lambda _: len(measure.ENERGIES), _energies, "KIND")
+
+PARTNER = Axis(
+    "partner",
+    size=lambda system: len(system.walls.groups) + 1,
+    rows=lambda system: (*system.walls.reports, ("between_pieces", len(system.walls.groups))),
+    symbol="PARTNER",
+)
+
+
+def _contacts(system: System, state: State) -> Array:
+    """Number of contacts with the panels of each wall group, and last of those between pieces, [G + 1, R] int32."""
+    pieces, groups = system.pieces.mass.shape[0], len(system.walls.groups)
+    partner_of = jnp.pad(system.walls.group, (0, 1), constant_values=groups)  # of panels, and last of pieces
+    found = jnp.zeros((groups + 1, system.runs), jnp.int32)
+    for table in state.contacts.values():
+        partner = partner_of[jnp.where(table.a >= pieces, table.a - pieces, -1)]
+        touching = jnp.where(table.memory.overlap > 0, partner, -1)
+        of_partner = lambda k, w=touching, b=table.b: of_run.total_of_contacts(system, (w == k).astype(jnp.int32), b)  # noqa: E731
+        found += jax.vmap(of_partner)(jnp.arange(groups + 1, dtype=jnp.int32))
+    return found
+
+
+QUANTITIES = checked(
+    (
+        Quantity(
+            name="force", unit="N", axes=("group", "xyz"),
+            of=lambda system, state: state.walls.force,
+            help="of the pieces on the wall group, at that time",
+        ),
+        Quantity(
+            name="mean_force", unit="N", axes=("group", "xyz"),
+            of=lambda system, state: state.ledger.impulse / measure.interval(system),
+            help="its mean over the sample interval that ends then; closes the momentum balance",
+        ),
+        Quantity(
+            name="torque", unit="N m", axes=("moving group", "xyz"),
+            of=lambda system, state: state.walls.torque,
+            help="of the pieces on a wall group that moves, about its pivot, at that time",
+        ),
+        Quantity(
+            name="settled_mass", unit="kg", axes=("block",),
+            of=measure.settled_mass,
+            help="of the pieces inside the block that are slower than 0.1 m/s",
+        ),
+        Quantity(
+            name="energy", unit="J", axes=(ENERGY,),
+            of=measure.energies,
+            help=", ".join(measure.ENERGIES) + " (constant)",
+        ),
+        Quantity(
+            name="momentum", unit="kg m/s", axes=("xyz",),
+            of=lambda system, state: of_run.total(system, system.pieces.mass[None] * state.velocity),
+            help="of all pieces",
+        ),
+        Quantity(
+            name="overlap", unit="1", axes=(),
+            of=lambda system, state: state.ledger.overlap,
+            help="the largest of the sample interval, relative to the width of the narrower piece",
+        ),
+        Quantity(
+            name="contacts", unit="1", axes=(PARTNER,),
+            of=_contacts,
+            help="number of contacts of pieces with the panels of a wall group, and between_pieces",
+        ),
+        Quantity(
+            name="step", unit="1", axes=(), kept=False,
+            of=lambda system, state: jnp.full((system.runs,), state.step),
+            help="number of the time step",
+        ),
+        Quantity(
+            name="fastest", unit="m/s", axes=(), kept=False,
+            of=measure.fastest,
+            help="speed of the fastest piece in the domain",
+        ),
+        Quantity(
+            name="culprit", unit="1", axes=(), kept=False,
+            of=measure.culprit,
+            help="first piece that is not finite or has left the domain; -1: none",
+        ),
+    )
+)  # fmt: skip

@@ -1,0 +1,120 @@
+"""A file and its datasets: their paths and units, the axis that time runs along, how they grow."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dem_jax.errors import RecordError
+from dem_jax.store.header import Header
+
+if TYPE_CHECKING:
+    import h5py
+
+FileName = str | PathLike[str]
+UNITS = {  # of poses
+    "pieces/time": "s",
+    "pieces/position": "m",
+    "pieces/orientation": "1",
+    "pieces/velocity": "m/s",
+    "pieces/angular_velocity": "rad/s",
+}
+RESTART_UNIT = "SI"
+CLOCKS = ("time", "pieces/time")  # of the series, and of the poses
+CHUNK = 1024  # samples per chunk: 8 KiB of a scalar series in double precision
+
+
+@contextmanager
+def reading(path: FileName) -> "Iterator[h5py.File]":
+    """The open HDF5 file; whatever HDF5 finds wrong with it is one clear line."""
+    import h5py
+
+    if not Path(path).is_file():
+        raise RecordError(f"{path}: there is no such file")
+    if not h5py.is_hdf5(path):
+        raise RecordError(f"{path} is not an HDF5 file (or its beginning is lost)")
+    try:
+        with h5py.File(path, "r") as file:
+            yield file
+    except RecordError:
+        raise
+    except (OSError, RuntimeError, KeyError, ValueError, AttributeError, TypeError) as error:
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise RecordError(f"{path} is damaged or cut short: {reason}") from error
+
+
+def time_axis(name: str, header: Header) -> int:
+    """The axis of a dataset that time runs along: of an ensemble the second, but of the times."""
+    return 0 if header.run_count is None or name in CLOCKS else 1
+
+
+def unit_of(name: str, header: Header) -> str:
+    """Unit of a dataset. Raises ValueError for one that is unknown."""
+    units = {"time": "s"} | {stored.name: stored.unit for stored in header.held} | UNITS
+    for key in (name, name.partition("/")[0]):
+        if key in units:
+            return units[key]
+    raise ValueError(f"series {name!r} is unknown; allowed: {', '.join(units)}")
+
+
+def extend(file: "h5py.File", name: str, array: np.ndarray, header: Header) -> None:
+    """Append to a dataset along its axis of time; it is made where it does not exist."""
+    axis = time_axis(name, header)
+    if name not in file:
+        dtype = np.float64 if name in CLOCKS else array.dtype
+        shape = tuple(0 if i == axis else n for i, n in enumerate(array.shape))
+        rows = max(1, min(CHUNK, 8192 // int(np.prod(array.shape[axis + 1 :], dtype=int) or 1)))
+        chunks = tuple(min(n, 16) if i < axis else rows if i == axis else max(n, 1) for i, n in enumerate(array.shape))
+        limits = tuple(None if i == axis else n for i, n in enumerate(array.shape))
+        made = file.create_dataset(name, shape, dtype, chunks=chunks, maxshape=limits)
+        made.attrs["units"] = unit_of(name, header)
+    dataset = file[name]
+    start = dataset.shape[axis]
+    dataset.resize(start + array.shape[axis], axis=axis)
+    dataset[(slice(None),) * axis + (slice(start, None),)] = array
+
+
+def replace_restart(file: "h5py.File", arrays: dict[str, np.ndarray]) -> None:
+    """Make the restart state just these arrays; those of the same form are overwritten, so that the file does not grow."""
+    old = dict(datasets(file.get("restart", {})))
+    for name in old.keys() - arrays.keys():
+        del file[f"restart/{name}"]
+    for name, array in arrays.items():
+        if name in old and (old[name].shape, old[name].dtype) == (array.shape, array.dtype):
+            old[name][...] = array
+            continue
+        if name in old:
+            del file[f"restart/{name}"]
+        file.create_dataset(f"restart/{name}", data=array).attrs["units"] = RESTART_UNIT
+
+
+def datasets(group: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """(path, dataset) of all datasets under a group."""
+    for name, item in group.items():
+        if hasattr(item, "items"):
+            yield from datasets(item, f"{prefix}{name}/")
+        else:
+            yield prefix + name, item
+
+
+def flat(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """path -> array of nested dicts."""
+    out: dict[str, Any] = {}
+    for name, item in tree.items():
+        out |= flat(item, f"{prefix}{name}/") if isinstance(item, dict) else {prefix + name: item}
+    return out
+
+
+def nested(paths: dict[str, Any]) -> dict[str, Any]:
+    """group -> {name -> array} of the paths that have a group, path -> array of the others."""
+    tree: dict[str, Any] = {}
+    for path, item in paths.items():
+        group, _, name = path.partition("/")
+        if name:
+            tree.setdefault(group, {})[name] = item
+        else:
+            tree[group] = item
+    return tree

@@ -1,0 +1,121 @@
+"""What a file says about its run, as attributes of its root: scene, seed, time step, and the quantities that it holds."""
+
+import json
+from dataclasses import asdict, dataclass, field, fields
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from dem_jax.errors import RecordError
+
+if TYPE_CHECKING:
+    import h5py
+
+OPTIONAL = ("run_count", "info", "quantities")  # attributes
+NUMBERS = ("dt", "sample", "piece_count", "run_count")
+TUPLES = ("groups", "blocks", "gravity", "seed")
+
+
+class Stored(NamedTuple):
+    """What a file says of a quantity.
+
+    name, unit, axes (names) and help: as of step.quantity.Quantity. labels: names of its datasets NAME/LABEL; None: it is
+    one dataset.
+    """
+
+    name: str
+    unit: str
+    axes: tuple[str, ...]
+    help: str
+    labels: tuple[str, ...] | None
+
+    @property
+    def paths(self) -> list[str]:
+        """Of its datasets."""
+        return [self.name] if self.labels is None else [f"{self.name}/{label}" for label in self.labels]
+
+
+@dataclass(frozen=True)
+class Header:
+    """What a file says about its run.
+
+    scene: TOML text. seed: one, or one per run of an ensemble. dt: (s) time step. precision: "f32" or "f64".
+    version: of dem_jax. sample: (s) sample interval. gravity: [3] (m/s2). groups, blocks: names of the wall groups and
+    of the blocks in which settled mass is measured. piece_count: pieces in a run. run_count: runs of an ensemble, None
+    for a single run. info: further facts that JSON can hold (what limits dt, why the run stopped, ...).
+    quantities: all that the file holds; None: it does not say, see ``held``.
+    """
+
+    scene: str
+    seed: int | tuple[int, ...]
+    dt: float
+    precision: str
+    version: str
+    sample: float
+    gravity: tuple[float, float, float]
+    groups: tuple[str, ...]
+    blocks: tuple[str, ...]
+    piece_count: int
+    run_count: int | None = None
+    info: dict[str, Any] = field(default_factory=dict)
+    quantities: tuple[Stored, ...] | None = None
+
+    @property
+    def held(self) -> tuple[Stored, ...]:
+        """The quantities; where the header does not say, those of dem_jax, with the groups and blocks that it names."""
+        if self.quantities is not None:
+            return self.quantities
+        from dem_jax.step.quantities import QUANTITIES  # which needs JAX, as most files do not
+
+        known = {"group": self.groups, "block": self.blocks}
+        found = []
+        for quantity in (q for q in QUANTITIES if q.kept):
+            axes = quantity.axis_names
+            labels = known.get(axes[0], ()) if axes and quantity.along[0].rows else None
+            found.append(Stored(quantity.name, quantity.unit, axes, quantity.help, labels))
+        return tuple(found)
+
+    @property
+    def needed(self) -> list[str]:
+        """Paths of the series that the file must hold."""
+        says = self.quantities is not None
+        return [path for stored in self.held if says or stored.labels is not None for path in stored.paths]
+
+
+def write_header(file: "h5py.File", header: Header) -> None:
+    """Make the attributes of a new file."""
+    import h5py
+
+    for name, value in asdict(header).items():
+        if name == "info":
+            file.attrs[name] = json.dumps(value)
+        elif name in ("groups", "blocks"):
+            file.attrs.create(name, list(value), dtype=h5py.string_dtype())
+        elif name == "quantities" and value is not None:
+            file.attrs[name] = json.dumps([stored._asdict() for stored in header.held])
+        elif value is not None:
+            file.attrs[name] = value
+
+
+def read_header(file: "h5py.File", path: Any) -> Header:
+    """The header of a file. Raises RecordError, naming path, for an attribute that is missing."""
+    values = {}
+    for f in fields(Header):
+        if f.name in file.attrs:
+            values[f.name] = file.attrs[f.name]
+        elif f.name not in OPTIONAL:
+            raise RecordError(f"{path} is no run of dem_jax: it lacks the attribute {f.name!r}")
+    for name in TUPLES:
+        values[name] = tuple(values[name].tolist()) if np.ndim(values[name]) else values[name].item()
+    for name in NUMBERS:
+        if name in values:
+            values[name] = values[name].item()
+    values["info"] = json.loads(values.get("info", "{}"))
+    if "quantities" in values:
+        values["quantities"] = tuple(map(_stored, json.loads(values["quantities"])))
+    return Header(**values)
+
+
+def _stored(row: dict[str, Any]) -> Stored:
+    labels = row["labels"]
+    return Stored(row["name"], row["unit"], tuple(row["axes"]), row["help"], None if labels is None else tuple(labels))

@@ -1,0 +1,115 @@
+"""A run as a person reads it: numpy arrays by name."""
+
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
+
+import numpy as np
+
+from dem_jax.errors import RecordError
+from dem_jax.store.datasets import FileName, flat, nested, time_axis
+from dem_jax.store.header import Header
+from dem_jax.store.writer import Writer
+
+STANDARD_GRAVITY = 9.81  # m/s2, as the paper; converts a force to kg in a scene without gravity
+
+
+@dataclass(frozen=True, eq=False)
+class Frames:
+    """Stored poses; an ensemble has a leading run axis on all but time.
+
+    time: [F] (s). position: [F, N, 3] (m) centres of mass. orientation: [F, N, 4] quaternions w x y z, body to world.
+    velocity: [F, N, 3] (m/s). angular_velocity: [F, N, 3] (rad/s), world frame.
+    """
+
+    time: np.ndarray
+    position: np.ndarray
+    orientation: np.ndarray
+    velocity: np.ndarray
+    angular_velocity: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """A run, or an ensemble of K runs: then every series but time has a leading axis of length K.
+
+    time: [T] (s) since the release of the portion. series: by the names of the quantities, step.quantities and those that
+    the run was given; each is an attribute too: ``run.force`` is group -> [T, 3] (N), ``run.momentum`` is [T, 3] (kg m/s).
+    What a run does not have is {}, or None of a quantity that is one array.
+    pieces: stored poses or None. restart: path -> array, all that is needed to go on.
+    settled: time (s) at which the run ended because all was at rest (``run.until_settled``), None: it went on to its end.
+    header: scene, seed, time step and the like; its fields are attributes of the run too.
+    """
+
+    header: Header
+    time: np.ndarray
+    series: dict[str, Any]
+    pieces: Frames | None = None
+    restart: dict[str, np.ndarray] = field(default_factory=dict)
+
+    scene = property(lambda self: self.header.scene)
+    seed = property(lambda self: self.header.seed)
+    dt = property(lambda self: self.header.dt)
+    precision = property(lambda self: self.header.precision)
+    version = property(lambda self: self.header.version)
+    sample = property(lambda self: self.header.sample)
+    run_count = property(lambda self: self.header.run_count)
+    info = property(lambda self: self.header.info)
+    settled = property(lambda self: self.info.get("settled"))
+
+    def __getattr__(self, name: str) -> Any:
+        found = self.__dict__
+        if name.startswith("_") or "series" not in found:  # while it is unpickled
+            raise AttributeError(name)
+        if name in found["series"]:
+            return found["series"][name]
+        known = {stored.name: stored for stored in self.header.held}
+        if name not in known:
+            raise AttributeError(f"the run has no {name!r}; it has: {', '.join(known)}")
+        return None if known[name].labels is None else {}
+
+    def save(self, path: FileName, overwrite: bool = False) -> None:
+        """Write the run to an HDF5 file. Raises RecordError if it exists, unless overwrite, or cannot be written."""
+        with Writer.create(path, self.header, overwrite) as writer:
+            frames = None if self.pieces is None else vars(self.pieces)
+            writer.append(series_of(self), frames, self.restart)
+
+    def pif_kg(self, group: str, mean: bool = True) -> np.ndarray:
+        """Product impact force over g, eq. 24: [T] (kg), on a wall group: sample means or instants.
+
+        The force along gravity is taken, over its magnitude; without gravity, downward and 9.81 m/s2.
+        Raises RecordError for a group that the run does not have.
+        """
+        forces = self.mean_force if mean else self.force
+        if group not in forces:
+            raise RecordError(f"group = {group!r} is not in this run; it has: {', '.join(forces) or 'none'}")
+        gravity = np.asarray(self.header.gravity, np.float64)
+        if not gravity.any():
+            gravity = np.array([0.0, 0.0, -STANDARD_GRAVITY])
+        return forces[group].astype(np.float64) @ (gravity / (gravity @ gravity))
+
+    def member(self, k: int) -> "Run":
+        """Run k of an ensemble, as a single run. Raises RecordError if there is none."""
+        if self.run_count is None:
+            raise RecordError(f"run {k!r} was asked for, but this is a single run")
+        if not 0 <= k < self.run_count:
+            raise RecordError(f"run {k!r} is not in this ensemble; it has 0 to {self.run_count - 1}")
+        pieces = self.pieces
+        if pieces is not None:
+            pieces = Frames(pieces.time, **{n: a[k] for n, a in vars(pieces).items() if n != "time"})
+        seed = self.seed[k] if np.ndim(self.seed) else self.seed
+        series = nested({name: array[k] for name, array in flat(self.series).items()})
+        return Run(replace(self.header, seed=seed, run_count=None), self.time, series, pieces)
+
+
+def series_of(run: Run) -> dict[str, np.ndarray]:
+    """path -> array of time and of all of a run's series."""
+    return {"time": run.time} | flat(run.series)
+
+
+def assembled(header: Header, parts: dict[str, list[np.ndarray]], restart: dict[str, np.ndarray] | None = None) -> Any:
+    """The run of path -> [array, ...], in pieces along the time axis; None if there are no samples."""
+    series = {name: np.concatenate(arrays, axis=time_axis(name, header)) for name, arrays in parts.items()}
+    if "time" not in series:
+        return None
+    pieces = Frames(**{f.name: series.pop(f"pieces/{f.name}") for f in fields(Frames)}) if "pieces/time" in series else None
+    return Run(header, series.pop("time"), nested(series), pieces, restart or {})
