@@ -44,7 +44,15 @@ def _matrix_rows(orientation):
 
 def take(stacked, index) -> Body:
     """The bodies of slots, by index [P]: row by row, which takes half the time on a CPU, and what nobody uses none at all."""
-    c = [row.at[index].get(mode="promise_in_bounds") for row in stacked]
+    return _body(stacked, [row.at[index].get(mode="promise_in_bounds") for row in stacked])
+
+
+def take_at_once(stacked, index) -> Body:
+    """``take`` by a single operation, which is compiled sooner: for what is done but once in many steps."""
+    return _body(stacked, stacked.at[:, index].get(mode="promise_in_bounds"))
+
+
+def _body(stacked, c) -> Body:
     three = lambda i: (c[i], c[i + 1], c[i + 2])  # noqa: E731
     frame = 12 if _has_rest(stacked) else 9
     rest = three(9) if _has_rest(stacked) else None

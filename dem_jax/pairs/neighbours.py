@@ -93,7 +93,7 @@ def within_bounds(system: System, stacked, source, a, b, gap):
     reach = radius[b] + of_run.at(system, gap, b)
     if source.startswith("wall"):
         panel = a - radius.shape[0]
-        first, second = bodies.take(stacked, a), bodies.take(stacked, b)
+        first, second = bodies.take_at_once(stacked, a), bodies.take_at_once(stacked, b)
         local = vector.rotate_back(first.rotation, bodies.offset(first, second))
         half = tuple(c[panel] for c in system.walls.half_extent)
         away = tuple(jnp.maximum(jnp.abs(c) - h, 0) for c, h in zip(local, half, strict=True))
@@ -111,7 +111,7 @@ def _depths(system: System, kind, a, b, number, stacked):
 
     def of_pairs(a, b):
         slots = constants(system, kind, a, b)
-        body_a, body_b = bodies.take(stacked, slots.a), bodies.take(stacked, slots.b)
+        body_a, body_b = bodies.take_at_once(stacked, slots.a), bodies.take_at_once(stacked, slots.b)
         depth, _ = geometry(system, kind, slots, body_a, body_b, bodies.offset(body_a, body_b))
         return jnp.where(slots.live, jnp.stack([depth, depth / slots.width]), -jnp.inf)
 
