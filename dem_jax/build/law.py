@@ -1,5 +1,7 @@
 """The contact law of a scene, and the materials that it acts between. In numpy, double precision."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from dem_jax.contact.law import ContactLaw
@@ -11,9 +13,18 @@ from dem_jax.types import Materials
 
 def law_of(scene: Scene) -> ContactLaw:
     """The law that a scene asks for."""
+    return LAWS[scene.contact.law](scene)
+
+
+def _walton_braun(scene: Scene) -> ContactLaw:
     m = scene.material
     damping = np.float64(m.unloading_damping) if m.unloading_damping else None
     return WaltonBraun(np.float64(m.separation), np.float64(m.tangential_stiffness), damping)
+
+
+LAWS: dict[str, Callable[[Scene], ContactLaw]] = {
+    "walton-braun": _walton_braun,
+}
 
 
 def materials_of(scene: Scene) -> Materials:

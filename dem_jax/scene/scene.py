@@ -9,6 +9,7 @@ from dem_jax.errors import SceneError
 from dem_jax.scene.changes import new_materials, on_top, set_key
 from dem_jax.scene.sections.base import Section, as_tuple
 from dem_jax.scene.sections.buckets import Bucket, Drop, Feeder
+from dem_jax.scene.sections.contact import Contact, stray_key
 from dem_jax.scene.sections.material import DEFAULT, WALL, Material, Pair
 from dem_jax.scene.sections.pieces import Piece, Portion
 from dem_jax.scene.sections.run import RunSettings
@@ -22,6 +23,7 @@ class Scene(Section):
 
     name: str = Field("scene", pattern=r"^[^/\\]+$", description="of the files that a run writes")
     material: Material = Material()
+    contact: Contact = Contact()
     run: RunSettings = RunSettings()
     portion: Portion | None = None
     piece: Annotated[tuple[Piece, ...], BeforeValidator(as_tuple)] = ()
@@ -45,6 +47,12 @@ class Scene(Section):
     def _feeder_feeds_a_bucket(self) -> "Scene":
         if self.feeder and (self.feed_bucket is None or self.piece):
             raise ValueError("[feeder] needs a [feed_bucket] below it and a [portion], and no [[piece]]")
+        return self
+
+    @model_validator(mode="after")
+    def _sets_no_key_of_another_law(self) -> "Scene":
+        if stray := stray_key(self.contact, self.material):
+            raise ValueError(stray)
         return self
 
     @model_validator(mode="after")
