@@ -5,13 +5,13 @@ from typing import Literal
 from dem_jax.scene.sections.base import Section
 from dem_jax.scene.sections.material import Material
 
-LawName = Literal["walton-braun"]
+LawName = Literal["walton-braun", "linear-dashpot"]
 
 # Keys that belong to some laws only, by section and key: the laws that have them.
 OF_LAWS = {
     ("material", "separation"): ("walton-braun",),
     ("material", "unloading_damping"): ("walton-braun",),
-    ("material", "tangential_stiffness"): ("walton-braun"),
+    ("material", "tangential_stiffness"): ("walton-braun", "linear-dashpot"),
 }
 
 

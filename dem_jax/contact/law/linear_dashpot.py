@@ -1,0 +1,87 @@
+"""Linear spring and dashpot, with the Coulomb-limited tangential spring (Cundall and Strack, Geotechnique 29 (1979) 47-65).
+
+    F_n = max(K s + c s', 0),    K = K_a K_b / (K_a + K_b) with K_i = E_i L_i (eqs 5, 7 and 8),    c = 2 zeta sqrt(m K)
+
+with m the effective mass of the two bodies and zeta from the restitution, which is exact (``dashpot``). An impact at speed v
+has its largest overlap (v / omega) exp(-zeta phi / sqrt(1 - zeta^2)) at time phi / (omega sqrt(1 - zeta^2)), phi = arccos(zeta),
+omega = sqrt(K / m). Tangential: a spring K_t, at most mu F_n (``friction``).
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from dem_jax.contact.law import Contact, Couple, Response, dashpot
+from dem_jax.contact.law.friction import tangential_force
+from dem_jax.contact.law.springs import quarter_period, series
+from dem_jax.maths import vector
+from dem_jax.types import pytree
+
+Array = jax.Array
+
+
+class Pair(NamedTuple):
+    """Constants of pairs, [P] or [1]."""
+
+    stiffness: Array  # (N/m): K
+    damping: Array  # (N s/m): c
+    mass: Array  # (kg): effective mass
+    friction: Array | None  # mu
+
+
+class History(NamedTuple):
+    """Of contacts, at the last step."""
+
+    overlap: Array  # [P] (m): dashpot.elastic_overlap
+    spring: Array | None  # [3, P] (N): tangential force on b, world axes; None without friction
+
+
+@pytree
+class LinearDashpot:
+    """Ends where bodies part."""
+
+    tangential: Array  # K_t / K
+
+    def pair(self, couple: Couple) -> Pair:
+        """K, and c from the restitution."""
+        stiffness = series(*(e * size for e, size in zip(couple.youngs_modulus, couple.size, strict=True)))
+        damping = 2 * dashpot.damping_ratio(couple.restitution) * (couple.mass * stiffness) ** 0.5
+        return Pair(stiffness, damping, couple.mass, couple.friction)
+
+    def start(self, pair: Pair, like: Array) -> History:
+        """No overlap."""
+        zero = jnp.zeros_like(like)
+        return History(zero, None if pair.friction is None else jnp.stack([zero] * 3))
+
+    def force(self, pair: Pair, history: History, contact: Contact) -> Response:
+        """Spring, dashpot and friction."""
+        c = contact
+        s = vector.kept(dashpot.elastic_overlap(history.overlap, c.approach, c.overlap))
+        damping = pair.damping * dashpot.power(history.overlap, s, c.approach, 0.0, jnp.ones_like)
+        push = vector.kept(dashpot.damped(pair.stiffness * s, damping, c.approach, pair.mass, c.dt))
+        if history.spring is None:
+            return Response(push, None, History(s, None))
+        stiffness = self.tangential * pair.stiffness
+        drag = vector.kept(*tangential_force(vector.unpack(history.spring), c.normal, c.slip, push, stiffness, pair.friction))
+        return Response(push, drag, History(s, jnp.stack(drag)))
+
+    def energy(self, pair: Pair, history: History, overlap: Array) -> Array:
+        """Of both springs (J)."""
+        energy = 0.5 * pair.stiffness * history.overlap**2
+        if history.spring is None:
+            return energy
+        spring = vector.unpack(history.spring)
+        return energy + 0.5 * vector.dot(spring, spring) / (self.tangential * pair.stiffness)
+
+    def reach(self, pair: Pair) -> None:
+        """None: no force across a gap."""
+        return None
+
+    def critical_steps(self, pair: Pair, mass) -> dict:
+        """By spring and dashpot (s)."""
+        return dashpot.critical_steps(mass, quarter_period(mass, pair.stiffness), pair.damping)
+
+    def stable_step(self, pair: Pair, mass):
+        """Linear stability limit (s)."""
+        return dashpot.stable_step(mass, pair.stiffness, pair.damping, pair.mass)
