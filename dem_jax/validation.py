@@ -94,6 +94,87 @@ class NormalImpact:
 
 
 @dataclass(frozen=True)
+class DashpotImpact:
+    """A mass on a linear spring and dashpot whose force is never adhesive: central impact on a fixed wall, no gravity.
+
+    m s'' + 2 zeta omega m s' + m omega^2 s = 0, to where the force vanishes (contact.law.dashpot); zeta < 1.
+    """
+
+    mass: float  # kg
+    stiffness: float  # N/m
+    ratio: float  # zeta
+    speed: float  # m/s: at first touch
+
+    @property
+    def frequency(self) -> float:
+        """omega of the undamped oscillator (rad/s)."""
+        return np.sqrt(self.stiffness / self.mass)
+
+    @property
+    def _turn(self) -> tuple[float, float]:
+        """Phase of the largest overlap, and sqrt(1 - zeta^2)."""
+        return np.arccos(self.ratio), np.sqrt(1 - self.ratio**2)
+
+    @property
+    def loading_time(self) -> float:
+        """From first touch to the largest overlap (s); the contact lasts twice as long."""
+        phase, root = self._turn
+        return phase / root / self.frequency
+
+    @property
+    def restitution(self) -> float:
+        """Speed after over speed before."""
+        phase, root = self._turn
+        return np.exp(-2 * self.ratio * phase / root)
+
+    @property
+    def largest_overlap(self) -> float:
+        """(m)."""
+        phase, root = self._turn
+        return self.speed / self.frequency * np.exp(-self.ratio * phase / root)
+
+    def force(self, time: np.ndarray) -> np.ndarray:
+        """(N) at times (s) since first touch, while it lasts."""
+        z, root = self.ratio, self._turn[1]
+        phase = root * self.frequency * time
+        wave = 2 * z * np.cos(phase) + (1 - 2 * z * z) / root * np.sin(phase)
+        return self.mass * self.frequency * self.speed * np.exp(-z * self.frequency * time) * wave
+
+    @property
+    def peak_force(self) -> float:
+        """(N): where its derivative vanishes; from zeta = 1/2 on that of the dashpot at first touch."""
+        z, root = self.ratio, self._turn[1]
+        phase = np.arctan2(root * (1 - 4 * z * z), z * (3 - 4 * z * z)) if z < 0.5 else 0.0
+        return self.force(phase / root / self.frequency)
+
+
+@dataclass(frozen=True)
+class HertzImpact:
+    """A mass on the elastic spring k s^(3/2): central impact on a fixed wall, no gravity (Johnson 1985, chapter 11.4)."""
+
+    mass: float  # kg: effective
+    stiffness: float  # N/m^1.5: k = 4/3 E* sqrt(R*)
+    speed: float  # m/s: at first touch
+
+    @property
+    def largest_overlap(self) -> float:
+        """(m)."""
+        return (1.25 * self.mass * self.speed**2 / self.stiffness) ** 0.4
+
+    @property
+    def peak_force(self) -> float:
+        """(N)."""
+        return self.stiffness * self.largest_overlap**1.5
+
+    @property
+    def loading_time(self) -> float:
+        """From first touch to the largest overlap (s): half of the contact's."""
+        from scipy.special import beta
+
+        return 0.4 * beta(0.4, 0.5) * self.largest_overlap / self.speed
+
+
+@dataclass(frozen=True)
 class ObliqueImpact:
     """A sphere hits a fixed wall: linear springs K_n = K_nl and K_t = ``tangential`` K_nl, no gravity, lambda = 0.
 

@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 
 from dem_jax.contact.law import ContactLaw
+from dem_jax.contact.law.hertz_mindlin import HertzMindlin
 from dem_jax.contact.law.linear_dashpot import LinearDashpot
 from dem_jax.contact.law.walton_braun import WaltonBraun
 from dem_jax.scene import Scene
@@ -26,6 +27,7 @@ def _walton_braun(scene: Scene) -> ContactLaw:
 LAWS: dict[str, Callable[[Scene], ContactLaw]] = {
     "walton-braun": _walton_braun,
     "linear-dashpot": lambda scene: LinearDashpot(np.float64(scene.material.tangential_stiffness)),
+    "hertz-mindlin": lambda scene: HertzMindlin(np.float64(scene.contact.impact_speed)),
 }
 
 

@@ -2,16 +2,19 @@
 
 from typing import Literal
 
-from dem_jax.scene.sections.base import Section
+from pydantic import Field
+
+from dem_jax.scene.sections.base import Positive, Section
 from dem_jax.scene.sections.material import Material
 
-LawName = Literal["walton-braun", "linear-dashpot"]
+LawName = Literal["walton-braun", "linear-dashpot", "hertz-mindlin"]
 
 # Keys that belong to some laws only, by section and key: the laws that have them.
 OF_LAWS = {
     ("material", "separation"): ("walton-braun",),
     ("material", "unloading_damping"): ("walton-braun",),
     ("material", "tangential_stiffness"): ("walton-braun", "linear-dashpot"),
+    ("contact", "impact_speed"): ("hertz-mindlin",),
 }
 
 
@@ -19,6 +22,7 @@ class Contact(Section):
     """The contact law."""
 
     law: LawName = "walton-braun"
+    impact_speed: Positive = Field(5.0, description='m/s, the fastest impact that the time step resolves; law "hertz-mindlin"')
 
 
 def stray_key(contact: Contact, material: Material) -> str | None:

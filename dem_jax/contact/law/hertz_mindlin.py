@@ -1,0 +1,114 @@
+"""Hertz's normal force with damping, Mindlin's tangential stiffness without slip, and the Coulomb limit.
+
+    F_n = max(k s^(3/2) + eta s^(1/4) s', 0),    k = 4/3 E* sqrt(R*),    eta = sqrt(5 m k) zeta
+    1/E* = (1 - nu_a^2)/E_a + (1 - nu_b^2)/E_b,    1/R* = 1/R_a + 1/R_b
+
+with m the effective mass and zeta from the restitution, which then is exact at any speed (``dashpot``). Without damping an
+impact at speed v has the largest overlap (5 m v^2 / 4 k)^(2/5) and lasts 2.943275 times that over v (Johnson, Contact
+Mechanics, 1985, chapter 11.4).
+
+    K_t = 8 G* sqrt(R* s),    1/G* = (2 - nu_a)/G_a + (2 - nu_b)/G_b,    G = E / 2 (1 + nu)
+
+(Mindlin, J. Appl. Mech. 16 (1949) 259-268), an incremental spring, at most mu F_n. Where K_t falls the tangential way is kept
+and the force falls with it: were the force kept, energy would come from nothing (Elata and Berryman, Mech. Mater. 24 (1996)).
+The stiffness of a contact grows with its speed: the time step resolves impacts up to ``impact_speed``.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dem_jax.contact.law import Contact, Couple, Response, dashpot
+from dem_jax.contact.law.friction import tangential_force
+from dem_jax.maths import vector
+from dem_jax.types import pytree
+
+Array = jax.Array
+
+IMPACT_TIME = 2.943275  # v t_c / s_max of an elastic impact: 2 int_0^1 dx / sqrt(1 - x^(5/2))
+
+
+class Pair(NamedTuple):
+    """Constants of pairs, [P] or [1]."""
+
+    stiffness: Array  # (N/m^1.5): k
+    damping: Array  # (N s/m^1.25): eta
+    tangential: Array  # (N/m^1.5): K_t / sqrt(s)
+    mass: Array  # (kg): effective mass
+    friction: Array | None  # mu
+
+
+class History(NamedTuple):
+    """Of contacts, at the last step."""
+
+    overlap: Array  # [P] (m): dashpot.elastic_overlap
+    spring: Array | None  # [3, P] (N): tangential force on b, world axes; None without friction
+
+
+@pytree
+class HertzMindlin:
+    """Ends where bodies part."""
+
+    impact_speed: Array  # (m/s): the fastest that the time step resolves
+
+    def pair(self, couple: Couple) -> Pair:
+        """Of moduli and curvatures."""
+        both = list(zip(couple.youngs_modulus, couple.poisson_ratio, strict=True))
+        normal = 1 / sum((1 - nu * nu) / e for e, nu in both)
+        shear = 1 / sum(2 * (2 - nu) * (1 + nu) / e for e, nu in both)
+        root = 1 / sum(couple.curvature) ** 0.5
+        stiffness = 4 / 3 * normal * root
+        damping = dashpot.damping_ratio(couple.restitution) * (5 * couple.mass * stiffness) ** 0.5
+        return Pair(stiffness, damping, 8 * shear * root, couple.mass, couple.friction)
+
+    def start(self, pair: Pair, like: Array) -> History:
+        """No overlap."""
+        zero = jnp.zeros_like(like)
+        return History(zero, None if pair.friction is None else jnp.stack([zero] * 3))
+
+    def force(self, pair: Pair, history: History, contact: Contact) -> Response:
+        """Hertz, damping and friction."""
+        c, before = contact, history.overlap
+        s = vector.kept(dashpot.elastic_overlap(before, c.approach, c.overlap))
+        root = vector.safe_sqrt(s)
+        damping = pair.damping * dashpot.power(before, s, c.approach, 0.25, lambda x: jnp.sqrt(jnp.sqrt(x)))
+        push = vector.kept(dashpot.damped(pair.stiffness * s * root, damping, c.approach, pair.mass, c.dt))
+        if history.spring is None:
+            return Response(push, None, History(s, None))
+        was = vector.safe_sqrt(before)
+        falls = jnp.where(root < was, root / jnp.where(was > 0, was, 1), 1)
+        spring = vector.scale(falls, vector.unpack(history.spring))
+        stiffness = pair.tangential * jnp.where(root < was, root, 0.5 * (was + root))
+        drag = vector.kept(*tangential_force(spring, c.normal, c.slip, push, stiffness, pair.friction))
+        return Response(push, drag, History(s, jnp.stack(drag)))
+
+    def energy(self, pair: Pair, history: History, overlap: Array) -> Array:
+        """2/5 k s^(5/2), and of the tangential spring (J)."""
+        s = history.overlap
+        root = vector.safe_sqrt(s)
+        energy = 0.4 * pair.stiffness * s * s * root
+        if history.spring is None:
+            return energy
+        spring = vector.unpack(history.spring)
+        return energy + 0.5 * vector.dot(spring, spring) / (pair.tangential * jnp.where(s > 0, root, 1))
+
+    def reach(self, pair: Pair) -> None:
+        """None: no force across a gap."""
+        return None
+
+    def critical_steps(self, pair: Pair, mass) -> dict:
+        """By the elastic impact at the speed given, and by the dashpot at its largest overlap (s)."""
+        s = self._largest(pair, mass)
+        quarter = 0.5 * IMPACT_TIME * s / self.impact_speed
+        return dashpot.critical_steps(mass, quarter, np.asarray(pair.damping) * s**0.25)
+
+    def stable_step(self, pair: Pair, mass):
+        """Linear stability limit (s) at the largest overlap of a central impact at the speed given."""
+        s = self._largest(pair, pair.mass)
+        return dashpot.stable_step(mass, 1.5 * pair.stiffness * s**0.5, np.asarray(pair.damping) * s**0.25, pair.mass)
+
+    def _largest(self, pair: Pair, mass):
+        """Largest overlap (m) of an elastic impact."""
+        return (1.25 * mass * self.impact_speed**2 / pair.stiffness) ** 0.4
