@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 
 from dem_jax.contact.law import ContactLaw
+from dem_jax.contact.law.cohesion import Cohesive
 from dem_jax.contact.law.hertz_mindlin import HertzMindlin
 from dem_jax.contact.law.linear_dashpot import LinearDashpot
 from dem_jax.contact.law.walton_braun import WaltonBraun
@@ -14,8 +15,12 @@ from dem_jax.types import Materials
 
 
 def law_of(scene: Scene) -> ContactLaw:
-    """The law that a scene asks for."""
-    return LAWS[scene.contact.law](scene)
+    """The law that a scene asks for, cohesive where any pair of its materials has a pull-off force."""
+    law = LAWS[scene.contact.law](scene)
+    if materials_of(scene).pull_off is None:
+        return law
+    cohesion = scene.contact.cohesion
+    return Cohesive(law, np.float64(cohesion.stiffness), np.float64(cohesion.range))
 
 
 def _walton_braun(scene: Scene) -> ContactLaw:

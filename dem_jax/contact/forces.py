@@ -102,7 +102,7 @@ def _loaded(system: System, memory: Memory, slots: Slots, a: Body, b: Body, offs
     share = None
     if siblings is not None and shape.weight is not None:
         overlap = jnp.where((shape.weight > 0) | (slots.plane < 0), overlap, -1)
-        share = seams.share(jnp.where(overlap > 0, shape.weight, 0), siblings)
+        share = seams.share(jnp.where(_within(system, slots, overlap) > 0, shape.weight, 0), siblings)
         at_b = seams.centre(share, at_b, siblings)
         shape = shape._replace(point=vector.add(at_b, offset))
         memory = seams.memory(memory, siblings)

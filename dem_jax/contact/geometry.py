@@ -3,12 +3,13 @@
 from dem_jax.contact import collide, hulls
 from dem_jax.contact.bodies import Body
 from dem_jax.maths import vector
-from dem_jax.types import Slots, System
+from dem_jax.types import Array, Hulls, Slots, System
 
 
 def geometry(system: System, kind, slots: Slots, a: Body, b: Body, offset):
     """Depth of each slot, [P] (m), and a function that says the rest, which nobody needs where nothing touches: a
-    ``collide.Geometry`` with normal (a to b) and point (relative to the centre of a) in world axes."""
+    ``collide.Geometry`` with normal (a to b) and point (relative to the centre of a) in world axes. The point of polytopes
+    is where they would touch if b were nearer by the reach of the law: between separated ones there is a force too."""
     if kind == "spheres":
         found = collide.sphere_sphere(slots.radius_a, slots.radius_b, offset)
         return found.depth, lambda: found
@@ -19,7 +20,17 @@ def geometry(system: System, kind, slots: Slots, a: Body, b: Body, offset):
     hull_a, hull_b = (hulls.with_faces(rows, system.hulls) for rows in (slots.hull_a, slots.hull_b))
     relative = collide.Relative(vector.compose(vector.transpose(a.rotation), b.rotation), local)
     axes = collide.separating_axes(hull_a, hull_b, relative)
-    return axes[0], lambda: _in_world(collide.hull_hull(hull_a, hull_b, relative, axes), a)
+    return axes[0], lambda: _in_world(_facing(hull_a, hull_b, relative, axes, system.law.reach(slots.pair)), a)
+
+
+def _facing(hull_a: Hulls, hull_b: Hulls, relative: collide.Relative, axes, reach: Array | None) -> collide.Geometry:
+    """Contact of two polytopes, their separating axes known; reach: [P] or [1] (m), None of a law without."""
+    if reach is None:
+        return collide.hull_hull(hull_a, hull_b, relative, axes)
+    depth, normal, along = axes
+    nearer = relative._replace(offset=vector.add_scaled(relative.offset, -reach, normal))
+    found = collide.hull_hull(hull_a, hull_b, nearer, (depth, normal, along + reach))
+    return found._replace(point=vector.add_scaled(found.point, 0.5 * reach, normal))
 
 
 def _in_world(found: collide.Geometry, a: Body) -> collide.Geometry:

@@ -4,7 +4,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from dem_jax.scene.sections.base import Positive, Section
+from dem_jax.scene.sections.base import NotNegative, Positive, Section
 from dem_jax.scene.sections.material import Material
 
 LawName = Literal["walton-braun", "linear-dashpot", "hertz-mindlin"]
@@ -18,11 +18,19 @@ OF_LAWS = {
 }
 
 
+class Cohesion(Section):
+    """How bodies hold on to each other, where a pull_off is more than 0 (dem_jax.contact.law.cohesion)."""
+
+    stiffness: Positive = Field(1.0, description="of the tension, over that of the two bodies in series (eqs 5, 7 and 8)")
+    range: NotNegative = Field(1e-4, description="m of gap, over which the tension falls from pull_off to 0")
+
+
 class Contact(Section):
-    """The contact law."""
+    """The contact law. Cohesion comes to it with material.pull_off or pair.pull_off."""
 
     law: LawName = "walton-braun"
     impact_speed: Positive = Field(5.0, description='m/s, the fastest impact that the time step resolves; law "hertz-mindlin"')
+    cohesion: Cohesion = Cohesion()
 
 
 def stray_key(contact: Contact, material: Material) -> str | None:
