@@ -8,6 +8,7 @@ from typing import Any
 
 import jax
 
+from dem_jax.contact.law import ContactLaw
 from dem_jax.drive import hosts, loop, recorded, restart, target
 from dem_jax.drive.job import Job
 from dem_jax.drive.prepare import prepare
@@ -26,17 +27,19 @@ def simulate(
     overwrite: bool = False,
     progress: bool = False,
     quantities: Iterable[Quantity] = (),
+    law: ContactLaw | None = None,
 ) -> record.Run:
     """Run a scene and return what was sampled.
 
     scene: a Scene, or what ``load_scene`` takes. seed: of a portion's arrangement. out: HDF5 file that is written as
     the run goes; an existing one is an error unless overwrite. progress: show a bar on stderr.
-    quantities: to sample beside those of dem_jax.
+    quantities: to sample beside those of dem_jax. law: a contact law of one's own (``dem_jax.contact.law``), instead of the
+    scene's; the file keeps the name of its type in ``info["law"]``.
     Raises SceneError for a scene that cannot be used, RecordError for a file that cannot be written, SimulationError
     (with what was computed before saved, or as its ``run``) for a run that went wrong, ValueError for a quantity that does
     not fit its axes.
     """
-    return drive(prepare(scene, (seed,), None, quantities), out, overwrite, progress)
+    return drive(prepare(scene, (seed,), None, quantities, law), out, overwrite, progress)
 
 
 def ensemble(
@@ -47,6 +50,7 @@ def ensemble(
     overwrite: bool = False,
     progress: bool = False,
     quantities: Iterable[Quantity] = (),
+    law: ContactLaw | None = None,
 ) -> record.Run:
     """Run a scene with the seeds seed, seed + 1, ..., seed + runs - 1; every series has a leading run axis.
 
@@ -63,24 +67,29 @@ def ensemble(
     """
     seeds = tuple(range(int(seed), int(seed) + int(runs)))
     with hosts.together():
-        return drive(prepare(scene, seeds, len(seeds), quantities), out, overwrite, progress)
+        return drive(prepare(scene, seeds, len(seeds), quantities, law), out, overwrite, progress)
 
 
 def resume(
-    path: FileName, duration: float | None = None, progress: bool = False, quantities: Iterable[Quantity] = ()
+    path: FileName,
+    duration: float | None = None,
+    progress: bool = False,
+    quantities: Iterable[Quantity] = (),
+    law: ContactLaw | None = None,
 ) -> record.Run:
     """Go on with the run in a file, to its end or to another duration (s); the bits are those of an uninterrupted run.
 
-    A run that ended because all was settled is at its end. quantities: the same that the run was begun with.
+    A run that ended because all was settled is at its end. quantities, law: the same that the run was begun with.
     Raises RecordError for a file that cannot be gone on from, SceneError for a duration that is already exceeded.
     """
     header, arrays, samples, frames = record.load_restart(path)
+    _check_law(path, header.info.get("law"), law)
     scene = parse(header.scene, path)
     if duration is not None:
         scene = scene.replace({"run.duration": duration})
     with hosts.together(header.run_count is not None):
         seeds = header.seed if isinstance(header.seed, tuple) else (header.seed,)
-        job = prepare(scene, seeds, header.run_count, quantities)
+        job = prepare(scene, seeds, header.run_count, quantities, law)
         if samples > job.samples:
             held = f"allowed: at least {samples * scene.run.sample:g} s, which {path} holds"
             raise SceneError(f"duration = {scene.run.duration:g}: {held}")
@@ -100,6 +109,14 @@ def drive(job: Job, out: FileName | None = None, overwrite: bool = False, progre
             return memory.run()
         hosts.by_first(partial(record.check_target, out, overwrite), job.shared)
         return _into_file(job, out, partial(record.Writer.create, out, recorded.header_of(job), overwrite), progress)
+
+
+def _check_law(path: FileName, name: str | None, law: ContactLaw | None) -> None:
+    """Raises RecordError unless a law of one's own is given to a run that was made with one of that name."""
+    given = None if law is None else type(law).__name__
+    if given != name:
+        allowed = f"a {name}, with the parameters that it had" if name else "none, the scene says which"
+        raise RecordError(f"{path}: law = {given or 'not given'}: allowed: {allowed}")
 
 
 def _gone_on(job: Job, path: FileName, header: record.Header, arrays: dict[str, Any], samples: int, frames: int) -> Job:

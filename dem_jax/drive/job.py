@@ -24,6 +24,7 @@ class Job:
     state: State
     way: Way  # how its chunks are computed
     rule: settled.Rule | None = None  # of run.until_settled
+    own_law: bool = False  # whether the contact law was given instead of the scene's
     samples_kept: int = 0  # already in the file
     frames_kept: int = 0
     notes: tuple[str, ...] = ()  # already in the file

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dem_jax import build, compiling
+from dem_jax.contact.law import ContactLaw
 from dem_jax.drive import execute, settled
 from dem_jax.drive.job import Job, samples_per_block
 from dem_jax.scene import Scene, load_scene
@@ -16,15 +17,22 @@ from dem_jax.step.quantity import Quantity, checked
 SLOT_BLOCK = 64  # slots that a CPU computes at a time, at most: they stay in its cache
 
 
-def prepare(scene: Scene | str | Path, seeds: Sequence[int], runs: int | None, quantities: Iterable[Quantity] = ()) -> Job:
-    """Set up a run (runs: None) or an ensemble, one seed for each run. quantities: to sample beside those of dem_jax.
+def prepare(
+    scene: Scene | str | Path,
+    seeds: Sequence[int],
+    runs: int | None,
+    quantities: Iterable[Quantity] = (),
+    law: ContactLaw | None = None,
+) -> Job:
+    """Set up a run (runs: None) or an ensemble, one seed for each run. quantities: to sample beside those of dem_jax;
+    law: instead of the scene's.
 
     Raises SceneError, and ValueError for two quantities of one name.
     """
     compiling.loops_as_one()
     scene = build.self_contained(scene if isinstance(scene, Scene) else load_scene(scene))
     with jax.enable_x64(scene.run.precision == "f64"):
-        built = build.build(scene, int(seeds[0]))
+        built = build.build(scene, int(seeds[0]), law)
         sampled = checked((*built.system.quantities, *quantities))
         system, state = built.system.replace(slot_block=slot_block(), quantities=sampled), built.state
         if runs is not None:
@@ -32,7 +40,7 @@ def prepare(scene: Scene | str | Path, seeds: Sequence[int], runs: int | None, q
             state = jax.tree.map(lambda *x: jnp.asarray(np.stack(x)), *states)
     settling = built.settling_steps // built.step.substeps
     rule = settled.rule_of(scene, system, settling, samples_per_block(system))
-    return Job(scene, tuple(seeds), runs, built, system, state, execute.way_of(system, runs), rule)
+    return Job(scene, tuple(seeds), runs, built, system, state, execute.way_of(system, runs), rule, law is not None)
 
 
 def slot_block() -> int:

@@ -16,6 +16,7 @@ def header_of(job: Job) -> record.Header:
     from dem_jax import __version__
 
     step, scene = job.built.step, job.scene
+    own = {"law": type(job.system.law).__name__} if job.own_law else {}
     return record.Header(
         scene=scene.to_toml(),
         seed=job.seeds[0] if job.runs is None else job.seeds,
@@ -28,7 +29,7 @@ def header_of(job: Job) -> record.Header:
         blocks=job.system.blocks,
         piece_count=job.state.position.shape[-1],
         run_count=job.runs,
-        info={"step": str(step), "critical_step": step.critical, "stable_step": step.stable, "limit": step.limit},
+        info={"step": str(step), "critical_step": step.critical, "stable_step": step.stable, "limit": step.limit} | own,
         quantities=series.declared(job.system),
     )
 
