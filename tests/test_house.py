@@ -1,0 +1,89 @@
+"""The house of dem_jax: a room imports only from those below it, and the page that draws it names what there is."""
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+PACKAGE = ROOT / "dem_jax"
+PAGE = (ROOT / "docs" / "house.md").read_text()
+BASE = {"types", "errors", "compiling", "maths"}
+MAY_IMPORT = {  # room -> rooms below it
+    "errors": set(),
+    "compiling": set(),
+    "types": set(),
+    "maths": set(),
+    "shapes": {"errors", "maths"},
+    "scene": {"errors"},
+    "contact": BASE | {"scene"},
+    "pairs": BASE | {"contact"},
+    "step": BASE | {"contact", "pairs"},
+    "store": BASE | {"step"},
+    "build": BASE | {"contact", "pairs", "step", "scene", "shapes"},
+    "drive": BASE | {"contact", "pairs", "step", "scene", "build", "store", "__version__"},
+    "show": BASE | {"contact", "scene", "shapes", "build"},
+    "validation": BASE | {"contact", "pairs", "step", "scene"},
+    "cli": BASE | {"step", "scene", "drive", "store", "show", "__version__"},
+    "__main__": {"cli"},
+    "__init__": set(),
+    "scenes": set(),
+}
+
+
+def files():
+    return sorted(PACKAGE.rglob("*.py"))
+
+
+def room_of(path):
+    first = path.relative_to(PACKAGE).parts[0]
+    return first.removesuffix(".py")
+
+
+def imported(path):
+    """Modules of the package that a file imports, anywhere in it, and all modules from elsewhere."""
+    own, others = set(), set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        names = []
+        if isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            names = [f"{node.module}.{a.name}" for a in node.names] if node.module == "dem_jax" else [node.module]
+        elif isinstance(node, ast.Import):
+            names = [a.name for a in node.names]
+        for name in names:
+            (own if name.split(".")[0] == "dem_jax" else others).add(name)
+    return own, others
+
+
+@pytest.mark.parametrize("path", files(), ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_a_room_imports_only_from_those_below_it(path):
+    room = room_of(path)
+    own, others = imported(path)
+    rooms = {name.split(".")[1] for name in own if name != "dem_jax"} - {room}
+    assert rooms <= MAY_IMPORT[room], f"{path} imports {sorted(rooms - MAY_IMPORT[room])}"
+    assert not [name for name in others if name.startswith("jax._src")]
+
+
+def test_no_room_is_below_itself():
+    below = dict(MAY_IMPORT)
+    while below:
+        free = [room for room, rooms in below.items() if not rooms & below.keys()]
+        assert free, f"a circle among {sorted(below)}"
+        for room in free:
+            del below[room]
+
+
+def test_the_page_names_every_room():
+    rooms = {room_of(path) for path in files()} - {"__init__", "__main__", "scenes"}
+    assert not [room for room in rooms if f"`{room}" not in PAGE]
+
+
+def test_what_the_page_names_is_there():
+    named = re.findall(r"`(dem_jax/[\w/]+\.py)(?::(\w+))?`", PAGE)
+    assert len(named) > 15
+    for path, name in named:
+        tree = ast.parse((ROOT / path).read_text())
+        assert not name or name in {node.name for node in tree.body if isinstance(node, ast.FunctionDef | ast.ClassDef)}, (path, name)
+    for path in re.findall(r"`((?:contact|scene|step|shapes|maths|build|cli|notebooks)/[\w/]+(?:\.\w+)?/?)`", PAGE):
+        assert (ROOT / path).exists() or (PACKAGE / path).exists(), path
