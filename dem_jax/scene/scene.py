@@ -23,7 +23,6 @@ class Scene(Section):
 
     name: str = Field("scene", pattern=r"^[^/\\]+$", description="of the files that a run writes")
     material: Material = Material()
-    contact: Contact = Contact()
     run: RunSettings = RunSettings()
     portion: Portion | None = None
     piece: Annotated[tuple[Piece, ...], BeforeValidator(as_tuple)] = ()
@@ -35,6 +34,7 @@ class Scene(Section):
     feeder: Feeder | None = None
     drop: Drop = Drop()
     pair: Annotated[tuple[Pair, ...], BeforeValidator(as_tuple)] = ()
+    contact: Contact = Contact()
     folder: str = Field(".", description="folder that files named in the scene are relative to")
 
     @model_validator(mode="after")
