@@ -84,6 +84,7 @@ def test_what_the_page_names_is_there():
     assert len(named) > 15
     for path, name in named:
         tree = ast.parse((ROOT / path).read_text())
-        assert not name or name in {node.name for node in tree.body if isinstance(node, ast.FunctionDef | ast.ClassDef)}, (path, name)
+        known = {node.name for node in tree.body if isinstance(node, ast.FunctionDef | ast.ClassDef)}
+        assert not name or name in known, (path, name)
     for path in re.findall(r"`((?:contact|scene|step|shapes|maths|build|cli|notebooks)/[\w/]+(?:\.\w+)?/?)`", PAGE):
         assert (ROOT / path).exists() or (PACKAGE / path).exists(), path
