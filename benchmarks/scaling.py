@@ -59,7 +59,7 @@ def time_chunk(system, state, members=None):
     start = time.perf_counter()
     compiled = chunk.compiled(system, state, samples, members=members)
     compile_time = time.perf_counter() - start
-    steps = samples * int(system.substeps) * system.parts
+    steps = samples * int(system.substeps) * system.sample_parts
     clock = time.process_time if jax.default_backend() == "cpu" else time.perf_counter
     times = []
     for _ in range(UNTIMED + REPEATS):

@@ -113,7 +113,7 @@ def prepared(scene, computed, frames, quick):
     job = prepare(scene, (0,), None)
     system = job.system.replace(**{name: value(job.system) if callable(value) else value for name, value in computed.items()})
     state = guard.with_scratch(system, job.state)
-    each = int(system.substeps) * system.parts
+    each = int(system.substeps) * system.sample_parts
     steps = STEPS * max(1, 64 // state.position.shape[1])  # so that starting a chunk is a small part of it
     samples = max(8, steps // (4 * each if quick else each))
     for _ in range(ATTEMPTS):
@@ -153,7 +153,7 @@ def skips(quick) -> list[Skip]:
     plain, rough = f"{few} pieces", f"{few} pieces with friction"
     every_step = {
         "substeps": lambda s: jnp.full_like(s.substeps, 1),
-        "parts": lambda s: int(s.substeps) * s.parts,
+        "parts": lambda s: int(s.substeps) * s.sample_parts,
         "block_steps": 1,
     }
     without = lambda: heap(few, **smooth)  # noqa: E731

@@ -1,8 +1,9 @@
 """What a simulation is made of: System (never changes while it runs), State (what a step changes), Sample (what is read).
 
-All are frozen dataclasses registered as pytrees. Arrays keep the piece, panel or contact index last; leading axes hold
-components. N pieces, W panels in G wall groups, B blocks, P contact slots. SI units. R runs, mostly one, are computed as one
-system whose runs do not see each other: N counts the pieces of all, and what there is of each run has R last (``of_run``).
+All are frozen dataclasses registered as pytrees. Arrays keep the piece, part, panel or contact index last; leading axes
+hold components. N pieces of M convex parts, W panels in G wall groups, B blocks, P contact slots. SI units. R runs, mostly
+one, are computed as one system whose runs do not see each other: N counts the pieces of all, and what there is of each run
+has R last (``of_run``).
 """
 
 import dataclasses
@@ -58,7 +59,10 @@ class Hulls(Tree):
     half_lengths: Array | None  # [D, S] (m): of a zonotope, the lengths of its generators
     cross_widths: Array | None  # [D, F/2, S] (m): of a zonotope, C of collide._zonotope_axes
     seams: tuple | None  # [m, S] x 3: of a panel, outward across each edge where another continues its plane; else 0
-    open_edges: Array | None  # [k, F S]: 0 for those edges, 1 for all others, as columns; not gathered to pairs
+    open_edges: Array | None  # [k, F S]: how much of an edge is one of the surface, 0 where another panel or part continues
+    # it in a plane, else 1, as columns; not gathered to pairs
+    inner: Array | None  # [F, S]: 1 for faces that other parts of the piece cover, 0 for all others
+    extended: Any  # Hulls of which depth and normal are found, of a part that others continue more of the piece; None: these
     is_zonotope: bool = static()
 
 
@@ -71,11 +75,30 @@ class Pieces(Tree):
     size: Array  # [N] (m): L of eqs 7 and 8
     curvature: Array  # [N] (1/m): of the sphere of equal volume
     material: Array  # [N] int32: row of Materials
-    radius: Array  # [N] (m): of a sphere; 0 of a polytope
-    bounding_radius: Array  # [N] (m)
-    width: Array  # [N] (m): smallest width, the measure of how deep a contact is
-    polytopes: Array  # int32: which pieces are polytopes ...
+    bounding_radius: Array  # [N] (m): about the centre of mass
+    width: Array  # [N] (m): smallest width, of several parts of the narrowest: the measure of how deep a contact is
+
+
+@pytree
+class Parts(Tree):
+    """The M convex parts of the pieces, piece by piece: what touches. Mostly each piece is its own only part."""
+
+    owner: Array | None  # [M] int32: the piece that it is a part of; None: M = N, part k is piece k
+    surface: Array | None  # [M] int32: the same number for parts that continue each other, -1 of all others; None: all -1
+    centre: Array | None  # [3, M] (m): in the principal frame of the piece, whose axes the part has too; None: 0
+    radius: Array  # [M] (m): of a sphere; 0 of a polytope
+    bounding_radius: Array  # [M] (m): about the part's own centre
+    polytopes: Array  # int32: which parts are polytopes ...
     spheres: Array  # int32: ... and which are spheres
+
+    @property
+    def count(self) -> int:
+        """M."""
+        return self.radius.shape[0]
+
+    def piece(self, part: Array) -> Array:
+        """The piece that each part belongs to."""
+        return part if self.owner is None else self.owner[part]
 
 
 @pytree
@@ -129,8 +152,9 @@ class System(Tree):
     """All that never changes while a scene runs: arrays, and the static choices that decide what is compiled."""
 
     pieces: Pieces
-    hulls: Hulls | None  # shapes of the polytopes among the pieces, then of the panels
-    shape: Array  # [N + W] int32: row of each body in the table of hulls (0 of a sphere)
+    parts: Parts
+    hulls: Hulls | None  # shapes of the polytopes among the parts, then of the panels
+    shape: Array  # [M + W] int32: row of each body in the table of hulls (0 of a sphere)
     walls: Walls
     materials: Materials
     law: Any  # a contact law, see contact.law
@@ -148,12 +172,13 @@ class System(Tree):
     neighbours: str = static()  # how pairs of pieces are found, as in scene.RunSettings
     row_capacity: int = static()  # most pieces in three neighbouring cells in a row, where there are cells
     partition: Partition | None = static()  # of jax-md's list
-    has_hulls: bool = static()  # whether any piece is a polytope
-    alike: tuple = static()  # "hulls" if all polytopes of pieces are one shape, "spheres" if all spheres are, of one material
+    has_hulls: bool = static()  # whether any piece is not a sphere
+    alike: tuple = static()  # "hulls" if all polytopes of pieces are one shape, "spheres" if all spheres are, of one material;
+    # never of pieces of several parts
     escape_stops: bool = static()  # whether a piece outside the domain stops the run
     has_rotation: bool = static()
     ledger: bool = static()  # whether work and dissipation are added up
-    parts: int = static()  # a sample interval of more steps than the next is cut into so many parts, a rebuild before each
+    sample_parts: int = static()  # a sample interval of more steps than the next is cut into so many parts, a rebuild before each
     block_steps: int = static()  # most steps between rebuilds of the pairs; one comes before the sample that exceeds it
     slot_block: int = static()  # contacts are computed so many at a time, at most; 0: all slots at once
     runs: int = static()  # R, how many runs this is, side by side; they do not see each other
@@ -174,7 +199,7 @@ class Memory(Tree):
 class ContactTable(Tree):
     """P slots for contacts between two kinds of bodies; an empty slot has a = -1.
 
-    Bodies are numbered pieces first, then panels. b is always a piece, a is a piece or a panel.
+    Bodies are numbered parts first, then panels. b is always a part, a is a part or a panel.
     """
 
     a: Array  # [P] int32
@@ -194,7 +219,8 @@ class Slots(Tree):
     radius_a: Array  # [P] or [1] (m): of spheres
     radius_b: Array  # [P] or [1] (m)
     width: Array  # [P] or [1] (m): of the narrower piece
-    plane: Array | None  # [P] int32: of a, where it is a panel that another continues; else -1
+    surface_a: Array | None  # [P] int32: of a, where others continue it: Walls.plane, or beyond those Parts.surface; else -1
+    surface_b: Array | None  # [P] int32: Parts.surface of b
     pair: Any  # [P] or [1]: the constants of the contact law
 
 

@@ -210,18 +210,14 @@ def piece_arrays(scene: Scene, goods: Goods) -> Pieces:
     distinct, index = distinct_shapes(goods.shapes)
     each = lambda value: np.array([value(shape) for shape in distinct])[index]  # noqa: E731
     mass = table.density[row] * each(lambda s: s.volume)
-    none = np.zeros(0, int)
     return Pieces(
         mass=mass,
         inertia=mass * each(lambda s: s.gyration).T,
         size=each(lambda s: shapes.size_length(s, scene.material.stiffness_size)),
         curvature=2 / each(shapes.SIZE_LENGTHS["equivalent-diameter"]),
         material=row,
-        radius=each(lambda s: s.radius),
         bounding_radius=each(lambda s: s.bounding_radius),
         width=each(_width),
-        polytopes=none,
-        spheres=none,
     )
 
 
@@ -235,18 +231,10 @@ def _width(shape: shapes.Shape) -> float:
     return float((heights.max(0) - heights.min(0)).min())
 
 
-def refuse_parts(made: list[shapes.Shape]) -> None:
-    """Raises SceneError for a piece of several convex parts."""
-    for n, shape in enumerate(made):
-        if len(shapes.parts_of(shape)) > 1:
-            raise SceneError(
-                f"piece.{n}.shape = {shape.name!r}: {len(shape.parts)} convex parts; allowed in a run so far: one; "
-                "it can be made, weighed and drawn"
-            )
-
-
 def alike(goods: Goods) -> tuple[str, ...]:
     """System.alike."""
+    if any(shape.parts for shape in goods.shapes):
+        return ()
     both = list(zip(goods.shapes, goods.materials, strict=True))
     of_kind = {
         "hulls": {id(shape) for shape, _ in both if shape.radius == 0},

@@ -7,12 +7,12 @@ import numpy as np
 from dem_jax.pairs import guard, neighbours, search
 
 
-def capacity(made, polytopes, panels):
+def capacity(polytopes: int, spheres: int, panels: int) -> tuple[tuple[str, int, int], ...]:
     """Kinds of contact that the scene can have, with candidates and slots to begin with (grown when they overflow).
 
-    What a settled heap was seen to need.
+    polytopes, spheres: numbers of such parts of pieces. What a settled heap was seen to need.
     """
-    p, s = len(polytopes), len(made) - len(polytopes)
+    p, s = polytopes, spheres
     walls = 4 * s ** (2 / 3) + 8 if panels else 0
     wanted = {"hulls": (9 * p, 3 * p + 5), "mixed": (8 * min(p, s) + 2 * walls, 4 * min(p, s) + walls), "spheres": (8 * s, 4 * s)}
     out = []

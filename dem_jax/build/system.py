@@ -1,6 +1,5 @@
 """From a scene to a system and its first state: shapes to tables, materials to stiffness, walls to panels, slots."""
 
-import dataclasses
 from dataclasses import dataclass
 
 import jax
@@ -8,15 +7,17 @@ import jax.numpy as jnp
 import numpy as np
 
 from dem_jax.build.law import law_of, materials_of
-from dem_jax.build.pieces import alike, distinct_shapes, goods_of, named, piece_arrays, refuse_parts, tuples, with_points
+from dem_jax.build.parts import hull_table, part_arrays, solids_of
+from dem_jax.build.pieces import alike, goods_of, named, piece_arrays, tuples, with_points
 from dem_jax.build.room import capacity, partition, row_capacity
 from dem_jax.build.start import Start, first_state, motion_of_start, placed, settling_samples
 from dem_jax.build.time_step import TimeStep, block_steps, choose_step, longest_reach, possible_contacts
 from dem_jax.build.typed import typed
 from dem_jax.build.walls import panels_of, wall_arrays, walls_of
-from dem_jax.contact import hulls, motion
+from dem_jax.contact import motion
 from dem_jax.contact.law import ContactLaw
 from dem_jax.errors import SceneError
+from dem_jax.pairs.guard import most_contacts
 from dem_jax.scene import Scene
 from dem_jax.step.quantities import QUANTITIES
 from dem_jax.types import State, System, float_dtype
@@ -45,7 +46,6 @@ def build(scene: Scene, seed: int = 0, law: ContactLaw | None = None) -> Built:
     dtype = float_dtype(scene.run.precision)
     goods = goods_of(scene)
     made = list(goods.shapes)
-    refuse_parts(made)
     panels, motions, joint, blocks, regions = walls_of(scene)
     start = placed(scene, made, goods.numbers, regions, np.random.default_rng(seed))
     pieces = piece_arrays(scene, goods)
@@ -57,17 +57,13 @@ def build(scene: Scene, seed: int = 0, law: ContactLaw | None = None) -> Built:
     frame_every = max(1, round(scene.run.frames / scene.run.sample)) if scene.run.frames else 0
     walls, plates, seams = wall_arrays(scene, panels, motions, joint, dtype)
     domain = _domain(scene, panels, start, made)
-    polytopes = [i for i, m in enumerate(made) if m.radius == 0]
-    table, shape_rows = _hull_table(made, plates, seams)
+    solids = solids_of(made)
+    parts, convex = part_arrays(solids), [solid.shape for row in solids for solid in row]
+    table, shape_rows = hull_table(solids, plates, seams)
+    has_hulls = any(shape.radius == 0 for shape in made)
     system = System(
-        pieces=typed(
-            dataclasses.replace(
-                pieces,
-                polytopes=np.array(polytopes, int),
-                spheres=np.array([i for i in range(len(made)) if made[i].radius > 0], int),
-            ),
-            dtype,
-        ),
+        pieces=typed(pieces, dtype),
+        parts=typed(parts, dtype),
         hulls=typed(table, dtype) if table else None,
         shape=jnp.asarray(np.asarray(shape_rows, np.int32)),
         walls=walls,
@@ -82,25 +78,24 @@ def build(scene: Scene, seed: int = 0, law: ContactLaw | None = None) -> Built:
         block_high=jnp.asarray(np.asarray(np.array([b.high for b in blocks]).reshape(-1, 3).T, dtype)),
         domain_low=jnp.asarray(np.asarray(domain[0], dtype)),
         domain_high=jnp.asarray(np.asarray(domain[1], dtype)),
-        capacity=capacity(made, polytopes, len(panels)),
-        touching=min(12, len(made) - 1 + len(panels)),
+        capacity=capacity(len(parts.polytopes), len(parts.spheres), len(panels)),
+        touching=min(12 if parts.owner is None else 24, most_contacts(parts, len(panels))),
         neighbours=scene.run.neighbours,
-        row_capacity=row_capacity(made, scene.run.neighbours),
-        partition=partition(made, scene.run.neighbours, domain),
-        has_hulls=bool(polytopes),
+        row_capacity=row_capacity(convex, scene.run.neighbours),
+        partition=partition(convex, scene.run.neighbours, domain),
+        has_hulls=has_hulls,
         alike=alike(goods),
         escape_stops=scene.run.escape == "stop",
         has_rotation=True,
         ledger=scene.run.energy,
-        parts=step.parts,
+        sample_parts=step.parts,
         block_steps=block_steps(scene),
         slot_block=0,
         runs=1,
         blocks=tuple(b.name for b in blocks),
         quantities=QUANTITIES,
     )
-    only_spheres = not polytopes
-    system = system.replace(has_rotation=not only_spheres or materials.friction is not None or bool(np.any(start.spin)))
+    system = system.replace(has_rotation=has_hulls or materials.friction is not None or bool(np.any(start.spin)))
     frames = np.array([m.principal for m in made])
     state = first_state(system, start, frames, -settling)
     return Built(system, state, step, tuple(made), frames, settling, samples, frame_every, regions, goods.numbers)
@@ -123,18 +118,6 @@ def self_contained(scene: Scene) -> Scene:
     motions = tuple(motion.written_out(row, scene.folder) for row in scene.motion)
     changes = {"piece": tuple(rows), "portion": portion, "wall": tuple(walls), "motion": motions, "folder": "."}
     return scene.model_copy(update=changes)
-
-
-def _hull_table(made, plates, seams):
-    """The table of hulls of pieces and panels (None if there are none), and the row of each body."""
-    distinct, index = distinct_shapes([shape for shape in made if shape.radius == 0])
-    numbers = iter(index)
-    rows = [next(numbers) if shape.radius == 0 else 0 for shape in made]
-    rows += [len(distinct) + k for k in range(len(plates))]
-    every = [*distinct, *plates]
-    if seams:
-        seams = [np.zeros((0, 3))] * len(distinct) + seams
-    return (hulls.table(every, np.float64, seams) if every else None), np.array(rows, int)
 
 
 def _domain(scene: Scene, panels, start: Start, made):

@@ -15,7 +15,7 @@ from dem_jax.errors import SceneError
 from dem_jax.maths import pose
 from dem_jax.pairs import guard
 from dem_jax.scene import Scene
-from dem_jax.shapes import Shape
+from dem_jax.shapes import Shape, parts_of
 from dem_jax.types import Materials, Pieces
 
 
@@ -145,10 +145,12 @@ def _words(shape, other):
 
 
 def _eccentricity(shape):
-    """Smallest effective mass of a frictionless contact at a vertex, relative to the whole mass, in any direction."""
+    """Smallest effective mass of a frictionless contact at a vertex or on a ball, relative to the whole mass, in any
+    direction."""
     if shape.radius > 0:
         return 1.0
-    vertices = shape.vertices @ pose.matrix_of_quaternion(shape.principal)
+    points = [part.centre + (part.shape.vertices if part.shape.radius == 0 else 0) for part in parts_of(shape)]
+    vertices = np.concatenate([np.reshape(p, (-1, 3)) for p in points]) @ pose.matrix_of_quaternion(shape.principal)
     arms = np.cross(vertices[:, None], np.eye(3)[None])  # [V, 3, 3]: r x n for n along each axis
     compliance = np.einsum("vik,vjk->vij", arms / shape.gyration, arms)
     return float(1 / (1 + np.linalg.eigvalsh(compliance).max()))

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from dem_jax.contact import seams
 from dem_jax.maths import vector
 from dem_jax.types import Memory, Slots, System
 
@@ -19,7 +20,7 @@ def block_size(system: System, kind, room) -> int:
     An eighth of the room or less, so that a last block that is hardly filled costs little, but enough for vectors. With
     spheres a slot is so cheap that cutting out the blocks pays only where there are many.
     """
-    if not system.slot_block or system.walls.plane is not None:  # across a seam slots look at each other
+    if not system.slot_block or seams.are_there(system):  # across a seam slots look at each other
         return 0
     if room < (FEW_SLOTS if kind == "hulls" else MANY_SLOTS):
         return 0
@@ -41,8 +42,8 @@ def block_of_slots(system: System, kind, slots: Slots, k, size) -> Slots:
     if kind != "hulls" or kind not in system.alike:
         return block_of(slots, k, size)
     rows = block_of(slots.replace(hull_a=None), k, size)
-    pieces = system.pieces.mass.shape[0]
-    alike = jnp.all(slots.a[:size] < pieces) & jnp.all(rows.a < pieces)
+    parts = system.parts.count
+    alike = jnp.all(slots.a[:size] < parts) & jnp.all(rows.a < parts)
     first = jax.tree.map(lambda x: x if x.shape[-1] == 1 else x[..., :size], slots.hull_a)
     return rows.replace(hull_a=jax.lax.cond(alike, lambda: first, lambda: block_of(slots.hull_a, k, size)))
 

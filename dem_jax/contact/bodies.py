@@ -1,4 +1,4 @@
-"""Pieces and panels as one list of bodies, pieces first, so that a contact need not know which it has.
+"""Parts of pieces and panels of walls as one list of bodies, parts first, so that a contact need not know which it has.
 
 Everything a contact needs of a body is a column of one array, gathered once per side.
 """
@@ -16,22 +16,43 @@ class Body(NamedTuple):
     """Bodies of P slots."""
 
     centre: tuple  # [P] x 3 (m)
-    velocity: tuple  # [P] x 3 (m/s), of the centre
+    velocity: tuple  # [P] x 3 (m/s), of the centre of the piece
     spin: tuple  # [P] x 3 (rad/s)
     rest: tuple | None  # [P] x 3 (m): low-order part of the centre; None in double precision
     rotation: tuple | None  # rows of [P]: body frame to world; None where all are spheres
+    arm: tuple | None  # [P] x 3 (m): from the centre of the piece to that of its part; None where each piece is its only part
 
 
 def stack(system: System, state: State, omega, panels: boundary.Panels):
-    """All bodies, [rows, N + W]: of ``Body``, one below the other, what any contact of the system needs. omega: [3, N]
+    """All bodies, [rows, M + W]: of ``Body``, one below the other, what any contact of the system needs. omega: [3, N]
     (rad/s)."""
     pieces, walls = [state.position, state.velocity, omega], [panels.rows[:9]]
     if _has_rest(state.position):
         pieces, walls = [*pieces, state.motion.position_rest], [*walls, jnp.zeros_like(panels.rows[:3])]
+    if system.parts.owner is not None:
+        return jnp.concatenate([_of_parts(system, state, jnp.concatenate(pieces)), _with_arms(panels, walls)], axis=1)
     if any(kind != "spheres" for kind, *_ in system.capacity):
         rows = _matrix_rows(state.orientation) if system.has_hulls else jnp.zeros((9, omega.shape[1]), omega.dtype)
         pieces, walls = [*pieces, rows], [*walls, panels.rows[9:]]
     return jnp.concatenate([jnp.concatenate(pieces), jnp.concatenate(walls)], axis=1)
+
+
+def _of_parts(system: System, state: State, pieces):
+    """The rows of parts, from those of their pieces: the centre is that of the part."""
+    parts = system.parts
+    c = pieces[:, parts.owner]
+    frame = rotation.matrix(tuple(state.orientation[:, parts.owner]))
+    arm = jnp.stack(vector.rotate(frame, vector.unpack(parts.centre)))
+    centre = c[:3] + arm
+    rows = [centre, c[3:9]]
+    if _has_rest(pieces):  # what rounding leaves over of the sum
+        part = centre - c[:3]
+        rows.append(c[9:12] + ((c[:3] - (centre - part)) + (arm - part)))
+    return jnp.concatenate([*rows, jnp.stack([x for row in frame for x in row]), arm])
+
+
+def _with_arms(panels: boundary.Panels, rows):
+    return jnp.concatenate([*rows, panels.rows[9:], jnp.zeros_like(panels.rows[:3])])
 
 
 def _has_rest(stacked):
@@ -56,7 +77,8 @@ def _body(stacked, c) -> Body:
     three = lambda i: (c[i], c[i + 1], c[i + 2])  # noqa: E731
     frame = 12 if _has_rest(stacked) else 9
     rest = three(9) if _has_rest(stacked) else None
-    return Body(three(0), three(3), three(6), rest, tuple(three(frame + i) for i in (0, 3, 6)) if len(c) > frame else None)
+    turn = tuple(three(frame + i) for i in (0, 3, 6)) if len(c) > frame else None
+    return Body(three(0), three(3), three(6), rest, turn, three(frame + 9) if len(c) > frame + 9 else None)
 
 
 def offset(a: Body, b: Body):

@@ -24,6 +24,7 @@ FACE_PREFERENCE = 0.02
 # Beyond a seam the wall goes on, so that nothing is pushed across it: the overlap along an axis that points so is raised
 # by this many bounding radii of the piece times the sine of the angle at which it does.
 SEAM_SLOPE = 10.0
+PART_EDGE = 1e-5  # of a part's bounding radius: a sphere that touches the body no further beside a part touches the part
 SEAM_SINE = 1e-5  # a sphere's normal that points across a seam by no more is taken to stand on both panels
 
 
@@ -201,12 +202,16 @@ def _polygons(a: Hulls, b: Hulls, rel: Relative, depth, normal, face_a, face_b):
     corners_b = vector.add(vector.rotate(turn, _vectors(b.loops, face_b)), d)
     corners_b, normals_b = kept(*corners_b), kept(*vector.rotate(turn, b.normals))
     height_a, height_b = dot(n, corners_a), dot(n, corners_b)
-    top = kept(jnp.max(height_a, axis=0))  # a's extent along the normal; b begins below it by the depth
+    highest = height_a if a.extended is None else dot(n, a.extended.vertices)
+    top = kept(jnp.max(highest, axis=0))  # a's extent along the normal; b begins below it by the depth
     first = _clipped(vector.sub(corners_a, d), corners_a, normals_b, b.offsets, height_a - (top - depth)[None])
     second = _clipped(corners_b, corners_b, a.normals, a.offsets, top[None] - height_b)
     if a.open_edges is not None:  # an edge in the middle of a wall is no edge of the overlap
         is_open = a.open_edges.at[:, face_a].get(mode="promise_in_bounds")
         first = tuple(is_open * part for part in first)
+    if b.inner is not None:  # nor is one between two parts of a piece
+        is_open = b.open_edges.at[:, face_b].get(mode="promise_in_bounds")
+        second = tuple(is_open * part for part in second)
     return top, [jnp.sum(p, axis=0) + jnp.sum(q, axis=0) for p, q in zip(first, second, strict=True)]
 
 
@@ -234,6 +239,8 @@ def _zonogons(a: Hulls, b: Hulls, rel: Relative, depth, normal, face_a, face_b):
 def _facing(hull: Hulls, normal):
     """Column [P] of the face whose outward normal lies most along a direction given in the hull's frame."""
     along = dot(hull.normals, expand(normal, 0))
+    if hull.inner is not None:
+        along = along - 3 * hull.inner
     face = _first_where(along == jnp.max(along, axis=0)[None])
     return face * (hull.loops.shape[1] // hull.normals[0].shape[0]) + hull.row
 
@@ -328,6 +335,7 @@ def sphere_sphere(radius_a, radius_b, offset) -> Geometry:
 
 def hull_sphere(a: Hulls, radius, centre) -> Geometry:
     """A convex polytope a and a sphere b whose centre (in a's frame, [P] x 3) may lie in it or outside."""
+    part, a = a, a if a.extended is None else a.extended
     height = kept(dot(a.normals, expand(centre, 0)) - a.offsets)  # [F, P]
     inside, face_normal = jnp.max(height, axis=0), _select(a.normals, _least(-height)[1])
     foot, squared = _closest_on_faces(a, height, expand(centre, 0))
@@ -341,7 +349,13 @@ def hull_sphere(a: Hulls, radius, centre) -> Geometry:
     if a.seams is not None:  # beside a panel that another continues, the other has the contact
         across = [dot(normal, tuple(c[k] for c in a.seams)) for k in range(a.seams[0].shape[0])]
         weight = jnp.where(jnp.max(jnp.stack(across), axis=0) > SEAM_SINE, 0, 1).astype(depth.dtype)
-    return Geometry(depth, normal, vector.add_scaled(centre, 0.5 * depth - radius, normal), weight)
+    point = vector.add_scaled(centre, 0.5 * depth - radius, normal)
+    if part.inner is not None:  # and beside a part that another continues
+        foot = vector.add_scaled(centre, depth - radius, normal)
+        above = jnp.max(dot(part.normals, expand(foot, 0)) - part.offsets, axis=0)
+        held = jnp.where(above < PART_EDGE * part.bounding_radius, 1, 0).astype(depth.dtype)
+        weight = held if weight is None else held * weight
+    return Geometry(depth, normal, point, weight)
 
 
 def _closest_on_faces(hull: Hulls, height, centre):

@@ -54,7 +54,7 @@ def _contacts_of_kind(system: System, state: State, kind, stacked, loads, column
         return jax.lax.dynamic_update_slice_in_dim(loads, part.load_a, column + room + first, 1)
 
     if not size:
-        siblings = None if slots.plane is None else seams.siblings(slots, state.incidence, column)
+        siblings = None if slots.surface_a is None else seams.siblings(system, slots, state.incidence, column)
         part = _resolve(system, kind, table.memory, slots, stacked, siblings)
         return part.memory, put(part, 0, loads), part.overlap
 
@@ -71,7 +71,7 @@ def _contacts_of_kind(system: System, state: State, kind, stacked, loads, column
 
 
 def _resolve(system: System, kind, memory: Memory, slots: Slots, stacked, siblings) -> Contacts:
-    """Geometry and contact law of the contacts of one kind. siblings: seams.Siblings where walls have seams."""
+    """Geometry and contact law of the contacts of one kind. siblings: seams.Siblings where surfaces go on."""
     a, b = bodies.take(stacked, slots.a), bodies.take(stacked, slots.b)
     offset = bodies.offset(a, b)
     depth, rest = geometry(system, kind, slots, a, b, offset)
@@ -99,12 +99,19 @@ def _loaded(system: System, memory: Memory, slots: Slots, a: Body, b: Body, offs
     """The contact law's answer to contacts of a shape in world axes."""
     overlap = jnp.where(slots.live, shape.depth, -1)
     at_b = vector.sub(shape.point, offset)
+    if b.arm is not None:  # from here on about the centres of the pieces
+        at_b, offset = vector.add(at_b, b.arm), vector.add(offset, vector.sub(a.arm, b.arm))
+        shape = shape._replace(point=vector.add(at_b, offset))
     share = None
     if siblings is not None and shape.weight is not None:
-        overlap = jnp.where((shape.weight > 0) | (slots.plane < 0), overlap, -1)
+        if slots.surface_b is not None:
+            siblings = seams.looking_alike(siblings, shape.normal)
+        overlap = jnp.where((shape.weight > 0) | ~seams.are_shared(slots), overlap, -1)
         share = seams.share(jnp.where(_within(system, slots, overlap) > 0, shape.weight, 0), siblings)
         at_b = seams.centre(share, at_b, siblings)
         shape = shape._replace(point=vector.add(at_b, offset))
+        if slots.surface_b is not None:
+            overlap, shape = seams.deepest(overlap, shape, siblings)
         memory = seams.memory(memory, siblings)
     within = _within(system, slots, overlap)
     slip, approach = _motion(system, a, b, offset, memory, shape.normal, at_b, within)

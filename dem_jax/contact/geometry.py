@@ -19,7 +19,7 @@ def geometry(system: System, kind, slots: Slots, a: Body, b: Body, offset):
         return found.depth, lambda: _in_world(found, a)
     hull_a, hull_b = (hulls.with_faces(rows, system.hulls) for rows in (slots.hull_a, slots.hull_b))
     relative = collide.Relative(vector.compose(vector.transpose(a.rotation), b.rotation), local)
-    axes = collide.separating_axes(hull_a, hull_b, relative)
+    axes = collide.separating_axes(*(h if h.extended is None else h.extended for h in (hull_a, hull_b)), relative)
     return axes[0], lambda: _in_world(_facing(hull_a, hull_b, relative, axes, system.law.reach(slots.pair)), a)
 
 

@@ -1,5 +1,7 @@
 """Tables of convex polytopes as arrays, from shapes (``dem_jax.shapes``), and their rows gathered to pairs."""
 
+import dataclasses
+
 import jax
 import numpy as np
 
@@ -7,13 +9,17 @@ from dem_jax.maths.pose import matrix_of_quaternion
 from dem_jax.types import Hulls
 
 
-def table(shapes, dtype, seams=None) -> Hulls:
+def table(shapes, dtype, seams=None, continued=None) -> Hulls:
     """Stack polytopes [S] into one table, padded by repetition, which adds nothing to any minimum, maximum or sum.
 
     Vertices are taken in the principal frame. The table is one of zonotopes if all its shapes are.
     seams: None, or for each shape [m, 3] outward unit directions across those edges of its face along z that are seams.
+    continued: None, or for each shape shapes.Continued where it is a part that others continue, else None; such a table is
+    none of zonotopes.
     """
     rows = [_row(shape) for shape in shapes]
+    if continued:
+        rows = [row | {"half_lengths": None} for row in rows]
     zonotopes = all(row["half_lengths"] is not None for row in rows)
     if zonotopes:
         rows = [_pair_opposite_faces(row) for row in rows]
@@ -49,7 +55,9 @@ def table(shapes, dtype, seams=None) -> Hulls:
         half_lengths=lengths,
         cross_widths=widths,
         seams=_components(_filled(seams), dtype) if seams else None,
-        open_edges=_open_edges(normals, loops, seams, dtype) if seams else None,
+        open_edges=_open_edges(normals, loops, seams, continued, dtype),
+        inner=_last([_inner(more, faces) for more in continued], dtype) if continued else None,
+        extended=_extended(shapes, dtype, seams, continued) if continued else None,
         is_zonotope=zonotopes,
     )
 
@@ -58,7 +66,11 @@ def gather(hulls: Hulls, index, corners: bool) -> Hulls:
     """The rows of the table that belong to pairs, [.., P]; corners, of which there are many, only where asked for, and
     vertices where they are needed, not of zonotopes; loops and open_edges stay in the table, see ``with_faces``."""
     vertices = None if hulls.is_zonotope else hulls.vertices
-    rows = hulls.replace(loops=None, open_edges=None, vertices=vertices, corners=hulls.corners if corners else None)
+    extended = hulls.extended
+    if extended is not None and not corners:
+        extended = extended.replace(corners=None)
+    own = hulls.corners if corners and extended is None else None
+    rows = hulls.replace(loops=None, open_edges=None, vertices=vertices, corners=own, extended=extended)
     return jax.tree.map(lambda array: array[..., index], rows)
 
 
@@ -142,10 +154,34 @@ def _filled(seams):
     return [np.concatenate([np.reshape(rows, (-1, 3)), np.zeros((count - len(rows), 3))]) for rows in seams]
 
 
-def _open_edges(normals, loops, seams, dtype):
+def _extended(shapes, dtype, seams, continued) -> Hulls:
+    """Hulls.extended of shapes."""
+    more = [shape if part is None else part.extended for shape, part in zip(shapes, continued, strict=True)]
+    plain = [dataclasses.replace(shape, generators=None) for shape in more]
+    return table(plain, dtype, seams).replace(loops=None, open_edges=None)
+
+
+def _inner(continued, faces):
+    """Hulls.inner of a shape."""
+    return np.zeros(faces) if continued is None else _pad_zero(np.array(continued.inner, float), faces)
+
+
+def _open_edges(normals, loops, seams, continued, dtype):
     """Hulls.open_edges of S shapes with face normals [F, 3], face loops [k, F, 3] and seams [m, 3]."""
+    if not seams and not continued:
+        return None
     out = []
-    for n, corners, rows in zip(normals, loops, seams, strict=True):
+    none = [None] * len(loops)
+    for n, corners, rows, more in zip(normals, loops, seams or none, continued or none, strict=True):
+        if more is not None:
+            ends = np.ones(corners.shape[:2])
+            for f, edges in enumerate(more.open):
+                ends[: len(edges), f] = edges
+            out.append(ends)
+            continue
+        if rows is None:
+            out.append(np.ones(corners.shape[:2]))
+            continue
         across = np.cross(np.roll(corners, -1, axis=0) - corners, n)
         across /= np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1e-300)
         shut = (across @ np.reshape(rows, (-1, 3)).T > 1 - 1e-9).any(-1) & (n[:, 2] > 0.5)

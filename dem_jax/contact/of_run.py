@@ -1,7 +1,8 @@
 """Sums and extremes over the pieces or contacts of each run: R runs, mostly one, are one system (``System.runs``).
 
-Of R runs of n pieces, piece k of run r is number R k + r, so that the same piece of all runs is one vector for the processor
-and no run is computed otherwise than another. What there is of each run has the run last as well: [.., R].
+Of R runs of n pieces, piece k of run r is number R k + r (and parts of pieces likewise), so that the same piece of all runs is
+one vector for the processor and no run is computed otherwise than another. What there is of each run has the run last as
+well: [.., R].
 """
 
 from collections.abc import Callable

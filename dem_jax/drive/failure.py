@@ -72,11 +72,11 @@ def restless(job: Job, first: int, reasons: list[str]) -> SimulationError:
 
 
 def body_name(system: System, body: int) -> str:
-    """A body by its number: pieces first, then panels."""
-    pieces = system.pieces.mass.shape[0]
-    if body < pieces:
-        return f"piece {int(body)}"
-    return f"wall group {system.walls.groups[int(system.walls.group[body - pieces])]!r}"
+    """A body by its number: parts of pieces first, then panels."""
+    parts = system.parts.count
+    if body < parts:
+        return f"piece {int(system.parts.piece(body))}"
+    return f"wall group {system.walls.groups[int(system.walls.group[body - parts])]!r}"
 
 
 def _error(job: Job, line: str, piece: int | None, at: float, member: int) -> SimulationError:
@@ -112,13 +112,14 @@ def _what_happened(job: Job, state: State, piece: int) -> str:
 def _deep(system: System, state: State, overlap: float) -> tuple[int, str]:
     """The piece in the deepest contact, and what to say of it."""
     worst, a, b = -1.0, 0, 0
-    width = np.append(system.pieces.width, np.full(system.walls.group.shape[0], np.inf))  # of pieces, then of panels
+    of_parts = np.asarray(system.parts.piece(np.arange(system.parts.count)))
+    width = np.append(np.asarray(system.pieces.width)[of_parts], np.full(system.walls.group.shape[0], np.inf))
     for table in state.contacts.values():
         relative = np.asarray(table.memory.overlap) / np.minimum(width[table.a], width[table.b])
         k = int(np.argmax(relative))
         if relative[k] > worst:
             worst, a, b = float(relative[k]), int(table.a[k]), int(table.b[k])
-    return b, (
+    return int(of_parts[b]), (
         f"its contact with {body_name(system, a)} is {100 * overlap:.3g} % of the piece's width deep (at most "
         f"{100 * DEEPEST:g} %); likely cause: the material is too soft for this load (raise material.softening), "
         f"or the piece is pinched between walls"

@@ -12,7 +12,7 @@ import numpy as np
 
 from dem_jax.maths.compaction import EMPTY
 from dem_jax.pairs import neighbours, search
-from dem_jax.types import ContactTable, Guard, State, System
+from dem_jax.types import ContactTable, Guard, Parts, State, System
 
 HEAD_ROOM = 1.25  # of what was needed, so that the next chunk does not outgrow it again
 LARGEST_RAISE = 4.0  # of the skin at once: a state that went wrong may report any travel
@@ -63,8 +63,8 @@ def standing(system: System, guard: Guard) -> np.ndarray:
 def grown(system: System, state: State, guard: Guard) -> tuple[System, State]:
     """The system with room for what a chunk needed, and the state that the chunk began with, fitted to it."""
     rows = []
-    pieces, panels = system.pieces.mass.shape[0], system.walls.group.shape[0]
-    polytopes, spheres = system.pieces.polytopes.shape[0], system.pieces.spheres.shape[0]
+    parts, panels = system.parts.count, system.walls.group.shape[0]
+    polytopes, spheres = system.parts.polytopes.shape[0], system.parts.spheres.shape[0]
     for kind, candidates, slots in system.capacity:
         near, touching = _most(guard.needed[kind])
         every = search.pair_count(kind, polytopes, spheres, panels)
@@ -72,17 +72,25 @@ def grown(system: System, state: State, guard: Guard) -> tuple[System, State]:
             touching = -(-touching * near // candidates)
         rows.append((kind, _enough(candidates, near, every), _enough(slots, touching, every)))
     most = int(np.max(guard.touching))
-    touching = system.touching if most <= system.touching else min(pieces - 1 + panels, most + 2)
-    row = _enough(system.row_capacity, int(np.max(guard.row)), pieces)
+    touching = system.touching if most <= system.touching else min(most_contacts(system.parts, panels), most + 2)
+    row = _enough(system.row_capacity, int(np.max(guard.row)), parts)
     travel = np.max(guard.travel)
     if travel > system.skin:
         raised = min(HEAD_ROOM * travel, LARGEST_RAISE * float(system.skin))
         system = system.replace(skin=jnp.asarray(raised, system.skin.dtype))
-    system = system.replace(partition=_grown_partition(system.partition, guard, pieces))
+    system = system.replace(partition=_grown_partition(system.partition, guard, parts))
     return with_capacity(system, state, tuple(rows), touching, row)
 
 
-def _grown_partition(partition, guard: Guard, pieces):
+def most_contacts(parts: Parts, panels: int) -> int:
+    """The most contacts that a piece can have: each of its parts with all that are not its own."""
+    if parts.owner is None:
+        return parts.count - 1 + panels
+    own = np.bincount(np.asarray(parts.owner))
+    return int(np.max(own * (parts.count - own + panels)))
+
+
+def _grown_partition(partition, guard: Guard, parts):
     """The room of jax-md's list, where there is one, for what was needed."""
     if partition is None:
         return None
@@ -90,8 +98,8 @@ def _grown_partition(partition, guard: Guard, pieces):
     reach = partition.reach
     if np.max(guard.reach) > reach:
         reach = min(HEAD_ROOM * float(np.max(guard.reach)), LARGEST_RAISE * reach)
-    room = _enough(partition.pairs, listed, pieces * (pieces - 1) // 2)
-    return partition._replace(pairs=room, cell=_enough(partition.cell, filling, pieces), reach=reach)
+    room = _enough(partition.pairs, listed, parts * (parts - 1) // 2)
+    return partition._replace(pairs=room, cell=_enough(partition.cell, filling, parts), reach=reach)
 
 
 def with_capacity(system: System, state: State, capacity, touching, row_capacity) -> tuple[System, State]:

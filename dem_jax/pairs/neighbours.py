@@ -89,7 +89,8 @@ def within_bounds(system: System, stacked, source, a, b, gap):
     """Whether the bounds of two bodies are nearer than a gap (m), [pairs] bool: spheres, of a panel the box around it."""
     live = a >= 0
     a, b = jnp.maximum(a, 0), jnp.maximum(b, 0)
-    radius = system.pieces.bounding_radius
+    parts = system.parts
+    radius = parts.bounding_radius
     reach = radius[b] + of_run.at(system, gap, b)
     if source.startswith("wall"):
         panel = a - radius.shape[0]
@@ -100,6 +101,8 @@ def within_bounds(system: System, stacked, source, a, b, gap):
     else:
         reach = reach + radius[a]
         away = vector.sub(stacked[:3, b], stacked[:3, a])
+        if parts.owner is not None:
+            live = live & (parts.owner[a] != parts.owner[b])
     return live & (vector.dot(away, away) < reach * reach)
 
 
@@ -143,10 +146,12 @@ def carry_history(system: System, old: ContactTable, slots: Slots, a, b, inciden
     known stands among the few contacts of its b, so that no sorting and no search is needed.
     """
     room = old.a.shape[0]
-    slot = incidence[:, jnp.maximum(b, 0)] - column  # [touching, P]
+    slot = incidence[:, system.parts.piece(jnp.maximum(b, 0))] - column  # [touching, P]
     inside = (slot >= 0) & (slot < room)
     slot = jnp.where(inside, slot, 0)
     match = inside & (old.a[slot] == a[None]) & (a >= 0)[None]
+    if system.parts.owner is not None:
+        match = match & (old.b[slot] == b[None])
     known = jnp.any(match, axis=0)
     slot = jnp.max(jnp.where(match, slot, 0), axis=0)
     fresh = no_memory(system, slots)
@@ -178,17 +183,17 @@ def find_incidence(system: System, tables):
 
     The columns are, for each kind, the P loads on b, then the P loads on a; one more holds zeros.
     """
-    pieces = system.pieces.mass.shape[0]
-    owner = [part for t in tables.values() for part in (t.b, jnp.where(t.a < pieces, t.a, EMPTY))]
+    number = system.parts.count
+    owner = [part for t in tables.values() for part in (t.b, jnp.where(t.a < number, t.a, EMPTY))]
     return _columns_of(system, owner)
 
 
 def find_walled(system: System, tables):
     """As ``find_incidence``, [2, touching, N] and how many at most: where the loads of walls on each piece stand, and the
     number of each wall's group."""
-    pieces = system.pieces.mass.shape[0]
-    panel = [part for t in tables.values() for part in (t.a - pieces, jnp.full_like(t.a, EMPTY))]
-    owner = [part for t in tables.values() for part in (jnp.where(t.a >= pieces, t.b, EMPTY), jnp.full_like(t.b, EMPTY))]
+    number = system.parts.count
+    panel = [part for t in tables.values() for part in (t.a - number, jnp.full_like(t.a, EMPTY))]
+    owner = [part for t in tables.values() for part in (jnp.where(t.a >= number, t.b, EMPTY), jnp.full_like(t.b, EMPTY))]
     columns, most = _columns_of(system, owner)
     panel = jnp.maximum(jnp.concatenate([*panel, jnp.zeros((1,), jnp.int32)]), 0)
     group = system.walls.group[panel] if system.walls.group.shape[0] else panel
@@ -198,12 +203,14 @@ def find_walled(system: System, tables):
 def _columns_of(system: System, owner):
     """The columns that belong to each piece, [touching, N], in order and ended by the last, and how many at most.
 
-    owner: parts of an array [columns - 1] of pieces, EMPTY where a column is nobody's.
+    owner: stretches of an array [columns - 1] of parts of pieces, EMPTY where a column is nobody's.
     """
     pieces = system.pieces.mass.shape[0]
     if not owner:
         return jnp.zeros((system.touching, pieces), jnp.int32), jnp.zeros((), jnp.int32)
     owner = jnp.concatenate(owner)
+    if system.parts.owner is not None:
+        owner = jnp.where(owner >= 0, system.parts.owner[jnp.maximum(owner, 0)], EMPTY)
     columns = owner.shape[0]
     order, first = grouped(jnp.where(owner >= 0, owner, pieces), pieces)
     count = first[1:] - first[:-1]

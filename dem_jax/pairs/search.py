@@ -41,15 +41,15 @@ def noted(guard: Guard, need: Need) -> Guard:
 
 def of_source(system: System, source, stacked, reach, room):
     """Pairs of a source of contacts (a name of neighbours.SOURCES), at most ``room`` where they are many, and Need."""
-    pieces = system.pieces
+    parts = system.parts
     if source.startswith("wall"):
-        second = pieces.polytopes if source == "wall-hull" else pieces.spheres
-        first = jnp.arange(system.walls.group.shape[0], dtype=jnp.int32) + pieces.mass.shape[0]
+        second = parts.polytopes if source == "wall-hull" else parts.spheres
+        first = jnp.arange(system.walls.group.shape[0], dtype=jnp.int32) + parts.count
         return *_product(first, second), no_need(reach.dtype)
     if source == "hull-sphere":
-        first, second = (of_run.apart(system, x) for x in (pieces.polytopes, pieces.spheres))
+        first, second = (of_run.apart(system, x) for x in (parts.polytopes, parts.spheres))
         return *_product(first, second), no_need(reach.dtype)
-    members = pieces.polytopes if source == "hull-hull" else pieces.spheres
+    members = parts.polytopes if source == "hull-hull" else parts.spheres
     find = {"all-pairs": all_pairs, "cells": cell_pairs, "jax-md": jax_md_pairs}
     search = find[choice(system.neighbours, members.shape[0] // system.runs)]
     return search(system, members, stacked, jnp.max(reach), room)
@@ -65,7 +65,7 @@ def choice(neighbours, members: int) -> str:
 
 
 def pair_count(kind, polytopes, spheres, panels) -> int:
-    """How many pairs of a kind there are at all, from the numbers of polytopes and spheres among the pieces and of panels."""
+    """How many pairs of a kind there are at all, from the numbers of polytopes and spheres among the parts and of panels."""
     return {
         "hulls": polytopes * (polytopes - 1) // 2 + panels * polytopes,
         "mixed": polytopes * spheres + panels * spheres,
@@ -93,7 +93,7 @@ def cell_pairs(system: System, members, stacked, reach, room):
     the rest of a piece's own cell and the one above, and four rows beside it, hold its partners of higher rank. Pairs
     come out piece by piece, as from ``all_pairs``: what one slot reads of bodies the next ones find in the cache.
     """
-    size = 2 * jnp.max(system.pieces.bounding_radius[members]) + reach
+    size = 2 * jnp.max(system.parts.bounding_radius[members]) + reach
     place = stacked[:3, members] - system.domain_low[:, None]
     count = jnp.ceil((system.domain_high - system.domain_low) / size).astype(jnp.int32) + 2
     cell = jnp.clip(jnp.floor(place / size).astype(jnp.int32) + 1, 1, count[:, None] - 2)
@@ -108,7 +108,7 @@ def cell_pairs(system: System, members, stacked, reach, room):
     last = jnp.concatenate([key[:, None], beside], axis=1)
     end = jnp.searchsorted(ranked, last + 1, side="right").astype(jnp.int32)
     partner = start[..., None] + jnp.arange(system.row_capacity, dtype=jnp.int32)[None, None]  # [members, 5, row]
-    ball = jnp.concatenate([stacked[:3, members], system.pieces.bounding_radius[members][None]])
+    ball = jnp.concatenate([stacked[:3, members], system.parts.bounding_radius[members][None]])
     here, there = ball[..., None, None], ball[:, order][:, jnp.minimum(partner, number - 1)]
     away, near = tuple(there[:3] - here[:3]), here[3] + there[3] + reach
     is_near = (vector.dot(away, away) < near * near) & (partner < end[..., None])
@@ -154,7 +154,7 @@ def jax_md_pairs(system: System, members, stacked, reach, room):
     overflow = (found.error.code & int(partition.PartitionErrorCode.NEIGHBOR_LIST_OVERFLOW)) > 0
     listed = jnp.where(overflow, 2 * room, jnp.sum(there, dtype=jnp.int32)).astype(jnp.int32)
     a, b = (jnp.where(there, members[jnp.minimum(row, number - 1)], EMPTY) for row in found.idx)
-    wanted = 2 * jnp.max(system.pieces.bounding_radius[members]) + reach - listing.diameter
+    wanted = 2 * jnp.max(system.parts.bounding_radius[members]) + reach - listing.diameter
     return a, b, no_need(reach.dtype)._replace(partition=jnp.stack([listed, filling]), reach=wanted)
 
 

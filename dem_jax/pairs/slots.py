@@ -19,21 +19,33 @@ def constants(system: System, kind: str, a: Array, b: Array) -> Slots:
 
 
 def _with_polytopes(system: System, kind, live, a, b) -> Slots:
-    pieces = system.pieces
-    number = pieces.mass.shape[0]
+    pieces, parts = system.pieces, system.parts
+    number = parts.count
     wall, own, panel = a >= number, jnp.minimum(a, number - 1), jnp.maximum(a - number, 0)
+    piece_a, piece_b = parts.piece(own), parts.piece(b)
     return Slots(
         live=live,
         a=a,
         b=b,
         hull_a=hulls.gather(system.hulls, system.shape[a], kind == "mixed"),
         hull_b=_hull_of_piece(system, b) if kind == "hulls" else None,
-        radius_a=pieces.radius[own],
-        radius_b=pieces.radius[b],
-        width=jnp.where(wall, pieces.width[b], jnp.minimum(pieces.width[own], pieces.width[b])),
-        plane=None if system.walls.plane is None else jnp.where(wall & live, system.walls.plane[panel], EMPTY),
-        pair=system.law.pair(_couple(system, wall, own, panel, b)),
+        radius_a=parts.radius[own],
+        radius_b=parts.radius[b],
+        width=jnp.where(wall, pieces.width[piece_b], jnp.minimum(pieces.width[piece_a], pieces.width[piece_b])),
+        surface_a=_surface(system, wall, own, panel, live),
+        surface_b=None if parts.surface is None else parts.surface[b],
+        pair=system.law.pair(_couple(system, wall, piece_a, panel, piece_b)),
     )
+
+
+def _surface(system: System, wall, part, panel, live):
+    """Slots.surface_a: planes of walls are numbered before surfaces of pieces, of which there are fewer than panels."""
+    plane, surface = system.walls.plane, system.parts.surface
+    if surface is None:
+        return None if plane is None else jnp.where(wall & live, plane[panel], EMPTY)
+    panels = system.walls.group.shape[0]
+    own = jnp.where(surface[part] >= 0, surface[part] + panels, EMPTY)
+    return jnp.where(wall, EMPTY if plane is None else plane[panel], own)
 
 
 def _couple(system: System, wall, own, panel, b) -> Couple:
@@ -51,14 +63,15 @@ def _couple(system: System, wall, own, panel, b) -> Couple:
 
 def _between_spheres(system: System, _, live, a, b) -> Slots:
     """Slots of pairs of spheres. Where all are alike one value of each constant broadcasts, which saves reading it."""
-    pieces = system.pieces
-    first, second = (pieces.spheres[:1],) * 2 if "spheres" in system.alike else (a, b)
+    pieces, parts = system.pieces, system.parts
+    one = (parts.spheres[:1],) * 2 if "spheres" in system.alike else (a, b)
+    first, second = (parts.piece(part) for part in one)
     of = lambda rows: (rows[first], rows[second])  # noqa: E731
     mass = series(*of(pieces.mass))
     pair = couple(system.materials, of(pieces.material), of(pieces.size), of(pieces.curvature), mass)
-    radius_a, radius_b = of(pieces.radius)
+    radius_a, radius_b = (parts.radius[part] for part in one)
     width = jnp.minimum(*of(pieces.width))
-    return Slots(live, a, b, None, None, radius_a, radius_b, width, None, system.law.pair(pair))
+    return Slots(live, a, b, None, None, radius_a, radius_b, width, None, None, system.law.pair(pair))
 
 
 def _hull_of_piece(system: System, b: Array):

@@ -2,6 +2,7 @@
 
 from dem_jax.shapes.checks import positive_length
 from dem_jax.shapes.compound import Placed, checked_mass, compound, tube
+from dem_jax.shapes.continued import Continued, continued
 from dem_jax.shapes.decomposed import JOINT, Decomposition, decompose, decomposed
 from dem_jax.shapes.hull import hull, placed_hull
 from dem_jax.shapes.mass import MassProperties, mass_properties
@@ -25,6 +26,7 @@ __all__ = [
     "JOINT",
     "SIZE_LENGTHS",
     "TOLERANCE",
+    "Continued",
     "Decomposition",
     "MassProperties",
     "Part",
@@ -33,6 +35,7 @@ __all__ = [
     "chamfered_cuboid",
     "checked_mass",
     "compound",
+    "continued",
     "convex_surface",
     "cuboid",
     "cylinder",

@@ -9,6 +9,7 @@ Each run has the pairs, slots and samples that it has by itself, to rounding, an
 import jax
 import jax.numpy as jnp
 
+from dem_jax.contact import seams
 from dem_jax.maths.compaction import EMPTY, grouped
 from dem_jax.pairs import guard, neighbours, search
 from dem_jax.step import stepping
@@ -20,10 +21,10 @@ SLOT_BLOCK = 32  # slots computed at a time: of nine pieces 64 take 1.2 times as
 
 def is_worthwhile(system: System, runs: int) -> bool:
     """Whether so many runs of a system are quicker as one: with few pieces, every pair of which is looked at, and no seams."""
-    kinds = (system.pieces.polytopes.shape[0], system.pieces.spheres.shape[0])
+    kinds = (system.parts.polytopes.shape[0], system.parts.spheres.shape[0])
     is_listed = any(search.choice(system.neighbours, count) != "all-pairs" for count in kinds)
     is_small = sum(kinds) <= MOST_PIECES and runs >= AT_ONCE
-    return is_small and bool(system.slot_block) and system.walls.plane is None and not is_listed
+    return is_small and bool(system.slot_block) and not seams.are_there(system) and not is_listed
 
 
 def run_chunk(system: System, states: State, count, frame_every, samples: int, frames: int, phase=0):
@@ -37,13 +38,17 @@ def run_chunk(system: System, states: State, count, frame_every, samples: int, f
 
 def system_of(system: System, runs: int) -> System:
     """The system of so many runs as one."""
-    pieces, panels = system.pieces.mass.shape[0], system.walls.group.shape[0]
+    parts, panels = system.parts.count, system.walls.group.shape[0]
     each = lambda x: jnp.repeat(x, runs, axis=-1)  # noqa: E731
     numbers = lambda x: (runs * x[:, None] + jnp.arange(runs, dtype=x.dtype)[None]).reshape(-1)  # noqa: E731
-    rows = {name: numbers(getattr(system.pieces, name)) for name in ("polytopes", "spheres")}
+    rows = {name: numbers(getattr(system.parts, name)) for name in ("polytopes", "spheres")}
+    for name in ("owner", "surface"):
+        of_one = getattr(system.parts, name)
+        rows[name] = None if of_one is None else jnp.where(each(of_one) >= 0, numbers(of_one), EMPTY)
     return system.replace(
-        pieces=jax.tree.map(each, system.pieces).replace(**rows),
-        shape=jnp.concatenate([each(system.shape[:pieces]), system.shape[pieces : pieces + panels]]),
+        pieces=jax.tree.map(each, system.pieces),
+        parts=jax.tree.map(each, system.parts).replace(**rows),
+        shape=jnp.concatenate([each(system.shape[:parts]), system.shape[parts : parts + panels]]),
         capacity=tuple((kind, runs * candidates, runs * slots) for kind, candidates, slots in system.capacity),
         slot_block=SLOT_BLOCK,
         runs=runs,
@@ -52,10 +57,10 @@ def system_of(system: System, runs: int) -> System:
 
 def joined(one: System, states: State) -> State:
     """The state of runs as one, ``system_of``; what a rebuild fills is empty."""
-    pieces = states.position.shape[-1]
+    parts = one.parts.count // one.runs
     beside = lambda x: jnp.moveaxis(x, 0, -1).reshape(*x.shape[1:-1], -1)  # noqa: E731
     run = jnp.arange(one.runs, dtype=jnp.int32)[:, None]
-    number = lambda x: jnp.where(x < pieces, one.runs * x + run, x + (one.runs - 1) * pieces)  # noqa: E731
+    number = lambda x: jnp.where(x < parts, one.runs * x + run, x + (one.runs - 1) * parts)  # noqa: E731
     numbered = lambda x: jnp.where(x >= 0, number(x), EMPTY)  # noqa: E731
     tables = {kind: t.replace(a=numbered(t.a), b=numbered(t.b)) for kind, t in states.contacts.items()}
     state = State(
@@ -73,9 +78,9 @@ def joined(one: System, states: State) -> State:
 
 def split(system: System, states: State, state: State) -> State:
     """The states of runs that were one, as ``states`` of the same runs before them; what a rebuild fills is that of those."""
-    runs, pieces = states.step.shape[0], states.position.shape[-1]
+    runs, parts = states.step.shape[0], system.parts.count
     apart = lambda x: jnp.moveaxis(x.reshape(*x.shape[:-1], -1, runs), -1, 0)  # noqa: E731
-    tables = {kind: _tables(table, runs, pieces, states.contacts[kind].a.shape[-1]) for kind, table in state.contacts.items()}
+    tables = {kind: _tables(table, runs, parts, states.contacts[kind].a.shape[-1]) for kind, table in state.contacts.items()}
     return State(
         step=jnp.broadcast_to(state.step, (runs,)),
         motion=jax.tree.map(apart, state.motion),
@@ -83,23 +88,23 @@ def split(system: System, states: State, state: State) -> State:
         contacts=tables,
         incidence=jax.vmap(lambda tables: neighbours.find_incidence(system, tables)[0])(tables),
         ledger=jax.tree.map(apart, state.ledger),
-        guard=_guards(states.guard, state.guard, pieces),
+        guard=_guards(states.guard, state.guard, parts),
         scratch=states.scratch,
     )
 
 
-def _tables(table: ContactTable, runs, pieces, slots) -> ContactTable:
+def _tables(table: ContactTable, runs, parts, slots) -> ContactTable:
     """The contacts of each run, in order, [runs, .., slots]; what finds no room is left out, as the guard knows."""
     order, first = grouped(jnp.where(table.b >= 0, table.b % runs, runs), runs)
     rank = jnp.arange(slots, dtype=jnp.int32)[None]
     there = rank < (first[1:] - first[:-1])[:, None]
     where = order[jnp.minimum(first[:-1, None] + rank, order.shape[0] - 1)]  # [runs, slots]
-    a, b = (jnp.where(there, _number(x[where], runs, pieces), EMPTY) for x in (table.a, table.b))
+    a, b = (jnp.where(there, _number(x[where], runs, parts), EMPTY) for x in (table.a, table.b))
     of_run = lambda x: jnp.moveaxis(jnp.where(jnp.broadcast_to(there, x[..., where].shape), x[..., where], 0), -2, 0)  # noqa: E731
     return ContactTable(a, b, jax.tree.map(of_run, table.memory))
 
 
-def _guards(before: Guard, after: Guard, pieces) -> Guard:
+def _guards(before: Guard, after: Guard, parts) -> Guard:
     """The guards of runs: what their system noted holds for each, but the overlap at the start for that which has it."""
     runs = before.travel.shape[0]
     each = jax.tree.map(lambda x: jnp.broadcast_to(x, (runs, *x.shape)), after)
@@ -108,10 +113,10 @@ def _guards(before: Guard, after: Guard, pieces) -> Guard:
     known = before.start_overlap >= 0
     return each.replace(
         start_overlap=jnp.where(known, before.start_overlap, overlap),
-        start_pair=jnp.where(known[:, None], before.start_pair, _number(after.start_pair, runs, pieces)[None]),
+        start_pair=jnp.where(known[:, None], before.start_pair, _number(after.start_pair, runs, parts)[None]),
     )
 
 
-def _number(body, runs, pieces):
+def _number(body, runs, parts):
     """The number that a body of all runs has in its own."""
-    return jnp.where(body < runs * pieces, body // runs, body - (runs - 1) * pieces)
+    return jnp.where(body < runs * parts, body // runs, body - (runs - 1) * parts)

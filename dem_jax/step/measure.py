@@ -17,7 +17,7 @@ def sample(system: System, state: State) -> Sample:
 
 def interval(system: System) -> Array:
     """The sample interval (s)."""
-    return system.dt * (system.substeps * system.parts).astype(system.dt.dtype)
+    return system.dt * (system.substeps * system.sample_parts).astype(system.dt.dtype)
 
 
 def settled_mass(system: System, state: State) -> Array:

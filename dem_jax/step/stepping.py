@@ -113,8 +113,8 @@ def _one_sample(system: System, substeps, state: State, walls: boundary.Ahead):
         state, walls = _look_around(system, _seen(system, *carry))
         return (_advance_by(system, substeps, state, walls), walls), None
 
-    if system.parts > 1:
-        (state, walls), _ = jax.lax.scan(another_part, (state, walls), None, length=system.parts - 1)
+    if system.sample_parts > 1:
+        (state, walls), _ = jax.lax.scan(another_part, (state, walls), None, length=system.sample_parts - 1)
     return (state, walls), measure.sample(system, state)
 
 

@@ -94,7 +94,7 @@ def test_an_isolated_cluster_keeps_its_momentum_and_angular_momentum(shapes):
 def assert_balanced(made, recorded, gravity, tolerance):
     """Over every sample interval, gravity less the mean forces on the walls is the change of momentum."""
     mass = np.asarray(made.system.pieces.mass, float)
-    interval = float(made.system.dt) * int(made.system.substeps) * made.system.parts
+    interval = float(made.system.dt) * int(made.system.substeps) * made.system.sample_parts
     before = (mass * np.asarray(made.state.velocity, float)).sum(1)
     momentum = np.concatenate([before[None], recorded.momentum.astype(float)])
     impulse = (mass.sum() * np.asarray(gravity) - recorded.mean_force.astype(float).sum(-1)) * interval

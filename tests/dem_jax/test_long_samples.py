@@ -19,8 +19,8 @@ def test_a_long_sample_interval_has_the_mean_of_the_short_ones():
     many = 61 * 40 * dt
     long = short.replace({"run.sample": many, "run.step": dt})
     parted = build.build(long, 0)
-    assert parted.system.parts > 40 and parted.system.block_steps >= int(parted.system.substeps)
-    assert int(parted.system.substeps) * parted.system.parts == parted.step.substeps >= 61 * 40
+    assert parted.system.sample_parts > 40 and parted.system.block_steps >= int(parted.system.substeps)
+    assert int(parted.system.substeps) * parted.system.sample_parts == parted.step.substeps >= 61 * 40
     coarse, fine = dem_jax.simulate(long), dem_jax.simulate(short)
     impulse = lambda run, interval: -run.mean_force["plate"][:, 2].sum() * interval  # noqa: E731
     assert impulse(fine, 1e-4) > 1e-3

@@ -147,7 +147,7 @@ def test_seams_that_nothing_touches():
 def test_candidates_of_a_window_as_those_of_every_step():
     """A rebuild before each step finds what one before each ninth sample did: contacts begin within the windows."""
     system = built().system
-    total = int(system.substeps) * system.parts
+    total = int(system.substeps) * system.sample_parts
     assert system.block_steps == 48
     each = {"substeps": jnp.full_like(system.substeps, 1), "parts": total, "block_steps": 1}
     assert_same(traced(built(), **each), as_built())

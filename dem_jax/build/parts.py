@@ -1,0 +1,93 @@
+"""The convex parts of the pieces: their arrays, and the table of hulls of parts and panels."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from dem_jax.contact import hulls
+from dem_jax.maths.pose import matrix_of_quaternion
+from dem_jax.shapes import Continued, Shape, continued, parts_of
+from dem_jax.types import Hulls, Parts
+
+
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """A convex part of a kind of piece."""
+
+    shape: Shape  # about its own centre; its principal frame is that of the piece
+    centre: np.ndarray  # [3] (m): in that frame
+    label: int  # of the surface that it belongs to, -1: of its own
+    continued: Continued | None
+
+
+def solids_of(made: Sequence[Shape]) -> list[list[Solid]]:
+    """The parts of each piece; the same objects where pieces are alike."""
+    known: dict[int, list[Solid]] = {}
+    for shape in made:
+        if id(shape) not in known:
+            known[id(shape)] = _solids(shape)
+    return [known[id(shape)] for shape in made]
+
+
+def _solids(shape: Shape) -> list[Solid]:
+    if len(parts_of(shape)) == 1:
+        return [Solid(shape, np.zeros(3), -1, None)]
+    turn = matrix_of_quaternion(shape.principal)
+    rows = zip(shape.parts, shape.fused, continued(shape), strict=True)
+    framed = lambda s: replace(s, principal=shape.principal)  # noqa: E731
+    return [
+        Solid(
+            framed(part.shape),
+            part.centre @ turn,
+            -1 if more is None else int(label),
+            None if more is None else replace(more, extended=framed(more.extended)),
+        )
+        for part, label, more in rows
+    ]
+
+
+def part_arrays(solids: list[list[Solid]]) -> Parts:
+    """Arrays of the parts of all pieces, in numpy."""
+    every = [solid for row in solids for solid in row]
+    radius = np.array([solid.shape.radius for solid in every])
+    owner = surface = centre = None
+    if len(every) > len(solids):
+        owner = np.repeat(np.arange(len(solids)), [len(row) for row in solids])
+        centre = np.array([solid.centre for solid in every]).T
+        names = [(n, solid.label) for n, row in enumerate(solids) for solid in row]
+        number = {name: k for k, name in enumerate(dict.fromkeys(name for name in names if name[1] >= 0))}
+        surface = np.array([number.get(name, -1) for name in names]) if number else None
+    return Parts(
+        owner=owner,
+        surface=surface,
+        centre=centre,
+        radius=radius,
+        bounding_radius=np.array([solid.shape.bounding_radius for solid in every]),
+        polytopes=np.flatnonzero(radius == 0),
+        spheres=np.flatnonzero(radius > 0),
+    )
+
+
+def hull_table(solids: list[list[Solid]], plates: list[Shape], seams: list | None) -> tuple[Hulls | None, np.ndarray]:
+    """The table of hulls of parts and panels (None if there are none), and the row of each of them.
+
+    seams: of each panel, as ``hulls.table`` takes them.
+    """
+    rows: dict[int, int] = {}
+    distinct: list[Solid] = []
+    index = []
+    for solid in (solid for row in solids for solid in row):
+        if solid.shape.radius == 0 and id(solid) not in rows:
+            rows[id(solid)] = len(distinct)
+            distinct.append(solid)
+        index.append(rows.get(id(solid), 0))
+    index += [len(distinct) + k for k in range(len(plates))]
+    every = [*[solid.shape for solid in distinct], *plates]
+    if seams:
+        seams = [np.zeros((0, 3))] * len(distinct) + seams
+    more: Any = [*[solid.continued for solid in distinct], *[None] * len(plates)]
+    if not any(more):
+        more = None
+    return (hulls.table(every, np.float64, seams, more) if every else None), np.array(index, int)

@@ -1,0 +1,107 @@
+"""Parts that others of the same body continue: how much further the body goes, and which edges of a part are its own.
+
+Against such a part depth and normal of a contact are found with a convex polytope that holds the part and more of the body:
+nothing is pushed out across a joint. Host side, float64, SI.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dem_jax.shapes.hull import placed_hull
+from dem_jax.shapes.shape import Part, Shape, parts_of
+from dem_jax.shapes.union import planes
+
+NEAR = 1e-4  # of a part's bounding radius: planes that cut off no more of a part do not cut it
+BESIDE = 0.02  # of the same: how far beyond an edge is looked for what continues a face ...
+BELOW = 0.02  # ... and, as a part of that, how far below it: what bends by more is no continuation (rad)
+POINTS = 32  # along an edge, at which is looked
+
+
+@dataclass(frozen=True, eq=False)
+class Continued:
+    """What others make of a part.
+
+    inner: for each face whether others cover all of it. open: for each face, for each of its edges, which part of it ends
+    the surface of the body there, or bends it; the rest lies in the middle of a plane. extended: the part and more of the
+    body, a polytope about the part's own centre.
+    """
+
+    inner: tuple[bool, ...]
+    open: tuple[tuple[float, ...], ...]
+    extended: Shape
+
+
+def continued(shape: Shape) -> list[Continued | None]:
+    """Of each part of a body; None of one that no other continues, and of balls."""
+    parts = parts_of(shape)
+    out: list[Continued | None] = []
+    for k, part in enumerate(parts):
+        own = shape.fused == shape.fused[k]
+        others = [parts[i] for i in np.flatnonzero(own) if i != k and parts[i].shape.radius == 0.0]
+        alone = part.shape.radius > 0.0 or not others
+        out.append(None if alone else Continued(part.inner, _open_edges(part, others), _extended(part, others)))
+    return out
+
+
+def _extended(part: Part, others: list[Part]) -> Shape:
+    """All of the body, if that is convex; else the part with its inner faces moved outwards by what it measures there, as far
+    as the outer faces of the body let it."""
+    near = NEAR * part.shape.bounding_radius
+    every = np.concatenate([other.shape.vertices + other.centre for other in (part, *others)])
+    normals, offsets = (np.concatenate(rows) for rows in zip(*(_outer_planes(p) for p in (part, *others)), strict=True))
+    if (every @ normals.T <= offsets + near).all():
+        return _about(every - part.centre)
+    offsets = offsets - normals @ part.centre
+    reach = (part.shape.vertices @ normals.T).max(axis=0)
+    holds = reach <= offsets + near
+    normals, offsets = normals[holds], np.maximum(offsets, reach)[holds]
+    inner = np.array(part.inner, bool)
+    across, levels = part.shape.normals[inner], part.shape.offsets[inner]
+    thickness = levels - (part.shape.vertices @ across.T).min(axis=0)
+    return _about(_corners(np.concatenate([normals, across]), np.concatenate([offsets, levels + thickness])))
+
+
+def _outer_planes(part: Part) -> tuple[np.ndarray, np.ndarray]:
+    normals, offsets = planes(part)
+    outer = ~np.array(part.inner, bool)
+    return normals[outer], offsets[outer]
+
+
+def _corners(normals: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+    """Vertices [V, 3] (m) of where all normals . x <= offsets; the origin is inside."""
+    from scipy.spatial import HalfspaceIntersection
+
+    size = offsets.min()
+    found = HalfspaceIntersection(np.c_[normals, -offsets / size], np.zeros(3)).intersections
+    return size * found[np.isfinite(found).all(axis=1)]
+
+
+def _about(points: np.ndarray) -> Shape:
+    """Hull of points, about their own origin."""
+    made, centre = placed_hull(points)
+    return replace(made, vertices=made.vertices + centre, offsets=made.offsets + made.normals @ centre)
+
+
+def _open_edges(part: Part, others: list[Part]) -> tuple[tuple[float, ...], ...]:
+    """Continued.open."""
+    away = BESIDE * part.shape.bounding_radius
+    along = ((np.arange(POINTS) + 0.5) / POINTS)[None, :, None]
+    out = []
+    for loop, normal in zip(part.shape.faces, part.shape.normals, strict=True):
+        corners = part.shape.vertices[list(loop)] + part.centre
+        sides = np.roll(corners, -1, axis=0) - corners
+        across = np.cross(sides, normal) / np.linalg.norm(sides, axis=1, keepdims=True)
+        beside = corners[:, None] + along * sides[:, None] + away * across[:, None]
+        goes_on = _held(beside - BELOW * away * normal, others) & ~_held(beside + BELOW * away * normal, others)
+        out.append(tuple((1.0 - goes_on.mean(axis=1)).tolist()))
+    return tuple(out)
+
+
+def _held(points: np.ndarray, parts: list[Part]) -> np.ndarray:
+    """Whether points [.., 3] (m) are inside any of the parts."""
+    inside = np.zeros(points.shape[:-1], bool)
+    for part in parts:
+        normals, offsets = planes(part)
+        inside |= (points @ normals.T <= offsets).all(axis=-1)
+    return inside
