@@ -1,5 +1,7 @@
 """Kinds of contact by what computes their geometry: spheres, polytopes, a polytope and a sphere."""
 
+import jax.numpy as jnp
+
 from dem_jax.contact import collide, hulls
 from dem_jax.contact.bodies import Body
 from dem_jax.maths import vector
@@ -31,6 +33,16 @@ def _facing(hull_a: Hulls, hull_b: Hulls, relative: collide.Relative, axes, reac
     nearer = relative._replace(offset=vector.add_scaled(relative.offset, -reach, normal))
     found = collide.hull_hull(hull_a, hull_b, nearer, (depth, normal, along + reach))
     return found._replace(point=vector.add_scaled(found.point, 0.5 * reach, normal))
+
+
+def nearness(system: System, kind, slots: Slots, a: Body, b: Body, offset):
+    """Depth of each slot, [P] (m); of polytopes that are parts of more the smaller of that of the whole and their own: beyond
+    a part others touch."""
+    depth, _ = geometry(system, kind, slots, a, b, offset)
+    if kind != "hulls" or slots.hull_a.extended is None:
+        return depth
+    alone = slots.replace(hull_a=slots.hull_a.replace(extended=None), hull_b=slots.hull_b.replace(extended=None))
+    return jnp.minimum(depth, geometry(system, kind, alone, a, b, offset)[0])
 
 
 def _in_world(found: collide.Geometry, a: Body) -> collide.Geometry:

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dem_jax.contact import blocks, bodies, boundary, of_run
-from dem_jax.contact.geometry import geometry
+from dem_jax.contact.geometry import nearness
 from dem_jax.maths import rotation, vector
 from dem_jax.maths.compaction import EMPTY, compact, grouped, in_order
 from dem_jax.pairs import search
@@ -115,7 +115,7 @@ def _depths(system: System, kind, a, b, number, stacked):
     def of_pairs(a, b):
         slots = constants(system, kind, a, b)
         body_a, body_b = bodies.take_at_once(stacked, slots.a), bodies.take_at_once(stacked, slots.b)
-        depth, _ = geometry(system, kind, slots, body_a, body_b, bodies.offset(body_a, body_b))
+        depth = nearness(system, kind, slots, body_a, body_b, bodies.offset(body_a, body_b))
         return jnp.where(slots.live, jnp.stack([depth, depth / slots.width]), -jnp.inf)
 
     size = blocks.block_size(system, kind, a.shape[0])

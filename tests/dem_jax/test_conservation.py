@@ -24,7 +24,7 @@ def built(scene, skin=None):
     if not skin:
         return made
     system = made.system.replace(skin=made.system.skin * 0 + skin)
-    counts = system.pieces.polytopes.shape[0], system.pieces.spheres.shape[0], system.walls.group.shape[0]
+    counts = system.parts.polytopes.shape[0], system.parts.spheres.shape[0], system.walls.group.shape[0]
     room = tuple((kind, *[search.pair_count(kind, *counts)] * 2) for kind, *_ in system.capacity)
     system, state = guard.with_capacity(system, made.state, room, system.touching, system.row_capacity)
     return replace(made, system=system, state=state)

@@ -59,7 +59,7 @@ def test_energy_never_comes_from_nothing_and_momentum_balances(case):
     contact, material = CASES[case]
     made = build.build(box(contact, {"restitution": 0.4} | material, {}))
     system = made.system
-    counts = system.pieces.polytopes.shape[0], system.pieces.spheres.shape[0], system.walls.group.shape[0]
+    counts = system.parts.polytopes.shape[0], system.parts.spheres.shape[0], system.walls.group.shape[0]
     room = tuple((kind, *[search.pair_count(kind, *counts)] * 2) for kind, *_ in system.capacity)
     system, state = guard.with_capacity(system, made.state, room, 7 + 6, system.row_capacity)
     system = system.replace(skin=jnp.asarray(0.02))

@@ -112,8 +112,3 @@ def test_mistakes_are_named_by_key(piece, message):
         build.self_contained(load_scene("plate-drop").replace(piece=[piece | {"position": (0, 0, 1)}]))
         build.build(load_scene("plate-drop").replace(piece=[piece | {"position": (0, 0, 1)}]))
     assert "\n" not in str(caught.value)
-
-
-def test_a_run_of_pieces_of_parts_is_refused_for_now():
-    with pytest.raises(SceneError, match=r"piece\.0\.shape = 'compound': 2 convex parts; allowed in a run so far: one"):
-        build.build(parse(HALVES))
