@@ -96,7 +96,7 @@ class Parts(Tree):
         """M."""
         return self.radius.shape[0]
 
-    def piece(self, part: Array) -> Array:
+    def piece(self, part: Any) -> Any:
         """The piece that each part belongs to."""
         return part if self.owner is None else self.owner[part]
 
