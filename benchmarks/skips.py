@@ -108,11 +108,11 @@ def prepared(scene, computed, frames, quick):
 
     from dem_jax.drive.prepare import prepare
     from dem_jax.drive.span import ATTEMPTS
-    from dem_jax.pairs import guard
+    from dem_jax.pairs import guard, neighbours
 
     job = prepare(scene, (0,), None)
     system = job.system.replace(**{name: value(job.system) if callable(value) else value for name, value in computed.items()})
-    state = guard.with_scratch(system, job.state)
+    state = guard.with_scratch(system, job.state.replace(contacts=neighbours.no_contacts(system)))
     each = int(system.substeps) * system.sample_parts
     steps = STEPS * max(1, 64 // state.position.shape[1])  # so that starting a chunk is a small part of it
     samples = max(8, steps // (4 * each if quick else each))
@@ -148,12 +148,14 @@ def skips(quick) -> list[Skip]:
 
     few, sizes = (9, (9, 64)) if quick else (64, (64, 343, 1000))
     here = "test_skips.py: "
+    rubbing = {"materials": lambda s: s.materials.replace(friction=jnp.zeros((1, 1), s.dt.dtype))}
+    damping = {"law": lambda s: s.law.replace(damping=jnp.zeros_like(s.law.separation))}
     smooth = {"friction_piece": 0.0, "friction_wall": 0.0}
     pieces, balls = lambda: heap(few), lambda: heap(few, "sphere")
     plain, rough = f"{few} pieces", f"{few} pieces with friction"
     every_step = {
         "substeps": lambda s: jnp.full_like(s.substeps, 1),
-        "parts": lambda s: int(s.substeps) * s.sample_parts,
+        "sample_parts": lambda s: int(s.substeps) * s.sample_parts,
         "block_steps": 1,
     }
     without = lambda: heap(few, **smooth)  # noqa: E731
@@ -163,12 +165,12 @@ def skips(quick) -> list[Skip]:
     shaken = {"walls": lambda s: idly_moved(s.walls)}
     far_seam, own_seam = lambda: with_far_seam(heap(few)), lambda: with_seam(heap(few))
     rows = [
-        Skip("friction", f"{plain} without", without, {"has_friction": True}, needing=(rough, pieces), test=here + "friction"),
+        Skip("friction", f"{plain} without", without, rubbing, needing=(rough, pieces), test=here + "friction"),
         Skip("rotation", f"{few} balls without friction", smooth_balls, {"has_rotation": True},
              needing=(f"{few} balls with friction", balls), test=here + "rotation"),
-        Skip("friction and rotation", f"{few} balls without friction", smooth_balls, {"has_friction": True, "has_rotation": True},
+        Skip("friction and rotation", f"{few} balls without friction", smooth_balls, rubbing | {"has_rotation": True},
              needing=(f"{few} balls with friction", balls), test=here + "rotation"),
-        Skip("damping", f"{plain} without", pieces, {"has_damping": True},
+        Skip("damping", f"{plain} without", pieces, damping,
              needing=("unloading_damping = 0.1", damped), test=here + "damping"),
         Skip("energy ledger", f"{plain}, energy = false", silent, {"ledger": True},
              needing=("energy = true", pieces), test=here + "ledger"),

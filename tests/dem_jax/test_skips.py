@@ -149,7 +149,7 @@ def test_candidates_of_a_window_as_those_of_every_step():
     system = built().system
     total = int(system.substeps) * system.sample_parts
     assert system.block_steps == 48
-    each = {"substeps": jnp.full_like(system.substeps, 1), "parts": total, "block_steps": 1}
+    each = {"substeps": jnp.full_like(system.substeps, 1), "sample_parts": total, "block_steps": 1}
     assert_same(traced(built(), **each), as_built())
     struck = np.abs(as_built().mean_force).max(axis=1) > 0
     begins = np.argmax(struck, axis=0)  # sample of first touch of each wall
