@@ -41,6 +41,21 @@ class Tree:
 
 
 @pytree
+class Features(Tree):
+    """Faces, corners and edges of S convex polytopes, padded to the same counts, for ``contact.look``."""
+
+    planes: Array  # [4, F, S]: outward unit normals and offsets (m) of the polytope by which depth and normal are found
+    corners: Array  # [3, V, S] (m): its corners
+    edges: Array  # [13, E, S]: its edges: middle (m), unit direction, half length (m), unit directions into both its faces
+    own_planes: Array  # [4, F', S]: of the part itself, where others continue it; else the same
+    own_corners: Array  # [3, V', S] (m): likewise
+    inner: Array | None  # [F', S]: 1 for own faces that other parts of the piece cover, 0 for all others
+    rings: Array  # [k, F', S] int32: the corners of each of its own faces, some repeated
+    counts: Array  # [4, S] int32: how many planes, corners, edges and own planes a shape has; the rest repeats its first
+    all_clip: bool = static()  # whether any is a part that others continue
+
+
+@pytree
 class Hulls(Tree):
     """A table of S convex polytopes, padded by repetition to the same counts of faces, corners and edge directions.
 
@@ -62,8 +77,42 @@ class Hulls(Tree):
     open_edges: Array | None  # [k, F S]: how much of an edge is one of the surface, 0 where another panel or part continues
     # it in a plane, else 1, as columns; not gathered to pairs
     inner: Array | None  # [F, S]: 1 for faces that other parts of the piece cover, 0 for all others
+    features: Features | None  # of polytopes that are not all zonotopes of few edges, for contacts of polytopes
     extended: Any  # Hulls of which depth and normal are found, of a part that others continue more of the piece; None: these
     is_zonotope: bool = static()
+
+
+@pytree
+class Facing(Tree):
+    """Which faces of P pairs of polytopes can look most along the normal of their contact, while it stays near a direction.
+
+    Pairs of arrays are those of a and of b, in the frame of the body that they belong to.
+    """
+
+    rows: tuple  # [P] int32: the two in the table
+    normals: tuple  # [3, Kd, P]: of the faces that look most along it
+    faces: tuple  # [Kd, P] int32: which these are
+    direction: tuple  # [3, P]: outward normal of the contact
+    margin: Array  # [P]: by which the normal may differ from that; negative: nothing is known
+
+
+@pytree
+class Near(Tree):
+    """The features of P pairs of convex polytopes that can decide their contact until they have moved, see ``contact.look``.
+
+    Pairs of arrays are those of a and of b, in the frame of the body that they belong to.
+    """
+
+    rows: tuple  # [P] int32: the two in the table
+    faces: tuple  # [4, Kf, P]: normals and offsets (m) of faces
+    corners: tuple  # [3, Kv, P] (m): of a that the faces of b may meet, and the other way round
+    edges: tuple  # [13, Ke, P]: couples of edges, as in Features
+    clipping: tuple  # [4, Kc, P]: planes of own faces that may cut the other body
+    wide: Array  # [P] bool: whether more of them than these may
+    margin: Array  # [P] (m): way within which that is certain; negative: nothing is known
+    offset: Array  # [3, P] (m): b's origin in a's frame at the look ...
+    rotation: Array  # [9, P]: ... and rows of the rotation from b's frame to a's
+    depth: Array  # [P] (m): their overlap then
 
 
 @pytree
@@ -214,7 +263,7 @@ class Slots(Tree):
     live: Array  # [P] bool: whether the slot holds a pair
     a: Array  # [P] int32: as in the table, 0 where empty
     b: Array  # [P] int32
-    hull_a: Hulls | None  # [.., P] or [.., 1]
+    hull_a: Hulls | None  # [.., P] or [.., 1]; of polytopes with Features none
     hull_b: Hulls | None
     radius_a: Array  # [P] or [1] (m): of spheres
     radius_b: Array  # [P] or [1] (m)
@@ -283,6 +332,10 @@ class Scratch(Tree):
     anchor: Array  # [7, N]: position and orientation at the rebuild
     since: Array  # int32: the step of the rebuild
     lead: Array  # [R] (m): most that two bodies approach each other at the speeds they had then, until the next rebuild
+    near: dict  # kind of contact -> Near, of polytopes with Features; none where each step looks at all features
+    facing: dict  # kind of contact -> Facing, likewise
+    is_first: Array  # bool: whether no overlap of near polytopes was noted in the guard yet
+    spare: Array  # (m): way that any two bodies may still move before it is asked whether a look is due
 
 
 @pytree

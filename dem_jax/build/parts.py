@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from dem_jax.contact import hulls
+from dem_jax.build import hulls
 from dem_jax.maths.pose import matrix_of_quaternion
 from dem_jax.shapes import Continued, Shape, continued, parts_of
 from dem_jax.types import Hulls, Parts

@@ -39,7 +39,7 @@ def block_of(tree, k, size):
 def block_of_slots(system: System, kind, slots: Slots, k, size) -> Slots:
     """``block_of`` slots. Where polytopes are alike and no wall is among the slots, nor among those of the first block,
     the hulls are those of the first block, which the cache holds already."""
-    if kind != "hulls" or kind not in system.alike:
+    if kind != "hulls" or kind not in system.alike or slots.hull_a is None:
         return block_of(slots, k, size)
     rows = block_of(slots.replace(hull_a=None), k, size)
     parts = system.parts.count

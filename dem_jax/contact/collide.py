@@ -56,8 +56,7 @@ def hull_hull(a: Hulls, b: Hulls, rel: Relative, axes=None) -> Geometry:
 def separating_axes(a: Hulls, b: Hulls, rel: Relative):
     """Smallest overlap over all separating axes, [P] (m); the axis, unit, from a to b; the overlap along it, which is
     larger by up to FACE_PREFERENCE where a face's axis was preferred."""
-    test = _zonotope_axes if a.is_zonotope and b.is_zonotope else _polytope_axes
-    overlaps, axes = test(a, b, rel)
+    overlaps, axes = _zonotope_axes(a, b, rel)
     if a.seams is not None:
         overlaps = _barred_by_seams(overlaps, axes, a, b, rel)
     return _smallest(overlaps, axes, rel)
@@ -99,26 +98,6 @@ def _zonotope_axes(a: Hulls, b: Hulls, rel: Relative):
     slack = _rounding(a, b, rel)[None, None]
     edges = (width_a + width_b - gap + slack) / _safe_root(sin2)
     return (*kept(faces_a, faces_b), edges), (na, nb, ea, eb)
-
-
-def _polytope_axes(a: Hulls, b: Hulls, rel: Relative):
-    """Overlaps of any convex polytopes: extents along an axis are extremes over the vertices."""
-    turn = vector.expand_matrix(rel.rotation, 0)
-    d = expand(rel.offset, 0)
-    va, vb = a.vertices, vector.add(vector.rotate(turn, b.vertices), d)
-    na, nb = a.normals, vector.scale(-1, vector.rotate(turn, b.normals))
-    ea, eb = a.directions, vector.rotate(turn, b.directions)
-    faces_a = a.offsets - jnp.min(dot(expand(na, 1), expand(vb, 0)), axis=1)
-    faces_b = jnp.max(dot(expand(nb, 1), expand(va, 0)), axis=1) + b.offsets - dot(nb, d)
-    axis = vector.cross(expand(ea, 1), expand(eb, 0))
-    sin2 = dot(axis, axis)
-    along_a = dot(expand(axis, 2), expand(expand(va, 0), 0))
-    along_b = dot(expand(axis, 2), expand(expand(vb, 0), 0))
-    forward = jnp.max(along_a, axis=2) - jnp.min(along_b, axis=2)
-    backward = jnp.max(along_b, axis=2) - jnp.min(along_a, axis=2)
-    slack = _rounding(a, b, rel)[None, None]
-    edges = (jnp.minimum(forward, backward) + slack) / _safe_root(sin2)
-    return kept(faces_a, faces_b, edges), (na, nb, ea, eb)
 
 
 def _smallest(overlaps, axes, rel):
@@ -186,37 +165,16 @@ def pressure_centre(a: Hulls, b: Hulls, rel: Relative, depth, normal):
     The edges of the face of each body that looks most along the normal are clipped by the other body; over what
     remains inside, the depth below the other's surface along the normal is linear, and its line integral is closed.
     """
-    integrate = _zonogons if a.is_zonotope and b.is_zonotope else _polygons
     on_b = vector.scale(-1, vector.rotate_back(rel.rotation, normal))
-    top, (weight, *moment) = integrate(a, b, rel, depth, normal, _facing(a, normal), _facing(b, on_b))
+    top, (weight, *moment) = _zonogons(a, b, rel, depth, normal, _facing(a, normal), _facing(b, on_b))
     scale = 1 / jnp.where(weight > 0, weight, 1)
     point = vector.where(weight > 0, vector.scale(scale, moment), vector.scale(top - 0.5 * depth, normal))
     return point, weight
 
 
-def _polygons(a: Hulls, b: Hulls, rel: Relative, depth, normal, face_a, face_b):
-    """Of any faces (columns [P] of their tables): a's extent along the normal [P] (m), and the line integrals of depth
-    and of depth times position over all edges, four arrays [P]."""
-    turn, d, n = vector.expand_matrix(rel.rotation, 0), expand(rel.offset, 0), expand(normal, 0)
-    corners_a = _vectors(a.loops, face_a)
-    corners_b = vector.add(vector.rotate(turn, _vectors(b.loops, face_b)), d)
-    corners_b, normals_b = kept(*corners_b), kept(*vector.rotate(turn, b.normals))
-    height_a, height_b = dot(n, corners_a), dot(n, corners_b)
-    highest = height_a if a.extended is None else dot(n, a.extended.vertices)
-    top = kept(jnp.max(highest, axis=0))  # a's extent along the normal; b begins below it by the depth
-    first = _clipped(vector.sub(corners_a, d), corners_a, normals_b, b.offsets, height_a - (top - depth)[None])
-    second = _clipped(corners_b, corners_b, a.normals, a.offsets, top[None] - height_b)
-    if a.open_edges is not None:  # an edge in the middle of a wall is no edge of the overlap
-        is_open = a.open_edges.at[:, face_a].get(mode="promise_in_bounds")
-        first = tuple(is_open * part for part in first)
-    if b.inner is not None:  # nor is one between two parts of a piece
-        is_open = b.open_edges.at[:, face_b].get(mode="promise_in_bounds")
-        second = tuple(is_open * part for part in second)
-    return top, [jnp.sum(p, axis=0) + jnp.sum(q, axis=0) for p, q in zip(first, second, strict=True)]
-
-
 def _zonogons(a: Hulls, b: Hulls, rel: Relative, depth, normal, face_a, face_b):
-    """``_polygons`` of bodies whose faces are centrally symmetric: half of the edges say all, which halves the work."""
+    """Of the facing faces (columns [P] of their tables): a's extent along the normal [P] (m), and the line integrals of depth
+    and of depth times position over all edges, four arrays [P]. Half of the edges say all, which halves the work."""
     turn, n = vector.expand_matrix(rel.rotation, 0), expand(normal, 0)
     centre_a, edges_a = _centred(a.loops, face_a)
     centre_b, edges_b = _centred(b.loops, face_b)
@@ -239,8 +197,6 @@ def _zonogons(a: Hulls, b: Hulls, rel: Relative, depth, normal, face_a, face_b):
 def _facing(hull: Hulls, normal):
     """Column [P] of the face whose outward normal lies most along a direction given in the hull's frame."""
     along = dot(hull.normals, expand(normal, 0))
-    if hull.inner is not None:
-        along = along - 3 * hull.inner
     face = _first_where(along == jnp.max(along, axis=0)[None])
     return face * (hull.loops.shape[1] // hull.normals[0].shape[0]) + hull.row
 
@@ -297,7 +253,7 @@ def _begin(steps):
     return _sum(jnp.where(number > j, 0.5, -0.5).astype(steps.dtype) * steps[j : j + 1] for j in range(steps.shape[0]))
 
 
-def _clipped(points, corners, normals, offsets, depth):
+def clipped(points, corners, normals, offsets, depth):
     """For each edge of a face, the line integral of depth over its part inside a polytope, and of depth times position:
     four arrays [k, P] (m2, m3).
 

@@ -5,14 +5,14 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from dem_jax.contact import bodies, boundary, collide, of_run, seams
+from dem_jax.contact import bodies, boundary, collide, of_run, seams, watch
 from dem_jax.contact.blocks import block_of, block_of_slots, block_size, in_one
 from dem_jax.contact.bodies import Body
-from dem_jax.contact.geometry import geometry
+from dem_jax.contact.geometry import Known, geometry, is_kept
 from dem_jax.contact.law import Contact
 from dem_jax.contact.ledger import entered
 from dem_jax.maths import vector
-from dem_jax.types import Array, ContactTable, Memory, Slots, State, System, WallLoads
+from dem_jax.types import Array, ContactTable, Facing, Memory, Slots, State, System, WallLoads
 
 
 class Contacts(NamedTuple):
@@ -22,6 +22,7 @@ class Contacts(NamedTuple):
     load_a: Array  # [6, P] (N, N m): force and torque on a, about its centre
     load_b: Array  # on b
     overlap: Array  # [R] (-): the largest of each run, relative to the width of the piece
+    facing: Facing | None = None  # as ``geometry`` keeps it
 
 
 def contacts(system: System, state: State, omega: Array, panels: boundary.Panels) -> State:
@@ -30,22 +31,26 @@ def contacts(system: System, state: State, omega: Array, panels: boundary.Panels
     state: positions now, velocities of the interval that led here; omega: [3, N] (rad/s) likewise.
     """
     stacked = bodies.stack(system, state, omega, panels)
+    if is_kept(system):
+        state = watch.up_to_date(system, state, stacked)
     loads, overlap = state.scratch.loads, jnp.zeros((system.runs,), stacked.dtype)
-    tables, column = {}, 0
+    tables, facing, column = {}, {}, 0
     for kind, table in state.contacts.items():
-        memory, loads, deepest = _contacts_of_kind(system, state, kind, stacked, loads, column)
+        memory, seen, loads, deepest = _contacts_of_kind(system, state, kind, stacked, loads, column)
         tables[kind], overlap = table.replace(memory=memory), jnp.maximum(overlap, deepest)
+        facing |= {} if seen is None else {kind: seen}
         column += 2 * table.a.shape[0]
-    state = state.replace(contacts=tables, scratch=state.scratch.replace(loads=loads))
+    state = state.replace(contacts=tables, scratch=state.scratch.replace(loads=loads, facing=facing))
     on_pieces, on_walls = _loads_of_pieces(system, state), _loads_of_walls(system, state, panels)
     ledger = entered(system, state, omega, panels, on_pieces, on_walls, overlap)
     return state.moved(force=on_pieces[:3], torque=on_pieces[3:]).replace(walls=on_walls, ledger=ledger)
 
 
 def _contacts_of_kind(system: System, state: State, kind, stacked, loads, column):
-    """The memory of a kind after this step, the loads [6, columns] with those of its contacts from ``column`` on, and the
-    largest overlap. Block by block of slots, as far as slots are filled: what is free costs nothing."""
+    """The memory of a kind after this step, which faces look at each other, the loads [6, columns] with those of its contacts
+    from ``column`` on, and the largest overlap. Block by block of slots, as far as slots are filled: what is free costs nothing."""
     table, slots = state.contacts[kind], state.scratch.slots[kind]
+    near, facing = state.scratch.near.get(kind), state.scratch.facing.get(kind)
     room = table.a.shape[0]
     size = block_size(system, kind, room)
 
@@ -55,31 +60,33 @@ def _contacts_of_kind(system: System, state: State, kind, stacked, loads, column
 
     if not size:
         siblings = None if slots.surface_a is None else seams.siblings(system, slots, state.incidence, column)
-        part = _resolve(system, kind, table.memory, slots, stacked, siblings)
-        return part.memory, put(part, 0, loads), part.overlap
+        part = _resolve(system, kind, table.memory, slots, stacked, siblings, Known(near, facing))
+        return part.memory, part.facing, put(part, 0, loads), part.overlap
 
     def block(k, carry):
-        memory, loads, overlap = carry
+        memory, facing, loads, overlap = carry
         before = in_one(kind, block_of(memory, k, size))
-        part = _resolve(system, kind, before, block_of_slots(system, kind, slots, k, size), stacked, None)
+        known = Known(block_of(near, k, size), block_of(facing, k, size))
+        part = _resolve(system, kind, before, block_of_slots(system, kind, slots, k, size), stacked, None, known)
         insert = lambda whole, rows: jax.lax.dynamic_update_slice_in_dim(whole, rows, k * size, -1)  # noqa: E731
         memory = jax.tree.map(insert, memory, in_one(kind, part.memory))
-        return memory, put(part, k * size, loads), jnp.maximum(overlap, part.overlap)
+        facing = jax.tree.map(insert, facing, part.facing)
+        return memory, facing, put(part, k * size, loads), jnp.maximum(overlap, part.overlap)
 
     blocks = (state.scratch.filled[kind] + size - 1) // size
-    return jax.lax.fori_loop(0, blocks, block, (table.memory, loads, jnp.zeros((system.runs,), stacked.dtype)))
+    return jax.lax.fori_loop(0, blocks, block, (table.memory, facing, loads, jnp.zeros((system.runs,), stacked.dtype)))
 
 
-def _resolve(system: System, kind, memory: Memory, slots: Slots, stacked, siblings) -> Contacts:
+def _resolve(system: System, kind, memory: Memory, slots: Slots, stacked, siblings, known: Known) -> Contacts:
     """Geometry and contact law of the contacts of one kind. siblings: seams.Siblings where surfaces go on."""
     a, b = bodies.take(stacked, slots.a), bodies.take(stacked, slots.b)
     offset = bodies.offset(a, b)
-    depth, rest = geometry(system, kind, slots, a, b, offset)
+    depth, rest, facing = geometry(system, kind, slots, a, b, offset, known)
     loaded = lambda: _loaded(system, memory, slots, a, b, offset, rest(), siblings)  # noqa: E731
     if kind != "hulls" or not system.slot_block:
         return loaded()
     is_touching = jnp.any((_within(system, slots, depth) > 0) & slots.live | (memory.overlap > 0))
-    return jax.lax.cond(is_touching, loaded, lambda: _separated(system, memory, slots))
+    return jax.lax.cond(is_touching, loaded, lambda: _separated(system, memory, slots))._replace(facing=facing)
 
 
 def _within(system: System, slots: Slots, overlap):

@@ -1,48 +1,131 @@
 """Kinds of contact by what computes their geometry: spheres, polytopes, a polytope and a sphere."""
 
+from typing import NamedTuple
+
+import jax
 import jax.numpy as jnp
 
-from dem_jax.contact import collide, hulls
+from dem_jax.contact import collide, hulls, look, near
 from dem_jax.contact.bodies import Body
 from dem_jax.maths import vector
-from dem_jax.types import Array, Hulls, Slots, System
+from dem_jax.types import Array, Facing, Hulls, Near, Slots, System
 
 
-def geometry(system: System, kind, slots: Slots, a: Body, b: Body, offset):
+class Known(NamedTuple):
+    """What is known of a block of pairs of polytopes with features; of all other pairs, and where all features are looked at in
+    every step, nothing."""
+
+    near: Near | None = None
+    facing: Facing | None = None
+
+
+NOTHING = Known()
+
+
+def geometry(system: System, kind, slots: Slots, a: Body, b: Body, offset, known: Known = NOTHING):
     """Depth of each slot, [P] (m), and a function that says the rest, which nobody needs where nothing touches: a
     ``collide.Geometry`` with normal (a to b) and point (relative to the centre of a) in world axes. The point of polytopes
-    is where they would touch if b were nearer by the reach of the law: between separated ones there is a force too."""
+    is where they would touch if b were nearer by the reach of the law: between separated ones there is a force too.
+
+    Third, the faces of polytopes that look at each other, as far as they are kept for the next step."""
     if kind == "spheres":
         found = collide.sphere_sphere(slots.radius_a, slots.radius_b, offset)
-        return found.depth, lambda: found
-    local = vector.rotate_back(a.rotation, offset)
+        return found.depth, lambda: found, None
     if kind == "mixed":
-        found = collide.hull_sphere(slots.hull_a, slots.radius_b, local)
-        return found.depth, lambda: _in_world(found, a)
-    hull_a, hull_b = (hulls.with_faces(rows, system.hulls) for rows in (slots.hull_a, slots.hull_b))
-    relative = collide.Relative(vector.compose(vector.transpose(a.rotation), b.rotation), local)
-    axes = collide.separating_axes(*(h if h.extended is None else h.extended for h in (hull_a, hull_b)), relative)
-    return axes[0], lambda: _in_world(_facing(hull_a, hull_b, relative, axes, system.law.reach(slots.pair)), a)
+        found = collide.hull_sphere(slots.hull_a, slots.radius_b, vector.rotate_back(a.rotation, offset))
+        return found.depth, lambda: _in_world(found, a), None
+    rel, reach = relative(a, b, offset), system.law.reach(slots.pair)
+    if system.hulls.features is None:
+        hull_a, hull_b = (hulls.with_faces(rows, system.hulls) for rows in (slots.hull_a, slots.hull_b))
+        axes = collide.separating_axes(hull_a, hull_b, rel)
+        return axes[0], lambda: _in_world(_between_zonotopes(hull_a, hull_b, rel, axes, reach), a), None
+    rows = shapes_of(system, slots)
+    axes, faces, planes, facing = _between_polytopes(system, slots, rows, rel, reach, known)
+    return axes.depth, lambda: _in_world(_centred(system, rows, faces, planes, rel, axes, reach), a), facing
 
 
-def _facing(hull_a: Hulls, hull_b: Hulls, relative: collide.Relative, axes, reach: Array | None) -> collide.Geometry:
-    """Contact of two polytopes, their separating axes known; reach: [P] or [1] (m), None of a law without."""
+def relative(a: Body, b: Body, offset) -> collide.Relative:
+    """Body b as seen from body a; offset: between their centres, in world axes."""
+    return collide.Relative(vector.compose(vector.transpose(a.rotation), b.rotation), vector.rotate_back(a.rotation, offset))
+
+
+def shapes_of(system: System, slots: Slots) -> tuple[Array, Array]:
+    """Rows of both bodies in the table of hulls, [P] int32."""
+    return system.shape[slots.a], system.shape[slots.b]
+
+
+def polytopes(table: Hulls, rows, rel: collide.Relative) -> collide.Geometry:
+    """Contact of the polytopes of rows (a, b) [P] of a table with features, from all of them, in a's frame."""
+    axes, faces = _from_all(table, rows, rel, None)
+    return _centred_on(table, rows, faces, near.every_plane(table, rows), rel, axes, None)
+
+
+def _from_all(table: Hulls, rows, rel, reach):
+    """Axes and facing faces of polytopes, from all of their features."""
+    axes = near.axes(look.look(table.features, rows, _radii(table, rows), rel, reach), rel)
+    return axes, near.looking(look.facing(table.features, rows, axes.normal, rel), axes.normal, rel)
+
+
+def _radii(table: Hulls, rows):
+    return tuple(table.bounding_radius[row] for row in rows)
+
+
+def _between_polytopes(system: System, slots: Slots, rows, rel, reach, known: Known):
+    """Axes, facing faces and clipping planes of polytopes, and Facing for the next step."""
+    table = system.hulls
+    if known.near is None:
+        axes, faces = _from_all(table, rows, rel, reach)
+        return axes, faces, lambda of: of(near.every_plane(table, rows)), None
+    axes = near.axes(known.near, rel)
+    touching = slots.live & ((axes.depth if reach is None else axes.depth + reach) > 0)
+    facing = near.faced(table, known.facing, rows, axes.normal, touching, rel)
+    is_wide = jnp.any(known.near.wide & touching)
+
+    def clipped(of):
+        return jax.lax.cond(is_wide, lambda: of(near.every_plane(table, rows)), lambda: of(known.near.clipping))
+
+    return axes, near.looking(facing, axes.normal, rel), clipped, facing
+
+
+def _centred(system: System, rows, faces, clipped, rel, axes: near.Axes, reach):
+    return clipped(lambda planes: _centred_on(system.hulls, rows, faces, planes, rel, axes, reach))
+
+
+def _centred_on(table: Hulls, rows, faces, planes, rel, axes: near.Axes, reach) -> collide.Geometry:
+    """Contact of polytopes whose axes are known; reach: [P] or [1] (m), None of a law without."""
     if reach is None:
-        return collide.hull_hull(hull_a, hull_b, relative, axes)
+        return collide.Geometry(axes.depth, axes.normal, *near.pressure_centre(table, rows, faces, planes, rel, axes))
+    nearer = rel._replace(offset=vector.add_scaled(rel.offset, -reach, axes.normal))
+    point, weight = near.pressure_centre(table, rows, faces, planes, nearer, axes._replace(along=axes.along + reach))
+    return collide.Geometry(axes.depth, axes.normal, vector.add_scaled(point, 0.5 * reach, axes.normal), weight)
+
+
+def _between_zonotopes(hull_a: Hulls, hull_b: Hulls, rel: collide.Relative, axes, reach: Array | None) -> collide.Geometry:
+    """Contact of two zonotopes, their separating axes known; reach: [P] or [1] (m), None of a law without."""
+    if reach is None:
+        return collide.hull_hull(hull_a, hull_b, rel, axes)
     depth, normal, along = axes
-    nearer = relative._replace(offset=vector.add_scaled(relative.offset, -reach, normal))
+    nearer = rel._replace(offset=vector.add_scaled(rel.offset, -reach, normal))
     found = collide.hull_hull(hull_a, hull_b, nearer, (depth, normal, along + reach))
     return found._replace(point=vector.add_scaled(found.point, 0.5 * reach, normal))
 
 
 def nearness(system: System, kind, slots: Slots, a: Body, b: Body, offset):
-    """Depth of each slot, [P] (m); of polytopes that are parts of more the smaller of that of the whole and their own: beyond
-    a part others touch."""
-    depth, _ = geometry(system, kind, slots, a, b, offset)
-    if kind != "hulls" or slots.hull_a.extended is None:
-        return depth
-    alone = slots.replace(hull_a=slots.hull_a.replace(extended=None), hull_b=slots.hull_b.replace(extended=None))
-    return jnp.minimum(depth, geometry(system, kind, alone, a, b, offset)[0])
+    """Depth of each slot, or more, [P] (m), as far as it decides which pairs are near; of polytopes that are parts of more the
+    smaller of that of the whole and their own: beyond a part others touch."""
+    if kind != "hulls" or system.hulls.features is None:
+        return geometry(system, kind, slots, a, b, offset)[0]
+    table, rows, rel = system.hulls, shapes_of(system, slots), relative(a, b, offset)
+    if is_kept(system):
+        depth = look.face_overlap(table.features, rows, rel)
+    else:
+        depth = near.axes(look.look(table.features, rows, _radii(table, rows), rel, None), rel).depth
+    return jnp.minimum(depth, look.face_overlap(table.features, rows, rel, True)) if table.features.all_clip else depth
+
+
+def is_kept(system: System) -> bool:
+    """Whether near features of polytopes are kept from step to step; else all are looked at in each."""
+    return system.hulls is not None and system.hulls.features is not None and bool(system.slot_block)
 
 
 def _in_world(found: collide.Geometry, a: Body) -> collide.Geometry:

@@ -8,9 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from dem_jax import build, compiling
+from dem_jax.contact.geometry import is_kept
 from dem_jax.contact.law import ContactLaw
 from dem_jax.drive import execute, settled
 from dem_jax.drive.job import Job, samples_per_block
+from dem_jax.pairs import guard
 from dem_jax.scene import Scene, load_scene
 from dem_jax.step.quantity import Quantity, checked
 
@@ -38,6 +40,8 @@ def prepare(
         if runs is not None:
             states = [build.state_of_seed(scene, built, int(seed)) for seed in seeds]
             state = jax.tree.map(lambda *x: jnp.asarray(np.stack(x)), *states)
+        if is_kept(system):
+            state = guard.with_scratch(system, state)
     settling = built.settling_steps // built.step.substeps
     rule = settled.rule_of(scene, system, settling, samples_per_block(system))
     return Job(scene, tuple(seeds), runs, built, system, state, execute.way_of(system, runs), rule, law is not None)

@@ -11,13 +11,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dem_jax.contact import blocks, bodies, boundary, of_run
-from dem_jax.contact.geometry import nearness
+from dem_jax.contact import blocks, bodies, boundary, collide, look, of_run
+from dem_jax.contact.geometry import is_kept, nearness
 from dem_jax.maths import rotation, vector
 from dem_jax.maths.compaction import EMPTY, compact, grouped, in_order
 from dem_jax.pairs import search
 from dem_jax.pairs.slots import constants
-from dem_jax.types import Array, ContactTable, Guard, Memory, Scratch, Slots, State, System
+from dem_jax.types import Array, ContactTable, Facing, Guard, Memory, Near, Scratch, Slots, State, System
 
 # Kinds of contact by what computes their geometry, each with slots of its own, and the sources of their pairs.
 # In the order of the alphabet, as JAX sorts the keys of a dict: ``incidence`` counts on one order everywhere.
@@ -37,24 +37,30 @@ def rebuild(system: System, state: State, panels: boundary.Panels | None = None)
     reach = system.skin + system.reach + lead
     guard = state.guard
     first_time = guard.start_overlap < 0
-    tables, slots, needed, filled, column = {}, {}, {}, {}, 0
+    tables, slots, near, facing, needed, filled, column = {}, {}, {}, {}, {}, {}, 0
     for kind, candidates, room in system.capacity:
-        near, a, b, missed = [], [], [], 0
+        close, a, b, missed = [], [], [], 0
         for source in SOURCES[kind]:
             first, second, need = search.of_source(system, source, stacked, reach, candidates)
             guard, missed = search.noted(guard, need), missed + need.missed
-            near.append(within_bounds(system, stacked, source, first, second, reach))
+            close.append(within_bounds(system, stacked, source, first, second, reach))
             a.append(first)
             b.append(second)
-        number, a, b = compact(jnp.concatenate(near), jnp.concatenate(a), jnp.concatenate(b), candidates)
+        number, a, b = compact(jnp.concatenate(close), jnp.concatenate(a), jnp.concatenate(b), candidates)
         overlap, relative = _depths(system, kind, a, b, number, stacked)
-        guard = _note_overlap(guard, first_time, relative, a, b)
+        keeps = kind == "hulls" and is_kept(system)  # then what overlaps is known after the first look
+        guard = guard if keeps else _note_overlap(guard, first_time, relative, a, b)
         touching, a, b = in_order(overlap, of_run.at(system, reach, jnp.maximum(b, 0)), a, b, room)
         filled[kind] = jnp.minimum(touching, room)
         needed[kind] = jnp.maximum(guard.needed[kind], _of_fullest_run(system, number + missed, touching, b))
         old = state.contacts[kind]
         slots[kind] = constants(system, kind, a, b)
-        tables[kind] = carry_history(system, old, slots[kind], a, b, state.incidence, column)
+        slot, known = former_slots(system, old, a, b, state.incidence, column)
+        tables[kind] = ContactTable(a, b, carried(old.memory, no_memory(system, slots[kind]), slot, known))
+        if keeps:
+            none = empty_near(system, a.shape[0])
+            before = (state.scratch.near[kind], state.scratch.facing[kind]) if state.scratch else none
+            near[kind], facing[kind] = carried(before, none, slot, known)
         column += 2 * old.a.shape[0]
     incidence, touching = find_incidence(system, tables)
     guard = guard.replace(
@@ -74,6 +80,10 @@ def rebuild(system: System, state: State, panels: boundary.Panels | None = None)
         anchor=anchor,
         since=state.step,
         lead=lead,
+        near=near,
+        facing=facing,
+        is_first=first_time,
+        spare=jnp.full_like(system.dt, -1),
     )
     return state.replace(contacts=tables, incidence=incidence, guard=guard, scratch=scratch)
 
@@ -139,8 +149,8 @@ def _note_overlap(guard: Guard, first_time, relative, a, b) -> Guard:
     )
 
 
-def carry_history(system: System, old: ContactTable, slots: Slots, a, b, incidence, column) -> ContactTable:
-    """A table of the pairs (a, b), each with the memory that it had in the old table, or none.
+def former_slots(system: System, old: ContactTable, a, b, incidence, column):
+    """The slot in an old table of each pair (a, b), [P] int32, and whether it had one, [P] bool.
 
     incidence: [touching, N] of the old tables; column: where the loads on b of this kind begin in it. A pair that was
     known stands among the few contacts of its b, so that no sorting and no search is needed.
@@ -152,12 +162,25 @@ def carry_history(system: System, old: ContactTable, slots: Slots, a, b, inciden
     match = inside & (old.a[slot] == a[None]) & (a >= 0)[None]
     if system.parts.owner is not None:
         match = match & (old.b[slot] == b[None])
-    known = jnp.any(match, axis=0)
-    slot = jnp.max(jnp.where(match, slot, 0), axis=0)
-    fresh = no_memory(system, slots)
+    return jnp.max(jnp.where(match, slot, 0), axis=0), jnp.any(match, axis=0)
+
+
+def carried(old, none, slot, known):
+    """Of a tree of rows [.., P] of former slots what the pairs had, and ``none`` of those that had none."""
     pick = lambda rows, new: jnp.where(known.reshape((1,) * (new.ndim - 1) + (-1,)), rows[..., slot], new)  # noqa: E731
-    memory = jax.tree.map(pick, old.memory, fresh)
-    return ContactTable(a, b, memory)
+    return jax.tree.map(pick, old, none)
+
+
+def empty_near(system: System, room: int) -> tuple[Near, Facing]:
+    """Near features and facing faces of which nothing is known."""
+    row, length = jnp.zeros((room,), jnp.int32), jnp.zeros((room,), system.dt.dtype)
+    rel = collide.Relative(((length,) * 3,) * 3, (length,) * 3)
+    both = lambda: (  # noqa: E731
+        look.look(system.hulls.features, (row, row), (length, length), rel, None),
+        look.facing(system.hulls.features, (row, row), (length,) * 3, rel),
+    )
+    none = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(both))
+    return tuple(of.replace(margin=jnp.full_like(length, -1)) for of in none)
 
 
 def no_memory(system: System, slots: Slots) -> Memory:

@@ -23,12 +23,13 @@ def _with_polytopes(system: System, kind, live, a, b) -> Slots:
     number = parts.count
     wall, own, panel = a >= number, jnp.minimum(a, number - 1), jnp.maximum(a - number, 0)
     piece_a, piece_b = parts.piece(own), parts.piece(b)
+    by_tables = system.hulls.features is None  # else a contact of polytopes looks up what it needs
     return Slots(
         live=live,
         a=a,
         b=b,
-        hull_a=hulls.gather(system.hulls, system.shape[a], kind == "mixed"),
-        hull_b=_hull_of_piece(system, b) if kind == "hulls" else None,
+        hull_a=hulls.gather(system.hulls, system.shape[a], kind == "mixed") if kind == "mixed" or by_tables else None,
+        hull_b=_hull_of_piece(system, b) if kind == "hulls" and by_tables else None,
         radius_a=parts.radius[own],
         radius_b=parts.radius[b],
         width=jnp.where(wall, pieces.width[piece_b], jnp.minimum(pieces.width[piece_a], pieces.width[piece_b])),

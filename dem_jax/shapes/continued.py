@@ -62,6 +62,14 @@ def _extended(part: Part, others: list[Part]) -> Shape:
     return _about(_corners(np.concatenate([normals, across]), np.concatenate([offsets, levels + thickness])))
 
 
+def beyond_seams(panel: Shape, across: np.ndarray, reach: float) -> Shape:
+    """A panel that goes on by a reach (m) beyond its sides in directions [m, 3], where others continue its plane."""
+    if not len(across):
+        return panel
+    beyond = (panel.normals @ np.asarray(across).T > 1 - 1e-9).any(axis=1)
+    return _about(_corners(panel.normals, panel.offsets + reach * beyond))
+
+
 def _outer_planes(part: Part) -> tuple[np.ndarray, np.ndarray]:
     normals, offsets = planes(part)
     outer = ~np.array(part.inner, bool)

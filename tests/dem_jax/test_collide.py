@@ -15,8 +15,9 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from dem_jax import shapes
+from dem_jax.build import hulls as tables_of
 from dem_jax.compiling import known
-from dem_jax.contact import collide, hulls
+from dem_jax.contact import collide, geometry, hulls
 
 BATCH = 192  # pairs at a time: one compiled program for each table of shapes
 ROUNDING = 1e-14  # m: bodies are 0.1 m in size, a depth is a difference of sums of a few such lengths
@@ -42,9 +43,11 @@ def principal(shape):
 
 @partial(jax.jit, compiler_options=known("cpu"))
 def _computed(table, ia, ib, turn, offset):
+    rel = collide.Relative(tuple(tuple(row) for row in turn), tuple(offset))
+    if table.features is not None:
+        return geometry.polytopes(table, (ia, ib), rel)
     a, b = (hulls.with_faces(hulls.gather(table, i, False), table) for i in (ia, ib))
-    rows = tuple(tuple(row) for row in turn)
-    return collide.hull_hull(a, b, collide.Relative(rows, tuple(offset)))
+    return collide.hull_hull(a, b, rel)
 
 
 def contact(table, ia, ib, pose_a, pose_b, dtype=np.float64):
@@ -64,7 +67,7 @@ def contact(table, ia, ib, pose_a, pose_b, dtype=np.float64):
 
 
 def table(shapes_, dtype=np.float64):
-    rows = hulls.table(shapes_, dtype)
+    rows = tables_of.table(shapes_, dtype)
     return jax.tree.map(jnp.asarray, rows.replace(row=rows.row.astype(np.int32)))
 
 

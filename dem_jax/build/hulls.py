@@ -1,0 +1,223 @@
+"""Tables of convex polytopes as arrays, from shapes."""
+
+import dataclasses
+
+import numpy as np
+
+from dem_jax.build import features
+from dem_jax.maths.pose import matrix_of_quaternion
+from dem_jax.shapes.continued import beyond_seams
+from dem_jax.types import Hulls
+
+SEAM_REACH = 10.0  # bounding radii of the largest piece by which a panel goes on beyond a seam, as far as contacts are concerned
+
+
+MOST_DIRECTIONS = 8  # of edges of a zonotope: with more, near features are quicker than all of them
+
+
+def table(shapes, dtype, seams=None, continued=None) -> Hulls:
+    """Stack polytopes [S] into one table, padded by repetition, which adds nothing to any minimum, maximum or sum.
+
+    Vertices are taken in the principal frame. The table is one of zonotopes if all its shapes are, of few edge directions;
+    else it has ``features``.
+    seams: None, or for each shape [m, 3] outward unit directions across those edges of its face along z that are seams.
+    continued: None, or for each shape shapes.Continued where it is a part that others continue, else None; such a table is
+    none of zonotopes.
+    """
+    rows = [_row(shape) for shape in shapes]
+    if continued:
+        rows = [row | {"half_lengths": None} for row in rows]
+    zonotopes = all(row["half_lengths"] is not None and len(row["directions"]) <= MOST_DIRECTIONS for row in rows)
+    if zonotopes:
+        rows = [_pair_opposite_faces(row) for row in rows]
+    sides = max(c.shape[1] for row in rows for c in row["corners"])
+    faces = max(len(row["normals"]) for row in rows)
+    edges = max(len(row["directions"]) for row in rows)
+    corners = max(len(row["vertices"]) for row in rows)
+    normals, offsets, loops = [], [], []
+    for row in rows:
+        order = _padded_faces(len(row["normals"]), faces, zonotopes)
+        normals.append(row["normals"][order])
+        offsets.append(row["offsets"][order])
+        pad = _pad_halves if zonotopes else _pad
+        loops.append(np.stack([pad(row["corners"][f].T, sides) for f in order], axis=1))  # [k, F, 3]
+    directions = [_pad(row["directions"], edges) for row in rows]
+    widths = lengths = None
+    if zonotopes:
+        half = faces // 2
+        lengths = _last([_pad_zero(row["half_lengths"], edges) for row in rows], dtype)
+        widths = _last(
+            [_cross_widths(d, row["half_lengths"], n[:half]) for d, row, n in zip(directions, rows, normals, strict=True)],
+            dtype,
+        )
+    return Hulls(
+        normals=_components(normals, dtype),
+        offsets=_last(offsets, dtype),
+        corners=_components(loops, dtype),
+        loops=_columns([_half_loop(c) for c in loops] if zonotopes else [_closed(c) for c in loops], dtype),
+        row=np.arange(len(rows)),
+        vertices=_components([_pad(row["vertices"], corners) for row in rows], dtype),
+        directions=_components(directions, dtype),
+        bounding_radius=np.array([np.linalg.norm(row["vertices"], axis=1).max() for row in rows], dtype),
+        half_lengths=lengths,
+        cross_widths=widths,
+        seams=_components(_filled(seams), dtype) if seams else None,
+        open_edges=_open_edges(normals, loops, seams, continued, dtype),
+        inner=_last([_inner(more, faces) for more in continued], dtype) if continued else None,
+        features=None if zonotopes else _features(shapes, dtype, seams, continued),
+        extended=_extended(shapes, dtype, seams, continued) if continued else None,
+        is_zonotope=zonotopes,
+    )
+
+
+def _row(shape):
+    turn = matrix_of_quaternion(shape.principal)  # principal -> body
+    vertices = shape.vertices @ turn
+    generators = shape.generators
+    return {
+        "vertices": vertices,
+        "normals": shape.normals @ turn,
+        "offsets": np.asarray(shape.offsets),
+        "corners": [vertices[list(face)].T for face in shape.faces],  # [3, k]
+        "directions": shape.edge_directions @ turn,
+        "half_lengths": None if generators is None else np.linalg.norm(generators, axis=1),
+    }
+
+
+def _pair_opposite_faces(row):
+    """Order the faces of a centrally symmetric polytope so that face f + F/2 is opposite to face f."""
+    normals = row["normals"]
+    first = [f for f in range(len(normals)) if _positive(normals[f])]
+    second = [int(np.argmin(normals @ normals[f])) for f in first]
+    order = first + second
+    return row | {
+        "normals": normals[order],
+        "offsets": row["offsets"][order],
+        "corners": [row["corners"][f] for f in order],
+    }
+
+
+def _positive(n):
+    """Whether the first component that is not zero is positive: true of one of n and -n."""
+    return n[np.argmax(np.abs(n) > 1e-9)] > 0
+
+
+def _padded_faces(count, wanted, zonotopes):
+    if not zonotopes:
+        return list(range(count)) + [0] * (wanted - count)
+    half, extra = count // 2, (wanted - count) // 2
+    return [*range(half), *[0] * extra, *range(half, count), *[half] * extra]
+
+
+def _cross_widths(directions, half_lengths, normals):
+    """C[i, m] = sum of |g_k x e_i| over the generators k for which g_k x e_i is parallel to n_m, [D, F/2] (m)."""
+    out = np.zeros((len(directions), len(normals)))
+    for i, e in enumerate(directions):
+        for k, length in enumerate(half_lengths):
+            c = np.cross(length * directions[k], e)
+            size = np.linalg.norm(c)
+            if size > 1e-12 * length:
+                out[i, np.argmax(np.abs(normals @ c))] += size
+    return out
+
+
+def _columns(vectors, dtype):
+    """S arrays [k, F, 3] -> [3 k, F S]."""
+    stacked = np.stack(vectors, axis=-1).transpose(2, 0, 1, 3)  # [3, k, F, S]
+    return stacked.reshape(3 * stacked.shape[1], -1).astype(dtype)
+
+
+def _closed(loop):
+    """The corners [k, F, 3] of faces, and again the first."""
+    return np.concatenate([loop, loop[:1]])
+
+
+def _half_loop(loop):
+    """Centre and first half of the edges, [1 + k/2, F, 3], of centrally symmetric faces with corners [k, F, 3]."""
+    edges = np.roll(loop, -1, axis=0) - loop
+    half = len(loop) // 2
+    centre = 0.5 * (loop[:1] + loop[half : half + 1])
+    return np.concatenate([centre, edges[:half]])
+
+
+def _filled(seams):
+    count = max(len(rows) for rows in seams)
+    return [np.concatenate([np.reshape(rows, (-1, 3)), np.zeros((count - len(rows), 3))]) for rows in seams]
+
+
+def _extended(shapes, dtype, seams, continued) -> Hulls:
+    """Hulls.extended of shapes, for contacts with spheres."""
+    plain = [dataclasses.replace(shape, generators=None) for shape in _whole(shapes, continued)]
+    return table(plain, dtype, seams).replace(loops=None, open_edges=None, features=None)
+
+
+def _whole(shapes, continued):
+    """Of each shape as much of its body as decides depth and normal."""
+    return [shape if part is None else part.extended for shape, part in zip(shapes, continued, strict=True)]
+
+
+def _features(shapes, dtype, seams, continued):
+    """Hulls.features of shapes."""
+    if not seams and not continued:
+        return features.table(shapes, dtype)
+    are_parts, continued = bool(continued), continued or [None] * len(shapes)
+    whole = _whole(shapes, continued)
+    if seams:
+        largest = max(shape.bounding_radius for shape, across in zip(shapes, seams, strict=True) if not len(across))
+        whole = [beyond_seams(shape, across, SEAM_REACH * largest) for shape, across in zip(whole, seams, strict=True)]
+    inner = [[False] * len(shape.faces) if part is None else part.inner for shape, part in zip(shapes, continued, strict=True)]
+    return features.table(whole, dtype, shapes, inner if any(map(any, inner)) else None, are_parts)
+
+
+def _inner(continued, faces):
+    """Hulls.inner of a shape."""
+    return np.zeros(faces) if continued is None else _pad_zero(np.array(continued.inner, float), faces)
+
+
+def _open_edges(normals, loops, seams, continued, dtype):
+    """Hulls.open_edges of S shapes with face normals [F, 3], face loops [k, F, 3] and seams [m, 3]."""
+    if not seams and not continued:
+        return None
+    out = []
+    none = [None] * len(loops)
+    for n, corners, rows, more in zip(normals, loops, seams or none, continued or none, strict=True):
+        if more is not None:
+            ends = np.ones(corners.shape[:2])
+            for f, edges in enumerate(more.open):
+                ends[: len(edges), f] = edges
+            out.append(ends)
+            continue
+        if rows is None:
+            out.append(np.ones(corners.shape[:2]))
+            continue
+        across = np.cross(np.roll(corners, -1, axis=0) - corners, n)
+        across /= np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1e-300)
+        shut = (across @ np.reshape(rows, (-1, 3)).T > 1 - 1e-9).any(-1) & (n[:, 2] > 0.5)
+        out.append(np.where(shut, 0.0, 1.0))
+    stacked = np.stack(out, axis=-1)  # [k, F, S]
+    return stacked.reshape(len(stacked), -1).astype(dtype)
+
+
+def _pad(rows, count):
+    return np.concatenate([rows, np.repeat(rows[-1:], count - len(rows), axis=0)])
+
+
+def _pad_halves(loop, count):
+    """The corners [k, 3] of a centrally symmetric face, each half of the loop ended by repeating where it leads."""
+    half, more = len(loop) // 2, (count - len(loop)) // 2
+    first, second = (np.repeat(loop[k : k + 1], more, axis=0) for k in (half, 0))
+    return np.concatenate([loop[:half], first, loop[half:], second])
+
+
+def _pad_zero(rows, count):
+    return np.concatenate([rows, np.zeros(count - len(rows))])
+
+
+def _last(rows, dtype):
+    return np.stack(rows, axis=-1).astype(dtype)
+
+
+def _components(rows, dtype):
+    """S arrays [..., 3] -> tuple of three arrays [..., S]."""
+    stacked = _last(rows, dtype)
+    return tuple(stacked[..., i, :] for i in range(3))
