@@ -116,7 +116,9 @@ def look(features: Features, rows: tuple[Array, Array], radius: tuple[Array, Arr
 
     listed = f.planes[:, faces, sides.row[None]]  # [4, Kf, 2 P]
     heights = kept(dot(expand(unpack(listed), 1), expand(seen, 0)))  # [Kf, V, 2 P]
-    excess = jnp.min(heights - jnp.min(heights, axis=1, keepdims=True), axis=0)
+    excess = heights - jnp.min(heights, axis=1, keepdims=True)
+    nearly = _picked(overlap, faces) - jnp.concatenate([jnp.minimum(of_a, of_b)] * 2)[None]  # no face whose corners matter so soon
+    excess = jnp.min(jnp.maximum(excess, nearly[:, None]), axis=0)
     other = swap(sides.row)
     supports, above = smallest(_own(f.counts[1], other, excess), max(CORNERS, f.rings.shape[0]))
     nearest = kept(*(_picked(c, supports) for c in seen))  # [Kv, 2 P]
@@ -272,7 +274,14 @@ def smallest(keys: Array, room: int) -> tuple[Array, Array]:
     none = jnp.full(keys.shape[1:], -1, jnp.int32)
     start = jnp.full_like(keys[0], -jnp.inf), none, jnp.zeros((room + 1, *none.shape), jnp.int32)
     last, _, rows = jax.lax.fori_loop(0, room + 1, another, start)
-    return jnp.sort(rows[:room], axis=0), last
+    return _ascending(rows[:room]), last
+
+
+def _ascending(rows):
+    """Distinct numbers [K, P] in ascending order along the first axis. (XLA makes no one function of a loop that sorts.)"""
+    rank = (jnp.sum(rows[:, None] > rows[None], axis=1, dtype=jnp.int32))
+    place = jnp.arange(rows.shape[0], dtype=jnp.int32)[:, None, None]
+    return jnp.sum(jnp.where(rank[None] == place, rows[None], 0), axis=1)
 
 
 def _own(count, row, keys, none=jnp.inf):

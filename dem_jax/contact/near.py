@@ -38,7 +38,8 @@ def axes(near: Near, rel: Relative) -> Axes:
     normal_b = vector.scale(-1, vector.rotate(rel.rotation, normal_b))
     top_b = of_b + dot(normal_b, rel.offset) - level_b
     pair = couples(*near.edges, rel)
-    edge, (top, *normal) = _least(pair.overlap, (pair.top, *pair.normal))
+    overlap, *rest = kept(pair.overlap, pair.top, *pair.normal)
+    edge, (top, *normal) = _least(overlap, rest)
     face = jnp.minimum(of_a, of_b)
     use_a, use_edge = of_a <= of_b, edge < face - FACE_PREFERENCE * jnp.abs(face)
     from_face = vector.where(use_a, normal_a, normal_b)
@@ -77,7 +78,7 @@ def renewed(hulls: Hulls, near: Near, rows: tuple, live: Array, rel: Relative, r
 
     def another(carry):
         near, left = carry
-        _, at = jax.lax.top_k(-left, count)
+        at = _least_of_all(left, count)
         some = lambda x: x if x.shape[-1] == 1 else x[..., at]  # noqa: E731
         fresh = look(hulls.features, *jax.tree.map(some, (rows, radius, rel, reach)))
         near = jax.tree.map(lambda x, new: x.at[..., at].set(new, mode="promise_in_bounds"), near, fresh)
@@ -92,6 +93,18 @@ def moved(near: Near, radius: Array, rel: Relative) -> Array:
     way = vector.norm(vector.sub(rel.offset, unpack(near.offset)))
     turned = sum(jnp.square(c - was) for c, was in zip([c for row in rel.rotation for c in row], near.rotation, strict=True))
     return way + radius * vector.safe_sqrt(0.5 * turned)
+
+
+def _least_of_all(keys: Array, count: int) -> Array:
+    """Places [count] of the smallest of keys [P]."""
+
+    def another(k, carry):
+        keys, places = carry
+        at = jnp.argmin(keys).astype(jnp.int32)
+        return keys.at[at].set(jnp.inf), places.at[k].set(at)
+
+    # Also where that is all places: what does not depend on the keys, XLA would compute whether a look is due or not.
+    return jax.lax.fori_loop(0, count, another, (keys, jnp.zeros((count,), jnp.int32)))[1]
 
 
 def faced(hulls: Hulls, before: Facing, rows: tuple, normal: tuple, touching: Array, rel: Relative) -> Facing:

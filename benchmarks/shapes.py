@@ -1,0 +1,195 @@
+"""Steady cost of a step of packed pieces by their shape: ``python -m benchmarks.shapes`` (``--quick``: fewer).
+
+Pieces of a marshmallow's volume, turned at random and settled in an open box, in single precision. All shapes are timed side by
+side in one process on one core, in turns; the marshmallow, whose contacts take the fast path of zonotopes, is the measure.
+"""
+
+import argparse
+import itertools
+import os
+import statistics
+import sys
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from benchmarks import report
+from dem_jax import compiling
+
+VOLUME = 19440e-9  # m3, of a marshmallow
+SIZES = (8, 64, 343)
+ROUNDS = 7
+LENGTH = 0.25  # s by the clock, that a turn takes at least
+MARSHMALLOW = {"shape": "chamfered-cuboid"}
+
+
+@dataclass(frozen=True)
+class Product:
+    """Pieces, one after the other, and whether the fast path of zonotopes is left out."""
+
+    name: str
+    pieces: tuple
+    general: bool = False
+
+
+def hull(corners: int, seed: int = 0, extent=(1.4, 1.0, 0.8)) -> dict:
+    """A hull of random corners on an ellipsoid."""
+    points = np.random.default_rng(seed).normal(size=(corners, 3))
+    points *= np.array(extent) / np.linalg.norm(points, axis=1, keepdims=True)
+    return _of_volume(points)
+
+
+def needle(ratio: float) -> dict:
+    """A cuboid that is so many times as long as it is wide."""
+    return _of_volume(np.array(list(itertools.product((-1, 1), repeat=3))) * [ratio, 1, 1.001])
+
+
+def plate(ratio: float) -> dict:
+    """A cuboid that is so many times as wide as it is thick."""
+    return _of_volume(np.array(list(itertools.product((-1, 1), repeat=3))) * [ratio, 1.001 * ratio, 1])
+
+
+def faces(count: int) -> dict:
+    """A hull of so many random faces, all of which touch an ellipsoid."""
+    from scipy.spatial import HalfspaceIntersection
+
+    normals = np.random.default_rng(count).normal(size=(count, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    planes = np.c_[normals, -np.linalg.norm(normals * [1.4, 1, 0.8], axis=1)]
+    return _of_volume(HalfspaceIntersection(planes, np.zeros(3)).intersections)
+
+
+def _of_volume(points) -> dict:
+    from scipy.spatial import ConvexHull
+
+    points = points * (VOLUME / ConvexHull(points).volume) ** (1 / 3)
+    return {"shape": "hull", "points": tuple(map(tuple, points.tolist()))}
+
+
+def products() -> list[Product]:
+    """All rows of the table."""
+    radius = (VOLUME / (0.05 * np.pi)) ** 0.5
+    five = (hull(16), hull(24, 1), hull(32, 2), faces(30), MARSHMALLOW)
+    return [
+        Product("marshmallow", (MARSHMALLOW,)),
+        Product("marshmallow as a general hull", (MARSHMALLOW,), True),
+        Product("hull of 16 corners", (hull(16),)),
+        Product("hull of 32 corners", (hull(32),)),
+        Product("hull of 128 corners", (hull(128),)),
+        Product("five shapes, of 32 corners at most", five),
+        Product("hull of 100 faces", (faces(100),)),
+        Product("cylinder of 64 sides", ({"shape": "cylinder", "radius": radius, "height": 0.05, "sides": 64},)),
+        Product("needle 50 : 1", (needle(50),)),
+        Product("plate 50 : 1", (plate(50),)),
+    ]
+
+
+def scene(product: Product, width, height, position, orientation, material, run):
+    """A box of width and height (m) with pieces at poses [N, 3], [N, 4]; material, run: keys of these sections."""
+    from benchmarks.box import open_box
+    from dem_jax.scene import load_scene
+
+    poses = zip(itertools.cycle(product.pieces), position.tolist(), orientation.tolist(), strict=False)
+    pieces = [piece | {"position": tuple(p), "orientation": tuple(q)} for piece, p, q in poses]
+    walls = [{"group": "box", "corners": row, "thickness": 0.02} for row in open_box(0.5 * width, 0.5 * width, height)]
+    return load_scene("plate-drop").replace(name="box", piece=pieces, wall=walls, block=[], material=material, run=run)
+
+
+def settled(product: Product, count: int):
+    """A job whose pieces lie in a box, and the compile time of what settles them (s)."""
+    from dem_jax import simulate
+    from dem_jax.build import build
+    from dem_jax.drive.prepare import prepare
+
+    loose = {"restitution": 0.5, "softening": 0.03}
+    probe = scene(product, 10.0, 1.0, np.zeros((len(product.pieces), 3)) + [0, 0, 0.5], np.eye(4)[[0] * len(product.pieces)], loose, {})
+    size = 2 * float(np.max(build(probe, 0).system.parts.bounding_radius))
+    columns = max(2, round(0.7 * count ** (1 / 3)))
+    width = 1.03 * size * columns
+    k = np.arange(count)
+    index = np.stack([k % columns, k // columns % columns, k // columns**2], axis=1)
+    random = np.random.default_rng(0)
+    position = (index + 0.5) * size * 1.02 - [0.5 * width - 0.01 * size * columns, 0.5 * width - 0.01 * size * columns, -0.001]
+    turns = random.normal(size=(count, 4))
+    turns /= np.linalg.norm(turns, axis=1, keepdims=True)
+    height = float(position[:, 2].max()) + size
+    duration = round(float(np.sqrt(2 * 0.5 * height / 9.81)) + 0.35, 2)
+    run = {"duration": duration, "sample": 2e-4, "frames": duration, "energy": False}
+    last = simulate(scene(product, width, height, position, turns, loose, run)).pieces
+    run = {"sample": 5e-5, "duration": 1e3, "frames": 0.0, "energy": False}
+    packed = scene(product, width, height, last.position[-1], last.orientation[-1], {"restitution": 0.1}, run)
+    job = prepare(packed, (0,), None)
+    known = job.state.guard.replace(start_overlap=0 * job.state.guard.start_overlap)  # settled pieces overlap a little
+    return replace(job, state=job.state.replace(guard=known))
+
+
+def main(argv=None):
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="8 pieces of three shapes")
+    parser.add_argument("--sizes", type=int, nargs="+", default=None)
+    parser.add_argument("--only", nargs="+", default=None, help="products whose names contain any of these")
+    options = parser.parse_args(argv)
+    os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+    compiling.loops_as_one()
+    head = report.environment()
+    sizes = options.sizes or ((8,) if options.quick else SIZES)
+    chosen = products()[:3] if options.quick else products()
+    if options.only:
+        chosen = [p for p in chosen if p.name == "marshmallow" or any(word in p.name for word in options.only)]
+    found = {(p.name, n): times for n in sizes for p, times in zip(chosen, timed(chosen, n), strict=True)}
+    rows = [[p.name, *(f"{report.spread(found[p.name, n], 1e6)}" for n in sizes)] for p in chosen]
+    ratios = [
+        [p.name, *(report.spread([a / b for a, b in zip(found[p.name, n], found["marshmallow", n], strict=True)]) for n in sizes)]
+        for p in chosen
+    ]
+    names = [f"N = {n}" for n in sizes]
+    text = f"""# Cost of a step by the shape of the pieces
+
+{head}; load at the end {os.getloadavg()[0]:.2f}
+
+{__doc__.split(chr(10), 2)[2].strip()}
+
+µs per step, median (lowest to highest) of {ROUNDS} rounds:
+
+{report.table(["pieces", *names], rows)}
+
+Times as long as the marshmallow, round by round:
+
+{report.table(["pieces", *names], ratios)}
+"""
+    report.write("shapes", text, options.quick)
+
+
+def timed(chosen, count):
+    """Seconds per step of each product, a list of rounds."""
+    from benchmarks.peers.ours import Advance
+    from dem_jax.build import hulls
+
+    movers = []
+    for product in chosen:
+        most = hulls.MOST_DIRECTIONS
+        hulls.MOST_DIRECTIONS = 0 if product.general else most
+        start = time.perf_counter()
+        job = settled(product, count)
+        hulls.MOST_DIRECTIONS = most
+        mover = Advance(job)
+        mover(200)
+        begin = time.perf_counter()
+        mover(400)
+        steps = max(400, int(400 * LENGTH / (time.perf_counter() - begin)))
+        movers.append((mover, steps))
+        print(f"{product.name}, {count}: ready in {time.perf_counter() - start:.0f} s", file=sys.stderr, flush=True)
+    out = [[] for _ in movers]
+    for _ in range(ROUNDS):
+        for times, (mover, steps) in zip(out, movers, strict=True):
+            begin, at = time.process_time(), mover.at
+            mover(steps)
+            times.append((time.process_time() - begin) / ((mover.at - at) * mover.job.steps_per_sample))
+    for product, times in zip(chosen, out, strict=True):
+        print(f"{product.name}, {count}: {1e6 * statistics.median(times):.3g} us", file=sys.stderr, flush=True)
+    return out
+
+
+if __name__ == "__main__":
+    main()
