@@ -17,7 +17,7 @@ from dem_jax.maths import pose
 from dem_jax.pairs import guard
 from dem_jax.scene import Scene
 from dem_jax.shapes import Shape, parts_of
-from dem_jax.types import Materials, Pieces
+from dem_jax.types import Materials, Pieces, host
 
 
 @dataclass(frozen=True)
@@ -90,9 +90,9 @@ def _accurate_step(scene: Scene, law: ContactLaw, contacts: list[PossibleContact
                     f"run.accuracy.{key} = {value:g}: allowed in single precision: at least {finest:g} for {c.words}; "
                     f'or run.precision = "f64"'
                 )
-        number, key = bound.steps(asked, float(np.min(c.pair.restitution)))
+        number, first = bound.steps(asked, float(np.min(c.pair.restitution)))
         quarter = float(np.min(quarter_period(c.mass, c.pair.stiffness)))
-        why = f"run.accuracy.{key} = {asked[key]:g}" if key else "the coarsest step whose error is known (run.accuracy)"
+        why = f"run.accuracy.{first} = {asked[first]:g}" if first else "the coarsest step whose error is known (run.accuracy)"
         step = np.sqrt(c.eccentricity) * quarter / number
         found.append((float(step), f"{why}: {quarter / step:.3g} steps per loading quarter period, {c.words}"))
     return min(found)
@@ -135,8 +135,8 @@ def _couple(materials: Materials, pieces: Pieces, b: ArrayLike, a: ArrayLike | N
     """The couple of pieces b and a, or of b and a wall of a material."""
     b = np.atleast_1d(b)
     own = b if a is None else np.atleast_1d(a)
-    material = pieces.material[own] if wall is None else np.full(len(b), wall)
-    curvature = pieces.curvature[own] if wall is None else np.zeros(len(b))
+    material = pieces.material[own] if wall is None else host(np.full(len(b), wall))
+    curvature = pieces.curvature[own] if wall is None else host(np.zeros(len(b)))
     mass = series(pieces.mass[own], pieces.mass[b]) if wall is None else pieces.mass[b]
     both = lambda rows: (rows[own], rows[b])  # noqa: E731
     return couple(materials, (material, pieces.material[b]), both(pieces.size), (curvature, pieces.curvature[b]), mass)
