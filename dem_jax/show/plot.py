@@ -89,9 +89,7 @@ def _draw_run(axes: "Axes", run: Run, group: str, mean: np.ndarray) -> None:
         axes.annotate(words, (ms[peak], mean[peak]), (6, 5), textcoords="offset points", fontsize=8, color=FORCE_COLOUR)
 
 
-def _draw_ensemble(
-    axes: "Axes", ms: np.ndarray, values: np.ndarray, colour: str, label: str, band: str | None = None
-) -> None:
+def _draw_ensemble(axes: "Axes", ms: np.ndarray, values: np.ndarray, colour: str, label: str, band: str | None = None) -> None:
     """Median over the runs [K, T] and the band from 5 to 95 %."""
     low, middle, high = np.quantile(values, [0.05, 0.5, 0.95], axis=0)
     axes.plot(ms, middle, color=colour, lw=1.3, label=f"{label}, median")

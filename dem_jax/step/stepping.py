@@ -44,9 +44,7 @@ def chunk(system: System, state: State, count: Whole, frame_every: Whole, sample
     return compiled(system, state, count, frame_every, samples=samples, frames=frames)
 
 
-def run_chunk(
-    system: System, state: State, count: Whole, frame_every: Whole, samples: int, frames: int, phase: Whole = 0
-) -> Chunk:
+def run_chunk(system: System, state: State, count: Whole, frame_every: Whole, samples: int, frames: int, phase: Whole = 0) -> Chunk:
     """``chunk_of_runs`` of a single run, its samples without a run axis."""
     state, recorded, poses = chunk_of_runs(system, state, count, frame_every, samples, frames, phase)
     return state, of_single(recorded), poses
