@@ -546,8 +546,7 @@ Against {FINE} steps in double precision; restitution is the speed of the corner
 
 Nine marshmallows, {seeds} seeds, 0.3 s of settling and 0.45 s of run each, computed together; median (lowest to highest)
 over the seeds, and differences of the means from the reference, with standard errors. The drop is chaotic: what is below
-the standard error is not resolved by so many seeds. A clump of spheres can't be said in a scene (each piece is one convex
-shape): its cost is in `peers.md`.
+the standard error is not resolved by so many seeds. What clumps of spheres cost another program is in `peers.md`.
 
 {report.table(DROP_HEAD, dropped)}
 """

@@ -65,7 +65,7 @@ def system_of(shape: str, count: int):
     built = build.build(scene, 0)
     high = centres.astype(np.float32)
     velocity, turns = np.random.default_rng(1).normal(0, 1, (2, *centres.shape)) * np.reshape([SPEED, TURN], (2, 1, 1))
-    state = built.state.replace(
+    state = built.state.moved(
         position=jnp.asarray(high),
         position_rest=jnp.asarray(centres - high, jnp.float32),
         orientation=jnp.asarray(np.concatenate([np.ones((1, count)), 0.5 * turns]), jnp.float32),

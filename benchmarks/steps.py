@@ -58,7 +58,7 @@ def cost_of_a_step(count: int):
         jax.block_until_ready(after)
         times.append((time.perf_counter() - start) / (samples * job.steps_per_sample))
     table = state.contacts["hulls"]
-    active = int(np.sum(np.asarray(table.overlap) > 0))
+    active = int(np.sum(np.asarray(table.memory.overlap) > 0))
     return times[1:], active, table.a.shape[0], job.clock.compile
 
 

@@ -18,6 +18,11 @@ Array = jax.Array
 T = TypeVar("T")
 
 
+def host(array: Any) -> Array:
+    """numpy's array (or number) as it is, where a tree has one of JAX's: what is built is of numpy until it is complete."""
+    return array
+
+
 def static() -> Any:
     """A field that is part of what is compiled, not an array."""
     return dataclasses.field(metadata={"static": True})

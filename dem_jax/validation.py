@@ -5,17 +5,23 @@ scene that it belongs to, ``trace`` runs a system step by step and reads what th
 numpy, but for ``trace``.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 
 from dem_jax.contact.law.springs import series
 from dem_jax.pairs import neighbours
 from dem_jax.scene import Scene, load_scene
 from dem_jax.step import stepping
-from dem_jax.types import State, System
+from dem_jax.types import Array, State, System
+
+Read = TypeVar("Read")  # what is read after each step
+Times = TypeVar("Times", float, np.ndarray)
 
 
 @dataclass(frozen=True)
@@ -33,62 +39,62 @@ class NormalImpact:
     separation: float = 0.001  # lambda
 
     @property
-    def frequency(self):
+    def frequency(self) -> float:
         """omega_1 of the loading branch (rad/s)."""
         return np.sqrt(self.stiffness / self.mass)
 
     @property
-    def static_overlap(self):
+    def static_overlap(self) -> float:
         """m g / K_nl (m)."""
         return self.mass * self.gravity / self.stiffness
 
     @property
-    def largest_overlap(self):
+    def largest_overlap(self) -> float:
         """(m)."""
         return self.static_overlap + np.hypot(self.static_overlap, self.speed / self.frequency)
 
     @property
-    def peak_force(self):
+    def peak_force(self) -> float:
         """(N)."""
         return self.stiffness * self.largest_overlap
 
     @property
-    def loading_time(self):
+    def loading_time(self) -> float:
         """From first touch to the largest overlap (s)."""
         return (np.pi / 2 + np.arctan(self.gravity / (self.frequency * self.speed))) / self.frequency
 
     @property
-    def residual_overlap(self):
+    def residual_overlap(self) -> float:
         """Overlap at which the unloading branch reaches F = 0 (m)."""
         return self.largest_overlap * (1 - self.restitution**2)
 
     @property
-    def switch_overlap(self):
+    def switch_overlap(self) -> float:
         """Overlap at which the unloading branch meets F = lambda K_nl s (m)."""
         return self.residual_overlap / (1 - self.separation * self.restitution**2)
 
     @property
-    def unloading_time(self):
+    def unloading_time(self) -> float:
         """From the largest overlap to the switch to the separation branch (s)."""
         middle = self.residual_overlap + self.restitution**2 * self.static_overlap
         swing = np.arccos((self.switch_overlap - middle) / (self.largest_overlap - middle))
         return self.restitution * swing / self.frequency
 
     @property
-    def switch_speed(self):
+    def switch_speed(self) -> float:
         """Speed away from the wall at the switch (m/s)."""
         middle = self.residual_overlap + self.restitution**2 * self.static_overlap
         square = (self.largest_overlap - middle) ** 2 - (self.switch_overlap - middle) ** 2
         return self.frequency / self.restitution * np.sqrt(square)
 
     @property
-    def rebound_speed(self):
+    def rebound_speed(self) -> float:
         """At separation (m/s); nan where the piece does not separate."""
         work = self.separation * (self.frequency * self.switch_overlap) ** 2 - 2 * self.gravity * self.switch_overlap
         square = self.switch_speed**2 + work
         return np.sqrt(square) if square > 0 else np.nan
 
-    def start(self, time):
+    def start(self, time: float) -> tuple[float, float]:
         """Gap (m) and speed towards the wall (m/s) at a time (s) before first touch."""
         return self.speed * time - 0.5 * self.gravity * time**2, self.speed - self.gravity * time
 
@@ -133,7 +139,7 @@ class DashpotImpact:
         phase, root = self._turn
         return self.speed / self.frequency * np.exp(-self.ratio * phase / root)
 
-    def force(self, time: np.ndarray) -> np.ndarray:
+    def force(self, time: Times) -> Times:
         """(N) at times (s) since first touch, while it lasts."""
         z, root = self.ratio, self._turn[1]
         phase = root * self.frequency * time
@@ -186,7 +192,7 @@ class ObliqueImpact:
     friction: float
     tangential: float = 1.0  # K_t / K_nl
 
-    def sliding(self, normal, along, surface=0.0):
+    def sliding(self, normal: float, along: float, surface: float = 0.0) -> tuple[float, float]:
         """Speed along the wall and surface speed after an impact that slides throughout (m/s).
 
         normal: (m/s) of approach, along and surface: (m/s) before.
@@ -195,13 +201,13 @@ class ObliqueImpact:
         return along - impulse, surface - 2.5 * impulse
 
     @property
-    def sliding_ratio(self):
+    def sliding_ratio(self) -> float:
         """Least v_t / (mu v_n), omega = 0, that slides throughout; in the last third the bound is 5 % high at most."""
         e, k = self.restitution, self.tangential
         return max(1 / k, 3.5, 3.5 * (1 + e) - 1 / (e * k))
 
     @property
-    def gripping_ratio(self):
+    def gripping_ratio(self) -> float:
         """Speed of the contact point after over before, of an impact that never slides (mu to infinity)."""
         return np.cos(np.pi / 2 * (1 + self.restitution) * np.sqrt(3.5 * self.tangential))
 
@@ -220,42 +226,42 @@ class EccentricImpact:
     restitution: float
 
     @property
-    def turning(self):
+    def turning(self) -> np.ndarray:
         """r x n (m)."""
         return np.cross(self.arm, self.normal)
 
     @property
-    def effective_mass(self):
+    def effective_mass(self) -> float:
         """(kg)."""
-        return 1 / (1 / self.mass + self.turning @ np.linalg.solve(self.inertia, self.turning))
+        return 1 / float(1 / self.mass + self.turning @ np.linalg.solve(self.inertia, self.turning))
 
     @property
-    def speed(self):
+    def speed(self) -> float:
         """Of approach at the contact point (m/s)."""
         return -(self.velocity + np.cross(self.spin, self.arm)) @ self.normal
 
     @property
-    def impulse(self):
+    def impulse(self) -> float:
         """(N s)."""
         return (1 + self.restitution) * self.effective_mass * self.speed
 
     @property
-    def velocity_after(self):
+    def velocity_after(self) -> np.ndarray:
         """[3] (m/s)."""
         return self.velocity + self.impulse / self.mass * self.normal
 
     @property
-    def spin_after(self):
+    def spin_after(self) -> np.ndarray:
         """[3] (rad/s)."""
         return self.spin + np.linalg.solve(self.inertia, self.impulse * self.turning)
 
     @property
-    def peak_force(self):
+    def peak_force(self) -> float:
         """(N)."""
         return self.speed * np.sqrt(self.effective_mass * self.stiffness)
 
     @property
-    def duration(self):
+    def duration(self) -> float:
         """Of the force pulse (s)."""
         return 0.5 * np.pi * (1 + self.restitution) * np.sqrt(self.effective_mass / self.stiffness)
 
@@ -268,26 +274,26 @@ class FreeRotation:
     largest moment (as the formulas have it), else about that of the smallest (axes 1 and 3 exchanged).
     """
 
-    moments: tuple
-    spin: tuple
+    moments: tuple[float, float, float]
+    spin: tuple[float, float, float]
 
     @property
-    def twice_energy(self):
+    def twice_energy(self) -> float:
         """2 E (J)."""
         return sum(i * w * w for i, w in zip(self.moments, self.spin, strict=True))
 
     @property
-    def momentum_squared(self):
+    def momentum_squared(self) -> float:
         """L2 (kg2 m4/s2)."""
         return sum((i * w) ** 2 for i, w in zip(self.moments, self.spin, strict=True))
 
-    def _ordered(self):
+    def _ordered(self) -> tuple[tuple[float, float, float], bool]:
         """Moments with the axis turned about last, and whether that exchanged 1 and 3."""
         i1, i2, i3 = self.moments
         swapped = self.momentum_squared < self.twice_energy * i2
         return ((i3, i2, i1) if swapped else (i1, i2, i3)), swapped
 
-    def _elliptic(self):
+    def _elliptic(self) -> tuple[float, float, tuple[float, float, float]]:
         """Rate of the argument (rad/s), parameter m = k2, amplitudes of the three spins (rad/s)."""
         (i1, i2, i3), _ = self._ordered()
         e2, l2 = self.twice_energy, self.momentum_squared
@@ -301,13 +307,13 @@ class FreeRotation:
         return abs(rate), modulus, amplitude
 
     @property
-    def amplitudes(self):
+    def amplitudes(self) -> np.ndarray:
         """Largest spins about the three axes (rad/s), [3]."""
         amplitude, swapped = self._elliptic()[2], self._ordered()[1]
         return np.array(amplitude[::-1] if swapped else amplitude)
 
     @property
-    def period(self):
+    def period(self) -> float:
         """(s)."""
         from scipy.special import ellipk
 
@@ -315,7 +321,7 @@ class FreeRotation:
         return 4 * ellipk(m) / rate
 
     @property
-    def flip_times(self):
+    def flip_times(self) -> tuple[float, float]:
         """The first two times (s) at which the spin about the middle axis is zero; they recur after half a period."""
         rate, _, _ = self._elliptic()
         start = self._argument() / rate
@@ -323,7 +329,7 @@ class FreeRotation:
         first = np.mod(-start, half)
         return first, first + half
 
-    def _argument(self):
+    def _argument(self) -> float:
         """Argument of the Jacobi functions at time zero; the signs are those of ``spin_at``."""
         from scipy.special import ellipkinc
 
@@ -335,7 +341,7 @@ class FreeRotation:
         cn = turn * w1 / amplitude[0]
         return ellipkinc(np.arctan2(sn, cn), m)
 
-    def spin_at(self, time):
+    def spin_at(self, time: ArrayLike) -> np.ndarray:
         """Spin in body axes (rad/s) at times (s), [..., 3]."""
         from scipy.special import ellipj
 
@@ -347,7 +353,13 @@ class FreeRotation:
         return np.stack(out[::-1] if swapped else out, -1)
 
 
-def plate_scene(piece: dict, gravity=(0.0, 0.0, 0.0), precision="f64", run=None, **material) -> Scene:
+def plate_scene(
+    piece: dict[str, Any],
+    gravity: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    precision: str = "f64",
+    run: dict[str, Any] | None = None,
+    **material: float | str,
+) -> Scene:
     """``plate-drop`` with another piece (keys of ``[[piece]]``) and material. Raises SceneError."""
     settings = {"gravity": gravity, "precision": precision, "frames": 0.0} | (run or {})
     piece = {"position": (0.0, 0.0, 0.1)} | piece
@@ -359,22 +371,22 @@ def lasting(system: System) -> System:
     return system.replace(skin=jnp.full_like(system.skin, 10.0))
 
 
-def with_restitution(system: System, restitution) -> System:
+def with_restitution(system: System, restitution: ArrayLike) -> System:
     """The system with one coefficient of restitution (epsilon) for all pairs of materials."""
     return _with_pairs(system, "restitution", restitution)
 
 
-def with_friction(system: System, friction) -> System:
+def with_friction(system: System, friction: ArrayLike) -> System:
     """The system with one coefficient of friction (mu) for all pairs of materials."""
     return _with_pairs(system, "friction", friction)
 
 
-def _with_pairs(system: System, name, value) -> System:
+def _with_pairs(system: System, name: str, value: ArrayLike) -> System:
     table = jnp.broadcast_to(value, getattr(system.materials, name).shape).astype(system.dt.dtype)
     return system.replace(materials=system.materials.replace(**{name: table}))
 
 
-def wall_stiffness(system: System):
+def wall_stiffness(system: System) -> Array:
     """K_nl (N/m) of each piece against the first wall, [N], eqs 5, 7 and 8."""
     modulus, pieces = system.materials.youngs_modulus, system.pieces
     return series(modulus[pieces.material] * pieces.size, modulus[system.walls.material[0]] * pieces.size)
@@ -387,21 +399,23 @@ def refined(system: System, times: int) -> System:
     return system.replace(dt=system.dt / times, substeps=substeps, block_steps=max(system.block_steps, int(substeps)))
 
 
-def trace(system: System, state: State, steps: int, read, every: int = 1):
+def trace(
+    system: System, state: State, steps: int, read: Callable[[System, State], Read], every: int = 1
+) -> tuple[State, Read]:
     """Run and read ``read(system, state)`` after each ``every`` steps; returns the last state and what was read.
 
     Candidates are found once, at the start: see ``lasting``.
     """
     state = neighbours.rebuild(system, state)
 
-    def some(state, _):
+    def some(state: State, _: None) -> tuple[State, Read]:
         state, _ = jax.lax.scan(lambda s, _: (stepping.advance(system, s), None), state, None, length=every)
         return state, read(system, state)
 
     return jax.lax.scan(some, state, None, length=steps)
 
 
-def motion(system: System, state: State) -> dict:
+def motion(system: System, state: State) -> dict[str, Array]:
     """What the closed forms speak of: normal force and overlap summed over contacts, and the motion of piece 0."""
     tables = state.contacts.values()
     return {

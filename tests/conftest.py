@@ -1,5 +1,6 @@
 """Settings of every test: no implicit promotion of dtype or rank, double precision, a lasting compilation cache."""
 
+import gc
 import os
 import tempfile
 
@@ -17,6 +18,7 @@ import jax  # noqa: E402
 import pytest  # noqa: E402
 
 from dem_jax import compiling  # noqa: E402
+from dem_jax.drive import programs  # noqa: E402
 
 compiling.loops_as_one()  # as in production, before anything is compiled
 # Unlike in production (which notebooks and tests of the command line run): compiles in two thirds of the time, and the
@@ -31,3 +33,12 @@ jax.config.update("jax_enable_x64", True)
 def _in_an_empty_folder(tmp_path, monkeypatch):
     """Each test runs in a folder of its own, so that a file it forgets to name cannot land in the repository."""
     monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _compiled_for_one_module():
+    """Programs are forgotten after each file, few of which share any: else a worker grows to several gigabytes."""
+    yield
+    programs.KEPT.clear()
+    jax.clear_caches()
+    gc.collect()

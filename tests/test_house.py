@@ -23,7 +23,7 @@ MAY_IMPORT = {  # room -> rooms below it
     "store": BASE | {"step"},
     "build": BASE | {"contact", "pairs", "step", "scene", "shapes"},
     "drive": BASE | {"contact", "pairs", "step", "scene", "build", "store", "__version__"},
-    "show": BASE | {"contact", "scene", "shapes", "build"},
+    "show": BASE | {"contact", "scene", "shapes", "build", "store"},
     "validation": BASE | {"contact", "pairs", "step", "scene"},
     "cli": BASE | {"step", "scene", "drive", "store", "show", "__version__"},
     "__main__": {"cli"},

@@ -11,7 +11,7 @@ from dem_jax.contact.law.linear_dashpot import LinearDashpot
 from dem_jax.contact.law.walton_braun import WaltonBraun
 from dem_jax.scene import Scene
 from dem_jax.scene.materials import MaterialTable, material_table
-from dem_jax.types import Materials
+from dem_jax.types import Array, Materials, host
 
 
 def law_of(scene: Scene) -> ContactLaw:
@@ -20,19 +20,23 @@ def law_of(scene: Scene) -> ContactLaw:
     if materials_of(scene).pull_off is None:
         return law
     cohesion = scene.contact.cohesion
-    return Cohesive(law, np.float64(cohesion.stiffness), np.float64(cohesion.range))
+    return Cohesive(law, _number(cohesion.stiffness), _number(cohesion.range))
 
 
 def _walton_braun(scene: Scene) -> ContactLaw:
     m = scene.material
-    damping = np.float64(m.unloading_damping) if m.unloading_damping else None
-    return WaltonBraun(np.float64(m.separation), np.float64(m.tangential_stiffness), damping)
+    damping = _number(m.unloading_damping) if m.unloading_damping else None
+    return WaltonBraun(_number(m.separation), _number(m.tangential_stiffness), damping)
+
+
+def _number(value: float) -> Array:
+    return host(np.float64(value))
 
 
 LAWS: dict[str, Callable[[Scene], ContactLaw]] = {
     "walton-braun": _walton_braun,
-    "linear-dashpot": lambda scene: LinearDashpot(np.float64(scene.material.tangential_stiffness)),
-    "hertz-mindlin": lambda scene: HertzMindlin(np.float64(scene.contact.impact_speed)),
+    "linear-dashpot": lambda scene: LinearDashpot(_number(scene.material.tangential_stiffness)),
+    "hertz-mindlin": lambda scene: HertzMindlin(_number(scene.contact.impact_speed)),
 }
 
 
@@ -40,8 +44,8 @@ def materials_of(scene: Scene) -> Materials:
     """The table of materials. Raises SceneError."""
     table = material_table(scene)
     return Materials(
-        youngs_modulus=scene.material.softening * table.youngs_modulus,
-        poisson_ratio=table.poisson_ratio,
+        youngs_modulus=host(scene.material.softening * table.youngs_modulus),
+        poisson_ratio=host(table.poisson_ratio),
         restitution=_in_short(table, table.restitution),
         friction=_if_any(table, table.friction),
         pull_off=_if_any(table, table.pull_off),
@@ -49,12 +53,12 @@ def materials_of(scene: Scene) -> Materials:
     )
 
 
-def _in_short(table: MaterialTable, pairs: np.ndarray) -> np.ndarray:
+def _in_short(table: MaterialTable, pairs: np.ndarray) -> Array:
     """A table of pairs; [1, 1] if all have the same. Two walls never touch: what stands between them is left alone."""
     met = ~(table.is_wall[:, None] & table.is_wall)
-    return pairs[:1, :1] if (pairs[met] == pairs[0, 0]).all() else pairs
+    return host(pairs[:1, :1] if (pairs[met] == pairs[0, 0]).all() else pairs)
 
 
-def _if_any(table: MaterialTable, pairs: np.ndarray) -> np.ndarray | None:
+def _if_any(table: MaterialTable, pairs: np.ndarray) -> Array | None:
     met = ~(table.is_wall[:, None] & table.is_wall)
     return _in_short(table, pairs) if pairs[met].any() else None

@@ -13,7 +13,7 @@ from dem_jax.build import portion
 from dem_jax.errors import SceneError
 from dem_jax.scene import SHAPE_KEYS, BodyMass, ConvexShape, Part, PieceShape, Portion, Scene, arrange
 from dem_jax.scene.materials import material_table, rows_of_pieces
-from dem_jax.types import Pieces
+from dem_jax.types import Pieces, host
 
 REQUIRED = {
     "sphere": ("radius",),
@@ -33,7 +33,7 @@ def make_shape(row: PieceShape, folder: str | Path = ".") -> shapes.Shape:
     if row.shape == "compound":
         return shapes.scaled(_compound(row, folder), row.scale_factor)
     if row.shape == "decomposed":
-        return shapes.scaled(shapes.decomposed(Path(folder) / row.stl, row.unit, **_cutting(row))[0], row.scale_factor)
+        return shapes.scaled(shapes.decomposed(Path(folder) / given["stl"], row.unit, **_cutting(row))[0], row.scale_factor)
     if row.shape == "tube":
         return shapes.scaled(shapes.tube(**given), row.scale_factor)
     return _placed_shape(row, folder)[0]
@@ -73,7 +73,7 @@ def _compound(row: PieceShape, folder: str | Path) -> shapes.Shape:
         shape, centre = named(f"part.{n}", _placed_shape, part, folder)
         placed.append(shapes.Placed(shape, centre if part.position is None else part.position, part.orientation))
     given = row.mass_properties
-    mass = given and shapes.checked_mass(given.volume, given.centre, given.gyration)
+    mass = shapes.checked_mass(given.volume, given.centre, given.gyration) if given else None
     return shapes.compound(placed, mass, row.joint_tolerance or shapes.TOLERANCE)
 
 
@@ -163,9 +163,9 @@ def distinct_shapes(made: Sequence[shapes.Shape]) -> tuple[list[shapes.Shape], l
 
 def with_points(row: PieceShape, folder: str | Path) -> PieceShape:
     """The row with the corners of the STL that it names, whole or cut into parts; others as they are. Raises SceneError."""
-    _given(row)
+    given = _given(row)
     if row.shape == "decomposed":
-        return _cut(row, shapes.decompose(Path(folder) / row.stl, row.unit, **_cutting(row)))
+        return _cut(row, shapes.decompose(Path(folder) / given["stl"], row.unit, **_cutting(row)))
     if row.shape == "compound":
         parts = [named(f"part.{n}", _part_with_points, part, folder) for n, part in enumerate(row.part)]
         return row.model_copy(update={"part": tuple(parts)})
@@ -185,7 +185,7 @@ def _part_with_points(part: Part, folder: str | Path) -> Part:
 
 def _cut(row: PieceShape, found: shapes.Decomposition) -> PieceShape:
     """The row of a decomposed STL as a compound of hulls with the mass of the STL; a single part is a hull."""
-    whole = {"stl": None, "unit": 1.0, "concavity": None, "max_parts": None, "loss": None}
+    whole: dict[str, Any] = {"stl": None, "unit": 1.0, "concavity": None, "max_parts": None, "loss": None}
     said = f"{row.stl}: {found}"
     whole["note"] = said if row.note is None else f"{row.note}; {said}"
     points = [tuples(part.tolist()) for part in found.points]
@@ -211,13 +211,13 @@ def piece_arrays(scene: Scene, goods: Goods) -> Pieces:
     each = lambda value: np.array([value(shape) for shape in distinct])[index]  # noqa: E731
     mass = table.density[row] * each(lambda s: s.volume)
     return Pieces(
-        mass=mass,
-        inertia=mass * each(lambda s: s.gyration).T,
-        size=each(lambda s: shapes.size_length(s, scene.material.stiffness_size)),
-        curvature=2 / each(shapes.SIZE_LENGTHS["equivalent-diameter"]),
-        material=row,
-        bounding_radius=each(lambda s: s.bounding_radius),
-        width=each(_width),
+        mass=host(mass),
+        inertia=host(mass * each(lambda s: s.gyration).T),
+        size=host(each(lambda s: shapes.size_length(s, scene.material.stiffness_size))),
+        curvature=host(2 / each(shapes.SIZE_LENGTHS["equivalent-diameter"])),
+        material=host(row),
+        bounding_radius=host(each(lambda s: s.bounding_radius)),
+        width=host(each(_width)),
     )
 
 
@@ -236,13 +236,13 @@ def alike(goods: Goods) -> tuple[str, ...]:
     if any(shape.parts for shape in goods.shapes):
         return ()
     both = list(zip(goods.shapes, goods.materials, strict=True))
-    of_kind = {
+    of_kind: dict[str, set[object]] = {
         "hulls": {id(shape) for shape, _ in both if shape.radius == 0},
         "spheres": {(id(shape), name) for shape, name in both if shape.radius > 0},
     }
     return tuple(kind for kind, different in of_kind.items() if len(different) == 1)
 
 
-def tuples(points: Sequence[Sequence[float]]) -> tuple[tuple[float, ...], ...]:
+def tuples(points: Sequence[Sequence[float]]) -> tuple[tuple[float, float, float], ...]:
     """Points as tuples."""
-    return tuple(tuple(p) for p in points)
+    return tuple((x, y, z) for x, y, z in points)

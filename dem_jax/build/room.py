@@ -1,10 +1,13 @@
 """How many pairs and contacts there is room for to begin with; outgrown, it is enlarged (pairs.guard)."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from dem_jax.pairs import guard, neighbours, search
+from dem_jax.shapes import Shape
+from dem_jax.types import Partition
 
 
 def capacity(polytopes: int, spheres: int, panels: int) -> tuple[tuple[str, int, int], ...]:
@@ -15,15 +18,16 @@ def capacity(polytopes: int, spheres: int, panels: int) -> tuple[tuple[str, int,
     p, s = polytopes, spheres
     walls = 4 * s ** (2 / 3) + 8 if panels else 0
     wanted = {"hulls": (9 * p, 3 * p + 5), "mixed": (8 * min(p, s) + 2 * walls, 4 * min(p, s) + walls), "spheres": (8 * s, 4 * s)}
-    out = []
+    out: list[tuple[str, int, int]] = []
     for kind in neighbours.SOURCES:
         every = search.pair_count(kind, p, s, panels)
         if every:
-            out.append((kind, *(guard.round_up(min(every, math.ceil(count))) for count in wanted[kind])))
+            candidates, slots = (guard.round_up(min(every, math.ceil(count))) for count in wanted[kind])
+            out.append((kind, candidates, slots))
     return tuple(out)
 
 
-def row_capacity(made, choice) -> int:
+def row_capacity(made: Sequence[Shape], choice: str) -> int:
     """Pieces that three cells of their bounding diameter hold when densely packed, to begin with; 0 without cells."""
     if search.choice(choice, len(made)) != "cells":
         return 0
@@ -31,7 +35,7 @@ def row_capacity(made, choice) -> int:
     return guard.round_up(int(np.ceil(3 * 0.65 * cell**3 / volume)))
 
 
-def partition(made, choice, domain):
+def partition(made: Sequence[Shape], choice: str, domain: tuple[np.ndarray, np.ndarray]) -> Partition | None:
     """Room for the list of jax-md to begin with, where the scene chooses it."""
     if search.choice(choice, len(made)) != "jax-md":
         return None
@@ -39,6 +43,6 @@ def partition(made, choice, domain):
     return search.first_partition(len(made), *_diameter_and_volume(made), domain[1] - domain[0])
 
 
-def _diameter_and_volume(made):
+def _diameter_and_volume(made: Sequence[Shape]) -> tuple[float, float]:
     """Diameter of the largest bounding sphere (m) and volume of the smallest piece (m3)."""
     return 2 * max(shape.bounding_radius for shape in made), min(shape.volume for shape in made)

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +16,7 @@ from dem_jax.maths import rotation
 from dem_jax.pairs import neighbours
 from dem_jax.scene import Scene, arrange
 from dem_jax.shapes import Shape
-from dem_jax.types import Motion, State, System, WallLoads
+from dem_jax.types import Motion, State, System, WallLoads, host
 
 Box = tuple[ArrayLike, ArrayLike]  # lowest and highest corner [3] (m)
 
@@ -82,14 +83,14 @@ def motion_of_start(system: System, start: Start, frames: np.ndarray) -> Motion:
     momentum = rotation.angular_momentum(tuple(q), tuple(start.spin.T.astype(dtype)), tuple(inertia))
     none = np.zeros_like(high)
     return Motion(
-        position=high,
-        position_rest=(position - high).astype(dtype),
-        orientation=q,
-        velocity=start.velocity.T.astype(dtype),
-        velocity_rest=none,
-        angular_momentum=np.stack(momentum),
-        force=none,
-        torque=none,
+        position=host(high),
+        position_rest=host((position - high).astype(dtype)),
+        orientation=host(q),
+        velocity=host(start.velocity.T.astype(dtype)),
+        velocity_rest=host(none),
+        angular_momentum=host(np.stack(momentum)),
+        force=host(none),
+        torque=host(none),
     )
 
 
@@ -98,15 +99,16 @@ def first_state(system: System, start: Start, frames: np.ndarray, step: int) -> 
     dtype, n = system.dt.dtype, len(start.position)
     groups, runs = len(system.walls.groups), system.runs
     columns = 2 * sum(room for *_, room in system.capacity)  # of loads
+    empty: Any = None  # until it is known what a rebuild fills
     state = State(
-        step=np.int32(step),
+        step=host(np.int32(step)),
         motion=motion_of_start(system, start, frames),
-        walls=WallLoads(np.zeros((3, groups, runs), dtype), np.zeros((3, groups, runs), dtype)),
+        walls=WallLoads(host(np.zeros((3, groups, runs), dtype)), host(np.zeros((3, groups, runs), dtype))),
         contacts=neighbours.no_contacts(system),
-        incidence=np.full((system.touching, n), columns, np.int32),
+        incidence=host(np.full((system.touching, n), columns, np.int32)),
         ledger=ledger.empty_ledger(system, dtype),
         guard=neighbours.empty_guard(system, dtype),
-        scratch=None,
+        scratch=empty,
     )
     form = jax.eval_shape(partial(neighbours.rebuild, system), state).scratch
     scratch = jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), form)

@@ -1,5 +1,6 @@
 """From a scene to a system and its first state: shapes to tables, materials to stiffness, walls to panels, slots."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import jax
@@ -10,7 +11,7 @@ from dem_jax.build.law import law_of, materials_of
 from dem_jax.build.parts import hull_table, part_arrays, solids_of
 from dem_jax.build.pieces import alike, goods_of, named, piece_arrays, tuples, with_points
 from dem_jax.build.room import capacity, partition, row_capacity
-from dem_jax.build.start import Start, first_state, motion_of_start, placed, settling_samples
+from dem_jax.build.start import Box, Start, first_state, motion_of_start, placed, settling_samples
 from dem_jax.build.time_step import TimeStep, block_steps, choose_step, longest_reach, possible_contacts
 from dem_jax.build.typed import typed
 from dem_jax.build.walls import panels_of, wall_arrays, walls_of
@@ -19,6 +20,8 @@ from dem_jax.contact.law import ContactLaw
 from dem_jax.errors import SceneError
 from dem_jax.pairs.guard import most_contacts
 from dem_jax.scene import Scene
+from dem_jax.scene.buckets import Panel
+from dem_jax.shapes import Shape
 from dem_jax.step.quantities import QUANTITIES
 from dem_jax.types import State, System, float_dtype
 
@@ -32,13 +35,13 @@ class Built:
     system: System
     state: State
     step: TimeStep
-    shapes: tuple  # Shape of each piece, scaled, body frame of the user
+    shapes: tuple[Shape, ...]  # of each piece, scaled, body frame of the user
     frames: np.ndarray  # [N, 4]: principal frame to body frame, of each piece
     settling_steps: int  # steps before time zero
     samples: int  # to be run
     frame_every: int  # samples between stored frames; 0: none
-    regions: list  # boxes (low [3], high [3]) (m) in which pieces are scattered: of the feed bucket, of the feeder
-    numbers: tuple  # pieces in each of these boxes; () of pieces listed one by one
+    regions: list[Box]  # in which pieces are scattered: of the feed bucket, of the feeder
+    numbers: tuple[int, ...]  # pieces in each of these boxes; () of pieces listed one by one
 
 
 def build(scene: Scene, seed: int = 0, law: ContactLaw | None = None) -> Built:
@@ -120,7 +123,7 @@ def self_contained(scene: Scene) -> Scene:
     return scene.model_copy(update=changes)
 
 
-def _domain(scene: Scene, panels, start: Start, made):
+def _domain(scene: Scene, panels: Sequence[Panel], start: Start, made: Sequence[Shape]) -> tuple[np.ndarray, np.ndarray]:
     points = np.concatenate([start.position, *[corners for _, corners, _ in panels]])
     margin = 0.1 + 2 * max(m.bounding_radius for m in made)
     low, high = points.min(0) - margin, points.max(0) + margin

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from dem_jax.build.pieces import distinct_shapes
 from dem_jax.contact.law import ContactLaw, Couple, walton_braun_accuracy
@@ -16,7 +17,7 @@ from dem_jax.maths import pose
 from dem_jax.pairs import guard
 from dem_jax.scene import Scene
 from dem_jax.shapes import Shape, parts_of
-from dem_jax.types import Materials, Pieces
+from dem_jax.types import Materials, Pieces, host
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,7 @@ class TimeStep:
     stable: float  # s: linear stability limit, which no step may exceed
     limit: str  # what sets the critical step, in words
 
-    def __str__(self):
+    def __str__(self) -> str:
         return (
             f"dt = {self.dt:.4g} s ({self.substeps} steps per sample), dt/dt_crit = {self.dt / self.critical:.3g}; "
             f"dt_crit = {self.critical:.4g} s from {self.limit}; stable below {self.stable:.4g} s"
@@ -67,16 +68,17 @@ def longest_reach(law: ContactLaw, contacts: list[PossibleContact]) -> float:
     return max(0.0 if reach is None else float(np.max(reach)) for reach in reaches)
 
 
-def _default_step(_, law: ContactLaw, contacts):
+def _default_step(_: Scene, law: ContactLaw, contacts: list[PossibleContact]) -> tuple[float, str]:
     """The critical step (s) of the default resolution, and what sets it."""
     steps = [(float(np.min(s)), f"{what}, {c.words}") for c in contacts for what, s in law.critical_steps(c.pair, c.mass).items()]
     return min(steps, key=lambda pair: pair[0])
 
 
-def _accurate_step(scene: Scene, law: ContactLaw, contacts):
+def _accurate_step(scene: Scene, law: ContactLaw, contacts: list[PossibleContact]) -> tuple[float, str]:
     """The largest step (s) that keeps the accuracy that the scene asks for, and what sets it. Raises SceneError."""
     if not isinstance(law, WaltonBraun):
         raise SceneError(f"run.accuracy: known of the law of Walton and Braun only, not of {type(law).__name__}; give run.step")
+    assert scene.run.accuracy is not None
     asked = scene.run.accuracy.model_dump(exclude_none=True)
     found = []
     for c in contacts:
@@ -88,9 +90,9 @@ def _accurate_step(scene: Scene, law: ContactLaw, contacts):
                     f"run.accuracy.{key} = {value:g}: allowed in single precision: at least {finest:g} for {c.words}; "
                     f'or run.precision = "f64"'
                 )
-        number, key = bound.steps(asked, float(np.min(c.pair.restitution)))
+        number, first = bound.steps(asked, float(np.min(c.pair.restitution)))
         quarter = float(np.min(quarter_period(c.mass, c.pair.stiffness)))
-        why = f"run.accuracy.{key} = {asked[key]:g}" if key else "the coarsest step whose error is known (run.accuracy)"
+        why = f"run.accuracy.{first} = {asked[first]:g}" if first else "the coarsest step whose error is known (run.accuracy)"
         step = np.sqrt(c.eccentricity) * quarter / number
         found.append((float(step), f"{why}: {quarter / step:.3g} steps per loading quarter period, {c.words}"))
     return min(found)
@@ -108,8 +110,8 @@ def possible_contacts(law: ContactLaw, materials: Materials, made: Sequence[Shap
     _, first, number = np.unique(np.stack([index, pieces.material]), axis=1, return_index=True, return_counts=True)
     order = np.argsort(first)
     first, number = first[order], number[order]
-    least = {id(made[i]): _eccentricity(made[i]) for i in first}
-    least = np.array([least[id(made[i])] for i in first])
+    of_shape = {id(made[i]): _eccentricity(made[i]) for i in first}
+    least = np.array([of_shape[id(made[i])] for i in first])
     out = []
     for i, p in enumerate(first):
         for wall in np.flatnonzero(materials.is_wall):
@@ -129,22 +131,22 @@ def possible_contacts(law: ContactLaw, materials: Materials, made: Sequence[Shap
     return out
 
 
-def _couple(materials: Materials, pieces: Pieces, b, a, wall: np.integer | None) -> Couple:
+def _couple(materials: Materials, pieces: Pieces, b: ArrayLike, a: ArrayLike | None, wall: np.integer | None) -> Couple:
     """The couple of pieces b and a, or of b and a wall of a material."""
     b = np.atleast_1d(b)
     own = b if a is None else np.atleast_1d(a)
-    material = pieces.material[own] if wall is None else np.full(len(b), wall)
-    curvature = pieces.curvature[own] if wall is None else np.zeros(len(b))
+    material = pieces.material[own] if wall is None else host(np.full(len(b), wall))
+    curvature = pieces.curvature[own] if wall is None else host(np.zeros(len(b)))
     mass = series(pieces.mass[own], pieces.mass[b]) if wall is None else pieces.mass[b]
     both = lambda rows: (rows[own], rows[b])  # noqa: E731
     return couple(materials, (material, pieces.material[b]), both(pieces.size), (curvature, pieces.curvature[b]), mass)
 
 
-def _words(shape, other):
+def _words(shape: Shape, other: str) -> str:
     return f"{shape.name} of {shape.volume * 1e9:.4g} mm3 against {other}"
 
 
-def _eccentricity(shape):
+def _eccentricity(shape: Shape) -> float:
     """Smallest effective mass of a frictionless contact at a vertex or on a ball, relative to the whole mass, in any
     direction."""
     if shape.radius > 0:

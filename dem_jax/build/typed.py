@@ -1,15 +1,19 @@
 """Arrays of the run's precision."""
 
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import ArrayLike, DTypeLike
+
+Tree = TypeVar("Tree")
 
 
-def typed(tree, dtype):
+def typed(tree: Tree, dtype: DTypeLike) -> Tree:
     """Float leaves to the dtype, int leaves to int32."""
 
-    def leaf(x):
+    def leaf(x: ArrayLike) -> jax.Array:
         x = np.asarray(x)
         return jnp.asarray(x.astype(np.int32 if x.dtype.kind == "i" else dtype))  # converted here: nothing to compile
 

@@ -1,24 +1,30 @@
 """Panels of the walls, the groups that they move in, and the seams between them."""
 
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 from dem_jax import shapes
+from dem_jax.build.start import Box
 from dem_jax.build.typed import typed
 from dem_jax.contact import motion
 from dem_jax.errors import SceneError
-from dem_jax.scene import Scene, buckets
+from dem_jax.scene import Block, Motion, Scene, Wall, buckets
+from dem_jax.scene.buckets import Panel
 from dem_jax.scene.materials import material_table, rows_of_groups
-from dem_jax.shapes import meshes
-from dem_jax.types import Walls
+from dem_jax.shapes import Shape, meshes
+from dem_jax.types import Walls, host
 
 
-def walls_of(scene: Scene):
+def walls_of(scene: Scene) -> tuple[list[Panel], list[Motion], dict[str, str], list[Block], list[Box]]:
     """Panels (group, corners, thickness), sections of motions, reported names, blocks, and the boxes (low, high) in which
     pieces start: of the feed bucket, of the feeder."""
-    panels, joint, blocks, regions = [], {}, list(scene.block), []
+    panels: list[Panel] = []
+    joint: dict[str, str] = {}
+    blocks, regions = list(scene.block), list[Box]()
     motions = [motion.written_out(row, scene.folder) for row in scene.motion]
     for wall in scene.wall:
         panels += panels_of(wall, scene.folder)
@@ -46,35 +52,38 @@ def walls_of(scene: Scene):
     return panels, motions, joint, blocks, regions
 
 
-def panels_of(wall, folder):
+def panels_of(wall: Wall, folder: str | Path) -> list[Panel]:
+    """The panels of a section of walls; STL files are looked for in a folder. Raises SceneError."""
     if (wall.corners is None) == (wall.stl is None):
         raise SceneError(f"wall {wall.group!r}: corners, stl: exactly one of the two must be given")
-    if wall.corners is not None:
+    if wall.stl is None:
         return [(wall.group, np.array(wall.corners, float), wall.thickness)]
     polygons = meshes.panels_of_stl(Path(folder) / wall.stl, wall.unit)
     return [(wall.group, polygon, wall.thickness) for polygon in polygons]
 
 
-def wall_arrays(scene: Scene, panels, motions, joint, dtype) -> tuple[Walls, list, list | None]:
+def wall_arrays(
+    scene: Scene, panels: Sequence[Panel], motions: list[Motion], joint: dict[str, str], dtype: DTypeLike
+) -> tuple[Walls, list[Shape], list[np.ndarray] | None]:
     """The walls, the shapes of their panels and the seams of each. Raises SceneError."""
     groups = list(dict.fromkeys(group for group, _, _ in panels))
     made = [_plate(corners, thickness, f"corners of wall group {group!r}") for group, corners, thickness in panels]
-    reports = {}
+    reports: dict[str, list[int]] = {}
     for i, group in enumerate(groups):
         reports.setdefault(joint.get(group, group), []).append(i)
-    group = np.array([groups.index(name) for name, _, _ in panels], int)
+    number = np.array([groups.index(name) for name, _, _ in panels], int)
     material = rows_of_groups(material_table(scene), scene, groups)
     moved, pivot = motion.motions_of(motions, tuple(groups))
     extent = [np.abs(shape.vertices).max(0) for shape, _, _ in made]
     seams, plane = _seams([(group, corners) for group, corners, _ in panels])
     walls = Walls(
-        centre=np.array([c for _, c, _ in made], float).reshape(-1, 3).T,
-        rotation=np.array([r for _, _, r in made], float).reshape(-1, 3, 3).transpose(1, 2, 0),
-        half_extent=np.array(extent, float).reshape(-1, 3).T,
-        group=group,
-        material=material[group],
-        plane=plane,
-        pivot=pivot,
+        centre=host(np.array([c for _, c, _ in made], float).reshape(-1, 3).T),
+        rotation=host(np.array([r for _, _, r in made], float).reshape(-1, 3, 3).transpose(1, 2, 0)),
+        half_extent=host(np.array(extent, float).reshape(-1, 3).T),
+        group=host(number),
+        material=host(material[number]),
+        plane=plane if plane is None else host(plane),
+        pivot=host(pivot),
         motions=moved,
         groups=tuple(groups),
         reports=tuple((name, tuple(members)) for name, members in reports.items()),
@@ -84,11 +93,12 @@ def wall_arrays(scene: Scene, panels, motions, joint, dtype) -> tuple[Walls, lis
     return typed(walls, dtype), [shape for shape, _, _ in made], seams
 
 
-def _seams(panels):
+def _seams(panels: Sequence[tuple[str, np.ndarray]]) -> tuple[list[np.ndarray], np.ndarray] | tuple[None, None]:
     """For each panel (group, corners) the directions [m, 3] outward across edges where another panel of its group
     continues its plane, and the number [W] of that plane, -1 where none does; None, None if there are no seams at all.
     """
-    across, planes, known = [np.zeros((0, 3)) for _ in panels], np.full(len(panels), -1), []
+    across, planes = [np.zeros((0, 3)) for _ in panels], np.full(len(panels), -1)
+    known: list[tuple[str, np.ndarray, np.ndarray]] = []  # group, point, normal
     for group in {group for group, _ in panels}:
         members = [i for i, (name, _) in enumerate(panels) if name == group]
         flags = meshes.seams([panels[i][1] for i in members])
@@ -110,7 +120,7 @@ def _seams(panels):
     return (across, planes) if known else (None, None)
 
 
-def _plate(corners, thickness, name):
+def _plate(corners: np.ndarray, thickness: float, name: str) -> tuple[Shape, np.ndarray, np.ndarray]:
     """A panel as a shape about its own centre with the surface's normal along z, its centre and its rotation."""
     meshes.plate(corners, thickness, name)  # raises what is wrong with the corners as they were given
     plate = meshes.plate(meshes.without_collinear(corners), thickness, name)

@@ -2,9 +2,10 @@
 
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import DTypeLike
 
 from dem_jax.contact import boundary, of_run
-from dem_jax.types import Array, Ledger, State, System, WallLoads
+from dem_jax.types import Array, Ledger, State, System, WallLoads, host
 
 
 def entered(
@@ -41,7 +42,7 @@ def new_interval(ledger: Ledger) -> Ledger:
     return ledger.replace(impulse=jnp.zeros_like(ledger.impulse), overlap=jnp.zeros_like(ledger.overlap))
 
 
-def empty_ledger(system: System, dtype) -> Ledger:
+def empty_ledger(system: System, dtype: DTypeLike) -> Ledger:
     """A ledger of zeros, in numpy."""
-    zero = np.zeros((system.runs,), dtype)
-    return Ledger(np.zeros((3, len(system.walls.groups), system.runs), dtype), zero, zero, zero)
+    zero = host(np.zeros((system.runs,), dtype))
+    return Ledger(host(np.zeros((3, len(system.walls.groups), system.runs), dtype)), zero, zero, zero)

@@ -1,15 +1,19 @@
 """Pairs of materials: what a contact law is told of two bodies. In numpy (time step) and in JAX (slots) alike."""
 
+from typing import overload
+
 from dem_jax.contact.law import Couple
 from dem_jax.types import Array, Materials
 
+Pair = tuple[Array, Array]  # of bodies a and b
 
-def couple(materials: Materials, material, size, curvature, mass) -> Couple:
+
+def couple(materials: Materials, material: Pair, size: Pair, curvature: Pair, mass: Array) -> Couple:
     """The couple of bodies a and b.
 
     material: pair of rows of the table [P] int; size: pair of L [P] (m); curvature: pair [P] (1/m); mass: effective [P] (kg).
     """
-    of = lambda table: tuple(table[rows] for rows in material)  # noqa: E731
+    of = lambda table: (table[material[0]], table[material[1]])  # noqa: E731
     return Couple(
         youngs_modulus=of(materials.youngs_modulus),
         poisson_ratio=of(materials.poisson_ratio),
@@ -22,7 +26,13 @@ def couple(materials: Materials, material, size, curvature, mass) -> Couple:
     )
 
 
-def of_pair(table: Array | None, a, b) -> Array | None:
+@overload
+def of_pair(table: Array, a: Array, b: Array) -> Array: ...
+@overload
+def of_pair(table: None, a: Array, b: Array) -> None: ...
+@overload
+def of_pair(table: Array | None, a: Array, b: Array) -> Array | None: ...
+def of_pair(table: Array | None, a: Array, b: Array) -> Array | None:
     """The value of pairs of rows, [P]; [1] where all pairs have the same (``Materials``); None where there is none."""
     if table is None:
         return None

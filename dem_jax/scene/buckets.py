@@ -9,14 +9,16 @@ from dem_jax.scene.sections.walls import Block, Motion
 
 FEEDER = "lf"  # wall group of the feeder
 
+Panel = tuple[str, np.ndarray, float]  # group, corners [k, 3] (m), thickness (m)
+
 
 @dataclass(frozen=True)
 class BucketParts:
     """What a bucket adds to a scene; the lower edge of its closed flaps is at height ``bottom`` on the z axis."""
 
-    panels: list  # of (group, corners [4, 3] (m), thickness (m))
-    motions: list  # of Motion, one for each flap that opens
-    joint: dict  # flap's group -> the group that its force is added to
+    panels: list[Panel]
+    motions: list[Motion]  # one for each flap that opens
+    joint: dict[str, str]  # flap's group -> the group that its force is added to
     block: Block
     interior_low: np.ndarray  # [3] (m): box above the hinges
     interior_high: np.ndarray  # [3] (m)
@@ -81,7 +83,7 @@ def _hinge(bucket: Bucket, group: str, pivot: tuple[float, float, float], sign: 
 class FeederParts:
     """What a linear feeder adds to a scene."""
 
-    panels: list  # of (group, corners [4, 3] (m), thickness (m))
+    panels: list[Panel]
     motion: Motion
     interior_low: np.ndarray  # [3] (m): box above the pan
     interior_high: np.ndarray  # [3] (m)

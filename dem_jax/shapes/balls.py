@@ -77,8 +77,8 @@ def _latitudes(caps: np.ndarray, cosines: np.ndarray) -> np.ndarray:
             if rest > 0.0:
                 middle, step = a * caps[i][2] + b * caps[j][2], np.sqrt(rest) * np.cross(caps[i], caps[j])[2]
                 z += [middle - step, middle + step]
-    z = np.unique(np.clip(z, -1.0, 1.0))
-    return z[np.r_[True, np.diff(z) > 1e-14]]
+    found = np.unique(np.clip(z, -1.0, 1.0))
+    return found[np.r_[True, np.diff(found) > 1e-14]]
 
 
 def _open_arcs(z: float, caps: np.ndarray, cosines: np.ndarray) -> list[tuple[float, float]]:

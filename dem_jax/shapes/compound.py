@@ -22,8 +22,8 @@ class Placed(NamedTuple):
     """A convex shape at a place: position [3] (m) of its centre of mass, orientation: quaternion w x y z of its axes."""
 
     shape: Shape
-    position: Sequence[float] = (0.0, 0.0, 0.0)
-    orientation: Sequence[float] = (1.0, 0.0, 0.0, 0.0)
+    position: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0)
+    orientation: Sequence[float] | np.ndarray = (1.0, 0.0, 0.0, 0.0)
 
 
 def compound(
@@ -48,8 +48,8 @@ def compound(
         mass = mass_of_union(parts, depths, size)
     parts = [replace(part, centre=part.centre - mass.centre) for part in parts]
     hidden = inner_faces(parts, set(depths), tolerance * size)
-    parts = tuple(replace(part, inner=inner) for part, inner in zip(parts, hidden, strict=True))
-    return _body(name, parts, mass, fused(parts, set(depths), tolerance * size, max(FLAT, 50.0 * tolerance)))
+    covered = tuple(replace(part, inner=inner) for part, inner in zip(parts, hidden, strict=True))
+    return _body(name, covered, mass, fused(covered, set(depths), tolerance * size, max(FLAT, 50.0 * tolerance)))
 
 
 def tube(outer_radius: float, inner_radius: float, height: float, sides: int = 12) -> Shape:
@@ -72,7 +72,7 @@ def checked_mass(volume: float, centre: Sequence[float], gyration: Sequence[floa
     """Mass properties that a person gives: volume (m3), centre [3] (m), gyration: inertia over mass about the centre, as
     xx, yy, zz, xy, xz, yz (m2). Raises SceneError for values that no body has."""
     positive("mass_properties.volume", volume, "a positive volume (m3)")
-    centre = finite_vector("mass_properties.centre", centre)
+    middle = finite_vector("mass_properties.centre", centre)
     xx, yy, zz, xy, xz, yz = finite_vector("mass_properties.gyration", gyration, 6)
     tensor = np.array([(xx, xy, xz), (xy, yy, yz), (xz, yz, zz)])
     moments = np.linalg.eigvalsh(tensor)
@@ -81,10 +81,10 @@ def checked_mass(volume: float, centre: Sequence[float], gyration: Sequence[floa
             f"mass_properties.gyration = {tuple(gyration)!r} belongs to no body: its principal moments {moments.tolist()} m2 "
             "must be positive, none above the sum of the others"
         )
-    return MassProperties(float(volume), centre, tensor)
+    return MassProperties(float(volume), middle, tensor)
 
 
-def _part(n: int, shape: Shape, position: Sequence[float], orientation: Sequence[float]) -> Part:
+def _part(n: int, shape: Shape, position: Sequence[float] | np.ndarray, orientation: Sequence[float] | np.ndarray) -> Part:
     """The shape with its axes turned into those of the whole, at its place there."""
     if shape.parts:
         raise SceneError(f"part.{n}: {shape.name} is made of parts; allowed: a convex shape")

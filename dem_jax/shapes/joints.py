@@ -164,10 +164,10 @@ def _middles(
         slope = normals @ along
         steep = np.abs(slope) > FLAT
         cuts.append((offsets[steep] - normals[steep] @ start) / slope[steep])
-    cuts = np.concatenate(cuts)
-    cuts = np.unique(cuts[(cuts >= 0.0) & (cuts <= length)])
-    wide = np.diff(cuts) > 10.0 * near
-    return [(start + at * along, along) for at in (0.5 * (cuts[1:] + cuts[:-1]))[wide]]
+    ends = np.concatenate(cuts)
+    ends = np.unique(ends[(ends >= 0.0) & (ends <= length)])
+    wide = np.diff(ends) > 10.0 * near
+    return [(start + at * along, along) for at in (0.5 * (ends[1:] + ends[:-1]))[wide]]
 
 
 def _is_open(

@@ -51,7 +51,7 @@ def mass_properties_of(moments: Moments) -> MassProperties:
     return MassProperties(float(moments.volume), centre, np.trace(spread) * np.eye(3) - spread)
 
 
-def mass_properties(vertices: np.ndarray, faces: Sequence[Loop]) -> tuple[float, np.ndarray, np.ndarray]:
+def mass_properties(vertices: np.ndarray, faces: Sequence[Loop] | np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
     """Volume (m3), centre of mass [3] (m) and <x x^T> about it [3, 3] (m2) of a closed polyhedron of uniform density.
 
     vertices [V, 3] (m); faces: planar vertex loops, counter-clockwise seen from outside. Signed tetrahedra are summed.

@@ -93,7 +93,7 @@ def seams(panels: Sequence[np.ndarray], tolerance: float | None = None) -> list[
     alike = normals @ normals.T > np.cos(1e-3)
     found = []
     for i, panel in enumerate(panels):
-        others = [_sides(panels[j]) for j in np.flatnonzero(alike[i]) if j != i]
+        others = [_sides(panels[j]) for j in np.flatnonzero(alike[i]).tolist() if j != i]
         found.append(
             [any(_overlaps(*side, *other, tolerance) for other in others) for side in zip(*_sides(panel), strict=True)]
         )
@@ -123,7 +123,7 @@ def _coplanar_groups(mesh: "trimesh.Trimesh", cosine: float, tolerance: float) -
 
     A facet is in the plane if its normal is, or (slivers, whose normal says little) if all its corners are.
     """
-    neighbours = [[] for _ in mesh.faces]
+    neighbours: list[list[int]] = [[] for _ in mesh.faces]
     for a, b in mesh.face_adjacency.tolist():
         neighbours[a].append(b)
         neighbours[b].append(a)
@@ -140,9 +140,9 @@ def _coplanar_groups(mesh: "trimesh.Trimesh", cosine: float, tolerance: float) -
             new = [f for f in neighbours[front.pop()] if joins[f] and f not in group]
             group.update(new)
             front += new
-        group = np.array(sorted(group))
-        free[group] = False
-        groups.append(group)
+        members = np.array(sorted(group))
+        free[members] = False
+        groups.append(members)
     return groups
 
 
@@ -150,17 +150,17 @@ def _convex_parts(points: np.ndarray, triangles: list[Loop], normal: np.ndarray,
     """Convex loops (lists of indices of points) that together cover coplanar triangles, without collinear corners."""
     outline = _outline(triangles)
     if outline is not None and _is_convex(points[outline], normal, tolerance):
-        loops = [outline]
+        found: list[Loop] = [outline]
     else:
-        loops = _merged_while_convex(points, triangles, normal, tolerance)
-    loops = [_without_collinear(points, list(loop), normal, tolerance) for loop in loops]
+        found = _merged_while_convex(points, triangles, normal, tolerance)
+    loops = [_without_collinear(points, list(loop), normal, tolerance) for loop in found]
     return [loop for loop in loops if len(loop) >= 3]
 
 
 def _merged_while_convex(points: np.ndarray, loops: list[Loop], normal: np.ndarray, tolerance: float) -> list[Loop]:
     """Loops joined in pairs over shared edges, the longest edge first, as long as the pair is convex."""
-    loops = dict(enumerate(loops))
-    owner = {side: i for i, loop in loops.items() for side in _directed(loop)}
+    merged = dict(enumerate(loops))
+    owner = {side: i for i, loop in merged.items() for side in _directed(loop)}
     shared = [side for side in owner if side[0] < side[1] and side[::-1] in owner]
     shared.sort(key=lambda side: -np.linalg.norm(points[side[0]] - points[side[1]]))
     joined = True
@@ -170,14 +170,14 @@ def _merged_while_convex(points: np.ndarray, loops: list[Loop], normal: np.ndarr
             a, b = owner.get(side), owner.get(side[::-1])
             if a is None or b is None or a == b:
                 continue
-            pair = _outline([loops[a], loops[b]])
+            pair = _outline([merged[a], merged[b]])
             if pair is not None and _is_convex(points[pair], normal, tolerance):
-                for gone in _directed(loops[a]) + _directed(loops.pop(b)):
+                for gone in _directed(merged[a]) + _directed(merged.pop(b)):
                     del owner[gone]
-                loops[a] = pair
+                merged[a] = pair
                 owner.update({new: a for new in _directed(pair)})
                 joined = True
-    return list(loops.values())
+    return list(merged.values())
 
 
 def _directed(loop: Loop) -> list[tuple[int, int]]:
@@ -190,13 +190,13 @@ def _outline(loops: Sequence[Loop]) -> list[int] | None:
     inside = set(sides)
     rim = [side for side in sides if side[::-1] not in inside]
     following = dict(rim)
-    if len(following) != len(rim):
+    if not rim or len(following) != len(rim):
         return None
-    start = rim[0][0] if rim else None
+    start = rim[0][0]
     outline = [start]
-    while rim and (corner := following[outline[-1]]) != start:
+    while (corner := following[outline[-1]]) != start:
         outline.append(corner)
-    return outline if rim and len(outline) == len(rim) else None
+    return outline if len(outline) == len(rim) else None
 
 
 def _bulge(corners: np.ndarray, normal: np.ndarray) -> np.ndarray:

@@ -57,7 +57,8 @@ def _directions(vertices: np.ndarray, edges: np.ndarray, tolerance: float) -> tu
     """Unit directions [D, 3] and the index [E] of each edge's; edges that match within tolerance (m) are parallel."""
     vectors = vertices[edges[:, 1]] - vertices[edges[:, 0]]
     lengths = np.linalg.norm(vectors, axis=1)
-    kept, of_edge = [], np.empty(len(edges), int)
+    kept: list[np.ndarray] = []
+    of_edge = np.empty(len(edges), int)
     left = np.argsort(-lengths, kind="stable")  # the longest first: its direction is the most exact
     while len(left):
         unit = vectors[left[0]] / lengths[left[0]]

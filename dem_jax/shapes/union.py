@@ -126,7 +126,7 @@ def _of_polytopes(parts: Sequence[Part], deep: set[tuple[int, int]], start: np.n
     for part in parts:
         total = total.plus(_own_moments(part, start))
     partners = [{j for i, j in deep if i == k} for k in range(len(parts))]
-    waiting = [((i,), partners[i]) for i in range(len(parts))]
+    waiting: list[tuple[tuple[int, ...], set[int]]] = [((i,), partners[i]) for i in range(len(parts))]
     terms = 0
     while waiting:
         chosen, more = waiting.pop()

@@ -1,19 +1,34 @@
 """The figure of a run or an ensemble: product impact force and settled mass over time, as Figs 11-14 of the paper."""
 
 import tomllib
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from dem_jax.errors import RecordError
 from dem_jax.show.summary import main_block, main_group
+from dem_jax.store.run import Run
+
+if TYPE_CHECKING:  # loaded where something is drawn: it takes a second
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 FORCE_COLOUR, MASS_COLOUR = "#1f4e9c", "#c8561b"
 MEMBERS = 5  # runs of an ensemble that are drawn one by one
 PICTURE_FORMATS = (".png", ".pdf", ".svg")
 
 
-def plot_run(run, path, group=None, block=None, start=None, end=None, title=None):
+def plot_run(
+    run: Run,
+    path: str | Path,
+    group: str | None = None,
+    block: str | None = None,
+    start: float | None = None,
+    end: float | None = None,
+    title: str | None = None,
+) -> Path:
     """Save the figure of a run or an ensemble as PNG, PDF or SVG; see `figure_of_run`. Returns the path.
 
     Raises RecordError for a group or block that the run does not have, another file format and a file that cannot be
@@ -24,7 +39,14 @@ def plot_run(run, path, group=None, block=None, start=None, end=None, title=None
     return save_figure(figure_of_run(run, group, block, start, end, title), path, dpi=200)
 
 
-def figure_of_run(run, group=None, block=None, start=None, end=None, title=None):
+def figure_of_run(
+    run: Run,
+    group: str | None = None,
+    block: str | None = None,
+    start: float | None = None,
+    end: float | None = None,
+    title: str | None = None,
+) -> "Figure":
     """Figure (matplotlib.figure.Figure) with PIF in kg (left) and settled mass in g (right) over ms.
 
     A run is drawn by the means over its sample intervals, on the instantaneous values in a lighter tone; an ensemble by
@@ -55,7 +77,7 @@ def figure_of_run(run, group=None, block=None, start=None, end=None, title=None)
     return figure
 
 
-def _draw_run(axes, run, group, mean):
+def _draw_run(axes: "Axes", run: Run, group: str, mean: np.ndarray) -> None:
     ms = 1e3 * run.time
     instants = run.pif_kg(group, mean=False)
     axes.plot(ms, instants, color=FORCE_COLOUR, lw=0.6, alpha=0.35, label=f"PIF on {group}, instantaneous")
@@ -67,14 +89,14 @@ def _draw_run(axes, run, group, mean):
         axes.annotate(words, (ms[peak], mean[peak]), (6, 5), textcoords="offset points", fontsize=8, color=FORCE_COLOUR)
 
 
-def _draw_ensemble(axes, ms, values, colour, label, band=None):
+def _draw_ensemble(axes: "Axes", ms: np.ndarray, values: np.ndarray, colour: str, label: str, band: str | None = None) -> None:
     """Median over the runs [K, T] and the band from 5 to 95 %."""
     low, middle, high = np.quantile(values, [0.05, 0.5, 0.95], axis=0)
     axes.plot(ms, middle, color=colour, lw=1.3, label=f"{label}, median")
     axes.fill_between(ms, low, high, color=colour, alpha=0.2, lw=0, label=band)
 
 
-def _draw_mass(axes, run, block):
+def _draw_mass(axes: "Axes", run: Run, block: str | None) -> None:
     block = block or main_block(run)
     if block is None:
         return
@@ -92,7 +114,7 @@ def _draw_mass(axes, run, block):
     right.spines["top"].set_visible(False)
 
 
-def _limit(axes, run, mean, start, end):
+def _limit(axes: "Axes", run: Run, mean: np.ndarray, start: float | None, end: float | None) -> None:
     """Limits of the axes: time from shortly before the first force, force from its range in that time."""
     if start is None:
         felt = np.flatnonzero(np.abs(mean).reshape(-1, len(run.time)).max(axis=0) > 0.0)
@@ -107,7 +129,7 @@ def _limit(axes, run, mean, start, end):
     axes.spines["top"].set_visible(False)
 
 
-def _title(run):
+def _title(run: Run) -> str:
     """Scene, pieces, SF and restitution, as far as the scene's TOML says them."""
     tree = tomllib.loads(run.scene)
     portion = tree.get("portion", {})
@@ -127,13 +149,13 @@ def _title(run):
 # --- shared with render ---
 
 
-def check_format(path, allowed):
+def check_format(path: Path, allowed: Sequence[str]) -> None:
     """Raise RecordError unless the path ends as one of the allowed formats."""
     if path.suffix.lower() not in allowed:
         raise RecordError(f"{path} must end in one of: {', '.join(allowed)}")
 
 
-def save_figure(figure, path, **options):
+def save_figure(figure: "Figure", path: Path, **options: Any) -> Path:
     """Save a figure; a path that cannot be written is a RecordError."""
     try:
         figure.savefig(path, **options)

@@ -5,16 +5,30 @@ away are left out, and the order in which two are drawn follows from the side of
 """
 
 import heapq
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from dem_jax.errors import RecordError
 from dem_jax.maths.pose import matrix_of_quaternion
-from dem_jax.shapes import convex_surface, loop_normal, parts_of
+from dem_jax.shapes import Part, Shape, convex_surface, loop_normal, parts_of
+from dem_jax.show import drawing
+from dem_jax.show.drawing import WallPose
 from dem_jax.show.plot import check_format, save_figure
+from dem_jax.store.run import Frames
+
+if TYPE_CHECKING:  # loaded where something is drawn: it takes a second
+    from matplotlib.axes import Axes
+    from matplotlib.collections import PolyCollection
+    from matplotlib.colors import LinearSegmentedColormap
+    from matplotlib.figure import Figure
+
+Walls = Mapping[str, Sequence[drawing.Solid]]  # by group
+Colour = tuple[float, float, float, float]  # r, g, b, a
 
 PICTURES, ANIMATIONS = (".png", ".pdf", ".svg"), (".gif",)
 PALETTE = ("#f3c6cf", "#fbe9c6", "#cfe3f1", "#d8ecd0", "#e6d7f0", "#f8d5b5")  # of pieces told apart by number
@@ -53,7 +67,19 @@ class View(NamedTuple):
     axes: np.ndarray
 
 
-def render(frames, shapes, walls, wall_pose, path, at=None, strip=None, camera=None, colour="speed", title="", fps=25):
+def render(
+    frames: Frames | None,
+    shapes: Sequence[Shape],
+    walls: Walls,
+    wall_pose: WallPose,
+    path: str | Path,
+    at: float | None = None,
+    strip: int | Sequence[float] | None = None,
+    camera: Camera | None = None,
+    colour: str = "speed",
+    title: str = "",
+    fps: float = 25,
+) -> Path:
     """Write a picture or an animation of stored poses; what it is follows from the path.
 
     frames: record.Frames of a single run. shapes: a Shape for each of the N pieces. walls: group -> list of (vertices
@@ -79,20 +105,22 @@ def render(frames, shapes, walls, wall_pose, path, at=None, strip=None, camera=N
 class Scene(NamedTuple):
     """All that is drawn, at all times."""
 
-    frames: object  # record.Frames
+    frames: Frames
     pieces: list[tuple[Solid, ...]]  # the convex parts of each, in its body frame
     plates: list[tuple[str, Solid]]  # (group, panel) in the groups' rest frames
-    wall_pose: object
+    wall_pose: WallPose
     view: View
     colour: str
     fastest: float  # (m/s) end of the scale of colours
 
 
-def scene_of(frames, shapes, walls, wall_pose, camera, colour="speed"):
+def scene_of(
+    frames: Frames, shapes: Sequence[Shape], walls: Walls, wall_pose: WallPose, camera: Camera, colour: str = "speed"
+) -> Scene:
     """What `figure_of` draws; arguments as `render`."""
     if colour not in ("speed", "piece"):
         raise RecordError(f'colour = {colour!r} is unknown; allowed: "speed", "piece"')
-    known = {}
+    known: dict[int, tuple[Solid, ...]] = {}
     for shape in shapes:  # pieces share few shapes
         if id(shape) not in known:
             known[id(shape)] = tuple(_part(part) for part in parts_of(shape))
@@ -104,7 +132,7 @@ def scene_of(frames, shapes, walls, wall_pose, camera, colour="speed"):
     return Scene(frames, [known[id(shape)] for shape in shapes], plates, wall_pose, view, colour, fastest or 1.0)
 
 
-def figure_of(scene, indices, title=""):
+def figure_of(scene: Scene, indices: Sequence[int], title: str = "") -> "Figure":
     """Figure with the stored frames of these indices side by side."""
     figure, axes = _empty_figure(scene, len(indices))
     for i, ax in zip(indices, axes, strict=True):
@@ -113,21 +141,22 @@ def figure_of(scene, indices, title=""):
     return figure
 
 
-def _instants(times, at, strip):
+def _instants(times: np.ndarray, at: float | None, strip: int | Sequence[float] | None) -> list[int]:
     """Indices of the frames nearest to the instants asked for."""
+    wanted: ArrayLike
     if strip is None:
         wanted = [times[-1] if at is None else at]
     else:
         wanted = np.linspace(times[0], times[-1], strip) if isinstance(strip, int) else strip
-    return [int(np.argmin(np.abs(times - t))) for t in wanted]
+    return [int(np.argmin(np.abs(times - t))) for t in np.asarray(wanted)]
 
 
-def _caption(scene, i, title):
+def _caption(scene: Scene, i: int, title: str) -> str:
     time = f"t = {1e3 * scene.frames.time[i]:.1f} ms"
     return f"{title}\n{time}" if title else time
 
 
-def _animate(scene, path, title, fps):
+def _animate(scene: Scene, path: Path, title: str, fps: float) -> Path:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from PIL import Image
 
@@ -142,7 +171,7 @@ def _animate(scene, path, title, fps):
         ax.add_collection(_collection(scene, i))
         ax.set_title(_caption(scene, i, title), fontsize=10)
         canvas.draw()
-        pictures.append(Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3]).quantize(256, dither=0))
+        pictures.append(Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3]).quantize(256, dither=Image.Dither.NONE))
     try:
         pause = max(20, round(1000 / fps))
         pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=pause, loop=0)
@@ -154,7 +183,7 @@ def _animate(scene, path, title, fps):
 # --- the figure around the scene ---
 
 
-def _empty_figure(scene, count):
+def _empty_figure(scene: Scene, count: int) -> "tuple[Figure, Sequence[Axes]]":
     """Figure with `count` axes that frame the view, a bar of length and, if colours are speeds, their scale."""
     from matplotlib.figure import Figure
 
@@ -172,7 +201,7 @@ def _empty_figure(scene, count):
     return figure, axes
 
 
-def _drawn_bounds(scene):
+def _drawn_bounds(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest point [2], [2] of the image of the pieces at all times and walls at a few, with a margin."""
     finite, view = np.isfinite(scene.frames.position).all(axis=-1), scene.view
     centres = scene.frames.position[finite]
@@ -188,7 +217,7 @@ def _drawn_bounds(scene):
     return low - 0.04 * (high - low).max(), high + 0.02 * (high - low).max()
 
 
-def _length_bar(ax, view, low, high):
+def _length_bar(ax: "Axes", view: View, low: np.ndarray, high: np.ndarray) -> None:
     """A bar of round length, as long as it looks in the middle of the scene."""
     middle = view.box.mean(axis=0)
     per_metre = 1.0 / float((middle - view.eye) @ view.axes[2])
@@ -198,13 +227,13 @@ def _length_bar(ax, view, low, high):
     ax.text(left, y + 0.01 * (high[1] - low[1]), f"{1e3 * length:g} mm", color=INK, fontsize=8, va="bottom", zorder=5)
 
 
-def _round_length(length):
+def _round_length(length: float) -> float:
     """The largest of 1, 2, 5 times a power of ten that is no longer."""
     power = 10.0 ** np.floor(np.log10(length))
     return max(step * power for step in (1.0, 2.0, 5.0) if step * power <= length)
 
 
-def _speed_scale(figure, axes, fastest):
+def _speed_scale(figure: "Figure", axes: "Sequence[Axes]", fastest: float) -> None:
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
@@ -212,7 +241,7 @@ def _speed_scale(figure, axes, fastest):
     figure.colorbar(scale, ax=list(axes), label="speed (m/s)", shrink=0.5, aspect=25, pad=0.02)
 
 
-def _speed_colours():
+def _speed_colours() -> "LinearSegmentedColormap":
     """Cream at rest, over orange, to dark red."""
     from matplotlib.colors import LinearSegmentedColormap
 
@@ -222,25 +251,27 @@ def _speed_colours():
 # --- the scene as polygons on the screen ---
 
 
-def _solid(vertices, faces, outlined=True):
+def _solid(vertices: ArrayLike, faces: tuple[tuple[int, ...], ...], outlined: bool = True) -> Solid:
     vertices = np.asarray(vertices, np.float64)
     normals = np.stack([loop_normal(vertices[list(loop)]) for loop in faces])
     return Solid(vertices, faces, normals, (vertices @ normals.T).max(axis=0), outlined)
 
 
-def _part(part):
+def _part(part: Part) -> Solid:
     """A convex part of a piece, in the piece's body frame."""
     vertices, faces = convex_surface(part.shape)
     return _solid(vertices + part.centre, faces, outlined=part.shape.radius == 0.0)
 
 
-def _placed(solid, rotation, origin):
+def _placed(solid: Solid, rotation: np.ndarray, origin: np.ndarray) -> Solid:
     normals = solid.normals @ np.asarray(rotation).T
     vertices = solid.vertices @ np.asarray(rotation).T + origin
     return solid._replace(vertices=vertices, normals=normals, offsets=solid.offsets + normals @ origin)
 
 
-def _shown_box(frames, radii, plates, wall_pose):
+def _shown_box(
+    frames: Frames, radii: np.ndarray, plates: Sequence[tuple[str, Solid]], wall_pose: WallPose
+) -> np.ndarray:
     """Box [2, 3] (m) around all places of the pieces and walls; of walls that are far larger, only what is near."""
     finite = np.isfinite(frames.position).all(axis=-1)
     radius = np.broadcast_to(radii, finite.shape)[finite][:, None]
@@ -248,18 +279,18 @@ def _shown_box(frames, radii, plates, wall_pose):
     if not plates:
         return np.stack([low, high])
     reach = 0.25 * np.linalg.norm(high - low)
-    corners = []
+    found = []
     for t in frames.time[:: max(1, len(frames.time) // 20)]:
         poses = wall_pose(float(t))
-        corners += [_placed(plate, *poses[group]).vertices for group, plate in plates]
-    corners = np.concatenate(corners)
+        found += [_placed(plate, *poses[group]).vertices for group, plate in plates]
+    corners = np.concatenate(found)
     low_wall, high_wall = corners.min(axis=0) - 1e-3 * reach, corners.max(axis=0) + 1e-3 * reach
     if np.linalg.norm(high_wall - low_wall) > 10.0 * reach:
         low_wall, high_wall = np.maximum(low_wall, low - reach), np.minimum(high_wall, high + reach)
     return np.stack([np.minimum(low, low_wall), np.maximum(high, high_wall)])
 
 
-def _view(box, camera):
+def _view(box: np.ndarray, camera: Camera) -> View:
     azimuth, elevation = np.radians(camera.azimuth), np.radians(camera.elevation)
     forward = -np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
     right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
@@ -267,13 +298,13 @@ def _view(box, camera):
     return View(box, eye, np.stack([right, np.cross(right, forward), forward]))
 
 
-def _project(view, points):
+def _project(view: View, points: np.ndarray) -> np.ndarray:
     """Perspective image [..., 2] of points [..., 3]."""
     seen = (points - view.eye) @ view.axes.T
     return seen[..., :2] / seen[..., 2:]
 
 
-def _collection(scene, i):
+def _collection(scene: Scene, i: int) -> "PolyCollection":
     """PolyCollection of stored frame i, farthest polygons first."""
     from matplotlib.collections import PolyCollection
 
@@ -292,7 +323,7 @@ def _collection(scene, i):
     return PolyCollection(polygons, facecolors=fills, edgecolors=inks, linewidths=width, joinstyle="round")
 
 
-def _bodies(scene, i):
+def _bodies(scene: Scene, i: int) -> tuple[list[Solid], list[Colour], int]:
     """Parts of pieces whose pose at frame i is finite, then panels; the colour (r, g, b, a) of each; the number of parts."""
     frames = scene.frames
     here = np.flatnonzero(np.isfinite(np.c_[frames.position[i], frames.orientation[i]]).all(axis=-1))
@@ -307,7 +338,7 @@ def _bodies(scene, i):
     return parts + plates, paints, len(parts)
 
 
-def _piece_colours(scene, i):
+def _piece_colours(scene: Scene, i: int) -> list[Colour]:
     from matplotlib.colors import to_rgb
 
     if scene.colour == "piece":
@@ -316,7 +347,7 @@ def _piece_colours(scene, i):
     return [tuple(c) for c in _speed_colours()(speed / scene.fastest)]
 
 
-def _visible_faces(view, body, paint):
+def _visible_faces(view: View, body: Solid, paint: Colour) -> Iterator[tuple[np.ndarray, Colour]]:
     """(loop [k, 3], colour) of faces that look to the eye, shaded by their angle to a light up on the eye's left."""
     light = np.array([-0.45, 0.75, -0.5]) @ view.axes
     shade = 0.74 + 0.26 * np.clip(body.normals @ (light / np.linalg.norm(light)), 0.0, 1.0)
@@ -324,7 +355,7 @@ def _visible_faces(view, body, paint):
         yield body.vertices[list(body.faces[f])], (*(shade[f] * np.array(paint[:3])), paint[3])
 
 
-def _clipped(loop, box):
+def _clipped(loop: np.ndarray, box: np.ndarray) -> np.ndarray:
     """The part of a convex loop [k, 3] inside a box [2, 3]."""
     for axis in range(3):
         for side, sign in ((0, 1.0), (1, -1.0)):
@@ -345,14 +376,14 @@ def _clipped(loop, box):
 # --- which body is drawn first ---
 
 
-def painter_order(bodies, view):
+def painter_order(bodies: Sequence[Solid], view: View) -> list[int]:
     """Indices of disjoint convex bodies: what hides another comes after it; a cycle starts with its farthest."""
     centres = np.stack([body.vertices.mean(axis=0) for body in bodies])
     radii = np.array([np.linalg.norm(b.vertices - c, axis=1).max() for b, c in zip(bodies, centres, strict=True)])
     flat = [_project(view, body.vertices) for body in bodies]
     low, high = np.stack([f.min(axis=0) for f in flat]), np.stack([f.max(axis=0) for f in flat])
     meet = ((low[:, None] < high[None]) & (low[None] < high[:, None])).all(axis=-1)
-    after = [[] for _ in bodies]  # after[a]: the bodies that must come after a
+    after: list[list[int]] = [[] for _ in bodies]  # after[a]: the bodies that must come after a
     waits = np.zeros(len(bodies), int)
     for a, b in zip(*np.nonzero(np.triu(meet, 1)), strict=True):
         first, second = (a, b) if _hides(bodies, centres, radii, b, a, view.eye) else (b, a)
@@ -361,7 +392,9 @@ def painter_order(bodies, view):
     return _sorted_by(after, waits, np.linalg.norm(centres - view.eye, axis=1))
 
 
-def _hides(bodies, centres, radii, b, a, eye):
+def _hides(
+    bodies: Sequence[Solid], centres: np.ndarray, radii: np.ndarray, b: int, a: int, eye: np.ndarray
+) -> bool:
     """Whether b can hide a: the eye is on b's side of the plane that parts them best."""
     between = centres[b] - centres[a]
     distance = np.linalg.norm(between)
@@ -373,7 +406,7 @@ def _hides(bodies, centres, radii, b, a, eye):
     return normal_a @ eye > level_a if gap_a >= gap_b else normal_b @ eye <= level_b
 
 
-def _best_plane(body, other, between):
+def _best_plane(body: Solid, other: Solid, between: np.ndarray) -> tuple[np.ndarray, float, float]:
     """Of the planes of a body's faces (of a ball: that between the centres), the one with the widest gap to another."""
     if not body.outlined:
         normal = between / np.linalg.norm(between)
@@ -384,13 +417,13 @@ def _best_plane(body, other, between):
     return body.normals[best], body.offsets[best], gaps[best]
 
 
-def _sorted_by(after, waits, distance):
+def _sorted_by(after: Sequence[Sequence[int]], waits: np.ndarray, distance: np.ndarray) -> list[int]:
     """Topological order, the farthest of those that are free first; a cycle is cut at its farthest."""
     waits = waits.copy()
     done = np.zeros(len(after), bool)
     free = [(-distance[k], k) for k in range(len(after)) if waits[k] == 0]
     heapq.heapify(free)
-    order = []
+    order: list[int] = []
     while len(order) < len(after):
         if not free:
             k = int(np.argmax(np.where(done, -np.inf, distance)))

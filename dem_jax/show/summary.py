@@ -1,11 +1,14 @@
 """What a run says when it has ended."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from dem_jax.scene import parse
+from dem_jax.store.run import Run
 
 
-def summary(run) -> list[str]:
+def summary(run: Run) -> list[str]:
     """Lines on a run or an ensemble: step, compile time, peak PIF, duration of the impact, settled mass."""
     info, count = run.info, run.header.piece_count
     lines = [info["step"]] if "step" in info else []
@@ -32,24 +35,24 @@ def summary(run) -> list[str]:
     return lines
 
 
-def _notes_on_shapes(run) -> list[str]:
+def _notes_on_shapes(run: Run) -> list[str]:
     """What the scene says of the shapes of its pieces, each thing once."""
     scene = parse(run.scene, "the file's scene")
-    rows = scene.piece or (scene.portion,)
-    return list(dict.fromkeys(row.note for row in rows if row.note))
+    rows = scene.piece or (scene.portion,)  # one of them is there, as a Scene makes sure
+    return list(dict.fromkeys(row.note for row in rows if row and row.note))
 
 
-def main_group(run):
+def main_group(run: Run) -> str | None:
     """The wall group whose force is the PIF: the weigh bucket's flaps, or the first; None: no walls."""
     return "wb_flaps" if "wb_flaps" in run.force else next(iter(run.force), None)
 
 
-def main_block(run):
+def main_block(run: Run) -> str | None:
     """The block whose settled mass counts: the weigh bucket's, or the first; None: there is none."""
     return "wb" if "wb" in run.settled_mass else next(iter(run.settled_mass), None)
 
 
-def _peaks(members, group):
+def _peaks(members: Sequence[Run], group: str) -> str:
     traces = [m.pif_kg(group) for m in members]
     times = np.array([1e3 * m.time[np.argmax(t)] for m, t in zip(members, traces, strict=True)])
     peaks = np.array([t.max() for t in traces])
@@ -62,7 +65,7 @@ def _peaks(members, group):
     )
 
 
-def impact_duration(run, group, block):
+def impact_duration(run: Run, group: str, block: str) -> float:
     """Time (s) from the first force on a group until the settled mass in a block is at its final value for good.
 
     nan if nothing has landed or settled. run: a single run.
@@ -76,7 +79,7 @@ def impact_duration(run, group, block):
     return max(0.0, float(end - run.time[felt[0]]))
 
 
-def _durations(members, group, block):
+def _durations(members: Sequence[Run], group: str, block: str) -> str:
     ms = np.array([1e3 * impact_duration(m, group, block) for m in members])
     if not np.isfinite(ms).any():
         return f"duration of the impact: nothing has settled in {block}"
@@ -85,7 +88,7 @@ def _durations(members, group, block):
     )
 
 
-def _range(values, form):
+def _range(values: np.ndarray, form: str) -> str:
     """A single value, or the median with the range of 5 to 95 %."""
     if len(values) == 1:
         return form.format(values[0])

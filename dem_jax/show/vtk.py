@@ -1,18 +1,28 @@
 """Export of stored poses for ParaView: one .vtp file per frame for the pieces and for the walls, and a .pvd of each."""
 
 import base64
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from dem_jax.errors import RecordError
 from dem_jax.maths.pose import matrix_of_quaternion
-from dem_jax.shapes import surface
+from dem_jax.shapes import Shape, surface
+from dem_jax.show.drawing import Solid, WallPose
+from dem_jax.store.run import Frames
 
 VTK_TYPES = {"f": "Float64", "i": "Int64"}
 
 
-def export_vtk(frames, shapes, folder, walls=None, wall_pose=None):
+def export_vtk(
+    frames: Frames,
+    shapes: Sequence[Shape],
+    folder: str | Path,
+    walls: Mapping[str, Sequence[Solid]] | None = None,
+    wall_pose: WallPose | None = None,
+) -> list[Path]:
     """Write pieces.pvd and walls.pvd, which ParaView opens as animations, and their frames into a folder.
 
     frames: record.Frames of a single run. shapes: a Shape for each of the N pieces. walls: group -> list of (vertices
@@ -26,7 +36,7 @@ def export_vtk(frames, shapes, folder, walls=None, wall_pose=None):
     plates = [plate for plates in (walls or {}).values() for plate in plates]
     try:
         (folder / "frames").mkdir(parents=True, exist_ok=True)
-        names = {"pieces": [], "walls": []} if plates else {"pieces": []}
+        names: dict[str, list[str]] = {"pieces": [], "walls": []} if plates else {"pieces": []}
         for i, t in enumerate(frames.time):
             speed = np.linalg.norm(frames.velocity[i], axis=-1)
             spin = np.linalg.norm(frames.angular_velocity[i], axis=-1)
@@ -34,6 +44,7 @@ def export_vtk(frames, shapes, folder, walls=None, wall_pose=None):
             rotations = matrix_of_quaternion(frames.orientation[i])
             names["pieces"].append(_frame(folder, "pieces", i, _placed(solids, rotations, frames.position[i]), data))
             if plates:
+                assert walls is not None and wall_pose is not None
                 poses = wall_pose(float(t))
                 placed = _placed(plates, *zip(*(poses[group] for group in groups), strict=True))
                 number = {"group": np.array([list(walls).index(group) for group in groups])}
@@ -43,20 +54,20 @@ def export_vtk(frames, shapes, folder, walls=None, wall_pose=None):
         raise RecordError(f"{folder} cannot be written: {error.strerror or error}") from error
 
 
-def _placed(solids, rotations, origins):
+def _placed(solids: Sequence[Solid], rotations: Iterable[np.ndarray], origins: Iterable[np.ndarray]) -> list[Solid]:
     """(vertices, faces) of each body, turned and moved."""
     bodies = zip(solids, rotations, origins, strict=True)
     return [(vertices @ np.asarray(turn).T + origin, faces) for (vertices, faces), turn, origin in bodies]
 
 
-def _frame(folder, kind, i, bodies, data):
+def _frame(folder: Path, kind: str, i: int, bodies: Sequence[Solid], data: Mapping[str, ArrayLike]) -> str:
     """Write one frame; its name relative to the folder."""
     name = f"frames/{kind}_{i:05d}.vtp"
     (folder / name).write_text(polydata(bodies, data))
     return name
 
 
-def polydata(bodies, data):
+def polydata(bodies: Sequence[Solid], data: Mapping[str, ArrayLike]) -> str:
     """VTK XML PolyData (text) of bodies, a list of (vertices [V, 3], faces); data: name -> a value per body."""
     counts = [len(vertices) for vertices, _ in bodies]
     starts = np.cumsum([0, *counts])
@@ -84,7 +95,7 @@ def polydata(bodies, data):
     )
 
 
-def _array(name, array):
+def _array(name: str, array: ArrayLike) -> str:
     """A DataArray element: base64 of its length in bytes and its little-endian values."""
     array = np.asarray(array)
     array = np.ascontiguousarray(array, "<f8" if array.dtype.kind == "f" else "<i8")
@@ -94,7 +105,7 @@ def _array(name, array):
     return f"<DataArray {head}>{base64.b64encode(content).decode()}</DataArray>"
 
 
-def _collection(path, times, files):
+def _collection(path: Path, times: np.ndarray, files: Sequence[str]) -> Path:
     entries = [
         f'<DataSet timestep="{float(t)!r}" part="0" file="{name}"/>' for t, name in zip(times, files, strict=True)
     ]

@@ -48,7 +48,7 @@ def flight(system: System, state: State, steps: Array) -> State:
     return state.moved(orientation=jax.lax.fori_loop(0, steps, turn, now.orientation))
 
 
-def _add(position, rest, change):
+def _add(position: Array, rest: Array, change: Array) -> tuple[Array, Array]:
     """position + rest + change, and what rounding leaves over (compensated summation; not needed in double precision).
 
     In single precision a step near rest is smaller than the spacing of numbers at 0.1 m, and the change of velocity by

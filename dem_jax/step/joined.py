@@ -13,7 +13,7 @@ from dem_jax.contact import seams
 from dem_jax.maths.compaction import EMPTY, grouped
 from dem_jax.pairs import guard, neighbours, search
 from dem_jax.step import stepping
-from dem_jax.types import ContactTable, Guard, State, System
+from dem_jax.types import Array, ContactTable, Guard, State, System
 
 MOST_PIECES = 64  # of a run, for which it pays
 AT_ONCE = 16  # runs: more gain little and leave cores without work; always as many, as each number is a program of its own
@@ -27,7 +27,15 @@ def is_worthwhile(system: System, runs: int) -> bool:
     return is_small and bool(system.slot_block) and not seams.are_there(system) and not is_listed
 
 
-def run_chunk(system: System, states: State, count, frame_every, samples: int, frames: int, phase=0):
+def run_chunk(
+    system: System,
+    states: State,
+    count: stepping.Whole,
+    frame_every: stepping.Whole,
+    samples: int,
+    frames: int,
+    phase: stepping.Whole = 0,
+) -> stepping.Chunk:
     """``stepping.run_chunk`` of states with a leading run axis, which all that it returns has too."""
     runs = states.step.shape[0]
     one = system_of(system, runs)
@@ -93,7 +101,7 @@ def split(system: System, states: State, state: State) -> State:
     )
 
 
-def _tables(table: ContactTable, runs, parts, slots) -> ContactTable:
+def _tables(table: ContactTable, runs: int, parts: int, slots: int) -> ContactTable:
     """The contacts of each run, in order, [runs, .., slots]; what finds no room is left out, as the guard knows."""
     order, first = grouped(jnp.where(table.b >= 0, table.b % runs, runs), runs)
     rank = jnp.arange(slots, dtype=jnp.int32)[None]
@@ -104,7 +112,7 @@ def _tables(table: ContactTable, runs, parts, slots) -> ContactTable:
     return ContactTable(a, b, jax.tree.map(of_run, table.memory))
 
 
-def _guards(before: Guard, after: Guard, parts) -> Guard:
+def _guards(before: Guard, after: Guard, parts: int) -> Guard:
     """The guards of runs: what their system noted holds for each, but the overlap at the start for that which has it."""
     runs = before.travel.shape[0]
     each = jax.tree.map(lambda x: jnp.broadcast_to(x, (runs, *x.shape)), after)
@@ -117,6 +125,6 @@ def _guards(before: Guard, after: Guard, parts) -> Guard:
     )
 
 
-def _number(body, runs, parts):
+def _number(body: Array, runs: int, parts: int) -> Array:
     """The number that a body of all runs has in its own."""
     return jnp.where(body < runs * parts, body // runs, body - (runs - 1) * parts)

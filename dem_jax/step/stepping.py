@@ -9,7 +9,11 @@ from dem_jax import compiling
 from dem_jax.contact import boundary, forces, ledger, of_run
 from dem_jax.pairs import neighbours
 from dem_jax.step import integrate, measure
-from dem_jax.types import Sample, State, System
+from dem_jax.types import Array, Sample, State, System
+
+Whole = int | Array  # a number that the compiled program has in it, or takes
+Chunk = tuple[State, Sample, Array]  # the last state, the samples, the frames
+Now = tuple[State, boundary.Ahead]  # and where the walls are after each step since the last rebuild
 
 
 def step(system: System, state: State) -> tuple[State, Sample]:
@@ -33,20 +37,22 @@ def advance(system: System, state: State, panels: boundary.Panels | None = None)
     return integrate.kick(system, state)
 
 
-def chunk(system: System, state: State, count, frame_every, samples: int, frames: int):
+def chunk(system: System, state: State, count: Whole, frame_every: Whole, samples: int, frames: int) -> Chunk:
     """``run_chunk``, compiled: the form for long runs."""
     backend = jax.default_backend()
     compiled = compiling.jit(run_chunk, backend, static_argnames=("samples", "frames"))
     return compiled(system, state, count, frame_every, samples=samples, frames=frames)
 
 
-def run_chunk(system: System, state: State, count, frame_every, samples: int, frames: int, phase=0):
+def run_chunk(system: System, state: State, count: Whole, frame_every: Whole, samples: int, frames: int, phase: Whole = 0) -> Chunk:
     """``chunk_of_runs`` of a single run, its samples without a run axis."""
     state, recorded, poses = chunk_of_runs(system, state, count, frame_every, samples, frames, phase)
     return state, of_single(recorded), poses
 
 
-def chunk_of_runs(system: System, state: State, count, frame_every, samples: int, frames: int, phase=0):
+def chunk_of_runs(
+    system: System, state: State, count: Whole, frame_every: Whole, samples: int, frames: int, phase: Whole = 0
+) -> Chunk:
     """Run ``count`` samples (at most ``samples``) and keep them, and a frame after each ``frame_every`` samples.
 
     phase: samples since the last frame, below ``frame_every``. Everything but the two capacities may change without
@@ -58,15 +64,15 @@ def chunk_of_runs(system: System, state: State, count, frame_every, samples: int
     )
     poses = jnp.zeros((frames, 13, state.position.shape[1]), state.position.dtype)
 
-    def block(carry):
+    def block(carry: tuple[State, Sample, Array, Array]) -> tuple[State, Sample, Array, Array]:
         state, recorded, poses, done = carry
         state, walls = _look_around(system, state)
         end = jnp.minimum(done + jnp.maximum(system.block_steps // system.substeps, 1), count)
-        carry = (state, walls), recorded, poses, done
-        (state, walls), recorded, poses, _ = jax.lax.fori_loop(done, end, one, carry)
+        start = (state, walls), recorded, poses, done
+        (state, walls), recorded, poses, _ = jax.lax.fori_loop(done, end, one, start)
         return _seen(system, state, walls), recorded, poses, end
 
-    def one(_, carry):
+    def one(_: Array, carry: tuple[Now, Sample, Array, Array]) -> tuple[Now, Sample, Array, Array]:
         now, recorded, poses, done = carry
         now, sample = _one_sample(system, system.substeps, *now)
         recorded = jax.tree.map(lambda rows, row: rows.at[done].set(row), recorded, sample)
@@ -88,7 +94,7 @@ def rollout(system: System, state: State, samples: int, substeps: int) -> tuple[
     block = max(1, system.block_steps // substeps)
     system = system.replace(substeps=jnp.full_like(system.substeps, substeps), block_steps=block * substeps)
 
-    def body(state, _):
+    def body(state: State, _: None) -> tuple[State, Sample]:
         one = lambda now, _: _one_sample(system, substeps, *now)  # noqa: E731
         now, recorded = jax.lax.scan(one, _look_around(system, state), None, length=block)
         return _seen(system, *now), recorded
@@ -98,18 +104,18 @@ def rollout(system: System, state: State, samples: int, substeps: int) -> tuple[
     return state, of_single(jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:samples], recorded))
 
 
-def _look_around(system: System, state: State) -> tuple[State, boundary.Ahead]:
+def _look_around(system: System, state: State) -> Now:
     """Find the candidate pairs anew, and where the walls will be after each step until the next rebuild."""
     walls = boundary.ahead(system, state.step, system.block_steps)
     return neighbours.rebuild(system, state, walls.now), walls
 
 
-def _one_sample(system: System, substeps, state: State, walls: boundary.Ahead):
+def _one_sample(system: System, substeps: Whole, state: State, walls: boundary.Ahead) -> tuple[Now, Sample]:
     """Advance by one sample interval: ((state, walls since its last rebuild), sample). substeps: an int (differentiable) or an
     array (not compiled anew for another)."""
     state = _advance_by(system, substeps, state.replace(ledger=ledger.new_interval(state.ledger)), walls)
 
-    def another_part(carry, _):
+    def another_part(carry: Now, _: None) -> tuple[Now, None]:
         state, walls = _look_around(system, _seen(system, *carry))
         return (_advance_by(system, substeps, state, walls), walls), None
 
@@ -118,17 +124,17 @@ def _one_sample(system: System, substeps, state: State, walls: boundary.Ahead):
     return (state, walls), measure.sample(system, state)
 
 
-def _advance_by(system: System, substeps, state: State, walls: boundary.Ahead) -> State:
+def _advance_by(system: System, substeps: Whole, state: State, walls: boundary.Ahead) -> State:
     """``substeps`` steps; without looking at contacts, and in one jump, where nothing is near anything."""
-    if not system.slot_block:
+    if not system.slot_block or isinstance(substeps, int):  # no derivative in reverse mode goes through the jump
         return _steps(system, substeps, state, walls)
     near = of_run.any_of(system, state.incidence[0] < state.scratch.loads.shape[1] - 1)  # [R]: whether a run has any contact
     step = lambda s: _steps(system, substeps, s, walls)  # noqa: E731
     return of_run.either(system, near, step, lambda s: integrate.flight(system, s, substeps), state)
 
 
-def _steps(system: System, substeps, state: State, walls: boundary.Ahead) -> State:
-    def one(state):
+def _steps(system: System, substeps: Whole, state: State, walls: boundary.Ahead) -> State:
+    def one(state: State) -> State:
         return advance(system, state, boundary.after(system, walls, state.step - state.scratch.since + 1))
 
     if isinstance(substeps, int):

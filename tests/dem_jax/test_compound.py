@@ -168,7 +168,8 @@ def mixed():
 
 
 def test_momentum_and_energy_balance_in_a_box(mixed):
-    """The walls' impulse and gravity make the momentum; nothing adds to the energy but rounding (1e-10) of the steps' order."""
+    """The walls' impulse and gravity make the momentum, to rounding. What the sum of energies is off by is the error of the
+    steps, of second order: 7.6e-5 of the largest kinetic energy, and 4.00 times less with each half of the step."""
     mass = np.asarray(build.build(boxed(MIXED)).system.pieces.mass)
     gravity = 9.81 * mass.sum()
     p = np.asarray(mixed.momentum)
@@ -176,7 +177,7 @@ def test_momentum_and_energy_balance_in_a_box(mixed):
     assert np.abs(np.asarray(mixed.mean_force["box"])).max() > 20 * gravity
     np.testing.assert_allclose(p[:, 2] - p[0, 2], impulse - impulse[0], rtol=0, atol=1e-9 * mass.sum())
     energy = np.asarray(mixed.energy["total"])
-    np.testing.assert_allclose(energy, energy[0], rtol=0, atol=2e-3 * np.ptp(mixed.energy["kinetic"]))
+    np.testing.assert_allclose(energy, energy[0], rtol=0, atol=3e-4 * np.ptp(mixed.energy["kinetic"]))
 
 
 def test_a_restart_goes_on_bit_for_bit(mixed, tmp_path):

@@ -11,6 +11,9 @@ from typing import Any, NamedTuple, Protocol
 
 import jax
 
+from dem_jax.contact.law.springs import Real
+from dem_jax.maths.vector import Vector
+
 Array = jax.Array
 
 
@@ -35,8 +38,8 @@ class Contact(NamedTuple):
 
     overlap: Array  # (m): s_n now; separated where not positive
     approach: Array  # (m): by how much the bodies came nearer at the contact point in this step, Delta s_n of eq. 4
-    slip: tuple  # [P] x 3 (m): tangential way of b relative to a at the contact point in this step
-    normal: tuple  # [P] x 3: unit, from a to b
+    slip: Vector  # [P] x 3 (m): tangential way of b relative to a at the contact point in this step
+    normal: Vector  # [P] x 3: unit, from a to b
     dt: Array  # (s)
 
 
@@ -44,7 +47,7 @@ class Response(NamedTuple):
     """What a law answers."""
 
     push: Array  # [P] (N): along the normal on b; positive pushes apart
-    drag: tuple | None  # [P] x 3 (N): tangential, on b; None of a law without friction
+    drag: Vector | None  # [P] x 3 (N): tangential, on b; None of a law without friction
     history: Any  # as it was given, after this step
 
 
@@ -67,8 +70,8 @@ class ContactLaw(Protocol):
     def reach(self, pair: Any) -> Array | None:
         """Gap (m), [P] or [1], across which the law still acts; None: it ends where bodies part."""
 
-    def critical_steps(self, pair: Any, mass) -> dict:
+    def critical_steps(self, pair: Any, mass: Real) -> dict[str, Real]:
         """The largest time steps (s) that resolve contacts of effective masses (kg), by what limits them, in words."""
 
-    def stable_step(self, pair: Any, mass):
+    def stable_step(self, pair: Any, mass: Real) -> Real:
         """Time steps (s), like mass, above which a contact of that effective mass (kg) gains energy."""

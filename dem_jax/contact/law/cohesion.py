@@ -24,7 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dem_jax.contact.law import Contact, ContactLaw, Couple, Response
-from dem_jax.contact.law.springs import quarter_period, series
+from dem_jax.contact.law.springs import Real, quarter_period, series
 from dem_jax.errors import SceneError
 from dem_jax.maths import vector
 from dem_jax.types import pytree
@@ -87,17 +87,17 @@ class Cohesive:
         """d + range (m), 0 without a pull-off force."""
         return jnp.where(pair.pull_off > 0, pair.pull_off / pair.stiffness + self.range, 0)
 
-    def critical_steps(self, pair: Pair, mass) -> dict:
+    def critical_steps(self, pair: Pair, mass: Real) -> dict[str, Real]:
         """Those of the law, and by the tension's spring (s)."""
         step = quarter_period(mass, np.asarray(pair.stiffness)) / STEPS
         return self.law.critical_steps(pair.law, mass) | {f"{STEPS} steps per quarter period of cohesion": step}
 
-    def stable_step(self, pair: Pair, mass):
+    def stable_step(self, pair: Pair, mass: Real) -> Real:
         """Linear stability limit (s) of the two springs side by side."""
         own = 2 * np.sqrt(mass / np.asarray(pair.stiffness))
         return 1 / np.hypot(1 / np.asarray(self.law.stable_step(pair.law, mass)), 1 / own)
 
-    def _limit(self, pair: Pair, overlap):
+    def _limit(self, pair: Pair, overlap: Array) -> Array:
         """P(s) (N)."""
         tiny = jnp.finfo(overlap.dtype).tiny ** 0.5
         return pair.pull_off * jnp.clip((overlap + self.reach(pair)) / jnp.maximum(self.range, tiny), 0, 1)

@@ -18,6 +18,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from dem_jax.contact.law.springs import Real
+
 Array = jax.Array
 
 STEPS = 15  # per quarter period, as of the loading branch of Walton and Braun
@@ -28,14 +30,14 @@ def damping_ratio(restitution: Array) -> Array:
     """zeta of a restitution, 0 < e <= 1, by Newton's method: 2 zeta r is concave, so that it converges from below."""
     wanted = -jnp.log(restitution)
 
-    def newton(_, ratio):
+    def newton(_: Array, ratio: Array) -> Array:
         value, slope = jax.jvp(_loss, (ratio,), (jnp.ones_like(ratio),))
         return ratio + (wanted - value) / slope
 
     return jax.lax.fori_loop(0, 8, newton, wanted / np.pi)
 
 
-def _loss(ratio):
+def _loss(ratio: Array) -> Array:
     """2 zeta r: minus the logarithm of the restitution. r (1 + zeta) = 2 atan(sqrt w) / sqrt w with w = (1 - zeta) / (1 + zeta)."""
     w = (1 - ratio) / (1 + ratio)
     small = jnp.abs(w) < 1e-2
@@ -78,7 +80,7 @@ def damped(elastic: Array, coefficient: Array, approach: Array, mass: Array, dt:
     return jnp.where(elastic > 0, jnp.maximum(total, 0), 0)
 
 
-def critical_steps(mass, quarter, coefficient) -> dict:
+def critical_steps(mass: Real, quarter: Real, coefficient: Real) -> dict[str, Real]:
     """Critical steps (s) by a quarter period or loading time (s) and by the dashpot (N s/m) on a mass (kg)."""
     damping = np.maximum(np.asarray(coefficient, float), 1e-9 * mass / np.max(quarter))
     return {
@@ -87,7 +89,7 @@ def critical_steps(mass, quarter, coefficient) -> dict:
     }
 
 
-def stable_step(mass, stiffness, coefficient, pair_mass):
+def stable_step(mass: Real, stiffness: Real, coefficient: Real, pair_mass: Real) -> Real:
     """Stability limit (s) of a spring (N/m) and a dashpot (N s/m) as ``damped`` has it, on an effective mass (kg) that may
     be less than that of the pair: 2 / omega without damping, or where both are the same."""
     square = stiffness / mass

@@ -3,9 +3,12 @@
 import jax.numpy as jnp
 
 from dem_jax.maths import vector
+from dem_jax.maths.vector import Array, Vector
 
 
-def tangential_force(spring, normal, slip, normal_force, stiffness, friction):
+def tangential_force(
+    spring: Vector, normal: Vector, slip: Vector, normal_force: Array, stiffness: Array, friction: Array
+) -> Vector:
     """Linear spring with Coulomb limit: the tangential force on body b now (N), three arrays.
 
     spring: the force of the last step (N); normal: unit; slip: tangential displacement of b relative to a in

@@ -22,6 +22,7 @@ import numpy as np
 
 from dem_jax.contact.law import Contact, Couple, Response, dashpot
 from dem_jax.contact.law.friction import tangential_force
+from dem_jax.contact.law.springs import Real
 from dem_jax.maths import vector
 from dem_jax.types import pytree
 
@@ -75,7 +76,7 @@ class HertzMindlin:
         root = vector.safe_sqrt(s)
         damping = pair.damping * dashpot.power(before, s, c.approach, 0.25, lambda x: jnp.sqrt(jnp.sqrt(x)))
         push = vector.kept(dashpot.damped(pair.stiffness * s * root, damping, c.approach, pair.mass, c.dt))
-        if history.spring is None:
+        if history.spring is None or pair.friction is None:
             return Response(push, None, History(s, None))
         was = vector.safe_sqrt(before)
         falls = jnp.where(root < was, root / jnp.where(was > 0, was, 1), 1)
@@ -98,17 +99,17 @@ class HertzMindlin:
         """None: no force across a gap."""
         return None
 
-    def critical_steps(self, pair: Pair, mass) -> dict:
+    def critical_steps(self, pair: Pair, mass: Real) -> dict[str, Real]:
         """By the elastic impact at the speed given, and by the dashpot at its largest overlap (s)."""
         s = self._largest(pair, mass)
         quarter = 0.5 * IMPACT_TIME * s / self.impact_speed
         return dashpot.critical_steps(mass, quarter, np.asarray(pair.damping) * s**0.25)
 
-    def stable_step(self, pair: Pair, mass):
+    def stable_step(self, pair: Pair, mass: Real) -> Real:
         """Linear stability limit (s) at the largest overlap of a central impact at the speed given."""
         s = self._largest(pair, pair.mass)
         return dashpot.stable_step(mass, 1.5 * pair.stiffness * s**0.5, np.asarray(pair.damping) * s**0.25, pair.mass)
 
-    def _largest(self, pair: Pair, mass):
+    def _largest(self, pair: Pair, mass: Real) -> Real:
         """Largest overlap (m) of an elastic impact."""
         return (1.25 * mass * self.impact_speed**2 / pair.stiffness) ** 0.4

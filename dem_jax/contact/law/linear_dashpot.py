@@ -14,7 +14,7 @@ import jax.numpy as jnp
 
 from dem_jax.contact.law import Contact, Couple, Response, dashpot
 from dem_jax.contact.law.friction import tangential_force
-from dem_jax.contact.law.springs import quarter_period, series
+from dem_jax.contact.law.springs import Real, quarter_period, series
 from dem_jax.maths import vector
 from dem_jax.types import pytree
 
@@ -60,7 +60,7 @@ class LinearDashpot:
         s = vector.kept(dashpot.elastic_overlap(history.overlap, c.approach, c.overlap))
         damping = pair.damping * dashpot.power(history.overlap, s, c.approach, 0.0, jnp.ones_like)
         push = vector.kept(dashpot.damped(pair.stiffness * s, damping, c.approach, pair.mass, c.dt))
-        if history.spring is None:
+        if history.spring is None or pair.friction is None:
             return Response(push, None, History(s, None))
         stiffness = self.tangential * pair.stiffness
         drag = vector.kept(*tangential_force(vector.unpack(history.spring), c.normal, c.slip, push, stiffness, pair.friction))
@@ -78,10 +78,10 @@ class LinearDashpot:
         """None: no force across a gap."""
         return None
 
-    def critical_steps(self, pair: Pair, mass) -> dict:
+    def critical_steps(self, pair: Pair, mass: Real) -> dict[str, Real]:
         """By spring and dashpot (s)."""
         return dashpot.critical_steps(mass, quarter_period(mass, pair.stiffness), pair.damping)
 
-    def stable_step(self, pair: Pair, mass):
+    def stable_step(self, pair: Pair, mass: Real) -> Real:
         """Linear stability limit (s)."""
         return dashpot.stable_step(mass, pair.stiffness, pair.damping, pair.mass)

@@ -8,7 +8,7 @@ import numpy as np
 
 from dem_jax.contact.law import Contact, Couple, Response
 from dem_jax.contact.law.friction import tangential_force
-from dem_jax.contact.law.springs import quarter_period, series
+from dem_jax.contact.law.springs import Real, quarter_period, series
 from dem_jax.maths import vector
 from dem_jax.types import pytree
 
@@ -63,11 +63,11 @@ class WaltonBraun:
         c = contact
         f = vector.kept(normal_force(history.force, c.approach, c.overlap, pair.stiffness, pair.unload, self.separation))
         push = f
-        if self.damping is not None:
+        if self.damping is not None and pair.mass is not None:
             push = f + unloading_damping(
                 f, c.approach, c.overlap, pair.stiffness, pair.unload, pair.mass, self.damping, c.dt
             )
-        if history.spring is None:
+        if history.spring is None or pair.friction is None:
             return Response(push, None, History(f, None))
         stiffness = self.tangential * pair.stiffness
         drag = vector.kept(*tangential_force(vector.unpack(history.spring), c.normal, c.slip, f, stiffness, pair.friction))
@@ -85,7 +85,7 @@ class WaltonBraun:
         """None: no force across a gap."""
         return None
 
-    def critical_steps(self, pair: Pair, mass) -> dict:
+    def critical_steps(self, pair: Pair, mass: Real) -> dict[str, Real]:
         """By the loading and by the unloading branch (s)."""
         load = quarter_period(mass, pair.stiffness)
         return {
@@ -93,12 +93,14 @@ class WaltonBraun:
             f"{UNLOAD_STEPS} steps per unloading quarter period": pair.restitution * load / UNLOAD_STEPS,
         }
 
-    def stable_step(self, pair: Pair, mass):
+    def stable_step(self, pair: Pair, mass: Real) -> Real:
         """Linear stability limit 2 / omega (s) on the unloading branch."""
         return 2 * pair.restitution * np.sqrt(mass / pair.stiffness)
 
 
-def normal_force(force, approach, overlap, load_stiffness, unload_stiffness, separation):
+def normal_force(
+    force: Array, approach: Array, overlap: Array, load_stiffness: Array, unload_stiffness: Array, separation: Array
+) -> Array:
     """F_n at the current step (N), eqs 1-4.
 
     force: F_n of the last step (N), 0 at first touch; approach: by how much the bodies have come nearer at the contact
@@ -115,7 +117,9 @@ def normal_force(force, approach, overlap, load_stiffness, unload_stiffness, sep
     return jnp.minimum(jnp.maximum(unloading, separation * loading), loading)  # eq. 1; 0 where separated
 
 
-def recoverable_energy(force, overlap, load_stiffness, unload_stiffness, separation):
+def recoverable_energy(
+    force: Array, overlap: Array, load_stiffness: Array, unload_stiffness: Array, separation: Array
+) -> Array:
     """Work (J) that a contact with F_n and s_n does if it parts now: down its unloading line to that of separation, and
     along that one to the end."""
     floor = separation * load_stiffness
@@ -123,7 +127,16 @@ def recoverable_energy(force, overlap, load_stiffness, unload_stiffness, separat
     return 0.5 * (force + floor * rest) * (overlap - rest) + 0.5 * floor * rest * rest
 
 
-def unloading_damping(force, approach, overlap, load_stiffness, unload_stiffness, mass, ratio, dt):
+def unloading_damping(
+    force: Array,
+    approach: Array,
+    overlap: Array,
+    load_stiffness: Array,
+    unload_stiffness: Array,
+    mass: Array,
+    ratio: Array,
+    dt: Array,
+) -> Array:
     """Viscous part (N) added on the unloading branch only, where eqs 1-4 have none and a resting piece rings for ever.
 
     A dashpot of the given damping ratio of the oscillator (effective mass, K_nu), never making the sum adhesive; force:

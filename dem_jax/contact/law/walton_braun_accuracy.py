@@ -12,21 +12,21 @@ class ErrorBound:
     is of second order; a contact point that goes over from one edge of a polytope to the next makes it less.
     """
 
-    restitution: tuple  # c, p
-    peak_force: tuple  # c, p
-    coarsest: tuple  # n and epsilon n from which on it holds
-    single: dict  # quantity -> the smallest error that may be asked for in single precision
+    restitution: tuple[float, float]  # c, p
+    peak_force: tuple[float, float]  # c, p
+    coarsest: tuple[float, float]  # n and epsilon n from which on it holds
+    single: dict[str, float]  # quantity -> the smallest error that may be asked for in single precision
 
-    def least(self, restitution):
+    def least(self, restitution: float) -> float:
         """The least n for which it holds."""
         return max(self.coarsest[0], self.coarsest[1] / restitution)
 
-    def errors(self, number, restitution) -> dict:
+    def errors(self, number: float, restitution: float) -> dict[str, float]:
         """quantity -> bound of its relative error with n steps."""
         (c, p), (d, q) = self.restitution, self.peak_force
         return {"restitution": c / (restitution * number) ** p, "peak_force": d / number**q}
 
-    def steps(self, asked: dict, restitution):
+    def steps(self, asked: dict[str, float], restitution: float) -> tuple[float, str | None]:
         """The least n that keeps the errors asked for, by quantity, and which of them sets it (None: it is the coarsest)."""
         (c, p), (d, q) = self.restitution, self.peak_force
         needed = {"restitution": lambda r: (c / r) ** (1 / p) / restitution, "peak_force": lambda r: (d / r) ** (1 / q)}

@@ -1,6 +1,6 @@
 """All motions of walls together: which kinds there are, where they put each group, how fast, and when all is at rest."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -12,30 +12,47 @@ from dem_jax.contact.motion.table import Table
 from dem_jax.contact.motion.vibration import Vibration
 from dem_jax.errors import SceneError
 from dem_jax.maths import rotation, vector
+from dem_jax.maths.vector import Matrix, Vector
 from dem_jax.scene import Motion
-from dem_jax.types import Walls
+from dem_jax.types import Array, Walls
 
-KINDS = (Hinge, Table, Vibration)  # from within: a hinge goes along with what a table moves, and all of it vibrates
+Kind = Hinge | Table | Vibration
+# From within: a hinge goes along with what a table moves, and all of it vibrates.
+KINDS: tuple[type[Kind], ...] = (Hinge, Table, Vibration)
 
 
 class Frame(NamedTuple):
     """Where G groups are: what is at x in the scene is now at turn (x - Walls.pivot) + pivot."""
 
-    turn: tuple | None  # rows of a rotation matrix, each 3 x [G]; None: none is turned
-    pivot: tuple  # 3 x [G] (m)
-    velocity: tuple  # 3 x [G] (m/s): of the pivot
-    spin: tuple  # 3 x [G] (rad/s)
+    turn: Matrix  # rows of three, each 3 x [G]
+    pivot: Vector  # 3 x [G] (m)
+    velocity: Vector  # 3 x [G] (m/s): of the pivot
+    spin: Vector  # 3 x [G] (rad/s)
+
+
+class _Inner(NamedTuple):
+    """A Frame as the kinds from within make it, one after the other; turn: None as long as none is turned."""
+
+    turn: Matrix | None
+    pivot: Vector
+    velocity: Vector
+    spin: Vector
+
+
+class _Turn(NamedTuple):
+    """How one kind of motion turns G groups: by nothing those that it leaves alone."""
+
+    axis: Vector
+    pivot: Vector | None
+    angle: Array
+    spin: Vector
 
 
 class _Move(NamedTuple):
-    """What one kind of motion does to G groups: nothing to those that it leaves alone."""
+    """What one kind of motion does to G groups; None: it turns none, it shifts none."""
 
-    axis: tuple | None
-    pivot: tuple | None
-    angle: Any
-    spin: tuple | None
-    shift: tuple | None
-    shift_rate: tuple | None
+    turn: _Turn | None
+    shift: tuple[Vector, Vector] | None  # the way, and its rate
 
 
 def frames(walls: Walls, t: jax.Array, t_velocity: jax.Array) -> Frame:
@@ -43,39 +60,42 @@ def frames(walls: Walls, t: jax.Array, t_velocity: jax.Array) -> Frame:
     pivot = vector.unpack(walls.pivot)
     zero = jnp.zeros_like(pivot[0])
     still = (zero, zero, zero)
-    frame = Frame(None, pivot, still, still)
+    frame = _Inner(None, pivot, still, still)
     for motion in walls.motions:
         frame = _carried(frame, _move(motion, t, t_velocity))
     one = zero + 1
     unturned = ((one, zero, zero), (zero, one, zero), (zero, zero, one))
-    return frame._replace(turn=frame.turn or unturned)
+    return Frame(frame.turn or unturned, *frame[1:])
 
 
-def _move(motion, t, t_velocity) -> _Move:
+def _move(motion: Kind, t: Array, t_velocity: Array) -> _Move:
     """Velocities of every kind are the derivatives of its pose."""
     angle, shift = motion.at(t)
     angle_rate, shift_rate = jax.jvp(motion.at, (t_velocity,), (jnp.ones_like(t_velocity),))[1]
-    axis, pivot = (None if x is None else vector.unpack(x) for x in (motion.axis, motion.pivot))
-    spin = None if angle is None else vector.scale(angle_rate, axis)
-    return _Move(axis, pivot, angle, spin, shift, shift_rate)
+    turn = None
+    if angle is not None and motion.axis is not None:
+        axis, pivot = vector.unpack(motion.axis), None if motion.pivot is None else vector.unpack(motion.pivot)
+        turn = _Turn(axis, pivot, angle, vector.scale(angle_rate, axis))
+    return _Move(turn, None if shift is None else (shift, shift_rate))
 
 
-def _carried(frame: Frame, move: _Move) -> Frame:
+def _carried(frame: _Inner, move: _Move) -> _Inner:
     """The frame inside of what a move takes along."""
-    if move.angle is not None:
-        frame = _turned(frame, move)
+    if move.turn is not None:
+        frame = _turned(frame, move.turn)
     if move.shift is None:
         return frame
-    pivot, velocity = vector.add(frame.pivot, move.shift), vector.add(frame.velocity, move.shift_rate)
-    return frame._replace(pivot=pivot, velocity=velocity)
+    way, rate = move.shift
+    return frame._replace(pivot=vector.add(frame.pivot, way), velocity=vector.add(frame.velocity, rate))
 
 
-def _turned(frame: Frame, move: _Move) -> Frame:
+def _turned(frame: _Inner, move: _Turn) -> _Inner:
     turn, spin = rotation.axis_angle(move.axis, move.angle), move.spin
     if frame.turn is None:  # the innermost: about the group's own pivot, see motions_of
         return frame._replace(turn=turn, spin=spin)
+    assert move.pivot is not None  # all but the innermost have one
     arm = vector.rotate(turn, vector.sub(frame.pivot, move.pivot))
-    return Frame(
+    return _Inner(
         turn=vector.compose(turn, frame.turn),
         pivot=vector.add(move.pivot, arm),
         velocity=vector.add(vector.rotate(turn, frame.velocity), vector.cross(spin, arm)),
@@ -83,7 +103,7 @@ def _turned(frame: Frame, move: _Move) -> Frame:
     )
 
 
-def motions_of(sections: list[Motion], groups: tuple[str, ...]) -> tuple[tuple, np.ndarray]:
+def motions_of(sections: list[Motion], groups: tuple[str, ...]) -> tuple[tuple[Kind, ...], np.ndarray]:
     """The kinds of motion that sections ask for, and the pivot [3, G] (m) of each group, that of its innermost motion.
 
     A group may have several sections, of different kinds. Tables are ``written_out``. Raises SceneError.

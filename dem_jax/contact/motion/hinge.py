@@ -9,7 +9,7 @@ import numpy as np
 from dem_jax.contact.motion.columns import axes, column
 from dem_jax.maths.smooth import smooth_step
 from dem_jax.scene import Motion
-from dem_jax.types import Array, pytree
+from dem_jax.types import Array, host, pytree
 
 
 @pytree
@@ -33,8 +33,8 @@ class Hinge:
     @classmethod
     def of(cls, sections: list[Motion]) -> "Hinge":
         """Of a section for each group, in numpy. Raises SceneError."""
-        times = {key: column(sections, key) for key in ("start", "opening", "dwell", "closing", "period")}
-        return cls(axes(sections), np.radians(column(sections, "swing_deg")), **times)
+        times = {key: host(column(sections, key)) for key in ("start", "opening", "dwell", "closing", "period")}
+        return cls(host(axes(sections)), host(np.radians(column(sections, "swing_deg"))), **times)
 
     def moves(self) -> np.ndarray:
         """Which groups swing, [G] bool, in numpy."""

@@ -6,6 +6,7 @@ Of a smooth monotonic motion the error goes with the third power of the rows' di
 """
 
 import csv
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import jax
@@ -15,8 +16,9 @@ from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 
 from dem_jax.contact.motion.columns import axes, column
 from dem_jax.errors import SceneError
+from dem_jax.maths.vector import Vector
 from dem_jax.scene import Motion
-from dem_jax.types import Array, pytree
+from dem_jax.types import Array, host, pytree
 
 COLUMNS = ("time", "angle_deg", "x", "y", "z")
 
@@ -53,25 +55,28 @@ class Table:
             for k, way in enumerate(np.array(row.ways).T if row.ways is not None else ()):
                 ways[k, :, :count, group] = _cubics(row.times, way)
         turns, shifts = (any(getattr(row, key) is not None for row in sections) for key in ("angles_deg", "ways"))
-        axis, pivot = (axes(sections), column(sections, "pivot")) if turns else (None, None)
-        return cls(axis, pivot, times, angles if turns else None, ways if shifts else None)
+        axis, pivot = (host(axes(sections)), host(column(sections, "pivot"))) if turns else (None, None)
+        return cls(axis, pivot, host(times), host(angles) if turns else None, host(ways) if shifts else None)
 
     def moves(self) -> np.ndarray:
         """Which groups have a table, [G] bool, in numpy."""
         return np.isfinite(np.asarray(self.times)[1])
 
-    def at(self, t: jax.Array) -> tuple[jax.Array | None, tuple | None]:
+    def at(self, t: jax.Array) -> tuple[jax.Array | None, Vector | None]:
         """Angle (rad), [G], and shift (m), 3 x [G], each None if no table has it."""
         after = jax.vmap(lambda times: jnp.searchsorted(times, t, side="right"), in_axes=-1)(self.times)
         row = jnp.maximum(after - 1, 0)[None]  # [1, G]
         since = jnp.where(after > 0, t - jnp.take_along_axis(self.times, row, axis=0)[0], 0)
 
-        def value(cubics):
+        def value(cubics: Array) -> Array:
             a, b, c, d = jnp.take_along_axis(cubics, row[None], axis=1)[:, 0]
             return d + since * (c + since * (b + since * a))
 
         angle = None if self.angles is None else value(self.angles)
-        return angle, None if self.ways is None else tuple(value(way) for way in self.ways)
+        if self.ways is None:
+            return angle, None
+        x, y, z = (value(way) for way in self.ways)
+        return angle, (x, y, z)
 
     def interval(self) -> tuple[np.ndarray, np.ndarray]:
         """Times (s) of the first and the last rows, [G] each."""
@@ -83,7 +88,7 @@ class Table:
         """A table has an end."""
 
 
-def _cubics(times, values) -> np.ndarray:
+def _cubics(times: Sequence[float] | None, values: np.ndarray) -> np.ndarray:
     """The cubic of each row in the time since it, [4, R], highest power first; of the last, the value that it keeps."""
     slopes = PchipInterpolator(times, values).derivative()(times)
     slopes[[0, -1]] = 0
@@ -113,7 +118,7 @@ def written_out(section: Motion, folder: str | Path) -> Motion:
 _BOTH = "allowed: times with angles_deg, ways or both"
 
 
-def _check_times(times, key, name) -> None:
+def _check_times(times: Sequence[float], key: str, name: Callable[[int], str]) -> None:
     """name: of a row's number."""
     if len(times) < 2:
         raise SceneError(f"{key}: {len(times)} rows; allowed: at least 2")
@@ -134,7 +139,7 @@ def _of_file(section: Motion, path: Path) -> Motion:
     return section.model_copy(update={"table": None, "times": columns["time"], "angles_deg": angles, "ways": ways})
 
 
-def _read(path: Path, key: str) -> tuple[dict[str, tuple], list[int]]:
+def _read(path: Path, key: str) -> tuple[dict[str, tuple[float, ...]], list[int]]:
     """Columns of a CSV file by name, and the number of each row's line."""
     allowed = "time (s), angle_deg, x, y, z (m), separated by commas"
     try:
@@ -154,7 +159,7 @@ def _read(path: Path, key: str) -> tuple[dict[str, tuple], list[int]]:
     return dict(zip(head, columns, strict=True)), [line for line, _ in rows]
 
 
-def _numbers(row, head, place) -> tuple[float, ...]:
+def _numbers(row: Sequence[str], head: Sequence[str], place: str) -> tuple[float, ...]:
     """The numbers of a line."""
     if len(row) != len(head):
         raise SceneError(f"{place}: {len(row)} cells; allowed: {len(head)}, one for each column")

@@ -9,8 +9,9 @@ import numpy as np
 from dem_jax.contact.motion.columns import column
 from dem_jax.maths import vector
 from dem_jax.maths.smooth import smooth_step
+from dem_jax.maths.vector import Vector
 from dem_jax.scene import Motion
-from dem_jax.types import Array, pytree
+from dem_jax.types import Array, host, pytree
 
 
 @pytree
@@ -33,7 +34,7 @@ class Vibration:
     @classmethod
     def of(cls, sections: list[Motion]) -> "Vibration":
         """Of a section for each group, in numpy."""
-        return cls(*(column(sections, key) for key in ("stroke", "frequency", "shake_start", "shake_end", "shake_ramp")))
+        return cls(*(host(column(sections, key)) for key in ("stroke", "frequency", "shake_start", "shake_end", "shake_ramp")))
 
     def moves(self) -> np.ndarray:
         """Which groups vibrate, [G] bool, in numpy."""
@@ -45,7 +46,7 @@ class Vibration:
         envelope = smooth_step((t - self.shake_start) / ramp) * smooth_step((self.shake_end - t) / ramp)
         return envelope * jnp.sin(2 * jnp.pi * self.frequency * (t - self.shake_start))
 
-    def at(self, t: jax.Array) -> tuple[None, tuple]:
+    def at(self, t: jax.Array) -> tuple[None, Vector]:
         """No angle, and the shift (m), 3 x [G]."""
         return None, vector.scale(self.displacement(t), vector.unpack(self.stroke))
 

@@ -7,6 +7,8 @@ from pydantic import BeforeValidator, Field, model_validator
 from dem_jax.scene.sections.base import MaterialName, Points, Positive, Quaternion, Section, Size, Vector, as_tuple
 from dem_jax.scene.text import value
 
+AnyShape = Literal["chamfered-cuboid", "cuboid", "sphere", "prism", "cylinder", "hull", "tube", "compound", "decomposed"]
+
 
 class ConvexShape(Section):
     """A convex shape, with the sizes that it takes."""
@@ -47,9 +49,7 @@ class BodyMass(Section):
 class PieceShape(ConvexShape):
     """The shape of a piece, with the sizes that it takes."""
 
-    shape: Literal[
-        "chamfered-cuboid", "cuboid", "sphere", "prism", "cylinder", "hull", "tube", "compound", "decomposed"
-    ] = "chamfered-cuboid"
+    shape: AnyShape = "chamfered-cuboid"  # type: ignore[assignment]  # wider than of a part: nothing sets it, a row is frozen
     outer_radius: Positive | None = Field(None, description="m, of a tube")
     inner_radius: Positive | None = Field(None, description="m, of a tube")
     part: Annotated[tuple[Part, ...], BeforeValidator(as_tuple)] = Field(
