@@ -12,6 +12,7 @@ from dem_jax.types import Memory, Slots, System
 
 LEAST_BLOCK = 32  # slots: in blocks of 16 a step of 64 pieces takes a quarter longer
 FEW_SLOTS, MANY_SLOTS = 64, 1024  # below which polytopes, and spheres, are quicker all at once
+FEW_KEPT = 512  # below which those are whose features are kept, of which a block has so many that to cut them out is dear
 
 
 def block_size(system: System, kind, room) -> int:
@@ -22,7 +23,8 @@ def block_size(system: System, kind, room) -> int:
     """
     if not system.slot_block or seams.are_there(system):  # across a seam slots look at each other
         return 0
-    if room < (FEW_SLOTS if kind == "hulls" else MANY_SLOTS):
+    kept = system.hulls is not None and system.hulls.features is not None
+    if room < (MANY_SLOTS if kind != "hulls" else FEW_KEPT if kept else FEW_SLOTS):
         return 0
     wanted = LEAST_BLOCK
     while 2 * wanted <= system.slot_block and 16 * wanted <= room:

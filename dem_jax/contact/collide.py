@@ -26,6 +26,7 @@ FACE_PREFERENCE = 0.02
 SEAM_SLOPE = 10.0
 PART_EDGE = 1e-5  # of a part's bounding radius: a sphere that touches the body no further beside a part touches the part
 SEAM_SINE = 1e-5  # a sphere's normal that points across a seam by no more is taken to stand on both panels
+AT_ONCE = 8  # rows of which an extreme is found in one go
 
 
 class Relative(NamedTuple):
@@ -265,11 +266,16 @@ def clipped(points, corners, normals, offsets, depth):
     tiny = jnp.finfo(depth.dtype).tiny ** 0.25  # so small that its square, in derivatives, does not overflow
     du = jnp.where(jnp.abs(du) < tiny, tiny, du)
     crossing = (1 - u[:, :-1]) / du  # a half-space u < 1 is left where u grows, entered where it falls
-    start = jnp.max(jnp.where(du < 0, crossing, -jnp.inf), axis=0)
-    end = jnp.min(jnp.where(du < 0, jnp.inf, crossing), axis=0)
+    start = _extreme(jnp.max, jnp.where(du < 0, crossing, -jnp.inf))
+    end = _extreme(jnp.min, jnp.where(du < 0, jnp.inf, crossing))
     edge = tuple(c[1:] - c[:-1] for c in corners)
     weight, along = _integrals(start, end, vector.norm(edge), depth[:-1], depth[1:] - depth[:-1])
     return weight, *(weight * c[:-1] + along * e for c, e in zip(corners, edge, strict=True))
+
+
+def _extreme(of, rows):
+    """The largest or smallest of the rows [K, ..]: of a few at a time, which the compiler unrolls and so vectorises."""
+    return of(jnp.stack([of(rows[k : k + AT_ONCE], axis=0) for k in range(0, rows.shape[0], AT_ONCE)]), axis=0)
 
 
 def _integrals(start, end, length, depth, rise):

@@ -117,10 +117,10 @@ def nearness(system: System, kind, slots: Slots, a: Body, b: Body, offset):
         return geometry(system, kind, slots, a, b, offset)[0]
     table, rows, rel = system.hulls, shapes_of(system, slots), relative(a, b, offset)
     if is_kept(system):
-        depth = look.face_overlap(table.features, rows, rel)
+        depth = look.overlap_at_most(table.features, rows, rel)
     else:
         depth = near.axes(look.look(table.features, rows, _radii(table, rows), rel, None), rel).depth
-    return jnp.minimum(depth, look.face_overlap(table.features, rows, rel, True)) if table.features.all_clip else depth
+    return jnp.minimum(depth, look.overlap_at_most(table.features, rows, rel, True)) if table.features.all_clip else depth
 
 
 def is_kept(system: System) -> bool:
