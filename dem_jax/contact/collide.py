@@ -173,10 +173,11 @@ def pressure_centre(a: Hulls, b: Hulls, rel: Relative, depth, normal):
     return point, weight
 
 
-def _zonogons(a: Hulls, b: Hulls, rel: Relative, depth, normal, face_a, face_b):
-    """Of the facing faces (columns [P] of their tables): a's extent along the normal [P] (m), and the line integrals of depth
+def _zonogons(a: Hulls, b: Hulls, rel: Relative, depth, normal, facing_a, facing_b):
+    """Of the facing faces (``_facing``): a's extent along the normal [P] (m), and the line integrals of depth
     and of depth times position over all edges, four arrays [P]. Half of the edges say all, which halves the work."""
     turn, n = vector.expand_matrix(rel.rotation, 0), expand(normal, 0)
+    (face_a, side_a), (face_b, side_b) = facing_a, facing_b
     centre_a, edges_a = _centred(a.loops, face_a)
     centre_b, edges_b = _centred(b.loops, face_b)
     centre_b = vector.add(vector.rotate(rel.rotation, centre_b), rel.offset)
@@ -188,18 +189,34 @@ def _zonogons(a: Hulls, b: Hulls, rel: Relative, depth, normal, face_a, face_b):
     height_a, height_b = dot(normal, centre_a), dot(normal, centre_b)
     top = kept(height_a + 0.5 * jnp.sum(jnp.abs(rise_a), axis=0))
     is_open = None if a.open_edges is None else a.open_edges.at[:, face_a].get(mode="promise_in_bounds")
-    inside = _clipped_zonogon(vector.sub(centre_a, rel.offset), edges_a, slabs_b, height_a - (top - depth), rise_a, is_open)
-    other = _clipped_zonogon(centre_b, edges_b, slabs_a, top - height_b, -rise_b, None)
+    open_a = _without_back(slabs_a[1], side_a, b.bounding_radius)
+    open_b = _without_back(slabs_b[1], side_b, a.bounding_radius)
+    from_b = vector.sub(centre_a, rel.offset)
+    inside = _clipped_zonogon(from_b, edges_a, slabs_b[0], open_b, height_a - (top - depth), rise_a, is_open)
+    other = _clipped_zonogon(centre_b, edges_b, slabs_a[0], open_a, top - height_b, -rise_b, None)
     weight = inside[0] + other[0]
     about = vector.add(vector.scale(inside[0], centre_a), vector.scale(other[0], centre_b))
     return top, (weight, *vector.add(about, vector.add(inside[1:], other[1:])))
 
 
+def _without_back(offsets, side, other):
+    """Middle and half of the width of slabs [m, P] (m), of which the one whose face looks at the other body has its other face
+    further behind by that body's diameter: nothing is pushed through it, and a thin plate has a thick one's contact.
+
+    side: of ``_facing``; other: bounding radius of the other body (m).
+    """
+    more = jnp.abs(side) * other
+    return -side * more, offsets + more
+
+
 def _facing(hull: Hulls, normal):
-    """Column [P] of the face whose outward normal lies most along a direction given in the hull's frame."""
+    """The face of a zonotope whose outward normal lies most along a direction given in the hull's frame: its column [P], and
+    for each slab on which side of it that face is, [m, P]: 1 or -1, else 0."""
     along = dot(hull.normals, expand(normal, 0))
-    face = _first_where(along == jnp.max(along, axis=0)[None])
-    return face * (hull.loops.shape[1] // hull.normals[0].shape[0]) + hull.row
+    most = along == jnp.max(along, axis=0)[None]
+    half = most.shape[0] // 2
+    side = most[:half].astype(along.dtype) - most[half:]
+    return _first_where(most) * (hull.loops.shape[1] // hull.normals[0].shape[0]) + hull.row, side
 
 
 def _vectors(loops, column):
@@ -213,25 +230,25 @@ def _centred(loops, column):
     return tuple(c[0] for c in found), tuple(c[1:] for c in found)
 
 
-def _clipped_zonogon(centre, edges, slabs, depth, rise, is_open):
+def _clipped_zonogon(centre, edges, normals, slabs, depth, rise, is_open):
     """Line integrals of depth, and of depth times position about the centre, over the part of a face's edges that is
     inside a zonotope: four arrays [P] (m2, m3).
 
     centre: [P] x 3 (m), of the face relative to the zonotope's; edges: [K, P] x 3 (m), the first half of them in
-    order, the others being opposite; slabs: normals [m, P] x 3 and offsets [m, P] (m), the zonotope being where all
-    |normal . x| < offset; depth: [P] (m) at the centre; rise: [K, P] (m) of depth along the edges; is_open: [2 K, P],
+    order, the others being opposite; normals: [m, P] x 3; slabs: middles and halves [m, P] (m), the zonotope being where all
+    |normal . x - middle| < half; depth: [P] (m) at the centre; rise: [K, P] (m) of depth along the edges; is_open: [2 K, P],
     1 for each edge that counts, or None.
     """
     count = rise.shape[0]
     corner = kept(*(_begin(c) for c in edges))  # [K, P]: of each edge, about the centre
-    normals, offsets = slabs
+    middle, half = slabs
     across = expand(normals, 1)
     du = dot(across, expand(edges, 0))  # [m, K, P]
     tiny = jnp.finfo(du.dtype).tiny ** 0.25  # so small that its square, in derivatives, does not overflow
     du = jnp.where(jnp.abs(du) < tiny, tiny, du)
-    # A slab is entered and left where normal . x is -offset and offset, whichever comes first along the edge.
+    # A slab is entered and left where normal . x is at the ends of it, whichever comes first along the edge.
     inverse = 1 / du
-    at_centre, half = kept(dot(normals, expand(centre, 0)))[:, None] * inverse, offsets[:, None] * jnp.abs(inverse)
+    at_centre, half = kept(dot(normals, expand(centre, 0)) - middle)[:, None] * inverse, half[:, None] * jnp.abs(inverse)
     at_corner = kept(dot(across, expand(corner, 0)) * inverse)
     length, to_begin = kept(vector.norm(edges), _begin(rise))
     sums = []

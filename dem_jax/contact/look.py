@@ -122,6 +122,7 @@ def look(features: Features, rows: tuple[Array, Array], radius: tuple[Array, Arr
     excess = jnp.min(jnp.maximum(excess, nearly[:, None]), axis=0)
     other = swap(sides.row)
     supports, above = smallest(_own(f.counts[1], other, excess), max(CORNERS, f.rings.shape[0]))
+    listed = listed.at[3].set(jnp.where((nearly > 0) & (nearly >= above[None]), jnp.inf, listed[3]))  # not all its corners
     nearest = kept(*(_picked(c, supports) for c in seen))  # [Kv, 2 P]
 
     bound = _own(f.counts[2], sides.row, _of_edges(f, sides, nearest))
