@@ -3,6 +3,7 @@
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 
 from dem_jax.cli import ensemble, plot, render, run, scenes, vtk
 from dem_jax.cli.arguments import BAD_INPUT, Parser, one_line
@@ -17,6 +18,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         args = parser().parse_args(argv)
         args.action(args)
+        sys.stdout.flush()
         return 0
     except (SceneError, RecordError) as error:
         return _fail(BAD_INPUT, error)
@@ -26,8 +28,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return _fail(INTERRUPTED, "interrupted; python -m dem_jax run --resume FILE goes on with a run")
     except BrokenPipeError:  # of `| head`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _mute()
         return 0
+    except OSError as error:
+        _mute()
+        return _fail(BAD_INPUT, f"{error.filename or 'output'}: {error.strerror or error}")
 
 
 def parser() -> Parser:
@@ -37,6 +42,12 @@ def parser() -> Parser:
     for command in COMMANDS:
         command.add(commands)
     return top
+
+
+def _mute() -> None:
+    """What was printed and not written yet goes nowhere: Python would try again at its end."""
+    with suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _fail(code: int, message: object) -> int:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import numpy as np
 
 from dem_jax.contact.law import ContactLaw
 from dem_jax.drive import hosts, loop, recorded, restart, target
@@ -79,7 +80,8 @@ def resume(
 ) -> record.Run:
     """Go on with the run in a file, to its end or to another duration (s); the bits are those of an uninterrupted run.
 
-    A run that ended because all was settled is at its end. quantities, law: the same that the run was begun with.
+    A run that ended because all was settled is at its end, and one that was stopped before anything of it reached the file
+    begins anew. quantities, law: the same that the run was begun with.
     Raises RecordError for a file that cannot be gone on from, SceneError for a duration that is already exceeded.
     """
     header, arrays, samples, frames = record.load_restart(path)
@@ -97,6 +99,9 @@ def resume(
         if samples == job.samples or "settled" in header.info:
             return record.load_run(path)
         writer = partial(record.Writer.resume, path, scene=scene.to_toml())
+        if not arrays:
+            writer = partial(record.Writer.create, path, recorded.header_of(job), True)
+        hosts.by_first(partial(record.check_writable, path), job.shared)
         return _into_file(job, path, writer, progress)
 
 
@@ -123,10 +128,14 @@ def _gone_on(job: Job, path: FileName, header: record.Header, arrays: dict[str, 
     """The job at the state of a file's restart arrays; samples, frames: how many the file holds. Raises RecordError."""
     with jax.enable_x64(job.double):
         try:
-            system, state = restart.unpack(restart.sampling(job.system, header), job.state, arrays)
+            system, state = restart.sampling(job.system, header), job.state
+            if not arrays:  # it was stopped before its first flush
+                return replace(job, system=system)
+            system, state = restart.unpack(system, state, arrays)
+            restart.check_step(state, job.state, job.steps_per_sample, samples)
         except RecordError as error:
             raise RecordError(f"{path}: {error}") from error
-        notes, slow = tuple(header.info.get("notes", ())), bool(arrays.get("slow", True))
+        notes, slow = tuple(header.info.get("notes", ())), bool(np.all(arrays.get("slow", True)))
     return replace(job, system=system, state=state, samples_kept=samples, frames_kept=frames, notes=notes, slow=slow)
 
 

@@ -11,9 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from dem_jax.errors import RecordError
-from dem_jax.pairs import guard
+from dem_jax.pairs import guard, search
 from dem_jax.step.quantities import QUANTITIES
 from dem_jax.step.quantity import Quantity
+from dem_jax.store import series
 from dem_jax.store.header import Header, Stored
 from dem_jax.types import State, System
 
@@ -36,16 +37,17 @@ def unpack(system: System, state: State, arrays: dict[str, np.ndarray]) -> tuple
     Raises RecordError for arrays that are missing or of another form: the file is damaged or of another version.
     """
     rows = []
-    for kind, _, _ in system.capacity:
-        candidates, slots = _found(arrays, f"capacity/{kind}")
-        rows.append((kind, int(candidates), int(slots)))
-    others = (int(_found(arrays, name)) for name in ("touching", "row_capacity"))
-    system, state = guard.with_capacity(system, state, tuple(rows), *others)
-    system = system.replace(skin=jnp.asarray(_found(arrays, "skin")))
+    parts, panels = system.parts.count, system.walls.group.shape[0]
+    polytopes, spheres = system.parts.polytopes.shape[0], system.parts.spheres.shape[0]
+    for kind, *begun in system.capacity:
+        every = guard.round_up(search.pair_count(kind, polytopes, spheres, panels))
+        rows.append((kind, *_counts(arrays, f"capacity/{kind}", (2,), max(every, *begun))))
+    touching = _counts(arrays, "touching", (), max(system.touching, guard.most_contacts(system.parts, panels)))
+    row = _counts(arrays, "row_capacity", (), max(system.row_capacity, guard.round_up(parts)))
+    system, state = guard.with_capacity(system, state, tuple(rows), *touching, *row)
+    system = system.replace(skin=jnp.asarray(_skin(system, arrays)))
     if system.partition:
-        listed, filling, reach = _found(arrays, "partition").tolist()
-        room = system.partition._replace(pairs=int(listed), cell=int(filling), reach=reach)
-        system = system.replace(partition=room)
+        system = system.replace(partition=_partition(system, arrays))
     named, structure = _leaves(state)
     leaves = []
     for path, leaf in named:
@@ -58,6 +60,47 @@ def unpack(system: System, state: State, arrays: dict[str, np.ndarray]) -> tuple
     return system, kept.replace(scratch=state.scratch)
 
 
+def check_step(state: State, first: State, steps_per_sample: int, samples: int) -> None:
+    """Raise RecordError unless the state is of the end of a sample interval that a file of so many samples may end with; first:
+    the state that the scene begins with."""
+    step, least, most = np.asarray(state.step), int(np.max(first.step)), samples * steps_per_sample
+    if np.any((step < least) | (step > most) | (step % steps_per_sample != 0) | (step != np.ravel(step)[0])):
+        told = f"a multiple of {steps_per_sample} from {least} to {most}, of the {samples} samples in the file"
+        raise RecordError(f"restart/step = {np.ravel(step)[0]}: allowed: {told}")
+
+
+def _counts(arrays: dict[str, np.ndarray], path: str, form: tuple[int, ...], most: int) -> list[int]:
+    """Whole numbers. Raises RecordError for what is missing, of another form, or cannot be needed."""
+    array = _found(arrays, path)
+    if array.shape != form or array.dtype.kind not in "iu" or np.any(array < 0) or np.any(array > most):
+        raise RecordError(f"restart/{path} = {array.tolist()}: allowed: {form or 'a'} whole numbers from 0 to {most}")
+    return [int(n) for n in np.ravel(array)]
+
+
+def _skin(system: System, arrays: dict[str, np.ndarray]) -> np.ndarray:
+    """The skin (m). Raises RecordError for one that no run can have come to."""
+    skin, most = _found(arrays, "skin"), max(_reach(system), float(system.skin))
+    if skin.shape != () or skin.dtype != system.skin.dtype or not 0 < skin <= most:
+        raise RecordError(f"restart/skin = {np.ravel(skin)[:1].tolist()} ({skin.dtype}): allowed: a number > 0 and <= {most:.4g} m")
+    return skin
+
+
+def _partition(system: System, arrays: dict[str, np.ndarray]) -> Any:
+    """The room of jax-md's list. Raises RecordError."""
+    array, own, parts = _found(arrays, "partition"), system.partition, system.parts.count
+    assert own is not None  # as who asks makes sure
+    rooms = (own.pairs, guard.round_up(parts**2)), (own.cell, guard.round_up(parts)), (own.reach, _reach(system))
+    most = [max(pair) for pair in rooms]
+    if array.shape != (3,) or array.dtype.kind != "f" or not np.all((array > 0) & (array <= most)):
+        raise RecordError(f"restart/partition = {array.tolist()}: allowed: three numbers > 0 and <= {most}")
+    return own._replace(pairs=int(array[0]), cell=int(array[1]), reach=float(array[2]))
+
+
+def _reach(system: System) -> float:
+    """The most (m) that pairs are looked for within: of bodies further apart, one is outside the domain."""
+    return guard.HEAD_ROOM * float(np.linalg.norm(np.asarray(system.domain_high) - np.asarray(system.domain_low)))
+
+
 def sampling(system: System, header: Header) -> System:
     """The system that samples what a file holds; of the quantities of dem_jax, those that it does not hold are not kept.
 
@@ -67,7 +110,12 @@ def sampling(system: System, header: Header) -> System:
     held = {stored.name: stored for stored in header.held}
     for lost in sorted(held.keys() - {quantity.name for quantity in system.quantities}):
         raise RecordError(f"it holds the quantity {lost!r}, which dem_jax does not know; allowed: with it among quantities")
-    return system.replace(quantities=tuple(_as_held(quantity, held.get(quantity.name)) for quantity in system.quantities))
+    system = system.replace(quantities=tuple(_as_held(quantity, held.get(quantity.name)) for quantity in system.quantities))
+    for own in series.declared(system):
+        if header.quantities is not None and own.labels != held[own.name].labels:
+            found, needed = (", ".join(labels or ("none",)) for labels in (held[own.name].labels, own.labels))
+            raise RecordError(f"it holds {own.name!r} of {found}, but the scene has {needed}")
+    return system
 
 
 def _as_held(quantity: Quantity, stored: Stored | None) -> Quantity:

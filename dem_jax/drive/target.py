@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from dem_jax.errors import SimulationError
+from dem_jax.errors import RecordError, SimulationError
 from dem_jax.store import record
 
 Arrays = dict[str, Any]  # name -> array, or group -> {name -> array}
@@ -96,6 +96,6 @@ class File:
     def __enter__(self) -> "File":
         return self
 
-    def __exit__(self, *_: Any) -> None:
-        if self._writer is not None:
+    def __exit__(self, _: Any, error: Any, __: Any) -> None:
+        if self._writer is not None and not isinstance(error, RecordError):  # which writing has raised just now
             self._writer.close()

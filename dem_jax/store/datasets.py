@@ -1,5 +1,6 @@
 """A file and its datasets: their paths and units, the axis that time runs along, how they grow."""
 
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from os import PathLike
@@ -23,6 +24,9 @@ UNITS = {  # of poses
     "pieces/angular_velocity": "rad/s",
 }
 RESTART_UNIT = "SI"
+SEAL = "checksum"  # attribute of the restart state
+SEALED = ("scene", "seed", "precision", "run_count")
+DEEPEST = 16  # groups in groups
 CLOCKS = ("time", "pieces/time")  # of the series, and of the poses
 CHUNK = 1024  # samples per chunk: 8 KiB of a scalar series in double precision
 
@@ -41,7 +45,7 @@ def reading(path: FileName) -> "Iterator[h5py.File]":
             yield file
     except RecordError:
         raise
-    except (OSError, RuntimeError, KeyError, ValueError, AttributeError, TypeError) as error:
+    except Exception as error:  # HDF5 and its readers raise whatever the bytes made them trip over
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise RecordError(f"{path} is damaged or cut short: {reason}") from error
 
@@ -69,7 +73,7 @@ def extend(file: "h5py.File", name: str, array: np.ndarray, header: Header) -> N
         rows = max(1, min(CHUNK, 8192 // int(np.prod(array.shape[axis + 1 :], dtype=int) or 1)))
         chunks = tuple(min(n, 16) if i < axis else rows if i == axis else max(n, 1) for i, n in enumerate(array.shape))
         limits = tuple(None if i == axis else n for i, n in enumerate(array.shape))
-        made = file.create_dataset(name, shape, dtype, chunks=chunks, maxshape=limits)
+        made = file.create_dataset(name, shape, dtype, chunks=chunks, maxshape=limits, fletcher32=True)
         made.attrs["units"] = unit_of(name, header)
     dataset = file[name]
     start = dataset.shape[axis]
@@ -79,7 +83,7 @@ def extend(file: "h5py.File", name: str, array: np.ndarray, header: Header) -> N
 
 def replace_restart(file: "h5py.File", arrays: dict[str, np.ndarray]) -> None:
     """Make the restart state just these arrays; those of the same form are overwritten, so that the file does not grow."""
-    old = dict(datasets(file.get("restart", {})))
+    old = dict(datasets(file["restart"])) if "restart" in file else {}
     for name in old.keys() - arrays.keys():
         del file[f"restart/{name}"]
     for name, array in arrays.items():
@@ -88,16 +92,45 @@ def replace_restart(file: "h5py.File", arrays: dict[str, np.ndarray]) -> None:
             continue
         if name in old:
             del file[f"restart/{name}"]
-        file.create_dataset(f"restart/{name}", data=array).attrs["units"] = RESTART_UNIT
+        checked: dict[str, Any] = {"fletcher32": True} if array.size and array.ndim else {}  # HDF5 can check no others
+        file.create_dataset(f"restart/{name}", data=array, **checked).attrs["units"] = RESTART_UNIT
 
 
-def datasets(group: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """(path, dataset) of all datasets under a group."""
-    for name, item in group.items():
-        if hasattr(item, "items"):
-            yield from datasets(item, f"{prefix}{name}/")
-        else:
+def seal(file: "h5py.File") -> None:
+    """Note the checksum of what going on with the run depends on."""
+    file["restart"].attrs[SEAL] = checksum(file, {name: item[()] for name, item in datasets(file["restart"])})
+
+
+def checksum(file: "h5py.File", restart: dict[str, np.ndarray]) -> int:
+    """CRC-32 of a restart state, path -> array, and of the attributes of the file that decide how it goes on."""
+    found = 0
+    for name in SEALED:
+        value = file.attrs.get(name)
+        found = zlib.crc32(repr(value.tolist() if isinstance(value, np.ndarray | np.generic) else value).encode(), found)
+    for name, array in sorted(restart.items()):
+        found = zlib.crc32(f"{name} {array.dtype.str} {array.shape}".encode(), found)
+        found = zlib.crc32(np.ascontiguousarray(array), found)
+    return found
+
+
+def datasets(group: "h5py.Group", prefix: str = "", above: frozenset[int] = frozenset()) -> "Iterator[tuple[str, h5py.Dataset]]":
+    """(path, dataset) of all datasets under a group, in it and nowhere else. Raises RecordError for a group within itself.
+
+    above: of which groups it is a part.
+    """
+    import h5py
+
+    above = above | {hash(group.id)}
+    for name in group:
+        if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+            continue
+        item = group[name]
+        if isinstance(item, h5py.Dataset):
             yield prefix + name, item
+        elif isinstance(item, h5py.Group):
+            if hash(item.id) in above or len(above) > DEEPEST:
+                raise RecordError(f"{group.file.filename} is damaged: its group {prefix + name!r} is within itself")
+            yield from datasets(item, f"{prefix}{name}/", above)
 
 
 def flat(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:

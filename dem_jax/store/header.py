@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from dem_jax.errors import RecordError
+from dem_jax.store import believed
 
 if TYPE_CHECKING:
     import h5py
 
 OPTIONAL = ("run_count", "info", "quantities")  # attributes
-NUMBERS = ("dt", "sample", "piece_count", "run_count")
 TUPLES = ("groups", "blocks", "gravity", "seed")
+MOST_SAID = 2**26  # bytes of an attribute: the seeds of eight million runs
 
 
 class Stored(NamedTuple):
@@ -98,24 +99,65 @@ def write_header(file: "h5py.File", header: Header) -> None:
 
 
 def read_header(file: "h5py.File", path: Any) -> Header:
-    """The header of a file. Raises RecordError, naming path, for an attribute that is missing."""
+    """The header of a file. Raises RecordError, naming path, for an attribute that is missing or cannot be."""
     values = {}
     for f in fields(Header):
         if f.name in file.attrs:
-            values[f.name] = file.attrs[f.name]
+            values[f.name] = _plain(file, f.name, path)
         elif f.name not in OPTIONAL:
             raise RecordError(f"{path} is no run of dem_jax: it lacks the attribute {f.name!r}")
+    values["info"] = _of_json(values.get("info", "{}"), "info", path)
+    quantities = _of_json(values.pop("quantities"), "quantities", path) if "quantities" in values else None
+    for name, value in values.items():
+        believed.check(value, believed.HEADER[name], name, path)
+    for name in values["info"].keys() & believed.INFO.keys():
+        believed.check(values["info"][name], believed.INFO[name], f"info.{name}", path)
     for name in TUPLES:
-        values[name] = tuple(values[name].tolist()) if np.ndim(values[name]) else values[name].item()
-    for name in NUMBERS:
-        if name in values:
-            values[name] = values[name].item()
-    values["info"] = json.loads(values.get("info", "{}"))
-    if "quantities" in values:
-        values["quantities"] = tuple(map(_stored, json.loads(values["quantities"])))
-    return Header(**values)
+        if isinstance(values[name], list):
+            values[name] = tuple(values[name])
+    seeds, runs = values["seed"], values.get("run_count")
+    if isinstance(seeds, tuple) and len(seeds) != runs:
+        raise RecordError(f"{path} is damaged: it has {len(seeds)} seeds for {runs or 'a single'} run{'s' if runs else ''}")
+    stored = None if quantities is None else _stored(quantities, path)
+    return Header(**values, quantities=stored)
 
 
-def _stored(row: dict[str, Any]) -> Stored:
+def _plain(file: "h5py.File", name: str, path: Any) -> Any:
+    """An attribute as text, a number or a list."""
+    import h5py
+
+    said = h5py.h5a.open(file.id, name.encode())
+    if said.get_space().get_simple_extent_npoints() * said.get_type().get_size() > MOST_SAID:
+        raise RecordError(f"{path} is damaged: its attribute {name} claims more than {MOST_SAID} bytes")
+    value = file.attrs[name]
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+
+
+def _of_json(text: Any, name: str, path: Any) -> Any:
+    """What JSON text says."""
+    try:
+        return json.loads(text)
+    except (TypeError, ValueError, RecursionError) as error:
+        raise RecordError(f"{path} is damaged: its attribute {name} is not JSON") from error
+
+
+def _stored(rows: Any, path: Any) -> tuple[Stored, ...]:
+    """What a file says of its quantities. Raises RecordError, naming path."""
+    each = [_row(row) for row in rows] if isinstance(rows, list) else [None]
+    found = tuple(row for row in each if row is not None)
+    if len(found) < len(each) or len({row.name for row in found}) < len(found):
+        raise RecordError(f"{path} is damaged: its attribute quantities; allowed: name, unit, axes, help and labels of each")
+    return found
+
+
+def _row(row: Any) -> Stored | None:
+    """A quantity, None if it cannot be one."""
+    texts = believed.is_list_of(believed.is_text)
+    if not isinstance(row, dict) or row.keys() != set(Stored._fields):
+        return None
+    if not texts([row["name"], row["unit"], row["help"]]) or not texts(row["axes"]):
+        return None
     labels = row["labels"]
+    if not row["name"].isidentifier() or not (labels is None or texts(labels)):
+        return None
     return Stored(row["name"], row["unit"], tuple(row["axes"]), row["help"], None if labels is None else tuple(labels))

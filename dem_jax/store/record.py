@@ -4,7 +4,7 @@ from dem_jax.store.datasets import flat
 from dem_jax.store.header import Header, Stored
 from dem_jax.store.reader import load_restart, load_run
 from dem_jax.store.run import Frames, Run, assembled, series_of
-from dem_jax.store.writer import Writer, check_target
+from dem_jax.store.writer import Writer, check_target, check_writable
 
 __all__ = [
     "Frames",
@@ -14,6 +14,7 @@ __all__ = [
     "Writer",
     "assembled",
     "check_target",
+    "check_writable",
     "flat",
     "load_restart",
     "load_run",

@@ -1,15 +1,20 @@
 """Runs and ensembles as HDF5 files: written as a run goes, readable at every moment.
 
-A flush never changes the file in place: it copies the file, appends to the copy and renames it over the original. So
-a process that is killed at any instant leaves the file of its last flush, in which the series and the restart state
-belong to the same time, and any reader may open the file while the run goes on. The price is a copy per flush; flushes
-are spaced such that it stays below 5 % of the time. (Compression would not pay: a growing chunk is written anew.)
+A flush never changes the file in place: it appends to a copy in memory, writes that out beside the file and renames it over
+the original. So a process that is killed at any instant leaves the file of its last flush, in which the series and the
+restart state belong to the same time, and any reader may open the file while the run goes on. HDF5 itself never meets a
+full disk, which it would not survive. The price is a copy per flush; flushes are spaced such that it stays below 5 % of
+the time. (Compression would not pay: a growing chunk is written anew.)
 """
 
+import errno
+import io
 import json
 import os
 import shutil
+import tempfile
 import time
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -17,13 +22,15 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from dem_jax.errors import RecordError
-from dem_jax.store.datasets import CLOCKS, FileName, datasets, extend, flat, reading, replace_restart, time_axis, unit_of
+from dem_jax.store.datasets import CLOCKS, FileName, datasets, extend, flat, reading, replace_restart, seal, time_axis, unit_of
 from dem_jax.store.header import Header, read_header, write_header
 
 if TYPE_CHECKING:
     import h5py
 
 PENDING_LIMIT = 256 * 2**20  # bytes of samples kept in memory before a flush is due whatever it costs
+COPIED = 2**24  # bytes at a time
+LEAST_ROOM = 2**16  # bytes: with less a run need not begin
 
 
 class Writer:
@@ -63,7 +70,8 @@ class Writer:
             header, names = read_header(file, path), {name for name, _ in datasets(file)}
         header = replace(header, scene=scene or header.scene)
         writer = cls(path, header, True, interval)
-        writer._names = {n for n in names if not n.startswith("restart/")} or None
+        ours = {"time", "pieces", *(stored.name for stored in header.held)}
+        writer._names = {n for n in names if n.partition("/")[0] in ours} or None
         return writer
 
     def append(
@@ -78,8 +86,10 @@ class Writer:
         samples: name -> array, or group -> {name -> array}, such as {"time": [t], "force": {"plate": [t, 3]}}; of an
         ensemble [K, t, ...], but time [t]. frames: the fields of Frames -> arrays. restart: path -> array, replaces the
         one before. info: added to the header's. Raises ValueError for names that differ from the first append's, or
-        lengths that differ from time's.
+        lengths that differ from time's, and RecordError for a file that cannot be written or is gone.
         """
+        if self._exists and not self._path.exists():
+            raise RecordError(f"{self._path} was deleted or moved while its run went on")
         series = {name: np.asarray(a) for name, a in flat(samples).items()}
         self._check(series, CLOCKS[0])
         poses = {f"pieces/{name}": np.asarray(a) for name, a in (frames or {}).items()}
@@ -140,20 +150,32 @@ class Writer:
                 raise ValueError(f"{name} of form {array.shape} does not fit {count} times of {clock}")
 
     def _commit(self) -> None:
+        part = _part(self._path)
+        try:
+            image = self._image()
+            with open(part, "wb") as file:
+                file.write(image.getbuffer())
+            os.replace(part, self._path)
+        except BaseException as error:  # an interrupt as well: nothing half written stays behind
+            with suppress(OSError):
+                part.unlink()
+            if not isinstance(error, OSError):
+                raise
+            kept = "; it is as of the flush before, from which its run can go on (--resume)" if self._exists else ""
+            raise RecordError(f"{self._path} cannot be written: {_reason(error)}{kept}") from error
+        self._exists = True
+
+    def _image(self) -> io.BytesIO:
+        """The file with all that is pending, in memory."""
         import h5py
 
-        part = self._path.with_name(self._path.name + ".part")
-        try:
-            if self._exists:
-                shutil.copyfile(self._path, part)
-            with h5py.File(part, "r+" if self._exists else "w") as file:
-                self._write(file)
-            os.replace(part, self._path)
-        except OSError as error:
-            part.unlink(missing_ok=True)
-            reason = error.strerror or str(error).splitlines()[0]
-            raise RecordError(f"{self._path} cannot be written: {reason}") from error
-        self._exists = True
+        image = io.BytesIO()
+        if self._exists:
+            with open(self._path, "rb") as old:
+                shutil.copyfileobj(old, image, COPIED)
+        with h5py.File(image, "r+" if self._exists else "w") as file:
+            self._write(file)
+        return image
 
     def _write(self, file: "h5py.File") -> None:
         if not self._exists:
@@ -166,6 +188,8 @@ class Writer:
             extend(file, name, np.concatenate(arrays, axis=time_axis(name, self._header)), self._header)
         if self._restart:
             replace_restart(file, self._restart)
+        if "restart" in file:
+            seal(file)
 
 
 def check_target(path: FileName, overwrite: bool = False) -> None:
@@ -173,12 +197,30 @@ def check_target(path: FileName, overwrite: bool = False) -> None:
     path = Path(path)
     if not path.absolute().parent.is_dir():
         raise RecordError(f"{path} cannot be written: there is no folder {str(path.parent)!r}")
-    if path.exists() and not (overwrite and path.is_file()):
-        raise RecordError(f"{path} exists; give another name, or overwrite = true to replace it")
-    if path.exists():
-        _check_writable(path)
+    with suppress(OSError):  # such as of a name that is too long, which is said below
+        if path.exists() and not (overwrite and path.is_file()):
+            raise RecordError(f"{path} exists; give another name, or overwrite = true to replace it")
+    check_writable(path)
 
 
-def _check_writable(path: Path) -> None:
-    if not (os.access(path, os.W_OK) and os.access(path.absolute().parent, os.W_OK)):
-        raise RecordError(f"{path} cannot be written: Permission denied")
+def check_writable(path: FileName) -> None:
+    """Raise RecordError if a file cannot be written: for want of permission or room, or by its name. Leaves nothing behind."""
+    path = Path(path)
+    try:
+        if path.exists() and not os.access(path, os.W_OK):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+        if _part(path).is_dir():
+            raise IsADirectoryError(errno.EISDIR, f"{_part(path)} is a folder")
+        with tempfile.TemporaryFile(dir=path.absolute().parent) as file:
+            file.write(bytes(LEAST_ROOM))
+    except OSError as error:
+        raise RecordError(f"{path} cannot be written: {_reason(error)}") from error
+
+
+def _part(path: Path) -> Path:
+    """Where a file is written before it takes the place of the one before."""
+    return path.with_name(path.name + ".part")
+
+
+def _reason(error: OSError) -> str:
+    return error.strerror or (str(error).splitlines() or [type(error).__name__])[0]

@@ -418,6 +418,10 @@ def test_a_restart_state_that_does_not_fit_is_refused(tmp_path, uninterrupted):
     out.write_bytes(uninterrupted.read_bytes())
     with h5py.File(out, "r+") as file:
         del file["restart/skin"]
+    with pytest.raises(RecordError, match=r"run\.h5 is damaged: .* the state to go on from is not what was written"):
+        dem_jax.resume(out, duration=1.0)
+    with h5py.File(out, "r+") as file:
+        del file["restart"].attrs["checksum"]  # files written before have none
     with pytest.raises(RecordError, match=r"run\.h5: restart/skin is missing"):
         dem_jax.resume(out, duration=1.0)
     with h5py.File(out, "r+") as file:

@@ -1,0 +1,96 @@
+"""What a file says, checked before it is believed: attributes of the root, and how much its datasets claim to hold."""
+
+import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from dem_jax.errors import RecordError
+
+if TYPE_CHECKING:
+    import h5py
+
+SHRUNK = 1100  # most that a compressed chunk may grow: deflate's limit
+
+
+class Rule(NamedTuple):
+    """What an attribute may be."""
+
+    holds: Callable[[Any], bool]
+    words: str
+
+
+def is_text(value: Any) -> bool:
+    """Whether it is text."""
+    return isinstance(value, str)
+
+
+def is_count(value: Any) -> bool:
+    """Whether it is a whole number of at least 1."""
+    return type(value) is int and value >= 1
+
+
+def is_seed(value: Any) -> bool:
+    """Whether it is a whole number of at least 0."""
+    return type(value) is int and value >= 0
+
+
+def is_number(value: Any) -> bool:
+    """Whether it is a finite number."""
+    return type(value) in (int, float) and math.isfinite(value)
+
+
+def is_positive(value: Any) -> bool:
+    """Whether it is a finite number above 0."""
+    return is_number(value) and value > 0
+
+
+def is_list_of(holds: Callable[[Any], bool]) -> Callable[[Any], bool]:
+    """Whether it is a list of such."""
+    return lambda value: isinstance(value, list | tuple) and all(map(holds, value))
+
+
+HEADER = {
+    "scene": Rule(is_text, "TOML text"),
+    "seed": Rule(lambda v: is_seed(v) or (is_list_of(is_seed)(v) and len(v) > 0), "whole numbers of at least 0"),
+    "dt": Rule(is_positive, "a number > 0"),
+    "precision": Rule(lambda v: v in ("f32", "f64"), '"f32" or "f64"'),
+    "version": Rule(is_text, "a text"),
+    "sample": Rule(is_positive, "a number > 0"),
+    "gravity": Rule(lambda v: is_list_of(is_number)(v) and len(v) == 3, "three finite numbers"),
+    "groups": Rule(is_list_of(is_text), "names"),
+    "blocks": Rule(is_list_of(is_text), "names"),
+    "piece_count": Rule(is_count, "a whole number of at least 1"),
+    "run_count": Rule(is_count, "a whole number of at least 1"),
+    "info": Rule(lambda v: isinstance(v, dict), "a table as JSON"),
+}
+INFO = {
+    **dict.fromkeys(
+        ("elapsed", "compile_time", "critical_step", "stable_step", "settled", "settling"), Rule(is_number, "a number")
+    ),
+    **dict.fromkeys(("step", "limit", "law", "stopped"), Rule(is_text, "a text")),
+    "notes": Rule(is_list_of(is_text), "texts"),
+}
+
+
+def check(value: Any, rule: Rule, name: str, path: Any) -> None:
+    """Raise RecordError, naming path, for an attribute that cannot be."""
+    if not rule.holds(value):
+        shown = repr(value)
+        shown = shown if len(shown) <= 60 else f"{shown[:57]}..."
+        raise RecordError(f"{path} is damaged: its attribute {name} = {shown}; allowed: {rule.words}")
+
+
+def array_of(dataset: "h5py.Dataset", path: Any) -> np.ndarray:
+    """The numbers of a dataset. Raises RecordError, naming path, for one that holds others or claims more than there is."""
+    name = dataset.name.lstrip("/")
+    if dataset.shape is None or dataset.dtype.kind not in "biuf":
+        raise RecordError(f"{path} is damaged: {name!r} holds no numbers ({dataset.dtype})")
+    if dataset.is_virtual or dataset.external:
+        raise RecordError(f"{path}: {name!r} is in another file; allowed: all of a run in one")
+    checked = int(dataset.fletcher32) + int(dataset.shuffle)
+    ratio = SHRUNK if dataset.id.get_create_plist().get_nfilters() > checked else 1
+    if dataset.size * dataset.dtype.itemsize > ratio * dataset.id.get_storage_size():
+        raise RecordError(f"{path} is damaged: {name!r} of form {dataset.shape} claims more than the file holds")
+    return dataset[()]
