@@ -9,12 +9,12 @@ import numpy as np
 
 from dem_jax.build.law import law_of, materials_of
 from dem_jax.build.parts import hull_table, part_arrays, solids_of
-from dem_jax.build.pieces import alike, goods_of, named, piece_arrays, tuples, with_points
+from dem_jax.build.pieces import alike, goods_of, named, piece_arrays, with_points
 from dem_jax.build.room import capacity, partition, row_capacity
 from dem_jax.build.start import Box, Start, first_state, motion_of_start, placed, settling_samples
 from dem_jax.build.time_step import TimeStep, block_steps, choose_step, longest_reach, possible_contacts
 from dem_jax.build.typed import typed
-from dem_jax.build.walls import panels_of, wall_arrays, walls_of
+from dem_jax.build.walls import wall_arrays, walls_of, written_out
 from dem_jax.contact import motion
 from dem_jax.contact.law import ContactLaw
 from dem_jax.errors import SceneError
@@ -111,13 +111,7 @@ def self_contained(scene: Scene) -> Scene:
     if portion and portion.product:
         products = [named(f"portion.product.{n}", with_points, row, scene.folder) for n, row in enumerate(portion.product)]
         portion = portion.model_copy(update={"product": tuple(products)})
-    walls = []
-    for n, wall in enumerate(scene.wall):
-        if wall.stl is None or wall.corners is not None:
-            walls.append(wall)
-            continue
-        panels = [corners.tolist() for _, corners, _ in named(f"wall.{n}", panels_of, wall, scene.folder)]
-        walls += [wall.model_copy(update={"stl": None, "unit": 1.0, "corners": tuples(c)}) for c in panels]
+    walls = [panel for n, wall in enumerate(scene.wall) for panel in named(f"wall.{n}", written_out, wall, scene.folder)]
     motions = tuple(motion.written_out(row, scene.folder) for row in scene.motion)
     changes = {"piece": tuple(rows), "portion": portion, "wall": tuple(walls), "motion": motions, "folder": "."}
     return scene.model_copy(update=changes)

@@ -62,6 +62,18 @@ def panels_of(wall: Wall, folder: str | Path) -> list[Panel]:
     return [(wall.group, polygon, wall.thickness) for polygon in polygons]
 
 
+def written_out(wall: Wall, folder: str | Path) -> list[Wall]:
+    """The wall with the panels of its STL, one each, and in the first what was read; others as they are. Raises SceneError."""
+    if wall.stl is None or wall.corners is not None:
+        return [wall]
+    read = meshes.wall_of_stl(Path(folder) / wall.stl, wall.unit)
+    said = f"{wall.stl}: {read}"
+    notes = [said if wall.note is None else f"{wall.note}; {said}"] + [None] * (len(read.panels) - 1)
+    panels = [tuple(tuple(corner) for corner in panel.tolist()) for panel in read.panels]
+    changes = [{"stl": None, "unit": 1.0, "corners": corners, "note": note} for corners, note in zip(panels, notes, strict=True)]
+    return [wall.model_copy(update=change) for change in changes]
+
+
 def wall_arrays(
     scene: Scene, panels: Sequence[Panel], motions: list[Motion], joint: dict[str, str], dtype: DTypeLike
 ) -> tuple[Walls, list[Shape], list[np.ndarray] | None]:

@@ -18,7 +18,12 @@ def scenes(args: Args) -> None:
         print(quantities(), end="")
         return
     if args.name:
-        print(described(load_scene(args.name)), end="")
+        scene = load_scene(args.name)
+        print(described(scene), end="")
+        if any(wall.stl for wall in scene.wall):
+            from dem_jax.show.summary import notes_on_walls  # which needs JAX
+
+            print("", *(f"# {note}" for note in notes_on_walls(scene)), sep="\n")
         return
     known = stock_scenes()
     width = max(map(len, known))

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     import trimesh
 
 Loop = Sequence[int]  # indices of points
+LOST = 0.01  # of the area of coplanar facets, that panels may lack
+SLIVER = 1e-4  # area over squared extent, of facets that may be left out
 
 
 class Plate(NamedTuple):
@@ -59,17 +61,44 @@ def without_collinear(polygon: np.ndarray) -> np.ndarray:
     return polygon[_without_collinear(polygon, list(range(len(polygon))), loop_normal(polygon), TOLERANCE * size)]
 
 
+class WallMesh(NamedTuple):
+    """What was read of an STL for walls.
+
+    panels: convex, each [k, 3] (m). facets: how many made them. doubled: how many more were left out, as they were given
+    twice.
+    """
+
+    panels: list[np.ndarray]
+    facets: int
+    doubled: int
+
+    def __str__(self) -> str:
+        points = np.concatenate(self.panels)
+        area = sum(_area(panel) for panel in self.panels)
+        sides = zip("xyz", points.min(axis=0), points.max(axis=0), strict=True)
+        bounds = ", ".join(f"{axis} from {low:.6g} to {high:.6g} m" for axis, low, high in sides)
+        twice = f" ({self.doubled} more were doubled, and left out)" if self.doubled else ""
+        return f"{self.facets} facets{twice}, {len(self.panels)} panels, {area:.6g} m2, {bounds}"
+
+
 def panels_of_stl(path: str | Path, unit: float = 1.0, angle: float = 0.01) -> list[np.ndarray]:
+    """The panels of ``wall_of_stl``."""
+    return wall_of_stl(path, unit, angle).panels
+
+
+def wall_of_stl(path: str | Path, unit: float = 1.0, angle: float = 0.01) -> WallMesh:
     """Convex panels, each [k, 3] (m), of the facets of an STL, counter-clockwise about the facets' own normals.
 
     unit: metres per unit of the file. angle: (degrees) adjacent facets whose normals differ by no more from that of the
     largest among them are merged, and laid into their mean plane. What is not convex, or has a hole, is cut into convex
-    parts. The mesh need not be closed. Raises SceneError for a file that is missing, unreadable, empty or without area.
+    parts. The mesh need not be closed. Raises SceneError for a file that is missing, unreadable, empty or without area, or
+    with corners that are not finite or far off, and for facets that face both ways.
     """
     mesh = load_stl(path, unit)
+    doubled = _without_doubled(mesh, path)
     tolerance = TOLERANCE * mesh.scale
     vertices = np.asarray(mesh.vertices, np.float64)
-    panels = []
+    panels: list[np.ndarray] = []
     for group in _coplanar_groups(mesh, np.cos(np.radians(angle)), tolerance):
         normal = mesh.area_faces[group] @ mesh.face_normals[group]
         normal /= np.linalg.norm(normal)
@@ -78,8 +107,49 @@ def panels_of_stl(path: str | Path, unit: float = 1.0, angle: float = 0.01) -> l
         height = (vertices - vertices[used].mean(axis=0)) @ normal
         flat = vertices - height[:, None] * normal
         loops = _convex_parts(flat, [tuple(triangle) for triangle in triangles], normal, tolerance)
-        panels += [flat[loop] for loop in loops]
-    return panels
+        made = [flat[loop] for loop in loops]
+        _check_complete(mesh, group, made, path)
+        panels += made
+    return WallMesh(panels, len(mesh.faces), doubled)
+
+
+def _without_doubled(mesh: "trimesh.Trimesh", path: str | Path) -> int:
+    """Leave out facets that are there already, and say how many. Raises SceneError for two that face both ways."""
+    faces = np.asarray(mesh.faces)
+    first = faces.argmin(axis=1)
+    turned = np.take_along_axis(faces, (first[:, None] + np.arange(3)) % 3, axis=1)  # the same corners first in all
+    _, kept = np.unique(turned, axis=0, return_index=True)
+    kept.sort()
+    corners, count = np.unique(np.sort(faces[kept], axis=1), axis=0, return_counts=True)
+    if (count > 1).any():
+        where = mesh.vertices[corners[int(np.argmax(count > 1))]].mean(axis=0)
+        raise SceneError(
+            f"stl = {str(path)!r}: {(count > 1).sum()} of its facets face both ways, such as that about "
+            f"{np.round(where, 6).tolist()} m; allowed: one side, towards the pieces (thickness is behind it)"
+        )
+    doubled = len(faces) - len(kept)
+    if doubled:
+        mesh.update_faces(kept)
+    return doubled
+
+
+def _check_complete(mesh: "trimesh.Trimesh", group: np.ndarray, panels: list[np.ndarray], path: str | Path) -> None:
+    """Raise SceneError if panels lack more of their coplanar facets than slivers, which are thinner than rounding."""
+    facets = float(mesh.area_faces[group].sum())
+    lost = facets - sum(_area(panel) for panel in panels)
+    extent = float(np.linalg.norm(np.ptp(mesh.triangles[group].reshape(-1, 3), axis=0)))
+    if abs(lost) > LOST * facets and facets > SLIVER * extent**2:
+        low, high = (np.asarray(bound).tolist() for bound in mesh.bounds)
+        raise SceneError(
+            f"stl = {str(path)!r}: facets of {facets:.4g} m2 about {np.round(mesh.triangles[group[0]].mean(axis=0), 6).tolist()} m "
+            f"make panels of {facets - lost:.4g} m2, as the mesh goes from {low} to {high} m; allowed: no corner that is far off"
+        )
+
+
+def _area(polygon: np.ndarray) -> float:
+    """(m2) of a planar polygon [k, 3] (m)."""
+    arms = polygon - polygon[0]
+    return float(np.linalg.norm(np.cross(arms, np.roll(arms, -1, axis=0)).sum(axis=0)) / 2.0)
 
 
 def seams(panels: Sequence[np.ndarray], tolerance: float | None = None) -> list[list[bool]]:
@@ -251,8 +321,7 @@ def _checked_polygon(polygon: Any, name: str) -> np.ndarray:
 
 
 def _check_form(corners: np.ndarray, size: float, name: str) -> None:
-    arms = corners - corners[0]
-    area = np.linalg.norm(np.cross(arms, np.roll(arms, -1, axis=0)).sum(axis=0)) / 2.0
+    area = _area(corners)
     if area <= TOLERANCE * size**2:
         raise SceneError(f"{name} has no area ({area:.3g} m2): its corners must not lie on one line or cancel out")
     normal = loop_normal(corners)

@@ -13,6 +13,8 @@ from dem_jax.shapes.shape import Shape
 if TYPE_CHECKING:
     import trimesh
 
+SLIVER = 1e-4  # area over squared longest edge, of facets that may be left out
+
 
 def hull_of_stl(path: str | Path, unit: float = 1.0, tolerance: float = 1e-3) -> Shape:
     """Shape of a closed, convex STL; unit: metres per unit of the file (1e-3 for mm).
@@ -45,7 +47,8 @@ def closed_mesh(path: str | Path, unit: float = 1.0) -> "trimesh.Trimesh":
 def load_stl(path: str | Path, unit: float = 1.0) -> "trimesh.Trimesh":
     """The triangle mesh (trimesh.Trimesh) of an STL, in metres, vertices merged and facets of zero area dropped.
 
-    unit: metres per unit of the file. Raises SceneError for a file that is missing, unreadable or without area.
+    unit: metres per unit of the file. Raises SceneError for a file that is missing, unreadable or without area, and for
+    corners that are not finite or so far off that facets are lost in rounding.
     """
     import trimesh
 
@@ -53,16 +56,36 @@ def load_stl(path: str | Path, unit: float = 1.0) -> "trimesh.Trimesh":
     if not Path(path).is_file():
         raise SceneError(f"stl = {str(path)!r}: there is no such file")
     try:
-        mesh = trimesh.load_mesh(str(path), file_type="stl", process=True)
+        with np.errstate(all="ignore"):  # of corners that are not finite, which are refused below
+            mesh = trimesh.load_mesh(str(path), file_type="stl", process=False)
     except Exception as error:  # trimesh's readers raise whatever the bytes made them trip over
         raise SceneError(f"stl = {str(path)!r} cannot be read as an STL file ({_first_line(error)})") from error
-    if len(mesh.faces) == 0 or not np.isfinite(mesh.vertices).all():
-        raise SceneError(f"stl = {str(path)!r} holds no triangles with finite coordinates: empty, cut short or no STL")
-    mesh.update_faces(mesh.area_faces > 1e-14 * mesh.scale**2)
     if len(mesh.faces) == 0:
-        raise SceneError(f"stl = {str(path)!r} is degenerate: all its triangles have no area")
+        raise SceneError(f"stl = {str(path)!r} holds no triangles with finite coordinates: empty, cut short or no STL")
+    bad = ~np.isfinite(mesh.triangles).all(axis=(1, 2))
+    if bad.any():
+        raise SceneError(f"stl = {str(path)!r}: {bad.sum()} of its {len(bad)} facets have corners that are not finite")
+    mesh.process()
+    _drop_lines(mesh, path)
     mesh.apply_scale(unit)
     return mesh
+
+
+def _drop_lines(mesh: "trimesh.Trimesh", path: str | Path) -> None:
+    """Leave out facets without area. Raises SceneError if all are, or if one has none but for the size of the mesh."""
+    flat = mesh.area_faces <= 1e-14 * mesh.scale**2
+    if flat.all():
+        raise SceneError(f"stl = {str(path)!r} is degenerate: all its triangles have no area")
+    corners = mesh.triangles
+    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    small = flat & (mesh.area_faces > SLIVER * longest**2)
+    if small.any():
+        low, high = (np.asarray(bound).tolist() for bound in mesh.bounds)
+        raise SceneError(
+            f"stl = {str(path)!r}: {small.sum()} of its {len(flat)} facets are too small beside the whole, which goes from "
+            f"{low} to {high} (units of the file); allowed: no corner that is far off"
+        )
+    mesh.update_faces(~flat)
 
 
 def _first_line(error: Exception) -> str:

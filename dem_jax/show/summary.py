@@ -4,7 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dem_jax.scene import parse
+from dem_jax.build.walls import written_out
+from dem_jax.scene import Scene, parse
 from dem_jax.store.run import Run
 
 
@@ -36,10 +37,16 @@ def summary(run: Run) -> list[str]:
 
 
 def _notes_on_shapes(run: Run) -> list[str]:
-    """What the scene says of the shapes of its pieces, each thing once."""
+    """What the scene says of the shapes of its pieces and of its walls, each thing once."""
     scene = parse(run.scene, "the file's scene")
-    rows = scene.piece or (scene.portion,)  # one of them is there, as a Scene makes sure
-    return list(dict.fromkeys(row.note for row in rows if row and row.note))
+    pieces = scene.portion.rows if scene.portion else scene.piece
+    return list(dict.fromkeys(row.note for row in (*pieces, *scene.wall) if row.note))
+
+
+def notes_on_walls(scene: Scene) -> list[str]:
+    """What is read of the STLs of a scene's walls. Raises SceneError."""
+    read = {f"wall.{n}": written_out(wall, scene.folder) for n, wall in enumerate(scene.wall) if wall.stl is not None}
+    return [f"{key}: {panels[0].note}" for key, panels in read.items()]
 
 
 def main_group(run: Run) -> str | None:

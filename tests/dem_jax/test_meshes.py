@@ -197,3 +197,66 @@ def test_a_bad_stl_is_refused(tmp_path):
     line.export(tmp_path / "line.stl")
     with pytest.raises(SceneError, match=r"line\.stl' is degenerate: all its triangles have no area"):
         meshes.panels_of_stl(tmp_path / "line.stl")
+
+
+# --- walls of an STL that are not what they seem ---
+
+
+def box_with(change):
+    """Corners [12, 3, 3] (m) of the facets of a box of 0.1 m, changed."""
+    import trimesh
+
+    corners = np.array(trimesh.creation.box((0.1, 0.1, 0.1)).triangles)
+    return change(corners)
+
+
+def moved(to):
+    """One corner of a box, wherever it is, moved."""
+
+    def change(corners):
+        corners[(corners == corners[0, 0]).all(axis=2)] = to
+        return corners
+
+    return change
+
+
+def one_facet(to):
+    def change(corners):
+        corners[3, 1] = to
+        return corners
+
+    return change
+
+
+NOT_WALLS = [
+    (one_facet((np.nan, 0, 0)), r"wall\.stl': 1 of its 12 facets have corners that are not finite"),
+    (one_facet((0, np.inf, 0)), r"wall\.stl': 1 of its 12 facets have corners that are not finite"),
+    (moved((1e6, 0, 0)), r"wall\.stl': 7 of its 12 facets are too small beside the whole, .* \[1000000\.0, .* far off"),
+    (moved((1e5, 0, 0)), r"wall\.stl': facets of 0\.005 m2 about .* make panels of 0 m2, .*100000\.0, .* far off"),
+    (lambda c: np.concatenate([c, c[:2, ::-1]]), r"wall\.stl': 2 of its facets face both ways, such as that about \["),
+]
+
+
+@pytest.mark.parametrize(("change", "message"), NOT_WALLS)
+def test_an_stl_that_would_lose_facets_is_refused(change, message, tmp_path):
+    corners = box_with(change)
+    with pytest.raises(SceneError, match=message) as caught:
+        panels_of(tmp_path, corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3))
+    assert "\n" not in str(caught.value)
+
+
+def test_doubled_facets_are_read_once_and_it_is_said_what_was_read(tmp_path, capsys):
+    from dem_jax import load_scene, simulate
+    from dem_jax.__main__ import main
+    from dem_jax.show.summary import summary
+
+    twice = box_with(lambda corners: np.concatenate([corners, np.roll(corners, 1, axis=1)]))
+    panels = panels_of(tmp_path, twice.reshape(-1, 3), np.arange(72).reshape(-1, 3))
+    assert len(panels) == 6
+    (tmp_path / "scene.toml").write_text('base = "plate-drop"\n[[wall]]\ngroup = "box"\nstl = "wall.stl"\n')
+    said = "wall.stl: 12 facets (12 more were doubled, and left out), 6 panels, 0.06 m2, "
+    assert main(["scenes", "scene.toml"]) == 0
+    assert f"\n# wall.0: {said}x from -0.05 to 0.05 m, y from" in capsys.readouterr().out
+    changes = {"run.duration": 1e-4, "piece": [{"shape": "sphere", "radius": 0.01, "position": [0, 0, 0.2]}]}
+    lines = summary(simulate(load_scene("scene.toml", changes)))
+    assert [line for line in lines if line.startswith(f"note: {said}")]

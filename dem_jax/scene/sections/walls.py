@@ -16,6 +16,7 @@ class Wall(Section):
     unit: Positive = Field(1.0, description="m per unit of the STL")
     thickness: Positive = Field(0.01, description="m, behind the surface")
     material: MaterialName = None
+    note: str | None = Field(None, description="said with the results; what was read of an STL is written here")
 
 
 class Motion(Section):
