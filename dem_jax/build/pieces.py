@@ -10,6 +10,7 @@ import numpy as np
 
 from dem_jax import shapes
 from dem_jax.build import portion
+from dem_jax.build.finite import check_pieces
 from dem_jax.errors import SceneError
 from dem_jax.scene import SHAPE_KEYS, BodyMass, ConvexShape, Part, PieceShape, Portion, Scene, arrange
 from dem_jax.scene.materials import material_table, rows_of_pieces
@@ -135,6 +136,10 @@ def counts_of(scene: Scene, of: Portion, made: Sequence[shapes.Shape]) -> list[t
     mass = density * np.array([shape.volume for shape in made])
     spread = np.array([row.size_spread for row in of.rows])
     mix = portion.Mix(mass, np.array([row.share for row in of.product] or [1.0]), spread, of.share_by)
+    if not of.count:
+        with np.errstate(divide="ignore"):
+            each = mix.share / mix.share.sum()
+            check_pieces(scene, of.target_weight * float(np.sum(each / mass) if of.share_by == "weight" else 1 / (each @ mass)))
     if of.count:
         own = portion.numbers_of_count(mix, of.count)
     elif of.product or spread.any():

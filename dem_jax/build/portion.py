@@ -7,6 +7,7 @@ import numpy as np
 from scipy.special import ndtri
 
 MOST_SIZES = 16  # of a product, so that the table of shapes stays small
+NARROWEST = 1e-9  # relative standard deviation: with less all are alike
 WIDEST = 3.0  # standard deviations of the logarithm of the size
 
 
@@ -27,7 +28,7 @@ def sizes(number: int, spread: float) -> np.ndarray:
     pieces put into 16 classes of equal width in the logarithm, each with the mean of its pieces. Then shifted and
     stretched so that the mean is exactly 1 and the standard deviation exactly ``spread``. One piece has size 1.
     """
-    if spread == 0 or number < 2:
+    if spread < NARROWEST or number < 2:
         return np.ones(number)
     normal = np.clip(ndtri((np.arange(number) + 0.5) / number), -WIDEST, WIDEST)
     size = np.exp(np.sqrt(np.log1p(spread**2)) * normal)

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from dem_jax.build.finite import MOST_STEPS, check_finite, check_steps
 from dem_jax.build.law import law_of, materials_of
 from dem_jax.build.parts import hull_table, part_arrays, solids_of
 from dem_jax.build.pieces import alike, goods_of, named, piece_arrays, with_points
@@ -57,7 +58,8 @@ def build(scene: Scene, seed: int = 0, law: ContactLaw | None = None) -> Built:
     step = choose_step(scene, law, contacts)
     settling = settling_samples(scene) * step.substeps
     samples = max(1, round(scene.run.duration / scene.run.sample))
-    frame_every = max(1, round(scene.run.frames / scene.run.sample)) if scene.run.frames else 0
+    check_steps(scene, settling, samples, step.substeps, step.dt)
+    frame_every = min(max(1, round(scene.run.frames / scene.run.sample)), MOST_STEPS) if scene.run.frames else 0
     walls, plates, seams = wall_arrays(scene, panels, motions, joint, dtype)
     domain = _domain(scene, panels, start, made)
     solids = solids_of(made)
@@ -101,6 +103,7 @@ def build(scene: Scene, seed: int = 0, law: ContactLaw | None = None) -> Built:
     system = system.replace(has_rotation=has_hulls or materials.friction is not None or bool(np.any(start.spin)))
     frames = np.array([m.principal for m in made])
     state = first_state(system, start, frames, -settling)
+    check_finite(scene, system, state)
     return Built(system, state, step, tuple(made), frames, settling, samples, frame_every, regions, goods.numbers)
 
 

@@ -16,6 +16,7 @@ from dem_jax.errors import SceneError
 from dem_jax.maths import pose
 from dem_jax.pairs import guard
 from dem_jax.scene import Scene
+from dem_jax.scene.extreme import furthest
 from dem_jax.shapes import Shape, parts_of
 from dem_jax.types import Materials, Pieces, host
 
@@ -54,6 +55,8 @@ def choose_step(scene: Scene, law: ContactLaw, contacts: list[PossibleContact]) 
     critical, limit = (_accurate_step if scene.run.accuracy else _default_step)(scene, law, contacts)
     stable = min(float(np.min(law.stable_step(c.pair, c.mass * c.eccentricity))) for c in contacts)
     wanted = critical if scene.run.step == "auto" else scene.run.step
+    if not (0 < critical < np.inf and 0 < stable):
+        raise SceneError(f"{scene.name}: no time step for {limit}; furthest from what is usual is {furthest(scene)}")
     if wanted > stable:
         raise SceneError(f"run.step = {wanted:g}: allowed: at most {stable:.4g} s, the stability limit of {limit}")
     substeps = max(1, int(np.ceil(sample / wanted - 1e-9)))

@@ -15,6 +15,7 @@ def typed(tree: Tree, dtype: DTypeLike) -> Tree:
 
     def leaf(x: ArrayLike) -> jax.Array:
         x = np.asarray(x)
-        return jnp.asarray(x.astype(np.int32 if x.dtype.kind == "i" else dtype))  # converted here: nothing to compile
+        with np.errstate(over="ignore"):  # see build.finite
+            return jnp.asarray(x.astype(np.int32 if x.dtype.kind == "i" else dtype))  # converted here: nothing to compile
 
     return jax.tree.map(leaf, tree)

@@ -7,6 +7,8 @@ import numpy as np
 
 from dem_jax.drive.job import Job
 from dem_jax.errors import SceneError, SimulationError
+from dem_jax.scene.extreme import furthest
+from dem_jax.step.quantities import QUANTITIES
 from dem_jax.types import Guard, Sample, State, System
 
 if TYPE_CHECKING:
@@ -34,6 +36,10 @@ def find(samples: Sample, count: int) -> tuple[int, int] | None:
     """(member, sample) of the first sample that a run cannot go on from, or None. samples: numpy [.., T]."""
     culprit, overlap = (np.atleast_2d(x)[:, :count] for x in (samples.culprit, samples.overlap))
     bad = (culprit >= 0) | ~(overlap <= DEEPEST)
+    for name in _finite(samples):
+        values = np.asarray(samples.values[name])
+        good = np.isfinite(values).reshape(*np.shape(samples.culprit), -1).all(axis=-1)
+        bad |= ~np.atleast_2d(good)[:, :count]
     if not bad.any():
         return None
     k = int(np.argmax(bad.any(axis=0)))
@@ -45,12 +51,14 @@ def describe(job: Job, span: "Span", state: State, member: int, k: int) -> Simul
     samples = span.samples
     if job.runs is not None:
         state, samples = _member(state, member), _member(samples, member)
+    at = (span.first + k + 1) * job.scene.run.sample
     if samples.culprit[k] >= 0:
         piece = int(samples.culprit[k])
         what = _what_happened(job, state, piece)
-    else:
+    elif samples.overlap[k] > DEEPEST:
         piece, what = _deep(span.system, state, float(samples.overlap[k]))
-    at = (span.first + k + 1) * job.scene.run.sample
+    else:
+        return _error(job, _not_finite(job, samples, k, at), None, at, member)
     return _error(job, f"piece {piece} at t = {at:.6g} s: {what}", piece, at, member)
 
 
@@ -90,6 +98,20 @@ def _name(job: Job, member: int) -> str:
 
 def _member(tree: Any, k: int) -> Any:
     return jax.tree.map(lambda x: x[k], tree)
+
+
+def _finite(samples: Sample) -> list[str]:
+    """Those of dem_jax's quantities that are real numbers: what a user's may be is not known."""
+    return [q.name for q in QUANTITIES if q.name in samples.values and np.asarray(samples.values[q.name]).dtype.kind == "f"]
+
+
+def _not_finite(job: Job, samples: Sample, k: int, at: float) -> str:
+    """What to say of a sample whose pieces all move as they should."""
+    names = [name for name in _finite(samples) if not np.isfinite(np.asarray(samples.values[name])[k]).all()]
+    return (
+        f"at t = {at:.6g} s: {', '.join(names)} not finite; likely cause: {_step_advice(job)}; "
+        f"or numbers that are too large: furthest from what is usual is {furthest(job.scene)}"
+    )
 
 
 def _what_happened(job: Job, state: State, piece: int) -> str:

@@ -12,8 +12,10 @@ from dem_jax.contact.geometry import is_kept
 from dem_jax.contact.law import ContactLaw
 from dem_jax.drive import execute, settled
 from dem_jax.drive.job import Job, samples_per_block
+from dem_jax.errors import SceneError
 from dem_jax.pairs import guard
 from dem_jax.scene import Scene, load_scene
+from dem_jax.scene.extreme import furthest
 from dem_jax.step.quantity import Quantity, checked
 
 SLOT_BLOCK = 64  # slots that a CPU computes at a time, at most: they stay in its cache
@@ -33,8 +35,8 @@ def prepare(
     """
     compiling.loops_as_one()
     scene = build.self_contained(scene if isinstance(scene, Scene) else load_scene(scene))
-    with jax.enable_x64(scene.run.precision == "f64"):
-        built = build.build(scene, int(seeds[0]), law)
+    with jax.enable_x64(scene.run.precision == "f64"), np.errstate(all="ignore"):  # build looks at what comes out
+        built = _built(scene, int(seeds[0]), law)
         sampled = checked((*built.system.quantities, *quantities))
         system, state = built.system.replace(slot_block=slot_block(), quantities=sampled), built.state
         if runs is not None:
@@ -45,6 +47,15 @@ def prepare(
     settling = built.settling_steps // built.step.substeps
     rule = settled.rule_of(scene, system, settling, samples_per_block(system))
     return Job(scene, tuple(seeds), runs, built, system, state, execute.way_of(system, runs), rule, law is not None)
+
+
+def _built(scene: Scene, seed: int, law: ContactLaw | None) -> build.Built:
+    """As ``build.build``; numbers that no check foresaw are one line as well."""
+    try:
+        return build.build(scene, seed, law)
+    except (ArithmeticError, MemoryError, np.linalg.LinAlgError) as error:
+        why = (str(error).splitlines() or [type(error).__name__])[0]
+        raise SceneError(f"{scene.name}: cannot be computed with ({why}); furthest from what is usual is {furthest(scene)}") from error
 
 
 def slot_block() -> int:

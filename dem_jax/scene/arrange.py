@@ -6,6 +6,9 @@ from numpy.typing import ArrayLike
 from dem_jax.errors import SceneError
 
 
+MOST_PLACES = 10**8  # in a layer
+
+
 def count(target_weight: float, piece_mass: float) -> int:
     """Number of pieces of a portion, eq. 16, rounded, at least 1."""
     return max(1, round(target_weight / piece_mass))
@@ -23,7 +26,7 @@ def scatter(
     low, high = np.asarray(low, float), np.asarray(high, float)
     cell = 2 * bounding_radius * spacing
     wide = (high - low)[:2]
-    fit = np.floor(wide / cell + 1e-9).astype(int)
+    fit = np.floor(np.minimum(wide / cell, MOST_PLACES) + 1e-9).astype(int)
     if (fit < 1).any():
         raise SceneError(
             f"portion: region of {wide[0]:g} x {wide[1]:g} m is too narrow for pieces of bounding diameter "
@@ -31,6 +34,11 @@ def scatter(
         )
     pitch = wide / fit
     layer = int(fit.prod())
+    if layer > MOST_PLACES:
+        raise SceneError(
+            f"portion: region of {wide[0]:g} x {wide[1]:g} m has room for {layer:.3g} pieces of bounding diameter "
+            f"{2 * bounding_radius:g} m in a layer; allowed: at most {MOST_PLACES:.0e}"
+        )
     cells = np.concatenate([layer * k + random.permutation(layer) for k in range(-(-number // layer))])[:number]
     index = np.stack([cells % fit[0], cells // fit[0] % fit[1], cells // layer], axis=1)
     room = np.append(pitch, cell) - 2 * bounding_radius

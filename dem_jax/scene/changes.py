@@ -11,6 +11,7 @@ from dem_jax.scene.sections.pieces import OF_PRODUCT
 from dem_jax.scene.words import short
 
 Tree = dict[str, Any]
+DEEPEST = 12  # tables and lists in each other: a scene's need seven
 
 
 def on_top(below: Tree, above: Tree) -> Tree:
@@ -67,6 +68,18 @@ def parse_setting(text: str) -> tuple[str, Any]:
     if not equals or not key.strip():
         raise SceneError(f"--set {text!r}: allowed: section.key=value")
     try:
-        return key.strip(), tomllib.loads(f"value = {item}")["value"]
-    except tomllib.TOMLDecodeError:
-        return key.strip(), item.strip()
+        found: Any = tomllib.loads(f"value = {item}")["value"]
+    except (ValueError, RecursionError):
+        found = item.strip()
+    if key.count(".") >= DEEPEST or is_deep(found):
+        raise SceneError(f"--set {short(text)}: nested too deep; allowed: {DEEPEST} tables and lists in each other")
+    return key.strip(), found
+
+
+def is_deep(tree: Any) -> bool:
+    """Whether tables and lists of plain values are nested deeper than any scene's."""
+    level, depth = [tree], 0
+    while level and depth <= DEEPEST:
+        level = [below for item in level if isinstance(item, dict | list) for below in (item.values() if isinstance(item, dict) else item)]
+        depth += 1
+    return bool(level)

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from dem_jax.errors import SceneError
-from dem_jax.scene.changes import Tree, on_top
+from dem_jax.scene.changes import DEEPEST, Tree, is_deep, on_top
 from dem_jax.scene.scene import Scene, validated
 
 STOCK = Path(__file__).parent.parent / "scenes"
@@ -56,9 +56,12 @@ def _read(source: str | Path, seen: tuple[Path, ...]) -> tuple[Tree, Path]:
 
 def _loads(text: str, source: str | Path) -> Tree:
     try:
-        return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+        tree = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # of a number of thousands of digits, and of brackets, as well
         raise SceneError(f"scene {source}: not valid TOML: {error}") from error
+    if is_deep(tree):
+        raise SceneError(f"scene {source}: tables and lists are nested too deep; allowed: {DEEPEST} in each other")
+    return tree
 
 
 def _based(tree: Tree, folder: Path, source: str | Path, seen: tuple[Path, ...]) -> Tree:

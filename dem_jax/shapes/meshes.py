@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 Loop = Sequence[int]  # indices of points
 LOST = 0.01  # of the area of coplanar facets, that panels may lack
+THINNEST = 1e-9  # thickness over size of a panel, and the other way round: beyond, its plate is one in no precision
 SLIVER = 1e-4  # area over squared extent, of facets that may be left out
 
 
@@ -45,6 +46,11 @@ def plate(polygon: Any, thickness: float, name: str = "panel") -> Plate:
     """
     corners = _checked_polygon(polygon, name)
     thickness = positive_length(f"{name}.thickness", thickness)
+    size = float(np.linalg.norm(np.ptp(corners, axis=0)))
+    if not THINNEST * size < thickness < size / THINNEST:
+        raise SceneError(
+            f"{name}.thickness = {thickness:g}: allowed for a panel of {size:.3g} m: {THINNEST * size:.2g} to {size / THINNEST:.2g} m"
+        )
     k, normal = len(corners), loop_normal(corners)
     vertices = np.concatenate([corners, corners - thickness * normal])
     ring = [(i, (i + 1) % k) for i in range(k)]

@@ -1,8 +1,9 @@
-"""What every section of a scene shares: no unknown keys, no wrong types, only finite numbers."""
+"""What every section of a scene shares: no unknown keys, no wrong types, only finite numbers of a size that can be."""
 
-from typing import Annotated, Any
+from collections.abc import Iterator
+from typing import Annotated, Any, Self
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 
 def as_tuple(value: Any) -> Any:
@@ -20,7 +21,30 @@ Numbers = Annotated[tuple[float, ...], BeforeValidator(as_tuple)]
 MaterialName = Annotated[str | None, Field(description="name of a [material.NAME]; unset: [material] itself")]
 
 
+LARGEST = 1e30  # of any number: what it is multiplied with must not take it beyond single precision, 3e38
+
+
 class Section(BaseModel):
     """A table of a scene: unknown keys, wrong types and values that are not finite are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+    @model_validator(mode="after")
+    def _is_of_this_world(self) -> Self:
+        for key in type(self).model_fields:
+            item = getattr(self, key)
+            if isinstance(item, float) and 0 < abs(item) < 1 / LARGEST:
+                raise ValueError(f"{key} = {item:g}: allowed: 0 where that is, or a size of at least {1 / LARGEST:g}")
+            for number in _plain_numbers(item):
+                if abs(number) > LARGEST:
+                    raise ValueError(f"{key} = {number:.3g}: allowed: a size of at most {LARGEST:g}")
+        return self
+
+
+def _plain_numbers(item: Any) -> Iterator[float]:
+    """Those in a value, however deep in tuples."""
+    if isinstance(item, float):
+        yield item
+    elif isinstance(item, tuple):
+        for each in item:
+            yield from _plain_numbers(each)

@@ -21,7 +21,7 @@ class ConvexShape(Section):
     chamfer: Positive | None = Field(None, description="m, of a chamfered cuboid; unset: 5 mm")
     radius: Positive | None = Field(None, description="m, of a sphere, a cylinder or a prism (circumscribed)")
     height: Positive | None = Field(None, description="m, of a cylinder, a prism or a tube")
-    sides: int | None = Field(None, ge=3, description="of a prism, a cylinder or a tube")
+    sides: int | None = Field(None, ge=3, le=1000, description="of a prism, a cylinder or a tube")
     points: Points | None = Field(None, description="m, point set of a hull")
     stl: str | None = Field(None, description="file of a hull or of what is decomposed, relative to the scene's")
     unit: Positive = Field(1.0, description="m per unit of the STL or the points")
@@ -124,7 +124,7 @@ class Portion(PieceShape):
     share_by: Literal["weight", "count"] = Field("weight", description="what the shares of the products are of")
 
     target_weight: Positive = Field(0.05, description="kg; eq. 16 gives the count, rounded, unless count is set")
-    count: int | None = Field(None, ge=1, description="number of pieces")
+    count: int | None = Field(None, ge=1, le=1_000_000, description="number of pieces")
     arrangement: Literal["settled", "scattered"] = Field(
         "settled", description="settled in the closed feed bucket before time zero, or let go as scattered"
     )

@@ -45,7 +45,7 @@ class RunSettings(Section):
     escape: Literal["stop", "note"] = Field(
         "stop", description='a piece that leaves the domain stops the run, or is noted in the file and flies on: "note"'
     )
-    rebuild_steps: int = Field(48, ge=1, description="how many steps candidate pairs are kept at most")
+    rebuild_steps: int = Field(48, ge=1, le=65536, description="how many steps candidate pairs are kept at most")
     neighbours: Literal["auto", "all-pairs", "cells", "jax-md"] = Field(
         "auto", description="how pairs of pieces are found; auto: all pairs of few, cells for many"
     )

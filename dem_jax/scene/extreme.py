@@ -1,0 +1,42 @@
+"""Numbers that a scene may hold but that nobody means: which of them is furthest from what is usual."""
+
+import math
+from collections.abc import Iterator
+
+from pydantic import BaseModel
+
+from dem_jax.scene.sections.material import Material
+
+USUAL = {"step": 1e-6, "unit": 1.0, "start": 0.1, "opening_start": 0.1}  # where a key has no default, or 0
+LENGTH = 1e-2  # m: of what else has none
+
+
+def furthest(scene: BaseModel) -> str:
+    """The key of a scene whose number is the most powers of ten away from its default, and the number."""
+    off = [(abs(math.log10(abs(value) / usual)), f"{key} = {value:g}") for key, value, usual in _numbers(scene, "")]
+    return max(off)[1]
+
+
+def _numbers(section: BaseModel, path: str) -> Iterator[tuple[str, float, float]]:
+    """(key, number, what is usual) of all numbers that are not 0."""
+    items = {name: getattr(section, name) for name in type(section).model_fields} | (section.model_extra or {})
+    for name, item in items.items():
+        key = f"{path}{name}"
+        rows = item if isinstance(item, tuple) else (item,)
+        for n, row in enumerate(rows):
+            if isinstance(row, BaseModel):
+                yield from _numbers(row, f"{key}.{n}." if isinstance(item, tuple) else f"{key}.")
+            elif _is_number(row):
+                yield key, row, _usual(section, name) if row is item else max(1.0, abs(row) if abs(row) < 1 else 1.0)
+
+
+def _usual(section: BaseModel, name: str) -> float:
+    for known in (type(section), Material):
+        default = known.model_fields[name].default if name in known.model_fields else None
+        if _is_number(default):
+            return abs(default)
+    return USUAL.get(name, LENGTH)
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and value != 0
