@@ -28,7 +28,8 @@ def check_pieces(scene: Scene, count: float) -> None:
     """Raise SceneError for more pieces than any computer has room for."""
     if not count <= MOST_PIECES:
         raise SceneError(
-            f"{scene.name}: {count:.4g} pieces; allowed: at most {MOST_PIECES:.0e}; furthest from what is usual is {furthest(scene)}"
+            f"{scene.name}: {count:.4g} pieces; allowed: at most {MOST_PIECES:.0e}; "
+            f"furthest from what is usual is {furthest(scene)}"
         )
 
 

@@ -55,7 +55,8 @@ def _built(scene: Scene, seed: int, law: ContactLaw | None) -> build.Built:
         return build.build(scene, seed, law)
     except (ArithmeticError, MemoryError, np.linalg.LinAlgError) as error:
         why = (str(error).splitlines() or [type(error).__name__])[0]
-        raise SceneError(f"{scene.name}: cannot be computed with ({why}); furthest from what is usual is {furthest(scene)}") from error
+        far = f"furthest from what is usual is {furthest(scene)}"
+        raise SceneError(f"{scene.name}: no numbers to compute with ({why}); {far}") from error
 
 
 def slot_block() -> int:

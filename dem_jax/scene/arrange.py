@@ -5,7 +5,6 @@ from numpy.typing import ArrayLike
 
 from dem_jax.errors import SceneError
 
-
 MOST_PLACES = 10**8  # in a layer
 
 

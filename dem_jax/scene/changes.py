@@ -80,6 +80,7 @@ def is_deep(tree: Any) -> bool:
     """Whether tables and lists of plain values are nested deeper than any scene's."""
     level, depth = [tree], 0
     while level and depth <= DEEPEST:
-        level = [below for item in level if isinstance(item, dict | list) for below in (item.values() if isinstance(item, dict) else item)]
+        rows = [list(item.values()) if isinstance(item, dict) else item for item in level]
+        level = [below for row in rows if isinstance(row, list) for below in row]
         depth += 1
     return bool(level)

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator
+from typing import Any
 
 from pydantic import BaseModel
 
@@ -27,12 +28,12 @@ def _numbers(section: BaseModel, path: str) -> Iterator[tuple[str, float, float]
             if isinstance(row, BaseModel):
                 yield from _numbers(row, f"{key}.{n}." if isinstance(item, tuple) else f"{key}.")
             elif _is_number(row):
-                yield key, row, _usual(section, name) if row is item else max(1.0, abs(row) if abs(row) < 1 else 1.0)
+                yield key, row, _usual(section, name) if row is item else min(1.0, abs(row))  # one near 0 is no news in a vector
 
 
 def _usual(section: BaseModel, name: str) -> float:
     for known in (type(section), Material):
-        default = known.model_fields[name].default if name in known.model_fields else None
+        default: Any = known.model_fields[name].default if name in known.model_fields else None
         if _is_number(default):
             return abs(default)
     return USUAL.get(name, LENGTH)

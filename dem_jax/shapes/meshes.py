@@ -47,10 +47,9 @@ def plate(polygon: Any, thickness: float, name: str = "panel") -> Plate:
     corners = _checked_polygon(polygon, name)
     thickness = positive_length(f"{name}.thickness", thickness)
     size = float(np.linalg.norm(np.ptp(corners, axis=0)))
-    if not THINNEST * size < thickness < size / THINNEST:
-        raise SceneError(
-            f"{name}.thickness = {thickness:g}: allowed for a panel of {size:.3g} m: {THINNEST * size:.2g} to {size / THINNEST:.2g} m"
-        )
+    low, high = THINNEST * size, size / THINNEST
+    if not low < thickness < high:
+        raise SceneError(f"{name}.thickness = {thickness:g}: allowed for a panel of {size:.3g} m: {low:.2g} to {high:.2g} m")
     k, normal = len(corners), loop_normal(corners)
     vertices = np.concatenate([corners, corners - thickness * normal])
     ring = [(i, (i + 1) % k) for i in range(k)]

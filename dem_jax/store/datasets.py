@@ -109,7 +109,7 @@ def checksum(file: "h5py.File", restart: dict[str, np.ndarray]) -> int:
         found = zlib.crc32(repr(value.tolist() if isinstance(value, np.ndarray | np.generic) else value).encode(), found)
     for name, array in sorted(restart.items()):
         found = zlib.crc32(f"{name} {array.dtype.str} {array.shape}".encode(), found)
-        found = zlib.crc32(np.ascontiguousarray(array), found)
+        found = zlib.crc32(array.tobytes(), found)
     return found
 
 

@@ -22,6 +22,7 @@ MaterialName = Annotated[str | None, Field(description="name of a [material.NAME
 
 
 LARGEST = 1e30  # of any number: what it is multiplied with must not take it beyond single precision, 3e38
+ALLOWED = f"numbers whose size is {1 / LARGEST:g} to {LARGEST:g}, and 0 where that may be"
 
 
 class Section(BaseModel):
@@ -34,16 +35,17 @@ class Section(BaseModel):
         for key in type(self).model_fields:
             item = getattr(self, key)
             if isinstance(item, float) and 0 < abs(item) < 1 / LARGEST:
-                raise ValueError(f"{key} = {item:g}: allowed: 0 where that is, or a size of at least {1 / LARGEST:g}")
+                raise ValueError(f"{key} = {item:.3g}: allowed: {ALLOWED}")
             for number in _plain_numbers(item):
                 if abs(number) > LARGEST:
-                    raise ValueError(f"{key} = {number:.3g}: allowed: a size of at most {LARGEST:g}")
+                    shown = f"{number:.3g}" if abs(number) < 1e300 else "a number of more than 300 digits"
+                    raise ValueError(f"{key} = {shown}: allowed: {ALLOWED}")
         return self
 
 
 def _plain_numbers(item: Any) -> Iterator[float]:
     """Those in a value, however deep in tuples."""
-    if isinstance(item, float):
+    if isinstance(item, float | int):
         yield item
     elif isinstance(item, tuple):
         for each in item:

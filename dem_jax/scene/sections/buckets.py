@@ -42,7 +42,9 @@ class Feeder(Section):
     The paper gives neither geometry nor vibration; these are plausible values (named assumptions).
     """
 
-    count: int | None = Field(None, ge=1, le=1_000_000, description="pieces that lie on the pan at first; unset: as many as the portion has")
+    count: int | None = Field(
+        None, ge=1, le=1_000_000, description="pieces that lie on the pan at first; unset: as many as the portion has"
+    )
     length: Positive = Field(0.28, description="m, of the pan along x")
     width: Positive = Field(0.09, description="m, inner width of the pan")
     wall_height: Positive = Field(0.06, description="m, of its sides")
