@@ -129,11 +129,12 @@ def _domain(scene: Scene, panels: Sequence[Panel], start: Start, made: Sequence[
     if scene.run.domain_high is not None:
         high = np.array(scene.run.domain_high)
     if (low >= high).any():
-        raise SceneError(f"run.domain_low = {tuple(low)}: allowed: below run.domain_high = {tuple(high)}")
+        raise SceneError(f"run.domain_low = {low.tolist()}: allowed: below run.domain_high = {high.tolist()}")
     out = (start.position < low) | (start.position > high)
     if out.any():
         k = int(np.argmax(out.any(1)))
-        raise SceneError(f"piece.{k}.position = {tuple(start.position[k])}: outside the domain {tuple(low)} to {tuple(high)}")
+        where = f"outside the domain {low.tolist()} to {high.tolist()}"
+        raise SceneError(f"piece.{k}.position = {start.position[k].tolist()}: {where}")
     return low, high
 
 

@@ -19,6 +19,7 @@ from dem_jax.step.quantity import Quantity
 from dem_jax.store import record
 
 FileName = str | Path
+MOST_RUNS = 10**6  # of an ensemble: beyond, setting it up takes more room than there is
 
 
 def simulate(
@@ -66,6 +67,8 @@ def ensemble(
     share of the runs on its own devices, the first writes the file, and all return the whole ensemble or raise the same.
     Arguments and errors as ``simulate``.
     """
+    if not 1 <= runs <= MOST_RUNS:
+        raise SceneError(f"runs = {runs}: allowed: a whole number from 1 to {MOST_RUNS}")
     seeds = tuple(range(int(seed), int(seed) + int(runs)))
     with hosts.together():
         return drive(prepare(scene, seeds, len(seeds), quantities, law), out, overwrite, progress)

@@ -18,6 +18,7 @@ from dem_jax.scene import Scene, load_scene
 from dem_jax.scene.extreme import furthest
 from dem_jax.step.quantity import Quantity, checked
 
+MOST_SEED = 2**63 - 1  # that a file can hold
 SLOT_BLOCK = 64  # slots that a CPU computes at a time, at most: they stay in its cache
 
 
@@ -33,6 +34,8 @@ def prepare(
 
     Raises SceneError, and ValueError for two quantities of one name.
     """
+    if not 0 <= min(seeds) <= max(seeds) <= MOST_SEED:
+        raise SceneError(f"seed = {min(seeds) if min(seeds) < 0 else max(seeds)}: allowed: a whole number from 0 to {MOST_SEED}")
     compiling.loops_as_one()
     scene = build.self_contained(scene if isinstance(scene, Scene) else load_scene(scene))
     with jax.enable_x64(scene.run.precision == "f64"), np.errstate(all="ignore"):  # build looks at what comes out

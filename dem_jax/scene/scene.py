@@ -21,7 +21,7 @@ from dem_jax.scene.words import choices, one_line
 class Scene(Section):
     """A whole scene. ``load_scene`` reads one; ``replace`` makes a changed one."""
 
-    name: str = Field("scene", pattern=r"^[^/\\\x00-\x1f\x7f]+$", description="of the files that a run writes")
+    name: str = Field("scene", pattern=r"^[^/\\\x00-\x1f\x7f-\x9f]+$", description="of the files that a run writes")
     material: Material = Material()
     run: RunSettings = RunSettings()
     portion: Portion | None = None

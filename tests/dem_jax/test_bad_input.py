@@ -3,12 +3,17 @@
 import re
 import subprocess
 import sys
+import time
 
 import numpy as np
 import pytest
 
 import dem_jax
 from dem_jax.__main__ import main
+from dem_jax.drive import failure
+from dem_jax.scene import parse
+from dem_jax.scene.sections.pieces import Piece
+from dem_jax.types import Sample
 
 SET = [  # --set of plate-drop -> what the line must hold
     ("material.restituton=0.5", r"material\.restituton = 0\.5: unknown key; did you mean 'restitution'\? allowed: den"),
@@ -61,6 +66,25 @@ SET = [  # --set of plate-drop -> what the line must hold
     ("run.duration", r"--set 'run\.duration': allowed: section\.key=value"),
 ]  # fmt: skip
 
+EXTREME = [  # numbers that are finite but that nobody means; --set of plate-drop -> what the line must hold
+    ("material.density=1e-31", r"density = 1e-31: allowed: numbers whose size is 1e-30 to 1e\+30, and 0 where that may be"),
+    ("material.softening=1e300", r"softening = 1e\+300: allowed: numbers whose size is"),
+    ("run.gravity=[0, 0, -1e31]", r"gravity = -1e\+31: allowed: numbers whose size is"),
+    ("run.rebuild_steps=1000000000000", r"rebuild_steps = 1000000000000: allowed: a whole number >= 1 and <= 65536"),
+    (f"piece.0.max_parts=1{400 * '0'}", r"max_parts = a large whole number: allowed"),
+    ("material.density=1e-20", r"[\d.e+]+ steps of [\d.e-]+ s; allowed: at most 2\.1\d+e\+09; .* is material\.density = 1e-20"),
+    ("run.duration=1e9", r"steps of .*furthest from what is usual is run\.duration = 1e\+09"),
+    ("run.sample=1e-20", r"steps of .*furthest from what is usual is run\.sample = 1e-20"),
+    ("piece.0.scale_factor=1e20", r"pieces\.mass is beyond the numbers of single precision; .* is piece\.0\.scale_factor = 1e\+20"),
+    ("piece.0.size=[1e30, 0.02, 0.02]", r"no numbers to compute with \(.*\); .* is piece\.0\.size = 1e\+30"),
+    ("piece.0.sides=1000000", r"sides = 1000000: allowed: a whole number >= 3 and <= 1000"),
+    ("wall.0.thickness=1e-30", r"wall.*thickness = 1e-30: allowed for a panel of 1\.41 m: 1\.4e-09 to 1\.4e\+09 m"),
+    ("material=" + 50 * "[" + 50 * "]", r"nested too deep; allowed: 12 tables and lists in each other"),
+    ("a.b.c.d.e.f.g.h.i.j.k.l.m=1", r"nested too deep"),
+    ('name="a\\u001bb"', r'name = "a\\u001bb": allowed: a text that matches'),
+    ('wall.0.group=".."', r'wall\.0\.group = "\.\.": allowed: a text that matches'),
+]  # fmt: skip
+
 TOML = [  # a scene file -> what the line must hold
     ("[run\nduration = 1", r"scene\.toml: not valid TOML"),
     ('base = "plate-drp"', r"'plate-drp': no such file, nor one of the stock scenes"),
@@ -81,6 +105,10 @@ TOML = [  # a scene file -> what the line must hold
     ('[[piece]]\nshape = "hull"\nposition = [0,0,1]\nstl = "text.stl"', r"piece\.0\.stl = '.*text\.stl'"),
     ('[[piece]]\nshape = "hull"\nposition = [0,0,1]\npoints = [[0,0,0],[1,0,0],[0,1,0],[1,1,0]]', r"piece\.0\.points"),
     ('[weigh_bucket]\nflap_angle_deg = 95\n[portion]', r"weigh_bucket\.flap_angle_deg = 95: allowed: .* > 0 and < 90"),
+    ("x = " + 3000 * "[" + 3000 * "]", r"scene\.toml: not valid TOML|nested too deep"),
+    ("x = " + 5000 * "1", r"scene\.toml: not valid TOML"),
+    ('base = "weigh-bucket"\n[portion]\ntarget_weight = 1e9', r"pieces; allowed: .* 1e\+06; .* portion\.target_weight = 1e\+09"),
+    ('base = "weigh-bucket"\n[portion]\nscale_factor = 1e-6', r"pieces; allowed: .* 1e\+06; .* portion\.scale_factor = 1e-06"),
     ('[weigh_bucket]\nmouth = [0.1]\n[portion]', r"weigh_bucket\.mouth = \[0\.1\]: allowed: a list of 2, each a"),
 ]  # fmt: skip
 
@@ -100,6 +128,8 @@ COMMANDS = [  # a command -> what the line must hold
     (["run", "plate-drop", "--speed", "3"], r"unrecognized arguments: --speed 3"),
     (["ensemble", "plate-drop", "--runs", "0"], r"--runs: '0': allowed: a whole number of at least 1"),
     (["ensemble", "plate-drop", "--runs", "many"], r"--runs: 'many': allowed"),
+    (["ensemble", "plate-drop", "--runs", "1" + 30 * "0"], r"runs = 10+: allowed: a whole number from 1 to 1000000"),
+    (["run", "plate-drop", "--seed", "9223372036854775808"], r"seed = 9223372036854775808: allowed: a whole number from 0 to"),
     (["scenes", "nothing"], r"'nothing': no such file, nor one of the stock scenes"),
     (["plot", "gone.h5"], r"gone\.h5: there is no such file"),
     (["plot", "cut.h5"], r"cut\.h5"),
@@ -162,6 +192,11 @@ def test_a_setting_that_cannot_be(setting, expected, tmp_path, capsys):
     assert_refused(["run", "plate-drop", "--quiet", "--set", setting], expected, tmp_path, capsys)
 
 
+@pytest.mark.parametrize(("setting", "expected"), EXTREME)
+def test_a_number_that_nobody_means(setting, expected, tmp_path, capsys):
+    assert_refused(["run", "plate-drop", "--quiet", "--set", setting], expected, tmp_path, capsys)
+
+
 @pytest.mark.parametrize(("text", "expected"), TOML)
 def test_a_scene_file_that_cannot_be(text, expected, folder, capsys):
     (folder / "scene.toml").write_text(text)
@@ -186,3 +221,35 @@ def test_as_a_process(tmp_path):
     done = subprocess.run(command, capture_output=True, text=True, env={"PYTHONPATH": ":".join(sys.path)})
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == "dem_jax: plate-drop: material.restitution = 2: allowed: a number > 0 and <= 1\n"
+
+
+def test_a_run_whose_numbers_overflow_stops(whole):
+    """Energies of a contact that is next to nothing stiff are infinite; nothing else would show it."""
+    scene = parse(dem_jax.load_run(whole).scene)
+    expected = r"at t = 3e-05 s: energy not finite; likely cause: .* usual is material\.softening = 1e-30"
+    with pytest.raises(dem_jax.SimulationError, match=expected) as caught:
+        dem_jax.simulate(scene.replace({"material.softening": 1e-30, "run.duration": 9e-5}))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("runs", [(), (2,)])
+def test_a_force_that_is_not_finite_is_found(runs):
+    force = np.zeros((*runs, 5, 1, 3))
+    force[..., 3:, 0, 2] = np.nan
+    one = np.zeros((*runs, 5))
+    sample = Sample({"force": force, "own": one + np.nan, "culprit": one.astype(int) - 1, "overlap": one})
+    assert failure.find(sample, 5) == (0, 3), "what a user's quantity may be is not known"
+    assert failure.find(sample, 3) is None, "samples beyond count are none"
+
+
+def test_frames_that_are_rarer_than_the_run_is_long(whole):
+    scene = parse(dem_jax.load_run(whole).scene)
+    assert dem_jax.simulate(scene.replace({"run.frames": 1e5, "run.duration": 9e-5})).pieces.time.tolist() == [0.0]
+
+
+def test_many_corners_are_checked_quickly():
+    """A hull of ten thousand points, each looked at once: a few milliseconds, of which a hundred are allowed."""
+    points = np.random.default_rng(0).random((10_000, 3)).tolist()
+    start = time.perf_counter()
+    Piece(shape="hull", points=points, position=[0, 0, 0])
+    assert time.perf_counter() - start < 0.1

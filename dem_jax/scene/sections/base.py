@@ -38,7 +38,7 @@ class Section(BaseModel):
                 raise ValueError(f"{key} = {item:.3g}: allowed: {ALLOWED}")
             for number in _plain_numbers(item):
                 if abs(number) > LARGEST:
-                    shown = f"{number:.3g}" if abs(number) < 1e300 else "a number of more than 300 digits"
+                    shown = f"{number:.3g}" if isinstance(number, float) or number < 10**15 else "a large whole number"
                     raise ValueError(f"{key} = {shown}: allowed: {ALLOWED}")
         return self
 

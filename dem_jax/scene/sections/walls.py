@@ -4,11 +4,13 @@ from pydantic import Field
 
 from dem_jax.scene.sections.base import MaterialName, NotNegative, Numbers, Points, Positive, Section, Vector
 
+NAME = r"^[.]*[A-Za-z0-9_-][A-Za-z0-9_.-]*$"  # not of dots alone: in a file, that is a group itself
+
 
 class Wall(Section):
     """A convex panel, or the panels of an STL, in a named group."""
 
-    group: str = Field(min_length=1, pattern=r"^[A-Za-z0-9_.-]+$")
+    group: str = Field(min_length=1, pattern=NAME)
     corners: Points | None = Field(
         None, description="m, of a convex planar polygon, counter-clockwise seen by the pieces"
     )
@@ -50,6 +52,6 @@ class Motion(Section):
 class Block(Section):
     """A box in which settled mass is counted."""
 
-    name: str = Field(pattern=r"^[A-Za-z0-9_.-]+$")
+    name: str = Field(pattern=NAME)
     low: Vector = Field(description="m")
     high: Vector = Field(description="m")
