@@ -52,6 +52,8 @@ def placed(
     portion = scene.portion
     assert portion is not None  # as a Scene makes sure
     low, high = portion.region_low, portion.region_high
+    if (low is None) != (high is None):
+        raise SceneError(f"portion: region_{'low' if low is None else 'high'}: missing; allowed: both corners, or none")
     if (low is None or high is None) and not regions:
         raise SceneError("portion: region_low, region_high: missing; a scene without a feed bucket needs both")
     own = regions[0] if low is None or high is None else (low, high)

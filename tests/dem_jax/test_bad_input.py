@@ -93,6 +93,7 @@ TOML = [  # a scene file -> what the line must hold
     ("[run]\nduration = 1", r"a scene needs \[portion\] or at least one \[\[piece\]\]"),
     ("[[piece]]\nshape = 'cuboid'", r"piece\.0\.position: missing; it must be given: a list of 3, each a number"),
     ("[portion]", r"portion: region_low, region_high: missing"),
+    ('base = "weigh-bucket"\n[portion]\nregion_low = [9,0,0]', r"portion: region_high: missing; allowed: both corners"),
     ("[portion]\nregion_low = [0,0,0]\nregion_high = [0.01,0.01,1]", r"region of 0\.01 x 0\.01 m is too narrow"),
     ("[portion]\ncount = 0", r"portion\.count = 0: allowed: a whole number >= 1"),
     ('base = "plate-drop"\n[[motion]]\ngroup = "plat"', r"motion\.group = 'plat': no wall has this group"),
