@@ -17,8 +17,11 @@ def positive(key: str, value: Any, allowed: str) -> float:
 
 
 def positive_length(key: str, value: Any) -> float:
-    """The value as a float; raises SceneError naming the key unless it is a number > 0 and finite."""
-    return positive(key, value, "a positive length (m)")
+    """The value as a float; raises SceneError naming the key unless it is a number > 0 and finite, with a volume to it."""
+    length = positive(key, value, "a positive length (m)")
+    if length**3 == 0.0:
+        raise SceneError(f"{key} = {length!r} must be a positive length (m) whose cube is more than 0")
+    return length
 
 
 def three_lengths(size: Any) -> tuple[float, float, float]:
