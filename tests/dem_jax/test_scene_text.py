@@ -36,7 +36,7 @@ def scenes(draw):
         row = st.builds(lambda a, b: a | b, some(**shape, **one_of, velocity=vector), st.fixed_dictionaries({"position": vector}))
         tree["piece"] = draw(st.lists(row, min_size=1, max_size=3))
     else:
-        row = some(**shape, **one_of, share=positive, size_spread=st.floats(0, 0.5))
+        row = some(**shape, **one_of, share=positive, size_spread=st.just(0.0) | st.floats(1e-30, 0.5))
         tree["portion"] = {"product": draw(st.lists(row, max_size=3)), "target_weight": draw(positive)}
     panel = st.builds(lambda m, c: {"group": "w", "corners": c} | m, some(**one_of), st.lists(vector))
     tree["wall"] = draw(st.lists(panel, max_size=2))
