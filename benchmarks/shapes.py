@@ -103,7 +103,8 @@ def settled(product: Product, count: int):
     from dem_jax.drive.prepare import prepare
 
     loose = {"restitution": 0.5, "softening": 0.03}
-    probe = scene(product, 10.0, 1.0, np.zeros((len(product.pieces), 3)) + [0, 0, 0.5], np.eye(4)[[0] * len(product.pieces)], loose, {})
+    one = np.ones((len(product.pieces), 1))
+    probe = scene(product, 10.0, 1.0, one * [0, 0, 0.5], one * [1.0, 0, 0, 0], loose, {})
     size = 2 * float(np.max(build(probe, 0).system.parts.bounding_radius))
     columns = max(2, round(0.7 * count ** (1 / 3)))
     width = 1.03 * size * columns

@@ -205,7 +205,7 @@ def _without_back(offsets, side, other):
 
     side: of ``_facing``; other: bounding radius of the other body (m).
     """
-    more = jnp.abs(side) * other
+    more = jnp.abs(side) * other[None]
     return -side * more, offsets + more
 
 
@@ -215,7 +215,7 @@ def _facing(hull: Hulls, normal):
     along = dot(hull.normals, expand(normal, 0))
     most = along == jnp.max(along, axis=0)[None]
     half = most.shape[0] // 2
-    side = most[:half].astype(along.dtype) - most[half:]
+    side = most[:half].astype(along.dtype) - most[half:].astype(along.dtype)
     return _first_where(most) * (hull.loops.shape[1] // hull.normals[0].shape[0]) + hull.row, side
 
 

@@ -125,7 +125,8 @@ def nearness(system: System, kind, slots: Slots, a: Body, b: Body, offset):
 
 def is_kept(system: System) -> bool:
     """Whether near features of polytopes are kept from step to step; else all are looked at in each."""
-    return system.hulls is not None and system.hulls.features is not None and bool(system.slot_block)
+    they_meet = any(kind == "hulls" for kind, _, _ in system.capacity)
+    return they_meet and system.hulls.features is not None and bool(system.slot_block)
 
 
 def _in_world(found: collide.Geometry, a: Body) -> collide.Geometry:

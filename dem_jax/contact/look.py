@@ -11,8 +11,10 @@ bound on that way (``Near.margin``), within which the answer of ``near.axes`` is
   exceeds the depth by twice the way are none; nor are two whose arcs on the Gauss map are turned too far apart to cross;
 - what of the other body clips the face of a contact has a point in the overlap.
 
-Where there are more such features than there is room for, those nearest to counting are taken and the margin is smaller: the
-answer is always exact, and only how often a look is due depends on the room. Way: that of the points of b in a's frame.
+Where there are more such features than there is room for, those nearest to counting are taken and the margin is smaller; where
+none is left, there is a look in every step. Edges are taken in the order of a lower bound of the overlap along their arcs: the
+answer of a look is exact as long as that of those left out exceeds the depth (of 3774 random pairs up to 40 % of their size deep,
+``benchmarks.depth``, it did in all). Way: that of the points of b in a's frame.
 """
 
 from typing import NamedTuple
@@ -305,9 +307,9 @@ def smallest(keys: Array, room: int) -> tuple[Array, Array]:
 
 def _ascending(rows):
     """Distinct numbers [K, P] in ascending order along the first axis. (XLA makes no one function of a loop that sorts.)"""
-    rank = (jnp.sum(rows[:, None] > rows[None], axis=1, dtype=jnp.int32))
+    rank = jnp.sum(rows[:, None] > rows[None], axis=1, dtype=jnp.int32)
     place = jnp.arange(rows.shape[0], dtype=jnp.int32)[:, None, None]
-    return jnp.sum(jnp.where(rank[None] == place, rows[None], 0), axis=1)
+    return jnp.sum(jnp.where(rank[None] == place, rows[None], 0), axis=1, dtype=jnp.int32)
 
 
 def _own(count, row, keys, none=jnp.inf):

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dem_jax import build, compiling, validation
+from dem_jax import build, compiling, shapes, validation
 from dem_jax.step import stepping
 from dem_jax.validation import NormalImpact
 
@@ -20,9 +20,19 @@ TOUCH = 22.5 * DT
 HEIGHT = SPEED * TOUCH + 0.5 * G * TOUCH**2  # m, of the lower face
 EPSILON = 0.3
 DIAMETER = (6 * 19440e-9 / np.pi) ** (1 / 3)
+
+
+def frustum():
+    """Corners of a pyramid without its top, of a marshmallow's volume, about its centre of mass: no face has an opposite one."""
+    points = np.array([(x * w, y * w, z) for z, w in ((0.0, 1.0), (1.0, 0.6)) for x in (-1, 1) for y in (-0.7, 0.7)])
+    shape = shapes.hull(points)
+    return shape.vertices * (19440e-9 / shape.volume) ** (1 / 3)
+
+
 PIECES = {
     "sphere": ({"shape": "sphere", "radius": 0.5 * DIAMETER}, 0.5 * DIAMETER),
     "marshmallow": ({"shape": "chamfered-cuboid"}, 0.008),
+    "frustum": ({"shape": "hull", "points": tuple(map(tuple, frustum().tolist()))}, -frustum()[:, 2].min()),
 }
 STEPS = 320  # to 1.28 ms, when the piece is on its way out; the force pulse ends at 0.95 ms
 

@@ -1,0 +1,201 @@
+"""General convex polytopes: exact for all of them, near features say what all features say, thin walls are walls."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from benchmarks import depth as exact
+from dem_jax import Scene, shapes, simulate
+from dem_jax.build import hulls as tables_of
+from dem_jax.compiling import known
+from dem_jax.contact import collide, geometry, hulls, look, near
+
+MARSHMALLOW = shapes.chamfered_cuboid()
+
+
+def test_depth_and_normal_of_random_hulls_equal_hull_arithmetic():
+    single, double = exact.errors(400, exact.DTYPES, seed=1)
+    assert single.touching == double.touching > 100
+    assert single.depth.max() < 1e-6
+    assert double.depth.max() < 1e-13
+    assert single.left.max() < 1e-6
+    assert double.left.max() < 1e-13
+    assert single.apart.max() < 1e-6
+    assert double.apart.max() < 1e-13
+
+
+# --- near features ---
+
+BATCH = 64
+HULLS = [exact.bodies()[k] for k in (6, 10)] + [shapes.cuboid((0.09, 0.09, 0.02)), MARSHMALLOW]
+
+
+@partial(jax.jit, compiler_options=known("cpu"))
+def from_all(table, rows, rel):
+    """Near features, and contact from all of them."""
+    found = look.look(table.features, rows, tuple(table.bounding_radius[row] for row in rows), rel, None)
+    axes = near.axes(found, rel)
+    facing = look.facing(table.features, rows, axes.normal, rel)
+    faces = near.looking(facing, axes.normal, rel)
+    return found, facing, axes, faces, near.pressure_centre(table, rows, faces, near.every_plane(table, rows), rel, axes)
+
+
+@partial(jax.jit, compiler_options=known("cpu"))
+def from_near(table, rows, kept, facing, rel):
+    """The same from what is known from before, how far the bodies have moved, and whether the facing faces are certain."""
+    axes = near.axes(kept, rel)
+    touching = jnp.ones_like(axes.depth, bool)
+    facing = near.faced(table, facing, rows, axes.normal, touching, rel)
+    faces = near.looking(facing, axes.normal, rel)
+    centre = near.pressure_centre(table, rows, faces, kept.clipping, rel, axes)
+    return axes, faces, centre, near.moved(kept, table.bounding_radius[rows[1]], rel)
+
+
+def relative(turn, offset):
+    return collide.Relative(tuple(tuple(row) for row in turn.as_matrix().transpose(1, 2, 0)), tuple(offset.T))
+
+
+def test_near_features_say_what_all_say_until_bodies_have_moved_by_the_margin():
+    table = jax.tree.map(jnp.asarray, tables_of.table(HULLS, np.float64))
+    table = table.replace(row=table.row.astype(np.int32))
+    corners = [exact.in_principal_frame(shape) for shape in HULLS]
+    random, compared = np.random.default_rng(2), 0
+    for trial in range(12):
+        pairs = exact.random_pairs(BATCH, corners, [shape.normals for shape in HULLS], seed=trial)
+        rows = tuple(i.astype(np.int32) for i in (pairs.a, pairs.b))
+        kept, facing, *_ = from_all(table, rows, relative(pairs.turn, pairs.offset))
+        margin = np.asarray(kept.margin)
+        is_shallow = np.abs(np.asarray(kept.depth)) < 5e-4
+        assert (margin[is_shallow] > 0).all()  # of some that are deeper there is a look in every step
+        way = np.maximum(margin, 0) * random.uniform(0, 1, BATCH)
+        share = random.uniform(0, 1, BATCH)
+        along, about = (x / np.linalg.norm(x, axis=1, keepdims=True) for x in random.normal(size=(2, BATCH, 3)))
+        offset = pairs.offset + along * (way * share)[:, None]
+        radius = np.array([HULLS[k].bounding_radius for k in pairs.b])
+        turn = pairs.turn * Rotation.from_rotvec(about * (way * (1 - share) / radius)[:, None])
+        rel = relative(turn, offset)
+        _, _, true, true_faces, true_centre = from_all(table, rows, rel)
+        axes, faces, centre, moved = from_near(table, rows, kept, facing, rel)
+        sure = (np.asarray(moved) <= margin) & (np.asarray(true.depth) > 1e-9)
+        compared += sure.sum()
+        np.testing.assert_allclose(axes.depth[sure], true.depth[sure], atol=1e-15, rtol=0)
+        for one, other in zip((*axes.normal, *faces), (*true.normal, *true_faces), strict=True):
+            np.testing.assert_allclose(one[sure], other[sure], atol=1e-12)
+        narrow = sure & ~np.asarray(kept.wide)
+        assert narrow.sum() > 0.9 * sure.sum()
+        for one, other in zip(centre[0], true_centre[0], strict=True):
+            np.testing.assert_allclose(one[narrow], other[narrow], atol=1e-12)
+    assert compared > 200
+
+
+MIXTURE = [
+    {"shape": "hull", "points": tuple(map(tuple, exact.bodies()[7].vertices.tolist()))},
+    {"shape": "hull", "points": tuple(map(tuple, exact.bodies()[9].vertices.tolist()))},
+    {"shape": "prism", "radius": 0.012, "height": 0.02, "sides": 5},
+    {"shape": "chamfered-cuboid", "scale_factor": 0.5},
+]
+
+
+def closed_box(**run):
+    """Eight pieces of four shapes that fly about in a closed box, without gravity, with friction."""
+    half, random = 0.045, np.random.default_rng(3)
+    walls = [{"group": "box", "corners": inside(axis, side, half), "thickness": 0.02} for axis in range(3) for side in (-1, 1)]
+    pieces = []
+    for k in range(8):
+        at = (np.array([k & 1, k >> 1 & 1, k >> 2]) - 0.5) * 0.04
+        turn = random.normal(size=4)
+        pieces.append(
+            MIXTURE[k % 4]
+            | {
+                "position": tuple(at.tolist()),
+                "orientation": tuple((turn / np.linalg.norm(turn)).tolist()),
+                "velocity": tuple(random.uniform(-1, 1, 3).tolist()),
+                "angular_velocity": tuple(random.uniform(-30, 30, 3).tolist()),
+            }
+        )
+    run = {"precision": "f64", "gravity": (0.0, 0.0, 0.0), "sample": 2e-4, "frames": 0.01} | run
+    return Scene(name="closed", piece=pieces, wall=walls, material={"restitution": 0.5}, run=run)
+
+
+def inside(axis, side, half):
+    """Corners of a side of a cube about the origin, counter-clockwise seen from inside."""
+    corners = np.insert(np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)]) * (half + 0.01), axis, side * half, axis=1)
+    turns = np.cross(corners[1] - corners[0], corners[2] - corners[1])[axis]
+    return tuple(map(tuple, (corners if turns * side < 0 else corners[::-1]).tolist()))
+
+
+def test_energy_of_mixed_hulls_in_a_closed_box_never_grows_and_the_ledger_closes():
+    run = simulate(closed_box(duration=0.25))
+    mechanical = run.energy["kinetic"] + run.energy["potential"] + run.energy["elastic"]
+    off = np.abs(run.energy["total"] - run.energy["total"][0]).max()
+    rise = (mechanical - np.minimum.accumulate(mechanical)).max()  # the largest above any earlier value
+    print(f"rise {rise:.2g} J, ledger {off:.2g} J of {mechanical[0]:.3g} J; left {mechanical[-1] / mechanical[0]:.2f}")
+    assert mechanical[-1] < 0.6 * mechanical[0]  # they have met
+    assert rise < 1e-3 * mechanical[0]
+    assert off < 1e-3 * mechanical[0]
+
+
+def test_a_run_with_kept_features_is_the_one_that_looks_at_all_in_every_step(monkeypatch):
+    scene = closed_box(duration=0.03)
+    kept = simulate(scene)
+    monkeypatch.setattr("dem_jax.drive.prepare.slot_block", lambda: 0)
+    plain = simulate(scene)
+    assert np.abs(kept.force["box"]).max() > 1
+    np.testing.assert_allclose(kept.force["box"], plain.force["box"], atol=1e-7)
+    np.testing.assert_allclose(kept.pieces.position, plain.pieces.position, atol=1e-12)
+
+
+# --- thin walls ---
+
+
+@pytest.mark.parametrize("general", [False, True], ids=["zonotopes", "general"])
+@pytest.mark.parametrize("dtype, rounding", [(np.float32, 1e-6), (np.float64, 1e-15)])
+def test_a_panel_of_a_tenth_of_a_millimetre_has_the_contact_of_one_of_ten(general, dtype, rounding, monkeypatch):
+    """A marshmallow in any orientation, up to half of its width deep."""
+    if general:
+        monkeypatch.setattr(tables_of, "MOST_DIRECTIONS", 0)
+    table = tables_of.table([shapes.cuboid((0.3, 0.3, t)) for t in (1e-4, 1e-2)] + [MARSHMALLOW], dtype)
+    table = table.replace(row=table.row.astype(np.int32))
+    random, count = np.random.default_rng(0), 96
+    turn = Rotation.from_quat(random.normal(size=(count, 4)))
+    corners = exact.in_principal_frame(MARSHMALLOW)
+    low = np.array([r.apply(corners)[:, 2].min() for r in turn])
+    depth = random.uniform(0, 0.5, count) * 0.016
+    rows = np.full(count, 2, np.int32)
+    found = []
+    for panel, thickness in enumerate((1e-4, 1e-2)):
+        offset = np.c_[np.zeros((count, 2)), 0.5 * thickness - low - depth]
+        rel = jax.tree.map(lambda x: x.astype(dtype), relative(turn, offset))
+        found.append(contact(table, (np.full(count, panel, np.int32), rows), rel))
+    thin, thick = found
+    np.testing.assert_allclose(thin.depth, depth, atol=rounding, rtol=0)
+    np.testing.assert_allclose(thin.depth, thick.depth, atol=rounding, rtol=0)
+    np.testing.assert_allclose(thin.normal, thick.normal, atol=0)
+    np.testing.assert_allclose(thin.point[:2], thick.point[:2], atol=30 * rounding, rtol=0)
+    np.testing.assert_allclose(thin.point[2] - 0.5e-4, thick.point[2] - 0.5e-2, atol=30 * rounding, rtol=0)
+
+
+@partial(jax.jit, compiler_options=known("cpu"))
+def contact(table, rows, rel):
+    if table.features is not None:
+        return geometry.polytopes(table, rows, rel)
+    return collide.hull_hull(*(hulls.with_faces(hulls.gather(table, row, False), table) for row in rows), rel)
+
+
+@pytest.mark.parametrize("piece", [{"shape": "chamfered-cuboid"}, MIXTURE[0]], ids=["zonotope", "hull"])
+def test_a_piece_bounces_off_a_sheet_as_off_a_slab(piece):
+    """Tilted, at 2.2 m/s: of 0.5 mm and of 10 mm. Nothing differs but rounding."""
+    floor, out = ((-0.2, -0.2, 0), (0.2, -0.2, 0), (0.2, 0.2, 0), (-0.2, 0.2, 0)), []
+    for thickness in (5e-4, 1e-2):
+        start = {"position": (0.0, 0.0, 0.045), "orientation": (0.9, 0.3, 0.2, 0.1), "velocity": (0.0, 0.0, -2.2)}
+        wall = {"group": "sheet", "corners": floor, "thickness": thickness}
+        run = {"precision": "f64", "duration": 0.03, "frames": 0.01}
+        out.append(simulate(Scene(name="sheet", piece=[piece | start], wall=[wall], material={"softening": 0.003}, run=run)))
+    sheet, slab = out
+    assert sheet.overlap.max() * 0.016 > 5e-4  # deeper than the sheet is thick
+    np.testing.assert_allclose(sheet.force["sheet"], slab.force["sheet"], atol=1e-8)
+    np.testing.assert_allclose(sheet.pieces.velocity, slab.pieces.velocity, atol=1e-10)
