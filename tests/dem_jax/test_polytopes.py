@@ -63,14 +63,14 @@ def test_near_features_say_what_all_say_until_bodies_have_moved_by_the_margin():
     table = jax.tree.map(jnp.asarray, tables_of.table(HULLS, np.float64))
     table = table.replace(row=table.row.astype(np.int32))
     corners = [exact.in_principal_frame(shape) for shape in HULLS]
-    random, compared = np.random.default_rng(2), 0
+    random, compared, in_full = np.random.default_rng(2), 0, 0
     for trial in range(12):
         pairs = exact.random_pairs(BATCH, corners, [shape.normals for shape in HULLS], seed=trial)
         rows = tuple(i.astype(np.int32) for i in (pairs.a, pairs.b))
         kept, facing, *_ = from_all(table, rows, relative(pairs.turn, pairs.offset))
         margin = np.asarray(kept.margin)
         is_shallow = np.abs(np.asarray(kept.depth)) < 5e-4
-        assert (margin[is_shallow] > 0).all()  # of some that are deeper there is a look in every step
+        assert (margin[is_shallow] > 0).all()
         way = np.maximum(margin, 0) * random.uniform(0, 1, BATCH)
         share = random.uniform(0, 1, BATCH)
         along, about = (x / np.linalg.norm(x, axis=1, keepdims=True) for x in random.normal(size=(2, BATCH, 3)))
@@ -86,10 +86,10 @@ def test_near_features_say_what_all_say_until_bodies_have_moved_by_the_margin():
         for one, other in zip((*axes.normal, *faces), (*true.normal, *true_faces), strict=True):
             np.testing.assert_allclose(one[sure], other[sure], atol=1e-12)
         narrow = sure & ~np.asarray(kept.wide)
-        assert narrow.sum() > 0.9 * sure.sum()
+        in_full += narrow.sum()
         for one, other in zip(centre[0], true_centre[0], strict=True):
             np.testing.assert_allclose(one[narrow], other[narrow], atol=1e-12)
-    assert compared > 200
+    assert compared > 200 and in_full > 0.8 * compared
 
 
 MIXTURE = [
