@@ -64,7 +64,7 @@ def test_near_features_say_what_all_say_until_bodies_have_moved_by_the_margin():
     table = table.replace(row=table.row.astype(np.int32))
     corners = [exact.in_principal_frame(shape) for shape in HULLS]
     random, compared, in_full = np.random.default_rng(2), 0, 0
-    for trial in range(12):
+    for trial in range(16):
         pairs = exact.random_pairs(BATCH, corners, [shape.normals for shape in HULLS], seed=trial)
         rows = tuple(i.astype(np.int32) for i in (pairs.a, pairs.b))
         kept, facing, *_ = from_all(table, rows, relative(pairs.turn, pairs.offset))
