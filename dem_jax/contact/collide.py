@@ -26,6 +26,7 @@ FACE_PREFERENCE = 0.02
 SEAM_SLOPE = 10.0
 PART_EDGE = 1e-5  # of a part's bounding radius: a sphere that touches the body no further beside a part touches the part
 SEAM_SINE = 1e-5  # a sphere's normal that points across a seam by no more is taken to stand on both panels
+FEW = 64  # rows that are gone through one after the other: the program grows with them
 AT_ONCE = 8  # rows of which an extreme is found in one go
 
 
@@ -139,7 +140,10 @@ def _barred_by_seams(overlaps, axes, a: Hulls, b: Hulls, rel: Relative):
 
 
 def _least(rows):
-    """The smallest of the rows [K, ...], and the first row that has it, int32. One after the other, which vectorises."""
+    """The smallest of the rows [K, ...], and the first row that has it, int32. Of a few one after the other, which vectorises."""
+    if rows.shape[0] > FEW:
+        least = jnp.min(rows, axis=0)
+        return least, _first_where(rows == least[None])
     least, index = rows[0], jnp.zeros(rows.shape[1:], jnp.int32)
     for k in range(1, rows.shape[0]):
         less = rows[k] < least
@@ -148,9 +152,9 @@ def _least(rows):
 
 
 def _first_where(mask):
-    """Index of the first row in which the mask holds, [P] int32; a minimum, which unlike argmin vectorises."""
+    """Index of the first row in which the mask holds, [...] int32; a minimum, which unlike argmin vectorises."""
     rows = mask.shape[0]
-    number = jnp.arange(rows, dtype=jnp.int32)[:, None]
+    number = jnp.arange(rows, dtype=jnp.int32).reshape(-1, *(1,) * (mask.ndim - 1))
     return jnp.min(jnp.where(mask, number, rows - 1), axis=0)
 
 
@@ -367,7 +371,10 @@ def _sum(terms):
 
 
 def _select(v, index):
-    """Entry index of each list v, [K, ...] x 3: a row of selections, which unlike a gather vectorises."""
+    """Entry index of each list v, [K, ...] x 3: of a few a row of selections, which unlike a gather vectorises."""
+    if v[0].shape[0] > FEW:
+        rows = (jnp.broadcast_to(c, (c.shape[0], *index.shape)) for c in v)
+        return tuple(jnp.take_along_axis(c, index[None], axis=0, mode="promise_in_bounds")[0] for c in rows)
     out = tuple(c[0] for c in v)
     for k in range(1, v[0].shape[0]):
         out = vector.where(index == k, tuple(c[k] for c in v), out)

@@ -199,3 +199,19 @@ def test_a_piece_bounces_off_a_sheet_as_off_a_slab(piece):
     assert sheet.overlap.max() * 0.016 > 5e-4  # deeper than the sheet is thick
     np.testing.assert_allclose(sheet.force["sheet"], slab.force["sheet"], atol=1e-8)
     np.testing.assert_allclose(sheet.pieces.velocity, slab.pieces.velocity, atol=1e-10)
+
+
+def test_a_sphere_on_a_hull_of_hundreds_of_faces():
+    shape = exact.bodies()[14]
+    table = tables_of.table([shape], np.float64)
+    corners, random = exact.in_principal_frame(shape), np.random.default_rng(4)
+    centre, radius = random.normal(size=(60, 3)) * 0.012, np.full(60, 0.004)
+    found = sphere_on(table.replace(loops=None, open_edges=None, features=None), radius, tuple(centre.T))
+    true = [exact.reference(point[None] - corners) for point in centre]
+    inside = np.array([depth > 0 for depth, _ in true])
+    assert len(shape.normals) > collide.FEW and 5 < inside.sum() < 55
+    np.testing.assert_allclose(found.depth, [0.004 + depth for depth, _ in true], atol=1e-15)
+    np.testing.assert_allclose(np.stack(found.normal, axis=1), [normal for _, normal in true], atol=1e-10)
+
+
+sphere_on = jax.jit(collide.hull_sphere, compiler_options=known("cpu"))
