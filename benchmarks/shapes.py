@@ -2,6 +2,7 @@
 
 Pieces of a marshmallow's volume, turned at random and settled in an open box, in single precision. All shapes are timed side by
 side in one process on one core, in turns; the marshmallow, whose contacts take the fast path of zonotopes, is the measure.
+Compiling: the first call of 8 pieces, with nothing kept from before. YADE, where it is installed, begins from the same places.
 """
 
 import argparse
@@ -9,18 +10,26 @@ import itertools
 import os
 import statistics
 import sys
+import tempfile
 import time
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
 
 import numpy as np
 
 from benchmarks import report
+from benchmarks.peers import yade
+from benchmarks.peers.ours import Advance
 from dem_jax import compiling
+from dem_jax.build import hulls
 
 VOLUME = 19440e-9  # m3, of a marshmallow
 SIZES = (8, 64, 343)
 ROUNDS = 7
 LENGTH = 0.25  # s by the clock, that a turn takes at least
+YADE, YADE_SIZE = "YADE: its polyhedra, hull of 16 corners", 64
 MARSHMALLOW = {"shape": "chamfered-cuboid"}
 
 
@@ -97,13 +106,14 @@ def scene(product: Product, width, height, position, orientation, material, run)
 
 
 def settled(product: Product, count: int):
-    """A job whose pieces lie in a box, and the compile time of what settles them (s)."""
+    """A job whose pieces lie in a box, and its inner width (m)."""
     from dem_jax import simulate
     from dem_jax.build import build
     from dem_jax.drive.prepare import prepare
 
     loose = {"restitution": 0.5, "softening": 0.03}
     one = np.ones((len(product.pieces), 1))
+    most, hulls.MOST_DIRECTIONS = hulls.MOST_DIRECTIONS, 0 if product.general else hulls.MOST_DIRECTIONS
     probe = scene(product, 10.0, 1.0, one * [0, 0, 0.5], one * [1.0, 0, 0, 0], loose, {})
     size = 2 * float(np.max(build(probe, 0).system.parts.bounding_radius))
     columns = max(2, round(0.7 * count ** (1 / 3)))
@@ -121,8 +131,9 @@ def settled(product: Product, count: int):
     run = {"sample": 5e-5, "duration": 1e3, "frames": 0.0, "energy": False}
     packed = scene(product, width, height, last.position[-1], last.orientation[-1], {"restitution": 0.1}, run)
     job = prepare(packed, (0,), None)
+    hulls.MOST_DIRECTIONS = most
     known = job.state.guard.replace(start_overlap=0 * job.state.guard.start_overlap)  # settled pieces overlap a little
-    return replace(job, state=job.state.replace(guard=known))
+    return replace(job, state=job.state.replace(guard=known)), width
 
 
 def main(argv=None):
@@ -138,13 +149,11 @@ def main(argv=None):
     chosen = products()[:3] if options.quick else products()
     if options.only:
         chosen = [p for p in chosen if p.name == "marshmallow" or any(word in p.name for word in options.only)]
-    found = {(p.name, n): times for n in sizes for p, times in zip(chosen, timed(chosen, n), strict=True)}
-    rows = [[p.name, *(f"{report.spread(found[p.name, n], 1e6)}" for n in sizes)] for p in chosen]
-    ratios = [
-        [p.name, *(report.spread([a / b for a, b in zip(found[p.name, n], found["marshmallow", n], strict=True)]) for n in sizes)]
-        for p in chosen
-    ]
-    names = [f"N = {n}" for n in sizes]
+    found = {key: timed for n in sizes for key, timed in side_by_side(chosen, n).items()}
+    names = [p.name for p in chosen] + ([YADE] if (YADE, YADE_SIZE) in found else [])
+    rows = [[name, *(_cell(found, name, n) for n in sizes), _compiling(found, name, sizes[0])] for name in names]
+    ratios = [[name, *(_ratio(found, name, n) for n in sizes)] for name in names]
+    columns = [f"N = {n}" for n in sizes]
     text = f"""# Cost of a step by the shape of the pieces
 
 {head}; load at the end {os.getloadavg()[0]:.2f}
@@ -153,43 +162,85 @@ def main(argv=None):
 
 µs per step, median (lowest to highest) of {ROUNDS} rounds:
 
-{report.table(["pieces", *names], rows)}
+{report.table(["pieces", *columns, "compiling (s)"], rows)}
 
 Times as long as the marshmallow, round by round:
 
-{report.table(["pieces", *names], ratios)}
+{report.table(["pieces", *columns], ratios)}
 """
     report.write("shapes", text, options.quick)
 
 
-def timed(chosen, count):
-    """Seconds per step of each product, a list of rounds."""
-    from benchmarks.peers.ours import Advance
-    from dem_jax.build import hulls
+def _cell(found, name, count):
+    timed = found.get((name, count))
+    return report.spread(timed.steps, 1e6) if timed else ""
 
-    movers = []
-    for product in chosen:
-        most = hulls.MOST_DIRECTIONS
-        hulls.MOST_DIRECTIONS = 0 if product.general else most
-        start = time.perf_counter()
-        job = settled(product, count)
-        hulls.MOST_DIRECTIONS = most
-        mover = Advance(job)
-        mover(200)
-        begin = time.perf_counter()
-        mover(400)
-        steps = max(400, int(400 * LENGTH / (time.perf_counter() - begin)))
-        movers.append((mover, steps))
-        print(f"{product.name}, {count}: ready in {time.perf_counter() - start:.0f} s", file=sys.stderr, flush=True)
-    out = [[] for _ in movers]
-    for _ in range(ROUNDS):
-        for times, (mover, steps) in zip(out, movers, strict=True):
-            begin, at = time.process_time(), mover.at
-            mover(steps)
-            times.append((time.process_time() - begin) / ((mover.at - at) * mover.job.steps_per_sample))
-    for product, times in zip(chosen, out, strict=True):
-        print(f"{product.name}, {count}: {1e6 * statistics.median(times):.3g} us", file=sys.stderr, flush=True)
+
+def _ratio(found, name, count):
+    timed, measure = found.get((name, count)), found["marshmallow", count]
+    return report.spread([a / b for a, b in zip(timed.steps, measure.steps, strict=True)], 1) if timed else ""
+
+
+def _compiling(found, name, count):
+    timed = found.get((name, count))
+    return f"{timed.compiling:.1f}" if timed and timed.compiling else ""
+
+
+@dataclass(frozen=True)
+class Timed:
+    """Seconds per step, a list of rounds, and of compiling."""
+
+    steps: list
+    compiling: float | None = None
+
+
+def side_by_side(chosen, count) -> dict:
+    """(name, count) -> Timed of each product, in turns, and of YADE where it is to be had."""
+    runs, out = {}, {}
+    with ExitStack() as stack:
+        for product in chosen:
+            start = time.perf_counter()
+            job, width = settled(product, count)
+            mover, begin = Advance(job), time.perf_counter()
+            mover(10)
+            out[product.name, count] = Timed([], time.perf_counter() - begin)
+            mover(400)
+            runs[product.name] = partial(_ours, mover), max(400, int(400 * LENGTH / (400 * _ours(mover, 400))))
+            if product.name == "hull of 16 corners" and count == YADE_SIZE and yade.version():
+                child = stack.enter_context(yade.polyhedra(_packing(product, job, width, stack), None))
+                child.run(1)
+                runs[YADE], out[YADE, count] = (partial(_theirs, child), 10), Timed([])
+            print(f"{product.name}, {count}: ready in {time.perf_counter() - start:.0f} s", file=sys.stderr, flush=True)
+        for _ in range(ROUNDS):
+            for name, (run, steps) in runs.items():
+                out[name, count].steps.append(run(steps))
+    for (name, _), timed in out.items():
+        print(f"{name}, {count}: {1e6 * statistics.median(timed.steps):.3g} us", file=sys.stderr, flush=True)
     return out
+
+
+def _ours(mover, steps):
+    """Seconds per step."""
+    begin, at = time.process_time(), mover.at
+    mover(steps)
+    return (time.process_time() - begin) / ((mover.at - at) * mover.job.steps_per_sample)
+
+
+def _theirs(child, steps):
+    """Seconds per step."""
+    return child.run(steps)[1] / steps
+
+
+def _packing(product, job, width, stack):
+    """The file of the places in which the pieces of a job begin."""
+    from dem_jax.shapes import hull as hull_of
+
+    path = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "packed.npz"
+    rows = job.scene.piece
+    corners = hull_of(np.array(product.pieces[0]["points"])).vertices
+    poses = {"position": [row.position for row in rows], "orientation": [row.orientation for row in rows]}
+    np.savez(path, shape="hull", width=width, corners=corners, **poses)
+    return path
 
 
 if __name__ == "__main__":

@@ -25,10 +25,11 @@ KEPT = Path("out")  # where settled boxes are kept from one benchmark to the nex
 class Packing:
     """Pieces at rest in an open box that stands on z = 0, its axis at x = y = 0."""
 
-    shape: str  # "sphere" or "chamfered-cuboid"
+    shape: str  # "sphere", "chamfered-cuboid" or "hull"
     width: float  # m, of the box, both ways
     position: np.ndarray  # [N, 3] (m)
     orientation: np.ndarray  # [N, 4]: quaternions w x y z, body to world
+    corners: np.ndarray | None = None  # [V, 3] (m), of a hull, about its centre of mass
 
     count = property(lambda self: len(self.position))
     height = property(lambda self: float(self.position[:, 2].max()) + 0.08)  # m: no piece reaches so far
@@ -97,4 +98,6 @@ def settled(shape, count) -> Path:
 def load(path) -> Packing:
     """The packing in a file."""
     with np.load(path) as file:
-        return Packing(str(file["shape"]), float(file["width"]), file["position"].astype(float), file["orientation"].astype(float))
+        corners = file["corners"] if "corners" in file else None
+        poses = (file[name].astype(float) for name in ("position", "orientation"))
+        return Packing(str(file["shape"]), float(file["width"]), *poses, corners)

@@ -51,7 +51,7 @@ def build(box, p):
     half = 0.5 * box.width
     for axis, place, sense in ((2, 0.0, 1), (0, -half, 1), (0, half, -1), (1, -half, 1), (1, half, -1)):
         scene.bodies.append(utils.wall(place, axis=axis, sense=sense, material=material))
-    corners = p.vertices()
+    corners = p.vertices() if box.corners is None else box.corners
     for position, turn in zip(box.position, matrix_of_quaternion(box.orientation)):  # noqa: B905  (YADE's own, older Python)
         points = [Vector3(*map(float, v)) for v in corners @ turn.T + position]
         scene.bodies.append(polyhedra_utils.polyhedra(material, v=points))
