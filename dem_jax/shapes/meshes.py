@@ -8,6 +8,7 @@ import numpy as np
 
 from dem_jax.errors import SceneError
 from dem_jax.shapes.checks import positive_length
+from dem_jax.shapes.facets import bulge
 from dem_jax.shapes.polytope import loop_normal
 from dem_jax.shapes.shape import TOLERANCE
 from dem_jax.shapes.stl import load_stl
@@ -274,15 +275,8 @@ def _outline(loops: Sequence[Loop]) -> list[int] | None:
     return outline if len(outline) == len(rim) else None
 
 
-def _bulge(corners: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """How far [k] (m) each corner of a loop [k, 3] is out of the line between its neighbours; negative if reflex."""
-    before, after = corners - np.roll(corners, 1, axis=0), np.roll(corners, -1, axis=0) - corners
-    chord = np.linalg.norm(before + after, axis=1)
-    return np.cross(before, after) @ normal / np.maximum(chord, 1e-300)
-
-
 def _is_convex(corners: np.ndarray, normal: np.ndarray, tolerance: float) -> bool:
-    return bool((_bulge(corners, normal) >= -tolerance).all()) and _turns(corners, normal) == 1
+    return bool((bulge(corners, normal) >= -tolerance).all()) and _turns(corners, normal) == 1
 
 
 def _turns(corners: np.ndarray, normal: np.ndarray) -> int:
@@ -296,9 +290,9 @@ def _turns(corners: np.ndarray, normal: np.ndarray) -> int:
 def _without_collinear(points: np.ndarray, loop: list[int], normal: np.ndarray, tolerance: float) -> list[int]:
     """The loop without corners that stand out by no more than tolerance (m), the flattest dropped first."""
     while len(loop) >= 3:
-        bulge = np.abs(_bulge(points[loop], normal))
-        flattest = int(np.argmin(bulge))
-        if bulge[flattest] > tolerance:
+        out = np.abs(bulge(points[loop], normal))
+        flattest = int(np.argmin(out))
+        if out[flattest] > tolerance:
             break
         del loop[flattest]
     return loop
@@ -333,12 +327,10 @@ def _check_form(corners: np.ndarray, size: float, name: str) -> None:
     off_plane = np.abs((corners - corners.mean(axis=0)) @ normal)
     if off_plane.max() > TOLERANCE * size:
         far, allowed = int(np.argmax(off_plane)), TOLERANCE * size
-        raise SceneError(
-            f"{name} corner {far} is {off_plane[far]:.3g} m off its plane; at most {allowed:.1g} m is allowed"
-        )
-    bulge = _bulge(corners, normal)
-    if bulge.min() < -TOLERANCE * size:
-        reflex = int(np.argmin(bulge))
+        raise SceneError(f"{name} corner {far} is {off_plane[far]:.3g} m off its plane; at most {allowed:.1g} m is allowed")
+    out = bulge(corners, normal)
+    if out.min() < -TOLERANCE * size:
+        reflex = int(np.argmin(out))
         raise SceneError(f"{name} must be convex; its corner {reflex} at {corners[reflex].tolist()} m is reflex")
     if _turns(corners, normal) != 1:
         raise SceneError(f"{name} must be convex; its outline crosses itself")

@@ -5,8 +5,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from dem_jax.errors import SceneError
+from dem_jax.shapes.facets import closed_sides
 from dem_jax.shapes.mass import Loop, mass_properties, principal_frame
+from dem_jax.shapes.parallel import directions
 from dem_jax.shapes.shape import TOLERANCE, Shape
+
+MOST_AT_ONCE = 10_000_000  # products of points and normals held in memory
 
 
 def polytope(name: str, vertices: np.ndarray, faces: Sequence[Loop]) -> Shape:
@@ -14,10 +18,10 @@ def polytope(name: str, vertices: np.ndarray, faces: Sequence[Loop]) -> Shape:
     frame is moved to the centre of mass. Raises SceneError if the faces do not close."""
     volume, centre, second = mass_properties(vertices, faces)
     vertices = vertices - centre
-    normals = np.stack([loop_normal(vertices[list(loop)]) for loop in faces])
+    normals = loop_normals(vertices, faces)
     radius = float(np.linalg.norm(vertices, axis=1).max())
     edges = edges_of_faces(faces)
-    directions, of_edge = _directions(vertices, edges, TOLERANCE * radius)
+    units, of_edge = directions(vertices[edges[:, 1]] - vertices[edges[:, 0]], TOLERANCE * radius)
     gyration, principal = principal_frame(np.trace(second) * np.eye(3) - second)
     return Shape(
         name=name,
@@ -25,14 +29,14 @@ def polytope(name: str, vertices: np.ndarray, faces: Sequence[Loop]) -> Shape:
         vertices=vertices,
         faces=tuple(faces),
         normals=normals,
-        offsets=(vertices @ normals.T).max(axis=0),
+        offsets=highest(vertices, normals),
         edges=edges,
         volume=float(volume),
         gyration=gyration,
         principal=principal,
         bounding_radius=radius,
-        edge_directions=directions,
-        generators=_generators(vertices, faces, edges, directions, of_edge, TOLERANCE * radius),
+        edge_directions=units,
+        generators=_generators(vertices, faces, edges, units, of_edge, TOLERANCE * radius),
     )
 
 
@@ -43,32 +47,30 @@ def loop_normal(loop: np.ndarray) -> np.ndarray:
     return area / np.linalg.norm(area)
 
 
+def loop_normals(vertices: np.ndarray, faces: Sequence[Loop]) -> np.ndarray:
+    """Unit normals [F, 3] of planar loops of vertices [V, 3], each as ``loop_normal`` gives it to the last bit."""
+    areas = np.empty((len(faces), 3))
+    counts = np.array([len(loop) for loop in faces])
+    for count in np.unique(counts):
+        alike = np.flatnonzero(counts == count)
+        loops = vertices[np.array([faces[k] for k in alike])]  # [faces, count, 3]
+        arms = loops - loops[:, :1]
+        areas[alike] = np.cross(arms, np.roll(arms, -1, axis=1)).sum(axis=1)
+    return areas / np.array([np.linalg.norm(area) for area in areas])[:, None]
+
+
+def highest(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """How far [F] (m) points [P, 3] (m) reach along each normal [F, 3]."""
+    some = max(1, MOST_AT_ONCE // len(points))
+    return np.concatenate([(points @ normals[k : k + some].T).max(axis=0) for k in range(0, len(normals), some)])
+
+
 def edges_of_faces(faces: Sequence[Loop]) -> np.ndarray:
     """Vertex indices [E, 2] of the edges of a polyhedron, each once. Raises SceneError if its faces do not close."""
-    sides = [(loop[i - 1], loop[i]) for loop in faces for i in range(len(loop))]
-    if len(set(sides)) != len(sides) or {side[::-1] for side in sides} != set(sides):
-        raise SceneError(
-            "points are degenerate: the faces of their hull do not close; points must be 1e-6 of its size apart"
-        )
+    sides = closed_sides(faces)
+    if sides is None:
+        raise SceneError("points are degenerate: the faces of their hull do not close; points must be 1e-6 of its size apart")
     return np.array(sorted(side for side in sides if side[0] < side[1]))
-
-
-def _directions(vertices: np.ndarray, edges: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
-    """Unit directions [D, 3] and the index [E] of each edge's; edges that match within tolerance (m) are parallel."""
-    vectors = vertices[edges[:, 1]] - vertices[edges[:, 0]]
-    lengths = np.linalg.norm(vectors, axis=1)
-    kept: list[np.ndarray] = []
-    of_edge = np.empty(len(edges), int)
-    left = np.argsort(-lengths, kind="stable")  # the longest first: its direction is the most exact
-    while len(left):
-        unit = vectors[left[0]] / lengths[left[0]]
-        unit = unit * np.sign(unit[np.argmax(np.abs(unit) > 0.5)]) + 0.0
-        same = np.linalg.norm(np.cross(vectors[left], unit), axis=1) < tolerance
-        same[0] = True
-        of_edge[left[same]] = len(kept)
-        kept.append(unit)
-        left = left[~same]
-    return np.array(kept), of_edge
 
 
 def _generators(
