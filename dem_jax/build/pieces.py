@@ -59,13 +59,24 @@ def _placed_shape(row: ConvexShape, folder: str | Path) -> tuple[shapes.Shape, n
     """A convex shape, scaled, and its centre of mass [3] (m) in the frame of its points or its STL, else zero. Raises
     SceneError."""
     given = _given(row)
-    if row.stl is not None:
-        shape, centre = shapes.placed_hull_of_stl(Path(folder) / row.stl, row.unit)
-    elif row.points is not None:
-        shape, centre = shapes.placed_hull(np.array(row.points) * row.unit)
+    if row.shape == "hull":
+        shape, centre, _ = _hull(row, folder)
     else:
         shape, centre = getattr(shapes, row.shape.replace("-", "_"))(**given), np.zeros(3)
     return shapes.scaled(shape, row.scale_factor), row.scale_factor * centre
+
+
+def _hull(row: ConvexShape, folder: str | Path) -> tuple[shapes.Shape, np.ndarray, str | None]:
+    """The hull of a row before scaling, its centre of mass [3] (m) in the frame of its points, and what simplifying changed."""
+    if row.stl is not None:
+        shape, centre = shapes.placed_hull_of_stl(Path(folder) / row.stl, row.unit)
+    else:
+        shape, centre = shapes.placed_hull(np.array(row.points) * row.unit)
+    most = row.max_corners or shapes.MOST_CORNERS
+    if len(shape.vertices) <= most:
+        return shape, centre, None
+    found = shapes.simplified(shape.vertices + centre, most)
+    return *shapes.placed_hull(found.points), str(found)
 
 
 def _compound(row: PieceShape, folder: str | Path) -> shapes.Shape:
@@ -173,36 +184,47 @@ def with_points(row: PieceShape, folder: str | Path) -> PieceShape:
         return _cut(row, shapes.decompose(Path(folder) / given["stl"], row.unit, **_cutting(row)))
     if row.shape == "compound":
         parts = [named(f"part.{n}", _part_with_points, part, folder) for n, part in enumerate(row.part)]
-        return row.model_copy(update={"part": tuple(parts)})
-    if row.shape != "hull" or row.stl is None:
+        said = [f"part.{n}: {what}" for n, (_, what) in enumerate(parts) if what]
+        return row.model_copy(update={"part": tuple(part for part, _ in parts)} | _noted(row, said))
+    if row.shape != "hull":
         return row
-    corners = shapes.hull_of_stl(Path(folder) / row.stl, row.unit).vertices
-    return row.model_copy(update={"stl": None, "unit": 1.0, "points": tuples(corners.tolist())})
+    shape, _, what = _hull(row, folder)
+    if row.stl is None and what is None:
+        return row
+    points = {"stl": None, "unit": 1.0, "max_corners": None, "points": tuples(shape.vertices.tolist())}
+    return row.model_copy(update=points | _noted(row, [f"{row.stl}: {what}" if row.stl else what] if what else []))
 
 
-def _part_with_points(part: Part, folder: str | Path) -> Part:
-    if part.stl is None:
-        return part
-    shape, centre = _placed_shape(part, folder)
-    points = tuples((shape.vertices + centre).tolist())
-    return part.model_copy(update={"stl": None, "unit": 1.0, "scale_factor": 1.0, "points": points})
+def _noted(row: PieceShape, said: Sequence[str]) -> dict[str, str]:
+    """What is said of a row's shape, added to its note."""
+    return {"note": "; ".join([*([row.note] if row.note else []), *said])} if said else {}
+
+
+def _part_with_points(part: Part, folder: str | Path) -> tuple[Part, str | None]:
+    if part.shape != "hull":
+        return part, None
+    shape, centre, what = _hull(part, folder)
+    if part.stl is None and what is None:
+        return part, None
+    points = tuples(((shape.vertices + centre) * part.scale_factor).tolist())
+    return part.model_copy(update={"stl": None, "unit": 1.0, "scale_factor": 1.0, "max_corners": None, "points": points}), what
 
 
 def _cut(row: PieceShape, found: shapes.Decomposition) -> PieceShape:
     """The row of a decomposed STL as a compound of hulls with the mass of the STL; a single part is a hull."""
     whole: dict[str, Any] = {"stl": None, "unit": 1.0, "concavity": None, "max_parts": None, "loss": None}
-    said = f"{row.stl}: {found}"
-    whole["note"] = said if row.note is None else f"{row.note}; {said}"
+    whole |= _noted(row, [f"{row.stl}: {found}"])
     points = [tuples(part.tolist()) for part in found.points]
     if len(points) == 1:
-        return row.model_copy(update=whole | {"shape": "hull", "points": points[0]})
+        return with_points(row.model_copy(update=whole | {"shape": "hull", "points": points[0]}), ".")
     g = found.mass.gyration.tolist()
     mass = BodyMass(
         volume=found.mass.volume,
         centre=tuple(found.mass.centre.tolist()),
         gyration=(g[0][0], g[1][1], g[2][2], g[0][1], g[0][2], g[1][2]),
     )
-    parts = tuple(Part(shape="hull", points=each) for each in points)
+    whole_parts = max(16, *map(len, points))  # simplified, they would not be flush where they were cut
+    parts = tuple(Part(shape="hull", points=each, max_corners=whole_parts) for each in points)
     return row.model_copy(
         update=whole | {"shape": "compound", "part": parts, "mass_properties": mass, "joint_tolerance": shapes.JOINT}
     )

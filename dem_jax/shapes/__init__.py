@@ -20,10 +20,12 @@ from dem_jax.shapes.shape import (
     size_length,
     surface,
 )
+from dem_jax.shapes.simplified import MOST_CORNERS, Simplification, simplified
 from dem_jax.shapes.stl import hull_of_stl, load_stl, placed_hull_of_stl
 
 __all__ = [
     "JOINT",
+    "MOST_CORNERS",
     "SIZE_LENGTHS",
     "TOLERANCE",
     "Continued",
@@ -32,6 +34,7 @@ __all__ = [
     "Part",
     "Placed",
     "Shape",
+    "Simplification",
     "chamfered_cuboid",
     "checked_mass",
     "compound",
@@ -55,6 +58,7 @@ __all__ = [
     "positive_length",
     "prism",
     "scaled",
+    "simplified",
     "size_length",
     "sphere",
     "surface",

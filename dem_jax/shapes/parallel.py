@@ -41,9 +41,9 @@ def _groups(units: np.ndarray, angles: np.ndarray) -> np.ndarray:
     touching = cKDTree(used).query_pairs(1.5, p=np.inf, output_type="ndarray")
     wide = np.flatnonzero(angles > 0.5 * width)
     around = cKDTree(both).query_ball_point(units[wide], 2.0 * np.minimum(angles[wide], 1.0))
-    rows = [np.tile(np.arange(count), 2), count + touching[:, 0], np.repeat(wide, [len(found) for found in around])]
-    columns = [count + cell.ravel(), count + touching[:, 1], np.concatenate([*around, []]).astype(int) % count]
-    rows, columns = np.concatenate(rows), np.concatenate(columns)
+    of_wide = np.repeat(wide, [len(found) for found in around])
+    rows = np.concatenate([np.tile(np.arange(count), 2), count + touching[:, 0], of_wide])
+    columns = np.concatenate([count + cell.ravel(), count + touching[:, 1], np.concatenate([*around, []]).astype(int) % count])
     nodes = count + len(used)
     graph = coo_array((np.ones(len(rows)), (rows, columns)), shape=(nodes, nodes))
     return connected_components(graph, directed=False)[1][:count]

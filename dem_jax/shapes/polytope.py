@@ -53,7 +53,7 @@ def loop_normals(vertices: np.ndarray, faces: Sequence[Loop]) -> np.ndarray:
     counts = np.array([len(loop) for loop in faces])
     for count in np.unique(counts):
         alike = np.flatnonzero(counts == count)
-        loops = vertices[np.array([faces[k] for k in alike])]  # [faces, count, 3]
+        loops = vertices[np.array([faces[k] for k in alike.tolist()])]  # [faces, count, 3]
         arms = loops - loops[:, :1]
         areas[alike] = np.cross(arms, np.roll(arms, -1, axis=1)).sum(axis=1)
     return areas / np.array([np.linalg.norm(area) for area in areas])[:, None]

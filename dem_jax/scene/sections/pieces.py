@@ -25,6 +25,9 @@ class ConvexShape(Section):
     points: Points | None = Field(None, description="m, point set of a hull")
     stl: str | None = Field(None, description="file of a hull or of what is decomposed, relative to the scene's")
     unit: Positive = Field(1.0, description="m per unit of the STL or the points")
+    max_corners: int | None = Field(
+        None, ge=16, le=1_000_000, description="of a hull; one that has more is simplified, and the results say so; unset: 128"
+    )
 
 
 class Part(ConvexShape):
@@ -66,7 +69,7 @@ class PieceShape(ConvexShape):
     loss: Positive | None = Field(
         None, description="what decomposing may lose, as fraction of the volume and of the size; unset: 0.05"
     )
-    note: str | None = Field(None, description="said with the results; what decomposing lost is written here")
+    note: str | None = Field(None, description="said with the results; what decomposing or simplifying changed is written here")
 
 
 SHAPE_KEYS = {
@@ -75,7 +78,7 @@ SHAPE_KEYS = {
     "chamfered-cuboid": {"size", "chamfer"},
     "prism": {"sides", "radius", "height"},
     "cylinder": {"radius", "height", "sides"},
-    "hull": {"points", "stl", "unit"},
+    "hull": {"points", "stl", "unit", "max_corners"},
     "tube": {"outer_radius", "inner_radius", "height", "sides"},
     "compound": {"part", "mass_properties", "joint_tolerance"},
     "decomposed": {"stl", "unit", "concavity", "max_parts", "loss"},
