@@ -295,7 +295,10 @@ def clipped(points, corners, normals, offsets, depth):
 
 
 def _extreme(of, rows):
-    """The largest or smallest of the rows [K, ..]: of a few at a time, which the compiler unrolls and so vectorises."""
+    """The largest or smallest of the rows [K, ..]: of a few at a time, which the compiler unrolls and so vectorises, unless
+    that makes the program long."""
+    if rows.shape[0] > FEW:
+        return of(rows, axis=0)
     return of(jnp.stack([of(rows[k : k + AT_ONCE], axis=0) for k in range(0, rows.shape[0], AT_ONCE)]), axis=0)
 
 
