@@ -9,13 +9,16 @@ for separated ones a depth of -g says that they are at least g apart. The contac
 weighted by depth, from the edges of the two facing faces, so that it moves continuously as a piece tips.
 """
 
+import operator
+from collections.abc import Callable, Iterable, Sequence
+from functools import reduce
 from typing import NamedTuple
 
 import jax.numpy as jnp
 
 from dem_jax.maths import vector
-from dem_jax.maths.vector import dot, expand, kept
-from dem_jax.types import Hulls
+from dem_jax.maths.vector import Matrix, Vector, dot, expand, kept
+from dem_jax.types import Array, Hulls
 
 # Normals: a face's normal is taken instead of an edge-edge axis whose overlap is smaller by less than this part
 # of the depth, because an edge-edge axis nearly parallel to a face's flickers. The depth stays the exact minimum.
@@ -29,24 +32,28 @@ SEAM_SINE = 1e-5  # a sphere's normal that points across a seam by no more is ta
 FEW = 64  # rows that are gone through one after the other: the program grows with them
 AT_ONCE = 8  # rows of which an extreme is found in one go
 
+Separation = tuple[Array, Vector, Array]  # what ``separating_axes`` says
+Axes = tuple[Vector, Vector, Vector, Vector]  # normals of a's and of b's faces, directions of a's and of b's edges, in a's frame
+Integrals = tuple[Array, Array, Array, Array]  # of depth (m2), and of depth times position, x, y, z (m3)
+
 
 class Relative(NamedTuple):
     """Body b as seen from body a."""
 
-    rotation: tuple  # rows of [P]: takes vectors from b's frame to a's
-    offset: tuple  # [P] x 3 (m): origin of b in a's frame
+    rotation: Matrix  # rows of [P]: takes vectors from b's frame to a's
+    offset: Vector  # [P] x 3 (m): origin of b in a's frame
 
 
 class Geometry(NamedTuple):
     """A contact as geometry, in the frame of body a."""
 
-    depth: jnp.ndarray  # [P] (m), negative: separated by at least that much
-    normal: tuple  # [P] x 3, unit, from a to b
-    point: tuple  # [P] x 3 (m)
-    weight: jnp.ndarray | None = None  # [P]: how much of the overlap is this body's, where panels continue each other
+    depth: Array  # [P] (m), negative: separated by at least that much
+    normal: Vector  # [P] x 3, unit, from a to b
+    point: Vector  # [P] x 3 (m)
+    weight: Array | None = None  # [P]: how much of the overlap is this body's, where panels continue each other
 
 
-def hull_hull(a: Hulls, b: Hulls, rel: Relative, axes=None) -> Geometry:
+def hull_hull(a: Hulls, b: Hulls, rel: Relative, axes: Separation | None = None) -> Geometry:
     """Contact of convex polytopes (their tables gathered to [.., P] or of one common shape, [.., 1]).
 
     axes: what ``separating_axes`` says of them, if that is known already.
@@ -55,31 +62,34 @@ def hull_hull(a: Hulls, b: Hulls, rel: Relative, axes=None) -> Geometry:
     return Geometry(depth, normal, *pressure_centre(a, b, rel, along, normal))
 
 
-def separating_axes(a: Hulls, b: Hulls, rel: Relative):
+def separating_axes(a: Hulls, b: Hulls, rel: Relative) -> Separation:
     """Smallest overlap over all separating axes, [P] (m); the axis, unit, from a to b; the overlap along it, which is
     larger by up to FACE_PREFERENCE where a face's axis was preferred."""
+    overlaps: Sequence[Array]
     overlaps, axes = _zonotope_axes(a, b, rel)
     if a.seams is not None:
         overlaps = _barred_by_seams(overlaps, axes, a, b, rel)
     return _smallest(overlaps, axes, rel)
 
 
-def _rounding(a: Hulls, b: Hulls, rel: Relative):
+def _rounding(a: Hulls, b: Hulls, rel: Relative) -> Array:
     """A bound on the rounding error of the numerator of an edge-edge overlap, [P] (m)."""
     eps = jnp.finfo(rel.offset[0].dtype).eps
     reach = jnp.abs(rel.offset[0]) + jnp.abs(rel.offset[1]) + jnp.abs(rel.offset[2])
     return 4 * eps * (a.bounding_radius + b.bounding_radius + reach)
 
 
-def _zonotope_axes(a: Hulls, b: Hulls, rel: Relative):
+def _zonotope_axes(a: Hulls, b: Hulls, rel: Relative) -> tuple[tuple[Array, ...], Axes]:
     """Overlaps of centrally symmetric polytopes: half-widths are sums of |n . g| over a few generators.
 
     The half-width of a along an edge-edge axis e_i x f_j is sum_k |(e_i x f_j) . g_k| = sum_k |f_j . (g_k x e_i)|,
     and every g_k x e_i is parallel to a face normal n_m of a: sum_m C[i, m] |f_j . n_m|, so that the same
     products serve the face axes of b and the widths of all edge-edge axes.
     """
+    assert a.half_lengths is not None and a.cross_widths is not None  # of zonotopes
+    assert b.half_lengths is not None and b.cross_widths is not None
     half = a.normals[0].shape[0] // 2
-    na, nb = ([c[: h.normals[0].shape[0] // 2] for c in h.normals] for h in (a, b))
+    na, nb = (vector.at(h.normals, slice(h.normals[0].shape[0] // 2)) for h in (a, b))
     turn = vector.expand_matrix(rel.rotation, 0)
     nb, eb = kept(*vector.rotate(turn, nb)), kept(*vector.rotate(turn, b.directions))
     ea, d = a.directions, expand(rel.offset, 0)
@@ -102,7 +112,7 @@ def _zonotope_axes(a: Hulls, b: Hulls, rel: Relative):
     return (*kept(faces_a, faces_b), edges), (na, nb, ea, eb)
 
 
-def _smallest(overlaps, axes, rel):
+def _smallest(overlaps: Sequence[Array], axes: Axes, rel: Relative) -> Separation:
     """The smallest overlap, and the unit axis that it belongs to, turned from a to b.
 
     overlaps: [m, P] of a's faces, [m, P] of b's faces, [i, j, P] of the edge-edge axes (m).
@@ -123,23 +133,24 @@ def _smallest(overlaps, axes, rel):
     return jnp.minimum(face, least[2]), kept(*normal), jnp.where(use_edge, least[2], face)
 
 
-def _barred_by_seams(overlaps, axes, a: Hulls, b: Hulls, rel: Relative):
+def _barred_by_seams(overlaps: Sequence[Array], axes: Axes, a: Hulls, b: Hulls, rel: Relative) -> list[Array]:
     """The overlaps, raised along axes that point from panel a across a seam, in proportion so that they never jump."""
+    assert a.seams is not None
     na, nb, ea, eb = axes
     edges = vector.cross(expand(ea, 1), expand(eb, 0))
     edges = vector.scale(1 / _safe_root(dot(edges, edges)), edges)
     out = []
     for overlap, axis in zip(overlaps, (na, nb, edges), strict=True):
         side = tuple(range(axis[0].ndim - 1))
-        sign = jnp.where(dot(axis, tuple(jnp.expand_dims(c, side) for c in rel.offset)) < 0, -1, 1).astype(overlap.dtype)
+        sign = jnp.where(dot(axis, expand(rel.offset, side)) < 0, -1, 1).astype(overlap.dtype)
         across = jnp.zeros_like(overlap)
         for k in range(a.seams[0].shape[0]):
-            across = jnp.maximum(across, sign * dot(axis, tuple(jnp.expand_dims(c[k], side) for c in a.seams)))
+            across = jnp.maximum(across, sign * dot(axis, expand(vector.at(a.seams, k), side)))
         out.append(overlap + SEAM_SLOPE * jnp.expand_dims(b.bounding_radius, side) * across)
     return out
 
 
-def _least(rows):
+def _least(rows: Array) -> tuple[Array, Array]:
     """The smallest of the rows [K, ...], and the first row that has it, int32. Of a few one after the other, which vectorises."""
     if rows.shape[0] > FEW:
         least = jnp.min(rows, axis=0)
@@ -151,18 +162,18 @@ def _least(rows):
     return least, index
 
 
-def _first_where(mask):
+def _first_where(mask: Array) -> Array:
     """Index of the first row in which the mask holds, [...] int32; a minimum, which unlike argmin vectorises."""
     rows = mask.shape[0]
     number = jnp.arange(rows, dtype=jnp.int32).reshape(-1, *(1,) * (mask.ndim - 1))
     return jnp.min(jnp.where(mask, number, rows - 1), axis=0)
 
 
-def _towards_b(normal, rel):
+def _towards_b(normal: Vector, rel: Relative) -> Vector:
     return vector.scale(jnp.where(dot(normal, rel.offset) < 0, -1, 1).astype(normal[0].dtype), normal)
 
 
-def pressure_centre(a: Hulls, b: Hulls, rel: Relative, depth, normal):
+def pressure_centre(a: Hulls, b: Hulls, rel: Relative, depth: Array, normal: Vector) -> tuple[Vector, Array]:
     """Centroid of the overlap weighted by depth, [P] x 3 (m), in a's frame, and its weight [P] (m2).
 
     depth: [P] (m), the overlap along the normal.
@@ -171,15 +182,18 @@ def pressure_centre(a: Hulls, b: Hulls, rel: Relative, depth, normal):
     remains inside, the depth below the other's surface along the normal is linear, and its line integral is closed.
     """
     on_b = vector.scale(-1, vector.rotate_back(rel.rotation, normal))
-    top, (weight, *moment) = _zonogons(a, b, rel, depth, normal, _facing(a, normal), _facing(b, on_b))
+    top, (weight, x, y, z) = _zonogons(a, b, rel, depth, normal, _facing(a, normal), _facing(b, on_b))
     scale = 1 / jnp.where(weight > 0, weight, 1)
-    point = vector.where(weight > 0, vector.scale(scale, moment), vector.scale(top - 0.5 * depth, normal))
+    point = vector.where(weight > 0, vector.scale(scale, (x, y, z)), vector.scale(top - 0.5 * depth, normal))
     return point, weight
 
 
-def _zonogons(a: Hulls, b: Hulls, rel: Relative, depth, normal, facing_a, facing_b):
+def _zonogons(
+    a: Hulls, b: Hulls, rel: Relative, depth: Array, normal: Vector, facing_a: tuple[Array, Array], facing_b: tuple[Array, Array]
+) -> tuple[Array, Integrals]:
     """Of the facing faces (``_facing``): a's extent along the normal [P] (m), and the line integrals of depth
     and of depth times position over all edges, four arrays [P]. Half of the edges say all, which halves the work."""
+    assert a.loops is not None and b.loops is not None
     turn, n = vector.expand_matrix(rel.rotation, 0), expand(normal, 0)
     (face_a, side_a), (face_b, side_b) = facing_a, facing_b
     centre_a, edges_a = _centred(a.loops, face_a)
@@ -187,8 +201,8 @@ def _zonogons(a: Hulls, b: Hulls, rel: Relative, depth, normal, facing_a, facing
     centre_b = vector.add(vector.rotate(rel.rotation, centre_b), rel.offset)
     edges_b = kept(*vector.rotate(turn, edges_b))
     half = a.normals[0].shape[0] // 2, b.normals[0].shape[0] // 2
-    slabs_a = tuple(c[: half[0]] for c in a.normals), a.offsets[: half[0]]
-    slabs_b = kept(*vector.rotate(turn, tuple(c[: half[1]] for c in b.normals))), b.offsets[: half[1]]
+    slabs_a = vector.at(a.normals, slice(half[0])), a.offsets[: half[0]]
+    slabs_b = kept(*vector.rotate(turn, vector.at(b.normals, slice(half[1])))), b.offsets[: half[1]]
     rise_a, rise_b = kept(dot(n, edges_a), dot(n, edges_b))
     height_a, height_b = dot(normal, centre_a), dot(normal, centre_b)
     top = kept(height_a + 0.5 * jnp.sum(jnp.abs(rise_a), axis=0))
@@ -203,7 +217,7 @@ def _zonogons(a: Hulls, b: Hulls, rel: Relative, depth, normal, facing_a, facing
     return top, (weight, *vector.add(about, vector.add(inside[1:], other[1:])))
 
 
-def _without_back(offsets, side, other):
+def _without_back(offsets: Array, side: Array, other: Array) -> tuple[Array, Array]:
     """Middle and half of the width of slabs [m, P] (m), of which the one whose face looks at the other body has its other face
     further behind by that body's diameter: nothing is pushed through it, and a thin plate has a thick one's contact.
 
@@ -213,9 +227,10 @@ def _without_back(offsets, side, other):
     return -side * more, offsets + more
 
 
-def _facing(hull: Hulls, normal):
+def _facing(hull: Hulls, normal: Vector) -> tuple[Array, Array]:
     """The face of a zonotope whose outward normal lies most along a direction given in the hull's frame: its column [P], and
     for each slab on which side of it that face is, [m, P]: 1 or -1, else 0."""
+    assert hull.loops is not None
     along = dot(hull.normals, expand(normal, 0))
     most = along == jnp.max(along, axis=0)[None]
     half = most.shape[0] // 2
@@ -223,18 +238,27 @@ def _facing(hull: Hulls, normal):
     return _first_where(most) * (hull.loops.shape[1] // hull.normals[0].shape[0]) + hull.row, side
 
 
-def _vectors(loops, column):
+def _vectors(loops: Array, column: Array) -> Vector:
     """The vectors [k, P] x 3 (m) in columns [P] of Hulls.loops."""
-    return tuple(jnp.split(loops.at[:, column].get(mode="promise_in_bounds"), 3))
+    x, y, z = jnp.split(loops.at[:, column].get(mode="promise_in_bounds"), 3)
+    return x, y, z
 
 
-def _centred(loops, column):
+def _centred(loops: Array, column: Array) -> tuple[Vector, Vector]:
     """Centre [P] x 3 and half of the edges [K, P] x 3 (m) of the faces of zonotopes in columns [P] of Hulls.loops."""
     found = _vectors(loops, column)
-    return tuple(c[0] for c in found), tuple(c[1:] for c in found)
+    return vector.at(found, 0), vector.at(found, slice(1, None))
 
 
-def _clipped_zonogon(centre, edges, normals, slabs, depth, rise, is_open):
+def _clipped_zonogon(
+    centre: Vector,
+    edges: Vector,
+    normals: Vector,
+    slabs: tuple[Array, Array],
+    depth: Array,
+    rise: Array,
+    is_open: Array | None,
+) -> Integrals:
     """Line integrals of depth, and of depth times position about the centre, over the part of a face's edges that is
     inside a zonotope: four arrays [P] (m2, m3).
 
@@ -244,7 +268,7 @@ def _clipped_zonogon(centre, edges, normals, slabs, depth, rise, is_open):
     1 for each edge that counts, or None.
     """
     count = rise.shape[0]
-    corner = kept(*(_begin(c) for c in edges))  # [K, P]: of each edge, about the centre
+    corner = kept(*vector.each(_begin, edges))  # [K, P]: of each edge, about the centre
     middle, half = slabs
     across = expand(normals, 1)
     du = dot(across, expand(edges, 0))  # [m, K, P]
@@ -265,17 +289,18 @@ def _clipped_zonogon(centre, edges, normals, slabs, depth, rise, is_open):
             weight, along = part * weight, part * along
         sums.append((weight, sign * weight, sign * along))
     both = [p + q for p, q in zip(*sums, strict=True)]
-    moments = (jnp.sum(both[1] * c + both[2] * e, axis=0) for c, e in zip(corner, edges, strict=True))
-    return jnp.sum(both[0], axis=0), *moments
+    total = jnp.sum(both[0], axis=0)
+    x, y, z = (jnp.sum(both[1] * c + both[2] * e, axis=0) for c, e in zip(corner, edges, strict=True))
+    return total, x, y, z
 
 
-def _begin(steps):
+def _begin(steps: Array) -> Array:
     """Where each of the first half of the steps [K, P] around a centrally symmetric loop begins, about its centre."""
     number = jnp.arange(steps.shape[0])[:, None]
     return _sum(jnp.where(number > j, 0.5, -0.5).astype(steps.dtype) * steps[j : j + 1] for j in range(steps.shape[0]))
 
 
-def clipped(points, corners, normals, offsets, depth):
+def clipped(points: Vector, corners: Vector, normals: Vector, offsets: Array, depth: Array) -> Integrals:
     """For each edge of a face, the line integral of depth over its part inside a polytope, and of depth times position:
     four arrays [k, P] (m2, m3).
 
@@ -289,12 +314,13 @@ def clipped(points, corners, normals, offsets, depth):
     crossing = (1 - u[:, :-1]) / du  # a half-space u < 1 is left where u grows, entered where it falls
     start = _extreme(jnp.max, jnp.where(du < 0, crossing, -jnp.inf))
     end = _extreme(jnp.min, jnp.where(du < 0, jnp.inf, crossing))
-    edge = tuple(c[1:] - c[:-1] for c in corners)
+    edge = vector.each(lambda c: c[1:] - c[:-1], corners)
     weight, along = _integrals(start, end, vector.norm(edge), depth[:-1], depth[1:] - depth[:-1])
-    return weight, *(weight * c[:-1] + along * e for c, e in zip(corners, edge, strict=True))
+    x, y, z = (weight * c[:-1] + along * e for c, e in zip(corners, edge, strict=True))
+    return weight, x, y, z
 
 
-def _extreme(of, rows):
+def _extreme(of: Callable[..., Array], rows: Array) -> Array:
     """The largest or smallest of the rows [K, ..]: of a few at a time, which the compiler unrolls and so vectorises, unless
     that makes the program long."""
     if rows.shape[0] > FEW:
@@ -302,7 +328,7 @@ def _extreme(of, rows):
     return of(jnp.stack([of(rows[k : k + AT_ONCE], axis=0) for k in range(0, rows.shape[0], AT_ONCE)]), axis=0)
 
 
-def _integrals(start, end, length, depth, rise):
+def _integrals(start: Array, end: Array, length: Array, depth: Array, rise: Array) -> tuple[Array, Array]:
     """Integrals of depth, and of depth times t, over the part of edges (t from 0 to 1) from start to end, [k, P] (m2)."""
     start, end = kept(jnp.clip(start, 0, 1), jnp.clip(end, 0, 1))
     part = jnp.maximum(end - start, 0)
@@ -311,7 +337,7 @@ def _integrals(start, end, length, depth, rise):
     return kept(weight, weight * middle + part * part * part * rise * length / 12)
 
 
-def sphere_sphere(radius_a, radius_b, offset) -> Geometry:
+def sphere_sphere(radius_a: Array, radius_b: Array, offset: Vector) -> Geometry:
     """Two spheres; offset: centre of b relative to a, [P] x 3 (m). In world axes."""
     distance = vector.norm(offset)
     normal = vector.scale(1 / jnp.maximum(distance, jnp.finfo(distance.dtype).tiny), offset)
@@ -319,7 +345,7 @@ def sphere_sphere(radius_a, radius_b, offset) -> Geometry:
     return Geometry(depth, normal, vector.scale(radius_a - 0.5 * depth, normal))
 
 
-def hull_sphere(a: Hulls, radius, centre) -> Geometry:
+def hull_sphere(a: Hulls, radius: Array, centre: Vector) -> Geometry:
     """A convex polytope a and a sphere b whose centre (in a's frame, [P] x 3) may lie in it or outside."""
     part, a = a, a if a.extended is None else a.extended
     height = kept(dot(a.normals, expand(centre, 0)) - a.offsets)  # [F, P]
@@ -344,41 +370,39 @@ def hull_sphere(a: Hulls, radius, centre) -> Geometry:
     return Geometry(depth, normal, point, weight)
 
 
-def _closest_on_faces(hull: Hulls, height, centre):
+def _closest_on_faces(hull: Hulls, height: Array, centre: Vector) -> tuple[Vector, Array]:
     """Closest point of each face polygon to a point: [F, P] x 3 (m), and its squared distance [F, P] (m2)."""
     corners = hull.corners  # [k, F, P]
-    edge = tuple(jnp.roll(c, -1, axis=0) - c for c in corners)
+    assert corners is not None
+    edge = vector.each(lambda c: jnp.roll(c, -1, axis=0) - c, corners)
     to_centre = vector.sub(expand(centre, 0), corners)
     length2 = dot(edge, edge)
     t = jnp.clip(dot(to_centre, edge) / jnp.maximum(length2, jnp.finfo(length2.dtype).tiny), 0, 1)
     away = vector.add_scaled(to_centre, -t, edge)
     squared, nearest = _least(kept(dot(away, away)))
     on_edge = _select(vector.add_scaled(corners, t, edge), nearest)
-    normals = tuple(jnp.broadcast_to(c, height.shape) for c in hull.normals)
+    normals = vector.each(lambda c: jnp.broadcast_to(c, height.shape), hull.normals)
     within = jnp.all(dot(vector.cross(expand(normals, 0), edge), to_centre) >= 0, axis=0)
     on_face = vector.add_scaled(centre, -height, normals)
     return kept(*vector.where(within, on_face, on_edge)), kept(jnp.where(within, height * height, squared))
 
 
-def _safe_root(x):
+def _safe_root(x: Array) -> Array:
     """sqrt(x), bounded below where parallel edges make x vanish."""
     eps = float(jnp.finfo(x.dtype).eps)
     return jnp.sqrt(jnp.maximum(x, eps * eps))
 
 
-def _sum(terms):
-    total = None
-    for term in terms:
-        total = term if total is None else total + term
-    return total
+def _sum(terms: Iterable[Array]) -> Array:
+    return reduce(operator.add, terms)
 
 
-def _select(v, index):
+def _select(v: Vector, index: Array) -> Vector:
     """Entry index of each list v, [K, ...] x 3: of a few a row of selections, which unlike a gather vectorises."""
     if v[0].shape[0] > FEW:
-        rows = (jnp.broadcast_to(c, (c.shape[0], *index.shape)) for c in v)
-        return tuple(jnp.take_along_axis(c, index[None], axis=0, mode="promise_in_bounds")[0] for c in rows)
-    out = tuple(c[0] for c in v)
+        rows = vector.each(lambda c: jnp.broadcast_to(c, (c.shape[0], *index.shape)), v)
+        return vector.each(lambda c: jnp.take_along_axis(c, index[None], axis=0, mode="promise_in_bounds")[0], rows)
+    out = vector.at(v, 0)
     for k in range(1, v[0].shape[0]):
-        out = vector.where(index == k, tuple(c[k] for c in v), out)
+        out = vector.where(index == k, vector.at(v, k), out)
     return out

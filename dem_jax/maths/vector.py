@@ -6,6 +6,7 @@ component axis of length 3 that is summed over does not vectorise. A vector here
 ``(x, y, z)`` of arrays of one shape (or shapes of one rank that broadcast), in any unit.
 """
 
+from collections.abc import Callable
 from typing import Any, overload
 
 import jax
@@ -68,8 +69,18 @@ def unit(a: Vector) -> Vector:
     return scale(jnp.where(size > 0, 1 / jnp.where(size > 0, size, 1), 0), a)
 
 
-def expand(a: Vector, axis: int) -> Vector:
-    """Insert an axis of length 1 into each component."""
+def each(function: Callable[[Array], Array], a: Vector) -> Vector:
+    """A function of each component."""
+    return (function(a[0]), function(a[1]), function(a[2]))
+
+
+def at(a: Vector, index: Any) -> Vector:
+    """Entries of each component; index: as an array takes it."""
+    return (a[0][index], a[1][index], a[2][index])
+
+
+def expand(a: Vector, axis: int | tuple[int, ...]) -> Vector:
+    """Insert an axis of length 1, or several, into each component."""
     return (jnp.expand_dims(a[0], axis), jnp.expand_dims(a[1], axis), jnp.expand_dims(a[2], axis))
 
 
@@ -107,6 +118,8 @@ def unpack(array: Array) -> Vector:
 
 @overload
 def kept(array: Array, /) -> Array: ...
+@overload
+def kept(x: Array, y: Array, /) -> tuple[Array, Array]: ...
 @overload
 def kept(x: Array, y: Array, z: Array, /) -> Vector: ...
 @overload
