@@ -94,10 +94,10 @@ class Facing(Tree):
     Pairs of arrays are those of a and of b, in the frame of the body that they belong to.
     """
 
-    rows: tuple  # [P] int32: the two in the table
-    normals: tuple  # [3, Kd, P]: of the faces that look most along it
-    faces: tuple  # [Kd, P] int32: which these are
-    direction: tuple  # [3, P]: outward normal of the contact
+    rows: tuple[Array, Array]  # [P] int32: the two in the table
+    normals: tuple[Array, Array]  # [3, Kd, P]: of the faces that look most along it
+    faces: tuple[Array, Array]  # [Kd, P] int32: which these are
+    direction: tuple[Array, Array]  # [3, P]: outward normal of the contact
     margin: Array  # [P]: by which the normal may differ from that; negative: nothing is known
 
 
@@ -108,11 +108,11 @@ class Near(Tree):
     Pairs of arrays are those of a and of b, in the frame of the body that they belong to.
     """
 
-    rows: tuple  # [P] int32: the two in the table
-    faces: tuple  # [4, Kf, P]: normals and offsets (m) of faces
-    corners: tuple  # [3, Kv, P] (m): of a that the faces of b may meet, and the other way round
-    edges: tuple  # [13, Ke, P]: couples of edges, as in Features
-    clipping: tuple  # [4, Kc, P]: planes of own faces that may cut the other body
+    rows: tuple[Array, Array]  # [P] int32: the two in the table
+    faces: tuple[Array, Array]  # [4, Kf, P]: normals and offsets (m) of faces
+    corners: tuple[Array, Array]  # [3, Kv, P] (m): of a that the faces of b may meet, and the other way round
+    edges: tuple[Array, Array]  # [13, Ke, P]: couples of edges, as in Features
+    clipping: tuple[Array, Array]  # [4, Kc, P]: planes of own faces that may cut the other body
     wide: Array  # [P] bool: whether more of them than these may
     margin: Array  # [P] (m): way within which that is certain; negative: nothing is known
     offset: Array  # [3, P] (m): b's origin in a's frame at the look ...

@@ -24,7 +24,7 @@ import jax.numpy as jnp
 
 from dem_jax.contact.collide import Relative
 from dem_jax.maths import vector
-from dem_jax.maths.vector import dot, expand, kept, unpack
+from dem_jax.maths.vector import Matrix, Vector, dot, expand, kept, unpack
 from dem_jax.types import Array, Facing, Features, Near
 
 STEPS = 4  # towards the nearest points: more leave out no more pairs (measured on packed hulls)
@@ -38,7 +38,7 @@ class Couples(NamedTuple):
     """Edges of a with edges of b, [.., P], in a's frame."""
 
     overlap: Array  # (m) along the normal of both; infinite where they make no face of the Minkowski difference
-    normal: tuple  # x 3, from a to b
+    normal: Vector  # x 3, from a to b
     top: Array  # (m): of a along that normal
     distance: Array  # (m): of their nearest points
     shortfall: Array  # by how much their arcs on the Gauss map miss each other, as the sine of an angle; 0 where they cross
@@ -52,9 +52,9 @@ def couples(a: Array, b: Array, rel: Relative) -> Couples:
     middle_a, along_a, half_a, *inward_a = _edge(a)
     middle_b, along_b, half_b, *inward_b = _edge(b)
     lift = tuple(range(half_b.ndim - 1))
-    turn = tuple(tuple(jnp.expand_dims(c, lift) for c in row) for row in rel.rotation)
+    turn = vector.expand_matrix(rel.rotation, lift)
     along_b = vector.rotate(turn, along_b)
-    middle_b = vector.add(vector.rotate(turn, middle_b), tuple(jnp.expand_dims(c, lift) for c in rel.offset))
+    middle_b = vector.add(vector.rotate(turn, middle_b), expand(rel.offset, lift))
     axis = vector.cross(along_a, along_b)
     seen = vector.rotate_back(turn, axis)
     sides = [dot(axis, inward) for inward in inward_a] + [-dot(seen, inward) for inward in inward_b]
@@ -69,7 +69,9 @@ def couples(a: Array, b: Array, rel: Relative) -> Couples:
     return Couples(overlap, normal, dot(normal, middle_a), vector.norm(across), shortfall)
 
 
-def _between(middle_a, along_a, half_a, middle_b, along_b, half_b, sine2, eps):
+def _between(
+    middle_a: Vector, along_a: Vector, half_a: Array, middle_b: Vector, along_b: Vector, half_b: Array, sine2: Array, eps: float
+) -> Vector:
     """The shortest way from edge a to edge b, x 3 (m)."""
     apart = vector.sub(middle_b, middle_a)
     cosine, on_a, on_b = dot(along_a, along_b), dot(along_a, apart), dot(along_b, apart)
@@ -79,7 +81,7 @@ def _between(middle_a, along_a, half_a, middle_b, along_b, half_b, sine2, eps):
     return vector.add_scaled(vector.add_scaled(apart, t, along_b), -s, along_a)
 
 
-def _edge(rows: Array) -> tuple:
+def _edge(rows: Array) -> tuple[Vector, Vector, Array, Vector, Vector]:
     """Middle, direction, half length, and the directions into both faces."""
     three = lambda i: unpack(rows[i : i + 3])  # noqa: E731
     return three(0), three(3), rows[6], three(7), three(10)
@@ -89,8 +91,8 @@ class _Sides(NamedTuple):
     """Both bodies of each pair as one list, [2 P]: first all a, then all b, each in its own frame."""
 
     row: Array  # [2 P] int32: of the table
-    turn: tuple  # takes vectors from the other's frame into the own
-    shift: tuple  # (m): origin of the other
+    turn: Matrix  # takes vectors from the other's frame into the own
+    shift: Vector  # (m): origin of the other
 
 
 def look(features: Features, rows: tuple[Array, Array], radius: tuple[Array, Array], rel: Relative, reach: Array | None) -> Near:
@@ -100,7 +102,6 @@ def look(features: Features, rows: tuple[Array, Array], radius: tuple[Array, Arr
     """
     f, sides, (row_a, row_b) = features, _sides(rows, rel), rows
     pairs = row_a.shape[0]
-    both = lambda a, b: tuple(jnp.concatenate([x, y]) for x, y in zip(a, b, strict=True))  # noqa: E731
     split = lambda x: (x[..., :pairs], x[..., pairs:])  # noqa: E731
     swap = lambda x: jnp.concatenate(split(x)[::-1], axis=-1)  # noqa: E731
 
@@ -112,10 +113,10 @@ def look(features: Features, rows: tuple[Array, Array], radius: tuple[Array, Arr
     faces, beyond = smallest(overlap, FACES)
     least = jnp.min(overlap, axis=0)
     of_a, of_b = split(least)
-    first = tuple(_picked(c, _first(overlap == least[None])[None])[0] for c in unpack(planes))
+    first = vector.each(lambda c: _picked(c, _first(overlap == least[None])[None])[0], unpack(planes))
     (ax, bx), (ay, by), (az, bz) = (split(c) for c in first)
     normal = vector.where(of_a <= of_b, (ax, ay, az), vector.scale(-1, vector.rotate(rel.rotation, (bx, by, bz))))
-    outward = both(normal, vector.scale(-1, vector.rotate_back(rel.rotation, normal)))  # of each side
+    outward = _both(normal, vector.scale(-1, vector.rotate_back(rel.rotation, normal)))  # of each side
 
     listed = f.planes[:, faces, sides.row[None]]  # [4, Kf, 2 P]
     heights = kept(dot(expand(unpack(listed), 1), expand(seen, 0)))  # [Kf, V, 2 P]
@@ -125,7 +126,7 @@ def look(features: Features, rows: tuple[Array, Array], radius: tuple[Array, Arr
     other = swap(sides.row)
     supports, above = smallest(_own(f.counts[1], other, excess), max(CORNERS, f.rings.shape[0]))
     listed = listed.at[3].set(jnp.where((nearly > 0) & (nearly >= above[None]), jnp.inf, listed[3]))  # not all its corners
-    nearest = kept(*(_picked(c, supports) for c in seen))  # [Kv, 2 P]
+    nearest = kept(*vector.each(lambda c: _picked(c, supports), seen))  # [Kv, 2 P]
 
     bound = _own(f.counts[2], sides.row, _of_edges(f, sides, nearest))
     edges, behind = smallest(bound, max(EDGES, f.rings.shape[0] + 4))
@@ -176,15 +177,15 @@ def look(features: Features, rows: tuple[Array, Array], radius: tuple[Array, Arr
     )
 
 
-def facing(features: Features, rows: tuple[Array, Array], normal: tuple, rel: Relative) -> Facing:
+def facing(features: Features, rows: tuple[Array, Array], normal: Vector, rel: Relative) -> Facing:
     """Own faces of pairs, of rows ([P], [P]) of a table, that look most along a normal, [P] x 3, from a to b in a's frame."""
     directions = normal, vector.scale(-1, vector.rotate_back(rel.rotation, normal))
     sides = [_facing(features, row, along) for row, along in zip(rows, directions, strict=True)]
     normals, faces, margins = zip(*sides, strict=True)
-    return Facing(rows, normals, faces, tuple(jnp.stack(along) for along in directions), jnp.minimum(*margins))
+    return Facing(rows, normals, faces, (jnp.stack(directions[0]), jnp.stack(directions[1])), jnp.minimum(*margins))
 
 
-def _facing(f: Features, row, along):
+def _facing(f: Features, row: Array, along: Vector) -> tuple[Array, Array, Array]:
     """Normals [3, Kd, P] and numbers [Kd, P] of the faces that look most along a direction, and Facing.margin."""
     planes = f.own_planes[..., row]
     keys = -dot(unpack(planes), expand(along, 0))
@@ -218,61 +219,66 @@ def overlap_at_most(features: Features, rows: tuple[Array, Array], rel: Relative
     return overlap
 
 
-def _along_axes(a, b):
+def _along_axes(a: Vector, b: Vector) -> Array:
     """The smallest overlap of points [V, P] x 3 along the axes, [P] (m)."""
     each = [jnp.minimum(jnp.max(x, 0) - jnp.min(y, 0), jnp.max(y, 0) - jnp.min(x, 0)) for x, y in zip(a, b, strict=True)]
     return jnp.minimum(jnp.minimum(each[0], each[1]), each[2])
 
 
-def _at(points, mask):
+def _at(points: Vector, mask: Array) -> Vector:
     """The first of points [V, P] x 3 for which the mask holds, [P] x 3."""
     first = _first(mask)[None]
-    return tuple(_picked(c, first)[0] for c in points)
+    return vector.each(lambda c: _picked(c, first)[0], points)
 
 
-def _sides(rows, rel: Relative) -> _Sides:
+def _both(a: Vector, b: Vector) -> Vector:
+    """Vectors [P] of a and those of b, [2 P]."""
+    x, y, z = (jnp.concatenate([c, d]) for c, d in zip(a, b, strict=True))
+    return x, y, z
+
+
+def _sides(rows: tuple[Array, Array], rel: Relative) -> _Sides:
     """Both bodies of each pair."""
     there = vector.transpose(rel.rotation)
     shift = vector.scale(-1, vector.rotate(there, rel.offset))
-    both = lambda a, b: tuple(jnp.concatenate([x, y]) for x, y in zip(a, b, strict=True))  # noqa: E731
-    turn = tuple(both(r, s) for r, s in zip(rel.rotation, there, strict=True))
-    return _Sides(jnp.concatenate(rows), turn, both(rel.offset, shift))
+    x, y, z = (_both(r, s) for r, s in zip(rel.rotation, there, strict=True))
+    return _Sides(jnp.concatenate(rows), (x, y, z), _both(rel.offset, shift))
 
 
-def _seen(sides: _Sides, corners):
+def _seen(sides: _Sides, corners: Vector) -> Vector:
     """Corners [V, 2 P] x 3 of the other body in the own frame."""
     half = sides.row.shape[0] // 2
-    other = tuple(jnp.concatenate([c[:, half:], c[:, :half]], axis=1) for c in corners)
+    other = vector.each(lambda c: jnp.concatenate([c[:, half:], c[:, :half]], axis=1), corners)
     return kept(*vector.add(vector.rotate(vector.expand_matrix(sides.turn, 0), other), expand(sides.shift, 0)))
 
 
-def _lowest(planes, seen):
+def _lowest(planes: Array, seen: Vector) -> Array:
     """The lowest along the normals of planes [4, F, P] of points [V, P] x 3, [F, P] (m)."""
     return kept(jnp.min(dot(expand(unpack(planes), 1), expand(seen, 0)), axis=1))
 
 
-def _of_edges(f: Features, sides: _Sides, seen):
+def _of_edges(f: Features, sides: _Sides, seen: Vector) -> Array:
     """A lower bound of the overlap along any normal of each edge's arc on the Gauss map, [E, 2 P] (m)."""
     middle, along, _, one, other = _edge(f.edges[..., sides.row])
     faces = vector.cross(along, one), vector.cross(along, other)
-    faces = [vector.scale(-jnp.sign(dot(n, m)), n) for n, m in zip(faces, (other, one), strict=True)]
-    both = [kept(dot(n, middle))[:, None] - dot(expand(kept(*n), 1), expand(seen, 0)) for n in faces]
+    normals = [vector.scale(-jnp.sign(dot(n, m)), n) for n, m in zip(faces, (other, one), strict=True)]
+    both = [kept(dot(n, middle))[:, None] - dot(expand(kept(*n), 1), expand(seen, 0)) for n in normals]
     return kept(jnp.max(jnp.minimum(*both), axis=1))
 
 
-def _from_faces(f: Features, sides: _Sides, overlap, lowest, seen, planes):
+def _from_faces(f: Features, sides: _Sides, overlap: Array, lowest: Array, seen: Vector, planes: Array) -> Array:
     """Of the face of least overlap, how far the other's nearest corner is from it, [2 P] (m); infinite if it is beside it."""
     face = _first(overlap == jnp.min(overlap, axis=0)[None])[None]
-    normal = tuple(_picked(c, face) for c in unpack(planes))
+    normal = vector.each(lambda c: _picked(c, face), unpack(planes))
     height = dot(normal, seen)
     corner = _first(height == _picked(lowest, face))[None]
     over = _picked(overlap, face)
-    foot = vector.add_scaled(tuple(_picked(c, corner) for c in seen), over, normal)
+    foot = vector.add_scaled(vector.each(lambda c: _picked(c, corner), seen), over, normal)
     above = jnp.max(_own(f.counts[0], sides.row, dot(unpack(planes), foot) - planes[3], -jnp.inf), axis=0)
     return jnp.where(above < BESIDE * jnp.max(planes[3], axis=0), jnp.abs(over[0]), jnp.inf)
 
 
-def _clipping(f: Features, sides: _Sides, height, base):
+def _clipping(f: Features, sides: _Sides, height: Array, base: Array) -> tuple[Array, Array]:
     """Which planes of each side's own faces can cut the other body, [Kc, 2 P], and what way is free of the others, [2 P] (m)."""
     faces = f.own_planes.shape[1]
     room = max(f.rings.shape[0] + 2, 8 + int(2 * faces**0.5))
@@ -293,7 +299,7 @@ def smallest(keys: Array, room: int) -> tuple[Array, Array]:
     number = jnp.arange(count, dtype=jnp.int32)[:, None]
     keys = jax.lax.stop_gradient(keys)
 
-    def another(k, carry):
+    def another(k: Array, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         last, row, rows = carry
         left = (keys > last[None]) | (keys == last[None]) & (number > row[None])
         last = jnp.min(jnp.where(left, keys, jnp.inf), axis=0)
@@ -306,25 +312,25 @@ def smallest(keys: Array, room: int) -> tuple[Array, Array]:
     return _ascending(rows[:room]), last
 
 
-def _ascending(rows):
+def _ascending(rows: Array) -> Array:
     """Distinct numbers [K, P] in ascending order along the first axis. (XLA makes no one function of a loop that sorts.)"""
     rank = jnp.sum(rows[:, None] > rows[None], axis=1, dtype=jnp.int32)
     place = jnp.arange(rows.shape[0], dtype=jnp.int32)[:, None, None]
     return jnp.sum(jnp.where(rank[None] == place, rows[None], 0), axis=1, dtype=jnp.int32)
 
 
-def _own(count, row, keys, none=jnp.inf):
+def _own(count: Array, row: Array, keys: Array, none: float = jnp.inf) -> Array:
     """Keys [K, P] of what a shape has, ``none`` of what its table repeats."""
     number = jnp.arange(keys.shape[0], dtype=jnp.int32)[:, None]
     return jnp.where(number < count[row][None], keys, none)
 
 
-def _picked(rows, index):
+def _picked(rows: Array, index: Array) -> Array:
     """rows [K, P] at index [.., P] of each P."""
     return rows.at[index, jnp.arange(rows.shape[1], dtype=jnp.int32)].get(mode="promise_in_bounds")
 
 
-def _first(mask):
+def _first(mask: Array) -> Array:
     """Index of the first row in which the mask holds, [P] int32."""
     number = jnp.arange(mask.shape[0], dtype=jnp.int32)[:, None]
     return jnp.min(jnp.where(mask, number, mask.shape[0] - 1), axis=0)

@@ -3,6 +3,7 @@
 See ``look``: near features say what all of them would, as long as the bodies have not moved further than ``Near.margin``.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -11,8 +12,8 @@ import jax.numpy as jnp
 from dem_jax.contact.collide import FACE_PREFERENCE, Relative, clipped
 from dem_jax.contact.look import couples, facing, look
 from dem_jax.maths import vector
-from dem_jax.maths.vector import dot, expand, kept, unpack
-from dem_jax.types import Array, Facing, Hulls, Near
+from dem_jax.maths.vector import Vector, dot, expand, kept, unpack
+from dem_jax.types import Array, Facing, Hulls, Near, host
 
 PARALLEL = 1e-6  # one minus the cosine between faces that are opposite to each other
 AT_ONCE = 32  # pairs that are looked at together: those whose look is due, and those where it will be soon
@@ -22,7 +23,7 @@ class Axes(NamedTuple):
     """What separates two polytopes most, in a's frame."""
 
     depth: Array  # [P] (m): the smallest overlap
-    normal: tuple  # [P] x 3, unit, from a to b
+    normal: Vector  # [P] x 3, unit, from a to b
     along: Array  # [P] (m): the overlap along it, larger than the depth by up to FACE_PREFERENCE where it is a face's
     top: Array  # [P] (m): of a along it
 
@@ -33,28 +34,30 @@ def axes(near: Near, rel: Relative) -> Axes:
     d = expand(rel.offset, 0)
     into_a = vector.add(vector.rotate(turn, unpack(near.corners[1])), d)
     into_b = vector.rotate_back(turn, vector.sub(unpack(near.corners[0]), d))
-    of_a, (*normal_a, level_a) = _least_of_faces(near.faces[0], into_a)
-    of_b, (*normal_b, level_b) = _least_of_faces(near.faces[1], into_b)
+    of_a, normal_a, level_a = _least_of_faces(near.faces[0], into_a)
+    of_b, normal_b, level_b = _least_of_faces(near.faces[1], into_b)
     normal_b = vector.scale(-1, vector.rotate(rel.rotation, normal_b))
     top_b = of_b + dot(normal_b, rel.offset) - level_b
     pair = couples(*near.edges, rel)
     overlap, *rest = kept(pair.overlap, pair.top, *pair.normal)
-    edge, (top, *normal) = _least(overlap, rest)
+    edge, (top, x, y, z) = _least(overlap, rest)
     face = jnp.minimum(of_a, of_b)
     use_a, use_edge = of_a <= of_b, edge < face - FACE_PREFERENCE * jnp.abs(face)
     from_face = vector.where(use_a, normal_a, normal_b)
-    chosen = vector.where(use_edge, normal, from_face)
+    chosen = vector.where(use_edge, (x, y, z), from_face)
     top = jnp.where(use_edge, top, jnp.where(use_a, level_a, top_b))
     return Axes(jnp.minimum(face, edge), kept(*chosen), jnp.where(use_edge, edge, face), top)
 
 
-def _least_of_faces(faces: Array, seen: tuple):
-    """The smallest overlap of faces [4, K, P] and the corners of the other body [V, P] x 3, [P] (m), and its face, 4 [P]."""
+def _least_of_faces(faces: Array, seen: Vector) -> tuple[Array, Vector, Array]:
+    """The smallest overlap of faces [4, K, P] and the corners of the other body [V, P] x 3, [P] (m), and the normal and offset
+    of its face."""
     lowest = jnp.min(dot(expand(unpack(faces), 1), expand(seen, 0)), axis=1)
-    return _least(kept(faces[3] - lowest), tuple(faces))
+    least, (x, y, z, offset) = _least(kept(faces[3] - lowest), tuple(faces))
+    return least, (x, y, z), offset
 
 
-def _least(keys: Array, rows: tuple):
+def _least(keys: Array, rows: Sequence[Array]) -> tuple[Array, tuple[Array, ...]]:
     """The smallest of the keys [K, P], and of each of the rows [K, P] what belongs to the first that has it, [P]."""
     least = keys[0]
     found = tuple(row[0] for row in rows)
@@ -65,22 +68,26 @@ def _least(keys: Array, rows: tuple):
     return least, found
 
 
-def renewed(hulls: Hulls, near: Near, rows: tuple, live: Array, rel: Relative, reach: Array | None) -> tuple[Near, Array]:
+def renewed(
+    hulls: Hulls, near: Near, rows: tuple[Array, Array], live: Array, rel: Relative, reach: Array | None
+) -> tuple[Near, Array]:
     """Near features of pairs [P] that hold for their place now, and the way that all may still move, [] (m).
 
     rows: [P] int32 each, of the table; live: [P] bool, whether there is a pair; reach: (m), of the law, None: it has none.
     """
+    features = hulls.features
+    assert features is not None
     radius = tuple(hulls.bounding_radius[row] for row in rows)
     known = (near.rows[0] == rows[0]) & (near.rows[1] == rows[1]) & (near.margin >= 0)
     way = jnp.where(known, moved(near, radius[1], rel), jnp.inf)
     left = jnp.where(live, jnp.where(known, near.margin - way, -jnp.inf), jnp.inf)
     count = min(AT_ONCE, live.shape[0])
 
-    def another(carry):
+    def another(carry: tuple[Near, Array]) -> tuple[Near, Array]:
         near, left = carry
         at = _least_of_all(left, count)
         some = lambda x: x if x.shape[-1] == 1 else x[..., at]  # noqa: E731
-        fresh = look(hulls.features, *jax.tree.map(some, (rows, radius, rel, reach)))
+        fresh = look(features, *jax.tree.map(some, (rows, radius, rel, reach)))
         near = jax.tree.map(lambda x, new: x.at[..., at].set(new, mode="promise_in_bounds"), near, fresh)
         return near, left.at[at].set(jnp.where(live[at], jnp.maximum(fresh.margin, 0), jnp.inf))
 
@@ -91,14 +98,15 @@ def renewed(hulls: Hulls, near: Near, rows: tuple, live: Array, rel: Relative, r
 def moved(near: Near, radius: Array, rel: Relative) -> Array:
     """The most that a point of b has moved in a's frame since the look, [P] (m). radius: [P] (m), of b."""
     way = vector.norm(vector.sub(rel.offset, unpack(near.offset)))
-    turned = sum(jnp.square(c - was) for c, was in zip([c for row in rel.rotation for c in row], near.rotation, strict=True))
+    entries = zip([c for row in rel.rotation for c in row], near.rotation, strict=True)
+    turned = sum((jnp.square(c - was) for c, was in entries), host(0))
     return way + radius * vector.safe_sqrt(0.5 * turned)
 
 
 def _least_of_all(keys: Array, count: int) -> Array:
     """Places [count] of the smallest of keys [P]."""
 
-    def another(k, carry):
+    def another(k: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
         keys, places = carry
         at = jnp.argmin(keys).astype(jnp.int32)
         return keys.at[at].set(jnp.inf), places.at[k].set(at)
@@ -107,29 +115,43 @@ def _least_of_all(keys: Array, count: int) -> Array:
     return jax.lax.fori_loop(0, count, another, (keys, jnp.zeros((count,), jnp.int32)))[1]
 
 
-def faced(hulls: Hulls, before: Facing, rows: tuple, normal: tuple, touching: Array, rel: Relative) -> Facing:
+def faced(
+    hulls: Hulls, before: Facing, rows: tuple[Array, Array], normal: Vector, touching: Array, rel: Relative
+) -> Facing:
     """Faces that can look most along the normals of the touching of pairs [P]; all anew where one of them is uncertain."""
+    features = hulls.features
+    assert features is not None
     directions = normal, vector.scale(-1, vector.rotate_back(rel.rotation, normal))
     away = [vector.norm(vector.sub(along, unpack(was))) for along, was in zip(directions, before.direction, strict=True)]
     known = (before.rows[0] == rows[0]) & (before.rows[1] == rows[1])
     unsure = touching & ~(known & (jnp.maximum(*away) <= before.margin))
-    again = lambda _: (jnp.zeros((), bool), facing(hulls.features, rows, normal, rel))  # noqa: E731
+    again = lambda _: (jnp.zeros((), bool), facing(features, rows, normal, rel))  # noqa: E731
     return jax.lax.while_loop(lambda carry: carry[0], again, (jnp.any(unsure), before))[1]
 
 
-def looking(of: Facing, normal: tuple, rel: Relative) -> tuple[Array, Array]:
+def looking(of: Facing, normal: Vector, rel: Relative) -> tuple[Array, Array]:
     """The face of a and the face of b that look most along the normal and against it, [P] int32."""
     directions = normal, vector.scale(-1, vector.rotate_back(rel.rotation, normal))
     sides = zip(of.normals, of.faces, directions, strict=True)
-    return tuple(_least(-dot(unpack(normals), expand(along, 0)), (faces,))[1][0] for normals, faces, along in sides)
+    face_a, face_b = (_least(-dot(unpack(normals), expand(along, 0)), (faces,))[1][0] for normals, faces, along in sides)
+    return face_a, face_b
 
 
-def every_plane(hulls: Hulls, rows: tuple) -> tuple:
+def every_plane(hulls: Hulls, rows: tuple[Array, Array]) -> tuple[Array, Array]:
     """All planes of the own faces of both, [4, F, P]."""
-    return tuple(hulls.features.own_planes[..., row] for row in rows)
+    assert hulls.features is not None
+    planes = hulls.features.own_planes
+    return planes[..., rows[0]], planes[..., rows[1]]
 
 
-def pressure_centre(hulls: Hulls, rows: tuple, faces: tuple, planes: tuple, rel: Relative, found: Axes):
+def pressure_centre(
+    hulls: Hulls,
+    rows: tuple[Array, Array],
+    faces: tuple[Array, Array],
+    planes: tuple[Array, Array],
+    rel: Relative,
+    found: Axes,
+) -> tuple[Vector, Array]:
     """Centroid of the overlap weighted by depth, [P] x 3 (m), in a's frame, and its weight [P] (m2); of pairs [P].
 
     rows, faces: of both, [P] int32; planes: [4, K, P] of both, that clip; found: depth along the normal.
@@ -137,6 +159,7 @@ def pressure_centre(hulls: Hulls, rows: tuple, faces: tuple, planes: tuple, rel:
     The edges of the face of each body that looks most along the normal are clipped by the other body; over what
     remains inside, the depth below the other's surface along the normal is linear, and its line integral is closed.
     """
+    assert hulls.loops is not None
     turn, d, n = vector.expand_matrix(rel.rotation, 0), expand(rel.offset, 0), expand(found.normal, 0)
     column = [face * hulls.row.shape[0] + row for face, row in zip(faces, rows, strict=True)]
     corners_a = _vectors(hulls.loops, column[0])
@@ -145,31 +168,33 @@ def pressure_centre(hulls: Hulls, rows: tuple, faces: tuple, planes: tuple, rel:
     corners_b = kept(*vector.add(vector.rotate(turn, own_b), d))
     height_a, height_b = dot(n, corners_a), dot(n, corners_b)
     front = [_plane_of(hulls, face, row) for face, row in zip(faces, rows, strict=True)]
-    first = clipped(in_b, corners_a, *_cutting(planes[1], front[1]), height_a - (found.top - found.along)[None])
-    second = clipped(corners_b, corners_b, *_cutting(planes[0], front[0]), found.top[None] - height_b)
+    first: tuple[Array, ...] = clipped(in_b, corners_a, *_cutting(planes[1], front[1]), height_a - (found.top - found.along)[None])
+    second: tuple[Array, ...] = clipped(corners_b, corners_b, *_cutting(planes[0], front[0]), found.top[None] - height_b)
     if hulls.open_edges is not None:  # an edge in the middle of a wall, or of a body of parts, is no edge of the overlap
         first, second = (
             tuple(hulls.open_edges.at[:, at].get(mode="promise_in_bounds") * part for part in parts)
             for at, parts in zip(column, (first, second), strict=True)
         )
-    weight, *moment = [jnp.sum(p, axis=0) + jnp.sum(q, axis=0) for p, q in zip(first, second, strict=True)]
+    weight, x, y, z = [jnp.sum(p, axis=0) + jnp.sum(q, axis=0) for p, q in zip(first, second, strict=True)]
     scale = 1 / jnp.where(weight > 0, weight, 1)
-    point = vector.where(weight > 0, vector.scale(scale, moment), vector.scale(found.top - 0.5 * found.along, found.normal))
+    point = vector.where(weight > 0, vector.scale(scale, (x, y, z)), vector.scale(found.top - 0.5 * found.along, found.normal))
     return point, weight
 
 
-def _plane_of(hulls: Hulls, face, row):
+def _plane_of(hulls: Hulls, face: Array, row: Array) -> Vector:
     """Normals [P] x 3 of own faces."""
+    assert hulls.features is not None
     return unpack(hulls.features.own_planes[:3, face, row])
 
 
-def _cutting(planes, front):
+def _cutting(planes: Array, front: Vector) -> tuple[Vector, Array]:
     """Normals and offsets of the planes [4, K, P] that clip: not the one opposite to the face in front, through which nothing
     is pushed, so that a thin plate has a thick one's contact."""
     back = dot(unpack(planes), expand(front, 0)) < -1 + PARALLEL
     return unpack(planes), jnp.where(back, jnp.inf, planes[3])
 
 
-def _vectors(loops, column):
+def _vectors(loops: Array, column: Array) -> Vector:
     """The vectors [k, P] x 3 (m) in columns [P] of Hulls.loops."""
-    return tuple(jnp.split(loops.at[:, column].get(mode="promise_in_bounds"), 3))
+    x, y, z = jnp.split(loops.at[:, column].get(mode="promise_in_bounds"), 3)
+    return x, y, z

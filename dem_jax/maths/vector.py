@@ -106,8 +106,8 @@ def compose(r: Matrix, s: Matrix) -> Matrix:
     return transpose((rotate(r, x), rotate(r, y), rotate(r, z)))
 
 
-def expand_matrix(r: Matrix, axis: int) -> Matrix:
-    """Insert an axis of length 1 into each entry."""
+def expand_matrix(r: Matrix, axis: int | tuple[int, ...]) -> Matrix:
+    """Insert an axis of length 1, or several, into each entry."""
     return (expand(r[0], axis), expand(r[1], axis), expand(r[2], axis))
 
 
