@@ -1,6 +1,7 @@
 """Contacts computed a block of slots at a time: what is free costs nothing, and a block stays in the cache."""
 
 import math
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -8,14 +9,16 @@ import numpy as np
 
 from dem_jax.contact import seams
 from dem_jax.maths import vector
-from dem_jax.types import Memory, Slots, System
+from dem_jax.types import Array, Memory, Slots, System
+
+T = TypeVar("T")
 
 LEAST_BLOCK = 32  # slots: in blocks of 16 a step of 64 pieces takes a quarter longer
 FEW_SLOTS, MANY_SLOTS = 64, 1024  # below which polytopes, and spheres, are quicker all at once
 FEW_KEPT = 512  # below which those are whose features are kept, of which a block has so many that to cut them out is dear
 
 
-def block_size(system: System, kind, room) -> int:
+def block_size(system: System, kind: str, room: int) -> int:
     """How many of ``room`` slots of a kind are computed at a time; 0: all at once.
 
     An eighth of the room or less, so that a last block that is hardly filled costs little, but enough for vectors. With
@@ -32,13 +35,13 @@ def block_size(system: System, kind, room) -> int:
     return math.gcd(room, wanted)
 
 
-def block_of(tree, k, size):
+def block_of(tree: T, k: Array, size: int) -> T:
     """Slots k size to (k + 1) size of arrays [.., P]; those that broadcast over slots as they are."""
     cut = lambda x: x if x.shape[-1] == 1 else jax.lax.dynamic_slice_in_dim(x, k * size, size, -1)  # noqa: E731
     return jax.tree.map(cut, tree)
 
 
-def block_of_slots(system: System, kind, slots: Slots, k, size) -> Slots:
+def block_of_slots(system: System, kind: str, slots: Slots, k: Array, size: int) -> Slots:
     """``block_of`` slots. Where polytopes are alike and no wall is among the slots, nor among those of the first block,
     the hulls are those of the first block, which the cache holds already."""
     if kind != "hulls" or kind not in system.alike or slots.hull_a is None:
@@ -50,7 +53,7 @@ def block_of_slots(system: System, kind, slots: Slots, k, size) -> Slots:
     return rows.replace(hull_a=jax.lax.cond(alike, lambda: first, lambda: block_of(slots.hull_a, k, size)))
 
 
-def in_one(kind, memory: Memory) -> Memory:
+def in_one(kind: str, memory: Memory) -> Memory:
     """The same rows of a memory, computed by one kernel, before or after all that a block does with it.
 
     XLA then sees that nobody needs the old values any more, and writes over them; else it copies the whole memory in each

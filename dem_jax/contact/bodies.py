@@ -3,27 +3,29 @@
 Everything a contact needs of a body is a column of one array, gathered once per side.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
 
 from dem_jax.contact import boundary
 from dem_jax.maths import rotation, vector
-from dem_jax.types import State, System
+from dem_jax.maths.vector import Matrix, Vector
+from dem_jax.types import Array, State, System
 
 
 class Body(NamedTuple):
     """Bodies of P slots."""
 
-    centre: tuple  # [P] x 3 (m)
-    velocity: tuple  # [P] x 3 (m/s), of the centre of the piece
-    spin: tuple  # [P] x 3 (rad/s)
-    rest: tuple | None  # [P] x 3 (m): low-order part of the centre; None in double precision
-    rotation: tuple | None  # rows of [P]: body frame to world; None where all are spheres
-    arm: tuple | None  # [P] x 3 (m): from the centre of the piece to that of its part; None where each piece is its only part
+    centre: Vector  # [P] x 3 (m)
+    velocity: Vector  # [P] x 3 (m/s), of the centre of the piece
+    spin: Vector  # [P] x 3 (rad/s)
+    rest: Vector | None  # [P] x 3 (m): low-order part of the centre; None in double precision
+    rotation: Matrix | None  # rows of [P]: body frame to world; None where all are spheres
+    arm: Vector | None  # [P] x 3 (m): from the centre of the piece to that of its part; None where each piece is its only part
 
 
-def stack(system: System, state: State, omega, panels: boundary.Panels):
+def stack(system: System, state: State, omega: Array, panels: boundary.Panels) -> Array:
     """All bodies, [rows, M + W]: of ``Body``, one below the other, what any contact of the system needs. omega: [3, N]
     (rad/s)."""
     pieces, walls = [state.position, state.velocity, omega], [panels.rows[:9]]
@@ -37,9 +39,10 @@ def stack(system: System, state: State, omega, panels: boundary.Panels):
     return jnp.concatenate([jnp.concatenate(pieces), jnp.concatenate(walls)], axis=1)
 
 
-def _of_parts(system: System, state: State, pieces):
+def _of_parts(system: System, state: State, pieces: Array) -> Array:
     """The rows of parts, from those of their pieces: the centre is that of the part."""
     parts = system.parts
+    assert parts.centre is not None  # where parts have owners
     c = pieces[:, parts.owner]
     frame = rotation.matrix(tuple(state.orientation[:, parts.owner]))
     arm = jnp.stack(vector.rotate(frame, vector.unpack(parts.centre)))
@@ -51,37 +54,37 @@ def _of_parts(system: System, state: State, pieces):
     return jnp.concatenate([*rows, jnp.stack([x for row in frame for x in row]), arm])
 
 
-def _with_arms(panels: boundary.Panels, rows):
+def _with_arms(panels: boundary.Panels, rows: Sequence[Array]) -> Array:
     return jnp.concatenate([*rows, panels.rows[9:], jnp.zeros_like(panels.rows[:3])])
 
 
-def _has_rest(stacked):
+def _has_rest(stacked: Array) -> bool:
     return stacked.dtype != jnp.float64
 
 
-def _matrix_rows(orientation):
+def _matrix_rows(orientation: Array) -> Array:
     return jnp.stack([c for row in rotation.matrix(tuple(orientation)) for c in row])
 
 
-def take(stacked, index) -> Body:
+def take(stacked: Array, index: Array) -> Body:
     """The bodies of slots, by index [P]: row by row, which takes half the time on a CPU, and what nobody uses none at all."""
     return _body(stacked, [row.at[index].get(mode="promise_in_bounds") for row in stacked])
 
 
-def take_at_once(stacked, index) -> Body:
+def take_at_once(stacked: Array, index: Array) -> Body:
     """``take`` by a single operation, which is compiled sooner: for what is done but once in many steps."""
     return _body(stacked, stacked.at[:, index].get(mode="promise_in_bounds"))
 
 
-def _body(stacked, c) -> Body:
+def _body(stacked: Array, c: Sequence[Array] | Array) -> Body:
     three = lambda i: (c[i], c[i + 1], c[i + 2])  # noqa: E731
     frame = 12 if _has_rest(stacked) else 9
     rest = three(9) if _has_rest(stacked) else None
-    turn = tuple(three(frame + i) for i in (0, 3, 6)) if len(c) > frame else None
+    turn = (three(frame), three(frame + 3), three(frame + 6)) if len(c) > frame else None
     return Body(three(0), three(3), three(6), rest, turn, three(frame + 9) if len(c) > frame + 9 else None)
 
 
-def offset(a: Body, b: Body):
+def offset(a: Body, b: Body) -> Vector:
     """Centre of b minus centre of a, [P] x 3 (m), with what rounding left over of both."""
     offset = vector.sub(b.centre, a.centre)
-    return offset if a.rest is None else vector.add(offset, vector.sub(b.rest, a.rest))
+    return offset if a.rest is None or b.rest is None else vector.add(offset, vector.sub(b.rest, a.rest))

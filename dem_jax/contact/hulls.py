@@ -2,10 +2,10 @@
 
 import jax
 
-from dem_jax.types import Hulls
+from dem_jax.types import Array, Hulls
 
 
-def gather(hulls: Hulls, index, corners: bool) -> Hulls:
+def gather(hulls: Hulls, index: Array, corners: bool) -> Hulls:
     """The rows of the table that belong to pairs, [.., P]; corners, of which there are many, only where asked for, and
     vertices where they are needed, not of zonotopes; loops and open_edges stay in the table, see ``with_faces``."""
     vertices = None if hulls.is_zonotope else hulls.vertices

@@ -15,7 +15,8 @@ import jax.numpy as jnp
 
 from dem_jax.contact.collide import Geometry
 from dem_jax.maths import vector
-from dem_jax.types import Memory, Slots, System
+from dem_jax.maths.vector import Vector
+from dem_jax.types import Array, Memory, Slots, System
 
 ONE_WAY = 0.98  # cosine between normals, from which on contacts with parts of one body are one
 
@@ -24,8 +25,8 @@ class Siblings(NamedTuple):
     """The contacts of the same surface with the same surface, the slot itself among them; none where no other body continues
     any of the two."""
 
-    slot: jnp.ndarray  # [touching, P] int32
-    there: jnp.ndarray  # [touching, P] bool
+    slot: Array  # [touching, P] int32
+    there: Array  # [touching, P] bool
 
 
 def are_there(system: System) -> bool:
@@ -33,8 +34,9 @@ def are_there(system: System) -> bool:
     return system.walls.plane is not None or system.parts.surface is not None
 
 
-def siblings(system: System, slots: Slots, incidence, column) -> Siblings:
+def siblings(system: System, slots: Slots, incidence: Array, column: int) -> Siblings:
     """Siblings of each slot. incidence: State.incidence; column: where the loads on b of these slots begin in it."""
+    assert slots.surface_a is not None
     slot = incidence[:, system.parts.piece(slots.b)] - column
     inside = (slot >= 0) & (slot < slots.b.shape[0])
     slot = jnp.where(inside, slot, 0)
@@ -45,24 +47,25 @@ def siblings(system: System, slots: Slots, incidence, column) -> Siblings:
     return Siblings(slot, inside & (slots.live & are_shared(slots))[None] & same[0] & same[1])
 
 
-def are_shared(slots: Slots) -> jnp.ndarray:
+def are_shared(slots: Slots) -> Array:
     """Whether other bodies continue a or b, [P] bool."""
+    assert slots.surface_a is not None
     if slots.surface_b is None:
         return slots.surface_a >= 0
     return (slots.surface_a >= 0) | (slots.surface_b >= 0)
 
 
-def looking_alike(of: Siblings, normal) -> Siblings:
+def looking_alike(of: Siblings, normal: Vector) -> Siblings:
     """Those with one normal, [P] x 3."""
-    return of._replace(there=of.there & (vector.dot(tuple(c[of.slot] for c in normal), vector.expand(normal, 0)) > ONE_WAY))
+    return of._replace(there=of.there & (vector.dot(vector.at(normal, of.slot), vector.expand(normal, 0)) > ONE_WAY))
 
 
-def deepest(overlap, shape: Geometry, of: Siblings):
+def deepest(overlap: Array, shape: Geometry, of: Siblings) -> tuple[Array, Geometry]:
     """Overlap [P] (m) and normal of the deepest sibling of each slot that has a part of the contact."""
     pick = _deepest(overlap, of)
     has_part = overlap > -1
     return jnp.where(has_part, overlap[pick], overlap), shape._replace(
-        normal=vector.where(has_part, tuple(c[pick] for c in shape.normal), shape.normal)
+        normal=vector.where(has_part, vector.at(shape.normal, pick), shape.normal)
     )
 
 
@@ -72,21 +75,21 @@ def memory(own: Memory, of: Siblings) -> Memory:
     return jax.tree.map(lambda rows: rows[..., pick], own)
 
 
-def _deepest(overlap, of: Siblings):
+def _deepest(overlap: Array, of: Siblings) -> Array:
     """Which slot is the deepest sibling of each, [P]; itself where it has none."""
     rank = jnp.argmax(jnp.where(of.there, overlap[of.slot], -1), axis=0)[None]
     slot = jnp.take_along_axis(of.slot, rank, axis=0)[0]
     return jnp.where(jnp.any(of.there, axis=0), slot, jnp.arange(slot.shape[0], dtype=slot.dtype))
 
 
-def share(weight, of: Siblings):
+def share(weight: Array, of: Siblings) -> Array:
     """The part [P] of the contact with the plane that each slot has; 1 for all that are not on such a panel."""
     total = jnp.sum(jnp.where(of.there, weight[of.slot], 0), axis=0)
     part = weight / jnp.where(total > 0, total, 1)
     return jnp.where(jnp.any(of.there, axis=0), part, 1)
 
 
-def centre(part, point, of: Siblings):
+def centre(part: Array, point: Vector, of: Siblings) -> Vector:
     """The point of the contact with the plane, [P] x 3 (m); part: as of ``share``; point: of each slot, about its piece."""
     own = jnp.any(of.there, axis=0)
-    return tuple(jnp.where(own, jnp.sum(jnp.where(of.there, (part * c)[of.slot], 0), axis=0), c) for c in point)
+    return vector.each(lambda c: jnp.where(own, jnp.sum(jnp.where(of.there, (part * c)[of.slot], 0), axis=0), c), point)

@@ -6,18 +6,18 @@ import jax.numpy as jnp
 from dem_jax.contact import bodies, near
 from dem_jax.contact.geometry import relative, shapes_of
 from dem_jax.maths import vector
-from dem_jax.types import Guard, Near, Slots, State, System
+from dem_jax.types import Array, Guard, Near, Slots, State, System
 
 KIND = "hulls"
 ROUNDING = 1.01  # of a way
 
 
-def up_to_date(system: System, state: State, stacked) -> State:
+def up_to_date(system: System, state: State, stacked: Array) -> State:
     """The state with near features that hold for all pairs of polytopes where they are now. stacked: bodies.stack."""
     scratch = state.scratch
     slots = scratch.slots[KIND]
 
-    def ask(carry):
+    def ask(carry: tuple[Near, Array, Guard]) -> tuple[Near, Array, Guard]:
         known, _, guard = carry
         known, spare = _renewed(system, known, slots, stacked)
         return known, spare, _with_start(guard, scratch.is_first, known, slots)
@@ -30,13 +30,14 @@ def up_to_date(system: System, state: State, stacked) -> State:
     return state.replace(guard=guard, scratch=scratch)
 
 
-def _renewed(system: System, known: Near, slots: Slots, stacked):
+def _renewed(system: System, known: Near, slots: Slots, stacked: Array) -> tuple[Near, Array]:
+    assert system.hulls is not None
     a, b = bodies.take_at_once(stacked, slots.a), bodies.take_at_once(stacked, slots.b)
     rel = relative(a, b, bodies.offset(a, b))
     return near.renewed(system.hulls, known, shapes_of(system, slots), slots.live, rel, system.law.reach(slots.pair))
 
 
-def _pace(system: System, stacked):
+def _pace(system: System, stacked: Array) -> Array:
     """The most by which the points of any body move in the frame of another near it, (m/s)."""
     radius = system.parts.bounding_radius
     largest = jnp.max(radius)
@@ -46,7 +47,7 @@ def _pace(system: System, stacked):
     return 2 * ROUNDING * jnp.max(pace)
 
 
-def _with_start(guard: Guard, is_first, known: Near, slots: Slots) -> Guard:
+def _with_start(guard: Guard, is_first: Array, known: Near, slots: Slots) -> Guard:
     """The guard with the deepest pair of all, if this is the first time."""
     relative_depth = jnp.where(slots.live, known.depth / slots.width, -jnp.inf)
     worst = jnp.argmax(relative_depth)
