@@ -1,5 +1,6 @@
 """Contact forces of one configuration: for each kind of contact, geometry, then the contact law, then sums over bodies."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -12,6 +13,7 @@ from dem_jax.contact.geometry import Known, geometry, is_kept
 from dem_jax.contact.law import Contact
 from dem_jax.contact.ledger import entered
 from dem_jax.maths import vector
+from dem_jax.maths.vector import Vector
 from dem_jax.types import Array, ContactTable, Facing, Memory, Slots, State, System, WallLoads
 
 
@@ -34,7 +36,9 @@ def contacts(system: System, state: State, omega: Array, panels: boundary.Panels
     if is_kept(system):
         state = watch.up_to_date(system, state, stacked)
     loads, overlap = state.scratch.loads, jnp.zeros((system.runs,), stacked.dtype)
-    tables, facing, column = {}, {}, 0
+    tables: dict[str, ContactTable] = {}
+    facing: dict[str, Facing] = {}
+    column = 0
     for kind, table in state.contacts.items():
         memory, seen, loads, deepest = _contacts_of_kind(system, state, kind, stacked, loads, column)
         tables[kind], overlap = table.replace(memory=memory), jnp.maximum(overlap, deepest)
@@ -46,7 +50,9 @@ def contacts(system: System, state: State, omega: Array, panels: boundary.Panels
     return state.moved(force=on_pieces[:3], torque=on_pieces[3:]).replace(walls=on_walls, ledger=ledger)
 
 
-def _contacts_of_kind(system: System, state: State, kind, stacked, loads, column):
+def _contacts_of_kind(
+    system: System, state: State, kind: str, stacked: Array, loads: Array, column: int
+) -> tuple[Memory, Facing | None, Array, Array]:
     """The memory of a kind after this step, which faces look at each other, the loads [6, columns] with those of its contacts
     from ``column`` on, and the largest overlap. Block by block of slots, as far as slots are filled: what is free costs nothing."""
     table, slots = state.contacts[kind], state.scratch.slots[kind]
@@ -54,7 +60,7 @@ def _contacts_of_kind(system: System, state: State, kind, stacked, loads, column
     room = table.a.shape[0]
     size = block_size(system, kind, room)
 
-    def put(part: Contacts, first, loads):
+    def put(part: Contacts, first: Array | int, loads: Array) -> Array:
         loads = jax.lax.dynamic_update_slice_in_dim(loads, part.load_b, column + first, 1)
         return jax.lax.dynamic_update_slice_in_dim(loads, part.load_a, column + room + first, 1)
 
@@ -63,7 +69,7 @@ def _contacts_of_kind(system: System, state: State, kind, stacked, loads, column
         part = _resolve(system, kind, table.memory, slots, stacked, siblings, Known(near, facing))
         return part.memory, part.facing, put(part, 0, loads), part.overlap
 
-    def block(k, carry):
+    def block(k: Array, carry: tuple[Memory, Facing | None, Array, Array]) -> tuple[Memory, Facing | None, Array, Array]:
         memory, facing, loads, overlap = carry
         before = in_one(kind, block_of(memory, k, size))
         known = Known(block_of(near, k, size), block_of(facing, k, size))
@@ -77,7 +83,9 @@ def _contacts_of_kind(system: System, state: State, kind, stacked, loads, column
     return jax.lax.fori_loop(0, blocks, block, (table.memory, facing, loads, jnp.zeros((system.runs,), stacked.dtype)))
 
 
-def _resolve(system: System, kind, memory: Memory, slots: Slots, stacked, siblings, known: Known) -> Contacts:
+def _resolve(
+    system: System, kind: str, memory: Memory, slots: Slots, stacked: Array, siblings: seams.Siblings | None, known: Known
+) -> Contacts:
     """Geometry and contact law of the contacts of one kind. siblings: seams.Siblings where surfaces go on."""
     a, b = bodies.take(stacked, slots.a), bodies.take(stacked, slots.b)
     offset = bodies.offset(a, b)
@@ -89,7 +97,7 @@ def _resolve(system: System, kind, memory: Memory, slots: Slots, stacked, siblin
     return jax.lax.cond(is_touching, loaded, lambda: _separated(system, memory, slots))._replace(facing=facing)
 
 
-def _within(system: System, slots: Slots, overlap):
+def _within(system: System, slots: Slots, overlap: Array) -> Array:
     """Overlap (m), [P], more by the reach of the law: a contact is what is positive."""
     reach = system.law.reach(slots.pair)
     return overlap if reach is None else overlap + reach
@@ -102,11 +110,20 @@ def _separated(system: System, memory: Memory, slots: Slots) -> Contacts:
     return Contacts(after, none, none, jnp.zeros((system.runs,), none.dtype))
 
 
-def _loaded(system: System, memory: Memory, slots: Slots, a: Body, b: Body, offset, shape: collide.Geometry, siblings) -> Contacts:
+def _loaded(
+    system: System,
+    memory: Memory,
+    slots: Slots,
+    a: Body,
+    b: Body,
+    offset: Vector,
+    shape: collide.Geometry,
+    siblings: seams.Siblings | None,
+) -> Contacts:
     """The contact law's answer to contacts of a shape in world axes."""
     overlap = jnp.where(slots.live, shape.depth, -1)
     at_b = vector.sub(shape.point, offset)
-    if b.arm is not None:  # from here on about the centres of the pieces
+    if a.arm is not None and b.arm is not None:  # from here on about the centres of the pieces
         at_b, offset = vector.add(at_b, b.arm), vector.add(offset, vector.sub(a.arm, b.arm))
         shape = shape._replace(point=vector.add(at_b, offset))
     share = None
@@ -136,7 +153,9 @@ def _loaded(system: System, memory: Memory, slots: Slots, a: Body, b: Body, offs
     return Contacts(after, load_a, load_b, deepest)
 
 
-def _motion(system: System, a: Body, b: Body, offset, memory: Memory, normal, at_b, within):
+def _motion(
+    system: System, a: Body, b: Body, offset: Vector, memory: Memory, normal: Vector, at_b: Vector, within: Array
+) -> tuple[Vector, Array]:
     """Motion in this step of b relative to a at the contact point: tangential, [P] x 3 (m), and towards a, [P] (m).
 
     Of second order in the time step: the arms, like the velocities, are those at the middle of the step, and of the step
@@ -178,20 +197,20 @@ def _loads_of_walls(system: System, state: State, panels: boundary.Panels) -> Wa
     number = jnp.arange(len(system.walls.groups), dtype=jnp.int32)[:, None]
     scratch = state.scratch
 
-    def rows(k):
+    def rows(k: Array) -> Array:
         columns, group = scratch.walled[0, k], scratch.walled[1, k]
         load = scratch.loads.at[:, columns].get(mode="promise_in_bounds")
-        about_origin = jnp.stack(vector.add(vector.cross(place, load[:3]), load[3:]))
+        about_origin = jnp.stack(vector.add(vector.cross(place, vector.unpack(load[:3])), vector.unpack(load[3:])))
         both = jnp.concatenate([load[:3], about_origin])
         return jnp.where(group[None] == number, -both[:, None], 0)
 
     total = of_run.total(system, _added_up(system, rows, scratch.most_walled))
-    pivot = tuple(c[..., None] for c in panels.pivot)
-    torque = vector.sub(total[3:], vector.cross(pivot, total[:3]))
+    pivot = vector.each(lambda c: c[..., None], panels.pivot)
+    torque = vector.sub(vector.unpack(total[3:]), vector.cross(pivot, vector.unpack(total[:3])))
     return WallLoads(total[:3], jnp.stack(torque))
 
 
-def _added_up(system: System, rows, count) -> Array:
+def _added_up(system: System, rows: Callable[[Array], Array], count: Array) -> Array:
     """The sum of ``rows(k)`` over the first ``count`` contacts of each piece; over all, which is the same and can be
     differentiated, where slots are not computed by blocks."""
     if not system.slot_block:

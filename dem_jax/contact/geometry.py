@@ -1,5 +1,6 @@
 """Kinds of contact by what computes their geometry: spheres, polytopes, a polytope and a sphere."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -8,6 +9,7 @@ import jax.numpy as jnp
 from dem_jax.contact import collide, hulls, look, near
 from dem_jax.contact.bodies import Body
 from dem_jax.maths import vector
+from dem_jax.maths.vector import Vector
 from dem_jax.types import Array, Facing, Hulls, Near, Slots, System
 
 
@@ -21,8 +23,14 @@ class Known(NamedTuple):
 
 NOTHING = Known()
 
+Rows = tuple[Array, Array]  # of a and of b [P] int32, in the table of hulls
+Planes = tuple[Array, Array]  # [4, K, P]: of a and of b, in their own frames
+Clipped = Callable[[Callable[[Planes], collide.Geometry]], collide.Geometry]  # gives a function the planes that clip
 
-def geometry(system: System, kind, slots: Slots, a: Body, b: Body, offset, known: Known = NOTHING):
+
+def geometry(
+    system: System, kind: str, slots: Slots, a: Body, b: Body, offset: Vector, known: Known = NOTHING
+) -> tuple[Array, Callable[[], collide.Geometry], Facing | None]:
     """Depth of each slot, [P] (m), and a function that says the rest, which nobody needs where nothing touches: a
     ``collide.Geometry`` with normal (a to b) and point (relative to the centre of a) in world axes. The point of polytopes
     is where they would touch if b were nearer by the reach of the law: between separated ones there is a force too.
@@ -32,66 +40,89 @@ def geometry(system: System, kind, slots: Slots, a: Body, b: Body, offset, known
         found = collide.sphere_sphere(slots.radius_a, slots.radius_b, offset)
         return found.depth, lambda: found, None
     if kind == "mixed":
+        assert a.rotation is not None and slots.hull_a is not None
         found = collide.hull_sphere(slots.hull_a, slots.radius_b, vector.rotate_back(a.rotation, offset))
         return found.depth, lambda: _in_world(found, a), None
-    rel, reach = relative(a, b, offset), system.law.reach(slots.pair)
-    if system.hulls.features is None:
-        hull_a, hull_b = (hulls.with_faces(rows, system.hulls) for rows in (slots.hull_a, slots.hull_b))
+    rel, reach, table = relative(a, b, offset), system.law.reach(slots.pair), system.hulls
+    assert table is not None
+    if table.features is None:
+        assert slots.hull_a is not None and slots.hull_b is not None
+        hull_a, hull_b = (hulls.with_faces(rows, table) for rows in (slots.hull_a, slots.hull_b))
         axes = collide.separating_axes(hull_a, hull_b, rel)
         return axes[0], lambda: _in_world(_between_zonotopes(hull_a, hull_b, rel, axes, reach), a), None
     rows = shapes_of(system, slots)
-    axes, faces, planes, facing = _between_polytopes(system, slots, rows, rel, reach, known)
-    return axes.depth, lambda: _in_world(_centred(system, rows, faces, planes, rel, axes, reach), a), facing
+    separation, faces, planes, facing = _between_polytopes(table, slots, rows, rel, reach, known)
+    return separation.depth, lambda: _in_world(_centred(table, rows, faces, planes, rel, separation, reach), a), facing
 
 
-def relative(a: Body, b: Body, offset) -> collide.Relative:
+def relative(a: Body, b: Body, offset: Vector) -> collide.Relative:
     """Body b as seen from body a; offset: between their centres, in world axes."""
+    assert a.rotation is not None and b.rotation is not None  # not where all are spheres
     return collide.Relative(vector.compose(vector.transpose(a.rotation), b.rotation), vector.rotate_back(a.rotation, offset))
 
 
-def shapes_of(system: System, slots: Slots) -> tuple[Array, Array]:
+def shapes_of(system: System, slots: Slots) -> Rows:
     """Rows of both bodies in the table of hulls, [P] int32."""
     return system.shape[slots.a], system.shape[slots.b]
 
 
-def polytopes(table: Hulls, rows, rel: collide.Relative) -> collide.Geometry:
+def polytopes(table: Hulls, rows: Rows, rel: collide.Relative) -> collide.Geometry:
     """Contact of the polytopes of rows (a, b) [P] of a table with features, from all of them, in a's frame."""
     axes, faces = _from_all(table, rows, rel, None)
     return _centred_on(table, rows, faces, near.every_plane(table, rows), rel, axes, None)
 
 
-def _from_all(table: Hulls, rows, rel, reach):
+def _from_all(table: Hulls, rows: Rows, rel: collide.Relative, reach: Array | None) -> tuple[near.Axes, tuple[Array, Array]]:
     """Axes and facing faces of polytopes, from all of their features."""
+    assert table.features is not None
     axes = near.axes(look.look(table.features, rows, _radii(table, rows), rel, reach), rel)
     return axes, near.looking(look.facing(table.features, rows, axes.normal, rel), axes.normal, rel)
 
 
-def _radii(table: Hulls, rows):
-    return tuple(table.bounding_radius[row] for row in rows)
+def _radii(table: Hulls, rows: Rows) -> tuple[Array, Array]:
+    return table.bounding_radius[rows[0]], table.bounding_radius[rows[1]]
 
 
-def _between_polytopes(system: System, slots: Slots, rows, rel, reach, known: Known):
+def _between_polytopes(
+    table: Hulls, slots: Slots, rows: Rows, rel: collide.Relative, reach: Array | None, known: Known
+) -> tuple[near.Axes, tuple[Array, Array], Clipped, Facing | None]:
     """Axes, facing faces and clipping planes of polytopes, and Facing for the next step."""
-    table = system.hulls
     if known.near is None:
         axes, faces = _from_all(table, rows, rel, reach)
         return axes, faces, lambda of: of(near.every_plane(table, rows)), None
-    axes = near.axes(known.near, rel)
+    assert known.facing is not None
+    axes, clipping = near.axes(known.near, rel), known.near.clipping
     touching = slots.live & ((axes.depth if reach is None else axes.depth + reach) > 0)
     facing = near.faced(table, known.facing, rows, axes.normal, touching, rel)
     is_wide = jnp.any(known.near.wide & touching)
 
-    def clipped(of):
-        return jax.lax.cond(is_wide, lambda: of(near.every_plane(table, rows)), lambda: of(known.near.clipping))
+    def clipped(of: Callable[[Planes], collide.Geometry]) -> collide.Geometry:
+        return jax.lax.cond(is_wide, lambda: of(near.every_plane(table, rows)), lambda: of(clipping))
 
     return axes, near.looking(facing, axes.normal, rel), clipped, facing
 
 
-def _centred(system: System, rows, faces, clipped, rel, axes: near.Axes, reach):
-    return clipped(lambda planes: _centred_on(system.hulls, rows, faces, planes, rel, axes, reach))
+def _centred(
+    table: Hulls,
+    rows: Rows,
+    faces: tuple[Array, Array],
+    clipped: Clipped,
+    rel: collide.Relative,
+    axes: near.Axes,
+    reach: Array | None,
+) -> collide.Geometry:
+    return clipped(lambda planes: _centred_on(table, rows, faces, planes, rel, axes, reach))
 
 
-def _centred_on(table: Hulls, rows, faces, planes, rel, axes: near.Axes, reach) -> collide.Geometry:
+def _centred_on(
+    table: Hulls,
+    rows: Rows,
+    faces: tuple[Array, Array],
+    planes: Planes,
+    rel: collide.Relative,
+    axes: near.Axes,
+    reach: Array | None,
+) -> collide.Geometry:
     """Contact of polytopes whose axes are known; reach: [P] or [1] (m), None of a law without."""
     if reach is None:
         return collide.Geometry(axes.depth, axes.normal, *near.pressure_centre(table, rows, faces, planes, rel, axes))
@@ -100,7 +131,9 @@ def _centred_on(table: Hulls, rows, faces, planes, rel, axes: near.Axes, reach) 
     return collide.Geometry(axes.depth, axes.normal, vector.add_scaled(point, 0.5 * reach, axes.normal), weight)
 
 
-def _between_zonotopes(hull_a: Hulls, hull_b: Hulls, rel: collide.Relative, axes, reach: Array | None) -> collide.Geometry:
+def _between_zonotopes(
+    hull_a: Hulls, hull_b: Hulls, rel: collide.Relative, axes: collide.Separation, reach: Array | None
+) -> collide.Geometry:
     """Contact of two zonotopes, their separating axes known; reach: [P] or [1] (m), None of a law without."""
     if reach is None:
         return collide.hull_hull(hull_a, hull_b, rel, axes)
@@ -110,12 +143,13 @@ def _between_zonotopes(hull_a: Hulls, hull_b: Hulls, rel: collide.Relative, axes
     return found._replace(point=vector.add_scaled(found.point, 0.5 * reach, normal))
 
 
-def nearness(system: System, kind, slots: Slots, a: Body, b: Body, offset):
+def nearness(system: System, kind: str, slots: Slots, a: Body, b: Body, offset: Vector) -> Array:
     """Depth of each slot, or more, [P] (m), as far as it decides which pairs are near; of polytopes that are parts of more the
     smaller of that of the whole and their own: beyond a part others touch."""
-    if kind != "hulls" or system.hulls.features is None:
+    table = system.hulls
+    if kind != "hulls" or table is None or table.features is None:
         return geometry(system, kind, slots, a, b, offset)[0]
-    table, rows, rel = system.hulls, shapes_of(system, slots), relative(a, b, offset)
+    rows, rel = shapes_of(system, slots), relative(a, b, offset)
     if is_kept(system):
         depth = look.overlap_at_most(table.features, rows, rel)
     else:
@@ -126,9 +160,10 @@ def nearness(system: System, kind, slots: Slots, a: Body, b: Body, offset):
 def is_kept(system: System) -> bool:
     """Whether near features of polytopes are kept from step to step; else all are looked at in each."""
     they_meet = any(kind == "hulls" for kind, _, _ in system.capacity)
-    return they_meet and system.hulls.features is not None and bool(system.slot_block)
+    return they_meet and system.hulls is not None and system.hulls.features is not None and bool(system.slot_block)
 
 
 def _in_world(found: collide.Geometry, a: Body) -> collide.Geometry:
     """The same in world axes."""
+    assert a.rotation is not None
     return found._replace(normal=vector.rotate(a.rotation, found.normal), point=vector.rotate(a.rotation, found.point))
