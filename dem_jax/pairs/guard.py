@@ -12,7 +12,7 @@ import numpy as np
 
 from dem_jax.maths.compaction import EMPTY
 from dem_jax.pairs import neighbours, search
-from dem_jax.types import ContactTable, Guard, Parts, State, System
+from dem_jax.types import Array, ContactTable, Guard, Partition, Parts, State, System
 
 HEAD_ROOM = 1.25  # of what was needed, so that the next chunk does not outgrow it again
 LARGEST_RAISE = 4.0  # of the skin at once: a state that went wrong may report any travel
@@ -90,7 +90,7 @@ def most_contacts(parts: Parts, panels: int) -> int:
     return int(np.max(own * (parts.count - own + panels)))
 
 
-def _grown_partition(partition, guard: Guard, parts):
+def _grown_partition(partition: Partition | None, guard: Guard, parts: int) -> Partition | None:
     """The room of jax-md's list, where there is one, for what was needed."""
     if partition is None:
         return None
@@ -102,12 +102,14 @@ def _grown_partition(partition, guard: Guard, parts):
     return partition._replace(pairs=room, cell=_enough(partition.cell, filling, parts), reach=reach)
 
 
-def with_capacity(system: System, state: State, capacity, touching, row_capacity) -> tuple[System, State]:
+def with_capacity(
+    system: System, state: State, capacity: tuple[tuple[str, int, int], ...], touching: int, row_capacity: int
+) -> tuple[System, State]:
     """System and state with capacities at least as large as these, none smaller than before."""
     both = zip(capacity, system.capacity, strict=True)
     capacity = tuple((kind, max(near, n), max(slots, s)) for (kind, near, slots), (_, n, s) in both)
     larger = system.replace(capacity=capacity, touching=touching, row_capacity=row_capacity)
-    if jax.tree.structure(larger) == jax.tree.structure(system):
+    if jax.tree.structure(larger) == jax.tree.structure(system):  # type: ignore[operator]  # of a class without stubs
         return system, state
     tables = {kind: _widened(state.contacts[kind], slots) for kind, _, slots in capacity}
     return larger, with_scratch(larger, state.replace(contacts=tables))
@@ -122,13 +124,13 @@ def with_scratch(system: System, state: State) -> State:
     return state.replace(scratch=jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), form))
 
 
-def _most(needed):
+def _most(needed: Array) -> tuple[int, int]:
     """The most that any run needed of two things, such as candidates and slots."""
     near, touching = np.reshape(needed, (-1, 2)).max(axis=0)
     return int(near), int(touching)
 
 
-def _enough(have, needed, every):
+def _enough(have: int, needed: int, every: int) -> int:
     if needed <= have:
         return have
     return round_up(min(every, int(np.ceil(HEAD_ROOM * needed))))

@@ -7,9 +7,12 @@ measures whether two bodies have approached each other by more. More candidates 
 the host grows the capacity and runs the chunk again.
 """
 
+from typing import TypeVar
+
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import DTypeLike
 
 from dem_jax.contact import blocks, bodies, boundary, collide, look, of_run
 from dem_jax.contact.geometry import is_kept, nearness
@@ -17,7 +20,9 @@ from dem_jax.maths import rotation, vector
 from dem_jax.maths.compaction import EMPTY, compact, grouped, in_order
 from dem_jax.pairs import search
 from dem_jax.pairs.slots import constants
-from dem_jax.types import Array, ContactTable, Facing, Guard, Memory, Near, Scratch, Slots, State, System
+from dem_jax.types import Array, ContactTable, Facing, Guard, Memory, Near, Scratch, Slots, State, System, host
+
+T = TypeVar("T")
 
 # Kinds of contact by what computes their geometry, each with slots of its own, and the sources of their pairs.
 # In the order of the alphabet, as JAX sorts the keys of a dict: ``incidence`` counts on one order everywhere.
@@ -37,16 +42,23 @@ def rebuild(system: System, state: State, panels: boundary.Panels | None = None)
     reach = system.skin + system.reach + lead
     guard = state.guard
     first_time = guard.start_overlap < 0
-    tables, slots, near, facing, needed, filled, column = {}, {}, {}, {}, {}, {}, 0
+    tables: dict[str, ContactTable] = {}
+    slots: dict[str, Slots] = {}
+    near: dict[str, Near] = {}
+    facing: dict[str, Facing] = {}
+    needed: dict[str, Array] = {}
+    filled: dict[str, Array] = {}
+    column = 0
     for kind, candidates, room in system.capacity:
-        close, a, b, missed = [], [], [], 0
+        close, one, other = [], [], []
+        missed: Array | int = 0
         for source in SOURCES[kind]:
             first, second, need = search.of_source(system, source, stacked, reach, candidates)
             guard, missed = search.noted(guard, need), missed + need.missed
             close.append(within_bounds(system, stacked, source, first, second, reach))
-            a.append(first)
-            b.append(second)
-        number, a, b = compact(jnp.concatenate(close), jnp.concatenate(a), jnp.concatenate(b), candidates)
+            one.append(first)
+            other.append(second)
+        number, a, b = compact(jnp.concatenate(close), jnp.concatenate(one), jnp.concatenate(other), candidates)
         overlap, relative = _depths(system, kind, a, b, number, stacked)
         keeps = kind == "hulls" and is_kept(system)  # then what overlaps is known after the first look
         guard = guard if keeps else _note_overlap(guard, first_time, relative, a, b)
@@ -88,14 +100,14 @@ def rebuild(system: System, state: State, panels: boundary.Panels | None = None)
     return state.replace(contacts=tables, incidence=incidence, guard=guard, scratch=scratch)
 
 
-def _of_fullest_run(system: System, near, touching, b):
+def _of_fullest_run(system: System, near: Array, touching: Array, b: Array) -> Array:
     """The candidates and slots that one run wants, [2]; near, touching: those of all runs; b: [slots], pieces in slots."""
     each = of_run.total_of_contacts(system, (b >= 0).astype(jnp.int32), b)
     mean = (jnp.stack([near, touching]) + system.runs - 1) // system.runs
     return mean.at[1].max(jnp.max(each))
 
 
-def within_bounds(system: System, stacked, source, a, b, gap):
+def within_bounds(system: System, stacked: Array, source: str, a: Array, b: Array, gap: Array) -> Array:
     """Whether the bounds of two bodies are nearer than a gap (m), [pairs] bool: spheres, of a panel the box around it."""
     live = a >= 0
     a, b = jnp.maximum(a, 0), jnp.maximum(b, 0)
@@ -105,24 +117,26 @@ def within_bounds(system: System, stacked, source, a, b, gap):
     if source.startswith("wall"):
         panel = a - radius.shape[0]
         first, second = bodies.take_at_once(stacked, a), bodies.take_at_once(stacked, b)
+        assert first.rotation is not None
         local = vector.rotate_back(first.rotation, bodies.offset(first, second))
         half = tuple(c[panel] for c in system.walls.half_extent)
-        away = tuple(jnp.maximum(jnp.abs(c) - h, 0) for c, h in zip(local, half, strict=True))
+        x, y, z = (jnp.maximum(jnp.abs(c) - h, 0) for c, h in zip(local, half, strict=True))
+        away = x, y, z
     else:
         reach = reach + radius[a]
-        away = vector.sub(stacked[:3, b], stacked[:3, a])
+        away = vector.sub(vector.unpack(stacked[:3, b]), vector.unpack(stacked[:3, a]))
         if parts.owner is not None:
             live = live & (parts.owner[a] != parts.owner[b])
     return live & (vector.dot(away, away) < reach * reach)
 
 
-def _depths(system: System, kind, a, b, number, stacked):
+def _depths(system: System, kind: str, a: Array, b: Array, number: Array, stacked: Array) -> Array:
     """Overlap of each pair by the full test, [pairs] (m), and relative to its width; of an empty one, minus infinity.
 
     number: how many pairs there are, the first ones; of the rest, as many as fill a block are looked at too.
     """
 
-    def of_pairs(a, b):
+    def of_pairs(a: Array, b: Array) -> Array:
         slots = constants(system, kind, a, b)
         body_a, body_b = bodies.take_at_once(stacked, slots.a), bodies.take_at_once(stacked, slots.b)
         depth = nearness(system, kind, slots, body_a, body_b, bodies.offset(body_a, body_b))
@@ -132,14 +146,14 @@ def _depths(system: System, kind, a, b, number, stacked):
     if not size:
         return of_pairs(a, b)
 
-    def block(k, found):
+    def block(k: Array, found: Array) -> Array:
         return jax.lax.dynamic_update_slice_in_dim(found, of_pairs(*blocks.block_of((a, b), k, size)), k * size, 1)
 
     none = jnp.full((2, a.shape[0]), -jnp.inf, stacked.dtype)
     return jax.lax.fori_loop(0, (jnp.minimum(number, a.shape[0]) + size - 1) // size, block, none)
 
 
-def _note_overlap(guard: Guard, first_time, relative, a, b) -> Guard:
+def _note_overlap(guard: Guard, first_time: Array, relative: Array, a: Array, b: Array) -> Guard:
     """Note the deepest pair of all, if this is the first rebuild."""
     worst = jnp.argmax(relative)
     more = first_time & (relative[worst] > guard.start_overlap)
@@ -149,7 +163,9 @@ def _note_overlap(guard: Guard, first_time, relative, a, b) -> Guard:
     )
 
 
-def former_slots(system: System, old: ContactTable, a, b, incidence, column):
+def former_slots(
+    system: System, old: ContactTable, a: Array, b: Array, incidence: Array, column: int
+) -> tuple[Array, Array]:
     """The slot in an old table of each pair (a, b), [P] int32, and whether it had one, [P] bool.
 
     incidence: [touching, N] of the old tables; column: where the loads on b of this kind begin in it. A pair that was
@@ -165,7 +181,7 @@ def former_slots(system: System, old: ContactTable, a, b, incidence, column):
     return jnp.max(jnp.where(match, slot, 0), axis=0), jnp.any(match, axis=0)
 
 
-def carried(old, none, slot, known):
+def carried(old: T, none: T, slot: Array, known: Array) -> T:
     """Of a tree of rows [.., P] of former slots what the pairs had, and ``none`` of those that had none."""
     pick = lambda rows, new: jnp.where(known.reshape((1,) * (new.ndim - 1) + (-1,)), rows[..., slot], new)  # noqa: E731
     return jax.tree.map(pick, old, none)
@@ -173,11 +189,14 @@ def carried(old, none, slot, known):
 
 def empty_near(system: System, room: int) -> tuple[Near, Facing]:
     """Near features and facing faces of which nothing is known."""
+    table = system.hulls
+    assert table is not None and table.features is not None
+    features = table.features
     row, length = jnp.zeros((room,), jnp.int32), jnp.zeros((room,), system.dt.dtype)
     rel = collide.Relative(((length,) * 3,) * 3, (length,) * 3)
     both = lambda: (  # noqa: E731
-        look.look(system.hulls.features, (row, row), (length, length), rel, None),
-        look.facing(system.hulls.features, (row, row), (length,) * 3, rel),
+        look.look(features, (row, row), (length, length), rel, None),
+        look.facing(features, (row, row), (length,) * 3, rel),
     )
     none = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(both))
     return tuple(of.replace(margin=jnp.full_like(length, -1)) for of in none)
@@ -196,12 +215,12 @@ def no_contacts(system: System) -> dict:
 
 def empty_table(system: System, kind: str, room: int) -> ContactTable:
     """A table without contacts, in numpy."""
-    none = np.full((room,), EMPTY, np.int32)
+    none = host(np.full((room,), EMPTY, np.int32))
     memory = jax.eval_shape(lambda a: no_memory(system, constants(system, kind, a, a)), none)
     return ContactTable(none, none, jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), memory))
 
 
-def find_incidence(system: System, tables):
+def find_incidence(system: System, tables: dict[str, ContactTable]) -> tuple[Array, Array]:
     """Where the loads of each piece stand in the columns that forces adds up, [touching, N], and how many at most.
 
     The columns are, for each kind, the P loads on b, then the P loads on a; one more holds zeros.
@@ -211,27 +230,27 @@ def find_incidence(system: System, tables):
     return _columns_of(system, owner)
 
 
-def find_walled(system: System, tables):
+def find_walled(system: System, tables: dict[str, ContactTable]) -> tuple[Array, Array]:
     """As ``find_incidence``, [2, touching, N] and how many at most: where the loads of walls on each piece stand, and the
     number of each wall's group."""
     number = system.parts.count
     panel = [part for t in tables.values() for part in (t.a - number, jnp.full_like(t.a, EMPTY))]
     owner = [part for t in tables.values() for part in (jnp.where(t.a >= number, t.b, EMPTY), jnp.full_like(t.b, EMPTY))]
     columns, most = _columns_of(system, owner)
-    panel = jnp.maximum(jnp.concatenate([*panel, jnp.zeros((1,), jnp.int32)]), 0)
-    group = system.walls.group[panel] if system.walls.group.shape[0] else panel
+    panels = jnp.maximum(jnp.concatenate([*panel, jnp.zeros((1,), jnp.int32)]), 0)
+    group = system.walls.group[panels] if system.walls.group.shape[0] else panels
     return jnp.stack([columns, group[columns]]), jnp.minimum(most, system.touching)
 
 
-def _columns_of(system: System, owner):
+def _columns_of(system: System, stretches: list[Array]) -> tuple[Array, Array]:
     """The columns that belong to each piece, [touching, N], in order and ended by the last, and how many at most.
 
-    owner: stretches of an array [columns - 1] of parts of pieces, EMPTY where a column is nobody's.
+    stretches: of an array [columns - 1] of parts of pieces, EMPTY where a column is nobody's.
     """
     pieces = system.pieces.mass.shape[0]
-    if not owner:
+    if not stretches:
         return jnp.zeros((system.touching, pieces), jnp.int32), jnp.zeros((), jnp.int32)
-    owner = jnp.concatenate(owner)
+    owner = jnp.concatenate(stretches)
     if system.parts.owner is not None:
         owner = jnp.where(owner >= 0, system.parts.owner[jnp.maximum(owner, 0)], EMPTY)
     columns = owner.shape[0]
@@ -257,13 +276,13 @@ def travel(system: System, state: State, before: boundary.Panels, now: boundary.
         way = way + 2 * vector.norm(turn[1:]) * system.pieces.bounding_radius
     of_walls = None
     if system.walls.moving:
-        turn = vector.sub(now.rotation[0], before.rotation[0]), vector.sub(now.rotation[1], before.rotation[1])
-        turned = jnp.sqrt(vector.dot(turn[0], turn[0]) + vector.dot(turn[1], turn[1]))
+        x, y = vector.sub(now.rotation[0], before.rotation[0]), vector.sub(now.rotation[1], before.rotation[1])
+        turned = jnp.sqrt(vector.dot(x, x) + vector.dot(y, y))
         of_walls = vector.norm(vector.sub(now.centre, before.centre)) + turned * vector.norm(tuple(system.walls.half_extent))
     return 0.5 * (_of_two(system, way, of_walls) + _interval(system) * _pace(system, state, now))
 
 
-def _pace(system: System, state: State, panels: boundary.Panels):
+def _pace(system: System, state: State, panels: boundary.Panels) -> Array:
     """The most by which any two bodies approach each other now (m/s)."""
     speed = vector.norm(tuple(state.velocity))
     if system.has_hulls:
@@ -277,21 +296,21 @@ def _pace(system: System, state: State, panels: boundary.Panels):
     return _of_two(system, speed, of_walls)
 
 
-def _of_two(system: System, pieces, walls):
+def _of_two(system: System, pieces: Array, walls: Array | None) -> Array:
     """The largest of two pieces, or of a piece and a wall, added up; walls: None where they rest."""
     piece = of_run.largest(system, pieces)
     return 2 * piece if walls is None else piece + jnp.maximum(piece, jnp.max(walls))
 
 
-def _interval(system: System):
+def _interval(system: System) -> Array:
     """Longest time between rebuilds (s)."""
     return system.dt * system.block_steps
 
 
-def empty_guard(system: System, dtype) -> Guard:
+def empty_guard(system: System, dtype: DTypeLike) -> Guard:
     """A guard that has seen nothing, in numpy."""
     needed = {kind: np.zeros((2,), np.int32) for kind, _, _ in system.capacity}
-    zero = np.zeros((), np.int32)
+    zero = host(np.zeros((), np.int32))
     none = search.no_need(dtype)
-    nothing, nobody = np.zeros((), dtype), np.zeros((2,), np.int32)
+    nothing, nobody = host(np.zeros((), dtype)), host(np.zeros((2,), np.int32))
     return Guard(needed, zero, none.row, none.partition, none.reach, nothing, nothing - 1, nobody)

@@ -5,16 +5,18 @@ which pairs count and a number of pairs to keep, and answers with the pairs (a, 
 where there is no pair, and what it would have needed to find them all.
 """
 
+from types import ModuleType
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import DTypeLike
 
 from dem_jax.contact import of_run
 from dem_jax.maths import vector
 from dem_jax.maths.compaction import EMPTY, first_set
-from dem_jax.types import Guard, Partition, System
+from dem_jax.types import Array, Guard, Partition, System, host
 
 ALL_PAIRS = 512  # "auto": up to so many pieces every pair is looked at, which is as quick as any list; beyond, cells
 ROUNDING = 1e-4  # of the cutoff of jax-md's list, by which it is larger than the sum of what it is made of
@@ -23,15 +25,19 @@ ROUNDING = 1e-4  # of the cutoff of jax-md's list, by which it is larger than th
 class Need(NamedTuple):
     """What a search would have needed; row, partition and reach as in ``types.Guard``."""
 
-    row: jax.Array
-    partition: jax.Array
-    reach: jax.Array
-    missed: jax.Array  # int32: pairs for which there was no room
+    row: Array
+    partition: Array
+    reach: Array
+    missed: Array  # int32: pairs for which there was no room
 
 
-def no_need(dtype) -> Need:
+Found = tuple[Array, Array, Need]  # the pairs (a, b), and what a search would have needed to find them all
+
+
+def no_need(dtype: DTypeLike) -> Need:
     """That of a search that needs nothing, in numpy."""
-    return Need(np.zeros((), np.int32), np.zeros((2,), np.int32), np.zeros((), dtype), np.zeros((), np.int32))
+    zero = host(np.zeros((), np.int32))
+    return Need(zero, host(np.zeros((2,), np.int32)), host(np.zeros((), dtype)), zero)
 
 
 def noted(guard: Guard, need: Need) -> Guard:
@@ -39,7 +45,7 @@ def noted(guard: Guard, need: Need) -> Guard:
     return guard.replace(**{name: jnp.maximum(getattr(guard, name), getattr(need, name)) for name in ("row", "partition", "reach")})
 
 
-def of_source(system: System, source, stacked, reach, room):
+def of_source(system: System, source: str, stacked: Array, reach: Array, room: int) -> Found:
     """Pairs of a source of contacts (a name of neighbours.SOURCES), at most ``room`` where they are many, and Need."""
     parts = system.parts
     if source.startswith("wall"):
@@ -55,7 +61,7 @@ def of_source(system: System, source, stacked, reach, room):
     return search(system, members, stacked, jnp.max(reach), room)
 
 
-def choice(neighbours, members: int) -> str:
+def choice(neighbours: str, members: int) -> str:
     """What finds the pairs of so many pieces, where the scene says how."""
     if members < 2:
         return "all-pairs"
@@ -64,7 +70,7 @@ def choice(neighbours, members: int) -> str:
     return neighbours
 
 
-def pair_count(kind, polytopes, spheres, panels) -> int:
+def pair_count(kind: str, polytopes: int, spheres: int, panels: int) -> int:
     """How many pairs of a kind there are at all, from the numbers of polytopes and spheres among the parts and of panels."""
     return {
         "hulls": polytopes * (polytopes - 1) // 2 + panels * polytopes,
@@ -73,19 +79,20 @@ def pair_count(kind, polytopes, spheres, panels) -> int:
     }[kind]
 
 
-def _product(first, second):
+def _product(first: Array, second: Array) -> tuple[Array, Array]:
     """Each of the first with each of the second; where both have a run axis behind, of the same run."""
-    return tuple(x.reshape(-1) for x in jnp.broadcast_arrays(first[:, None], second[None]))
+    a, b = (x.reshape(-1) for x in jnp.broadcast_arrays(first[:, None], second[None]))
+    return a, b
 
 
-def all_pairs(system: System, members, stacked, reach, room):
+def all_pairs(system: System, members: Array, stacked: Array, reach: Array, room: int) -> Found:
     """Every pair there is, of pieces of one run, and Need: nothing."""
     each = of_run.apart(system, members)
     i, j = np.triu_indices(each.shape[0], 1)
     return each[i].reshape(-1), each[j].reshape(-1), no_need(reach.dtype)
 
 
-def cell_pairs(system: System, members, stacked, reach, room):
+def cell_pairs(system: System, members: Array, stacked: Array, reach: Array, room: int) -> Found:
     """Pairs of pieces in the same or in neighbouring cells whose bounding spheres are within reach, each once, and Need:
     the most pieces in a row of three cells.
 
@@ -120,13 +127,14 @@ def cell_pairs(system: System, members, stacked, reach, room):
     return a, b, need
 
 
-def jax_md_pairs(system: System, members, stacked, reach, room):
+def jax_md_pairs(system: System, members: Array, stacked: Array, reach: Array, room: int) -> Found:
     """Pairs of pieces whose bounding spheres of the largest size are within ``Partition.reach``, and Need: room and reach.
 
     By ``jax_md.partition.neighbor_list`` in free space. Its cutoff is static while ours is not: what goes beyond it is
     missed, and is noted as a need. jax-md tells that a list overflowed, not by how much: then twice its room is needed.
     """
     listing = system.partition
+    assert listing is not None
     cutoff = (1 + ROUNDING) * (listing.diameter + listing.reach)
     size = (1 + ROUNDING) * cutoff
     place = (stacked[:3, members] - system.domain_low[:, None]).T
@@ -158,7 +166,7 @@ def jax_md_pairs(system: System, members, stacked, reach, room):
     return a, b, no_need(reach.dtype)._replace(partition=jnp.stack([listed, filling]), reach=wanted)
 
 
-def jax_md():
+def jax_md() -> tuple[ModuleType, ModuleType]:
     """jax-md's ``partition`` and ``space``.
 
     Imported only where a scene asks for its list, as that takes seconds and hundreds of MB. It computes as it is
@@ -169,7 +177,7 @@ def jax_md():
     return partition, space
 
 
-def first_partition(members: int, diameter, volume, extent) -> Partition:
+def first_partition(members: int, diameter: float, volume: float, extent: np.ndarray) -> Partition:
     """Room for jax-md's list to begin with, for densely packed pieces.
 
     diameter: (m) of the largest bounding sphere; volume: (m3) of the smallest piece; extent: [3] (m) of the domain.

@@ -7,7 +7,7 @@ from dem_jax.contact.law import Couple
 from dem_jax.contact.law.springs import series
 from dem_jax.contact.materials import couple
 from dem_jax.maths.compaction import EMPTY
-from dem_jax.types import Array, Slots, System
+from dem_jax.types import Array, Hulls, Slots, System
 
 
 def constants(system: System, kind: str, a: Array, b: Array) -> Slots:
@@ -18,18 +18,19 @@ def constants(system: System, kind: str, a: Array, b: Array) -> Slots:
     return of(system, kind, live, a, b)
 
 
-def _with_polytopes(system: System, kind, live, a, b) -> Slots:
-    pieces, parts = system.pieces, system.parts
+def _with_polytopes(system: System, kind: str, live: Array, a: Array, b: Array) -> Slots:
+    pieces, parts, table = system.pieces, system.parts, system.hulls
+    assert table is not None
     number = parts.count
     wall, own, panel = a >= number, jnp.minimum(a, number - 1), jnp.maximum(a - number, 0)
     piece_a, piece_b = parts.piece(own), parts.piece(b)
-    by_tables = system.hulls.features is None  # else a contact of polytopes looks up what it needs
+    by_tables = table.features is None  # else a contact of polytopes looks up what it needs
     return Slots(
         live=live,
         a=a,
         b=b,
-        hull_a=hulls.gather(system.hulls, system.shape[a], kind == "mixed") if kind == "mixed" or by_tables else None,
-        hull_b=_hull_of_piece(system, b) if kind == "hulls" and by_tables else None,
+        hull_a=hulls.gather(table, system.shape[a], kind == "mixed") if kind == "mixed" or by_tables else None,
+        hull_b=_hull_of_piece(system, table, b) if kind == "hulls" and by_tables else None,
         radius_a=parts.radius[own],
         radius_b=parts.radius[b],
         width=jnp.where(wall, pieces.width[piece_b], jnp.minimum(pieces.width[piece_a], pieces.width[piece_b])),
@@ -39,7 +40,7 @@ def _with_polytopes(system: System, kind, live, a, b) -> Slots:
     )
 
 
-def _surface(system: System, wall, part, panel, live):
+def _surface(system: System, wall: Array, part: Array, panel: Array, live: Array) -> Array | None:
     """Slots.surface_a: planes of walls are numbered before surfaces of pieces, of which there are fewer than panels."""
     plane, surface = system.walls.plane, system.parts.surface
     if surface is None:
@@ -49,7 +50,7 @@ def _surface(system: System, wall, part, panel, live):
     return jnp.where(wall, EMPTY if plane is None else plane[panel], own)
 
 
-def _couple(system: System, wall, own, panel, b) -> Couple:
+def _couple(system: System, wall: Array, own: Array, panel: Array, b: Array) -> Couple:
     """The couples of pieces b and, as ``wall`` says, panels or pieces ``own``."""
     pieces, walls = system.pieces, system.walls
     material, curvature = pieces.material[own], pieces.curvature[own]
@@ -62,7 +63,7 @@ def _couple(system: System, wall, own, panel, b) -> Couple:
     return couple(system.materials, materials, (size, pieces.size[b]), (curvature, pieces.curvature[b]), mass)
 
 
-def _between_spheres(system: System, _, live, a, b) -> Slots:
+def _between_spheres(system: System, _: str, live: Array, a: Array, b: Array) -> Slots:
     """Slots of pairs of spheres. Where all are alike one value of each constant broadcasts, which saves reading it."""
     pieces, parts = system.pieces, system.parts
     one = (parts.spheres[:1],) * 2 if "spheres" in system.alike else (a, b)
@@ -75,8 +76,8 @@ def _between_spheres(system: System, _, live, a, b) -> Slots:
     return Slots(live, a, b, None, None, radius_a, radius_b, width, None, None, system.law.pair(pair))
 
 
-def _hull_of_piece(system: System, b: Array):
+def _hull_of_piece(system: System, table: Hulls, b: Array) -> Hulls:
     """Hulls of pieces: one row that broadcasts where all polytopes are alike, which saves gathering it."""
     if "hulls" in system.alike:
-        return hulls.gather(system.hulls, jnp.zeros((1,), jnp.int32), False)
-    return hulls.gather(system.hulls, system.shape[b], False)
+        return hulls.gather(table, jnp.zeros((1,), jnp.int32), False)
+    return hulls.gather(table, system.shape[b], False)
