@@ -3,20 +3,23 @@
 A shape with fewer of them than its table has repeats its first; ``Features.counts`` says how many are its own.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
+from numpy.typing import DTypeLike
 
 from dem_jax.maths.pose import matrix_of_quaternion
 from dem_jax.shapes import Shape
-from dem_jax.types import Array, Features
+from dem_jax.types import Array, Features, host
 
 SIZES = (4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 768, 1024, 1536, 2048, 3072, 4096)
 
 
 def table(
-    shapes: list[Shape],
-    dtype: np.dtype,
-    parts: list[Shape] | None = None,
-    inner: list | None = None,
+    shapes: Sequence[Shape],
+    dtype: DTypeLike,
+    parts: Sequence[Shape] | None = None,
+    inner: Sequence[Sequence[bool]] | None = None,
     all_clip: bool = False,
 ) -> Features:
     """Features of polytopes [S] by which depth and normal are found.
@@ -36,7 +39,7 @@ def table(
         edges=_stack([_padded(row.edges, edges) for row in rows], dtype),
         own_planes=planes if parts is None else _planes(own, dtype),
         own_corners=corners if parts is None else _corners(own, dtype),
-        inner=None if inner is None else np.stack([_padded(np.asarray(x, float), faces) for x in inner], axis=-1).astype(dtype),
+        inner=None if inner is None else _inner(inner, faces, dtype),
         rings=_stack([_padded(np.array([_filled(ring, sides) for ring in row.rings]), faces) for row in own], np.int32),
         counts=_counts(rows, own),
         all_clip=all_clip,
@@ -74,15 +77,20 @@ class _Rows:
 
 def _counts(rows: list[_Rows], own: list[_Rows]) -> Array:
     each = [[len(r.planes), len(r.corners), len(r.edges), len(o.planes)] for r, o in zip(rows, own, strict=True)]
-    return np.array(each, np.int32).T
+    return host(np.array(each, np.int32).T)
 
 
-def _planes(rows: list[_Rows], dtype: np.dtype) -> Array:
+def _inner(covered: Sequence[Sequence[bool]], faces: int, dtype: DTypeLike) -> Array:
+    """Features.inner."""
+    return host(np.stack([_padded(np.asarray(x, float), faces) for x in covered], axis=-1).astype(dtype))
+
+
+def _planes(rows: list[_Rows], dtype: DTypeLike) -> Array:
     count = _roomy(max(len(row.planes) for row in rows))
     return _stack([_padded(row.planes, count) for row in rows], dtype)
 
 
-def _corners(rows: list[_Rows], dtype: np.dtype) -> Array:
+def _corners(rows: list[_Rows], dtype: DTypeLike) -> Array:
     count = _roomy(max(len(row.corners) for row in rows))
     return _stack([_padded(row.corners, count) for row in rows], dtype)
 
@@ -100,6 +108,6 @@ def _filled(ring: tuple[int, ...], sides: int) -> tuple[int, ...]:
     return ring + ring[-1:] * (sides - len(ring))
 
 
-def _stack(rows: list[np.ndarray], dtype: np.dtype | type) -> Array:
+def _stack(rows: list[np.ndarray], dtype: DTypeLike) -> Array:
     """S arrays [K, c] -> [c, K, S]."""
-    return np.stack(rows, axis=-1).transpose(1, 0, 2).astype(dtype)
+    return host(np.stack(rows, axis=-1).transpose(1, 0, 2).astype(dtype))

@@ -1,21 +1,40 @@
 """Tables of convex polytopes as arrays, from shapes."""
 
 import dataclasses
+from collections.abc import Sequence
+from typing import TypedDict
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 from dem_jax.build import features
 from dem_jax.maths.pose import matrix_of_quaternion
+from dem_jax.maths.vector import Vector
+from dem_jax.shapes import Continued, Shape
 from dem_jax.shapes.continued import beyond_seams
-from dem_jax.types import Hulls
+from dem_jax.types import Array, Features, Hulls, host
 
 SEAM_REACH = 10.0  # bounding radii of the largest piece by which a panel goes on beyond a seam, as far as contacts are concerned
 
 
 MOST_DIRECTIONS = 8  # of edges of a zonotope: with more, near features are quicker than all of them
 
+Seams = Sequence[np.ndarray]  # as ``table`` takes them
+Parts = Sequence[Continued | None]
 
-def table(shapes, dtype, seams=None, continued=None) -> Hulls:
+
+class _Row(TypedDict):
+    """A polytope in its principal frame."""
+
+    vertices: np.ndarray  # [V, 3] (m)
+    normals: np.ndarray  # [F, 3]
+    offsets: np.ndarray  # [F] (m)
+    corners: list[np.ndarray]  # of each face [3, k] (m)
+    directions: np.ndarray  # [D, 3]
+    half_lengths: np.ndarray | None  # [D] (m), of a zonotope
+
+
+def table(shapes: Sequence[Shape], dtype: DTypeLike, seams: Seams | None = None, continued: Parts | None = None) -> Hulls:
     """Stack polytopes [S] into one table, padded by repetition, which adds nothing to any minimum, maximum or sum.
 
     Vertices are taken in the principal frame. The table is one of zonotopes if all its shapes are, of few edge directions;
@@ -26,7 +45,7 @@ def table(shapes, dtype, seams=None, continued=None) -> Hulls:
     """
     rows = [_row(shape) for shape in shapes]
     if continued:
-        rows = [row | {"half_lengths": None} for row in rows]
+        rows = [{**row, "half_lengths": None} for row in rows]
     zonotopes = all(row["half_lengths"] is not None and len(row["directions"]) <= MOST_DIRECTIONS for row in rows)
     if zonotopes:
         rows = [_pair_opposite_faces(row) for row in rows]
@@ -45,20 +64,18 @@ def table(shapes, dtype, seams=None, continued=None) -> Hulls:
     widths = lengths = None
     if zonotopes:
         half = faces // 2
-        lengths = _last([_pad_zero(row["half_lengths"], edges) for row in rows], dtype)
-        widths = _last(
-            [_cross_widths(d, row["half_lengths"], n[:half]) for d, row, n in zip(directions, rows, normals, strict=True)],
-            dtype,
-        )
+        own = [row["half_lengths"] for row in rows if row["half_lengths"] is not None]  # all have them
+        lengths = _last([_pad_zero(of, edges) for of in own], dtype)
+        widths = _last([_cross_widths(d, of, n[:half]) for d, of, n in zip(directions, own, normals, strict=True)], dtype)
     return Hulls(
         normals=_components(normals, dtype),
         offsets=_last(offsets, dtype),
         corners=_components(loops, dtype),
         loops=_columns([_half_loop(c) for c in loops] if zonotopes else [_closed(c) for c in loops], dtype),
-        row=np.arange(len(rows)),
+        row=host(np.arange(len(rows))),
         vertices=_components([_pad(row["vertices"], corners) for row in rows], dtype),
         directions=_components(directions, dtype),
-        bounding_radius=np.array([np.linalg.norm(row["vertices"], axis=1).max() for row in rows], dtype),
+        bounding_radius=host(np.array([np.linalg.norm(row["vertices"], axis=1).max() for row in rows], dtype)),
         half_lengths=lengths,
         cross_widths=widths,
         seams=_components(_filled(seams), dtype) if seams else None,
@@ -70,7 +87,7 @@ def table(shapes, dtype, seams=None, continued=None) -> Hulls:
     )
 
 
-def _row(shape):
+def _row(shape: Shape) -> _Row:
     turn = matrix_of_quaternion(shape.principal)  # principal -> body
     vertices = shape.vertices @ turn
     generators = shape.generators
@@ -84,32 +101,33 @@ def _row(shape):
     }
 
 
-def _pair_opposite_faces(row):
+def _pair_opposite_faces(row: _Row) -> _Row:
     """Order the faces of a centrally symmetric polytope so that face f + F/2 is opposite to face f."""
     normals = row["normals"]
     first = [f for f in range(len(normals)) if _positive(normals[f])]
     second = [int(np.argmin(normals @ normals[f])) for f in first]
     order = first + second
-    return row | {
+    return {
+        **row,
         "normals": normals[order],
         "offsets": row["offsets"][order],
         "corners": [row["corners"][f] for f in order],
     }
 
 
-def _positive(n):
+def _positive(n: np.ndarray) -> bool:
     """Whether the first component that is not zero is positive: true of one of n and -n."""
     return n[np.argmax(np.abs(n) > 1e-9)] > 0
 
 
-def _padded_faces(count, wanted, zonotopes):
+def _padded_faces(count: int, wanted: int, zonotopes: bool) -> list[int]:
     if not zonotopes:
         return list(range(count)) + [0] * (wanted - count)
     half, extra = count // 2, (wanted - count) // 2
     return [*range(half), *[0] * extra, *range(half, count), *[half] * extra]
 
 
-def _cross_widths(directions, half_lengths, normals):
+def _cross_widths(directions: np.ndarray, half_lengths: np.ndarray, normals: np.ndarray) -> np.ndarray:
     """C[i, m] = sum of |g_k x e_i| over the generators k for which g_k x e_i is parallel to n_m, [D, F/2] (m)."""
     out = np.zeros((len(directions), len(normals)))
     for i, e in enumerate(directions):
@@ -121,18 +139,18 @@ def _cross_widths(directions, half_lengths, normals):
     return out
 
 
-def _columns(vectors, dtype):
+def _columns(vectors: list[np.ndarray], dtype: DTypeLike) -> Array:
     """S arrays [k, F, 3] -> [3 k, F S]."""
     stacked = np.stack(vectors, axis=-1).transpose(2, 0, 1, 3)  # [3, k, F, S]
-    return stacked.reshape(3 * stacked.shape[1], -1).astype(dtype)
+    return host(stacked.reshape(3 * stacked.shape[1], -1).astype(dtype))
 
 
-def _closed(loop):
+def _closed(loop: np.ndarray) -> np.ndarray:
     """The corners [k, F, 3] of faces, and again the first."""
     return np.concatenate([loop, loop[:1]])
 
 
-def _half_loop(loop):
+def _half_loop(loop: np.ndarray) -> np.ndarray:
     """Centre and first half of the edges, [1 + k/2, F, 3], of centrally symmetric faces with corners [k, F, 3]."""
     edges = np.roll(loop, -1, axis=0) - loop
     half = len(loop) // 2
@@ -140,23 +158,23 @@ def _half_loop(loop):
     return np.concatenate([centre, edges[:half]])
 
 
-def _filled(seams):
+def _filled(seams: Seams) -> list[np.ndarray]:
     count = max(len(rows) for rows in seams)
     return [np.concatenate([np.reshape(rows, (-1, 3)), np.zeros((count - len(rows), 3))]) for rows in seams]
 
 
-def _extended(shapes, dtype, seams, continued) -> Hulls:
+def _extended(shapes: Sequence[Shape], dtype: DTypeLike, seams: Seams | None, continued: Parts) -> Hulls:
     """Hulls.extended of shapes, for contacts with spheres."""
     plain = [dataclasses.replace(shape, generators=None) for shape in _whole(shapes, continued)]
     return table(plain, dtype, seams).replace(loops=None, open_edges=None, features=None)
 
 
-def _whole(shapes, continued):
+def _whole(shapes: Sequence[Shape], continued: Parts) -> list[Shape]:
     """Of each shape as much of its body as decides depth and normal."""
     return [shape if part is None else part.extended for shape, part in zip(shapes, continued, strict=True)]
 
 
-def _features(shapes, dtype, seams, continued):
+def _features(shapes: Sequence[Shape], dtype: DTypeLike, seams: Seams | None, continued: Parts | None) -> Features:
     """Hulls.features of shapes."""
     if not seams and not continued:
         return features.table(shapes, dtype)
@@ -165,16 +183,18 @@ def _features(shapes, dtype, seams, continued):
     if seams:
         largest = max(shape.bounding_radius for shape, across in zip(shapes, seams, strict=True) if not len(across))
         whole = [beyond_seams(shape, across, SEAM_REACH * largest) for shape, across in zip(whole, seams, strict=True)]
-    inner = [[False] * len(shape.faces) if part is None else part.inner for shape, part in zip(shapes, continued, strict=True)]
+    inner = [(False,) * len(shape.faces) if part is None else part.inner for shape, part in zip(shapes, continued, strict=True)]
     return features.table(whole, dtype, shapes, inner if any(map(any, inner)) else None, are_parts)
 
 
-def _inner(continued, faces):
+def _inner(continued: Continued | None, faces: int) -> np.ndarray:
     """Hulls.inner of a shape."""
     return np.zeros(faces) if continued is None else _pad_zero(np.array(continued.inner, float), faces)
 
 
-def _open_edges(normals, loops, seams, continued, dtype):
+def _open_edges(
+    normals: list[np.ndarray], loops: list[np.ndarray], seams: Seams | None, continued: Parts | None, dtype: DTypeLike
+) -> Array | None:
     """Hulls.open_edges of S shapes with face normals [F, 3], face loops [k, F, 3] and seams [m, 3]."""
     if not seams and not continued:
         return None
@@ -195,29 +215,29 @@ def _open_edges(normals, loops, seams, continued, dtype):
         shut = (across @ np.reshape(rows, (-1, 3)).T > 1 - 1e-9).any(-1) & (n[:, 2] > 0.5)
         out.append(np.where(shut, 0.0, 1.0))
     stacked = np.stack(out, axis=-1)  # [k, F, S]
-    return stacked.reshape(len(stacked), -1).astype(dtype)
+    return host(stacked.reshape(len(stacked), -1).astype(dtype))
 
 
-def _pad(rows, count):
+def _pad(rows: np.ndarray, count: int) -> np.ndarray:
     return np.concatenate([rows, np.repeat(rows[-1:], count - len(rows), axis=0)])
 
 
-def _pad_halves(loop, count):
+def _pad_halves(loop: np.ndarray, count: int) -> np.ndarray:
     """The corners [k, 3] of a centrally symmetric face, each half of the loop ended by repeating where it leads."""
     half, more = len(loop) // 2, (count - len(loop)) // 2
     first, second = (np.repeat(loop[k : k + 1], more, axis=0) for k in (half, 0))
     return np.concatenate([loop[:half], first, loop[half:], second])
 
 
-def _pad_zero(rows, count):
+def _pad_zero(rows: np.ndarray, count: int) -> np.ndarray:
     return np.concatenate([rows, np.zeros(count - len(rows))])
 
 
-def _last(rows, dtype):
-    return np.stack(rows, axis=-1).astype(dtype)
+def _last(rows: list[np.ndarray], dtype: DTypeLike) -> Array:
+    return host(np.stack(rows, axis=-1).astype(dtype))
 
 
-def _components(rows, dtype):
+def _components(rows: list[np.ndarray], dtype: DTypeLike) -> Vector:
     """S arrays [..., 3] -> tuple of three arrays [..., S]."""
     stacked = _last(rows, dtype)
-    return tuple(stacked[..., i, :] for i in range(3))
+    return stacked[..., 0, :], stacked[..., 1, :], stacked[..., 2, :]

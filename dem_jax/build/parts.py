@@ -2,14 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from dem_jax.build import hulls
 from dem_jax.maths.pose import matrix_of_quaternion
 from dem_jax.shapes import Continued, Shape, continued, parts_of
-from dem_jax.types import Hulls, Parts
+from dem_jax.types import Hulls, Parts, host
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,23 +53,23 @@ def part_arrays(solids: list[list[Solid]]) -> Parts:
     radius = np.array([solid.shape.radius for solid in every])
     owner = surface = centre = None
     if len(every) > len(solids):
-        owner = np.repeat(np.arange(len(solids)), [len(row) for row in solids])
-        centre = np.array([solid.centre for solid in every]).T
+        owner = host(np.repeat(np.arange(len(solids)), [len(row) for row in solids]))
+        centre = host(np.array([solid.centre for solid in every]).T)
         names = [(n, solid.label) for n, row in enumerate(solids) for solid in row]
         number = {name: k for k, name in enumerate(dict.fromkeys(name for name in names if name[1] >= 0))}
-        surface = np.array([number.get(name, -1) for name in names]) if number else None
+        surface = host(np.array([number.get(name, -1) for name in names])) if number else None
     return Parts(
         owner=owner,
         surface=surface,
         centre=centre,
-        radius=radius,
-        bounding_radius=np.array([solid.shape.bounding_radius for solid in every]),
-        polytopes=np.flatnonzero(radius == 0),
-        spheres=np.flatnonzero(radius > 0),
+        radius=host(radius),
+        bounding_radius=host(np.array([solid.shape.bounding_radius for solid in every])),
+        polytopes=host(np.flatnonzero(radius == 0)),
+        spheres=host(np.flatnonzero(radius > 0)),
     )
 
 
-def hull_table(solids: list[list[Solid]], plates: list[Shape], seams: list | None) -> tuple[Hulls | None, np.ndarray]:
+def hull_table(solids: list[list[Solid]], plates: list[Shape], seams: list[np.ndarray] | None) -> tuple[Hulls | None, np.ndarray]:
     """The table of hulls of parts and panels (None if there are none), and the row of each of them.
 
     seams: of each panel, as ``hulls.table`` takes them.
@@ -87,7 +86,5 @@ def hull_table(solids: list[list[Solid]], plates: list[Shape], seams: list | Non
     every = [*[solid.shape for solid in distinct], *plates]
     if seams:
         seams = [np.zeros((0, 3))] * len(distinct) + seams
-    more: Any = [*[solid.continued for solid in distinct], *[None] * len(plates)]
-    if not any(more):
-        more = None
-    return (hulls.table(every, np.float64, seams, more) if every else None), np.array(index, int)
+    more = [*[solid.continued for solid in distinct], *[None] * len(plates)]
+    return (hulls.table(every, np.float64, seams, more if any(more) else None) if every else None), np.array(index, int)
