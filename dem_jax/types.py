@@ -67,23 +67,24 @@ class Hulls(Tree):
     Gathered to pairs, the last axis is the pair; with one shape it stays 1 and broadcasts.
     """
 
-    normals: tuple  # [F, S] x 3: outward unit normals; of a zonotope face f + F/2 is opposite to face f
+    normals: tuple[Array, Array, Array]  # [F, S] x 3: outward unit normals; of a zonotope face f + F/2 is opposite to face f
     offsets: Array  # [F, S] (m): n . x <= offset
-    corners: tuple | None  # [k, F, S] x 3 (m): corners of each face in order, some repeated
+    corners: tuple[Array, Array, Array] | None  # [k, F, S] x 3 (m): corners of each face in order, some repeated
     loops: Array | None  # [3 (1 + k), F S] (m): the same as columns, each closed by its first corner; of zonotopes, whose
     # edges come in opposite pairs, [3 (1 + k/2), F S]: centre of the face, then the first half of its edges
     row: Array  # [S] int32: which shape of the table
-    vertices: tuple  # [V, S] x 3 (m)
-    directions: tuple  # [D, S] x 3: unit edge directions
+    vertices: tuple[Array, Array, Array]  # [V, S] x 3 (m)
+    directions: tuple[Array, Array, Array]  # [D, S] x 3: unit edge directions
     bounding_radius: Array  # [S] (m)
     half_lengths: Array | None  # [D, S] (m): of a zonotope, the lengths of its generators
     cross_widths: Array | None  # [D, F/2, S] (m): of a zonotope, C of collide._zonotope_axes
-    seams: tuple | None  # [m, S] x 3: of a panel, outward across each edge where another continues its plane; else 0
+    seams: tuple[Array, Array, Array] | None  # [m, S] x 3: of a panel, outward across each edge where another continues its
+    # plane; else 0
     open_edges: Array | None  # [k, F S]: how much of an edge is one of the surface, 0 where another panel or part continues
     # it in a plane, else 1, as columns; not gathered to pairs
     inner: Array | None  # [F, S]: 1 for faces that other parts of the piece cover, 0 for all others
     features: Features | None  # of polytopes that are not all zonotopes of few edges, for contacts of polytopes
-    extended: Any  # Hulls of which depth and normal are found, of a part that others continue more of the piece; None: these
+    extended: "Hulls | None"  # of which depth and normal are found, of a part that others continue more of the piece; None: these
     is_zonotope: bool = static()
 
 
@@ -170,8 +171,8 @@ class Walls(Tree):
     plane: Array | None  # [W] int32: the same number for panels that continue each other in a plane, -1 for all others
     pivot: Array  # [3, G] (m): moves with the group; torques are about it; on the axis of a hinge
     motions: tuple  # of the kinds in contact.motion, each of all groups that move so; none: all rest
-    groups: tuple = static()  # names of the G groups
-    reports: tuple = static()  # ((reported name, (group, ...)), ...)
+    groups: tuple[str, ...] = static()  # names of the G groups
+    reports: tuple[tuple[str, tuple[int, ...]], ...] = static()  # ((reported name, (group, ...)), ...)
 
     @property
     def moving(self) -> bool:
@@ -188,7 +189,7 @@ class Materials(Tree):
     restitution: Array  # [M, M]: epsilon of eq. 6
     friction: Array | None  # [M, M]: mu; None: no pair has any, and nothing of friction is computed
     pull_off: Array | None  # [M, M] (N): largest adhesive force; None: no pair has any
-    is_wall: tuple = static()  # [M] bool: whether it is a material of walls
+    is_wall: tuple[bool, ...] = static()  # [M] bool: whether it is a material of walls
 
 
 class Partition(NamedTuple):
@@ -196,7 +197,7 @@ class Partition(NamedTuple):
 
     diameter: float  # (m): of the largest bounding sphere
     reach: float  # (m): largest gap within which pairs are listed
-    sides: tuple  # (int, int, int): numbers of cells, at least 3
+    sides: tuple[int, int, int]  # numbers of cells, at least 3
     pairs: int  # most pairs in the list
     cell: int  # most pieces in a cell
 
@@ -221,14 +222,15 @@ class System(Tree):
     block_high: Array  # [3, B] (m)
     domain_low: Array  # [3] (m): a piece outside has left the scene
     domain_high: Array  # [3] (m)
-    capacity: tuple = static()  # ((kind of contact, candidates, slots), ...): the kinds that the scene has, see neighbours
+    capacity: tuple[tuple[str, int, int], ...] = static()  # of each kind of contact that the scene has its name (see
+    # neighbours), candidates, slots
     touching: int = static()  # most contacts that a piece may have at once
     neighbours: str = static()  # how pairs of pieces are found, as in scene.RunSettings
     row_capacity: int = static()  # most pieces in three neighbouring cells in a row, where there are cells
     partition: Partition | None = static()  # of jax-md's list
     has_hulls: bool = static()  # whether any piece is not a sphere
-    alike: tuple = static()  # "hulls" if all polytopes of pieces are one shape, "spheres" if all spheres are, of one material;
-    # never of pieces of several parts
+    alike: tuple[str, ...] = static()  # "hulls" if all polytopes of pieces are one shape, "spheres" if all spheres are, of
+    # one material; never of pieces of several parts
     escape_stops: bool = static()  # whether a piece outside the domain stops the run
     has_rotation: bool = static()
     ledger: bool = static()  # whether work and dissipation are added up
@@ -236,7 +238,7 @@ class System(Tree):
     block_steps: int = static()  # most steps between rebuilds of the pairs; one comes before the sample that exceeds it
     slot_block: int = static()  # contacts are computed so many at a time, at most; 0: all slots at once
     runs: int = static()  # R, how many runs this is, side by side; they do not see each other
-    blocks: tuple = static()  # names of the B blocks
+    blocks: tuple[str, ...] = static()  # names of the B blocks
     quantities: tuple = static()  # step.quantity.Quantity of all that is sampled
 
 
@@ -292,7 +294,7 @@ class Ledger(Tree):
 class Guard(Tree):
     """What must not happen silently, as data: the host looks at it after each chunk."""
 
-    needed: dict  # kind of contact -> int32 [2]: most candidates and slots that any rebuild wanted
+    needed: dict[str, Array]  # kind of contact -> int32 [2]: most candidates and slots that any rebuild wanted
     touching: Array  # int32: most contacts of one piece that any rebuild wanted
     row: Array  # int32: most pieces in three neighbouring cells in a row
     partition: Array  # int32 [2]: most pairs, and most pieces in a cell, that any list of jax-md wanted
@@ -328,8 +330,8 @@ class WallLoads(Tree):
 class Scratch(Tree):
     """What the rebuild at the beginning of each block of steps fills anew, from the rest of the state."""
 
-    slots: dict  # kind of contact -> Slots
-    filled: dict  # kind of contact -> int32: how many slots hold a pair, the first ones
+    slots: dict[str, Slots]  # by kind of contact
+    filled: dict[str, Array]  # kind of contact -> int32: how many slots hold a pair, the first ones
     busiest: Array  # int32: most contacts of a piece
     walled: Array  # [2, touching, N] int32: like ``State.incidence`` of contacts with walls, and the numbers of their groups
     most_walled: Array  # int32: most contacts of a piece with walls
@@ -337,8 +339,8 @@ class Scratch(Tree):
     anchor: Array  # [7, N]: position and orientation at the rebuild
     since: Array  # int32: the step of the rebuild
     lead: Array  # [R] (m): most that two bodies approach each other at the speeds they had then, until the next rebuild
-    near: dict  # kind of contact -> Near, of polytopes with Features; none where each step looks at all features
-    facing: dict  # kind of contact -> Facing, likewise
+    near: dict[str, Near]  # by kind of contact, of polytopes with Features; none where each step looks at all features
+    facing: dict[str, Facing]  # likewise
     is_first: Array  # bool: whether no overlap of near polytopes was noted in the guard yet
     spare: Array  # (m): way that any two bodies may still move before it is asked whether a look is due
 
@@ -350,7 +352,7 @@ class State(Tree):
     step: Array  # int32: time is step * dt
     motion: Motion
     walls: WallLoads
-    contacts: dict  # kind of contact -> ContactTable
+    contacts: dict[str, ContactTable]  # by kind of contact
     incidence: Array  # [touching, N] int32: where the contacts of each piece stand among all (see neighbours.find_incidence)
     ledger: Ledger
     guard: Guard

@@ -359,7 +359,7 @@ def hull_sphere(a: Hulls, radius: Array, centre: Vector) -> Geometry:
     depth = radius - jnp.where(outside, distance, inside)
     weight = None
     if a.seams is not None:  # beside a panel that another continues, the other has the contact
-        across = [dot(normal, tuple(c[k] for c in a.seams)) for k in range(a.seams[0].shape[0])]
+        across = [dot(normal, vector.at(a.seams, k)) for k in range(a.seams[0].shape[0])]
         weight = jnp.where(jnp.max(jnp.stack(across), axis=0) > SEAM_SINE, 0, 1).astype(depth.dtype)
     point = vector.add_scaled(centre, 0.5 * depth - radius, normal)
     if part.inner is not None:  # and beside a part that another continues

@@ -41,7 +41,8 @@ def unpack(system: System, state: State, arrays: dict[str, np.ndarray]) -> tuple
     polytopes, spheres = system.parts.polytopes.shape[0], system.parts.spheres.shape[0]
     for kind, *begun in system.capacity:
         every = guard.round_up(search.pair_count(kind, polytopes, spheres, panels))
-        rows.append((kind, *_counts(arrays, f"capacity/{kind}", (2,), max(every, *begun))))
+        candidates, slots = _counts(arrays, f"capacity/{kind}", (2,), max(every, *begun))
+        rows.append((kind, candidates, slots))
     touching = _counts(arrays, "touching", (), max(system.touching, guard.most_contacts(system.parts, panels)))
     row = _counts(arrays, "row_capacity", (), max(system.row_capacity, guard.round_up(parts)))
     system, state = guard.with_capacity(system, state, tuple(rows), *touching, *row)

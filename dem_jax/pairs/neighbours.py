@@ -208,7 +208,7 @@ def no_memory(system: System, slots: Slots) -> Memory:
     return Memory(zero, jnp.zeros((3, *zero.shape), zero.dtype), system.law.start(slots.pair, zero))
 
 
-def no_contacts(system: System) -> dict:
+def no_contacts(system: System) -> dict[str, ContactTable]:
     """Tables without contacts, by kind, in numpy."""
     return {kind: empty_table(system, kind, room) for kind, _, room in system.capacity}
 
@@ -309,7 +309,7 @@ def _interval(system: System) -> Array:
 
 def empty_guard(system: System, dtype: DTypeLike) -> Guard:
     """A guard that has seen nothing, in numpy."""
-    needed = {kind: np.zeros((2,), np.int32) for kind, _, _ in system.capacity}
+    needed = {kind: host(np.zeros((2,), np.int32)) for kind, _, _ in system.capacity}
     zero = host(np.zeros((), np.int32))
     none = search.no_need(dtype)
     nothing, nobody = host(np.zeros((), dtype)), host(np.zeros((2,), np.int32))

@@ -186,6 +186,6 @@ def first_partition(members: int, diameter: float, volume: float, extent: np.nda
     cutoff = diameter + reach
     dense = 0.65 * cutoff**3 / volume  # pieces in a cell
     most = max(3, 2 * int(np.ceil(members ** (1 / 3))))  # cells along a side: beyond, they would mostly be empty
-    sides = tuple(int(np.clip(np.ceil(x / cutoff), 3, most)) for x in extent)
+    nx, ny, nz = (int(np.clip(np.ceil(x / cutoff), 3, most)) for x in extent)
     pairs = min(members * (members - 1) // 2, int(np.ceil(2 / 3 * np.pi * dense * members)))
-    return Partition(float(diameter), float(reach), sides, max(1, pairs), int(np.ceil(dense)) + 1)
+    return Partition(float(diameter), float(reach), (nx, ny, nz), max(1, pairs), int(np.ceil(dense)) + 1)
