@@ -60,7 +60,7 @@ def test_a_list_without_room_grows_and_the_run_is_the_same(runs):
 
 def test_a_restart_keeps_the_room_of_the_list():
     job = prepare(heap("jax-md"), (0,), None)
-    larger = job.system.replace(partition=job.system.partition._replace(pairs=777, cell=55, reach=0.0123))
+    larger = job.system.replace(partition=job.system.partition._replace(pairs=777, cell=41, reach=0.0123))
     system, _ = restart.unpack(job.system, job.state, restart.pack(larger, job.state))
     assert system.partition == larger.partition
 
