@@ -22,6 +22,7 @@ MOST_SEED = 2**63 - 1  # that a file can hold
 SLOT_BLOCK = 64  # slots that a CPU computes at a time, at most: they stay in its cache
 
 
+@compiling.uncollected()
 def prepare(
     scene: Scene | str | Path,
     seeds: Sequence[int],

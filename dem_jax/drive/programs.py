@@ -29,7 +29,8 @@ def program(chunk: Chunk, run_chunk: RunChunk, mesh: Mesh | None = None) -> Call
         start = time.perf_counter()
         one = partial(_chunk, run_chunk, chunk.frames)
         function = one if mesh is None else _shared_out(one, mesh)
-        KEPT[key] = compiling.jit(function, jax.default_backend()).lower(*arguments).compile()
+        with compiling.uncollected():
+            KEPT[key] = compiling.jit(function, jax.default_backend()).lower(*arguments).compile()
         chunk.clock.compile += time.perf_counter() - start
     return KEPT[key]
 

@@ -1,6 +1,7 @@
 """What a run says while it goes. On stderr, so that stdout stays the summary."""
 
 import sys
+import threading
 import time
 from typing import TYPE_CHECKING, Any, Self
 
@@ -11,6 +12,8 @@ from dem_jax.drive.job import Job
 if TYPE_CHECKING:
     from dem_jax.drive.span import Span
 
+TICK, LOGGED = 0.5, 5.0  # (s) between two looks of the bar: on a screen, in a log
+
 
 class Progress:
     """A bar with simulated time, speed and an estimate of what is left; silent unless asked for. A context manager."""
@@ -18,6 +21,7 @@ class Progress:
     def __init__(self, job: Job, shown: bool) -> None:
         self._job = job
         self._bar: Any = None
+        self._ended = threading.Event()
         self._from = int(np.max(job.state.step)) // job.steps_per_sample
         self._since, self._compiled = time.perf_counter(), job.clock.compile
         if shown:
@@ -26,11 +30,18 @@ class Progress:
             total, ms = job.samples - self._from, 1e3 * job.scene.run.sample
             self._bar = tqdm(total=total, unit_scale=ms, file=sys.stderr, bar_format=FORMAT, dynamic_ncols=True)
             self._bar.set_description_str(self._phase(self._from))
+            threading.Thread(target=self._tick, daemon=True).start()
+
+    def _tick(self) -> None:
+        """Let the bar's clock go on while a program compiles or a chunk is computed."""
+        while not self._ended.wait(TICK if sys.stderr.isatty() else LOGGED):
+            self._bar.refresh()
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
+        self._ended.set()
         if self._bar is not None:
             self._bar.close()
 
