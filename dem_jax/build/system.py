@@ -55,7 +55,7 @@ def build(scene: Scene, seed: int = 0, law: ContactLaw | None = None) -> Built:
     pieces = piece_arrays(scene, goods)
     law, materials = law or law_of(scene), materials_of(scene)
     contacts = possible_contacts(law, materials, made, pieces)
-    step = choose_step(scene, law, contacts)
+    step = choose_step(scene, law, contacts, together=1 if len(made) == len(panels) == 1 else 2)
     settling = settling_samples(scene) * step.substeps
     samples = max(1, round(scene.run.duration / scene.run.sample))
     check_steps(scene, settling, samples, step.substeps, step.dt)

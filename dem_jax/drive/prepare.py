@@ -50,7 +50,8 @@ def prepare(
             state = guard.with_scratch(system, state)
     settling = built.settling_steps // built.step.substeps
     rule = settled.rule_of(scene, system, settling, samples_per_block(system))
-    return Job(scene, tuple(seeds), runs, built, system, state, execute.way_of(system, runs), rule, law is not None)
+    notes = (built.step.warning,) if built.step.warning else ()
+    return Job(scene, tuple(seeds), runs, built, system, state, execute.way_of(system, runs), rule, law is not None, notes=notes)
 
 
 def _built(scene: Scene, seed: int, law: ContactLaw | None) -> build.Built:

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dem_jax import build, shapes, validation
+from dem_jax import build, shapes, simulate, validation
 from dem_jax.contact.law import walton_braun
 from dem_jax.errors import SceneError
 from dem_jax.scene import Scene
@@ -78,7 +78,8 @@ def test_limit_is_the_quickest_of_all_contacts_that_can_be():
     law, materials = build.law.law_of(scene), build.law.materials_of(scene)
     step = build.choose_step(scene, law, build.time_step.possible_contacts(law, materials, made, arrays))
     np.testing.assert_allclose(step.critical, np.pi / 2 * np.sqrt(slow[0]) * min(1 / 15, 0.5 / 10), rtol=1e-12)
-    np.testing.assert_allclose(step.stable, 2 * 0.5 * np.sqrt(slow[1]), rtol=1e-12)
+    both_sides = np.sqrt(2)  # of a body that is pressed from there
+    np.testing.assert_allclose(step.stable, 2 * 0.5 * np.sqrt(slow[1]) / both_sides, rtol=1e-12)
 
 
 def test_limit_is_the_smallest_piece():
@@ -105,6 +106,69 @@ def test_step_over_the_stability_limit_is_an_error():
     with pytest.raises(SceneError, match=r"run\.step = .*allowed: at most"):
         step_of(run={"step": 1.01 * stable})
     assert step_of(run={"step": 0.99 * stable, "sample": 1e-3}).dt <= 0.99 * stable
+
+
+BALL = {"shape": "sphere", "radius": 0.01}
+
+
+def ball(run=None, walls=(), **changes):
+    """A sphere over the plate, epsilon = 1, friction 0.3, without gravity."""
+    settings = {"gravity": (0.0, 0.0, 0.0), "precision": "f64", "frames": 0.0, "sample": 1e-3, "duration": 0.01, **(run or {})}
+    scene = validation.plate_scene(BALL | changes, run=settings, restitution=1.0, friction_wall=0.3)
+    return scene.replace(wall=[*(wall.model_dump(exclude_none=True) for wall in scene.wall), *walls])
+
+
+def test_limit_of_a_sphere_is_that_of_its_tangential_spring():
+    # K_t = K_nl moves 2/7 of the mass; without friction the normal spring moves all of it.
+    scene = ball()
+    step = build.build(scene).step
+    rough, smooth = step.stable, build.build(scene.replace({"material.friction_wall": 0.0})).step.stable
+    np.testing.assert_allclose(rough / smooth, np.sqrt(2 / 7), rtol=1e-9)
+    np.testing.assert_allclose(build.build(scene.replace({"material.tangential_stiffness": 0.1})).step.stable, smooth, rtol=1e-9)
+
+
+@pytest.mark.parametrize(("part", "most"), [(0.25, 0.03), (0.5, 0.12), (0.9, 0.6)])
+def test_energy_of_a_sphere_that_lands_obliquely_is_off_by_no_more_than_is_warned_of(part, most):
+    """1 m/s down, 0.25 m/s sideways, at five phases of the step."""
+    dt = part * build.build(ball()).step.stable
+    worst = 0.0
+    for phase in np.arange(5) / 5:
+        place = {"position": (0.0, 0.0, 0.01 + (0.5 + phase) * dt), "velocity": (0.25, 0.0, -1.0)}
+        run = simulate(ball({"step": dt}, **place))
+        start = 0.5 * (4 / 3 * np.pi * 0.01**3 * 300) * (1 + 0.25**2)
+        after = run.energy["kinetic"][-1] + run.energy["elastic"][-1]
+        assert run.force["plate"][-1, 2] == 0  # it has left
+        worst = max(worst, after / start - 1)
+    step = build.build(ball({"step": dt})).step
+    assert worst < step.error < most
+    assert (step.warning is None) == (part < 0.3)
+
+
+def test_a_step_near_the_limit_is_warned_of_with_the_error_to_expect():
+    dt = 0.8 * build.build(ball()).step.stable
+    run = simulate(ball({"step": dt, "duration": 1e-3}, position=(0.0, 0.0, 0.1)))
+    (note,) = run.info["notes"]
+    assert note.startswith("run.step: dt = ") and "of the stability limit; energy is off by up to" in note
+
+
+def test_limit_holds_for_a_body_between_two_walls():
+    """A sphere pressed from both sides rings on both springs: the square of its frequency is twice that of one."""
+    gap, v = 1e-5, 0.01
+    lid = [(x, y, 0.02 - 2 * gap) for x, y in ((-0.5, -0.5), (-0.5, 0.5), (0.5, 0.5), (0.5, -0.5))]
+    walls = [{"group": "lid", "corners": lid}]
+    place = {"position": (0.0, 0.0, 0.01 - gap), "velocity": (0.0, 0.0, v)}
+    stable = build.build(ball(walls=walls)).step.stable
+    np.testing.assert_allclose(stable, build.build(ball()).step.stable / np.sqrt(2), rtol=1e-9)
+    smooth = {"material.friction_wall": 0.0}
+    limit = build.build(ball(walls=walls).replace(smooth)).step.stable
+    for part in (0.9, 0.98):
+        dt = part * limit
+        run = simulate(ball({"step": dt, "sample": dt, "duration": 400 * limit}, walls, **place).replace(smooth))
+        energy = run.energy["kinetic"] + run.energy["elastic"]
+        # of an oscillator in velocity Verlet, q of the limit, kinetic and elastic energy together swing by 1 / (1 - q^2)
+        assert energy.max() < energy.min() / (1 - part**2) * 1.3
+    with pytest.raises(SceneError, match="stability limit"):
+        build.build(ball({"step": 1.01 * limit}, walls, **place).replace(smooth))
 
 
 def test_stability_limit_is_that_of_the_unloading_branch():

@@ -53,7 +53,7 @@ class Response(NamedTuple):
 
 class ContactLaw(Protocol):
     """The methods of a law. ``pair`` is what its own method ``pair`` made, ``history`` what ``start`` began with: nobody else
-    looks inside. All but ``critical_steps`` and ``stable_step`` are traced; those take numpy in double precision."""
+    looks inside. All but those that speak of steps and stiffness, which take numpy in double precision, are traced."""
 
     def pair(self, couple: Couple) -> Any:
         """Constants of pairs of bodies: a pytree of arrays whose last axis is that of the couple's."""
@@ -74,4 +74,14 @@ class ContactLaw(Protocol):
         """The largest time steps (s) that resolve contacts of effective masses (kg), by what limits them, in words."""
 
     def stable_step(self, pair: Any, mass: Real) -> Real:
-        """Time steps (s), like mass, above which a contact of that effective mass (kg) gains energy."""
+        """Time steps (s), like mass, above which a contact of that effective mass (kg) gains energy: 2 / omega of its stiffest
+        normal branch."""
+
+    def loading_step(self, pair: Any, mass: Real) -> Real:
+        """2 / omega (s), like mass, of the branch on which impacts load: the error of their energy goes with its square. A law
+        may leave it out: it is then that of ``stable_step``."""
+        return self.stable_step(pair, mass)
+
+    def tangential_stiffness(self, pair: Any) -> Real | None:
+        """K_t (N/m) where it is largest; None: no friction. A law may leave it out."""
+        return None

@@ -97,6 +97,14 @@ class Cohesive:
         own = 2 * np.sqrt(mass / np.asarray(pair.stiffness))
         return 1 / np.hypot(1 / np.asarray(self.law.stable_step(pair.law, mass)), 1 / own)
 
+    def loading_step(self, pair: Pair, mass: Real) -> Real:
+        """That of the law (s)."""
+        return self.law.loading_step(pair.law, mass)
+
+    def tangential_stiffness(self, pair: Pair) -> Real | None:
+        """That of the law (N/m)."""
+        return self.law.tangential_stiffness(pair.law)
+
     def _limit(self, pair: Pair, overlap: Array) -> Array:
         """P(s) (N)."""
         tiny = jnp.finfo(overlap.dtype).tiny ** 0.5

@@ -1,7 +1,9 @@
 """Tangential spring with the Coulomb limit, which the laws of normal force share; knows no geometry."""
 
 import jax.numpy as jnp
+import numpy as np
 
+from dem_jax.contact.law.springs import Real
 from dem_jax.maths import vector
 from dem_jax.maths.vector import Array, Vector
 
@@ -27,3 +29,10 @@ def tangential_force(
     kept = jnp.maximum(0.5 * (before + limit - vector.dot(added, old)), 0)
     toward = vector.unit(vector.add_scaled(added, kept, old))
     return vector.where(slides, vector.scale(limit, toward), trial)
+
+
+def where_rough(friction: Real | None, stiffness: Real) -> Real | None:
+    """Stiffness (N/m) of the tangential springs that can bear a force, else 0; None where no pair of the scene has friction.
+
+    Host side, numpy."""
+    return None if friction is None else np.where(np.asarray(friction) > 0, stiffness, 0)

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dem_jax.contact.law import Contact, Couple, Response, dashpot
-from dem_jax.contact.law.friction import tangential_force
+from dem_jax.contact.law.friction import tangential_force, where_rough
 from dem_jax.contact.law.springs import Real
 from dem_jax.maths import vector
 from dem_jax.types import pytree
@@ -109,6 +109,14 @@ class HertzMindlin:
         """Linear stability limit (s) at the largest overlap of a central impact at the speed given."""
         s = self._largest(pair, pair.mass)
         return dashpot.stable_step(mass, 1.5 * pair.stiffness * s**0.5, np.asarray(pair.damping) * s**0.25, pair.mass)
+
+    def loading_step(self, pair: Pair, mass: Real) -> Real:
+        """2 / omega (s) there, of the elastic force."""
+        return 2 * np.sqrt(mass / (1.5 * pair.stiffness * self._largest(pair, pair.mass) ** 0.5))
+
+    def tangential_stiffness(self, pair: Pair) -> Real | None:
+        """K_t (N/m) there."""
+        return where_rough(pair.friction, pair.tangential * self._largest(pair, pair.mass) ** 0.5)
 
     def _largest(self, pair: Pair, mass: Real) -> Real:
         """Largest overlap (m) of an elastic impact."""

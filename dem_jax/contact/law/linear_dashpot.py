@@ -11,9 +11,10 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from dem_jax.contact.law import Contact, Couple, Response, dashpot
-from dem_jax.contact.law.friction import tangential_force
+from dem_jax.contact.law.friction import tangential_force, where_rough
 from dem_jax.contact.law.springs import Real, quarter_period, series
 from dem_jax.maths import vector
 from dem_jax.types import pytree
@@ -85,3 +86,11 @@ class LinearDashpot:
     def stable_step(self, pair: Pair, mass: Real) -> Real:
         """Linear stability limit (s)."""
         return dashpot.stable_step(mass, pair.stiffness, pair.damping, pair.mass)
+
+    def loading_step(self, pair: Pair, mass: Real) -> Real:
+        """2 / omega (s) of the spring."""
+        return 2 * np.sqrt(mass / pair.stiffness)
+
+    def tangential_stiffness(self, pair: Pair) -> Real | None:
+        """K_t (N/m)."""
+        return where_rough(pair.friction, np.asarray(self.tangential) * pair.stiffness)

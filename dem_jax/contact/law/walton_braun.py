@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dem_jax.contact.law import Contact, Couple, Response
-from dem_jax.contact.law.friction import tangential_force
+from dem_jax.contact.law.friction import tangential_force, where_rough
 from dem_jax.contact.law.springs import Real, quarter_period, series
 from dem_jax.maths import vector
 from dem_jax.types import pytree
@@ -95,7 +95,15 @@ class WaltonBraun:
 
     def stable_step(self, pair: Pair, mass: Real) -> Real:
         """Linear stability limit 2 / omega (s) on the unloading branch."""
-        return 2 * pair.restitution * np.sqrt(mass / pair.stiffness)
+        return pair.restitution * self.loading_step(pair, mass)
+
+    def loading_step(self, pair: Pair, mass: Real) -> Real:
+        """2 / omega (s) on the loading branch."""
+        return 2 * np.sqrt(mass / pair.stiffness)
+
+    def tangential_stiffness(self, pair: Pair) -> Real | None:
+        """K_t (N/m)."""
+        return where_rough(pair.friction, np.asarray(self.tangential) * pair.stiffness)
 
 
 def normal_force(
