@@ -8,8 +8,8 @@ Computers and Geotechnics 86 (2017) 60-73.)
 
 Below that limit an impact is off by what the step leaves unresolved. Energy is off during an impact, and at worst after it, by
 about (dt / dt_l)^2, dt_l being 2 / omega of the branch on which it loads, and by more next to the limit, q of it: over
-sqrt(1 - q^2). (Measured with spheres that land at 1 m/s, epsilon = 1: 0.0025, 0.010, 0.041, 0.25 at dt / dt_l = 0.05, 0.1, 0.25,
-0.5. Of 24 landings of marshmallows the worst, epsilon = 1: 0.0014, 0.0056, 0.0126, 0.21 at q = 0.1, 0.25, 0.5, 0.9.)
+sqrt(1 - q^2). (Measured with spheres that land at 1 m/s, epsilon = 1: 0.0025, 0.010, 0.041, 0.25 at dt / dt_l = 0.05, 0.1, 0.2,
+0.5. Of 24 landings of marshmallows the worst, epsilon = 1: 0.0014, 0.0056, 0.0126, 0.21 at q = 0.1, 0.2, 0.29, 0.9.)
 """
 
 from collections.abc import Sequence
