@@ -8,7 +8,7 @@ import numpy as np
 from dem_jax.show.numbers import HIGH, LOW, Number, numbers_of
 from dem_jax.store.run import Run
 
-RESAMPLED = 2000  # times that an ensemble is drawn anew from itself
+RESAMPLED = 1000  # times that an ensemble is drawn anew from itself
 
 
 class Difference(NamedTuple):
