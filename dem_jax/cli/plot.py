@@ -23,6 +23,7 @@ def plot(args: Args) -> None:
     from dem_jax.show.overlay import plot_runs
 
     names, runs = stored.runs_of(args.files)
+    stored.check_parts(names, runs, args.group, args.block)
     out = args.out or stored.default_out(args.files, ".png")
     made = plot_runs(names, runs, out, args.group, args.block, args.start, args.end)
     for line in compared(names, runs, args.group, args.block):

@@ -17,4 +17,5 @@ def report(args: Args) -> None:
     from dem_jax.show.report import write_report
 
     names, runs = stored.runs_of(args.files)
+    stored.check_parts(names, runs, args.group)
     print(write_report(names, runs, args.out or stored.default_out(args.files, "-report.html"), args.group))

@@ -49,3 +49,11 @@ def default_out(files: Sequence[str], suffix: str) -> Path:
     """The first file's name with another ending, beside it; of several files it says so."""
     first = Path(files[0])
     return first.with_name(f"{first.stem}{'-compared' if len(files) > 1 else ''}{suffix}")
+
+
+def check_parts(names: Sequence[str], runs: Sequence["Run"], group: str | None, block: str | None = None) -> None:
+    """Raise RecordError, naming the flag, for a wall group or a block that a run does not have."""
+    for name, run in zip(names, runs, strict=True):
+        for flag, asked, has in (("--group", group, run.force), ("--block", block, run.settled_mass)):
+            if asked is not None and asked not in has:
+                raise RecordError(f"{flag} {asked}: {name} has no such {flag[2:]}; allowed: {', '.join(has) or 'none'}")

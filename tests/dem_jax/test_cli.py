@@ -96,6 +96,7 @@ def test_pictures_and_exports_of_a_file(scene, tmp_path, capsys):
         (["plot", "ball.h5", "--out", "a.svg", "--group", "plate", "--start", "0.02"], "a.svg"),
         (["plot", "ball.h5", "ball.h5", "--out", "both.png"], "both.png"),
         (["report", "ball.h5"], "ball-report.html"),
+        (["export", "ball.h5"], "ball-numbers.csv"),
         (["render", "ball.h5"], "ball.gif"),
         (["render", "ball.h5", "--at", "0.01"], "ball-scene.png"),
         (["render", "ball.h5", "--strip", "3", "--out", "strip.png", "--colour", "piece"], "strip.png"),
@@ -144,7 +145,7 @@ def test_values_that_differ_from_the_default_are_told():
     assert "duration = 0.7" in text and "default: 0.2" in text
 
 
-@pytest.mark.parametrize("command", [[], ["run"], ["ensemble"], ["scenes"], ["plot"], ["report"], ["render"], ["vtk"]])
+@pytest.mark.parametrize("command", [[], ["run"], ["ensemble"], ["scenes"], ["plot"], ["report"], ["export"], ["render"], ["vtk"]])
 def test_every_command_has_help(command, capsys):
     with pytest.raises(SystemExit) as stop:
         main([*command, "--help"])
