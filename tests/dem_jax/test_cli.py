@@ -3,6 +3,9 @@
 import os
 import subprocess
 import sys
+import tomllib
+from importlib import import_module
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -96,7 +99,7 @@ def test_pictures_and_exports_of_a_file(scene, tmp_path, capsys):
         (["plot", "ball.h5", "--out", "a.svg", "--group", "plate", "--start", "0.02"], "a.svg"),
         (["plot", "ball.h5", "ball.h5", "--out", "both.png"], "both.png"),
         (["report", "ball.h5"], "ball-report.html"),
-        (["export", "ball.h5"], "ball-numbers.csv"),
+        (["export", "ball.h5"], "ball.csv"),
         (["render", "ball.h5"], "ball.gif"),
         (["render", "ball.h5", "--at", "0.01"], "ball-scene.png"),
         (["render", "ball.h5", "--strip", "3", "--out", "strip.png", "--colour", "piece"], "strip.png"),
@@ -170,9 +173,19 @@ def test_nothing_heavy_is_imported_before_it_is_used():
     assert {"h5py", "matplotlib", "trimesh", "tqdm", "jax_md", "optax"}.isdisjoint(loaded)
 
 
-def test_the_version_is_that_of_the_project():
-    import tomllib
-    from pathlib import Path
+ROOT = Path(__file__).parents[2]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 
-    project = Path(__file__).parents[2] / "pyproject.toml"
-    assert tomllib.loads(project.read_text())["project"]["version"] == dem_jax.__version__
+
+def test_the_version_is_that_of_the_project():
+    assert PROJECT["version"] == dem_jax.__version__
+    assert f"\nversion: {dem_jax.__version__}\n" in (ROOT / "CITATION.cff").read_text()
+    assert f"\n## {dem_jax.__version__}\n" in (ROOT / "CHANGELOG.md").read_text()
+
+
+@pytest.mark.parametrize("name", PROJECT["scripts"])
+def test_each_script_is_a_command_with_help(name, capsys):
+    module, function = PROJECT["scripts"][name].split(":")
+    with pytest.raises(SystemExit) as stop:
+        getattr(import_module(module), function)(["--help"])
+    assert stop.value.code == 0 and "usage:" in capsys.readouterr().out
