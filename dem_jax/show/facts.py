@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dem_jax.build.pieces import goods_of
+from dem_jax.build.pieces import Goods, goods_of
 from dem_jax.scene import Scene, parse
 from dem_jax.scene.materials import MaterialTable, material_table, rows_of_pieces
 from dem_jax.shapes import extents
@@ -32,9 +32,23 @@ def stiffness_said(run: Run) -> str:
     return f"{words}: {grows}{real}; that of a portion changes less, as harder impacts are shorter and coincide less."
 
 
+def weight_of(run: Run) -> float:
+    """Mass (kg) of all pieces of a run. Raises SceneError."""
+    return float(_masses(*_goods(parse(run.scene, "the file's scene"))).sum())
+
+
+def _goods(scene: Scene) -> tuple[Goods, MaterialTable]:
+    return goods_of(scene), material_table(scene)
+
+
+def _masses(goods: Goods, table: MaterialTable) -> np.ndarray:
+    """[N] (kg)."""
+    return table.density[rows_of_pieces(table, goods.materials)] * np.array([shape.volume for shape in goods.shapes])
+
+
 def _product(scene: Scene) -> Facts:
-    goods, table = goods_of(scene), material_table(scene)
-    mass = table.density[rows_of_pieces(table, goods.materials)] * np.array([shape.volume for shape in goods.shapes])
+    goods, table = _goods(scene)
+    mass = _masses(goods, table)
     kinds = [(shape.name, name) for shape, name in zip(goods.shapes, goods.materials, strict=True)]
     size = np.array([1e3 * extents(shape) for shape in goods.shapes])
     facts: Facts = []

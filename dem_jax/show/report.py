@@ -17,7 +17,7 @@ import numpy as np
 
 from dem_jax.errors import RecordError
 from dem_jax.show.compare import compared
-from dem_jax.show.facts import facts_of, stiffness_said
+from dem_jax.show.facts import facts_of, stiffness_said, weight_of
 from dem_jax.show.numbers import averaged_peaks, numbers_of, said
 from dem_jax.show.overlay import COLOURS, figure_of_runs
 from dem_jax.show.player import three, view_of
@@ -67,7 +67,7 @@ def page(named: Sequence[Named], group: str | None = None) -> str:
         "lead": escape("; ".join(dict.fromkeys(_lead(each.run) for each in named))),
         "numbers": _numbers(named, group),
         "differences": _list("Differences", compared([e.name for e in named], [e.run for e in named], group)),
-        "view": _view(drawn, [name for name, view in views if not view]),
+        "view": _view(drawn, [name for name, view in views if not view], any(e.run.run_count is not None for e in named)),
         "figure": _figure(named, group) if any(each.run.force for each in named) else _note("The runs have no walls."),
         "depends": _depends(named, group),
         "facts": _facts(named),
@@ -130,22 +130,32 @@ def _numbers(named: Sequence[Named], group: str | None) -> str:
     for column, each in zip(columns, named, strict=True):
         column["weight of the pieces"] = dict(facts_of(each.run)["Product"])["together"]
     words = "Peaks are of means over the sample time. Time to rest: from the first force until the settled mass stays as it is."
-    return _columns(named, columns) + _note(words)
+    return _columns(named, columns) + _note(" ".join([words, *filter(None, map(_unsettled, named))]))
 
 
-def _view(drawn: Sequence[dict[str, Any]], without: Sequence[str]) -> str:
+def _unsettled(each: Named) -> str | None:
+    """What to say of a run that ended before all was settled: its time to rest is that of a part."""
+    settled = [number.median for number in numbers_of(each.run) if number.name.startswith("settled mass")]
+    weight = 1e3 * weight_of(each.run)
+    if not settled or settled[0] > 0.99 * weight:
+        return None
+    return f"When {each.name} ended, {settled[0]:.4g} g of {weight:.4g} g had settled."
+
+
+def _view(drawn: Sequence[dict[str, Any]], without: Sequence[str], ensembles: bool) -> str:
     """The player; of runs without frames what is missing."""
     words = f"No poses were stored of {', '.join(without)}: set run.frames to the time between them (s) to see the drop."
     missing = _note(words) if without else ""
     if not drawn:
         return missing
+    which = " Of an ensemble, the run whose peak is the median." if ensembles else ""
     runs = "".join(f'<option value="{k}">{escape(each["name"])}</option>' for k, each in enumerate(drawn))
     paces = "".join(f'<option value="{n}">{"real time" if n == 1 else f"{n} times slower"}</option>' for n in SLOWER)
     return f"""<div class="view"><canvas id="drop"></canvas><div class="controls">
 <button id="play">Play</button><input type="range" id="time" min="0" value="0" step="1" aria-label="instant">
 <output id="shown"></output><select id="pace" aria-label="pace">{paces}</select>
 <select id="run" aria-label="run"{"" if len(drawn) > 1 else " hidden"}>{runs}</select><button id="again">Reset view</button>
-</div></div>{_note("Drag to turn, scroll to come nearer. Of an ensemble, the run whose peak is the median.")}{missing}"""
+</div></div>{_note(f"Drag to turn, scroll to come nearer.{which}")}{missing}"""
 
 
 def _figure(named: Sequence[Named], group: str | None) -> str:

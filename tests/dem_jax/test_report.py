@@ -5,6 +5,7 @@ import json
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -135,3 +136,10 @@ def test_it_opens_and_plays_to_its_end_in_a_browser_without_an_error():
 
 def test_the_pieces_of_the_made_up_run_are_those_of_its_scene():
     assert len(PIECES) == stored().header.piece_count
+
+
+def test_a_run_that_ended_before_all_was_settled_is_said_to_have():
+    run = stored()
+    part = replace(run, series=run.series | {"settled_mass": {"plate": run.settled_mass["plate"] / 2.0}})
+    assert "When drop ended, 1.5 g of 2.463 g had settled." in words(page_of(["drop"], part))
+    assert "had settled" not in words(page_of(["drop"], run))
