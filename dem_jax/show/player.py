@@ -30,7 +30,8 @@ def three() -> str:
     page = scene_to_html(trimesh.Scene(trimesh.creation.box()))
     found = re.search(r"<script>(.*?)var camera,\s*controls,\s*scene,\s*renderer", page, re.DOTALL)
     if found is None or "TrackballControls" not in found[1]:
-        raise RecordError(f"trimesh {trimesh.__version__} has no three.js that a report can use; allowed: trimesh >= 4, < 6")
+        allowed = "allowed: one with the viewer of trimesh 4.5 to 5.2"
+        raise RecordError(f"trimesh {trimesh.__version__} has no three.js that a report can use; {allowed}")
     return found[1]
 
 
