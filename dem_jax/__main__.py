@@ -1,4 +1,4 @@
-"""Command line: python -m dem_jax run | ensemble | scenes | plot | render | vtk."""
+"""Command line: python -m dem_jax run | ensemble | scenes | plot | report | export | render | vtk."""
 
 import sys
 

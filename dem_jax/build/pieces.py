@@ -11,6 +11,7 @@ import numpy as np
 from dem_jax import shapes
 from dem_jax.build import portion
 from dem_jax.build.finite import check_pieces
+from dem_jax.build.unit import check_unit
 from dem_jax.errors import SceneError
 from dem_jax.scene import SHAPE_KEYS, BodyMass, ConvexShape, Part, PieceShape, Portion, Scene, arrange
 from dem_jax.scene.materials import material_table, rows_of_pieces
@@ -70,6 +71,7 @@ def _hull(row: ConvexShape, folder: str | Path) -> tuple[shapes.Shape, np.ndarra
     """The hull of a row before scaling, its centre of mass [3] (m) in the frame of its points, and what simplifying changed."""
     if row.stl is not None:
         shape, centre = shapes.placed_hull_of_stl(Path(folder) / row.stl, row.unit)
+        check_unit(row, [shape.vertices])
     else:
         shape, centre = shapes.placed_hull(np.array(row.points) * row.unit)
     most = row.max_corners or shapes.MOST_CORNERS
@@ -181,7 +183,9 @@ def with_points(row: PieceShape, folder: str | Path) -> PieceShape:
     """The row with the corners of the STL that it names, whole or cut into parts; others as they are. Raises SceneError."""
     given = _given(row)
     if row.shape == "decomposed":
-        return _cut(row, shapes.decompose(Path(folder) / given["stl"], row.unit, **_cutting(row)))
+        found = shapes.decompose(Path(folder) / given["stl"], row.unit, **_cutting(row))
+        check_unit(row, found.points)
+        return _cut(row, found)
     if row.shape == "compound":
         parts = [named(f"part.{n}", _part_with_points, part, folder) for n, part in enumerate(row.part)]
         said = [f"part.{n}: {what}" for n, (_, what) in enumerate(parts) if what]

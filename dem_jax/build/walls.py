@@ -10,6 +10,7 @@ from numpy.typing import DTypeLike
 from dem_jax import shapes
 from dem_jax.build.start import Box
 from dem_jax.build.typed import typed
+from dem_jax.build.unit import check_unit
 from dem_jax.contact import motion
 from dem_jax.errors import SceneError
 from dem_jax.scene import Block, Motion, Scene, Wall, buckets
@@ -59,6 +60,7 @@ def panels_of(wall: Wall, folder: str | Path) -> list[Panel]:
     if wall.stl is None:
         return [(wall.group, np.array(wall.corners, float), wall.thickness)]
     polygons = meshes.panels_of_stl(Path(folder) / wall.stl, wall.unit)
+    check_unit(wall, polygons)
     return [(wall.group, polygon, wall.thickness) for polygon in polygons]
 
 
@@ -67,6 +69,7 @@ def written_out(wall: Wall, folder: str | Path) -> list[Wall]:
     if wall.stl is None or wall.corners is not None:
         return [wall]
     read = meshes.wall_of_stl(Path(folder) / wall.stl, wall.unit)
+    check_unit(wall, read.panels)
     said = f"{wall.stl}: {read}"
     notes = [said if wall.note is None else f"{wall.note}; {said}"] + [None] * (len(read.panels) - 1)
     panels = [tuple(tuple(corner) for corner in panel.tolist()) for panel in read.panels]

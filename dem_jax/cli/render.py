@@ -17,7 +17,7 @@ def add(commands: Commands) -> None:
     kind.add_argument(
         "--strip", type=instants, metavar="N|T,T,...", help="a film strip: of N instants, or of these times (s)"
     )
-    made.add_argument("--out", metavar="FILE", help="default: the file's name .gif, or -scene.png")
+    made.add_argument("--out", metavar="FILE", help="default: the file's name .gif (.mp4 is an animation too), or -scene.png")
     made.add_argument("--colour", choices=["speed", "piece"], default="speed", help="of the pieces (default: speed)")
     made.add_argument("--azimuth", type=float, default=25.0, metavar="DEG", help="of the eye about z (default: 25)")
     made.add_argument("--elevation", type=float, default=14.0, metavar="DEG", help="of the eye (default: 14)")

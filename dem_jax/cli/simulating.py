@@ -5,10 +5,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dem_jax.cli.arguments import Args, Parser, whole
+from dem_jax.errors import RecordError
 
 if TYPE_CHECKING:
     from dem_jax.scene import Scene
     from dem_jax.store.record import Run
+
+HDF5 = (".h5", ".hdf5", ".hdf")  # endings of a file of results
 
 
 def add_arguments(command: Parser, scene_optional: bool = False) -> None:
@@ -36,8 +39,13 @@ def scene_and_target(args: Args, suffix: str) -> tuple["Scene", Path]:
     changes = dict(parse_setting(text) for text in args.settings)
     if args.duration is not None:
         changes["run.duration"] = args.duration
+    if args.out and Path(args.out).suffix.lower() not in HDF5:
+        instead = "python -m dem_jax export makes .csv and .xlsx of them"
+        raise RecordError(f"--out {args.out}: results are HDF5; allowed: a name that ends in {', '.join(HDF5)}; {instead}")
     scene = load_scene(args.scene, changes)
     out = Path(args.out or f"{scene.name}{suffix}.h5")
+    if os.path.isfile(out) and not args.overwrite:
+        raise RecordError(f"{out} exists; allowed: another name by --out, or --overwrite to replace it")
     check_target(out, args.overwrite)
     return scene, out
 

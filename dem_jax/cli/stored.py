@@ -1,5 +1,7 @@
-"""What render and vtk share: a run of a file, and its bodies."""
+"""What commands share that read files: one run of a file and its bodies, or the runs of several files."""
 
+from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dem_jax.cli.arguments import Args, Parser, whole
@@ -26,3 +28,32 @@ def stored(args: Args) -> tuple["Run", tuple[Any, Any, Any]]:
     elif args.run:
         raise RecordError(f"--run {args.run}: {args.file} holds a single run")
     return found, bodies_of(found)
+
+
+def add_files(command: Parser) -> None:
+    """The argument of a command that reads one file or several."""
+    command.add_argument("files", nargs="+", metavar="FILE", help="HDF5 file of a run or an ensemble; several are compared")
+
+
+def runs_of(files: Sequence[str]) -> tuple[list[str], list["Run"]]:
+    """What files are called, and their runs. Raises RecordError."""
+    from dem_jax.store.record import load_run
+
+    paths = [Path(file) for file in files]
+    stems = [path.stem for path in paths]
+    names = stems if len(set(stems)) == len(stems) else [str(path.with_suffix("")) for path in paths]
+    return names, [load_run(path) for path in paths]
+
+
+def default_out(files: Sequence[str], suffix: str) -> Path:
+    """The first file's name with another ending, beside it; of several files it says so."""
+    first = Path(files[0])
+    return first.with_name(f"{first.stem}{'-compared' if len(files) > 1 else ''}{suffix}")
+
+
+def check_parts(names: Sequence[str], runs: Sequence["Run"], group: str | None, block: str | None = None) -> None:
+    """Raise RecordError, naming the flag, for a wall group or a block that a run does not have."""
+    for name, run in zip(names, runs, strict=True):
+        for flag, asked, has in (("--group", group, run.force), ("--block", block, run.settled_mass)):
+            if asked is not None and asked not in has:
+                raise RecordError(f"{flag} {asked}: {name} has no such {flag[2:]}; allowed: {', '.join(has) or 'none'}")

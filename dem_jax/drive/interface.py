@@ -138,8 +138,9 @@ def _gone_on(job: Job, path: FileName, header: record.Header, arrays: dict[str, 
             restart.check_step(state, job.state, job.steps_per_sample, samples)
         except RecordError as error:
             raise RecordError(f"{path}: {error}") from error
-        notes, slow = tuple(header.info.get("notes", ())), bool(np.all(arrays.get("slow", True)))
-    return replace(job, system=system, state=state, samples_kept=samples, frames_kept=frames, notes=notes, slow=slow)
+        notes, reruns = (tuple(header.info.get(name, ())) for name in ("notes", "reruns"))
+        slow = bool(np.all(arrays.get("slow", True)))
+    return replace(job, system=system, state=state, samples_kept=samples, frames_kept=frames, notes=notes, reruns=reruns, slow=slow)
 
 
 def _into_file(job: Job, path: FileName, writer: target.MakeWriter, progress: bool) -> record.Run:

@@ -28,6 +28,7 @@ class Job:
     samples_kept: int = 0  # already in the file
     frames_kept: int = 0
     notes: tuple[str, ...] = ()  # already in the file
+    reruns: tuple[str, ...] = ()  # likewise: which chunks needed more room, and why
     slow: bool = True  # all since the rule was last looked at
     clock: Clock = field(default_factory=Clock)
 

@@ -34,14 +34,15 @@ def run(job: Job, target: Target, progress: bool) -> None:
 
 
 def _run(job: Job, target: Target, shown: Progress) -> None:
-    notes = list(job.notes)
+    notes, reruns = list(job.notes), list(job.reruns)
     for span in spans(job, shown):
         failed = failure.find(span.samples, span.count)
         if failed:
             _stop(job, target, span, failed)
         notes += _news(job, span, notes, shown)
+        reruns += [rerun for rerun in span.reruns if rerun not in reruns]
         rows = rows_of(job, span, span.count)
-        _append(job, target, *rows, restart=restart_of(job, span), info=facts_of(job, span, notes))
+        _append(job, target, *rows, restart=restart_of(job, span), info=facts_of(job, span, notes, reruns))
         shown.advance(span)
     clock = {"compile_time": job.clock.compile, "elapsed": time.perf_counter() - job.clock.start}
     _append(job, target, {}, info=clock)
@@ -61,7 +62,7 @@ def spans(job: Job, shown: Progress) -> Iterator[Span]:
 
 def _news(job: Job, span: Span, notes: list[str], shown: Progress) -> list[str]:
     """What a span has to say that is not in the notes yet."""
-    news = [note for note in span.notes if note not in notes]
+    news: list[str] = []
     for note in failure.escapes(job, span.state):
         if not any(known.startswith(note) for known in (*notes, *news)):
             news.append(f"{note} before t = {span.end * job.scene.run.sample:.4g} s")

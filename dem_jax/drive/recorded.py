@@ -62,10 +62,10 @@ def _frames_of(job: Job, span: Span, count: int, run_axis: tuple[Any, ...]) -> d
     return series.of_poses(poses, job.built.frames, time_of) if new.any() else None
 
 
-def facts_of(job: Job, span: Span, notes: list[str]) -> dict[str, Any]:
-    """What a span adds to the file's info: ``settled`` (s), the end of a run that ended early; ``settling`` (s), how
-    long a portion settled if that was cut short."""
-    facts: dict[str, Any] = {"notes": notes} if notes else {}
+def facts_of(job: Job, span: Span, notes: list[str], reruns: list[str]) -> dict[str, Any]:
+    """What a span adds to the file's info: ``notes``, which a person should know, and ``reruns``, which were handled;
+    ``settled`` (s), the end of a run that ended early; ``settling`` (s), how long a portion settled if that was cut short."""
+    facts: dict[str, Any] = {name: said for name, said in (("notes", notes), ("reruns", reruns)) if said}
     if span.settled and span.first >= 0:
         facts["settled"] = span.end * job.scene.run.sample
     elif span.settled and job.rule is not None:

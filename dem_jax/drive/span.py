@@ -1,5 +1,6 @@
 """A chunk that stands: run again, with more room, until nothing is outgrown."""
 
+import logging
 from dataclasses import dataclass, replace
 
 import jax
@@ -15,6 +16,7 @@ from dem_jax.pairs import guard
 from dem_jax.types import Sample, State, System
 
 ATTEMPTS = 12  # to find room for a chunk
+LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -28,7 +30,7 @@ class Span:
     state: State
     samples: Sample  # numpy [.., samples]
     poses: np.ndarray  # [.., frames, 13, N]
-    notes: tuple[str, ...]  # what was run again, and why
+    reruns: tuple[str, ...]  # what was run again, and why
     slow: bool = True  # all since the rule of run.until_settled was last looked at
     settled: bool = False  # all was at rest: what would follow up to the release, or up to the end, is left out
 
@@ -43,7 +45,7 @@ def advance(job: Job, system: System, state: State, first: int, count: int, show
 
     Of an ensemble in threads only the runs that outgrew something are run again.
     """
-    notes: list[str] = []
+    reruns: list[str] = []
     start, known = guard.fresh(state), None
     for _ in range(ATTEMPTS):
         done = execute(job, system, start, first, count, shown, known)
@@ -51,17 +53,17 @@ def advance(job: Job, system: System, state: State, first: int, count: int, show
         failure.check_start(job, seen)
         reasons = guard.outgrown(system, seen)
         failed = failure.find(done.samples, count)
-        if not reasons or (failed and notes):
+        if not reasons or (failed and reruns):
             break
-        notes.append(f"from t = {first * job.scene.run.sample:.6g} s: {'; '.join(reasons)}: run again with more room")
-        shown.note(notes[-1])
+        reruns.append(f"from t = {first * job.scene.run.sample:.6g} s: {'; '.join(reasons)}: run again with more room")
+        LOG.debug("%s: %s", job.scene.name, reruns[-1])
         if job.runs is not None:
             with_room = guard.grown(system, done.state, seen)[1]
             known = Known(guard.standing(system, seen), done._replace(state=with_room))
         system, start = guard.grown(system, start, seen)
     else:
         raise failure.restless(job, first, reasons)
-    return Span(first, count, system, start, *done, tuple(notes))
+    return Span(first, count, system, start, *done, tuple(reruns))
 
 
 def looked_at(job: Job, span: Span, slow: bool) -> Span:

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dem_jax.errors import RecordError
+from dem_jax.show.numbers import HIGH, LOW
+from dem_jax.show.span import Span, panels
 from dem_jax.show.summary import main_block, main_group
 from dem_jax.store.run import Run
 
@@ -51,85 +53,130 @@ def figure_of_run(
 
     A run is drawn by the means over its sample intervals, on the instantaneous values in a lighter tone; an ensemble by
     its median, the band from 5 to 95 % and some members, all of interval means. group: by default wb_flaps or the
-    first; block: wb or the first. start, end: (s) of what is shown, by default from just before the first force.
-    Raises RecordError for a group or block that the run does not have.
+    first; block: wb or the first. start, end: (s) of what is shown; by default the impact and beside it the whole, or the
+    whole alone where it is little longer. Raises RecordError for a group or block that the run does not have.
     """
-    from matplotlib.figure import Figure
-
     group = group or main_group(run) or "none"
-    figure = Figure(figsize=(7.2, 4.2), layout="constrained")
-    axes = figure.add_subplot()
     mean = run.pif_kg(group)
-    if run.run_count is None:
-        _draw_run(axes, run, group, mean)
-    else:
-        _draw_ensemble(axes, 1e3 * run.time, mean, FORCE_COLOUR, f"PIF on {group}", "5 to 95 %")
-        for k, member in enumerate(mean[:MEMBERS]):
-            label = None if k else "single runs"
-            axes.plot(1e3 * run.time, member, color=FORCE_COLOUR, lw=0.4, alpha=0.5, zorder=1, label=label)
-    axes.set_xlabel("time since release (ms)")
-    axes.set_ylabel("product impact force / g (kg)", color=FORCE_COLOUR)
-    axes.tick_params(axis="y", labelcolor=FORCE_COLOUR)
-    _draw_mass(axes, run, block)
-    _limit(axes, run, mean, start, end)
-    figure.suptitle(_title(run) if title is None else title, fontsize=11)
-    figure.legend(loc="outside lower center", ncols=4, frameon=False, fontsize=8)
+    spans = panels([run], [mean], start, end)
+    figure, rows = side_by_side(spans)
+    for axes, span in zip(rows, spans, strict=True):
+        if run.run_count is None:
+            _draw_run(axes, run, group, mean, span)
+        else:
+            draw_ensemble(axes, 1e3 * run.time, mean, FORCE_COLOUR, f"PIF on {group}", "5 to 95 %")
+            for k, member in enumerate(mean[:MEMBERS]):
+                label = None if k else "single runs"
+                axes.plot(1e3 * run.time, member, color=FORCE_COLOUR, lw=0.4, alpha=0.5, zorder=1, label=label)
+        _limit(axes, run, mean, span)
+    rights = [_draw_mass(axes, run, block) for axes in rows]
+    outer_labels(rows, rights, FORCE_COLOUR, MASS_COLOUR)
+    figure.suptitle(title_of(run) if title is None else title, fontsize=11)
+    legend(figure)
     return figure
 
 
-def _draw_run(axes: "Axes", run: Run, group: str, mean: np.ndarray) -> None:
+# --- shared with figures of several runs ---
+
+
+def side_by_side(spans: Sequence[Span]) -> "tuple[Figure, list[Axes]]":
+    """An empty figure with axes for each span, headed where they are two."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.2 if len(spans) == 1 else 10.8, 4.2), layout="constrained")
+    rows = list(figure.subplots(1, len(spans), squeeze=False)[0])
+    for axes, words in zip(rows, ("the impact", "the whole"), strict=False):
+        axes.set_xlabel("time since release (ms)")
+        if len(spans) > 1:
+            axes.set_title(words, fontsize=9)
+    return figure, rows
+
+
+def draw_ensemble(axes: "Axes", ms: np.ndarray, values: np.ndarray, colour: str, label: str, band: str | None = None) -> None:
+    """Median over the runs [K, T] and the band from 5 to 95 %."""
+    low, middle, high = np.quantile(values, [LOW, 0.5, HIGH], axis=0)
+    axes.plot(ms, middle, color=colour, lw=1.3, label=f"{label}, median")
+    axes.fill_between(ms, low, high, color=colour, alpha=0.2, lw=0, label=band)
+
+
+def outer_labels(rows: "Sequence[Axes]", rights: "Sequence[Axes | None]", force: str, mass: str) -> None:
+    """What the vertical axes are of: force at the left of the first, mass at the right of the last; in these colours."""
+    rows[0].set_ylabel("product impact force / g (kg)", color=force)
+    for axes in rows:
+        axes.tick_params(axis="y", labelcolor=force)
+    for right in rights:
+        if right is not None:
+            right.tick_params(axis="y", labelcolor=mass, labelright=right is rights[-1])
+    if rights[-1] is not None:
+        rights[-1].set_ylabel("settled mass (g)", color=mass)
+
+
+def legend(figure: "Figure") -> None:
+    """What the first panel's lines are, below the figure; those of the second are the same."""
+    known: dict[str, Any] = {}
+    for axes in figure.axes:
+        for line, label in zip(*axes.get_legend_handles_labels(), strict=True):
+            known.setdefault(label, line)
+    figure.legend(list(known.values()), list(known), loc="outside lower center", ncols=4, frameon=False, fontsize=8)
+
+
+# --- one run or ensemble ---
+
+
+def _draw_run(axes: "Axes", run: Run, group: str, mean: np.ndarray, span: Span) -> None:
     ms = 1e3 * run.time
     instants = run.pif_kg(group, mean=False)
     axes.plot(ms, instants, color=FORCE_COLOUR, lw=0.6, alpha=0.35, label=f"PIF on {group}, instantaneous")
     axes.plot(ms, mean, color=FORCE_COLOUR, lw=1.1, label=f"mean over {1e6 * run.sample:.3g} µs")
     peak = int(np.argmax(mean))
-    if mean[peak] > 0.0:
+    if mean[peak] > 0.0 and span[0] <= run.time[peak] <= span[1]:
         axes.plot(ms[peak], mean[peak], "o", ms=4, mfc="none", color=FORCE_COLOUR)
         words = f"{mean[peak]:.3g} kg at {ms[peak]:.1f} ms"
         axes.annotate(words, (ms[peak], mean[peak]), (6, 5), textcoords="offset points", fontsize=8, color=FORCE_COLOUR)
 
 
-def _draw_ensemble(axes: "Axes", ms: np.ndarray, values: np.ndarray, colour: str, label: str, band: str | None = None) -> None:
-    """Median over the runs [K, T] and the band from 5 to 95 %."""
-    low, middle, high = np.quantile(values, [0.05, 0.5, 0.95], axis=0)
-    axes.plot(ms, middle, color=colour, lw=1.3, label=f"{label}, median")
-    axes.fill_between(ms, low, high, color=colour, alpha=0.2, lw=0, label=band)
-
-
-def _draw_mass(axes: "Axes", run: Run, block: str | None) -> None:
+def _draw_mass(axes: "Axes", run: Run, block: str | None) -> "Axes | None":
+    """The settled mass on axes of its own at the right; None: there is no block."""
     block = block or main_block(run)
     if block is None:
-        return
-    if block not in run.settled_mass:
-        raise RecordError(f"block = {block!r} is not in this run; it has: {', '.join(run.settled_mass) or 'none'}")
-    grams = 1e3 * np.asarray(run.settled_mass[block], np.float64)
+        return None
+    grams = grams_in(run, block)
     right = axes.twinx()
     if run.run_count is None:
         right.plot(1e3 * run.time, grams, color=MASS_COLOUR, lw=1.3, label=f"settled mass in {block}")
     else:
-        _draw_ensemble(right, 1e3 * run.time, grams, MASS_COLOUR, f"settled mass in {block}")
-    right.set_ylim(0.0, 1.3 * max(grams.max(), 1e-9))  # below the peak and its label
-    right.set_ylabel("settled mass (g)", color=MASS_COLOUR)
-    right.tick_params(axis="y", labelcolor=MASS_COLOUR)
+        draw_ensemble(right, 1e3 * run.time, grams, MASS_COLOUR, f"settled mass in {block}")
+    limit_mass(right, float(grams.max()))
+    return right
+
+
+def grams_in(run: Run, block: str) -> np.ndarray:
+    """Settled mass (g), [.., T]. Raises RecordError for a block that the run does not have."""
+    if block not in run.settled_mass:
+        raise RecordError(f"block = {block!r} is not in this run; it has: {', '.join(run.settled_mass) or 'none'}")
+    return 1e3 * np.asarray(run.settled_mass[block], np.float64)
+
+
+def limit_mass(right: "Axes", largest: float) -> None:
+    """From 0 to above the largest (g), so that it stays below the peak of the force and its label."""
+    right.set_ylim(0.0, 1.3 * max(largest, 1e-9))
     right.spines["top"].set_visible(False)
 
 
-def _limit(axes: "Axes", run: Run, mean: np.ndarray, start: float | None, end: float | None) -> None:
-    """Limits of the axes: time from shortly before the first force, force from its range in that time."""
-    if start is None:
-        felt = np.flatnonzero(np.abs(mean).reshape(-1, len(run.time)).max(axis=0) > 0.0)
-        first = run.time[felt[0]] if len(felt) else run.time[0]
-        start = max(run.time[0], first - 0.05 * (run.time[-1] - first))
-    end = run.time[-1] if end is None else end
-    shown = np.asarray(mean)[..., (run.time >= start) & (run.time <= end)]
-    top = max(float(shown.max(initial=0.0)), 1e-9)
-    axes.set_xlim(1e3 * start, 1e3 * end)
-    axes.set_ylim(min(0.0, 1.05 * float(shown.min(initial=0.0))), 1.15 * top)
+def _limit(axes: "Axes", run: Run, mean: np.ndarray, span: Span) -> None:
+    shown = np.asarray(mean)[..., (run.time >= span[0]) & (run.time <= span[1])]
+    limit_force(axes, span, float(shown.min(initial=0.0)), float(shown.max(initial=0.0)))
+
+
+def limit_force(axes: "Axes", span: Span, least: float, most: float) -> None:
+    """Limits of the axes: the span of time (s), and what there is of force (kg) in it."""
+    axes.set_xlim(1e3 * span[0], 1e3 * span[1])
+    axes.set_ylim(min(0.0, 1.05 * least), 1.15 * max(most, 1e-9))
     axes.grid(alpha=0.25, lw=0.5)
     axes.spines["top"].set_visible(False)
 
 
-def _title(run: Run) -> str:
+def title_of(run: Run) -> str:
     """Scene, pieces, SF and restitution, as far as the scene's TOML says them."""
     tree = tomllib.loads(run.scene)
     portion = tree.get("portion", {})

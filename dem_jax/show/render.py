@@ -1,4 +1,4 @@
-"""Pictures of a scene with its pieces: one instant, a film strip of several, or an animated GIF. Host side, matplotlib.
+"""Pictures of a scene with its pieces: one instant, a film strip of several, or an animation. Host side, matplotlib.
 
 A piece is drawn part by part, so that all bodies are convex: the faces of one never hide each other once those that look
 away are left out, and the order in which two are drawn follows from the side of a plane between them on which the eye is.
@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from dem_jax.errors import RecordError
 from dem_jax.maths.pose import matrix_of_quaternion
 from dem_jax.shapes import Part, Shape, convex_surface, loop_normal, parts_of
-from dem_jax.show import drawing
+from dem_jax.show import animation, drawing
 from dem_jax.show.drawing import WallPose
 from dem_jax.show.plot import check_format, save_figure
 from dem_jax.store.run import Frames
@@ -30,7 +30,7 @@ if TYPE_CHECKING:  # loaded where something is drawn: it takes a second
 Walls = Mapping[str, Sequence[drawing.Solid]]  # by group
 Colour = tuple[float, float, float, float]  # r, g, b, a
 
-PICTURES, ANIMATIONS = (".png", ".pdf", ".svg"), (".gif",)
+PICTURES, ANIMATIONS = (".png", ".pdf", ".svg"), (".gif", ".mp4")
 PALETTE = ("#f3c6cf", "#fbe9c6", "#cfe3f1", "#d8ecd0", "#e6d7f0", "#f8d5b5")  # of pieces told apart by number
 WALL_COLOUR, INK = (0.62, 0.69, 0.76), (0.25, 0.22, 0.2)
 FULL_HEIGHT = 6.0  # inches, of one picture
@@ -84,11 +84,12 @@ def render(
 
     frames: record.Frames of a single run. shapes: a Shape for each of the N pieces. walls: group -> list of (vertices
     [V, 3] (m), faces) in the group's rest frame, the first face being the surface that the pieces touch; wall_pose:
-    t -> group -> (rotation [3, 3], origin [3] (m)). path: .gif is the animation, looping, of at most 200 frames at fps
-    per second; .png, .pdf, .svg the instant `at` (s; by default the last), or a film strip of the instants `strip`:
-    their times (s), or their number, evenly spaced.
+    t -> group -> (rotation [3, 3], origin [3] (m)). path: .gif and .mp4 are the animation, the first looping, of at most
+    200 frames at fps per second; .png, .pdf, .svg the instant `at` (s; by default the last), or a film strip of the
+    instants `strip`: their times (s), or their number, evenly spaced.
     Each instant shows the stored frame nearest to it. colour: "speed" or "piece". title: stands before the time.
-    Returns the path. Raises RecordError for another format, no frames, or a file that cannot be written.
+    Returns the path. Raises RecordError for another format, no frames, an instant before or after them, a file that
+    cannot be written, and for .mp4 without imageio-ffmpeg.
     """
     path = Path(path)
     check_format(path, PICTURES + ANIMATIONS)
@@ -98,7 +99,7 @@ def render(
         raise RecordError(f"{path} cannot be drawn: frames of an ensemble; choose one of its runs")
     scene = scene_of(frames, shapes, walls, wall_pose, camera or Camera(), colour)
     if path.suffix.lower() in ANIMATIONS:
-        return _animate(scene, path, title, fps)
+        return animation.write(_pictures(scene, title), path, fps)
     return save_figure(figure_of(scene, _instants(frames.time, at, strip), title), path, dpi=150)
 
 
@@ -142,12 +143,16 @@ def figure_of(scene: Scene, indices: Sequence[int], title: str = "") -> "Figure"
 
 
 def _instants(times: np.ndarray, at: float | None, strip: int | Sequence[float] | None) -> list[int]:
-    """Indices of the frames nearest to the instants asked for."""
+    """Indices of the frames nearest to the instants asked for. Raises RecordError for one before or after them."""
     wanted: ArrayLike
     if strip is None:
         wanted = [times[-1] if at is None else at]
     else:
         wanted = np.linspace(times[0], times[-1], strip) if isinstance(strip, int) else strip
+    slack = np.diff(times).max(initial=1e-3)  # a run goes on after its last frame, but for less than until the next
+    for t in np.asarray(wanted, float):
+        if not times[0] - slack <= t <= times[-1] + slack:
+            raise RecordError(f"no frame was stored at {t:g} s; allowed: {times[0]:.6g} to {times[-1]:.6g} s")
     return [int(np.argmin(np.abs(times - t))) for t in np.asarray(wanted)]
 
 
@@ -156,28 +161,21 @@ def _caption(scene: Scene, i: int, title: str) -> str:
     return f"{title}\n{time}" if title else time
 
 
-def _animate(scene: Scene, path: Path, title: str, fps: float) -> Path:
+def _pictures(scene: Scene, title: str) -> Iterator[np.ndarray]:
+    """The frames of an animation, [height, width, 3] uint8, at most 200."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from PIL import Image
 
     figure, (ax,) = _empty_figure(scene, 1)
     figure.set_dpi(100)
     canvas = FigureCanvasAgg(figure)
     count = len(scene.frames.time)
-    pictures = []
     for i in np.unique(np.linspace(0, count - 1, min(count, 200)).round().astype(int)):
         for old in ax.collections:
             old.remove()
         ax.add_collection(_collection(scene, i))
         ax.set_title(_caption(scene, i, title), fontsize=10)
         canvas.draw()
-        pictures.append(Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3]).quantize(256, dither=Image.Dither.NONE))
-    try:
-        pause = max(20, round(1000 / fps))
-        pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=pause, loop=0)
-    except OSError as error:
-        raise RecordError(f"{path} cannot be written: {error.strerror or error}") from error
-    return path
+        yield np.array(canvas.buffer_rgba())[..., :3]
 
 
 # --- the figure around the scene ---

@@ -96,8 +96,8 @@ def _durations(members: Sequence[Run], group: str, block: str) -> str:
 
 
 def _range(values: np.ndarray, form: str) -> str:
-    """A single value, or the median with the range of 5 to 95 %."""
+    """A single value, or the median and the band from 5 to 95 %."""
     if len(values) == 1:
         return form.format(values[0])
     low, middle, high = (form.format(v) for v in np.quantile(values, [0.05, 0.5, 0.95]))
-    return f"{middle} ({low} to {high})"
+    return f"median {middle} (5 to 95 %: {low} to {high})"

@@ -70,7 +70,7 @@ INFO = {
         ("elapsed", "compile_time", "critical_step", "stable_step", "settled", "settling"), Rule(is_number, "a number")
     ),
     **dict.fromkeys(("step", "limit", "law", "stopped"), Rule(is_text, "a text")),
-    "notes": Rule(is_list_of(is_text), "texts"),
+    **dict.fromkeys(("notes", "reruns"), Rule(is_list_of(is_text), "texts")),
 }
 
 

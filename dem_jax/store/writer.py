@@ -199,7 +199,7 @@ def check_target(path: FileName, overwrite: bool = False) -> None:
         raise RecordError(f"{path} cannot be written: there is no folder {str(path.parent)!r}")
     with suppress(OSError):  # such as of a name that is too long, which is said below
         if path.exists() and not (overwrite and path.is_file()):
-            raise RecordError(f"{path} exists; give another name, or overwrite = true to replace it")
+            raise RecordError(f"{path} exists; allowed: another name, or overwrite=True to replace it")
     check_writable(path)
 
 

@@ -3,6 +3,9 @@
 import os
 import subprocess
 import sys
+import tomllib
+from importlib import import_module
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -94,6 +97,9 @@ def test_pictures_and_exports_of_a_file(scene, tmp_path, capsys):
     for command, file in (
         (["plot", "ball.h5"], "ball.png"),
         (["plot", "ball.h5", "--out", "a.svg", "--group", "plate", "--start", "0.02"], "a.svg"),
+        (["plot", "ball.h5", "ball.h5", "--out", "both.png"], "both.png"),
+        (["report", "ball.h5"], "ball-report.html"),
+        (["export", "ball.h5"], "ball.csv"),
         (["render", "ball.h5"], "ball.gif"),
         (["render", "ball.h5", "--at", "0.01"], "ball-scene.png"),
         (["render", "ball.h5", "--strip", "3", "--out", "strip.png", "--colour", "piece"], "strip.png"),
@@ -142,7 +148,7 @@ def test_values_that_differ_from_the_default_are_told():
     assert "duration = 0.7" in text and "default: 0.2" in text
 
 
-@pytest.mark.parametrize("command", [[], ["run"], ["ensemble"], ["scenes"], ["plot"], ["render"], ["vtk"]])
+@pytest.mark.parametrize("command", [[], ["run"], ["ensemble"], ["scenes"], ["plot"], ["report"], ["export"], ["render"], ["vtk"]])
 def test_every_command_has_help(command, capsys):
     with pytest.raises(SystemExit) as stop:
         main([*command, "--help"])
@@ -167,9 +173,19 @@ def test_nothing_heavy_is_imported_before_it_is_used():
     assert {"h5py", "matplotlib", "trimesh", "tqdm", "jax_md", "optax"}.isdisjoint(loaded)
 
 
-def test_the_version_is_that_of_the_project():
-    import tomllib
-    from pathlib import Path
+ROOT = Path(__file__).parents[2]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 
-    project = Path(__file__).parents[2] / "pyproject.toml"
-    assert tomllib.loads(project.read_text())["project"]["version"] == dem_jax.__version__
+
+def test_the_version_is_that_of_the_project():
+    assert PROJECT["version"] == dem_jax.__version__
+    assert f"\nversion: {dem_jax.__version__}\n" in (ROOT / "CITATION.cff").read_text()
+    assert f"\n## {dem_jax.__version__}\n" in (ROOT / "CHANGELOG.md").read_text()
+
+
+@pytest.mark.parametrize("name", PROJECT["scripts"])
+def test_each_script_is_a_command_with_help(name, capsys):
+    module, function = PROJECT["scripts"][name].split(":")
+    with pytest.raises(SystemExit) as stop:
+        getattr(import_module(module), function)(["--help"])
+    assert stop.value.code == 0 and "usage:" in capsys.readouterr().out

@@ -158,7 +158,7 @@ def test_a_run_killed_before_its_first_flush_begins_anew(whole, copy):
 
 def test_a_file_with_but_a_beginning_is_overwritten_if_asked(copy, capsys):
     beginning_of(copy)
-    assert "run.h5 exists; give another name, or overwrite" in refused(["run", *SHORT, "--out", str(copy)], capsys)
+    assert "run.h5 exists; allowed: another name by --out, or --overwrite" in refused(["run", *SHORT, "--out", str(copy)], capsys)
     assert main(["run", *SHORT, "--out", str(copy), "--overwrite"]) == 0
 
 

@@ -110,7 +110,7 @@ def test_room_is_grown_for_all(side_by_side, monkeypatch, room, note):
     full = build.system.capacity
     monkeypatch.setattr(build.system, "capacity", lambda *a: (("hulls", *room), *full(*a)[1:]))
     grown = driven(job_of())
-    assert any(note in line for line in grown.info["notes"])
+    assert any(note in line for line in grown.info["reruns"])
     assert_same(grown, side_by_side)
 
 

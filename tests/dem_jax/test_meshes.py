@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from dem_jax import shapes
+from dem_jax import build, shapes
 from dem_jax.errors import SceneError
+from dem_jax.scene import parse
 from dem_jax.shapes import meshes
 
 SINGLE = 1e-6  # relative; an STL stores single precision
@@ -260,3 +261,18 @@ def test_doubled_facets_are_read_once_and_it_is_said_what_was_read(tmp_path, cap
     changes = {"run.duration": 1e-4, "piece": [{"shape": "sphere", "radius": 0.01, "position": [0, 0, 0.2]}]}
     lines = summary(simulate(load_scene("scene.toml", changes)))
     assert [line for line in lines if line.startswith(f"note: {said}")]
+
+
+@pytest.mark.parametrize("unit, fits", [("", False), ("unit = 1e-3", True), ("unit = 1.0", True)])
+def test_an_stl_that_is_in_millimetres_is_asked_about(tmp_path, unit, fits):
+    import trimesh
+
+    trimesh.creation.box((20.0, 15.0, 10.0)).export(tmp_path / "bean.stl")
+    piece = parse(f'[[piece]]\nshape = "hull"\nposition = [0, 0, 1]\nstl = "bean.stl"\n{unit}').piece[0]
+    wall = parse(f'[[piece]]\nposition = [0, 0, 1]\n[[wall]]\ngroup = "w"\nstl = "bean.stl"\n{unit}').wall[0]
+    for made, row in ((build.pieces.make_shape, piece), (build.walls.written_out, wall)):
+        if fits:
+            made(row, tmp_path)
+            continue
+        with pytest.raises(SceneError, match=r"stl = 'bean\.stl' is 20 x 15 x 10 m large; allowed: unit = 1e-3 if it is in mm"):
+            made(row, tmp_path)

@@ -50,7 +50,7 @@ def test_a_list_without_room_grows_and_the_run_is_the_same(runs):
     small = job.system.partition._replace(pairs=60, cell=1, reach=4e-4, sides=(3, 3, 3))
     job = replace(job, system=job.system.replace(partition=small))
     grown = drive(job, None, False, False)
-    notes = " ".join(grown.header.info["notes"])
+    notes = " ".join(grown.header.info["reruns"])
     assert "more than 60 pairs in the list of jax-md" in notes
     assert "pieces in a cell of jax-md for 1" in notes and "for a list of jax-md within 0.0004 m" in notes
     ample = runs["jax-md"]

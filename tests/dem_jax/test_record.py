@@ -315,7 +315,7 @@ def test_nothing_is_overwritten_unasked_and_the_old_file_stays_until_there_is_so
     written(path)
     before = path.read_bytes()
     run = load_run(path)
-    with pytest.raises(RecordError, match=r"run\.h5 exists; give another name, or overwrite"):
+    with pytest.raises(RecordError, match=r"run\.h5 exists; allowed: another name, or overwrite=True"):
         run.save(path)
     with pytest.raises(RecordError, match=r"run\.h5 exists"):
         Writer.create(path, header())

@@ -1,5 +1,8 @@
 """Pictures: what hides what, against cast rays; pieces where they are; see-through walls; strips and animations."""
 
+import sys
+from importlib.util import find_spec
+
 import matplotlib.image
 import numpy as np
 import pytest
@@ -200,6 +203,21 @@ def test_an_animation_has_all_frames_moves_and_loops(tmp_path):
     assert (np.diff(heights)[:10] > 0).all() and heights[-1] > 1.8 * heights[0]
 
 
+def test_a_video_shows_the_same_pictures(tmp_path):
+    imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
+    frames, pieces, walls = falling()
+    render(frames, pieces, walls, lambda t: STILL, tmp_path / "drop.mp4", fps=20)
+    reader = imageio_ffmpeg.read_frames(str(tmp_path / "drop.mp4"))
+    facts = next(reader)
+    shown = [np.frombuffer(picture, np.uint8).reshape(*facts["size"][::-1], 3) for picture in reader]
+    assert len(shown) == 12 and facts["fps"] == 20
+    heights = []
+    for picture in shown:
+        picture = picture[60:, : int(0.8 * picture.shape[1])] / 255
+        heights.append(np.flatnonzero((picture[..., 0] - picture[..., 2] > 0.06).any(axis=1)).mean())
+    assert (np.diff(heights)[:10] > 0).all() and heights[-1] > 1.8 * heights[0]
+
+
 def test_moving_walls_are_drawn_where_they_are():
     frames, pieces, _ = falling()
     flap = {"flap": [panel([(0, 0, 0), (0.1, 0, 0), (0.1, 0.1, 0), (0, 0.1, 0)])]}
@@ -234,17 +252,24 @@ def test_a_piece_that_is_no_longer_anywhere_is_left_out(tmp_path):
     assert (pixels(tmp_path / "now.png").min(axis=-1) < 0.9).mean() > 0.1
 
 
-def test_what_cannot_be_drawn_is_said_in_one_line(tmp_path):
+def test_what_cannot_be_drawn_is_said_in_one_line(tmp_path, monkeypatch):
     frames, pieces, walls = falling()
-    with pytest.raises(RecordError, match=r"now\.bmp must end in one of: \.png, \.pdf, \.svg, \.gif"):
+    with pytest.raises(RecordError, match=r"now\.bmp must end in one of: \.png, \.pdf, \.svg, \.gif, \.mp4"):
         render(frames, pieces, walls, lambda t: STILL, tmp_path / "now.bmp")
     with pytest.raises(RecordError, match=r"the run has no frames; set run\.frames"):
         render(None, pieces, walls, lambda t: STILL, tmp_path / "now.png")
     ensemble = Frames(frames.time, *(np.stack([getattr(frames, n)] * 2) for n in list(vars(frames))[1:]))
     with pytest.raises(RecordError, match="frames of an ensemble; choose one of its runs"):
         render(ensemble, pieces, walls, lambda t: STILL, tmp_path / "now.png")
+    for instants in ({"at": 5.0}, {"at": -0.1}, {"strip": [0.0, 5.0]}):
+        with pytest.raises(RecordError, match=r"no frame was stored at .* s; allowed: 0 to 0\.22 s"):
+            render(frames, pieces, walls, lambda t: STILL, tmp_path / "now.png", **instants)
+    with monkeypatch.context() as patch:
+        patch.setitem(sys.modules, "imageio_ffmpeg", None)  # as where it is not installed
+        with pytest.raises(RecordError, match=r"now\.mp4 needs imageio-ffmpeg: pip install 'product-impact\[video\]'"):
+            render(frames, pieces, walls, lambda t: STILL, tmp_path / "now.mp4")
     with pytest.raises(RecordError, match="colour = 'spin' is unknown"):
         render(frames, pieces, walls, lambda t: STILL, tmp_path / "now.png", colour="spin")
-    for name in ("now.png", "now.gif"):
+    for name in ("now.png", "now.gif", *(["now.mp4"] if find_spec("imageio_ffmpeg") else [])):
         with pytest.raises(RecordError, match="cannot be written: No such file"):
             render(frames, pieces, walls, lambda t: STILL, tmp_path / "nowhere" / name)

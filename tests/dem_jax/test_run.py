@@ -20,6 +20,7 @@ from dem_jax.drive.prepare import prepare
 from dem_jax.errors import RecordError, SceneError, SimulationError
 from dem_jax.maths.pose import matrix_of_quaternion
 from dem_jax.pairs import guard
+from dem_jax.show.summary import summary
 
 G = 9.81
 
@@ -222,12 +223,13 @@ def crowd(**changes):
 def test_a_run_that_outgrows_its_capacities_equals_one_with_ample_room(monkeypatch):
     """Slots only change the order of sums over walls: 1e-12 of the largest value leaves room for rounding."""
     ample = dem_jax.simulate(crowd())
-    assert "notes" not in ample.info
+    assert "reruns" not in ample.info
     tight = (("mixed", 1, 1), ("spheres", 1, 1))
     monkeypatch.setattr(build.system, "capacity", lambda *_: tight)
     grown = dem_jax.simulate(crowd())
-    assert any("candidate pairs of spheres for 1" in note for note in grown.info["notes"])
-    assert any("run again with more room" in note for note in grown.info["notes"])
+    assert any("candidate pairs of spheres for 1" in note for note in grown.info["reruns"])
+    assert any("run again with more room" in note for note in grown.info["reruns"])
+    assert not any("room" in line for line in summary(grown)), "what was handled is nothing to worry a person with"
     assert_same(ample, grown, exactly=False, tolerance=1e-12)
 
 
@@ -240,7 +242,7 @@ def test_a_piece_with_more_contacts_than_foreseen_is_given_room():
         state = guard.with_scratch(system, job.state)
     job = replace(job, system=system, state=state)
     grown = drive(job, None, False, False)
-    assert any("contacts of a piece for 1" in note for note in grown.info["notes"])
+    assert any("contacts of a piece for 1" in note for note in grown.info["reruns"])
     assert_same(ample, grown, exactly=False, tolerance=1e-12)
 
 
@@ -251,7 +253,7 @@ def test_pieces_that_outrun_the_skin_are_run_again_with_a_larger_one():
     with jax.enable_x64(True):
         job = replace(job, system=job.system.replace(skin=job.system.skin * 1e-5))
     grown = drive(job, None, False, False)
-    assert any("than expected between rebuilds, with a skin of" in note for note in grown.info["notes"])
+    assert any("than expected between rebuilds, with a skin of" in note for note in grown.info["reruns"])
     assert_same(ample, grown, exactly=False, tolerance=1e-9)  # not bits: how long a fall is a jump depends on the skin
 
 
@@ -410,7 +412,7 @@ def test_grown_capacities_are_kept_over_a_restart(tmp_path, monkeypatch):
     resumed = dem_jax.resume(tmp_path / "run.h5", duration=0.02)
     whole = dem_jax.load_run(tmp_path / "whole.h5")
     assert_same(whole, resumed)
-    assert resumed.info["notes"] == whole.info["notes"]
+    assert resumed.info["reruns"] == whole.info["reruns"]
 
 
 def test_a_restart_state_that_does_not_fit_is_refused(tmp_path, uninterrupted):

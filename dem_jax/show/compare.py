@@ -1,0 +1,101 @@
+"""Runs and ensembles beside each other: by how much their numbers differ, and whether that is beyond chance."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from dem_jax.show.numbers import HIGH, LOW, Number, numbers_of
+from dem_jax.store.run import Run
+
+RESAMPLED = 1000  # times that an ensemble is drawn anew from itself
+
+
+class Difference(NamedTuple):
+    """By how much a number of one run is above that of another.
+
+    by: difference of the medians, in unit. low, high: its 5 to 95 % interval; nan of two single runs. relative: by over
+    the size of the other's median; nan if that is 0.
+    """
+
+    name: str
+    unit: str
+    this: float
+    other: float
+    by: float
+    low: float
+    high: float
+
+    @property
+    def relative(self) -> float:
+        return self.by / abs(self.other) if self.other else np.nan
+
+    @property
+    def told(self) -> bool:
+        """Whether it is beyond chance: zero is not within the interval."""
+        return bool(self.low > 0.0 or self.high < 0.0)
+
+
+def differences(this: Run, other: Run, group: str | None = None, block: str | None = None) -> list[Difference]:
+    """Differences of the numbers that both have. Raises RecordError as ``numbers_of``."""
+    others = {number.name: number for number in numbers_of(other, group, block)}
+    return [_difference(n, others[n.name]) for n in numbers_of(this, group, block) if n.name in others]
+
+
+def _difference(this: Number, other: Number) -> Difference:
+    by = this.median - other.median
+    low, high = _interval(*(n.values[np.isfinite(n.values)] for n in (this, other)))
+    return Difference(this.name, this.unit, this.median, other.median, by, low, high)
+
+
+def _interval(this: np.ndarray, other: np.ndarray) -> tuple[float, float]:
+    """Of two ensembles: that of the difference of medians, by bootstrap (Efron 1979). Of a single run and an ensemble: by
+    how much the run is above the ensemble's own band, from which it tells a run that is not one of them."""
+    if min(len(this), len(other)) == 0 or max(len(this), len(other)) == 1:
+        return np.nan, np.nan
+    if len(this) == 1:
+        high, low = np.quantile(other, [LOW, HIGH])
+        return float(this[0] - low), float(this[0] - high)
+    if len(other) == 1:
+        low, high = np.quantile(this, [LOW, HIGH])
+        return float(low - other[0]), float(high - other[0])
+    rng = np.random.default_rng(0)
+    drawn = [np.median(rng.choice(this, len(this))) - np.median(rng.choice(other, len(other))) for _ in range(RESAMPLED)]
+    low, high = np.quantile(drawn, [LOW, HIGH])
+    return float(low), float(high)
+
+
+def compared(names: Sequence[str], runs: Sequence[Run], group: str | None = None, block: str | None = None) -> list[str]:
+    """Lines that say by how much each run differs from the first; none for a single run.
+
+    names: what the runs are called. Raises RecordError as ``numbers_of``.
+    """
+    lines = []
+    for name, run in zip(names[1:], runs[1:], strict=True):
+        found = differences(run, runs[0], group, block)
+        lines += [f"{difference.name}: {_words(difference, name, names[0])}" for difference in found]
+        if found:
+            lines.append(_verdict(found, name, names[0], runs[0], run))
+    return lines
+
+
+def _words(d: Difference, name: str, first: str) -> str:
+    if not np.isfinite(d.by):
+        have = [n for n, value in ((name, d.this), (first, d.other)) if np.isfinite(value)]
+        return f"only {have[0]} has one" if have else "neither has one"
+    values = f"{name} {d.this:.4g} {d.unit}, {first} {d.other:.4g} {d.unit}"
+    if d.by == 0.0:
+        return f"{values}: the same"
+    share = f" ({100 * d.relative:+.3g} %)" if np.isfinite(d.relative) else ""
+    interval = "" if np.isnan(d.low) else f"; 5 to 95 %: {d.low:+.3g} to {d.high:+.3g} {d.unit}"
+    return f"{values}: {d.by:+.4g} {d.unit}{share}{interval}"
+
+
+def _verdict(found: Sequence[Difference], name: str, first: str, *runs: Run) -> str:
+    """In which numbers two differ beyond chance."""
+    if all(run.run_count is None for run in runs):
+        return f"{name} against {first}: one run each, so how much of this is chance is not known; ensembles tell"
+    sure = [d.name for d in found if d.told]
+    if not sure:
+        return f"{name} against {first}: no difference is beyond chance (zero is within 5 to 95 % of each)"
+    return f"{name} against {first}: beyond chance (zero is outside 5 to 95 %): {', '.join(sure)}"

@@ -1,0 +1,118 @@
+"""A run's product, scene and computation in words and units."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from dem_jax.build.pieces import Goods, goods_of
+from dem_jax.scene import Scene, parse
+from dem_jax.scene.materials import MaterialTable, material_table, rows_of_pieces
+from dem_jax.shapes import extents
+from dem_jax.store.run import Run
+
+Facts = list[tuple[str, str]]  # what, and what there is to say of it
+EXPONENT = {"walton-braun": 0.5, "linear-dashpot": 0.5, "hertz-mindlin": 0.4}  # of stiffness, in the peak of one impact
+
+
+def facts_of(run: Run) -> dict[str, Facts]:
+    """"Product", "Scene" and "Computation" of a run, from the scene in its file. Raises SceneError."""
+    scene = parse(run.scene, "the file's scene")
+    return {"Product": _product(scene), "Scene": _scene(scene, run), "Computation": _computation(scene, run)}
+
+
+def stiffness_said(run: Run) -> str:
+    """How the peak depends on Young's modulus and NSF (eqs 5, 7 and 8), in words."""
+    scene = parse(run.scene, "the file's scene")
+    nsf, power = scene.material.softening, EXPONENT[scene.contact.law]
+    table = material_table(scene)
+    moduli = [f"{_si(e, 'Pa')}" for e in dict.fromkeys(table.youngs_modulus[~table.is_wall].tolist())]
+    words = f"E of the pieces is {', '.join(moduli)}, and NSF = {nsf:g} multiplies all moduli"
+    grows = f"the peak of a single impact grows with the power {power:g} of E · NSF"
+    real = "" if nsf == 1.0 else f", so without softening (NSF = 1) it would be {nsf**-power:.3g} times as high"
+    return f"{words}: {grows}{real}; that of a portion changes less, as harder impacts are shorter and coincide less."
+
+
+def weight_of(run: Run) -> float:
+    """Mass (kg) of all pieces of a run. Raises SceneError."""
+    return float(_masses(*_goods(parse(run.scene, "the file's scene"))).sum())
+
+
+def _goods(scene: Scene) -> tuple[Goods, MaterialTable]:
+    return goods_of(scene), material_table(scene)
+
+
+def _masses(goods: Goods, table: MaterialTable) -> np.ndarray:
+    """[N] (kg)."""
+    return table.density[rows_of_pieces(table, goods.materials)] * np.array([shape.volume for shape in goods.shapes])
+
+
+def _product(scene: Scene) -> Facts:
+    goods, table = _goods(scene)
+    mass = _masses(goods, table)
+    kinds = [(shape.name, name) for shape, name in zip(goods.shapes, goods.materials, strict=True)]
+    size = np.array([1e3 * extents(shape) for shape in goods.shapes])
+    facts: Facts = []
+    for kind in dict.fromkeys(kinds):
+        of = np.array([k == kind for k in kinds])
+        edges = " × ".join(_between(axis) for axis in size[of].T) if kind[0] != "sphere" else f"⌀ {_between(size[of][:, 0])}"
+        words = f"{edges} mm, {_between(1e3 * mass[of])} g each" + (f", of {kind[1]}" if kind[1] else "")
+        facts.append((f"{of.sum()} × {kind[0]}", words))
+    asked = scene.portion and scene.portion.count is None and scene.feeder is None
+    wish = f"; {1e3 * scene.portion.target_weight:g} g asked for" if asked and scene.portion else ""
+    facts.append(("together", f"{len(mass)} piece{'s' if len(mass) != 1 else ''}, {1e3 * mass.sum():.4g} g{wish}"))
+    return facts + [_material(table, k) for k in range(len(table.names)) if not table.is_wall[k]]
+
+
+def _material(table: MaterialTable, k: int) -> tuple[str, str]:
+    """A material of pieces; of several walls the range of what holds on them."""
+    walls = np.flatnonzero(table.is_wall)
+    words = f"{table.density[k]:g} kg/m³, E = {_si(table.youngs_modulus[k], 'Pa')}, ε = {table.restitution[k, k]:g}"
+    on_walls = f", {_between(table.friction[k, walls])} on walls" if len(walls) else ""
+    return (f"material {table.names[k]}", f"{words}, μ = {table.friction[k, k]:g} between pieces{on_walls}")
+
+
+def _scene(scene: Scene, run: Run) -> Facts:
+    facts: Facts = [("name", scene.name)]
+    if scene.feeder:
+        pan = f"{1e3 * scene.feeder.length:g} × {1e3 * scene.feeder.width:g} mm"
+        facts.append(("feeder", f"pan of {pan}, {scene.feeder.frequency:g} Hz"))
+    for name, bucket in (("feed bucket", scene.feed_bucket), ("weigh bucket", scene.weigh_bucket)):
+        if bucket:
+            mouth = " × ".join(f"{1e3 * edge:g}" for edge in bucket.mouth)
+            flaps = f"flaps {bucket.flap_angle_deg:g}° steep"
+            facts.append((name, f"mouth {mouth} mm, walls {1e3 * bucket.wall_height:g} mm high, {flaps}"))
+    if scene.feed_bucket and scene.weigh_bucket:
+        facts.append(("drop", f"{1e3 * scene.drop.height:g} mm between the lower edges of their flaps"))
+    facts.append(("wall groups", ", ".join(run.header.groups) or "none"))
+    if any(run.header.gravity):
+        facts.append(("gravity", f"{np.linalg.norm(run.header.gravity):g} m/s²"))
+    return facts
+
+
+def _computation(scene: Scene, run: Run) -> Facts:
+    seeds = run.seed if isinstance(run.seed, tuple) else (run.seed,)
+    runs = "" if run.run_count is None else f"{run.run_count} runs, "
+    facts = [
+        ("contact law", f"{scene.contact.law}, NSF = {scene.material.softening:g}"),
+        ("time step", f"{1e6 * run.dt:.4g} µs"),
+        ("sample time", f"{1e6 * run.sample:.4g} µs"),
+        ("duration", f"{run.time[-1]:.4g} s from the release"),
+        ("runs", f"{runs}seed {seeds[0]}" + (f" to {seeds[-1]}" if len(seeds) > 1 else "")),
+        ("precision", {"f32": "single", "f64": "double"}[run.precision]),
+        ("program", f"dem_jax {run.version}"),
+    ]
+    return facts
+
+
+def _between(values: Sequence[float] | np.ndarray) -> str:
+    """One value, or the least and the largest."""
+    low, high = f"{np.min(values):.4g}", f"{np.max(values):.4g}"
+    return low if low == high else f"{low} to {high}"
+
+
+def _si(value: float, unit: str) -> str:
+    """A value with k, M or G before its unit."""
+    for factor, prefix in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
+        if value >= factor:
+            return f"{value / factor:.4g} {prefix}{unit}"
+    return f"{value:.4g} {unit}"
