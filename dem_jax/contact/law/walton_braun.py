@@ -1,4 +1,4 @@
-"""Walton-Braun hysteretic linear spring, eqs 1-6 of the paper, the Coulomb-limited tangential spring, and ``rest`` where asked for."""
+"""Walton-Braun hysteretic linear spring, eqs 1-6 of the paper, the Coulomb-limited tangential spring and, if asked, ``rest``."""
 
 from typing import NamedTuple
 
