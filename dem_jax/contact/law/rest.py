@@ -15,7 +15,7 @@ never make the normal force adhesive nor larger than that of the loading line, n
     F_n + c_n s',    c_n = 2 zeta sqrt(m K_nu);    F_t - c_t u',    c_t = 2 zeta sqrt(m K_t).
 
 Between polytopes there are also the spring and the dashpot of a patch of radius r = L / 20 against any turn d of one body on
-the other; the spring slips beyond the torque that an arm l = L / 4000 gives the normal force:
+the other; the spring slips beyond the torque that an arm l = L / 1000 gives the normal force:
 
     dM = -K_nl r^2 dd,    |M| <= l F_n,    M - c_n r^2 d'  while it does not slip.
 
@@ -36,7 +36,7 @@ Array = jax.Array
 
 WAIT = 10  # quarter periods of the loading branch, T; an impact, that of two corners one after the other too, is over sooner
 RADIUS = 1 / 20  # r / L: no piece is so slender that its turning is the quickest motion
-ARM = 1 / 4000  # l / L
+ARM = 1 / 1000  # l / L
 
 
 class Resting(NamedTuple):
