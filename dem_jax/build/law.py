@@ -26,7 +26,8 @@ def law_of(scene: Scene) -> ContactLaw:
 def _walton_braun(scene: Scene) -> ContactLaw:
     m = scene.material
     damping = _number(m.unloading_damping) if m.unloading_damping else None
-    return WaltonBraun(_number(m.separation), _number(m.tangential_stiffness), damping)
+    at_rest = _number(m.rest_damping) if m.rest_damping else None
+    return WaltonBraun(_number(m.separation), _number(m.tangential_stiffness), damping, at_rest)
 
 
 def _number(value: float) -> Array:

@@ -90,7 +90,8 @@ def _resolve(
     a, b = bodies.take(stacked, slots.a), bodies.take(stacked, slots.b)
     offset = bodies.offset(a, b)
     depth, rest, facing = geometry(system, kind, slots, a, b, offset, known)
-    loaded = lambda: _loaded(system, memory, slots, a, b, offset, rest(), siblings)  # noqa: E731
+    turn = vector.scale(system.dt, vector.sub(b.spin, a.spin)) if kind == "hulls" else None
+    loaded = lambda: _loaded(system, memory, slots, a, b, offset, rest(), siblings, turn)  # noqa: E731
     if kind != "hulls" or not system.slot_block:
         return loaded()
     is_touching = jnp.any((_within(system, slots, depth) > 0) & slots.live | (memory.overlap > 0))
@@ -119,8 +120,9 @@ def _loaded(
     offset: Vector,
     shape: collide.Geometry,
     siblings: seams.Siblings | None,
+    turn: Vector | None,
 ) -> Contacts:
-    """The contact law's answer to contacts of a shape in world axes."""
+    """The contact law's answer to contacts of a shape in world axes; turn: as in Contact."""
     overlap = jnp.where(slots.live, shape.depth, -1)
     at_b = vector.sub(shape.point, offset)
     if a.arm is not None and b.arm is not None:  # from here on about the centres of the pieces
@@ -139,7 +141,7 @@ def _loaded(
         memory = seams.memory(memory, siblings)
     within = _within(system, slots, overlap)
     slip, approach = _motion(system, a, b, offset, memory, shape.normal, at_b, within)
-    answer = system.law.force(slots.pair, memory.law, Contact(overlap, approach, slip, shape.normal, system.dt))
+    answer = system.law.force(slots.pair, memory.law, Contact(overlap, approach, slip, shape.normal, system.dt, turn))
     force = vector.scale(answer.push, shape.normal)
     if answer.drag is not None:
         force = vector.add(force, answer.drag)
@@ -148,8 +150,11 @@ def _loaded(
     after = Memory(jnp.maximum(within, 0), jnp.stack(at_b), answer.history)
     deepest = of_run.largest_of_contacts(system, overlap / slots.width, slots.b)
     reaction = vector.scale(-1, force)
-    load_a = jnp.stack([*reaction, *vector.cross(shape.point, reaction)])
-    load_b = jnp.stack([*force, *vector.cross(at_b, force)])
+    on_a, on_b = vector.cross(shape.point, reaction), vector.cross(at_b, force)
+    if answer.twist is not None:
+        twist = answer.twist if share is None else vector.scale(share, answer.twist)
+        on_a, on_b = vector.sub(on_a, twist), vector.add(on_b, twist)
+    load_a, load_b = jnp.stack([*reaction, *on_a]), jnp.stack([*force, *on_b])
     return Contacts(after, load_a, load_b, deepest)
 
 

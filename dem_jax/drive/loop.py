@@ -12,7 +12,7 @@ from typing import Any, NoReturn
 import jax
 import numpy as np
 
-from dem_jax.drive import failure, hosts
+from dem_jax.drive import failure, hosts, ringing
 from dem_jax.drive.execute import execute
 from dem_jax.drive.job import Job
 from dem_jax.drive.progress import Progress
@@ -67,6 +67,10 @@ def _news(job: Job, span: Span, notes: list[str], shown: Progress) -> list[str]:
         if not any(known.startswith(note) for known in (*notes, *news)):
             news.append(f"{note} before t = {span.end * job.scene.run.sample:.4g} s")
             shown.note(news[-1])
+    for note in ringing.notes(job, span):
+        if note not in notes:
+            news.append(note)
+            shown.note(note)
     return news
 
 

@@ -1,6 +1,7 @@
-"""A piece at rest on a plate: the law's ringing, the mean force, and the optional damping that ends the ringing."""
+"""A piece at rest on a plate: the law's ringing, the mean force, and the two kinds of damping that end the ringing."""
 
 from functools import partial
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -8,7 +9,11 @@ import numpy as np
 import pytest
 
 from dem_jax import build, validation
+from dem_jax.contact.law import rest
+from dem_jax.drive import ringing
+from dem_jax.errors import SceneError
 from dem_jax.scene import load_scene
+from dem_jax.step import measure
 
 G = 9.81  # m/s2
 DROP = 2e-3  # m: 0.2 m/s, which at epsilon = 0.1 does not bounce off (threshold 0.743 m/s)
@@ -55,6 +60,10 @@ def test_rest(shape, half):
 def test_damping_is_off_by_default():
     assert load_scene("plate-drop").material.unloading_damping == 0
     assert load_scene("weigh-bucket").material.unloading_damping == 0
+    made = build.build(load_scene("weigh-bucket"))
+    assert made.system.law.at_rest is None
+    history = jax.tree.leaves([table.memory.law for table in made.state.contacts.values()])
+    assert len(history) == 2 * len(made.state.contacts)  # normal and tangential force, nothing else
 
 
 def test_damping_leaves_the_first_peak_alone():
@@ -64,3 +73,108 @@ def test_damping_leaves_the_first_peak_alone():
     every = 10  # of 6 us: 24 ms, the fall takes 20
     peaks = [np.asarray(fall(made.system, made.state, jnp.asarray(d), every)["force"]) for d in (0.0, 0.2)]
     assert peaks[0].max() == peaks[1].max() > 1.0
+
+
+# Damping at rest, contact.law.rest.
+EVERY, READINGS = 5, 1500  # steps of 44 us: 0.33 s
+TILTED = [(1.0, 0.0, 0.0, 0.0), (0.9, 0.3, 0.2, 0.1), (0.5, 0.7, -0.3, 0.2)]  # on a face, an edge, a corner
+
+
+@jax.jit
+def slow_motion(system, state):
+    def read(system, state):
+        found = validation.motion(system, state) | {"energy": measure.energies(system, state)[:, 0]}
+        return found | {"age": jnp.max(state.contacts["hulls"].memory.law.resting.age)}
+
+    return validation.trace(validation.lasting(system), state, READINGS, read, EVERY)[1]
+
+
+@pytest.fixture(scope="module")
+def damped():
+    """A marshmallow on a plate that leans by 10 degrees."""
+    angle = np.radians(10.0)
+    gravity = (float(G * np.sin(angle)), 0.0, float(-G * np.cos(angle)))
+    piece = {"position": (0.0, 0.0, 0.008 + 1e-4)}
+    return build.build(validation.plate_scene(piece, gravity, restitution=0.7, rest_damping=0.2))
+
+
+def test_a_piece_on_a_slope_comes_to_rest(damped):
+    found = jax.tree.map(np.asarray, slow_motion(damped.system, damped.state))
+    assert found["age"][-1] > 1
+    # Rings at 0.5 kHz and is damped at a fifth of critical: nothing is left after 0.1 s of rest.
+    late = slice(2 * READINGS // 3, None)
+    assert np.abs(found["velocity"][late]).max() < 1e-12
+    assert np.ptp(found["position"][late], axis=0).max() < 1e-15
+    weight = float(damped.system.pieces.mass[0]) * -float(damped.system.gravity[2])
+    assert np.abs(found["force"][late] / weight - 1).max() < 1e-9
+    # The ledger has what the dashpots took: nothing appears, and the total stays to second order in the time step.
+    total, lost = found["energy"][:, 5], found["energy"][:, 3]
+    fell = weight * 1e-4
+    assert np.abs(total - total[0]).max() < 0.02 * fell
+    assert fell < lost[-1] < 1.5 * fell  # it slides on a little
+
+
+@pytest.mark.parametrize("orientation", TILTED, ids=["face", "edge", "corner"])
+def test_no_impact_feels_the_damping_at_rest(damped, orientation):
+    q = np.asarray(orientation) / np.linalg.norm(orientation)
+    state = damped.state.moved(
+        position=jnp.array([[0.0], [0.0], [0.04]]), velocity=jnp.array([[0.0], [0.0], [-2.0]]), orientation=jnp.asarray(q)[:, None]
+    )
+    found = {k: np.asarray(v) for k, v in slow_motion(damped.system, state).items()}
+    begin = np.argmax(found["force"] > 0)
+    length = np.argmax(found["force"][begin:] == 0)
+    assert length > 2
+    # It never comes near to rest, and below an age of 1 nothing is added at all: test_nothing_is_added_before_rest.
+    assert found["age"][: begin + length].max() < 0.5
+
+
+def test_nothing_is_added_before_rest():
+    ages = jnp.array([0.0, 0.5, 1 - 1e-9])
+    one = jnp.ones(3)
+    spring = rest.Spring(one, one, one, one, 0.2 * one)
+    ways = (one, one, one)
+    assert (rest.push(ages, spring, one, 0.1, -one, one) == 0).all()
+    for found, elastic in zip(rest.drag(ages, spring, one, ways, ways, 0.1 * one, 0.1), ways, strict=True):
+        assert (found == elastic).all()
+    torque, elastic = rest.twist(rest.Resting(ages, jnp.ones((3, 3))), ages, spring, ways, one, 0.1)
+    assert (jnp.stack(torque) == 0).all() and (jnp.stack(elastic) == 0).all()
+
+
+def test_rest_begins_after_ten_quarter_periods_and_outlasts_a_touch():
+    one = jnp.ones(1)
+    spring = rest.Spring(one, one, one, one, 0.2 * one)
+    quarter = np.pi / 2
+    age, steps = jnp.zeros(1), 0
+    while age[0] < 1:
+        age, steps = rest.aged(age, True, spring, 0.01 * quarter), steps + 1
+    assert abs(steps - 1000) <= 1
+    age = rest.aged(age, True, spring, 0.01 * quarter)
+    touched = rest.aged(age, False, spring, 0.5 * quarter)
+    assert touched[0] >= 1 and rest.aged(touched, True, spring, 0.01 * quarter)[0] == 2
+    assert rest.aged(touched, False, spring, 0.6 * quarter)[0] == 0
+
+
+def test_what_may_be_asked_of_damping_at_rest():
+    with pytest.raises(SceneError, match=r"material\.rest_damping.*0\.5"):
+        load_scene("plate-drop").replace({"material.rest_damping": 0.6})
+    with pytest.raises(SceneError, match=r'material\.rest_damping = 0\.2: law "linear-dashpot" has no such key'):
+        load_scene("plate-drop").replace({"material.rest_damping": 0.2, "contact.law": "linear-dashpot"})
+
+
+@pytest.mark.parametrize(
+    ("changes", "fastest", "end", "is_said"),
+    [
+        ({}, 0.005, 300, True),
+        ({}, 0.005, 199, False),  # not 2 s yet
+        ({}, 0.2, 300, False),  # faster than run.settled_speed
+        ({"material.rest_damping": 0.2}, 0.005, 300, False),
+        ({"material.unloading_damping": 0.05}, 0.005, 300, False),
+        ({"contact.law": "linear-dashpot"}, 0.005, 300, False),
+        ({"run.gravity": (0.0, 0.0, 0.0)}, 0.005, 300, False),  # slow, but at rest on nothing
+    ],
+)
+def test_runs_say_where_rest_is_not_damped(changes, fastest, end, is_said):
+    job = SimpleNamespace(scene=load_scene("plate-drop").replace({"run.sample": 0.01} | changes), own_law=False)
+    samples = SimpleNamespace(fastest=np.array([[fastest] * 300, [1.0] * 300]))  # of two runs
+    span = SimpleNamespace(count=end, end=end, samples=samples)
+    assert ringing.notes(job, span) == ([ringing.NOTE] if is_said else [])

@@ -41,6 +41,7 @@ class Contact(NamedTuple):
     slip: Vector  # [P] x 3 (m): tangential way of b relative to a at the contact point in this step
     normal: Vector  # [P] x 3: unit, from a to b
     dt: Array  # (s)
+    turn: Vector | None = None  # [P] x 3 (rad): turn of b relative to a in this step, world axes; None unless both are polytopes
 
 
 class Response(NamedTuple):
@@ -49,6 +50,7 @@ class Response(NamedTuple):
     push: Array  # [P] (N): along the normal on b; positive pushes apart
     drag: Vector | None  # [P] x 3 (N): tangential, on b; None of a law without friction
     history: Any  # as it was given, after this step
+    twist: Vector | None = None  # [P] x 3 (N m): torque on b beside that of the force at the contact point, -twist on a
 
 
 class ContactLaw(Protocol):

@@ -77,7 +77,8 @@ class Cohesive:
         holds = (c.overlap > 0) | ((history.bond > 0) & (c.overlap > -self.reach(pair)))
         tension = jnp.clip(history.tension - pair.stiffness * c.approach, 0, self._limit(pair, c.overlap))
         tension = vector.kept(jnp.where(holds, tension, 0))
-        return Response(answer.push - tension, answer.drag, History(answer.history, tension, holds.astype(tension.dtype)))
+        after = History(answer.history, tension, holds.astype(tension.dtype))
+        return answer._replace(push=answer.push - tension, history=after)
 
     def energy(self, pair: Pair, history: History, overlap: Array) -> Array:
         """Of the law and of the tension's spring (J)."""

@@ -1,4 +1,4 @@
-"""Walton-Braun hysteretic linear spring, eqs 1-6 of the paper, with the Coulomb-limited tangential spring."""
+"""Walton-Braun hysteretic linear spring, eqs 1-6 of the paper, the Coulomb-limited tangential spring and, if asked, ``rest``."""
 
 from typing import NamedTuple
 
@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dem_jax.contact.law import Contact, Couple, Response
+from dem_jax.contact.law import Contact, Couple, Response, rest
 from dem_jax.contact.law.friction import tangential_force, where_rough
 from dem_jax.contact.law.springs import Real, quarter_period, series
 from dem_jax.maths import vector
@@ -25,6 +25,7 @@ class Pair(NamedTuple):
     restitution: Array  # epsilon of eq. 6
     friction: Array | None  # mu
     mass: Array | None  # (kg): effective mass, where there is damping
+    size: Array | None = None  # (m): L of the smaller body, where contacts come to rest
 
     @property
     def unload(self) -> Array:
@@ -37,6 +38,7 @@ class History(NamedTuple):
 
     force: Array  # [P] (N): F_n
     spring: Array | None  # [3, P] (N): tangential force on b, world axes; None without friction
+    resting: rest.Resting | None = None  # None: eqs 1-4 alone, at rest too
 
 
 @pytree
@@ -46,17 +48,20 @@ class WaltonBraun:
     separation: Array  # lambda of eq. 1
     tangential: Array  # K_t / K_nl
     damping: Array | None  # damping ratio of the unloading branch; None: as in the paper
+    at_rest: Array | None = None  # that of contacts at rest, see ``rest``; None: likewise
 
     def pair(self, couple: Couple) -> Pair:
         """K_nl = E L of each body (eqs 7, 8), in series (eq. 5)."""
         of_a, of_b = (e * size for e, size in zip(couple.youngs_modulus, couple.size, strict=True))
-        mass = None if self.damping is None else couple.mass
-        return Pair(series(of_a, of_b), couple.restitution, couple.friction, mass)
+        mass = None if self.damping is None and self.at_rest is None else couple.mass
+        size = None if self.at_rest is None else jnp.minimum(*couple.size)
+        return Pair(series(of_a, of_b), couple.restitution, couple.friction, mass, size)
 
     def start(self, pair: Pair, like: Array) -> History:
         """No force."""
         zero = jnp.zeros_like(like)
-        return History(zero, None if pair.friction is None else jnp.stack([zero] * 3))
+        resting = None if self.at_rest is None else rest.start(like)
+        return History(zero, None if pair.friction is None else jnp.stack([zero] * 3), resting)
 
     def force(self, pair: Pair, history: History, contact: Contact) -> Response:
         """Eqs 1-4, and the tangential spring."""
@@ -68,14 +73,37 @@ class WaltonBraun:
                 f, c.approach, c.overlap, pair.stiffness, pair.unload, pair.mass, self.damping, c.dt
             )
         if history.spring is None or pair.friction is None:
-            return Response(push, None, History(f, None))
+            return self._at_rest(pair, history, c, Response(push, None, History(f, None)))
         stiffness = self.tangential * pair.stiffness
         drag = vector.kept(*tangential_force(vector.unpack(history.spring), c.normal, c.slip, f, stiffness, pair.friction))
-        return Response(push, drag, History(f, jnp.stack(drag)))
+        return self._at_rest(pair, history, c, Response(push, drag, History(f, jnp.stack(drag))))
+
+    def _at_rest(self, pair: Pair, before: History, contact: Contact, answer: Response) -> Response:
+        """The answer with what acts on contacts at rest, if anything does."""
+        if before.resting is None:
+            return answer
+        c, spring, f, push, drag = contact, self._spring(pair), answer.history.force, answer.push, answer.drag
+        loading = pair.stiffness * jnp.maximum(c.overlap, 0)
+        age = rest.aged(before.resting.age, (f > self.separation * loading) & (f < loading), spring, c.dt)
+        damping = rest.push(age, spring, c.approach, c.dt, -push, jnp.maximum(loading - push, 0))
+        if drag is not None and pair.friction is not None:
+            drag = rest.drag(age, spring, self.tangential * pair.stiffness, drag, c.slip, pair.friction * f, c.dt)
+        twist, elastic = None, before.resting.twist
+        if c.turn is not None:
+            twist, kept = rest.twist(before.resting, age, spring, c.turn, f, c.dt)
+            elastic = jnp.stack(kept)
+        history = answer.history._replace(resting=rest.Resting(age, elastic))
+        return Response(push + damping, drag, history, twist)
+
+    def _spring(self, pair: Pair) -> rest.Spring:
+        assert pair.mass is not None and pair.size is not None and self.at_rest is not None
+        return rest.Spring(pair.stiffness, pair.unload, pair.mass, pair.size, self.at_rest)
 
     def energy(self, pair: Pair, history: History, overlap: Array) -> Array:
         """What is got back along the unloading branch and from the tangential spring (J)."""
         energy = recoverable_energy(history.force, overlap, pair.stiffness, pair.unload, self.separation)
+        if history.resting is not None:
+            energy = energy + rest.energy(history.resting, self._spring(pair))
         if history.spring is None:
             return energy
         spring = vector.unpack(history.spring)

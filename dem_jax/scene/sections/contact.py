@@ -13,6 +13,7 @@ LawName = Literal["walton-braun", "linear-dashpot", "hertz-mindlin"]
 OF_LAWS = {
     ("material", "separation"): ("walton-braun",),
     ("material", "unloading_damping"): ("walton-braun",),
+    ("material", "rest_damping"): ("walton-braun",),
     ("material", "tangential_stiffness"): ("walton-braun", "linear-dashpot"),
     ("contact", "impact_speed"): ("hertz-mindlin",),
 }

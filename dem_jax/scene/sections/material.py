@@ -50,6 +50,9 @@ class Material(Section, extra="allow"):
     unloading_damping: float = Field(
         0.0, ge=0, le=1, description="damping ratio of the unloading branch; 0: as in the paper"
     )
+    rest_damping: float = Field(
+        0.0, ge=0, le=0.5, description="damping ratio of contacts at rest, no impact feels it; 0.2 ends creep, 0: as in the paper"
+    )
     poisson_ratio: PoissonRatio = Field(0.3, description="pieces")
     wall_poisson_ratio: PoissonRatio = Field(0.3, description="walls")
     pull_off: NotNegative = Field(0.0, description="N, largest adhesive force of a contact")

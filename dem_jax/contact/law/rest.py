@@ -1,0 +1,111 @@
+"""Rest: what ends the ringing, rocking and creeping of contacts that have long been off both lines of Walton and Braun.
+
+Between the loading line and that of separation eqs 1-4 are elastic, as is the tangential spring below the Coulomb limit: pieces
+at rest ring for ever, with a single contact point they rock and spin on their faces without loss, and friction then lets them
+creep. An impact goes along the loading line, once down the unloading line and along that of separation. A contact that stays
+between both lines for longer than
+
+    T = 10 pi / 2 sqrt(m / K_nl)
+
+without touching either rests, until it has been on one of them for longer than T / 10 (in single precision rounding takes a
+contact there for a step or two). Before it rests everything here is exactly zero, and impacts are those of eqs 1-4. At rest
+dashpots of one damping ratio zeta are beside both springs, on the ways s and u in and across the direction of the normal, which
+never make the normal force adhesive nor larger than that of the loading line, nor the tangential one larger than mu F_n:
+
+    F_n + c_n s',    c_n = 2 zeta sqrt(m K_nu);    F_t - c_t u',    c_t = 2 zeta sqrt(m K_t).
+
+Between polytopes there are also the spring and the dashpot of a patch of radius r = L / 20 against any turn d of one body on
+the other; the spring slips beyond the torque that an arm l = L / 1000 gives the normal force:
+
+    dM = -K_nl r^2 dd,    |M| <= l F_n,    M - c_n r^2 d'  while it does not slip.
+
+That is the rolling resistance of Ai, Chen, Rotter and Ooi (Powder Technology 206 (2011) 269-282, model C), also about the
+normal, with so short an arm that it holds what is balanced and hardly hinders anything else.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dem_jax.maths import vector
+from dem_jax.maths.vector import Vector
+
+Array = jax.Array
+
+WAIT = 10  # quarter periods of the loading branch, T; an impact, that of two corners one after the other too, is over sooner
+RADIUS = 1 / 20  # r / L: no piece is so slender that its turning is the quickest motion
+ARM = 1 / 1000  # l / L
+
+
+class Resting(NamedTuple):
+    """History of contacts, at the last step."""
+
+    age: Array  # [P]: below 1 for how long it has been off both lines, in T; from 1 to 2 it rests, 2 less how long it was on one
+    twist: Array  # [3, P] (N m): elastic torque on b, world axes
+
+
+class Spring(NamedTuple):
+    """What the damping of a contact at rest hangs on, [P] or [1]."""
+
+    load: Array  # (N/m): K_nl
+    unload: Array  # (N/m): K_nu
+    mass: Array  # (kg): effective mass
+    size: Array  # (m): L, of the smaller body
+    ratio: Array  # zeta
+
+    @property
+    def patch(self) -> Array:
+        """K_nl r^2 (N m)."""
+        return self.load * (RADIUS * self.size) ** 2
+
+
+def start(like: Array) -> Resting:
+    """At first touch."""
+    return Resting(jnp.zeros_like(like), jnp.stack([jnp.zeros_like(like)] * 3))
+
+
+def aged(age: Array, is_between: Array, spring: Spring, dt: Array) -> Array:
+    """The age after a step. is_between: [P] bool, whether the force is now off both lines."""
+    quarter = 0.5 * np.pi * jnp.sqrt(spring.mass / spring.load)
+    between = jnp.where(age < 1, age + dt / (WAIT * quarter), 2)
+    left = age - dt / quarter
+    return jnp.where(is_between, between, jnp.where(left >= 1, left, 0))
+
+
+def dashpot(spring: Spring, stiffness: Array) -> Array:
+    """c (N s/m) beside a stiffness (N/m)."""
+    return 2 * spring.ratio * jnp.sqrt(spring.mass * stiffness)
+
+
+def push(age: Array, spring: Spring, approach: Array, dt: Array, least: Array, most: Array) -> Array:
+    """Normal force of the dashpot (N), [P], held between two others. approach: (m) in this step."""
+    return jnp.where(age >= 1, jnp.clip(dashpot(spring, spring.unload) / dt * approach, least, most), 0)
+
+
+def drag(age: Array, spring: Spring, stiffness: Array, elastic: Vector, slip: Vector, limit: Array, dt: Array) -> Vector:
+    """Tangential force on b (N), [P] x 3, of K_t, which alone has ``elastic``, and the dashpot. slip: (m) in this step;
+    limit: mu F_n (N)."""
+    both = vector.add_scaled(elastic, -dashpot(spring, stiffness) / dt, slip)
+    size = vector.norm(both)
+    slips = size > limit
+    held = vector.scale(jnp.where(slips, limit / jnp.where(slips, size, 1), 1), both)
+    return vector.where(age >= 1, held, elastic)
+
+
+def twist(before: Resting, age: Array, spring: Spring, turn: Vector, force: Array, dt: Array) -> tuple[Vector, Vector]:
+    """Torque on b and its elastic part (N m), [P] x 3. turn: of b on a in this step (rad); force: F_n (N)."""
+    trial = vector.add_scaled(vector.unpack(before.twist), -spring.patch, turn)
+    size, limit = vector.norm(trial), ARM * spring.size * force
+    slips = size > limit
+    factor = jnp.where(age >= 1, jnp.where(slips, limit / jnp.where(slips, size, 1), 1), 0)
+    elastic = vector.kept(*vector.scale(factor, trial))
+    viscous = jnp.where((age >= 1) & ~slips, dashpot(spring, spring.unload) * (RADIUS * spring.size) ** 2 / dt, 0)
+    return vector.kept(*vector.add_scaled(elastic, -viscous, turn)), elastic
+
+
+def energy(resting: Resting, spring: Spring) -> Array:
+    """Of the elastic torque, [P] (J)."""
+    torque = vector.unpack(resting.twist)
+    return 0.5 * vector.dot(torque, torque) / spring.patch
