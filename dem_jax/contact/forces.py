@@ -6,7 +6,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from dem_jax.contact import bodies, boundary, collide, of_run, seams, watch
+from dem_jax.contact import bodies, boundary, collide, follow, of_run, seams, watch
 from dem_jax.contact.blocks import block_of, block_of_slots, block_size, in_one
 from dem_jax.contact.bodies import Body
 from dem_jax.contact.geometry import Known, geometry, is_kept
@@ -139,8 +139,11 @@ def _loaded(
         if slots.surface_b is not None:
             overlap, shape = seams.deepest(overlap, shape, siblings)
         memory = seams.memory(memory, siblings)
-    within = _within(system, slots, overlap)
-    slip, approach = _motion(system, a, b, offset, memory, shape.normal, at_b, within)
+    motion, approach = _motion(system, a, b, offset, memory, shape.normal, at_b)
+    depth = _within(system, slots, overlap)
+    within = follow.overlap(memory.overlap, approach, depth, shape.point, at_b)
+    overlap = overlap + (within - depth)
+    slip = _slip(memory, motion, approach, shape.normal, within)
     answer = system.law.force(slots.pair, memory.law, Contact(overlap, approach, slip, shape.normal, system.dt, turn))
     force = vector.scale(answer.push, shape.normal)
     if answer.drag is not None:
@@ -159,12 +162,11 @@ def _loaded(
 
 
 def _motion(
-    system: System, a: Body, b: Body, offset: Vector, memory: Memory, normal: Vector, at_b: Vector, within: Array
+    system: System, a: Body, b: Body, offset: Vector, memory: Memory, normal: Vector, at_b: Vector
 ) -> tuple[Vector, Array]:
-    """Motion in this step of b relative to a at the contact point: tangential, [P] x 3 (m), and towards a, [P] (m).
+    """Motion in this step of b relative to a at the contact point, [P] x 3 (m), and of it that towards a, [P] (m).
 
-    Of second order in the time step: the arms, like the velocities, are those at the middle of the step, and of the step
-    of first touch only the last part, overlap over approach, counts.
+    Of second order in the time step: the arms, like the velocities, are those at the middle of the step.
     """
     first = memory.overlap <= 0
     way = vector.scale(system.dt, vector.sub(b.velocity, a.velocity))  # of the centres
@@ -172,11 +174,14 @@ def _motion(
     arm_a = vector.add(arm_b, vector.where(first, offset, vector.add_scaled(offset, -0.5, way)))
     turn = vector.sub(vector.cross(b.spin, arm_b), vector.cross(a.spin, arm_a))
     motion = vector.kept(*vector.add_scaled(way, system.dt, turn))
-    along = vector.dot(motion, normal)
-    touching = first & (within > 0)
-    part = jnp.where(touching, within / jnp.where(touching, jnp.maximum(-along, within), 1), 1)
-    slip = vector.kept(*vector.scale(part, vector.add_scaled(motion, -along, normal)))
-    return slip, vector.kept(-along)
+    return motion, vector.kept(-vector.dot(motion, normal))
+
+
+def _slip(memory: Memory, motion: Vector, approach: Array, normal: Vector, within: Array) -> Vector:
+    """The tangential part of a motion, [P] x 3 (m): of the step of first touch only the last part, overlap over approach."""
+    touching = (memory.overlap <= 0) & (within > 0)
+    part = jnp.where(touching, within / jnp.where(touching, jnp.maximum(approach, within), 1), 1)
+    return vector.kept(*vector.scale(part, vector.add_scaled(motion, approach, normal)))
 
 
 def elastic_energy(system: System, table: ContactTable, slots: Slots) -> Array:
