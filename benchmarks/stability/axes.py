@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from benchmarks.shapes import faces, needle, plate
-from benchmarks.stability.trials import Trial
+from benchmarks.stability.trials import GROWTH, Trial
 from dem_jax import SceneError, build, load_scene
 from dem_jax.drive.prepare import prepare
 from dem_jax.scene import Scene
@@ -140,7 +140,8 @@ def places(_: bool) -> Iterator[Trial]:
 
     for way, precision in itertools.product((0.0, 1.0, 100.0, 1e4), ("f64", "f32")):
         name = f"{way:g} m from the origin, {precision}"
-        yield Trial(name, lambda w=way, p=precision: far(w, p), figure=peak)
+        rough = way == 1e4 and precision == "f32"  # where potential energy itself is rounded to a hundredth of the kinetic
+        yield Trial(name, lambda w=way, p=precision: far(w, p), growth=0.05 if rough else GROWTH, figure=peak)
 
 
 def touches(_: bool) -> Iterator[Trial]:
