@@ -1,6 +1,6 @@
 """Derivatives of a single impact through the simulation, against finite differences and the closed forms."""
 
-from functools import cache
+from functools import cache, partial
 
 import jax
 import jax.numpy as jnp
@@ -81,9 +81,9 @@ def derivatives(shape):
     parameters = start_of(shape)
     # Few steps: all the time goes into compiling, which takes six times as long where LLVM optimises.
     options = {"compiler_options": compiling.known("cpu") | {"xla_backend_optimization_level": 0}}
-    function = jax.jit(lambda p: outcome(shape, p), **options)
-    pull = jax.jit(lambda p, weights: jax.vjp(lambda p: outcome(shape, p), p)[1](weights)[0], **options)
-    reverse = np.stack([pull(parameters, weights) for weights in jnp.eye(3)])
+    both = jax.jit(lambda p, weights: (lambda out, pull: (out, pull(weights)[0]))(*jax.vjp(partial(outcome, shape), p)), **options)
+    function = lambda p: both(p, jnp.zeros(3))[0]  # noqa: E731  (one program for all)
+    reverse = np.stack([both(parameters, weights)[1] for weights in jnp.eye(3)])
     # So small that no step changes its branch of the law, so large that rounding of 30 N, 1e-14, leaves 1e-6 of most.
     steps = np.diag([1e-9, 1e-1, 1e-7])
     finite = [(function(parameters + h) - function(parameters - h)) / (2 * h.sum()) for h in steps]
