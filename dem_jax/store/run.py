@@ -82,10 +82,18 @@ class Run:
         forces = self.mean_force if mean else self.force
         if group not in forces:
             raise RecordError(f"group = {group!r} is not in this run; it has: {', '.join(forces) or 'none'}")
-        gravity = np.asarray(self.header.gravity, np.float64)
-        if not gravity.any():
-            gravity = np.array([0.0, 0.0, -STANDARD_GRAVITY])
+        gravity = self._gravity()
         return forces[group].astype(np.float64) @ (gravity / (gravity @ gravity))
+
+    def peak_kg(self, group: str) -> np.ndarray | None:
+        """The largest of ``pif_kg`` in every step of each sample interval, [T] (kg); None: the file is of before it was kept."""
+        peaks = self.series.get("peak_force", {})
+        return peaks[group].astype(np.float64) / np.linalg.norm(self._gravity()) if group in peaks else None
+
+    def _gravity(self) -> np.ndarray:
+        """Of the scene, or where it has none what forces are compared with, [3] (m/s2)."""
+        gravity = np.asarray(self.header.gravity, np.float64)
+        return gravity if gravity.any() else np.array([0.0, 0.0, -STANDARD_GRAVITY])
 
     def member(self, k: int) -> "Run":
         """Run k of an ensemble, as a single run. Raises RecordError if there is none."""
