@@ -8,6 +8,7 @@ import pytest
 
 import dem_jax
 from dem_jax.build import sampling
+from dem_jax.errors import RecordError
 from dem_jax.scene import Scene, load_scene
 from dem_jax.show.summary import summary
 from dem_jax.step import joined
@@ -57,6 +58,8 @@ def test_the_peak_of_every_step_is_that_which_fine_samples_show():
 
 def test_a_run_says_which_peak_its_samples_missed_and_of_what_stiffness_it_is():
     coarse, fine = stiff_drop(COARSE), stiff_drop(FINE)
+    with pytest.raises(RecordError, match="group = 'roof' is not in this run; it has: plate"):
+        coarse.peak_kg("roof")
     (note,) = coarse.info["notes"]
     assert note.startswith("run.sample = 3e-05 s: the shortest contacts last ") and "less than 3 samples" in note
     assert not fine.info.get("notes")
@@ -103,7 +106,7 @@ def test_the_peak_of_a_report_of_two_groups_is_that_of_their_sum():
 
 
 def test_a_run_gone_on_with_has_the_same_peaks(tmp_path):
-    """Of a file, and of one of before they were kept, which goes on without."""
+    """And in a file no number that a restart of before would lack."""
     import h5py
 
     path, whole = tmp_path / "run.h5", landed(1.6e-4, 8)
