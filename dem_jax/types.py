@@ -282,9 +282,10 @@ class Slots(Tree):
 
 @pytree
 class Ledger(Tree):
-    """What each run adds up; ``impulse`` and ``overlap`` start anew with each sample interval."""
+    """What each run adds up; ``impulse``, ``peak`` and ``overlap`` start anew with each sample interval."""
 
     impulse: Array  # [3, G, R] (N s): of the pieces on each wall group
+    peak: Array  # [reports, R] (N): largest force of the pieces along gravity on what Walls.reports names, of all steps
     overlap: Array  # [R] (-): largest overlap relative to the width of the piece
     taken: Array  # [R] (J): work that contacts took: what they store and what is lost
     wall_work: Array  # [R] (J): work of the walls on the pieces

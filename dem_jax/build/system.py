@@ -12,6 +12,7 @@ from dem_jax.build.law import law_of, materials_of
 from dem_jax.build.parts import hull_table, part_arrays, solids_of
 from dem_jax.build.pieces import alike, goods_of, named, piece_arrays, with_points
 from dem_jax.build.room import capacity, partition, row_capacity
+from dem_jax.build.sampling import shortest_contact
 from dem_jax.build.start import Box, Start, first_state, motion_of_start, placed, settling_samples
 from dem_jax.build.time_step import TimeStep, block_steps, choose_step, longest_reach, possible_contacts
 from dem_jax.build.typed import typed
@@ -36,6 +37,7 @@ class Built:
     system: System
     state: State
     step: TimeStep
+    shortest: float  # s: how long the shortest contact that it can have lasts, about
     shapes: tuple[Shape, ...]  # of each piece, scaled, body frame of the user
     frames: np.ndarray  # [N, 4]: principal frame to body frame, of each piece
     settling_steps: int  # steps before time zero
@@ -104,7 +106,8 @@ def build(scene: Scene, seed: int = 0, law: ContactLaw | None = None) -> Built:
     frames = np.array([m.principal for m in made])
     state = first_state(system, start, frames, -settling)
     check_finite(scene, system, state)
-    return Built(system, state, step, tuple(made), frames, settling, samples, frame_every, regions, goods.numbers)
+    shortest = shortest_contact(law, contacts)
+    return Built(system, state, step, shortest, tuple(made), frames, settling, samples, frame_every, regions, goods.numbers)
 
 
 def self_contained(scene: Scene) -> Scene:

@@ -1,4 +1,4 @@
-"""What a run adds up: impulse on walls, largest overlap, work that contacts took and that walls did."""
+"""What a run adds up: impulse on walls, peak force, largest overlap, work that contacts took and that walls did."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -26,7 +26,18 @@ def entered(
             by_walls = -_work(system, twice * panels.groups[3:, :, None])
         ledger = ledger.replace(taken=ledger.taken + (by_walls - took), wall_work=ledger.wall_work + by_walls)
     impulse = ledger.impulse + 0.5 * system.dt * (state.walls.force + on_walls.force)
-    return ledger.replace(impulse=impulse, overlap=jnp.maximum(ledger.overlap, overlap))
+    peak = jnp.maximum(ledger.peak, _along_gravity(system, on_walls.force))
+    return ledger.replace(impulse=impulse, peak=peak, overlap=jnp.maximum(ledger.overlap, overlap))
+
+
+def _along_gravity(system: System, force: Array) -> Array:
+    """Of forces on wall groups, [3, G, R] (N), those along gravity on what is reported, [reports, R] (N); without gravity those
+    downward."""
+    square = jnp.sum(system.gravity**2)
+    unit = system.gravity / jnp.sqrt(jnp.where(square > 0, square, 1))
+    along = jnp.where(square > 0, unit[0] * force[0] + unit[1] * force[1] + unit[2] * force[2], -force[2])
+    rows = [sum(along[group] for group in groups[1:]) + along[groups[0]] for _, groups in system.walls.reports]
+    return jnp.stack(rows) if rows else jnp.zeros((0, system.runs), force.dtype)
 
 
 def _work(system: System, twice_power: Array) -> Array:
@@ -39,10 +50,10 @@ def _work(system: System, twice_power: Array) -> Array:
 
 def new_interval(ledger: Ledger) -> Ledger:
     """The ledger at the beginning of a sample interval."""
-    return ledger.replace(impulse=jnp.zeros_like(ledger.impulse), overlap=jnp.zeros_like(ledger.overlap))
+    return ledger.replace(**{name: jnp.zeros_like(getattr(ledger, name)) for name in ("impulse", "peak", "overlap")})
 
 
 def empty_ledger(system: System, dtype: DTypeLike) -> Ledger:
     """A ledger of zeros, in numpy."""
-    zero = host(np.zeros((system.runs,), dtype))
-    return Ledger(host(np.zeros((3, len(system.walls.groups), system.runs), dtype)), zero, zero, zero)
+    zeros = lambda *form: host(np.zeros((*form, system.runs), dtype))  # noqa: E731
+    return Ledger(zeros(3, len(system.walls.groups)), zeros(len(system.walls.reports)), zeros(), zeros(), zeros())

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dem_jax import build, compiling
+from dem_jax.build import sampling
 from dem_jax.contact.geometry import is_kept
 from dem_jax.contact.law import ContactLaw
 from dem_jax.drive import execute, settled
@@ -50,7 +51,7 @@ def prepare(
             state = guard.with_scratch(system, state)
     settling = built.settling_steps // built.step.substeps
     rule = settled.rule_of(scene, system, settling, samples_per_block(system))
-    notes = (built.step.warning,) if built.step.warning else ()
+    notes = tuple(said for said in (built.step.warning, sampling.note(scene.run.sample, built.shortest)) if said)
     return Job(scene, tuple(seeds), runs, built, system, state, execute.way_of(system, runs), rule, law is not None, notes=notes)
 
 

@@ -58,7 +58,7 @@ def unpack(system: System, state: State, arrays: dict[str, np.ndarray]) -> tuple
             raise RecordError(f"restart/{path} is {found}, but the scene needs {needed}")
         leaves.append(jnp.asarray(array))
     kept = jax.tree.unflatten(structure, leaves)
-    return system, kept.replace(scratch=state.scratch)
+    return system, kept.replace(scratch=state.scratch, ledger=kept.ledger.replace(peak=state.ledger.peak))
 
 
 def check_step(state: State, first: State, steps_per_sample: int, samples: int) -> None:
@@ -133,8 +133,9 @@ def _as_held(quantity: Quantity, stored: Stored | None) -> Quantity:
 
 
 def _leaves(state: State) -> tuple[list[tuple[str, Any]], Any]:
-    """[(path, array)] of what is kept, and its structure."""
-    paths, structure = jax.tree_util.tree_flatten_with_path(state.replace(scratch=None))
+    """[(path, array)] of what is kept, and its structure: not of what each sample begins anew and files of before lack."""
+    kept = state.replace(scratch=None, ledger=state.ledger.replace(peak=None))
+    paths, structure = jax.tree_util.tree_flatten_with_path(kept)
     return [(jax.tree_util.keystr(path, simple=True, separator="/"), leaf) for path, leaf in paths], structure
 
 

@@ -24,12 +24,25 @@ def stiffness_said(run: Run) -> str:
     """How the peak depends on Young's modulus and NSF (eqs 5, 7 and 8), in words."""
     scene = parse(run.scene, "the file's scene")
     nsf, power = scene.material.softening, EXPONENT[scene.contact.law]
-    table = material_table(scene)
-    moduli = [f"{_si(e, 'Pa')}" for e in dict.fromkeys(table.youngs_modulus[~table.is_wall].tolist())]
-    words = f"E of the pieces is {', '.join(moduli)}, and NSF = {nsf:g} multiplies all moduli"
+    words = f"E of the pieces is {_moduli(material_table(scene))}, and NSF = {nsf:g} multiplies all moduli"
     grows = f"the peak of a single impact grows with the power {power:g} of E · NSF"
     real = "" if nsf == 1.0 else f", so without softening (NSF = 1) it would be {nsf**-power:.3g} times as high"
     return f"{words}: {grows}{real}; that of a portion changes less, as harder impacts are shorter and coincide less."
+
+
+def stiffness_in_short(run: Run) -> str:
+    """E and NSF, which a peak is worth nothing without, and the power of them by which that of one impact grows."""
+    scene = parse(run.scene, "the file's scene")
+    words = f"E = {_moduli(material_table(scene))}, NSF = {scene.material.softening:g}"
+    if "law" in run.info:  # one of a user's own
+        return words
+    power = {0.5: "sqrt(E NSF)"}.get(EXPONENT[scene.contact.law], f"(E NSF)^{EXPONENT[scene.contact.law]:g}")
+    return f"{words}: of one impact they scale with {power}"
+
+
+def _moduli(table: MaterialTable) -> str:
+    """Young's moduli of the pieces."""
+    return ", ".join(_si(e, "Pa") for e in dict.fromkeys(table.youngs_modulus[~table.is_wall].tolist()))
 
 
 def weight_of(run: Run) -> float:

@@ -17,6 +17,13 @@ def _energies(system: System) -> Rows:
 
 ENERGY = Axis("kind of energy", lambda _: len(measure.ENERGIES), _energies, "KIND")
 
+REPORT = Axis(
+    "report",
+    size=lambda system: len(system.walls.reports),
+    rows=lambda system: tuple((name, k) for k, (name, _) in enumerate(system.walls.reports)),
+    symbol="GROUP",
+)
+
 PARTNER = Axis(
     "partner",
     size=lambda system: len(system.walls.groups) + 1,
@@ -49,6 +56,11 @@ QUANTITIES = checked(
             name="mean_force", unit="N", axes=("group", "xyz"),
             of=lambda system, state: state.ledger.impulse / measure.interval(system),
             help="its mean over the sample interval that ends then; closes the momentum balance",
+        ),
+        Quantity(
+            name="peak_force", unit="N", axes=(REPORT,),
+            of=lambda system, state: state.ledger.peak,
+            help="along gravity, without it downward: the largest of every step of the sample interval, at least 0",
         ),
         Quantity(
             name="torque", unit="N m", axes=("moving group", "xyz"),

@@ -80,12 +80,21 @@ class Run:
         Raises RecordError for a group that the run does not have.
         """
         forces = self.mean_force if mean else self.force
-        if group not in forces:
-            raise RecordError(f"group = {group!r} is not in this run; it has: {', '.join(forces) or 'none'}")
+        gravity = self._gravity()
+        return _of(forces, group).astype(np.float64) @ (gravity / (gravity @ gravity))
+
+    def peak_kg(self, group: str) -> np.ndarray | None:
+        """The largest of ``pif_kg`` in all steps of each sample interval, [T] (kg); None: the file is of before it was kept.
+
+        Raises RecordError for a group that the run does not have.
+        """
+        peaks = self.series.get("peak_force")
+        return None if peaks is None else _of(peaks, group).astype(np.float64) / np.linalg.norm(self._gravity())
+
+    def _gravity(self) -> np.ndarray:
+        """Of the scene, or where it has none what forces are compared with, [3] (m/s2)."""
         gravity = np.asarray(self.header.gravity, np.float64)
-        if not gravity.any():
-            gravity = np.array([0.0, 0.0, -STANDARD_GRAVITY])
-        return forces[group].astype(np.float64) @ (gravity / (gravity @ gravity))
+        return gravity if gravity.any() else np.array([0.0, 0.0, -STANDARD_GRAVITY])
 
     def member(self, k: int) -> "Run":
         """Run k of an ensemble, as a single run. Raises RecordError if there is none."""
@@ -99,6 +108,13 @@ class Run:
         seed = self.seed[k] if np.ndim(self.seed) else self.seed
         series = nested({name: array[k] for name, array in flat(self.series).items()})
         return Run(replace(self.header, seed=seed, run_count=None), self.time, series, pieces)
+
+
+def _of(forces: dict[str, np.ndarray], group: str) -> np.ndarray:
+    """The force on a wall group. Raises RecordError if there is none."""
+    if group not in forces:
+        raise RecordError(f"group = {group!r} is not in this run; it has: {', '.join(forces) or 'none'}")
+    return forces[group]
 
 
 def series_of(run: Run) -> dict[str, np.ndarray]:

@@ -147,7 +147,7 @@ def test_energy_of_a_sphere_that_lands_obliquely_is_off_by_no_more_than_is_warne
 def test_a_step_near_the_limit_is_warned_of_with_the_error_to_expect():
     dt = 0.8 * build.build(ball()).step.stable
     run = simulate(ball({"step": dt, "duration": 1e-3}, position=(0.0, 0.0, 0.1)))
-    (note,) = run.info["notes"]
+    note, *_ = run.info["notes"]
     assert note.startswith("run.step: dt = ") and "of the stability limit; energy is off by up to" in note
 
 

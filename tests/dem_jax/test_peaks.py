@@ -1,0 +1,132 @@
+"""The largest force of every step beside samples that can miss it, and what is said where they do."""
+
+from functools import cache
+
+import jax
+import numpy as np
+import pytest
+
+import dem_jax
+from dem_jax.build import sampling
+from dem_jax.errors import RecordError
+from dem_jax.scene import Scene, load_scene
+from dem_jax.show.summary import summary
+from dem_jax.step import joined
+from dem_jax.store.record import series_of
+
+COARSE, FINE, END = 3e-5, 3e-6, 0.24  # s: samples, and a time after the peak of the first impact
+STIFF = load_scene("plate-drop", {"material.softening": 1.0, "run.precision": "f64"})
+SIZE = 0.1  # m
+PANELS = {  # two halves of a floor that are reported as one bucket has its flaps, and a wall
+    "left": [(-SIZE, -SIZE, 0.0), (0.0, -SIZE, 0.0), (0.0, SIZE, 0.0), (-SIZE, SIZE, 0.0)],
+    "right": [(0.0, -SIZE, 0.0), (SIZE, -SIZE, 0.0), (SIZE, SIZE, 0.0), (0.0, SIZE, 0.0)],
+}
+
+
+@cache
+def stiff_drop(sample):
+    return dem_jax.simulate(STIFF.replace(run={"sample": sample, "duration": END}))
+
+
+def balls(sample, steps=8, **run):
+    """Two balls that land a little apart in time, on halves of a floor; samples of so many steps."""
+    rows = [
+        {"position": (x, 0.0, z), "velocity": (0.1, 0.0, -1.0), "shape": "sphere", "radius": 0.012}
+        for x, z in ((-0.05, 0.0125), (0.05, 0.01265))
+    ]
+    settings = {"precision": "f64", "sample": sample, "step": sample / steps, "duration": 32 * 1.6e-4, "frames": 0.0}
+    walls = [{"group": name, "corners": corners} for name, corners in PANELS.items()]
+    return Scene(piece=rows, wall=walls, run=settings | run)
+
+
+@cache
+def landed(sample, steps, runs=None):
+    made = balls(sample, steps)
+    return dem_jax.simulate(made) if runs is None else dem_jax.ensemble(made, runs=runs)
+
+
+def test_the_peak_of_every_step_is_that_which_fine_samples_show():
+    """A flat marshmallow at NSF = 1: samples of 30 us show 0.92 of its peak, and 0.71 in their means."""
+    coarse, fine = stiff_drop(COARSE), stiff_drop(FINE)
+    shown, true = (run.pif_kg("plate", mean=False).max() for run in (coarse, fine))
+    peak = coarse.peak_kg("plate").max()
+    print(f"samples of 30 us: {shown:.3f} kg, every step {peak:.3f} kg; samples of 3 us {true:.3f} kg")
+    assert shown < 0.95 * true and coarse.pif_kg("plate").max() < 0.75 * true
+    assert peak == pytest.approx(true, rel=0.01)
+    assert np.argmax(coarse.peak_kg("plate")) == int(fine.time[np.argmax(fine.pif_kg("plate"))] / COARSE)
+
+
+def test_a_run_says_which_peak_its_samples_missed_and_of_what_stiffness_it_is():
+    coarse, fine = stiff_drop(COARSE), stiff_drop(FINE)
+    with pytest.raises(RecordError, match="group = 'roof' is not in this run; it has: plate"):
+        coarse.peak_kg("roof")
+    (note,) = coarse.info["notes"]
+    assert note.startswith("run.sample = 3e-05 s: the shortest contacts last ") and "less than 3 samples" in note
+    assert not fine.info.get("notes")
+    (said,), (plain,) = ([line for line in summary(run) if line.startswith("peak PIF")] for run in (coarse, fine))
+    assert said.endswith("instantaneous 28.8 kg in samples, 31.5 kg in every step)")
+    assert plain.endswith("(mean over a sample; instantaneous 31.4 kg)")
+    assert "peaks are those of E = 100 MPa, NSF = 1: of one impact they scale with sqrt(E NSF)" in summary(coarse)
+
+
+def test_it_is_the_largest_of_samples_that_are_steps():
+    """Also before the first touch and after the last, where steps are left out in one jump."""
+    fine, coarse = landed(2e-5, 1), landed(1.6e-4, 8)
+    for name in PANELS:
+        steps = -fine.force[name][:, 2].reshape(-1, 8)
+        assert (steps[0] == 0).all() and (steps[-1] == 0).all() and steps.max() > 1
+        np.testing.assert_allclose(coarse.peak_force[name], steps.max(axis=1), rtol=1e-9, atol=1e-9 * steps.max())
+        assert (coarse.peak_force[name] >= -coarse.force[name][:, 2]).all()
+
+
+@pytest.mark.parametrize("runs", [2, joined.AT_ONCE])
+def test_each_run_of_an_ensemble_has_its_own(runs):
+    many, one = landed(1.6e-4, 8, runs), landed(1.6e-4, 8)
+    for name in PANELS:
+        assert many.peak_force[name].shape == (runs, 32)
+        np.testing.assert_allclose(many.peak_force[name][-1], one.peak_force[name], rtol=1e-9, atol=1e-9)
+
+
+def test_the_peak_of_a_report_of_two_groups_is_that_of_their_sum():
+    from dem_jax import build
+    from dem_jax.contact import ledger
+    from dem_jax.contact.boundary import after_step
+
+    made = build.build(balls(1.6e-4))
+    system = made.system.replace(
+        gravity=np.array([0.0, 3.0, -4.0]), walls=made.system.walls.replace(reports=(("floor", (0, 1)), ("right", (1,))))
+    )
+    force = np.array([[9.0, 9.0], [1.0, -5.0], [-2.0, -4.0]])[..., None]  # along gravity 2.2 and 0.2 N
+    loads = made.state.walls.replace(force=force)
+    state = made.state.replace(ledger=ledger.empty_ledger(system, np.float64))
+    entered = jax.jit(lambda: ledger.entered(
+        system, state, 0 * state.velocity, after_step(system, state.step), np.zeros((6, 2)), loads, np.zeros(1)
+    ).peak)  # fmt: skip
+    np.testing.assert_allclose(entered()[:, 0], [2.4, 0.2], rtol=1e-12)
+
+
+def test_a_run_gone_on_with_has_the_same_peaks(tmp_path):
+    """And in a file no number that a restart of before would lack."""
+    import h5py
+
+    path, whole = tmp_path / "run.h5", landed(1.6e-4, 8)
+    dem_jax.simulate(balls(1.6e-4, duration=10 * 1.6e-4), out=path)
+    with h5py.File(path) as file:
+        assert file["peak_force/left"].attrs["units"] == "N" and "restart/ledger/peak" not in file
+    resumed = dem_jax.resume(path, duration=32 * 1.6e-4)
+    for name, array in series_of(whole).items():
+        np.testing.assert_array_equal(series_of(resumed)[name], array, err_msg=name)
+
+
+@pytest.mark.parametrize("softening, is_said", [(0.01, False), (1.0, True)])
+def test_contacts_of_fewer_than_three_samples_are_named(softening, is_said):
+    """Of a ball: the quarter periods of the loading and, 1/epsilon quicker, of the unloading branch."""
+    from dem_jax import build, validation
+
+    made = build.build(balls(3e-5).replace(material={"softening": softening, "friction_wall": 0.0}))
+    stiffness, mass = float(validation.wall_stiffness(made.system)[0]), float(made.system.pieces.mass[0])
+    against_wall = 0.5 * np.pi * np.sqrt(mass / stiffness) * (1 + 0.1)
+    between = 0.5 * np.pi * np.sqrt(0.5 * mass / (0.5 * stiffness)) * (1 + 0.1)  # half the mass on half of the stiffness
+    assert made.shortest == pytest.approx(min(against_wall, between), rel=0.02)
+    assert (sampling.note(3e-5, made.shortest) is not None) is is_said
+    assert sampling.note(made.shortest / 3, made.shortest) is None
