@@ -157,6 +157,17 @@ class Parts(Tree):
 
 
 @pytree
+class LoadCell(Tree):
+    """A spring and a damper along the vertical (z) that carry some wall groups as one rigid body."""
+
+    mass: Array  # (kg): of all that it carries of itself: bucket, flaps, and what of the cell moves with them
+    stiffness: Array  # (N/m)
+    damping: Array  # (N s/m)
+    groups: Array  # [G]: 1 for the groups that it carries, 0 for all others
+    panels: Array  # [W]: likewise
+
+
+@pytree
 class Walls(Tree):
     """Convex plates in G groups, each group moved as a rigid body or at rest.
 
@@ -171,13 +182,14 @@ class Walls(Tree):
     plane: Array | None  # [W] int32: the same number for panels that continue each other in a plane, -1 for all others
     pivot: Array  # [3, G] (m): moves with the group; torques are about it; on the axis of a hinge
     motions: tuple  # of the kinds in contact.motion, each of all groups that move so; none: all rest
+    load_cell: LoadCell | None  # None: no group is on one
     groups: tuple[str, ...] = static()  # names of the G groups
     reports: tuple[tuple[str, tuple[int, ...]], ...] = static()  # ((reported name, (group, ...)), ...)
 
     @property
     def moving(self) -> bool:
         """Whether any group moves."""
-        return bool(self.motions)
+        return bool(self.motions) or self.load_cell is not None
 
 
 @pytree
@@ -328,6 +340,14 @@ class WallLoads(Tree):
 
 
 @pytree
+class CellMotion(Tree):
+    """How what a load cell carries moves, about where it is without pieces."""
+
+    deflection: Array  # [R] (m), downwards
+    velocity: Array  # [R] (m/s), at the time of the deflection
+
+
+@pytree
 class Scratch(Tree):
     """What the rebuild at the beginning of each block of steps fills anew, from the rest of the state."""
 
@@ -353,6 +373,7 @@ class State(Tree):
     step: Array  # int32: time is step * dt
     motion: Motion
     walls: WallLoads
+    cell: CellMotion | None  # None: no wall is on a load cell
     contacts: dict[str, ContactTable]  # by kind of contact
     incidence: Array  # [touching, N] int32: where the contacts of each piece stand among all (see neighbours.find_incidence)
     ledger: Ledger

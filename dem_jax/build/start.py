@@ -16,7 +16,7 @@ from dem_jax.maths import rotation
 from dem_jax.pairs import neighbours
 from dem_jax.scene import Scene, arrange
 from dem_jax.shapes import Shape
-from dem_jax.types import Motion, State, System, WallLoads, host
+from dem_jax.types import CellMotion, Motion, State, System, WallLoads, host
 
 Box = tuple[ArrayLike, ArrayLike]  # lowest and highest corner [3] (m)
 
@@ -102,10 +102,14 @@ def first_state(system: System, start: Start, frames: np.ndarray, step: int) -> 
     groups, runs = len(system.walls.groups), system.runs
     columns = 2 * sum(room for *_, room in system.capacity)  # of loads
     empty: Any = None  # until it is known what a rebuild fills
+    cell = None
+    if system.walls.load_cell is not None:
+        cell = CellMotion(host(np.zeros((runs,), dtype)), host(np.zeros((runs,), dtype)))
     state = State(
         step=host(np.int32(step)),
         motion=motion_of_start(system, start, frames),
         walls=WallLoads(host(np.zeros((3, groups, runs), dtype)), host(np.zeros((3, groups, runs), dtype))),
+        cell=cell,
         contacts=neighbours.no_contacts(system),
         incidence=host(np.full((system.touching, n), columns, np.int32)),
         ledger=ledger.empty_ledger(system, dtype),

@@ -9,6 +9,7 @@ import numpy as np
 
 from dem_jax.build.finite import MOST_STEPS, check_finite, check_steps
 from dem_jax.build.law import law_of, materials_of
+from dem_jax.build.load_cell import added_rate
 from dem_jax.build.parts import hull_table, part_arrays, solids_of
 from dem_jax.build.pieces import alike, goods_of, named, piece_arrays, with_points
 from dem_jax.build.room import capacity, partition, row_capacity
@@ -24,7 +25,7 @@ from dem_jax.pairs.guard import most_contacts
 from dem_jax.scene import Scene
 from dem_jax.scene.buckets import Panel
 from dem_jax.shapes import Shape
-from dem_jax.step.quantities import QUANTITIES
+from dem_jax.step import quantities
 from dem_jax.types import State, System, float_dtype
 
 SKIN = 0.03  # of the width of the narrowest piece: see pairs.neighbours
@@ -57,7 +58,8 @@ def build(scene: Scene, seed: int = 0, law: ContactLaw | None = None) -> Built:
     pieces = piece_arrays(scene, goods)
     law, materials = law or law_of(scene), materials_of(scene)
     contacts = possible_contacts(law, materials, made, pieces)
-    step = choose_step(scene, law, contacts, together=1 if len(made) == len(panels) == 1 else 2)
+    together = 1 if len(made) == len(panels) == 1 else 2
+    step = choose_step(scene, law, contacts, together, added_rate(scene, law, contacts, len(made)))
     settling = settling_samples(scene) * step.substeps
     samples = max(1, round(scene.run.duration / scene.run.sample))
     check_steps(scene, settling, samples, step.substeps, step.dt)
@@ -100,7 +102,7 @@ def build(scene: Scene, seed: int = 0, law: ContactLaw | None = None) -> Built:
         slot_block=0,
         runs=1,
         blocks=tuple(b.name for b in blocks),
-        quantities=QUANTITIES,
+        quantities=quantities.of_walls(walls),
     )
     system = system.replace(has_rotation=has_hulls or materials.friction is not None or bool(np.any(start.spin)))
     frames = np.array([m.principal for m in made])

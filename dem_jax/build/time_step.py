@@ -66,14 +66,16 @@ class PossibleContact:
     words: str
 
 
-def choose_step(scene: Scene, law: ContactLaw, contacts: list[PossibleContact], together: int = 2) -> TimeStep:
+def choose_step(scene: Scene, law: ContactLaw, contacts: list[PossibleContact], together: int = 2, added: float = 0.0) -> TimeStep:
     """The time step: as asked for, or from the smallest critical step over all contacts that can be. Raises SceneError.
 
-    together: how many contacts can act on a body from opposite sides.
+    together: how many contacts can act on a body from opposite sides. added: to the largest eigenvalue (1/s2), by what else
+    swings.
     """
     sample = scene.run.sample
     critical, limit = (_accurate_step if scene.run.accuracy else _default_step)(scene, law, contacts)
     stable = min(float(np.min(_stable_step(law, c))) for c in contacts) / np.sqrt(together)
+    stable = stable / np.sqrt(1 + 0.25 * added * stable**2)
     most = NEAR if scene.run.accuracy is None else 1
     if scene.run.step == "auto" and critical > most * stable:
         critical, limit = most * stable, f"{most:g} of the stability limit"

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from dem_jax import shapes
+from dem_jax.build.load_cell import load_cell_of
 from dem_jax.build.start import Box
 from dem_jax.build.typed import typed
 from dem_jax.build.unit import check_unit
@@ -100,6 +101,7 @@ def wall_arrays(
         plane=plane if plane is None else host(plane),
         pivot=host(pivot),
         motions=moved,
+        load_cell=load_cell_of(scene, groups, number),
         groups=tuple(groups),
         reports=tuple((name, tuple(members)) for name, members in reports.items()),
     )

@@ -30,7 +30,8 @@ def stack(system: System, state: State, omega: Array, panels: boundary.Panels) -
     (rad/s)."""
     pieces, walls = [state.position, state.velocity, omega], [panels.rows[:9]]
     if _has_rest(state.position):
-        pieces, walls = [*pieces, state.motion.position_rest], [*walls, jnp.zeros_like(panels.rows[:3])]
+        rest = jnp.zeros_like(panels.rows[:3]) if panels.rest is None else panels.rest
+        pieces, walls = [*pieces, state.motion.position_rest], [*walls, rest]
     if system.parts.owner is not None:
         return jnp.concatenate([_of_parts(system, state, jnp.concatenate(pieces)), _with_arms(panels, walls)], axis=1)
     if any(kind != "spheres" for kind, *_ in system.capacity):

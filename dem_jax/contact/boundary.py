@@ -1,4 +1,4 @@
-"""Panels of walls in motion: their poses and velocities at a time, and at the steps ahead."""
+"""Panels of walls in motion: their poses and velocities at a time, at the steps ahead, and on a load cell."""
 
 from typing import NamedTuple
 
@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from dem_jax.contact import motion
 from dem_jax.maths import vector
 from dem_jax.maths.vector import Matrix, Vector
-from dem_jax.types import Array, System, Walls
+from dem_jax.types import Array, CellMotion, System, Walls
 
 
 class Panels(NamedTuple):
@@ -16,6 +16,7 @@ class Panels(NamedTuple):
 
     rows: Array  # [18, W]: centre (m), velocity (m/s), spin (rad/s), rotation panel to world
     groups: Array  # [9, G]: pivot (m), its velocity (m/s), spin (rad/s)
+    rest: Array | None = None  # [3, W] (m): what rounding left over of the centres; None: nothing
 
     @property
     def centre(self) -> Vector:
@@ -62,7 +63,7 @@ def panels(walls: Walls, t: Array, t_velocity: Array) -> Panels:
     centre = vector.unpack(walls.centre)
     x, y, z = (vector.unpack(row) for row in walls.rotation)
     frame = (x, y, z)
-    if not walls.moving:
+    if not walls.motions:
         rest, still = (vector.unpack(jnp.zeros_like(a)) for a in (walls.centre, walls.pivot))
         return _packed(centre, frame, rest, rest, vector.unpack(walls.pivot), still, still)
     moved = motion.frames(walls, t, t_velocity)
@@ -96,7 +97,7 @@ def at_rebuild(system: System, step: Array) -> Panels:
 
 
 class Ahead(NamedTuple):
-    """Where the panels are at a rebuild and until the next."""
+    """Where the panels are at a rebuild and until the next, as far as that is known ahead: ``after`` of a load cell at rest."""
 
     now: Panels
     after: Panels  # each of the steps that follow: arrays with a leading axis [count], unless all walls rest
@@ -108,13 +109,29 @@ def ahead(system: System, step: Array, count: int) -> Ahead:
     All at once: where the flaps are would take a step of few pieces a third of its time.
     """
     now = at_rebuild(system, step)
-    if not system.walls.moving:
+    if not system.walls.motions:
         return Ahead(now, now)
     return Ahead(now, jax.vmap(lambda k: after_step(system, step + k))(jnp.arange(1, count + 1, dtype=jnp.int32)))
 
 
 def after(system: System, of: Ahead, steps: Array) -> Panels:
     """The panels so many steps after the rebuild, at least one; not a number beyond the last."""
-    if not system.walls.moving:
+    if not system.walls.motions:
         return of.after
     return jax.tree.map(lambda rows: rows.at[steps - 1].get(mode="fill", fill_value=jnp.nan), of.after)
+
+
+def carried(system: System, cell: CellMotion | None, panels: Panels) -> Panels:
+    """The panels with those that a load cell carries where it has let them down to, at its speed; panels: of a cell at rest."""
+    carrier = system.walls.load_cell
+    if carrier is None or cell is None:
+        return panels
+    way, rate = (-each[0] for each in (cell.deflection, cell.velocity))  # of a system that is a single run
+    height, shift = panels.rows[2], way * carrier.panels
+    moved = height + shift
+    none = jnp.zeros_like(height)
+    return Panels(
+        rows=panels.rows.at[2].set(moved).at[5].add(rate * carrier.panels),
+        groups=panels.groups.at[2].add(way * carrier.groups).at[5].add(rate * carrier.groups),
+        rest=jnp.stack([none, none, shift - (moved - height)]),  # micrometres, against the 1e-8 m of single precision at 0.1 m
+    )

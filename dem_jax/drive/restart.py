@@ -109,7 +109,8 @@ def sampling(system: System, header: Header) -> System:
     for one of another unit or of other axes.
     """
     held = {stored.name: stored for stored in header.held}
-    for lost in sorted(held.keys() - {quantity.name for quantity in system.quantities}):
+    sampled = {quantity.name for quantity in system.quantities}
+    for lost in sorted(name for name, stored in held.items() if name not in sampled and stored.paths):
         raise RecordError(f"it holds the quantity {lost!r}, which dem_jax does not know; allowed: with it among quantities")
     system = system.replace(quantities=tuple(_as_held(quantity, held.get(quantity.name)) for quantity in system.quantities))
     for own in series.declared(system):

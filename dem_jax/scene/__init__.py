@@ -4,7 +4,7 @@ from dem_jax.scene.changes import parse_setting
 from dem_jax.scene.files import STOCK, load_scene, parse, stock_scenes
 from dem_jax.scene.scene import Scene
 from dem_jax.scene.sections.base import NotNegative, Points, Positive, Quaternion, Section, Size, Vector
-from dem_jax.scene.sections.buckets import Bucket, Drop, Feeder
+from dem_jax.scene.sections.buckets import Bucket, Drop, Feeder, LoadCell, WeighBucket
 from dem_jax.scene.sections.material import Material, NamedMaterial, Pair
 from dem_jax.scene.sections.pieces import SHAPE_KEYS, BodyMass, ConvexShape, Part, Piece, PieceShape, Portion, Product
 from dem_jax.scene.sections.run import Accuracy, Error, RunSettings
@@ -20,6 +20,7 @@ __all__ = [
     "Drop",
     "Error",
     "Feeder",
+    "LoadCell",
     "Material",
     "Motion",
     "NamedMaterial",
@@ -41,6 +42,7 @@ __all__ = [
     "Size",
     "Vector",
     "Wall",
+    "WeighBucket",
     "allowed",
     "described",
     "load_scene",

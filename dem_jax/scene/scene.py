@@ -8,7 +8,7 @@ from pydantic import BeforeValidator, Field, ValidationError, model_validator
 from dem_jax.errors import SceneError
 from dem_jax.scene.changes import new_materials, on_top, set_key
 from dem_jax.scene.sections.base import Section, as_tuple
-from dem_jax.scene.sections.buckets import Bucket, Drop, Feeder
+from dem_jax.scene.sections.buckets import Bucket, Drop, Feeder, WeighBucket
 from dem_jax.scene.sections.contact import Contact, stray_key
 from dem_jax.scene.sections.material import DEFAULT, WALL, Material, Pair
 from dem_jax.scene.sections.pieces import Piece, Portion
@@ -30,7 +30,7 @@ class Scene(Section):
     motion: Annotated[tuple[Motion, ...], BeforeValidator(as_tuple)] = ()
     block: Annotated[tuple[Block, ...], BeforeValidator(as_tuple)] = ()
     feed_bucket: Bucket | None = None
-    weigh_bucket: Bucket | None = None
+    weigh_bucket: WeighBucket | None = None
     feeder: Feeder | None = None
     drop: Drop = Drop()
     pair: Annotated[tuple[Pair, ...], BeforeValidator(as_tuple)] = ()

@@ -20,11 +20,13 @@ AT_ONCE = 16  # runs: more gain little and leave cores without work; always as m
 SLOT_BLOCK = 32  # slots computed at a time: of nine pieces 64 take 1.2 times as long, 16 1.1 times
 
 def is_worthwhile(system: System, runs: int) -> bool:
-    """Whether so many runs of a system are quicker as one: with few pieces, every pair of which is looked at, and no seams."""
+    """Whether so many runs of a system are quicker as one: with few pieces, every pair of which is looked at, no seams
+    and no load cell."""
     kinds = (system.parts.polytopes.shape[0], system.parts.spheres.shape[0])
     is_listed = any(search.choice(system.neighbours, count) != "all-pairs" for count in kinds)
     is_small = sum(kinds) <= MOST_PIECES and runs >= AT_ONCE
-    return is_small and bool(system.slot_block) and not seams.are_there(system) and not is_listed
+    is_plain = not seams.are_there(system) and system.walls.load_cell is None  # a cell sets the walls of each run apart
+    return is_small and bool(system.slot_block) and is_plain and not is_listed
 
 
 def run_chunk(
@@ -75,6 +77,7 @@ def joined(one: System, states: State) -> State:
         step=states.step[0],
         motion=jax.tree.map(beside, states.motion),
         walls=jax.tree.map(beside, states.walls),
+        cell=None,
         contacts=jax.tree.map(beside, tables),
         incidence=states.incidence,
         ledger=jax.tree.map(beside, states.ledger),
@@ -93,6 +96,7 @@ def split(system: System, states: State, state: State) -> State:
         step=jnp.broadcast_to(state.step, (runs,)),
         motion=jax.tree.map(apart, state.motion),
         walls=jax.tree.map(apart, state.walls),
+        cell=None,
         contacts=tables,
         incidence=jax.vmap(lambda tables: neighbours.find_incidence(system, tables)[0])(tables),
         ledger=jax.tree.map(apart, state.ledger),

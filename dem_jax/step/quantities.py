@@ -4,9 +4,9 @@ import jax
 import jax.numpy as jnp
 
 from dem_jax.contact import of_run
-from dem_jax.step import measure
+from dem_jax.step import load_cell, measure
 from dem_jax.step.quantity import Axis, Quantity, Rows, checked
-from dem_jax.types import Array, State, System
+from dem_jax.types import Array, State, System, Walls
 
 
 def _energies(system: System) -> Rows:
@@ -29,6 +29,13 @@ PARTNER = Axis(
     size=lambda system: len(system.walls.groups) + 1,
     rows=lambda system: (*system.walls.reports, ("between_pieces", len(system.walls.groups))),
     symbol="PARTNER",
+)
+
+READING = Axis(
+    "reading",
+    size=lambda _: len(load_cell.READINGS),
+    rows=lambda system: tuple((name, k) for k, name in enumerate(load_cell.READINGS) if system.walls.load_cell is not None),
+    symbol="READING",
 )
 
 
@@ -93,6 +100,11 @@ QUANTITIES = checked(
             help="number of contacts of pieces with the panels of a wall group, and between_pieces",
         ),
         Quantity(
+            name="load_cell", unit=", ".join(load_cell.READINGS.values()), axes=(READING,),
+            of=load_cell.readings,
+            help="of the load cell, if there is one, downwards: " + ", ".join(load_cell.READINGS) + "; signal = k x + c x'",
+        ),
+        Quantity(
             name="step", unit="1", axes=(), kept=False,
             of=lambda system, state: jnp.full((system.runs,), state.step),
             help="number of the time step",
@@ -109,3 +121,8 @@ QUANTITIES = checked(
         ),
     )
 )  # fmt: skip
+
+
+def of_walls(walls: Walls) -> tuple[Quantity, ...]:
+    """The quantities of a system with these walls: without a load cell nothing of one is sampled."""
+    return tuple(q for q in QUANTITIES if READING not in q.axes or walls.load_cell is not None)

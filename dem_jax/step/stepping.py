@@ -33,7 +33,7 @@ def advance(system: System, state: State, panels: boundary.Panels | None = None)
     state, omega = integrate.drift(system, state)
     if panels is None:
         panels = boundary.after_step(system, state.step)
-    state = forces.contacts(system, state, omega, panels)
+    state = forces.contacts(system, state, omega, boundary.carried(system, state.cell, panels))
     return integrate.kick(system, state)
 
 
@@ -107,6 +107,7 @@ def rollout(system: System, state: State, samples: int, substeps: int) -> tuple[
 def _look_around(system: System, state: State) -> Now:
     """Find the candidate pairs anew, and where the walls will be after each step until the next rebuild."""
     walls = boundary.ahead(system, state.step, system.block_steps)
+    walls = walls._replace(now=boundary.carried(system, state.cell, walls.now))
     return neighbours.rebuild(system, state, walls.now), walls
 
 
@@ -144,7 +145,7 @@ def _steps(system: System, substeps: Whole, state: State, walls: boundary.Ahead)
 
 def _seen(system: System, state: State, walls: boundary.Ahead) -> State:
     """Note how far bodies have moved since the last rebuild, beyond what their speeds made expect."""
-    now = boundary.after(system, walls, state.step - state.scratch.since)
+    now = boundary.carried(system, state.cell, boundary.after(system, walls, state.step - state.scratch.since))
     beyond = jnp.max(neighbours.travel(system, state, walls.now, now) - state.scratch.lead)
     travel = jnp.maximum(state.guard.travel, beyond)
     return state.replace(guard=state.guard.replace(travel=travel))

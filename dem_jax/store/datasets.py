@@ -58,6 +58,9 @@ def time_axis(name: str, header: Header) -> int:
 def unit_of(name: str, header: Header) -> str:
     """Unit of a dataset. Raises ValueError for one that is unknown."""
     units = {"time": "s"} | {stored.name: stored.unit for stored in header.held} | UNITS
+    of_rows = {path: unit for stored in header.held for path, unit in stored.units.items()}
+    if name in of_rows:
+        return of_rows[name]
     for key in (name, name.partition("/")[0]):
         if key in units:
             return units[key]

@@ -20,8 +20,8 @@ MOST_SAID = 2**26  # bytes of an attribute: the seeds of eight million runs
 class Stored(NamedTuple):
     """What a file says of a quantity.
 
-    name, unit, axes (names) and help: as of step.quantity.Quantity. labels: names of its datasets NAME/LABEL; None: it is
-    one dataset.
+    name, unit (or those of its datasets, with ", " between), axes (names) and help: as of step.quantity.Quantity. labels:
+    names of its datasets NAME/LABEL; None: it is one dataset.
     """
 
     name: str
@@ -34,6 +34,12 @@ class Stored(NamedTuple):
     def paths(self) -> list[str]:
         """Of its datasets."""
         return [self.name] if self.labels is None else [f"{self.name}/{label}" for label in self.labels]
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Path -> unit of its datasets."""
+        each = self.unit.split(", ")
+        return dict(zip(self.paths, each if len(each) == len(self.paths) else [self.unit] * len(self.paths), strict=True))
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from typing import Annotated
 
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, model_validator
 
 from dem_jax.scene.sections.base import MaterialName, NotNegative, Positive, Section, as_tuple
 
@@ -26,6 +26,34 @@ class Bucket(Section):
     thickness: Positive = Field(0.005, description="m, of walls and flaps")
     material: MaterialName = None
     lap: NotNegative = Field(0.012, description="m by which flaps and walls run on behind each other where they meet")
+
+
+class LoadCell(Section):
+    """The load cell that carries a weigh bucket: a mass on a spring and a damper along the vertical.
+
+    Plausible values (named assumptions) for an aluminium single-point cell such as HBK's SP4M or Tedea-Huntleigh's 1042, which
+    bend by a few tenths of a millimetre at the rated load, and a bucket of 1 kg: 98 kN/m, 50 Hz.
+    """
+
+    mass: Positive = Field(1.0, description="kg that hangs on it without pieces: bucket, flaps, what of the cell moves with them")
+    rated_load: Positive = Field(5.0, description="kg; beyond it a run says so")
+    stiffness: Positive | None = Field(
+        None, description="N/m; unset: of natural_frequency, or 0.5 mm at the rated load if that is unset too"
+    )
+    natural_frequency: Positive | None = Field(None, description="Hz, of the mass without pieces, in place of the stiffness")
+    damping_ratio: NotNegative = Field(0.02, description="of the critical damping of the mass without pieces")
+
+    @model_validator(mode="after")
+    def _has_one_spring(self) -> "LoadCell":
+        if self.stiffness is not None and self.natural_frequency is not None:
+            raise ValueError("stiffness, natural_frequency: allowed: one of the two")
+        return self
+
+
+class WeighBucket(Bucket):
+    """A bucket that may hang on a load cell."""
+
+    load_cell: LoadCell | None = Field(None, description="what carries its walls and flaps; unset: they are held")
 
 
 class Drop(Section):

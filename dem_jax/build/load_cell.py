@@ -1,0 +1,57 @@
+"""The load cell of a scene's weigh bucket, and what it asks of the time step."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from dem_jax.build.time_step import PossibleContact
+from dem_jax.contact.law import ContactLaw
+from dem_jax.scene import LoadCell, Scene
+from dem_jax.types import LoadCell as Cell
+from dem_jax.types import host
+
+GROUPS = ("wb_walls", "wb_flap_left", "wb_flap_right")  # that it carries: the weigh bucket's, as scene.buckets names them
+BEND = 0.5e-3  # m, at the rated load
+STANDARD_GRAVITY = 9.81  # m/s2: of the rated load
+
+
+def section_of(scene: Scene) -> LoadCell | None:
+    """What the scene says of its load cell; None: it has none."""
+    return scene.weigh_bucket.load_cell if scene.weigh_bucket else None
+
+
+def stiffness(section: LoadCell) -> float:
+    """Of a load cell (N/m)."""
+    if section.natural_frequency is not None:
+        return section.mass * (2 * np.pi * section.natural_frequency) ** 2
+    return section.rated_load * STANDARD_GRAVITY / BEND if section.stiffness is None else section.stiffness
+
+
+def load_cell_of(scene: Scene, groups: Sequence[str], group: np.ndarray) -> Cell | None:
+    """The load cell, in numpy; None: the scene has none. groups: names of the G wall groups; group: [W], that of each panel."""
+    section = section_of(scene)
+    if section is None:
+        return None
+    spring = stiffness(section)
+    carries = np.array([name in GROUPS for name in groups], float)
+    return Cell(
+        mass=host(np.array(section.mass)),
+        stiffness=host(np.array(spring)),
+        damping=host(np.array(2 * section.damping_ratio * np.sqrt(spring * section.mass))),
+        groups=host(carries),
+        panels=host(carries[group]),
+    )
+
+
+def added_rate(scene: Scene, law: ContactLaw, contacts: Sequence[PossibleContact], pieces: int) -> float:
+    """By how much (1/s2) a load cell raises the largest squared frequency of pieces on held walls, at most; 0: there is none.
+
+    Of the matrix of stiffness over mass, the bucket's own row is all that is new: at most (k + n K) / M, K being the stiffest
+    contact and n the number of pieces that may lie on it at once; by Weyl's inequality the largest eigenvalue is no more than
+    that and the one of the pieces added up.
+    """
+    section = section_of(scene)
+    if section is None:
+        return 0.0
+    stiffest = max(float(np.max(4 * c.mass / np.asarray(law.stable_step(c.pair, c.mass)) ** 2)) for c in contacts)
+    return (stiffness(section) + pieces * stiffest) / section.mass
