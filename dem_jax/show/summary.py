@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from dem_jax.build.load_cell import section_of
 from dem_jax.build.walls import written_out
 from dem_jax.scene import Scene, parse
 from dem_jax.show.facts import stiffness_in_short
@@ -31,12 +32,23 @@ def summary(run: Run) -> list[str]:
     members = [run] if run.run_count is None else [run.member(k) for k in range(run.run_count)]
     if group:
         lines += [_peaks(members, group), f"peaks are those of {stiffness_in_short(run)}"]
+    if "signal" in getattr(run, "load_cell", {}):
+        lines.append(_weighed(run))
     if block:
         mass = 1e3 * np.array([m.settled_mass[block][-1] for m in members])
         lines.append(f"settled mass in {block} at the end: {_range(mass, '{:.4g}')} g")
     if group and block:
         lines.append(_durations(members, group, block))
     return lines
+
+
+def _weighed(run: Run) -> str:
+    """What the load cell reads at the end and at most, and whether that is more than it is made for."""
+    weight = np.atleast_2d(run.load_cell["weight"])
+    most, cell = np.abs(weight).max(axis=1), section_of(parse(run.scene, "the file's scene"))
+    rated = "" if cell is None else f" of the rated {cell.rated_load:g} kg"
+    beyond = ": beyond the rated load" if cell is not None and most.max() > cell.rated_load else ""
+    return f"load cell: {_range(1e3 * weight[:, -1], '{:.4g}')} g at the end, at most {_range(most, '{:.3g}')} kg{rated}{beyond}"
 
 
 def _notes_on_shapes(run: Run) -> list[str]:

@@ -14,6 +14,7 @@ from dem_jax.build.time_step import possible_contacts
 from dem_jax.contact import boundary
 from dem_jax.errors import SceneError
 from dem_jax.scene import Scene
+from dem_jax.show.summary import summary
 from dem_jax.step import integrate, joined
 from dem_jax.types import CellMotion
 from dem_jax.validation import CellImpact
@@ -185,6 +186,16 @@ def test_what_lies_in_the_bucket_is_weighed():
     through = 1e-4 * np.cumsum(0.5 * (cell["signal"][1:] + cell["signal"][:-1]))
     gained = 1e-4 * np.cumsum(force)[1:] - CELL["mass"] * cell["velocity"][1:]
     np.testing.assert_allclose(through, gained, atol=3e-3 * gained.max())  # the signal by samples of 0.1 ms
+
+
+def test_the_summary_says_what_is_read_and_whether_the_cell_is_overloaded():
+    run = landing(0.2)
+    mass, most = run.load_cell["weight"][-1], np.abs(run.load_cell["weight"]).max()
+    words = f"load cell: {1e3 * mass:.4g} g at the end, at most {most:.3g} kg of the rated "
+    assert words + "5 kg" in summary(run)
+    weak = dem_jax.simulate(scene(**(LANDING | {"cell": LANDING["cell"] | {"rated_load": 0.1}}), run={"duration": 0.2}))
+    assert words + "0.1 kg: beyond the rated load" in summary(weak)
+    assert not [line for line in summary(weak) if "load cell" in line and words not in line]
 
 
 def test_files_hold_the_readings_with_their_units_and_go_on_from_them(tmp_path):
