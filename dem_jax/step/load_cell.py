@@ -20,7 +20,7 @@ READINGS = {"deflection": "m", "velocity": "m/s", "signal": "N", "weight": "kg"}
 
 def kick(system: System, state: State) -> CellMotion | None:
     """Half a step of acceleration, to dt / 2 later."""
-    return _kicked(system, state.cell, load(system, state))
+    return None if system.walls.load_cell is None else _kicked(system, state.cell, load(system, state))
 
 
 def drift(system: System, state: State) -> CellMotion | None:
@@ -40,8 +40,7 @@ def swing(system: System, state: State, steps: Array) -> CellMotion | None:
 def load(system: System, state: State) -> Array:
     """Force of the pieces on what the cell carries, downwards, [R] (N)."""
     cell = system.walls.load_cell
-    if cell is None:
-        return jnp.zeros_like(state.walls.force[2, 0])
+    assert cell is not None
     return -jnp.sum(cell.groups[:, None] * state.walls.force[2], axis=0)
 
 
