@@ -20,7 +20,7 @@ MAY_IMPORT = {  # room -> rooms below it
     "contact": BASE | {"scene"},
     "pairs": BASE | {"contact"},
     "step": BASE | {"contact", "pairs"},
-    "store": BASE | {"step"},
+    "store": BASE | {"step", "scene"},
     "build": BASE | {"contact", "pairs", "step", "scene", "shapes"},
     "drive": BASE | {"contact", "pairs", "step", "scene", "build", "store", "__version__"},
     "show": BASE | {"contact", "scene", "shapes", "build", "store"},

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import jax
@@ -18,6 +17,7 @@ from dem_jax.scene import Scene, arrange
 from dem_jax.shapes import Shape
 from dem_jax.types import CellMotion, Motion, State, System, WallLoads, host
 
+REBUILD = jax.jit(neighbours.rebuild)  # traced once for all systems of a form
 Box = tuple[ArrayLike, ArrayLike]  # lowest and highest corner [3] (m)
 
 
@@ -116,6 +116,6 @@ def first_state(system: System, start: Start, frames: np.ndarray, step: int) -> 
         guard=neighbours.empty_guard(system, dtype),
         scratch=empty,
     )
-    form = jax.eval_shape(partial(neighbours.rebuild, system), state).scratch
+    form = REBUILD.eval_shape(system, state).scratch
     scratch = jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), form)
     return jax.tree.map(jnp.asarray, state.replace(scratch=scratch))  # in numpy: each operation of jax.numpy would be compiled

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from dem_jax.drive.varied import Varied
 from dem_jax.types import Sample, State, System
 
 SAMPLES = 1024  # capacity of a chunk: one for all scenes, so that they share compiled programs
@@ -55,6 +56,7 @@ class Chunk(NamedTuple):
     clock: Clock
     compiling: Callable[[], None]  # called before a program is compiled
     known: Known | None  # of an ensemble
+    varied: Varied | None = None  # of an ensemble whose runs differ in more than their seed; the system is then that of the first
 
 
 Way = Callable[[Chunk], Computed]  # how chunks are computed, see execute

@@ -21,11 +21,12 @@ from dem_jax.step import joined, stepping
 from dem_jax.types import State, System
 
 
-def way_of(system: System, runs: int | None) -> Way:
-    """The way to compute chunks of a system; runs: of an ensemble."""
+def way_of(system: System, runs: int | None, is_one: bool = True) -> Way:
+    """The way to compute chunks of a system; runs: of an ensemble; is_one: whether it is the system of all of them."""
     if runs is None:
         return by_itself
-    here = on_devices if jax.default_backend() != "cpu" else side_by_side if joined.is_worthwhile(system, runs) else in_threads
+    is_joined = is_one and joined.is_worthwhile(system, runs)
+    here = on_devices if jax.default_backend() != "cpu" else side_by_side if is_joined else in_threads
     return partial(on_hosts, here, runs) if hosts.several() else here
 
 
@@ -36,7 +37,7 @@ def execute(
     every = job.every or 1
     times = Times(np.int32(count), np.int32(every), np.int32(first % every))
     compiling = shown.compiling if shown else lambda: None
-    return job.way(Chunk(system, state, times, job.frame_capacity, job.double, job.clock, compiling, known))
+    return job.way(Chunk(system, state, times, job.frame_capacity, job.double, job.clock, compiling, known, job.varied))
 
 
 def by_itself(chunk: Chunk) -> Computed:
@@ -64,7 +65,8 @@ def on_devices(chunk: Chunk) -> Computed:
     """The runs of an ensemble side by side, shared out among devices; all of them, whatever is known of some: fewer would be
     another program."""
     mesh = _mesh(len(chunk.state.step))
-    chunk = chunk._replace(state=jax.device_put(chunk.state, NamedSharding(mesh, PartitionSpec("runs"))))
+    system = chunk.system if chunk.varied is None else chunk.varied.stacked(chunk.system)
+    chunk = chunk._replace(system=system, state=jax.device_put(chunk.state, NamedSharding(mesh, PartitionSpec("runs"))))
     return computed(programs.program(chunk, stepping.run_chunk, mesh), chunk)
 
 
@@ -72,7 +74,7 @@ def on_hosts(here: Way, runs: int, chunk: Chunk) -> Computed:
     """The runs of an ensemble shared out among processes; here: how each computes its own."""
     mine = hosts.share(runs)
     state, known = jax.tree.map(lambda x: x[mine], jax.device_get((chunk.state, chunk.known)))
-    own = chunk._replace(state=state, known=known)
+    own = chunk._replace(state=state, known=known, varied=chunk.varied and chunk.varied.taken(mine))
     parts = hosts.exchange(lambda: jax.device_get(here(own)) if len(state.step) else None)
     return jax.tree.map(lambda *x: np.concatenate(x), *(part for part in parts if part is not None))
 
@@ -89,7 +91,8 @@ def _on_all_cores(
     """groups: the run or runs of each thread. together: makes one array of theirs."""
     kept = jax.device_get(_bare(chunk.state))
     scratch = jax.device_put(_of_runs(groups[0], jax.device_get(chunk.state.scratch)))  # filled anew: any run's will do
-    own = lambda k: chunk._replace(state=_of_runs(k, kept).replace(scratch=scratch))  # noqa: E731
+    system = lambda k: chunk.system if chunk.varied is None else chunk.varied.system(chunk.system, k)  # noqa: E731
+    own = lambda k: chunk._replace(system=system(k), state=_of_runs(k, kept).replace(scratch=scratch))  # noqa: E731
     program = programs.program(own(groups[0]), run_chunk)
     known = chunk.known and jax.device_get(chunk.known._replace(results=_without_scratch(chunk.known.results)))
 

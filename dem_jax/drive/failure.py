@@ -8,6 +8,7 @@ import numpy as np
 from dem_jax.drive.job import Job
 from dem_jax.errors import SceneError, SimulationError
 from dem_jax.scene.extreme import furthest
+from dem_jax.scene.words import short
 from dem_jax.step.quantities import QUANTITIES
 from dem_jax.types import Guard, Sample, State, System
 
@@ -49,16 +50,18 @@ def find(samples: Sample, count: int) -> tuple[int, int] | None:
 def describe(job: Job, span: "Span", state: State, member: int, k: int) -> SimulationError:
     """The error of a run whose sample k of a span failed; state: of that time, numpy, of an ensemble stacked."""
     samples = span.samples
+    system = span.system
     if job.runs is not None:
         state, samples = _member(state, member), _member(samples, member)
+        system = system if job.varied is None else job.varied.system(system, member)
     at = (span.first + k + 1) * job.scene.run.sample
     if samples.culprit[k] >= 0:
         piece = int(samples.culprit[k])
-        what = _what_happened(job, state, piece)
+        what = _what_happened(job, system, state, piece, member)
     elif samples.overlap[k] > DEEPEST:
-        piece, what = _deep(span.system, state, float(samples.overlap[k]))
+        piece, what = _deep(system, state, float(samples.overlap[k]))
     else:
-        return _error(job, _not_finite(job, samples, k, at), None, at, member)
+        return _error(job, _not_finite(job, samples, k, at, member), None, at, member)
     return _error(job, f"piece {piece} at t = {at:.6g} s: {what}", piece, at, member)
 
 
@@ -66,9 +69,10 @@ def escapes(job: Job, state: State) -> list[str]:
     """What to note of the pieces that are outside the domain, where that stops no run."""
     if job.system.escape_stops:
         return []
-    low, high = (np.asarray(x)[:, None] for x in (job.system.domain_low, job.system.domain_high))
     position = np.asarray(state.position)
     position = position.reshape(-1, *position.shape[-2:])  # [runs, 3, N]
+    systems = [job.built_of(run).system for run in range(len(position))]
+    low, high = (np.stack([getattr(s, name) for s in systems])[:, :, None] for name in ("domain_low", "domain_high"))
     out = np.argwhere(((position < low) | (position > high)).any(axis=1))
     return [f"{_name(job, member)}: piece {piece} left the domain" for member, piece in out]
 
@@ -93,7 +97,11 @@ def _error(job: Job, line: str, piece: int | None, at: float, member: int) -> Si
 
 
 def _name(job: Job, member: int) -> str:
-    return job.scene.name if job.runs is None else f"{job.scene.name}, run {member} (seed {job.seeds[member]})"
+    if job.runs is None:
+        return job.scene.name
+    own = job.varied.of_run(member) if job.varied is not None else {}
+    said = "".join(f", {key} = {short(value)}" for key, value in own.items())
+    return f"{job.scene.name}, run {member} (seed {job.seeds[member]}{said})"
 
 
 def _member(tree: Any, k: int) -> Any:
@@ -105,28 +113,28 @@ def _finite(samples: Sample) -> list[str]:
     return [q.name for q in QUANTITIES if q.name in samples.values and np.asarray(samples.values[q.name]).dtype.kind == "f"]
 
 
-def _not_finite(job: Job, samples: Sample, k: int, at: float) -> str:
+def _not_finite(job: Job, samples: Sample, k: int, at: float, member: int) -> str:
     """What to say of a sample whose pieces all move as they should."""
     names = [name for name in _finite(samples) if not np.isfinite(np.asarray(samples.values[name])[k]).all()]
     return (
-        f"at t = {at:.6g} s: {', '.join(names)} not finite; likely cause: {_step_advice(job)}; "
-        f"or numbers that are too large: furthest from what is usual is {furthest(job.scene)}"
+        f"at t = {at:.6g} s: {', '.join(names)} not finite; likely cause: {_step_advice(job, member)}; "
+        f"or numbers that are too large: furthest from what is usual is {furthest(job.scene_of(member))}"
     )
 
 
-def _what_happened(job: Job, state: State, piece: int) -> str:
+def _what_happened(job: Job, system: System, state: State, piece: int, member: int) -> str:
     position = np.asarray(state.position)[:, piece]
     rest = [np.asarray(x)[:, piece] for x in (state.velocity, state.angular_momentum, state.orientation)]
     if not all(np.isfinite(x).all() for x in (position, *rest)):
-        return f"its motion is not finite; likely cause: {_step_advice(job)}"
-    low, high = np.asarray(job.system.domain_low), np.asarray(job.system.domain_high)
+        return f"its motion is not finite; likely cause: {_step_advice(job, member)}"
+    low, high = np.asarray(system.domain_low), np.asarray(system.domain_high)
     below, above = position < low, position > high
     axis = int(np.argmax(below | above))
     side, limit, key = ("below", low, "domain_low") if below[axis] else ("above", high, "domain_high")
     speed = np.linalg.norm(rest[0])
     return (
         f"it left the domain {side} {'xyz'[axis]} = {limit[axis]:.4g} m at {speed:.3g} m/s; "
-        f"likely cause: no wall holds it there, or a contact threw it ({_step_advice(job)}); "
+        f"likely cause: no wall holds it there, or a contact threw it ({_step_advice(job, member)}); "
         f'the domain is set by run.{key}, and run.escape = "note" goes on without the piece'
     )
 
@@ -148,8 +156,8 @@ def _deep(system: System, state: State, overlap: float) -> tuple[int, str]:
     )
 
 
-def _step_advice(job: Job) -> str:
-    step, scene = job.built.step, job.scene
+def _step_advice(job: Job, member: int) -> str:
+    step, scene = job.built_of(member).step, job.scene_of(member)
     return (
         f"time step of {step.dt:.3g} s (dt/dt_crit = {step.dt / step.critical:.2g}) too long, lower run.step; "
         f"or restitution {scene.material.restitution:g} too low for it"

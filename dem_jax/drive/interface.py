@@ -1,6 +1,6 @@
 """The interface of Python: simulate a scene, an ensemble of it, or go on with a file."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -13,6 +13,7 @@ from dem_jax.contact.law import ContactLaw
 from dem_jax.drive import hosts, loop, recorded, restart, target
 from dem_jax.drive.job import Job
 from dem_jax.drive.prepare import prepare
+from dem_jax.drive.varied import drawn
 from dem_jax.errors import RecordError, SceneError
 from dem_jax.scene import Scene, parse
 from dem_jax.step.quantity import Quantity
@@ -46,32 +47,45 @@ def simulate(
 
 def ensemble(
     scene: Scene | FileName,
-    runs: int = 64,
-    seed: int = 0,
+    runs: int | None = None,
+    seed: int | Sequence[int] = 0,
     out: FileName | None = None,
     overwrite: bool = False,
     progress: bool = False,
     quantities: Iterable[Quantity] = (),
     law: ContactLaw | None = None,
+    parameters: Mapping[str, Any] | None = None,
 ) -> record.Run:
-    """Run a scene with the seeds seed, seed + 1, ..., seed + runs - 1; every series has a leading run axis.
+    """Run a scene with many seeds, and many values of its parameters; every series has a leading run axis.
 
-    The runs share one system and one compiled program. On a CPU each has a thread to itself, on all cores, and the bits that
-    it has alone; sixteen or more runs of few pieces (``joined``) are computed sixteen at a time, in half of the time or less,
-    and each has the same bits in any such ensemble. Elsewhere runs are stepped together by ``jax.vmap``, shared out among as
-    many of JAX's devices as divide their number. Those and these equal single runs up to rounding, which contacts amplify in
-    time. A scene whose pieces are listed one by one has nothing that a seed could change: its runs are alike. If one run
-    fails, all stop; with ``run.until_settled`` they are released, and end, when all are settled.
+    runs: how many; by default as many as a parameter has values, or 64. seed: the first of seed, seed + 1, ..., or the seed
+    of each run. parameters: keys of the scene, such as ``"material.restitution"``, each with an array or list of a value for
+    each run, or with a distribution of ``scipy.stats`` (which is drawn from with the first seed). They may change all but
+    what decides which program is compiled: of a run that needs another one a SceneError says so. The values are in
+    ``run.parameters``, and each run is that of its own scene, ``scene.replace({key: value, ...})``.
+
+    The runs share one compiled program. On a CPU each has a thread to itself, on all cores, and the bits that it has alone;
+    sixteen or more runs of few pieces and of the same parameters (``joined``) are computed sixteen at a time, in half of the
+    time or less, and each has the same bits in any such ensemble. Elsewhere runs are stepped together by ``jax.vmap``, shared
+    out among as many of JAX's devices as divide their number. Those and these equal single runs up to rounding, which contacts
+    amplify in time. A scene whose pieces are listed one by one has nothing that a seed could change. If one run fails, all
+    stop; with ``run.until_settled`` they are released, and end, when all are settled.
 
     Where ``jax.distributed`` was initialised, all processes must call this with the same arguments: each computes its
     share of the runs on its own devices, the first writes the file, and all return the whole ensemble or raise the same.
     Arguments and errors as ``simulate``.
     """
-    if not 1 <= runs <= MOST_RUNS:
+    if runs is not None and not 1 <= runs <= MOST_RUNS:
         raise SceneError(f"runs = {runs}: allowed: a whole number from 1 to {MOST_RUNS}")
-    seeds = tuple(range(int(seed), int(seed) + int(runs)))
+    listed = np.ndim(seed) > 0
+    first = int(np.ravel(seed)[0]) if np.size(seed) else 0
+    values = drawn(parameters or {}, np.size(seed) if listed else runs, first)
+    count = len(next(iter(values.values()))) if values else np.size(seed) if listed else 64 if runs is None else int(runs)
+    if not count or (listed and runs not in (None, count)):
+        raise SceneError(f"seed: {np.size(seed)} of them; allowed: one, or one for each of {runs or 'at least one'} run(s)")
+    seeds = tuple(int(s) for s in np.ravel(seed)) if listed else tuple(range(first, first + count))
     with hosts.together():
-        return drive(prepare(scene, seeds, len(seeds), quantities, law), out, overwrite, progress)
+        return drive(prepare(scene, seeds, count, quantities, law, values or None), out, overwrite, progress)
 
 
 def resume(
@@ -94,7 +108,7 @@ def resume(
         scene = scene.replace({"run.duration": duration})
     with hosts.together(header.run_count is not None):
         seeds = header.seed if isinstance(header.seed, tuple) else (header.seed,)
-        job = prepare(scene, seeds, header.run_count, quantities, law)
+        job = prepare(scene, seeds, header.run_count, quantities, law, header.info.get("parameters"))
         if samples > job.samples:
             held = f"allowed: at least {samples * scene.run.sample:g} s, which {path} holds"
             raise SceneError(f"duration = {scene.run.duration:g}: {held}")
@@ -135,7 +149,7 @@ def _gone_on(job: Job, path: FileName, header: record.Header, arrays: dict[str, 
             if not arrays:  # it was stopped before its first flush
                 return replace(job, system=system)
             system, state = restart.unpack(system, state, arrays)
-            restart.check_step(state, job.state, job.steps_per_sample, samples)
+            restart.check_step(state, job.state, job.steps_of_runs, samples)
         except RecordError as error:
             raise RecordError(f"{path}: {error}") from error
         notes, reruns = (tuple(header.info.get(name, ())) for name in ("notes", "reruns"))

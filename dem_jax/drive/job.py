@@ -2,9 +2,12 @@
 
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from dem_jax import build
 from dem_jax.drive import hosts, settled
 from dem_jax.drive.chunk import FRAMES, SAMPLES, Clock, Way
+from dem_jax.drive.varied import Varied
 from dem_jax.scene import Scene
 from dem_jax.types import State, System
 
@@ -24,6 +27,7 @@ class Job:
     state: State
     way: Way  # how its chunks are computed
     rule: settled.Rule | None = None  # of run.until_settled
+    varied: Varied | None = None  # what differs between the runs of an ensemble, beside their seed
     own_law: bool = False  # whether the contact law was given instead of the scene's
     samples_kept: int = 0  # already in the file
     frames_kept: int = 0
@@ -66,6 +70,24 @@ class Job:
     def steps_per_sample(self) -> int:
         """Time steps of a sample interval."""
         return self.built.step.substeps
+
+    @property
+    def steps_of_runs(self) -> np.ndarray:
+        """Time steps of a sample interval, of each run of an ensemble, or [] of a single one."""
+        built = [self.built] if self.runs is None else [self.built_of(k) for k in range(self.runs)]
+        return np.array([b.step.substeps for b in built]).reshape(np.shape(self.state.step))
+
+    def sample_of(self, state: State) -> int:
+        """How many sample intervals a state is from the release."""
+        return int(np.ravel(state.step)[0]) // self.steps_per_sample
+
+    def built_of(self, run: int) -> build.Built:
+        """What a run was built as, of a single one too."""
+        return self.built if self.varied is None else self.varied.built[run]
+
+    def scene_of(self, run: int) -> Scene:
+        """The scene of a run."""
+        return self.scene if self.varied is None else self.varied.scene(self.scene, run)
 
     @property
     def stride(self) -> int:

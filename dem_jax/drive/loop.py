@@ -10,7 +10,6 @@ from functools import partial
 from typing import Any, NoReturn
 
 import jax
-import numpy as np
 
 from dem_jax.drive import failure, hosts, ringing
 from dem_jax.drive.execute import execute
@@ -51,7 +50,7 @@ def _run(job: Job, target: Target, shown: Progress) -> None:
 def spans(job: Job, shown: Progress) -> Iterator[Span]:
     """The chunks of a job, from its state to its last sample. Where they end depends on the scene alone."""
     system, state, slow = job.system, job.state, job.slow
-    at = int(np.max(state.step)) // job.steps_per_sample
+    at = job.sample_of(state)
     while at < job.samples:
         end = min(job.chunk_end(at), job.samples)
         span = looked_at(job, advance(job, system, state, at, end - at, shown), slow)

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +12,7 @@ from dem_jax import build, compiling
 from dem_jax.build import sampling
 from dem_jax.contact.geometry import is_kept
 from dem_jax.contact.law import ContactLaw
-from dem_jax.drive import execute, settled
+from dem_jax.drive import execute, settled, varied
 from dem_jax.drive.job import Job, samples_per_block
 from dem_jax.errors import SceneError
 from dem_jax.pairs import guard
@@ -30,9 +31,10 @@ def prepare(
     runs: int | None,
     quantities: Iterable[Quantity] = (),
     law: ContactLaw | None = None,
+    parameters: dict[str, list[Any]] | None = None,
 ) -> Job:
     """Set up a run (runs: None) or an ensemble, one seed for each run. quantities: to sample beside those of dem_jax;
-    law: instead of the scene's.
+    law: instead of the scene's; parameters: key -> a value for each run.
 
     Raises SceneError, and ValueError for two quantities of one name.
     """
@@ -41,18 +43,28 @@ def prepare(
     compiling.loops_as_one()
     scene = build.self_contained(scene if isinstance(scene, Scene) else load_scene(scene))
     with jax.enable_x64(scene.run.precision == "f64"), np.errstate(all="ignore"):  # build looks at what comes out
-        built = _built(scene, int(seeds[0]), law)
-        sampled = checked((*built.system.quantities, *quantities))
-        system, state = built.system.replace(slot_block=slot_block(), quantities=sampled), built.state
+        scenes = varied.scenes_of(scene, parameters, len(seeds))
+        each = {id(s): _built(s, int(seeds[0]), law) for s in scenes}
+        built = [each[id(s)] for s in scenes]
+        different, system = varied.vary(scene, built, parameters) if parameters else (None, built[0].system)
+        sampled = checked((*system.quantities, *quantities))
+        system, state = system.replace(slot_block=slot_block(), quantities=sampled), built[0].state
         if runs is not None:
-            states = [build.state_of_seed(scene, built, int(seed)) for seed in seeds]
+            states = [build.state_of_seed(*row) for row in zip(scenes, built, map(int, seeds), strict=True)]
             state = jax.tree.map(lambda *x: jnp.asarray(np.stack(x)), *states)
         if is_kept(system):
             state = guard.with_scratch(system, state)
-    settling = built.settling_steps // built.step.substeps
-    rule = settled.rule_of(scene, system, settling, samples_per_block(system))
-    notes = tuple(said for said in (built.step.warning, sampling.note(scene.run.sample, built.shortest)) if said)
-    return Job(scene, tuple(seeds), runs, built, system, state, execute.way_of(system, runs), rule, law is not None, notes=notes)
+    block, settling = samples_per_block(system), built[0].settling_steps // built[0].step.substeps
+    rule = settled.latest([settled.rule_of(s, each[id(s)].system, settling, block) for s in {id(s): s for s in scenes}.values()])
+    way, notes = execute.way_of(system, runs, different is None), _notes(scene, list(each.values()))
+    return Job(scene, tuple(seeds), runs, built[0], system, state, way, rule, different, law is not None, notes=notes)
+
+
+def _notes(scene: Scene, built: Sequence[build.Built]) -> tuple[str, ...]:
+    """What a person should know before a run begins; of several that differ, of that for which it is worst."""
+    longest = max(built, key=lambda b: b.step.dt / b.step.stable)
+    shortest = min(b.shortest for b in built)
+    return tuple(said for said in (longest.step.warning, sampling.note(scene.run.sample, shortest)) if said)
 
 
 def _built(scene: Scene, seed: int, law: ContactLaw | None) -> build.Built:

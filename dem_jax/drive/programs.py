@@ -28,7 +28,7 @@ def program(chunk: Chunk, run_chunk: RunChunk, mesh: Mesh | None = None) -> Call
         chunk.compiling()
         start = time.perf_counter()
         one = partial(_chunk, run_chunk, chunk.frames)
-        function = one if mesh is None else _shared_out(one, mesh)
+        function = one if mesh is None else _shared_out(one, mesh, chunk)
         with compiling.uncollected():
             KEPT[key] = compiling.jit(function, jax.default_backend()).lower(*arguments).compile()
         chunk.clock.compile += time.perf_counter() - start
@@ -39,9 +39,11 @@ def _chunk(run_chunk: RunChunk, frames: int, system: System, state: State, count
     return run_chunk(system, state, count, every, SAMPLES, frames, phase)
 
 
-def _shared_out(function: RunChunk, mesh: Mesh) -> RunChunk:
-    """The function of runs side by side, as many on each device."""
+def _shared_out(function: RunChunk, mesh: Mesh, chunk: Chunk) -> RunChunk:
+    """The function of runs side by side, as many on each device; of a chunk whose system has the runs stacked where they
+    differ."""
     same, each = PartitionSpec(), PartitionSpec("runs")
-    function = jax.vmap(function, in_axes=(None, 0, None, None, None))
-    sides = same, each, same, same, same
+    of_system = lambda each, same: chunk.varied.each(chunk.system, each, same) if chunk.varied else same  # noqa: E731
+    function = jax.vmap(function, in_axes=(of_system(0, None), 0, None, None, None))
+    sides = of_system(each, same), each, same, same, same
     return jax.shard_map(function, mesh=mesh, in_specs=sides, out_specs=each, check_vma=False)

@@ -5,8 +5,6 @@ import threading
 import time
 from typing import TYPE_CHECKING, Any, Self
 
-import numpy as np
-
 from dem_jax.drive.job import Job
 
 if TYPE_CHECKING:
@@ -22,7 +20,7 @@ class Progress:
         self._job = job
         self._bar: Any = None
         self._ended = threading.Event()
-        self._from = int(np.max(job.state.step)) // job.steps_per_sample
+        self._from = job.sample_of(job.state)
         self._since, self._compiled = time.perf_counter(), job.clock.compile
         if shown:
             from tqdm import tqdm

@@ -16,7 +16,9 @@ def header_of(job: Job) -> record.Header:
     from dem_jax import __version__
 
     step, scene = job.built.step, job.scene
-    own = {"law": type(job.system.law).__name__} if job.own_law else {}
+    own: dict[str, Any] = {"law": type(job.system.law).__name__} if job.own_law else {}
+    if job.varied is not None:
+        own["parameters"] = job.varied.parameters
     return record.Header(
         scene=scene.to_toml(),
         seed=job.seeds[0] if job.runs is None else job.seeds,
@@ -81,7 +83,7 @@ def restart_of(job: Job, span: Span) -> dict[str, np.ndarray] | None:
     """
     if span.end == job.chunk_end(span.first):
         state, slow = span.state, span.slow
-    elif span.first * job.steps_per_sample == int(np.max(job.state.step)):
+    elif span.first == job.sample_of(job.state):
         state, slow = span.start, job.slow
     else:
         return None

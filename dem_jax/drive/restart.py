@@ -61,12 +61,14 @@ def unpack(system: System, state: State, arrays: dict[str, np.ndarray]) -> tuple
     return system, kept.replace(scratch=state.scratch, ledger=kept.ledger.replace(peak=state.ledger.peak))
 
 
-def check_step(state: State, first: State, steps_per_sample: int, samples: int) -> None:
+def check_step(state: State, first: State, steps_per_sample: np.ndarray, samples: int) -> None:
     """Raise RecordError unless the state is of the end of a sample interval that a file of so many samples may end with; first:
-    the state that the scene begins with."""
-    step, least, most = np.asarray(state.step), int(np.max(first.step)), samples * steps_per_sample
-    if np.any((step < least) | (step > most) | (step % steps_per_sample != 0) | (step != np.ravel(step)[0])):
-        told = f"a multiple of {steps_per_sample} from {least} to {most}, of the {samples} samples in the file"
+    the state that the scene begins with; steps_per_sample: of each run, or of all."""
+    step, each = np.asarray(state.step), np.ravel(steps_per_sample)[0]
+    at, rest = np.divmod(step, steps_per_sample)
+    least = int(np.max(np.asarray(first.step) // steps_per_sample))
+    if np.any((at < least) | (at > samples) | (rest != 0) | (at != np.ravel(at)[0])):
+        told = f"a multiple of {each} from {least * each} to {samples * each}, of the {samples} samples in the file"
         raise RecordError(f"restart/step = {np.ravel(step)[0]}: allowed: {told}")
 
 

@@ -1,7 +1,7 @@
 """When all is at rest, so that a run may end early (``run.until_settled``): decided on the host, between chunks."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -36,6 +36,15 @@ class Rule:
     def is_slow(self, samples: Sample, count: int) -> bool:
         """Whether all pieces of all runs are slow in the first ``count`` samples; samples: numpy [.., T]."""
         return bool(np.all(samples.fastest[..., :count] < self.speed))
+
+
+def latest(rules: list[Rule | None]) -> Rule | None:
+    """The rule of runs that end together, each of which has one of these."""
+    all_of = [rule for rule in rules if rule is not None]
+    if not all_of:
+        return None
+    begin, still = max(rule.start for rule in all_of), max(rule.still for rule in all_of)
+    return replace(max(all_of, key=lambda rule: rule.window), start=begin, still=still)
 
 
 def rule_of(scene: Scene, system: System, settling: int, samples_per_block: int) -> Rule | None:

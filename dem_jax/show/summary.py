@@ -21,6 +21,7 @@ def summary(run: Run) -> list[str]:
     if run.run_count is not None:
         pieces = f"{run.run_count} runs of {pieces}"
     ended = "" if run.settled is None else ", then all was settled"
+    lines += [f"{key}: {_listed(values)}" for key, values in run.parameters.items()]
     lines.append(f"{pieces}, {run.time[-1]:.6g} s in samples of {run.sample:.3g} s, {run.precision}{ended}")
     if "settling" in info:
         lines.append(f"released after {info['settling']:.6g} s of settling, when all was settled")
@@ -40,6 +41,13 @@ def summary(run: Run) -> list[str]:
     if group and block:
         lines.append(_durations(members, group, block))
     return lines
+
+
+def _listed(values: np.ndarray) -> str:
+    """The values of a parameter, one for each run, in few words."""
+    if values.ndim > 1 or values.dtype.kind not in "iuf":
+        return f"{len(values)} values"
+    return f"{values.min():.4g} to {values.max():.4g} ({len(np.unique(values))} values)"
 
 
 def _weighed(run: Run) -> str:

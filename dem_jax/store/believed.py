@@ -51,6 +51,12 @@ def is_list_of(holds: Callable[[Any], bool]) -> Callable[[Any], bool]:
     return lambda value: isinstance(value, list | tuple) and all(map(holds, value))
 
 
+def is_table_of_lists(value: Any) -> bool:
+    """Whether it is a table of keys with a list each, all equally long."""
+    lists = list(value.values()) if isinstance(value, dict) else []
+    return all(isinstance(each, list) for each in lists) and len({len(each) for each in lists}) == 1
+
+
 HEADER = {
     "scene": Rule(is_text, "TOML text"),
     "seed": Rule(lambda v: is_seed(v) or (is_list_of(is_seed)(v) and len(v) > 0), "whole numbers of at least 0"),
@@ -71,6 +77,7 @@ INFO = {
     ),
     **dict.fromkeys(("step", "limit", "law", "stopped"), Rule(is_text, "a text")),
     **dict.fromkeys(("notes", "reruns"), Rule(is_list_of(is_text), "texts")),
+    "parameters": Rule(is_table_of_lists, "a table of lists, of a value for each run"),
 }
 
 

@@ -37,6 +37,7 @@ class Run:
     What a run does not have is {}, or None of a quantity that is one array.
     pieces: stored poses or None. restart: path -> array, all that is needed to go on.
     settled: time (s) at which the run ended because all was at rest (``run.until_settled``), None: it went on to its end.
+    parameters: keys of the scene that differ between the runs of an ensemble -> [K, ..] values; {}: none.
     header: scene, seed, time step and the like; its fields are attributes of the run too.
     """
 
@@ -54,6 +55,7 @@ class Run:
     sample = property(lambda self: self.header.sample)
     run_count = property(lambda self: self.header.run_count)
     info = property(lambda self: self.header.info)
+    parameters = property(lambda self: {key: np.array(values) for key, values in self.info.get("parameters", {}).items()})
     settled = property(lambda self: self.info.get("settled"))
 
     def __getattr__(self, name: str) -> Any:
@@ -107,7 +109,18 @@ class Run:
             pieces = Frames(pieces.time, **{n: a[k] for n, a in vars(pieces).items() if n != "time"})
         seed = self.seed[k] if np.ndim(self.seed) else self.seed
         series = nested({name: array[k] for name, array in flat(self.series).items()})
-        return Run(replace(self.header, seed=seed, run_count=None), self.time, series, pieces)
+        return Run(replace(self.header, seed=seed, run_count=None, **self._own(k)), self.time, series, pieces)
+
+    def _own(self, k: int) -> dict[str, Any]:
+        """What the header of a run says otherwise than that of the ensemble, where their parameters differ."""
+        values = self.info.get("parameters")
+        if not values:
+            return {}
+        from dem_jax.scene import parse
+
+        info = {name: said for name, said in self.info.items() if name != "parameters"}
+        scene = parse(self.scene, "the ensemble's scene").replace({key: each[k] for key, each in values.items()})
+        return {"scene": scene.to_toml(), "info": info}
 
 
 def _of(forces: dict[str, np.ndarray], group: str) -> np.ndarray:

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 PENDING_LIMIT = 256 * 2**20  # bytes of samples kept in memory before a flush is due whatever it costs
 COPIED = 2**24  # bytes at a time
 LEAST_ROOM = 2**16  # bytes: with less a run need not begin
+FORM = ("v108", "v108")  # of HDF5: before 1.8 no attribute has room for the seeds of more than 8000 runs
 
 
 class Writer:
@@ -173,7 +174,7 @@ class Writer:
         if self._exists:
             with open(self._path, "rb") as old:
                 shutil.copyfileobj(old, image, COPIED)
-        with h5py.File(image, "r+" if self._exists else "w") as file:
+        with h5py.File(image, "r+" if self._exists else "w", libver=FORM) as file:
             self._write(file)
         return image
 

@@ -1,0 +1,149 @@
+"""An ensemble whose runs differ in more than their seed: keys of the scene with a value for each run."""
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dem_jax import build
+from dem_jax.errors import SceneError
+from dem_jax.scene import Scene
+from dem_jax.scene.words import short
+from dem_jax.types import System
+
+Values = Mapping[str, Any]  # dotted key of a scene -> a value for each run, or a distribution of scipy.stats
+ALIKE, OWN = ("run", "name", "base"), "run.step"  # what holds for the whole ensemble, but for this
+FILES = ("stl", "table", "unit")  # keys of a file and of how it is read
+
+
+@dataclass(frozen=True)
+class Varied:
+    """What is different in each of K runs."""
+
+    parameters: dict[str, list[Any]]  # dotted key -> [K] values, plain
+    built: tuple[build.Built, ...]  # [K], the same for runs that differ in their seed alone
+    leaves: dict[int, np.ndarray]  # number of a leaf of System -> [K, ..], of those that are not the same in all runs
+
+    def scene(self, scene: Scene, run: int) -> Scene:
+        """The scene of a run, from that of the ensemble."""
+        return scene.replace(self.of_run(run))
+
+    def of_run(self, run: int) -> dict[str, Any]:
+        """key -> its value in a run."""
+        return {key: values[run] for key, values in self.parameters.items()}
+
+    def system(self, system: System, run: int) -> System:
+        """That of a run, from that of the first."""
+        leaves, structure = jax.tree.flatten(system)
+        return jax.tree.unflatten(structure, [self.leaves[k][run] if k in self.leaves else x for k, x in enumerate(leaves)])
+
+    def stacked(self, system: System) -> System:
+        """Those of all runs as one tree, what differs with a leading run axis."""
+        leaves, structure = jax.tree.flatten(system)
+        return jax.tree.unflatten(structure, [jnp.asarray(self.leaves.get(k, x)) for k, x in enumerate(leaves)])
+
+    def each(self, system: System, differs: Any, same: Any) -> Any:
+        """A tree like the system's that says of each leaf whether it differs."""
+        leaves, structure = jax.tree.flatten(system)
+        return jax.tree.unflatten(structure, [differs if k in self.leaves else same for k, _ in enumerate(leaves)])
+
+    def taken(self, runs: slice) -> "Varied":
+        """Of some of the runs."""
+        parameters = {key: values[runs] for key, values in self.parameters.items()}
+        return replace(self, parameters=parameters, built=self.built[runs], leaves={k: x[runs] for k, x in self.leaves.items()})
+
+
+def drawn(values: Values, runs: int | None, seed: int) -> dict[str, list[Any]]:
+    """A value of each key for each run. runs: None, as many as the values that are listed; seed: of distributions.
+
+    Raises SceneError.
+    """
+    counts = {key: len(value) for key, value in values.items() if not hasattr(value, "rvs")}
+    runs = runs if runs is not None else next(iter(counts.values()), 64)
+    for key, count in counts.items():
+        if count != runs:
+            raise SceneError(f"parameters: {key} has {count} values; allowed: {runs}, one for each run")
+    random = np.random.default_rng(seed)
+    return {key: _plain(v.rvs(size=runs, random_state=random) if hasattr(v, "rvs") else v) for key, v in values.items()}
+
+
+def _plain(values: Any) -> list[Any]:
+    """Values as plain numbers, texts and lists, as a file keeps them."""
+    return [value.tolist() if isinstance(value, np.ndarray | np.generic | jax.Array) else value for value in values]
+
+
+def scenes_of(scene: Scene, parameters: dict[str, list[Any]] | None, runs: int) -> list[Scene]:
+    """The scene of each run, one object for those whose parameters are alike. Raises SceneError."""
+    if not parameters:
+        return [scene] * runs
+    _check_keys(parameters)
+    found: dict[str, Scene] = {}
+    rows = [{key: values[run] for key, values in parameters.items()} for run in range(runs)]
+    names = [json.dumps(row) for row in rows]
+    for name, row in zip(names, rows, strict=True):
+        if name not in found:
+            found[name] = scene.replace(row)
+    return [found[name] for name in names]
+
+
+def vary(scene: Scene, built: Sequence[build.Built], parameters: dict[str, list[Any]]) -> tuple[Varied, System]:
+    """What differs between built runs, and the system that all but that is of: of the first, with the widest skin.
+
+    Raises SceneError if they cannot be computed by one program.
+    """
+    first = built[0]
+    for run, other in enumerate(built):
+        _check_form(scene, parameters, run, first, other)
+    columns = zip(*(jax.tree.leaves(b.system) for b in built), strict=True)
+    skin = np.max([b.system.skin for b in built])
+    system = first.system.replace(skin=jnp.asarray(skin))
+    is_skin = [leaf is system.skin for leaf in jax.tree.leaves(system)]
+    leaves = {k: np.stack(column) for k, column in enumerate(columns) if not is_skin[k] and _differ(column)}
+    return Varied(parameters, tuple(built), leaves), system
+
+
+def _check_keys(keys: Iterable[str]) -> None:
+    """Raise SceneError for a key that must be the same in all runs."""
+    for key in keys:
+        if key.partition(".")[0] in ALIKE and key != OWN:
+            raise SceneError(f"parameters: {key}: allowed: {OWN}, and keys that are not of {', '.join(ALIKE)}")
+        if key.rpartition(".")[2] in FILES:
+            raise SceneError(f"parameters: {key}: allowed: keys that name no file; its contents are read once for all runs")
+
+
+def _differ(column: Sequence[Any]) -> bool:
+    return any(x is not column[0] and not np.array_equal(x, column[0]) for x in column)
+
+
+def _check_form(scene: Scene, parameters: dict[str, list[Any]], run: int, first: build.Built, other: build.Built) -> None:
+    """Raise SceneError if a run needs another program than the first."""
+    if form(other) == form(first):
+        return
+    said = ", ".join(f"{key} = {short(values[run])}" for key, values in parameters.items())
+    why = ", ".join(_unlike(first.system, other.system)) or "the number or the shape of pieces and walls"
+    raise SceneError(
+        f"{scene.name}: run {run} ({said}) needs another program than run 0, by {why}; allowed: runs of one program, "
+        f"others as an ensemble of their own"
+    )
+
+
+def form(built: build.Built) -> Any:
+    """What two runs must have alike to be computed by one program, and in one ensemble."""
+    tree = built.system, built.state
+    shapes = tuple((np.shape(x), str(x.dtype)) for x in jax.tree.leaves(tree))
+    frames = np.round(built.frames, 6).tobytes()
+    return str(jax.tree.structure(tree)), shapes, frames, built.settling_steps // built.step.substeps, built.samples
+
+
+def _unlike(one: System, other: System) -> list[str]:
+    """Names of the static fields that differ, and of the parts that one has and the other has not."""
+    found = []
+    for field in fields(one):
+        a, b = getattr(one, field.name), getattr(other, field.name)
+        same = a == b if field.metadata.get("static") else str(jax.tree.structure(a)) == str(jax.tree.structure(b))
+        found += [] if same else [field.name]
+    return found

@@ -1,0 +1,122 @@
+"""Ensembles over parameters: each run is that of its own scene, in one program, and what cannot be one is said."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import dem_jax
+from dem_jax.drive import execute, programs
+from dem_jax.errors import SceneError, SimulationError
+from dem_jax.scene import parse
+from dem_jax.store import record
+
+BALLS = {
+    "portion": {
+        "shape": "sphere", "radius": 0.01, "count": 2, "arrangement": "scattered",
+        "region_low": [-0.05, -0.05, 0.0], "region_high": [0.05, 0.05, 0.1],
+    },
+    "piece": [], "name": "balls", "run.precision": "f64", "run.duration": 0.02, "run.sample": 2e-5, "run.frames": 7e-4,
+}  # fmt: skip
+PARAMETERS = {
+    "material.restitution": [0.2, 0.5, 0.5],  # of another time step too
+    "material.friction_wall": [0.1, 0.3, 0.3],
+    "portion.region_high": [[0.05, 0.05, 0.1], [0.04, 0.04, 0.08], [0.04, 0.04, 0.08]],
+}
+SEEDS = (7, 7, 9)
+
+
+def balls(**changes):
+    return dem_jax.load_scene("plate-drop", BALLS | {key.replace("__", "."): value for key, value in changes.items()})
+
+
+@pytest.fixture(scope="module")
+def three(tmp_path_factory):
+    path = tmp_path_factory.mktemp("varied") / "three.h5"
+    return dem_jax.ensemble(balls(), seed=SEEDS, parameters=PARAMETERS, out=path), path
+
+
+def test_each_run_has_the_bits_of_its_own_scene_by_itself(three):
+    found, _ = three
+    assert found.run_count == 3 and found.seed == SEEDS
+    for k in range(3):
+        own = balls().replace({key: values[k] for key, values in PARAMETERS.items()})
+        member, alone = found.member(k), dem_jax.simulate(own, seed=SEEDS[k])
+        assert np.abs(alone.force["plate"]).max() > 0.01, "the balls have landed"
+        assert parse(member.scene, "run") == parse(alone.scene, "run") and member.seed == SEEDS[k] and not member.parameters
+        np.testing.assert_array_equal(member.force["plate"], alone.force["plate"])
+        np.testing.assert_array_equal(member.pieces.position, alone.pieces.position)
+
+
+def test_all_runs_share_one_program():
+    programs.KEPT.clear()
+    dem_jax.ensemble(balls(), seed=SEEDS, parameters=PARAMETERS)
+    assert len(programs.KEPT) == 1
+
+
+def test_the_file_knows_the_parameters_and_is_gone_on_with_bit_for_bit(three, tmp_path):
+    whole, path = three
+    kept = record.load_run(path)
+    assert kept.parameters.keys() == PARAMETERS.keys()
+    for key, values in PARAMETERS.items():
+        np.testing.assert_array_equal(kept.parameters[key], values)
+    half = tmp_path / "half.h5"
+    dem_jax.ensemble(balls(run__duration=0.01), seed=SEEDS, parameters=PARAMETERS, out=half)
+    gone_on = dem_jax.resume(half, duration=0.02)
+    for run in (kept, gone_on):
+        np.testing.assert_array_equal(run.force["plate"], whole.force["plate"])
+
+
+def test_runs_that_differ_are_stepped_together_as_on_a_gpu(three, monkeypatch):
+    whole, _ = three
+    monkeypatch.setattr(execute, "in_threads", execute.on_devices)
+    together = dem_jax.ensemble(balls(), seed=SEEDS, parameters=PARAMETERS)
+    scale = np.abs(whole.mean_force["plate"]).max()
+    np.testing.assert_allclose(together.mean_force["plate"], whole.mean_force["plate"], atol=1e-6 * scale, rtol=0)
+    assert np.ptp(np.abs(together.force["plate"]).max(axis=(1, 2))) > 0.01 * scale, "the runs differ"
+
+
+def test_distributions_are_drawn_from_with_the_seed():
+    spread = {"material.friction_wall": stats.uniform(0.1, 0.4)}
+    one, again, other = (dem_jax.ensemble(balls(), 3, seed, parameters=spread).parameters for seed in (4, 4, 5))
+    (key,) = spread
+    np.testing.assert_array_equal(one[key], again[key])
+    assert len(set(one[key])) == 3 and not set(one[key]) & set(other[key]) and np.all((one[key] > 0.1) & (one[key] < 0.5))
+
+
+def test_the_run_that_fails_is_named_with_its_parameters():
+    thrown = {"material.restitution": [0.3, 0.4], "piece.0.velocity": [[0.0, 0.0, -1.0], [0.0, 0.0, 3000.0]]}
+    listed = [{"shape": "sphere", "radius": 0.01, "position": [x, 0.0, 0.05]} for x in (0.0, 0.03)]
+    scene = dem_jax.load_scene("plate-drop", BALLS | {"portion": None, "piece": listed})
+    said = r"run 1 \(seed 1, material.restitution = 0.4, piece.0.velocity = .*left the domain"
+    with pytest.raises(SimulationError, match=said) as e:
+        dem_jax.ensemble(scene, parameters=thrown)
+    assert e.value.member == 1
+
+
+@pytest.mark.parametrize(
+    ("parameters", "more", "said"),
+    [
+        ({"portion.count": [2, 3]}, {}, r"run 1 \(portion.count = 3\) needs another program than run 0, by .*allowed"),
+        ({"run.sample": [2e-5, 3e-5]}, {}, "run.sample: allowed: run.step, and keys that are not of run"),
+        ({"wall.0.stl": ["a.stl", "b.stl"]}, {}, "wall.0.stl: allowed: keys that name no file"),
+        ({"material.restitution": [0.1, 0.2], "drop.height": [0.1]}, {}, "drop.height has 1 values; allowed: 2"),
+        ({"material.restitution": [0.1, 2.0]}, {}, "material.restitution = 2"),
+        ({"material.restitution": [0.1, 0.2]}, {"seed": [1, 2, 3]}, "material.restitution has 2 values; allowed: 3"),
+        ({}, {"seed": [1, 2, 3], "runs": 2}, "seed: 3 of them; allowed: one, or one for each of 2"),
+        ({}, {"seed": []}, "seed: 0 of them"),
+    ],
+)
+def test_what_cannot_be_one_ensemble_is_said(parameters, more, said):
+    with pytest.raises(SceneError, match=said):
+        dem_jax.ensemble(balls(), parameters=parameters, **more)
+
+
+def test_a_file_has_room_for_the_seeds_of_many_runs(three, tmp_path):
+    """HDF5 before 1.8 has 64 kB for an attribute."""
+    _, path = three
+    header, *_ = record.load_restart(path)
+    many = dataclasses.replace(header, seed=tuple(range(20_000)), run_count=20_000)
+    record.Writer.create(tmp_path / "many.h5", many).close()
+    assert record.load_restart(tmp_path / "many.h5")[0].seed == many.seed
