@@ -145,7 +145,8 @@ def look(features: Features, rows: tuple[Array, Array], radius: tuple[Array, Arr
     low_a, low_b = split(_picked(bound, edges))
     low = jnp.maximum(until(low_a, 1)[:, None], until(low_b, swing[None])[None]).reshape(distance.shape)
     due = jnp.maximum(jnp.maximum(0.5 * (distance - gap[None]), 0.5 * radius_b[None] * shortfall), low)
-    is_least = (crossing <= jnp.min(crossing, axis=0)[None]) & (crossing < jnp.inf)
+    first_least = _first(crossing <= jnp.min(crossing, axis=0)[None])[None]  # one: of an end on a wall all of the rim are least
+    is_least = (jnp.arange(crossing.shape[0], dtype=jnp.int32)[:, None] == first_least) & (crossing < jnp.inf)
     chosen, margin = smallest(jnp.where(is_least, -1, due), COUPLES)
     left_a, left_b = split(jnp.minimum(beyond, behind)[None])
     margin = jnp.minimum(margin, jnp.minimum(until(left_a, 1), until(left_b, swing[None]))[0])
