@@ -24,11 +24,13 @@ MAY_IMPORT = {  # room -> rooms below it
     "build": BASE | {"contact", "pairs", "step", "scene", "shapes"},
     "drive": BASE | {"contact", "pairs", "step", "scene", "build", "store", "__version__"},
     "show": BASE | {"contact", "scene", "shapes", "build", "store"},
+    "study": BASE | {"scene", "build", "step", "drive", "store", "show"},
     "validation": BASE | {"contact", "pairs", "step", "scene"},
-    "cli": BASE | {"step", "scene", "drive", "store", "show", "__version__"},
+    "cli": BASE | {"step", "scene", "drive", "store", "show", "study", "__version__"},
     "__main__": {"cli"},
     "__init__": set(),
     "scenes": set(),
+    "studies": set(),
 }
 
 
@@ -75,7 +77,7 @@ def test_no_room_is_below_itself():
 
 
 def test_the_page_names_every_room():
-    rooms = {room_of(path) for path in files()} - {"__init__", "__main__", "scenes"}
+    rooms = {room_of(path) for path in files()} - {"__init__", "__main__", "scenes", "studies"}
     assert not [room for room in rooms if f"`{room}" not in PAGE]
 
 

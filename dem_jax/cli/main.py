@@ -5,11 +5,11 @@ import sys
 from collections.abc import Sequence
 from contextlib import suppress
 
-from dem_jax.cli import ensemble, export, plot, render, report, run, scenes, vtk
+from dem_jax.cli import ensemble, export, plot, render, report, run, scenes, study, vtk
 from dem_jax.cli.arguments import BAD_INPUT, Parser, one_line
 from dem_jax.errors import RecordError, SceneError, SimulationError
 
-COMMANDS = (run, ensemble, scenes, plot, report, export, render, vtk)
+COMMANDS = (run, ensemble, study, scenes, plot, report, export, render, vtk)
 FAILED, INTERRUPTED = 1, 130
 
 
@@ -26,7 +26,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         where = f"; what was computed before is in {error.path}" if error.path else "; nothing was recorded before"
         return _fail(FAILED, f"{error}{where}")
     except KeyboardInterrupt:
-        return _fail(INTERRUPTED, "interrupted; python -m dem_jax run --resume FILE goes on with a run")
+        return _fail(INTERRUPTED, "interrupted; python -m dem_jax run --resume FILE goes on with a run, a study goes on by itself")
     except BrokenPipeError:  # of `| head`
         _mute()
         return 0

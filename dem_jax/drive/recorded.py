@@ -18,7 +18,7 @@ def header_of(job: Job) -> record.Header:
     step, scene = job.built.step, job.scene
     own: dict[str, Any] = {"law": type(job.system.law).__name__} if job.own_law else {}
     if job.varied is not None:
-        own["parameters"] = job.varied.parameters
+        own |= {"parameters": job.varied.parameters, "steps": [b.step.dt for b in job.varied.built]}
     return record.Header(
         scene=scene.to_toml(),
         seed=job.seeds[0] if job.runs is None else job.seeds,

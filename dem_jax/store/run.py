@@ -118,9 +118,9 @@ class Run:
             return {}
         from dem_jax.scene import parse
 
-        info = {name: said for name, said in self.info.items() if name != "parameters"}
+        info = {name: said for name, said in self.info.items() if name not in ("parameters", "steps")}
         scene = parse(self.scene, "the ensemble's scene").replace({key: each[k] for key, each in values.items()})
-        return {"scene": scene.to_toml(), "info": info}
+        return {"scene": scene.to_toml(), "info": info, "dt": self.info["steps"][k]}
 
 
 def _of(forces: dict[str, np.ndarray], group: str) -> np.ndarray:

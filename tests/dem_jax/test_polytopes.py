@@ -100,6 +100,25 @@ MIXTURE = [
 ]
 
 
+def test_an_end_that_stands_on_a_wall_is_not_looked_at_in_every_step():
+    """All edges of its rim are equally near then, to rounding."""
+    bodies = [shapes.cuboid((0.2, 0.2, 0.02)), shapes.cylinder(0.015, 0.05, 64)]
+    table = jax.tree.map(jnp.asarray, tables_of.table(bodies, np.float32))
+    rows = tuple(np.full(BATCH, k, np.int32) for k in (0, 1))
+    random = np.random.default_rng(0)
+    tilts = 10.0 ** random.uniform(-8, -5, BATCH) * (np.arange(BATCH) > 8)  # the first stand exactly upright
+    axes = np.c_[random.normal(size=(BATCH, 2)), np.zeros(BATCH)]
+    lying = exact.in_principal_frame(bodies[1])
+    up = np.eye(3)[np.argmin(np.abs(np.ptp(lying, axis=0) - 0.05))]  # the axis in the principal frame
+    upright = Rotation.align_vectors([[0.0, 0.0, 1.0]], [up])[0]
+    turn = Rotation.from_rotvec(tilts[:, None] * axes / np.linalg.norm(axes, axis=1, keepdims=True)) * upright
+    offset = np.c_[random.uniform(-0.05, 0.05, (BATCH, 2)), np.full(BATCH, 0.035 - 4e-6)].astype(np.float32)
+    rel = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), relative(turn, offset))
+    found = jax.jit(lambda rows, rel: look.look(table.features, rows, tuple(table.bounding_radius[r] for r in rows), rel, None))(rows, rel)
+    assert np.allclose(found.depth, 4e-6, atol=2e-7)
+    assert np.all(np.asarray(found.margin) > 1e-5)
+
+
 def closed_box(**run):
     """Eight pieces of four shapes that fly about in a closed box, without gravity, with friction."""
     half, random = 0.045, np.random.default_rng(3)

@@ -1,0 +1,29 @@
+"""Portions that settled otherwise than they fall: one and the same heap, released into other materials."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+
+from dem_jax.drive import failure, loop
+from dem_jax.drive.job import Job
+from dem_jax.drive.progress import Progress
+from dem_jax.pairs import guard
+
+
+def released(job: Job, settling: Job) -> Job:
+    """The job, begun at its release with the heaps of another: their pieces, and the contacts that they have.
+
+    Both are of the same pieces, walls and seeds. Raises SceneError and SimulationError if the other cannot settle.
+    """
+    with jax.enable_x64(job.double), Progress(settling, False) as shown:
+        for span in loop.spans(settling, shown):
+            failed = failure.find(span.samples, span.count)
+            if failed:
+                raise failure.describe(settling, span, jax.device_get(span.state), *failed)
+            if span.end >= 0:
+                break
+        rooms = span.system.capacity, max(span.system.touching, job.system.touching), span.system.row_capacity
+        system, state = guard.with_capacity(job.system, job.state, *rooms)
+        skin = jnp.maximum(system.skin, span.system.skin)
+        return replace(job, system=system.replace(skin=skin), state=span.state.replace(scratch=state.scratch))

@@ -1,0 +1,1 @@
+"""Stock studies, as TOML."""

@@ -1,0 +1,127 @@
+"""The figure of a study: traces where they are kept, outputs over the parameters, the Product Model beside."""
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dem_jax.show.numbers import HIGH, LOW
+from dem_jax.show.plot import save_figure
+from dem_jax.study import model
+from dem_jax.study.design import points_of
+from dem_jax.study.file import DONE, Results
+from dem_jax.study.outputs import OUTPUTS
+from dem_jax.study.results import beside, label_of, number_of, of_point, short
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+MOST_TRACES = 6  # points whose traces are drawn
+REFERENCE = "#888888"
+
+
+def plot_study(results: Results, path: str | Path) -> Path:
+    """Save the figure. Raises RecordError for a file that cannot be written."""
+    return save_figure(figure_of(results), Path(path), dpi=150)
+
+
+def figure_of(results: Results) -> "Figure":
+    """The figure."""
+    from matplotlib.figure import Figure
+
+    study = results.study
+    panels: list[Callable[[Axes], None]] = [partial(_traces, results=results)] if results.force else []
+    names = [name for name in study.outputs if _varies(results, name)]
+    if study.design == "grid":
+        panels += [partial(_over, results=results, name=name) for name in names]
+    else:
+        panels += [partial(_scattered, results=results, name=name, key=key) for name in names for key in study.parameter]
+    wide = min(3, max(1, len(panels))) if study.design == "grid" else min(4, max(1, len(study.parameter)))
+    high = max(1, -(-len(panels) // wide))
+    figure = Figure(figsize=(4.4 * wide, 3.4 * high), layout="constrained")
+    places = np.ravel(figure.subplots(high, wide, squeeze=False))
+    for axes, draw in zip(places, panels, strict=False):
+        draw(axes)
+    for axes in places[len(panels) :]:
+        axes.set_axis_off()
+    figure.suptitle(study.title, fontsize=11)
+    return figure
+
+
+def _varies(results: Results, name: str) -> bool:
+    """Whether an output is worth a panel: it has values, and is not the parameter itself."""
+    known = results.outputs[name][results.state == DONE]
+    return bool(np.isfinite(known).any()) and bool(results.study.parameter)
+
+
+def _traces(axes: "Axes", results: Results) -> None:
+    """Medians and bands of the force over the time since the first force, of each point, or of few."""
+    study, points = results.study, points_of(results.study)
+    for k in np.unique(np.linspace(0, len(points) - 1, min(len(points), MOST_TRACES)).round().astype(int)):
+        rows = model.aligned(results, of_point(results, k))
+        if not len(rows):
+            continue
+        t = 1e3 * results.time[: rows.shape[1]]  # type: ignore[index]  # there are traces
+        label = ", ".join(f"{label_of(study, key)} = {short(v)}" for key, v in points[k].items()) or "DEM"
+        (line,) = axes.plot(t, np.median(rows, axis=0), lw=1, label=label)
+        if len(rows) > 1:
+            axes.fill_between(t, *np.quantile(rows, [LOW, HIGH], axis=0), color=line.get_color(), alpha=0.2, lw=0)
+    if study.model is not None:
+        rows = model.drawn(results)
+        t = 1e3 * results.time[: rows.shape[1]]  # type: ignore[index]
+        axes.plot(t, np.median(rows, axis=0), color="black", lw=1, label="Product Model")
+        axes.fill_between(t, *np.quantile(rows, [LOW, HIGH], axis=0), color="black", alpha=0.15, lw=0)
+    axes.set(xlabel="time since the first force (ms)", ylabel="PIF (kg)")
+    axes.legend(fontsize=7)
+
+
+def _over(axes: "Axes", results: Results, name: str) -> None:
+    """An output over the first parameter, a line for each value of the others."""
+    study, points = results.study, points_of(results.study)
+    first, *others = study.parameter
+    lines: dict[tuple[Any, ...], list[int]] = {}
+    for k, point in enumerate(points):
+        lines.setdefault(tuple(str(point[key]) for key in others), []).append(k)
+    is_number = all(isinstance(point[first], int | float) for point in points)
+    ticks = list(dict.fromkeys(str(point[first]) for point in points))
+    place = lambda point: point[first] if is_number else ticks.index(str(point[first]))  # noqa: E731
+    for rest, numbers in lines.items():
+        found = [number_of(results, name, of_point(results, k)) for k in numbers]
+        x = np.array([place(points[k]) for k in numbers], float)
+        middle, band = np.array([n.median for n in found]), np.array([n.band for n in found])
+        known = np.isfinite(middle)
+        label = ", ".join(f"{label_of(study, key)} = {v}" for key, v in zip(others, rest, strict=True))
+        errors = np.abs(band[known].T - middle[known])
+        axes.errorbar(x[known], middle[known], errors, marker="o", ms=4, lw=1, capsize=2, label=label or None)
+    for row in (row.reference for row in beside(results) if row.reference.output == name):
+        at = row.at.get(first)
+        where = {"xmin": 0, "xmax": 1} if at is None else {}
+        if at is None:
+            axes.axhspan(row.low, row.high, color=REFERENCE, alpha=0.25, lw=0, **where)
+        else:
+            axes.plot([place({first: at})] * 2, [row.low, row.high], color=REFERENCE, lw=6, alpha=0.5, solid_capstyle="butt")
+    if is_number and study.parameter[first].log:
+        axes.set(xscale="log", yscale="log")
+    if not is_number:
+        axes.set_xticks(range(len(ticks)), ticks, rotation=45, ha="right", fontsize=7)
+    axes.set(xlabel=label_of(study, first), ylabel=_title(name))
+    if others:
+        axes.legend(fontsize=7)
+
+
+def _scattered(axes: "Axes", results: Results, name: str, key: str) -> None:
+    """An output of all drops over one of the parameters that are drawn."""
+    study, done = results.study, results.state == DONE
+    x = np.repeat([point[key] for point in points_of(study)], study.seeds)
+    axes.plot(x[done], results.outputs[name][done], ".", ms=3, alpha=0.6)
+    if study.parameter[key].log:
+        axes.set_xscale("log")
+    axes.set(xlabel=label_of(study, key), ylabel=_title(name))
+
+
+def _title(name: str) -> str:
+    unit = OUTPUTS[name].unit
+    return f"{name.replace('_', ' ')} ({unit})" if unit else name.replace("_", " ")

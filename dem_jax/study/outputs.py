@@ -1,0 +1,128 @@
+"""What a drop comes down to in a study: numbers, each with its unit, of all runs of an ensemble at once."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from dem_jax.show.numbers import members_of
+from dem_jax.show.summary import impact_duration, main_block, main_group
+from dem_jax.store.run import Run
+
+WINDOW = 1e-3  # s, over which forces are averaged where it says so
+OF_PEAK, OF_WEIGHT = 0.1, 2.0  # of its top, down to which a peak lasts; of the settled weight, above which an impact goes on
+
+
+class Traces(NamedTuple):
+    """What outputs are made of; K runs of T samples."""
+
+    run: Run
+    time: np.ndarray  # [T] (s)
+    force: np.ndarray  # [K, T] (kg), means over a sample
+    smooth: np.ndarray  # [K, T] (kg), means over WINDOW, each at its end
+    settled: np.ndarray  # [K, T] (kg)
+
+
+class Output(NamedTuple):
+    """A number of each run, nan where there is none."""
+
+    unit: str
+    words: str
+    of: Callable[[Traces], np.ndarray]  # [K]
+
+
+def traces_of(run: Run) -> Traces:
+    """Force and settled mass of the main group and block of an ensemble."""
+    group, block = main_group(run), main_block(run)
+    runs, samples = run.run_count or 1, len(run.time)
+    force = run.pif_kg(group).reshape(runs, samples) if group else np.zeros((runs, samples))
+    settled = run.settled_mass[block].reshape(runs, samples).astype(float) if block else np.zeros((runs, samples))
+    return Traces(run, run.time, force, _averaged(force, max(1, round(WINDOW / run.sample))), settled)
+
+
+def _averaged(force: np.ndarray, samples: int) -> np.ndarray:
+    """Means [K, T] over the last so many samples; zeros before the first."""
+    sums = np.cumsum(np.pad(force, [(0, 0), (samples, 0)]), axis=1)
+    return (sums[:, samples:] - sums[:, :-samples]) / samples
+
+
+def _peak_instant(t: Traces) -> np.ndarray:
+    group = main_group(t.run)
+    return t.run.pif_kg(group, mean=False).reshape(t.force.shape).max(axis=1) if group else np.full(len(t.force), np.nan)
+
+
+def _peak_of_steps(t: Traces) -> np.ndarray:
+    group = main_group(t.run)
+    peaks = t.run.peak_kg(group) if group else None
+    return np.full(len(t.force), np.nan) if peaks is None else peaks.reshape(t.force.shape).max(axis=1)
+
+
+def _over_static(t: Traces) -> np.ndarray:
+    return np.where(t.settled[:, -1] > 0, t.force.max(axis=1) / np.where(t.settled[:, -1] > 0, t.settled[:, -1], 1), np.nan)
+
+
+def _first_force(t: Traces) -> np.ndarray:
+    """Sample of the first force, [K]; T where there is none."""
+    felt = t.force > 0
+    return np.where(felt.any(axis=1), felt.argmax(axis=1), t.force.shape[1])
+
+
+def _after_first_force(t: Traces, when: np.ndarray) -> np.ndarray:
+    """Times (ms) of samples from the first force on; nan where ``when`` is not there (-1) or nothing has landed."""
+    first = _first_force(t)
+    known = (when >= 0) & (first < len(t.time))
+    ms = 1e3 * (t.time[np.clip(when, 0, None)] - t.time[np.minimum(first, len(t.time) - 1)])
+    return np.where(known, ms, np.nan)
+
+
+def _first_at_rest(t: Traces) -> np.ndarray:
+    """The first force comes before it: what settles for an instant at the top of a bounce in the feed bucket does not count."""
+    counts = (t.settled > 0) & (np.arange(len(t.time)) >= _first_force(t)[:, None])
+    return _after_first_force(t, np.where(counts.any(axis=1), counts.argmax(axis=1), -1))
+
+
+def _time_to_rest(t: Traces) -> np.ndarray:
+    group, block = main_group(t.run), main_block(t.run)
+    if not group or not block:
+        return np.full(len(t.force), np.nan)
+    return np.array([1e3 * impact_duration(member, group, block) for member in members_of(t.run)])
+
+
+def _impact_time(t: Traces) -> np.ndarray:
+    above = t.smooth > OF_WEIGHT * np.maximum(t.settled[:, -1:], 1e-9)
+    last = above.shape[1] - 1 - above[:, ::-1].argmax(axis=1)
+    return _after_first_force(t, np.where(above.any(axis=1), last, -1))
+
+
+def _peak_duration(t: Traces) -> np.ndarray:
+    """Of the highest peak, as long as it stays above a tenth of its top."""
+    found = []
+    for row in t.smooth:
+        top = int(row.argmax())
+        low = np.flatnonzero(row <= OF_PEAK * row[top])
+        before, after = low[low < top], low[low > top]
+        found.append(1e3 * (t.time[after[0]] - t.time[before[-1]]) if len(before) and len(after) else np.nan)
+    return np.array(found)
+
+
+OUTPUTS = {
+    "peak": Output("kg", "peak of the force, means over a sample", lambda t: t.force.max(axis=1)),
+    "peak_instant": Output("kg", "peak of the force at samples", _peak_instant),
+    "peak_every_step": Output("kg", "peak of the force of every time step", _peak_of_steps),
+    "peak_1ms": Output("kg", "peak of the force, means over 1 ms", lambda t: t.smooth.max(axis=1)),
+    "peak_over_static": Output("", "peak over the settled weight", _over_static),
+    "time_of_peak": Output("ms", "time of the peak since the release", lambda t: 1e3 * t.time[t.force.argmax(axis=1)]),
+    "peak_duration": Output("ms", "how long the highest peak (means over 1 ms) is above a tenth of its top", _peak_duration),
+    "impact_time": Output("ms", "from the first force until means over 1 ms stay below twice the settled weight", _impact_time),
+    "first_at_rest": Output("ms", "from the first force until the first piece is at rest", _first_at_rest),
+    "time_to_rest": Output("ms", "from the first force until all is at rest", _time_to_rest),
+    "settled": Output("g", "settled mass at the end", lambda t: 1e3 * t.settled[:, -1]),
+    "pieces": Output("", "number of pieces", lambda t: np.full(len(t.force), float(t.run.header.piece_count))),
+    "step": Output("us", "time step", lambda t: 1e6 * np.broadcast_to(t.run.info.get("steps", t.run.dt), len(t.force))),
+}
+
+
+def evaluated(run: Run, names: tuple[str, ...]) -> dict[str, np.ndarray]:
+    """name -> [K] of an ensemble."""
+    traces = traces_of(run)
+    return {name: np.asarray(OUTPUTS[name].of(traces), float) for name in names}

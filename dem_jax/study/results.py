@@ -1,0 +1,238 @@
+"""What a study says: a table of its points with bands, what others found beside it, and what depends on what."""
+
+import csv
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from dem_jax.errors import RecordError
+from dem_jax.scene.text import value
+from dem_jax.show.numbers import Number
+from dem_jax.study import model
+from dem_jax.study.design import points_of
+from dem_jax.study.file import DONE, LOST, OPEN, Results
+from dem_jax.study.outputs import OUTPUTS
+from dem_jax.study.table import RMSE, Reference, Study
+
+FEWEST = 30  # drops from which on sensitivities are computed
+
+
+def label_of(study: Study, key: str) -> str:
+    """A parameter in tables and figures."""
+    return study.parameter[key].label or key
+
+
+def number_of(results: Results, name: str, members: np.ndarray) -> Number:
+    """An output of some drops, [M] bool; of those that are done."""
+    return Number(name, OUTPUTS[name].unit, results.outputs[name][members & (results.state == DONE)])
+
+
+def of_point(results: Results, point: int) -> np.ndarray:
+    """The drops of a point, [M] bool."""
+    return np.arange(len(results.state)) // results.study.seeds == point
+
+
+def table(results: Results) -> tuple[list[str], list[list[str]]]:
+    """Head and rows: a row for each point, of each output the median and the band from 5 to 95 %."""
+    study = results.study
+    heads = [f"{name} ({OUTPUTS[name].unit})" if OUTPUTS[name].unit else name for name in study.outputs]
+    rows = []
+    for k, point in enumerate(points_of(study)):
+        which = of_point(results, k)
+        done = int((results.state[which] == DONE).sum())
+        outputs = [in_short(number_of(results, name, which)) for name in study.outputs]
+        rows.append([*map(short, point.values()), str(done), *outputs])
+    return [*(label_of(study, key) for key in study.parameter), "drops", *heads], rows
+
+
+def write_csv(results: Results, path: Path) -> Path:
+    """All drops, a row each: parameters, seed, outputs (empty: none). Raises RecordError."""
+    study = results.study
+    points = points_of(study)
+    heads = [f"{name} ({OUTPUTS[name].unit})" if OUTPUTS[name].unit else name for name in study.outputs]
+    try:
+        with open(path, "w", newline="") as out:
+            rows = csv.writer(out)
+            rows.writerow([*study.parameter, "seed", *heads])
+            for member in np.flatnonzero(results.state == DONE).tolist():
+                values = [results.outputs[name][member] for name in study.outputs]
+                told = ["" if np.isnan(v) else f"{v:.9g}" for v in values]
+                rows.writerow([*points[member // study.seeds].values(), study.seed + member % study.seeds, *told])
+    except OSError as error:
+        raise RecordError(f"{path} cannot be written: {error.strerror or error}") from error
+    return path
+
+
+def short(item: Any) -> str:
+    """A value of a parameter."""
+    return f"{item:.4g}" if isinstance(item, float) else value(item)
+
+
+def in_short(number: Number) -> str:
+    """The median, and the band where there are several values."""
+    known = number.values[np.isfinite(number.values)]
+    if not len(known):
+        return "-"
+    if len(known) == 1 or np.ptp(known) <= 1e-9 * abs(known[0]):
+        return f"{known[0]:.4g}"
+    low, high = number.band
+    return f"{number.median:.3g} ({low:.3g} to {high:.3g})"
+
+
+class Beside(NamedTuple):
+    """What somebody else found, and ours."""
+
+    reference: Reference
+    ours: Number
+    verdict: str
+
+
+def beside(results: Results) -> list[Beside]:
+    """Each reference with the drops that it is of."""
+    found = []
+    for row in results.study.reference:
+        which = np.zeros(len(results.state), bool)
+        for k, point in enumerate(points_of(results.study)):
+            if all(_alike(point[key], wanted) for key, wanted in row.at.items()):
+                which |= of_point(results, k)
+        ours = _rmse(results, row.output, which) if row.output in RMSE else number_of(results, row.output, which)
+        found.append(Beside(row, ours, _verdict(row, ours)))
+    return found
+
+
+def _rmse(results: Results, name: str, which: np.ndarray) -> Number:
+    """Of traces, see RMSE."""
+    if not results.force or not which.any():
+        return Number(name, "g", np.zeros(0))
+    if name == "rmse_model":
+        return Number(name, "g", model.rmse_to_model(results))
+    return Number(name, "g", model.rmse_to_point(results, which, _compared_with(results)))
+
+
+def _compared_with(results: Results) -> np.ndarray:
+    """The drops of the point that others are compared with, [M] bool."""
+    points, wanted = points_of(results.study), results.study.compare
+    k = next((k for k, point in enumerate(points) if all(_alike(point[key], v) for key, v in wanted.items())), -1)
+    return of_point(results, k)
+
+
+def _alike(a: Any, b: Any) -> bool:
+    return bool(np.isclose(a, b, rtol=1e-9, atol=0)) if isinstance(a, int | float) and isinstance(b, int | float) else a == b
+
+
+def _verdict(row: Reference, ours: Number) -> str:
+    low, high = ours.band
+    if not np.isfinite(low):
+        return "no drops"
+    if row.low <= ours.median <= row.high:
+        return "our median is within theirs"
+    return "within our band" if low <= row.high and row.low <= high else "contradiction"
+
+
+class Influence(NamedTuple):
+    """How much of an output's variance a parameter explains by itself (first order, RBD-FAST), with its 95 % interval."""
+
+    output: str
+    parameter: str
+    share: float
+    interval: float
+
+
+def influences(results: Results) -> list[Influence]:
+    """Of a study whose points are drawn, of ranges; none of a grid, of few drops, or without SALib (extra ``study``)."""
+    study = results.study
+    keys = [key for key, parameter in study.parameter.items() if parameter.values is None]
+    points = points_of(study)
+    means = {name: _means(results, name) for name in study.outputs}
+    if study.design == "grid" or not keys or len(points) < FEWEST:
+        return []
+    try:
+        from SALib.analyze import rbd_fast  # type: ignore[import-untyped]
+    except ImportError:
+        return []
+    inputs = np.array([[point[key] for key in keys] for point in points], float)
+    bounds = [[float(study.parameter[key].low or 0), float(study.parameter[key].high or 0)] for key in keys]
+    problem = {"num_vars": len(keys), "names": keys, "bounds": bounds}
+    found = []
+    for name, y in means.items():
+        known = np.isfinite(y)
+        if known.sum() < FEWEST or np.ptp(y[known]) == 0:
+            continue
+        said = rbd_fast.analyze(problem, inputs[known], y[known], seed=0)
+        found += [Influence(name, key, float(s), float(c)) for key, s, c in zip(keys, said["S1"], said["S1_conf"], strict=True)]
+    return found
+
+
+def _means(results: Results, name: str) -> np.ndarray:
+    """Mean of an output over the drops of each point that are done, [points]; nan where none is."""
+    values = results.of_points(np.where(results.state == DONE, results.outputs[name], np.nan))
+    known = np.isfinite(values)
+    return np.where(known.any(axis=1), np.where(known, values, 0).sum(axis=1) / np.maximum(known.sum(axis=1), 1), np.nan)
+
+
+def powers(results: Results) -> Iterator[tuple[str, str, float, float]]:
+    """(output, parameter, p, half of its 95 % interval) of outputs that go with a power p of the only parameter, a range of
+    positive numbers: least squares of logarithms over all drops."""
+    study = results.study
+    if len(study.parameter) != 1:
+        return
+    ((key, _),) = study.parameter.items()
+    points = points_of(study)
+    x = np.repeat([p[key] if isinstance(p[key], int | float) else np.nan for p in points], study.seeds).astype(float)
+    for name in study.outputs:
+        y = np.where(results.state == DONE, results.outputs[name], np.nan)
+        known = np.isfinite(y) & (y > 0) & (x > 0)
+        if len(np.unique(x[known])) < 3 or np.ptp(y[known]) <= 1e-9 * y[known].max():
+            continue
+        a, b = np.log(x[known]), np.log(y[known])
+        line = stats.linregress(a, b)
+        yield name, key, float(line.slope), float(1.96 * line.stderr)
+
+
+def text(results: Results) -> list[str]:
+    """Lines that say all of it."""
+    study = results.study
+    head, rows = table(results)
+    lost, left = int((results.state == LOST).sum()), int((results.state == OPEN).sum())
+    lines = [study.title, f"{len(results.state)} drops, {study.seeds} at each of {len(rows)} points, {results.elapsed:.0f} s", ""]
+    lines += _columns([head, *rows])
+    if any("(" in cell for row in rows for cell in row):
+        lines += ["medians, in brackets 5 to 95 %"]
+    lines += [f"{name} goes with {key} to the power {p:.3f} ± {half:.3f}" for name, key, p, half in powers(results)]
+    for name in study.outputs:
+        shares = [f"{i.parameter} {100 * i.share:.0f} ± {100 * i.interval:.0f} %" for i in influences(results) if i.output == name]
+        lines += [f"{name} varies by: {', '.join(shares)}"] if shares else []
+    lines += _distances(results)
+    for row, ours, verdict in beside(results):
+        at = "".join(f", {key} = {short(v)}" for key, v in row.at.items())
+        lines.append(f"{row.source}{at}: {row.output} {row.low:g} to {row.high:g} {ours.unit}; ours {in_short(ours)}: {verdict}")
+    if lost:
+        lines.append(f"{lost} of the drops went wrong: " + "; ".join(dict.fromkeys(results.why.values())))
+    return lines + ([f"{left} drops are still to be done"] if left else [])
+
+
+def _distances(results: Results) -> list[str]:
+    """How far traces are from each other: of two drops that differ in their seed alone, and from the Product Model."""
+    if not results.force:
+        return []
+    found = []
+    for k, point in enumerate(points_of(results.study)):
+        rows = model.aligned(results, of_point(results, k))
+        at = "".join(f", {key} = {short(v)}" for key, v in point.items())
+        if len(rows) > 1:
+            found.append(f"two independent drops{at}: RMSE {in_short(Number('rmse', 'g', model.distances(rows)))} g")
+        if results.study.compare and k != int(np.argmax(_compared_with(results))) // results.study.seeds:
+            number, wanted = _rmse(results, "rmse", of_point(results, k)), results.study.compare.items()
+            beside = ", ".join(f"{key} = {short(v)}" for key, v in wanted)
+            found.append(f"beside {beside}{at}: RMSE {in_short(number)} g")
+    if results.study.model is not None:
+        found.append(f"a drop and the Product Model: RMSE {in_short(_rmse(results, 'rmse_model', results.state == DONE))} g")
+    return found
+
+
+def _columns(rows: list[list[str]]) -> list[str]:
+    wide = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return ["  ".join(cell.ljust(n) for cell, n in zip(row, wide, strict=True)).rstrip() for row in rows]

@@ -1,0 +1,132 @@
+"""The work of a study: which drops are computed together, in an order that depends on the study alone, batch by batch."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from typing import Any
+
+import numpy as np
+
+from dem_jax.build import build, self_contained
+from dem_jax.drive import heap, varied
+from dem_jax.drive.interface import drive
+from dem_jax.drive.prepare import prepare
+from dem_jax.errors import SceneError, SimulationError
+from dem_jax.scene import Scene
+from dem_jax.step.joined import AT_ONCE
+from dem_jax.store.run import Run
+from dem_jax.study.design import Point, points_of
+from dem_jax.study.table import Study
+
+BATCH = 32  # drops: what a study that was stopped has to do again, at most
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Drops that one program computes: their numbers among all, points and seeds; scene: what they have in common."""
+
+    members: tuple[int, ...]
+    points: tuple[Point, ...]
+    seeds: tuple[int, ...]
+    scene: Scene
+
+
+@dataclass(frozen=True)
+class Failed:
+    """Drops that cannot be computed, and why."""
+
+    members: tuple[int, ...]
+    why: str
+
+
+def batches(study: Study) -> Iterator[Batch | Failed]:
+    """All drops of a study: member number = point number * seeds + seed number. Raises SceneError for a scene that cannot be."""
+    points, base = points_of(study), self_contained(study.base())
+    forms: dict[int, Any] = {}
+    scenes: dict[int, Scene] = {}
+    for n, point in enumerate(points):
+        try:
+            scene = base.replace(point)
+            forms[n], scenes[n] = _form(scene, study), scene
+        except SceneError as error:
+            if len(points) == 1:
+                raise
+            yield Failed(tuple(range(n * study.seeds, (n + 1) * study.seeds)), str(error))
+    order = sorted(forms, key=lambda n: (list(forms.values()).index(forms[n]), n))
+    for _, group in groupby(order, key=lambda n: forms[n]):
+        numbers = list(group)
+        common = base.replace({key: points[numbers[0]][key] for key in points[numbers[0]] if _is_common(key)})
+        for members in _cut([n * study.seeds + k for n in numbers for k in range(study.seeds)], study.seeds):
+            rows = tuple(points[m // study.seeds] for m in members)
+            yield Batch(tuple(members), rows, tuple(study.seed + m % study.seeds for m in members), common)
+
+
+def _cut(members: list[int], seeds: int) -> list[list[int]]:
+    """Members in batches; points of many seeds each by themselves, where their drops are computed side by side."""
+    size = min(seeds, 4 * BATCH) if seeds >= AT_ONCE else BATCH
+    return [members[k : k + size] for k in range(0, len(members), size)]
+
+
+def _form(scene: Scene, study: Study) -> Any:
+    """What drops must have alike to be of one batch."""
+    return varied.form(build(scene, study.seed)), scene.run.model_dump_json(exclude={"step"})
+
+
+def _is_common(key: str) -> bool:
+    return key.startswith("run.") and key != varied.OWN
+
+
+def run(batch: Batch, study: Study) -> tuple[Run | None, tuple[int, ...], list[Failed]]:
+    """Compute a batch: the ensemble, the members that it is of, and those that failed, each alone."""
+    members, failed = list(batch.members), list[Failed]()
+    while members:
+        where = [batch.members.index(m) for m in members]
+        try:
+            return _ensemble(batch, where, study), tuple(members), failed
+        except SimulationError as error:
+            lost = members.pop(error.member or 0)
+            failed.append(Failed((lost,), str(error)))
+        except SceneError as error:  # such as a portion that finds no room with one of the seeds
+            if len(members) == 1:
+                failed.append(Failed((members.pop(),), str(error)))
+                continue
+            found = [_alone(batch, k, study) for k in where]
+            bad = {m: why for m, why in zip(members, found, strict=True) if why is not None}
+            if not bad:
+                raise
+            failed += [Failed((m,), why) for m, why in bad.items()]
+            members = [m for m in members if m not in bad]
+    return None, (), failed
+
+
+def _alone(batch: Batch, k: int, study: Study) -> str | None:
+    """Why a drop of a batch cannot be set up; None: it can."""
+    try:
+        _prepared(batch, [k], study)
+    except SceneError as error:
+        return str(error)
+    return None
+
+
+def _ensemble(batch: Batch, where: Sequence[int], study: Study) -> Run:
+    job = _prepared(batch, where, study)
+    if study.heap:
+        job = heap.released(job, _prepared(batch, where, study, study.heap))
+    return drive(job)
+
+
+def _prepared(batch: Batch, where: Sequence[int], study: Study, heap: dict[str, Any] | None = None) -> Any:
+    rows, seeds = [batch.points[k] for k in where], [batch.seeds[k] for k in where]
+    keys = [key for key in rows[0] if not _is_common(key) and key not in (heap or {})]
+    parameters = {key: [row[key] for row in rows] for key in keys}
+    same = {key: values[0] for key, values in parameters.items() if all(value == values[0] for value in values)}
+    scene = batch.scene.replace(same | (heap or {}))
+    rest = {key: values for key, values in parameters.items() if key not in same}
+    return prepare(scene, seeds, len(seeds), (), None, rest or None)
+
+
+def force_of(run: Run) -> np.ndarray:
+    """The traces that are kept of an ensemble, [K, T] (kg), in single precision."""
+    from dem_jax.study.outputs import traces_of
+
+    return traces_of(run).force.astype(np.float32)

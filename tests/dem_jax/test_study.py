@@ -1,0 +1,211 @@
+"""Studies: every drop is the run of its own scene, nothing is computed twice, and what is said follows from the drops."""
+
+import numpy as np
+import pytest
+
+import dem_jax
+from dem_jax.cli.main import main
+from dem_jax.errors import RecordError, SceneError
+from dem_jax.study import conduct, file, results, work
+from dem_jax.study.design import points_of
+from dem_jax.study.outputs import OUTPUTS, evaluated
+from dem_jax.study.table import checked, load_study, stock_studies
+
+BALL = {  # a heavier and a lighter fall of one ball onto a plate, at three restitutions
+    "name": "ball", "title": "A ball on a plate", "scene": "plate-drop", "seeds": 2, "traces": True,
+    "set": {
+        "portion": {
+            "shape": "sphere", "radius": 0.01, "count": 1, "arrangement": "scattered",
+            "region_low": [-0.05, -0.05, 0.0], "region_high": [0.05, 0.05, 0.06],
+        },
+        "piece": [], "run.precision": "f64", "run.duration": 0.08, "run.sample": 1e-4, "run.frames": 0.0, "run.energy": False,
+    },
+    "parameter": {"material.softening": {"low": 0.01, "high": 0.1, "log": True}, "material.restitution": {"values": [0.3, 0.6]}},
+    "points": 2, "outputs": ["peak", "peak_1ms", "time_of_peak", "settled", "step", "pieces"],
+}  # fmt: skip
+
+
+def ball(**changes):
+    return checked(BALL | changes, "ball.toml")
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory):
+    path = tmp_path_factory.mktemp("study") / "ball.h5"
+    return conduct.study(ball(), path), path
+
+
+def test_a_grid_takes_each_value_with_each(done):
+    found, _ = done
+    assert points_of(found.study) == [
+        {"material.softening": a, "material.restitution": b} for a in (0.01, 0.1) for b in (0.3, 0.6)
+    ]
+    assert found.state.tolist() == [file.DONE] * 8
+
+
+def test_every_drop_is_the_run_of_its_own_scene(done):
+    found, _ = done
+    for member in (1, 6):
+        scene = found.study.base().replace(points_of(found.study)[member // 2])
+        alone = dem_jax.simulate(scene, seed=member % 2)
+        for name in found.study.outputs:
+            np.testing.assert_array_equal(found.outputs[name][member], evaluated(alone, (name,))[name][0], err_msg=name)
+        np.testing.assert_array_equal(found.force[member], alone.pif_kg("plate").astype(np.float32))
+    assert np.ptp(found.outputs["peak"]) > 0.05
+
+
+def test_a_study_that_was_stopped_does_only_what_is_left_and_ends_with_the_same_bits(done, tmp_path, monkeypatch):
+    whole, _ = done
+    monkeypatch.setattr(work, "BATCH", 2)
+    real, computed = work.run, []
+
+    def stopped_after_two(batch, study):
+        if len(computed) == 2:
+            raise KeyboardInterrupt
+        computed.append(batch.members)
+        return real(batch, study)
+
+    monkeypatch.setattr(work, "run", stopped_after_two)
+    with pytest.raises(KeyboardInterrupt):
+        conduct.study(ball(), "half.h5")
+    assert (file.load("half.h5").state == file.DONE).sum() == 4
+    monkeypatch.setattr(work, "run", lambda batch, study: computed.append(batch.members) or real(batch, study))
+    found = conduct.study(ball(), "half.h5")
+    assert sorted(m for members in computed for m in members) == list(range(8))
+    for name, values in whole.outputs.items():
+        np.testing.assert_array_equal(found.outputs[name], values)
+    np.testing.assert_array_equal(file.load("half.h5").force[5], whole.force[5])
+
+
+def test_another_study_in_the_file_is_not_touched(done):
+    _, path = done
+    before = path.read_bytes()
+    with pytest.raises(RecordError, match="holds another study .ball.; allowed: another name, or overwrite"):
+        conduct.study(ball(seeds=3), path)
+    assert path.read_bytes() == before
+
+
+def test_drops_that_go_wrong_are_lost_and_said_and_the_others_stand(done):
+    whole, _ = done
+    thrown = {"portion.region_high": {"values": [[0.05, 0.05, 0.06], [-0.04, 0.05, 0.06]]}}  # the second box is too narrow
+    found = conduct.study(ball(parameter=thrown, seeds=1))
+    assert found.state.tolist() == [file.DONE, file.LOST]
+    (why,) = found.why.values()
+    assert "region" in why or "room" in why
+    assert any("1 of the drops went wrong" in line for line in results.text(found))
+
+
+def test_a_drop_that_fails_leaves_the_rest_of_its_batch():
+    """A run of the three is thrown out of the domain."""
+    listed = {"piece": [{"shape": "sphere", "radius": 0.01, "position": [0.0, 0.0, 0.05]}]}
+    rows = {"piece.0.velocity": {"values": [[0.0, 0.0, -1.0], [0.0, 0.0, 3000.0], [0.0, 0.0, -2.0]]}}
+    base = {key: value for key, value in BALL["set"].items() if key != "portion"} | listed | {"portion": None}
+    table = {key: value for key, value in BALL.items()} | {"set": base, "parameter": rows, "seeds": 1, "traces": False}
+    found = conduct.study(checked(table, "x.toml"))
+    assert found.state.tolist() == [file.DONE, file.LOST, file.DONE] and "left the domain" in found.why[1]
+    assert found.outputs["peak"][0] < found.outputs["peak"][2]
+
+
+def test_the_power_law_of_a_linear_spring_is_found():
+    """A sphere on a linear spring: peak over the square root of its stiffness (VALIDATION, section 2)."""
+    one = {"material.softening": {"low": 0.01, "high": 1.0, "log": True}}
+    thrown = {"shape": "sphere", "radius": 0.01, "position": [0.0, 0.0, 0.02], "velocity": [0.0, 0.0, -1.0]}
+    changes = BALL["set"] | {"portion": None, "piece": [thrown], "run.gravity": [0.0, 0.0, 0.0], "run.sample": 1e-5, "run.duration": 0.03}
+    found = conduct.study(ball(parameter=one, points=5, seeds=1, set=changes, outputs=["peak_every_step", "step"], traces=False))
+    powers = {name: (p, half) for name, _, p, half in results.powers(found)}
+    assert powers["peak_every_step"][0] == pytest.approx(0.5, abs=1e-3)
+    assert powers["step"][0] == pytest.approx(-0.5, abs=0.06)
+
+
+def test_designs_that_are_drawn_fill_their_ranges():
+    ranges = {"material.softening": {"low": 0.01, "high": 1.0, "log": True}, "material.restitution": {"low": 0.1, "high": 0.9}}
+    for design in ("latin-hypercube", "sobol"):
+        points = points_of(ball(parameter=ranges, design=design, points=16))
+        softening, restitution = (np.array([p[key] for p in points]) for key in ranges)
+        assert len(points) == 16 and points == points_of(ball(parameter=ranges, design=design, points=16))
+        for u in (np.log10(softening) / 2 + 1, (restitution - 0.1) / 0.8):
+            assert np.histogram(u, 4, (0, 1))[0].tolist() == [4, 4, 4, 4]
+
+
+def test_influences_are_those_of_a_known_function():
+    """y = 3 a + b: a has nine tenths of the variance."""
+    pytest.importorskip("SALib")
+    ranges = {"drop.height": {"low": 0.0, "high": 1.0}, "material.restitution": {"low": 0.0, "high": 1.0}}
+    study = ball(parameter=ranges, design="sobol", points=256, seeds=1, outputs=["peak"], traces=False)
+    found = file.Results.begun(study)
+    a, b = (np.array([p[key] for p in points_of(study)]) for key in ranges)
+    found.outputs["peak"][:], found.state[:] = 3 * a + b, file.DONE
+    shares = {i.parameter: (i.share, i.interval) for i in results.influences(found)}
+    assert shares["drop.height"][0] == pytest.approx(0.9, abs=0.1)
+    assert shares["material.restitution"][0] == pytest.approx(0.1, abs=0.1)
+
+
+def test_a_reference_is_within_or_a_contradiction(done):
+    found, _ = done
+    rows = [{"output": name, "low": low, "high": low, "source": "theirs"} for name, low in (("pieces", 1.0), ("peak", 90.0))]
+    study = ball(reference=rows)
+    verdicts = [row.verdict for row in results.beside(file.Results(study, found.state, found.outputs))]
+    assert verdicts == ["our median is within theirs", "contradiction"]
+
+
+def test_a_heap_is_the_same_whatever_it_is_released_into():
+    """Balls that settle at restitution 0.1 and start from there with all others."""
+    base = BALL["set"] | {"portion.arrangement": "settled", "portion.settling_time": 0.1, "portion.region_high": [0.05, 0.05, 0.03]}
+    base |= {"run.frames": 1e-3, "run.duration": 0.01}
+    table = ball(set=base, heap={"material.restitution": 0.1}, parameter={"material.restitution": {"values": [0.1, 0.7]}}, seeds=1)
+    (batch,) = work.batches(table)
+    run, members, failed = work.run(batch, table)
+    assert members == (0, 1) and not failed
+    first = run.pieces.position[:, 0]
+    np.testing.assert_array_equal(first[0], first[1])
+    own = dem_jax.simulate(table.base().replace({"material.restitution": 0.1}))
+    np.testing.assert_array_equal(own.pieces.position, run.pieces.position[0])
+
+
+@pytest.mark.parametrize("name", stock_studies())
+@pytest.mark.parametrize("quick", [False, True])
+def test_stock_studies_are_sound(name, quick):
+    study = load_study(name, quick)
+    base = study.base()
+    for point in points_of(study):
+        base.replace(point)
+    assert not quick or len(points_of(study)) * study.seeds <= 16
+
+
+def test_every_output_has_a_unit_and_words():
+    assert all(output.words and output.unit in ("", "kg", "g", "ms", "us") for output in OUTPUTS.values())
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"outputs": ["weight"]}, "'weight': no such output; allowed: peak"),
+        ({"seedz": 3}, "seedz = 3: unknown key; did you mean 'seed"),
+        ({"parameter": {"drop.height": {"low": 1.0}}}, "allowed: values, or both low and high"),
+        ({"parameter": {"drop.height": {"low": 2.0, "high": 1.0}}}, "allowed: low < high"),
+        ({"compare": {"drop.height": 1.0}}, "'drop.height' in compare or reference.at: allowed: a parameter"),
+        ({"design": "random"}, 'design = "random": allowed'),
+    ],
+)
+def test_what_cannot_be_a_study_is_said_in_one_line(changes, said):
+    with pytest.raises(SceneError, match=said):
+        ball(**changes)
+
+
+def test_the_command_lists_studies_and_says_what_it_does_not_know(capsys):
+    assert main(["study"]) == 0
+    assert "softening" in capsys.readouterr().out
+    assert main(["study", "nowhere", "--quiet"]) == 2
+    assert "no such file, nor one of the stock studies (" in capsys.readouterr().err
+
+
+def test_the_table_and_the_figure_are_made(done, tmp_path):
+    from dem_jax.study.figure import plot_study
+
+    found, _ = done
+    said = "\n".join(results.text(found))
+    assert "A ball on a plate" in said and "two independent drops, material.softening = 0.01" in said
+    rows = results.write_csv(found, tmp_path / "ball.csv").read_text().splitlines()
+    assert len(rows) == 9 and rows[0].startswith("material.softening,material.restitution,seed,peak (kg)")
+    assert float(rows[6].split(",")[3]) == pytest.approx(found.outputs["peak"][5], rel=1e-8)
+    assert plot_study(found, tmp_path / "ball.png").stat().st_size > 10_000
