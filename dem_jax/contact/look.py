@@ -19,10 +19,11 @@ answer of a look is exact as long as that of those left out exceeds the depth (o
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 
 from dem_jax.contact.collide import Relative
+from dem_jax.contact.edges import couples, edge
+from dem_jax.contact.selection import first, own, picked, smallest
 from dem_jax.maths import vector
 from dem_jax.maths.vector import Matrix, Vector, dot, expand, kept, unpack
 from dem_jax.types import Array, Facing, Features, Near
@@ -31,60 +32,6 @@ STEPS = 4  # towards the nearest points: more leave out no more pairs (measured 
 FACES, CORNERS, EDGES, COUPLES, FACING = 4, 8, 16, 12, 4  # room for features, at least
 BESIDE = 1e-6  # of a body's size: what is above its faces by no more is in it
 WIDE = 0.01  # of the radius of b: where less way than this is free, all planes clip
-PARALLEL = 8  # roundings: edges whose arcs cross by less do not cross
-
-
-class Couples(NamedTuple):
-    """Edges of a with edges of b, [.., P], in a's frame."""
-
-    overlap: Array  # (m) along the normal of both; infinite where they make no face of the Minkowski difference
-    normal: Vector  # x 3, from a to b
-    top: Array  # (m): of a along that normal
-    distance: Array  # (m): of their nearest points
-    shortfall: Array  # by how much their arcs on the Gauss map miss each other, as the sine of an angle; 0 where they cross
-
-
-def couples(a: Array, b: Array, rel: Relative) -> Couples:
-    """Edges a, b [13, .., P] in their own frames (``Features.edges``); axes before P broadcast.
-
-    The axis of two edges is that of a face where it stands square to both and all four neighbouring faces fall off from it.
-    """
-    middle_a, along_a, half_a, *inward_a = _edge(a)
-    middle_b, along_b, half_b, *inward_b = _edge(b)
-    lift = tuple(range(half_b.ndim - 1))
-    turn = vector.expand_matrix(rel.rotation, lift)
-    along_b = vector.rotate(turn, along_b)
-    middle_b = vector.add(vector.rotate(turn, middle_b), expand(rel.offset, lift))
-    axis = vector.cross(along_a, along_b)
-    seen = vector.rotate_back(turn, axis)
-    sides = [dot(axis, inward) for inward in inward_a] + [-dot(seen, inward) for inward in inward_b]
-    least = jnp.minimum(jnp.minimum(sides[0], sides[1]), jnp.minimum(sides[2], sides[3]))
-    most = jnp.maximum(jnp.maximum(sides[0], sides[1]), jnp.maximum(sides[2], sides[3]))
-    eps = float(jnp.finfo(half_a.dtype).eps)
-    crosses = jnp.maximum(least, -most) > PARALLEL * eps  # all on one side
-    across = _between(middle_a, along_a, half_a, middle_b, along_b, half_b, dot(axis, axis), eps)
-    normal = vector.scale(jnp.where(most < 0, 1, -1) / jnp.sqrt(jnp.where(crosses, dot(axis, axis), 1)), axis)
-    overlap = jnp.where(crosses, -dot(normal, across), jnp.inf)
-    shortfall = jnp.maximum(0, jnp.minimum(-least, most))
-    return Couples(overlap, normal, dot(normal, middle_a), vector.norm(across), shortfall)
-
-
-def _between(
-    middle_a: Vector, along_a: Vector, half_a: Array, middle_b: Vector, along_b: Vector, half_b: Array, sine2: Array, eps: float
-) -> Vector:
-    """The shortest way from edge a to edge b, x 3 (m)."""
-    apart = vector.sub(middle_b, middle_a)
-    cosine, on_a, on_b = dot(along_a, along_b), dot(along_a, apart), dot(along_b, apart)
-    s = jnp.clip((on_a - cosine * on_b) / jnp.maximum(sine2, eps * eps), -half_a, half_a)
-    t = jnp.clip(cosine * s - on_b, -half_b, half_b)
-    s = jnp.clip(on_a + cosine * t, -half_a, half_a)
-    return vector.add_scaled(vector.add_scaled(apart, t, along_b), -s, along_a)
-
-
-def _edge(rows: Array) -> tuple[Vector, Vector, Array, Vector, Vector]:
-    """Middle, direction, half length, and the directions into both faces."""
-    three = lambda i: unpack(rows[i : i + 3])  # noqa: E731
-    return three(0), three(3), rows[6], three(7), three(10)
 
 
 class _Sides(NamedTuple):
@@ -95,87 +42,159 @@ class _Sides(NamedTuple):
     shift: Vector  # (m): origin of the other
 
 
+class _Met(NamedTuple):
+    """What each side sees of the other, in its own frame, [.., 2 P]."""
+
+    corners: Vector  # [V] x 3 (m): its own
+    seen: Vector  # [V] x 3 (m): the other's
+    planes: Array  # [4, F]: its own
+    lowest: Array  # [F] (m): of the other's corners along the normals of these
+    overlap: Array  # [F] (m): along them
+
+
+class _Chosen(NamedTuple):
+    """Features of each side that count, and how near to counting the first of the others is, [.., 2 P]."""
+
+    faces: Array  # [4, Kf]: planes
+    corners: Array  # [Kv] int32: of the other
+    beyond: Array  # (m): overlap along the first face left out
+    above: Array  # (m): height of the first corner left out
+
+
+class _Edges(NamedTuple):
+    """Couples of near edges [E, E' of them as one axis, P] and what was left out."""
+
+    of_a: Array  # [E, P] int32
+    of_b: Array  # [E', P] int32
+    bound: Array  # [E, 2 P] (m): least overlap along the arc of each near edge
+    behind: Array  # [2 P] (m): of the first edge left out
+    overlap: Array  # [E E', P] (m), see Couples
+    distance: Array
+    shortfall: Array
+
+
 def look(features: Features, rows: tuple[Array, Array], radius: tuple[Array, Array], rel: Relative, reach: Array | None) -> Near:
     """Near features of pairs, of rows ([P], [P]) of a table.
 
     radius: [P] each (m), of the bounding spheres; reach: (m), of the law; None: it has none.
     """
     f, sides, (row_a, row_b) = features, _sides(rows, rel), rows
-    pairs = row_a.shape[0]
-    split = lambda x: (x[..., :pairs], x[..., pairs:])  # noqa: E731
-    swap = lambda x: jnp.concatenate(split(x)[::-1], axis=-1)  # noqa: E731
+    met = _met(f, sides)
+    of_a, of_b = _split(jnp.min(met.overlap, axis=0))
+    chosen = _faces_and_corners(f, sides, met, jnp.minimum(of_a, of_b))
+    edges = _near_edges(f, sides, rows, rel, kept(*vector.each(lambda c: picked(c, chosen.corners), met.seen)))
+    depth = jnp.minimum(jnp.minimum(of_a, of_b), jnp.min(edges.overlap, axis=0))
+    swing = 1 + (vector.norm(rel.offset) + radius[0]) / radius[1]  # of a's points about b's centre, where b turns
+    pairs_of_edges, margin = _margin_of_edges(f, sides, met, edges, depth, radius[1], swing)
+    margin = jnp.minimum(margin, _margin_of_faces(chosen, edges, depth, radius, swing))
 
-    corners = kept(*unpack(f.corners[..., sides.row]))  # [V, 2 P]
-    seen = _seen(sides, corners)  # the other's
-    planes = f.planes[..., sides.row]  # [4, F, 2 P]
-    lowest = _lowest(planes, seen)
-    overlap = kept(_own(f.counts[0], sides.row, planes[3] - lowest))
-    faces, beyond = smallest(overlap, FACES)
-    least = jnp.min(overlap, axis=0)
-    of_a, of_b = split(least)
-    first = vector.each(lambda c: _picked(c, _first(overlap == least[None])[None])[0], unpack(planes))
-    (ax, bx), (ay, by), (az, bz) = (split(c) for c in first)
-    normal = vector.where(of_a <= of_b, (ax, ay, az), vector.scale(-1, vector.rotate(rel.rotation, (bx, by, bz))))
-    outward = _both(normal, vector.scale(-1, vector.rotate_back(rel.rotation, normal)))  # of each side
-
-    listed = f.planes[:, faces, sides.row[None]]  # [4, Kf, 2 P]
-    heights = kept(dot(expand(unpack(listed), 1), expand(seen, 0)))  # [Kf, V, 2 P]
-    excess = heights - jnp.min(heights, axis=1, keepdims=True)
-    nearly = _picked(overlap, faces) - jnp.concatenate([jnp.minimum(of_a, of_b)] * 2)[None]  # no face whose corners matter so soon
-    excess = jnp.min(jnp.maximum(excess, nearly[:, None]), axis=0)
-    other = swap(sides.row)
-    supports, above = smallest(_own(f.counts[1], other, excess), max(CORNERS, f.rings.shape[0]))
-    listed = listed.at[3].set(jnp.where((nearly > 0) & (nearly >= above[None]), jnp.inf, listed[3]))  # not all its corners
-    nearest = kept(*vector.each(lambda c: _picked(c, supports), seen))  # [Kv, 2 P]
-
-    bound = _own(f.counts[2], sides.row, _of_edges(f, sides, nearest))
-    edges, behind = smallest(bound, max(EDGES, f.rings.shape[0] + 4))
-    edges_a, edges_b = split(edges)
-    pair = couples(f.edges[:, edges_a, row_a[None]][:, :, None], f.edges[:, edges_b, row_b[None]][:, None], rel)
-    flat = lambda x: kept(x.reshape(-1, pairs))  # noqa: E731
-    crossing, distance, shortfall = flat(pair.overlap), flat(pair.distance), flat(pair.shortfall)
-    depth = jnp.minimum(jnp.minimum(of_a, of_b), jnp.min(crossing, axis=0))
-
-    # Bounds on the way, (m), beyond which what was left out may count
-    apart = jnp.minimum(jnp.min(distance, axis=0), jnp.minimum(*split(_from_faces(f, sides, overlap, lowest, seen, planes))))
-    gap = jnp.where(depth > 0, depth, apart)  # of separated ones how far apart they are at most
-    radius_a, radius_b = radius
-    swing = 1 + (vector.norm(rel.offset) + radius_a) / radius_b  # of a's points about b's centre, where b turns
-    until = lambda x, rate: jnp.minimum(x, (x - depth[None]) / (1 + rate))  # noqa: E731
-    low_a, low_b = split(_picked(bound, edges))
-    low = jnp.maximum(until(low_a, 1)[:, None], until(low_b, swing[None])[None]).reshape(distance.shape)
-    due = jnp.maximum(jnp.maximum(0.5 * (distance - gap[None]), 0.5 * radius_b[None] * shortfall), low)
-    first_least = _first(crossing <= jnp.min(crossing, axis=0)[None])[None]  # one: of an end on a wall all of the rim are least
-    is_least = (jnp.arange(crossing.shape[0], dtype=jnp.int32)[:, None] == first_least) & (crossing < jnp.inf)
-    chosen, margin = smallest(jnp.where(is_least, -1, due), COUPLES)
-    left_a, left_b = split(jnp.minimum(beyond, behind)[None])
-    margin = jnp.minimum(margin, jnp.minimum(until(left_a, 1), until(left_b, swing[None]))[0])
-    below_a, below_b = split(above)
-    margin = jnp.minimum(margin, 0.5 * jnp.minimum(below_a, below_b * radius_b / radius_a))
-
-    height = kept(dot(expand(outward, 0), corners))
-    base = jnp.min(dot(expand(outward, 0), seen), axis=0)  # where the other begins
-    clipping, free = _clipping(f, sides, height, base)
-    free = jnp.minimum(*split(free)) - (0 if reach is None else reach)
-    wide = free < WIDE * radius_b
+    clipping, free = _clipping_along(f, sides, met, rel)
+    free = free - (0 if reach is None else reach)
+    wide = free < WIDE * radius[1]
     margin = jnp.minimum(margin, jnp.where(wide, jnp.inf, free))
     margin = jnp.maximum(margin, jnp.maximum(-of_a, -of_b / swing))  # so far a face's axis separates them
     if reach is not None:  # how far separated ones are apart is known of all features only
         margin = jnp.minimum(margin, jnp.where(depth > 0, depth, -depth - reach))
-    count = edges_b.shape[0]
-    edges_a, edges_b = _picked(edges_a, chosen // count), _picked(edges_b, chosen % count)
+    count, other = edges.of_b.shape[0], _swapped(sides.row)
+    edges_a, edges_b = picked(edges.of_a, pairs_of_edges // count), picked(edges.of_b, pairs_of_edges % count)
     return Near(
         rows=(row_a, row_b),
-        faces=split(listed),
-        corners=split(f.corners[:, supports, other[None]])[::-1],
+        faces=_split(chosen.faces),
+        corners=_split(f.corners[:, chosen.corners, other[None]])[::-1],
         edges=(f.edges[:, edges_a, row_a[None]], f.edges[:, edges_b, row_b[None]]),
-        clipping=split(f.own_planes[:, clipping, sides.row[None]]),
+        clipping=_split(f.own_planes[:, clipping, sides.row[None]]),
         wide=wide,
         margin=margin,
         offset=jnp.stack(rel.offset),
         rotation=jnp.stack([c for row in rel.rotation for c in row]),
         depth=depth,
     )
+
+
+def _met(f: Features, sides: _Sides) -> _Met:
+    corners = kept(*unpack(f.corners[..., sides.row]))
+    seen = _seen(sides, corners)
+    planes = f.planes[..., sides.row]
+    lowest = _lowest(planes, seen)
+    return _Met(corners, seen, planes, lowest, kept(own(f.counts[0], sides.row, planes[3] - lowest)))
+
+
+def _faces_and_corners(f: Features, sides: _Sides, met: _Met, least: Array) -> _Chosen:
+    """The faces of least overlap, and the other's corners that are lowest along them. least: (m), of all faces of both, [P]."""
+    faces, beyond = smallest(met.overlap, FACES)
+    listed = f.planes[:, faces, sides.row[None]]
+    heights = kept(dot(expand(unpack(listed), 1), expand(met.seen, 0)))  # [Kf, V, 2 P]
+    excess = heights - jnp.min(heights, axis=1, keepdims=True)
+    nearly = picked(met.overlap, faces) - jnp.concatenate([least] * 2)[None]  # no face whose corners matter so soon
+    excess = jnp.min(jnp.maximum(excess, nearly[:, None]), axis=0)
+    excess = own(f.counts[1], _swapped(sides.row), excess)
+    corners, above = smallest(excess, max(CORNERS, f.rings.shape[0]))
+    listed = listed.at[3].set(jnp.where((nearly > 0) & (nearly >= above[None]), jnp.inf, listed[3]))  # not all its corners
+    return _Chosen(listed, corners, beyond, above)
+
+
+def _near_edges(f: Features, sides: _Sides, rows: tuple[Array, Array], rel: Relative, nearest: Vector) -> _Edges:
+    """The edges of least overlap along their arcs, each of a with each of b. nearest: corners [Kv, 2 P] x 3 of the other."""
+    bound = own(f.counts[2], sides.row, _of_edges(f, sides, nearest))
+    edges, behind = smallest(bound, max(EDGES, f.rings.shape[0] + 4))
+    of_a, of_b = _split(edges)
+    pair = couples(f.edges[:, of_a, rows[0][None]][:, :, None], f.edges[:, of_b, rows[1][None]][:, None], rel)
+    flat = lambda x: kept(x.reshape(-1, rows[0].shape[0]))  # noqa: E731
+    return _Edges(of_a, of_b, picked(bound, edges), behind, flat(pair.overlap), flat(pair.distance), flat(pair.shortfall))
+
+
+def _margin_of_edges(
+    f: Features, sides: _Sides, met: _Met, edges: _Edges, depth: Array, radius_b: Array, swing: Array
+) -> tuple[Array, Array]:
+    """The couples of edges that count first, [Kc, P] int32, and the way (m) beyond which another may, [P]."""
+    of_faces = jnp.minimum(*_split(_from_faces(f, sides, met)))
+    apart = jnp.minimum(jnp.min(edges.distance, axis=0), of_faces)
+    gap = jnp.where(depth > 0, depth, apart)  # of separated ones how far apart they are at most
+    low_a, low_b = _split(edges.bound)
+    low = jnp.maximum(_until(low_a, depth, 1)[:, None], _until(low_b, depth, swing[None])[None]).reshape(edges.distance.shape)
+    due = jnp.maximum(jnp.maximum(0.5 * (edges.distance - gap[None]), 0.5 * radius_b[None] * edges.shortfall), low)
+    crossing = edges.overlap
+    first_least = first(crossing <= jnp.min(crossing, axis=0)[None])[None]  # one: of an end on a wall all of the rim are least
+    is_least = (jnp.arange(crossing.shape[0], dtype=jnp.int32)[:, None] == first_least) & (crossing < jnp.inf)
+    return smallest(jnp.where(is_least, -1, due), COUPLES)
+
+
+def _margin_of_faces(chosen: _Chosen, edges: _Edges, depth: Array, radius: tuple[Array, Array], swing: Array) -> Array:
+    """The way (m) beyond which a face, an edge or a corner that was left out may count, [P]."""
+    left_a, left_b = _split(jnp.minimum(chosen.beyond, edges.behind)[None])
+    margin = jnp.minimum(_until(left_a, depth, 1), _until(left_b, depth, swing[None]))[0]
+    below_a, below_b = _split(chosen.above)
+    return jnp.minimum(margin, 0.5 * jnp.minimum(below_a, below_b * radius[1] / radius[0]))
+
+
+def _until(overlap: Array, depth: Array, rate: Array | int) -> Array:
+    """The way (m) until an overlap may become the depth, [K, P]; rate: by which it changes, over that of the depth."""
+    return jnp.minimum(overlap, (overlap - depth[None]) / (1 + rate))
+
+
+def _clipping_along(f: Features, sides: _Sides, met: _Met, rel: Relative) -> tuple[Array, Array]:
+    """``_clipping`` along the normal of the face of least overlap; the way that is free for both."""
+    least = jnp.min(met.overlap, axis=0)
+    of_a, of_b = _split(least)
+    nearest = vector.each(lambda c: picked(c, first(met.overlap == least[None])[None])[0], unpack(met.planes))
+    (ax, bx), (ay, by), (az, bz) = (_split(c) for c in nearest)
+    normal = vector.where(of_a <= of_b, (ax, ay, az), vector.scale(-1, vector.rotate(rel.rotation, (bx, by, bz))))
+    outward = _both(normal, vector.scale(-1, vector.rotate_back(rel.rotation, normal)))  # of each side
+    height = kept(dot(expand(outward, 0), met.corners))
+    base = jnp.min(dot(expand(outward, 0), met.seen), axis=0)  # where the other begins
+    clipping, free = _clipping(f, sides, height, base)
+    return clipping, jnp.minimum(*_split(free))
+
+
+def _split(x: Array) -> tuple[Array, Array]:
+    """[.., 2 P] as those of a and those of b."""
+    half = x.shape[-1] // 2
+    return x[..., :half], x[..., half:]
+
+
+def _swapped(x: Array) -> Array:
+    """[.., 2 P] of the other side."""
+    return jnp.concatenate(_split(x)[::-1], axis=-1)
 
 
 def facing(features: Features, rows: tuple[Array, Array], normal: Vector, rel: Relative) -> Facing:
@@ -192,9 +211,9 @@ def _facing(f: Features, row: Array, along: Vector) -> tuple[Array, Array, Array
     keys = -dot(unpack(planes), expand(along, 0))
     if f.inner is not None:
         keys = keys + 3 * f.inner[..., row]
-    keys = _own(f.counts[3], row, kept(keys))
+    keys = own(f.counts[3], row, kept(keys))
     faces, others = smallest(keys, FACING)
-    normals = jnp.stack([_picked(c, faces) for c in unpack(planes)])
+    normals = jnp.stack([picked(c, faces) for c in unpack(planes)])
     return normals, faces, 0.5 * (others - jnp.min(keys, axis=0))
 
 
@@ -228,8 +247,8 @@ def _along_axes(a: Vector, b: Vector) -> Array:
 
 def _at(points: Vector, mask: Array) -> Vector:
     """The first of points [V, P] x 3 for which the mask holds, [P] x 3."""
-    first = _first(mask)[None]
-    return vector.each(lambda c: _picked(c, first)[0], points)
+    row = first(mask)[None]
+    return vector.each(lambda c: picked(c, row)[0], points)
 
 
 def _both(a: Vector, b: Vector) -> Vector:
@@ -248,8 +267,7 @@ def _sides(rows: tuple[Array, Array], rel: Relative) -> _Sides:
 
 def _seen(sides: _Sides, corners: Vector) -> Vector:
     """Corners [V, 2 P] x 3 of the other body in the own frame."""
-    half = sides.row.shape[0] // 2
-    other = vector.each(lambda c: jnp.concatenate([c[:, half:], c[:, :half]], axis=1), corners)
+    other = vector.each(_swapped, corners)
     return kept(*vector.add(vector.rotate(vector.expand_matrix(sides.turn, 0), other), expand(sides.shift, 0)))
 
 
@@ -260,22 +278,23 @@ def _lowest(planes: Array, seen: Vector) -> Array:
 
 def _of_edges(f: Features, sides: _Sides, seen: Vector) -> Array:
     """A lower bound of the overlap along any normal of each edge's arc on the Gauss map, [E, 2 P] (m)."""
-    middle, along, _, one, other = _edge(f.edges[..., sides.row])
+    middle, along, _, one, other = edge(f.edges[..., sides.row])
     faces = vector.cross(along, one), vector.cross(along, other)
     normals = [vector.scale(-jnp.sign(dot(n, m)), n) for n, m in zip(faces, (other, one), strict=True)]
     both = [kept(dot(n, middle))[:, None] - dot(expand(kept(*n), 1), expand(seen, 0)) for n in normals]
     return kept(jnp.max(jnp.minimum(*both), axis=1))
 
 
-def _from_faces(f: Features, sides: _Sides, overlap: Array, lowest: Array, seen: Vector, planes: Array) -> Array:
+def _from_faces(f: Features, sides: _Sides, met: _Met) -> Array:
     """Of the face of least overlap, how far the other's nearest corner is from it, [2 P] (m); infinite if it is beside it."""
-    face = _first(overlap == jnp.min(overlap, axis=0)[None])[None]
-    normal = vector.each(lambda c: _picked(c, face), unpack(planes))
-    height = dot(normal, seen)
-    corner = _first(height == _picked(lowest, face))[None]
-    over = _picked(overlap, face)
-    foot = vector.add_scaled(vector.each(lambda c: _picked(c, corner), seen), over, normal)
-    above = jnp.max(_own(f.counts[0], sides.row, dot(unpack(planes), foot) - planes[3], -jnp.inf), axis=0)
+    planes = met.planes
+    face = first(met.overlap == jnp.min(met.overlap, axis=0)[None])[None]
+    normal = vector.each(lambda c: picked(c, face), unpack(planes))
+    height = dot(normal, met.seen)
+    corner = first(height == picked(met.lowest, face))[None]
+    over = picked(met.overlap, face)
+    foot = vector.add_scaled(vector.each(lambda c: picked(c, corner), met.seen), over, normal)
+    above = jnp.max(own(f.counts[0], sides.row, dot(unpack(planes), foot) - planes[3], -jnp.inf), axis=0)
     return jnp.where(above < BESIDE * jnp.max(planes[3], axis=0), jnp.abs(over[0]), jnp.inf)
 
 
@@ -286,52 +305,5 @@ def _clipping(f: Features, sides: _Sides, height: Array, base: Array) -> tuple[A
     if f.all_clip or faces <= room:
         every = jnp.arange(faces, dtype=jnp.int32)[:, None]
         return jnp.broadcast_to(every, (faces, base.shape[0])), jnp.full_like(base, jnp.inf)
-    level = jnp.max(_picked(height, f.rings[..., sides.row]), axis=0)  # [F, 2 P]
-    return smallest(_own(f.counts[3], sides.row, base[None] - level), room)
-
-
-def smallest(keys: Array, room: int) -> tuple[Array, Array]:
-    """Rows of the ``room`` smallest of the keys [K, P] in ascending order of rows, [room, P] int32, and the smallest of the
-    others, [P]; of equal keys the first."""
-    count = keys.shape[0]
-    if count <= room:
-        rows = jnp.arange(count, dtype=jnp.int32)[:, None]
-        return jnp.broadcast_to(rows, keys.shape), jnp.full_like(keys[0], jnp.inf)
-    number = jnp.arange(count, dtype=jnp.int32)[:, None]
-    keys = jax.lax.stop_gradient(keys)
-
-    def another(k: Array, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        last, row, rows = carry
-        left = (keys > last[None]) | (keys == last[None]) & (number > row[None])
-        last = jnp.min(jnp.where(left, keys, jnp.inf), axis=0)
-        row = jnp.min(jnp.where(left & (keys == last[None]), number, count), axis=0)
-        return last, row, rows.at[k].set(row)
-
-    none = jnp.full(keys.shape[1:], -1, jnp.int32)
-    start = jnp.full_like(keys[0], -jnp.inf), none, jnp.zeros((room + 1, *none.shape), jnp.int32)
-    last, _, rows = jax.lax.fori_loop(0, room + 1, another, start)
-    return _ascending(rows[:room]), last
-
-
-def _ascending(rows: Array) -> Array:
-    """Distinct numbers [K, P] in ascending order along the first axis. (XLA makes no one function of a loop that sorts.)"""
-    rank = jnp.sum(rows[:, None] > rows[None], axis=1, dtype=jnp.int32)
-    place = jnp.arange(rows.shape[0], dtype=jnp.int32)[:, None, None]
-    return jnp.sum(jnp.where(rank[None] == place, rows[None], 0), axis=1, dtype=jnp.int32)
-
-
-def _own(count: Array, row: Array, keys: Array, none: float = jnp.inf) -> Array:
-    """Keys [K, P] of what a shape has, ``none`` of what its table repeats."""
-    number = jnp.arange(keys.shape[0], dtype=jnp.int32)[:, None]
-    return jnp.where(number < count[row][None], keys, none)
-
-
-def _picked(rows: Array, index: Array) -> Array:
-    """rows [K, P] at index [.., P] of each P."""
-    return rows.at[index, jnp.arange(rows.shape[1], dtype=jnp.int32)].get(mode="promise_in_bounds")
-
-
-def _first(mask: Array) -> Array:
-    """Index of the first row in which the mask holds, [P] int32."""
-    number = jnp.arange(mask.shape[0], dtype=jnp.int32)[:, None]
-    return jnp.min(jnp.where(mask, number, mask.shape[0] - 1), axis=0)
+    level = jnp.max(picked(height, f.rings[..., sides.row]), axis=0)  # [F, 2 P]
+    return smallest(own(f.counts[3], sides.row, base[None] - level), room)

@@ -10,7 +10,8 @@ import jax
 import jax.numpy as jnp
 
 from dem_jax.contact.collide import FACE_PREFERENCE, Relative, clipped
-from dem_jax.contact.look import couples, facing, look
+from dem_jax.contact.edges import couples
+from dem_jax.contact.look import facing, look
 from dem_jax.maths import vector
 from dem_jax.maths.vector import Vector, dot, expand, kept, unpack
 from dem_jax.types import Array, Facing, Hulls, Near, host

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from dem_jax import compiling
 from dem_jax.errors import RecordError
 from dem_jax.store.record import check_target, check_writable
 from dem_jax.study import file, work
@@ -25,6 +26,7 @@ def study(
     study is gone on with, and ends with the same bits; any other is an error unless overwrite. quick: as its [quick] says.
     Raises SceneError for what cannot be a study and RecordError for a file. Drops that go wrong are lost, and said to be.
     """
+    compiling.loops_as_one()
     table = source if isinstance(source, Study) else load_study(source, quick)
     results = _begun(table, out, overwrite)
     if not (results.state == OPEN).any():

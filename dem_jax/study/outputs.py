@@ -76,9 +76,10 @@ def _after_first_force(t: Traces, when: np.ndarray) -> np.ndarray:
 
 
 def _first_at_rest(t: Traces) -> np.ndarray:
-    """The first force comes before it: what settles for an instant at the top of a bounce in the feed bucket does not count."""
-    counts = (t.settled > 0) & (np.arange(len(t.time)) >= _first_force(t)[:, None])
-    return _after_first_force(t, np.where(counts.any(axis=1), counts.argmax(axis=1), -1))
+    """From there on some piece is always at rest: what is slow for an instant, at the top of a bounce, does not count."""
+    none = t.settled <= 0
+    after = none.shape[1] - none[:, ::-1].argmax(axis=1)
+    return _after_first_force(t, np.where(none.any(axis=1) & (after < none.shape[1]), after, -1))
 
 
 def _time_to_rest(t: Traces) -> np.ndarray:
@@ -114,7 +115,7 @@ OUTPUTS = {
     "time_of_peak": Output("ms", "time of the peak since the release", lambda t: 1e3 * t.time[t.force.argmax(axis=1)]),
     "peak_duration": Output("ms", "how long the highest peak (means over 1 ms) is above a tenth of its top", _peak_duration),
     "impact_time": Output("ms", "from the first force until means over 1 ms stay below twice the settled weight", _impact_time),
-    "first_at_rest": Output("ms", "from the first force until the first piece is at rest", _first_at_rest),
+    "first_at_rest": Output("ms", "from the first force until some piece is at rest for good", _first_at_rest),
     "time_to_rest": Output("ms", "from the first force until all is at rest", _time_to_rest),
     "settled": Output("g", "settled mass at the end", lambda t: 1e3 * t.settled[:, -1]),
     "pieces": Output("", "number of pieces", lambda t: np.full(len(t.force), float(t.run.header.piece_count))),

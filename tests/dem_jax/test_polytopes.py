@@ -114,7 +114,8 @@ def test_an_end_that_stands_on_a_wall_is_not_looked_at_in_every_step():
     turn = Rotation.from_rotvec(tilts[:, None] * axes / np.linalg.norm(axes, axis=1, keepdims=True)) * upright
     offset = np.c_[random.uniform(-0.05, 0.05, (BATCH, 2)), np.full(BATCH, 0.035 - 4e-6)].astype(np.float32)
     rel = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), relative(turn, offset))
-    found = jax.jit(lambda rows, rel: look.look(table.features, rows, tuple(table.bounding_radius[r] for r in rows), rel, None))(rows, rel)
+    radius = tuple(table.bounding_radius[row] for row in rows)
+    found = jax.jit(lambda rows, rel: look.look(table.features, rows, radius, rel, None))(rows, rel)
     assert np.allclose(found.depth, 4e-6, atol=2e-7)
     assert np.all(np.asarray(found.margin) > 1e-5)
 

@@ -110,7 +110,8 @@ def test_the_power_law_of_a_linear_spring_is_found():
     """A sphere on a linear spring: peak over the square root of its stiffness (VALIDATION, section 2)."""
     one = {"material.softening": {"low": 0.01, "high": 1.0, "log": True}}
     thrown = {"shape": "sphere", "radius": 0.01, "position": [0.0, 0.0, 0.02], "velocity": [0.0, 0.0, -1.0]}
-    changes = BALL["set"] | {"portion": None, "piece": [thrown], "run.gravity": [0.0, 0.0, 0.0], "run.sample": 1e-5, "run.duration": 0.03}
+    short = {"run.gravity": [0.0, 0.0, 0.0], "run.sample": 1e-5, "run.duration": 0.03}
+    changes = BALL["set"] | {"portion": None, "piece": [thrown]} | short
     found = conduct.study(ball(parameter=one, points=5, seeds=1, set=changes, outputs=["peak_every_step", "step"], traces=False))
     powers = {name: (p, half) for name, _, p, half in results.powers(found)}
     assert powers["peak_every_step"][0] == pytest.approx(0.5, abs=1e-3)

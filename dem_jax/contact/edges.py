@@ -1,0 +1,65 @@
+"""Edges of one convex polytope with edges of another: where they make a face of the Minkowski difference."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from dem_jax.contact.collide import Relative
+from dem_jax.maths import vector
+from dem_jax.maths.vector import Vector, dot, expand, unpack
+from dem_jax.types import Array
+
+PARALLEL = 8  # roundings: edges whose arcs cross by less do not cross
+
+
+class Couples(NamedTuple):
+    """Edges of a with edges of b, [.., P], in a's frame."""
+
+    overlap: Array  # (m) along the normal of both; infinite where they make no face of the Minkowski difference
+    normal: Vector  # x 3, from a to b
+    top: Array  # (m): of a along that normal
+    distance: Array  # (m): of their nearest points
+    shortfall: Array  # by how much their arcs on the Gauss map miss each other, as the sine of an angle; 0 where they cross
+
+
+def couples(a: Array, b: Array, rel: Relative) -> Couples:
+    """Edges a, b [13, .., P] in their own frames (``Features.edges``); axes before P broadcast.
+
+    The axis of two edges is that of a face where it stands square to both and all four neighbouring faces fall off from it.
+    """
+    middle_a, along_a, half_a, *inward_a = edge(a)
+    middle_b, along_b, half_b, *inward_b = edge(b)
+    lift = tuple(range(half_b.ndim - 1))
+    turn = vector.expand_matrix(rel.rotation, lift)
+    along_b = vector.rotate(turn, along_b)
+    middle_b = vector.add(vector.rotate(turn, middle_b), expand(rel.offset, lift))
+    axis = vector.cross(along_a, along_b)
+    seen = vector.rotate_back(turn, axis)
+    sides = [dot(axis, inward) for inward in inward_a] + [-dot(seen, inward) for inward in inward_b]
+    least = jnp.minimum(jnp.minimum(sides[0], sides[1]), jnp.minimum(sides[2], sides[3]))
+    most = jnp.maximum(jnp.maximum(sides[0], sides[1]), jnp.maximum(sides[2], sides[3]))
+    eps = float(jnp.finfo(half_a.dtype).eps)
+    crosses = jnp.maximum(least, -most) > PARALLEL * eps  # all on one side
+    across = _between(middle_a, along_a, half_a, middle_b, along_b, half_b, dot(axis, axis), eps)
+    normal = vector.scale(jnp.where(most < 0, 1, -1) / jnp.sqrt(jnp.where(crosses, dot(axis, axis), 1)), axis)
+    overlap = jnp.where(crosses, -dot(normal, across), jnp.inf)
+    shortfall = jnp.maximum(0, jnp.minimum(-least, most))
+    return Couples(overlap, normal, dot(normal, middle_a), vector.norm(across), shortfall)
+
+
+def _between(
+    middle_a: Vector, along_a: Vector, half_a: Array, middle_b: Vector, along_b: Vector, half_b: Array, sine2: Array, eps: float
+) -> Vector:
+    """The shortest way from edge a to edge b, x 3 (m)."""
+    apart = vector.sub(middle_b, middle_a)
+    cosine, on_a, on_b = dot(along_a, along_b), dot(along_a, apart), dot(along_b, apart)
+    s = jnp.clip((on_a - cosine * on_b) / jnp.maximum(sine2, eps * eps), -half_a, half_a)
+    t = jnp.clip(cosine * s - on_b, -half_b, half_b)
+    s = jnp.clip(on_a + cosine * t, -half_a, half_a)
+    return vector.add_scaled(vector.add_scaled(apart, t, along_b), -s, along_a)
+
+
+def edge(rows: Array) -> tuple[Vector, Vector, Array, Vector, Vector]:
+    """Middle, direction, half length, and the directions into both faces."""
+    three = lambda i: unpack(rows[i : i + 3])  # noqa: E731
+    return three(0), three(3), rows[6], three(7), three(10)
