@@ -27,7 +27,7 @@ from dem_jax.build import hulls
 
 VOLUME = 19440e-9  # m3, of a marshmallow
 SIZES = (8, 64, 343)
-MANY = 100  # pieces: of more only the first six products
+MANY = 100  # pieces: of more only the first seven products
 ROUNDS = 7
 LENGTH = 0.25  # s by the clock, that a turn takes at least
 YADE, YADE_SIZE = "YADE: its polyhedra, hull of 16 corners", 64
@@ -87,7 +87,8 @@ def products() -> list[Product]:
         Product("hull of 16 corners", (hull(16),)),
         Product("hull of 32 corners", (hull(32),)),
         Product("hull of 128 corners", (hull(128),)),
-        Product("five shapes, of 32 corners at most", five),
+        Product("hull of 30 faces, 56 corners", (faces(30),)),
+        Product("five shapes: of 16, 24, 32, 56 corners, marshmallow", five),
         Product("hull of 100 faces", (faces(100),)),
         Product("cylinder of 64 sides", ({"shape": "cylinder", "radius": radius, "height": 0.05, "sides": 64},)),
         Product("needle 50 : 1", (needle(50),)),
@@ -150,7 +151,7 @@ def main(argv=None):
     chosen = products()[:3] if options.quick else products()
     if options.only:
         chosen = [p for p in chosen if p.name == "marshmallow" or any(word in p.name for word in options.only)]
-    found = {key: timed for n in sizes for key, timed in side_by_side(chosen if n <= MANY else chosen[:6], n).items()}
+    found = {key: timed for n in sizes for key, timed in side_by_side(chosen if n <= MANY else chosen[:7], n).items()}
     names = [p.name for p in chosen] + ([YADE] if (YADE, YADE_SIZE) in found else [])
     rows = [[name, *(_cell(found, name, n) for n in sizes), _compiling(found, name, sizes[0])] for name in names]
     ratios = [[name, *(_ratio(found, name, n) for n in sizes)] for name in names]
