@@ -39,18 +39,19 @@ def rmse_to_model(results: Results) -> np.ndarray:
 
 
 def rmse_to_point(results: Results, which: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Of the drops of a point [M] bool with those of another that have the same seeds (g); times as they are, from the release."""
+    """Of the drops of a point [M] bool with those of another that have the same seeds (g); from the other's first force on, times as
+    they are."""
     pairs = zip(np.flatnonzero(which).tolist(), np.flatnonzero(other).tolist(), strict=True)
     both = [(results.force[i], results.force[j]) for i, j in pairs if i in results.force and j in results.force]
-    return np.array([1e3 * np.sqrt(np.mean((a[:n] - b[:n]) ** 2)) for a, b in both for n in [_length(results, a, b)]])
+    return np.array([1e3 * np.sqrt(np.mean((a[n] - b[n]) ** 2)) for a, b in both for n in [_span(results, b, a)]])
 
 
-def _length(results: Results, *rows: np.ndarray) -> int:
-    """Samples from the release to ``span`` after the first force of the first trace."""
+def _span(results: Results, *rows: np.ndarray) -> slice:
+    """Samples from the first force of the first trace on, over ``span``."""
     assert results.time is not None
     first, length = int(np.argmax(rows[0] > 0)), min(map(len, rows))
     sample = float(results.time[1] - results.time[0])
-    return length if results.study.span is None else min(length, first + round(results.study.span / sample))
+    return slice(first, length if results.study.span is None else min(length, first + round(results.study.span / sample)))
 
 
 def _pieces(results: Results) -> float:

@@ -174,12 +174,12 @@ def _means(results: Results, name: str) -> np.ndarray:
 
 
 def powers(results: Results) -> Iterator[tuple[str, str, float, float]]:
-    """(output, parameter, p, half of its 95 % interval) of outputs that go with a power p of the only parameter, a range of
-    positive numbers: least squares of logarithms over all drops."""
+    """(output, parameter, p, half of its 95 % interval) of outputs that go with a power p of the only parameter, if its range is
+    one of logarithms: least squares of logarithms over all drops."""
     study = results.study
-    if len(study.parameter) != 1:
+    if [parameter.log for parameter in study.parameter.values()] != [True]:
         return
-    ((key, _),) = study.parameter.items()
+    (key,) = study.parameter
     points = points_of(study)
     x = np.repeat([p[key] if isinstance(p[key], int | float) else np.nan for p in points], study.seeds).astype(float)
     for name in study.outputs:
