@@ -39,8 +39,7 @@ def rmse_to_model(results: Results) -> np.ndarray:
 
 
 def rmse_to_point(results: Results, which: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Of the drops of a point [M] bool with those of another that have the same seeds (g); from the other's first force on, times as
-    they are."""
+    """Of the drops of a point [M] bool with those of another that have the same seeds (g); from the first force of the other on."""
     pairs = zip(np.flatnonzero(which).tolist(), np.flatnonzero(other).tolist(), strict=True)
     both = [(results.force[i], results.force[j]) for i, j in pairs if i in results.force and j in results.force]
     return np.array([1e3 * np.sqrt(np.mean((a[n] - b[n]) ** 2)) for a, b in both for n in [_span(results, b, a)]])
