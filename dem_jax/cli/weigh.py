@@ -4,7 +4,7 @@ from dem_jax.cli import stored
 from dem_jax.cli.arguments import Args, Commands, command
 from dem_jax.errors import RecordError
 
-FILTERS = ("average:0.02", "bessel:4:15")
+FILTERS = ("average:0.1", "bessel:4:8", "fir:201:10")
 RATE = 1000.0  # 1/s, as fast digital load cells have
 
 
@@ -15,7 +15,7 @@ def add(commands: Commands) -> None:
     stored.add_files(made)
     made.add_argument(
         "--filter", action="append", dest="filters", metavar="F",
-        help=f"one, or several by giving it again (default: {' and '.join(FILTERS)}); see below",
+        help=f"one, or several by giving it again (default: {', '.join(FILTERS)}); see below",
     )  # fmt: skip
     made.add_argument(
         "--tolerance", type=float, nargs="+", metavar="G", help="g of the truth within which a reading counts (default: 0.1 0.5 1)"

@@ -10,7 +10,7 @@ from dem_jax.show import plot
 from dem_jax.show.numbers import Number
 from dem_jax.show.overlay import COLOURS, INK
 from dem_jax.weighing import chain
-from dem_jax.weighing.settling import time_to_weigh
+from dem_jax.weighing.settling import HOLD, time_to_weigh
 from dem_jax.weighing.traces import Trace
 
 if TYPE_CHECKING:  # loaded where something is drawn: it takes a second
@@ -35,7 +35,7 @@ class Readings(NamedTuple):
     def after(self, tolerance: float) -> Number:
         """The time to weigh (ms) of each run, for a tolerance (kg)."""
         name = f"time to weigh within {1e3 * tolerance:g} g"
-        return Number(name, "ms", 1e3 * time_to_weigh(self.time, self.weight, self.truth, tolerance))
+        return Number(name, "ms", 1e3 * time_to_weigh(self.time, self.weight, self.truth, tolerance, HOLD))
 
 
 def readings_of(name: str, trace: Trace, rate: float | None, text: str) -> Readings:
@@ -67,8 +67,8 @@ def plot_readings(rows: Sequence[Readings], tolerances: Sequence[float], path: s
 
 
 def figure_of_readings(rows: Sequence[Readings], tolerances: Sequence[float]) -> "Figure":
-    """Figure (matplotlib.figure.Figure): the readings (g) over ms, and how far they are off, with the times to weigh on the lines
-    of their tolerances (kg). Of several runs the median, the band from 5 to 95 % and the median time."""
+    """Figure (matplotlib.figure.Figure): the readings (g) over ms, and the largest error (g) from then on, with dots for the
+    times to weigh at their tolerances (kg). Of several runs the median, the band from 5 to 95 % and the median time."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(10.8, 4.2), layout="constrained")
@@ -77,8 +77,9 @@ def figure_of_readings(rows: Sequence[Readings], tolerances: Sequence[float]) ->
     for k, row in enumerate(rows):
         label = f"{row.name}, {row.filter}" if several else row.filter
         _draw(left, row, 1e3 * row.weight, COLOURS[k % len(COLOURS)], label)
-        errors = np.maximum(1e3 * np.abs(row.weight - row.truth[:, None]), LEAST_ERROR)
-        _draw(right, row, errors, COLOURS[k % len(COLOURS)], label)
+        errors = 1e3 * np.abs(row.weight - row.truth[:, None])
+        from_then_on = np.maximum.accumulate(errors[:, ::-1], axis=1)[:, ::-1]
+        _draw(right, row, np.maximum(from_then_on, LEAST_ERROR), COLOURS[k % len(COLOURS)], label)
         for tolerance in tolerances:
             right.plot(row.after(tolerance).median, 1e3 * tolerance, "o", ms=5, color=COLOURS[k % len(COLOURS)], zorder=3)
     truth = 1e3 * float(np.median(np.concatenate([row.truth for row in rows])))
@@ -87,14 +88,13 @@ def figure_of_readings(rows: Sequence[Readings], tolerances: Sequence[float]) ->
     left.set_ylabel("reading (g)")
     right.set_yscale("log")
     right.set_ylim(LEAST_ERROR, None)
-    right.set_ylabel("how far it is off (g)")
+    right.set_ylabel("largest error from then on (g)")
     for tolerance in tolerances:
         right.axhline(1e3 * tolerance, color=INK, lw=0.6, ls=":")
     for axes in (left, right):
         axes.set_xlabel("time since release (ms)")
         axes.set_xlim(0.0, 1e3 * max(row.time[-1] for row in rows))
         axes.grid(alpha=0.25, lw=0.5)
-    right.set_title("dots: from there on within the dotted tolerance", fontsize=9)
     figure.suptitle(f"what a scale reads: {', '.join(dict.fromkeys(row.name for row in rows))}", fontsize=11)
     plot.legend(figure)
     return figure

@@ -134,6 +134,8 @@ def test_never_is_nan_and_runs_are_told_apart():
     readings = np.array([[1.0, 1.0, 1.0], [0.0, 1.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 0.0]])
     found = time_to_weigh(time, readings, np.array([1.0, 1.0, 1.0, 1.0]), 0.5)
     np.testing.assert_array_equal(found, [0.1, 0.2, 0.3, np.nan])
+    held = time_to_weigh(time, readings, np.ones(4), 0.5, hold=0.05)  # not as the trace ends
+    np.testing.assert_array_equal(held, [0.1, 0.2, np.nan, np.nan])
 
 
 @pytest.mark.parametrize(
