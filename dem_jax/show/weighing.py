@@ -47,7 +47,7 @@ def readings_of(name: str, trace: Trace, rate: float | None, text: str) -> Readi
 
 def table(rows: Sequence[Readings], tolerances: Sequence[float]) -> list[str]:
     """Lines of a table: for each of the readings and each tolerance (kg) the median time to weigh, its band, how many never do."""
-    cells = [HEADINGS]
+    cells: list[tuple[str, ...]] = [HEADINGS]
     for row in rows:
         for tolerance in tolerances:
             number = row.after(tolerance)

@@ -89,7 +89,7 @@ def of_table(path: str | Path) -> Filter:
         raise ValueError(f"filter {str(path)!r}: {error}") from error
     if table.shape[1] not in (1, 6) or not table.size:
         raise ValueError(f"filter {str(path)!r}: {table.shape[1]} columns: allowed: 1, of taps, or 6, of second-order sections")
-    rows = [(table[:, 0], (1.0,))] if table.shape[1] == 1 else [(row[:3], row[3:]) for row in table]
+    rows = [(table[:, 0], np.ones(1))] if table.shape[1] == 1 else [(row[:3], row[3:]) for row in table]
     return of_coefficients(rows, str(path))
 
 

@@ -44,7 +44,7 @@ def trace_of(run: Run, group: str | None = None, block: str | None = None, truth
         groups = [group] if group else [name for name in BUCKET if name in run.force] or list(run.force)[:1]
         if not groups:
             raise RecordError("there is no force to weigh: the run has no walls")
-        weight, source = sum(run.pif_kg(name) for name in groups), f"force on {' and '.join(groups)}"
+        weight, source = np.sum([run.pif_kg(name) for name in groups], axis=0), f"force on {' and '.join(groups)}"
     return _checked(Trace(np.asarray(run.time), weight, _truth(run.settled_mass, block, truth, weight.shape[:-1]), source))
 
 
