@@ -56,17 +56,15 @@ def entered(
     last = jnp.where(jnp.max(strength, axis=0) > 0, found, now.place)
     load = _loads(state, panels, columns, is_of)
     one = ((speed > 0) & (speed >= rule.slowest)).astype(speed.dtype)
-    number, impulse, work = now.cells[..., 0]
-    cells = jnp.stack([
-        number.at[place].add(one),
-        impulse.at[place].add(system.dt * push),
-        work.at[last].add(_work(system, state, omega, panels, now.load + load)),
-    ])  # fmt: skip
+    work = _work(system, state, omega, panels, now.load + load)
     of_speed = jnp.clip(speed / rule.fastest * rule.classes, 0, rule.classes - 1).astype(jnp.int32)
-    speeds = now.speeds[..., 0].at[of_speed, group].add(one)
-    total, largest = now.moments[..., 0]
-    moments = jnp.stack([total.at[group].add(one * speed), largest.at[group].max(one * speed)])
-    return Collisions(cells[..., None], speeds[..., None], moments[..., None], load, last)
+    return Collisions(
+        cells=now.cells.at[0, place, 0].add(one).at[1, place, 0].add(system.dt * push).at[2, last, 0].add(work),
+        speeds=now.speeds.at[of_speed, group, 0].add(one),
+        moments=now.moments.at[0, group, 0].add(one * speed).at[1, group, 0].max(one * speed),
+        load=load,
+        place=last,
+    )
 
 
 def _by_column(
