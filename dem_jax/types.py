@@ -168,6 +168,16 @@ class LoadCell(Tree):
 
 
 @pytree
+class Statistics(Tree):
+    """What is asked of the collisions with walls."""
+
+    slowest: Array  # (m/s): a slower touch is not counted
+    fastest: Array  # (m/s): where the last class of speeds begins to count all that is faster too
+    classes: int = static()  # of speeds, of equal width
+    cells: int = static()  # of the map along each side of the box around a panel
+
+
+@pytree
 class Walls(Tree):
     """Convex plates in G groups, each group moved as a rigid body or at rest.
 
@@ -246,6 +256,7 @@ class System(Tree):
     escape_stops: bool = static()  # whether a piece outside the domain stops the run
     has_rotation: bool = static()
     ledger: bool = static()  # whether work and dissipation are added up
+    statistics: Statistics | None  # of collisions with walls; None: nothing of them is computed
     sample_parts: int = static()  # a sample interval of more steps than the next is cut into so many parts, a rebuild before each
     block_steps: int = static()  # most steps between rebuilds of the pairs; one comes before the sample that exceeds it
     slot_block: int = static()  # contacts are computed so many at a time, at most; 0: all slots at once
@@ -348,6 +359,17 @@ class CellMotion(Tree):
 
 
 @pytree
+class Collisions(Tree):
+    """What collisions with the walls have added up to since the first step; C = W cells^2 places on the panels."""
+
+    cells: Array  # [3, C, R]: number, normal impulse (N s) and work that contacts took (J) in each place
+    speeds: Array  # [classes, G, R]: number by impact speed
+    moments: Array  # [2, G, R] (m/s): sum of the impact speeds, and the largest
+    load: Array  # [9, G, N] (N, N m): of each group on each piece: force, torque about its centre, about the group's pivot
+    place: Array  # [G, N] int32: where each piece last pushed on each group
+
+
+@pytree
 class Scratch(Tree):
     """What the rebuild at the beginning of each block of steps fills anew, from the rest of the state."""
 
@@ -374,6 +396,7 @@ class State(Tree):
     motion: Motion
     walls: WallLoads
     cell: CellMotion | None  # None: no wall is on a load cell
+    collisions: Collisions | None  # None: nobody asked for them
     contacts: dict[str, ContactTable]  # by kind of contact
     incidence: Array  # [touching, N] int32: where the contacts of each piece stand among all (see neighbours.find_incidence)
     ledger: Ledger

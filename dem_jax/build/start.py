@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dem_jax.contact import ledger
+from dem_jax.contact import collisions, ledger
 from dem_jax.errors import SceneError
 from dem_jax.maths import rotation
 from dem_jax.pairs import neighbours
@@ -110,6 +110,7 @@ def first_state(system: System, start: Start, frames: np.ndarray, step: int) -> 
         motion=motion_of_start(system, start, frames),
         walls=WallLoads(host(np.zeros((3, groups, runs), dtype)), host(np.zeros((3, groups, runs), dtype))),
         cell=cell,
+        collisions=collisions.none_yet(system, dtype),
         contacts=neighbours.no_contacts(system),
         incidence=host(np.full((system.touching, n), columns, np.int32)),
         ledger=ledger.empty_ledger(system, dtype),

@@ -15,6 +15,7 @@ from dem_jax.build.pieces import alike, goods_of, named, piece_arrays, with_poin
 from dem_jax.build.room import capacity, partition, row_capacity
 from dem_jax.build.sampling import shortest_contact
 from dem_jax.build.start import Box, Start, first_state, motion_of_start, placed, settling_samples
+from dem_jax.build.statistics import statistics_of
 from dem_jax.build.time_step import TimeStep, block_steps, choose_step, longest_reach, possible_contacts
 from dem_jax.build.typed import typed
 from dem_jax.build.walls import wall_arrays, walls_of, written_out
@@ -97,12 +98,13 @@ def build(scene: Scene, seed: int = 0, law: ContactLaw | None = None) -> Built:
         escape_stops=scene.run.escape == "stop",
         has_rotation=True,
         ledger=scene.run.energy,
+        statistics=statistics_of(scene, len(panels), dtype),
         sample_parts=step.parts,
         block_steps=block_steps(scene),
         slot_block=0,
         runs=1,
         blocks=tuple(b.name for b in blocks),
-        quantities=quantities.of_walls(walls),
+        quantities=quantities.sampled(walls, scene.statistics is not None),
     )
     system = system.replace(has_rotation=has_hulls or materials.friction is not None or bool(np.any(start.spin)))
     frames = np.array([m.principal for m in made])

@@ -39,10 +39,14 @@ def runs_of(files: Sequence[str]) -> tuple[list[str], list["Run"]]:
     """What files are called, and their runs. Raises RecordError."""
     from dem_jax.store.record import load_run
 
+    return names_of(files), [load_run(path) for path in files]
+
+
+def names_of(files: Sequence[str]) -> list[str]:
+    """What files are called: without folders and endings where that tells them apart."""
     paths = [Path(file) for file in files]
     stems = [path.stem for path in paths]
-    names = stems if len(set(stems)) == len(stems) else [str(path.with_suffix("")) for path in paths]
-    return names, [load_run(path) for path in paths]
+    return stems if len(set(stems)) == len(stems) else [str(path.with_suffix("")) for path in paths]
 
 
 def default_out(files: Sequence[str], suffix: str) -> Path:

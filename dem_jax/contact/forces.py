@@ -6,7 +6,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from dem_jax.contact import bodies, boundary, collide, follow, of_run, seams, watch
+from dem_jax.contact import bodies, boundary, collide, collisions, follow, of_run, seams, watch
 from dem_jax.contact.blocks import block_of, block_of_slots, block_size, in_one
 from dem_jax.contact.bodies import Body
 from dem_jax.contact.geometry import Known, geometry, is_kept
@@ -15,6 +15,8 @@ from dem_jax.contact.ledger import entered
 from dem_jax.maths import vector
 from dem_jax.maths.vector import Vector
 from dem_jax.types import Array, ContactTable, Facing, Memory, Slots, State, System, WallLoads
+
+Blocks = tuple[Memory, Facing | None, Array, Array, Array | None]  # what ``_contacts_of_kind`` goes from block to block with
 
 
 class Contacts(NamedTuple):
@@ -25,6 +27,7 @@ class Contacts(NamedTuple):
     load_b: Array  # on b
     overlap: Array  # [R] (-): the largest of each run, relative to the width of the piece
     facing: Facing | None = None  # as ``geometry`` keeps it
+    touch: Array | None = None  # [2, P] (m/s, N): impact speed where one begins, else 0, and push; None: nobody asked
 
 
 def contacts(system: System, state: State, omega: Array, panels: boundary.Panels) -> State:
@@ -38,23 +41,26 @@ def contacts(system: System, state: State, omega: Array, panels: boundary.Panels
     loads, overlap = state.scratch.loads, jnp.zeros((system.runs,), stacked.dtype)
     tables: dict[str, ContactTable] = {}
     facing: dict[str, Facing] = {}
+    touches: dict[str, Array | None] = {}
     column = 0
     for kind, table in state.contacts.items():
-        memory, seen, loads, deepest = _contacts_of_kind(system, state, kind, stacked, loads, column)
+        memory, seen, loads, deepest, touches[kind] = _contacts_of_kind(system, state, kind, stacked, loads, column)
         tables[kind], overlap = table.replace(memory=memory), jnp.maximum(overlap, deepest)
         facing |= {} if seen is None else {kind: seen}
         column += 2 * table.a.shape[0]
     state = state.replace(contacts=tables, scratch=state.scratch.replace(loads=loads, facing=facing))
     on_pieces, on_walls = _loads_of_pieces(system, state), _loads_of_walls(system, state, panels)
     ledger = entered(system, state, omega, panels, on_pieces, on_walls, overlap)
-    return state.moved(force=on_pieces[:3], torque=on_pieces[3:]).replace(walls=on_walls, ledger=ledger)
+    counted = collisions.entered(system, state, omega, panels, touches)
+    return state.moved(force=on_pieces[:3], torque=on_pieces[3:]).replace(walls=on_walls, ledger=ledger, collisions=counted)
 
 
 def _contacts_of_kind(
     system: System, state: State, kind: str, stacked: Array, loads: Array, column: int
-) -> tuple[Memory, Facing | None, Array, Array]:
+) -> tuple[Memory, Facing | None, Array, Array, Array | None]:
     """The memory of a kind after this step, which faces look at each other, the loads [6, columns] with those of its contacts
-    from ``column`` on, and the largest overlap. Block by block of slots, as far as slots are filled: what is free costs nothing."""
+    from ``column`` on, the largest overlap, and the touches as of Contacts. Block by block of slots, as far as slots are
+    filled: what is free costs nothing."""
     table, slots = state.contacts[kind], state.scratch.slots[kind]
     near, facing = state.scratch.near.get(kind), state.scratch.facing.get(kind)
     room = table.a.shape[0]
@@ -67,20 +73,21 @@ def _contacts_of_kind(
     if not size:
         siblings = None if slots.surface_a is None else seams.siblings(system, slots, state.incidence, column)
         part = _resolve(system, kind, table.memory, slots, stacked, siblings, Known(near, facing))
-        return part.memory, part.facing, put(part, 0, loads), part.overlap
+        return part.memory, part.facing, put(part, 0, loads), part.overlap, part.touch
 
-    def block(k: Array, carry: tuple[Memory, Facing | None, Array, Array]) -> tuple[Memory, Facing | None, Array, Array]:
-        memory, facing, loads, overlap = carry
+    def block(k: Array, carry: Blocks) -> Blocks:
+        memory, facing, loads, overlap, touch = carry
         before = in_one(kind, block_of(memory, k, size))
         known = Known(block_of(near, k, size), block_of(facing, k, size))
         part = _resolve(system, kind, before, block_of_slots(system, kind, slots, k, size), stacked, None, known)
         insert = lambda whole, rows: jax.lax.dynamic_update_slice_in_dim(whole, rows, k * size, -1)  # noqa: E731
         memory = jax.tree.map(insert, memory, in_one(kind, part.memory))
-        facing = jax.tree.map(insert, facing, part.facing)
-        return memory, facing, put(part, k * size, loads), jnp.maximum(overlap, part.overlap)
+        facing, touch = jax.tree.map(insert, (facing, touch), (part.facing, part.touch))
+        return memory, facing, put(part, k * size, loads), jnp.maximum(overlap, part.overlap), touch
 
     blocks = (state.scratch.filled[kind] + size - 1) // size
-    return jax.lax.fori_loop(0, blocks, block, (table.memory, facing, loads, jnp.zeros((system.runs,), stacked.dtype)))
+    none = jnp.zeros((system.runs,), stacked.dtype)
+    return jax.lax.fori_loop(0, blocks, block, (table.memory, facing, loads, none, _no_touch(system, table.memory.overlap)))
 
 
 def _resolve(
@@ -108,7 +115,12 @@ def _separated(system: System, memory: Memory, slots: Slots) -> Contacts:
     """What ``_loaded`` says where nothing touches, nor did before."""
     none = jnp.zeros((6, slots.a.shape[0]), memory.overlap.dtype)
     after = memory.replace(overlap=none[0], law=system.law.start(slots.pair, none[0]))
-    return Contacts(after, none, none, jnp.zeros((system.runs,), none.dtype))
+    return Contacts(after, none, none, jnp.zeros((system.runs,), none.dtype), None, _no_touch(system, none))
+
+
+def _no_touch(system: System, slots: Array) -> Array | None:
+    """``Contacts.touch`` of slots [.., P] that are free."""
+    return None if system.statistics is None else jnp.zeros((2, slots.shape[-1]), slots.dtype)
 
 
 def _loaded(
@@ -158,7 +170,11 @@ def _loaded(
         twist = answer.twist if share is None else vector.scale(share, answer.twist)
         on_a, on_b = vector.sub(on_a, twist), vector.add(on_b, twist)
     load_a, load_b = jnp.stack([*reaction, *on_a]), jnp.stack([*force, *on_b])
-    return Contacts(after, load_a, load_b, deepest)
+    touch = None
+    if system.statistics is not None:
+        begins = (memory.overlap <= 0) & (within > 0)
+        touch = jnp.stack([jnp.where(begins, approach / system.dt, 0), answer.push if share is None else share * answer.push])
+    return Contacts(after, load_a, load_b, deepest, None, touch)
 
 
 def _motion(

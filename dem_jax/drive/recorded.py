@@ -8,6 +8,7 @@ import numpy as np
 from dem_jax.drive import restart
 from dem_jax.drive.job import Job
 from dem_jax.drive.span import Span
+from dem_jax.step import collided
 from dem_jax.store import record, series
 
 
@@ -66,12 +67,15 @@ def _frames_of(job: Job, span: Span, count: int, run_axis: tuple[Any, ...]) -> d
 
 def facts_of(job: Job, span: Span, notes: list[str], reruns: list[str]) -> dict[str, Any]:
     """What a span adds to the file's info: ``notes``, which a person should know, and ``reruns``, which were handled;
-    ``settled`` (s), the end of a run that ended early; ``settling`` (s), how long a portion settled if that was cut short."""
+    ``settled`` (s), the end of a run that ended early; ``settling`` (s), how long a portion settled if that was cut short;
+    ``collisions``, see collided.told."""
     facts: dict[str, Any] = {name: said for name, said in (("notes", notes), ("reruns", reruns)) if said}
     if span.settled and span.first >= 0:
         facts["settled"] = span.end * job.scene.run.sample
     elif span.settled and job.rule is not None:
         facts["settling"] = (span.end - job.rule.start) * job.scene.run.sample
+    if span.state.collisions is not None:
+        facts["collisions"] = collided.told(span.system, span.state)
     return facts
 
 

@@ -13,6 +13,7 @@ from dem_jax.scene.sections.contact import Contact, stray_key
 from dem_jax.scene.sections.material import DEFAULT, WALL, Material, Pair
 from dem_jax.scene.sections.pieces import Piece, Portion
 from dem_jax.scene.sections.run import RunSettings
+from dem_jax.scene.sections.statistics import Statistics
 from dem_jax.scene.sections.walls import Block, Motion, Wall
 from dem_jax.scene.text import toml, value
 from dem_jax.scene.words import choices, one_line
@@ -35,6 +36,7 @@ class Scene(Section):
     drop: Drop = Drop()
     pair: Annotated[tuple[Pair, ...], BeforeValidator(as_tuple)] = ()
     contact: Contact = Contact()
+    statistics: Statistics | None = None
     folder: str = Field(".", description="folder that files named in the scene are relative to")
 
     @model_validator(mode="after")

@@ -20,12 +20,13 @@ AT_ONCE = 16  # runs: more gain little and leave cores without work; always as m
 SLOT_BLOCK = 32  # slots computed at a time: of nine pieces 64 take 1.2 times as long, 16 1.1 times
 
 def is_worthwhile(system: System, runs: int) -> bool:
-    """Whether so many runs of a system are quicker as one: with few pieces, every pair of which is looked at, no seams
-    and no load cell."""
+    """Whether so many runs of a system are quicker as one: with few pieces, every pair of which is looked at, no seams,
+    no load cell and no statistics of collisions."""
     kinds = (system.parts.polytopes.shape[0], system.parts.spheres.shape[0])
     is_listed = any(search.choice(system.neighbours, count) != "all-pairs" for count in kinds)
     is_small = sum(kinds) <= MOST_PIECES and runs >= AT_ONCE
     is_plain = not seams.are_there(system) and system.walls.load_cell is None  # a cell sets the walls of each run apart
+    is_plain = is_plain and system.statistics is None
     return is_small and bool(system.slot_block) and is_plain and not is_listed
 
 
@@ -78,6 +79,7 @@ def joined(one: System, states: State) -> State:
         motion=jax.tree.map(beside, states.motion),
         walls=jax.tree.map(beside, states.walls),
         cell=None,
+        collisions=None,
         contacts=jax.tree.map(beside, tables),
         incidence=states.incidence,
         ledger=jax.tree.map(beside, states.ledger),
@@ -97,6 +99,7 @@ def split(system: System, states: State, state: State) -> State:
         motion=jax.tree.map(apart, state.motion),
         walls=jax.tree.map(apart, state.walls),
         cell=None,
+        collisions=None,
         contacts=tables,
         incidence=jax.vmap(lambda tables: neighbours.find_incidence(system, tables)[0])(tables),
         ledger=jax.tree.map(apart, state.ledger),

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 
 from dem_jax.contact import of_run
-from dem_jax.step import load_cell, measure
+from dem_jax.step import collided, load_cell, measure
 from dem_jax.step.quantity import Axis, Quantity, Rows, checked
 from dem_jax.types import Array, State, System, Walls
 
@@ -37,6 +37,9 @@ READING = Axis(
     rows=lambda system: tuple((name, k) for k, name in enumerate(load_cell.READINGS) if system.walls.load_cell is not None),
     symbol="READING",
 )
+
+
+COLLISIONS = ("collisions", "collision_impulse", "collision_energy")
 
 
 def _contacts(system: System, state: State) -> Array:
@@ -105,6 +108,21 @@ QUANTITIES = checked(
             help="of the load cell, if there is one, downwards: " + ", ".join(load_cell.READINGS) + "; signal = k x + c x'",
         ),
         Quantity(
+            name="collisions", unit="1", axes=(REPORT,),
+            of=lambda system, state: collided.totals(system, state)[0],
+            help="with the wall group since the first step, if the scene has [statistics]; a contact is one until it ends",
+        ),
+        Quantity(
+            name="collision_impulse", unit="N s", axes=(REPORT,),
+            of=lambda system, state: collided.totals(system, state)[1],
+            help="of the normal forces on the wall group since the first step, likewise",
+        ),
+        Quantity(
+            name="collision_energy", unit="J", axes=(REPORT,),
+            of=collided.lost,
+            help="that contacts with the wall group have dissipated since the first step, likewise",
+        ),
+        Quantity(
             name="step", unit="1", axes=(), kept=False,
             of=lambda system, state: jnp.full((system.runs,), state.step),
             help="number of the time step",
@@ -123,6 +141,8 @@ QUANTITIES = checked(
 )  # fmt: skip
 
 
-def of_walls(walls: Walls) -> tuple[Quantity, ...]:
-    """The quantities of a system with these walls: without a load cell nothing of one is sampled."""
-    return tuple(q for q in QUANTITIES if READING not in q.axes or walls.load_cell is not None)
+def sampled(walls: Walls, statistics: bool) -> tuple[Quantity, ...]:
+    """The quantities of a system with these walls: without a load cell nothing of one is sampled, nor of collisions without
+    statistics."""
+    absent = set() if statistics else set(COLLISIONS)
+    return tuple(q for q in QUANTITIES if q.name not in absent and (READING not in q.axes or walls.load_cell is not None))

@@ -20,7 +20,7 @@ Rows = tuple[tuple[str, int | tuple[int, ...]], ...]  # name, and its place on t
 # What files and runs call something else.
 RESERVED = frozenset(
     "time pieces restart header series values replace save pif_kg peak_kg member settled scene seed dt precision version sample"
-    " run_count info".split()
+    " run_count info parameters".split()
 )
 
 

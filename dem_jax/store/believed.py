@@ -78,6 +78,7 @@ INFO = {
     **dict.fromkeys(("step", "limit", "law", "stopped"), Rule(is_text, "a text")),
     **dict.fromkeys(("notes", "reruns"), Rule(is_list_of(is_text), "texts")),
     "steps": Rule(is_list_of(is_positive), "a time step for each run"),
+    "collisions": Rule(lambda v: isinstance(v, dict), "a table"),
     "parameters": Rule(is_table_of_lists, "a table of lists, of a value for each run"),
 }
 

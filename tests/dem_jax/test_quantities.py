@@ -16,7 +16,7 @@ from dem_jax.contact import of_run
 from dem_jax.errors import RecordError
 from dem_jax.scene import Scene
 from dem_jax.step import joined
-from dem_jax.step.quantities import QUANTITIES
+from dem_jax.step.quantities import COLLISIONS, QUANTITIES
 from dem_jax.step.quantity import RESERVED, Axis, checked, listed
 from dem_jax.store import series
 from dem_jax.store.record import Run, series_of
@@ -28,7 +28,8 @@ SIDE = [(SIZE, -SIZE, 0.0), (SIZE, -SIZE, 0.1), (SIZE, SIZE, 0.1), (SIZE, SIZE, 
 SAMPLE, EVERY, SHORT, LONG = 3e-5, 10, 40, 90  # s; in samples: between frames, a run, and the run that it is part of
 JOINED = joined.AT_ONCE + 1
 SIDES = Axis("side", lambda _: 2, lambda _: (("left", 0), ("right", 1)), "SIDE")
-KEPT = [quantity for quantity in QUANTITIES if quantity.kept and quantity.name != "load_cell"]  # see test_load_cell
+ASKED = ("load_cell", *COLLISIONS)  # of scenes that ask for it: see test_load_cell and test_collisions
+KEPT = [quantity for quantity in QUANTITIES if quantity.kept and quantity.name not in ASKED]
 
 
 def scene(precision="f64", samples=SHORT, **run):

@@ -1,0 +1,24 @@
+"""What a scene asks of the collisions with its walls."""
+
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import DTypeLike
+
+from dem_jax.errors import SceneError
+from dem_jax.scene import Scene
+from dem_jax.types import Statistics
+
+MOST_PLACES = 4_000_000  # on all panels together
+
+
+def statistics_of(scene: Scene, panels: int, dtype: DTypeLike) -> Statistics | None:
+    """The classes of speeds and the places on so many panels; None: the scene asks for nothing. Raises SceneError."""
+    asked = scene.statistics
+    if asked is None:
+        return None
+    if not 0 < panels * asked.cells**2 <= MOST_PLACES:
+        most = int((MOST_PLACES / max(1, panels)) ** 0.5)
+        allowed = f"at most {most}" if panels else "no [statistics] in a scene without walls"
+        raise SceneError(f"statistics.cells = {asked.cells}: of {panels} panels; allowed: {allowed}")
+    number = lambda value: jnp.asarray(np.asarray(value, dtype))  # noqa: E731
+    return Statistics(number(asked.slowest), number(asked.fastest), asked.speeds, asked.cells)

@@ -1,0 +1,56 @@
+"""python -m dem_jax weigh"""
+
+from dem_jax.cli import stored
+from dem_jax.cli.arguments import Args, Commands, command
+from dem_jax.errors import RecordError
+
+FILTERS = ("average:0.1", "bessel:4:8", "fir:201:10")
+RATE = 1000.0  # 1/s, as fast digital load cells have
+
+
+def add(commands: Commands) -> None:
+    """Add the command to the parser."""
+    made = command(commands, "weigh", weigh, "What a scale reads of a run, an ensemble or Product Model portions, and how soon.")
+    made.more = _filters
+    stored.add_files(made)
+    made.add_argument(
+        "--filter", action="append", dest="filters", metavar="F",
+        help=f"one, or several by giving it again (default: {', '.join(FILTERS)}); see below",
+    )  # fmt: skip
+    made.add_argument(
+        "--tolerance", type=float, nargs="+", metavar="G", help="g of the truth within which a reading counts (default: 0.1 0.5 1)"
+    )
+    made.add_argument("--rate", type=float, default=RATE, help=f"readings per second (default: {RATE:g})")
+    made.add_argument("--group", help="weigh the force on this wall group (default: the load cell, or all of the weigh bucket)")
+    made.add_argument("--block", help="block whose settled mass at the end is the truth (default: wb, or the first)")
+    made.add_argument("--truth", type=float, metavar="G", help="g that the scale should show, instead of a settled mass")
+    made.add_argument("--out", metavar="FILE", help=".png, .pdf or .svg (default: the first file's name -weigh.png)")
+
+
+def weigh(args: Args) -> None:
+    """Print the times to weigh and draw the readings."""
+    from dem_jax.show.weighing import plot_readings, readings_of, table
+    from dem_jax.weighing.settling import TOLERANCES
+    from dem_jax.weighing.traces import trace_of_file
+
+    tolerances = [1e-3 * grams for grams in args.tolerance] if args.tolerance else TOLERANCES
+    if not all(0 < tolerance < 1e3 for tolerance in tolerances):
+        raise RecordError(f"--tolerance {' '.join(f'{grams:g}' for grams in args.tolerance)}: allowed: numbers above 0 (g)")
+    truth = None if args.truth is None else 1e-3 * args.truth
+    rows = []
+    for name, file in zip(stored.names_of(args.files), args.files, strict=True):
+        trace = trace_of_file(file, args.group, args.block, truth)
+        for text in args.filters or FILTERS:
+            try:
+                rows.append(readings_of(f"{name}: {trace.source}", trace, args.rate, text))
+            except ValueError as error:
+                raise RecordError(f"{file}: {error}") from error
+    for line in table(rows, tolerances):
+        print(line)
+    print(plot_readings(rows, tolerances, args.out or stored.default_out(args.files, "-weigh.png")))
+
+
+def _filters() -> str:
+    from dem_jax.weighing.filters import ALLOWED
+
+    return f"filters: {ALLOWED}\n"

@@ -1,0 +1,107 @@
+"""What a scale makes of runs: a table of times to weigh, and the figure of its readings and their errors."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from dem_jax.show import plot
+from dem_jax.show.numbers import Number
+from dem_jax.show.overlay import COLOURS, INK
+from dem_jax.weighing import chain
+from dem_jax.weighing.settling import HOLD, time_to_weigh
+from dem_jax.weighing.traces import Trace
+
+if TYPE_CHECKING:  # loaded where something is drawn: it takes a second
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+HEADINGS = ("trace", "filter", "delay (ms)", "within (g)", "after (ms)", "5 %", "95 %", "never")
+LEAST_ERROR = 1e-2  # g: below, errors are drawn as this
+HEAD_ROOM = 2.0  # times the truth: how far up readings are shown
+
+
+class Readings(NamedTuple):
+    """What a scale shows of a trace. time: [m] (s); weight: [K, m] (kg), of K runs; truth: [K] (kg); delay: (s), of the filter."""
+
+    name: str
+    filter: str
+    delay: float
+    time: np.ndarray
+    weight: np.ndarray
+    truth: np.ndarray
+
+    def after(self, tolerance: float) -> Number:
+        """The time to weigh (ms) of each run, for a tolerance (kg)."""
+        name = f"time to weigh within {1e3 * tolerance:g} g"
+        return Number(name, "ms", 1e3 * time_to_weigh(self.time, self.weight, self.truth, tolerance, HOLD))
+
+
+def readings_of(name: str, trace: Trace, rate: float | None, text: str) -> Readings:
+    """The readings of a trace at a rate (1/s) through a filter, as filters.ALLOWED. Raises ValueError."""
+    of = chain.chain(trace.sample, rate, text)
+    time, weight = chain.weighed(of, trace.time, np.atleast_2d(trace.weight))
+    return Readings(name, text, of.filter.delay * of.samples * trace.sample, time, weight, np.atleast_1d(trace.truth))
+
+
+def table(rows: Sequence[Readings], tolerances: Sequence[float]) -> list[str]:
+    """Lines of a table: for each of the readings and each tolerance (kg) the median time to weigh, its band, how many never do."""
+    cells: list[tuple[str, ...]] = [HEADINGS]
+    for row in rows:
+        for tolerance in tolerances:
+            number = row.after(tolerance)
+            never = int(np.isnan(number.values).sum())
+            times = [f"{value:.4g}" if np.isfinite(value) else "-" for value in (number.median, *number.band)]
+            most = f"{never} of {len(number.values)}"
+            cells.append((row.name, row.filter, f"{1e3 * row.delay:.3g}", f"{1e3 * tolerance:g}", *times, most))
+    widths = [max(len(line[k]) for line in cells) for k in range(len(HEADINGS))]
+    return ["  ".join(text.ljust(width) for text, width in zip(line, widths, strict=True)).rstrip() for line in cells]
+
+
+def plot_readings(rows: Sequence[Readings], tolerances: Sequence[float], path: str | Path) -> Path:
+    """Save ``figure_of_readings`` as PNG, PDF or SVG. Returns the path. Raises RecordError."""
+    path = Path(path)
+    plot.check_format(path, plot.PICTURE_FORMATS)
+    return plot.save_figure(figure_of_readings(rows, tolerances), path, dpi=200)
+
+
+def figure_of_readings(rows: Sequence[Readings], tolerances: Sequence[float]) -> "Figure":
+    """Figure (matplotlib.figure.Figure): the readings (g) over ms, and the largest error (g) from then on, with dots for the
+    times to weigh at their tolerances (kg). Of several runs the median, the band from 5 to 95 % and the median time."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(10.8, 4.2), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    several = len({row.name for row in rows}) > 1
+    for k, row in enumerate(rows):
+        label = f"{row.name}, {row.filter}" if several else row.filter
+        _draw(left, row, 1e3 * row.weight, COLOURS[k % len(COLOURS)], label)
+        errors = 1e3 * np.abs(row.weight - row.truth[:, None])
+        from_then_on = np.maximum.accumulate(errors[:, ::-1], axis=1)[:, ::-1]
+        _draw(right, row, np.maximum(from_then_on, LEAST_ERROR), COLOURS[k % len(COLOURS)], label)
+        for tolerance in tolerances:
+            right.plot(row.after(tolerance).median, 1e3 * tolerance, "o", ms=5, color=COLOURS[k % len(COLOURS)], zorder=3)
+    truth = 1e3 * float(np.median(np.concatenate([row.truth for row in rows])))
+    left.axhline(truth, color=INK, lw=0.8, ls="--", label="what lies there in the end")
+    left.set_ylim(-0.1 * HEAD_ROOM * truth, HEAD_ROOM * truth)
+    left.set_ylabel("reading (g)")
+    right.set_yscale("log")
+    right.set_ylim(LEAST_ERROR, None)
+    right.set_ylabel("largest error from then on (g)")
+    for tolerance in tolerances:
+        right.axhline(1e3 * tolerance, color=INK, lw=0.6, ls=":")
+    for axes in (left, right):
+        axes.set_xlabel("time since release (ms)")
+        axes.set_xlim(0.0, 1e3 * max(row.time[-1] for row in rows))
+        axes.grid(alpha=0.25, lw=0.5)
+    figure.suptitle(f"what a scale reads: {', '.join(dict.fromkeys(row.name for row in rows))}", fontsize=11)
+    plot.legend(figure)
+    return figure
+
+
+def _draw(axes: "Axes", row: Readings, values: np.ndarray, colour: str, label: str) -> None:
+    if len(values) > 1:
+        plot.draw_ensemble(axes, 1e3 * row.time, values, colour, label, f"{label}, 5 to 95 %")
+    else:
+        axes.plot(1e3 * row.time, values[0], color=colour, lw=1.1, label=label)

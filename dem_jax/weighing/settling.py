@@ -1,0 +1,21 @@
+"""The time to weigh: from when on a reading may be believed."""
+
+import numpy as np
+
+TOLERANCES = (1e-4, 5e-4, 1e-3)  # kg
+HOLD = 0.05  # s that a reading must have stayed, for it not to be a swing that happens to cross the truth as the trace ends
+
+
+def time_to_weigh(
+    time: np.ndarray, readings: np.ndarray, truth: np.ndarray | float, tolerance: float, hold: float = 0.0
+) -> np.ndarray:
+    """The first time (s) from which on a reading stays within a tolerance of the truth, to the end of the trace, [..].
+
+    time: [m] (s); readings: [.., m] and truth: [..], in the unit of the tolerance. nan: never, the last reading is off, or one less
+    than ``hold`` (s) before it.
+    """
+    off = np.abs(readings - np.asarray(truth)[..., None]) > tolerance
+    last = np.where(off.any(axis=-1), off.shape[-1] - 1 - np.argmax(off[..., ::-1], axis=-1), -1)
+    after = np.append(np.asarray(time, np.float64), np.nan)
+    found = after[last + 1]
+    return np.where(time[-1] - found >= hold, found, np.nan)

@@ -1,0 +1,224 @@
+"""The scale behind the force: readings at its rate, filters, streams, and the time to weigh against closed forms."""
+
+import numpy as np
+import pytest
+from scipy import signal
+
+import product_model
+from dem_jax.__main__ import main
+from dem_jax.errors import RecordError
+from dem_jax.show.weighing import figure_of_readings, readings_of, table
+from dem_jax.store.record import Run
+from dem_jax.validation import CellImpact
+from dem_jax.weighing import chain, filters
+from dem_jax.weighing.settling import time_to_weigh
+from dem_jax.weighing.traces import Trace, trace_of, trace_of_file
+from tests.dem_jax.stored import stored
+
+RATE = 1000.0
+KINDS = ("none", "average:0.02", "bessel:4:15", "bessel:5:40", "fir:101:20", "fir:64:20:blackman", "own.csv")
+
+
+def own(path):
+    path.write_text("# b0, b1, b2, a0, a1, a2\n0.2, 0.4, 0.2, 2.0, -1.5, 0.5\n0.1, 0, 0, 1, -0.9, 0\n")
+    return str(path)
+
+
+def one_go(of, values):
+    return filters.filtered(of, filters.start(of, values.shape[:-1]), values)[0]
+
+
+@pytest.mark.parametrize("count", [1, 20, 250])
+def test_a_step_through_a_moving_average_of_n_readings_settles_in_exactly_n_readings(count):
+    at, mass = 137, 0.0525
+    time = (np.arange(2000) + 1) / RATE
+    weight = np.where(np.arange(2000) >= at, mass, 0.0)
+    readings = one_go(filters.moving_average(count / RATE, RATE), weight)
+    after = time_to_weigh(time, readings, mass, 1e-12)
+    assert after == time[at + count - 1]  # n readings from the end of the reading before the step
+    ramp = mass * np.clip(np.arange(2000) - at + 1, 0, count) / count
+    np.testing.assert_allclose(readings, ramp, rtol=0, atol=1e-15)
+    for tolerance in (1e-4, 1e-3):  # on the ramp, the first reading within it
+        steps = np.ceil(count * (1 - tolerance / mass) - 1e-9)
+        assert time_to_weigh(time, readings, mass, tolerance) == time[at + int(steps) - 1]
+
+
+@pytest.mark.parametrize(("order", "frequency"), [(1, 10.0), (4, 15.0), (5, 40.0), (8, 120.0)])
+def test_the_step_response_of_bessel_is_that_of_scipy_with_its_gain_and_delay(order, frequency):
+    of = filters.bessel(order, frequency, RATE)
+    step = np.ones(1500)
+    reference = signal.sosfilt(signal.bessel(order, frequency, fs=RATE, norm="mag", output="sos"), step)
+    np.testing.assert_allclose(one_go(of, step), reference, rtol=0, atol=1e-11)
+    assert one_go(of, step)[-1] == pytest.approx(1.0, abs=1e-9)
+    gain = np.prod([signal.freqz(b, a, [frequency], fs=RATE)[1] for b, a in of.sections])
+    assert abs(gain) == pytest.approx(np.sqrt(0.5), rel=1e-9)
+
+
+def test_the_delay_is_the_group_delay_at_rest_and_that_of_a_ramp(tmp_path):
+    ramp = np.arange(4000.0)
+    for text in KINDS[:-1] + (own(tmp_path / "own.csv"),):
+        of = filters.named(text, RATE)
+        known = sum(signal.group_delay((b, a), [1e-4])[1][0] for b, a in of.sections)
+        assert of.delay == pytest.approx(known, rel=1e-5), text
+        assert ramp[-1] - one_go(of, ramp)[-1] == pytest.approx(of.delay, abs=1e-6), text  # late by so many readings
+    assert filters.moving_average(0.02, RATE).delay == pytest.approx(9.5) == filters.fir(20, 10.0, RATE).delay
+
+
+def test_what_rests_reads_true_through_any_filter(tmp_path):
+    for text in KINDS[:-1] + (own(tmp_path / "own.csv"),):
+        of = filters.named(text, RATE)
+        assert one_go(of, np.full(5000, 0.05))[-1] == pytest.approx(0.05, rel=1e-9), text
+    (tmp_path / "taps.csv").write_text("1\n2\n1\n")
+    assert filters.named(str(tmp_path / "taps.csv"), RATE).sections == (((0.25, 0.5, 0.25), (1.0, 0.0)),)
+
+
+@pytest.mark.parametrize("text", KINDS)
+@pytest.mark.parametrize("rate", [RATE, 1 / 90e-6, 1 / 30e-6, 777.7])
+def test_a_stream_of_blocks_has_the_bits_of_one_go(text, rate, tmp_path):
+    text = own(tmp_path / "own.csv") if text == "own.csv" else text
+    of = chain.chain(30e-6, rate, text)
+    rng = np.random.default_rng(3)
+    weight = rng.standard_normal((2, 3000))
+    time, whole = chain.weighed(of, 30e-6 * np.arange(1, 3001), weight)
+    assert whole.shape == (2, len(time)) and len(time) == int(3000 * 30e-6 * rate + 1e-6)
+    for cuts in (np.arange(1, 3000), np.sort(rng.integers(0, 3000, 40)), np.array([1, 2, 2999])):
+        state, found = chain.start(of, (2,)), []
+        for block in np.split(weight, cuts, axis=-1):
+            state, readings = chain.feed(of, state, block)
+            found.append(readings)
+        np.testing.assert_array_equal(np.concatenate(found, axis=-1), whole)
+    np.testing.assert_array_equal(chain.weighed(of, 30e-6 * np.arange(1, 3001), weight[1])[1], whole[1])
+
+
+@pytest.mark.parametrize("rate", [RATE, 1 / 90e-6, 1 / 30e-6, 777.7])
+def test_a_reading_is_the_mean_of_its_interval(rate):
+    """Of samples that are means over their intervals: a straight line's are its values in the middle."""
+    sample = 30e-6
+    time = sample * np.arange(1, 4001)
+    at, readings = chain.weighed(chain.chain(sample, rate, "none"), time, 3.0 * (time - sample / 2))
+    np.testing.assert_allclose(at, np.arange(1, len(at) + 1) / rate, atol=2 * 10**-chain.DIGITS * sample)
+    parts = at / sample - np.floor(at / sample + 1e-6)
+    spread = 3.0 * sample  # within a sample the line is a step: off by part (1 - part) / 2 of it, at both ends
+    np.testing.assert_allclose(readings, 3.0 * (at - 0.5 / rate), atol=0.26 * spread * (parts.max() > 1e-6) + 1e-12)
+    np.testing.assert_allclose(chain.weighed(chain.chain(sample, rate, "none"), time, 0 * time + 0.05)[1], 0.05, rtol=1e-13)
+
+
+def test_a_ringing_cell_reaches_the_tolerance_when_its_envelope_does():
+    """x(t) of a cell let go of beside its rest: the last time beyond a tolerance is at most half a swing before its envelope."""
+    case = CellImpact(mass=0.05, contact=1e4, suspended=1.0, stiffness=98e3, damping=12.0, gravity=9.81)
+    rate = 200e3  # fine enough to be the time itself
+    time = np.arange(1, 200_000) / rate
+    decay, swing = case.damping / 2 / case.suspended, np.sqrt(case.stiffness / case.suspended)
+    swing = np.sqrt(swing**2 - decay**2)
+    start = 1e-4, 0.02
+    x = case.alone(start, time)[0]
+    amplitude = np.hypot(start[0], (start[1] + decay * start[0]) / swing)
+    for tolerance in (1e-5, 3e-6, 1e-6):
+        envelope = np.log(amplitude / tolerance) / decay
+        after = float(time_to_weigh(time, x, 0.0, tolerance))
+        assert envelope - np.pi / swing < after <= envelope + 1 / rate
+        assert abs(case.alone(start, np.array([after]))[0][0]) <= tolerance
+        beyond = case.alone(start, np.linspace(after, envelope + np.pi / swing, 5000))[0]
+        assert np.abs(beyond).max() <= tolerance * (1 + 1e-9)
+
+
+def test_a_mean_over_whole_swings_sees_nothing_of_them():
+    time = np.arange(1, 4001) / RATE
+    readings = one_go(filters.moving_average(0.02, RATE), 0.05 + 0.5 * np.sin(2 * np.pi * 50.0 * time))
+    assert float(time_to_weigh(time, readings, 0.05, 1e-9)) == pytest.approx(0.02)
+    assert np.isnan(time_to_weigh(time, readings * 1.01, 0.05, 1e-4))
+
+
+def test_never_is_nan_and_runs_are_told_apart():
+    time = np.array([0.1, 0.2, 0.3])
+    readings = np.array([[1.0, 1.0, 1.0], [0.0, 1.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 0.0]])
+    found = time_to_weigh(time, readings, np.array([1.0, 1.0, 1.0, 1.0]), 0.5)
+    np.testing.assert_array_equal(found, [0.1, 0.2, 0.3, np.nan])
+    held = time_to_weigh(time, readings, np.ones(4), 0.5, hold=0.05)  # not as the trace ends
+    np.testing.assert_array_equal(held, [0.1, 0.2, np.nan, np.nan])
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("medium", "allowed: none, average:SECONDS"),
+        ("average:fast", "allowed: none"),
+        ("average:0", "at least one reading"),
+        ("bessel:2.5:10", "order = 2.5"),
+        ("bessel:4:600", "600 Hz: allowed: above 0 and below 500 Hz"),
+        ("fir:0:10", "taps = 0"),
+        ("fir:11:10:window", "window = 'window'"),
+        ("nowhere.csv", "nowhere.csv"),
+        ("odd.csv", "2 columns: allowed: 1"),
+        ("high.csv", "do not add up to 0"),
+        ("wild.csv", "within the unit circle"),
+    ],
+)
+def test_what_is_no_filter_is_said(text, words, tmp_path):
+    (tmp_path / "odd.csv").write_text("1, 2\n3, 4\n")
+    (tmp_path / "high.csv").write_text("1\n-1\n")
+    (tmp_path / "wild.csv").write_text("1, 0, 0, 1, -2, 0\n")
+    with pytest.raises(ValueError, match=words):
+        filters.named(text, RATE)
+
+
+def test_what_a_run_weighs_is_its_cell_or_else_all_of_its_bucket():
+    run = stored()
+    plate = trace_of(run)
+    np.testing.assert_array_equal(plate.weight, run.pif_kg("plate"))
+    assert plate.truth == pytest.approx(3e-3) and plate.source == "force on plate"
+    both = {name: run.force["plate"] * share for name, share in (("wb_flaps", 0.75), ("wb_walls", 0.25), ("fb_flaps", 9.0))}
+    bucket = Run(run.header, run.time, run.series | {"force": both, "mean_force": both, "settled_mass": {"wb": run.time}})
+    np.testing.assert_allclose(trace_of(bucket).weight, plate.weight, rtol=1e-12)
+    assert trace_of(bucket).truth == run.time[-1]
+    cell = Run(run.header, run.time, bucket.series | {"load_cell": {"weight": 2 * run.time}})
+    np.testing.assert_array_equal(trace_of(cell).weight, 2 * run.time)
+    np.testing.assert_allclose(trace_of(cell, group="wb_flaps").weight, 0.75 * plate.weight, rtol=1e-12)
+    with pytest.raises(RecordError, match="block = 'fb'"):
+        trace_of(bucket, block="fb")
+    assert trace_of(bucket, truth=0.25).truth == 0.25
+
+
+def test_portions_of_the_product_model_are_weighed_by_the_same_chain_as_they_come(tmp_path):
+    params = product_model.parameters(m_target=0.05, m_piece=0.005832, h_mean=0.25, dt_impact=5e-4, sample=1e-4, duration=0.6)
+    trace = product_model.simulate(params, 1)
+    product_model.save(tmp_path / "trace.h5", trace, params)
+    read = trace_of_file(tmp_path / "trace.h5")
+    assert read.source == "Product Model" and read.truth == pytest.approx(9 * 0.005832)
+    row = readings_of("portion", read, RATE, "average:0.05")
+    last = float(trace.pulses.start.max() + trace.pulses.duration.max())
+    after = float(row.after(1e-6).median)
+    assert 1e3 * last + 49 < after < 1e3 * last + 52  # once the last impact has left the window
+    of = chain.chain(read.sample, RATE, "average:0.05")
+    state, found = chain.start(of), []
+    for sample in trace.pif_kg:  # one by one
+        state, readings = chain.feed(of, state, np.array([sample]))
+        found.append(readings)
+    np.testing.assert_array_equal(np.concatenate(found), row.weight[0])
+
+
+def test_the_table_and_the_figure_say_when(tmp_path, capsys):
+    time = 1e-4 * np.arange(1, 5001)
+    steps = np.array([0.1, 0.2, 0.3])
+    trace = Trace(time, 0.05 * (time >= steps[:, None] + 0.5e-4), np.full(3, 0.05), "load cell")
+    row = readings_of("drops", trace, RATE, "average:0.02")
+    np.testing.assert_allclose(row.after(1e-9).values, 1e3 * (steps + 0.02))
+    head, line = table([row], [1e-4])
+    assert head.split()[:2] == ["trace", "filter"] and line.split() == [*"drops average:0.02 9.5 0.1 220 130 310 0 of 3".split()]
+    left, right = figure_of_readings([row], [1e-4, 1e-3]).axes
+    assert left.get_ylabel() == "reading (g)" and right.get_yscale() == "log"
+    dots = [line.get_xydata()[0] for line in right.get_lines() if line.get_marker() == "o"]
+    np.testing.assert_allclose(dots, [[220.0, 0.1], [row.after(1e-3).median, 1.0]])
+    stored(peaks=(2.0, 3.0)).save(tmp_path / "runs.h5")
+    assert main(["weigh", "runs.h5", "--filter", "none", "--tolerance", "0.5", "--out", "runs.pdf"]) == 0
+    out = capsys.readouterr().out
+    assert "runs: force on plate  none    0           0.5" in out and "runs.pdf" in out
+    for arguments, words in (
+        (["--rate", "1e6"], "rate = 1e+06: allowed: above 0 and at most 10000 per second"),
+        (["--filter", "bessel:4:900"], "runs.h5: filter 'bessel:4:900'"),
+        (["--tolerance", "0"], "--tolerance 0: allowed: numbers above 0"),
+        (["--block", "wb"], "block = 'wb'"),
+        (["--group", "lf"], "group = 'lf'"),
+    ):
+        assert main(["weigh", "runs.h5", *arguments]) == 2
+        assert words in capsys.readouterr().err
