@@ -25,7 +25,7 @@ MAY_IMPORT = {  # room -> rooms below it
     "build": BASE | {"contact", "pairs", "step", "scene", "shapes"},
     "drive": BASE | {"contact", "pairs", "step", "scene", "build", "store", "__version__"},
     "show": BASE | {"contact", "scene", "shapes", "build", "store", "weighing"},
-    "study": BASE | {"scene", "build", "step", "drive", "store", "show"},
+    "study": BASE | {"scene", "build", "step", "drive", "store", "show", "weighing"},
     "validation": BASE | {"contact", "pairs", "step", "scene"},
     "cli": BASE | {"step", "scene", "drive", "store", "show", "study", "weighing", "__version__"},
     "__main__": {"cli"},

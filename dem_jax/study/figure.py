@@ -104,7 +104,8 @@ def _over(axes: "Axes", results: Results, name: str) -> None:
         else:
             axes.plot([place({first: at})] * 2, [row.low, row.high], color=REFERENCE, lw=6, alpha=0.5, solid_capstyle="butt")
     if is_number and study.parameter[first].log:
-        axes.set(xscale="log", yscale="log")
+        known = results.outputs[name][results.state == DONE]
+        axes.set(xscale="log", yscale="log" if np.any(known > 0) else "linear")
     if not is_number:
         axes.set_xticks(range(len(ticks)), ticks, rotation=45, ha="right", fontsize=7)
     axes.set(xlabel=label_of(study, first), ylabel=_title(name))

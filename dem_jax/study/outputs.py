@@ -8,8 +8,11 @@ import numpy as np
 from dem_jax.show.numbers import members_of
 from dem_jax.show.summary import impact_duration, main_block, main_group
 from dem_jax.store.run import Run
+from dem_jax.weighing import chain, traces
+from dem_jax.weighing.settling import HOLD, time_to_weigh
 
 WINDOW = 1e-3  # s, over which forces are averaged where it says so
+RATE, AVERAGE, TOLERANCE = 1000.0, "average:0.1", 1e-3  # 1/s, filter (s), kg: of a scale
 OF_PEAK, OF_WEIGHT = 0.1, 2.0  # of its top, down to which a peak lasts; of the settled weight, above which an impact goes on
 
 
@@ -106,6 +109,15 @@ def _peak_duration(t: Traces) -> np.ndarray:
     return np.array(found)
 
 
+def _time_to_weigh(t: Traces) -> np.ndarray:
+    of = chain.chain(t.run.sample, RATE, AVERAGE)
+    found = traces.trace_of(t.run)
+    time, readings = chain.weighed(of, found.time, np.atleast_2d(found.weight))
+    until = time_to_weigh(time, readings, np.ravel(found.truth), TOLERANCE, HOLD)
+    first = _first_force(t)
+    return np.where(first < len(t.time), 1e3 * (until - t.time[np.minimum(first, len(t.time) - 1)]), np.nan)
+
+
 OUTPUTS = {
     "peak": Output("kg", "peak of the force, means over a sample", lambda t: t.force.max(axis=1)),
     "peak_instant": Output("kg", "peak of the force at samples", _peak_instant),
@@ -117,6 +129,9 @@ OUTPUTS = {
     "impact_time": Output("ms", "from the first force until means over 1 ms stay below twice the settled weight", _impact_time),
     "first_at_rest": Output("ms", "from the first force until some piece is at rest for good", _first_at_rest),
     "time_to_rest": Output("ms", "from the first force until all is at rest", _time_to_rest),
+    "time_to_weigh": Output(
+        "ms", "from the first force until readings (1 kHz, mean over 0.1 s) stay within 1 g of the settled weight", _time_to_weigh
+    ),
     "settled": Output("g", "settled mass at the end", lambda t: 1e3 * t.settled[:, -1]),
     "pieces": Output("", "number of pieces", lambda t: np.full(len(t.force), float(t.run.header.piece_count))),
     "step": Output("us", "time step", lambda t: 1e6 * np.broadcast_to(t.run.info.get("steps", t.run.dt), len(t.force))),

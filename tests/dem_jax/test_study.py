@@ -6,7 +6,7 @@ import pytest
 import dem_jax
 from dem_jax.cli.main import main
 from dem_jax.errors import RecordError, SceneError
-from dem_jax.study import conduct, file, results, work
+from dem_jax.study import conduct, file, posterior, results, work
 from dem_jax.study.design import points_of
 from dem_jax.study.outputs import OUTPUTS, evaluated
 from dem_jax.study.table import checked, load_study, stock_studies
@@ -21,7 +21,10 @@ BALL = {  # a heavier and a lighter fall of one ball onto a plate, at three rest
         "piece": [], "run.precision": "f64", "run.duration": 0.08, "run.sample": 1e-4, "run.frames": 0.0, "run.energy": False,
     },
     "parameter": {"material.softening": {"low": 0.01, "high": 0.1, "log": True}, "material.restitution": {"values": [0.3, 0.6]}},
-    "points": 2, "outputs": ["peak", "peak_1ms", "time_of_peak", "settled", "step", "pieces"],
+    "points": 2, "outputs": [
+        "peak", "peak_1ms", "time_of_peak", "peak_duration", "impact_time", "first_at_rest", "time_to_rest", "time_to_weigh",
+        "settled", "step", "pieces",
+    ],
 }  # fmt: skip
 
 
@@ -161,6 +164,56 @@ def test_a_heap_is_the_same_whatever_it_is_released_into():
     np.testing.assert_array_equal(first[0], first[1])
     own = dem_jax.simulate(table.base().replace({"material.restitution": 0.1}))
     np.testing.assert_array_equal(own.pieces.position, run.pieces.position[0])
+
+
+def known(name, of, reference, noise=0.1, **changes):
+    """A study of 256 points in the unit square whose output ``of`` (a, b) is known but for noise."""
+    ranges = {"drop.height": {"low": 0.0, "high": 1.0}, "material.restitution": {"low": 0.0, "high": 1.0}}
+    rows = [{"output": "peak", "low": reference - 0.02, "high": reference + 0.02, "source": "theirs"}]
+    study = ball(
+        name=name, parameter=ranges, design="sobol", points=256, seeds=8, outputs=["peak"], traces=False, reference=rows, **changes
+    )
+    found = file.Results.begun(study)
+    a, b = (np.repeat([p[key] for p in points_of(study)], 8) for key in ranges)
+    found.outputs["peak"][:] = of(a, b) + noise * np.random.default_rng(1).normal(size=len(a))
+    found.state[:] = file.DONE
+    return found
+
+
+def test_what_is_likely_of_parameters_is_where_the_number_comes_from():
+    """y = a + 0.1 noise is 0.3: a normal of 0.3 and 0.1, to the width of the reference, and nothing of b."""
+    found = known("one", lambda a, b: a, 0.3)
+    a, b = posterior.marginals([found], posterior.weights_of([found]))
+    wide = np.hypot(0.1, 0.02) * 1.645
+    np.testing.assert_allclose(a.posterior, [0.3 - wide, 0.3, 0.3 + wide], atol=0.035)
+    np.testing.assert_allclose(b.posterior, b.prior, atol=0.1)
+
+
+def test_studies_of_the_same_points_say_more_together():
+    """a = 0.3 from one, a + b = 1 from the other: b is 0.7."""
+    both = [known("one", lambda a, b: a, 0.3, 0.05), known("two", lambda a, b: a + b, 1.0, 0.05)]
+    weights = posterior.weights_of(both)
+    _, b = posterior.marginals(both, weights)
+    assert b.posterior[1] == pytest.approx(0.7, abs=0.04) and b.posterior[2] - b.posterior[0] < 0.35
+    assert effective_of_each(both) > posterior.effective(weights) > 2
+    assert "drop.height: 0.3" in "\n".join(posterior.text(both))
+
+
+def effective_of_each(studies):
+    return min(posterior.effective(posterior.weights_of([one])) for one in studies)
+
+
+def test_a_number_that_no_point_gives_is_a_contradiction():
+    found = known("one", lambda a, b: a, 5.0)
+    assert "contradicts all points" in posterior.text([found])[-1]
+
+
+def test_what_cannot_be_weighed_together_is_said():
+    one = known("one", lambda a, b: a, 0.3)
+    with pytest.raises(SceneError, match="two: other points than one; allowed"):
+        posterior.weights_of([one, known("two", lambda a, b: a, 0.3, design_seed=1)])
+    with pytest.raises(SceneError, match="ball: no reference to weigh points by"):
+        posterior.weights_of([file.Results.begun(ball())])
 
 
 @pytest.mark.parametrize("name", stock_studies())
