@@ -16,6 +16,7 @@ from dem_jax.contact import motion
 from dem_jax.errors import SceneError
 from dem_jax.scene import Block, Motion, Scene, Wall, buckets
 from dem_jax.scene.buckets import Panel
+from dem_jax.scene.cycle import timed
 from dem_jax.scene.materials import material_table, rows_of_groups
 from dem_jax.shapes import Shape, meshes
 from dem_jax.types import Walls, host
@@ -24,6 +25,7 @@ from dem_jax.types import Walls, host
 def walls_of(scene: Scene) -> tuple[list[Panel], list[Motion], dict[str, str], list[Block], list[Box]]:
     """Panels (group, corners, thickness), sections of motions, reported names, blocks, and the boxes (low, high) in which
     pieces start: of the feed bucket, of the feeder."""
+    scene = timed(scene)
     panels: list[Panel] = []
     joint: dict[str, str] = {}
     blocks, regions = list(scene.block), list[Box]()

@@ -52,6 +52,7 @@ def scene_and_target(args: Args, suffix: str) -> tuple["Scene", Path]:
 
 def finish(done: "Run", out: Path, args: Args) -> None:
     """Draw the figure and print the summary."""
+    from dem_jax.show.cycles import cycles_said
     from dem_jax.show.summary import summary
 
     files = [out]
@@ -59,7 +60,7 @@ def finish(done: "Run", out: Path, args: Args) -> None:
         from dem_jax.show.plot import plot_run
 
         files.append(plot_run(done, out.with_suffix(".png")))
-    for line in summary(done):
+    for line in (*summary(done), *cycles_said(done)):
         print(line)
     print(f"wrote {', '.join(map(str, files))}")
 

@@ -8,6 +8,7 @@ import numpy as np
 from dem_jax.contact import motion
 from dem_jax.errors import SceneError
 from dem_jax.scene import Scene
+from dem_jax.scene.cycle import timed
 from dem_jax.types import Sample, System
 
 
@@ -51,6 +52,11 @@ def rule_of(scene: Scene, system: System, settling: int, samples_per_block: int)
     """The rule of a scene, None if its runs go on to the end. settling: samples before the release. Raises SceneError."""
     if not scene.run.until_settled:
         return None
+    for name in ("weigh_bucket", "feed_bucket", "feeder"):
+        section = getattr(timed(scene), name)
+        if section is not None and section.period:
+            goes_on = "[cycle] goes on" if scene.cycle else f"{name}.period = {section.period:g}; allowed: 0 (once)"
+            raise SceneError(f"run.until_settled = true: the walls never rest: {goes_on}")
     for n, section in enumerate(scene.motion):
         why = motion.endless(section, scene.run.duration)
         if why:

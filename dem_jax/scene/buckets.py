@@ -76,6 +76,7 @@ def _hinge(bucket: Bucket, group: str, pivot: tuple[float, float, float], sign: 
         opening=bucket.opening_time,
         dwell=bucket.open_dwell,
         closing=bucket.closing_time,
+        period=bucket.period,
     )
 
 
@@ -115,6 +116,7 @@ def feeder_parts(feeder: Feeder, bucket: BucketParts) -> FeederParts:
         shake_start=feeder.start,
         shake_end=feeder.start + feeder.duration,
         shake_ramp=feeder.ramp,
+        shake_period=feeder.period,
     )
     panels = [(FEEDER, np.array(c), feeder.thickness) for c in corners]
     end = min(edge[0], bucket.interior_low[0]) - 0.01  # none begins above the bucket

@@ -10,6 +10,7 @@ from dem_jax.scene.changes import new_materials, on_top, set_key
 from dem_jax.scene.sections.base import Section, as_tuple
 from dem_jax.scene.sections.buckets import Bucket, Drop, Feeder, WeighBucket
 from dem_jax.scene.sections.contact import Contact, stray_key
+from dem_jax.scene.sections.cycle import Cycle
 from dem_jax.scene.sections.material import DEFAULT, WALL, Material, Pair
 from dem_jax.scene.sections.pieces import Piece, Portion
 from dem_jax.scene.sections.run import RunSettings
@@ -34,6 +35,7 @@ class Scene(Section):
     weigh_bucket: WeighBucket | None = None
     feeder: Feeder | None = None
     drop: Drop = Drop()
+    cycle: Cycle | None = None
     pair: Annotated[tuple[Pair, ...], BeforeValidator(as_tuple)] = ()
     contact: Contact = Contact()
     statistics: Statistics | None = None
@@ -49,6 +51,12 @@ class Scene(Section):
     def _feeder_feeds_a_bucket(self) -> "Scene":
         if self.feeder and (self.feed_bucket is None or self.piece):
             raise ValueError("[feeder] needs a [feed_bucket] below it and a [portion], and no [[piece]]")
+        return self
+
+    @model_validator(mode="after")
+    def _cycle_has_what_it_moves(self) -> "Scene":
+        if self.cycle and not (self.weigh_bucket and self.feed_bucket and (self.feeder or self.cycle.lf is None)):
+            raise ValueError("[cycle] needs a [weigh_bucket] and a [feed_bucket], and with lf a [feeder]")
         return self
 
     @model_validator(mode="after")

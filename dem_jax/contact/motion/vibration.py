@@ -1,4 +1,4 @@
-"""A sine along a straight line that starts and ends gently."""
+"""A sine along a straight line that starts and ends gently, once or again and again."""
 
 from typing import ClassVar
 
@@ -23,6 +23,7 @@ class Vibration:
     shake_start: Array  # [G] (s)
     shake_end: Array  # [G] (s)
     shake_ramp: Array  # [G] (s): to full amplitude and back
+    shake_period: Array  # [G] (s) from one beginning to the next; 0: once
     axis: ClassVar[None] = None
     pivot: ClassVar[None] = None
 
@@ -34,7 +35,8 @@ class Vibration:
     @classmethod
     def of(cls, sections: list[Motion]) -> "Vibration":
         """Of a section for each group, in numpy."""
-        return cls(*(host(column(sections, key)) for key in ("stroke", "frequency", "shake_start", "shake_end", "shake_ramp")))
+        keys = ("stroke", "frequency", "shake_start", "shake_end", "shake_ramp", "shake_period")
+        return cls(*(host(column(sections, key)) for key in keys))
 
     def moves(self) -> np.ndarray:
         """Which groups vibrate, [G] bool, in numpy."""
@@ -42,7 +44,9 @@ class Vibration:
 
     def displacement(self, t: jax.Array) -> jax.Array:
         """Displacement at a time (s) in units of the amplitude, [G]."""
-        ramp = self.shake_ramp
+        ramp, since = self.shake_ramp, t - self.shake_start
+        cyclic = (self.shake_period > 0) & (since > 0)
+        t = jnp.where(cyclic, self.shake_start + jnp.mod(since, jnp.where(self.shake_period > 0, self.shake_period, 1)), t)
         envelope = smooth_step((t - self.shake_start) / ramp) * smooth_step((self.shake_end - t) / ramp)
         return envelope * jnp.sin(2 * jnp.pi * self.frequency * (t - self.shake_start))
 
@@ -51,12 +55,15 @@ class Vibration:
         return None, vector.scale(self.displacement(t), vector.unpack(self.stroke))
 
     def interval(self) -> tuple[np.ndarray, np.ndarray]:
-        """Times (s) at which they begin and end, [G] each."""
-        return np.asarray(self.shake_start, float), np.asarray(self.shake_end, float)
+        """Times (s) at which they begin and end, inf if they begin again, [G] each."""
+        again = np.asarray(self.shake_period, float) > 0
+        return np.asarray(self.shake_start, float), np.where(again, np.inf, np.asarray(self.shake_end, float))
 
     @staticmethod
     def endless(section: Motion, duration: float) -> str | None:
         """Why the section's vibration does not end in a run of so many seconds."""
+        if section.shake_period:
+            return f"shake_period = {section.shake_period:g}; allowed: 0 (once)"
         if section.shake_end < duration:
             return None
         return f"shake_end = {section.shake_end:g}; allowed: below run.duration = {duration:g}"

@@ -23,6 +23,7 @@ class Bucket(Section):
     opening_time: Positive = Field(0.08, description="s")
     open_dwell: NotNegative = Field(0.1, description="s")
     closing_time: Positive = Field(0.09, description="s")
+    period: NotNegative = Field(0.0, description="s from one opening to the next; 0: it opens once")
     thickness: Positive = Field(0.005, description="m, of walls and flaps")
     material: MaterialName = None
     lap: NotNegative = Field(0.012, description="m by which flaps and walls run on behind each other where they meet")
@@ -84,6 +85,7 @@ class Feeder(Section):
     frequency: Positive = Field(50.0, description="Hz")
     start: float = Field(0.27, description="s after the release; by default when the flaps of the feed bucket are shut")
     duration: Positive = Field(0.7, description="s of vibration")
+    period: NotNegative = Field(0.0, description="s from one beginning of the vibration to the next; 0: once")
     ramp: Positive = Field(0.02, description="s, to full amplitude and back")
     thickness: Positive = Field(0.005, description="m")
     material: MaterialName = None

@@ -41,6 +41,7 @@ class Motion(Section):
     shake_start: float = Field(0.0, description="s")
     shake_end: float = Field(1e3, description="s")
     shake_ramp: Positive = Field(0.02, description="s, to full amplitude and back")
+    shake_period: NotNegative = Field(0.0, description="s from one beginning of the vibration to the next; 0: once")
     table: str | None = Field(
         None, description="CSV file, relative to the scene's, with columns time (s) and angle_deg, x, y or z (m)"
     )
