@@ -44,11 +44,11 @@ COLLISIONS = ("collisions", "collision_impulse", "collision_energy")
 
 def _contacts(system: System, state: State) -> Array:
     """Number of contacts with the panels of each wall group, and last of those between pieces, [G + 1, R] int32."""
-    pieces, groups = system.pieces.mass.shape[0], len(system.walls.groups)
+    parts, groups = system.parts.count, len(system.walls.groups)
     partner_of = jnp.pad(system.walls.group, (0, 1), constant_values=groups)  # of panels, and last of pieces
     found = jnp.zeros((groups + 1, system.runs), jnp.int32)
     for table in state.contacts.values():
-        partner = partner_of[jnp.where(table.a >= pieces, table.a - pieces, -1)]
+        partner = partner_of[jnp.where(table.a >= parts, table.a - parts, -1)]
         touching = jnp.where(table.memory.overlap > 0, partner, -1)
         of_partner = lambda k, w=touching, b=table.b: of_run.total_of_contacts(system, (w == k).astype(jnp.int32), b)  # noqa: E731
         found += jax.vmap(of_partner)(jnp.arange(groups + 1, dtype=jnp.int32))

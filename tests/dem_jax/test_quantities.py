@@ -358,3 +358,20 @@ def test_contacts_are_those_that_the_poses_show(runs):
         np.testing.assert_array_equal(run.contacts[name], count, err_msg=name)
     most = {name: count.max() for name, count in wanted.items()}
     assert most == {"floor": 3, "side": 1, "between_pieces": 1} and all(count.min() == 0 for count in wanted.values())
+
+
+def test_parts_of_pieces_are_no_walls_among_the_contacts():
+    two = [{"shape": "sphere", "radius": 0.01, "position": (x, 0.0, 0.0)} for x in (-0.008, 0.008)]
+    piece = {"shape": "compound", "part": two}
+    built = build.build(scene().replace(piece=[piece | {"position": (0.0, 0.0, z)} for z in (0.02, 0.05)]))
+    system, state = built.system, built.state
+    assert system.parts.count == 4
+
+    def touching(kind, a, b):
+        table = state.contacts[kind]
+        memory = table.memory.replace(overlap=table.memory.overlap.at[0].set(1e-4))
+        return table.replace(a=table.a.at[0].set(a), b=table.b.at[0].set(b), memory=memory)
+
+    tables = {"spheres": touching("spheres", 2, 0), "mixed": touching("mixed", 4 + 1, 3)}  # the second panel
+    (found,) = (q.measured(system, state.replace(contacts=state.contacts | tables)) for q in QUANTITIES if q.name == "contacts")
+    assert found[:, 0].tolist() == [0, 1, 1]  # floor, side, between pieces
