@@ -19,12 +19,18 @@ from dem_jax.step import stepping
 from dem_jax.types import pytree
 
 SAMPLES = 500
-MIXTURE = (
-    {"shape": "sphere", "radius": 0.014},
-    {"shape": "cuboid", "size": (0.03, 0.02, 0.02)},
-    {"shape": "prism", "sides": 5, "radius": 0.014, "height": 0.03},
-    {"shape": "cylinder", "radius": 0.012, "height": 0.03, "sides": 8},
-)
+GENERAL = "hertz-mindlin"  # the case with a piece that is not centrally symmetric, which takes long to compile
+
+
+def mixture(sides):
+    return (
+        {"shape": "sphere", "radius": 0.014},
+        {"shape": "cuboid", "size": (0.03, 0.02, 0.02)},
+        {"shape": "prism", "sides": sides, "radius": 0.014, "height": 0.03},
+        {"shape": "cylinder", "radius": 0.012, "height": 0.03, "sides": 8},
+    )
+
+
 # separation = 0: on that line Walton and Braun's law gives a part of 0.1 % that it did not take as the overlap grows by turning.
 CASES = {
     "linear-dashpot": ({"law": "linear-dashpot"}, {}),
@@ -34,12 +40,12 @@ CASES = {
 }
 
 
-def box(contact, material, run):
+def box(contact, material, run, sides=6):
     """Eight mixed pieces, in random poses, that fly about in a closed box of 100 mm."""
     random = np.random.default_rng(3)
     corners = 0.025 * np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     pieces = []
-    for shape, x in zip(MIXTURE * 2, corners, strict=True):
+    for shape, x in zip(mixture(sides) * 2, corners, strict=True):
         turn = random.normal(size=4)
         motion = {"velocity": random.normal(0, 0.5, 3).tolist(), "angular_velocity": random.normal(0, 20, 3).tolist()}
         pieces.append(shape | {"position": x.tolist(), "orientation": (turn / np.linalg.norm(turn)).tolist()} | motion)
@@ -57,7 +63,7 @@ def box(contact, material, run):
 @pytest.mark.parametrize("case", CASES)
 def test_energy_never_comes_from_nothing_and_momentum_balances(case):
     contact, material = CASES[case]
-    made = build.build(box(contact, {"restitution": 0.4} | material, {}))
+    made = build.build(box(contact, {"restitution": 0.4} | material, {}, 5 if case == GENERAL else 6))
     system = made.system
     counts = system.parts.polytopes.shape[0], system.parts.spheres.shape[0], system.walls.group.shape[0]
     room = tuple((kind, *[search.pair_count(kind, *counts)] * 2) for kind, *_ in system.capacity)
