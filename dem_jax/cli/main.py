@@ -5,11 +5,11 @@ import sys
 from collections.abc import Sequence
 from contextlib import suppress
 
-from dem_jax.cli import collisions, ensemble, export, plot, posterior, render, report, run, scenes, study, vtk, weigh
+from dem_jax.cli import collisions, ensemble, export, plot, posterior, products, render, report, run, scenes, study, vtk, weigh
 from dem_jax.cli.arguments import BAD_INPUT, Parser, one_line
 from dem_jax.errors import RecordError, SceneError, SimulationError
 
-COMMANDS = (run, ensemble, study, posterior, scenes, plot, report, export, render, vtk, weigh, collisions)
+COMMANDS = (run, ensemble, study, posterior, scenes, products, plot, report, export, render, vtk, weigh, collisions)
 FAILED, INTERRUPTED = 1, 130
 
 

@@ -7,6 +7,7 @@ from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
 from dem_jax.errors import SceneError
 from dem_jax.scene.changes import new_materials, on_top, set_key
+from dem_jax.scene.library import with_product
 from dem_jax.scene.sections.base import Section, as_tuple
 from dem_jax.scene.sections.buckets import Bucket, Drop, Feeder, WeighBucket
 from dem_jax.scene.sections.contact import Contact, stray_key
@@ -114,11 +115,14 @@ def materials_named(scene: Scene) -> list[tuple[str, str]]:
 def validated(
     tree: dict[str, Any], source: str, changes: dict[str, Any] | None = None, sections: dict[str, Any] | None = None
 ) -> Scene:
-    """The scene of a tree of plain values with changes by dotted keys and then by sections. Raises SceneError, whose
-    words begin with ``source``."""
-    new = new_materials(tree, changes or ())
+    """The scene of a tree of plain values with changes by dotted keys (``product`` first), then by sections. Raises SceneError,
+    whose words begin with ``source``."""
+    changes = dict(changes or {})
+    if "product" in changes:
+        tree = with_product(tree, changes.pop("product"), source)
+    new = new_materials(tree, changes)
     tree = dict(tree)
-    for key, item in (changes or {}).items():
+    for key, item in changes.items():
         set_key(tree, key.split("."), item)
     tree = on_top(tree, sections or {})
     try:

@@ -32,23 +32,29 @@ def study(
     if not (results.state == OPEN).any():
         return results
     with _Bar(results, progress) as bar:
-        last = time.perf_counter()
-        cost = 0.0
-        for batch in work.batches(table):
-            if not (results.state[list(batch.members)] == OPEN).any():
-                continue
-            since = time.perf_counter()
-            _computed(results, batch)
-            results.elapsed += time.perf_counter() - since
-            bar.update()
-            if out is not None and time.perf_counter() - last > SPACED * cost:
-                before = time.perf_counter()
+        try:
+            _conducted(results, out, bar)
+        finally:  # also where somebody interrupts it
+            if out is not None:
                 file.save(results, out)
-                last = time.perf_counter()
-                cost = last - before
-        if out is not None:
-            file.save(results, out)
     return results
+
+
+def _conducted(results: Results, out: str | Path | None, bar: "_Bar") -> None:
+    """All that is left to do, kept in the file now and then."""
+    last, cost = time.perf_counter(), 0.0
+    for batch in work.batches(results.study):
+        if not (results.state[list(batch.members)] == OPEN).any():
+            continue
+        since = time.perf_counter()
+        _computed(results, batch)
+        results.elapsed += time.perf_counter() - since
+        bar.update()
+        if out is not None and time.perf_counter() - last > SPACED * cost:
+            before = time.perf_counter()
+            file.save(results, out)
+            last = time.perf_counter()
+            cost = last - before
 
 
 def _begun(table: Study, out: str | Path | None, overwrite: bool) -> Results:

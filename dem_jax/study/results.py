@@ -17,7 +17,7 @@ from dem_jax.study.file import DONE, LOST, OPEN, Results
 from dem_jax.study.outputs import OUTPUTS
 from dem_jax.study.table import RMSE, Reference, Study
 
-FEWEST = 30  # drops from which on sensitivities are computed
+FEWEST, MANY = 8, 128  # drawn points from which on ranks are correlated, and shares of the variance computed
 
 
 def label_of(study: Study, key: str) -> str:
@@ -133,37 +133,58 @@ def _verdict(row: Reference, ours: Number) -> str:
 
 
 class Influence(NamedTuple):
-    """How much of an output's variance a parameter explains by itself (first order, RBD-FAST), with its 95 % interval."""
+    """How much an output depends on a parameter: its share of the variance by itself (first order), or with few points the
+    correlation of ranks; low, high: 95 % interval."""
 
     output: str
     parameter: str
-    share: float
-    interval: float
+    is_share: bool
+    value: float
+    low: float
+    high: float
 
 
 def influences(results: Results) -> list[Influence]:
-    """Of a study whose points are drawn, of ranges; none of a grid, of few drops, or without SALib (extra ``study``)."""
+    """Of a study whose points are drawn, of ranges, over the means of points; none of a grid, or of few points.
+
+    Shares are those of SALib's given-data method (Plischke, Borgonovo, Smith, Eur. J. Oper. Res. 226 (2013) 536-550), the extra
+    ``study``; without it ranks are correlated however many points there are.
+    """
     study = results.study
     keys = [key for key, parameter in study.parameter.items() if parameter.values is None]
     points = points_of(study)
-    means = {name: _means(results, name) for name in study.outputs}
     if study.design == "grid" or not keys or len(points) < FEWEST:
         return []
-    try:
-        from SALib.analyze import rbd_fast  # type: ignore[import-untyped]
-    except ImportError:
-        return []
-    inputs = np.array([[point[key] for key in keys] for point in points], float)
-    bounds = [[float(study.parameter[key].low or 0), float(study.parameter[key].high or 0)] for key in keys]
-    problem = {"num_vars": len(keys), "names": keys, "bounds": bounds}
-    found = []
-    for name, y in means.items():
+    inputs, found = np.array([[point[key] for key in keys] for point in points], float), []
+    for name in study.outputs:
+        y = _means(results, name)
         known = np.isfinite(y)
-        if known.sum() < FEWEST or np.ptp(y[known]) == 0:
+        if known.sum() < FEWEST or np.ptp(y[known]) <= 1e-3 * np.abs(y[known]).max():
             continue
-        said = rbd_fast.analyze(problem, inputs[known], y[known], seed=0)
-        found += [Influence(name, key, float(s), float(c)) for key, s, c in zip(keys, said["S1"], said["S1_conf"], strict=True)]
+        shares = _shares(study, keys, inputs[known], y[known]) if known.sum() >= MANY else None
+        for k, key in enumerate(keys):
+            row = _correlation(inputs[known, k], y[known]) if shares is None else shares[k]
+            found.append(Influence(name, key, shares is not None, *row))
     return found
+
+
+def _shares(study: Study, keys: list[str], inputs: np.ndarray, y: np.ndarray) -> list[tuple[float, float, float]] | None:
+    """First-order shares with their intervals; None without SALib."""
+    try:
+        from SALib.analyze import delta  # type: ignore[import-untyped]
+    except ImportError:
+        return None
+    bounds = [[float(study.parameter[key].low or 0), float(study.parameter[key].high or 0)] for key in keys]
+    said = delta.analyze({"num_vars": len(keys), "names": keys, "bounds": bounds}, inputs, y, seed=0)
+    return [(float(s), float(s - c), float(s + c)) for s, c in zip(said["S1"], said["S1_conf"], strict=True)]
+
+
+def _correlation(x: np.ndarray, y: np.ndarray) -> tuple[float, float, float]:
+    """Spearman's, with Fisher's interval."""
+    r = float(stats.spearmanr(x, y).statistic)
+    half = 1.96 * np.sqrt(1.06 / (len(x) - 3))
+    low, high = np.tanh(np.arctanh(np.clip(r, -0.999999, 0.999999)) + np.array([-half, half]))
+    return r, float(low), float(high)
 
 
 def _means(results: Results, name: str) -> np.ndarray:
@@ -203,8 +224,7 @@ def text(results: Results) -> list[str]:
         lines += ["medians, in brackets 5 to 95 %"]
     lines += [f"{name} goes with {key} to the power {p:.3f} ± {half:.3f}" for name, key, p, half in powers(results)]
     for name in study.outputs:
-        shares = [f"{i.parameter} {100 * i.share:.0f} ± {100 * i.interval:.0f} %" for i in influences(results) if i.output == name]
-        lines += [f"{name} varies by: {', '.join(shares)}"] if shares else []
+        lines += _depends(study, [i for i in influences(results) if i.output == name])
     lines += _distances(results)
     for row, ours, verdict in beside(results):
         at = "".join(f", {key} = {short(v)}" for key, v in row.at.items())
@@ -212,6 +232,14 @@ def text(results: Results) -> list[str]:
     if lost:
         lines.append(f"{lost} of the drops went wrong: " + "; ".join(dict.fromkeys(results.why.values())))
     return lines + ([f"{left} drops are still to be done"] if left else [])
+
+
+def _depends(study: Study, rows: list[Influence]) -> list[str]:
+    """A line on what an output depends on, if that is known."""
+    if not rows:
+        return []
+    said = [f"{label_of(study, i.parameter)} {i.value:.2f} ({i.low:.2f} to {i.high:.2f})" for i in rows]
+    return [f"{rows[0].output}, {'share of its variance' if rows[0].is_share else 'correlation of ranks'}: {', '.join(said)}"]
 
 
 def _distances(results: Results) -> list[str]:

@@ -139,9 +139,19 @@ def test_influences_are_those_of_a_known_function():
     found = file.Results.begun(study)
     a, b = (np.array([p[key] for p in points_of(study)]) for key in ranges)
     found.outputs["peak"][:], found.state[:] = 3 * a + b, file.DONE
-    shares = {i.parameter: (i.share, i.interval) for i in results.influences(found)}
-    assert shares["drop.height"][0] == pytest.approx(0.9, abs=0.1)
-    assert shares["material.restitution"][0] == pytest.approx(0.1, abs=0.1)
+    shares = {i.parameter: i.value for i in results.influences(found) if i.is_share}
+    assert shares["drop.height"] == pytest.approx(0.9, abs=0.1) and shares["material.restitution"] == pytest.approx(0.1, abs=0.1)
+
+
+def test_few_points_have_correlations_of_ranks():
+    """y rises with a, and b is nothing to it."""
+    ranges = {"drop.height": {"low": 0.0, "high": 1.0}, "material.restitution": {"low": 0.0, "high": 1.0}}
+    found = file.Results.begun(ball(parameter=ranges, design="sobol", points=32, seeds=1, outputs=["peak"], traces=False))
+    found.outputs["peak"][:], found.state[:] = [np.exp(p["drop.height"]) for p in points_of(found.study)], file.DONE
+    a, b = results.influences(found)
+    assert a.value == pytest.approx(1.0) and a.low > 0.99 and not a.is_share
+    assert b.low < 0 < b.high
+    assert "peak, correlation of ranks: drop.height 1.00 (1.00 to 1.00), material.restitution" in "\n".join(results.text(found))
 
 
 def test_a_reference_is_within_or_a_contradiction(done):

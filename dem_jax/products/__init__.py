@@ -1,0 +1,1 @@
+"""Products by name, as TOML: what of a scene is theirs."""
