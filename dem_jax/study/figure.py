@@ -33,28 +33,36 @@ def figure_of(results: Results) -> "Figure":
     from matplotlib.figure import Figure
 
     study = results.study
-    panels: list[Callable[[Axes], None]] = [partial(_traces, results=results)] if results.force else []
     names = [name for name in study.outputs if _varies(results, name)]
+    panels: list[Callable[[Axes], None]] = [partial(_traces, results=results)] if results.force else []
     if study.design == "grid":
         panels += [partial(_over, results=results, name=name) for name in names]
-    else:
+        wide = min(3, max(1, len(panels)))
+    else:  # a row for each output, a column for each parameter
+        wide = max(1, len(study.parameter))
+        panels += [_nothing] * ((wide - 1) * len(panels))
         panels += [partial(_scattered, results=results, name=name, key=key) for name in names for key in study.parameter]
-    wide = min(3, max(1, len(panels))) if study.design == "grid" else min(4, max(1, len(study.parameter)))
     high = max(1, -(-len(panels) // wide))
-    figure = Figure(figsize=(4.4 * wide, 3.4 * high), layout="constrained")
+    each = (4.4, 3.4) if study.design == "grid" else (3.0, 2.4)
+    figure = Figure(figsize=(each[0] * wide, each[1] * high), layout="constrained")
     places = np.ravel(figure.subplots(high, wide, squeeze=False))
-    for axes, draw in zip(places, panels, strict=False):
+    for axes, draw in zip(places, [*panels, *[_nothing] * len(places)], strict=False):
         draw(axes)
-    for axes in places[len(panels) :]:
-        axes.set_axis_off()
     figure.suptitle(study.title, fontsize=11)
     return figure
 
 
 def _varies(results: Results, name: str) -> bool:
-    """Whether an output is worth a panel: it has values, and is not the parameter itself."""
-    known = results.outputs[name][results.state == DONE]
-    return bool(np.isfinite(known).any()) and bool(results.study.parameter)
+    """Whether an output is worth a panel: between most drops it differs."""
+    known = results.outputs[name][(results.state == DONE) & np.isfinite(results.outputs[name])]
+    if not len(known) or not results.study.parameter:
+        return False
+    low, high = np.quantile(known, [LOW, HIGH])
+    return bool(high - low > 1e-3 * abs(high)) or results.study.design == "grid"
+
+
+def _nothing(axes: "Axes") -> None:
+    axes.set_axis_off()
 
 
 def _traces(axes: "Axes", results: Results) -> None:
@@ -114,10 +122,15 @@ def _over(axes: "Axes", results: Results, name: str) -> None:
 
 
 def _scattered(axes: "Axes", results: Results, name: str, key: str) -> None:
-    """An output of all drops over one of the parameters that are drawn."""
-    study, done = results.study, results.state == DONE
-    x = np.repeat([point[key] for point in points_of(study)], study.seeds)
-    axes.plot(x[done], results.outputs[name][done], ".", ms=3, alpha=0.6)
+    """An output of all drops over a parameter that is drawn, and the medians of the points; what others found as bands."""
+    study, points = results.study, points_of(results.study)
+    x = np.array([point[key] for point in points])
+    rows = results.of_points(np.where(results.state == DONE, results.outputs[name], np.nan))
+    axes.plot(np.repeat(x, study.seeds), rows.ravel(), ".", ms=2, alpha=0.4, color="#88a8d0")
+    axes.plot(x, [number_of(results, name, of_point(results, k)).median for k in range(len(points))], "o", ms=3, color="#1f4e9c")
+    for row in study.reference:
+        if row.output == name and not row.at:
+            axes.axhspan(row.low, row.high, color=REFERENCE, alpha=0.3, lw=0)
     if study.parameter[key].log:
         axes.set_xscale("log")
     axes.set(xlabel=label_of(study, key), ylabel=_title(name))
