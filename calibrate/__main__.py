@@ -48,7 +48,7 @@ def _parser() -> argparse.ArgumentParser:
     fit.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the random numbers (default 0)")
     fit.add_argument("--out", default="fit.json", metavar="FILE", help="JSON file (default fit.json); the figure goes beside it")
     fit.add_argument("--no-plot", action="store_true", help="draw no figure")
-    fit.add_argument("--force", "--overwrite", action="store_true", help="replace files that exist")
+    fit.add_argument("--overwrite", "--force", action="store_true", help="replace files that exist")
     return parser
 
 
@@ -60,8 +60,8 @@ def _outputs(args: argparse.Namespace) -> list[Path]:
         raise BadInput(f"out = {out}: the folder does not exist")
     paths = [out] if args.no_plot else [out, out.with_suffix(".png")]
     for path in paths:
-        if path.exists() and not args.force:
-            raise BadInput(f"out = {path}: exists; give another name, or --force to replace it")
+        if path.exists() and not args.overwrite:
+            raise BadInput(f"out = {path}: exists; give another name, or --overwrite to replace it")
     for name, least in (("simulations", 64), ("bootstrap", 0)):
         if getattr(args, name) < least:
             raise BadInput(f"{name} = {getattr(args, name)}: must be at least {least}")
@@ -109,7 +109,7 @@ def _fit(args: argparse.Namespace) -> None:
     from calibrate.fit import fit
     from calibrate.targets import read
 
-    targets = [trace for path in args.traces for trace in read(path, args.m_piece, args.pieces, args.group)]
+    targets = [trace for path in args.traces for trace in read(path, args.m_piece, args.pieces, args.group, tell=print)]
     given = {name: getattr(args, name) for name in NAMES if getattr(args, name) is not None}
     fixed = {name: getattr(args, f"fix_{name}") for name in NAMES if getattr(args, f"fix_{name}") is not None}
     with _progress() as show:
@@ -123,13 +123,16 @@ def _fit(args: argparse.Namespace) -> None:
             seed=args.seed,
             progress=show,
         )
-    part = paths[0].with_name(f".{paths[0].name}.part{os.getpid()}")
-    part.write_text(json.dumps(result.to_dict(), indent=2) + "\n")
-    os.replace(part, paths[0])
-    if len(paths) > 1:
-        from calibrate.plot import figure
+    try:
+        part = paths[0].with_name(f".{paths[0].name}.part{os.getpid()}")
+        part.write_text(json.dumps(result.to_dict(), indent=2) + "\n")
+        os.replace(part, paths[0])
+        if len(paths) > 1:
+            from calibrate.plot import figure
 
-        figure(result, targets, args.seed).savefig(paths[1], dpi=150)
+            figure(result, targets, args.seed).savefig(paths[1], dpi=150)
+    except OSError as error:
+        raise BadInput(f"out = {paths[0]}: cannot be written ({error.strerror or error})") from None
     print(report(result))
     print(f"written: {', '.join(map(str, paths))}")
 

@@ -180,6 +180,7 @@ def _fit(
         info={
             "traces": len(targets),
             "pieces": sorted({t.pieces for t in targets}),
+            "m_piece": sorted({t.m_piece for t in targets}),
             "align": align,
             "bootstrap": 0 if refits is None else len(np.asarray(refits.solution.loss)),
             "simulations": int(draws.z.shape[0]),

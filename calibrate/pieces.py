@@ -69,9 +69,13 @@ def piece_mass(scene: str) -> float | None:
 
 
 def _mass(piece: dict[str, Any], material: dict[str, Any]) -> float | None:
-    """(kg) of a piece of the scene's material or of one by name; None where the text does not tell."""
+    """(kg) of a piece by its own weight, or of the scene's material or of one by name; None where the text does not tell."""
+    if piece.get("size_spread"):
+        return None
+    if piece.get("piece_weight") is not None:
+        return float(piece["piece_weight"])
     volume = _volume(piece)
-    if volume is None or piece.get("size_spread"):
+    if volume is None:
         return None
     own = material.get(piece.get("material") or "", {})
     return volume * float(own.get("density", material.get("density", 300.0)))

@@ -1,4 +1,4 @@
-"""The figure of a fit: traces and bands, residual bands, summaries. matplotlib is imported only when one is drawn."""
+"""The figure of a fit: means and bands of traces and model, and how they differ. matplotlib is imported only when one is drawn."""
 
 from typing import TYPE_CHECKING
 
@@ -19,8 +19,15 @@ def _curves(targets: list[Target], align: str, bin_: float, start: float, length
     return np.array(rows) / targets[0].gravity
 
 
-def figure(result: Fit, targets: list[Target], seed: int = 0, bin_: float = 5e-4) -> "Figure":
-    """Traces and the model's 5-95 % band, the difference of their quantiles, and the distribution of the spreads."""
+PARTS = 40  # of the time in which pieces land, over each of which forces are averaged
+
+
+def figure(result: Fit, targets: list[Target], seed: int = 0, bin_: float | None = None) -> "Figure":
+    """Mean and 5-95 % band of traces and model, and the difference of the means with how much of it is chance.
+
+    bin_: (s) over which forces are averaged first; None: a fortieth of the time in which pieces land, so that most bins of most
+    traces have an impact. (At a given time most traces have none: a median of short bins would be 0 nearly everywhere.)
+    """
     from matplotlib.figure import Figure
 
     align = result.info["align"]
@@ -32,6 +39,7 @@ def figure(result: Fit, targets: list[Target], seed: int = 0, bin_: float = 5e-4
         for t in targets
     )
     length = max(last - (begin if align == "release" else min(t.first_impact for t in targets)) + 0.02, 0.03)
+    bin_ = bin_ or length / PARTS
     time_ms = 1e3 * (begin + bin_ * (np.arange(int(length / bin_)) + 0.5))
     measured, made = (_curves(group, align, bin_, begin, length) for group in (targets, model))
     fig = Figure(figsize=(9, 7), layout="constrained")
@@ -41,20 +49,15 @@ def figure(result: Fit, targets: list[Target], seed: int = 0, bin_: float = 5e-4
         (measured, "tab:blue", f"{len(targets)} traces"),
         (made, "tab:orange", "Product Model"),
     ):
-        low, mid, high = np.quantile(curves, [0.05, 0.5, 0.95], axis=0)
+        low, high = np.quantile(curves, [0.05, 0.95], axis=0)
         top.fill_between(time_ms, low, high, color=colour, alpha=0.25, lw=0, label=f"{name}, 5-95 %")
-        top.plot(time_ms, mid, color=colour, lw=1.2, label=f"{name}, median")
-    top.set(ylabel="PIF (kg), means over 0.5 ms")
+        top.plot(time_ms, curves.mean(axis=0), color=colour, lw=1.2, label=f"{name}, mean")
+    top.set(ylabel=f"PIF (kg), means over {1e3 * bin_:.1f} ms")
     top.legend()
-    for level in (0.25, 0.5, 0.75, 0.95):
-        bottom.plot(
-            time_ms,
-            np.quantile(measured, level, axis=0) - np.quantile(made, level, axis=0),
-            lw=0.8,
-            label=f"{100 * level:.0f} %",
-        )
-    bottom.axhline(0.0, color="k", lw=0.5)
+    chance = 1.645 * np.sqrt(measured.var(axis=0) / len(measured) + made.var(axis=0) / len(made))
+    bottom.fill_between(time_ms, -chance, chance, color="0.85", lw=0, label="90 % of what chance makes")
+    bottom.plot(time_ms, measured.mean(axis=0) - made.mean(axis=0), color="k", lw=1, label="traces less model")
     origin = "first impact" if align == "first-impact" else "release"
-    bottom.set(xlabel=f"time after {origin} (ms)", ylabel="residual of the\nquantiles (kg)")
-    bottom.legend(ncols=4)
+    bottom.set(xlabel=f"time after {origin} (ms)", ylabel="difference of\nthe means (kg)")
+    bottom.legend(ncols=2)
     return fig

@@ -1,5 +1,6 @@
 """The traces that the Product Model is fitted to: from HDF5 ensembles and runs, CSV tables, or arrays."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
@@ -7,10 +8,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
+from calibrate.csv_table import read_table
 from calibrate.errors import BadInput
 from calibrate.pieces import piece_mass
 
 ALIGNMENTS = ("release", "first-impact")
+TABLES = (".csv", ".txt", ".tsv", ".asc", ".dat")
 GROUP = "wb_flaps"
 ONSET = 0.02  # share of the largest force at which a trace is taken to begin: its first impact
 
@@ -84,38 +87,36 @@ def target(
 
 
 def read(
-    path: str | PathLike[str], m_piece: float | None = None, pieces: int | None = None, group: str | None = None
+    path: str | PathLike[str],
+    m_piece: float | None = None,
+    pieces: int | None = None,
+    group: str | None = None,
+    tell: Callable[[str], object] = lambda _: None,
 ) -> list[Target]:
     """All traces of one file; the suffix tells the format.
 
     `.h5`: a run, or an ensemble with a leading run axis, in the layout of the discrete element runs; the mean force
     of the wall group `group` (default wb_flaps, or the only one there is), weight and number of the pieces from the
-    file unless given. `.csv`: a header line, then time (s) and one force (N) per further column; m_piece and pieces
-    must be given. Raises `BadInput`.
+    file unless given. `.csv`, `.txt`, `.tsv`, `.asc`, `.dat`: a table of any program, `csv_table`: time (s, ms, us) and one
+    force (N, mN, kN, or kg and g times 9.81 m/s2) per further column; m_piece and pieces must be given. tell: is called with
+    one line that says how a table was understood. Raises `BadInput`.
     """
     path = Path(path)
     if not path.is_file():
         raise BadInput(f"{path}: no such file")
-    if path.suffix.lower() == ".csv":
-        return _read_csv(path, m_piece, pieces)
+    if path.suffix.lower() in TABLES:
+        return _read_csv(path, m_piece, pieces, tell)
     return _read_hdf5(path, m_piece, pieces, group)
 
 
-def _read_csv(path: Path, m_piece: float | None, pieces: int | None) -> list[Target]:
+def _read_csv(path: Path, m_piece: float | None, pieces: int | None, tell: Callable[[str], object]) -> list[Target]:
     if m_piece is None:
         raise BadInput(f"{path}: a CSV table does not say m_piece; give --m-piece")
     if pieces is None:
         raise BadInput(f"{path}: a CSV table does not say pieces; give --pieces")
-    try:
-        names, *rows = path.read_text(encoding="utf-8").strip().splitlines() or [""]
-        header = names.split(",")
-        table = np.loadtxt(rows, delimiter=",", ndmin=2) if rows else np.zeros((0, len(header)))
-    except ValueError as error:
-        raise BadInput(f"{path}: not a table of numbers ({error})") from None
-    if table.size == 0 or table.shape[1] < 2 or len(header) != table.shape[1]:
-        raise BadInput(f"{path}: needs a header line, then rows of a time and at least one force")
-    columns = [k for k in range(1, table.shape[1]) if not header[k].strip().startswith("pif")]
-    return [target(table[:, 0], table[:, k], m_piece, pieces, name=f"{path}:{header[k].strip()}") for k in columns]
+    table = read_table(path)
+    tell(table.said)
+    return [target(table.time, column.force, m_piece, pieces, name=f"{path}:{column.name}") for column in table.columns]
 
 
 def _read_hdf5(path: Path, m_piece: float | None, pieces: int | None, group: str | None) -> list[Target]:

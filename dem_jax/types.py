@@ -211,6 +211,7 @@ class Materials(Tree):
     restitution: Array  # [M, M]: epsilon of eq. 6
     friction: Array | None  # [M, M]: mu; None: no pair has any, and nothing of friction is computed
     pull_off: Array | None  # [M, M] (N): largest adhesive force; None: no pair has any
+    rolling: Array | None  # [M, M]: mu_r; None: no pair has any
     is_wall: tuple[bool, ...] = static()  # [M] bool: whether it is a material of walls
 
 

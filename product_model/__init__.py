@@ -1,7 +1,11 @@
 """The Product Model: impact-force curves of portions of piece goods in real time (Profe, Kostetzer and Ament,
 SIMULTECH 2023).
+
+`simulate` makes one portion, `ensemble` many, `stream` a sample at a time; `read_fit` takes what a calibration found.
 """
 
+from product_model import stream
+from product_model.fitted import Fitted, drawn, read_fit
 from product_model.inputs import BadInput, Parameters, check, parameters, table
 from product_model.monte_carlo import Peaks, bands, ensemble, peaks
 from product_model.portion import Trace, compiled, simulate
@@ -9,17 +13,21 @@ from product_model.record import load, save
 
 __all__ = [
     "BadInput",
+    "Fitted",
     "Parameters",
     "Peaks",
     "Trace",
     "bands",
     "check",
     "compiled",
+    "drawn",
     "ensemble",
     "load",
     "parameters",
     "peaks",
+    "read_fit",
     "save",
     "simulate",
+    "stream",
     "table",
 ]

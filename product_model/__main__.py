@@ -1,6 +1,7 @@
-"""Command line: `python -m product_model simulate ...` and `python -m product_model table`."""
+"""Command line: `python -m product_model simulate ...`, `stream ...` and `table`."""
 
 import argparse
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING, NoReturn
 from product_model.inputs import DTYPES, FORMS, BadInput, Parameters, table
 
 if TYPE_CHECKING:
+    from product_model.fitted import Fitted
     from product_model.portion import Trace
 
 
@@ -40,42 +42,100 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(dest="command", required=True, parser_class=_Parser)
     commands.add_parser("table", help="inputs and outputs of the model, defaults and their sources")
     simulate = commands.add_parser("simulate", help="random portions, written to a file")
-    for name, (metavar, kind, text) in FLAGS.items():
-        default = getattr(Parameters, name)
-        shown = "" if default is None else f" (default {default:g})"
-        simulate.add_argument(f"--{name.replace('_', '-')}", metavar=metavar, type=kind, default=default, help=text + shown)
-    simulate.add_argument("--form", choices=FORMS, default=Parameters.form, help=f"pulse form (default {Parameters.form})")
-    simulate.add_argument("--precision", choices=tuple(DTYPES), default=Parameters.precision, help="default f64")
+    _add_inputs(simulate, FORMS)
+    simulate.add_argument(
+        "--draw", action="store_true", help="each portion with parameters of its own, drawn from the intervals of --fit"
+    )
     simulate.add_argument("--runs", type=int, default=1, metavar="K", help="number of random portions (default 1)")
-    simulate.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the random numbers (default 0)")
     simulate.add_argument("--out", default="trace.h5", metavar="FILE", help=".h5, .csv or .mat (default trace.h5)")
     simulate.add_argument("--plot", metavar="FILE", help="also draw a figure (.png, .pdf or .svg)")
-    simulate.add_argument("--force", "--overwrite", action="store_true", help="replace files that exist")
+    simulate.add_argument("--overwrite", "--force", action="store_true", help="replace files that exist")
+    streamed = commands.add_parser("stream", help="one random portion sample by sample, as lines of a table on the standard output")
+    _add_inputs(streamed, FORMS[:2])
     return parser
 
 
+def _add_inputs(parser: argparse.ArgumentParser, forms: Sequence[str]) -> None:
+    """The flags of all inputs; what is not given is None."""
+    parser.add_argument("--fit", metavar="FILE", help="fit.json of `calibrate fit`: its parameters, unless given here")
+    for name, (metavar, kind, text) in FLAGS.items():
+        default = getattr(Parameters, name)
+        shown = "" if default is None else f" (default {default:g})"
+        parser.add_argument(f"--{name.replace('_', '-')}", metavar=metavar, type=kind, help=text + shown)
+    parser.add_argument("--form", choices=forms, default=Parameters.form, help=f"pulse form (default {Parameters.form})")
+    parser.add_argument("--precision", choices=tuple(DTYPES), default=Parameters.precision, help="default f64")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the random numbers (default 0)")
+
+
+def _inputs(args: argparse.Namespace) -> tuple[Parameters, "Fitted | None"]:
+    """The inputs: as given, else of the fit, else the defaults; and the fit."""
+    from product_model import parameters, read_fit
+
+    given = {name: getattr(args, name) for name in FLAGS if getattr(args, name) is not None}
+    fit = read_fit(args.fit) if args.fit else None
+    if fit is not None:
+        known = fit.value | {"m_piece": fit.m_piece}
+        if "m_target" not in given:  # which with m_piece decides the number of pieces
+            known["pieces"] = fit.pieces
+        given = {name: value for name, value in known.items() if value is not None} | given
+    return parameters(form=args.form, precision=args.precision, **given), fit
+
+
 def _simulate(args: argparse.Namespace) -> None:
-    from product_model import ensemble, parameters, save
+    from product_model import drawn, ensemble, save
     from product_model.record import check_output
 
-    params = parameters(form=args.form, precision=args.precision, **{name: getattr(args, name) for name in FLAGS})
+    params, fit = _inputs(args)
     if args.runs < 1:
         raise BadInput(f"runs = {args.runs}: must be at least 1")
-    check_output(args.out, args.force)
+    if args.draw and fit is None:
+        raise BadInput("draw: needs the intervals of a fit; give --fit FILE")
+    check_output(args.out, args.overwrite)
     if args.plot:
-        _check_figure(args.plot, args.force)
-    trace = ensemble(params, args.seed, args.runs)
+        _check_figure(args.plot, args.overwrite)
+    varied = {}
+    if args.draw and fit is not None:
+        varied = {name: values for name, values in drawn(fit, args.runs, args.seed).items() if getattr(args, name) is None}
+    trace = ensemble(params, args.seed, args.runs, varied)
     if args.runs == 1:
         import jax
         import numpy as np
 
         trace = jax.tree.map(lambda leaf: np.asarray(leaf)[0], trace)
-    save(args.out, trace, params, seed=args.seed, overwrite=args.force)
+        varied = {name: values[0] for name, values in varied.items()}
+    save(args.out, trace, params, seed=args.seed, overwrite=args.overwrite, varied=varied)
     if args.plot:
         from product_model.plot import figure
 
         figure(trace).savefig(args.plot, dpi=150)
     _report(trace, params, args)
+
+
+STREAMED = 256  # samples computed at a time
+
+
+def _stream(args: argparse.Namespace) -> None:
+    """A line for each sample, as soon as it is there; after the last one of the trace it ends."""
+    import jax
+    import numpy as np
+
+    from product_model import stream
+    from product_model.inputs import grid_of
+    from product_model.portion import in_precision
+
+    params, _ = _inputs(args)
+    grid, gravity = grid_of(params), float(params.gravity)
+    state = stream.start(params, args.seed)
+    several = jax.jit(lambda state: jax.lax.scan(lambda state, _: stream.step(state), state, None, length=STREAMED))
+    print("time_s,force_n,pif_g")
+    times = grid.times()
+    for first in range(0, grid.samples, STREAMED):
+        with in_precision(params.precision):
+            state, force = several(state)
+        rows = zip(times[first : first + STREAMED], np.asarray(force).tolist(), strict=False)
+        lines = [f"{time:.9g},{value:.9g},{1e3 * value / gravity:.9g}\n" for time, value in rows]
+        sys.stdout.write("".join(lines))
+        sys.stdout.flush()
 
 
 def _check_figure(name: str, force: bool) -> None:
@@ -85,7 +145,7 @@ def _check_figure(name: str, force: bool) -> None:
     if not path.parent.is_dir():
         raise BadInput(f"plot = {path}: the folder does not exist")
     if path.exists() and not force:
-        raise BadInput(f"plot = {path}: exists; give another name, or --force to replace it")
+        raise BadInput(f"plot = {path}: exists; give another name, or --overwrite to replace it")
 
 
 def _report(trace: "Trace", params: Parameters, args: argparse.Namespace) -> None:
@@ -120,10 +180,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(table())
         return 0
     try:
-        _simulate(args)
+        {"simulate": _simulate, "stream": _stream}[args.command](args)
     except BadInput as error:
         print(f"product_model: {error}", file=sys.stderr)
         return 2
+    except BrokenPipeError:  # who read the stream has enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return 0
 
 

@@ -3,13 +3,14 @@
 import dataclasses
 import importlib.metadata
 import os
+from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from product_model.inputs import LEAVES, BadInput, Parameters
+from product_model.inputs import INPUTS, LEAVES, BadInput, Parameters
 from product_model.portion import Trace, in_precision
 from product_model.pulses import rectangular
 
@@ -30,12 +31,22 @@ def check_output(path: FileName, overwrite: bool = False) -> Path:
     if not path.parent.is_dir():
         raise BadInput(f"out = {path}: the folder does not exist")
     if path.exists() and not overwrite:
-        raise BadInput(f"out = {path}: exists; give another name, or --force to replace it")
+        raise BadInput(f"out = {path}: exists; give another name, or --overwrite to replace it")
     return path
 
 
-def save(path: FileName, trace: Trace, params: Parameters, *, seed: int | None = None, overwrite: bool = False) -> Path:
+def save(
+    path: FileName,
+    trace: Trace,
+    params: Parameters,
+    *,
+    seed: int | None = None,
+    overwrite: bool = False,
+    varied: Mapping[str, np.ndarray] | None = None,
+) -> Path:
     """Write `trace` (one portion or an ensemble); the suffix chooses the format. Returns the path.
+
+    varied: the inputs that differ from portion to portion, name -> [runs], written as /parameters/NAME (not to a table).
 
     `.h5`: /time, /force/wb_flaps and /mean_force/wb_flaps [T, 3] (N, downward negative), /settled_mass/wb, /pif,
     /pieces/..., with a leading run axis for an ensemble and the inputs as TOML text in the attribute `scene`.
@@ -46,8 +57,10 @@ def save(path: FileName, trace: Trace, params: Parameters, *, seed: int | None =
     write = {".csv": _csv, ".mat": _mat}.get(path.suffix, _hdf5)
     part = path.with_name(f".{path.name}.part{os.getpid()}")
     try:
-        write(part, trace, params, seed)
+        write(part, trace, params, seed, varied or {})
         os.replace(part, path)
+    except OSError as error:
+        raise BadInput(f"out = {path}: cannot be written ({error.strerror or error})") from None
     finally:
         part.unlink(missing_ok=True)
     return path
@@ -92,7 +105,7 @@ def _downward(force: np.ndarray) -> np.ndarray:
     return vector
 
 
-def _hdf5(path: Path, trace: Trace, params: Parameters, seed: int | None) -> None:
+def _hdf5(path: Path, trace: Trace, params: Parameters, seed: int | None, varied: Mapping[str, np.ndarray]) -> None:
     import h5py
 
     mean = np.asarray(trace.force)
@@ -108,6 +121,8 @@ def _hdf5(path: Path, trace: Trace, params: Parameters, seed: int | None) -> Non
         "pieces/redrawn": (np.asarray(trace.redrawn), "1"),
         "pieces/late": (np.asarray(trace.late), "1"),
     }
+    units = {row.name: row.unit for row in INPUTS}
+    table |= {f"parameters/{name}": (values, units[name]) for name, values in varied.items()}
     with h5py.File(path, "w") as file:
         for name, (values, unit) in table.items():
             file.create_dataset(name, data=values).attrs["units"] = unit
@@ -129,15 +144,15 @@ def _columns(trace: Trace) -> dict[str, np.ndarray]:
     return columns
 
 
-def _csv(path: Path, trace: Trace, params: Parameters, seed: int | None) -> None:
+def _csv(path: Path, trace: Trace, params: Parameters, seed: int | None, varied: Mapping[str, np.ndarray]) -> None:
     columns = _columns(trace)
     np.savetxt(path, np.stack(list(columns.values()), axis=1), "%.9g", ",", header=",".join(columns), comments="")
 
 
-def _mat(path: Path, trace: Trace, params: Parameters, seed: int | None) -> None:
+def _mat(path: Path, trace: Trace, params: Parameters, seed: int | None, varied: Mapping[str, np.ndarray]) -> None:
     from scipy.io import savemat
 
-    inputs = {k: np.nan if v is None else v for k, v in inputs_of(params, trace).items()}
+    inputs = {k: np.nan if v is None else v for k, v in inputs_of(params, trace).items()} | dict(varied)
     arrays = {"time_s": trace.time, "force_n": np.asarray(trace.force), "pif_g": np.asarray(trace.pif_g)}
     with open(path, "wb") as file:
         savemat(file, arrays | {"settled_mass_kg": trace.settled_mass(), "inputs": inputs}, oned_as="column")

@@ -8,30 +8,33 @@ from dem_jax.contact.law import ContactLaw
 from dem_jax.contact.law.cohesion import Cohesive
 from dem_jax.contact.law.hertz_mindlin import HertzMindlin
 from dem_jax.contact.law.linear_dashpot import LinearDashpot
+from dem_jax.contact.law.rolling import Rolling
 from dem_jax.contact.law.walton_braun import WaltonBraun
 from dem_jax.scene import Scene
 from dem_jax.scene.materials import MaterialTable, material_table
+from dem_jax.scene.numbers import array, is_traced, is_zero
 from dem_jax.types import Array, Materials, host
 
 
 def law_of(scene: Scene) -> ContactLaw:
-    """The law that a scene asks for, cohesive where any pair of its materials has a pull-off force."""
-    law = LAWS[scene.contact.law](scene)
-    if materials_of(scene).pull_off is None:
-        return law
-    cohesion = scene.contact.cohesion
-    return Cohesive(law, _number(cohesion.stiffness), _number(cohesion.range))
+    """The law that a scene asks for, cohesive where any pair of its materials has a pull-off force, and with rolling friction
+    where any has that."""
+    law, materials = LAWS[scene.contact.law](scene), materials_of(scene)
+    if materials.pull_off is not None:
+        cohesion = scene.contact.cohesion
+        law = Cohesive(law, _number(cohesion.stiffness), _number(cohesion.range))
+    return law if materials.rolling is None else Rolling(law)
 
 
 def _walton_braun(scene: Scene) -> ContactLaw:
     m = scene.material
-    damping = _number(m.unloading_damping) if m.unloading_damping else None
-    at_rest = _number(m.rest_damping) if m.rest_damping else None
+    damping = None if is_zero(m.unloading_damping) else _number(m.unloading_damping)
+    at_rest = None if is_zero(m.rest_damping) else _number(m.rest_damping)
     return WaltonBraun(_number(m.separation), _number(m.tangential_stiffness), damping, at_rest)
 
 
 def _number(value: float) -> Array:
-    return host(np.float64(value))
+    return host(array(value))
 
 
 LAWS: dict[str, Callable[[Scene], ContactLaw]] = {
@@ -50,6 +53,7 @@ def materials_of(scene: Scene) -> Materials:
         restitution=_in_short(table, table.restitution),
         friction=_if_any(table, table.friction),
         pull_off=_if_any(table, table.pull_off),
+        rolling=_if_any(table, table.rolling),
         is_wall=tuple(table.is_wall.tolist()),
     )
 
@@ -57,9 +61,9 @@ def materials_of(scene: Scene) -> Materials:
 def _in_short(table: MaterialTable, pairs: np.ndarray) -> Array:
     """A table of pairs; [1, 1] if all have the same. Two walls never touch: what stands between them is left alone."""
     met = ~(table.is_wall[:, None] & table.is_wall)
-    return host(pairs[:1, :1] if (pairs[met] == pairs[0, 0]).all() else pairs)
+    return host(pairs[:1, :1] if not is_traced(pairs) and (pairs[met] == pairs[0, 0]).all() else pairs)
 
 
 def _if_any(table: MaterialTable, pairs: np.ndarray) -> Array | None:
     met = ~(table.is_wall[:, None] & table.is_wall)
-    return _in_short(table, pairs) if pairs[met].any() else None
+    return _in_short(table, pairs) if is_traced(pairs) or pairs[met].any() else None

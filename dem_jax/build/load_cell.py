@@ -7,6 +7,7 @@ import numpy as np
 from dem_jax.build.time_step import PossibleContact
 from dem_jax.contact.law import ContactLaw
 from dem_jax.scene import LoadCell, Scene
+from dem_jax.scene.numbers import array, sqrt
 from dem_jax.types import LoadCell as Cell
 from dem_jax.types import host
 
@@ -35,9 +36,9 @@ def load_cell_of(scene: Scene, groups: Sequence[str], group: np.ndarray) -> Cell
     spring = stiffness(section)
     carries = np.array([name in GROUPS for name in groups], float)
     return Cell(
-        mass=host(np.array(section.mass)),
-        stiffness=host(np.array(spring)),
-        damping=host(np.array(2 * section.damping_ratio * np.sqrt(spring * section.mass))),
+        mass=host(array(section.mass)),
+        stiffness=host(array(spring)),
+        damping=host(array(2 * section.damping_ratio * sqrt(spring * section.mass))),
         groups=host(carries),
         panels=host(carries[group]),
     )

@@ -14,7 +14,8 @@ from dem_jax.build.finite import check_pieces
 from dem_jax.build.unit import check_unit
 from dem_jax.errors import SceneError
 from dem_jax.scene import SHAPE_KEYS, BodyMass, ConvexShape, Part, PieceShape, Portion, Scene, arrange
-from dem_jax.scene.materials import material_table, rows_of_pieces
+from dem_jax.scene.materials import MaterialTable, material_table, rows_of_pieces
+from dem_jax.scene.numbers import array
 from dem_jax.types import Pieces, host
 
 REQUIRED = {
@@ -103,27 +104,51 @@ class Goods:
     shapes: tuple[shapes.Shape, ...]  # of each piece, scaled; one object where pieces are alike
     materials: tuple[str | None, ...]  # name of the material of each, None: [material] itself
     numbers: tuple[int, ...]  # pieces of the portion and, with a feeder, on it; () of pieces listed one by one
+    densities: tuple[float | None, ...]  # of each (kg/m3), where its weight is given; None: that of its material
 
 
 def goods_of(scene: Scene) -> Goods:
     """The pieces of a scene: as listed, or of a portion product by product, then those on the feeder. Raises SceneError."""
     if scene.piece:
         listed = _shapes_of_rows(scene.piece, "piece.{}", scene.folder)
-        return Goods(tuple(listed), tuple(row.material for row in scene.piece), ())
+        own = tuple(map(_own_density, scene.piece, listed))
+        return Goods(tuple(listed), tuple(row.material for row in scene.piece), (), own)
     assert scene.portion is not None  # as a Scene makes sure
     rows = scene.portion.rows
     made = _shapes_of_rows(rows, "portion.product.{}" if scene.portion.product else "portion", scene.folder)
     resized = cache(shapes.scaled)
     found: list[shapes.Shape] = []
     names: list[str | None] = []
+    densities: list[float | None] = []
     numbers: list[int] = []
     for counts in counts_of(scene, scene.portion, made):
         for shape, row, number in zip(made, rows, counts, strict=True):
             each = portion.sizes(number, row.size_spread)
             found += [shape if size == 1.0 else resized(shape, float(size)) for size in each]
             names += [row.material] * number
+            densities += [_own_density(row, shape)] * number
         numbers.append(sum(counts))
-    return Goods(tuple(found), tuple(names), tuple(numbers))
+    return Goods(tuple(found), tuple(names), tuple(numbers), tuple(densities))
+
+
+def _own_density(row: PieceShape, shape: shapes.Shape) -> float | None:
+    """(kg/m3) of pieces whose weight is given; shape: of one of them at its size as given."""
+    return None if row.piece_weight is None else row.piece_weight / shape.volume
+
+
+def densities_of(table: MaterialTable, materials: Sequence[str | None], own: Sequence[float | None]) -> np.ndarray:
+    """[N] (kg/m3) of pieces of materials by name, or their own."""
+    found = table.density[rows_of_pieces(table, materials)]
+    if all(one is None for one in own):
+        return found
+    return array([density if one is None else one for one, density in zip(own, found, strict=True)])
+
+
+def masses_of(goods: Goods, table: MaterialTable) -> np.ndarray:
+    """[N] (kg)."""
+    distinct, index = distinct_shapes(goods.shapes)
+    volume = np.array([shape.volume for shape in distinct])[index]
+    return densities_of(table, goods.materials, goods.densities) * volume
 
 
 def pieces_of(scene: Scene) -> list[shapes.Shape]:
@@ -145,8 +170,8 @@ def _shapes_of_rows(rows: Sequence[PieceShape], key: str, folder: str) -> list[s
 def counts_of(scene: Scene, of: Portion, made: Sequence[shapes.Shape]) -> list[tuple[int, ...]]:
     """Pieces of each product (shapes ``made``): of the portion, and on the feeder if there is one (by default as many)."""
     table = material_table(scene)
-    density = table.density[rows_of_pieces(table, [row.material for row in of.rows])]
-    mass = density * np.array([shape.volume for shape in made])
+    own = [_own_density(row, shape) for row, shape in zip(of.rows, made, strict=True)]
+    mass = densities_of(table, [row.material for row in of.rows], own) * np.array([shape.volume for shape in made])
     spread = np.array([row.size_spread for row in of.rows])
     mix = portion.Mix(mass, np.array([row.share for row in of.product] or [1.0]), spread, of.share_by)
     if not of.count:
@@ -154,14 +179,14 @@ def counts_of(scene: Scene, of: Portion, made: Sequence[shapes.Shape]) -> list[t
             each = mix.share / mix.share.sum()
             check_pieces(scene, of.target_weight * float(np.sum(each / mass) if of.share_by == "weight" else 1 / (each @ mass)))
     if of.count:
-        own = portion.numbers_of_count(mix, of.count)
+        held = portion.numbers_of_count(mix, of.count)
     elif of.product or spread.any():
-        own = portion.numbers_of_weight(mix, of.target_weight)
+        held = portion.numbers_of_weight(mix, of.target_weight)
     else:
-        own = (arrange.count(of.target_weight, float(mass[0])),)
+        held = (arrange.count(of.target_weight, float(mass[0])),)
     if scene.feeder is None:
-        return [own]
-    return [own, own if scene.feeder.count is None else portion.apportioned(np.array(own), scene.feeder.count)]
+        return [held]
+    return [held, held if scene.feeder.count is None else portion.apportioned(np.array(held), scene.feeder.count)]
 
 
 def named(key: str, function: Callable, *arguments: Any) -> Any:
@@ -240,10 +265,10 @@ def piece_arrays(scene: Scene, goods: Goods) -> Pieces:
     row = rows_of_pieces(table, goods.materials)
     distinct, index = distinct_shapes(goods.shapes)
     each = lambda value: np.array([value(shape) for shape in distinct])[index]  # noqa: E731
-    mass = table.density[row] * each(lambda s: s.volume)
+    mass = masses_of(goods, table)
     return Pieces(
         mass=host(mass),
-        inertia=host(mass * each(lambda s: s.gyration).T),
+        inertia=host(mass[None] * each(lambda s: s.gyration).T),
         size=host(each(lambda s: shapes.size_length(s, scene.material.stiffness_size))),
         curvature=host(2 / each(shapes.SIZE_LENGTHS["equivalent-diameter"])),
         material=host(row),

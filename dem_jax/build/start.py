@@ -13,7 +13,8 @@ from dem_jax.contact import collisions, ledger
 from dem_jax.errors import SceneError
 from dem_jax.maths import rotation
 from dem_jax.pairs import neighbours
-from dem_jax.scene import Scene, arrange
+from dem_jax.scene import Piece, Scene, arrange
+from dem_jax.scene.numbers import array, is_traced, sqrt
 from dem_jax.shapes import Shape
 from dem_jax.types import CellMotion, Motion, State, System, WallLoads, host
 
@@ -37,18 +38,7 @@ def placed(
     """Where the pieces begin: as listed, or scattered in the regions, so many in each (Goods.numbers). Pieces that differ
     are mixed at random. Raises SceneError."""
     if scene.piece:
-        rows = scene.piece
-        q = np.array([p.orientation for p in rows], float)
-        size = np.linalg.norm(q, axis=1, keepdims=True)
-        if (size < 1e-6).any():
-            k = int(np.argmin(size))
-            raise SceneError(f"piece.{k}.orientation = {rows[k].orientation}: allowed: a quaternion that is not zero")
-        return Start(
-            np.array([p.position for p in rows], float),
-            q / size,
-            np.array([p.velocity for p in rows], float),
-            np.array([p.angular_velocity for p in rows], float),
-        )
+        return listed(scene.piece)
     portion = scene.portion
     assert portion is not None  # as a Scene makes sure
     low, high = portion.region_low, portion.region_high
@@ -68,6 +58,17 @@ def placed(
     return Start(position, orientation, rest, rest)
 
 
+def listed(rows: Sequence[Piece]) -> Start:
+    """Where pieces begin that are listed one by one. Raises SceneError."""
+    q = array([p.orientation for p in rows])
+    size = sqrt((q * q).sum(axis=1, keepdims=True))
+    if not is_traced(q) and (size < 1e-6).any():
+        k = int(np.argmin(size))
+        raise SceneError(f"piece.{k}.orientation = {rows[k].orientation}: allowed: a quaternion that is not zero")
+    position, velocity, spin = (array([getattr(p, key) for p in rows]) for key in ("position", "velocity", "angular_velocity"))
+    return Start(position, q / size, velocity, spin)
+
+
 def settling_samples(scene: Scene) -> int:
     """Sample intervals before time zero."""
     if scene.piece or scene.portion is None or scene.portion.arrangement == "scattered":
@@ -78,19 +79,20 @@ def settling_samples(scene: Scene) -> int:
 def motion_of_start(system: System, start: Start, frames: np.ndarray) -> Motion:
     """Poses and velocities in the user's body frames as those of principal frames, in numpy; frames: Built.frames."""
     dtype = system.dt.dtype
-    position = start.position.T.astype(np.float64)
+    position = start.position.T
     high = position.astype(dtype)
-    q = np.stack(rotation.multiply(tuple(start.orientation.T), tuple(np.asarray(frames).T))).astype(dtype)
-    inertia = np.asarray(system.pieces.inertia)
+    q = array(list(rotation.multiply(tuple(start.orientation.T), tuple(np.asarray(frames).T)))).astype(dtype)
+    inertia = system.pieces.inertia
+    inertia = inertia if isinstance(inertia, jax.core.Tracer) else host(np.asarray(inertia))
     momentum = rotation.angular_momentum(tuple(q), tuple(start.spin.T.astype(dtype)), tuple(inertia))
-    none = np.zeros_like(high)
+    none = np.zeros(high.shape, dtype)
     return Motion(
         position=host(high),
-        position_rest=host((position - high).astype(dtype)),
+        position_rest=host((position - high.astype(position.dtype)).astype(dtype)),
         orientation=host(q),
         velocity=host(start.velocity.T.astype(dtype)),
         velocity_rest=host(none),
-        angular_momentum=host(np.stack(momentum)),
+        angular_momentum=host(array(list(momentum)).astype(dtype)),
         force=host(none),
         torque=host(none),
     )

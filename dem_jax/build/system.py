@@ -11,7 +11,7 @@ from dem_jax.build.finite import MOST_STEPS, check_finite, check_steps
 from dem_jax.build.law import law_of, materials_of
 from dem_jax.build.load_cell import added_rate
 from dem_jax.build.parts import hull_table, part_arrays, solids_of
-from dem_jax.build.pieces import alike, goods_of, named, piece_arrays, with_points
+from dem_jax.build.pieces import Goods, alike, goods_of, named, piece_arrays, with_points
 from dem_jax.build.room import capacity, partition, row_capacity
 from dem_jax.build.sampling import shortest_contact
 from dem_jax.build.start import Box, Start, first_state, motion_of_start, placed, settling_samples
@@ -47,6 +47,7 @@ class Built:
     frame_every: int  # samples between stored frames; 0: none
     regions: list[Box]  # in which pieces are scattered: of the feed bucket, of the feeder
     numbers: tuple[int, ...]  # pieces in each of these boxes; () of pieces listed one by one
+    goods: Goods  # the pieces before they are anywhere
 
 
 def build(scene: Scene, seed: int = 0, law: ContactLaw | None = None) -> Built:
@@ -106,12 +107,13 @@ def build(scene: Scene, seed: int = 0, law: ContactLaw | None = None) -> Built:
         blocks=tuple(b.name for b in blocks),
         quantities=quantities.sampled(walls, scene.statistics is not None),
     )
-    system = system.replace(has_rotation=has_hulls or materials.friction is not None or bool(np.any(start.spin)))
+    turns = materials.friction is not None or materials.rolling is not None or bool(np.any(start.spin))
+    system = system.replace(has_rotation=has_hulls or turns)
     frames = np.array([m.principal for m in made])
     state = first_state(system, start, frames, -settling)
     check_finite(scene, system, state)
     shortest = shortest_contact(law, contacts)
-    return Built(system, state, step, shortest, tuple(made), frames, settling, samples, frame_every, regions, goods.numbers)
+    return Built(system, state, step, shortest, tuple(made), frames, settling, samples, frame_every, regions, goods.numbers, goods)
 
 
 def self_contained(scene: Scene) -> Scene:

@@ -14,6 +14,8 @@ def typed(tree: Tree, dtype: DTypeLike) -> Tree:
     """Float leaves to the dtype, int leaves to int32."""
 
     def leaf(x: ArrayLike) -> jax.Array:
+        if isinstance(x, jax.core.Tracer):
+            return jnp.asarray(x, np.dtype(dtype))
         x = np.asarray(x)
         with np.errstate(over="ignore"):  # see build.finite
             return jnp.asarray(x.astype(np.int32 if x.dtype.kind == "i" else dtype))  # converted here: nothing to compile

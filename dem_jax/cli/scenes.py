@@ -20,10 +20,12 @@ def scenes(args: Args) -> None:
     if args.name:
         scene = load_scene(args.name)
         print(described(scene), end="")
-        if any(wall.stl for wall in scene.wall):
-            from dem_jax.show.summary import notes_on_walls  # which needs JAX
+        from dem_jax.show.facts import portion_said  # which needs JAX
+        from dem_jax.show.summary import notes_on_walls
 
-            print("", *(f"# {note}" for note in notes_on_walls(scene)), sep="\n")
+        notes = [*notes_on_walls(scene), *filter(None, [portion_said(scene)])]
+        if notes:
+            print("", *(f"# {note}" for note in notes), sep="\n")
         return
     known = stock_scenes()
     width = max(map(len, known))

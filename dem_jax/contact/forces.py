@@ -156,7 +156,8 @@ def _loaded(
     within = follow.overlap(memory.overlap, approach, depth, shape.point, at_b)
     overlap = overlap + (within - depth)
     slip = _slip(memory, motion, approach, shape.normal, within)
-    answer = system.law.force(slots.pair, memory.law, Contact(overlap, approach, slip, shape.normal, system.dt, turn))
+    roll = None if system.materials.rolling is None else vector.scale(system.dt, vector.sub(b.spin, a.spin))
+    answer = system.law.force(slots.pair, memory.law, Contact(overlap, approach, slip, shape.normal, system.dt, turn, roll))
     force = vector.scale(answer.push, shape.normal)
     if answer.drag is not None:
         force = vector.add(force, answer.drag)

@@ -23,6 +23,7 @@ def couple(materials: Materials, material: Pair, size: Pair, curvature: Pair, ma
         restitution=of_pair(materials.restitution, *material),
         friction=of_pair(materials.friction, *material),
         pull_off=of_pair(materials.pull_off, *material),
+        rolling=of_pair(materials.rolling, *material),
     )
 
 

@@ -44,7 +44,7 @@ def prepare(
     scene = build.self_contained(scene if isinstance(scene, Scene) else load_scene(scene))
     with jax.enable_x64(scene.run.precision == "f64"), np.errstate(all="ignore"):  # build looks at what comes out
         scenes = varied.scenes_of(scene, parameters, len(seeds))
-        each = {id(s): _built(s, int(seeds[0]), law) for s in scenes}
+        each = {id(s): built_of(s, int(seeds[0]), law) for s in scenes}
         built = [each[id(s)] for s in scenes]
         different, system = varied.vary(scene, built, parameters) if parameters else (None, built[0].system)
         sampled = checked((*system.quantities, *quantities))
@@ -67,7 +67,7 @@ def _notes(scene: Scene, built: Sequence[build.Built]) -> tuple[str, ...]:
     return tuple(said for said in (longest.step.warning, sampling.note(scene.run.sample, shortest)) if said)
 
 
-def _built(scene: Scene, seed: int, law: ContactLaw | None) -> build.Built:
+def built_of(scene: Scene, seed: int, law: ContactLaw | None) -> build.Built:
     """As ``build.build``; numbers that no check foresaw are one line as well."""
     try:
         return build.build(scene, seed, law)

@@ -4,7 +4,9 @@ Capacities are static, so growing one compiles anew; the skin is an array. All a
 (ensembles): the largest need of all runs counts.
 """
 
+from collections.abc import Iterator
 from functools import partial
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +17,7 @@ from dem_jax.pairs import neighbours, search
 from dem_jax.types import Array, ContactTable, Guard, Partition, Parts, State, System
 
 HEAD_ROOM = 1.25  # of what was needed, so that the next chunk does not outgrow it again
+ANY_WAY = 1e3  # m
 LARGEST_RAISE = 4.0  # of the skin at once: a state that went wrong may report any travel
 
 
@@ -27,31 +30,49 @@ def fresh(state: State) -> State:
     return state.replace(guard=guard.replace(**zeros))
 
 
-def outgrown(system: System, guard: Guard) -> list[str]:
-    """What a chunk that ended with this guard outgrew, in words; empty: its result stands."""
-    out = []
+class Room(NamedTuple):
+    """Something that there is a limited room for: how much was needed, how much there is, and what to say if that is less."""
+
+    needed: Any
+    there: Any
+    words: str  # to be filled in with both numbers
+
+
+def _rooms(system: System, guard: Guard) -> Iterator[Room]:
     for kind, candidates, slots in system.capacity:
         near, touching = _most(guard.needed[kind])
-        if near > candidates:
-            out.append(f"{near} candidate pairs of {kind} for {candidates}")
-        if touching > slots:
-            out.append(f"{touching} pairs of {kind} for {slots} slots")
-    if np.max(guard.touching) > system.touching:
-        out.append(f"{np.max(guard.touching)} contacts of a piece for {system.touching}")
-    if np.max(guard.row) > system.row_capacity:
-        out.append(f"{np.max(guard.row)} pieces in a row of cells for {system.row_capacity}")
+        yield Room(near, candidates, f"{{0}} candidate pairs of {kind} for {{1}}")
+        yield Room(touching, slots, f"{{0}} pairs of {kind} for {{1}} slots")
+    yield Room(guard.touching.max(), system.touching, "{0} contacts of a piece for {1}")
+    yield Room(guard.row.max(), system.row_capacity, "{0} pieces in a row of cells for {1}")
     if system.partition:
         listed, filling = _most(guard.partition)
-        if listed > system.partition.pairs:
-            out.append(f"more than {system.partition.pairs} pairs in the list of jax-md")
-        if filling > system.partition.cell:
-            out.append(f"{filling} pieces in a cell of jax-md for {system.partition.cell}")
-        if np.max(guard.reach) > system.partition.reach:
-            out.append(f"pairs within {np.max(guard.reach):.3g} m for a list of jax-md within {system.partition.reach:.3g} m")
-    if np.max(guard.travel) > system.skin:
-        way, skin = float(np.max(guard.travel)), float(system.skin)
-        out.append(f"bodies approached by {way:.3g} m more than expected between rebuilds, with a skin of {skin:.3g} m")
-    return out
+        yield Room(listed, system.partition.pairs, "more than {1} pairs in the list of jax-md")
+        yield Room(filling, system.partition.cell, "{0} pieces in a cell of jax-md for {1}")
+        yield Room(guard.reach.max(), system.partition.reach, "pairs within {0:.3g} m for a list of jax-md within {1:.3g} m")
+    words = "bodies approached by {0:.3g} m more than expected between rebuilds, with a skin of {1:.3g} m"
+    yield Room(guard.travel.max(), system.skin, words)
+
+
+def outgrown(system: System, guard: Guard) -> list[str]:
+    """What a chunk that ended with this guard outgrew, in words; empty: its result stands. guard: numpy."""
+    rooms = (Room(np.asarray(room.needed)[()], np.asarray(room.there)[()], room.words) for room in _rooms(system, guard))
+    return [room.words.format(room.needed, room.there) for room in rooms if room.needed > room.there]
+
+
+def stands(system: System, guard: Guard) -> Array:
+    """Whether nothing was outgrown, bool."""
+    return jnp.all(jnp.stack([jnp.asarray(room.needed <= room.there) for room in _rooms(system, guard)]))
+
+
+def roomy(system: System) -> System:
+    """The system with every pair a candidate for good, however fast bodies get nearer, where there is room for all pairs."""
+    panels = system.walls.group.shape[0]
+    count = system.parts.polytopes.shape[0], system.parts.spheres.shape[0], panels
+    for kind, candidates, slots in system.capacity:
+        if min(candidates, slots) < search.pair_count(kind, *count) or system.touching < most_contacts(system.parts, panels):
+            return system
+    return system.replace(skin=jnp.full_like(system.skin, ANY_WAY))
 
 
 def standing(system: System, guard: Guard) -> np.ndarray:
@@ -66,7 +87,7 @@ def grown(system: System, state: State, guard: Guard) -> tuple[System, State]:
     parts, panels = system.parts.count, system.walls.group.shape[0]
     polytopes, spheres = system.parts.polytopes.shape[0], system.parts.spheres.shape[0]
     for kind, candidates, slots in system.capacity:
-        near, touching = _most(guard.needed[kind])
+        near, touching = map(int, _most(guard.needed[kind]))
         every = search.pair_count(kind, polytopes, spheres, panels)
         if near > candidates:  # of those that found no place, as many may touch as of those that did
             touching = -(-touching * near // candidates)
@@ -94,7 +115,7 @@ def _grown_partition(partition: Partition | None, guard: Guard, parts: int) -> P
     """The room of jax-md's list, where there is one, for what was needed."""
     if partition is None:
         return None
-    listed, filling = _most(guard.partition)
+    listed, filling = map(int, _most(guard.partition))
     reach = partition.reach
     if np.max(guard.reach) > reach:
         reach = min(HEAD_ROOM * float(np.max(guard.reach)), LARGEST_RAISE * reach)
@@ -124,10 +145,10 @@ def with_scratch(system: System, state: State) -> State:
     return state.replace(scratch=jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), form))
 
 
-def _most(needed: Array) -> tuple[int, int]:
+def _most(needed: Array) -> tuple[Array, Array]:
     """The most that any run needed of two things, such as candidates and slots."""
-    near, touching = np.reshape(needed, (-1, 2)).max(axis=0)
-    return int(near), int(touching)
+    near, touching = needed.reshape(-1, 2).max(axis=0)
+    return near, touching
 
 
 def _enough(have: int, needed: int, every: int) -> int:

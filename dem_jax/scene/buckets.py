@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dem_jax.scene.numbers import is_zero
 from dem_jax.scene.sections.buckets import Bucket, Feeder
 from dem_jax.scene.sections.walls import Block, Motion
 
@@ -52,7 +53,7 @@ def parts(bucket: Bucket, name: str, bottom: float) -> BucketParts:
         lip = (-sign * bucket.lap * np.cos(slope), bottom - bucket.lap * np.sin(slope))
         corners = [(-x, *edge), (x, *edge), (x, *lip), (-x, *lip)]
         panels.append((group, _facing_up(np.array(corners)), bucket.thickness))
-        if bucket.opening_angle_deg:
+        if not is_zero(bucket.opening_angle_deg):
             motions.append(_hinge(bucket, group, (0.0, *edge), sign))
     margin = 0.01
     block = Block(name=name, low=(-x - margin, -y - margin, bottom - margin), high=(x + margin, y + margin, top))
@@ -66,8 +67,8 @@ def _facing_up(corners: np.ndarray) -> np.ndarray:
 
 
 def _hinge(bucket: Bucket, group: str, pivot: tuple[float, float, float], sign: int) -> Motion:
-    """Flaps swing down and outwards: the flap hinged at +y turns about +x, the other about -x."""
-    return Motion(
+    """Flaps swing down and outwards: the flap hinged at +y turns about +x, the other about -x. Its numbers are checked already."""
+    return Motion.model_construct(
         group=group,
         pivot=pivot,
         axis=(1.0, 0.0, 0.0),
@@ -109,9 +110,9 @@ def feeder_parts(feeder: Feeder, bucket: BucketParts) -> FeederParts:
     ]
     throw = tilt - np.radians(feeder.stroke_angle_deg)
     stroke = feeder.stroke * np.array([np.cos(throw), 0.0, -np.sin(throw)])
-    motion = Motion(
+    motion = Motion.model_construct(
         group=FEEDER,
-        stroke=tuple(stroke.tolist()),
+        stroke=tuple(stroke),
         frequency=feeder.frequency,
         shake_start=feeder.start,
         shake_end=feeder.start + feeder.duration,

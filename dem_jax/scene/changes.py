@@ -15,11 +15,28 @@ DEEPEST = 12  # tables and lists in each other: a scene's need seven
 
 
 def on_top(below: Tree, above: Tree) -> Tree:
-    """One scene over another. Products of a portion replace the one product that the portion below is of."""
+    """One scene over another. Products of a portion replace the one product that the portion below is of, the weight of a piece
+    the density below."""
     portion = above.get("portion")
+    if _says_weight(above):
+        below = without_density(below)
     if isinstance(portion, dict) and portion.get("product") and isinstance(below.get("portion"), dict):
         below = below | {"portion": {k: v for k, v in below["portion"].items() if k not in OF_PRODUCT}}
     return merged(below, above)
+
+
+def _says_weight(tree: Tree) -> bool:
+    """Whether a scene says what its pieces weigh."""
+    portion = tree.get("portion")
+    rows = [portion, *(portion.get("product") or ())] if isinstance(portion, dict) else []
+    rows += tree["piece"] if isinstance(tree.get("piece"), list | tuple) else []
+    return any(isinstance(row, dict) and row.get("piece_weight") is not None for row in rows)
+
+
+def without_density(tree: Tree) -> Tree:
+    """The tree without the density of [material]."""
+    material = tree.get("material")
+    return tree | ({"material": {k: v for k, v in material.items() if k != "density"}} if isinstance(material, dict) else {})
 
 
 def merged(below: Tree, above: Tree) -> Tree:

@@ -7,6 +7,7 @@ import numpy as np
 
 from dem_jax.errors import SceneError
 from dem_jax.scene import buckets
+from dem_jax.scene.numbers import array
 from dem_jax.scene.scene import Scene
 from dem_jax.scene.sections.material import DEFAULT, WALL, Material, NamedMaterial
 
@@ -25,9 +26,10 @@ class MaterialTable:
     density: np.ndarray  # [M] (kg/m3)
     youngs_modulus: np.ndarray  # [M] (Pa): E_p of pieces, E_b of walls, not softened
     poisson_ratio: np.ndarray  # [M]
-    restitution: np.ndarray  # [M, M], symmetric, as the next two: epsilon of eq. 6
+    restitution: np.ndarray  # [M, M], symmetric, as the next three: epsilon of eq. 6
     friction: np.ndarray  # [M, M]: mu
     pull_off: np.ndarray  # [M, M] (N): largest adhesive force of a contact
+    rolling: np.ndarray  # [M, M]: mu_r
 
 
 @dataclass(frozen=True)
@@ -42,6 +44,7 @@ class _Row:
     restitution: float
     friction_piece: float
     friction_wall: float
+    rolling_friction: float
     pull_off: float
 
 
@@ -50,23 +53,24 @@ def material_table(scene: Scene) -> MaterialTable:
     of_pieces, of_walls = _names_of_pieces(scene), list(materials_of_groups(scene).values())
     rows = [_row(scene.material, name, False) for name in _in_order(of_pieces)]
     rows += [_row(scene.material, name, True) for name in _in_order(of_walls)]
-    each = lambda key: np.array([getattr(row, key) for row in rows])  # noqa: E731
+    each = lambda key: array([getattr(row, key) for row in rows])  # noqa: E731
     listed = {frozenset(pair.of): pair for pair in scene.pair}
 
     def pairs(key: str, rule: Callable[[_Row, _Row], float]) -> np.ndarray:
         said = [[getattr(listed.get(frozenset((a.name, b.name))), key, None) for b in rows] for a in rows]
-        return np.array([[rule(a, b) if s is None else s for b, s in zip(rows, line, strict=True)]
-                         for a, line in zip(rows, said, strict=True)], float)  # fmt: skip
+        return array([[rule(a, b) if s is None else s for b, s in zip(rows, line, strict=True)]
+                      for a, line in zip(rows, said, strict=True)])  # fmt: skip
 
     return MaterialTable(
         names=tuple(row.name for row in rows),
-        is_wall=each("is_wall"),
+        is_wall=np.array([row.is_wall for row in rows]),
         density=each("density"),
         youngs_modulus=each("youngs_modulus"),
         poisson_ratio=each("poisson_ratio"),
         restitution=pairs("restitution", _of_piece_or_mean("restitution", "restitution")),
         friction=pairs("friction", _of_piece_or_mean("friction_piece", "friction_wall")),
         pull_off=pairs("pull_off", _of_piece_or_mean("pull_off", "pull_off")),
+        rolling=pairs("rolling_friction", _of_piece_or_mean("rolling_friction", "rolling_friction")),
     )
 
 
@@ -131,6 +135,7 @@ def _row(base: Material, name: str | None, is_wall: bool) -> _Row:
         restitution=said("restitution"),
         friction_piece=said("friction_piece"),
         friction_wall=said("friction_wall"),
+        rolling_friction=said("rolling_friction"),
         pull_off=said("pull_off"),
     )
 
@@ -142,6 +147,6 @@ def _of_piece_or_mean(between_pieces: str, on_wall: str) -> Callable[[_Row, _Row
         if a.is_wall != b.is_wall:
             return getattr(b if a.is_wall else a, on_wall)
         one, other = getattr(a, between_pieces), getattr(b, between_pieces)
-        return one if one == other else 0.5 * (one + other)
+        return one if one is other else 0.5 * (one + other)
 
     return rule

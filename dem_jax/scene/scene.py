@@ -6,14 +6,14 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
 from dem_jax.errors import SceneError
-from dem_jax.scene.changes import new_materials, on_top, set_key
+from dem_jax.scene.changes import new_materials, on_top, set_key, without_density
 from dem_jax.scene.library import with_product
 from dem_jax.scene.sections.base import Section, as_tuple
 from dem_jax.scene.sections.buckets import Bucket, Drop, Feeder, WeighBucket
 from dem_jax.scene.sections.contact import Contact, stray_key
 from dem_jax.scene.sections.cycle import Cycle
 from dem_jax.scene.sections.material import DEFAULT, WALL, Material, Pair
-from dem_jax.scene.sections.pieces import Piece, Portion
+from dem_jax.scene.sections.pieces import Piece, Portion, Product
 from dem_jax.scene.sections.run import RunSettings
 from dem_jax.scene.sections.statistics import Statistics
 from dem_jax.scene.sections.walls import Block, Motion, Wall
@@ -76,6 +76,17 @@ class Scene(Section):
         return self
 
     @model_validator(mode="after")
+    def _says_one_of_weight_and_density(self) -> "Scene":
+        for key, row in rows_of_pieces(self).items():
+            said, name = self.material.density, "material.density"
+            own = self.material.named.get(row.material or "")
+            if own is not None and own.density is not None:
+                said, name = own.density, f"material.{row.material}.density"
+            if row.piece_weight is not None and said != Material().density:
+                raise ValueError(f"{key}.piece_weight = {row.piece_weight:g}: beside {name} = {said:g}; allowed: one of the two")
+        return self
+
+    @model_validator(mode="after")
     def _lists_each_pair_once(self) -> "Scene":
         known, seen = [DEFAULT, WALL, *self.material.named], set()
         for n, pair in enumerate(self.pair):
@@ -95,6 +106,14 @@ class Scene(Section):
     def to_toml(self) -> str:
         """The scene as TOML text, complete with defaults; ``parse`` reads it back."""
         return toml(self.model_dump(exclude_none=True))
+
+
+def rows_of_pieces(scene: Scene) -> dict[str, Piece | Portion | Product]:
+    """Key -> the section of pieces that are alike: a piece, a product, or the portion of one product."""
+    if scene.piece or scene.portion is None:
+        return {f"piece.{n}": row for n, row in enumerate(scene.piece)}
+    products = scene.portion.product
+    return {f"portion.product.{n}": row for n, row in enumerate(products)} if products else {"portion": scene.portion}
 
 
 def materials_named(scene: Scene) -> list[tuple[str, str]]:
@@ -121,7 +140,7 @@ def validated(
     if "product" in changes:
         tree = with_product(tree, changes.pop("product"), source)
     new = new_materials(tree, changes)
-    tree = dict(tree)
+    tree = without_density(tree) if any(key.endswith(".piece_weight") for key in changes) else dict(tree)
     for key, item in changes.items():
         set_key(tree, key.split("."), item)
     tree = on_top(tree, sections or {})

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dem_jax.build.pieces import Goods, goods_of
+from dem_jax.build.pieces import Goods, densities_of, goods_of, masses_of
 from dem_jax.scene import Scene, parse
 from dem_jax.scene.materials import MaterialTable, material_table, rows_of_pieces
 from dem_jax.shapes import extents
@@ -47,21 +47,27 @@ def _moduli(table: MaterialTable) -> str:
 
 def weight_of(run: Run) -> float:
     """Mass (kg) of all pieces of a run. Raises SceneError."""
-    return float(_masses(*_goods(parse(run.scene, "the file's scene"))).sum())
+    return float(masses_of(*_goods(parse(run.scene, "the file's scene"))).sum())
+
+
+def portion_said(scene: Scene) -> str | None:
+    """What a portion weighs beside what was asked for, in words; None: it is not made by weight. Raises SceneError."""
+    if scene.piece or scene.portion is None or scene.portion.count is not None:
+        return None
+    goods, table = _goods(scene)
+    number = goods.numbers[0]
+    mass = 1e3 * masses_of(goods, table)[:number]
+    pieces = f"{number} piece{'s' if number != 1 else ''}"
+    return f"{1e3 * scene.portion.target_weight:g} g asked, {pieces} = {mass.sum():.4g} g ({_between(mass)} g each)"
 
 
 def _goods(scene: Scene) -> tuple[Goods, MaterialTable]:
     return goods_of(scene), material_table(scene)
 
 
-def _masses(goods: Goods, table: MaterialTable) -> np.ndarray:
-    """[N] (kg)."""
-    return table.density[rows_of_pieces(table, goods.materials)] * np.array([shape.volume for shape in goods.shapes])
-
-
 def _product(scene: Scene) -> Facts:
     goods, table = _goods(scene)
-    mass = _masses(goods, table)
+    mass = masses_of(goods, table)
     kinds = [(shape.name, name) for shape, name in zip(goods.shapes, goods.materials, strict=True)]
     size = np.array([1e3 * extents(shape) for shape in goods.shapes])
     facts: Facts = []
@@ -73,13 +79,14 @@ def _product(scene: Scene) -> Facts:
     asked = scene.portion and scene.portion.count is None and scene.feeder is None
     wish = f"; {1e3 * scene.portion.target_weight:g} g asked for" if asked and scene.portion else ""
     facts.append(("together", f"{len(mass)} piece{'s' if len(mass) != 1 else ''}, {1e3 * mass.sum():.4g} g{wish}"))
-    return facts + [_material(table, k) for k in range(len(table.names)) if not table.is_wall[k]]
+    rows, density = rows_of_pieces(table, goods.materials), densities_of(table, goods.materials, goods.densities)
+    return facts + [_material(table, k, density[rows == k]) for k in range(len(table.names)) if (rows == k).any()]
 
 
-def _material(table: MaterialTable, k: int) -> tuple[str, str]:
-    """A material of pieces; of several walls the range of what holds on them."""
+def _material(table: MaterialTable, k: int, densities: np.ndarray) -> tuple[str, str]:
+    """A material of pieces with these densities (kg/m3); of several walls the range of what holds on them."""
     walls = np.flatnonzero(table.is_wall)
-    words = f"{table.density[k]:g} kg/m³, E = {_si(table.youngs_modulus[k], 'Pa')}, ε = {table.restitution[k, k]:g}"
+    words = f"{_between(densities)} kg/m³, E = {_si(table.youngs_modulus[k], 'Pa')}, ε = {table.restitution[k, k]:g}"
     on_walls = f", {_between(table.friction[k, walls])} on walls" if len(walls) else ""
     return (f"material {table.names[k]}", f"{words}, μ = {table.friction[k, k]:g} between pieces{on_walls}")
 

@@ -7,7 +7,7 @@ import numpy as np
 from dem_jax.build.load_cell import section_of
 from dem_jax.build.walls import written_out
 from dem_jax.scene import Scene, parse
-from dem_jax.show.facts import stiffness_in_short
+from dem_jax.show.facts import portion_said, stiffness_in_short
 from dem_jax.store.run import Run
 
 MISSED = 0.01  # of a peak: by how much samples may miss it before it is said
@@ -20,9 +20,11 @@ def summary(run: Run) -> list[str]:
     pieces = f"{count} piece{'s' if count != 1 else ''}"
     if run.run_count is not None:
         pieces = f"{run.run_count} runs of {pieces}"
+    asked = portion_said(parse(run.scene, "the file's scene"))
     ended = "" if run.settled is None else ", then all was settled"
     lines += [f"{key}: {_listed(values)}" for key, values in run.parameters.items()]
     lines.append(f"{pieces}, {run.time[-1]:.6g} s in samples of {run.sample:.3g} s, {run.precision}{ended}")
+    lines += [] if asked is None else [asked]
     if "settling" in info:
         lines.append(f"released after {info['settling']:.6g} s of settling, when all was settled")
     if "elapsed" in info:

@@ -8,6 +8,7 @@ order of the arrays of a State, the last one first, and then the runs that are s
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -138,11 +139,12 @@ class Quantity:
             raise ValueError(f"quantity {self.name!r}: its function gave the form {value.shape}; allowed: {need}; {why}")
         return value
 
-    def datasets(self, system: System, values: np.ndarray) -> np.ndarray | dict[str, np.ndarray]:
-        """What a file holds of values [.., T, axes as ``of`` returns them]: name -> array, or one array; time, then axes."""
+    def datasets(self, system: System, values: Any) -> Any:
+        """What a file holds of values [.., T, axes as ``of`` returns them]: name -> array, or one array; time, then axes. Of
+        numpy's arrays or JAX's."""
         rows = self.rows(system)
         order = len(self.axes) - (rows is not None)
-        turned = lambda x: np.moveaxis(x, range(-order, 0), range(-1, -order - 1, -1))  # noqa: E731
+        turned = lambda x: x.transpose(*range(x.ndim - order), *range(x.ndim - 1, x.ndim - order - 1, -1))  # noqa: E731
         if rows is None:
             return turned(values)
         return {name: turned(_row(values, place)) for name, place in rows}
@@ -169,9 +171,9 @@ def listed(quantities: Iterable[Quantity]) -> str:
     return "\n".join(rows) + "\n"
 
 
-def _row(values: np.ndarray, place: int | tuple[int, ...]) -> np.ndarray:
+def _row(values: Any, place: int | tuple[int, ...]) -> Any:
     """A row of the last axis, or the sum of some."""
-    return values[..., place] if isinstance(place, int) else values[..., list(place)].sum(axis=-1, dtype=values.dtype)
+    return values[..., place] if isinstance(place, int) else values[..., np.array(place)].sum(axis=-1, dtype=values.dtype)
 
 
 def _list(names: Iterable[str]) -> str:

@@ -85,11 +85,11 @@ def chunk_of_runs(
     return state, recorded, poses
 
 
-def rollout(system: System, state: State, samples: int, substeps: int) -> tuple[State, Sample]:
+def rollout(system: System, state: State, samples: int, substeps: int, checkpoint: bool = False) -> tuple[State, Sample]:
     """Run a given number of samples of ``substeps`` steps, differentiable in reverse mode with respect to every array.
 
-    Of a single run. Returns the last state and the samples, each field with a leading axis [samples]. Use ``chunk`` for long
-    runs.
+    Of a single run. checkpoint: reverse mode keeps the state at each rebuild only, and computes the steps between anew. Returns
+    the last state and the samples, each field with a leading axis [samples]. Use ``chunk`` for long runs.
     """
     block = max(1, system.block_steps // substeps)
     system = system.replace(substeps=jnp.full_like(system.substeps, substeps), block_steps=block * substeps)
@@ -100,8 +100,8 @@ def rollout(system: System, state: State, samples: int, substeps: int) -> tuple[
         return _seen(system, *now), recorded
 
     blocks = -(-samples // block)
-    state, recorded = jax.lax.scan(body, state, None, length=blocks)
-    return state, of_single(jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:samples], recorded))
+    state, recorded = jax.lax.scan(jax.checkpoint(body) if checkpoint else body, state, None, length=blocks)
+    return state, of_single(jax.tree.map(lambda x: x.reshape(blocks * block, *x.shape[2:])[:samples], recorded))
 
 
 def _look_around(system: System, state: State) -> Now:

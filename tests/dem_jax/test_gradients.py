@@ -1,4 +1,5 @@
-"""Derivatives of a single impact through the simulation, against finite differences and the closed forms."""
+"""Derivatives of a single impact through the simulation, against finite differences and the closed forms; of a sphere in
+test_rollout.py."""
 
 from functools import cache, partial
 
@@ -19,7 +20,6 @@ DT = 4e-6  # s: 164 steps per loading quarter period, 49 per unloading one
 TOUCH = 22.5 * DT
 HEIGHT = SPEED * TOUCH + 0.5 * G * TOUCH**2  # m, of the lower face
 EPSILON = 0.3
-DIAMETER = (6 * 19440e-9 / np.pi) ** (1 / 3)
 
 
 def frustum():
@@ -30,7 +30,6 @@ def frustum():
 
 
 PIECES = {
-    "sphere": ({"shape": "sphere", "radius": 0.5 * DIAMETER}, 0.5 * DIAMETER),
     "marshmallow": ({"shape": "chamfered-cuboid"}, 0.008),
     "frustum": ({"shape": "hull", "points": tuple(map(tuple, frustum().tolist()))}, -frustum()[:, 2].min()),
 }

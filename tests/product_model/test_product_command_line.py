@@ -97,10 +97,11 @@ def test_nothing_is_overwritten_unasked(capsys):
     assert main(SHORT) == 0
     before = load("trace.h5")["pif"]
     assert main([*SHORT, "--seed", "1"]) == 2
-    assert "exists" in capsys.readouterr().err
+    assert "out = trace.h5: exists; give another name, or --overwrite to replace it" in capsys.readouterr().err
     np.testing.assert_array_equal(load("trace.h5")["pif"], before)
     assert main([*SHORT, "--seed", "1", "--force"]) == 0
     assert not np.array_equal(load("trace.h5")["pif"], before)
+    assert main([*SHORT, "--seed", "2", "--overwrite"]) == 0
 
 
 def test_table_names_every_default_and_its_source(capsys):

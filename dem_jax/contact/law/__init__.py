@@ -3,8 +3,9 @@
 A law is a value with a type: a frozen pytree (``types.pytree``) of its parameters with the methods of ``ContactLaw``. There
 is no base class and no list of names in the step; whatever has these methods is a law. One file for each law:
 ``walton_braun`` (the paper's, the default), ``linear_dashpot``, ``hertz_mindlin``; ``cohesion`` makes a cohesive law of any
-of them; ``friction`` is the tangential spring and ``dashpot`` the damping that they share. ``LAWS`` of ``dem_jax.build.law``
-has them by the names that a scene uses, ``dem_jax.scene.sections.contact`` has their keys.
+of them, ``rolling`` one with rolling friction; ``friction`` is the tangential spring and ``dashpot`` the damping that they
+share. ``LAWS`` of ``dem_jax.build.law`` has them by the names that a scene uses, ``dem_jax.scene.sections.contact`` has their
+keys.
 """
 
 from typing import Any, NamedTuple, Protocol
@@ -31,6 +32,7 @@ class Couple(NamedTuple):
     restitution: Array
     friction: Array | None  # mu; None where no pair of the scene has any
     pull_off: Array | None  # (N): largest adhesive force; None where no pair of the scene has any
+    rolling: Array | None = None  # mu_r; None where no pair of the scene has any
 
 
 class Contact(NamedTuple):
@@ -42,6 +44,7 @@ class Contact(NamedTuple):
     normal: Vector  # [P] x 3: unit, from a to b
     dt: Array  # (s)
     turn: Vector | None = None  # [P] x 3 (rad): turn of b relative to a in this step, world axes; None unless both are polytopes
+    roll: Vector | None = None  # the same, of bodies of any kind; None where no pair of the scene has rolling friction
 
 
 class Response(NamedTuple):

@@ -4,11 +4,12 @@ import numpy as np
 
 from dem_jax.errors import SceneError
 from dem_jax.scene import Motion
+from dem_jax.scene.numbers import array
 
 
 def column(sections: list[Motion], key: str) -> np.ndarray:
     """What a key says, [G], or [3, G] of a vector. sections: one for each group."""
-    return np.array([getattr(section, key) for section in sections], float).T
+    return array([getattr(section, key) for section in sections]).T
 
 
 def unit_axis(section: Motion) -> np.ndarray:

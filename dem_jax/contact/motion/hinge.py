@@ -9,6 +9,7 @@ import numpy as np
 from dem_jax.contact.motion.columns import axes, column
 from dem_jax.maths.smooth import smooth_step
 from dem_jax.scene import Motion
+from dem_jax.scene.numbers import is_zero
 from dem_jax.types import Array, host, pytree
 
 
@@ -28,13 +29,13 @@ class Hinge:
     @staticmethod
     def asked(section: Motion) -> bool:
         """Whether the section's flap swings."""
-        return section.swing_deg != 0
+        return not is_zero(section.swing_deg)
 
     @classmethod
     def of(cls, sections: list[Motion]) -> "Hinge":
         """Of a section for each group, in numpy. Raises SceneError."""
         times = {key: host(column(sections, key)) for key in ("start", "opening", "dwell", "closing", "period")}
-        return cls(host(axes(sections)), host(np.radians(column(sections, "swing_deg"))), **times)
+        return cls(host(axes(sections)), host(column(sections, "swing_deg") * (np.pi / 180)), **times)
 
     def moves(self) -> np.ndarray:
         """Which groups swing, [G] bool, in numpy."""

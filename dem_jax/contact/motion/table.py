@@ -8,16 +8,18 @@ Of a smooth monotonic motion the error goes with the third power of the rows' di
 import csv
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 
 from dem_jax.contact.motion.columns import axes, column
+from dem_jax.contact.motion.cubics import cubics
 from dem_jax.errors import SceneError
 from dem_jax.maths.vector import Vector
 from dem_jax.scene import Motion
+from dem_jax.scene.numbers import array
 from dem_jax.types import Array, host, pytree
 
 COLUMNS = ("time", "angle_deg", "x", "y", "z")
@@ -46,16 +48,12 @@ class Table:
         """Of a section for each group, with its table ``written_out`` if it has one, in numpy. Raises SceneError."""
         most = max(len(row.times or (0.0,)) for row in sections)
         times = np.full((most, len(sections)), np.inf)
-        angles, ways = np.zeros((4, most, len(sections))), np.zeros((3, 4, most, len(sections)))
         for group, row in enumerate(sections):
-            count = len(row.times or (0.0,))
-            times[:count, group] = row.times or (0.0,)
-            if row.angles_deg is not None:
-                angles[:, :count, group] = _cubics(row.times, np.radians(row.angles_deg))
-            for k, way in enumerate(np.array(row.ways).T if row.ways is not None else ()):
-                ways[k, :, :count, group] = _cubics(row.times, way)
+            times[: len(row.times or (0.0,)), group] = row.times or (0.0,)
         turns, shifts = (any(getattr(row, key) is not None for row in sections) for key in ("angles_deg", "ways"))
         axis, pivot = (host(axes(sections)), host(column(sections, "pivot"))) if turns else (None, None)
+        angles = array([_rows(row, _radians(row), most) for row in sections]).T
+        ways = array([[_rows(row, way, most) for way in _ways(row)] for row in sections]).transpose(1, 3, 2, 0)
         return cls(axis, pivot, host(times), host(angles) if turns else None, host(ways) if shifts else None)
 
     def moves(self) -> np.ndarray:
@@ -88,12 +86,20 @@ class Table:
         """A table has an end."""
 
 
-def _cubics(times: Sequence[float] | None, values: np.ndarray) -> np.ndarray:
-    """The cubic of each row in the time since it, [4, R], highest power first; of the last, the value that it keeps."""
-    slopes = PchipInterpolator(times, values).derivative()(times)
-    slopes[[0, -1]] = 0
-    last = np.array([0, 0, 0, values[-1]])[:, None]
-    return np.concatenate([CubicHermiteSpline(times, values, slopes).c, last], axis=1)
+def _radians(section: Motion) -> Any:
+    """The angles of a section's table, [R] (rad), if it has any."""
+    return None if section.angles_deg is None else array(section.angles_deg) * (np.pi / 180)
+
+
+def _ways(section: Motion) -> Any:
+    """Those along x, y and z, each [R] (m) or None."""
+    return (None,) * 3 if section.ways is None else array(section.ways).T
+
+
+def _rows(section: Motion, values: Any, most: int) -> list[Any]:
+    """The cubic [4] of each row of a section's table, and as many of zeros as it takes; values: None if it has none."""
+    found = [] if values is None or section.times is None else list(cubics(section.times, values).T)
+    return found + [np.zeros(4)] * (most - len(found))
 
 
 def written_out(section: Motion, folder: str | Path) -> Motion:

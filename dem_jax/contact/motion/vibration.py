@@ -11,6 +11,7 @@ from dem_jax.maths import vector
 from dem_jax.maths.smooth import smooth_step
 from dem_jax.maths.vector import Vector
 from dem_jax.scene import Motion
+from dem_jax.scene.numbers import is_zero
 from dem_jax.types import Array, host, pytree
 
 
@@ -30,7 +31,7 @@ class Vibration:
     @staticmethod
     def asked(section: Motion) -> bool:
         """Whether the section has a stroke."""
-        return any(section.stroke)
+        return not all(map(is_zero, section.stroke))
 
     @classmethod
     def of(cls, sections: list[Motion]) -> "Vibration":

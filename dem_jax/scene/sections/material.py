@@ -26,6 +26,7 @@ class NamedMaterial(Section):
     restitution: Restitution | None = Field(None, description="epsilon of eq. 6, of pieces")
     friction_piece: NotNegative | None = Field(None, description="mu between pieces")
     friction_wall: NotNegative | None = Field(None, description="mu between such a piece and a wall")
+    rolling_friction: NotNegative | None = Field(None, description="mu_r of such a piece, on pieces and on walls")
     pull_off: NotNegative | None = Field(None, description="N, largest adhesive force of a contact, of pieces")
 
 
@@ -43,6 +44,9 @@ class Material(Section, extra="allow"):
     restitution: Restitution = Field(0.1, description="epsilon of eq. 6")
     friction_piece: NotNegative = Field(0.7, description="mu between pieces")
     friction_wall: NotNegative = Field(0.3, description="mu between piece and wall")
+    rolling_friction: NotNegative = Field(
+        0.0, description="mu_r of pieces, on pieces and on walls: the tangent of the slope on which a sphere just stays"
+    )
     softening: Positive = Field(0.01, description="NSF, on both moduli")
     stiffness_size: str = Field("equivalent-diameter", description="L of eqs 7-8, a name of shapes.SIZE_LENGTHS")
     separation: float = Field(0.001, ge=0, lt=1, description="lambda of eq. 1")
@@ -74,8 +78,9 @@ class Material(Section, extra="allow"):
 class Pair(Section):
     """What holds between two materials; what a pair does not set, and pairs that are not listed, follow these rules.
 
-    Two pieces of one material: its restitution, friction_piece and pull_off. Two pieces of different materials: the
-    arithmetic mean of both. A piece and a wall: the restitution, friction_wall and pull_off of the piece's material.
+    Two pieces of one material: its restitution, friction_piece, rolling_friction and pull_off. Two pieces of different
+    materials: the arithmetic mean of both. A piece and a wall: the restitution, friction_wall, rolling_friction and pull_off of
+    the piece's material.
     Stiffness follows from both moduli, eq. 5. Materials by name hold for pieces and walls alike: ``of = ["gummy",
     "gummy"]`` is said of two pieces and of a piece on a wall.
     """
@@ -85,10 +90,12 @@ class Pair(Section):
     )
     restitution: Restitution | None = Field(None, description="epsilon of eq. 6")
     friction: NotNegative | None = Field(None, description="mu")
+    rolling_friction: NotNegative | None = Field(None, description="mu_r")
     pull_off: NotNegative | None = Field(None, description="N, largest adhesive force of a contact")
 
     @model_validator(mode="after")
     def _says_something(self) -> "Pair":
-        if self.restitution is None and self.friction is None and self.pull_off is None:
-            raise ValueError("missing: restitution, friction, pull_off; at least one must be given")
+        said = (self.restitution, self.friction, self.rolling_friction, self.pull_off)
+        if all(value is None for value in said):
+            raise ValueError("missing: restitution, friction, rolling_friction, pull_off; at least one must be given")
         return self

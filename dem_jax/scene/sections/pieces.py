@@ -69,6 +69,9 @@ class PieceShape(ConvexShape):
     loss: Positive | None = Field(
         None, description="what decomposing may lose, as fraction of the volume and of the size; unset: 0.05"
     )
+    piece_weight: Positive | None = Field(
+        None, description="kg, of a piece of this size, in place of its material's density"
+    )
     note: str | None = Field(None, description="said with the results; what decomposing or simplifying changed is written here")
 
 

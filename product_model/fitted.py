@@ -1,0 +1,65 @@
+"""The parameters that a calibration found (fit.json), and draws from how sure it is of them."""
+
+import json
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+
+from product_model.inputs import BadInput
+
+FITTED = ("dt_impact", "gamma_low", "gamma_high", "h_mean")
+NINETY = 1.6448536269514722  # half of a 90 % interval in standard deviations of a normal distribution
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """What a fit says. value, low, high: by name of FITTED, SI, low and high of the 90 % intervals.
+
+    m_piece (kg), pieces: of the portions that were fitted, None where they differ or the file does not say.
+    """
+
+    value: dict[str, float]
+    low: dict[str, float]
+    high: dict[str, float]
+    m_piece: float | None = None
+    pieces: int | None = None
+
+
+def read_fit(path: str | PathLike[str]) -> Fitted:
+    """The fit of a file that `calibrate fit` wrote. Raises `BadInput` with one line."""
+    try:
+        tree = json.loads(Path(path).read_text(encoding="utf-8"))
+        rows = {name: [float(tree["parameters"][name][key]) for key in ("value", "low", "high")] for name in FITTED}
+        info = tree.get("info", {})
+        pieces, mass = ([number for number in info.get(key, [])] for key in ("pieces", "m_piece"))
+    except OSError as error:
+        raise BadInput(f"fit = {path}: cannot be read ({error.strerror or error})") from None
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise BadInput(f"fit = {path}: not a file of `calibrate fit` ({type(error).__name__}: {error})") from None
+    for name, (value, low, high) in rows.items():
+        if not (np.isfinite([value, low, high]).all() and low <= value <= high):
+            raise BadInput(f"fit = {path}: {name} = {value:g}, {low:g} to {high:g}: must be low <= value <= high, all finite")
+    values, lows, highs = ({name: row[k] for name, row in rows.items()} for k in range(3))
+    one = lambda found, kind: kind(found[0]) if len(found) == 1 else None  # noqa: E731
+    return Fitted(values, lows, highs, one(mass, float), one(pieces, int))
+
+
+def drawn(fit: Fitted, runs: int, seed: int = 0) -> dict[str, np.ndarray]:
+    """Parameters [runs] by name, each by itself: 5 % are below the interval, half below the value, 5 % above the interval.
+
+    Each side of the value is half a normal distribution, of the logarithm where low > 0; never below 0, and gamma_high at
+    least gamma_low.
+    """
+    if runs < 1:
+        raise BadInput(f"runs = {runs}: must be at least 1")
+    z = np.random.default_rng([seed, 11]).standard_normal((len(FITTED), runs)) / NINETY
+    found = {name: _between(fit.value[name], fit.low[name], fit.high[name], row) for name, row in zip(FITTED, z, strict=True)}
+    return found | {"gamma_high": np.maximum(found["gamma_high"], found["gamma_low"])}
+
+
+def _between(value: float, low: float, high: float, z: np.ndarray) -> np.ndarray:
+    if low > 0:
+        return value * np.exp(np.where(z > 0, z * np.log(high / value), z * np.log(value / low)))
+    return np.maximum(value + np.where(z > 0, z * (high - value), z * (value - low)), 0.0)

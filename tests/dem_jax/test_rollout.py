@@ -1,0 +1,228 @@
+"""A run as a differentiable function of numbers of its scene."""
+
+from functools import cache, partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import dem_jax
+from dem_jax import build, compiling, smooth_peak, validation
+from dem_jax.build.given import SWITCHES, keys_of, with_values
+from dem_jax.contact.motion.cubics import cubics
+from dem_jax.errors import SceneError
+from dem_jax.pairs import guard
+from dem_jax.validation import plate_scene
+
+DT = 4e-6  # s
+SPEED, RADIUS, EPSILON = 2.2, 0.0167, 0.4  # m/s, m
+TOUCH = 22.5 * DT  # s: half-way through a step, where the discrete peak is stationary in it, see test_gradients.py
+HEIGHT = RADIUS + SPEED * TOUCH
+
+
+def ball(**run):
+    """A sphere just above a plate."""
+    piece = {"shape": "sphere", "radius": RADIUS, "position": (0.0, 0.0, HEIGHT), "velocity": (0.0, 0.0, -SPEED)}
+    run = {"step": DT, "sample": 2 * DT, "duration": 300 * DT, "rebuild_steps": 32} | run
+    return plate_scene(piece, (0.0, 0.0, -9.81), run=run, restitution=EPSILON, friction_wall=0.0, friction_piece=0.0)
+
+
+PARAMETERS = {
+    "material.restitution": np.array(EPSILON),
+    "material.youngs_modulus": np.array(1e8),
+    "material.density": np.array(300.0),
+    "piece.0.velocity": np.array([0.0, 0.0, -SPEED]),
+}
+
+
+def outcome(parameters):
+    """Smooth peak of the force (N), last momentum (kg m/s), and the top (N) of a parabola through the largest reading."""
+    run = dem_jax.rollout(ball(), parameters)
+    force = -run.force["plate"][:, 2]
+    return jnp.stack([smooth_peak(force, 0.3), run.momentum[-1, 2], peak(force)])
+
+
+def peak(force):
+    """See test_gradients.py."""
+    k = jnp.argmax(force)
+    f0, f1, f2 = force[k - 2], force[k - 1], force[k]
+    slope, bend = 0.5 * (3 * f2 - 4 * f1 + f0), f2 - 2 * f1 + f0
+    return f2 - slope**2 / (2 * bend)
+
+
+@cache
+def reverse():
+    """Compiled: outcomes and their derivatives with weights. All the time goes into compiling."""
+    options = {"compiler_options": compiling.known("cpu") | {"xla_backend_optimization_level": 0}}
+    both = lambda p, weights: (lambda out, pull: (out, pull(weights)[0]))(*jax.vjp(outcome, p))  # noqa: E731
+    return jax.jit(both, **options)
+
+
+def test_gradients_equal_finite_differences():
+    found = [reverse()(PARAMETERS, weights)[1] for weights in jnp.eye(3)]
+    # So small that no step changes its branch of the law, so large that rounding of 50 N, 1e-14, leaves 1e-6.
+    steps = {"material.restitution": 1e-7, "material.youngs_modulus": 10.0, "material.density": 1e-4, "piece.0.velocity": 1e-8}
+    for key, h in steps.items():
+        change = np.array([0.0, 0.0, h]) if key == "piece.0.velocity" else h
+        high, low = (reverse()(PARAMETERS | {key: PARAMETERS[key] + s * change}, jnp.zeros(3))[0] for s in (1, -1))
+        finite = (np.asarray(high) - np.asarray(low)) / (2 * h)
+        derivative = np.array([np.reshape(row[key], -1)[-1] for row in found])
+        assert np.abs(derivative - finite).max() > 0 and np.isfinite(derivative).all()
+        np.testing.assert_allclose(derivative, finite, rtol=2e-5, atol=50 * 1e-14 / h, err_msg=key)
+
+
+def test_gradients_equal_the_closed_forms():
+    """F = m g + sqrt((m g)^2 + m K v^2); restitution does not enter before the peak, and is all of the rebound after it."""
+    system = build.build(ball()).system
+    mass, stiffness = float(system.pieces.mass[0]), float(validation.wall_stiffness(system)[0])
+    speed = np.sqrt(SPEED**2 + 2 * 9.81 * (HEIGHT - RADIUS))
+    case = validation.NormalImpact(mass, stiffness, EPSILON, speed, 9.81)
+    value, by = reverse()(PARAMETERS, jnp.array([0.0, 0.0, 1.0]))
+    assert abs(value[2] / case.peak_force - 1) < 1e-3 and 0 < value[0] - value[2] < 0.3 * np.log(150)
+    half, modulus = 0.5 * mass * stiffness * speed**2 / (case.peak_force - mass * 9.81), 1e8
+    share = stiffness / (0.01 * modulus * 2 * RADIUS)  # d ln K / d ln E, of two bodies in series
+    assert abs(by["material.youngs_modulus"] * modulus / (half * share) - 1) < 2e-3
+    assert abs(by["piece.0.velocity"][2] * -speed / (2 * half) - 1) < 2e-3
+    assert by["material.restitution"] == 0
+    rebound = reverse()(PARAMETERS, jnp.array([0.0, 1.0, 0.0]))[1]["material.restitution"]
+    assert abs(rebound / (mass * speed) - 1) < 0.05  # but for lambda's part
+
+
+def test_forward_mode_and_many_at_once_give_the_same():
+    """In forward mode, mapped over two impacts: values and derivatives are those of reverse mode one by one."""
+    first, rest = PARAMETERS["piece.0.velocity"], {k: v for k, v in PARAMETERS.items() if k != "piece.0.velocity"}
+    along = jnp.array([0.0, 0.0, 1.0])
+    of_velocity = lambda v: jax.jvp(lambda v: outcome(rest | {"piece.0.velocity": v}), (v,), (along,))  # noqa: E731
+    options = {"compiler_options": compiling.known("cpu") | {"xla_backend_optimization_level": 0}}
+    values, slopes = jax.jit(jax.vmap(of_velocity), **options)(jnp.stack([jnp.asarray(first), 0.5 * jnp.asarray(first)]))
+    for k, part in enumerate((1.0, 0.5)):
+        parameters = rest | {"piece.0.velocity": part * first}
+        both = [reverse()(parameters, weights) for weights in jnp.eye(3)]
+        np.testing.assert_allclose(values[k], both[0][0], rtol=1e-9)
+        np.testing.assert_allclose(slopes[k], [pull["piece.0.velocity"][2] for _, pull in both], rtol=1e-6)
+
+
+def test_it_is_the_run_that_simulate_makes():
+    scene = ball(energy=False)
+    run = dem_jax.simulate(scene.replace({"material.restitution": 0.5}))
+    found = jax.jit(partial(dem_jax.rollout, scene))({"material.restitution": 0.5})
+    assert set(found.series) == set(run.series)
+    np.testing.assert_allclose(found.time, run.time, rtol=1e-12)
+    # Steps and pairs are the same, sums are taken in another order: 300 steps of rounding.
+    np.testing.assert_allclose(found.force["plate"], run.force["plate"], atol=1e-9)
+    np.testing.assert_allclose(found.momentum, run.momentum, atol=1e-14)
+    with pytest.raises(AttributeError, match="no 'heat'; it has: contacts, energy, force"):
+        _ = found.heat
+
+
+STATION = {
+    "portion.shape": "sphere",
+    "portion.radius": 0.01,
+    "portion.count": 3,
+    "material.pull_off": 0.01,
+    "material.rest_damping": 0.1,
+    "material.rolling_friction": 0.05,
+    "weigh_bucket.load_cell": {"stiffness": 1e5},
+    "weigh_bucket.opening_angle_deg": 10.0,
+}
+WAYS = [[0.0, 0.0, 1e-3 * k] for k in range(4)]
+TABLE = {"group": "plate", "times": [0.0, 0.01, 0.02, 0.04], "angles_deg": [0.0, 3.0, 5.0, 4.0], "ways": WAYS}
+SHAKE = {"group": "other", "stroke": (0.0, 0.0, 1e-3), "swing_deg": 30.0}
+
+
+def scenes():
+    station = dem_jax.load_scene("weighing-station", STATION)
+    walls = [ball().wall[0].model_dump(), ball().wall[0].model_dump() | {"group": "other"}]
+    moving = ball().replace(wall=walls, motion=[TABLE, SHAKE], pair=[{"of": ["default", "wall"], "friction": 0.2}])
+    piece = moving.piece[0].model_dump() | {"material": "gum"}
+    rough = {f"material.{key}": 0.3 for key in ("friction_wall", "friction_piece", "rolling_friction")}
+    rough |= {"material.gum.density": 700.0, "piece": [piece]}
+    return {"station": station, "moving": moving.replace(rough)}
+
+
+def changed(scene):
+    """Values of all keys that may be given, a tenth less than the scene's own; of speeds with something added."""
+    values = {}
+    for key, form in keys_of(scene).items():
+        old = scene.model_dump()
+        for part in key.split("."):
+            old = old[int(part)] if isinstance(old, list | tuple) else old.get(part)
+        off = key.split(".")[-1] in {*SWITCHES, "pull_off"} and (not np.any(old) or old is None and not scene.material.pull_off)
+        if not (off or key.endswith(("duration", "shake_end"))):  # what ends before it begins is no motion
+            values[key] = (np.full(form, 0.5) if old is None else np.asarray(old, float)) * 0.9 + 0.01 * key.endswith("velocity")
+    return values
+
+
+@pytest.mark.parametrize("name", scenes())
+def test_values_do_what_the_scene_s_own_numbers_do(name):
+    """The arrays of system and state are those of a scene with these numbers."""
+    scene = build.self_contained(scenes()[name].replace({"run.precision": "f64", "run.step": 2e-6}))
+    made, values = build.build(scene), changed(scene)
+    assert len(values) > 30
+    system, state = with_values(scene, made, values)
+    plain = lambda value: tuple(map(tuple, value.tolist())) if value.ndim == 2 else value.tolist()  # noqa: E731
+    new = build.build(scene.replace({key: plain(value) for key, value in values.items()}))
+    walls = np.array(made.system.materials.is_wall)
+    for found, wanted in ((system, new.system), (state.motion, new.state.motion)):
+        leaves = zip(*(jax.tree_util.tree_flatten_with_path(tree)[0] for tree in (found, wanted)), strict=True)
+        for (path, one), (_, other) in leaves:
+            where = jax.tree_util.keystr(path)
+            if where.split(".")[1] in ("dt", "substeps", "domain_low", "domain_high", "reach"):
+                continue
+            one, other = np.broadcast_arrays(one, other)
+            if where.startswith(".materials") and one.ndim == 2:  # what stands between two walls means nothing
+                one, other = (np.where(np.outer(walls, walls), 0, table) for table in (one, other))
+            np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-13, err_msg=where)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "message"),
+    [
+        ({"run.sample": 1e-4}, "run.sample: decides the program or its sizes, or is .* allowed: material.density, .*run.gravity"),
+        ({"material.restitutio": 0.1}, "did you mean 'material.restitution'"),
+        ({"piece.0.radius": 0.1}, "decides the program"),
+        ({"piece.1.position": [0.0, 0.0, 1.0]}, "is no key of the scene"),
+        ({"piece.0.position": 1.0}, r"piece.0.position: a value of the form \(\); allowed: \(3,\)"),
+        ({"material.pull_off": 1.0}, "material.pull_off: the scene has 0"),
+        ({"material.friction_wall": 1.0}, "material.friction_wall: the scene has 0"),
+        ({"material.rest_damping": 1.0}, "material.rest_damping: the scene has 0"),
+    ],
+)
+def test_what_decides_the_program_is_refused_in_one_line(parameters, message):
+    with pytest.raises(SceneError, match=message) as error:
+        dem_jax.rollout(ball(), parameters)
+    assert "\n" not in str(error.value)
+
+
+def test_double_precision_is_asked_for():
+    with jax.enable_x64(False), pytest.raises(SceneError, match="jax_enable_x64"):
+        dem_jax.rollout(ball(), {})
+
+
+def test_a_run_that_outgrew_its_room_is_told():
+    made = build.build(ball())
+    good = made.state.guard
+    for bad in (good.replace(travel=2 * made.system.skin), good.replace(touching=jnp.int32(99))):
+        assert guard.outgrown(made.system, jax.device_get(bad)) and not guard.stands(made.system, bad)
+    assert not guard.outgrown(made.system, jax.device_get(good)) and guard.stands(made.system, good)
+    assert guard.roomy(made.system).skin > 100 and made.system.skin < 2e-3
+    assert guard.roomy(made.system.replace(touching=0)).skin == made.system.skin
+
+
+def test_a_smooth_peak_tends_to_the_peak():
+    values = 40.0 - 0.02 * (np.arange(-300, 300) - 0.3) ** 2
+    both = jax.jit(jax.value_and_grad(smooth_peak))
+    for width in (3.0, 0.3, 0.1):
+        value, weights = both(values, width)
+        assert float(value) == pytest.approx(40.0 + 0.5 * width * np.log(np.pi * width / 0.02), abs=1e-6 * width)
+        assert float(weights.sum()) == pytest.approx(1.0) and int(weights.argmax()) == 300
+    assert float(both(values, 1e-4)[0]) == pytest.approx(values.max(), abs=1e-9)
+
+
+def test_cubics_of_values_that_are_differentiated_are_those_of_numbers():
+    times, random = np.cumsum(np.array([0.0, 0.1, 0.3, 0.05, 0.2, 0.4])), np.random.default_rng(0)
+    for values in (random.normal(size=6), np.sort(random.normal(size=6)), np.zeros(6)):
+        found = jax.jit(partial(cubics, times))(values)
+        np.testing.assert_allclose(found, cubics(times, values), rtol=1e-12, atol=1e-10)
+    assert np.isfinite(jax.jit(jax.jacfwd(partial(cubics, times)))(jnp.zeros(6))).all()
