@@ -19,13 +19,20 @@ def _curves(targets: list[Target], align: str, bin_: float, start: float, length
     return np.array(rows) / targets[0].gravity
 
 
-PARTS = 40  # of the time in which pieces land, over each of which forces are averaged
+FINE, PARTS = 5e-4, 12  # s; of the time in which pieces land, over each of which forces are averaged
+
+
+def _landing(curves: np.ndarray) -> tuple[float, float]:
+    """Times (s) from the beginning of curves in bins of FINE between which pieces land: 5 to 95 % of the sum of squares."""
+    share = np.cumsum(np.sum(curves**2, axis=0))
+    first, last = np.searchsorted(share, [0.05 * share[-1], 0.95 * share[-1]])
+    return FINE * float(first), FINE * float(last + 1)
 
 
 def figure(result: Fit, targets: list[Target], seed: int = 0, bin_: float | None = None) -> "Figure":
     """Mean and 5-95 % band of traces and model, and the difference of the means with how much of it is chance.
 
-    bin_: (s) over which forces are averaged first; None: a fortieth of the time in which pieces land, so that most bins of most
+    bin_: (s) over which forces are averaged first; None: a twelfth of the time in which pieces land, so that most bins of most
     traces have an impact. (At a given time most traces have none: a median of short bins would be 0 nearly everywhere.)
     """
     from matplotlib.figure import Figure
@@ -39,7 +46,9 @@ def figure(result: Fit, targets: list[Target], seed: int = 0, bin_: float | None
         for t in targets
     )
     length = max(last - (begin if align == "release" else min(t.first_impact for t in targets)) + 0.02, 0.03)
-    bin_ = bin_ or length / PARTS
+    first, last = _landing(_curves(targets, align, FINE, begin, length))
+    begin, length = begin + max(first - 0.5 * (last - first), 0.0), min(2.5 * (last - first), length)
+    bin_ = bin_ or (last - first) / PARTS
     time_ms = 1e3 * (begin + bin_ * (np.arange(int(length / bin_)) + 0.5))
     measured, made = (_curves(group, align, bin_, begin, length) for group in (targets, model))
     fig = Figure(figsize=(9, 7), layout="constrained")
