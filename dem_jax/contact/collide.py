@@ -22,6 +22,7 @@ from dem_jax.types import Array, Hulls
 
 # Normals: a face's normal is taken instead of an edge-edge axis whose overlap is smaller by less than this part
 # of the depth, because an edge-edge axis nearly parallel to a face's flickers. The depth stays the exact minimum.
+FURTHEST = 1.1  # of the square of a bounding radius: beyond, a contact point is an error
 FACE_PREFERENCE = 0.02
 
 # Beyond a seam the wall goes on, so that nothing is pushed across it: the overlap along an axis that points so is raised
@@ -185,7 +186,18 @@ def pressure_centre(a: Hulls, b: Hulls, rel: Relative, depth: Array, normal: Vec
     top, (weight, x, y, z) = _zonogons(a, b, rel, depth, normal, _facing(a, normal), _facing(b, on_b))
     scale = 1 / jnp.where(weight > 0, weight, 1)
     point = vector.where(weight > 0, vector.scale(scale, (x, y, z)), vector.scale(top - 0.5 * depth, normal))
-    return point, weight
+    return near_b(point, b.bounding_radius, rel, top - 0.5 * depth, normal), weight
+
+
+def near_b(point: Vector, radius: Array, rel: Relative, surface: Array, normal: Vector) -> Vector:
+    """The point, or below b's centre on the surface between the two where it is further from that centre than any of b.
+
+    Of an overlap that is no deeper than rounding the weight may be nothing, or next to nothing while the integrals that it divides
+    are not. radius: [P] or [1] (m), that bounds b; surface: [P] (m), its height along the normal above a's centre.
+    """
+    away = vector.sub(point, rel.offset)
+    below = vector.add_scaled(rel.offset, surface - dot(normal, rel.offset), normal)
+    return vector.where(dot(away, away) > FURTHEST * radius * radius, below, point)
 
 
 def _zonogons(

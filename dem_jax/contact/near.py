@@ -9,7 +9,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from dem_jax.contact.collide import FACE_PREFERENCE, Relative, clipped
+from dem_jax.contact.collide import FACE_PREFERENCE, Relative, clipped, near_b
 from dem_jax.contact.edges import couples
 from dem_jax.contact.look import facing, look
 from dem_jax.maths import vector
@@ -178,8 +178,9 @@ def pressure_centre(
         )
     weight, x, y, z = [jnp.sum(p, axis=0) + jnp.sum(q, axis=0) for p, q in zip(first, second, strict=True)]
     scale = 1 / jnp.where(weight > 0, weight, 1)
-    point = vector.where(weight > 0, vector.scale(scale, (x, y, z)), vector.scale(found.top - 0.5 * found.along, found.normal))
-    return point, weight
+    middle = found.top - 0.5 * found.along
+    point = vector.where(weight > 0, vector.scale(scale, (x, y, z)), vector.scale(middle, found.normal))
+    return near_b(point, hulls.bounding_radius[rows[1]], rel, middle, found.normal), weight
 
 
 def _plane_of(hulls: Hulls, face: Array, row: Array) -> Vector:

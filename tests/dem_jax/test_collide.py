@@ -342,6 +342,23 @@ def test_what_the_contact_point_jumps_by_when_another_face_looks_most_along_the_
 # --- spheres ---
 
 
+@pytest.mark.parametrize("tilt", [1e-6, 1e-3, 0.3])
+def test_the_contact_point_of_an_overlap_no_deeper_than_rounding_is_at_the_piece(tables, tilt):
+    """It was up to hundreds of metres away, and a piece at rest on stiff contacts was thrown out of its heap."""
+    random, count = np.random.default_rng(0), 2 * BATCH
+    along = lambda angle, axis: Rotation.from_rotvec(angle[:, None] * np.array(axis))  # noqa: E731
+    turn = Rotation.from_rotvec(tilt * random.normal(size=(count, 3))) * along(random.choice(4, count) * np.pi / 2, (1.0, 0, 0))
+    turn = along(random.uniform(0, 2 * np.pi, count), (0, 0, 1.0)) * turn
+    corners = np.array([one.apply(principal(MARSHMALLOW)) for one in turn])
+    height = 0.005 - corners[..., 2].min(axis=1) - random.uniform(0, 2e-9, count)
+    slope = along(np.full(count, 0.96), (1.0, 0, 0))
+    place = slope.apply(np.column_stack([random.uniform(-0.03, 0.03, (count, 2)), height]))
+    depth, _, point = contact(tables["single"], 2, 0, (slope, np.zeros((count, 3))), (slope * turn, place), np.float32)
+    assert (depth > 0).sum() > count / 4
+    furthest = np.linalg.norm(corners, axis=2).max() * np.sqrt(collide.FURTHEST)
+    assert np.linalg.norm(point - place, axis=1)[depth > 0].max() < furthest * (1 + 1e-5)
+
+
 def test_two_spheres(tables):
     random = np.random.default_rng(7)
     radius = random.uniform(0.005, 0.02, (2, BATCH))
