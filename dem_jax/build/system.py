@@ -60,6 +60,8 @@ def build(scene: Scene, seed: int = 0, law: ContactLaw | None = None) -> Built:
     pieces = piece_arrays(scene, goods)
     law, materials = law or law_of(scene), materials_of(scene)
     contacts = possible_contacts(law, materials, made, pieces)
+    if not contacts:
+        raise SceneError(f"{scene.name}: a single piece and no wall: nothing can touch; allowed: another piece, or a [[wall]]")
     together = 1 if len(made) == len(panels) == 1 else 2
     step = choose_step(scene, law, contacts, together, added_rate(scene, law, contacts, len(made)))
     settling = settling_samples(scene) * step.substeps

@@ -6,6 +6,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from dem_jax import build, shapes, validation
+from dem_jax.errors import SceneError
 from dem_jax.pairs import guard, neighbours
 from dem_jax.scene import Scene, arrange, load_scene
 from dem_jax.step import stepping
@@ -117,3 +118,8 @@ def test_random_orientations_are_uniform():
     for axis in Rotation.from_quat(q, scalar_first=True).as_matrix().transpose(2, 1, 0):
         assert np.abs(axis.mean(1)).max() < 5 / np.sqrt(3 * 20000)  # five standard errors
         assert np.abs((axis**2).mean(1) - 1 / 3).max() < 5 * np.sqrt(4 / 45 / 20000)
+
+
+def test_a_piece_that_nothing_can_touch_is_said():
+    with pytest.raises(SceneError, match="a single piece and no wall: nothing can touch; allowed: another piece"):
+        build.build(load_scene("plate-drop").replace(wall=[], block=[]))
