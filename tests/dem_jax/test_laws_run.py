@@ -110,7 +110,7 @@ def test_a_run_goes_on_in_the_middle_of_a_contact_with_the_same_bits(law, pull_o
     assert (whole.mean_force["plate"][:, 2] > 1e-3).any() == (pull_off > 0)  # it pulls at the plate
 
 
-@pytest.mark.parametrize("law", ["linear-dashpot", "hertz-mindlin"])
+@pytest.mark.parametrize("law", ["hertz-mindlin"])
 def test_runs_side_by_side_equal_single_ones(law):
     """Sixteen in one program, as of f32 production and f64: up to rounding, before contacts amplify it."""
     portion = {"count": 2, "arrangement": "scattered", "shape": "sphere", "radius": 0.012}

@@ -78,8 +78,7 @@ def computed(precision, runs, out=None, samples=SHORT, quantities=OWN):
 # --- what follows from a declaration ---
 
 
-@pytest.mark.parametrize("precision", ["f32", "f64"])
-@pytest.mark.parametrize("runs", [None, 2, JOINED])
+@pytest.mark.parametrize(("runs", "precision"), [(None, "f32"), (2, "f64"), (JOINED, "f32")])
 def test_every_quantity_is_in_the_file_with_its_unit_and_comes_back(tmp_path, precision, runs):
     run = computed(precision, runs, tmp_path / "run.h5")
     lead = () if runs is None else (runs,)
