@@ -10,7 +10,8 @@ import subprocess
 import sys
 import time
 
-BENCHMARKS = ("steps", "skips", "accuracy", "depth", "stability", "shapes", "peers", "scaling", "product_model", "calibration")
+BENCHMARKS = ("steps", "skips", "accuracy", "depth", "validation", "stability", "faults")
+BENCHMARKS += ("shapes", "peers", "scaling", "product_model", "calibration")
 
 
 def command(name, quick):

@@ -261,6 +261,7 @@ class System(Tree):
     sample_parts: int = static()  # a sample interval of more steps than the next is cut into so many parts, a rebuild before each
     block_steps: int = static()  # most steps between rebuilds of the pairs; one comes before the sample that exceeds it
     slot_block: int = static()  # contacts are computed so many at a time, at most; 0: all slots at once
+    exchanges: bool = static()  # whether pieces come in and leave: State.exchange
     runs: int = static()  # R, how many runs this is, side by side; they do not see each other
     blocks: tuple[str, ...] = static()  # names of the B blocks
     quantities: tuple = static()  # step.quantity.Quantity of all that is sampled
@@ -371,6 +372,17 @@ class Collisions(Tree):
 
 
 @pytree
+class Exchange(Tree):
+    """Which pieces are in the scene, and what came into it and left it; all others wait outside, at rest."""
+
+    there: Array  # [N] bool
+    count: Array  # [2, R] int32: pieces that came in, and that were taken out
+    mass: Array  # [2, R] (kg): likewise
+    energy: Array  # [R] (J): kinetic and potential, of what came in less that of what was taken out
+    last: Array  # int32: step at which pieces were last exchanged
+
+
+@pytree
 class Scratch(Tree):
     """What the rebuild at the beginning of each block of steps fills anew, from the rest of the state."""
 
@@ -398,6 +410,7 @@ class State(Tree):
     walls: WallLoads
     cell: CellMotion | None  # None: no wall is on a load cell
     collisions: Collisions | None  # None: nobody asked for them
+    exchange: Exchange | None  # None: all pieces are there from beginning to end
     contacts: dict[str, ContactTable]  # by kind of contact
     incidence: Array  # [touching, N] int32: where the contacts of each piece stand among all (see neighbours.find_incidence)
     ledger: Ledger

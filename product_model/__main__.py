@@ -1,4 +1,4 @@
-"""Command line: `python -m product_model simulate ...`, `stream ...` and `table`."""
+"""Command line: `python -m product_model simulate ...`, `stream ...`, `fmu ...` and `table`."""
 
 import argparse
 import os
@@ -52,6 +52,10 @@ def _parser() -> argparse.ArgumentParser:
     simulate.add_argument("--overwrite", "--force", action="store_true", help="replace files that exist")
     streamed = commands.add_parser("stream", help="one random portion sample by sample, as lines of a table on the standard output")
     _add_inputs(streamed, FORMS[:2])
+    unit = commands.add_parser("fmu", help="a functional mock-up unit (FMI 2.0), for Simulink, OpenModelica and the like")
+    _add_inputs(unit, FORMS[:2])
+    unit.add_argument("out", metavar="OUT", help=".fmu")
+    unit.add_argument("--overwrite", action="store_true", help="replace a file that exists")
     return parser
 
 
@@ -138,6 +142,14 @@ def _stream(args: argparse.Namespace) -> None:
         sys.stdout.flush()
 
 
+def _fmu(args: argparse.Namespace) -> None:
+    from product_model.fmu import check_fmu, write_fmu
+
+    check_fmu(args.out, args.overwrite)
+    params, _ = _inputs(args)
+    print(write_fmu(args.out, params, args.seed, args.overwrite))
+
+
 def _check_figure(name: str, force: bool) -> None:
     path = Path(name)
     if path.suffix not in (".png", ".pdf", ".svg"):
@@ -180,7 +192,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(table())
         return 0
     try:
-        {"simulate": _simulate, "stream": _stream}[args.command](args)
+        {"simulate": _simulate, "stream": _stream, "fmu": _fmu}[args.command](args)
     except BadInput as error:
         print(f"product_model: {error}", file=sys.stderr)
         return 2

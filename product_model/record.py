@@ -19,6 +19,7 @@ FileName = str | PathLike[str]
 GROUP = "wb_flaps"  # wall group whose force this is in the discrete element model
 BLOCK = "wb"  # block whose settled mass it is
 SUFFIXES = (".h5", ".hdf5", ".csv", ".mat")
+FORM = ("v108", "v108")  # of HDF5: older ones do not check what says where data are, and reading damaged ones may never end
 
 
 def check_output(path: FileName, overwrite: bool = False) -> Path:
@@ -123,9 +124,10 @@ def _hdf5(path: Path, trace: Trace, params: Parameters, seed: int | None, varied
     }
     units = {row.name: row.unit for row in INPUTS}
     table |= {f"parameters/{name}": (values, units[name]) for name, values in varied.items()}
-    with h5py.File(path, "w") as file:
+    with h5py.File(path, "w", libver=FORM) as file:
         for name, (values, unit) in table.items():
-            file.create_dataset(name, data=values).attrs["units"] = unit
+            checked = {"fletcher32": True} if np.size(values) and np.ndim(values) else {}  # HDF5 can check no others
+            file.create_dataset(name, data=values, **checked).attrs["units"] = unit
         file.attrs["scene"] = scene_text(params, trace)
         file.attrs["program"] = "product_model"
         file.attrs["version"] = version()

@@ -6,7 +6,7 @@ import tempfile
 
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 os.environ.setdefault("MPLBACKEND", "Agg")
-os.environ.setdefault("NOTEBOOK_DROPS", "4")
+os.environ.setdefault("NOTEBOOK_DROPS", "2")
 
 # Compile time is most of the suite's time. The cache is keyed by the compiled program, so it never changes a result.
 # Set in the environment, so that processes that tests start, notebooks too, share it.

@@ -7,8 +7,6 @@ in a file. A run that is to take very long is set up, and shortened where it can
 
 import argparse
 import collections
-import multiprocessing as mp
-import time
 import traceback
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,6 +15,8 @@ from typing import Annotated, Any, NamedTuple, Union, get_args, get_origin
 
 import numpy as np
 from pydantic import BaseModel
+
+from benchmarks import apart
 
 FLOATS = (1e-300, 1e-30, 1e-6, 1e6, 1e30, 1e300)
 WHOLE = (1, 10**6, 2**31, 10**30, 10**400)
@@ -154,36 +154,6 @@ def _steps(job: Any) -> int:
     return job.built.settling_steps + job.samples * int(job.system.substeps) * job.system.sample_parts
 
 
-def _work(pipe: Any) -> None:
-    while (case := pipe.recv()) is not None:
-        pipe.send(outcome(case))
-
-
-def outcomes(of: list[Case]) -> Iterator[tuple[Case, str, str, float]]:
-    """Case, what came of it, words, seconds; computed in a process of its own, which is ended if it hangs."""
-    context, child, pipe = mp.get_context("spawn"), None, None
-    for case in of:
-        if child is None or pipe is None:
-            pipe, other = context.Pipe()
-            child = context.Process(target=_work, args=(other,), daemon=True)
-            child.start()
-            other.close()
-        start = time.perf_counter()
-        pipe.send(case)
-        try:
-            kind, words = pipe.recv() if pipe.poll(PATIENCE) else ("hang", f"more than {PATIENCE:g} s")
-        except EOFError:
-            kind, words = "killed", ""
-        if kind in ("hang", "killed"):
-            child.kill()
-            child.join()
-            child = None
-        yield case, kind, words, time.perf_counter() - start
-    if child is not None and pipe is not None:
-        pipe.send(None)
-        child.join()
-
-
 def main(argv: list[str] | None = None) -> int:
     """Print what is not as allowed, and how often what came out."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.stability.extremes", description=__doc__.splitlines()[0])
@@ -194,7 +164,7 @@ def main(argv: list[str] | None = None) -> int:
     chosen = [case for case in cases() if case.scene in options.scenes][:: options.every]
     print(f"{len(chosen)} cases", flush=True)
     count: collections.Counter[str] = collections.Counter()
-    for case, kind, words, seconds in outcomes(chosen):
+    for case, kind, words, seconds in apart.outcomes(outcome, chosen, PATIENCE):
         count[kind] += 1
         if kind not in GOOD or options.all:
             print(f"{case}: {kind} after {seconds:.1f} s: {words}", flush=True)

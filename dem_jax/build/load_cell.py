@@ -11,7 +11,7 @@ from dem_jax.scene.numbers import array, sqrt
 from dem_jax.types import LoadCell as Cell
 from dem_jax.types import host
 
-GROUPS = ("wb_walls", "wb_flap_left", "wb_flap_right")  # that it carries: the weigh bucket's, as scene.buckets names them
+GROUPS = ("wb_walls", "wb_flap_left", "wb_flap_right", "wb_flaps")  # that it carries, as scene.buckets names them
 BEND = 0.5e-3  # m, at the rated load
 STANDARD_GRAVITY = 9.81  # m/s2: of the rated load
 

@@ -72,7 +72,7 @@ def _hull(row: ConvexShape, folder: str | Path) -> tuple[shapes.Shape, np.ndarra
     """The hull of a row before scaling, its centre of mass [3] (m) in the frame of its points, and what simplifying changed."""
     if row.stl is not None:
         shape, centre = shapes.placed_hull_of_stl(Path(folder) / row.stl, row.unit)
-        check_unit(row, [shape.vertices])
+        check_unit(row, row.stl, [shape.vertices])
     else:
         shape, centre = shapes.placed_hull(np.array(row.points) * row.unit)
     most = row.max_corners or shapes.MOST_CORNERS
@@ -103,7 +103,7 @@ class Goods:
 
     shapes: tuple[shapes.Shape, ...]  # of each piece, scaled; one object where pieces are alike
     materials: tuple[str | None, ...]  # name of the material of each, None: [material] itself
-    numbers: tuple[int, ...]  # pieces of the portion and, with a feeder, on it; () of pieces listed one by one
+    numbers: tuple[int, ...]  # pieces of the portion, with a feeder on it, with an inlet those that wait; () of pieces listed
     densities: tuple[float | None, ...]  # of each (kg/m3), where its weight is given; None: that of its material
 
 
@@ -168,7 +168,8 @@ def _shapes_of_rows(rows: Sequence[PieceShape], key: str, folder: str) -> list[s
 
 
 def counts_of(scene: Scene, of: Portion, made: Sequence[shapes.Shape]) -> list[tuple[int, ...]]:
-    """Pieces of each product (shapes ``made``): of the portion, and on the feeder if there is one (by default as many)."""
+    """Pieces of each product (shapes ``made``): of the portion, on the feeder if there is one, and of those that wait for an inlet
+    if there is one (by default as many)."""
     table = material_table(scene)
     own = [_own_density(row, shape) for row, shape in zip(of.rows, made, strict=True)]
     mass = densities_of(table, [row.material for row in of.rows], own) * np.array([shape.volume for shape in made])
@@ -184,9 +185,9 @@ def counts_of(scene: Scene, of: Portion, made: Sequence[shapes.Shape]) -> list[t
         held = portion.numbers_of_weight(mix, of.target_weight)
     else:
         held = (arrange.count(of.target_weight, float(mass[0])),)
-    if scene.feeder is None:
-        return [held]
-    return [held, held if scene.feeder.count is None else portion.apportioned(np.array(held), scene.feeder.count)]
+    more = [scene.feeder.count] if scene.feeder else []
+    more += [scene.inlet.waiting] if scene.inlet else []
+    return [held, *(held if count is None else portion.apportioned(np.array(held), count) for count in more)]
 
 
 def named(key: str, function: Callable, *arguments: Any) -> Any:
@@ -209,7 +210,7 @@ def with_points(row: PieceShape, folder: str | Path) -> PieceShape:
     given = _given(row)
     if row.shape == "decomposed":
         found = shapes.decompose(Path(folder) / given["stl"], row.unit, **_cutting(row))
-        check_unit(row, found.points)
+        check_unit(row, given["stl"], found.points)
         return _cut(row, found)
     if row.shape == "compound":
         parts = [named(f"part.{n}", _part_with_points, part, folder) for n, part in enumerate(row.part)]

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
+from dem_jax.build import exchange
 from dem_jax.contact import collisions, ledger
 from dem_jax.errors import SceneError
 from dem_jax.maths import rotation
@@ -98,8 +99,8 @@ def motion_of_start(system: System, start: Start, frames: np.ndarray) -> Motion:
     )
 
 
-def first_state(system: System, start: Start, frames: np.ndarray, step: int) -> State:
-    """The state at a step, without any contact; start, frames: as of ``motion_of_start``."""
+def first_state(system: System, start: Start, frames: np.ndarray, step: int, waiting: int = 0) -> State:
+    """The state at a step, without any contact; start, frames: as of ``motion_of_start``; waiting: last pieces, outside."""
     dtype, n = system.dt.dtype, len(start.position)
     groups, runs = len(system.walls.groups), system.runs
     columns = 2 * sum(room for *_, room in system.capacity)  # of loads
@@ -113,6 +114,7 @@ def first_state(system: System, start: Start, frames: np.ndarray, step: int) -> 
         walls=WallLoads(host(np.zeros((3, groups, runs), dtype)), host(np.zeros((3, groups, runs), dtype))),
         cell=cell,
         collisions=collisions.none_yet(system, dtype),
+        exchange=exchange.at_first(system, waiting, step, dtype) if system.exchanges else None,
         contacts=neighbours.no_contacts(system),
         incidence=host(np.full((system.touching, n), columns, np.int32)),
         ledger=ledger.empty_ledger(system, dtype),

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from dem_jax.build.exchange import Plan, boxes_of, domain_with, plan_of
 from dem_jax.build.finite import MOST_STEPS, check_finite, check_steps
 from dem_jax.build.law import law_of, materials_of
 from dem_jax.build.load_cell import added_rate
@@ -18,7 +19,7 @@ from dem_jax.build.start import Box, Start, first_state, motion_of_start, placed
 from dem_jax.build.statistics import statistics_of
 from dem_jax.build.time_step import TimeStep, block_steps, choose_step, longest_reach, possible_contacts
 from dem_jax.build.typed import typed
-from dem_jax.build.walls import wall_arrays, walls_of, written_out
+from dem_jax.build.walls import wall_arrays, walls_of, with_buckets_read, written_out
 from dem_jax.contact import motion
 from dem_jax.contact.law import ContactLaw
 from dem_jax.errors import SceneError
@@ -45,9 +46,10 @@ class Built:
     settling_steps: int  # steps before time zero
     samples: int  # to be run
     frame_every: int  # samples between stored frames; 0: none
-    regions: list[Box]  # in which pieces are scattered: of the feed bucket, of the feeder
+    regions: list[Box]  # in which pieces are scattered: of the feed bucket, of the feeder, and where those of an inlet wait
     numbers: tuple[int, ...]  # pieces in each of these boxes; () of pieces listed one by one
     goods: Goods  # the pieces before they are anywhere
+    exchange: Plan | None  # how pieces come in and leave
 
 
 def build(scene: Scene, seed: int = 0, law: ContactLaw | None = None) -> Built:
@@ -56,6 +58,8 @@ def build(scene: Scene, seed: int = 0, law: ContactLaw | None = None) -> Built:
     goods = goods_of(scene)
     made = list(goods.shapes)
     panels, motions, joint, blocks, regions = walls_of(scene)
+    plan, waiting = plan_of(scene, panels, regions, made), goods.numbers[-1] if scene.inlet else 0
+    regions = boxes_of(scene, panels, regions, goods.numbers, made)
     start = placed(scene, made, goods.numbers, regions, np.random.default_rng(seed))
     pieces = piece_arrays(scene, goods)
     law, materials = law or law_of(scene), materials_of(scene)
@@ -69,7 +73,7 @@ def build(scene: Scene, seed: int = 0, law: ContactLaw | None = None) -> Built:
     check_steps(scene, settling, samples, step.substeps, step.dt)
     frame_every = min(max(1, round(scene.run.frames / scene.run.sample)), MOST_STEPS) if scene.run.frames else 0
     walls, plates, seams = wall_arrays(scene, panels, motions, joint, dtype)
-    domain = _domain(scene, panels, start, made)
+    domain = _domain(scene, panels, start.position[: len(made) - waiting], made, plan)
     solids = solids_of(made)
     parts, convex = part_arrays(solids), [solid.shape for row in solids for solid in row]
     table, shape_rows = hull_table(solids, plates, seams)
@@ -105,17 +109,20 @@ def build(scene: Scene, seed: int = 0, law: ContactLaw | None = None) -> Built:
         sample_parts=step.parts,
         block_steps=block_steps(scene),
         slot_block=0,
+        exchanges=plan is not None,
         runs=1,
         blocks=tuple(b.name for b in blocks),
-        quantities=quantities.sampled(walls, scene.statistics is not None),
+        quantities=quantities.sampled(walls, scene.statistics is not None, plan is not None),
     )
     turns = materials.friction is not None or materials.rolling is not None or bool(np.any(start.spin))
     system = system.replace(has_rotation=has_hulls or turns)
     frames = np.array([m.principal for m in made])
-    state = first_state(system, start, frames, -settling)
+    state = first_state(system, start, frames, -settling, waiting)
     check_finite(scene, system, state)
     shortest = shortest_contact(law, contacts)
-    return Built(system, state, step, shortest, tuple(made), frames, settling, samples, frame_every, regions, goods.numbers, goods)
+    return Built(
+        system, state, step, shortest, tuple(made), frames, settling, samples, frame_every, regions, goods.numbers, goods, plan
+    )
 
 
 def self_contained(scene: Scene) -> Scene:
@@ -128,24 +135,29 @@ def self_contained(scene: Scene) -> Scene:
     walls = [panel for n, wall in enumerate(scene.wall) for panel in named(f"wall.{n}", written_out, wall, scene.folder)]
     motions = tuple(motion.written_out(row, scene.folder) for row in scene.motion)
     changes = {"piece": tuple(rows), "portion": portion, "wall": tuple(walls), "motion": motions, "folder": "."}
-    return scene.model_copy(update=changes)
+    return with_buckets_read(scene).model_copy(update=changes)
 
 
-def _domain(scene: Scene, panels: Sequence[Panel], start: Start, made: Sequence[Shape]) -> tuple[np.ndarray, np.ndarray]:
-    points = np.concatenate([start.position, *[corners for _, corners, _ in panels]])
+def _domain(
+    scene: Scene, panels: Sequence[Panel], position: np.ndarray, made: Sequence[Shape], plan: Plan | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """position: [n, 3] (m), of the pieces that are there at first."""
+    points = np.concatenate([position, *[corners for _, corners, _ in panels]])
     margin = 0.1 + 2 * max(m.bounding_radius for m in made)
     low, high = points.min(0) - margin, points.max(0) + margin
+    if plan is not None:
+        low, high = domain_with(plan, low, high, scene.run.gravity)
     if scene.run.domain_low is not None:
         low = np.array(scene.run.domain_low)
     if scene.run.domain_high is not None:
         high = np.array(scene.run.domain_high)
     if (low >= high).any():
         raise SceneError(f"run.domain_low = {low.tolist()}: allowed: below run.domain_high = {high.tolist()}")
-    out = (start.position < low) | (start.position > high)
+    out = (position < low) | (position > high)
     if out.any():
         k = int(np.argmax(out.any(1)))
         where = f"outside the domain {low.tolist()} to {high.tolist()}"
-        raise SceneError(f"piece.{k}.position = {start.position[k].tolist()}: {where}")
+        raise SceneError(f"piece.{k}.position = {position[k].tolist()}: {where}")
     return low, high
 
 

@@ -5,20 +5,20 @@ from collections.abc import Sequence
 import numpy as np
 
 from dem_jax.errors import SceneError
-from dem_jax.scene import ConvexShape, Wall
+from dem_jax.scene import Bucket, ConvexShape, Wall
 
 LARGEST_PIECE, LARGEST_WALL = 1.0, 10.0  # m; a bean in mm taken for m is larger, and so is a bucket
 
 
-def check_unit(row: ConvexShape | Wall, points: Sequence[np.ndarray]) -> None:
-    """Raise SceneError for a piece or a wall whose STL is too large to be in metres, unless its unit is written.
+def check_unit(row: ConvexShape | Wall | Bucket, stl: str | None, points: Sequence[np.ndarray]) -> None:
+    """Raise SceneError for a piece, a wall or a bucket whose STL is too large to be in metres, unless its unit is written.
 
     points: [.., 3] (m) each, corners of the parts or panels of the STL.
     """
-    limit = LARGEST_WALL if isinstance(row, Wall) else LARGEST_PIECE
-    if row.stl is None or "unit" in row.model_fields_set or not len(points):
+    limit = LARGEST_WALL if isinstance(row, Wall | Bucket) else LARGEST_PIECE
+    if stl is None or "unit" in row.model_fields_set or not len(points):
         return
     size = np.ptp(np.concatenate(points), axis=0)
     if size.max() > limit:
         words = " x ".join(f"{edge:.4g}" for edge in size)
-        raise SceneError(f"stl = {row.stl!r} is {words} m large; allowed: unit = 1e-3 if it is in mm, unit = 1.0 if it is in m")
+        raise SceneError(f"stl = {stl!r} is {words} m large; allowed: unit = 1e-3 if it is in mm, unit = 1.0 if it is in m")

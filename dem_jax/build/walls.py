@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import DTypeLike
+from scipy.spatial.transform import Rotation
 
 from dem_jax import shapes
 from dem_jax.build.load_cell import load_cell_of
@@ -14,18 +15,20 @@ from dem_jax.build.typed import typed
 from dem_jax.build.unit import check_unit
 from dem_jax.contact import motion
 from dem_jax.errors import SceneError
-from dem_jax.scene import Block, Motion, Scene, Wall, buckets
+from dem_jax.scene import Block, Bucket, Motion, Scene, Wall, buckets
 from dem_jax.scene.buckets import Panel
 from dem_jax.scene.cycle import timed
 from dem_jax.scene.materials import material_table, rows_of_groups
 from dem_jax.shapes import Shape, meshes
 from dem_jax.types import Walls, host
 
+AS_READ = {"unit": 1.0, "rotate_deg": (0.0, 0.0, 0.0), "move": (0.0, 0.0, 0.0)}  # of what is in metres where it is
+
 
 def walls_of(scene: Scene) -> tuple[list[Panel], list[Motion], dict[str, str], list[Block], list[Box]]:
     """Panels (group, corners, thickness), sections of motions, reported names, blocks, and the boxes (low, high) in which
     pieces start: of the feed bucket, of the feeder."""
-    scene = timed(scene)
+    scene = with_buckets_read(timed(scene))
     panels: list[Panel] = []
     joint: dict[str, str] = {}
     blocks, regions = list(scene.block), list[Box]()
@@ -47,7 +50,7 @@ def walls_of(scene: Scene) -> tuple[list[Panel], list[Motion], dict[str, str], l
         feeder = buckets.feeder_parts(scene.feeder, found[-1])
         panels += feeder.panels
         motions.append(feeder.motion)
-        blocks.append(found[-1].block)
+        blocks += [found[-1].block, feeder.block]
         regions.append((feeder.interior_low, feeder.interior_high))
     known = {group for group, _, _ in panels}
     for row in motions:
@@ -62,22 +65,49 @@ def panels_of(wall: Wall, folder: str | Path) -> list[Panel]:
         raise SceneError(f"wall {wall.group!r}: corners, stl: exactly one of the two must be given")
     if wall.stl is None:
         return [(wall.group, np.array(wall.corners, float), wall.thickness)]
-    polygons = meshes.panels_of_stl(Path(folder) / wall.stl, wall.unit)
-    check_unit(wall, polygons)
-    return [(wall.group, polygon, wall.thickness) for polygon in polygons]
+    return [(wall.group, polygon, wall.thickness) for polygon in _read(wall, wall.stl, folder).panels]
+
+
+def _read(row: Wall | Bucket, stl: str, folder: str | Path) -> meshes.WallMesh:
+    """The panels of an STL where they are placed. Raises SceneError."""
+    found = meshes.wall_of_stl(Path(folder) / stl, row.unit)
+    check_unit(row, stl, found.panels)
+    turn = Rotation.from_euler("xyz", row.rotate_deg, degrees=True).as_matrix()
+    still = not any(row.rotate_deg) and not any(row.move)
+    return found if still else found._replace(panels=[panel @ turn.T + np.array(row.move) for panel in found.panels])
+
+
+def with_buckets_read(scene: Scene) -> Scene:
+    """The scene with the panels of its buckets' STL files in their place, and what was read in words. Raises SceneError."""
+    read = {name: getattr(scene, name) for name in ("weigh_bucket", "feed_bucket")}
+    changes = {name: _bucket_read(row, scene.folder) for name, row in read.items() if row is not None and row.stl}
+    return scene.model_copy(update=changes)
+
+
+def _bucket_read(bucket: Bucket, folder: str | Path) -> Bucket:
+    """The bucket with its lowest point, closed, at z = 0 but for what it is moved by."""
+    assert bucket.stl is not None
+    files = (bucket.stl, *(bucket.flap_stl or ()))
+    found = [_read(bucket, stl, folder) for stl in files]
+    lowest = np.concatenate([panel for mesh in (found[1:] or found) for panel in mesh.panels])[:, 2].min()
+    down = np.array([0.0, 0.0, lowest - bucket.move[2]])
+    placed = [mesh._replace(panels=[panel - down for panel in mesh.panels]) for mesh in found]
+    rows = [tuple(tuple(map(tuple, panel.tolist())) for panel in mesh.panels) for mesh in placed]
+    said = [*([bucket.note] if bucket.note else []), *(f"{stl}: {mesh}" for stl, mesh in zip(files, placed, strict=True))]
+    changes = {"panels": rows[0], "flap_panels": tuple(rows[1:]) or None, "note": "; ".join(said), "stl": None, "flap_stl": None}
+    return bucket.model_copy(update=changes | AS_READ)
 
 
 def written_out(wall: Wall, folder: str | Path) -> list[Wall]:
     """The wall with the panels of its STL, one each, and in the first what was read; others as they are. Raises SceneError."""
     if wall.stl is None or wall.corners is not None:
         return [wall]
-    read = meshes.wall_of_stl(Path(folder) / wall.stl, wall.unit)
-    check_unit(wall, read.panels)
-    said = f"{wall.stl}: {read}"
-    notes = [said if wall.note is None else f"{wall.note}; {said}"] + [None] * (len(read.panels) - 1)
-    panels = [tuple(tuple(corner) for corner in panel.tolist()) for panel in read.panels]
-    changes = [{"stl": None, "unit": 1.0, "corners": corners, "note": note} for corners, note in zip(panels, notes, strict=True)]
-    return [wall.model_copy(update=change) for change in changes]
+    mesh = _read(wall, wall.stl, folder)
+    said, read = f"{wall.stl}: {mesh}", mesh.panels
+    notes = [said if wall.note is None else f"{wall.note}; {said}"] + [None] * (len(read) - 1)
+    panels = [tuple(tuple(corner) for corner in panel.tolist()) for panel in read]
+    changes = [{"stl": None, "corners": corners, "note": note} for corners, note in zip(panels, notes, strict=True)]
+    return [wall.model_copy(update=change | AS_READ) for change in changes]
 
 
 def wall_arrays(

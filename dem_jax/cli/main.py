@@ -5,11 +5,27 @@ import sys
 from collections.abc import Sequence
 from contextlib import suppress
 
-from dem_jax.cli import collisions, ensemble, export, plot, posterior, products, render, report, run, scenes, study, vtk, weigh
+from dem_jax.cli import (
+    buckets,
+    collisions,
+    ensemble,
+    export,
+    gltf,
+    plot,
+    posterior,
+    products,
+    render,
+    report,
+    run,
+    scenes,
+    study,
+    vtk,
+    weigh,
+)
 from dem_jax.cli.arguments import BAD_INPUT, Parser, one_line
 from dem_jax.errors import RecordError, SceneError, SimulationError
 
-COMMANDS = (run, ensemble, study, posterior, scenes, products, plot, report, export, render, vtk, weigh, collisions)
+COMMANDS = (run, ensemble, study, posterior, scenes, products, buckets, plot, report, export, render, gltf, vtk, weigh, collisions)
 FAILED, INTERRUPTED = 1, 130
 
 

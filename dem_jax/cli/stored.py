@@ -20,14 +20,21 @@ def add_arguments(command: Parser) -> None:
 def stored(args: Args) -> tuple["Run", tuple[Any, Any, Any]]:
     """A run of a file, and what drawing.bodies_of finds of its scene. Raises RecordError."""
     from dem_jax.show.drawing import bodies_of
+
+    found = single(args)
+    return found, bodies_of(found)
+
+
+def single(args: Args) -> "Run":
+    """The run of a file, or the one asked for of an ensemble. Raises RecordError."""
     from dem_jax.store.record import load_run
 
     found = load_run(args.file)
     if found.run_count is not None:
-        found = found.member(args.run)
-    elif args.run:
+        return found.member(args.run)
+    if args.run:
         raise RecordError(f"--run {args.run}: {args.file} holds a single run")
-    return found, bodies_of(found)
+    return found
 
 
 def add_files(command: Parser) -> None:
@@ -40,6 +47,16 @@ def runs_of(files: Sequence[str]) -> tuple[list[str], list["Run"]]:
     from dem_jax.store.record import load_run
 
     return names_of(files), [load_run(path) for path in files]
+
+
+def is_study(files: Sequence[str]) -> bool:
+    """Whether the file is that of a study. Raises RecordError for one among several."""
+    from dem_jax.study import file
+
+    studies = [name for name in files if file.is_study(name)]
+    if studies and len(files) > 1:
+        raise RecordError(f"{studies[0]} is a study's file; allowed: one by itself")
+    return bool(studies)
 
 
 def names_of(files: Sequence[str]) -> list[str]:

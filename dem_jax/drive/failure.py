@@ -109,13 +109,19 @@ def _member(tree: Any, k: int) -> Any:
 
 
 def _finite(samples: Sample) -> list[str]:
-    """Those of dem_jax's quantities that are real numbers: what a user's may be is not known."""
-    return [q.name for q in QUANTITIES if q.name in samples.values and np.asarray(samples.values[q.name]).dtype.kind == "f"]
+    """The quantities that are real numbers, those of a user among them."""
+    return [name for name, values in samples.values.items() if np.asarray(values).dtype.kind in "fc"]
 
 
 def _not_finite(job: Job, samples: Sample, k: int, at: float, member: int) -> str:
     """What to say of a sample whose pieces all move as they should."""
     names = [name for name in _finite(samples) if not np.isfinite(np.asarray(samples.values[name])[k]).all()]
+    ours = {q.name for q in QUANTITIES}
+    if not ours.intersection(names):
+        return (
+            f"at t = {at:.6g} s: the quantity {', '.join(map(repr, names))} is not finite, while all else is; likely cause: "
+            f"its own function, which must give finite numbers at all times"
+        )
     return (
         f"at t = {at:.6g} s: {', '.join(names)} not finite; likely cause: {_step_advice(job, member)}; "
         f"or numbers that are too large: furthest from what is usual is {furthest(job.scene_of(member))}"

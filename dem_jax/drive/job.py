@@ -90,6 +90,13 @@ class Job:
         return self.scene if self.varied is None else self.varied.scene(self.scene, run)
 
     @property
+    def samples_between_exchanges(self) -> int:
+        """Of pieces that come in and leave: a multiple of the samples between rebuilds."""
+        assert self.built.exchange is not None  # as who asks makes sure
+        block = samples_per_block(self.system)
+        return max(1, round(self.built.exchange.every / (block * self.scene.run.sample))) * block
+
+    @property
     def stride(self) -> int:
         """Samples per chunk, a multiple of the samples between rebuilds: a rebuild at its start is due anyway."""
         block = samples_per_block(self.system)
@@ -101,6 +108,9 @@ class Job:
     def chunk_end(self, at: int) -> int:
         """Where the chunk that begins at a sample ends, in every run of the scene, however long."""
         end = at + self.stride if at >= 0 else min(at + self.stride, 0)
+        if self.system.exchanges and at >= 0:
+            between = self.samples_between_exchanges
+            end = min(end, at + between - at % between)
         if self.rule is None or at < self.rule.start:
             return end
         return min(end, self.rule.next_look(at))

@@ -11,7 +11,7 @@ from typing import Any, NoReturn
 
 import jax
 
-from dem_jax.drive import failure, hosts, ringing
+from dem_jax.drive import exchange, failure, hosts, ringing
 from dem_jax.drive.execute import execute
 from dem_jax.drive.job import Job
 from dem_jax.drive.progress import Progress
@@ -53,6 +53,7 @@ def spans(job: Job, shown: Progress) -> Iterator[Span]:
     at = job.sample_of(state)
     while at < job.samples:
         end = min(job.chunk_end(at), job.samples)
+        state = exchange.exchanged(job, state, at)
         span = looked_at(job, advance(job, system, state, at, end - at, shown), slow)
         yield span
         system, state, slow = span.system, span.state, span.slow
@@ -66,7 +67,7 @@ def _news(job: Job, span: Span, notes: list[str], shown: Progress) -> list[str]:
         if not any(known.startswith(note) for known in (*notes, *news)):
             news.append(f"{note} before t = {span.end * job.scene.run.sample:.4g} s")
             shown.note(news[-1])
-    for note in ringing.notes(job, span):
+    for note in (*ringing.notes(job, span), *exchange.missing(job, span.state, span.first)):
         if note not in notes:
             news.append(note)
             shown.note(note)

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dem_jax import build, compiling
-from dem_jax.build import sampling
+from dem_jax.build import resolved, sampling
 from dem_jax.contact.geometry import is_kept
 from dem_jax.contact.law import ContactLaw
 from dem_jax.drive import execute, settled, varied
@@ -64,7 +64,8 @@ def _notes(scene: Scene, built: Sequence[build.Built]) -> tuple[str, ...]:
     """What a person should know before a run begins; of several that differ, of that for which it is worst."""
     longest = max(built, key=lambda b: b.step.dt / b.step.stable)
     shortest = min(b.shortest for b in built)
-    return tuple(said for said in (longest.step.warning, sampling.note(scene.run.sample, shortest)) if said)
+    precision = next((said for b in built if (said := resolved.note(scene, b))), None)
+    return tuple(said for said in (longest.step.warning, sampling.note(scene.run.sample, shortest), precision) if said)
 
 
 def built_of(scene: Scene, seed: int, law: ContactLaw | None) -> build.Built:

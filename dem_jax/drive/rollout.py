@@ -73,6 +73,8 @@ def rollout(
         compiling.loops_as_one()
     with jax.ensure_compile_time_eval(), np.errstate(all="ignore"):
         built = built_of(scene, seed, None)
+    if built.exchange is not None:
+        raise SceneError("[inlet], [outlet]: pieces that come and go have no derivatives; allowed: a scene without them")
     built = replace(built, system=guard.roomy(built.system))
     made = built.system.replace(quantities=checked((*built.system.quantities, *quantities)))
     system, state = with_values(scene, built, parameters, seed)

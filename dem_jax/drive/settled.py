@@ -57,6 +57,8 @@ def rule_of(scene: Scene, system: System, settling: int, samples_per_block: int)
         if section is not None and section.period:
             goes_on = "[cycle] goes on" if scene.cycle else f"{name}.period = {section.period:g}; allowed: 0 (once)"
             raise SceneError(f"run.until_settled = true: the walls never rest: {goes_on}")
+    if scene.inlet:
+        raise SceneError("run.until_settled = true: pieces come in by [inlet] all along; allowed: a scene without, or false")
     for n, section in enumerate(scene.motion):
         why = motion.endless(section, scene.run.duration)
         if why:

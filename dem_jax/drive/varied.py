@@ -17,7 +17,7 @@ from dem_jax.types import System
 
 Values = Mapping[str, Any]  # dotted key of a scene -> a value for each run, or a distribution of scipy.stats
 ALIKE, OWN = ("run", "name", "base"), "run.step"  # what holds for the whole ensemble, but for this
-FILES = ("stl", "table", "unit")  # keys of a file and of how it is read
+FILES = ("stl", "flap_stl", "table", "unit", "rotate_deg", "move")  # keys of a file and of how it is read
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ def _check_form(scene: Scene, parameters: dict[str, list[Any]], run: int, first:
     if form(other) == form(first):
         return
     said = ", ".join(f"{key} = {short(values[run])}" for key, values in parameters.items())
-    why = ", ".join(_unlike(first.system, other.system)) or "the number or the shape of pieces and walls"
+    why = ", ".join(_unlike(first.system, other.system)) or "the number or the shape of pieces and walls, or how often they come in"
     raise SceneError(
         f"{scene.name}: run {run} ({said}) needs another program than run 0, by {why}; allowed: runs of one program, "
         f"others as an ensemble of their own"
@@ -136,7 +136,8 @@ def form(built: build.Built) -> Any:
     tree = built.system, built.state
     shapes = tuple((np.shape(x), str(x.dtype)) for x in jax.tree.leaves(tree))
     frames = np.round(built.frames, 6).tobytes()
-    return str(jax.tree.structure(tree)), shapes, frames, built.settling_steps // built.step.substeps, built.samples
+    every = built.exchange and built.exchange.every
+    return str(jax.tree.structure(tree)), shapes, frames, built.settling_steps // built.step.substeps, built.samples, every
 
 
 def _unlike(one: System, other: System) -> list[str]:

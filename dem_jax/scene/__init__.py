@@ -5,6 +5,7 @@ from dem_jax.scene.files import STOCK, load_scene, parse, stock_scenes
 from dem_jax.scene.scene import Scene
 from dem_jax.scene.sections.base import NotNegative, Points, Positive, Quaternion, Section, Size, Vector
 from dem_jax.scene.sections.buckets import Bucket, Drop, Feeder, LoadCell, WeighBucket
+from dem_jax.scene.sections.exchange import Inlet, Outlet
 from dem_jax.scene.sections.material import Material, NamedMaterial, Pair
 from dem_jax.scene.sections.pieces import SHAPE_KEYS, BodyMass, ConvexShape, Part, Piece, PieceShape, Portion, Product
 from dem_jax.scene.sections.run import Accuracy, Error, RunSettings
@@ -20,11 +21,13 @@ __all__ = [
     "Drop",
     "Error",
     "Feeder",
+    "Inlet",
     "LoadCell",
     "Material",
     "Motion",
     "NamedMaterial",
     "NotNegative",
+    "Outlet",
     "Pair",
     "Part",
     "Piece",

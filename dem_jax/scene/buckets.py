@@ -30,8 +30,23 @@ def depth(bucket: Bucket) -> float:
     return 0.5 * bucket.mouth[1] * np.tan(np.radians(bucket.flap_angle_deg))
 
 
+def volume(bucket: Bucket) -> float:
+    """What a bucket of named sizes holds to its brim (m3)."""
+    x, y = bucket.mouth
+    return float(x * y * (bucket.wall_height + 0.5 * depth(bucket)))
+
+
+def groups(bucket: Bucket, name: str) -> list[str]:
+    """The wall groups of a bucket; all of one whose STL has no flaps of its own is ``name_flaps``."""
+    if (bucket.stl or bucket.panels) and not (bucket.flap_stl or bucket.flap_panels):
+        return [f"{name}_flaps"]
+    return [f"{name}_walls", f"{name}_flap_left", f"{name}_flap_right"]
+
+
 def parts(bucket: Bucket, name: str, bottom: float) -> BucketParts:
-    """The bucket's parts; groups ``name_walls`` and ``name_flaps``, block ``name``."""
+    """The bucket's parts, those of an STL read already; groups ``name_walls`` and ``name_flaps``, block ``name``."""
+    if bucket.panels is not None:
+        return _parts_of_panels(bucket, name, bottom)
     x, y = 0.5 * bucket.mouth[0], 0.5 * bucket.mouth[1]
     hinge = bottom + depth(bucket)
     top, skirt = hinge + bucket.wall_height, hinge - bucket.lap
@@ -58,6 +73,50 @@ def parts(bucket: Bucket, name: str, bottom: float) -> BucketParts:
     margin = 0.01
     block = Block(name=name, low=(-x - margin, -y - margin, bottom - margin), high=(x + margin, y + margin, top))
     return BucketParts(panels, motions, joint, block, np.array([-x, -y, hinge]), np.array([x, y, top]))
+
+
+def _parts_of_panels(bucket: Bucket, name: str, bottom: float) -> BucketParts:
+    """The parts of a bucket whose panels are given, with its lowest point at ``bottom``."""
+    assert bucket.panels is not None
+    given = [bucket.panels, *(bucket.flap_panels or ())]
+    corners = [[np.array(panel, float) + [0.0, 0.0, bottom] for panel in panels] for panels in given]
+    names = groups(bucket, name)
+    panels = [(group, panel, bucket.thickness) for group, rows in zip(names, corners, strict=True) for panel in rows]
+    pivots = [_highest_edge(np.concatenate(rows), sign) for rows, sign in zip(corners[1:], (-1, 1), strict=False)]
+    motions = []
+    if not is_zero(bucket.opening_angle_deg):
+        motions = [_hinge(bucket, group, *each) for group, each in zip(names[1:], zip(pivots, (-1, 1), strict=True), strict=True)]
+    joint = {group: f"{name}_flaps" for group in names[1:]}
+    points = np.concatenate([panel for _, panel, _ in panels])
+    low, high = points.min(axis=0) - 0.01, points.max(axis=0) + [0.01, 0.01, 0.0]
+    block = Block(name=name, low=tuple(low.tolist()), high=tuple(high.tolist()))
+    floor = max((pivot[2] for pivot in pivots), default=bottom + depth(bucket))
+    free_low, free_high = _free_width(corners[0], floor)
+    return BucketParts(panels, motions, joint, block, np.array([*free_low, floor]), np.array([*free_high, high[2]]))
+
+
+def _highest_edge(points: np.ndarray, sign: int) -> tuple[float, float, float]:
+    """A point [3] (m) of the edge along x at which a flap hangs: the highest, of those the outermost."""
+    top = points[points[:, 2] > points[:, 2].max() - 1e-3 * np.ptp(points, axis=0).max()]
+    return 0.0, float(sign * (sign * top[:, 1]).max()), float(top[:, 2].max())
+
+
+def _free_width(panels: list[np.ndarray], floor: float) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest x and y (m) between the panels that face inwards, above a height."""
+    points = np.concatenate(panels)
+    low, high = points.min(axis=0)[:2], points.max(axis=0)[:2]
+    middle = 0.5 * (low + high)
+    for panel in panels:
+        normal = np.cross(panel - panel[0], np.roll(panel, -1, axis=0) - panel[0]).sum(axis=0)
+        normal /= np.linalg.norm(normal)
+        if panel[:, 2].max() <= floor:
+            continue
+        for axis in (0, 1):
+            if normal[axis] > 0.3 and panel[:, axis].min() < middle[axis]:
+                low[axis] = max(low[axis], min(panel[:, axis].max(), middle[axis]))
+            elif normal[axis] < -0.3 and panel[:, axis].max() > middle[axis]:
+                high[axis] = min(high[axis], max(panel[:, axis].min(), middle[axis]))
+    return low, high
 
 
 def _facing_up(corners: np.ndarray) -> np.ndarray:
@@ -87,6 +146,7 @@ class FeederParts:
 
     panels: list[Panel]
     motion: Motion
+    block: Block
     interior_low: np.ndarray  # [3] (m): box above the pan
     interior_high: np.ndarray  # [3] (m)
 
@@ -121,4 +181,5 @@ def feeder_parts(feeder: Feeder, bucket: BucketParts) -> FeederParts:
     )
     panels = [(FEEDER, np.array(c), feeder.thickness) for c in corners]
     end = min(edge[0], bucket.interior_low[0]) - 0.01  # none begins above the bucket
-    return FeederParts(panels, motion, np.array([back[0], -y, back[1]]), np.array([end, y, tops[0][1]]))
+    block = Block(name=FEEDER, low=(back[0], -y, edge[1]), high=(edge[0], y, tops[0][1]))
+    return FeederParts(panels, motion, block, np.array([back[0], -y, back[1]]), np.array([end, y, tops[0][1]]))

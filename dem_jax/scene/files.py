@@ -6,7 +6,7 @@ from typing import Any
 
 from dem_jax.errors import SceneError
 from dem_jax.scene.changes import DEEPEST, Tree, is_deep, on_top
-from dem_jax.scene.library import with_product
+from dem_jax.scene.library import with_named
 from dem_jax.scene.scene import Scene, validated
 
 STOCK = Path(__file__).parent.parent / "scenes"
@@ -67,13 +67,13 @@ def _loads(text: str, source: str | Path) -> Tree:
 
 def _based(tree: Tree, folder: Path, source: str | Path, seen: tuple[Path, ...]) -> Tree:
     """The tree on top of its base."""
-    base, product = tree.pop("base", None), tree.pop("product", None)
+    base = tree.pop("base", None)
     if base is None:
-        return tree if product is None else on_top(with_product({}, product, source), tree)
+        return on_top(with_named({}, tree, source), tree)
     if not isinstance(base, str):
         raise SceneError(f"scene {source}: base = {base!r}: allowed: a stock scene's name or a path")
     beside = folder / base
     below, _ = _read(beside if beside.is_file() else base, seen)
     if "piece" in tree and "portion" not in tree:
         below.pop("portion", None)  # pieces listed one by one: [portion] is not used
-    return on_top(below if product is None else with_product(below, product, source), tree)
+    return on_top(with_named(below, tree, source), tree)

@@ -93,7 +93,7 @@ def materials_of_groups(scene: Scene) -> dict[str, str | None]:
     for key, short in (("weigh_bucket", "wb"), ("feed_bucket", "fb")):
         bucket = getattr(scene, key)
         if bucket:
-            owners += [(key, group, bucket.material) for group, *_ in buckets.parts(bucket, short, 0.0).panels]
+            owners += [(key, group, bucket.material) for group in buckets.groups(bucket, short)]
     if scene.feeder:
         owners.append(("feeder", buckets.FEEDER, scene.feeder.material))
     found: dict[str, str | None] = {}

@@ -7,11 +7,12 @@ from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
 from dem_jax.errors import SceneError
 from dem_jax.scene.changes import new_materials, on_top, set_key, without_density
-from dem_jax.scene.library import with_product
+from dem_jax.scene.library import with_named
 from dem_jax.scene.sections.base import Section, as_tuple
 from dem_jax.scene.sections.buckets import Bucket, Drop, Feeder, WeighBucket
 from dem_jax.scene.sections.contact import Contact, stray_key
 from dem_jax.scene.sections.cycle import Cycle
+from dem_jax.scene.sections.exchange import Inlet, Outlet
 from dem_jax.scene.sections.material import DEFAULT, WALL, Material, Pair
 from dem_jax.scene.sections.pieces import Piece, Portion, Product
 from dem_jax.scene.sections.run import RunSettings
@@ -40,6 +41,8 @@ class Scene(Section):
     pair: Annotated[tuple[Pair, ...], BeforeValidator(as_tuple)] = ()
     contact: Contact = Contact()
     statistics: Statistics | None = None
+    inlet: Inlet | None = None
+    outlet: Outlet | None = None
     folder: str = Field(".", description="folder that files named in the scene are relative to")
 
     @model_validator(mode="after")
@@ -58,6 +61,12 @@ class Scene(Section):
     def _cycle_has_what_it_moves(self) -> "Scene":
         if self.cycle and not (self.weigh_bucket and self.feed_bucket and (self.feeder or self.cycle.lf is None)):
             raise ValueError("[cycle] needs a [weigh_bucket] and a [feed_bucket], and with lf a [feeder]")
+        return self
+
+    @model_validator(mode="after")
+    def _inlet_has_a_place(self) -> "Scene":
+        if self.inlet and (self.piece or (self.inlet.low is None and self.feed_bucket is None)):
+            raise ValueError("[inlet] needs a [portion], and a [feed_bucket] or inlet.low and inlet.high")
         return self
 
     @model_validator(mode="after")
@@ -134,11 +143,10 @@ def materials_named(scene: Scene) -> list[tuple[str, str]]:
 def validated(
     tree: dict[str, Any], source: str, changes: dict[str, Any] | None = None, sections: dict[str, Any] | None = None
 ) -> Scene:
-    """The scene of a tree of plain values with changes by dotted keys (``product`` first), then by sections. Raises SceneError,
-    whose words begin with ``source``."""
+    """The scene of a tree of plain values with changes by dotted keys (``product``, ``bucket`` first), then by sections. Raises
+    SceneError, whose words begin with ``source``."""
     changes = dict(changes or {})
-    if "product" in changes:
-        tree = with_product(tree, changes.pop("product"), source)
+    tree = with_named(tree, changes, source)
     new = new_materials(tree, changes)
     tree = without_density(tree) if any(key.endswith(".piece_weight") for key in changes) else dict(tree)
     for key, item in changes.items():

@@ -81,7 +81,8 @@ class WallMesh(NamedTuple):
     def __str__(self) -> str:
         points = np.concatenate(self.panels)
         area = sum(_area(panel) for panel in self.panels)
-        sides = zip("xyz", points.min(axis=0), points.max(axis=0), strict=True)
+        nm = 1e-9  # of which less is rounding
+        sides = zip("xyz", *(np.round(bound / nm) * nm + 0.0 for bound in (points.min(axis=0), points.max(axis=0))), strict=True)
         bounds = ", ".join(f"{axis} from {low:.6g} to {high:.6g} m" for axis, low, high in sides)
         twice = f" ({self.doubled} more were doubled, and left out)" if self.doubled else ""
         return f"{self.facets} facets{twice}, {len(self.panels)} panels, {area:.6g} m2, {bounds}"

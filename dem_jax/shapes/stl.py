@@ -1,5 +1,8 @@
 """Meshes from STL files, and the shape of a piece from a closed convex one."""
 
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -56,7 +59,7 @@ def load_stl(path: str | Path, unit: float = 1.0) -> "trimesh.Trimesh":
     if not Path(path).is_file():
         raise SceneError(f"stl = {str(path)!r}: there is no such file")
     try:
-        with np.errstate(all="ignore"):  # of corners that are not finite, which are refused below
+        with np.errstate(all="ignore"), _unlogged():  # of corners that are not finite, which are refused below
             mesh = trimesh.load_mesh(str(path), file_type="stl", process=False)
     except Exception as error:  # trimesh's readers raise whatever the bytes made them trip over
         raise SceneError(f"stl = {str(path)!r} cannot be read as an STL file ({_first_line(error)})") from error
@@ -86,6 +89,18 @@ def _drop_lines(mesh: "trimesh.Trimesh", path: str | Path) -> None:
             f"{low} to {high} (units of the file); allowed: no corner that is far off"
         )
     mesh.update_faces(~flat)
+
+
+@contextmanager
+def _unlogged() -> Iterator[None]:
+    """Without what trimesh logs, with traceback, of errors that it raises as well."""
+    logger = logging.getLogger("trimesh")
+    before = logger.level
+    logger.setLevel(logging.CRITICAL + 1)
+    try:
+        yield
+    finally:
+        logger.setLevel(before)
 
 
 def _first_line(error: Exception) -> str:

@@ -11,6 +11,8 @@ from dem_jax.show.summary import impact_duration, main_block, main_group
 from dem_jax.store.datasets import flat, nested
 from dem_jax.store.run import Run
 
+FILLED = {"fb": "in FB", "lf": "on LF"}  # block -> words
+
 
 class Window(NamedTuple):
     """A cycle from when WB is shut to when it begins to open again, s from the release."""
@@ -41,7 +43,8 @@ def during(run: Run, window: Window) -> Run:
 
 
 def numbers_of_cycle(run: Run, window: Window) -> list[Number]:
-    """Dosed mass (g), peak of the force (kg) and time to rest (ms) in a cycle, of each run of an ensemble."""
+    """Dosed mass (g), peak of the force (kg) and time to rest (ms) in a cycle, of each run of an ensemble; what FB and LF hold at
+    its end (g); pieces that came in and were taken out since the cycle before."""
     parts = [during(member, window) for member in members_of(run)]
     block, group = main_block(run), main_group(run)
     found = []
@@ -52,7 +55,22 @@ def numbers_of_cycle(run: Run, window: Window) -> list[Number]:
         found.append(Number("peak force", "kg", np.array([part.pif_kg(group).max() for part in parts])))
     if group and block:
         found.append(Number("time to rest", "ms", np.array([1e3 * impact_duration(part, group, block) for part in parts])))
-    return found
+    for name, words in FILLED.items():
+        if block and name in run.settled_mass:
+            found.append(Number(words, "g", np.array([1e3 * float(part.settled_mass[name][-1]) for part in parts])))
+    return found + _flow(run, window)
+
+
+def _flow(run: Run, window: Window) -> list[Number]:
+    """Numbers of pieces."""
+    if "piece_count" not in run.series:
+        return []
+    cycle = parse(run.scene, "the file's scene").cycle
+    assert cycle is not None  # as it has windows
+    first, last = np.searchsorted(run.time, (window.end - cycle.period, window.end), side="right") - 1
+    ways = (("came in", "brought_in"), ("taken out", "taken_out"))
+    counts = {words: np.atleast_2d(run.piece_count[name]) for words, name in ways}
+    return [Number(words, "", (n[:, last] - (n[:, first] if first >= 0 else 0)).astype(float)) for words, n in counts.items()]
 
 
 def cycles_said(run: Run) -> list[str]:

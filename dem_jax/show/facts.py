@@ -97,7 +97,9 @@ def _scene(scene: Scene, run: Run) -> Facts:
         pan = f"{1e3 * scene.feeder.length:g} × {1e3 * scene.feeder.width:g} mm"
         facts.append(("feeder", f"pan of {pan}, {scene.feeder.frequency:g} Hz"))
     for name, bucket in (("feed bucket", scene.feed_bucket), ("weigh bucket", scene.weigh_bucket)):
-        if bucket:
+        if bucket and bucket.panels:
+            facts.append((name, bucket.note or "panels as given"))
+        elif bucket:
             mouth = " × ".join(f"{1e3 * edge:g}" for edge in bucket.mouth)
             flaps = f"flaps {bucket.flap_angle_deg:g}° steep"
             facts.append((name, f"mouth {mouth} mm, walls {1e3 * bucket.wall_height:g} mm high, {flaps}"))

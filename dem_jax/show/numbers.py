@@ -70,7 +70,7 @@ def said(number: Number) -> str:
     if missing == len(number.values):
         return "none"
     if len(number.values) == 1:
-        return f"{number.median:.4g} {number.unit}"
+        return f"{number.median:.4g} {number.unit}".rstrip()
     low, high = number.band
     without = f"; {missing} of {len(number.values)} runs have none" if missing else ""
     return f"{number.median:.4g} {number.unit} (median; 5 to 95 %: {low:.4g} to {high:.4g} {number.unit}{without})"

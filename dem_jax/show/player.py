@@ -3,6 +3,7 @@
 import base64
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from dem_jax.errors import RecordError
 from dem_jax.maths.pose import quaternion_of_matrix
-from dem_jax.shapes import Shape, surface
+from dem_jax.shapes import surface
 from dem_jax.show.drawing import Solid, WallPose, bodies_of
 from dem_jax.show.render import Camera, scene_of
 from dem_jax.store.run import Run
@@ -35,32 +36,70 @@ def three() -> str:
     return found[1]
 
 
-def view_of(run: Run, views: int = 1) -> dict[str, Any] | None:
-    """The data of a single run's view, for JSON; None: the run has no frames. views: how many share the page.
+@dataclass(frozen=True)
+class Moving:
+    """What moves in a single run, at F stored instants: N pieces of a few shapes, G groups of walls.
 
-    time: [F] (s); shapes and walls (one of each group): triangles; shape: of each of the N pieces; position [F, N, 3] (m)
-    and orientation [F, N, 4] of pieces, wall_pose [F or 1, G, 7], position and quaternion: base64 of float32; box: low and
-    high corner (m) of what is shown; fastest: (m/s). Raises SceneError.
+    time: [F] (s). shapes: triangles [.., 3, 3] (m) of each, in its body frame, and whether it is round. shape: [N], that of each
+    piece. position: [F, N, 3] (m). orientation: [F, N, 4]. walls: group -> triangles (m) in the rest frame, and whether they
+    are plates with edges. wall_pose: [F or 1, G, 7], position (m) and quaternion. box: [2, 3] (m), shown. fastest: (m/s).
     """
+
+    time: np.ndarray
+    shapes: list[tuple[np.ndarray, bool]]
+    shape: list[int]
+    position: np.ndarray
+    orientation: np.ndarray
+    walls: dict[str, tuple[np.ndarray, bool]]
+    wall_pose: np.ndarray
+    box: np.ndarray
+    fastest: float
+
+
+def moving(run: Run, most_bytes: float = np.inf) -> Moving | None:
+    """What moves; None: the run has no frames. most_bytes: of positions and orientations in base64, so that instants are left
+    out where there are more. Raises SceneError."""
     frames = run.pieces
     if frames is None or not np.isfinite(frames.position).any():
         return None
     shapes, walls, wall_pose = bodies_of(run)
     scene = scene_of(frames, shapes, walls, wall_pose, Camera())
     count, pieces = frames.position.shape[:2]
-    kept = slice(None, None, max(1, -(-count * pieces * 7 * 4 * 4 // 3 * views // MOST_BYTES)))
+    kept = slice(None, None, max(1, int(np.ceil(count * pieces * 7 * 4 * 4 // 3 / most_bytes))))
     distinct = list({id(shape): shape for shape in shapes}.values())
     place = {id(shape): k for k, shape in enumerate(distinct)}
+    whole = sum(map(len, walls.values())) <= MOST_PLATES
+    return Moving(
+        time=frames.time[kept],
+        shapes=[(_triangles(*surface(shape)), shape.radius > 0.0) for shape in distinct],
+        shape=[place[id(shape)] for shape in shapes],
+        position=frames.position[kept],
+        orientation=frames.orientation[kept],
+        walls={group: (_plates(plates, whole), whole) for group, plates in walls.items()},
+        wall_pose=_wall_poses(list(walls), wall_pose, frames.time[kept]),
+        box=scene.view.box,
+        fastest=scene.fastest,
+    )
+
+
+def view_of(run: Run, views: int = 1) -> dict[str, Any] | None:
+    """The data of a single run's view, for JSON; None: the run has no frames. views: how many share the page.
+
+    As ``Moving``, arrays as base64 of float32. Raises SceneError.
+    """
+    found = moving(run, MOST_BYTES / views)
+    if found is None:
+        return None
     return {
-        "time": frames.time[kept].tolist(),
-        "shapes": [_shape(shape) for shape in distinct],
-        "shape": [place[id(shape)] for shape in shapes],
-        "position": _coded(frames.position[kept]),
-        "orientation": _coded(frames.orientation[kept]),
-        "walls": [_plates(plates, sum(map(len, walls.values())) <= MOST_PLATES) for plates in walls.values()],
-        "wall_pose": _coded(_wall_poses(list(walls), wall_pose, frames.time[kept])),
-        "box": scene.view.box.tolist(),
-        "fastest": scene.fastest,
+        "time": found.time.tolist(),
+        "shapes": [{"triangles": _coded(triangles), "smooth": smooth} for triangles, smooth in found.shapes],
+        "shape": found.shape,
+        "position": _coded(found.position),
+        "orientation": _coded(found.orientation),
+        "walls": [{"triangles": _coded(triangles), "edges": edges} for triangles, edges in found.walls.values()],
+        "wall_pose": _coded(found.wall_pose),
+        "box": found.box.tolist(),
+        "fastest": found.fastest,
     }
 
 
@@ -72,25 +111,15 @@ def _wall_poses(groups: Sequence[str], wall_pose: WallPose, times: np.ndarray) -
     return poses[:1] if (poses == poses[:1]).all() else poses
 
 
-def _shape(shape: Shape) -> dict[str, Any]:
-    vertices, faces = surface(shape)
-    return _mesh(vertices, faces) | {"smooth": shape.radius > 0.0}
+def _plates(plates: Sequence[Solid], whole: bool) -> np.ndarray:
+    """Triangles of the panels of a group, as plates or as the surfaces that are touched."""
+    return np.concatenate([_triangles(points, loops if whole else loops[:1]) for points, loops in plates])
 
 
-def _plates(plates: Sequence[Solid], whole: bool) -> dict[str, Any]:
-    """The panels of a group, as plates or as the surfaces that are touched."""
-    vertices, faces, start = [], [], 0
-    for points, loops in plates:
-        vertices.append(points)
-        faces += [tuple(start + v for v in loop) for loop in (loops if whole else loops[:1])]
-        start += len(points)
-    return _mesh(np.concatenate(vertices), faces) | {"edges": whole}
-
-
-def _mesh(vertices: np.ndarray, faces: Sequence[Sequence[int]]) -> dict[str, Any]:
-    """Triangles [.., 3, 3] (m) of convex faces."""
+def _triangles(vertices: np.ndarray, faces: Sequence[Sequence[int]]) -> np.ndarray:
+    """[.., 3, 3] (m) of convex faces."""
     corners = [(loop[0], loop[i], loop[i + 1]) for loop in faces for i in range(1, len(loop) - 1)]
-    return {"triangles": _coded(vertices[np.array(corners, int)])}
+    return vertices[np.array(corners, int)]
 
 
 def _coded(values: ArrayLike) -> str:

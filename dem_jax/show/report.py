@@ -1,12 +1,12 @@
-"""One page on a run or on several, to send: numbers, the drop in 3-D, the force, and what was computed.
+"""One page on a run or on several, to send: numbers, the drop in 3-D, the force, collisions, a fitted model, and what was computed.
 
-The page holds all that it shows and loads nothing.
+The page holds all that it shows and loads nothing. ``paper`` prints the same facts.
 """
 
 import base64
 import io
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from html import escape
 from importlib.resources import files
 from pathlib import Path
@@ -16,8 +16,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from dem_jax.errors import RecordError
+from dem_jax.show import paper
+from dem_jax.show.collisions import figure_of_collisions, table
 from dem_jax.show.compare import compared
 from dem_jax.show.facts import facts_of, stiffness_said, weight_of
+from dem_jax.show.fitted import Fitted
 from dem_jax.show.numbers import averaged_peaks, numbers_of, said
 from dem_jax.show.overlay import COLOURS, figure_of_runs
 from dem_jax.show.player import three, view_of
@@ -30,6 +33,8 @@ if TYPE_CHECKING:
 
 DPI = 140
 MOST_KINDS = 4  # of pieces that the first line names
+SPEEDS = "impact speeds, and where pieces hit"
+PEAKS = "Peak by the time that the force is averaged over, the first being the sample time."
 SLOWER = (1, 2, 5, 10, 20, 50, 100, 200)  # than in truth: what the player offers
 
 
@@ -40,15 +45,21 @@ class Named(NamedTuple):
     run: Run
 
 
-def write_report(names: Sequence[str], runs: Sequence[Run], path: str | Path, group: str | None = None) -> Path:
-    """Write the page on runs and ensembles of these names. Returns the path.
+def write_report(
+    names: Sequence[str], runs: Sequence[Run], path: str | Path, group: str | None = None, fit: Fitted | None = None
+) -> Path:
+    """Write the page on runs and ensembles of these names, or as PDF the same without what moves. Returns the path.
 
-    group: wall group of the force; by default wb_flaps, or the first. Raises RecordError for another format than .html, a
-    group that a run does not have and a file that cannot be written, and SceneError for a scene that cannot be read.
+    group: wall group of the force; by default wb_flaps, or the first. fit: a Product Model fitted to them. Raises RecordError
+    for another format than .html and .pdf, a group that a run does not have and a file that cannot be written, and SceneError for
+    a scene that cannot be read.
     """
     path = Path(path)
-    check_format(path, (".html",))
-    text = page([Named(name, run) for name, run in zip(names, runs, strict=True)], group)
+    check_format(path, (".html", ".pdf"))
+    named = [Named(name, run) for name, run in zip(names, runs, strict=True)]
+    if path.suffix.lower() == ".pdf":
+        return paper.write(path, content(named, group, fit))
+    text = page(named, group, fit)
     try:
         path.write_text(text, encoding="utf-8")
     except OSError as error:
@@ -56,20 +67,39 @@ def write_report(names: Sequence[str], runs: Sequence[Run], path: str | Path, gr
     return path
 
 
-def page(named: Sequence[Named], group: str | None = None) -> str:
+def content(named: Sequence[Named], group: str | None = None, fit: Fitted | None = None) -> list[paper.Sheet]:
+    """What is printed; arguments and errors as ``write_report``."""
+    tables = _tables(named, group)
+    with_force = [each for each in named if each.run.force]
+    sheets = [paper.Sheet(_title(named), [_lead_of(named), *tables[:1], *_compared(named, group)], None)]
+    if with_force:
+        sheets.append(paper.Sheet("The force", [*_stiffness(named), PEAKS, *tables[1:]], _drawn(named, with_force, group)))
+    shown = [_shown(each.run, group) for each in named]
+    strips = [(each.name, paper.strip_of(run)) for each, run in zip(named, shown, strict=True)]
+    sheets += [paper.Sheet(f"The drop: {name}", [], strip) for name, strip in strips if strip is not None]
+    sheets += [paper.Sheet(f"Collisions: {name}", list(lines), figure) for name, lines, figure in _collisions_of(named, group)]
+    if fit is not None:
+        sheets.append(paper.Sheet("The Product Model, fitted", [fit.rows(), *fit.statements], fit.picture))
+    facts = [facts_of(each.run) for each in named]
+    return [*sheets, *(paper.Sheet(name, [_side_by_side(named, [dict(of[name]) for of in facts])], None) for name in facts[0])]
+
+
+def page(named: Sequence[Named], group: str | None = None, fit: Fitted | None = None) -> str:
     """The page as HTML text; arguments and errors as ``write_report``."""
     folder = files("dem_jax.show") / "page"
     views = [(each.name, view_of(_shown(each.run, group), len(named))) for each in named]
     drawn = [{"name": name, "view": view} for name, view in views if view]
     fields = {
-        "title": escape(f"Product impact of {', '.join(each.name for each in named)}"),
+        "title": escape(_title(named)),
         "style": (folder / "report.css").read_text(),
-        "lead": escape("; ".join(dict.fromkeys(_lead(each.run) for each in named))),
+        "lead": escape(_lead_of(named)),
         "numbers": _numbers(named, group),
-        "differences": _list("Differences", compared([e.name for e in named], [e.run for e in named], group)),
+        "differences": _list("Differences", _compared(named, group)),
         "view": _view(drawn, [name for name, view in views if not view], any(e.run.run_count is not None for e in named)),
         "figure": _figure(named, group) if any(each.run.force for each in named) else _note("The runs have no walls."),
         "depends": _depends(named, group),
+        "collisions": _collisions(named, group),
+        "model": "" if fit is None else _model(fit),
         "facts": _facts(named),
         "footer": escape(f"Made by dem_jax {named[0].run.version}." + (" 3-D view: three.js, MIT licence." if drawn else "")),
         "views": json.dumps(drawn).replace("<", "\\u003c"),
@@ -79,6 +109,14 @@ def page(named: Sequence[Named], group: str | None = None) -> str:
     return Template((folder / "report.html").read_text()).substitute(fields)
 
 
+def _title(named: Sequence[Named]) -> str:
+    return f"Product impact of {', '.join(each.name for each in named)}"
+
+
+def _compared(named: Sequence[Named], group: str | None) -> list[str]:
+    return compared([each.name for each in named], [each.run for each in named], group)
+
+
 def _shown(run: Run, group: str | None) -> Run:
     """Of an ensemble the run whose peak is the median."""
     if run.run_count is None:
@@ -86,6 +124,10 @@ def _shown(run: Run, group: str | None) -> Run:
     group = group or main_group(run)
     peaks = run.pif_kg(group).max(axis=1) if group else np.zeros(run.run_count)
     return run.member(int(np.argsort(peaks, kind="stable")[(run.run_count - 1) // 2]))
+
+
+def _lead_of(named: Sequence[Named]) -> str:
+    return "; ".join(dict.fromkeys(_lead(each.run) for each in named))
 
 
 def _lead(run: Run) -> str:
@@ -101,7 +143,7 @@ def _note(text: str) -> str:
 def _list(title: str, lines: Sequence[str]) -> str:
     if not lines:
         return ""
-    return f"<h2>{title}</h2>\n<ul>" + "".join(f"<li>{escape(line)}</li>" for line in lines) + "</ul>"
+    return (f"<h2>{title}</h2>\n" if title else "") + "<ul>" + "".join(f"<li>{escape(line)}</li>" for line in lines) + "</ul>"
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]], caption: str = "") -> str:
@@ -121,16 +163,39 @@ def _heads(named: Sequence[Named]) -> list[str]:
 
 def _columns(named: Sequence[Named], columns: Sequence[Mapping[str, str]], caption: str = "") -> str:
     """A table of a row for each key and a column for each run."""
+    _, *rows = _side_by_side(named, columns)
+    return _table(["", *_heads(named)], [[escape(cell) for cell in row] for row in rows], caption)
+
+
+def _side_by_side(named: Sequence[Named], columns: Sequence[Mapping[str, str]]) -> paper.Table:
+    """Rows of plain text: what heads the columns, then a row for each key."""
     keys = dict.fromkeys(key for column in columns for key in column)
-    return _table(["", *_heads(named)], [[escape(k), *(escape(column.get(k, "")) for column in columns)] for k in keys], caption)
+    heads = ["", *(each.name if len(named) > 1 else "" for each in named)]
+    return [heads, *([key, *(column.get(key, "") for column in columns)] for key in keys)]
 
 
-def _numbers(named: Sequence[Named], group: str | None) -> str:
+def _numbers_said(named: Sequence[Named], group: str | None) -> list[dict[str, str]]:
     columns = [{number.name: said(number) for number in numbers_of(each.run, group)} for each in named]
     for column, each in zip(columns, named, strict=True):
         column["weight of the pieces"] = dict(facts_of(each.run)["Product"])["together"]
+    return columns
+
+
+def _peaks_said(named: Sequence[Named], group: str | None) -> list[dict[str, str]]:
+    """The peak by the time that the force is averaged over."""
+    groups = [group or main_group(each.run) for each in named]
+    peaks = [averaged_peaks(each.run, of) if of else [] for each, of in zip(named, groups, strict=True)]
+    return [{f"{1e3 * window:.3g} ms": said(peak) for window, peak in rows} for rows in peaks]
+
+
+def _tables(named: Sequence[Named], group: str | None) -> list[paper.Table]:
+    return [_side_by_side(named, columns) for columns in (_numbers_said(named, group), _peaks_said(named, group))]
+
+
+def _numbers(named: Sequence[Named], group: str | None) -> str:
     words = "Peaks are of means over the sample time. Time to rest: from the first force until the settled mass stays as it is."
-    return _columns(named, columns) + _note(" ".join([words, *filter(None, map(_unsettled, named))]))
+    unsettled = filter(None, map(_unsettled, named))
+    return _columns(named, _numbers_said(named, group)) + _note(" ".join([words, *unsettled]))
 
 
 def _unsettled(each: Named) -> str | None:
@@ -158,13 +223,15 @@ def _view(drawn: Sequence[dict[str, Any]], without: Sequence[str], ensembles: bo
 </div></div>{_note(f"Drag to turn, scroll to come nearer.{which}")}{missing}"""
 
 
+def _drawn(named: Sequence[Named], with_force: Sequence[Named], group: str | None) -> "Figure":
+    if len(named) == 1:
+        return figure_of_run(named[0].run, group, title="")
+    return figure_of_runs([each.name for each in with_force], [each.run for each in with_force], group)
+
+
 def _figure(named: Sequence[Named], group: str | None) -> str:
     """The figure as PNG, and over each of its panels the line that goes along with the player."""
-    with_force = [each for each in named if each.run.force]
-    if len(named) == 1:
-        figure = figure_of_run(named[0].run, group, title="")
-    else:
-        figure = figure_of_runs([each.name for each in with_force], [each.run for each in with_force], group)
+    figure = _drawn(named, [each for each in named if each.run.force], group)
     picture = _png(figure)
     cursors = []
     for axes in {axes.get_position().bounds: axes for axes in figure.axes}.values():
@@ -187,16 +254,44 @@ def _png(figure: "Figure") -> str:
 
 def _depends(named: Sequence[Named], group: str | None) -> str:
     """Stiffness in words, and the peak by the time that the force is averaged over."""
+    lines = [f"<p>{escape(line)}</p>" for line in _stiffness(named)]
+    return "".join(lines) + _columns(named, _peaks_said(named, group), PEAKS)
+
+
+def _stiffness(named: Sequence[Named]) -> list[str]:
     words: dict[str, list[str]] = {}
     for each in named:
         words.setdefault(stiffness_said(each.run), []).append(each.name)
-    said_of = {text: "" if len(words) == 1 else f"{', '.join(names)}: " for text, names in words.items()}
-    lines = [f"<p>{escape(whose + text)}</p>" for text, whose in said_of.items()]
-    groups = [group or main_group(each.run) for each in named]
-    peaks = [averaged_peaks(each.run, of) if of else [] for each, of in zip(named, groups, strict=True)]
-    columns = [{f"{1e3 * window:.3g} ms": said(peak) for window, peak in rows} for rows in peaks]
-    caption = "Peak by the time that the force is averaged over, the first being the sample time."
-    return "".join(lines) + _columns(named, columns, caption)
+    return [("" if len(words) == 1 else f"{', '.join(names)}: ") + text for text, names in words.items()]
+
+
+def _collisions_of(named: Sequence[Named], group: str | None) -> Iterator[tuple[str, list[str], "Figure"]]:
+    """Of each run with statistics of collisions its name, what there is to say, and the figure."""
+    for each in named:
+        if "collisions" in each.run.info:
+            yield each.name, table(each.run), figure_of_collisions(each.run, group)
+
+
+def _collisions(named: Sequence[Named], group: str | None) -> str:
+    found = [
+        f"<h2>Collisions{escape(f': {name}' if len(named) > 1 else '')}</h2>\n{_image(SPEEDS, _png(figure))}{_list('', lines)}"
+        for name, lines, figure in _collisions_of(named, group)
+    ]
+    return "".join(found)
+
+
+def _image(words: str, coded: str) -> str:
+    return f'<div class="figure"><img alt="{words}" src="data:image/png;base64,{coded}"></div>'
+
+
+def _model(fit: Fitted) -> str:
+    """The parameters of a fitted Product Model with their intervals, what the fit says, and its picture."""
+    head, *rows = fit.rows()
+    picture = ""
+    if fit.picture is not None:
+        picture = _image("traces and the fitted model", base64.b64encode(fit.picture.read_bytes()).decode())
+    cells = _table(head, [[escape(cell) for cell in row] for row in rows])
+    return f"<h2>The Product Model, fitted</h2>\n{cells}{_list('', fit.statements)}{picture}"
 
 
 def _facts(named: Sequence[Named]) -> str:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from dem_jax.build.load_cell import section_of
-from dem_jax.build.walls import written_out
+from dem_jax.build.walls import with_buckets_read, written_out
 from dem_jax.scene import Scene, parse
 from dem_jax.show.facts import portion_said, stiffness_in_short
 from dem_jax.store.run import Run
@@ -65,13 +65,16 @@ def _notes_on_shapes(run: Run) -> list[str]:
     """What the scene says of the shapes of its pieces and of its walls, each thing once."""
     scene = parse(run.scene, "the file's scene")
     pieces = scene.portion.rows if scene.portion else scene.piece
-    return list(dict.fromkeys(row.note for row in (*pieces, *scene.wall) if row.note))
+    buckets = [bucket for bucket in (scene.weigh_bucket, scene.feed_bucket) if bucket]
+    return list(dict.fromkeys(row.note for row in (*pieces, *scene.wall, *buckets) if row.note))
 
 
 def notes_on_walls(scene: Scene) -> list[str]:
-    """What is read of the STLs of a scene's walls. Raises SceneError."""
-    read = {f"wall.{n}": written_out(wall, scene.folder) for n, wall in enumerate(scene.wall) if wall.stl is not None}
-    return [f"{key}: {panels[0].note}" for key, panels in read.items()]
+    """What is read of the STLs of a scene's walls and buckets. Raises SceneError."""
+    read = {f"wall.{n}": written_out(wall, scene.folder)[0].note for n, wall in enumerate(scene.wall) if wall.stl is not None}
+    whole = with_buckets_read(scene)
+    read |= {name: getattr(whole, name).note for name in ("weigh_bucket", "feed_bucket") if getattr(scene, name)}
+    return [f"{key}: {note}" for key, note in read.items() if note]
 
 
 def main_group(run: Run) -> str | None:

@@ -40,9 +40,11 @@ def export_vtk(
         for i, t in enumerate(frames.time):
             speed = np.linalg.norm(frames.velocity[i], axis=-1)
             spin = np.linalg.norm(frames.angular_velocity[i], axis=-1)
-            data = {"piece": np.arange(len(solids)), "speed": speed, "spin": spin}
-            rotations = matrix_of_quaternion(frames.orientation[i])
-            names["pieces"].append(_frame(folder, "pieces", i, _placed(solids, rotations, frames.position[i]), data))
+            here = np.flatnonzero(np.isfinite(frames.position[i]).all(axis=-1))  # not what waits for an inlet
+            data = {"piece": here, "speed": speed[here], "spin": spin[here]}
+            rotations = matrix_of_quaternion(frames.orientation[i, here])
+            placed = _placed([solids[n] for n in here], rotations, frames.position[i, here])
+            names["pieces"].append(_frame(folder, "pieces", i, placed, data))
             if plates:
                 assert walls is not None and wall_pose is not None
                 poses = wall_pose(float(t))
@@ -81,10 +83,10 @@ def polydata(bodies: Sequence[Solid], data: Mapping[str, ArrayLike]) -> str:
             f'<PolyData><Piece NumberOfPoints="{starts[-1]}" NumberOfVerts="0" NumberOfLines="0" NumberOfStrips="0"',
             f' NumberOfPolys="{len(loops)}">',
             "<Points>",
-            _array("Points", np.concatenate([vertices for vertices, _ in bodies])),
+            _array("Points", np.concatenate([np.zeros((0, 3)), *(vertices for vertices, _ in bodies)])),
             "</Points>",
             "<Polys>",
-            _array("connectivity", np.concatenate(loops)),
+            _array("connectivity", np.concatenate([np.zeros(0, int), *loops])),
             _array("offsets", np.cumsum([len(loop) for loop in loops])),
             "</Polys>",
             "<CellData>",

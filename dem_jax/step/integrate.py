@@ -11,7 +11,7 @@ from dem_jax.types import Array, State, System
 def kick(system: System, state: State) -> State:
     """Half a step of acceleration: velocity and angular momentum by force and torque, to dt / 2 later."""
     half, now = 0.5 * system.dt, state.motion
-    acceleration = now.force / system.pieces.mass[None] + system.gravity[:, None]
+    acceleration = now.force / system.pieces.mass[None] + _gravity(system, state)
     velocity, rest = _add(now.velocity, now.velocity_rest, half * acceleration)
     state = state.moved(velocity=velocity, velocity_rest=rest).replace(cell=load_cell.kick(system, state))
     if system.has_rotation:
@@ -35,7 +35,7 @@ def drift(system: System, state: State) -> tuple[State, Array]:
 def flight(system: System, state: State, steps: Array) -> State:
     """So many steps of free fall at once: what ``kick`` and ``drift`` without contacts amount to, to rounding."""
     time, now = system.dt * steps.astype(system.dt.dtype), state.motion
-    fall = system.gravity[:, None] * time
+    fall = _gravity(system, state) * time
     position, rest = _add(now.position, now.position_rest, time * (now.velocity + 0.5 * fall))
     velocity, velocity_rest = _add(now.velocity, now.velocity_rest, jnp.broadcast_to(fall, position.shape))
     none = jnp.zeros_like(position)
@@ -48,6 +48,12 @@ def flight(system: System, state: State, steps: Array) -> State:
     momentum, inertia = vector.unpack(now.angular_momentum), vector.unpack(system.pieces.inertia)
     turn = lambda _, q: jnp.stack(free(tuple(q), momentum, inertia, system.dt)[0])  # noqa: E731
     return state.moved(orientation=jax.lax.fori_loop(0, steps, turn, now.orientation))
+
+
+def _gravity(system: System, state: State) -> Array:
+    """[3, 1] or [3, N] (m/s2): none on pieces that wait outside."""
+    gravity = system.gravity[:, None]
+    return gravity if state.exchange is None else jnp.where(state.exchange.there, gravity, 0)
 
 
 def _add(position: Array, rest: Array, change: Array) -> tuple[Array, Array]:

@@ -21,12 +21,12 @@ SLOT_BLOCK = 32  # slots computed at a time: of nine pieces 64 take 1.2 times as
 
 def is_worthwhile(system: System, runs: int) -> bool:
     """Whether so many runs of a system are quicker as one: with few pieces, every pair of which is looked at, no seams,
-    no load cell and no statistics of collisions."""
+    no load cell, no statistics of collisions and no pieces that come and go."""
     kinds = (system.parts.polytopes.shape[0], system.parts.spheres.shape[0])
     is_listed = any(search.choice(system.neighbours, count) != "all-pairs" for count in kinds)
     is_small = sum(kinds) <= MOST_PIECES and runs >= AT_ONCE
     is_plain = not seams.are_there(system) and system.walls.load_cell is None  # a cell sets the walls of each run apart
-    is_plain = is_plain and system.statistics is None
+    is_plain = is_plain and system.statistics is None and not system.exchanges
     return is_small and bool(system.slot_block) and is_plain and not is_listed
 
 
@@ -80,6 +80,7 @@ def joined(one: System, states: State) -> State:
         walls=jax.tree.map(beside, states.walls),
         cell=None,
         collisions=None,
+        exchange=None,
         contacts=jax.tree.map(beside, tables),
         incidence=states.incidence,
         ledger=jax.tree.map(beside, states.ledger),
@@ -100,6 +101,7 @@ def split(system: System, states: State, state: State) -> State:
         walls=jax.tree.map(apart, state.walls),
         cell=None,
         collisions=None,
+        exchange=None,
         contacts=tables,
         incidence=jax.vmap(lambda tables: neighbours.find_incidence(system, tables)[0])(tables),
         ledger=jax.tree.map(apart, state.ledger),

@@ -39,14 +39,36 @@ def energies(system: System, state: State) -> Array:
     """kinetic, potential, elastic, dissipated, wall_work, total, [6, R] (J); total stays constant.
 
     Elastic is what contacts give back along their unloading branch, F^2 / 2 K_nu, and the tangential springs;
-    total = kinetic + potential + elastic + dissipated - wall_work.
+    total = kinetic + potential + elastic + dissipated - wall_work, less what pieces that came in had more than those taken out.
     """
     kinetic = kinetic_energy(system, state)
-    potential = -of_run.total(system, system.pieces.mass * jnp.sum(system.gravity[:, None] * state.position, axis=0))
+    height = -jnp.sum(system.gravity[:, None] * state.position, axis=0)
+    potential = of_run.total(system, mass_there(system, state) * height)
     elastic = elastic_energy(system, state)
     walls = state.ledger.wall_work
     lost = state.ledger.taken - elastic if system.ledger else walls
-    return jnp.stack([kinetic, potential, elastic, lost, walls, kinetic + potential + elastic + lost - walls])
+    total = kinetic + potential + elastic + lost - walls
+    if state.exchange is not None:
+        total = total - state.exchange.energy
+    return jnp.stack([kinetic, potential, elastic, lost, walls, total])
+
+
+def mass_there(system: System, state: State) -> Array:
+    """Mass of each piece, [N] (kg), 0 of those that wait outside."""
+    return system.pieces.mass if state.exchange is None else jnp.where(state.exchange.there, system.pieces.mass, 0)
+
+
+def piece_mass(system: System, state: State) -> Array:
+    """Mass of the pieces in the scene, and of those that came in and were taken out since the first step, [3, R] (kg)."""
+    assert state.exchange is not None
+    return jnp.concatenate([of_run.total(system, mass_there(system, state))[None], state.exchange.mass])
+
+
+def piece_count(system: System, state: State) -> Array:
+    """Their numbers likewise, [3, R] int32."""
+    assert state.exchange is not None
+    inside = of_run.total(system, state.exchange.there.astype(jnp.int32))
+    return jnp.concatenate([inside[None].astype(jnp.int32), state.exchange.count])
 
 
 def kinetic_energy(system: System, state: State) -> Array:
@@ -79,17 +101,21 @@ def culprit(system: System, state: State) -> Array:
 
 
 def in_domain(system: System, state: State) -> Array:
-    """Whether the centre of each piece is inside the domain, [N] bool."""
+    """Whether the centre of each piece is inside the domain, [N] bool; so are those that wait outside."""
     x = state.position
-    return jnp.all((x >= system.domain_low[:, None]) & (x <= system.domain_high[:, None]), axis=0)
+    inside = jnp.all((x >= system.domain_low[:, None]) & (x <= system.domain_high[:, None]), axis=0)
+    return inside if state.exchange is None else inside | ~state.exchange.there
 
 
 def frame(system: System, state: State) -> Array:
-    """Position, orientation, velocity and angular velocity of every piece, [13, N]."""
+    """Position, orientation, velocity and angular velocity of every piece, [13, N]; no position of those that wait outside."""
     omega = jnp.zeros_like(state.velocity)
     if system.has_rotation:
         moments = vector.unpack(system.pieces.inertia)
         omega = jnp.stack(
             rotation.angular_velocity(tuple(state.orientation), tuple(state.angular_momentum), moments)
         )
-    return jnp.concatenate([state.position, state.orientation, state.velocity, omega])
+    position = state.position
+    if state.exchange is not None:
+        position = jnp.where(state.exchange.there, position, jnp.nan)
+    return jnp.concatenate([position, state.orientation, state.velocity, omega])

@@ -39,6 +39,15 @@ READING = Axis(
 )
 
 
+FLOW = ("inside", "brought_in", "taken_out")  # the rows of ``piece_count`` and ``piece_mass``
+
+PLACE = Axis(
+    "place",
+    size=lambda _: len(FLOW),
+    rows=lambda system: tuple((name, k) for k, name in enumerate(FLOW) if system.exchanges),
+    symbol="PLACE",
+)
+
 COLLISIONS = ("collisions", "collision_impulse", "collision_energy")
 
 
@@ -123,6 +132,16 @@ QUANTITIES = checked(
             help="that contacts with the wall group have dissipated since the first step, likewise",
         ),
         Quantity(
+            name="piece_count", unit="1", axes=(PLACE,),
+            of=measure.piece_count,
+            help="in the scene, and since the first step: inside = at first + brought_in - taken_out; of an inlet or outlet",
+        ),
+        Quantity(
+            name="piece_mass", unit="kg", axes=(PLACE,),
+            of=measure.piece_mass,
+            help="mass of these pieces",
+        ),
+        Quantity(
             name="step", unit="1", axes=(), kept=False,
             of=lambda system, state: jnp.full((system.runs,), state.step),
             help="number of the time step",
@@ -141,8 +160,9 @@ QUANTITIES = checked(
 )  # fmt: skip
 
 
-def sampled(walls: Walls, statistics: bool) -> tuple[Quantity, ...]:
+def sampled(walls: Walls, statistics: bool, exchanges: bool) -> tuple[Quantity, ...]:
     """The quantities of a system with these walls: without a load cell nothing of one is sampled, nor of collisions without
-    statistics."""
+    statistics, nor of pieces that come and go without an inlet or outlet."""
     absent = set() if statistics else set(COLLISIONS)
-    return tuple(q for q in QUANTITIES if q.name not in absent and (READING not in q.axes or walls.load_cell is not None))
+    without = [axis for axis, is_absent in ((READING, walls.load_cell is None), (PLACE, not exchanges)) if is_absent]
+    return tuple(q for q in QUANTITIES if q.name not in absent and not any(axis in q.axes for axis in without))

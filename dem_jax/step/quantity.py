@@ -70,7 +70,7 @@ class Quantity:
     name: of the dataset or group in a file and of the attribute of a run. unit: SI; of rows whose units differ one for each,
     in their order, with ", " between. axes: names of ``AXES``, or an Axis of one's own; of a report of several wall groups
     the sum is kept. of: function (system, state) -> array, in the order that the module's text says. help: one line, what it
-    is. kept: whether it is written; else only the driver reads it.
+    is. kept: whether it is written; else only the driver reads it. A real one must be finite at all times: else the run stops.
     Raises ValueError for a declaration that lacks something.
     """
 

@@ -54,4 +54,7 @@ def pose_of(system: System, state: State) -> np.ndarray:
         p = np.moveaxis(momentum, -2, -1)[..., None]
         local = np.swapaxes(turn, -1, -2) @ p / np.asarray(system.pieces.inertia, np.float64).T[..., None]
         spin = np.moveaxis((turn @ local)[..., 0], -1, -2).astype(momentum.dtype)
-    return np.concatenate([np.asarray(state.position), q, np.asarray(state.velocity), spin], axis=-2)
+    position = np.asarray(state.position)
+    if state.exchange is not None:
+        position = np.where(np.asarray(state.exchange.there)[..., None, :], position, np.nan)
+    return np.concatenate([position, q, np.asarray(state.velocity), spin], axis=-2)

@@ -4,14 +4,12 @@ import time
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from dem_jax import compiling
 from dem_jax.errors import RecordError
 from dem_jax.store.record import check_target, check_writable
 from dem_jax.study import file, work
 from dem_jax.study.file import DONE, LOST, OPEN, Results
-from dem_jax.study.outputs import evaluated
+from dem_jax.study.outputs import evaluated, evaluated_portions, of_drops
 from dem_jax.study.table import Study, load_study
 
 SPACED = 20.0  # times that writing takes, between two
@@ -73,13 +71,15 @@ def _begun(table: Study, out: str | Path | None, overwrite: bool) -> Results:
 def _computed(results: Results, batch: work.Batch | work.Failed) -> None:
     """Compute a batch, and enter what came of it."""
     failed = [batch] if isinstance(batch, work.Failed) else []
+    names = results.study.outputs
     if isinstance(batch, work.Batch):
-        run, members, failed = work.run(batch, results.study)
+        for name, values in evaluated_portions(work.portions(batch, results.study), names).items():
+            results.outputs[name][list(batch.members)] = values
+        run, members, failed = work.run(batch, results.study) if of_drops(names) else (None, batch.members, [])
+        results.state[list(members)] = DONE
         if run is not None:
-            where = np.array(members)
-            for name, values in evaluated(run, results.study.outputs).items():
-                results.outputs[name][where] = values
-            results.state[where] = DONE
+            for name, values in evaluated(run, names).items():
+                results.outputs[name][list(members)] = values
             if results.study.traces:
                 results.time = run.time if results.time is None or len(run.time) > len(results.time) else results.time
                 results.force |= dict(zip(members, work.force_of(run), strict=True))

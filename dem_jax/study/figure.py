@@ -38,12 +38,16 @@ def figure_of(results: Results) -> "Figure":
     if study.design == "grid":
         panels += [partial(_over, results=results, name=name) for name in names]
         wide = min(3, max(1, len(panels)))
+    elif len(study.parameter) == 1:
+        (key,) = study.parameter
+        panels += [partial(_scattered, results=results, name=name, key=key) for name in names]
+        wide = min(3, max(1, len(panels)))
     else:  # a row for each output, a column for each parameter
         wide = max(1, len(study.parameter))
         panels += [_nothing] * ((wide - 1) * len(panels))
         panels += [partial(_scattered, results=results, name=name, key=key) for name in names for key in study.parameter]
     high = max(1, -(-len(panels) // wide))
-    each = (4.4, 3.4) if study.design == "grid" else (3.0, 2.4)
+    each = (4.4, 3.4) if study.design == "grid" or len(study.parameter) == 1 else (3.0, 2.4)
     figure = Figure(figsize=(each[0] * wide, each[1] * high), layout="constrained")
     places = np.ravel(figure.subplots(high, wide, squeeze=False))
     for axes, draw in zip(places, [*panels, *[_nothing] * len(places)], strict=False):
@@ -132,7 +136,10 @@ def _scattered(axes: "Axes", results: Results, name: str, key: str) -> None:
         if row.output == name and not row.at:
             axes.axhspan(row.low, row.high, color=REFERENCE, alpha=0.3, lw=0)
     if study.parameter[key].log:
-        axes.set_xscale("log")
+        low, high = float(x.min()), float(x.max())
+        axes.set(xscale="log", xlim=(0.8 * low, 1.25 * high))
+        if high > 10 * low:  # decades are labels enough
+            axes.xaxis.set_minor_formatter("")
     axes.set(xlabel=label_of(study, key), ylabel=_title(name))
 
 

@@ -69,6 +69,17 @@ def save(results: Results, path: str | Path) -> None:
         raise RecordError(f"{path} cannot be written: {error.strerror or error}") from error
 
 
+def is_study(path: str | Path) -> bool:
+    """Whether a file says that it is of a study; False of what is no HDF5 file, too."""
+    import h5py
+
+    try:
+        with h5py.File(path, "r") as file:
+            return "study" in file.attrs
+    except OSError:
+        return False
+
+
 def load(path: str | Path) -> Results:
     """What a file holds. Raises RecordError."""
     import h5py

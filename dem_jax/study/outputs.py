@@ -1,6 +1,6 @@
 """What a drop comes down to in a study: numbers, each with its unit, of all runs of an ensemble at once."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -27,11 +27,12 @@ class Traces(NamedTuple):
 
 
 class Output(NamedTuple):
-    """A number of each run, nan where there is none."""
+    """A number of each run, nan where there is none: of what its drops do, or of what is to drop."""
 
     unit: str
     words: str
-    of: Callable[[Traces], np.ndarray]  # [K]
+    of: Callable[[Traces], np.ndarray] | None = None  # [K]
+    of_portion: Callable[[np.ndarray], float] | None = None  # of the masses of its pieces, [n] (kg)
 
 
 def traces_of(run: Run) -> Traces:
@@ -133,12 +134,26 @@ OUTPUTS = {
         "ms", "from the first force until readings (1 kHz, mean over 0.1 s) stay within 1 g of the settled weight", _time_to_weigh
     ),
     "settled": Output("g", "settled mass at the end", lambda t: 1e3 * t.settled[:, -1]),
-    "pieces": Output("", "number of pieces", lambda t: np.full(len(t.force), float(t.run.header.piece_count))),
+    "pieces": Output("", "number of pieces", of_portion=len),
+    "piece_weight": Output("g", "mean weight of a piece", of_portion=lambda masses: 1e3 * float(masses.mean())),
+    "portion_weight": Output("g", "weight of all pieces", of_portion=lambda masses: 1e3 * float(masses.sum())),
     "step": Output("us", "time step", lambda t: 1e6 * np.broadcast_to(t.run.info.get("steps", t.run.dt), len(t.force))),
 }
 
 
-def evaluated(run: Run, names: tuple[str, ...]) -> dict[str, np.ndarray]:
-    """name -> [K] of an ensemble."""
+def of_drops(names: Iterable[str]) -> list[str]:
+    """Those outputs that are known only once something fell."""
+    return [name for name in names if OUTPUTS[name].of is not None]
+
+
+def evaluated(run: Run, names: Iterable[str]) -> dict[str, np.ndarray]:
+    """name -> [K] of an ensemble, of those that are ``of_drops``."""
     traces = traces_of(run)
-    return {name: np.asarray(OUTPUTS[name].of(traces), float) for name in names}
+    found = {name: OUTPUTS[name].of for name in of_drops(names)}
+    return {name: np.asarray(of(traces), float) for name, of in found.items() if of is not None}
+
+
+def evaluated_portions(masses: Sequence[np.ndarray], names: Iterable[str]) -> dict[str, np.ndarray]:
+    """name -> [K] of the masses (kg) of the pieces of each run, of the other outputs."""
+    found = {name: OUTPUTS[name].of_portion for name in names}
+    return {name: np.array([float(of(row)) for row in masses]) for name, of in found.items() if of is not None}

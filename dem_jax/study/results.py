@@ -215,11 +215,17 @@ def powers(results: Results) -> Iterator[tuple[str, str, float, float]]:
 
 def text(results: Results) -> list[str]:
     """Lines that say all of it."""
-    study = results.study
     head, rows = table(results)
+    first, *others = findings(results)
+    return [results.study.title, first, "", *_columns([head, *rows]), *others]
+
+
+def findings(results: Results) -> list[str]:
+    """What there is to say beside the table of points; first of all how many drops there are."""
+    study = results.study
+    _, rows = table(results)
     lost, left = int((results.state == LOST).sum()), int((results.state == OPEN).sum())
-    lines = [study.title, f"{len(results.state)} drops, {study.seeds} at each of {len(rows)} points, {results.elapsed:.0f} s", ""]
-    lines += _columns([head, *rows])
+    lines = [f"{len(results.state)} drops, {study.seeds} at each of {len(rows)} points, {results.elapsed:.0f} s"]
     if any("(" in cell for row in rows for cell in row):
         lines += ["medians, in brackets 5 to 95 %"]
     lines += [f"{name} goes with {key} to the power {p:.3f} ± {half:.3f}" for name, key, p, half in powers(results)]

@@ -1,5 +1,6 @@
 """The work of a study: which drops are computed together, in an order that depends on the study alone, batch by batch."""
 
+import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
@@ -8,11 +9,13 @@ from typing import Any
 import numpy as np
 
 from dem_jax.build import build, self_contained
+from dem_jax.build.pieces import goods_of, masses_of
 from dem_jax.drive import heap, varied
 from dem_jax.drive.interface import drive
 from dem_jax.drive.prepare import prepare
 from dem_jax.errors import SceneError, SimulationError
 from dem_jax.scene import Scene
+from dem_jax.scene.materials import material_table
 from dem_jax.step.joined import AT_ONCE
 from dem_jax.store.run import Run
 from dem_jax.study.design import Point, points_of
@@ -97,6 +100,17 @@ def run(batch: Batch, study: Study) -> tuple[Run | None, tuple[int, ...], list[F
             failed += [Failed((m,), why) for m, why in bad.items()]
             members = [m for m in members if m not in bad]
     return None, (), failed
+
+
+def portions(batch: Batch, study: Study) -> list[np.ndarray]:
+    """Masses (kg) of the pieces of each drop of a batch."""
+    found: dict[str, np.ndarray] = {}
+    for point in batch.points:
+        name = json.dumps(point)
+        if name not in found:
+            scene = batch.scene.replace({key: value for key, value in point.items() if not _is_common(key)})
+            found[name] = masses_of(goods_of(scene), material_table(scene))
+    return [found[json.dumps(point)] for point in batch.points]
 
 
 def _alone(batch: Batch, k: int, study: Study) -> str | None:

@@ -44,6 +44,7 @@ def test_traces_of_the_model_itself_fit(result):
     assert any("gamma_high" in line for line in result.statements)
 
 
+@pytest.mark.long
 def test_bias_over_several_data_sets_is_small():
     """Eight data sets: mean within 3.5 standard errors of the truth, with the scatter of these sets themselves."""
     values = {name: [] for name in NAMES}

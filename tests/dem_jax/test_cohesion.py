@@ -13,6 +13,7 @@ from dem_jax.contact.law.cohesion import Cohesive
 from dem_jax.contact.law.hertz_mindlin import HertzMindlin
 from dem_jax.contact.law.linear_dashpot import LinearDashpot
 from dem_jax.contact.law.walton_braun import WaltonBraun
+from dem_jax.pairs import neighbours
 from dem_jax.scene import Scene
 from dem_jax.step import stepping
 
@@ -130,7 +131,7 @@ def test_a_piece_hangs_below_a_ceiling_if_it_weighs_less_than_the_pull_off_force
             gravity = jnp.stack([0 * weight, 0 * weight, weight / mass * jnp.minimum(1.2 * part, 1)])
             return stepping.advance(system.replace(gravity=gravity), state), None
 
-        state = validation.neighbours.rebuild(system, start)
+        state = neighbours.rebuild(system, start)
         return jax.lax.scan(one, state, jnp.arange(steps) / steps)[0].position[2, 0]
 
     gap = np.asarray(fall(PULL_OFF * jnp.array([0.5, 0.97, 1.03, 2.0]))) - PIECES[shape][1]

@@ -11,6 +11,7 @@ from dem_jax.__main__ import main
 from dem_jax.errors import RecordError, SceneError
 from dem_jax.scene import Scene
 from dem_jax.show.collisions import figure_of_collisions, maps_of, speeds_of, table
+from dem_jax.show.report import Named, content, write_report
 from tests.dem_jax.stored import stored
 
 RADIUS, SPEED, EPSILON = 0.01, 2.0, 0.8
@@ -182,3 +183,10 @@ def test_there_is_nothing_to_hit_without_walls():
     with pytest.raises(SceneError, match=r"no \[statistics\] in a scene without walls"):
         two = [{"shape": "sphere", "radius": RADIUS, "position": (0.0, 0.1 * k, 0.0)} for k in (0, 1)]
         build.build(scene().replace(wall=[], piece=two))
+
+
+def test_a_report_has_the_map_of_collisions():
+    page = write_report(["ball"], [to_and_fro()], "ball.html").read_text()
+    assert "<h2>Collisions</h2>" in page and page.count("<img") == 2 and all(line in page for line in table(to_and_fro()))
+    assert "Collisions" not in write_report(["plain"], [stored()], "plain.html").read_text()
+    assert "Collisions: ball" in [sheet.head for sheet in content([Named("ball", to_and_fro())])]

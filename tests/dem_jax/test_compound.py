@@ -68,7 +68,7 @@ def landed(turned, counts):
 
 
 @pytest.mark.parametrize("turned", TURNED)
-@pytest.mark.parametrize("counts", [(2, 1, 1), (2, 2, 1)], ids=str)
+@pytest.mark.parametrize("counts", [pytest.param((2, 1, 1), marks=pytest.mark.long), (2, 2, 1)], ids=str)
 def test_a_cuboid_of_blocks_lands_as_a_whole_one(turned, counts):
     """Force, velocity (so restitution) and spin, to rounding: the same edges of the same faces are added up."""
     force, velocity, spin, _ = landed(turned, None)
@@ -186,6 +186,7 @@ def test_a_restart_goes_on_bit_for_bit(mixed, tmp_path):
     np.testing.assert_array_equal(rest.force["box"], mixed.force["box"])
 
 
+@pytest.mark.long
 def test_runs_side_by_side_are_those_alone():
     scene = load_scene("weigh-bucket").replace(
         portion={"shape": "compound", "part": DUMB_BELL["part"], "count": 3, "arrangement": "scattered"},

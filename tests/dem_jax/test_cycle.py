@@ -129,3 +129,19 @@ def test_each_cycle_has_its_dose_its_peak_and_its_time_to_rest():
         assert np.all((during(run, window).time > window.begin) & (during(run, window).time <= window.end))
     assert cycles_said(run)[1].startswith("cycle 2: dosed 22 g, peak force 2.022 kg, time to rest ")
     assert len(cycles_said(run)) == 3
+
+
+def test_each_cycle_says_what_its_buckets_hold_and_what_came_and_went():
+    scene = load_scene("weighing-cycles")
+    time = 1e-3 * np.arange(1, 3901)
+    came, gone = np.floor(time / 0.2).astype(int), 3 * np.floor(time / PERIOD).astype(int)
+    force = {"wb_flaps": np.zeros((3900, 3))}
+    series = {"force": force, "mean_force": force, "settled_mass": {"wb": 0 * time, "fb": 1e-2 * time, "lf": 2e-2 * time}}
+    series["piece_count"] = {"inside": 13 + came - gone, "brought_in": came, "taken_out": gone}
+    plain = stored()
+    run = replace(plain, header=replace(plain.header, scene=scene.to_toml()), time=time, series=series, pieces=None)
+    found = [{n.name: n.median for n in numbers_of_cycle(run, window)} for window in windows_of(scene, 3.9)]
+    assert [row["in FB"] for row in found] == pytest.approx([12.2, 25.2, 38.2])  # at 1.22, 2.52, 3.82 s
+    assert [row["on LF"] for row in found] == pytest.approx([24.4, 50.4, 76.4])
+    assert [row["came in"] for row in found] == [6, 12 - 6, 19 - 12] and [row["taken out"] for row in found] == [0, 3, 3]
+    assert cycles_said(run)[1].endswith("in FB 25.2 g, on LF 50.4 g, came in 6, taken out 3")

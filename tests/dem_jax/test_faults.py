@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 import dem_jax
+from benchmarks.faults import mutated
 from dem_jax.__main__ import main
 from dem_jax.drive import interface
-from dem_jax.errors import RecordError
+from dem_jax.errors import RecordError, SceneError
 from dem_jax.store import writer
 from dem_jax.store.record import load_run
 
@@ -67,7 +68,7 @@ def refused(argv, capsys):
 FULL = f"""
 import resource, sys
 sys.path[:0] = [{str(REPOSITORY)!r}, {str(Path(__file__).parent)!r}]
-from dem_jax.errors import RecordError
+from dem_jax.errors import RecordError, SceneError
 from dem_jax.store.record import Writer
 from test_record import header, samples
 resource.setrlimit(resource.RLIMIT_FSIZE, (400_000, 400_000))
@@ -257,3 +258,37 @@ def test_a_bit_that_flips_is_found(whole, copy):
         copy.write_bytes(flipped)
         with pytest.raises(RecordError, match=r"run\.h5 is damaged or cut short"):
             read(copy)
+
+
+# --- files that something has changed: a share of benchmarks.faults ---
+
+
+@pytest.mark.parametrize("kind", [kind for kind in mutated.KINDS if not kind.startswith("hdf5")])
+def test_mutated_files_are_read_or_refused_in_one_line(kind, tmp_path):
+    seen = {seed: mutated.outcome(mutated.Case(kind, seed, str(tmp_path))) for seed in range(60)}
+    assert not {seed: what for seed, what in seen.items() if what[0] not in mutated.GOOD}
+
+
+def test_mutated_results_are_what_was_saved_or_one_line(whole, tmp_path):
+    (tmp_path / "run.h5").write_bytes(whole.read_bytes())
+    seen = {seed: mutated.outcome(mutated.Case("hdf5", seed, str(tmp_path))) for seed in range(60)}
+    assert not {seed: what for seed, what in seen.items() if what[0] not in mutated.GOOD}
+    assert "one line" in {what for what, _ in seen.values()}
+
+
+def test_what_silently_is_nonsense_is_seen(monkeypatch, tmp_path):
+    """Of a table whose times do not rise, of a reader that trips, and of numbers that nobody saved."""
+    case = mutated.Case("csv of a motion", 3, str(tmp_path))
+    many = SceneError("a\nb")
+    for wrong, expected in (("times that do not rise", "nonsense"), (KeyError("x"), "traceback"), (many, "many lines")):
+
+        def read(*_, wrong=wrong):
+            if isinstance(wrong, Exception):
+                raise wrong
+            return wrong
+
+        monkeypatch.setitem(mutated.READERS, "csv of a motion", read)
+        assert mutated.outcome(case)[0] == expected
+    one = {"force": np.zeros(3)}
+    assert mutated._unlike({"force": np.array([0.0, 0.0, 1e-9])}, one) == "force is not what was saved"
+    assert mutated._unlike(one, one) is None

@@ -5,6 +5,7 @@ from functools import cache
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from scipy.integrate import solve_ivp
 
 from dem_jax import build, validation
@@ -142,3 +143,32 @@ def test_angle_of_a_long_step_is_exact_to_fifth_order():
         off = 2 * np.arcsin(np.linalg.norm(found - exact) / 2)  # half the angle between the two
         np.testing.assert_allclose(2 * off, angle**5 / 1920, rtol=0.1)
         np.testing.assert_allclose(np.linalg.norm(found), 1, rtol=1e-15)
+
+
+def turned_by_jax_md(mass, moments, spin, dt, count):
+    """Spin [3] (rad/s, body axes) after so many steps of jax-md's NO_SQUISH."""
+    from jax_md import rigid_body, simulate, space
+
+    q = rigid_body.Quaternion(jnp.asarray([[1.0, 0.0, 0.0, 0.0]]))
+    still = lambda body, **_: 0.0 * jnp.sum(body.center) + 0.0 * jnp.sum(body.orientation.vec)  # noqa: E731
+    heavy = rigid_body.RigidBody(jnp.asarray([[mass]]), jnp.asarray([moments]))
+    init, step = simulate.nve(still, space.free()[1], dt)
+    state = init(jax.random.PRNGKey(0), rigid_body.RigidBody(jnp.zeros((1, 3)), q), 0.0, mass=heavy)
+    turning = rigid_body.angular_momentum_to_conjugate_momentum(q, jnp.asarray([moments * spin]))
+    state = state.set(momentum=rigid_body.RigidBody(jnp.zeros((1, 3)), turning))
+    last = jax.jit(lambda s: jax.lax.fori_loop(0, count, lambda _, x: step(x), s))(state)
+    momentum = rigid_body.conjugate_momentum_to_angular_momentum(last.position.orientation, last.momentum.orientation)
+    return np.asarray(momentum)[0] / moments
+
+
+def test_rigid_body_of_jax_md_turns_the_same_way():
+    """An oracle that nobody here wrote."""
+    dt, count, size = 2.5e-4, 4000, np.linalg.norm(SPIN)
+    mass, moments = float(made().system.pieces.mass[0]), np.array(problem().moments)
+    with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):  # as jax-md needs it, to be imported too
+        theirs = turned_by_jax_md(mass, moments, np.array(SPIN), dt, count)
+    time, found = runs()[STEPS.index(dt)]
+    assert time[count - 1] == pytest.approx(dt * count)
+    assert np.abs(found["spin"][count - 1] - theirs).max() < 1e-3 * size
+    assert np.abs(theirs - problem().spin_at(dt * count)).max() < 1e-3 * size
+    assert np.abs(theirs - np.array(SPIN)).max() > 0.1 * size  # it has turned over since

@@ -115,7 +115,10 @@ def balls():
     )
 
 
-@pytest.mark.parametrize(("room", "note"), [((1, 1), "candidate pairs of mixed for 1"), ((8, 1), "pairs of mixed for 1 slots")])
+FEW_SLOTS = pytest.param((8, 1), "pairs of mixed for 1 slots", marks=pytest.mark.long)
+
+
+@pytest.mark.parametrize(("room", "note"), [((1, 1), "candidate pairs of mixed for 1"), FEW_SLOTS])
 def test_room_is_grown_for_all(monkeypatch, room, note):
     """Too few candidates for all together, or too few slots for one run."""
     full = build.system.capacity

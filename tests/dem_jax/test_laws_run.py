@@ -60,7 +60,10 @@ def box(contact, material, run, sides=6):
     return Scene(piece=pieces, wall=walls, material=material, contact=contact, run=settings | run)
 
 
-@pytest.mark.parametrize("case", CASES)
+LONG = {"sticky hertz-mindlin": pytest.mark.long}  # two other sticky ones, and hertz-mindlin, are not
+
+
+@pytest.mark.parametrize("case", [pytest.param(case, marks=LONG.get(case, ())) for case in CASES])
 def test_energy_never_comes_from_nothing_and_momentum_balances(case):
     contact, material = CASES[case]
     made = build.build(box(contact, {"restitution": 0.4} | material, {}, 5 if case == GENERAL else 6))
@@ -110,6 +113,7 @@ def test_a_run_goes_on_in_the_middle_of_a_contact_with_the_same_bits(law, pull_o
     assert (whole.mean_force["plate"][:, 2] > 1e-3).any() == (pull_off > 0)  # it pulls at the plate
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("law", ["hertz-mindlin"])
 def test_runs_side_by_side_equal_single_ones(law):
     """Sixteen in one program, as of f32 production and f64: up to rounding, before contacts amplify it."""

@@ -1,5 +1,6 @@
 """Products by name: each is a portion that can be built, whatever the scene's own was, and a file that holds it needs no name."""
 
+import numpy as np
 import pytest
 
 import dem_jax
@@ -7,7 +8,8 @@ from dem_jax.build.pieces import goods_of
 from dem_jax.cli.main import main
 from dem_jax.errors import SceneError
 from dem_jax.scene import load_scene, parse
-from dem_jax.scene.library import products
+from dem_jax.scene.buckets import depth
+from dem_jax.scene.library import buckets, products
 
 
 @pytest.mark.parametrize("name", products())
@@ -58,3 +60,38 @@ def test_the_command_lists_weights_and_prints_a_product(capsys):
 def test_an_ensemble_and_a_study_vary_it():
     with pytest.raises(SceneError, match='product = "hazelnut".* needs another program'):
         dem_jax.ensemble("weigh-bucket", parameters={"product": ["marshmallow", "hazelnut"]})
+
+
+@pytest.mark.parametrize("name", buckets())
+def test_every_bucket_is_that_of_a_scene(name):
+    """Both buckets clear each other, opened too; the feed bucket's mouth is the narrower, and what opens is the scene's."""
+    scene = load_scene("weigh-bucket", {"bucket": name})
+    feed, weigh = scene.feed_bucket, scene.weigh_bucket
+    assert weigh.opening_angle_deg == 0.0 and feed.opening_angle_deg > 0.0 and feed.opening_start == 0.0
+    assert all(f < w for f, w in zip(feed.mouth, weigh.mouth, strict=True))
+    bottom, top = scene.drop.height, depth(weigh) + weigh.wall_height
+    hinge, flap = bottom + depth(feed), np.hypot(depth(feed), feed.mouth[1] / 2)
+    opened = np.radians(feed.flap_angle_deg + feed.opening_angle_deg)  # from the horizontal, through the vertical
+    swept = [hinge - (flap + feed.lap) * np.sin(angle) for angle in np.linspace(np.radians(feed.flap_angle_deg), opened, 50)]
+    assert min(swept) > top, "open flaps stand above the weigh bucket"
+    assert parse(scene.to_toml()) == scene
+
+
+def test_a_bucket_by_name_takes_sizes_and_is_changed():
+    with open("own.toml", "w") as out:
+        out.write('base = "weigh-bucket"\nbucket = "3-litre"\nproduct = "nugget"\n[drop]\nheight = 0.4\n')
+    scene = load_scene("own.toml", {"weigh_bucket.wall_height": 0.2})
+    assert scene.weigh_bucket.mouth == (0.17, 0.15) and scene.drop.height == 0.4 and scene.weigh_bucket.wall_height == 0.2
+    assert scene.material.density == 1000.0
+    with pytest.raises(SceneError, match="bucket = '2-litre': no such bucket; did you mean '.*-litre'.* allowed: 0.5-litre, "):
+        load_scene("weigh-bucket", {"bucket": "2-litre"})
+    with pytest.raises(SceneError, match=r"allowed in a scene with \[feed_bucket\] and \[weigh_bucket\]"):
+        load_scene("plate-drop", {"bucket": "3-litre"})
+
+
+def test_the_command_lists_buckets_and_prints_one(capsys):
+    assert main(["buckets"]) == 0
+    rows = {line.split()[0]: line.split() for line in capsys.readouterr().out.splitlines()}
+    assert rows["1.6-litre"][1:7] == ["2.9", "140", "x", "120", "0.25", "0.08"]  # 0.14 * 0.12 * (0.13 + 0.06 tan 55 / 2) m3
+    assert main(["buckets", "5-litre"]) == 0 and "[weigh_bucket]" in capsys.readouterr().out
+    assert main(["buckets", "barrel"]) == 2

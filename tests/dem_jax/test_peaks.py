@@ -79,7 +79,7 @@ def test_it_is_the_largest_of_samples_that_are_steps():
         assert (coarse.peak_force[name] >= -coarse.force[name][:, 2]).all()
 
 
-@pytest.mark.parametrize("runs", [2, joined.AT_ONCE])
+@pytest.mark.parametrize("runs", [2, pytest.param(joined.AT_ONCE, marks=pytest.mark.long)])
 def test_each_run_of_an_ensemble_has_its_own(runs):
     many, one = landed(1.6e-4, 8, runs), landed(1.6e-4, 8)
     for name in PANELS:

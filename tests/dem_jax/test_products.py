@@ -242,6 +242,7 @@ def test_walls_of_an_stl_keep_their_material(tmp_path):
     assert {wall.material for wall in build.self_contained(scene).wall} == {"steel"}
 
 
+@pytest.mark.long
 def test_an_ensemble_of_a_mixed_portion_is_its_seeds_one_by_one():
     """To the last bit; and the momentum of every interval closes with the masses that the materials say."""
     balls = [{"shape": "sphere", "radius": 0.01, "size_spread": 0.2}, {"shape": "sphere", "radius": 0.01, "material": "gummy"}]

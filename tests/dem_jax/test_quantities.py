@@ -13,6 +13,7 @@ import dem_jax
 from dem_jax import Quantity, build
 from dem_jax.__main__ import main
 from dem_jax.contact import of_run
+from dem_jax.drive import failure
 from dem_jax.errors import RecordError
 from dem_jax.scene import Scene
 from dem_jax.step import joined
@@ -27,8 +28,9 @@ FLOOR = [(-SIZE, -SIZE, 0.0), (SIZE, -SIZE, 0.0), (SIZE, SIZE, 0.0), (-SIZE, SIZ
 SIDE = [(SIZE, -SIZE, 0.0), (SIZE, -SIZE, 0.1), (SIZE, SIZE, 0.1), (SIZE, SIZE, 0.0)]
 SAMPLE, EVERY, SHORT, LONG = 3e-5, 10, 40, 90  # s; in samples: between frames, a run, and the run that it is part of
 JOINED = joined.AT_ONCE + 1
+JOINED_LONG = pytest.param(JOINED, marks=pytest.mark.long)
 SIDES = Axis("side", lambda _: 2, lambda _: (("left", 0), ("right", 1)), "SIDE")
-ASKED = ("load_cell", *COLLISIONS)  # of scenes that ask for it: see test_load_cell and test_collisions
+ASKED = ("load_cell", *COLLISIONS, "piece_count", "piece_mass")  # of scenes that ask: test_load_cell, _collisions, _exchange
 KEPT = [quantity for quantity in QUANTITIES if quantity.kept and quantity.name not in ASKED]
 
 
@@ -112,7 +114,7 @@ def test_every_quantity_is_in_the_file_with_its_unit_and_comes_back(tmp_path, pr
             np.testing.assert_array_equal(array, written[path] if path == "time" else written[path][1], err_msg=path)
 
 
-@pytest.mark.parametrize("runs", [None, 2, JOINED])
+@pytest.mark.parametrize("runs", [None, 2, JOINED_LONG])
 def test_values_are_those_of_the_pieces_at_that_time(runs):
     run = computed("f64", runs)
     at = np.round(run.pieces.time[1:] / SAMPLE).astype(int) - 1
@@ -132,7 +134,7 @@ def test_own_quantities_change_nothing_else():
         np.testing.assert_array_equal(series_of(more)[path], array, err_msg=path)
 
 
-@pytest.mark.parametrize("runs", [None, JOINED])
+@pytest.mark.parametrize("runs", [None, JOINED_LONG])
 def test_a_resumed_run_goes_on_with_all_quantities(tmp_path, runs):
     path = tmp_path / "run.h5"
     computed("f64", runs, path)
@@ -331,10 +333,18 @@ def test_an_error_in_a_function_says_in_which():
     assert "in the function of the quantity 'own'" in caught.value.__notes__
 
 
+def test_a_quantity_of_ones_own_that_is_not_finite_stops_a_run():
+    fine = {"culprit": np.full((1, 4), -1), "overlap": np.zeros((1, 4)), "count": np.zeros((1, 4), np.int32)}
+    samples = Sample(fine | {"own": np.array([[1.0, 2.0, np.nan, np.nan]])})
+    assert failure.find(samples, 4) == (0, 2) and failure.find(samples, 2) is None
+    line = failure._not_finite(None, jax.tree.map(lambda x: x[0], samples), 2, 0.1, 0)
+    assert line.startswith("at t = 0.1 s: the quantity 'own' is not finite, while all else is; likely cause: its own function")
+
+
 # --- one by one ---
 
 
-@pytest.mark.parametrize("runs", [None, JOINED])
+@pytest.mark.parametrize("runs", [None, JOINED_LONG])
 def test_contacts_are_those_that_the_poses_show(runs):
     """Spheres: a contact is a distance below that of touch. The floor rests here; two balls meet on it, one hits a wall."""
     radius = 0.012

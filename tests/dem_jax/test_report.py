@@ -13,7 +13,8 @@ import pytest
 
 from dem_jax.errors import RecordError
 from dem_jax.show import player
-from dem_jax.show.report import write_report
+from dem_jax.show.fitted import read_fit
+from dem_jax.show.report import Named, content, write_report
 from tests.dem_jax.stored import PIECES, SCENE, stored
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
@@ -101,8 +102,8 @@ def test_names_are_written_as_text():
 
 
 def test_what_cannot_be_is_said_in_one_line(monkeypatch):
-    with pytest.raises(RecordError, match=r"page\.pdf must end in one of: \.html"):
-        write_report(["a"], [stored()], "page.pdf")
+    with pytest.raises(RecordError, match=r"page\.txt must end in one of: \.html, \.pdf"):
+        write_report(["a"], [stored()], "page.txt")
     with pytest.raises(RecordError, match="group = 'lf' is not in this run"):
         write_report(["a"], [stored()], "page.html", group="lf")
     with pytest.raises(RecordError, match="cannot be written: No such file"):
@@ -110,6 +111,44 @@ def test_what_cannot_be_is_said_in_one_line(monkeypatch):
     monkeypatch.setattr("trimesh.viewer.notebook.scene_to_html", lambda scene: "<script>other()</script>")
     with pytest.raises(RecordError, match=r"trimesh .* has no three\.js that a report can use"):
         write_report(["a"], [stored()], "page.html")
+
+
+FIT = {
+    "dt_impact": (2e-3, 1.8e-3, 2.1e-3), "gamma_low": (0.02, 0.01, 0.03), "gamma_high": (0.04, 0.03, 0.05),
+    "h_mean": (0.2, 0.19, 0.21),
+}  # fmt: skip
+
+
+def fit_file():
+    rows = {name: dict(zip(("value", "low", "high"), row, strict=True)) for name, row in FIT.items()}
+    Path("fit.json").write_text(json.dumps({"parameters": rows, "statements": ["heaps: the model <does not> describe them"]}))
+    return read_fit("fit.json")
+
+
+def test_a_fitted_model_is_shown_with_its_intervals():
+    page = write_report(["drop"], [stored()], "page.html", fit=fit_file()).read_text()
+    said = words(page)
+    assert "length of an impact, Δt_impact 2000 µs 1800 to 2100 µs" in said and "h_mean 200 mm 190 to 210 mm" in said
+    assert "heaps: the model &lt;does not&gt; describe them" in said and page.count("<img") == 1
+    Path("fit.png").write_bytes(b"picture")
+    page = write_report(["drop"], [stored()], "page.html", fit=read_fit("fit.json")).read_text()
+    assert page.count("<img") == 2 and base64.b64encode(b"picture").decode() in page
+    for text, expected in (("{", "not a file of `calibrate fit`"), ('{"parameters": {}}', "KeyError")):
+        Path("fit.json").write_text(text)
+        with pytest.raises(RecordError, match=expected):
+            read_fit("fit.json")
+
+
+def test_the_same_on_paper():
+    """Words of the page are on the sheets, and the PDF has sheets of them."""
+    sheets = content([Named("drop", stored())], fit=fit_file())
+    heads = [sheet.head for sheet in sheets]
+    assert heads[:3] == ["Product impact of drop", "The force", "The drop: drop"] and "The Product Model, fitted" in heads
+    rows = [row for sheet in sheets for words in sheet.words if not isinstance(words, str) for row in words]
+    for row in (["peak force", "2 kg"], ["time to rest", "80"], ["1 ms", "1.797"], ["time step", "5 µs"]):
+        assert any(known[0] == row[0] and known[1].startswith(row[1]) for known in rows), row
+    data = write_report(["drop"], [stored()], "page.pdf", fit=fit_file()).read_bytes()
+    assert data.startswith(b"%PDF") and data.count(b"/Type /Page ") + data.count(b"/Type /Page\n") >= 2
 
 
 def opened(page, place, budget):

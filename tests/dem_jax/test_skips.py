@@ -93,7 +93,7 @@ def test_friction_left_out_where_there_is_none():
     assert_same(traced(made, materials=smooth(made)), as_built(friction=False))
 
 
-@pytest.mark.parametrize("friction", [False, True])
+@pytest.mark.parametrize("friction", [False, pytest.param(True, marks=pytest.mark.long)])
 def test_rotation_left_out_of_spheres_without_friction(friction):
     made = built(friction=False, balls=True)
     assert not made.system.has_rotation

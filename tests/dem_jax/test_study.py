@@ -1,5 +1,7 @@
 """Studies: every drop is the run of its own scene, nothing is computed twice, and what is said follows from the drops."""
 
+from html import escape
+
 import numpy as np
 import pytest
 
@@ -8,7 +10,7 @@ from dem_jax.cli.main import main
 from dem_jax.errors import RecordError, SceneError
 from dem_jax.study import conduct, file, posterior, results, work
 from dem_jax.study.design import points_of
-from dem_jax.study.outputs import OUTPUTS, evaluated
+from dem_jax.study.outputs import OUTPUTS, evaluated, of_drops
 from dem_jax.study.table import checked, load_study, stock_studies
 
 BALL = {  # a heavier and a lighter fall of one ball onto a plate, at three restitutions
@@ -51,7 +53,7 @@ def test_every_drop_is_the_run_of_its_own_scene(done):
     for member in (1, 6):
         scene = found.study.base().replace(points_of(found.study)[member // 2])
         alone = dem_jax.simulate(scene, seed=member % 2)
-        for name in found.study.outputs:
+        for name in of_drops(found.study.outputs):
             np.testing.assert_array_equal(found.outputs[name][member], evaluated(alone, (name,))[name][0], err_msg=name)
         np.testing.assert_array_equal(found.force[member], alone.pif_kg("plate").astype(np.float32))
     assert np.ptp(found.outputs["peak"]) > 0.05
@@ -160,6 +162,17 @@ def test_a_reference_is_within_or_a_contradiction(done):
     study = ball(reference=rows)
     verdicts = [row.verdict for row in results.beside(file.Results(study, found.state, found.outputs))]
     assert verdicts == ["our median is within theirs", "contradiction"]
+
+
+def test_numbers_of_pieces_are_those_of_table_2_and_need_no_drop(monkeypatch):
+    monkeypatch.setattr(work, "run", None)  # nothing falls
+    table = load_study("piece-count").model_dump(exclude_none=True)
+    sizes = {"portion.scale_factor": {"values": [0.3, 0.7, 1.0]}}  # not all: each is built, to see what goes together
+    reference = [row for row in table["reference"] if row["at"]["portion.scale_factor"] in (0.3, 0.7, 1.0)]
+    found = conduct.study(checked(table | {"parameter": sizes, "reference": reference}, "piece-count"))
+    np.testing.assert_array_equal(found.outputs["pieces"], [37, 3, 1])  # 1 / SF^3, rounded (eq. 16)
+    np.testing.assert_allclose(found.outputs["piece_weight"], 5.832 * np.array([0.3, 0.7, 1.0]) ** 3, rtol=1e-12)  # eq. 23
+    np.testing.assert_allclose(found.outputs["portion_weight"], found.outputs["pieces"] * found.outputs["piece_weight"], rtol=1e-12)
 
 
 def test_a_heap_is_the_same_whatever_it_is_released_into():
@@ -273,3 +286,17 @@ def test_the_table_and_the_figure_are_made(done, tmp_path):
     assert len(rows) == 9 and rows[0].startswith("material.softening,material.restitution,seed,peak (kg)")
     assert float(rows[6].split(",")[3]) == pytest.approx(found.outputs["peak"][5], rel=1e-8)
     assert plot_study(found, tmp_path / "ball.png").stat().st_size > 10_000
+
+
+def test_a_study_is_plotted_and_reported_from_its_file(done, capsys, monkeypatch):
+    found, path = done
+    monkeypatch.chdir(path.parent)
+    monkeypatch.setattr("dem_jax.study.figure.plot_study", lambda results, out: (results.study.name, str(out)))
+    assert main(["report", path.name]) == 0 and main(["plot", path.name, "--out", "again.png"]) == 0
+    assert capsys.readouterr().out.splitlines() == ["ball-report.html", "('ball', 'again.png')"]
+    page = (path.parent / "ball-report.html").read_text()
+    assert "default-src 'none'" in page and page.count("<tr>") == 5 and "A ball on a plate" in page
+    assert all(escape(line) in page for line in results.findings(found))
+    head, rows = results.table(found)
+    assert all(f"<td class=value>{escape(cell)}</td>" in page for row in rows for cell in row)
+    assert main(["report", path.name, "other.h5"]) == 2 and "is a study's file; allowed: one by itself" in capsys.readouterr().err

@@ -1,13 +1,14 @@
 """Files and the command line: layouts that others read, one clear line on bad input, nothing overwritten unasked."""
 
 import tomllib
+from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
 from scipy.io import loadmat
 
-from product_model import load, parameters, simulate
+from product_model import BadInput, load, parameters, simulate
 from product_model.__main__ import main
 
 SHORT = ["simulate", "--sample", "1e-3", "--duration", "0.3"]
@@ -91,6 +92,17 @@ def test_unknown_words_are_one_clear_line(capsys):
             main(arguments)
         assert stop.value.code == 2
         assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_a_bit_that_flips_is_found():
+    assert main(SHORT) == 0
+    with h5py.File("trace.h5") as file:
+        where = file["pif"].id.get_chunk_info(0).byte_offset
+    content = bytearray(Path("trace.h5").read_bytes())
+    content[where + 5] ^= 16
+    Path("trace.h5").write_bytes(content)
+    with pytest.raises(BadInput, match=r"trace\.h5: not a readable HDF5 file"):
+        load("trace.h5")
 
 
 def test_nothing_is_overwritten_unasked(capsys):

@@ -175,5 +175,6 @@ def _numbers(row: Sequence[str], head: Sequence[str], place: str) -> tuple[float
         except ValueError:
             good = False
         if not good:
-            raise SceneError(f"{place}: {name} = {cell.strip()}; allowed: a finite number")
+            said = cell.strip() if cell.strip().isprintable() else repr(cell.strip())
+            raise SceneError(f"{place}: {name} = {said}; allowed: a finite number")
     return tuple(float(cell) for cell in row)

@@ -4,11 +4,23 @@ from typing import Annotated
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from dem_jax.scene.sections.base import MaterialName, NotNegative, Positive, Section, as_tuple
+from dem_jax.scene.sections.base import (
+    MaterialName,
+    NotNegative,
+    Points,
+    Positive,
+    Section,
+    StlMove,
+    StlTurn,
+    StlUnit,
+    as_tuple,
+)
+
+Panels = Annotated[tuple[Points, ...], BeforeValidator(as_tuple)]
 
 
 class Bucket(Section):
-    """A bucket: four vertical walls and two flaps, hinged at two lower edges, that close to a V.
+    """A bucket: four vertical walls and two flaps, hinged at two lower edges, that close to a V; or as STL files have it.
 
     The paper gives no geometry; these are plausible values for a 1.6 litre bucket (named assumptions).
     """
@@ -27,6 +39,33 @@ class Bucket(Section):
     thickness: Positive = Field(0.005, description="m, of walls and flaps")
     material: MaterialName = None
     lap: NotNegative = Field(0.012, description="m by which flaps and walls run on behind each other where they meet")
+    stl: str | None = Field(
+        None,
+        description="file, relative to the scene's, of the walls, in the place of the sizes above; without flap_stl of all of the "
+        "bucket. Facets face the pieces; the lowest point of the closed bucket is put where the lower edge of the flaps would be",
+    )
+    flap_stl: Annotated[tuple[str, str], BeforeValidator(as_tuple)] | None = Field(
+        None, description="files of the closed flaps, placed as stl is, hinged along x at their highest edges: at -y, at y"
+    )
+    unit: StlUnit = 1.0
+    rotate_deg: StlTurn = (0.0, 0.0, 0.0)
+    move: StlMove = (0.0, 0.0, 0.0)
+    panels: Panels | None = Field(None, description="m, corners of each panel, in an STL's place")
+    flap_panels: Annotated[tuple[Panels, Panels], BeforeValidator(as_tuple)] | None = Field(
+        None, description="m, corners of the panels of both flaps, in flap_stl's place"
+    )
+    note: str | None = Field(None, description="said with the results; what was read of STL files is written here")
+
+    @model_validator(mode="after")
+    def _is_whole(self) -> "Bucket":
+        if self.flap_stl and not self.stl or self.flap_panels and not self.panels:
+            raise ValueError("flap_stl, flap_panels: allowed beside the stl, or the panels, of the walls")
+        if self.stl and self.panels:
+            raise ValueError("stl, panels: allowed: one of the two")
+        if (self.stl and not self.flap_stl or self.panels and not self.flap_panels) and self.opening_angle_deg:
+            held = "flap_stl with a file for each flap, or opening_angle_deg = 0 of a bucket that stays shut"
+            raise ValueError(f"opening_angle_deg = {self.opening_angle_deg:g}: the STL has no flaps of its own; allowed: {held}")
+        return self
 
 
 class LoadCell(Section):

@@ -2,7 +2,18 @@
 
 from pydantic import Field
 
-from dem_jax.scene.sections.base import MaterialName, NotNegative, Numbers, Points, Positive, Section, Vector
+from dem_jax.scene.sections.base import (
+    MaterialName,
+    NotNegative,
+    Numbers,
+    Points,
+    Positive,
+    Section,
+    StlMove,
+    StlTurn,
+    StlUnit,
+    Vector,
+)
 
 NAME = r"^[.]*[A-Za-z0-9_-][A-Za-z0-9_.-]*$"  # not of dots alone: in a file, that is a group itself
 
@@ -15,7 +26,9 @@ class Wall(Section):
         None, description="m, of a convex planar polygon, counter-clockwise seen by the pieces"
     )
     stl: str | None = Field(None, description="file, relative to the scene's; facets face the pieces")
-    unit: Positive = Field(1.0, description="m per unit of the STL")
+    unit: StlUnit = 1.0
+    rotate_deg: StlTurn = (0.0, 0.0, 0.0)
+    move: StlMove = (0.0, 0.0, 0.0)
     thickness: Positive = Field(0.01, description="m, behind the surface")
     material: MaterialName = None
     note: str | None = Field(None, description="said with the results; what was read of an STL is written here")

@@ -1,0 +1,35 @@
+"""python -m dem_jax buckets"""
+
+from dem_jax.cli.arguments import Args, Commands, command
+
+
+def add(commands: Commands) -> None:
+    """Add the command to the parser."""
+    made = command(commands, "buckets", buckets, "List the buckets that a scene can name, or print what one sets.")
+    made.add_argument("name", nargs="?", metavar="BUCKET", help="print its keys")
+
+
+def buckets(args: Args) -> None:
+    """List the buckets with their sizes, or print one."""
+    from dem_jax.scene import library, load_scene
+    from dem_jax.scene.buckets import volume
+    from dem_jax.scene.scene import Scene
+
+    def with_name(name: str) -> Scene:
+        return load_scene("weigh-bucket", {"bucket": name})
+
+    if args.name:
+        with_name(args.name)
+        print((library.BUCKETS / f"{args.name}.toml").read_text(), end="")
+        return
+    known = library.buckets()
+    wide = max(map(len, known))
+    print(f"{'bucket':{wide}}  {'litres':>6}  {'mouth (mm)':>10}  {'drop (m)':>8}  {'opens (s)':>9}  what it is")
+    for name, text in known.items():
+        scene = with_name(name)
+        weigh, feed = scene.weigh_bucket, scene.feed_bucket
+        assert weigh and feed  # as the stock scene has them
+        mouth = " x ".join(f"{1e3 * edge:g}" for edge in weigh.mouth)
+        litres, time = 1e3 * volume(weigh), feed.opening_time
+        print(f"{name:{wide}}  {litres:6.2g}  {mouth:>10}  {scene.drop.height:8g}  {time:9g}  {text}")
+    print("litres of the weigh bucket to its brim, and its mouth; sizes are assumed. --set bucket=NAME takes one")

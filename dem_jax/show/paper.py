@@ -1,0 +1,120 @@
+"""Reports on paper: sheets of words, tables and figures as one PDF, by matplotlib."""
+
+import io
+import textwrap
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from dem_jax.errors import RecordError
+from dem_jax.show.drawing import bodies_of
+from dem_jax.show.render import Camera, figure_of, scene_of
+from dem_jax.store.run import Run
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Table = list[list[str]]  # rows of cells, the first heads the columns
+A4 = (8.27, 11.69)  # inches
+MARGIN, LINE = 0.07, 0.0165  # of the sheet
+WIDE = 105  # characters of a line
+DPI = 200
+STRIP = 5  # instants of a drop
+
+
+class Sheet(NamedTuple):
+    """A part of a report: its head, paragraphs and tables, and a figure or the file of a picture."""
+
+    head: str
+    words: Sequence[str | Table]
+    figure: "Figure | Path | None"
+
+
+def strip_of(run: Run) -> "Figure | None":
+    """Some instants of a drop side by side; None: no poses were stored."""
+    frames = run.pieces
+    if frames is None or not np.isfinite(frames.position).any():
+        return None
+    scene = scene_of(frames, *bodies_of(run), Camera())
+    count = len(frames.time)
+    return figure_of(scene, sorted({round(k * (count - 1) / (STRIP - 1)) for k in range(STRIP)}))
+
+
+def write(path: Path, sheets: Sequence[Sheet]) -> Path:
+    """Write the sheets, one below the other on as many pages as they need. Returns the path. Raises RecordError."""
+    from matplotlib.backends.backend_pdf import PdfPages
+
+    try:
+        with PdfPages(path) as pdf:
+            for page in _pages(sheets):
+                pdf.savefig(page)
+    except OSError as error:
+        raise RecordError(f"{path} cannot be written: {error.strerror or error}") from error
+    return path
+
+
+def _pages(sheets: Sequence[Sheet]) -> Iterator["Figure"]:
+    from matplotlib.figure import Figure
+
+    page, y = Figure(figsize=A4), 1.0 - MARGIN
+    for sheet in sheets:
+        lines = [line for words in sheet.words for line in [*_lines(words), ("", False)]]
+        picture = None if sheet.figure is None else _picture(sheet.figure)
+        wide, high = (0.0, 0.0) if picture is None else _size(picture)
+        if y < 1.0 - MARGIN and y - 3 * LINE - high - min(len(lines), 12) * LINE < MARGIN:
+            yield page
+            page, y = Figure(figsize=A4), 1.0 - MARGIN
+        page.text(MARGIN, y, sheet.head, fontsize=13, weight="bold", va="top")
+        y -= 2.2 * LINE
+        if picture is not None:
+            axes = page.add_axes((MARGIN, y - high, wide, high))
+            axes.imshow(picture, interpolation="none")
+            axes.set_axis_off()
+            y -= high + LINE
+        for line, is_head in lines:
+            if y < MARGIN:
+                yield page
+                page, y = Figure(figsize=A4), 1.0 - MARGIN
+            page.text(MARGIN, y, line, fontsize=7.5, family="monospace", va="top", weight="bold" if is_head else "normal")
+            y -= LINE if line else 0.5 * LINE
+        y -= LINE
+    yield page
+
+
+def _size(picture: np.ndarray) -> tuple[float, float]:
+    """Width and height of a picture, of the sheet: as wide as the text, unless it would be higher than a page."""
+    aspect = A4[0] / A4[1] * picture.shape[0] / picture.shape[1]
+    wide = min(1 - 2 * MARGIN, (1 - 2 * MARGIN - 4 * LINE) / aspect)
+    return wide, wide * aspect
+
+
+def _lines(words: str | Table) -> list[tuple[str, bool]]:
+    """Lines of a paragraph or a table, and whether each is a head."""
+    if isinstance(words, str):
+        return [(line, False) for line in textwrap.wrap(words, WIDE)]
+    if not words:
+        return []
+    rows = words if any(words[0]) else words[1:]
+    first = max(len(row[0]) for row in rows) + 2
+    wide = max(20, (WIDE - first) // max(1, len(rows[0]) - 1))
+    found = []
+    for row in rows:
+        cells = [textwrap.wrap(cell, wide - 2) or [""] for cell in row[1:]]
+        for k in range(max(map(len, cells), default=1)):
+            name = row[0] if k == 0 else ""
+            line = name.ljust(first) + "".join((cell[k] if k < len(cell) else "").ljust(wide) for cell in cells)
+            found.append((line.rstrip(), row is words[0]))
+    return found
+
+
+def _picture(figure: "Figure | Path") -> np.ndarray:
+    from matplotlib.image import imread
+
+    if isinstance(figure, Path):
+        return np.asarray(imread(figure))
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=DPI)
+    buffer.seek(0)
+    return np.asarray(imread(buffer))

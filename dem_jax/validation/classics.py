@@ -1,0 +1,128 @@
+"""Single pieces in closed form, as problems: a fall on the plate, a corner that lands, a spin, a load cell."""
+
+from functools import partial
+from typing import Any
+
+import jax
+import numpy as np
+
+from dem_jax import build
+from dem_jax.maths.pose import matrix_of_quaternion
+from dem_jax.scene import Scene
+from dem_jax.store.run import Run
+from dem_jax.validation.eccentric import EccentricImpact
+from dem_jax.validation.normal import NormalImpact
+from dem_jax.validation.problem import Compared, Problem
+from dem_jax.validation.rotation import FreeRotation
+from dem_jax.validation.traces import plate_scene, wall_stiffness
+
+GRAVITY, SPEED = 9.81, 2.2147  # m/s2; m/s: a fall of 0.25 m
+RADIUS = 0.5 * (6 * 19440e-9 / np.pi) ** (1 / 3)  # m: a sphere of the marshmallow's volume
+SPIN = (0.5, 30.0, 0.5)  # rad/s, body axes
+TILT = tuple(float(x) for x in np.array([0.9, 0.3, 0.25, 0.1]) / np.linalg.norm([0.9, 0.3, 0.25, 0.1]))
+RESTITUTIONS = [0.1, 0.3, 0.5, 0.7, 1.0]
+
+
+def _built(scene: Scene) -> build.Built:
+    with jax.enable_x64():
+        return build.build(scene.replace({"run.precision": "f64"}))
+
+
+def landing() -> Problem:
+    """A sphere of the paper's material falls on the plate, at several restitutions: eqs 1 to 4 with gravity."""
+    gap = 1e-4 * SPEED
+    piece = {"shape": "sphere", "radius": RADIUS, "position": (0.0, 0.0, RADIUS + gap), "velocity": (0.0, 0.0, -SPEED)}
+    scene = plate_scene(piece, (0.0, 0.0, -GRAVITY), run={"duration": 6.5e-3, "sample": 3.25e-5, "frames": 6.5e-3, "energy": False})
+    made = _built(scene).system
+    mass, stiffness = float(made.pieces.mass[0]), float(wall_stiffness(made)[0])
+    touch = float(np.sqrt(SPEED**2 + 2 * GRAVITY * gap))
+    cases = [NormalImpact(mass, stiffness, e, touch, GRAVITY) for e in RESTITUTIONS]
+    return Problem(
+        name="a sphere lands on the plate, restitution 0.1 to 1",
+        source="eqs 1 to 4 with gravity, harmonic motion piece by piece",
+        scene=scene,
+        parameters={"material.restitution": RESTITUTIONS},
+        measured=_rebound,
+        exact=lambda: {
+            "peak force": np.array([c.peak_force for c in cases]),
+            "rebound": np.array([c.rebound_speed for c in cases]),
+        },
+        bounds={"peak force": 1e-3, "rebound": 5e-3},
+    )
+
+
+def _rebound(run: Run) -> Compared:
+    """Speeds of rebound at the height of the plate."""
+    assert run.pieces is not None
+    z, v = (np.asarray(x[:, -1, 0, 2], float) for x in (run.pieces.position, run.pieces.velocity))
+    return {
+        "peak force": np.asarray(run.peak_force["plate"], float).max(axis=1),
+        "rebound": np.sqrt(v**2 + 2 * GRAVITY * np.maximum(z - RADIUS, 0)),
+    }
+
+
+def corner() -> Problem:
+    """A tilted marshmallow, stiff, meets the plate with one corner."""
+    piece: dict[str, Any] = {"shape": "chamfered-cuboid", "orientation": TILT, "velocity": (0.1, 0.0, -1.0)}
+    run = {"duration": 4e-4, "sample": 4e-6, "frames": 4e-4, "energy": False}
+    material: dict[str, Any] = {"softening": 1.0, "restitution": 0.5, "separation": 0.0, "friction_wall": 0.0}
+    scene = plate_scene(piece, run=run, **material)
+    built = _built(scene)
+    turn = matrix_of_quaternion(np.array(TILT))
+    corners = np.asarray(built.shapes[0].vertices) @ turn.T
+    arm = corners[np.argmin(corners[:, 2])]
+    piece["position"] = (0.0, 0.0, 2e-5 - float(arm[2]))
+    mass = float(built.system.pieces.mass[0])
+    inertia = turn @ np.diag(np.asarray(built.system.pieces.inertia[:, 0])) @ turn.T
+    stiffness = float(wall_stiffness(built.system)[0])
+    motion = np.array(piece["velocity"]), np.zeros(3)
+    case = EccentricImpact(mass, inertia, arm, np.array([0.0, 0.0, 1.0]), *motion, stiffness, 0.5)
+    return Problem(
+        name="a corner of a marshmallow meets the plate",
+        source="impulses of a rigid body, stiff contact",
+        scene=plate_scene(piece, run=run, **material),
+        measured=_motion,
+        exact=lambda: {
+            "velocity": case.velocity_after,
+            "spin": case.spin_after,
+            "peak force": np.array([case.peak_force]),
+        },
+        bounds={"velocity": 0.01, "spin": 0.01, "peak force": 0.02},
+    )
+
+
+def _motion(run: Run) -> Compared:
+    assert run.pieces is not None
+    velocity, spin = (np.asarray(x[-1, 0], float) for x in (run.pieces.velocity, run.pieces.angular_velocity))
+    return {"velocity": velocity, "spin": spin, "peak force": np.asarray(run.peak_force["plate"], float).max()[None]}
+
+
+def spinning() -> Problem:
+    """A marshmallow in flight that spins about its middle axis, which is unstable: a whole period."""
+    frames = 48
+    piece = {"shape": "chamfered-cuboid", "angular_velocity": SPIN, "position": (0.0, 0.0, 0.3)}
+    moments = np.asarray(_built(plate_scene(piece)).system.pieces.inertia[:, 0])
+    case = FreeRotation((float(moments[0]), float(moments[1]), float(moments[2])), SPIN)
+    step = case.period / frames / 40
+    run = {"duration": 40 * frames * step, "frames": 40 * step, "sample": 40 * step, "step": step / 4, "energy": False}
+    scene = plate_scene(piece, run=run, softening=1e-5)  # nothing touches: the step is that of the spin
+    return Problem(
+        name="a marshmallow that spins about its middle axis",
+        source="Jacobi's elliptic functions (Landau and Lifshitz, section 37)",
+        scene=scene,
+        measured=_spins,
+        exact=partial(_spins_exactly, case),
+        bounds={"spin": 0.01},
+    )
+
+
+def _spins(run: Run) -> Compared:
+    """In body axes, over a period."""
+    assert run.pieces is not None
+    turn = matrix_of_quaternion(np.asarray(run.pieces.orientation[:, 0], float))
+    return {"spin": np.einsum("tij,ti->tj", turn, np.asarray(run.pieces.angular_velocity[:, 0], float))}
+
+
+def _spins_exactly(case: FreeRotation) -> Compared:
+    time = np.arange(49) * case.period / 48
+    return {"spin": case.spin_at(time)}

@@ -1,0 +1,164 @@
+"""Central impacts on a fixed wall, in closed form: a frozen dataclass of plain numbers (SI) whose properties are the solution."""
+
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+
+Times = TypeVar("Times", float, np.ndarray)
+
+
+@dataclass(frozen=True)
+class NormalImpact:
+    """A mass on the Walton-Braun spring of eqs 1-4: central impact on a fixed wall, with or without gravity.
+
+    Overlap s obeys m s'' = m g - F; each branch of F is linear in s, so that each part of the motion is a harmonic one.
+    """
+
+    mass: float  # kg
+    stiffness: float  # N/m: K_nl
+    restitution: float  # epsilon
+    speed: float  # m/s: at first touch
+    gravity: float = 0.0  # m/s2: towards the wall
+    separation: float = 0.001  # lambda
+
+    @property
+    def frequency(self) -> float:
+        """omega_1 of the loading branch (rad/s)."""
+        return np.sqrt(self.stiffness / self.mass)
+
+    @property
+    def static_overlap(self) -> float:
+        """m g / K_nl (m)."""
+        return self.mass * self.gravity / self.stiffness
+
+    @property
+    def largest_overlap(self) -> float:
+        """(m)."""
+        return self.static_overlap + np.hypot(self.static_overlap, self.speed / self.frequency)
+
+    @property
+    def peak_force(self) -> float:
+        """(N)."""
+        return self.stiffness * self.largest_overlap
+
+    @property
+    def loading_time(self) -> float:
+        """From first touch to the largest overlap (s)."""
+        return (np.pi / 2 + np.arctan(self.gravity / (self.frequency * self.speed))) / self.frequency
+
+    @property
+    def residual_overlap(self) -> float:
+        """Overlap at which the unloading branch reaches F = 0 (m)."""
+        return self.largest_overlap * (1 - self.restitution**2)
+
+    @property
+    def switch_overlap(self) -> float:
+        """Overlap at which the unloading branch meets F = lambda K_nl s (m)."""
+        return self.residual_overlap / (1 - self.separation * self.restitution**2)
+
+    @property
+    def unloading_time(self) -> float:
+        """From the largest overlap to the switch to the separation branch (s)."""
+        middle = self.residual_overlap + self.restitution**2 * self.static_overlap
+        swing = np.arccos((self.switch_overlap - middle) / (self.largest_overlap - middle))
+        return self.restitution * swing / self.frequency
+
+    @property
+    def switch_speed(self) -> float:
+        """Speed away from the wall at the switch (m/s)."""
+        middle = self.residual_overlap + self.restitution**2 * self.static_overlap
+        square = (self.largest_overlap - middle) ** 2 - (self.switch_overlap - middle) ** 2
+        return self.frequency / self.restitution * np.sqrt(square)
+
+    @property
+    def rebound_speed(self) -> float:
+        """At separation (m/s); nan where the piece does not separate."""
+        work = self.separation * (self.frequency * self.switch_overlap) ** 2 - 2 * self.gravity * self.switch_overlap
+        square = self.switch_speed**2 + work
+        return np.sqrt(square) if square > 0 else np.nan
+
+    def start(self, time: float) -> tuple[float, float]:
+        """Gap (m) and speed towards the wall (m/s) at a time (s) before first touch."""
+        return self.speed * time - 0.5 * self.gravity * time**2, self.speed - self.gravity * time
+
+
+@dataclass(frozen=True)
+class DashpotImpact:
+    """A mass on a linear spring and dashpot whose force is never adhesive: central impact on a fixed wall, no gravity.
+
+    m s'' + 2 zeta omega m s' + m omega^2 s = 0, to where the force vanishes (contact.law.dashpot); zeta < 1.
+    """
+
+    mass: float  # kg
+    stiffness: float  # N/m
+    ratio: float  # zeta
+    speed: float  # m/s: at first touch
+
+    @property
+    def frequency(self) -> float:
+        """omega of the undamped oscillator (rad/s)."""
+        return np.sqrt(self.stiffness / self.mass)
+
+    @property
+    def _turn(self) -> tuple[float, float]:
+        """Phase of the largest overlap, and sqrt(1 - zeta^2)."""
+        return np.arccos(self.ratio), np.sqrt(1 - self.ratio**2)
+
+    @property
+    def loading_time(self) -> float:
+        """From first touch to the largest overlap (s); the contact lasts twice as long."""
+        phase, root = self._turn
+        return phase / root / self.frequency
+
+    @property
+    def restitution(self) -> float:
+        """Speed after over speed before."""
+        phase, root = self._turn
+        return np.exp(-2 * self.ratio * phase / root)
+
+    @property
+    def largest_overlap(self) -> float:
+        """(m)."""
+        phase, root = self._turn
+        return self.speed / self.frequency * np.exp(-self.ratio * phase / root)
+
+    def force(self, time: Times) -> Times:
+        """(N) at times (s) since first touch, while it lasts."""
+        z, root = self.ratio, self._turn[1]
+        phase = root * self.frequency * time
+        wave = 2 * z * np.cos(phase) + (1 - 2 * z * z) / root * np.sin(phase)
+        return self.mass * self.frequency * self.speed * np.exp(-z * self.frequency * time) * wave
+
+    @property
+    def peak_force(self) -> float:
+        """(N): where its derivative vanishes; from zeta = 1/2 on that of the dashpot at first touch."""
+        z, root = self.ratio, self._turn[1]
+        phase = np.arctan2(root * (1 - 4 * z * z), z * (3 - 4 * z * z)) if z < 0.5 else 0.0
+        return self.force(phase / root / self.frequency)
+
+
+@dataclass(frozen=True)
+class HertzImpact:
+    """A mass on the elastic spring k s^(3/2): central impact on a fixed wall, no gravity (Johnson 1985, chapter 11.4)."""
+
+    mass: float  # kg: effective
+    stiffness: float  # N/m^1.5: k = 4/3 E* sqrt(R*)
+    speed: float  # m/s: at first touch
+
+    @property
+    def largest_overlap(self) -> float:
+        """(m)."""
+        return (1.25 * self.mass * self.speed**2 / self.stiffness) ** 0.4
+
+    @property
+    def peak_force(self) -> float:
+        """(N)."""
+        return self.stiffness * self.largest_overlap**1.5
+
+    @property
+    def loading_time(self) -> float:
+        """From first touch to the largest overlap (s): half of the contact's."""
+        from scipy.special import beta
+
+        return 0.4 * beta(0.4, 0.5) * self.largest_overlap / self.speed

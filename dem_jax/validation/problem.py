@@ -1,0 +1,90 @@
+"""What a problem with an exact solution is, and how it is solved: as a user would, from a scene to a run."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import jax
+import numpy as np
+
+from dem_jax import build
+from dem_jax.drive.interface import ensemble, simulate
+from dem_jax.scene import Scene
+from dem_jax.store.run import Run
+
+Compared = Mapping[str, np.ndarray]  # what is compared -> values of any shape
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A scene, or several that one program computes, its exact solution, and what of both is compared.
+
+    An error is the largest difference of measured and exact values, over ``scale`` (by default the largest exact value).
+    """
+
+    name: str
+    source: str  # of the exact solution
+    scene: Scene
+    measured: Callable[[Run], Compared]
+    exact: Callable[[], Compared]  # host side, SI
+    bounds: Mapping[str, float]  # what is compared -> largest error at the automatic step, in either precision
+    parameters: Mapping[str, list[Any]] = field(default_factory=dict)  # keys of the scene -> values in runs side by side
+    seeds: int | None = None  # of an ensemble of seeds; None: one run, or as many as the parameters have values
+    scale: Mapping[str, float] = field(default_factory=dict)
+
+    def errors(self, found: Compared) -> dict[str, float]:
+        """Of what was measured, by name."""
+        exact = self.exact()
+        return {name: self.between(found, exact, name) for name in self.bounds}
+
+    def between(self, one: Compared, other: Compared, name: str) -> float:
+        """The error of one if the other is taken for exact."""
+        a, b = np.asarray(one[name]), np.asarray(other[name])
+        return float(np.abs(a - b).max()) / (self.scale.get(name) or float(np.abs(b).max()))
+
+
+@dataclass(frozen=True)
+class Solution:
+    """What came of a problem."""
+
+    problem: Problem
+    run: Run
+    found: Compared
+    errors: dict[str, float]
+
+    @property
+    def beyond(self) -> list[str]:
+        """What is further off than its bound, or is no number."""
+        return [name for name, error in self.errors.items() if not error <= self.problem.bounds[name]]
+
+
+def made(**sections: Any) -> Scene:
+    """A scene of these sections."""
+    return Scene.model_validate(sections)
+
+
+def solve(problem: Problem, precision: str = "f64", finer: int = 1) -> Solution:
+    """Run a problem with the automatic step, or with so many steps in place of one.
+
+    Raises SceneError and SimulationError.
+    """
+    scene = problem.scene.replace({"run.precision": precision})
+    parameters = dict(problem.parameters)
+    if finer > 1 and parameters:
+        count = len(next(iter(parameters.values())))
+        each = [scene.replace({key: values[k] for key, values in parameters.items()}) for k in range(count)]
+        parameters["run.step"] = [_step(s) / finer for s in each]
+    elif finer > 1:
+        scene = scene.replace({"run.step": _step(scene) / finer})
+    if parameters or problem.seeds:
+        run = ensemble(scene, problem.seeds, parameters=parameters or None)
+    else:
+        run = simulate(scene)
+    found = problem.measured(run)
+    return Solution(problem, run, found, problem.errors(found))
+
+
+def _step(scene: Scene) -> float:
+    """(s)"""
+    with jax.enable_x64(scene.run.precision == "f64"):
+        return build.build(scene).step.dt

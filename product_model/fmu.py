@@ -1,0 +1,75 @@
+"""The Product Model as a functional mock-up unit (FMI 2.0, co-simulation), for Simulink, OpenModelica, Dymola and the like."""
+
+import dataclasses
+import json
+import os
+import shutil
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from product_model.inputs import BadInput, Parameters, check, pieces_of
+
+SLAVE = Path(__file__).with_name("fmu_slave.py")
+
+
+def check_fmu(path: str | os.PathLike[str], overwrite: bool = False) -> Path:
+    """`path` if a unit may be written there, else `BadInput`."""
+    path = Path(path)
+    if path.suffix != ".fmu":
+        raise BadInput(f"out = {path}: must end in .fmu")
+    if not path.parent.is_dir():
+        raise BadInput(f"out = {path}: the folder does not exist")
+    if path.exists() and not overwrite:
+        raise BadInput(f"out = {path}: exists; give another name, or --overwrite to replace it")
+    return path
+
+
+def write_fmu(path: str | os.PathLike[str], params: Parameters, seed: int = 0, overwrite: bool = False) -> Path:
+    """Write a unit of these inputs, which a tool may change before it begins; its step is `params.sample`. Returns the path.
+
+    Variables: the leaves of `Parameters`, `pieces` and `seed` (parameters), `release` (input: each rising edge lets the next
+    portion fall, the first falls at the start), `force` (N) and `pif_kg` (kg) (outputs: means over the step). What a portion
+    does is `product_model.stream` of the key `seed`, of the n-th after the first `seed + n`. The unit calls the Python that it
+    is run beside, in which product-impact must be installed.
+
+    Raises `BadInput` for inputs out of range, the smooth form, a path that cannot be written, and without pythonfmu.
+    """
+    path = check_fmu(path, overwrite)
+    check(params)
+    if params.form == "smooth":
+        raise BadInput("form = smooth: a stream is rectangular or interval-mean")
+    try:
+        from pythonfmu.builder import FmuBuilder
+    except ImportError as error:
+        raise BadInput(f"out = {path}: needs pythonfmu: pip install 'product-impact[fmu]' ({error})") from None
+    with tempfile.TemporaryDirectory() as folder, _imports_kept():
+        inputs, slave = Path(folder) / "inputs.json", Path(folder) / SLAVE.name
+        inputs.write_text(json.dumps(_plain(params) | {"seed": seed}), encoding="utf-8")
+        shutil.copy2(SLAVE, slave)
+        made = Path(folder) / "made.fmu"
+        FmuBuilder.build_FMU(slave, made, [inputs], canHandleVariableCommunicationStepSize=False)
+        try:
+            shutil.move(made, path)
+        except OSError as error:
+            raise BadInput(f"out = {path}: cannot be written ({error.strerror or error})") from None
+    return path
+
+
+@contextmanager
+def _imports_kept() -> Iterator[None]:
+    """pythonfmu puts folders into the path of imports and leaves them there."""
+    path = list(sys.path)
+    try:
+        yield
+    finally:
+        sys.path[:] = path
+        sys.modules.pop(SLAVE.stem, None)
+
+
+def _plain(params: Parameters) -> dict[str, float | int | str | None]:
+    """All inputs as plain numbers and strings, with the number of pieces."""
+    values = {f.name: getattr(params, f.name) for f in dataclasses.fields(params)} | {"pieces": pieces_of(params)}
+    return {name: value if isinstance(value, int | str | None) else float(value) for name, value in values.items()}

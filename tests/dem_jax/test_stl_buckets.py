@@ -1,0 +1,122 @@
+"""Buckets and walls of one's own from STL files: placed, opened and named as the ones that are made of sizes."""
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial.transform import Rotation
+
+from dem_jax import build
+from dem_jax.build.walls import panels_of, walls_of
+from dem_jax.errors import SceneError
+from dem_jax.scene import Bucket, Wall, buckets, described, load_scene, parse
+from dem_jax.scene.materials import materials_of_groups
+from dem_jax.show.summary import notes_on_walls
+
+SIZES = {"mouth": (0.15, 0.11), "wall_height": 0.12, "flap_angle_deg": 50.0, "lap": 0.0}
+TURN, WAY = (90.0, 0.0, 30.0), (0.3, -0.2, 0.0)  # by which a file is turned, then moved, to be the bucket
+
+
+@pytest.fixture(scope="module")
+def parts():
+    return buckets.parts(Bucket(**SIZES), "wb", 0.0)
+
+
+@pytest.fixture
+def files(parts, tmp_path):
+    """The parts of a bucket in mm, turned and moved the other way: walls, flaps, all."""
+    back = Rotation.from_euler("xyz", TURN, degrees=True).as_matrix()
+
+    def write(name, groups):
+        panels = [1e3 * (corners - WAY) @ back for group, corners, _ in parts.panels if group in groups]
+        points = np.concatenate(panels)
+        first = np.cumsum([0, *map(len, panels)])[:-1]
+        faces = [(k, k + i, k + i + 1) for k, panel in zip(first, panels, strict=True) for i in range(1, len(panel) - 1)]
+        trimesh.Trimesh(points, faces, process=False).export(tmp_path / name)
+        return str(tmp_path / name)
+
+    names = {"walls.stl": ["wb_walls"], "left.stl": ["wb_flap_left"], "right.stl": ["wb_flap_right"]}
+    whole = write("whole.stl", sum(names.values(), []))
+    return [*(write(name, groups) for name, groups in names.items()), whole]
+
+
+def placed(**keys):
+    return {"unit": 1e-3, "rotate_deg": TURN, "move": WAY} | keys
+
+
+def in_order(panels):
+    """Corners of each panel, whichever panel and corner comes first."""
+    key = lambda row: (np.round(row, 5) + 0.0).tolist()  # noqa: E731
+    rows = [np.roll(row, -min(range(len(row)), key=key(row).__getitem__), axis=0) for _, row, _ in panels]
+    return [row.tolist() for row in sorted(rows, key=key)]
+
+
+def test_a_bucket_of_stl_files_is_that_of_its_sizes(parts, files):
+    """Panels, hinges, block and the room in which pieces begin, over the weigh bucket at the height of the drop."""
+    walls, left, right, _ = files
+    own = placed(stl=walls, flap_stl=(left, right), opening_angle_deg=65.0)
+    scene = load_scene("weigh-bucket").replace(weigh_bucket=own | {"opening_angle_deg": 0.0}, feed_bucket=own, drop={"height": 0.3})
+    panels, motions, joint, blocks, regions = walls_of(scene)
+    found = [p for p in panels if p[0].startswith("wb")]
+    assert sorted(group for group, *_ in found) == sorted(group for group, *_ in parts.panels)
+    np.testing.assert_allclose(in_order(found), in_order(parts.panels), atol=5e-8)  # an STL is of single precision
+    above = [(group, corners - [0, 0, 0.3], t) for group, corners, t in panels if group.startswith("fb")]
+    np.testing.assert_allclose(in_order(above), in_order(parts.panels), atol=5e-8)
+    for motion, expected in zip(motions, parts.motions, strict=True):
+        assert motion.group == expected.group.replace("wb", "fb") and motion.swing_deg == expected.swing_deg
+        np.testing.assert_allclose(motion.pivot, np.add(expected.pivot, [0, 0, 0.3]), atol=5e-8)
+    assert joint == {f"{name}_flap_{side}": f"{name}_flaps" for name in ("wb", "fb") for side in ("left", "right")}
+    (block,), ((low, high),) = blocks, regions
+    np.testing.assert_allclose([block.low, block.high], [parts.block.low, parts.block.high], atol=5e-8)
+    np.testing.assert_allclose([low, high], np.add([parts.interior_low, parts.interior_high], [0, 0, 0.3]), atol=5e-8)
+
+
+def test_a_bucket_of_one_file_is_held_shut_and_all_of_it_is_weighed(parts, files):
+    cell = {"load_cell": {"mass": 1.2}}
+    scene = load_scene("weigh-bucket").replace(weigh_bucket=placed(stl=files[-1], move=(0.3, -0.2, 0.05)) | cell)
+    panels, motions, _, blocks, _ = walls_of(scene)
+    own = [p for p in panels if p[0] == "wb_flaps"]
+    lifted = [(group, corners + [0, 0, 0.05], t) for group, corners, t in parts.panels]
+    assert len(own) == 6 and [row.group for row in motions] == ["fb_flap_left", "fb_flap_right"]
+    np.testing.assert_allclose(in_order(own), in_order(lifted), atol=5e-8)
+    walls = build.build(scene).system.walls
+    assert dict(zip(walls.groups, np.asarray(walls.load_cell.groups), strict=True))["wb_flaps"] == 1.0
+    assert materials_of_groups(scene).keys() == {"wb_flaps", "fb_walls", "fb_flap_left", "fb_flap_right"}
+
+
+def test_what_was_read_goes_with_the_scene(files):
+    """A stored scene needs its files no more, and says what they were."""
+    walls, left, right, _ = files
+    scene = load_scene("weigh-bucket").replace(feed_bucket=placed(stl=walls, flap_stl=(left, right)))
+    alone = parse(build.self_contained(scene).to_toml())
+    assert alone.feed_bucket.stl is None and "walls.stl: 8 facets, 4 panels" in alone.feed_bucket.note
+    assert in_order(walls_of(alone)[0]) == in_order(walls_of(scene)[0])
+    assert parse(described(alone)) == alone
+    (said,) = notes_on_walls(scene)
+    assert said == f"feed_bucket: {alone.feed_bucket.note}" and notes_on_walls(alone) == [said]
+
+
+def test_a_wall_of_an_stl_is_turned_and_moved(tmp_path):
+    trimesh.Trimesh([[0, 0, 0], [10, 0, 0], [0, 10, 0]], [[0, 1, 2]]).export(tmp_path / "a.stl")
+    wall = Wall(group="a", stl="a.stl", unit=1e-3, rotate_deg=(0.0, 0.0, 90.0), move=(0.0, 0.0, 0.5))
+    ((_, corners, _),) = panels_of(wall, tmp_path)
+    expected = np.array([[0.0, 0.0, 0.5], [0.0, 0.01, 0.5], [-0.01, 0.0, 0.5]])
+    assert max(np.abs(expected - corner).sum(axis=1).min() for corner in corners) < 1e-12
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"feed_bucket.stl": "x.stl"}, "opening_angle_deg = 65: the STL has no flaps of its own; allowed: flap_stl"),
+        ({"feed_bucket.flap_stl": ["a.stl", "b.stl"]}, "flap_stl, flap_panels: allowed beside the stl"),
+        ({"feed_bucket.flap_stl": ["a.stl"]}, r"feed_bucket.flap_stl = \[\"a.stl\"\]: allowed: a list of 2, each a text"),
+        ({"weigh_bucket.stl": "x.stl"}, "'x.stl': there is no such file"),
+    ],
+)
+def test_a_mistake_is_one_clear_line(changes, said):
+    with pytest.raises(SceneError, match=said):
+        walls_of(load_scene("weigh-bucket", changes))
+
+
+def test_a_bucket_in_mm_taken_for_m_is_asked_about(files):
+    with pytest.raises(SceneError, match=r"whole\.stl' is .* m large; allowed: unit = 1e-3 if it is in mm"):
+        walls_of(load_scene("weigh-bucket", {"weigh_bucket.stl": files[-1]}))
