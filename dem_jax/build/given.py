@@ -95,7 +95,7 @@ def with_values(scene: Scene, built: Built, values: Values, seed: int = 0) -> tu
     dtype, system = built.system.dt.dtype, built.system
     lift = given.drop.height - scene.drop.height
     walls = _walls(scene, given, system.walls, lift)
-    height = typed(_up(lift, [name == "fb" for name in system.blocks]), dtype)
+    height = typed(_up(lift, [name in ("fb", buckets.FEEDER) for name in system.blocks]), dtype)
     system = system.replace(
         pieces=typed(piece_arrays(given, built.goods), dtype),
         materials=typed(materials_of(given), dtype),
