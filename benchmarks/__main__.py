@@ -10,7 +10,7 @@ import subprocess
 import sys
 import time
 
-BENCHMARKS = ("steps", "skips", "accuracy", "depth", "validation", "stability", "faults")
+BENCHMARKS = ("steps", "skips", "accuracy", "depth", "validation", "landing", "stability", "faults")
 BENCHMARKS += ("shapes", "peers", "scaling", "product_model", "calibration")
 
 
