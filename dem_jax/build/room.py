@@ -7,17 +7,19 @@ import numpy as np
 
 from dem_jax.pairs import guard, neighbours, search
 from dem_jax.shapes import Shape
-from dem_jax.types import Partition
+from dem_jax.types import Partition, Parts
 
 
-def capacity(polytopes: int, spheres: int, panels: int) -> tuple[tuple[str, int, int], ...]:
+def capacity(polytopes: int, spheres: int, panels: int, is_general: bool = False) -> tuple[tuple[str, int, int], ...]:
     """Kinds of contact that the scene can have, with candidates and slots to begin with (grown when they overflow).
 
-    polytopes, spheres: numbers of such parts of pieces. What a settled heap was seen to need.
+    polytopes, spheres: numbers of such parts of pieces. What a settled heap was seen to need; is_general: of polytopes of any form,
+    which have more neighbours than boxes.
     """
     p, s = polytopes, spheres
     walls = 4 * s ** (2 / 3) + 8 if panels else 0
-    wanted = {"hulls": (9 * p, 3 * p + 5), "mixed": (8 * min(p, s) + 2 * walls, 4 * min(p, s) + walls), "spheres": (8 * s, 4 * s)}
+    hulls = 9 * p, (5 if is_general else 3) * p + 5
+    wanted = {"hulls": hulls, "mixed": (8 * min(p, s) + 2 * walls, 4 * min(p, s) + walls), "spheres": (8 * s, 4 * s)}
     out: list[tuple[str, int, int]] = []
     for kind in neighbours.SOURCES:
         every = search.pair_count(kind, p, s, panels)
@@ -25,6 +27,12 @@ def capacity(polytopes: int, spheres: int, panels: int) -> tuple[tuple[str, int,
             candidates, slots = (guard.round_up(min(every, math.ceil(count))) for count in wanted[kind])
             out.append((kind, candidates, slots))
     return tuple(out)
+
+
+def touching(parts: Parts, panels: int, is_general: bool) -> int:
+    """Contacts that a piece has room for to begin with."""
+    usual = 20 if is_general else 12
+    return min(usual if parts.owner is None else 24, guard.most_contacts(parts, panels))
 
 
 def row_capacity(made: Sequence[Shape], choice: str) -> int:

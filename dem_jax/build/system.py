@@ -13,7 +13,7 @@ from dem_jax.build.law import law_of, materials_of
 from dem_jax.build.load_cell import added_rate
 from dem_jax.build.parts import hull_table, part_arrays, solids_of
 from dem_jax.build.pieces import Goods, alike, goods_of, named, piece_arrays, with_points
-from dem_jax.build.room import capacity, partition, row_capacity
+from dem_jax.build.room import capacity, partition, row_capacity, touching
 from dem_jax.build.sampling import shortest_contact
 from dem_jax.build.start import Box, Start, first_state, motion_of_start, placed, settling_samples
 from dem_jax.build.statistics import statistics_of
@@ -23,7 +23,6 @@ from dem_jax.build.walls import wall_arrays, walls_of, with_buckets_read, writte
 from dem_jax.contact import motion
 from dem_jax.contact.law import ContactLaw
 from dem_jax.errors import SceneError
-from dem_jax.pairs.guard import most_contacts
 from dem_jax.scene import Scene
 from dem_jax.scene.buckets import Panel
 from dem_jax.shapes import Shape
@@ -78,6 +77,7 @@ def build(scene: Scene, seed: int = 0, law: ContactLaw | None = None) -> Built:
     parts, convex = part_arrays(solids), [solid.shape for row in solids for solid in row]
     table, shape_rows = hull_table(solids, plates, seams)
     has_hulls = any(shape.radius == 0 for shape in made)
+    is_general = table is not None and table.features is not None
     system = System(
         pieces=typed(pieces, dtype),
         parts=typed(parts, dtype),
@@ -95,8 +95,8 @@ def build(scene: Scene, seed: int = 0, law: ContactLaw | None = None) -> Built:
         block_high=jnp.asarray(np.asarray(np.array([b.high for b in blocks]).reshape(-1, 3).T, dtype)),
         domain_low=jnp.asarray(np.asarray(domain[0], dtype)),
         domain_high=jnp.asarray(np.asarray(domain[1], dtype)),
-        capacity=capacity(len(parts.polytopes), len(parts.spheres), len(panels)),
-        touching=min(12 if parts.owner is None else 24, most_contacts(parts, len(panels))),
+        capacity=capacity(len(parts.polytopes), len(parts.spheres), len(panels), is_general),
+        touching=touching(parts, len(panels), is_general),
         neighbours=scene.run.neighbours,
         row_capacity=row_capacity(convex, scene.run.neighbours),
         partition=partition(convex, scene.run.neighbours, domain),

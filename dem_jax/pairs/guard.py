@@ -93,7 +93,9 @@ def grown(system: System, state: State, guard: Guard) -> tuple[System, State]:
             touching = -(-touching * near // candidates)
         rows.append((kind, _enough(candidates, near, every), _enough(slots, touching, every)))
     most = int(np.max(guard.touching))
-    touching = system.touching if most <= system.touching else min(most_contacts(system.parts, panels), most + 2)
+    touching = system.touching
+    if most > touching:
+        touching = min(most_contacts(system.parts, panels), max(most + 2, int(np.ceil(HEAD_ROOM * most))))
     row = _enough(system.row_capacity, int(np.max(guard.row)), parts)
     travel = np.max(guard.travel)
     if travel > system.skin:
