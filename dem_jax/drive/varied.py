@@ -111,8 +111,13 @@ def _check_keys(keys: Iterable[str]) -> None:
     for key in keys:
         if key.partition(".")[0] in ALIKE and key != OWN:
             raise SceneError(f"parameters: {key}: allowed: {OWN}, and keys that are not of {', '.join(ALIKE)}")
-        if key.rpartition(".")[2] in FILES:
+        if is_of_file(key):
             raise SceneError(f"parameters: {key}: allowed: keys that name no file; its contents are read once for all runs")
+
+
+def is_of_file(key: str) -> bool:
+    """Whether a key names a file, or says how it is read."""
+    return key.rpartition(".")[2] in FILES
 
 
 def _differ(column: Sequence[Any]) -> bool:

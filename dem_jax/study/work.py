@@ -44,13 +44,14 @@ class Failed:
 
 def batches(study: Study) -> Iterator[Batch | Failed]:
     """All drops of a study: member number = point number * seeds + seed number. Raises SceneError for a scene that cannot be."""
-    points, base = points_of(study), self_contained(study.base())
+    points, base = points_of(study), study.base()
+    if not any(varied.is_of_file(key) for key in study.parameter):
+        base = self_contained(base)  # its files are read once for all points
     forms: dict[int, Any] = {}
-    scenes: dict[int, Scene] = {}
     for n, point in enumerate(points):
         try:
-            scene = base.replace(point)
-            forms[n], scenes[n] = _form(scene, study), scene
+            scene = self_contained(base.replace(point))
+            forms[n] = _form(scene, study), [point[key] for key in point if varied.is_of_file(key)]
         except SceneError as error:
             if len(points) == 1:
                 raise
@@ -58,7 +59,8 @@ def batches(study: Study) -> Iterator[Batch | Failed]:
     order = sorted(forms, key=lambda n: (list(forms.values()).index(forms[n]), n))
     for _, group in groupby(order, key=lambda n: forms[n]):
         numbers = list(group)
-        common = base.replace({key: points[numbers[0]][key] for key in points[numbers[0]] if _is_common(key)})
+        first = points[numbers[0]]
+        common = self_contained(base.replace({key: first[key] for key in first if _is_common(key)}))
         for members in _cut([n * study.seeds + k for n in numbers for k in range(study.seeds)], study.seeds):
             rows = tuple(points[m // study.seeds] for m in members)
             yield Batch(tuple(members), rows, tuple(study.seed + m % study.seeds for m in members), common)
@@ -76,7 +78,7 @@ def _form(scene: Scene, study: Study) -> Any:
 
 
 def _is_common(key: str) -> bool:
-    return key.startswith("run.") and key != varied.OWN
+    return (key.startswith("run.") and key != varied.OWN) or varied.is_of_file(key)
 
 
 def run(batch: Batch, study: Study) -> tuple[Run | None, tuple[int, ...], list[Failed]]:

@@ -4,6 +4,7 @@ from html import escape
 
 import numpy as np
 import pytest
+import trimesh
 
 import dem_jax
 from dem_jax.cli.main import main
@@ -57,6 +58,20 @@ def test_every_drop_is_the_run_of_its_own_scene(done):
             np.testing.assert_array_equal(found.outputs[name][member], evaluated(alone, (name,))[name][0], err_msg=name)
         np.testing.assert_array_equal(found.force[member], alone.pif_kg("plate").astype(np.float32))
     assert np.ptp(found.outputs["peak"]) > 0.05
+
+
+def test_a_file_that_varies_is_read_for_each_point():
+    square = np.array([[-0.1, -0.1, 0.0], [0.1, -0.1, 0.0], [0.1, 0.1, 0.0], [-0.1, 0.1, 0.0]])
+    for name, height in (("near.stl", 0.0), ("far.stl", -0.02)):
+        trimesh.Trimesh(square + [0.0, 0.0, height], [[0, 1, 2], [0, 2, 3]]).export(name)
+    changes = BALL["set"] | {"wall": [{"group": "plate", "stl": "near.stl"}]}
+    files = {"wall.0.stl": {"values": ["near.stl", "far.stl"]}}
+    found = conduct.study(ball(set=changes, parameter=files, seeds=1, points=1, outputs=["peak", "time_of_peak"]))
+    assert found.state.tolist() == [file.DONE] * 2
+    near, far = found.outputs["time_of_peak"]
+    assert far > near + 1e-3
+    for member, scene in enumerate(found.study.base().replace(point) for point in points_of(found.study)):
+        np.testing.assert_array_equal(found.force[member], dem_jax.simulate(scene).pif_kg("plate").astype(np.float32))
 
 
 def test_a_study_that_was_stopped_does_only_what_is_left_and_ends_with_the_same_bits(done, tmp_path, monkeypatch):
