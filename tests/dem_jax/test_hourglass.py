@@ -1,0 +1,46 @@
+"""What goes wrong in an hourglass of buckets: pieces that stay wedged, a bucket that runs over, flaps that close on a piece."""
+
+import numpy as np
+import pytest
+
+import dem_jax
+from dem_jax.errors import SimulationError
+
+PIECE = 5.832e-3  # kg
+
+
+def drop(**changes):
+    """Nine marshmallows; all scenes share one program."""
+    common = {"run.duration": 1.0, "run.frames": 0.0, "run.energy": False, "run.escape": "note"}
+    return dem_jax.simulate(dem_jax.load_scene("weigh-bucket").replace(common | changes))
+
+
+def borne(run, group):
+    """Mass (kg) that a group of walls bears at the end, by the mean force of the last 0.1 s."""
+    last = run.time > run.time[-1] - 0.1
+    return -float(np.asarray(run.mean_force[group], float)[last, 2].mean()) / 9.81
+
+
+def test_a_piece_that_stays_wedged_is_borne_by_the_feed_bucket():
+    run = drop(**{"feed_bucket.opening_angle_deg": 20.0, "feed_bucket.open_dwell": 1.0})
+    feed, weigh = (sum(borne(run, f"{name}_{part}") for part in ("walls", "flaps")) for name in ("fb", "wb"))
+    left = round(feed / PIECE)
+    assert 1 <= left <= 8
+    np.testing.assert_allclose([feed, weigh], [left * PIECE, (9 - left) * PIECE], rtol=5e-3)
+    np.testing.assert_allclose(run.settled_mass["wb"][-1], (9 - left) * PIECE, rtol=1e-5)
+
+
+def test_what_runs_over_is_noted_and_the_bucket_bears_the_rest():
+    """Its flaps are nearly flat and its walls 1 cm high."""
+    run = drop(**{"weigh_bucket.flap_angle_deg": 5.0, "weigh_bucket.wall_height": 0.01})
+    fell = sum("left the domain" in note for note in run.info["notes"])
+    assert 1 <= fell <= 8
+    np.testing.assert_allclose(borne(run, "wb_flaps") + borne(run, "wb_walls"), (9 - fell) * PIECE, rtol=0.02)
+    assert run.settled_mass["wb"][-1] <= (9 - fell) * PIECE * 1.001
+
+
+def test_flaps_that_close_on_a_piece_stop_the_run_with_its_name():
+    """Their motion is given, so they press with any force."""
+    changes = {"feed_bucket.opening_time": 0.06, "feed_bucket.open_dwell": 0.03, "feed_bucket.closing_time": 0.06}
+    with pytest.raises(SimulationError, match=r"piece \d+ at t = .* deep .*or the piece is pinched between walls"):
+        drop(**changes)
