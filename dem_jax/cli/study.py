@@ -10,6 +10,7 @@ def add(commands: Commands) -> None:
     """Add the command to the parser."""
     made = command(commands, "study", study, "Conduct a study: drops at many points of parameters, with a table and a figure.")
     made.add_argument("study", nargs="?", metavar="STUDY", help="a stock study's name, or a .toml file; without: a list")
+    made.add_argument("--scene", metavar="SCENE", help="a stock scene or a .toml file in the place of the study's")
     made.add_argument("--quick", action="store_true", help="few drops, as the study's [quick] says")
     made.add_argument("--out", metavar="FILE", help="HDF5 file, gone on with if it is there (default: the study's name .h5)")
     made.add_argument("--overwrite", action="store_true", help="begin anew")
@@ -26,6 +27,8 @@ def study(args: Args) -> None:
             print(f"{name:<16} {title}")
         return
     table = load_study(args.study, args.quick)
+    if args.scene is not None:
+        table = table.of_scene(args.scene)
     simulating.use_cache()
     from dem_jax.study import conduct, results
 

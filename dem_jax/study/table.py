@@ -105,6 +105,10 @@ class Study(Section):
         changes = {"run.frames": 0.0} | self.set
         return load_scene(beside if beside.is_file() else self.scene, changes)
 
+    def of_scene(self, scene: str) -> "Study":
+        """The same study of another scene: a stock scene or a .toml file, from where the process is."""
+        return self.model_copy(update={"scene": scene, "name": f"{self.name}-{Path(scene).stem}", "folder": "."})
+
     def text(self) -> str:
         """As TOML; ``load_study`` of it is the same study."""
         return tomli_w.dumps(self.model_dump(exclude_none=True, exclude={"folder", "quick"}))
