@@ -17,11 +17,12 @@ import numpy as np
 
 from benchmarks import report
 from benchmarks.box import open_box
-from benchmarks.peers.liggghts import MODEL, OPTIONS, version
+from benchmarks.peers.liggghts import setting, version, walls
+from benchmarks.peers.packing import GRAVITY
 from dem_jax import build, compiling, load_scene, simulate
 from dem_jax.build.time_step import possible_contacts
 
-RADIUS, DENSITY, GRAVITY = 0.01, 300.0, 9.81  # m, kg/m3, m/s2
+RADIUS, DENSITY = 0.01, 300.0  # m, kg/m3
 STEP, EVERY = 4e-6, 5  # s; steps between two that are compared
 SEPARATION = 1e-6  # lambda: LIGGGHTS's unloading line goes down to nothing
 TANGENTIAL = 1.0  # K_t / K_n, as LIGGGHTS has it (and we, unless told otherwise)
@@ -107,52 +108,21 @@ def ours(landing: Landing) -> tuple[Trace, tuple[float, float]]:
 def liggghts(landing: Landing, stiffness: tuple[float, float], folder: Path) -> Trace:
     """LIGGGHTS, with stiffnesses (N/m) against a wall and between pieces."""
     steps = EVERY * round(landing.duration / (EVERY * STEP))
-    wall, between = stiffness
-    unload = landing.restitution**-2
-    each = lambda a, b: f"peratomtypepair 2 {a!r} {b!r} {b!r} {b!r}"  # noqa: E731
-    properties = {
-        "LoadingStiffness": each(between, wall),
-        "UnloadingStiffness": each(unload, unload),  # relative to that of loading
-        "coefficientAdhesionStiffness": each(0, 0),
-        "coefficientRestitution": each(1, 1),  # of the dashpot: none
-        "coefficientFriction": each(landing.friction, landing.friction),
-        "pullOffForce": each(0, 0),
-        "surfaceEnergy": each(0, 0),
-        "overlapExponent": "scalar 1",
-        "adhesionExponent": "scalar 1",
-    }
     x, z = landing.half_width, landing.height
-    sides = {"zplane": (0.0,), "xplane": (-x, x), "yplane": (-x, x)}
     atoms = []
     for n, (at, v) in enumerate(zip(landing.position.tolist(), landing.velocity.tolist(), strict=True), 1):
-        atoms.append("create_atoms 1 single {!r} {!r} {!r} units box".format(*at))
-        atoms.append(f"set atom {n} diameter {2 * RADIUS} density {DENSITY} " + "vx {!r} vy {!r} vz {!r}".format(*v))
+        atoms.append("create_atoms 1 single {} {} {} units box".format(*at))
+        atoms.append(f"set atom {n} diameter {2 * RADIUS} density {DENSITY} " + "vx {} vy {} vz {}".format(*v))
+    domain = f"region box block {-x - 0.02} {x + 0.02} {-x - 0.02} {x + 0.02} -0.02 {z + 0.02} units box"
     lines = [
-        "atom_style granular",
-        "atom_modify map array",
-        "boundary f f f",
-        "newton off",
-        "communicate single vel yes",
-        "units si",
-        f"region box block {-x - 0.02} {x + 0.02} {-x - 0.02} {x + 0.02} -0.02 {z + 0.02} units box",
-        "create_box 2 box",
-        "neighbor 0.002 bin",
-        "neigh_modify delay 0",
-        *(f"fix p{n} all property/global {name} {value}" for n, (name, value) in enumerate(properties.items())),
-        f"pair_style gran {MODEL} {OPTIONS}",
-        "pair_coeff * *",
+        *setting(stiffness[::-1], landing.restitution, 2 * (landing.friction,), [domain, "create_box 2 box"]),
         f"timestep {STEP}",
-        f"fix weight all gravity {GRAVITY} vector 0 0 -1",
-        *(
-            f"fix {kind}{n} all wall/gran {MODEL} primitive type 2 {kind} {place!r} store_force yes {OPTIONS}"
-            for kind, places in sides.items()
-            for n, place in enumerate(places)
-        ),
+        *walls(x, "store_force yes "),
         *atoms,
         "fix motion all nve/sphere",
         "compute floor all reduce sum f_force_zplane0[3]",
         f"dump last all custom {steps} last.txt id x y z vx vy vz",
-        "dump_modify last format \"%d %.15g %.15g %.15g %.15g %.15g %.15g\"",
+        'dump_modify last format "%d %.15g %.15g %.15g %.15g %.15g %.15g"',
         f"thermo {EVERY}",
         "thermo_style custom step c_floor",
         "thermo_modify lost error norm no format float %.15g",

@@ -23,23 +23,22 @@ def version():
     return done.stdout.partition("LIGGGHTS-PUBLIC ")[2].split(",")[0] or "of unknown version"
 
 
-def _head(box: p.Packing, domain):
-    """Box, walls, contact law, gravity; domain: the lines that make LIGGGHTS's own box."""
-    x = 0.5 * box.width
+def setting(loading, restitution, friction, domain):
+    """Units, domain, contact law, gravity. loading: stiffness (N/m), friction: both between pieces and on a wall; domain: the lines
+    that make LIGGGHTS's own box."""
     pairs = lambda a, b: f"peratomtypepair 2 {a} {b} {b} {b}"  # noqa: E731
     properties = {
-        "LoadingStiffness": pairs(p.PAIR, p.WALL),
-        "UnloadingStiffness": pairs(p.RESTITUTION**-2, p.RESTITUTION**-2),  # relative to that of loading
+        "LoadingStiffness": pairs(*loading),
+        "UnloadingStiffness": pairs(restitution**-2, restitution**-2),  # relative to that of loading
         "coefficientAdhesionStiffness": pairs(0, 0),
         "coefficientRestitution": pairs(1, 1),  # of the dashpot: none
-        "coefficientFriction": pairs(p.FRICTION, p.WALL_FRICTION),
+        "coefficientFriction": pairs(*friction),
         "pullOffForce": pairs(0, 0),
         "surfaceEnergy": pairs(0, 0),
         "overlapExponent": "scalar 1",
         "adhesionExponent": "scalar 1",
     }
-    planes = {"zplane": (0.0,), "xplane": (-x, x), "yplane": (-x, x)}
-    lines = [
+    return [
         "atom_style granular",
         "atom_modify map array",
         "boundary f f f",
@@ -52,14 +51,24 @@ def _head(box: p.Packing, domain):
         *(f"fix p{n} all property/global {name} {value}" for n, (name, value) in enumerate(properties.items())),
         f"pair_style gran {MODEL} {OPTIONS}",
         "pair_coeff * *",
-        f"timestep {p.STEP}",
         f"fix weight all gravity {p.GRAVITY} vector 0 0 -1",
     ]
-    for kind, places in planes.items():
-        lines += [
-            f"fix {kind}{n} all wall/gran {MODEL} primitive type 2 {kind} {place} {OPTIONS}" for n, place in enumerate(places)
-        ]
-    return lines
+
+
+def walls(half_width, options=""):
+    """Floor and sides of the open box; half_width: (m)."""
+    planes = {"zplane": (0.0,), "xplane": (-half_width, half_width), "yplane": (-half_width, half_width)}
+    return [
+        f"fix {kind}{n} all wall/gran {MODEL} primitive type 2 {kind} {place} {options}{OPTIONS}"
+        for kind, places in planes.items()
+        for n, place in enumerate(places)
+    ]
+
+
+def _head(box: p.Packing, domain):
+    """Box, walls, contact law, gravity; domain: as of ``setting``."""
+    lines = setting((p.PAIR, p.WALL), p.RESTITUTION, (p.FRICTION, p.WALL_FRICTION), domain)
+    return [*lines, f"timestep {p.STEP}", *walls(0.5 * box.width)]
 
 
 def _tail():
