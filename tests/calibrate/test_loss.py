@@ -67,6 +67,7 @@ def test_coordinates_go_there_and_back(free):
     assert {name: float(value) for name, value in theta.items()} == pytest.approx(TRUTH)
 
 
+@pytest.mark.long
 def test_one_joint_distance_leaves_gamma_high_where_it_started():
     """The blocks find gamma_high from wherever they start; the joint distance of all summaries stays near its start."""
     data = traces(64, 64)

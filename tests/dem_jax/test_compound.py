@@ -218,6 +218,7 @@ def test_the_force_on_a_plate_is_the_weight(piece, height):
     assert -samples.mean_force[-200:, 2, 0].mean() == pytest.approx(weight, rel=1e-2)
 
 
+@pytest.mark.long
 def test_derivatives_are_finite():
     made = started(blocks(2, 1, 1) | {"position": (0, 0, 0.0101), "orientation": (1, 0.02, 0.03, 0), "velocity": (0, 0, -0.5)})
 

@@ -75,7 +75,10 @@ MIXTURE = (
 )
 
 
-@pytest.mark.parametrize("shapes", [({"shape": "chamfered-cuboid"},) * 8, MIXTURE * 2], ids=["marshmallows", "mixture"])
+SHAPES = [({"shape": "chamfered-cuboid"},) * 8, pytest.param(MIXTURE * 2, marks=pytest.mark.long)]
+
+
+@pytest.mark.parametrize("shapes", SHAPES, ids=["marshmallows", "mixture"])
 def test_an_isolated_cluster_keeps_its_momentum_and_angular_momentum(shapes):
     made = built(cluster(shapes), skin=5e-3)
     before, turning, sizes = momenta(made, made.state)

@@ -289,7 +289,7 @@ def test_a_gripping_impact_of_hertz_and_mindlin():
 # --- derivatives ---
 
 
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("law", [pytest.param(law, marks=pytest.mark.long) if law == "linear-dashpot" else law for law in LAWS])
 def test_derivatives_of_the_rebound(law):
     made = built(law)
     dt = jnp.asarray(elastic(law, made).loading_time / 50)

@@ -60,7 +60,7 @@ def box(contact, material, run, sides=6):
     return Scene(piece=pieces, wall=walls, material=material, contact=contact, run=settings | run)
 
 
-LONG = {"sticky hertz-mindlin": pytest.mark.long}  # two other sticky ones, and hertz-mindlin, are not
+LONG = dict.fromkeys(("sticky hertz-mindlin", "linear-dashpot"), pytest.mark.long)  # each like others that are not
 
 
 @pytest.mark.parametrize("case", [pytest.param(case, marks=LONG.get(case, ())) for case in CASES])

@@ -143,7 +143,7 @@ def test_closed_forms_equal_independent_numbers():
         np.testing.assert_allclose(case.rebound_speed / SPEED, row[4], rtol=2e-6)
 
 
-@pytest.mark.parametrize("shape", PIECES)
+@pytest.mark.parametrize("shape", ["sphere", pytest.param("marshmallow", marks=pytest.mark.long)])
 def test_impact_converges_to_the_closed_forms_at_second_order(shape):
     # The time resolved is the loading quarter period for the first three, the unloading one (epsilon times as long) for
     # the others. With N steps in it, kinks that fall between steps cost at most (pi/2 / N)^2 / 8 = 0.31 / N^2 of the
@@ -170,7 +170,7 @@ def test_flat_marshmallow_stays_flat():
     assert np.abs(found["momentum"] / inertia).max() < 1e-10
 
 
-@pytest.mark.parametrize("shape", PIECES)
+@pytest.mark.parametrize("shape", [pytest.param("sphere", marks=pytest.mark.long), "marshmallow"])
 def test_single_precision_at_the_softening_of_the_paper(shape):
     # Near the origin, 100 steps per loading quarter period (about the resolution of the paper's step, to our reading).
     count = 24

@@ -65,6 +65,7 @@ def test_a_restart_keeps_the_room_of_the_list():
     assert system.partition == larger.partition
 
 
+@pytest.mark.long
 def test_the_list_of_jax_md_can_be_made_for_many_members_at_once():
     job = prepare(heap("jax-md"), (0,), None)
     shifts = jnp.asarray([0.0, 0.002, 0.004], job.state.position.dtype)

@@ -206,7 +206,10 @@ def contact(table, rows, rel):
     return collide.hull_hull(*(hulls.with_faces(hulls.gather(table, row, False), table) for row in rows), rel)
 
 
-@pytest.mark.parametrize("piece", [{"shape": "chamfered-cuboid"}, MIXTURE[0]], ids=["zonotope", "hull"])
+ON_SHEETS = [pytest.param({"shape": "chamfered-cuboid"}, marks=pytest.mark.long), MIXTURE[0]]
+
+
+@pytest.mark.parametrize("piece", ON_SHEETS, ids=["zonotope", "hull"])
 def test_a_piece_bounces_off_a_sheet_as_off_a_slab(piece):
     """Tilted, at 2.2 m/s: of 0.5 mm and of 10 mm. Nothing differs but rounding."""
     floor, out = ((-0.2, -0.2, 0), (0.2, -0.2, 0), (0.2, 0.2, 0), (-0.2, 0.2, 0)), []
