@@ -56,10 +56,9 @@ class Apart:
     """How far the two are from each other."""
 
     whole: float  # largest difference of the force on the floor, over the largest force
-    early: float  # until ``until``
+    early: float  # until a time
     impulse: float  # of the force, relative
     rms_places: float  # m, at the end
-    until: float  # s
 
 
 def single(restitution: float, sideways: float = 0.0, friction: float = 0.0) -> Landing:
@@ -149,7 +148,7 @@ def apart(landing: Landing, folder: Path, until: float) -> Apart:
     early = difference[: round(until / (EVERY * STEP))].max()
     places = np.sqrt(np.mean(np.sum((one.position - two.position) ** 2, axis=1)))
     impulse = abs(one.floor.sum() / two.floor.sum() - 1)
-    return Apart(float(difference.max() / largest), float(early / largest), float(impulse), float(places), until)
+    return Apart(float(difference.max() / largest), float(early / largest), float(impulse), float(places))
 
 
 CASES = {  # name -> landing, until when the traces are compared (s), and the difference allowed until then

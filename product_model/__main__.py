@@ -4,7 +4,6 @@ import argparse
 import os
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
 from product_model.inputs import DTYPES, FORMS, BadInput, Parameters, table
@@ -88,6 +87,7 @@ def _inputs(args: argparse.Namespace) -> tuple[Parameters, "Fitted | None"]:
 def _simulate(args: argparse.Namespace) -> None:
     from product_model import drawn, ensemble, save
     from product_model.record import check_output
+    from product_model.target import check_target
 
     params, fit = _inputs(args)
     if args.runs < 1:
@@ -96,7 +96,7 @@ def _simulate(args: argparse.Namespace) -> None:
         raise BadInput("draw: needs the intervals of a fit; give --fit FILE")
     check_output(args.out, args.overwrite)
     if args.plot:
-        _check_figure(args.plot, args.overwrite)
+        check_target("plot", args.plot, (".png", ".pdf", ".svg"), ".png, .pdf or .svg", args.overwrite)
     varied = {}
     if args.draw and fit is not None:
         varied = {name: values for name, values in drawn(fit, args.runs, args.seed).items() if getattr(args, name) is None}
@@ -148,16 +148,6 @@ def _fmu(args: argparse.Namespace) -> None:
     check_fmu(args.out, args.overwrite)
     params, _ = _inputs(args)
     print(write_fmu(args.out, params, args.seed, args.overwrite))
-
-
-def _check_figure(name: str, force: bool) -> None:
-    path = Path(name)
-    if path.suffix not in (".png", ".pdf", ".svg"):
-        raise BadInput(f"plot = {path}: must end in .png, .pdf or .svg")
-    if not path.parent.is_dir():
-        raise BadInput(f"plot = {path}: the folder does not exist")
-    if path.exists() and not force:
-        raise BadInput(f"plot = {path}: exists; give another name, or --overwrite to replace it")
 
 
 def _report(trace: "Trace", params: Parameters, args: argparse.Namespace) -> None:

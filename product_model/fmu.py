@@ -11,20 +11,14 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from product_model.inputs import BadInput, Parameters, check, pieces_of
+from product_model.target import check_target
 
 SLAVE = Path(__file__).with_name("fmu_slave.py")
 
 
 def check_fmu(path: str | os.PathLike[str], overwrite: bool = False) -> Path:
     """`path` if a unit may be written there, else `BadInput`."""
-    path = Path(path)
-    if path.suffix != ".fmu":
-        raise BadInput(f"out = {path}: must end in .fmu")
-    if not path.parent.is_dir():
-        raise BadInput(f"out = {path}: the folder does not exist")
-    if path.exists() and not overwrite:
-        raise BadInput(f"out = {path}: exists; give another name, or --overwrite to replace it")
-    return path
+    return check_target("out", path, (".fmu",), ".fmu", overwrite)
 
 
 def write_fmu(path: str | os.PathLike[str], params: Parameters, seed: int = 0, overwrite: bool = False) -> Path:

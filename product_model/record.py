@@ -13,6 +13,7 @@ import numpy as np
 from product_model.inputs import INPUTS, LEAVES, BadInput, Parameters
 from product_model.portion import Trace, in_precision
 from product_model.pulses import rectangular
+from product_model.target import check_target
 
 FileName = str | PathLike[str]
 
@@ -26,14 +27,7 @@ def check_output(path: FileName, overwrite: bool = False) -> Path:
     """`path` if it may be written, else `BadInput`: unknown suffix, missing folder, or a file that nobody asked
     to replace.
     """
-    path = Path(path)
-    if path.suffix not in SUFFIXES:
-        raise BadInput(f"out = {path}: must end in one of {', '.join(SUFFIXES)}")
-    if not path.parent.is_dir():
-        raise BadInput(f"out = {path}: the folder does not exist")
-    if path.exists() and not overwrite:
-        raise BadInput(f"out = {path}: exists; give another name, or --overwrite to replace it")
-    return path
+    return check_target("out", path, SUFFIXES, f"one of {', '.join(SUFFIXES)}", overwrite)
 
 
 def save(

@@ -6,12 +6,11 @@ import numpy as np
 
 from dem_jax.build.time_step import PossibleContact
 from dem_jax.contact.law import ContactLaw
-from dem_jax.scene import LoadCell, Scene
+from dem_jax.scene import LoadCell, Scene, buckets
 from dem_jax.scene.numbers import array, sqrt
 from dem_jax.types import LoadCell as Cell
 from dem_jax.types import host
 
-GROUPS = ("wb_walls", "wb_flap_left", "wb_flap_right", "wb_flaps")  # that it carries, as scene.buckets names them
 BEND = 0.5e-3  # m, at the rated load
 STANDARD_GRAVITY = 9.81  # m/s2: of the rated load
 
@@ -31,10 +30,11 @@ def stiffness(section: LoadCell) -> float:
 def load_cell_of(scene: Scene, groups: Sequence[str], group: np.ndarray) -> Cell | None:
     """The load cell, in numpy; None: the scene has none. groups: names of the G wall groups; group: [W], that of each panel."""
     section = section_of(scene)
-    if section is None:
+    if section is None or scene.weigh_bucket is None:
         return None
     spring = stiffness(section)
-    carries = np.array([name in GROUPS for name in groups], float)
+    carried = buckets.groups(scene.weigh_bucket, "wb")
+    carries = np.array([name in carried for name in groups], float)
     return Cell(
         mass=host(array(section.mass)),
         stiffness=host(array(spring)),

@@ -15,11 +15,12 @@ FILLED = {"fb": "in FB", "lf": "on LF"}  # block -> words
 
 
 class Window(NamedTuple):
-    """A cycle from when WB is shut to when it begins to open again, s from the release."""
+    """A cycle from when WB is shut to when it begins to open again, s from the release; before: the end of the one before."""
 
     number: int
     begin: float
     end: float
+    before: float
 
 
 def windows_of(scene: Scene, duration: float) -> list[Window]:
@@ -31,7 +32,7 @@ def windows_of(scene: Scene, duration: float) -> list[Window]:
     begin, end = cycle.wb.closes[1] - zero, cycle.wb.opens[0] - zero + cycle.period
     while len(found) * cycle.period + end <= duration * (1 + 1e-9):
         passed = len(found) * cycle.period
-        found.append(Window(len(found) + 1, passed + begin, passed + end))
+        found.append(Window(len(found) + 1, passed + begin, passed + end, passed + end - cycle.period))
     return found
 
 
@@ -65,9 +66,7 @@ def _flow(run: Run, window: Window) -> list[Number]:
     """Numbers of pieces."""
     if "piece_count" not in run.series:
         return []
-    cycle = parse(run.scene, "the file's scene").cycle
-    assert cycle is not None  # as it has windows
-    first, last = np.searchsorted(run.time, (window.end - cycle.period, window.end), side="right") - 1
+    first, last = np.searchsorted(run.time, (window.before, window.end), side="right") - 1
     ways = (("came in", "brought_in"), ("taken out", "taken_out"))
     counts = {words: np.atleast_2d(run.piece_count[name]) for words, name in ways}
     return [Number(words, "", (n[:, last] - (n[:, first] if first >= 0 else 0)).astype(float)) for words, n in counts.items()]

@@ -4,19 +4,15 @@ The page holds all that it shows and loads nothing. ``paper`` prints the same fa
 """
 
 import base64
-import io
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from html import escape
-from importlib.resources import files
 from pathlib import Path
-from string import Template
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from dem_jax.errors import RecordError
-from dem_jax.show import paper
+from dem_jax.show import paper, webpage
 from dem_jax.show.collisions import figure_of_collisions, table
 from dem_jax.show.compare import compared
 from dem_jax.show.facts import facts_of, stiffness_said, weight_of
@@ -31,7 +27,7 @@ from dem_jax.store.run import Run
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-DPI = 140
+POLICY = "script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:"
 MOST_KINDS = 4  # of pieces that the first line names
 SPEEDS = "impact speeds, and where pieces hit"
 PEAKS = "Peak by the time that the force is averaged over, the first being the sample time."
@@ -59,12 +55,7 @@ def write_report(
     named = [Named(name, run) for name, run in zip(names, runs, strict=True)]
     if path.suffix.lower() == ".pdf":
         return paper.write(path, content(named, group, fit))
-    text = page(named, group, fit)
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise RecordError(f"{path} cannot be written: {error.strerror or error}") from error
-    return path
+    return webpage.write(path, page(named, group, fit))
 
 
 def content(named: Sequence[Named], group: str | None = None, fit: Fitted | None = None) -> list[paper.Sheet]:
@@ -86,12 +77,9 @@ def content(named: Sequence[Named], group: str | None = None, fit: Fitted | None
 
 def page(named: Sequence[Named], group: str | None = None, fit: Fitted | None = None) -> str:
     """The page as HTML text; arguments and errors as ``write_report``."""
-    folder = files("dem_jax.show") / "page"
     views = [(each.name, view_of(_shown(each.run, group), len(named))) for each in named]
     drawn = [{"name": name, "view": view} for name, view in views if view]
     fields = {
-        "title": escape(_title(named)),
-        "style": (folder / "report.css").read_text(),
         "lead": escape(_lead_of(named)),
         "numbers": _numbers(named, group),
         "differences": _list("Differences", _compared(named, group)),
@@ -104,9 +92,9 @@ def page(named: Sequence[Named], group: str | None = None, fit: Fitted | None = 
         "footer": escape(f"Made by dem_jax {named[0].run.version}." + (" 3-D view: three.js, MIT licence." if drawn else "")),
         "views": json.dumps(drawn).replace("<", "\\u003c"),
         "three": three() if drawn else "",
-        "script": (folder / "report.js").read_text(),
+        "script": webpage.part("report.js"),
     }
-    return Template((folder / "report.html").read_text()).substitute(fields)
+    return webpage.page(_title(named), POLICY, "report.html", **fields)
 
 
 def _title(named: Sequence[Named]) -> str:
@@ -232,7 +220,7 @@ def _drawn(named: Sequence[Named], with_force: Sequence[Named], group: str | Non
 def _figure(named: Sequence[Named], group: str | None) -> str:
     """The figure as PNG, and over each of its panels the line that goes along with the player."""
     figure = _drawn(named, [each for each in named if each.run.force], group)
-    picture = _png(figure)
+    picture = webpage.png(figure)
     cursors = []
     for axes in {axes.get_position().bounds: axes for axes in figure.axes}.values():
         (left, bottom, width, height), (start, end) = axes.get_position().bounds, axes.get_xlim()
@@ -244,12 +232,6 @@ def _figure(named: Sequence[Named], group: str | None) -> str:
         f'<div class="figure"><img alt="product impact force and settled mass over time" src="data:image/png;base64,{picture}">'
         f"{''.join(cursors)}</div>"
     )
-
-
-def _png(figure: "Figure") -> str:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=DPI)
-    return base64.b64encode(buffer.getvalue()).decode()
 
 
 def _depends(named: Sequence[Named], group: str | None) -> str:
@@ -273,15 +255,11 @@ def _collisions_of(named: Sequence[Named], group: str | None) -> Iterator[tuple[
 
 
 def _collisions(named: Sequence[Named], group: str | None) -> str:
-    found = [
-        f"<h2>Collisions{escape(f': {name}' if len(named) > 1 else '')}</h2>\n{_image(SPEEDS, _png(figure))}{_list('', lines)}"
-        for name, lines, figure in _collisions_of(named, group)
-    ]
+    found = []
+    for name, lines, figure in _collisions_of(named, group):
+        head = f"<h2>Collisions{escape(f': {name}' if len(named) > 1 else '')}</h2>"
+        found.append(f"{head}\n{webpage.image(SPEEDS, webpage.png(figure))}{_list('', lines)}")
     return "".join(found)
-
-
-def _image(words: str, coded: str) -> str:
-    return f'<div class="figure"><img alt="{words}" src="data:image/png;base64,{coded}"></div>'
 
 
 def _model(fit: Fitted) -> str:
@@ -289,7 +267,7 @@ def _model(fit: Fitted) -> str:
     head, *rows = fit.rows()
     picture = ""
     if fit.picture is not None:
-        picture = _image("traces and the fitted model", base64.b64encode(fit.picture.read_bytes()).decode())
+        picture = webpage.image("traces and the fitted model", base64.b64encode(fit.picture.read_bytes()).decode())
     cells = _table(head, [[escape(cell) for cell in row] for row in rows])
     return f"<h2>The Product Model, fitted</h2>\n{cells}{_list('', fit.statements)}{picture}"
 

@@ -73,7 +73,7 @@ def _computed(results: Results, batch: work.Batch | work.Failed) -> None:
     failed = [batch] if isinstance(batch, work.Failed) else []
     names = results.study.outputs
     if isinstance(batch, work.Batch):
-        for name, values in evaluated_portions(work.portions(batch, results.study), names).items():
+        for name, values in evaluated_portions(work.portions(batch), names).items():
             results.outputs[name][list(batch.members)] = values
         run, members, failed = work.run(batch, results.study) if of_drops(names) else (None, batch.members, [])
         results.state[list(members)] = DONE

@@ -35,19 +35,15 @@ def figure_of(results: Results) -> "Figure":
     study = results.study
     names = [name for name in study.outputs if _varies(results, name)]
     panels: list[Callable[[Axes], None]] = [partial(_traces, results=results)] if results.force else []
+    columns = 1 if study.design == "grid" else len(study.parameter)
+    if columns > 1:  # a row for each output, a column for each parameter
+        panels += [_nothing] * ((columns - 1) * len(panels))
     if study.design == "grid":
         panels += [partial(_over, results=results, name=name) for name in names]
-        wide = min(3, max(1, len(panels)))
-    elif len(study.parameter) == 1:
-        (key,) = study.parameter
-        panels += [partial(_scattered, results=results, name=name, key=key) for name in names]
-        wide = min(3, max(1, len(panels)))
-    else:  # a row for each output, a column for each parameter
-        wide = max(1, len(study.parameter))
-        panels += [_nothing] * ((wide - 1) * len(panels))
+    else:
         panels += [partial(_scattered, results=results, name=name, key=key) for name in names for key in study.parameter]
+    wide, each = (min(3, max(1, len(panels))), (4.4, 3.4)) if columns == 1 else (max(1, columns), (3.0, 2.4))
     high = max(1, -(-len(panels) // wide))
-    each = (4.4, 3.4) if study.design == "grid" or len(study.parameter) == 1 else (3.0, 2.4)
     figure = Figure(figsize=(each[0] * wide, each[1] * high), layout="constrained")
     places = np.ravel(figure.subplots(high, wide, squeeze=False))
     for axes, draw in zip(places, [*panels, *[_nothing] * len(places)], strict=False):

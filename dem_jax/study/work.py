@@ -45,12 +45,13 @@ class Failed:
 def batches(study: Study) -> Iterator[Batch | Failed]:
     """All drops of a study: member number = point number * seeds + seed number. Raises SceneError for a scene that cannot be."""
     points, base = points_of(study), study.base()
-    if not any(varied.is_of_file(key) for key in study.parameter):
-        base = self_contained(base)  # its files are read once for all points
+    differ = any(varied.is_of_file(key) for key in study.parameter)
+    base = base if differ else self_contained(base)
+    read = self_contained if differ else (lambda scene: scene)  # of points that have the same files they are read once
     forms: dict[int, Any] = {}
     for n, point in enumerate(points):
         try:
-            scene = self_contained(base.replace(point))
+            scene = read(base.replace(point))
             forms[n] = _form(scene, study), [point[key] for key in point if varied.is_of_file(key)]
         except SceneError as error:
             if len(points) == 1:
@@ -60,7 +61,7 @@ def batches(study: Study) -> Iterator[Batch | Failed]:
     for _, group in groupby(order, key=lambda n: forms[n]):
         numbers = list(group)
         first = points[numbers[0]]
-        common = self_contained(base.replace({key: first[key] for key in first if _is_common(key)}))
+        common = read(base.replace({key: first[key] for key in first if _is_common(key)}))
         for members in _cut([n * study.seeds + k for n in numbers for k in range(study.seeds)], study.seeds):
             rows = tuple(points[m // study.seeds] for m in members)
             yield Batch(tuple(members), rows, tuple(study.seed + m % study.seeds for m in members), common)
@@ -104,15 +105,15 @@ def run(batch: Batch, study: Study) -> tuple[Run | None, tuple[int, ...], list[F
     return None, (), failed
 
 
-def portions(batch: Batch, study: Study) -> list[np.ndarray]:
+def portions(batch: Batch) -> list[np.ndarray]:
     """Masses (kg) of the pieces of each drop of a batch."""
     found: dict[str, np.ndarray] = {}
-    for point in batch.points:
-        name = json.dumps(point)
+    names = [json.dumps(point) for point in batch.points]
+    for name, point in zip(names, batch.points, strict=True):
         if name not in found:
             scene = batch.scene.replace({key: value for key, value in point.items() if not _is_common(key)})
             found[name] = masses_of(goods_of(scene), material_table(scene))
-    return [found[json.dumps(point)] for point in batch.points]
+    return [found[name] for name in names]
 
 
 def _alone(batch: Batch, k: int, study: Study) -> str | None:
