@@ -399,6 +399,7 @@ class Scratch(Tree):
     facing: dict[str, Facing]  # likewise
     is_first: Array  # bool: whether no overlap of near polytopes was noted in the guard yet
     spare: Array  # (m): way that any two bodies may still move before it is asked whether a look is due
+    looked: Array  # int32: after which step that was the way to go
 
 
 @pytree

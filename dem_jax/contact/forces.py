@@ -6,10 +6,10 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from dem_jax.contact import bodies, boundary, collide, collisions, follow, of_run, seams, watch
+from dem_jax.contact import bodies, boundary, collide, collisions, follow, of_run, seams
 from dem_jax.contact.blocks import block_of, block_of_slots, block_size, in_one
 from dem_jax.contact.bodies import Body
-from dem_jax.contact.geometry import Known, geometry, is_kept
+from dem_jax.contact.geometry import Known, geometry
 from dem_jax.contact.law import Contact
 from dem_jax.contact.ledger import entered
 from dem_jax.maths import vector
@@ -36,8 +36,6 @@ def contacts(system: System, state: State, omega: Array, panels: boundary.Panels
     state: positions now, velocities of the interval that led here; omega: [3, N] (rad/s) likewise.
     """
     stacked = bodies.stack(system, state, omega, panels)
-    if is_kept(system):
-        state = watch.up_to_date(system, state, stacked)
     loads, overlap = state.scratch.loads, jnp.zeros((system.runs,), stacked.dtype)
     tables: dict[str, ContactTable] = {}
     facing: dict[str, Facing] = {}

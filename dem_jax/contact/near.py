@@ -17,6 +17,7 @@ from dem_jax.maths.vector import Vector, dot, expand, kept, unpack
 from dem_jax.types import Array, Facing, Hulls, Near, host
 
 PARALLEL = 1e-6  # one minus the cosine between faces that are opposite to each other
+Rows = tuple[Array, Array]  # of a and of b [P] int32, in the table of hulls
 AT_ONCE = 32  # pairs that are looked at together: those whose look is due, and those where it will be soon
 
 
@@ -69,31 +70,39 @@ def _least(keys: Array, rows: Sequence[Array]) -> tuple[Array, tuple[Array, ...]
     return least, found
 
 
-def renewed(
-    hulls: Hulls, near: Near, rows: tuple[Array, Array], live: Array, rel: Relative, reach: Array | None
-) -> tuple[Near, Array]:
-    """Near features of pairs [P] that hold for their place now, and the way that all may still move, [] (m).
+def left(hulls: Hulls, near: Near, rows: Rows, live: Array, rel: Relative) -> Array:
+    """The way (m) that each of pairs [P] may still move before its near features may be others; below 0: a look is due.
 
-    rows: [P] int32 each, of the table; live: [P] bool, whether there is a pair; reach: (m), of the law, None: it has none.
+    rows: [P] int32 each, of the table; live: [P] bool, whether there is a pair.
+    """
+    known = (near.rows[0] == rows[0]) & (near.rows[1] == rows[1]) & (near.margin >= 0)
+    way = jnp.where(known, moved(near, hulls.bounding_radius[rows[1]], rel), jnp.inf)
+    return jnp.where(live, jnp.where(known, near.margin - way, -jnp.inf), jnp.inf)
+
+
+def renewed(
+    hulls: Hulls, near: Near, left: Array, rows: Rows, live: Array, rel: Relative, reach: Array | None
+) -> tuple[Near, Array]:
+    """Near features of pairs [P] that hold for their place now, and the way ``left`` to them.
+
+    reach: (m), of the law, None: it has none.
     """
     features = hulls.features
     assert features is not None
     radius = tuple(hulls.bounding_radius[row] for row in rows)
-    known = (near.rows[0] == rows[0]) & (near.rows[1] == rows[1]) & (near.margin >= 0)
-    way = jnp.where(known, moved(near, radius[1], rel), jnp.inf)
-    left = jnp.where(live, jnp.where(known, near.margin - way, -jnp.inf), jnp.inf)
     count = min(AT_ONCE, live.shape[0])
+    urgency, order = jax.lax.sort((left, jnp.arange(live.shape[0], dtype=jnp.int32)), num_keys=1)
 
-    def another(carry: tuple[Near, Array]) -> tuple[Near, Array]:
-        near, left = carry
-        at = _least_of_all(left, count)
+    def another(carry: tuple[Array, Near, Array]) -> tuple[Array, Near, Array]:
+        first, near, left = carry
+        at = jax.lax.dynamic_slice_in_dim(order, first, count)
         some = lambda x: x if x.shape[-1] == 1 else x[..., at]  # noqa: E731
         fresh = look(features, *jax.tree.map(some, (rows, radius, rel, reach)))
         near = jax.tree.map(lambda x, new: x.at[..., at].set(new, mode="promise_in_bounds"), near, fresh)
-        return near, left.at[at].set(jnp.where(live[at], jnp.maximum(fresh.margin, 0), jnp.inf))
+        return first + count, near, left.at[at].set(jnp.where(live[at], jnp.maximum(fresh.margin, 0), jnp.inf))
 
-    near, left = jax.lax.while_loop(lambda carry: jnp.any(carry[1] < 0), another, (near, left))
-    return near, jnp.min(left)
+    due = jnp.sum(urgency < 0, dtype=jnp.int32)
+    return jax.lax.while_loop(lambda carry: carry[0] < due, another, (jnp.zeros((), jnp.int32), near, left))[1:]
 
 
 def moved(near: Near, radius: Array, rel: Relative) -> Array:
@@ -102,18 +111,6 @@ def moved(near: Near, radius: Array, rel: Relative) -> Array:
     entries = zip([c for row in rel.rotation for c in row], near.rotation, strict=True)
     turned = sum((jnp.square(c - was) for c, was in entries), host(0))
     return way + radius * vector.safe_sqrt(0.5 * turned)
-
-
-def _least_of_all(keys: Array, count: int) -> Array:
-    """Places [count] of the smallest of keys [P]."""
-
-    def another(k: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
-        keys, places = carry
-        at = jnp.argmin(keys).astype(jnp.int32)
-        return keys.at[at].set(jnp.inf), places.at[k].set(at)
-
-    # Also where that is all places: what does not depend on the keys, XLA would compute whether a look is due or not.
-    return jax.lax.fori_loop(0, count, another, (keys, jnp.zeros((count,), jnp.int32)))[1]
 
 
 def faced(

@@ -1,6 +1,5 @@
 """When a look at pairs of polytopes is due: how far all bodies may move before it is asked, and how far each pair has moved."""
 
-import jax
 import jax.numpy as jnp
 
 from dem_jax.contact import bodies, near
@@ -12,29 +11,33 @@ KIND = "hulls"
 ROUNDING = 1.01  # of a way
 
 
-def up_to_date(system: System, state: State, stacked: Array) -> State:
-    """The state with near features that hold for all pairs of polytopes where they are now. stacked: bodies.stack."""
+def is_due(state: State) -> Array:
+    """Whether a look is: [] bool. (Not of what is no number: the host will see that.)"""
+    return state.scratch.spare < 0
+
+
+def gone(system: System, state: State, stacked: Array) -> State:
+    """The state after the pieces went the way of a step. stacked: bodies.stack."""
     scratch = state.scratch
-    slots = scratch.slots[KIND]
-
-    def ask(carry: tuple[Near, Array, Guard]) -> tuple[Near, Array, Guard]:
-        known, _, guard = carry
-        known, spare = _renewed(system, known, slots, stacked)
-        return known, spare, _with_start(guard, scratch.is_first, known, slots)
-
-    spare = scratch.spare - system.dt * _pace(system, stacked)
-    # A loop of one round, not a branch: what it carries is written in place.
-    start = scratch.near[KIND], spare, state.guard, spare < 0
-    known, spare, guard, _ = jax.lax.while_loop(lambda c: c[3], lambda c: (*ask(c[:3]), jnp.zeros((), bool)), start)
-    scratch = scratch.replace(near={KIND: known}, spare=spare, is_first=scratch.is_first & (spare < 0))
-    return state.replace(guard=guard, scratch=scratch)
+    spare = jnp.where(state.step == scratch.looked, scratch.spare, scratch.spare - system.dt * _pace(system, stacked))
+    return state.replace(scratch=scratch.replace(spare=spare))
 
 
-def _renewed(system: System, known: Near, slots: Slots, stacked: Array) -> tuple[Near, Array]:
+def up_to_date(system: System, state: State, stacked: Array) -> State:
+    """The state with near features that hold for all pairs of polytopes where they are now, as far as a look is due.
+    stacked: bodies.stack."""
     assert system.hulls is not None
+    state = gone(system, state, stacked)
+    scratch, slots = state.scratch, state.scratch.slots[KIND]
     a, b = bodies.take_at_once(stacked, slots.a), bodies.take_at_once(stacked, slots.b)
-    rel = relative(a, b, bodies.offset(a, b))
-    return near.renewed(system.hulls, known, shapes_of(system, slots), slots.live, rel, system.law.reach(slots.pair))
+    rel, rows, reach = relative(a, b, bodies.offset(a, b)), shapes_of(system, slots), system.law.reach(slots.pair)
+    left = jnp.where(is_due(state), near.left(system.hulls, scratch.near[KIND], rows, slots.live, rel), jnp.inf)
+    known, left = near.renewed(system.hulls, scratch.near[KIND], left, rows, slots.live, rel, reach)
+    spare = jnp.where(is_due(state), jnp.min(left), scratch.spare)
+    guard = _with_start(state.guard, scratch.is_first & is_due(state), known, slots)
+    is_first = scratch.is_first & ~is_due(state)
+    scratch = scratch.replace(near={KIND: known}, spare=spare, is_first=is_first, looked=state.step)
+    return state.replace(guard=guard, scratch=scratch)
 
 
 def _pace(system: System, stacked: Array) -> Array:

@@ -95,7 +95,8 @@ def rebuild(system: System, state: State, panels: boundary.Panels | None = None)
         near=near,
         facing=facing,
         is_first=first_time,
-        spare=jnp.full_like(system.dt, -1),
+        spare=jnp.where(filled.get("hulls", 0) > 0, -1, jnp.inf).astype(system.dt.dtype),
+        looked=jnp.full_like(state.step, -1),
     )
     return state.replace(contacts=tables, incidence=incidence, guard=guard, scratch=scratch)
 

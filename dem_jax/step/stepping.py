@@ -1,19 +1,39 @@
 """One time step, read top to bottom as the physics, and the loops around it."""
 
+from collections.abc import Callable
 from functools import partial
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
 
 from dem_jax import compiling
-from dem_jax.contact import boundary, forces, ledger, of_run
+from dem_jax.contact import bodies, boundary, forces, ledger, of_run, watch
+from dem_jax.contact.geometry import is_kept
 from dem_jax.pairs import neighbours
 from dem_jax.step import integrate, measure
 from dem_jax.types import Array, Sample, State, System
 
+T = TypeVar("T")
 Whole = int | Array  # a number that the compiled program has in it, or takes
 Chunk = tuple[State, Sample, Array]  # the last state, the samples, the frames
-Now = tuple[State, boundary.Ahead]  # and where the walls are after each step since the last rebuild
+
+
+class Place(NamedTuple):
+    """How far a chunk has come, int32."""
+
+    sample: Array  # samples that are whole
+    part: Array  # parts of the next that are whole
+    step: Array  # steps of the next part
+
+
+class Going(NamedTuple):
+    """What the loops of a chunk carry."""
+
+    state: State
+    recorded: Sample  # [samples, .., R]
+    poses: Array  # [frames, 13, N]
+    at: Place
 
 
 def step(system: System, state: State) -> tuple[State, Sample]:
@@ -29,12 +49,21 @@ def of_single(sample: Sample) -> Sample:
 
 def advance(system: System, state: State, panels: boundary.Panels | None = None) -> State:
     """One time step: kick, drift, walls, contacts, kick. panels: boundary.after_step of it, if that is known already."""
+    state, omega, panels = _moved(system, state, panels)
+    if is_kept(system):
+        state = watch.up_to_date(system, state, bodies.stack(system, state, omega, panels))
+    state = forces.contacts(system, state, omega, panels)
+    return integrate.kick(system, state)
+
+
+def _moved(system: System, state: State, panels: boundary.Panels | None) -> tuple[State, Array, boundary.Panels]:
+    """The first half of ``advance``: the state with the pieces where they are after the step, their angular velocity in it,
+    and the walls."""
     state = integrate.kick(system, state)
     state, omega = integrate.drift(system, state)
     if panels is None:
         panels = boundary.after_step(system, state.step)
-    state = forces.contacts(system, state, omega, boundary.carried(system, state.cell, panels))
-    return integrate.kick(system, state)
+    return state, omega, boundary.carried(system, state.cell, panels)
 
 
 def chunk(system: System, state: State, count: Whole, frame_every: Whole, samples: int, frames: int) -> Chunk:
@@ -64,25 +93,24 @@ def chunk_of_runs(
     )
     poses = jnp.zeros((frames, 13, state.position.shape[1]), state.position.dtype)
 
-    def block(carry: tuple[State, Sample, Array, Array]) -> tuple[State, Sample, Array, Array]:
-        state, recorded, poses, done = carry
-        state, walls = _look_around(system, state)
-        end = jnp.minimum(done + jnp.maximum(system.block_steps // system.substeps, 1), count)
-        start = (state, walls), recorded, poses, done
-        (state, walls), recorded, poses, _ = jax.lax.fori_loop(done, end, one, start)
-        return _seen(system, state, walls), recorded, poses, end
+    def block(going: Going) -> Going:
+        state, walls = _look_around(system, going.state)
+        parts: Whole = 1
+        if system.sample_parts == 1:
+            parts = jnp.minimum(jnp.maximum(system.block_steps // system.substeps, 1), count - going.at.sample)
+        going = _parts(system, walls, going._replace(state=state), _whole_parts(system, going.at) + parts, record)
+        return going._replace(state=_seen(system, going.state, walls))
 
-    def one(_: Array, carry: tuple[Now, Sample, Array, Array]) -> tuple[Now, Sample, Array, Array]:
-        now, recorded, poses, done = carry
-        now, sample = _one_sample(system, system.substeps, *now)
-        recorded = jax.tree.map(lambda rows, row: rows.at[done].set(row), recorded, sample)
+    def record(going: Going) -> Going:
+        state, recorded, poses, at = going
+        recorded = jax.tree.map(lambda rows, row: rows.at[at.sample].set(row), recorded, measure.sample(system, state))
         if frames:
-            poses = poses.at[jnp.minimum((done + phase) // frame_every, frames - 1)].set(measure.frame(system, now[0]))
-        return now, recorded, poses, done + 1
+            poses = poses.at[jnp.minimum((at.sample + phase) // frame_every, frames - 1)].set(measure.frame(system, state))
+        return Going(state, recorded, poses, at)
 
-    start = (state, recorded, poses, jnp.zeros((), jnp.int32))
-    state, recorded, poses, _ = jax.lax.while_loop(lambda carry: carry[3] < count, block, start)
-    return state, recorded, poses
+    going = Going(state, recorded, poses, Place(*[jnp.zeros((), jnp.int32)] * 3))
+    going = jax.lax.while_loop(lambda going: going.at.sample < count, block, going)
+    return going.state, going.recorded, going.poses
 
 
 def rollout(system: System, state: State, samples: int, substeps: int, checkpoint: bool = False) -> tuple[State, Sample]:
@@ -91,56 +119,127 @@ def rollout(system: System, state: State, samples: int, substeps: int, checkpoin
     Of a single run. checkpoint: reverse mode keeps the state at each rebuild only, and computes the steps between anew. Returns
     the last state and the samples, each field with a leading axis [samples]. Use ``chunk`` for long runs.
     """
-    block = max(1, system.block_steps // substeps)
+    parts = system.sample_parts
+    block = max(1, system.block_steps // substeps) if parts == 1 else 1
     system = system.replace(substeps=jnp.full_like(system.substeps, substeps), block_steps=block * substeps)
 
-    def body(state: State, _: None) -> tuple[State, Sample]:
-        one = lambda now, _: _one_sample(system, substeps, *now)  # noqa: E731
-        now, recorded = jax.lax.scan(one, _look_around(system, state), None, length=block)
-        return _seen(system, *now), recorded
+    def body(state: State, first: Array) -> tuple[State, Sample]:
+        state, walls = _look_around(system, state)
 
-    blocks = -(-samples // block)
-    state, recorded = jax.lax.scan(jax.checkpoint(body) if checkpoint else body, state, None, length=blocks)
-    return state, of_single(jax.tree.map(lambda x: x.reshape(blocks * block, *x.shape[2:])[:samples], recorded))
+        def one(state: State, number: Array) -> tuple[State, Sample]:
+            state = _begun(state, number % parts == 0)
+            state = jax.lax.scan(lambda s, _: (_one_step(system, s, walls), None), state, None, length=substeps)[0]
+            return state, measure.sample(system, state)
+
+        state, recorded = jax.lax.scan(one, state, first + jnp.arange(block, dtype=jnp.int32))
+        return _seen(system, state, walls), recorded
+
+    blocks = -(-samples * parts // block)
+    firsts = block * jnp.arange(blocks, dtype=jnp.int32)
+    state, recorded = jax.lax.scan(jax.checkpoint(body) if checkpoint else body, state, firsts)
+    rows = lambda x: x.reshape(blocks * block, *x.shape[2:])[parts - 1 :: parts][:samples]  # noqa: E731
+    return state, of_single(jax.tree.map(rows, recorded))
 
 
-def _look_around(system: System, state: State) -> Now:
+def _look_around(system: System, state: State) -> tuple[State, boundary.Ahead]:
     """Find the candidate pairs anew, and where the walls will be after each step until the next rebuild."""
     walls = boundary.ahead(system, state.step, system.block_steps)
     walls = walls._replace(now=boundary.carried(system, state.cell, walls.now))
     return neighbours.rebuild(system, state, walls.now), walls
 
 
-def _one_sample(system: System, substeps: Whole, state: State, walls: boundary.Ahead) -> tuple[Now, Sample]:
-    """Advance by one sample interval: ((state, walls since its last rebuild), sample). substeps: an int (differentiable) or an
-    array (not compiled anew for another)."""
-    state = _advance_by(system, substeps, state.replace(ledger=ledger.new_interval(state.ledger)), walls)
-
-    def another_part(carry: Now, _: None) -> tuple[Now, None]:
-        state, walls = _look_around(system, _seen(system, *carry))
-        return (_advance_by(system, substeps, state, walls), walls), None
-
-    if system.sample_parts > 1:
-        (state, walls), _ = jax.lax.scan(another_part, (state, walls), None, length=system.sample_parts - 1)
-    return (state, walls), measure.sample(system, state)
+def _begun(state: State, is_new: Array) -> State:
+    """The state at the beginning of a sample interval, if one begins."""
+    new = ledger.new_interval(state.ledger)
+    return state.replace(ledger=jax.tree.map(lambda a, b: jnp.where(is_new, a, b), new, state.ledger))
 
 
-def _advance_by(system: System, substeps: Whole, state: State, walls: boundary.Ahead) -> State:
-    """``substeps`` steps; without looking at contacts, and in one jump, where nothing is near anything."""
-    if not system.slot_block or isinstance(substeps, int):  # no derivative in reverse mode goes through the jump
-        return _steps(system, substeps, state, walls)
+def _whole_parts(system: System, at: Place) -> Array:
+    return at.sample * system.sample_parts + at.part
+
+
+def _parts(
+    system: System, walls: boundary.Ahead, going: Going, end: Array, record: Callable[[Going], Going]
+) -> Going:
+    """Go on until so many parts of samples are whole, without a rebuild; record: what is done with a sample that is."""
+    goes_on = lambda going: _whole_parts(system, going.at) < end  # noqa: E731
+    part = lambda going: _part(system, walls, going, record)  # noqa: E731
+    if not is_kept(system):
+        return jax.lax.while_loop(goes_on, part, going)
+
+    # A look is compiled as a function of its own, between loops and not inside: in one function with the steps it would take
+    # twice as long to compile. (XLA makes no function of the outer loop, as it sorts.)
+    def until_look(going: Going) -> Going:
+        going = going._replace(state=_looked(system, going.state, walls))
+        return jax.lax.while_loop(lambda going: goes_on(going) & ~watch.is_due(going.state), part, going)
+
+    return jax.lax.while_loop(goes_on, until_look, going)
+
+
+def _part(system: System, walls: boundary.Ahead, going: Going, record: Callable[[Going], Going]) -> Going:
+    """A part of a sample interval; of polytopes whose near features are kept only until a look is due."""
+    at, substeps = going.at, system.substeps
+    state = _begun(going.state, (at.part == 0) & (at.step == 0))
+    state, steps = _advance_by(system, substeps, state, walls, at.step)
+    is_whole = steps >= substeps
+    parts = at.part + is_whole.astype(jnp.int32)
+    ends = parts == system.sample_parts
+    going = going._replace(state=state)
+    going = _once(ends, record, going) if is_kept(system) or system.sample_parts > 1 else record(going)
+    at = Place(at.sample + ends.astype(jnp.int32), jnp.where(ends, 0, parts), jnp.where(is_whole, 0, steps))
+    return going._replace(at=at)
+
+
+def _once(which: Array, function: Callable[[T], T], x: T) -> T:
+    """The function of x, if so. A loop of one round, not a branch: what it carries is written in place."""
+    return jax.lax.while_loop(lambda c: c[0], lambda c: (jnp.zeros((), bool), function(c[1])), (which, x))[1]
+
+
+def _advance_by(system: System, substeps: Array, state: State, walls: boundary.Ahead, done: Array) -> tuple[State, Array]:
+    """From step ``done`` to step ``substeps`` of a part; without looking at contacts, and in one jump, where nothing is near
+    anything. Returns the step that was reached: an earlier one where a look is due."""
     near = of_run.any_of(system, state.incidence[0] < state.scratch.loads.shape[1] - 1)  # [R]: whether a run has any contact
-    step = lambda s: _steps(system, substeps, s, walls)  # noqa: E731
-    return of_run.either(system, near, step, lambda s: integrate.flight(system, s, substeps), state)
+    if is_kept(system):
+        until = lambda s: _until_due(system, substeps, s, walls, done)  # noqa: E731
+        if system.runs > 1:
+            return until(state)
+        return jax.lax.cond(near[0], until, lambda s: (integrate.flight(system, s, substeps - done), substeps), state)
+    step = lambda s: jax.lax.fori_loop(0, substeps, lambda _, s: _one_step(system, s, walls), s)  # noqa: E731
+    if not system.slot_block:  # as where reverse mode is to go through it
+        return step(state), substeps
+    return of_run.either(system, near, step, lambda s: integrate.flight(system, s, substeps), state), substeps
 
 
-def _steps(system: System, substeps: Whole, state: State, walls: boundary.Ahead) -> State:
-    def one(state: State) -> State:
-        return advance(system, state, boundary.after(system, walls, state.step - state.scratch.since + 1))
+def _one_step(system: System, state: State, walls: boundary.Ahead) -> State:
+    return advance(system, state, boundary.after(system, walls, state.step - state.scratch.since + 1))
 
-    if isinstance(substeps, int):
-        return jax.lax.scan(lambda state, _: (one(state), None), state, None, length=substeps)[0]
-    return jax.lax.fori_loop(0, substeps, lambda _, state: one(state), state)
+
+def _until_due(system: System, substeps: Array, state: State, walls: boundary.Ahead, done: Array) -> tuple[State, Array]:
+    """Steps until ``substeps`` are done, or until a look is due."""
+
+    def one(carry: tuple[State, Array]) -> tuple[State, Array]:
+        before, done = carry
+        moved, omega, panels = _ahead(system, before, walls)
+        moved = watch.gone(system, moved, bodies.stack(system, moved, omega, panels))
+        is_known = ~watch.is_due(moved)
+        after = _once(is_known, lambda s: integrate.kick(system, forces.contacts(system, s, omega, panels)), moved)
+        kept = lambda a, b: jnp.where(is_known, a, b)  # noqa: E731
+        same = {name: jax.tree.map(kept, getattr(after, name), getattr(before, name)) for name in ("step", "motion", "cell")}
+        return after.replace(**same), done + is_known.astype(jnp.int32)
+
+    return jax.lax.while_loop(lambda c: (c[1] < substeps) & ~watch.is_due(c[0]), one, (state, done))
+
+
+def _ahead(system: System, state: State, walls: boundary.Ahead) -> tuple[State, Array, boundary.Panels]:
+    """``_moved`` of the step ahead."""
+    return _moved(system, state, boundary.after(system, walls, state.step - state.scratch.since + 1))
+
+
+def _looked(system: System, state: State, walls: boundary.Ahead) -> State:
+    """The state with near features that hold after the step ahead."""
+    moved, omega, panels = _ahead(system, state, walls)
+    seen = watch.up_to_date(system, moved, bodies.stack(system, moved, omega, panels))
+    return state.replace(guard=seen.guard, scratch=seen.scratch)
 
 
 def _seen(system: System, state: State, walls: boundary.Ahead) -> State:
