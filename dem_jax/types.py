@@ -392,8 +392,9 @@ class Scratch(Tree):
     walled: Array  # [2, touching, N] int32: like ``State.incidence`` of contacts with walls, and the numbers of their groups
     most_walled: Array  # int32: most contacts of a piece with walls
     loads: Array  # [6, columns] (N, N m): of each contact on b and on a, about their centres; of the last column, zero
-    anchor: Array  # [7, N]: position and orientation at the rebuild
     since: Array  # int32: the step of the rebuild
+    way: Array  # [R] (m): most that two bodies can have approached each other since then ...
+    rate: Array  # [R] (m): ... of it in the last step
     lead: Array  # [R] (m): most that two bodies approach each other at the speeds they had then, until the next rebuild
     near: dict[str, Near]  # by kind of contact, of polytopes with Features; none where each step looks at all features
     facing: dict[str, Facing]  # likewise

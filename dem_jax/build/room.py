@@ -14,11 +14,11 @@ def capacity(polytopes: int, spheres: int, panels: int, is_general: bool = False
     """Kinds of contact that the scene can have, with candidates and slots to begin with (grown when they overflow).
 
     polytopes, spheres: numbers of such parts of pieces. What a settled heap was seen to need; is_general: of polytopes of any form,
-    which have more neighbours than boxes.
+    which have more neighbours than boxes. (Of few pieces all slots are computed in each step, of many only those that are filled.)
     """
     p, s = polytopes, spheres
     walls = 4 * s ** (2 / 3) + 8 if panels else 0
-    hulls = 9 * p, (5 if is_general else 3) * p + 5
+    hulls = (12 * p, max(4 * p, 5 * p - 32)) if is_general else (9 * p, 3 * p + 5)
     wanted = {"hulls": hulls, "mixed": (8 * min(p, s) + 2 * walls, 4 * min(p, s) + walls), "spheres": (8 * s, 4 * s)}
     out: list[tuple[str, int, int]] = []
     for kind in neighbours.SOURCES:

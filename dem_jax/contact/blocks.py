@@ -15,7 +15,6 @@ T = TypeVar("T")
 
 LEAST_BLOCK = 32  # slots: in blocks of 16 a step of 64 pieces takes a quarter longer
 FEW_SLOTS, MANY_SLOTS = 64, 1024  # below which polytopes, and spheres, are quicker all at once
-FEW_KEPT = 512  # below which those are whose features are kept, of which a block has so many that to cut them out is dear
 
 
 def block_size(system: System, kind: str, room: int) -> int:
@@ -26,8 +25,7 @@ def block_size(system: System, kind: str, room: int) -> int:
     """
     if not system.slot_block or seams.are_there(system):  # across a seam slots look at each other
         return 0
-    kept = system.hulls is not None and system.hulls.features is not None
-    if room < (MANY_SLOTS if kind != "hulls" else FEW_KEPT if kept else FEW_SLOTS):
+    if room < (MANY_SLOTS if kind != "hulls" else FEW_SLOTS):
         return 0
     wanted = LEAST_BLOCK
     while 2 * wanted <= system.slot_block and 16 * wanted <= room:

@@ -1,7 +1,7 @@
 """Contact forces of one configuration: for each kind of contact, geometry, then the contact law, then sums over bodies."""
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -9,12 +9,12 @@ import jax.numpy as jnp
 from dem_jax.contact import bodies, boundary, collide, collisions, follow, of_run, seams
 from dem_jax.contact.blocks import block_of, block_of_slots, block_size, in_one
 from dem_jax.contact.bodies import Body
-from dem_jax.contact.geometry import Known, geometry
+from dem_jax.contact.geometry import NOTHING, Known, geometry
 from dem_jax.contact.law import Contact
 from dem_jax.contact.ledger import entered
 from dem_jax.maths import vector
 from dem_jax.maths.vector import Vector
-from dem_jax.types import Array, ContactTable, Facing, Memory, Slots, State, System, WallLoads
+from dem_jax.types import Array, ContactTable, Facing, Memory, Near, Slots, State, System, WallLoads
 
 Blocks = tuple[Memory, Facing | None, Array, Array, Array | None]  # what ``_contacts_of_kind`` goes from block to block with
 
@@ -70,13 +70,13 @@ def _contacts_of_kind(
 
     if not size:
         siblings = None if slots.surface_a is None else seams.siblings(system, slots, state.incidence, column)
-        part = _resolve(system, kind, table.memory, slots, stacked, siblings, Known(near, facing))
+        part = _resolve(system, kind, table.memory, slots, stacked, siblings, _known(near, facing))
         return part.memory, part.facing, put(part, 0, loads), part.overlap, part.touch
 
     def block(k: Array, carry: Blocks) -> Blocks:
         memory, facing, loads, overlap, touch = carry
         before = in_one(kind, block_of(memory, k, size))
-        known = Known(block_of(near, k, size), block_of(facing, k, size))
+        known = _known(near, facing, lambda tree: block_of(tree, k, size))
         part = _resolve(system, kind, before, block_of_slots(system, kind, slots, k, size), stacked, None, known)
         insert = lambda whole, rows: jax.lax.dynamic_update_slice_in_dim(whole, rows, k * size, -1)  # noqa: E731
         memory = jax.tree.map(insert, memory, in_one(kind, part.memory))
@@ -86,6 +86,14 @@ def _contacts_of_kind(
     blocks = (state.scratch.filled[kind] + size - 1) // size
     none = jnp.zeros((system.runs,), stacked.dtype)
     return jax.lax.fori_loop(0, blocks, block, (table.memory, facing, loads, none, _no_touch(system, table.memory.overlap)))
+
+
+def _known(near: Near | None, facing: Facing | None, of: Callable[[Any], Any] = lambda tree: tree) -> Known:
+    """What is known of a block of slots. of: takes those of the block from a tree of all."""
+    if near is None:
+        return NOTHING
+    clipping, near = near.clipping, near.replace(clipping=None)
+    return Known(of(near), of(facing), lambda: of(clipping))
 
 
 def _resolve(

@@ -12,6 +12,9 @@ from dem_jax.maths import vector
 from dem_jax.maths.vector import Vector
 from dem_jax.types import Array, Facing, Hulls, Near, Slots, System
 
+Rows = tuple[Array, Array]  # of a and of b [P] int32, in the table of hulls
+Planes = tuple[Array, Array]  # [4, K, P]: of a and of b, in their own frames
+
 
 class Known(NamedTuple):
     """What is known of a block of pairs of polytopes with features; of all other pairs, and where all features are looked at in
@@ -19,12 +22,10 @@ class Known(NamedTuple):
 
     near: Near | None = None
     facing: Facing | None = None
+    clipping: Callable[[], Planes] | None = None  # of near: nobody needs them where nothing touches
 
 
 NOTHING = Known()
-
-Rows = tuple[Array, Array]  # of a and of b [P] int32, in the table of hulls
-Planes = tuple[Array, Array]  # [4, K, P]: of a and of b, in their own frames
 Clipped = Callable[[Callable[[Planes], collide.Geometry]], collide.Geometry]  # gives a function the planes that clip
 
 
@@ -90,14 +91,14 @@ def _between_polytopes(
     if known.near is None:
         axes, faces = _from_all(table, rows, rel, reach)
         return axes, faces, lambda of: of(near.every_plane(table, rows)), None
-    assert known.facing is not None
-    axes, clipping = near.axes(known.near, rel), known.near.clipping
+    assert known.facing is not None and known.clipping is not None
+    axes, clipping = near.axes(known.near, rel), known.clipping
     touching = slots.live & ((axes.depth if reach is None else axes.depth + reach) > 0)
     facing = near.faced(table, known.facing, rows, axes.normal, touching, rel)
     is_wide = jnp.any(known.near.wide & touching)
 
     def clipped(of: Callable[[Planes], collide.Geometry]) -> collide.Geometry:
-        return jax.lax.cond(is_wide, lambda: of(near.every_plane(table, rows)), lambda: of(clipping))
+        return jax.lax.cond(is_wide, lambda: of(near.every_plane(table, rows)), lambda: of(clipping()))
 
     return axes, near.looking(facing, axes.normal, rel), clipped, facing
 

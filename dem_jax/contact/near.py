@@ -92,6 +92,7 @@ def renewed(
     radius = tuple(hulls.bounding_radius[row] for row in rows)
     count = min(AT_ONCE, live.shape[0])
     urgency, order = jax.lax.sort((left, jnp.arange(live.shape[0], dtype=jnp.int32)), num_keys=1)
+    order = jnp.concatenate([order, order[:count]])  # also where that is all: else XLA would take the look out of the loop
 
     def another(carry: tuple[Array, Near, Array]) -> tuple[Array, Near, Array]:
         first, near, left = carry

@@ -59,7 +59,7 @@ def at(system: System, of_runs: Array, piece: Array) -> Array:
 
 def either(system: System, which: Array, one: Callable, other: Callable, state: State) -> State:
     """A state after ``one``, of those runs [R] for which ``which`` holds, and after ``other``, which changes but the step, the
-    motion and the loads of walls, of the rest; each is computed only if some run needs it."""
+    motion, its way and the loads of walls, of the rest; each is computed only if some run needs it."""
     if system.runs == 1:
         return jax.lax.cond(which[0], one, other, state)
     still = lambda s: s  # noqa: E731
@@ -67,7 +67,9 @@ def either(system: System, which: Array, one: Callable, other: Callable, state: 
     second = jax.lax.cond(jnp.all(which), still, other, state)
     pick = lambda a, b: jnp.where(jnp.broadcast_to(jnp.tile(which, a.shape[-1] // system.runs), a.shape), a, b)  # noqa: E731
     motion, walls = (jax.tree.map(pick, getattr(first, name), getattr(second, name)) for name in ("motion", "walls"))
-    return first.replace(step=jnp.maximum(first.step, second.step), motion=motion, walls=walls)
+    way, rate = (jnp.where(which, getattr(first.scratch, name), getattr(second.scratch, name)) for name in ("way", "rate"))
+    scratch = first.scratch.replace(way=way, rate=rate)
+    return first.replace(step=jnp.maximum(first.step, second.step), motion=motion, walls=walls, scratch=scratch)
 
 
 def _is_of(system: System, piece: Array) -> Array:

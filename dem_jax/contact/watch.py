@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 
 from dem_jax.contact import bodies, near
+from dem_jax.contact.collide import Relative
 from dem_jax.contact.geometry import relative, shapes_of
 from dem_jax.maths import vector
 from dem_jax.types import Array, Guard, Near, Slots, State, System
@@ -23,21 +24,30 @@ def gone(system: System, state: State, stacked: Array) -> State:
     return state.replace(scratch=scratch.replace(spare=spare))
 
 
-def up_to_date(system: System, state: State, stacked: Array) -> State:
-    """The state with near features that hold for all pairs of polytopes where they are now, as far as a look is due.
-    stacked: bodies.stack."""
+def ways_left(system: System, state: State, stacked: Array) -> Array:
+    """The way (m) that each pair of polytopes [P] may still move; below 0: a look at it is due. stacked: bodies.stack."""
     assert system.hulls is not None
-    state = gone(system, state, stacked)
-    scratch, slots = state.scratch, state.scratch.slots[KIND]
-    a, b = bodies.take_at_once(stacked, slots.a), bodies.take_at_once(stacked, slots.b)
-    rel, rows, reach = relative(a, b, bodies.offset(a, b)), shapes_of(system, slots), system.law.reach(slots.pair)
-    left = jnp.where(is_due(state), near.left(system.hulls, scratch.near[KIND], rows, slots.live, rel), jnp.inf)
+    slots, rel = state.scratch.slots[KIND], _relative(state, stacked)
+    return near.left(system.hulls, state.scratch.near[KIND], shapes_of(system, slots), slots.live, rel)
+
+
+def look(system: System, state: State, stacked: Array, left: Array) -> State:
+    """The state with near features that hold for all pairs of polytopes where they are now. left: ways_left."""
+    assert system.hulls is not None
+    scratch, slots, rel = state.scratch, state.scratch.slots[KIND], _relative(state, stacked)
+    rows, reach = shapes_of(system, slots), system.law.reach(slots.pair)
     known, left = near.renewed(system.hulls, scratch.near[KIND], left, rows, slots.live, rel, reach)
-    spare = jnp.where(is_due(state), jnp.min(left), scratch.spare)
-    guard = _with_start(state.guard, scratch.is_first & is_due(state), known, slots)
-    is_first = scratch.is_first & ~is_due(state)
-    scratch = scratch.replace(near={KIND: known}, spare=spare, is_first=is_first, looked=state.step)
+    guard = _with_start(state.guard, scratch.is_first, known, slots)
+    no = jnp.zeros_like(scratch.is_first)
+    scratch = scratch.replace(near={KIND: known}, spare=jnp.min(left), is_first=no, looked=state.step)
     return state.replace(guard=guard, scratch=scratch)
+
+
+def _relative(state: State, stacked: Array) -> Relative:
+    """Of all pairs of polytopes."""
+    slots = state.scratch.slots[KIND]
+    a, b = bodies.take_at_once(stacked, slots.a), bodies.take_at_once(stacked, slots.b)
+    return relative(a, b, bodies.offset(a, b))
 
 
 def _pace(system: System, stacked: Array) -> Array:

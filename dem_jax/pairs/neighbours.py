@@ -2,8 +2,8 @@
 
 A rebuild looks at those of ``pairs`` in stages, each on what the one before left: bounding spheres (of a panel and a
 piece: box and sphere), then the full separating-axis test. What is left are pairs nearer than the way that the speeds
-of the fastest take two bodies until the next rebuild (``Scratch.lead``) and a skin for what changes speeds; ``travel``
-measures whether two bodies have approached each other by more. More candidates than slots is not an error here but data:
+of the fastest take two bodies until the next rebuild (``Scratch.lead``) and a skin for what changes speeds; ``beyond``
+measures whether two bodies may have approached each other by more. More candidates than slots is not an error here but data:
 the host grows the capacity and runs the chunk again.
 """
 
@@ -18,6 +18,7 @@ from dem_jax.contact import blocks, bodies, boundary, collide, look, of_run
 from dem_jax.contact.geometry import is_kept, nearness
 from dem_jax.maths import rotation, vector
 from dem_jax.maths.compaction import EMPTY, compact, grouped, in_order
+from dem_jax.maths.vector import Vector
 from dem_jax.pairs import search
 from dem_jax.pairs.slots import constants
 from dem_jax.types import Array, ContactTable, Facing, Guard, Memory, Near, Scratch, Slots, State, System, host
@@ -80,7 +81,6 @@ def rebuild(system: System, state: State, panels: boundary.Panels | None = None)
         touching=jnp.maximum(guard.touching, touching),
         start_overlap=jnp.maximum(guard.start_overlap, 0),
     )
-    anchor = jnp.concatenate([state.position, state.orientation])
     walled, most_walled = find_walled(system, tables)
     scratch = Scratch(
         slots=slots,
@@ -89,8 +89,9 @@ def rebuild(system: System, state: State, panels: boundary.Panels | None = None)
         walled=walled,
         most_walled=most_walled,
         loads=jnp.zeros((6, column + 1), stacked.dtype),
-        anchor=anchor,
         since=state.step,
+        way=jnp.zeros_like(lead),
+        rate=jnp.zeros_like(lead),
         lead=lead,
         near=near,
         facing=facing,
@@ -262,39 +263,46 @@ def _columns_of(system: System, stretches: list[Array]) -> tuple[Array, Array]:
     return jnp.where(rank < count[None], order[at], columns), jnp.max(count)
 
 
-def travel(system: System, state: State, before: boundary.Panels, now: boundary.Panels) -> Array:
-    """The most that any two bodies of a run can have approached each other since the last rebuild, [R] (m).
+def gone(system: System, state: State, omega: Array, panels: boundary.Panels) -> State:
+    """The state with the way noted by which bodies may have approached each other in a step that has moved them.
 
-    before, now: the panels then and now.
-
-    On a way of the length that present speeds give a body comes no further from where it was than half of that and of
-    its displacement now; of both, those of the two bodies that went furthest.
+    omega: [3, N] (rad/s) of the step; panels: after it.
     """
-    position, orientation = state.scratch.anchor[:3], state.scratch.anchor[3:]
-    way = vector.norm(tuple(state.position - position))
-    if system.has_hulls:
-        turn = rotation.multiply(tuple(state.orientation), rotation.conjugate(tuple(orientation)))
-        way = way + 2 * vector.norm(turn[1:]) * system.pieces.bounding_radius
-    of_walls = None
-    if system.walls.moving:
-        x, y = vector.sub(now.rotation[0], before.rotation[0]), vector.sub(now.rotation[1], before.rotation[1])
-        turned = jnp.sqrt(vector.dot(x, x) + vector.dot(y, y))
-        of_walls = vector.norm(vector.sub(now.centre, before.centre)) + turned * vector.norm(tuple(system.walls.half_extent))
-    return 0.5 * (_of_two(system, way, of_walls) + _interval(system) * _pace(system, state, now))
+    of_walls = _wall_speed(system, panels) if system.walls.moving else None
+    rate = system.dt * _of_two(system, _speed(system, state, vector.unpack(omega)), of_walls)
+    return state.replace(scratch=state.scratch.replace(way=state.scratch.way + rate, rate=rate))
+
+
+def flown(system: System, before: State, after: State, steps: Array, panels: boundary.Panels) -> State:
+    """As ``gone``, of so many steps of free fall at once; panels: after them."""
+    rate = system.dt * jnp.maximum(_pace(system, before, panels), _pace(system, after, panels))
+    way = before.scratch.way + steps.astype(rate.dtype) * rate
+    return after.replace(scratch=after.scratch.replace(way=way, rate=rate))
+
+
+def beyond(system: System, state: State, steps: Array | int = 0) -> Array:
+    """How much nearer two bodies may have come since the last rebuild than was expected then, or after so many more steps as
+    the last, [] (m)."""
+    scratch = state.scratch
+    return jnp.max(scratch.way + jnp.asarray(steps).astype(system.dt.dtype) * scratch.rate - scratch.lead)
 
 
 def _pace(system: System, state: State, panels: boundary.Panels) -> Array:
     """The most by which any two bodies approach each other now (m/s)."""
+    momentum, inertia = vector.unpack(state.angular_momentum), vector.unpack(system.pieces.inertia)
+    omega = rotation.angular_velocity(tuple(state.orientation), momentum, inertia) if system.has_hulls else momentum
+    return _of_two(system, _speed(system, state, omega), _wall_speed(system, panels) if system.walls.moving else None)
+
+
+def _speed(system: System, state: State, omega: Vector) -> Array:
+    """Of the fastest point of each piece, at most, [N] (m/s); omega: [N] x 3 (rad/s)."""
     speed = vector.norm(tuple(state.velocity))
-    if system.has_hulls:
-        omega = rotation.angular_velocity(
-            tuple(state.orientation), vector.unpack(state.angular_momentum), vector.unpack(system.pieces.inertia)
-        )
-        speed = speed + vector.norm(omega) * system.pieces.bounding_radius
-    of_walls = None
-    if system.walls.moving:
-        of_walls = vector.norm(panels.velocity) + vector.norm(panels.spin) * vector.norm(tuple(system.walls.half_extent))
-    return _of_two(system, speed, of_walls)
+    return speed + vector.norm(omega) * system.pieces.bounding_radius if system.has_hulls else speed
+
+
+def _wall_speed(system: System, panels: boundary.Panels) -> Array:
+    """Of the fastest point of each panel, at most, [W] (m/s)."""
+    return vector.norm(panels.velocity) + vector.norm(panels.spin) * vector.norm(tuple(system.walls.half_extent))
 
 
 def _of_two(system: System, pieces: Array, walls: Array | None) -> Array:

@@ -51,9 +51,9 @@ def advance(system: System, state: State, panels: boundary.Panels | None = None)
     """One time step: kick, drift, walls, contacts, kick. panels: boundary.after_step of it, if that is known already."""
     state, omega, panels = _moved(system, state, panels)
     if is_kept(system):
-        state = watch.up_to_date(system, state, bodies.stack(system, state, omega, panels))
-    state = forces.contacts(system, state, omega, panels)
-    return integrate.kick(system, state)
+        stacked = bodies.stack(system, state, omega, panels)
+        state = watch.look(system, state, stacked, watch.ways_left(system, state, stacked))
+    return _met(system, state, omega, panels)
 
 
 def _moved(system: System, state: State, panels: boundary.Panels | None) -> tuple[State, Array, boundary.Panels]:
@@ -64,6 +64,13 @@ def _moved(system: System, state: State, panels: boundary.Panels | None) -> tupl
     if panels is None:
         panels = boundary.after_step(system, state.step)
     return state, omega, boundary.carried(system, state.cell, panels)
+
+
+def _met(system: System, state: State, omega: Array, panels: boundary.Panels) -> State:
+    """The second half of ``advance``, of what ``_moved`` returns."""
+    state = neighbours.gone(system, state, omega, panels)
+    state = forces.contacts(system, state, omega, panels)
+    return integrate.kick(system, state)
 
 
 def chunk(system: System, state: State, count: Whole, frame_every: Whole, samples: int, frames: int) -> Chunk:
@@ -99,7 +106,7 @@ def chunk_of_runs(
         if system.sample_parts == 1:
             parts = jnp.minimum(jnp.maximum(system.block_steps // system.substeps, 1), count - going.at.sample)
         going = _parts(system, walls, going._replace(state=state), _whole_parts(system, going.at) + parts, record)
-        return going._replace(state=_seen(system, going.state, walls))
+        return going._replace(state=_seen(system, going.state))
 
     def record(going: Going) -> Going:
         state, recorded, poses, at = going
@@ -132,7 +139,7 @@ def rollout(system: System, state: State, samples: int, substeps: int, checkpoin
             return state, measure.sample(system, state)
 
         state, recorded = jax.lax.scan(one, state, first + jnp.arange(block, dtype=jnp.int32))
-        return _seen(system, state, walls), recorded
+        return _seen(system, state), recorded
 
     blocks = -(-samples * parts // block)
     firsts = block * jnp.arange(blocks, dtype=jnp.int32)
@@ -161,8 +168,8 @@ def _whole_parts(system: System, at: Place) -> Array:
 def _parts(
     system: System, walls: boundary.Ahead, going: Going, end: Array, record: Callable[[Going], Going]
 ) -> Going:
-    """Go on until so many parts of samples are whole, without a rebuild; record: what is done with a sample that is."""
-    goes_on = lambda going: _whole_parts(system, going.at) < end  # noqa: E731
+    """Go on until so many parts of samples are whole, or a rebuild is due; record: what is done with a sample that is."""
+    goes_on = lambda going: (_whole_parts(system, going.at) < end) & ~_strays(system, going.state)  # noqa: E731
     part = lambda going: _part(system, walls, going, record)  # noqa: E731
     if not is_kept(system):
         return jax.lax.while_loop(goes_on, part, going)
@@ -203,11 +210,18 @@ def _advance_by(system: System, substeps: Array, state: State, walls: boundary.A
         until = lambda s: _until_due(system, substeps, s, walls, done)  # noqa: E731
         if system.runs > 1:
             return until(state)
-        return jax.lax.cond(near[0], until, lambda s: (integrate.flight(system, s, substeps - done), substeps), state)
+        return jax.lax.cond(near[0], until, lambda s: (_flight(system, s, walls, substeps - done), substeps), state)
     step = lambda s: jax.lax.fori_loop(0, substeps, lambda _, s: _one_step(system, s, walls), s)  # noqa: E731
     if not system.slot_block:  # as where reverse mode is to go through it
         return step(state), substeps
-    return of_run.either(system, near, step, lambda s: integrate.flight(system, s, substeps), state), substeps
+    return of_run.either(system, near, step, lambda s: _flight(system, s, walls, substeps), state), substeps
+
+
+def _flight(system: System, state: State, walls: boundary.Ahead, steps: Array) -> State:
+    """So many steps at once, of pieces that nothing is near."""
+    after = integrate.flight(system, state, steps)
+    panels = boundary.carried(system, after.cell, boundary.after(system, walls, after.step - state.scratch.since))
+    return neighbours.flown(system, state, after, steps, panels)
 
 
 def _one_step(system: System, state: State, walls: boundary.Ahead) -> State:
@@ -222,7 +236,7 @@ def _until_due(system: System, substeps: Array, state: State, walls: boundary.Ah
         moved, omega, panels = _ahead(system, before, walls)
         moved = watch.gone(system, moved, bodies.stack(system, moved, omega, panels))
         is_known = ~watch.is_due(moved)
-        after = _once(is_known, lambda s: integrate.kick(system, forces.contacts(system, s, omega, panels)), moved)
+        after = _once(is_known, lambda s: _met(system, s, omega, panels), moved)
         kept = lambda a, b: jnp.where(is_known, a, b)  # noqa: E731
         same = {name: jax.tree.map(kept, getattr(after, name), getattr(before, name)) for name in ("step", "motion", "cell")}
         return after.replace(**same), done + is_known.astype(jnp.int32)
@@ -237,14 +251,27 @@ def _ahead(system: System, state: State, walls: boundary.Ahead) -> tuple[State, 
 
 def _looked(system: System, state: State, walls: boundary.Ahead) -> State:
     """The state with near features that hold after the step ahead."""
-    moved, omega, panels = _ahead(system, state, walls)
-    seen = watch.up_to_date(system, moved, bodies.stack(system, moved, omega, panels))
-    return state.replace(guard=seen.guard, scratch=seen.scratch)
+
+    def ahead(_: tuple[Array, Array]) -> tuple[Array, Array]:
+        moved, omega, panels = _ahead(system, state, walls)
+        stacked = bodies.stack(system, moved, omega, panels)
+        return stacked, watch.ways_left(system, moved, stacked)
+
+    none = jax.tree.map(lambda x: jnp.full(x.shape, jnp.inf, x.dtype), jax.eval_shape(ahead, None))
+    stacked, left = _once(watch.is_due(state), ahead, none)
+    return watch.look(system, state.replace(step=state.step + 1), stacked, left).replace(step=state.step)
 
 
-def _seen(system: System, state: State, walls: boundary.Ahead) -> State:
+def _strays(system: System, state: State) -> Array:
+    """Whether bodies, thrown by a collision, may come nearer than was expected before the next sample ends, [] bool: a rebuild
+    is due. Not of runs side by side: they share rebuilds, and none is to depend on its company; they have those of the block,
+    and more room where that is not enough."""
+    if system.runs > 1 or not system.slot_block:
+        return jnp.zeros((), bool)
+    return (state.step > state.scratch.since) & (neighbours.beyond(system, state, system.substeps) > system.skin)
+
+
+def _seen(system: System, state: State) -> State:
     """Note how far bodies have moved since the last rebuild, beyond what their speeds made expect."""
-    now = boundary.carried(system, state.cell, boundary.after(system, walls, state.step - state.scratch.since))
-    beyond = jnp.max(neighbours.travel(system, state, walls.now, now) - state.scratch.lead)
-    travel = jnp.maximum(state.guard.travel, beyond)
+    travel = jnp.maximum(state.guard.travel, neighbours.beyond(system, state))
     return state.replace(guard=state.guard.replace(travel=travel))
