@@ -5,17 +5,17 @@ from collections.abc import Sequence
 import numpy as np
 
 from dem_jax.errors import SceneError
-from dem_jax.scene import Bucket, ConvexShape, Wall
+from dem_jax.scene import Bucket, ConvexShape, Feeder, Wall
 
 LARGEST_PIECE, LARGEST_WALL = 1.0, 10.0  # m; a bean in mm taken for m is larger, and so is a bucket
 
 
-def check_unit(row: ConvexShape | Wall | Bucket, stl: str | None, points: Sequence[np.ndarray]) -> None:
-    """Raise SceneError for a piece, a wall or a bucket whose STL is too large to be in metres, unless its unit is written.
+def check_unit(row: ConvexShape | Wall | Bucket | Feeder, stl: str | None, points: Sequence[np.ndarray]) -> None:
+    """Raise SceneError for a piece, a wall, a bucket or a feeder whose STL is too large to be in metres, unless it says its unit.
 
     points: [.., 3] (m) each, corners of the parts or panels of the STL.
     """
-    limit = LARGEST_WALL if isinstance(row, Wall | Bucket) else LARGEST_PIECE
+    limit = LARGEST_WALL if isinstance(row, Wall | Bucket | Feeder) else LARGEST_PIECE
     if stl is None or "unit" in row.model_fields_set or not len(points):
         return
     size = np.ptp(np.concatenate(points), axis=0)

@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import DTypeLike
@@ -15,7 +16,7 @@ from dem_jax.build.typed import typed
 from dem_jax.build.unit import check_unit
 from dem_jax.contact import motion
 from dem_jax.errors import SceneError
-from dem_jax.scene import Block, Bucket, Motion, Scene, Wall, buckets
+from dem_jax.scene import Block, Bucket, Feeder, Motion, Scene, Wall, buckets
 from dem_jax.scene.buckets import Panel
 from dem_jax.scene.cycle import timed
 from dem_jax.scene.materials import material_table, rows_of_groups
@@ -68,7 +69,7 @@ def panels_of(wall: Wall, folder: str | Path) -> list[Panel]:
     return [(wall.group, polygon, wall.thickness) for polygon in _read(wall, wall.stl, folder).panels]
 
 
-def _read(row: Wall | Bucket, stl: str, folder: str | Path) -> meshes.WallMesh:
+def _read(row: Wall | Bucket | Feeder, stl: str, folder: str | Path) -> meshes.WallMesh:
     """The panels of an STL where they are placed. Raises SceneError."""
     found = meshes.wall_of_stl(Path(folder) / stl, row.unit)
     check_unit(row, stl, found.panels)
@@ -78,9 +79,12 @@ def _read(row: Wall | Bucket, stl: str, folder: str | Path) -> meshes.WallMesh:
 
 
 def with_buckets_read(scene: Scene) -> Scene:
-    """The scene with the panels of its buckets' STL files in their place, and what was read in words. Raises SceneError."""
+    """The scene with the panels of its buckets' and its feeder's STL files in their place, and what was read in words. Raises
+    SceneError."""
     read = {name: getattr(scene, name) for name in ("weigh_bucket", "feed_bucket")}
-    changes = {name: _bucket_read(row, scene.folder) for name, row in read.items() if row is not None and row.stl}
+    changes: dict[str, Any] = {name: _bucket_read(row, scene.folder) for name, row in read.items() if row is not None and row.stl}
+    if scene.feeder is not None and scene.feeder.stl:
+        changes["feeder"] = _feeder_read(scene.feeder, scene.folder)
     return scene.model_copy(update=changes)
 
 
@@ -92,10 +96,29 @@ def _bucket_read(bucket: Bucket, folder: str | Path) -> Bucket:
     lowest = np.concatenate([panel for mesh in (found[1:] or found) for panel in mesh.panels])[:, 2].min()
     down = np.array([0.0, 0.0, lowest - bucket.move[2]])
     placed = [mesh._replace(panels=[panel - down for panel in mesh.panels]) for mesh in found]
-    rows = [tuple(tuple(map(tuple, panel.tolist())) for panel in mesh.panels) for mesh in placed]
+    rows = [_rows(mesh) for mesh in placed]
     said = [*([bucket.note] if bucket.note else []), *(f"{stl}: {mesh}" for stl, mesh in zip(files, placed, strict=True))]
     changes = {"panels": rows[0], "flap_panels": tuple(rows[1:]) or None, "note": "; ".join(said), "stl": None, "flap_stl": None}
     return bucket.model_copy(update=changes | AS_READ)
+
+
+def _feeder_read(feeder: Feeder, folder: str | Path) -> Feeder:
+    """The feeder with the end of its floor, where x is greatest, at x = z = 0 but for what it is moved by."""
+    assert feeder.stl is not None
+    mesh = _read(feeder, feeder.stl, folder)
+    floor = np.concatenate([panel for panel in mesh.panels if buckets.looks_up(panel)] or mesh.panels)
+    front = floor[:, 0].max()
+    end = floor[floor[:, 0] > front - 1e-3 * np.ptp(floor, axis=0).max()]
+    edge = np.array([front - feeder.move[0], 0.0, end[:, 2].min() - feeder.move[2]])
+    placed = mesh._replace(panels=[panel - edge for panel in mesh.panels])
+    said = [*([feeder.note] if feeder.note else []), f"{feeder.stl}: {placed}"]
+    changes = {"panels": _rows(placed), "note": "; ".join(said), "stl": None}
+    return feeder.model_copy(update=changes | AS_READ)
+
+
+def _rows(mesh: meshes.WallMesh) -> tuple[tuple[tuple[float, ...], ...], ...]:
+    """The corners of each panel as a scene has them."""
+    return tuple(tuple(map(tuple, panel.tolist())) for panel in mesh.panels)
 
 
 def written_out(wall: Wall, folder: str | Path) -> list[Wall]:

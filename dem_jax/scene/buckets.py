@@ -107,8 +107,7 @@ def _free_width(panels: list[np.ndarray], floor: float) -> tuple[np.ndarray, np.
     low, high = points.min(axis=0)[:2], points.max(axis=0)[:2]
     middle = 0.5 * (low + high)
     for panel in panels:
-        normal = np.cross(panel - panel[0], np.roll(panel, -1, axis=0) - panel[0]).sum(axis=0)
-        normal /= np.linalg.norm(normal)
+        normal = _normal(panel)
         if panel[:, 2].max() <= floor:
             continue
         for axis in (0, 1):
@@ -117,6 +116,17 @@ def _free_width(panels: list[np.ndarray], floor: float) -> tuple[np.ndarray, np.
             elif normal[axis] < -0.3 and panel[:, axis].max() > middle[axis]:
                 high[axis] = min(high[axis], max(panel[:, axis].min(), middle[axis]))
     return low, high
+
+
+def looks_up(panel: np.ndarray) -> bool:
+    """Whether a panel of corners [k, 3] is a floor."""
+    return bool(_normal(panel)[2] > 0.5)
+
+
+def _normal(panel: np.ndarray) -> np.ndarray:
+    """Of corners [k, 3], unit."""
+    normal = np.cross(panel - panel[0], np.roll(panel, -1, axis=0) - panel[0]).sum(axis=0)
+    return normal / np.linalg.norm(normal)
 
 
 def _facing_up(corners: np.ndarray) -> np.ndarray:
@@ -152,23 +162,12 @@ class FeederParts:
 
 
 def feeder_parts(feeder: Feeder, bucket: BucketParts) -> FeederParts:
-    """The feeder's parts, group ``lf``: a pan that comes from the negative x side, its lower end over the feed bucket."""
-    tilt, y = np.radians(feeder.tilt_deg), 0.5 * feeder.width
-    along, up = np.array([np.cos(tilt), -np.sin(tilt)]), np.array([np.sin(tilt), np.cos(tilt)])  # in x and z
-    edge = np.array([bucket.interior_low[0] + feeder.overhang, bucket.interior_high[2] + feeder.clearance])
-    back = edge - feeder.length * along
-    tops = [point + feeder.wall_height * up for point in (back, edge)]
-
-    def at(point: np.ndarray, side: int) -> tuple[float, float, float]:
-        return (point[0], side * y, point[1])
-
-    corners = [  # seen from inside, counter-clockwise
-        [at(back, -1), at(edge, -1), at(edge, 1), at(back, 1)],
-        [at(edge, -1), at(back, -1), at(tops[0], -1), at(tops[1], -1)],
-        [at(back, 1), at(edge, 1), at(tops[1], 1), at(tops[0], 1)],
-        [at(back, -1), at(back, 1), at(tops[0], 1), at(tops[0], -1)],
-    ]
-    throw = tilt - np.radians(feeder.stroke_angle_deg)
+    """The feeder's parts, that of an STL read already, group ``lf``: a pan that comes from the negative x side, its lower end over
+    the feed bucket."""
+    edge = np.array([bucket.interior_low[0] + feeder.overhang, 0.0, bucket.interior_high[2] + feeder.clearance])
+    pan = _pan_of_sizes if feeder.panels is None else _pan_of_panels
+    corners, low, high = pan(feeder, edge)
+    throw = np.radians(feeder.tilt_deg - feeder.stroke_angle_deg)
     stroke = feeder.stroke * np.array([np.cos(throw), 0.0, -np.sin(throw)])
     motion = Motion.model_construct(
         group=FEEDER,
@@ -180,6 +179,32 @@ def feeder_parts(feeder: Feeder, bucket: BucketParts) -> FeederParts:
         shake_period=feeder.period,
     )
     panels = [(FEEDER, np.array(c), feeder.thickness) for c in corners]
-    end = min(edge[0], bucket.interior_low[0]) - 0.01  # none begins above the bucket
-    block = Block(name=FEEDER, low=(back[0], -y, edge[1]), high=(edge[0], y, tops[0][1]))
-    return FeederParts(panels, motion, block, np.array([back[0], -y, back[1]]), np.array([end, y, tops[0][1]]))
+    end = min(high[0], bucket.interior_low[0]) - 0.01  # none begins above the bucket
+    block = Block(name=FEEDER, low=(low[0], low[1], edge[2]), high=tuple(high))
+    return FeederParts(panels, motion, block, low, np.array([end, *high[1:]]))
+
+
+def _pan_of_sizes(feeder: Feeder, edge: np.ndarray) -> tuple[list[np.ndarray], np.ndarray, np.ndarray]:
+    """Corners of the panels of a pan whose edge [3] (m) is given, and the box above it, low and high [3] (m)."""
+    tilt, y = np.radians(feeder.tilt_deg), 0.5 * feeder.width
+    along, up = np.array([np.cos(tilt), 0.0, -np.sin(tilt)]), np.array([np.sin(tilt), 0.0, np.cos(tilt)])
+    back = edge - feeder.length * along
+    tops = [point + feeder.wall_height * up for point in (back, edge)]
+    at = lambda point, side: point + [0.0, side * y, 0.0]  # noqa: E731
+    corners = [  # seen from inside, counter-clockwise
+        [at(back, -1), at(edge, -1), at(edge, 1), at(back, 1)],
+        [at(edge, -1), at(back, -1), at(tops[0], -1), at(tops[1], -1)],
+        [at(back, 1), at(edge, 1), at(tops[1], 1), at(tops[0], 1)],
+        [at(back, -1), at(back, 1), at(tops[0], 1), at(tops[0], -1)],
+    ]
+    return [np.array(row) for row in corners], at(back, -1), np.array([edge[0], y, tops[0][2]])
+
+
+def _pan_of_panels(feeder: Feeder, edge: np.ndarray) -> tuple[list[np.ndarray], np.ndarray, np.ndarray]:
+    """As ``_pan_of_sizes``, of one whose panels are given; above the panels that look up."""
+    assert feeder.panels is not None
+    corners = [np.array(panel, float) + edge for panel in feeder.panels]
+    points = np.concatenate(corners)
+    level = max((row[:, 2].max() for row in corners if looks_up(row)), default=points[:, 2].min())
+    (_, low), (_, high) = _free_width(corners, level)
+    return corners, np.array([points[:, 0].min(), low, level]), np.array([edge[0], high, points[:, 2].max()])

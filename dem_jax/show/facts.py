@@ -94,8 +94,9 @@ def _material(table: MaterialTable, k: int, densities: np.ndarray) -> tuple[str,
 def _scene(scene: Scene, run: Run) -> Facts:
     facts: Facts = [("name", scene.name)]
     if scene.feeder:
-        pan = f"{1e3 * scene.feeder.length:g} × {1e3 * scene.feeder.width:g} mm"
-        facts.append(("feeder", f"pan of {pan}, {scene.feeder.frequency:g} Hz"))
+        pan = f"pan of {1e3 * scene.feeder.length:g} × {1e3 * scene.feeder.width:g} mm"
+        pan = pan if scene.feeder.panels is None else scene.feeder.note or "panels as given"
+        facts.append(("feeder", f"{pan}, {scene.feeder.frequency:g} Hz"))
     for name, bucket in (("feed bucket", scene.feed_bucket), ("weigh bucket", scene.weigh_bucket)):
         if bucket and bucket.panels:
             facts.append((name, bucket.note or "panels as given"))

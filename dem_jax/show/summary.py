@@ -65,15 +65,15 @@ def _notes_on_shapes(run: Run) -> list[str]:
     """What the scene says of the shapes of its pieces and of its walls, each thing once."""
     scene = parse(run.scene, "the file's scene")
     pieces = scene.portion.rows if scene.portion else scene.piece
-    buckets = [bucket for bucket in (scene.weigh_bucket, scene.feed_bucket) if bucket]
-    return list(dict.fromkeys(row.note for row in (*pieces, *scene.wall, *buckets) if row.note))
+    parts = [part for part in (scene.weigh_bucket, scene.feed_bucket, scene.feeder) if part]
+    return list(dict.fromkeys(row.note for row in (*pieces, *scene.wall, *parts) if row.note))
 
 
 def notes_on_walls(scene: Scene) -> list[str]:
-    """What is read of the STLs of a scene's walls and buckets. Raises SceneError."""
+    """What is read of the STLs of a scene's walls, buckets and feeder. Raises SceneError."""
     read = {f"wall.{n}": written_out(wall, scene.folder)[0].note for n, wall in enumerate(scene.wall) if wall.stl is not None}
     whole = with_buckets_read(scene)
-    read |= {name: getattr(whole, name).note for name in ("weigh_bucket", "feed_bucket") if getattr(scene, name)}
+    read |= {name: getattr(whole, name).note for name in ("weigh_bucket", "feed_bucket", "feeder") if getattr(scene, name)}
     return [f"{key}: {note}" for key, note in read.items() if note]
 
 

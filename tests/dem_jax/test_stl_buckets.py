@@ -21,18 +21,22 @@ def parts():
     return buckets.parts(Bucket(**SIZES), "wb", 0.0)
 
 
+def written(path, panels):
+    """The name of an STL of panels [k, 3] (m), in mm, turned and moved the other way."""
+    back = Rotation.from_euler("xyz", TURN, degrees=True).as_matrix()
+    panels = [1e3 * (corners - WAY) @ back for corners in panels]
+    first = np.cumsum([0, *map(len, panels)])[:-1]
+    faces = [(k, k + i, k + i + 1) for k, panel in zip(first, panels, strict=True) for i in range(1, len(panel) - 1)]
+    trimesh.Trimesh(np.concatenate(panels), faces, process=False).export(path)
+    return str(path)
+
+
 @pytest.fixture
 def files(parts, tmp_path):
     """The parts of a bucket in mm, turned and moved the other way: walls, flaps, all."""
-    back = Rotation.from_euler("xyz", TURN, degrees=True).as_matrix()
 
     def write(name, groups):
-        panels = [1e3 * (corners - WAY) @ back for group, corners, _ in parts.panels if group in groups]
-        points = np.concatenate(panels)
-        first = np.cumsum([0, *map(len, panels)])[:-1]
-        faces = [(k, k + i, k + i + 1) for k, panel in zip(first, panels, strict=True) for i in range(1, len(panel) - 1)]
-        trimesh.Trimesh(points, faces, process=False).export(tmp_path / name)
-        return str(tmp_path / name)
+        return written(tmp_path / name, [corners for group, corners, _ in parts.panels if group in groups])
 
     names = {"walls.stl": ["wb_walls"], "left.stl": ["wb_flap_left"], "right.stl": ["wb_flap_right"]}
     whole = write("whole.stl", sum(names.values(), []))
@@ -95,6 +99,27 @@ def test_what_was_read_goes_with_the_scene(files):
     assert said == f"feed_bucket: {alone.feed_bucket.note}" and notes_on_walls(alone) == [said]
 
 
+def test_a_feeder_of_an_stl_is_that_of_its_sizes(tmp_path):
+    """Wherever the file has it: panels, motion, block and the room in which pieces begin; moved on by ``move``."""
+    station = load_scene("weighing-station").replace(feeder={"tilt_deg": 8.0, "overhang": 0.01})
+    expected = walls_of(station)
+    pan = [corners - [0.2, 0.1, -0.3] for group, corners, _ in expected[0] if group == "lf"]
+    keys = placed(stl=written(tmp_path / "pan.stl", pan), move=(0.0, -0.1, 0.0), length=9.0, width=9.0)
+    own = station.replace(feeder=keys)
+    panels, motions, _, blocks, regions = walls_of(own)
+    of = lambda rows: [row for row in rows if row[0] == "lf"]  # noqa: E731
+    np.testing.assert_allclose(in_order(of(panels)), in_order(of(expected[0])), atol=1e-7)
+    assert motions == expected[1]
+    assert [block.name for block in blocks] == ["wb", "fb", "lf"]
+    np.testing.assert_allclose([blocks[-1].low, blocks[-1].high], [expected[3][-1].low, expected[3][-1].high], atol=1e-3)
+    np.testing.assert_allclose(regions[-1], expected[4][-1], atol=1e-3)
+    moved = walls_of(own.replace({"feeder.move": (0.02, -0.1, 0.03)}))[0]
+    np.testing.assert_allclose(in_order(of(moved)), np.add(in_order(of(panels)), [0.02, 0.0, 0.03]), atol=1e-7)
+    alone = parse(build.self_contained(own).to_toml())
+    assert alone.feeder.stl is None and "pan.stl: 8 facets, 4 panels" in alone.feeder.note
+    assert in_order(walls_of(alone)[0]) == in_order(panels)
+
+
 def test_a_wall_of_an_stl_is_turned_and_moved(tmp_path):
     trimesh.Trimesh([[0, 0, 0], [10, 0, 0], [0, 10, 0]], [[0, 1, 2]]).export(tmp_path / "a.stl")
     wall = Wall(group="a", stl="a.stl", unit=1e-3, rotate_deg=(0.0, 0.0, 90.0), move=(0.0, 0.0, 0.5))
@@ -110,6 +135,7 @@ def test_a_wall_of_an_stl_is_turned_and_moved(tmp_path):
         ({"feed_bucket.flap_stl": ["a.stl", "b.stl"]}, "flap_stl, flap_panels: allowed beside the stl"),
         ({"feed_bucket.flap_stl": ["a.stl"]}, r"feed_bucket.flap_stl = \[\"a.stl\"\]: allowed: a list of 2, each a text"),
         ({"weigh_bucket.stl": "x.stl"}, "'x.stl': there is no such file"),
+        ({"feeder": {"stl": "y.stl"}}, "'y.stl': there is no such file"),
     ],
 )
 def test_a_mistake_is_one_clear_line(changes, said):

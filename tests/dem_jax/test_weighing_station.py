@@ -53,6 +53,19 @@ def test_the_feeder_holds_its_pieces_and_then_carries_them_into_the_feed_bucket(
     assert run.settled_mass["wb"][-1] == pytest.approx(5.832e-3, rel=1e-5)
 
 
+def test_the_speed_of_the_feeder_rises_with_the_amplitude():
+    """Of what pans reach: 0.2 to 0.8 of the peak speed of the stroke, in the mean."""
+    station = load_scene("weighing-station").replace(
+        portion={"count": 1, "settling_time": 0.5}, feeder={"count": 2, "start": 0.0, "duration": 1.0}, run={"duration": 0.5}
+    )
+    speeds = []
+    for stroke in (2e-4, 4e-4, 6e-4):
+        x = dem_jax.simulate(station.replace({"feeder.stroke": stroke}), seed=0).pieces.position[:, 1:3, 0]
+        speeds.append(float((x[-1] - x[0]).mean() / 0.5))
+        assert 0.2 < speeds[-1] / (2 * np.pi * FREQUENCY * stroke) < 0.8
+    assert speeds[0] < speeds[1] < speeds[2]
+
+
 def test_a_feeder_needs_a_bucket_and_a_portion():
     with pytest.raises(SceneError, match=r"\[feeder\] needs a \[feed_bucket\]"):
         load_scene("plate-drop", {"feeder": {}})

@@ -105,7 +105,8 @@ class Drop(Section):
 
 
 class Feeder(Section):
-    """A linear feeder: a vibrating pan whose lower end hangs over the feed bucket. Its pieces are like the portion's.
+    """A linear feeder: a vibrating pan, of sizes or of an STL file, whose lower end hangs over the feed bucket. Its pieces are like
+    the portion's.
 
     The paper gives neither geometry nor vibration; these are plausible values (named assumptions).
     """
@@ -128,3 +129,19 @@ class Feeder(Section):
     ramp: Positive = Field(0.02, description="s, to full amplitude and back")
     thickness: Positive = Field(0.005, description="m")
     material: MaterialName = None
+    stl: str | None = Field(
+        None,
+        description="file, relative to the scene's, of the pan, in the place of its sizes. Facets face the pieces, which go along "
+        "x; the end of its floor, the panels that look up, where x is greatest, is put where the edge of the pan would be",
+    )
+    unit: StlUnit = 1.0
+    rotate_deg: StlTurn = (0.0, 0.0, 0.0)
+    move: StlMove = (0.0, 0.0, 0.0)
+    panels: Panels | None = Field(None, description="m, corners of each panel from the edge on, in an STL's place")
+    note: str | None = Field(None, description="said with the results; what was read of an STL file is written here")
+
+    @model_validator(mode="after")
+    def _is_one_pan(self) -> "Feeder":
+        if self.stl and self.panels:
+            raise ValueError("stl, panels: allowed: one of the two")
+        return self
