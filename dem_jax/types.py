@@ -113,7 +113,7 @@ class Near(Tree):
     faces: tuple[Array, Array]  # [4, Kf, P]: normals and offsets (m) of faces
     corners: tuple[Array, Array]  # [3, Kv, P] (m): of a that the faces of b may meet, and the other way round
     edges: tuple[Array, Array]  # [13, Ke, P]: couples of edges, as in Features
-    clipping: tuple[Array, Array]  # [4, Kc, P]: planes of own faces that may cut the other body
+    clipping: Array  # [4, Kc, 2, P]: planes of own faces of b that may cut a, and of a that may cut b
     wide: Array  # [P] bool: whether more of them than these may
     margin: Array  # [P] (m): way within which that is certain; negative: nothing is known
     offset: Array  # [3, P] (m): b's origin in a's frame at the look ...

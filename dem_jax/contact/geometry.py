@@ -13,7 +13,7 @@ from dem_jax.maths.vector import Vector
 from dem_jax.types import Array, Facing, Hulls, Near, Slots, System
 
 Rows = tuple[Array, Array]  # of a and of b [P] int32, in the table of hulls
-Planes = tuple[Array, Array]  # [4, K, P]: of a and of b, in their own frames
+Planes = Array  # [4, K, 2, P]: of b, that cut a, and of a, in their own frames
 
 
 class Known(NamedTuple):

@@ -102,7 +102,7 @@ def look(features: Features, rows: tuple[Array, Array], radius: tuple[Array, Arr
         faces=_split(chosen.faces),
         corners=_split(f.corners[:, chosen.corners, other[None]])[::-1],
         edges=(f.edges[:, edges_a, row_a[None]], f.edges[:, edges_b, row_b[None]]),
-        clipping=_split(f.own_planes[:, clipping, sides.row[None]]),
+        clipping=jnp.stack(_split(f.own_planes[:, clipping, sides.row[None]])[::-1], axis=2),
         wide=wide,
         margin=margin,
         offset=jnp.stack(rel.offset),

@@ -136,59 +136,52 @@ def looking(of: Facing, normal: Vector, rel: Relative) -> tuple[Array, Array]:
     return face_a, face_b
 
 
-def every_plane(hulls: Hulls, rows: tuple[Array, Array]) -> tuple[Array, Array]:
-    """All planes of the own faces of both, [4, F, P]."""
+def every_plane(hulls: Hulls, rows: tuple[Array, Array]) -> Array:
+    """All planes of the own faces of b, which may cut a, and of a, which may cut b, [4, F, 2, P]."""
     assert hulls.features is not None
-    planes = hulls.features.own_planes
-    return planes[..., rows[0]], planes[..., rows[1]]
+    return hulls.features.own_planes[..., jnp.stack(rows[::-1])]
 
 
 def pressure_centre(
-    hulls: Hulls,
-    rows: tuple[Array, Array],
-    faces: tuple[Array, Array],
-    planes: tuple[Array, Array],
-    rel: Relative,
-    found: Axes,
+    hulls: Hulls, rows: tuple[Array, Array], faces: tuple[Array, Array], planes: Array, rel: Relative, found: Axes
 ) -> tuple[Vector, Array]:
     """Centroid of the overlap weighted by depth, [P] x 3 (m), in a's frame, and its weight [P] (m2); of pairs [P].
 
-    rows, faces: of both, [P] int32; planes: [4, K, P] of both, that clip; found: depth along the normal.
+    rows, faces: of both, [P] int32; planes: [4, K, 2, P], of b and of a, that clip; found: depth along the normal.
 
     The edges of the face of each body that looks most along the normal are clipped by the other body; over what
-    remains inside, the depth below the other's surface along the normal is linear, and its line integral is closed.
+    remains inside, the depth below the other's surface along the normal is linear, and its line integral is closed. Both
+    bodies in one, [.., 2, P]: what is clipped twice would be compiled twice.
     """
-    assert hulls.loops is not None
+    assert hulls.loops is not None and hulls.features is not None
     turn, d, n = vector.expand_matrix(rel.rotation, 0), expand(rel.offset, 0), expand(found.normal, 0)
     column = [face * hulls.row.shape[0] + row for face, row in zip(faces, rows, strict=True)]
-    corners_a = _vectors(hulls.loops, column[0])
-    in_b = kept(*vector.rotate_back(turn, vector.sub(corners_a, d)))
-    own_b = _vectors(hulls.loops, column[1])
-    corners_b = kept(*vector.add(vector.rotate(turn, own_b), d))
-    height_a, height_b = dot(n, corners_a), dot(n, corners_b)
-    front = [_plane_of(hulls, face, row) for face, row in zip(faces, rows, strict=True)]
-    first: tuple[Array, ...] = clipped(in_b, corners_a, *_cutting(planes[1], front[1]), height_a - (found.top - found.along)[None])
-    second: tuple[Array, ...] = clipped(corners_b, corners_b, *_cutting(planes[0], front[0]), found.top[None] - height_b)
+    own_a, own_b = (_vectors(hulls.loops, at) for at in column)
+    a_in_b = vector.rotate_back(turn, vector.sub(own_a, d))
+    b_in_a = kept(*vector.add(vector.rotate(turn, own_b), d))
+    seen, corners = _sides(a_in_b, b_in_a), _sides(own_a, b_in_a)  # where the other has its planes; in a's frame
+    below_b, below_a = dot(n, own_a) - (found.top - found.along)[None], found.top[None] - dot(n, b_in_a)
+    depth = kept(jnp.stack([below_b, below_a], axis=1))
+    front = unpack(hulls.features.own_planes[:3, jnp.stack(faces[::-1]), jnp.stack(rows[::-1])])
+    parts: tuple[Array, ...] = clipped(seen, corners, *_cutting(planes, front), depth)
     if hulls.open_edges is not None:  # an edge in the middle of a wall, or of a body of parts, is no edge of the overlap
-        first, second = (
-            tuple(hulls.open_edges.at[:, at].get(mode="promise_in_bounds") * part for part in parts)
-            for at, parts in zip(column, (first, second), strict=True)
-        )
-    weight, x, y, z = [jnp.sum(p, axis=0) + jnp.sum(q, axis=0) for p, q in zip(first, second, strict=True)]
+        is_open = hulls.open_edges.at[:, jnp.stack(column)].get(mode="promise_in_bounds")
+        parts = tuple(is_open * part for part in parts)
+    weight, x, y, z = (jnp.sum(part, axis=(0, 1)) for part in parts)
     scale = 1 / jnp.where(weight > 0, weight, 1)
     middle = found.top - 0.5 * found.along
     point = vector.where(weight > 0, vector.scale(scale, (x, y, z)), vector.scale(middle, found.normal))
     return near_b(point, hulls.bounding_radius[rows[1]], rel, middle, found.normal), weight
 
 
-def _plane_of(hulls: Hulls, face: Array, row: Array) -> Vector:
-    """Normals [P] x 3 of own faces."""
-    assert hulls.features is not None
-    return unpack(hulls.features.own_planes[:3, face, row])
+def _sides(a: Vector, b: Vector) -> Vector:
+    """Vectors [K, P] of a and of b as one, [K, 2, P]."""
+    x, y, z = (jnp.stack([c, d], axis=1) for c, d in zip(a, b, strict=True))
+    return kept(x, y, z)
 
 
 def _cutting(planes: Array, front: Vector) -> tuple[Vector, Array]:
-    """Normals and offsets of the planes [4, K, P] that clip: not the one opposite to the face in front, through which nothing
+    """Normals and offsets of the planes [4, K, 2, P] that clip: not the one opposite to the face in front, through which nothing
     is pushed, so that a thin plate has a thick one's contact."""
     back = dot(unpack(planes), expand(front, 0)) < -1 + PARALLEL
     return unpack(planes), jnp.where(back, jnp.inf, planes[3])
