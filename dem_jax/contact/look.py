@@ -29,7 +29,7 @@ from dem_jax.maths.vector import Matrix, Vector, dot, expand, kept, unpack
 from dem_jax.types import Array, Facing, Features, Near
 
 STEPS = 4  # towards the nearest points: more leave out no more pairs (measured on packed hulls)
-FACES, CORNERS, EDGES, COUPLES, FACING = 4, 8, 16, 8, 4  # room for features, at least
+FACES, CORNERS, EDGES, COUPLES, FACING = 4, 8, 16, 12, 4  # room for features, at least
 BESIDE = 1e-6  # of a body's size: what is above its faces by no more is in it
 WIDE = 0.01  # of the radius of b: where less way than this is free, all planes clip
 
