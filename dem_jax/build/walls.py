@@ -1,7 +1,7 @@
 """Panels of the walls, the groups that they move in, and the seams between them."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -81,10 +81,9 @@ def _read(row: Wall | Bucket | Feeder, stl: str, folder: str | Path) -> meshes.W
 def with_buckets_read(scene: Scene) -> Scene:
     """The scene with the panels of its buckets' and its feeder's STL files in their place, and what was read in words. Raises
     SceneError."""
-    read = {name: getattr(scene, name) for name in ("weigh_bucket", "feed_bucket")}
-    changes: dict[str, Any] = {name: _bucket_read(row, scene.folder) for name, row in read.items() if row is not None and row.stl}
-    if scene.feeder is not None and scene.feeder.stl:
-        changes["feeder"] = _feeder_read(scene.feeder, scene.folder)
+    readers: dict[str, Callable[..., Any]] = {"weigh_bucket": _bucket_read, "feed_bucket": _bucket_read, "feeder": _feeder_read}
+    parts = {name: getattr(scene, name) for name in readers}
+    changes = {name: readers[name](row, scene.folder) for name, row in parts.items() if row is not None and row.stl}
     return scene.model_copy(update=changes)
 
 

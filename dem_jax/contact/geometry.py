@@ -8,11 +8,11 @@ import jax.numpy as jnp
 
 from dem_jax.contact import collide, hulls, look, near
 from dem_jax.contact.bodies import Body
+from dem_jax.contact.near import Rows
 from dem_jax.maths import vector
 from dem_jax.maths.vector import Vector
 from dem_jax.types import Array, Facing, Hulls, Near, Slots, System
 
-Rows = tuple[Array, Array]  # of a and of b [P] int32, in the table of hulls
 Planes = Array  # [4, K, 2, P]: of b, that cut a, and of a, in their own frames
 
 

@@ -13,6 +13,7 @@ from dem_jax.contact.collide import FACE_PREFERENCE, Relative, clipped, near_b
 from dem_jax.contact.edges import couples
 from dem_jax.contact.look import facing, look
 from dem_jax.maths import vector
+from dem_jax.maths.once import once
 from dem_jax.maths.vector import Vector, dot, expand, kept, unpack
 from dem_jax.types import Array, Facing, Hulls, Near, host
 
@@ -124,8 +125,7 @@ def faced(
     away = [vector.norm(vector.sub(along, unpack(was))) for along, was in zip(directions, before.direction, strict=True)]
     known = (before.rows[0] == rows[0]) & (before.rows[1] == rows[1])
     unsure = touching & ~(known & (jnp.maximum(*away) <= before.margin))
-    again = lambda _: (jnp.zeros((), bool), facing(features, rows, normal, rel))  # noqa: E731
-    return jax.lax.while_loop(lambda carry: carry[0], again, (jnp.any(unsure), before))[1]
+    return once(jnp.any(unsure), lambda _: facing(features, rows, normal, rel), before)
 
 
 def looking(of: Facing, normal: Vector, rel: Relative) -> tuple[Array, Array]:

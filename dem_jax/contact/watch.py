@@ -24,30 +24,26 @@ def gone(system: System, state: State, stacked: Array) -> State:
     return state.replace(scratch=scratch.replace(spare=spare))
 
 
-def ways_left(system: System, state: State, stacked: Array) -> Array:
-    """The way (m) that each pair of polytopes [P] may still move; below 0: a look at it is due. stacked: bodies.stack."""
+def ways_left(system: System, state: State, stacked: Array) -> tuple[Relative, Array]:
+    """How all pairs of polytopes [P] are to each other, and the way (m) that each may still move; below 0: a look at it is due.
+    stacked: bodies.stack."""
     assert system.hulls is not None
-    slots, rel = state.scratch.slots[KIND], _relative(state, stacked)
-    return near.left(system.hulls, state.scratch.near[KIND], shapes_of(system, slots), slots.live, rel)
+    slots = state.scratch.slots[KIND]
+    a, b = bodies.take_at_once(stacked, slots.a), bodies.take_at_once(stacked, slots.b)
+    rel = relative(a, b, bodies.offset(a, b))
+    return rel, near.left(system.hulls, state.scratch.near[KIND], shapes_of(system, slots), slots.live, rel)
 
 
-def look(system: System, state: State, stacked: Array, left: Array) -> State:
-    """The state with near features that hold for all pairs of polytopes where they are now. left: ways_left."""
+def look(system: System, state: State, rel: Relative, left: Array) -> State:
+    """The state with near features that hold for all pairs of polytopes where they are now. rel, left: ways_left."""
     assert system.hulls is not None
-    scratch, slots, rel = state.scratch, state.scratch.slots[KIND], _relative(state, stacked)
+    scratch, slots = state.scratch, state.scratch.slots[KIND]
     rows, reach = shapes_of(system, slots), system.law.reach(slots.pair)
     known, left = near.renewed(system.hulls, scratch.near[KIND], left, rows, slots.live, rel, reach)
     guard = _with_start(state.guard, scratch.is_first, known, slots)
     no = jnp.zeros_like(scratch.is_first)
     scratch = scratch.replace(near={KIND: known}, spare=jnp.min(left), is_first=no, looked=state.step)
     return state.replace(guard=guard, scratch=scratch)
-
-
-def _relative(state: State, stacked: Array) -> Relative:
-    """Of all pairs of polytopes."""
-    slots = state.scratch.slots[KIND]
-    a, b = bodies.take_at_once(stacked, slots.a), bodies.take_at_once(stacked, slots.b)
-    return relative(a, b, bodies.offset(a, b))
 
 
 def _pace(system: System, stacked: Array) -> Array:

@@ -2,19 +2,20 @@
 
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from dem_jax import compiling
 from dem_jax.contact import bodies, boundary, forces, ledger, of_run, watch
+from dem_jax.contact.collide import Relative
 from dem_jax.contact.geometry import is_kept
+from dem_jax.maths.once import once
 from dem_jax.pairs import neighbours
 from dem_jax.step import integrate, measure
 from dem_jax.types import Array, Sample, State, System
 
-T = TypeVar("T")
 Whole = int | Array  # a number that the compiled program has in it, or takes
 Chunk = tuple[State, Sample, Array]  # the last state, the samples, the frames
 
@@ -51,8 +52,7 @@ def advance(system: System, state: State, panels: boundary.Panels | None = None)
     """One time step: kick, drift, walls, contacts, kick. panels: boundary.after_step of it, if that is known already."""
     state, omega, panels = _moved(system, state, panels)
     if is_kept(system):
-        stacked = bodies.stack(system, state, omega, panels)
-        state = watch.look(system, state, stacked, watch.ways_left(system, state, stacked))
+        state = watch.look(system, state, *watch.ways_left(system, state, bodies.stack(system, state, omega, panels)))
     return _met(system, state, omega, panels)
 
 
@@ -192,14 +192,9 @@ def _part(system: System, walls: boundary.Ahead, going: Going, record: Callable[
     parts = at.part + is_whole.astype(jnp.int32)
     ends = parts == system.sample_parts
     going = going._replace(state=state)
-    going = _once(ends, record, going) if is_kept(system) or system.sample_parts > 1 else record(going)
+    going = once(ends, record, going) if is_kept(system) or system.sample_parts > 1 else record(going)
     at = Place(at.sample + ends.astype(jnp.int32), jnp.where(ends, 0, parts), jnp.where(is_whole, 0, steps))
     return going._replace(at=at)
-
-
-def _once(which: Array, function: Callable[[T], T], x: T) -> T:
-    """The function of x, if so. A loop of one round, not a branch: what it carries is written in place."""
-    return jax.lax.while_loop(lambda c: c[0], lambda c: (jnp.zeros((), bool), function(c[1])), (which, x))[1]
 
 
 def _advance_by(system: System, substeps: Array, state: State, walls: boundary.Ahead, done: Array) -> tuple[State, Array]:
@@ -225,7 +220,7 @@ def _flight(system: System, state: State, walls: boundary.Ahead, steps: Array) -
 
 
 def _one_step(system: System, state: State, walls: boundary.Ahead) -> State:
-    return advance(system, state, boundary.after(system, walls, state.step - state.scratch.since + 1))
+    return advance(system, state, _panels_ahead(system, state, walls))
 
 
 def _until_due(system: System, substeps: Array, state: State, walls: boundary.Ahead, done: Array) -> tuple[State, Array]:
@@ -236,7 +231,7 @@ def _until_due(system: System, substeps: Array, state: State, walls: boundary.Ah
         moved, omega, panels = _ahead(system, before, walls)
         moved = watch.gone(system, moved, bodies.stack(system, moved, omega, panels))
         is_known = ~watch.is_due(moved)
-        after = _once(is_known, lambda s: _met(system, s, omega, panels), moved)
+        after = once(is_known, lambda s: _met(system, s, omega, panels), moved)
         kept = lambda a, b: jnp.where(is_known, a, b)  # noqa: E731
         same = {name: jax.tree.map(kept, getattr(after, name), getattr(before, name)) for name in ("step", "motion", "cell")}
         return after.replace(**same), done + is_known.astype(jnp.int32)
@@ -246,20 +241,24 @@ def _until_due(system: System, substeps: Array, state: State, walls: boundary.Ah
 
 def _ahead(system: System, state: State, walls: boundary.Ahead) -> tuple[State, Array, boundary.Panels]:
     """``_moved`` of the step ahead."""
-    return _moved(system, state, boundary.after(system, walls, state.step - state.scratch.since + 1))
+    return _moved(system, state, _panels_ahead(system, state, walls))
+
+
+def _panels_ahead(system: System, state: State, walls: boundary.Ahead) -> boundary.Panels:
+    """Where the panels are after the step ahead."""
+    return boundary.after(system, walls, state.step - state.scratch.since + 1)
 
 
 def _looked(system: System, state: State, walls: boundary.Ahead) -> State:
     """The state with near features that hold after the step ahead."""
 
-    def ahead(_: tuple[Array, Array]) -> tuple[Array, Array]:
+    def ahead(_: tuple[Relative, Array]) -> tuple[Relative, Array]:
         moved, omega, panels = _ahead(system, state, walls)
-        stacked = bodies.stack(system, moved, omega, panels)
-        return stacked, watch.ways_left(system, moved, stacked)
+        return watch.ways_left(system, moved, bodies.stack(system, moved, omega, panels))
 
     none = jax.tree.map(lambda x: jnp.full(x.shape, jnp.inf, x.dtype), jax.eval_shape(ahead, None))
-    stacked, left = _once(watch.is_due(state), ahead, none)
-    return watch.look(system, state.replace(step=state.step + 1), stacked, left).replace(step=state.step)
+    rel, left = once(watch.is_due(state), ahead, none)
+    return watch.look(system, state.replace(step=state.step + 1), rel, left).replace(step=state.step)
 
 
 def _strays(system: System, state: State) -> Array:
