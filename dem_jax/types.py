@@ -92,13 +92,13 @@ class Hulls(Tree):
 class Facing(Tree):
     """Which faces of P pairs of polytopes can look most along the normal of their contact, while it stays near a direction.
 
-    Pairs of arrays are those of a and of b, in the frame of the body that they belong to.
+    Sides are those of a and of b, in the frame of the body that they belong to.
     """
 
     rows: tuple[Array, Array]  # [P] int32: the two in the table
-    normals: tuple[Array, Array]  # [3, Kd, P]: of the faces that look most along it
-    faces: tuple[Array, Array]  # [Kd, P] int32: which these are
-    direction: tuple[Array, Array]  # [3, P]: outward normal of the contact
+    normals: Array  # [3, Kd, 2, P]: of the faces of each side that look most along it
+    faces: Array  # [Kd, 2, P] int32: which these are
+    direction: Array  # [3, 2, P]: outward normal of the contact
     margin: Array  # [P]: by which the normal may differ from that; negative: nothing is known
 
 
@@ -106,12 +106,12 @@ class Facing(Tree):
 class Near(Tree):
     """The features of P pairs of convex polytopes that can decide their contact until they have moved, see ``contact.look``.
 
-    Pairs of arrays are those of a and of b, in the frame of the body that they belong to.
+    Pairs of arrays, and sides, [.., 2, P], are those of a and of b, in the frame of the body that they belong to.
     """
 
     rows: tuple[Array, Array]  # [P] int32: the two in the table
-    faces: tuple[Array, Array]  # [4, Kf, P]: normals and offsets (m) of faces
-    corners: tuple[Array, Array]  # [3, Kv, P] (m): of a that the faces of b may meet, and the other way round
+    faces: Array  # [4, Kf, 2, P]: normals and offsets (m) of faces
+    corners: Array  # [3, Kv, 2, P] (m): of b that the faces of a may meet, and of a that those of b may
     edges: tuple[Array, Array]  # [13, Ke, P]: couples of edges, as in Features
     clipping: Array  # [4, Kc, 2, P]: planes of own faces of b that may cut a, and of a that may cut b
     wide: Array  # [P] bool: whether more of them than these may

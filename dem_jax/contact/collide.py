@@ -312,20 +312,26 @@ def _begin(steps: Array) -> Array:
     return _sum(jnp.where(number > j, 0.5, -0.5).astype(steps.dtype) * steps[j : j + 1] for j in range(steps.shape[0]))
 
 
-def clipped(points: Vector, corners: Vector, normals: Vector, offsets: Array, depth: Array) -> Integrals:
-    """For each edge of a face, the line integral of depth over its part inside a polytope, and of depth times position:
-    four arrays [k, P] (m2, m3).
+def crossings(points: Vector, normals: Vector, offsets: Array) -> tuple[Array, Array]:
+    """Where each edge of a face, from 0 to 1, enters a polytope, and where it leaves it, [k, ..] each.
 
-    points: [k + 1, P] x 3, the corners relative to the polytope's origin; normals: [m, P] x 3 and offsets: [m, P] of its
-    faces; depth: [k + 1, P] (m).
+    points: [k + 1, ..] x 3, the corners relative to the polytope's origin; normals: [m, ..] x 3 and offsets: [m, ..] of its
+    faces.
     """
-    u = kept(dot(expand(normals, 1), expand(points, 0)) / offsets[:, None])  # [m, k + 1, P]
+    u = kept(dot(expand(normals, 1), expand(points, 0)) / offsets[:, None])  # [m, k + 1, ..]
     du = u[:, 1:] - u[:, :-1]
-    tiny = jnp.finfo(depth.dtype).tiny ** 0.25  # so small that its square, in derivatives, does not overflow
+    tiny = jnp.finfo(u.dtype).tiny ** 0.25  # so small that its square, in derivatives, does not overflow
     du = jnp.where(jnp.abs(du) < tiny, tiny, du)
     crossing = (1 - u[:, :-1]) / du  # a half-space u < 1 is left where u grows, entered where it falls
-    start = _extreme(jnp.max, jnp.where(du < 0, crossing, -jnp.inf))
-    end = _extreme(jnp.min, jnp.where(du < 0, jnp.inf, crossing))
+    return _extreme(jnp.max, jnp.where(du < 0, crossing, -jnp.inf)), _extreme(jnp.min, jnp.where(du < 0, jnp.inf, crossing))
+
+
+def clipped(start: Array, end: Array, corners: Vector, depth: Array) -> Integrals:
+    """For each edge of a face, the line integral of depth over its part inside a polytope, and of depth times position:
+    four arrays [k, ..] (m2, m3).
+
+    start, end: [k, ..], ``crossings``; corners: [k + 1, ..] x 3 (m); depth: [k + 1, ..] (m), at them.
+    """
     edge = vector.each(lambda c: c[1:] - c[:-1], corners)
     weight, along = _integrals(start, end, vector.norm(edge), depth[:-1], depth[1:] - depth[:-1])
     x, y, z = (weight * c[:-1] + along * e for c, e in zip(corners, edge, strict=True))

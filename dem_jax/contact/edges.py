@@ -6,7 +6,7 @@ import jax.numpy as jnp
 
 from dem_jax.contact.collide import Relative
 from dem_jax.maths import vector
-from dem_jax.maths.vector import Vector, dot, expand, unpack
+from dem_jax.maths.vector import Vector, dot, expand, kept, unpack
 from dem_jax.types import Array
 
 PARALLEL = 8  # roundings: edges whose arcs cross by less do not cross
@@ -16,8 +16,8 @@ class Couples(NamedTuple):
     """Edges of a with edges of b, [.., P], in a's frame."""
 
     overlap: Array  # (m) along the normal of both; infinite where they make no face of the Minkowski difference
-    normal: Vector  # x 3, from a to b
-    top: Array  # (m): of a along that normal
+    axis: Vector  # x 3: square to both ...
+    scale: Array  # ... of which so many are the unit normal from a to b
     distance: Array  # (m): of their nearest points
     shortfall: Array  # by how much their arcs on the Gauss map miss each other, as the sine of an angle; 0 where they cross
 
@@ -31,20 +31,20 @@ def couples(a: Array, b: Array, rel: Relative) -> Couples:
     middle_b, along_b, half_b, *inward_b = edge(b)
     lift = tuple(range(half_b.ndim - 1))
     turn = vector.expand_matrix(rel.rotation, lift)
-    along_b = vector.rotate(turn, along_b)
+    along_b = kept(*vector.rotate(turn, along_b))
     middle_b = vector.add(vector.rotate(turn, middle_b), expand(rel.offset, lift))
-    axis = vector.cross(along_a, along_b)
+    axis = kept(*vector.cross(along_a, along_b))
     seen = vector.rotate_back(turn, axis)
     sides = [dot(axis, inward) for inward in inward_a] + [-dot(seen, inward) for inward in inward_b]
-    least = jnp.minimum(jnp.minimum(sides[0], sides[1]), jnp.minimum(sides[2], sides[3]))
-    most = jnp.maximum(jnp.maximum(sides[0], sides[1]), jnp.maximum(sides[2], sides[3]))
+    least = kept(jnp.minimum(jnp.minimum(sides[0], sides[1]), jnp.minimum(sides[2], sides[3])))
+    most = kept(jnp.maximum(jnp.maximum(sides[0], sides[1]), jnp.maximum(sides[2], sides[3])))
     eps = float(jnp.finfo(half_a.dtype).eps)
     crosses = jnp.maximum(least, -most) > PARALLEL * eps  # all on one side
     across = _between(middle_a, along_a, half_a, middle_b, along_b, half_b, dot(axis, axis), eps)
-    normal = vector.scale(jnp.where(most < 0, 1, -1) / jnp.sqrt(jnp.where(crosses, dot(axis, axis), 1)), axis)
-    overlap = jnp.where(crosses, -dot(normal, across), jnp.inf)
+    scale = kept(jnp.where(most < 0, 1, -1) / jnp.sqrt(jnp.where(crosses, dot(axis, axis), 1)))
+    overlap = jnp.where(crosses, -dot(vector.scale(scale, axis), across), jnp.inf)
     shortfall = jnp.maximum(0, jnp.minimum(-least, most))
-    return Couples(overlap, normal, dot(normal, middle_a), vector.norm(across), shortfall)
+    return Couples(overlap, axis, scale, vector.norm(across), shortfall)
 
 
 def _between(

@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 
 from dem_jax.contact import collide, hulls, look, near
@@ -13,8 +12,6 @@ from dem_jax.maths import vector
 from dem_jax.maths.vector import Vector
 from dem_jax.types import Array, Facing, Hulls, Near, Slots, System
 
-Planes = Array  # [4, K, 2, P]: of b, that cut a, and of a, in their own frames
-
 
 class Known(NamedTuple):
     """What is known of a block of pairs of polytopes with features; of all other pairs, and where all features are looked at in
@@ -22,11 +19,10 @@ class Known(NamedTuple):
 
     near: Near | None = None
     facing: Facing | None = None
-    clipping: Callable[[], Planes] | None = None  # of near: nobody needs them where nothing touches
+    clipping: Callable[[], Array] | None = None  # Near.clipping: nobody needs them where nothing touches
 
 
 NOTHING = Known()
-Clipped = Callable[[Callable[[Planes], collide.Geometry]], collide.Geometry]  # gives a function the planes that clip
 
 
 def geometry(
@@ -53,7 +49,7 @@ def geometry(
         return axes[0], lambda: _in_world(_between_zonotopes(hull_a, hull_b, rel, axes, reach), a), None
     rows = shapes_of(system, slots)
     separation, faces, planes, facing = _between_polytopes(table, slots, rows, rel, reach, known)
-    return separation.depth, lambda: _in_world(_centred(table, rows, faces, planes, rel, separation, reach), a), facing
+    return separation.depth, lambda: _in_world(_centred(table, rows, faces, planes(), rel, separation, reach), a), facing
 
 
 def relative(a: Body, b: Body, offset: Vector) -> collide.Relative:
@@ -70,10 +66,10 @@ def shapes_of(system: System, slots: Slots) -> Rows:
 def polytopes(table: Hulls, rows: Rows, rel: collide.Relative) -> collide.Geometry:
     """Contact of the polytopes of rows (a, b) [P] of a table with features, from all of them, in a's frame."""
     axes, faces = _from_all(table, rows, rel, None)
-    return _centred_on(table, rows, faces, near.every_plane(table, rows), rel, axes, None)
+    return _centred(table, rows, faces, near.every_plane(table, rows), rel, axes, None)
 
 
-def _from_all(table: Hulls, rows: Rows, rel: collide.Relative, reach: Array | None) -> tuple[near.Axes, tuple[Array, Array]]:
+def _from_all(table: Hulls, rows: Rows, rel: collide.Relative, reach: Array | None) -> tuple[near.Axes, Array]:
     """Axes and facing faces of polytopes, from all of their features."""
     assert table.features is not None
     axes = near.axes(look.look(table.features, rows, _radii(table, rows), rel, reach), rel)
@@ -86,43 +82,22 @@ def _radii(table: Hulls, rows: Rows) -> tuple[Array, Array]:
 
 def _between_polytopes(
     table: Hulls, slots: Slots, rows: Rows, rel: collide.Relative, reach: Array | None, known: Known
-) -> tuple[near.Axes, tuple[Array, Array], Clipped, Facing | None]:
+) -> tuple[near.Axes, Array, Callable[[], near.Planes], Facing | None]:
     """Axes, facing faces and clipping planes of polytopes, and Facing for the next step."""
     if known.near is None:
         axes, faces = _from_all(table, rows, rel, reach)
-        return axes, faces, lambda of: of(near.every_plane(table, rows)), None
+        return axes, faces, lambda: near.every_plane(table, rows), None
     assert known.facing is not None and known.clipping is not None
     axes, clipping = near.axes(known.near, rel), known.clipping
     touching = slots.live & ((axes.depth if reach is None else axes.depth + reach) > 0)
     facing = near.faced(table, known.facing, rows, axes.normal, touching, rel)
     is_wide = jnp.any(known.near.wide & touching)
-
-    def clipped(of: Callable[[Planes], collide.Geometry]) -> collide.Geometry:
-        return jax.lax.cond(is_wide, lambda: of(near.every_plane(table, rows)), lambda: of(clipping()))
-
-    return axes, near.looking(facing, axes.normal, rel), clipped, facing
+    planes = lambda: near.Planes(clipping(), is_wide)  # noqa: E731
+    return axes, near.looking(facing, axes.normal, rel), planes, facing
 
 
 def _centred(
-    table: Hulls,
-    rows: Rows,
-    faces: tuple[Array, Array],
-    clipped: Clipped,
-    rel: collide.Relative,
-    axes: near.Axes,
-    reach: Array | None,
-) -> collide.Geometry:
-    return clipped(lambda planes: _centred_on(table, rows, faces, planes, rel, axes, reach))
-
-
-def _centred_on(
-    table: Hulls,
-    rows: Rows,
-    faces: tuple[Array, Array],
-    planes: Planes,
-    rel: collide.Relative,
-    axes: near.Axes,
-    reach: Array | None,
+    table: Hulls, rows: Rows, faces: Array, planes: near.Planes, rel: collide.Relative, axes: near.Axes, reach: Array | None
 ) -> collide.Geometry:
     """Contact of polytopes whose axes are known; reach: [P] or [1] (m), None of a law without."""
     if reach is None:

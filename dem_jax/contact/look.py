@@ -99,10 +99,10 @@ def look(features: Features, rows: tuple[Array, Array], radius: tuple[Array, Arr
     edges_a, edges_b = picked(edges.of_a, pairs_of_edges // count), picked(edges.of_b, pairs_of_edges % count)
     return Near(
         rows=(row_a, row_b),
-        faces=_split(chosen.faces),
-        corners=_split(f.corners[:, chosen.corners, other[None]])[::-1],
+        faces=_paired(chosen.faces),
+        corners=_paired(f.corners[:, chosen.corners, other[None]]),
         edges=(f.edges[:, edges_a, row_a[None]], f.edges[:, edges_b, row_b[None]]),
-        clipping=jnp.stack(_split(f.own_planes[:, clipping, sides.row[None]])[::-1], axis=2),
+        clipping=_paired(f.own_planes[:, clipping, sides.row[None]])[:, :, ::-1],
         wide=wide,
         margin=margin,
         offset=jnp.stack(rel.offset),
@@ -192,6 +192,11 @@ def _split(x: Array) -> tuple[Array, Array]:
     return x[..., :half], x[..., half:]
 
 
+def _paired(x: Array) -> Array:
+    """[.., 2 P] as [.., 2, P]."""
+    return x.reshape(*x.shape[:-1], 2, -1)
+
+
 def _swapped(x: Array) -> Array:
     """[.., 2 P] of the other side."""
     return jnp.concatenate(_split(x)[::-1], axis=-1)
@@ -199,14 +204,8 @@ def _swapped(x: Array) -> Array:
 
 def facing(features: Features, rows: tuple[Array, Array], normal: Vector, rel: Relative) -> Facing:
     """Own faces of pairs, of rows ([P], [P]) of a table, that look most along a normal, [P] x 3, from a to b in a's frame."""
-    directions = normal, vector.scale(-1, vector.rotate_back(rel.rotation, normal))
-    sides = [_facing(features, row, along) for row, along in zip(rows, directions, strict=True)]
-    normals, faces, margins = zip(*sides, strict=True)
-    return Facing(rows, normals, faces, (jnp.stack(directions[0]), jnp.stack(directions[1])), jnp.minimum(*margins))
-
-
-def _facing(f: Features, row: Array, along: Vector) -> tuple[Array, Array, Array]:
-    """Normals [3, Kd, P] and numbers [Kd, P] of the faces that look most along a direction, and Facing.margin."""
+    f, row = features, jnp.concatenate(rows)
+    along = vector.each(lambda c: c.reshape(-1), outward(normal, rel))  # [2 P]: both sides as one list
     planes = f.own_planes[..., row]
     keys = -dot(unpack(planes), expand(along, 0))
     if f.inner is not None:
@@ -214,7 +213,15 @@ def _facing(f: Features, row: Array, along: Vector) -> tuple[Array, Array, Array
     keys = own(f.counts[3], row, kept(keys))
     faces, others = smallest(keys, FACING)
     normals = jnp.stack([picked(c, faces) for c in unpack(planes)])
-    return normals, faces, 0.5 * (others - jnp.min(keys, axis=0))
+    margin = jnp.minimum(*_split(0.5 * (others - jnp.min(keys, axis=0))))
+    return Facing(rows, _paired(normals), _paired(faces), _paired(jnp.stack(along)), margin)
+
+
+def outward(normal: Vector, rel: Relative) -> Vector:
+    """A normal from a to b, [P] x 3 in a's frame, as it leaves a, and against it as it leaves b in its own frame, [2, P] x 3."""
+    back = vector.scale(-1, vector.rotate_back(rel.rotation, normal))
+    x, y, z = (jnp.stack(both) for both in zip(normal, back, strict=True))
+    return x, y, z
 
 
 def overlap_at_most(features: Features, rows: tuple[Array, Array], rel: Relative, of_parts: bool = False) -> Array:

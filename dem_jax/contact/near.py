@@ -9,9 +9,9 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from dem_jax.contact.collide import FACE_PREFERENCE, Relative, clipped, near_b
+from dem_jax.contact.collide import FACE_PREFERENCE, Relative, clipped, crossings, near_b
 from dem_jax.contact.edges import couples
-from dem_jax.contact.look import facing, look
+from dem_jax.contact.look import facing, look, outward
 from dem_jax.maths import vector
 from dem_jax.maths.once import once
 from dem_jax.maths.vector import Vector, dot, expand, kept, unpack
@@ -19,6 +19,7 @@ from dem_jax.types import Array, Facing, Hulls, Near, host
 
 PARALLEL = 1e-6  # one minus the cosine between faces that are opposite to each other
 Rows = tuple[Array, Array]  # of a and of b [P] int32, in the table of hulls
+TOGETHER = 8  # planes that clip in one go where all do
 AT_ONCE = 32  # pairs that are looked at together: those whose look is due, and those where it will be soon
 
 
@@ -33,31 +34,24 @@ class Axes(NamedTuple):
 
 def axes(near: Near, rel: Relative) -> Axes:
     """Smallest overlap over the axes of near features."""
-    turn = vector.expand_matrix(rel.rotation, 0)
-    d = expand(rel.offset, 0)
-    into_a = vector.add(vector.rotate(turn, unpack(near.corners[1])), d)
-    into_b = vector.rotate_back(turn, vector.sub(unpack(near.corners[0]), d))
-    of_a, normal_a, level_a = _least_of_faces(near.faces[0], into_a)
-    of_b, normal_b, level_b = _least_of_faces(near.faces[1], into_b)
-    normal_b = vector.scale(-1, vector.rotate(rel.rotation, normal_b))
-    top_b = of_b + dot(normal_b, rel.offset) - level_b
+    turn, d = vector.expand_matrix(rel.rotation, 0), expand(rel.offset, 0)
+    into_a = vector.add(vector.rotate(turn, unpack(near.corners[:, :, 0])), d)
+    into_b = vector.rotate_back(turn, vector.sub(unpack(near.corners[:, :, 1]), d))
+    lowest = jnp.min(dot(expand(unpack(near.faces), 1), expand(_sides(into_a, into_b), 0)), axis=1)
+    least, (x, y, z, level) = _least(kept(near.faces[3] - lowest), tuple(near.faces))  # [2, P]
+    use_a = least[0] <= least[1]
+    face = kept(jnp.minimum(least[0], least[1]))
+    normal_a, normal_b = (x[0], y[0], z[0]), vector.scale(-1, vector.rotate(rel.rotation, (x[1], y[1], z[1])))
+    level = jnp.where(use_a, level[0], least[1] + dot(normal_b, rel.offset) - level[1])
     pair = couples(*near.edges, rel)
-    overlap, *rest = kept(pair.overlap, pair.top, *pair.normal)
-    edge, (top, x, y, z) = _least(overlap, rest)
-    face = jnp.minimum(of_a, of_b)
-    use_a, use_edge = of_a <= of_b, edge < face - FACE_PREFERENCE * jnp.abs(face)
-    from_face = vector.where(use_a, normal_a, normal_b)
-    chosen = vector.where(use_edge, (x, y, z), from_face)
-    top = jnp.where(use_edge, top, jnp.where(use_a, level_a, top_b))
+    edge, (number,) = _least(kept(pair.overlap), (jnp.arange(pair.overlap.shape[0], dtype=least.dtype)[:, None],))
+    edge, number = kept(edge, number)
+    x, y, z, scale, *middle = (_row(rows, number) for rows in (*pair.axis, pair.scale, *near.edges[0][:3]))
+    normal = vector.scale(scale, (x, y, z))
+    use_edge = edge < face - FACE_PREFERENCE * jnp.abs(face)
+    chosen = vector.where(use_edge, normal, vector.where(use_a, normal_a, normal_b))
+    top = jnp.where(use_edge, dot(normal, (middle[0], middle[1], middle[2])), level)
     return Axes(jnp.minimum(face, edge), kept(*chosen), jnp.where(use_edge, edge, face), top)
-
-
-def _least_of_faces(faces: Array, seen: Vector) -> tuple[Array, Vector, Array]:
-    """The smallest overlap of faces [4, K, P] and the corners of the other body [V, P] x 3, [P] (m), and the normal and offset
-    of its face."""
-    lowest = jnp.min(dot(expand(unpack(faces), 1), expand(seen, 0)), axis=1)
-    least, (x, y, z, offset) = _least(kept(faces[3] - lowest), tuple(faces))
-    return least, (x, y, z), offset
 
 
 def _least(keys: Array, rows: Sequence[Array]) -> tuple[Array, tuple[Array, ...]]:
@@ -69,6 +63,14 @@ def _least(keys: Array, rows: Sequence[Array]) -> tuple[Array, tuple[Array, ...]
         least = jnp.where(less, keys[k], least)
         found = tuple(jnp.where(less, row[k], was) for row, was in zip(rows, found, strict=True))
     return least, found
+
+
+def _row(rows: Array, number: Array) -> Array:
+    """Of the rows [K, P] those of a number [P]."""
+    found = rows[0]
+    for k in range(1, rows.shape[0]):
+        found = jnp.where(number == k, rows[k], found)
+    return found
 
 
 def left(hulls: Hulls, near: Near, rows: Rows, live: Array, rel: Relative) -> Array:
@@ -121,33 +123,36 @@ def faced(
     """Faces that can look most along the normals of the touching of pairs [P]; all anew where one of them is uncertain."""
     features = hulls.features
     assert features is not None
-    directions = normal, vector.scale(-1, vector.rotate_back(rel.rotation, normal))
-    away = [vector.norm(vector.sub(along, unpack(was))) for along, was in zip(directions, before.direction, strict=True)]
+    away = jnp.max(vector.norm(vector.sub(outward(normal, rel), unpack(before.direction))), axis=0)
     known = (before.rows[0] == rows[0]) & (before.rows[1] == rows[1])
-    unsure = touching & ~(known & (jnp.maximum(*away) <= before.margin))
+    unsure = touching & ~(known & (away <= before.margin))
     return once(jnp.any(unsure), lambda _: facing(features, rows, normal, rel), before)
 
 
-def looking(of: Facing, normal: Vector, rel: Relative) -> tuple[Array, Array]:
-    """The face of a and the face of b that look most along the normal and against it, [P] int32."""
-    directions = normal, vector.scale(-1, vector.rotate_back(rel.rotation, normal))
-    sides = zip(of.normals, of.faces, directions, strict=True)
-    face_a, face_b = (_least(-dot(unpack(normals), expand(along, 0)), (faces,))[1][0] for normals, faces, along in sides)
-    return face_a, face_b
+def looking(of: Facing, normal: Vector, rel: Relative) -> Array:
+    """The face of a and the face of b that look most along the normal and against it, [2, P] int32."""
+    return _least(-dot(unpack(of.normals), expand(outward(normal, rel), 0)), (of.faces,))[1][0]
 
 
-def every_plane(hulls: Hulls, rows: tuple[Array, Array]) -> Array:
-    """All planes of the own faces of b, which may cut a, and of a, which may cut b, [4, F, 2, P]."""
+class Planes(NamedTuple):
+    """Planes of own faces of b, which may cut a, and of a, which may cut b, in their own frames."""
+
+    few: Array  # [4, Kc, 2, P]: mostly the only ones, ``Near.clipping``
+    is_wide: Array | bool  # []: whether all others may cut too
+
+
+def every_plane(hulls: Hulls, rows: Rows) -> Planes:
+    """All of them."""
     assert hulls.features is not None
-    return hulls.features.own_planes[..., jnp.stack(rows[::-1])]
+    return Planes(hulls.features.own_planes[..., jnp.stack(rows[::-1])], False)
 
 
 def pressure_centre(
-    hulls: Hulls, rows: tuple[Array, Array], faces: tuple[Array, Array], planes: Array, rel: Relative, found: Axes
+    hulls: Hulls, rows: Rows, faces: Array, planes: Planes, rel: Relative, found: Axes
 ) -> tuple[Vector, Array]:
     """Centroid of the overlap weighted by depth, [P] x 3 (m), in a's frame, and its weight [P] (m2); of pairs [P].
 
-    rows, faces: of both, [P] int32; planes: [4, K, 2, P], of b and of a, that clip; found: depth along the normal.
+    rows: of both, [P] int32; faces: of both, [2, P] int32; planes: that clip; found: depth along the normal.
 
     The edges of the face of each body that looks most along the normal are clipped by the other body; over what
     remains inside, the depth below the other's surface along the normal is linear, and its line integral is closed. Both
@@ -155,17 +160,17 @@ def pressure_centre(
     """
     assert hulls.loops is not None and hulls.features is not None
     turn, d, n = vector.expand_matrix(rel.rotation, 0), expand(rel.offset, 0), expand(found.normal, 0)
-    column = [face * hulls.row.shape[0] + row for face, row in zip(faces, rows, strict=True)]
+    column = faces * hulls.row.shape[0] + jnp.stack(rows)
     own_a, own_b = (_vectors(hulls.loops, at) for at in column)
     a_in_b = vector.rotate_back(turn, vector.sub(own_a, d))
     b_in_a = kept(*vector.add(vector.rotate(turn, own_b), d))
     seen, corners = _sides(a_in_b, b_in_a), _sides(own_a, b_in_a)  # where the other has its planes; in a's frame
     below_b, below_a = dot(n, own_a) - (found.top - found.along)[None], found.top[None] - dot(n, b_in_a)
     depth = kept(jnp.stack([below_b, below_a], axis=1))
-    front = unpack(hulls.features.own_planes[:3, jnp.stack(faces[::-1]), jnp.stack(rows[::-1])])
-    parts: tuple[Array, ...] = clipped(seen, corners, *_cutting(planes, front), depth)
+    front = unpack(hulls.features.own_planes[:3, faces[::-1], jnp.stack(rows[::-1])])
+    parts: tuple[Array, ...] = clipped(*_inside(hulls, rows, seen, planes, front), corners, depth)
     if hulls.open_edges is not None:  # an edge in the middle of a wall, or of a body of parts, is no edge of the overlap
-        is_open = hulls.open_edges.at[:, jnp.stack(column)].get(mode="promise_in_bounds")
+        is_open = hulls.open_edges.at[:, column].get(mode="promise_in_bounds")
         parts = tuple(is_open * part for part in parts)
     weight, x, y, z = (jnp.sum(part, axis=(0, 1)) for part in parts)
     scale = 1 / jnp.where(weight > 0, weight, 1)
@@ -178,6 +183,23 @@ def _sides(a: Vector, b: Vector) -> Vector:
     """Vectors [K, P] of a and of b as one, [K, 2, P]."""
     x, y, z = (jnp.stack([c, d], axis=1) for c, d in zip(a, b, strict=True))
     return kept(x, y, z)
+
+
+def _inside(hulls: Hulls, rows: Rows, points: Vector, planes: Planes, front: Vector) -> tuple[Array, Array]:
+    """``collide.crossings`` of edges between points [k + 1, 2, P] x 3 with planes."""
+    assert hulls.features is not None
+    every, others = hulls.features.own_planes, jnp.stack(rows[::-1])
+    count = every.shape[1]
+    inside = crossings(points, *_cutting(planes.few, front))
+    if planes.few.shape[1] == count:
+        return inside
+
+    def further(k: Array | int, inside: tuple[Array, Array]) -> tuple[Array, Array]:
+        some = jax.lax.dynamic_slice_in_dim(every, k * TOGETHER, TOGETHER, 1)[..., others]  # the last begin earlier: no matter
+        start, end = crossings(points, *_cutting(some, front))
+        return jnp.maximum(inside[0], start), jnp.minimum(inside[1], end)
+
+    return jax.lax.fori_loop(0, jnp.where(planes.is_wide, -(-count // TOGETHER), 0), further, inside)
 
 
 def _cutting(planes: Array, front: Vector) -> tuple[Vector, Array]:

@@ -51,8 +51,9 @@ def _pace(system: System, stacked: Array) -> Array:
     radius = system.parts.bounding_radius
     largest = jnp.max(radius)
     of_walls = vector.norm(tuple(system.walls.half_extent))
-    far = jnp.concatenate([radius, of_walls]) + 3 * largest
-    pace = vector.norm(tuple(stacked[3:6])) + far * vector.norm(tuple(stacked[6:9]))
+    far = vector.kept(jnp.concatenate([radius, of_walls]) + 3 * largest)
+    moving = vector.kept(stacked[3:9])
+    pace = vector.norm(tuple(moving[:3])) + far * vector.norm(tuple(moving[3:]))
     return 2 * ROUNDING * jnp.max(pace)
 
 

@@ -51,8 +51,10 @@ def from_near(table, rows, kept, facing, rel):
     touching = jnp.ones_like(axes.depth, bool)
     facing = near.faced(table, facing, rows, axes.normal, touching, rel)
     faces = near.looking(facing, axes.normal, rel)
-    centre = near.pressure_centre(table, rows, faces, kept.clipping, rel, axes)
-    return axes, faces, centre, near.moved(kept, table.bounding_radius[rows[1]], rel)
+    centre, in_full = (
+        near.pressure_centre(table, rows, faces, near.Planes(kept.clipping, is_wide), rel, axes)[0] for is_wide in (False, True)
+    )
+    return axes, faces, centre, in_full, near.moved(kept, table.bounding_radius[rows[1]], rel)
 
 
 def relative(turn, offset):
@@ -79,7 +81,7 @@ def test_near_features_say_what_all_say_until_bodies_have_moved_by_the_margin():
         turn = pairs.turn * Rotation.from_rotvec(about * (way * (1 - share) / radius)[:, None])
         rel = relative(turn, offset)
         _, _, true, true_faces, true_centre = from_all(table, rows, rel)
-        axes, faces, centre, moved = from_near(table, rows, kept, facing, rel)
+        axes, faces, centre, from_every_plane, moved = from_near(table, rows, kept, facing, rel)
         sure = (np.asarray(moved) <= margin) & (np.asarray(true.depth) > 1e-9)
         compared += sure.sum()
         np.testing.assert_allclose(axes.depth[sure], true.depth[sure], atol=1e-15, rtol=0)
@@ -87,8 +89,9 @@ def test_near_features_say_what_all_say_until_bodies_have_moved_by_the_margin():
             np.testing.assert_allclose(one[sure], other[sure], atol=1e-12)
         narrow = sure & ~np.asarray(kept.wide)
         in_full += narrow.sum()
-        for one, other in zip(centre[0], true_centre[0], strict=True):
+        for one, every, other in zip(centre, from_every_plane, true_centre[0], strict=True):
             np.testing.assert_allclose(one[narrow], other[narrow], atol=1e-12)
+            np.testing.assert_allclose(every[sure], other[sure], atol=1e-12)
     assert compared > 200 and in_full > 0.8 * compared
 
 
