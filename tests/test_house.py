@@ -84,6 +84,14 @@ def test_the_page_names_every_room():
     assert not [room for room in rooms if f"`{room}" not in PAGE]
 
 
+def test_the_drawing_has_each_room_above_all_that_it_imports():
+    drawing = re.search(r"```text\n(.*?)```", PAGE, re.DOTALL)[1]
+    line = {room: n for n, row in enumerate(drawing.splitlines()) for room in re.findall(r"[a-z]+", row)}
+    drawn = MAY_IMPORT.keys() - {"__main__", "__init__", "scenes", "studies", "products", "buckets", "validation"}
+    assert line.keys() == drawn
+    assert not [(room, of) for room in drawn for of in MAY_IMPORT[room] & drawn if line[room] >= line[of]]
+
+
 def test_what_the_page_names_is_there():
     named = re.findall(r"`(dem_jax/[\w/]+\.py)(?::(\w+))?`", PAGE)
     assert len(named) > 15
