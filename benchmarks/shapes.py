@@ -31,6 +31,8 @@ SIZES = (8, 64, 343)
 MANY = 100  # pieces: of more only the first seven products
 ROUNDS = 7
 LENGTH = 0.25  # s by the clock, that a turn takes at least
+SOFT = 0.03  # softening factor of pieces that fall into the box
+SLENDER = 10  # times as long as wide
 YADE, YADE_SIZE = "YADE: its polyhedra, hull of 16 corners", 64
 MARSHMALLOW = {"shape": "chamfered-cuboid"}
 
@@ -114,11 +116,14 @@ def settled(product: Product, count: int):
     from dem_jax.build import build
     from dem_jax.drive.prepare import prepare
 
-    loose = {"restitution": 0.5, "softening": 0.03}
+    loose = {"restitution": 0.5, "softening": SOFT}
     one = np.ones((len(product.pieces), 1))
     most, hulls.MOST_DIRECTIONS = hulls.MOST_DIRECTIONS, 0 if product.general else hulls.MOST_DIRECTIONS
     probe = scene(product, 10.0, 1.0, one * [0, 0, 0.5], one * [1.0, 0, 0, 0], loose, {})
-    size = 2 * float(np.max(build(probe, 0).system.parts.bounding_radius))
+    system = build(probe, 0).system
+    size = 2 * float(np.max(system.parts.bounding_radius))
+    if size > SLENDER * float(np.min(system.pieces.width)):  # they fall far, and are thin
+        loose["softening"] = 10 * SOFT
     columns = max(2, round(0.7 * count ** (1 / 3)))
     width = 1.03 * size * columns
     k = np.arange(count)

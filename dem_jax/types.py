@@ -168,6 +168,23 @@ class LoadCell(Tree):
 
 
 @pytree
+class Drive(Tree):
+    """Drives of limited torque that swing some of the G wall groups about their hinges."""
+
+    groups: Array  # [G]: 1 for those, 0 for all others, whose motion is given
+    axis: Array  # [3, G]: of the hinge, unit
+    torque: Array  # [G] (N m): at most
+    inertia: Array  # [G] (kg m2)
+    stiffness: Array  # [G] (N m/rad)
+    damping: Array  # [G] (N m s/rad)
+
+    @property
+    def is_driven(self) -> Array:
+        """Which groups have one, [G] bool."""
+        return self.groups > 0
+
+
+@pytree
 class Statistics(Tree):
     """What is asked of the collisions with walls."""
 
@@ -193,6 +210,7 @@ class Walls(Tree):
     pivot: Array  # [3, G] (m): moves with the group; torques are about it; on the axis of a hinge
     motions: tuple  # of the kinds in contact.motion, each of all groups that move so; none: all rest
     load_cell: LoadCell | None  # None: no group is on one
+    drive: Drive | None  # None: no group has one
     groups: tuple[str, ...] = static()  # names of the G groups
     reports: tuple[tuple[str, tuple[int, ...]], ...] = static()  # ((reported name, (group, ...)), ...)
 
@@ -361,6 +379,14 @@ class CellMotion(Tree):
 
 
 @pytree
+class DriveMotion(Tree):
+    """By how much flaps with a drive are turned beyond their motion, about the axis of the hinge; 0 of all others."""
+
+    lag: Array  # [G, R] (rad)
+    rate: Array  # [G, R] (rad/s), at the time of the lag
+
+
+@pytree
 class Collisions(Tree):
     """What collisions with the walls have added up to since the first step; C = W cells^2 places on the panels."""
 
@@ -411,6 +437,7 @@ class State(Tree):
     motion: Motion
     walls: WallLoads
     cell: CellMotion | None  # None: no wall is on a load cell
+    drive: DriveMotion | None  # None: no flap has a drive of limited torque
     collisions: Collisions | None  # None: nobody asked for them
     exchange: Exchange | None  # None: all pieces are there from beginning to end
     contacts: dict[str, ContactTable]  # by kind of contact

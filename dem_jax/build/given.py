@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from dem_jax.build.drive import drive_of
 from dem_jax.build.law import law_of, materials_of
 from dem_jax.build.load_cell import load_cell_of
 from dem_jax.build.pieces import piece_arrays
@@ -33,6 +34,7 @@ OF_MATERIAL = tuple(NamedMaterial.model_fields)
 OF_ALL = ("wall_youngs_modulus", "wall_poisson_ratio", "softening", "separation", "tangential_stiffness")
 DAMPING = ("unloading_damping", "rest_damping")
 FLAPS = ("opening_angle_deg", "opening_start", "opening_time", "open_dwell", "closing_time")
+DRIVE = ("torque", "inertia", "natural_frequency", "damping_ratio")
 HINGE = ("swing_deg", "start", "opening", "dwell", "closing", "period")
 VIBRATION = ("stroke", "frequency", "shake_start", "shake_end", "shake_ramp")
 KEYS = {  # of each section those that only arrays depend on
@@ -42,7 +44,9 @@ KEYS = {  # of each section those that only arrays depend on
     "run": ("gravity",),
     "drop": ("height",),
     "feed_bucket": FLAPS,
+    "feed_bucket.drive": DRIVE,
     "weigh_bucket": FLAPS,
+    "weigh_bucket.drive": DRIVE,
     "weigh_bucket.load_cell": ("mass", "stiffness", "natural_frequency", "rated_load", "damping_ratio"),
     "feeder": ("stroke", "frequency", "start", "duration", "ramp"),
     "motion": (*HINGE, *VIBRATION, "angles_deg", "ways"),
@@ -71,13 +75,17 @@ def _sections(scene: Scene) -> Iterator[tuple[str, Section, tuple[str, ...]]]:
     for path in ("pair", "motion", "piece"):
         for n, row in enumerate(getattr(scene, path)):
             yield f"{path}.{n}", row, KEYS[path]
+    for n, motion_row in enumerate(scene.motion):
+        if motion_row.drive:
+            yield f"motion.{n}.drive", motion_row.drive, DRIVE
     yield "contact.cohesion", scene.contact.cohesion, KEYS["contact.cohesion"]
     yield "run", scene.run, KEYS["run"]
     weigh, feed = scene.weigh_bucket, scene.feed_bucket
     if weigh and feed:
         yield "drop", scene.drop, KEYS["drop"]
     cell = weigh and weigh.load_cell
-    below = {"feed_bucket": feed, "weigh_bucket": weigh, "weigh_bucket.load_cell": cell, "feeder": scene.feeder}
+    drives = {"feed_bucket.drive": feed and feed.drive, "weigh_bucket.drive": weigh and weigh.drive}
+    below = {"feed_bucket": feed, "weigh_bucket": weigh, **drives, "weigh_bucket.load_cell": cell, "feeder": scene.feeder}
     for path, one in below.items():
         if one:
             yield path, one, KEYS[path]
@@ -150,7 +158,7 @@ def _set(section: Any, keys: list[str], value: Any) -> Any:
 
 
 def _walls(scene: Scene, given: Scene, walls: Walls, lift: Any) -> Walls:
-    """The walls with the motions and the load cell as given; what hangs over the weigh bucket is lifted (m)."""
+    """The walls with the motions, the drives and the load cell as given; what hangs over the weigh bucket is lifted (m)."""
     dtype = walls.centre.dtype
     _, motions, *_ = walls_of(given.model_copy(update={"drop": scene.drop}))
     moved, pivot = motion.motions_of(motions, walls.groups)
@@ -161,7 +169,8 @@ def _walls(scene: Scene, given: Scene, walls: Walls, lift: Any) -> Walls:
         hung, hinged = {group for group, *_ in parts.panels} | {buckets.FEEDER}, {row.group for row in parts.motions}
         higher, turned = (_up(lift, [name in names for name in walls.groups]) for names in (hung, hinged))
         centre, pivot = centre + typed(higher, dtype)[:, np.asarray(walls.group)], pivot + turned
-    return walls.replace(centre=centre, pivot=typed(pivot, dtype), motions=typed(moved, dtype), load_cell=typed(cell, dtype))
+    walls = walls.replace(centre=centre, pivot=typed(pivot, dtype), motions=typed(moved, dtype), load_cell=typed(cell, dtype))
+    return walls.replace(drive=typed(drive_of(motions, walls.groups), dtype))
 
 
 def _start(scene: Scene, given: Scene, built: Built, lift: Any, seed: int) -> Start:

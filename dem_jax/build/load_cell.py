@@ -44,6 +44,11 @@ def load_cell_of(scene: Scene, groups: Sequence[str], group: np.ndarray) -> Cell
     )
 
 
+def stiffest(law: ContactLaw, contacts: Sequence[PossibleContact]) -> float:
+    """The stiffness (N/m) of the stiffest contact."""
+    return max(float(np.max(4 * c.mass / np.asarray(law.stable_step(c.pair, c.mass)) ** 2)) for c in contacts)
+
+
 def added_rate(scene: Scene, law: ContactLaw, contacts: Sequence[PossibleContact], pieces: int) -> float:
     """By how much (1/s2) a load cell raises the largest squared frequency of pieces on held walls, at most; 0: there is none.
 
@@ -54,5 +59,4 @@ def added_rate(scene: Scene, law: ContactLaw, contacts: Sequence[PossibleContact
     section = section_of(scene)
     if section is None:
         return 0.0
-    stiffest = max(float(np.max(4 * c.mass / np.asarray(law.stable_step(c.pair, c.mass)) ** 2)) for c in contacts)
-    return (stiffness(section) + pieces * stiffest) / section.mass
+    return (stiffness(section) + pieces * stiffest(law, contacts)) / section.mass

@@ -17,7 +17,7 @@ from dem_jax.pairs import neighbours
 from dem_jax.scene import Piece, Scene, arrange
 from dem_jax.scene.numbers import array, is_traced, sqrt
 from dem_jax.shapes import Shape
-from dem_jax.types import CellMotion, Motion, State, System, WallLoads, host
+from dem_jax.types import CellMotion, DriveMotion, Motion, State, System, WallLoads, host
 
 REBUILD = jax.jit(neighbours.rebuild)  # traced once for all systems of a form
 Box = tuple[ArrayLike, ArrayLike]  # lowest and highest corner [3] (m)
@@ -108,11 +108,15 @@ def first_state(system: System, start: Start, frames: np.ndarray, step: int, wai
     cell = None
     if system.walls.load_cell is not None:
         cell = CellMotion(host(np.zeros((runs,), dtype)), host(np.zeros((runs,), dtype)))
+    drive = None
+    if system.walls.drive is not None:
+        drive = DriveMotion(host(np.zeros((groups, runs), dtype)), host(np.zeros((groups, runs), dtype)))
     state = State(
         step=host(np.int32(step)),
         motion=motion_of_start(system, start, frames),
         walls=WallLoads(host(np.zeros((3, groups, runs), dtype)), host(np.zeros((3, groups, runs), dtype))),
         cell=cell,
+        drive=drive,
         collisions=collisions.none_yet(system, dtype),
         exchange=exchange.at_first(system, waiting, step, dtype) if system.exchanges else None,
         contacts=neighbours.no_contacts(system),

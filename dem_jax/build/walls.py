@@ -10,6 +10,7 @@ from numpy.typing import DTypeLike
 from scipy.spatial.transform import Rotation
 
 from dem_jax import shapes
+from dem_jax.build.drive import drive_of
 from dem_jax.build.load_cell import load_cell_of
 from dem_jax.build.start import Box
 from dem_jax.build.typed import typed
@@ -156,6 +157,7 @@ def wall_arrays(
         pivot=host(pivot),
         motions=moved,
         load_cell=load_cell_of(scene, groups, number),
+        drive=drive_of(motions, groups),
         groups=tuple(groups),
         reports=tuple((name, tuple(members)) for name, members in reports.items()),
     )

@@ -6,9 +6,9 @@ import jax
 import jax.numpy as jnp
 
 from dem_jax.contact import motion
-from dem_jax.maths import vector
+from dem_jax.maths import rotation, vector
 from dem_jax.maths.vector import Matrix, Vector
-from dem_jax.types import Array, CellMotion, System, Walls
+from dem_jax.types import Array, CellMotion, DriveMotion, State, System, Walls
 
 
 class Panels(NamedTuple):
@@ -121,8 +121,35 @@ def after(system: System, of: Ahead, steps: Array) -> Panels:
     return jax.tree.map(lambda rows: rows.at[steps - 1].get(mode="fill", fill_value=jnp.nan), of.after)
 
 
-def carried(system: System, cell: CellMotion | None, panels: Panels) -> Panels:
-    """The panels with those that a load cell carries where it has let them down to, at its speed; panels: of a cell at rest."""
+def carried(system: System, state: State, panels: Panels) -> Panels:
+    """The panels where pieces have brought them to: flaps to where their drives let them be turned, what a load cell carries to
+    where it is let down to, at its speed. panels: as the scene's motions say, of a cell at rest."""
+    return _let_down(system, state.cell, _swung(system, state.drive, panels))
+
+
+def _swung(system: System, now: DriveMotion | None, panels: Panels) -> Panels:
+    """The panels of flaps turned further than their motion, see ``step.drive``."""
+    drive = system.walls.drive
+    if drive is None or now is None:
+        return panels
+    lag, rate = now.lag[:, 0], now.rate[:, 0]  # of a system that is a single run
+    axis = vector.unpack(drive.axis)
+    added = vector.scale(rate, axis)
+    turns = [c for row in rotation.axis_angle(axis, lag) for c in row]
+    c = jnp.stack([*turns, *panels.pivot, *panels.pivot_velocity, *added])[:, system.walls.group]
+    turn = (vector.unpack(c[:3]), vector.unpack(c[3:6]), vector.unpack(c[6:9]))
+    pivot, pivot_velocity, more = (vector.unpack(c[k : k + 3]) for k in (9, 12, 15))
+    arm = vector.rotate(turn, vector.sub(panels.centre, pivot))
+    spin = vector.add(panels.spin, more)
+    velocity = vector.add(pivot_velocity, vector.cross(spin, arm))
+    frame = vector.compose(turn, panels.rotation)
+    group_spin = vector.add(panels.group_spin, added)
+    turned = _packed(vector.add(pivot, arm), frame, velocity, spin, panels.pivot, panels.pivot_velocity, group_spin)
+    is_driven = drive.is_driven[system.walls.group]
+    return Panels(jnp.where(is_driven, turned.rows, panels.rows), turned.groups, panels.rest)
+
+
+def _let_down(system: System, cell: CellMotion | None, panels: Panels) -> Panels:
     carrier = system.walls.load_cell
     if carrier is None or cell is None:
         return panels

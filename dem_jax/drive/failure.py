@@ -158,7 +158,7 @@ def _deep(system: System, state: State, overlap: float) -> tuple[int, str]:
     return int(of_parts[b]), (
         f"its contact with {body_name(system, a)} is {100 * overlap:.3g} % of the piece's width deep (at most "
         f"{100 * DEEPEST:g} %); likely cause: the material is too soft for this load (raise material.softening), "
-        f"or the piece is pinched between walls"
+        f"or the piece is pinched between walls (flaps of limited torque: [weigh_bucket.drive])"
     )
 
 

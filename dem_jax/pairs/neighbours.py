@@ -37,7 +37,7 @@ SOURCES = {
 def rebuild(system: System, state: State, panels: boundary.Panels | None = None) -> State:
     """Find the candidate pairs anew and carry the history of those that remain. panels: where they are now, if known."""
     if panels is None:
-        panels = boundary.carried(system, state.cell, boundary.at_rebuild(system, state.step))
+        panels = boundary.carried(system, state, boundary.at_rebuild(system, state.step))
     stacked = bodies.stack(system, state, jnp.zeros_like(state.velocity), panels)
     lead = _interval(system) * _pace(system, state, panels)
     reach = system.skin + system.reach + lead

@@ -9,7 +9,7 @@ from dem_jax.scene.sections.exchange import Inlet, Outlet
 from dem_jax.scene.sections.material import Material, NamedMaterial, Pair
 from dem_jax.scene.sections.pieces import SHAPE_KEYS, BodyMass, ConvexShape, Part, Piece, PieceShape, Portion, Product
 from dem_jax.scene.sections.run import Accuracy, Error, RunSettings
-from dem_jax.scene.sections.walls import Block, Motion, Wall
+from dem_jax.scene.sections.walls import Block, Drive, Motion, Wall
 from dem_jax.scene.words import allowed, described
 
 __all__ = [
@@ -18,6 +18,7 @@ __all__ = [
     "BodyMass",
     "Bucket",
     "ConvexShape",
+    "Drive",
     "Drop",
     "Error",
     "Feeder",

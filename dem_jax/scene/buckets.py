@@ -147,6 +147,7 @@ def _hinge(bucket: Bucket, group: str, pivot: tuple[float, float, float], sign: 
         dwell=bucket.open_dwell,
         closing=bucket.closing_time,
         period=bucket.period,
+        drive=bucket.drive,
     )
 
 

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 
 from dem_jax.maths import rotation, vector
-from dem_jax.step import load_cell
+from dem_jax.step import drive, load_cell
 from dem_jax.types import Array, State, System
 
 
@@ -13,7 +13,8 @@ def kick(system: System, state: State) -> State:
     half, now = 0.5 * system.dt, state.motion
     acceleration = now.force / system.pieces.mass[None] + _gravity(system, state)
     velocity, rest = _add(now.velocity, now.velocity_rest, half * acceleration)
-    state = state.moved(velocity=velocity, velocity_rest=rest).replace(cell=load_cell.kick(system, state))
+    on_springs = {"cell": load_cell.kick(system, state), "drive": drive.kick(system, state)}
+    state = state.moved(velocity=velocity, velocity_rest=rest).replace(**on_springs)
     if system.has_rotation:
         state = state.moved(angular_momentum=now.angular_momentum + half * now.torque)
     return state
@@ -23,8 +24,8 @@ def drift(system: System, state: State) -> tuple[State, Array]:
     """A step of motion at constant momentum. Returns the state and the angular velocity of the interval, [3, N] (rad/s)."""
     now = state.motion
     position, rest = _add(now.position, now.position_rest, system.dt * now.velocity)
-    cell = load_cell.drift(system, state)
-    state = state.moved(position=position, position_rest=rest).replace(step=state.step + 1, cell=cell)
+    on_springs = {"cell": load_cell.drift(system, state), "drive": drive.drift(system, state)}
+    state = state.moved(position=position, position_rest=rest).replace(step=state.step + 1, **on_springs)
     if not system.has_rotation:
         return state, jnp.zeros_like(position)
     free = rotation.free_rotation if system.has_hulls else rotation.spin
@@ -41,7 +42,8 @@ def flight(system: System, state: State, steps: Array) -> State:
     none = jnp.zeros_like(position)
     state = state.moved(position=position, position_rest=rest, velocity=velocity, velocity_rest=velocity_rest)
     state = state.moved(force=none, torque=none).replace(walls=jax.tree.map(jnp.zeros_like, state.walls))
-    state = state.replace(step=state.step + steps, cell=load_cell.swing(system, state, steps))
+    on_springs = {"cell": load_cell.swing(system, state, steps), "drive": drive.swing(system, state, steps)}
+    state = state.replace(step=state.step + steps, **on_springs)
     if not system.has_rotation:
         return state
     free = rotation.free_rotation if system.has_hulls else rotation.spin

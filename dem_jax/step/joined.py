@@ -21,12 +21,12 @@ SLOT_BLOCK = 32  # slots computed at a time: of nine pieces 64 take 1.2 times as
 
 def is_worthwhile(system: System, runs: int) -> bool:
     """Whether so many runs of a system are quicker as one: with few pieces, every pair of which is looked at, no seams,
-    no load cell, no statistics of collisions and no pieces that come and go."""
+    no load cell, no drive of limited torque, no statistics of collisions and no pieces that come and go."""
     kinds = (system.parts.polytopes.shape[0], system.parts.spheres.shape[0])
     is_listed = any(search.choice(system.neighbours, count) != "all-pairs" for count in kinds)
     is_small = sum(kinds) <= MOST_PIECES and runs >= AT_ONCE
     is_plain = not seams.are_there(system) and system.walls.load_cell is None  # a cell sets the walls of each run apart
-    is_plain = is_plain and system.statistics is None and not system.exchanges
+    is_plain = is_plain and system.walls.drive is None and system.statistics is None and not system.exchanges
     return is_small and bool(system.slot_block) and is_plain and not is_listed
 
 
@@ -79,6 +79,7 @@ def joined(one: System, states: State) -> State:
         motion=jax.tree.map(beside, states.motion),
         walls=jax.tree.map(beside, states.walls),
         cell=None,
+        drive=None,
         collisions=None,
         exchange=None,
         contacts=jax.tree.map(beside, tables),
@@ -100,6 +101,7 @@ def split(system: System, states: State, state: State) -> State:
         motion=jax.tree.map(apart, state.motion),
         walls=jax.tree.map(apart, state.walls),
         cell=None,
+        drive=None,
         collisions=None,
         exchange=None,
         contacts=tables,

@@ -2,6 +2,7 @@
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from dem_jax.contact import of_run
 from dem_jax.step import collided, load_cell, measure
@@ -37,6 +38,19 @@ READING = Axis(
     rows=lambda system: tuple((name, k) for k, name in enumerate(load_cell.READINGS) if system.walls.load_cell is not None),
     symbol="READING",
 )
+
+
+DRIVEN = Axis(
+    "driven group",
+    size=lambda system: len(system.walls.groups),
+    rows=lambda system: _driven(system.walls),
+    symbol="GROUP",
+)
+
+
+def _driven(walls: Walls) -> Rows:
+    which = [] if walls.drive is None else np.flatnonzero(np.asarray(walls.drive.is_driven)).tolist()
+    return tuple((walls.groups[k], k) for k in which)
 
 
 FLOW = ("inside", "brought_in", "taken_out")  # the rows of ``piece_count`` and ``piece_mass``
@@ -117,6 +131,11 @@ QUANTITIES = checked(
             help="of the load cell, if there is one, downwards: " + ", ".join(load_cell.READINGS) + "; signal = k x + c x'",
         ),
         Quantity(
+            name="flap_lag", unit="rad", axes=(DRIVEN,),
+            of=lambda _, state: state.drive.lag,  # type: ignore[union-attr]  # not sampled without one
+            help="angle of a flap that has a drive, beyond its motion, about the axis of its hinge",
+        ),
+        Quantity(
             name="collisions", unit="1", axes=(REPORT,),
             of=lambda system, state: collided.totals(system, state)[0],
             help="with the wall group since the first step, if the scene has [statistics]; a contact is one until it ends",
@@ -161,8 +180,9 @@ QUANTITIES = checked(
 
 
 def sampled(walls: Walls, statistics: bool, exchanges: bool) -> tuple[Quantity, ...]:
-    """The quantities of a system with these walls: without a load cell nothing of one is sampled, nor of collisions without
-    statistics, nor of pieces that come and go without an inlet or outlet."""
+    """The quantities of a system with these walls: without a load cell or a drive nothing of one is sampled, nor of collisions
+    without statistics, nor of pieces that come and go without an inlet or outlet."""
     absent = set() if statistics else set(COLLISIONS)
-    without = [axis for axis, is_absent in ((READING, walls.load_cell is None), (PLACE, not exchanges)) if is_absent]
+    absences = ((READING, walls.load_cell is None), (DRIVEN, walls.drive is None), (PLACE, not exchanges))
+    without = [axis for axis, is_absent in absences if is_absent]
     return tuple(q for q in QUANTITIES if q.name not in absent and not any(axis in q.axes for axis in without))

@@ -63,7 +63,7 @@ def _moved(system: System, state: State, panels: boundary.Panels | None) -> tupl
     state, omega = integrate.drift(system, state)
     if panels is None:
         panels = boundary.after_step(system, state.step)
-    return state, omega, boundary.carried(system, state.cell, panels)
+    return state, omega, boundary.carried(system, state, panels)
 
 
 def _met(system: System, state: State, omega: Array, panels: boundary.Panels) -> State:
@@ -151,7 +151,7 @@ def rollout(system: System, state: State, samples: int, substeps: int, checkpoin
 def _look_around(system: System, state: State) -> tuple[State, boundary.Ahead]:
     """Find the candidate pairs anew, and where the walls will be after each step until the next rebuild."""
     walls = boundary.ahead(system, state.step, system.block_steps)
-    walls = walls._replace(now=boundary.carried(system, state.cell, walls.now))
+    walls = walls._replace(now=boundary.carried(system, state, walls.now))
     return neighbours.rebuild(system, state, walls.now), walls
 
 
@@ -215,7 +215,7 @@ def _advance_by(system: System, substeps: Array, state: State, walls: boundary.A
 def _flight(system: System, state: State, walls: boundary.Ahead, steps: Array) -> State:
     """So many steps at once, of pieces that nothing is near."""
     after = integrate.flight(system, state, steps)
-    panels = boundary.carried(system, after.cell, boundary.after(system, walls, after.step - state.scratch.since))
+    panels = boundary.carried(system, after, boundary.after(system, walls, after.step - state.scratch.since))
     return neighbours.flown(system, state, after, steps, panels)
 
 

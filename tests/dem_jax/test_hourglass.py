@@ -39,8 +39,23 @@ def test_what_runs_over_is_noted_and_the_bucket_bears_the_rest():
     assert run.settled_mass["wb"][-1] <= (9 - fell) * PIECE * 1.001
 
 
+EARLY = {"feed_bucket.opening_time": 0.06, "feed_bucket.open_dwell": 0.03, "feed_bucket.closing_time": 0.06}
+
+
 def test_flaps_that_close_on_a_piece_stop_the_run_with_its_name():
     """Their motion is given, so they press with any force."""
-    changes = {"feed_bucket.opening_time": 0.06, "feed_bucket.open_dwell": 0.03, "feed_bucket.closing_time": 0.06}
     with pytest.raises(SimulationError, match=r"piece \d+ at t = .* deep .*or the piece is pinched between walls"):
-        drop(**changes)
+        drop(**EARLY)
+
+
+@pytest.mark.parametrize("torque", [1.0, 0.2])
+def test_flaps_of_limited_torque_hold_what_they_close_on_or_let_it_go(torque):
+    run = drop(**EARLY, **{"feed_bucket.drive": {"torque": torque}, "run.duration": 1.4})
+    late = run.time > 1.2
+    feed, weigh = (sum(borne(run, f"{name}_{part}") for part in ("walls", "flaps")) for name in ("fb", "wb"))
+    np.testing.assert_allclose(feed + weigh, 9 * PIECE, rtol=1e-2)
+    lags = {side: np.abs(run.flap_lag[f"fb_flap_{side}"]) for side in ("left", "right")}
+    assert max(lag.max() for lag in lags.values()) > np.radians(10)
+    for side, lag in lags.items():
+        bends = abs(np.asarray(run.torque[f"fb_flap_{side}"])[late, 0].mean())
+        assert bends < 1.02 * torque or lag[late].max() == 0  # what is caught is pressed with no more; a shut flap is locked

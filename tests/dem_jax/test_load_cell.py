@@ -150,10 +150,11 @@ def test_walls_and_flaps_go_down_with_the_cell():
     """Also while they swing, and by far less than what single precision keeps of a height."""
     floor = {"group": "floor", "corners": [(-1, -1, -1), (1, -1, -1), (1, 1, -1), (-1, 1, -1)]}
     swinging = scene(bucket={"opening_angle_deg": 65.0}, run={"precision": "f32"}).replace(wall=[floor])
-    system = build.build(swinging).system
+    built = build.build(swinging)
+    system = built.system
     held = jax.jit(boundary.at_rebuild)(system, jnp.int32(4000))
     cell = CellMotion(*(jnp.asarray([x], system.dt.dtype) for x in (1.5e-9, 0.25)))
-    moved = jax.jit(boundary.carried)(system, cell, held)
+    moved = jax.jit(boundary.carried)(system, built.state.replace(cell=cell), held)
     floor = system.walls.groups.index("floor")
     on_it = np.asarray(system.walls.group) != floor
     sunk = (np.asarray(held.rows[2], float) - np.asarray(moved.rows[2], float)) - np.asarray(moved.rest[2], float)

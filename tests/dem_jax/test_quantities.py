@@ -30,7 +30,8 @@ SAMPLE, EVERY, SHORT, LONG = 3e-5, 10, 40, 90  # s; in samples: between frames, 
 JOINED = joined.AT_ONCE + 1
 JOINED_LONG = pytest.param(JOINED, marks=pytest.mark.long)
 SIDES = Axis("side", lambda _: 2, lambda _: (("left", 0), ("right", 1)), "SIDE")
-ASKED = ("load_cell", *COLLISIONS, "piece_count", "piece_mass")  # of scenes that ask: test_load_cell, _collisions, _exchange
+# Of scenes that ask for them: test_load_cell, _drive, _collisions, _exchange.
+ASKED = ("load_cell", "flap_lag", *COLLISIONS, "piece_count", "piece_mass")
 KEPT = [quantity for quantity in QUANTITIES if quantity.kept and quantity.name not in ASKED]
 
 

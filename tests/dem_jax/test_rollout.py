@@ -125,10 +125,12 @@ STATION = {
     "material.rolling_friction": 0.05,
     "weigh_bucket.load_cell": {"stiffness": 1e5},
     "weigh_bucket.opening_angle_deg": 10.0,
+    "weigh_bucket.drive": {},
+    "feed_bucket.drive": {"torque": 0.3},
 }
 WAYS = [[0.0, 0.0, 1e-3 * k] for k in range(4)]
 TABLE = {"group": "plate", "times": [0.0, 0.01, 0.02, 0.04], "angles_deg": [0.0, 3.0, 5.0, 4.0], "ways": WAYS}
-SHAKE = {"group": "other", "stroke": (0.0, 0.0, 1e-3), "swing_deg": 30.0}
+SHAKE = {"group": "other", "stroke": (0.0, 0.0, 1e-3), "swing_deg": 30.0, "drive": {"inertia": 2e-3}}
 
 
 def scenes():

@@ -15,6 +15,7 @@ from dem_jax.scene.sections.base import (
     StlUnit,
     as_tuple,
 )
+from dem_jax.scene.sections.walls import Drive
 
 Panels = Annotated[tuple[Points, ...], BeforeValidator(as_tuple)]
 
@@ -36,6 +37,7 @@ class Bucket(Section):
     open_dwell: NotNegative = Field(0.1, description="s")
     closing_time: Positive = Field(0.09, description="s")
     period: NotNegative = Field(0.0, description="s from one opening to the next; 0: it opens once")
+    drive: Drive | None = Field(None, description="what swings each flap; unset: what no piece can hold up")
     thickness: Positive = Field(0.005, description="m, of walls and flaps")
     material: MaterialName = None
     lap: NotNegative = Field(0.012, description="m by which flaps and walls run on behind each other where they meet")
@@ -62,6 +64,8 @@ class Bucket(Section):
             raise ValueError("flap_stl, flap_panels: allowed beside the stl, or the panels, of the walls")
         if self.stl and self.panels:
             raise ValueError("stl, panels: allowed: one of the two")
+        if self.drive and not self.opening_angle_deg:
+            raise ValueError("drive: opening_angle_deg = 0, the flaps stay shut; allowed: of flaps that open")
         if (self.stl and not self.flap_stl or self.panels and not self.flap_panels) and self.opening_angle_deg:
             held = "flap_stl with a file for each flap, or opening_angle_deg = 0 of a bucket that stays shut"
             raise ValueError(f"opening_angle_deg = {self.opening_angle_deg:g}: the STL has no flaps of its own; allowed: {held}")

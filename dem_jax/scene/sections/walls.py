@@ -34,6 +34,18 @@ class Wall(Section):
     note: str | None = Field(None, description="said with the results; what was read of an STL is written here")
 
 
+class Drive(Section):
+    """What swings a flap with a limited torque: a servo, or a slipping clutch.
+
+    Plausible values (named assumptions) for a small stepping motor, as of size NEMA 23, behind a sheet of 0.2 kg.
+    """
+
+    torque: Positive = Field(1.0, description="N m, at most, about the hinge")
+    inertia: Positive = Field(1e-3, description="kg m2 about the hinge, of the flap and all that turns with it")
+    natural_frequency: Positive = Field(15.0, description="Hz, with which it comes back to its motion")
+    damping_ratio: NotNegative = Field(1.0, description="of the critical damping")
+
+
 class Motion(Section):
     """How a wall group moves: about a hinge, by a table, vibrating, or several of these. Times are from the release.
 
@@ -49,6 +61,7 @@ class Motion(Section):
     dwell: NotNegative = Field(0.1, description="s open")
     closing: Positive = Field(0.09, description="s")
     period: NotNegative = Field(0.0, description="s; 0: once")
+    drive: Drive | None = Field(None, description="what swings it; unset: what no piece can hold up")
     stroke: Vector = Field((0.0, 0.0, 0.0), description="m, amplitude of the vibration")
     frequency: NotNegative = Field(50.0, description="Hz")
     shake_start: float = Field(0.0, description="s")

@@ -1,0 +1,57 @@
+"""Drives of limited torque that swing flaps, and what they ask of the time step."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from dem_jax.contact.motion import Hinge, Table
+from dem_jax.contact.motion.columns import unit_axis
+from dem_jax.errors import SceneError
+from dem_jax.scene import Motion
+from dem_jax.scene.buckets import Panel
+from dem_jax.scene.numbers import array
+from dem_jax.types import Drive, host
+
+
+def drive_of(motions: Sequence[Motion], groups: Sequence[str]) -> Drive | None:
+    """The drives of the G groups, in numpy; None: no motion has one. Raises SceneError for a drive of what is no flap."""
+    rows = {row.group: row for row in motions if row.drive is not None}
+    if not rows:
+        return None
+    for row in motions:
+        if row.group not in rows:
+            continue
+        key = f"motion.drive (group {row.group!r})"
+        if row.drive is not None and not Hinge.asked(row):
+            raise SceneError(f"{key}: with swing_deg = 0; allowed: of a flap that swings about a hinge")
+        if Table.asked(row) and row.angles_deg is not None:
+            raise SceneError(f"{key}: beside a table of angles; allowed: of a flap that nothing else turns")
+    found = [rows[name].drive if name in rows else None for name in groups]
+    each = [(d.torque, d.inertia, d.natural_frequency, d.damping_ratio) if d else (0.0, 1.0, 0.0, 0.0) for d in found]
+    torque, inertia, frequency, ratio = (array([row[k] for row in each]) for k in range(4))
+    rate = 2 * np.pi * frequency
+    axes = [unit_axis(rows[name]) if name in rows else np.zeros(3) for name in groups]
+    return Drive(
+        groups=host(np.array([d is not None for d in found], float)),
+        axis=host(np.array(axes).T),
+        torque=host(torque),
+        inertia=host(inertia),
+        stiffness=host(inertia * rate * rate),
+        damping=host(2 * ratio * rate * inertia),
+    )
+
+
+def added_rate(motions: Sequence[Motion], panels: Sequence[Panel], stiffest: float, pieces: int) -> float:
+    """By how much (1/s2) drives raise the largest squared frequency of pieces on walls whose motion is given, at most; 0: none.
+
+    As a load cell does: (k + n K r2) / I at most, K being the stiffest contact of n pieces, r the arm of the furthest corner.
+    """
+    most = 0.0
+    for row in motions:
+        if row.drive is None:
+            continue
+        corners = np.concatenate([np.asarray(c, float) for group, c, _ in panels if group == row.group]) - np.array(row.pivot)
+        arm = np.linalg.norm(np.cross(corners, unit_axis(row)), axis=1).max()
+        own = (2 * np.pi * row.drive.natural_frequency) ** 2
+        most += own + pieces * stiffest * arm * arm / row.drive.inertia
+    return float(most)

@@ -1,0 +1,79 @@
+"""Flaps that a drive of limited torque swings: what they meet can hold them up, or push them ahead.
+
+    I f'' = T - clip(k f + c f', -T_max, T_max)
+
+f is the angle of a flap beyond its motion, about the axis of its hinge, T the torque of the pieces on it. Left alone it follows
+its motion exactly: what it takes to accelerate it is not counted against the limit. Where it would be beyond shut, or beyond
+open, it meets a stop and rests there. A flap that has come to rest on its motion is locked, as by a linkage at its dead centre:
+what lands on shut flaps does not open them.
+
+A step is velocity Verlet, as that of pieces, the damper by the trapezoidal rule as that of a load cell.
+"""
+
+import jax
+import jax.numpy as jnp
+
+from dem_jax.contact.motion import Hinge
+from dem_jax.types import Array, Drive, DriveMotion, State, System
+
+LOCKED = 1e-6  # rad: so near to a motion that is at rest a flap is locked
+
+
+def kick(system: System, state: State) -> DriveMotion | None:
+    """Half a step of acceleration, to dt / 2 later."""
+    drive = system.walls.drive
+    return None if drive is None else _kicked(system, state.drive, _torque(drive, state))
+
+
+def drift(system: System, state: State) -> DriveMotion | None:
+    """A step at constant velocity, from the state's step to the next."""
+    return _drifted(system, state.drive, state.step + 1)
+
+
+def swing(system: System, state: State, steps: Array) -> DriveMotion | None:
+    """So many steps without pieces, from the state's step on."""
+    if state.drive is None:
+        return None
+    none = jnp.zeros_like(state.drive.lag)
+
+    def one(k: Array, now: DriveMotion | None) -> DriveMotion | None:
+        return _kicked(system, _drifted(system, _kicked(system, now, none), state.step + k + 1), none)
+
+    return jax.lax.fori_loop(0, steps, one, state.drive)
+
+
+def _torque(drive: Drive, state: State) -> Array:
+    """Of the pieces on each flap about the axis of its hinge, [G, R] (N m)."""
+    return jnp.sum(drive.axis[:, :, None] * state.walls.torque, axis=0)
+
+
+def _kicked(system: System, now: DriveMotion | None, torque: Array) -> DriveMotion | None:
+    drive, half = system.walls.drive, 0.5 * system.dt
+    if drive is None or now is None:
+        return None
+    inertia, stiffness, damping, most = (x[:, None] for x in (drive.inertia, drive.stiffness, drive.damping, drive.torque))
+    delay = 0.5 * half * damping / inertia
+    free = ((1 - delay) * now.rate + half / inertia * (torque - stiffness * now.lag)) / (1 + delay)
+    held = jnp.clip(stiffness * now.lag + 0.5 * damping * (now.rate + free), -most, most)
+    rate = now.rate + half / inertia * (torque - held)
+    return now.replace(rate=jnp.where(drive.is_driven[:, None], rate, 0))
+
+
+def _drifted(system: System, now: DriveMotion | None, step: Array) -> DriveMotion | None:
+    """After a step at constant velocity, between the stops; step: at its end."""
+    drive = system.walls.drive
+    if drive is None or now is None:
+        return None
+    hinge = next(motion for motion in system.walls.motions if isinstance(motion, Hinge))
+    time = system.dt * step.astype(system.dt.dtype)
+    opened, pace = jax.jvp(hinge.opened, (time,), (jnp.ones_like(time),))
+    swing, opened, pace = hinge.swing[:, None], opened[:, None], pace[:, None]
+    lag = now.lag + system.dt * now.rate
+    ways = -opened * swing, (1 - opened) * swing  # to shut, to open
+    low, high = jnp.minimum(*ways), jnp.maximum(*ways)
+    meets = (lag < low) | (lag > high)
+    rate = jnp.where(meets, -pace * swing, now.rate)
+    lag = jnp.clip(lag, low, high)
+    is_locked = (pace == 0) & (jnp.abs(now.lag) <= LOCKED)
+    free = drive.is_driven[:, None] & ~is_locked
+    return DriveMotion(jnp.where(free, lag, 0), jnp.where(free, rate, 0))
