@@ -17,6 +17,7 @@ from dem_jax.maths.vector import Vector
 from dem_jax.types import Array, ContactTable, Facing, Memory, Near, Slots, State, System, WallLoads
 
 Blocks = tuple[Memory, Facing | None, Array, Array, Array | None]  # what ``_contacts_of_kind`` goes from block to block with
+MIDDLE = 0.45  # of a piece's width
 
 
 class Contacts(NamedTuple):
@@ -170,7 +171,7 @@ def _loaded(
     if share is not None:
         force = vector.scale(share, force)
     after = Memory(jnp.maximum(within, 0), jnp.stack(at_b), answer.history)
-    deepest = of_run.largest_of_contacts(system, overlap / slots.width, slots.b)
+    deepest = of_run.largest_of_contacts(system, _at_most(slots, memory.overlap, overlap, approach) / slots.width, slots.b)
     reaction = vector.scale(-1, force)
     on_a, on_b = vector.cross(shape.point, reaction), vector.cross(at_b, force)
     if answer.twist is not None:
@@ -198,6 +199,13 @@ def _motion(
     turn = vector.sub(vector.cross(b.spin, arm_b), vector.cross(a.spin, arm_a))
     motion = vector.kept(*vector.add_scaled(way, system.dt, turn))
     return motion, vector.kept(-vector.dot(motion, normal))
+
+
+def _at_most(slots: Slots, before: Array, overlap: Array, approach: Array) -> Array:
+    """The overlap (m), [P], of contacts deeper than MIDDLE with what the step may have added to it: in the middle of a thin wall
+    the normal turns round, and a piece beyond it would seem to leave."""
+    deeper = before + jnp.abs(approach)
+    return jnp.where(deeper > MIDDLE * slots.width, jnp.maximum(overlap, deeper), overlap)
 
 
 def _slip(memory: Memory, motion: Vector, approach: Array, normal: Vector, within: Array) -> Vector:

@@ -35,8 +35,8 @@ def check_start(job: Job, guard: Guard) -> None:
 
 def find(samples: Sample, count: int) -> tuple[int, int] | None:
     """(member, sample) of the first sample that a run cannot go on from, or None. samples: numpy [.., T]."""
-    culprit, overlap = (np.atleast_2d(x)[:, :count] for x in (samples.culprit, samples.overlap))
-    bad = (culprit >= 0) | ~(overlap <= DEEPEST)
+    culprit, overlap, stride = (np.atleast_2d(x)[:, :count] for x in (samples.culprit, samples.overlap, samples.stride))
+    bad = (culprit >= 0) | ~(overlap <= DEEPEST) | (stride > DEEPEST)
     for name in _finite(samples):
         values = np.asarray(samples.values[name])
         good = np.isfinite(values).reshape(*np.shape(samples.culprit), -1).all(axis=-1)
@@ -60,6 +60,8 @@ def describe(job: Job, span: "Span", state: State, member: int, k: int) -> Simul
         what = _what_happened(job, system, state, piece, member)
     elif samples.overlap[k] > DEEPEST:
         piece, what = _deep(system, state, float(samples.overlap[k]))
+    elif samples.stride[k] > DEEPEST:
+        piece, what = _too_fast(system, state)
     else:
         return _error(job, _not_finite(job, samples, k, at, member), None, at, member)
     return _error(job, f"piece {piece} at t = {at:.6g} s: {what}", piece, at, member)
@@ -159,6 +161,16 @@ def _deep(system: System, state: State, overlap: float) -> tuple[int, str]:
         f"its contact with {body_name(system, a)} is {100 * overlap:.3g} % of the piece's width deep (at most "
         f"{100 * DEEPEST:g} %); likely cause: the material is too soft for this load (raise material.softening), "
         f"or the piece is pinched between walls (flaps of limited torque: [weigh_bucket.drive])"
+    )
+
+
+def _too_fast(system: System, state: State) -> tuple[int, str]:
+    """The fastest piece, and what to say of it."""
+    speed = np.linalg.norm(np.asarray(state.velocity), axis=0)
+    piece, width = int(np.argmax(speed)), float(np.min(system.pieces.width))
+    return piece, (
+        f"at {speed[piece]:.3g} m/s it moves by {speed[piece] * float(system.dt):.3g} m in a time step, and may pass what is in "
+        f"its way; allowed: at most {100 * DEEPEST:g} % of the width of the narrowest piece, {width:.3g} m (lower run.step)"
     )
 
 

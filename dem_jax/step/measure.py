@@ -29,6 +29,11 @@ def settled_mass(system: System, state: State) -> Array:
     return of_run.total(system, jnp.where(counted, system.pieces.mass[None], 0))
 
 
+def stride(system: System, state: State) -> Array:
+    """How far the fastest piece in the domain moves in a step, relative to the smallest width of all, [R]."""
+    return fastest(system, state) * system.dt / jnp.min(system.pieces.width)
+
+
 def fastest(system: System, state: State) -> Array:
     """Speed of the fastest piece (m/s), [R], of those in the domain where the others stop no run."""
     speed = vector.norm(tuple(state.velocity))

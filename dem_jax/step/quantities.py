@@ -171,6 +171,11 @@ QUANTITIES = checked(
             help="speed of the fastest piece in the domain",
         ),
         Quantity(
+            name="stride", unit="1", axes=(), kept=False,
+            of=measure.stride,
+            help="way of the fastest piece in the domain in a time step, relative to the width of the narrowest piece",
+        ),
+        Quantity(
             name="culprit", unit="1", axes=(), kept=False,
             of=measure.culprit,
             help="first piece that is not finite or has left the domain; -1: none",

@@ -242,7 +242,7 @@ def test_a_force_that_is_not_finite_is_found(runs):
     force = np.zeros((*runs, 5, 1, 3))
     force[..., 3:, 0, 2] = np.nan
     one = np.zeros((*runs, 5))
-    sample = Sample({"force": force, "own": one, "culprit": one.astype(int) - 1, "overlap": one})
+    sample = Sample({"force": force, "own": one, "culprit": one.astype(int) - 1, "overlap": one, "stride": one})
     assert failure.find(sample, 5) == (0, 3)
     assert failure.find(sample, 3) is None, "samples beyond count are none"
     assert failure.find(sample.replace(own=one + np.nan), 3) == (0, 0), "a user's quantity is no exception"

@@ -177,7 +177,7 @@ def test_reports_of_several_groups_are_added_up():
 def test_what_only_the_driver_reads_is_sampled_but_not_kept():
     system, state = build.build(scene()).system, build.build(scene()).state
     shapes = jax.eval_shape(lambda state: Sample({q.name: q.measured(system, state) for q in system.quantities}), state)
-    internal = {"step", "fastest", "culprit"}
+    internal = {"step", "fastest", "stride", "culprit"}
     assert {q.name for q in QUANTITIES if not q.kept} == internal
     for name in internal:
         assert getattr(shapes, name).shape == (1,)
@@ -335,7 +335,8 @@ def test_an_error_in_a_function_says_in_which():
 
 
 def test_a_quantity_of_ones_own_that_is_not_finite_stops_a_run():
-    fine = {"culprit": np.full((1, 4), -1), "overlap": np.zeros((1, 4)), "count": np.zeros((1, 4), np.int32)}
+    fine = {"culprit": np.full((1, 4), -1), "count": np.zeros((1, 4), np.int32)}
+    fine |= {name: np.zeros((1, 4)) for name in ("overlap", "stride")}
     samples = Sample(fine | {"own": np.array([[1.0, 2.0, np.nan, np.nan]])})
     assert failure.find(samples, 4) == (0, 2) and failure.find(samples, 2) is None
     line = failure._not_finite(None, jax.tree.map(lambda x: x[0], samples), 2, 0.1, 0)
