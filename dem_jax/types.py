@@ -52,6 +52,7 @@ class Features(Tree):
     planes: Array  # [4, F, S]: outward unit normals and offsets (m) of the polytope by which depth and normal are found
     corners: Array  # [3, V, S] (m): its corners
     edges: Array  # [13, E, S]: its edges: middle (m), unit direction, half length (m), unit directions into both its faces
+    tips: Array  # [3, 14, S] (m): its corners that are furthest along its axes and between them
     own_planes: Array  # [4, F', S]: of the part itself, where others continue it; else the same
     own_corners: Array  # [3, V', S] (m): likewise
     inner: Array | None  # [F', S]: 1 for own faces that other parts of the piece cover, 0 for all others

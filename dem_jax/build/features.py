@@ -4,6 +4,7 @@ A shape with fewer of them than its table has repeats its first; ``Features.coun
 """
 
 from collections.abc import Sequence
+from itertools import product
 
 import numpy as np
 from numpy.typing import DTypeLike
@@ -12,6 +13,7 @@ from dem_jax.maths.pose import matrix_of_quaternion
 from dem_jax.shapes import Shape
 from dem_jax.types import Array, Features, host
 
+AROUND = np.concatenate([np.eye(3), -np.eye(3), list(product((-1.0, 1.0), repeat=3))])  # [14, 3]
 SIZES = (4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 768, 1024, 1536, 2048, 3072, 4096)
 
 
@@ -37,6 +39,7 @@ def table(
         planes=planes,
         corners=corners,
         edges=_stack([_padded(row.edges, edges) for row in rows], dtype),
+        tips=_stack([row.corners[np.argmax(row.corners @ AROUND.T, axis=0)] for row in rows], dtype),
         own_planes=planes if parts is None else _planes(own, dtype),
         own_corners=corners if parts is None else _corners(own, dtype),
         inner=None if inner is None else _inner(inner, faces, dtype),

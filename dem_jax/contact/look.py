@@ -82,7 +82,7 @@ def look(features: Features, rows: tuple[Array, Array], radius: tuple[Array, Arr
     met = _met(f, sides)
     of_a, of_b = _split(jnp.min(met.overlap, axis=0))
     chosen = _faces_and_corners(f, sides, met, jnp.minimum(of_a, of_b))
-    edges = _near_edges(f, sides, rows, rel, kept(*vector.each(lambda c: picked(c, chosen.corners), met.seen)))
+    edges = _near_edges(f, sides, rows, rel, _telling(f, sides, met, chosen))
     depth = jnp.minimum(jnp.minimum(of_a, of_b), jnp.min(edges.overlap, axis=0))
     swing = 1 + (vector.norm(rel.offset) + radius[0]) / radius[1]  # of a's points about b's centre, where b turns
     pairs_of_edges, margin = _margin_of_edges(f, sides, met, edges, depth, radius[1], swing)
@@ -133,9 +133,17 @@ def _faces_and_corners(f: Features, sides: _Sides, met: _Met, least: Array) -> _
     return _Chosen(listed, corners, beyond, above)
 
 
-def _near_edges(f: Features, sides: _Sides, rows: tuple[Array, Array], rel: Relative, nearest: Vector) -> _Edges:
-    """The edges of least overlap along their arcs, each of a with each of b. nearest: corners [Kv, 2 P] x 3 of the other."""
-    bound = own(f.counts[2], sides.row, _of_edges(f, sides, nearest))
+def _telling(f: Features, sides: _Sides, met: _Met, chosen: _Chosen) -> Vector:
+    """Corners of the other body that tell how far it reaches: those nearest to the contact, and some all around it, for the edges
+    whose arcs look elsewhere, [K, 2 P] x 3 (m) in the own frame."""
+    around = _seen(sides, unpack(f.tips[..., sides.row]))
+    x, y, z = (jnp.concatenate([picked(c, chosen.corners), d]) for c, d in zip(met.seen, around, strict=True))
+    return kept(x, y, z)
+
+
+def _near_edges(f: Features, sides: _Sides, rows: tuple[Array, Array], rel: Relative, telling: Vector) -> _Edges:
+    """The edges of least overlap along their arcs, each of a with each of b. telling: corners [K, 2 P] x 3 of the other."""
+    bound = own(f.counts[2], sides.row, _of_edges(f, sides, telling))
     edges, behind = smallest(bound, max(EDGES, f.rings.shape[0] + 4))
     of_a, of_b = _split(edges)
     pair = couples(f.edges[:, of_a, rows[0][None]][:, :, None], f.edges[:, of_b, rows[1][None]][:, None], rel)
