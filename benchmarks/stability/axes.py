@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -238,7 +239,7 @@ def motions(_: bool) -> Iterator[Trial]:
 
 
 def ensembles(quick: bool) -> Iterator[Trial]:
-    """Runs side by side."""
+    """Runs side by side: drops of different seeds, and the trials of other axes, sixteen of each."""
     portion = {"portion.count": 3, "portion.settling_time": 0.08, "run.duration": 0.2, "run.frames": 0.0, "run.sample": 1e-4}
     for epsilon, softening in ((0.1, 1e-2), (1.0, 1e-2), (0.05, 1e-3)):
         changes = portion | {"material.restitution": epsilon, "material.softening": softening}
@@ -247,6 +248,10 @@ def ensembles(quick: bool) -> Iterator[Trial]:
             lambda c=changes: load_scene("weigh-bucket", c),
             runs=4 if quick else 16,
         )
+    if not quick:
+        for axis in (materials, sizes, speeds, places, touches, shapes, motions):
+            for one in axis(quick):
+                yield replace(one, name=f"16 runs: {one.name}", runs=16, figure=None, check=None)
 
 
 AXES: dict[str, Callable[[bool], Iterator[Trial]]] = {
