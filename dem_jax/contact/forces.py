@@ -202,10 +202,10 @@ def _motion(
 
 
 def _at_most(slots: Slots, before: Array, overlap: Array, approach: Array) -> Array:
-    """The overlap (m), [P], of contacts deeper than MIDDLE with what the step may have added to it: in the middle of a thin wall
-    the normal turns round, and a piece beyond it would seem to leave."""
+    """The overlap (m), [P], of contacts that go on deeper than MIDDLE with what the step may have added to it: in the middle of
+    a thin wall the normal turns round, and a piece beyond it would seem to leave."""
     deeper = before + jnp.abs(approach)
-    return jnp.where(deeper > MIDDLE * slots.width, jnp.maximum(overlap, deeper), overlap)
+    return jnp.where((before > 0) & (deeper > MIDDLE * slots.width), jnp.maximum(overlap, deeper), overlap)
 
 
 def _slip(memory: Memory, motion: Vector, approach: Array, normal: Vector, within: Array) -> Vector:
