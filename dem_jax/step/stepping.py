@@ -1,5 +1,6 @@
 """One time step, read top to bottom as the physics, and the loops around it."""
 
+import dataclasses
 from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
@@ -229,11 +230,13 @@ def _until_due(system: System, substeps: Array, state: State, walls: boundary.Ah
     def one(carry: tuple[State, Array]) -> tuple[State, Array]:
         before, done = carry
         moved, omega, panels = _ahead(system, before, walls)
+        # What the first half of a step changes: where a look is due it is taken back, and done again after it.
+        touched = [f.name for f in dataclasses.fields(before) if getattr(moved, f.name) is not getattr(before, f.name)]
         moved = watch.gone(system, moved, bodies.stack(system, moved, omega, panels))
         is_known = ~watch.is_due(moved)
         after = once(is_known, lambda s: _met(system, s, omega, panels), moved)
-        kept = lambda a, b: jnp.where(is_known, a, b)  # noqa: E731
-        same = {name: jax.tree.map(kept, getattr(after, name), getattr(before, name)) for name in ("step", "motion", "cell")}
+        if_known = lambda a, b: jnp.where(is_known, a, b)  # noqa: E731
+        same = {name: jax.tree.map(if_known, getattr(after, name), getattr(before, name)) for name in touched}
         return after.replace(**same), done + is_known.astype(jnp.int32)
 
     return jax.lax.while_loop(lambda c: (c[1] < substeps) & ~watch.is_due(c[0]), one, (state, done))

@@ -143,6 +143,18 @@ def test_files_hold_the_lag_and_go_on_from_it(tmp_path):
     np.testing.assert_array_equal(resumed.flap_lag["flap"], pressed(TORQUE).flap_lag["flap"])
 
 
+def test_steps_that_a_look_at_hulls_interrupts_swing_the_flap_once(monkeypatch):
+    points = np.random.default_rng(3).normal(size=(12, 3))
+    points *= [[0.014, 0.011, 0.008]] / np.linalg.norm(points, axis=1, keepdims=True)
+    hull = {"shape": "hull", "points": tuple(map(tuple, points.tolist())), "position": (0.0, 0.0, 0.014)}
+    hit = scene(duration=0.05, motion={"closing": 0.03}).replace(piece=[hull | {"angular_velocity": (0.0, 0.0, 300.0)}])
+    kept = dem_jax.simulate(hit)
+    monkeypatch.setattr("dem_jax.drive.prepare.slot_block", lambda: 0)
+    plain = dem_jax.simulate(hit)  # looks at all in every step
+    assert np.abs(plain.flap_lag["flap"]).max() > 0.01
+    np.testing.assert_allclose(kept.flap_lag["flap"], plain.flap_lag["flap"], atol=1e-9)
+
+
 def test_runs_of_an_ensemble_have_drives_of_their_own():
     two = dem_jax.ensemble(scene(), runs=2, parameters={"motion.0.drive.torque": [0.1, TORQUE]})
     for k, torque in enumerate((0.1, TORQUE)):
