@@ -211,11 +211,10 @@ def motions(_: bool) -> Iterator[Trial]:
         yield trial(f"flaps of the feed bucket open in {1e3 * opening:g} ms", make=bucket, feed_bucket__opening_time=opening)
 
     early = {"opening_time": 0.06, "open_dwell": 0.03, "closing_time": 0.06}  # they close on what has not fallen through yet
+    caught = {"portion__count": 9, "run__duration": 0.4, "run__escape": "note"}
+    caught |= {f"feed_bucket__{key}": value for key, value in early.items()}
     for torque in (0.1, 1.0):
-        limited = early | {"drive": {"torque": torque}}
-        caught = {f"feed_bucket__{key}": value for key, value in limited.items()}
-        many = {"portion__count": 9, "run__duration": 0.4, "run__escape": "note"}
-        yield trial(f"flaps of {torque:g} N m close on pieces", make=bucket, **many, **caught)
+        yield trial(f"flaps of {torque:g} N m close on pieces", make=bucket, feed_bucket__drive={"torque": torque}, **caught)
 
     def closing(time: float) -> Scene:
         """A flap that closes on a piece which lies in its way."""

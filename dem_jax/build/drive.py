@@ -4,6 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from dem_jax.build.time_step import PossibleContact, stiffest
+from dem_jax.contact.law import ContactLaw
 from dem_jax.contact.motion import Hinge, Table
 from dem_jax.contact.motion.columns import unit_axis
 from dem_jax.errors import SceneError
@@ -41,17 +43,17 @@ def drive_of(motions: Sequence[Motion], groups: Sequence[str]) -> Drive | None:
     )
 
 
-def added_rate(motions: Sequence[Motion], panels: Sequence[Panel], stiffest: float, pieces: int) -> float:
+def added_rate(
+    motions: Sequence[Motion], panels: Sequence[Panel], law: ContactLaw, contacts: Sequence[PossibleContact], pieces: int
+) -> float:
     """By how much (1/s2) drives raise the largest squared frequency of pieces on walls whose motion is given, at most; 0: none.
 
     As a load cell does: (k + n K r2) / I at most, K being the stiffest contact of n pieces, r the arm of the furthest corner.
     """
     most = 0.0
-    for row in motions:
-        if row.drive is None:
-            continue
+    for row, drive in ((row, row.drive) for row in motions if row.drive is not None):
         corners = np.concatenate([np.asarray(c, float) for group, c, _ in panels if group == row.group]) - np.array(row.pivot)
         arm = np.linalg.norm(np.cross(corners, unit_axis(row)), axis=1).max()
-        own = (2 * np.pi * row.drive.natural_frequency) ** 2
-        most += own + pieces * stiffest * arm * arm / row.drive.inertia
+        own = (2 * np.pi * drive.natural_frequency) ** 2
+        most += own + pieces * stiffest(law, contacts) * arm * arm / drive.inertia
     return float(most)

@@ -23,7 +23,7 @@ from dem_jax.build.walls import walls_of
 from dem_jax.contact import motion
 from dem_jax.errors import SceneError
 from dem_jax.pairs import neighbours
-from dem_jax.scene import NamedMaterial, Scene, Section, buckets
+from dem_jax.scene import Drive, NamedMaterial, Scene, Section, buckets
 from dem_jax.scene.numbers import array, is_zero
 from dem_jax.scene.words import choices
 from dem_jax.types import State, System, Walls
@@ -34,7 +34,7 @@ OF_MATERIAL = tuple(NamedMaterial.model_fields)
 OF_ALL = ("wall_youngs_modulus", "wall_poisson_ratio", "softening", "separation", "tangential_stiffness")
 DAMPING = ("unloading_damping", "rest_damping")
 FLAPS = ("opening_angle_deg", "opening_start", "opening_time", "open_dwell", "closing_time")
-DRIVE = ("torque", "inertia", "natural_frequency", "damping_ratio")
+DRIVE = tuple(Drive.model_fields)
 HINGE = ("swing_deg", "start", "opening", "dwell", "closing", "period")
 VIBRATION = ("stroke", "frequency", "shake_start", "shake_end", "shake_ramp")
 KEYS = {  # of each section those that only arrays depend on
@@ -169,8 +169,8 @@ def _walls(scene: Scene, given: Scene, walls: Walls, lift: Any) -> Walls:
         hung, hinged = {group for group, *_ in parts.panels} | {buckets.FEEDER}, {row.group for row in parts.motions}
         higher, turned = (_up(lift, [name in names for name in walls.groups]) for names in (hung, hinged))
         centre, pivot = centre + typed(higher, dtype)[:, np.asarray(walls.group)], pivot + turned
-    walls = walls.replace(centre=centre, pivot=typed(pivot, dtype), motions=typed(moved, dtype), load_cell=typed(cell, dtype))
-    return walls.replace(drive=typed(drive_of(motions, walls.groups), dtype))
+    given_too = {"pivot": pivot, "motions": moved, "load_cell": cell, "drive": drive_of(motions, walls.groups)}
+    return walls.replace(centre=centre, **typed(given_too, dtype))
 
 
 def _start(scene: Scene, given: Scene, built: Built, lift: Any, seed: int) -> Start:

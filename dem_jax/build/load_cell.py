@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dem_jax.build.time_step import PossibleContact
+from dem_jax.build.time_step import PossibleContact, stiffest
 from dem_jax.contact.law import ContactLaw
 from dem_jax.scene import LoadCell, Scene, buckets
 from dem_jax.scene.numbers import array, sqrt
@@ -42,11 +42,6 @@ def load_cell_of(scene: Scene, groups: Sequence[str], group: np.ndarray) -> Cell
         groups=host(carries),
         panels=host(carries[group]),
     )
-
-
-def stiffest(law: ContactLaw, contacts: Sequence[PossibleContact]) -> float:
-    """The stiffness (N/m) of the stiffest contact."""
-    return max(float(np.max(4 * c.mass / np.asarray(law.stable_step(c.pair, c.mass)) ** 2)) for c in contacts)
 
 
 def added_rate(scene: Scene, law: ContactLaw, contacts: Sequence[PossibleContact], pieces: int) -> float:

@@ -11,7 +11,7 @@ from dem_jax.build import drive
 from dem_jax.build.exchange import Plan, boxes_of, domain_with, plan_of
 from dem_jax.build.finite import MOST_STEPS, check_finite, check_steps
 from dem_jax.build.law import law_of, materials_of
-from dem_jax.build.load_cell import added_rate, stiffest
+from dem_jax.build.load_cell import added_rate
 from dem_jax.build.parts import hull_table, part_arrays, solids_of
 from dem_jax.build.pieces import Goods, alike, goods_of, named, piece_arrays, with_points
 from dem_jax.build.room import capacity, partition, row_capacity, touching
@@ -67,7 +67,7 @@ def build(scene: Scene, seed: int = 0, law: ContactLaw | None = None) -> Built:
     if not contacts:
         raise SceneError(f"{scene.name}: a single piece and no wall: nothing can touch; allowed: another piece, or a [[wall]]")
     together = 1 if len(made) == len(panels) == 1 else 2
-    more = added_rate(scene, law, contacts, len(made)) + drive.added_rate(motions, panels, stiffest(law, contacts), len(made))
+    more = added_rate(scene, law, contacts, len(made)) + drive.added_rate(motions, panels, law, contacts, len(made))
     step = choose_step(scene, law, contacts, together, more)
     settling = settling_samples(scene) * step.substeps
     samples = max(1, round(scene.run.duration / scene.run.sample))

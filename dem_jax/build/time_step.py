@@ -66,6 +66,11 @@ class PossibleContact:
     words: str
 
 
+def stiffest(law: ContactLaw, contacts: Sequence[PossibleContact]) -> float:
+    """The stiffness (N/m) of the stiffest contact."""
+    return max(float(np.max(4 * c.mass / np.asarray(law.stable_step(c.pair, c.mass)) ** 2)) for c in contacts)
+
+
 def choose_step(scene: Scene, law: ContactLaw, contacts: list[PossibleContact], together: int = 2, added: float = 0.0) -> TimeStep:
     """The time step: as asked for, or from the smallest critical step over all contacts that can be. Raises SceneError.
 

@@ -71,10 +71,16 @@ def panels(walls: Walls, t: Array, t_velocity: Array) -> Panels:
     c = of_group[:, walls.group]  # one gather, group to panel
     turn = (vector.unpack(c[:3]), vector.unpack(c[3:6]), vector.unpack(c[6:9]))
     hinge, pivot_w, velocity, spin = (vector.unpack(c[k : k + 3]) for k in (9, 12, 15, 18))
+    return _packed(*_turned(centre, frame, turn, hinge, pivot_w, velocity, spin), spin, *moved[1:])
+
+
+def _turned(
+    centre: Vector, frame: Matrix, turn: Matrix, hinge: Vector, pivot: Vector, velocity: Vector, spin: Vector
+) -> tuple[Vector, Matrix, Vector]:
+    """Centres and frames of panels once they are turned about their hinges, which are then at their pivots, and the velocities of
+    the centres; velocity: of the pivots."""
     arm = vector.rotate(turn, vector.sub(centre, hinge))
-    velocity = vector.add(velocity, vector.cross(spin, arm))
-    place = vector.add(pivot_w, arm)
-    return _packed(place, vector.compose(turn, frame), velocity, spin, *moved[1:])
+    return vector.add(pivot, arm), vector.compose(turn, frame), vector.add(velocity, vector.cross(spin, arm))
 
 
 def _packed(
@@ -139,17 +145,15 @@ def _swung(system: System, now: DriveMotion | None, panels: Panels) -> Panels:
     c = jnp.stack([*turns, *panels.pivot, *panels.pivot_velocity, *added])[:, system.walls.group]
     turn = (vector.unpack(c[:3]), vector.unpack(c[3:6]), vector.unpack(c[6:9]))
     pivot, pivot_velocity, more = (vector.unpack(c[k : k + 3]) for k in (9, 12, 15))
-    arm = vector.rotate(turn, vector.sub(panels.centre, pivot))
-    spin = vector.add(panels.spin, more)
-    velocity = vector.add(pivot_velocity, vector.cross(spin, arm))
-    frame = vector.compose(turn, panels.rotation)
-    group_spin = vector.add(panels.group_spin, added)
-    turned = _packed(vector.add(pivot, arm), frame, velocity, spin, panels.pivot, panels.pivot_velocity, group_spin)
+    spin, group_spin = vector.add(panels.spin, more), vector.add(panels.group_spin, added)
+    placed = _turned(panels.centre, panels.rotation, turn, pivot, pivot, pivot_velocity, spin)
+    turned = _packed(*placed, spin, panels.pivot, panels.pivot_velocity, group_spin)
     is_driven = drive.is_driven[system.walls.group]
     return Panels(jnp.where(is_driven, turned.rows, panels.rows), turned.groups, panels.rest)
 
 
 def _let_down(system: System, cell: CellMotion | None, panels: Panels) -> Panels:
+    """The panels with those that a load cell carries where it has let them down to, at its speed."""
     carrier = system.walls.load_cell
     if carrier is None or cell is None:
         return panels

@@ -420,7 +420,12 @@ def _select(v: Vector, index: Array) -> Vector:
     if v[0].shape[0] > FEW:
         rows = vector.each(lambda c: jnp.broadcast_to(c, (c.shape[0], *index.shape)), v)
         return vector.each(lambda c: jnp.take_along_axis(c, index[None], axis=0, mode="promise_in_bounds")[0], rows)
-    out = vector.at(v, 0)
-    for k in range(1, v[0].shape[0]):
-        out = vector.where(index == k, vector.at(v, k), out)
+    return vector.each(lambda c: entry(c, index), v)
+
+
+def entry(rows: Array, index: Array) -> Array:
+    """Entry index of each list [K, ..], by a row of selections."""
+    out = rows[0]
+    for k in range(1, rows.shape[0]):
+        out = jnp.where(index == k, rows[k], out)
     return out

@@ -187,9 +187,9 @@ def _clipping_along(f: Features, sides: _Sides, met: _Met, rel: Relative) -> tup
     nearest = vector.each(lambda c: picked(c, first(met.overlap == least[None])[None])[0], unpack(met.planes))
     (ax, bx), (ay, by), (az, bz) = (_split(c) for c in nearest)
     normal = vector.where(of_a <= of_b, (ax, ay, az), vector.scale(-1, vector.rotate(rel.rotation, (bx, by, bz))))
-    outward = _both(normal, vector.scale(-1, vector.rotate_back(rel.rotation, normal)))  # of each side
-    height = kept(dot(expand(outward, 0), met.corners))
-    base = jnp.min(dot(expand(outward, 0), met.seen), axis=0)  # where the other begins
+    along = _of_sides(outward(normal, rel))
+    height = kept(dot(expand(along, 0), met.corners))
+    base = jnp.min(dot(expand(along, 0), met.seen), axis=0)  # where the other begins
     clipping, free = _clipping(f, sides, height, base)
     return clipping, jnp.minimum(*_split(free))
 
@@ -205,6 +205,11 @@ def _paired(x: Array) -> Array:
     return x.reshape(*x.shape[:-1], 2, -1)
 
 
+def _of_sides(v: Vector) -> Vector:
+    """Vectors [2, P] as one list, [2 P]."""
+    return vector.each(lambda c: c.reshape(-1), v)
+
+
 def _swapped(x: Array) -> Array:
     """[.., 2 P] of the other side."""
     return jnp.concatenate(_split(x)[::-1], axis=-1)
@@ -213,7 +218,7 @@ def _swapped(x: Array) -> Array:
 def facing(features: Features, rows: tuple[Array, Array], normal: Vector, rel: Relative) -> Facing:
     """Own faces of pairs, of rows ([P], [P]) of a table, that look most along a normal, [P] x 3, from a to b in a's frame."""
     f, row = features, jnp.concatenate(rows)
-    along = vector.each(lambda c: c.reshape(-1), outward(normal, rel))  # [2 P]: both sides as one list
+    along = _of_sides(outward(normal, rel))
     planes = f.own_planes[..., row]
     keys = -dot(unpack(planes), expand(along, 0))
     if f.inner is not None:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from dem_jax.contact.collide import FACE_PREFERENCE, Relative, clipped, crossings, near_b
+from dem_jax.contact.collide import FACE_PREFERENCE, Relative, clipped, crossings, entry, near_b
 from dem_jax.contact.edges import couples
 from dem_jax.contact.look import facing, look, outward
 from dem_jax.maths import vector
@@ -46,7 +46,7 @@ def axes(near: Near, rel: Relative) -> Axes:
     pair = couples(*near.edges, rel)
     edge, (number,) = _least(kept(pair.overlap), (jnp.arange(pair.overlap.shape[0], dtype=least.dtype)[:, None],))
     edge, number = kept(edge, number)
-    x, y, z, scale, *middle = (_row(rows, number) for rows in (*pair.axis, pair.scale, *near.edges[0][:3]))
+    x, y, z, scale, *middle = (entry(rows, number) for rows in (*pair.axis, pair.scale, *near.edges[0][:3]))
     normal = vector.scale(scale, (x, y, z))
     use_edge = edge < face - FACE_PREFERENCE * jnp.abs(face)
     chosen = vector.where(use_edge, normal, vector.where(use_a, normal_a, normal_b))
@@ -63,14 +63,6 @@ def _least(keys: Array, rows: Sequence[Array]) -> tuple[Array, tuple[Array, ...]
         least = jnp.where(less, keys[k], least)
         found = tuple(jnp.where(less, row[k], was) for row, was in zip(rows, found, strict=True))
     return least, found
-
-
-def _row(rows: Array, number: Array) -> Array:
-    """Of the rows [K, P] those of a number [P]."""
-    found = rows[0]
-    for k in range(1, rows.shape[0]):
-        found = jnp.where(number == k, rows[k], found)
-    return found
 
 
 def left(hulls: Hulls, near: Near, rows: Rows, live: Array, rel: Relative) -> Array:

@@ -10,6 +10,7 @@ import pytest
 import dem_jax
 from dem_jax import build
 from dem_jax.build import drive as building
+from dem_jax.build.time_step import possible_contacts, stiffest
 from dem_jax.contact import boundary
 from dem_jax.errors import SceneError
 from dem_jax.scene import Scene
@@ -119,9 +120,9 @@ def test_what_nothing_holds_up_follows_its_motion():
     turned = DriveMotion(jnp.array([[0.0], [0.1]]), jnp.array([[0.0], [2.0]]))
     swung = boundary.carried(system, state.replace(drive=turned), panels)
     hinge = system.walls.motions[0]
-    further = build.build(scene()).system.walls
     angle = float(hinge.at(system.dt * 3000)[0][1]) + 0.1
-    held = further.replace(motions=(hinge.replace(swing=jnp.array([0.0, angle]), start=hinge.start - 1, dwell=hinge.dwell + 10),))
+    open_so_far = hinge.replace(swing=jnp.array([0.0, angle]), start=hinge.start - 1, dwell=hinge.dwell + 10)
+    held = system.walls.replace(motions=(open_so_far,))
     there = boundary.at_rebuild(system.replace(walls=held), jnp.asarray(3000))
     pose = np.array([0, 1, 2, *range(9, 18)])
     np.testing.assert_allclose(swung.rows[pose], there.rows[pose], atol=1e-15)
@@ -186,12 +187,15 @@ def test_flaps_that_are_shut_are_locked_and_open_under_their_load():
 def test_the_step_is_stable_with_a_flap_that_weighs_next_to_nothing():
     """A rod with its pieces on it has no higher frequency than the bound says."""
     light = DRIVE | {"inertia": 1e-7}
-    row, n, stiffness, mass = scene(light).motion[0], 5, 400.0, 6e-3
+    goods = build.pieces.goods_of(scene(light))
+    law, materials = build.law.law_of(scene(light)), build.law.materials_of(scene(light))
+    contacts = possible_contacts(law, materials, list(goods.shapes), build.pieces.piece_arrays(scene(light), goods))
+    row, n, stiffness, mass = scene(light).motion[0], 5, stiffest(law, contacts), 6e-3
     panels = [("flap", np.array([(0.0, HINGE + 0.2, DOWN), (0.1, HINGE, DOWN)]), 0.005)]
     arms = np.linspace(0.05, 0.2, n)
     matrix = np.diag([(2 * np.pi * FREQUENCY) ** 2 + np.sum(stiffness * arms**2) / 1e-7] + n * [stiffness / mass])
     matrix[0, 1:] = matrix[1:, 0] = -stiffness * arms / np.sqrt(1e-7 * mass)
-    assert np.linalg.eigvalsh(matrix)[-1] < stiffness / mass + building.added_rate([row], panels, stiffness, n)
+    assert np.linalg.eigvalsh(matrix)[-1] < stiffness / mass + building.added_rate([row], panels, law, contacts, n)
     assert build.build(scene(light)).step.stable < 0.5 * made().step.stable
 
 
