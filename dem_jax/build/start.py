@@ -82,15 +82,17 @@ def motion_of_start(system: System, start: Start, frames: np.ndarray) -> Motion:
     dtype = system.dt.dtype
     position = start.position.T
     high = position.astype(dtype)
-    q = array(list(rotation.multiply(tuple(start.orientation.T), tuple(np.asarray(frames).T)))).astype(dtype)
+    q = array(list(rotation.multiply(tuple(start.orientation.T), tuple(np.asarray(frames).T))))
+    turn = q.astype(dtype)
     inertia = system.pieces.inertia
     inertia = inertia if isinstance(inertia, jax.core.Tracer) else host(np.asarray(inertia))
-    momentum = rotation.angular_momentum(tuple(q), tuple(start.spin.T.astype(dtype)), tuple(inertia))
+    momentum = rotation.angular_momentum(tuple(turn), tuple(start.spin.T.astype(dtype)), tuple(inertia))
     none = np.zeros(high.shape, dtype)
     return Motion(
         position=host(high),
         position_rest=host((position - high.astype(position.dtype)).astype(dtype)),
-        orientation=host(q),
+        orientation=host(turn),
+        orientation_rest=host((q - turn.astype(q.dtype)).astype(dtype)),
         velocity=host(start.velocity.T.astype(dtype)),
         velocity_rest=host(none),
         angular_momentum=host(array(list(momentum)).astype(dtype)),

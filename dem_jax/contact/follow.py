@@ -8,6 +8,10 @@ velocities. So the overlap goes on by that, held within the slack
 
 of the depth, with the arms from both centres to the contact point: what is not rounding the geometry decides. Of first touch
 no more than the approach can be overlap. In double precision the depth is taken as it is.
+
+By velocities the overlap is known but for the way of the deepest point from that of the contact point, the middle of the
+overlap, and where the contact point goes over to another corner, that of the one from that of the other. Within this doubt
+it is the depth.
 """
 
 import jax.numpy as jnp
@@ -19,11 +23,12 @@ from dem_jax.types import Array
 ROUNDING = 2.0  # of the last place of all arms together: what the depth of polytopes at any angle was seen to be off by, doubled
 
 
-def overlap(before: Array, approach: Array, depth: Array, at_a: Vector, at_b: Vector) -> Array:
+def overlap(before: Array, approach: Array, doubt: Array, depth: Array, at_a: Vector, at_b: Vector) -> Array:
     """Overlap now, [P] (m); not positive: separated.
 
-    before: [P] (m), that of the last step, 0 where separated; approach: [P] (m) in this step; depth: [P] (m) by geometry;
-    at_a, at_b: [P] x 3 (m), the contact point about both centres.
+    before: [P] (m), that of the last step, 0 where separated; approach: [P] (m) in this step; doubt: [P] (m), by how much the
+    overlap may gain more or less than that; depth: [P] (m) by geometry; at_a, at_b: [P] x 3 (m), the contact point about both
+    centres.
     """
     if depth.dtype == jnp.float64:
         return depth
@@ -31,4 +36,5 @@ def overlap(before: Array, approach: Array, depth: Array, at_a: Vector, at_b: Ve
     slack = ROUNDING * float(jnp.finfo(depth.dtype).eps) * arms
     way, least = before + approach, depth - slack
     first = jnp.minimum(depth, jnp.maximum(way, least))
+    way = jnp.clip(depth, way - doubt, way + doubt)
     return vector.kept(jnp.where(before > 0, jnp.clip(way, least, depth + slack), first))

@@ -158,9 +158,13 @@ def _loaded(
         if slots.surface_b is not None:
             overlap, shape = seams.deepest(overlap, shape, siblings)
         memory = seams.memory(memory, siblings)
+    if shape.weight is not None:  # what parts has no contact point by its geometry: the last one stays until it has parted
+        at_b = vector.where((shape.weight <= 0) & (memory.overlap > 0), vector.unpack(memory.point), at_b)
+        shape = shape._replace(point=vector.add(at_b, offset))
     motion, approach = _motion(system, a, b, offset, memory, shape.normal, at_b)
     depth = _within(system, slots, overlap)
-    within = follow.overlap(memory.overlap, approach, depth, shape.point, at_b)
+    doubt = _doubt(system, a, b, memory, shape, depth, at_b)
+    within = follow.overlap(memory.overlap, approach, doubt, depth, shape.point, at_b)
     overlap = overlap + (within - depth)
     slip = _slip(memory, motion, approach, shape.normal, within)
     roll = None if system.materials.rolling is None else vector.scale(system.dt, vector.sub(b.spin, a.spin))
@@ -199,6 +203,21 @@ def _motion(
     turn = vector.sub(vector.cross(b.spin, arm_b), vector.cross(a.spin, arm_a))
     motion = vector.kept(*vector.add_scaled(way, system.dt, turn))
     return motion, vector.kept(-vector.dot(motion, normal))
+
+
+def _doubt(system: System, a: Body, b: Body, memory: Memory, shape: collide.Geometry, depth: Array, at_b: Vector) -> Array:
+    """By how much the deepest point may approach more or less in this step than the contact point, [P] (m).
+
+    The contact point may go over to another corner, and it is the middle of the overlap: that is as wide as half of its
+    outline, which the weight is, over the depth.
+    """
+    spin = vector.scale(system.dt, vector.sub(b.spin, a.spin))
+    moved = vector.cross(spin, vector.sub(at_b, vector.unpack(memory.point)))
+    doubt = 0.5 * jnp.abs(vector.dot(moved, shape.normal))
+    if shape.weight is None:
+        return doubt
+    wide = shape.weight / jnp.where(depth > 0, depth, 1)
+    return doubt + jnp.where(depth > 0, wide, 0) * (jnp.abs(spin[0]) + jnp.abs(spin[1]) + jnp.abs(spin[2]))
 
 
 def _at_most(slots: Slots, before: Array, overlap: Array, approach: Array) -> Array:

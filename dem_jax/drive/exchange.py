@@ -123,8 +123,8 @@ def _due(inlet: Inlet, time: float) -> float:
 def _placed(motion: Motion, which: np.ndarray, position: np.ndarray, turn: np.ndarray, velocity: np.ndarray) -> Motion:
     """The motion with some pieces elsewhere, without spin or load; position [n, 3], turn [n, 4], velocity [3] or [n, 3]."""
     values = {"position": position.T, "orientation": turn.T, "velocity": np.broadcast_to(velocity, position.shape).T}
-    rest = position - position.astype(motion.position.dtype)
-    values["position_rest"] = rest.T
+    for name in ("position", "orientation"):
+        values[f"{name}_rest"] = values[name] - values[name].astype(motion.position.dtype)
 
     def changed(name: str, array: np.ndarray) -> np.ndarray:
         array = np.array(array)

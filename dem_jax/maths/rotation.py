@@ -12,6 +12,8 @@ from dem_jax.maths.vector import Matrix, Vector
 Array = jax.Array
 Quaternion = tuple[Array, Array, Array, Array]
 
+UNIT = 1 / 32  # of what a quaternion lacks of unit length is made up for in each step
+
 
 def multiply(p: Quaternion, q: Quaternion) -> Quaternion:
     """Hamilton product p q: first the rotation q, then p."""
@@ -28,12 +30,6 @@ def multiply(p: Quaternion, q: Quaternion) -> Quaternion:
 def conjugate(q: Quaternion) -> Quaternion:
     """The inverse rotation."""
     return (q[0], -q[1], -q[2], -q[3])
-
-
-def normalise(q: Quaternion) -> Quaternion:
-    """q / |q|."""
-    inverse = 1.0 / jnp.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
-    return (q[0] * inverse, q[1] * inverse, q[2] * inverse, q[3] * inverse)
 
 
 def matrix(q: Quaternion) -> Matrix:
@@ -88,33 +84,48 @@ def _turn(q: Quaternion, p: Vector, axis: int, angle: Array) -> tuple[Quaternion
 
 
 def free_rotation(q: Quaternion, momentum: Vector, inertia: Vector, dt: Array | float) -> tuple[Quaternion, Vector]:
-    """Rotate free rigid bodies by dt, to second order, conserving angular momentum to rounding.
+    """The turn of free rigid bodies in dt, to second order, conserving angular momentum to rounding.
 
     The splitting into rotations about the principal axes x, y, z, y, x of Dullweber, Leimkuhler and
     McLachlan (J. Chem. Phys. 107, 5840, 1997): each turns by an angle as exact as ``_tangent`` is, the
     product is symmetric and symplectic, so that the energy error stays bounded. The momentum in space is not touched at all.
 
     q: unit quaternion, momentum: world-frame angular momentum (kg m2/s), inertia: three principal
-    moments (kg m2), dt (s). Returns the new quaternion and the angular velocity of the interval
-    (rad/s, world frame; the mean of its ends).
+    moments (kg m2), dt (s). Returns by how much the quaternion changes, to the last place of the change (see ``turned``), and
+    the angular velocity of the interval (rad/s, world frame; the mean of its ends).
     """
-    before = matrix(q)
-    p = vector.rotate_back(before, momentum)
-    start = vector.rotate(before, _over(p, inertia))
+    p = vector.rotate_back(matrix(q), momentum)
+    start = vector.rotate(matrix(q), _over(p, inertia))
+    none = jnp.zeros_like(p[0])
+    turn: Quaternion = (none + 1, none, none, none)
     for axis, part in ((0, 0.5), (1, 0.5), (2, 1.0), (1, 0.5), (0, 0.5)):
-        q, p = _turn(q, p, axis, part * dt * p[axis] / inertia[axis])
-    q = normalise(q)
-    end = angular_velocity(q, momentum, inertia)
-    return q, vector.scale(0.5, vector.add(start, end))
+        turn, p = _turn(turn, p, axis, part * dt * p[axis] / inertia[axis])
+    change = multiply(q, _less_identity((turn[1], turn[2], turn[3])))
+    after = tuple(x + d for x, d in zip(q, change, strict=True))
+    end = angular_velocity((after[0], after[1], after[2], after[3]), momentum, inertia)
+    return change, vector.scale(0.5, vector.add(start, end))
 
 
 def spin(q: Quaternion, momentum: Vector, inertia: Vector, dt: Array | float) -> tuple[Quaternion, Vector]:
-    """The free rotation of bodies whose three moments are equal, about a fixed axis: its angle is exact as ``_tangent`` is."""
+    """``free_rotation`` of bodies whose three moments are equal, about a fixed axis: its angle is exact as ``_tangent`` is."""
     omega = vector.scale(1 / inertia[0], momentum)
     x = vector.scale(0.25 * dt, omega)
     u = vector.scale(_tangent(vector.dot(x, x)), x)
-    c, s = _half_angle(vector.dot(u, u))
-    return normalise(multiply((c, *vector.scale(s, u)), q)), omega
+    _, s = _half_angle(vector.dot(u, u))
+    return multiply(_less_identity(vector.scale(s, u)), q), omega
+
+
+def _less_identity(axis: Vector) -> Quaternion:
+    """A unit quaternion of less than half a turn, by its vector part, minus 1: w - 1 without the cancellation."""
+    sine = vector.dot(axis, axis)
+    return (-sine / (1 + jnp.sqrt(jnp.maximum(1 - sine, 0))), *axis)
+
+
+def to_unit(q: Quaternion) -> Quaternion:
+    """What brings a quaternion of nearly unit length nearer to it: by less than rounding in each step, all of it in a hundred."""
+    w, x, y, z = q
+    part = (0.5 * UNIT) * (1 - (w * w + x * x + y * y + z * z))
+    return (part * w, part * x, part * y, part * z)
 
 
 def angular_velocity(q: Quaternion, momentum: Vector, inertia: Vector) -> Vector:

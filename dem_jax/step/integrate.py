@@ -28,9 +28,8 @@ def drift(system: System, state: State) -> tuple[State, Array]:
     state = state.moved(position=position, position_rest=rest).replace(step=state.step + 1, **on_springs)
     if not system.has_rotation:
         return state, jnp.zeros_like(position)
-    free = rotation.free_rotation if system.has_hulls else rotation.spin
-    q, omega = free(tuple(now.orientation), vector.unpack(now.angular_momentum), vector.unpack(system.pieces.inertia), system.dt)
-    return state.moved(orientation=jnp.stack(q)), jnp.stack(omega)
+    orientation, rest, omega = _turned(system, now.orientation, now.orientation_rest, now.angular_momentum)
+    return state.moved(orientation=orientation, orientation_rest=rest), omega
 
 
 def flight(system: System, state: State, steps: Array) -> State:
@@ -46,10 +45,18 @@ def flight(system: System, state: State, steps: Array) -> State:
     state = state.replace(step=state.step + steps, **on_springs)
     if not system.has_rotation:
         return state
+    turn = lambda _, q: _turned(system, q[0], q[1], now.angular_momentum)[:2]  # noqa: E731
+    orientation, rest = jax.lax.fori_loop(0, steps, turn, (now.orientation, now.orientation_rest))
+    return state.moved(orientation=orientation, orientation_rest=rest)
+
+
+def _turned(system: System, orientation: Array, rest: Array, momentum: Array) -> tuple[Array, Array, Array]:
+    """Orientation and what rounding left over of it, [4, N], after a step, and the angular velocity in it, [3, N] (rad/s)."""
     free = rotation.free_rotation if system.has_hulls else rotation.spin
-    momentum, inertia = vector.unpack(now.angular_momentum), vector.unpack(system.pieces.inertia)
-    turn = lambda _, q: jnp.stack(free(tuple(q), momentum, inertia, system.dt)[0])  # noqa: E731
-    return state.moved(orientation=jax.lax.fori_loop(0, steps, turn, now.orientation))
+    q = tuple(orientation)
+    change, omega = free(q, vector.unpack(momentum), vector.unpack(system.pieces.inertia), system.dt)
+    turned, rest = _add(orientation, rest, jnp.stack(change) + jnp.stack(rotation.to_unit(q)))
+    return turned, rest, jnp.stack(omega)
 
 
 def _gravity(system: System, state: State) -> Array:
@@ -62,7 +69,8 @@ def _add(position: Array, rest: Array, change: Array) -> tuple[Array, Array]:
     """position + rest + change, and what rounding leaves over (compensated summation; not needed in double precision).
 
     In single precision a step near rest is smaller than the spacing of numbers at 0.1 m, and the change of velocity by
-    gravity in half a step is only 120 spacings at 2 m/s, rounded the same way each time. Velocities likewise.
+    gravity in half a step is only 120 spacings at 2 m/s, rounded the same way each time. A stiff piece that turns at 1 rad/s
+    changes its quaternion by about 20 spacings.
     """
     if position.dtype == jnp.float64:
         return position + change, rest

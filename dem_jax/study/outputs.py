@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.signal import find_peaks
 
 from dem_jax.show.numbers import members_of
 from dem_jax.show.summary import impact_duration, main_block, main_group
@@ -13,6 +14,7 @@ from dem_jax.weighing.settling import HOLD, time_to_weigh
 
 WINDOW = 1e-3  # s, over which forces are averaged where it says so
 RATE, AVERAGE, TOLERANCE = 1000.0, "average:0.1", 1e-3  # 1/s, filter (s), kg: of a scale
+BURST, PROMINENCE = 5e-3, 0.2  # s, over which forces are averaged to tell bursts apart; of the highest, that others rise by
 OF_PEAK, OF_WEIGHT = 0.1, 2.0  # of its top, down to which a peak lasts; of the settled weight, above which an impact goes on
 
 
@@ -110,6 +112,21 @@ def _peak_duration(t: Traces) -> np.ndarray:
     return np.array(found)
 
 
+def _second_peak(t: Traces) -> tuple[np.ndarray, np.ndarray]:
+    """The next highest burst of those after the highest (kg) and by how much it is later (ms), [K]; nan where there is but one.
+
+    Of means over BURST; a burst rises by PROMINENCE of the highest above what lies between.
+    """
+    height, later = np.full((2, len(t.force)), np.nan)
+    for k, row in enumerate(_averaged(t.force, max(1, round(BURST / t.run.sample)))):
+        top = int(row.argmax())
+        after = top + 1 + find_peaks(row[top + 1 :], prominence=PROMINENCE * row[top])[0]
+        if len(after):
+            second = after[row[after].argmax()]
+            height[k], later[k] = row[second], 1e3 * (t.time[second] - t.time[top])
+    return height, later
+
+
 def _time_to_weigh(t: Traces) -> np.ndarray:
     of = chain.chain(t.run.sample, RATE, AVERAGE)
     found = traces.trace_of(t.run)
@@ -127,6 +144,8 @@ OUTPUTS = {
     "peak_over_static": Output("", "peak over the settled weight", _over_static),
     "time_of_peak": Output("ms", "time of the peak since the release", lambda t: 1e3 * t.time[t.force.argmax(axis=1)]),
     "peak_duration": Output("ms", "how long the highest peak (means over 1 ms) is above a tenth of its top", _peak_duration),
+    "second_peak": Output("kg", "the next highest burst, if it comes later; means over 5 ms", lambda t: _second_peak(t)[0]),
+    "second_peak_after": Output("ms", "from the highest burst to the next highest", lambda t: _second_peak(t)[1]),
     "impact_time": Output("ms", "from the first force until means over 1 ms stay below twice the settled weight", _impact_time),
     "first_at_rest": Output("ms", "from the first force until some piece is at rest for good", _first_at_rest),
     "time_to_rest": Output("ms", "from the first force until all is at rest", _time_to_rest),

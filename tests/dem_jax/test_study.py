@@ -1,17 +1,19 @@
 """Studies: every drop is the run of its own scene, nothing is computed twice, and what is said follows from the drops."""
 
 from html import escape
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import trimesh
+from scipy.special import erf
 
 import dem_jax
 from dem_jax.cli.main import main
 from dem_jax.errors import RecordError, SceneError
 from dem_jax.study import conduct, file, posterior, results, work
 from dem_jax.study.design import points_of
-from dem_jax.study.outputs import OUTPUTS, evaluated, of_drops
+from dem_jax.study.outputs import OUTPUTS, Traces, evaluated, of_drops
 from dem_jax.study.table import checked, load_study, stock_studies
 
 BALL = {  # a heavier and a lighter fall of one ball onto a plate, at three restitutions
@@ -72,6 +74,19 @@ def test_a_file_that_varies_is_read_for_each_point():
     assert far > near + 1e-3
     for member, scene in enumerate(found.study.base().replace(point) for point in points_of(found.study)):
         np.testing.assert_array_equal(found.force[member], dem_jax.simulate(scene).pif_kg("plate").astype(np.float32))
+
+
+def test_a_second_burst_is_told_from_ripples():
+    time, sigma = 1e-4 * np.arange(1, 1001), 5e-3
+    bursts = lambda *rows: sum(h * np.exp(-0.5 * ((time - t) / sigma) ** 2) for h, t in rows)  # noqa: E731
+    force = np.array([bursts((4.0, 0.03), (2.0, 0.06)), bursts((4.0, 0.03), (0.6, 0.06)), bursts((3.0, 0.04))])
+    force = force * (1 + 0.05 * np.sin(2 * np.pi * time / 2.5e-3))
+    made = Traces(SimpleNamespace(sample=1e-4), time, force, force, np.zeros_like(force))
+    height, later = (OUTPUTS[name].of(made) for name in ("second_peak", "second_peak_after"))
+    flat = np.sqrt(2 * np.pi) * sigma / 5e-3 * erf(0.5 * 5e-3 / (np.sqrt(2) * sigma))  # of a mean over 5 ms at the top of a burst
+    assert height[0] == pytest.approx(2 * flat, rel=0.02)
+    assert later[0] == pytest.approx(30, abs=0.5)
+    assert np.isnan([*height[1:], *later[1:]]).all()
 
 
 def test_a_study_that_was_stopped_does_only_what_is_left_and_ends_with_the_same_bits(done, tmp_path, monkeypatch):
