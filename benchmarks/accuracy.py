@@ -375,10 +375,10 @@ def drops(scene, seeds) -> Drops:
 
 
 def variants(quick):
-    """Label, series and changes of the weigh-bucket drop; the first is the reference (a quick one: the default)."""
+    """Label, series and changes of the quick-release drop; the first is the reference (a quick one: the default)."""
     from dem_jax import build, load_scene
 
-    step = build.build(load_scene("weigh-bucket")).step.critical
+    step = build.build(load_scene("quick-release")).step.critical
     sphere = {"portion": {"shape": "sphere", "radius": SPHERE["radius"]}}
     half = {"run": {"step": step / 2}}
     rows = [
@@ -405,7 +405,7 @@ def drop_points(seeds, quick):
     """Points of the drop, rows of its table, and the reference."""
     from dem_jax import SceneError, SimulationError, load_scene
 
-    base = load_scene("weigh-bucket").replace(
+    base = load_scene("quick-release").replace(
         portion={"settling_time": 0.3}, run={"duration": 0.45, "frames": 0.0, "energy": False}
     )
     points, rows, reference = [], [], None

@@ -1,6 +1,6 @@
 """The Product Model fitted to drops from three guesses: `python -m benchmarks.drops FILE [--end S ...]`.
 
-FILE: an ensemble, such as `python -m dem_jax ensemble weigh-bucket --runs 64 --set run.duration=0.7 --set run.frames=0`
+FILE: an ensemble, such as `python -m dem_jax ensemble quick-release --runs 64 --set run.duration=0.7 --set run.frames=0`
 makes. Writes out/benchmarks/drops.md; `benchmarks/results/calibration_dem.md` holds such rows and what they say.
 """
 

@@ -104,7 +104,7 @@ def core_row(cores: int) -> dict:
     """An ensemble of drops by the public call, on so many cores: seconds by the clock without compiling."""
     import dem_jax
 
-    scene = dem_jax.load_scene("weigh-bucket", {"run.duration": 0.4, "run.frames": 0.0})
+    scene = dem_jax.load_scene("quick-release", {"run.duration": 0.4, "run.frames": 0.0})
     dem_jax.ensemble(scene, runs=DROPS, seed=0)  # compiles
     times = []
     for repeat in range(3):
@@ -120,7 +120,7 @@ def beside_row(which) -> dict:
 
     factor, runs, settling, duration = BESIDE[str(which)]
     settings = {"portion.scale_factor": factor, "portion.settling_time": settling, "run.duration": duration, "run.frames": 0.0}
-    scene = dem_jax.load_scene("weigh-bucket", settings)
+    scene = dem_jax.load_scene("quick-release", settings)
     ways = {
         "times": lambda: [dem_jax.simulate(scene, seed=seed) for seed in range(runs)],
         "beside": lambda: [dem_jax.ensemble(scene, runs=runs, seed=0)],
@@ -143,7 +143,7 @@ def drops_row(until_settled) -> dict:
     import dem_jax
 
     settings = {"run.duration": 0.4, "run.frames": 0.0, "run.until_settled": until_settled == "yes"}
-    scene = dem_jax.load_scene("weigh-bucket", settings)
+    scene = dem_jax.load_scene("quick-release", settings)
     dem_jax.ensemble(scene, runs=WHOLE_DROPS, seed=0)  # compiles, also what is outgrown
     start = time.perf_counter()
     made = dem_jax.ensemble(scene, runs=WHOLE_DROPS, seed=0)

@@ -227,7 +227,7 @@ def endings(quick):
 
     rows = []
     for until_settled in (False, True):
-        scene = dem_jax.load_scene("weigh-bucket", {"run.until_settled": until_settled})
+        scene = dem_jax.load_scene("quick-release", {"run.until_settled": until_settled})
         dem_jax.simulate(scene, seed=0)  # compiles
         drops = [dem_jax.simulate(scene, seed=seed) for seed in range(1, 2 if quick else 6)]
         seconds = [drop.info["elapsed"] - drop.info["compile_time"] for drop in drops]

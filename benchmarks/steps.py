@@ -30,7 +30,7 @@ def packed(count: int):
 
     factor = min(1.0, (PORTION / (count * 5.832e-3)) ** (1 / 3))
     # Stiffness sets the size of the step, not its cost: softer pieces settle in fewer steps.
-    scene = load_scene("weigh-bucket").replace(
+    scene = load_scene("quick-release").replace(
         portion={"count": count, "scale_factor": factor, "settling_time": SETTLE},
         material={"softening": 0.001},
         run={"duration": 3e-5, "frames": 0.0},

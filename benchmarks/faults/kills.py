@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-DROP = ["weigh-bucket", "--set", "portion.shape=sphere", "--set", "portion.radius=0.012", "--set", "portion.count=4"]
+DROP = ["quick-release", "--set", "portion.shape=sphere", "--set", "portion.radius=0.012", "--set", "portion.count=4"]
 DROP += ["--set", "portion.settling_time=0.05", "--set", "run.frames=0.002"]
 QUIET = ["--quiet"]
 COMMANDS = {

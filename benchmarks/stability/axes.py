@@ -205,7 +205,7 @@ def motions(_: bool) -> Iterator[Trial]:
     portion = {"portion.count": 3, "portion.settling_time": 0.08, "run.duration": 0.25, "run.frames": 0.0, "run.sample": 1e-4}
 
     def bucket(**changes: Any) -> Scene:
-        return load_scene("weigh-bucket", portion | {key.replace("__", "."): value for key, value in changes.items()})
+        return load_scene("quick-release", portion | {key.replace("__", "."): value for key, value in changes.items()})
 
     for opening in (0.001, 0.01, 0.1):
         yield trial(f"flaps of the feed bucket open in {1e3 * opening:g} ms", make=bucket, feed_bucket__opening_time=opening)
@@ -244,7 +244,7 @@ def ensembles(quick: bool) -> Iterator[Trial]:
         changes = portion | {"material.restitution": epsilon, "material.softening": softening}
         yield Trial(
             f"{4 if quick else 16} drops, epsilon {epsilon:g}, softening {softening:g}",
-            lambda c=changes: load_scene("weigh-bucket", c),
+            lambda c=changes: load_scene("quick-release", c),
             runs=4 if quick else 16,
         )
     if not quick:

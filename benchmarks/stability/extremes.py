@@ -37,7 +37,7 @@ PRODUCTS = [
 SPHERES = [{"shape": "sphere", "radius": 0.01, "position": [0, 0, z], "velocity": [0.1, 0, -1]} for z in (0.011, 0.032)]
 SCENES: dict[str, tuple[str, dict[str, Any]]] = {
     "plate-drop": ("plate-drop", SHORT | {"piece.0.position": [0.0, 0.0, 0.009], "run.accuracy": {"restitution": 0.05}}),
-    "weigh-bucket": ("weigh-bucket", PORTION),
+    "quick-release": ("quick-release", PORTION),
     "weighing-station": ("weighing-station", PORTION | {"feeder.count": 2, "feeder.start": 0.0}),
     "products": (
         "weigh-bucket",

@@ -48,7 +48,7 @@ def traces(monkeypatch):
 
 def test_other_values_do_not_compile_anew(traces):
     def go(changes, seed=0):
-        scene = load_scene("weigh-bucket").replace(BASE | changes)
+        scene = load_scene("quick-release").replace(BASE | changes)
         return simulate(scene, seed=seed)
 
     go({})
@@ -139,7 +139,7 @@ def test_what_is_kept_is_computed_once_by_the_compiled_program():
 
 def test_loads_of_contacts_are_not_padded_by_the_compiled_program():
     # Padding reads on, masked, past the end of what is padded: several times the time of a step if those pages are unused.
-    scene = load_scene("weigh-bucket").replace(BASE)
+    scene = load_scene("quick-release").replace(BASE)
     built = build.build(scene, 0)
     rows = 2 * sum(slots for *_, slots in built.system.capacity) + 1
     text = compiling.jit(stepping.step, "cpu").lower(built.system, built.state).compile().as_text()
@@ -150,7 +150,7 @@ def test_loads_of_contacts_are_not_padded_by_the_compiled_program():
 @pytest.mark.parametrize("shape", [{}, {"portion.shape": "sphere", "portion.radius": 0.01}], ids=["polytopes", "spheres"])
 def test_a_step_writes_over_history_and_loads(shape):
     """Else 28 MB would be copied in each step of 50 000 spheres."""
-    built = build.build(load_scene("weigh-bucket").replace(BASE | shape), 0)
+    built = build.build(load_scene("quick-release").replace(BASE | shape), 0)
     rooms = {kind: 1024 + 64 * k for k, (kind, *_) in enumerate(built.system.capacity)}
     capacity = tuple((kind, near, rooms[kind]) for kind, near, _ in built.system.capacity)
     system, state = guard.with_capacity(built.system, built.state, capacity, built.system.touching, 1)

@@ -188,7 +188,7 @@ def test_a_restart_goes_on_bit_for_bit(mixed, tmp_path):
 
 @pytest.mark.long
 def test_runs_side_by_side_are_those_alone():
-    scene = load_scene("weigh-bucket").replace(
+    scene = load_scene("quick-release").replace(
         portion={"shape": "compound", "part": DUMB_BELL["part"], "count": 3, "arrangement": "scattered"},
         run={"precision": "f64", "duration": 0.02, "frames": 0.0},
     )

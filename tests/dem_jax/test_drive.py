@@ -174,7 +174,7 @@ def test_a_motion_that_is_given_has_nothing_of_a_drive():
 def test_flaps_that_are_shut_are_locked_and_open_under_their_load():
     """Of a weigh bucket whose drives could not hold what lands on it."""
     flaps = {"opening_angle_deg": 65.0, "opening_start": 0.5, "drive": {"torque": 2e-3}}
-    scene = dem_jax.load_scene("weigh-bucket").replace({"run.escape": "note", "run.duration": 1.2, "run.frames": 0.0})
+    scene = dem_jax.load_scene("quick-release").replace({"run.escape": "note", "run.duration": 1.2, "run.frames": 0.0})
     run = dem_jax.simulate(scene.replace({f"weigh_bucket.{key}": value for key, value in flaps.items()}))
     begun = run.time < 0.5
     for side in ("left", "right"):
@@ -215,4 +215,4 @@ def test_what_is_no_drive_is_said(motion, words):
 
 def test_flaps_that_never_open_have_no_drive():
     with pytest.raises(SceneError, match=r"weigh_bucket.*drive.*opening_angle_deg"):
-        dem_jax.load_scene("weigh-bucket").replace({"weigh_bucket.drive": {}})
+        dem_jax.load_scene("quick-release").replace({"weigh_bucket.drive": {}})

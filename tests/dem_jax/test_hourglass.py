@@ -12,7 +12,7 @@ PIECE = 5.832e-3  # kg
 def drop(**changes):
     """Nine marshmallows; all scenes share one program."""
     common = {"run.duration": 1.0, "run.frames": 0.0, "run.energy": False, "run.escape": "note"}
-    return dem_jax.simulate(dem_jax.load_scene("weigh-bucket").replace(common | changes))
+    return dem_jax.simulate(dem_jax.load_scene("quick-release").replace(common | changes))
 
 
 def borne(run, group):

@@ -180,5 +180,5 @@ def test_only_where_it_pays():
     assert not joined.is_worthwhile(system.replace(neighbours="cells"), joined.AT_ONCE)
     with jax.enable_x64(True):
         many = {"portion.count": joined.MOST_PIECES + 1, "portion.scale_factor": 0.5}
-        heap = prepare(load_scene("weigh-bucket", many), (0,), None).system
+        heap = prepare(load_scene("quick-release", many), (0,), None).system
     assert not joined.is_worthwhile(heap, joined.AT_ONCE)

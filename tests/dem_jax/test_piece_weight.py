@@ -31,7 +31,7 @@ def test_a_piece_weighs_what_is_said_whatever_its_shape():
 
 
 def test_a_portion_has_as_many_pieces_as_their_weight_makes():
-    scene = load_scene("weigh-bucket").replace(portion=NUGGET | {"target_weight": 0.1})
+    scene = load_scene("quick-release").replace(portion=NUGGET | {"target_weight": 0.1})
     assert len(goods_of(scene).shapes) == 6
     assert portion_said(scene) == "100 g asked, 6 pieces = 108 g (18 g each)"
     assert piece_mass(scene.to_toml()) == 0.018
@@ -41,7 +41,7 @@ def test_a_portion_has_as_many_pieces_as_their_weight_makes():
 
 
 def test_sizes_that_spread_keep_the_density():
-    scene = load_scene("weigh-bucket").replace(portion=NUGGET | {"count": 20, "size_spread": 0.2})
+    scene = load_scene("quick-release").replace(portion=NUGGET | {"count": 20, "size_spread": 0.2})
     goods, mass = goods_of(scene), np.asarray(build.build(scene).system.pieces.mass)
     volume = np.array([shape.volume for shape in goods.shapes])
     np.testing.assert_allclose(mass / volume, 0.018 / (1.1**3 * 24e-6), rtol=1e-5)
@@ -66,7 +66,7 @@ def test_pieces_of_one_shape_and_two_weights_differ():
 )
 def test_weight_and_density_are_one_of_the_two(changes, message):
     with pytest.raises(SceneError, match=message):
-        load_scene("weigh-bucket").replace(portion=NUGGET).replace(changes)
+        load_scene("quick-release").replace(portion=NUGGET).replace(changes)
 
 
 def test_the_weight_takes_the_place_of_the_density_of_what_a_scene_is_based_on(tmp_path):

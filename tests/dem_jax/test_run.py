@@ -44,7 +44,7 @@ def settling(**changes):
         "run.precision": "f64",
         "run.frames": 3e-4,
     }
-    return dem_jax.load_scene("weigh-bucket", base | changes)
+    return dem_jax.load_scene("quick-release", base | changes)
 
 
 def series(result):

@@ -53,7 +53,7 @@ def test_a_scene_comes_back_exactly(scene):
     assert scene.replace() == scene
 
 
-@pytest.mark.parametrize("stock", ["plate-drop", "weigh-bucket", "weighing-station"])
+@pytest.mark.parametrize("stock", ["plate-drop", "weigh-bucket", "quick-release", "weighing-station"])
 def test_stock_scenes_come_back_exactly(stock):
     scene = load_scene(stock)
     assert parse(scene.to_toml()) == scene == parse(described(scene))

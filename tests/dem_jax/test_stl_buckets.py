@@ -58,7 +58,8 @@ def test_a_bucket_of_stl_files_is_that_of_its_sizes(parts, files):
     """Panels, hinges, block and the room in which pieces begin, over the weigh bucket at the height of the drop."""
     walls, left, right, _ = files
     own = placed(stl=walls, flap_stl=(left, right), opening_angle_deg=65.0)
-    scene = load_scene("weigh-bucket").replace(weigh_bucket=own | {"opening_angle_deg": 0.0}, feed_bucket=own, drop={"height": 0.3})
+    shut = own | {"opening_angle_deg": 0.0}
+    scene = load_scene("quick-release").replace(weigh_bucket=shut, feed_bucket=own, drop={"height": 0.3})
     panels, motions, joint, blocks, regions = walls_of(scene)
     found = [p for p in panels if p[0].startswith("wb")]
     assert sorted(group for group, *_ in found) == sorted(group for group, *_ in parts.panels)
@@ -76,7 +77,7 @@ def test_a_bucket_of_stl_files_is_that_of_its_sizes(parts, files):
 
 def test_a_bucket_of_one_file_is_held_shut_and_all_of_it_is_weighed(parts, files):
     cell = {"load_cell": {"mass": 1.2}}
-    scene = load_scene("weigh-bucket").replace(weigh_bucket=placed(stl=files[-1], move=(0.3, -0.2, 0.05)) | cell)
+    scene = load_scene("quick-release").replace(weigh_bucket=placed(stl=files[-1], move=(0.3, -0.2, 0.05)) | cell)
     panels, motions, _, blocks, _ = walls_of(scene)
     own = [p for p in panels if p[0] == "wb_flaps"]
     lifted = [(group, corners + [0, 0, 0.05], t) for group, corners, t in parts.panels]
@@ -90,7 +91,7 @@ def test_a_bucket_of_one_file_is_held_shut_and_all_of_it_is_weighed(parts, files
 def test_what_was_read_goes_with_the_scene(files):
     """A stored scene needs its files no more, and says what they were."""
     walls, left, right, _ = files
-    scene = load_scene("weigh-bucket").replace(feed_bucket=placed(stl=walls, flap_stl=(left, right)))
+    scene = load_scene("quick-release").replace(feed_bucket=placed(stl=walls, flap_stl=(left, right)))
     alone = parse(build.self_contained(scene).to_toml())
     assert alone.feed_bucket.stl is None and "walls.stl: 8 facets, 4 panels" in alone.feed_bucket.note
     assert in_order(walls_of(alone)[0]) == in_order(walls_of(scene)[0])
@@ -140,9 +141,9 @@ def test_a_wall_of_an_stl_is_turned_and_moved(tmp_path):
 )
 def test_a_mistake_is_one_clear_line(changes, said):
     with pytest.raises(SceneError, match=said):
-        walls_of(load_scene("weigh-bucket", changes))
+        walls_of(load_scene("quick-release", changes))
 
 
 def test_a_bucket_in_mm_taken_for_m_is_asked_about(files):
     with pytest.raises(SceneError, match=r"whole\.stl' is .* m large; allowed: unit = 1e-3 if it is in mm"):
-        walls_of(load_scene("weigh-bucket", {"weigh_bucket.stl": files[-1]}))
+        walls_of(load_scene("quick-release", {"weigh_bucket.stl": files[-1]}))

@@ -300,11 +300,11 @@ def test_what_cannot_be_a_study_is_said_in_one_line(changes, said):
 
 
 def test_a_study_is_made_of_another_scene(capsys):
-    main(["study", "piece-count", "--scene", "slow-release", "--no-plot", "--quiet"])
-    found = file.load("piece-count-slow-release.h5")
-    assert found.study.base().feed_bucket == dem_jax.load_scene("slow-release").feed_bucket
+    main(["study", "piece-count", "--scene", "quick-release", "--no-plot", "--quiet"])
+    found = file.load("piece-count-quick-release.h5")
+    assert found.study.base().feed_bucket == dem_jax.load_scene("quick-release").feed_bucket
     with open("flat.toml", "w") as mine:
-        mine.write('base = "slow-release"\n[portion]\npiece_weight = 0.01\n')
+        mine.write('base = "quick-release"\n[portion]\npiece_weight = 0.01\n')
     main(["study", "piece-count", "--scene", "flat.toml", "--no-plot", "--quiet"])
     assert file.load("piece-count-flat.h5").study.base().portion.piece_weight == 0.01
     assert main(["study", "piece-count", "--scene", "nowhere", "--quiet"]) == 2

@@ -31,7 +31,7 @@ def portion(**changes):
         "material.softening": 1e-3, "drop.height": 0.15, "feed_bucket.mouth": [0.1, 0.06],
         "run.duration": 0.6, "run.sample": 1e-4, "run.precision": "f64", "run.until_settled": True, "name": "portion",
     }  # fmt: skip
-    return dem_jax.load_scene("weigh-bucket", base | changes)
+    return dem_jax.load_scene("quick-release", base | changes)
 
 
 def series(result):
