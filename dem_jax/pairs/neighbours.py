@@ -7,7 +7,7 @@ measures whether two bodies may have approached each other by more. More candida
 the host grows the capacity and runs the chunk again.
 """
 
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -34,56 +34,47 @@ SOURCES = {
 }
 
 
+class Search(NamedTuple):
+    """What a rebuild goes by."""
+
+    stacked: Array  # [rows, M + W], bodies.stack
+    reach: Array  # [R] (m): how far apart candidates may be
+    is_first: Array  # bool: nothing was found before
+
+
+class Found(NamedTuple):
+    """What a rebuild found of a kind of contact."""
+
+    table: ContactTable
+    slots: Slots
+    filled: Array  # int32: slots that are
+    needed: Array  # [2] int32, see Guard
+    near: tuple[Near, Facing] | None  # of polytopes that keep their near features
+
+
 def rebuild(system: System, state: State, panels: boundary.Panels | None = None) -> State:
     """Find the candidate pairs anew and carry the history of those that remain. panels: where they are now, if known."""
     if panels is None:
         panels = boundary.carried(system, state, boundary.at_rebuild(system, state.step))
     stacked = bodies.stack(system, state, jnp.zeros_like(state.velocity), panels)
     lead = _interval(system) * _pace(system, state, panels)
-    reach = system.skin + system.reach + lead
-    guard = state.guard
-    first_time = guard.start_overlap < 0
-    tables: dict[str, ContactTable] = {}
-    slots: dict[str, Slots] = {}
-    near: dict[str, Near] = {}
-    facing: dict[str, Facing] = {}
-    needed: dict[str, Array] = {}
-    filled: dict[str, Array] = {}
-    column = 0
-    for kind, candidates, room in system.capacity:
-        close, one, other = [], [], []
-        missed: Array | int = 0
-        for source in SOURCES[kind]:
-            first, second, need = search.of_source(system, source, stacked, reach, candidates)
-            guard, missed = search.noted(guard, need), missed + need.missed
-            close.append(within_bounds(system, stacked, source, first, second, reach))
-            one.append(first)
-            other.append(second)
-        number, a, b = compact(jnp.concatenate(close), jnp.concatenate(one), jnp.concatenate(other), candidates)
-        overlap, relative = _depths(system, kind, a, b, number, stacked)
-        keeps = kind == "hulls" and is_kept(system)  # then what overlaps is known after the first look
-        guard = guard if keeps else _note_overlap(guard, first_time, relative, a, b)
-        touching, a, b = in_order(overlap, of_run.at(system, reach, jnp.maximum(b, 0)), a, b, room)
-        filled[kind] = jnp.minimum(touching, room)
-        needed[kind] = jnp.maximum(guard.needed[kind], _of_fullest_run(system, number + missed, touching, b))
-        old = state.contacts[kind]
-        slots[kind] = constants(system, kind, a, b)
-        slot, known = former_slots(system, old, a, b, state.incidence, column)
-        tables[kind] = ContactTable(a, b, carried(old.memory, no_memory(system, slots[kind]), slot, known))
-        if keeps:
-            none = empty_near(system, a.shape[0])
-            before = (state.scratch.near[kind], state.scratch.facing[kind]) if state.scratch else none
-            near[kind], facing[kind] = carried(before, none, slot, known)
-        column += 2 * old.a.shape[0]
+    by = Search(stacked, system.skin + system.reach + lead, state.guard.start_overlap < 0)
+    guard, column = state.guard, 0
+    found: dict[str, Found] = {}
+    for kind, *_ in system.capacity:
+        guard, found[kind] = _found(system, state, guard, by, kind, column)
+        column += 2 * state.contacts[kind].a.shape[0]
+    tables = {kind: one.table for kind, one in found.items()}
     incidence, touching = find_incidence(system, tables)
     guard = guard.replace(
-        needed=needed,
+        needed={kind: one.needed for kind, one in found.items()},
         touching=jnp.maximum(guard.touching, touching),
         start_overlap=jnp.maximum(guard.start_overlap, 0),
     )
     walled, most_walled = find_walled(system, tables)
+    filled = {kind: one.filled for kind, one in found.items()}
     scratch = Scratch(
-        slots=slots,
+        slots={kind: one.slots for kind, one in found.items()},
         filled=filled,
         busiest=jnp.minimum(touching, system.touching),
         walled=walled,
@@ -93,13 +84,40 @@ def rebuild(system: System, state: State, panels: boundary.Panels | None = None)
         way=jnp.zeros_like(lead),
         rate=jnp.zeros_like(lead),
         lead=lead,
-        near=near,
-        facing=facing,
-        is_first=first_time,
+        near={kind: one.near[0] for kind, one in found.items() if one.near},
+        facing={kind: one.near[1] for kind, one in found.items() if one.near},
+        is_first=by.is_first,
         spare=jnp.where(filled.get("hulls", 0) > 0, -1, jnp.inf).astype(system.dt.dtype),
         looked=jnp.full_like(state.step, -1),
     )
     return state.replace(contacts=tables, incidence=incidence, guard=guard, scratch=scratch)
+
+
+def _found(system: System, state: State, guard: Guard, by: Search, kind: str, column: int) -> tuple[Guard, Found]:
+    """The contacts of a kind; column: of ``Scratch.loads``, where the kind began."""
+    candidates, room = next(rooms for name, *rooms in system.capacity if name == kind)
+    close, one, other = [], [], []
+    missed: Array | int = 0
+    for source in SOURCES[kind]:
+        first, second, need = search.of_source(system, source, by.stacked, by.reach, candidates)
+        guard, missed = search.noted(guard, need), missed + need.missed
+        close.append(within_bounds(system, by.stacked, source, first, second, by.reach))
+        one.append(first)
+        other.append(second)
+    number, a, b = compact(jnp.concatenate(close), jnp.concatenate(one), jnp.concatenate(other), candidates)
+    overlap, relative = _depths(system, kind, a, b, number, by.stacked)
+    keeps = kind == "hulls" and is_kept(system)  # then what overlaps is known after the first look
+    guard = guard if keeps else _note_overlap(guard, by.is_first, relative, a, b)
+    touching, a, b = in_order(overlap, of_run.at(system, by.reach, jnp.maximum(b, 0)), a, b, room)
+    needed = jnp.maximum(guard.needed[kind], _of_fullest_run(system, number + missed, touching, b))
+    old, slots = state.contacts[kind], constants(system, kind, a, b)
+    slot, known = former_slots(system, old, a, b, state.incidence, column)
+    table = ContactTable(a, b, carried(old.memory, no_memory(system, slots), slot, known))
+    near = None
+    if keeps:
+        none = empty_near(system, a.shape[0])
+        near = carried((state.scratch.near[kind], state.scratch.facing[kind]) if state.scratch else none, none, slot, known)
+    return guard, Found(table, slots, jnp.minimum(touching, room), needed, near)
 
 
 def _of_fullest_run(system: System, near: Array, touching: Array, b: Array) -> Array:
