@@ -7,7 +7,7 @@ import dem_jax
 from dem_jax.scene import parse
 
 PIECE = 5.832e-3  # kg
-HEIGHT = {"weigh-bucket": 0.29, "quick-release": 0.25}  # m
+HEIGHT = {"weigh-bucket": 0.31, "quick-release": 0.25}  # m
 
 
 @pytest.fixture(scope="module", params=HEIGHT)
