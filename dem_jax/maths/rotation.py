@@ -100,7 +100,7 @@ def free_rotation(q: Quaternion, momentum: Vector, inertia: Vector, dt: Array | 
     turn: Quaternion = (none + 1, none, none, none)
     for axis, part in ((0, 0.5), (1, 0.5), (2, 1.0), (1, 0.5), (0, 0.5)):
         turn, p = _turn(turn, p, axis, part * dt * p[axis] / inertia[axis])
-    change = multiply(q, _less_identity((turn[1], turn[2], turn[3])))
+    change = multiply(q, _less_identity(vector.kept(turn[1], turn[2], turn[3])))
     after = tuple(x + d for x, d in zip(q, change, strict=True))
     end = angular_velocity((after[0], after[1], after[2], after[3]), momentum, inertia)
     return change, vector.scale(0.5, vector.add(start, end))
