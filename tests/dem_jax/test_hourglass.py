@@ -22,7 +22,7 @@ def borne(run, group):
 
 
 def test_a_piece_that_stays_wedged_is_borne_by_the_feed_bucket():
-    run = drop(**{"feed_bucket.opening_angle_deg": 20.0, "feed_bucket.open_dwell": 1.0})
+    run = drop(**{"feed_bucket.opening_angle_deg": 12.0, "feed_bucket.open_dwell": 1.0})
     feed, weigh = (sum(borne(run, f"{name}_{part}") for part in ("walls", "flaps")) for name in ("fb", "wb"))
     left = round(feed / PIECE)
     assert 1 <= left <= 8
