@@ -356,7 +356,7 @@ class Motion(Tree):
     position: Array  # [3, N] (m): centres of mass
     position_rest: Array  # [3, N] (m): what rounding left over of the position (zero in double precision)
     orientation: Array  # [4, N]: unit quaternion w x y z, principal frame to world
-    orientation_rest: Array  # [4, N]: what rounding left over of the orientation
+    orientation_rest: Array  # [4, N]: what rounding left over of the orientation (zero in double precision)
     velocity: Array  # [3, N] (m/s)
     velocity_rest: Array  # [3, N] (m/s): what rounding left over of the velocity
     angular_momentum: Array  # [3, N] (kg m2/s), world frame

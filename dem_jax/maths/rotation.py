@@ -91,11 +91,12 @@ def free_rotation(q: Quaternion, momentum: Vector, inertia: Vector, dt: Array | 
     product is symmetric and symplectic, so that the energy error stays bounded. The momentum in space is not touched at all.
 
     q: unit quaternion, momentum: world-frame angular momentum (kg m2/s), inertia: three principal
-    moments (kg m2), dt (s). Returns by how much the quaternion changes, to the last place of the change (see ``turned``), and
-    the angular velocity of the interval (rad/s, world frame; the mean of its ends).
+    moments (kg m2), dt (s). Returns by how much the quaternion changes, to the last place of the change (``step.integrate``
+    adds it up), and the angular velocity of the interval (rad/s, world frame; the mean of its ends).
     """
-    p = vector.rotate_back(matrix(q), momentum)
-    start = vector.rotate(matrix(q), _over(p, inertia))
+    before = matrix(q)
+    p = vector.rotate_back(before, momentum)
+    start = vector.rotate(before, _over(p, inertia))
     none = jnp.zeros_like(p[0])
     turn: Quaternion = (none + 1, none, none, none)
     for axis, part in ((0, 0.5), (1, 0.5), (2, 1.0), (1, 0.5), (0, 0.5)):

@@ -7,6 +7,7 @@ measures whether two bodies may have approached each other by more. More candida
 the host grows the capacity and runs the chunk again.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple, TypeVar
 
 import jax
@@ -61,8 +62,8 @@ def rebuild(system: System, state: State, panels: boundary.Panels | None = None)
     by = Search(stacked, system.skin + system.reach + lead, state.guard.start_overlap < 0)
     guard, column = state.guard, 0
     found: dict[str, Found] = {}
-    for kind, *_ in system.capacity:
-        guard, found[kind] = _found(system, state, guard, by, kind, column)
+    for kind, *rooms in system.capacity:
+        guard, found[kind] = _found(system, state, guard, by, kind, rooms, column)
         column += 2 * state.contacts[kind].a.shape[0]
     tables = {kind: one.table for kind, one in found.items()}
     incidence, touching = find_incidence(system, tables)
@@ -93,9 +94,11 @@ def rebuild(system: System, state: State, panels: boundary.Panels | None = None)
     return state.replace(contacts=tables, incidence=incidence, guard=guard, scratch=scratch)
 
 
-def _found(system: System, state: State, guard: Guard, by: Search, kind: str, column: int) -> tuple[Guard, Found]:
-    """The contacts of a kind; column: of ``Scratch.loads``, where the kind began."""
-    candidates, room = next(rooms for name, *rooms in system.capacity if name == kind)
+def _found(
+    system: System, state: State, guard: Guard, by: Search, kind: str, rooms: Sequence[int], column: int
+) -> tuple[Guard, Found]:
+    """The contacts of a kind; rooms: for candidates and for slots; column: of ``Scratch.loads``, where the kind began."""
+    candidates, room = rooms
     close, one, other = [], [], []
     missed: Array | int = 0
     for source in SOURCES[kind]:

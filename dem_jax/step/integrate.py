@@ -65,15 +65,15 @@ def _gravity(system: System, state: State) -> Array:
     return gravity if state.exchange is None else jnp.where(state.exchange.there, gravity, 0)
 
 
-def _add(position: Array, rest: Array, change: Array) -> tuple[Array, Array]:
-    """position + rest + change, and what rounding leaves over (compensated summation; not needed in double precision).
+def _add(value: Array, rest: Array, change: Array) -> tuple[Array, Array]:
+    """value + rest + change, and what rounding leaves over (compensated summation; not needed in double precision).
 
     In single precision a step near rest is smaller than the spacing of numbers at 0.1 m, and the change of velocity by
     gravity in half a step is only 120 spacings at 2 m/s, rounded the same way each time. A stiff piece that turns at 1 rad/s
     changes its quaternion by about 20 spacings.
     """
-    if position.dtype == jnp.float64:
-        return position + change, rest
+    if value.dtype == jnp.float64:
+        return value + change, rest
     change = change + rest
-    moved = position + change
-    return moved, change - (moved - position)
+    changed = value + change
+    return changed, change - (changed - value)

@@ -415,6 +415,15 @@ def test_grown_capacities_are_kept_over_a_restart(tmp_path, monkeypatch):
     assert resumed.info["reruns"] == whole.info["reruns"]
 
 
+def test_a_file_of_before_orientations_were_compensated_goes_on(tmp_path, uninterrupted):
+    """In double precision, where nothing is left over, with the same bits."""
+    out = tmp_path / "run.h5"
+    dem_jax.simulate(settling(**{"run.duration": 150 * 3e-5}), seed=5, out=out)
+    with h5py.File(out, "r+") as file:
+        del file["restart/motion/orientation_rest"], file["restart"].attrs["checksum"]
+    assert_same(dem_jax.load_run(uninterrupted), dem_jax.resume(out, duration=0.02))
+
+
 def test_a_restart_state_that_does_not_fit_is_refused(tmp_path, uninterrupted):
     out = tmp_path / "run.h5"
     out.write_bytes(uninterrupted.read_bytes())

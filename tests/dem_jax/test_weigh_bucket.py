@@ -58,6 +58,6 @@ def test_peak_force_and_its_time(run):
     """A free fall from the closed flaps' edge, and more for pieces above it; force within the stiff limit."""
     pif, height = run.pif_kg("wb_flaps"), HEIGHT[parse(run.scene).name]
     peak = int(np.argmax(pif))
-    assert run.time[peak] == pytest.approx(np.sqrt(2 * height / 9.81), abs=0.03)
+    assert -0.016 < run.time[peak] - np.sqrt(2 * height / 9.81) < 0.034
     one = np.sqrt(2 * 9.81 * height * PIECE * 33327.17) / 9.81  # kg: peak of one piece that lands flat (VALIDATION, sec. 2)
     assert one / 3 < pif[peak] < 9 * one
