@@ -24,6 +24,7 @@ from dem_jax.types import Array, Hulls
 # of the depth, because an edge-edge axis nearly parallel to a face's flickers. The depth stays the exact minimum.
 FURTHEST = 1.1  # of the square of a bounding radius: beyond, a contact point is an error
 FACE_PREFERENCE = 0.02
+STEEP = 0.1  # cosine of the angle of a face to the contact normal, beyond which depth below it is no longer measured along that
 
 # Beyond a seam the wall goes on, so that nothing is pushed across it: the overlap along an axis that points so is raised
 # by this many bounding radii of the piece times the sine of the angle at which it does.
@@ -35,6 +36,7 @@ AT_ONCE = 8  # rows of which an extreme is found in one go
 
 Separation = tuple[Array, Vector, Array]  # what ``separating_axes`` says
 Axes = tuple[Vector, Vector, Vector, Vector]  # normals of a's and of b's faces, directions of a's and of b's edges, in a's frame
+Facing = tuple[Array, Array, Vector]  # see _facing
 Integrals = tuple[Array, Array, Array, Array]  # of depth (m2), and of depth times position, x, y, z (m3)
 
 
@@ -180,10 +182,12 @@ def pressure_centre(a: Hulls, b: Hulls, rel: Relative, depth: Array, normal: Vec
     depth: [P] (m), the overlap along the normal.
 
     The edges of the face of each body that looks most along the normal are clipped by the other body; over what
-    remains inside, the depth below the other's surface along the normal is linear, and its line integral is closed.
+    remains inside, the depth along the normal below the other's face is linear, and its line integral is closed. It ends at
+    nothing where an edge leaves through that face: where two faces are not quite parallel, an edge along their common line
+    would else have its whole depth on one side and none on the other, and a piece that rests there would rock for ever.
     """
     on_b = vector.scale(-1, vector.rotate_back(rel.rotation, normal))
-    top, (weight, x, y, z) = _zonogons(a, b, rel, depth, normal, _facing(a, normal), _facing(b, on_b))
+    top, (weight, x, y, z) = _zonogons(a, b, rel, normal, _facing(a, normal), _facing(b, on_b))
     scale = 1 / jnp.where(weight > 0, weight, 1)
     point = vector.where(weight > 0, vector.scale(scale, (x, y, z)), vector.scale(top - 0.5 * depth, normal))
     return near_b(point, b.bounding_radius, rel, top - 0.5 * depth, normal), weight
@@ -200,14 +204,12 @@ def near_b(point: Vector, radius: Array, rel: Relative, surface: Array, normal: 
     return vector.where(dot(away, away) > FURTHEST * radius * radius, below, point)
 
 
-def _zonogons(
-    a: Hulls, b: Hulls, rel: Relative, depth: Array, normal: Vector, facing_a: tuple[Array, Array], facing_b: tuple[Array, Array]
-) -> tuple[Array, Integrals]:
+def _zonogons(a: Hulls, b: Hulls, rel: Relative, normal: Vector, facing_a: Facing, facing_b: Facing) -> tuple[Array, Integrals]:
     """Of the facing faces (``_facing``): a's extent along the normal [P] (m), and the line integrals of depth
     and of depth times position over all edges, four arrays [P]. Half of the edges say all, which halves the work."""
     assert a.loops is not None and b.loops is not None
-    turn, n = vector.expand_matrix(rel.rotation, 0), expand(normal, 0)
-    (face_a, side_a), (face_b, side_b) = facing_a, facing_b
+    turn = vector.expand_matrix(rel.rotation, 0)
+    (face_a, side_a, up_a), (face_b, side_b, up_b) = facing_a, facing_b
     centre_a, edges_a = _centred(a.loops, face_a)
     centre_b, edges_b = _centred(b.loops, face_b)
     centre_b = vector.add(vector.rotate(rel.rotation, centre_b), rel.offset)
@@ -215,15 +217,18 @@ def _zonogons(
     half = a.normals[0].shape[0] // 2, b.normals[0].shape[0] // 2
     slabs_a = vector.at(a.normals, slice(half[0])), a.offsets[: half[0]]
     slabs_b = kept(*vector.rotate(turn, vector.at(b.normals, slice(half[1])))), b.offsets[: half[1]]
-    rise_a, rise_b = kept(dot(n, edges_a), dot(n, edges_b))
-    height_a, height_b = dot(normal, centre_a), dot(normal, centre_b)
-    top = kept(height_a + 0.5 * jnp.sum(jnp.abs(rise_a), axis=0))
+    top = kept(dot(normal, centre_a) + 0.5 * jnp.sum(jnp.abs(dot(expand(normal, 0), edges_a)), axis=0))
+    below_a = kept(*_deepening(up_a, normal))
+    below_b = kept(*_deepening(vector.rotate(rel.rotation, up_b), vector.scale(-1, normal)))
+    way = vector.sub(centre_a, centre_b)
+    deep_a, rise_a = kept(dot(below_b, way), dot(expand(below_b, 0), edges_a))
+    deep_b, rise_b = kept(-dot(below_a, way), dot(expand(below_a, 0), edges_b))
     is_open = None if a.open_edges is None else a.open_edges.at[:, face_a].get(mode="promise_in_bounds")
     open_a = _without_back(slabs_a[1], side_a, b.bounding_radius)
     open_b = _without_back(slabs_b[1], side_b, a.bounding_radius)
     from_b = vector.sub(centre_a, rel.offset)
-    inside = _clipped_zonogon(from_b, edges_a, slabs_b[0], open_b, height_a - (top - depth), rise_a, is_open)
-    other = _clipped_zonogon(centre_b, edges_b, slabs_a[0], open_a, top - height_b, -rise_b, None)
+    inside = _clipped_zonogon(from_b, edges_a, slabs_b[0], open_b, deep_a, rise_a, is_open)
+    other = _clipped_zonogon(centre_b, edges_b, slabs_a[0], open_a, deep_b, rise_b, None)
     weight = inside[0] + other[0]
     about = vector.add(vector.scale(inside[0], centre_a), vector.scale(other[0], centre_b))
     return top, (weight, *vector.add(about, vector.add(inside[1:], other[1:])))
@@ -239,15 +244,24 @@ def _without_back(offsets: Array, side: Array, other: Array) -> tuple[Array, Arr
     return -side * more, offsets + more
 
 
-def _facing(hull: Hulls, normal: Vector) -> tuple[Array, Array]:
-    """The face of a zonotope whose outward normal lies most along a direction given in the hull's frame: its column [P], and
-    for each slab on which side of it that face is, [m, P]: 1 or -1, else 0."""
+def _deepening(up: Vector, normal: Vector) -> Vector:
+    """By how much depth along a normal below a face grows with each way inwards, [..] x 3: the product with a way from the face.
+
+    up: the face's outward normal; normal: out of its body too. Faces that look across more than STEEP are taken for less steep.
+    """
+    return vector.scale(-1 / jnp.maximum(dot(up, normal), STEEP), up)
+
+
+def _facing(hull: Hulls, normal: Vector) -> Facing:
+    """The face of a zonotope whose outward normal lies most along a direction given in the hull's frame: its column [P], for each
+    slab on which side of it that face is, [m, P]: 1 or -1, else 0, and that normal."""
     assert hull.loops is not None
     along = dot(hull.normals, expand(normal, 0))
     most = along == jnp.max(along, axis=0)[None]
     half = most.shape[0] // 2
     side = most[:half].astype(along.dtype) - most[half:].astype(along.dtype)
-    return _first_where(most) * (hull.loops.shape[1] // hull.normals[0].shape[0]) + hull.row, side
+    face = _first_where(most)
+    return face * (hull.loops.shape[1] // hull.normals[0].shape[0]) + hull.row, side, _select(hull.normals, face)
 
 
 def _vectors(loops: Array, column: Array) -> Vector:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from dem_jax.contact.collide import FACE_PREFERENCE, Relative, clipped, crossings, entry, near_b
+from dem_jax.contact.collide import FACE_PREFERENCE, STEEP, Relative, clipped, crossings, entry, near_b
 from dem_jax.contact.edges import couples
 from dem_jax.contact.look import facing, look, outward
 from dem_jax.maths import vector
@@ -109,9 +109,7 @@ def moved(near: Near, radius: Array, rel: Relative) -> Array:
     return way + radius * vector.safe_sqrt(0.5 * turned)
 
 
-def faced(
-    hulls: Hulls, before: Facing, rows: tuple[Array, Array], normal: Vector, touching: Array, rel: Relative
-) -> Facing:
+def faced(hulls: Hulls, before: Facing, rows: tuple[Array, Array], normal: Vector, touching: Array, rel: Relative) -> Facing:
     """Faces that can look most along the normals of the touching of pairs [P]; all anew where one of them is uncertain."""
     features = hulls.features
     assert features is not None
@@ -139,27 +137,27 @@ def every_plane(hulls: Hulls, rows: Rows) -> Planes:
     return Planes(hulls.features.own_planes[..., jnp.stack(rows[::-1])], False)
 
 
-def pressure_centre(
-    hulls: Hulls, rows: Rows, faces: Array, planes: Planes, rel: Relative, found: Axes
-) -> tuple[Vector, Array]:
+def pressure_centre(hulls: Hulls, rows: Rows, faces: Array, planes: Planes, rel: Relative, found: Axes) -> tuple[Vector, Array]:
     """Centroid of the overlap weighted by depth, [P] x 3 (m), in a's frame, and its weight [P] (m2); of pairs [P].
 
     rows: of both, [P] int32; faces: of both, [2, P] int32; planes: that clip; found: depth along the normal.
 
     The edges of the face of each body that looks most along the normal are clipped by the other body; over what
-    remains inside, the depth below the other's surface along the normal is linear, and its line integral is closed. Both
-    bodies in one, [.., 2, P]: what is clipped twice would be compiled twice.
+    remains inside, the depth along the normal below the other's face is linear, and its line integral is closed
+    (``collide.pressure_centre`` says why below the face). Both bodies in one, [.., 2, P]: what is clipped twice would be
+    compiled twice.
     """
     assert hulls.loops is not None and hulls.features is not None
-    turn, d, n = vector.expand_matrix(rel.rotation, 0), expand(rel.offset, 0), expand(found.normal, 0)
+    turn, d = vector.expand_matrix(rel.rotation, 0), expand(rel.offset, 0)
     column = faces * hulls.row.shape[0] + jnp.stack(rows)
     own_a, own_b = (_vectors(hulls.loops, at) for at in column)
     a_in_b = vector.rotate_back(turn, vector.sub(own_a, d))
     b_in_a = kept(*vector.add(vector.rotate(turn, own_b), d))
     seen, corners = _sides(a_in_b, b_in_a), _sides(own_a, b_in_a)  # where the other has its planes; in a's frame
-    below_b, below_a = dot(n, own_a) - (found.top - found.along)[None], found.top[None] - dot(n, b_in_a)
-    depth = kept(jnp.stack([below_b, below_a], axis=1))
-    front = unpack(hulls.features.own_planes[:3, faces[::-1], jnp.stack(rows[::-1])])
+    plane = hulls.features.own_planes[:, faces[::-1], jnp.stack(rows[::-1])]  # of the other's face, in its frame
+    front, n = unpack(plane), found.normal
+    steep = -dot(vector.at(front, 0), vector.rotate_back(rel.rotation, n)), dot(vector.at(front, 1), n)
+    depth = kept((plane[3][None] - dot(expand(front, 0), seen)) / jnp.maximum(jnp.stack(steep), STEEP)[None])
     parts: tuple[Array, ...] = clipped(*_inside(hulls, rows, seen, planes, front), corners, depth)
     if hulls.open_edges is not None:  # an edge in the middle of a wall, or of a body of parts, is no edge of the overlap
         is_open = hulls.open_edges.at[:, column].get(mode="promise_in_bounds")

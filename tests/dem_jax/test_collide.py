@@ -320,6 +320,30 @@ def test_the_contact_point_moves_continuously_as_a_piece_tips_over(tables, kind,
     assert jumps[2] / jumps[1] < 0.6
 
 
+@pytest.mark.parametrize("kind, ia, ib", [("zonotopes", 0, 1), ("zonotopes", 1, 0), ("polytopes", 0, 1), ("polytopes", 3, 1)])
+@pytest.mark.parametrize("tilt", [0.01, 0.1])
+def test_the_contact_point_does_not_jump_where_an_edge_leaves_through_the_other_bodys_face(tables, kind, ia, ib, tilt):
+    """A tilted face on a face, its normal the contact's: an edge of it that runs along the common line of both leaves all of it
+    at once. It has no depth there. With the depth below the other body's topmost corner instead it jumps by millimetres."""
+    steps = 257
+    under, over = principal(POLYTOPES[ia]), principal(POLYTOPES[ib])
+    top, bottom = under[:, 2].max(), over[:, 2].min()
+    rim, wide = (v[np.isclose(v[:, 2], z)][:, 1].max() for v, z in ((under, top), (over, bottom)))
+    rb = about("x", -tilt, steps)
+    edge = rb[0].apply((0, -wide, bottom))  # the higher one of the tilted face, over a's top; the lower one is beyond a's rim
+    jumps = []
+    for way in (1e-7, 1e-8):
+        place = np.tile((0, rim - 1.2 * wide, top) - edge, (steps, 1))
+        height = np.linspace(way, -way, steps)
+        place[:, 2] += height
+        depth, normal, point = contact(tables[kind], ia, ib, (Rotation.identity(steps), np.zeros_like(place)), (rb, place))
+        np.testing.assert_allclose(depth, 1.2 * wide * np.sin(tilt) - height * np.cos(tilt), atol=ROUNDING)
+        np.testing.assert_allclose(normal, rb.apply((0, 0, 1)), atol=1e-12)
+        jumps.append(np.linalg.norm(np.diff(point, axis=0), axis=1).max())
+    assert jumps[0] < 1e-6
+    assert jumps[1] < 0.2 * jumps[0]
+
+
 def test_what_the_contact_point_jumps_by_when_another_face_looks_most_along_the_normal(tables):
     """Halfway between two faces, where only their common edge or corner touches: the parts of the other edges that
     reach into the panel belong to one face or to the other."""
