@@ -98,8 +98,37 @@ def test_whether_jax_is_in_use_is_known_and_changes_nothing():
 def test_every_option_is_known_to_the_compiler():
     """To those of all versions that are supported: one that a new version lacks shows here."""
     assert compiling.known("cpu") == compiling.OPTIONS["cpu"]
+    assert compiling.known("cpu", light=True) == compiling.OPTIONS["cpu"] | compiling.LIGHT["cpu"]
     compiled = compiling.jit(lambda x: x + 1, "cpu")
     assert float(compiled(jnp.ones(()))) == 2.0
+
+
+@pytest.mark.parametrize(
+    "name, changes, light",
+    [
+        ("plate-drop", {}, True),
+        ("weigh-bucket", {}, True),
+        ("weigh-bucket", {"portion.scale_factor": 0.3}, False),
+        ("weigh-bucket", {"product": "hazelnut"}, False),
+    ],
+)
+def test_single_runs_of_few_slots_without_general_hulls_are_compiled_lightly(name, changes, light):
+    """Their steps are as fast so, and the others slower."""
+    built = build.build(load_scene(name).replace({"run.precision": "f32"} | changes))
+    assert programs.is_light(built.system) is light
+
+
+def test_lightly_compiled_steps_have_the_same_bits(monkeypatch):
+    scene = load_scene("plate-drop")
+    runs = []
+    for slots in (programs.LIGHT_SLOTS, 0):
+        monkeypatch.setattr(programs, "LIGHT_SLOTS", slots)
+        monkeypatch.setattr(programs, "KEPT", {})
+        runs.append(simulate(scene))
+    one, other = runs
+    assert one.force["plate"].any()
+    for name in one.force:
+        np.testing.assert_array_equal(one.force[name], other.force[name])
 
 
 def test_options_that_the_compiler_does_not_have_are_not_asked_for(monkeypatch):
