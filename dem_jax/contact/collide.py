@@ -22,9 +22,9 @@ from dem_jax.types import Array, Hulls
 
 # Normals: a face's normal is taken instead of an edge-edge axis whose overlap is smaller by less than this part
 # of the depth, because an edge-edge axis nearly parallel to a face's flickers. The depth stays the exact minimum.
-FURTHEST = 1.1  # of the square of a bounding radius: beyond, a contact point is an error
 FACE_PREFERENCE = 0.02
-STEEP = 0.1  # cosine of the angle of a face to the contact normal, beyond which depth below it is no longer measured along that
+FURTHEST = 1.1  # of the square of a bounding radius: beyond, a contact point is an error
+STEEP = 0.1  # least cosine of the angle of a face to the contact normal along which depth below it is measured
 
 # Beyond a seam the wall goes on, so that nothing is pushed across it: the overlap along an axis that points so is raised
 # by this many bounding radii of the piece times the sine of the angle at which it does.
@@ -244,12 +244,17 @@ def _without_back(offsets: Array, side: Array, other: Array) -> tuple[Array, Arr
     return -side * more, offsets + more
 
 
-def _deepening(up: Vector, normal: Vector) -> Vector:
-    """By how much depth along a normal below a face grows with each way inwards, [..] x 3: the product with a way from the face.
+def steepness(up: Vector, normal: Vector) -> Array:
+    """Height above a face over depth along a normal below it, [..]: its cosine, at least STEEP.
 
-    up: the face's outward normal; normal: out of its body too. Faces that look across more than STEEP are taken for less steep.
+    up: [..] x 3, the face's outward normal; normal: [..] x 3, out of its body too.
     """
-    return vector.scale(-1 / jnp.maximum(dot(up, normal), STEEP), up)
+    return jnp.maximum(dot(up, normal), STEEP)
+
+
+def _deepening(up: Vector, normal: Vector) -> Vector:
+    """What a way from a face is multiplied by for the depth along a normal below it, [..] x 3; as in ``steepness``."""
+    return vector.scale(-1 / steepness(up, normal), up)
 
 
 def _facing(hull: Hulls, normal: Vector) -> Facing:

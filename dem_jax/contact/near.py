@@ -9,7 +9,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from dem_jax.contact.collide import FACE_PREFERENCE, STEEP, Relative, clipped, crossings, entry, near_b
+from dem_jax.contact.collide import FACE_PREFERENCE, Relative, clipped, crossings, entry, near_b, steepness
 from dem_jax.contact.edges import couples
 from dem_jax.contact.look import facing, look, outward
 from dem_jax.maths import vector
@@ -156,8 +156,9 @@ def pressure_centre(hulls: Hulls, rows: Rows, faces: Array, planes: Planes, rel:
     seen, corners = _sides(a_in_b, b_in_a), _sides(own_a, b_in_a)  # where the other has its planes; in a's frame
     plane = hulls.features.own_planes[:, faces[::-1], jnp.stack(rows[::-1])]  # of the other's face, in its frame
     front, n = unpack(plane), found.normal
-    steep = -dot(vector.at(front, 0), vector.rotate_back(rel.rotation, n)), dot(vector.at(front, 1), n)
-    depth = kept((plane[3][None] - dot(expand(front, 0), seen)) / jnp.maximum(jnp.stack(steep), STEEP)[None])
+    out_of_b = vector.scale(-1, vector.rotate_back(rel.rotation, n))
+    steep = jnp.stack([steepness(vector.at(front, 0), out_of_b), steepness(vector.at(front, 1), n)])
+    depth = kept((plane[3][None] - dot(expand(front, 0), seen)) / steep[None])
     parts: tuple[Array, ...] = clipped(*_inside(hulls, rows, seen, planes, front), corners, depth)
     if hulls.open_edges is not None:  # an edge in the middle of a wall, or of a body of parts, is no edge of the overlap
         is_open = hulls.open_edges.at[:, column].get(mode="promise_in_bounds")

@@ -31,8 +31,8 @@ def program(chunk: Chunk, run_chunk: RunChunk, mesh: Mesh | None = None) -> Call
         one = partial(_chunk, run_chunk, chunk.frames)
         function = one if mesh is None else _shared_out(one, mesh, chunk)
         with compiling.uncollected():
-            compiled = compiling.jit(function, jax.default_backend(), light=mesh is None and is_light(chunk.system))
-            KEPT[key] = compiled.lower(*arguments).compile()
+            jitted = compiling.jit(function, jax.default_backend(), light=mesh is None and is_light(chunk.system))
+            KEPT[key] = jitted.lower(*arguments).compile()
         chunk.clock.compile += time.perf_counter() - start
     return KEPT[key]
 
