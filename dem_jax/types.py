@@ -427,7 +427,7 @@ class Scratch(Tree):
     near: dict[str, Near]  # by kind of contact, of polytopes with Features; none where each step looks at all features
     facing: dict[str, Facing]  # likewise
     is_first: Array  # bool: whether no overlap of near polytopes was noted in the guard yet
-    spare: Array  # (m): way that any two bodies may still move before it is asked whether a look is due
+    spare: Array | None  # [P] (m): way that each pair of polytopes may still move before it is asked whether a look is due
     looked: Array  # int32: after which step that was the way to go
 
 

@@ -72,6 +72,11 @@ def take(stacked: Array, index: Array) -> Body:
     return _body(stacked, [row.at[index].get(mode="promise_in_bounds") for row in stacked])
 
 
+def every(stacked: Array) -> Body:
+    """All bodies, P = M + W."""
+    return _body(stacked, stacked)
+
+
 def take_at_once(stacked: Array, index: Array) -> Body:
     """``take`` by a single operation, which is compiled sooner: for what is done but once in many steps."""
     return _body(stacked, stacked.at[:, index].get(mode="promise_in_bounds"))

@@ -14,13 +14,16 @@ ROUNDING = 1.01  # of a way
 
 def is_due(state: State) -> Array:
     """Whether a look is: [] bool. (Not of what is no number: the host will see that.)"""
-    return state.scratch.spare < 0
+    assert state.scratch.spare is not None
+    return jnp.min(state.scratch.spare) < 0
 
 
 def gone(system: System, state: State, stacked: Array) -> State:
     """The state after the pieces went the way of a step. stacked: bodies.stack."""
     scratch = state.scratch
-    spare = jnp.where(state.step == scratch.looked, scratch.spare, scratch.spare - system.dt * _pace(system, stacked))
+    way = jnp.where(state.step == scratch.looked, 0, ROUNDING * system.dt)
+    assert scratch.spare is not None
+    spare = scratch.spare - way * _paces(system, scratch.slots[KIND], stacked)
     return state.replace(scratch=scratch.replace(spare=spare))
 
 
@@ -42,19 +45,25 @@ def look(system: System, state: State, rel: Relative, left: Array) -> State:
     known, left = near.renewed(system.hulls, scratch.near[KIND], left, rows, slots.live, rel, reach)
     guard = _with_start(state.guard, scratch.is_first, known, slots)
     no = jnp.zeros_like(scratch.is_first)
-    scratch = scratch.replace(near={KIND: known}, spare=jnp.min(left), is_first=no, looked=state.step)
+    scratch = scratch.replace(near={KIND: known}, spare=left, is_first=no, looked=state.step)
     return state.replace(guard=guard, scratch=scratch)
 
 
-def _pace(system: System, stacked: Array) -> Array:
-    """The most by which the points of any body move in the frame of another near it, (m/s)."""
-    radius = system.parts.bounding_radius
-    largest = jnp.max(radius)
-    of_walls = vector.norm(tuple(system.walls.half_extent))
-    far = vector.kept(jnp.concatenate([radius, of_walls]) + 3 * largest)
-    moving = vector.kept(stacked[3:9])
-    pace = vector.norm(tuple(moving[:3])) + far * vector.norm(tuple(moving[3:]))
-    return 2 * ROUNDING * jnp.max(pace)
+def _paces(system: System, slots: Slots, stacked: Array) -> Array:
+    """The most by which the points of b move in the frame of a, of each pair [P] (m/s).
+
+    That of their centres to each other, and what the turning of each adds: of b to its own points, of a to all that is as
+    far from it as b, which is near.
+    """
+    own = jnp.concatenate([system.parts.bounding_radius, vector.norm(tuple(system.walls.half_extent))])
+    body = bodies.every(stacked)
+    own = own if body.arm is None else own + vector.norm(body.arm)
+    spin = vector.norm(body.spin)
+    far = own + 3 * jnp.max(system.parts.bounding_radius)
+    moving = vector.kept(jnp.stack([*body.velocity, spin * far, spin * own]))
+    take = lambda rows, of: moving.at[rows[:, None], of[None]].get(mode="promise_in_bounds")  # noqa: E731
+    a, b = take(jnp.arange(4), slots.a), take(jnp.asarray([0, 1, 2, 4]), slots.b)
+    return vector.norm(tuple(b[:3] - a[:3])) + a[3] + b[3]
 
 
 def _with_start(guard: Guard, is_first: Array, known: Near, slots: Slots) -> Guard:

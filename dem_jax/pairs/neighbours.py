@@ -88,7 +88,7 @@ def rebuild(system: System, state: State, panels: boundary.Panels | None = None)
         near={kind: one.near[0] for kind, one in found.items() if one.near},
         facing={kind: one.near[1] for kind, one in found.items() if one.near},
         is_first=by.is_first,
-        spare=jnp.where(filled.get("hulls", 0) > 0, -1, jnp.inf).astype(system.dt.dtype),
+        spare=jnp.where(found["hulls"].slots.live, -1, jnp.inf).astype(system.dt.dtype) if "hulls" in found else None,
         looked=jnp.full_like(state.step, -1),
     )
     return state.replace(contacts=tables, incidence=incidence, guard=guard, scratch=scratch)
