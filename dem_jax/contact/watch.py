@@ -1,4 +1,4 @@
-"""When a look at pairs of polytopes is due: how far all bodies may move before it is asked, and how far each pair has moved."""
+"""When a look at pairs of polytopes is due: how far each pair may move before it is asked, and how far it has moved."""
 
 import jax.numpy as jnp
 
