@@ -9,7 +9,9 @@ bound on that way (``Near.margin``), within which the answer of ``near.axes`` is
   the depth by twice the way is none;
 - of the nearest face, the points of both bodies that meet in it are as far apart as they are deep: two edges whose distance
   exceeds the depth by twice the way are none; nor are two whose arcs on the Gauss map are turned too far apart to cross;
-- what of the other body clips the face of a contact has a point in the overlap.
+- what of the other body clips the face of a contact has a point in the overlap;
+- bodies that are apart but within the reach of a law are so by what separates them most, of all features: of these none exceeds
+  their distance, which one of the nearest has for as long as no corner is nearest to an edge or to another corner.
 
 Where there are more such features than there is room for, those nearest to counting are taken and the margin is smaller; where
 none is left, there is a look in every step. Edges are taken in the order of a lower bound of the overlap along their arcs: the
@@ -85,16 +87,20 @@ def look(features: Features, rows: tuple[Array, Array], radius: tuple[Array, Arr
     edges = _near_edges(f, sides, rows, rel, _telling(f, sides, met, chosen))
     depth = jnp.minimum(jnp.minimum(of_a, of_b), jnp.min(edges.overlap, axis=0))
     swing = 1 + (vector.norm(rel.offset) + radius[0]) / radius[1]  # of a's points about b's centre, where b turns
-    pairs_of_edges, margin = _margin_of_edges(f, sides, met, edges, depth, radius[1], swing)
+    apart = jnp.minimum(jnp.min(edges.distance, axis=0), jnp.minimum(*_split(_from_faces(f, sides, met))))
+    gap = jnp.where(depth > 0, depth, apart)  # of separated ones how far apart they are at most
+    pairs_of_edges, margin = _margin_of_edges(edges, depth, gap, radius[1], swing)
     margin = jnp.minimum(margin, _margin_of_faces(chosen, edges, depth, radius, swing))
 
     clipping, free = _clipping_along(f, sides, met, rel)
-    free = free - (0 if reach is None else reach)
+    far = 0 if reach is None else reach
+    free = free - far
     wide = free < WIDE * radius[1]
     margin = jnp.minimum(margin, jnp.where(wide, jnp.inf, free))
-    margin = jnp.maximum(margin, jnp.maximum(-of_a, -of_b / swing))  # so far a face's axis separates them
-    if reach is not None:  # how far separated ones are apart is known of all features only
-        margin = jnp.minimum(margin, jnp.where(depth > 0, depth, -depth - reach))
+    if reach is not None:  # of what is near but apart, or parts, only where a kept axis tells the distance
+        along_one = _along_kept_axes(f, sides, met, chosen, jnp.where(depth > 0, 0, apart), swing)
+        margin = jnp.minimum(margin, jnp.maximum(along_one, depth))
+    margin = jnp.maximum(margin, jnp.maximum(-of_a - far, (-of_b - far) / swing))  # so far a face's axis parts them
     count, other = edges.of_b.shape[0], _swapped(sides.row)
     edges_a, edges_b = picked(edges.of_a, pairs_of_edges // count), picked(edges.of_b, pairs_of_edges % count)
     return Near(
@@ -151,13 +157,8 @@ def _near_edges(f: Features, sides: _Sides, rows: tuple[Array, Array], rel: Rela
     return _Edges(of_a, of_b, picked(bound, edges), behind, flat(pair.overlap), flat(pair.distance), flat(pair.shortfall))
 
 
-def _margin_of_edges(
-    f: Features, sides: _Sides, met: _Met, edges: _Edges, depth: Array, radius_b: Array, swing: Array
-) -> tuple[Array, Array]:
+def _margin_of_edges(edges: _Edges, depth: Array, gap: Array, radius_b: Array, swing: Array) -> tuple[Array, Array]:
     """The couples of edges that count first, [Kc, P] int32, and the way (m) beyond which another may, [P]."""
-    of_faces = jnp.minimum(*_split(_from_faces(f, sides, met)))
-    apart = jnp.minimum(jnp.min(edges.distance, axis=0), of_faces)
-    gap = jnp.where(depth > 0, depth, apart)  # of separated ones how far apart they are at most
     low_a, low_b = _split(edges.bound)
     low = jnp.maximum(_until(low_a, depth, 1)[:, None], _until(low_b, depth, swing[None])[None]).reshape(edges.distance.shape)
     due = jnp.maximum(jnp.maximum(0.5 * (edges.distance - gap[None]), 0.5 * radius_b[None] * edges.shortfall), low)
@@ -178,6 +179,29 @@ def _margin_of_faces(chosen: _Chosen, edges: _Edges, depth: Array, radius: tuple
 def _until(overlap: Array, depth: Array, rate: Array | int) -> Array:
     """The way (m) until an overlap may become the depth, [K, P]; rate: by which it changes, over that of the depth."""
     return jnp.minimum(overlap, (overlap - depth[None]) / (1 + rate))
+
+
+def _along_kept_axes(f: Features, sides: _Sides, met: _Met, chosen: _Chosen, apart: Array, swing: Array) -> Array:
+    """The way (m) for which bodies that are apart are so along a kept axis by their distance, which no other exceeds, [P]; below 0:
+    they need not be now. apart: (m), their distance at most.
+
+    Nearest are then two edges, or a corner and the face below it: any corner is further than apart, or above its nearest face.
+    """
+    least = jnp.min(met.overlap, axis=0)
+    face = first(met.overlap == least[None])[None]
+    corner = vector.each(lambda c: picked(c, chosen.corners), met.seen)
+    over = kept(dot(expand(unpack(met.planes), 1), expand(corner, 0)) - met.planes[3][:, None])  # [F, Kv, 2 P]
+    nx, ny, nz, offset = (picked(row, face) for row in met.planes)
+    height = kept(dot((nx, ny, nz), corner) - offset)
+    inside = dot(unpack(met.planes), (nx, ny, nz))[:, None] * height[None] - over  # of the foot of each corner, below each plane
+    number = jnp.arange(over.shape[0], dtype=jnp.int32)[:, None]
+    others = (number < f.counts[0, sides.row][None]) & (number != face)
+    inside = jnp.min(jnp.where(others[:, None], inside, jnp.inf), axis=0)
+    nearly = least - jnp.concatenate([jnp.minimum(*_split(least[None]))[0]] * 2)
+    inside = jnp.where(((nearly > 0) & (nearly >= chosen.above))[None], -jnp.inf, inside)  # that face is not kept
+    rate, apart = jnp.concatenate([jnp.ones_like(swing), swing]), jnp.concatenate([apart] * 2)
+    ways = jnp.min(jnp.maximum(inside / rate[None], 0.5 * (jnp.max(over, axis=0) - apart[None])), axis=0)
+    return jnp.minimum(*_split(jnp.minimum(ways, 0.5 * (chosen.above - least - apart))[None]))[0]
 
 
 def _clipping_along(f: Features, sides: _Sides, met: _Met, rel: Relative) -> tuple[Array, Array]:

@@ -6,7 +6,7 @@ from dem_jax.contact import bodies, near
 from dem_jax.contact.collide import Relative
 from dem_jax.contact.geometry import relative, shapes_of
 from dem_jax.maths import vector
-from dem_jax.types import Array, Guard, Near, Slots, State, System
+from dem_jax.types import Array, Guard, Near, Scratch, Slots, State, System
 
 KIND = "hulls"
 ROUNDING = 1.01  # of a way
@@ -23,7 +23,7 @@ def gone(system: System, state: State, stacked: Array) -> State:
     scratch = state.scratch
     way = jnp.where(state.step == scratch.looked, 0, ROUNDING * system.dt)
     assert scratch.spare is not None
-    spare = scratch.spare - way * _paces(system, scratch.slots[KIND], stacked)
+    spare = scratch.spare - way * _paces(system, scratch, stacked)
     return state.replace(scratch=scratch.replace(spare=spare))
 
 
@@ -49,20 +49,20 @@ def look(system: System, state: State, rel: Relative, left: Array) -> State:
     return state.replace(guard=guard, scratch=scratch)
 
 
-def _paces(system: System, slots: Slots, stacked: Array) -> Array:
+def _paces(system: System, scratch: Scratch, stacked: Array) -> Array:
     """The most by which the points of b move in the frame of a, of each pair [P] (m/s).
 
     That of their centres to each other, and what the turning of each adds: of b to its own points, of a to all that is as
-    far from it as b, which is near.
+    far from it as those of b, a piece, are: no pair was or gets further apart until the next rebuild.
     """
     own = jnp.concatenate([system.parts.bounding_radius, vector.norm(tuple(system.walls.half_extent))])
-    body = bodies.every(stacked)
+    body, slots = bodies.every(stacked), scratch.slots[KIND]
     own = own if body.arm is None else own + vector.norm(body.arm)
     spin = vector.norm(body.spin)
-    far = own + 3 * jnp.max(system.parts.bounding_radius)
-    moving = vector.kept(jnp.stack([*body.velocity, spin * far, spin * own]))
-    take = lambda rows, of: moving.at[rows[:, None], of[None]].get(mode="promise_in_bounds")  # noqa: E731
-    a, b = take(jnp.arange(4), slots.a), take(jnp.asarray([0, 1, 2, 4]), slots.b)
+    apart = system.reach + 2 * jnp.max(system.skin + scratch.lead)
+    of_a = vector.kept(jnp.stack([*body.velocity, spin * (own + 2 * jnp.max(system.parts.bounding_radius) + apart)]))
+    of_b = vector.kept(jnp.stack([*body.velocity, spin * own]))
+    a, b = (x.at[:, of].get(mode="promise_in_bounds") for x, of in ((of_a, slots.a), (of_b, slots.b)))
     return vector.norm(tuple(b[:3] - a[:3])) + a[3] + b[3]
 
 

@@ -1,6 +1,7 @@
 """General convex polytopes: exact for all of them, near features say what all features say, thin walls are walls."""
 
 from functools import partial
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -9,10 +10,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from benchmarks import depth as exact
-from dem_jax import Scene, shapes, simulate
+from dem_jax import Scene, build, shapes, simulate
 from dem_jax.build import hulls as tables_of
 from dem_jax.compiling import known
-from dem_jax.contact import collide, geometry, hulls, look, near
+from dem_jax.contact import bodies, boundary, collide, geometry, hulls, look, near, watch
+from dem_jax.pairs import guard, neighbours, search
+from dem_jax.step import stepping
 
 MARSHMALLOW = shapes.chamfered_cuboid()
 
@@ -73,13 +76,7 @@ def test_near_features_say_what_all_say_until_bodies_have_moved_by_the_margin():
         margin = np.asarray(kept.margin)
         is_shallow = np.abs(np.asarray(kept.depth)) < 5e-4
         assert (margin[is_shallow] > 0).all()
-        way = np.maximum(margin, 0) * random.uniform(0, 1, BATCH)
-        share = random.uniform(0, 1, BATCH)
-        along, about = (x / np.linalg.norm(x, axis=1, keepdims=True) for x in random.normal(size=(2, BATCH, 3)))
-        offset = pairs.offset + along * (way * share)[:, None]
-        radius = np.array([HULLS[k].bounding_radius for k in pairs.b])
-        turn = pairs.turn * Rotation.from_rotvec(about * (way * (1 - share) / radius)[:, None])
-        rel = relative(turn, offset)
+        rel = moved_within(margin, random, pairs)
         _, _, true, true_faces, true_centre = from_all(table, rows, rel)
         axes, faces, centre, from_every_plane, moved = from_near(table, rows, kept, facing, rel)
         sure = (np.asarray(moved) <= margin) & (np.asarray(true.depth) > 1e-9)
@@ -93,6 +90,57 @@ def test_near_features_say_what_all_say_until_bodies_have_moved_by_the_margin():
             np.testing.assert_allclose(one[narrow], other[narrow], atol=1e-12)
             np.testing.assert_allclose(every[sure], other[sure], atol=1e-12)
     assert compared > 200 and in_full > 0.8 * compared
+
+
+def moved_within(margin, random, pairs):
+    """Where bodies are that move and turn by up to their margin."""
+    way = np.maximum(margin, 0) * random.uniform(0, 1, BATCH)
+    share = random.uniform(0, 1, BATCH)
+    along, about = (x / np.linalg.norm(x, axis=1, keepdims=True) for x in random.normal(size=(2, BATCH, 3)))
+    offset = pairs.offset + along * (way * share)[:, None]
+    radius = np.array([HULLS[k].bounding_radius for k in pairs.b])
+    return relative(pairs.turn * Rotation.from_rotvec(about * (way * (1 - share) / radius)[:, None]), offset)
+
+
+def test_near_features_say_what_all_say_of_bodies_apart_within_the_reach_of_a_law():
+    """And mostly not in this place only: cohesive pieces in a heap would be looked at in every step."""
+    reach = 3e-4
+    table = jax.tree.map(jnp.asarray, tables_of.table(HULLS, np.float64))
+    table = table.replace(row=table.row.astype(np.int32))
+    corners = [exact.in_principal_frame(shape) for shape in HULLS]
+    random, compared, known_for_more = np.random.default_rng(5), 0, 0
+
+    @jax.jit
+    def found(rows, rel):
+        kept = look.look(table.features, rows, tuple(table.bounding_radius[row] for row in rows), rel, jnp.full((BATCH,), reach))
+        return kept, near.axes(kept, rel)
+
+    for trial in range(16):
+        pairs = exact.random_pairs(BATCH, corners, [shape.normals for shape in HULLS], seed=trial)
+        rows = tuple(i.astype(np.int32) for i in (pairs.a, pairs.b))
+        for _ in range(3):  # to a gap along the normal, which turns on the way
+            axes = found(rows, relative(pairs.turn, pairs.offset))[1]
+            gap = random.uniform(0.1, 0.9, BATCH) * reach
+            pairs = pairs._replace(offset=pairs.offset + (np.stack(axes.normal) * (np.asarray(axes.depth) + gap)).T)
+        for k in range(0, BATCH, 4):  # a corner opposite to a corner: no axis of the bodies has their distance
+            along = random.normal(size=3)
+            ours, theirs = corners[pairs.a[k]], pairs.turn[k].apply(corners[pairs.b[k]])
+            tip = ours[np.argmax(ours @ along)] - theirs[np.argmin(theirs @ along)]
+            pairs.offset[k] = tip + gap[k] * along / np.linalg.norm(along)
+        kept, axes = found(rows, relative(pairs.turn, pairs.offset))
+        margin, apart = np.asarray(kept.margin), (-reach < axes.depth) & (axes.depth < 0)
+        known_for_more += (margin[apart] > 1e-6).sum()
+        rel = moved_within(margin, random, pairs)
+        true = found(rows, rel)[1]
+        axes = near.axes(kept, rel)
+        sure = np.asarray(apart & (near.moved(kept, table.bounding_radius[rows[1]], rel) <= margin) & (true.depth > -reach))
+        compared += sure.sum()
+        np.testing.assert_allclose(axes.depth[sure], true.depth[sure], atol=1e-15, rtol=0)
+        there = sure & (np.abs(np.asarray(true.depth)) > 1e-9)
+        for one, other in zip(axes.normal, true.normal, strict=True):
+            np.testing.assert_allclose(one[there], other[there], atol=1e-9)
+    print(f"{compared} pairs compared, {known_for_more} with a margin of more than a micrometre")
+    assert compared > 500 and known_for_more > compared
 
 
 MIXTURE = [
@@ -170,6 +218,51 @@ def test_a_run_with_kept_features_is_the_one_that_looks_at_all_in_every_step(mon
     assert np.abs(kept.force["box"]).max() > 1
     np.testing.assert_allclose(kept.force["box"], plain.force["box"], atol=1e-7)
     np.testing.assert_allclose(kept.pieces.position, plain.pieces.position, atol=1e-12)
+
+
+def test_no_pair_moves_faster_than_what_a_look_waits_for():
+    """Pieces that fly and spin fast, also with parts that are off their centre, near a wall that turns."""
+    part = {"shape": "cuboid", "size": (0.012, 0.012, 0.012)}
+    double = {"shape": "compound", "part": [part | {"position": (x, 0.0, 0.0)} for x in (-0.006, 0.006)]}
+    kinds, share = [*MIXTURE[:3], double], np.array([1.0, -0.2, 0.0, 0.5, -1.0, 0.1, 0.7, -0.6])
+    pieces = [
+        kinds[k % 4]
+        | {
+            "position": (0.03 * (k % 4), 0.03 * (k // 4), 0.03 + 0.004 * (k % 3)),
+            "velocity": tuple(share[k] * np.array((3.0, 1.0, -2.0))),
+            "angular_velocity": tuple(share[k] * np.array((2000.0, -1000.0, 500.0))),
+        }
+        for k in range(8)
+    ]
+    corners = [(-0.05, -0.05, 0.0), (0.15, -0.05, 0.0), (0.15, 0.1, 0.0), (-0.05, 0.1, 0.0)]
+    flap = {"group": "flap", "pivot": (-0.05, 0.0, 0.0), "axis": (0.0, 1.0, 0.0), "swing_deg": 60.0, "start": 0.0, "opening": 0.02}
+    wall, run = {"group": "flap", "corners": corners}, {"precision": "f64", "frames": 0.0}
+    made = build.build(Scene(piece=pieces, wall=[wall], motion=[flap], run=run), 0)
+    roomy = (("hulls", *[search.pair_count("hulls", 16, 0, 1)] * 2),)
+    system, state = guard.with_capacity(made.system, made.state, roomy, 16, made.system.row_capacity)
+    state = state.replace(step=jnp.asarray(round(0.01 / float(system.dt)), jnp.int32))  # in the middle of the swing
+
+    @jax.jit
+    def moved(state):
+        """The state after the way of a step, and how far each pair moved, and was to move at most."""
+        state = neighbours.rebuild(system, state)
+        slots, there = state.scratch.slots["hulls"], []
+        after, omega, panels = stepping._moved(system, state.replace(step=state.step + 1), None)
+        for each, walls in ((state, boundary.after_step(system, state.step)), (after, panels)):
+            stacked = bodies.stack(system, each, omega, walls)
+            a, b = (bodies.take(stacked, of) for of in (slots.a, slots.b))
+            there.append(geometry.relative(a, b, bodies.offset(a, b)))
+        was = SimpleNamespace(offset=jnp.stack(there[0].offset), rotation=[c for row in there[0].rotation for c in row])
+        way = near.moved(was, system.hulls.bounding_radius[system.shape[slots.b]], there[1])
+        return after, way, system.dt * watch._paces(system, state.scratch, stacked), slots.live
+
+    ratios = []
+    for _ in range(50):
+        state, way, most, live = jax.device_get(moved(state))
+        ratios.append((way / most)[live])
+    ratios = np.concatenate(ratios)
+    print(f"{ratios.size} pairs moved by {ratios.min():.2g} to {ratios.max():.4f} of what a look waits for")
+    assert ratios.size > 500 and 0.5 < ratios.max() < watch.ROUNDING
 
 
 # --- thin walls ---
