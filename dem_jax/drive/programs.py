@@ -15,7 +15,7 @@ from dem_jax.types import State, System
 
 KEPT: dict[Any, Callable[..., Any]] = {}  # by the form of their arguments
 
-LIGHT_SLOTS = 128  # see ``is_light``
+LIGHT_SLOTS = 256  # see ``is_light``
 RunChunk = Callable[..., Any]  # such as stepping.run_chunk
 
 
@@ -38,12 +38,12 @@ def program(chunk: Chunk, run_chunk: RunChunk, mesh: Mesh | None = None) -> Call
 
 
 def is_light(system: System) -> bool:
-    """Whether steps are as fast when they are compiled lightly: of one run with few slots and no general hull.
+    """Whether to compile lightly, which takes 0.7 of the time and steps nearly as fast: of one run with few slots.
 
-    Measured, light over full: 9 marshmallows 0.97, 32 0.90, 64 1.04, 128 1.08, 16 runs of seven 1.09; 64 hulls of 16 corners 1.4.
+    Measured steps, light over full: 9 marshmallows 0.97, 32 0.90, 64 (224 slots) 1.04, 128 (416) 1.08, 16 runs of seven 1.09;
+    almonds, general hulls: 7 0.92, 47 (224) 1.08; 60 coffee beans (288) 1.21.
     """
-    general = system.hulls is not None and system.hulls.features is not None
-    return system.runs == 1 and not general and sum(slots for _, _, slots in system.capacity) <= LIGHT_SLOTS
+    return system.runs == 1 and sum(slots for _, _, slots in system.capacity) <= LIGHT_SLOTS
 
 
 def _chunk(run_chunk: RunChunk, frames: int, system: System, state: State, count: Any, every: Any, phase: Any) -> Any:
