@@ -325,6 +325,17 @@ class Slots(Tree):
 
 
 @pytree
+class Siblings(Tree):
+    """The contacts of the same surface with the same surface as each slot has, itself among them; none where no other body
+    continues any of the two. See ``contact.seams``."""
+
+    slot: Array  # [touching, P] int32: the first ``number``
+    there: Array  # [touching, P] bool: whether one is
+    number: Array  # [P] int32
+    most: Array | int  # [] int32: of any slot; where all are gone through, whatever their number, which can be differentiated: touching
+
+
+@pytree
 class Ledger(Tree):
     """What each run adds up; ``impulse``, ``peak`` and ``overlap`` start anew with each sample interval."""
 
@@ -424,6 +435,7 @@ class Scratch(Tree):
     way: Array  # [R] (m): most that two bodies can have approached each other since then ...
     rate: Array  # [R] (m): ... of it in the last step
     lead: Array  # [R] (m): most that two bodies approach each other at the speeds they had then, until the next rebuild
+    siblings: dict[str, Siblings]  # by kind of contact, where surfaces go on
     near: dict[str, Near]  # by kind of contact, of polytopes with Features; none where each step looks at all features
     facing: dict[str, Facing]  # likewise
     is_first: Array  # bool: whether no overlap of near polytopes was noted in the guard yet

@@ -10,15 +10,18 @@ from dem_jax.shapes import Shape
 from dem_jax.types import Partition, Parts
 
 
-def capacity(polytopes: int, spheres: int, panels: int, is_general: bool = False) -> tuple[tuple[str, int, int], ...]:
+def capacity(
+    polytopes: int, spheres: int, panels: int, is_general: bool = False, of_parts: bool = False
+) -> tuple[tuple[str, int, int], ...]:
     """Kinds of contact that the scene can have, with candidates and slots to begin with (grown when they overflow).
 
     polytopes, spheres: numbers of such parts of pieces. What a settled heap was seen to need; is_general: of polytopes of any form,
-    which have more neighbours than boxes. (Of few pieces all slots are computed in each step, of many only those that are filled.)
+    which have more neighbours than boxes; of_parts: of pieces of several, which lie close together and may be thin. (Of few pieces all slots are computed in each step, of many only those that are filled.)
     """
     p, s = polytopes, spheres
     walls = 4 * s ** (2 / 3) + 8 if panels else 0
     hulls = (12 * p, max(4 * p, 5 * p - 32)) if is_general else (9 * p, 3 * p + 5)
+    hulls = (40 * p, hulls[1]) if of_parts else hulls
     wanted = {"hulls": hulls, "mixed": (8 * min(p, s) + 2 * walls, 4 * min(p, s) + walls), "spheres": (8 * s, 4 * s)}
     out: list[tuple[str, int, int]] = []
     for kind in neighbours.SOURCES:
@@ -32,7 +35,9 @@ def capacity(polytopes: int, spheres: int, panels: int, is_general: bool = False
 def touching(parts: Parts, panels: int, is_general: bool) -> int:
     """Contacts that a piece has room for to begin with."""
     usual = 20 if is_general else 12
-    return min(usual if parts.owner is None else 24, guard.most_contacts(parts, panels))
+    if parts.owner is not None:
+        usual = 24 * int(np.max(np.bincount(np.asarray(parts.owner))))
+    return min(usual, guard.most_contacts(parts, panels))
 
 
 def row_capacity(made: Sequence[Shape], choice: str) -> int:

@@ -97,7 +97,7 @@ def build(scene: Scene, seed: int = 0, law: ContactLaw | None = None) -> Built:
         block_high=jnp.asarray(np.asarray(np.array([b.high for b in blocks]).reshape(-1, 3).T, dtype)),
         domain_low=jnp.asarray(np.asarray(domain[0], dtype)),
         domain_high=jnp.asarray(np.asarray(domain[1], dtype)),
-        capacity=capacity(len(parts.polytopes), len(parts.spheres), len(panels), is_general),
+        capacity=capacity(len(parts.polytopes), len(parts.spheres), len(panels), is_general, parts.owner is not None),
         touching=touching(parts, len(panels), is_general),
         neighbours=scene.run.neighbours,
         row_capacity=row_capacity(convex, scene.run.neighbours),

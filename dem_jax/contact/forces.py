@@ -14,7 +14,7 @@ from dem_jax.contact.law import Contact
 from dem_jax.contact.ledger import entered
 from dem_jax.maths import vector
 from dem_jax.maths.vector import Vector
-from dem_jax.types import Array, ContactTable, Facing, Memory, Near, Slots, State, System, WallLoads
+from dem_jax.types import Array, ContactTable, Facing, Memory, Near, Siblings, Slots, State, System, WallLoads
 
 Blocks = tuple[Memory, Facing | None, Array, Array, Array | None]  # what ``_contacts_of_kind`` goes from block to block with
 MIDDLE = 0.45  # of a piece's width
@@ -70,7 +70,9 @@ def _contacts_of_kind(
         return jax.lax.dynamic_update_slice_in_dim(loads, part.load_a, column + room + first, 1)
 
     if not size:
-        siblings = None if slots.surface_a is None else seams.siblings(system, slots, state.incidence, column)
+        siblings = state.scratch.siblings.get(kind)
+        if siblings is not None and not system.slot_block:
+            siblings = siblings.replace(most=siblings.slot.shape[0])
         part = _resolve(system, kind, table.memory, slots, stacked, siblings, _known(near, facing))
         return part.memory, part.facing, put(part, 0, loads), part.overlap, part.touch
 
@@ -98,9 +100,9 @@ def _known(near: Near | None, facing: Facing | None, of: Callable[[Any], Any] = 
 
 
 def _resolve(
-    system: System, kind: str, memory: Memory, slots: Slots, stacked: Array, siblings: seams.Siblings | None, known: Known
+    system: System, kind: str, memory: Memory, slots: Slots, stacked: Array, siblings: Siblings | None, known: Known
 ) -> Contacts:
-    """Geometry and contact law of the contacts of one kind. siblings: seams.Siblings where surfaces go on."""
+    """Geometry and contact law of the contacts of one kind. siblings: where surfaces go on."""
     a, b = bodies.take(stacked, slots.a), bodies.take(stacked, slots.b)
     offset = bodies.offset(a, b)
     depth, rest, facing = geometry(system, kind, slots, a, b, offset, known)
@@ -138,7 +140,7 @@ def _loaded(
     b: Body,
     offset: Vector,
     shape: collide.Geometry,
-    siblings: seams.Siblings | None,
+    siblings: Siblings | None,
     turn: Vector | None,
 ) -> Contacts:
     """The contact law's answer to contacts of a shape in world axes; turn: as in Contact."""

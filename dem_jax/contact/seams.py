@@ -8,7 +8,8 @@ scene without has none of this. Elastic energy is counted once per panel or part
 by as much.
 """
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -16,17 +17,11 @@ import jax.numpy as jnp
 from dem_jax.contact.collide import Geometry
 from dem_jax.maths import vector
 from dem_jax.maths.vector import Vector
-from dem_jax.types import Array, Memory, Slots, System
+from dem_jax.types import Array, Memory, Siblings, Slots, System
 
 ONE_WAY = 0.98  # cosine between normals, from which on contacts with parts of one body are one
 
-
-class Siblings(NamedTuple):
-    """The contacts of the same surface with the same surface, the slot itself among them; none where no other body continues
-    any of the two."""
-
-    slot: Array  # [touching, P] int32
-    there: Array  # [touching, P] bool
+T = TypeVar("T")
 
 
 def are_there(system: System) -> bool:
@@ -40,11 +35,17 @@ def siblings(system: System, slots: Slots, incidence: Array, column: int) -> Sib
     slot = incidence[:, system.parts.piece(slots.b)] - column
     inside = (slot >= 0) & (slot < slots.b.shape[0])
     slot = jnp.where(inside, slot, 0)
+    there = inside & (slots.live & are_shared(slots))[None]
     if slots.surface_b is None:
-        return Siblings(slot, inside & are_shared(slots)[None] & (slots.surface_a[slot] == slots.surface_a[None]))
-    both = (slots.surface_a, slots.a), (slots.surface_b, slots.b)
-    same = [jnp.where(surface[None] >= 0, surface[slot] == surface[None], body[slot] == body[None]) for surface, body in both]
-    return Siblings(slot, inside & (slots.live & are_shared(slots))[None] & same[0] & same[1])
+        there = there & (slots.surface_a[slot] == slots.surface_a[None])
+    else:
+        for surface, body in ((slots.surface_a, slots.a), (slots.surface_b, slots.b)):
+            there = there & jnp.where(surface[None] >= 0, surface[slot] == surface[None], body[slot] == body[None])
+    rank = jnp.cumsum(there, axis=0, dtype=jnp.int32)
+    column_of = jnp.broadcast_to(jnp.arange(slot.shape[1], dtype=jnp.int32), slot.shape)
+    first = jnp.zeros_like(slot).at[jnp.where(there, rank - 1, slot.shape[0]), column_of].set(slot, mode="drop")
+    number = rank[-1]
+    return Siblings(first, jnp.arange(slot.shape[0], dtype=jnp.int32)[:, None] < number[None], number, jnp.max(number))
 
 
 def are_shared(slots: Slots) -> Array:
@@ -57,7 +58,12 @@ def are_shared(slots: Slots) -> Array:
 
 def looking_alike(of: Siblings, normal: Vector) -> Siblings:
     """Those with one normal, [P] x 3."""
-    return of._replace(there=of.there & (vector.dot(vector.at(normal, of.slot), vector.expand(normal, 0)) > ONE_WAY))
+
+    def row(k: Array, there: Array) -> Array:
+        alike = there[k] & (vector.dot(vector.at(normal, of.slot[k]), normal) > ONE_WAY)
+        return jax.lax.dynamic_update_index_in_dim(there, alike, k, 0)
+
+    return of.replace(there=jax.lax.fori_loop(0, of.most, row, of.there))
 
 
 def deepest(overlap: Array, shape: Geometry, of: Siblings) -> tuple[Array, Geometry]:
@@ -76,20 +82,31 @@ def memory(own: Memory, of: Siblings) -> Memory:
 
 
 def _deepest(overlap: Array, of: Siblings) -> Array:
-    """Which slot is the deepest sibling of each, [P]; itself where it has none."""
-    rank = jnp.argmax(jnp.where(of.there, overlap[of.slot], -1), axis=0)[None]
-    slot = jnp.take_along_axis(of.slot, rank, axis=0)[0]
-    return jnp.where(jnp.any(of.there, axis=0), slot, jnp.arange(slot.shape[0], dtype=slot.dtype))
+    """Which slot is the deepest sibling of each, the first of equals, [P]; itself where it has none."""
+
+    def deeper(best: tuple[Array, Array], slot: Array, there: Array) -> tuple[Array, Array]:
+        most, pick = best
+        more = there & (overlap[slot] > most)
+        return jnp.where(more, overlap[slot], most), jnp.where(more, slot, pick)
+
+    return _over(of, deeper, (jnp.full_like(overlap, -jnp.inf), jnp.arange(overlap.shape[0], dtype=jnp.int32)))[1]
 
 
 def share(weight: Array, of: Siblings) -> Array:
     """The part [P] of the contact with the plane that each slot has; 1 for all that are not on such a panel."""
-    total = jnp.sum(jnp.where(of.there, weight[of.slot], 0), axis=0)
+    total = _over(of, lambda total, slot, there: total + jnp.where(there, weight[slot], 0), jnp.zeros_like(weight))
     part = weight / jnp.where(total > 0, total, 1)
-    return jnp.where(jnp.any(of.there, axis=0), part, 1)
+    return jnp.where(of.number > 0, part, 1)
 
 
 def centre(part: Array, point: Vector, of: Siblings) -> Vector:
     """The point of the contact with the plane, [P] x 3 (m); part: as of ``share``; point: of each slot, about its piece."""
-    own = jnp.any(of.there, axis=0)
-    return vector.each(lambda c: jnp.where(own, jnp.sum(jnp.where(of.there, (part * c)[of.slot], 0), axis=0), c), point)
+    parts = vector.kept(*vector.scale(part, point))
+    add = lambda total, slot, there: vector.add(total, vector.each(lambda c: jnp.where(there, c[slot], 0), parts))  # noqa: E731
+    total = _over(of, add, vector.each(jnp.zeros_like, parts))
+    return vector.where(of.number > 0, total, point)
+
+
+def _over(of: Siblings, more: Callable[[T, Array, Array], T], start: T) -> T:
+    """``more(so far, slot, there)`` of the first sibling of each slot, the second and so on: [P] each."""
+    return jax.lax.fori_loop(0, of.most, lambda k, so_far: more(so_far, of.slot[k], of.there[k]), start)

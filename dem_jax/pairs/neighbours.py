@@ -15,14 +15,14 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import DTypeLike
 
-from dem_jax.contact import blocks, bodies, boundary, collide, look, of_run
+from dem_jax.contact import blocks, bodies, boundary, collide, look, of_run, seams
 from dem_jax.contact.geometry import is_kept, nearness
 from dem_jax.maths import rotation, vector
 from dem_jax.maths.compaction import EMPTY, compact, grouped, in_order
 from dem_jax.maths.vector import Vector
 from dem_jax.pairs import search
 from dem_jax.pairs.slots import constants
-from dem_jax.types import Array, ContactTable, Facing, Guard, Memory, Near, Scratch, Slots, State, System, host
+from dem_jax.types import Array, ContactTable, Facing, Guard, Memory, Near, Scratch, Siblings, Slots, State, System, host
 
 T = TypeVar("T")
 
@@ -85,6 +85,7 @@ def rebuild(system: System, state: State, panels: boundary.Panels | None = None)
         way=jnp.zeros_like(lead),
         rate=jnp.zeros_like(lead),
         lead=lead,
+        siblings=_siblings(system, found, incidence),
         near={kind: one.near[0] for kind, one in found.items() if one.near},
         facing={kind: one.near[1] for kind, one in found.items() if one.near},
         is_first=by.is_first,
@@ -92,6 +93,16 @@ def rebuild(system: System, state: State, panels: boundary.Panels | None = None)
         looked=jnp.full_like(state.step, -1),
     )
     return state.replace(contacts=tables, incidence=incidence, guard=guard, scratch=scratch)
+
+
+def _siblings(system: System, found: dict[str, Found], incidence: Array) -> dict[str, Siblings]:
+    """Of each kind of contact of which some surfaces go on."""
+    siblings, column = {}, 0
+    for kind, one in found.items():
+        if one.slots.surface_a is not None:
+            siblings[kind] = seams.siblings(system, one.slots, incidence, column)
+        column += 2 * one.table.a.shape[0]
+    return siblings
 
 
 def _found(
