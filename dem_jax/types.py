@@ -332,7 +332,7 @@ class Siblings(Tree):
     slot: Array  # [touching, P] int32: the first ``number``
     there: Array  # [touching, P] bool: whether one is
     number: Array  # [P] int32
-    most: Array | int  # [] int32: of any slot; where all are gone through, whatever their number, which can be differentiated: touching
+    most: Array | int  # [] int32: of any slot; an int, touching, to go through all, which can be differentiated
 
 
 @pytree

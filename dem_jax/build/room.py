@@ -16,7 +16,8 @@ def capacity(
     """Kinds of contact that the scene can have, with candidates and slots to begin with (grown when they overflow).
 
     polytopes, spheres: numbers of such parts of pieces. What a settled heap was seen to need; is_general: of polytopes of any form,
-    which have more neighbours than boxes; of_parts: of pieces of several, which lie close together and may be thin. (Of few pieces all slots are computed in each step, of many only those that are filled.)
+    which have more neighbours than boxes; of_parts: of pieces of several, which lie close together
+    and may be thin. (Of few pieces all slots are computed in each step, of many only those that are filled.)
     """
     p, s = polytopes, spheres
     walls = 4 * s ** (2 / 3) + 8 if panels else 0
