@@ -198,10 +198,11 @@ def _along_kept_axes(f: Features, sides: _Sides, met: _Met, chosen: _Chosen, apa
     others = (number < f.counts[0, sides.row][None]) & (number != face)
     inside = jnp.min(jnp.where(others[:, None], inside, jnp.inf), axis=0)
     nearly = least - jnp.concatenate([jnp.minimum(*_split(least[None]))[0]] * 2)
-    inside = jnp.where(((nearly > 0) & (nearly >= chosen.above))[None], -jnp.inf, inside)  # that face is not kept
+    is_kept = (nearly <= 0) | (nearly < chosen.above)  # that face, and so the corners that are lowest along it
+    inside, above = jnp.where(is_kept[None], inside, -jnp.inf), jnp.where(is_kept, chosen.above, 0)
     rate, apart = jnp.concatenate([jnp.ones_like(swing), swing]), jnp.concatenate([apart] * 2)
     ways = jnp.min(jnp.maximum(inside / rate[None], 0.5 * (jnp.max(over, axis=0) - apart[None])), axis=0)
-    return jnp.minimum(*_split(jnp.minimum(ways, 0.5 * (chosen.above - least - apart))[None]))[0]
+    return jnp.minimum(*_split(jnp.minimum(ways, 0.5 * (above - least - apart))[None]))[0]
 
 
 def _clipping_along(f: Features, sides: _Sides, met: _Met, rel: Relative) -> tuple[Array, Array]:
