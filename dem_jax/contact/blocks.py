@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dem_jax.contact import seams
 from dem_jax.maths import vector
 from dem_jax.types import Array, Memory, Slots, System
 
@@ -23,7 +22,7 @@ def block_size(system: System, kind: str, room: int) -> int:
     An eighth of the room or less, so that a last block that is hardly filled costs little, but enough for vectors. With
     spheres a slot is so cheap that cutting out the blocks pays only where there are many.
     """
-    if not system.slot_block or seams.are_there(system):  # across a seam slots look at each other
+    if not system.slot_block:
         return 0
     if room < (MANY_SLOTS if kind != "hulls" else FEW_SLOTS):
         return 0
@@ -33,13 +32,19 @@ def block_size(system: System, kind: str, room: int) -> int:
     return math.gcd(room, wanted)
 
 
-def block_of(tree: T, k: Array, size: int) -> T:
+def block_of(tree: T, k: Array | int, size: int) -> T:
     """Slots k size to (k + 1) size of arrays [.., P]; those that broadcast over slots as they are."""
     cut = lambda x: x if x.shape[-1] == 1 else jax.lax.dynamic_slice_in_dim(x, k * size, size, -1)  # noqa: E731
     return jax.tree.map(cut, tree)
 
 
-def block_of_slots(system: System, kind: str, slots: Slots, k: Array, size: int) -> Slots:
+def with_block(tree: T, part: T, k: Array | int, size: int) -> T:
+    """The arrays [.., P] with a block of them, ``block_of``, replaced."""
+    insert = lambda whole, rows: jax.lax.dynamic_update_slice_in_dim(whole, rows, k * size, -1)  # noqa: E731
+    return jax.tree.map(insert, tree, part)
+
+
+def block_of_slots(system: System, kind: str, slots: Slots, k: Array | int, size: int) -> Slots:
     """``block_of`` slots. Where polytopes are alike and no wall is among the slots, nor among those of the first block,
     the hulls are those of the first block, which the cache holds already."""
     if kind != "hulls" or kind not in system.alike or slots.hull_a is None:

@@ -1,34 +1,34 @@
 """Contact forces of one configuration: for each kind of contact, geometry, then the contact law, then sums over bodies."""
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
 
-from dem_jax.contact import bodies, boundary, collide, collisions, follow, of_run, seams
-from dem_jax.contact.blocks import block_of, block_of_slots, block_size, in_one
+from dem_jax.contact import bodies, boundary, collisions, of_run, seams
+from dem_jax.contact.answer import Contacts, answer, no_contacts, no_touch, within
+from dem_jax.contact.blocks import block_of, block_of_slots, block_size, in_one, with_block
 from dem_jax.contact.bodies import Body
 from dem_jax.contact.geometry import NOTHING, Known, geometry
-from dem_jax.contact.law import Contact
 from dem_jax.contact.ledger import entered
+from dem_jax.contact.met import Met, met, no_met, of_pieces
 from dem_jax.maths import vector
 from dem_jax.maths.vector import Vector
-from dem_jax.types import Array, ContactTable, Facing, Memory, Near, Siblings, Slots, State, System, WallLoads
+from dem_jax.types import Array, ContactTable, Facing, Memory, Near, Slots, State, System, WallLoads
 
-Blocks = tuple[Memory, Facing | None, Array, Array, Array | None]  # what ``_contacts_of_kind`` goes from block to block with
-MIDDLE = 0.45  # of a piece's width
+T = TypeVar("T")
+OfKind = tuple[Memory, Facing | None, Array, Array, Array | None]  # what ``_contacts_of_kind`` says, and carries by blocks
 
 
-class Contacts(NamedTuple):
-    """What contacts of one kind do in one step."""
+class Sides(NamedTuple):
+    """A block of slots and their two bodies."""
 
     memory: Memory
-    load_a: Array  # [6, P] (N, N m): force and torque on a, about its centre
-    load_b: Array  # on b
-    overlap: Array  # [R] (-): the largest of each run, relative to the width of the piece
-    facing: Facing | None = None  # as ``geometry`` keeps it
-    touch: Array | None = None  # [2, P] (m/s, N): impact speed where one begins, else 0, and push; None: nobody asked
+    slots: Slots
+    a: Body
+    b: Body
+    offset: Vector  # [P] x 3 (m): between their centres
 
 
 def contacts(system: System, state: State, omega: Array, panels: boundary.Panels) -> State:
@@ -56,7 +56,7 @@ def contacts(system: System, state: State, omega: Array, panels: boundary.Panels
 
 def _contacts_of_kind(
     system: System, state: State, kind: str, stacked: Array, loads: Array, column: int
-) -> tuple[Memory, Facing | None, Array, Array, Array | None]:
+) -> OfKind:
     """The memory of a kind after this step, which faces look at each other, the loads [6, columns] with those of its contacts
     from ``column`` on, the largest overlap, and the touches as of Contacts. Block by block of slots, as far as slots are
     filled: what is free costs nothing."""
@@ -64,31 +64,96 @@ def _contacts_of_kind(
     near, facing = state.scratch.near.get(kind), state.scratch.facing.get(kind)
     room = table.a.shape[0]
     size = block_size(system, kind, room)
-
-    def put(part: Contacts, first: Array | int, loads: Array) -> Array:
-        loads = jax.lax.dynamic_update_slice_in_dim(loads, part.load_b, column + first, 1)
-        return jax.lax.dynamic_update_slice_in_dim(loads, part.load_a, column + room + first, 1)
-
-    if not size:
-        siblings = state.scratch.siblings.get(kind)
-        if siblings is not None and not system.slot_block:
-            siblings = siblings.replace(most=siblings.slot.shape[0])
-        part = _resolve(system, kind, table.memory, slots, stacked, siblings, _known(near, facing))
-        return part.memory, part.facing, put(part, 0, loads), part.overlap, part.touch
-
-    def block(k: Array, carry: Blocks) -> Blocks:
-        memory, facing, loads, overlap, touch = carry
-        before = in_one(kind, block_of(memory, k, size))
-        known = _known(near, facing, lambda tree: block_of(tree, k, size))
-        part = _resolve(system, kind, before, block_of_slots(system, kind, slots, k, size), stacked, None, known)
-        insert = lambda whole, rows: jax.lax.dynamic_update_slice_in_dim(whole, rows, k * size, -1)  # noqa: E731
-        memory = jax.tree.map(insert, memory, in_one(kind, part.memory))
-        facing, touch = jax.tree.map(insert, (facing, touch), (part.facing, part.touch))
-        return memory, facing, put(part, k * size, loads), jnp.maximum(overlap, part.overlap), touch
-
-    blocks = (state.scratch.filled[kind] + size - 1) // size
     none = jnp.zeros((system.runs,), stacked.dtype)
-    return jax.lax.fori_loop(0, blocks, block, (table.memory, facing, loads, none, _no_touch(system, table.memory.overlap)))
+    start = table.memory, facing, loads, none, no_touch(system, table.memory.overlap)
+    if kind in state.scratch.siblings:
+        return _of_shared_surfaces(system, state, kind, stacked, start, column, size)
+    if not size:
+        part, facing = _resolve(system, kind, _sides(stacked, slots, table.memory), _known(near, facing))
+        return part.memory, facing, _put(loads, part, column, room), part.overlap, part.touch
+
+    def block(k: Array, carry: OfKind) -> OfKind:
+        memory, facing, loads, overlap, touch = carry
+        rows = block_of_slots(system, kind, slots, k, size)
+        known = _known(near, facing, lambda tree: block_of(tree, k, size))
+        part, seen = _resolve(system, kind, _sides(stacked, rows, in_one(kind, block_of(memory, k, size))), known)
+        memory = with_block(memory, in_one(kind, part.memory), k, size)
+        facing, touch = with_block((facing, touch), (seen, part.touch), k, size)
+        return memory, facing, _put(loads, part, column + k * size, room), jnp.maximum(overlap, part.overlap), touch
+
+    return jax.lax.fori_loop(0, (state.scratch.filled[kind] + size - 1) // size, block, start)
+
+
+def _of_shared_surfaces(
+    system: System, state: State, kind: str, stacked: Array, start: OfKind, column: int, size: int
+) -> OfKind:
+    """As ``_contacts_of_kind``, of contacts of which several may be one, see ``seams``: first where each touches, then what
+    part each has, then the contact law. start: what there is before the step; size: of a block, 0: all at once."""
+    slots, siblings = state.scratch.slots[kind], state.scratch.siblings[kind]
+    near, before = state.scratch.near.get(kind), start[0]
+    room = slots.b.shape[0]
+    size = size or room
+    if not system.slot_block:
+        siblings = siblings.replace(most=siblings.slot.shape[0])
+
+    def by_blocks(block: Callable[[Array | int, T], T], carry: T) -> T:
+        if size == room:
+            return block(0, carry)
+        return jax.lax.fori_loop(0, (state.scratch.filled[kind] + size - 1) // size, block, carry)
+
+    def if_any(which: Array, then: Callable[[], T], other: Callable[[], T]) -> T:
+        return jax.lax.cond(jnp.any(which), then, other) if system.slot_block else then()
+
+    def side(k: Array | int) -> Sides:
+        return _sides(stacked, block_of(slots, k, size), block_of(before, k, size))
+
+    def touched(k: Array | int, carry: tuple[Met, Facing | None]) -> tuple[Met, Facing | None]:
+        known = _known(near, carry[1], lambda tree: block_of(tree, k, size))
+        memory, rows, a, b, offset = side(k)
+        depth, rest, facing = geometry(system, kind, rows, a, b, offset, known)
+        there = (within(system, rows, depth) > 0) & rows.live | (memory.overlap > 0)
+        part = if_any(there, lambda: seams.own(rows, met(rows, a, b, offset, rest())), lambda: block_of(nothing, k, size))
+        return with_block(carry, (part, facing), k, size)
+
+    nothing = no_met(room, stacked.dtype)
+    touch, facing = by_blocks(touched, (nothing, start[1]))
+    assert touch.weight is not None
+    weight = jnp.where(within(system, slots, touch.overlap) > 0, touch.weight, 0)
+
+    def shared(k: Array | int, share: Array) -> Array:
+        own, part = block_of((weight, share), k, size)
+        of = lambda: seams.of_block(slots, siblings, touch.normal, k, size)  # noqa: E731
+        return with_block(share, if_any(own > 0, lambda: seams.share(weight, own, of()), lambda: part), k, size)
+
+    share = by_blocks(shared, (siblings.number == 0).astype(weight.dtype))
+
+    def resolved(k: Array | int, carry: OfKind) -> OfKind:
+        memory, facing, loads, overlap, began = carry
+        own, rows, a, b, offset = side(k)
+        there = (block_of(within(system, slots, touch.overlap), k, size) > 0) | (own.overlap > 0)
+
+        def together() -> Contacts:
+            of = seams.of_block(slots, siblings, touch.normal, k, size)
+            one = seams.joined(rows, touch, share, block_of(touch, k, size), of_pieces(a, b, offset), of)
+            part = block_of(share, k, size)
+            return answer(system, seams.memory(before, of), rows, a, b, offset, one, _turn(system, kind, a, b), part)
+
+        part = if_any(there, together, lambda: no_contacts(system, own, rows))
+        memory, began = with_block((memory, began), (part.memory, part.touch), k, size)
+        return memory, facing, _put(loads, part, column + k * size, room), jnp.maximum(overlap, part.overlap), began
+
+    return by_blocks(resolved, (before, facing, *start[2:]))
+
+
+def _sides(stacked: Array, slots: Slots, memory: Memory) -> Sides:
+    a, b = bodies.take(stacked, slots.a), bodies.take(stacked, slots.b)
+    return Sides(memory, slots, a, b, bodies.offset(a, b))
+
+
+def _put(loads: Array, part: Contacts, first: Array | int, room: int) -> Array:
+    """The loads with those of some contacts, of a kind with so many slots, from column ``first`` on."""
+    loads = jax.lax.dynamic_update_slice_in_dim(loads, part.load_b, first, 1)
+    return jax.lax.dynamic_update_slice_in_dim(loads, part.load_a, room + first, 1)
 
 
 def _known(near: Near | None, facing: Facing | None, of: Callable[[Any], Any] = lambda tree: tree) -> Known:
@@ -99,141 +164,21 @@ def _known(near: Near | None, facing: Facing | None, of: Callable[[Any], Any] = 
     return Known(of(near), of(facing), lambda: of(clipping))
 
 
-def _resolve(
-    system: System, kind: str, memory: Memory, slots: Slots, stacked: Array, siblings: Siblings | None, known: Known
-) -> Contacts:
-    """Geometry and contact law of the contacts of one kind. siblings: where surfaces go on."""
-    a, b = bodies.take(stacked, slots.a), bodies.take(stacked, slots.b)
-    offset = bodies.offset(a, b)
+def _turn(system: System, kind: str, a: Body, b: Body) -> Vector | None:
+    """As in Contact."""
+    return vector.scale(system.dt, vector.sub(b.spin, a.spin)) if kind == "hulls" else None
+
+
+def _resolve(system: System, kind: str, side: Sides, known: Known) -> tuple[Contacts, Facing | None]:
+    """Geometry and contact law of the contacts of one kind."""
+    memory, slots, a, b, offset = side
     depth, rest, facing = geometry(system, kind, slots, a, b, offset, known)
-    turn = vector.scale(system.dt, vector.sub(b.spin, a.spin)) if kind == "hulls" else None
-    loaded = lambda: _loaded(system, memory, slots, a, b, offset, rest(), siblings, turn)  # noqa: E731
+    turn = _turn(system, kind, a, b)
+    loaded = lambda: answer(system, memory, slots, a, b, offset, met(slots, a, b, offset, rest()), turn)  # noqa: E731
     if kind != "hulls" or not system.slot_block:
-        return loaded()
-    is_touching = jnp.any((_within(system, slots, depth) > 0) & slots.live | (memory.overlap > 0))
-    return jax.lax.cond(is_touching, loaded, lambda: _separated(system, memory, slots))._replace(facing=facing)
-
-
-def _within(system: System, slots: Slots, overlap: Array) -> Array:
-    """Overlap (m), [P], more by the reach of the law: a contact is what is positive."""
-    reach = system.law.reach(slots.pair)
-    return overlap if reach is None else overlap + reach
-
-
-def _separated(system: System, memory: Memory, slots: Slots) -> Contacts:
-    """What ``_loaded`` says where nothing touches, nor did before."""
-    none = jnp.zeros((6, slots.a.shape[0]), memory.overlap.dtype)
-    after = memory.replace(overlap=none[0], law=system.law.start(slots.pair, none[0]))
-    return Contacts(after, none, none, jnp.zeros((system.runs,), none.dtype), None, _no_touch(system, none))
-
-
-def _no_touch(system: System, slots: Array) -> Array | None:
-    """``Contacts.touch`` of slots [.., P] that are free."""
-    return None if system.statistics is None else jnp.zeros((2, slots.shape[-1]), slots.dtype)
-
-
-def _loaded(
-    system: System,
-    memory: Memory,
-    slots: Slots,
-    a: Body,
-    b: Body,
-    offset: Vector,
-    shape: collide.Geometry,
-    siblings: Siblings | None,
-    turn: Vector | None,
-) -> Contacts:
-    """The contact law's answer to contacts of a shape in world axes; turn: as in Contact."""
-    overlap = jnp.where(slots.live, shape.depth, -1)
-    at_b = vector.sub(shape.point, offset)
-    if a.arm is not None and b.arm is not None:  # from here on about the centres of the pieces
-        at_b, offset = vector.add(at_b, b.arm), vector.add(offset, vector.sub(a.arm, b.arm))
-        shape = shape._replace(point=vector.add(at_b, offset))
-    share = None
-    if siblings is not None and shape.weight is not None:
-        if slots.surface_b is not None:
-            siblings = seams.looking_alike(siblings, shape.normal)
-        overlap = jnp.where((shape.weight > 0) | ~seams.are_shared(slots), overlap, -1)
-        share = seams.share(jnp.where(_within(system, slots, overlap) > 0, shape.weight, 0), siblings)
-        at_b = seams.centre(share, at_b, siblings)
-        shape = shape._replace(point=vector.add(at_b, offset))
-        if slots.surface_b is not None:
-            overlap, shape = seams.deepest(overlap, shape, siblings)
-        memory = seams.memory(memory, siblings)
-    if shape.weight is not None:  # what parts has no contact point by its geometry: the last one stays until it has parted
-        at_b = vector.where((shape.weight <= 0) & (memory.overlap > 0), vector.unpack(memory.point), at_b)
-        shape = shape._replace(point=vector.add(at_b, offset))
-    motion, approach = _motion(system, a, b, offset, memory, shape.normal, at_b)
-    depth = _within(system, slots, overlap)
-    doubt = _doubt(system, a, b, memory, shape, depth, at_b)
-    within = follow.overlap(memory.overlap, approach, doubt, depth, shape.point, at_b)
-    overlap = overlap + (within - depth)
-    slip = _slip(memory, motion, approach, shape.normal, within)
-    roll = None if system.materials.rolling is None else vector.scale(system.dt, vector.sub(b.spin, a.spin))
-    answer = system.law.force(slots.pair, memory.law, Contact(overlap, approach, slip, shape.normal, system.dt, turn, roll))
-    force = vector.scale(answer.push, shape.normal)
-    if answer.drag is not None:
-        force = vector.add(force, answer.drag)
-    if share is not None:
-        force = vector.scale(share, force)
-    after = Memory(jnp.maximum(within, 0), jnp.stack(at_b), answer.history)
-    deepest = of_run.largest_of_contacts(system, _at_most(slots, memory.overlap, overlap, approach) / slots.width, slots.b)
-    reaction = vector.scale(-1, force)
-    on_a, on_b = vector.cross(shape.point, reaction), vector.cross(at_b, force)
-    if answer.twist is not None:
-        twist = answer.twist if share is None else vector.scale(share, answer.twist)
-        on_a, on_b = vector.sub(on_a, twist), vector.add(on_b, twist)
-    load_a, load_b = jnp.stack([*reaction, *on_a]), jnp.stack([*force, *on_b])
-    touch = None
-    if system.statistics is not None:
-        begins = (memory.overlap <= 0) & (within > 0)
-        touch = jnp.stack([jnp.where(begins, approach / system.dt, 0), answer.push if share is None else share * answer.push])
-    return Contacts(after, load_a, load_b, deepest, None, touch)
-
-
-def _motion(
-    system: System, a: Body, b: Body, offset: Vector, memory: Memory, normal: Vector, at_b: Vector
-) -> tuple[Vector, Array]:
-    """Motion in this step of b relative to a at the contact point, [P] x 3 (m), and of it that towards a, [P] (m).
-
-    Of second order in the time step: the arms, like the velocities, are those at the middle of the step.
-    """
-    first = memory.overlap <= 0
-    way = vector.scale(system.dt, vector.sub(b.velocity, a.velocity))  # of the centres
-    arm_b = vector.where(first, at_b, vector.scale(0.5, vector.add(vector.unpack(memory.point), at_b)))
-    arm_a = vector.add(arm_b, vector.where(first, offset, vector.add_scaled(offset, -0.5, way)))
-    turn = vector.sub(vector.cross(b.spin, arm_b), vector.cross(a.spin, arm_a))
-    motion = vector.kept(*vector.add_scaled(way, system.dt, turn))
-    return motion, vector.kept(-vector.dot(motion, normal))
-
-
-def _doubt(system: System, a: Body, b: Body, memory: Memory, shape: collide.Geometry, depth: Array, at_b: Vector) -> Array:
-    """By how much the deepest point may approach more or less in this step than the contact point, [P] (m).
-
-    The contact point may go over to another corner, and it is the middle of the overlap: that is as wide as half of its
-    outline, which the weight is, over the depth.
-    """
-    spin = vector.scale(system.dt, vector.sub(b.spin, a.spin))
-    moved = vector.cross(spin, vector.sub(at_b, vector.unpack(memory.point)))
-    doubt = 0.5 * jnp.abs(vector.dot(moved, shape.normal))
-    if shape.weight is None:
-        return doubt
-    wide = shape.weight / jnp.where(depth > 0, depth, 1)
-    return doubt + jnp.where(depth > 0, wide, 0) * (jnp.abs(spin[0]) + jnp.abs(spin[1]) + jnp.abs(spin[2]))
-
-
-def _at_most(slots: Slots, before: Array, overlap: Array, approach: Array) -> Array:
-    """The overlap (m), [P], of contacts that go on deeper than MIDDLE with what the step may have added to it: in the middle of
-    a thin wall the normal turns round, and a piece beyond it would seem to leave."""
-    deeper = before + jnp.abs(approach)
-    return jnp.where((before > 0) & (deeper > MIDDLE * slots.width), jnp.maximum(overlap, deeper), overlap)
-
-
-def _slip(memory: Memory, motion: Vector, approach: Array, normal: Vector, within: Array) -> Vector:
-    """The tangential part of a motion, [P] x 3 (m): of the step of first touch only the last part, overlap over approach."""
-    touching = (memory.overlap <= 0) & (within > 0)
-    part = jnp.where(touching, within / jnp.where(touching, jnp.maximum(approach, within), 1), 1)
-    return vector.kept(*vector.scale(part, vector.add_scaled(motion, approach, normal)))
+        return loaded(), facing
+    is_touching = jnp.any((within(system, slots, depth) > 0) & slots.live | (memory.overlap > 0))
+    return jax.lax.cond(is_touching, loaded, lambda: no_contacts(system, memory, slots)), facing
 
 
 def elastic_energy(system: System, table: ContactTable, slots: Slots) -> Array:

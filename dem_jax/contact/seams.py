@@ -9,12 +9,12 @@ by as much.
 """
 
 from collections.abc import Callable
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
 
-from dem_jax.contact.collide import Geometry
+from dem_jax.contact.met import Met
 from dem_jax.maths import vector
 from dem_jax.maths.vector import Vector
 from dem_jax.types import Array, Memory, Siblings, Slots, System
@@ -22,6 +22,16 @@ from dem_jax.types import Array, Memory, Siblings, Slots, System
 ONE_WAY = 0.98  # cosine between normals, from which on contacts with parts of one body are one
 
 T = TypeVar("T")
+
+
+class Kin(NamedTuple):
+    """The siblings of a block of slots B, as of Siblings."""
+
+    itself: Array  # [B] int32: the slots
+    slot: Array  # [touching, B] int32, of all
+    there: Array  # [touching, B] bool
+    number: Array  # [B] int32
+    most: Array | int
 
 
 def are_there(system: System) -> bool:
@@ -56,57 +66,76 @@ def are_shared(slots: Slots) -> Array:
     return (slots.surface_a >= 0) | (slots.surface_b >= 0)
 
 
-def looking_alike(of: Siblings, normal: Vector) -> Siblings:
-    """Those with one normal, [P] x 3."""
+def of_block(slots: Slots, of: Siblings, normal: Vector, k: Array | int, size: int) -> Kin:
+    """The siblings of slots k size to (k + 1) size; where pieces have parts, those with one normal. normal: of all slots."""
+    first = k * size
+    cut = lambda x: jax.lax.dynamic_slice_in_dim(x, first, size, -1)  # noqa: E731
+    number, itself = cut(of.number), first + jnp.arange(size, dtype=jnp.int32)
+    kin = Kin(itself, cut(of.slot), cut(of.there), number, of.most if isinstance(of.most, int) else jnp.max(number))
+    if slots.surface_b is None:
+        return kin
+    own = vector.each(cut, normal)
 
     def row(k: Array, there: Array) -> Array:
-        alike = there[k] & (vector.dot(vector.at(normal, of.slot[k]), normal) > ONE_WAY)
+        alike = there[k] & (vector.dot(vector.at(normal, kin.slot[k]), own) > ONE_WAY)
         return jax.lax.dynamic_update_index_in_dim(there, alike, k, 0)
 
-    return of.replace(there=jax.lax.fori_loop(0, of.most, row, of.there))
+    return kin._replace(there=jax.lax.fori_loop(0, kin.most, row, kin.there))
 
 
-def deepest(overlap: Array, shape: Geometry, of: Siblings) -> tuple[Array, Geometry]:
-    """Overlap [P] (m) and normal of the deepest sibling of each slot that has a part of the contact."""
-    pick = _deepest(overlap, of)
-    has_part = overlap > -1
-    return jnp.where(has_part, overlap[pick], overlap), shape._replace(
-        normal=vector.where(has_part, vector.at(shape.normal, pick), shape.normal)
-    )
+def own(slots: Slots, met: Met) -> Met:
+    """Contacts, without those of shared surfaces that others have."""
+    assert met.weight is not None
+    return met._replace(overlap=jnp.where((met.weight > 0) | ~are_shared(slots), met.overlap, -1))
 
 
-def memory(own: Memory, of: Siblings) -> Memory:
-    """The memory of the deepest sibling, so that a contact goes on as a piece comes onto a panel."""
-    pick = _deepest(own.overlap, of)
-    return jax.tree.map(lambda rows: rows[..., pick], own)
+def share(weight: Array, own: Array, of: Kin) -> Array:
+    """The part of the contact with the plane that each slot of a block has; 1 for all that are not on such a panel.
+
+    weight: of all slots; own: of the block.
+    """
+    total = _over(of, lambda total, slot, there: total + jnp.where(there, weight[slot], 0), jnp.zeros_like(own))
+    part = own / jnp.where(total > 0, total, 1)
+    return jnp.where(of.number > 0, part, 1)
 
 
-def _deepest(overlap: Array, of: Siblings) -> Array:
-    """Which slot is the deepest sibling of each, the first of equals, [P]; itself where it has none."""
+def joined(slots: Slots, met: Met, share: Array, own: Met, offset: Vector, of: Kin) -> Met:
+    """Contacts of a block as one with their siblings: at their common point, of parts of pieces along the normal of the
+    deepest. met, share: of all slots; own, offset (m, between the centres of pieces): of the block."""
+    at_b = _centre(met, share, own, of)
+    one = own._replace(at_b=at_b, at_a=vector.add(at_b, offset))
+    if slots.surface_b is None:
+        return one
+    pick, has_part = _deepest(met.overlap, of), own.overlap > -1
+    normal = vector.where(has_part, vector.at(met.normal, pick), own.normal)
+    return one._replace(overlap=jnp.where(has_part, met.overlap[pick], own.overlap), normal=normal)
+
+
+def memory(all_of_them: Memory, of: Kin) -> Memory:
+    """The memory of the deepest sibling of each slot of a block, so that a contact goes on as a piece comes onto a panel."""
+    pick = _deepest(all_of_them.overlap, of)
+    return jax.tree.map(lambda rows: rows[..., pick], all_of_them)
+
+
+def _deepest(overlap: Array, of: Kin) -> Array:
+    """Which slot is the deepest sibling of each of a block, the first of equals; itself where it has none. overlap: of all."""
 
     def deeper(best: tuple[Array, Array], slot: Array, there: Array) -> tuple[Array, Array]:
         most, pick = best
         more = there & (overlap[slot] > most)
         return jnp.where(more, overlap[slot], most), jnp.where(more, slot, pick)
 
-    return _over(of, deeper, (jnp.full_like(overlap, -jnp.inf), jnp.arange(overlap.shape[0], dtype=jnp.int32)))[1]
+    return _over(of, deeper, (jnp.full(of.number.shape, -jnp.inf, overlap.dtype), of.itself))[1]
 
 
-def share(weight: Array, of: Siblings) -> Array:
-    """The part [P] of the contact with the plane that each slot has; 1 for all that are not on such a panel."""
-    total = _over(of, lambda total, slot, there: total + jnp.where(there, weight[slot], 0), jnp.zeros_like(weight))
-    part = weight / jnp.where(total > 0, total, 1)
-    return jnp.where(of.number > 0, part, 1)
-
-
-def centre(part: Array, point: Vector, of: Siblings) -> Vector:
-    """The point of the contact with the plane, [P] x 3 (m); part: as of ``share``; point: of each slot, about its piece."""
-    parts = vector.kept(*vector.scale(part, point))
+def _centre(met: Met, share: Array, own: Met, of: Kin) -> Vector:
+    """The point of the contact with the plane, about the centre of b."""
+    parts = vector.kept(*vector.scale(share, met.at_b))
     add = lambda total, slot, there: vector.add(total, vector.each(lambda c: jnp.where(there, c[slot], 0), parts))  # noqa: E731
-    total = _over(of, add, vector.each(jnp.zeros_like, parts))
-    return vector.where(of.number > 0, total, point)
+    total = _over(of, add, vector.each(jnp.zeros_like, own.at_b))
+    return vector.where(of.number > 0, total, own.at_b)
 
 
-def _over(of: Siblings, more: Callable[[T, Array, Array], T], start: T) -> T:
-    """``more(so far, slot, there)`` of the first sibling of each slot, the second and so on: [P] each."""
+def _over(of: Kin, more: Callable[[T, Array, Array], T], start: T) -> T:
+    """``more(so far, slot, there)`` of the first sibling of each slot, the second and so on."""
     return jax.lax.fori_loop(0, of.most, lambda k, so_far: more(so_far, of.slot[k], of.there[k]), start)

@@ -1,0 +1,131 @@
+"""The contact law's answer to contacts whose geometry is known: how they move, what they push, what they remember."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from dem_jax.contact import follow, of_run
+from dem_jax.contact.bodies import Body
+from dem_jax.contact.law import Contact
+from dem_jax.contact.met import Met, of_pieces
+from dem_jax.maths import vector
+from dem_jax.maths.vector import Vector
+from dem_jax.types import Array, Memory, Slots, System
+
+MIDDLE = 0.45  # of a piece's width
+
+
+class Contacts(NamedTuple):
+    """What contacts of one kind do in one step."""
+
+    memory: Memory
+    load_a: Array  # [6, P] (N, N m): force and torque on a, about its centre
+    load_b: Array  # on b
+    overlap: Array  # [R] (-): the largest of each run, relative to the width of the piece
+    touch: Array | None  # [2, P] (m/s, N): impact speed where one begins, else 0, and push; None: nobody asked
+
+
+def within(system: System, slots: Slots, overlap: Array) -> Array:
+    """Overlap (m), [P], more by the reach of the law: a contact is what is positive."""
+    reach = system.law.reach(slots.pair)
+    return overlap if reach is None else overlap + reach
+
+
+def no_contacts(system: System, memory: Memory, slots: Slots) -> Contacts:
+    """What ``answer`` says where nothing touches, nor did before."""
+    zero = jnp.zeros((6, slots.a.shape[0]), memory.overlap.dtype)
+    after = memory.replace(overlap=zero[0], law=system.law.start(slots.pair, zero[0]))
+    return Contacts(after, zero, zero, jnp.zeros((system.runs,), zero.dtype), no_touch(system, zero))
+
+
+def no_touch(system: System, slots: Array) -> Array | None:
+    """``Contacts.touch`` of slots [.., P] that are free."""
+    return None if system.statistics is None else jnp.zeros((2, slots.shape[-1]), slots.dtype)
+
+
+def answer(
+    system: System,
+    memory: Memory,
+    slots: Slots,
+    a: Body,
+    b: Body,
+    offset: Vector,
+    met: Met,
+    turn: Vector | None,
+    share: Array | None = None,
+) -> Contacts:
+    """The contact law's answer. offset: between the centres of the bodies, [P] x 3 (m); turn: as in Contact; share: [P], the
+    part that each slot has of a contact that several have together."""
+    offset = of_pieces(a, b, offset)
+    if met.weight is not None:  # what parts has no contact point by its geometry: the last one stays until it has parted
+        at_b = vector.where((met.weight <= 0) & (memory.overlap > 0), vector.unpack(memory.point), met.at_b)
+        met = met._replace(at_b=at_b, at_a=vector.add(at_b, offset))
+    motion, approach = _motion(system, a, b, offset, memory, met)
+    depth = within(system, slots, met.overlap)
+    doubt = _doubt(system, a, b, memory, met, depth)
+    inside = follow.overlap(memory.overlap, approach, doubt, depth, met.at_a, met.at_b)
+    overlap = met.overlap + (inside - depth)
+    slip = _slip(memory, motion, approach, met.normal, inside)
+    roll = None if system.materials.rolling is None else vector.scale(system.dt, vector.sub(b.spin, a.spin))
+    said = system.law.force(slots.pair, memory.law, Contact(overlap, approach, slip, met.normal, system.dt, turn, roll))
+    force = vector.scale(said.push, met.normal)
+    if said.drag is not None:
+        force = vector.add(force, said.drag)
+    if share is not None:
+        force = vector.scale(share, force)
+    after = Memory(jnp.maximum(inside, 0), jnp.stack(met.at_b), said.history)
+    deepest = of_run.largest_of_contacts(system, _at_most(slots, memory.overlap, overlap, approach) / slots.width, slots.b)
+    reaction = vector.scale(-1, force)
+    on_a, on_b = vector.cross(met.at_a, reaction), vector.cross(met.at_b, force)
+    if said.twist is not None:
+        twist = said.twist if share is None else vector.scale(share, said.twist)
+        on_a, on_b = vector.sub(on_a, twist), vector.add(on_b, twist)
+    load_a, load_b = jnp.stack([*reaction, *on_a]), jnp.stack([*force, *on_b])
+    touch = None
+    if system.statistics is not None:
+        begins = (memory.overlap <= 0) & (inside > 0)
+        touch = jnp.stack([jnp.where(begins, approach / system.dt, 0), said.push if share is None else share * said.push])
+    return Contacts(after, load_a, load_b, deepest, touch)
+
+
+def _motion(system: System, a: Body, b: Body, offset: Vector, memory: Memory, met: Met) -> tuple[Vector, Array]:
+    """Motion in this step of b relative to a at the contact point, [P] x 3 (m), and of it that towards a, [P] (m).
+
+    Of second order in the time step: the arms, like the velocities, are those at the middle of the step.
+    """
+    first = memory.overlap <= 0
+    way = vector.scale(system.dt, vector.sub(b.velocity, a.velocity))  # of the centres
+    arm_b = vector.where(first, met.at_b, vector.scale(0.5, vector.add(vector.unpack(memory.point), met.at_b)))
+    arm_a = vector.add(arm_b, vector.where(first, offset, vector.add_scaled(offset, -0.5, way)))
+    turn = vector.sub(vector.cross(b.spin, arm_b), vector.cross(a.spin, arm_a))
+    motion = vector.kept(*vector.add_scaled(way, system.dt, turn))
+    return motion, vector.kept(-vector.dot(motion, met.normal))
+
+
+def _doubt(system: System, a: Body, b: Body, memory: Memory, met: Met, depth: Array) -> Array:
+    """By how much the deepest point may approach more or less in this step than the contact point, [P] (m).
+
+    The contact point may go over to another corner, and it is the middle of the overlap: that is as wide as half of its
+    outline, which the weight is, over the depth.
+    """
+    spin = vector.scale(system.dt, vector.sub(b.spin, a.spin))
+    moved = vector.cross(spin, vector.sub(met.at_b, vector.unpack(memory.point)))
+    doubt = 0.5 * jnp.abs(vector.dot(moved, met.normal))
+    if met.weight is None:
+        return doubt
+    wide = met.weight / jnp.where(depth > 0, depth, 1)
+    return doubt + jnp.where(depth > 0, wide, 0) * (jnp.abs(spin[0]) + jnp.abs(spin[1]) + jnp.abs(spin[2]))
+
+
+def _at_most(slots: Slots, before: Array, overlap: Array, approach: Array) -> Array:
+    """The overlap (m), [P], of contacts that go on deeper than MIDDLE with what the step may have added to it: in the middle of
+    a thin wall the normal turns round, and a piece beyond it would seem to leave."""
+    deeper = before + jnp.abs(approach)
+    return jnp.where((before > 0) & (deeper > MIDDLE * slots.width), jnp.maximum(overlap, deeper), overlap)
+
+
+def _slip(memory: Memory, motion: Vector, approach: Array, normal: Vector, within: Array) -> Vector:
+    """The tangential part of a motion, [P] x 3 (m): of the step of first touch only the last part, overlap over approach."""
+    touching = (memory.overlap <= 0) & (within > 0)
+    part = jnp.where(touching, within / jnp.where(touching, jnp.maximum(approach, within), 1), 1)
+    return vector.kept(*vector.scale(part, vector.add_scaled(motion, approach, normal)))

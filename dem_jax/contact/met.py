@@ -1,0 +1,43 @@
+"""Contacts as geometry, about the centres of the pieces that they push."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax.typing import DTypeLike
+
+from dem_jax.contact import collide
+from dem_jax.contact.bodies import Body
+from dem_jax.maths import vector
+from dem_jax.maths.vector import Vector
+from dem_jax.types import Array, Slots
+
+
+class Met(NamedTuple):
+    """Contacts of one kind as geometry, in world axes, about the centres of the pieces."""
+
+    overlap: Array  # [P] (m), negative: separated by at least that much, or nobody's
+    normal: Vector  # [P] x 3, unit, from a to b
+    at_a: Vector  # [P] x 3 (m): where they touch, from the centre of a
+    at_b: Vector  # from that of b
+    weight: Array | None  # [P]: as of ``collide.Geometry``
+
+
+def met(slots: Slots, a: Body, b: Body, offset: Vector, shape: collide.Geometry) -> Met:
+    """Contacts of a shape in world axes, about the centre of a."""
+    overlap = jnp.where(slots.live, shape.depth, -1)
+    at_b = vector.sub(shape.point, offset)
+    if a.arm is None or b.arm is None:
+        return Met(overlap, shape.normal, shape.point, at_b, shape.weight)
+    at_b = vector.add(at_b, b.arm)  # from here on about the centres of the pieces
+    return Met(overlap, shape.normal, vector.add(at_b, of_pieces(a, b, offset)), at_b, shape.weight)
+
+
+def of_pieces(a: Body, b: Body, offset: Vector) -> Vector:
+    """The offset between the centres of pieces, [P] x 3 (m); offset: between those of their parts."""
+    return offset if a.arm is None or b.arm is None else vector.add(offset, vector.sub(a.arm, b.arm))
+
+
+def no_met(room: int, dtype: DTypeLike) -> Met:
+    """So many slots in which nothing touches."""
+    zero = jnp.zeros((room,), dtype)
+    return Met(zero - 1, (zero,) * 3, (zero,) * 3, (zero,) * 3, zero)
