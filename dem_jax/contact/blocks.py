@@ -60,7 +60,7 @@ def in_one(kind: str, memory: Memory) -> Memory:
     """The same rows of a memory, computed by one kernel, before or after all that a block does with it.
 
     XLA then sees that nobody needs the old values any more, and writes over them; else it copies the whole memory in each
-    step. Of polytopes the branch of ``forces._resolve`` shows it that already.
+    step. Of polytopes the branches of ``forces`` show it that already.
     """
     if kind == "hulls":
         return memory

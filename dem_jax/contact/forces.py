@@ -54,9 +54,7 @@ def contacts(system: System, state: State, omega: Array, panels: boundary.Panels
     return state.moved(force=on_pieces[:3], torque=on_pieces[3:]).replace(walls=on_walls, ledger=ledger, collisions=counted)
 
 
-def _contacts_of_kind(
-    system: System, state: State, kind: str, stacked: Array, loads: Array, column: int
-) -> OfKind:
+def _contacts_of_kind(system: System, state: State, kind: str, stacked: Array, loads: Array, column: int) -> OfKind:
     """The memory of a kind after this step, which faces look at each other, the loads [6, columns] with those of its contacts
     from ``column`` on, the largest overlap, and the touches as of Contacts. Block by block of slots, as far as slots are
     filled: what is free costs nothing."""
@@ -84,9 +82,7 @@ def _contacts_of_kind(
     return jax.lax.fori_loop(0, (state.scratch.filled[kind] + size - 1) // size, block, start)
 
 
-def _of_shared_surfaces(
-    system: System, state: State, kind: str, stacked: Array, start: OfKind, column: int, size: int
-) -> OfKind:
+def _of_shared_surfaces(system: System, state: State, kind: str, stacked: Array, start: OfKind, column: int, size: int) -> OfKind:
     """As ``_contacts_of_kind``, of contacts of which several may be one, see ``seams``: first where each touches, then what
     part each has, then the contact law. start: what there is before the step; size: of a block, 0: all at once."""
     slots, siblings = state.scratch.slots[kind], state.scratch.siblings[kind]
