@@ -34,10 +34,21 @@ def high():
     return load_scene("plate-drop").replace(piece=pieces, run={"precision": "f64", "frames": 0.0})
 
 
+def tubes():
+    """Tubes that land upright on a plate of two panels, across the seam, and one that leans on them."""
+    tube = {"shape": "tube", "outer_radius": 0.012, "inner_radius": 0.009, "height": 0.03, "sides": 6}
+    upright = [{"position": (0.026 * (k % 3), 0.026 * (k // 3) - 0.013, 0.01501), "velocity": (0, 0, -0.3)} for k in range(6)]
+    leaning = {"position": (0.03, 0.001, 0.0475), "orientation": (1.0, 0.9, 0.2, 0.0), "velocity": (0.0, 0.1, -0.8)}
+    halves = [[(-0.1, y, 0.0), (0.2, y, 0.0), (0.2, y + 0.15, 0.0), (-0.1, y + 0.15, 0.0)] for y in (-0.15, 0.0)]
+    wall = [{"group": "plate", "corners": corners} for corners in halves]
+    scene = load_scene("plate-drop").replace(piece=[tube | at for at in (*upright, leaning)], wall=wall)
+    return scene.replace(run={"precision": "f64", "frames": 0.0})
+
+
 def roomy(made, slot_block):
     """System and first state with so many slots that there are several blocks."""
     system = made.system.replace(slot_block=slot_block)
-    return guard.with_capacity(system, made.state, tuple((k, 640, 176) for k, *_ in system.capacity), 12, 0)
+    return guard.with_capacity(system, made.state, tuple((k, 640, 176) for k, *_ in system.capacity), 24, 0)
 
 
 def traced(scene, slot_block):
@@ -75,6 +86,27 @@ def test_blocks_of_slots_do_not_change_the_trace():
     assert np.abs(samples.force).max() > 10
     for name in ("position", "orientation", "velocity", "angular_momentum"):
         assert difference(getattr(in_blocks, name), getattr(state, name)) < 1e-7, name  # contacts amplify rounding
+    assert difference(rows.force[:60], samples.force[:60]) < 1e-9
+    assert difference(rows.energy, samples.energy) < 1e-7
+
+
+def test_blocks_of_slots_of_shared_surfaces_do_not_change_the_trace(monkeypatch):
+    """Each tube stands on six parts and two panels, in contacts that lie in several blocks and are one."""
+    monkeypatch.setattr(blocks, "LEAST_BLOCK", 4)
+    with jax.enable_x64(True):
+        state, samples, _ = traced(tubes(), 0)
+        in_blocks, rows, (_, most) = traced(tubes(), 4)
+        room = in_blocks.contacts["hulls"].a.shape[0]
+        size = blocks.block_size(build.build(tubes(), 0).system.replace(slot_block=4), "hulls", room)
+    assert most > 4 * size > 0
+    siblings, filled = in_blocks.scratch.siblings["hulls"], int(in_blocks.scratch.filled["hulls"])
+    block = np.arange(room) // size
+    apart = np.asarray(siblings.there) & (block[np.asarray(siblings.slot)] != block[None])
+    touching = (np.asarray(in_blocks.contacts["hulls"].memory.overlap) > 0)[:filled]
+    assert apart.any() and touching.any() and not touching.all()
+    assert np.abs(samples.force).max() > 10
+    for name in ("position", "orientation", "velocity", "angular_momentum"):
+        assert difference(getattr(in_blocks, name), getattr(state, name)) < 1e-7, name
     assert difference(rows.force[:60], samples.force[:60]) < 1e-9
     assert difference(rows.energy, samples.energy) < 1e-7
 
