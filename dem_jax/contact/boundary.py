@@ -106,7 +106,7 @@ class Ahead(NamedTuple):
     """Where the panels are at a rebuild and until the next, as far as that is known ahead: ``after`` of a load cell at rest."""
 
     now: Panels
-    after: Panels  # each of the steps that follow: arrays with a leading axis [count], unless all walls rest
+    after: Panels  # so many steps: arrays with a leading axis [count + 1], unless all walls rest
 
 
 def ahead(system: System, step: Array, count: int) -> Ahead:
@@ -114,17 +114,21 @@ def ahead(system: System, step: Array, count: int) -> Ahead:
 
     All at once: where the flaps are would take a step of few pieces a third of its time.
     """
-    now = at_rebuild(system, step)
     if not system.walls.motions:
+        now = at_rebuild(system, step)
         return Ahead(now, now)
-    return Ahead(now, jax.vmap(lambda k: after_step(system, step + k))(jnp.arange(1, count + 1, dtype=jnp.int32)))
+    past = jnp.arange(count + 1, dtype=jnp.int32)
+    time = system.dt * (step + past).astype(system.dt.dtype)
+    of_velocity = jnp.where(past > 0, time - 0.5 * system.dt, time)
+    after = jax.vmap(lambda t, t_velocity: panels(system.walls, t, t_velocity))(time, of_velocity)
+    return Ahead(jax.tree.map(lambda rows: rows[0], after), after)
 
 
 def after(system: System, of: Ahead, steps: Array) -> Panels:
     """The panels so many steps after the rebuild, at least one; not a number beyond the last."""
     if not system.walls.motions:
         return of.after
-    return jax.tree.map(lambda rows: rows.at[steps - 1].get(mode="fill", fill_value=jnp.nan), of.after)
+    return jax.tree.map(lambda rows: rows.at[steps].get(mode="fill", fill_value=jnp.nan), of.after)
 
 
 def carried(system: System, state: State, panels: Panels) -> Panels:

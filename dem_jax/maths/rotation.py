@@ -73,7 +73,7 @@ def _turn(q: Quaternion, p: Vector, axis: int, angle: Array) -> tuple[Quaternion
     x = 0.25 * angle
     u = x * _tangent(x * x)
     c, s = _half_angle(u * u)
-    s = s * u
+    c, s = vector.kept(c, s * u)
     i, j, k = ((axis + n) % 3 for n in range(3))
     w, a, b, d = q[0], q[1 + i], q[1 + j], q[1 + k]
     turned, back = list(q), list(p)
@@ -95,16 +95,15 @@ def free_rotation(q: Quaternion, momentum: Vector, inertia: Vector, dt: Array | 
     adds it up), and the angular velocity of the interval (rad/s, world frame; the mean of its ends).
     """
     before = matrix(q)
-    p = vector.rotate_back(before, momentum)
+    p = vector.kept(*vector.rotate_back(before, momentum))
     start = vector.rotate(before, _over(p, inertia))
     none = jnp.zeros_like(p[0])
     turn: Quaternion = (none + 1, none, none, none)
     for axis, part in ((0, 0.5), (1, 0.5), (2, 1.0), (1, 0.5), (0, 0.5)):
         turn, p = _turn(turn, p, axis, part * dt * p[axis] / inertia[axis])
-    change = multiply(q, _less_identity(vector.kept(turn[1], turn[2], turn[3])))
-    after = tuple(x + d for x, d in zip(q, change, strict=True))
-    end = angular_velocity((after[0], after[1], after[2], after[3]), momentum, inertia)
-    return change, vector.scale(0.5, vector.add(start, end))
+    w, x, y, z = vector.kept(*multiply(q, _less_identity(vector.kept(turn[1], turn[2], turn[3]))))
+    end = angular_velocity((q[0] + w, q[1] + x, q[2] + y, q[3] + z), momentum, inertia)
+    return (w, x, y, z), vector.scale(0.5, vector.add(start, end))
 
 
 def spin(q: Quaternion, momentum: Vector, inertia: Vector, dt: Array | float) -> tuple[Quaternion, Vector]:

@@ -74,6 +74,7 @@ def _move(motion: Kind, t: Array, t_velocity: Array) -> _Move:
     angle_rate, shift_rate = jax.jvp(motion.at, (t_velocity,), (jnp.ones_like(t_velocity),))[1]
     turn = None
     if angle is not None and motion.axis is not None:
+        angle, angle_rate = vector.kept(angle, angle_rate)
         axis, pivot = vector.unpack(motion.axis), None if motion.pivot is None else vector.unpack(motion.pivot)
         turn = _Turn(axis, pivot, angle, vector.scale(angle_rate, axis))
     return _Move(turn, None if shift is None else (shift, shift_rate))
