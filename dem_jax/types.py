@@ -441,6 +441,8 @@ class Scratch(Tree):
     is_first: Array  # bool: whether no overlap of near polytopes was noted in the guard yet
     spare: Array | None  # [P] (m): way that each pair of polytopes may still move before it is asked whether a look is due
     looked: Array  # int32: after which step that was the way to go
+    ahead: Array | None  # [rows, M + W]: bodies.stack of the step that a look is due for, or of the last one
+    tried: Array  # int32: that step
 
 
 @pytree

@@ -67,7 +67,9 @@ def entered(
     )
 
 
-def _by_column(system: System, state: State, panels: boundary.Panels, touches: dict[str, Array | None]) -> tuple[Array, Array]:
+def _by_column(
+    system: System, state: State, panels: boundary.Panels, touches: dict[str, Array | None]
+) -> tuple[Array, Array]:
     """Of each column of Scratch.loads the place on the panels, [columns] int32, and what touches say, [2, columns]."""
     places, rows = list[Array](), list[Array]()
     for kind, table in state.contacts.items():

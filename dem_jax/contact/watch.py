@@ -24,7 +24,21 @@ def gone(system: System, state: State, stacked: Array) -> State:
     way = jnp.where(state.step == scratch.looked, 0, ROUNDING * system.dt)
     assert scratch.spare is not None
     spare = scratch.spare - way * _paces(system, scratch, stacked)
-    return state.replace(scratch=scratch.replace(spare=spare))
+    return state.replace(scratch=scratch.replace(spare=spare, ahead=stacked, tried=state.step))
+
+
+def look(system: System, state: State, stacked: Array, step: Array) -> State:
+    """The state with near features that hold for all pairs of polytopes where they are after a step, [] int32. stacked:
+    bodies.stack then."""
+    assert system.hulls is not None
+    scratch, slots = state.scratch, state.scratch.slots[KIND]
+    rel, left = ways_left(system, state, stacked)
+    rows, reach = shapes_of(system, slots), system.law.reach(slots.pair)
+    known, left = near.renewed(system.hulls, scratch.near[KIND], left, rows, slots.live, rel, reach)
+    guard = _with_start(state.guard, scratch.is_first, known, slots)
+    no = jnp.zeros_like(scratch.is_first)
+    scratch = scratch.replace(near={KIND: known}, spare=left, is_first=no, looked=step)
+    return state.replace(guard=guard, scratch=scratch)
 
 
 def ways_left(system: System, state: State, stacked: Array) -> tuple[Relative, Array]:
@@ -35,18 +49,6 @@ def ways_left(system: System, state: State, stacked: Array) -> tuple[Relative, A
     a, b = bodies.take_at_once(stacked, slots.a), bodies.take_at_once(stacked, slots.b)
     rel = relative(a, b, bodies.offset(a, b))
     return rel, near.left(system.hulls, state.scratch.near[KIND], shapes_of(system, slots), slots.live, rel)
-
-
-def look(system: System, state: State, rel: Relative, left: Array) -> State:
-    """The state with near features that hold for all pairs of polytopes where they are now. rel, left: ways_left."""
-    assert system.hulls is not None
-    scratch, slots = state.scratch, state.scratch.slots[KIND]
-    rows, reach = shapes_of(system, slots), system.law.reach(slots.pair)
-    known, left = near.renewed(system.hulls, scratch.near[KIND], left, rows, slots.live, rel, reach)
-    guard = _with_start(state.guard, scratch.is_first, known, slots)
-    no = jnp.zeros_like(scratch.is_first)
-    scratch = scratch.replace(near={KIND: known}, spare=left, is_first=no, looked=state.step)
-    return state.replace(guard=guard, scratch=scratch)
 
 
 def _paces(system: System, scratch: Scratch, stacked: Array) -> Array:

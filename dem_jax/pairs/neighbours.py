@@ -91,6 +91,8 @@ def rebuild(system: System, state: State, panels: boundary.Panels | None = None)
         is_first=by.is_first,
         spare=jnp.where(found["hulls"].slots.live, -1, jnp.inf).astype(system.dt.dtype) if "hulls" in found else None,
         looked=jnp.full_like(state.step, -1),
+        ahead=stacked if is_kept(system) else None,
+        tried=state.step,
     )
     return state.replace(contacts=tables, incidence=incidence, guard=guard, scratch=scratch)
 

@@ -10,7 +10,6 @@ import jax.numpy as jnp
 
 from dem_jax import compiling
 from dem_jax.contact import bodies, boundary, forces, ledger, of_run, watch
-from dem_jax.contact.collide import Relative
 from dem_jax.contact.geometry import is_kept
 from dem_jax.maths.once import once
 from dem_jax.pairs import neighbours
@@ -53,7 +52,7 @@ def advance(system: System, state: State, panels: boundary.Panels | None = None)
     """One time step: kick, drift, walls, contacts, kick. panels: boundary.after_step of it, if that is known already."""
     state, omega, panels = _moved(system, state, panels)
     if is_kept(system):
-        state = watch.look(system, state, *watch.ways_left(system, state, bodies.stack(system, state, omega, panels)))
+        state = watch.look(system, state, bodies.stack(system, state, omega, panels), state.step)
     return _met(system, state, omega, panels)
 
 
@@ -178,7 +177,9 @@ def _parts(
     # A look is compiled as a function of its own, between loops and not inside: in one function with the steps it would take
     # twice as long to compile. (XLA makes no function of the outer loop, as it sorts.)
     def until_look(going: Going) -> Going:
-        going = going._replace(state=_looked(system, going.state, walls))
+        scratch = going.state.scratch
+        assert scratch.ahead is not None
+        going = going._replace(state=watch.look(system, going.state, scratch.ahead, scratch.tried))
         return jax.lax.while_loop(lambda going: goes_on(going) & ~watch.is_due(going.state), part, going)
 
     return jax.lax.while_loop(goes_on, until_look, going)
@@ -229,7 +230,7 @@ def _until_due(system: System, substeps: Array, state: State, walls: boundary.Ah
 
     def one(carry: tuple[State, Array]) -> tuple[State, Array]:
         before, done = carry
-        moved, omega, panels = _ahead(system, before, walls)
+        moved, omega, panels = _moved(system, before, _panels_ahead(system, before, walls))
         # What the first half of a step changes: where a look is due it is taken back, and done again after it.
         touched = [f.name for f in dataclasses.fields(before) if getattr(moved, f.name) is not getattr(before, f.name)]
         moved = watch.gone(system, moved, bodies.stack(system, moved, omega, panels))
@@ -242,26 +243,9 @@ def _until_due(system: System, substeps: Array, state: State, walls: boundary.Ah
     return jax.lax.while_loop(lambda c: (c[1] < substeps) & ~watch.is_due(c[0]), one, (state, done))
 
 
-def _ahead(system: System, state: State, walls: boundary.Ahead) -> tuple[State, Array, boundary.Panels]:
-    """``_moved`` of the step ahead."""
-    return _moved(system, state, _panels_ahead(system, state, walls))
-
-
 def _panels_ahead(system: System, state: State, walls: boundary.Ahead) -> boundary.Panels:
     """Where the panels are after the step ahead."""
     return boundary.after(system, walls, state.step - state.scratch.since + 1)
-
-
-def _looked(system: System, state: State, walls: boundary.Ahead) -> State:
-    """The state with near features that hold after the step ahead."""
-
-    def ahead(_: tuple[Relative, Array]) -> tuple[Relative, Array]:
-        moved, omega, panels = _ahead(system, state, walls)
-        return watch.ways_left(system, moved, bodies.stack(system, moved, omega, panels))
-
-    none = jax.tree.map(lambda x: jnp.full(x.shape, jnp.inf, x.dtype), jax.eval_shape(ahead, None))
-    rel, left = once(watch.is_due(state), ahead, none)
-    return watch.look(system, state.replace(step=state.step + 1), rel, left).replace(step=state.step)
 
 
 def _strays(system: System, state: State) -> Array:

@@ -69,7 +69,9 @@ class WaltonBraun:
         f = vector.kept(normal_force(history.force, c.approach, c.overlap, pair.stiffness, pair.unload, self.separation))
         push = f
         if self.damping is not None and pair.mass is not None:
-            push = f + unloading_damping(f, c.approach, c.overlap, pair.stiffness, pair.unload, pair.mass, self.damping, c.dt)
+            push = f + unloading_damping(
+                f, c.approach, c.overlap, pair.stiffness, pair.unload, pair.mass, self.damping, c.dt
+            )
         if history.spring is None or pair.friction is None:
             return self._at_rest(pair, history, c, Response(push, None, History(f, None)))
         stiffness = self.tangential * pair.stiffness
@@ -151,7 +153,9 @@ def normal_force(
     return jnp.minimum(jnp.maximum(unloading, separation * loading), loading)  # eq. 1; 0 where separated
 
 
-def recoverable_energy(force: Array, overlap: Array, load_stiffness: Array, unload_stiffness: Array, separation: Array) -> Array:
+def recoverable_energy(
+    force: Array, overlap: Array, load_stiffness: Array, unload_stiffness: Array, separation: Array
+) -> Array:
     """Work (J) that a contact with F_n and s_n does if it parts now: down its unloading line to that of separation, and
     along that one to the end."""
     floor = separation * load_stiffness
