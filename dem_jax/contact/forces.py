@@ -31,12 +31,11 @@ class Sides(NamedTuple):
     offset: Vector  # [P] x 3 (m): between their centres
 
 
-def contacts(system: System, state: State, omega: Array, panels: boundary.Panels) -> State:
+def contacts(system: System, state: State, omega: Array, panels: boundary.Panels, stacked: Array) -> State:
     """Evaluate every contact once and commit its memory; fills force and torque of pieces and walls, and the ledger.
 
-    state: positions now, velocities of the interval that led here; omega: [3, N] (rad/s) likewise.
+    state: positions now, velocities of the interval that led here; omega: [3, N] (rad/s) likewise; stacked: bodies.stack of all.
     """
-    stacked = bodies.stack(system, state, omega, panels)
     loads, overlap = state.scratch.loads, jnp.zeros((system.runs,), stacked.dtype)
     tables: dict[str, ContactTable] = {}
     facing: dict[str, Facing] = {}

@@ -126,6 +126,7 @@ def nearness(system: System, kind: str, slots: Slots, a: Body, b: Body, offset: 
     if kind != "hulls" or table is None or table.features is None:
         return geometry(system, kind, slots, a, b, offset)[0]
     rows, rel = shapes_of(system, slots), relative(a, b, offset)
+    rel = rel._replace(offset=vector.kept(*rel.offset))
     if is_kept(system):
         depth = look.overlap_at_most(table.features, rows, rel)
     else:

@@ -51,9 +51,10 @@ def of_single(sample: Sample) -> Sample:
 def advance(system: System, state: State, panels: boundary.Panels | None = None) -> State:
     """One time step: kick, drift, walls, contacts, kick. panels: boundary.after_step of it, if that is known already."""
     state, omega, panels = _moved(system, state, panels)
+    stacked = bodies.stack(system, state, omega, panels)
     if is_kept(system):
-        state = watch.look(system, state, bodies.stack(system, state, omega, panels), state.step)
-    return _met(system, state, omega, panels)
+        state = watch.look(system, state, stacked, state.step)
+    return _met(system, state, omega, panels, stacked)
 
 
 def _moved(system: System, state: State, panels: boundary.Panels | None) -> tuple[State, Array, boundary.Panels]:
@@ -66,10 +67,10 @@ def _moved(system: System, state: State, panels: boundary.Panels | None) -> tupl
     return state, omega, boundary.carried(system, state, panels)
 
 
-def _met(system: System, state: State, omega: Array, panels: boundary.Panels) -> State:
-    """The second half of ``advance``, of what ``_moved`` returns."""
+def _met(system: System, state: State, omega: Array, panels: boundary.Panels, stacked: Array) -> State:
+    """The second half of ``advance``, of what ``_moved`` returns; stacked: bodies.stack of it."""
     state = neighbours.gone(system, state, omega, panels)
-    state = forces.contacts(system, state, omega, panels)
+    state = forces.contacts(system, state, omega, panels, stacked)
     return integrate.kick(system, state)
 
 
@@ -233,9 +234,10 @@ def _until_due(system: System, substeps: Array, state: State, walls: boundary.Ah
         moved, omega, panels = _moved(system, before, _panels_ahead(system, before, walls))
         # What the first half of a step changes: where a look is due it is taken back, and done again after it.
         touched = [f.name for f in dataclasses.fields(before) if getattr(moved, f.name) is not getattr(before, f.name)]
-        moved = watch.gone(system, moved, bodies.stack(system, moved, omega, panels))
+        stacked = bodies.stack(system, moved, omega, panels)
+        moved = watch.gone(system, moved, stacked)
         is_known = ~watch.is_due(moved)
-        after = once(is_known, lambda s: _met(system, s, omega, panels), moved)
+        after = once(is_known, lambda s: _met(system, s, omega, panels, stacked), moved)
         if_known = lambda a, b: jnp.where(is_known, a, b)  # noqa: E731
         same = {name: jax.tree.map(if_known, getattr(after, name), getattr(before, name)) for name in touched}
         return after.replace(**same), done + is_known.astype(jnp.int32)
