@@ -15,9 +15,9 @@ def drop(**changes):
     return dem_jax.simulate(dem_jax.load_scene("quick-release").replace(common | changes))
 
 
-def borne(run, group):
-    """Mass (kg) that a group of walls bears at the end, by the mean force of the last 0.1 s."""
-    last = run.time > run.time[-1] - 0.1
+def borne(run, group, seconds=0.1):
+    """Mass (kg) that a group of walls bears at the end, by the mean force of the last seconds."""
+    last = run.time > run.time[-1] - seconds
     return -float(np.asarray(run.mean_force[group], float)[last, 2].mean()) / 9.81
 
 
@@ -27,8 +27,9 @@ def fallen(run):
 
 
 def test_a_piece_that_stays_wedged_is_borne_by_the_feed_bucket():
+    """Wedged pieces rock: at 1 cm/s, which is what a change of momentum of 0.5 % of the weight in 0.4 s amounts to."""
     run = drop(**{"feed_bucket.opening_angle_deg": 12.0, "feed_bucket.open_dwell": 1.0})
-    feed, weigh = (sum(borne(run, f"{name}_{part}") for part in ("walls", "flaps")) for name in ("fb", "wb"))
+    feed, weigh = (sum(borne(run, f"{name}_{part}", 0.4) for part in ("walls", "flaps")) for name in ("fb", "wb"))
     left = round(feed / PIECE)
     assert 1 <= left <= 8
     np.testing.assert_allclose([feed, weigh], [left * PIECE, (9 - left) * PIECE], rtol=5e-3)
@@ -57,7 +58,7 @@ def test_flaps_that_close_on_a_piece_stop_the_run_with_its_name():
 def test_flaps_of_limited_torque_hold_what_they_close_on_or_let_it_go(torque):
     run = drop(**EARLY, **{"feed_bucket.drive": {"torque": torque}, "run.duration": 1.4})
     late = run.time > 1.2
-    feed, weigh = (sum(borne(run, f"{name}_{part}") for part in ("walls", "flaps")) for name in ("fb", "wb"))
+    feed, weigh = (sum(borne(run, f"{name}_{part}", 0.4) for part in ("walls", "flaps")) for name in ("fb", "wb"))
     fell = fallen(run)  # flung over the walls
     assert fell <= 2
     np.testing.assert_allclose(feed + weigh, (9 - fell) * PIECE, rtol=1e-2)
