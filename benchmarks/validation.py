@@ -20,7 +20,7 @@ from dem_jax.validation.catalogue import FAMILIES, problems
 
 HEAD = ["problem", "compared", "f32", "f64", "f64, a quarter of the step", "f32 from f64", "allowed"]
 FINER = 4
-SEEDS = 64
+SEEDS = 256
 SURE = 0.01  # least p-value that equal distributions give but once in a hundred
 
 
