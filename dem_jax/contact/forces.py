@@ -195,18 +195,18 @@ def _loads_of_pieces(system: System, state: State) -> Array:
 
 def _loads_of_walls(system: System, state: State, panels: boundary.Panels) -> WallLoads:
     """Loads on each wall group: what its walls do to a piece, added up piece by piece, is the reaction."""
-    place = vector.unpack(state.position)
     number = jnp.arange(len(system.walls.groups), dtype=jnp.int32)[:, None]
     scratch = state.scratch
 
     def rows(k: Array) -> Array:
         columns, group = scratch.walled[0, k], scratch.walled[1, k]
         load = scratch.loads.at[:, columns].get(mode="promise_in_bounds")
-        about_origin = jnp.stack(vector.add(vector.cross(place, vector.unpack(load[:3])), vector.unpack(load[3:])))
-        both = jnp.concatenate([load[:3], about_origin])
-        return jnp.where(group[None] == number, -both[:, None], 0)
+        return jnp.where(group[None] == number, -load[:, None], 0)
 
-    total = of_run.total(system, _added_up(system, rows, scratch.most_walled))
+    load = _added_up(system, rows, scratch.most_walled)  # [6, G, N], the torque about each piece's centre
+    place = vector.each(lambda c: c[None], vector.unpack(state.position))
+    about_origin = jnp.stack(vector.add(vector.cross(place, vector.unpack(load[:3])), vector.unpack(load[3:])))
+    total = of_run.total(system, jnp.concatenate([load[:3], about_origin]))
     pivot = vector.each(lambda c: c[..., None], panels.pivot)
     torque = vector.sub(vector.unpack(total[3:]), vector.cross(pivot, vector.unpack(total[:3])))
     return WallLoads(total[:3], jnp.stack(torque))

@@ -19,11 +19,11 @@ def entered(
     if system.ledger:
         twice = jnp.concatenate([before.force, before.torque]) + on_pieces
         motion = jnp.concatenate([before.velocity, omega])
-        took = _work(system, of_run.apart(system, twice * motion))
+        took = _work(system, of_run.total(system, twice * motion))
         by_walls = jnp.zeros_like(took)
         if system.walls.moving:
             twice = jnp.concatenate([state.walls.force + on_walls.force, state.walls.torque + on_walls.torque])
-            by_walls = -_work(system, twice * panels.groups[3:, :, None])
+            by_walls = -_work(system, jnp.sum(twice * panels.groups[3:, :, None], axis=1))
         ledger = ledger.replace(taken=ledger.taken + (by_walls - took), wall_work=ledger.wall_work + by_walls)
     impulse = ledger.impulse + 0.5 * system.dt * (state.walls.force + on_walls.force)
     peak = jnp.maximum(ledger.peak, _along_gravity(system, on_walls.force))
@@ -41,11 +41,11 @@ def _along_gravity(system: System, force: Array) -> Array:
 
 
 def _work(system: System, twice_power: Array) -> Array:
-    """Work (J) in this step, [R], from loads on bodies, before and after it, times velocities and spins, [6, bodies, R] (W).
+    """Work (J) in this step, [R], from loads on bodies, before and after it, times velocities and spins, their sums [6, R] (W).
 
     Trapezoidal, each load at its own point of attack: closed to second order in the time step.
     """
-    return 0.5 * system.dt * jnp.sum(twice_power, axis=(0, 1))
+    return 0.5 * system.dt * jnp.sum(twice_power, axis=0)
 
 
 def new_interval(ledger: Ledger) -> Ledger:

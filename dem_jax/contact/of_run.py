@@ -12,15 +12,17 @@ import jax.numpy as jnp
 
 from dem_jax.types import Array, State, System
 
+LANES = 16  # numbers that a processor adds at once, at most
+
 
 def total(system: System, of_pieces: Array) -> Array:
     """Sum over the pieces of each run: [.., N] to [.., R]."""
-    return jnp.sum(apart(system, of_pieces), axis=-2)
+    return _reduced(jnp.sum, apart(system, of_pieces))
 
 
 def largest(system: System, of_pieces: Array) -> Array:
     """The largest of the pieces of each run, as ``total``."""
-    return jnp.max(apart(system, of_pieces), axis=-2)
+    return _reduced(jnp.max, apart(system, of_pieces))
 
 
 def any_of(system: System, of_pieces: Array) -> Array:
@@ -49,6 +51,8 @@ def total_of_contacts(system: System, of_contacts: Array, piece: Array) -> Array
 
 def largest_of_contacts(system: System, of_contacts: Array, piece: Array) -> Array:
     """The largest of the contacts [P] of each run that are with these pieces, none below 0, [R]."""
+    if system.runs == 1:
+        return _reduced(jnp.max, jnp.maximum(of_contacts, 0)[:, None])
     return jnp.max(jnp.where(_is_of(system, piece), of_contacts, 0), axis=1)
 
 
@@ -72,8 +76,16 @@ def either(system: System, which: Array, one: Callable, other: Callable, state: 
     return first.replace(step=jnp.maximum(first.step, second.step), motion=motion, walls=walls, scratch=scratch)
 
 
+def _reduced(reduce: Callable[..., Array], rows: Array) -> Array:
+    """The sum or the largest over the last axis but one, of many in lanes: one after the other each addition would wait for
+    that before. The order is that of the pieces alone, however many runs there are."""
+    whole = rows.shape[-2] // LANES
+    if whole < 2:
+        return reduce(rows, axis=-2)
+    lanes = reduce(rows[..., : whole * LANES, :].reshape(*rows.shape[:-2], whole, LANES, rows.shape[-1]), axis=-3)
+    return reduce(jnp.concatenate([lanes, rows[..., whole * LANES :, :]], axis=-2), axis=-2)
+
+
 def _is_of(system: System, piece: Array) -> Array:
-    """Whether each piece [P] is of each run, [R, P], or [1, 1] of a single one."""
-    if system.runs == 1:
-        return jnp.ones((1, 1), bool)
+    """Whether each piece [P] is of each run, [R, P]."""
     return piece[None] % system.runs == jnp.arange(system.runs, dtype=piece.dtype)[:, None]
