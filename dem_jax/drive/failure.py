@@ -7,7 +7,9 @@ import numpy as np
 
 from dem_jax.drive.job import Job
 from dem_jax.errors import SceneError, SimulationError
+from dem_jax.scene import buckets
 from dem_jax.scene.extreme import furthest
+from dem_jax.scene.scene import Scene
 from dem_jax.scene.words import short
 from dem_jax.step.quantities import QUANTITIES
 from dem_jax.types import Guard, Sample, State, System
@@ -59,7 +61,7 @@ def describe(job: Job, span: "Span", state: State, member: int, k: int) -> Simul
         piece = int(samples.culprit[k])
         what = _what_happened(job, system, state, piece, member)
     elif samples.overlap[k] > DEEPEST:
-        piece, what = _deep(system, state, float(samples.overlap[k]))
+        piece, what = _deep(job, system, state, float(samples.overlap[k]))
     elif samples.stride[k] > DEEPEST:
         piece, what = _too_fast(system, state)
     else:
@@ -87,10 +89,14 @@ def restless(job: Job, first: int, reasons: list[str]) -> SimulationError:
 
 def body_name(system: System, body: int) -> str:
     """A body by its number: parts of pieces first, then panels."""
-    parts = system.parts.count
-    if body < parts:
-        return f"piece {int(system.parts.piece(body))}"
-    return f"wall group {system.walls.groups[int(system.walls.group[body - parts])]!r}"
+    group = _group(system, body)
+    return f"piece {int(system.parts.piece(body))}" if group is None else f"wall group {group!r}"
+
+
+def _group(system: System, body: int) -> str | None:
+    """The wall group of a body by its number; None: it is of a piece."""
+    panel = body - system.parts.count
+    return None if panel < 0 else system.walls.groups[int(system.walls.group[panel])]
 
 
 def _error(job: Job, line: str, piece: int | None, at: float, member: int) -> SimulationError:
@@ -147,7 +153,7 @@ def _what_happened(job: Job, system: System, state: State, piece: int, member: i
     )
 
 
-def _deep(system: System, state: State, overlap: float) -> tuple[int, str]:
+def _deep(job: Job, system: System, state: State, overlap: float) -> tuple[int, str]:
     """The piece in the deepest contact, and what to say of it."""
     worst, a, b = -1.0, 0, 0
     of_parts = np.asarray(system.parts.piece(np.arange(system.parts.count)))
@@ -160,8 +166,21 @@ def _deep(system: System, state: State, overlap: float) -> tuple[int, str]:
     return int(of_parts[b]), (
         f"its contact with {body_name(system, a)} is {100 * overlap:.3g} % of the piece's width deep (at most "
         f"{100 * DEEPEST:g} %); likely cause: the material is too soft for this load (raise material.softening), "
-        f"or the piece is pinched between walls (flaps of limited torque: [weigh_bucket.drive])"
+        f"or the piece is pinched between walls{_gives_way(job.scene, _group(system, a))}"
     )
+
+
+def _gives_way(scene: Scene, group: str | None) -> str:
+    """What lets flaps give way whose motion is given: that of a wall group, or, None, all of the scene."""
+    flaps = [
+        (buckets.groups(bucket, short_name), f"[{key}.drive]")
+        for key, short_name in buckets.NAMES.items()
+        if (bucket := getattr(scene, key)) and bucket.opening_angle_deg and not bucket.drive
+    ]
+    swung = [motion.group for motion in scene.motion if motion.swing_deg and not motion.drive]
+    flaps += [([name], f"drive = {{torque = ..}} of the [[motion]] of {name!r}") for name in swung]
+    keys = [key for groups, key in flaps if group is None or group in groups]
+    return f" (flaps of limited torque: {' or '.join(keys)})" if keys else ""
 
 
 def _too_fast(system: System, state: State) -> tuple[int, str]:

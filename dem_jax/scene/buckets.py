@@ -8,6 +8,7 @@ from dem_jax.scene.numbers import is_zero
 from dem_jax.scene.sections.buckets import Bucket, Feeder
 from dem_jax.scene.sections.walls import Block, Motion
 
+NAMES = {"weigh_bucket": "wb", "feed_bucket": "fb"}  # a scene's section -> what the names of its wall groups begin with
 FEEDER = "lf"  # wall group of the feeder
 
 Panel = tuple[str, np.ndarray, float]  # group, corners [k, 3] (m), thickness (m)

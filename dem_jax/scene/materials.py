@@ -90,7 +90,7 @@ def rows_of_groups(table: MaterialTable, scene: Scene, groups: Sequence[str]) ->
 def materials_of_groups(scene: Scene) -> dict[str, str | None]:
     """Wall group -> name of its material, None: [material]. Raises SceneError where a group has two."""
     owners = [(f"wall.{n}", wall.group, wall.material) for n, wall in enumerate(scene.wall)]
-    for key, short in (("weigh_bucket", "wb"), ("feed_bucket", "fb")):
+    for key, short in buckets.NAMES.items():
         bucket = getattr(scene, key)
         if bucket:
             owners += [(key, group, bucket.material) for group in buckets.groups(bucket, short)]

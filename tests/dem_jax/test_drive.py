@@ -12,6 +12,7 @@ from dem_jax import build
 from dem_jax.build import drive as building
 from dem_jax.build.time_step import possible_contacts, stiffest
 from dem_jax.contact import boundary
+from dem_jax.drive import failure
 from dem_jax.errors import SceneError
 from dem_jax.scene import Scene
 from dem_jax.step import drive, joined
@@ -105,6 +106,27 @@ def test_a_motion_that_is_given_presses_harder():
     given = dem_jax.simulate(scene(None))
     assert np.abs(given.mean_force["flap"]).max() > 3 * np.abs(pressed(TORQUE).mean_force["flap"]).max()
     assert not hasattr(given, "flap_lag") or not given.flap_lag
+
+
+OF_FEED, OPENS = {"feed_bucket.drive.torque": 1.0}, {"weigh_bucket.opening_angle_deg": 60.0}
+
+
+@pytest.mark.parametrize(
+    "of, group, cure",
+    [
+        (dem_jax.load_scene("weigh-bucket"), "fb_flap_left", "(flaps of limited torque: [feed_bucket.drive])"),
+        (dem_jax.load_scene("weigh-bucket"), "wb_flap_right", ""),  # it stays shut
+        (dem_jax.load_scene("weigh-bucket", OPENS), "wb_flap_right", ": [weigh_bucket.drive]"),
+        (dem_jax.load_scene("weigh-bucket", OPENS), None, ": [weigh_bucket.drive] or [feed_bucket.drive]"),  # by other pieces
+        (dem_jax.load_scene("weigh-bucket", OF_FEED), "fb_flap_left", ""),
+        (scene(None), "flap", "drive = {torque = ..} of the [[motion]] of 'flap'"),
+        (scene(None), "plate", ""),
+        (scene(), "flap", ""),
+    ],
+)
+def test_what_is_pinched_is_told_of_the_drive_of_the_wall_that_pinches(of, group, cure):
+    said = failure._gives_way(of, group)
+    assert cure in said and bool(cure) == bool(said)
 
 
 def test_energy_of_the_pieces_adds_up_with_what_flaps_do():

@@ -50,7 +50,7 @@ EARLY = {"feed_bucket.opening_time": 0.06, "feed_bucket.open_dwell": 0.03, "feed
 
 def test_flaps_that_close_on_a_piece_stop_the_run_with_its_name():
     """Their motion is given, so they press with any force."""
-    with pytest.raises(SimulationError, match=r"piece \d+ at t = .* deep .*or the piece is pinched between walls"):
+    with pytest.raises(SimulationError, match=r"piece \d+ at t = .* deep .*pinched between walls .*: \[feed_bucket.drive\]"):
         drop(**EARLY)
 
 
