@@ -329,9 +329,9 @@ class Siblings(Tree):
     """The contacts of the same surface with the same surface as each slot has, itself among them; none where no other body
     continues any of the two. See ``contact.seams``."""
 
-    slot: Array  # [touching, P] int32: the first ``number``
-    there: Array  # [touching, P] bool: whether one is
-    number: Array  # [P] int32
+    order: Array  # [P] int32: slots, siblings next to each other and in order
+    first: Array  # [P] int32: where in it those of each slot begin
+    number: Array  # [P] int32: how many there are
     most: Array | int  # [] int32: of any slot; an int, touching, to go through all, which can be differentiated
 
 

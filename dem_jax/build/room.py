@@ -17,12 +17,12 @@ def capacity(
 
     polytopes, spheres: numbers of such parts of pieces. What a settled heap was seen to need; is_general: of polytopes of any form,
     which have more neighbours than boxes; of_parts: of pieces of several, which lie close together
-    and may be thin. (Of few pieces all slots are computed in each step, of many only those that are filled.)
+    and may be thin: most when they land. (Of few pieces all slots are computed in each step, of many only those that are filled.)
     """
     p, s = polytopes, spheres
     walls = 4 * s ** (2 / 3) + 8 if panels else 0
     hulls = (12 * p, max(4 * p, 5 * p - 32)) if is_general else (9 * p, 3 * p + 5)
-    hulls = (40 * p, hulls[1]) if of_parts else hulls
+    hulls = (40 * p, 12 * p) if of_parts else hulls
     wanted = {"hulls": hulls, "mixed": (8 * min(p, s) + 2 * walls, 4 * min(p, s) + walls), "spheres": (8 * s, 4 * s)}
     out: list[tuple[str, int, int]] = []
     for kind in neighbours.SOURCES:

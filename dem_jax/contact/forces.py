@@ -89,7 +89,7 @@ def _of_shared_surfaces(system: System, state: State, kind: str, stacked: Array,
     room = slots.b.shape[0]
     size = size or room
     if not system.slot_block:
-        siblings = siblings.replace(most=siblings.slot.shape[0])
+        siblings = siblings.replace(most=system.touching)
 
     def by_blocks(block: Callable[[Array | int, T], T], carry: T) -> T:
         if size == room:

@@ -86,19 +86,17 @@ def renewed(
     assert features is not None
     radius = tuple(hulls.bounding_radius[row] for row in rows)
     count = min(AT_ONCE, live.shape[0])
-    urgency, order = jax.lax.sort((left, jnp.arange(live.shape[0], dtype=jnp.int32)), num_keys=1)
-    order = jnp.concatenate([order, order[:count]])  # also where that is all: else XLA would take the look out of the loop
 
-    def another(carry: tuple[Array, Near, Array]) -> tuple[Array, Near, Array]:
-        first, near, left = carry
-        at = jax.lax.dynamic_slice_in_dim(order, first, count)
+    def another(carry: tuple[Near, Array]) -> tuple[Near, Array]:
+        near, left = carry
+        urgency = jnp.where(left < 0, jnp.inf, -left).astype(jnp.float32)  # what XLA finds the largest of without a sort
+        at = jax.lax.top_k(urgency, count)[1]
         some = lambda x: x if x.shape[-1] == 1 else x[..., at]  # noqa: E731
         fresh = look(features, *jax.tree.map(some, (rows, radius, rel, reach)))
         near = jax.tree.map(lambda x, new: x.at[..., at].set(new, mode="promise_in_bounds"), near, fresh)
-        return first + count, near, left.at[at].set(jnp.where(live[at], jnp.maximum(fresh.margin, 0), jnp.inf))
+        return near, left.at[at].set(jnp.where(live[at], jnp.maximum(fresh.margin, 0), jnp.inf))
 
-    due = jnp.sum(urgency < 0, dtype=jnp.int32)
-    return jax.lax.while_loop(lambda carry: carry[0] < due, another, (jnp.zeros((), jnp.int32), near, left))[1:]
+    return jax.lax.while_loop(lambda carry: jnp.any(carry[1] < 0), another, (near, left))
 
 
 def moved(near: Near, radius: Array, rel: Relative) -> Array:

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 
 from dem_jax.contact.met import Met
 from dem_jax.maths import vector
+from dem_jax.maths.compaction import grouped
 from dem_jax.maths.vector import Vector
 from dem_jax.types import Array, Memory, Siblings, Slots, System
 
@@ -28,10 +29,11 @@ class Kin(NamedTuple):
     """The siblings of a block of slots B, as of Siblings."""
 
     itself: Array  # [B] int32: the slots
-    slot: Array  # [touching, B] int32, of all
-    there: Array  # [touching, B] bool
+    order: Array  # [P] int32, of all
+    first: Array  # [B] int32
     number: Array  # [B] int32
     most: Array | int
+    alike: Callable[[Array], Array] | None  # whether slots [B] have the normals of those of the block, [B] bool; None: all do
 
 
 def are_there(system: System) -> bool:
@@ -39,23 +41,26 @@ def are_there(system: System) -> bool:
     return system.walls.plane is not None or system.parts.surface is not None
 
 
-def siblings(system: System, slots: Slots, incidence: Array, column: int) -> Siblings:
-    """Siblings of each slot. incidence: State.incidence; column: where the loads on b of these slots begin in it."""
+def siblings(system: System, slots: Slots) -> Siblings:
+    """Siblings of each slot."""
     assert slots.surface_a is not None
-    slot = incidence[:, system.parts.piece(slots.b)] - column
-    inside = (slot >= 0) & (slot < slots.b.shape[0])
-    slot = jnp.where(inside, slot, 0)
-    there = inside & (slots.live & are_shared(slots))[None]
-    if slots.surface_b is None:
-        there = there & (slots.surface_a[slot] == slots.surface_a[None])
-    else:
-        for surface, body in ((slots.surface_a, slots.a), (slots.surface_b, slots.b)):
-            there = there & jnp.where(surface[None] >= 0, surface[slot] == surface[None], body[slot] == body[None])
-    rank = jnp.cumsum(there, axis=0, dtype=jnp.int32)
-    column_of = jnp.broadcast_to(jnp.arange(slot.shape[1], dtype=jnp.int32), slot.shape)
-    first = jnp.zeros_like(slot).at[jnp.where(there, rank - 1, slot.shape[0]), column_of].set(slot, mode="drop")
-    number = rank[-1]
-    return Siblings(first, jnp.arange(slot.shape[0], dtype=jnp.int32)[:, None] < number[None], number, jnp.max(number))
+    shared = slots.live & are_shared(slots)
+    panels, parts = system.walls.group.shape[0], system.parts.count
+    surfaces = panels + parts  # there are no more, see ``slots``
+    a = jnp.where(slots.surface_a >= 0, slots.surface_a, surfaces + slots.a)
+    b = slots.b
+    if slots.surface_b is not None:
+        b = jnp.where(slots.surface_b >= 0, slots.surface_b, parts + slots.b)
+    by_b = grouped(b, 2 * parts)[0]
+    order = by_b[grouped(jnp.where(shared, a, 2 * surfaces)[by_b], 2 * surfaces)[0]]
+    place = jnp.arange(order.shape[0], dtype=jnp.int32)
+    another = jnp.any(jnp.stack([rows[order] != rows[jnp.roll(order, 1)] for rows in (a, b)]), axis=0) | (place == 0)
+    group = jnp.cumsum(another, dtype=jnp.int32) - 1
+    begins = jnp.searchsorted(group, jnp.arange(order.shape[0] + 1, dtype=jnp.int32)).astype(jnp.int32)
+    of = jnp.stack([begins[group], begins[group + 1] - begins[group]])
+    first, number = jnp.zeros_like(of).at[:, order].set(of, unique_indices=True, mode="promise_in_bounds")
+    number = jnp.where(shared, number, 0)
+    return Siblings(order, first, number, jnp.max(number))
 
 
 def are_shared(slots: Slots) -> Array:
@@ -71,16 +76,9 @@ def of_block(slots: Slots, of: Siblings, normal: Vector, k: Array | int, size: i
     first = k * size
     cut = lambda x: jax.lax.dynamic_slice_in_dim(x, first, size, -1)  # noqa: E731
     number, itself = cut(of.number), first + jnp.arange(size, dtype=jnp.int32)
-    kin = Kin(itself, cut(of.slot), cut(of.there), number, of.most if isinstance(of.most, int) else jnp.max(number))
-    if slots.surface_b is None:
-        return kin
     own = vector.each(cut, normal)
-
-    def row(k: Array, there: Array) -> Array:
-        alike = there[k] & (vector.dot(vector.at(normal, kin.slot[k]), own) > ONE_WAY)
-        return jax.lax.dynamic_update_index_in_dim(there, alike, k, 0)
-
-    return kin._replace(there=jax.lax.fori_loop(0, kin.most, row, kin.there))
+    alike = None if slots.surface_b is None else lambda slot: vector.dot(vector.at(normal, slot), own) > ONE_WAY
+    return Kin(itself, of.order, cut(of.first), number, of.most if isinstance(of.most, int) else jnp.max(number), alike)
 
 
 def own(slots: Slots, met: Met) -> Met:
@@ -138,4 +136,10 @@ def _centre(met: Met, share: Array, own: Met, of: Kin) -> Vector:
 
 def _over(of: Kin, more: Callable[[T, Array, Array], T], start: T) -> T:
     """``more(so far, slot, there)`` of the first sibling of each slot, the second and so on."""
-    return jax.lax.fori_loop(0, of.most, lambda k, so_far: more(so_far, of.slot[k], of.there[k]), start)
+
+    def another(k: Array, so_far: T) -> T:
+        slot = of.order[jnp.minimum(of.first + k, of.order.shape[0] - 1)]
+        there = k < of.number
+        return more(so_far, slot, there if of.alike is None else there & of.alike(slot))
+
+    return jax.lax.fori_loop(0, of.most, another, start)

@@ -22,7 +22,7 @@ from dem_jax.maths.compaction import EMPTY, compact, grouped, in_order
 from dem_jax.maths.vector import Vector
 from dem_jax.pairs import search
 from dem_jax.pairs.slots import constants
-from dem_jax.types import Array, ContactTable, Facing, Guard, Memory, Near, Scratch, Siblings, Slots, State, System, host
+from dem_jax.types import Array, ContactTable, Facing, Guard, Memory, Near, Scratch, Slots, State, System, host
 
 T = TypeVar("T")
 
@@ -85,7 +85,7 @@ def rebuild(system: System, state: State, panels: boundary.Panels | None = None)
         way=jnp.zeros_like(lead),
         rate=jnp.zeros_like(lead),
         lead=lead,
-        siblings=_siblings(system, found, incidence),
+        siblings={kind: seams.siblings(system, one.slots) for kind, one in found.items() if one.slots.surface_a is not None},
         near={kind: one.near[0] for kind, one in found.items() if one.near},
         facing={kind: one.near[1] for kind, one in found.items() if one.near},
         is_first=by.is_first,
@@ -95,16 +95,6 @@ def rebuild(system: System, state: State, panels: boundary.Panels | None = None)
         tried=state.step,
     )
     return state.replace(contacts=tables, incidence=incidence, guard=guard, scratch=scratch)
-
-
-def _siblings(system: System, found: dict[str, Found], incidence: Array) -> dict[str, Siblings]:
-    """Of each kind of contact of which some surfaces go on."""
-    siblings, column = {}, 0
-    for kind, one in found.items():
-        if one.slots.surface_a is not None:
-            siblings[kind] = seams.siblings(system, one.slots, incidence, column)
-        column += 2 * one.table.a.shape[0]
-    return siblings
 
 
 def _found(
@@ -126,14 +116,21 @@ def _found(
     guard = guard if keeps else _note_overlap(guard, by.is_first, relative, a, b)
     touching, a, b = in_order(overlap, of_run.at(system, by.reach, jnp.maximum(b, 0)), a, b, room)
     needed = jnp.maximum(guard.needed[kind], _of_fullest_run(system, number + missed, touching, b))
-    old, slots = state.contacts[kind], constants(system, kind, a, b)
-    slot, known = former_slots(system, old, a, b, state.incidence, column)
-    table = ContactTable(a, b, carried(old.memory, no_memory(system, slots), slot, known))
+    slots, filled = constants(system, kind, a, b), jnp.minimum(touching, room)
+    slot, known = former_slots(system, state, kind, a, b, column)
+    table = ContactTable(a, b, carried(state.contacts[kind].memory, no_memory(system, slots), slot, known))
     near = None
     if keeps:
-        none = empty_near(system, a.shape[0])
-        near = carried((state.scratch.near[kind], state.scratch.facing[kind]) if state.scratch else none, none, slot, known)
-    return guard, Found(table, slots, jnp.minimum(touching, room), needed, near)
+        near = empty_near(system, room)
+        if state.scratch:
+            old, size = (state.scratch.near[kind], state.scratch.facing[kind]), blocks.block_size(system, kind, room) or room
+
+            def block(k: Array, near: tuple[Near, Facing]) -> tuple[Near, Facing]:
+                none, *of = blocks.block_of((near, slot, known), k, size)
+                return blocks.with_block(near, carried(old, none, *of), k, size)
+
+            near = jax.lax.fori_loop(0, (filled + size - 1) // size, block, near)
+    return guard, Found(table, slots, filled, needed, near)
 
 
 def _of_fullest_run(system: System, near: Array, touching: Array, b: Array) -> Array:
@@ -199,22 +196,28 @@ def _note_overlap(guard: Guard, first_time: Array, relative: Array, a: Array, b:
     )
 
 
-def former_slots(
-    system: System, old: ContactTable, a: Array, b: Array, incidence: Array, column: int
-) -> tuple[Array, Array]:
-    """The slot in an old table of each pair (a, b), [P] int32, and whether it had one, [P] bool.
+def former_slots(system: System, state: State, kind: str, a: Array, b: Array, column: int) -> tuple[Array, Array]:
+    """The slot in the last table of each pair (a, b) of a kind, [P] int32, and whether it had one, [P] bool.
 
-    incidence: [touching, N] of the old tables; column: where the loads on b of this kind begin in it. A pair that was
-    known stands among the few contacts of its b, so that no sorting and no search is needed.
+    column: where the loads on b of this kind begin in ``State.incidence``. A pair that was known stands among the few contacts
+    of its b, so that no sorting and no search is needed.
     """
-    room = old.a.shape[0]
-    slot = incidence[:, system.parts.piece(jnp.maximum(b, 0))] - column  # [touching, P]
-    inside = (slot >= 0) & (slot < room)
-    slot = jnp.where(inside, slot, 0)
-    match = inside & (old.a[slot] == a[None]) & (a >= 0)[None]
-    if system.parts.owner is not None:
-        match = match & (old.b[slot] == b[None])
-    return jnp.max(jnp.where(match, slot, 0), axis=0), jnp.any(match, axis=0)
+    old, incidence = state.contacts[kind], state.incidence
+    room, columns = old.a.shape[0], sum(2 * table.a.shape[0] for table in state.contacts.values())
+    piece = system.parts.piece(jnp.maximum(b, 0))
+
+    def matched(k: Array, found: tuple[Array, Array]) -> tuple[Array, Array]:
+        former, known = found
+        slot = incidence[k, piece] - column
+        inside = (slot >= 0) & (slot < room)
+        slot = jnp.where(inside, slot, 0)
+        match = inside & (old.a[slot] == a) & (a >= 0)
+        if system.parts.owner is not None:
+            match = match & (old.b[slot] == b)
+        return jnp.where(match, slot, former), known | match
+
+    busiest = jnp.sum(jnp.any(incidence < columns, axis=1), dtype=jnp.int32)
+    return jax.lax.fori_loop(0, busiest, matched, (jnp.zeros_like(a), jnp.zeros(a.shape, bool)))
 
 
 def carried(old: T, none: T, slot: Array, known: Array) -> T:
