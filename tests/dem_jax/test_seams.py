@@ -23,10 +23,10 @@ FOUR = [rectangle(*x, *y) for x in ((-SIZE, 0.0), (0.0, SIZE)) for y in ((-SIZE,
 
 
 def run(panels, piece, samples, precision="f64"):
-    """Samples, and the last state, of a piece on a plate made of panels."""
+    """Samples, and the last state, of a piece, or several, on a plate made of panels."""
     walls = [{"group": "plate", "corners": corners, "thickness": 0.02} for corners in panels]
     settings = {"precision": precision, "sample": 1e-4, "frames": 0.0}
-    made = build.build(Scene(piece=[piece], wall=walls, run=settings), 0)
+    made = build.build(Scene(piece=piece if isinstance(piece, list) else [piece], wall=walls, run=settings), 0)
     system = made.system.replace(skin=made.system.skin * 0 + 0.01)
     state, recorded, _ = stepping.chunk(system, made.state, np.int32(samples), np.int32(1), samples=SAMPLES, frames=0)
     assert not guard.outgrown(system, jax.device_get(state.guard))
@@ -39,6 +39,10 @@ TILTED = {**FALLING, "position": (0.004, 0.002, 0.03), "orientation": (1.0, 0.12
 SLIDING = {**CUBOID, "position": (-0.05, 0.002, 0.0099995), "velocity": (0.8, 0.1, 0.0)}
 BALL = {"shape": "sphere", "radius": 0.012, "position": (-0.03, 0.002, 0.0119), "velocity": (0.9, 0.0, 0.0)}
 
+BAR = [{"shape": "cuboid", "size": (0.04, 0.008, 0.008), "position": (0.0, 0.0, 0.0)}]
+ENDS = [{"shape": "cuboid", "size": (0.02, 0.02, 0.02), "position": (x, 0.0, 0.0)} for x in (-0.03, 0.03)]
+DUMB_BELL = {"shape": "compound", "part": ENDS + BAR, "position": (0.011, 0.002, 0.0105), "velocity": (0.0, 0.0, -0.5)}
+DUMB_BELL |= {"orientation": (1.0, 0.0, 0.002, 0.15)}
 
 OVERHANGING = {**CUBOID, "position": (0.002, SIZE + 0.004, 0.0099995), "orientation": (1.0, 0.0, 0.0, 0.4)}
 
@@ -74,6 +78,32 @@ def test_a_piece_feels_no_seam(whole, panels, piece):
     np.testing.assert_allclose(after.orientation, before.orientation, rtol=0, atol=1e-9)
     np.testing.assert_allclose(many.overlap, one.overlap, rtol=0, atol=1e-9)
     np.testing.assert_allclose(many.energy[:, 5], one.energy[:, 5], rtol=0, atol=1e-10 * one.energy[0, 5])
+
+
+def test_both_ends_of_a_dumb_bell_feel_no_seam(whole):
+    """They touch one plane at once, but are two contacts with it."""
+    made, before, one = whole(DUMB_BELL)
+    _, after, many = run(TWO, DUMB_BELL, 500)
+    assert made.system.parts.surface is None and made.system.parts.count == 3
+    peak = np.abs(one.force).max()
+    np.testing.assert_allclose(many.mean_force, one.mean_force, rtol=0, atol=1e-7 * peak)
+    np.testing.assert_allclose(after.position, before.position, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(after.orientation, before.orientation, rtol=0, atol=1e-9)
+
+
+def test_siblings_are_the_contacts_of_the_same_two_surfaces():
+    """Of tubes that stand on two panels and lie against each other, slot by slot."""
+    tube = {"shape": "tube", "outer_radius": 0.012, "inner_radius": 0.009, "height": 0.03, "sides": 6}
+    at = [(0.0, 0.0, 0.015), (0.0237, 0.0, 0.015), (0.0, 0.024, 0.015)]
+    _, state, _ = run(TWO, [tube | {"position": place} for place in at], 1)
+    slots, found = jax.device_get((state.scratch.slots["hulls"], state.scratch.siblings["hulls"]))
+    surfaces = [np.where(of >= 0, of, 1000 + body) for of, body in ((slots.surface_a, slots.a), (slots.surface_b, slots.b))]
+    continued = slots.live & ((slots.surface_a >= 0) | (slots.surface_b >= 0))
+    for slot in range(len(slots.live)):
+        own = found.order[found.first[slot] :][: found.number[slot]]
+        same = continued & (surfaces[0] == surfaces[0][slot]) & (surfaces[1] == surfaces[1][slot])
+        np.testing.assert_array_equal(own, np.flatnonzero(same) if continued[slot] else [])
+    assert found.most == found.number.max() > 6 and (~slots.live).any() and len(set(found.number)) > 3
 
 
 def test_the_rim_of_a_plate_of_panels_is_still_an_edge(whole):
