@@ -141,7 +141,7 @@ def with_capacity(
 def with_scratch(system: System, state: State) -> State:
     """The state with the incidence of its tables, and with what a rebuild fills empty and of the right form."""
     batched = jax.vmap if state.step.ndim else lambda function: function
-    find = batched(lambda tables: neighbours.find_incidence(system, tables)[0])
+    find = batched(lambda tables: neighbours.find_incidence(system, tables).columns)
     state = state.replace(scratch=None, incidence=jax.jit(find)(state.contacts))
     form = jax.eval_shape(batched(partial(neighbours.rebuild, system)), state).scratch
     return state.replace(scratch=jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), form))

@@ -53,6 +53,15 @@ class Found(NamedTuple):
     near: tuple[Near, Facing] | None  # of polytopes that keep their near features
 
 
+class Incidence(NamedTuple):
+    """Which contacts each piece has."""
+
+    columns: Array  # [touching, N] int32: of State
+    most: Array  # int32: of any piece
+    walled: Array  # [2, touching, N] int32: of Scratch
+    most_walled: Array  # int32
+
+
 def rebuild(system: System, state: State, panels: boundary.Panels | None = None) -> State:
     """Find the candidate pairs anew and carry the history of those that remain. panels: where they are now, if known."""
     if panels is None:
@@ -66,20 +75,19 @@ def rebuild(system: System, state: State, panels: boundary.Panels | None = None)
         guard, found[kind] = _found(system, state, guard, by, kind, rooms, column)
         column += 2 * state.contacts[kind].a.shape[0]
     tables = {kind: one.table for kind, one in found.items()}
-    incidence, touching = find_incidence(system, tables)
+    incidence = find_incidence(system, tables)
     guard = guard.replace(
         needed={kind: one.needed for kind, one in found.items()},
-        touching=jnp.maximum(guard.touching, touching),
+        touching=jnp.maximum(guard.touching, incidence.most),
         start_overlap=jnp.maximum(guard.start_overlap, 0),
     )
-    walled, most_walled = find_walled(system, tables)
     filled = {kind: one.filled for kind, one in found.items()}
     scratch = Scratch(
         slots={kind: one.slots for kind, one in found.items()},
         filled=filled,
-        busiest=jnp.minimum(touching, system.touching),
-        walled=walled,
-        most_walled=most_walled,
+        busiest=jnp.minimum(incidence.most, system.touching),
+        walled=incidence.walled,
+        most_walled=incidence.most_walled,
         loads=jnp.zeros((6, column + 1), stacked.dtype),
         since=state.step,
         way=jnp.zeros_like(lead),
@@ -94,7 +102,7 @@ def rebuild(system: System, state: State, panels: boundary.Panels | None = None)
         ahead=stacked if is_kept(system) else None,
         tried=state.step,
     )
-    return state.replace(contacts=tables, incidence=incidence, guard=guard, scratch=scratch)
+    return state.replace(contacts=tables, incidence=incidence.columns, guard=guard, scratch=scratch)
 
 
 def _found(
@@ -259,45 +267,33 @@ def empty_table(system: System, kind: str, room: int) -> ContactTable:
     return ContactTable(none, none, jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), memory))
 
 
-def find_incidence(system: System, tables: dict[str, ContactTable]) -> tuple[Array, Array]:
-    """Where the loads of each piece stand in the columns that forces adds up, [touching, N], and how many at most.
+def find_incidence(system: System, tables: dict[str, ContactTable]) -> Incidence:
+    """Where the loads of each piece stand in the columns that forces adds up, those of walls first.
 
-    The columns are, for each kind, the P loads on b, then the P loads on a; one more holds zeros.
+    The columns are, for each kind, the P loads on b, then the P loads on a; one more, which ends each list, holds zeros.
     """
-    number = system.parts.count
-    owner = [part for t in tables.values() for part in (t.b, jnp.where(t.a < number, t.a, EMPTY))]
-    return _columns_of(system, owner)
-
-
-def find_walled(system: System, tables: dict[str, ContactTable]) -> tuple[Array, Array]:
-    """As ``find_incidence``, [2, touching, N] and how many at most: where the loads of walls on each piece stand, and the
-    number of each wall's group."""
-    number = system.parts.count
-    panel = [part for t in tables.values() for part in (t.a - number, jnp.full_like(t.a, EMPTY))]
-    owner = [part for t in tables.values() for part in (jnp.where(t.a >= number, t.b, EMPTY), jnp.full_like(t.b, EMPTY))]
-    columns, most = _columns_of(system, owner)
-    panels = jnp.maximum(jnp.concatenate([*panel, jnp.zeros((1,), jnp.int32)]), 0)
-    group = system.walls.group[panels] if system.walls.group.shape[0] else panels
-    return jnp.stack([columns, group[columns]]), jnp.minimum(most, system.touching)
-
-
-def _columns_of(system: System, stretches: list[Array]) -> tuple[Array, Array]:
-    """The columns that belong to each piece, [touching, N], in order and ended by the last, and how many at most.
-
-    stretches: of an array [columns - 1] of parts of pieces, EMPTY where a column is nobody's.
-    """
-    pieces = system.pieces.mass.shape[0]
-    if not stretches:
-        return jnp.zeros((system.touching, pieces), jnp.int32), jnp.zeros((), jnp.int32)
-    owner = jnp.concatenate(stretches)
-    if system.parts.owner is not None:
-        owner = jnp.where(owner >= 0, system.parts.owner[jnp.maximum(owner, 0)], EMPTY)
-    columns = owner.shape[0]
-    order, first = grouped(jnp.where(owner >= 0, owner, pieces), pieces)
-    count = first[1:] - first[:-1]
-    rank = jnp.arange(system.touching, dtype=jnp.int32)[:, None]
-    at = jnp.minimum(first[None, :-1] + rank, columns - 1)
-    return jnp.where(rank < count[None], order[at], columns), jnp.max(count)
+    pieces, number = system.pieces.mass.shape[0], system.parts.count
+    room = jnp.arange(system.touching, dtype=jnp.int32)[:, None]
+    if not tables:
+        none, zero = jnp.zeros((system.touching, pieces), jnp.int32), jnp.zeros((), jnp.int32)
+        return Incidence(none, zero, jnp.stack([none, none]), zero)
+    part = jnp.concatenate([of for t in tables.values() for of in (t.b, jnp.where(t.a < number, t.a, EMPTY))])
+    panel = jnp.concatenate([of for t in tables.values() for of in (t.a - number, jnp.full_like(t.a, EMPTY))])
+    columns = part.shape[0]
+    owner = 2 * system.parts.piece(jnp.maximum(part, 0)) + (panel < 0)
+    order, first = grouped(jnp.where(part >= 0, owner, 2 * pieces), 2 * pieces)
+    begin, middle, end = first[:-1:2], first[1::2], first[2::2]
+    found = order[jnp.minimum(begin + room, columns - 1)]
+    of_walls = jnp.where(room < middle - begin, found, columns)
+    group = jnp.zeros_like(of_walls)
+    if system.walls.group.shape[0]:
+        group = system.walls.group[jnp.maximum(jnp.append(panel, EMPTY), 0)[of_walls]]
+    return Incidence(
+        columns=jnp.where(room < end - begin, found, columns),
+        most=jnp.max(end - begin),
+        walled=jnp.stack([of_walls, group]),
+        most_walled=jnp.minimum(jnp.max(middle - begin), system.touching),
+    )
 
 
 def gone(system: System, state: State, omega: Array, panels: boundary.Panels) -> State:

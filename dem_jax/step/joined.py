@@ -105,7 +105,7 @@ def split(system: System, states: State, state: State) -> State:
         collisions=None,
         exchange=None,
         contacts=tables,
-        incidence=jax.vmap(lambda tables: neighbours.find_incidence(system, tables)[0])(tables),
+        incidence=jax.vmap(lambda tables: neighbours.find_incidence(system, tables).columns)(tables),
         ledger=jax.tree.map(apart, state.ledger),
         guard=_guards(states.guard, state.guard, parts),
         scratch=states.scratch,
