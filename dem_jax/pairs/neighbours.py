@@ -280,7 +280,7 @@ def find_incidence(system: System, tables: dict[str, ContactTable]) -> Incidence
     part = jnp.concatenate([of for t in tables.values() for of in (t.b, jnp.where(t.a < number, t.a, EMPTY))])
     panel = jnp.concatenate([of for t in tables.values() for of in (t.a - number, jnp.full_like(t.a, EMPTY))])
     columns = part.shape[0]
-    owner = 2 * system.parts.piece(jnp.maximum(part, 0)) + (panel < 0)
+    owner = 2 * system.parts.piece(jnp.maximum(part, 0)) + (panel < 0).astype(jnp.int32)
     order, first = grouped(jnp.where(part >= 0, owner, 2 * pieces), 2 * pieces)
     begin, middle, end = first[:-1:2], first[1::2], first[2::2]
     found = order[jnp.minimum(begin + room, columns - 1)]
