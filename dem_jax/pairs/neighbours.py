@@ -282,7 +282,7 @@ def find_incidence(system: System, tables: dict[str, ContactTable]) -> Incidence
     columns = part.shape[0]
     owner = 2 * system.parts.piece(jnp.maximum(part, 0)) + (panel < 0).astype(jnp.int32)
     order, first = grouped(jnp.where(part >= 0, owner, 2 * pieces), 2 * pieces)
-    begin, middle, end = first[:-1:2], first[1::2], first[2::2]
+    begin, middle, end = first[None, :-1:2], first[None, 1::2], first[None, 2::2]
     found = order[jnp.minimum(begin + room, columns - 1)]
     of_walls = jnp.where(room < middle - begin, found, columns)
     group = jnp.zeros_like(of_walls)
