@@ -196,6 +196,20 @@ class Statistics(Tree):
 
 
 @pytree
+class Plates(Tree):
+    """Panels for contacts with spheres: convex polygons of some thickness, in the panel's frame, z along the surface's normal.
+
+    Padded by repetition of an edge to the same number k of edges. Gathered to pairs, the last axis is the pair.
+    """
+
+    corners: tuple[Array, Array]  # [k, W] x 2 (m): x and y, where each edge begins, counter-clockwise
+    directions: tuple[Array, Array]  # [k, W] x 2: unit, of each edge
+    lengths: Array  # [k, W] (m)
+    half_thickness: Array  # [W] (m)
+    seams: tuple[Array, Array, Array] | None  # [m, W] x 3: as in ``Hulls``
+
+
+@pytree
 class Walls(Tree):
     """Convex plates in G groups, each group moved as a rigid body or at rest.
 
@@ -207,6 +221,7 @@ class Walls(Tree):
     half_extent: Array  # [3, W] (m): of the box around the panel, in its frame
     group: Array  # [W] int32
     material: Array  # [W] int32: row of Materials
+    plates: Plates
     plane: Array | None  # [W] int32: the same number for panels that continue each other in a plane, -1 for all others
     pivot: Array  # [3, G] (m): moves with the group; torques are about it; on the axis of a hinge
     motions: tuple  # of the kinds in contact.motion, each of all groups that move so; none: all rest
@@ -316,6 +331,7 @@ class Slots(Tree):
     b: Array  # [P] int32
     hull_a: Hulls | None  # [.., P] or [.., 1]; of polytopes with Features none
     hull_b: Hulls | None
+    plate_a: Plates | None  # [.., P]: of spheres on walls
     radius_a: Array  # [P] or [1] (m): of spheres
     radius_b: Array  # [P] or [1] (m)
     width: Array  # [P] or [1] (m): of the narrower piece

@@ -58,9 +58,9 @@ def table(shapes: Sequence[Shape], dtype: DTypeLike, seams: Seams | None = None,
         order = _padded_faces(len(row["normals"]), faces, zonotopes)
         normals.append(row["normals"][order])
         offsets.append(row["offsets"][order])
-        pad = _pad_halves if zonotopes else _pad
+        pad = _pad_halves if zonotopes else padded
         loops.append(np.stack([pad(row["corners"][f].T, sides) for f in order], axis=1))  # [k, F, 3]
-    directions = [_pad(row["directions"], edges) for row in rows]
+    directions = [padded(row["directions"], edges) for row in rows]
     widths = lengths = None
     if zonotopes:
         half = faces // 2
@@ -73,12 +73,12 @@ def table(shapes: Sequence[Shape], dtype: DTypeLike, seams: Seams | None = None,
         corners=_components(loops, dtype),
         loops=_columns([_half_loop(c) for c in loops] if zonotopes else [_closed(c) for c in loops], dtype),
         row=host(np.arange(len(rows))),
-        vertices=_components([_pad(row["vertices"], corners) for row in rows], dtype),
+        vertices=_components([padded(row["vertices"], corners) for row in rows], dtype),
         directions=_components(directions, dtype),
         bounding_radius=host(np.array([np.linalg.norm(row["vertices"], axis=1).max() for row in rows], dtype)),
         half_lengths=lengths,
         cross_widths=widths,
-        seams=_components(_filled(seams), dtype) if seams else None,
+        seams=seam_rows(seams, dtype) if seams else None,
         open_edges=_open_edges(normals, loops, seams, continued, dtype),
         inner=_last([_inner(more, faces) for more in continued], dtype) if continued else None,
         features=None if zonotopes else _features(shapes, dtype, seams, continued),
@@ -158,9 +158,11 @@ def _half_loop(loop: np.ndarray) -> np.ndarray:
     return np.concatenate([centre, edges[:half]])
 
 
-def _filled(seams: Seams) -> list[np.ndarray]:
+def seam_rows(seams: Seams, dtype: DTypeLike) -> Vector:
+    """Hulls.seams."""
     count = max(len(rows) for rows in seams)
-    return [np.concatenate([np.reshape(rows, (-1, 3)), np.zeros((count - len(rows), 3))]) for rows in seams]
+    filled = [np.concatenate([np.reshape(rows, (-1, 3)), np.zeros((count - len(rows), 3))]) for rows in seams]
+    return _components(filled, dtype)
 
 
 def _extended(shapes: Sequence[Shape], dtype: DTypeLike, seams: Seams | None, continued: Parts) -> Hulls:
@@ -218,7 +220,8 @@ def _open_edges(
     return host(stacked.reshape(len(stacked), -1).astype(dtype))
 
 
-def _pad(rows: np.ndarray, count: int) -> np.ndarray:
+def padded(rows: np.ndarray, count: int) -> np.ndarray:
+    """So many rows, the last repeated."""
     return np.concatenate([rows, np.repeat(rows[-1:], count - len(rows), axis=0)])
 
 

@@ -70,7 +70,7 @@ def part_arrays(solids: list[list[Solid]]) -> Parts:
 
 
 def hull_table(solids: list[list[Solid]], plates: list[Shape], seams: list[np.ndarray] | None) -> tuple[Hulls | None, np.ndarray]:
-    """The table of hulls of parts and panels (None if there are none), and the row of each of them.
+    """The table of hulls of parts and panels (None where all parts are spheres), and the row of each of them.
 
     seams: of each panel, as ``hulls.table`` takes them.
     """
@@ -83,8 +83,10 @@ def hull_table(solids: list[list[Solid]], plates: list[Shape], seams: list[np.nd
             distinct.append(solid)
         index.append(rows.get(id(solid), 0))
     index += [len(distinct) + k for k in range(len(plates))]
+    if not distinct:
+        return None, np.zeros(len(index), int)
     every = [*[solid.shape for solid in distinct], *plates]
     if seams:
         seams = [np.zeros((0, 3))] * len(distinct) + seams
     more = [*[solid.continued for solid in distinct], *[None] * len(plates)]
-    return (hulls.table(every, np.float64, seams, more if any(more) else None) if every else None), np.array(index, int)
+    return hulls.table(every, np.float64, seams, more if any(more) else None), np.array(index, int)

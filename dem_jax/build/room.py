@@ -23,7 +23,8 @@ def capacity(
     walls = 4 * s ** (2 / 3) + 8 if panels else 0
     hulls = (12 * p, max(4 * p, 5 * p - 32)) if is_general else (9 * p, 3 * p + 5)
     hulls = (40 * p, 12 * p) if of_parts else hulls
-    wanted = {"hulls": hulls, "mixed": (8 * min(p, s) + 2 * walls, 4 * min(p, s) + walls), "spheres": (8 * s, 4 * s)}
+    few = min(p, s)
+    wanted = {"hulls": hulls, "mixed": (8 * few, 4 * few), "plates": (2 * walls, walls), "spheres": (8 * s, 4 * s)}
     out: list[tuple[str, int, int]] = []
     for kind in neighbours.SOURCES:
         every = search.pair_count(kind, p, s, panels)

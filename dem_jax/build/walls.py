@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from dem_jax import shapes
 from dem_jax.build.drive import drive_of
+from dem_jax.build.hulls import padded, seam_rows
 from dem_jax.build.load_cell import load_cell_of
 from dem_jax.build.start import Box
 from dem_jax.build.typed import typed
@@ -22,7 +23,7 @@ from dem_jax.scene.buckets import Panel
 from dem_jax.scene.cycle import timed
 from dem_jax.scene.materials import material_table, rows_of_groups
 from dem_jax.shapes import Shape, meshes
-from dem_jax.types import Walls, host
+from dem_jax.types import Plates, Walls, host
 
 AS_READ = {"unit": 1.0, "rotate_deg": (0.0, 0.0, 0.0), "move": (0.0, 0.0, 0.0)}  # of what is in metres where it is
 
@@ -147,10 +148,13 @@ def wall_arrays(
     moved, pivot = motion.motions_of(motions, tuple(groups))
     extent = [np.abs(shape.vertices).max(0) for shape, _, _ in made]
     seams, plane = _seams([(group, corners) for group, corners, _ in panels])
+    if seams:  # scene to panel frame
+        seams = [across @ turn for across, (_, _, turn) in zip(seams, made, strict=True)]
     walls = Walls(
         centre=host(np.array([c for _, c, _ in made], float).reshape(-1, 3).T),
         rotation=host(np.array([r for _, _, r in made], float).reshape(-1, 3, 3).transpose(1, 2, 0)),
         half_extent=host(np.array(extent, float).reshape(-1, 3).T),
+        plates=_plates([shape for shape, _, _ in made], seams),
         group=host(number),
         material=host(material[number]),
         plane=plane if plane is None else host(plane),
@@ -161,8 +165,6 @@ def wall_arrays(
         groups=tuple(groups),
         reports=tuple((name, tuple(members)) for name, members in reports.items()),
     )
-    if seams:  # scene to panel frame
-        seams = [across @ turn for across, (_, _, turn) in zip(seams, made, strict=True)]
     return typed(walls, dtype), [shape for shape, _, _ in made], seams
 
 
@@ -191,6 +193,25 @@ def _seams(panels: Sequence[tuple[str, np.ndarray]]) -> tuple[list[np.ndarray], 
             planes[i] = found[0] if found else len(known)
             known += [] if found else [(group, corners[0], normal)]
     return (across, planes) if known else (None, None)
+
+
+def _plates(panels: Sequence[Shape], seams: Sequence[np.ndarray] | None) -> Plates:
+    """The outlines of panels, ``_plate``."""
+    outlines = [shape.vertices[list(shape.faces[0]), :2] for shape in panels]
+    most = max(map(len, outlines), default=3)
+    rows = []
+    for corners in outlines:
+        edges = np.roll(corners, -1, axis=0) - corners
+        lengths = np.linalg.norm(edges, axis=1, keepdims=True)
+        rows.append(padded(np.concatenate([corners, edges / lengths, lengths], axis=1), most))
+    x, y, along_x, along_y, lengths = np.array(rows, float).reshape(-1, most, 5).transpose(2, 1, 0)
+    return Plates(
+        corners=(host(x), host(y)),
+        directions=(host(along_x), host(along_y)),
+        lengths=host(lengths),
+        half_thickness=host(np.array([shape.vertices[:, 2].max() for shape in panels], float)),
+        seams=seam_rows(seams, float) if seams else None,
+    )
 
 
 def _plate(corners: np.ndarray, thickness: float, name: str) -> tuple[Shape, np.ndarray, np.ndarray]:

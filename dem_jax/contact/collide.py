@@ -18,7 +18,7 @@ import jax.numpy as jnp
 
 from dem_jax.maths import vector
 from dem_jax.maths.vector import Matrix, Vector, dot, expand, kept
-from dem_jax.types import Array, Hulls
+from dem_jax.types import Array, Hulls, Plates
 
 # Normals: a face's normal is taken instead of an edge-edge axis whose overlap is smaller by less than this part
 # of the depth, because an edge-edge axis nearly parallel to a face's flickers. The depth stays the exact minimum.
@@ -394,17 +394,40 @@ def hull_sphere(a: Hulls, radius: Array, centre: Vector) -> Geometry:
     tiny = jnp.finfo(distance.dtype).tiny
     normal = vector.where(outside, vector.scale(1 / jnp.maximum(distance, tiny), away), face_normal)
     depth = radius - jnp.where(outside, distance, inside)
+    point = vector.add_scaled(centre, 0.5 * depth - radius, normal)
+    if part.inner is None:
+        return Geometry(depth, normal, point)
+    foot = vector.add_scaled(centre, depth - radius, normal)  # beside a part that another continues, the other has the contact
+    above = jnp.max(dot(part.normals, expand(foot, 0)) - part.offsets, axis=0)
+    return Geometry(depth, normal, point, jnp.where(above < PART_EDGE * part.bounding_radius, 1, 0).astype(depth.dtype))
+
+
+def plate_sphere(a: Plates, radius: Array, centre: Vector) -> Geometry:
+    """As ``hull_sphere``, of a panel a: a prism, of which the closest point is found in height and in the plane apart."""
+    x, y, z = centre
+    to_x, to_y = x[None] - a.corners[0], y[None] - a.corners[1]  # [k, P]
+    along_x, along_y = a.directions
+    along = jnp.clip(to_x * along_x + to_y * along_y, 0, a.lengths)
+    from_x, from_y = kept(to_x - along * along_x, to_y - along * along_y)
+    beyond = kept(to_x * along_y - to_y * along_x)
+    _, nearest = _least(from_x * from_x + from_y * from_y)
+    least, edge = _least(-beyond)
+    is_beside, above = least < 0, jnp.abs(z) - a.half_thickness
+    up = jnp.where(z < 0, -1, 1).astype(z.dtype)
+    aside_x, aside_y = (jnp.where(is_beside, entry(rows, nearest), 0) for rows in (from_x, from_y))
+    away = kept(aside_x, aside_y, up * jnp.maximum(above, 0))
+    distance = vector.norm(away)
+    outside = distance > 0
+    unit = vector.scale(1 / jnp.maximum(distance, jnp.finfo(distance.dtype).tiny), away)
+    is_side = -least > above  # of a centre in the plate, which face it is nearest to
+    inner = jnp.where(is_side, entry(along_y, edge), 0), jnp.where(is_side, -entry(along_x, edge), 0), jnp.where(is_side, 0, up)
+    normal = vector.where(outside, unit, inner)
+    depth = radius - jnp.where(outside, distance, jnp.maximum(above, -least))
     weight = None
     if a.seams is not None:  # beside a panel that another continues, the other has the contact
-        across = [dot(normal, vector.at(a.seams, k)) for k in range(a.seams[0].shape[0])]
-        weight = jnp.where(jnp.max(jnp.stack(across), axis=0) > SEAM_SINE, 0, 1).astype(depth.dtype)
-    point = vector.add_scaled(centre, 0.5 * depth - radius, normal)
-    if part.inner is not None:  # and beside a part that another continues
-        foot = vector.add_scaled(centre, depth - radius, normal)
-        above = jnp.max(dot(part.normals, expand(foot, 0)) - part.offsets, axis=0)
-        held = jnp.where(above < PART_EDGE * part.bounding_radius, 1, 0).astype(depth.dtype)
-        weight = held if weight is None else held * weight
-    return Geometry(depth, normal, point, weight)
+        beyond_seams = [dot(normal, vector.at(a.seams, k)) for k in range(a.seams[0].shape[0])]
+        weight = jnp.where(jnp.max(jnp.stack(beyond_seams), axis=0) > SEAM_SINE, 0, 1).astype(depth.dtype)
+    return Geometry(depth, normal, vector.add_scaled(centre, 0.5 * depth - radius, normal), weight)
 
 
 def _closest_on_faces(hull: Hulls, height: Array, centre: Vector) -> tuple[Vector, Array]:

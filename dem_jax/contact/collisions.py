@@ -17,7 +17,7 @@ from dem_jax.contact import boundary
 from dem_jax.maths import vector
 from dem_jax.types import Array, Collisions, State, System, host
 
-WITH_WALLS = ("hulls", "mixed")  # kinds of contact that a wall can be in
+WITH_WALLS = ("hulls", "plates")  # kinds of contact that a wall can be in
 
 
 def none_yet(system: System, dtype: DTypeLike) -> Collisions | None:

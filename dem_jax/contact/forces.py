@@ -129,9 +129,9 @@ def _of_shared_surfaces(system: System, state: State, kind: str, stacked: Array,
 
         def together() -> Contacts:
             of = seams.of_block(slots, siblings, touch.normal, k, size)
-            one = seams.joined(rows, touch, share, block_of(touch, k, size), of_pieces(a, b, offset), of)
-            part = block_of(share, k, size)
-            return answer(system, seams.memory(before, of), rows, a, b, offset, one, _turn(system, kind, a, b), part)
+            here = block_of(touch, k, size)
+            one, memory = seams.joined(rows, touch, share, before, here, of_pieces(a, b, offset), of)
+            return answer(system, memory, rows, a, b, offset, one, _turn(system, kind, a, b), block_of(share, k, size))
 
         part = if_any(there, together, lambda: no_contacts(system, own, rows))
         memory, began = with_block((memory, began), (part.memory, part.touch), k, size)

@@ -1,4 +1,4 @@
-"""Kinds of contact by what computes their geometry: spheres, polytopes, a polytope and a sphere."""
+"""Kinds of contact by what computes their geometry: spheres, polytopes, a polytope and a sphere, a panel and a sphere."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -39,6 +39,10 @@ def geometry(
     if kind == "mixed":
         assert a.rotation is not None and slots.hull_a is not None
         found = collide.hull_sphere(slots.hull_a, slots.radius_b, vector.rotate_back(a.rotation, offset))
+        return found.depth, lambda: _in_world(found, a), None
+    if kind == "plates":
+        assert a.rotation is not None and slots.plate_a is not None
+        found = collide.plate_sphere(slots.plate_a, slots.radius_b, vector.rotate_back(a.rotation, offset))
         return found.depth, lambda: _in_world(found, a), None
     rel, reach, table = relative(a, b, offset), system.law.reach(slots.pair), system.hulls
     assert table is not None

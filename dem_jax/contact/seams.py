@@ -23,6 +23,7 @@ from dem_jax.types import Array, Memory, Siblings, Slots, System
 ONE_WAY = 0.98  # cosine between normals, from which on contacts with parts of one body are one
 
 T = TypeVar("T")
+Deepest = tuple[Array, Array]  # an overlap (m), and the slot that has it
 
 
 class Kin(NamedTuple):
@@ -97,41 +98,36 @@ def share(weight: Array, own: Array, of: Kin) -> Array:
     return jnp.where(of.number > 0, part, 1)
 
 
-def joined(slots: Slots, met: Met, share: Array, own: Met, offset: Vector, of: Kin) -> Met:
-    """Contacts of a block as one with their siblings: at their common point, of parts of pieces along the normal of the
-    deepest. met, share: of all slots; own, offset (m, between the centres of pieces): of the block."""
-    at_b = _centre(met, share, own, of)
+def joined(slots: Slots, met: Met, share: Array, before: Memory, own: Met, offset: Vector, of: Kin) -> tuple[Met, Memory]:
+    """Contacts of a block as one with their siblings, at their common point, of parts of pieces along the normal of the
+    deepest; and the memory of what was deepest before, so that a contact goes on as a piece comes onto a panel.
+
+    met, share, before: of all slots; own, offset (m, between the centres of pieces): of the block."""
+    parts = vector.kept(*vector.scale(share, met.at_b))
+    overlaps = (before.overlap,) if slots.surface_b is None else (before.overlap, met.overlap)
+    nothing = (jnp.full(of.number.shape, -jnp.inf, share.dtype), of.itself)  # how deep the deepest so far is, and which it is
+
+    def another(so_far: tuple[Vector, list[Deepest]], slot: Array, there: Array) -> tuple[Vector, list[Deepest]]:
+        total, deepest = so_far
+        total = vector.add(total, vector.each(lambda c: jnp.where(there, c[slot], 0), parts))
+        return total, [_deeper(best, overlap[slot], slot, there) for best, overlap in zip(deepest, overlaps, strict=True)]
+
+    total, deepest = _over(of, another, (vector.each(jnp.zeros_like, own.at_b), [nothing for _ in overlaps]))
+    memory = jax.tree.map(lambda rows: rows[..., deepest[0][1]], before)
+    at_b = vector.where(of.number > 0, total, own.at_b)
     one = own._replace(at_b=at_b, at_a=vector.add(at_b, offset))
     if slots.surface_b is None:
-        return one
-    pick, has_part = _deepest(met.overlap, of), own.overlap > -1
+        return one, memory
+    pick, has_part = deepest[1][1], own.overlap > -1
     normal = vector.where(has_part, vector.at(met.normal, pick), own.normal)
-    return one._replace(overlap=jnp.where(has_part, met.overlap[pick], own.overlap), normal=normal)
+    return one._replace(overlap=jnp.where(has_part, met.overlap[pick], own.overlap), normal=normal), memory
 
 
-def memory(all_of_them: Memory, of: Kin) -> Memory:
-    """The memory of the deepest sibling of each slot of a block, so that a contact goes on as a piece comes onto a panel."""
-    pick = _deepest(all_of_them.overlap, of)
-    return jax.tree.map(lambda rows: rows[..., pick], all_of_them)
-
-
-def _deepest(overlap: Array, of: Kin) -> Array:
-    """Which slot is the deepest sibling of each of a block, the first of equals; itself where it has none. overlap: of all."""
-
-    def deeper(best: tuple[Array, Array], slot: Array, there: Array) -> tuple[Array, Array]:
-        most, pick = best
-        more = there & (overlap[slot] > most)
-        return jnp.where(more, overlap[slot], most), jnp.where(more, slot, pick)
-
-    return _over(of, deeper, (jnp.full(of.number.shape, -jnp.inf, overlap.dtype), of.itself))[1]
-
-
-def _centre(met: Met, share: Array, own: Met, of: Kin) -> Vector:
-    """The point of the contact with the plane, about the centre of b."""
-    parts = vector.kept(*vector.scale(share, met.at_b))
-    add = lambda total, slot, there: vector.add(total, vector.each(lambda c: jnp.where(there, c[slot], 0), parts))  # noqa: E731
-    total = _over(of, add, vector.each(jnp.zeros_like, own.at_b))
-    return vector.where(of.number > 0, total, own.at_b)
+def _deeper(best: Deepest, overlap: Array, slot: Array, there: Array) -> Deepest:
+    """The best so far or this slot, the first of equals."""
+    most, pick = best
+    more = there & (overlap > most)
+    return jnp.where(more, overlap, most), jnp.where(more, slot, pick)
 
 
 def _over(of: Kin, more: Callable[[T, Array, Array], T], start: T) -> T:

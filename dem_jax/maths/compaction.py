@@ -8,6 +8,7 @@ import jax.numpy as jnp
 Array = jax.Array
 
 EMPTY = -1
+WORD = 32  # entries of a mask in one number
 
 
 def compact(mask: Array, a: Array, b: Array, slots: int) -> tuple[Array, Array, Array]:
@@ -30,20 +31,28 @@ def _taken(where: Array, a: Array, b: Array) -> tuple[Array, Array]:
 
 
 def first_set(mask: Array, slots: int) -> tuple[Array, Array]:
-    """How many entries of a mask hold, and the places [slots] of the first of them, in order, EMPTY where there are no more.
+    """How many entries of a mask hold, and the places [slots] of the first of them, in order, EMPTY where there are no more."""
+    return first_of_words(packed(jnp.pad(mask, (0, -mask.shape[0] % WORD)).reshape(-1, WORD)), slots)
 
-    Thirty-two entries to a word: adding up is a matter of few words, not of all pairs. Each word counts up by one where the
-    slots of those before it end, so that a sum over slots says of which word each slot is.
+
+def packed(mask: Array) -> Array:
+    """A mask [.., WORD] as words of uint32, [..], the first entry in the lowest bit."""
+    bit = jnp.arange(WORD, dtype=jnp.uint32)
+    return jnp.sum(mask.astype(jnp.uint32) << bit.reshape((1,) * (mask.ndim - 1) + (-1,)), axis=-1, dtype=jnp.uint32)
+
+
+def first_of_words(words: Array, slots: int) -> tuple[Array, Array]:
+    """``first_set`` of the mask that was ``packed`` into words.
+
+    Adding up is a matter of few words, not of all pairs. Each word counts up by one where the slots of those before it end, so
+    that a sum over slots says of which word each slot is.
     """
-    bit = jnp.arange(32, dtype=jnp.uint32)[:, None]
-    bits = jnp.pad(mask, (0, -mask.shape[0] % 32)).reshape(-1, 32).T.astype(jnp.uint32)
-    words = jnp.sum(bits << bit, axis=0, dtype=jnp.uint32)
     count = jax.lax.population_count(words).astype(jnp.int32)
     until = jnp.cumsum(count)
     ends = jnp.zeros((slots + 1,), jnp.int32).at[jnp.minimum(until, slots)].add(1, mode="promise_in_bounds")
     word = jnp.minimum(jnp.cumsum(ends)[:slots], words.shape[0] - 1)
     wanted = jnp.arange(slots, dtype=jnp.int32)
-    left, rank, place = words[word], wanted - (until - count)[word], 32 * word
+    left, rank, place = words[word], wanted - (until - count)[word], WORD * word
     for half in (16, 8, 4, 2, 1):  # which bit of the word is the one of that rank
         low = left & jnp.uint32((1 << half) - 1)
         below = jax.lax.population_count(low).astype(jnp.int32)

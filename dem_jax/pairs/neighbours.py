@@ -30,7 +30,8 @@ T = TypeVar("T")
 # In the order of the alphabet, as JAX sorts the keys of a dict: ``incidence`` counts on one order everywhere.
 SOURCES = {
     "hulls": ("hull-hull", "wall-hull"),
-    "mixed": ("hull-sphere", "wall-sphere"),
+    "mixed": ("hull-sphere",),
+    "plates": ("wall-sphere",),
     "spheres": ("sphere-sphere",),
 }
 

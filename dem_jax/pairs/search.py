@@ -15,10 +15,11 @@ from numpy.typing import DTypeLike
 
 from dem_jax.contact import of_run
 from dem_jax.maths import vector
-from dem_jax.maths.compaction import EMPTY, first_set
+from dem_jax.maths.compaction import EMPTY, WORD, first_of_words, first_set, packed
 from dem_jax.types import Array, Guard, Partition, System, host
 
 ALL_PAIRS = 512  # "auto": up to so many pieces every pair is looked at, which is as quick as any list; beyond, cells
+MANY = 64  # from so many parts on the pairs of "all-pairs" are found in a table
 ROUNDING = 1e-4  # of the cutoff of jax-md's list, by which it is larger than the sum of what it is made of
 
 
@@ -74,7 +75,8 @@ def pair_count(kind: str, polytopes: int, spheres: int, panels: int) -> int:
     """How many pairs of a kind there are at all, from the numbers of polytopes and spheres among the parts and of panels."""
     return {
         "hulls": polytopes * (polytopes - 1) // 2 + panels * polytopes,
-        "mixed": polytopes * spheres + panels * spheres,
+        "mixed": polytopes * spheres,
+        "plates": panels * spheres,
         "spheres": spheres * (spheres - 1) // 2,
     }[kind]
 
@@ -86,10 +88,32 @@ def _product(first: Array, second: Array) -> tuple[Array, Array]:
 
 
 def all_pairs(system: System, members: Array, stacked: Array, reach: Array, room: int) -> Found:
-    """Every pair there is, of pieces of one run, and Need: nothing."""
+    """Every pair there is, of pieces of one run, and Need: nothing; of many, those of ``table_pairs``."""
+    if system.runs == 1 and members.shape[0] >= MANY:
+        return table_pairs(system, members, stacked, reach, room)
     each = of_run.apart(system, members)
     i, j = np.triu_indices(each.shape[0], 1)
     return each[i].reshape(-1), each[j].reshape(-1), no_need(reach.dtype)
+
+
+def table_pairs(system: System, members: Array, stacked: Array, reach: Array, room: int) -> Found:
+    """Pairs of different pieces whose bounding spheres are within reach, out of a table of each with each, and Need: nothing.
+
+    In the order of ``all_pairs``. The table is twice as large as a list of pairs, but a processor goes along its rows, where
+    a list has it look up two places for each pair: a quarter of the time.
+    """
+    number, columns = members.shape[0], members.shape[0] + -members.shape[0] % WORD
+    ball = jnp.concatenate([stacked[:3, members], system.parts.bounding_radius[members][None]])
+    other = jnp.pad(ball, ((0, 0), (0, columns - number)))[:, None]
+    ball, rank = ball[..., None], jnp.arange(columns, dtype=jnp.int32)
+    away, near = tuple(other[:3] - ball[:3]), other[3] + ball[3] + reach
+    is_near = (vector.dot(away, away) < near * near) & (rank[None] > rank[:number, None]) & (rank < number)[None]
+    if system.parts.owner is not None:
+        owner = system.parts.owner[members]
+        is_near = is_near & (jnp.pad(owner, (0, columns - number))[None] != owner[:, None])
+    found, where = first_of_words(packed(is_near.reshape(number, -1, WORD)).reshape(-1), room)
+    a, b = (jnp.where(where >= 0, members[k], EMPTY) for k in (where // columns, where % columns))
+    return a, b, no_need(reach.dtype)._replace(missed=jnp.maximum(found - room, 0))
 
 
 def cell_pairs(system: System, members: Array, stacked: Array, reach: Array, room: int) -> Found:

@@ -1,5 +1,6 @@
 """What stays the same in a slot between two rebuilds: shapes of its two bodies, and what the contact law makes of them."""
 
+import jax
 import jax.numpy as jnp
 
 from dem_jax.contact import hulls
@@ -14,7 +15,7 @@ def constants(system: System, kind: str, a: Array, b: Array) -> Slots:
     """Slots of the pairs (a, b) [P] of a kind; a is EMPTY where there is none."""
     live = a >= 0
     a, b = jnp.maximum(a, 0), jnp.maximum(b, 0)
-    of = _between_spheres if kind == "spheres" else _with_polytopes
+    of = {"spheres": _between_spheres, "plates": _on_plates}.get(kind, _with_polytopes)
     return of(system, kind, live, a, b)
 
 
@@ -31,18 +32,19 @@ def _with_polytopes(system: System, kind: str, live: Array, a: Array, b: Array) 
         b=b,
         hull_a=hulls.gather(table, system.shape[a], kind == "mixed") if kind == "mixed" or by_tables else None,
         hull_b=_hull_of_piece(system, table, b) if kind == "hulls" and by_tables else None,
+        plate_a=None,
         radius_a=parts.radius[own],
         radius_b=parts.radius[b],
         width=jnp.where(wall, pieces.width[piece_b], jnp.minimum(pieces.width[piece_a], pieces.width[piece_b])),
-        surface_a=_surface(system, wall, own, panel, live),
+        surface_a=_surface(system, kind, wall, own, panel, live),
         surface_b=None if parts.surface is None else parts.surface[b],
         pair=system.law.pair(_couple(system, wall, piece_a, panel, piece_b)),
     )
 
 
-def _surface(system: System, wall: Array, part: Array, panel: Array, live: Array) -> Array | None:
+def _surface(system: System, kind: str, wall: Array, part: Array, panel: Array, live: Array) -> Array | None:
     """Slots.surface_a: planes of walls are numbered before surfaces of pieces, of which there are fewer than panels."""
-    plane, surface = system.walls.plane, system.parts.surface
+    plane, surface = system.walls.plane if kind == "hulls" else None, system.parts.surface
     if surface is None:
         return None if plane is None else jnp.where(wall & live, plane[panel], EMPTY)
     panels = system.walls.group.shape[0]
@@ -71,9 +73,44 @@ def _between_spheres(system: System, _: str, live: Array, a: Array, b: Array) ->
     of = lambda rows: (rows[first], rows[second])  # noqa: E731
     mass = series(*of(pieces.mass))
     pair = couple(system.materials, of(pieces.material), of(pieces.size), of(pieces.curvature), mass)
-    radius_a, radius_b = (parts.radius[part] for part in one)
-    width = jnp.minimum(*of(pieces.width))
-    return Slots(live, a, b, None, None, radius_a, radius_b, width, None, None, system.law.pair(pair))
+    return Slots(
+        live=live,
+        a=a,
+        b=b,
+        hull_a=None,
+        hull_b=None,
+        plate_a=None,
+        radius_a=parts.radius[one[0]],
+        radius_b=parts.radius[one[1]],
+        width=jnp.minimum(*of(pieces.width)),
+        surface_a=None,
+        surface_b=None,
+        pair=system.law.pair(pair),
+    )
+
+
+def _on_plates(system: System, _: str, live: Array, a: Array, b: Array) -> Slots:
+    """Slots of panels a and spheres b."""
+    pieces, parts, walls = system.pieces, system.parts, system.walls
+    panel, piece = jnp.maximum(a - parts.count, 0), parts.piece(b)
+    materials, size = (walls.material[panel], pieces.material[piece]), pieces.size[piece]
+    curvature = pieces.curvature[piece]
+    pair = couple(system.materials, materials, (size, size), (jnp.zeros_like(curvature), curvature), pieces.mass[piece])
+    plane = walls.plane
+    return Slots(
+        live=live,
+        a=a,
+        b=b,
+        hull_a=None,
+        hull_b=None,
+        plate_a=jax.tree.map(lambda rows: rows[..., panel], walls.plates),
+        radius_a=jnp.zeros((1,), size.dtype),
+        radius_b=parts.radius[b],
+        width=pieces.width[piece],
+        surface_a=None if plane is None else jnp.where(live, plane[panel], EMPTY),
+        surface_b=None if plane is None or parts.surface is None else parts.surface[b],
+        pair=system.law.pair(pair),
+    )
 
 
 def _hull_of_piece(system: System, table: Hulls, b: Array) -> Hulls:

@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from dem_jax import shapes
 from dem_jax.build import hulls as tables_of
+from dem_jax.build import walls
 from dem_jax.compiling import known
 from dem_jax.contact import collide, geometry, hulls
 
@@ -426,6 +427,38 @@ def test_a_sphere_at_a_face_an_edge_a_corner_and_inside(tables):
     np.testing.assert_allclose((found_normal * normal).sum(1)[away > 1e-6], 1, atol=1e-9)
     expected = centre - found_normal * (radius - 0.5 * depth)[:, None]
     np.testing.assert_allclose(np.stack(found.point, 1), expected, atol=1e-13)
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_a_sphere_on_a_panel_is_one_on_the_plate_behind_it(dtype):
+    """Panels of three to seven corners, thick and thin; spheres beside them, off edges and corners, and with the centre inside."""
+    random, radius = np.random.default_rng(9), 0.006
+    panels = []
+    for k in range(30):
+        turns = 2 * np.pi * (np.arange(3 + k % 5) + random.uniform(0, 0.7, 3 + k % 5)) / (3 + k % 5)
+        corners = np.stack([0.05 * np.cos(turns), 0.03 * np.sin(turns), 0 * turns], axis=1)
+        turned = corners @ Rotation.random(random_state=k).as_matrix()
+        panels.append(walls._plate(turned, 10 ** random.uniform(-3.5, -1.5), "panel")[0])
+    index = random.integers(0, len(panels), 4 * BATCH).astype(np.int32)
+    centre = np.empty((len(index), 3))
+    for k, i in enumerate(index):
+        corners = panels[i].vertices
+        two = corners[random.integers(0, len(corners), 2)]
+        near = two[0] + random.uniform() * (k % 2) * (two[1] - two[0]) + random.normal(size=3) * 0.5 * radius
+        within = random.dirichlet(np.ones(len(corners))) @ corners
+        centre[k] = near if k % 4 < 2 else within if k % 4 == 2 else within + (0, 0, random.uniform(-1, 1) * 2 * radius)
+    table = tables_of.table(panels, np.float64)
+    true = jax.jit(collide.hull_sphere)(hulls.gather(table, index, True), np.full(index.shape, radius), tuple(centre.T))
+    plates = jax.tree.map(lambda rows: np.asarray(rows[..., index], dtype), walls._plates(panels, None))
+    found = jax.jit(collide.plate_sphere)(plates, np.full(index.shape, radius, dtype), tuple(centre.T.astype(dtype)))
+    depth, near = np.asarray(true.depth), {np.float64: 1e-15, np.float32: 3e-8}[dtype]
+    assert (depth > radius).sum() > 100 and ((depth > 0) & (depth < radius)).sum() > 100 and (depth < 0).sum() > 50
+    np.testing.assert_allclose(found.depth, depth, rtol=0, atol=near)
+    clear = np.abs(depth - radius) > 1e5 * near if dtype == np.float64 else np.abs(depth - radius) > 1e-4
+    cosine = (np.stack(found.normal) * np.stack(true.normal)).sum(axis=0)
+    assert (cosine[clear] > 1 - 1e-6).mean() > 0.99  # a centre inside may be as near to two faces
+    aligned = clear & (cosine > 0.5)
+    np.testing.assert_allclose(np.stack(found.point)[:, aligned], np.stack(true.point)[:, aligned], rtol=0, atol=1e3 * near)
 
 
 def test_a_sphere_never_jumps_as_its_centre_enters_a_body(tables):

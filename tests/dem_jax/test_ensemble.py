@@ -74,9 +74,9 @@ def test_members_differ_by_their_seed_alone(three):
 
 
 def test_capacities_are_grown_for_all(three, monkeypatch):
-    monkeypatch.setattr(build.system, "capacity", lambda *_: (("mixed", 2, 1), ("spheres", 1, 1)))
+    monkeypatch.setattr(build.system, "capacity", lambda *_: (("plates", 2, 1), ("spheres", 1, 1)))
     grown = dem_jax.ensemble(scattered(), runs=3, seed=7)
-    assert any("2 pairs of mixed for 1 slots" in note for note in grown.info["reruns"])
+    assert any("2 pairs of plates for 1 slots" in note for note in grown.info["reruns"])
     for path in PATHS:
         scale = 1e-12 * np.abs(at(three, path)).max()
         np.testing.assert_allclose(at(grown, path), at(three, path), rtol=0, atol=scale, err_msg=path)
@@ -86,7 +86,7 @@ def test_only_the_runs_that_outgrew_something_are_run_again(monkeypatch):
     """Two of three runs begin too high to need the slots that are missing."""
 
     def two_high(slots):
-        monkeypatch.setattr(build.system, "capacity", lambda *_: (("mixed", 8, slots), ("spheres", 8, 8)))
+        monkeypatch.setattr(build.system, "capacity", lambda *_: (("plates", 8, slots), ("spheres", 8, 8)))
         job = prepare(scattered(), (7, 8, 9), 3)
         with jax.enable_x64(True):
             system = job.system.replace(domain_high=job.system.domain_high + 1)
@@ -97,7 +97,7 @@ def test_only_the_runs_that_outgrew_something_are_run_again(monkeypatch):
     computed, compute = [], execute.computed
     monkeypatch.setattr(execute, "computed", lambda *arguments: computed.append(arguments) or compute(*arguments))
     grown = drive(two_high(1), None, False, False)
-    assert any("2 pairs of mixed for 1 slots" in note for note in grown.info["reruns"])
+    assert any("2 pairs of plates for 1 slots" in note for note in grown.info["reruns"])
     assert len(computed) == 3 + 1, "one chunk of three runs, and of the low one again"
     assert np.abs(ample.force["plate"][1]).max() > 0.01 and not ample.force["plate"][::2].any()
     for path in PATHS:

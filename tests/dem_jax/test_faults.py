@@ -217,7 +217,7 @@ LIES = [  # a change -> what the line must hold, on being read if it says so
     ("resume", put("restart/step", np.int32(-(2**31))), r"restart/step = -2147483648: allowed: a multiple of"),
     ("resume", put("restart/step", np.int32(2**30)), r"restart/step = 1073741824: allowed: a multiple of"),
     ("resume", put("restart/touching", np.int32(2**31 - 1)), r"restart/touching = 2147483647: allowed: a whole numbers? from 0"),
-    ("resume", put("restart/capacity/mixed", np.array([2**31 - 1] * 2)), r"restart/capacity/mixed = .*: allowed"),
+    ("resume", put("restart/capacity/plates", np.array([2**31 - 1] * 2)), r"restart/capacity/plates = .*: allowed"),
     ("resume", put("restart/motion/position", np.zeros((3, 10**6), "f4")), r"restart/motion/position is float32\[3, 1000000\]"),
     ("resume", put("restart/motion/position", None, "f4", (3, 2**40)), r"'restart/motion/position' of form .* claims more"),
 ]  # fmt: skip

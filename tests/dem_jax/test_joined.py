@@ -115,15 +115,15 @@ def balls():
     )
 
 
-FEW_SLOTS = pytest.param((8, 1), "pairs of mixed for 1 slots", marks=pytest.mark.long)
+FEW_SLOTS = pytest.param((8, 1), "pairs of plates for 1 slots", marks=pytest.mark.long)
 
 
-@pytest.mark.parametrize(("room", "note"), [((1, 1), "candidate pairs of mixed for 1"), FEW_SLOTS])
+@pytest.mark.parametrize(("room", "note"), [((1, 1), "candidate pairs of plates for 1"), FEW_SLOTS])
 def test_room_is_grown_for_all(monkeypatch, room, note):
     """Too few candidates for all together, or too few slots for one run."""
     full = build.system.capacity
     ample = driven(prepare(balls(), range(RUNS), RUNS))
-    monkeypatch.setattr(build.system, "capacity", lambda *a: (("mixed", *room), *full(*a)[1:]))
+    monkeypatch.setattr(build.system, "capacity", lambda *a: (("plates", *room), *full(*a)[1:]))
     grown = driven(prepare(balls(), range(RUNS), RUNS))
     assert any(note in line for line in grown.info["reruns"])
     assert np.abs(ample.force["floor"]).max(axis=(1, 2)).min() > 0.01, "all runs have landed"

@@ -383,6 +383,6 @@ def test_parts_of_pieces_are_no_walls_among_the_contacts():
         memory = table.memory.replace(overlap=table.memory.overlap.at[0].set(1e-4))
         return table.replace(a=table.a.at[0].set(a), b=table.b.at[0].set(b), memory=memory)
 
-    tables = {"spheres": touching("spheres", 2, 0), "mixed": touching("mixed", 4 + 1, 3)}  # the second panel
+    tables = {"spheres": touching("spheres", 2, 0), "plates": touching("plates", 4 + 1, 3)}  # the second panel
     (found,) = (q.measured(system, state.replace(contacts=state.contacts | tables)) for q in QUANTITIES if q.name == "contacts")
     assert found[:, 0].tolist() == [0, 1, 1]  # floor, side, between pieces

@@ -93,7 +93,7 @@ def test_nothing_of_it_is_there_without_it():
     rough, smooth = (build.build(ball(rolling_friction=value)) for value in (ROLLING, 0.0))
     assert isinstance(rough.system.law, Rolling) and not isinstance(smooth.system.law, Rolling)
     assert smooth.system.materials.rolling is None
-    histories = [made.state.contacts["mixed"].memory.law for made in (rough, smooth)]
+    histories = [made.state.contacts["plates"].memory.law for made in (rough, smooth)]
     assert len(jax.tree.leaves(histories[0])) == len(jax.tree.leaves(histories[1])) + 1
 
 

@@ -224,7 +224,7 @@ def test_a_run_that_outgrows_its_capacities_equals_one_with_ample_room(monkeypat
     """Slots only change the order of sums over walls: 1e-12 of the largest value leaves room for rounding."""
     ample = dem_jax.simulate(crowd())
     assert "reruns" not in ample.info
-    tight = (("mixed", 1, 1), ("spheres", 1, 1))
+    tight = (("plates", 1, 1), ("spheres", 1, 1))
     monkeypatch.setattr(build.system, "capacity", lambda *_: tight)
     grown = dem_jax.simulate(crowd())
     assert any("candidate pairs of spheres for 1" in note for note in grown.info["reruns"])
@@ -406,7 +406,7 @@ def test_a_run_that_has_ended_goes_on_to_a_longer_duration(tmp_path, uninterrupt
 
 
 def test_grown_capacities_are_kept_over_a_restart(tmp_path, monkeypatch):
-    monkeypatch.setattr(build.system, "capacity", lambda *_: (("mixed", 1, 1), ("spheres", 1, 1)))
+    monkeypatch.setattr(build.system, "capacity", lambda *_: (("plates", 1, 1), ("spheres", 1, 1)))
     dem_jax.simulate(crowd(), out=tmp_path / "whole.h5")
     dem_jax.simulate(crowd(**{"run.duration": 0.012}), out=tmp_path / "run.h5")
     resumed = dem_jax.resume(tmp_path / "run.h5", duration=0.02)

@@ -70,7 +70,7 @@ def test_a_piece_feels_no_seam(whole, panels, piece):
     """
     _, before, one = whole(piece)
     made, after, many = run(panels, piece, 500)
-    assert made.system.hulls.seams is not None
+    assert made.system.walls.plates.seams is not None
     peak = np.abs(one.force).max()
     assert peak > 0
     np.testing.assert_allclose(many.mean_force, one.mean_force, rtol=0, atol=1e-7 * peak)
