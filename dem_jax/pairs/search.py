@@ -18,8 +18,8 @@ from dem_jax.maths import vector
 from dem_jax.maths.compaction import EMPTY, WORD, first_of_words, first_set, packed
 from dem_jax.types import Array, Guard, Partition, System, host
 
-ALL_PAIRS = 512  # "auto": up to so many pieces every pair is looked at, which is as quick as any list; beyond, cells
-MANY = 64  # from so many parts on the pairs of "all-pairs" are found in a table
+ALL_PAIRS = 700  # "auto": up to so many pieces every pair is looked at, which is as quick as any list; beyond, cells
+MANY = 128  # from so many parts on the pairs of "all-pairs" are found in a table
 ROUNDING = 1e-4  # of the cutoff of jax-md's list, by which it is larger than the sum of what it is made of
 
 

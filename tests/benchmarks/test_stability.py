@@ -13,7 +13,7 @@ from benchmarks.stability.trials import Trial, looked_at, tried
 from dem_jax import simulate
 
 
-@pytest.mark.parametrize("name", ["restitution, softening, moduli", "place"])
+@pytest.mark.parametrize("name", ["restitution, softening, moduli", pytest.param("place", marks=pytest.mark.long)])
 def test_fast_share_of_the_campaign(name):
     for trial in [*axes.AXES[name](True)][::3]:
         outcome = tried(trial)

@@ -2,6 +2,7 @@
 
 import jax
 import numpy as np
+import pytest
 
 from dem_jax import build
 from dem_jax.contact import blocks
@@ -112,6 +113,7 @@ def test_blocks_of_slots_of_shared_surfaces_do_not_change_the_trace(monkeypatch)
     assert difference(rows.energy, samples.energy) < 1e-7
 
 
+@pytest.mark.long
 def test_free_fall_in_one_jump_is_that_step_by_step():
     tolerance = 1e-11
     with jax.enable_x64(True):

@@ -50,7 +50,11 @@ def pulled(system, state, height, speed):
     return into, out
 
 
-@pytest.mark.parametrize(("law", "shape"), [(law, "sphere") for law in LAWS] + [("walton-braun", "marshmallow")])
+PULLED = [*((law, "sphere") for law in LAWS if law != "linear-dashpot"), ("walton-braun", "marshmallow")]
+PULLED += [pytest.param("linear-dashpot", "sphere", marks=pytest.mark.long)]
+
+
+@pytest.mark.parametrize(("law", "shape"), PULLED)
 def test_the_pull_off_force_and_the_way_back(law, shape):
     made = built(law, shape)
     half, d = PIECES[shape][1], coming_up(made)

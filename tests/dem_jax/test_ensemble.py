@@ -148,21 +148,24 @@ np.savez(sys.argv[1], devices=spread, position=runs.pieces.position, **series)
 """
 
 
-def test_runs_side_by_side_on_several_devices_equal_their_own_single_runs(tmp_path):
+# Three do not divide the number of runs.
+@pytest.mark.parametrize(
+    ("devices", "used"), [pytest.param(1, 1, marks=pytest.mark.long), pytest.param(2, 2, marks=pytest.mark.long), (3, 2)]
+)
+def test_runs_side_by_side_on_several_devices_equal_their_own_single_runs(devices, used, tmp_path):
     """As on GPUs, here on CPU devices. To 1e-9: vectorised sums round otherwise (1e-16), which the stiff branch amplifies."""
     scene = scattered(**{"run.duration": 0.012})
     (tmp_path / "scene.toml").write_text(scene.to_toml())
     alone = dem_jax.ensemble(scene, runs=4, seed=7)
     assert np.abs(alone.force["plate"]).max() > 0.01
     paths = [path for path in PATHS if "/" in path]
-    for devices, used in ((1, 1), (2, 2), (3, 2)):  # 3 does not divide the number of runs
-        search = os.pathsep.join([str(Path(dem_jax.__file__).parents[1]), os.environ.get("PYTHONPATH", "")])
-        setting = dict(os.environ, JAX_NUM_CPU_DEVICES=str(devices), PYTHONPATH=search)
-        command = [sys.executable, "-c", SHARDED, "found.npz", " ".join(paths)]
-        done = subprocess.run(command, env=setting, cwd=tmp_path, capture_output=True, text=True)
-        assert done.returncode == 0, done.stderr
-        found = dict(np.load(tmp_path / "found.npz"))
-        assert found["devices"] == used
-        for path in paths:
-            scale = 1e-9 * np.abs(at(alone, path)).max()
-            np.testing.assert_allclose(found[path], at(alone, path), rtol=0, atol=scale, err_msg=path)
+    search = os.pathsep.join([str(Path(dem_jax.__file__).parents[1]), os.environ.get("PYTHONPATH", "")])
+    setting = dict(os.environ, JAX_NUM_CPU_DEVICES=str(devices), PYTHONPATH=search)
+    command = [sys.executable, "-c", SHARDED, "found.npz", " ".join(paths)]
+    done = subprocess.run(command, env=setting, cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    found = dict(np.load(tmp_path / "found.npz"))
+    assert found["devices"] == used
+    for path in paths:
+        scale = 1e-9 * np.abs(at(alone, path)).max()
+        np.testing.assert_allclose(found[path], at(alone, path), rtol=0, atol=scale, err_msg=path)

@@ -115,10 +115,8 @@ def balls():
     )
 
 
-FEW_SLOTS = pytest.param((8, 1), "pairs of plates for 1 slots", marks=pytest.mark.long)
-
-
-@pytest.mark.parametrize(("room", "note"), [((1, 1), "candidate pairs of plates for 1"), FEW_SLOTS])
+@pytest.mark.long
+@pytest.mark.parametrize(("room", "note"), [((1, 1), "candidate pairs of plates for 1"), ((8, 1), "pairs of plates for 1 slots")])
 def test_room_is_grown_for_all(monkeypatch, room, note):
     """Too few candidates for all together, or too few slots for one run."""
     full = build.system.capacity

@@ -60,7 +60,7 @@ def box(contact, material, run, sides=6):
     return Scene(piece=pieces, wall=walls, material=material, contact=contact, run=settings | run)
 
 
-LONG = dict.fromkeys(("sticky hertz-mindlin", "linear-dashpot"), pytest.mark.long)  # each like others that are not
+LONG = dict.fromkeys(("sticky hertz-mindlin", "linear-dashpot", "sticky walton-braun"), pytest.mark.long)  # each like others that are not
 
 
 @pytest.mark.parametrize("case", [pytest.param(case, marks=LONG.get(case, ())) for case in CASES])
@@ -99,8 +99,11 @@ def falling(law, **changes):
     return scene.replace(changes) if changes else scene
 
 
-@pytest.mark.parametrize("law", ["linear-dashpot", "hertz-mindlin"])
-@pytest.mark.parametrize("pull_off", [0.0, 0.2])
+GOING_ON = [("linear-dashpot", 0.2), ("hertz-mindlin", 0.0)]
+GOING_ON += [pytest.param(law, 0.2 - pull_off, marks=pytest.mark.long) for law, pull_off in GOING_ON]
+
+
+@pytest.mark.parametrize(("law", "pull_off"), GOING_ON)
 def test_a_run_goes_on_in_the_middle_of_a_contact_with_the_same_bits(law, pull_off):
     scene = falling(law, **{"material.pull_off": pull_off})
     whole = dem_jax.simulate(scene)

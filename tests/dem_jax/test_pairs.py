@@ -45,6 +45,7 @@ def test_a_run_does_not_depend_on_how_pairs_are_found(runs, choice):
     np.testing.assert_allclose(other.momentum, one.momentum, rtol=0, atol=1e-9 * np.abs(one.momentum).max())
 
 
+@pytest.mark.long
 def test_a_list_without_room_grows_and_the_run_is_the_same(runs):
     job = prepare(heap("jax-md"), (0,), None)
     small = job.system.partition._replace(pairs=60, cell=1, reach=4e-4, sides=(3, 3, 3))

@@ -199,6 +199,7 @@ def inside(axis, side, half):
     return tuple(map(tuple, (corners if turns * side < 0 else corners[::-1]).tolist()))
 
 
+@pytest.mark.long
 def test_energy_of_mixed_hulls_in_a_closed_box_never_grows_and_the_ledger_closes():
     run = simulate(closed_box(duration=0.25))
     mechanical = run.energy["kinetic"] + run.energy["potential"] + run.energy["elastic"]

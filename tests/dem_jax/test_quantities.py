@@ -81,7 +81,7 @@ def computed(precision, runs, out=None, samples=SHORT, quantities=OWN):
 # --- what follows from a declaration ---
 
 
-@pytest.mark.parametrize(("runs", "precision"), [(None, "f32"), (2, "f64"), (JOINED, "f32")])
+@pytest.mark.parametrize(("runs", "precision"), [pytest.param(None, "f32", marks=pytest.mark.long), (2, "f64"), (JOINED, "f32")])
 def test_every_quantity_is_in_the_file_with_its_unit_and_comes_back(tmp_path, precision, runs):
     run = computed(precision, runs, tmp_path / "run.h5")
     lead = () if runs is None else (runs,)
