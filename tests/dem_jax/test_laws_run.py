@@ -60,7 +60,7 @@ def box(contact, material, run, sides=6):
     return Scene(piece=pieces, wall=walls, material=material, contact=contact, run=settings | run)
 
 
-LONG = dict.fromkeys(("sticky hertz-mindlin", "linear-dashpot", "sticky walton-braun"), pytest.mark.long)  # each like others that are not
+LONG = dict.fromkeys(set(CASES) - {GENERAL}, pytest.mark.long)  # each like that one, and like those of test_cohesion.py
 
 
 @pytest.mark.parametrize("case", [pytest.param(case, marks=LONG.get(case, ())) for case in CASES])
