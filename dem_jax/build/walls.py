@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -216,6 +217,13 @@ def _plates(panels: Sequence[Shape], seams: Sequence[np.ndarray] | None) -> Plat
 
 def _plate(corners: np.ndarray, thickness: float, name: str) -> tuple[Shape, np.ndarray, np.ndarray]:
     """A panel as a shape about its own centre with the surface's normal along z, its centre and its rotation."""
+    return _plate_of(tuple(map(tuple, np.asarray(corners, float).tolist())), thickness, name)
+
+
+@lru_cache(maxsize=4096)
+def _plate_of(rows: tuple[tuple[float, ...], ...], thickness: float, name: str) -> tuple[Shape, np.ndarray, np.ndarray]:
+    """``_plate``, once for all runs of an ensemble; the arrays are not to be written to."""
+    corners = np.array(rows)
     meshes.plate(corners, thickness, name)  # raises what is wrong with the corners as they were given
     plate = meshes.plate(meshes.without_collinear(corners), thickness, name)
     x = corners[1] - corners[0]

@@ -8,7 +8,8 @@ the host grows the capacity and runs the chunk again.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple, TypeVar
+from functools import lru_cache
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -264,8 +265,17 @@ def no_contacts(system: System) -> dict[str, ContactTable]:
 def empty_table(system: System, kind: str, room: int) -> ContactTable:
     """A table without contacts, in numpy."""
     none = host(np.full((room,), EMPTY, np.int32))
-    memory = jax.eval_shape(lambda a: no_memory(system, constants(system, kind, a, a)), none)
+    leaves, structure = jax.tree.flatten(system)
+    memory = _form_of_memory(structure, tuple((np.shape(x), np.dtype(x.dtype)) for x in leaves), kind, room)
     return ContactTable(none, none, jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), memory))
+
+
+@lru_cache(maxsize=64)
+def _form_of_memory(structure: Any, forms: tuple[tuple[tuple[int, ...], np.dtype], ...], kind: str, room: int) -> Memory:
+    """Of what form the memory of so many slots is, in a system of such arrays: the same for all runs of an ensemble."""
+    system = jax.tree.unflatten(structure, [jax.ShapeDtypeStruct(*form) for form in forms])
+    slot = jax.ShapeDtypeStruct((room,), np.int32)
+    return jax.eval_shape(lambda system, a: no_memory(system, constants(system, kind, a, a)), system, slot)
 
 
 def find_incidence(system: System, tables: dict[str, ContactTable]) -> Incidence:
