@@ -329,15 +329,15 @@ class Slots(Tree):
     live: Array  # [P] bool: whether the slot holds a pair
     a: Array  # [P] int32: as in the table, 0 where empty
     b: Array  # [P] int32
-    hull_a: Hulls | None  # [.., P] or [.., 1]; of polytopes with Features none
-    hull_b: Hulls | None
-    plate_a: Plates | None  # [.., P]: of spheres on walls
     radius_a: Array  # [P] or [1] (m): of spheres
     radius_b: Array  # [P] or [1] (m)
     width: Array  # [P] or [1] (m): of the narrower piece
-    surface_a: Array | None  # [P] int32: of a, where others continue it: Walls.plane, or beyond those Parts.surface; else -1
-    surface_b: Array | None  # [P] int32: Parts.surface of b
     pair: Any  # [P] or [1]: the constants of the contact law
+    hull_a: Hulls | None = None  # [.., P] or [.., 1]; of polytopes with Features none
+    hull_b: Hulls | None = None
+    plate_a: Plates | None = None  # [.., P]: of spheres on walls
+    surface_a: Array | None = None  # [P] int32: of a, where others continue it: Walls.plane, or beyond those Parts.surface; else -1
+    surface_b: Array | None = None  # [P] int32: Parts.surface of b
 
 
 @pytree

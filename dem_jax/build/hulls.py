@@ -82,7 +82,7 @@ def table(shapes: Sequence[Shape], dtype: DTypeLike, seams: Seams | None = None,
         open_edges=_open_edges(normals, loops, seams, continued, dtype),
         inner=_last([_inner(more, faces) for more in continued], dtype) if continued else None,
         features=None if zonotopes else _features(shapes, dtype, seams, continued),
-        extended=_extended(shapes, dtype, seams, continued) if continued else None,
+        extended=_extended(shapes, dtype, continued) if continued else None,
         is_zonotope=zonotopes,
     )
 
@@ -165,10 +165,10 @@ def seam_rows(seams: Seams, dtype: DTypeLike) -> Vector:
     return _components(filled, dtype)
 
 
-def _extended(shapes: Sequence[Shape], dtype: DTypeLike, seams: Seams | None, continued: Parts) -> Hulls:
+def _extended(shapes: Sequence[Shape], dtype: DTypeLike, continued: Parts) -> Hulls:
     """Hulls.extended of shapes, for contacts with spheres."""
     plain = [dataclasses.replace(shape, generators=None) for shape in _whole(shapes, continued)]
-    return table(plain, dtype, seams).replace(loops=None, open_edges=None, features=None)
+    return table(plain, dtype).replace(loops=None, open_edges=None, features=None)
 
 
 def _whole(shapes: Sequence[Shape], continued: Parts) -> list[Shape]:

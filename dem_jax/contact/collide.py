@@ -389,17 +389,13 @@ def hull_sphere(a: Hulls, radius: Array, centre: Vector) -> Geometry:
     inside, face_normal = jnp.max(height, axis=0), _select(a.normals, _least(-height)[1])
     foot, squared = _closest_on_faces(a, height, expand(centre, 0))
     away = kept(*vector.sub(centre, _select(foot, _least(squared)[1])))
-    distance = vector.norm(away)
-    outside = (inside > 0) & (distance > 0)
-    tiny = jnp.finfo(distance.dtype).tiny
-    normal = vector.where(outside, vector.scale(1 / jnp.maximum(distance, tiny), away), face_normal)
-    depth = radius - jnp.where(outside, distance, inside)
-    point = vector.add_scaled(centre, 0.5 * depth - radius, normal)
+    found = _sphere_beside(away, inside, face_normal, radius, centre)
     if part.inner is None:
-        return Geometry(depth, normal, point)
-    foot = vector.add_scaled(centre, depth - radius, normal)  # beside a part that another continues, the other has the contact
+        return found
+    # Beside a part that another continues, the other has the contact.
+    foot = vector.add_scaled(centre, found.depth - radius, found.normal)
     above = jnp.max(dot(part.normals, expand(foot, 0)) - part.offsets, axis=0)
-    return Geometry(depth, normal, point, jnp.where(above < PART_EDGE * part.bounding_radius, 1, 0).astype(depth.dtype))
+    return found._replace(weight=jnp.where(above < PART_EDGE * part.bounding_radius, 1, 0).astype(radius.dtype))
 
 
 def plate_sphere(a: Plates, radius: Array, centre: Vector) -> Geometry:
@@ -416,18 +412,25 @@ def plate_sphere(a: Plates, radius: Array, centre: Vector) -> Geometry:
     up = jnp.where(z < 0, -1, 1).astype(z.dtype)
     aside_x, aside_y = (jnp.where(is_beside, entry(rows, nearest), 0) for rows in (from_x, from_y))
     away = kept(aside_x, aside_y, up * jnp.maximum(above, 0))
-    distance = vector.norm(away)
-    outside = distance > 0
-    unit = vector.scale(1 / jnp.maximum(distance, jnp.finfo(distance.dtype).tiny), away)
     is_side = -least > above  # of a centre in the plate, which face it is nearest to
     inner = jnp.where(is_side, entry(along_y, edge), 0), jnp.where(is_side, -entry(along_x, edge), 0), jnp.where(is_side, 0, up)
-    normal = vector.where(outside, unit, inner)
-    depth = radius - jnp.where(outside, distance, jnp.maximum(above, -least))
-    weight = None
-    if a.seams is not None:  # beside a panel that another continues, the other has the contact
-        beyond_seams = [dot(normal, vector.at(a.seams, k)) for k in range(a.seams[0].shape[0])]
-        weight = jnp.where(jnp.max(jnp.stack(beyond_seams), axis=0) > SEAM_SINE, 0, 1).astype(depth.dtype)
-    return Geometry(depth, normal, vector.add_scaled(centre, 0.5 * depth - radius, normal), weight)
+    found = _sphere_beside(away, jnp.maximum(above, -least), inner, radius, centre)
+    if a.seams is None:
+        return found
+    # Beside a panel that another continues, the other has the contact.
+    across = [dot(found.normal, vector.at(a.seams, k)) for k in range(a.seams[0].shape[0])]
+    return found._replace(weight=jnp.where(jnp.max(jnp.stack(across), axis=0) > SEAM_SINE, 0, 1).astype(radius.dtype))
+
+
+def _sphere_beside(away: Vector, height: Array, face_normal: Vector, radius: Array, centre: Vector) -> Geometry:
+    """A body and a sphere. away: (m) from the closest point of the body's surface to the sphere's centre; height, face_normal:
+    of that centre above the face that it is highest above (m, < 0: in the body), and that face's normal."""
+    distance = vector.norm(away)
+    outside = (height > 0) & (distance > 0)
+    tiny = jnp.finfo(distance.dtype).tiny
+    normal = vector.where(outside, vector.scale(1 / jnp.maximum(distance, tiny), away), face_normal)
+    depth = radius - jnp.where(outside, distance, height)
+    return Geometry(depth, normal, vector.add_scaled(centre, 0.5 * depth - radius, normal))
 
 
 def _closest_on_faces(hull: Hulls, height: Array, centre: Vector) -> tuple[Vector, Array]:

@@ -122,6 +122,26 @@ def test_all_ways_of_searching_find_the_pairs_of_a_brute_force_search(kind, prec
     assert len(found["cells"]) > 50 or kind == "far apart"
 
 
+def test_a_table_of_parts_has_the_pairs_of_the_list_in_their_order(monkeypatch):
+    """Parts of one piece, which overlap, are none."""
+    two = [{"shape": "sphere", "radius": RADIUS, "position": (x, 0.0, 0.0)} for x in (-0.5 * RADIUS, 0.5 * RADIUS)]
+    place, turn = poses("clustered", np.random.default_rng(5), 30, 4 * RADIUS)
+    rows = zip(place.tolist(), turn.tolist(), strict=True)
+    pieces = [{"shape": "compound", "part": two, "position": at, "orientation": q} for at, q in rows]
+    made = build.build(Scene(piece=pieces, wall=[FLOOR], run=SETTINGS), 0)
+    every = tuple((kind, *[search.pair_count(kind, 0, 60, 1)] * 2) for kind, *_ in made.system.capacity)
+    system, state = guard.with_capacity(made.system.replace(skin=jnp.asarray(SKIN)), made.state, every, 120, 0)
+    tables = []
+    for many in (61, 60):
+        monkeypatch.setattr(search, "MANY", many)
+        tables.append(jax.jit(lambda state: neighbours.rebuild(system, state).contacts["spheres"])(state))
+    owner, one = np.asarray(system.parts.owner), jax.device_get(tables[0])
+    live = one.a >= 0
+    assert 100 < live.sum() < 60 * 59 / 2 - 30 and (owner[one.a[live]] != owner[one.b[live]]).all()
+    for name in ("a", "b"):
+        np.testing.assert_array_equal(getattr(tables[1], name), getattr(one, name))
+
+
 def box_around(place, kind):
     low, high = place.min(0), place.max(0)
     if kind == "random":  # some of the pieces have left
