@@ -129,13 +129,12 @@ def _padded_faces(count: int, wanted: int, zonotopes: bool) -> list[int]:
 
 def _cross_widths(directions: np.ndarray, half_lengths: np.ndarray, normals: np.ndarray) -> np.ndarray:
     """C[i, m] = sum of |g_k x e_i| over the generators k for which g_k x e_i is parallel to n_m, [D, F/2] (m)."""
+    generators = half_lengths[:, None] * directions[: len(half_lengths)]  # the rest of the directions pad
+    turned = np.cross(generators[None], directions[:, None])  # [i, k, 3]
+    size = np.linalg.norm(turned, axis=-1)
+    i, k = np.nonzero(size > 1e-12 * half_lengths)
     out = np.zeros((len(directions), len(normals)))
-    for i, e in enumerate(directions):
-        for k, length in enumerate(half_lengths):
-            c = np.cross(length * directions[k], e)
-            size = np.linalg.norm(c)
-            if size > 1e-12 * length:
-                out[i, np.argmax(np.abs(normals @ c))] += size
+    np.add.at(out, (i, np.abs(turned[i, k] @ normals.T).argmax(-1)), size[i, k])
     return out
 
 

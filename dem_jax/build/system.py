@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -170,5 +169,5 @@ def state_of_seed(scene: Scene, built: Built, seed: int) -> State:
 
 
 def started(built: Built, start: Start) -> State:
-    """The first state with other poses and velocities."""
-    return built.state.replace(motion=jax.tree.map(jnp.asarray, motion_of_start(built.system, start, built.frames)))
+    """The first state with other poses and velocities, those in numpy."""
+    return built.state.replace(motion=motion_of_start(built.system, start, built.frames))

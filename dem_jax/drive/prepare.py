@@ -44,7 +44,8 @@ def prepare(
     scene = build.self_contained(scene if isinstance(scene, Scene) else load_scene(scene))
     with jax.enable_x64(scene.run.precision == "f64"), np.errstate(all="ignore"):  # build looks at what comes out
         scenes = varied.scenes_of(scene, parameters, len(seeds))
-        each = {id(s): built_of(s, int(seeds[0]), law) for s in scenes}
+        distinct = {id(s): s for s in scenes}
+        each = {key: built_of(s, int(seeds[0]), law) for key, s in distinct.items()}
         built = [each[id(s)] for s in scenes]
         different, system = varied.vary(scene, built, parameters) if parameters else (None, built[0].system)
         sampled = checked((*system.quantities, *quantities))
@@ -55,7 +56,7 @@ def prepare(
         if is_kept(system):
             state = guard.with_scratch(system, state)
     block, settling = samples_per_block(system), built[0].settling_steps // built[0].step.substeps
-    rule = settled.latest([settled.rule_of(s, each[id(s)].system, settling, block) for s in {id(s): s for s in scenes}.values()])
+    rule = settled.latest([settled.rule_of(s, each[key].system, settling, block) for key, s in distinct.items()])
     way, notes = execute.way_of(system, runs, different is None), _notes(scene, list(each.values()))
     return Job(scene, tuple(seeds), runs, built[0], system, state, way, rule, different, law is not None, notes=notes)
 

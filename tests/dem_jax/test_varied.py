@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 import dem_jax
-from dem_jax.drive import execute, programs
+from dem_jax.drive import execute, prepare, programs
 from dem_jax.errors import SceneError, SimulationError
 from dem_jax.scene import parse
 from dem_jax.store import record
@@ -53,6 +53,15 @@ def test_all_runs_share_one_program():
     programs.KEPT.clear()
     dem_jax.ensemble(balls(), seed=SEEDS, parameters=PARAMETERS)
     assert len(programs.KEPT) == 1
+
+
+def test_what_is_alike_is_built_once(monkeypatch):
+    built, build_one = [], prepare.built_of
+    monkeypatch.setattr(prepare, "built_of", lambda *arguments: built.append(1) or build_one(*arguments))
+    prepare.prepare(balls(), range(20), 20)
+    assert len(built) == 1
+    prepare.prepare(balls(), SEEDS, 3, parameters=PARAMETERS)
+    assert len(built) == 1 + 2
 
 
 def test_the_file_knows_the_parameters_and_is_gone_on_with_bit_for_bit(three, tmp_path):
