@@ -3,7 +3,7 @@
 ``python -m benchmarks.scaling`` (``--quick``: the smallest sizes; ``--sizes N ...``: these numbers of pieces). Pieces on a
 lattice, each touching its neighbours, in a box; ensembles of nine marshmallows at rest in the feed bucket. Each row is
 measured by a process of its own, whose memory is that row's alone; on a CPU it pins itself to one core, and times are
-those on the processor.
+those on the processor. On a GPU, where compiling takes longer than all else, everything is compiled first, side by side.
 """
 
 import argparse
@@ -13,7 +13,9 @@ import resource
 import statistics
 import subprocess
 import sys
+import tempfile
 import time
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
 import numpy as np
@@ -22,12 +24,13 @@ from benchmarks import chunk, lattice, report
 
 SHAPES = ("sphere", "chamfered-cuboid")
 SIZES = {"cpu": (343, 1000, 3000, 8000, 20_000, 50_000), "gpu": (1000, 10_000, 100_000, 1_000_000)}
-MEMBERS = {"cpu": (1, 8, 64), "gpu": (64, 256, 1024, 4096)}
+MEMBERS = {"cpu": (1, 8, 64), "gpu": (64, 256, 1024, 4096, 16_384)}
 UNTIMED, REPEATS = 2, 3  # chunks
 ROUNDS = 3  # of all numbers of pieces, so that what else the machine does falls on all alike
 BLOCKS = 2  # rebuilds in a chunk that is timed, each with the steps until the next
 DROPS = 32  # of the ensemble that is shared out among cores
 WHOLE_DROPS = 64  # of the stock scene, to the end
+FIRST_DROPS = 1024  # the same on a GPU
 BESIDE = {  # drops of 50 g: scale factor, drops one after the other and together, settling and run of each (s)
     "9": (1.0, 64, 0.1, 0.05),
     "9-whole": (1.0, 16, 0.5, 0.4),
@@ -43,6 +46,7 @@ DROP_HEAD = (
     "until settled", "s by the clock", "settling and fall and landing of each (s)", "µs of a core per member-step",
     "s by the clock for 0.2 s of each",
 )  # fmt: skip
+FIRST_HEAD = ("drops", "s by the clock", "of which compiling", "settling and fall and landing of each (s)", "µs per member-step")
 BESIDE_HEAD = (
     "pieces", "drops", "s of each", "µs per step, drops one after the other", "µs per member-step of their ensemble", "ratio",
 )  # fmt: skip
@@ -152,13 +156,29 @@ def drops_row(until_settled) -> dict:
     return {"until": until_settled, "times": [seconds], "each": each, "dt": made.dt, "cores": len(os.sched_getaffinity(0))}
 
 
-ROWS = {"size": size_row, "members": member_row, "beside": beside_row, "cores": core_row, "drops": drops_row}
+def first_row(runs: int) -> dict:
+    """An ensemble of the stock drop by the public call, as a person meets it: with set-up and compiling."""
+    import dem_jax
+
+    scene = dem_jax.load_scene("quick-release", {"run.duration": 0.4, "run.frames": 0.0})
+    start = time.perf_counter()
+    made = dem_jax.ensemble(scene, runs=runs, seed=0)
+    seconds, each = time.perf_counter() - start, scene.portion.settling_time + scene.run.duration
+    return {"runs": runs, "times": [seconds], "compile": made.info["compile_time"], "each": each, "dt": made.dt}
 
 
-def measured(kind, *arguments, pinned=False) -> dict:
-    """A row measured by a process of its own, pinned to one core or not, or {"failed": which, and why}."""
+ROWS = {
+    "size": size_row, "members": member_row, "beside": beside_row, "cores": core_row, "drops": drops_row, "first": first_row
+}  # fmt: skip
+
+
+def measured(kind, *arguments, pinned=False, cache=None) -> dict:
+    """A row measured by a process of its own, pinned to one core or not, or {"failed": which, and why}; cache: folder of
+    programs that are compiled already."""
     words = [sys.executable, "-m", "benchmarks.scaling", *["--pinned"] * pinned, "--row", kind, *map(str, arguments)]
-    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    kept = {"JAX_COMPILATION_CACHE_DIR": cache, "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"} if cache else {}
+    environment = {"XLA_PYTHON_CLIENT_PREALLOCATE": "false"} | os.environ | kept
+    done = subprocess.run(words, capture_output=True, text=True, check=False, env=environment)
     if done.returncode:  # out of memory at some size must not lose the other rows
         last = (done.stderr.strip() or f"exit code {done.returncode}").splitlines()[-1]
         return {"failed": f"{' '.join(words[4:])}: {last[:120]}"}
@@ -249,6 +269,13 @@ def beside_cells(row):
     return row["pieces"], row["runs"], f"{row['each']:g}", *times, report.spread(ratios)
 
 
+def first_cells(row):
+    """Cells of the table of a first ensemble."""
+    (seconds,) = row["times"]
+    each = (seconds - row["compile"]) / (row["runs"] * row["each"] / row["dt"])
+    return row["runs"], f"{seconds:.1f}", f"{row['compile']:.1f}", f"{row['each']:.2f}", f"{each * 1e6:.3g}"
+
+
 def core_cells(rows):
     """Rows of the table of cores."""
     done = [row for row in rows if "failed" not in row]
@@ -263,28 +290,49 @@ def drop_cells(row):
     return row["until"], f"{seconds:.1f}", f"{row['each']:.2f}", f"{each * 1e6:.3g}", f"{0.2 * seconds / row['each']:.1f}"
 
 
-def all_rows(kind, sizes, quick) -> dict:
-    """Rows, some of which may have failed, by what they measure; kind: "cpu" or "gpu"; sizes: numbers of pieces, or None."""
+def which_rows(kind, sizes, quick):
+    """Arguments of the rows of numbers of pieces, and of those of ensembles; sizes: these numbers, or None."""
     take = slice(2) if quick else slice(None)
-    every = [(shape, n) for shape in SHAPES for n in (sizes or SIZES[kind][take])]
-    alone = partial(measured, pinned=kind == "cpu")
-    rounds = [[alone("size", *which) for which in every] for _ in range(1 if quick else ROUNDS)]
+    of_sizes = [("size", shape, n) for shape in SHAPES for n in (sizes or SIZES[kind][take])]
+    return of_sizes, [("members", count) for count in MEMBERS[kind][take]]
+
+
+def rows_of_cpu(sizes, quick) -> dict:
+    """Rows, some of which may have failed, by what they measure; sizes: numbers of pieces, or None."""
+    of_sizes, of_members = which_rows("cpu", sizes, quick)
+    alone = partial(measured, pinned=True)
+    rounds = [[alone(*which) for which in of_sizes] for _ in range(1 if quick else ROUNDS)]
     rows = {"size": [together(of_one) for of_one in zip(*rounds, strict=True)]}
-    rows["members"] = [alone("members", count) for count in MEMBERS[kind][take]]
-    if kind == "cpu":
-        rows["beside"] = [alone("beside", n) for n in list(BESIDE)[: 1 if quick else None]]
-        rows["cores"] = [measured("cores", n) for n in range(1, len(os.sched_getaffinity(0)) + 1)]
-    if kind == "cpu" and not quick:
+    rows["members"] = [alone(*which) for which in of_members]
+    rows["beside"] = [alone("beside", n) for n in list(BESIDE)[: 1 if quick else None]]
+    rows["cores"] = [measured("cores", n) for n in range(1, len(os.sched_getaffinity(0)) + 1)]
+    if not quick:
         rows["drops"] = [measured("drops", end) for end in ("no", "yes")]
     return rows
 
 
+def rows_of_gpu(sizes, quick) -> dict:
+    """As ``rows_of_cpu``; times for compiling and set-up are those of all rows compiled side by side."""
+    every = sum(which_rows("gpu", sizes, quick), [])
+    with tempfile.TemporaryDirectory() as cache:
+        with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
+            first = list(pool.map(lambda which: measured(*which, cache=cache), every))
+        rows = [measured(*which, cache=cache) for which in every]
+    own = [{name: cold[name] for name in ("compile", "setup") if name in cold} for cold in first]
+    rows = [row | times for row, times in zip(rows, own, strict=True)]
+    found = {kind: [row for row, which in zip(rows, every, strict=True) if which[0] == kind] for kind in ("size", "members")}
+    return found if quick else found | {"first": [measured("first", FIRST_DROPS)]}
+
+
 def sections(kind, found) -> str:
     """The tables of rows (``all_rows`` without those that failed), and what they say."""
+    how = {
+        "cpu": ("one core, seconds on the processor; ", f"; numbers of pieces\nare measured in {ROUNDS} rounds (if quick: one)"),
+        "gpu": ("", ", all compiled before,\nside by side, in the seconds that stand here"),
+    }[kind]
     text = f"""\
-f32; {"one core, seconds on the processor; " if kind == "cpu" else ""}median (lowest to highest) of {REPEATS} chunks of {BLOCKS}
-rebuilds of the neighbours, each with the steps until the next. Each row is a process of its own; numbers of pieces
-are measured in {ROUNDS} rounds (of a quick run: one), one after the other.
+f32; {how[0]}median (lowest to highest) of {REPEATS} chunks of {BLOCKS}
+rebuilds of the neighbours, each with the steps until the next. Each row is a process of its own{how[1]}, one after the other.
 
 Pieces on a lattice in a box, each touching its six neighbours (near walls fewer, which small numbers feel):
 
@@ -302,6 +350,13 @@ Drops of 50 g, one after the other by `dem_jax.simulate` and as an ensemble by `
 seconds on the processor with set-up and without compiling, from the first fall into the feed bucket on:
 
 {report.table(BESIDE_HEAD, [beside_cells(row) for row in found["beside"]])}
+"""
+    if found.get("first"):
+        text += f"""
+Drops of the stock scene (nine marshmallows) by `dem_jax.ensemble` in a new process, with set-up and compiling, in steps of
+{found["first"][0]["dt"] * 1e6:.3g} µs:
+
+{report.table(FIRST_HEAD, [first_cells(row) for row in found["first"]])}
 """
     if found.get("cores"):
         text += f"""
@@ -335,7 +390,7 @@ def main(argv=None):
     kind = "cpu" if device[0] == "cpu" else "gpu"
     name = report.processor() if kind == "cpu" else device[1].strip()
     start = report.environment()
-    rows = all_rows(kind, options.sizes, options.quick)
+    rows = (rows_of_cpu if kind == "cpu" else rows_of_gpu)(options.sizes, options.quick)
     found = {what: [row for row in some if "failed" not in row] for what, some in rows.items()}
     failed = [row["failed"] for some in rows.values() for row in some if "failed" in row]
     text = f"# Scaling on {name}\n\n{start}; load at the end {os.getloadavg()[0]:.2f}\n\n{sections(kind, found)}"

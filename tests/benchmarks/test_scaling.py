@@ -39,3 +39,26 @@ def test_whole_drops_in_the_table():
     row = {"until": "yes", "times": [40.0], "each": 0.5, "dt": 5e-6, "cores": 2}
     cells = scaling.drop_cells(row)  # 80 s of cores for 64 members of 100 000 steps
     assert cells == ("yes", "40.0", "0.50", "12.5", "16.0") and len(cells) == len(scaling.DROP_HEAD)
+
+
+def test_a_first_ensemble_in_the_table():
+    cells = scaling.first_cells({"runs": 1000, "times": [70.0], "compile": 20.0, "each": 0.5, "dt": 5e-6})
+    assert cells == (1000, "70.0", "20.0", "0.50", "0.5") and len(cells) == len(scaling.FIRST_HEAD)
+
+
+def test_rows_of_a_gpu_keep_the_times_of_their_first_compiling(monkeypatch):
+    """The second of each is timed; one that fails does not hide the others."""
+    calls = []
+
+    def measured(kind, *arguments, cache=None):
+        calls.append((kind, *arguments))
+        if arguments == (64,):
+            return {"failed": "members 64"}
+        is_second = calls.count((kind, *arguments)) == 2
+        return {"times": [1.0 if is_second else 9.0], "compile": 0.5 if is_second else 20.0}
+
+    monkeypatch.setattr(scaling, "measured", measured)
+    rows = scaling.rows_of_gpu([10], quick=True)
+    assert [row["times"] for row in rows["size"]] == [[1.0]] * 2 and [row["compile"] for row in rows["size"]] == [20.0] * 2
+    assert rows["members"] == [{"failed": "members 64"}, {"times": [1.0], "compile": 20.0}]
+    assert len(calls) == 2 * len(set(calls)) == 8
