@@ -327,12 +327,12 @@ def rows_of_gpu(sizes, quick) -> dict:
 def sections(kind, found) -> str:
     """The tables of rows (``all_rows`` without those that failed), and what they say."""
     how = {
-        "cpu": ("one core, seconds on the processor; ", f"; numbers of pieces\nare measured in {ROUNDS} rounds (if quick: one)"),
-        "gpu": ("", ", all compiled before,\nside by side, in the seconds that stand here"),
+        "cpu": ("one core, seconds on the processor; ", f"numbers of pieces\nare measured in {ROUNDS} rounds (if quick: one)"),
+        "gpu": ("", "before that\nall are compiled side by side, in the seconds that stand here"),
     }[kind]
     text = f"""\
 f32; {how[0]}median (lowest to highest) of {REPEATS} chunks of {BLOCKS}
-rebuilds of the neighbours, each with the steps until the next. Each row is a process of its own{how[1]}, one after the other.
+rebuilds of the neighbours, each with the steps until the next. Each row is a process of its own, one after the other; {how[1]}.
 
 Pieces on a lattice in a box, each touching its six neighbours (near walls fewer, which small numbers feel):
 
