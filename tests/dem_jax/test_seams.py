@@ -61,7 +61,7 @@ def whole():
     return of
 
 
-@pytest.mark.parametrize("panels", [TWO, FOUR], ids=["two", "four"])
+@pytest.mark.parametrize("panels", [pytest.param(TWO, marks=pytest.mark.long), FOUR], ids=["two", "four"])
 @pytest.mark.parametrize("piece", [FALLING, TILTED, SLIDING, BALL], ids=["flat", "tilted", "sliding", "ball"])
 def test_a_piece_feels_no_seam(whole, panels, piece):
     """Forces, motion and the largest overlap are those on one panel, for 50 ms, across the seams and beside them.
