@@ -237,7 +237,7 @@ def box(restitution):
     return Scene(piece=pieces, wall=walls, material={"restitution": restitution}, run=settings)
 
 
-@pytest.mark.parametrize("restitution, samples", [(0.1, 400), (0.7, 2000)])
+@pytest.mark.parametrize("restitution, samples", [(0.1, 400), pytest.param(0.7, 2000, marks=pytest.mark.long)])
 def test_pieces_in_a_box_lose_energy_and_come_to_rest(restitution, samples):
     made = built(box(restitution), skin=0.015)
     state, recorded = run(made, min(samples, 1000))

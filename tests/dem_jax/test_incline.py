@@ -96,6 +96,7 @@ def test_box_sticks_or_slides():
             assert abs(slope(time, velocity) / exact - 1) < 0.01  # mu F_n with F_n ringing about m g cos(angle)
 
 
+@pytest.mark.long
 def test_box_topples_before_it_slides():
     # Base over height 1/2: topples beyond 26.57 degrees; friction 0.8 holds it to 38.7.
     made, start = placed({"shape": "cuboid", "size": (0.01, 0.02, 0.02)}, 0.01)

@@ -97,7 +97,7 @@ def test_every_pair_nearer_than_the_skin_is_a_candidate(marshmallows, kind):
 CHOICES = ("all-pairs", "cells", "jax-md")
 
 
-@pytest.mark.parametrize("precision", ["f32", "f64"])
+@pytest.mark.parametrize("precision", ["f32", pytest.param("f64", marks=pytest.mark.long)])
 @pytest.mark.parametrize("kind", KINDS)
 def test_all_ways_of_searching_find_the_pairs_of_a_brute_force_search(kind, precision):
     """300 spheres; some lie outside the domain that cells are counted in."""
