@@ -104,11 +104,19 @@ def member_row(count: int) -> dict:
     return {"count": count, "times": times, "dt": float(system.dt), "memory": memory(), "compile": compile_time}
 
 
+def stock_drop(until_settled=False):
+    """The scene of nine marshmallows, to the end."""
+    import dem_jax
+
+    settings = {"run.duration": 0.4, "run.frames": 0.0, "run.until_settled": until_settled}
+    return dem_jax.load_scene("quick-release", settings)
+
+
 def core_row(cores: int) -> dict:
     """An ensemble of drops by the public call, on so many cores: seconds by the clock without compiling."""
     import dem_jax
 
-    scene = dem_jax.load_scene("quick-release", {"run.duration": 0.4, "run.frames": 0.0})
+    scene = stock_drop()
     dem_jax.ensemble(scene, runs=DROPS, seed=0)  # compiles
     times = []
     for repeat in range(3):
@@ -146,8 +154,7 @@ def drops_row(until_settled) -> dict:
     """The stock ensemble of drops by the public call, on all cores: seconds by the clock without compiling."""
     import dem_jax
 
-    settings = {"run.duration": 0.4, "run.frames": 0.0, "run.until_settled": until_settled == "yes"}
-    scene = dem_jax.load_scene("quick-release", settings)
+    scene = stock_drop(until_settled == "yes")
     dem_jax.ensemble(scene, runs=WHOLE_DROPS, seed=0)  # compiles, also what is outgrown
     start = time.perf_counter()
     made = dem_jax.ensemble(scene, runs=WHOLE_DROPS, seed=0)
@@ -160,7 +167,7 @@ def first_row(runs: int) -> dict:
     """An ensemble of the stock drop by the public call, as a person meets it: with set-up and compiling."""
     import dem_jax
 
-    scene = dem_jax.load_scene("quick-release", {"run.duration": 0.4, "run.frames": 0.0})
+    scene = stock_drop()
     start = time.perf_counter()
     made = dem_jax.ensemble(scene, runs=runs, seed=0)
     seconds, each = time.perf_counter() - start, scene.portion.settling_time + scene.run.duration
@@ -313,19 +320,20 @@ def rows_of_cpu(sizes, quick) -> dict:
 
 def rows_of_gpu(sizes, quick) -> dict:
     """As ``rows_of_cpu``; times for compiling and set-up are those of all rows compiled side by side."""
-    every = sum(which_rows("gpu", sizes, quick), [])
+    of_sizes, of_members = which_rows("gpu", sizes, quick)
+    every = [*of_sizes, *of_members]
     with tempfile.TemporaryDirectory() as cache:
         with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
             first = list(pool.map(lambda which: measured(*which, cache=cache), every))
         rows = [measured(*which, cache=cache) for which in every]
-    own = [{name: cold[name] for name in ("compile", "setup") if name in cold} for cold in first]
-    rows = [row | times for row, times in zip(rows, own, strict=True)]
-    found = {kind: [row for row, which in zip(rows, every, strict=True) if which[0] == kind] for kind in ("size", "members")}
+    for row, cold in zip(rows, first, strict=True):
+        row.update({name: cold[name] for name in ("compile", "setup") if name in cold})
+    found = {"size": rows[: len(of_sizes)], "members": rows[len(of_sizes) :]}
     return found if quick else found | {"first": [measured("first", FIRST_DROPS)]}
 
 
 def sections(kind, found) -> str:
-    """The tables of rows (``all_rows`` without those that failed), and what they say."""
+    """The tables of rows (``rows_of_cpu``, ``rows_of_gpu``, without those that failed), and what they say."""
     how = {
         "cpu": ("one core, seconds on the processor; ", f"numbers of pieces\nare measured in {ROUNDS} rounds (if quick: one)"),
         "gpu": ("", "before that\nall are compiled side by side, in the seconds that stand here"),
