@@ -61,7 +61,6 @@ def test_bias_over_several_data_sets_is_small():
         assert abs(np.mean(values[name])) < 3.5 * spread / np.sqrt(8)
 
 
-@pytest.mark.long
 def test_portions_of_different_pieces_heights_and_sample_times_fit_together():
     from product_model import ensemble, parameters
 
@@ -135,7 +134,6 @@ def test_starts_keep_what_is_fixed():
         assert (np.asarray(starts["gamma_low"]) <= np.asarray(starts["gamma_high"])).all()
 
 
-@pytest.mark.long
 def test_each_lag_by_itself_decides_where_the_whitened_increments_lead_elsewhere():
     """Every piece bounces once, 3 ms later and half as hard, which the model does not describe: the whitened columns
     are best at 0.39 ms, the lags by themselves at 0.48 ms. Far guesses end there, at a least value within ten per cent.
