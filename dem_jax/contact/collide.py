@@ -23,6 +23,7 @@ from dem_jax.types import Array, Hulls, Plates
 # Normals: a face's normal is taken instead of an edge-edge axis whose overlap is smaller by less than this part
 # of the depth, because an edge-edge axis nearly parallel to a face's flickers. The depth stays the exact minimum.
 FACE_PREFERENCE = 0.02
+ROUNDING = 2.0  # of the last place of a bounding radius: overlaps no deeper may have no weight
 FURTHEST = 1.1  # of the square of a bounding radius: beyond, a contact point is an error
 STEEP = 0.1  # least cosine of the angle of a face to the contact normal along which depth below it is measured
 
@@ -187,10 +188,22 @@ def pressure_centre(a: Hulls, b: Hulls, rel: Relative, depth: Array, normal: Vec
     would else have its whole depth on one side and none on the other, and a piece that rests there would rock for ever.
     """
     on_b = vector.scale(-1, vector.rotate_back(rel.rotation, normal))
+    rel = pressed(rel, depth, normal, b.bounding_radius)
     top, (weight, x, y, z) = _zonogons(a, b, rel, normal, _facing(a, normal), _facing(b, on_b))
     scale = 1 / jnp.where(weight > 0, weight, 1)
     point = vector.where(weight > 0, vector.scale(scale, (x, y, z)), vector.scale(top - 0.5 * depth, normal))
     return near_b(point, b.bounding_radius, rel, top - 0.5 * depth, normal), weight
+
+
+def pressed(rel: Relative, depth: Array, normal: Vector, radius: Array) -> Relative:
+    """Bodies that overlap by no more than rounding pressed together by as much: of what it leaves of their overlap, or makes of
+    it where there is none, no contact point could be told, and the first push of a corner would turn nothing.
+
+    depth: [P] (m), along the normal; radius: [P] or [1] (m), that bounds b.
+    """
+    fine = ROUNDING * float(jnp.finfo(depth.dtype).eps) * radius
+    way = jnp.where((depth > 0) & (depth < fine), -fine, 0)
+    return rel._replace(offset=vector.kept(*vector.add_scaled(rel.offset, way, normal)))
 
 
 def near_b(point: Vector, radius: Array, rel: Relative, surface: Array, normal: Vector) -> Vector:

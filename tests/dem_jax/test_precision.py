@@ -1,4 +1,4 @@
-"""Single precision against double: stiff impacts of tilted pieces, at all speeds from 1e-3 to 10 m/s."""
+"""Single precision against double: stiff impacts of tilted pieces, at all speeds from 1e-4 to 10 m/s."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,8 @@ from scipy.spatial.transform import Rotation
 
 from dem_jax import build, simulate, validation
 
-TURNS = Rotation.random(6, random_state=3)
+# The last of which first touched, in single precision, with an overlap that had no contact point.
+TURNS = Rotation.concatenate([Rotation.random(6, random_state=3), Rotation.random(120, random_state=11)[[15, 28]]])
 RUN = {"duration": 8e-4, "sample": 8e-6, "frames": 8e-4, "energy": False}  # s: two or three corners hit, one after the other
 STIFF = {"softening": 1.0, "restitution": 0.5, "separation": 0.0, "friction_wall": 0.3}
 SIZE = 0.0167  # m
@@ -41,16 +42,17 @@ SPEEDS = [1e-3, 0.1, 10.0, *(pytest.param(speed, marks=pytest.mark.long) for spe
 def test_a_tilted_stiff_impact_in_single_precision_is_that_in_double(speed, place):
     for turn in TURNS:
         (peak, motion), (exact, true) = (landed(speed, turn, place, precision) for precision in ("f32", "f64"))
-        # where in a step the corner meets the plate makes 2.2e-3 and 1.6e-3 in double precision too: 13 steps to a contact
+        # where in a step the corner meets the plate makes as much in double precision too: 13 steps to a contact
         assert peak == pytest.approx(exact, rel=2.5e-3)
         assert np.abs(motion - true).max() < 1.6e-3 * speed
         assert np.abs(true + [0, 0, speed, 0, 0, 0]).max() > 0.1 * speed  # it did hit
 
 
-def test_who_asks_for_a_peak_within_a_thousandth_has_the_slowest_stiff_impact_so_in_single_precision():
+@pytest.mark.parametrize(("speed", "of_peak", "of_motion"), [(1e-3, 1e-4, 1e-4), (1e-4, 3e-4, 2e-3)])  # m/s
+def test_who_asks_for_a_peak_within_a_thousandth_has_the_slowest_stiff_impact_so_in_single_precision(speed, of_peak, of_motion):
     # The moment of first touch within a step is what is left at the automatic step, and a smaller step takes it away.
     for turn in TURNS:
         precise = {"accuracy": {"peak_force": 1e-3}}
-        (peak, motion), (exact, true) = (landed(1e-3, turn, (0.3, -0.4), precision, **precise) for precision in ("f32", "f64"))
-        assert peak == pytest.approx(exact, rel=1e-4)
-        assert np.abs(motion - true).max() < 1e-4 * 1e-3
+        (peak, motion), (exact, true) = (landed(speed, turn, (0.3, -0.4), precision, **precise) for precision in ("f32", "f64"))
+        assert peak == pytest.approx(exact, rel=of_peak)
+        assert np.abs(motion - true).max() < of_motion * speed
