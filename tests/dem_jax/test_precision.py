@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from dem_jax import build, simulate, validation
 
-# The last of which first touched, in single precision, with an overlap that had no contact point.
+# The last two first touched, in single precision, with an overlap that had no contact point.
 TURNS = Rotation.concatenate([Rotation.random(6, random_state=3), Rotation.random(120, random_state=11)[[15, 28]]])
 RUN = {"duration": 8e-4, "sample": 8e-6, "frames": 8e-4, "energy": False}  # s: two or three corners hit, one after the other
 STIFF = {"softening": 1.0, "restitution": 0.5, "separation": 0.0, "friction_wall": 0.3}
