@@ -1,15 +1,23 @@
 """python -m dem_jax study"""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from dem_jax.cli import simulating
 from dem_jax.cli.arguments import Args, Commands, command
+from dem_jax.errors import SceneError
+
+if TYPE_CHECKING:
+    from dem_jax.study.table import Study
+
+EVERY = "all"  # the stock studies
 
 
 def add(commands: Commands) -> None:
     """Add the command to the parser."""
-    made = command(commands, "study", study, "Conduct a study: drops at many points of parameters, with a table and a figure.")
-    made.add_argument("study", nargs="?", metavar="STUDY", help="a stock study's name, or a .toml file; without: a list")
+    made = command(commands, "study", study, "Conduct studies: drops at many points of parameters, with a table and a figure.")
+    words = "a stock study's name, or a .toml file; several one after the other; all: every stock study; without: a list"
+    made.add_argument("study", nargs="*", metavar="STUDY", help=words)
     made.add_argument("--scene", metavar="SCENE", help="a stock scene or a .toml file in the place of the study's")
     made.add_argument("--quick", action="store_true", help="few drops, as the study's [quick] says")
     made.add_argument("--out", metavar="FILE", help="HDF5 file, gone on with if it is there (default: the study's name .h5)")
@@ -19,17 +27,31 @@ def add(commands: Commands) -> None:
 
 
 def study(args: Args) -> None:
-    """Conduct a study, print its table, draw its figure."""
+    """Conduct studies one after the other: of each print the table, draw the figure."""
     from dem_jax.study.table import load_study, stock_studies
 
-    if args.study is None:
+    if not args.study:
         for name, title in stock_studies().items():
             print(f"{name:<16} {title}")
         return
-    table = load_study(args.study, args.quick)
+    names = [name for asked in args.study for name in (stock_studies() if asked == EVERY else [asked])]
+    if args.out is not None and len(names) > 1:
+        raise SceneError(f"--out {args.out}: {len(names)} studies; allowed: of one by itself")
+    tables = [load_study(name, args.quick) for name in names]
     if args.scene is not None:
-        table = table.of_scene(args.scene)
+        tables = [table.of_scene(args.scene) for table in tables]
     simulating.use_cache()
+    took = 0.0
+    for table in tables:
+        took += _conduct(table, args)
+        if len(tables) > 1:
+            print()
+    if len(tables) > 1:
+        print(f"{len(tables)} studies, {took:.0f} s")
+
+
+def _conduct(table: "Study", args: Args) -> float:
+    """One study; returns how long it took (s), with what was done before it was gone on with."""
     from dem_jax.study import conduct, results
 
     out = Path(args.out or f"{table.name}{'-quick' if args.quick else ''}.h5")
@@ -42,3 +64,4 @@ def study(args: Args) -> None:
 
         files.append(plot_study(found, out.with_suffix(".png")))
     print(f"wrote {', '.join(map(str, files))}")
+    return found.elapsed

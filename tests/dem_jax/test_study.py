@@ -1,6 +1,7 @@
 """Studies: every drop is the run of its own scene, nothing is computed twice, and what is said follows from the drops."""
 
 from html import escape
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -316,6 +317,18 @@ def test_the_command_lists_studies_and_says_what_it_does_not_know(capsys):
     assert "softening" in capsys.readouterr().out
     assert main(["study", "nowhere", "--quiet"]) == 2
     assert "no such file, nor one of the stock studies (" in capsys.readouterr().err
+
+
+def test_studies_are_conducted_one_after_the_other(capsys):
+    for name in "abc":
+        Path(f"{name}.toml").write_text(f'title = "Of {name}"\nscene = "weigh-bucket"\nseeds = 1\noutputs = ["pieces"]\n')
+    assert main(["study", "a.toml", "b.toml", "--no-plot", "--quiet"]) == 0
+    said = capsys.readouterr().out
+    assert said.index("Of a") < said.index("wrote a.h5, a.csv") < said.index("Of b") < said.index("wrote b.h5, b.csv")
+    assert said.splitlines()[-1] == f"2 studies, {sum(file.load(f'{name}.h5').elapsed for name in 'ab'):.0f} s"
+    assert main(["study", "c.toml", "nowhere", "--quiet"]) == 2 and not Path("c.h5").exists()  # seen before the first is begun
+    assert main(["study", "all", "--out", "x.h5"]) == 2
+    assert f"--out x.h5: {len(stock_studies())} studies; allowed: of one by itself" in capsys.readouterr().err
 
 
 def test_the_table_and_the_figure_are_made(done, tmp_path):
