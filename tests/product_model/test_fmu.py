@@ -1,6 +1,8 @@
 """A functional mock-up unit does what the Product Model does: run by fmpy, sample by sample."""
 
+import atexit
 import json
+import sys
 
 import fmpy
 import numpy as np
@@ -55,6 +57,19 @@ def test_a_longer_step_takes_the_mean_and_keeps_the_impulse(unit):
 def test_a_step_that_is_no_multiple_of_the_sample_time_is_an_error(unit):
     with pytest.raises(FMICallException, match="fmi2DoStep"):
         run(unit, step=1.4 * SAMPLE)
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="of pythonfmu's library for Linux")
+def test_the_library_lets_python_go_before_the_process_ends(unit, monkeypatch):
+    """By itself it does so twice as the process ends, the second time in memory that is free."""
+    registered = []
+    monkeypatch.setattr(atexit, "register", registered.append)
+    force = run(unit)["force"]
+    let_go = [f for f in registered if getattr(f, "__name__", "") == "finalizePythonInterpreter"]
+    assert len(let_go) == 1
+    for _ in range(2):
+        let_go[0]()  # the pointer is nothing now: nothing is left to be freed twice
+    np.testing.assert_array_equal(run(unit)["force"], force)  # and is made anew for another unit
 
 
 def test_a_unit_of_a_fit(capsys):
