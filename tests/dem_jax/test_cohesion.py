@@ -50,8 +50,8 @@ def pulled(system, state, height, speed):
     return into, out
 
 
-PULLED = [*((law, "sphere") for law in LAWS if law != "linear-dashpot"), ("walton-braun", "marshmallow")]
-PULLED += [pytest.param("linear-dashpot", "sphere", marks=pytest.mark.long)]
+PULLED = [(law, "sphere") for law in LAWS if law != "linear-dashpot"]
+PULLED += [pytest.param(*case, marks=pytest.mark.long) for case in (("linear-dashpot", "sphere"), ("walton-braun", "marshmallow"))]
 
 
 @pytest.mark.parametrize(("law", "shape"), PULLED)
