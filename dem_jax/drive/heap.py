@@ -18,9 +18,8 @@ def released(job: Job, settling: Job) -> Job:
     """
     with jax.enable_x64(job.double), Progress(settling, False) as shown:
         for span in loop.spans(settling, shown):
-            failed = failure.find(span.samples, span.count)
-            if failed:
-                raise failure.describe(settling, span, jax.device_get(span.state), *failed)
+            if span.failed:
+                raise failure.describe(settling, span, jax.device_get(span.state), *span.failed)
             if span.end >= 0:
                 break
         rooms = span.system.capacity, max(span.system.touching, job.system.touching), span.system.row_capacity

@@ -35,9 +35,8 @@ def run(job: Job, target: Target, progress: bool) -> None:
 def _run(job: Job, target: Target, shown: Progress) -> None:
     notes, reruns = list(job.notes), list(job.reruns)
     for span in spans(job, shown):
-        failed = failure.find(span.samples, span.count)
-        if failed:
-            _stop(job, target, span, failed)
+        if span.failed:
+            _stop(job, target, span, span.failed)
         notes += _news(job, span, notes, shown)
         reruns += [rerun for rerun in span.reruns if rerun not in reruns]
         rows = rows_of(job, span, span.count)

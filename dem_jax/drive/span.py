@@ -31,6 +31,7 @@ class Span:
     samples: Sample  # numpy [.., samples]
     poses: np.ndarray  # [.., frames, 13, N]
     reruns: tuple[str, ...]  # what was run again, and why
+    failed: tuple[int, int] | None  # as of failure.find
     slow: bool = True  # all since the rule of run.until_settled was last looked at
     settled: bool = False  # all was at rest: what would follow up to the release, or up to the end, is left out
 
@@ -63,7 +64,7 @@ def advance(job: Job, system: System, state: State, first: int, count: int, show
         system, start = guard.grown(system, start, seen)
     else:
         raise failure.restless(job, first, reasons)
-    return Span(first, count, system, start, *done, tuple(reruns))
+    return Span(first, count, system, start, *done, tuple(reruns), failed)
 
 
 def looked_at(job: Job, span: Span, slow: bool) -> Span:
