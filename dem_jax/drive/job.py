@@ -100,10 +100,19 @@ class Job:
     def stride(self) -> int:
         """Samples per chunk, a multiple of the samples between rebuilds: a rebuild at its start is due anyway."""
         block = samples_per_block(self.system)
-        bodies = self.state.position.shape[-1] * (self.runs or 1)
-        wanted = CHUNK_TIME / (self.steps_per_sample * (STEP_TIME + BODY_TIME * bodies))
+        wanted = CHUNK_TIME / self._time_of_sample
         room = min(SAMPLES, (FRAMES - 1) * self.every + 1) if self.every else SAMPLES
         return max(1, int(min(wanted, room)) // block) * block
+
+    @property
+    def time(self) -> float:
+        """What is left takes on one core (s), by that estimate."""
+        return (self.samples - self.sample_of(self.state)) * self._time_of_sample
+
+    @property
+    def _time_of_sample(self) -> float:
+        bodies = self.state.position.shape[-1] * (self.runs or 1)
+        return self.steps_per_sample * (STEP_TIME + BODY_TIME * bodies)
 
     def chunk_end(self, at: int) -> int:
         """Where the chunk that begins at a sample ends, in every run of the scene, however long."""

@@ -21,7 +21,8 @@ def study(
     """Conduct a study and return its results.
 
     source: a Study, or what ``load_study`` takes. out: HDF5 file, which is kept up to date; one that holds a part of the same
-    study is gone on with, and ends with the same bits; any other is an error unless overwrite. quick: as its [quick] says.
+    study is gone on with, and ends with the same bits; any other is an error unless overwrite. Beside it lies, while it is
+    computed, what is done of drops that take minutes, ``OUT.batch``. quick: as its [quick] says.
     Raises SceneError for what cannot be a study and RecordError for a file. Drops that go wrong are lost, and said to be.
     """
     compiling.loops_as_one()
@@ -31,26 +32,30 @@ def study(
         return results
     with _Bar(results, progress) as bar:
         try:
-            _conducted(results, out, bar)
+            _conducted(results, out, bar, progress)
         finally:  # also where somebody interrupts it
             if out is not None:
                 file.save(results, out)
     return results
 
 
-def _conducted(results: Results, out: str | Path | None, bar: "_Bar") -> None:
+def _conducted(results: Results, out: str | Path | None, bar: "_Bar", progress: bool) -> None:
     """All that is left to do, kept in the file now and then."""
     last, cost = time.perf_counter(), 0.0
+    kept = None if out is None else Path(f"{out}.batch")
     for batch in work.batches(results.study):
         if not (results.state[list(batch.members)] == OPEN).any():
             continue
         since = time.perf_counter()
-        _computed(results, batch)
+        _computed(results, batch, kept, progress)
         results.elapsed += time.perf_counter() - since
         bar.update()
-        if out is not None and time.perf_counter() - last > SPACED * cost:
+        if out is None or kept is None:
+            continue
+        if kept.is_file() or time.perf_counter() - last > SPACED * cost:
             before = time.perf_counter()
             file.save(results, out)
+            kept.unlink(missing_ok=True)
             last = time.perf_counter()
             cost = last - before
 
@@ -68,14 +73,15 @@ def _begun(table: Study, out: str | Path | None, overwrite: bool) -> Results:
     return Results.begun(table)
 
 
-def _computed(results: Results, batch: work.Batch | work.Failed) -> None:
-    """Compute a batch, and enter what came of it."""
+def _computed(results: Results, batch: work.Batch | work.Failed, kept: Path | None, progress: bool) -> None:
+    """Compute a batch, and enter what came of it; kept: where it is kept while it goes, if it takes long."""
     failed = [batch] if isinstance(batch, work.Failed) else []
     names = results.study.outputs
     if isinstance(batch, work.Batch):
         for name, values in evaluated_portions(work.portions(batch), names).items():
             results.outputs[name][list(batch.members)] = values
-        run, members, failed = work.run(batch, results.study) if of_drops(names) else (None, batch.members, [])
+        done = work.run(batch, results.study, kept, progress) if of_drops(names) else (None, batch.members, [])
+        run, members, failed = done
         results.state[list(members)] = DONE
         if run is not None:
             for name, values in evaluated(run, names).items():

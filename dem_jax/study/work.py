@@ -4,6 +4,7 @@ import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,17 +12,20 @@ import numpy as np
 from dem_jax.build import build, self_contained
 from dem_jax.build.pieces import goods_of, masses_of
 from dem_jax.drive import heap, varied
-from dem_jax.drive.interface import drive
+from dem_jax.drive.interface import drive, resume
+from dem_jax.drive.job import Job
 from dem_jax.drive.prepare import prepare
-from dem_jax.errors import SceneError, SimulationError
+from dem_jax.drive.recorded import header_of
+from dem_jax.errors import RecordError, SceneError, SimulationError
 from dem_jax.scene import Scene
 from dem_jax.scene.materials import material_table
 from dem_jax.step.joined import AT_ONCE
-from dem_jax.store.run import Run
+from dem_jax.store.record import Run, load_restart
 from dem_jax.study.design import Point, points_of
 from dem_jax.study.table import Study
 
-BATCH = 32  # drops: what a study that was stopped has to do again, at most
+BATCH = 32  # drops: what a study that was stopped has to do again, at most,
+LONG = 180.0  # s that a batch takes by estimate: one that takes longer is kept in a file while it goes
 
 
 @dataclass(frozen=True)
@@ -82,13 +86,18 @@ def _is_common(key: str) -> bool:
     return (key.startswith("run.") and key != varied.OWN) or varied.is_of_file(key)
 
 
-def run(batch: Batch, study: Study) -> tuple[Run | None, tuple[int, ...], list[Failed]]:
-    """Compute a batch: the ensemble, the members that it is of, and those that failed, each alone."""
+def run(
+    batch: Batch, study: Study, kept: Path | None = None, progress: bool = False
+) -> tuple[Run | None, tuple[int, ...], list[Failed]]:
+    """Compute a batch: the ensemble, the members that it is of, and those that failed, each alone.
+
+    kept: file of a batch that takes long, which is gone on with if it is there; of its ``progress`` there is a bar.
+    """
     members, failed = list(batch.members), list[Failed]()
     while members:
         where = [batch.members.index(m) for m in members]
         try:
-            return _ensemble(batch, where, study), tuple(members), failed
+            return _ensemble(batch, where, study, kept, progress), tuple(members), failed
         except SimulationError as error:
             lost = members.pop(error.member or 0)
             failed.append(Failed((lost,), str(error)))
@@ -125,14 +134,27 @@ def _alone(batch: Batch, k: int, study: Study) -> str | None:
     return None
 
 
-def _ensemble(batch: Batch, where: Sequence[int], study: Study) -> Run:
+def _ensemble(batch: Batch, where: Sequence[int], study: Study, kept: Path | None, progress: bool) -> Run:
     job = _prepared(batch, where, study)
     if study.heap:
-        job = heap.released(job, _prepared(batch, where, study, study.heap))
-    return drive(job)
+        return drive(heap.released(job, _prepared(batch, where, study, study.heap)))
+    if kept is None or job.time < LONG:
+        return drive(job)
+    return resume(kept, progress=progress) if _is_of(kept, job) else drive(job, kept, True, progress)
 
 
-def _prepared(batch: Batch, where: Sequence[int], study: Study, heap: dict[str, Any] | None = None) -> Any:
+def _is_of(path: Path, job: Job) -> bool:
+    """Whether a file is of this job, and sound."""
+    try:
+        header, *_ = load_restart(path)
+    except RecordError:
+        return False
+    own = header_of(job)
+    facts = [(h.scene, h.seed, h.dt, h.version, json.dumps(h.info.get("parameters"))) for h in (header, own)]
+    return facts[0] == facts[1]
+
+
+def _prepared(batch: Batch, where: Sequence[int], study: Study, heap: dict[str, Any] | None = None) -> Job:
     rows, seeds = [batch.points[k] for k in where], [batch.seeds[k] for k in where]
     keys = [key for key in rows[0] if not _is_common(key) and key not in (heap or {})]
     parameters = {key: [row[key] for row in rows] for key in keys}

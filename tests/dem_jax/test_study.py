@@ -11,6 +11,7 @@ from scipy.special import erf
 
 import dem_jax
 from dem_jax.cli.main import main
+from dem_jax.drive import job, loop
 from dem_jax.errors import RecordError, SceneError
 from dem_jax.study import conduct, file, posterior, results, work
 from dem_jax.study.design import points_of
@@ -95,22 +96,56 @@ def test_a_study_that_was_stopped_does_only_what_is_left_and_ends_with_the_same_
     monkeypatch.setattr(work, "BATCH", 2)
     real, computed = work.run, []
 
-    def stopped_after_two(batch, study):
+    def stopped_after_two(batch, *more):
         if len(computed) == 2:
             raise KeyboardInterrupt
         computed.append(batch.members)
-        return real(batch, study)
+        return real(batch, *more)
 
     monkeypatch.setattr(work, "run", stopped_after_two)
     with pytest.raises(KeyboardInterrupt):
         conduct.study(ball(), "half.h5")
     assert (file.load("half.h5").state == file.DONE).sum() == 4
-    monkeypatch.setattr(work, "run", lambda batch, study: computed.append(batch.members) or real(batch, study))
+    monkeypatch.setattr(work, "run", lambda batch, *more: computed.append(batch.members) or real(batch, *more))
     found = conduct.study(ball(), "half.h5")
     assert sorted(m for members in computed for m in members) == list(range(8))
     for name, values in whole.outputs.items():
         np.testing.assert_array_equal(found.outputs[name], values)
     np.testing.assert_array_equal(file.load("half.h5").force[5], whole.force[5])
+
+
+def test_a_batch_that_takes_long_is_gone_on_with_where_it_was(done, monkeypatch):
+    whole, _ = done
+    monkeypatch.setattr(work, "LONG", 0.0)
+    monkeypatch.setattr(job, "CHUNK_TIME", 0.005)
+    real, begun = loop.advance, []
+
+    def stopped(*arguments):
+        if len(begun) == 3:
+            raise KeyboardInterrupt
+        begun.append(arguments[3])
+        return real(*arguments)
+
+    monkeypatch.setattr(loop, "advance", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        conduct.study(ball(), "long.h5")
+    assert not (file.load("long.h5").state == file.DONE).any()
+    assert dem_jax.load_run("long.h5.batch").force["plate"].shape[0] == 8
+    monkeypatch.setattr(loop, "advance", lambda *arguments: begun.append(arguments[3]) or real(*arguments))
+    found = conduct.study(ball(), "long.h5")
+    assert len(begun) > 5 and begun == sorted(set(begun)), "no sample is computed twice"
+    for name, values in whole.outputs.items():
+        np.testing.assert_array_equal(found.outputs[name], values)
+    assert [path.name for path in Path().glob("long*")] == ["long.h5"]
+
+
+def test_a_file_of_another_batch_is_not_gone_on_with(done, monkeypatch):
+    whole, _ = done
+    monkeypatch.setattr(work, "LONG", 0.0)
+    dem_jax.ensemble(ball().base(), seed=[5, 6], out="other.h5.batch")
+    found = conduct.study(ball(), "other.h5")
+    for name, values in whole.outputs.items():
+        np.testing.assert_array_equal(found.outputs[name], values)
 
 
 def test_another_study_in_the_file_is_not_touched(done):
