@@ -362,6 +362,8 @@ def test_studies_are_conducted_one_after_the_other(capsys):
     assert said.index("Of a") < said.index("wrote a.h5, a.csv") < said.index("Of b") < said.index("wrote b.h5, b.csv")
     assert said.splitlines()[-1] == f"2 studies, {sum(file.load(f'{name}.h5').elapsed for name in 'ab'):.0f} s"
     assert main(["study", "c.toml", "nowhere", "--quiet"]) == 2 and not Path("c.h5").exists()  # seen before the first is begun
+    assert main(["study", "c.toml", "./c.toml", "--quiet"]) == 2 and not Path("c.h5").exists()
+    assert "study c.toml ./c.toml: 'c' twice, in one file; allowed: each name once" in capsys.readouterr().err
     assert main(["study", "all", "--out", "x.h5"]) == 2
     assert f"--out x.h5: {len(stock_studies())} studies; allowed: of one by itself" in capsys.readouterr().err
 
