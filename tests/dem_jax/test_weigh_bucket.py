@@ -33,9 +33,12 @@ def test_settled_mass_ends_as_the_portion(run):
 
 
 def test_floor_force_at_the_end_is_the_weight(run):
-    end = run.time > run.time[-1] - 0.2
+    """That of the weigh bucket alone; but for what slows down a piece that still moves, which some seeds and roundings have."""
+    end = np.flatnonzero(run.time > run.time[-1] - 0.2)
     total = sum(run.mean_force[g][end, 2].mean() for g in ("wb_flaps", "wb_walls"))
-    assert -total == pytest.approx(9 * PIECE * 9.81, rel=1e-3)
+    slowed = (run.momentum[-1, 2] - run.momentum[end[0] - 1, 2]) / (run.time[-1] - run.time[end[0] - 1])
+    assert -total == pytest.approx(9 * PIECE * 9.81 + slowed, rel=1e-9)
+    assert abs(slowed) < 0.01 * 9 * PIECE * 9.81
 
 
 def test_momentum_balance_closes_to_rounding(run):
