@@ -24,7 +24,7 @@ from dem_jax.store.record import Run, load_restart
 from dem_jax.study.design import Point, points_of
 from dem_jax.study.table import Study
 
-BATCH = 32  # drops: what a study that was stopped has to do again, at most,
+BATCH = 32  # drops: what a study that was stopped has to do again, at most;
 LONG = 180.0  # s that a batch takes by estimate: one that takes longer is kept in a file while it goes
 
 
