@@ -47,8 +47,10 @@ def _conducted(results: Results, out: str | Path | None, bar: "_Bar", progress: 
         if not (results.state[list(batch.members)] == OPEN).any():
             continue
         since = time.perf_counter()
-        _computed(results, batch, kept, progress)
-        results.elapsed += time.perf_counter() - since
+        try:
+            _computed(results, batch, kept, progress)
+        finally:
+            results.elapsed += time.perf_counter() - since
         bar.update()
         if out is None or kept is None:
             continue

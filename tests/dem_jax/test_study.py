@@ -129,10 +129,12 @@ def test_a_batch_that_takes_long_is_gone_on_with_where_it_was(done, monkeypatch)
     monkeypatch.setattr(loop, "advance", stopped)
     with pytest.raises(KeyboardInterrupt):
         conduct.study(ball(), "long.h5")
-    assert not (file.load("long.h5").state == file.DONE).any()
+    begun_with = file.load("long.h5")
+    assert not (begun_with.state == file.DONE).any() and begun_with.elapsed > 0
     assert dem_jax.load_run("long.h5.batch").force["plate"].shape[0] == 8
     monkeypatch.setattr(loop, "advance", lambda *arguments: begun.append(arguments[3]) or real(*arguments))
     found = conduct.study(ball(), "long.h5")
+    assert found.elapsed > begun_with.elapsed
     assert len(begun) > 5 and begun == sorted(set(begun)), "no sample is computed twice"
     for name, values in whole.outputs.items():
         np.testing.assert_array_equal(found.outputs[name], values)
