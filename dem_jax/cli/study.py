@@ -38,9 +38,9 @@ def study(args: Args) -> None:
     if args.out is not None and len(names) > 1:
         raise SceneError(f"--out {args.out}: {len(names)} studies; allowed: of one by itself")
     tables = [load_study(name, args.quick) for name in names]
-    for k, table in enumerate(tables):
-        if table.name in {before.name for before in tables[:k]}:
-            raise SceneError(f"study {' '.join(args.study)}: {table.name!r} twice, in one file; allowed: each name once")
+    named = [table.name for table in tables]
+    if twice := [name for name in named if named.count(name) > 1]:
+        raise SceneError(f"study {' '.join(args.study)}: {twice[0]!r} twice, in one file; allowed: each name once")
     if args.scene is not None:
         tables = [table.of_scene(args.scene) for table in tables]
     simulating.use_cache()

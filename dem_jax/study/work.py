@@ -24,8 +24,8 @@ from dem_jax.store.record import Run, load_restart
 from dem_jax.study.design import Point, points_of
 from dem_jax.study.table import Study
 
-BATCH = 32  # drops: what a study that was stopped has to do again, at most;
-LONG = 180.0  # s that a batch takes by estimate: one that takes longer is kept in a file while it goes
+BATCH = 32  # drops: what a study that was stopped has to do again, at most
+LONG = 180.0  # s that a batch takes by estimate: one that takes longer is kept in a file while it goes, and none of it done again
 
 
 @dataclass(frozen=True)
@@ -136,7 +136,7 @@ def _alone(batch: Batch, k: int, study: Study) -> str | None:
 
 def _ensemble(batch: Batch, where: Sequence[int], study: Study, kept: Path | None, progress: bool) -> Run:
     job = _prepared(batch, where, study)
-    if study.heap:
+    if study.heap:  # kept in no file: that would begin anew from its scene, without the heap
         return drive(heap.released(job, _prepared(batch, where, study, study.heap)))
     if kept is None or job.time < LONG:
         return drive(job)
