@@ -26,7 +26,8 @@ class Progress:
             from tqdm import tqdm
 
             total, ms = job.samples - self._from, 1e3 * job.scene.run.sample
-            self._bar = tqdm(total=total, unit_scale=ms, file=sys.stderr, bar_format=FORMAT, dynamic_ncols=True)
+            below = None if sys.stderr.isatty() else 0  # a study's bar; in a log, which has one line, no bar stands below another
+            self._bar = tqdm(total=total, unit_scale=ms, file=sys.stderr, bar_format=FORMAT, dynamic_ncols=True, position=below)
             self._bar.set_description_str(self._phase(self._from))
             threading.Thread(target=self._tick, daemon=True).start()
 

@@ -114,7 +114,7 @@ def test_a_study_that_was_stopped_does_only_what_is_left_and_ends_with_the_same_
     np.testing.assert_array_equal(file.load("half.h5").force[5], whole.force[5])
 
 
-def test_a_batch_that_takes_long_is_gone_on_with_where_it_was(done, monkeypatch):
+def test_a_batch_that_takes_long_is_gone_on_with_where_it_was(done, monkeypatch, capsys):
     whole, _ = done
     monkeypatch.setattr(work, "LONG", 0.0)
     monkeypatch.setattr(job, "CHUNK_TIME", 0.005)
@@ -133,7 +133,9 @@ def test_a_batch_that_takes_long_is_gone_on_with_where_it_was(done, monkeypatch)
     assert not (begun_with.state == file.DONE).any() and begun_with.elapsed > 0
     assert dem_jax.load_run("long.h5.batch").force["plate"].shape[0] == 8
     monkeypatch.setattr(loop, "advance", lambda *arguments: begun.append(arguments[3]) or real(*arguments))
-    found = conduct.study(ball(), "long.h5")
+    found = conduct.study(ball(), "long.h5", progress=True)
+    said = capsys.readouterr().err
+    assert "running: 100%" in said and "\x1b" not in said, "a log has no lines to go up to"
     assert found.elapsed > begun_with.elapsed
     assert len(begun) > 5 and begun == sorted(set(begun)), "no sample is computed twice"
     for name, values in whole.outputs.items():
