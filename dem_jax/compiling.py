@@ -8,7 +8,9 @@ come and go with the compiler (from jax 0.11 on there is no older way of fusing)
 
 LLVM is told, in the same place, to unroll a loop wholly or not at all. To write a step's loops out in part makes them no
 faster and longer to compile: without that, 47 almonds are compiled in 0.87 of the processor time, 7 almonds, 47 hazelnuts
-and 64 marshmallows in 0.90 to 0.97, 9 marshmallows in 1.00 to 1.06; steps take as long and give the same bits.
+and 64 marshmallows in 0.90 to 0.97, 9 marshmallows in 1.00 to 1.06; steps take as long and give the same bits. Not so those of
+sixteen runs as one (``step.joined``): unrolled they take 0.89 times as long, and compile as fast. So a process that
+begins with an ensemble leaves that to LLVM.
 
 Vectors of 512 bits, where a processor has them, make steps of nine pieces take 0.90 times as long, of 343 0.95, of 8000
 spheres 0.97.
@@ -42,18 +44,19 @@ OPTIONS: dict[str, dict[str, Any]] = {
 }
 LIGHT: dict[str, dict[str, Any]] = {"cpu": {"xla_backend_optimization_level": 2}}  # beside them, see ``jit``
 NOT_UNROLLED = "-unroll-allow-partial=false,-unroll-runtime=false"  # for LLVM
-SMALL_LOOPS = f"--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1073741824,{NOT_UNROLLED}"
+SMALL_LOOPS = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1073741824"
 
 
-def loops_as_one() -> None:
+def loops_as_one(unrolled: bool = False) -> None:
     """Have XLA make one function of each loop, in all that this process compiles; too late, with a warning, once XLA is in use.
 
+    unrolled: as is best for ensembles, with loops written out in part; the first call decides.
     Leaves XLA_FLAGS alone if it says something of ``xla_backend_extra_options`` already.
     """
     flags = os.environ.get("XLA_FLAGS", "")
     if "xla_backend_extra_options" in flags:
         return
-    os.environ["XLA_FLAGS"] = f"{flags} {SMALL_LOOPS}".strip()
+    os.environ["XLA_FLAGS"] = f"{flags} {SMALL_LOOPS}".strip() + ("" if unrolled else f",{NOT_UNROLLED}")
     if is_in_use() and jax.default_backend() == "cpu":
         warnings.warn(
             "steps of few pieces will take two to three times as long: JAX computed something before the first simulation; "

@@ -205,11 +205,11 @@ def _loads_of_walls(system: System, state: State, panels: boundary.Panels) -> Wa
 
     load = _added_up(system, rows, scratch.most_walled)  # [6, G, N], the torque about each piece's centre
     place = vector.each(lambda c: c[None], vector.unpack(state.position))
-    about_origin = jnp.stack(vector.add(vector.cross(place, vector.unpack(load[:3])), vector.unpack(load[3:])))
-    total = of_run.total(system, jnp.concatenate([load[:3], about_origin]))
+    about_origin = vector.add(vector.cross(place, vector.unpack(load[:3])), vector.unpack(load[3:]))
+    force = of_run.total(system, load[:3])
     pivot = vector.each(lambda c: c[..., None], panels.pivot)
-    torque = vector.sub(vector.unpack(total[3:]), vector.cross(pivot, vector.unpack(total[:3])))
-    return WallLoads(total[:3], jnp.stack(torque))
+    turning = vector.each(lambda c: of_run.total(system, c), about_origin)  # each by itself: rows put together are added up slowly
+    return WallLoads(force, jnp.stack(vector.sub(turning, vector.cross(pivot, vector.unpack(force)))))
 
 
 def _added_up(system: System, rows: Callable[[Array], Array], count: Array) -> Array:

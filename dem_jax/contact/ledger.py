@@ -5,7 +5,10 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from dem_jax.contact import boundary, of_run
+from dem_jax.maths import vector
 from dem_jax.types import Array, Ledger, State, System, WallLoads, host
+
+Pair = tuple[Array, Array]
 
 
 def entered(
@@ -17,13 +20,13 @@ def entered(
     """
     ledger, before = state.ledger, state.motion
     if system.ledger:
-        twice = jnp.concatenate([before.force, before.torque]) + on_pieces
-        motion = jnp.concatenate([before.velocity, omega])
-        took = _work(system, of_run.total(system, twice * motion))
+        power = _twice_power((before.force, before.torque), (on_pieces[:3], on_pieces[3:]), (before.velocity, omega))
+        took = 0.5 * system.dt * of_run.total(system, power)
         by_walls = jnp.zeros_like(took)
         if system.walls.moving:
-            twice = jnp.concatenate([state.walls.force + on_walls.force, state.walls.torque + on_walls.torque])
-            by_walls = -_work(system, jnp.sum(twice * panels.groups[3:, :, None], axis=1))
+            velocity, spin = panels.groups[3:6, :, None], panels.groups[6:, :, None]
+            power = _twice_power((state.walls.force, state.walls.torque), (on_walls.force, on_walls.torque), (velocity, spin))
+            by_walls = -0.5 * system.dt * jnp.sum(power, axis=0)
         ledger = ledger.replace(taken=ledger.taken + (by_walls - took), wall_work=ledger.wall_work + by_walls)
     impulse = ledger.impulse + 0.5 * system.dt * (state.walls.force + on_walls.force)
     peak = jnp.maximum(ledger.peak, _along_gravity(system, on_walls.force))
@@ -40,12 +43,14 @@ def _along_gravity(system: System, force: Array) -> Array:
     return jnp.stack(rows) if rows else jnp.zeros((0, system.runs), force.dtype)
 
 
-def _work(system: System, twice_power: Array) -> Array:
-    """Work (J) in this step, [R], from loads on bodies, before and after it, times velocities and spins, their sums [6, R] (W).
+def _twice_power(before: Pair, now: Pair, motion: Pair) -> Array:
+    """What forces and torques, [3, ..] (N, N m), before and after a step do at a velocity and a spin, [..] (W).
 
-    Trapezoidal, each load at its own point of attack: closed to second order in the time step.
+    Half of it times the step is their work: trapezoidal, each load at its own point of attack, closed to second order.
     """
-    return 0.5 * system.dt * jnp.sum(twice_power, axis=0)
+    each = zip(before, now, motion, strict=True)
+    force, torque = (vector.dot(vector.unpack(first + second), vector.unpack(of)) for first, second, of in each)
+    return force + torque
 
 
 def new_interval(ledger: Ledger) -> Ledger:

@@ -25,7 +25,7 @@ def study(
     computed, what is done of drops that take minutes, ``OUT.batch``. quick: as its [quick] says.
     Raises SceneError for what cannot be a study and RecordError for a file. Drops that go wrong are lost, and said to be.
     """
-    compiling.loops_as_one()
+    compiling.loops_as_one(unrolled=True)
     table = source if isinstance(source, Study) else load_study(source, quick)
     results = _begun(table, out, overwrite)
     if not (results.state == OPEN).any():

@@ -70,8 +70,25 @@ def test_flags_of_the_person_are_left_alone(monkeypatch):
     monkeypatch.setenv("XLA_FLAGS", "--xla_cpu_enable_fast_math=false")
     monkeypatch.setattr(compiling, "is_in_use", lambda: False)
     compiling.loops_as_one()
-    compiling.loops_as_one()
-    assert os.environ["XLA_FLAGS"] == f"--xla_cpu_enable_fast_math=false {compiling.SMALL_LOOPS}"
+    compiling.loops_as_one(unrolled=True)  # the first call decides
+    assert os.environ["XLA_FLAGS"] == f"--xla_cpu_enable_fast_math=false {compiling.SMALL_LOOPS},{compiling.NOT_UNROLLED}"
+
+
+def test_of_an_ensemble_loops_are_unrolled():
+    program = (
+        "import os, sys, dem_jax\n"
+        "scene = dem_jax.load_scene('quick-release', {'portion.settling_time': 1e-3, 'run.duration': 1e-3})\n"
+        "dem_jax.ensemble(scene, runs=1) if sys.argv[1] == 'ensemble' else dem_jax.simulate(scene)\n"
+        "print(os.environ['XLA_FLAGS'])"
+    )
+    settings = {name: value for name, value in os.environ.items() if name != "XLA_FLAGS"}
+    settings["PYTHONPATH"] = os.pathsep.join(sys.path)
+    said = {}
+    for which in ("ensemble", "run"):
+        done = subprocess.run([sys.executable, "-c", program, which], env=settings, capture_output=True, text=True)
+        assert not done.returncode and "Warning" not in done.stderr, done.stderr
+        said[which] = done.stdout.strip()
+    assert said == {"ensemble": compiling.SMALL_LOOPS, "run": f"{compiling.SMALL_LOOPS},{compiling.NOT_UNROLLED}"}
 
 
 def test_a_warning_says_that_it_is_too_late_to_make_one_function_of_each_loop(monkeypatch):
