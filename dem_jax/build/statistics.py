@@ -1,9 +1,8 @@
 """What a scene asks of the collisions with its walls."""
 
-import jax.numpy as jnp
-import numpy as np
 from numpy.typing import DTypeLike
 
+from dem_jax.build.typed import array
 from dem_jax.errors import SceneError
 from dem_jax.scene import Scene
 from dem_jax.types import Statistics
@@ -20,5 +19,4 @@ def statistics_of(scene: Scene, panels: int, dtype: DTypeLike) -> Statistics | N
         most = int((MOST_PLACES / max(1, panels)) ** 0.5)
         allowed = f"at most {most}" if panels else "no [statistics] in a scene without walls"
         raise SceneError(f"statistics.cells = {asked.cells}: of {panels} panels; allowed: {allowed}")
-    number = lambda value: jnp.asarray(np.asarray(value, dtype))  # noqa: E731
-    return Statistics(number(asked.slowest), number(asked.fastest), asked.speeds, asked.cells)
+    return Statistics(array(asked.slowest, dtype), array(asked.fastest, dtype), asked.speeds, asked.cells)

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import jax.numpy as jnp
 import numpy as np
 
 from dem_jax.build import drive
@@ -18,7 +17,7 @@ from dem_jax.build.sampling import shortest_contact
 from dem_jax.build.start import Box, Start, first_state, motion_of_start, placed, settling_samples
 from dem_jax.build.statistics import statistics_of
 from dem_jax.build.time_step import TimeStep, block_steps, choose_step, longest_reach, possible_contacts
-from dem_jax.build.typed import typed
+from dem_jax.build.typed import array, typed
 from dem_jax.build.walls import wall_arrays, walls_of, with_buckets_read, written_out
 from dem_jax.contact import motion
 from dem_jax.contact.law import ContactLaw
@@ -79,24 +78,23 @@ def build(scene: Scene, seed: int = 0, law: ContactLaw | None = None) -> Built:
     table, shape_rows = hull_table(solids, plates, seams)
     has_hulls = any(shape.radius == 0 for shape in made)
     is_general = table is not None and table.features is not None
-    number, whole = (lambda x, kind=kind: jnp.asarray(np.asarray(x, kind)) for kind in (dtype, np.int32))
     system = System(
         pieces=typed(pieces, dtype),
         parts=typed(parts, dtype),
         hulls=typed(table, dtype) if table else None,
-        shape=whole(shape_rows),
+        shape=array(shape_rows, np.int32),
         walls=walls,
         materials=typed(materials, dtype),
         law=typed(law, dtype),
-        reach=number(longest_reach(law, contacts)),
-        gravity=number(scene.run.gravity),
-        dt=number(step.dt),
-        substeps=whole(step.substeps // step.parts),
-        skin=number(SKIN * pieces.width.min()),
-        block_low=number(np.reshape([b.low for b in blocks], (-1, 3)).T),
-        block_high=number(np.reshape([b.high for b in blocks], (-1, 3)).T),
-        domain_low=number(domain[0]),
-        domain_high=number(domain[1]),
+        reach=array(longest_reach(law, contacts), dtype),
+        gravity=array(scene.run.gravity, dtype),
+        dt=array(step.dt, dtype),
+        substeps=array(step.substeps // step.parts, np.int32),
+        skin=array(SKIN * pieces.width.min(), dtype),
+        block_low=array(np.reshape([b.low for b in blocks], (-1, 3)).T, dtype),
+        block_high=array(np.reshape([b.high for b in blocks], (-1, 3)).T, dtype),
+        domain_low=array(domain[0], dtype),
+        domain_high=array(domain[1], dtype),
         capacity=capacity(len(parts.polytopes), len(parts.spheres), len(panels), is_general, parts.owner is not None),
         touching=touching(parts, len(panels), is_general),
         neighbours=scene.run.neighbours,

@@ -21,3 +21,8 @@ def typed(tree: Tree, dtype: DTypeLike) -> Tree:
             return jnp.asarray(x.astype(np.int32 if x.dtype.kind == "i" else dtype))  # converted here: nothing to compile
 
     return jax.tree.map(leaf, tree)
+
+
+def array(x: ArrayLike, dtype: DTypeLike) -> jax.Array:
+    """Numbers as an array, converted as in ``typed``."""
+    return jnp.asarray(np.asarray(x, dtype))

@@ -6,6 +6,7 @@ from numpy.typing import DTypeLike
 
 from dem_jax.contact import boundary, of_run
 from dem_jax.maths import vector
+from dem_jax.maths.vector import Vector
 from dem_jax.types import Array, Ledger, State, System, WallLoads, host
 
 Pair = tuple[Array, Array]
@@ -20,12 +21,14 @@ def entered(
     """
     ledger, before = state.ledger, state.motion
     if system.ledger:
-        power = _twice_power((before.force, before.torque), (on_pieces[:3], on_pieces[3:]), (before.velocity, omega))
+        motion = vector.unpack(before.velocity), vector.unpack(omega)
+        power = _twice_power((before.force, before.torque), (on_pieces[:3], on_pieces[3:]), motion)
         took = 0.5 * system.dt * of_run.total(system, power)
         by_walls = jnp.zeros_like(took)
         if system.walls.moving:
-            velocity, spin = panels.groups[3:6, :, None], panels.groups[6:, :, None]
-            power = _twice_power((state.walls.force, state.walls.torque), (on_walls.force, on_walls.torque), (velocity, spin))
+            of_runs = lambda of: vector.each(lambda c: c[..., None], of)  # noqa: E731
+            motion = of_runs(panels.pivot_velocity), of_runs(panels.group_spin)
+            power = _twice_power((state.walls.force, state.walls.torque), (on_walls.force, on_walls.torque), motion)
             by_walls = -0.5 * system.dt * jnp.sum(power, axis=0)
         ledger = ledger.replace(taken=ledger.taken + (by_walls - took), wall_work=ledger.wall_work + by_walls)
     impulse = ledger.impulse + 0.5 * system.dt * (state.walls.force + on_walls.force)
@@ -43,13 +46,13 @@ def _along_gravity(system: System, force: Array) -> Array:
     return jnp.stack(rows) if rows else jnp.zeros((0, system.runs), force.dtype)
 
 
-def _twice_power(before: Pair, now: Pair, motion: Pair) -> Array:
+def _twice_power(before: Pair, now: Pair, motion: tuple[Vector, Vector]) -> Array:
     """What forces and torques, [3, ..] (N, N m), before and after a step do at a velocity and a spin, [..] (W).
 
     Half of it times the step is their work: trapezoidal, each load at its own point of attack, closed to second order.
     """
     each = zip(before, now, motion, strict=True)
-    force, torque = (vector.dot(vector.unpack(first + second), vector.unpack(of)) for first, second, of in each)
+    force, torque = (vector.dot(vector.unpack(first + second), of) for first, second, of in each)
     return force + torque
 
 

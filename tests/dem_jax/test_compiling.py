@@ -76,9 +76,8 @@ def test_flags_of_the_person_are_left_alone(monkeypatch):
 
 def test_of_an_ensemble_loops_are_unrolled():
     program = (
-        "import os, sys, dem_jax\n"
-        "scene = dem_jax.load_scene('quick-release', {'portion.settling_time': 1e-3, 'run.duration': 1e-3})\n"
-        "dem_jax.ensemble(scene, runs=1) if sys.argv[1] == 'ensemble' else dem_jax.simulate(scene)\n"
+        "import os, sys; from dem_jax.drive.prepare import prepare\n"
+        "prepare('quick-release', [0], 1 if sys.argv[1] == 'ensemble' else None)\n"
         "print(os.environ['XLA_FLAGS'])"
     )
     settings = {name: value for name, value in os.environ.items() if name != "XLA_FLAGS"}
