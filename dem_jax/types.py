@@ -273,6 +273,7 @@ class System(Tree):
     reach: Array  # (m): the longest gap across which the law acts; 0: none
     gravity: Array  # [3] (m/s2)
     dt: Array  # (s)
+    resolved: Array  # 1, or 0 where dt is more than RESOLVED of the stability limit
     substeps: Array  # int32: steps per sample (per part of a sample, if it has parts), at most block_steps
     skin: Array  # (m): pairs nearer than this, beyond the way that present speeds take them, are candidates
     block_low: Array  # [3, B] (m): corners of the blocks in which settled mass is counted

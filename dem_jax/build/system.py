@@ -89,6 +89,7 @@ def build(scene: Scene, seed: int = 0, law: ContactLaw | None = None) -> Built:
         reach=array(longest_reach(law, contacts), dtype),
         gravity=array(scene.run.gravity, dtype),
         dt=array(step.dt, dtype),
+        resolved=array(step.resolved, dtype),
         substeps=array(step.substeps // step.parts, np.int32),
         skin=array(SKIN * pieces.width.min(), dtype),
         block_low=array(np.reshape([b.low for b in blocks], (-1, 3)).T, dtype),

@@ -33,6 +33,7 @@ from dem_jax.shapes import Shape, parts_of
 from dem_jax.types import Materials, Pieces, host
 
 NEAR = 0.3  # of the stability limit: no automatic step is longer, and one that is asked for is warned of
+RESOLVED = 0.5  # of it: up to here laws may correct what the step leaves out; beyond, that would feed what rings
 
 
 @dataclass(frozen=True)
@@ -45,6 +46,7 @@ class TimeStep:
     critical: float  # s: the smallest critical step, by the law's critical steps or by the accuracy asked for
     stable: float  # s: linear stability limit, which no step may exceed
     limit: str  # what sets the critical step, in words
+    resolved: float  # 1, or 0 above RESOLVED of the stability limit
     error: float  # of the energy in an impact, relative, at most; about
     warning: str | None  # of a step that was asked for and comes near the limit
 
@@ -96,7 +98,8 @@ def choose_step(scene: Scene, law: ContactLaw, contacts: list[PossibleContact], 
     loading = min(float(np.min(getattr(law, "loading_step", law.stable_step)(c.pair, c.mass))) for c in contacts)
     error = (dt / loading) ** 2 / np.sqrt(max(1 - (dt / stable) ** 2, 0.01))
     warning = None if scene.run.step == "auto" or dt < NEAR * stable else _warning(dt, stable, error, critical)
-    return TimeStep(dt, substeps, parts, critical, stable, limit, error, warning)
+    resolved = float(dt <= RESOLVED * stable * (1 + 1e-9))
+    return TimeStep(dt, substeps, parts, critical, stable, limit, resolved, error, warning)
 
 
 def _warning(dt: float, stable: float, error: float, critical: float) -> str:

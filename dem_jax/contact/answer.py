@@ -67,7 +67,8 @@ def answer(
     overlap = met.overlap + (inside - depth)
     slip = _slip(memory, motion, approach, met.normal, inside)
     roll = None if system.materials.rolling is None else vector.scale(system.dt, vector.sub(b.spin, a.spin))
-    said = system.law.force(slots.pair, memory.law, Contact(overlap, approach, slip, met.normal, system.dt, turn, roll))
+    contact = Contact(overlap, approach, slip, met.normal, system.dt, turn, roll, system.resolved)
+    said = system.law.force(slots.pair, memory.law, contact)
     force = vector.scale(said.push, met.normal)
     if said.drag is not None:
         force = vector.add(force, said.drag)

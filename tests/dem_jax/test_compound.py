@@ -83,10 +83,11 @@ DEEP = 5e-7  # m
 
 
 def pressed(piece, height):
-    """Vertical force (N) of a plate on a piece that moves into it, DEEP after one step; height: (m) of its centre at touch."""
+    """Vertical force (N) of a plate on a piece that moves into it, DEEP after one step, by the loading line alone; height: (m) of
+    its centre at touch."""
     pose = {"position": (0.0, 0.0, height + DEEP), "velocity": (0.0, 0.0, -1.0)}
     made = started(piece | pose, gravity=(0.0, 0.0, 0.0))
-    system = made.system.replace(dt=jnp.full_like(made.system.dt, 2 * DEEP))
+    system = made.system.replace(dt=jnp.full_like(made.system.dt, 2 * DEEP), resolved=jnp.zeros_like(made.system.resolved))
     state = jax.jit(lambda s: stepping.advance(system, neighbours.rebuild(system, s)))(made.state)
     return made, state, float(state.motion.force[2, 0])
 

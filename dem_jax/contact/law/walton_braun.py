@@ -16,6 +16,7 @@ Array = jax.Array
 
 LOAD_STEPS = 15  # N_load: steps per quarter period of the loading branch
 UNLOAD_STEPS = 10  # N_unload: of the unloading branch; restitution is then within 0.3 % (error ~ 1/(epsilon N)^2)
+HOLDS = 1 - 1e-5  # of the Coulomb limit: below it a contact does not slide
 
 
 class Pair(NamedTuple):
@@ -37,6 +38,7 @@ class History(NamedTuple):
     """Of contacts, at the last step."""
 
     force: Array  # [P] (N): F_n
+    way: Array  # [P] (m): approach in it on the loading line; negative on the unloading line, 0 on that of separation
     spring: Array | None  # [3, P] (N): tangential force on b, world axes; None without friction
     resting: rest.Resting | None = None  # None: eqs 1-4 alone, at rest too
 
@@ -61,22 +63,30 @@ class WaltonBraun:
         """No force."""
         zero = jnp.zeros_like(like)
         resting = None if self.at_rest is None else rest.start(like)
-        return History(zero, None if pair.friction is None else jnp.stack([zero] * 3), resting)
+        return History(zero, zero, None if pair.friction is None else jnp.stack([zero] * 3), resting)
 
     def force(self, pair: Pair, history: History, contact: Contact) -> Response:
         """Eqs 1-4, and the tangential spring."""
         c = contact
-        f = vector.kept(normal_force(history.force, c.approach, c.overlap, pair.stiffness, pair.unload, self.separation))
-        push = f
+        line = vector.kept(unloading_line(pair, history, c))
+        f = vector.kept(between(line, c.overlap, pair.stiffness, self.separation))
+        found = corner_of(pair, history, c, f, self.separation)
+        push = f + found.normal()
         if self.damping is not None and pair.mass is not None:
-            push = f + unloading_damping(
+            push = push + unloading_damping(
                 f, c.approach, c.overlap, pair.stiffness, pair.unload, pair.mass, self.damping, c.dt
             )
+        loading = pair.stiffness * jnp.maximum(c.overlap, 0)
+        way = jnp.where(f < loading, -jnp.abs(c.approach), c.approach)
+        way = jnp.where(f > self.separation * loading, way, 0)
         if history.spring is None or pair.friction is None:
-            return self._at_rest(pair, history, c, Response(push, None, History(f, None)))
+            return self._at_rest(pair, history, c, Response(push, None, History(f, way, None)))
         stiffness = self.tangential * pair.stiffness
-        drag = vector.kept(*tangential_force(vector.unpack(history.spring), c.normal, c.slip, f, stiffness, pair.friction))
-        return self._at_rest(pair, history, c, Response(push, drag, History(f, jnp.stack(drag))))
+        spring = vector.kept(
+            *tangential_force(vector.unpack(history.spring), c.normal, c.slip, f, stiffness, pair.friction)
+        )
+        drag = vector.scale(1 + found.tangential(f, vector.norm(spring), pair.friction), spring)
+        return self._at_rest(pair, history, c, Response(push, drag, History(f, way, jnp.stack(spring))))
 
     def _at_rest(self, pair: Pair, before: History, contact: Contact, answer: Response) -> Response:
         """The answer with what acts on contacts at rest, if anything does."""
@@ -134,23 +144,79 @@ class WaltonBraun:
         return where_rough(pair.friction, np.asarray(self.tangential) * pair.stiffness)
 
 
-def normal_force(
-    force: Array, approach: Array, overlap: Array, load_stiffness: Array, unload_stiffness: Array, separation: Array
-) -> Array:
-    """F_n at the current step (N), eqs 1-4.
+def between(line: Array, overlap: Array, load_stiffness: Array, separation: Array) -> Array:
+    """F_n at the current step (N), eq. 1: the unloading line, held between the two others; 0 where separated.
 
-    force: F_n of the last step (N), 0 at first touch; approach: by how much the bodies have come nearer at the contact
-    point in this step (m), Delta s_n of eq. 4; overlap: s_n now (m), separated where not positive; stiffness K_nl, K_nu
-    (N/m); separation: lambda. The branches of eq. 1 amount to the unloading line, held between the two others.
+    line: of unloading (N), eq. 3; overlap: s_n now (m), separated where not positive; load_stiffness: K_nl (N/m) of eq. 2;
+    separation: lambda.
 
-    Where bodies do not turn the approach is the change of the overlap, as eq. 4 has it. Where they do, the overlap is that
-    of the deepest corner, while the force acts at the contact point: only along the way of that point does the
-    unloading line give back what it took, so that no energy comes from nothing.
+    Eq. 4 has the change of the overlap in eq. 3; here it is the approach at the contact point. Where bodies do not turn
+    that is the same. Where they do, the overlap is that of the deepest corner, but the force acts at the contact point: only along
+    the way of that point does the unloading line give back what it took, so that no energy comes from nothing.
     """
-    s = jnp.maximum(overlap, 0)
-    loading = load_stiffness * s  # eq. 2
-    unloading = force + unload_stiffness * approach  # eq. 3
-    return jnp.minimum(jnp.maximum(unloading, separation * loading), loading)  # eq. 1; 0 where separated
+    loading = load_stiffness * jnp.maximum(overlap, 0)
+    return jnp.minimum(jnp.maximum(line, separation * loading), loading)
+
+
+def kernel(part: Array) -> Array:
+    """B_2(part) / 2, see ``Corner``."""
+    return 0.5 * (part * part - part) + 1 / 12
+
+
+class Corner(NamedTuple):
+    """What the trapezoidal rule leaves out of the impulse of contacts that touch in this step or part in the next, [P].
+
+    Kick, drift, kick adds up impulses by that rule, which is exact to second order but for the corners of the force: of one whose
+    slope jumps by J (N/s), a part theta of a step from a step, it leaves out J dt^2 B_2(theta) / 2, B_2 being the Bernoulli
+    polynomial (Euler and Maclaurin).
+    """
+
+    touches: Array  # bool
+    parts: Array  # bool
+    change: Array  # (N): J dt
+    part: Array  # theta
+
+    def normal(self) -> Array:
+        """(N), to add to F_n; the sum is positive."""
+        return jnp.where(self.touches | self.parts, self.change * kernel(self.part), 0)
+
+    def tangential(self, force: Array, spring: Array, friction: Array) -> Array:
+        """To add to the tangential force, relative to it; force: F_n; spring: size of the tangential spring (N); friction: mu.
+
+        It goes with F_n, but where it holds until the end: then it begins to slide, with a corner too, before it ends.
+        """
+        limit = friction * force
+        holds = self.parts & (spring < HOLDS * limit)
+        used = spring / jnp.where(holds, limit, 1)
+        at_end = self.part * (1 - 0.5 * used) - 0.5
+        with_push = self.normal() / jnp.where(self.touches | self.parts, force, 1)
+        return jnp.where(holds, jnp.where(self.change != 0, at_end, 0), with_push)
+
+
+def unloading_line(pair: Pair, before: History, contact: Contact) -> Array:
+    """Eq. 3 (N), and where loading ends within this step what the line lies lower by, as it begins further up.
+
+    Between the two steps the overlap is a parabola; it is more than at the first of them by its change of way times
+    theta^2 / 2, theta being the time of the turn, in steps off that one. Its mean over theta is left out: kick, drift, kick has it
+    already (``Corner``).
+    """
+    turns = (before.way > 0) & (contact.approach <= 0)
+    change = jnp.where(turns, before.way - contact.approach, 1)
+    more = jnp.where(turns, contact.resolved * change * kernel(before.way / change), 0)
+    return before.force + pair.unload * contact.approach - (pair.unload - pair.stiffness) * more
+
+
+def corner_of(pair: Pair, before: History, contact: Contact, force: Array, separation: Array) -> Corner:
+    """Of contacts with F_n now (N). The step to come is foreseen from the last two: what they differ by goes with the force."""
+    overlap, approach = contact.overlap, contact.approach
+    touches = (before.force <= 0) & (overlap > 0) & (overlap < 2 * approach)
+    floor = separation * (pair.stiffness * jnp.maximum(overlap, 0))
+    to_come = approach + (approach - before.way) * force / jnp.where(before.force > 0, before.force, 1)
+    fall = (separation * pair.stiffness - pair.unload) * to_come
+    parts = (before.way != 0) & (approach < 0) & (force > floor) & (force - floor < fall)
+    change = jnp.where(touches, pair.stiffness * approach, jnp.where(parts, fall, 1))
+    part = jnp.where(touches, jnp.minimum(pair.stiffness * overlap, change), force - floor) / change
+    return Corner(touches, parts, contact.resolved * change, part)
 
 
 def recoverable_energy(
