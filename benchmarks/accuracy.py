@@ -291,6 +291,7 @@ def step_rows(worst, numbers, restitutions):
 def nearest_bound(kind, worst):
     """The largest ratios of the worst errors of peak force and of rebound to walton_braun_accuracy.ErrorBound, where that holds."""
     from dem_jax import build, validation
+    from dem_jax.build.time_step import RESOLVED
     from dem_jax.contact.law import walton_braun_accuracy
 
     bound = walton_braun_accuracy.SPHERE if kind is SPHERE else walton_braun_accuracy.POLYTOPE
@@ -299,7 +300,10 @@ def nearest_bound(kind, worst):
     ratios = []
     for (number, restitution), (peak, rebound) in worst.items():
         if isinstance(number, int) and eccentric * number >= bound.least(restitution):
-            most = bound.errors(eccentric * number, restitution)
+            step = quarter_period(kind["shape"], 0.01) / number
+            scene = plate(kind, starts(kind, 1)[0], 1, "f64", restitution, step="auto")
+            corrected = step <= RESOLVED * build.build(scene).step.stable
+            most = bound.errors(eccentric * number, restitution, corrected)
             ratios.append((peak / most["peak_force"], rebound / most["restitution"]))
     return np.max(ratios, axis=0)
 

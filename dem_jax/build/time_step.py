@@ -80,9 +80,9 @@ def choose_step(scene: Scene, law: ContactLaw, contacts: list[PossibleContact], 
     swings.
     """
     sample = scene.run.sample
-    critical, limit = (_accurate_step if scene.run.accuracy else _default_step)(scene, law, contacts)
     stable = min(float(np.min(_stable_step(law, c))) for c in contacts) / np.sqrt(together)
     stable = stable / np.sqrt(1 + 0.25 * added * stable**2)
+    critical, limit = _accurate_step(scene, law, contacts, stable) if scene.run.accuracy else _default_step(law, contacts)
     most = NEAR if scene.run.accuracy is None else 1
     if scene.run.step == "auto" and critical > most * stable:
         critical, limit = most * stable, f"{most:g} of the stability limit"
@@ -125,14 +125,15 @@ def longest_reach(law: ContactLaw, contacts: list[PossibleContact]) -> float:
     return max(0.0 if reach is None else float(np.max(reach)) for reach in reaches)
 
 
-def _default_step(_: Scene, law: ContactLaw, contacts: list[PossibleContact]) -> tuple[float, str]:
+def _default_step(law: ContactLaw, contacts: list[PossibleContact]) -> tuple[float, str]:
     """The critical step (s) of the default resolution, and what sets it."""
     steps = [(float(np.min(s)), f"{what}, {c.words}") for c in contacts for what, s in law.critical_steps(c.pair, c.mass).items()]
     return min(steps, key=lambda pair: pair[0])
 
 
-def _accurate_step(scene: Scene, law: ContactLaw, contacts: list[PossibleContact]) -> tuple[float, str]:
-    """The largest step (s) that keeps the accuracy that the scene asks for, and what sets it. Raises SceneError."""
+def _accurate_step(scene: Scene, law: ContactLaw, contacts: list[PossibleContact], stable: float) -> tuple[float, str]:
+    """The largest step (s) that keeps the accuracy that the scene asks for, and what sets it. stable: the limit (s). Raises
+    SceneError."""
     if not isinstance(law, WaltonBraun):
         raise SceneError(f"run.accuracy: known of the law of Walton and Braun only, not of {type(law).__name__}; give run.step")
     assert scene.run.accuracy is not None
@@ -147,11 +148,14 @@ def _accurate_step(scene: Scene, law: ContactLaw, contacts: list[PossibleContact
                     f"run.accuracy.{key} = {value:g}: allowed in single precision: at least {finest:g} for {c.words}; "
                     f'or run.precision = "f64"'
                 )
-        number, first = bound.steps(asked, float(np.min(c.pair.restitution)))
         quarter = float(np.min(quarter_period(c.mass, c.pair.stiffness)))
-        why = f"run.accuracy.{first} = {asked[first]:g}" if first else "the coarsest step whose error is known (run.accuracy)"
-        step = np.sqrt(c.eccentricity) * quarter / number
-        found.append((float(step), f"{why}: {quarter / step:.3g} steps per loading quarter period, {c.words}"))
+        either = []
+        for corrected, most in ((False, np.inf), (True, RESOLVED * stable)):
+            number, first = bound.steps(asked, float(np.min(c.pair.restitution)), corrected)
+            why = f"run.accuracy.{first} = {asked[first]:g}" if first else "the coarsest step whose error is known (run.accuracy)"
+            step = min(float(np.sqrt(c.eccentricity) * quarter / number), most)
+            either.append((step, f"{why}: {quarter / step:.3g} steps per loading quarter period, {c.words}"))
+        found.append(max(either))
     return min(found)
 
 

@@ -51,20 +51,22 @@ def test_impacts_err_by_less_than_is_accepted(name, restitution, asked):
         assert errors[quantity] < limit
 
 
-@pytest.mark.parametrize("name", COMPUTED)
-def test_the_bound_is_not_far_above_the_error(name):
-    """At a fifth of the steps for 0.5 % the sphere errs by more than that; so does one of six marshmallows."""
+@pytest.mark.parametrize(
+    ("name", "asked", "part"), [("sphere", 1e-4, 0.6), pytest.param("marshmallow", 5e-3, 0.3, marks=pytest.mark.long)]
+)
+def test_the_bound_is_not_far_above_the_error(name, asked, part):
+    """With a part of the steps for an accuracy the sphere errs by more than that; so does one of six marshmallows."""
     begin, fine, window = reference(name, 0.1)
     kind = KINDS[name]
-    number = 0.2 * accuracy.quarter_period(kind["shape"], 0.01) / step_of(name, {"restitution": 5e-3}).critical
+    number = part * accuracy.quarter_period(kind["shape"], 0.01) / step_of(name, {"restitution": asked}).critical
     found = accuracy.impacts(kind, begin, number, "f64", 0.1, window=window)
-    assert found.errors(fine)[1].max() > 5e-3
+    assert found.errors(fine)[1].max() > asked
 
 
 @pytest.mark.parametrize("name", KINDS)
 def test_laxer_accuracy_takes_larger_steps_within_stability(name):
     default = step_of(name, None).critical
-    steps = [step_of(name, {"restitution": r}) for r in (0.2, 0.1, 0.03, 0.01, 1e-3)]
+    steps = [step_of(name, {"restitution": r}) for r in (0.2, 0.1, 0.03, 0.01, 1e-6)]
     critical = [s.critical for s in steps]
     assert critical == sorted(critical, reverse=True) and critical[0] > 1.5 * default > critical[-1]
     assert all(s.critical < s.stable and s.dt <= s.critical for s in steps)
@@ -75,12 +77,13 @@ def test_laxer_accuracy_takes_larger_steps_within_stability(name):
 def test_the_bounds_and_the_steps_are_each_others_inverse():
     for bound in (walton_braun_accuracy.SPHERE, walton_braun_accuracy.POLYTOPE):
         for restitution in (0.05, 0.1, 0.7):
-            for asked in ({"restitution": 3e-3}, {"peak_force": 3e-5}, {"restitution": 1e-3, "peak_force": 1e-3}):
-                number, key = bound.steps(asked, restitution)
-                reached = bound.errors(number, restitution)
-                assert reached[key] == pytest.approx(asked[key], rel=1e-12)
-                assert all(reached[k] <= asked[k] * (1 + 1e-12) for k in asked)
-            number, key = bound.steps({"peak_force": 0.2}, restitution)
+            for asked in ({"restitution": 1e-5}, {"peak_force": 3e-5}, {"restitution": 1e-5, "peak_force": 1e-3}):
+                for corrected in (False, True):
+                    number, key = bound.steps(asked, restitution, corrected)
+                    reached = bound.errors(number, restitution, corrected)
+                    assert reached[key] == pytest.approx(asked[key], rel=1e-12)
+                    assert all(reached[k] <= asked[k] * (1 + 1e-12) for k in asked)
+            number, key = bound.steps({"peak_force": 0.2}, restitution, False)
             assert key is None and number == bound.least(restitution)
 
 
@@ -88,8 +91,8 @@ def test_the_limit_is_named():
     words = str(step_of("sphere", {"restitution": 0.01, "peak_force": 0.1}))
     assert "from run.accuracy.restitution = 0.01: " in words and "steps per loading quarter period, sphere of" in words
     assert "the coarsest step whose error is known (run.accuracy): " in str(step_of("sphere", {"peak_force": 0.2}))
-    found = simulate(load_scene("plate-drop", {"run.accuracy.restitution": 0.05, "run.duration": 1e-3}))
-    assert "run.accuracy.restitution = 0.05" in summary.summary(found)[0]
+    found = simulate(load_scene("plate-drop", {"run.accuracy.restitution": 0.005, "run.duration": 1e-3}))
+    assert "run.accuracy.restitution = 0.005" in summary.summary(found)[0]
 
 
 def test_every_accuracy_is_the_same_program():

@@ -15,7 +15,7 @@ from dem_jax.types import pytree
 Array = jax.Array
 
 LOAD_STEPS = 15  # N_load: steps per quarter period of the loading branch
-UNLOAD_STEPS = 10  # N_unload: of the unloading branch; restitution is then within 0.3 % (error ~ 1/(epsilon N)^2)
+UNLOAD_STEPS = 10  # N_unload: of the unloading branch; restitution is then within 0.004 % (error ~ 1/(epsilon N)^4)
 HOLDS = 1 - 1e-5  # of the Coulomb limit: below it a contact does not slide
 
 
