@@ -107,7 +107,7 @@ def test_a_piece_on_a_slope_comes_to_rest(damped):
     assert np.abs(found["velocity"][-50:]).max() < 2e-12
     assert np.ptp(found["position"][late], axis=0).max() < 1e-11
     weight = float(damped.system.pieces.mass[0]) * -float(damped.system.gravity[2])
-    assert np.abs(found["force"][late] / weight - 1).max() < 1e-9
+    assert np.abs(found["force"][late] / weight - 1).max() < 1e-6
     # The ledger has what the dashpots took: nothing appears, and the total stays to second order in the time step.
     total, lost = found["energy"][:, 5], found["energy"][:, 3]
     fell = weight * 1e-4
