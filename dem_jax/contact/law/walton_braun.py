@@ -1,4 +1,7 @@
-"""Walton-Braun hysteretic linear spring, eqs 1-6 of the paper, the Coulomb-limited tangential spring and, if asked, ``rest``."""
+"""Walton-Braun hysteretic linear spring, eqs 1-6 of the paper, the Coulomb-limited tangential spring and, if asked, ``rest``.
+
+Where its force has a corner the step misses a part of the impulse, which is added (``corner``).
+"""
 
 from typing import NamedTuple
 
@@ -7,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dem_jax.contact.law import Contact, Couple, Response, rest
+from dem_jax.contact.law.corner import Corner, kernel
 from dem_jax.contact.law.friction import tangential_force, where_rough
 from dem_jax.contact.law.springs import Real, quarter_period, series
 from dem_jax.maths import vector
@@ -16,7 +20,6 @@ Array = jax.Array
 
 LOAD_STEPS = 15  # N_load: steps per quarter period of the loading branch
 UNLOAD_STEPS = 10  # N_unload: of the unloading branch; restitution is then within 0.004 % (error ~ 1/(epsilon N)^4)
-HOLDS = 1 - 1e-5  # of the Coulomb limit: below it a contact does not slide
 
 
 class Pair(NamedTuple):
@@ -158,47 +161,12 @@ def between(line: Array, overlap: Array, load_stiffness: Array, separation: Arra
     return jnp.minimum(jnp.maximum(line, separation * loading), loading)
 
 
-def kernel(part: Array) -> Array:
-    """B_2(part) / 2, see ``Corner``."""
-    return 0.5 * (part * part - part) + 1 / 12
-
-
-class Corner(NamedTuple):
-    """What the trapezoidal rule leaves out of the impulse of contacts that touch in this step or part in the next, [P].
-
-    Kick, drift, kick adds up impulses by that rule, which is exact to second order but for the corners of the force: of one whose
-    slope jumps by J (N/s), a part theta of a step from a step, it leaves out J dt^2 B_2(theta) / 2, B_2 being the Bernoulli
-    polynomial (Euler and Maclaurin).
-    """
-
-    touches: Array  # bool
-    parts: Array  # bool
-    change: Array  # (N): J dt
-    part: Array  # theta
-
-    def normal(self) -> Array:
-        """(N), to add to F_n; the sum is positive."""
-        return jnp.where(self.touches | self.parts, self.change * kernel(self.part), 0)
-
-    def tangential(self, force: Array, spring: Array, friction: Array) -> Array:
-        """To add to the tangential force, relative to it; force: F_n; spring: size of the tangential spring (N); friction: mu.
-
-        It goes with F_n, but where it holds until the end: then it begins to slide, with a corner too, before it ends.
-        """
-        limit = friction * force
-        holds = self.parts & (spring < HOLDS * limit)
-        used = spring / jnp.where(holds, limit, 1)
-        at_end = self.part * (1 - 0.5 * used) - 0.5
-        with_push = self.normal() / jnp.where(self.touches | self.parts, force, 1)
-        return jnp.where(holds, jnp.where(self.change != 0, at_end, 0), with_push)
-
-
 def unloading_line(pair: Pair, before: History, contact: Contact) -> Array:
     """Eq. 3 (N), and where loading ends within this step what the line lies lower by, as it begins further up.
 
     Between the two steps the overlap is a parabola; it is more than at the first of them by its change of way times
     theta^2 / 2, theta being the time of the turn, in steps off that one. Its mean over theta is left out: kick, drift, kick has it
-    already (``Corner``).
+    already (``corner``).
     """
     turns = (before.way > 0) & (contact.approach <= 0)
     change = jnp.where(turns, before.way - contact.approach, 1)
