@@ -98,6 +98,15 @@ def quarter_period(shape, softening):
 
 
 @cache
+def stable_step(shape, restitution):
+    """Stability limit (s) of an impact on the plate."""
+    from dem_jax import build
+
+    kind = SPHERE if shape == "sphere" else PIECE
+    return build.build(plate(kind, starts(kind, 1)[0], 1, "f64", restitution, step="auto")).step.stable
+
+
+@cache
 def spring(shape, softening, restitution=0.1):
     """The exact solution of a central impact on the plate."""
     from dem_jax import build, validation
@@ -256,8 +265,6 @@ def resolution(kind, count, numbers, restitutions):
     gone. walton_braun_accuracy.ErrorBound are their bounds. numbers: steps, or (steps, precision); double precision unless said.
     Those that are unstable are left out.
     """
-    from dem_jax import build
-
     is_sphere, worst = kind is SPHERE, {}
     candidates = starts(kind, count) if is_sphere else starts(kind, 2 * count, apart=1.5e-3)
     quarter = quarter_period(kind["shape"], 0.01)
@@ -267,10 +274,9 @@ def resolution(kind, count, numbers, restitutions):
         if not is_sphere:
             chosen = np.flatnonzero(true.once)[:count]
             true, begin = true.of(chosen), [candidates[k] for k in chosen]
-        stable = build.build(plate(kind, begin[0], 1, "f64", restitution, step="auto")).step.stable
         for each in numbers:
             number, precision = each if isinstance(each, tuple) else (each, "f64")
-            if quarter / number < stable:
+            if quarter / number < stable_step(kind["shape"], restitution):
                 found = impacts(kind, begin, number, precision, restitution, window=window)
                 worst[each, restitution] = tuple(found.errors(true).max(axis=1)[:2])
     return worst
@@ -301,8 +307,7 @@ def nearest_bound(kind, worst):
     for (number, restitution), (peak, rebound) in worst.items():
         if isinstance(number, int) and eccentric * number >= bound.least(restitution):
             step = quarter_period(kind["shape"], 0.01) / number
-            scene = plate(kind, starts(kind, 1)[0], 1, "f64", restitution, step="auto")
-            corrected = step <= RESOLVED * build.build(scene).step.stable
+            corrected = step <= RESOLVED * stable_step(kind["shape"], restitution)
             most = bound.errors(eccentric * number, restitution, corrected)
             ratios.append((peak / most["peak_force"], rebound / most["restitution"]))
     return np.max(ratios, axis=0)

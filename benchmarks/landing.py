@@ -1,9 +1,9 @@
 """Spheres that land, by ourselves and in LIGGGHTS, an oracle that nobody here wrote: ``python -m benchmarks.landing``.
 
 Both have the same law, stiffnesses, step and start (``edinburgh/stiffness`` without adhesion is Walton and Braun's spring, its
-tangential history the Coulomb-limited one), in double precision, and are compared step by step, without what we add where the force
-has corners. Exits with 1 if they part by more
-than is allowed; without LIGGGHTS there is nothing to compare with, and no table.
+tangential history the Coulomb-limited one), in double precision, and are compared step by step, without what we add where the
+force has corners. Exits with 1 if they part by more than is allowed; without LIGGGHTS there is nothing to compare with, and no
+table.
 """
 
 import argparse
@@ -110,9 +110,7 @@ def ours(landing: Landing) -> tuple[Trace, tuple[float, float]]:
         run={"precision": "f64", "step": STEP, "sample": EVERY * STEP, "duration": landing.duration, "frames": landing.duration}
         | {"gravity": (0.0, 0.0, -GRAVITY), "domain_high": (1.0, 1.0, 1.0)},
     )
-    law = law_of(scene)
-    assert isinstance(law, WaltonBraun)
-    law = Uncorrected(law.separation, law.tangential, law.damping, law.at_rest)
+    law = Uncorrected(**vars(law_of(scene)))
     built = build.build(scene, law=law)
     found = possible_contacts(built.system.law, built.system.materials, built.shapes, built.system.pieces)
     stiffness = [float(np.ravel(one.pair.stiffness)[0]) for one in found]
