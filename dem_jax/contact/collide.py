@@ -17,6 +17,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 
 from dem_jax.maths import vector
+from dem_jax.maths.table import columns
 from dem_jax.maths.vector import Matrix, Vector, dot, expand, kept
 from dem_jax.types import Array, Hulls, Plates
 
@@ -236,9 +237,9 @@ def _zonogons(a: Hulls, b: Hulls, rel: Relative, normal: Vector, facing_a: Facin
     way = vector.sub(centre_a, centre_b)
     deep_a, rise_a = kept(dot(below_b, way), dot(expand(below_b, 0), edges_a))
     deep_b, rise_b = kept(-dot(below_a, way), dot(expand(below_a, 0), edges_b))
-    is_open = None if a.open_edges is None else a.open_edges.at[:, face_a].get(mode="promise_in_bounds")
-    open_a = _without_back(slabs_a[1], side_a, b.bounding_radius)
-    open_b = _without_back(slabs_b[1], side_b, a.bounding_radius)
+    is_open = None if a.open_edges is None else columns(a.open_edges, face_a)
+    open_a = kept(*_without_back(slabs_a[1], side_a, b.bounding_radius))
+    open_b = kept(*_without_back(slabs_b[1], side_b, a.bounding_radius))
     from_b = vector.sub(centre_a, rel.offset)
     inside = _clipped_zonogon(from_b, edges_a, slabs_b[0], open_b, deep_a, rise_a, is_open)
     other = _clipped_zonogon(centre_b, edges_b, slabs_a[0], open_a, deep_b, rise_b, None)
@@ -282,15 +283,15 @@ def _facing(hull: Hulls, normal: Vector) -> Facing:
     return face * (hull.loops.shape[1] // hull.normals[0].shape[0]) + hull.row, side, _select(hull.normals, face)
 
 
-def _vectors(loops: Array, column: Array) -> Vector:
+def vectors(loops: Array, column: Array) -> Vector:
     """The vectors [k, P] x 3 (m) in columns [P] of Hulls.loops."""
-    x, y, z = jnp.split(loops.at[:, column].get(mode="promise_in_bounds"), 3)
+    x, y, z = jnp.split(columns(loops, column), 3)
     return x, y, z
 
 
 def _centred(loops: Array, column: Array) -> tuple[Vector, Vector]:
     """Centre [P] x 3 and half of the edges [K, P] x 3 (m) of the faces of zonotopes in columns [P] of Hulls.loops."""
-    found = _vectors(loops, column)
+    found = vectors(loops, column)
     return vector.at(found, 0), vector.at(found, slice(1, None))
 
 

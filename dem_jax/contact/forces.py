@@ -14,6 +14,7 @@ from dem_jax.contact.geometry import NOTHING, Known, geometry
 from dem_jax.contact.ledger import entered
 from dem_jax.contact.met import Met, met, no_met, of_pieces
 from dem_jax.maths import vector
+from dem_jax.maths.table import columns
 from dem_jax.maths.vector import Vector
 from dem_jax.types import Array, ContactTable, Facing, Memory, Near, Slots, State, System, WallLoads
 
@@ -189,7 +190,7 @@ def _loads_of_pieces(system: System, state: State) -> Array:
     Gathers and sums: the same bits every time, on a GPU too, where adding up in place is not.
     """
     loads = state.scratch.loads
-    rows = lambda k: loads.at[:, state.incidence[k]].get(mode="promise_in_bounds")  # noqa: E731
+    rows = lambda k: columns(loads, state.incidence[k])  # noqa: E731
     return _added_up(system, rows, state.scratch.busiest)
 
 
@@ -199,17 +200,17 @@ def _loads_of_walls(system: System, state: State, panels: boundary.Panels) -> Wa
     scratch = state.scratch
 
     def rows(k: Array) -> Array:
-        columns, group = scratch.walled[0, k], scratch.walled[1, k]
-        load = scratch.loads.at[:, columns].get(mode="promise_in_bounds")
+        number_of, group = scratch.walled[0, k], scratch.walled[1, k]
+        load = columns(scratch.loads, number_of)
         return jnp.where(group[None] == number, -load[:, None], 0)
 
     load = _added_up(system, rows, scratch.most_walled)  # [6, G, N], the torque about each piece's centre
     place = vector.each(lambda c: c[None], vector.unpack(state.position))
     about_origin = vector.add(vector.cross(place, vector.unpack(load[:3])), vector.unpack(load[3:]))
-    force = of_run.total(system, load[:3])
+    force = vector.kept(of_run.total(system, load[:3]))
     pivot = vector.each(lambda c: c[..., None], panels.pivot)
     turning = vector.each(lambda c: of_run.total(system, c), about_origin)  # each by itself: rows put together are added up slowly
-    return WallLoads(force, jnp.stack(vector.sub(turning, vector.cross(pivot, vector.unpack(force)))))
+    return WallLoads(force, jnp.stack(vector.kept(*vector.sub(turning, vector.cross(pivot, vector.unpack(force))))))
 
 
 def _added_up(system: System, rows: Callable[[Array], Array], count: Array) -> Array:

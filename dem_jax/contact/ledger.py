@@ -29,7 +29,7 @@ def entered(
             of_runs = lambda of: vector.each(lambda c: c[..., None], of)  # noqa: E731
             motion = of_runs(panels.pivot_velocity), of_runs(panels.group_spin)
             power = _twice_power((state.walls.force, state.walls.torque), (on_walls.force, on_walls.torque), motion)
-            by_walls = -0.5 * system.dt * jnp.sum(power, axis=0)
+            by_walls = -0.5 * system.dt * of_run.one_by_one(jnp.add, power)
         ledger = ledger.replace(taken=ledger.taken + (by_walls - took), wall_work=ledger.wall_work + by_walls)
     impulse = ledger.impulse + 0.5 * system.dt * (state.walls.force + on_walls.force)
     peak = jnp.maximum(ledger.peak, _along_gravity(system, on_walls.force))

@@ -9,11 +9,12 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from dem_jax.contact.collide import FACE_PREFERENCE, Relative, clipped, crossings, entry, near_b, steepness
+from dem_jax.contact.collide import FACE_PREFERENCE, Relative, clipped, crossings, entry, near_b, steepness, vectors
 from dem_jax.contact.edges import couples
 from dem_jax.contact.look import facing, look, outward
 from dem_jax.maths import vector
 from dem_jax.maths.once import once
+from dem_jax.maths.table import columns
 from dem_jax.maths.vector import Vector, dot, expand, kept, unpack
 from dem_jax.types import Array, Facing, Hulls, Near, host
 
@@ -148,7 +149,7 @@ def pressure_centre(hulls: Hulls, rows: Rows, faces: Array, planes: Planes, rel:
     assert hulls.loops is not None and hulls.features is not None
     turn, d = vector.expand_matrix(rel.rotation, 0), expand(rel.offset, 0)
     column = faces * hulls.row.shape[0] + jnp.stack(rows)
-    own_a, own_b = (_vectors(hulls.loops, at) for at in column)
+    own_a, own_b = (vectors(hulls.loops, at) for at in column)
     a_in_b = vector.rotate_back(turn, vector.sub(own_a, d))
     b_in_a = kept(*vector.add(vector.rotate(turn, own_b), d))
     seen, corners = _sides(a_in_b, b_in_a), _sides(own_a, b_in_a)  # where the other has its planes; in a's frame
@@ -159,7 +160,7 @@ def pressure_centre(hulls: Hulls, rows: Rows, faces: Array, planes: Planes, rel:
     depth = kept((plane[3][None] - dot(expand(front, 0), seen)) / steep[None])
     parts: tuple[Array, ...] = clipped(*_inside(hulls, rows, seen, planes, front), corners, depth)
     if hulls.open_edges is not None:  # an edge in the middle of a wall, or of a body of parts, is no edge of the overlap
-        is_open = hulls.open_edges.at[:, column].get(mode="promise_in_bounds")
+        is_open = columns(hulls.open_edges, column)
         parts = tuple(is_open * part for part in parts)
     weight, x, y, z = (jnp.sum(part, axis=(0, 1)) for part in parts)
     scale = 1 / jnp.where(weight > 0, weight, 1)
@@ -196,9 +197,3 @@ def _cutting(planes: Array, front: Vector) -> tuple[Vector, Array]:
     is pushed, so that a thin plate has a thick one's contact."""
     back = dot(unpack(planes), expand(front, 0)) < -1 + PARALLEL
     return unpack(planes), jnp.where(back, jnp.inf, planes[3])
-
-
-def _vectors(loops: Array, column: Array) -> Vector:
-    """The vectors [k, P] x 3 (m) in columns [P] of Hulls.loops."""
-    x, y, z = jnp.split(loops.at[:, column].get(mode="promise_in_bounds"), 3)
-    return x, y, z

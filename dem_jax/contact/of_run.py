@@ -6,23 +6,29 @@ well: [.., R].
 """
 
 from collections.abc import Callable
+from functools import reduce
+from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
 
+from dem_jax.maths import vector
 from dem_jax.types import Array, State, System
+
+if TYPE_CHECKING:
+    from jax.numpy import BinaryUfunc
 
 LANES = 16  # numbers that a processor adds at once, at most
 
 
 def total(system: System, of_pieces: Array) -> Array:
     """Sum over the pieces of each run: [.., N] to [.., R]."""
-    return _reduced(jnp.sum, apart(system, of_pieces))
+    return _reduced(jnp.add, apart(system, of_pieces))
 
 
 def largest(system: System, of_pieces: Array) -> Array:
     """The largest of the pieces of each run, as ``total``."""
-    return _reduced(jnp.max, apart(system, of_pieces))
+    return _reduced(jnp.maximum, apart(system, of_pieces))
 
 
 def any_of(system: System, of_pieces: Array) -> Array:
@@ -49,10 +55,19 @@ def total_of_contacts(system: System, of_contacts: Array, piece: Array) -> Array
     return jnp.zeros((system.runs,), of_contacts.dtype).at[piece % system.runs].add(of_contacts)
 
 
+def count_of_contacts(system: System, kind: Array, piece: Array, kinds: int) -> Array:
+    """How many of the contacts [P] of each run that are with these pieces are of each kind, [kinds, R] int32; kind: [P], -1: of
+    none."""
+    if system.runs == 1:
+        return jnp.sum(kind[None] == jnp.arange(kinds, dtype=kind.dtype)[:, None], axis=1, dtype=jnp.int32)[:, None]
+    of_any = (kind >= 0).astype(jnp.int32)
+    return jnp.zeros((kinds, system.runs), jnp.int32).at[jnp.maximum(kind, 0), piece % system.runs].add(of_any)
+
+
 def largest_of_contacts(system: System, of_contacts: Array, piece: Array) -> Array:
     """The largest of the contacts [P] of each run that are with these pieces, none below 0, [R]."""
     if system.runs == 1:
-        return _reduced(jnp.max, jnp.maximum(of_contacts, 0)[:, None])
+        return _reduced(jnp.maximum, jnp.maximum(of_contacts, 0)[:, None])
     return jnp.max(jnp.where(_is_of(system, piece), of_contacts, 0), axis=1)
 
 
@@ -76,14 +91,28 @@ def either(system: System, which: Array, one: Callable, other: Callable, state: 
     return first.replace(step=jnp.maximum(first.step, second.step), motion=motion, walls=walls, scratch=scratch)
 
 
-def _reduced(reduce: Callable[..., Array], rows: Array) -> Array:
-    """The sum or the largest over the last axis but one, of many in lanes: one after the other each addition would wait for
-    that before. The order is that of the pieces alone, however many runs there are."""
-    whole = rows.shape[-2] // LANES
+def one_by_one(join: "BinaryUfunc", rows: Array) -> Array:
+    """[.., K, R] joined over the last axis but one, in order: [.., R]. Of several runs row by row, each of which is a vector for
+    the processor: XLA would go through the rows of one run after the other, number by number, and work out each number there."""
+    *more, count, runs = rows.shape
+    if runs == 1:
+        return join.reduce(rows, axis=-2)
+    beside = vector.kept(rows.reshape(*more, count * runs))
+    return reduce(join, [beside[..., k * runs : (k + 1) * runs] for k in range(count)])
+
+
+def _reduced(join: "BinaryUfunc", rows: Array) -> Array:
+    """As ``one_by_one``, of many in lanes: one after the other each addition would wait for that before. The order is that of the
+    pieces alone, however many runs there are."""
+    *more, count, runs = rows.shape
+    whole = count // LANES
     if whole < 2:
-        return reduce(rows, axis=-2)
-    lanes = reduce(rows[..., : whole * LANES, :].reshape(*rows.shape[:-2], whole, LANES, rows.shape[-1]), axis=-3)
-    return reduce(jnp.concatenate([lanes, rows[..., whole * LANES :, :]], axis=-2), axis=-2)
+        return one_by_one(join, rows)
+    if runs == 1:
+        lanes = join.reduce(rows[..., : whole * LANES, :].reshape(*more, whole, LANES, 1), axis=-3)
+    else:
+        lanes = one_by_one(join, rows[..., : whole * LANES, :].reshape(*more, whole, LANES * runs)).reshape(*more, LANES, runs)
+    return one_by_one(join, jnp.concatenate([lanes, rows[..., whole * LANES :, :]], axis=-2))
 
 
 def _is_of(system: System, piece: Array) -> Array:

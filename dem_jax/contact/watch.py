@@ -6,6 +6,7 @@ from dem_jax.contact import bodies, near
 from dem_jax.contact.collide import Relative
 from dem_jax.contact.geometry import relative, shapes_of
 from dem_jax.maths import vector
+from dem_jax.maths.table import columns
 from dem_jax.types import Array, Guard, Near, Scratch, Slots, State, System
 
 KIND = "hulls"
@@ -64,7 +65,7 @@ def _paces(system: System, scratch: Scratch, stacked: Array) -> Array:
     apart = system.reach + 2 * jnp.max(system.skin + scratch.lead)
     of_a = vector.kept(jnp.stack([*body.velocity, spin * (own + 2 * jnp.max(system.parts.bounding_radius) + apart)]))
     of_b = vector.kept(jnp.stack([*body.velocity, spin * own]))
-    a, b = (x.at[:, of].get(mode="promise_in_bounds") for x, of in ((of_a, slots.a), (of_b, slots.b)))
+    a, b = (columns(x, of) for x, of in ((of_a, slots.a), (of_b, slots.b)))
     return vector.norm(tuple(b[:3] - a[:3])) + a[3] + b[3]
 
 

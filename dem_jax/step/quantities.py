@@ -1,6 +1,5 @@
 """All that is sampled: one entry each. It is then in every sample, file and run, and in ``python -m dem_jax run --help``."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -72,9 +71,7 @@ def _contacts(system: System, state: State) -> Array:
     found = jnp.zeros((groups + 1, system.runs), jnp.int32)
     for table in state.contacts.values():
         partner = partner_of[jnp.where(table.a >= parts, table.a - parts, -1)]
-        touching = jnp.where(table.memory.overlap > 0, partner, -1)
-        of_partner = lambda k, w=touching, b=table.b: of_run.total_of_contacts(system, (w == k).astype(jnp.int32), b)  # noqa: E731
-        found += jax.vmap(of_partner)(jnp.arange(groups + 1, dtype=jnp.int32))
+        found += of_run.count_of_contacts(system, jnp.where(table.memory.overlap > 0, partner, -1), table.b, groups + 1)
     return found
 
 
