@@ -6,7 +6,8 @@ import jax.numpy as jnp
 
 from dem_jax.contact import follow, of_run
 from dem_jax.contact.bodies import Body
-from dem_jax.contact.law import Contact
+from dem_jax.contact.law import Contact, Response
+from dem_jax.contact.ledger import downward
 from dem_jax.contact.met import Met, of_pieces
 from dem_jax.maths import vector
 from dem_jax.maths.vector import Vector
@@ -21,6 +22,7 @@ class Contacts(NamedTuple):
     memory: Memory
     load_a: Array  # [6, P] (N, N m): force and torque on a, about its centre
     load_b: Array  # on b
+    rise: Array  # [P] (N): as of Loads
     overlap: Array  # [R] (-): the largest of each run, relative to the width of the piece
     touch: Array | None  # [2, P] (m/s, N): impact speed where one begins, else 0, and push; None: nobody asked
 
@@ -35,7 +37,7 @@ def no_contacts(system: System, memory: Memory, slots: Slots) -> Contacts:
     """What ``answer`` says where nothing touches, nor did before."""
     zero = jnp.zeros((6, slots.a.shape[0]), memory.overlap.dtype)
     after = memory.replace(overlap=zero[0], law=system.law.start(slots.pair, zero[0]))
-    return Contacts(after, zero, zero, jnp.zeros((system.runs,), zero.dtype), no_touch(system, zero))
+    return Contacts(after, zero, zero, zero[0], jnp.zeros((system.runs,), zero.dtype), no_touch(system, zero))
 
 
 def no_touch(system: System, slots: Array) -> Array | None:
@@ -86,7 +88,15 @@ def answer(
     if system.statistics is not None:
         begins = (memory.overlap <= 0) & (inside > 0)
         touch = jnp.stack([jnp.where(begins, approach / system.dt, 0), said.push if share is None else share * said.push])
-    return Contacts(after, load_a, load_b, deepest, touch)
+    return Contacts(after, load_a, load_b, _rise(system, said, met.normal, share), deepest, touch)
+
+
+def _rise(system: System, said: Response, normal: Vector, share: Array | None) -> Array:
+    """``Contacts.rise``."""
+    if said.rise is None:
+        return jnp.zeros_like(said.push)
+    rise = said.rise * vector.dot(normal, downward(system))
+    return rise if share is None else share * rise
 
 
 def _motion(system: System, a: Body, b: Body, offset: Vector, memory: Memory, met: Met) -> tuple[Vector, Array]:

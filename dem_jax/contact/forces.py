@@ -16,10 +16,10 @@ from dem_jax.contact.met import Met, met, no_met, of_pieces
 from dem_jax.maths import vector
 from dem_jax.maths.table import columns
 from dem_jax.maths.vector import Vector
-from dem_jax.types import Array, ContactTable, Facing, Memory, Near, Slots, State, System, WallLoads
+from dem_jax.types import Array, ContactTable, Facing, Loads, Memory, Near, Slots, State, System, WallLoads
 
 T = TypeVar("T")
-OfKind = tuple[Memory, Facing | None, Array, Array, Array | None]  # what ``_contacts_of_kind`` says, and carries by blocks
+OfKind = tuple[Memory, Facing | None, Loads, Array, Array | None]  # what ``_contacts_of_kind`` says, and carries by blocks
 
 
 class Sides(NamedTuple):
@@ -48,14 +48,14 @@ def contacts(system: System, state: State, omega: Array, panels: boundary.Panels
         facing |= {} if seen is None else {kind: seen}
         column += 2 * table.a.shape[0]
     state = state.replace(contacts=tables, scratch=state.scratch.replace(loads=loads, facing=facing))
-    on_pieces, on_walls = _loads_of_pieces(system, state), _loads_of_walls(system, state, panels)
-    ledger = entered(system, state, omega, panels, on_pieces, on_walls, overlap)
+    on_pieces, (on_walls, rise) = _loads_of_pieces(system, state), _loads_of_walls(system, state, panels)
+    ledger = entered(system, state, omega, panels, on_pieces, on_walls, rise, overlap)
     counted = collisions.entered(system, state, omega, panels, touches)
     return state.moved(force=on_pieces[:3], torque=on_pieces[3:]).replace(walls=on_walls, ledger=ledger, collisions=counted)
 
 
-def _contacts_of_kind(system: System, state: State, kind: str, stacked: Array, loads: Array, column: int) -> OfKind:
-    """The memory of a kind after this step, which faces look at each other, the loads [6, columns] with those of its contacts
+def _contacts_of_kind(system: System, state: State, kind: str, stacked: Array, loads: Loads, column: int) -> OfKind:
+    """The memory of a kind after this step, which faces look at each other, the loads with those of its contacts
     from ``column`` on, the largest overlap, and the touches as of Contacts. Block by block of slots, as far as slots are
     filled: what is free costs nothing."""
     table, slots = state.contacts[kind], state.scratch.slots[kind]
@@ -146,10 +146,11 @@ def _sides(stacked: Array, slots: Slots, memory: Memory) -> Sides:
     return Sides(memory, slots, a, b, bodies.offset(a, b))
 
 
-def _put(loads: Array, part: Contacts, first: Array | int, room: int) -> Array:
+def _put(loads: Loads, part: Contacts, first: Array | int, room: int) -> Loads:
     """The loads with those of some contacts, of a kind with so many slots, from column ``first`` on."""
-    loads = jax.lax.dynamic_update_slice_in_dim(loads, part.load_b, first, 1)
-    return jax.lax.dynamic_update_slice_in_dim(loads, part.load_a, room + first, 1)
+    on = jax.lax.dynamic_update_slice_in_dim(loads.on, part.load_b, first, 1)
+    on = jax.lax.dynamic_update_slice_in_dim(on, part.load_a, room + first, 1)
+    return Loads(on, jax.lax.dynamic_update_slice_in_dim(loads.rise, part.rise, first, 0))
 
 
 def _known(near: Near | None, facing: Facing | None, of: Callable[[Any], Any] = lambda tree: tree) -> Known:
@@ -190,27 +191,29 @@ def _loads_of_pieces(system: System, state: State) -> Array:
     Gathers and sums: the same bits every time, on a GPU too, where adding up in place is not.
     """
     loads = state.scratch.loads
-    rows = lambda k: columns(loads, state.incidence[k])  # noqa: E731
+    rows = lambda k: columns(loads.on, state.incidence[k])  # noqa: E731
     return _added_up(system, rows, state.scratch.busiest)
 
 
-def _loads_of_walls(system: System, state: State, panels: boundary.Panels) -> WallLoads:
-    """Loads on each wall group: what its walls do to a piece, added up piece by piece, is the reaction."""
+def _loads_of_walls(system: System, state: State, panels: boundary.Panels) -> tuple[WallLoads, Array]:
+    """Loads on each wall group, and the rise of the force, [G, R] (N): what its walls do to a piece, added up piece by piece, is
+    the reaction."""
     number = jnp.arange(len(system.walls.groups), dtype=jnp.int32)[:, None]
     scratch = state.scratch
 
     def rows(k: Array) -> Array:
         number_of, group = scratch.walled[0, k], scratch.walled[1, k]
-        load = columns(scratch.loads, number_of)
+        load = jnp.concatenate([columns(scratch.loads.on, number_of), columns(scratch.loads.rise, number_of)[None]])
         return jnp.where(group[None] == number, -load[:, None], 0)
 
-    load = _added_up(system, rows, scratch.most_walled)  # [6, G, N], the torque about each piece's centre
+    load = _added_up(system, rows, scratch.most_walled)  # [7, G, N], the torque about each piece's centre
     place = vector.each(lambda c: c[None], vector.unpack(state.position))
-    about_origin = vector.add(vector.cross(place, vector.unpack(load[:3])), vector.unpack(load[3:]))
+    about_origin = vector.add(vector.cross(place, vector.unpack(load[:3])), vector.unpack(load[3:6]))
     force = vector.kept(of_run.total(system, load[:3]))
     pivot = vector.each(lambda c: c[..., None], panels.pivot)
     turning = vector.each(lambda c: of_run.total(system, c), about_origin)  # each by itself: rows put together are added up slowly
-    return WallLoads(force, jnp.stack(vector.kept(*vector.sub(turning, vector.cross(pivot, vector.unpack(force))))))
+    torque = vector.kept(*vector.sub(turning, vector.cross(pivot, vector.unpack(force))))
+    return WallLoads(force, jnp.stack(torque)), of_run.total(system, load[6])
 
 
 def _added_up(system: System, rows: Callable[[Array], Array], count: Array) -> Array:

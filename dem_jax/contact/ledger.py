@@ -13,11 +13,19 @@ Pair = tuple[Array, Array]
 
 
 def entered(
-    system: System, state: State, omega: Array, panels: boundary.Panels, on_pieces: Array, on_walls: WallLoads, overlap: Array
+    system: System,
+    state: State,
+    omega: Array,
+    panels: boundary.Panels,
+    on_pieces: Array,
+    on_walls: WallLoads,
+    rise: Array,
+    overlap: Array,
 ) -> Ledger:
     """The ledger after a step that led from the loads of a state to those on pieces [6, N] and walls now.
 
-    omega: [3, N] (rad/s) in the step; overlap: [R] largest now, relative to width.
+    omega: [3, N] (rad/s) in the step; rise: [G, R] (N), by how much the forces on walls along gravity were larger within the step
+    than before it; overlap: [R] largest now, relative to width.
     """
     ledger, before = state.ledger, state.motion
     if system.ledger:
@@ -32,18 +40,30 @@ def entered(
             by_walls = -0.5 * system.dt * of_run.one_by_one(jnp.add, power)
         ledger = ledger.replace(taken=ledger.taken + (by_walls - took), wall_work=ledger.wall_work + by_walls)
     impulse = ledger.impulse + 0.5 * system.dt * (state.walls.force + on_walls.force)
-    peak = jnp.maximum(ledger.peak, _along_gravity(system, on_walls.force))
+    peak = jnp.maximum(ledger.peak, _peak(system, state.walls.force, on_walls.force, rise))
     return ledger.replace(impulse=impulse, peak=peak, overlap=jnp.maximum(ledger.overlap, overlap))
 
 
-def _along_gravity(system: System, force: Array) -> Array:
-    """Of forces on wall groups, [3, G, R] (N), those along gravity on what is reported, [reports, R] (N); without gravity those
-    downward."""
+def downward(system: System) -> Vector:
+    """Unit vector along gravity; without gravity against z."""
     square = jnp.sum(system.gravity**2)
-    unit = system.gravity / jnp.sqrt(jnp.where(square > 0, square, 1))
-    along = jnp.where(square > 0, unit[0] * force[0] + unit[1] * force[1] + unit[2] * force[2], -force[2])
-    rows = [sum(along[group] for group in groups[1:]) + along[groups[0]] for _, groups in system.walls.reports]
-    return jnp.stack(rows) if rows else jnp.zeros((0, system.runs), force.dtype)
+    along = system.gravity / jnp.sqrt(jnp.where(square > 0, square, 1))
+    x, y, z = along - jnp.where(square > 0, 0, jnp.asarray([0, 0, 1], along.dtype))
+    return x, y, z
+
+
+def _peak(system: System, before: Array, now: Array, rise: Array) -> Array:
+    """Of forces on wall groups before and after the step, [3, G, R] (N), the largest along gravity on what is reported,
+    [reports, R] (N): that now, or where contacts turned between the two that before it and by how much more they had there."""
+    along = lambda force: _reported(system, vector.dot(downward(system), vector.unpack(force)))  # noqa: E731
+    more = _reported(system, rise)
+    return jnp.maximum(along(now), jnp.where(more > 0, along(before) + more, 0))
+
+
+def _reported(system: System, of_groups: Array) -> Array:
+    """[G, R] as [reports, R]."""
+    rows = [sum(of_groups[group] for group in groups[1:]) + of_groups[groups[0]] for _, groups in system.walls.reports]
+    return jnp.stack(rows) if rows else jnp.zeros((0, system.runs), of_groups.dtype)
 
 
 def _twice_power(before: Pair, now: Pair, motion: tuple[Vector, Vector]) -> Array:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import dem_jax
+from dem_jax import build, validation
 from dem_jax.build import sampling
 from dem_jax.errors import RecordError
 from dem_jax.scene import Scene, load_scene
@@ -69,14 +70,40 @@ def test_a_run_says_which_peak_its_samples_missed_and_of_what_stiffness_it_is():
     assert "peaks are those of E = 100 MPa, NSF = 1: of one impact they scale with sqrt(E NSF)" in summary(coarse)
 
 
-def test_it_is_the_largest_of_samples_that_are_steps():
-    """Also before the first touch and after the last, where steps are left out in one jump."""
+def test_it_is_the_largest_of_samples_that_are_steps_but_where_a_ball_turns():
+    """Also before the first touch and after the last, where steps are left out in one jump. Of a top between two steps the sample
+    interval that the second is in may say, too."""
     fine, coarse = landed(2e-5, 1), landed(1.6e-4, 8)
     for name in PANELS:
         steps = -fine.force[name][:, 2].reshape(-1, 8)
         assert (steps[0] == 0).all() and (steps[-1] == 0).all() and steps.max() > 1
-        np.testing.assert_allclose(coarse.peak_force[name], steps.max(axis=1), rtol=1e-9, atol=1e-9 * steps.max())
-        assert (coarse.peak_force[name] >= -coarse.force[name][:, 2]).all()
+        largest, peak = steps.max(axis=1), coarse.peak_force[name]
+        turns = np.argmax(largest) + np.arange(2)
+        np.testing.assert_allclose(np.delete(peak, turns), np.delete(largest, turns), rtol=1e-9, atol=1e-9 * steps.max())
+        assert largest.max() < peak.max() < 1.01 * largest.max()
+        assert (peak >= -coarse.force[name][:, 2]).all()
+
+
+@pytest.mark.parametrize("restitution", [0.1, 0.5, 0.8])
+def test_it_is_that_of_the_closed_form_wherever_in_a_step_the_top_falls(restitution):
+    """Twelve balls, each on a plate of its own, at the automatic step: the largest of all steps leaves out up to 0.14 % of it."""
+    count, speed, radius = 12, 1.0, 0.012
+    ball = {"velocity": (0.0, 0.0, -speed), "shape": "sphere", "radius": radius}
+    rows = [ball | {"position": (0.1 * k, 0.0, radius + 1e-5 + 2.6e-6 * k)} for k in range(count)]
+    square = [(-0.04, -0.04), (0.04, -0.04), (0.04, 0.04), (-0.04, 0.04)]
+    plates = [{"group": f"plate{k}", "corners": [(0.1 * k + x, y, 0.0) for x, y in square]} for k in range(count)]
+    material = {"restitution": restitution, "separation": 0.0}
+    settings = {"precision": "f64", "duration": 3e-3, "frames": 0.0, "gravity": (0.0, 0.0, 0.0)}
+    made = Scene(piece=rows, wall=plates, material=material, run=settings)
+    system = build.build(made).system
+    exact = validation.NormalImpact(
+        float(system.pieces.mass[0]), float(validation.wall_stiffness(system)[0]), restitution, speed, 0.0, 0.0
+    ).peak_force
+    run = dem_jax.simulate(made)
+    off = np.array([run.peak_force[f"plate{k}"].max() for k in range(count)]) / exact - 1
+    missed = np.array([-run.force[f"plate{k}"][:, 2].min() for k in range(count)]) / exact - 1
+    print(f"{restitution}: peak {1e2 * off.min():.4f} to {1e2 * off.max():.4f} %, in samples {1e2 * missed.min():.3f} %")
+    assert np.abs(off).max() < 5e-4 and np.ptp(off) < 1e-5
 
 
 @pytest.mark.parametrize("runs", [2, pytest.param(joined.AT_ONCE, marks=pytest.mark.long)])
@@ -88,7 +115,6 @@ def test_each_run_of_an_ensemble_has_its_own(runs):
 
 
 def test_the_peak_of_a_report_of_two_groups_is_that_of_their_sum():
-    from dem_jax import build
     from dem_jax.contact import ledger
     from dem_jax.contact.boundary import after_step
 
@@ -100,7 +126,7 @@ def test_the_peak_of_a_report_of_two_groups_is_that_of_their_sum():
     loads = made.state.walls.replace(force=force)
     state = made.state.replace(ledger=ledger.empty_ledger(system, np.float64))
     entered = jax.jit(lambda: ledger.entered(
-        system, state, 0 * state.velocity, after_step(system, state.step), np.zeros((6, 2)), loads, np.zeros(1)
+        system, state, 0 * state.velocity, after_step(system, state.step), np.zeros((6, 2)), loads, np.zeros((2, 1)), np.zeros(1)
     ).peak)  # fmt: skip
     np.testing.assert_allclose(entered()[:, 0], [2.4, 0.2], rtol=1e-12)
 

@@ -55,6 +55,7 @@ class Response(NamedTuple):
     drag: Vector | None  # [P] x 3 (N): tangential, on b; None of a law without friction
     history: Any  # as it was given, after this step
     twist: Vector | None = None  # [P] x 3 (N m): torque on b beside that of the force at the contact point, -twist on a
+    rise: Array | None = None  # [P] (N): by how much push was larger where it turned than before this step, else 0; None: unknown
 
 
 class ContactLaw(Protocol):

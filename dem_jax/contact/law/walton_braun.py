@@ -71,7 +71,8 @@ class WaltonBraun:
     def force(self, pair: Pair, history: History, contact: Contact) -> Response:
         """Eqs 1-4, and the tangential spring."""
         c = contact
-        line = vector.kept(unloading_line(pair, history, c))
+        top = past_turn(history, c)
+        line = vector.kept(unloading_line(pair, history, c, top.off_mean))
         f = vector.kept(between(line, c.overlap, pair.stiffness, self.separation))
         found = corner_of(pair, history, c, f, self.separation)
         push = f + found.normal()
@@ -83,13 +84,14 @@ class WaltonBraun:
         way = jnp.where(f < loading, -jnp.abs(c.approach), c.approach)
         way = jnp.where(f > self.separation * loading, way, 0)
         if history.spring is None or pair.friction is None:
-            return self._at_rest(pair, history, c, Response(push, None, History(f, way, None)))
+            return self._at_rest(pair, history, c, Response(push, None, History(f, way, None), rise=pair.stiffness * top.more))
         stiffness = self.tangential * pair.stiffness
         spring = vector.kept(
             *tangential_force(vector.unpack(history.spring), c.normal, c.slip, f, stiffness, pair.friction)
         )
         drag = vector.scale(1 + found.tangential(f, vector.norm(spring), pair.friction), spring)
-        return self._at_rest(pair, history, c, Response(push, drag, History(f, way, jnp.stack(spring))))
+        after = History(f, way, jnp.stack(spring))
+        return self._at_rest(pair, history, c, Response(push, drag, after, rise=pair.stiffness * top.more))
 
     def _at_rest(self, pair: Pair, before: History, contact: Contact, answer: Response) -> Response:
         """The answer with what acts on contacts at rest, if anything does."""
@@ -106,7 +108,7 @@ class WaltonBraun:
             twist, kept = rest.twist(before.resting, age, spring, c.turn, f, c.dt)
             elastic = jnp.stack(kept)
         history = answer.history._replace(resting=rest.Resting(age, elastic))
-        return Response(push + damping, drag, history, twist)
+        return Response(push + damping, drag, history, twist, answer.rise)
 
     def _spring(self, pair: Pair) -> rest.Spring:
         assert pair.mass is not None and pair.size is not None and self.at_rest is not None
@@ -161,16 +163,28 @@ def between(line: Array, overlap: Array, load_stiffness: Array, separation: Arra
     return jnp.minimum(jnp.maximum(line, separation * loading), loading)
 
 
-def unloading_line(pair: Pair, before: History, contact: Contact) -> Array:
-    """Eq. 3 (N), and where loading ends within this step what the line lies lower by, as it begins further up.
+class Top(NamedTuple):
+    """Where loading has ended: how much larger the overlap was there than before this step, [P] (m), else 0."""
 
-    Between the two steps the overlap is a parabola; it is more than at the first of them by its change of way times
-    theta^2 / 2, theta being the time of the turn, in steps off that one. Its mean over theta is left out: kick, drift, kick has it
-    already (``corner``).
-    """
+    more: Array
+    off_mean: Array  # less its mean over when it may have been
+
+
+def past_turn(before: History, contact: Contact) -> Top:
+    """The overlap is a parabola from the middle of the last step to that of this one, with the ways as its slopes there; its top
+    lies above what there was before this step by their change times t^2 / 2, t being the time between the two, in steps."""
     turns = (before.way > 0) & (contact.approach <= 0)
     change = jnp.where(turns, before.way - contact.approach, 1)
-    more = jnp.where(turns, contact.resolved * change * kernel(before.way / change), 0)
+    part, known = before.way / change, jnp.where(turns, contact.resolved * change, 0)
+    off_mean = kernel(part) * known
+    return Top(off_mean + known / 24, off_mean)
+
+
+def unloading_line(pair: Pair, before: History, contact: Contact, more: Array) -> Array:
+    """Eq. 3 (N), and where loading ends within this step what the line lies lower by, as it begins further up.
+
+    more: Top.off_mean (m); the mean is left out, as kick, drift, kick has it already (``corner``).
+    """
     return before.force + pair.unload * contact.approach - (pair.unload - pair.stiffness) * more
 
 
