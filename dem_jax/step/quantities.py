@@ -90,8 +90,8 @@ QUANTITIES = checked(
         Quantity(
             name="peak_force", unit="N", axes=(REPORT,),
             of=lambda system, state: state.ledger.peak,
-            help="along gravity, without it downward: the largest of every step of the sample interval and, by Walton and Braun's law, "
-            "of where contacts turn between two steps; at least 0",
+            help="along gravity, without it downward: the largest of every step of the sample interval and, with the law of Walton "
+            "and Braun, of where contacts turn between two steps; at least 0",
         ),
         Quantity(
             name="torque", unit="N m", axes=("moving group", "xyz"),

@@ -1,4 +1,4 @@
-"""Corners of a contact's force over time, where bodies touch and part, and what the time step leaves out there.
+"""Corners of a contact's force over time, where bodies touch, turn and part, and what the time step leaves out there.
 
 Kick, drift, kick adds up impulses by the trapezoidal rule. Where the slope of a force jumps by J (N/s), a part theta of a step
 from a step, that leaves out
@@ -47,3 +47,48 @@ class Corner(NamedTuple):
         at_end = self.part * (1 - 0.5 * used) - 0.5
         with_push = self.normal() / jnp.where(self.touches | self.parts, force, 1)
         return jnp.where(holds, jnp.where(self.change != 0, at_end, 0), with_push)
+
+
+class Lines(NamedTuple):
+    """Of a law whose force goes along straight lines, [P] or [1]."""
+
+    load: Array  # (N/m): slope of the line of loading
+    unload: Array  # (N/m): of unloading
+    separation: Array  # of the line on which bodies part, over that of loading
+
+
+def end_of(lines: Lines, before: tuple[Array, Array], now: tuple[Array, Array], overlap: Array, resolved: Array | float) -> Corner:
+    """The corner where a contact begins or ends.
+
+    before, now: force (N) and way of approach (m) of the last step and of this, [P]; overlap: [P] (m), now; resolved: as in
+    ``Contact``. The step to come is foreseen from these two: what they differ by goes with the force.
+    """
+    (force_before, way), (force, approach) = before, now
+    touches = (force_before <= 0) & (overlap > 0) & (overlap < 2 * approach)
+    floor = lines.separation * (lines.load * jnp.maximum(overlap, 0))
+    to_come = approach + (approach - way) * force / jnp.where(force_before > 0, force_before, 1)
+    fall = (lines.separation * lines.load - lines.unload) * to_come
+    parts = (way != 0) & (approach < 0) & (force > floor) & (force - floor < fall)
+    change = jnp.where(touches, lines.load * approach, jnp.where(parts, fall, 1))
+    part = jnp.where(touches, jnp.minimum(lines.load * overlap, change), force - floor) / change
+    return Corner(touches, parts, resolved * change, part)
+
+
+class Turn(NamedTuple):
+    """Where loading has ended: how much larger the overlap was there than before this step, [P] (m), else 0."""
+
+    more: Array
+    off_mean: Array  # less its mean over when it may have been
+
+
+def turn_of(before: Array, now: Array, resolved: Array | float) -> Turn:
+    """Of contacts by their ways of approach (m) in the last step, not positive where they did not load, and in this.
+
+    The overlap is a parabola from the middle of the last step to that of this one, with the ways as its slopes there; its top
+    lies above what there was before this step by their change times t^2 / 2, t being the time between the two, in steps.
+    """
+    turns = (before > 0) & (now <= 0)
+    change = jnp.where(turns, before - now, 1)
+    part, known = before / change, jnp.where(turns, resolved * change, 0)
+    off_mean = kernel(part) * known
+    return Turn(off_mean + known / 24, off_mean)

@@ -1,4 +1,5 @@
-"""A dashpot beside an elastic spring that is never adhesive: what the linear law and that of Hertz share.
+"""A dashpot beside an elastic spring that is never adhesive: what the linear law and that of Hertz share, and that beside the
+unloading line of Walton and Braun.
 
 Linear: m s'' + c s' + K s = 0 with damping ratio zeta = c / (2 sqrt(m K)). The contact ends where the force vanishes, not
 where the overlap does (Schwager and Poeschel, Granular Matter 9 (2007) 465-469): after arccos(2 zeta^2 - 1) / omega, which is
@@ -95,3 +96,24 @@ def stable_step(mass: Real, stiffness: Real, coefficient: Real, pair_mass: Real)
     square = stiffness / mass
     rate = 2 * np.asarray(coefficient) * (1 / mass - 1 / pair_mass)
     return 8 / (rate + np.sqrt(rate * rate + 16 * square))
+
+
+def while_unloading(
+    force: Array,
+    approach: Array,
+    overlap: Array,
+    load_stiffness: Array,
+    unload_stiffness: Array,
+    mass: Array,
+    ratio: Array,
+    dt: Array,
+) -> Array:
+    """Viscous part (N) added on the unloading branch only, where eqs 1-4 have none and a resting piece rings for ever.
+
+    A dashpot of the given damping ratio of the oscillator (effective mass, K_nu), never making the sum adhesive; force:
+    F_n now. Not part of the paper's model; off by default.
+    """
+    loading = load_stiffness * jnp.maximum(overlap, 0)
+    dashpot = 2 * ratio * jnp.sqrt(mass * unload_stiffness) * approach / dt
+    on_branch = (force > 0) & (force < loading)
+    return jnp.where(on_branch, jnp.clip(dashpot, -force, jnp.maximum(loading - force, 0)), 0)

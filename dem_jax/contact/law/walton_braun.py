@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dem_jax.contact.law import Contact, Couple, Response, rest
-from dem_jax.contact.law.corner import Corner, kernel
+from dem_jax.contact.law import Contact, Couple, Response, corner, dashpot, rest
+from dem_jax.contact.law.corner import Lines
 from dem_jax.contact.law.friction import tangential_force, where_rough
 from dem_jax.contact.law.springs import Real, quarter_period, series
 from dem_jax.maths import vector
@@ -71,27 +71,28 @@ class WaltonBraun:
     def force(self, pair: Pair, history: History, contact: Contact) -> Response:
         """Eqs 1-4, and the tangential spring."""
         c = contact
-        top = past_turn(history, c)
-        line = vector.kept(unloading_line(pair, history, c, top.off_mean))
+        turn = corner.turn_of(history.way, c.approach, c.resolved)
+        line = vector.kept(unloading_line(pair, history, c, turn.off_mean))
         f = vector.kept(between(line, c.overlap, pair.stiffness, self.separation))
-        found = corner_of(pair, history, c, f, self.separation)
+        lines = Lines(pair.stiffness, pair.unload, self.separation)
+        found = corner.end_of(lines, (history.force, history.way), (f, c.approach), c.overlap, c.resolved)
         push = f + found.normal()
         if self.damping is not None and pair.mass is not None:
-            push = push + unloading_damping(
+            push = push + dashpot.while_unloading(
                 f, c.approach, c.overlap, pair.stiffness, pair.unload, pair.mass, self.damping, c.dt
             )
         loading = pair.stiffness * jnp.maximum(c.overlap, 0)
         way = jnp.where(f < loading, -jnp.abs(c.approach), c.approach)
         way = jnp.where(f > self.separation * loading, way, 0)
         if history.spring is None or pair.friction is None:
-            return self._at_rest(pair, history, c, Response(push, None, History(f, way, None), rise=pair.stiffness * top.more))
+            return self._at_rest(pair, history, c, Response(push, None, History(f, way, None), rise=pair.stiffness * turn.more))
         stiffness = self.tangential * pair.stiffness
         spring = vector.kept(
             *tangential_force(vector.unpack(history.spring), c.normal, c.slip, f, stiffness, pair.friction)
         )
         drag = vector.scale(1 + found.tangential(f, vector.norm(spring), pair.friction), spring)
         after = History(f, way, jnp.stack(spring))
-        return self._at_rest(pair, history, c, Response(push, drag, after, rise=pair.stiffness * top.more))
+        return self._at_rest(pair, history, c, Response(push, drag, after, rise=pair.stiffness * turn.more))
 
     def _at_rest(self, pair: Pair, before: History, contact: Contact, answer: Response) -> Response:
         """The answer with what acts on contacts at rest, if anything does."""
@@ -163,42 +164,12 @@ def between(line: Array, overlap: Array, load_stiffness: Array, separation: Arra
     return jnp.minimum(jnp.maximum(line, separation * loading), loading)
 
 
-class Top(NamedTuple):
-    """Where loading has ended: how much larger the overlap was there than before this step, [P] (m), else 0."""
-
-    more: Array
-    off_mean: Array  # less its mean over when it may have been
-
-
-def past_turn(before: History, contact: Contact) -> Top:
-    """The overlap is a parabola from the middle of the last step to that of this one, with the ways as its slopes there; its top
-    lies above what there was before this step by their change times t^2 / 2, t being the time between the two, in steps."""
-    turns = (before.way > 0) & (contact.approach <= 0)
-    change = jnp.where(turns, before.way - contact.approach, 1)
-    part, known = before.way / change, jnp.where(turns, contact.resolved * change, 0)
-    off_mean = kernel(part) * known
-    return Top(off_mean + known / 24, off_mean)
-
-
 def unloading_line(pair: Pair, before: History, contact: Contact, more: Array) -> Array:
     """Eq. 3 (N), and where loading ends within this step what the line lies lower by, as it begins further up.
 
-    more: Top.off_mean (m); the mean is left out, as kick, drift, kick has it already (``corner``).
+    more: Turn.off_mean (m); the mean is left out, as kick, drift, kick has it already (``corner``).
     """
     return before.force + pair.unload * contact.approach - (pair.unload - pair.stiffness) * more
-
-
-def corner_of(pair: Pair, before: History, contact: Contact, force: Array, separation: Array) -> Corner:
-    """Of contacts with F_n now (N). The step to come is foreseen from the last two: what they differ by goes with the force."""
-    overlap, approach = contact.overlap, contact.approach
-    touches = (before.force <= 0) & (overlap > 0) & (overlap < 2 * approach)
-    floor = separation * (pair.stiffness * jnp.maximum(overlap, 0))
-    to_come = approach + (approach - before.way) * force / jnp.where(before.force > 0, before.force, 1)
-    fall = (separation * pair.stiffness - pair.unload) * to_come
-    parts = (before.way != 0) & (approach < 0) & (force > floor) & (force - floor < fall)
-    change = jnp.where(touches, pair.stiffness * approach, jnp.where(parts, fall, 1))
-    part = jnp.where(touches, jnp.minimum(pair.stiffness * overlap, change), force - floor) / change
-    return Corner(touches, parts, contact.resolved * change, part)
 
 
 def recoverable_energy(
@@ -209,24 +180,3 @@ def recoverable_energy(
     floor = separation * load_stiffness
     rest = jnp.maximum(unload_stiffness * overlap - force, 0) / (unload_stiffness - floor)  # (m): where the lines meet
     return 0.5 * (force + floor * rest) * (overlap - rest) + 0.5 * floor * rest * rest
-
-
-def unloading_damping(
-    force: Array,
-    approach: Array,
-    overlap: Array,
-    load_stiffness: Array,
-    unload_stiffness: Array,
-    mass: Array,
-    ratio: Array,
-    dt: Array,
-) -> Array:
-    """Viscous part (N) added on the unloading branch only, where eqs 1-4 have none and a resting piece rings for ever.
-
-    A dashpot of the given damping ratio of the oscillator (effective mass, K_nu), never making the sum adhesive; force:
-    F_n now. Not part of the paper's model; off by default.
-    """
-    loading = load_stiffness * jnp.maximum(overlap, 0)
-    dashpot = 2 * ratio * jnp.sqrt(mass * unload_stiffness) * approach / dt
-    on_branch = (force > 0) & (force < loading)
-    return jnp.where(on_branch, jnp.clip(dashpot, -force, jnp.maximum(loading - force, 0)), 0)
