@@ -280,7 +280,8 @@ def _facing(hull: Hulls, normal: Vector) -> Facing:
     half = most.shape[0] // 2
     side = most[:half].astype(along.dtype) - most[half:].astype(along.dtype)
     face = _first_where(most)
-    return face * (hull.loops.shape[1] // hull.normals[0].shape[0]) + hull.row, side, _select(hull.normals, face)
+    column = kept(face * (hull.loops.shape[1] // hull.normals[0].shape[0]) + hull.row)
+    return column, side, _select(hull.normals, face)
 
 
 def vectors(loops: Array, column: Array) -> Vector:

@@ -148,7 +148,7 @@ def pressure_centre(hulls: Hulls, rows: Rows, faces: Array, planes: Planes, rel:
     """
     assert hulls.loops is not None and hulls.features is not None
     turn, d = vector.expand_matrix(rel.rotation, 0), expand(rel.offset, 0)
-    column = faces * hulls.row.shape[0] + jnp.stack(rows)
+    column = kept(faces * hulls.row.shape[0] + jnp.stack(rows))
     own_a, own_b = (vectors(hulls.loops, at) for at in column)
     a_in_b = vector.rotate_back(turn, vector.sub(own_a, d))
     b_in_a = kept(*vector.add(vector.rotate(turn, own_b), d))

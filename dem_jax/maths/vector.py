@@ -137,6 +137,8 @@ def kept(*arrays: Array) -> Any:
 @jax.custom_jvp
 def _kept(x: Array) -> Array:
     """x / 1, where it takes the compiler of machine code, who leaves the division out, to see that it is 1."""
+    if jnp.issubdtype(x.dtype, jnp.integer):
+        return jax.lax.div(x, jnp.maximum(jnp.minimum(x, 1), 1))
     bits = jax.lax.bitcast_convert_type(x, {4: jnp.int32, 8: jnp.int64}[x.dtype.itemsize])
     return x / jnp.maximum(jnp.minimum(bits, 1), 1).astype(x.dtype)
 

@@ -174,6 +174,13 @@ def test_what_is_kept_is_the_same_to_the_last_bit(dtype):
         assert float(gradient(jnp.asarray(0.7, dtype))) == 3
 
 
+def test_whole_numbers_that_are_kept_are_the_same():
+    info = np.iinfo(np.int32)
+    x = jnp.asarray([0, 1, -1, 7, info.max, info.min], jnp.int32)
+    for kept in (vector.kept, jax.jit(vector.kept)):
+        np.testing.assert_array_equal(kept(x), x)
+
+
 def test_what_is_kept_is_computed_once_by_the_compiled_program():
     # A kernel of its own, beside the one that uses it three times.
     def three(kept, a, b):
