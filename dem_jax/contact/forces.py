@@ -202,8 +202,8 @@ def _loads_of_walls(system: System, state: State, panels: boundary.Panels) -> tu
     scratch = state.scratch
 
     def rows(k: Array) -> Array:
-        number_of, group = scratch.walled[0, k], scratch.walled[1, k]
-        load = jnp.concatenate([columns(scratch.loads.on, number_of), columns(scratch.loads.rise, number_of)[None]])
+        column, group = scratch.walled[0, k], scratch.walled[1, k]
+        load = jnp.concatenate([columns(scratch.loads.on, column), columns(scratch.loads.rise, column)[None]])
         return jnp.where(group[None] == number, -load[:, None], 0)
 
     load = _added_up(system, rows, scratch.most_walled)  # [7, G, N], the torque about each piece's centre

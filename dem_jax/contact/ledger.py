@@ -55,15 +55,16 @@ def downward(system: System) -> Vector:
 def _peak(system: System, before: Array, now: Array, rise: Array) -> Array:
     """Of forces on wall groups before and after the step, [3, G, R] (N), the largest along gravity on what is reported,
     [reports, R] (N): that now, or where contacts turned between the two that before it and by how much more they had there."""
-    along = lambda force: _reported(system, vector.dot(downward(system), vector.unpack(force)))  # noqa: E731
-    more = _reported(system, rise)
+    along = lambda force: reported(system, vector.dot(downward(system), vector.unpack(force)))  # noqa: E731
+    more = reported(system, rise)
     return jnp.maximum(along(now), jnp.where(more > 0, along(before) + more, 0))
 
 
-def _reported(system: System, of_groups: Array) -> Array:
-    """[G, R] as [reports, R]."""
-    rows = [sum(of_groups[group] for group in groups[1:]) + of_groups[groups[0]] for _, groups in system.walls.reports]
-    return jnp.stack(rows) if rows else jnp.zeros((0, system.runs), of_groups.dtype)
+def reported(system: System, of_groups: Array) -> Array:
+    """What there is of wall groups, [.., G, R], added up for each of Walls.reports, [.., reports, R]."""
+    of = lambda group: of_groups[..., group, :]  # noqa: E731
+    rows = [sum(map(of, groups[1:])) + of(groups[0]) for _, groups in system.walls.reports]
+    return jnp.stack(rows, axis=-2) if rows else of_groups[..., :0, :]
 
 
 def _twice_power(before: Pair, now: Pair, motion: tuple[Vector, Vector]) -> Array:

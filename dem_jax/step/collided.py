@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dem_jax.contact import forces, of_run
+from dem_jax.contact.ledger import reported
 from dem_jax.types import Array, State, System
 
 
@@ -15,7 +16,7 @@ def totals(system: System, state: State) -> Array:
     panels = state.collisions.cells.reshape(3, system.walls.group.shape[0], -1, system.runs).sum(axis=2)
     groups = jnp.arange(len(system.walls.groups), dtype=system.walls.group.dtype)
     is_of = (system.walls.group[None] == groups[:, None])[None, :, :, None]
-    return _reported(system, jnp.sum(jnp.where(is_of, panels[:, None], 0), axis=2))
+    return reported(system, jnp.sum(jnp.where(is_of, panels[:, None], 0), axis=2))
 
 
 def lost(system: System, state: State) -> Array:
@@ -29,12 +30,7 @@ def lost(system: System, state: State) -> Array:
         of_group = jnp.where(slots.live & (slots.a >= parts), number[jnp.maximum(slots.a - parts, 0)], -1)
         rows = [of_run.total_of_contacts(system, jnp.where(of_group == g, energy, 0), slots.b) for g in range(len(elastic))]
         elastic = elastic + jnp.stack(rows)
-    return totals(system, state)[2] - _reported(system, elastic[None])[0]
-
-
-def _reported(system: System, of_groups: Array) -> Array:
-    """[.., G, R] as [.., reports, R]."""
-    return jnp.stack([of_groups[:, list(groups)].sum(axis=1) for _, groups in system.walls.reports], axis=1)
+    return totals(system, state)[2] - reported(system, elastic)
 
 
 def told(system: System, state: State) -> dict[str, Any]:

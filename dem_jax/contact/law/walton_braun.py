@@ -72,6 +72,7 @@ class WaltonBraun:
         """Eqs 1-4, and the tangential spring."""
         c = contact
         turn = corner.turn_of(history.way, c.approach, c.resolved)
+        rise = pair.stiffness * turn.more
         line = vector.kept(unloading_line(pair, history, c, turn.off_mean))
         f = vector.kept(between(line, c.overlap, pair.stiffness, self.separation))
         lines = Lines(pair.stiffness, pair.unload, self.separation)
@@ -85,14 +86,14 @@ class WaltonBraun:
         way = jnp.where(f < loading, -jnp.abs(c.approach), c.approach)
         way = jnp.where(f > self.separation * loading, way, 0)
         if history.spring is None or pair.friction is None:
-            return self._at_rest(pair, history, c, Response(push, None, History(f, way, None), rise=pair.stiffness * turn.more))
+            return self._at_rest(pair, history, c, Response(push, None, History(f, way, None), rise=rise))
         stiffness = self.tangential * pair.stiffness
         spring = vector.kept(
             *tangential_force(vector.unpack(history.spring), c.normal, c.slip, f, stiffness, pair.friction)
         )
         drag = vector.scale(1 + found.tangential(f, vector.norm(spring), pair.friction), spring)
         after = History(f, way, jnp.stack(spring))
-        return self._at_rest(pair, history, c, Response(push, drag, after, rise=pair.stiffness * turn.more))
+        return self._at_rest(pair, history, c, Response(push, drag, after, rise=rise))
 
     def _at_rest(self, pair: Pair, before: History, contact: Contact, answer: Response) -> Response:
         """The answer with what acts on contacts at rest, if anything does."""
