@@ -29,6 +29,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from dem_jax.contact.law import Contact, Response
 from dem_jax.maths import vector
 from dem_jax.maths.vector import Vector
 
@@ -64,6 +65,25 @@ class Spring(NamedTuple):
 def start(like: Array) -> Resting:
     """At first touch."""
     return Resting(jnp.zeros_like(like), jnp.stack([jnp.zeros_like(like)] * 3))
+
+
+def with_dashpots(
+    answer: Response, before: Resting, spring: Spring, c: Contact, separation: Array, tangential: Array, friction: Array | None
+) -> Response:
+    """The answer of eqs 1-4, whose history has F_n as ``force`` and a place for ``resting``, with what acts on contacts at rest.
+
+    separation: lambda; tangential: K_t (N/m); friction: mu, None without.
+    """
+    force, across, torque, elastic = answer.history.force, answer.drag, None, before.twist
+    loading = spring.load * jnp.maximum(c.overlap, 0)
+    age = aged(before.age, (force > separation * loading) & (force < loading), spring, c.dt)
+    damping = push(age, spring, c.approach, c.dt, -answer.push, jnp.maximum(loading - answer.push, 0))
+    if across is not None and friction is not None:
+        across = drag(age, spring, tangential, across, c.slip, friction * force, c.dt)
+    if c.turn is not None:
+        torque, kept = twist(before, age, spring, c.turn, force, c.dt)
+        elastic = jnp.stack(kept)
+    return Response(answer.push + damping, across, answer.history._replace(resting=Resting(age, elastic)), torque, answer.rise)
 
 
 def aged(age: Array, is_between: Array, spring: Spring, dt: Array) -> Array:

@@ -79,38 +79,19 @@ class WaltonBraun:
         found = corner.end_of(lines, (history.force, history.way), (f, c.approach), c.overlap, c.resolved)
         push = f + found.normal()
         if self.damping is not None and pair.mass is not None:
-            push = push + dashpot.while_unloading(
-                f, c.approach, c.overlap, pair.stiffness, pair.unload, pair.mass, self.damping, c.dt
-            )
+            push += dashpot.while_unloading(f, c.approach, c.overlap, pair.stiffness, pair.unload, pair.mass, self.damping, c.dt)
         loading = pair.stiffness * jnp.maximum(c.overlap, 0)
         way = jnp.where(f < loading, -jnp.abs(c.approach), c.approach)
         way = jnp.where(f > self.separation * loading, way, 0)
-        if history.spring is None or pair.friction is None:
-            return self._at_rest(pair, history, c, Response(push, None, History(f, way, None), rise=rise))
+        answer = Response(push, None, History(f, way, None), rise=rise)
         stiffness = self.tangential * pair.stiffness
-        spring = vector.kept(
-            *tangential_force(vector.unpack(history.spring), c.normal, c.slip, f, stiffness, pair.friction)
-        )
-        drag = vector.scale(1 + found.tangential(f, vector.norm(spring), pair.friction), spring)
-        after = History(f, way, jnp.stack(spring))
-        return self._at_rest(pair, history, c, Response(push, drag, after, rise=rise))
-
-    def _at_rest(self, pair: Pair, before: History, contact: Contact, answer: Response) -> Response:
-        """The answer with what acts on contacts at rest, if anything does."""
-        if before.resting is None:
+        if history.spring is not None and pair.friction is not None:
+            spring = vector.kept(*tangential_force(vector.unpack(history.spring), c.normal, c.slip, f, stiffness, pair.friction))
+            drag = vector.scale(1 + found.tangential(f, vector.norm(spring), pair.friction), spring)
+            answer = Response(push, drag, History(f, way, jnp.stack(spring)), rise=rise)
+        if history.resting is None:
             return answer
-        c, spring, f, push, drag = contact, self._spring(pair), answer.history.force, answer.push, answer.drag
-        loading = pair.stiffness * jnp.maximum(c.overlap, 0)
-        age = rest.aged(before.resting.age, (f > self.separation * loading) & (f < loading), spring, c.dt)
-        damping = rest.push(age, spring, c.approach, c.dt, -push, jnp.maximum(loading - push, 0))
-        if drag is not None and pair.friction is not None:
-            drag = rest.drag(age, spring, self.tangential * pair.stiffness, drag, c.slip, pair.friction * f, c.dt)
-        twist, elastic = None, before.resting.twist
-        if c.turn is not None:
-            twist, kept = rest.twist(before.resting, age, spring, c.turn, f, c.dt)
-            elastic = jnp.stack(kept)
-        history = answer.history._replace(resting=rest.Resting(age, elastic))
-        return Response(push + damping, drag, history, twist, answer.rise)
+        return rest.with_dashpots(answer, history.resting, self._spring(pair), c, self.separation, stiffness, pair.friction)
 
     def _spring(self, pair: Pair) -> rest.Spring:
         assert pair.mass is not None and pair.size is not None and self.at_rest is not None
@@ -173,9 +154,7 @@ def unloading_line(pair: Pair, before: History, contact: Contact, more: Array) -
     return before.force + pair.unload * contact.approach - (pair.unload - pair.stiffness) * more
 
 
-def recoverable_energy(
-    force: Array, overlap: Array, load_stiffness: Array, unload_stiffness: Array, separation: Array
-) -> Array:
+def recoverable_energy(force: Array, overlap: Array, load_stiffness: Array, unload_stiffness: Array, separation: Array) -> Array:
     """Work (J) that a contact with F_n and s_n does if it parts now: down its unloading line to that of separation, and
     along that one to the end."""
     floor = separation * load_stiffness
