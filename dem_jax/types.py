@@ -439,14 +439,6 @@ class Exchange(Tree):
 
 
 @pytree
-class Loads(Tree):
-    """Of each contact, in columns: all on b, then all on a, kind by kind; one more column holds zeros."""
-
-    on: Array  # [6, columns] (N, N m): force and torque, about the centre of the piece
-    rise: Array  # [columns] (N): of the forces on b along gravity, see ``Response.rise``
-
-
-@pytree
 class Scratch(Tree):
     """What the rebuild at the beginning of each block of steps fills anew, from the rest of the state."""
 
@@ -455,7 +447,8 @@ class Scratch(Tree):
     busiest: Array  # int32: most contacts of a piece
     walled: Array  # [2, touching, N] int32: like ``State.incidence`` of contacts with walls, and the numbers of their groups
     most_walled: Array  # int32: most contacts of a piece with walls
-    loads: Loads
+    loads: Array  # [7, columns] (N, N m, N): of each contact force and torque on a piece, about its centre, and the rise of the
+    # force on b along gravity, see ``Response.rise``: all on b, then all on a, kind by kind; one more column holds zeros
     since: Array  # int32: the step of the rebuild
     way: Array  # [R] (m): most that two bodies can have approached each other since then ...
     rate: Array  # [R] (m): ... of it in the last step

@@ -20,9 +20,8 @@ class Contacts(NamedTuple):
     """What contacts of one kind do in one step."""
 
     memory: Memory
-    load_a: Array  # [6, P] (N, N m): force and torque on a, about its centre
-    load_b: Array  # on b
-    rise: Array  # [P] (N): as of Loads
+    load_a: Array  # [7, P] (N, N m, N): as in Scratch.loads
+    load_b: Array
     overlap: Array  # [R] (-): the largest of each run, relative to the width of the piece
     touch: Array | None  # [2, P] (m/s, N): impact speed where one begins, else 0, and push; None: nobody asked
 
@@ -35,9 +34,9 @@ def within(system: System, slots: Slots, overlap: Array) -> Array:
 
 def no_contacts(system: System, memory: Memory, slots: Slots) -> Contacts:
     """What ``answer`` says where nothing touches, nor did before."""
-    zero = jnp.zeros((6, slots.a.shape[0]), memory.overlap.dtype)
+    zero = jnp.zeros((7, slots.a.shape[0]), memory.overlap.dtype)
     after = memory.replace(overlap=zero[0], law=system.law.start(slots.pair, zero[0]))
-    return Contacts(after, zero, zero, zero[0], jnp.zeros((system.runs,), zero.dtype), no_touch(system, zero))
+    return Contacts(after, zero, zero, jnp.zeros((system.runs,), zero.dtype), no_touch(system, zero))
 
 
 def no_touch(system: System, slots: Array) -> Array | None:
@@ -83,16 +82,17 @@ def answer(
     if said.twist is not None:
         twist = said.twist if share is None else vector.scale(share, said.twist)
         on_a, on_b = vector.sub(on_a, twist), vector.add(on_b, twist)
-    load_a, load_b = jnp.stack([*reaction, *on_a]), jnp.stack([*force, *on_b])
+    rise = _rise(system, said, met.normal, share)
+    load_a, load_b = jnp.stack([*reaction, *on_a, jnp.zeros_like(rise)]), jnp.stack([*force, *on_b, rise])
     touch = None
     if system.statistics is not None:
         begins = (memory.overlap <= 0) & (inside > 0)
         touch = jnp.stack([jnp.where(begins, approach / system.dt, 0), said.push if share is None else share * said.push])
-    return Contacts(after, load_a, load_b, _rise(system, said, met.normal, share), deepest, touch)
+    return Contacts(after, load_a, load_b, deepest, touch)
 
 
 def _rise(system: System, said: Response, normal: Vector, share: Array | None) -> Array:
-    """``Contacts.rise``."""
+    """Of the force on b along gravity, [P] (N)."""
     if said.rise is None:
         return jnp.zeros_like(said.push)
     rise = said.rise * vector.dot(normal, downward(system))

@@ -70,7 +70,7 @@ def entered(
 def _by_column(
     system: System, state: State, panels: boundary.Panels, touches: dict[str, Array | None]
 ) -> tuple[Array, Array]:
-    """Of each column of Loads the place on the panels, [columns] int32, and what touches say, [2, columns]."""
+    """Of each column of Scratch.loads the place on the panels, [columns] int32, and what touches say, [2, columns]."""
     places, rows = list[Array](), list[Array]()
     for kind, table in state.contacts.items():
         touch, none = touches[kind], jnp.zeros_like(table.a)
@@ -97,7 +97,7 @@ def _places(system: System, state: State, kind: str, panels: boundary.Panels) ->
 
 def _loads(state: State, panels: boundary.Panels, columns: Array, is_of: Array) -> Array:
     """Collisions.load now."""
-    each = state.scratch.loads.on[:, columns]  # [6, touching, N]
+    each = state.scratch.loads[:6, columns]  # [6, touching, N]
     load = jnp.sum(jnp.where(is_of[None], each[:, :, None], 0), axis=1)
     force, torque = vector.unpack(load[:3]), vector.unpack(load[3:])
     arm = vector.sub(vector.unpack(state.position[:, None]), vector.each(lambda c: c[:, None], panels.pivot))

@@ -16,10 +16,10 @@ from dem_jax.contact.met import Met, met, no_met, of_pieces
 from dem_jax.maths import vector
 from dem_jax.maths.table import columns
 from dem_jax.maths.vector import Vector
-from dem_jax.types import Array, ContactTable, Facing, Loads, Memory, Near, Slots, State, System, WallLoads
+from dem_jax.types import Array, ContactTable, Facing, Memory, Near, Slots, State, System, WallLoads
 
 T = TypeVar("T")
-OfKind = tuple[Memory, Facing | None, Loads, Array, Array | None]  # what ``_contacts_of_kind`` says, and carries by blocks
+OfKind = tuple[Memory, Facing | None, Array, Array, Array | None]  # what ``_contacts_of_kind`` says, and carries by blocks
 
 
 class Sides(NamedTuple):
@@ -54,7 +54,7 @@ def contacts(system: System, state: State, omega: Array, panels: boundary.Panels
     return state.moved(force=on_pieces[:3], torque=on_pieces[3:]).replace(walls=on_walls, ledger=ledger, collisions=counted)
 
 
-def _contacts_of_kind(system: System, state: State, kind: str, stacked: Array, loads: Loads, column: int) -> OfKind:
+def _contacts_of_kind(system: System, state: State, kind: str, stacked: Array, loads: Array, column: int) -> OfKind:
     """The memory of a kind after this step, which faces look at each other, the loads with those of its contacts
     from ``column`` on, the largest overlap, and the touches as of Contacts. Block by block of slots, as far as slots are
     filled: what is free costs nothing."""
@@ -146,11 +146,10 @@ def _sides(stacked: Array, slots: Slots, memory: Memory) -> Sides:
     return Sides(memory, slots, a, b, bodies.offset(a, b))
 
 
-def _put(loads: Loads, part: Contacts, first: Array | int, room: int) -> Loads:
+def _put(loads: Array, part: Contacts, first: Array | int, room: int) -> Array:
     """The loads with those of some contacts, of a kind with so many slots, from column ``first`` on."""
-    on = jax.lax.dynamic_update_slice_in_dim(loads.on, part.load_b, first, 1)
-    on = jax.lax.dynamic_update_slice_in_dim(on, part.load_a, room + first, 1)
-    return Loads(on, jax.lax.dynamic_update_slice_in_dim(loads.rise, part.rise, first, 0))
+    loads = jax.lax.dynamic_update_slice_in_dim(loads, part.load_b, first, 1)
+    return jax.lax.dynamic_update_slice_in_dim(loads, part.load_a, room + first, 1)
 
 
 def _known(near: Near | None, facing: Facing | None, of: Callable[[Any], Any] = lambda tree: tree) -> Known:
@@ -191,7 +190,7 @@ def _loads_of_pieces(system: System, state: State) -> Array:
     Gathers and sums: the same bits every time, on a GPU too, where adding up in place is not.
     """
     loads = state.scratch.loads
-    rows = lambda k: columns(loads.on, state.incidence[k])  # noqa: E731
+    rows = lambda k: columns(loads, state.incidence[k])[:6]  # noqa: E731
     return _added_up(system, rows, state.scratch.busiest)
 
 
@@ -203,8 +202,7 @@ def _loads_of_walls(system: System, state: State, panels: boundary.Panels) -> tu
 
     def rows(k: Array) -> Array:
         column, group = scratch.walled[0, k], scratch.walled[1, k]
-        load = jnp.concatenate([columns(scratch.loads.on, column), columns(scratch.loads.rise, column)[None]])
-        return jnp.where(group[None] == number, -load[:, None], 0)
+        return jnp.where(group[None] == number, -columns(scratch.loads, column)[:, None], 0)
 
     load = _added_up(system, rows, scratch.most_walled)  # [7, G, N], the torque about each piece's centre
     place = vector.each(lambda c: c[None], vector.unpack(state.position))

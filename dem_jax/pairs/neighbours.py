@@ -23,7 +23,7 @@ from dem_jax.maths.compaction import EMPTY, compact, grouped, in_order
 from dem_jax.maths.vector import Vector
 from dem_jax.pairs import search
 from dem_jax.pairs.slots import constants
-from dem_jax.types import Array, ContactTable, Facing, Guard, Loads, Memory, Near, Scratch, Slots, State, System, host
+from dem_jax.types import Array, ContactTable, Facing, Guard, Memory, Near, Scratch, Slots, State, System, host
 
 T = TypeVar("T")
 
@@ -90,7 +90,7 @@ def rebuild(system: System, state: State, panels: boundary.Panels | None = None)
         busiest=jnp.minimum(incidence.most, system.touching),
         walled=incidence.walled,
         most_walled=incidence.most_walled,
-        loads=Loads(jnp.zeros((6, column + 1), stacked.dtype), jnp.zeros((column + 1,), stacked.dtype)),
+        loads=jnp.zeros((7, column + 1), stacked.dtype),
         since=state.step,
         way=jnp.zeros_like(lead),
         rate=jnp.zeros_like(lead),

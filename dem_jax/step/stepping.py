@@ -203,7 +203,7 @@ def _part(system: System, walls: boundary.Ahead, going: Going, record: Callable[
 def _advance_by(system: System, substeps: Array, state: State, walls: boundary.Ahead, done: Array) -> tuple[State, Array]:
     """From step ``done`` to step ``substeps`` of a part; without looking at contacts, and in one jump, where nothing is near
     anything. Returns the step that was reached: an earlier one where a look is due."""
-    near = of_run.any_of(system, state.incidence[0] < state.scratch.loads.rise.shape[0] - 1)  # [R]: whether a run has any contact
+    near = of_run.any_of(system, state.incidence[0] < state.scratch.loads.shape[1] - 1)  # [R]: whether a run has any contact
     if is_kept(system):
         until = lambda s: _until_due(system, substeps, s, walls, done)  # noqa: E731
         if system.runs > 1:
