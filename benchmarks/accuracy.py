@@ -38,7 +38,7 @@ DROP_HEAD = ("drop", "s per drop", "peak PIF (g)", "settled (ms)", "peak (%)", "
 class Impacts:
     """What was measured of impacts side by side, [K] each."""
 
-    peak: np.ndarray  # N
+    peak: np.ndarray  # N: as reported, of the top, also where that falls between two steps
     rebound: np.ndarray  # m/s: at separation (sphere), or of the corner that hit, at the end of the window
     impulse: np.ndarray  # N s, vertical, over the window
     quarter: float  # s: quarter period of the loading branch, central impact on the plate
@@ -145,7 +145,8 @@ def impacts(kind, begin, number, precision, restitution=0.1, softening=0.01, win
         rebound = np.sqrt(np.maximum(speed, 0) ** 2 + 2 * GRAVITY * apart)
     else:
         rebound = speed + _corner_speed(found.pieces, begin)
-    return Impacts(force.max(1), rebound, mean.sum(1) * quarter / number, quarter, _strikes_once(force))
+    peak = np.asarray(found.peak_force["plate"], float).max(1)
+    return Impacts(peak, rebound, mean.sum(1) * quarter / number, quarter, _strikes_once(force))
 
 
 def _strikes_once(force):
