@@ -63,8 +63,8 @@ def answer(
         met = met._replace(at_b=at_b, at_a=vector.add(at_b, offset))
     motion, approach = _motion(system, a, b, offset, memory, met)
     depth = within(system, slots, met.overlap)
-    doubt = _doubt(system, a, b, memory, met, depth)
-    inside = follow.overlap(memory.overlap, approach, doubt, depth, met.at_a, met.at_b)
+    deeper, doubt = _deepening(system, a, b, offset, memory, met, approach)
+    inside = follow.overlap(memory.overlap, deeper, doubt, depth, met.at_a, met.at_b)
     overlap = met.overlap + (inside - depth)
     slip = _slip(memory, motion, approach, met.normal, inside)
     roll = None if system.materials.rolling is None else vector.scale(system.dt, vector.sub(b.spin, a.spin))
@@ -108,24 +108,34 @@ def _motion(system: System, a: Body, b: Body, offset: Vector, memory: Memory, me
     way = vector.scale(system.dt, vector.sub(b.velocity, a.velocity))  # of the centres
     arm_b = vector.where(first, met.at_b, vector.scale(0.5, vector.add(vector.unpack(memory.point), met.at_b)))
     arm_a = vector.add(arm_b, vector.where(first, offset, vector.add_scaled(offset, -0.5, way)))
-    turn = vector.sub(vector.cross(b.spin, arm_b), vector.cross(a.spin, arm_a))
-    motion = vector.kept(*vector.add_scaled(way, system.dt, turn))
+    motion = vector.kept(*_moved(system, a, b, way, arm_a, arm_b))
     return motion, vector.kept(-vector.dot(motion, met.normal))
 
 
-def _doubt(system: System, a: Body, b: Body, memory: Memory, met: Met, depth: Array) -> Array:
-    """By how much the deepest point may approach more or less in this step than the contact point, [P] (m).
+def _moved(system: System, a: Body, b: Body, way: Vector, arm_a: Vector, arm_b: Vector) -> Vector:
+    """Way of a point of b relative to one of a, [P] x 3 (m); way: of their centres; the arms as at the middle of the step."""
+    return vector.add_scaled(way, system.dt, vector.sub(vector.cross(b.spin, arm_b), vector.cross(a.spin, arm_a)))
 
-    The contact point may go over to another corner, and it is the middle of the overlap: that is as wide as half of its
-    outline, which the weight is, over the depth.
+
+def _deepening(
+    system: System, a: Body, b: Body, offset: Vector, memory: Memory, met: Met, approach: Array
+) -> tuple[Array, Array]:
+    """How much deeper the deepest point has come in this step, and by how much that may be more or less, [P] (m).
+
+    Where that point is no corner it is not quite known, and may have been another.
     """
     spin = vector.scale(system.dt, vector.sub(b.spin, a.spin))
     moved = vector.cross(spin, vector.sub(met.at_b, vector.unpack(memory.point)))
     doubt = 0.5 * jnp.abs(vector.dot(moved, met.normal))
-    if met.weight is None:
-        return doubt
-    wide = met.weight / jnp.where(depth > 0, depth, 1)
-    return doubt + jnp.where(depth > 0, wide, 0) * (jnp.abs(spin[0]) + jnp.abs(spin[1]) + jnp.abs(spin[2]))
+    if met.deepest is None:
+        return approach, doubt
+    (point, spread), way = met.deepest, vector.scale(system.dt, vector.sub(b.velocity, a.velocity))
+    arm_b = vector.add_scaled(point, -0.5 * system.dt, vector.cross(b.spin, point))
+    arm_a = vector.add(arm_b, vector.add_scaled(offset, -0.5, way))
+    corner = -vector.dot(_moved(system, a, b, way, arm_a, arm_b), met.normal)
+    doubt = doubt + spread * (jnp.abs(spin[0]) + jnp.abs(spin[1]) + jnp.abs(spin[2]))
+    deeper, doubt = vector.kept(jnp.where(spread > 0, approach, corner), jnp.where(spread > 0, doubt, 0))
+    return deeper, doubt
 
 
 def _at_most(slots: Slots, before: Array, overlap: Array, approach: Array) -> Array:

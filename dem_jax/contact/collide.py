@@ -33,6 +33,7 @@ STEEP = 0.1  # least cosine of the angle of a face to the contact normal along w
 SEAM_SLOPE = 10.0
 PART_EDGE = 1e-5  # of a part's bounding radius: a sphere that touches the body no further beside a part touches the part
 SEAM_SINE = 1e-5  # a sphere's normal that points across a seam by no more is taken to stand on both panels
+FLAT = 8.0  # roundings: an edge that lies across the normal by less has no end that is deeper than the other
 FEW = 64  # rows that are gone through one after the other: the program grows with them
 AT_ONCE = 8  # rows of which an extreme is found in one go
 
@@ -49,6 +50,13 @@ class Relative(NamedTuple):
     offset: Vector  # [P] x 3 (m): origin of b in a's frame
 
 
+class Deepest(NamedTuple):
+    """Where bodies overlap most, by whose way the overlap grows."""
+
+    point: Vector  # [P] x 3 (m), in the frame of the contact
+    spread: Array  # [P] (m): it may be so far from there; 0: it is that corner
+
+
 class Geometry(NamedTuple):
     """A contact as geometry, in the frame of body a."""
 
@@ -56,6 +64,7 @@ class Geometry(NamedTuple):
     normal: Vector  # [P] x 3, unit, from a to b
     point: Vector  # [P] x 3 (m)
     weight: Array | None = None  # [P]: how much of the overlap is this body's, where panels continue each other
+    deepest: Deepest | None = None  # of polytopes; None: the contact point
 
 
 def hull_hull(a: Hulls, b: Hulls, rel: Relative, axes: Separation | None = None) -> Geometry:
@@ -64,7 +73,35 @@ def hull_hull(a: Hulls, b: Hulls, rel: Relative, axes: Separation | None = None)
     axes: what ``separating_axes`` says of them, if that is known already.
     """
     depth, normal, along = axes or separating_axes(a, b, rel)
-    return Geometry(depth, normal, *pressure_centre(a, b, rel, along, normal))
+    point, weight = pressure_centre(a, b, rel, along, normal)
+    return Geometry(depth, normal, point, weight, _deepest(a, b, rel, normal, about(point, weight, along)))
+
+
+def about(point: Vector, weight: Array, depth: Array) -> Deepest:
+    """The deepest point where it is no corner: the contact point, [P] x 3 (m), is the middle of the overlap, which is as wide as
+    half of its outline, which the weight (m2) is, over the depth (m)."""
+    return Deepest(point, jnp.where(depth > 0, weight / jnp.where(depth > 0, depth, 1), 0))
+
+
+def _deepest(a: Hulls, b: Hulls, rel: Relative, normal: Vector, between: Deepest) -> Deepest:
+    """Of zonotopes the corner that touches alone, if there is one; between: else."""
+    of_a, flat_a = _furthest(a.directions, a, normal)
+    of_b, flat_b = _furthest(vector.rotate(vector.expand_matrix(rel.rotation, 0), b.directions), b, vector.scale(-1, normal))
+    corner = vector.where(flat_b, of_a, vector.add(rel.offset, of_b))
+    flat = flat_a & flat_b
+    return Deepest(vector.where(flat, between.point, corner), jnp.where(flat, between.spread, 0))
+
+
+def _furthest(directions: Vector, of: Hulls, normal: Vector) -> tuple[Vector, Array]:
+    """The corner of a zonotope that lies furthest along a normal, [P] x 3 (m), about its centre, and whether others lie as far.
+
+    directions: [D, P] x 3, of its edges, in the frame of the normal.
+    """
+    assert of.half_lengths is not None
+    along = dot(expand(normal, 0), directions)
+    half = jnp.where(along > 0, of.half_lengths, -of.half_lengths)
+    x, y, z = (jnp.sum(half * c, axis=0) for c in directions)
+    return (x, y, z), jnp.min(jnp.abs(along), axis=0) < FLAT * float(jnp.finfo(along.dtype).eps)
 
 
 def separating_axes(a: Hulls, b: Hulls, rel: Relative) -> Separation:

@@ -9,9 +9,9 @@ velocities. So the overlap goes on by that, held within the slack
 of the depth, with the arms from both centres to the contact point: what is not rounding the geometry decides. Of first touch
 no more than the approach can be overlap. In double precision the depth is taken as it is.
 
-By velocities the overlap is known but for the way of the deepest point from that of the contact point, the middle of the
-overlap, and where the contact point goes over to another corner, that of the one from that of the other. Within this doubt
-it is the depth.
+That is the approach of the deepest point, not of the contact point, the middle of the overlap. Where it is a corner it is known;
+where edges cross, and of faces that lie on each other, it is somewhere in the overlap, and may go over to another corner. Within
+this doubt the overlap is the depth.
 """
 
 import jax.numpy as jnp
@@ -26,8 +26,8 @@ ROUNDING = 2.0  # of the last place of all arms together: what the depth of poly
 def overlap(before: Array, approach: Array, doubt: Array, depth: Array, at_a: Vector, at_b: Vector) -> Array:
     """Overlap now, [P] (m); not positive: separated.
 
-    before: [P] (m), that of the last step, 0 where separated; approach: [P] (m) in this step; doubt: [P] (m), by how much the
-    overlap may gain more or less than that; depth: [P] (m) by geometry; at_a, at_b: [P] x 3 (m), the contact point about both
+    before: [P] (m), that of the last step, 0 where separated; approach: [P] (m) of the deepest point in this step; doubt: [P] (m),
+    by how much it may be more or less; depth: [P] (m) by geometry; at_a, at_b: [P] x 3 (m), the contact point about both
     centres.
     """
     if depth.dtype == jnp.float64:

@@ -111,7 +111,7 @@ def _of_shared_surfaces(system: System, state: State, kind: str, stacked: Array,
         part = if_any(there, lambda: seams.own(rows, met(rows, a, b, offset, rest())), lambda: block_of(nothing, k, size))
         return with_block(carry, (part, facing), k, size)
 
-    nothing = no_met(room, stacked.dtype)
+    nothing = no_met(kind, room, stacked.dtype)
     touch, facing = by_blocks(touched, (nothing, start[1]))
     assert touch.weight is not None
     weight = jnp.where(within(system, slots, touch.overlap) > 0, touch.weight, 0)

@@ -1,6 +1,7 @@
 """Kinds of contact by what computes their geometry: spheres, polytopes, a polytope and a sphere, a panel and a sphere."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -105,10 +106,10 @@ def _centred(
 ) -> collide.Geometry:
     """Contact of polytopes whose axes are known; reach: [P] or [1] (m), None of a law without."""
     if reach is None:
-        return collide.Geometry(axes.depth, axes.normal, *near.pressure_centre(table, rows, faces, planes, rel, axes))
+        return collide.Geometry(axes.depth, axes.normal, *near.touched(table, rows, faces, planes, rel, axes))
     nearer = rel._replace(offset=vector.add_scaled(rel.offset, -reach, axes.normal))
-    point, weight = near.pressure_centre(table, rows, faces, planes, nearer, axes._replace(along=axes.along + reach))
-    return collide.Geometry(axes.depth, axes.normal, vector.add_scaled(point, 0.5 * reach, axes.normal), weight)
+    point, weight, deepest = near.touched(table, rows, faces, planes, nearer, axes._replace(along=axes.along + reach))
+    return collide.Geometry(axes.depth, axes.normal, vector.add_scaled(point, 0.5 * reach, axes.normal), weight, deepest)
 
 
 def _between_zonotopes(
@@ -147,4 +148,6 @@ def is_kept(system: System) -> bool:
 def _in_world(found: collide.Geometry, a: Body) -> collide.Geometry:
     """The same in world axes."""
     assert a.rotation is not None
-    return found._replace(normal=vector.rotate(a.rotation, found.normal), point=vector.rotate(a.rotation, found.point))
+    turned = partial(vector.rotate, a.rotation)
+    deepest = found.deepest and found.deepest._replace(point=turned(found.deepest.point))
+    return found._replace(normal=turned(found.normal), point=turned(found.point), deepest=deepest)

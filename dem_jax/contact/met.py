@@ -7,6 +7,7 @@ from jax.typing import DTypeLike
 
 from dem_jax.contact import collide
 from dem_jax.contact.bodies import Body
+from dem_jax.contact.collide import Deepest
 from dem_jax.maths import vector
 from dem_jax.maths.vector import Vector
 from dem_jax.types import Array, Slots
@@ -20,16 +21,21 @@ class Met(NamedTuple):
     at_a: Vector  # [P] x 3 (m): where they touch, from the centre of a
     at_b: Vector  # from that of b
     weight: Array | None  # [P]: as of ``collide.Geometry``
+    deepest: Deepest | None  # from the centre of b; None: where they touch
 
 
 def met(slots: Slots, a: Body, b: Body, offset: Vector, shape: collide.Geometry) -> Met:
     """Contacts of a shape in world axes, about the centre of a."""
     overlap = jnp.where(slots.live, shape.depth, -1)
-    at_b = vector.sub(shape.point, offset)
-    if a.arm is None or b.arm is None:
-        return Met(overlap, shape.normal, shape.point, at_b, shape.weight)
-    at_b = vector.add(at_b, b.arm)  # from here on about the centres of the pieces
-    return Met(overlap, shape.normal, vector.add(at_b, of_pieces(a, b, offset)), at_b, shape.weight)
+
+    def from_b(point: Vector) -> Vector:
+        part = vector.sub(point, offset)
+        return part if b.arm is None else vector.add(part, b.arm)
+
+    at_b = from_b(shape.point)
+    at_a = shape.point if a.arm is None else vector.add(at_b, of_pieces(a, b, offset))
+    deepest = shape.deepest and shape.deepest._replace(point=from_b(shape.deepest.point))
+    return Met(overlap, shape.normal, at_a, at_b, shape.weight, deepest)
 
 
 def of_pieces(a: Body, b: Body, offset: Vector) -> Vector:
@@ -37,7 +43,8 @@ def of_pieces(a: Body, b: Body, offset: Vector) -> Vector:
     return offset if a.arm is None or b.arm is None else vector.add(offset, vector.sub(a.arm, b.arm))
 
 
-def no_met(room: int, dtype: DTypeLike) -> Met:
-    """So many slots in which nothing touches."""
+def no_met(kind: str, room: int, dtype: DTypeLike) -> Met:
+    """So many slots of a kind in which nothing touches."""
     zero = jnp.zeros((room,), dtype)
-    return Met(zero - 1, (zero,) * 3, (zero,) * 3, (zero,) * 3, zero)
+    deepest = Deepest((zero,) * 3, zero) if kind == "hulls" else None
+    return Met(zero - 1, (zero,) * 3, (zero,) * 3, (zero,) * 3, zero, deepest)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from dem_jax.contact.collide import FACE_PREFERENCE, Relative, clipped, crossings, entry, near_b, steepness, vectors
+from dem_jax.contact.collide import FACE_PREFERENCE, Deepest, Relative, about, clipped, crossings, entry, near_b, steepness, vectors
 from dem_jax.contact.edges import couples
 from dem_jax.contact.look import facing, look, outward
 from dem_jax.maths import vector
@@ -136,8 +136,11 @@ def every_plane(hulls: Hulls, rows: Rows) -> Planes:
     return Planes(hulls.features.own_planes[..., jnp.stack(rows[::-1])], False)
 
 
-def pressure_centre(hulls: Hulls, rows: Rows, faces: Array, planes: Planes, rel: Relative, found: Axes) -> tuple[Vector, Array]:
-    """Centroid of the overlap weighted by depth, [P] x 3 (m), in a's frame, and its weight [P] (m2); of pairs [P].
+def touched(
+    hulls: Hulls, rows: Rows, faces: Array, planes: Planes, rel: Relative, found: Axes
+) -> tuple[Vector, Array, Deepest]:
+    """Centroid of the overlap weighted by depth, [P] x 3 (m), in a's frame, its weight [P] (m2), and where it is deepest; of
+    pairs [P].
 
     rows: of both, [P] int32; faces: of both, [2, P] int32; planes: that clip; found: depth along the normal.
 
@@ -166,7 +169,20 @@ def pressure_centre(hulls: Hulls, rows: Rows, faces: Array, planes: Planes, rel:
     scale = 1 / jnp.where(weight > 0, weight, 1)
     middle = found.top - 0.5 * found.along
     point = vector.where(weight > 0, vector.scale(scale, (x, y, z)), vector.scale(middle, found.normal))
-    return near_b(point, hulls.bounding_radius[rows[1]], rel, middle, found.normal), weight
+    point = near_b(point, hulls.bounding_radius[rows[1]], rel, middle, found.normal)
+    return point, weight, _deepest(corners, depth, steep, about(point, weight, found.along))
+
+
+def _deepest(corners: Vector, depth: Array, steep: Array, between: Deepest) -> Deepest:
+    """The corner that is deepest below a face across the normal of the contact, if there is one; between: else.
+
+    corners: [k, 2, P] x 3 (m), of the faces that look at each other; depth: [k, 2, P] (m), below the other; steep: [2, P].
+    """
+    _, corner = _least(-depth, corners)
+    of_b = steep[1] >= steep[0]  # the face across the normal is a's, so that the corner is b's
+    x, y, z = (jnp.where(of_b, c[1], c[0]) for c in corner)
+    flat = jnp.maximum(steep[0], steep[1]) < 1 - PARALLEL
+    return Deepest(vector.where(flat, between.point, (x, y, z)), jnp.where(flat, between.spread, 0))
 
 
 def _sides(a: Vector, b: Vector) -> Vector:

@@ -14,6 +14,7 @@ from typing import NamedTuple, TypeVar
 import jax
 import jax.numpy as jnp
 
+from dem_jax.contact import collide
 from dem_jax.contact.met import Met
 from dem_jax.maths import vector
 from dem_jax.maths.compaction import grouped
@@ -120,7 +121,13 @@ def joined(slots: Slots, met: Met, share: Array, before: Memory, own: Met, offse
         return one, memory
     pick, has_part = deepest[1][1], own.overlap > -1
     normal = vector.where(has_part, vector.at(met.normal, pick), own.normal)
-    return one._replace(overlap=jnp.where(has_part, met.overlap[pick], own.overlap), normal=normal), memory
+    overlap = jnp.where(has_part, met.overlap[pick], own.overlap)
+    return one._replace(overlap=overlap, normal=normal, deepest=_picked(has_part, pick, met.deepest, own.deepest)), memory
+
+
+def _picked(there: Array, pick: Array, of_all: collide.Deepest | None, own: collide.Deepest | None) -> collide.Deepest | None:
+    """The deepest points of picked slots where they are there, else their own."""
+    return jax.tree.map(lambda rows, row: jnp.where(there, rows[pick], row), of_all, own)
 
 
 def _deeper(best: Deepest, overlap: Array, slot: Array, there: Array) -> Deepest:
