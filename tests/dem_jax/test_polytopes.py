@@ -44,7 +44,7 @@ def from_all(table, rows, rel):
     axes = near.axes(found, rel)
     facing = look.facing(table.features, rows, axes.normal, rel)
     faces = near.looking(facing, axes.normal, rel)
-    return found, facing, axes, faces, near.pressure_centre(table, rows, faces, near.every_plane(table, rows), rel, axes)
+    return found, facing, axes, faces, near.touched(table, rows, faces, near.every_plane(table, rows), rel, axes)[:2]
 
 
 @partial(jax.jit, compiler_options=known("cpu"))
@@ -55,7 +55,7 @@ def from_near(table, rows, kept, facing, rel):
     facing = near.faced(table, facing, rows, axes.normal, touching, rel)
     faces = near.looking(facing, axes.normal, rel)
     centre, in_full = (
-        near.pressure_centre(table, rows, faces, near.Planes(kept.clipping, is_wide), rel, axes)[0] for is_wide in (False, True)
+        near.touched(table, rows, faces, near.Planes(kept.clipping, is_wide), rel, axes)[0] for is_wide in (False, True)
     )
     return axes, faces, centre, in_full, near.moved(kept, table.bounding_radius[rows[1]], rel)
 
