@@ -6,8 +6,9 @@ from scipy.spatial.transform import Rotation
 
 from dem_jax import build, simulate, validation
 
-# The last two first touched, in single precision, with an overlap that had no contact point.
-TURNS = Rotation.concatenate([Rotation.random(6, random_state=3), Rotation.random(120, random_state=11)[[15, 28]]])
+# The last two first touched, in single precision, with an overlap that had no contact point; by the way of that point, not of the
+# deepest corner, the peak of the one before them was 0.11 % off at 0.1 m/s.
+TURNS = Rotation.concatenate([Rotation.random(5, random_state=3), Rotation.random(120, random_state=11)[[13, 15, 28]]])
 RUN = {"duration": 8e-4, "sample": 8e-6, "frames": 8e-4, "energy": False}  # s: two or three corners hit, one after the other
 STIFF = {"softening": 1.0, "restitution": 0.5, "separation": 0.0, "friction_wall": 0.3}
 SIZE = 0.0167  # m
@@ -42,7 +43,7 @@ SPEEDS = [1e-3, 0.1, 10.0, *(pytest.param(speed, marks=pytest.mark.long) for spe
 def test_a_tilted_stiff_impact_in_single_precision_is_that_in_double(speed, place):
     for turn in TURNS:
         (peak, motion), (exact, true) = (landed(speed, turn, place, precision) for precision in ("f32", "f64"))
-        assert peak == pytest.approx(exact, rel=1e-3)
+        assert peak == pytest.approx(exact, rel=3e-4)
         assert np.abs(motion - true).max() < 5e-4 * speed
         assert np.abs(true + [0, 0, speed, 0, 0, 0]).max() > 0.1 * speed  # it did hit
 
