@@ -201,8 +201,8 @@ def test_loads_of_contacts_are_not_padded_by_the_compiled_program():
     built = build.build(scene, 0)
     rows = 2 * sum(slots for *_, slots in built.system.capacity) + 1
     text = compiling.jit(stepping.step, "cpu").lower(built.system, built.state).compile().as_text()
-    assert f"f32[6,{rows}]" in text
-    assert not re.search(rf"f32\[6,{rows}\]\S* pad\(", text)
+    assert f"f32[7,{rows}]" in text
+    assert not re.search(rf"f32\[7,{rows}\]\S* pad\(", text)
 
 
 @pytest.mark.parametrize("shape", [{}, {"portion.shape": "sphere", "portion.radius": 0.01}], ids=["polytopes", "spheres"])
