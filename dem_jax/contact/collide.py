@@ -83,13 +83,17 @@ def about(point: Vector, weight: Array, depth: Array) -> Deepest:
     return Deepest(point, jnp.where(depth > 0, weight / jnp.where(depth > 0, depth, 1), 0))
 
 
+def corner_unless(flat: Array, corner: Vector, between: Deepest) -> Deepest:
+    """The deepest point: a corner, [P] x 3 (m), but where there is none alone, [P] bool."""
+    return Deepest(vector.where(flat, between.point, corner), jnp.where(flat, between.spread, 0))
+
+
 def _deepest(a: Hulls, b: Hulls, rel: Relative, normal: Vector, between: Deepest) -> Deepest:
     """Of zonotopes the corner that touches alone, if there is one; between: else."""
     of_a, flat_a = _furthest(a.directions, a, normal)
     of_b, flat_b = _furthest(vector.rotate(vector.expand_matrix(rel.rotation, 0), b.directions), b, vector.scale(-1, normal))
     corner = vector.where(flat_b, of_a, vector.add(rel.offset, of_b))
-    flat = flat_a & flat_b
-    return Deepest(vector.where(flat, between.point, corner), jnp.where(flat, between.spread, 0))
+    return corner_unless(flat_a & flat_b, corner, between)
 
 
 def _furthest(directions: Vector, of: Hulls, normal: Vector) -> tuple[Vector, Array]:

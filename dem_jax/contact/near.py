@@ -9,7 +9,19 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from dem_jax.contact.collide import FACE_PREFERENCE, Deepest, Relative, about, clipped, crossings, entry, near_b, steepness, vectors
+from dem_jax.contact.collide import (
+    FACE_PREFERENCE,
+    Deepest,
+    Relative,
+    about,
+    clipped,
+    corner_unless,
+    crossings,
+    entry,
+    near_b,
+    steepness,
+    vectors,
+)
 from dem_jax.contact.edges import couples
 from dem_jax.contact.look import facing, look, outward
 from dem_jax.maths import vector
@@ -181,8 +193,7 @@ def _deepest(corners: Vector, depth: Array, steep: Array, between: Deepest) -> D
     _, corner = _least(-depth, corners)
     of_b = steep[1] >= steep[0]  # the face across the normal is a's, so that the corner is b's
     x, y, z = (jnp.where(of_b, c[1], c[0]) for c in corner)
-    flat = jnp.maximum(steep[0], steep[1]) < 1 - PARALLEL
-    return Deepest(vector.where(flat, between.point, (x, y, z)), jnp.where(flat, between.spread, 0))
+    return corner_unless(jnp.maximum(steep[0], steep[1]) < 1 - PARALLEL, (x, y, z), between)
 
 
 def _sides(a: Vector, b: Vector) -> Vector:

@@ -14,7 +14,7 @@ from typing import NamedTuple, TypeVar
 import jax
 import jax.numpy as jnp
 
-from dem_jax.contact import collide
+from dem_jax.contact.collide import Deepest
 from dem_jax.contact.met import Met
 from dem_jax.maths import vector
 from dem_jax.maths.compaction import grouped
@@ -24,7 +24,7 @@ from dem_jax.types import Array, Memory, Siblings, Slots, System
 ONE_WAY = 0.98  # cosine between normals, from which on contacts with parts of one body are one
 
 T = TypeVar("T")
-Deepest = tuple[Array, Array]  # an overlap (m), and the slot that has it
+Best = tuple[Array, Array]  # an overlap (m), and the slot that has it
 
 
 class Kin(NamedTuple):
@@ -108,7 +108,7 @@ def joined(slots: Slots, met: Met, share: Array, before: Memory, own: Met, offse
     overlaps = (before.overlap,) if slots.surface_b is None else (before.overlap, met.overlap)
     nothing = (jnp.full(of.number.shape, -jnp.inf, share.dtype), of.itself)  # how deep the deepest so far is, and which it is
 
-    def another(so_far: tuple[Vector, list[Deepest]], slot: Array, there: Array) -> tuple[Vector, list[Deepest]]:
+    def another(so_far: tuple[Vector, list[Best]], slot: Array, there: Array) -> tuple[Vector, list[Best]]:
         total, deepest = so_far
         total = vector.add(total, vector.each(lambda c: jnp.where(there, c[slot], 0), parts))
         return total, [_deeper(best, overlap[slot], slot, there) for best, overlap in zip(deepest, overlaps, strict=True)]
@@ -125,12 +125,12 @@ def joined(slots: Slots, met: Met, share: Array, before: Memory, own: Met, offse
     return one._replace(overlap=overlap, normal=normal, deepest=_picked(has_part, pick, met.deepest, own.deepest)), memory
 
 
-def _picked(there: Array, pick: Array, of_all: collide.Deepest | None, own: collide.Deepest | None) -> collide.Deepest | None:
+def _picked(there: Array, pick: Array, of_all: Deepest | None, own: Deepest | None) -> Deepest | None:
     """The deepest points of picked slots where they are there, else their own."""
     return jax.tree.map(lambda rows, row: jnp.where(there, rows[pick], row), of_all, own)
 
 
-def _deeper(best: Deepest, overlap: Array, slot: Array, there: Array) -> Deepest:
+def _deeper(best: Best, overlap: Array, slot: Array, there: Array) -> Best:
     """The best so far or this slot, the first of equals."""
     most, pick = best
     more = there & (overlap > most)

@@ -27,14 +27,15 @@ def fallen(run):
 
 
 def test_a_piece_that_stays_wedged_is_borne_by_the_feed_bucket():
-    """But for what slows down a piece that still rocks, which is seen in the momentum of all, and is a hundredth of the weight."""
+    """But for what slows down pieces that still move, as the momentum of all says. Wedged ones rock: at 1 cm/s, which is what a
+    change of momentum of 0.5 % of the weight in 0.4 s amounts to."""
     run = drop(**{"feed_bucket.opening_angle_deg": 12.0, "feed_bucket.open_dwell": 1.0})
     feed, weigh = (sum(borne(run, f"{name}_{part}", 0.4) for part in ("walls", "flaps")) for name in ("fb", "wb"))
     left = round(feed / PIECE)
     assert 1 <= left <= 8
-    np.testing.assert_allclose([feed, weigh], [left * PIECE, (9 - left) * PIECE], rtol=0.02)
     last = np.flatnonzero(run.time > run.time[-1] - 0.4)
     slowed = (run.momentum[-1, 2] - run.momentum[last[0] - 1, 2]) / (run.time[-1] - run.time[last[0] - 1]) / 9.81
+    np.testing.assert_allclose([feed, weigh - slowed], [left * PIECE, (9 - left) * PIECE], rtol=5e-3)
     assert feed + weigh == pytest.approx(9 * PIECE + slowed, rel=1e-6)
     np.testing.assert_allclose(run.settled_mass["wb"][-1], (9 - left) * PIECE, rtol=1e-5)
 

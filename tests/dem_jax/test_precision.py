@@ -8,7 +8,7 @@ from dem_jax import build, simulate, validation
 
 # The last two first touched, in single precision, with an overlap that had no contact point; by the way of that point, not of the
 # deepest corner, the peak of the one before them was 0.11 % off at 0.1 m/s.
-TURNS = Rotation.concatenate([Rotation.random(5, random_state=3), Rotation.random(120, random_state=11)[[13, 15, 28]]])
+TURNS = Rotation.concatenate([Rotation.random(6, random_state=3), Rotation.random(120, random_state=11)[[13, 15, 28]]])
 RUN = {"duration": 8e-4, "sample": 8e-6, "frames": 8e-4, "energy": False}  # s: two or three corners hit, one after the other
 STIFF = {"softening": 1.0, "restitution": 0.5, "separation": 0.0, "friction_wall": 0.3}
 SIZE = 0.0167  # m
