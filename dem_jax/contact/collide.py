@@ -90,22 +90,24 @@ def corner_unless(flat: Array, corner: Vector, between: Deepest) -> Deepest:
 
 def _deepest(a: Hulls, b: Hulls, rel: Relative, normal: Vector, between: Deepest) -> Deepest:
     """Of zonotopes the corner that touches alone, if there is one; between: else."""
-    of_a, flat_a = _furthest(a.directions, a, normal)
-    of_b, flat_b = _furthest(vector.rotate(vector.expand_matrix(rel.rotation, 0), b.directions), b, vector.scale(-1, normal))
-    corner = vector.where(flat_b, of_a, vector.add(rel.offset, of_b))
+    of_a, flat_a = _furthest(a, normal)
+    of_b, flat_b = _furthest(b, vector.scale(-1, vector.rotate_back(rel.rotation, normal)))
+    corner = vector.where(flat_b, of_a, vector.add(rel.offset, vector.rotate(rel.rotation, of_b)))
     return corner_unless(flat_a & flat_b, corner, between)
 
 
-def _furthest(directions: Vector, of: Hulls, normal: Vector) -> tuple[Vector, Array]:
-    """The corner of a zonotope that lies furthest along a normal, [P] x 3 (m), about its centre, and whether others lie as far.
+def _furthest(of: Hulls, normal: Vector) -> tuple[Vector, Array]:
+    """The corner of a zonotope that lies furthest along a normal, [P] x 3 (m), in its frame, and whether others lie as far.
 
-    directions: [D, P] x 3, of its edges, in the frame of the normal.
+    Edge by edge: where a kernel has several sums over rows, XLA writes all that comes before anew for each.
     """
     assert of.half_lengths is not None
-    along = dot(expand(normal, 0), directions)
-    half = jnp.where(along > 0, of.half_lengths, -of.half_lengths)
-    x, y, z = (jnp.sum(half * c, axis=0) for c in directions)
-    return (x, y, z), jnp.min(jnp.abs(along), axis=0) < FLAT * float(jnp.finfo(along.dtype).eps)
+    edges = [vector.at(of.directions, k) for k in range(of.directions[0].shape[0])]
+    along = [dot(normal, edge) for edge in edges]
+    half = [jnp.where(height > 0, length, -length) for height, length in zip(along, of.half_lengths, strict=True)]
+    x, y, z = (_sum(length * edge[k] for length, edge in zip(half, edges, strict=True)) for k in range(3))
+    flat = FLAT * float(jnp.finfo(normal[0].dtype).eps)
+    return (x, y, z), reduce(jnp.minimum, map(jnp.abs, along)) < flat
 
 
 def separating_axes(a: Hulls, b: Hulls, rel: Relative) -> Separation:
