@@ -21,6 +21,7 @@ answer of a look is exact as long as that of those left out exceeds the depth (o
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 
 from dem_jax.contact.collide import Relative
@@ -271,17 +272,19 @@ def overlap_at_most(features: Features, rows: tuple[Array, Array], rel: Relative
     of_b = kept(*vector.add(vector.rotate(turn, own_b), d))
     of_a = kept(*vector.rotate_back(turn, vector.sub(own_a, d)))
     overlap = jnp.minimum(_along_axes(own_a, of_b), _along_axes(of_a, own_b))
-    way = rel.offset  # from a point of a to one of b
-    for _ in range(STEPS):
+
+    def nearer(_: Array, found: tuple[Array, Vector]) -> tuple[Array, Vector]:
+        overlap, way = found  # way: from a point of a to one of b
         high, low = dot(expand(way, 0), own_a), dot(expand(way, 0), of_b)
         most, least = jnp.max(high, axis=0), jnp.min(low, axis=0)
         length = jnp.maximum(vector.norm(way), jnp.finfo(most.dtype).tiny ** 0.5)
-        overlap = jnp.minimum(overlap, (most - least) / length)
         tip = vector.sub(_at(of_b, low == least[None]), _at(own_a, high == most[None]))
         back = vector.sub(way, tip)
         part = dot(way, back) / jnp.maximum(dot(back, back), jnp.finfo(most.dtype).tiny)
         way = kept(*vector.add_scaled(way, -jnp.clip(part, 0, 1), back))
-    return overlap
+        return jnp.minimum(overlap, (most - least) / length), way
+
+    return jax.lax.fori_loop(0, STEPS, nearer, (overlap, rel.offset))[0]
 
 
 def _along_axes(a: Vector, b: Vector) -> Array:

@@ -71,7 +71,7 @@ def test_flags_of_the_person_are_left_alone(monkeypatch):
     monkeypatch.setattr(compiling, "is_in_use", lambda: False)
     compiling.loops_as_one()
     compiling.loops_as_one(unrolled=True)  # the first call decides
-    assert os.environ["XLA_FLAGS"] == f"--xla_cpu_enable_fast_math=false {compiling.SMALL_LOOPS},{compiling.NOT_UNROLLED}"
+    assert os.environ["XLA_FLAGS"] == f"--xla_cpu_enable_fast_math=false {compiling.LOOPS},{compiling.NOT_UNROLLED}"
 
 
 def test_of_an_ensemble_loops_are_unrolled():
@@ -87,7 +87,7 @@ def test_of_an_ensemble_loops_are_unrolled():
         done = subprocess.run([sys.executable, "-c", program, which], env=settings, capture_output=True, text=True)
         assert not done.returncode and "Warning" not in done.stderr, done.stderr
         said[which] = done.stdout.strip()
-    assert said == {"ensemble": compiling.SMALL_LOOPS, "run": f"{compiling.SMALL_LOOPS},{compiling.NOT_UNROLLED}"}
+    assert said == {"ensemble": compiling.LOOPS, "run": f"{compiling.LOOPS},{compiling.NOT_UNROLLED}"}
 
 
 def test_a_warning_says_that_it_is_too_late_to_make_one_function_of_each_loop(monkeypatch):
