@@ -115,6 +115,16 @@ def test_a_piece_on_a_slope_comes_to_rest(damped):
     assert fell < lost[-1] < 1.5 * fell  # it slides on a little
 
 
+@pytest.mark.parametrize("restitution", [0.1, 0.5])
+def test_what_rings_up_to_the_loading_line_in_each_period_comes_to_rest(restitution):
+    piece = {"position": (0.0, 0.0, 0.008 + 1e-4)}
+    made = build.build(validation.plate_scene(piece, (0.0, 0.0, -G), restitution=restitution, rest_damping=0.2))
+    found = jax.tree.map(np.asarray, slow_motion(made.system, made.state))
+    assert np.abs(found["velocity"][:100]).max() > 1e-3
+    assert found["age"][-1] > 1
+    assert np.abs(found["velocity"][-50:]).max() < 1e-12
+
+
 @pytest.mark.parametrize("orientation", TILTED, ids=["face", "edge", "corner"])
 def test_no_impact_feels_the_damping_at_rest(damped, orientation):
     q = np.asarray(orientation) / np.linalg.norm(orientation)

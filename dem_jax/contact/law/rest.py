@@ -7,8 +7,9 @@ between both lines for longer than
 
     T = 10 pi / 2 sqrt(m / K_nl)
 
-without touching either rests, until it has been on one of them for longer than T / 10 (in single precision rounding takes a
-contact there for a step or two). Before it rests everything here is exactly zero, and impacts are those of eqs 1-4. At rest
+rests, where each step on one of them takes back ten: what rings as high as it came reaches the loading line for a step of each
+period. It rests until it has been on one of them for longer than T / 10 (in single precision rounding takes a contact there for a
+step or two). Before it rests everything here is exactly zero, and impacts are those of eqs 1-4. At rest
 dashpots of one damping ratio zeta are beside both springs, on the ways s and u in and across the direction of the normal, which
 never make the normal force adhesive nor larger than that of the loading line, nor the tangential one larger than mu F_n:
 
@@ -43,7 +44,7 @@ ARM = 1 / 1000  # l / L
 class Resting(NamedTuple):
     """History of contacts, at the last step."""
 
-    age: Array  # [P]: below 1 for how long it has been off both lines, in T; from 1 to 2 it rests, 2 less how long it was on one
+    age: Array  # [P]: below 1 for how long it has been off both lines, in T; from 1 to 2 it rests, 2 less that on one, in T / 10
     twist: Array  # [3, P] (N m): elastic torque on b, world axes
 
 
@@ -90,8 +91,9 @@ def aged(age: Array, is_between: Array, spring: Spring, dt: Array) -> Array:
     """The age after a step. is_between: [P] bool, whether the force is now off both lines."""
     quarter = 0.5 * np.pi * jnp.sqrt(spring.mass / spring.load)
     between = jnp.where(age < 1, age + dt / (WAIT * quarter), 2)
-    left = age - dt / quarter
-    return jnp.where(is_between, between, jnp.where(left >= 1, left, 0))
+    left = jnp.maximum(age - dt / quarter, 0)
+    woken = (age >= 1) & (left < 1)
+    return jnp.where(is_between, between, jnp.where(woken, 0, left))
 
 
 def dashpot(spring: Spring, stiffness: Array) -> Array:
