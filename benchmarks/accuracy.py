@@ -296,7 +296,7 @@ def step_rows(worst, numbers, restitutions):
 
 
 def nearest_bound(kind, worst):
-    """The largest ratios of the worst errors of peak force and of rebound to walton_braun_accuracy.ErrorBound, where that holds."""
+    """The largest ratios of the worst errors of rebound and of peak force to walton_braun_accuracy.ErrorBound, where that holds."""
     from dem_jax import build, validation
     from dem_jax.build.time_step import RESOLVED
     from dem_jax.contact.law import walton_braun_accuracy
@@ -310,7 +310,8 @@ def nearest_bound(kind, worst):
             step = quarter_period(kind["shape"], 0.01) / number
             corrected = step <= RESOLVED * stable_step(kind["shape"], restitution)
             most = bound.errors(eccentric * number, restitution, corrected)
-            ratios.append((peak / most["peak_force"], rebound / most["restitution"]))
+            found = {"peak_force": peak, "restitution": rebound}
+            ratios.append([found[key] / max(most[key], finest) for key, finest in bound.finest["f64"].items()])
     return np.max(ratios, axis=0)
 
 
@@ -323,7 +324,7 @@ def step_section(count, numbers, restitutions):
     for kind, most, what in ((SPHERE, count, phases), (PIECE, 3 * count, tilts)):
         every = (*numbers, (100, "f32"), (400, "f32"))
         worst = resolution(kind, most, every, restitutions)
-        peak, rebound = nearest_bound(kind, worst)
+        rebound, peak = nearest_bound(kind, worst)
         text.append(f"{what}; double precision unless said:\n\n{report.table(heads, step_rows(worst, every, restitutions))}")
         text.append(
             "Of the bounds in `dem_jax/contact/law/walton_braun_accuracy.py`, from which `run.accuracy` takes the step, "

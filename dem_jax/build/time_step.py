@@ -142,11 +142,12 @@ def _accurate_step(scene: Scene, law: ContactLaw, contacts: list[PossibleContact
     for c in contacts:
         bound = walton_braun_accuracy.SPHERE if c.eccentricity == 1 else walton_braun_accuracy.POLYTOPE
         for key, value in asked.items():
-            finest = bound.single[key]
-            if scene.run.precision == "f32" and value < finest:
+            finest, finer = (bound.finest[precision][key] for precision in (scene.run.precision, "f64"))
+            if value < finest:
+                single = finer < finest
                 raise SceneError(
-                    f"run.accuracy.{key} = {value:g}: allowed in single precision: at least {finest:g} for {c.words}; "
-                    f'or run.precision = "f64"'
+                    f"run.accuracy.{key} = {value:g}: allowed{' in single precision' * single}: at least {finest:g} for {c.words}"
+                    + '; or run.precision = "f64"' * single
                 )
         quarter = float(np.min(quarter_period(c.mass, c.pair.stiffness)))
         either = []

@@ -19,7 +19,7 @@ class ErrorBound:
     at_steps: dict[str, Power]  # by quantity
     corrected: dict[str, Power]  # likewise, where the corners are corrected
     coarsest: tuple[float, float]  # n and epsilon n from which on it holds
-    single: dict[str, float]  # quantity -> the smallest error that may be asked for in single precision
+    finest: dict[str, dict[str, float]]  # precision -> quantity -> the smallest error that may be asked for: less was not measured
 
     def least(self, restitution: float) -> float:
         """The least n for which it holds."""
@@ -50,11 +50,11 @@ SPHERE = ErrorBound(
     {"restitution": (0.48, 2.0), "peak_force": (0.32, 2.0)},
     {"restitution": (0.5, 4.0), "peak_force": (0.11, 2.0)},
     (15.0, 2.0),
-    {"restitution": 3e-4, "peak_force": 1e-5},
+    {"f32": {"restitution": 3e-4, "peak_force": 1e-5}, "f64": {"restitution": 2e-8, "peak_force": 1e-6}},
 )
 POLYTOPE = ErrorBound(
     {"restitution": (0.12, 1.5), "peak_force": (0.08, 1.5)},
     {"restitution": (0.02, 1.0), "peak_force": (0.09, 1.8)},
     (6.0, 1.0),
-    {"restitution": 2e-3, "peak_force": 1e-4},
+    {"f32": {"restitution": 2e-3, "peak_force": 1e-4}, "f64": {"restitution": 1e-4, "peak_force": 1e-5}},
 )
