@@ -12,8 +12,8 @@ and 64 marshmallows in 0.90 to 0.97, 9 marshmallows in 1.00 to 1.06; steps take 
 sixteen runs as one (``step.joined``): unrolled they take 0.89 times as long, and compile as fast. So a process that
 begins with an ensemble leaves that to LLVM.
 
-Wholly it does so up to 125 instructions, not 150: seven penne then are compiled in 0.78 of the time, 47 almonds and nine marshmallows
-in 0.95, and steps of 9, 64 and 343 marshmallows take 1.02, 0.97 and 0.99 times as long.
+Wholly it does so up to 125 instructions, not 150: seven penne are compiled in 0.78 of the time, 47 almonds and nine marshmallows in
+0.95, and steps of 9, 64 and 343 marshmallows take 1.02, 0.97 and 0.99 times as long.
 
 It is told as well to forget, once it has unrolled a loop, all that it knows of others: to look through that for what is no longer
 so takes longer than to find it anew. Seven penne are compiled in 0.86 of the processor time, 47 almonds in 0.89, nine marshmallows
