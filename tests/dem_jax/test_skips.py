@@ -1,6 +1,7 @@
 """What a scene does not need is left out: the same trace with it and without, to rounding.
 
-Elsewhere: ways of searching for pairs (test_pairs), blocks of slots and the jump of free fall (test_blocks).
+All at once, and each by itself (which takes a program each: long). Elsewhere: ways of searching for pairs (test_pairs), blocks
+of slots and the jump of free fall (test_blocks).
 """
 
 from functools import cache
@@ -67,10 +68,15 @@ def built(friction=True, balls=False):
 def as_built(friction=True, balls=False):
     """What happens with all skips, computed once."""
     rows = traced(built(friction, balls))
-    for group in range(3):  # each wall is struck within the run, and not from its beginning
+    assert_all_struck(rows)
+    return rows
+
+
+def assert_all_struck(rows):
+    """Each of the three walls is struck within the run, and not from its beginning."""
+    for group in range(3):
         struck = np.abs(rows.mean_force[:, :, group]).max(axis=1) > 0
         assert struck.any() and not struck[0]
-    return rows
 
 
 def assert_same(rows, others, fields=("force", "mean_force", "torque", "momentum", "energy", "overlap", "fastest")):
@@ -82,18 +88,59 @@ def assert_same(rows, others, fields=("force", "mean_force", "torque", "momentum
         np.testing.assert_allclose(one, other, rtol=0, atol=ROUNDING * np.abs(other).max(), err_msg=name)
 
 
+def moving_by_nothing(made):
+    """The walls of a system, with motions that lead nowhere."""
+    walls = made.system.walls
+    idle = [Motion(group=group) for group in walls.groups]
+    motions = tuple(kind.of(idle) for kind in (Hinge, Vibration))
+    moved = walls.replace(motions=typed(motions, walls.pivot.dtype))
+    assert moved.moving and not walls.moving
+    return moved
+
+
+def in_each_step(system):
+    """Fields of a system that looks for candidates before each step."""
+    total = int(system.substeps) * system.sample_parts
+    return {"substeps": jnp.full_like(system.substeps, 1), "sample_parts": total, "block_steps": 1}
+
+
+def with_seams(pieces=THROWN, **sections):
+    """The scene with two panels more, in one plane below the floor, which bring in the computation of seams."""
+    x, z = 0.5 * SIZE, -0.3
+    far = [[(a, -x, z), (a + x, -x, z), (a + x, x, z), (a, x, z)] for a in (-x, 0.0)]
+    return build.build(scene(pieces, panels=[("far", corners) for corners in far], **sections), 0)
+
+
 def smooth(made):
     """The materials of a system, with friction computed though it is zero."""
     return made.system.materials.replace(friction=jnp.zeros((1, 1), made.system.dt.dtype))
 
 
+@pytest.mark.parametrize("balls", [False, True])
+def test_all_at_once(balls):
+    """As the driver runs a scene without friction on a CPU, and with all computed of which none is needed there."""
+    made = built(friction=False, balls=balls)
+    system = made.system
+    assert system.materials.friction is None and system.law.damping is None and system.alike and not system.walls.moving
+    assert system.has_rotation != balls and system.block_steps > 1
+    least = traced(made, ledger=False, slot_block=SLOT_BLOCK)
+    full = with_seams(BALLS if balls else THROWN, material={"friction_piece": 0.0, "friction_wall": 0.0})
+    whole = {"materials": smooth(full), "walls": moving_by_nothing(full), "alike": (), "has_rotation": True}
+    law = full.system.law.replace(damping=jnp.zeros_like(full.system.law.separation))
+    rows = traced(full, frames=4, law=law, **whole, **in_each_step(full.system))
+    assert_all_struck(least)
+    assert_same(rows, least, ("force", "mean_force", "torque", "momentum", "overlap", "fastest"))
+
+
+@pytest.mark.long
 def test_friction_left_out_where_there_is_none():
     made = built(friction=False)
     assert made.system.materials.friction is None
     assert_same(traced(made, materials=smooth(made)), as_built(friction=False))
 
 
-@pytest.mark.parametrize("friction", [False, pytest.param(True, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("friction", [False, True])
 def test_rotation_left_out_of_spheres_without_friction(friction):
     made = built(friction=False, balls=True)
     assert not made.system.has_rotation
@@ -101,17 +148,20 @@ def test_rotation_left_out_of_spheres_without_friction(friction):
     assert_same(traced(made, has_rotation=True, materials=materials), as_built(friction=False, balls=True))
 
 
+@pytest.mark.long
 def test_damping_left_out_where_its_ratio_is_zero():
     law = built().system.law
     assert law.damping is None
     assert_same(traced(built(), law=law.replace(damping=jnp.zeros_like(law.separation))), as_built())
 
 
+@pytest.mark.long
 def test_the_ledger_changes_nothing_but_itself():
     assert built().system.ledger
     assert_same(traced(built(), ledger=False), as_built(), ("force", "mean_force", "torque", "momentum", "overlap", "fastest"))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("balls", [False, True])
 def test_one_shape_as_many(balls):
     made = built(friction=not balls, balls=balls)
@@ -119,43 +169,37 @@ def test_one_shape_as_many(balls):
     assert_same(traced(made, alike=()), as_built(not balls, balls))
 
 
+@pytest.mark.long
 def test_walls_that_move_by_nothing_rest():
-    walls = built().system.walls
-    assert not walls.moving
-    idle = [Motion(group=group) for group in walls.groups]
-    motions = tuple(kind.of(idle) for kind in (Hinge, Vibration))
-    moved = walls.replace(motions=typed(motions, walls.pivot.dtype))
-    assert moved.moving
-    assert_same(traced(built(), walls=moved), as_built())
+    assert_same(traced(built(), walls=moving_by_nothing(built())), as_built())
 
 
+@pytest.mark.long
 def test_frames_are_only_looked_at():
     assert_same(traced(built(), frames=4), as_built())
 
 
+@pytest.mark.long
 def test_seams_that_nothing_touches():
-    """Two panels in one plane below the floor bring in the computation of seams."""
-    x, z = 0.5 * SIZE, -0.3
-    far = [[(a, -x, z), (a + x, -x, z), (a + x, x, z), (a, x, z)] for a in (-x, 0.0)]
-    made = build.build(scene(panels=[("far", corners) for corners in far]), 0)
+    made = with_seams()
     assert made.system.walls.plane is not None and built().system.walls.plane is None
     rows = traced(made)
     assert np.abs(rows.force[:, :, 3]).max() == 0
     assert_same(rows, as_built())
 
 
+@pytest.mark.long
 def test_candidates_of_a_window_as_those_of_every_step():
     """A rebuild before each step finds what one before each ninth sample did: contacts begin within the windows."""
     system = built().system
-    total = int(system.substeps) * system.sample_parts
     assert system.block_steps == 48
-    each = {"substeps": jnp.full_like(system.substeps, 1), "sample_parts": total, "block_steps": 1}
-    assert_same(traced(built(), **each), as_built())
+    assert_same(traced(built(), **in_each_step(system)), as_built())
     struck = np.abs(as_built().mean_force).max(axis=1) > 0
     begins = np.argmax(struck, axis=0)  # sample of first touch of each wall
-    assert (begins % (48 // total) > 0).any()
+    assert (begins % (48 // (int(system.substeps) * system.sample_parts)) > 0).any()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("balls", [False, True])
 def test_blocks_of_slots_and_jumps(balls):
     """As the driver runs it on a CPU."""
