@@ -76,7 +76,7 @@ def test_portions_of_different_pieces_heights_and_sample_times_fit_together():
 
 
 def test_fixed_parameters_stay():
-    found = fit(traces(32, 32), fixed={"gamma_high": 0.06, "dt_impact": 500e-6}, bootstrap=0, simulations=128, fine=32)
+    found = fit(traces(16, 16), fixed={"gamma_high": 0.06, "dt_impact": 500e-6}, bootstrap=0, simulations=128, fine=16)
     assert found.parameters["gamma_high"]["value"] == 0.06 and not found.parameters["gamma_high"]["free"]
     assert found.parameters["gamma_low"]["value"] == pytest.approx(0.02, rel=0.3)
 
@@ -126,7 +126,7 @@ def test_an_alarm_needs_enough_refits():
 
 def test_a_wrong_weight_is_told():
     wrong = [target(t.time, t.force, 1.25 * t.m_piece, t.pieces) for t in traces(4, 4)]
-    found = fit(wrong, bootstrap=0, simulations=64)
+    found = fit(wrong, bootstrap=0, simulations=64, fine=16)
     assert any("end at 80 % of the weight" in line for line in found.statements)
     assert any("4 traces are too few to tell gamma_high" in line for line in found.statements)
 
@@ -147,10 +147,9 @@ def test_each_lag_by_itself_decides_where_the_whitened_increments_lead_elsewhere
         echo = np.interp(trace.time - 3e-3, trace.time, trace.force, left=0.0)
         data.append(target(trace.time, (trace.force + 0.5 * echo) / 1.5, trace.m_piece, trace.pieces))
     measured, draws = measure(data), draw(data, 128, 0)
-    starts = {name: np.full(4, value) for name, value in TRUTH.items()} | {"dt_impact": np.array([2e-3, 150e-6, 1e-3, 250e-6])}
-    theta = solve_starts(starts, draws, measured, NAMES, 32).theta
-    for length in theta["dt_impact"][1:]:
-        assert float(length) == pytest.approx(float(theta["dt_impact"][0]), rel=0.02)
+    starts = {name: np.full(2, value) for name, value in TRUTH.items()} | {"dt_impact": np.array([2e-3, 150e-6])}
+    theta = solve_starts(starts, draws, measured, NAMES, 64).theta
+    assert float(theta["dt_impact"][0]) == pytest.approx(float(theta["dt_impact"][1]), rel=0.02)
     found = {name: value[0] for name, value in theta.items()}
     low, mid, high = scan_lengths(found["dt_impact"] * np.array([0.9, 1.0, 1.1]), found, draws, measured)
     assert mid < low and mid < high
@@ -226,7 +225,7 @@ def test_bad_starts_and_names_are_refused():
 def test_command_line_writes_json_and_figure_and_overwrites_nothing(capsys):
     from product_model.__main__ import main as product_model
 
-    assert product_model(["simulate", *"--runs 4 --pieces 4 --sample 6e-5 --duration 0.42 --out runs.h5".split()]) == 0
+    assert product_model(["simulate", "--runs", "8", "--pieces", "8", "--sample", "6e-5", "--out", "runs.h5"]) == 0
     arguments = ["fit", "runs.h5", "--bootstrap", "8", "--simulations", "64"]
     assert main(arguments) == 0
     assert "90 % interval" in capsys.readouterr().out
@@ -280,7 +279,7 @@ def test_csv_of_other_programs_is_read():
 def test_double_precision_whatever_the_flag():
     jax.config.update("jax_enable_x64", False)
     try:
-        found = fit(traces(4, 4), bootstrap=0, simulations=64)
+        found = fit(traces(4, 4), bootstrap=0, simulations=64, fine=16)
     finally:
         jax.config.update("jax_enable_x64", True)
     assert found.parameters["h_mean"]["value"] == pytest.approx(0.25, rel=0.1)

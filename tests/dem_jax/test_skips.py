@@ -98,6 +98,13 @@ def moving_by_nothing(made):
     return moved
 
 
+def damped_by_nothing(made):
+    """The law of a system, with damping computed though it is zero."""
+    law = made.system.law
+    assert law.damping is None
+    return law.replace(damping=jnp.zeros_like(law.separation))
+
+
 def in_each_step(system):
     """Fields of a system that looks for candidates before each step."""
     total = int(system.substeps) * system.sample_parts
@@ -125,9 +132,8 @@ def test_all_at_once(balls):
     assert system.has_rotation != balls and system.block_steps > 1
     least = traced(made, ledger=False, slot_block=SLOT_BLOCK)
     full = with_seams(BALLS if balls else THROWN, material={"friction_piece": 0.0, "friction_wall": 0.0})
-    whole = {"materials": smooth(full), "walls": moving_by_nothing(full), "alike": (), "has_rotation": True}
-    law = full.system.law.replace(damping=jnp.zeros_like(full.system.law.separation))
-    rows = traced(full, frames=4, law=law, **whole, **in_each_step(full.system))
+    whole = {"materials": smooth(full), "law": damped_by_nothing(full), "walls": moving_by_nothing(full), "alike": ()}
+    rows = traced(full, frames=4, has_rotation=True, **whole, **in_each_step(full.system))
     assert_all_struck(least)
     assert_same(rows, least, ("force", "mean_force", "torque", "momentum", "overlap", "fastest"))
 
@@ -150,9 +156,7 @@ def test_rotation_left_out_of_spheres_without_friction(friction):
 
 @pytest.mark.long
 def test_damping_left_out_where_its_ratio_is_zero():
-    law = built().system.law
-    assert law.damping is None
-    assert_same(traced(built(), law=law.replace(damping=jnp.zeros_like(law.separation))), as_built())
+    assert_same(traced(built(), law=damped_by_nothing(built())), as_built())
 
 
 @pytest.mark.long
@@ -193,10 +197,11 @@ def test_candidates_of_a_window_as_those_of_every_step():
     """A rebuild before each step finds what one before each ninth sample did: contacts begin within the windows."""
     system = built().system
     assert system.block_steps == 48
-    assert_same(traced(built(), **in_each_step(system)), as_built())
+    each = in_each_step(system)
+    assert_same(traced(built(), **each), as_built())
     struck = np.abs(as_built().mean_force).max(axis=1) > 0
     begins = np.argmax(struck, axis=0)  # sample of first touch of each wall
-    assert (begins % (48 // (int(system.substeps) * system.sample_parts)) > 0).any()
+    assert (begins % (48 // each["sample_parts"]) > 0).any()
 
 
 @pytest.mark.long
