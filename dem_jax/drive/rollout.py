@@ -19,6 +19,8 @@ from dem_jax.step import stepping
 from dem_jax.step.quantity import Quantity, checked
 from dem_jax.types import Array
 
+KEPT = 2**30  # bytes
+
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
@@ -41,20 +43,22 @@ class Rollout:
         return series[name]
 
 
+@compiling.uncollected()
 def rollout(
     scene: Scene | str | Path,
     parameters: Values,
     seed: int = 0,
     quantities: Iterable[Quantity] = (),
-    checkpoint: bool = True,
+    checkpoint: bool | None = None,
 ) -> Rollout:
     """Run a scene with some of its numbers replaced, and return what was sampled, differentiable by these numbers.
 
     scene: a Scene, or what ``load_scene`` takes. parameters: dotted keys of the scene, as of ``Scene.replace``, each with a
     number or an array, or what stands for one while JAX traces: of materials, pairs, motions of walls, load cell, gravity, drop
     height, and position, orientation and velocities of pieces that are listed. seed, quantities: as of ``simulate``.
-    checkpoint: reverse mode keeps the state at every rebuild only (``run.rebuild_steps``) and computes the steps between again,
-    which takes about 1.4 times as long and a fraction of the memory, 1 / rebuild_steps.
+    checkpoint: reverse mode keeps the state at every rebuild only (``run.rebuild_steps``), not after every step, and computes
+    the steps between once more, which compiles and runs about 1.3 times as long; None: where the states after all steps would
+    take more than KEPT bytes.
 
     What compiles a program, sizes, shapes and the time step are those of the scene, with its own numbers: let it have the
     stiffest material and the lowest restitution of those to come. Sampled are the ``run.duration / run.sample`` samples from the
@@ -81,10 +85,13 @@ def rollout(
     system = system.replace(quantities=made.quantities)
     before = built.settling_steps // built.step.substeps
     parts = built.step.parts
-    state, samples = stepping.rollout(system, state, before + built.samples, built.step.substeps // parts, checkpoint)
+    samples = before + built.samples
+    if checkpoint is None:
+        checkpoint = samples * built.step.substeps * sum(x.nbytes for x in jax.tree.leaves(built.state)) > KEPT
+    state, recorded = stepping.rollout(system, state, samples, built.step.substeps // parts, checkpoint)
     good = guard.stands(system, state.guard)
     kept = lambda x: jnp.where(good, x[before:], jnp.nan) if jnp.issubdtype(x.dtype, jnp.floating) else x[before:]  # noqa: E731
-    series = {q.name: q.datasets(made, kept(samples.values[q.name])) for q in made.quantities if q.kept}
+    series = {q.name: q.datasets(made, kept(recorded.values[q.name])) for q in made.quantities if q.kept}
     series = {name: found for name, found in series.items() if not (isinstance(found, dict) and not found)}
     time = jnp.arange(1, built.samples + 1, dtype=system.dt.dtype) * scene.run.sample
     return Rollout(time, series)

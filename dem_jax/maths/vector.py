@@ -12,6 +12,8 @@ from typing import Any, overload
 import jax
 import jax.numpy as jnp
 
+from dem_jax.maths.identity import KEPT, KEPT_IN_DERIVATIVES
+
 Array = jax.Array
 Vector = tuple[Array, Array, Array]
 Matrix = tuple[Vector, Vector, Vector]
@@ -19,7 +21,7 @@ Matrix = tuple[Vector, Vector, Vector]
 
 def dot(a: Vector, b: Vector) -> Array:
     """a . b."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    return KEPT_IN_DERIVATIVES.bind(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
 
 
 def cross(a: Vector, b: Vector) -> Vector:
@@ -125,25 +127,6 @@ def kept(x: Array, y: Array, z: Array, /) -> Vector: ...
 @overload
 def kept(*arrays: Array) -> tuple[Array, ...]: ...
 def kept(*arrays: Array) -> Any:
-    """The same arrays, to the last bit, each computed once although several kernels use it.
-
-    XLA fuses a cheap producer into every consumer, and on the CPU an optimisation barrier does not stop it; what ends
-    in a division it takes for too expensive to repeat.
-    """
-    kept = tuple(_kept(x) for x in arrays)
-    return kept if len(kept) > 1 else kept[0]
-
-
-@jax.custom_jvp
-def _kept(x: Array) -> Array:
-    """x / 1, where it takes the compiler of machine code, who leaves the division out, to see that it is 1."""
-    if jnp.issubdtype(x.dtype, jnp.integer):
-        return jax.lax.div(x, jnp.maximum(jnp.minimum(x, 1), 1))
-    bits = jax.lax.bitcast_convert_type(x, {4: jnp.int32, 8: jnp.int64}[x.dtype.itemsize])
-    return x / jnp.maximum(jnp.minimum(bits, 1), 1).astype(x.dtype)
-
-
-@_kept.defjvp
-def _derivative_of_kept(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
-    """That of the identity."""
-    return _kept(*primals), *tangents
+    """The same arrays, to the last bit, each computed once although several kernels use it, see ``identity``."""
+    found = tuple(KEPT.bind(x) for x in arrays)
+    return found if len(found) > 1 else found[0]

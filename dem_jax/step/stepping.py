@@ -124,27 +124,31 @@ def chunk_of_runs(
 def rollout(system: System, state: State, samples: int, substeps: int, checkpoint: bool = False) -> tuple[State, Sample]:
     """Run a given number of samples of ``substeps`` steps, differentiable in reverse mode with respect to every array.
 
-    Of a single run. checkpoint: reverse mode keeps the state at each rebuild only, and computes the steps between anew. Returns
-    the last state and the samples, each field with a leading axis [samples]. Use ``chunk`` for long runs.
+    Of a single run. Reverse mode keeps the state after each step, and computes the step anew: to keep what a step computes
+    takes a hundred times the memory, three times as long to compile and three times as long to run. checkpoint: it keeps the
+    state at each rebuild only, and computes the steps between anew as well. Returns the last state and the samples, each field
+    with a leading axis [samples]. Use ``chunk`` for long runs.
     """
     parts = system.sample_parts
     block = max(1, system.block_steps // substeps) if parts == 1 else 1
     system = system.replace(substeps=jnp.full_like(system.substeps, substeps), block_steps=block * substeps)
+    step = jax.checkpoint(partial(_one_step, system))
 
-    def body(state: State, first: Array) -> tuple[State, Sample]:
-        state, walls = _look_around(system, state)
+    def steps(state: State, first: Array) -> tuple[State, Sample]:
+        walls = boundary.ahead(system, state.step, system.block_steps)
 
         def one(state: State, number: Array) -> tuple[State, Sample]:
             state = _begun(state, number % parts == 0)
-            state = jax.lax.scan(lambda s, _: (_one_step(system, s, walls), None), state, None, length=substeps)[0]
+            state = jax.lax.scan(lambda s, _: (step(s, walls), None), state, None, length=substeps)[0]
             return state, measure.sample(system, state)
 
         state, recorded = jax.lax.scan(one, state, first + jnp.arange(block, dtype=jnp.int32))
         return _seen(system, state), recorded
 
+    between_rebuilds = jax.checkpoint(steps) if checkpoint else steps
     blocks = -(-samples * parts // block)
     firsts = block * jnp.arange(blocks, dtype=jnp.int32)
-    state, recorded = jax.lax.scan(jax.checkpoint(body) if checkpoint else body, state, firsts)
+    state, recorded = jax.lax.scan(lambda state, first: between_rebuilds(_look_around(system, state)[0], first), state, firsts)
     rows = lambda x: x.reshape(blocks * block, *x.shape[2:])[parts - 1 :: parts][:samples]  # noqa: E731
     return state, of_single(jax.tree.map(rows, recorded))
 

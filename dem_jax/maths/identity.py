@@ -1,0 +1,34 @@
+"""Two operations of JAX that return their argument, to the last bit, and tell XLA to compute something only once.
+
+XLA fuses a cheap producer into every consumer, and on the CPU an optimisation barrier does not stop it; what ends in a division it
+takes for too expensive to repeat. In reverse mode that matters most: the derivative by each component of a vector begins with that
+of all that was computed from it, and a step of one box was written out two to three times over.
+"""
+
+import jax
+import jax.numpy as jnp
+from jax.extend.core import Primitive
+from jax.interpreters import ad, batching, mlir
+
+Array = jax.Array
+
+
+def _divided(x: Array) -> Array:
+    """x / 1, where it takes the compiler of machine code, who leaves the division out, to see that it is 1."""
+    if jnp.issubdtype(x.dtype, jnp.integer):
+        return jax.lax.div(x, jnp.maximum(jnp.minimum(x, 1), 1))
+    bits = jax.lax.bitcast_convert_type(x, {4: jnp.int32, 8: jnp.int64}[x.dtype.itemsize])
+    return x / jnp.maximum(jnp.minimum(bits, 1), 1).astype(x.dtype)
+
+
+KEPT = Primitive("kept")  # the value is computed once although several kernels use it, and so are its derivatives
+KEPT_IN_DERIVATIVES = Primitive("kept_in_derivatives")  # only these: what is not differentiated is as if it were not there
+
+for identity, program in ((KEPT, _divided), (KEPT_IN_DERIVATIVES, lambda x: x)):
+    identity.def_impl(lambda x: x)
+    identity.def_abstract_eval(lambda x: x)
+    batching.defvectorized(identity)
+    mlir.register_lowering(identity, mlir.lower_fun(program, multiple_results=False))
+
+ad.deflinear2(KEPT, lambda of, _: [KEPT.bind(of)])
+ad.defjvp(KEPT_IN_DERIVATIVES, lambda tangent, _: KEPT.bind(tangent))
