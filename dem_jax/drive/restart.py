@@ -18,6 +18,7 @@ from dem_jax.store import series
 from dem_jax.store.header import Header, Stored
 from dem_jax.types import State, System
 
+LEAST = 8  # pairs that files of before have room for, of one too
 NEWER = ("motion/orientation_rest",)  # what files of before lack, and began as 0
 
 
@@ -43,10 +44,10 @@ def unpack(system: System, state: State, arrays: dict[str, np.ndarray]) -> tuple
     polytopes, spheres = system.parts.polytopes.shape[0], system.parts.spheres.shape[0]
     for kind, *begun in system.capacity:
         every = guard.round_up(search.pair_count(kind, polytopes, spheres, panels))
-        candidates, slots = _counts(arrays, f"capacity/{kind}", (2,), max(every, *begun))
+        candidates, slots = _counts(arrays, f"capacity/{kind}", (2,), max(every, *begun, LEAST))
         rows.append((kind, candidates, slots))
     touching = _counts(arrays, "touching", (), max(system.touching, guard.most_contacts(system.parts, panels)))
-    row = _counts(arrays, "row_capacity", (), max(system.row_capacity, guard.round_up(parts)))
+    row = _counts(arrays, "row_capacity", (), max(system.row_capacity, guard.round_up(parts), LEAST))
     system, state = guard.with_capacity(system, state, tuple(rows), *touching, *row)
     system = system.replace(skin=jnp.asarray(_skin(system, arrays)))
     if system.partition:

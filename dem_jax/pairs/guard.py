@@ -167,8 +167,10 @@ def _widened(table: ContactTable, slots: int) -> ContactTable:
 
 
 def round_up(slots: int) -> int:
-    """A capacity at least as large, from few distinct ones: 8, multiples of 16, above 64 of 32, further up of ever larger
-    powers of two."""
+    """A capacity at least as large, from few distinct ones: 1 (of one piece on a plate: no loops, and half of the time), 8,
+    multiples of 16, above 64 of 32, further up of ever larger powers of two."""
+    if slots <= 1:
+        return 1
     unit = 8 if slots <= 8 else 16 if slots <= 64 else 32
     while slots > 16 * unit:
         unit *= 2

@@ -424,6 +424,17 @@ def test_a_file_of_before_orientations_were_compensated_goes_on(tmp_path, uninte
     assert_same(dem_jax.load_run(uninterrupted), dem_jax.resume(out, duration=0.02))
 
 
+def test_a_file_of_before_one_pair_had_a_slot_of_its_own_goes_on(tmp_path, monkeypatch):
+    """With the room for eight pairs that it was written with."""
+    out = tmp_path / "run.h5"
+    with monkeypatch.context() as before:
+        before.setattr(build.system, "capacity", lambda *_: (("plates", 8, 8),))
+        dem_jax.simulate(balls(), out=out)
+    assert build.build(balls()).system.capacity == (("plates", 1, 1),)
+    whole = dem_jax.simulate(balls(**{"run.duration": 0.06}))
+    assert_same(whole, dem_jax.resume(out, duration=0.06), exactly=False, tolerance=1e-12)
+
+
 def test_a_restart_state_that_does_not_fit_is_refused(tmp_path, uninterrupted):
     out = tmp_path / "run.h5"
     out.write_bytes(uninterrupted.read_bytes())
