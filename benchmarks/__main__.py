@@ -11,7 +11,7 @@ import sys
 import time
 
 BENCHMARKS = ("steps", "skips", "accuracy", "depth", "validation", "landing", "stability", "faults")
-BENCHMARKS += ("shapes", "peers", "scaling", "product_model", "calibration")
+BENCHMARKS += ("shapes", "gradients", "peers", "scaling", "product_model", "calibration")
 
 
 def command(name, quick):

@@ -65,7 +65,7 @@ def rollout(
     release on; nothing ends it before, and what would stop a run (``simulate``) does not. Forces have corners where contacts
     begin and where they leave the loading line; derivatives are those on the side where the run is, and of many pieces, whose
     motion is chaotic, they grow without bound with the time. ``jax.jit`` around it compiles once; forward mode (``jax.jacfwd``)
-    compiles in half of the time of reverse mode, and is the cheaper one for up to about five numbers. Double precision needs
+    compiles in 0.6 of the time of reverse mode, and is the cheaper one for up to about five numbers. Double precision needs
     ``jax_enable_x64``; ``dem_jax.compiling.loops_as_one()`` before anything is computed makes steps twice as fast.
     Raises SceneError for a scene or a parameter that cannot be used, naming those that can.
     """

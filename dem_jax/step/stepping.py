@@ -125,9 +125,9 @@ def rollout(system: System, state: State, samples: int, substeps: int, checkpoin
     """Run a given number of samples of ``substeps`` steps, differentiable in reverse mode with respect to every array.
 
     Of a single run. Reverse mode keeps the state after each step, and computes the step anew: to keep what a step computes
-    takes a hundred times the memory, three times as long to compile and three times as long to run. checkpoint: it keeps the
-    state at each rebuild only, and computes the steps between anew as well. Returns the last state and the samples, each field
-    with a leading axis [samples]. Use ``chunk`` for long runs.
+    takes ten times the memory, and of a box three times as long to compile. checkpoint: it keeps the state at each rebuild only,
+    and computes the steps between anew as well. Returns the last state and the samples, each field with a leading axis
+    [samples]. Use ``chunk`` for long runs.
     """
     parts = system.sample_parts
     block = max(1, system.block_steps // substeps) if parts == 1 else 1

@@ -13,6 +13,7 @@ from dem_jax.build.given import SWITCHES, keys_of, with_values
 from dem_jax.contact.motion.cubics import cubics
 from dem_jax.errors import SceneError
 from dem_jax.pairs import guard
+from dem_jax.step import stepping
 from dem_jax.validation import plate_scene
 
 DT = 4e-6  # s
@@ -101,6 +102,20 @@ def test_forward_mode_and_many_at_once_give_the_same():
         both = [reverse()(parameters, weights) for weights in jnp.eye(3)]
         np.testing.assert_allclose(values[k], both[0][0], rtol=1e-9)
         np.testing.assert_allclose(slopes[k], [pull["piece.0.velocity"][2] for _, pull in both], rtol=1e-6)
+
+
+def test_what_reverse_mode_keeps_changes_no_derivative(monkeypatch):
+    """The states after all steps where there is room for them, else those at rebuilds: the same derivatives."""
+    kept, real = [], stepping.rollout
+    spy = lambda *given: kept.append(given[-1]) or real(*given)  # noqa: E731
+    monkeypatch.setattr(stepping, "rollout", spy)
+    of_steps = reverse.__wrapped__()(PARAMETERS, jnp.ones(3))
+    monkeypatch.setattr("dem_jax.drive.rollout.KEPT", 1000)  # bytes
+    of_rebuilds = reverse.__wrapped__()(PARAMETERS, jnp.ones(3))
+    assert kept == [False, True]
+    for a, b in zip(jax.tree.leaves(of_steps), jax.tree.leaves(of_rebuilds), strict=True):
+        assert np.any(a)
+        np.testing.assert_allclose(a, b, rtol=1e-9)
 
 
 def test_it_is_the_run_that_simulate_makes():
