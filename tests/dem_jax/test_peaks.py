@@ -84,16 +84,17 @@ def test_it_is_the_largest_of_samples_that_are_steps_but_where_a_ball_turns():
         assert (peak >= -coarse.force[name][:, 2]).all()
 
 
-@pytest.mark.parametrize("restitution", [0.1, 0.5, 0.8])
-def test_it_is_that_of_the_closed_form_wherever_in_a_step_the_top_falls(restitution):
-    """Twelve balls, each on a plate of its own, at the automatic step: the largest of all steps leaves out up to 0.14 % of it."""
+@pytest.mark.parametrize("restitution, precision", [(0.1, "f64"), (0.5, "f64"), (0.8, "f64"), (1.0, "f64"), (1.0, "f32")])
+def test_it_is_that_of_the_closed_form_wherever_in_a_step_the_top_falls(restitution, precision):
+    """Twelve balls, each on a plate of its own, at the automatic step: the largest of all steps leaves out up to 0.14 % of it.
+    At e = 1 both lines are one, and rounding does not decide that a contact unloads."""
     count, speed, radius = 12, 1.0, 0.012
     ball = {"velocity": (0.0, 0.0, -speed), "shape": "sphere", "radius": radius}
     rows = [ball | {"position": (0.1 * k, 0.0, radius + 1e-5 + 2.6e-6 * k)} for k in range(count)]
     square = [(-0.04, -0.04), (0.04, -0.04), (0.04, 0.04), (-0.04, 0.04)]
     plates = [{"group": f"plate{k}", "corners": [(0.1 * k + x, y, 0.0) for x, y in square]} for k in range(count)]
     material = {"restitution": restitution, "separation": 0.0}
-    settings = {"precision": "f64", "duration": 3e-3, "frames": 0.0, "gravity": (0.0, 0.0, 0.0)}
+    settings = {"precision": precision, "duration": 3e-3, "frames": 0.0, "gravity": (0.0, 0.0, 0.0)}
     made = Scene(piece=rows, wall=plates, material=material, run=settings)
     system = build.build(made).system
     exact = validation.NormalImpact(
