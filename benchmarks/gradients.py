@@ -13,10 +13,13 @@ import sys
 import time
 from functools import partial
 
+import jax
 import numpy as np
 
+import dem_jax
 from benchmarks import report
 from benchmarks.apart import outcomes
+from dem_jax import build, compiling
 
 PATIENCE = 900.0  # s for a row
 ROUNDS = 9
@@ -36,8 +39,6 @@ MODES = ("forward", "reverse", "reverse, checkpoint")
 
 def scene(name):
     """The scene of a row."""
-    import dem_jax
-
     run = {"precision": "f64", "energy": False}
     if name == IN_THE_BUCKET:
         return dem_jax.load_scene("weigh-bucket").replace(
@@ -48,18 +49,12 @@ def scene(name):
 
 def peak(parameters, of, checkpoint):
     """Smooth peak (N) of the force on all walls."""
-    import dem_jax
-
     run = dem_jax.rollout(of, parameters, checkpoint=checkpoint)
     return dem_jax.smooth_peak(-sum(force[:, 2] for force in run.force.values()), WIDTH)
 
 
 def measure(case: tuple[str, str]) -> tuple[str, str]:
     """Name of a scene and a mode -> what was measured, as JSON."""
-    import jax
-
-    from dem_jax import build, compiling
-
     jax.config.update("jax_enable_x64", True)
     compiling.loops_as_one()
     name, mode = case
@@ -67,7 +62,7 @@ def measure(case: tuple[str, str]) -> tuple[str, str]:
     function = partial(peak, of=of, checkpoint=mode == "reverse, checkpoint")
     derivative = jax.jacfwd(function) if mode == "forward" else jax.grad(function)
     marks = [time.perf_counter()]
-    traced = jax.jit(derivative, compiler_options=compiling.known(jax.default_backend())).lower(NUMBERS)
+    traced = compiling.jit(derivative, jax.default_backend()).lower(NUMBERS)
     marks.append(time.perf_counter())
     program = traced.compile()
     marks.append(time.perf_counter())

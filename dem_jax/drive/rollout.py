@@ -57,8 +57,8 @@ def rollout(
     number or an array, or what stands for one while JAX traces: of materials, pairs, motions of walls, load cell, gravity, drop
     height, and position, orientation and velocities of pieces that are listed. seed, quantities: as of ``simulate``.
     checkpoint: reverse mode keeps the state at every rebuild only (``run.rebuild_steps``), not after every step, and computes
-    the steps between once more, which compiles and runs about 1.3 times as long; None: where the states after all steps would
-    take more than KEPT bytes.
+    the steps between once more, which takes 1.2 to 1.5 times as long to compile and up to 1.4 times to run; None: where the states
+    after all steps would take more than KEPT, 1 GiB.
 
     What compiles a program, sizes, shapes and the time step are those of the scene, with its own numbers: let it have the
     stiffest material and the lowest restitution of those to come. Sampled are the ``run.duration / run.sample`` samples from the

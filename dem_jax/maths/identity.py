@@ -5,6 +5,8 @@ takes for too expensive to repeat. In reverse mode that matters most: the deriva
 of all that was computed from it, and a step of one box was written out two to three times over.
 """
 
+from collections.abc import Callable
+
 import jax
 import jax.numpy as jnp
 from jax.extend.core import Primitive
@@ -21,14 +23,20 @@ def _divided(x: Array) -> Array:
     return x / jnp.maximum(jnp.minimum(bits, 1), 1).astype(x.dtype)
 
 
-KEPT = Primitive("kept")  # the value is computed once although several kernels use it, and so are its derivatives
-KEPT_IN_DERIVATIVES = Primitive("kept_in_derivatives")  # only these: what is not differentiated is as if it were not there
-
-for identity, program in ((KEPT, _divided), (KEPT_IN_DERIVATIVES, lambda x: x)):
+def _identity(name: str, program: Callable[[Array], Array]) -> Primitive:
+    """An operation without derivatives yet; program: what XLA is given for it."""
+    identity = Primitive(name)
     identity.def_impl(lambda x: x)
     identity.def_abstract_eval(lambda x: x)
     batching.defvectorized(identity)
     mlir.register_lowering(identity, mlir.lower_fun(program, multiple_results=False))
+    return identity
+
+
+# The value is computed once although several kernels use it, and so are its derivatives; or only these: what is not differentiated
+# is as if the operation were not there.
+KEPT = _identity("kept", _divided)
+KEPT_IN_DERIVATIVES = _identity("kept_in_derivatives", lambda x: x)
 
 ad.deflinear2(KEPT, lambda of, _: [KEPT.bind(of)])
 ad.defjvp(KEPT_IN_DERIVATIVES, lambda tangent, _: KEPT.bind(tangent))

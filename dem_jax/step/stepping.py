@@ -135,6 +135,7 @@ def rollout(system: System, state: State, samples: int, substeps: int, checkpoin
     step = jax.checkpoint(partial(_one_step, system))
 
     def steps(state: State, first: Array) -> tuple[State, Sample]:
+        # Anew: of walls that move reverse mode would keep as much as of states, one for each step.
         walls = boundary.ahead(system, state.step, system.block_steps)
 
         def one(state: State, number: Array) -> tuple[State, Sample]:
