@@ -58,9 +58,11 @@ def whole(text: str) -> int:
     return int(text)
 
 
-def instants(text: str) -> int | list[float]:
-    """A number of instants, or times (s) with commas."""
+def instants(text: str) -> int | str | list[float]:
+    """A number of instants, times (s) with commas, or "auto"."""
+    if text == "auto":
+        return text
     try:
         return int(text) if text.isdecimal() else [float(t) for t in text.split(",")]
     except ValueError as error:
-        raise argparse.ArgumentTypeError(f"{text!r}: allowed: a number of instants, or times (s) with commas") from error
+        raise argparse.ArgumentTypeError(f"{text!r}: allowed: a number of instants, times (s) with commas, or auto") from error

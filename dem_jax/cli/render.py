@@ -15,7 +15,10 @@ def add(commands: Commands) -> None:
     kind.add_argument("--png", action="store_true", help="a picture of the end")
     kind.add_argument("--at", type=float, metavar="S", help="a picture of the time S (s)")
     kind.add_argument(
-        "--strip", type=instants, metavar="N|T,T,...", help="a film strip: of N instants, or of these times (s)"
+        "--strip",
+        type=instants,
+        metavar="auto|N|T,T,...",
+        help="a film strip: auto: start, approach, first contact, peak force and rest; or N instants; or these times (s)",
     )
     made.add_argument("--out", metavar="FILE", help="default: the file's name .gif (.mp4 is an animation too), or -scene.png")
     made.add_argument("--colour", choices=["speed", "piece"], default="speed", help="of the pieces (default: speed)")
@@ -25,6 +28,7 @@ def add(commands: Commands) -> None:
 
 def render(args: Args) -> None:
     """Draw a run of a file."""
+    from dem_jax.show.instants import impact_instants
     from dem_jax.show.render import Camera
     from dem_jax.show.render import render as draw
 
@@ -33,4 +37,8 @@ def render(args: Args) -> None:
     path = Path(args.file)
     out = args.out or (path.with_name(f"{path.stem}-scene.png") if still else path.with_suffix(".gif"))
     camera = Camera(args.azimuth, args.elevation)
-    print(draw(run.pieces, *bodies, out, at=args.at, strip=args.strip, camera=camera, colour=args.colour))
+    strip, labels = args.strip, []
+    if strip == "auto":
+        story = impact_instants(run)
+        strip, labels = [instant.time for instant in story], [instant.label for instant in story]
+    print(draw(run.pieces, *bodies, out, at=args.at, strip=strip, camera=camera, colour=args.colour, labels=labels))

@@ -32,7 +32,7 @@ def described(scene: BaseModel) -> str:
 
 def _described_rows(head: str, section: Model, rows: tuple) -> list[str]:
     """A table, or the tables of a list; the first with all comments; commented out if the scene has none."""
-    plain = {key: field for key, field in section.model_fields.items() if not _is_list_of_tables(field)}
+    plain = {key: field for key, field in section.model_fields.items() if not is_list_of_tables(field)}
     lines = ["", f"# {(section.__doc__ or '').splitlines()[0]}"]
     if not rows:
         lines += [f"# {head}"] + [f"# {_described_line(k, f, None).removeprefix('# ')}" for k, f in plain.items()]
@@ -53,11 +53,11 @@ def _described_below(head: str, section: Model, row: BaseModel | None, only_set:
     """The lists of tables, and the tables by name, in a table; only_set: without those that it does not have."""
     path, lines = head.strip("[]"), []
     for key, field in section.model_fields.items():
-        items = getattr(row, key) if row is not None and _is_list_of_tables(field) else ()
+        items = getattr(row, key) if row is not None and is_list_of_tables(field) else ()
         inside = _section(field)
-        if inside is not None and _is_list_of_tables(field) and (items or not only_set):
+        if inside is not None and is_list_of_tables(field) and (items or not only_set):
             lines += _described_rows(f"[[{path}.{key}]]", inside, items)
-    by_name = _by_name(section)
+    by_name = section_by_name(section)
     if by_name is not None:
         named = (row.model_extra or {}) if row is not None else {}
         for name, item in named.items():
@@ -98,14 +98,14 @@ def one_line(error: ValidationError, tree: Any, root: Model) -> str:
         return f"{key}: missing; it must be given: {allowed(field)}"
     if _section(field) is not None:
         path = ".".join(part for part in place if not part.isdecimal())
-        tables = f"tables [[{path}]]" if _is_list_of_tables(field) else f"a table [{path}]"
+        tables = f"tables [[{path}]]" if is_list_of_tables(field) else f"a table [{path}]"
         return f"{key} = {short(first['input'])}: allowed: {tables}"
     return f"{key} = {short(_at(tree, place))}: allowed: {allowed(field)}"
 
 
 def _known(key: str, section: Model) -> str:
     """Which keys a section has, the nearest first."""
-    table = " or a table [material.NAME]" if _by_name(section) else ""
+    table = " or a table [material.NAME]" if section_by_name(section) else ""
     return choices(key, list(section.model_fields), table)
 
 
@@ -124,7 +124,7 @@ def _field_at(root: Model, loc: tuple) -> tuple[list[str], Model, FieldInfo | No
         if isinstance(key, int):
             continue
         section, field = inside, inside.model_fields.get(key)
-        below = _section(field) if field is not None else _by_name(section) if n + 1 < len(loc) else None
+        below = _section(field) if field is not None else section_by_name(section) if n + 1 < len(loc) else None
         if below is None:
             return place, section, field
         inside = below
@@ -184,11 +184,17 @@ def _section(field: FieldInfo) -> Model | None:
     return next(_models(field.annotation), None)
 
 
-def _is_list_of_tables(field: FieldInfo) -> bool:
+def section_of(model: Model, key: str) -> Model | None:
+    """The section that a key of a section holds, one or a list of them; None of a plain value."""
+    return _section(model.model_fields[key])
+
+
+def is_list_of_tables(field: FieldInfo) -> bool:
+    """True if the field holds a list of sections."""
     return _section(field) is not None and get_origin(field.annotation) is tuple
 
 
-def _by_name(section: Model) -> Model | None:
+def section_by_name(section: Model) -> Model | None:
     """What tables of any name in a section are; None where names are fixed."""
     if section.model_config.get("extra") != "allow":
         return None

@@ -10,6 +10,7 @@ import numpy as np
 
 from dem_jax.errors import RecordError
 from dem_jax.show.drawing import bodies_of
+from dem_jax.show.instants import impact_instants
 from dem_jax.show.render import Camera, figure_of, scene_of
 from dem_jax.store.run import Run
 
@@ -21,7 +22,6 @@ A4 = (8.27, 11.69)  # inches
 MARGIN, LINE = 0.07, 0.0165  # of the sheet
 WIDE = 105  # characters of a line
 DPI = 200
-STRIP = 5  # instants of a drop
 
 
 class Sheet(NamedTuple):
@@ -33,13 +33,14 @@ class Sheet(NamedTuple):
 
 
 def strip_of(run: Run) -> "Figure | None":
-    """Some instants of a drop side by side; None: no poses were stored."""
+    """The instants of the impact side by side; None: no poses were stored."""
     frames = run.pieces
     if frames is None or not np.isfinite(frames.position).any():
         return None
     scene = scene_of(frames, *bodies_of(run), Camera())
-    count = len(frames.time)
-    return figure_of(scene, sorted({round(k * (count - 1) / (STRIP - 1)) for k in range(STRIP)}))
+    instants = impact_instants(run)
+    indices = [int(np.argmin(np.abs(frames.time - instant.time))) for instant in instants]
+    return figure_of(scene, indices, labels=[instant.label for instant in instants])
 
 
 def write(path: Path, sheets: Sequence[Sheet]) -> Path:

@@ -79,6 +79,7 @@ def render(
     colour: str = "speed",
     title: str = "",
     fps: float = 25,
+    labels: Sequence[str] = (),
 ) -> Path:
     """Write a picture or an animation of stored poses; what it is follows from the path.
 
@@ -88,6 +89,7 @@ def render(
     200 frames at fps per second; .png, .pdf, .svg the instant `at` (s; by default the last), or a film strip of the
     instants `strip`: their times (s), or their number, evenly spaced.
     Each instant shows the stored frame nearest to it. colour: "speed" or "piece". title: stands before the time.
+    labels: words that stand before the time of each instant of a strip.
     Returns the path. Raises RecordError for another format, no frames, an instant before or after them, a file that
     cannot be written, and for .mp4 without imageio-ffmpeg.
     """
@@ -100,7 +102,7 @@ def render(
     scene = scene_of(frames, shapes, walls, wall_pose, camera or Camera(), colour)
     if path.suffix.lower() in ANIMATIONS:
         return animation.write(_pictures(scene, title), path, fps)
-    return save_figure(figure_of(scene, _instants(frames.time, at, strip), title), path, dpi=150)
+    return save_figure(figure_of(scene, _instants(frames.time, at, strip), title, labels), path, dpi=150)
 
 
 class Scene(NamedTuple):
@@ -133,12 +135,12 @@ def scene_of(
     return Scene(frames, [known[id(shape)] for shape in shapes], plates, wall_pose, view, colour, fastest or 1.0)
 
 
-def figure_of(scene: Scene, indices: Sequence[int], title: str = "") -> "Figure":
-    """Figure with the stored frames of these indices side by side."""
+def figure_of(scene: Scene, indices: Sequence[int], title: str = "", labels: Sequence[str] = ()) -> "Figure":
+    """Figure with the stored frames of these indices side by side; above each the title, its label and its time."""
     figure, axes = _empty_figure(scene, len(indices))
-    for i, ax in zip(indices, axes, strict=True):
+    for i, ax, label in zip(indices, axes, labels or [""] * len(indices), strict=True):
         ax.add_collection(_collection(scene, i))
-        ax.set_title(_caption(scene, i, title), fontsize=10)
+        ax.set_title(_caption(scene, i, "\n".join(filter(None, (title, label)))), fontsize=10)
     return figure
 
 
