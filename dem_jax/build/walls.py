@@ -28,6 +28,10 @@ from dem_jax.types import Plates, Walls, host
 
 AS_READ = {"unit": 1.0, "rotate_deg": (0.0, 0.0, 0.0), "move": (0.0, 0.0, 0.0)}  # of what is in metres where it is
 
+# Thickness of the panels of a closed body over the least that is behind its facets: a piece that presses on one side of a sheet by
+# nine tenths of it does not feel the panels of the other side.
+SHARE_OF_SHEET = 0.1
+
 
 def walls_of(scene: Scene) -> tuple[list[Panel], list[Motion], dict[str, str], list[Block], list[Box]]:
     """Panels (group, corners, thickness), sections of motions, reported names, blocks, and the boxes (low, high) in which
@@ -69,7 +73,9 @@ def panels_of(wall: Wall, folder: str | Path) -> list[Panel]:
         raise SceneError(f"wall {wall.group!r}: corners, stl: exactly one of the two must be given")
     if wall.stl is None:
         return [(wall.group, np.array(wall.corners, float), wall.thickness)]
-    return [(wall.group, polygon, wall.thickness) for polygon in _read(wall, wall.stl, folder).panels]
+    mesh = _read(wall, wall.stl, folder)
+    thickness, _ = _thickness(wall, [mesh])
+    return [(wall.group, polygon, thickness) for polygon in mesh.panels]
 
 
 def _read(row: Wall | Bucket | Feeder, stl: str, folder: str | Path) -> meshes.WallMesh:
@@ -79,6 +85,14 @@ def _read(row: Wall | Bucket | Feeder, stl: str, folder: str | Path) -> meshes.W
     turn = Rotation.from_euler("xyz", row.rotate_deg, degrees=True).as_matrix()
     still = not any(row.rotate_deg) and not any(row.move)
     return found if still else found._replace(panels=[panel @ turn.T + np.array(row.move) for panel in found.panels])
+
+
+def _thickness(row: Wall | Bucket | Feeder, read: Sequence[meshes.WallMesh]) -> tuple[float, list[str]]:
+    """Thickness (m) of the panels read for a row: no more than is behind the facets of closed bodies; and what there is to say."""
+    most = SHARE_OF_SHEET * min(mesh.thinnest for mesh in read)
+    if row.thickness <= most:
+        return row.thickness, []
+    return most, [f"thickness of the panels {1e3 * most:.3g} mm, not {1e3 * row.thickness:.3g} mm, as there is a body behind them"]
 
 
 def with_buckets_read(scene: Scene) -> Scene:
@@ -99,8 +113,10 @@ def _bucket_read(bucket: Bucket, folder: str | Path) -> Bucket:
     down = np.array([0.0, 0.0, lowest - bucket.move[2]])
     placed = [mesh._replace(panels=[panel - down for panel in mesh.panels]) for mesh in found]
     rows = [_rows(mesh) for mesh in placed]
-    said = [*([bucket.note] if bucket.note else []), *(f"{stl}: {mesh}" for stl, mesh in zip(files, placed, strict=True))]
-    changes = {"panels": rows[0], "flap_panels": tuple(rows[1:]) or None, "note": "; ".join(said), "stl": None, "flap_stl": None}
+    thickness, thinner = _thickness(bucket, found)
+    said = [bucket.note, *(f"{stl}: {mesh}" for stl, mesh in zip(files, placed, strict=True)), *thinner]
+    panels = {"panels": rows[0], "flap_panels": tuple(rows[1:]) or None, "stl": None, "flap_stl": None}
+    changes = {"thickness": thickness, "note": "; ".join(filter(None, said))} | panels
     return bucket.model_copy(update=changes | AS_READ)
 
 
@@ -113,8 +129,9 @@ def _feeder_read(feeder: Feeder, folder: str | Path) -> Feeder:
     end = floor[floor[:, 0] > front - 1e-3 * np.ptp(floor, axis=0).max()]
     edge = np.array([front - feeder.move[0], 0.0, end[:, 2].min() - feeder.move[2]])
     placed = mesh._replace(panels=[panel - edge for panel in mesh.panels])
-    said = [*([feeder.note] if feeder.note else []), f"{feeder.stl}: {placed}"]
-    changes = {"panels": _rows(placed), "note": "; ".join(said), "stl": None}
+    thickness, thinner = _thickness(feeder, [placed])
+    said = "; ".join(filter(None, [feeder.note, f"{feeder.stl}: {placed}", *thinner]))
+    changes = {"panels": _rows(placed), "note": said, "stl": None, "thickness": thickness}
     return feeder.model_copy(update=changes | AS_READ)
 
 
@@ -128,10 +145,11 @@ def written_out(wall: Wall, folder: str | Path) -> list[Wall]:
     if wall.stl is None or wall.corners is not None:
         return [wall]
     mesh = _read(wall, wall.stl, folder)
-    said, read = f"{wall.stl}: {mesh}", mesh.panels
-    notes = [said if wall.note is None else f"{wall.note}; {said}"] + [None] * (len(read) - 1)
-    panels = [tuple(tuple(corner) for corner in panel.tolist()) for panel in read]
-    changes = [{"stl": None, "corners": corners, "note": note} for corners, note in zip(panels, notes, strict=True)]
+    thickness, thinner = _thickness(wall, [mesh])
+    said = "; ".join(filter(None, [wall.note, f"{wall.stl}: {mesh}", *thinner]))
+    notes = [said] + [None] * (len(mesh.panels) - 1)
+    own = {"stl": None, "thickness": thickness}
+    changes = [own | {"corners": corners, "note": note} for corners, note in zip(_rows(mesh), notes, strict=True)]
     return [wall.model_copy(update=change | AS_READ) for change in changes]
 
 

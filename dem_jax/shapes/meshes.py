@@ -8,6 +8,7 @@ import numpy as np
 
 from dem_jax.errors import SceneError
 from dem_jax.shapes.checks import positive_length
+from dem_jax.shapes.closed_bodies import find_bodies, measure_thickness
 from dem_jax.shapes.facets import bulge
 from dem_jax.shapes.polytope import loop_normal
 from dem_jax.shapes.shape import TOLERANCE
@@ -71,12 +72,14 @@ class WallMesh(NamedTuple):
     """What was read of an STL for walls.
 
     panels: convex, each [k, 3] (m). facets: how many made them. doubled: how many more were left out, as they were given
-    twice.
+    twice. thinnest: (m) the least that is behind a facet of a closed body; inf: there is none. bodies: the closed bodies, in words.
     """
 
     panels: list[np.ndarray]
     facets: int
     doubled: int
+    thinnest: float = np.inf
+    bodies: str = ""
 
     def __str__(self) -> str:
         points = np.concatenate(self.panels)
@@ -85,7 +88,8 @@ class WallMesh(NamedTuple):
         sides = zip("xyz", *(np.round(bound / nm) * nm + 0.0 for bound in (points.min(axis=0), points.max(axis=0))), strict=True)
         bounds = ", ".join(f"{axis} from {low:.6g} to {high:.6g} m" for axis, low, high in sides)
         twice = f" ({self.doubled} more were doubled, and left out)" if self.doubled else ""
-        return f"{self.facets} facets{twice}, {len(self.panels)} panels, {area:.6g} m2, {bounds}"
+        bodies = f", {self.bodies}, {1e3 * self.thinnest:.3g} mm at the thinnest" if self.bodies else ""
+        return f"{self.facets} facets{twice}, {len(self.panels)} panels, {area:.6g} m2, {bounds}{bodies}"
 
 
 def panels_of_stl(path: str | Path, unit: float = 1.0, angle: float = 0.01) -> list[np.ndarray]:
@@ -98,11 +102,14 @@ def wall_of_stl(path: str | Path, unit: float = 1.0, angle: float = 0.01) -> Wal
 
     unit: metres per unit of the file. angle: (degrees) adjacent facets whose normals differ by no more from that of the
     largest among them are merged, and laid into their mean plane. What is not convex, or has a hole, is cut into convex
-    parts. The mesh need not be closed. Raises SceneError for a file that is missing, unreadable, empty or without area, or
-    with corners that are not finite or far off, and for facets that face both ways.
+    parts. The mesh need not be closed; closed bodies that meet are united. Raises SceneError for a file that is missing,
+    unreadable, empty or without area, or with corners that are not finite or far off, and for facets that face both ways.
     """
     mesh = load_stl(path, unit)
-    doubled = _without_doubled(mesh, path)
+    doubled = _drop_doubled(mesh)
+    bodies = find_bodies(mesh, path)
+    mesh = bodies.mesh
+    _check_one_sided(mesh, path)
     tolerance = TOLERANCE * mesh.scale
     vertices = np.asarray(mesh.vertices, np.float64)
     panels: list[np.ndarray] = []
@@ -117,27 +124,31 @@ def wall_of_stl(path: str | Path, unit: float = 1.0, angle: float = 0.01) -> Wal
         made = [flat[loop] for loop in loops]
         _check_complete(mesh, group, made, path)
         panels += made
-    return WallMesh(panels, len(mesh.faces), doubled)
+    return WallMesh(panels, len(mesh.faces), doubled, measure_thickness(bodies, path), str(bodies))
 
 
-def _without_doubled(mesh: "trimesh.Trimesh", path: str | Path) -> int:
-    """Leave out facets that are there already, and say how many. Raises SceneError for two that face both ways."""
+def _drop_doubled(mesh: "trimesh.Trimesh") -> int:
+    """Leave out facets that are there already, and say how many."""
     faces = np.asarray(mesh.faces)
     first = faces.argmin(axis=1)
     turned = np.take_along_axis(faces, (first[:, None] + np.arange(3)) % 3, axis=1)  # the same corners first in all
     _, kept = np.unique(turned, axis=0, return_index=True)
     kept.sort()
-    corners, count = np.unique(np.sort(faces[kept], axis=1), axis=0, return_counts=True)
+    doubled = len(faces) - len(kept)
+    if doubled:
+        mesh.update_faces(kept)
+    return doubled
+
+
+def _check_one_sided(mesh: "trimesh.Trimesh", path: str | Path) -> None:
+    """Raise SceneError for facets of the same corners that face both ways."""
+    corners, count = np.unique(np.sort(mesh.faces, axis=1), axis=0, return_counts=True)
     if (count > 1).any():
         where = mesh.vertices[corners[int(np.argmax(count > 1))]].mean(axis=0)
         raise SceneError(
             f"stl = {str(path)!r}: {(count > 1).sum()} of its facets face both ways, such as that about "
             f"{np.round(where, 6).tolist()} m; allowed: one side, towards the pieces (thickness is behind it)"
         )
-    doubled = len(faces) - len(kept)
-    if doubled:
-        mesh.update_faces(kept)
-    return doubled
 
 
 def _check_complete(mesh: "trimesh.Trimesh", group: np.ndarray, panels: list[np.ndarray], path: str | Path) -> None:
