@@ -46,13 +46,14 @@ def figure_of_runs(
     block: str | None = None,
     start: float | None = None,
     end: float | None = None,
+    narrow: bool = False,
 ) -> "Figure":
     """Figure with the PIF of several runs (means over their samples, in kg; of an ensemble the median and the band from 5
     to 95 %) and, dashed, their settled mass (g). names: what they are called; the rest as plot.figure_of_run."""
     groups = [group or main_group(run) or "none" for run in runs]
     means = [run.pif_kg(each) for run, each in zip(runs, groups, strict=True)]
     spans = panels(runs, means, start, end)
-    figure, rows = plot.side_by_side(spans)
+    figure, rows = plot.empty_panels(spans, narrow)
     for axes, span in zip(rows, spans, strict=True):
         for k, (name, run, mean) in enumerate(zip(names, runs, means, strict=True)):
             if run.run_count is None:
@@ -61,9 +62,10 @@ def figure_of_runs(
                 plot.draw_ensemble(axes, 1e3 * run.time, mean, COLOURS[k % len(COLOURS)], name, f"{name}, 5 to 95 %")
         _limit(axes, runs, means, span)
     rights = [_draw_masses(axes, runs, block) for axes in rows]
-    plot.outer_labels(rows, rights, INK, INK)
-    figure.suptitle(f"product impact force on {', '.join(dict.fromkeys(groups))}; dashed: settled mass", fontsize=11)
-    plot.legend(figure)
+    plot.outer_labels(rows, rights, INK, INK, narrow)
+    words = f"product impact force on {', '.join(dict.fromkeys(groups))}"
+    figure.suptitle(f"{words}{';' if not narrow else chr(10)} dashed: settled mass", fontsize=11 if not narrow else 9)
+    plot.legend(figure, narrow)
     return figure
 
 

@@ -48,18 +48,20 @@ def figure_of_run(
     start: float | None = None,
     end: float | None = None,
     title: str | None = None,
+    narrow: bool = False,
 ) -> "Figure":
     """Figure (matplotlib.figure.Figure) with PIF in kg (left) and settled mass in g (right) over ms.
 
     A run is drawn by the means over its sample intervals, on the instantaneous values in a lighter tone; an ensemble by
     its median, the band from 5 to 95 % and some members, all of interval means. group: by default wb_flaps or the
     first; block: wb or the first. start, end: (s) of what is shown; by default the impact and beside it the whole, or the
-    whole alone where it is little longer. Raises RecordError for a group or block that the run does not have.
+    whole alone where it is little longer. narrow: panels one below the other, for the screen of a phone. Raises RecordError
+    for a group or block that the run does not have.
     """
     group = group or main_group(run) or "none"
     mean = run.pif_kg(group)
     spans = panels([run], [mean], start, end)
-    figure, rows = side_by_side(spans)
+    figure, rows = empty_panels(spans, narrow)
     for axes, span in zip(rows, spans, strict=True):
         if run.run_count is None:
             _draw_run(axes, run, group, mean, span)
@@ -70,21 +72,23 @@ def figure_of_run(
                 axes.plot(1e3 * run.time, member, color=FORCE_COLOUR, lw=0.4, alpha=0.5, zorder=1, label=label)
         _limit(axes, run, mean, span)
     rights = [_draw_mass(axes, run, block) for axes in rows]
-    outer_labels(rows, rights, FORCE_COLOUR, MASS_COLOUR)
+    outer_labels(rows, rights, FORCE_COLOUR, MASS_COLOUR, narrow)
     figure.suptitle(title_of(run) if title is None else title, fontsize=11)
-    legend(figure)
+    legend(figure, narrow)
     return figure
 
 
 # --- shared with figures of several runs ---
 
 
-def side_by_side(spans: Sequence[Span]) -> "tuple[Figure, list[Axes]]":
-    """An empty figure with axes for each span, headed where they are two."""
+def empty_panels(spans: Sequence[Span], narrow: bool = False) -> "tuple[Figure, list[Axes]]":
+    """An empty figure with axes for each span, side by side or, if narrow, below each other; titled if there are two."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(7.2 if len(spans) == 1 else 10.8, 4.2), layout="constrained")
-    rows = list(figure.subplots(1, len(spans), squeeze=False)[0])
+    size = (4.4, 3.4 * len(spans) + 0.8) if narrow else (7.2 if len(spans) == 1 else 10.8, 4.2)
+    figure = Figure(figsize=size, layout="constrained")
+    shape = (len(spans), 1) if narrow else (1, len(spans))
+    rows = list(figure.subplots(*shape, squeeze=False).flat)
     for axes, words in zip(rows, ("the impact", "the whole"), strict=False):
         axes.set_xlabel("time since release (ms)")
         if len(spans) > 1:
@@ -99,25 +103,29 @@ def draw_ensemble(axes: "Axes", ms: np.ndarray, values: np.ndarray, colour: str,
     axes.fill_between(ms, low, high, color=colour, alpha=0.2, lw=0, label=band)
 
 
-def outer_labels(rows: "Sequence[Axes]", rights: "Sequence[Axes | None]", force: str, mass: str) -> None:
-    """What the vertical axes are of: force at the left of the first, mass at the right of the last; in these colours."""
-    rows[0].set_ylabel("product impact force / g (kg)", color=force)
+def outer_labels(
+    rows: "Sequence[Axes]", rights: "Sequence[Axes | None]", force: str, mass: str, narrow: bool = False
+) -> None:
+    """Label force at the left of the first panel and mass at the right of the last, in these colours; if narrow, of each."""
+    for axes in rows if narrow else rows[:1]:
+        axes.set_ylabel("product impact force / g (kg)", color=force)
     for axes in rows:
         axes.tick_params(axis="y", labelcolor=force)
-    for right in rights:
-        if right is not None:
-            right.tick_params(axis="y", labelcolor=mass, labelright=right is rights[-1])
-    if rights[-1] is not None:
-        rights[-1].set_ylabel("settled mass (g)", color=mass)
+    for right in filter(None, rights):
+        is_labelled = narrow or right is rights[-1]
+        right.tick_params(axis="y", labelcolor=mass, labelright=is_labelled)
+        if is_labelled:
+            right.set_ylabel("settled mass (g)", color=mass)
 
 
-def legend(figure: "Figure") -> None:
-    """What the first panel's lines are, below the figure; those of the second are the same."""
+def legend(figure: "Figure", narrow: bool = False) -> None:
+    """Explain the lines below the figure, each once."""
     known: dict[str, Any] = {}
     for axes in figure.axes:
         for line, label in zip(*axes.get_legend_handles_labels(), strict=True):
             known.setdefault(label, line)
-    figure.legend(list(known.values()), list(known), loc="outside lower center", ncols=4, frameon=False, fontsize=8)
+    columns = 1 if narrow else 4
+    figure.legend(list(known.values()), list(known), loc="outside lower center", ncols=columns, frameon=False, fontsize=8)
 
 
 # --- one run or ensemble ---

@@ -211,15 +211,20 @@ def _view(drawn: Sequence[dict[str, Any]], without: Sequence[str], ensembles: bo
 </div></div>{_note(f"Drag to turn, scroll to come nearer.{which}")}{missing}"""
 
 
-def _drawn(named: Sequence[Named], with_force: Sequence[Named], group: str | None) -> "Figure":
+def _drawn(named: Sequence[Named], with_force: Sequence[Named], group: str | None, narrow: bool = False) -> "Figure":
     if len(named) == 1:
-        return figure_of_run(named[0].run, group, title="")
-    return figure_of_runs([each.name for each in with_force], [each.run for each in with_force], group)
+        return figure_of_run(named[0].run, group, title="", narrow=narrow)
+    return figure_of_runs([each.name for each in with_force], [each.run for each in with_force], group, narrow=narrow)
 
 
 def _figure(named: Sequence[Named], group: str | None) -> str:
-    """The figure as PNG, and over each of its panels the line that goes along with the player."""
-    figure = _drawn(named, [each for each in named if each.run.force], group)
+    """The figure for a wide screen, and one with its panels below each other for a narrow one; the style shows one of them."""
+    with_force = [each for each in named if each.run.force]
+    return _with_cursors(_drawn(named, with_force, group), "wide") + _with_cursors(_drawn(named, with_force, group, True), "narrow")
+
+
+def _with_cursors(figure: "Figure", kind: str) -> str:
+    """The figure as PNG, and over each of its panels the line that follows the player."""
     picture = webpage.png(figure)
     cursors = []
     for axes in {axes.get_position().bounds: axes for axes in figure.axes}.values():
@@ -229,7 +234,7 @@ def _figure(named: Sequence[Named], group: str | None) -> str:
         style = f"top:{100 * (1 - bottom - height):.3f}%;height:{100 * height:.3f}%"
         cursors.append(f'<div class="cursor" {where} style="{style}"></div>')
     return (
-        f'<div class="figure"><img alt="product impact force and settled mass over time" src="data:image/png;base64,{picture}">'
+        f'<div class="figure {kind}"><img alt="product impact force and settled mass over time" src="data:image/png;base64,{picture}">'
         f"{''.join(cursors)}</div>"
     )
 

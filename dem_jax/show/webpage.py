@@ -45,4 +45,4 @@ def png(figure: "Figure") -> str:
 
 def image(words: str, coded: str) -> str:
     """A picture, PNG in base64; words: for those who do not see it."""
-    return f'<div class="figure"><img alt="{words}" src="data:image/png;base64,{coded}"></div>'
+    return f'<div class="figure scrolled"><img alt="{words}" src="data:image/png;base64,{coded}"></div>'

@@ -187,6 +187,6 @@ def test_there_is_nothing_to_hit_without_walls():
 
 def test_a_report_has_the_map_of_collisions():
     page = write_report(["ball"], [to_and_fro()], "ball.html").read_text()
-    assert "<h2>Collisions</h2>" in page and page.count("<img") == 2 and all(line in page for line in table(to_and_fro()))
+    assert "<h2>Collisions</h2>" in page and page.count("<img") == 3 and all(line in page for line in table(to_and_fro()))
     assert "Collisions" not in write_report(["plain"], [stored()], "plain.html").read_text()
     assert "Collisions: ball" in [sheet.head for sheet in content([Named("ball", to_and_fro())])]

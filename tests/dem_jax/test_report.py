@@ -14,6 +14,7 @@ import pytest
 from dem_jax.errors import RecordError
 from dem_jax.show import player
 from dem_jax.show.fitted import read_fit
+from dem_jax.show.plot import figure_of_run
 from dem_jax.show.report import Named, content, write_report
 from tests.dem_jax.stored import PIECES, SCENE, stored
 
@@ -129,14 +130,24 @@ def test_a_fitted_model_is_shown_with_its_intervals():
     page = write_report(["drop"], [stored()], "page.html", fit=fit_file()).read_text()
     said = words(page)
     assert "length of an impact, Δt_impact 2000 µs 1800 to 2100 µs" in said and "h_mean 200 mm 190 to 210 mm" in said
-    assert "heaps: the model &lt;does not&gt; describe them" in said and page.count("<img") == 1
+    assert "heaps: the model &lt;does not&gt; describe them" in said and page.count("<img") == 2
     Path("fit.png").write_bytes(b"picture")
     page = write_report(["drop"], [stored()], "page.html", fit=read_fit("fit.json")).read_text()
-    assert page.count("<img") == 2 and base64.b64encode(b"picture").decode() in page
+    assert page.count("<img") == 3 and base64.b64encode(b"picture").decode() in page
     for text, expected in (("{", "not a file of `calibrate fit`"), ('{"parameters": {}}', "KeyError")):
         Path("fit.json").write_text(text)
         with pytest.raises(RecordError, match=expected):
             read_fit("fit.json")
+
+
+def test_a_narrow_screen_gets_a_figure_of_its_own():
+    page = page_of(["drop"], stored())
+    assert [page.count(f'<div class="figure {kind}"><img') for kind in ("wide", "narrow")] == [1, 1]
+    assert "white-space: nowrap" not in re.search(r"caption {.*}", page)[0], "a caption that does not wrap widens the page"
+    figure = figure_of_run(stored(), narrow=True)
+    panels = {axes.get_position().bounds: axes for axes in figure.axes}
+    assert figure.get_figwidth() < 5 and len({left for left, *_ in panels}) == 1, "one column"
+    assert all(axes.get_ylabel() for axes in figure.axes), "each panel has its labels"
 
 
 def test_the_same_on_paper():
