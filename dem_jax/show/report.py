@@ -234,7 +234,8 @@ def _with_cursors(figure: "Figure", kind: str) -> str:
         style = f"top:{100 * (1 - bottom - height):.3f}%;height:{100 * height:.3f}%"
         cursors.append(f'<div class="cursor" {where} style="{style}"></div>')
     return (
-        f'<div class="figure {kind}"><img alt="product impact force and settled mass over time" src="data:image/png;base64,{picture}">'
+        f'<div class="figure {kind}"><img alt="product impact force and settled mass over time" '
+        f'src="data:image/png;base64,{picture}">'
         f"{''.join(cursors)}</div>"
     )
 
