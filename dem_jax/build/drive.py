@@ -1,4 +1,4 @@
-"""Drives of limited torque that swing flaps, and what they ask of the time step."""
+"""Drives of limited torque that swing flaps, and their limit on the time step."""
 
 from collections.abc import Sequence
 
@@ -16,7 +16,7 @@ from dem_jax.types import Drive, host
 
 
 def drive_of(motions: Sequence[Motion], groups: Sequence[str]) -> Drive | None:
-    """The drives of the G groups, in numpy; None: no motion has one. Raises SceneError for a drive of what is no flap."""
+    """The drives of the G groups, in numpy, or None without drives. Raises SceneError for a drive without a swing."""
     rows = {row.group: row for row in motions if row.drive is not None}
     if not rows:
         return None

@@ -1,4 +1,4 @@
-"""The load cell of a scene's weigh bucket, and what it asks of the time step."""
+"""The load cell of a scene's weigh bucket, and its limit on the time step."""
 
 from collections.abc import Sequence
 
@@ -16,12 +16,12 @@ STANDARD_GRAVITY = 9.81  # m/s2: of the rated load
 
 
 def section_of(scene: Scene) -> LoadCell | None:
-    """What the scene says of its load cell; None: it has none."""
+    """The section of the scene's load cell, or None without one."""
     return scene.weigh_bucket.load_cell if scene.weigh_bucket else None
 
 
 def stiffness(section: LoadCell) -> float:
-    """Of a load cell (N/m)."""
+    """Stiffness of a load cell (N/m)."""
     if section.natural_frequency is not None:
         return section.mass * (2 * np.pi * section.natural_frequency) ** 2
     return section.rated_load * STANDARD_GRAVITY / BEND if section.stiffness is None else section.stiffness

@@ -1,4 +1,4 @@
-"""What a scene asks of the collisions with its walls."""
+"""Collision statistics that a scene requests."""
 
 from numpy.typing import DTypeLike
 
@@ -11,7 +11,7 @@ MOST_PLACES = 4_000_000  # on all panels together
 
 
 def statistics_of(scene: Scene, panels: int, dtype: DTypeLike) -> Statistics | None:
-    """The classes of speeds and the places on so many panels; None: the scene asks for nothing. Raises SceneError."""
+    """The speed bins and map cells of the panels, or None if the scene requests no statistics. Raises SceneError."""
     asked = scene.statistics
     if asked is None:
         return None

@@ -1,4 +1,4 @@
-"""What commands share: the parser, and values that are checked as they are read."""
+"""Shared parts of the commands: the parser, and types that validate arguments."""
 
 import argparse
 from collections.abc import Callable
@@ -7,11 +7,11 @@ from typing import Any, NoReturn
 BAD_INPUT = 2  # exit code
 
 Args = argparse.Namespace
-Commands = Any  # argparse's own type of what add_subparsers returns is private
+Commands = Any  # the type that add_subparsers returns is private to argparse
 
 
 class Parser(argparse.ArgumentParser):
-    """Says what is wrong in one line; its help ends with ``more``, which is computed when it is asked for."""
+    """A parser that reports errors in one line; its help ends with ``more``, which is computed on request."""
 
     more: Callable[[], str] | None = None
 
@@ -37,7 +37,7 @@ def command(commands: Commands, name: str, action: Callable[[Args], None], text:
 
 
 def quantities() -> str:
-    """A table of what is sampled."""
+    """A table of the sampled quantities."""
     from dem_jax.step.quantities import QUANTITIES
     from dem_jax.step.quantity import listed
 

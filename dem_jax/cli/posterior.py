@@ -12,7 +12,7 @@ def add(commands: Commands) -> None:
 
 
 def posterior(args: Args) -> None:
-    """Print what is likely."""
+    """Print the posterior of the parameters."""
     from dem_jax.study import file
     from dem_jax.study.posterior import text
 

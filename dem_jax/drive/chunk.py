@@ -1,4 +1,4 @@
-"""A chunk: the samples that a compiled program computes at once, and what it makes of them."""
+"""A chunk: the samples that a compiled program computes at once, its input and its result."""
 
 import time
 from collections.abc import Callable
@@ -16,7 +16,7 @@ FRAMES = 64  # as well, of scenes with frames
 
 @dataclass
 class Clock:
-    """What a job took so far (s)."""
+    """Elapsed times of a job (s)."""
 
     compile: float = 0.0
     start: float = field(default_factory=time.perf_counter)  # by the clock
@@ -31,7 +31,7 @@ class Times(NamedTuple):
 
 
 class Computed(NamedTuple):
-    """What a chunk ends with; of an ensemble with a leading run axis."""
+    """Result of a chunk; for an ensemble with a leading run axis."""
 
     state: State  # on the device
     samples: Sample  # numpy [.., SAMPLES]
@@ -39,14 +39,14 @@ class Computed(NamedTuple):
 
 
 class Known(NamedTuple):
-    """What an ensemble's chunk need not compute again."""
+    """Results of an ensemble's chunk that need not be computed again."""
 
     stands: np.ndarray  # [runs] bool: whether a run outgrew nothing
     results: Computed  # of all runs; the state with the room that the others need
 
 
 class Chunk(NamedTuple):
-    """What is to be computed."""
+    """Input of a chunk."""
 
     system: System
     state: State

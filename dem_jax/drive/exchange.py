@@ -1,6 +1,6 @@
 """Pieces that come into a scene and leave it, between two chunks: decided on the host, from the scene, the seed and the time alone.
 
-A piece that was taken out waits outside, at rest and without weight, and is what comes in next: nothing is compiled again.
+A removed piece waits outside, at rest and without weight, and is inserted again later, without recompilation.
 """
 
 from dataclasses import replace
@@ -36,7 +36,7 @@ def exchanged(job: Job, state: State, at: int) -> State:
 
 
 def missing(job: Job, state: State, at: int) -> list[str]:
-    """What to note of runs in which fewer pieces came in by a sample, at which pieces were exchanged, than were due."""
+    """Note on runs in which fewer pieces were inserted up to a sample than were due."""
     inlet = job.scene.inlet
     if inlet is None or at < 0:
         return []
@@ -47,7 +47,7 @@ def missing(job: Job, state: State, at: int) -> list[str]:
 
 
 def of_state(state: State) -> Exchange:
-    """What of a state whose system exchanges pieces says so."""
+    """The part of a state that counts exchanged pieces, in a system with an inlet or outlet."""
     assert state.exchange is not None
     return state.exchange
 
@@ -135,7 +135,7 @@ def _placed(motion: Motion, which: np.ndarray, position: np.ndarray, turn: np.nd
 
 
 def _counted(system: System, state: State, which: np.ndarray, way: int, energy: float) -> State:
-    """The state with some pieces brought in (way 0) or taken out (1) by what it counts; energy: (J) that they add."""
+    """The state with some pieces counted as inserted (way 0) or removed (1); energy: (J) that they add."""
     old, mass = of_state(state), np.asarray(system.pieces.mass, float)
     there, count, total = np.array(old.there), np.array(old.count), np.array(old.mass)
     there[which] = way == 0

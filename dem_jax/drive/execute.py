@@ -1,4 +1,4 @@
-"""Ways to compute a chunk: a run by itself; an ensemble in threads, side by side, on several devices, on several hosts.
+"""Strategies for a chunk: a single run; an ensemble in threads, in batches, on several devices, on several hosts.
 
 Each is a function of a Chunk. Which one, is chosen once for a job.
 """
@@ -46,7 +46,7 @@ def by_itself(chunk: Chunk) -> Computed:
 
 
 def in_threads(chunk: Chunk) -> Computed:
-    """The runs of an ensemble on all cores of a CPU at once, each by itself.
+    """The runs of an ensemble on all cores of a CPU, each as a single run.
 
     By ``jax.vmap`` they would take about as long as alone (measured in turns, at best: 10.2 us a step of nine pieces alone,
     9.1 a member of 64; of 8 members 14, of one 25).
@@ -80,7 +80,7 @@ def on_hosts(here: Way, runs: int, chunk: Chunk) -> Computed:
 
 
 def computed(program: Callable[..., Any], chunk: Chunk) -> Computed:
-    """What a compiled program makes of a chunk."""
+    """Result of the compiled program for a chunk."""
     after, samples, poses = program(chunk.system, chunk.state, *chunk.times)
     return Computed(after, *jax.device_get((samples, poses)))
 
@@ -90,7 +90,7 @@ def _on_all_cores(
 ) -> Computed:
     """groups: the run or runs of each thread. together: makes one array of theirs."""
     kept = jax.device_get(_bare(chunk.state))
-    scratch = jax.device_put(_of_runs(groups[0], jax.device_get(chunk.state.scratch)))  # filled anew: any run's will do
+    scratch = jax.device_put(_of_runs(groups[0], jax.device_get(chunk.state.scratch)))  # a rebuild refills it: any run's will do
     system = lambda k: chunk.system if chunk.varied is None else chunk.varied.system(chunk.system, k)  # noqa: E731
     own = lambda k: chunk._replace(system=system(k), state=_of_runs(k, kept).replace(scratch=scratch))  # noqa: E731
     program = programs.program(own(groups[0]), run_chunk)

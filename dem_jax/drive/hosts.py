@@ -1,4 +1,4 @@
-"""Several processes that compute one ensemble (``jax.distributed``): what one of them found or raised, all know.
+"""Several processes that compute one ensemble (``jax.distributed``) and share their results and exceptions.
 
 All decide alike because all know the same, so none waits for a word that another does not send.
 """
@@ -44,7 +44,7 @@ def exchange(function: Callable[[], T]) -> list[T]:
     error: BaseException | None = None
     try:
         value = function()
-    except BaseException as raised:  # an interrupt as well: the others must not wait for what will not come
+    except BaseException as raised:  # also an interrupt, so that the others do not wait for ever
         error = raised
     each = [pickle.loads(message) for message in _gathered(_pickled(value, error))]
     for _, found in each:
@@ -64,7 +64,7 @@ def by_first(function: Callable[[], T], shared: bool = True) -> T:
 
 @contextmanager
 def together(shared: bool = True) -> Iterator[None]:
-    """What a process raises in here, the others raise at their next exchange."""
+    """Propagate an exception of one process: the others raise it at their next exchange."""
     try:
         yield
     except BaseException as error:

@@ -27,7 +27,7 @@ class Job:
     state: State
     way: Way  # how its chunks are computed
     rule: settled.Rule | None = None  # of run.until_settled
-    varied: Varied | None = None  # what differs between the runs of an ensemble, beside their seed
+    varied: Varied | None = None  # parameters that differ between the runs of an ensemble, besides their seed
     own_law: bool = False  # whether the contact law was given instead of the scene's
     samples_kept: int = 0  # already in the file
     frames_kept: int = 0
@@ -63,7 +63,7 @@ class Job:
 
     @property
     def frame_capacity(self) -> int:
-        """Of a chunk."""
+        """Stored poses of a chunk, at most."""
         return FRAMES if self.every else 0
 
     @property
@@ -82,7 +82,7 @@ class Job:
         return int(np.ravel(state.step)[0]) // self.steps_per_sample
 
     def built_of(self, run: int) -> build.Built:
-        """What a run was built as, of a single one too."""
+        """The built scene of a run, also of a single run."""
         return self.built if self.varied is None else self.varied.built[run]
 
     def scene_of(self, run: int) -> Scene:
@@ -91,7 +91,7 @@ class Job:
 
     @property
     def samples_between_exchanges(self) -> int:
-        """Of pieces that come in and leave: a multiple of the samples between rebuilds."""
+        """Samples between exchanges of pieces, a multiple of those between rebuilds."""
         assert self.built.exchange is not None  # as who asks makes sure
         block = samples_per_block(self.system)
         return max(1, round(self.built.exchange.every / (block * self.scene.run.sample))) * block
@@ -106,7 +106,7 @@ class Job:
 
     @property
     def time(self) -> float:
-        """What is left takes on one core (s), by that estimate."""
+        """Estimated remaining time on one core (s)."""
         return (self.samples - self.sample_of(self.state)) * self._time_of_sample
 
     @property

@@ -1,6 +1,6 @@
 """The loop over the chunks of a job: a scene becomes a run, and nothing that goes wrong passes unseen.
 
-After each chunk the guard is read: what outgrew a capacity or the skin is run again with more room; a start with
+After each chunk the guard is read: a chunk that exceeded a capacity or the skin is repeated with more; a start with
 overlaps, a piece that is not finite or left the domain and a contact that is too deep stop the run.
 """
 
@@ -60,7 +60,7 @@ def spans(job: Job, shown: Progress) -> Iterator[Span]:
 
 
 def _news(job: Job, span: Span, notes: list[str], shown: Progress) -> list[str]:
-    """What a span has to say that is not in the notes yet."""
+    """Notes of a span that are not in the file yet."""
     news: list[str] = []
     for note in failure.escapes(job, span.state):
         if not any(known.startswith(note) for known in (*notes, *news)):
@@ -74,7 +74,7 @@ def _news(job: Job, span: Span, notes: list[str], shown: Progress) -> list[str]:
 
 
 def _append(job: Job, target: Target, *rows: Any, **more: Any) -> None:
-    """Append to the target; what goes wrong in one process stops all."""
+    """Append to the target; an error in one process stops all."""
     append = partial(target.append, *rows, **more)
     if job.shared:
         hosts.exchange(append)
@@ -92,7 +92,7 @@ def _check_alike(job: Job) -> None:
 
 
 def _stop(job: Job, target: Target, span: Span, failed: tuple[int, int]) -> NoReturn:
-    """Save what was computed before the failure and raise it."""
+    """Save the results before the failure and raise it."""
     member, k = failed
     state, _, _ = execute(job, span.system, span.start, span.first, k + 1)
     error = failure.describe(job, span, jax.device_get(state), member, k)

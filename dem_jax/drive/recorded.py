@@ -1,4 +1,4 @@
-"""What the file says of a job, and what a span adds to it: series, poses, facts, and the state to go on from."""
+"""Data of a job for its file, and the additions of a span: series, poses, metadata, and the state for a resume."""
 
 from typing import Any
 
@@ -13,7 +13,7 @@ from dem_jax.store import record, series
 
 
 def header_of(job: Job) -> record.Header:
-    """What the file says about the run."""
+    """Metadata of the run in the file."""
     from dem_jax import __version__
 
     step, scene = job.built.step, job.scene
@@ -66,7 +66,7 @@ def _frames_of(job: Job, span: Span, count: int, run_axis: tuple[Any, ...]) -> d
 
 
 def facts_of(job: Job, span: Span, notes: list[str], reruns: list[str]) -> dict[str, Any]:
-    """What a span adds to the file's info: ``notes``, which a person should know, and ``reruns``, which were handled;
+    """Additions of a span to the file's info: ``notes`` for the user, and ``reruns``, which were handled;
     ``settled`` (s), the end of a run that ended early; ``settling`` (s), how long a portion settled if that was cut short;
     ``collisions``, see collided.told."""
     facts: dict[str, Any] = {name: said for name, said in (("notes", notes), ("reruns", reruns)) if said}

@@ -1,6 +1,6 @@
 """A state as named arrays, and back: all that is needed to go on bit for bit.
 
-What the rebuild at the start of a chunk fills anew is left out.
+Arrays that the rebuild at the start of a chunk recomputes are left out.
 """
 
 from dataclasses import replace
@@ -19,7 +19,7 @@ from dem_jax.store.header import Header, Stored
 from dem_jax.types import State, System
 
 LEAST = 8  # pairs that files of before have room for, of one too
-NEWER = ("motion/orientation_rest",)  # what files of before lack, and began as 0
+NEWER = ("motion/orientation_rest",)  # missing in older files, where it was 0
 
 
 def pack(system: System, state: State) -> dict[str, np.ndarray]:
@@ -76,7 +76,7 @@ def check_step(state: State, first: State, steps_per_sample: np.ndarray, samples
 
 
 def _counts(arrays: dict[str, np.ndarray], path: str, form: tuple[int, ...], most: int) -> list[int]:
-    """Whole numbers. Raises RecordError for what is missing, of another form, or cannot be needed."""
+    """Whole numbers. Raises RecordError for missing values, another shape, or an impossible size."""
     array = _found(arrays, path)
     if array.shape != form or array.dtype.kind not in "iu" or np.any(array < 0) or np.any(array > most):
         raise RecordError(f"restart/{path} = {array.tolist()}: allowed: {form or 'a'} whole numbers from 0 to {most}")
@@ -139,7 +139,7 @@ def _as_held(quantity: Quantity, stored: Stored | None) -> Quantity:
 
 
 def _leaves(state: State) -> tuple[list[tuple[str, Any]], Any]:
-    """[(path, array)] of what is kept, and its structure: not of what each sample begins anew and files of before lack."""
+    """[(path, array)] of the stored leaves, and their structure, without those that each sample resets and older files lack."""
     kept = state.replace(scratch=None, ledger=state.ledger.replace(peak=None))
     paths, structure = jax.tree_util.tree_flatten_with_path(kept)
     return [(jax.tree_util.keystr(path, simple=True, separator="/"), leaf) for path, leaf in paths], structure

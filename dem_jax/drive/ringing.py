@@ -1,4 +1,4 @@
-"""What a run says where pieces are at rest on contacts without damping: these ring, and let pieces creep."""
+"""Note of a run in which pieces are at rest on contacts without damping: these ring, and let pieces creep."""
 
 import math
 
@@ -16,7 +16,7 @@ NOTE = (
 
 def notes(job: Job, span: Span) -> list[str]:
     """NOTE, if no piece of some run was faster than run.settled_speed in the last 2 s of a span, or in all of a shorter one,
-    that ends 2 s or more after the release. From the scene and the span alone, so that a run gone on with says the same."""
+    that ends 2 s or more after the release. It depends on the scene and the span alone, so that a resumed run has the same note."""
     run = job.scene.run
     looked = min(span.count, round(LONG / run.sample))
     can_rest = looked * run.sample * math.hypot(*run.gravity) > 2 * run.settled_speed  # longer than the top of a bounce is slow

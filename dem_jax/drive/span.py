@@ -30,10 +30,10 @@ class Span:
     state: State
     samples: Sample  # numpy [.., samples]
     poses: np.ndarray  # [.., frames, 13, N]
-    reruns: tuple[str, ...]  # what was run again, and why
+    reruns: tuple[str, ...]  # repeated chunks, and the reasons
     failed: tuple[int, int] | None  # as of failure.find
     slow: bool = True  # all since the rule of run.until_settled was last looked at
-    settled: bool = False  # all was at rest: what would follow up to the release, or up to the end, is left out
+    settled: bool = False  # all pieces were at rest, so the time up to the release, or up to the end, is skipped
 
     @property
     def end(self) -> int:
@@ -44,7 +44,7 @@ class Span:
 def advance(job: Job, system: System, state: State, first: int, count: int, shown: Progress) -> Span:
     """One chunk, run again from its first state until nothing is outgrown. Raises SceneError if the start overlaps.
 
-    Of an ensemble in threads only the runs that outgrew something are run again.
+    For an ensemble in threads only the runs that exceeded a capacity are repeated.
     """
     reruns: list[str] = []
     start, known = guard.fresh(state), None
@@ -68,7 +68,7 @@ def advance(job: Job, system: System, state: State, first: int, count: int, show
 
 
 def looked_at(job: Job, span: Span, slow: bool) -> Span:
-    """The span with what the rule of ``run.until_settled`` says of its end; slow: whether all was before it.
+    """The span with the decision of ``run.until_settled`` about its end; slow: whether all pieces were slow before it.
 
     A portion at rest is released at once: no wall moves before the release, so nothing but the step's number differs.
     """

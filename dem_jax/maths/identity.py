@@ -24,7 +24,7 @@ def _divided(x: Array) -> Array:
 
 
 def _identity(name: str, program: Callable[[Array], Array]) -> Primitive:
-    """An operation without derivatives yet; program: what XLA is given for it."""
+    """An operation without derivatives yet. program: its lowering to XLA."""
     identity = Primitive(name)
     identity.def_impl(lambda x: x)
     identity.def_abstract_eval(lambda x: x)

@@ -1,4 +1,4 @@
-"""A branch that writes in place what it changes."""
+"""A conditional that updates its operands in place."""
 
 from collections.abc import Callable
 from typing import TypeVar

@@ -12,7 +12,7 @@ from dem_jax.maths.vector import Matrix, Vector
 Array = jax.Array
 Quaternion = tuple[Array, Array, Array, Array]
 
-UNIT = 1 / 32  # of what a quaternion lacks of unit length is made up for in each step
+UNIT = 1 / 32  # fraction of a quaternion's deviation from unit length that each step corrects
 
 
 def multiply(p: Quaternion, q: Quaternion) -> Quaternion:
@@ -122,7 +122,7 @@ def _less_identity(axis: Vector) -> Quaternion:
 
 
 def to_unit(q: Quaternion) -> Quaternion:
-    """What brings a quaternion of nearly unit length nearer to it: by less than rounding in each step, all of it in a hundred."""
+    """Correction that brings a quaternion closer to unit length: below rounding in each step, complete within a hundred."""
     w, x, y, z = q
     part = (0.5 * UNIT) * (1 - (w * w + x * x + y * y + z * z))
     return (part * w, part * x, part * y, part * z)

@@ -1,4 +1,4 @@
-"""Tables whose last axis numbers what they hold."""
+"""Tables whose last axis is the index of their entries."""
 
 import jax
 import jax.numpy as jnp

@@ -1,1 +1,1 @@
-"""Which pairs may touch: search, rebuild, history carried across it, room for all of it."""
+"""Broad phase: search for candidate pairs, rebuild, contact history carried across it, capacities."""

@@ -1,6 +1,6 @@
-"""What a host does when a chunk outgrew a capacity or its skin: grow it, and go back to the last good state.
+"""Recovery on the host when a chunk exceeds a capacity or its skin: grow it, and return to the last valid state.
 
-Capacities are static, so growing one compiles anew; the skin is an array. All arrays may have a leading run axis
+Capacities are static, so growing one recompiles; the skin is an array. All arrays may have a leading run axis
 (ensembles): the largest need of all runs counts.
 """
 
@@ -16,13 +16,13 @@ from dem_jax.maths.compaction import EMPTY
 from dem_jax.pairs import neighbours, search
 from dem_jax.types import Array, ContactTable, Guard, Partition, Parts, State, System
 
-HEAD_ROOM = 1.25  # of what was needed, so that the next chunk does not outgrow it again
+HEAD_ROOM = 1.25  # times the required capacity, so that the next chunk does not exceed it again
 ANY_WAY = 1e3  # m
 LARGEST_RAISE = 4.0  # of the skin at once: a state that went wrong may report any travel
 
 
 def fresh(state: State) -> State:
-    """The state at the start of a chunk: needs and travel are noted anew."""
+    """The state at the start of a chunk, with needs and travel reset."""
     guard = state.guard
     zeros = jax.tree.map(
         np.zeros_like, {name: getattr(guard, name) for name in ("needed", "touching", "row", "partition", "reach", "travel")}
@@ -31,7 +31,7 @@ def fresh(state: State) -> State:
 
 
 class Room(NamedTuple):
-    """Something that there is a limited room for: how much was needed, how much there is, and what to say if that is less."""
+    """A limited capacity: the required and the available number, and the message if it is insufficient."""
 
     needed: Any
     there: Any
@@ -55,7 +55,7 @@ def _rooms(system: System, guard: Guard) -> Iterator[Room]:
 
 
 def outgrown(system: System, guard: Guard) -> list[str]:
-    """What a chunk that ended with this guard outgrew, in words; empty: its result stands. guard: numpy."""
+    """Message that names the capacities that a chunk exceeded; empty if its result is valid. guard: numpy."""
     rooms = (Room(np.asarray(room.needed)[()], np.asarray(room.there)[()], room.words) for room in _rooms(system, guard))
     return [room.words.format(room.needed, room.there) for room in rooms if room.needed > room.there]
 
@@ -82,7 +82,7 @@ def standing(system: System, guard: Guard) -> np.ndarray:
 
 
 def grown(system: System, state: State, guard: Guard) -> tuple[System, State]:
-    """The system with room for what a chunk needed, and the state that the chunk began with, fitted to it."""
+    """The system with the capacities that a chunk needed, and the initial state of the chunk fitted to it."""
     rows = []
     parts, panels = system.parts.count, system.walls.group.shape[0]
     polytopes, spheres = system.parts.polytopes.shape[0], system.parts.spheres.shape[0]
@@ -114,7 +114,7 @@ def most_contacts(parts: Parts, panels: int) -> int:
 
 
 def _grown_partition(partition: Partition | None, guard: Guard, parts: int) -> Partition | None:
-    """The room of jax-md's list, where there is one, for what was needed."""
+    """The required capacity of jax-md's list, if there is one."""
     if partition is None:
         return None
     listed, filling = map(int, _most(guard.partition))
@@ -139,7 +139,7 @@ def with_capacity(
 
 
 def with_scratch(system: System, state: State) -> State:
-    """The state with the incidence of its tables, and with what a rebuild fills empty and of the right form."""
+    """The state with the incidence of its tables, and with empty scratch arrays of the right shape."""
     batched = jax.vmap if state.step.ndim else lambda function: function
     find = batched(lambda tables: neighbours.find_incidence(system, tables).columns)
     state = state.replace(scratch=None, incidence=jax.jit(find)(state.contacts))

@@ -1,8 +1,8 @@
-"""Pairs of bodies to be looked at, by what finds them: every pair, sorted cells, or the neighbour list of jax-md.
+"""Candidate pairs of bodies by all pairs, sorted cells, or the neighbour list of jax-md.
 
 Each source takes (system, members, stacked, reach, room): body numbers [M] int32, ``bodies.stack``, the gap (m) within
 which pairs count and a number of pairs to keep, and answers with the pairs (a, b), a < b, two int32 arrays that hold EMPTY
-where there is no pair, and what it would have needed to find them all.
+where there is no pair, and the capacity needed to find them all.
 """
 
 from types import ModuleType
@@ -18,13 +18,13 @@ from dem_jax.maths import vector
 from dem_jax.maths.compaction import EMPTY, WORD, first_of_words, first_set, packed
 from dem_jax.types import Array, Guard, Partition, System, host
 
-ALL_PAIRS = 700  # "auto": up to so many pieces every pair is looked at, which is as quick as any list; beyond, cells
-MANY = 128  # from so many parts on the pairs of "all-pairs" are found in a table
-ROUNDING = 1e-4  # of the cutoff of jax-md's list, by which it is larger than the sum of what it is made of
+ALL_PAIRS = 700  # "auto" tests all pairs of up to this number of pieces, as fast as any list; cells for more
+MANY = 128  # from this number of parts on "all-pairs" uses a table
+ROUNDING = 1e-4  # of the cutoff of jax-md's list, by which it exceeds the sum of its terms
 
 
 class Need(NamedTuple):
-    """What a search would have needed; row, partition and reach as in ``types.Guard``."""
+    """Capacities that a search needs; row, partition and reach as in ``types.Guard``."""
 
     row: Array
     partition: Array
@@ -32,7 +32,7 @@ class Need(NamedTuple):
     missed: Array  # int32: pairs for which there was no room
 
 
-Found = tuple[Array, Array, Need]  # the pairs (a, b), and what a search would have needed to find them all
+Found = tuple[Array, Array, Need]  # the pairs (a, b), and the capacities needed to find them all
 
 
 def no_need(dtype: DTypeLike) -> Need:
@@ -63,7 +63,7 @@ def of_source(system: System, source: str, stacked: Array, reach: Array, room: i
 
 
 def choice(neighbours: str, members: int) -> str:
-    """What finds the pairs of so many pieces, where the scene says how."""
+    """The search method for a number of pieces, as the scene selects it."""
     if members < 2:
         return "all-pairs"
     if neighbours == "auto":
@@ -122,7 +122,7 @@ def cell_pairs(system: System, members: Array, stacked: Array, reach: Array, roo
 
     Pieces are sorted by cell, z fastest, so that three cells one above the other are one range of the sorted list:
     the rest of a piece's own cell and the one above, and four rows beside it, hold its partners of higher rank. Pairs
-    come out piece by piece, as from ``all_pairs``: what one slot reads of bodies the next ones find in the cache.
+    come out piece by piece, as from ``all_pairs``, so that consecutive slots find their bodies in the cache.
     """
     size = 2 * jnp.max(system.parts.bounding_radius[members]) + reach
     place = stacked[:3, members] - system.domain_low[:, None]

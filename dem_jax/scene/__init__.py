@@ -1,4 +1,4 @@
-"""What a person writes: sections of a scene, TOML in and out, buckets and how pieces are laid out."""
+"""User input: sections of a scene, TOML in and out, buckets and placement of pieces."""
 
 from dem_jax.scene.changes import parse_setting
 from dem_jax.scene.files import STOCK, load_scene, parse, stock_scenes

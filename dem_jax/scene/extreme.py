@@ -1,4 +1,4 @@
-"""Numbers that a scene may hold but that nobody means: which of them is furthest from what is usual."""
+"""Permitted but implausible numbers of a scene: the one that is furthest from usual values."""
 
 import math
 from collections.abc import Iterator
@@ -9,7 +9,7 @@ from pydantic import BaseModel
 from dem_jax.scene.sections.material import Material
 
 USUAL = {"step": 1e-6, "unit": 1.0, "start": 0.1, "opening_start": 0.1}  # where a key has no default, or 0
-LENGTH = 1e-2  # m: of what else has none
+LENGTH = 1e-2  # m, if nothing else has a length
 
 
 def furthest(scene: BaseModel) -> str:
@@ -19,7 +19,7 @@ def furthest(scene: BaseModel) -> str:
 
 
 def _numbers(section: BaseModel, path: str) -> Iterator[tuple[str, float, float]]:
-    """(key, number, what is usual) of all numbers that are not 0."""
+    """(key, number, usual value) of all numbers that are not 0."""
     items = {name: getattr(section, name) for name in type(section).model_fields} | (section.model_extra or {})
     for name, item in items.items():
         key = f"{path}{name}"

@@ -1,4 +1,4 @@
-"""Materials of a scene as arrays: what each is, and what holds between any two."""
+"""Materials of a scene as arrays: properties of each, and of each pair."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -141,7 +141,7 @@ def _row(base: Material, name: str | None, is_wall: bool) -> _Row:
 
 
 def _of_piece_or_mean(between_pieces: str, on_wall: str) -> Callable[[_Row, _Row], float]:
-    """What holds between two materials that are not listed as a pair."""
+    """Properties of two materials that are not listed as a pair."""
 
     def rule(a: _Row, b: _Row) -> float:
         if a.is_wall != b.is_wall:

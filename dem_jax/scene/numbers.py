@@ -1,6 +1,6 @@
 """Formulas that hold for the numbers of a scene, in numpy, and for values in their place that JAX differentiates.
 
-Numbers give what numpy gives; only where a value is JAX's own is JAX imported and used.
+Numbers give the results of numpy; JAX is imported and used only for values of JAX.
 """
 
 from typing import Any

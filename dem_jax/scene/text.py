@@ -11,7 +11,7 @@ def toml(tree: dict[str, Any]) -> str:
 
 
 def value(item: Any) -> str:
-    """One value as TOML on one line, tables inline; what TOML does not know as Python shows it."""
+    """One value as TOML on one line, tables inline; Python's representation for other types."""
     try:
         text = toml({"item": [[item]]})  # in a list of a list a table is always written inline
     except (TypeError, ValueError):

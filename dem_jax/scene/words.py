@@ -1,4 +1,4 @@
-"""A scene in words: every key described, what a field takes, and what is wrong in one line."""
+"""Text about a scene: a description of every key, the values that a field accepts, and errors in one line."""
 
 import difflib
 import json
@@ -15,7 +15,7 @@ Model = type[BaseModel]
 
 
 def described(scene: BaseModel) -> str:
-    """The scene as TOML text with every key that there is, its description and its default; ``parse`` reads it back."""
+    """The scene as TOML text with every key, its description and its default; ``parse`` reads it back."""
     lines = []
     for key, field in type(scene).model_fields.items():
         item = getattr(scene, key)
@@ -86,7 +86,7 @@ def _plain(item: Any) -> Any:
 
 
 def one_line(error: ValidationError, tree: Any, root: Model) -> str:
-    """The first mistake in a tree that should be of the model ``root``: key, value, and what is allowed."""
+    """The first error in a tree that should be of the model ``root``: key, value, and the values allowed."""
     first = error.errors()[0]
     if first["type"] == "value_error":
         return f"{'.'.join(map(str, first['loc']))}: {first['ctx']['error']}".removeprefix(": ")
@@ -116,7 +116,7 @@ def choices(word: str, known: list[str], more: str = "") -> str:
 
 
 def _field_at(root: Model, loc: tuple) -> tuple[list[str], Model, FieldInfo | None]:
-    """Of a pydantic location: the keys down to a field, the section that the last key is in, and its field or None."""
+    """Resolve a pydantic location: the keys down to a field, the section that contains the last key, and its field or None."""
     place: list[str] = []
     section, field, inside = root, None, root
     for n, key in enumerate(loc):
@@ -138,12 +138,12 @@ def _at(tree: Any, place: list[str]) -> Any:
 
 
 def allowed(field: FieldInfo) -> str:
-    """What a field takes, in words."""
+    """The values that a field accepts, in words."""
     return _words(Annotated[(field.annotation, *field.metadata)] if field.metadata else field.annotation)
 
 
 def _words(annotation: Any) -> str:
-    """What a type takes, in words."""
+    """The values that a type accepts, in words."""
     limits = []
     while get_origin(annotation) is Annotated:
         annotation, *metadata = get_args(annotation)
@@ -195,7 +195,7 @@ def is_list_of_tables(field: FieldInfo) -> bool:
 
 
 def section_by_name(section: Model) -> Model | None:
-    """What tables of any name in a section are; None where names are fixed."""
+    """The model of tables by name in a section; None if names are fixed."""
     if section.model_config.get("extra") != "allow":
         return None
     return next(_models(get_type_hints(section)["__pydantic_extra__"]), None)

@@ -43,7 +43,7 @@ def _caps(i: int, centres: np.ndarray, radii: np.ndarray) -> tuple[np.ndarray, n
 
 
 def _surface_integral(centre: np.ndarray, radius: float, axes: np.ndarray, cosines: np.ndarray) -> np.ndarray:
-    """Integral [4, 4] of (1, x) (1, x)^T (x . n) over what the caps leave of a sphere."""
+    """Integral [4, 4] of (1, x) (1, x)^T (x . n) over a sphere without its caps."""
     pole = axes[0] if len(axes) else np.array([0.0, 0.0, 1.0])
     east = np.cross(pole, np.eye(3)[np.argmin(np.abs(pole))])
     east /= np.linalg.norm(east)
@@ -103,7 +103,7 @@ def _open_arcs(z: float, caps: np.ndarray, cosines: np.ndarray) -> list[tuple[fl
         reached = max(reached, end)
     if first + 2.0 * pi > reached:
         arcs.append((reached, first + 2.0 * pi))
-    wrapped = max(end - 2.0 * pi for _, end in shut)  # a cap across the zero of angles shuts what is counted from there
+    wrapped = max(end - 2.0 * pi for _, end in shut)  # a cap across angle zero covers the beginning of the circle
     return [(max(start, wrapped), end) for start, end in arcs if end > wrapped]
 
 

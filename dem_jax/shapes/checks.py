@@ -1,4 +1,4 @@
-"""Checks of what a person wrote: one clear line that names the key, the value and what is allowed."""
+"""Validation of user input: one clear line that names the key, the value and the values allowed."""
 
 from math import isfinite
 from typing import Any
@@ -9,7 +9,7 @@ from dem_jax.errors import SceneError
 
 
 def positive(key: str, value: Any, allowed: str) -> float:
-    """The value as a float. Raises SceneError with the key and what is allowed unless it is a finite number > 0."""
+    """The value as a float. Raises SceneError with the key and the values allowed unless it is a finite number > 0."""
     number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
     if not number or not isfinite(value) or value <= 0.0:
         raise SceneError(f"{key} = {value!r} must be {allowed}")
@@ -40,7 +40,7 @@ def whole_sides(sides: Any) -> int:
 
 
 def finite_vector(key: str, value: Any, length: int = 3) -> np.ndarray:
-    """The value as an array [length]. Raises SceneError naming the key unless it is so many finite numbers."""
+    """The value as an array [length]. Raises SceneError naming the key unless it has this number of finite numbers."""
     try:
         array = np.asarray(value, np.float64)
     except (TypeError, ValueError) as error:

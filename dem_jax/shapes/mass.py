@@ -26,7 +26,7 @@ class Moments(NamedTuple):
 
 
 class MassProperties(NamedTuple):
-    """What a body of uniform density weighs and where.
+    """Mass properties of a body of uniform density.
 
     volume: (m3). centre: [3] (m) of mass. gyration: [3, 3] (m2) inertia about the centre over mass.
     """

@@ -26,7 +26,7 @@ class Shape:
         inside the body.
     normals: [F, 3] outward unit normals; offsets: [F] (m): n . x <= offset inside (of the part that has the face).
     edges: [E, 2] vertex indices, each edge once; those of all parts.
-    volume: (m3), what overlaps counted once.
+    volume: (m3), overlaps counted once.
     gyration: [3] (m2) principal moments of inertia over mass, in the principal frame.
     principal: [4] quaternion w x y z that takes principal-frame vectors to body-frame vectors; (1, 0, 0, 0) where the
         body axes are principal already.
@@ -62,7 +62,7 @@ class Part:
 
     shape: polytope or sphere about its own centre of mass, its axes parallel to the body frame of the whole.
     centre: [3] (m) of the part, in the body frame of the whole, about the whole's centre of mass.
-    inner: for each face of the part whether other parts cover all of it, so that nothing can touch it.
+    inner: for each face of the part True if other parts cover it completely, so that nothing can touch it.
     """
 
     shape: Shape

@@ -64,7 +64,7 @@ def _heights(points: np.ndarray, hull: "ConvexHull") -> np.ndarray:
 
 
 def _furthest(points: np.ndarray, of: np.ndarray) -> float:
-    """How far (m) the furthest of points [P, 3] is from the hull of others [V, 3]. Of very many the highest are looked at."""
+    """Largest distance (m) of points [P, 3] from the hull of others [V, 3]; for very many points only the highest are tested."""
     from scipy.spatial import ConvexHull
     from trimesh.triangles import closest_point
 

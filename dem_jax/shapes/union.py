@@ -21,7 +21,7 @@ def planes(part: Part) -> tuple[np.ndarray, np.ndarray]:
 def overlaps(parts: Sequence[Part], near: float) -> dict[tuple[int, int], float]:
     """How deep (m) two parts i < j overlap, for those no further apart than near (m); negative where they are apart.
 
-    Of two polytopes twice the radius of the largest ball in both, which is the depth of a thin overlap.
+    For two polytopes it is twice the radius of the largest ball in both, which is the depth of a thin overlap.
     """
     found = {}
     for j in range(len(parts)):
@@ -36,7 +36,7 @@ def overlaps(parts: Sequence[Part], near: float) -> dict[tuple[int, int], float]
 def mass_of_union(parts: Sequence[Part], depths: dict[tuple[int, int], float], size: float) -> MassProperties:
     """Volume (m3), centre [3] (m) and inertia over mass of the union; depths: as ``overlaps`` gives them; size: (m).
 
-    What overlaps by less than TOLERANCE of the size counts as touching. Overlaps of polytopes are taken off by inclusion
+    Overlaps of less than TOLERANCE of the size count as touching. Overlaps of polytopes are subtracted by inclusion
     and exclusion, balls by the part of their surface that is outside. Raises SceneError for a ball that overlaps a
     polytope, and for polytopes of which too many overlap in too many ways.
     """
@@ -145,7 +145,7 @@ def _of_polytopes(parts: Sequence[Part], deep: set[tuple[int, int]], start: np.n
 
 
 def _of_intersection(parts: Sequence[Part], centre: np.ndarray, radius: float, start: np.ndarray) -> Moments:
-    """Moments about start of what is in all polytopes, from a ball inside it."""
+    """Moments about start of the intersection of all polytopes, from a ball inside it."""
     from scipy.spatial import ConvexHull, HalfspaceIntersection
 
     normals, offsets = (np.concatenate(rows) for rows in zip(*(planes(part) for part in parts), strict=True))

@@ -1,4 +1,4 @@
-"""Shapes, walls and wall poses of a stored run, from the scene in its file: what pictures and exports need."""
+"""Shapes, walls and wall poses of a stored run, from the scene in its file, for pictures and exports."""
 
 from collections.abc import Callable
 from functools import cache

@@ -1,4 +1,4 @@
-"""What a calibration found (fit.json), as a report shows it."""
+"""Results of a calibration (fit.json) for a report."""
 
 import json
 from dataclasses import dataclass
@@ -18,14 +18,14 @@ SHOWN = {  # parameter -> name, unit, factor
 
 @dataclass(frozen=True)
 class Fitted:
-    """Parameters of a Product Model: name -> (value, low, high), SI, 90 % intervals; what the fit says; its figure."""
+    """Parameters of a Product Model: name -> (value, low, high), SI, 90 % intervals; statements of the fit; its figure."""
 
     parameters: dict[str, tuple[float, float, float]]
     statements: list[str]
     picture: Path | None
 
     def rows(self) -> list[list[str]]:
-        """A table: what heads the columns, then a row for each parameter."""
+        """A table: the column headings, then one row per parameter."""
         rows = [["", "value", "90 % interval"]]
         for name, row in self.parameters.items():
             words, unit, factor = SHOWN[name]

@@ -7,7 +7,7 @@ import numpy as np
 from dem_jax.show.summary import main_group
 from dem_jax.store.run import Frames, Run
 
-PAUSE = 0.1  # s; a wall that was unloaded for longer is hit anew; shorter pauses are rebounds, or gaps within a portion
+PAUSE = 0.1  # s; after a longer pause without load a new impact begins; shorter ones are rebounds, or gaps within a portion
 APPROACH = 0.05  # s before the first contact, at most
 SLOW = 0.1  # m/s; slower pieces are at rest, as those of the settled mass
 QUIET = 0.02  # s for which pieces must be slow to count as at rest, as run.settled_time

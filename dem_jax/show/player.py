@@ -1,4 +1,4 @@
-"""What the 3-D view of a report plays: shapes, walls and stored poses as plain data, and the library that draws them."""
+"""Data of the 3-D view of a report: shapes, walls and stored poses as plain data, and the library that draws them."""
 
 import base64
 import re
@@ -38,7 +38,7 @@ def three() -> str:
 
 @dataclass(frozen=True)
 class Moving:
-    """What moves in a single run, at F stored instants: N pieces of a few shapes, G groups of walls.
+    """The moving bodies of a single run, at F stored instants: N pieces of a few shapes, G groups of walls.
 
     time: [F] (s). shapes: triangles [.., 3, 3] (m) of each, in its body frame, and whether it is round. shape: [N], that of each
     piece. position: [F, N, 3] (m). orientation: [F, N, 4]. walls: group -> triangles (m) in the rest frame, and whether they

@@ -81,7 +81,7 @@ def render(
     fps: float = 25,
     labels: Sequence[str] = (),
 ) -> Path:
-    """Write a picture or an animation of stored poses; what it is follows from the path.
+    """Write a picture or an animation of stored poses; the path's suffix selects the kind.
 
     frames: record.Frames of a single run. shapes: a Shape for each of the N pieces. walls: group -> list of (vertices
     [V, 3] (m), faces) in the group's rest frame, the first face being the surface that the pieces touch; wall_pose:
@@ -120,7 +120,7 @@ class Scene(NamedTuple):
 def scene_of(
     frames: Frames, shapes: Sequence[Shape], walls: Walls, wall_pose: WallPose, camera: Camera, colour: str = "speed"
 ) -> Scene:
-    """What `figure_of` draws; arguments as `render`."""
+    """The scene that `figure_of` draws; arguments as `render`."""
     if colour not in ("speed", "piece"):
         raise RecordError(f'colour = {colour!r} is unknown; allowed: "speed", "piece"')
     known: dict[int, tuple[Solid, ...]] = {}
@@ -151,7 +151,7 @@ def _instants(times: np.ndarray, at: float | None, strip: int | Sequence[float] 
         wanted = [times[-1] if at is None else at]
     else:
         wanted = np.linspace(times[0], times[-1], strip) if isinstance(strip, int) else strip
-    slack = np.diff(times).max(initial=1e-3)  # a run goes on after its last frame, but for less than until the next
+    slack = np.diff(times).max(initial=1e-3)  # a run ends less than one frame interval after its last frame
     for t in np.asarray(wanted, float):
         if not times[0] - slack <= t <= times[-1] + slack:
             raise RecordError(f"no frame was stored at {t:g} s; allowed: {times[0]:.6g} to {times[-1]:.6g} s")
@@ -272,7 +272,7 @@ def _placed(solid: Solid, rotation: np.ndarray, origin: np.ndarray) -> Solid:
 def _shown_box(
     frames: Frames, radii: np.ndarray, plates: Sequence[tuple[str, Solid]], wall_pose: WallPose
 ) -> np.ndarray:
-    """Box [2, 3] (m) around all places of the pieces and walls; of walls that are far larger, only what is near."""
+    """Box [2, 3] (m) around all positions of pieces and walls; walls that are far larger are cut off."""
     finite = np.isfinite(frames.position).all(axis=-1)
     radius = np.broadcast_to(radii, finite.shape)[finite][:, None]
     low, high = (frames.position[finite] - radius).min(axis=0), (frames.position[finite] + radius).max(axis=0)
@@ -377,7 +377,7 @@ def _clipped(loop: np.ndarray, box: np.ndarray) -> np.ndarray:
 
 
 def painter_order(bodies: Sequence[Solid], view: View) -> list[int]:
-    """Indices of disjoint convex bodies: what hides another comes after it; a cycle starts with its farthest."""
+    """Indices of disjoint convex bodies, each after those that it hides; a cycle starts with its farthest body."""
     centres = np.stack([body.vertices.mean(axis=0) for body in bodies])
     radii = np.array([np.linalg.norm(b.vertices - c, axis=1).max() for b, c in zip(bodies, centres, strict=True)])
     flat = [_project(view, body.vertices) for body in bodies]
@@ -407,7 +407,7 @@ def _hides(
 
 
 def _best_plane(body: Solid, other: Solid, between: np.ndarray) -> tuple[np.ndarray, float, float]:
-    """Of the planes of a body's faces (of a ball: that between the centres), the one with the widest gap to another."""
+    """Face plane of a body (for a ball: the plane between the centres) with the widest gap to another body."""
     if not body.outlined:
         normal = between / np.linalg.norm(between)
         level = (body.vertices @ normal).max()

@@ -10,7 +10,7 @@ from dem_jax.store.run import Run
 Span = tuple[float, float]  # (s) from, to
 
 IMPACT = 0.06  # (s) that the impact is shown at least
-SMALL = 0.1  # of the peak: what stays below it is no longer the impact
+SMALL = 0.1  # of the peak; the impact ends where the force stays below it
 MARGIN = 0.05  # of a span, before it
 
 
@@ -22,7 +22,7 @@ def whole_span(run: Run, mean: np.ndarray) -> Span:
 
 
 def impact_span(run: Run, mean: np.ndarray) -> Span:
-    """From just before the first force until it stays below 10 % of its peak, or below twice what weighs at the end; at
+    """From just before the first force until it stays below 10 % of its peak, or below twice the final weight; at
     least 60 ms, and no longer than the run. mean: [.., T] (kg), of an ensemble the largest of 95 % of its runs count."""
     rows = np.abs(mean).reshape(-1, len(run.time))
     felt = np.flatnonzero(rows.max(axis=0) > 0.0)

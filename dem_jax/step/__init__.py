@@ -1,1 +1,1 @@
-"""One time step and the loops around it, what is measured, runs side by side."""
+"""One time step and the loops around it, measured quantities, batched runs."""

@@ -1,11 +1,11 @@
-"""Flaps that a drive of limited torque swings: what they meet can hold them up, or push them ahead.
+"""Flaps with a drive of limited torque: pieces can hold them up, or push them ahead.
 
     I f'' = T - clip(k f + c f', -T_max, T_max)
 
 f is the angle of a flap beyond its motion, about the axis of its hinge, T the torque of the pieces on it. Left alone it follows
-its motion exactly: what it takes to accelerate it is not counted against the limit. Where it would be beyond shut, or beyond
+its motion exactly: the torque that accelerates it does not count towards the limit. Where it would be beyond shut, or beyond
 open, it meets a stop and rests there. A flap that has come to rest on its motion is locked, as by a linkage at its dead centre:
-what lands on shut flaps does not open them.
+pieces that land on shut flaps do not open them.
 
 A step is velocity Verlet, as that of pieces, the damper by the trapezoidal rule as that of a load cell.
 """
@@ -43,7 +43,7 @@ def swing(system: System, state: State, steps: Array) -> DriveMotion | None:
 
 
 def _torque(drive: Drive, state: State) -> Array:
-    """Of the pieces on each flap about the axis of its hinge, [G, R] (N m)."""
+    """Torque of the pieces on each flap about the axis of its hinge, [G, R] (N m)."""
     return jnp.sum(drive.axis[:, :, None] * state.walls.torque, axis=0)
 
 

@@ -33,7 +33,7 @@ def drift(system: System, state: State) -> tuple[State, Array]:
 
 
 def flight(system: System, state: State, steps: Array) -> State:
-    """So many steps of free fall at once: what ``kick`` and ``drift`` without contacts amount to, to rounding."""
+    """Several steps of free fall at once, equal to ``kick`` and ``drift`` without contacts up to round-off."""
     time, now = system.dt * steps.astype(system.dt.dtype), state.motion
     fall = _gravity(system, state) * time
     position, rest = _add(now.position, now.position_rest, time * (now.velocity + 0.5 * fall))
@@ -51,7 +51,7 @@ def flight(system: System, state: State, steps: Array) -> State:
 
 
 def _turned(system: System, orientation: Array, rest: Array, momentum: Array) -> tuple[Array, Array, Array]:
-    """Orientation and what rounding left over of it, [4, N], after a step, and the angular velocity in it, [3, N] (rad/s)."""
+    """Orientation and its residual, [4, N], after a step, and the angular velocity in it, [3, N] (rad/s)."""
     free = rotation.free_rotation if system.has_hulls else rotation.spin
     q = tuple(orientation)
     change, omega = free(q, vector.unpack(momentum), vector.unpack(system.pieces.inertia), system.dt)
@@ -66,7 +66,7 @@ def _gravity(system: System, state: State) -> Array:
 
 
 def _add(value: Array, rest: Array, change: Array) -> tuple[Array, Array]:
-    """value + rest + change, and what rounding leaves over (compensated summation; not needed in double precision).
+    """value + rest + change, and the rounding residual (compensated summation; not needed in double precision).
 
     In single precision a step near rest is smaller than the spacing of numbers at 0.1 m, and the change of velocity by
     gravity in half a step is only 120 spacings at 2 m/s, rounded the same way each time. A stiff piece that turns at 1 rad/s

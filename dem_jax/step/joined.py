@@ -1,9 +1,9 @@
 """Runs of an ensemble side by side as one system whose runs do not see each other: on a CPU, where pieces are few.
 
-A step of nine pieces by itself computes all of its 32 slots, however few are filled, in hundreds of loops over 32 numbers.
+A single step of nine pieces computes all of its 32 slots, however few are filled, in hundreds of loops over 32 numbers.
 Side by side only the blocks that all runs together fill are computed. Against a thread for each run that takes 0.5 times as
 long for a whole stock drop of nine pieces; for the first 0.15 s of a drop 0.26 times, of 30 pieces 0.57, of 61 0.63, of 318 1.2.
-Each run has the pairs, slots and samples that it has by itself, to rounding, and the same bits in whatever place and company.
+Each run has the pairs, slots and samples of a single run, up to round-off, and the same bits at any position in any batch.
 """
 
 import jax
@@ -20,7 +20,7 @@ AT_ONCE = 16  # runs: more gain little and leave cores without work; always as m
 SLOT_BLOCK = 32  # slots computed at a time: of nine pieces 64 take 1.2 times as long, 16 1.1 times
 
 def is_worthwhile(system: System, runs: int) -> bool:
-    """Whether so many runs of a system are quicker as one: with few pieces, every pair of which is looked at, no seams,
+    """True if a number of runs of a system is faster as a batch: with few pieces, all pairs of which are tested, no seams,
     no load cell, no drive of limited torque, no statistics of collisions and no pieces that come and go."""
     kinds = (system.parts.polytopes.shape[0], system.parts.spheres.shape[0])
     is_listed = any(search.choice(system.neighbours, count) != "all-pairs" for count in kinds)
@@ -48,7 +48,7 @@ def run_chunk(
 
 
 def system_of(system: System, runs: int) -> System:
-    """The system of so many runs as one."""
+    """The system of a batch of runs."""
     parts, panels = system.parts.count, system.walls.group.shape[0]
     each = lambda x: jnp.repeat(x, runs, axis=-1)  # noqa: E731
     numbers = lambda x: (runs * x[:, None] + jnp.arange(runs, dtype=x.dtype)[None]).reshape(-1)  # noqa: E731
@@ -67,7 +67,7 @@ def system_of(system: System, runs: int) -> System:
 
 
 def joined(one: System, states: State) -> State:
-    """The state of runs as one, ``system_of``; what a rebuild fills is empty."""
+    """The state of a batch of runs, ``system_of``; arrays that a rebuild fills are empty."""
     parts = one.parts.count // one.runs
     beside = lambda x: jnp.moveaxis(x, 0, -1).reshape(*x.shape[1:-1], -1)  # noqa: E731
     run = jnp.arange(one.runs, dtype=jnp.int32)[:, None]
@@ -92,7 +92,7 @@ def joined(one: System, states: State) -> State:
 
 
 def split(system: System, states: State, state: State) -> State:
-    """The states of runs that were one, as ``states`` of the same runs before them; what a rebuild fills is that of those."""
+    """The states of the runs of a batch, like ``states`` of the same runs before, with their arrays that a rebuild fills."""
     runs, parts = states.step.shape[0], system.parts.count
     apart = lambda x: jnp.moveaxis(x.reshape(*x.shape[:-1], -1, runs), -1, 0)  # noqa: E731
     tables = {kind: _tables(table, runs, parts, states.contacts[kind].a.shape[-1]) for kind, table in state.contacts.items()}
@@ -113,7 +113,7 @@ def split(system: System, states: State, state: State) -> State:
 
 
 def _tables(table: ContactTable, runs: int, parts: int, slots: int) -> ContactTable:
-    """The contacts of each run, in order, [runs, .., slots]; what finds no room is left out, as the guard knows."""
+    """The contacts of each run, in order, [runs, .., slots]; contacts beyond the capacity are dropped and noted in the guard."""
     order, first = grouped(jnp.where(table.b >= 0, table.b % runs, runs), runs)
     rank = jnp.arange(slots, dtype=jnp.int32)[None]
     there = rank < (first[1:] - first[:-1])[:, None]
@@ -124,7 +124,7 @@ def _tables(table: ContactTable, runs: int, parts: int, slots: int) -> ContactTa
 
 
 def _guards(before: Guard, after: Guard, parts: int) -> Guard:
-    """The guards of runs: what their system noted holds for each, but the overlap at the start for that which has it."""
+    """The guards of the runs: the batch's notes hold for each run, except the initial overlap, which belongs to one."""
     runs = before.travel.shape[0]
     each = jax.tree.map(lambda x: jnp.broadcast_to(x, (runs, *x.shape)), after)
     is_its = jnp.arange(runs, dtype=jnp.int32) == after.start_pair[1] % runs

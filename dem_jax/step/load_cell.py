@@ -1,4 +1,4 @@
-"""What a load cell carries: a mass on a spring and a damper along the vertical, pushed down by the pieces.
+"""The load cell: a mass on a spring and a damper along the vertical, pushed down by the pieces.
 
     m x'' + c x' + k x = F
 
@@ -6,7 +6,7 @@ x is the deflection, downwards from where the cell is without pieces (its tare),
 carries. A step is velocity Verlet, as that of pieces; the damper is in the kick, by the trapezoidal rule, so that a kick of half a
 step is the same forwards and backwards in time and a step of second order. Stable while dt sqrt(k / m) < 2, whatever the damper.
 
-What accelerates flaps that swing on the bucket is left out: their hinges hold against each other.
+The inertia forces of flaps that swing on the bucket are neglected: those of opposite flaps cancel.
 """
 
 import jax
@@ -38,14 +38,14 @@ def swing(system: System, state: State, steps: Array) -> CellMotion | None:
 
 
 def load(system: System, state: State) -> Array:
-    """Force of the pieces on what the cell carries, downwards, [R] (N)."""
+    """Force of the pieces on the walls that the cell carries, downwards, [R] (N)."""
     cell = system.walls.load_cell
     assert cell is not None
     return -jnp.sum(cell.groups[:, None] * state.walls.force[2], axis=0)
 
 
 def readings(system: System, state: State) -> Array:
-    """What READINGS names, [4, R]: the signal is what spring and damper take, k x + c x', the weight that over gravity."""
+    """The values of READINGS, [4, R]: the signal is the force of spring and damper, k x + c x', the weight that over gravity."""
     cell, now = system.walls.load_cell, state.cell
     assert cell is not None and now is not None
     signal = cell.stiffness * now.deflection + cell.damping * now.velocity

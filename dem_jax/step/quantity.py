@@ -1,4 +1,4 @@
-"""What a quantity is: declared once, with all that sampling, writing, reading and listing it need to know.
+"""Quantities, declared once with all information for sampling, writing, reading and listing them.
 
 An axis whose rows have names (wall groups, blocks, kinds of energy) comes first and makes a dataset of each row,
 ``/force/plate``; all other axes are axes of the dataset, after time. The function of a quantity returns them in the
@@ -18,7 +18,7 @@ from dem_jax.types import Array, State, System
 
 Rows = tuple[tuple[str, int | tuple[int, ...]], ...]  # name, and its place on the axis, or places that are added up
 
-# What files and runs call something else.
+# Names that differ between files and runs.
 RESERVED = frozenset(
     "time pieces restart header series values replace save pif_kg peak_kg member settled scene seed dt precision version sample"
     " run_count info parameters".split()
@@ -65,7 +65,7 @@ AXES = {
 
 @dataclass(frozen=True)
 class Quantity:
-    """What is sampled at the end of each sample interval.
+    """A quantity that is sampled at the end of each sample interval.
 
     name: of the dataset or group in a file and of the attribute of a run. unit: SI; of rows whose units differ one for each,
     in their order, with ", " between. axes: names of ``AXES``, or an Axis of one's own; of a report of several wall groups
@@ -164,7 +164,7 @@ def checked(quantities: Iterable[Quantity]) -> tuple[Quantity, ...]:
 
 
 def listed(quantities: Iterable[Quantity]) -> str:
-    """A table of those that are kept: name, unit, path in a file, what it is."""
+    """A table of the stored quantities: name, unit, path in a file, meaning."""
     lines = [(q.name, q.unit, q.path, q.help) for q in quantities if q.kept]
     widths = [max(len(line[k]) for line in lines) for k in range(3)]
     rows = ("  ".join([*(text.ljust(width) for text, width in zip(line, widths, strict=False)), line[3]]) for line in lines)

@@ -1,4 +1,4 @@
-"""What a file says, checked before it is believed: attributes of the root, and how much its datasets claim to hold."""
+"""Validation of a file before it is used: attributes of the root, and the sizes that its datasets claim."""
 
 import math
 from collections.abc import Callable
@@ -15,7 +15,7 @@ SHRUNK = 1100  # most that a compressed chunk may grow: deflate's limit
 
 
 class Rule(NamedTuple):
-    """What an attribute may be."""
+    """Permitted values of an attribute."""
 
     holds: Callable[[Any], bool]
     words: str

@@ -1,4 +1,4 @@
-"""What a file says about its run, as attributes of its root: scene, seed, time step, and the quantities that it holds."""
+"""Metadata of a run, as attributes of the file's root: scene, seed, time step, and the stored quantities."""
 
 import json
 from dataclasses import asdict, dataclass, field, fields
@@ -18,7 +18,7 @@ MOST_SAID = 2**26  # bytes of an attribute: the seeds of eight million runs
 
 
 class Stored(NamedTuple):
-    """What a file says of a quantity.
+    """Metadata of a quantity in a file.
 
     name, unit (or those of its datasets, with ", " between), axes (names) and help: as of step.quantity.Quantity. labels:
     names of its datasets NAME/LABEL; None: it is one dataset.
@@ -44,7 +44,7 @@ class Stored(NamedTuple):
 
 @dataclass(frozen=True)
 class Header:
-    """What a file says about its run.
+    """Metadata of the run in a file.
 
     scene: TOML text. seed: one, or one per run of an ensemble. dt: (s) time step. precision: "f32" or "f64".
     version: of dem_jax. sample: (s) sample interval. gravity: [3] (m/s2). groups, blocks: names of the wall groups and
@@ -140,7 +140,7 @@ def _plain(file: "h5py.File", name: str, path: Any) -> Any:
 
 
 def _of_json(text: Any, name: str, path: Any) -> Any:
-    """What JSON text says."""
+    """The value of JSON text."""
     try:
         return json.loads(text)
     except (TypeError, ValueError, RecursionError) as error:
@@ -148,7 +148,7 @@ def _of_json(text: Any, name: str, path: Any) -> Any:
 
 
 def _stored(rows: Any, path: Any) -> tuple[Stored, ...]:
-    """What a file says of its quantities. Raises RecordError, naming path."""
+    """Metadata of the quantities in a file. Raises RecordError, naming path."""
     each = [_row(row) for row in rows] if isinstance(rows, list) else [None]
     found = tuple(row for row in each if row is not None)
     if len(found) < len(each) or len({row.name for row in found}) < len(found):

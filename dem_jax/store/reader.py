@@ -15,7 +15,7 @@ from dem_jax.store.run import Frames, Run
 def load_run(path: FileName) -> Run:
     """The run or ensemble in an HDF5 file.
 
-    Raises RecordError for a file that is missing, not HDF5, cut short or damaged, or that lacks what a run must have.
+    Raises RecordError for a file that is missing, not HDF5, truncated, damaged or incomplete.
     """
     with reading(path) as file:
         header, held = read_header(file, path), dict(datasets(file))
@@ -31,9 +31,9 @@ def load_run(path: FileName) -> Run:
 
 
 def load_restart(path: FileName) -> tuple[Header, dict[str, np.ndarray], int, int]:
-    """What is needed to go on with a file: header, restart state (path -> array), samples and frames in the file.
+    """The data for resuming a file: header, restart state (path -> array), samples and frames in the file.
 
-    Of a run that stopped before its first flush the state is {}, and it holds nothing. Raises RecordError as `load_run`,
+    If the run stopped before its first flush, the state is {} and the file has no samples. Raises RecordError as `load_run`,
     but for a file without samples, and for one with samples and no restart state, or one that was changed since.
     """
     with reading(path) as file:

@@ -12,7 +12,7 @@ from dem_jax.types import Sample, State, System
 
 
 def declared(system: System) -> tuple[Stored, ...]:
-    """What a file of the system's runs says of the quantities that it holds."""
+    """Metadata of the quantities in a file of the system's runs."""
     found = []
     for quantity in kept(system):
         rows = quantity.rows(system)

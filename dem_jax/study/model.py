@@ -33,13 +33,13 @@ def drawn(results: Results, seed: int = 0) -> np.ndarray:
 
 
 def rmse_to_model(results: Results) -> np.ndarray:
-    """Of each drop with one trace of the Product Model (g)."""
+    """RMSE of each drop against one trace of the Product Model (g)."""
     dem, own = aligned(results, np.ones(len(results.state), bool)), drawn(results)
     return np.concatenate([distances(a[None], b[None]) for a, b in zip(dem, own, strict=False)] or [np.zeros(0)])
 
 
 def rmse_to_point(results: Results, which: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Of the drops of a point [M] bool with those of another that have the same seeds (g); from the first force of the other on."""
+    """RMSE of the drops of a point [M] bool against those of another point with the same seeds (g), from its first force on."""
     pairs = zip(np.flatnonzero(which).tolist(), np.flatnonzero(other).tolist(), strict=True)
     both = [(results.force[i], results.force[j]) for i, j in pairs if i in results.force and j in results.force]
     return np.array([1e3 * np.sqrt(np.mean((a[n] - b[n]) ** 2)) for a, b in both for n in [_span(results, b, a)]])

@@ -1,4 +1,4 @@
-"""A study as one page to send: what it found in words and numbers, its figure, and the study itself."""
+"""A study as one page to send: its results as text and numbers, its figure, and the study itself."""
 
 from html import escape
 from pathlib import Path

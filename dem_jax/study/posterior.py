@@ -1,4 +1,4 @@
-"""What is likely of parameters that nobody gave, from what was published: drops at drawn points, weighed by the references.
+"""Posterior of unknown parameters: drops at sampled points, weighted by published reference values.
 
 A published number is one drop, or a range of few. At each point its likelihood is that of a normal distribution with the mean and
 spread of our drops there, widened by the range that was read off (a synthetic likelihood: Wood, Nature 466 (2010) 1102-1104);
@@ -81,7 +81,7 @@ def fits(studies: Sequence[Results], weights: np.ndarray) -> list[Fit]:
 
 
 def text(studies: Sequence[Results]) -> list[str]:
-    """Lines that say all of it."""
+    """The complete result as lines of text."""
     weights = weights_of(studies)
     study, points = studies[0].study, points_of(studies[0].study)
     best = int(np.argmax(weights))
@@ -104,7 +104,7 @@ def _references(study: Study) -> list[Reference]:
 
 
 def _moments(results: Results, name: str) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and standard deviation of an output over the drops of each point, [points]; nan with fewer than one. Of fewer than three
+    """Mean and standard deviation of an output over the drops of each point, [points]; nan without drops. With fewer than three
     drops the deviation is the mean one of all points."""
     rows = results.of_points(np.where(results.state == DONE, results.outputs[name], np.nan))
     known = np.isfinite(rows)

@@ -2,7 +2,7 @@
 
 Closed forms are frozen dataclasses of plain numbers (SI) whose properties are the solution (``normal``, ``oblique``, ``eccentric``,
 ``rotation``, ``cell``), and where there is none an adaptive solver of high order takes its place (``solved``). ``traces`` runs a
-system step by step and reads what they speak of. A ``Problem`` is a scene, its exact solution and what is compared
+system step by step and reads the quantities of the solution. A ``Problem`` is a scene, its solution and the quantities compared
 (``catalogue.problems`` lists all); ``solve`` runs it as a user would and says how far off it is.
 """
 

@@ -26,7 +26,7 @@ def mass() -> float:
 
 def cradle() -> Problem:
     """Newton's cradle without gravity, elastic: one sphere or two come along and as many leave; and a row that touches, in
-    which no sphere is alone when it hands on what it got."""
+    which no sphere is alone when it transfers its momentum."""
     overlap = SPEED * np.sqrt(0.5 * mass() / stiffness())
     quarter = 0.5 * np.pi * np.sqrt(0.5 * mass() / stiffness())
     gaps, x, speeds = _starts(overlap)

@@ -2,7 +2,7 @@
 
 Tests 1 to 3 are central impacts, 4 to 6 a sphere that meets a wall obliquely or spinning, 7 and 8 two spheres that do. Sizes,
 speeds and materials are those of the tests (the second sphere of test 8 is three times as large); laws that are linear are
-softened, so that overlaps are about as large as those of Hertz's. Exact is what ``solved`` says.
+softened, so that overlaps are about as large as those of Hertz's. ``solved`` gives the exact solution.
 """
 
 from collections.abc import Iterable
@@ -27,7 +27,7 @@ SOURCE = "Chung and Ooi 2011; DOP853 of scipy, event by event"
 
 @dataclass(frozen=True)
 class Solid:
-    """What spheres are made of."""
+    """The material of the spheres."""
 
     youngs_modulus: float  # Pa
     poisson_ratio: float
@@ -102,7 +102,7 @@ def problems(law: str, tests: Iterable[int] = range(1, 9)) -> list[Problem]:
 
 
 def _tests() -> dict[int, tuple[str, list[Impact], tuple[str, ...]]]:
-    """Number -> title, the impacts of its curves, and what is compared."""
+    """Number -> title, the impacts of its curves, and the quantities compared."""
     central = ("restitution", "overlap")
     oblique = ("along", "spin")
     two = replace(Impact(GLASS, 0.01, 20.0, 1.0, 0.35), other=(0.01, 0.0, 0.0))
@@ -236,7 +236,7 @@ def _measured(impacts: list[Impact], compared: tuple[str, ...], run: Run) -> Com
 
 
 def _compared(impacts: list[Impact], after: list[After], compared: tuple[str, ...]) -> Compared:
-    """Restitution, peak force (N), largest overlap (m), and what friction did over mu (1 + e) v_n: along, and of the surface over
+    """Restitution, peak force (N), largest overlap (m), effect of friction over mu (1 + e) v_n: along, and of the surface over
     5/2 of it, by which a sphere that slides throughout has both 1."""
     unit = np.array([i.friction * (1 + i.restitution) * i.speed for i in impacts])[:, None]
     before = [np.array([[b.along, b.surface] for b in i.balls]) for i in impacts]

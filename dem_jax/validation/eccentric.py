@@ -30,7 +30,7 @@ class EccentricImpact:
 
     @property
     def speed(self) -> float:
-        """Of approach at the contact point (m/s)."""
+        """Speed of approach at the contact point (m/s)."""
         return -(self.velocity + np.cross(self.spin, self.arm)) @ self.normal
 
     @property
@@ -55,5 +55,5 @@ class EccentricImpact:
 
     @property
     def duration(self) -> float:
-        """Of the force pulse (s)."""
+        """Duration of the force pulse (s)."""
         return 0.5 * np.pi * (1 + self.restitution) * np.sqrt(self.effective_mass / self.stiffness)

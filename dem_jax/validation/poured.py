@@ -1,4 +1,4 @@
-"""Spheres poured into a box: what the floor bears in the end."""
+"""Spheres poured into a box: the final force on the floor."""
 
 from functools import partial
 from typing import Any
@@ -52,7 +52,7 @@ def _box(x: float, z: float) -> dict[str, Any]:
 
 
 def _measured(weight: float, half: float, run: Run) -> Compared:
-    """Means of the last tenth of a second: what the floor bears but for what slows down spheres that still fall, and that."""
+    """Means of the last tenth of a second: the static force on the floor, and the force that decelerates falling spheres."""
     assert run.pieces is not None
     borne = -np.asarray(run.mean_force["floor"], float)[:, -100:, 2].mean(axis=1)
     begins, ends = np.asarray(run.momentum, float)[:, [-101, -1], 2].T
@@ -65,7 +65,7 @@ def _measured(weight: float, half: float, run: Run) -> Compared:
 
 
 def fraction(heights: np.ndarray, half: float) -> float:
-    """Of the space below 3/4 of the highest centre that spheres fill; heights: [N] (m) of centres, half: (m) of the box's width."""
+    """Packing fraction below 3/4 of the highest centre. heights: [N] (m) of centres, half: (m) of the box's width."""
     top = 0.75 * heights.max()
     h = np.clip(top - heights + RADIUS, 0, 2 * RADIUS)  # of each sphere below the top: a cap's volume
     return float((np.pi * h**2 * (3 * RADIUS - h) / 3).sum() / (4 * half**2 * top))

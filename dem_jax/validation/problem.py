@@ -1,4 +1,4 @@
-"""What a problem with an exact solution is, and how it is solved: as a user would, from a scene to a run."""
+"""Problems with an exact solution, solved as a user would, from a scene to a run."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -12,12 +12,12 @@ from dem_jax.drive.interface import ensemble, simulate
 from dem_jax.scene import Scene
 from dem_jax.store.run import Run
 
-Compared = Mapping[str, np.ndarray]  # what is compared -> values of any shape
+Compared = Mapping[str, np.ndarray]  # name of a compared quantity -> values of any shape
 
 
 @dataclass(frozen=True)
 class Problem:
-    """A scene, or several that one program computes, its exact solution, and what of both is compared.
+    """A scene, or several that one program computes, its exact solution, and the quantities compared.
 
     An error is the largest difference of measured and exact values, over ``scale`` (by default the largest exact value).
     """
@@ -27,13 +27,13 @@ class Problem:
     scene: Scene
     measured: Callable[[Run], Compared]
     exact: Callable[[], Compared]  # host side, SI
-    bounds: Mapping[str, float]  # what is compared -> largest error at the automatic step, in either precision
+    bounds: Mapping[str, float]  # name of a compared quantity -> largest error at the automatic step, in either precision
     parameters: Mapping[str, list[Any]] = field(default_factory=dict)  # keys of the scene -> values in runs side by side
     seeds: int | None = None  # of an ensemble of seeds; None: one run, or as many as the parameters have values
     scale: Mapping[str, float] = field(default_factory=dict)
 
     def errors(self, found: Compared) -> dict[str, float]:
-        """Of what was measured, by name."""
+        """Errors of the measured quantities, by name."""
         exact = self.exact()
         return {name: self.between(found, exact, name) for name in self.bounds}
 
@@ -45,7 +45,7 @@ class Problem:
 
 @dataclass(frozen=True)
 class Solution:
-    """What came of a problem."""
+    """Result of a problem."""
 
     problem: Problem
     run: Run
@@ -54,7 +54,7 @@ class Solution:
 
     @property
     def beyond(self) -> list[str]:
-        """What is further off than its bound, or is no number."""
+        """Quantities with an error above their bound, or that are not finite."""
         return [name for name, error in self.errors.items() if not error <= self.problem.bounds[name]]
 
 
@@ -64,7 +64,7 @@ def made(**sections: Any) -> Scene:
 
 
 def solve(problem: Problem, precision: str = "f64", finer: int = 1) -> Solution:
-    """Run a problem with the automatic step, or with so many steps in place of one.
+    """Run a problem with the automatic step, or with several steps in place of one.
 
     Raises SceneError and SimulationError.
     """

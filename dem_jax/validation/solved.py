@@ -25,7 +25,7 @@ class NormalLaw(Protocol):
         """(N)."""
 
     def rate(self, s: Real, v: Real, a: Real, branch: int) -> Real:
-        """Of the force (N/s); a: (m/s2) of the overlap."""
+        """Rate of the force (N/s). a: (m/s2) of the overlap."""
 
     def ends(self, s: Real, v: Real, branch: int) -> Real:
         """Falls through zero where the branch ends."""
@@ -130,7 +130,7 @@ class Ball:
 
 @dataclass(frozen=True)
 class After:
-    """What follows an impact."""
+    """Result of an impact."""
 
     speed: float  # m/s of separation
     along: tuple[float, ...]  # m/s, of each ball
@@ -142,7 +142,7 @@ class After:
 
 @dataclass(frozen=True)
 class _Equations:
-    """Of the motion on one branch of the law. y: overlap, its rate, spring, speeds across the normal, spins; [5] or [7]."""
+    """Rates of the motion on one branch of the law. y: overlap, its rate, spring, tangential speeds, spins; [5] or [7]."""
 
     law: NormalLaw
     branch: int
@@ -170,7 +170,7 @@ class _Equations:
         return self.friction * self.law.force(y[0], y[1], self.branch)
 
     def rate(self, y: np.ndarray) -> float:
-        """Of the limit (N/s)."""
+        """Rate of the limit (N/s)."""
         acceleration = -self.law.force(y[0], y[1], self.branch) / self.effective
         return self.friction * self.law.rate(y[0], y[1], acceleration, self.branch)
 
@@ -182,7 +182,7 @@ class _Equations:
         return sign if slides and self.friction > 0 else 0
 
     def rates(self, _: float, y: np.ndarray, sense: int) -> np.ndarray:
-        """Of y (1/s)."""
+        """Rates of y (1/s)."""
         force = self.law.force(y[0], y[1], self.branch)
         drag, change = (sense * self.limit(y), sense * self.rate(y)) if sense else (y[2], self.free(y))
         turning = (self.radius - 0.5 * y[0]) * drag / (0.4 * self.mass * self.radius**2)

@@ -12,7 +12,7 @@ from dem_jax.validation.problem import Compared, Problem, made
 GRAVITY = 9.81  # m/s2
 CUBOID = (0.06, 0.03, 0.01)  # m
 DENSITY = 300.0  # kg/m3
-QUIET = {"law": "linear-dashpot"}  # what a contact of restitution 0.3 swings dies out within a few periods
+QUIET = {"law": "linear-dashpot"}  # oscillations of a contact of restitution 0.3 decay within a few periods
 SLOPES = {"sphere": (25.0, 50.0), "cuboid": (30.0, 60.0)}  # degrees, of the sides of a groove
 PARTS = (0.96, 0.98, 0.99, 1.01, 1.02, 1.04)  # of the largest overhang
 FALLEN = 0.02  # rad: a block that leans so much falls
@@ -42,7 +42,7 @@ def tower() -> Problem:
     They stand up to exactly that and fall beyond; several parts of it on both sides.
     """
     length, _, height = CUBOID
-    sunk = 1e-7  # m, about what they weigh down
+    sunk = 1e-7  # m, about the overlap under their weight
     places = [[(f * length / 4 - length / 2, 0.0, height / 2 - sunk) for f in PARTS]]
     places += [[(f * length * 3 / 4 - length / 2, 0.0, 1.5 * height - 2 * sunk) for f in PARTS]]
     pieces = [{"shape": "cuboid", "size": CUBOID, "position": place[0]} for place in places]

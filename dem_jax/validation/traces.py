@@ -1,4 +1,4 @@
-"""A system with other numbers, and what it does step by step: what closed forms of single contacts are compared with."""
+"""A system with other numbers, and its motion step by step, for comparison with closed forms of single contacts."""
 
 from collections.abc import Callable
 from typing import Any, TypeVar
@@ -13,7 +13,7 @@ from dem_jax.scene import Scene, load_scene
 from dem_jax.step import stepping
 from dem_jax.types import Array, State, System
 
-Read = TypeVar("Read")  # what is read after each step
+Read = TypeVar("Read")  # values that are read after each step
 
 
 def plate_scene(
@@ -56,7 +56,7 @@ def wall_stiffness(system: System) -> Array:
 
 
 def refined(system: System, times: int) -> System:
-    """The system with so many steps in place of one; rebuilds after as many steps as before, so that it is the same program,
+    """The system with several steps in place of one; rebuilds after as many steps as before, so that it is the same program,
     unless a sample is longer than that."""
     substeps = system.substeps * times
     return system.replace(dt=system.dt / times, substeps=substeps, block_steps=max(system.block_steps, int(substeps)))
@@ -65,7 +65,7 @@ def refined(system: System, times: int) -> System:
 def trace(
     system: System, state: State, steps: int, read: Callable[[System, State], Read], every: int = 1
 ) -> tuple[State, Read]:
-    """Run and read ``read(system, state)`` after each ``every`` steps; returns the last state and what was read.
+    """Run and read ``read(system, state)`` after each ``every`` steps; returns the last state and the values read.
 
     Candidates are found once, at the start: see ``lasting``.
     """
@@ -79,7 +79,7 @@ def trace(
 
 
 def motion(system: System, state: State) -> dict[str, Array]:
-    """What the closed forms speak of: normal force and overlap summed over contacts, and the motion of piece 0."""
+    """The quantities of the closed forms: normal force and overlap summed over contacts, and the motion of piece 0."""
     tables = state.contacts.values()
     return {
         "force": sum(jnp.sum(t.memory.law.force) for t in tables),

@@ -8,7 +8,7 @@ from dem_jax.scene.sections.base import Positive, Section, Vector
 class Inlet(Section):
     """New pieces, like the portion's, that fall from a box at a mass rate, each where it touches no other.
 
-    They wait outside the scene until then; with an ``[outlet]`` those that left wait again. Nothing is compiled anew for them.
+    They wait outside the scene until then; with an ``[outlet]`` removed pieces wait again. They need no recompilation.
     """
 
     mass_rate: Positive = Field(description="kg/s")

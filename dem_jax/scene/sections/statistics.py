@@ -1,4 +1,4 @@
-"""What is counted of the collisions with walls."""
+"""Statistics of the collisions with walls."""
 
 from pydantic import Field, model_validator
 
