@@ -2,8 +2,10 @@
 fit.
 """
 
+import product_model  # noqa: F401  # first: from then on Ctrl-C ends the program at once, while the rest is imported
+from calibrate.csv_table import TableOptions
 from calibrate.errors import BadInput
 from calibrate.fit import Fit, fit
 from calibrate.targets import Target, read, target
 
-__all__ = ["BadInput", "Fit", "Target", "fit", "read", "target"]
+__all__ = ["BadInput", "Fit", "TableOptions", "Target", "fit", "read", "target"]

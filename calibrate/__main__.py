@@ -10,9 +10,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from calibrate.errors import BadInput
+from product_model.program import fail_program, run_program, set_open_line, temporary_file
 
 if TYPE_CHECKING:
     from calibrate.fit import Fit
+    from calibrate.targets import Target
+
+FAILED = 1  # exit code where a fit was made and cannot be meant
 
 
 class _Parser(argparse.ArgumentParser):
@@ -29,9 +33,13 @@ def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="calibrate", description="Fit the Product Model to impact-force traces")
     commands = parser.add_subparsers(dest="command", required=True, parser_class=_Parser)
     fit = commands.add_parser("fit", help="fit to one or several trace files")
-    fit.add_argument("traces", nargs="+", metavar="FILE", help="HDF5 runs or ensembles, or CSV tables (time, force columns)")
+    fit.add_argument(
+        "traces", nargs="+", metavar="FILE", help="HDF5 runs or ensembles, tables of text (times, forces), or LabVIEW's .lvm"
+    )
     fit.add_argument("--m-piece", type=float, metavar="KG", help="weight of one piece (default: from the file's scene)")
-    fit.add_argument("--pieces", type=int, metavar="N", help="number of pieces (default: from the file)")
+    fit.add_argument(
+        "--pieces", type=_numbers, metavar="N[,N...]", help="number of pieces of all traces or of each (default: from the file)"
+    )
     fit.add_argument("--group", metavar="NAME", help="wall group whose force is fitted (default wb_flaps)")
     fit.add_argument(
         "--align",
@@ -39,6 +47,7 @@ def _parser() -> argparse.ArgumentParser:
         default="release",
         help="what times count from: the file's time zero, or the balance of momentum (default release)",
     )
+    _add_table(fit)
     for name in NAMES:
         unit, flag = ("S" if name == "dt_impact" else "M"), name.replace("_", "-")
         fit.add_argument(f"--{flag}", type=float, metavar=unit, help=f"start value of {name}")
@@ -48,8 +57,31 @@ def _parser() -> argparse.ArgumentParser:
     fit.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the random numbers (default 0)")
     fit.add_argument("--out", default="fit.json", metavar="FILE", help="JSON file (default fit.json); the figure goes beside it")
     fit.add_argument("--no-plot", action="store_true", help="draw no figure")
-    fit.add_argument("--overwrite", "--force", action="store_true", help="replace files that exist")
+    fit.add_argument("--overwrite", action="store_true", help="replace files that exist")
+    fit.add_argument(
+        "--force",
+        action="store_true",
+        help="fit traces, and write parameters, that cannot be meant as they are; replaces files that exist, too",
+    )
     return parser
+
+
+def _add_table(parser: argparse.ArgumentParser) -> None:
+    """What a table of text may not tell itself."""
+    table = parser.add_argument_group("tables of text")
+    table.add_argument("--time-unit", metavar="UNIT", help="s, ms, us or min, instead of the header's (without any: s)")
+    table.add_argument("--force-unit", metavar="UNIT", help="N, mN, kN, kg, g or lbf, instead of the header's (without any: N)")
+    table.add_argument("--decimal", choices=(".", ","), help="the decimal sign (default: as the numbers tell)")
+    table.add_argument("--sample", type=float, metavar="S", help="time from row to row, instead of a column of times")
+    table.add_argument("--tare", action="store_true", help="subtract the mean force before the first impact from each trace")
+
+
+def _numbers(text: str) -> list[int]:
+    """Whole numbers between commas."""
+    try:
+        return [int(part) for part in text.split(",")]
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r}: must be a whole number, or several between commas") from None
 
 
 def _outputs(args: argparse.Namespace) -> list[Path]:
@@ -60,7 +92,7 @@ def _outputs(args: argparse.Namespace) -> list[Path]:
         raise BadInput(f"out = {out}: the folder does not exist")
     paths = [out] if args.no_plot else [out, out.with_suffix(".png")]
     for path in paths:
-        if path.exists() and not args.overwrite:
+        if path.exists() and not (args.overwrite or args.force):
             raise BadInput(f"out = {path}: exists; give another name, or --overwrite to replace it")
     for name, least in (("simulations", 64), ("bootstrap", 0)):
         if getattr(args, name) < least:
@@ -78,6 +110,7 @@ def _progress() -> Iterator[Callable[[str, int, int], None]]:
     def show(stage: str, done: int, total: int) -> None:
         if not bars:
             bars.append(tqdm(total=1, file=sys.stderr))
+            set_open_line(True)
         bars[0].set_description(stage)
         bars[0].total, bars[0].n = total, done
         bars[0].refresh()
@@ -87,6 +120,7 @@ def _progress() -> Iterator[Callable[[str, int, int], None]]:
     finally:
         for bar in bars:
             bar.close()
+        set_open_line(False)
 
 
 def _use_cache() -> None:
@@ -103,13 +137,13 @@ def _use_cache() -> None:
         jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
 
 
-def _fit(args: argparse.Namespace) -> None:
+def _fit(args: argparse.Namespace) -> int:
+    """Fit, write and report; the exit code."""
     paths = _outputs(args)
     _use_cache()
     from calibrate.fit import fit
-    from calibrate.targets import read
 
-    targets = [trace for path in args.traces for trace in read(path, args.m_piece, args.pieces, args.group, tell=print)]
+    targets = _traces(args)
     given = {name: getattr(args, name) for name in NAMES if getattr(args, name) is not None}
     fixed = {name: getattr(args, f"fix_{name}") for name in NAMES if getattr(args, f"fix_{name}") is not None}
     with _progress() as show:
@@ -122,19 +156,40 @@ def _fit(args: argparse.Namespace) -> None:
             bootstrap=args.bootstrap,
             seed=args.seed,
             progress=show,
+            force=args.force,
         )
-    try:
-        part = paths[0].with_name(f".{paths[0].name}.part{os.getpid()}")
-        part.write_text(json.dumps(result.to_dict(), indent=2) + "\n")
-        os.replace(part, paths[0])
-        if len(paths) > 1:
-            from calibrate.plot import figure
-
-            figure(result, targets, args.seed).savefig(paths[1], dpi=150)
-    except OSError as error:
-        raise BadInput(f"out = {paths[0]}: cannot be written ({error.strerror or error})") from None
+    if result.absurd and not args.force:
+        print(report(result))
+        sys.stdout.flush()
+        return fail_program("calibrate", f"nothing is written: {result.absurd[0]}; --force writes it nevertheless", FAILED)
+    _write(result, targets, paths, args.seed)
     print(report(result))
     print(f"written: {', '.join(map(str, paths))}")
+    return 0
+
+
+def _traces(args: argparse.Namespace) -> "list[Target]":
+    """The traces of all files."""
+    from calibrate.csv_table import TableOptions
+    from calibrate.targets import read
+
+    table = TableOptions(args.decimal, args.time_unit, args.force_unit, args.sample)
+    options: dict[str, Any] = {"tell": print, "table": table, "tare": args.tare}
+    return [t for path in args.traces for t in read(path, args.m_piece, args.pieces, args.group, **options)]
+
+
+def _write(result: "Fit", targets: "list[Target]", paths: Sequence[Path], seed: int) -> None:
+    """Write the fit, and the figure where there is a second path."""
+    try:
+        with temporary_file(paths[0]) as part:
+            part.write_text(json.dumps(result.to_dict(), indent=2) + "\n", encoding="utf-8")
+        for path in paths[1:]:
+            from calibrate.plot import figure
+
+            with temporary_file(path) as part:
+                figure(result, targets, seed).savefig(part, dpi=150, format=path.suffix[1:])
+    except OSError as error:
+        raise BadInput(f"out = {paths[0]}: cannot be written ({error.strerror or error})") from None
 
 
 def report(result: "Fit") -> str:
@@ -150,18 +205,18 @@ def report(result: "Fit") -> str:
         )
     p = ", ".join(f"{name} {value:.2g}" for name, value in result.p_values.items())
     lines += [f"p-values: {p}", f"RMSE of single traces (not fitted): {result.rmse_g:.1f} g"]
-    return "\n".join(lines + [f"- {line}" for line in result.statements])
+    doubts = [*result.absurd, *result.warnings]
+    if doubts:
+        lines += ["", "WARNING: these traces, or what was told of them, are hardly what was meant:"]
+        lines += [*(f"  ! {line}" for line in doubts), ""]
+    return "\n".join(lines + [f"- {line}" for line in result.statements if line not in doubts])
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code (2 on bad input, with one line on stderr)."""
+    codes: list[int] = []
     args = _parser().parse_args(argv)
-    try:
-        _fit(args)
-    except BadInput as error:
-        print(f"calibrate: {error}", file=sys.stderr)
-        return 2
-    return 0
+    return run_program("calibrate", lambda: codes.append(_fit(args)), (BadInput,)) or codes[0]
 
 
 if __name__ == "__main__":

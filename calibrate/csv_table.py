@@ -1,195 +1,159 @@
-"""Tables of other programs as text: what separates their cells, where numbers begin, which column is what, in which unit.
+"""Tables of other programs, as text: traces with their times, and how the text was understood.
 
-Nothing of it has to be said: the way to read the text is the one by which most lines are rows of numbers.
+Nothing has to be told that the table tells itself. What it leaves open is an error that says what to give.
 """
 
-import csv
-import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from calibrate.errors import BadInput
+from calibrate.labview import labview_segment
+from calibrate.number_text import Signs
+from calibrate.table_columns import Field, Roles, TableOptions, find_roles, find_time, read_fields
+from calibrate.table_text import Layout, find_layout, read_lines
+from calibrate.time_grid import even_times
+from calibrate.units import NONE, unit_named
 
-GRAVITY = 9.81  # m/s2: between weight and force, as eq. 24
-TIME = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "min": 60.0}
-FORCE = {"n": 1.0, "mn": 1e-3, "kn": 1e3, "kg": GRAVITY, "g": 1e-3 * GRAVITY}
-TIME_NAMES = ("time", "t", "zeit", "temps", "tiempo", "tempo", "x-value", "x_value")
-SEPARATORS = (";", "\t", "|", ",", "")  # the last: spaces; of ways that read as many rows the first is taken
-SHOWN = {"n": "N", "mn": "mN", "kn": "kN"}
+__all__ = ["Column", "Table", "TableOptions", "read_table"]
+
+EPOCH = 1e8  # s: times beyond count from the beginning of a calendar
 WORDS = {";": '";"', "\t": "tabs", "|": '"|"', ",": '","', "": "spaces"}
 
 
 @dataclass(frozen=True)
 class Column:
-    """A column of forces: name, as in the header; force: [T] (N)."""
+    """A column of forces: name, as in the header; time: [T] (s), of its own; force: [T] (N).
+
+    assumed: which units the table does not tell, of "time" and "force"; from_release: False where times are those of a
+    clock, which do not tell when the portion was released
+    """
 
     name: str
+    time: np.ndarray
     force: np.ndarray
+    assumed: tuple[str, ...] = ()
+    from_release: bool = True
 
 
 @dataclass(frozen=True)
 class Table:
-    """What was read. time: [T] (s). said: in one line, how the text was understood."""
+    """What was read. said: in one line, how the text was understood."""
 
-    time: np.ndarray
     columns: list[Column]
     said: str
 
-
-@dataclass(frozen=True)
-class _Way:
-    """A way to read the lines of a text."""
-
-    separator: str
-    comma: bool  # whether it is the decimal sign
-    first: int  # line of the first row of numbers
-    rows: list[list[float]]
-
-    def cells(self, line: str) -> list[str]:
-        return _cells(line, self.separator)
+    @property
+    def time(self) -> np.ndarray:
+        """[T] (s) of the first column."""
+        return self.columns[0].time
 
 
-def read_table(path: Path) -> Table:
-    """The table in a text file. Raises `BadInput` with one line."""
-    lines = _text(path).splitlines()
-    while lines and not lines[-1].strip():
-        lines.pop()
-    way = max((_read(lines, separator, comma) for separator in SEPARATORS for comma in (False, True)), key=lambda w: len(w.rows))
-    if not way.rows:
-        if any(line.strip() for line in lines) and not _printable(lines):
-            raise BadInput(f"{path}: not a table of numbers (it is no text)")
-        raise BadInput(f"{path}: needs a header line, then rows of a time and at least one force")
-    end = way.first + len(way.rows)
-    if end < len(lines):
-        shown = repr(lines[end].strip()[:60])
-        raise BadInput(f"{path}: line {end + 1}: {shown}: must be {len(way.rows[0])} numbers, as in the lines above")
-    names, units, header = _header(way, lines)
-    return _chosen(path, way, names, units, header)
+def read_table(path: Path, options: TableOptions | None = None) -> Table:
+    """The traces in a text file.
+
+    Args:
+        path: of a table with any separator, decimal sign and header, or of a LabVIEW measurement (.lvm).
+        options: what the table does not tell itself.
+
+    Returns:
+        `Table`: one column of forces (N) with its times (s) for each trace.
+
+    Raises:
+        BadInput: one line that says what cannot be read, or cannot be told, and what to do.
+    """
+    options = options or TableOptions()
+    lines = read_lines(path)
+    segment = labview_segment(path, lines)
+    if segment is not None:
+        lines = segment.lines
+        options = replace(options, decimal=options.decimal or segment.decimal, sample=options.sample or segment.sample)
+    least = 1 if options.sample is not None else 2
+    layout = find_layout(path, lines, segment.separator if segment else None, least)
+    if segment is not None:
+        layout = segment.named(layout)
+    fields, signs = read_fields(path, layout, options)
+    roles = find_roles(path, layout, fields, options)
+    columns = [_column(path, layout, fields, roles, k, options) for k in roles.forces]
+    return Table(columns, "; ".join(_said(path, layout, signs, fields, roles, columns, options)))
 
 
-def _text(path: Path) -> str:
-    raw = path.read_bytes()
-    for encoding in ("utf-16",) if raw[:2] in (b"\xff\xfe", b"\xfe\xff") and len(raw) > 3 else ("utf-8-sig", "latin-1"):
-        try:
-            return raw.decode(encoding)
-        except UnicodeDecodeError:
-            pass
-    raise BadInput(f"{path}: not a table of numbers (it is no text)")
+def _column(
+    path: Path, layout: Layout, fields: Sequence[Field], roles: Roles, k: int, options: TableOptions
+) -> Column:
+    """A column of forces with its times, where both have values."""
+    own = fields[k]
+    unit = unit_named(options.force_unit) if options.force_unit else own.unit
+    force = own.values * (1.0 if unit == NONE else unit.newtons)
+    assumed = ["force"] if unit == NONE else []
+    if options.sample is not None:
+        time, scale, column = options.sample * np.arange(1.0, len(force) + 1.0), 1.0, None
+    else:
+        column = fields[find_time(path, fields, roles.times, k)]
+        told = unit_named(options.time_unit) if options.time_unit and not column.is_clock else column.unit
+        assumed += ["time"] if told == NONE else []
+        time, scale = column.values, told.factor
+    first, last = _range_with_values(path, layout, own.name, time, force)
+    time, force, numbers = time[first:last], force[first:last], layout.numbers[first:last]
+    if column is not None:
+        place = next(j for j, f in enumerate(fields) if f is column)
+        at = lambda n: (f"{path}: line {numbers[n]}: {column.name!r}", layout.rows[first + n][place])  # noqa: E731
+        is_clock = column.is_clock or scale * time[0] > EPOCH
+        origin = time[0] if is_clock else 0.0
+        time = scale * even_times(time - origin, column.decimals, at)
+        time = time + (time[1] - time[0] if is_clock and len(time) > 1 else 0.0)
+    return Column(own.name, time, force, tuple(assumed), column is None or not is_clock)
 
 
-def _printable(lines: Sequence[str]) -> bool:
-    return all(ord(c) >= 32 and not 127 <= ord(c) < 160 and c not in "ÿþ" for line in lines for c in line.replace("\t", ""))
-
-
-def _cells(line: str, separator: str) -> list[str]:
-    """The cells of a line; what follows the last separator counts only if it is something."""
-    if not separator:
-        return line.split()
-    cells = [cell.strip() for cell in next(csv.reader([line], delimiter=separator), [])]
-    return cells[:-1] if len(cells) > 1 and not cells[-1] else cells
-
-
-def _numbers(line: str, separator: str, comma: bool) -> list[float] | None:
-    """The numbers of a line; None if it is not a row of at least two."""
-    cells = _cells(line, separator)
-    if len(cells) < 2:
-        return None
-    try:
-        return [float(cell.replace(",", ".") if comma and "." not in cell else cell) for cell in cells]
-    except ValueError:
-        return None
-
-
-def _read(lines: Sequence[str], separator: str, comma: bool) -> _Way:
-    """The first rows of numbers, as many as follow each other with as many cells, by this separator and decimal sign."""
-    first, rows = 0, list[list[float]]()
-    if (separator, comma) == (",", True):
-        return _Way(separator, comma, first, rows)
-    for n, line in enumerate(lines):
-        found = _numbers(line, separator, comma)
-        if found is None or (rows and len(found) != len(rows[0])):
-            if len(rows) > 1:
-                break
-            rows = []
-        if found is not None:
-            first = n if not rows else first
-            rows.append(found)
-    return _Way(separator, comma, first, rows)
-
-
-def _header(way: _Way, lines: Sequence[str]) -> tuple[list[str], list[str], int | None]:
-    """Names and units of the columns, and the line of the names; None: there is none."""
-    count = len(way.rows[0])
-    above = [(n, way.cells(lines[n].lstrip("#% "))) for n in range(way.first - 1, -1, -1) if lines[n].strip()][:2]
-    above = [(n, [cell.strip("\"' ") for cell in cells]) for n, cells in above if len(cells) == count]
-    if not above:
-        return ["" for _ in range(count)], ["" for _ in range(count)], None
-    line, names = above[0]
-    if len(above) == 2 and all(_bare(cell) in (*TIME, *FORCE, "") for cell in names):
-        line, units = above[1][0], [_bare(cell) for cell in names]
-        return above[1][1], units, line
-    return names, [_unit(name) for name in names], line
-
-
-def _bare(cell: str) -> str:
-    """A unit without brackets."""
-    return cell.strip("[]() ").lower()
-
-
-def _unit(name: str) -> str:
-    """The unit in a name such as "Force [kN]", "time_s", "F/N" or "t in ms"; "" if there is none."""
-    if found := re.search(r"[\[(]\s*([^\])]+?)\s*[\])]\s*$", name):
-        return found.group(1).lower()
-    last = re.split(r"[_/ ]", name)[-1].lower() if re.search(r"[_/ ]", name) else ""
-    return last if last in TIME or last in FORCE else ""
-
-
-def _chosen(path: Path, way: _Way, names: list[str], units: list[str], header: int | None) -> Table:
-    """Which column is the time, and which are forces."""
-    table = np.array(way.rows)
-    time = next((k for k, name in enumerate(names) if _is_time(name, units[k])), 0)
-    others = [k for k in range(len(names)) if k != time]
-    forces = [k for k in others if units[k] in FORCE and not names[k].startswith("pif")]
-    forces = forces or [k for k in others if units[k] in FORCE] or [k for k in others if not _is_other(units[k])]
-    if not forces:
-        listed = ", ".join(repr(names[k]) for k in others)
-        raise BadInput(f"{path}: no column of forces among {listed}; a unit must be one of N, mN, kN, kg, g, or none (N)")
-    shown = [names[k] or f"column {k + 1}" for k in range(len(names))]
-    columns = [Column(shown[k], table[:, k] * FORCE.get(units[k], 1.0)) for k in forces]
-    return Table(
-        time=table[:, time] * TIME.get(units[time], 1.0),
-        columns=columns,
-        said="; ".join(_said(path, way, shown, units, header, time, forces)),
-    )
-
-
-def _is_time(name: str, unit: str) -> bool:
-    word = re.split(r"[\s_\[(/]", name.strip().lower())[0]
-    return word in TIME_NAMES or (unit in TIME and unit not in ("s", "min"))
-
-
-def _is_other(unit: str) -> bool:
-    """Whether a unit is written that is none of a force."""
-    return bool(unit) and unit not in FORCE and len(unit) <= 5
+def _range_with_values(path: Path, layout: Layout, name: str, time: np.ndarray, force: np.ndarray) -> tuple[int, int]:
+    """First and last row but one between which time and force have values."""
+    ok = np.isfinite(time) & np.isfinite(force)
+    rows = np.flatnonzero(ok)
+    if not len(rows):
+        raise BadInput(f"{path}: {name!r} has no values")
+    first, last = int(rows[0]), int(rows[-1]) + 1
+    if not ok[first:last].all():
+        n = first + int(np.argmin(ok[first:last]))
+        raise BadInput(f"{path}: line {layout.numbers[n]}: {name!r} has no value there (or an infinite one); fill it in")
+    return first, last
 
 
 def _said(
-    path: Path, way: _Way, names: list[str], units: list[str], header: int | None, time: int, forces: list[int]
+    path: Path,
+    layout: Layout,
+    signs: Signs,
+    fields: Sequence[Field],
+    roles: Roles,
+    columns: Sequence[Column],
+    options: TableOptions,
 ) -> list[str]:
-    scale = lambda k, known, default: SHOWN.get(units[k], units[k]) if units[k] in known else f"taken as {default}"  # noqa: E731
-    many = ", ".join(f"{names[k]!r} ({scale(k, FORCE, 'N')})" for k in forces[:3])
-    many += f" and {len(forces) - 3} more" if len(forces) > 3 else ""
-    left = [names[k] for k in range(len(names)) if k != time and k not in forces]
-    before = way.first if header is None else header
+    """How the table was understood."""
+    times = {find_time(path, fields, roles.times, k) for k in roles.forces} if roles.times else set()
+    shown = [f"{fields[k].name!r} ({_unit_said(fields[k], options.force_unit, 'N')})" for k in roles.forces[:3]]
+    forces = ", ".join(shown) + (f" and {len(roles.forces) - 3} more" if len(roles.forces) > 3 else "")
+    clock = [fields[k] for k in sorted(times)]
+    time = ", ".join(f"{f.name!r} ({_unit_said(f, None if f.is_clock else options.time_unit, 's')})" for f in clock[:3])
+    time += f" and {len(clock) - 3} more, one for each force" if len(clock) > 3 else ""
+    used = {*times, *roles.times, *roles.forces}
+    left = [f.name for k, f in enumerate(fields) if k not in used and f.named and (f.quantity or np.isfinite(f.values).any())]
+    sign = ", decimal comma" if signs.decimal == "," else ""
+    sign += f", thousands by {signs.grouping!r}" if signs.grouping and options.decimal is None else ""
+    cut = len(layout.rows) - min(len(column.time) for column in columns)
+    before, separator = layout.before, WORDS.get(layout.separator, layout.separator)
     return [
-        f"{path}: {len(way.rows)} rows from line {way.first + 1} on, separated by {WORDS[way.separator]}"
-        + (", decimal comma" if way.comma else ""),
+        f"{path}: {len(layout.rows)} rows from line {layout.numbers[0]} on, separated by {separator}{sign}",
         f"{before} line{'s' if before > 1 else ''} above left out" if before else "nothing above left out",
-        "no header" if header is None else "a header",
-        f"time {names[time]!r} ({scale(time, TIME, 's')})",
-        f"force {many}",
+        "no header" if layout.header.line is None else "a header",
+        f"time {time}" if times else f"time {options.sample:g} s from row to row",
+        f"force {forces}",
+        *([f"up to {cut} rows without a value left out"] if cut else []),
         *([f"left out: {', '.join(left)}"] if left else []),
     ]
+
+
+def _unit_said(column: Field, given: str | None, default: str) -> str:
+    if given:
+        return unit_named(given).symbol
+    return f"clock, {column.unit.symbol}" if column.is_clock else column.unit.symbol or f"taken as {default}"

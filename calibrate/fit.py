@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from calibrate import goodness, uncertainty
+from calibrate import goodness, plausibility, uncertainty
 from calibrate.errors import BadInput
 from calibrate.loss import BLOCKS, Draws, Measured
 from calibrate.prepare import draw, measure
@@ -23,6 +23,7 @@ Ends = dict[str, list[float]]  # Fit.starts
 STARTS = 4
 SCAN = (0.7, 90.0, 12)  # least and greatest dt_impact (bins) that the first guess looks at, and how many
 LEAST_TRACES = 4  # half of the traces say nothing of gamma_high; two of the rest are needed to tell a scatter
+MOST_SEED = 2_000_000_000  # others are made by adding to it, below 2^31
 AGREEMENT = 0.1  # share of the interval's half width: starts that differ by less agree, one whose last round changed less converged
 
 
@@ -34,7 +35,8 @@ class Fit:
     standard deviation and the fast local estimate; `free` names those fitted. starts: name -> [S]; losses: [S];
     converged, agreed: [S]
     distances: block -> energy distance; p_values: name -> p-value; rmse_g: the paper's figure, for comparison only
-    statements: what the data can and cannot tell, in words
+    statements: what the data can and cannot tell, in words; warnings: those of them that say that the traces, or what was
+    told of them, are hardly what was meant; absurd: parameters that cannot be meant, in words
     """
 
     parameters: dict[str, dict[str, Any]]
@@ -48,6 +50,8 @@ class Fit:
     rmse_g: float
     statements: list[str]
     info: dict[str, Any] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+    absurd: list[str] = field(default_factory=list)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers, strings and lists, as written to fit.json."""
@@ -61,11 +65,8 @@ def default_start(targets: list[Target], measured: Measured, draws: Draws) -> di
     Raises `BadInput` where the momentum of the traces is not that of falling portions of their weight.
     """
     height = float(np.mean(np.asarray(measured.height)))
-    if not height > 0:
-        raise BadInput(
-            f"the momentum of the traces tells a mean drop height of {height:g} m: look at the weight of the pieces "
-            f"({targets[0].m_piece:g} kg), their number ({targets[0].pieces}), time zero and --align"
-        )
+    if not (np.isfinite(height) and height > 0):
+        raise BadInput(plausibility.find_impossible(targets, measured)[-1])
     low, high = np.quantile(np.asarray(measured.spread), [0.25, 0.95])
     start = {"gamma_low": float(low), "gamma_high": float(1.5 * high), "h_mean": height}
     lengths = measured.grid.sample * np.geomspace(*SCAN)
@@ -124,21 +125,42 @@ def fit(
     bootstrap: int = 100,
     seed: int = 0,
     progress: Tell | None = None,
+    force: bool = False,
 ) -> Fit:
     """Fit dt_impact, gamma_low, gamma_high and h_mean to `traces`, a list of `Target`.
 
     start: dict of start values, any subset (the others from the traces); fixed: dict of parameters that are not fitted
     align: "release" or "first-impact"; simulations, fine: simulated portions of the moments and of the increments
     bootstrap: number of refits for the intervals, 0 for the local estimate only; seed: of all random numbers
-    progress: called with (name of the stage, done, of) while it works. Runs in double precision whatever the global
-    flag says. Raises `BadInput`.
+    progress: called with (name of the stage, done, of) while it works; force: fit traces, too, that cannot be meant as
+    they were read. Runs in double precision whatever the global flag says. Raises `BadInput`.
     """
+    targets = list(traces)
+    if not 0 <= seed <= MOST_SEED:
+        raise BadInput(f"seed = {seed}: must be from 0 to {MOST_SEED}")
     with jax.enable_x64(True):
-        return _fit(list(traces), start, fixed or {}, align, simulations, fine, bootstrap, seed, progress or (lambda *_: None))
+        measured, impossible = _measure_possible(targets, align, force)
+        arguments = start, fixed or {}, align, simulations, fine, bootstrap, seed, progress or (lambda *_: None)
+        return _fit(targets, measured, impossible, *arguments)
+
+
+def _measure_possible(targets: list[Target], align: str, force: bool) -> tuple[Measured, list[str]]:
+    """The summaries of the traces, and why these cannot be meant as they were read: raises `BadInput` unless `force`."""
+    if align == "release" and (names := [t.name for t in targets if not t.from_release]):
+        raise BadInput(f"{names[0]}: times of a clock do not tell when the portion was released: give --align first-impact")
+    impossible = plausibility.find_impossible(targets)
+    if not impossible or force:
+        measured = measure(targets, align)
+        impossible = plausibility.find_impossible(targets, measured)
+    if impossible and not force:
+        raise BadInput(f"{impossible[0]}; --force fits nevertheless")
+    return measured, impossible
 
 
 def _fit(
     targets: list[Target],
+    measured: Measured,
+    impossible: list[str],
     given: dict[str, float] | None,
     fixed: dict[str, float],
     align: str,
@@ -148,7 +170,6 @@ def _fit(
     seed: int,
     progress: Tell,
 ) -> Fit:
-    measured = measure(targets, align)
     draws = draw(targets, simulations, seed)
     fine = min(fine, draws.z.shape[0])
     own = default_start(targets, measured, draws)
@@ -188,7 +209,9 @@ def _fit(
             "best_start": best,
         },
     )
-    result.statements.extend(uncertainty.without_spread(measured) + uncertainty.statements(result, targets))
+    result.absurd.extend(plausibility.find_absurd(parameters))
+    result.warnings.extend(impossible + plausibility.find_doubtful(targets) + uncertainty.without_spread(measured))
+    result.statements.extend([*result.absurd, *result.warnings, *uncertainty.statements(result, targets)])
     result.statements.extend(goodness.statements(result.p_values, result.info["bootstrap"]))
     return result
 

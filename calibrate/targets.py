@@ -1,21 +1,22 @@
-"""The traces that the Product Model is fitted to: from HDF5 ensembles and runs, CSV tables, or arrays."""
+"""The traces that the Product Model is fitted to: from HDF5 ensembles and runs, tables of text, or arrays."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calibrate.csv_table import read_table
+from calibrate.csv_table import Column, TableOptions, read_table
 from calibrate.errors import BadInput
 from calibrate.pieces import piece_mass
 
 ALIGNMENTS = ("release", "first-impact")
-TABLES = (".csv", ".txt", ".tsv", ".asc", ".dat")
+HDF5 = b"\x89HDF\r\n\x1a\n"
 GROUP = "wb_flaps"
 ONSET = 0.02  # share of the largest force at which a trace is taken to begin: its first impact
+QUIET = 8  # samples before the first impact from which the zero of a trace is told
 
 
 @dataclass(frozen=True)
@@ -26,6 +27,8 @@ class Target:
     downward positive
     m_piece: (kg) weight of one piece; pieces: number of pieces; height_offset: (m) known deviation of this trace's
     mean drop height from the others'; gravity: (m/s2); name: for messages
+    assumed: which units the source does not tell, of "time" and "force"; from_release: False where times do not count
+    from the release
     """
 
     time: np.ndarray
@@ -35,6 +38,8 @@ class Target:
     height_offset: float = 0.0
     gravity: float = 9.81
     name: str = "trace"
+    assumed: tuple[str, ...] = ()
+    from_release: bool = True
 
     @property
     def sample(self) -> float:
@@ -50,6 +55,18 @@ class Target:
     def first_impact(self) -> float:
         """(s) beginning of the first sample whose force exceeds ONSET of the largest."""
         return float(self.time[np.argmax(self.force > ONSET * self.force.max())]) - self.sample
+
+    @property
+    def zero(self) -> float | None:
+        """(N) mean force before the first impact; None where the trace has no such part."""
+        start = float(np.median(self.force[:QUIET]))
+        before = int(np.argmax(np.abs(self.force - start) > ONSET * (self.force.max() - start)))
+        return float(np.mean(self.force[: max(int(0.9 * before), QUIET)])) if before >= QUIET else None
+
+    @property
+    def end(self) -> float:
+        """(N) mean force over the last twentieth of the trace."""
+        return float(np.mean(self.force[-max(len(self.force) // 20, 1) :]))
 
 
 def target(
@@ -89,37 +106,80 @@ def target(
 def read(
     path: str | PathLike[str],
     m_piece: float | None = None,
-    pieces: int | None = None,
+    pieces: int | Sequence[int] | None = None,
     group: str | None = None,
     tell: Callable[[str], object] = lambda _: None,
+    table: TableOptions | None = None,
+    tare: bool = False,
 ) -> list[Target]:
-    """All traces of one file; the suffix tells the format.
+    """All traces of one file.
 
-    `.h5`: a run, or an ensemble with a leading run axis, in the layout of the discrete element runs; the mean force
-    of the wall group `group` (default wb_flaps, or the only one there is), weight and number of the pieces from the
-    file unless given. `.csv`, `.txt`, `.tsv`, `.asc`, `.dat`: a table of any program, `csv_table`: time (s, ms, us) and one
-    force (N, mN, kN, or kg and g times 9.81 m/s2) per further column; m_piece and pieces must be given. tell: is called with
-    one line that says how a table was understood. Raises `BadInput`.
+    Args:
+        path: an HDF5 file with a run, or an ensemble with a leading run axis, in the layout of the discrete element runs;
+            or a table of any program as text, or a LabVIEW measurement (`csv_table`).
+        m_piece: (kg) of one piece. Default: from the file, which a table does not tell.
+        pieces: number of pieces of all traces, or of each. Default: from the file, which a table does not tell.
+        group: wall group of an HDF5 file whose mean force is read. Default: wb_flaps, or the only one there is.
+        tell: called with one line that says how a table was understood.
+        table: what a table does not tell itself, as its units.
+        tare: whether the mean force before the first impact is subtracted from each trace.
+
+    Returns:
+        A `Target` for each trace.
+
+    Raises:
+        BadInput: one line.
     """
     path = Path(path)
     if not path.is_file():
         raise BadInput(f"{path}: no such file")
-    if path.suffix.lower() in TABLES:
-        return _read_csv(path, m_piece, pieces, tell)
-    return _read_hdf5(path, m_piece, pieces, group)
+    try:
+        with open(path, "rb") as file:
+            is_hdf5 = file.read(8) == HDF5 or path.suffix.lower() in (".h5", ".hdf5")
+        found = _read_hdf5(path, m_piece, pieces, group) if is_hdf5 else _read_table(path, m_piece, pieces, tell, table)
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read ({error.strerror or error})") from None
+    return [subtract_zero(trace) for trace in found] if tare else found
 
 
-def _read_csv(path: Path, m_piece: float | None, pieces: int | None, tell: Callable[[str], object]) -> list[Target]:
+def subtract_zero(trace: Target) -> Target:
+    """`trace` less its mean force before the first impact. Raises `BadInput` where it has no such part."""
+    if trace.zero is None:
+        raise BadInput(f"tare: {trace.name} has fewer than {QUIET} quiet samples before its first impact")
+    return replace(trace, force=trace.force - trace.zero)
+
+
+def _each(path: Path, pieces: int | Sequence[int], count: int) -> Iterator[int]:
+    """The number of pieces of each of `count` traces."""
+    numbers = [pieces] if isinstance(pieces, int | np.integer) else list(pieces)
+    if len(numbers) not in (1, count):
+        raise BadInput(f"{path}: pieces: {len(numbers)} numbers for {count} traces; must be one, or one for each")
+    return iter(numbers * count if len(numbers) == 1 else numbers)
+
+
+def _read_table(
+    path: Path,
+    m_piece: float | None,
+    pieces: int | Sequence[int] | None,
+    tell: Callable[[str], object],
+    options: TableOptions | None,
+) -> list[Target]:
     if m_piece is None:
-        raise BadInput(f"{path}: a CSV table does not say m_piece; give --m-piece")
+        raise BadInput(f"{path}: a table does not say m_piece; give --m-piece")
     if pieces is None:
-        raise BadInput(f"{path}: a CSV table does not say pieces; give --pieces")
-    table = read_table(path)
+        raise BadInput(f"{path}: a table does not say pieces; give --pieces")
+    table = read_table(path, options)
     tell(table.said)
-    return [target(table.time, column.force, m_piece, pieces, name=f"{path}:{column.name}") for column in table.columns]
+    numbers = _each(path, pieces, len(table.columns))
+    return [_of_column(path, column, m_piece, n) for column, n in zip(table.columns, numbers, strict=True)]
 
 
-def _read_hdf5(path: Path, m_piece: float | None, pieces: int | None, group: str | None) -> list[Target]:
+def _of_column(path: Path, column: Column, m_piece: float, pieces: int) -> Target:
+    trace = target(column.time, column.force, m_piece, pieces, name=f"{path}:{column.name}")
+    return replace(trace, assumed=column.assumed, from_release=column.from_release)
+
+
+def _read_hdf5(path: Path, m_piece: float | None, pieces: int | Sequence[int] | None, group: str | None) -> list[Target]:
     import h5py
 
     try:
@@ -141,7 +201,11 @@ def _read_hdf5(path: Path, m_piece: float | None, pieces: int | None, group: str
     runs = force if force.ndim == 2 else force[None]
     if len(runs) == 0:
         raise BadInput(f"{path}: holds no runs")
-    return [target(time, run, m_piece, int(pieces), gravity=gravity, name=f"{path}:{k}") for k, run in enumerate(runs)]
+    numbers = _each(path, pieces, len(runs))
+    return [
+        target(time, run, m_piece, int(n), gravity=gravity, name=f"{path}:{k}")
+        for k, (run, n) in enumerate(zip(runs, numbers, strict=True))
+    ]
 
 
 def _group(path: Path, groups: list[str], group: str | None) -> str:

@@ -24,6 +24,7 @@ Tell = Callable[[str, int, int], object]  # of progress: name of the stage, done
 
 LEVEL = 0.90
 BATCH = 4  # refits at once: as many as a fit has starts, so that both are one program
+WIDEST = 1e3  # factor from the value to an end of a local interval; beyond, the traces tell nothing
 FEW_TRACES = 16  # below, no estimator knows gamma_high - gamma_low better than to a quarter (one standard deviation)
 UNITS = {"dt_impact": ("us", 1e6), "gamma_low": ("mm", 1e3), "gamma_high": ("mm", 1e3), "h_mean": ("mm", 1e3)}
 
@@ -160,7 +161,7 @@ def table(theta: Theta, free: Free, local: dict[str, float], refits: Refits | No
                 "sd": float(np.std(np.exp(ratios)) * value),
             }
         elif name in free:
-            factor = np.exp(1.645 * local[name] / max(value, 1e-12))
+            factor = min(np.exp(1.645 * local[name] / max(value, 1e-12)), WIDEST)
             row |= {"low": value / factor, "high": value * factor, "sd": local[name]}
         result[name] = {key: (bool(v) if key == "free" else float(v)) for key, v in row.items()}
     return result
@@ -186,8 +187,14 @@ def statements(result: "Fit", targets: list[Target]) -> list[str]:
     for name in result.free:
         row = result.parameters[name]
         half = 0.5 * (row["high"] - row["low"]) / max(row["value"], 1e-12)
-        if half > 0.25:
+        if half > 10.0:
+            flag = f"--fix-{name.replace('_', '-')}"
+            lines.append(f"{name} is not told by these traces: its 90 % interval spans orders of magnitude; fix it ({flag})")
+        elif half > 0.25:
             lines.append(f"{name} is hardly told by these traces: its 90 % interval is +-{100 * half:.0f} % of its value")
+    sample, pulse = max(t.sample for t in targets), result.parameters["dt_impact"]["value"]
+    if "dt_impact" in result.free and pulse < sample:
+        lines.append(f"dt_impact = {1e6 * pulse:.4g} us is shorter than the time between samples, {1e6 * sample:.4g} us")
     if "gamma_high" in result.free:
         if count < FEW_TRACES:
             lines.append(f"{count} traces are too few to tell gamma_high: take at least {FEW_TRACES}, or fix it")
@@ -195,12 +202,6 @@ def statements(result: "Fit", targets: list[Target]) -> list[str]:
             f"gamma_high is a three-sigma quantity that only about half of the {count} traces say anything of: no "
             f"estimator can know gamma_high - gamma_low better than to {100 / np.sqrt(max(count, 1)):.0f} % (one "
             "standard deviation)"
-        )
-    final = float(np.median([np.mean(t.force[-max(len(t.force) // 20, 1) :]) / t.weight for t in targets]))
-    if abs(final - 1.0) > 0.02:
-        lines.append(
-            f"the traces end at {100 * final:.0f} % of the weight of their pieces: look at the weight and number of "
-            "the pieces, the wall group, and whether all have landed"
         )
     if pieces < 20:
         lines.append(f"with {pieces:.0f} pieces a trace tells its own spread only to {100 / np.sqrt(2 * pieces):.0f} %")

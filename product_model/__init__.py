@@ -4,12 +4,16 @@ SIMULTECH 2023).
 `simulate` makes one portion, `ensemble` many, `stream` a sample at a time; `read_fit` takes what a calibration found.
 """
 
-from product_model import stream
-from product_model.fitted import Fitted, drawn, read_fit
-from product_model.inputs import BadInput, Parameters, check, parameters, table
-from product_model.monte_carlo import Peaks, bands, ensemble, peaks
-from product_model.portion import Trace, compiled, simulate
-from product_model.record import load, save
+from product_model.program import begin_program
+
+begin_program()
+
+from product_model import stream  # noqa: E402
+from product_model.fitted import Fitted, drawn, read_fit  # noqa: E402
+from product_model.inputs import BadInput, Parameters, check, parameters, table  # noqa: E402
+from product_model.monte_carlo import Peaks, bands, ensemble, peaks  # noqa: E402
+from product_model.portion import Trace, compiled, simulate  # noqa: E402
+from product_model.record import load, save  # noqa: E402
 
 __all__ = [
     "BadInput",

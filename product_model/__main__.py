@@ -1,12 +1,13 @@
 """Command line: `python -m product_model simulate ...`, `stream ...`, `fmu ...` and `table`."""
 
 import argparse
-import os
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
 from product_model.inputs import DTYPES, FORMS, BadInput, Parameters, table
+from product_model.program import run_program, temporary_file
 
 if TYPE_CHECKING:
     from product_model.fitted import Fitted
@@ -111,10 +112,15 @@ def _simulate(args: argparse.Namespace) -> None:
     if args.plot:
         from product_model.plot import figure
 
-        figure(trace).savefig(args.plot, dpi=150)
+        try:
+            with temporary_file(Path(args.plot)) as part:
+                figure(trace).savefig(part, dpi=150, format=Path(args.plot).suffix[1:])
+        except OSError as error:
+            raise BadInput(f"plot = {args.plot}: cannot be written ({error.strerror or error})") from None
     _report(trace, params, args)
 
 
+MOST_SEED = 2**31 - 1
 STREAMED = 256  # samples computed at a time
 
 
@@ -177,18 +183,17 @@ def _report(trace: "Trace", params: Parameters, args: argparse.Namespace) -> Non
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code (2 on bad input, with one line on stderr)."""
+    return run_program("product_model", lambda: _run(argv), (BadInput,))
+
+
+def _run(argv: Sequence[str] | None) -> None:
     args = _parser().parse_args(argv)
     if args.command == "table":
         print(table())
-        return 0
-    try:
-        {"simulate": _simulate, "stream": _stream, "fmu": _fmu}[args.command](args)
-    except BadInput as error:
-        print(f"product_model: {error}", file=sys.stderr)
-        return 2
-    except BrokenPipeError:  # who read the stream has enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    return 0
+        return
+    if not 0 <= args.seed <= MOST_SEED:
+        raise BadInput(f"seed = {args.seed}: must be from 0 to {MOST_SEED}")
+    {"simulate": _simulate, "stream": _stream, "fmu": _fmu}[args.command](args)
 
 
 if __name__ == "__main__":

@@ -6,14 +6,18 @@ import os
 import shutil
 import sys
 import tempfile
+import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from product_model.inputs import BadInput, Parameters, check, pieces_of
+from product_model.program import temporary_file
 from product_model.target import check_target
 
 SLAVE = Path(__file__).with_name("fmu_slave.py")
+LIBRARY = Path(__file__).with_name("fmu_library.so")  # made from fmu_library.c
+LINUX, PYTHONFMU = "binaries/linux64/", "libpythonfmu-export.so"
 
 
 def check_fmu(path: str | os.PathLike[str], overwrite: bool = False) -> Path:
@@ -46,10 +50,22 @@ def write_fmu(path: str | os.PathLike[str], params: Parameters, seed: int = 0, o
         made = Path(folder) / "made.fmu"
         FmuBuilder.build_FMU(slave, made, [inputs], canHandleVariableCommunicationStepSize=False)
         try:
-            shutil.move(made, path)
+            with temporary_file(path) as part:
+                _copy_with_library(made, part)
         except OSError as error:
             raise BadInput(f"out = {path}: cannot be written ({error.strerror or error})") from None
     return path
+
+
+def _copy_with_library(made: Path, path: Path) -> None:
+    """Copy a unit, with our library for Linux before that of pythonfmu, which fails in folders such as `größe`."""
+    with zipfile.ZipFile(made) as old, zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as new:
+        for entry in old.namelist():
+            if entry.startswith(LINUX) and entry.endswith(".so"):
+                new.writestr(LINUX + PYTHONFMU, old.read(entry))
+                new.writestr(entry, LIBRARY.read_bytes())
+            else:
+                new.writestr(entry, old.read(entry))
 
 
 @contextmanager

@@ -37,7 +37,7 @@ class ProductModel(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
         from product_model.inputs import INPUTS, LEAVES, OUTPUTS
 
         super().__init__(**kwargs)
-        released_once(Path(self.resources).parent / "binaries" / "linux64" / f"{type(self).__name__}.so")
+        released_once(Path(os.path.realpath(self.resources)).parent / "binaries" / "linux64" / "libpythonfmu-export.so")
         self.inputs = json.loads((Path(self.resources) / "inputs.json").read_text(encoding="utf-8"))
         self.default_experiment = DefaultExperiment(start_time=0.0, stop_time=LONGEST, step_size=self.inputs["sample"])
         self.seed, self.pieces = self.inputs.pop("seed"), self.inputs["pieces"]

@@ -2,7 +2,6 @@
 
 import dataclasses
 import importlib.metadata
-import os
 from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
@@ -12,6 +11,7 @@ import numpy as np
 
 from product_model.inputs import INPUTS, LEAVES, BadInput, Parameters
 from product_model.portion import Trace, in_precision
+from product_model.program import temporary_file
 from product_model.pulses import rectangular
 from product_model.target import check_target
 
@@ -50,14 +50,11 @@ def save(
     """
     path = check_output(path, overwrite)
     write = {".csv": _csv, ".mat": _mat}.get(path.suffix, _hdf5)
-    part = path.with_name(f".{path.name}.part{os.getpid()}")
     try:
-        write(part, trace, params, seed, varied or {})
-        os.replace(part, path)
+        with temporary_file(path) as part:
+            write(part, trace, params, seed, varied or {})
     except OSError as error:
         raise BadInput(f"out = {path}: cannot be written ({error.strerror or error})") from None
-    finally:
-        part.unlink(missing_ok=True)
     return path
 
 
@@ -142,7 +139,8 @@ def _columns(trace: Trace) -> dict[str, np.ndarray]:
 
 def _csv(path: Path, trace: Trace, params: Parameters, seed: int | None, varied: Mapping[str, np.ndarray]) -> None:
     columns = _columns(trace)
-    np.savetxt(path, np.stack(list(columns.values()), axis=1), "%.9g", ",", header=",".join(columns), comments="")
+    table = np.stack(list(columns.values()), axis=1)
+    np.savetxt(path, table, "%.9g", ",", header=",".join(columns), comments="", encoding="utf-8")
 
 
 def _mat(path: Path, trace: Trace, params: Parameters, seed: int | None, varied: Mapping[str, np.ndarray]) -> None:

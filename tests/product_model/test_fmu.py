@@ -59,6 +59,14 @@ def test_a_step_that_is_no_multiple_of_the_sample_time_is_an_error(unit):
         run(unit, step=1.4 * SAMPLE)
 
 
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="our library is one for Linux")
+@pytest.mark.parametrize("name", ["größe", "日本", "a#b", "100%", "a b", "a%20b", "ü 100% a#b+c&d=e?"])
+def test_a_unit_runs_in_a_folder_of_any_name(unit, name, tmp_path):
+    """Tools give the folder as a URI, in which such letters are encoded."""
+    fmpy.extract(str(unit), str(tmp_path / name))
+    np.testing.assert_allclose(run(tmp_path / name)["force"][1:], expected(5), atol=1e-12)
+
+
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="of pythonfmu's library for Linux")
 def test_the_library_lets_python_go_before_the_process_ends(unit, monkeypatch):
     """By itself it does so twice as the process ends, the second time in memory that is free."""

@@ -1,0 +1,156 @@
+"""How a program of the command line begins and ends: its streams, Ctrl-C, output that nobody takes, a missing device."""
+
+import contextlib
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import NoReturn
+
+PROGRAMS = ("product_model", "calibrate")  # this package's own, and the one built on it
+BAD_INPUT, INTERRUPTED = 2, 130
+PATIENCE = 0.5  # s that an interrupted program waits for its standard output to take what was printed
+
+_unfinished: set[Path] = set()  # temporary files that an interrupted program removes
+_open_line = threading.Event()  # set while a progress bar stands on the last line of stderr
+
+
+def begin_program() -> None:
+    """From now on Ctrl-C ends the process at once, if it is one of PROGRAMS and not a session of Python's or a test.
+
+    A thread waits for it, as Python's own handler must wait for a call into XLA to return, which can take a minute.
+    """
+    name = _program_name()
+    if name is None or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        return  # a job in the background ignores Ctrl-C
+    reading, writing = os.pipe()
+    os.set_blocking(writing, False)
+    signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
+    signal.signal(signal.SIGINT, lambda *_: None)
+    threading.Thread(target=_wait_for_interrupt, args=(name, reading), daemon=True).start()
+
+
+def _program_name() -> str | None:
+    """Which of PROGRAMS this process was started as, by `python -m` or the command of that name; None: as none."""
+    if threading.current_thread() is not threading.main_thread() or not sys.argv:
+        return None
+    command = Path(sys.argv[0]).stem.replace("-", "_")
+    by_name = sys.argv[0] == "-m"  # until the module is found
+    pairs = list(zip(sys.orig_argv, sys.orig_argv[1:], strict=False))
+    return next((name for name in PROGRAMS if (("-m", name) in pairs if by_name else command == name)), None)
+
+
+def run_program(name: str, action: Callable[[], object], errors: tuple[type[Exception], ...]) -> int:
+    """Run `action` and return the exit code: 0, 2 with one line on stderr for bad input, 130 after Ctrl-C.
+
+    Args:
+        name: of the program, which begins each message.
+        action: what the program does.
+        errors: exceptions that say in one line what is wrong.
+    """
+    _open_streams()
+    try:
+        action()
+        sys.stdout.flush()
+        return 0
+    except errors as error:
+        return fail_program(name, str(error))
+    except KeyboardInterrupt:
+        return fail_program(name, "interrupted", INTERRUPTED)
+    except BrokenPipeError:  # who read the output has enough
+        _mute()
+        return 0
+    except OSError as error:
+        _mute()
+        return fail_program(name, f"{error.filename or 'standard output'}: {error.strerror or error}")
+    except (RuntimeError, AssertionError):
+        missing = _missing_device()
+        if missing is None:
+            raise
+        return fail_program(name, missing)
+
+
+def fail_program(name: str, message: str, code: int = BAD_INPUT) -> int:
+    """`code`, after one line on stderr."""
+    with contextlib.suppress(OSError):
+        print(f"{name}: {message}", file=sys.stderr, flush=True)
+    return code
+
+
+def _missing_device() -> str | None:
+    """What to say where JAX does not find the device that JAX_PLATFORMS names; None where it does."""
+    import jax
+
+    try:
+        jax.devices()
+        return None
+    except (RuntimeError, AssertionError) as error:
+        asked = os.environ.get("JAX_PLATFORMS", "") or "(not set)"
+        reason = " ".join(str(error).split())[:160]
+        return f"JAX_PLATFORMS = {asked}: JAX finds no such device; allowed: cpu, or leave it unset ({reason})"
+
+
+@contextlib.contextmanager
+def temporary_file(path: Path) -> Iterator[Path]:
+    """A path beside `path` for a file that replaces it when the block ends, and is removed where that fails.
+
+    Of a symbolic link the file that it leads to is replaced.
+    """
+    target = path.resolve() if path.is_symlink() else path
+    part = target.with_name(f".{target.name}.part{os.getpid()}")
+    _unfinished.add(part)
+    try:
+        yield part
+        os.replace(part, target)
+    finally:
+        part.unlink(missing_ok=True)
+        _unfinished.discard(part)
+
+
+def set_open_line(is_open: bool) -> None:
+    """Say whether a progress bar stands on the last line of stderr."""
+    _open_line.set() if is_open else _open_line.clear()
+
+
+def _open_streams() -> None:
+    """Standard streams that are closed lead to nowhere, and none fails at a letter that its encoding lacks."""
+    for stream, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, stream) is None:
+            setattr(sys, stream, open(os.devnull, mode, encoding="utf-8"))
+    for output in (sys.stdout, sys.stderr):
+        with contextlib.suppress(AttributeError, ValueError):
+            output.reconfigure(errors="replace")  # type: ignore[union-attr]
+
+
+def _mute() -> None:
+    """What was printed and not written yet goes nowhere: Python would try again at its end."""
+    with contextlib.suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _wait_for_interrupt(name: str, reading: int) -> None:
+    while byte := os.read(reading, 1):
+        if byte[0] == signal.SIGINT:
+            _leave(name)
+
+
+def _leave(name: str) -> NoReturn:
+    """End the process without waiting for what it computes."""
+    flushing = threading.Thread(target=_flush, daemon=True)
+    flushing.start()
+    flushing.join(PATIENCE)
+    for part in list(_unfinished):
+        with contextlib.suppress(OSError):
+            part.unlink(missing_ok=True)
+    with contextlib.suppress(OSError, ValueError):
+        line = "\n" if _open_line.is_set() else ""
+        os.write(sys.stderr.fileno(), f"{line}{name}: interrupted\n".encode())
+    os._exit(INTERRUPTED)
+
+
+def _flush() -> None:
+    for output in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError, ValueError):
+            output.flush()
