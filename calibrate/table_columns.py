@@ -161,7 +161,7 @@ def _times(fields: Sequence[Field], full: Sequence[int]) -> list[int]:
         plain = [k for k in full if fields[k].quantity in ("", "index") and fields[k].unit == NONE]
         times = [k for k in plain if fields[k].rises and not fields[k].is_counter][:1]
     alike = [k for k in full if any(k != t and fields[k].rises and _equal(fields[k], fields[t]) for t in times)]
-    return sorted({*times, *(k for k in alike if fields[k].quantity != "index")})
+    return sorted({*times, *(k for k in alike if fields[k].quantity != "index" and fields[k].unit.kind in ("none", "time"))})
 
 
 def _is_time(column: Field) -> bool:
