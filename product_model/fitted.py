@@ -30,7 +30,7 @@ class Fitted:
 def read_fit(path: str | PathLike[str]) -> Fitted:
     """The fit of a file that `calibrate fit` wrote. Raises `BadInput` with one line."""
     try:
-        tree = json.loads(Path(path).read_text(encoding="utf-8"))
+        tree = json.loads(Path(path).read_text(encoding="utf-8-sig"))
         rows = {name: [float(tree["parameters"][name][key]) for key in ("value", "low", "high")] for name in FITTED}
         info = tree.get("info", {})
         pieces, mass = ([number for number in info.get(key, [])] for key in ("pieces", "m_piece"))

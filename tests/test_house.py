@@ -101,3 +101,22 @@ def test_what_the_page_names_is_there():
         assert not name or name in known, (path, name)
     for path in re.findall(r"`((?:contact|scene|step|shapes|maths|build|cli|notebooks)/[\w/]+(?:\.\w+)?/?)`", PAGE):
         assert (ROOT / path).exists() or (PACKAGE / path).exists(), path
+
+
+@pytest.mark.parametrize("package", ["dem_jax", "product_model", "calibrate"])
+def test_text_files_are_utf8_whatever_the_language_of_the_machine(package):
+    """Each call that opens a text file names its encoding."""
+    found = []
+    for path in sorted((ROOT / package).rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if not isinstance(node, ast.Call):
+                continue
+            attribute = isinstance(node.func, ast.Attribute)
+            name = node.func.attr if attribute else getattr(node.func, "id", "")
+            modes = [arg.value for arg in node.args if isinstance(arg, ast.Constant) and isinstance(arg.value, str)]
+            of_text = name in ("read_text", "write_text", "loadtxt", "savetxt", "genfromtxt") or (
+                name == "open" and not attribute and not any("b" in mode for mode in modes if len(mode) <= 3)
+            )
+            if of_text and not any(keyword.arg == "encoding" for keyword in node.keywords):
+                found.append(f"{path.relative_to(ROOT)}:{node.lineno}")
+    assert not found

@@ -20,7 +20,7 @@ def buckets(args: Args) -> None:
 
     if args.name:
         with_name(args.name)
-        print((library.BUCKETS / f"{args.name}.toml").read_text(), end="")
+        print((library.BUCKETS / f"{args.name}.toml").read_text(encoding="utf-8"), end="")
         return
     known = library.buckets()
     wide = max(map(len, known))

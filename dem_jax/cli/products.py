@@ -17,7 +17,7 @@ def products(args: Args) -> None:
     known = library.products()
     if args.name:
         with_product({}, args.name, "products")
-        print((library.PRODUCTS / f"{args.name}.toml").read_text(), end="")
+        print((library.PRODUCTS / f"{args.name}.toml").read_text(encoding="utf-8"), end="")
         return
     from dem_jax.build.pieces import goods_of, masses_of
     from dem_jax.scene.materials import material_table

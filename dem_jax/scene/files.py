@@ -27,7 +27,7 @@ def stock_scenes() -> dict[str, str]:
     """Names of the stock scenes and what each shows (the first comment line of its file)."""
     out = {}
     for path in sorted(STOCK.glob("*.toml")):
-        first = path.read_text().splitlines()[0]
+        first = path.read_text(encoding="utf-8").splitlines()[0]
         out[path.stem] = first.lstrip("# ").strip()
     return out
 
@@ -43,7 +43,7 @@ def _read(source: str | Path, seen: tuple[Path, ...]) -> tuple[Tree, Path]:
     if path.resolve() in seen:
         raise SceneError(f"scene {path}: base: it is based on itself; allowed: a chain without a circle")
     try:
-        text = path.read_text()
+        text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise SceneError(f"scene {path}: cannot be read ({type(error).__name__}); allowed: a TOML text file") from error
     own = _loads(text, path)

@@ -25,7 +25,7 @@ def buckets() -> dict[str, str]:
 
 
 def _listed(folder: Path) -> dict[str, str]:
-    return {path.stem: path.read_text().splitlines()[0].lstrip("# ") for path in sorted(folder.glob("*.toml"))}
+    return {path.stem: path.read_text(encoding="utf-8").splitlines()[0].lstrip("# ") for path in sorted(folder.glob("*.toml"))}
 
 
 def with_product(tree: Tree, name: Any, source: str | Path) -> Tree:
@@ -63,4 +63,4 @@ def _named(folder: Path, key: str, name: Any, source: str | Path) -> Tree:
     known = list(_listed(folder))
     if name not in known:
         raise SceneError(f"{source}: {key} = {name!r}: no such {key}; {choices(str(name), known)}")
-    return tomllib.loads((folder / f"{name}.toml").read_text())
+    return tomllib.loads((folder / f"{name}.toml").read_text(encoding="utf-8"))

@@ -65,7 +65,7 @@ def _placed(solids: Sequence[Solid], rotations: Iterable[np.ndarray], origins: I
 def _frame(folder: Path, kind: str, i: int, bodies: Sequence[Solid], data: Mapping[str, ArrayLike]) -> str:
     """Write one frame; its name relative to the folder."""
     name = f"frames/{kind}_{i:05d}.vtp"
-    (folder / name).write_text(polydata(bodies, data))
+    (folder / name).write_text(polydata(bodies, data), encoding="utf-8")
     return name
 
 
@@ -112,5 +112,5 @@ def _collection(path: Path, times: np.ndarray, files: Sequence[str]) -> Path:
         f'<DataSet timestep="{float(t)!r}" part="0" file="{name}"/>' for t, name in zip(times, files, strict=True)
     ]
     head = '<?xml version="1.0"?>\n<VTKFile type="Collection" version="1.0" byte_order="LittleEndian"><Collection>'
-    path.write_text("\n".join([head, *entries, "</Collection></VTKFile>\n"]))
+    path.write_text("\n".join([head, *entries, "</Collection></VTKFile>\n"]), encoding="utf-8")
     return path

@@ -18,7 +18,7 @@ DPI = 140
 
 def part(name: str) -> str:
     """The text of a file of ``show/page``."""
-    return (files("dem_jax.show") / "page" / name).read_text()
+    return (files("dem_jax.show") / "page" / name).read_text(encoding="utf-8")
 
 
 def page(title: str, policy: str, body: str, **fields: str) -> str:

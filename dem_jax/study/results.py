@@ -54,7 +54,7 @@ def write_csv(results: Results, path: Path) -> Path:
     points = points_of(study)
     heads = [f"{name} ({OUTPUTS[name].unit})" if OUTPUTS[name].unit else name for name in study.outputs]
     try:
-        with open(path, "w", newline="") as out:
+        with open(path, "w", newline="", encoding="utf-8") as out:
             rows = csv.writer(out)
             rows.writerow([*study.parameter, "seed", *heads])
             for member in np.flatnonzero(results.state == DONE).tolist():

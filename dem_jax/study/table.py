@@ -116,7 +116,7 @@ class Study(Section):
 
 def stock_studies() -> dict[str, str]:
     """Names of the studies that come with dem_jax and their titles."""
-    return {path.stem: tomllib.loads(path.read_text())["title"] for path in sorted(STOCK.glob("*.toml"))}
+    return {path.stem: tomllib.loads(path.read_text(encoding="utf-8"))["title"] for path in sorted(STOCK.glob("*.toml"))}
 
 
 def load_study(source: str | Path, quick: bool = False) -> Study:
@@ -127,7 +127,7 @@ def load_study(source: str | Path, quick: bool = False) -> Study:
     if not path.is_file():
         raise SceneError(f"study {str(source)!r}: no such file, nor one of the stock studies ({', '.join(stock_studies())})")
     try:
-        tree = tomllib.loads(path.read_text())
+        tree = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except (ValueError, OSError, RecursionError) as error:
         raise SceneError(f"study {path}: cannot be read: {error}; allowed: TOML") from error
     return checked({"name": path.stem} | tree, path, quick)

@@ -84,7 +84,7 @@ def fir(taps: float, frequency: float, rate: float, window: str = WINDOW, name: 
 def of_table(path: str | Path) -> Filter:
     """The filter of a CSV file: a tap in each line, or a section b0, b1, b2, a0, a1, a2. Raises ValueError."""
     try:
-        table = np.loadtxt(path, delimiter=",", ndmin=2)
+        table = np.loadtxt(path, delimiter=",", ndmin=2, encoding="utf-8")
     except (OSError, ValueError) as error:
         raise ValueError(f"filter {str(path)!r}: {error}") from error
     if table.shape[1] not in (1, 6) or not table.size:
