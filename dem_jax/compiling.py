@@ -1,30 +1,29 @@
-"""How XLA is told to compile the loops over time steps. A step of few pieces is hundreds of small operations.
+"""Compiler flags for the loops over time steps. A step of few pieces is hundreds of small operations.
 
-On the CPU XLA runs each of them as a task of its own, which takes longer than the operation itself; of a loop that it
-takes for small it makes one function instead. What counts as small can be set only for a whole process, by XLA_FLAGS,
-before XLA is first used. With that, with the older way of fusing, and without the library that it hands sums and
-extremes to, steps of 9, 64 and 343 pieces take about half as long (measured, jax 0.10). Results are the same. Such options
-come and go with the compiler (from jax 0.11 on there is no older way of fusing): those that it does not have are not asked for.
-
-LLVM is told, in the same place, to unroll a loop wholly or not at all. To write a step's loops out in part makes them no
-faster and longer to compile: without that, 47 almonds are compiled in 0.87 of the processor time, 7 almonds, 47 hazelnuts
-and 64 marshmallows in 0.90 to 0.97, 9 marshmallows in 1.00 to 1.06; steps take as long and give the same bits. Not so those of
-sixteen runs as one (``step.joined``): unrolled they take 0.89 times as long, and compile as fast. So a process that
-begins with an ensemble leaves that to LLVM.
-
-Wholly it does so up to 125 instructions, not 150: seven penne are compiled in 0.78 of the time, 47 almonds and nine marshmallows in
-0.95, and steps of 9, 64 and 343 marshmallows take 1.02, 0.97 and 0.99 times as long.
-
-It is told as well to forget, once it has unrolled a loop, all that it knows of others: to look through that for what is no longer
-so takes longer than to find it anew. Seven penne are compiled in 0.86 of the processor time, 47 almonds in 0.89, nine marshmallows
-in 0.94, to the same program.
-
-Vectors of 512 bits, where a processor has them, make steps of nine pieces take 0.90 times as long, of 343 0.95, of 8000
-spheres 0.97.
-
-To a GPU XLA hands a step as one graph, but runs the loop around it on the host. With loops and conditions in the graph a step
-takes 0.82 to 0.87 of the time (1000 and 100 000 spheres, 1000 marshmallows, 64 runs of nine), 0.94 to 0.99 where it is long
-(1024 and 4096 runs, 100 000 marshmallows; measured, jax 0.11).
+- **Loops as one function.** On the CPU XLA runs each operation as a task of its own, which takes
+  longer than the operation; a loop that it considers small becomes one function instead. The
+  threshold can be set only for a whole process, by XLA_FLAGS, before XLA is first used. With it,
+  with the older fusion pass, and without the library for sums and extremes, steps of 9, 64 and 343
+  pieces take about half as long (measured, jax 0.10), with the same results. Options that a
+  compiler version lacks (from jax 0.11 on, the older fusion pass) are not requested.
+- **Unrolling.** LLVM unrolls a loop completely or not at all: partial unrolling makes a step no
+  faster and compiles longer. Without it, 47 almonds compile in 0.87 of the processor time, 7
+  almonds, 47 hazelnuts and 64 marshmallows in 0.90 to 0.97, 9 marshmallows in 1.00 to 1.06; steps
+  are as fast and have the same bits. Batches of sixteen runs (``step.joined``) are the exception:
+  with partial unrolling their steps take 0.89 times as long, and compile as fast. A process that
+  begins with an ensemble therefore leaves it to LLVM. The limit of complete unrolling is 125
+  instructions instead of 150: seven penne compile in 0.78 of the time, 47 almonds and nine
+  marshmallows in 0.95, and steps of 9, 64 and 343 marshmallows take 1.02, 0.97 and 0.99 times as
+  long.
+- **Scalar evolution.** `-forget-scev-loop-unroll=true` invalidates LLVM's scalar-evolution cache
+  after unrolling; recomputing it is cheaper than updating it. Seven penne compile in 0.86 of the
+  processor time, 47 almonds in 0.89, nine marshmallows in 0.94, to the same program.
+- **Vector width.** Vectors of 512 bits, on processors that have them, make steps of nine pieces
+  take 0.90 times as long, of 343 0.95, of 8000 spheres 0.97.
+- **GPU.** XLA submits a step as one graph, but runs the loop around it on the host. With loops and
+  conditionals in the graph a step takes 0.82 to 0.87 of the time (1000 and 100 000 spheres, 1000
+  marshmallows, 64 runs of nine), and 0.94 to 0.99 where steps are long (1024 and 4096 runs, 100 000
+  marshmallows; measured, jax 0.11).
 """
 
 import gc

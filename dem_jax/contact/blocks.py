@@ -1,4 +1,4 @@
-"""Contacts computed a block of slots at a time: what is free costs nothing, and a block stays in the cache."""
+"""Contacts computed one block of slots at a time: free slots cost nothing, and a block stays in the cache."""
 
 import math
 from typing import TypeVar

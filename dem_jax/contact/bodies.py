@@ -50,7 +50,7 @@ def _of_parts(system: System, state: State, pieces: Array) -> Array:
     arm = jnp.stack(vector.rotate(frame, vector.unpack(parts.centre)))
     centre = c[:3] + arm
     rows = [centre, c[3:9]]
-    if _has_rest(pieces):  # what rounding leaves over of the sum
+    if _has_rest(pieces):  # rounding residual of the sum
         part = centre - c[:3]
         rows.append(c[9:12] + ((c[:3] - (centre - part)) + (arm - part)))
     return jnp.concatenate([*rows, jnp.stack([x for row in frame for x in row]), arm])
@@ -69,7 +69,7 @@ def _matrix_rows(orientation: Array) -> Array:
 
 
 def take(stacked: Array, index: Array) -> Body:
-    """The bodies of slots, by index [P]: row by row, which takes half the time on a CPU, and what nobody uses none at all."""
+    """Gather the bodies of slots by index [P], row by row: half the time on a CPU, and unused rows cost nothing."""
     return _body(stacked, [columns(row, index) for row in stacked])
 
 
@@ -79,7 +79,7 @@ def every(stacked: Array) -> Body:
 
 
 def take_at_once(stacked: Array, index: Array) -> Body:
-    """``take`` by a single operation, which is compiled sooner: for what is done but once in many steps."""
+    """``take`` as a single operation, which compiles faster, for infrequent use."""
     return _body(stacked, columns(stacked, index))
 
 
@@ -92,6 +92,6 @@ def _body(stacked: Array, c: Sequence[Array] | Array) -> Body:
 
 
 def offset(a: Body, b: Body) -> Vector:
-    """Centre of b minus centre of a, [P] x 3 (m), with what rounding left over of both."""
+    """Centre of b minus centre of a, [P] x 3 (m), including the rounding residuals of both."""
     offset = vector.sub(b.centre, a.centre)
     return offset if a.rest is None or b.rest is None else vector.add(offset, vector.sub(b.rest, a.rest))

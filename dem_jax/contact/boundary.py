@@ -16,21 +16,21 @@ class Panels(NamedTuple):
 
     rows: Array  # [18, W]: centre (m), velocity (m/s), spin (rad/s), rotation panel to world
     groups: Array  # [9, G]: pivot (m), its velocity (m/s), spin (rad/s)
-    rest: Array | None = None  # [3, W] (m): what rounding left over of the centres; None: nothing
+    rest: Array | None = None  # [3, W] (m): rounding residual of the centres; None: none
 
     @property
     def centre(self) -> Vector:
-        """Of the panels (m)."""
+        """Centres of the panels (m)."""
         return _three(self.rows, 0)
 
     @property
     def velocity(self) -> Vector:
-        """Of their centres (m/s)."""
+        """Velocities of their centres (m/s)."""
         return _three(self.rows, 3)
 
     @property
     def spin(self) -> Vector:
-        """Of the panels (rad/s)."""
+        """Angular velocities of the panels (rad/s)."""
         return _three(self.rows, 6)
 
     @property
@@ -40,17 +40,17 @@ class Panels(NamedTuple):
 
     @property
     def pivot(self) -> Vector:
-        """Of the groups (m)."""
+        """Pivots of the groups (m)."""
         return _three(self.groups, 0)
 
     @property
     def pivot_velocity(self) -> Vector:
-        """Of the groups' pivots (m/s)."""
+        """Velocities of the groups' pivots (m/s)."""
         return _three(self.groups, 3)
 
     @property
     def group_spin(self) -> Vector:
-        """Of the groups (rad/s)."""
+        """Angular velocities of the groups (rad/s)."""
         return _three(self.groups, 6)
 
 
@@ -125,7 +125,7 @@ def ahead(system: System, step: Array, count: int) -> Ahead:
 
 
 def after(system: System, of: Ahead, steps: Array) -> Panels:
-    """The panels so many steps after the rebuild, at least one; not a number beyond the last."""
+    """The panels a number of steps after the rebuild, at least one; nan beyond the last."""
     if not system.walls.motions:
         return of.after
     return jax.tree.map(lambda rows: rows.at[steps].get(mode="fill", fill_value=jnp.nan), of.after)

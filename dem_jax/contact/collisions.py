@@ -21,7 +21,7 @@ WITH_WALLS = ("hulls", "plates")  # kinds of contact that a wall can be in
 
 
 def none_yet(system: System, dtype: DTypeLike) -> Collisions | None:
-    """What there is before the first step, in numpy; None: nobody asked for it."""
+    """Initial statistics in numpy, or None if the scene requests none."""
     rule, groups, pieces = system.statistics, len(system.walls.groups), system.pieces.mass.shape[0]
     if rule is None:
         return None

@@ -1,4 +1,4 @@
-"""The overlap in single precision: within what rounding leaves of the geometry it follows the way of the contact point.
+"""The overlap in single precision: within the rounding error of the geometry it is integrated from the displacement.
 
 The depth of two bodies is a small difference of lengths: with a few 1e-9 m of rounding, anew in each step, where a stiff slow
 impact (NSF = 1, 1e-3 m/s) has a largest overlap of 4e-8 m. By how much bodies approach in a step is known far better, from
@@ -20,7 +20,7 @@ from dem_jax.maths import vector
 from dem_jax.maths.vector import Vector
 from dem_jax.types import Array
 
-ROUNDING = 2.0  # of the last place of all arms together: what the depth of polytopes at any angle was seen to be off by, doubled
+ROUNDING = 2.0  # units in the last place of the sum of all arms: twice the largest observed error of the depth of polytopes
 
 
 def overlap(before: Array, approach: Array, doubt: Array, depth: Array, at_a: Vector, at_b: Vector) -> Array:

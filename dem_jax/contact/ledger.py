@@ -1,4 +1,4 @@
-"""What a run adds up: impulse on walls, peak force, largest overlap, work that contacts took and that walls did."""
+"""Accumulated quantities: impulse on walls, peak force, largest overlap, work of contacts and of walls."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -61,14 +61,14 @@ def _peak(system: System, before: Array, now: Array, rise: Array) -> Array:
 
 
 def reported(system: System, of_groups: Array) -> Array:
-    """What there is of wall groups, [.., G, R], added up for each of Walls.reports, [.., reports, R]."""
+    """Values of wall groups, [.., G, R], summed for each of Walls.reports, [.., reports, R]."""
     of = lambda group: of_groups[..., group, :]  # noqa: E731
     rows = [sum(map(of, groups[1:])) + of(groups[0]) for _, groups in system.walls.reports]
     return jnp.stack(rows, axis=-2) if rows else of_groups[..., :0, :]
 
 
 def _twice_power(before: Pair, now: Pair, motion: tuple[Vector, Vector]) -> Array:
-    """What forces and torques, [3, ..] (N, N m), before and after a step do at a velocity and a spin, [..] (W).
+    """Power of forces and torques, [3, ..] (N, N m), before and after a step at a velocity and a spin, [..] (W).
 
     Half of it times the step is their work: trapezoidal, each load at its own point of attack, closed to second order.
     """

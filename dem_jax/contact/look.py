@@ -1,22 +1,26 @@
-"""A full look at pairs of convex polytopes: which of their features can decide the contact until they have moved by how much.
+"""Full feature search of pairs of convex polytopes: their deciding features, and how long these stay valid.
 
-Depth and normal of two polytopes are those of the nearest face of the hull of all differences of their points (the Minkowski
-difference): a face of one body with a corner of the other, or two edges that cross on the Gauss map. Of hundreds of features
-only those near the contact count, for as long as neither body has moved much relative to the other. A look finds them and a
-bound on that way (``Near.margin``), within which the answer of ``near.axes`` is that of all features:
+Depth and normal of two polytopes are those of the nearest face of their Minkowski difference: a
+face of one body with a vertex of the other, or two edges that cross on the Gauss map. Of hundreds
+of features only those near the contact matter while the bodies move little relative to each other.
+The search finds them together with a validity radius (``Near.margin``): within this relative
+displacement, ``near.axes`` gives the same result as all features.
 
-- the overlap along a face's normal changes by no more than the bodies move, and so does the depth: a face whose overlap exceeds
-  the depth by twice the way is none;
-- of the nearest face, the points of both bodies that meet in it are as far apart as they are deep: two edges whose distance
-  exceeds the depth by twice the way are none; nor are two whose arcs on the Gauss map are turned too far apart to cross;
-- what of the other body clips the face of a contact has a point in the overlap;
-- bodies that are apart but within the reach of a law are so by what separates them most, of all features: of these none exceeds
-  their distance, which one of the nearest has for as long as no corner is nearest to an edge or to another corner.
+- The overlap along a face normal changes by no more than the displacement, and so does the depth. A
+  face is excluded if its overlap exceeds the depth by more than twice the displacement.
+- At the nearest face, the points of both bodies that meet in it are as far apart as the depth. Two
+  edges are excluded if their distance exceeds the depth by more than twice the displacement, or if
+  their arcs on the Gauss map are turned too far apart to cross.
+- A feature of the other body that clips the face of a contact has a point in the overlap.
+- Bodies that are apart but within the range of a law are separated by the largest separation of all
+  features. None of these exceeds their distance, which one of the nearest features has unless a
+  vertex is nearest to an edge or to another vertex.
 
-Where there are more such features than there is room for, those nearest to counting are taken and the margin is smaller; where
-none is left, there is a look in every step. Edges are taken in the order of a lower bound of the overlap along their arcs: the
-answer of a look is exact as long as that of those left out exceeds the depth (of 3774 random pairs up to 40 % of their size deep,
-``benchmarks.depth``, it did in all). Way: that of the points of b in a's frame.
+If more features qualify than the buffers hold, the closest ones are kept and the validity radius
+shrinks accordingly; a radius of zero forces a refresh at every step. Edges are taken in the order
+of a lower bound of the overlap along their arcs: the result is exact if that bound of the omitted
+edges exceeds the depth (it did for all of 3774 random pairs with depths up to 40 % of their size,
+``benchmarks.depth``). The displacement is that of the points of b in the frame of a.
 """
 
 from typing import NamedTuple
@@ -33,7 +37,7 @@ from dem_jax.types import Array, Facing, Features, Near
 
 STEPS = 4  # towards the nearest points: more leave out no more pairs (measured on packed hulls)
 FACES, CORNERS, EDGES, COUPLES, FACING = 4, 8, 16, 12, 4  # room for features, at least
-BESIDE = 1e-6  # of a body's size: what is above its faces by no more is in it
+BESIDE = 1e-6  # of a body's size: points above its faces by less are inside
 WIDE = 0.01  # of the radius of b: where less way than this is free, all planes clip
 
 
@@ -46,7 +50,7 @@ class _Sides(NamedTuple):
 
 
 class _Met(NamedTuple):
-    """What each side sees of the other, in its own frame, [.., 2 P]."""
+    """Data of the other body in the frame of each side, [.., 2 P]."""
 
     corners: Vector  # [V] x 3 (m): its own
     seen: Vector  # [V] x 3 (m): the other's
@@ -65,7 +69,7 @@ class _Chosen(NamedTuple):
 
 
 class _Edges(NamedTuple):
-    """Couples of near edges [E, E' of them as one axis, P] and what was left out."""
+    """Pairs of near edges [E, E' of them as one axis, P] and the bound of the omitted ones."""
 
     of_a: Array  # [E, P] int32
     of_b: Array  # [E', P] int32
@@ -334,7 +338,7 @@ def _of_edges(f: Features, sides: _Sides, seen: Vector) -> Array:
 
 
 def _from_faces(f: Features, sides: _Sides, met: _Met) -> Array:
-    """Of the face of least overlap, how far the other's nearest corner is from it, [2 P] (m); infinite if it is beside it."""
+    """Distance of the other body's nearest vertex from the face of least overlap, [2 P] (m); infinite if it is beside it."""
     planes = met.planes
     face = first(met.overlap == jnp.min(met.overlap, axis=0)[None])[None]
     normal = vector.each(lambda c: picked(c, face), unpack(planes))
@@ -347,7 +351,7 @@ def _from_faces(f: Features, sides: _Sides, met: _Met) -> Array:
 
 
 def _clipping(f: Features, sides: _Sides, height: Array, base: Array) -> tuple[Array, Array]:
-    """Which planes of each side's own faces can cut the other body, [Kc, 2 P], and what way is free of the others, [2 P] (m)."""
+    """Planes of each side's own faces that can cut the other body, [Kc, 2 P], and the way free of the others, [2 P] (m)."""
     faces = f.own_planes.shape[1]
     room = max(f.rings.shape[0] + 2, 8 + int(2 * faces**0.5))
     if f.all_clip or faces <= room:

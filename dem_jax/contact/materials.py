@@ -1,4 +1,4 @@
-"""Pairs of materials: what a contact law is told of two bodies. In numpy (time step) and in JAX (slots) alike."""
+"""Pairs of materials: the input of a contact law for two bodies, in numpy (time step) and in JAX (slots)."""
 
 from typing import overload
 

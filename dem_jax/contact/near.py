@@ -121,7 +121,7 @@ def moved(near: Near, radius: Array, rel: Relative) -> Array:
 
 
 def faced(hulls: Hulls, before: Facing, rows: tuple[Array, Array], normal: Vector, touching: Array, rel: Relative) -> Facing:
-    """Faces that can look most along the normals of the touching of pairs [P]; all anew where one of them is uncertain."""
+    """Update the support faces of touching pairs [P]; recompute all of them if any cached candidate may be stale."""
     features = hulls.features
     assert features is not None
     away = jnp.max(vector.norm(vector.sub(outward(normal, rel), unpack(before.direction))), axis=0)

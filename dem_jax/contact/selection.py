@@ -37,7 +37,7 @@ def _ascending(rows: Array) -> Array:
 
 
 def own(count: Array, row: Array, keys: Array, none: float = jnp.inf) -> Array:
-    """Keys [K, P] of what a shape has, ``none`` of what its table repeats."""
+    """Keys [K, P] of a shape's own entries, ``none`` for entries that its table repeats."""
     number = jnp.arange(keys.shape[0], dtype=jnp.int32)[:, None]
     return jnp.where(number < count[row][None], keys, none)
 

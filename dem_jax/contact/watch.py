@@ -14,7 +14,7 @@ ROUNDING = 1.01  # of a way
 
 
 def is_due(state: State) -> Array:
-    """Whether a look is: [] bool. (Not of what is no number: the host will see that.)"""
+    """True if a refresh is due: [] bool. (False for nan, which the host detects.)"""
     assert state.scratch.spare is not None
     return jnp.min(state.scratch.spare) < 0
 

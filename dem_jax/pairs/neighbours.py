@@ -308,7 +308,7 @@ def find_incidence(system: System, tables: dict[str, ContactTable]) -> Incidence
 
 
 def gone(system: System, state: State, omega: Array, panels: boundary.Panels) -> State:
-    """The state with the way noted by which bodies may have approached each other in a step that has moved them.
+    """Accumulate the maximum possible approach of any two bodies since the last rebuild (Verlet-skin bookkeeping).
 
     omega: [3, N] (rad/s) of the step; panels: after it.
     """

@@ -43,7 +43,7 @@ class Pair(NamedTuple):
 
 
 class History(NamedTuple):
-    """Of contacts, at the last step."""
+    """History of contacts, at the last step."""
 
     law: Any  # that of the law
     tension: Array  # [P] (N): A
@@ -81,7 +81,7 @@ class Cohesive:
         return answer._replace(push=answer.push - tension, history=after)
 
     def energy(self, pair: Pair, history: History, overlap: Array) -> Array:
-        """Of the law and of the tension's spring (J)."""
+        """Elastic energy of the law and of the tension spring (J)."""
         return self.law.energy(pair.law, history.law, jnp.maximum(overlap, 0)) + 0.5 * history.tension**2 / pair.stiffness
 
     def reach(self, pair: Pair) -> Array:

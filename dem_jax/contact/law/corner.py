@@ -1,4 +1,4 @@
-"""Corners of a contact's force over time, where bodies touch, turn and part, and what the time step leaves out there.
+"""Kinks of a contact's force over time (first touch, reversal, separation), and the impulse that the time step misses there.
 
 Kick, drift, kick adds up impulses by the trapezoidal rule. Where the slope of a force jumps by J (N/s), a part theta of a step
 from a step, that leaves out
@@ -25,7 +25,7 @@ def kernel(part: Array) -> Array:
 
 
 class Corner(NamedTuple):
-    """What is left out of the impulse of contacts that touch in this step or part in the next, [P]."""
+    """Missing impulse of contacts that touch in this step or separate in the next, [P]."""
 
     touches: Array  # bool
     parts: Array  # bool

@@ -1,4 +1,4 @@
-"""A dashpot beside an elastic spring that is never adhesive: what the linear law and that of Hertz share, and that beside the
+"""A dashpot beside an elastic spring that is never adhesive: shared by the linear law and that of Hertz, and that beside the
 unloading line of Walton and Braun.
 
 Linear: m s'' + c s' + K s = 0 with damping ratio zeta = c / (2 sqrt(m K)). The contact ends where the force vanishes, not
@@ -75,7 +75,7 @@ def power(before: Array, now: Array, approach: Array, exponent: float, root: Cal
 def damped(elastic: Array, coefficient: Array, approach: Array, mass: Array, dt: Array) -> Array:
     """Elastic force with dashpot (N), never adhesive. coefficient: c (N s/m); approach: (m) in this step.
 
-    Speeds are known in the middle of the step; that at its end is what the force itself makes of it in half a step.
+    Speeds are known in the middle of the step; the speed at its end follows from the force over half a step.
     """
     total = (elastic + coefficient * approach / dt) / (1 + 0.5 * coefficient * dt / mass)
     return jnp.where(elastic > 0, jnp.maximum(total, 0), 0)

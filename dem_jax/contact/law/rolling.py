@@ -37,11 +37,11 @@ class Pair(NamedTuple):
     arm: Array  # (m): mu_r R
     stiffness: Array  # (N m): k_r
     damping: Array  # (N m s): c_r
-    edge: Array  # (N/m): k_r / R^2, what the spring adds to the tangential one
+    edge: Array  # (N/m): k_r / R^2, contribution of the spring to the tangential one
 
 
 class History(NamedTuple):
-    """Of contacts, at the last step."""
+    """History of contacts, at the last step."""
 
     law: Any  # that of the law
     torque: Array  # [3, P] (N m): M on b, of the spring, world axes
@@ -85,7 +85,7 @@ class Rolling:
         return answer._replace(twist=twist, history=History(answer.history, jnp.stack(spring)))
 
     def energy(self, pair: Pair, history: History, overlap: Array) -> Array:
-        """Of the law and of the spring (J)."""
+        """Elastic energy of the law and of the spring (J)."""
         torque, least = vector.unpack(history.torque), jnp.finfo(overlap.dtype).tiny
         own = self.law.energy(pair.law, history.law, overlap)
         return own + 0.5 * vector.dot(torque, torque) / jnp.maximum(pair.stiffness, least)

@@ -1,4 +1,4 @@
-"""Springs and masses: what several laws and the choice of the time step share."""
+"""Springs and masses, shared by several laws and the choice of the time step."""
 
 from typing import TypeVar
 

@@ -39,7 +39,7 @@ class ErrorBound:
 
 
 def _scale(quantity: str, restitution: float) -> float:
-    """What n is multiplied by in the error of a quantity: a rebound goes along the unloading line."""
+    """Factor of n in the error of a quantity: a rebound follows the unloading line."""
     return restitution if quantity == "restitution" else 1.0
 
 

@@ -8,7 +8,7 @@ from dem_jax.scene.numbers import array
 
 
 def column(sections: list[Motion], key: str) -> np.ndarray:
-    """What a key says, [G], or [3, G] of a vector. sections: one for each group."""
+    """Values of a key, [G], or [3, G] for a vector. sections: one for each group."""
     return array([getattr(section, key) for section in sections]).T
 
 

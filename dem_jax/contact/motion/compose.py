@@ -17,12 +17,12 @@ from dem_jax.scene import Motion
 from dem_jax.types import Array, Walls
 
 Kind = Hinge | Table | Vibration
-# From within: a hinge goes along with what a table moves, and all of it vibrates.
+# From the inside out: a table moves the hinge, and the vibration moves both.
 KINDS: tuple[type[Kind], ...] = (Hinge, Table, Vibration)
 
 
 class Frame(NamedTuple):
-    """Where G groups are: what is at x in the scene is now at turn (x - Walls.pivot) + pivot."""
+    """Poses of G groups: the point x of the scene is now at turn (x - Walls.pivot) + pivot."""
 
     turn: Matrix  # rows of three, each 3 x [G]
     pivot: Vector  # 3 x [G] (m)
@@ -49,7 +49,7 @@ class _Turn(NamedTuple):
 
 
 class _Move(NamedTuple):
-    """What one kind of motion does to G groups; None: it turns none, it shifts none."""
+    """Rotation and displacement of G groups by one kind of motion; None: it has no rotation, or no displacement."""
 
     turn: _Turn | None
     shift: tuple[Vector, Vector] | None  # the way, and its rate
@@ -81,7 +81,7 @@ def _move(motion: Kind, t: Array, t_velocity: Array) -> _Move:
 
 
 def _carried(frame: _Inner, move: _Move) -> _Inner:
-    """The frame inside of what a move takes along."""
+    """The frame inside the moved one."""
     if move.turn is not None:
         frame = _turned(frame, move.turn)
     if move.shift is None:
@@ -143,5 +143,5 @@ def interval(walls: Walls) -> tuple[float, float]:
 
 
 def endless(section: Motion, duration: float) -> str | None:
-    """The key by which a section's wall does not come to rest in a run of so many seconds, and what is allowed; or None."""
+    """The key that keeps a section's wall moving in a run of a given duration (s), and its values allowed; or None."""
     return next(filter(None, (kind.endless(section, duration) for kind in KINDS if kind.asked(section))), None)

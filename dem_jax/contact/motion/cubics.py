@@ -14,7 +14,7 @@ from dem_jax.scene.numbers import is_traced
 def cubics(times: Sequence[float], values: Any) -> Any:
     """The cubic of each row in the time since it, [4, R], highest power first; of the last, the value that it keeps.
 
-    times: [R] (s), values: [R]. Of values that JAX differentiates the same to rounding.
+    times: [R] (s), values: [R]. For values that JAX differentiates the result is the same up to round-off.
     """
     if is_traced(values):
         return _differentiable(np.asarray(times), values)

@@ -33,7 +33,7 @@ class Hinge:
 
     @classmethod
     def of(cls, sections: list[Motion]) -> "Hinge":
-        """Of a section for each group, in numpy. Raises SceneError."""
+        """Hinges from one section per group, in numpy. Raises SceneError."""
         times = {key: host(column(sections, key)) for key in ("start", "opening", "dwell", "closing", "period")}
         return cls(host(axes(sections)), host(column(sections, "swing_deg") * (np.pi / 180)), **times)
 

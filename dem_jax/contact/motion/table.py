@@ -2,7 +2,7 @@
 
 Between rows the piecewise cubic Hermite interpolation of Fritsch and Carlson (SIAM J. Numer. Anal. 17, 238, 1980): velocity
 has no jump, and angle and ways never go beyond those of the rows on both sides. Slopes are zero at the first and the last row.
-Of a smooth monotonic motion the error goes with the third power of the rows' distance, next to an extremum with the second.
+For a smooth monotonic motion the error is of third order in the interval of the rows, next to an extremum of second order.
 """
 
 import csv
@@ -45,7 +45,7 @@ class Table:
 
     @classmethod
     def of(cls, sections: list[Motion]) -> "Table":
-        """Of a section for each group, with its table ``written_out`` if it has one, in numpy. Raises SceneError."""
+        """Tables from one section per group, with its table ``written_out`` if it has one, in numpy. Raises SceneError."""
         most = max(len(row.times or (0.0,)) for row in sections)
         times = np.full((most, len(sections)), np.inf)
         for group, row in enumerate(sections):

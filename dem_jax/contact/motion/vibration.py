@@ -35,7 +35,7 @@ class Vibration:
 
     @classmethod
     def of(cls, sections: list[Motion]) -> "Vibration":
-        """Of a section for each group, in numpy."""
+        """Vibrations from one section per group, in numpy."""
         keys = ("stroke", "frequency", "shake_start", "shake_end", "shake_ramp", "shake_period")
         return cls(*(host(column(sections, key)) for key in keys))
 
@@ -62,7 +62,7 @@ class Vibration:
 
     @staticmethod
     def endless(section: Motion, duration: float) -> str | None:
-        """Why the section's vibration does not end in a run of so many seconds."""
+        """The reason why the section's vibration does not end in a run of a given duration (s)."""
         if section.shake_period:
             return f"shake_period = {section.shake_period:g}; allowed: 0 (once)"
         if section.shake_end < duration:
