@@ -114,7 +114,7 @@ def statements(p: dict[str, float], refits: int) -> list[str]:
     """In words: does the model describe the traces? refits: number of the bootstrap, which limits what blocks can say"""
     lines = _limits(p, refits)
     if p["all"] >= ALARM:
-        return [*lines, f"no difference from what the Product Model makes was found (p = {p['all']:.2g})"]
+        return [*lines, f"no difference from the Product Model was found (p = {p['all']:.2g})"]
     worst = min((name for name in p if name != "all"), key=p.__getitem__)
     return [
         *lines,

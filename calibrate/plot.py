@@ -64,7 +64,7 @@ def figure(result: Fit, targets: list[Target], seed: int = 0, bin_: float | None
     top.set(ylabel=f"PIF (kg), means over {1e3 * bin_:.1f} ms")
     top.legend()
     chance = 1.645 * np.sqrt(measured.var(axis=0) / len(measured) + made.var(axis=0) / len(made))
-    bottom.fill_between(time_ms, -chance, chance, color="0.85", lw=0, label="90 % of what chance makes")
+    bottom.fill_between(time_ms, -chance, chance, color="0.85", lw=0, label="90 % of random differences")
     bottom.plot(time_ms, measured.mean(axis=0) - made.mean(axis=0), color="k", lw=1, label="traces less model")
     origin = "first impact" if align == "first-impact" else "release"
     bottom.set(xlabel=f"time after {origin} (ms)", ylabel="difference of\nthe means (kg)")

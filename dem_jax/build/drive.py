@@ -25,9 +25,9 @@ def drive_of(motions: Sequence[Motion], groups: Sequence[str]) -> Drive | None:
             continue
         key = f"motion.drive (group {row.group!r})"
         if row.drive is not None and not Hinge.asked(row):
-            raise SceneError(f"{key}: with swing_deg = 0; allowed: of a flap that swings about a hinge")
+            raise SceneError(f"{key}: with swing_deg = 0; allowed: only for a flap that swings about a hinge")
         if Table.asked(row) and row.angles_deg is not None:
-            raise SceneError(f"{key}: beside a table of angles; allowed: of a flap that nothing else turns")
+            raise SceneError(f"{key}: beside a table of angles; allowed: only for a flap without other rotations")
     found = [rows[name].drive if name in rows else None for name in groups]
     each = [(d.torque, d.inertia, d.natural_frequency, d.damping_ratio) if d else (0.0, 1.0, 0.0, 0.0) for d in found]
     torque, inertia, frequency, ratio = (array([row[k] for row in each]) for k in range(4))

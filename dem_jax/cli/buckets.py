@@ -5,7 +5,7 @@ from dem_jax.cli.arguments import Args, Commands, command
 
 def add(commands: Commands) -> None:
     """Add the command to the parser."""
-    made = command(commands, "buckets", buckets, "List the buckets that a scene can name, or print what one sets.")
+    made = command(commands, "buckets", buckets, "List the buckets that a scene can name, or print the keys of one.")
     made.add_argument("name", nargs="?", metavar="BUCKET", help="print its keys")
 
 

@@ -9,7 +9,7 @@ def add(commands: Commands) -> None:
     text = "How often, how fast and where pieces hit the walls, of a run of a scene with [statistics]."
     made = command(commands, "collisions", collisions, text)
     made.add_argument("file", metavar="FILE", help="HDF5 file of a run or an ensemble")
-    made.add_argument("--of", choices=["energy", "impulse", "number"], default="energy", help="what maps show (default: energy)")
+    made.add_argument("--of", choices=["energy", "impulse", "number"], default="energy", help="mapped quantity (default: energy)")
     made.add_argument("--group", help="wall group whose panels are drawn (default: wb_flaps, or the first)")
     made.add_argument("--out", metavar="FILE", help=".png, .pdf or .svg (default: the file's name -collisions.png)")
 

@@ -6,7 +6,7 @@ from dem_jax.cli.arguments import Args, Commands, command
 
 def add(commands: Commands) -> None:
     """Add the command to the parser."""
-    made = command(commands, "export", export, "Write what is plotted of a run or an ensemble as CSV or XLSX.")
+    made = command(commands, "export", export, "Write the plotted series of a run or an ensemble as CSV or XLSX.")
     made.add_argument("file", metavar="FILE", help="HDF5 file of a run or an ensemble")
     made.add_argument("--out", metavar="FILE", help=".csv or .xlsx (default: the file's name .csv)")
     made.add_argument("--group", help="wall group (default: wb_flaps, or the first)")

@@ -39,7 +39,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (SceneError, RecordError) as error:
         return _fail(BAD_INPUT, error)
     except SimulationError as error:
-        where = f"; what was computed before is in {error.path}" if error.path else "; nothing was recorded before"
+        where = f"; earlier results are in {error.path}" if error.path else "; nothing was recorded before"
         return _fail(FAILED, f"{error}{where}")
     except KeyboardInterrupt:
         return _fail(INTERRUPTED, "interrupted; python -m dem_jax run --resume FILE goes on with a run, a study goes on by itself")

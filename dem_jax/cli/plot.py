@@ -10,7 +10,7 @@ def add(commands: Commands) -> None:
         commands,
         "plot",
         plot,
-        "Draw product impact force and settled mass over time; of several files, with their differences; or a study.",
+        "Draw product impact force and settled mass over time, for several files with their differences; or draw a study.",
     )
     stored.add_files(made)
     made.add_argument("--out", metavar="FILE", help=".png, .pdf or .svg (default: the first file's name .png)")

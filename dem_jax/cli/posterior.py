@@ -6,7 +6,7 @@ from dem_jax.cli.arguments import Args, Commands, command
 def add(commands: Commands) -> None:
     """Add the command to the parser."""
     made = command(
-        commands, "posterior", posterior, "What is likely of a study's parameters, by its references; of several studies together."
+        commands, "posterior", posterior, "Posterior of the parameters of one study or of several, given their reference values."
     )
     made.add_argument("files", nargs="+", metavar="FILE", help="files of studies of the same points")
 

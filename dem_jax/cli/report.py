@@ -11,7 +11,7 @@ def add(commands: Commands) -> None:
     stored.add_files(made)
     made.add_argument("--out", metavar="FILE", help=".html, or .pdf (default: the first file's name -report.html)")
     made.add_argument("--group", help="wall group (default: wb_flaps, or the first)")
-    made.add_argument("--fit", metavar="FILE", help="fit.json of `calibrate fit`: the fitted Product Model goes on the page")
+    made.add_argument("--fit", metavar="FILE", help="fit.json of `calibrate fit`: shows the fitted Product Model on the page")
 
 
 def report(args: Args) -> None:

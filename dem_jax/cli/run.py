@@ -10,9 +10,9 @@ from dem_jax.errors import SceneError
 def add(commands: Commands) -> None:
     """Add the command to the parser."""
     made = command(commands, "run", run, "Simulate a scene: an HDF5 file, a figure and a summary.")
-    made.more = lambda: f"what the file holds, sampled each run.sample:\n{quantities()}"
+    made.more = lambda: f"quantities in the file, sampled every run.sample:\n{quantities()}"
     simulating.add_arguments(made, scene_optional=True)
-    made.add_argument("--resume", metavar="FILE", help="go on with the run in a file instead of a scene")
+    made.add_argument("--resume", metavar="FILE", help="continue the run in a file")
 
 
 def run(args: Args) -> None:

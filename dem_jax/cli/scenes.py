@@ -7,7 +7,7 @@ def add(commands: Commands) -> None:
     """Add the command to the parser."""
     made = command(commands, "scenes", scenes, "List the stock scenes, or print one with all its keys.")
     made.add_argument("name", nargs="?", metavar="SCENE", help="print this scene as TOML: every key, unit and value")
-    made.add_argument("--quantities", action="store_true", help="list what is sampled: name, unit, path in a file, meaning")
+    made.add_argument("--quantities", action="store_true", help="list the sampled quantities: name, unit, path in a file, meaning")
 
 
 def scenes(args: Args) -> None:

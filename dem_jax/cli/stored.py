@@ -55,7 +55,7 @@ def is_study(files: Sequence[str]) -> bool:
 
     studies = [name for name in files if file.is_study(name)]
     if studies and len(files) > 1:
-        raise RecordError(f"{studies[0]} is a study's file; allowed: one by itself")
+        raise RecordError(f"{studies[0]} is a file of a study; allowed: a single file of a study")
     return bool(studies)
 
 

@@ -20,8 +20,8 @@ def add(commands: Commands) -> None:
     made.add_argument("study", nargs="*", metavar="STUDY", help=words)
     made.add_argument("--scene", metavar="SCENE", help="a stock scene or a .toml file in the place of the study's")
     made.add_argument("--quick", action="store_true", help="few drops, as the study's [quick] says")
-    made.add_argument("--out", metavar="FILE", help="HDF5 file, gone on with if it is there (default: the study's name .h5)")
-    made.add_argument("--overwrite", action="store_true", help="begin anew")
+    made.add_argument("--out", metavar="FILE", help="HDF5 file; an existing one is continued (default: the study's name .h5)")
+    made.add_argument("--overwrite", action="store_true", help="start again")
     made.add_argument("--no-plot", action="store_true", help="do not draw the figure beside the file")
     made.add_argument("--quiet", action="store_true", help="no progress bar")
 

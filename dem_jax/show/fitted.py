@@ -46,6 +46,6 @@ def read_fit(path: str | Path) -> Fitted:
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise RecordError(f"--fit {path}: not a file of `calibrate fit` ({type(error).__name__}: {error})") from error
     if not np.isfinite(list(rows.values())).all():
-        raise RecordError(f"--fit {path}: holds what is no number; allowed: a file of `calibrate fit`")
+        raise RecordError(f"--fit {path}: contains a value that is not a number; allowed: a file of `calibrate fit`")
     picture = path.with_suffix(".png")
     return Fitted({k: (v, low, high) for k, (v, low, high) in rows.items()}, statements, picture if picture.is_file() else None)

@@ -181,7 +181,7 @@ def _tables(named: Sequence[Named], group: str | None) -> list[paper.Table]:
 
 
 def _numbers(named: Sequence[Named], group: str | None) -> str:
-    words = "Peaks are of means over the sample time. Time to rest: from the first force until the settled mass stays as it is."
+    words = "Peaks are maxima of means over the sample time. Time to rest: from the first force until the settled mass is final."
     unsettled = filter(None, map(_unsettled, named))
     return _columns(named, _numbers_said(named, group)) + _note(" ".join([words, *unsettled]))
 

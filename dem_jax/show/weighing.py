@@ -95,7 +95,7 @@ def figure_of_readings(rows: Sequence[Readings], tolerances: Sequence[float]) ->
         axes.set_xlabel("time since release (ms)")
         axes.set_xlim(0.0, 1e3 * max(row.time[-1] for row in rows))
         axes.grid(alpha=0.25, lw=0.5)
-    figure.suptitle(f"what a scale reads: {', '.join(dict.fromkeys(row.name for row in rows))}", fontsize=11)
+    figure.suptitle(f"reading of the scale: {', '.join(dict.fromkeys(row.name for row in rows))}", fontsize=11)
     plot.legend(figure)
     return figure
 

@@ -46,7 +46,7 @@ def load_restart(path: FileName) -> tuple[Header, dict[str, np.ndarray], int, in
         if seal is not None and not np.array_equal(seal, checksum(file, restart)):
             raise RecordError(f"{path} is damaged: its scene, its seed or the state to go on from is not what was written")
     if not restart and (samples or frames):
-        raise RecordError(f"{path} holds no state to go on from: it was saved without one")
+        raise RecordError(f"{path} contains no state to continue from: it was saved without one")
     return header, restart, samples, frames
 
 

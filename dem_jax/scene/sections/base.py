@@ -19,8 +19,8 @@ Size = Annotated[tuple[Positive, Positive, Positive], BeforeValidator(as_tuple)]
 Points = Annotated[tuple[Vector, ...], BeforeValidator(as_tuple)]
 Numbers = Annotated[tuple[float, ...], BeforeValidator(as_tuple)]
 StlUnit = Annotated[Positive, Field(description="m per unit of an STL: 1e-3 of millimetres")]
-StlTurn = Annotated[Vector, Field(description="degrees by which an STL is turned about x, then y, then z of the scene")]
-StlMove = Annotated[Vector, Field(description="m by which an STL is moved once it is turned")]
+StlTurn = Annotated[Vector, Field(description="degrees, rotation of an STL about x, then y, then z of the scene")]
+StlMove = Annotated[Vector, Field(description="m, displacement of an STL after its rotation")]
 MaterialName = Annotated[str | None, Field(description="name of a [material.NAME]; unset: [material] itself")]
 
 

@@ -37,10 +37,10 @@ class Bucket(Section):
     open_dwell: NotNegative = Field(0.1, description="s")
     closing_time: Positive = Field(0.09, description="s")
     period: NotNegative = Field(0.0, description="s from one opening to the next; 0: it opens once")
-    drive: Drive | None = Field(None, description="what swings each flap; unset: what no piece can hold up")
+    drive: Drive | None = Field(None, description="drive of each flap; unset: unlimited torque")
     thickness: Positive = Field(0.005, description="m, of walls and flaps")
     material: MaterialName = None
-    lap: NotNegative = Field(0.012, description="m by which flaps and walls run on behind each other where they meet")
+    lap: NotNegative = Field(0.012, description="m by which flaps and walls overlap behind each other where they meet")
     stl: str | None = Field(
         None,
         description="file, relative to the scene's, of the walls, in the place of the sizes above; without flap_stl of all of the "
@@ -56,7 +56,7 @@ class Bucket(Section):
     flap_panels: Annotated[tuple[Panels, Panels], BeforeValidator(as_tuple)] | None = Field(
         None, description="m, corners of the panels of both flaps, in flap_stl's place"
     )
-    note: str | None = Field(None, description="said with the results; what was read of STL files is written here")
+    note: str | None = Field(None, description="printed with the results; data of STL files are written here")
 
     @model_validator(mode="after")
     def _is_whole(self) -> "Bucket":
@@ -65,7 +65,7 @@ class Bucket(Section):
         if self.stl and self.panels:
             raise ValueError("stl, panels: allowed: one of the two")
         if self.drive and not self.opening_angle_deg:
-            raise ValueError("drive: opening_angle_deg = 0, the flaps stay shut; allowed: of flaps that open")
+            raise ValueError("drive: opening_angle_deg = 0, the flaps stay shut; allowed: only for flaps that open")
         if (self.stl and not self.flap_stl or self.panels and not self.flap_panels) and self.opening_angle_deg:
             held = "flap_stl with a file for each flap, or opening_angle_deg = 0 of a bucket that stays shut"
             raise ValueError(f"opening_angle_deg = {self.opening_angle_deg:g}: the STL has no flaps of its own; allowed: {held}")
@@ -79,10 +79,10 @@ class LoadCell(Section):
     bend by a few tenths of a millimetre at the rated load, and a bucket of 1 kg: 98 kN/m, 50 Hz.
     """
 
-    mass: Positive = Field(1.0, description="kg that hangs on it without pieces: bucket, flaps, what of the cell moves with them")
-    rated_load: Positive = Field(5.0, description="kg; beyond it a run says so")
+    mass: Positive = Field(1.0, description="kg without pieces: bucket, flaps and the moving part of the cell")
+    rated_load: Positive = Field(5.0, description="kg; a run prints a note beyond it")
     stiffness: Positive | None = Field(
-        None, description="N/m; unset: of natural_frequency, or 0.5 mm at the rated load if that is unset too"
+        None, description="N/m; unset: from natural_frequency, or from 0.5 mm at the rated load if that is unset too"
     )
     natural_frequency: Positive | None = Field(None, description="Hz, of the mass without pieces, in place of the stiffness")
     damping_ratio: NotNegative = Field(0.02, description="of the critical damping of the mass without pieces")
@@ -97,7 +97,7 @@ class LoadCell(Section):
 class WeighBucket(Bucket):
     """A bucket that may hang on a load cell."""
 
-    load_cell: LoadCell | None = Field(None, description="what carries its walls and flaps; unset: they are held")
+    load_cell: LoadCell | None = Field(None, description="load cell that carries walls and flaps; unset: they are fixed")
 
 
 class Drop(Section):
@@ -142,7 +142,7 @@ class Feeder(Section):
     rotate_deg: StlTurn = (0.0, 0.0, 0.0)
     move: StlMove = (0.0, 0.0, 0.0)
     panels: Panels | None = Field(None, description="m, corners of each panel from the edge on, in an STL's place")
-    note: str | None = Field(None, description="said with the results; what was read of an STL file is written here")
+    note: str | None = Field(None, description="printed with the results; data of an STL file are written here")
 
     @model_validator(mode="after")
     def _is_one_pan(self) -> "Feeder":

@@ -22,8 +22,8 @@ OF_LAWS = {
 class Cohesion(Section):
     """How bodies hold on to each other, where a pull_off is more than 0 (dem_jax.contact.law.cohesion)."""
 
-    stiffness: Positive = Field(1.0, description="of the tension, over that of the two bodies in series (eqs 5, 7 and 8)")
-    range: NotNegative = Field(1e-4, description="m of gap, over which the tension falls from pull_off to 0")
+    stiffness: Positive = Field(1.0, description="of the tension, relative to the two bodies in series (eqs 5, 7 and 8)")
+    range: NotNegative = Field(1e-4, description="m, gap over which the tension decreases from pull_off to 0")
 
 
 class Contact(Section):

@@ -12,13 +12,13 @@ class Inlet(Section):
     """
 
     mass_rate: Positive = Field(description="kg/s")
-    waiting: int | None = Field(None, ge=1, le=1_000_000, description="pieces that wait at first; unset: as many as in the portion")
+    waiting: int | None = Field(None, ge=1, le=1_000_000, description="pieces outside initially; unset: as many as in the portion")
     start: float = Field(0.0, ge=0, description="s after the release")
     end: Positive | None = Field(None, description="s; unset: until the end of the run")
-    every: Positive = Field(0.05, description="s between the times at which pieces are let in")
-    low: Vector | None = Field(None, description="m; box in which they begin; unset: above the feeder's back, or the feed bucket")
+    every: Positive = Field(0.05, description="s between insertions")
+    low: Vector | None = Field(None, description="m; box of the insertion; unset: above the rear of the feeder, or the feed bucket")
     high: Vector | None = Field(None, description="m")
-    velocity: Vector = Field((0.0, 0.0, 0.0), description="m/s, with which they begin")
+    velocity: Vector = Field((0.0, 0.0, 0.0), description="m/s, initial velocity")
 
     @model_validator(mode="after")
     def _is_a_span_and_a_box(self) -> "Inlet":
@@ -34,5 +34,5 @@ class Inlet(Section):
 class Outlet(Section):
     """A height below which pieces are taken out of the scene, and counted."""
 
-    below: float | None = Field(None, description="m, of their centres; unset: a piece's size below all walls at rest")
-    every: Positive = Field(0.05, description="s between the times at which pieces are taken out")
+    below: float | None = Field(None, description="m, height of their centres; unset: a piece's size below all walls at rest")
+    every: Positive = Field(0.05, description="s between removals")

@@ -45,7 +45,7 @@ class Material(Section, extra="allow"):
     friction_piece: NotNegative = Field(0.7, description="mu between pieces")
     friction_wall: NotNegative = Field(0.3, description="mu between piece and wall")
     rolling_friction: NotNegative = Field(
-        0.0, description="mu_r of pieces, on pieces and on walls: the tangent of the slope on which a sphere just stays"
+        0.0, description="mu_r of pieces, on pieces and on walls: tangent of the slope on which a sphere just stays"
     )
     softening: Positive = Field(0.01, description="NSF, on both moduli")
     stiffness_size: str = Field("equivalent-diameter", description="L of eqs 7-8, a name of shapes.SIZE_LENGTHS")
@@ -55,7 +55,7 @@ class Material(Section, extra="allow"):
         0.0, ge=0, le=1, description="damping ratio of the unloading branch; 0: as in the paper"
     )
     rest_damping: float = Field(
-        0.0, ge=0, le=0.5, description="damping ratio of contacts at rest, no impact feels it; 0.2 ends creep, 0: as in the paper"
+        0.0, ge=0, le=0.5, description="damping ratio of contacts at rest, not during impacts; 0.2 stops creep; 0: as in the paper"
     )
     poisson_ratio: PoissonRatio = Field(0.3, description="pieces")
     wall_poisson_ratio: PoissonRatio = Field(0.3, description="walls")

@@ -14,17 +14,17 @@ class ConvexShape(Section):
     """A convex shape, with the sizes that it takes."""
 
     shape: Literal["chamfered-cuboid", "cuboid", "sphere", "prism", "cylinder", "hull"] = "chamfered-cuboid"
-    scale_factor: Positive = Field(1.0, description="SF, on all lengths")
+    scale_factor: Positive = Field(1.0, description="scale factor SF of all lengths")
     size: Size | None = Field(
         None, description="m, edges x, y, z of a cuboid; unset: the marshmallow's 55 x 23 x 16 mm"
     )
-    chamfer: Positive | None = Field(None, description="m, of a chamfered cuboid; unset: 5 mm")
-    radius: Positive | None = Field(None, description="m, of a sphere, a cylinder or a prism (circumscribed)")
-    height: Positive | None = Field(None, description="m, of a cylinder, a prism or a tube")
-    sides: int | None = Field(None, ge=3, le=1000, description="of a prism, a cylinder or a tube")
+    chamfer: Positive | None = Field(None, description="m, chamfer of a chamfered cuboid; unset: 5 mm")
+    radius: Positive | None = Field(None, description="m, radius of a sphere, a cylinder or a prism (circumscribed)")
+    height: Positive | None = Field(None, description="m, height of a cylinder, a prism or a tube")
+    sides: int | None = Field(None, ge=3, le=1000, description="number of sides of a prism, a cylinder or a tube")
     points: Points | None = Field(None, description="m, point set of a hull")
-    stl: str | None = Field(None, description="file of a hull or of what is decomposed, relative to the scene's")
-    unit: Positive = Field(1.0, description="m per unit of the STL or the points")
+    stl: str | None = Field(None, description="STL file of a hull or of a decomposed shape, relative to the scene's folder")
+    unit: Positive = Field(1.0, description="m, length of one unit of the STL file or the points")
     max_corners: int | None = Field(
         None, ge=16, le=1_000_000, description="of a hull; one that has more is simplified, and the results say so; unset: 128"
     )
@@ -34,7 +34,7 @@ class Part(ConvexShape):
     """A convex part of a compound, in the axes of the whole."""
 
     position: Vector | None = Field(
-        None, description="m, of its centre of mass; unset: a hull stays where its points are, others at the origin"
+        None, description="m, centre of mass; unset: a hull keeps the position of its points, other shapes are at the origin"
     )
     orientation: Quaternion = Field((1.0, 0.0, 0.0, 0.0), description="quaternion w x y z, axes of the part to those of the whole")
 
@@ -56,13 +56,13 @@ class PieceShape(ConvexShape):
     outer_radius: Positive | None = Field(None, description="m, of a tube")
     inner_radius: Positive | None = Field(None, description="m, of a tube")
     part: Annotated[tuple[Part, ...], BeforeValidator(as_tuple)] = Field(
-        (), description="of a compound: convex shapes with position and orientation, that touch or overlap"
+        (), description="convex parts of a compound, with position and orientation, that touch or overlap"
     )
     mass_properties: BodyMass | None = Field(
         None, description="of a compound, before scaling; unset: the exact ones of the union of its parts"
     )
     joint_tolerance: float | None = Field(
-        None, gt=0, le=0.01, description="of a compound, fraction of its size within which parts touch and are flush; unset: 1e-6"
+        None, gt=0, le=0.01, description="fraction of the size of a compound within which parts touch and are flush; unset: 1e-6"
     )
     concavity: float | None = Field(None, ge=0.01, le=1, description="at which decomposing cuts a part further; unset: 0.05")
     max_parts: int | None = Field(None, ge=1, description="of what is decomposed; unset: as many as it takes")
@@ -70,9 +70,9 @@ class PieceShape(ConvexShape):
         None, description="what decomposing may lose, as fraction of the volume and of the size; unset: 0.05"
     )
     piece_weight: Positive | None = Field(
-        None, description="kg, of a piece of this size, in place of its material's density"
+        None, description="kg, weight of a piece of this size, instead of its material's density"
     )
-    note: str | None = Field(None, description="said with the results; what decomposing or simplifying changed is written here")
+    note: str | None = Field(None, description="printed with the results; contains changes by decomposition or simplification")
 
 
 SHAPE_KEYS = {
@@ -127,19 +127,19 @@ class Portion(PieceShape):
     material: MaterialName = None
     size_spread: Spread = 0.0
     product: Annotated[tuple[Product, ...], BeforeValidator(as_tuple)] = ()
-    share_by: Literal["weight", "count"] = Field("weight", description="what the shares of the products are of")
+    share_by: Literal["weight", "count"] = Field("weight", description="quantity that the shares of the products divide")
 
     target_weight: Positive = Field(0.05, description="kg; eq. 16 gives the count, rounded, unless count is set")
     count: int | None = Field(None, ge=1, le=1_000_000, description="number of pieces")
     arrangement: Literal["settled", "scattered"] = Field(
-        "settled", description="settled in the closed feed bucket before time zero, or let go as scattered"
+        "settled", description="settled in the closed feed bucket before time zero, or released as scattered"
     )
-    settling_time: Positive = Field(0.5, description="s that the pieces are given to settle before time zero")
+    settling_time: Positive = Field(0.5, description="s, time for the pieces to settle before time zero")
     region_low: Vector | None = Field(None, description="m; box in which pieces are scattered; unset: the feed bucket")
     region_high: Vector | None = Field(
-        None, description="m; it is filled from below, and left upwards if it is too small"
+        None, description="m; the box is filled from below, and exceeded upwards if it is too small"
     )
-    spacing: float = Field(1.02, ge=1.0, description="of the grid of scattered pieces, in bounding diameters")
+    spacing: float = Field(1.02, ge=1.0, description="spacing of the grid of scattered pieces, in bounding diameters")
 
     @property
     def rows(self) -> "tuple[Product | Portion, ...]":

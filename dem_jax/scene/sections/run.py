@@ -26,9 +26,9 @@ class RunSettings(Section):
     """How a scene is run and what is kept."""
 
     duration: Positive = Field(0.2, description="s, from the release of the portion")
-    until_settled: bool = Field(False, description="end once all is at rest: settling before the release, and the run")
-    settled_speed: Positive = Field(0.01, description="m/s; at rest are pieces that have all been slower ...")
-    settled_time: Positive = Field(0.02, description="s ... for so long, after the last motion of a wall")
+    until_settled: bool = Field(False, description="end settling and run as soon as all pieces are at rest")
+    settled_speed: Positive = Field(0.01, description="m/s, all pieces are at rest if they have been slower for settled_time")
+    settled_time: Positive = Field(0.02, description="s, after the last motion of a wall; see settled_speed")
     sample: Positive = Field(30e-6, description="s between samples")
     step: Literal["auto"] | Positive = Field("auto", description='s, or "auto"')
     accuracy: Accuracy | None = Field(
@@ -37,7 +37,7 @@ class RunSettings(Section):
     precision: Literal["f32", "f64"] = "f32"
     gravity: Vector = Field((0.0, 0.0, -9.81), description="m/s2")
     frames: NotNegative = Field(1e-3, description="s between stored poses; 0: none")
-    energy: bool = Field(True, description="keep the ledger of dissipated energy and work of walls")
+    energy: bool = Field(True, description="keep the energy ledger: dissipated energy and work of walls")
     domain_low: Vector | None = Field(
         None, description="m; a piece below this has left the scene; unset: from the walls"
     )
@@ -45,9 +45,9 @@ class RunSettings(Section):
     escape: Literal["stop", "note"] = Field(
         "stop", description='a piece that leaves the domain stops the run, or is noted in the file and flies on: "note"'
     )
-    rebuild_steps: int = Field(48, ge=1, le=65536, description="how many steps candidate pairs are kept at most")
+    rebuild_steps: int = Field(48, ge=1, le=65536, description="most steps for which candidate pairs are kept")
     neighbours: Literal["auto", "all-pairs", "cells", "jax-md"] = Field(
-        "auto", description="how pairs of pieces are found; auto: all pairs of few, cells for many"
+        "auto", description="broad phase; auto: all pairs for few pieces, cells for many"
     )
 
     @model_validator(mode="after")

@@ -8,10 +8,10 @@ from dem_jax.scene.sections.base import NotNegative, Positive, Section
 class Statistics(Section):
     """Collisions of the pieces with each group of walls: number, impact speeds, impulse, energy, and a map over each panel."""
 
-    slowest: NotNegative = Field(0.01, description="m/s; a slower touch, as of pieces that ring at rest, is not counted")
-    fastest: Positive = Field(4.0, description="m/s; the last class of speeds has all that are faster too")
-    speeds: int = Field(40, ge=1, le=1000, description="classes of impact speeds, of equal width from 0 to the fastest")
-    cells: int = Field(16, ge=1, le=256, description="of the map along each side of the box around a panel")
+    slowest: NotNegative = Field(0.01, description="m/s; slower contacts, such as those of ringing pieces at rest, are not counted")
+    fastest: Positive = Field(4.0, description="m/s; the last bin contains all faster impacts as well")
+    speeds: int = Field(40, ge=1, le=1000, description="bins of impact speeds, of equal width from 0 to the fastest")
+    cells: int = Field(16, ge=1, le=256, description="cells of the map along each side of the box around a panel")
 
     @model_validator(mode="after")
     def _has_speeds_between(self) -> "Statistics":

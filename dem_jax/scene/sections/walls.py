@@ -41,9 +41,9 @@ class Drive(Section):
     """
 
     torque: Positive = Field(1.0, description="N m, at most, about the hinge")
-    inertia: Positive = Field(1e-3, description="kg m2 about the hinge, of the flap and all that turns with it")
-    natural_frequency: Positive = Field(15.0, description="Hz, with which it comes back to its motion")
-    damping_ratio: NotNegative = Field(1.0, description="of the critical damping")
+    inertia: Positive = Field(1e-3, description="kg m2 about the hinge, of the flap and everything that rotates with it")
+    natural_frequency: Positive = Field(15.0, description="Hz, of the return to the prescribed motion")
+    damping_ratio: NotNegative = Field(1.0, description="fraction of the critical damping")
 
 
 class Motion(Section):
@@ -55,13 +55,13 @@ class Motion(Section):
     group: str
     pivot: Vector = Field((0.0, 0.0, 0.0), description="m, a point of the hinge's axis")
     axis: Vector = Field((1.0, 0.0, 0.0), description="direction of the hinge")
-    swing_deg: float = Field(0.0, description="degrees by which the flap opens, right-handed about the axis")
+    swing_deg: float = Field(0.0, description="degrees, opening angle of the flap, right-handed about the axis")
     start: float = Field(0.0, description="s")
     opening: Positive = Field(0.08, description="s")
-    dwell: NotNegative = Field(0.1, description="s open")
+    dwell: NotNegative = Field(0.1, description="s, hold time of the open flap")
     closing: Positive = Field(0.09, description="s")
     period: NotNegative = Field(0.0, description="s; 0: once")
-    drive: Drive | None = Field(None, description="what swings it; unset: what no piece can hold up")
+    drive: Drive | None = Field(None, description="drive of the flap; unset: unlimited torque")
     stroke: Vector = Field((0.0, 0.0, 0.0), description="m, amplitude of the vibration")
     frequency: NotNegative = Field(50.0, description="Hz")
     shake_start: float = Field(0.0, description="s")
@@ -71,8 +71,8 @@ class Motion(Section):
     table: str | None = Field(
         None, description="CSV file, relative to the scene's, with columns time (s) and angle_deg, x, y or z (m)"
     )
-    times: Numbers | None = Field(None, description="s, in a table's place; at rest before the first and after the last")
-    angles_deg: Numbers | None = Field(None, description="degrees at these times, right-handed about the axis")
+    times: Numbers | None = Field(None, description="s, instead of a table; at rest before the first and after the last")
+    angles_deg: Numbers | None = Field(None, description="degrees, angles at these times, right-handed about the axis")
     ways: Points | None = Field(None, description="m at these times, from where the walls are given")
 
 
