@@ -10,7 +10,7 @@ RATE = 1000.0  # 1/s, as fast digital load cells have
 
 def add(commands: Commands) -> None:
     """Add the command to the parser."""
-    made = command(commands, "weigh", weigh, "Readings of a scale and their settling time, for runs, ensembles or Product Model portions.")
+    made = command(commands, "weigh", weigh, "Readings of a scale and their settling time, of runs or Product Model traces.")
     made.more = _filters
     stored.add_files(made)
     made.add_argument(
