@@ -96,10 +96,10 @@ def uncollected() -> Iterator[None]:
             gc.enable()
 
 
-@cache
 def jit(function: Callable[..., Any], backend: str, light: bool = False, **options: Any) -> Any:
     """``jax.jit`` with those options that suit a backend and that its compiler has.
 
+    What it compiles is kept for as long as what is returned.
     light: with LLVM's second level of optimisation in place of its third, which compiles a quarter faster.
     """
     return jax.jit(function, compiler_options=known(backend, light), **options)

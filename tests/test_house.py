@@ -9,10 +9,11 @@ import pytest
 ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "dem_jax"
 PAGE = (ROOT / "docs" / "house.md").read_text()
-BASE = {"types", "errors", "compiling", "maths"}
+BASE = {"types", "errors", "compiling", "maths", "process"}
 MAY_IMPORT = {  # room -> rooms below it
     "errors": set(),
     "compiling": set(),
+    "process": set(),
     "types": set(),
     "maths": set(),
     "shapes": {"errors", "maths"},

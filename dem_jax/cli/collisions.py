@@ -18,8 +18,9 @@ def collisions(args: Args) -> None:
     """Print the numbers of each wall group and draw speeds and maps."""
     from dem_jax.show.collisions import plot_collisions, table
 
+    out = stored.target(args.out or stored.default_out([args.file], "-collisions.png"), [args.file])
     names, (run,) = stored.runs_of([args.file])
     stored.check_parts(names, [run], args.group)
     for line in table(run):
         print(line)
-    print(plot_collisions(run, args.out or stored.default_out([args.file], "-collisions.png"), args.group, args.of))
+    print(plot_collisions(run, out, args.group, args.of))

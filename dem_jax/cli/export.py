@@ -19,5 +19,6 @@ def export(args: Args) -> None:
 
     names, (run,) = stored.runs_of([args.file])
     stored.check_parts(names, [run], args.group, args.block)
-    for path in tables.export(run, args.out or stored.default_out([args.file], ".csv"), args.group, args.block):
+    out = stored.target(args.out or stored.default_out([args.file], ".csv"), [args.file])
+    for path in tables.export(run, out, args.group, args.block):
         print(path)

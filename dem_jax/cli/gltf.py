@@ -18,4 +18,4 @@ def gltf(args: Args) -> None:
     from dem_jax.show.gltf import write_gltf
 
     run = stored.single(args)
-    print(write_gltf(run, args.out or Path(args.file).with_suffix(".glb")))
+    print(write_gltf(run, stored.target(args.out or Path(args.file).with_suffix(".glb"), [args.file])))

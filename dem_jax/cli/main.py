@@ -5,6 +5,7 @@ import sys
 from collections.abc import Sequence
 from contextlib import suppress
 
+from dem_jax import process
 from dem_jax.cli import (
     buckets,
     collisions,
@@ -30,7 +31,26 @@ FAILED, INTERRUPTED = 1, 130
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a command; the exit code: 0, 1 for a run that went wrong, 2 for bad input (one line on stderr)."""
+    """Run a command; the exit code: 0, 1 for a run that went wrong, 2 for bad input (one line on stderr).
+
+    argv: None: of this process, which then is the command's own: a signal ends it within a second (``process``).
+    """
+    process.open_closed_streams()
+    if argv is None:
+        process.begin()
+    try:
+        with process.unwinding():
+            code = _run(argv)
+    except KeyboardInterrupt:
+        if argv is None:
+            process.end()
+        return _fail(INTERRUPTED, process.ending_said())
+    if argv is None:
+        process.finish()
+    return code
+
+
+def _run(argv: Sequence[str] | None) -> int:
     try:
         args = parser().parse_args(argv)
         args.action(args)
@@ -41,14 +61,26 @@ def main(argv: Sequence[str] | None = None) -> int:
     except SimulationError as error:
         where = f"; earlier results are in {error.path}" if error.path else "; nothing was recorded before"
         return _fail(FAILED, f"{error}{where}")
-    except KeyboardInterrupt:
-        return _fail(INTERRUPTED, "interrupted; python -m dem_jax run --resume FILE goes on with a run, a study goes on by itself")
     except BrokenPipeError:  # of `| head`
         _mute()
         return 0
     except OSError as error:
         _mute()
         return _fail(BAD_INPUT, f"{error.filename or 'output'}: {error.strerror or error}")
+    except MemoryError as error:
+        return _fail(FAILED, f"there is not enough memory ({error or 'none was left'}); allowed: fewer runs, pieces or samples")
+    except RuntimeError as error:
+        if (platform := _platform_said(error)) is None:
+            raise
+        return _fail(BAD_INPUT, platform)
+
+
+def _platform_said(error: RuntimeError) -> str | None:
+    """One line on a platform that JAX was asked for and does not have; None: the error is of something else."""
+    asked = os.environ.get("JAX_PLATFORMS", "")
+    if not str(error).startswith("Unable to initialize backend") or not asked:
+        return None
+    return f"JAX_PLATFORMS = {asked}: JAX finds no such device here; allowed: cpu, or to leave it unset"
 
 
 def parser() -> Parser:

@@ -22,7 +22,7 @@ def add(commands: Commands) -> None:
 
 def plot(args: Args) -> None:
     """Draw the figure of files; of several, say by how much they differ."""
-    out = args.out or stored.default_out(args.files, ".png")
+    out = stored.target(args.out or stored.default_out(args.files, ".png"), args.files)
     if stored.is_study(args.files):
         from dem_jax.study import file
         from dem_jax.study.figure import plot_study

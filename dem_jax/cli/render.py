@@ -36,6 +36,7 @@ def render(args: Args) -> None:
     still = args.png or args.at is not None or args.strip is not None
     path = Path(args.file)
     out = args.out or (path.with_name(f"{path.stem}-scene.png") if still else path.with_suffix(".gif"))
+    stored.target(out, [args.file])
     camera = Camera(args.azimuth, args.elevation)
     strip, labels = args.strip, []
     if strip == "auto":

@@ -16,7 +16,7 @@ def add(commands: Commands) -> None:
 
 def report(args: Args) -> None:
     """Write the page on files."""
-    out = args.out or stored.default_out(args.files, "-report.html")
+    out = stored.target(args.out or stored.default_out(args.files, "-report.html"), [*args.files, *filter(None, [args.fit])])
     if stored.is_study(args.files):
         from dem_jax.study.page import write_page
 

@@ -26,7 +26,10 @@ def run(args: Args) -> None:
     if args.resume:
         from dem_jax.drive.interface import resume
 
-        done, out = resume(args.resume, args.duration, progress), Path(args.resume)
+        out = Path(args.resume)
+        if not args.no_plot:
+            simulating.check_beside(out, ".png")
+        done = resume(out, args.duration, progress)
     else:
         scene, out = simulating.scene_and_target(args, "")
         from dem_jax.drive.interface import simulate

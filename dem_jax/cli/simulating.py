@@ -39,15 +39,30 @@ def scene_and_target(args: Args, suffix: str) -> tuple["Scene", Path]:
     changes = dict(parse_setting(text) for text in args.settings)
     if args.duration is not None:
         changes["run.duration"] = args.duration
-    if args.out and Path(args.out).suffix.lower() not in HDF5:
-        instead = "python -m dem_jax export makes .csv and .xlsx of them"
-        raise RecordError(f"--out {args.out}: results are HDF5; allowed: a name that ends in {', '.join(HDF5)}; {instead}")
+    check_ending(args.out)
     scene = load_scene(args.scene, changes)
     out = Path(args.out or f"{scene.name}{suffix}.h5")
     if os.path.isfile(out) and not args.overwrite:
         raise RecordError(f"{out} exists; allowed: another name by --out, or --overwrite to replace it")
     check_target(out, args.overwrite)
+    if not args.no_plot:
+        check_beside(out, ".png")
     return scene, out
+
+
+def check_ending(out: str | None) -> None:
+    """Raise RecordError for a file of results whose name is of something else."""
+    if out and Path(out).suffix.lower() not in HDF5:
+        instead = "python -m dem_jax export makes .csv and .xlsx of them"
+        raise RecordError(f"--out {out}: results are HDF5; allowed: a name that ends in {', '.join(HDF5)}; {instead}")
+
+
+def check_beside(out: Path, *endings: str) -> None:
+    """Raise RecordError unless what is written beside a file of results, under its name, can be written."""
+    from dem_jax.store.record import check_writable
+
+    for ending in endings:
+        check_writable(out.with_suffix(ending))
 
 
 def finish(done: "Run", out: Path, args: Args) -> None:
@@ -55,14 +70,19 @@ def finish(done: "Run", out: Path, args: Args) -> None:
     from dem_jax.show.cycles import cycles_said
     from dem_jax.show.summary import summary
 
-    files = [out]
+    files, problem = [out], None
     if not args.no_plot and done.force:
         from dem_jax.show.plot import plot_run
 
-        files.append(plot_run(done, out.with_suffix(".png")))
+        try:
+            files.append(plot_run(done, out.with_suffix(".png")))
+        except RecordError as error:
+            problem = error
     for line in (*summary(done), *cycles_said(done)):
         print(line)
     print(f"wrote {', '.join(map(str, files))}")
+    if problem is not None:
+        raise RecordError(f"{problem}; the run is whole: python -m dem_jax plot {out} draws it")
 
 
 def use_cache() -> None:
@@ -73,7 +93,9 @@ def use_cache() -> None:
     import jax
 
     if not jax.config.jax_compilation_cache_dir:  # type: ignore[attr-defined]
-        base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+        base = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+        if not os.path.isabs(base):  # there is no home folder
+            return
         jax.config.update("jax_compilation_cache_dir", str(Path(base) / "dem_jax" / "jax"))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
         jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)

@@ -72,6 +72,19 @@ def default_out(files: Sequence[str], suffix: str) -> Path:
     return first.with_name(f"{first.stem}{'-compared' if len(files) > 1 else ''}{suffix}")
 
 
+def target(out: str | Path, files: Sequence[str], folder: bool = False) -> Path:
+    """The file, or folder, that a command writes, before it computes anything. Raises RecordError where it cannot be written
+    or is one of the files that the command reads."""
+    from dem_jax.store.record import check_writable
+
+    for file in files:
+        if Path(out).exists() and Path(file).exists() and Path(out).samefile(file):
+            raise RecordError(f"--out {out} is the file that is read; allowed: another name")
+    if not folder:
+        check_writable(out)
+    return Path(out)
+
+
 def check_parts(names: Sequence[str], runs: Sequence["Run"], group: str | None, block: str | None = None) -> None:
     """Raise RecordError, naming the flag, for a wall group or a block that a run does not have."""
     for name, run in zip(names, runs, strict=True):

@@ -37,6 +37,7 @@ def study(args: Args) -> None:
     names = [name for asked in args.study for name in (stock_studies() if asked == EVERY else [asked])]
     if args.out is not None and len(names) > 1:
         raise SceneError(f"--out {args.out}: {len(names)} studies; allowed: of one by itself")
+    simulating.check_ending(args.out)
     tables = [load_study(name, args.quick) for name in names]
     named = [table.name for table in tables]
     if twice := [name for name in named if named.count(name) > 1]:
@@ -58,6 +59,7 @@ def _conduct(table: "Study", args: Args) -> float:
     from dem_jax.study import conduct, results
 
     out = Path(args.out or f"{table.name}{'-quick' if args.quick else ''}.h5")
+    simulating.check_beside(out, ".csv", *([] if args.no_plot else [".png"]))
     found = conduct.study(table, out, args.overwrite, progress=not args.quiet)
     for line in results.text(found):
         print(line)

@@ -22,5 +22,6 @@ def vtk(args: Args) -> None:
     if run.pieces is None:
         raise RecordError(f"{args.file}: the run has no frames; set run.frames to the time between them (s)")
     path = Path(args.file)
-    for made in export_vtk(run.pieces, shapes, args.out or path.with_name(f"{path.stem}-vtk"), walls, wall_pose):
+    folder = stored.target(args.out or path.with_name(f"{path.stem}-vtk"), [args.file], folder=True)
+    for made in export_vtk(run.pieces, shapes, folder, walls, wall_pose):
         print(made)

@@ -33,6 +33,7 @@ def weigh(args: Args) -> None:
     from dem_jax.weighing.settling import TOLERANCES
     from dem_jax.weighing.traces import trace_of_file
 
+    out = stored.target(args.out or stored.default_out(args.files, "-weigh.png"), args.files)
     tolerances = [1e-3 * grams for grams in args.tolerance] if args.tolerance else TOLERANCES
     if not all(0 < tolerance < 1e3 for tolerance in tolerances):
         raise RecordError(f"--tolerance {' '.join(f'{grams:g}' for grams in args.tolerance)}: allowed: numbers above 0 (g)")
@@ -47,7 +48,7 @@ def weigh(args: Args) -> None:
                 raise RecordError(f"{file}: {error}") from error
     for line in table(rows, tolerances):
         print(line)
-    print(plot_readings(rows, tolerances, args.out or stored.default_out(args.files, "-weigh.png")))
+    print(plot_readings(rows, tolerances, out))
 
 
 def _filters() -> str:

@@ -1,5 +1,6 @@
 """The interface of Python: simulate a scene, an ensemble of it, or go on with a file."""
 
+import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -101,6 +102,7 @@ def resume(
     begins anew. quantities, law: the same that the run was begun with.
     Raises RecordError for a file that cannot be gone on from, SceneError for a duration that is already exceeded.
     """
+    known = record.fingerprint(path)
     header, arrays, samples, frames = record.load_restart(path)
     _check_law(path, header.info.get("law"), law)
     scene = parse(header.scene, path)
@@ -115,11 +117,12 @@ def resume(
         job = _gone_on(job, path, header, arrays, samples, frames)
         if samples == job.samples or "settled" in header.info:
             return record.load_run(path)
-        writer = partial(record.Writer.resume, path, scene=scene.to_toml())
+        place = os.path.abspath(path)  # the working folder may change before the writer is made
+        writer = partial(record.Writer.resume, place, scene=scene.to_toml(), known=known)
         if not arrays:
-            writer = partial(record.Writer.create, path, recorded.header_of(job), True)
+            writer = partial(record.Writer.create, place, recorded.header_of(job), True)
         hosts.by_first(partial(record.check_writable, path), job.shared)
-        return _into_file(job, path, writer, progress)
+        return _into_file(job, path, writer, progress, resumes=bool(arrays))
 
 
 def drive(job: Job, out: FileName | None = None, overwrite: bool = False, progress: bool = False) -> record.Run:
@@ -130,7 +133,8 @@ def drive(job: Job, out: FileName | None = None, overwrite: bool = False, progre
             loop.run(job, memory, progress)
             return memory.run()
         hosts.by_first(partial(record.check_target, out, overwrite), job.shared)
-        return _into_file(job, out, partial(record.Writer.create, out, recorded.header_of(job), overwrite), progress)
+        writer = partial(record.Writer.create, os.path.abspath(out), recorded.header_of(job), overwrite)
+        return _into_file(job, out, writer, progress)
 
 
 def _check_law(path: FileName, name: str | None, law: ContactLaw | None) -> None:
@@ -157,9 +161,12 @@ def _gone_on(job: Job, path: FileName, header: record.Header, arrays: dict[str, 
     return replace(job, system=system, state=state, samples_kept=samples, frames_kept=frames, notes=notes, reruns=reruns, slow=slow)
 
 
-def _into_file(job: Job, path: FileName, writer: target.MakeWriter, progress: bool) -> record.Run:
-    """Run into a file; writer: makes what writes it, once there is something to write."""
-    with target.File(path, writer if job.writes else target.Nowhere) as file:
+def _into_file(job: Job, path: FileName, make: target.MakeWriter, progress: bool, resumes: bool = False) -> record.Run:
+    """Run into a file; make: makes what writes it, once there is something to write; resumes: it is read before."""
+    place = os.path.abspath(path)
+    with target.File(path, make if job.writes else None) as file:
+        if resumes:
+            hosts.by_first(file.begin, job.shared)
         loop.run(job, file, progress)
         hosts.by_first(file.flush, job.shared)
-    return hosts.by_first(partial(record.load_run, path), job.shared)
+    return hosts.by_first(partial(record.load_run, place), job.shared)

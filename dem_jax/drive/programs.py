@@ -1,5 +1,6 @@
-"""Compiled chunks, kept for as long as the process lives."""
+"""Compiled chunks, of which a process keeps those that it used last."""
 
+import threading
 import time
 from collections.abc import Callable
 from functools import partial
@@ -13,7 +14,9 @@ from dem_jax import compiling
 from dem_jax.drive.chunk import SAMPLES, Chunk
 from dem_jax.types import State, System
 
-KEPT: dict[Any, Callable[..., Any]] = {}  # by the form of their arguments
+KEPT: dict[Any, Callable[..., Any]] = {}  # by the form of their arguments, the one used last at the end
+MOST_KEPT = 8  # programs, each of which takes 75 to 100 MB
+LOCK = threading.Lock()  # of KEPT
 
 LIGHT_SLOTS = 256  # see ``is_light``
 RunChunk = Callable[..., Any]  # such as stepping.run_chunk
@@ -25,16 +28,27 @@ def program(chunk: Chunk, run_chunk: RunChunk, mesh: Mesh | None = None) -> Call
     arguments = chunk.system, chunk.state, *chunk.times
     leaves, structure = jax.tree.flatten(arguments)
     key = structure, tuple((np.shape(x), str(x.dtype)) for x in leaves), run_chunk, mesh, chunk.frames
-    if key not in KEPT:
+    found = KEPT.get(key)
+    if found is None:
         chunk.compiling()
         start = time.perf_counter()
         one = partial(_chunk, run_chunk, chunk.frames)
         function = one if mesh is None else _shared_out(one, mesh, chunk)
         with compiling.uncollected():
             jitted = compiling.jit(function, jax.default_backend(), light=mesh is None and is_light(chunk.system))
-            KEPT[key] = jitted.lower(*arguments).compile()
+            found = jitted.lower(*arguments).compile()
         chunk.clock.compile += time.perf_counter() - start
-    return KEPT[key]
+    _keep(key, found)
+    return found
+
+
+def _keep(key: Any, program: Callable[..., Any]) -> None:
+    """Keep a program that is used now, and forget the one whose last use is longest ago if there are more than MOST_KEPT."""
+    with LOCK:
+        KEPT.pop(key, None)
+        KEPT[key] = program
+        while len(KEPT) > MOST_KEPT:
+            del KEPT[next(iter(KEPT))]
 
 
 def is_light(system: System) -> bool:

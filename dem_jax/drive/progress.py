@@ -6,6 +6,7 @@ import time
 from typing import TYPE_CHECKING, Any, Self
 
 from dem_jax.drive.job import Job
+from dem_jax.process import SilentStream
 
 if TYPE_CHECKING:
     from dem_jax.drive.span import Span
@@ -20,6 +21,8 @@ class Progress:
         self._job = job
         self._bar: Any = None
         self._ended = threading.Event()
+        self._stream = SilentStream(sys.stderr)
+        self._clock: threading.Thread | None = None
         self._from = job.sample_of(job.state)
         self._since, self._compiled = time.perf_counter(), job.clock.compile
         if shown:
@@ -27,20 +30,18 @@ class Progress:
 
             total, ms = job.samples - self._from, 1e3 * job.scene.run.sample
             below = None if sys.stderr.isatty() else 0  # a study's bar; in a log, which has one line, no bar stands below another
-            self._bar = tqdm(total=total, unit_scale=ms, file=sys.stderr, bar_format=FORMAT, dynamic_ncols=True, position=below)
+            self._bar = tqdm(total=total, unit_scale=ms, file=self._stream, bar_format=FORMAT, dynamic_ncols=True, position=below)
             self._bar.set_description_str(self._phase(self._from))
-            threading.Thread(target=self._tick, daemon=True).start()
-
-    def _tick(self) -> None:
-        """Let the bar's clock go on while a program compiles or a chunk is computed."""
-        while not self._ended.wait(TICK if sys.stderr.isatty() else LOGGED):
-            self._bar.refresh()
+            self._clock = threading.Thread(target=_refresh, args=(self._bar, self._ended), daemon=True)
+            self._clock.start()
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
         self._ended.set()
+        if self._clock is not None:
+            self._clock.join()
         if self._bar is not None:
             self._bar.close()
 
@@ -55,7 +56,7 @@ class Progress:
     def note(self, text: str) -> None:
         """Something that a person should know, above the bar."""
         if self._bar is not None:
-            self._bar.write(text, file=sys.stderr)
+            self._bar.write(text, file=self._stream)
 
     def advance(self, span: "Span") -> None:
         """A chunk is done."""
@@ -69,6 +70,15 @@ class Progress:
         self._bar.set_description_str(self._phase(span.end), refresh=False)
         left_out = (0 if span.end < 0 else self._job.samples) - span.end if span.settled else 0
         self._bar.update(span.count + left_out)
+
+
+def _refresh(bar: Any, ended: threading.Event) -> None:
+    """Let a bar's clock go on while a program compiles or a chunk is computed.
+
+    The thread is given nothing else: it must not be the one that frees the arrays of a run.
+    """
+    while not ended.wait(TICK if sys.stderr.isatty() else LOGGED):
+        bar.refresh()
 
 
 FORMAT = "{desc}: {percentage:3.0f}% |{bar}| {n:.0f}/{total:.0f} ms [{elapsed} < {remaining}{postfix}]"

@@ -1,13 +1,14 @@
 """Where a run goes: into memory, into a file, or, in a process that another writes for, nowhere."""
 
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import replace
-from os import PathLike
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 
+from dem_jax import process
 from dem_jax.errors import RecordError, SimulationError
 from dem_jax.store import record
 
@@ -26,20 +27,7 @@ class Target(Protocol):
         """Say in the error where to find what was appended."""
 
 
-class Nowhere:
-    """Keeps nothing: another process does."""
-
-    def append(self, *_: Any, **__: Any) -> None:
-        """As record.Writer.append."""
-
-    def flush(self) -> None:
-        """As record.Writer.flush."""
-
-    def close(self) -> None:
-        """As record.Writer.close."""
-
-
-MakeWriter = Callable[[], record.Writer | Nowhere]
+MakeWriter = Callable[[], record.Writer]
 
 
 class Memory:
@@ -70,19 +58,27 @@ class Memory:
 
 
 class File:
-    """A file that is begun once there is something to append. A context manager, which flushes and closes it."""
+    """A file that is begun once there is something to append. A context manager: it keeps other processes from writing the
+    file, flushes and closes it, also if the process is interrupted."""
 
-    def __init__(self, path: str | PathLike[str], writer: MakeWriter) -> None:
+    def __init__(self, path: record.FileName, writer: MakeWriter | None) -> None:
+        """writer: None in a process that another writes for."""
         self._path, self._make = Path(path), writer
-        self._writer: record.Writer | Nowhere | None = None
+        self._writer: record.Writer | None = None
+        self._held = ExitStack()
 
     def append(
         self, samples: Arrays, frames: Arrays | None = None, restart: Arrays | None = None, info: Arrays | None = None
     ) -> None:
         """As record.Writer.append."""
-        if self._writer is None:
+        self.begin()
+        if self._writer is not None:
+            self._writer.append(samples, frames, restart, info)
+
+    def begin(self) -> None:
+        """Make the writer, which checks the file."""
+        if self._writer is None and self._make is not None:
             self._writer = self._make()
-        self._writer.append(samples, frames, restart, info)
 
     def flush(self) -> None:
         """As record.Writer.flush."""
@@ -94,8 +90,19 @@ class File:
         error.path = self._path if self._writer is not None and (error.time or 0) > 0 else None
 
     def __enter__(self) -> "File":
+        if self._make is not None:
+            self._held.enter_context(record.locked(self._path))
+            self._held.enter_context(process.saving(self._save))
         return self
 
-    def __exit__(self, _: Any, error: Any, __: Any) -> None:
-        if self._writer is not None and not isinstance(error, RecordError):  # which writing has raised just now
-            self._writer.close()
+    def __exit__(self, *error: Any) -> None:
+        with self._held:
+            if self._writer is not None and not isinstance(error[1], RecordError):  # which writing has raised just now
+                self._writer.flush()
+
+    def _save(self) -> str | None:
+        """Of a process that is interrupted: what is saved, in words."""
+        if self._writer is None:
+            return None
+        self._writer.flush()
+        return f"what was computed before is in {self._path}; python -m dem_jax run --resume {self._path} goes on with it"

@@ -1,6 +1,7 @@
 """What is plotted of a run as tables, for a spreadsheet: CSV or XLSX."""
 
 import csv
+import io
 from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
@@ -12,6 +13,7 @@ from dem_jax.show.facts import facts_of
 from dem_jax.show.numbers import HIGH, LOW, numbers_of
 from dem_jax.show.plot import check_format, grams_in
 from dem_jax.show.summary import main_block, main_group
+from dem_jax.store.output import locked, write_whole
 from dem_jax.store.run import Run
 
 FORMATS = (".csv", ".xlsx")
@@ -37,13 +39,11 @@ def export(run: Run, path: str | Path, group: str | None = None, block: str | No
     path = Path(path)
     check_format(path, FORMATS)
     tables = [series_table(run, group, block), numbers_table(run, group, block), scene_table(run)]
-    try:
-        if path.suffix.lower() == ".xlsx":
-            return [_write_xlsx(tables, path)]
-        places = [path, *(path.with_name(f"{path.stem}-{table.name}{path.suffix}") for table in tables[1:])]
+    if path.suffix.lower() == ".xlsx":
+        return [_write_xlsx(tables, path)]
+    places = [path, *(path.with_name(f"{path.stem}-{table.name}{path.suffix}") for table in tables[1:])]
+    with locked(path):  # the files of one export belong together
         return [_write_csv(table, place) for table, place in zip(tables, places, strict=True)]
-    except OSError as error:
-        raise RecordError(f"{path} cannot be written: {error.strerror or error}") from error
 
 
 def series_table(run: Run, group: str | None = None, block: str | None = None) -> Table:
@@ -87,11 +87,11 @@ def _written(cells: Iterable[Cell]) -> list[Cell]:
 
 
 def _write_csv(table: Table, path: Path) -> Path:
-    with path.open("w", newline="", encoding="utf-8-sig") as file:  # the mark tells a spreadsheet the encoding
-        writer = csv.writer(file)
-        writer.writerow(table.head)
-        writer.writerows(map(_written, table.rows))
-    return path
+    text = io.StringIO(newline="")
+    writer = csv.writer(text)
+    writer.writerow(table.head)
+    writer.writerows(map(_written, table.rows))
+    return write_whole(path, text.getvalue().encode("utf-8-sig"))  # the mark tells a spreadsheet the encoding
 
 
 def _write_xlsx(tables: list[Table], path: Path) -> Path:
@@ -109,5 +109,6 @@ def _write_xlsx(tables: list[Table], path: Path) -> Path:
         sheet.append(table.head)
         for row in table.rows:
             sheet.append(row)
-    book.save(path)
-    return path
+    image = io.BytesIO()
+    book.save(image)
+    return write_whole(path, image.getbuffer())

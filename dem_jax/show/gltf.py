@@ -9,6 +9,7 @@ import numpy as np
 from dem_jax.errors import RecordError
 from dem_jax.show.player import Moving, moving
 from dem_jax.show.plot import check_format
+from dem_jax.store.output import write_whole
 from dem_jax.store.run import Run
 
 FLOAT, POSITIONS, ORIENTATIONS, SIZES = 5126, slice(0, 3), slice(3, 7), [7, 7, 7]
@@ -32,12 +33,7 @@ def write_gltf(run: Run, path: str | Path) -> Path:
     found = moving(run)
     if found is None:
         raise RecordError(f"{path} cannot be written: the run has no frames; set run.frames to the time between them (s)")
-    data = model_of(found)
-    try:
-        path.write_bytes(data)
-    except OSError as error:
-        raise RecordError(f"{path} cannot be written: {error.strerror or error}") from error
-    return path
+    return write_whole(path, model_of(found))
 
 
 def model_of(found: Moving) -> bytes:

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from dem_jax.errors import RecordError
 from dem_jax.show.drawing import bodies_of
 from dem_jax.show.instants import impact_instants
 from dem_jax.show.render import Camera, figure_of, scene_of
+from dem_jax.store.output import write_whole
 from dem_jax.store.run import Run
 
 if TYPE_CHECKING:
@@ -47,13 +47,11 @@ def write(path: Path, sheets: Sequence[Sheet]) -> Path:
     """Write the sheets, one below the other on as many pages as they need. Returns the path. Raises RecordError."""
     from matplotlib.backends.backend_pdf import PdfPages
 
-    try:
-        with PdfPages(path) as pdf:
-            for page in _pages(sheets):
-                pdf.savefig(page)
-    except OSError as error:
-        raise RecordError(f"{path} cannot be written: {error.strerror or error}") from error
-    return path
+    image = io.BytesIO()
+    with PdfPages(image) as pdf:
+        for page in _pages(sheets):
+            pdf.savefig(page)
+    return write_whole(path, image.getbuffer())
 
 
 def _pages(sheets: Sequence[Sheet]) -> Iterator["Figure"]:

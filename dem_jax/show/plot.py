@@ -1,5 +1,6 @@
 """The figure of a run or an ensemble: product impact force and settled mass over time, as Figs 11-14 of the paper."""
 
+import io
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,6 +12,7 @@ from dem_jax.errors import RecordError
 from dem_jax.show.numbers import HIGH, LOW
 from dem_jax.show.span import Span, panels
 from dem_jax.show.summary import main_block, main_group
+from dem_jax.store.output import write_whole
 from dem_jax.store.run import Run
 
 if TYPE_CHECKING:  # loaded where something is drawn: it takes a second
@@ -212,8 +214,6 @@ def check_format(path: Path, allowed: Sequence[str]) -> None:
 
 def save_figure(figure: "Figure", path: Path, **options: Any) -> Path:
     """Save a figure; a path that cannot be written is a RecordError."""
-    try:
-        figure.savefig(path, **options)
-    except OSError as error:
-        raise RecordError(f"{path} cannot be written: {error.strerror or error}") from error
-    return path
+    image = io.BytesIO()
+    figure.savefig(image, format=path.suffix.lower().removeprefix("."), **options)
+    return write_whole(path, image.getbuffer())

@@ -11,6 +11,7 @@ from dem_jax.errors import RecordError
 from dem_jax.maths.pose import matrix_of_quaternion
 from dem_jax.shapes import Shape, surface
 from dem_jax.show.drawing import Solid, WallPose
+from dem_jax.store.output import locked, write_whole
 from dem_jax.store.run import Frames
 
 VTK_TYPES = {"f": "Float64", "i": "Int64"}
@@ -34,9 +35,9 @@ def export_vtk(
     solids = [surface(shape) for shape in shapes]
     groups = [group for group, plates in (walls or {}).items() for _ in plates]
     plates = [plate for plates in (walls or {}).values() for plate in plates]
-    try:
-        (folder / "frames").mkdir(parents=True, exist_ok=True)
-        names: dict[str, list[str]] = {"pieces": [], "walls": []} if plates else {"pieces": []}
+    names: dict[str, list[str]] = {"pieces": [], "walls": []} if plates else {"pieces": []}
+    with locked(folder):
+        _begin(folder, names)
         for i, t in enumerate(frames.time):
             speed = np.linalg.norm(frames.velocity[i], axis=-1)
             spin = np.linalg.norm(frames.angular_velocity[i], axis=-1)
@@ -52,6 +53,14 @@ def export_vtk(
                 number = {"group": np.array([list(walls).index(group) for group in groups])}
                 names["walls"].append(_frame(folder, "walls", i, placed, number))
         return [_collection(folder / f"{kind}.pvd", frames.time, files) for kind, files in names.items()]
+
+
+def _begin(folder: Path, kinds: Iterable[str]) -> None:
+    """Make the folder, without the collections of an earlier export: one that is there is of all frames of this one."""
+    try:
+        (folder / "frames").mkdir(parents=True, exist_ok=True)
+        for kind in kinds:
+            (folder / f"{kind}.pvd").unlink(missing_ok=True)
     except OSError as error:
         raise RecordError(f"{folder} cannot be written: {error.strerror or error}") from error
 
@@ -65,7 +74,7 @@ def _placed(solids: Sequence[Solid], rotations: Iterable[np.ndarray], origins: I
 def _frame(folder: Path, kind: str, i: int, bodies: Sequence[Solid], data: Mapping[str, ArrayLike]) -> str:
     """Write one frame; its name relative to the folder."""
     name = f"frames/{kind}_{i:05d}.vtp"
-    (folder / name).write_text(polydata(bodies, data), encoding="utf-8")
+    write_whole(folder / name, polydata(bodies, data).encode())
     return name
 
 
@@ -112,5 +121,4 @@ def _collection(path: Path, times: np.ndarray, files: Sequence[str]) -> Path:
         f'<DataSet timestep="{float(t)!r}" part="0" file="{name}"/>' for t, name in zip(times, files, strict=True)
     ]
     head = '<?xml version="1.0"?>\n<VTKFile type="Collection" version="1.0" byte_order="LittleEndian"><Collection>'
-    path.write_text("\n".join([head, *entries, "</Collection></VTKFile>\n"]), encoding="utf-8")
-    return path
+    return write_whole(path, "\n".join([head, *entries, "</Collection></VTKFile>\n"]).encode())

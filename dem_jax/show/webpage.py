@@ -8,7 +8,7 @@ from pathlib import Path
 from string import Template
 from typing import TYPE_CHECKING
 
-from dem_jax.errors import RecordError
+from dem_jax.store.output import write_whole
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -29,11 +29,7 @@ def page(title: str, policy: str, body: str, **fields: str) -> str:
 
 def write(path: Path, text: str) -> Path:
     """Write the page. Returns the path. Raises RecordError."""
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise RecordError(f"{path} cannot be written: {error.strerror or error}") from error
-    return path
+    return write_whole(path, text.encode())
 
 
 def png(figure: "Figure") -> str:

@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable
-from functools import partial
+from functools import cache, partial
 from typing import NamedTuple
 
 import jax
@@ -76,9 +76,13 @@ def _met(system: System, state: State, omega: Array, panels: boundary.Panels, st
 
 def chunk(system: System, state: State, count: Whole, frame_every: Whole, samples: int, frames: int) -> Chunk:
     """``run_chunk``, compiled: the form for long runs."""
-    backend = jax.default_backend()
-    compiled = compiling.jit(run_chunk, backend, static_argnames=("samples", "frames"))
-    return compiled(system, state, count, frame_every, samples=samples, frames=frames)
+    return _compiled_chunk(jax.default_backend())(system, state, count, frame_every, samples=samples, frames=frames)
+
+
+@cache
+def _compiled_chunk(backend: str) -> Callable[..., Chunk]:
+    made: Callable[..., Chunk] = compiling.jit(run_chunk, backend, static_argnames=("samples", "frames"))
+    return made
 
 
 def run_chunk(system: System, state: State, count: Whole, frame_every: Whole, samples: int, frames: int, phase: Whole = 0) -> Chunk:

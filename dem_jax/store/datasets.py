@@ -3,7 +3,6 @@
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
-from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,11 +10,11 @@ import numpy as np
 
 from dem_jax.errors import RecordError
 from dem_jax.store.header import Header
+from dem_jax.store.output import OPEN_ELSEWHERE, FileName, reason
 
 if TYPE_CHECKING:
     import h5py
 
-FileName = str | PathLike[str]
 UNITS = {  # of poses
     "pieces/time": "s",
     "pieces/position": "m",
@@ -36,8 +35,7 @@ def reading(path: FileName) -> "Iterator[h5py.File]":
     """The open HDF5 file; whatever HDF5 finds wrong with it is one clear line."""
     import h5py
 
-    if not Path(path).is_file():
-        raise RecordError(f"{path}: there is no such file")
+    check_readable(path)
     if not h5py.is_hdf5(path):
         raise RecordError(f"{path} is not an HDF5 file (or its beginning is lost)")
     try:
@@ -45,9 +43,24 @@ def reading(path: FileName) -> "Iterator[h5py.File]":
             yield file
     except RecordError:
         raise
+    except BlockingIOError as error:  # HDF5 locks a file that somebody writes to
+        raise RecordError(f"{path} cannot be read: {OPEN_ELSEWHERE}") from error
     except Exception as error:  # HDF5 and its readers raise whatever the bytes made them trip over
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise RecordError(f"{path} is damaged or cut short: {reason}") from error
+
+
+def check_readable(path: FileName) -> None:
+    """Raise RecordError unless there is such a file, and it may be read."""
+    try:
+        if not Path(path).exists():
+            raise RecordError(f"{path}: there is no such file")
+        if not Path(path).is_file():
+            raise RecordError(f"{path} is not a regular file; allowed: an HDF5 file of results")
+        with open(path, "rb"):
+            pass
+    except OSError as error:
+        raise RecordError(f"{path} cannot be read: {reason(error)}") from error
 
 
 def time_axis(name: str, header: Header) -> int:

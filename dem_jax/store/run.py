@@ -8,6 +8,7 @@ import numpy as np
 from dem_jax.errors import RecordError
 from dem_jax.store.datasets import FileName, flat, nested, time_axis
 from dem_jax.store.header import Header
+from dem_jax.store.output import locked
 from dem_jax.store.writer import Writer
 
 STANDARD_GRAVITY = 9.81  # m/s2, as the paper; converts a force to kg in a scene without gravity
@@ -71,7 +72,7 @@ class Run:
 
     def save(self, path: FileName, overwrite: bool = False) -> None:
         """Write the run to an HDF5 file. Raises RecordError if it exists, unless overwrite, or cannot be written."""
-        with Writer.create(path, self.header, overwrite) as writer:
+        with locked(path), Writer.create(path, self.header, overwrite) as writer:
             frames = None if self.pieces is None else vars(self.pieces)
             writer.append(series_of(self), frames, self.restart)
 

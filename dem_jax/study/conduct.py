@@ -1,12 +1,14 @@
 """A study from its beginning, or from where it stopped, to its end."""
 
+import sys
 import time
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
-from dem_jax import compiling
+from dem_jax import compiling, process
 from dem_jax.errors import RecordError
-from dem_jax.store.record import check_target, check_writable
+from dem_jax.store.record import check_target, check_writable, load_restart, locked
 from dem_jax.study import file, work
 from dem_jax.study.file import DONE, LOST, OPEN, Results
 from dem_jax.study.outputs import evaluated, evaluated_portions, of_drops
@@ -27,22 +29,31 @@ def study(
     """
     compiling.loops_as_one(unrolled=True)
     table = source if isinstance(source, Study) else load_study(source, quick)
-    results = _begun(table, out, overwrite)
-    if not (results.state == OPEN).any():
-        return results
-    with _Bar(results, progress) as bar:
-        try:
-            _conducted(results, out, bar, progress)
-        finally:  # also where somebody interrupts it
-            if out is not None:
-                file.save(results, out)
+    with nullcontext() if out is None else locked(out):
+        results = _begun(table, out, overwrite)
+        if not (results.state == OPEN).any():
+            return results
+        with _Bar(results, progress) as bar, process.saving(lambda: _save(results, out)):
+            try:
+                _conducted(results, out, bar, progress)
+            finally:  # also where something goes wrong
+                _save(results, out)
     return results
+
+
+def _save(results: Results, out: str | Path | None) -> str | None:
+    """Save what is done; returns where it is, in words."""
+    if out is None:
+        return None
+    with process.undisturbed():
+        file.save(results, out)
+    return f"what is done of the study is in {out}; the same command goes on with it"
 
 
 def _conducted(results: Results, out: str | Path | None, bar: "_Bar", progress: bool) -> None:
     """All that is left to do, kept in the file now and then."""
     last, cost = time.perf_counter(), 0.0
-    kept = None if out is None else Path(f"{out}.batch")
+    kept = None if out is None else _batch_file(out)
     for batch in work.batches(results.study):
         if not (results.state[list(batch.members)] == OPEN).any():
             continue
@@ -56,7 +67,7 @@ def _conducted(results: Results, out: str | Path | None, bar: "_Bar", progress: 
             continue
         if kept.is_file() or time.perf_counter() - last > SPACED * cost:
             before = time.perf_counter()
-            file.save(results, out)
+            _save(results, out)
             kept.unlink(missing_ok=True)
             last = time.perf_counter()
             cost = last - before
@@ -75,25 +86,44 @@ def _begun(table: Study, out: str | Path | None, overwrite: bool) -> Results:
     return Results.begun(table)
 
 
+def _batch_file(out: str | Path) -> Path:
+    """Where a batch is kept while it is computed, if it takes long. Raises RecordError if something else is there."""
+    path = Path(f"{out}.batch")
+    if path.exists():
+        try:
+            load_restart(path)
+        except RecordError as error:
+            raise RecordError(f"{path} is in the way, where the study keeps drops that take long: {error}") from error
+    return path
+
+
 def _computed(results: Results, batch: work.Batch | work.Failed, kept: Path | None, progress: bool) -> None:
     """Compute a batch, and enter what came of it; kept: where it is kept while it goes, if it takes long."""
-    failed = [batch] if isinstance(batch, work.Failed) else []
+    if isinstance(batch, work.Failed):
+        _enter_lost(results, [batch])
+        return
     names = results.study.outputs
-    if isinstance(batch, work.Batch):
-        for name, values in evaluated_portions(work.portions(batch), names).items():
-            results.outputs[name][list(batch.members)] = values
-        done = work.run(batch, results.study, kept, progress) if of_drops(names) else (None, batch.members, [])
-        run, members, failed = done
+    outputs = {name: (batch.members, values) for name, values in evaluated_portions(work.portions(batch), names).items()}
+    run, members, failed = (
+        work.run(batch, results.study, kept, progress) if of_drops(names) else (None, batch.members, [])
+    )
+    if run is not None:
+        outputs |= {name: (members, values) for name, values in evaluated(run, names).items()}
+    traces = work.force_of(run) if run is not None and results.study.traces else None
+    with process.undisturbed():  # the file says of all of it that it is done, or of nothing
+        for name, (of, values) in outputs.items():
+            results.outputs[name][list(of)] = values
+        if run is not None and traces is not None:
+            results.time = run.time if results.time is None or len(run.time) > len(results.time) else results.time
+            results.force |= dict(zip(members, traces, strict=True))
         results.state[list(members)] = DONE
-        if run is not None:
-            for name, values in evaluated(run, names).items():
-                results.outputs[name][list(members)] = values
-            if results.study.traces:
-                results.time = run.time if results.time is None or len(run.time) > len(results.time) else results.time
-                results.force |= dict(zip(members, work.force_of(run), strict=True))
+        _enter_lost(results, failed)
+
+
+def _enter_lost(results: Results, failed: list[work.Failed]) -> None:
     for lost in failed:
-        results.state[list(lost.members)] = LOST
         results.why |= dict.fromkeys(lost.members, lost.why)
+        results.state[list(lost.members)] = LOST
 
 
 class _Bar:
@@ -106,7 +136,8 @@ class _Bar:
             from tqdm import tqdm
 
             done = int((results.state != OPEN).sum())
-            self._bar = tqdm(total=len(results.state), initial=done, unit="drop", desc=results.study.name, dynamic_ncols=True)
+            words = {"unit": "drop", "desc": results.study.name, "dynamic_ncols": True, "file": process.SilentStream(sys.stderr)}
+            self._bar = tqdm(total=len(results.state), initial=done, **words)
 
     def update(self) -> None:
         """Look again."""

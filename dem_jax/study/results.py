@@ -1,6 +1,7 @@
 """What a study says: a table of its points with bands, what others found beside it, and what depends on what."""
 
 import csv
+import io
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -8,9 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import stats
 
-from dem_jax.errors import RecordError
 from dem_jax.scene.text import value
 from dem_jax.show.numbers import Number
+from dem_jax.store.output import write_whole
 from dem_jax.study import model
 from dem_jax.study.design import points_of
 from dem_jax.study.file import DONE, LOST, OPEN, Results
@@ -53,17 +54,14 @@ def write_csv(results: Results, path: Path) -> Path:
     study = results.study
     points = points_of(study)
     heads = [f"{name} ({OUTPUTS[name].unit})" if OUTPUTS[name].unit else name for name in study.outputs]
-    try:
-        with open(path, "w", newline="", encoding="utf-8") as out:
-            rows = csv.writer(out)
-            rows.writerow([*study.parameter, "seed", *heads])
-            for member in np.flatnonzero(results.state == DONE).tolist():
-                values = [results.outputs[name][member] for name in study.outputs]
-                told = ["" if np.isnan(v) else f"{v:.9g}" for v in values]
-                rows.writerow([*points[member // study.seeds].values(), study.seed + member % study.seeds, *told])
-    except OSError as error:
-        raise RecordError(f"{path} cannot be written: {error.strerror or error}") from error
-    return path
+    text = io.StringIO(newline="")
+    rows = csv.writer(text)
+    rows.writerow([*study.parameter, "seed", *heads])
+    for member in np.flatnonzero(results.state == DONE).tolist():
+        values = [results.outputs[name][member] for name in study.outputs]
+        told = ["" if np.isnan(v) else f"{v:.9g}" for v in values]
+        rows.writerow([*points[member // study.seeds].values(), study.seed + member % study.seeds, *told])
+    return write_whole(path, text.getvalue().encode())
 
 
 def short(item: Any) -> str:

@@ -15,7 +15,7 @@ from benchmarks.faults import mutated
 from dem_jax.__main__ import main
 from dem_jax.drive import interface
 from dem_jax.errors import RecordError, SceneError
-from dem_jax.store import writer
+from dem_jax.store import output, writer
 from dem_jax.store.record import load_run
 
 SCENE = ["plate-drop", "--set", 'piece=[{shape="sphere", radius=0.01, position=[0, 0, 0.0105]}]', "--set", "run.frames=0"]
@@ -108,18 +108,21 @@ def computing_nothing(monkeypatch):
 @pytest.mark.usefixtures("computing_nothing")
 def test_what_cannot_be_written_is_found_before_computing(copy, capsys, monkeypatch):
     long = f"{'x' * 253}.h5"
-    Path("there.h5.part").mkdir()
-    for out, reason in ((long, "File name too long"), ("there.h5", "there.h5.part is a folder"), ("/proc/run.h5", "No such file")):
+    beside = f"{'x' * 252}.h5"  # whose figure's name is too long
+    Path("loop.h5").symlink_to("loop.h5")
+    reasons = {long: "File name too long", "/proc/run.h5": "No such file", "loop.h5": "Too many levels of symbolic links"}
+    for out, reason in reasons.items():
         line = refused(["run", *SHORT, "--out", out], capsys)
         assert f"{out} cannot be written: {reason}" in line
+    assert ".png cannot be written: File name too long" in refused(["run", *SHORT[:-1], "--out", beside], capsys)
     goes_on = ["run", "--resume", str(copy), "--duration", "0.04", "--quiet"]
     with room_for(1000):
         assert "cannot be written: File too large" in refused(["run", *SHORT, "--out", "new.h5"], capsys)
         assert "cannot be written: File too large" in refused(goes_on, capsys)
-    monkeypatch.setattr(writer.os, "access", lambda *_: False)  # as root, who may run the tests, all can be written
+    monkeypatch.setattr(output.os, "access", lambda *_: False)  # as root, who may run the tests, all can be written
     assert "run.h5 cannot be written: Permission denied" in refused(goes_on, capsys)
     assert "run.h5 cannot be written: Permission denied" in refused(["run", *SHORT, "--out", str(copy), "--overwrite"], capsys)
-    assert sorted(path.name for path in Path().iterdir()) == ["run.h5", "there.h5.part"]
+    assert sorted(path.name for path in Path().iterdir()) == ["loop.h5", "run.h5"]
 
 
 def test_an_output_that_is_full_is_one_line(capsys, monkeypatch):

@@ -203,10 +203,10 @@ KILLED = """
 import os, signal, sys
 sys.path[:0] = [{repository!r}, {tests!r}]
 import dem_jax.store.writer as record
+from dem_jax.store import output
 from test_record import header, samples, frames
-from pathlib import Path
 
-def die(*_):
+def die(*_, **__):
     os.kill(os.getpid(), signal.SIGKILL)
 
 writer = record.Writer.create("run.h5", header(), interval={interval})
@@ -227,9 +227,10 @@ def run_killed(then, interval=0):
     [
         "die()",
         "writer._interval = 9; writer.append(samples(1000, 5)); die()",  # not flushed yet
-        "record.os.replace = die; writer.append(samples(1000, 5))",  # the copy is complete, not yet in place
+        "output.os.link = die; writer.append(samples(1000, 5))",  # the copy is complete, without a name
+        "output.os.replace = die; writer.append(samples(1000, 5))",  # not yet in place
         "record.replace_restart = die; writer.append(samples(1000, 5), restart={'step': record.np.int64(10)})",
-        "record.open = lambda *_: (Path('run.h5.part').write_bytes(b'HDF'), die()); writer.append(samples(1000, 5))",
+        "output.os.fdopen = lambda file, _: (os.write(file, b'HDF'), die()); writer.append(samples(1000, 5))",
     ],
 )
 def test_a_killed_process_leaves_the_file_of_its_last_flush(then):

@@ -1,0 +1,240 @@
+"""How a process ends: by itself, by a signal within a second, and with streams that nobody reads.
+
+XLA compiles for up to minutes without returning to Python, where a signal is only noted. ``begin`` therefore starts a thread that
+is woken by the signal itself. The main thread has GRACE to unwind; then the thread saves what the run has computed so far
+(``saving``) and ends the process by ``os._exit``: to unwind Python while XLA compiles ends in a segmentation fault.
+"""
+
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from types import FrameType
+from typing import Any, NoReturn
+
+GRACE = 0.4  # s, for the main thread to unwind
+SAVING = 5.0  # s at most, to save what was computed
+LEAVING = 0.2  # s at most, to print a line, and to leave a cluster of processes
+SIGNALS = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "hung up"}  # and what they do to a process
+
+Save = Callable[[], str | None]  # saves what is computed and says where it is, None: nothing was there to save
+
+
+class SilentStream:
+    """A stream that falls silent once nobody reads it or it cannot be written, as a progress bar may and a run must not stop."""
+
+    def __init__(self, stream: Any) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        """Write, or do nothing."""
+        with suppress(OSError, ValueError, AttributeError):
+            self._stream.write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        """Flush, or do nothing."""
+        with suppress(OSError, ValueError, AttributeError):
+            self._stream.flush()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
+class _Process:
+    """What a signal has to know."""
+
+    def __init__(self) -> None:
+        self.begun = False
+        self.unwinds = False  # whether the main thread is where KeyboardInterrupt is caught
+        self.received = 0  # the first signal
+        self.deferred = False  # it came within ``undisturbed``
+        self.writing = 0  # depth of ``undisturbed``
+        self.lock = threading.RLock()
+        self.ending = threading.Lock()
+        self.savers: dict[object, Save] = {}
+        self.said: list[str] = []  # of savers that were called
+        self.woken: Any = None  # the end of a socket that the signal writes to
+
+
+_STATE = _Process()
+
+
+def open_closed_streams() -> None:
+    """Standard streams that the process was started without (``>&-``) are as of /dev/null."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, mode))
+
+
+def begin() -> None:
+    """Make this process end within a second of a signal, and go on without a reader of stderr. Does nothing the second time."""
+    if _STATE.begun or threading.current_thread() is not threading.main_thread():
+        return
+    _STATE.begun = True
+    if hasattr(sys.stdout, "reconfigure"):
+        sys.stdout.reconfigure(errors="backslashreplace")  # a file's name may be any bytes
+    sys.stderr = SilentStream(sys.stderr)
+    import socket
+
+    read, _STATE.woken = socket.socketpair()
+    _STATE.woken.setblocking(False)
+    signal.set_wakeup_fd(_STATE.woken.fileno(), warn_on_full_buffer=False)
+    for name in SIGNALS:
+        number = getattr(signal, name, None)  # not everywhere
+        if number and signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):  # else it is ignored (nohup)
+            signal.signal(number, _on_signal)
+    if hasattr(os, "register_at_fork"):
+        os.register_at_fork(after_in_child=_forget)
+    threading.Thread(target=_wait_for_signal, args=(read,), daemon=True).start()
+
+
+def finish() -> None:
+    """The work is done: from now on a signal ends the process at once."""
+    if _STATE.begun:
+        _restore_signals()
+
+
+@contextmanager
+def unwinding() -> Iterator[None]:
+    """Where KeyboardInterrupt is caught around this, a signal raises it in here; elsewhere it ends the process."""
+    _STATE.unwinds = True
+    try:
+        yield
+    finally:
+        _STATE.unwinds = False
+
+
+@contextmanager
+def saving(save: Save) -> Iterator[None]:
+    """If the process is interrupted in here, save what was computed."""
+    key = object()
+    _STATE.savers[key] = save
+    try:
+        yield
+    except KeyboardInterrupt:
+        _save_one(save)
+        raise
+    finally:
+        del _STATE.savers[key]
+
+
+@contextmanager
+def undisturbed() -> Iterator[None]:
+    """Only one thread is in here at a time, and a signal waits until it has left."""
+    with _STATE.lock:
+        _STATE.writing += 1
+        try:
+            yield
+        finally:
+            _STATE.writing -= 1
+    if _STATE.deferred and not _STATE.writing and threading.current_thread() is threading.main_thread():
+        _STATE.deferred = False
+        _interrupt()
+
+
+def end() -> NoReturn:
+    """Save what was computed, say where it is in one line, and end the process with 128 + the signal's number."""
+    if not _STATE.ending.acquire(blocking=False):  # another thread is about to
+        threading.Event().wait()
+    _within(SAVING, _save_all)
+    _within(LEAVING, _say)
+    _within(LEAVING, _leave_cluster)
+    _within(LEAVING, _end_children)
+    os._exit(128 + (_STATE.received or signal.SIGINT))
+
+
+def ending_said() -> str:
+    """What an interrupt did, in one line."""
+    word = next((w for name, w in SIGNALS.items() if getattr(signal, name, None) == _STATE.received), "interrupted")
+    return f"{word}; {_STATE.said[0] if _STATE.said else 'no file of results was written'}"
+
+
+def _on_signal(number: int, _: FrameType | None) -> None:
+    if _STATE.received:
+        return
+    _STATE.received = number
+    if _STATE.writing:
+        _STATE.deferred = True
+    else:
+        _interrupt()
+
+
+def _interrupt() -> None:
+    if _STATE.unwinds:
+        raise KeyboardInterrupt
+    end()
+
+
+def _wait_for_signal(read: Any) -> None:
+    """The thread that a signal wakes."""
+    number = read.recv(1)[0]
+    threading.Event().wait(GRACE)
+    _STATE.received = _STATE.received or number
+    end()
+
+
+def _save_all() -> None:
+    for save in reversed(list(_STATE.savers.values())):
+        _save_one(save)
+
+
+def _save_one(save: Save) -> None:
+    try:
+        said = save()
+    except Exception as error:  # such as of a full disk
+        said = " ".join(str(error).split())
+    if said:
+        _STATE.said.insert(0, said)  # what was begun first, such as a study, is saved last and speaks for the others
+
+
+def _say() -> None:
+    bars = getattr(sys.modules.get("tqdm"), "tqdm", None)
+    line_begun = "\n" if getattr(bars, "_instances", None) else ""
+    sys.stderr.write(f"{line_begun}dem_jax: {ending_said()}\n")
+    sys.stderr.flush()
+    with suppress(OSError, ValueError):
+        sys.stdout.flush()
+
+
+def _leave_cluster() -> None:
+    """Tell the other processes of ``jax.distributed``, as JAX does at a usual end."""
+    jax = sys.modules.get("jax")
+    if jax is not None and jax.distributed.is_initialized():
+        jax.distributed.shutdown()
+
+
+def _end_children() -> None:
+    """End processes that were started by ``multiprocessing``."""
+    if "multiprocessing" in sys.modules:
+        for child in sys.modules["multiprocessing"].active_children():
+            child.terminate()
+
+
+def _within(seconds: float, function: Callable[[], None]) -> None:
+    """Call a function, but do not wait for it for longer, nor for what it raises, as of a module that is half imported."""
+
+    def call() -> None:
+        with suppress(Exception):
+            function()
+
+    thread = threading.Thread(target=call, daemon=True)
+    thread.start()
+    thread.join(seconds)
+
+
+def _forget() -> None:
+    """A process that was forked from this one ends as any other."""
+    if _STATE.begun:
+        _restore_signals()
+        _STATE.begun = False
+
+
+def _restore_signals() -> None:
+    signal.set_wakeup_fd(-1)
+    for name in SIGNALS:
+        number = getattr(signal, name, None)
+        if number and signal.getsignal(number) is _on_signal:
+            signal.signal(number, signal.default_int_handler if name == "SIGINT" else signal.SIG_DFL)
