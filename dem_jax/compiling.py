@@ -36,6 +36,8 @@ from typing import Any
 
 import jax
 
+from dem_jax.errors import PlatformError
+
 OF_KERNELS = "FUSION,CUBLAS,CUBLASLT,CUSTOM_CALL,CUDNN,DYNAMIC_SLICE_FUSION"  # XLA's own choice
 OPTIONS: dict[str, dict[str, Any]] = {
     "cpu": {
@@ -70,6 +72,15 @@ def loops_as_one(unrolled: bool = False) -> None:
             RuntimeWarning,
             stacklevel=4,  # who called simulate or ensemble
         )
+
+
+def check_platform() -> None:
+    """Raise PlatformError unless JAX finds devices of the kind that it was asked for."""
+    try:
+        jax.devices()
+    except (RuntimeError, AssertionError) as error:  # the latter of "cuda" where no plugin for it is installed
+        asked = jax.config.jax_platforms  # type: ignore[attr-defined]
+        raise PlatformError(f"JAX_PLATFORMS = {asked}: JAX finds no such device; allowed: cpu, or to leave it unset") from error
 
 
 def is_in_use() -> bool:

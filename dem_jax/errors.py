@@ -12,6 +12,10 @@ class RecordError(ValueError):
     """A file of results is missing, damaged or would be overwritten."""
 
 
+class PlatformError(RuntimeError):
+    """JAX was asked for devices, by JAX_PLATFORMS, that it does not find."""
+
+
 class SimulationError(RuntimeError):
     """A run had to stop: a piece that is not finite or left the domain, or a contact that is too deep.
 

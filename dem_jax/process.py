@@ -14,7 +14,7 @@ from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Any, NoReturn
 
-GRACE = 0.4  # s, for the main thread to unwind
+GRACE = 0.25  # s, for the main thread to unwind
 SAVING = 5.0  # s at most, to save what was computed
 LEAVING = 0.2  # s at most, to print a line, and to leave a cluster of processes
 SIGNALS = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "hung up"}  # and what they do to a process

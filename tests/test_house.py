@@ -12,7 +12,7 @@ PAGE = (ROOT / "docs" / "house.md").read_text()
 BASE = {"types", "errors", "compiling", "maths", "process"}
 MAY_IMPORT = {  # room -> rooms below it
     "errors": set(),
-    "compiling": set(),
+    "compiling": {"errors"},
     "process": set(),
     "types": set(),
     "maths": set(),

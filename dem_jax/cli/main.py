@@ -24,7 +24,7 @@ from dem_jax.cli import (
     weigh,
 )
 from dem_jax.cli.arguments import BAD_INPUT, Parser, one_line
-from dem_jax.errors import RecordError, SceneError, SimulationError
+from dem_jax.errors import PlatformError, RecordError, SceneError, SimulationError
 
 COMMANDS = (run, ensemble, study, posterior, scenes, products, buckets, plot, report, export, render, gltf, vtk, weigh, collisions)
 FAILED, INTERRUPTED = 1, 130
@@ -56,7 +56,7 @@ def _run(argv: Sequence[str] | None) -> int:
         args.action(args)
         sys.stdout.flush()
         return 0
-    except (SceneError, RecordError) as error:
+    except (SceneError, RecordError, PlatformError) as error:
         return _fail(BAD_INPUT, error)
     except SimulationError as error:
         where = f"; earlier results are in {error.path}" if error.path else "; nothing was recorded before"
@@ -69,18 +69,22 @@ def _run(argv: Sequence[str] | None) -> int:
         return _fail(BAD_INPUT, f"{error.filename or 'output'}: {error.strerror or error}")
     except MemoryError as error:
         return _fail(FAILED, f"there is not enough memory ({error or 'none was left'}); allowed: fewer runs, pieces or samples")
-    except RuntimeError as error:
-        if (platform := _platform_said(error)) is None:
+    except (RuntimeError, AssertionError):
+        if (platform := _platform_missing()) is None:
             raise
         return _fail(BAD_INPUT, platform)
 
 
-def _platform_said(error: RuntimeError) -> str | None:
-    """One line on a platform that JAX was asked for and does not have; None: the error is of something else."""
-    asked = os.environ.get("JAX_PLATFORMS", "")
-    if not str(error).startswith("Unable to initialize backend") or not asked:
-        return None
-    return f"JAX_PLATFORMS = {asked}: JAX finds no such device here; allowed: cpu, or to leave it unset"
+def _platform_missing() -> PlatformError | None:
+    """That JAX was asked for a platform that it does not have, which what it is used for first trips over."""
+    if "jax" in sys.modules:
+        from dem_jax import compiling
+
+        try:
+            compiling.check_platform()
+        except PlatformError as error:
+            return error
+    return None
 
 
 def parser() -> Parser:

@@ -41,6 +41,7 @@ def prepare(
     if not 0 <= min(seeds) <= max(seeds) <= MOST_SEED:
         raise SceneError(f"seed = {min(seeds) if min(seeds) < 0 else max(seeds)}: allowed: a whole number from 0 to {MOST_SEED}")
     compiling.loops_as_one(unrolled=runs is not None)
+    compiling.check_platform()
     scene = build.self_contained(scene if isinstance(scene, Scene) else load_scene(scene))
     with jax.enable_x64(scene.run.precision == "f64"), np.errstate(all="ignore"):  # build looks at what comes out
         scenes = varied.scenes_of(scene, parameters, len(seeds))

@@ -1,9 +1,10 @@
 """What goes wrong with files: a full disk, no permission, a file that is deleted, one that has but a beginning, one that lies."""
 
+import os
 import resource
 import subprocess
 import sys
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import h5py
@@ -123,6 +124,29 @@ def test_what_cannot_be_written_is_found_before_computing(copy, capsys, monkeypa
     assert "run.h5 cannot be written: Permission denied" in refused(goes_on, capsys)
     assert "run.h5 cannot be written: Permission denied" in refused(["run", *SHORT, "--out", str(copy), "--overwrite"], capsys)
     assert sorted(path.name for path in Path().iterdir()) == ["loop.h5", "run.h5"]
+
+
+def test_a_run_goes_on_without_a_reader_of_its_bar(whole, monkeypatch):
+    read, write = os.pipe()
+    os.close(read)
+    pipe = open(write, "w", buffering=1)
+    with monkeypatch.context() as patch:
+        patch.setattr(sys, "stderr", pipe)
+        assert main(["run", *SHORT[:-2], "--no-plot", "--out", "run.h5"]) == 0
+    with suppress(BrokenPipeError):
+        pipe.close()
+    assert_same(load_run("run.h5"), load_run(whole))
+
+
+def test_a_summary_is_printed_although_the_figure_cannot_be_written(capsys, monkeypatch):
+    def full(*_):
+        raise RecordError("run.png cannot be written: No space left on device")
+
+    monkeypatch.setattr("dem_jax.show.plot.plot_run", full)
+    assert main(["run", *SHORT[:-1], "--out", "run.h5"]) == 2
+    out, err = capsys.readouterr()
+    assert "wrote run.h5\n" in out
+    assert err.endswith("No space left on device; the run is whole: python -m dem_jax plot run.h5 draws it\n")
 
 
 def test_an_output_that_is_full_is_one_line(capsys, monkeypatch):
