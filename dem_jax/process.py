@@ -66,7 +66,7 @@ def open_closed_streams() -> None:
     """Standard streams that the process was started without (``>&-``) are as of /dev/null."""
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
-            setattr(sys, name, open(os.devnull, mode))
+            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))
 
 
 def begin() -> None:

@@ -31,7 +31,8 @@ from tests.dem_jax.test_record import header, samples
 # --- signals: of a command that computes, in Python or, as XLA does while it compiles, outside of it ---
 
 COMMAND = """
-import hashlib, sys, time
+import hashlib, signal, sys, time
+signal.signal(signal.SIGINT, signal.{handler})  # whatever it was where the tests were started
 from pathlib import Path
 from dem_jax import process
 from dem_jax.cli import main, scenes
@@ -65,11 +66,16 @@ sys.exit(main.main())
 """
 
 
-def interrupted(where, number, prepare=lambda: signal.signal(signal.SIGINT, signal.default_int_handler)):
-    """Exit code, stderr and how long it took (s) after a signal to a command."""
-    command, pipes = [sys.executable, "-c", COMMAND, "scenes", where], {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+def begun(where, handler="default_int_handler"):
+    """The command as a process; handler: of SIGINT, that it is started with."""
+    command = [sys.executable, "-c", COMMAND.replace("{handler}", handler), "scenes", where]
     search = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
-    with subprocess.Popen(command, env=search, text=True, preexec_fn=prepare, **pipes) as started:
+    return subprocess.Popen(command, env=search, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+
+
+def interrupted(where, number):
+    """Exit code, stderr and how long it took (s) after a signal to a command."""
+    with begun(where) as started:
         assert started.stdout.readline() == "ready\n"
         time.sleep(0.1)
         begin = time.monotonic()
@@ -96,27 +102,19 @@ def test_a_signal_ends_a_command_within_a_second_and_saves_what_was_computed(whe
 
 def test_a_signal_that_was_ignored_from_the_start_stays_so():
     """As ``nohup`` and background jobs of a script have it."""
-    ignoring = lambda: signal.signal(signal.SIGINT, signal.SIG_IGN)  # noqa: E731
-    with pytest.raises(subprocess.TimeoutExpired):
-        with subprocess.Popen(
-            [sys.executable, "-c", COMMAND, "scenes", "in_python"],
-            env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}, stdout=subprocess.PIPE, preexec_fn=ignoring,
-        ) as started:  # fmt: skip
-            started.stdout.readline()
-            started.send_signal(signal.SIGINT)
-            try:
-                started.wait(0.7)  # s, longer than process.GRACE
-            finally:
-                started.kill()
+    with begun("in_python", "SIG_IGN") as started:
+        assert started.stdout.readline() == "ready\n"
+        started.send_signal(signal.SIGINT)
+        with pytest.raises(subprocess.TimeoutExpired):
+            started.wait(0.7)  # s, longer than process.GRACE
+        started.kill()
 
 
 def test_ctrl_c_while_xla_compiles_ends_the_command():
     settings = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "JAX_ENABLE_COMPILATION_CACHE": "0"}
     command = [sys.executable, "-c", TOLD, "run", "plate-drop", "--out", "drop.h5"]
-    restored = lambda: signal.signal(signal.SIGINT, signal.default_int_handler)  # noqa: E731
-    with subprocess.Popen(
-        command, env=settings, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=restored
-    ) as started:
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen(command, env=settings, **pipes) as started:
         assert started.stdout.readline() == "compiling\n"
         started.send_signal(signal.SIGINT)
         _, err = started.communicate(timeout=60)
@@ -126,7 +124,8 @@ def test_ctrl_c_while_xla_compiles_ends_the_command():
 
 
 TOLD = """
-import sys
+import signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)
 import jax.stages
 compile = jax.stages.Lowered.compile
 def told(self, *more):
