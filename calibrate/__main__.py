@@ -200,8 +200,8 @@ def report(result: "Fit") -> str:
         row = {key: v * factor for key, v in result.parameters[name].items() if key != "free"}
         kept = "" if name in result.free else "   kept"
         lines.append(
-            f"{name:<11}{row['value']:>11.2f} {unit}  {row['low']:>9.2f} ... {row['high']:<9.2f}"
-            f"{row['sd']:>8.2f} {row['local_sd']:>8.2f}{kept}"
+            f"{name:<11}{_cell(row['value']):>11} {unit}  {_cell(row['low']):>9} ... {_cell(row['high']):<9}"
+            f"{_cell(row['sd']):>8} {_cell(row['local_sd']):>8}{kept}"
         )
     p = ", ".join(f"{name} {value:.2g}" for name, value in result.p_values.items())
     lines += [f"p-values: {p}", f"RMSE of single traces (not fitted): {result.rmse_g:.1f} g"]
@@ -210,6 +210,11 @@ def report(result: "Fit") -> str:
         lines += ["", "WARNING: these traces, or what was told of them, are hardly what was meant:"]
         lines += [*(f"  ! {line}" for line in doubts), ""]
     return "\n".join(lines + [f"- {line}" for line in result.statements if line not in doubts])
+
+
+def _cell(value: float) -> str:
+    """A number of a table: two decimals, or four digits where it is large."""
+    return f"{value:.2f}" if abs(value) < 1e5 else f"{value:.3g}"
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -210,7 +210,7 @@ def _fit(
         },
     )
     result.absurd.extend(plausibility.find_absurd(parameters))
-    result.warnings.extend(impossible + plausibility.find_doubtful(targets) + uncertainty.without_spread(measured))
+    result.warnings.extend(impossible + plausibility.find_doubtful(targets, align) + uncertainty.without_spread(measured))
     result.statements.extend([*result.absurd, *result.warnings, *uncertainty.statements(result, targets)])
     result.statements.extend(goodness.statements(result.p_values, result.info["bootstrap"]))
     return result

@@ -10,6 +10,7 @@ MISSING = ("", "nan", "na", "n/a", "#n/a", "#nv", "null", "none", "-", "--", "--
 SPACES = "\u00a0\u2009\u202f"  # besides the plain one
 GROUPS = re.compile(r"(?<=\d)[ '’_\u00a0\u2009\u202f](?=\d{3}(?!\d))")
 NUMBER = re.compile(r"[+-]?(?:\d[\d.,]*|[.,]\d+)(?:[eEdD][+-]?\d+)?$")
+PLAIN = re.compile(r"[+-]?\d+(?:[.,]\d+)?$")  # most cells of most tables
 INFINITE = re.compile(r"[+-]?(?:inf|infinity|1\.#inf|∞)$", re.I)
 CLOCK = re.compile(r"(?:(\d{1,3}):)?(\d{1,2}):(\d{1,2})(?:[.,:](\d{1,9}))?\s*([ap]m)?\s*(?:z|utc|[+-]\d\d:?\d\d)?$", re.I)
 DATE = re.compile(
@@ -20,6 +21,8 @@ DATE = re.compile(
 
 def tidy(cell: str) -> str:
     """A cell with one kind of sign and no blanks that carry nothing: "+ 0,081" and "−1 234" as "+0,081" and "-1234"."""
+    if PLAIN.match(cell):
+        return cell
     cell = cell.strip(" \t" + SPACES).replace("−", "-").replace("–", "-")
     cell = re.sub(r"^([+-])\s+(?=[\d.,])", r"\1", cell)
     return GROUPS.sub("", cell) if NUMBER.fullmatch(GROUPS.sub("", cell)) else cell
@@ -70,6 +73,8 @@ class Signs:
 
     def value(self, cell: str) -> float:
         """The number of a tidy cell, nan where it says that there is none. Raises ValueError."""
+        if PLAIN.match(cell) and (self.decimal in cell or cell.isdigit()):
+            return float(cell.replace(",", "."))
         if is_missing(cell):
             return float("nan")
         if INFINITE.fullmatch(cell):
@@ -83,12 +88,16 @@ class Signs:
 
     def decimals(self, cell: str) -> int:
         """Number of decimal places of a tidy cell, less its power of ten."""
+        if PLAIN.match(cell):
+            return len(cell.partition(self.decimal)[2])
         mantissa, exponent = _parts(cell)
         places = len(mantissa.split(self.decimal)[1]) if self.decimal in mantissa else 0
         return places - (int(exponent[1:]) if exponent else 0)
 
 
 def _parts(cell: str) -> tuple[str, str]:
+    if PLAIN.match(cell):
+        return cell, ""
     found = re.fullmatch(r"(.*?)([eEdD][+-]?\d+)?", cell)
     assert found
     mantissa, exponent = found.groups()

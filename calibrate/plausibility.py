@@ -11,12 +11,15 @@ from typing import Any
 import numpy as np
 
 from calibrate.loss import Measured
+from calibrate.summaries import momentum_release
 from calibrate.targets import Target
 
 LONGEST, SHORTEST = 100.0, 0.01  # s, of a trace
 END = (0.5, 1.5)  # of the weight of the pieces: between them a trace must end
 NEARLY = 0.02  # of the weight: by how much it may do so without a warning
 ZERO, ZERO_NOTED = 0.05, 0.01  # of the weight: force before the first impact
+HEAVY = 5.0  # kg, of a piece: likely to be in grams
+RELEASE, RELEASE_NOTED = 0.5, 0.25  # of the time of the first impact: how far from time zero the momentum may put the release
 SWING = 0.5  # of the weight: how far below zero a force may swing
 HEIGHTS = (1e-3, 10.0)  # m, of a mean drop height
 PULSES = (1e-6, 0.1)  # s, of the pulse of a piece
@@ -45,14 +48,16 @@ def find_impossible(targets: Sequence[Target], measured: Measured | None = None)
     """
     checks: list[Callable[[Sequence[Target]], Iterator[str]]] = [_check_length, _check_end, _check_each, _check_force]
     found = [line for check in checks for line in check(targets)] if targets else []
-    return found + (list(_check_height(targets, measured)) if measured is not None else [])
+    if measured is None:
+        return found
+    return [*found, *_check_height(targets, measured), *_check_release(targets, measured)]
 
 
 def _check_length(targets: Sequence[Target]) -> Iterator[str]:
     lengths = [t.time[-1] - t.time[0] + t.sample for t in targets]
     hint = _unit_hint(targets, "time")
     if max(lengths) > LONGEST:
-        yield f"a trace lasts {max(lengths):.4g} s, allowed are {LONGEST:g} s: milliseconds read as seconds?{hint}"
+        yield f"a trace lasts {max(lengths):.4g} s, allowed are {LONGEST:g} s (milliseconds read as seconds?){hint}"
     elif max(lengths) < SHORTEST:
         yield f"the traces last {1e3 * max(lengths):.3g} ms, too short for a portion to land ({1e3 * SHORTEST:g} ms){hint}"
 
@@ -62,11 +67,12 @@ def _check_end(targets: Sequence[Target]) -> Iterator[str]:
     if END[0] <= ratio <= END[1]:
         return
     trace = targets[0]
+    kilograms = "; --m-piece is in kg" if trace.m_piece >= HEAVY else ""
     why = next((f" ({words} do so)" for factor, words in UNITS.items() if abs(ratio / factor - 1) < 0.1), "")
     yield (
         f"the traces end at {_percent(ratio)} of the weight of their pieces{why}: {trace.pieces} pieces of "
         f"{1e3 * trace.m_piece:.4g} g weigh {trace.weight:.4g} N; look at the unit of the force, weight and number of the "
-        f"pieces, and whether all have landed{_unit_hint(targets, 'force')}"
+        f"pieces, and whether all have landed{kilograms}{_unit_hint(targets, 'force')}"
     )
 
 
@@ -118,6 +124,29 @@ def _check_height(targets: Sequence[Target], measured: Measured) -> Iterator[str
     )
 
 
+def _check_release(targets: Sequence[Target], measured: Measured) -> Iterator[str]:
+    share, shift = release_shift(targets)
+    if not measured.from_momentum and abs(share) > RELEASE:
+        yield (
+            f"the momentum of the traces puts their release at {shift:.3g} s, not at time zero: where times do not count from "
+            f"the release, give --align first-impact{_unit_hint(targets, 'time')}"
+        )
+
+
+def release_shift(targets: Sequence[Target]) -> tuple[float, float]:
+    """When the balance of momentum puts the release: as a share of the time of the first impact, and (s); medians over
+    the traces that end at the weight of their pieces, without which it tells nothing; 0 where none does.
+    """
+    rows = []
+    for t in targets:
+        length = t.time[-1] - t.time[0] + t.sample
+        if abs(1.0 - t.end / t.weight) * length < 0.1 * abs(t.first_impact):
+            shift = float(momentum_release(t.time, t.force, t.sample, t.weight))
+            rows.append((shift / t.first_impact, shift))
+    share, shift = np.median(rows, axis=0) if rows else (0.0, 0.0)
+    return float(share), float(shift)
+
+
 def _unit_hint(targets: Sequence[Target], kind: str) -> str:
     """What to do about a unit that the header does not tell."""
     if not any(kind in t.assumed for t in targets):
@@ -135,12 +164,12 @@ def _length(metres: float) -> str:
     return f"{metres:.3g} m" if abs(metres) >= 0.5 else f"{1e3 * metres:.3g} mm"
 
 
-def find_doubtful(targets: Sequence[Target]) -> list[str]:
+def find_doubtful(targets: Sequence[Target], align: str = "release") -> list[str]:
     """What of the traces makes a fit doubtful without making it impossible: a line for each."""
     lines = []
     end = float(np.median([t.end / t.weight for t in targets]))
     spread = np.array([t.end / t.weight for t in targets])
-    if abs(end - 1.0) > NEARLY:
+    if abs(end - 1.0) > NEARLY and END[0] <= end <= END[1]:
         lines.append(
             f"the traces end at {100 * end:.0f} % of the weight of their pieces: look at the weight and number of "
             "the pieces, the wall group, and whether all have landed"
@@ -150,8 +179,14 @@ def find_doubtful(targets: Sequence[Target]) -> list[str]:
             f"single traces end at {100 * spread.min():.0f} to {100 * spread.max():.0f} % of the weight of their pieces: have all "
             "as many pieces? else give the number of each (--pieces 6,7,...)"
         )
+    share, shift = release_shift(targets)
+    if align == "release" and RELEASE_NOTED < abs(share) <= RELEASE:
+        lines.append(
+            f"the momentum of the traces puts their release at {1e3 * shift:.3g} ms: h_mean counts from time zero of the file; "
+            "--align first-impact counts from the release that the momentum tells"
+        )
     zeros = [abs(t.zero) / t.weight for t in targets if t.zero is not None]
-    if zeros and max(zeros) > ZERO_NOTED:
+    if zeros and ZERO_NOTED < max(zeros) <= ZERO:
         lines.append(f"before anything lands a trace stands at {100 * max(zeros):.1f} % of the weight: --tare subtracts it")
     return lines
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from calibrate.errors import BadInput
-from calibrate.number_text import Signs, clock_seconds, is_date, is_missing, signs_of
+from calibrate.number_text import PLAIN, Signs, clock_seconds, is_date, is_missing, signs_of
 from calibrate.table_text import Layout
 from calibrate.units import NONE, Unit, quantity_named, unit_in_name, unit_named
 
@@ -77,7 +77,7 @@ def read_fields(path: Path, layout: Layout, options: TableOptions) -> tuple[list
     count = len(layout.rows[0])
     cells = [[row[k] for row in layout.rows] for k in range(count)]
     clocks = [_is_clock(column) for column in cells]
-    numbers = [[] if clocks[k] or any(map(is_date, column)) else column for k, column in enumerate(cells)]
+    numbers = [[] if clocks[k] or _has_dates(column) else column for k, column in enumerate(cells)]
     if layout.separator == ",":
         _refuse_split_numbers(path, layout, numbers)
     try:
@@ -98,6 +98,10 @@ def _refuse_split_numbers(path: Path, layout: Layout, numbers: Sequence[Sequence
             )
 
 
+def _has_dates(cells: Sequence[str]) -> bool:
+    return any(is_date(cell) for cell in cells if not PLAIN.match(cell))
+
+
 def _is_clock(cells: Sequence[str]) -> bool:
     some = [cell for cell in cells if not is_missing(cell)]
     return bool(some) and all(clock_seconds(cell) is not None for cell in some)
@@ -112,7 +116,7 @@ def _field(path: Path, layout: Layout, k: int, cells: Sequence[str], clock: bool
         days = np.cumsum(np.concatenate([[0.0], np.where(np.diff(times) < -43200.0, 86400.0, 0.0)]))
         places = max(len(found.group(1)) if (found := re.search(r"\d[.,](\d+)\D*$", cell)) else 0 for cell in cells)
         return Field(shown, Unit("time", "s"), "time", times + days, places, True, bool(name))
-    if any(map(is_date, cells)):
+    if _has_dates(cells):
         return Field(shown, NONE, "date", np.full(len(cells), np.nan), named=bool(name))
     values = np.empty(len(cells))
     for n, cell in enumerate(cells):
@@ -123,7 +127,8 @@ def _field(path: Path, layout: Layout, k: int, cells: Sequence[str], clock: bool
                 f"{path}: line {layout.numbers[n]}: {cell!r} in {shown!r} is no number with the decimal sign "
                 f"{signs.decimal!r}; give another with --decimal, or write all numbers alike"
             ) from None
-    places = max((signs.decimals(cell) for cell in cells if not is_missing(cell) and np.isfinite(signs.value(cell))), default=0)
+    finite = (cell for cell, ok in zip(cells, np.isfinite(values), strict=True) if ok)
+    places = max((signs.decimals(cell) for cell in finite), default=0)
     return Field(shown, unit, quantity, values, places, named=bool(name))
 
 
@@ -214,7 +219,8 @@ def _refuse_untold(path: Path, layout: Layout, column: Field) -> None:
     if column.quantity == "weight":
         raise BadInput(f"{path}: {column.name!r} has no unit; write it there, as in '{column.name} [g]', or give --force-unit")
     for text in layout.preamble:
-        if re.search(r"\b(units?|einheit(en)?|unit[ée]s?|unidad(es)?)\b", text, re.I):
+        is_named = re.search(r"\b(units?|einheit(en)?|unit[ée]s?|unidad(es)?)\b", text, re.I)
+        if is_named or unit_in_name(text).kind in ("force", "mass"):
             raise BadInput(
                 f"{path}: {column.name!r} has no unit, but a line above says {text.strip()[:60]!r}; write units into the "
                 "header, as in 'Force [N]', or give --force-unit and --time-unit"

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from calibrate.errors import BadInput
-from calibrate.number_text import clock_seconds, is_date, is_missing, is_number, tidy
+from calibrate.number_text import PLAIN, clock_seconds, is_date, is_missing, is_number, tidy
 from calibrate.units import is_bare_unit, quantity_named, unit_named
 
 SEPARATORS = (";", "\t", "|", ",", "")  # the last: spaces; of those that read as many rows the first is taken
@@ -24,6 +24,7 @@ BINARY = {
 }
 NOT_TEXT = re.compile(r"[\x00-\x08\x0b\x0e-\x19\x1b-\x1f\x7f-\x9f\ufffe]")
 COMMAS = "; are decimal commas between commas? put semicolons between the columns"
+HEAD = 200  # lines at most above the rows in which a name may go over several lines
 HEADER_LINES = 4  # names, units, statistics, and one more
 
 
@@ -70,7 +71,7 @@ def read_lines(path: Path) -> list[Line]:
     text = _decode(raw)
     if text is None or NOT_TEXT.search(text):
         raise BadInput(f"{path}: not a table of numbers (it is no text)")
-    texts = re.split(r"\r\n|\n|\r", text)
+    texts = _join_quoted(re.split(r"\r\n|\n|\r", text))
     blank = [not t.strip(" \t,;|\x0c\x1a") for t in texts] + [True]
     return [Line(n + 1, t, blank[n + 1]) for n, t in enumerate(texts) if not blank[n]]
 
@@ -91,6 +92,16 @@ def _decode(raw: bytes) -> str | None:
     return None
 
 
+def _join_quoted(texts: list[str]) -> list[str]:
+    """The lines, where those of one name in quotation marks, as "Force<line break>[N]", are in the first of them."""
+    for n in range(min(len(texts), HEAD)):
+        last = next((k for k in range(n + 1, min(n + 12, len(texts))) if '"' in texts[k] and texts[k].count('"') % 2), None)
+        if texts[n].count('"') % 2 and last is not None:
+            joined = " ".join(texts[n : last + 1])
+            texts[n : last + 1] = [joined] + [""] * (last - n)
+    return texts
+
+
 def split_cells(line: str, separator: str) -> list[str]:
     """The cells of a line, without blanks and quotation marks around them."""
     line = line.strip("\x1a\x0c")
@@ -100,7 +111,7 @@ def split_cells(line: str, separator: str) -> list[str]:
     wide = [cell for cell in re.split(r"\s{2,}|\t", line) if cell]
     if len(wide) > 1 and any(" " in cell for cell in wide):
         return [cell.strip("\"'") for cell in wide]
-    line = re.sub(r"\s+(?=[\[(][^\s\])]*[\])])", "\0", line)  # a unit belongs to its name
+    line = re.sub(r"(?<=[^\s\])])\s+(?=[\[(][^\s\])]*[\])])", "\0", line)  # a unit belongs to its name
     return [cell.replace("\0", " ") for cell in _parse_quoted(line, " ") if cell]
 
 
@@ -163,6 +174,8 @@ def _find_rows(lines: Sequence[Line], separator: str) -> tuple[int, list[list[st
 def _read_row(line: str, separator: str) -> list[str] | None:
     """The tidy cells of a row of values; None if it is none."""
     written = split_cells(line, separator)
+    if len(written) > 1 and all(PLAIN.match(cell) for cell in written):
+        return written
     cells = [tidy(cell) for cell in written]
     if separator == "," and any(re.search(r"\d \d", cell) and is_number(t) for cell, t in zip(written, cells, strict=True)):
         return None  # "0,001 500,25": spaces between columns, not between thousands

@@ -41,6 +41,8 @@ READ = {  # text: that is to be read as TIME and FORCE
     "a mark of the byte order": "\ufeffTime (s),Force (N)\n" + rows(TIME, FORCE, sep=","),
     "unit words": "Time (milliseconds),Force (kilonewton)\n" + rows(1e3 * TIME, FORCE / 1e3, sep=","),
     "unit words behind 'in'": "Zeit in Millisekunden;Kraft in Newton\n" + rows(1e3 * TIME, FORCE),
+    "names that go over lines": '"Zeit\n[ms]";"Kraft\n[kN]"\n' + rows(1e3 * TIME, FORCE / 1e3),
+    "units between blanks": "t F\n(ms) (mN)\n" + rows(1e3 * TIME, 1e3 * FORCE, sep=" "),
     "units behind a slash": "t/ms;F/kN\n" + rows(1e3 * TIME, FORCE / 1e3),
     "units in a second line": "Zeit;Kraft\nms;kN\n" + rows(1e3 * TIME, FORCE / 1e3),
     "units in brackets, then a blank line": "Time,Channel A\n(ms),(mN)\n\n" + rows(1e3 * TIME, 1e3 * FORCE, sep=","),
@@ -109,6 +111,7 @@ REFUSED = {
     "volts": ("Time (s);Force (V)\n" + rows(TIME, FORCE), "no column of forces among .* --force-unit"),
     "a weight without a unit": ("t [s];Gewicht\n" + rows(TIME, FORCE), "'Gewicht' has no unit; .* --force-unit"),
     "a unit before the header": ("Unit: kN\nt;F\n" + rows(TIME, FORCE), "a line above says 'Unit: kN'; .* --force-unit"),
+    "a unit in a line above": ("forces in kN\n" + rows(TIME, FORCE), "a line above says 'forces in kN'; .* --force-unit"),
     "numbers of rows as times": ("Sample;Force (N)\n" + rows(INDEX, FORCE), "no column of times among 'Sample', .* --sample S"),
     "dates alone": ("Date,F (N)\n" + rows(["2024-03-12"] * 400, FORCE, sep=","), "no column of times"),
     "whole seconds": (

@@ -12,7 +12,7 @@ from synthetic import TRUTH, traces
 
 from calibrate import BadInput, fit
 from calibrate import __main__ as program
-from calibrate.plausibility import find_absurd, find_doubtful, find_impossible
+from calibrate.plausibility import find_absurd, find_doubtful, find_impossible, release_shift
 from calibrate.prepare import measure
 from calibrate.targets import subtract_zero, target
 
@@ -37,7 +37,10 @@ REASONS = {
     ),
     "newtons as kg": ({"force": 9.81}, "end at 981 % of the weight of their pieces .newtons read as kilograms"),
     "kilonewtons": ({"force": 1e-3}, r"end at 0\.1 % of the weight of their pieces .kilonewtons read as newtons"),
-    "milliseconds": ({"time": 1e3, "assumed": ("time",)}, "a trace lasts 420 s, allowed are 100 s: .* give --time-unit"),
+    "milliseconds": (
+        {"time": 1e3, "assumed": ("time",)},
+        "lasts 420 s, allowed are 100 s .milliseconds read as seconds.*give --time-unit",
+    ),
     "milliseconds as microseconds": ({"time": 1e-3}, "the traces last 0.42 ms, too short"),
     "minutes": (
         {"time": 60.0},
@@ -71,6 +74,20 @@ def test_an_offset_a_swing_a_low_peak_and_an_odd_trace_are_told(data):
     assert find_impossible(odd)[0].startswith("odd.csv:F ends at 40 % of the weight of its pieces")
     some = [*data[:3], replace(data[3], force=0.8 * data[3].force)]
     assert "single traces end at 80 to 100 % of the weight" in find_doubtful(some)[0]
+
+
+@pytest.mark.parametrize(("shift", "share"), [(0.0, 0.0), (0.1, 0.1 / 0.31), (0.4, 0.4 / 0.61), (-0.1, -0.1 / 0.11)])
+def test_a_time_zero_that_is_not_the_release_is_told(shift, share, data):
+    """The momentum that a portion brings is its weight times the time since its release, whatever its drop heights are.
+
+    The pieces fall for about 0.21 s, the first of them for a little less; a pulse sets in dt_impact earlier than its weight.
+    """
+    moved = [replace(t, time=t.time + shift) for t in data]
+    found, at = release_shift(moved)
+    assert found == pytest.approx(share, rel=0.15, abs=0.01) and at == pytest.approx(shift, abs=1e-3)
+    lines = find_impossible(moved, measure(moved)), find_doubtful(moved), find_doubtful(moved, "first-impact")
+    assert ["puts their release at" in str(kind) for kind in lines] == [abs(share) > 0.5, 0.25 < abs(share) < 0.5, False]
+    assert find_impossible(moved, measure(moved, "first-impact")) == []
 
 
 def rows(**values):
