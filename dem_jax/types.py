@@ -303,12 +303,18 @@ class System(Tree):
 
 
 @pytree
+class Patch(Tree):
+    """A mark, without numbers: bodies that touch over a patch, not at a point, and rub about its normal too."""
+
+
+@pytree
 class Memory(Tree):
     """What contacts remember of the last step."""
 
     overlap: Array  # [P] (m): s_n, more by the law's reach; 0: no contact
     point: Array  # [3, P] (m): contact point relative to the centre of b, world axes
     law: Any  # [.., P]: the history that the contact law keeps
+    arm: Array | None = None  # [P] (m): of friction about the normal; None: of contacts without a patch
 
 
 @pytree
@@ -339,6 +345,7 @@ class Slots(Tree):
     plate_a: Plates | None = None  # [.., P]: of spheres on walls
     surface_a: Array | None = None  # [P] int32: of a, where others continue it: Walls.plane, or beyond those Parts.surface; else -1
     surface_b: Array | None = None  # [P] int32: Parts.surface of b
+    patch: Patch | None = None  # None: they touch at a point, or without friction
 
 
 @pytree

@@ -2,18 +2,20 @@
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 
-from dem_jax.contact import follow, of_run
+from dem_jax.contact import follow, of_run, patch
 from dem_jax.contact.bodies import Body
-from dem_jax.contact.law import Contact, Response
+from dem_jax.contact.law import Contact, Response, Torsion
 from dem_jax.contact.ledger import downward
 from dem_jax.contact.met import Met, of_pieces
 from dem_jax.maths import vector
 from dem_jax.maths.vector import Vector
-from dem_jax.types import Array, Memory, Slots, System
+from dem_jax.types import Array, Memory, Slots, State, System
 
 MIDDLE = 0.45  # of a piece's width
+ARM_STEPS = 8  # in which the arm of friction about the normal is found once: half of the loading of a quick impact
 
 
 class Contacts(NamedTuple):
@@ -53,29 +55,34 @@ def answer(
     offset: Vector,
     met: Met,
     turn: Vector | None,
+    is_due: Array,
     share: Array | None = None,
 ) -> Contacts:
-    """The contact law's answer. offset: between the centres of the bodies, [P] x 3 (m); turn: as in Contact; share: [P], the
-    part that each slot has of a contact that several have together."""
+    """The contact law's answer. offset: between the centres of the bodies, [P] x 3 (m); turn: as in Contact; is_due: [] bool,
+    whether arms of friction are found anew; share: [P], the part that each slot has of a contact that several have together."""
     offset = of_pieces(a, b, offset)
     if met.weight is not None:  # what parts has no contact point by its geometry: the last one stays until it has parted
-        at_b = vector.where((met.weight <= 0) & (memory.overlap > 0), vector.unpack(memory.point), met.at_b)
+        stays = (met.weight <= 0) & (memory.overlap > 0)
+        at_b = vector.where(stays, vector.unpack(memory.point), met.at_b)
         met = met._replace(at_b=at_b, at_a=vector.add(at_b, offset))
     motion, approach = _motion(system, a, b, offset, memory, met)
     depth = within(system, slots, met.overlap)
     deeper, doubt = _deepening(system, a, b, offset, memory, met, approach)
     inside = follow.overlap(memory.overlap, deeper, doubt, depth, met.at_a, met.at_b)
     overlap = met.overlap + (inside - depth)
-    slip = _slip(memory, motion, approach, met.normal, inside)
+    part = _part_in_touch(memory, approach, inside)
+    slip = vector.kept(*vector.scale(part, vector.add_scaled(motion, approach, met.normal)))
+    arm = _arm_of_friction(system, memory, met, inside, is_due)
+    torsion = None if arm is None or turn is None else _torsion(memory, arm, met.normal, turn, part)
     roll = None if system.materials.rolling is None else vector.scale(system.dt, vector.sub(b.spin, a.spin))
-    contact = Contact(overlap, approach, slip, met.normal, system.dt, turn, roll, system.resolved)
+    contact = Contact(overlap, approach, slip, met.normal, system.dt, turn, roll, torsion, system.resolved)
     said = system.law.force(slots.pair, memory.law, contact)
     force = vector.scale(said.push, met.normal)
     if said.drag is not None:
         force = vector.add(force, said.drag)
     if share is not None:
         force = vector.scale(share, force)
-    after = Memory(jnp.maximum(inside, 0), jnp.stack(met.at_b), said.history)
+    after = Memory(jnp.maximum(inside, 0), jnp.stack(met.at_b), said.history, arm)
     deepest = of_run.largest_of_contacts(system, _at_most(slots, memory.overlap, overlap, approach) / slots.width, slots.b)
     reaction = vector.scale(-1, force)
     on_a, on_b = vector.cross(met.at_a, reaction), vector.cross(met.at_b, force)
@@ -145,8 +152,35 @@ def _at_most(slots: Slots, before: Array, overlap: Array, approach: Array) -> Ar
     return jnp.where((before > 0) & (deeper > MIDDLE * slots.width), jnp.maximum(overlap, deeper), overlap)
 
 
-def _slip(memory: Memory, motion: Vector, approach: Array, normal: Vector, within: Array) -> Vector:
-    """The tangential part of a motion, [P] x 3 (m): of the step of first touch only the last part, overlap over approach."""
+def _part_in_touch(memory: Memory, approach: Array, within: Array) -> Array:
+    """The part of a step's motion along the surface that counts, [P]: in the step of first touch overlap over approach, else 1."""
     touching = (memory.overlap <= 0) & (within > 0)
-    part = jnp.where(touching, within / jnp.where(touching, jnp.maximum(approach, within), 1), 1)
-    return vector.kept(*vector.scale(part, vector.add_scaled(motion, approach, normal)))
+    return jnp.where(touching, within / jnp.where(touching, jnp.maximum(approach, within), 1), 1)
+
+
+def is_arm_due(state: State) -> Array:
+    """Whether the arms of friction about the normal are found anew in this step, [] bool."""
+    return state.step % ARM_STEPS == 0
+
+
+def _arm_of_friction(system: System, memory: Memory, met: Met, within: Array, is_due: Array) -> Array | None:
+    """Arm of friction about the normal (m), [P], of contacts that begin and every few steps; else that of before.
+
+    Stored energy does not depend on it (``contact.law.friction``), so that none comes from an arm that is a few steps old."""
+    before, moments = memory.arm, met.moments
+    if before is None or moments is None:
+        return None
+    begins = (memory.overlap <= 0) & (within > 0)
+    anew = begins | is_due
+    if met.weight is not None:
+        anew = anew & (begins | (met.weight > 0))
+    fresh = lambda: patch.friction_arm(moments())  # noqa: E731
+    found = jax.lax.cond(jnp.any(anew), fresh, lambda: before) if system.slot_block else fresh()
+    return vector.kept(jnp.where(anew, found, before))
+
+
+def _torsion(memory: Memory, arm: Array, normal: Vector, turn: Vector, part: Array) -> Torsion:
+    """Turning about the normal in this step, at the arm in the middle of it. part: of the step that counts, [P]."""
+    assert memory.arm is not None
+    middle = jnp.where(memory.overlap <= 0, arm, 0.5 * (memory.arm + arm))
+    return Torsion(arm, vector.kept(part * middle * vector.dot(turn, normal)))

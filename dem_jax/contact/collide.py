@@ -11,11 +11,13 @@ weighted by depth, from the edges of the two facing faces, so that it moves cont
 
 import operator
 from collections.abc import Callable, Iterable, Sequence
-from functools import reduce
+from functools import partial, reduce
 from typing import NamedTuple
 
 import jax.numpy as jnp
 
+from dem_jax.contact import patch
+from dem_jax.contact.patch import SecondMoments
 from dem_jax.maths import vector
 from dem_jax.maths.table import columns
 from dem_jax.maths.vector import Matrix, Vector, dot, expand, kept
@@ -41,6 +43,7 @@ Separation = tuple[Array, Vector, Array]  # what ``separating_axes`` says
 Axes = tuple[Vector, Vector, Vector, Vector]  # normals of a's and of b's faces, directions of a's and of b's edges, in a's frame
 Facing = tuple[Array, Array, Vector]  # see _facing
 Integrals = tuple[Array, Array, Array, Array]  # of depth (m2), and of depth times position, x, y, z (m3)
+Moments = Callable[[], SecondMoments]  # [P]: of a patch, found when they are asked for
 
 
 class Relative(NamedTuple):
@@ -65,6 +68,7 @@ class Geometry(NamedTuple):
     point: Vector  # [P] x 3 (m)
     weight: Array | None = None  # [P]: how much of the overlap is this body's, where panels continue each other
     deepest: Deepest | None = None  # of polytopes; None: the contact point
+    moments: Moments | None = None  # (m2) of the patch of polytopes about the point
 
 
 def hull_hull(a: Hulls, b: Hulls, rel: Relative, axes: Separation | None = None) -> Geometry:
@@ -73,8 +77,8 @@ def hull_hull(a: Hulls, b: Hulls, rel: Relative, axes: Separation | None = None)
     axes: what ``separating_axes`` says of them, if that is known already.
     """
     depth, normal, along = axes or separating_axes(a, b, rel)
-    point, weight = pressure_centre(a, b, rel, along, normal)
-    return Geometry(depth, normal, point, weight, _deepest(a, b, rel, normal, about(point, weight, along)))
+    point, weight, moments = contact_patch(a, b, rel, along, normal)
+    return Geometry(depth, normal, point, weight, _deepest(a, b, rel, normal, about(point, weight, along)), moments)
 
 
 def about(point: Vector, weight: Array, depth: Array) -> Deepest:
@@ -221,8 +225,9 @@ def _towards_b(normal: Vector, rel: Relative) -> Vector:
     return vector.scale(jnp.where(dot(normal, rel.offset) < 0, -1, 1).astype(normal[0].dtype), normal)
 
 
-def pressure_centre(a: Hulls, b: Hulls, rel: Relative, depth: Array, normal: Vector) -> tuple[Vector, Array]:
-    """Centroid of the overlap weighted by depth, [P] x 3 (m), in a's frame, and its weight [P] (m2).
+def contact_patch(a: Hulls, b: Hulls, rel: Relative, depth: Array, normal: Vector) -> tuple[Vector, Array, Moments]:
+    """Centroid of the overlap weighted by depth, [P] x 3 (m), in a's frame, its weight [P] (m2), and its second moments about
+    the centroid over the weight, [P] (m2).
 
     depth: [P] (m), the overlap along the normal.
 
@@ -233,10 +238,30 @@ def pressure_centre(a: Hulls, b: Hulls, rel: Relative, depth: Array, normal: Vec
     """
     on_b = vector.scale(-1, vector.rotate_back(rel.rotation, normal))
     rel = pressed(rel, depth, normal, b.bounding_radius)
-    top, (weight, x, y, z) = _zonogons(a, b, rel, normal, _facing(a, normal), _facing(b, on_b))
+    top, faces = _zonogons(a, b, rel, normal, _facing(a, normal), _facing(b, on_b))
+    weight = faces[0].weight + faces[1].weight
+    first = vector.add(*(vector.add(vector.scale(face.weight, face.centre), face.first) for face in faces))
     scale = 1 / jnp.where(weight > 0, weight, 1)
-    point = vector.where(weight > 0, vector.scale(scale, (x, y, z)), vector.scale(top - 0.5 * depth, normal))
-    return near_b(point, b.bounding_radius, rel, top - 0.5 * depth, normal), weight
+    centroid = vector.scale(scale, first)
+    point = vector.where(weight > 0, centroid, vector.scale(top - 0.5 * depth, normal))
+    moments = partial(_about_centroid, faces, scale, centroid, b.bounding_radius)
+    return near_b(point, b.bounding_radius, rel, top - 0.5 * depth, normal), weight, moments
+
+
+class _Zonogon(NamedTuple):
+    """What remains inside the other body of a face's edges."""
+
+    centre: Vector  # [P] x 3 (m): of the face
+    weight: Array  # [P] (m2): line integral of depth
+    first: Vector  # [P] x 3 (m3): of depth times position about the centre
+    second: Moments  # (m4): of depth times the products of two coordinates of it
+
+
+def _about_centroid(faces: Sequence[_Zonogon], scale: Array, centroid: Vector, radius: Array) -> SecondMoments:
+    """Second moments about a centroid (m2). scale: one over the weight of both faces; radius: (m), that bounds b."""
+    offsets = [vector.sub(face.centre, centroid) for face in faces]
+    about = [patch.shifted(f.second(), f.weight, f.first, offset) for f, offset in zip(faces, offsets, strict=True)]
+    return patch.bounded(patch.scale(scale, patch.add(*about)), radius)
 
 
 def pressed(rel: Relative, depth: Array, normal: Vector, radius: Array) -> Relative:
@@ -261,9 +286,11 @@ def near_b(point: Vector, radius: Array, rel: Relative, surface: Array, normal: 
     return vector.where(dot(away, away) > FURTHEST * radius * radius, below, point)
 
 
-def _zonogons(a: Hulls, b: Hulls, rel: Relative, normal: Vector, facing_a: Facing, facing_b: Facing) -> tuple[Array, Integrals]:
-    """Of the facing faces (``_facing``): a's extent along the normal [P] (m), and the line integrals of depth
-    and of depth times position over all edges, four arrays [P]. Half of the edges say all, which halves the work."""
+def _zonogons(
+    a: Hulls, b: Hulls, rel: Relative, normal: Vector, facing_a: Facing, facing_b: Facing
+) -> tuple[Array, tuple[_Zonogon, _Zonogon]]:
+    """Of the facing faces (``_facing``): a's extent along the normal [P] (m), and of both what remains inside the other body.
+    Half of the edges say all, which halves the work."""
     assert a.loops is not None and b.loops is not None
     turn = vector.expand_matrix(rel.rotation, 0)
     (face_a, side_a, up_a), (face_b, side_b, up_b) = facing_a, facing_b
@@ -284,11 +311,10 @@ def _zonogons(a: Hulls, b: Hulls, rel: Relative, normal: Vector, facing_a: Facin
     open_a = kept(*_without_back(slabs_a[1], side_a, b.bounding_radius))
     open_b = kept(*_without_back(slabs_b[1], side_b, a.bounding_radius))
     from_b = vector.sub(centre_a, rel.offset)
-    inside = _clipped_zonogon(from_b, edges_a, slabs_b[0], open_b, deep_a, rise_a, is_open)
-    other = _clipped_zonogon(centre_b, edges_b, slabs_a[0], open_a, deep_b, rise_b, None)
-    weight = inside[0] + other[0]
-    about = vector.add(vector.scale(inside[0], centre_a), vector.scale(other[0], centre_b))
-    return top, (weight, *vector.add(about, vector.add(inside[1:], other[1:])))
+    (weight, *first), second = _clipped_zonogon(from_b, edges_a, slabs_b[0], open_b, deep_a, rise_a, is_open)
+    of_a = _Zonogon(centre_a, weight, (first[0], first[1], first[2]), second)
+    (weight, *first), second = _clipped_zonogon(centre_b, edges_b, slabs_a[0], open_a, deep_b, rise_b, None)
+    return top, (of_a, _Zonogon(centre_b, weight, (first[0], first[1], first[2]), second))
 
 
 def _without_back(offsets: Array, side: Array, other: Array) -> tuple[Array, Array]:
@@ -347,9 +373,9 @@ def _clipped_zonogon(
     depth: Array,
     rise: Array,
     is_open: Array | None,
-) -> Integrals:
+) -> tuple[Integrals, Moments]:
     """Line integrals of depth, and of depth times position about the centre, over the part of a face's edges that is
-    inside a zonotope: four arrays [P] (m2, m3).
+    inside a zonotope: four arrays [P] (m2, m3); second moments likewise.
 
     centre: [P] x 3 (m), of the face relative to the zonotope's; edges: [K, P] x 3 (m), the first half of them in
     order, the others being opposite; normals: [m, P] x 3; slabs: middles and halves [m, P] (m), the zonotope being where all
@@ -368,19 +394,29 @@ def _clipped_zonogon(
     at_centre, half = kept(dot(normals, expand(centre, 0)) - middle)[:, None] * inverse, half[:, None] * jnp.abs(inverse)
     at_corner = kept(dot(across, expand(corner, 0)) * inverse)
     length, to_begin = kept(vector.norm(edges), _begin(rise))
-    sums = []
+    sums, clips = [], []
     # Of the edge that begins at a corner, and of the opposite one:
     for k, sign, before in ((0, 1, at_corner + at_centre), (1, -1, at_corner - at_centre)):
         start, end = -jnp.min(before + half, axis=0), -jnp.max(before - half, axis=0)
-        weight, along = _integrals(start, end, length, depth[None] + sign * to_begin, sign * rise)
-        if is_open is not None:  # an edge in the middle of a wall is no edge of the overlap
-            part = is_open[k * count : (k + 1) * count]
+        weight, along, start, end = _integrals(start, end, length, depth[None] + sign * to_begin, sign * rise)
+        part = None if is_open is None else is_open[k * count : (k + 1) * count]
+        clips.append((start, end, weight, along, sign, part))
+        if part is not None:  # an edge in the middle of a wall is no edge of the overlap
             weight, along = part * weight, part * along
         sums.append((weight, sign * weight, sign * along))
     both = [p + q for p, q in zip(*sums, strict=True)]
     total = jnp.sum(both[0], axis=0)
     x, y, z = (jnp.sum(both[1] * c + both[2] * e, axis=0) for c, e in zip(corner, edges, strict=True))
-    return total, x, y, z
+
+    def moments() -> SecondMoments:  # of which opposite edges have the same
+        integrals = []
+        for start, end, weight, along, sign, part in clips:
+            square = _square(start, end, length, depth[None] + sign * to_begin, sign * rise, along)
+            integrals.append([x if part is None else part * x for x in (weight, along, square)])
+        weight, along, square = (p + q for p, q in zip(*integrals, strict=True))
+        return SecondMoments(*(_sum(entry) for entry in patch.of_edges(corner, edges, (weight, along, square))))
+
+    return (total, x, y, z), moments
 
 
 def _begin(steps: Array) -> Array:
@@ -403,16 +439,18 @@ def crossings(points: Vector, normals: Vector, offsets: Array) -> tuple[Array, A
     return _extreme(jnp.max, jnp.where(du < 0, crossing, -jnp.inf)), _extreme(jnp.min, jnp.where(du < 0, jnp.inf, crossing))
 
 
-def clipped(start: Array, end: Array, corners: Vector, depth: Array) -> Integrals:
+def clipped(start: Array, end: Array, corners: Vector, depth: Array) -> tuple[Integrals, Moments]:
     """For each edge of a face, the line integral of depth over its part inside a polytope, and of depth times position:
-    four arrays [k, ..] (m2, m3).
+    four arrays [k, ..] (m2, m3); second moments likewise.
 
     start, end: [k, ..], ``crossings``; corners: [k + 1, ..] x 3 (m); depth: [k + 1, ..] (m), at them.
     """
-    edge = vector.each(lambda c: c[1:] - c[:-1], corners)
-    weight, along = _integrals(start, end, vector.norm(edge), depth[:-1], depth[1:] - depth[:-1])
-    x, y, z = (weight * c[:-1] + along * e for c, e in zip(corners, edge, strict=True))
-    return weight, x, y, z
+    corner, edge = vector.at(corners, slice(-1)), vector.each(lambda c: c[1:] - c[:-1], corners)
+    length, rise = vector.norm(edge), depth[1:] - depth[:-1]
+    weight, along, start, end = _integrals(start, end, length, depth[:-1], rise)
+    x, y, z = (weight * c + along * e for c, e in zip(corner, edge, strict=True))
+    square = partial(_square, start, end, length, depth[:-1], rise, along)
+    return (weight, x, y, z), lambda: patch.of_edges(corner, edge, (weight, along, square()))
 
 
 def _extreme(of: Callable[..., Array], rows: Array) -> Array:
@@ -423,13 +461,22 @@ def _extreme(of: Callable[..., Array], rows: Array) -> Array:
     return of(jnp.stack([of(rows[k : k + AT_ONCE], axis=0) for k in range(0, rows.shape[0], AT_ONCE)]), axis=0)
 
 
-def _integrals(start: Array, end: Array, length: Array, depth: Array, rise: Array) -> tuple[Array, Array]:
-    """Integrals of depth, and of depth times t, over the part of edges (t from 0 to 1) from start to end, [k, P] (m2)."""
+def _integrals(start: Array, end: Array, length: Array, depth: Array, rise: Array) -> tuple[Array, Array, Array, Array]:
+    """Integrals of depth, and of depth times t, over the part of edges (t from 0 to 1) from start to end, [k, P] (m2); start and
+    end of that part."""
     start, end = kept(jnp.clip(start, 0, 1), jnp.clip(end, 0, 1))
     part = jnp.maximum(end - start, 0)
     middle = 0.5 * (start + end)
     weight = part * length * jnp.maximum(depth + rise * middle, 0)
-    return kept(weight, weight * middle + part * part * part * rise * length / 12)
+    return *kept(weight, weight * middle + part * part * part * rise * length / 12), start, end
+
+
+def _square(start: Array, end: Array, length: Array, depth: Array, rise: Array, along: Array) -> Array:
+    """Integral of depth times t^2, likewise. along: that of depth times t."""
+    part = jnp.maximum(end - start, 0)
+    middle = 0.5 * (start + end)
+    at_middle = jnp.maximum(depth + rise * middle, 0)
+    return middle * along + part * part * part * length / 12 * (at_middle + rise * middle)
 
 
 def sphere_sphere(radius_a: Array, radius_b: Array, offset: Vector) -> Geometry:

@@ -1,18 +1,19 @@
 """Contact forces of one configuration: for each kind of contact, geometry, then the contact law, then sums over bodies."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
 
 from dem_jax.contact import bodies, boundary, collisions, of_run, seams
-from dem_jax.contact.answer import Contacts, answer, no_contacts, no_touch, within
+from dem_jax.contact.answer import Contacts, answer, is_arm_due, no_contacts, no_touch, within
 from dem_jax.contact.blocks import block_of, block_of_slots, block_size, in_one, with_block
 from dem_jax.contact.bodies import Body
 from dem_jax.contact.geometry import NOTHING, Known, geometry
 from dem_jax.contact.ledger import entered
-from dem_jax.contact.met import Met, met, no_met, of_pieces
+from dem_jax.contact.met import Met, met, moments_in_world, no_met, of_pieces
 from dem_jax.maths import vector
 from dem_jax.maths.table import columns
 from dem_jax.maths.vector import Vector
@@ -62,19 +63,19 @@ def _contacts_of_kind(system: System, state: State, kind: str, stacked: Array, l
     near, facing = state.scratch.near.get(kind), state.scratch.facing.get(kind)
     room = table.a.shape[0]
     size = block_size(system, kind, room)
-    none = jnp.zeros((system.runs,), stacked.dtype)
+    none, is_due = jnp.zeros((system.runs,), stacked.dtype), is_arm_due(state)
     start = table.memory, facing, loads, none, no_touch(system, table.memory.overlap)
     if kind in state.scratch.siblings:
         return _of_shared_surfaces(system, state, kind, stacked, start, column, size)
     if not size:
-        part, facing = _resolve(system, kind, _sides(stacked, slots, table.memory), _known(near, facing))
+        part, facing = _resolve(system, kind, _sides(stacked, slots, table.memory), _known(near, facing), is_due)
         return part.memory, facing, _put(loads, part, column, room), part.overlap, part.touch
 
     def block(k: Array, carry: OfKind) -> OfKind:
         memory, facing, loads, overlap, touch = carry
         rows = block_of_slots(system, kind, slots, k, size)
         known = _known(near, facing, lambda tree: block_of(tree, k, size))
-        part, seen = _resolve(system, kind, _sides(stacked, rows, in_one(kind, block_of(memory, k, size))), known)
+        part, seen = _resolve(system, kind, _sides(stacked, rows, in_one(kind, block_of(memory, k, size))), known, is_due)
         memory = with_block(memory, in_one(kind, part.memory), k, size)
         facing, touch = with_block((facing, touch), (seen, part.touch), k, size)
         return memory, facing, _put(loads, part, column + k * size, room), jnp.maximum(overlap, part.overlap), touch
@@ -87,7 +88,7 @@ def _of_shared_surfaces(system: System, state: State, kind: str, stacked: Array,
     part each has, then the contact law. start: what there is before the step; size: of a block, 0: all at once."""
     slots, siblings = state.scratch.slots[kind], state.scratch.siblings[kind]
     near, before = state.scratch.near.get(kind), start[0]
-    room = slots.b.shape[0]
+    room, is_due = slots.b.shape[0], is_arm_due(state)
     size = size or room
     if not system.slot_block:
         siblings = siblings.replace(most=system.touching)
@@ -108,10 +109,20 @@ def _of_shared_surfaces(system: System, state: State, kind: str, stacked: Array,
         memory, rows, a, b, offset = side(k)
         depth, rest, facing = geometry(system, kind, rows, a, b, offset, known)
         there = (within(system, rows, depth) > 0) & rows.live | (memory.overlap > 0)
-        part = if_any(there, lambda: seams.own(rows, met(rows, a, b, offset, rest())), lambda: block_of(nothing, k, size))
+        none = block_of(nothing, k, size)
+
+        def own() -> Met:
+            part = seams.own(rows, met(rows, a, b, offset, rest()))
+            if part.moments is None:
+                return part
+            fresh = partial(moments_in_world, a, part.moments)
+            spread = if_any(is_due | there & (memory.overlap <= 0), fresh, lambda: none.spread)
+            return part._replace(moments=None, spread=spread)
+
+        part = if_any(there, own, lambda: none)
         return with_block(carry, (part, facing), k, size)
 
-    nothing = no_met(kind, room, stacked.dtype)
+    nothing = no_met(kind, slots, stacked.dtype)
     touch, facing = by_blocks(touched, (nothing, start[1]))
     assert touch.weight is not None
     weight = jnp.where(within(system, slots, touch.overlap) > 0, touch.weight, 0)
@@ -132,7 +143,7 @@ def _of_shared_surfaces(system: System, state: State, kind: str, stacked: Array,
             of = seams.of_block(slots, siblings, touch.normal, k, size)
             here = block_of(touch, k, size)
             one, memory = seams.joined(rows, touch, share, before, here, of_pieces(a, b, offset), of)
-            return answer(system, memory, rows, a, b, offset, one, _turn(system, kind, a, b), block_of(share, k, size))
+            return answer(system, memory, rows, a, b, offset, one, _turn(system, kind, a, b), is_due, block_of(share, k, size))
 
         part = if_any(there, together, lambda: no_contacts(system, own, rows))
         memory, began = with_block((memory, began), (part.memory, part.touch), k, size)
@@ -165,12 +176,12 @@ def _turn(system: System, kind: str, a: Body, b: Body) -> Vector | None:
     return vector.scale(system.dt, vector.sub(b.spin, a.spin)) if kind == "hulls" else None
 
 
-def _resolve(system: System, kind: str, side: Sides, known: Known) -> tuple[Contacts, Facing | None]:
+def _resolve(system: System, kind: str, side: Sides, known: Known, is_due: Array) -> tuple[Contacts, Facing | None]:
     """Geometry and contact law of the contacts of one kind."""
     memory, slots, a, b, offset = side
     depth, rest, facing = geometry(system, kind, slots, a, b, offset, known)
     turn = _turn(system, kind, a, b)
-    loaded = lambda: answer(system, memory, slots, a, b, offset, met(slots, a, b, offset, rest()), turn)  # noqa: E731
+    loaded = lambda: answer(system, memory, slots, a, b, offset, met(slots, a, b, offset, rest()), turn, is_due)  # noqa: E731
     if kind != "hulls" or not system.slot_block:
         return loaded(), facing
     is_touching = jnp.any((within(system, slots, depth) > 0) & slots.live | (memory.overlap > 0))

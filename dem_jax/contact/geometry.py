@@ -108,8 +108,8 @@ def _centred(
     if reach is None:
         return collide.Geometry(axes.depth, axes.normal, *near.touched(table, rows, faces, planes, rel, axes))
     nearer = rel._replace(offset=vector.add_scaled(rel.offset, -reach, axes.normal))
-    point, weight, deepest = near.touched(table, rows, faces, planes, nearer, axes._replace(along=axes.along + reach))
-    return collide.Geometry(axes.depth, axes.normal, vector.add_scaled(point, 0.5 * reach, axes.normal), weight, deepest)
+    found = near.touched(table, rows, faces, planes, nearer, axes._replace(along=axes.along + reach))
+    return collide.Geometry(axes.depth, axes.normal, vector.add_scaled(found[0], 0.5 * reach, axes.normal), *found[1:])
 
 
 def _between_zonotopes(

@@ -5,9 +5,10 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax.typing import DTypeLike
 
-from dem_jax.contact import collide
+from dem_jax.contact import collide, patch
 from dem_jax.contact.bodies import Body
-from dem_jax.contact.collide import Deepest
+from dem_jax.contact.collide import Deepest, Moments
+from dem_jax.contact.patch import SecondMoments
 from dem_jax.maths import vector
 from dem_jax.maths.vector import Vector
 from dem_jax.types import Array, Slots
@@ -22,11 +23,14 @@ class Met(NamedTuple):
     at_b: Vector  # from that of b
     weight: Array | None  # [P]: as of ``collide.Geometry``
     deepest: Deepest | None  # from the centre of b; None: where they touch
+    moments: Moments | None = None  # as of ``collide.Geometry``, in any axes
+    spread: SecondMoments | None = None  # of what is part of a patch: the same in world axes
 
 
 def met(slots: Slots, a: Body, b: Body, offset: Vector, shape: collide.Geometry) -> Met:
     """Contacts of a shape in world axes, about the centre of a."""
     overlap = jnp.where(slots.live, shape.depth, -1)
+    moments = None if slots.patch is None else shape.moments
 
     def from_b(point: Vector) -> Vector:
         part = vector.sub(point, offset)
@@ -35,7 +39,13 @@ def met(slots: Slots, a: Body, b: Body, offset: Vector, shape: collide.Geometry)
     at_b = from_b(shape.point)
     at_a = shape.point if a.arm is None else vector.add(at_b, of_pieces(a, b, offset))
     deepest = shape.deepest and shape.deepest._replace(point=from_b(shape.deepest.point))
-    return Met(overlap, shape.normal, at_a, at_b, shape.weight, deepest)
+    return Met(overlap, shape.normal, at_a, at_b, shape.weight, deepest, moments)
+
+
+def moments_in_world(a: Body, moments: Moments) -> SecondMoments:
+    """Those that ``moments`` says in a's frame."""
+    assert a.rotation is not None
+    return patch.rotated(a.rotation, moments())
 
 
 def of_pieces(a: Body, b: Body, offset: Vector) -> Vector:
@@ -43,8 +53,9 @@ def of_pieces(a: Body, b: Body, offset: Vector) -> Vector:
     return offset if a.arm is None or b.arm is None else vector.add(offset, vector.sub(a.arm, b.arm))
 
 
-def no_met(kind: str, room: int, dtype: DTypeLike) -> Met:
-    """So many slots of a kind in which nothing touches."""
-    zero = jnp.zeros((room,), dtype)
+def no_met(kind: str, slots: Slots, dtype: DTypeLike) -> Met:
+    """Slots of a kind, of surfaces that others continue, in which nothing touches."""
+    zero = jnp.zeros(slots.b.shape, dtype)
     deepest = Deepest((zero,) * 3, zero) if kind == "hulls" else None
-    return Met(zero - 1, (zero,) * 3, (zero,) * 3, (zero,) * 3, zero, deepest)
+    spread = None if slots.patch is None else SecondMoments(*(zero,) * 6)
+    return Met(zero - 1, (zero,) * 3, (zero,) * 3, (zero,) * 3, zero, deepest, spread=spread)

@@ -9,9 +9,11 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from dem_jax.contact import patch
 from dem_jax.contact.collide import (
     FACE_PREFERENCE,
     Deepest,
+    Moments,
     Relative,
     about,
     clipped,
@@ -24,6 +26,7 @@ from dem_jax.contact.collide import (
 )
 from dem_jax.contact.edges import couples
 from dem_jax.contact.look import facing, look, outward
+from dem_jax.contact.patch import SecondMoments
 from dem_jax.maths import vector
 from dem_jax.maths.once import once
 from dem_jax.maths.table import columns
@@ -150,50 +153,58 @@ def every_plane(hulls: Hulls, rows: Rows) -> Planes:
 
 def touched(
     hulls: Hulls, rows: Rows, faces: Array, planes: Planes, rel: Relative, found: Axes
-) -> tuple[Vector, Array, Deepest]:
-    """Centroid of the overlap weighted by depth, [P] x 3 (m), in a's frame, its weight [P] (m2), and where it is deepest; of
-    pairs [P].
+) -> tuple[Vector, Array, Deepest, Moments]:
+    """Centroid of the overlap weighted by depth, [P] x 3 (m), in a's frame, its weight [P] (m2), where it is deepest, and its
+    second moments about the centroid over the weight, [P] (m2); of pairs [P].
 
     rows: of both, [P] int32; faces: of both, [2, P] int32; planes: that clip; found: depth along the normal.
 
     The edges of the face of each body that looks most along the normal are clipped by the other body; over what
     remains inside, the depth along the normal below the other's face is linear, and its line integral is closed
-    (``collide.pressure_centre`` says why below the face). Both bodies in one, [.., 2, P]: what is clipped twice would be
+    (``collide.contact_patch`` says why below the face). Both bodies in one, [.., 2, P]: what is clipped twice would be
     compiled twice.
     """
     assert hulls.loops is not None and hulls.features is not None
     turn, d = vector.expand_matrix(rel.rotation, 0), expand(rel.offset, 0)
     column = kept(faces * hulls.row.shape[0] + jnp.stack(rows))
     own_a, own_b = (vectors(hulls.loops, at) for at in column)
-    a_in_b = vector.rotate_back(turn, vector.sub(own_a, d))
-    b_in_a = kept(*vector.add(vector.rotate(turn, own_b), d))
-    seen, corners = _sides(a_in_b, b_in_a), _sides(own_a, b_in_a)  # where the other has its planes; in a's frame
+    from_b, around_b = vector.sub(own_a, d), vector.rotate(turn, own_b)  # about b's origin, in a's frame
+    seen = _sides(vector.rotate_back(turn, from_b), vector.add(around_b, d))  # where the other has its planes
+    corners = _sides(from_b, around_b)
     plane = hulls.features.own_planes[:, faces[::-1], jnp.stack(rows[::-1])]  # of the other's face, in its frame
     front, n = unpack(plane), found.normal
     out_of_b = vector.scale(-1, vector.rotate_back(rel.rotation, n))
     steep = jnp.stack([steepness(vector.at(front, 0), out_of_b), steepness(vector.at(front, 1), n)])
     depth = kept((plane[3][None] - dot(expand(front, 0), seen)) / steep[None])
-    parts: tuple[Array, ...] = clipped(*_inside(hulls, rows, seen, planes, front), corners, depth)
+    parts, second = clipped(*_inside(hulls, rows, seen, planes, front), corners, depth)
+    is_open = host(1)
     if hulls.open_edges is not None:  # an edge in the middle of a wall, or of a body of parts, is no edge of the overlap
         is_open = columns(hulls.open_edges, column)
-        parts = tuple(is_open * part for part in parts)
-    weight, x, y, z = (jnp.sum(part, axis=(0, 1)) for part in parts)
+    weight, x, y, z = (jnp.sum(part if hulls.open_edges is None else is_open * part, axis=(0, 1)) for part in parts)
     scale = 1 / jnp.where(weight > 0, weight, 1)
+    centroid, radius = vector.scale(scale, (x, y, z)), hulls.bounding_radius[rows[1]]
     middle = found.top - 0.5 * found.along
-    point = vector.where(weight > 0, vector.scale(scale, (x, y, z)), vector.scale(middle, found.normal))
-    point = near_b(point, hulls.bounding_radius[rows[1]], rel, middle, found.normal)
-    return point, weight, _deepest(corners, depth, steep, about(point, weight, found.along))
+    point = vector.where(weight > 0, vector.add(centroid, rel.offset), vector.scale(middle, found.normal))
+    point = near_b(point, radius, rel, middle, found.normal)
+
+    def moments() -> SecondMoments:
+        of_edges = SecondMoments(*(jnp.sum(is_open * entry, axis=(0, 1)) for entry in second()))
+        about = patch.add(patch.scale(scale, of_edges), patch.scale(host(-1), patch.product(centroid, centroid)))
+        return patch.bounded(about, radius)
+
+    return point, weight, _deepest(corners, depth, steep, rel.offset, about(point, weight, found.along)), moments
 
 
-def _deepest(corners: Vector, depth: Array, steep: Array, between: Deepest) -> Deepest:
+def _deepest(corners: Vector, depth: Array, steep: Array, offset: Vector, between: Deepest) -> Deepest:
     """The corner that is deepest below a face across the normal of the contact, if there is one; between: else.
 
-    corners: [k, 2, P] x 3 (m), of the faces that look at each other; depth: [k, 2, P] (m), below the other; steep: [2, P].
+    corners: [k, 2, P] x 3 (m), of the faces that look at each other, about b's origin; depth: [k, 2, P] (m), below the other;
+    steep: [2, P]; offset: [P] x 3 (m), of b's origin.
     """
     _, corner = _least(-depth, corners)
     of_b = steep[1] >= steep[0]  # the face across the normal is a's, so that the corner is b's
     x, y, z = (jnp.where(of_b, c[1], c[0]) for c in corner)
-    return corner_unless(jnp.maximum(steep[0], steep[1]) < 1 - PARALLEL, (x, y, z), between)
+    return corner_unless(jnp.maximum(steep[0], steep[1]) < 1 - PARALLEL, vector.add((x, y, z), offset), between)
 
 
 def _sides(a: Vector, b: Vector) -> Vector:

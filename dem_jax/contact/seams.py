@@ -9,22 +9,27 @@ by as much.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
 
+from dem_jax.contact import patch
 from dem_jax.contact.collide import Deepest
 from dem_jax.contact.met import Met
+from dem_jax.contact.patch import SecondMoments
 from dem_jax.maths import vector
 from dem_jax.maths.compaction import grouped
 from dem_jax.maths.vector import Vector
-from dem_jax.types import Array, Memory, Siblings, Slots, System
+from dem_jax.types import Array, Memory, Siblings, Slots, System, host
 
 ONE_WAY = 0.98  # cosine between normals, from which on contacts with parts of one body are one
 
 T = TypeVar("T")
 Best = tuple[Array, Array]  # an overlap (m), and the slot that has it
+Spread = tuple[SecondMoments, ...]  # one, or none
+Sums = tuple[Vector, Spread]
 
 
 class Kin(NamedTuple):
@@ -105,24 +110,33 @@ def joined(slots: Slots, met: Met, share: Array, before: Memory, own: Met, offse
 
     met, share, before: of all slots; own, offset (m, between the centres of pieces): of the block."""
     parts = vector.kept(*vector.scale(share, met.at_b))
+    spread = () if met.spread is None else (patch.scale(share, patch.add(met.spread, patch.product(met.at_b, met.at_b))),)
     overlaps = (before.overlap,) if slots.surface_b is None else (before.overlap, met.overlap)
     nothing = (jnp.full(of.number.shape, -jnp.inf, share.dtype), of.itself)  # how deep the deepest so far is, and which it is
 
-    def another(so_far: tuple[Vector, list[Best]], slot: Array, there: Array) -> tuple[Vector, list[Best]]:
+    def another(so_far: tuple[Sums, list[Best]], slot: Array, there: Array) -> tuple[Sums, list[Best]]:
         total, deepest = so_far
-        total = vector.add(total, vector.each(lambda c: jnp.where(there, c[slot], 0), parts))
+        total = jax.tree.map(lambda sum_, c: sum_ + jnp.where(there, c[slot], 0), total, (parts, spread))
         return total, [_deeper(best, overlap[slot], slot, there) for best, overlap in zip(deepest, overlaps, strict=True)]
 
-    total, deepest = _over(of, another, (vector.each(jnp.zeros_like, own.at_b), [nothing for _ in overlaps]))
+    zero = jax.tree.map(lambda _: jnp.zeros_like(own.overlap), (parts, spread))
+    (total, spread), deepest = _over(of, another, (zero, [nothing for _ in overlaps]))
     memory = jax.tree.map(lambda rows: rows[..., deepest[0][1]], before)
     at_b = vector.where(of.number > 0, total, own.at_b)
-    one = own._replace(at_b=at_b, at_a=vector.add(at_b, offset))
+    moments = None if own.spread is None else partial(_moments, of, spread, at_b, own.spread)
+    one = own._replace(at_b=at_b, at_a=vector.add(at_b, offset), moments=moments, spread=None)
     if slots.surface_b is None:
         return one, memory
     pick, has_part = deepest[1][1], own.overlap > -1
     normal = vector.where(has_part, vector.at(met.normal, pick), own.normal)
     overlap = jnp.where(has_part, met.overlap[pick], own.overlap)
     return one._replace(overlap=overlap, normal=normal, deepest=_picked(has_part, pick, met.deepest, own.deepest)), memory
+
+
+def _moments(of: Kin, spread: Spread, centroid: Vector, own: SecondMoments) -> SecondMoments:
+    """Second moments (m2), [B], of the whole patch about its centroid. spread: about the centre of b, where there are siblings."""
+    about = patch.add(*spread, patch.scale(host(-1), patch.product(centroid, centroid)))
+    return SecondMoments(*(jnp.where(of.number > 0, c, d) for c, d in zip(about, own, strict=True)))
 
 
 def _picked(there: Array, pick: Array, of_all: Deepest | None, own: Deepest | None) -> Deepest | None:

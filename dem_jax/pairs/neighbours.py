@@ -254,7 +254,8 @@ def empty_near(system: System, room: int) -> tuple[Near, Facing]:
 def no_memory(system: System, slots: Slots) -> Memory:
     """The memory of contacts that begin, in slots."""
     zero = jnp.zeros(slots.a.shape, system.dt.dtype)
-    return Memory(zero, jnp.zeros((3, *zero.shape), zero.dtype), system.law.start(slots.pair, zero))
+    arm = None if slots.patch is None else zero
+    return Memory(zero, jnp.zeros((3, *zero.shape), zero.dtype), system.law.start(slots.pair, zero), arm)
 
 
 def no_contacts(system: System) -> dict[str, ContactTable]:

@@ -8,7 +8,7 @@ from dem_jax.contact.law import Couple
 from dem_jax.contact.law.springs import series
 from dem_jax.contact.materials import couple
 from dem_jax.maths.compaction import EMPTY
-from dem_jax.types import Array, Hulls, Slots, System
+from dem_jax.types import Array, Hulls, Patch, Slots, System
 
 
 def constants(system: System, kind: str, a: Array, b: Array) -> Slots:
@@ -26,6 +26,7 @@ def _with_polytopes(system: System, kind: str, live: Array, a: Array, b: Array) 
     wall, own, panel = a >= number, jnp.minimum(a, number - 1), jnp.maximum(a - number, 0)
     piece_a, piece_b = parts.piece(own), parts.piece(b)
     by_tables = table.features is None  # else a contact of polytopes looks up what it needs
+    patch = Patch() if kind == "hulls" and system.materials.friction is not None else None
     return Slots(
         live=live,
         a=a,
@@ -37,7 +38,8 @@ def _with_polytopes(system: System, kind: str, live: Array, a: Array, b: Array) 
         width=jnp.where(wall, pieces.width[piece_b], jnp.minimum(pieces.width[piece_a], pieces.width[piece_b])),
         surface_a=_surface(system, kind, wall, own, panel, live),
         surface_b=None if parts.surface is None else parts.surface[b],
-        pair=system.law.pair(_couple(system, wall, piece_a, panel, piece_b)),
+        patch=patch,
+        pair=system.law.pair(_couple(system, wall, piece_a, panel, piece_b)._replace(patch=patch)),
     )
 
 

@@ -6,7 +6,7 @@ from dem_jax.validation import chain, chung_ooi, classics, poured, squeeze, stat
 from dem_jax.validation.problem import Problem
 
 FAMILIES: dict[str, Callable[[], Iterable[Problem]]] = {
-    "single pieces": lambda: [classics.landing(), classics.corner(), classics.spinning()],
+    "single pieces": lambda: [classics.landing(), classics.corner(), classics.spinning(), classics.turning()],
     **{f"Chung and Ooi, {law}": lambda law=law: chung_ooi.problems(law) for law in chung_ooi.LAWS},  # type: ignore[misc]
     "rest": lambda: [statics.tower(), statics.groove("sphere"), statics.groove("cuboid")],
     "rows": lambda: [chain.cradle()],

@@ -8,7 +8,7 @@ import numpy as np
 
 from dem_jax import build
 from dem_jax.maths.pose import matrix_of_quaternion
-from dem_jax.scene import Scene
+from dem_jax.scene import Scene, load_scene
 from dem_jax.store.run import Run
 from dem_jax.validation.eccentric import EccentricImpact
 from dem_jax.validation.normal import NormalImpact
@@ -21,6 +21,9 @@ RADIUS = 0.5 * (6 * 19440e-9 / np.pi) ** (1 / 3)  # m: a sphere of the marshmall
 SPIN = (0.5, 30.0, 0.5)  # rad/s, body axes
 TILT = tuple(float(x) for x in np.array([0.9, 0.3, 0.25, 0.1]) / np.linalg.norm([0.9, 0.3, 0.25, 0.1]))
 RESTITUTIONS = [0.1, 0.3, 0.5, 0.7, 1.0]
+TURNS, ROUGH = 10.0, 0.6  # rad/s; mu
+SQUARE, DISC = 0.02, 0.01  # m: side, radius
+SQUARE_ARM = (np.sqrt(2) + np.arcsinh(1)) / 6 * SQUARE  # mean distance of its points from its centre (m), 0.3826 of the side
 
 
 def _built(scene: Scene) -> build.Built:
@@ -126,3 +129,45 @@ def _spins(run: Run) -> Compared:
 def _spins_exactly(case: FreeRotation) -> Compared:
     time = np.arange(49) * case.period / 48
     return {"spin": case.spin_at(time)}
+
+
+def turning(law: str = "walton-braun") -> Problem:
+    """A flat square box and a flat disc that spin on the plate about the vertical, until friction has stopped them."""
+    heights, sunk = (0.01, 0.004), 1e-8
+    shapes = {"shape": "cuboid", "size": (SQUARE, SQUARE, heights[0])}, {"shape": "cylinder", "radius": DISC, "height": heights[1]}
+    pieces = [
+        shape | {"position": (x, 0.0, height / 2 - sunk), "angular_velocity": (0.0, 0.0, TURNS)}
+        for shape, height, x in zip(shapes, heights, (-0.05, 0.05), strict=True)
+    ]
+    scene = load_scene("plate-drop").replace(
+        piece=pieces,
+        contact={"law": law},
+        material={"friction_wall": ROUGH, "restitution": 0.1, "softening": 1.0},
+        run={"gravity": (0.0, 0.0, -GRAVITY), "duration": 0.02, "sample": 5e-4, "frames": 5e-4},
+    )
+    return Problem(
+        name="a box and a disc that spin on the plate",
+        source="dry friction under a uniform pressure: torque mu m g times the mean distance from the centre",
+        scene=scene,
+        measured=_turns,
+        exact=_turns_exactly,
+        bounds={"box": 0.01, "disc": 0.01},
+        scale={"box": TURNS, "disc": TURNS},
+    )
+
+
+def _stopping() -> dict[str, float]:
+    """Angular deceleration (rad/s2)."""
+    return {"box": ROUGH * GRAVITY * SQUARE_ARM / (SQUARE**2 / 6), "disc": ROUGH * GRAVITY * (2 / 3 * DISC) / (DISC**2 / 2)}
+
+
+def _turns(run: Run) -> Compared:
+    """Spin about the vertical while it lasts."""
+    assert run.pieces is not None
+    spin, time = np.asarray(run.pieces.angular_velocity[:, :, 2], float), np.asarray(run.pieces.time, float)
+    return {name: spin[time < 0.95 * TURNS / rate, k] for k, (name, rate) in enumerate(_stopping().items())}
+
+
+def _turns_exactly() -> Compared:
+    time = np.arange(41) * 5e-4
+    return {name: TURNS - rate * time[time < 0.95 * TURNS / rate] for name, rate in _stopping().items()}

@@ -14,6 +14,7 @@ import jax
 
 from dem_jax.contact.law.springs import Real
 from dem_jax.maths.vector import Vector
+from dem_jax.types import Patch
 
 Array = jax.Array
 
@@ -33,6 +34,14 @@ class Couple(NamedTuple):
     friction: Array | None  # mu; None where no pair of the scene has any
     pull_off: Array | None  # (N): largest adhesive force; None where no pair of the scene has any
     rolling: Array | None = None  # mu_r; None where no pair of the scene has any
+    patch: Patch | None = None  # of polytopes with friction; None: bodies that touch at a point
+
+
+class Torsion(NamedTuple):
+    """The turning of one body on the other about the normal, as friction of a contact patch meets it, arrays [P]."""
+
+    arm: Array  # (m): mean distance at which friction acts from the contact point, see ``contact.patch``
+    slip: Array  # (m): how far b has slid past a at that distance in this step, counter-clockwise about the normal
 
 
 class Contact(NamedTuple):
@@ -45,6 +54,7 @@ class Contact(NamedTuple):
     dt: Array  # (s)
     turn: Vector | None = None  # [P] x 3 (rad): turn of b relative to a in this step, world axes; None unless both are polytopes
     roll: Vector | None = None  # the same, of bodies of any kind; None where no pair of the scene has rolling friction
+    torsion: Torsion | None = None  # None: the bodies touch at a point, or without friction
     resolved: Array | float = 1.0  # 0 where the time step is too near the stability limit to tell what happens within it
 
 

@@ -1,11 +1,66 @@
-"""Tangential spring with the Coulomb limit, which the laws of normal force share; knows no geometry."""
+"""Tangential spring with the Coulomb limit, which the laws of normal force share; knows no geometry.
+
+Where bodies touch over a patch it also holds them against turning about the normal: with the arm r of the patch
+(``contact.patch``) and the turn d phi of one on the other, a spring of the same stiffness acts on the way r d phi,
+
+    df = -K_t r d phi,    M = r f,    sqrt(|F_t|^2 + f^2) <= mu F_n.
+
+The torque alone is at most mu F_n r, and force and torque share one limit, the ellipsoid of Howe and Cutkosky (Int. J. Robotics
+Research 15 (1996) 531-549; Goyal, Ruina and Papadopoulos, Wear 143 (1991) 307-330): a body that slides hardly resists a slow
+turn, and the more it spins the less it resists sliding. Its normal is the direction of slip, so that friction takes what it
+can. What is stored is f^2 / 2 K_t whatever the arm does meanwhile, so that a patch that changes makes no energy.
+"""
 
 import jax.numpy as jnp
 import numpy as np
 
+from dem_jax.contact.law import Contact, Response
 from dem_jax.contact.law.springs import Real
 from dem_jax.maths import vector
 from dem_jax.maths.vector import Array, Vector
+from dem_jax.types import Patch
+
+Shear = tuple[Array, ...]  # [P] (N): tangential force on b, x, y, z, and of a patch f, counter-clockwise about the normal
+
+
+def start(patch: Patch | None, like: Array) -> Array:
+    """The spring of contacts that begin, [3, P], of patches [4, P]."""
+    return jnp.stack([jnp.zeros_like(like)] * (3 if patch is None else 4))
+
+
+def sheared(spring: Array, contact: Contact, normal_force: Array, stiffness: Array, friction: Array) -> Shear:
+    """``tangential_force`` of a contact, and f of a patch, from those of the last step."""
+    c, along = contact, vector.unpack(spring)
+    if c.torsion is None:
+        return vector.kept(*tangential_force(along, c.normal, c.slip, normal_force, stiffness, friction))
+    slip = (*c.slip, c.torsion.slip)
+    return vector.kept(*patch_force((*along, spring[3]), c.normal, slip, normal_force, stiffness, friction))
+
+
+def with_shear(answer: Response, shear: Shear | None, contact: Contact) -> Response:
+    """The answer with the tangential force, and with the torque of a patch."""
+    if shear is None:
+        return answer
+    answer = answer._replace(drag=_along_surface(shear))
+    if contact.torsion is None:
+        return answer
+    torque = vector.scale(contact.torsion.arm * shear[3], contact.normal)
+    return answer._replace(twist=torque if answer.twist is None else vector.add(answer.twist, torque))
+
+
+def size(shear: Shear) -> Array:
+    """What the Coulomb limit is held against, [P] (N)."""
+    return vector.safe_sqrt(_dot(shear, shear))
+
+
+def scale(factor: Array, shear: Shear) -> Shear:
+    """``factor`` times each."""
+    return tuple(factor * c for c in shear)
+
+
+def energy(spring: Array, stiffness: Array) -> Array:
+    """What the spring stores, [P] (J). stiffness: K_t (N/m)."""
+    return 0.5 * _dot(tuple(spring), tuple(spring)) / stiffness
 
 
 def tangential_force(
@@ -29,6 +84,37 @@ def tangential_force(
     kept = jnp.maximum(0.5 * (before + limit - vector.dot(added, old)), 0)
     toward = vector.unit(vector.add_scaled(added, kept, old))
     return vector.where(slides, vector.scale(limit, toward), trial)
+
+
+def patch_force(spring: Shear, normal: Vector, slip: Shear, normal_force: Array, stiffness: Array, friction: Array) -> Shear:
+    """As ``tangential_force``, with the fourth component f of a patch, which does not turn."""
+    *along, about = spring
+    before = along[0], along[1], along[2]
+    turned = vector.add_scaled(before, -vector.dot(before, normal), normal)
+    old = (*vector.kept(*vector.scale(_over(vector.norm(before), vector.norm(turned)), turned)), about)
+    whole = size(spring)
+    added = scale(-stiffness, slip)
+    trial = tuple(c + d for c, d in zip(added, old, strict=True))
+    limit = friction * normal_force
+    slides = size(trial) > limit
+    kept = _over(jnp.maximum(0.5 * (whole + limit - _over(_dot(added, old), whole)), 0), whole)
+    toward = tuple(c + kept * d for c, d in zip(added, old, strict=True))
+    toward = scale(_over(limit, size(toward)), toward)
+    return tuple(jnp.where(slides, c, d) for c, d in zip(toward, trial, strict=True))
+
+
+def _over(numerator: Array, size_of: Array) -> Array:
+    """A ratio, 0 where the size below is."""
+    return jnp.where(size_of > 0, numerator / jnp.where(size_of > 0, size_of, 1), 0)
+
+
+def _dot(a: Shear, b: Shear) -> Array:
+    along = vector.dot(_along_surface(a), _along_surface(b))
+    return along if len(a) == 3 else along + a[3] * b[3]
+
+
+def _along_surface(shear: Shear) -> Vector:
+    return shear[0], shear[1], shear[2]
 
 
 def where_rough(friction: Real | None, stiffness: Real) -> Real | None:

@@ -20,11 +20,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dem_jax.contact.law import Contact, Couple, Response, dashpot
-from dem_jax.contact.law.friction import tangential_force, where_rough
+from dem_jax.contact.law import Contact, Couple, Response, dashpot, friction
+from dem_jax.contact.law.friction import where_rough
 from dem_jax.contact.law.springs import Real
 from dem_jax.maths import vector
-from dem_jax.types import pytree
+from dem_jax.types import Patch, pytree
 
 Array = jax.Array
 
@@ -39,13 +39,14 @@ class Pair(NamedTuple):
     tangential: Array  # (N/m^1.5): K_t / sqrt(s)
     mass: Array  # (kg): effective mass
     friction: Array | None  # mu
+    patch: Patch | None = None  # of bodies that touch over one
 
 
 class History(NamedTuple):
     """Of contacts, at the last step."""
 
     overlap: Array  # [P] (m): dashpot.elastic_overlap
-    spring: Array | None  # [3, P] (N): tangential force on b, world axes; None without friction
+    spring: Array | None  # [3, P] (N): tangential force on b, world axes, of patches [4, P], see ``friction``; None without
 
 
 @pytree
@@ -62,12 +63,12 @@ class HertzMindlin:
         root = 1 / sum(couple.curvature) ** 0.5
         stiffness = 4 / 3 * normal * root
         damping = dashpot.damping_ratio(couple.restitution) * (5 * couple.mass * stiffness) ** 0.5
-        return Pair(stiffness, damping, 8 * shear * root, couple.mass, couple.friction)
+        return Pair(stiffness, damping, 8 * shear * root, couple.mass, couple.friction, couple.patch)
 
     def start(self, pair: Pair, like: Array) -> History:
         """No overlap."""
         zero = jnp.zeros_like(like)
-        return History(zero, None if pair.friction is None else jnp.stack([zero] * 3))
+        return History(zero, None if pair.friction is None else friction.start(pair.patch, like))
 
     def force(self, pair: Pair, history: History, contact: Contact) -> Response:
         """Hertz, damping and friction."""
@@ -80,10 +81,9 @@ class HertzMindlin:
             return Response(push, None, History(s, None))
         was = vector.safe_sqrt(before)
         falls = jnp.where(root < was, root / jnp.where(was > 0, was, 1), 1)
-        spring = vector.scale(falls, vector.unpack(history.spring))
         stiffness = pair.tangential * jnp.where(root < was, root, 0.5 * (was + root))
-        drag = vector.kept(*tangential_force(spring, c.normal, c.slip, push, stiffness, pair.friction))
-        return Response(push, drag, History(s, jnp.stack(drag)))
+        shear = friction.sheared(falls * history.spring, c, push, stiffness, pair.friction)
+        return friction.with_shear(Response(push, None, History(s, jnp.stack(shear))), shear, c)
 
     def energy(self, pair: Pair, history: History, overlap: Array) -> Array:
         """2/5 k s^(5/2), and of the tangential spring (J)."""
@@ -92,8 +92,7 @@ class HertzMindlin:
         energy = 0.4 * pair.stiffness * s * s * root
         if history.spring is None:
             return energy
-        spring = vector.unpack(history.spring)
-        return energy + 0.5 * vector.dot(spring, spring) / (pair.tangential * jnp.where(s > 0, root, 1))
+        return energy + friction.energy(history.spring, pair.tangential * jnp.where(s > 0, root, 1))
 
     def reach(self, pair: Pair) -> None:
         """None: no force across a gap."""

@@ -13,11 +13,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dem_jax.contact.law import Contact, Couple, Response, dashpot
-from dem_jax.contact.law.friction import tangential_force, where_rough
+from dem_jax.contact.law import Contact, Couple, Response, dashpot, friction
+from dem_jax.contact.law.friction import where_rough
 from dem_jax.contact.law.springs import Real, quarter_period, series
 from dem_jax.maths import vector
-from dem_jax.types import pytree
+from dem_jax.types import Patch, pytree
 
 Array = jax.Array
 
@@ -29,13 +29,14 @@ class Pair(NamedTuple):
     damping: Array  # (N s/m): c
     mass: Array  # (kg): effective mass
     friction: Array | None  # mu
+    patch: Patch | None = None  # of bodies that touch over one
 
 
 class History(NamedTuple):
     """Of contacts, at the last step."""
 
     overlap: Array  # [P] (m): dashpot.elastic_overlap
-    spring: Array | None  # [3, P] (N): tangential force on b, world axes; None without friction
+    spring: Array | None  # [3, P] (N): tangential force on b, world axes, of patches [4, P], see ``friction``; None without
 
 
 @pytree
@@ -48,12 +49,12 @@ class LinearDashpot:
         """K, and c from the restitution."""
         stiffness = series(*(e * size for e, size in zip(couple.youngs_modulus, couple.size, strict=True)))
         damping = 2 * dashpot.damping_ratio(couple.restitution) * (couple.mass * stiffness) ** 0.5
-        return Pair(stiffness, damping, couple.mass, couple.friction)
+        return Pair(stiffness, damping, couple.mass, couple.friction, couple.patch)
 
     def start(self, pair: Pair, like: Array) -> History:
         """No overlap."""
         zero = jnp.zeros_like(like)
-        return History(zero, None if pair.friction is None else jnp.stack([zero] * 3))
+        return History(zero, None if pair.friction is None else friction.start(pair.patch, like))
 
     def force(self, pair: Pair, history: History, contact: Contact) -> Response:
         """Spring, dashpot and friction."""
@@ -64,16 +65,15 @@ class LinearDashpot:
         if history.spring is None or pair.friction is None:
             return Response(push, None, History(s, None))
         stiffness = self.tangential * pair.stiffness
-        drag = vector.kept(*tangential_force(vector.unpack(history.spring), c.normal, c.slip, push, stiffness, pair.friction))
-        return Response(push, drag, History(s, jnp.stack(drag)))
+        shear = friction.sheared(history.spring, c, push, stiffness, pair.friction)
+        return friction.with_shear(Response(push, None, History(s, jnp.stack(shear))), shear, c)
 
     def energy(self, pair: Pair, history: History, overlap: Array) -> Array:
         """Of both springs (J)."""
         energy = 0.5 * pair.stiffness * history.overlap**2
         if history.spring is None:
             return energy
-        spring = vector.unpack(history.spring)
-        return energy + 0.5 * vector.dot(spring, spring) / (self.tangential * pair.stiffness)
+        return energy + friction.energy(history.spring, self.tangential * pair.stiffness)
 
     def reach(self, pair: Pair) -> None:
         """None: no force across a gap."""

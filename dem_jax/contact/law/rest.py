@@ -30,7 +30,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dem_jax.contact.law import Contact, Response
+from dem_jax.contact.law import Contact, Response, friction
+from dem_jax.contact.law.friction import Shear
 from dem_jax.maths import vector
 from dem_jax.maths.vector import Vector
 
@@ -46,6 +47,14 @@ class Resting(NamedTuple):
 
     age: Array  # [P]: below 1 for how long it has been off both lines, in T; from 1 to 2 it rests, 2 less that on one, in T / 10
     twist: Array  # [3, P] (N m): elastic torque on b, world axes
+
+
+class Rubbing(NamedTuple):
+    """Friction without damping."""
+
+    shear: Shear | None  # (N); None without friction
+    stiffness: Array  # (N/m): K_t
+    friction: Array | None  # mu
 
 
 class Spring(NamedTuple):
@@ -69,22 +78,23 @@ def start(like: Array) -> Resting:
 
 
 def with_dashpots(
-    answer: Response, before: Resting, spring: Spring, c: Contact, separation: Array, tangential: Array, friction: Array | None
-) -> Response:
-    """The answer of eqs 1-4, whose history has F_n as ``force`` and a place for ``resting``, with what acts on contacts at rest.
-
-    separation: lambda; tangential: K_t (N/m); friction: mu, None without.
-    """
-    force, across, torque, elastic = answer.history.force, answer.drag, None, before.twist
+    answer: Response, rubbing: Rubbing, before: Resting, spring: Spring, c: Contact, separation: Array
+) -> tuple[Response, Shear | None]:
+    """The answer of eqs 1-4, whose history has F_n as ``force`` and a place for ``resting``, with what acts on contacts at rest,
+    and friction likewise. separation: lambda."""
+    force, across, torque, elastic = answer.history.force, rubbing.shear, None, before.twist
     loading = spring.load * jnp.maximum(c.overlap, 0)
     age = aged(before.age, (force > separation * loading) & (force < loading), spring, c.dt)
     damping = push(age, spring, c.approach, c.dt, -answer.push, jnp.maximum(loading - answer.push, 0))
-    if across is not None and friction is not None:
-        across = drag(age, spring, tangential, across, c.slip, friction * force, c.dt)
+    if across is not None and rubbing.friction is not None:
+        slip = c.slip if c.torsion is None else (*c.slip, c.torsion.slip)
+        across = drag(age, spring, rubbing.stiffness, across, slip, rubbing.friction * force, c.dt)
     if c.turn is not None:
-        torque, kept = twist(before, age, spring, c.turn, force, c.dt)
+        turn = c.turn if c.torsion is None else vector.add_scaled(c.turn, -vector.dot(c.turn, c.normal), c.normal)
+        torque, kept = twist(before, age, spring, turn, force, c.dt)
         elastic = jnp.stack(kept)
-    return Response(answer.push + damping, across, answer.history._replace(resting=Resting(age, elastic)), torque, answer.rise)
+    history = answer.history._replace(resting=Resting(age, elastic))
+    return answer._replace(push=answer.push + damping, history=history, twist=torque), across
 
 
 def aged(age: Array, is_between: Array, spring: Spring, dt: Array) -> Array:
@@ -106,14 +116,14 @@ def push(age: Array, spring: Spring, approach: Array, dt: Array, least: Array, m
     return jnp.where(age >= 1, jnp.clip(dashpot(spring, spring.unload) / dt * approach, least, most), 0)
 
 
-def drag(age: Array, spring: Spring, stiffness: Array, elastic: Vector, slip: Vector, limit: Array, dt: Array) -> Vector:
-    """Tangential force on b (N), [P] x 3, of K_t, which alone has ``elastic``, and the dashpot. slip: (m) in this step;
-    limit: mu F_n (N)."""
-    both = vector.add_scaled(elastic, -dashpot(spring, stiffness) / dt, slip)
-    size = vector.norm(both)
+def drag(age: Array, spring: Spring, stiffness: Array, elastic: Shear, slip: Shear, limit: Array, dt: Array) -> Shear:
+    """Friction (N) of K_t, which alone has ``elastic``, and the dashpot. slip: (m) in this step; limit: mu F_n (N)."""
+    rate = -dashpot(spring, stiffness) / dt
+    both = tuple(c + rate * d for c, d in zip(elastic, slip, strict=True))
+    size = friction.size(both)
     slips = size > limit
-    held = vector.scale(jnp.where(slips, limit / jnp.where(slips, size, 1), 1), both)
-    return vector.where(age >= 1, held, elastic)
+    held = friction.scale(jnp.where(slips, limit / jnp.where(slips, size, 1), 1), both)
+    return tuple(jnp.where(age >= 1, c, d) for c, d in zip(held, elastic, strict=True))
 
 
 def twist(before: Resting, age: Array, spring: Spring, turn: Vector, force: Array, dt: Array) -> tuple[Vector, Vector]:

@@ -9,12 +9,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dem_jax.contact.law import Contact, Couple, Response, corner, dashpot, rest
+from dem_jax.contact.law import Contact, Couple, Response, corner, dashpot, friction, rest
 from dem_jax.contact.law.corner import Lines
-from dem_jax.contact.law.friction import tangential_force, where_rough
+from dem_jax.contact.law.friction import where_rough
 from dem_jax.contact.law.springs import Real, quarter_period, series
 from dem_jax.maths import vector
-from dem_jax.types import pytree
+from dem_jax.types import Patch, pytree
 
 Array = jax.Array
 
@@ -31,6 +31,7 @@ class Pair(NamedTuple):
     friction: Array | None  # mu
     mass: Array | None  # (kg): effective mass, where there is damping
     size: Array | None = None  # (m): L of the smaller body, where contacts come to rest
+    patch: Patch | None = None  # of bodies that touch over one
 
     @property
     def unload(self) -> Array:
@@ -43,7 +44,7 @@ class History(NamedTuple):
 
     force: Array  # [P] (N): F_n
     way: Array  # [P] (m): approach in it on the loading line; negative on the unloading line, 0 on that of separation
-    spring: Array | None  # [3, P] (N): tangential force on b, world axes; None without friction
+    spring: Array | None  # [3, P] (N): tangential force on b, world axes, of patches [4, P], see ``friction``; None without
     resting: rest.Resting | None = None  # None: eqs 1-4 alone, at rest too
 
 
@@ -61,13 +62,13 @@ class WaltonBraun:
         of_a, of_b = (e * size for e, size in zip(couple.youngs_modulus, couple.size, strict=True))
         mass = None if self.damping is None and self.at_rest is None else couple.mass
         size = None if self.at_rest is None else jnp.minimum(*couple.size)
-        return Pair(series(of_a, of_b), couple.restitution, couple.friction, mass, size)
+        return Pair(series(of_a, of_b), couple.restitution, couple.friction, mass, size, couple.patch)
 
     def start(self, pair: Pair, like: Array) -> History:
         """No force."""
         zero = jnp.zeros_like(like)
         resting = None if self.at_rest is None else rest.start(like)
-        return History(zero, zero, None if pair.friction is None else jnp.stack([zero] * 3), resting)
+        return History(zero, zero, None if pair.friction is None else friction.start(pair.patch, like), resting)
 
     def force(self, pair: Pair, history: History, contact: Contact) -> Response:
         """Eqs 1-4, and the tangential spring."""
@@ -84,15 +85,16 @@ class WaltonBraun:
         loading = pair.stiffness * jnp.maximum(c.overlap, 0)
         way = jnp.where(f < ON_IT * loading, -jnp.abs(c.approach), c.approach)
         way = jnp.where(f > self.separation * loading, way, 0)
-        answer = Response(push, None, History(f, way, None), rise=rise)
+        answer, shear = Response(push, None, History(f, way, None), rise=rise), None
         stiffness = self.tangential * pair.stiffness
         if history.spring is not None and pair.friction is not None:
-            spring = vector.kept(*tangential_force(vector.unpack(history.spring), c.normal, c.slip, f, stiffness, pair.friction))
-            drag = vector.scale(1 + found.tangential(f, vector.norm(spring), pair.friction), spring)
-            answer = Response(push, drag, History(f, way, jnp.stack(spring)), rise=rise)
-        if history.resting is None:
-            return answer
-        return rest.with_dashpots(answer, history.resting, self._spring(pair), c, self.separation, stiffness, pair.friction)
+            spring = friction.sheared(history.spring, c, f, stiffness, pair.friction)
+            shear = friction.scale(1 + found.tangential(f, friction.size(spring), pair.friction), spring)
+            answer = answer._replace(history=History(f, way, jnp.stack(spring)))
+        if history.resting is not None:
+            of = rest.Rubbing(shear, stiffness, pair.friction)
+            answer, shear = rest.with_dashpots(answer, of, history.resting, self._spring(pair), c, self.separation)
+        return friction.with_shear(answer, shear, c)
 
     def _spring(self, pair: Pair) -> rest.Spring:
         assert pair.mass is not None and pair.size is not None and self.at_rest is not None
@@ -105,8 +107,7 @@ class WaltonBraun:
             energy = energy + rest.energy(history.resting, self._spring(pair))
         if history.spring is None:
             return energy
-        spring = vector.unpack(history.spring)
-        return energy + 0.5 * vector.dot(spring, spring) / (self.tangential * pair.stiffness)
+        return energy + friction.energy(history.spring, self.tangential * pair.stiffness)
 
     def reach(self, pair: Pair) -> None:
         """None: no force across a gap."""
