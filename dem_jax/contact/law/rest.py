@@ -15,13 +15,14 @@ never make the normal force adhesive nor larger than that of the loading line, n
 
     F_n + c_n s',    c_n = 2 zeta sqrt(m K_nu);    F_t - c_t u',    c_t = 2 zeta sqrt(m K_t).
 
-Between polytopes there are also the spring and the dashpot of a patch of radius r = L / 20 against any turn d of one body on
+Between polytopes there are also the spring and the dashpot of a patch of radius r = L / 20 against the turn d of one body on
 the other; the spring slips beyond the torque that an arm l = L / 1000 gives the normal force:
 
     dM = -K_nl r^2 dd,    |M| <= l F_n,    M - c_n r^2 d'  while it does not slip.
 
-That is the rolling resistance of Ai, Chen, Rotter and Ooi (Powder Technology 206 (2011) 269-282, model C), also about the
-normal, with so short an arm that it holds what is balanced and hardly hinders anything else.
+That is the rolling resistance of Ai, Chen, Rotter and Ooi (Powder Technology 206 (2011) 269-282, model C), with so short an arm
+that it holds what is balanced and hardly hinders anything else. With friction it acts across the normal only: about it the
+dashpot of the tangential spring damps the spring of the contact patch (``friction``).
 """
 
 from typing import NamedTuple
