@@ -82,7 +82,7 @@ class HertzMindlin:
         was = vector.safe_sqrt(before)
         falls = jnp.where(root < was, root / jnp.where(was > 0, was, 1), 1)
         stiffness = pair.tangential * jnp.where(root < was, root, 0.5 * (was + root))
-        shear = friction.sheared(falls * history.spring, c, push, stiffness, pair.friction)
+        shear = friction.sheared(falls[None] * history.spring, c, push, stiffness, pair.friction)
         return friction.with_shear(Response(push, None, History(s, jnp.stack(shear))), shear, c)
 
     def energy(self, pair: Pair, history: History, overlap: Array) -> Array:
