@@ -134,7 +134,10 @@ def _spins_exactly(case: FreeRotation) -> Compared:
 def turning(law: str = "walton-braun") -> Problem:
     """A flat square box and a flat disc that spin on the plate about the vertical, until friction has stopped them."""
     heights, sunk = (0.01, 0.004), 1e-8
-    shapes = {"shape": "cuboid", "size": (SQUARE, SQUARE, heights[0])}, {"shape": "cylinder", "radius": DISC, "height": heights[1]}
+    shapes: list[dict[str, Any]] = [
+        {"shape": "cuboid", "size": (SQUARE, SQUARE, heights[0])},
+        {"shape": "cylinder", "radius": DISC, "height": heights[1]},
+    ]
     pieces = [
         shape | {"position": (x, 0.0, height / 2 - sunk), "angular_velocity": (0.0, 0.0, TURNS)}
         for shape, height, x in zip(shapes, heights, (-0.05, 0.05), strict=True)
