@@ -70,7 +70,7 @@ def piece_mass(scene: str) -> float | None:
 
 def _mass(piece: dict[str, Any], material: dict[str, Any]) -> float | None:
     """(kg) of a piece by its own weight, or of the scene's material or of one by name; None where the text does not tell."""
-    if piece.get("size_spread"):
+    if piece.get("size_spread") or piece.get("piece_weight_spread"):
         return None
     if piece.get("piece_weight") is not None:
         return float(piece["piece_weight"])

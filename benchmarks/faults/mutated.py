@@ -238,7 +238,7 @@ def _wall(path: Path, _: str) -> str | None:
 
 
 def _piece(path: Path, _: str) -> str | None:
-    from dem_jax.shapes.stl import hull_of_stl
+    from dem_jax.shapes import hull_of_stl
 
     shape = hull_of_stl(path, 1e-3)
     return None if np.isfinite(shape.vertices).all() and shape.volume > 0 else "a body that is not finite"

@@ -13,7 +13,7 @@ from dem_jax.build import portion
 from dem_jax.build.finite import check_pieces
 from dem_jax.build.unit import check_unit
 from dem_jax.errors import SceneError
-from dem_jax.scene import SHAPE_KEYS, BodyMass, ConvexShape, Part, PieceShape, Portion, Scene, arrange
+from dem_jax.scene import SHAPE_KEYS, BodyMass, ConvexShape, Part, PieceShape, Portion, Product, Scene, arrange
 from dem_jax.scene.materials import MaterialTable, material_table, rows_of_pieces
 from dem_jax.scene.numbers import array
 from dem_jax.types import Pieces, host
@@ -39,6 +39,10 @@ def make_shape(row: PieceShape, folder: str | Path = ".") -> shapes.Shape:
         return shapes.scaled(shapes.decomposed(Path(folder) / given["stl"], row.unit, **_cutting(row))[0], row.scale_factor)
     if row.shape == "tube":
         return shapes.scaled(shapes.tube(**given), row.scale_factor)
+    if row.shape == "hull":
+        found = _hull(row, folder)
+        shape = found.shape if found.mass is None else shapes.with_mass(found.shape, found.centre, found.mass)
+        return shapes.scaled(shape, row.scale_factor)
     return _placed_shape(row, folder)[0]
 
 
@@ -51,6 +55,10 @@ def _given(row: ConvexShape) -> dict[str, Any]:
         raise SceneError(f"{stray[0]} = {given[stray[0]]}: not a key of shape {row.shape!r}; allowed: {allowed}")
     if row.shape == "hull" and (row.points is None) == (row.stl is None):
         raise SceneError("shape 'hull': points, stl: exactly one of the two must be given")
+    for key in ("hull_tolerance",) if row.stl is None else ("mass_properties",):
+        if row.shape == "hull" and given.get(key) is not None:
+            other = "stl, whose own mass properties count" if row.stl else "points, whose hull is exact"
+            raise SceneError(f"{key}: no effect beside {other}")
     for key in REQUIRED.get(row.shape, ()):
         if key not in given:
             raise SceneError(f"{key}: missing; shape {row.shape!r} needs it")
@@ -62,24 +70,31 @@ def _placed_shape(row: ConvexShape, folder: str | Path) -> tuple[shapes.Shape, n
     SceneError."""
     given = _given(row)
     if row.shape == "hull":
-        shape, centre, _ = _hull(row, folder)
+        found = _hull(row, folder)
+        shape, centre = found.shape, found.centre
     else:
         shape, centre = getattr(shapes, row.shape.replace("-", "_"))(**given), np.zeros(3)
     return shapes.scaled(shape, row.scale_factor), row.scale_factor * centre
 
 
-def _hull(row: ConvexShape, folder: str | Path) -> tuple[shapes.Shape, np.ndarray, str | None]:
-    """The hull of a row before scaling, its centre of mass [3] (m) in the frame of its points, and what simplifying changed."""
+def _hull(row: ConvexShape, folder: str | Path) -> shapes.MeshHull:
+    """The hull of a row before scaling, of few corners, with what reading and simplifying changed."""
     if row.stl is not None:
-        shape, centre = shapes.placed_hull_of_stl(Path(folder) / row.stl, row.unit)
-        check_unit(row, row.stl, [shape.vertices])
+        found = shapes.read_hull(Path(folder) / row.stl, row.unit, row.hull_tolerance or shapes.HULL_TOLERANCE)
+        check_unit(row, row.stl, [found.shape.vertices])
     else:
-        shape, centre = shapes.placed_hull(np.array(row.points) * row.unit)
+        mass = _own_mass(row.mass_properties) if isinstance(row, PieceShape) else None
+        found = shapes.MeshHull(*shapes.placed_hull(np.array(row.points) * row.unit), mass, ())
     most = row.max_corners or shapes.MOST_CORNERS
-    if len(shape.vertices) <= most:
-        return shape, centre, None
-    found = shapes.simplified(shape.vertices + centre, most)
-    return *shapes.placed_hull(found.points), str(found)
+    if len(found.shape.vertices) <= most:
+        return found
+    fewer = shapes.simplified(found.shape.vertices + found.centre, most)
+    return shapes.MeshHull(*shapes.placed_hull(fewer.points), found.mass, (*found.notes, str(fewer)))
+
+
+def _own_mass(given: BodyMass | None) -> shapes.MassProperties | None:
+    """Mass properties that a row gives."""
+    return None if given is None else shapes.checked_mass(given.volume, given.centre, given.gyration)
 
 
 def _compound(row: PieceShape, folder: str | Path) -> shapes.Shape:
@@ -87,14 +102,12 @@ def _compound(row: PieceShape, folder: str | Path) -> shapes.Shape:
     for n, part in enumerate(row.part):
         shape, centre = named(f"part.{n}", _placed_shape, part, folder)
         placed.append(shapes.Placed(shape, centre if part.position is None else part.position, part.orientation))
-    given = row.mass_properties
-    mass = shapes.checked_mass(given.volume, given.centre, given.gyration) if given else None
-    return shapes.compound(placed, mass, row.joint_tolerance or shapes.TOLERANCE)
+    return shapes.compound(placed, _own_mass(row.mass_properties), row.joint_tolerance or shapes.TOLERANCE)
 
 
 def _cutting(row: PieceShape) -> dict[str, Any]:
     """How an STL is decomposed: what the row says of it."""
-    return {k: getattr(row, k) for k in ("concavity", "max_parts", "loss") if getattr(row, k) is not None}
+    return {k: getattr(row, k) for k in ("concavity", "max_parts", "loss", "max_corners") if getattr(row, k) is not None}
 
 
 @dataclass(frozen=True)
@@ -123,7 +136,7 @@ def goods_of(scene: Scene) -> Goods:
     numbers: list[int] = []
     for counts in counts_of(scene, scene.portion, made):
         for shape, row, number in zip(made, rows, counts, strict=True):
-            each = portion.sizes(number, row.size_spread)
+            each = portion.sizes(number, *_spread_of(row))
             found += [shape if size == 1.0 else resized(shape, float(size)) for size in each]
             names += [row.material] * number
             densities += [_own_density(row, shape)] * number
@@ -134,6 +147,12 @@ def goods_of(scene: Scene) -> Goods:
 def _own_density(row: PieceShape, shape: shapes.Shape) -> float | None:
     """(kg/m3) of pieces whose weight is given; shape: of one of them at its size as given."""
     return None if row.piece_weight is None else row.piece_weight / shape.volume
+
+
+def _spread_of(row: Product | Portion) -> tuple[float, bool]:
+    """How much the pieces of a row differ (relative standard deviation), and whether in weight."""
+    by_weight = row.piece_weight_spread > 0
+    return (row.piece_weight_spread if by_weight else row.size_spread), by_weight
 
 
 def densities_of(table: MaterialTable, materials: Sequence[str | None], own: Sequence[float | None]) -> np.ndarray:
@@ -173,15 +192,15 @@ def counts_of(scene: Scene, of: Portion, made: Sequence[shapes.Shape]) -> list[t
     table = material_table(scene)
     own = [_own_density(row, shape) for row, shape in zip(of.rows, made, strict=True)]
     mass = densities_of(table, [row.material for row in of.rows], own) * np.array([shape.volume for shape in made])
-    spread = np.array([row.size_spread for row in of.rows])
-    mix = portion.Mix(mass, np.array([row.share for row in of.product] or [1.0]), spread, of.share_by)
+    spread, of_weight = zip(*map(_spread_of, of.rows), strict=True)
+    mix = portion.Mix(mass, np.array([row.share for row in of.product] or [1.0]), np.array(spread), of.share_by, of_weight)
     if not of.count:
         with np.errstate(divide="ignore"):
             each = mix.share / mix.share.sum()
             check_pieces(scene, of.target_weight * float(np.sum(each / mass) if of.share_by == "weight" else 1 / (each @ mass)))
     if of.count:
         held = portion.numbers_of_count(mix, of.count)
-    elif of.product or spread.any():
+    elif of.product or any(spread):
         held = portion.numbers_of_weight(mix, of.target_weight)
     else:
         held = (arrange.count(of.target_weight, float(mass[0])),)
@@ -209,20 +228,31 @@ def with_points(row: PieceShape, folder: str | Path) -> PieceShape:
     """The row with the corners of the STL that it names, whole or cut into parts; others as they are. Raises SceneError."""
     given = _given(row)
     if row.shape == "decomposed":
-        found = shapes.decompose(Path(folder) / given["stl"], row.unit, **_cutting(row))
-        check_unit(row, given["stl"], found.points)
-        return _cut(row, found)
+        cut = shapes.decompose(Path(folder) / given["stl"], row.unit, **_cutting(row))
+        check_unit(row, given["stl"], cut.points)
+        return _cut(row, cut)
     if row.shape == "compound":
         parts = [named(f"part.{n}", _part_with_points, part, folder) for n, part in enumerate(row.part)]
-        said = [f"part.{n}: {what}" for n, (_, what) in enumerate(parts) if what]
-        return row.model_copy(update={"part": tuple(part for part, _ in parts)} | _noted(row, said))
+        notes = [f"part.{n}: {what}" for n, (_, what) in enumerate(parts) if what]
+        return row.model_copy(update={"part": tuple(part for part, _ in parts)} | _noted(row, notes))
     if row.shape != "hull":
         return row
-    shape, _, what = _hull(row, folder)
-    if row.stl is None and what is None:
+    found = _hull(row, folder)
+    if row.stl is None and not found.notes:
         return row
-    points = {"stl": None, "unit": 1.0, "max_corners": None, "points": tuples(shape.vertices.tolist())}
-    return row.model_copy(update=points | _noted(row, [f"{row.stl}: {what}" if row.stl else what] if what else []))
+    points: dict[str, Any] = {"stl": None, "unit": 1.0, "max_corners": None, "hull_tolerance": None}
+    points |= {"points": tuples(found.shape.vertices.tolist()), "mass_properties": _mass_section(found.mass, found.centre)}
+    said = "; ".join(found.notes)
+    return row.model_copy(update=points | _noted(row, [f"{row.stl}: {said}" if row.stl else said] if said else []))
+
+
+def _mass_section(mass: shapes.MassProperties | None, origin: np.ndarray) -> BodyMass | None:
+    """The section of a scene that gives these mass properties, in axes that begin at an origin [3] (m)."""
+    if mass is None:
+        return None
+    g = mass.gyration.tolist()
+    gyration = (g[0][0], g[1][1], g[2][2], g[0][1], g[0][2], g[1][2])
+    return BodyMass(volume=mass.volume, centre=tuple((mass.centre - origin).tolist()), gyration=gyration)
 
 
 def _noted(row: PieceShape, said: Sequence[str]) -> dict[str, str]:
@@ -233,26 +263,24 @@ def _noted(row: PieceShape, said: Sequence[str]) -> dict[str, str]:
 def _part_with_points(part: Part, folder: str | Path) -> tuple[Part, str | None]:
     if part.shape != "hull":
         return part, None
-    shape, centre, what = _hull(part, folder)
-    if part.stl is None and what is None:
+    found = _hull(part, folder)
+    if part.stl is None and not found.notes:
         return part, None
-    points = tuples(((shape.vertices + centre) * part.scale_factor).tolist())
-    return part.model_copy(update={"stl": None, "unit": 1.0, "scale_factor": 1.0, "max_corners": None, "points": points}), what
+    points = tuples(((found.shape.vertices + found.centre) * part.scale_factor).tolist())
+    whole = {"stl": None, "unit": 1.0, "scale_factor": 1.0, "max_corners": None, "hull_tolerance": None, "points": points}
+    return part.model_copy(update=whole), "; ".join(found.notes) or None
 
 
 def _cut(row: PieceShape, found: shapes.Decomposition) -> PieceShape:
     """The row of a decomposed STL as a compound of hulls with the mass of the STL; a single part is a hull."""
-    whole: dict[str, Any] = {"stl": None, "unit": 1.0, "concavity": None, "max_parts": None, "loss": None}
-    whole |= _noted(row, [f"{row.stl}: {found}"])
+    whole: dict[str, Any] = dict.fromkeys(("stl", "concavity", "max_parts", "loss", "max_corners")) | {"unit": 1.0}
+    whole |= _noted(row, [f"{row.stl}: {'; '.join((*found.notes, str(found)))}"])
     points = [tuples(part.tolist()) for part in found.points]
+    mass = _mass_section(found.mass, np.zeros(3))
     if len(points) == 1:
-        return with_points(row.model_copy(update=whole | {"shape": "hull", "points": points[0]}), ".")
-    g = found.mass.gyration.tolist()
-    mass = BodyMass(
-        volume=found.mass.volume,
-        centre=tuple(found.mass.centre.tolist()),
-        gyration=(g[0][0], g[1][1], g[2][2], g[0][1], g[0][2], g[1][2]),
-    )
+        differs = shapes.differs_in_mass(*shapes.placed_hull(found.points[0]), found.mass)
+        own = {"shape": "hull", "points": points[0], "mass_properties": mass if differs else None}
+        return with_points(row.model_copy(update=whole | own), ".")
     whole_parts = max(16, *map(len, points))  # simplified, they would not be flush where they were cut
     parts = tuple(Part(shape="hull", points=each, max_corners=whole_parts) for each in points)
     return row.model_copy(

@@ -17,26 +17,40 @@ class Mix:
 
     mass: np.ndarray  # [K] (kg): of a piece of the nominal size
     share: np.ndarray  # [K]: relative
-    spread: np.ndarray  # [K]: relative standard deviation of the linear size
+    spread: np.ndarray  # [K]: relative standard deviation of the linear size, or of the weight
     by: str  # "weight" or "count": what the shares are of
+    of_weight: tuple[bool, ...] = ()  # [K] whether the spread is that of the weight; (): of none
+
+    def sizes(self, k: int, number: int) -> np.ndarray:
+        """Linear sizes [number] of the pieces of product k, see ``sizes``."""
+        return sizes(number, float(self.spread[k]), bool(self.of_weight) and self.of_weight[k])
 
 
-def sizes(number: int, spread: float) -> np.ndarray:
+def sizes(number: int, spread: float, of_weight: bool = False) -> np.ndarray:
     """Linear sizes [number] of the pieces of a product relative to the nominal one, in ascending order.
+
+    Where the spread is that of the weight, the weights have a mean of exactly that of the nominal piece.
+    """
+    values = _spread_out(number, spread)
+    return np.cbrt(values) if of_weight else values
+
+
+def _spread_out(number: int, spread: float) -> np.ndarray:
+    """Values [number] about 1 in ascending order.
 
     Quantiles of a lognormal distribution at (i + 1/2) / number, clipped at three standard deviations; of more than 16
     pieces put into 16 classes of equal width in the logarithm, each with the mean of its pieces. Then shifted and
-    stretched so that the mean is exactly 1 and the standard deviation exactly ``spread``. One piece has size 1.
+    stretched so that the mean is exactly 1 and the standard deviation exactly ``spread``. One piece has value 1.
     """
     if spread < NARROWEST or number < 2:
         return np.ones(number)
     normal = np.clip(ndtri((np.arange(number) + 0.5) / number), -WIDEST, WIDEST)
-    size = np.exp(np.sqrt(np.log1p(spread**2)) * normal)
+    value = np.exp(np.sqrt(np.log1p(spread**2)) * normal)
     if number > MOST_SIZES:
         place = (normal - normal[0]) / (normal[-1] - normal[0])
         group = np.minimum((MOST_SIZES * place).astype(int), MOST_SIZES - 1)
-        size = (np.bincount(group, size) / np.maximum(np.bincount(group), 1))[group]
-    return 1.0 + spread * (size - size.mean()) / size.std()
+        value = (np.bincount(group, value) / np.maximum(np.bincount(group), 1))[group]
+    return 1.0 + spread * (value - value.mean()) / value.std()
 
 
 def numbers_of_weight(mix: Mix, target: float) -> tuple[int, ...]:
@@ -83,9 +97,9 @@ def _exact_numbers(mix: Mix, target: float) -> np.ndarray:
 
 def _mean_cubes(mix: Mix, numbers: np.ndarray) -> np.ndarray:
     """Mean of the cube of the relative size [K], of so many pieces of each product."""
-    return np.array([np.mean(sizes(max(1, round(n)), s) ** 3) for n, s in zip(numbers, mix.spread, strict=True)])
+    return np.array([np.mean(mix.sizes(k, max(1, round(n))) ** 3) for k, n in enumerate(numbers)])
 
 
 def _weight(mix: Mix, k: int, number: int) -> float:
     """(kg) of so many pieces of product k."""
-    return float(mix.mass[k] * np.sum(sizes(number, mix.spread[k]) ** 3))
+    return float(mix.mass[k] * np.sum(mix.sizes(k, number) ** 3))

@@ -52,7 +52,7 @@ def placed(
     boxes = [own, *regions[1:]]
     groups = zip(numbers, boxes, strict=False)
     placed = [arrange.scatter(number, radius, portion.spacing, *box, random) for number, box in groups]
-    if portion.product or portion.size_spread > 0:  # they come one product after the other, in order of size
+    if portion.product or portion.size_spread > 0 or portion.piece_weight_spread > 0:  # they come by product, in order of size
         placed = [(position[random.permutation(len(position))], turn) for position, turn in placed]
     position, orientation = (np.concatenate(rows) for rows in zip(*placed, strict=True))
     rest = np.zeros_like(position)

@@ -128,15 +128,20 @@ def build(scene: Scene, seed: int = 0, law: ContactLaw | None = None) -> Built:
 
 def self_contained(scene: Scene) -> Scene:
     """The scene with the contents of the STL and CSV files that it names in their place. Raises SceneError."""
+    whole = with_buckets_read(with_pieces_read(scene))
+    walls = [panel for n, wall in enumerate(scene.wall) for panel in named(f"wall.{n}", written_out, wall, scene.folder)]
+    motions = tuple(motion.written_out(row, scene.folder) for row in scene.motion)
+    return whole.model_copy(update={"wall": tuple(walls), "motion": motions, "folder": "."})
+
+
+def with_pieces_read(scene: Scene) -> Scene:
+    """The scene with the contents of the STL files of its pieces in their place. Raises SceneError."""
     rows = [named(f"piece.{n}", with_points, row, scene.folder) for n, row in enumerate(scene.piece)]
     portion = scene.portion and named("portion", with_points, scene.portion, scene.folder)
     if portion and portion.product:
         products = [named(f"portion.product.{n}", with_points, row, scene.folder) for n, row in enumerate(portion.product)]
         portion = portion.model_copy(update={"product": tuple(products)})
-    walls = [panel for n, wall in enumerate(scene.wall) for panel in named(f"wall.{n}", written_out, wall, scene.folder)]
-    motions = tuple(motion.written_out(row, scene.folder) for row in scene.motion)
-    changes = {"piece": tuple(rows), "portion": portion, "wall": tuple(walls), "motion": motions, "folder": "."}
-    return with_buckets_read(scene).model_copy(update=changes)
+    return scene.model_copy(update={"piece": tuple(rows), "portion": portion})
 
 
 def _domain(

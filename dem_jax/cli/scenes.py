@@ -20,10 +20,10 @@ def scenes(args: Args) -> None:
     if args.name:
         scene = load_scene(args.name)
         print(described(scene), end="")
-        from dem_jax.show.facts import portion_said  # which needs JAX
-        from dem_jax.show.summary import notes_on_walls
+        from dem_jax.show.facts import portion_said, stickiness_said  # which need JAX
+        from dem_jax.show.summary import notes_on_pieces, notes_on_walls
 
-        notes = [*notes_on_walls(scene), *filter(None, [portion_said(scene)])]
+        notes = [*notes_on_walls(scene), *notes_on_pieces(scene), *filter(None, [portion_said(scene)]), *stickiness_said(scene)]
         if notes:
             print("", *(f"# {note}" for note in notes), sep="\n")
         return

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 
+from dem_jax.contact import boundary
 from dem_jax.drive.job import Job
 from dem_jax.errors import SceneError, SimulationError
 from dem_jax.scene import buckets
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
     from dem_jax.drive.span import Span
 
 DEEPEST = 0.5  # of the narrower piece's width: beyond, a contact may push out on the wrong side
+THROWN = 2.0  # times the speed of a wall, that a piece may have which it threw
+INSTANTS = 64  # at which the speed of walls is looked at
 START_OVERLAP = 1e-3  # of the narrower piece's width, that pieces may overlap by at the start
 
 
@@ -152,12 +155,49 @@ def _what_happened(job: Job, system: System, state: State, piece: int, member: i
     below, above = position < low, position > high
     axis = int(np.argmax(below | above))
     side, limit, key = ("below", low, "domain_low") if below[axis] else ("above", high, "domain_high")
-    speed = np.linalg.norm(rest[0])
+    speed = float(np.linalg.norm(rest[0]))
+    cause = _thrown_by_wall(system, state, piece, speed)
+    cause = cause or f"no wall holds it there, or a contact threw it ({_step_advice(job, member)})"
     return (
-        f"it left the domain {side} {'xyz'[axis]} = {limit[axis]:.4g} m at {speed:.3g} m/s; "
-        f"likely cause: no wall holds it there, or a contact threw it ({_step_advice(job, member)}); "
+        f"it left the domain {side} {'xyz'[axis]} = {limit[axis]:.4g} m at {speed:.3g} m/s; likely cause: {cause}; "
         f'the domain is set by run.{key}, and run.escape = "note" goes on without the piece'
     )
+
+
+def _thrown_by_wall(system: System, state: State, piece: int, speed: float) -> str | None:
+    """What to say of a piece that sticks to walls that move, and is no faster (m/s) than these and its fall explain; else None."""
+    walls, materials = system.walls, system.materials
+    if materials.pull_off is None or not walls.motions:
+        return None
+    pull_off = np.atleast_2d(materials.pull_off)
+    of_panel = np.broadcast_to(pull_off, (len(materials.is_wall),) * 2)[int(system.pieces.material[piece])][np.asarray(walls.material)]
+    fastest, top = _fastest_panels(system, float(system.dt) * int(np.max(state.step)))
+    sticky = (of_panel > 0) & (fastest > 0)
+    if not sticky.any():
+        return None
+    panel = int(np.argmax(np.where(sticky, fastest, -1.0)))
+    gravity = float(np.linalg.norm(system.gravity))
+    fall = max(0.0, top - float(np.asarray(state.position)[2, piece]))
+    if speed**2 > (THROWN * fastest[panel]) ** 2 + 2.0 * gravity * fall:
+        return None
+    force, weight = float(of_panel[panel]), float(system.pieces.mass[piece]) * gravity
+    times = f", {force / weight:.3g} times its weight" if weight else ""
+    return (
+        f"it stuck to wall group {walls.groups[int(walls.group[panel])]!r}, which moves at up to {fastest[panel]:.3g} m/s, and was "
+        f"thrown (pull_off = {force:.3g} N{times}): lower pull_off, move that wall more slowly, or put a wall in its way"
+    )
+
+
+def _fastest_panels(system: System, end: float) -> tuple[np.ndarray, float]:
+    """Largest speed (m/s) of any point of each panel until a time (s), at INSTANTS of it, and the top (m) of all at rest."""
+    walls = system.walls
+    reach = np.linalg.norm(np.asarray(walls.half_extent), axis=0)
+    fastest = np.zeros(walls.group.shape[0])
+    for time in np.linspace(0.0, end, INSTANTS).astype(system.dt.dtype):
+        now = boundary.panels(walls, time, time)
+        velocity, spin = (np.linalg.norm(np.stack(rows), axis=0) for rows in (now.velocity, now.spin))
+        fastest = np.maximum(fastest, velocity + spin * reach)
+    return fastest, float((np.asarray(walls.centre)[2] + reach).max())
 
 
 def _deep(job: Job, system: System, state: State, overlap: float) -> tuple[int, str]:

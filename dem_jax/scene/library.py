@@ -1,11 +1,13 @@
 """Products and buckets by name, laid over a scene by its keys ``product`` and ``bucket``."""
 
 import tomllib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from dem_jax.errors import SceneError
 from dem_jax.scene.changes import Tree, merged
+from dem_jax.scene.sections.material import NamedMaterial
 from dem_jax.scene.sections.pieces import OF_PRODUCT
 from dem_jax.scene.words import choices
 
@@ -51,16 +53,48 @@ KEYS = {"product": with_product, "bucket": with_bucket}  # of a scene, which the
 
 
 def with_named(below: Tree, own: Tree, source: str | Path) -> Tree:
-    """A tree with what the keys of ``KEYS`` in another name, which are taken out of that. Raises SceneError."""
+    """A tree with what the keys of ``KEYS`` in another name, which are taken out of that, as are names of products in a mixture.
+    Raises SceneError."""
     for key, lay in KEYS.items():
         if (name := own.pop(key, None)) is not None:
             below = lay(below, name, source)
+    portion = own.get("portion")
+    rows = portion.get("product") if isinstance(portion, dict) else None
+    named = [row for row in rows if isinstance(row, dict) and "product" in row] if isinstance(rows, list | tuple) else []
+    if portion and rows and named:
+        own["portion"], own["material"] = _mixture(portion, rows, own.get("material"), source)
     return below
+
+
+def _mixture(portion: Tree, rows: Sequence[Any], material: Any, source: str | Path) -> tuple[Tree, Any]:
+    """A portion whose rows may name products, with the keys of these beneath their own, and [material] with theirs by name.
+
+    Softening is one for all materials: the largest of the products', so that none is softer than its own file says.
+    """
+    filled, materials, softening = [], {}, []
+    for n, row in enumerate(rows):
+        if not isinstance(row, dict) or "product" not in row:
+            filled.append(row)
+            continue
+        own = {key: item for key, item in row.items() if key != "product"}
+        name = row["product"]
+        product = _named(PRODUCTS, f"portion.product.{n}.product", name, source)
+        shape = product["portion"]
+        if "shape" in own:
+            shape = {key: item for key, item in shape.items() if key in ("material", "size_spread", "piece_weight")}
+        filled.append({"material": name, **shape, **own})
+        if filled[-1]["material"] == name:
+            of_product = product.get("material", {})
+            softening += [of_product["softening"]] if "softening" in of_product else []
+            materials[name] = {key: item for key, item in of_product.items() if key in NamedMaterial.model_fields}
+    given = material if isinstance(material, dict) else {}
+    whole = merged({**({"softening": max(softening)} if softening else {}), **materials}, given)
+    return {**portion, "product": filled}, whole if material is None or given else material
 
 
 def _named(folder: Path, key: str, name: Any, source: str | Path) -> Tree:
     """What is in a library's file. Raises SceneError."""
     known = list(_listed(folder))
     if name not in known:
-        raise SceneError(f"{source}: {key} = {name!r}: no such {key}; {choices(str(name), known)}")
+        raise SceneError(f"{source}: {key} = {name!r}: no such {key.split('.')[-1]}; {choices(str(name), known)}")
     return tomllib.loads((folder / f"{name}.toml").read_text(encoding="utf-8"))

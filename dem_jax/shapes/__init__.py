@@ -1,11 +1,13 @@
 """Shapes of pieces and walls: exact mass properties, faces, edges, convex parts; STL in. Host side, float64, SI."""
 
+from dem_jax.shapes.bodies import Body, read_body
 from dem_jax.shapes.checks import positive_length
 from dem_jax.shapes.compound import Placed, checked_mass, compound, tube
 from dem_jax.shapes.continued import Continued, continued
 from dem_jax.shapes.decomposed import JOINT, Decomposition, decompose, decomposed
 from dem_jax.shapes.hull import hull, placed_hull
 from dem_jax.shapes.mass import MassProperties, mass_properties
+from dem_jax.shapes.nearly_convex import HULL_TOLERANCE, MeshHull, differs_in_mass, hull_of_stl, read_hull, with_mass
 from dem_jax.shapes.polytope import edges_of_faces, loop_normal, polytope
 from dem_jax.shapes.primitives import chamfered_cuboid, cuboid, cylinder, prism, sphere
 from dem_jax.shapes.shape import (
@@ -21,16 +23,19 @@ from dem_jax.shapes.shape import (
     surface,
 )
 from dem_jax.shapes.simplified import MOST_CORNERS, Simplification, simplified
-from dem_jax.shapes.stl import hull_of_stl, load_stl, placed_hull_of_stl
+from dem_jax.shapes.stl import load_stl
 
 __all__ = [
+    "HULL_TOLERANCE",
     "JOINT",
     "MOST_CORNERS",
     "SIZE_LENGTHS",
     "TOLERANCE",
+    "Body",
     "Continued",
     "Decomposition",
     "MassProperties",
+    "MeshHull",
     "Part",
     "Placed",
     "Shape",
@@ -44,6 +49,7 @@ __all__ = [
     "cylinder",
     "decompose",
     "decomposed",
+    "differs_in_mass",
     "edges_of_faces",
     "extents",
     "hull",
@@ -53,14 +59,16 @@ __all__ = [
     "mass_properties",
     "parts_of",
     "placed_hull",
-    "placed_hull_of_stl",
     "polytope",
     "positive_length",
     "prism",
+    "read_body",
+    "read_hull",
     "scaled",
     "simplified",
     "size_length",
     "sphere",
     "surface",
     "tube",
+    "with_mass",
 ]

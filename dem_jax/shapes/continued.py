@@ -4,6 +4,7 @@ Against such a part depth and normal of a contact are found with a convex polyto
 nothing is pushed out across a joint. Host side, float64, SI.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,6 +16,7 @@ from dem_jax.shapes.union import planes
 NEAR = 1e-4  # of a part's bounding radius: planes that cut off no more of a part do not cut it
 BESIDE = 0.02  # of the same: how far beyond an edge is looked for what continues a face ...
 BELOW = 0.02  # ... and, as a part of that, how far below it: what bends by more is no continuation (rad)
+OUTSIDE = 0.05  # of the same: what is further outside of the body does not continue a part
 POINTS = 32  # along an edge, at which is looked
 
 
@@ -46,7 +48,7 @@ def continued(shape: Shape) -> list[Continued | None]:
 
 def _extended(part: Part, others: list[Part]) -> Shape:
     """All of the body, if that is convex; else the part with its inner faces moved outwards by what it measures there, as far
-    as the outer faces of the body let it."""
+    as the outer faces of the body let it; the part alone where that leaves the body, as in a strand that twists."""
     near = NEAR * part.shape.bounding_radius
     every = np.concatenate([other.shape.vertices + other.centre for other in (part, *others)])
     normals, offsets = (np.concatenate(rows) for rows in zip(*(_outer_planes(p) for p in (part, *others)), strict=True))
@@ -59,7 +61,15 @@ def _extended(part: Part, others: list[Part]) -> Shape:
     inner = np.array(part.inner, bool)
     across, levels = part.shape.normals[inner], part.shape.offsets[inner]
     thickness = levels - (part.shape.vertices @ across.T).min(axis=0)
-    return _about(_corners(np.concatenate([normals, across]), np.concatenate([offsets, levels + thickness])))
+    made = _about(_corners(np.concatenate([normals, across]), np.concatenate([offsets, levels + thickness])))
+    away = _height_above(made.vertices + part.centre, (part, *others)).max()
+    return part.shape if away > OUTSIDE * part.shape.bounding_radius else made
+
+
+def _height_above(points: np.ndarray, parts: Sequence[Part]) -> np.ndarray:
+    """How far [P] (m) points [P, 3] are above the highest face of the part that they are least above; inside, negative."""
+    heights = [(points @ normals.T - offsets).max(axis=1) for normals, offsets in map(planes, parts)]
+    return np.min(heights, axis=0)
 
 
 def beyond_seams(panel: Shape, across: np.ndarray, reach: float) -> Shape:

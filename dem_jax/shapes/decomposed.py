@@ -7,18 +7,25 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dem_jax.errors import SceneError
-from dem_jax.shapes.checks import positive
+from dem_jax.shapes import parts_cache
+from dem_jax.shapes.bodies import Body, read_body
+from dem_jax.shapes.checks import positive, positive_length
 from dem_jax.shapes.compound import Placed, compound
+from dem_jax.shapes.convex_parts import cut_into_convex_parts
 from dem_jax.shapes.hull import placed_hull
 from dem_jax.shapes.mass import MassProperties, mass_properties
+from dem_jax.shapes.nearly_convex import differs_in_mass, with_mass
 from dem_jax.shapes.shape import Shape, surface
-from dem_jax.shapes.stl import closed_mesh
 from dem_jax.shapes.union import mass_of_union, overlaps
 
 if TYPE_CHECKING:
     import trimesh
 
 JOINT = 1e-3  # fraction of the size within which parts count as touching: they are cut from a mesh that was made anew
+CONCAVITY = 0.05  # at which a part is cut further, as fraction of the size
+MOST_PARTS = 16  # unless a scene says otherwise
+MOST_CORNERS_OF_PART = 24  # likewise; compiling and every step take the longer, the more there are
+MOST_LOST = 0.5  # fraction of the volume and of the size, beyond which parts are another body
 SAMPLES = 4000  # points on each surface, between which their distance is taken
 
 
@@ -31,6 +38,7 @@ class Decomposition:
     volume_excess: volume of the union of the parts over the mesh's, less one.
     surface_distance: (m) the largest found between the two surfaces, either way, at points spread over both.
     size: (m) largest extent of the mesh.
+    notes: what was mended and united in the file, in words.
     """
 
     points: tuple[np.ndarray, ...]
@@ -38,55 +46,71 @@ class Decomposition:
     volume_excess: float
     surface_distance: float
     size: float
+    notes: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         return (
-            f"{len(self.points)} convex parts, volume {100 * self.volume_excess:+.2g} %, surfaces within "
+            f"{len(self.points)} convex part{'s' if len(self.points) != 1 else ''}, "
+            f"volume {100 * self.volume_excess:+.2g} % (mass and inertia are the mesh's), surfaces within "
             f"{1e3 * self.surface_distance:.2g} mm ({100 * self.surface_distance / self.size:.2g} % of the size)"
         )
 
 
 def decomposed(
-    path: str | Path, unit: float = 1.0, concavity: float = 0.05, max_parts: int | None = None, loss: float = 0.05
+    path: str | Path,
+    unit: float = 1.0,
+    concavity: float = CONCAVITY,
+    max_parts: int = MOST_PARTS,
+    loss: float = MOST_LOST,
+    max_corners: int = MOST_CORNERS_OF_PART,
 ) -> tuple[Shape, Decomposition]:
     """Shape of a closed STL that is not convex, and what it lost; arguments and errors as ``decompose``.
 
-    Volume, centre of mass and inertia are those of the STL itself; what touches other bodies are the convex parts. An STL
-    of which one convex part is enough is that hull, mass and all.
+    Volume, centre of mass and inertia are those of the STL itself; what touches other bodies are the convex parts.
     """
-    found = decompose(path, unit, concavity, max_parts, loss)
+    found = decompose(path, unit, concavity, max_parts, loss, max_corners)
     if len(found.points) == 1:
-        return placed_hull(found.points[0])[0], found
+        shape, centre = placed_hull(found.points[0])
+        return (with_mass(shape, centre, found.mass) if differs_in_mass(shape, centre, found.mass) else shape), found
     parts = [Placed(*placed_hull(points)) for points in found.points]
     return compound(parts, found.mass, JOINT, "decomposed"), found
 
 
 def decompose(
-    path: str | Path, unit: float = 1.0, concavity: float = 0.05, max_parts: int | None = None, loss: float = 0.05
+    path: str | Path,
+    unit: float = 1.0,
+    concavity: float = CONCAVITY,
+    max_parts: int = MOST_PARTS,
+    loss: float = MOST_LOST,
+    max_corners: int = MOST_CORNERS_OF_PART,
 ) -> Decomposition:
     """Convex parts of a closed STL, by CoACD (Wei, Liu, Ling and Su, ACM Trans. Graph. 41, 2022), the same each time.
 
-    unit: metres per unit of the file. concavity: at which a part is cut further, as fraction of the size (CoACD's threshold,
-    0.01 to 1). max_parts: at most so many parts, joined where it costs least; None: as many as it takes.
-    loss: the largest fraction by which the parts' volume may differ from the mesh's, and the largest distance between the
-    surfaces over the size. Raises SceneError for a file that is missing, unreadable or open, values out of range, a loss
-    above what is allowed, and where CoACD is not installed.
+    They are kept in the cache folder (see ``parts_cache``), so that the same mesh is cut only once.
+
+    Args:
+        path: of the STL.
+        unit: metres per unit of the file.
+        concavity: at which a part is cut further, as fraction of the size (CoACD's threshold, 0.01 to 1).
+        max_parts: at most this many parts, joined where it costs least. Compiling takes in proportion to them.
+        loss: the largest fraction by which the parts' volume may differ from the mesh's, and the largest distance between
+            the surfaces over the size.
+        max_corners: of a part; one of more is simplified.
+
+    Raises:
+        SceneError: for a file that is missing, unreadable or open, values out of range, a loss above what is allowed,
+            more than two minutes of cutting, and where CoACD is not installed.
     """
     concavity = positive("concavity", concavity, "a number from 0.01 to 1")
     if not 0.01 <= concavity <= 1.0:
         raise SceneError(f"concavity = {concavity!r} must be a number from 0.01 to 1")
-    loss = positive("loss", loss, "a positive fraction of the volume and of the size")
-    mesh = closed_mesh(path, unit)
-    if not mesh.is_winding_consistent or mesh.volume == 0.0:
-        raise SceneError(f"stl = {str(path)!r} has facets that look inwards among others that look outwards")
-    if mesh.volume < 0.0:
-        mesh.invert()
-    points = _parts_of_mesh(mesh, concavity, max_parts)
-    volume, centre, second = mass_properties(np.asarray(mesh.vertices), mesh.faces)
-    mass = MassProperties(float(volume), centre, np.trace(second) * np.eye(3) - second)
-    excess, distance = _losses(mesh, points, mass)
-    found = Decomposition(points, mass, excess, distance, float(mesh.extents.max()))
-    if max(abs(excess), distance / found.size) > loss:
+    loss, unit = positive("loss", loss, "a positive fraction of the volume and of the size"), positive_length("unit", unit)
+    body = read_body(path)
+    points, excess, distance = _kept_or_cut(body, concavity, max_parts, max_corners, str(path))
+    mass = MassProperties(unit**3 * body.mass.volume, unit * body.mass.centre, unit**2 * body.mass.gyration)
+    size = unit * float(body.outer.extents.max())
+    found = Decomposition(tuple(unit * each for each in points), mass, excess, unit * distance, size, body.notes)
+    if max(abs(excess), found.surface_distance / size) > loss:
         raise SceneError(
             f"stl = {str(path)!r} is lost in part by its convex parts: {found}; loss = {loss:g} is allowed: "
             "a smaller concavity or more max_parts keep more"
@@ -94,27 +118,28 @@ def decompose(
     return found
 
 
-def _parts_of_mesh(mesh: "trimesh.Trimesh", concavity: float, max_parts: int | None) -> tuple[np.ndarray, ...]:
-    """Corners [P, 3] (m) of each convex part."""
-    try:
-        import coacd
-        import rtree  # noqa: F401  trimesh measures distances with it
-    except ImportError as error:
-        raise SceneError(
-            'shape = "decomposed" needs CoACD: pip install "product-impact[decompose]"; or list convex parts: '
-            'shape = "compound"'
-        ) from error
-    coacd.set_log_level("error")
-    size, middle = float(mesh.extents.max()), mesh.bounds.mean(axis=0)
-    unit_mesh = coacd.Mesh((np.asarray(mesh.vertices) - middle) / size, np.asarray(mesh.faces))
-    found = coacd.run_coacd(unit_mesh, threshold=concavity, max_convex_hull=max_parts or -1, seed=0)
-    return tuple(middle + size * np.asarray(vertices, np.float64) for vertices, _ in found)
+def _kept_or_cut(
+    body: Body, concavity: float, parts: int, corners: int, name: str
+) -> tuple[tuple[np.ndarray, ...], float, float]:
+    """Corners of the parts, Decomposition.volume_excess and .surface_distance: from the cache folder, else made."""
+    settings = {"concavity": concavity, "max_parts": parts, "max_corners": corners}
+    key = parts_cache.key_of(body.outer.vertices, body.outer.faces, settings)
+    kept = parts_cache.load_arrays(key)
+    if kept is None:
+        points = cut_into_convex_parts(body.outer, concavity, parts, corners, name)
+        losses = _losses(body.outer, points)
+        kept = {"losses": np.array(losses)} | {f"part_{k}": each for k, each in enumerate(points)}
+        parts_cache.keep_arrays(key, kept)
+    excess, distance = kept["losses"].tolist()
+    return tuple(kept[f"part_{k}"] for k in range(len(kept) - 1)), excess, distance
 
 
-def _losses(mesh: "trimesh.Trimesh", points: tuple[np.ndarray, ...], mass: MassProperties) -> tuple[float, float]:
-    """Decomposition.volume_excess and .surface_distance."""
+def _losses(mesh: "trimesh.Trimesh", points: tuple[np.ndarray, ...]) -> tuple[float, float]:
+    """Decomposition.volume_excess and .surface_distance, of the outer surface."""
     import trimesh
 
+    volume, centre, second = mass_properties(np.asarray(mesh.vertices), np.asarray(mesh.faces))
+    mass = MassProperties(float(volume), centre, np.trace(second) * np.eye(3) - second)
     if len(points) == 1:
         shape, centre = placed_hull(points[0])
         volume = shape.volume

@@ -61,6 +61,21 @@ def portion_said(scene: Scene) -> str | None:
     return f"{1e3 * scene.portion.target_weight:g} g asked, {pieces} = {mass.sum():.4g} g ({_between(mass)} g each)"
 
 
+def stickiness_said(scene: Scene) -> list[str]:
+    """How firmly pieces of each material stick, as pull-off over the mean weight of a piece, in words. Raises SceneError."""
+    goods, table = _goods(scene)
+    rows, weight = rows_of_pieces(table, goods.materials), masses_of(goods, table) * float(np.linalg.norm(scene.run.gravity))
+    said = []
+    for k in sorted(set(rows.tolist())):
+        walls = table.pull_off[k, table.is_wall]
+        each = {"on pieces": table.pull_off[k, k], "on walls": float(walls.max()) if len(walls) else 0.0}
+        own = float(weight[rows == k].mean())
+        words = [f"{pull / own:.3g} times the weight of a piece {where}" for where, pull in each.items() if pull > 0 and own > 0]
+        if words:
+            said.append(f"stickiness of {table.names[k]}: pull-off is {', '.join(words)}")
+    return said
+
+
 def _goods(scene: Scene) -> tuple[Goods, MaterialTable]:
     return goods_of(scene), material_table(scene)
 

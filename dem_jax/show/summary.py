@@ -5,9 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from dem_jax.build.load_cell import section_of
+from dem_jax.build.system import with_pieces_read
 from dem_jax.build.walls import with_buckets_read, written_out
 from dem_jax.scene import Scene, parse
-from dem_jax.show.facts import portion_said, stiffness_in_short
+from dem_jax.show.facts import portion_said, stickiness_said, stiffness_in_short
 from dem_jax.store.run import Run
 
 MISSED = 0.01  # of a peak: by how much samples may miss it before it is said
@@ -24,7 +25,7 @@ def summary(run: Run) -> list[str]:
     ended = "" if run.settled is None else ", then all was settled"
     lines += [f"{key}: {_listed(values)}" for key, values in run.parameters.items()]
     lines.append(f"{pieces}, {run.time[-1]:.6g} s in samples of {run.sample:.3g} s, {run.precision}{ended}")
-    lines += [] if asked is None else [asked]
+    lines += [*([] if asked is None else [asked]), *stickiness_said(parse(run.scene, "the file's scene"))]
     if "settling" in info:
         lines.append(f"released after {info['settling']:.6g} s of settling, when all was settled")
     if "elapsed" in info:
@@ -67,6 +68,17 @@ def _notes_on_shapes(run: Run) -> list[str]:
     pieces = scene.portion.rows if scene.portion else scene.piece
     parts = [part for part in (scene.weigh_bucket, scene.feed_bucket, scene.feeder) if part]
     return list(dict.fromkeys(row.note for row in (*pieces, *scene.wall, *parts) if row.note))
+
+
+def notes_on_pieces(scene: Scene) -> list[str]:
+    """What is read of the STLs of a scene's pieces: what was mended, united, cut or simplified. Raises SceneError."""
+    whole = with_pieces_read(scene)
+    rows = {f"piece.{n}": row for n, row in enumerate(whole.piece)}
+    if whole.portion:
+        products = {f"portion.product.{n}": row for n, row in enumerate(whole.portion.product)}
+        rows |= products or {"portion": whole.portion}
+    first = {row.note: key for key, row in reversed(rows.items()) if row.note}
+    return [f"{key}: {note}" for note, key in reversed(first.items())]
 
 
 def notes_on_walls(scene: Scene) -> list[str]:

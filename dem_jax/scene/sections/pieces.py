@@ -26,7 +26,10 @@ class ConvexShape(Section):
     stl: str | None = Field(None, description="STL file of a hull or of a decomposed shape, relative to the scene's folder")
     unit: Positive = Field(1.0, description="m, length of one unit of the STL file or the points")
     max_corners: int | None = Field(
-        None, ge=16, le=1_000_000, description="of a hull; one that has more is simplified, and the results say so; unset: 128"
+        None, ge=16, le=1_000_000, description="of a hull (unset: 128) or of each decomposed part (24); with more it is simplified"
+    )
+    hull_tolerance: float | None = Field(
+        None, gt=0, le=1, description="of a hull of an STL: fraction by which its volume may exceed the STL's; unset: 0.02"
     )
 
 
@@ -40,10 +43,10 @@ class Part(ConvexShape):
 
 
 class BodyMass(Section):
-    """Mass properties of a compound that are not those of its parts' union, for uniform density."""
+    """Mass properties of a compound or a hull that are not those of its geometry, for uniform density."""
 
     volume: Positive = Field(description="m3")
-    centre: Vector = Field(description="m, of mass, in the axes in which the parts are listed")
+    centre: Vector = Field(description="m, of mass, in the axes in which the parts or points are listed")
     gyration: Annotated[tuple[float, float, float, float, float, float], BeforeValidator(as_tuple)] = Field(
         description="m2, inertia over mass about the centre: xx, yy, zz, xy, xz, yz"
     )
@@ -59,15 +62,17 @@ class PieceShape(ConvexShape):
         (), description="convex parts of a compound, with position and orientation, that touch or overlap"
     )
     mass_properties: BodyMass | None = Field(
-        None, description="of a compound, before scaling; unset: the exact ones of the union of its parts"
+        None, description="of a compound or a hull, before scaling; unset: the exact ones of the union of its parts"
     )
     joint_tolerance: float | None = Field(
         None, gt=0, le=0.01, description="fraction of the size of a compound within which parts touch and are flush; unset: 1e-6"
     )
     concavity: float | None = Field(None, ge=0.01, le=1, description="at which decomposing cuts a part further; unset: 0.05")
-    max_parts: int | None = Field(None, ge=1, description="of what is decomposed; unset: as many as it takes")
+    max_parts: int | None = Field(
+        None, ge=1, description="of what is decomposed; compiling takes in proportion to them; unset: 16"
+    )
     loss: Positive | None = Field(
-        None, description="what decomposing may lose, as fraction of the volume and of the size; unset: 0.05"
+        None, description="what decomposing may lose, as fraction of the volume and of the size; unset: 0.5, and it is reported"
     )
     piece_weight: Positive | None = Field(
         None, description="kg, weight of a piece of this size, instead of its material's density"
@@ -81,16 +86,22 @@ SHAPE_KEYS = {
     "chamfered-cuboid": {"size", "chamfer"},
     "prism": {"sides", "radius", "height"},
     "cylinder": {"radius", "height", "sides"},
-    "hull": {"points", "stl", "unit", "max_corners"},
+    "hull": {"points", "stl", "unit", "max_corners", "hull_tolerance", "mass_properties"},
     "tube": {"outer_radius", "inner_radius", "height", "sides"},
     "compound": {"part", "mass_properties", "joint_tolerance"},
-    "decomposed": {"stl", "unit", "concavity", "max_parts", "loss"},
+    "decomposed": {"stl", "unit", "concavity", "max_parts", "loss", "max_corners"},
 }
 
 
 Spread = Annotated[
     float,
     Field(ge=0, le=0.5, description="relative standard deviation of the linear size, lognormal; 0: all are alike"),
+]
+WeightSpread = Annotated[
+    float,
+    Field(
+        ge=0, le=0.5, description="relative standard deviation of the weight, lognormal, in place of size_spread; 0: all are alike"
+    ),
 ]
 
 
@@ -111,10 +122,17 @@ class Product(PieceShape):
     material: MaterialName = None
     share: Positive = Field(1.0, description="of the portion's weight or count (share_by), relative to the other shares")
     size_spread: Spread = 0.0
+    piece_weight_spread: WeightSpread = 0.0
+
+    @model_validator(mode="after")
+    def _has_one_spread(self) -> "Product":
+        _check_one_spread(self)
+        return self
 
 
 MOST_PRODUCTS = 16
-OF_PRODUCT = {*PieceShape.model_fields, "material", "size_spread"}  # keys of a portion that go to its products
+SPREADS = ("size_spread", "piece_weight_spread")
+OF_PRODUCT = {*PieceShape.model_fields, "material", *SPREADS}  # keys of a portion that go to its products
 
 
 class Portion(PieceShape):
@@ -126,6 +144,7 @@ class Portion(PieceShape):
 
     material: MaterialName = None
     size_spread: Spread = 0.0
+    piece_weight_spread: WeightSpread = 0.0
     product: Annotated[tuple[Product, ...], BeforeValidator(as_tuple)] = ()
     share_by: Literal["weight", "count"] = Field("weight", description="quantity that the shares of the products divide")
 
@@ -147,6 +166,11 @@ class Portion(PieceShape):
         return self.product or (self,)
 
     @model_validator(mode="after")
+    def _has_one_spread(self) -> "Portion":
+        _check_one_spread(self)
+        return self
+
+    @model_validator(mode="after")
     def _leaves_shapes_to_its_products(self) -> "Portion":
         if len(self.product) > MOST_PRODUCTS:
             raise ValueError(f"{len(self.product)} products; allowed: at most {MOST_PRODUCTS}")
@@ -154,3 +178,12 @@ class Portion(PieceShape):
             if self.product and key in OF_PRODUCT and getattr(self, key) != field.default:
                 raise ValueError(f"{key} = {value(getattr(self, key))}: beside products; allowed: in each [[portion.product]]")
         return self
+
+
+def _check_one_spread(row: Product | Portion) -> None:
+    """Raise ValueError for a row that gives the spread of its sizes and of its weights."""
+    if row.size_spread and row.piece_weight_spread:
+        raise ValueError(
+            f"size_spread = {row.size_spread:g} beside piece_weight_spread = {row.piece_weight_spread:g}: each decides the other; "
+            "allowed: one of the two, the other 0"
+        )
