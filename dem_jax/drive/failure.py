@@ -169,8 +169,8 @@ def _thrown_by_wall(system: System, state: State, piece: int, speed: float) -> s
     walls, materials = system.walls, system.materials
     if materials.pull_off is None or not walls.motions:
         return None
-    pull_off = np.atleast_2d(materials.pull_off)
-    of_panel = np.broadcast_to(pull_off, (len(materials.is_wall),) * 2)[int(system.pieces.material[piece])][np.asarray(walls.material)]
+    pull_off = np.broadcast_to(np.asarray(materials.pull_off), (len(materials.is_wall),) * 2)
+    of_panel = pull_off[int(system.pieces.material[piece]), np.asarray(walls.material)]
     fastest, top = _fastest_panels(system, float(system.dt) * int(np.max(state.step)))
     sticky = (of_panel > 0) & (fastest > 0)
     if not sticky.any():

@@ -7,7 +7,7 @@ import numpy as np
 from dem_jax.build.load_cell import section_of
 from dem_jax.build.system import with_pieces_read
 from dem_jax.build.walls import with_buckets_read, written_out
-from dem_jax.scene import Scene, parse
+from dem_jax.scene import PieceShape, Scene, parse
 from dem_jax.show.facts import portion_said, stickiness_said, stiffness_in_short
 from dem_jax.store.run import Run
 
@@ -73,10 +73,11 @@ def _notes_on_shapes(run: Run) -> list[str]:
 def notes_on_pieces(scene: Scene) -> list[str]:
     """What is read of the STLs of a scene's pieces: what was mended, united, cut or simplified. Raises SceneError."""
     whole = with_pieces_read(scene)
-    rows = {f"piece.{n}": row for n, row in enumerate(whole.piece)}
-    if whole.portion:
-        products = {f"portion.product.{n}": row for n, row in enumerate(whole.portion.product)}
-        rows |= products or {"portion": whole.portion}
+    rows: dict[str, PieceShape] = {f"piece.{n}": row for n, row in enumerate(whole.piece)}
+    if whole.portion and whole.portion.product:
+        rows.update({f"portion.product.{n}": row for n, row in enumerate(whole.portion.product)})
+    elif whole.portion:
+        rows["portion"] = whole.portion
     first = {row.note: key for key, row in reversed(rows.items()) if row.note}
     return [f"{key}: {note}" for note, key in reversed(first.items())]
 

@@ -262,10 +262,10 @@ def test_an_stl_that_is_no_convex_solid_is_refused_with_the_reason(tmp_path):
     closed = write_stl(tmp_path / "closed.stl", box.vertices, box.faces)
     assert shapes.hull_of_stl(closed).volume == pytest.approx(1, rel=SINGLE)
     opened = write_stl(tmp_path / "open.stl", box.vertices, box.faces[1:])
-    with pytest.raises(SceneError, match=r"open\.stl' is an open mesh; .*watertight"):
+    with pytest.raises(SceneError, match=r"open\.stl' is an open mesh: 4 edges .* at facets 3, 5, 7, 9 .*watertight"):
         shapes.hull_of_stl(opened)
     bent = write_stl(tmp_path / "bent.stl", *l_shape())
-    with pytest.raises(SceneError, match=r"not convex: its hull has 17 % more volume; at most 0\.1 %"):  # 3.5 for 3
+    with pytest.raises(SceneError, match=r"not convex: its hull has 17 % more volume; at most 2 %"):  # 3.5 for 3
         shapes.hull_of_stl(bent)
     with pytest.raises(SceneError, match=r"no\.stl': there is no such file"):
         shapes.hull_of_stl(tmp_path / "no.stl")
