@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     import trimesh
 
 CRACKS = (0.0, 1e-6, 1e-5, 1e-4)  # of the size: corners closer than this are one, the first that closes the mesh
-TINY_HOLE = 0.01  # of the surface: holes up to this are closed, and those of a single missing facet
+TINY_HOLE = 0.02  # of the surface: holes up to this are closed
 MOST_LISTED = 5  # facets that a message lists by number
 
 
@@ -155,7 +155,7 @@ def _are_faults(faces: np.ndarray, single: np.ndarray, pairs: np.ndarray) -> np.
 
 
 def _close_tiny_holes(mesh: "trimesh.Trimesh") -> tuple["trimesh.Trimesh", list[str]]:
-    """The mesh with holes closed that are a single facet or at most TINY_HOLE of the surface, and what was done."""
+    """The mesh with holes closed that are at most TINY_HOLE of the surface, and what was done."""
     import trimesh
 
     if not has_open_edges(mesh.faces):
@@ -166,7 +166,7 @@ def _close_tiny_holes(mesh: "trimesh.Trimesh") -> tuple["trimesh.Trimesh", list[
     hole = trimesh.graph.connected_component_labels(_adjacent(new), node_count=len(new))
     area = np.bincount(hole, trimesh.triangles.area(mesh.vertices[new]))
     share = area / (mesh.area + area)
-    tiny = (share <= TINY_HOLE) | (np.bincount(hole) == 1)
+    tiny = share <= TINY_HOLE
     if not tiny.any():
         return mesh, []
     out = trimesh.Trimesh(mesh.vertices, np.concatenate([old, new[tiny[hole]]]), process=False, validate=False)

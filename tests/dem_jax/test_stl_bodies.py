@@ -56,7 +56,6 @@ MENDED = [
     (turned(ball(), 3, 70, 400), BALL, "mended: 3 facets turned round"),
     (box()[:, ::-1], 6000, "turned inside out"),
     (ball()[1:], BALL, r"mended: 1 hole closed \(0\.073 % of the surface\)"),
-    (box()[1:], 6000, r"mended: 1 hole closed \(14 % of the surface\)"),
     (np.concatenate([box(), [box()[0, [0, 0, 1]]]]), 6000, "mended: 1 facet without area left out"),
     (split_edge(), 6000, r"mended: 1 hole closed \(0 % of the surface\)"),
     (box() + SHAKEN, 6000, r"mended: cracks up to 3\.7e-05 \(units of the file\) welded"),
@@ -75,6 +74,7 @@ def test_a_mesh_with_small_faults_is_mended_and_it_is_said_how(facets, volume, s
 
 
 REFUSED = [
+    (box()[1:], r"body\.stl' is an open mesh: 3 edges without a facet on the other side"),  # 14 % of the surface
     (box()[2:], r"body\.stl' is an open mesh: 4 edges without a facet on the other side, at facets 0, 1, 2, 3 \(counted from 0\)"),
     (ball()[:640], r"body\.stl' is an open mesh: 80 edges .* and 70 more \(counted from 0\), from \[.*\] to \[.*\] \(units of"),
     (np.concatenate([box(), [box()[0] + [(0, 0, 0), (0, 0, 0), (0, 0, 50)]]]), r"is an open mesh: .*, 12 \(counted from 0\)"),
