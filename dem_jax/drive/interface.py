@@ -33,15 +33,26 @@ def simulate(
     quantities: Iterable[Quantity] = (),
     law: ContactLaw | None = None,
 ) -> record.Run:
-    """Run a scene and return what was sampled.
+    """Simulate a scene and return its run.
 
-    scene: a Scene, or what ``load_scene`` takes. seed: of a portion's arrangement. out: HDF5 file that is written as
-    the run goes; an existing one is an error unless overwrite. progress: show a bar on stderr.
-    quantities: to sample beside those of dem_jax. law: a contact law of one's own (``dem_jax.contact.law``), instead of the
-    scene's; the file keeps the name of its type in ``info["law"]``.
-    Raises SceneError for a scene that cannot be used, RecordError for a file that cannot be written, SimulationError
-    (with what was computed before saved, or as its ``run``) for a run that went wrong, ValueError for a quantity that does
-    not fit its axes.
+    Args:
+        scene: a Scene, or a name or path that ``load_scene`` accepts.
+        seed: seed of the initial arrangement of a portion.
+        out: HDF5 file to write during the run; without one the run stays in memory.
+        overwrite: replace an existing file.
+        progress: show a progress bar on stderr.
+        quantities: quantities to sample in addition to those of dem_jax.
+        law: a contact law (``dem_jax.contact.law``) instead of the scene's; ``info["law"]`` in the file
+            contains the name of its type.
+
+    Returns:
+        The run: sampled series [T, ..] in SI units, stored poses, metadata.
+
+    Raises:
+        SceneError: the scene cannot be used.
+        RecordError: the file cannot be written.
+        SimulationError: the run had to stop; earlier results are saved, or in its attribute ``run``.
+        ValueError: a quantity does not fit its axes.
     """
     return drive(prepare(scene, (seed,), None, quantities, law), out, overwrite, progress)
 
@@ -57,24 +68,37 @@ def ensemble(
     law: ContactLaw | None = None,
     parameters: Mapping[str, Any] | None = None,
 ) -> record.Run:
-    """Run a scene with many seeds, and many values of its parameters; every series has a leading run axis.
+    """Simulate a scene with many seeds or parameter values; every series has a leading run axis [K].
 
-    runs: how many; by default as many as a parameter has values, or 64. seed: the first of seed, seed + 1, ..., or the seed
-    of each run. parameters: keys of the scene, such as ``"material.restitution"``, each with an array or list of a value for
-    each run, or with a distribution of ``scipy.stats`` (which is drawn from with the first seed). They may change all but
-    what decides which program is compiled: of a run that needs another one a SceneError says so. The values are in
-    ``run.parameters``, and each run is that of its own scene, ``scene.replace({key: value, ...})``.
+    All runs share one compiled program. On a CPU each run has a thread of its own and the bits of a single run;
+    at least sixteen runs of few pieces with equal parameters are batched in groups of 16 (``joined``), in half of
+    the time or less. On other devices runs advance together (``jax.vmap``), distributed over as many devices as
+    divide their number. Batched runs equal single runs up to round-off, which contacts amplify. A scene whose
+    pieces are listed one by one does not depend on the seed. If one run fails, all stop. With
+    ``run.until_settled`` all runs share one release time and one end time.
 
-    The runs share one compiled program. On a CPU each has a thread to itself, on all cores, and the bits that it has alone;
-    sixteen or more runs of few pieces and of the same parameters (``joined``) are computed sixteen at a time, in half of the
-    time or less, and each has the same bits in any such ensemble. Elsewhere runs are stepped together by ``jax.vmap``, shared
-    out among as many of JAX's devices as divide their number. Those and these equal single runs up to rounding, which contacts
-    amplify in time. A scene whose pieces are listed one by one has nothing that a seed could change. If one run fails, all
-    stop; with ``run.until_settled`` they are released, and end, when all are settled.
+    If ``jax.distributed`` was initialised, all processes must call this function with the same arguments. Each
+    computes its share of the runs, the first writes the file, and all return the whole ensemble or raise the same
+    exception.
 
-    Where ``jax.distributed`` was initialised, all processes must call this with the same arguments: each computes its
-    share of the runs on its own devices, the first writes the file, and all return the whole ensemble or raise the same.
-    Arguments and errors as ``simulate``.
+    Args:
+        scene: a Scene, or a name or path that ``load_scene`` accepts.
+        runs: number of runs K; by default the number of values of a parameter, or 64.
+        seed: first of the consecutive seeds, or the seeds of all runs.
+        out: HDF5 file to write during the run; without one the runs stay in memory.
+        overwrite: replace an existing file.
+        progress: show a progress bar on stderr.
+        quantities: quantities to sample in addition to those of dem_jax.
+        law: a contact law instead of the scene's.
+        parameters: keys of the scene, such as ``"material.restitution"``, each with one value per run, or with a
+            distribution of ``scipy.stats`` (sampled with the first seed). All keys are permitted that leave the
+            compiled program unchanged. ``run.parameters`` contains the values.
+
+    Returns:
+        The ensemble; each run is that of its own scene, ``scene.replace({key: value, ...})``.
+
+    Raises:
+        SceneError: a parameter would need another program; otherwise as ``simulate``.
     """
     if runs is not None and not 1 <= runs <= MOST_RUNS:
         raise SceneError(f"runs = {runs}: allowed: a whole number from 1 to {MOST_RUNS}")
@@ -96,11 +120,24 @@ def resume(
     quantities: Iterable[Quantity] = (),
     law: ContactLaw | None = None,
 ) -> record.Run:
-    """Go on with the run in a file, to its end or to another duration (s); the bits are those of an uninterrupted run.
+    """Continue the run in a file to its end, or to another duration, with the bits of an uninterrupted run.
 
-    A run that ended because all was settled is at its end, and one that was stopped before anything of it reached the file
-    begins anew. quantities, law: the same that the run was begun with.
-    Raises RecordError for a file that cannot be gone on from, SceneError for a duration that is already exceeded.
+    A run that ended because all pieces were at rest is complete. A run that was stopped before its first flush
+    starts again.
+
+    Args:
+        path: HDF5 file of a run or an ensemble.
+        duration: new duration (s) of the run.
+        progress: show a progress bar on stderr.
+        quantities: the same quantities as at the start of the run.
+        law: the same contact law as at the start of the run.
+
+    Returns:
+        The complete run.
+
+    Raises:
+        RecordError: the file cannot be continued.
+        SceneError: the file is already longer than the duration.
     """
     known = record.fingerprint(path)
     header, arrays, samples, frames = record.load_restart(path)

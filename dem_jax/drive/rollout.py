@@ -25,12 +25,14 @@ KEPT = 2**30  # bytes
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Rollout:
-    """What was sampled, a tree of JAX's arrays. Not a number throughout where the run outgrew what its scene was built with:
-    where more pairs were near each other than there is room for, or bodies moved too far between two rebuilds
-    (``run.rebuild_steps``). Neither can be where there is room for all pairs, as of one piece on a few walls.
+    """Sampled series as a pytree of JAX arrays; nan throughout if the run exceeded the capacities of its scene.
 
-    time: [T] (s) since the release of the portion. series: by the names of the quantities, as of ``Run``; each is an attribute
-    too: ``force`` is group -> [T, 3] (N), ``momentum`` is [T, 3] (kg m/s).
+    Capacities are exceeded if more pairs are close to each other than expected, or if bodies move too far between
+    two rebuilds (``run.rebuild_steps``). Neither is possible with a capacity for all pairs, such as for one piece
+    on a few walls.
+
+    time: [T] (s) since the release of the portion. series: by the names of the quantities, as for ``Run``; each is
+    an attribute too: ``force`` is group -> [T, 3] (N), ``momentum`` is [T, 3] (kg m/s).
     """
 
     time: Array
@@ -51,23 +53,32 @@ def rollout(
     quantities: Iterable[Quantity] = (),
     checkpoint: bool | None = None,
 ) -> Rollout:
-    """Run a scene with some of its numbers replaced, and return what was sampled, differentiable by these numbers.
+    """Simulate a scene with some of its numbers replaced; the result is differentiable with respect to them.
 
-    scene: a Scene, or what ``load_scene`` takes. parameters: dotted keys of the scene, as of ``Scene.replace``, each with a
-    number or an array, or what stands for one while JAX traces: of materials, pairs, motions of walls, load cell, gravity, drop
-    height, and position, orientation and velocities of pieces that are listed. seed, quantities: as of ``simulate``.
-    checkpoint: reverse mode keeps the state at every rebuild only (``run.rebuild_steps``), not after every step, and computes
-    the steps between once more, which takes 1.2 to 1.5 times as long to compile and up to 1.4 times to run; None: where the states
-    after all steps would take more than KEPT, 1 GiB.
+    The program, sizes, shapes and the time step are those of the scene: give it the stiffest material and the
+    lowest restitution of the values to come. The ``run.duration / run.sample`` samples from the release on are
+    returned; errors that would stop ``simulate`` do not stop it. Forces have kinks at the beginning of contacts and
+    at the end of the loading line, where derivatives are one-sided; for many pieces, whose motion is chaotic,
+    derivatives grow without bound in time. ``jax.jit`` compiles once. Forward mode (``jax.jacfwd``) compiles in 0.6
+    of the time of reverse mode and is cheaper for up to about five numbers. Double precision needs
+    ``jax_enable_x64``; calling ``dem_jax.compiling.loops_as_one()`` before any computation makes steps twice as fast.
 
-    What compiles a program, sizes, shapes and the time step are those of the scene, with its own numbers: let it have the
-    stiffest material and the lowest restitution of those to come. Sampled are the ``run.duration / run.sample`` samples from the
-    release on; nothing ends it before, and what would stop a run (``simulate``) does not. Forces have corners where contacts
-    begin and where they leave the loading line; derivatives are those on the side where the run is, and of many pieces, whose
-    motion is chaotic, they grow without bound with the time. ``jax.jit`` around it compiles once; forward mode (``jax.jacfwd``)
-    compiles in 0.6 of the time of reverse mode, and is the cheaper one for up to about five numbers. Double precision needs
-    ``jax_enable_x64``; ``dem_jax.compiling.loops_as_one()`` before anything is computed makes steps twice as fast.
-    Raises SceneError for a scene or a parameter that cannot be used, naming those that can.
+    Args:
+        scene: a Scene, or a name or path that ``load_scene`` accepts.
+        parameters: dotted keys of the scene, as for ``Scene.replace``, each with a number or an array, also a
+            traced one: materials, pairs, motions of walls, load cell, gravity, drop height, and position,
+            orientation and velocities of listed pieces.
+        seed: seed of the initial arrangement of a portion.
+        quantities: quantities to sample in addition to those of dem_jax.
+        checkpoint: reverse mode keeps the state only at every rebuild (``run.rebuild_steps``) and recomputes the
+            steps between, which takes 1.2 to 1.5 times as long to compile and up to 1.4 times to run. By default
+            only if the states of all steps would take more than 1 GiB.
+
+    Returns:
+        The sampled series as JAX arrays.
+
+    Raises:
+        SceneError: the scene or a parameter cannot be used; the message lists the permitted keys.
     """
     scene = build.self_contained(scene if isinstance(scene, Scene) else load_scene(scene))
     double = scene.run.precision == "f64"

@@ -1,14 +1,18 @@
-"""The largest of many values, without the corners that a maximum has."""
+"""A differentiable maximum."""
 
 import jax
 import jax.numpy as jnp
 
 
 def smooth_peak(values: jax.Array, width: float | jax.Array) -> jax.Array:
-    """width log(sum(exp(values / width))) over the first axis: the log-sum-exp, which tends to the largest value as width -> 0.
+    """Differentiable maximum (log-sum-exp) over the first axis: width log(sum(exp(values / width))).
 
-    values: [T, ..], such as a force (N). width: in their unit; values that differ from the largest by much more count for
-    nothing. Returns [..]: at least the largest, and more by at most width log T: the wider, the smoother and the more. Of a peak
-    that is a parabola, largest - c n^2 in the n-th sample from its top, it is more by width / 2 log(pi width / c).
+    Args:
+        values: [T, ..], such as a force (N).
+        width: in the unit of the values; values further below the maximum do not count.
+
+    Returns:
+        [..]: at least the maximum, and at most width log T above it. For a peak that is a parabola,
+        maximum - c n^2 in the n-th sample from its top, it is width / 2 log(pi width / c) above it.
     """
     return width * jax.nn.logsumexp(jnp.asarray(values) / width, axis=0)

@@ -13,7 +13,15 @@ STOCK = Path(__file__).parent.parent / "scenes"
 
 
 def load_scene(source: str | Path, changes: dict[str, Any] | None = None) -> Scene:
-    """Read a stock scene by name or a TOML file by path, with changes as of ``Scene.replace``. Raises SceneError."""
+    """The stock scene of a name, or the scene in a TOML file.
+
+    Args:
+        source: name of a stock scene, or path of a file.
+        changes: changed values, as for ``Scene.replace``.
+
+    Raises:
+        SceneError: the file or a key cannot be used.
+    """
     tree, path = _read(source, ())
     return validated(tree, path.stem if path.parent == STOCK else str(path), changes)
 

@@ -15,7 +15,8 @@ from dem_jax.store.run import Frames, Run
 def load_run(path: FileName) -> Run:
     """The run or ensemble in an HDF5 file.
 
-    Raises RecordError for a file that is missing, not HDF5, truncated, damaged or incomplete.
+    Raises:
+        RecordError: the file is missing, not HDF5, truncated, damaged or incomplete.
     """
     with reading(path) as file:
         header, held = read_header(file, path), dict(datasets(file))

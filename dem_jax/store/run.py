@@ -31,15 +31,15 @@ class Frames:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """A run, or an ensemble of K runs: then every series but time has a leading axis of length K.
+    """A run, or an ensemble of K runs, whose series except time have a leading axis of length K.
 
-    time: [T] (s) since the release of the portion. series: by the names of the quantities, step.quantities and those that
-    the run was given; each is an attribute too: ``run.force`` is group -> [T, 3] (N), ``run.momentum`` is [T, 3] (kg m/s).
-    What a run does not have is {}, or None of a quantity that is one array.
-    pieces: stored poses or None. restart: path -> array, all that is needed to go on.
-    settled: time (s) at which the run ended because all was at rest (``run.until_settled``), None: it went on to its end.
+    time: [T] (s) since the release of the portion. series: by the names of the quantities (step.quantities and
+    those of the user); each is an attribute too: ``run.force`` is group -> [T, 3] (N), ``run.momentum`` is [T, 3]
+    (kg m/s). Series that a run does not have are {}, or None for a quantity that is one array.
+    pieces: stored poses or None. restart: path -> array, the state for a resume.
+    settled: time (s) at which the run ended because all pieces were at rest (``run.until_settled``), else None.
     parameters: keys of the scene that differ between the runs of an ensemble -> [K, ..] values; {}: none.
-    header: scene, seed, time step and the like; its fields are attributes of the run too.
+    header: scene, seed, time step and other metadata; its fields are attributes of the run too.
     """
 
     header: Header
@@ -77,19 +77,32 @@ class Run:
             writer.append(series_of(self), frames, self.restart)
 
     def pif_kg(self, group: str, mean: bool = True) -> np.ndarray:
-        """Product impact force over g, eq. 24: [T] (kg), on a wall group: sample means or instants.
+        """Product impact force over g, eq. 24, on a wall group: the force along gravity over its magnitude.
 
-        The force along gravity is taken, over its magnitude; without gravity, downward and 9.81 m/s2.
-        Raises RecordError for a group that the run does not have.
+        Without gravity, the downward force over 9.81 m/s2.
+
+        Args:
+            group: name of the wall group.
+            mean: means over the sample intervals instead of instantaneous values.
+
+        Returns:
+            [T] (kg).
+
+        Raises:
+            RecordError: the run does not have the group.
         """
         forces = self.mean_force if mean else self.force
         gravity = self._gravity()
         return _of(forces, group).astype(np.float64) @ (gravity / (gravity @ gravity))
 
     def peak_kg(self, group: str) -> np.ndarray | None:
-        """The largest of ``pif_kg`` in all steps of each sample interval, [T] (kg); None: the file is of before it was kept.
+        """Largest ``pif_kg`` over all steps of each sample interval, on a wall group.
 
-        Raises RecordError for a group that the run does not have.
+        Returns:
+            [T] (kg), or None for a file of an older version without it.
+
+        Raises:
+            RecordError: the run does not have the group.
         """
         peaks = self.series.get("peak_force")
         return None if peaks is None else _of(peaks, group).astype(np.float64) / np.linalg.norm(self._gravity())
