@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from calibrate.errors import BadInput
-from product_model.program import fail_program, run_program, set_open_line, temporary_file
+from product_model.program import QuietStream, fail_program, run_program, set_open_line, temporary_file
 
 if TYPE_CHECKING:
     from calibrate.fit import Fit
@@ -109,7 +109,7 @@ def _progress() -> Iterator[Callable[[str, int, int], None]]:
 
     def show(stage: str, done: int, total: int) -> None:
         if not bars:
-            bars.append(tqdm(total=1, file=sys.stderr))
+            bars.append(tqdm(total=1, file=QuietStream(sys.stderr)))
             set_open_line(True)
         bars[0].set_description(stage)
         bars[0].total, bars[0].n = total, done

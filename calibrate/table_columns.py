@@ -158,15 +158,24 @@ def find_roles(path: Path, layout: Layout, fields: Sequence[Field], options: Tab
 
 
 def _times(fields: Sequence[Field], full: Sequence[int]) -> list[int]:
-    """Columns of times: by name or unit; without any the first that goes up evenly; and all that equal one of them."""
+    """Columns of times: by name or unit, without any the first that goes up evenly; and all that go up like one of them."""
     times = [k for k in full if _is_time(fields[k])]
     if any(not fields[k].is_clock for k in times):
         times = [k for k in times if not fields[k].is_clock]
     if not times:
         plain = [k for k in full if fields[k].quantity in ("", "index") and fields[k].unit == NONE]
         times = [k for k in plain if fields[k].rises and not fields[k].is_counter][:1]
-    alike = [k for k in full if any(k != t and fields[k].rises and _equal(fields[k], fields[t]) for t in times)]
-    return sorted({*times, *(k for k in alike if fields[k].quantity != "index" and fields[k].unit.kind in ("none", "time"))})
+    more = [k for k in full if any(_is_time_beside(fields[k], fields[t]) for t in times if t != k)]
+    return sorted({*times, *more})
+
+
+def _is_time_beside(column: Field, time: Field) -> bool:
+    """Whether a column without a name that says so holds times, too: it equals those of `time`, or goes up as evenly."""
+    if column.quantity not in ("", "date") or column.unit.kind not in ("none", "time") or not column.rises:
+        return False
+    ratio = np.nanmean(np.diff(column.values)) / np.nanmean(np.diff(time.values))
+    is_same = np.array_equal(column.values, time.values, equal_nan=True)
+    return bool(is_same or (not column.is_counter and 0.01 < ratio < 100.0))
 
 
 def _is_time(column: Field) -> bool:
@@ -175,10 +184,6 @@ def _is_time(column: Field) -> bool:
     if column.unit.kind == "time":
         return column.quantity == "time" or column.rises
     return column.quantity == "time" and column.unit.kind in ("none", "unknown")
-
-
-def _equal(a: Field, b: Field) -> bool:
-    return np.array_equal(a.values, b.values, equal_nan=True)
 
 
 def _may_be_force(column: Field, options: TableOptions) -> bool:
@@ -195,7 +200,8 @@ def _forces(path: Path, layout: Layout, fields: Sequence[Field], able: Sequence[
     if options.force_unit is not None:
         return [k for k in able if fields[k].quantity in ("force", "weight")] or list(able)
     of = lambda kind: [k for k in able if fields[k].unit.kind == kind]  # noqa: E731
-    chosen = of("force") or _without_axes(fields, of("mass"))
+    weights = _without_axes(fields, of("mass"))
+    chosen = of("force") or [k for k in weights if fields[k].quantity in ("force", "weight")] or weights
     for k in of("unknown"):
         if not chosen or fields[k].quantity in ("force", "weight"):
             raise _unknown_unit(path, fields[k], "force")

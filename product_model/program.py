@@ -1,4 +1,4 @@
-"""How a program of the command line begins and ends: its streams, Ctrl-C, output that nobody takes, a missing device."""
+"""How a program of the command line begins and ends: its streams, signals, output that nobody takes, a missing device."""
 
 import contextlib
 import os
@@ -7,10 +7,11 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 PROGRAMS = ("product_model", "calibrate")  # this package's own, and the one built on it
 BAD_INPUT, INTERRUPTED = 2, 130
+SIGNALS = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "hung up"}  # that end a program: what they do to it
 PATIENCE = 0.5  # s that an interrupted program waits for its standard output to take what was printed
 
 _unfinished: set[Path] = set()  # temporary files that an interrupted program removes
@@ -18,18 +19,20 @@ _open_line = threading.Event()  # set while a progress bar stands on the last li
 
 
 def begin_program() -> None:
-    """From now on Ctrl-C ends the process at once, if it is one of PROGRAMS and not a session of Python's or a test.
+    """From now on SIGNALS end the process at once, if it is one of PROGRAMS and not a session of Python's or a test.
 
-    A thread waits for it, as Python's own handler must wait for a call into XLA to return, which can take a minute.
+    A thread waits for them, as Python's own handler must wait for a call into XLA to return, which can take a minute.
     """
     name = _program_name()
-    if name is None or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
-        return  # a job in the background ignores Ctrl-C
+    if name is None:
+        return
     reading, writing = os.pipe()
     os.set_blocking(writing, False)
     signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
-    signal.signal(signal.SIGINT, lambda *_: None)
-    threading.Thread(target=_wait_for_interrupt, args=(name, reading), daemon=True).start()
+    for number in _numbers():
+        if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):  # else it is ignored, as by nohup
+            signal.signal(number, lambda *_: None)
+    threading.Thread(target=_wait_for_signal, args=(name, reading), daemon=True).start()
 
 
 def _program_name() -> str | None:
@@ -109,6 +112,27 @@ def temporary_file(path: Path) -> Iterator[Path]:
         _unfinished.discard(part)
 
 
+class QuietStream:
+    """A stream that falls silent once nobody takes what is written, as a progress bar may."""
+
+    def __init__(self, stream: Any) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        """Write, or do nothing."""
+        with contextlib.suppress(OSError, ValueError):
+            self._stream.write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        """Flush, or do nothing."""
+        with contextlib.suppress(OSError, ValueError):
+            self._stream.flush()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
 def set_open_line(is_open: bool) -> None:
     """Say whether a progress bar stands on the last line of stderr."""
     _open_line.set() if is_open else _open_line.clear()
@@ -130,13 +154,19 @@ def _mute() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _wait_for_interrupt(name: str, reading: int) -> None:
+def _numbers() -> dict[int, str]:
+    """The numbers of SIGNALS that there are on this machine, and what they do."""
+    return {int(getattr(signal, key)): words for key, words in SIGNALS.items() if hasattr(signal, key)}
+
+
+def _wait_for_signal(name: str, reading: int) -> None:
+    numbers = _numbers()
     while byte := os.read(reading, 1):
-        if byte[0] == signal.SIGINT:
-            _leave(name)
+        if byte[0] in numbers:
+            _leave(name, byte[0], numbers[byte[0]])
 
 
-def _leave(name: str) -> NoReturn:
+def _leave(name: str, number: int, words: str) -> NoReturn:
     """End the process without waiting for what it computes."""
     flushing = threading.Thread(target=_flush, daemon=True)
     flushing.start()
@@ -146,8 +176,8 @@ def _leave(name: str) -> NoReturn:
             part.unlink(missing_ok=True)
     with contextlib.suppress(OSError, ValueError):
         line = "\n" if _open_line.is_set() else ""
-        os.write(sys.stderr.fileno(), f"{line}{name}: interrupted\n".encode())
-    os._exit(INTERRUPTED)
+        os.write(sys.stderr.fileno(), f"{line}{name}: {words}\n".encode())
+    os._exit(128 + number)
 
 
 def _flush() -> None:

@@ -47,6 +47,7 @@ READ = {  # text: that is to be read as TIME and FORCE
     "units in a second line": "Zeit;Kraft\nms;kN\n" + rows(1e3 * TIME, FORCE / 1e3),
     "units in brackets, then a blank line": "Time,Channel A\n(ms),(mN)\n\n" + rows(1e3 * TIME, 1e3 * FORCE, sep=","),
     "acceleration in g": "Time (s),Force (N),Acceleration (g)\n" + rows(TIME, FORCE, 1 + 0.1 * np.sin(300 * TIME), sep=","),
+    "acceleration in g beside a weight": "Time (s),Load (g),ADXL 345 (g)\n" + rows(TIME, FORCE / G, FORCE, sep=","),
     "weights beside forces": "time_s,force_n,pif_g\n" + rows(TIME, FORCE, FORCE / G, sep=","),
     "a number of the row": "NO.;Time;Force\nNO.;ms;N\n" + rows(INDEX, 1e3 * TIME, FORCE),
     "a number of the row without a name": ",time,force\n" + rows(INDEX - 1, TIME, FORCE, sep=","),
@@ -178,6 +179,14 @@ def test_each_force_has_the_times_to_its_left(tmp_path):
     one, two = read_table(tmp_path / "t.csv").columns
     np.testing.assert_allclose(one.time, TIME)
     np.testing.assert_allclose(two.time, TIME[:300])
+
+
+@pytest.mark.parametrize("head", ["Zeit;Kraft1;;Kraft2\n", "x1;y1;x2;y2\n", ""])
+def test_a_second_column_of_times_without_a_name_is_one(head, tmp_path):
+    """It begins 10 ms later."""
+    (tmp_path / "t.csv").write_text(head + rows(TIME, FORCE, TIME + 0.01, FORCE))
+    one, two = read_table(tmp_path / "t.csv").columns
+    np.testing.assert_allclose([one.time, two.time], [TIME, TIME + 0.01])
 
 
 def test_times_that_are_even_but_for_their_digits_are_even(tmp_path):

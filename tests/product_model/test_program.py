@@ -12,7 +12,7 @@ import pytest
 
 from product_model import program
 from product_model.__main__ import main
-from product_model.program import run_program, temporary_file
+from product_model.program import QuietStream, run_program, temporary_file
 
 
 class Full(io.StringIO):
@@ -37,6 +37,14 @@ def test_an_output_that_takes_nothing_is_one_line(error, code, said, monkeypatch
     monkeypatch.setattr(sys, "stdout", Full(error))
     assert run_program("p", lambda: print("x"), ()) == code
     assert capsys.readouterr().err == said
+
+
+def test_a_bar_that_nobody_sees_falls_silent():
+    output = Full(OSError(32, "Broken pipe"))
+    bar = QuietStream(output)
+    bar.flush()
+    output.close()
+    assert bar.write("x") == 1
 
 
 def test_a_closed_output_leads_to_nowhere(monkeypatch):
@@ -109,7 +117,8 @@ hashlib.pbkdf2_hmac('sha256', b'', b'', 10**8)
 
 
 @pytest.mark.skipif(os.name != "posix", reason="of signals of POSIX")
-def test_ctrl_c_ends_a_program_at_once_while_it_computes():
+@pytest.mark.parametrize(("number", "words", "code"), [(signal.SIGINT, "interrupted", 130), (signal.SIGTERM, "terminated", 143)])
+def test_a_signal_ends_a_program_at_once_while_it_computes(number, words, code):
     """In a call that does not return to Python for a minute, as into XLA."""
     process = subprocess.Popen([sys.executable, "-c", ASLEEP], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     deadline = time.monotonic() + 60
@@ -117,9 +126,9 @@ def test_ctrl_c_ends_a_program_at_once_while_it_computes():
         time.sleep(0.02)
     time.sleep(0.1)
     begun = time.monotonic()
-    process.send_signal(signal.SIGINT)
+    process.send_signal(number)
     out, error = process.communicate(timeout=20)
-    assert (process.returncode, out, error) == (130, "printed before\n", "calibrate: interrupted\n")
+    assert (process.returncode, out, error) == (code, "printed before\n", f"calibrate: {words}\n")
     assert time.monotonic() - begun < 10 and not Path("half.part").exists()
 
 
