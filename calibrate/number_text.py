@@ -12,7 +12,7 @@ GROUPS = re.compile(r"(?<=\d)[ '’_\u00a0\u2009\u202f](?=\d{3}(?!\d))")
 NUMBER = re.compile(r"[+-]?(?:\d[\d.,]*|[.,]\d+)(?:[eEdD][+-]?\d+)?$")
 PLAIN = re.compile(r"[+-]?\d+(?:[.,]\d+)?$")  # most cells of most tables
 INFINITE = re.compile(r"[+-]?(?:inf|infinity|1\.#inf|∞)$", re.I)
-CLOCK = re.compile(r"(?:(\d{1,3}):)?(\d{1,2}):(\d{1,2})(?:[.,:](\d{1,9}))?\s*([ap]m)?\s*(?:z|utc|[+-]\d\d:?\d\d)?$", re.I)
+CLOCK = re.compile(r"(?:(\d{1,3}):)?(\d{1,2}):(\d{1,2})(?:([.,:])(\d{1,9}))?\s*([ap]m)?\s*(?:z|utc|[+-]\d\d:?\d\d)?$", re.I)
 DATE = re.compile(
     r"(?:\d{4}[-./]\d{1,2}[-./]\d{1,2}|\d{1,2}[-./]\d{1,2}[-./](?:\d{4}|\d{2})"
     r"|\d{1,2}[-. ][A-Za-zä]{3,9}\.?[-. ](?:\d{4}|\d{2})|[A-Za-z]{3,9} \d{1,2},? \d{4})\.?$"
@@ -45,23 +45,33 @@ def is_date(cell: str) -> bool:
 
 def clock_seconds(cell: str) -> float | None:
     """(s) since midnight of a tidy cell with a clock time, behind a date or alone; None where it is none."""
-    text = cell
-    if found := re.match(r"^(\S+|\d{1,2} \S+ \d{4})(?:[Tt ]|,\s*)(?=\d{1,2}:)", cell):
-        text = cell[found.end() :]
-    elif "T" in cell:
-        text = cell.split("T", 1)[1]
-    found = CLOCK.fullmatch(text.strip())
-    if not found:
+    found = _clock(cell)
+    if found is None:
         return None
-    hours, minutes, seconds, fraction, half = found.groups()
+    hours, minutes, seconds, sign, fraction, half = found.groups()
     if hours is None and fraction is None:
         hours, minutes, seconds = minutes, seconds, "0"
     value = 3600.0 * int(hours or 0) + 60.0 * int(minutes) + int(seconds)
     if half:
         value += 43200.0 * ((half.lower() == "pm") - (int(hours or 0) == 12))
-    if text.strip().count(":") == 3:  # milliseconds behind a colon
+    if sign == ":":  # milliseconds
         return value + int(fraction) / 1000.0
     return value + (float(f"0.{fraction}") if fraction else 0.0)
+
+
+def clock_decimals(cell: str) -> int:
+    """Number of decimal places of the seconds of a clock time; 0 where it is none."""
+    found = _clock(cell)
+    return 0 if found is None or not found.group(5) else 3 if found.group(4) == ":" else len(found.group(5))
+
+
+def _clock(cell: str) -> re.Match[str] | None:
+    text = cell
+    if found := re.match(r"^(\S+|\d{1,2} \S+ \d{4})(?:[Tt ]|,\s*)(?=\d{1,2}:)", cell):
+        text = cell[found.end() :]
+    elif "T" in cell:
+        text = cell.split("T", 1)[1]
+    return CLOCK.fullmatch(text.strip())
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from calibrate.summaries import momentum_release
 from calibrate.targets import Target
 
 LONGEST, SHORTEST = 100.0, 0.01  # s, of a trace
-END = (0.5, 1.5)  # of the weight of the pieces: between them a trace must end
+END = (0.7, 1.3)  # of the weight of the pieces: between them a trace must end
 NEARLY = 0.02  # of the weight: by how much it may do so without a warning
 ZERO, ZERO_NOTED = 0.05, 0.01  # of the weight: force before the first impact
 HEAVY = 5.0  # kg, of a piece: likely to be in grams

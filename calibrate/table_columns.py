@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from calibrate.errors import BadInput
-from calibrate.number_text import PLAIN, Signs, clock_seconds, is_date, is_missing, signs_of
+from calibrate.number_text import PLAIN, Signs, clock_decimals, clock_seconds, is_date, is_missing, signs_of
 from calibrate.table_text import Layout
 from calibrate.units import NONE, Unit, quantity_named, unit_in_name, unit_named
 
@@ -114,7 +114,7 @@ def _field(path: Path, layout: Layout, k: int, cells: Sequence[str], clock: bool
     if clock:
         times = np.array([np.nan if (t := clock_seconds(cell)) is None else t for cell in cells])
         days = np.cumsum(np.concatenate([[0.0], np.where(np.diff(times) < -43200.0, 86400.0, 0.0)]))
-        places = max(len(found.group(1)) if (found := re.search(r"\d[.,](\d+)\D*$", cell)) else 0 for cell in cells)
+        places = max(map(clock_decimals, cells))
         return Field(shown, Unit("time", "s"), "time", times + days, places, True, bool(name))
     if _has_dates(cells):
         return Field(shown, NONE, "date", np.full(len(cells), np.nan), named=bool(name))

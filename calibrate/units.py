@@ -127,8 +127,8 @@ def unit_in_name(name: str) -> Unit:
         return whole
     if found := re.search(r"(?:/|\bin\b|\bIN\b)\s*([^\s/]+)\s*$", name):
         return unit_named(found.group(1))
-    last = re.split(r"[_,\s-]+", name.strip())[-1]
-    unit = unit_named(last) if re.search(r"[_,\s-]", name.strip()) else NONE
+    last = re.split(r"[_,:=\s-]+", name.strip())[-1]
+    unit = unit_named(last) if last != name.strip() else NONE
     if unit.kind == "time" and quantity_named(name) not in ("time", ""):  # "Force min"
         return NONE
     return unit if unit.kind not in ("unknown", "other") else NONE
@@ -137,7 +137,7 @@ def unit_in_name(name: str) -> Unit:
 def quantity_named(name: str) -> str:
     """What a name says of its column: "time", "index", "force", "weight", "other" or "" (nothing)."""
     plain = re.sub(r"[\[({<].*?[\])}>]", " ", name).strip().lower()
-    words = [word for word in re.split(r"[\s_/,;:-]+", plain) if word]
+    words = [word for word in re.split(r"[\s_/,;:=-]+", plain) if word]
     joined = {plain, *words, *(re.sub(r"\d+$", "", word) for word in words)}
     if words and (words[0] in TIME_NAMES or plain in TIME_NAMES) or joined & {"timestamp", "uhrzeit"}:
         return "time"

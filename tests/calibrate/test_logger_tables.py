@@ -43,6 +43,7 @@ READ = {  # text: that is to be read as TIME and FORCE
     "unit words behind 'in'": "Zeit in Millisekunden;Kraft in Newton\n" + rows(1e3 * TIME, FORCE),
     "names that go over lines": '"Zeit\n[ms]";"Kraft\n[kN]"\n' + rows(1e3 * TIME, FORCE / 1e3),
     "units between blanks": "t F\n(ms) (mN)\n" + rows(1e3 * TIME, 1e3 * FORCE, sep=" "),
+    "units behind other signs": "Time: ms;Force=kN\n" + rows(1e3 * TIME, FORCE / 1e3),
     "units behind a slash": "t/ms;F/kN\n" + rows(1e3 * TIME, FORCE / 1e3),
     "units in a second line": "Zeit;Kraft\nms;kN\n" + rows(1e3 * TIME, FORCE / 1e3),
     "units in brackets, then a blank line": "Time,Channel A\n(ms),(mN)\n\n" + rows(1e3 * TIME, 1e3 * FORCE, sep=","),
@@ -77,6 +78,9 @@ READ = {  # text: that is to be read as TIME and FORCE
     "dates and clock times": "Datum Zeit;F (N)\n"
     + rows([f"12.03.2024 {c}".replace(":0.", ":00.") for c in clocks()], FORCE, sign=","),
     "a column of dates, one of clock times": "Date,Time,F (N)\n" + rows(["2024-03-12"] * 400, clocks(), FORCE, sep=","),
+    "clock times of other forms": "Zeit;F (N)\n"
+    + rows([f"2024-03-12T{c}000+01:00" if k % 2 else f"3/12/24 {c} AM" for k, c in enumerate(clocks())], FORCE),
+    "clock times with milliseconds behind a colon": "Zeit;F (N)\n" + rows([c.replace(".", ":") for c in clocks()], FORCE),
     "seconds of the epoch": "timestamp (s);F (N)\n" + rows(1710237601 + TIME, FORCE, form="{:.4f}"),
     "LabVIEW, times for each channel": LABVIEW.format("Multi", "X_Value\tA\tX_Value\tB")
     + rows(TIME, FORCE, TIME, FORCE / 1e3, sep="\t", sign=",", form="{:.7f}"),
