@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from manifold3d import Manifold
 
 NEGLIGIBLE = 1e-9  # of the volume of the box around a file: surfaces that hold less hold nothing
+INWARDS = "facets that looked inwards turned round"
 TOUCHING = 1e-4  # of the size: bodies no further apart than this touch
 
 
@@ -49,7 +50,7 @@ def read_body(path: str | Path, unit: float = 1.0) -> Body:
         outer = whole = mesh
         if mesh.volume < 0.0:
             outer.invert()
-            notes.append("turned inside out")
+            notes.append(INWARDS)
     else:
         outer, whole, united = _unite(mesh, path)
         notes += united
@@ -83,7 +84,7 @@ def _unite(mesh: "trimesh.Trimesh", path: str | Path) -> tuple["trimesh.Trimesh"
     outer = _sum_of(filled)
     notes = []
     if turned:
-        notes.append(f"{turned} of {len(solids)} surfaces turned inside out" if len(solids) > 1 else "turned inside out")
+        notes.append(f"{turned} of {len(solids)} bodies: {INWARDS}" if len(solids) > 1 else INWARDS)
     if len(solids) > 1:
         shared = sum(solid.volume() for solid in hollow) / whole.volume() - 1.0
         notes.append(f"{len(solids)} bodies united, which share {100 * shared:.2g} % of the volume")

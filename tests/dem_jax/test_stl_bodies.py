@@ -54,7 +54,7 @@ MENDED = [
     (np.concatenate([ball(), ball()[100:140, ::-1]]), BALL, "mended: 40 duplicated facets left out"),
     (turned(box(), 0), 6000, "mended: 1 facet turned round"),
     (turned(ball(), 3, 70, 400), BALL, "mended: 3 facets turned round"),
-    (box()[:, ::-1], 6000, "turned inside out"),
+    (box()[:, ::-1], 6000, "facets that looked inwards turned round"),
     (ball()[1:], BALL, r"mended: 1 hole closed \(0\.073 % of the surface\)"),
     (np.concatenate([box(), [box()[0, [0, 0, 1]]]]), 6000, "mended: 1 facet without area left out"),
     (split_edge(), 6000, r"mended: 1 hole closed \(0 % of the surface\)"),
@@ -98,7 +98,7 @@ UNITED = [
     ([SMALL, SMALL + (10, 3, 2)], 2000, ["2 bodies united, which share 0 % of the volume"]),
     ([BIG, SMALL], 27000, ["2 bodies united, which share 3.7 % of the volume"]),
     ([BIG, SMALL[:, ::-1]], 26000, ["3.7 % of the volume are cavities"]),
-    ([BIG[:, ::-1], SMALL], 26000, ["turned inside out", "3.7 % of the volume are cavities"]),
+    ([BIG[:, ::-1], SMALL], 26000, ["facets that looked inwards turned round", "3.7 % of the volume are cavities"]),
     ([BIG, SMALL[:, ::-1], SMALL], 27000, ["mended: 24 duplicated facets left out"]),
 ]
 
