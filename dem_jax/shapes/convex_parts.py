@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     import trimesh
 
 CEILING = 120.0  # s that a decomposition may take
+CORNERS, FEWEST, MOST = 256, 16, 32  # of all parts together and of a part: compiling and every step take the longer, the more
 FACETS_PER_PART = 40  # of the surface that is cut; one of more is thinned out first
 COACD = {  # a search of a third of its default length cuts as well (measured on knots and kidneys) and takes seconds
     "preprocess_mode": "off",
@@ -30,7 +31,7 @@ SHOWN_AFTER = 2.0  # s, from which on progress is shown
 
 
 def cut_into_convex_parts(
-    mesh: "trimesh.Trimesh", concavity: float, most: int, corners: int, name: str
+    mesh: "trimesh.Trimesh", concavity: float, most: int, corners: int | None, name: str
 ) -> tuple[np.ndarray, ...]:
     """Corners [P, 3] of each convex part in the units of the mesh, the same each time.
 
@@ -40,7 +41,7 @@ def cut_into_convex_parts(
         mesh: closed, facets seen from outside.
         concavity: CoACD's threshold, as fraction of the size.
         most: number of parts.
-        corners: of a part, at most.
+        corners: of a part, at most; None: CORNERS of all parts together, but FEWEST to MOST of each.
         name: of the file, for messages.
 
     Raises:
@@ -60,6 +61,7 @@ def cut_into_convex_parts(
         _run(source, target, name)
         with np.load(target) as found:
             parts = [middle + size * found[f"part_{k}"] for k in range(len(found.files))]
+    corners = corners or min(MOST, max(FEWEST, CORNERS // len(parts)))
     return tuple(part if len(part) <= corners else simplified(part, corners).points for part in parts)
 
 

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 JOINT = 1e-3  # fraction of the size within which parts count as touching: they are cut from a mesh that was made anew
 CONCAVITY = 0.05  # at which a part is cut further, as fraction of the size
 MOST_PARTS = 16  # unless a scene says otherwise
-MOST_CORNERS_OF_PART = 24  # likewise; compiling and every step take the longer, the more there are
 MOST_LOST = 0.5  # fraction of the volume and of the size, beyond which parts are another body
 SAMPLES = 4000  # points on each surface, between which their distance is taken
 
@@ -62,7 +61,7 @@ def decomposed(
     concavity: float = CONCAVITY,
     max_parts: int = MOST_PARTS,
     loss: float = MOST_LOST,
-    max_corners: int = MOST_CORNERS_OF_PART,
+    max_corners: int | None = None,
 ) -> tuple[Shape, Decomposition]:
     """Shape of a closed STL that is not convex, and what it lost; arguments and errors as ``decompose``.
 
@@ -82,7 +81,7 @@ def decompose(
     concavity: float = CONCAVITY,
     max_parts: int = MOST_PARTS,
     loss: float = MOST_LOST,
-    max_corners: int = MOST_CORNERS_OF_PART,
+    max_corners: int | None = None,
 ) -> Decomposition:
     """Convex parts of a closed STL, by CoACD (Wei, Liu, Ling and Su, ACM Trans. Graph. 41, 2022), the same each time.
 
@@ -95,7 +94,7 @@ def decompose(
         max_parts: at most this many parts, joined where it costs least. Compiling takes in proportion to them.
         loss: the largest fraction by which the parts' volume may differ from the mesh's, and the largest distance between
             the surfaces over the size.
-        max_corners: of a part; one of more is simplified.
+        max_corners: of a part; one of more is simplified. None: 256 in all parts together, but 16 to 32 in each.
 
     Raises:
         SceneError: for a file that is missing, unreadable or open, values out of range, a loss above what is allowed,
@@ -119,7 +118,7 @@ def decompose(
 
 
 def _kept_or_cut(
-    body: Body, concavity: float, parts: int, corners: int, name: str
+    body: Body, concavity: float, parts: int, corners: int | None, name: str
 ) -> tuple[tuple[np.ndarray, ...], float, float]:
     """Corners of the parts, Decomposition.volume_excess and .surface_distance: from the cache folder, else made."""
     settings = {"concavity": concavity, "max_parts": parts, "max_corners": corners}

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-FORMAT = 1  # of what is kept; raised when the same mesh and settings are cut in another way
+FORMAT = 2  # of what is kept; raised when the same mesh and settings are cut in another way
 
 
 def cache_folder() -> Path:

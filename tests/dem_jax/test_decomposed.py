@@ -179,3 +179,18 @@ def test_an_l_falls_and_comes_to_rest(bent):
     for number, part in enumerate(made.shapes[0].parts):
         lowest = ((part.shape.vertices + part.centre) @ axes.T + np.asarray(state.position)[:, 0])[:, 2].min()
         assert -lowest <= deep[number] + 1e-12 and 0 < deep[number] < 1e-3 * float(made.system.pieces.width[0])
+
+
+@needs_coacd
+def test_what_was_cut_is_kept_for_the_next_command_in_any_unit(ring, monkeypatch):
+    """The default budget: at most 16 parts of 16 vertices; the second time CoACD is not asked."""
+    found = shapes.decompose(ring)
+    assert len(found.points) <= 16 and max(map(len, found.points)) <= 16 * 16 // len(found.points)
+    monkeypatch.setitem(sys.modules, "coacd", None)
+    again = shapes.decompose(ring, 1e-3)
+    assert again.volume_excess == found.volume_excess
+    for a, b in zip(found.points, again.points, strict=True):
+        np.testing.assert_array_equal(1e-3 * a, b)
+    assert again.mass.volume == pytest.approx(1e-9 * found.mass.volume, rel=1e-14)
+    with pytest.raises(SceneError, match="needs CoACD"):
+        shapes.decompose(ring, concavity=0.3)  # other settings are cut anew

@@ -26,7 +26,7 @@ class ConvexShape(Section):
     stl: str | None = Field(None, description="STL file of a hull or of a decomposed shape, relative to the scene's folder")
     unit: Positive = Field(1.0, description="m, length of one unit of the STL file or the points")
     max_corners: int | None = Field(
-        None, ge=16, le=1_000_000, description="of a hull (unset: 128) or of each decomposed part (24); with more it is simplified"
+        None, ge=16, le=1_000_000, description="of a hull (unset: 128) or each decomposed part (16 to 32); more are simplified"
     )
     hull_tolerance: float | None = Field(
         None, gt=0, le=1, description="of a hull of an STL: fraction by which its volume may exceed the STL's; unset: 0.02"
