@@ -133,12 +133,15 @@ def read(
     path = Path(path)
     if not path.is_file():
         raise BadInput(f"{path}: no such file")
+    said: list[str] = []
     try:
         with open(path, "rb") as file:
             is_hdf5 = file.read(8) == HDF5 or path.suffix.lower() in (".h5", ".hdf5")
-        found = _read_hdf5(path, m_piece, pieces, group) if is_hdf5 else _read_table(path, m_piece, pieces, tell, table)
+        found = _read_hdf5(path, m_piece, pieces, group) if is_hdf5 else _read_table(path, m_piece, pieces, said, table)
     except OSError as error:
         raise BadInput(f"{path}: cannot be read ({error.strerror or error})") from None
+    for line in said:
+        tell(line)
     return [subtract_zero(trace) for trace in found] if tare else found
 
 
@@ -161,7 +164,7 @@ def _read_table(
     path: Path,
     m_piece: float | None,
     pieces: int | Sequence[int] | None,
-    tell: Callable[[str], object],
+    said: list[str],
     options: TableOptions | None,
 ) -> list[Target]:
     if m_piece is None:
@@ -169,7 +172,7 @@ def _read_table(
     if pieces is None:
         raise BadInput(f"{path}: a table does not say pieces; give --pieces")
     table = read_table(path, options)
-    tell(table.said)
+    said.append(table.said)
     numbers = _each(path, pieces, len(table.columns))
     return [_of_column(path, column, m_piece, n) for column, n in zip(table.columns, numbers, strict=True)]
 
