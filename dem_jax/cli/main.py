@@ -66,13 +66,22 @@ def _run(argv: Sequence[str] | None) -> int:
         return 0
     except OSError as error:
         _mute()
-        return _fail(BAD_INPUT, f"{error.filename or 'output'}: {error.strerror or error}")
+        return _fail(BAD_INPUT, f"{error.filename or _place_of_error()}: {error.strerror or error}")
     except MemoryError as error:
         return _fail(FAILED, f"there is not enough memory ({error or 'none was left'}); allowed: fewer runs, pieces or samples")
     except (RuntimeError, AssertionError):
         if (platform := _platform_missing()) is None:
             raise
         return _fail(BAD_INPUT, platform)
+
+
+def _place_of_error() -> str:
+    """Where an error happened that names no file."""
+    try:
+        os.getcwd()
+    except OSError:
+        return "the working folder was removed"
+    return "output"
 
 
 def _platform_missing() -> PlatformError | None:

@@ -1,8 +1,13 @@
 """What run and ensemble share: the scene and its changes, where the file goes, and what is said at the end."""
 
 import os
+import re
+import warnings
+from collections.abc import Callable
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from dem_jax.cli.arguments import Args, Parser, whole
 from dem_jax.errors import RecordError
@@ -92,10 +97,29 @@ def use_cache() -> None:
     """
     import jax
 
-    if not jax.config.jax_compilation_cache_dir:  # type: ignore[attr-defined]
-        base = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-        if not os.path.isabs(base):  # there is no home folder
-            return
-        jax.config.update("jax_compilation_cache_dir", str(Path(base) / "dem_jax" / "jax"))
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-        jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
+    if jax.config.jax_compilation_cache_dir:  # type: ignore[attr-defined]
+        return
+    folder = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")) / "dem_jax" / "jax"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:  # such as of a user without a home
+        return
+    if not folder.is_absolute() or not os.access(folder, os.W_OK):
+        return
+    jax.config.update("jax_compilation_cache_dir", str(folder))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
+    warnings.showwarning = partial(_show_warning, warnings.showwarning, folder)
+
+
+def _show_warning(show: Callable[..., None], folder: Path, message: Warning | str, *more: Any, **named: Any) -> None:
+    """Show a warning, but for those of JAX on the folder of compiled programs.
+
+    A program that was cut short, by a kill or a full disk, is removed: JAX would compile it and warn each time, and never replace it.
+    """
+    if "persistent compilation cache" not in str(message):
+        show(message, *more, **named)
+    elif found := re.match(r"Error reading persistent compilation cache entry for '([\w<>.]+)'", str(message)):
+        for entry in folder.glob(f"{found[1]}-*"):
+            with suppress(OSError):
+                entry.unlink()

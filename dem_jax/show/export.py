@@ -13,7 +13,7 @@ from dem_jax.show.facts import facts_of
 from dem_jax.show.numbers import HIGH, LOW, numbers_of
 from dem_jax.show.plot import check_format, grams_in
 from dem_jax.show.summary import main_block, main_group
-from dem_jax.store.output import locked, write_whole
+from dem_jax.store.output import check_writable, locked, write_whole
 from dem_jax.store.run import Run
 
 FORMATS = (".csv", ".xlsx")
@@ -42,6 +42,8 @@ def export(run: Run, path: str | Path, group: str | None = None, block: str | No
     if path.suffix.lower() == ".xlsx":
         return [_write_xlsx(tables, path)]
     places = [path, *(path.with_name(f"{path.stem}-{table.name}{path.suffix}") for table in tables[1:])]
+    for place in places:
+        check_writable(place)
     with locked(path):  # the files of one export belong together
         return [_write_csv(table, place) for table, place in zip(tables, places, strict=True)]
 

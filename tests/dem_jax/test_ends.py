@@ -18,6 +18,7 @@ import pytest
 
 from dem_jax import compiling
 from dem_jax.__main__ import main
+from dem_jax.cli import simulating
 from dem_jax.drive import programs, target
 from dem_jax.drive.prepare import prepare
 from dem_jax.drive.progress import Progress
@@ -364,7 +365,34 @@ def test_a_study_is_not_written_into_its_table_nor_a_persons_file(capsys, monkey
     assert Path("mine.h5.batch").read_text() == "mine"
 
 
+def test_no_table_is_written_if_one_of_them_cannot_be(run_file, capsys):
+    name = f"{'y' * 246}.csv"  # of 250 bytes; with -numbers it is too long
+    assert main(["export", str(run_file), "--out", name]) == 2
+    assert "-numbers.csv cannot be written: File name too long" in capsys.readouterr().err
+    assert [path.name for path in Path().iterdir()] == ["run.h5"]
+
+
+def test_a_working_folder_that_is_gone_is_named(tmp_path, monkeypatch, capsys):
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir("gone")
+    (tmp_path / "gone").rmdir()
+    assert main(["run", "plate-drop", "--quiet"]) == 2
+    assert capsys.readouterr().err == "dem_jax: the working folder was removed: No such file or directory\n"
+
+
 # --- compiled programs ---
+
+
+def test_a_kept_program_that_was_cut_short_is_removed(tmp_path):
+    """JAX would warn at each start, and never write it again."""
+    for name in ("jit__chunk-1-cache", "jit__chunk-2-cache", "jit_stage-1-cache"):
+        (tmp_path / name).touch()
+    shown = []
+    said = "Error reading persistent compilation cache entry for 'jit__chunk': error: incomplete or truncated stream"
+    for message in (said, "Error writing persistent compilation cache entry for 'x'", "another warning"):
+        simulating._show_warning(shown.append, tmp_path, message)
+    assert shown == ["another warning"]
+    assert [path.name for path in tmp_path.iterdir()] == ["jit_stage-1-cache"]
 
 
 def test_a_process_keeps_the_programs_that_it_used_last(monkeypatch):
