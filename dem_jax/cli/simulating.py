@@ -115,7 +115,8 @@ def use_cache() -> None:
 def _show_warning(show: Callable[..., None], folder: Path, message: Warning | str, *more: Any, **named: Any) -> None:
     """Show a warning, but for those of JAX on the folder of compiled programs.
 
-    A program that was cut short, by a kill or a full disk, is removed: JAX would compile it and warn each time, and never replace it.
+    A program that was cut short, by a kill or a full disk, is removed: JAX would compile it and warn each time,
+    and never replace it.
     """
     if "persistent compilation cache" not in str(message):
         show(message, *more, **named)
