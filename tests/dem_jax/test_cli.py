@@ -126,7 +126,7 @@ def test_a_run_that_goes_wrong_exits_with_1_and_says_where_its_file_is(scene, ca
     out, err = capsys.readouterr()
     assert len(err.splitlines()) == 1 and out == ""
     assert (
-        "ball: piece 0 at t =" in err and "below z = 0.011 m" in err and "what was computed before is in ball.h5" in err
+        "ball: piece 0 at t =" in err and "below z = 0.011 m" in err and "earlier results are in ball.h5" in err
     )
     assert dem_jax.load_run("ball.h5").time[-1] == pytest.approx(np.sqrt(2 * 0.001 / 9.81), abs=6e-5)
 
