@@ -315,6 +315,7 @@ class Memory(Tree):
     point: Array  # [3, P] (m): contact point relative to the centre of b, world axes
     law: Any  # [.., P]: the history that the contact law keeps
     arm: Array | None = None  # [P] (m): of friction about the normal; None: of contacts without a patch
+    tied: Array | None = None  # [P]: 1 where several separating axes tied as the contact began, else 0; None: not of polytopes
 
 
 @pytree

@@ -37,7 +37,8 @@ def within(system: System, slots: Slots, overlap: Array) -> Array:
 def no_contacts(system: System, memory: Memory, slots: Slots) -> Contacts:
     """What ``answer`` says where nothing touches, nor did before."""
     zero = jnp.zeros((7, slots.a.shape[0]), memory.overlap.dtype)
-    after = memory.replace(overlap=zero[0], law=system.law.start(slots.pair, zero[0]))
+    tied = None if memory.tied is None else zero[0]
+    after = memory.replace(overlap=zero[0], law=system.law.start(slots.pair, zero[0]), tied=tied)
     return Contacts(after, zero, zero, jnp.zeros((system.runs,), zero.dtype), no_touch(system, zero))
 
 
@@ -82,7 +83,7 @@ def answer(
         force = vector.add(force, said.drag)
     if share is not None:
         force = vector.scale(share, force)
-    after = Memory(jnp.maximum(inside, 0), jnp.stack(met.at_b), said.history, arm)
+    after = Memory(jnp.maximum(inside, 0), jnp.stack(met.at_b), said.history, arm, met.tied)
     deepest = of_run.largest_of_contacts(system, _at_most(slots, memory.overlap, overlap, approach) / slots.width, slots.b)
     reaction = vector.scale(-1, force)
     on_a, on_b = vector.cross(met.at_a, reaction), vector.cross(met.at_b, force)

@@ -18,6 +18,7 @@ import jax.numpy as jnp
 
 from dem_jax.contact import patch
 from dem_jax.contact.patch import SecondMoments
+from dem_jax.contact.ties import TiedAxes
 from dem_jax.maths import vector
 from dem_jax.maths.table import columns
 from dem_jax.maths.vector import Matrix, Vector, dot, expand, kept
@@ -36,6 +37,7 @@ SEAM_SLOPE = 10.0
 PART_EDGE = 1e-5  # of a part's bounding radius: a sphere that touches the body no further beside a part touches the part
 SEAM_SINE = 1e-5  # a sphere's normal that points across a seam by no more is taken to stand on both panels
 FLAT = 8.0  # roundings: an edge that lies across the normal by less has no end that is deeper than the other
+PARALLEL = 8.0  # roundings: edges whose directions differ by less have no common normal
 FEW = 64  # rows that are gone through one after the other: the program grows with them
 AT_ONCE = 8  # rows of which an extreme is found in one go
 
@@ -69,6 +71,7 @@ class Geometry(NamedTuple):
     weight: Array | None = None  # [P]: how much of the overlap is this body's, where panels continue each other
     deepest: Deepest | None = None  # of polytopes; None: the contact point
     moments: Moments | None = None  # (m2) of the patch of polytopes about the point
+    tied: Array | None = None  # [P]: as in ``types.Memory``
 
 
 def hull_hull(a: Hulls, b: Hulls, rel: Relative, axes: Separation | None = None) -> Geometry:
@@ -148,7 +151,9 @@ def _zonotope_axes(a: Hulls, b: Hulls, rel: Relative) -> tuple[tuple[Array, ...]
     na_eb = jnp.abs(dot(expand(na, 1), expand(eb, 0)))  # [m, j, P]
     ea_nb = jnp.abs(dot(expand(ea, 1), expand(nb, 0)))  # [i, m, P]
     na_eb, ea_nb = kept(na_eb, ea_nb)
-    faces_a = a.offsets[:half] + _sum(b.half_lengths[j : j + 1] * na_eb[:, j] for j in range(eb[0].shape[0])) - jnp.abs(dot(na, d))
+    faces_a = (
+        a.offsets[:half] + _sum(b.half_lengths[j : j + 1] * na_eb[:, j] for j in range(eb[0].shape[0])) - jnp.abs(dot(na, d))
+    )
     faces_b = (
         b.offsets[: nb[0].shape[0]]
         + _sum(a.half_lengths[i : i + 1] * ea_nb[i] for i in range(ea[0].shape[0]))
@@ -162,6 +167,42 @@ def _zonotope_axes(a: Hulls, b: Hulls, rel: Relative) -> tuple[tuple[Array, ...]
     slack = _rounding(a, b, rel)[None, None]
     edges = (width_a + width_b - gap + slack) / _safe_root(sin2)
     return (*kept(faces_a, faces_b), edges), (na, nb, ea, eb)
+
+
+def tied_axes(a: Hulls, b: Hulls, rel: Relative) -> TiedAxes:
+    """All separating axes of zonotopes. Each overlap is a sum over all edges, in a few kernels: it is seldom asked for."""
+    na, nb, ea, eb = _all_axes(a, b, rel)
+    crossed = vector.cross(expand(ea, 1), expand(eb, 0))
+    sine = vector.norm(crossed)
+    parallel = sine < PARALLEL * float(jnp.finfo(sine.dtype).eps)
+    crossed = vector.where(parallel, vector.expand(rel.offset, (0, 1)), crossed)
+    rows = [(jnp.broadcast_to(c, (c.shape[0], *rel.offset[0].shape)) for c in of) for of in (na, nb)]
+    edges = vector.unit(vector.each(lambda c: c.reshape(-1, *rel.offset[0].shape), crossed))
+    x, y, z = (jnp.concatenate(parts) for parts in zip(*rows, edges, strict=True))
+    axes = vector.where(dot((x, y, z), expand(rel.offset, 0)) < 0, (-x, -y, -z), (x, y, z))
+    overlaps = _overlap_along(a, b, rel, ea, eb, axes)
+    if a.seams is not None:
+        across = [dot(axes, expand(vector.at(a.seams, k), 0)) for k in range(a.seams[0].shape[0])]
+        overlaps = overlaps + SEAM_SLOPE * b.bounding_radius[None] * reduce(jnp.maximum, across, jnp.zeros_like(overlaps))
+    return TiedAxes(overlaps, axes, _rounding(a, b, rel), partial(_overlap_along, a, b, rel, ea, eb))
+
+
+def _overlap_along(a: Hulls, b: Hulls, rel: Relative, ea: Vector, eb: Vector, axes: Vector) -> Array:
+    """Overlap of zonotopes (m), [k, P], along unit axes [k, P] x 3. ea, eb: directions of their edges in a's frame."""
+    assert a.half_lengths is not None and b.half_lengths is not None
+    along = expand(axes, 1)
+    widths = [
+        jnp.sum(lengths[None] * jnp.abs(dot(along, expand(e, 0))), axis=1)
+        for lengths, e in ((a.half_lengths, ea), (b.half_lengths, eb))
+    ]
+    return widths[0] + widths[1] - jnp.abs(dot(axes, expand(rel.offset, 0)))
+
+
+def _all_axes(a: Hulls, b: Hulls, rel: Relative) -> Axes:
+    """Normals of half of the faces of zonotopes, and the directions of their edges, in a's frame."""
+    na, nb = (vector.at(h.normals, slice(h.normals[0].shape[0] // 2)) for h in (a, b))
+    turn = vector.expand_matrix(rel.rotation, 0)
+    return na, vector.rotate(turn, nb), a.directions, vector.rotate(turn, b.directions)
 
 
 def _smallest(overlaps: Sequence[Array], axes: Axes, rel: Relative) -> Separation:

@@ -112,7 +112,7 @@ def _of_shared_surfaces(system: System, state: State, kind: str, stacked: Array,
         none = block_of(nothing, k, size)
 
         def own() -> Met:
-            part = seams.own(rows, met(rows, a, b, offset, rest()))
+            part = seams.own(rows, met(rows, a, b, offset, rest(memory)))
             if part.moments is None:
                 return part
             fresh = partial(moments_in_world, a, part.moments)
@@ -181,7 +181,7 @@ def _resolve(system: System, kind: str, side: Sides, known: Known, is_due: Array
     memory, slots, a, b, offset = side
     depth, rest, facing = geometry(system, kind, slots, a, b, offset, known)
     turn = _turn(system, kind, a, b)
-    loaded = lambda: answer(system, memory, slots, a, b, offset, met(slots, a, b, offset, rest()), turn, is_due)  # noqa: E731
+    loaded = lambda: answer(system, memory, slots, a, b, offset, met(slots, a, b, offset, rest(memory)), turn, is_due)  # noqa: E731
     if kind != "hulls" or not system.slot_block:
         return loaded(), facing
     is_touching = jnp.any((within(system, slots, depth) > 0) & slots.live | (memory.overlap > 0))

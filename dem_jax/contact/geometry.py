@@ -9,9 +9,10 @@ import jax.numpy as jnp
 from dem_jax.contact import collide, hulls, look, near
 from dem_jax.contact.bodies import Body
 from dem_jax.contact.near import Rows
+from dem_jax.contact.ties import without_ties
 from dem_jax.maths import vector
 from dem_jax.maths.vector import Vector
-from dem_jax.types import Array, Facing, Hulls, Near, Slots, System
+from dem_jax.types import Array, Facing, Hulls, Memory, Near, Slots, System
 
 
 class Known(NamedTuple):
@@ -28,33 +29,48 @@ NOTHING = Known()
 
 def geometry(
     system: System, kind: str, slots: Slots, a: Body, b: Body, offset: Vector, known: Known = NOTHING
-) -> tuple[Array, Callable[[], collide.Geometry], Facing | None]:
-    """Depth of each slot, [P] (m), and a function that says the rest, which nobody needs where nothing touches: a
+) -> tuple[Array, Callable[[Memory], collide.Geometry], Facing | None]:
+    """Depth of each slot, [P] (m), and a function of their memory that says the rest, which nobody needs where nothing touches: a
     ``collide.Geometry`` with normal (a to b) and point (relative to the centre of a) in world axes. The point of polytopes
     is where they would touch if b were nearer by the reach of the law: between separated ones there is a force too.
 
     Third, the faces of polytopes that look at each other, as far as they are kept for the next step."""
     if kind == "spheres":
         found = collide.sphere_sphere(slots.radius_a, slots.radius_b, offset)
-        return found.depth, lambda: found, None
+        return found.depth, lambda _: found, None
     if kind == "mixed":
         assert a.rotation is not None and slots.hull_a is not None
         found = collide.hull_sphere(slots.hull_a, slots.radius_b, vector.rotate_back(a.rotation, offset))
-        return found.depth, lambda: _in_world(found, a), None
+        return found.depth, lambda _: _in_world(found, a), None
     if kind == "plates":
         assert a.rotation is not None and slots.plate_a is not None
         found = collide.plate_sphere(slots.plate_a, slots.radius_b, vector.rotate_back(a.rotation, offset))
-        return found.depth, lambda: _in_world(found, a), None
+        return found.depth, lambda _: _in_world(found, a), None
     rel, reach, table = relative(a, b, offset), system.law.reach(slots.pair), system.hulls
     assert table is not None
     if table.features is None:
         assert slots.hull_a is not None and slots.hull_b is not None
         hull_a, hull_b = (hulls.with_faces(rows, table) for rows in (slots.hull_a, slots.hull_b))
-        axes = collide.separating_axes(hull_a, hull_b, rel)
-        return axes[0], lambda: _in_world(_between_zonotopes(hull_a, hull_b, rel, axes, reach), a), None
+        depth, normal, along = collide.separating_axes(hull_a, hull_b, rel)
+
+        def of_zonotopes(memory: Memory) -> collide.Geometry:
+            axes = partial(collide.tied_axes, hull_a, hull_b, rel)
+            tied, separation = without_ties(system, slots, memory, (depth, normal, along), axes)
+            found = _between_zonotopes(hull_a, hull_b, rel, separation, reach)
+            return _in_world(found._replace(tied=tied), a)
+
+        return depth, of_zonotopes, None
     rows = shapes_of(system, slots)
-    separation, faces, planes, facing = _between_polytopes(table, slots, rows, rel, reach, known)
-    return separation.depth, lambda: _in_world(_centred(table, rows, faces, planes(), rel, separation, reach), a), facing
+    separation, features, faces, planes, facing = _between_polytopes(table, slots, rows, rel, reach, known)
+
+    def of_polytopes(memory: Memory) -> collide.Geometry:
+        axes = partial(near.tied_axes, features, rel, slots.width)
+        tied, (depth, normal, along) = without_ties(system, slots, memory, separation[:3], axes)
+        top = separation.top  # of a's face, along its normal: where axes tie it is that of the corner on it
+        one = near.Axes(depth, normal, along, jnp.where(tied > 0, near.top_along(features, normal), top))
+        return _in_world(_centred(table, rows, faces, planes(), rel, one, reach)._replace(tied=tied), a)
+
+    return separation.depth, of_polytopes, facing
 
 
 def relative(a: Body, b: Body, offset: Vector) -> collide.Relative:
@@ -70,15 +86,16 @@ def shapes_of(system: System, slots: Slots) -> Rows:
 
 def polytopes(table: Hulls, rows: Rows, rel: collide.Relative) -> collide.Geometry:
     """Contact of the polytopes of rows (a, b) [P] of a table with features, from all of them, in a's frame."""
-    axes, faces = _from_all(table, rows, rel, None)
+    axes, _, faces = _from_all(table, rows, rel, None)
     return _centred(table, rows, faces, near.every_plane(table, rows), rel, axes, None)
 
 
-def _from_all(table: Hulls, rows: Rows, rel: collide.Relative, reach: Array | None) -> tuple[near.Axes, Array]:
-    """Axes and facing faces of polytopes, from all of their features."""
+def _from_all(table: Hulls, rows: Rows, rel: collide.Relative, reach: Array | None) -> tuple[near.Axes, Near, Array]:
+    """Axes, near features and facing faces of polytopes, from all of their features."""
     assert table.features is not None
-    axes = near.axes(look.look(table.features, rows, _radii(table, rows), rel, reach), rel)
-    return axes, near.looking(look.facing(table.features, rows, axes.normal, rel), axes.normal, rel)
+    features = look.look(table.features, rows, _radii(table, rows), rel, reach)
+    axes = near.axes(features, rel)
+    return axes, features, near.looking(look.facing(table.features, rows, axes.normal, rel), axes.normal, rel)
 
 
 def _radii(table: Hulls, rows: Rows) -> tuple[Array, Array]:
@@ -87,18 +104,18 @@ def _radii(table: Hulls, rows: Rows) -> tuple[Array, Array]:
 
 def _between_polytopes(
     table: Hulls, slots: Slots, rows: Rows, rel: collide.Relative, reach: Array | None, known: Known
-) -> tuple[near.Axes, Array, Callable[[], near.Planes], Facing | None]:
-    """Axes, facing faces and clipping planes of polytopes, and Facing for the next step."""
+) -> tuple[near.Axes, Near, Array, Callable[[], near.Planes], Facing | None]:
+    """Axes, near features, facing faces and clipping planes of polytopes, and Facing for the next step."""
     if known.near is None:
-        axes, faces = _from_all(table, rows, rel, reach)
-        return axes, faces, lambda: near.every_plane(table, rows), None
+        axes, features, faces = _from_all(table, rows, rel, reach)
+        return axes, features, faces, lambda: near.every_plane(table, rows), None
     assert known.facing is not None and known.clipping is not None
     axes, clipping = near.axes(known.near, rel), known.clipping
     touching = slots.live & ((axes.depth if reach is None else axes.depth + reach) > 0)
     facing = near.faced(table, known.facing, rows, axes.normal, touching, rel)
     is_wide = jnp.any(known.near.wide & touching)
     planes = lambda: near.Planes(clipping(), is_wide)  # noqa: E731
-    return axes, near.looking(facing, axes.normal, rel), planes, facing
+    return axes, known.near, near.looking(facing, axes.normal, rel), planes, facing
 
 
 def _centred(

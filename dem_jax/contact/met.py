@@ -25,6 +25,7 @@ class Met(NamedTuple):
     deepest: Deepest | None  # from the centre of b; None: where they touch
     moments: Moments | None = None  # as of ``collide.Geometry``, in any axes
     spread: SecondMoments | None = None  # of what is part of a patch: the same in world axes
+    tied: Array | None = None  # as of ``types.Memory``
 
 
 def met(slots: Slots, a: Body, b: Body, offset: Vector, shape: collide.Geometry) -> Met:
@@ -39,7 +40,7 @@ def met(slots: Slots, a: Body, b: Body, offset: Vector, shape: collide.Geometry)
     at_b = from_b(shape.point)
     at_a = shape.point if a.arm is None else vector.add(at_b, of_pieces(a, b, offset))
     deepest = shape.deepest and shape.deepest._replace(point=from_b(shape.deepest.point))
-    return Met(overlap, shape.normal, at_a, at_b, shape.weight, deepest, moments)
+    return Met(overlap, shape.normal, at_a, at_b, shape.weight, deepest, moments, tied=shape.tied)
 
 
 def moments_in_world(a: Body, moments: Moments) -> SecondMoments:
@@ -56,6 +57,6 @@ def of_pieces(a: Body, b: Body, offset: Vector) -> Vector:
 def no_met(kind: str, slots: Slots, dtype: DTypeLike) -> Met:
     """Slots of a kind, of surfaces that others continue, in which nothing touches."""
     zero = jnp.zeros(slots.b.shape, dtype)
-    deepest = Deepest((zero,) * 3, zero) if kind == "hulls" else None
+    deepest, tied = (Deepest((zero,) * 3, zero), zero) if kind == "hulls" else (None, None)
     spread = None if slots.patch is None else SecondMoments(*(zero,) * 6)
-    return Met(zero - 1, (zero,) * 3, (zero,) * 3, (zero,) * 3, zero, deepest, spread=spread)
+    return Met(zero - 1, (zero,) * 3, (zero,) * 3, (zero,) * 3, zero, deepest, spread=spread, tied=tied)

@@ -27,6 +27,7 @@ from dem_jax.contact.collide import (
 from dem_jax.contact.edges import couples
 from dem_jax.contact.look import facing, look, outward
 from dem_jax.contact.patch import SecondMoments
+from dem_jax.contact.ties import TiedAxes
 from dem_jax.maths import vector
 from dem_jax.maths.once import once
 from dem_jax.maths.table import columns
@@ -68,6 +69,28 @@ def axes(near: Near, rel: Relative) -> Axes:
     chosen = vector.where(use_edge, normal, vector.where(use_a, normal_a, normal_b))
     top = jnp.where(use_edge, dot(normal, (middle[0], middle[1], middle[2])), level)
     return Axes(jnp.minimum(face, edge), kept(*chosen), jnp.where(use_edge, edge, face), top)
+
+
+def tied_axes(near: Near, rel: Relative, width: Array) -> TiedAxes:
+    """The axes of near faces. width: [P] (m), of the narrower body."""
+    turn, d = vector.expand_matrix(rel.rotation, 0), expand(rel.offset, 0)
+    normal_a, normal_b = unpack(near.faces[:3, :, 0]), vector.rotate(turn, unpack(near.faces[:3, :, 1]))
+    x, y, z = (jnp.concatenate([of_a, -of_b]) for of_a, of_b in zip(normal_a, normal_b, strict=True))
+    corners_b = vector.add(vector.rotate(turn, unpack(near.corners[:, :, 0])), d)
+
+    def overlap(axes: Vector) -> Array:
+        low = jnp.min(dot(expand(axes, 1), expand(corners_b, 0)), axis=1)
+        return jnp.max(dot(expand(axes, 1), expand(unpack(near.corners[:, :, 1]), 0)), axis=1) - low
+
+    sizes = width + vector.norm(rel.offset)
+    slack = 8 * float(jnp.finfo(width.dtype).eps) * sizes
+    is_whole = jnp.concatenate([near.faces[3, :, 0], near.faces[3, :, 1]]) < jnp.inf
+    return TiedAxes(jnp.where(is_whole, overlap((x, y, z)), jnp.inf), (x, y, z), slack, overlap)
+
+
+def top_along(near: Near, normal: Vector) -> Array:
+    """Extent of a along a normal (m), [P], as far as its near corners tell."""
+    return jnp.max(dot(expand(normal, 0), unpack(near.corners[:, :, 1])), axis=0)
 
 
 def _least(keys: Array, rows: Sequence[Array]) -> tuple[Array, tuple[Array, ...]]:

@@ -128,7 +128,7 @@ def _found(
     needed = jnp.maximum(guard.needed[kind], _of_fullest_run(system, number + missed, touching, b))
     slots, filled = constants(system, kind, a, b), jnp.minimum(touching, room)
     slot, known = former_slots(system, state, kind, a, b, column)
-    table = ContactTable(a, b, carried(state.contacts[kind].memory, no_memory(system, slots), slot, known))
+    table = ContactTable(a, b, carried(state.contacts[kind].memory, no_memory(system, kind, slots), slot, known))
     near = None
     if keeps:
         near = empty_near(system, room)
@@ -251,11 +251,11 @@ def empty_near(system: System, room: int) -> tuple[Near, Facing]:
     return tuple(of.replace(margin=jnp.full_like(length, -1)) for of in none)
 
 
-def no_memory(system: System, slots: Slots) -> Memory:
+def no_memory(system: System, kind: str, slots: Slots) -> Memory:
     """The memory of contacts that begin, in slots."""
     zero = jnp.zeros(slots.a.shape, system.dt.dtype)
-    arm = None if slots.patch is None else zero
-    return Memory(zero, jnp.zeros((3, *zero.shape), zero.dtype), system.law.start(slots.pair, zero), arm)
+    arm, tied = None if slots.patch is None else zero, zero if kind == "hulls" else None
+    return Memory(zero, jnp.zeros((3, *zero.shape), zero.dtype), system.law.start(slots.pair, zero), arm, tied)
 
 
 def no_contacts(system: System) -> dict[str, ContactTable]:
@@ -276,7 +276,7 @@ def _form_of_memory(structure: Any, forms: tuple[tuple[tuple[int, ...], np.dtype
     """Of what form the memory of so many slots is, in a system of such arrays: the same for all runs of an ensemble."""
     system = jax.tree.unflatten(structure, [jax.ShapeDtypeStruct(*form) for form in forms])
     slot = jax.ShapeDtypeStruct((room,), np.int32)
-    return jax.eval_shape(lambda system, a: no_memory(system, constants(system, kind, a, a)), system, slot)
+    return jax.eval_shape(lambda system, a: no_memory(system, kind, constants(system, kind, a, a)), system, slot)
 
 
 def find_incidence(system: System, tables: dict[str, ContactTable]) -> Incidence:

@@ -1,0 +1,72 @@
+"""The normal of contacts in which several separating axes overlap equally: of an edge or a corner that meets another head on.
+
+The smallest overlap says nothing of a direction then: rounding picks one of the tied axes anew in each step, pieces leave
+sideways, and friction along a normal that goes to and fro takes most of the energy. Where axes tie to rounding as a contact
+begins, its normal is the sum of all that are nearly least for as long as it lasts,
+
+    n ~ sum w_i n_i,    w_i = max(0, 1 - (d_i - d - slack) / (BAND d)),
+
+and its depth the overlap along it: both change continuously as the contact goes over to one of the axes. A contact of a face
+never is one, as all axes that tie there are its normal.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from dem_jax.maths import vector
+from dem_jax.maths.vector import Vector
+from dem_jax.types import Array, Memory, Slots, System
+
+BAND = 0.5  # of the depth, by which an axis may overlap more and still count
+APART = 1e-4  # one minus the length of the mean of the tied normals: less, and they are one
+
+Separation = tuple[Array, Vector, Array]
+Overlap = Callable[[Vector], Array]  # of two bodies (m), [k, P], along unit axes [k, P] x 3
+
+
+class TiedAxes(NamedTuple):
+    """Separating axes of pairs."""
+
+    overlaps: Array  # [k, P] (m)
+    axes: Vector  # [k, P] x 3, unit, from a to b
+    slack: Array  # [P] (m): what rounding may leave of a difference of two overlaps
+    overlap: Overlap
+
+
+def normal_of(of: TiedAxes, depth: Array) -> tuple[Array, Vector, Array]:
+    """Whether axes tie, [P] bool; the unit normal, [P] x 3, and the depth along it (m), [P], if they do. depth: of any axis."""
+    least = jnp.min(of.overlaps, axis=0)
+    tied = of.overlaps <= (least + of.slack)[None]
+    mean = vector.each(lambda c: jnp.sum(jnp.where(tied, c, 0), axis=0), of.axes)
+    apart = vector.norm(mean) < (1 - APART) * jnp.sum(tied, axis=0)
+    beyond = jnp.maximum(of.overlaps - (least + of.slack)[None], 0)
+    weight = jnp.maximum(0, 1 - beyond / jnp.where(least > 0, BAND * least, 1)[None])
+    normal = vector.unit(vector.each(lambda c: jnp.sum(weight * c, axis=0), of.axes))
+    return apart & (least <= depth + of.slack), normal, of.overlap(vector.expand(normal, 0))[0]
+
+
+def without_ties(
+    system: System, slots: Slots, memory: Memory, found: Separation, axes: Callable[[], TiedAxes]
+) -> tuple[Array, Separation]:
+    """Which contacts are of tied axes, [P]: 1, else 0, and what separates the bodies, as it was found but for those.
+
+    found: ``collide.Separation``: depth (m), [P], normal, [P] x 3, and depth along it (m).
+    """
+    assert memory.tied is not None
+    depth, normal, along = found
+    reach = system.law.reach(slots.pair)
+    begins = slots.live & (depth > 0) & (memory.overlap <= (0 if reach is None else reach))
+    lasts = (depth > 0) & (memory.tied > 0)
+
+    def anew() -> tuple[Array, Separation]:
+        is_tie, of_tied, deep = normal_of(axes(), depth)
+        tied = jnp.where(begins, is_tie, lasts)
+        one = jnp.where(tied, deep, depth), vector.where(tied, of_tied, normal), jnp.where(tied, deep, along)
+        return tied.astype(depth.dtype), one
+
+    if not system.slot_block:
+        return anew()
+    return jax.lax.cond(jnp.any(begins | lasts), anew, lambda: (jnp.zeros_like(depth), found))
