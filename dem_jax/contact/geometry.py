@@ -57,7 +57,7 @@ def geometry(
             axes = partial(collide.tied_axes, hull_a, hull_b, rel)
             tied, separation = without_ties(system, slots, memory, (depth, normal, along), axes)
             found = _between_zonotopes(hull_a, hull_b, rel, separation, reach)
-            return _in_world(found._replace(tied=tied), a)
+            return _in_world(_at_corner(found, tied), a)
 
         return depth, of_zonotopes, None
     rows = shapes_of(system, slots)
@@ -68,9 +68,17 @@ def geometry(
         tied, (depth, normal, along) = without_ties(system, slots, memory, separation[:3], axes)
         top = separation.top  # of a's face, along its normal: where axes tie it is that of the corner on it
         one = near.Axes(depth, normal, along, jnp.where(tied > 0, near.top_along(features, normal), top))
-        return _in_world(_centred(table, rows, faces, planes(), rel, one, reach)._replace(tied=tied), a)
+        return _in_world(_at_corner(_centred(table, rows, faces, planes(), rel, one, reach), tied), a)
 
     return separation.depth, of_polytopes, facing
+
+
+def _at_corner(found: collide.Geometry, tied: Array) -> collide.Geometry:
+    """The contact with tied axes at the corner that touches alone, if one does: which faces look at each other is as undecided
+    as the axes are, and so is the centroid of what they clip."""
+    assert found.deepest is not None
+    alone = (tied > 0) & (found.deepest.spread <= 0)
+    return found._replace(point=vector.where(alone, found.deepest.point, found.point), tied=tied)
 
 
 def relative(a: Body, b: Body, offset: Vector) -> collide.Relative:

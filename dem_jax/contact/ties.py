@@ -4,7 +4,7 @@ The smallest overlap says nothing of a direction then: rounding picks one of the
 sideways, and friction along a normal that goes to and fro takes most of the energy. Where axes tie to rounding as a contact
 begins, its normal is the sum of all that are nearly least for as long as it lasts,
 
-    n ~ sum w_i n_i,    w_i = max(0, 1 - (d_i - d - slack) / (BAND d)),
+    n ~ sum w_i n_i,    w_i = max(0, 1 - (d_i - d - slack) / (BAND d))^2,
 
 and its depth the overlap along it: both change continuously as the contact goes over to one of the axes. A contact of a face
 never is one, as all axes that tie there are its normal.
@@ -20,7 +20,7 @@ from dem_jax.maths import vector
 from dem_jax.maths.vector import Vector
 from dem_jax.types import Array, Memory, Slots, System
 
-BAND = 0.5  # of the depth, by which an axis may overlap more and still count
+BAND = 2.0  # of the depth, by which an axis may overlap more and still count
 APART = 1e-4  # one minus the length of the mean of the tied normals: less, and they are one
 
 Separation = tuple[Array, Vector, Array]
@@ -41,9 +41,9 @@ def normal_of(of: TiedAxes, depth: Array) -> tuple[Array, Vector, Array]:
     least = jnp.min(of.overlaps, axis=0)
     tied = of.overlaps <= (least + of.slack)[None]
     mean = vector.each(lambda c: jnp.sum(jnp.where(tied, c, 0), axis=0), of.axes)
-    apart = vector.norm(mean) < (1 - APART) * jnp.sum(tied, axis=0)
+    apart = vector.norm(mean) < (1 - APART) * jnp.sum(tied.astype(least.dtype), axis=0)
     beyond = jnp.maximum(of.overlaps - (least + of.slack)[None], 0)
-    weight = jnp.maximum(0, 1 - beyond / jnp.where(least > 0, BAND * least, 1)[None])
+    weight = jnp.square(jnp.maximum(0, 1 - beyond / jnp.where(least > 0, BAND * least, 1)[None]))
     normal = vector.unit(vector.each(lambda c: jnp.sum(weight * c, axis=0), of.axes))
     return apart & (least <= depth + of.slack), normal, of.overlap(vector.expand(normal, 0))[0]
 
