@@ -170,32 +170,31 @@ def _zonotope_axes(a: Hulls, b: Hulls, rel: Relative) -> tuple[tuple[Array, ...]
 
 
 def tied_axes(a: Hulls, b: Hulls, rel: Relative) -> TiedAxes:
-    """All separating axes of zonotopes. Each overlap is a sum over all edges, in a few kernels: it is seldom asked for."""
-    na, nb, ea, eb = _all_axes(a, b, rel)
-    crossed = vector.cross(expand(ea, 1), expand(eb, 0))
-    sine = vector.norm(crossed)
-    parallel = sine < PARALLEL * float(jnp.finfo(sine.dtype).eps)
-    crossed = vector.where(parallel, vector.expand(rel.offset, (0, 1)), crossed)
-    rows = [(jnp.broadcast_to(c, (c.shape[0], *rel.offset[0].shape)) for c in of) for of in (na, nb)]
-    edges = vector.unit(vector.each(lambda c: c.reshape(-1, *rel.offset[0].shape), crossed))
-    x, y, z = (jnp.concatenate(parts) for parts in zip(*rows, edges, strict=True))
-    axes = vector.where(dot((x, y, z), expand(rel.offset, 0)) < 0, (-x, -y, -z), (x, y, z))
-    overlaps = _overlap_along(a, b, rel, ea, eb, axes)
-    if a.seams is not None:
-        across = [dot(axes, expand(vector.at(a.seams, k), 0)) for k in range(a.seams[0].shape[0])]
-        overlaps = overlaps + SEAM_SLOPE * b.bounding_radius[None] * reduce(jnp.maximum, across, jnp.zeros_like(overlaps))
-    return TiedAxes(overlaps, axes, _rounding(a, b, rel), partial(_overlap_along, a, b, rel, ea, eb))
-
-
-def _overlap_along(a: Hulls, b: Hulls, rel: Relative, ea: Vector, eb: Vector, axes: Vector) -> Array:
-    """Overlap of zonotopes (m), [k, P], along unit axes [k, P] x 3. ea, eb: directions of their edges in a's frame."""
+    """All separating axes of zonotopes. Each overlap is a sum over all edges; in few kernels, as it is seldom asked for."""
     assert a.half_lengths is not None and b.half_lengths is not None
-    along = expand(axes, 1)
-    widths = [
-        jnp.sum(lengths[None] * jnp.abs(dot(along, expand(e, 0))), axis=1)
-        for lengths, e in ((a.half_lengths, ea), (b.half_lengths, eb))
-    ]
-    return widths[0] + widths[1] - jnp.abs(dot(axes, expand(rel.offset, 0)))
+    pairs, offset = rel.offset[0].shape, jnp.stack(rel.offset)[:, None]
+    whole = lambda rows: jnp.broadcast_to(rows, (*rows.shape[:-1], *pairs))  # noqa: E731
+    na, nb, ea, eb = (whole(jnp.stack(of)) for of in _all_axes(a, b, rel))
+    turned = [[jnp.roll(e, -k, axis=0) for k in (1, 2)] for e in (ea[:, :, None], eb[:, None])]
+    crossed = (turned[0][0] * turned[1][1] - turned[0][1] * turned[1][0]).reshape(3, -1, *pairs)
+    sine = jnp.sqrt(jnp.sum(crossed * crossed, axis=0))[None]
+    none = sine < PARALLEL * float(jnp.finfo(sine.dtype).eps)
+    edges = crossed / jnp.where(none, 1, sine)
+    axes = jnp.concatenate([na, nb, edges], axis=1)
+    axes = kept(jnp.where(jnp.sum(axes * offset, axis=0)[None] < 0, -axes, axes))
+    every, half = jnp.concatenate([ea, eb], axis=1), jnp.concatenate([whole(a.half_lengths), whole(b.half_lengths)])
+    every = kept(every)
+
+    def along(axes: Array) -> Array:
+        widths = jnp.sum(half[None] * jnp.abs(jnp.sum(axes[:, :, None] * every[:, None], axis=0)), axis=1)
+        return widths - jnp.sum(axes * offset, axis=0)
+
+    overlaps = along(axes)
+    if a.seams is not None:
+        across = [jnp.sum(axes * jnp.stack(vector.at(a.seams, k))[:, None], axis=0) for k in range(a.seams[0].shape[0])]
+        overlaps = overlaps + SEAM_SLOPE * b.bounding_radius[None] * reduce(jnp.maximum, across, jnp.zeros_like(overlaps))
+    none = jnp.concatenate([jnp.zeros((overlaps.shape[0] - none.shape[1], *pairs), bool), none[0]])
+    return TiedAxes(kept(jnp.where(none, jnp.inf, overlaps)), axes, _rounding(a, b, rel), along)
 
 
 def _all_axes(a: Hulls, b: Hulls, rel: Relative) -> Axes:

@@ -78,14 +78,16 @@ def tied_axes(near: Near, rel: Relative, width: Array) -> TiedAxes:
     x, y, z = (jnp.concatenate([of_a, -of_b]) for of_a, of_b in zip(normal_a, normal_b, strict=True))
     corners_b = vector.add(vector.rotate(turn, unpack(near.corners[:, :, 0])), d)
 
-    def overlap(axes: Vector) -> Array:
-        low = jnp.min(dot(expand(axes, 1), expand(corners_b, 0)), axis=1)
-        return jnp.max(dot(expand(axes, 1), expand(unpack(near.corners[:, :, 1]), 0)), axis=1) - low
+    axes, of_a, of_b = jnp.stack([x, y, z]), near.corners[:, None, :, 1], jnp.stack(kept(*corners_b))[:, None]
+
+    def along(axes: Array) -> Array:
+        rows = axes[:, :, None]
+        return jnp.max(jnp.sum(rows * of_a, axis=0), axis=1) - jnp.min(jnp.sum(rows * of_b, axis=0), axis=1)
 
     sizes = width + vector.norm(rel.offset)
     slack = 8 * float(jnp.finfo(width.dtype).eps) * sizes
     is_whole = jnp.concatenate([near.faces[3, :, 0], near.faces[3, :, 1]]) < jnp.inf
-    return TiedAxes(jnp.where(is_whole, overlap((x, y, z)), jnp.inf), (x, y, z), slack, overlap)
+    return TiedAxes(jnp.where(is_whole, along(axes), jnp.inf), axes, slack, along)
 
 
 def top_along(near: Near, normal: Vector) -> Array:

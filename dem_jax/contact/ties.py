@@ -24,28 +24,25 @@ BAND = 2.0  # of the depth, by which an axis may overlap more and still count
 APART = 1e-4  # one minus the length of the mean of the tied normals: less, and they are one
 
 Separation = tuple[Array, Vector, Array]
-Overlap = Callable[[Vector], Array]  # of two bodies (m), [k, P], along unit axes [k, P] x 3
-
-
 class TiedAxes(NamedTuple):
     """Separating axes of pairs."""
 
     overlaps: Array  # [k, P] (m)
-    axes: Vector  # [k, P] x 3, unit, from a to b
+    axes: Array  # [3, k, P]: unit, from a to b
     slack: Array  # [P] (m): what rounding may leave of a difference of two overlaps
-    overlap: Overlap
+    overlap: Callable[[Array], Array]  # (m), [1, P], along unit axes [3, 1, P]
 
 
 def normal_of(of: TiedAxes, depth: Array) -> tuple[Array, Vector, Array]:
     """Whether axes tie, [P] bool; the unit normal, [P] x 3, and the depth along it (m), [P], if they do. depth: of any axis."""
     least = jnp.min(of.overlaps, axis=0)
-    tied = of.overlaps <= (least + of.slack)[None]
-    mean = vector.each(lambda c: jnp.sum(jnp.where(tied, c, 0), axis=0), of.axes)
-    apart = vector.norm(mean) < (1 - APART) * jnp.sum(tied.astype(least.dtype), axis=0)
     beyond = jnp.maximum(of.overlaps - (least + of.slack)[None], 0)
+    tied = (beyond <= 0).astype(least.dtype)
     weight = jnp.square(jnp.maximum(0, 1 - beyond / jnp.where(least > 0, BAND * least, 1)[None]))
-    normal = vector.unit(vector.each(lambda c: jnp.sum(weight * c, axis=0), of.axes))
-    return apart & (least <= depth + of.slack), normal, of.overlap(vector.expand(normal, 0))[0]
+    mean, whole = jnp.sum(tied[None] * of.axes, axis=1), jnp.sum(weight[None] * of.axes, axis=1)
+    apart = vector.norm(vector.unpack(mean)) < (1 - APART) * jnp.sum(tied, axis=0)
+    normal = vector.kept(*vector.unit(vector.unpack(whole)))
+    return apart & (least <= depth + of.slack), normal, of.overlap(jnp.stack(normal)[:, None])[0]
 
 
 def without_ties(

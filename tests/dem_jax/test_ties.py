@@ -50,6 +50,9 @@ def test_normal_of_what_meets_head_on_and_the_depth_along_it(dtype):
         np.testing.assert_allclose(normal, [1, 0, 0], atol=rounding * SIDE / GAP)
         assert abs(along - GAP) < rounding * SIDE
         assert not tied(one, other, [apart - GAP, 0.02 * GAP, 0.03 * GAP], dtype)[0]  # not head on
+    is_tie, normal, *_ = tied(EDGE, EDGE, [2 * TO_EDGE - GAP, 0, 0.3 * SIDE], dtype)  # edges, shifted along each other
+    assert is_tie
+    np.testing.assert_allclose(normal, [1, 0, 0], atol=rounding * SIDE / GAP)
     for turn in (Rotation.identity(), about_x(0.3)):  # faces, flat on each other: all axes that tie are one
         assert not tied(Rotation.identity(), turn, [SIDE - GAP, 0.001, 0.002], dtype)[0]
 
