@@ -59,6 +59,7 @@ class Features(Tree):
     rings: Array  # [k, F', S] int32: the corners of each of its own faces, some repeated
     counts: Array  # [4, S] int32: how many planes, corners, edges and own planes a shape has; the rest repeats its first
     all_clip: bool = static()  # whether any is a part that others continue
+    is_bent: bool = static()  # whether any is a panel that others continue at an angle
 
 
 @pytree
@@ -222,11 +223,12 @@ class Walls(Tree):
     group: Array  # [W] int32
     material: Array  # [W] int32: row of Materials
     plates: Plates
-    plane: Array | None  # [W] int32: the same number for panels that continue each other in a plane, -1 for all others
+    plane: Array | None  # [W] int32: the same number for panels that are one surface, -1 for all others
     pivot: Array  # [3, G] (m): moves with the group; torques are about it; on the axis of a hinge
     motions: tuple  # of the kinds in contact.motion, each of all groups that move so; none: all rest
     load_cell: LoadCell | None  # None: no group is on one
     drive: Drive | None  # None: no group has one
+    is_bent: bool = static()  # whether panels of one surface meet at an angle, see ``contact.smooth_surfaces``
     groups: tuple[str, ...] = static()  # names of the G groups
     reports: tuple[tuple[str, tuple[int, ...]], ...] = static()  # ((reported name, (group, ...)), ...)
 
@@ -462,6 +464,7 @@ class Scratch(Tree):
     rate: Array  # [R] (m): ... of it in the last step
     lead: Array  # [R] (m): most that two bodies approach each other at the speeds they had then, until the next rebuild
     siblings: dict[str, Siblings]  # by kind of contact, where surfaces go on
+    shares: dict[str, Array]  # likewise, [P]: the part that each slot has of a contact that several have together
     near: dict[str, Near]  # by kind of contact, of polytopes with Features; none where each step looks at all features
     facing: dict[str, Facing]  # likewise
     is_first: Array  # bool: whether no overlap of near polytopes was noted in the guard yet

@@ -23,11 +23,12 @@ def table(
     parts: Sequence[Shape] | None = None,
     inner: Sequence[Sequence[bool]] | None = None,
     all_clip: bool = False,
+    is_bent: bool = False,
 ) -> Features:
     """Features of polytopes [S] by which depth and normal are found.
 
     parts: what of them has the faces that touch, None: all of it; inner: for each of its faces whether other parts cover it;
-    all_clip: as in Features.
+    all_clip, is_bent: as in Features.
     """
     rows = [_Rows(shape) for shape in shapes]
     own = rows if parts is None else [_Rows(shape) for shape in parts]
@@ -46,6 +47,7 @@ def table(
         rings=_stack([_padded(np.array([_filled(ring, sides) for ring in row.rings]), faces) for row in own], np.int32),
         counts=_counts(rows, own),
         all_clip=all_clip,
+        is_bent=is_bent,
     )
 
 

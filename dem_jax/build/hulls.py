@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from dem_jax.build import features
+from dem_jax.build.surfaces import PanelSeams
 from dem_jax.maths.pose import matrix_of_quaternion
 from dem_jax.maths.vector import Vector
 from dem_jax.shapes import Continued, Shape
@@ -19,7 +20,7 @@ SEAM_REACH = 10.0  # bounding radii of the largest piece by which a panel goes o
 
 MOST_DIRECTIONS = 8  # of edges of a zonotope: with more, near features are quicker than all of them
 
-Seams = Sequence[np.ndarray]  # as ``table`` takes them
+Seams = Sequence[PanelSeams]  # as ``table`` takes them
 Parts = Sequence[Continued | None]
 
 
@@ -39,14 +40,16 @@ def table(shapes: Sequence[Shape], dtype: DTypeLike, seams: Seams | None = None,
 
     Vertices are taken in the principal frame. The table is one of zonotopes if all its shapes are, of few edge directions;
     else it has ``features``.
-    seams: None, or for each shape [m, 3] outward unit directions across those edges of its face along z that are seams.
+    seams: None, or for each shape those edges of its face along z that are seams; with seams that bend the table is none of
+    zonotopes.
     continued: None, or for each shape shapes.Continued where it is a part that others continue, else None; such a table is
     none of zonotopes.
     """
     rows = [_row(shape) for shape in shapes]
     if continued:
         rows = [{**row, "half_lengths": None} for row in rows]
-    zonotopes = all(row["half_lengths"] is not None and len(row["directions"]) <= MOST_DIRECTIONS for row in rows)
+    is_bent = any(of.is_bent for of in seams or ())
+    zonotopes = not is_bent and all(row["half_lengths"] is not None and len(row["directions"]) <= MOST_DIRECTIONS for row in rows)
     if zonotopes:
         rows = [_pair_opposite_faces(row) for row in rows]
     sides = max(c.shape[1] for row in rows for c in row["corners"])
@@ -78,7 +81,7 @@ def table(shapes: Sequence[Shape], dtype: DTypeLike, seams: Seams | None = None,
         bounding_radius=host(np.array([np.linalg.norm(row["vertices"], axis=1).max() for row in rows], dtype)),
         half_lengths=lengths,
         cross_widths=widths,
-        seams=seam_rows(seams, dtype) if seams else None,
+        seams=seam_rows(seams, dtype) if seams and not is_bent else None,
         open_edges=_open_edges(normals, loops, seams, continued, dtype),
         inner=_last([_inner(more, faces) for more in continued], dtype) if continued else None,
         features=None if zonotopes else _features(shapes, dtype, seams, continued),
@@ -159,8 +162,8 @@ def _half_loop(loop: np.ndarray) -> np.ndarray:
 
 def seam_rows(seams: Seams, dtype: DTypeLike) -> Vector:
     """Hulls.seams."""
-    count = max(len(rows) for rows in seams)
-    filled = [np.concatenate([np.reshape(rows, (-1, 3)), np.zeros((count - len(rows), 3))]) for rows in seams]
+    count = max(len(of.across) for of in seams)
+    filled = [np.concatenate([of.across, np.zeros((count - len(of.across), 3))]) for of in seams]
     return _components(filled, dtype)
 
 
@@ -182,10 +185,12 @@ def _features(shapes: Sequence[Shape], dtype: DTypeLike, seams: Seams | None, co
     are_parts, continued = bool(continued), continued or [None] * len(shapes)
     whole = _whole(shapes, continued)
     if seams:
-        largest = max(shape.bounding_radius for shape, across in zip(shapes, seams, strict=True) if not len(across))
-        whole = [beyond_seams(shape, across, SEAM_REACH * largest) for shape, across in zip(whole, seams, strict=True)]
+        largest = max(shape.bounding_radius for shape, of in zip(shapes, seams, strict=True) if not len(of.across))
+        reach = SEAM_REACH * largest
+        whole = [beyond_seams(shape, of.across, reach, of.planes) for shape, of in zip(whole, seams, strict=True)]
     inner = [(False,) * len(shape.faces) if part is None else part.inner for shape, part in zip(shapes, continued, strict=True)]
-    return features.table(whole, dtype, shapes, inner if any(map(any, inner)) else None, are_parts)
+    is_bent = any(of.is_bent for of in seams or ())
+    return features.table(whole, dtype, shapes, inner if any(map(any, inner)) else None, are_parts, is_bent)
 
 
 def _inner(continued: Continued | None, faces: int) -> np.ndarray:
@@ -213,8 +218,9 @@ def _open_edges(
             continue
         across = np.cross(np.roll(corners, -1, axis=0) - corners, n)
         across /= np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1e-300)
-        shut = (across @ np.reshape(rows, (-1, 3)).T > 1 - 1e-9).any(-1) & (n[:, 2] > 0.5)
-        out.append(np.where(shut, 0.0, 1.0))
+        is_seam = (across @ rows.across.T > 1 - 1e-9) & (n[:, 2] > 0.5)[None, :, None]  # [k, F, m]
+        openness = np.where(is_seam, rows.openness, 0.0).max(-1, initial=0.0)
+        out.append(np.where(is_seam.any(-1), openness, 1.0))
     stacked = np.stack(out, axis=-1)  # [k, F, S]
     return host(stacked.reshape(len(stacked), -1).astype(dtype))
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dem_jax.build import hulls
+from dem_jax.build.surfaces import NO_SEAMS, PanelSeams
 from dem_jax.maths.pose import matrix_of_quaternion
 from dem_jax.shapes import Continued, Shape, continued, parts_of
 from dem_jax.types import Hulls, Parts, host
@@ -69,7 +70,7 @@ def part_arrays(solids: list[list[Solid]]) -> Parts:
     )
 
 
-def hull_table(solids: list[list[Solid]], plates: list[Shape], seams: list[np.ndarray] | None) -> tuple[Hulls | None, np.ndarray]:
+def hull_table(solids: list[list[Solid]], plates: list[Shape], seams: list[PanelSeams] | None) -> tuple[Hulls | None, np.ndarray]:
     """The table of hulls of parts and panels (None where all parts are spheres), and the row of each of them.
 
     seams: of each panel, as ``hulls.table`` takes them.
@@ -87,6 +88,6 @@ def hull_table(solids: list[list[Solid]], plates: list[Shape], seams: list[np.nd
         return None, np.zeros(len(index), int)
     every = [*[solid.shape for solid in distinct], *plates]
     if seams:
-        seams = [np.zeros((0, 3))] * len(distinct) + seams
+        seams = [NO_SEAMS] * len(distinct) + seams
     more = [*[solid.continued for solid in distinct], *[None] * len(plates)]
     return hulls.table(every, np.float64, seams, more if any(more) else None), np.array(index, int)

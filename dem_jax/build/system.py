@@ -21,6 +21,7 @@ from dem_jax.build.typed import array, typed
 from dem_jax.build.walls import wall_arrays, walls_of, with_buckets_read, written_out
 from dem_jax.contact import motion
 from dem_jax.contact.law import ContactLaw
+from dem_jax.contact.smooth_surfaces import largest_fillet
 from dem_jax.errors import SceneError
 from dem_jax.scene import Scene
 from dem_jax.scene.buckets import Panel
@@ -71,7 +72,8 @@ def build(scene: Scene, seed: int = 0, law: ContactLaw | None = None) -> Built:
     samples = max(1, round(scene.run.duration / scene.run.sample))
     check_steps(scene, settling, samples, step.substeps, step.dt)
     frame_every = min(max(1, round(scene.run.frames / scene.run.sample)), MOST_STEPS) if scene.run.frames else 0
-    walls, plates, seams = wall_arrays(scene, panels, motions, joint, dtype)
+    largest = max(shape.bounding_radius for shape in made)
+    walls, plates, seams = wall_arrays(scene, panels, motions, joint, dtype, largest)
     domain = _domain(scene, panels, start.position[: len(made) - waiting], made, plan)
     solids = solids_of(made)
     parts, convex = part_arrays(solids), [solid.shape for row in solids for solid in row]
@@ -91,7 +93,7 @@ def build(scene: Scene, seed: int = 0, law: ContactLaw | None = None) -> Built:
         dt=array(step.dt, dtype),
         resolved=array(step.resolved, dtype),
         substeps=array(step.substeps // step.parts, np.int32),
-        skin=array(SKIN * pieces.width.min(), dtype),
+        skin=array(SKIN * pieces.width.min() + largest_fillet(walls, parts), dtype),
         block_low=array(np.reshape([b.low for b in blocks], (-1, 3)).T, dtype),
         block_high=array(np.reshape([b.high for b in blocks], (-1, 3)).T, dtype),
         domain_low=array(domain[0], dtype),

@@ -15,6 +15,7 @@ from dem_jax.build.drive import drive_of
 from dem_jax.build.hulls import padded, seam_rows
 from dem_jax.build.load_cell import load_cell_of
 from dem_jax.build.start import Box
+from dem_jax.build.surfaces import PanelSeams, count_surfaces, find_surfaces
 from dem_jax.build.typed import typed
 from dem_jax.build.unit import check_unit
 from dem_jax.contact import motion
@@ -154,9 +155,15 @@ def written_out(wall: Wall, folder: str | Path) -> list[Wall]:
 
 
 def wall_arrays(
-    scene: Scene, panels: Sequence[Panel], motions: list[Motion], joint: dict[str, str], dtype: DTypeLike
-) -> tuple[Walls, list[Shape], list[np.ndarray] | None]:
-    """The walls, the shapes of their panels and the seams of each. Raises SceneError."""
+    scene: Scene,
+    panels: Sequence[Panel],
+    motions: list[Motion],
+    joint: dict[str, str],
+    dtype: DTypeLike,
+    piece_radius: float = 0.0,
+) -> tuple[Walls, list[Shape], list[PanelSeams] | None]:
+    """The walls, the shapes of their panels and the seams of each; piece_radius: (m) as of ``find_surfaces``,
+    0 where nobody asks for contacts. Raises SceneError."""
     groups = list(dict.fromkeys(group for group, _, _ in panels))
     made = [_plate(corners, thickness, f"corners of wall group {group!r}") for group, corners, thickness in panels]
     reports: dict[str, list[int]] = {}
@@ -166,55 +173,52 @@ def wall_arrays(
     material = rows_of_groups(material_table(scene), scene, groups)
     moved, pivot = motion.motions_of(motions, tuple(groups))
     extent = [np.abs(shape.vertices).max(0) for shape, _, _ in made]
-    seams, plane = _seams([(group, corners) for group, corners, _ in panels])
-    if seams:  # scene to panel frame
-        seams = [across @ turn for across, (_, _, turn) in zip(seams, made, strict=True)]
+    surfaces = find_surfaces([(group, corners) for group, corners, _ in panels], smooth_angle(scene), piece_radius)
+    is_bent = surfaces is not None and surfaces.is_bent
+    seams = None
+    if surfaces:
+        seams = [of.turned(turn, centre) for of, (_, centre, turn) in zip(surfaces.seams, made, strict=True)]
     walls = Walls(
         centre=host(np.array([c for _, c, _ in made], float).reshape(-1, 3).T),
         rotation=host(np.array([r for _, _, r in made], float).reshape(-1, 3, 3).transpose(1, 2, 0)),
         half_extent=host(np.array(extent, float).reshape(-1, 3).T),
-        plates=_plates([shape for shape, _, _ in made], seams),
+        plates=_plates([shape for shape, _, _ in made], None if is_bent else seams),
         group=host(number),
         material=host(material[number]),
-        plane=plane if plane is None else host(plane),
+        plane=None if surfaces is None else host(surfaces.number),
         pivot=host(pivot),
         motions=moved,
         load_cell=load_cell_of(scene, groups, number),
         drive=drive_of(motions, groups),
+        is_bent=is_bent,
         groups=tuple(groups),
         reports=tuple((name, tuple(members)) for name, members in reports.items()),
     )
     return typed(walls, dtype), [shape for shape, _, _ in made], seams
 
 
-def _seams(panels: Sequence[tuple[str, np.ndarray]]) -> tuple[list[np.ndarray], np.ndarray] | tuple[None, None]:
-    """For each panel (group, corners) the directions [m, 3] outward across edges where another panel of its group
-    continues its plane, and the number [W] of that plane, -1 where none does; None, None if there are no seams at all.
-    """
-    across, planes = [np.zeros((0, 3)) for _ in panels], np.full(len(panels), -1)
-    known: list[tuple[str, np.ndarray, np.ndarray]] = []  # group, point, normal
-    for group in {group for group, _ in panels}:
-        members = [i for i, (name, _) in enumerate(panels) if name == group]
-        flags = meshes.seams([panels[i][1] for i in members])
-        for i, flag in zip(members, flags, strict=True):
-            if not any(flag):
-                continue
-            corners = panels[i][1]
-            normal = shapes.loop_normal(corners)
-            out = np.cross(np.roll(corners, -1, axis=0) - corners, normal)[flag]
-            across[i] = out / np.linalg.norm(out, axis=1, keepdims=True)
-            size = np.linalg.norm(np.ptp(corners, axis=0))
-            found = [
-                k
-                for k, (name, point, other) in enumerate(known)
-                if name == group and other @ normal > np.cos(1e-3) and abs((corners[0] - point) @ other) < 1e-3 * size
-            ]
-            planes[i] = found[0] if found else len(known)
-            known += [] if found else [(group, corners[0], normal)]
-    return (across, planes) if known else (None, None)
+def smooth_angle(scene: Scene) -> float:
+    """The largest angle (rad) between two panels of one smooth surface."""
+    return float(np.radians(scene.contact.smooth_angle_deg))
 
 
-def _plates(panels: Sequence[Shape], seams: Sequence[np.ndarray] | None) -> Plates:
+def describe_surfaces(scene: Scene) -> list[str]:
+    """One line for each wall group whose panels meet at angles of smooth surfaces: how many surfaces they make."""
+    panels = [(group, corners) for group, corners, _ in walls_of(scene)[0]]
+    lines = []
+    for name in dict.fromkeys(group for group, _ in panels):
+        members = [panel for panel in panels if panel[0] == name]
+        found = find_surfaces(members, smooth_angle(scene), 0.0)
+        if found and found.is_bent:
+            made, angle = count_surfaces(found, len(members)), scene.contact.smooth_angle_deg
+            lines.append(
+                f"wall group {name!r}: {len(members)} facets make {made} surface{'s' if made > 1 else ''}; facets that meet at "
+                f"no more than {angle:g} degrees (contact.smooth_angle_deg) are one surface"
+            )
+    return lines
+
+
+def _plates(panels: Sequence[Shape], seams: Sequence[PanelSeams] | None) -> Plates:
     """The outlines of panels, ``_plate``."""
     outlines = [shape.vertices[list(shape.faces[0]), :2] for shape in panels]
     most = max(map(len, outlines), default=3)

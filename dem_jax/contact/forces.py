@@ -7,20 +7,22 @@ from typing import Any, NamedTuple, TypeVar
 import jax
 import jax.numpy as jnp
 
-from dem_jax.contact import bodies, boundary, collisions, of_run, seams
+from dem_jax.contact import bodies, boundary, collisions, of_run, seams, smooth_surfaces
 from dem_jax.contact.answer import Contacts, answer, is_arm_due, no_contacts, no_touch, within
 from dem_jax.contact.blocks import block_of, block_of_slots, block_size, in_one, with_block
 from dem_jax.contact.bodies import Body
 from dem_jax.contact.geometry import NOTHING, Known, geometry
 from dem_jax.contact.ledger import entered
 from dem_jax.contact.met import Met, met, moments_in_world, no_met, of_pieces
+from dem_jax.contact.smooth_surfaces import fillet_gap
 from dem_jax.maths import vector
 from dem_jax.maths.table import columns
 from dem_jax.maths.vector import Vector
 from dem_jax.types import Array, ContactTable, Facing, Memory, Near, Slots, State, System, WallLoads
 
 T = TypeVar("T")
-OfKind = tuple[Memory, Facing | None, Array, Array, Array | None]  # what ``_contacts_of_kind`` says, and carries by blocks
+# What ``_contacts_of_kind`` says, and carries by blocks:
+OfKind = tuple[Memory, Facing | None, Array, Array, Array | None, Array | None]
 
 
 class Sides(NamedTuple):
@@ -42,13 +44,15 @@ def contacts(system: System, state: State, omega: Array, panels: boundary.Panels
     tables: dict[str, ContactTable] = {}
     facing: dict[str, Facing] = {}
     touches: dict[str, Array | None] = {}
+    shares: dict[str, Array] = {}
     column = 0
     for kind, table in state.contacts.items():
-        memory, seen, loads, deepest, touches[kind] = _contacts_of_kind(system, state, kind, stacked, loads, column)
+        memory, seen, loads, deepest, touches[kind], share = _contacts_of_kind(system, state, kind, stacked, loads, column)
         tables[kind], overlap = table.replace(memory=memory), jnp.maximum(overlap, deepest)
         facing |= {} if seen is None else {kind: seen}
+        shares |= {} if share is None else {kind: share}
         column += 2 * table.a.shape[0]
-    state = state.replace(contacts=tables, scratch=state.scratch.replace(loads=loads, facing=facing))
+    state = state.replace(contacts=tables, scratch=state.scratch.replace(loads=loads, facing=facing, shares=shares))
     on_pieces, (on_walls, rise) = _loads_of_pieces(system, state), _loads_of_walls(system, state, panels)
     ledger = entered(system, state, omega, panels, on_pieces, on_walls, rise, overlap)
     counted = collisions.entered(system, state, omega, panels, touches)
@@ -56,29 +60,29 @@ def contacts(system: System, state: State, omega: Array, panels: boundary.Panels
 
 
 def _contacts_of_kind(system: System, state: State, kind: str, stacked: Array, loads: Array, column: int) -> OfKind:
-    """The memory of a kind after this step, which faces look at each other, the loads with those of its contacts
-    from ``column`` on, the largest overlap, and the touches as of Contacts. Block by block of slots, as far as slots are
-    filled: what is free costs nothing."""
+    """The memory of a kind after this step, which faces look at each other, the loads with those of its contacts from ``column``
+    on, the largest overlap, the touches as of Contacts, and the shares as of Scratch. Block by block of slots, as far as slots
+    are filled: what is free costs nothing."""
     table, slots = state.contacts[kind], state.scratch.slots[kind]
     near, facing = state.scratch.near.get(kind), state.scratch.facing.get(kind)
     room = table.a.shape[0]
     size = block_size(system, kind, room)
     none, is_due = jnp.zeros((system.runs,), stacked.dtype), is_arm_due(state)
-    start = table.memory, facing, loads, none, no_touch(system, table.memory.overlap)
+    start = table.memory, facing, loads, none, no_touch(system, table.memory.overlap), state.scratch.shares.get(kind)
     if kind in state.scratch.siblings:
         return _of_shared_surfaces(system, state, kind, stacked, start, column, size)
     if not size:
         part, facing = _resolve(system, kind, _sides(stacked, slots, table.memory), _known(near, facing), is_due)
-        return part.memory, facing, _put(loads, part, column, room), part.overlap, part.touch
+        return part.memory, facing, _put(loads, part, column, room), part.overlap, part.touch, None
 
     def block(k: Array, carry: OfKind) -> OfKind:
-        memory, facing, loads, overlap, touch = carry
+        memory, facing, loads, overlap, touch, _ = carry
         rows = block_of_slots(system, kind, slots, k, size)
         known = _known(near, facing, lambda tree: block_of(tree, k, size))
         part, seen = _resolve(system, kind, _sides(stacked, rows, in_one(kind, block_of(memory, k, size))), known, is_due)
         memory = with_block(memory, in_one(kind, part.memory), k, size)
         facing, touch = with_block((facing, touch), (seen, part.touch), k, size)
-        return memory, facing, _put(loads, part, column + k * size, room), jnp.maximum(overlap, part.overlap), touch
+        return memory, facing, _put(loads, part, column + k * size, room), jnp.maximum(overlap, part.overlap), touch, None
 
     return jax.lax.fori_loop(0, (state.scratch.filled[kind] + size - 1) // size, block, start)
 
@@ -108,7 +112,7 @@ def _of_shared_surfaces(system: System, state: State, kind: str, stacked: Array,
         known = _known(near, carry[1], lambda tree: block_of(tree, k, size))
         memory, rows, a, b, offset = side(k)
         depth, rest, facing = geometry(system, kind, rows, a, b, offset, known)
-        there = (within(system, rows, depth) > 0) & rows.live | (memory.overlap > 0)
+        there = (within(system, rows, depth) + fillet_gap(system, kind, rows) > 0) & rows.live | (memory.overlap > 0)
         none = block_of(nothing, k, size)
 
         def own() -> Met:
@@ -125,29 +129,34 @@ def _of_shared_surfaces(system: System, state: State, kind: str, stacked: Array,
     nothing = no_met(kind, slots, stacked.dtype)
     touch, facing = by_blocks(touched, (nothing, start[1]))
     assert touch.weight is not None
-    weight = jnp.where(within(system, slots, touch.overlap) > 0, touch.weight, 0)
+    is_touching = within(system, slots, touch.overlap) + fillet_gap(system, kind, slots) > 0
+    weight = jnp.where(is_touching, touch.weight, 0)
+    merging = smooth_surfaces if system.walls.is_bent else seams
 
-    def shared(k: Array | int, share: Array) -> Array:
-        own, part = block_of((weight, share), k, size)
+    def weighed(k: Array | int, parts: Array) -> Array:
+        """The parts, with those of a block: see ``find_parts`` of what merges contacts."""
+        own, before = block_of((weight, parts), k, size)
+        here, rows = block_of(touch, k, size)._replace(weight=own), block_of(slots, k, size)
         of = lambda: seams.of_block(slots, siblings, touch.normal, k, size)  # noqa: E731
-        return with_block(share, if_any(own > 0, lambda: seams.share(weight, own, of()), lambda: part), k, size)
+        found = if_any(own > 0, lambda: merging.find_parts(rows, touch._replace(weight=weight), here, of()), lambda: before)
+        return with_block(parts, found, k, size)
 
-    share = by_blocks(shared, (siblings.number == 0).astype(weight.dtype))
+    parts = by_blocks(weighed, weight if system.walls.is_bent else (siblings.number == 0).astype(weight.dtype))
 
     def resolved(k: Array | int, carry: OfKind) -> OfKind:
-        memory, facing, loads, overlap, began = carry
+        memory, facing, loads, overlap, began, shares = carry
         own, rows, a, b, offset = side(k)
-        there = (block_of(within(system, slots, touch.overlap), k, size) > 0) | (own.overlap > 0)
+        there = block_of(is_touching, k, size) | (own.overlap > 0)
 
-        def together() -> Contacts:
+        def together() -> tuple[Contacts, Array]:
             of = seams.of_block(slots, siblings, touch.normal, k, size)
             here = block_of(touch, k, size)
-            one, memory = seams.joined(rows, touch, share, before, here, of_pieces(a, b, offset), of)
-            return answer(system, memory, rows, a, b, offset, one, _turn(system, kind, a, b), is_due, block_of(share, k, size))
+            one, memory, share = merging.merge_contacts(rows, touch, parts, before, here, of_pieces(a, b, offset), of)
+            return answer(system, memory, rows, a, b, offset, one, _turn(system, kind, a, b), is_due, share), share
 
-        part = if_any(there, together, lambda: no_contacts(system, own, rows))
-        memory, began = with_block((memory, began), (part.memory, part.touch), k, size)
-        return memory, facing, _put(loads, part, column + k * size, room), jnp.maximum(overlap, part.overlap), began
+        part, share = if_any(there, together, lambda: (no_contacts(system, own, rows), block_of(parts, k, size)))
+        memory, began, shares = with_block((memory, began, shares), (part.memory, part.touch, share), k, size)
+        return memory, facing, _put(loads, part, column + k * size, room), jnp.maximum(overlap, part.overlap), began, shares
 
     return by_blocks(resolved, (before, facing, *start[2:]))
 
@@ -188,11 +197,13 @@ def _resolve(system: System, kind: str, side: Sides, known: Known, is_due: Array
     return jax.lax.cond(is_touching, loaded, lambda: no_contacts(system, memory, slots)), facing
 
 
-def elastic_energy(system: System, table: ContactTable, slots: Slots) -> Array:
-    """What each contact would give back, [P] (J)."""
+def elastic_energy(system: System, state: State, kind: str) -> Array:
+    """What each contact of a kind would give back, [P] (J): of one that several share, each its part."""
+    slots, memory, share = state.scratch.slots[kind], state.contacts[kind].memory, state.scratch.shares.get(kind)
     reach = system.law.reach(slots.pair)
-    overlap = table.memory.overlap if reach is None else table.memory.overlap - reach
-    return system.law.energy(slots.pair, table.memory.law, overlap)
+    overlap = memory.overlap if reach is None else memory.overlap - reach
+    energy = system.law.energy(slots.pair, memory.law, overlap)
+    return energy if share is None else share * energy
 
 
 def _loads_of_pieces(system: System, state: State) -> Array:

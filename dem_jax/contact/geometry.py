@@ -45,6 +45,8 @@ def geometry(
     if kind == "plates":
         assert a.rotation is not None and slots.plate_a is not None
         found = collide.plate_sphere(slots.plate_a, slots.radius_b, vector.rotate_back(a.rotation, offset))
+        if system.walls.is_bent:
+            found = found._replace(weight=jnp.ones_like(found.depth))
         return found.depth, lambda _: _in_world(found, a), None
     rel, reach, table = relative(a, b, offset), system.law.reach(slots.pair), system.hulls
     assert table is not None
@@ -161,7 +163,9 @@ def nearness(system: System, kind: str, slots: Slots, a: Body, b: Body, offset: 
         depth = look.overlap_at_most(table.features, rows, rel)
     else:
         depth = near.axes(look.look(table.features, rows, _radii(table, rows), rel, None), rel).depth
-    return jnp.minimum(depth, look.overlap_at_most(table.features, rows, rel, True)) if table.features.all_clip else depth
+    if table.features.all_clip or table.features.is_bent:
+        return jnp.minimum(depth, look.overlap_at_most(table.features, rows, rel, True))
+    return depth
 
 
 def is_kept(system: System) -> bool:

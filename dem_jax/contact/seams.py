@@ -4,8 +4,7 @@ Each panel's contact sees the whole depth below the plane (``collide`` bars the 
 each part the depth of the body that goes on beyond it (``Hulls.extended``), so that all go through the same history and act
 at the same point; each takes the part of the force that it has of the overlap, and together they are the contact with one
 large panel, with one body. Of parts those contacts are one that have one normal: with two sides of a body there are two. A
-scene without has none of this. Elastic energy is counted once per panel or part touched, and what is dissipated is smaller
-by as much.
+scene without has none of this.
 """
 
 from collections.abc import Callable
@@ -94,19 +93,25 @@ def own(slots: Slots, met: Met) -> Met:
     return met._replace(overlap=jnp.where((met.weight > 0) | ~are_shared(slots), met.overlap, -1))
 
 
-def share(weight: Array, own: Array, of: Kin) -> Array:
-    """The part of the contact with the plane that each slot of a block has; 1 for all that are not on such a panel.
+def find_parts(slots: Slots, met: Met, own: Met, of: Kin) -> Array:
+    """The part of the contact with the surface that each slot of a block has, [B]; 1 for all that are not on such a panel.
 
-    weight: of all slots; own: of the block.
+    slots, own: of the block; met: of all slots; of both the weights of those that touch.
     """
-    total = _over(of, lambda total, slot, there: total + jnp.where(there, weight[slot], 0), jnp.zeros_like(own))
-    part = own / jnp.where(total > 0, total, 1)
+    del slots
+    weight = met.weight
+    assert weight is not None and own.weight is not None
+    add = lambda total, slot, there: total + jnp.where(there, weight[slot], 0)  # noqa: E731
+    total = over_siblings(of, add, jnp.zeros_like(own.weight))
+    part = own.weight / jnp.where(total > 0, total, 1)
     return jnp.where(of.number > 0, part, 1)
 
 
-def joined(slots: Slots, met: Met, share: Array, before: Memory, own: Met, offset: Vector, of: Kin) -> tuple[Met, Memory]:
+def merge_contacts(
+    slots: Slots, met: Met, share: Array, before: Memory, own: Met, offset: Vector, of: Kin
+) -> tuple[Met, Memory, Array]:
     """Contacts of a block as one with their siblings, at their common point, of parts of pieces along the normal of the
-    deepest; and the memory of what was deepest before, so that a contact goes on as a piece comes onto a panel.
+    deepest; the memory of what was deepest before, so that a contact goes on as a piece comes onto a panel; and their shares.
 
     met, share, before: of all slots; own, offset (m, between the centres of pieces): of the block."""
     parts = vector.kept(*vector.scale(share, met.at_b))
@@ -117,41 +122,43 @@ def joined(slots: Slots, met: Met, share: Array, before: Memory, own: Met, offse
     def another(so_far: tuple[Sums, list[Best]], slot: Array, there: Array) -> tuple[Sums, list[Best]]:
         total, deepest = so_far
         total = jax.tree.map(lambda sum_, c: sum_ + jnp.where(there, c[slot], 0), total, (parts, spread))
-        return total, [_deeper(best, overlap[slot], slot, there) for best, overlap in zip(deepest, overlaps, strict=True)]
+        return total, [deeper(best, overlap[slot], slot, there) for best, overlap in zip(deepest, overlaps, strict=True)]
 
     zero = jax.tree.map(lambda _: jnp.zeros_like(own.overlap), (parts, spread))
-    (total, spread), deepest = _over(of, another, (zero, [nothing for _ in overlaps]))
+    (total, spread), deepest = over_siblings(of, another, (zero, [nothing for _ in overlaps]))
     memory = jax.tree.map(lambda rows: rows[..., deepest[0][1]], before)
     at_b = vector.where(of.number > 0, total, own.at_b)
-    moments = None if own.spread is None else partial(_moments, of, spread, at_b, own.spread)
+    moments = None if own.spread is None else partial(moments_of_patch, of.number > 0, spread[0], at_b, own.spread)
     one = own._replace(at_b=at_b, at_a=vector.add(at_b, offset), moments=moments, spread=None)
+    part = share[of.itself]
     if slots.surface_b is None:
-        return one, memory
+        return one, memory, part
     pick, has_part = deepest[1][1], own.overlap > -1
     normal = vector.where(has_part, vector.at(met.normal, pick), own.normal)
     overlap = jnp.where(has_part, met.overlap[pick], own.overlap)
-    return one._replace(overlap=overlap, normal=normal, deepest=_picked(has_part, pick, met.deepest, own.deepest)), memory
+    deepest_point = picked_deepest(has_part, pick, met.deepest, own.deepest)
+    return one._replace(overlap=overlap, normal=normal, deepest=deepest_point), memory, part
 
 
-def _moments(of: Kin, spread: Spread, centroid: Vector, own: SecondMoments) -> SecondMoments:
-    """Second moments (m2), [B], of the whole patch about its centroid. spread: about the centre of b, where there are siblings."""
-    about = patch.add(*spread, patch.scale(host(-1), patch.product(centroid, centroid)))
-    return SecondMoments(*(jnp.where(of.number > 0, c, d) for c, d in zip(about, own, strict=True)))
+def moments_of_patch(is_shared: Array, spread: SecondMoments, centroid: Vector, own: SecondMoments) -> SecondMoments:
+    """Second moments (m2), [B], of the whole patch about its centroid; spread: about the centre of b, where it is shared."""
+    about = patch.add(spread, patch.scale(host(-1), patch.product(centroid, centroid)))
+    return SecondMoments(*(jnp.where(is_shared, c, d) for c, d in zip(about, own, strict=True)))
 
 
-def _picked(there: Array, pick: Array, of_all: Deepest | None, own: Deepest | None) -> Deepest | None:
+def picked_deepest(there: Array, pick: Array, of_all: Deepest | None, own: Deepest | None) -> Deepest | None:
     """The deepest points of picked slots where they are there, else their own."""
     return jax.tree.map(lambda rows, row: jnp.where(there, rows[pick], row), of_all, own)
 
 
-def _deeper(best: Best, overlap: Array, slot: Array, there: Array) -> Best:
+def deeper(best: Best, overlap: Array, slot: Array, there: Array) -> Best:
     """The best so far or this slot, the first of equals."""
     most, pick = best
     more = there & (overlap > most)
     return jnp.where(more, overlap, most), jnp.where(more, slot, pick)
 
 
-def _over(of: Kin, more: Callable[[T, Array, Array], T], start: T) -> T:
+def over_siblings(of: Kin, more: Callable[[T, Array, Array], T], start: T) -> T:
     """``more(so far, slot, there)`` of the first sibling of each slot, the second and so on."""
 
     def another(k: Array, so_far: T) -> T:

@@ -84,6 +84,7 @@ def rebuild(system: System, state: State, panels: boundary.Panels | None = None)
         start_overlap=jnp.maximum(guard.start_overlap, 0),
     )
     filled = {kind: one.filled for kind, one in found.items()}
+    shared = [kind for kind, one in found.items() if one.slots.surface_a is not None]
     scratch = Scratch(
         slots={kind: one.slots for kind, one in found.items()},
         filled=filled,
@@ -95,7 +96,8 @@ def rebuild(system: System, state: State, panels: boundary.Panels | None = None)
         way=jnp.zeros_like(lead),
         rate=jnp.zeros_like(lead),
         lead=lead,
-        siblings={kind: seams.siblings(system, one.slots) for kind, one in found.items() if one.slots.surface_a is not None},
+        siblings={kind: seams.siblings(system, found[kind].slots) for kind in shared},
+        shares={kind: jnp.ones_like(found[kind].table.memory.overlap) for kind in shared},
         near={kind: one.near[0] for kind, one in found.items() if one.near},
         facing={kind: one.near[1] for kind, one in found.items() if one.near},
         is_first=by.is_first,

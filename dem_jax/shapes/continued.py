@@ -72,12 +72,20 @@ def _height_above(points: np.ndarray, parts: Sequence[Part]) -> np.ndarray:
     return np.min(heights, axis=0)
 
 
-def beyond_seams(panel: Shape, across: np.ndarray, reach: float) -> Shape:
-    """A panel that goes on by a reach (m) beyond its sides in directions [m, 3], where others continue its plane."""
+def beyond_seams(panel: Shape, across: np.ndarray, reach: float, planes: np.ndarray) -> Shape:
+    """The panel as far as contacts are concerned, where others continue it beyond its seams.
+
+    Args:
+        panel: about its own centre.
+        across: [m, 3] unit normals of its sides at seams: the panel continues by a reach (m) beyond them.
+        planes: [k, 4] outward normals and offsets (m) of neighbours beyond convex seams, which end it.
+    """
     if not len(across):
         return panel
     beyond = (panel.normals @ np.asarray(across).T > 1 - 1e-9).any(axis=1)
-    return _about(_corners(panel.normals, panel.offsets + reach * beyond))
+    offsets = panel.offsets + reach * beyond
+    corners = _corners(np.concatenate([panel.normals, planes[:, :3]]), np.concatenate([offsets, planes[:, 3]]))
+    return replace(_about(corners), principal=panel.principal)
 
 
 def _outer_planes(part: Part) -> tuple[np.ndarray, np.ndarray]:

@@ -21,6 +21,7 @@ Loop = Sequence[int]  # indices of points
 LOST = 0.01  # of the area of coplanar facets, that panels may lack
 THINNEST = 1e-9  # thickness over size of a panel, and the other way round: beyond, its plate is one in no precision
 SLIVER = 1e-4  # area over squared extent, of facets that may be left out
+COPLANAR = 1e-3  # (rad) bend up to which two panels are in one plane
 
 
 class Plate(NamedTuple):
@@ -176,15 +177,33 @@ def seams(panels: Sequence[np.ndarray], tolerance: float | None = None) -> list[
     Such an edge is no edge of the wall: a piece that slides across must not catch on it. Coplanar panels have the same
     normal (to 1e-3); edges that overlap only in part count. tolerance: (m) by default 1e-4 of the largest panel's size.
     """
+    return [[bool(beyond) for beyond in row] for row in find_neighbours(panels, COPLANAR, tolerance)]
+
+
+def find_neighbours(
+    panels: Sequence[np.ndarray], largest_bend: float, tolerance: float | None = None
+) -> list[list[list[int]]]:
+    """For each panel, for each of its edges, the numbers of the panels that continue it beyond that edge.
+
+    Args:
+        panels: of one wall group, each [k, 3] (m), counter-clockwise about its normal.
+        largest_bend: (rad) largest angle between the normals of two panels that continue each other.
+        tolerance: (m) distance within which two edges are one; by default 1e-4 of the largest panel's size.
+
+    Returns:
+        Lists [panels][k] of panel numbers. Edges that overlap only in part count.
+    """
+    panels = [np.asarray(panel, np.float64) for panel in panels]
     tolerance = tolerance or 1e-4 * max(float(np.linalg.norm(np.ptp(p, axis=0))) for p in panels)
-    normals = np.stack([loop_normal(np.asarray(p, np.float64)) for p in panels])
-    alike = normals @ normals.T > np.cos(1e-3)
+    normals = np.stack([loop_normal(panel) for panel in panels])
+    low, high = (np.stack([of(panel, axis=0) for panel in panels]) for of in (np.min, np.max))
     found = []
     for i, panel in enumerate(panels):
-        others = [_sides(panels[j]) for j in np.flatnonzero(alike[i]).tolist() if j != i]
-        found.append(
-            [any(_overlaps(*side, *other, tolerance) for other in others) for side in zip(*_sides(panel), strict=True)]
-        )
+        is_near = ((low <= high[i] + tolerance) & (high >= low[i] - tolerance)).all(axis=1)
+        is_near &= normals @ normals[i] > np.cos(largest_bend)
+        others = [(j, _sides(panels[j])) for j in np.flatnonzero(is_near).tolist() if j != i]
+        sides = zip(*_sides(panel), strict=True)
+        found.append([[j for j, other in others if _overlaps(*side, *other, tolerance)] for side in sides])
     return found
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from dem_jax.build.load_cell import section_of
 from dem_jax.build.system import with_pieces_read
-from dem_jax.build.walls import with_buckets_read, written_out
+from dem_jax.build.walls import describe_surfaces, with_buckets_read, written_out
 from dem_jax.scene import PieceShape, Scene, parse
 from dem_jax.show.facts import portion_said, stickiness_said, stiffness_in_short
 from dem_jax.store.run import Run
@@ -83,11 +83,11 @@ def notes_on_pieces(scene: Scene) -> list[str]:
 
 
 def notes_on_walls(scene: Scene) -> list[str]:
-    """What is read of the STLs of a scene's walls, buckets and feeder. Raises SceneError."""
+    """What is read of the STLs of walls, buckets and feeder, and the smooth surfaces of their facets. Raises SceneError."""
     read = {f"wall.{n}": written_out(wall, scene.folder)[0].note for n, wall in enumerate(scene.wall) if wall.stl is not None}
     whole = with_buckets_read(scene)
     read |= {name: getattr(whole, name).note for name in ("weigh_bucket", "feed_bucket", "feeder") if getattr(scene, name)}
-    return [f"{key}: {note}" for key, note in read.items() if note]
+    return [*(f"{key}: {note}" for key, note in read.items() if note), *describe_surfaces(scene)]
 
 
 def main_group(run: Run) -> str | None:

@@ -24,9 +24,8 @@ def lost(system: System, state: State) -> Array:
     still give back."""
     number, parts = system.walls.group, system.parts.count
     elastic = jnp.zeros((len(system.walls.groups), system.runs), state.position.dtype)
-    for kind, table in state.contacts.items():
-        slots = state.scratch.slots[kind]
-        energy = forces.elastic_energy(system, table, slots)
+    for kind, slots in state.scratch.slots.items():
+        energy = forces.elastic_energy(system, state, kind)
         of_group = jnp.where(slots.live & (slots.a >= parts), number[jnp.maximum(slots.a - parts, 0)], -1)
         rows = [of_run.total_of_contacts(system, jnp.where(of_group == g, energy, 0), slots.b) for g in range(len(elastic))]
         elastic = elastic + jnp.stack(rows)

@@ -90,9 +90,8 @@ def kinetic_energy(system: System, state: State) -> Array:
 def elastic_energy(system: System, state: State) -> Array:
     """Energy that contacts would give back (J)."""
     total = jnp.zeros((system.runs,), state.position.dtype)
-    for kind, table in state.contacts.items():
-        slots = state.scratch.slots[kind]
-        total = total + of_run.total_of_contacts(system, forces.elastic_energy(system, table, slots), slots.b)
+    for kind, slots in state.scratch.slots.items():
+        total = total + of_run.total_of_contacts(system, forces.elastic_energy(system, state, kind), slots.b)
     return total
 
 

@@ -32,6 +32,9 @@ class Contact(Section):
     law: LawName = "walton-braun"
     impact_speed: Positive = Field(5.0, description='m/s, the fastest impact that the time step resolves; law "hertz-mindlin"')
     cohesion: Cohesion = Cohesion()
+    smooth_angle_deg: float = Field(
+        20.0, ge=0, le=45, description="panels of a wall group that meet at no more are one smooth surface, touched once"
+    )
 
 
 def stray_key(contact: Contact, material: Material) -> str | None:

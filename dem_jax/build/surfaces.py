@@ -1,0 +1,226 @@
+"""Which panels of the walls are one surface, and what each of them has to know of the others.
+
+Panels of one wall group that share an edge and meet there at no more than the smooth angle are facets of one smooth surface: a
+contact with several of them is one contact (``contact.seams`` for planes, ``contact.smooth_surfaces`` where they meet at an
+angle). A sharper edge is a true edge, and so is the rim. Host side, float64, SI.
+"""
+
+from collections import deque
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from dem_jax.shapes import loop_normal, meshes
+
+FLAT_BEND = 2e-6  # (rad) panels that meet at no more are one plane to the last digit that counts
+OPEN_BEND = 0.01  # (rad) from which on a convex seam is an edge of the surface as much as the rim is
+REACH = 3.0  # bounding radii of the largest piece, within which a panel has to know the neighbours beyond its convex seams
+FINEST = 0.004  # (rad) between the normals of such neighbours: what lies between is left out
+MOST_PLANES = 48  # such neighbours of a panel; where there are more, coarser ones are taken
+BELOW = 1e-6  # of the reach: corners that are above a plane by no more are not above it
+
+Group = tuple[str, np.ndarray]  # name of the wall group, corners of a panel [k, 3] (m)
+
+
+class PanelSeams(NamedTuple):
+    """Where other panels continue a panel, in its own frame, about its own centre."""
+
+    across: np.ndarray  # [m, 3] outward unit directions, in its plane, across each seam
+    openness: np.ndarray  # [m] how much of the seam is an edge of the surface: 0 of flat and concave ones, 1 of convex ones
+    planes: np.ndarray  # [k, 4] outward normals and offsets (m) of the neighbours beyond convex seams
+    is_bent: bool  # whether it meets any of its neighbours at an angle
+
+    def turned(self, turn: np.ndarray, origin: np.ndarray) -> "PanelSeams":
+        """These seams in the frame of the panel.
+
+        Args:
+            turn: [3, 3] from the panel's frame to that of the scene.
+            origin: [3] (m) of the panel's frame, in the scene.
+        """
+        normals, offsets = self.planes[:, :3], self.planes[:, 3]
+        planes = np.c_[normals @ turn, offsets - normals @ origin]
+        return self._replace(across=self.across @ turn, planes=planes)
+
+
+NO_SEAMS = PanelSeams(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 4)), False)
+
+
+class Surfaces(NamedTuple):
+    """The surfaces that panels make."""
+
+    seams: list[PanelSeams]  # of each panel, in the frame of the scene
+    number: np.ndarray  # [W] int: the same for panels of one surface, -1 for a panel that is one by itself
+    is_bent: bool  # whether panels of any surface meet at an angle
+
+
+def find_surfaces(panels: Sequence[Group], smooth_angle: float, piece_radius: float) -> Surfaces | None:
+    """The surfaces of panels; None if no panel continues another.
+
+    Args:
+        panels: all of the scene.
+        smooth_angle: (rad) largest angle between two panels of one surface.
+        piece_radius: (m) bounding radius of the largest piece.
+    """
+    members = [
+        np.array([i for i, (name, _) in enumerate(panels) if name == group])
+        for group in dict.fromkeys(group for group, _ in panels)
+    ]
+    beyond: list[list[list[int]]] = [[] for _ in panels]
+    for group in members:
+        found = meshes.find_neighbours([panels[i][1] for i in group], max(smooth_angle, meshes.COPLANAR))
+        for i, edges in zip(group, found, strict=True):
+            beyond[i] = [[int(group[j]) for j in edge] for edge in edges]
+    normals = np.array([loop_normal(corners) for _, corners in panels])
+    if not any(map(any, beyond)):
+        return None
+    sines = [np.linalg.norm(np.cross(normals[i], normals[j])) for i, edges in enumerate(beyond) for e in edges for j in e]
+    if max(sines) <= FLAT_BEND:
+        return _planes(panels, members)
+    return _smooth_surfaces(panels, normals, beyond, piece_radius)
+
+
+def count_surfaces(found: Surfaces | None, panels: int) -> int:
+    """How many surfaces so many panels make."""
+    if found is None:
+        return panels
+    alone = int((found.number < 0).sum())
+    return alone + len(np.unique(found.number[found.number >= 0]))
+
+
+# --- planes ---
+
+
+def _planes(panels: Sequence[Group], members: Sequence[np.ndarray]) -> Surfaces:
+    """Surfaces of panels that continue each other in a plane only."""
+    seams, number = [NO_SEAMS for _ in panels], np.full(len(panels), -1)
+    known: list[tuple[str, np.ndarray, np.ndarray]] = []  # group, point, normal
+    for group in members:
+        flags = meshes.seams([panels[i][1] for i in group])
+        for i, flag in zip(group, flags, strict=True):
+            if not any(flag):
+                continue
+            name, corners = panels[i]
+            normal = loop_normal(corners)
+            across = _outward(corners, normal)[flag]
+            seams[i] = NO_SEAMS._replace(across=across, openness=np.zeros(len(across)))
+            size = np.linalg.norm(np.ptp(corners, axis=0))
+            found = [
+                k
+                for k, (other_name, point, other) in enumerate(known)
+                if other_name == name and other @ normal > np.cos(1e-3) and abs((corners[0] - point) @ other) < 1e-3 * size
+            ]
+            number[i] = found[0] if found else len(known)
+            known += [] if found else [(name, corners[0], normal)]
+    return Surfaces(seams, number, False)
+
+
+def _outward(corners: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """Outward unit directions [k, 3] across the edges of a panel [k, 3] (m)."""
+    out = np.cross(np.roll(corners, -1, axis=0) - corners, normal)
+    return out / np.linalg.norm(out, axis=1, keepdims=True)
+
+
+# --- smooth surfaces of facets ---
+
+
+def _smooth_surfaces(
+    panels: Sequence[Group], normals: np.ndarray, beyond: list[list[list[int]]], piece_radius: float
+) -> Surfaces:
+    """Surfaces of panels of which some meet at an angle."""
+    corners = [np.asarray(panel, float) for _, panel in panels]
+    seams = []
+    for i, edges in enumerate(beyond):
+        flag = np.array([bool(edge) for edge in edges])
+        bends = [_bend(corners, normals, i, edge) for edge in edges if edge]
+        openness = np.clip([max(bend, 0.0) / OPEN_BEND for bend in bends], 0, 1)
+        planes = _planes_beyond(corners, normals, beyond, i, REACH * piece_radius)
+        is_bent = any(abs(bend) > FLAT_BEND for bend in bends)
+        seams.append(PanelSeams(_outward(corners[i], normals[i])[flag], openness, planes, is_bent))
+    return Surfaces(seams, _numbers(panels, normals, beyond), True)
+
+
+def _bend(corners: Sequence[np.ndarray], normals: np.ndarray, i: int, others: Sequence[int]) -> float:
+    """The largest angle (rad) by which the surface falls away from panel i at an edge; negative: by which it rises."""
+    return max((_turn(corners, normals, i, j) for j in others), key=abs)
+
+
+def _turn(corners: Sequence[np.ndarray], normals: np.ndarray, i: int, j: int) -> float:
+    """The angle (rad) by which panel j falls away from panel i; negative: by which it rises."""
+    height = (corners[j] - corners[i][0]) @ normals[i]
+    sine = float(np.linalg.norm(np.cross(normals[i], normals[j])))
+    return float(np.arcsin(min(sine, 1.0))) * (1.0 if -height.min() > height.max() else -1.0)
+
+
+def _planes_beyond(
+    corners: Sequence[np.ndarray], normals: np.ndarray, beyond: list[list[list[int]]], i: int, reach: float
+) -> np.ndarray:
+    """Planes [k, 4] of the panels that are reached from panel i over convex seams, within a reach (m): they end the solid."""
+    low, high = corners[i].min(axis=0) - reach, corners[i].max(axis=0) + reach
+    found: list[tuple[int, float]] = []  # panel, offset
+    seen, front = {i}, deque([i])
+    while front:
+        here = front.popleft()
+        for j in dict.fromkeys(k for edge in beyond[here] for k in edge):
+            if j in seen or _turn(corners, normals, here, j) < -FLAT_BEND:
+                continue
+            seen.add(j)
+            if (corners[j] < low).all(axis=0).any() or (corners[j] > high).all(axis=0).any():
+                continue
+            offset = float((corners[j] @ normals[j]).mean())
+            if (corners[i] @ normals[j] > offset + BELOW * reach).any():
+                continue
+            front.append(j)
+            found.append((j, offset))
+    return _thinned(normals, found, normals[i])
+
+
+def _thinned(normals: np.ndarray, found: Sequence[tuple[int, float]], own: np.ndarray) -> np.ndarray:
+    """Planes [k, 4] of the panels found, nearest first, no two of them nearly parallel."""
+    finest = FINEST
+    while True:
+        kept: list[tuple[int, float]] = []
+        directions = own[None]
+        for j, offset in found:
+            if (np.linalg.norm(directions - normals[j], axis=1) > (finest if len(kept) > 2 else FLAT_BEND)).all():
+                kept.append((j, offset))
+                directions = np.concatenate([directions, normals[j][None]])
+        if len(kept) <= MOST_PLANES:
+            return np.array([[*normals[j], offset] for j, offset in kept]).reshape(-1, 4)
+        finest *= 1.5
+
+
+def _numbers(panels: Sequence[Group], normals: np.ndarray, beyond: list[list[list[int]]]) -> np.ndarray:
+    """The number of the surface of each panel, [W]; -1 where it is one by itself."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    joined = [(i, j) for i, edges in enumerate(beyond) for edge in edges for j in edge]
+    rows, columns = np.array(joined).T
+    graph = coo_array((np.ones(len(rows)), (rows, columns)), shape=(len(panels), len(panels)))
+    _, labels = connected_components(graph, directed=False)
+    has_seam = np.array([any(map(bool, edges)) for edges in beyond])
+    return _compact(np.where(has_seam, _with_planes_joined(panels, normals, labels, has_seam), -1))
+
+
+def _with_planes_joined(
+    panels: Sequence[Group], normals: np.ndarray, labels: np.ndarray, has_seam: np.ndarray
+) -> np.ndarray:
+    """The labels, the same for surfaces of one group with panels in one plane: a piece that lies on both has one contact."""
+    labels = labels.copy()
+    known: list[tuple[str, np.ndarray, np.ndarray, int]] = []  # group, point, normal, panel
+    for i in np.flatnonzero(has_seam).tolist():
+        name, corners = panels[i]
+        size = np.linalg.norm(np.ptp(corners, axis=0))
+        for other, point, normal, label in known:
+            is_one = other == name and normal @ normals[i] > np.cos(1e-3) and abs((corners[0] - point) @ normal) < 1e-3 * size
+            if is_one and labels[label] != labels[i]:
+                labels[labels == labels[i]] = labels[label]
+        known.append((name, corners[0], normals[i], i))
+    return labels
+
+
+def _compact(labels: np.ndarray) -> np.ndarray:
+    """Labels counted from 0 in the order of their first panels, -1 as it is."""
+    order = {label: k for k, label in enumerate(dict.fromkeys(labels[labels >= 0].tolist()))}
+    return np.array([order.get(label, -1) for label in labels.tolist()])

@@ -1,0 +1,156 @@
+"""One contact with a smooth surface of facets, whatever the number of facets that a piece touches.
+
+Facets of one surface that a piece touches at nearly the same angle (``nearness_of_normals``) share one contact: one overlap s,
+one normal n, one point, one history, and one stiffness. Facet i has the part w_i / sum_j w_j of it. Of all of these, s, n and
+the point are continuous functions of where the piece is.
+
+A sphere touches a facet at its closest point, at a distance h_i of the centre, along the unit vector n_i. Where a ridge is
+closest, the facets on both sides have the same n_i and h_i. In a valley both facets are closest over a wedge of width h tan(bend)
+only. There, and only there, both have a weight:
+
+    w_i = min_j clip(1 - (h_i - h_j) / (h_i |n_i - n_j|^2 / 2), 0, 1),
+
+which is 1 for the closest facet and reaches 0 just where the foot of the centre leaves facet i. With it the overlap is
+
+    s = sum_i w_i s_i / sum_i w_i + h (1 - |n|^2) / 2,    n = sum_i w_i n_i / sum_i w_i,
+
+whose gradient is n: the force has a potential, which is that of a fillet of radius 2 h in the valley.
+
+A polytope touches a facet with a patch, see ``collide.pressure_centre``, whose depth-weighted measure is w_i. Beyond convex seams
+a facet's solid ends at its neighbours (``build.surfaces``), so that all facets find one overlap and one normal; in a valley each
+finds those of its own plane. The overlap is the largest, normal and point are the means weighted by w_i.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dem_jax.contact import patch
+from dem_jax.contact.met import Met
+from dem_jax.contact.patch import SecondMoments
+from dem_jax.contact.seams import Best, Kin, deeper, moments_of_patch, over_siblings, picked_deepest
+from dem_jax.maths import vector
+from dem_jax.maths.vector import Vector
+from dem_jax.types import Array, Memory, Parts, Slots, System, Walls
+
+ONE = 0.82  # cosine of the angle (35 degrees) between normals up to which contacts with a surface are one
+TWO = 0.57  # cosine of the angle (55 degrees) from which on they are two; between, they are one in part
+
+
+FILLET = 0.04  # of its radius: a sphere may touch the fillet of a valley while it is so far from both facets (bend <= 32 degrees)
+
+
+class _Sums(NamedTuple):
+    """Sums over the siblings of each slot of a block, with their weights."""
+
+    weight: Array  # [B]
+    overlap: Array  # [B] (m)
+    normal: Vector  # [B] x 3
+    point: Vector  # [B] x 3 (m), from the centre of b
+    spread: SecondMoments | None  # [B] (m2), of the patches about the centre of b; None: nobody needs them
+
+
+def nearness_of_normals(a: Vector, b: Vector) -> Array:
+    """How much two contacts with unit normals [P] x 3 are one, [P]: from 1 to 0."""
+    return jnp.clip((vector.dot(a, b) - TWO) / (ONE - TWO), 0, 1)
+
+
+def fillet_gap(system: System, kind: str, slots: Slots) -> Array | int:
+    """How far a piece may be from a facet that has part in its contact, [P] (m).
+
+    Args:
+        system, kind: what decides whether there are fillets: of contacts of spheres with walls that have bent surfaces.
+        slots: of the kind.
+    """
+    return FILLET * slots.radius_b if kind == "plates" and system.walls.is_bent else 0
+
+
+def largest_fillet(walls: Walls, parts: Parts) -> float:
+    """The largest ``fillet_gap`` of any piece (m)."""
+    radii = np.asarray(parts.radius)
+    return float(FILLET * radii.max()) if walls.is_bent and len(radii) else 0.0
+
+
+def find_parts(slots: Slots, met: Met, own: Met, of: Kin) -> Array:
+    """The weight of each contact of a block in what it shares with its siblings, [B].
+
+    Args:
+        slots: of the block.
+        met: contacts of all slots.
+        own: contacts of the block.
+        of: siblings of the block.
+    """
+    assert own.weight is not None
+    if own.deepest is not None:
+        return own.weight
+    tiny = float(jnp.finfo(own.overlap.dtype).tiny)
+    height = slots.radius_b - own.overlap
+
+    def another(least: Array, slot: Array, there: Array) -> Array:
+        bend = vector.sub(vector.at(met.normal, slot), own.normal)
+        above = jnp.maximum(met.overlap[slot] - own.overlap, 0)
+        weight = 1 - above / jnp.maximum(0.5 * height * vector.dot(bend, bend), tiny)
+        return jnp.where(there, jnp.minimum(least, jnp.clip(weight, 0, 1)), least)
+
+    return over_siblings(of, another, own.weight)
+
+
+def merge_contacts(
+    slots: Slots, met: Met, weight: Array, before: Memory, own: Met, offset: Vector, of: Kin
+) -> tuple[Met, Memory, Array]:
+    """The contacts of a block, each as one with its siblings.
+
+    Args:
+        slots: of the block.
+        met, weight, before: of all slots: contacts, their weights, their memory before the step.
+        own: contacts of the block, offset: [B] x 3 (m) between the centres of their pieces.
+        of: siblings of the block.
+
+    Returns:
+        The contacts; the memory of those that were deepest before, so that a contact continues on the next facet; and the part
+        of the common contact that each has, [B].
+    """
+    own_weight, zero = weight[of.itself], jnp.zeros_like(own.overlap)
+    spread = None if met.spread is None else patch.add(met.spread, patch.product(met.at_b, met.at_b))
+    start = _Sums(zero, zero, (zero,) * 3, (zero,) * 3, spread and SecondMoments(*(zero,) * 6))
+    nothing = jnp.full_like(own.overlap, -jnp.inf), of.itself
+
+    def another(so_far: tuple[_Sums, Best, Best], slot: Array, there: Array) -> tuple[_Sums, Best, Best]:
+        sums, most, most_before = so_far
+        normal = vector.at(met.normal, slot)
+        nearness = nearness_of_normals(normal, own.normal)
+        part = jnp.where(there, nearness * weight[slot], 0)
+        sums = _Sums(
+            sums.weight + part,
+            sums.overlap + part * met.overlap[slot],
+            vector.add_scaled(sums.normal, part, normal),
+            vector.add_scaled(sums.point, part, vector.at(met.at_b, slot)),
+            jax.tree.map(lambda total, rows: total + part * rows[slot], sums.spread, spread),
+        )
+        touches = there & (part > 0)
+        most = deeper(most, jnp.where(met.overlap[slot] > 0, nearness, 1) * met.overlap[slot], slot, touches)
+        most_before = deeper(most_before, nearness * before.overlap[slot], slot, there)
+        return sums, most, most_before
+
+    sums, (most, pick), (_, former) = over_siblings(of, another, (start, nothing, nothing))
+    is_shared = (of.number > 0) & (own_weight > 0)
+    memory = jax.tree.map(lambda rows: rows[..., former], before)
+    scale = 1 / jnp.where(is_shared, sums.weight, 1)
+    mean = vector.scale(scale, sums.normal)
+    length2 = vector.dot(mean, mean)
+    normal = vector.where(is_shared, vector.unit(mean), own.normal)
+    point = vector.where(is_shared, vector.scale(scale, sums.point), own.at_b)
+    if own.deepest is None:
+        most = scale * sums.overlap
+        most = most + 0.5 * (slots.radius_b - most) * jnp.maximum(1 - length2, 0)
+    overlap = jnp.where(of.number > 0, jnp.where(is_shared, most, -1), own.overlap)
+    deepest = picked_deepest(is_shared, pick, met.deepest, own.deepest)
+    moments = None
+    if own.spread is not None and sums.spread is not None:
+        moments = partial(moments_of_patch, is_shared, patch.scale(scale, sums.spread), point, own.spread)
+    one = Met(overlap, normal, vector.add(point, offset), point, own_weight, deepest, moments, tied=own.tied)
+    return one, memory, jnp.where(is_shared, own_weight * scale, 1)
+

@@ -1,0 +1,152 @@
+"""Walls of facets that meet at an angle: one contact with one smooth surface, whatever the number of its facets."""
+
+import numpy as np
+import pytest
+
+import dem_jax
+from dem_jax import build
+from dem_jax.build.surfaces import count_surfaces, find_surfaces
+from dem_jax.build.walls import describe_surfaces
+from dem_jax.scene import Scene
+from dem_jax.validation.normal import NormalImpact
+
+RADIUS = 0.06  # m, of the troughs and drums
+BALL = {"shape": "sphere", "radius": 0.015, "position": (0.0, 0.0, 0.0154), "velocity": (0.0, 0.0, -1.0)}
+CUBE = {"shape": "cuboid", "size": (0.02, 0.02, 0.02), "velocity": (0.0, 0.0, -1.0)}
+
+
+def folded(degrees):
+    """Two panels that meet at x = 0 and rise (or fall, < 0) to both sides by an angle."""
+    rise = 0.05 * np.tan(np.radians(degrees))
+    left = [(-0.05, -0.05, rise), (0.0, -0.05, 0.0), (0.0, 0.05, 0.0), (-0.05, 0.05, rise)]
+    right = [(0.0, -0.05, 0.0), (0.05, -0.05, rise), (0.05, 0.05, rise), (0.0, 0.05, 0.0)]
+    return [left, right]
+
+
+def rounded(facets, sign, degrees=60.0):
+    """A trough (sign 1) or a drum (-1) of so many facets, its lowest or highest line along y through the origin."""
+    turn = np.radians(np.linspace(-0.5 * degrees, 0.5 * degrees, facets + 1))
+    x, z = RADIUS * np.sin(turn), sign * RADIUS * (1 - np.cos(turn))
+    ends = zip(x[:-1], z[:-1], x[1:], z[1:], strict=True)
+    return [[(a, -0.05, b), (c, -0.05, d), (c, 0.05, d), (a, 0.05, b)] for a, b, c, d in ends]
+
+
+def scene_of(panels, piece, restitution=0.1, friction=0.3, **run):
+    walls = [{"group": "plate", "corners": corners, "thickness": 0.01} for corners in panels]
+    settings = {"precision": "f64", "duration": 0.006, "sample": 1e-4, "frames": 1e-3, **run}
+    material = {"restitution": restitution, "friction_wall": friction}
+    return Scene(piece=[piece], wall=walls, run=settings, material=material)
+
+
+def landed(panels, piece, **settings):
+    """Peak force (N) on the plate, and the velocity [3] (m/s) at the end."""
+    run = dem_jax.simulate(scene_of(panels, piece, **settings))
+    return float(np.abs(run.peak_force["plate"]).max()), np.asarray(run.pieces.velocity)[-1, 0]
+
+
+@pytest.fixture(scope="module")
+def impact():
+    """The closed form of an impact of the ball on a plane."""
+    made = build.build(scene_of([rounded(1, 1, 90.0)[0]], BALL), 0)
+    table, mass = made.system.materials, float(made.system.pieces.mass[0])
+    moduli = np.asarray(table.youngs_modulus, float)
+    size = float(made.system.pieces.size[0])
+    stiffness = float(np.prod(moduli * size) / np.sum(moduli * size))  # eqs 5, 7, 8: piece and wall of one size, in series
+    speed = np.sqrt(1.0 + 2 * 9.81 * 0.0004)
+    return NormalImpact(mass, stiffness, 0.1, speed, 9.81)
+
+
+@pytest.mark.parametrize("precision", ["f32", "f64"])
+@pytest.mark.parametrize("degrees", [-0.015, -0.002, 0.03, -1.0, 3.0, -9.0])
+def test_a_sphere_on_a_seam_has_the_contact_with_one_surface(impact, degrees, precision):
+    """Peak and rebound are those on a plane, on a ridge as in a valley, at any angle of a smooth surface.
+
+    Tolerance: the sampled peak of a step is within 1e-3; in a valley of bend b the force has a component cos(b/2).
+    """
+    peak, velocity = landed(folded(degrees), {**BALL, "position": (1e-6, 0.0, 0.0154)}, restitution=0.5, precision=precision)
+    bend = np.radians(max(degrees, 0.0))
+    assert peak == pytest.approx(impact.peak_force, rel=1e-3 + bend**2)
+    assert velocity[2] == pytest.approx(0.5 - 9.81 * 0.0053, abs=0.01)  # the rest of the 6 ms it flies
+    assert abs(velocity[0]) < 1e-3
+
+
+def test_a_cube_on_a_seam_has_the_contact_with_one_surface():
+    """Flat on a ridge, and across a valley, the peak is that of the same cube on a plane.
+
+    Tolerance: in the valley both lower edges touch at the angle, so that overlap and force have a component cos(3 degrees).
+    """
+    plane, _ = landed(folded(0.0), {**CUBE, "position": (0.0, 0.0, 0.0104)})
+    ridge, _ = landed(folded(-3.0), {**CUBE, "position": (0.0, 0.0, 0.0104)})
+    rise = 0.01 * np.tan(np.radians(3.0))
+    valley, _ = landed(folded(3.0), {**CUBE, "position": (0.0, 0.0, 0.0104 + rise)})
+    assert ridge == pytest.approx(plane, rel=2e-3)
+    assert valley == pytest.approx(plane, rel=5e-3)
+
+
+@pytest.mark.parametrize("facets", [11, pytest.param(31, marks=pytest.mark.long), 121])
+def test_a_rounded_wall_has_one_stiffness_whatever_its_facets(impact, facets):
+    """A sphere that falls into a trough, and onto a drum: within 2 % of the closed form on the smooth surface (eqs 7 and 8 know no
+    curvature), on a seam and beside it."""
+    for sign in (1, -1):
+        for x in (0.0, 0.0013):
+            peak, _ = landed(rounded(facets, sign), {**BALL, "position": (x, 0.0, 0.0154)}, precision="f32")
+            assert peak == pytest.approx(impact.peak_force, rel=0.02)
+
+
+def test_a_true_edge_stays_two_contacts(impact):
+    """Panels that meet at more than the smooth angle are two springs: from the middle of a valley of 28 degrees the peak is
+    about the root of two times as high; with a larger smooth angle it is one."""
+    peak, _ = landed(folded(14.0), {**BALL, "position": (0.0, 0.0, 0.0158)})
+    assert peak == pytest.approx(np.sqrt(2) * impact.peak_force, rel=0.02)
+    scene = scene_of(folded(14.0), BALL)
+    assert not build.build(scene, 0).system.walls.is_bent
+    assert build.build(scene.replace(contact={"smooth_angle_deg": 30.0}), 0).system.walls.is_bent
+
+
+@pytest.mark.parametrize("sign", [1, pytest.param(-1, marks=pytest.mark.long)], ids=["trough", "drum"])
+def test_sliding_over_facets_takes_no_energy_from_nothing(sign):
+    """A sphere without friction slides over 11 facets, and bounces (e = 1): its energy never rises by more than 0.1 % of what
+    it has, and the force along x and z makes the angle of a facet, or of what lies between two of them, at every moment."""
+    turn = np.radians(20.0)
+    way = RADIUS - sign * 0.015
+    x, z = -way * np.sin(turn), sign * (RADIUS - way * np.cos(turn))
+    ball = {**BALL, "position": (x, 0.0, z + 2e-4), "velocity": (0.0 if sign > 0 else 0.6, 0.0, 0.0)}
+    scene = scene_of(rounded(11, sign), ball, restitution=1.0, friction=0.0, duration=0.08)
+    run = dem_jax.simulate(scene)
+    total = sum(np.asarray(run.energy[name]) for name in ("kinetic", "potential", "elastic"))
+    scale = np.asarray(run.energy["kinetic"]).max()
+    assert np.max(total - np.minimum.accumulate(total)) < 1e-3 * scale
+    force, position = np.asarray(run.force["plate"]), np.asarray(run.pieces.position)[:, 0]
+    at = np.searchsorted(np.asarray(run.time), np.asarray(run.pieces.time), side="left")[1:]
+    pushed = np.abs(force[at, 2]) > 1e-3
+    assert pushed.sum() > 3
+    angle = np.arctan2(force[at, 0], -force[at, 2])[pushed]
+    smooth = np.arctan2(position[1:, 0], sign * RADIUS - position[1:, 2])[pushed] * 1.0
+    half_facet = 0.5 * np.radians(60.0 / 11)
+    np.testing.assert_allclose(np.abs(angle), np.abs(smooth), atol=1.1 * half_facet)
+
+
+def test_surfaces_are_counted():
+    """A trough with an end wall at a right angle makes two surfaces; scenes without seams none."""
+    trough = [("bucket", np.array(corners)) for corners in rounded(11, 1)]
+    wall = [("bucket", np.array([(-0.05, 0.05, 0.0), (0.05, 0.05, 0.0), (0.05, 0.05, 0.1), (-0.05, 0.05, 0.1)]))]
+    found = find_surfaces(trough + wall, np.radians(20.0), 0.01)
+    assert count_surfaces(found, 12) == 2
+    assert found.number.tolist() == [0] * 11 + [-1]
+    assert find_surfaces(trough + wall, np.radians(5.0), 0.01) is None
+    (line,) = describe_surfaces(scene_of(rounded(11, 1), BALL))
+    assert "'plate': 11 facets make 1 surface;" in line
+    assert describe_surfaces(scene_of(folded(0.0), BALL)) == []
+
+
+def test_convex_neighbours_end_the_solid_behind_a_facet():
+    """A facet of a drum knows the planes of its neighbours, and that of a trough none."""
+    drum, trough = (
+        find_surfaces([("plate", np.array(panel)) for panel in rounded(11, sign)], np.radians(20.0), 0.02) for sign in (-1, 1)
+    )
+    assert [len(of.planes) for of in trough.seams] == [0] * 11
+    middle = drum.seams[5]
+    assert len(middle.planes) >= 8
+    corners = np.array(rounded(11, -1)[5])
+    assert (corners @ middle.planes[:, :3].T <= middle.planes[:, 3] + 1e-9).all()
+    assert middle.openness.tolist() == [1.0, 1.0]
