@@ -94,7 +94,7 @@ def begin() -> None:
 def finish() -> None:
     """The work is done: from now on a signal ends the process at once."""
     if _STATE.begun:
-        _restore_signals()
+        _restore_signals(signal.SIG_DFL)  # not Python's own handler, which raises while Python ends
 
 
 @contextmanager
@@ -228,13 +228,13 @@ def _within(seconds: float, function: Callable[[], None]) -> None:
 def _forget() -> None:
     """A process that was forked from this one ends as any other."""
     if _STATE.begun:
-        _restore_signals()
+        _restore_signals(signal.default_int_handler)
         _STATE.begun = False
 
 
-def _restore_signals() -> None:
+def _restore_signals(of_interrupt: Any) -> None:
     signal.set_wakeup_fd(-1)
     for name in SIGNALS:
         number = getattr(signal, name, None)
         if number and signal.getsignal(number) is _on_signal:
-            signal.signal(number, signal.default_int_handler if name == "SIGINT" else signal.SIG_DFL)
+            signal.signal(number, of_interrupt if name == "SIGINT" else signal.SIG_DFL)

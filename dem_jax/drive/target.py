@@ -96,9 +96,11 @@ class File:
         return self
 
     def __exit__(self, *error: Any) -> None:
-        with self._held:
+        try:
             if self._writer is not None and not isinstance(error[1], RecordError):  # which writing has raised just now
                 self._writer.flush()
+        finally:
+            self._held.__exit__(*error)  # which is told of an interrupt, so that the last line says where the results are
 
     def _save(self) -> str | None:
         """Of a process that is interrupted: what is saved, in words."""

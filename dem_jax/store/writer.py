@@ -122,10 +122,11 @@ class Writer:
             if not self._pending:
                 return
             start = time.monotonic()
-            self._commit(self._pending)
-            for appended in self._pending:
-                self._header = replace(self._header, info=self._header.info | appended.info)
-            self._pending = []
+            appended = list(self._pending)  # where an interrupt flushes, the main thread may append meanwhile
+            self._commit(appended)
+            for each in appended:
+                self._header = replace(self._header, info=self._header.info | each.info)
+            del self._pending[: len(appended)]
             self._last = time.monotonic()
             self._cost = self._last - start
 

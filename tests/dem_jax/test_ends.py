@@ -16,7 +16,7 @@ import jax
 import numpy as np
 import pytest
 
-from dem_jax import compiling
+from dem_jax import compiling, process
 from dem_jax.__main__ import main
 from dem_jax.cli import simulating
 from dem_jax.drive import programs, target
@@ -139,15 +139,39 @@ sys.exit(main())
 """
 
 
-def test_what_is_pending_is_saved_once_when_a_run_is_interrupted(tmp_path):
+def test_what_is_pending_is_saved_once_when_a_run_is_interrupted(tmp_path, monkeypatch):
     path = tmp_path / "run.h5"
+    monkeypatch.setattr(process._STATE, "said", [])
     with pytest.raises(KeyboardInterrupt):
         with target.File(path, lambda: Writer.create(path, header(), interval=3600)) as file:
             file.append(samples(0, 10), restart={"step": np.int64(1)})
             raise KeyboardInterrupt
     np.testing.assert_array_equal(load_run(path).time, samples(0, 10)["time"])
+    assert f"is in {path}; python -m dem_jax run --resume {path}" in process.ending_said()
     with output.locked(path):  # and it can be gone on with
         pass
+
+
+def test_what_is_appended_while_another_thread_flushes_is_in_the_next_flush_as_a_whole(run_file, monkeypatch):
+    """An interrupt flushes in a thread of its own: a restart state must not be ahead of the samples."""
+    from dem_jax.store import writer as module
+
+    writer = Writer.resume(run_file, interval=3600)
+    writer.append(samples(10, 5), restart={"step": np.int64(15)})
+    extend, late = module.extend, [lambda: writer.append(samples(15, 5), restart={"step": np.int64(20)})]
+
+    def extended(*given):
+        while late:
+            late.pop()()
+        extend(*given)
+
+    monkeypatch.setattr(module, "extend", extended)
+    writer.flush()
+    run = load_run(run_file)
+    assert (len(run.time), run.restart["step"]) == (15, 15)
+    writer.close()
+    run = load_run(run_file)
+    assert (len(run.time), run.restart["step"]) == (20, 20)
 
 
 # --- the progress bar, and streams that are closed ---
