@@ -293,6 +293,7 @@ class System(Tree):
     # one material; never of pieces of several parts
     escape_stops: bool = static()  # whether a piece outside the domain stops the run
     has_rotation: bool = static()
+    may_tie: bool = static()  # whether separating axes of polytopes may tie exactly: of pieces that a scene places one by one
     ledger: bool = static()  # whether work and dissipation are added up
     statistics: Statistics | None  # of collisions with walls; None: nothing of them is computed
     sample_parts: int = static()  # a sample interval of more steps than the next is cut into so many parts, a rebuild before each
@@ -317,7 +318,7 @@ class Memory(Tree):
     point: Array  # [3, P] (m): contact point relative to the centre of b, world axes
     law: Any  # [.., P]: the history that the contact law keeps
     arm: Array | None = None  # [P] (m): of friction about the normal; None: of contacts without a patch
-    tied: Array | None = None  # [P]: 1 where several separating axes tied as the contact began, else 0; None: not of polytopes
+    tied: Array | None = None  # [P]: 1 where several separating axes tied as the contact began, else 0; None: none can
 
 
 @pytree

@@ -107,6 +107,7 @@ def build(scene: Scene, seed: int = 0, law: ContactLaw | None = None) -> Built:
         alike=alike(goods),
         escape_stops=scene.run.escape == "stop",
         has_rotation=True,
+        may_tie=len(scene.piece) > 1,
         ledger=scene.run.energy,
         statistics=statistics_of(scene, len(panels), dtype),
         sample_parts=step.parts,

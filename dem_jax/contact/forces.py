@@ -126,7 +126,7 @@ def _of_shared_surfaces(system: System, state: State, kind: str, stacked: Array,
         part = if_any(there, own, lambda: none)
         return with_block(carry, (part, facing), k, size)
 
-    nothing = no_met(kind, slots, stacked.dtype)
+    nothing = no_met(system, kind, slots, stacked.dtype)
     touch, facing = by_blocks(touched, (nothing, start[1]))
     assert touch.weight is not None
     is_touching = within(system, slots, touch.overlap) + fillet_gap(system, kind, slots) > 0

@@ -56,6 +56,8 @@ def geometry(
         depth, normal, along = collide.separating_axes(hull_a, hull_b, rel)
 
         def of_zonotopes(memory: Memory) -> collide.Geometry:
+            if not system.may_tie:
+                return _in_world(_between_zonotopes(hull_a, hull_b, rel, (depth, normal, along), reach), a)
             axes = partial(collide.tied_axes, hull_a, hull_b, rel)
             tied, separation = without_ties(system, slots, memory, (depth, normal, along), axes)
             found = _between_zonotopes(hull_a, hull_b, rel, separation, reach)
@@ -66,6 +68,8 @@ def geometry(
     separation, features, faces, planes, facing = _between_polytopes(table, slots, rows, rel, reach, known)
 
     def of_polytopes(memory: Memory) -> collide.Geometry:
+        if not system.may_tie:
+            return _in_world(_centred(table, rows, faces, planes(), rel, separation, reach), a)
         axes = partial(near.tied_axes, features, rel, slots.width)
         tied, (depth, normal, along) = without_ties(system, slots, memory, separation[:3], axes)
         top = separation.top  # of a's face, along its normal: where axes tie it is that of the corner on it

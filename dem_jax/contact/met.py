@@ -11,7 +11,7 @@ from dem_jax.contact.collide import Deepest, Moments
 from dem_jax.contact.patch import SecondMoments
 from dem_jax.maths import vector
 from dem_jax.maths.vector import Vector
-from dem_jax.types import Array, Slots
+from dem_jax.types import Array, Slots, System
 
 
 class Met(NamedTuple):
@@ -54,9 +54,9 @@ def of_pieces(a: Body, b: Body, offset: Vector) -> Vector:
     return offset if a.arm is None or b.arm is None else vector.add(offset, vector.sub(a.arm, b.arm))
 
 
-def no_met(kind: str, slots: Slots, dtype: DTypeLike) -> Met:
+def no_met(system: System, kind: str, slots: Slots, dtype: DTypeLike) -> Met:
     """Slots of a kind, of surfaces that others continue, in which nothing touches."""
     zero = jnp.zeros(slots.b.shape, dtype)
-    deepest, tied = (Deepest((zero,) * 3, zero), zero) if kind == "hulls" else (None, None)
+    deepest, tied = (Deepest((zero,) * 3, zero), zero if system.may_tie else None) if kind == "hulls" else (None, None)
     spread = None if slots.patch is None else SecondMoments(*(zero,) * 6)
     return Met(zero - 1, (zero,) * 3, (zero,) * 3, (zero,) * 3, zero, deepest, spread=spread, tied=tied)

@@ -256,7 +256,7 @@ def empty_near(system: System, room: int) -> tuple[Near, Facing]:
 def no_memory(system: System, kind: str, slots: Slots) -> Memory:
     """The memory of contacts that begin, in slots."""
     zero = jnp.zeros(slots.a.shape, system.dt.dtype)
-    arm, tied = None if slots.patch is None else zero, zero if kind == "hulls" else None
+    arm, tied = None if slots.patch is None else zero, zero if kind == "hulls" and system.may_tie else None
     return Memory(zero, jnp.zeros((3, *zero.shape), zero.dtype), system.law.start(slots.pair, zero), arm, tied)
 
 
