@@ -23,6 +23,7 @@ from dem_jax.errors import SceneError
 from dem_jax.scene import Block, Bucket, Feeder, Motion, Scene, Wall, buckets
 from dem_jax.scene.buckets import Panel
 from dem_jax.scene.cycle import timed
+from dem_jax.scene.fill_level import middle_of_mouth
 from dem_jax.scene.materials import material_table, rows_of_groups
 from dem_jax.shapes import Shape, meshes
 from dem_jax.types import Plates, Walls, host
@@ -106,17 +107,20 @@ def with_buckets_read(scene: Scene) -> Scene:
 
 
 def _bucket_read(bucket: Bucket, folder: str | Path) -> Bucket:
-    """The bucket with its lowest point, closed, at z = 0 but for what it is moved by."""
+    """The bucket with its lowest point, closed, at z = 0, and with ``centre`` the middle of its mouth at x = y = 0, but for what it
+    is moved by."""
     assert bucket.stl is not None
     files = (bucket.stl, *(bucket.flap_stl or ()))
     found = [_read(bucket, stl, folder) for stl in files]
     lowest = np.concatenate([panel for mesh in (found[1:] or found) for panel in mesh.panels])[:, 2].min()
-    down = np.array([0.0, 0.0, lowest - bucket.move[2]])
+    every = [panel for mesh in found for panel in mesh.panels]
+    aside = middle_of_mouth(every) - bucket.move[:2] if bucket.centre else np.zeros(2)
+    down = np.array([*aside, lowest - bucket.move[2]])
     placed = [mesh._replace(panels=[panel - down for panel in mesh.panels]) for mesh in found]
     rows = [_rows(mesh) for mesh in placed]
     thickness, thinner = _thickness(bucket, found)
     said = [bucket.note, *(f"{stl}: {mesh}" for stl, mesh in zip(files, placed, strict=True)), *thinner]
-    panels = {"panels": rows[0], "flap_panels": tuple(rows[1:]) or None, "stl": None, "flap_stl": None}
+    panels = {"panels": rows[0], "flap_panels": tuple(rows[1:]) or None, "stl": None, "flap_stl": None, "centre": False}
     changes = {"thickness": thickness, "note": "; ".join(filter(None, said))} | panels
     return bucket.model_copy(update=changes | AS_READ)
 
@@ -125,7 +129,7 @@ def _feeder_read(feeder: Feeder, folder: str | Path) -> Feeder:
     """The feeder with the end of its floor, where x is greatest, at x = z = 0 but for what it is moved by."""
     assert feeder.stl is not None
     mesh = _read(feeder, feeder.stl, folder)
-    floor = np.concatenate([panel for panel in mesh.panels if buckets.looks_up(panel)] or mesh.panels)
+    floor = np.concatenate(buckets.floor_panels(mesh.panels) or mesh.panels)
     front = floor[:, 0].max()
     end = floor[floor[:, 0] > front - 1e-3 * np.ptp(floor, axis=0).max()]
     edge = np.array([front - feeder.move[0], 0.0, end[:, 2].min() - feeder.move[2]])

@@ -20,10 +20,14 @@ def scenes(args: Args) -> None:
     if args.name:
         scene = load_scene(args.name)
         print(described(scene), end="")
-        from dem_jax.show.facts import portion_said, stickiness_said  # which need JAX
+        from dem_jax.build.bucket_fill import check_buckets_meet  # which needs JAX
+        from dem_jax.build.walls import with_buckets_read
+        from dem_jax.show.facts import fills_said, portion_said, stickiness_said
         from dem_jax.show.summary import notes_on_pieces, notes_on_walls
 
+        read = with_buckets_read(scene)
         notes = [*notes_on_walls(scene), *notes_on_pieces(scene), *filter(None, [portion_said(scene)]), *stickiness_said(scene)]
+        notes += [*fills_said(read), *check_buckets_meet(scene, read)]
         if notes:
             print("", *(f"# {note}" for note in notes), sep="\n")
         return

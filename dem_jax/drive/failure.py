@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 
+from dem_jax.build import bucket_fill
 from dem_jax.contact import boundary
 from dem_jax.drive.job import Job
 from dem_jax.errors import SceneError, SimulationError
@@ -65,7 +66,7 @@ def describe(job: Job, span: "Span", state: State, member: int, k: int) -> Simul
         piece = int(samples.culprit[k])
         what = _what_happened(job, system, state, piece, member)
     elif samples.overlap[k] > DEEPEST:
-        piece, what = _deep(job, system, state, float(samples.overlap[k]))
+        piece, what = _deep(job, system, state, float(samples.overlap[k]), member)
     elif samples.stride[k] > DEEPEST:
         piece, what = _too_fast(system, state)
     else:
@@ -159,7 +160,8 @@ def _what_happened(job: Job, system: System, state: State, piece: int, member: i
     cause = _thrown_by_wall(system, state, piece, speed)
     cause = cause or f"no wall holds it there, or a contact threw it ({_step_advice(job, member)})"
     return (
-        f"it left the domain {side} {'xyz'[axis]} = {limit[axis]:.4g} m at {speed:.3g} m/s; likely cause: {cause}; "
+        f"it left the domain {side} {'xyz'[axis]} = {limit[axis]:.4g} m at {speed:.3g} m/s; "
+        f"likely cause: {_overfull(job, member)}{cause}; "
         f'the domain is set by run.{key}, and run.escape = "note" goes on without the piece'
     )
 
@@ -200,7 +202,13 @@ def _fastest_panels(system: System, end: float) -> tuple[np.ndarray, float]:
     return fastest, float((np.asarray(walls.centre)[2] + reach).max())
 
 
-def _deep(job: Job, system: System, state: State, overlap: float) -> tuple[int, str]:
+def _overfull(job: Job, member: int) -> str:
+    """The likely cause that begins a list of them, where a bucket cannot hold the portion; else nothing."""
+    full = [fill for fill in bucket_fill.fills_of(job.scene_of(member), job.built_of(member).goods) if fill.is_overfull]
+    return "".join(f"the {fill.name} is overfull, by {100 * (fill.level - 1):.0f} %; or " for fill in full)
+
+
+def _deep(job: Job, system: System, state: State, overlap: float, member: int) -> tuple[int, str]:
     """The piece in the deepest contact, and what to say of it."""
     worst, a, b = -1.0, 0, 0
     of_parts = np.asarray(system.parts.piece(np.arange(system.parts.count)))
@@ -212,7 +220,8 @@ def _deep(job: Job, system: System, state: State, overlap: float) -> tuple[int, 
             worst, a, b = float(relative[k]), int(table.a[k]), int(table.b[k])
     return int(of_parts[b]), (
         f"its contact with {body_name(system, a)} is {100 * overlap:.3g} % of the piece's width deep (at most "
-        f"{100 * DEEPEST:g} %); likely cause: the material is too soft for this load (raise material.softening), "
+        f"{100 * DEEPEST:g} %); likely cause: {_overfull(job, member)}"
+        f"the material is too soft for this load (raise material.softening), "
         f"or the piece is pinched between walls{_gives_way(job.scene, _group(system, a))}"
     )
 

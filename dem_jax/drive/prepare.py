@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dem_jax import build, compiling
-from dem_jax.build import resolved, sampling
+from dem_jax.build import bucket_fill, resolved, sampling
 from dem_jax.contact.geometry import is_kept
 from dem_jax.contact.law import ContactLaw
 from dem_jax.drive import execute, settled, varied
@@ -42,7 +42,9 @@ def prepare(
         raise SceneError(f"seed = {min(seeds) if min(seeds) < 0 else max(seeds)}: allowed: a whole number from 0 to {MOST_SEED}")
     compiling.loops_as_one(unrolled=runs is not None)
     compiling.check_platform()
-    scene = build.self_contained(scene if isinstance(scene, Scene) else load_scene(scene))
+    written = scene if isinstance(scene, Scene) else load_scene(scene)
+    scene = build.self_contained(written)
+    aside = bucket_fill.check_buckets_meet(written, scene)
     with jax.enable_x64(scene.run.precision == "f64"), np.errstate(all="ignore"):  # build looks at what comes out
         scenes = varied.scenes_of(scene, parameters, len(seeds))
         distinct = {id(s): s for s in scenes}
@@ -58,16 +60,19 @@ def prepare(
             state = guard.with_scratch(system, state)
     block, settling = samples_per_block(system), built[0].settling_steps // built[0].step.substeps
     rule = settled.latest([settled.rule_of(s, each[key].system, settling, block) for key, s in distinct.items()])
-    way, notes = execute.way_of(system, runs, different is None), _notes(scene, list(each.values()))
+    way, notes = execute.way_of(system, runs, different is None), (*aside, *_notes(scene, distinct, each))
     return Job(scene, tuple(seeds), runs, built[0], system, state, way, rule, different, law is not None, notes=notes)
 
 
-def _notes(scene: Scene, built: Sequence[build.Built]) -> tuple[str, ...]:
+def _notes(scene: Scene, scenes: dict[int, Scene], each: dict[int, build.Built]) -> tuple[str, ...]:
     """What a person should know before a run begins; of several that differ, of that for which it is worst."""
+    built = list(each.values())
+    overfull = max((bucket_fill.overfull_notes(s, each[key].goods) for key, s in scenes.items()), key=len)
     longest = max(built, key=lambda b: b.step.dt / b.step.stable)
     shortest = min(b.shortest for b in built)
     precision = next((said for b in built if (said := resolved.note(scene, b))), None)
-    return tuple(said for said in (longest.step.warning, sampling.note(scene.run.sample, shortest), precision) if said)
+    notes = (longest.step.warning, sampling.note(scene.run.sample, shortest), precision, *overfull)
+    return tuple(note for note in notes if note)
 
 
 def built_of(scene: Scene, seed: int, law: ContactLaw | None) -> build.Built:

@@ -9,6 +9,7 @@ from dem_jax.scene.sections.buckets import Bucket, Feeder
 from dem_jax.scene.sections.walls import Block, Motion
 
 NAMES = {"weigh_bucket": "wb", "feed_bucket": "fb"}  # a scene's section -> what the names of its wall groups begin with
+RIM = 0.1  # of the width of the widest panel that looks up: narrower ones are no floor
 FEEDER = "lf"  # wall group of the feeder
 
 Panel = tuple[str, np.ndarray, float]  # group, corners [k, 3] (m), thickness (m)
@@ -91,7 +92,7 @@ def _parts_of_panels(bucket: Bucket, name: str, bottom: float) -> BucketParts:
     points = np.concatenate([panel for _, panel, _ in panels])
     low, high = points.min(axis=0) - 0.01, points.max(axis=0) + [0.01, 0.01, 0.0]
     block = Block(name=name, low=tuple(low.tolist()), high=tuple(high.tolist()))
-    floor = max((pivot[2] for pivot in pivots), default=bottom + depth(bucket))
+    floor = max([pivot[2] for pivot in pivots] or [panel[:, 2].max() for panel in floor_panels(corners[0])], default=bottom)
     free_low, free_high = _free_width(corners[0], floor)
     return BucketParts(panels, motions, joint, block, np.array([*free_low, floor]), np.array([*free_high, high[2]]))
 
@@ -122,6 +123,19 @@ def _free_width(panels: list[np.ndarray], floor: float) -> tuple[np.ndarray, np.
 def looks_up(panel: np.ndarray) -> bool:
     """Whether a panel of corners [k, 3] is a floor."""
     return bool(_normal(panel)[2] > 0.5)
+
+
+def floor_panels(panels: list[np.ndarray]) -> list[np.ndarray]:
+    """Those of some panels [k, 3] (m) that look up, without strips that are narrow beside the widest, as the rim of a sheet is."""
+    floors = [panel for panel in panels if looks_up(panel)]
+    widths = [_width(panel) for panel in floors]
+    return [panel for panel, width in zip(floors, widths, strict=True) if width > RIM * max(widths)]
+
+
+def _width(panel: np.ndarray) -> float:
+    """Of corners [k, 3], about (m): area over length."""
+    area = np.linalg.norm(np.cross(panel - panel[0], np.roll(panel, -1, axis=0) - panel[0]).sum(axis=0)) / 2.0
+    return float(area / np.linalg.norm(np.ptp(panel, axis=0)))
 
 
 def _normal(panel: np.ndarray) -> np.ndarray:
@@ -207,6 +221,6 @@ def _pan_of_panels(feeder: Feeder, edge: np.ndarray) -> tuple[list[np.ndarray], 
     assert feeder.panels is not None
     corners = [np.array(panel, float) + edge for panel in feeder.panels]
     points = np.concatenate(corners)
-    level = max((row[:, 2].max() for row in corners if looks_up(row)), default=points[:, 2].min())
+    level = max((row[:, 2].max() for row in floor_panels(corners)), default=points[:, 2].min())
     (_, low), (_, high) = _free_width(corners, level)
     return corners, np.array([points[:, 0].min(), low, level]), np.array([edge[0], high, points[:, 2].max()])

@@ -7,6 +7,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from dem_jax.errors import SceneError
+from dem_jax.scene.overrides import drop_overridden
 from dem_jax.scene.sections.pieces import OF_PRODUCT
 from dem_jax.scene.words import short
 
@@ -16,7 +17,8 @@ DEEPEST = 12  # tables and lists in each other: a scene's need seven
 
 def on_top(below: Tree, above: Tree) -> Tree:
     """One scene over another. Products of a portion replace the one product that the portion below is of, the weight of a piece
-    the density below."""
+    the density below; what cannot act beside a key on top is dropped."""
+    below = drop_overridden(below, above)
     portion = above.get("portion")
     if _says_weight(above):
         below = without_density(below)

@@ -7,6 +7,7 @@ from typing import Any
 from dem_jax.errors import SceneError
 from dem_jax.scene.changes import DEEPEST, Tree, is_deep, on_top
 from dem_jax.scene.library import with_named
+from dem_jax.scene.overrides import without_overridden
 from dem_jax.scene.scene import Scene, validated
 
 STOCK = Path(__file__).parent.parent / "scenes"
@@ -27,8 +28,11 @@ def load_scene(source: str | Path, changes: dict[str, Any] | None = None) -> Sce
 
 
 def parse(text: str, source: str | Path = "scene") -> Scene:
-    """A scene from TOML text that is complete in itself or has a stock scene as its base. Raises SceneError."""
-    return validated(_based(_loads(text, source), Path("."), source, ()), str(source))
+    """A scene from TOML text that is complete in itself, as a file of results keeps it, or has a stock scene as its base. Raises
+    SceneError."""
+    tree = _loads(text, source)
+    tree = tree if "base" in tree else without_overridden(tree)
+    return validated(_based(tree, Path("."), source, ()), str(source))
 
 
 def stock_scenes() -> dict[str, str]:
@@ -82,6 +86,4 @@ def _based(tree: Tree, folder: Path, source: str | Path, seen: tuple[Path, ...])
         raise SceneError(f"scene {source}: base = {base!r}: allowed: a stock scene's name or a path")
     beside = folder / base
     below, _ = _read(beside if beside.is_file() else base, seen)
-    if "piece" in tree and "portion" not in tree:
-        below.pop("portion", None)  # pieces listed one by one: [portion] is not used
     return on_top(with_named(below, tree, source), tree)

@@ -20,7 +20,8 @@ class Capacity(NamedTuple):
     """What a bucket holds to its brim, as it stands.
 
     volume: (m3). bottom, brim: heights (m) of its deepest point and of the water's surface. low, high: [2] (m) corners of the box
-    around the mouth, the surface of the water, in x and y. middle: [2] (m) its centroid.
+    around the mouth, the surface of the water, in x and y. middle: [2] (m) its centroid, or where this is as near as
+    the grid tells the middle of the bucket.
     surface: HeightMap of its inside; is_wet: [nx, ny] bool, cells below the water.
     """
 
@@ -52,14 +53,29 @@ def capacity_of(panels: Sequence[np.ndarray]) -> Capacity | None:
     return _capacity(tuple(np.ascontiguousarray(panel, np.float64).tobytes() for panel in panels))
 
 
+def middle_of_mouth(panels: Sequence[np.ndarray]) -> np.ndarray:
+    """The middle [2] (m) of the mouth of a bucket of panels [k, 3] (m), in x and y; of one that holds nothing that of the box
+    around it."""
+    capacity = capacity_of(panels)
+    return _middle(panels) if capacity is None else capacity.middle
+
+
+def _middle(panels: Sequence[np.ndarray]) -> np.ndarray:
+    """The middle [2] (m) of the box around panels, in x and y."""
+    points = np.concatenate(panels)[:, :2]
+    return 0.5 * (points.min(axis=0) + points.max(axis=0))
+
+
 @lru_cache(maxsize=32)
 def _capacity(panels: tuple[bytes, ...]) -> Capacity | None:
     from scipy import ndimage
 
-    surface = map_heights([np.frombuffer(panel).reshape(-1, 3) for panel in panels])
-    level = _water_level(surface)
+    corners = [np.frombuffer(panel).reshape(-1, 3) for panel in panels]
+    surface, of_box = map_heights(corners), _middle(corners)
+    closed = _close_slits(surface)
+    level = _water_level(closed)
     ground = np.where(np.isfinite(surface.floor), surface.floor, surface.ridge)
-    is_wet = (level > ground + 1e-9) & np.isfinite(ground)
+    is_wet = (level > closed + 1e-9) & np.isfinite(ground)
     basins, count = ndimage.label(is_wet)
     if not count:
         return None
@@ -70,13 +86,15 @@ def _capacity(panels: tuple[bytes, ...]) -> Capacity | None:
     is_wet |= ndimage.binary_dilation(is_wet) & (surface.floor < brim) & np.isfinite(surface.floor)  # cells that walls cross
     columns = np.argwhere(is_wet)
     points = surface.origin + surface.cell * (columns + 0.5)
+    middle = points.mean(axis=0)
+    is_symmetric = (np.abs(middle - of_box) <= surface.cell).all()  # as far as the grid tells
     return Capacity(
         volume=float((brim - ground[is_wet]).sum() * surface.cell**2),
         bottom=float(ground[is_wet].min()),
         brim=brim,
         low=points.min(axis=0) - 0.5 * surface.cell,
         high=points.max(axis=0) + 0.5 * surface.cell,
-        middle=points.mean(axis=0),
+        middle=of_box if is_symmetric else middle,
         surface=surface,
         is_wet=is_wet,
     )
@@ -128,16 +146,21 @@ def _raise_ridge(ridge: np.ndarray, grid: HeightMap, panel: np.ndarray) -> None:
         np.maximum.at(ridge, tuple(cells[there].T), points[there, 2])
 
 
-def _water_level(surface: HeightMap) -> np.ndarray:
-    """The height [nx, ny] (m) to which water rises in each cell, that of its ground where it runs off."""
+def _close_slits(surface: HeightMap) -> np.ndarray:
+    """The height [nx, ny] (m) of the highest point in each cell, slits filled; below all of it where there is nothing."""
     from scipy import ndimage
+
+    slit = 2 * int(np.ceil(0.5 * GAP / surface.cell)) + 1  # cells
+    height = np.where(np.isfinite(surface.ridge), surface.ridge, np.min(surface.ridge[np.isfinite(surface.ridge)]) - 1.0)
+    return np.maximum(height, ndimage.grey_closing(height, size=(slit, slit)))
+
+
+def _water_level(height: np.ndarray) -> np.ndarray:
+    """The height [nx, ny] (m) to which water rises in each cell of ``_close_slits``, that of the ground where it runs off."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
 
-    low = np.min(surface.ridge[np.isfinite(surface.ridge)]) - 1.0
-    slit = 2 * int(np.ceil(0.5 * GAP / surface.cell)) + 1  # cells
-    height = np.where(np.isfinite(surface.ridge), surface.ridge, low)
-    height = np.maximum(height, ndimage.grey_closing(height, size=(slit, slit)))
+    low = height.min()
     number = np.arange(height.size).reshape(height.shape)
     pairs = [(number[1:], number[:-1], np.maximum(height[1:], height[:-1]))]
     pairs += [(number[:, 1:], number[:, :-1], np.maximum(height[:, 1:], height[:, :-1]))]
@@ -149,5 +172,4 @@ def _water_level(surface: HeightMap) -> np.ndarray:
     level = height.ravel().copy()
     for cell in order[1:].tolist():
         level[cell] = max(level[cell], level[before[cell]])
-    level = level.reshape(height.shape)
-    return np.where(level > low, level, -np.inf)
+    return level.reshape(height.shape)

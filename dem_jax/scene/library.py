@@ -7,12 +7,21 @@ from typing import Any
 
 from dem_jax.errors import SceneError
 from dem_jax.scene.changes import Tree, merged
+from dem_jax.scene.overrides import drop_overridden
 from dem_jax.scene.sections.material import NamedMaterial
 from dem_jax.scene.sections.pieces import OF_PRODUCT
 from dem_jax.scene.words import choices
 
 PRODUCTS = Path(__file__).parent.parent / "products"
 BUCKETS = Path(__file__).parent.parent / "buckets"
+FORMER_NAMES = {  # of buckets, of a version that named them by what makers call such heads -> by what they hold
+    "0.5-litre": "0.9-litre",
+    "1.6-litre": "2.9-litre",
+    "1.6-litre-gentle": "2.7-litre-gentle",
+    "1.6-litre-low": "1.9-litre-low",
+    "3-litre": "5.4-litre",
+    "5-litre": "9.1-litre",
+}
 OF_BUCKETS = ("feed_bucket", "weigh_bucket")
 
 
@@ -22,8 +31,14 @@ def products() -> dict[str, str]:
 
 
 def buckets() -> dict[str, str]:
-    """Names of the buckets and what each is for (the first comment line of its file)."""
+    """Names of the buckets, by the litres that the weigh bucket holds to its brim, and what each is for (the first comment line of
+    its file)."""
     return _listed(BUCKETS)
+
+
+def bucket_file(name: str) -> Path:
+    """The file of a bucket by its name or its former name."""
+    return BUCKETS / f"{FORMER_NAMES.get(name, name)}.toml"
 
 
 def _listed(folder: Path) -> dict[str, str]:
@@ -43,10 +58,10 @@ def with_product(tree: Tree, name: Any, source: str | Path) -> Tree:
 def with_bucket(tree: Tree, name: Any, source: str | Path) -> Tree:
     """A scene's tree with the sizes of both buckets and the drop height; whether and when they open stays but for the time that it
     takes. Raises SceneError."""
-    own = _named(BUCKETS, "bucket", name, source)
+    own = _named(BUCKETS, "bucket", FORMER_NAMES.get(name, name) if isinstance(name, str) else name, source)
     if not all(tree.get(key) for key in OF_BUCKETS):
         raise SceneError(f"{source}: bucket = {name!r}: allowed in a scene with [feed_bucket] and [weigh_bucket]")
-    return merged(tree, own)
+    return merged(tree, drop_overridden(own, {"cycle": tree.get("cycle")}))
 
 
 KEYS = {"product": with_product, "bucket": with_bucket}  # of a scene, which the sections of a file come after

@@ -8,6 +8,7 @@ from pydantic import BeforeValidator, Field, ValidationError, model_validator
 from dem_jax.errors import SceneError
 from dem_jax.scene.changes import new_materials, on_top, set_key, without_density
 from dem_jax.scene.library import with_named
+from dem_jax.scene.overrides import drop_overridden, find_overridden, nested
 from dem_jax.scene.sections.base import Section, as_tuple
 from dem_jax.scene.sections.buckets import Bucket, Drop, Feeder, WeighBucket
 from dem_jax.scene.sections.contact import Contact, stray_key
@@ -73,6 +74,12 @@ class Scene(Section):
     def _sets_no_key_of_another_law(self) -> "Scene":
         if stray := stray_key(self.contact, self.material):
             raise ValueError(stray)
+        return self
+
+    @model_validator(mode="after")
+    def _sets_no_key_that_cannot_act(self) -> "Scene":
+        for wrong in find_overridden(self):
+            raise ValueError(wrong)
         return self
 
     @model_validator(mode="after")
@@ -149,6 +156,7 @@ def validated(
     tree = with_named(tree, changes, source)
     new = new_materials(tree, changes)
     tree = without_density(tree) if any(key.endswith(".piece_weight") for key in changes) else dict(tree)
+    tree = drop_overridden(tree, nested(changes))
     for key, item in changes.items():
         set_key(tree, key.split("."), item)
     tree = on_top(tree, sections or {})
@@ -157,6 +165,8 @@ def validated(
     except ValidationError as error:
         raise SceneError(f"{source}: {one_line(error, tree, Scene)}") from error
     _check_new_materials(scene, new, source)
+    for wrong in find_overridden(scene, changes):
+        raise SceneError(f"{source}: {wrong}")
     return scene
 
 

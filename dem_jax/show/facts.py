@@ -4,10 +4,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from dem_jax.build.bucket_fill import fills_of
 from dem_jax.build.pieces import Goods, densities_of, goods_of, masses_of
 from dem_jax.scene import Scene, parse
 from dem_jax.scene.materials import MaterialTable, material_table, rows_of_pieces
 from dem_jax.shapes import extents
+from dem_jax.show.heap import heap_said
 from dem_jax.store.run import Run
 
 Facts = list[tuple[str, str]]  # what, and what there is to say of it
@@ -76,6 +78,12 @@ def stickiness_said(scene: Scene) -> list[str]:
     return said
 
 
+def fills_said(scene: Scene) -> list[str]:
+    """How full the portion makes each bucket, in words; scene: its STL files read. Raises SceneError."""
+    buckets = scene.feed_bucket or scene.weigh_bucket
+    return [str(fill) for fill in fills_of(scene, goods_of(scene))] if buckets and scene.portion else []
+
+
 def _goods(scene: Scene) -> tuple[Goods, MaterialTable]:
     return goods_of(scene), material_table(scene)
 
@@ -121,6 +129,9 @@ def _scene(scene: Scene, run: Run) -> Facts:
             facts.append((name, f"mouth {mouth} mm, walls {1e3 * bucket.wall_height:g} mm high, {flaps}"))
     if scene.feed_bucket and scene.weigh_bucket:
         facts.append(("drop", f"{1e3 * scene.drop.height:g} mm between the lower edges of their flaps"))
+    facts += [("fill level", said) for said in fills_said(scene)[-1:]]
+    heap = heap_said(run)
+    facts += [] if heap is None else [("heap", heap)]
     facts.append(("wall groups", ", ".join(run.header.groups) or "none"))
     if any(run.header.gravity):
         facts.append(("gravity", f"{np.linalg.norm(run.header.gravity):g} m/s²"))

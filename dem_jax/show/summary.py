@@ -8,7 +8,8 @@ from dem_jax.build.load_cell import section_of
 from dem_jax.build.system import with_pieces_read
 from dem_jax.build.walls import describe_surfaces, with_buckets_read, written_out
 from dem_jax.scene import PieceShape, Scene, parse
-from dem_jax.show.facts import portion_said, stickiness_said, stiffness_in_short
+from dem_jax.show.facts import fills_said, portion_said, stickiness_said, stiffness_in_short
+from dem_jax.show.heap import heap_said
 from dem_jax.store.run import Run
 
 MISSED = 0.01  # of a peak: by how much samples may miss it before it is said
@@ -25,7 +26,9 @@ def summary(run: Run) -> list[str]:
     ended = "" if run.settled is None else ", then all was settled"
     lines += [f"{key}: {_listed(values)}" for key, values in run.parameters.items()]
     lines.append(f"{pieces}, {run.time[-1]:.6g} s in samples of {run.sample:.3g} s, {run.precision}{ended}")
-    lines += [*([] if asked is None else [asked]), *stickiness_said(parse(run.scene, "the file's scene"))]
+    lines += [] if asked is None else [asked]
+    scene = parse(run.scene, "the file's scene")
+    lines += [*stickiness_said(scene), *fills_said(scene)]
     if "settling" in info:
         lines.append(f"released after {info['settling']:.6g} s of settling, when all was settled")
     if "elapsed" in info:
@@ -41,6 +44,7 @@ def summary(run: Run) -> list[str]:
     if block:
         mass = 1e3 * np.array([m.settled_mass[block][-1] for m in members])
         lines.append(f"settled mass in {block} at the end: {_range(mass, '{:.4g}')} g")
+    lines += filter(None, [heap_said(run)])
     if group and block:
         lines.append(_durations(members, group, block))
     return lines

@@ -79,19 +79,19 @@ def test_every_bucket_is_that_of_a_scene(name):
 
 def test_a_bucket_by_name_takes_sizes_and_is_changed():
     with open("own.toml", "w") as out:
-        out.write('base = "weigh-bucket"\nbucket = "3-litre"\nproduct = "nugget"\n[drop]\nheight = 0.4\n')
+        out.write('base = "weigh-bucket"\nbucket = "5.4-litre"\nproduct = "nugget"\n[drop]\nheight = 0.4\n')
     scene = load_scene("own.toml", {"weigh_bucket.wall_height": 0.2})
     assert scene.weigh_bucket.mouth == (0.17, 0.15) and scene.drop.height == 0.4 and scene.weigh_bucket.wall_height == 0.2
     assert scene.material.density == 1000.0
-    with pytest.raises(SceneError, match="bucket = '2-litre': no such bucket; did you mean '.*-litre'.* allowed: 0.5-litre, "):
+    with pytest.raises(SceneError, match="bucket = '2-litre': no such bucket; did you mean '.*-litre'.* allowed: 0.9-litre, "):
         load_scene("weigh-bucket", {"bucket": "2-litre"})
     with pytest.raises(SceneError, match=r"allowed in a scene with \[feed_bucket\] and \[weigh_bucket\]"):
-        load_scene("plate-drop", {"bucket": "3-litre"})
+        load_scene("plate-drop", {"bucket": "5.4-litre"})
 
 
 def test_the_command_lists_buckets_and_prints_one(capsys):
     assert main(["buckets"]) == 0
     rows = {line.split()[0]: line.split() for line in capsys.readouterr().out.splitlines()}
-    assert rows["1.6-litre"][1:7] == ["2.9", "140", "x", "120", "0.25", "0.08"]  # 0.14 * 0.12 * (0.13 + 0.06 tan 55 / 2) m3
-    assert main(["buckets", "5-litre"]) == 0 and "[weigh_bucket]" in capsys.readouterr().out
+    assert rows["2.9-litre"][1:7] == ["2.9", "140", "x", "120", "0.25", "0.08"]  # 0.14 * 0.12 * (0.13 + 0.06 tan 55 / 2) m3
+    assert main(["buckets", "9.1-litre"]) == 0 and "[weigh_bucket]" in capsys.readouterr().out
     assert main(["buckets", "barrel"]) == 2

@@ -38,7 +38,7 @@ CLOSED = 0.01 + 0.08 + 0.02 + 0.09  # s
 def sampled(hinge, swing_deg, rows):
     """The hinge as a table, its opening and its closing in so many rows each."""
     times = np.concatenate([np.linspace(0.01, 0.09, rows), np.linspace(0.11, CLOSED, rows)])
-    angles = swing_deg * np.array([motion.Hinge.of([Motion(**hinge)]).opened(t)[0] for t in times])
+    angles = swing_deg * np.array([motion.Hinge.of([Motion(**hinge, swing_deg=swing_deg)]).opened(t)[0] for t in times])
     where = {key: hinge[key] for key in ("group", "pivot", "axis")}
     return where | {"times": times.tolist(), "angles_deg": angles.tolist()}
 
@@ -147,7 +147,7 @@ def test_motions_of_one_section_are_those_of_several():
 
 
 def test_a_group_moves_if_a_motion_has_it():
-    idle, hinge = {"group": "idle", "start": 1.0, "frequency": 10.0}, {"group": "flap", "swing_deg": 10.0}
+    idle, hinge = {"group": "idle", "swing_deg": 0.0, "start": 1.0}, {"group": "flap", "swing_deg": 10.0}
     row = {"group": "tabled", "times": (0.0, 1.0), "ways": ((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))}
     walls = walls_of(idle, hinge, row, groups=("fixed", "idle", "flap", "tabled"))
     assert motion.moves(walls).tolist() == [False, False, True, True]

@@ -105,7 +105,7 @@ def test_a_feeder_of_an_stl_is_that_of_its_sizes(tmp_path):
     station = load_scene("weighing-station").replace(feeder={"tilt_deg": 8.0, "overhang": 0.01})
     expected = walls_of(station)
     pan = [corners - [0.2, 0.1, -0.3] for group, corners, _ in expected[0] if group == "lf"]
-    keys = placed(stl=written(tmp_path / "pan.stl", pan), move=(0.0, -0.1, 0.0), length=9.0, width=9.0)
+    keys = placed(stl=written(tmp_path / "pan.stl", pan), move=(0.0, -0.1, 0.0))
     own = station.replace(feeder=keys)
     panels, motions, _, blocks, regions = walls_of(own)
     of = lambda rows: [row for row in rows if row[0] == "lf"]  # noqa: E731

@@ -1,9 +1,11 @@
 """What every section of a scene shares: no unknown keys, no wrong types, only finite numbers of a size that can be."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Annotated, Any, Self
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+
+from dem_jax.scene.text import value
 
 
 def as_tuple(value: Any) -> Any:
@@ -18,6 +20,7 @@ Quaternion = Annotated[tuple[float, float, float, float], BeforeValidator(as_tup
 Size = Annotated[tuple[Positive, Positive, Positive], BeforeValidator(as_tuple)]
 Points = Annotated[tuple[Vector, ...], BeforeValidator(as_tuple)]
 Numbers = Annotated[tuple[float, ...], BeforeValidator(as_tuple)]
+PLACING = ("unit", "rotate_deg", "move")  # keys of how an STL is placed
 StlUnit = Annotated[Positive, Field(description="m per unit of an STL: 1e-3 of millimetres")]
 StlTurn = Annotated[Vector, Field(description="degrees, rotation of an STL about x, then y, then z of the scene")]
 StlMove = Annotated[Vector, Field(description="m, displacement of an STL after its rotation")]
@@ -44,6 +47,15 @@ class Section(BaseModel):
                     shown = f"{number:.3g}" if isinstance(number, float) or number < 10**15 else "a large whole number"
                     raise ValueError(f"{key} = {shown}: allowed: {ALLOWED}")
         return self
+
+
+def check_needed(section: BaseModel, keys: Iterable[str], is_needed: bool, why: str) -> None:
+    """Raise ValueError for the first of some keys that is not at its default, unless they are needed; why: they are not."""
+    for key in () if is_needed else keys:
+        item = getattr(section, key)
+        if item != type(section).model_fields[key].default:
+            shown = "" if isinstance(item, BaseModel) else f" = {value(item)}"
+            raise ValueError(f"{key}{shown}: cannot act {why}; allowed: to leave it out")
 
 
 def _plain_numbers(item: Any) -> Iterator[float]:

@@ -5,6 +5,7 @@ from typing import Annotated
 from pydantic import BeforeValidator, Field, model_validator
 
 from dem_jax.scene.sections.base import (
+    PLACING,
     MaterialName,
     NotNegative,
     Points,
@@ -14,6 +15,7 @@ from dem_jax.scene.sections.base import (
     StlTurn,
     StlUnit,
     as_tuple,
+    check_needed,
 )
 from dem_jax.scene.sections.walls import Drive
 
@@ -52,6 +54,9 @@ class Bucket(Section):
     unit: StlUnit = 1.0
     rotate_deg: StlTurn = (0.0, 0.0, 0.0)
     move: StlMove = (0.0, 0.0, 0.0)
+    centre: bool = Field(
+        False, description="whether the middle of an STL bucket's mouth is put at x = y = 0, and moved on by the first two of move"
+    )
     panels: Panels | None = Field(None, description="m, corners of each panel, in an STL's place")
     flap_panels: Annotated[tuple[Panels, Panels], BeforeValidator(as_tuple)] | None = Field(
         None, description="m, corners of the panels of both flaps, in flap_stl's place"
@@ -64,6 +69,7 @@ class Bucket(Section):
             raise ValueError("flap_stl, flap_panels: allowed beside the stl, or the panels, of the walls")
         if self.stl and self.panels:
             raise ValueError("stl, panels: allowed: one of the two")
+        check_needed(self, (*PLACING, "centre"), bool(self.stl), "without stl: a bucket of sizes is where the drop puts it")
         if self.drive and not self.opening_angle_deg:
             raise ValueError("drive: opening_angle_deg = 0, the flaps stay shut; allowed: only for flaps that open")
         if (self.stl and not self.flap_stl or self.panels and not self.flap_panels) and self.opening_angle_deg:
@@ -148,4 +154,5 @@ class Feeder(Section):
     def _is_one_pan(self) -> "Feeder":
         if self.stl and self.panels:
             raise ValueError("stl, panels: allowed: one of the two")
+        check_needed(self, PLACING, bool(self.stl), "without stl: a pan of sizes is where overhang and clearance put it")
         return self

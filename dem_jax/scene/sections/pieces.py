@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from dem_jax.scene.sections.base import MaterialName, Points, Positive, Quaternion, Section, Size, Vector, as_tuple
+from dem_jax.scene.sections.base import MaterialName, Points, Positive, Quaternion, Section, Size, Vector, as_tuple, check_needed
 from dem_jax.scene.text import value
 
 AnyShape = Literal["chamfered-cuboid", "cuboid", "sphere", "prism", "cylinder", "hull", "tube", "compound", "decomposed"]
@@ -31,6 +31,11 @@ class ConvexShape(Section):
     hull_tolerance: float | None = Field(
         None, gt=0, le=1, description="of a hull of an STL: fraction by which its volume may exceed the STL's; unset: 0.02"
     )
+
+    @model_validator(mode="after")
+    def _has_what_its_unit_is_of(self) -> "ConvexShape":
+        check_needed(self, ("unit",), self.shape in ("hull", "decomposed"), "without an stl or points: sizes are in m")
+        return self
 
 
 class Part(ConvexShape):

@@ -1,8 +1,9 @@
 """Walls, how they move, and the boxes in which settled mass is counted."""
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from dem_jax.scene.sections.base import (
+    PLACING,
     MaterialName,
     NotNegative,
     Numbers,
@@ -13,8 +14,11 @@ from dem_jax.scene.sections.base import (
     StlTurn,
     StlUnit,
     Vector,
+    check_needed,
 )
 
+HINGE = ("start", "opening", "dwell", "closing", "period", "drive")  # keys of a motion that swings
+SHAKING = ("frequency", "shake_start", "shake_end", "shake_ramp", "shake_period")  # of one that vibrates
 NAME = r"^[.]*[A-Za-z0-9_-][A-Za-z0-9_.-]*$"  # not of dots alone: in a file, that is a group itself
 
 
@@ -32,6 +36,11 @@ class Wall(Section):
     thickness: Positive = Field(0.01, description="m, behind the surface")
     material: MaterialName = None
     note: str | None = Field(None, description="said with the results; what was read of an STL is written here")
+
+    @model_validator(mode="after")
+    def _places_an_stl(self) -> "Wall":
+        check_needed(self, PLACING, self.corners is None or self.stl is not None, "beside corners, which are m of the scene")
+        return self
 
 
 class Drive(Section):
@@ -74,6 +83,12 @@ class Motion(Section):
     times: Numbers | None = Field(None, description="s, instead of a table; at rest before the first and after the last")
     angles_deg: Numbers | None = Field(None, description="degrees, angles at these times, right-handed about the axis")
     ways: Points | None = Field(None, description="m at these times, from where the walls are given")
+
+    @model_validator(mode="after")
+    def _has_what_its_keys_act_on(self) -> "Motion":
+        check_needed(self, HINGE, "swing_deg" in self.model_fields_set, "without swing_deg")
+        check_needed(self, SHAKING, "stroke" in self.model_fields_set, "without a stroke")
+        return self
 
 
 class Block(Section):

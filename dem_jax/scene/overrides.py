@@ -1,0 +1,145 @@
+"""Keys of a scene that cannot act beside another key, or without one: which they are, and what overrides them."""
+
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, NamedTuple
+
+from pydantic import BaseModel
+
+from dem_jax.scene.text import value
+
+Tree = dict[str, Any]
+BUCKETS = ("weigh_bucket", "feed_bucket")
+SIZES = ("mouth", "wall_height", "flap_angle_deg", "lap")  # of a bucket
+TIMES = ("opening_start", "opening_time", "open_dwell", "closing_time", "period")  # of its flaps
+PAN = ("length", "width", "wall_height")
+VIBRATION = ("start", "duration", "period")
+
+
+class Override(NamedTuple):
+    """Keys that cannot act where another one has some value.
+
+    by, keys: dotted, of a scene. holds: whether a value of ``by`` overrides. why: in words, to follow "cannot act".
+    """
+
+    by: str
+    keys: tuple[str, ...]
+    holds: Callable[[Any], bool]
+    why: str
+
+
+def _is_absent(item: Any) -> bool:
+    return item is None
+
+
+def _of(section: str, names: Iterable[str]) -> tuple[str, ...]:
+    return tuple(f"{section}.{name}" for name in names)
+
+
+def _of_own_sizes(section: str, sizes: tuple[str, ...]) -> list[Override]:
+    """What overrides the sizes of a bucket or a feeder."""
+    return [Override(f"{section}.{by}", sizes, bool, f"beside {section}.{by}, which has its own sizes") for by in ("stl", "panels")]
+
+
+def _of_bucket(section: str) -> list[Override]:
+    """What overrides keys of a bucket."""
+    sizes, times = _of(section, SIZES), _of(section, TIMES)
+    return [
+        *_of_own_sizes(section, sizes),
+        Override(f"{section}.opening_angle_deg", times, lambda a: a == 0, f"beside {section}.opening_angle_deg = 0: it stays shut"),
+        Override("cycle", times, bool, "beside [cycle], which says when buckets open"),
+        Override(section, ("drop.height",), _is_absent, f"without [{section}]"),
+    ]
+
+
+OVERRIDES = (
+    *(row for section in BUCKETS for row in _of_bucket(section)),
+    *_of_own_sizes("feeder", _of("feeder", PAN)),
+    Override("cycle.lf", _of("feeder", VIBRATION), bool, "beside cycle.lf, which says when the feeder vibrates"),
+    Override("piece", ("portion",), bool, "beside [[piece]]: these are all pieces"),
+    Override("portion.count", ("portion.target_weight",), bool, "beside portion.count"),
+    Override("portion.arrangement", ("portion.settling_time",), "scattered".__eq__, 'beside portion.arrangement = "scattered"'),
+    Override("portion.product", ("portion.share_by",), lambda rows: rows == (), "without [[portion.product]]"),
+    Override("run.until_settled", ("run.settled_time",), lambda ends: ends is False, "without run.until_settled = true"),
+)
+# Of two keys that say the same thing in two ways, that of the scene on top holds: the one below is dropped.
+REPLACES = (*OVERRIDES, Override("portion.target_weight", ("portion.count",), bool, "beside portion.target_weight"))
+
+
+def drop_overridden(below: Tree, above: Tree) -> Tree:
+    """The tree below without the keys that those of the tree on top leave without effect."""
+    for row in REPLACES:
+        item, said = _find(above, row.by)
+        if said and row.holds(item):
+            for key in row.keys:
+                below = below if _find(above, key)[1] else _without(below, key.split("."))
+    return below
+
+
+def without_overridden(tree: Tree) -> Tree:
+    """The tree of a whole scene, such as an earlier version stored, without the keys that cannot act."""
+    for row in OVERRIDES:
+        item, said = _find(tree, row.by)
+        if said and row.holds(item):
+            for key in row.keys:
+                tree = _without(tree, key.split("."))
+    return tree
+
+
+def find_overridden(scene: BaseModel, keys: Iterable[str] | None = None) -> Iterator[str]:
+    """What is wrong, in words, of each key that cannot act; keys: of these, else of all that are not at their defaults."""
+    given = None if keys is None else set(keys)
+    for row in OVERRIDES:
+        if not row.holds(_find(scene, row.by)[0]):
+            continue
+        for key in row.keys:
+            item, said = _find(scene, key)
+            is_set = item != _default(scene, key) if said and given is None else any(_is_in(own, key) for own in given or ())
+            if item is not None and is_set:
+                shown = "" if isinstance(item, BaseModel) else f" = {value(item)}"
+                yield f"{key}{shown}: cannot act {row.why}; allowed: to leave it out"
+
+
+def _find(tree: Any, key: str) -> tuple[Any, bool]:
+    """The value of a dotted key in a tree or a scene, and whether there is that key."""
+    for part in key.split("."):
+        if isinstance(tree, BaseModel) and part in type(tree).model_fields:
+            tree = getattr(tree, part)
+        elif isinstance(tree, dict) and part in tree:
+            tree = tree[part]
+        else:
+            return None, False
+    return tree, True
+
+
+def _is_in(key: str, section: str) -> bool:
+    """Whether a dotted key is another one, or in it."""
+    return key == section or key.startswith(f"{section}.")
+
+
+def nested(changes: Tree) -> Tree:
+    """The tree of dotted keys; of several in one table all, of one within a value of another the last."""
+    tree: Tree = {}
+    for key, item in changes.items():
+        table, *below = key.split(".")
+        if below:
+            own = tree[table] if isinstance(tree.get(table), dict) else {}
+            tree[table] = own | nested({".".join(below): item})
+        else:
+            tree[table] = item
+    return tree
+
+
+def _default(scene: BaseModel, key: str) -> Any:
+    """The default of a dotted key."""
+    section, _, name = key.rpartition(".")
+    owner = _find(scene, section)[0] if section else scene
+    return type(owner).model_fields[name].default
+
+
+def _without(tree: Any, keys: list[str]) -> Any:
+    """The tree without a key, copied where it changes."""
+    if not isinstance(tree, dict) or keys[0] not in tree:
+        return tree
+    if len(keys) == 1:
+        return {name: item for name, item in tree.items() if name != keys[0]}
+    return tree | {keys[0]: _without(tree[keys[0]], keys[1:])}
