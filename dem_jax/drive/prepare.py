@@ -18,6 +18,7 @@ from dem_jax.errors import SceneError
 from dem_jax.pairs import guard
 from dem_jax.scene import Scene, load_scene
 from dem_jax.scene.extreme import furthest
+from dem_jax.scene.overrides import check_varied
 from dem_jax.step.quantity import Quantity, checked
 
 MOST_SEED = 2**63 - 1  # that a file can hold
@@ -43,6 +44,7 @@ def prepare(
     compiling.loops_as_one(unrolled=runs is not None)
     compiling.check_platform()
     written = scene if isinstance(scene, Scene) else load_scene(scene)
+    check_varied(written, parameters or (), written.name)
     scene = build.self_contained(written)
     aside = bucket_fill.check_buckets_meet(written, scene)
     with jax.enable_x64(scene.run.precision == "f64"), np.errstate(all="ignore"):  # build looks at what comes out

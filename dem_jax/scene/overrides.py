@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 from pydantic import BaseModel
 
+from dem_jax.errors import SceneError
 from dem_jax.scene.text import value
 
 Tree = dict[str, Any]
@@ -62,12 +63,12 @@ OVERRIDES = (
     Override("run.until_settled", ("run.settled_time",), lambda ends: ends is False, "without run.until_settled = true"),
 )
 # Of two keys that say the same thing in two ways, that of the scene on top holds: the one below is dropped.
-REPLACES = (*OVERRIDES, Override("portion.target_weight", ("portion.count",), bool, "beside portion.target_weight"))
+ALTERNATIVES = (Override("portion.target_weight", ("portion.count",), bool, "beside portion.target_weight"),)
 
 
 def drop_overridden(below: Tree, above: Tree) -> Tree:
     """The tree below without the keys that those of the tree on top leave without effect."""
-    for row in REPLACES:
+    for row in (*OVERRIDES, *ALTERNATIVES):
         item, said = _find(above, row.by)
         if said and row.holds(item):
             for key in row.keys:
@@ -88,8 +89,9 @@ def without_overridden(tree: Tree) -> Tree:
 def find_overridden(scene: BaseModel, keys: Iterable[str] | None = None) -> Iterator[str]:
     """What is wrong, in words, of each key that cannot act; keys: of these, else of all that are not at their defaults."""
     given = None if keys is None else set(keys)
+    replaced = {key for row in ALTERNATIVES if given and row.by in given for key in row.keys} - (given or set())
     for row in OVERRIDES:
-        if not row.holds(_find(scene, row.by)[0]):
+        if row.by in replaced or not row.holds(_find(scene, row.by)[0]):
             continue
         for key in row.keys:
             item, said = _find(scene, key)
@@ -97,6 +99,12 @@ def find_overridden(scene: BaseModel, keys: Iterable[str] | None = None) -> Iter
             if item is not None and is_set:
                 shown = "" if isinstance(item, BaseModel) else f" = {value(item)}"
                 yield f"{key}{shown}: cannot act {row.why}; allowed: to leave it out"
+
+
+def check_varied(scene: BaseModel, keys: Iterable[str], source: str) -> None:
+    """Raise SceneError for a key that is to vary and cannot act in a scene; source: begins the message."""
+    for wrong in find_overridden(scene, keys):
+        raise SceneError(f"{source}: {wrong}")
 
 
 def _find(tree: Any, key: str) -> tuple[Any, bool]:

@@ -8,7 +8,7 @@ from pydantic import BeforeValidator, Field, ValidationError, model_validator
 from dem_jax.errors import SceneError
 from dem_jax.scene.changes import new_materials, on_top, set_key, without_density
 from dem_jax.scene.library import with_named
-from dem_jax.scene.overrides import drop_overridden, find_overridden, nested
+from dem_jax.scene.overrides import check_varied, drop_overridden, find_overridden, nested
 from dem_jax.scene.sections.base import Section, as_tuple
 from dem_jax.scene.sections.buckets import Bucket, Drop, Feeder, WeighBucket
 from dem_jax.scene.sections.contact import Contact, stray_key
@@ -165,8 +165,7 @@ def validated(
     except ValidationError as error:
         raise SceneError(f"{source}: {one_line(error, tree, Scene)}") from error
     _check_new_materials(scene, new, source)
-    for wrong in find_overridden(scene, changes):
-        raise SceneError(f"{source}: {wrong}")
+    check_varied(scene, changes, source)
     return scene
 
 

@@ -9,6 +9,7 @@ from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
 from dem_jax.errors import SceneError
 from dem_jax.scene import Scene, load_scene
+from dem_jax.scene.overrides import check_varied
 from dem_jax.scene.sections.base import Positive, Section, as_tuple
 from dem_jax.scene.words import one_line
 from dem_jax.study.outputs import OUTPUTS
@@ -103,7 +104,9 @@ class Study(Section):
         """The scene, with what is set for all points. Raises SceneError."""
         beside = Path(self.folder) / self.scene
         changes = {"run.frames": 0.0} | self.set
-        return load_scene(beside if beside.is_file() else self.scene, changes)
+        scene = load_scene(beside if beside.is_file() else self.scene, changes)
+        check_varied(scene, self.parameter, f"study {self.name}: {scene.name}")
+        return scene
 
     def of_scene(self, scene: str) -> "Study":
         """The same study of another scene: a stock scene or a .toml file, from where the process is."""

@@ -36,7 +36,7 @@ def test_smooth_step_is_smooth_at_its_ends():
 
 
 def test_a_flap_opens_dwells_closes_and_does_so_again():
-    times = {"start": 0.1, "opening": 0.2, "dwell": 0.3, "closing": 0.4}
+    times = {"swing_deg": 0.0, "start": 0.1, "opening": 0.2, "dwell": 0.3, "closing": 0.4}
     once, again = (Hinge.of([Motion(group="flap", **times, period=period)]) for period in (0.0, 2.0))
     for t, expected in ((0.0, 0), (0.1, 0), (0.2, 0.5), (0.3, 1), (0.6, 1), (0.8, 0.5), (1.0, 0), (1.9, 0)):
         for hinge in (once, again):
@@ -47,7 +47,7 @@ def test_a_flap_opens_dwells_closes_and_does_so_again():
 
 
 def test_a_vibration_is_a_sine_that_starts_and_ends_gently():
-    keys = {"frequency": 5.0, "shake_start": 1.0, "shake_end": 3.0, "shake_ramp": 0.1}
+    keys = {"stroke": (0.0, 0.0, 0.0), "frequency": 5.0, "shake_start": 1.0, "shake_end": 3.0, "shake_ramp": 0.1}
     vibration = Vibration.of([Motion(group="pan", **keys)])
     for t in (0.5, 1.0, 3.0, 3.5):
         assert float(vibration.displacement(t)[0]) == pytest.approx(0, abs=1e-14)
@@ -64,7 +64,7 @@ def plate(group, half=0.1, z=0.0, **more):
 SETTINGS = {"precision": "f64", "sample": 1e-4, "frames": 0.0}
 MOVING = (
     {"group": "flap", "pivot": (0.1, 0.02, 0.01), "axis": (0.2, 1.0, 0.3), "swing_deg": 65.0, "start": 0.01},
-    {"group": "pan", "stroke": (1e-3, 0.0, 5e-4), "frequency": 50.0, "shake_end": 0.5, "start": 1.0},
+    {"group": "pan", "stroke": (1e-3, 0.0, 5e-4), "frequency": 50.0, "shake_end": 0.5},
 )
 
 

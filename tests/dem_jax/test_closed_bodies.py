@@ -122,3 +122,35 @@ def test_a_bucket_with_flaps_is_as_thin_as_its_thinnest_body_and_keeps_it_in_its
     assert alone.feed_bucket.thickness == of_feed[0]
     assert "left.stl: 12 facets, 6 panels" in alone.feed_bucket.note
     assert "thickness of the panels 0.1 mm, not 5 mm" in alone.feed_bucket.note
+
+
+def test_no_plate_reaches_into_the_inside(tmp_path):
+    """Corners of the backs of all panels are in the sheet: at most a rounding of the file inside of the tray."""
+    tray().export(tmp_path / "tray.stl")
+    low, high = np.array([-INSIDE[0] / 2, -INSIDE[1] / 2, SHEET]), np.array([INSIDE[0] / 2, INSIDE[1] / 2, 1.0])
+    for _, corners, thickness in panels_of(Wall(group="tray", stl="tray.stl"), tmp_path):
+        normal = np.cross(corners[1] - corners[0], corners[2] - corners[1])
+        back = corners - thickness * normal / np.linalg.norm(normal)
+        assert not ((back > low + 1e-7) & (back < high - 1e-7)).all(axis=1).any()
+        assert (np.minimum(back - [-0.07, -0.06, 0.0], [0.07, 0.06, 0.13] - back) > -1e-7).all()
+
+
+PIECES = [
+    {"shape": "sphere", "radius": 0.01, "position": (0.03, 0.02, 0.17)},
+    {"position": (0.02, 0.01, 0.17), "orientation": (0.9, 0.2, 0.3, 0.1)},
+]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("piece", PIECES)
+def test_a_piece_in_a_tray_of_sheet_does_what_it_does_on_a_panel(piece, tmp_path):
+    """Lands with the same peak, and rests on the inner surface. The file has single precision: 1e-7 of the force, 4e-9 m."""
+    tray().export(tmp_path / "tray.stl")
+    flat = [(-0.3, -0.3, SHEET), (0.3, -0.3, SHEET), (0.3, 0.3, SHEET), (-0.3, 0.3, SHEET)]
+    walls = {"stl": {"stl": str(tmp_path / "tray.stl")}, "corners": {"corners": flat, "thickness": 0.05}}
+    run = {"precision": "f64", "duration": 0.5, "energy": False}
+    still = load_scene("plate-drop").replace(block=[], material={"rest_damping": 0.2}, run=run, piece=[piece])
+    sheet, panel = (dem_jax.simulate(still.replace(wall=[{"group": "plate", **wall}])) for wall in walls.values())
+    assert sheet.pif_kg("plate").max() == pytest.approx(panel.pif_kg("plate").max(), rel=1e-5)
+    np.testing.assert_allclose(sheet.pieces.position[-1], panel.pieces.position[-1], atol=1e-6)
+    np.testing.assert_allclose(sheet.pif_kg("plate")[-1000:].mean(), panel.pif_kg("plate")[-1000:].mean(), rtol=1e-3)

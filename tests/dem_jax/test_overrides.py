@@ -5,7 +5,8 @@ import pytest
 from dem_jax.errors import SceneError
 from dem_jax.scene import load_scene, parse, stock_scenes
 from dem_jax.scene.library import buckets
-from dem_jax.scene.overrides import OVERRIDES, nested
+from dem_jax.scene.overrides import OVERRIDES, check_varied, nested
+from dem_jax.study.table import load_study
 
 STL = {"weigh_bucket.stl": "a.stl"}
 BOTH = {"portion.count": 5, "portion.target_weight": 0.1}
@@ -41,7 +42,11 @@ def test_a_key_that_cannot_act_is_refused(name, changes, said):
     assert "allowed: to leave it out" in str(error.value)
 
 
-def test_what_a_study_or_an_ensemble_varies_must_act():
+def test_what_a_study_or_an_ensemble_varies_must_act(tmp_path):
+    (tmp_path / "own.toml").write_text('base = "weigh-bucket"\n[weigh_bucket]\nstl = "a.stl"\n')
+    with pytest.raises(SceneError, match="study bucket-own: own: weigh_bucket.flap_angle_deg = 55.0: cannot act"):
+        load_study("bucket").of_scene(str(tmp_path / "own.toml")).base()
+    assert load_study("scale-factor").base()
     scene = load_scene("weigh-bucket", STL)
     with pytest.raises(SceneError, match="weigh_bucket.flap_angle_deg = 55.0: cannot act beside weigh_bucket.stl"):
         scene.replace({"weigh_bucket.flap_angle_deg": 55.0})  # as for each point and each run
@@ -74,6 +79,7 @@ def test_the_later_of_weight_and_count_holds():
     scene = load_scene("weigh-bucket", {"portion.count": 20}).replace({"portion.target_weight": 0.1})
     assert (scene.portion.count, scene.portion.target_weight) == (None, 0.1)
     assert scene.replace({"portion.count": 3}).portion.target_weight == 0.05
+    check_varied(load_scene("weigh-bucket", {"portion.count": 20}), ["portion.target_weight"], "a study")
 
 
 @pytest.mark.parametrize("name", stock_scenes())
