@@ -58,7 +58,12 @@ OVERRIDES = (
     Override("cycle.lf", _of("feeder", VIBRATION), bool, "beside cycle.lf, which says when the feeder vibrates"),
     Override("piece", ("portion",), bool, "beside [[piece]]: these are all pieces"),
     Override("portion.count", ("portion.target_weight",), bool, "beside portion.count"),
-    Override("portion.arrangement", ("portion.settling_time",), lambda name: name == "scattered", 'beside portion.arrangement = "scattered"'),
+    Override(
+        "portion.arrangement",
+        ("portion.settling_time",),
+        lambda name: name == "scattered",
+        'beside portion.arrangement = "scattered"',
+    ),
     Override("portion.product", ("portion.share_by",), lambda rows: rows == (), "without [[portion.product]]"),
     Override("run.until_settled", ("run.settled_time",), lambda ends: ends is False, "without run.until_settled = true"),
 )
