@@ -103,7 +103,9 @@ def reference(points: np.ndarray) -> tuple[float, np.ndarray]:
 
 @partial(jax.jit, compiler_options=known("cpu"))
 def _contact(table, a, b, turn, offset):
-    return geometry.polytopes(table, (a, b), collide.Relative(tuple(tuple(row) for row in turn), tuple(offset)))
+    return geometry.polytopes(table, (a, b), collide.Relative(tuple(tuple(row) for row in turn), tuple(offset)))._replace(
+        moments=None
+    )
 
 
 def computed(made: list[shapes.Shape], pairs: Pairs, dtype) -> tuple[np.ndarray, np.ndarray]:

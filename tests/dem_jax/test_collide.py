@@ -46,9 +46,9 @@ def principal(shape):
 def _computed(table, ia, ib, turn, offset):
     rel = collide.Relative(tuple(tuple(row) for row in turn), tuple(offset))
     if table.features is not None:
-        return geometry.polytopes(table, (ia, ib), rel)
+        return geometry.polytopes(table, (ia, ib), rel)._replace(moments=None)  # a function
     a, b = (hulls.with_faces(hulls.gather(table, i, False), table) for i in (ia, ib))
-    return collide.hull_hull(a, b, rel)
+    return collide.hull_hull(a, b, rel)._replace(moments=None)
 
 
 def contact(table, ia, ib, pose_a, pose_b, dtype=np.float64):
