@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from calibrate.errors import BadInput
+from calibrate.errors import BadInput, checked_seed
 from product_model.program import QuietStream, fail_program, run_program, set_open_line, temporary_file
 
 if TYPE_CHECKING:
@@ -139,6 +139,7 @@ def _use_cache() -> None:
 
 def _fit(args: argparse.Namespace) -> int:
     """Fit, write and report; the exit code."""
+    checked_seed(args.seed)
     paths = _outputs(args)
     _use_cache()
     from calibrate.fit import fit

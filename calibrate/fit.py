@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from calibrate import goodness, plausibility, uncertainty
-from calibrate.errors import BadInput
+from calibrate.errors import BadInput, checked_seed
 from calibrate.loss import BLOCKS, Draws, Measured
 from calibrate.prepare import draw, measure
 from calibrate.solve import scan_lengths, solve_starts
@@ -23,7 +23,6 @@ Ends = dict[str, list[float]]  # Fit.starts
 STARTS = 4
 SCAN = (0.7, 90.0, 12)  # least and greatest dt_impact (bins) that the first guess looks at, and how many
 LEAST_TRACES = 4  # half of the traces say nothing of gamma_high; two of the rest are needed to tell a scatter
-MOST_SEED = 2_000_000_000  # others are made by adding to it, below 2^31
 AGREEMENT = 0.1  # share of the interval's half width: starts that differ by less agree, one whose last round changed less converged
 
 
@@ -136,8 +135,7 @@ def fit(
     they were read. Runs in double precision whatever the global flag says. Raises `BadInput`.
     """
     targets = list(traces)
-    if not 0 <= seed <= MOST_SEED:
-        raise BadInput(f"seed = {seed}: must be from 0 to {MOST_SEED}")
+    seed = checked_seed(seed)
     with jax.enable_x64(True):
         measured, impossible = _measure_possible(targets, align, force)
         arguments = start, fixed or {}, align, simulations, fine, bootstrap, seed, progress or (lambda *_: None)

@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from calibrate.errors import checked_seed
 from calibrate.fit import Fit
 from calibrate.goodness import simulated_targets
 from calibrate.targets import Target, rebin
@@ -37,7 +38,7 @@ def figure(result: Fit, targets: list[Target], seed: int = 0, bin_: float | None
     """
     from matplotlib.figure import Figure
 
-    align = result.info["align"]
+    seed, align = checked_seed(seed), result.info["align"]
     theta = {name: row["value"] for name, row in result.parameters.items()}
     model = simulated_targets(theta, targets, max(128, len(targets)), seed + 7_000_003)
     begin = min((t.first_impact if align == "release" else 0.0) for t in targets) - 5e-3

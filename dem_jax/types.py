@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 
 Array = jax.Array
+SETTLED_SPEED = 0.1  # m/s: slower pieces inside a block count as settled (paper, section 2.1)
 
 
 T = TypeVar("T")

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
-from product_model.inputs import DTYPES, FORMS, BadInput, Parameters, table
+from product_model.inputs import DTYPES, FORMS, BadInput, Parameters, checked_seed, table
 from product_model.program import run_program, temporary_file
 
 if TYPE_CHECKING:
@@ -91,6 +91,7 @@ def _simulate(args: argparse.Namespace) -> None:
     from product_model.target import check_target
 
     params, fit = _inputs(args)
+    checked_seed(args.seed)
     if args.runs < 1:
         raise BadInput(f"runs = {args.runs}: must be at least 1")
     if args.draw and fit is None:
@@ -120,7 +121,6 @@ def _simulate(args: argparse.Namespace) -> None:
     _report(trace, params, args)
 
 
-MOST_SEED = 2**31 - 1
 STREAMED = 256  # samples computed at a time
 
 
@@ -191,8 +191,7 @@ def _run(argv: Sequence[str] | None) -> None:
     if args.command == "table":
         print(table())
         return
-    if not 0 <= args.seed <= MOST_SEED:
-        raise BadInput(f"seed = {args.seed}: must be from 0 to {MOST_SEED}")
+    checked_seed(args.seed)
     {"simulate": _simulate, "stream": _stream, "fmu": _fmu}[args.command](args)
 
 

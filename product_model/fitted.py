@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from product_model.inputs import BadInput
+from product_model.inputs import BadInput, checked_seed
 
 FITTED = ("dt_impact", "gamma_low", "gamma_high", "h_mean")
 NINETY = 1.6448536269514722  # half of a 90 % interval in standard deviations of a normal distribution
@@ -54,7 +54,7 @@ def drawn(fit: Fitted, runs: int, seed: int = 0) -> dict[str, np.ndarray]:
     """
     if runs < 1:
         raise BadInput(f"runs = {runs}: must be at least 1")
-    z = np.random.default_rng([seed, 11]).standard_normal((len(FITTED), runs)) / NINETY
+    z = np.random.default_rng([checked_seed(seed), 11]).standard_normal((len(FITTED), runs)) / NINETY
     found = {name: _between(fit.value[name], fit.low[name], fit.high[name], row) for name, row in zip(FITTED, z, strict=True)}
     return found | {"gamma_high": np.maximum(found["gamma_high"], found["gamma_low"])}
 

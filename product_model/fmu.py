@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from product_model.inputs import BadInput, Parameters, check, pieces_of
+from product_model.inputs import BadInput, Parameters, check, checked_seed, pieces_of
 from product_model.program import temporary_file
 from product_model.target import check_target
 
@@ -35,6 +35,7 @@ def write_fmu(path: str | os.PathLike[str], params: Parameters, seed: int = 0, o
 
     Raises `BadInput` for inputs out of range, the smooth form, a path that cannot be written, and without pythonfmu.
     """
+    seed = checked_seed(seed)
     path = check_fmu(path, overwrite)
     check(params)
     if params.form == "smooth":

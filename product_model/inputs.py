@@ -97,6 +97,17 @@ class BadInput(ValueError):
     """One clear line that names what is wrong, its value and what is allowed."""
 
 
+MOST_SEED = 2**31 - 1
+
+
+def checked_seed(seed: Any) -> int:
+    """The seed as a plain number. Raises `BadInput` unless it is a whole number from 0 to MOST_SEED."""
+    is_whole = isinstance(seed, int | np.integer) and not isinstance(seed, bool)
+    if not is_whole or not 0 <= seed <= MOST_SEED:
+        raise BadInput(f"seed = {seed!r}: must be a whole number from 0 to {MOST_SEED}")
+    return int(seed)
+
+
 def _finite_or_none(value: float | None) -> float | None:
     if value is not None and not np.isfinite(value):
         raise ValueError("must be finite")

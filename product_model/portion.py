@@ -15,7 +15,7 @@ from product_model import pulses as sharp
 from product_model import smooth as smoothed
 from product_model.draws import DType
 from product_model.grid import Grid
-from product_model.inputs import DTYPES, LEAVES, Parameters, check, grid_of, pieces_of
+from product_model.inputs import DTYPES, LEAVES, Parameters, check, checked_seed, grid_of, pieces_of
 
 Key = int | np.integer | jax.Array  # a random key of JAX, or an integer seed
 Leaves = dict[str, Any]  # name -> [] array
@@ -161,8 +161,8 @@ def static_of(params: Parameters) -> dict[str, Any]:
 
 
 def as_key(key: Key) -> jax.Array:
-    """A random key from a key or an integer seed."""
-    return jax.random.key(int(key)) if isinstance(key, (int, np.integer)) else key
+    """A random key from a key or a whole number as seed. Raises `BadInput` for a seed that is no such number."""
+    return key if isinstance(key, jax.Array) else jax.random.key(checked_seed(key))
 
 
 def simulate(params: Parameters, key: Key) -> Trace:

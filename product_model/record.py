@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from product_model.inputs import INPUTS, LEAVES, BadInput, Parameters
+from product_model.inputs import INPUTS, LEAVES, BadInput, Parameters, checked_seed
 from product_model.portion import Trace, in_precision
 from product_model.program import temporary_file
 from product_model.pulses import rectangular
@@ -48,6 +48,7 @@ def save(
     `.csv`: time_s, then force_n and pif_g of each run. `.mat`: the same arrays and the inputs for MATLAB.
     The file appears only when it is complete. Raises `BadInput` as `check_output` does.
     """
+    seed = None if seed is None else checked_seed(seed)
     path = check_output(path, overwrite)
     write = {".csv": _csv, ".mat": _mat}.get(path.suffix, _hdf5)
     try:

@@ -1,8 +1,11 @@
 """What a scene comes to must be finite, and small enough to count, in the precision of the run."""
 
+from typing import Any
+
 import jax
 import numpy as np
 
+from dem_jax.build.reuse import Reuse
 from dem_jax.errors import SceneError
 from dem_jax.scene import Scene
 from dem_jax.scene.extreme import furthest
@@ -33,13 +36,16 @@ def check_pieces(scene: Scene, count: float) -> None:
         )
 
 
-def check_finite(scene: Scene, system: System, state: State) -> None:
-    """Raise SceneError if anything that a run begins with is not a number of its precision."""
+def check_finite(scene: Scene, system: System, state: State, reuse: Reuse) -> None:
+    """Raise SceneError if anything that a run begins with is not a number of its precision. reuse: arrays of scenes before are not
+    looked at again."""
+    known = reuse.get("finite", dict[int, Any])  # id -> the leaf, which is kept alive
     for tree, must in ((system, FINITE), (state.replace(scratch=None), None)):
         for path, leaf in jax.tree_util.tree_flatten_with_path(tree)[0]:
-            name = jax.tree_util.keystr(path, simple=True, separator=".")
-            if not np.issubdtype(leaf.dtype, np.floating):
+            if id(leaf) in known or not np.issubdtype(leaf.dtype, np.floating):
                 continue
+            known[id(leaf)] = leaf
+            name = jax.tree_util.keystr(path, simple=True, separator=".")
             values = np.asarray(leaf)
             finite = must is None or name.split(".")[0] in must
             bad = ~np.isfinite(values) if finite else np.isnan(values)

@@ -17,7 +17,7 @@ from dem_jax.build.law import law_of, materials_of
 from dem_jax.build.load_cell import load_cell_of
 from dem_jax.build.pieces import piece_arrays
 from dem_jax.build.start import Start, listed, motion_of_start, placed
-from dem_jax.build.system import Built
+from dem_jax.build.system import Built, build
 from dem_jax.build.typed import typed
 from dem_jax.build.walls import walls_of
 from dem_jax.contact import motion
@@ -25,12 +25,12 @@ from dem_jax.errors import SceneError
 from dem_jax.pairs import neighbours
 from dem_jax.scene import Drive, NamedMaterial, Scene, Section, buckets
 from dem_jax.scene.numbers import array, is_zero
-from dem_jax.scene.words import choices
+from dem_jax.scene.words import choices, short
 from dem_jax.types import State, System, Walls
 
 Values = Mapping[str, Any]  # key of a scene -> a number, an array, or what stands for one while JAX traces
 
-OF_MATERIAL = tuple(NamedMaterial.model_fields)
+OF_MATERIAL = tuple(key for key in NamedMaterial.model_fields if key != "youngs_modulus_range")
 OF_ALL = ("wall_youngs_modulus", "wall_poisson_ratio", "softening", "separation", "tangential_stiffness")
 DAMPING = ("unloading_damping", "rest_damping")
 FLAPS = ("opening_angle_deg", "opening_start", "opening_time", "open_dwell", "closing_time")
@@ -126,13 +126,32 @@ def _check(scene: Scene, built: Built, values: Values) -> None:
     for key, value in values.items():
         if key not in known:
             raise SceneError(f"{key}: decides the program or its sizes, or is no key of the scene; {choices(key, list(known))}")
-        if jnp.shape(value) != known[key]:
-            raise SceneError(f"{key}: a value of the form {jnp.shape(value)}; allowed: {known[key]}")
+        if (found := jnp.shape(jnp.asarray(value, float))) != known[key]:
+            raise SceneError(f"{key}: a value of the form {found}; allowed: {known[key]}")
         last = key.split(".")[-1]
         off = last in absent and absent[last] is None
         off = off or (last == "angular_velocity" and not built.system.has_rotation)
         if off or (last in SWITCHES and all(map(is_zero, np.ravel(_get(scene, key.split(".")))))):
             raise SceneError(f"{key}: the scene has 0, and its program nothing of it; allowed: a scene in which it is not 0")
+
+
+def check_numbers(scene: Scene, built: Built, values: Values, seed: int = 0) -> None:
+    """Raise SceneError for values that a scene would not take, or with which the time step of this one is not stable.
+
+    Values that stand for any number while JAX traces pass: the scene's own are in their place. Arguments and further errors as
+    ``with_values``.
+    """
+    _check(scene, built, values)
+    numbers = {key: np.asarray(value, float).tolist() for key, value in values.items() if not isinstance(value, jax.core.Tracer)}
+    if not numbers:
+        return
+    checked = build(scene.replace(numbers), seed).step
+    if built.step.dt > checked.stable * (1 + 1e-6) and not scene.run.allow_unstable_step:
+        said = ", ".join(f"{key} = {short(value)}" for key, value in numbers.items())
+        raise SceneError(
+            f"{said}: the scene's time step, dt = {built.step.dt:.4g} s, is not stable with it; allowed: a scene whose own numbers "
+            f"or run.step make it at most {checked.stable:.4g} s, or run.allow_unstable_step = true"
+        )
 
 
 def _plain(value: Any) -> Any:

@@ -16,10 +16,10 @@ from dem_jax.scene.numbers import array, is_traced, is_zero
 from dem_jax.types import Array, Materials, host
 
 
-def law_of(scene: Scene) -> ContactLaw:
+def law_of(scene: Scene, materials: Materials | None = None) -> ContactLaw:
     """The law that a scene asks for, cohesive where any pair of its materials has a pull-off force, and with rolling friction
-    where any has that."""
-    law, materials = LAWS[scene.contact.law](scene), materials_of(scene)
+    where any has that. materials: of the scene, if they are known already."""
+    law, materials = LAWS[scene.contact.law](scene), materials or materials_of(scene)
     if materials.pull_off is not None:
         cohesion = scene.contact.cohesion
         law = Cohesive(law, _number(cohesion.stiffness), _number(cohesion.range))
@@ -44,9 +44,9 @@ LAWS: dict[str, Callable[[Scene], ContactLaw]] = {
 }
 
 
-def materials_of(scene: Scene) -> Materials:
-    """The table of materials. Raises SceneError."""
-    table = material_table(scene)
+def materials_of(scene: Scene, table: MaterialTable | None = None) -> Materials:
+    """The materials as arrays. table: of the scene, if it is known already. Raises SceneError."""
+    table = table or material_table(scene)
     return Materials(
         youngs_modulus=host(scene.material.softening * table.youngs_modulus),
         poisson_ratio=host(table.poisson_ratio),

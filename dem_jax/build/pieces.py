@@ -11,6 +11,7 @@ import numpy as np
 from dem_jax import shapes
 from dem_jax.build import portion
 from dem_jax.build.finite import check_pieces
+from dem_jax.build.reuse import Reuse
 from dem_jax.build.unit import check_unit
 from dem_jax.errors import SceneError
 from dem_jax.scene import SHAPE_KEYS, BodyMass, ConvexShape, Part, PieceShape, Portion, Product, Scene, arrange
@@ -120,16 +121,18 @@ class Goods:
     densities: tuple[float | None, ...]  # of each (kg/m3), where its weight is given; None: that of its material
 
 
-def goods_of(scene: Scene) -> Goods:
-    """The pieces of a scene: as listed, or of a portion product by product, then those on the feeder. Raises SceneError."""
+def goods_of(scene: Scene, reuse: Reuse | None = None) -> Goods:
+    """The pieces of a scene: as listed, or of a portion product by product, then those on the feeder. reuse: of scenes before.
+    Raises SceneError."""
+    reuse = reuse or Reuse()
     if scene.piece:
-        listed = _shapes_of_rows(scene.piece, "piece.{}", scene.folder)
+        listed = _shapes_of_rows(scene.piece, "piece.{}", scene.folder, reuse)
         own = tuple(map(_own_density, scene.piece, listed))
         return Goods(tuple(listed), tuple(row.material for row in scene.piece), (), own)
     assert scene.portion is not None  # as a Scene makes sure
     rows = scene.portion.rows
-    made = _shapes_of_rows(rows, "portion.product.{}" if scene.portion.product else "portion", scene.folder)
-    resized = cache(shapes.scaled)
+    made = _shapes_of_rows(rows, "portion.product.{}" if scene.portion.product else "portion", scene.folder, reuse)
+    resized = reuse.get("resized", lambda: cache(shapes.scaled))
     found: list[shapes.Shape] = []
     names: list[str | None] = []
     densities: list[float | None] = []
@@ -175,8 +178,8 @@ def pieces_of(scene: Scene) -> list[shapes.Shape]:
     return list(goods_of(scene).shapes)
 
 
-def _shapes_of_rows(rows: Sequence[PieceShape], key: str, folder: str) -> list[shapes.Shape]:
-    made: dict[str, shapes.Shape] = {}
+def _shapes_of_rows(rows: Sequence[PieceShape], key: str, folder: str, reuse: Reuse) -> list[shapes.Shape]:
+    made = reuse.get("shapes", dict[str, shapes.Shape], (folder,))
     out = []
     for n, row in enumerate(rows):
         text = row.model_dump_json(include=set(PieceShape.model_fields))

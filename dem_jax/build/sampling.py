@@ -1,4 +1,4 @@
-"""Whether samples are close enough to show the peak of a contact."""
+"""Whether samples are close enough to show the peak of a contact, and times that are not whole numbers of them."""
 
 from collections.abc import Sequence
 
@@ -6,7 +6,10 @@ import numpy as np
 
 from dem_jax.build.time_step import PossibleContact
 from dem_jax.contact.law import ContactLaw
+from dem_jax.scene.sections.run import RunSettings
 
+ROUNDED = 0.01  # of run.duration: a difference that is not mentioned
+ROUNDED_FRAMES = 0.1  # of run.frames: likewise (the default, 1 ms, is 33 samples of 30 us)
 FEWEST = 3  # samples in a contact: of half a sine the largest of three evenly spaced is within 1 - sin(pi / 3) = 13 % of its top
 
 
@@ -27,3 +30,35 @@ def note(sample: float, shortest: float) -> str | None:
         f"run.sample = {sample:.3g} s: the shortest contacts last {shortest:.2g} s, less than {FEWEST} samples, whose peaks can be "
         f"too low; peak_force has those of every step, and run.sample = {shortest / FEWEST:.2g} or less would show them"
     )
+
+
+def notes_on_times(run: RunSettings, samples: int, frame_every: int) -> list[str]:
+    """Notes on times of a scene that are rounded to whole samples, or that act otherwise than they read.
+
+    Args:
+        run: the section of the scene.
+        samples: number of samples of the run.
+        frame_every: samples between stored poses; 0: none.
+    """
+    found = []
+    if abs(samples * run.sample / run.duration - 1) > ROUNDED:
+        found.append(
+            f"run.duration = {run.duration:g} s is no multiple of run.sample = {run.sample:g} s: the run has {samples} samples and "
+            f"ends at {samples * run.sample:.6g} s"
+        )
+    frames_asked = run.frames != RunSettings.model_fields["frames"].default
+    if frames_asked and run.frames > run.duration * (1 + ROUNDED):
+        found.append(
+            f"run.frames = {run.frames:g} s is longer than run.duration = {run.duration:g} s: only the first pose is stored"
+        )
+    elif frames_asked and frame_every and abs(frame_every * run.sample / run.frames - 1) > ROUNDED_FRAMES:
+        found.append(
+            f"run.frames = {run.frames:g} s is no multiple of run.sample = {run.sample:g} s: poses are stored every "
+            f"{frame_every * run.sample:.4g} s"
+        )
+    if run.step != "auto" and run.step > run.sample * (1 + ROUNDED):
+        found.append(
+            f"run.step = {run.step:g} s is longer than run.sample = {run.sample:g} s: no step is longer than a sample, "
+            f"steps are of {run.sample:g} s"
+        )
+    return found

@@ -2,8 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
+import jax
+import jax.numpy as jnp
 import numpy as np
+from numpy.typing import ArrayLike, DTypeLike
 
 from dem_jax.build import drive
 from dem_jax.build.exchange import Plan, boxes_of, domain_with, plan_of
@@ -12,10 +16,12 @@ from dem_jax.build.law import law_of, materials_of
 from dem_jax.build.load_cell import added_rate
 from dem_jax.build.parts import hull_table, part_arrays, solids_of
 from dem_jax.build.pieces import Goods, alike, goods_of, named, piece_arrays, with_points
+from dem_jax.build.reuse import Reuse
 from dem_jax.build.room import capacity, partition, row_capacity, touching
 from dem_jax.build.sampling import shortest_contact
 from dem_jax.build.start import Box, Start, first_state, motion_of_start, placed, settling_samples
 from dem_jax.build.statistics import statistics_of
+from dem_jax.build.surfaces import PanelSeams
 from dem_jax.build.time_step import TimeStep, block_steps, choose_step, longest_reach, possible_contacts
 from dem_jax.build.typed import array, typed
 from dem_jax.build.walls import wall_arrays, walls_of, with_buckets_read, written_out
@@ -25,10 +31,12 @@ from dem_jax.contact.smooth_surfaces import largest_fillet
 from dem_jax.errors import SceneError
 from dem_jax.scene import Scene
 from dem_jax.scene.buckets import Panel
+from dem_jax.scene.materials import material_table
 from dem_jax.shapes import Shape
 from dem_jax.step import quantities
-from dem_jax.types import State, System, float_dtype
+from dem_jax.types import Array, Hulls, Parts, State, System, float_dtype
 
+PLACES = ("weigh_bucket", "feed_bucket", "feeder", "drop", "cycle")  # sections of a scene that walls are made of
 SKIN = 0.03  # of the width of the narrowest piece: see pairs.neighbours
 
 
@@ -51,18 +59,29 @@ class Built:
     exchange: Plan | None  # how pieces come in and leave
 
 
-def build(scene: Scene, seed: int = 0, law: ContactLaw | None = None) -> Built:
-    """Everything that a run of the scene needs. law: instead of the scene's. Raises SceneError."""
+def build(scene: Scene, seed: int = 0, law: ContactLaw | None = None, reuse: Reuse | None = None) -> Built:
+    """Everything that a run of the scene needs. law: instead of the scene's; reuse: of scenes that were built before. Raises
+    SceneError."""
+    reuse = reuse or Reuse()
     dtype = float_dtype(scene.run.precision)
-    goods = goods_of(scene)
+    table = material_table(scene)
+    densities = tuple(table.density.tolist()), table.names, table.is_wall.tolist(), scene.material.stiffness_size
+    of_pieces = (scene.piece, scene.portion, scene.feeder, scene.inlet, scene.folder, densities)
+    of_walls = (scene.wall, scene.motion, scene.block, *(getattr(scene, name) for name in PLACES), scene.folder)
+    goods = reuse.get("goods", lambda: goods_of(scene, reuse), of_pieces)
     made = list(goods.shapes)
-    panels, motions, joint, blocks, regions = walls_of(scene)
+    laid = reuse.get("walls", lambda: walls_of(scene), of_walls)
+    panels, motions, joint, blocks, regions = laid
     plan, waiting = plan_of(scene, panels, regions, made), goods.numbers[-1] if scene.inlet else 0
     regions = boxes_of(scene, panels, regions, goods.numbers, made)
-    start = placed(scene, made, goods.numbers, regions, np.random.default_rng(seed))
-    pieces = piece_arrays(scene, goods)
-    law, materials = law or law_of(scene), materials_of(scene)
-    contacts = possible_contacts(law, materials, made, pieces)
+    where = (scene.piece, scene.portion, scene.inlet, seed)
+    start = reuse.get(
+        "start", lambda: placed(scene, made, goods.numbers, regions, np.random.default_rng(seed)), where, (goods, laid)
+    )
+    pieces = reuse.get("pieces", lambda: piece_arrays(scene, goods), (densities,), (goods,))
+    materials = materials_of(scene, table)
+    law = law or law_of(scene, materials)
+    contacts = possible_contacts(law, materials, made, pieces, reuse)
     if not contacts:
         raise SceneError(f"{scene.name}: a single piece and no wall: nothing can touch; allowed: another piece, or a [[wall]]")
     together = 1 if len(made) == len(panels) == 1 else 2
@@ -73,31 +92,35 @@ def build(scene: Scene, seed: int = 0, law: ContactLaw | None = None) -> Built:
     check_steps(scene, settling, samples, step.substeps, step.dt)
     frame_every = min(max(1, round(scene.run.frames / scene.run.sample)), MOST_STEPS) if scene.run.frames else 0
     largest = max(shape.bounding_radius for shape in made)
-    walls, plates, seams = wall_arrays(scene, panels, motions, joint, dtype, largest)
+    inputs = (densities[1:3], scene.contact, scene.run.precision, largest)
+    walls, plates, seams = reuse.get(
+        "wall arrays", lambda: wall_arrays(scene, panels, motions, joint, dtype, largest), inputs, (laid,)
+    )
     domain = _domain(scene, panels, start.position[: len(made) - waiting], made, plan)
-    solids = solids_of(made)
-    parts, convex = part_arrays(solids), [solid.shape for row in solids for solid in row]
-    table, shape_rows = hull_table(solids, plates, seams)
+    parts, convex, hulls, shape_rows = reuse.get(
+        "hulls", lambda: _hulls_of(made, plates, seams, dtype), (scene.run.precision,), (goods, plates, seams)
+    )
     has_hulls = any(shape.radius == 0 for shape in made)
-    is_general = table is not None and table.features is not None
+    is_general = hulls is not None and hulls.features is not None
+    kept = partial(_kept_array, reuse)
     system = System(
-        pieces=typed(pieces, dtype),
-        parts=typed(parts, dtype),
-        hulls=typed(table, dtype) if table else None,
-        shape=array(shape_rows, np.int32),
+        pieces=reuse.get("typed pieces", lambda: typed(pieces, dtype), (scene.run.precision,), (pieces,)),
+        parts=parts,
+        hulls=hulls,
+        shape=shape_rows,
         walls=walls,
         materials=typed(materials, dtype),
         law=typed(law, dtype),
-        reach=array(longest_reach(law, contacts), dtype),
-        gravity=array(scene.run.gravity, dtype),
-        dt=array(step.dt, dtype),
-        resolved=array(step.resolved, dtype),
-        substeps=array(step.substeps // step.parts, np.int32),
-        skin=array(SKIN * pieces.width.min() + largest_fillet(walls, parts), dtype),
-        block_low=array(np.reshape([b.low for b in blocks], (-1, 3)).T, dtype),
-        block_high=array(np.reshape([b.high for b in blocks], (-1, 3)).T, dtype),
-        domain_low=array(domain[0], dtype),
-        domain_high=array(domain[1], dtype),
+        reach=kept("reach", longest_reach(law, contacts), dtype),
+        gravity=kept("gravity", scene.run.gravity, dtype),
+        dt=kept("dt", step.dt, dtype),
+        resolved=kept("resolved", step.resolved, dtype),
+        substeps=kept("substeps", step.substeps // step.parts, np.int32),
+        skin=kept("skin", SKIN * pieces.width.min() + largest_fillet(walls, parts), dtype),
+        block_low=kept("block_low", np.reshape([b.low for b in blocks], (-1, 3)).T, dtype),
+        block_high=kept("block_high", np.reshape([b.high for b in blocks], (-1, 3)).T, dtype),
+        domain_low=kept("domain_low", domain[0], dtype),
+        domain_high=kept("domain_high", domain[1], dtype),
         capacity=capacity(len(parts.polytopes), len(parts.spheres), len(panels), is_general, parts.owner is not None),
         touching=touching(parts, len(panels), is_general),
         neighbours=scene.run.neighbours,
@@ -116,17 +139,48 @@ def build(scene: Scene, seed: int = 0, law: ContactLaw | None = None) -> Built:
         exchanges=plan is not None,
         runs=1,
         blocks=tuple(b.name for b in blocks),
-        quantities=quantities.sampled(walls, scene.statistics is not None, plan is not None),
+        quantities=reuse.get(
+            "quantities", lambda: quantities.sampled(walls, scene.statistics is not None, plan is not None), (), (walls, plan)
+        ),
     )
     turns = materials.friction is not None or materials.rolling is not None or bool(np.any(start.spin))
     system = system.replace(has_rotation=has_hulls or turns)
     frames = np.array([m.principal for m in made])
-    state = first_state(system, start, frames, -settling, waiting)
-    check_finite(scene, system, state)
+    state = _first_state(system, start, frames, -settling, waiting, reuse)
+    check_finite(scene, system, state, reuse)
     shortest = shortest_contact(law, contacts)
     return Built(
         system, state, step, shortest, tuple(made), frames, settling, samples, frame_every, regions, goods.numbers, goods, plan
     )
+
+
+def _kept_array(reuse: Reuse, name: str, numbers: ArrayLike, dtype: DTypeLike) -> Array:
+    """Numbers as an array, that of a scene before where they are the same."""
+    found = np.asarray(numbers, dtype)
+    return reuse.get(name, lambda: array(found, dtype), (found.tobytes(), found.shape))
+
+
+def _hulls_of(
+    made: Sequence[Shape], plates: list[Shape], seams: list[PanelSeams] | None, dtype: DTypeLike
+) -> tuple[Parts, list[Shape], Hulls | None, Array]:
+    """Arrays of the parts of the pieces, their shapes, the table of hulls of parts and panels (None: all are spheres), and the row
+    of each in it."""
+    solids = solids_of(made)
+    table, rows = hull_table(solids, plates, seams)
+    convex = [solid.shape for row in solids for solid in row]
+    return typed(part_arrays(solids), dtype), convex, typed(table, dtype) if table else None, array(rows, np.int32)
+
+
+def _first_state(system: System, start: Start, frames: np.ndarray, step: int, waiting: int, reuse: Reuse) -> State:
+    """The first state; where one of a system of the same form was made, that with this one's own step and motion."""
+    if system.exchanges:  # which count from the first step
+        return first_state(system, start, frames, step, waiting)
+    leaves, structure = jax.tree.flatten(system)
+    form = structure, [leaf.shape for leaf in leaves], system.dt.dtype
+    state = reuse.get("first state", lambda: first_state(system, start, frames, step, waiting), form)
+    moved = lambda: jax.tree.map(jnp.asarray, motion_of_start(system, start, frames))  # noqa: E731
+    motion = reuse.get("first motion", moved, (), (start, system.pieces))
+    return state.replace(step=jnp.asarray(np.int32(step)), motion=motion)
 
 
 def self_contained(scene: Scene) -> Scene:

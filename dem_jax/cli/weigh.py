@@ -29,9 +29,8 @@ def add(commands: Commands) -> None:
 
 def weigh(args: Args) -> None:
     """Print the times to weigh and draw the readings."""
-    from dem_jax.show.weighing import plot_readings, readings_of, table
+    from dem_jax.show.weighing import plot_readings, read_trace, readings_of, table
     from dem_jax.weighing.settling import TOLERANCES
-    from dem_jax.weighing.traces import trace_of_file
 
     out = stored.target(args.out or stored.default_out(args.files, "-weigh.png"), args.files)
     tolerances = [1e-3 * grams for grams in args.tolerance] if args.tolerance else TOLERANCES
@@ -40,7 +39,9 @@ def weigh(args: Args) -> None:
     truth = None if args.truth is None else 1e-3 * args.truth
     rows = []
     for name, file in zip(stored.names_of(args.files), args.files, strict=True):
-        trace = trace_of_file(file, args.group, args.block, truth)
+        trace, why = read_trace(file, args.group, args.block, truth)
+        if why:
+            print(f"note: {name}: {why}: what the scale should show is not known there; --truth G gives it")
         for text in args.filters or FILTERS:
             try:
                 rows.append(readings_of(f"{name}: {trace.source}", trace, args.rate, text))

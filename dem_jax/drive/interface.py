@@ -13,7 +13,7 @@ import numpy as np
 from dem_jax.contact.law import ContactLaw
 from dem_jax.drive import hosts, loop, recorded, restart, target
 from dem_jax.drive.job import Job
-from dem_jax.drive.prepare import prepare
+from dem_jax.drive.prepare import checked_seed, prepare
 from dem_jax.drive.varied import drawn
 from dem_jax.errors import RecordError, SceneError
 from dem_jax.scene import Scene, parse
@@ -103,12 +103,13 @@ def ensemble(
     if runs is not None and not 1 <= runs <= MOST_RUNS:
         raise SceneError(f"runs = {runs}: allowed: a whole number from 1 to {MOST_RUNS}")
     listed = np.ndim(seed) > 0
-    first = int(np.ravel(seed)[0]) if np.size(seed) else 0
+    given = [checked_seed(one) for one in (np.asarray(seed).ravel() if listed else [seed])]
+    first = given[0] if given else 0
     values = drawn(parameters or {}, np.size(seed) if listed else runs, first)
     count = len(next(iter(values.values()))) if values else np.size(seed) if listed else 64 if runs is None else int(runs)
     if not count or (listed and runs not in (None, count)):
         raise SceneError(f"seed: {np.size(seed)} of them; allowed: one, or one for each of {runs or 'at least one'} run(s)")
-    seeds = tuple(int(s) for s in np.ravel(seed)) if listed else tuple(range(first, first + count))
+    seeds = tuple(given) if listed else tuple(range(first, first + count))
     with hosts.together():
         return drive(prepare(scene, seeds, count, quantities, law, values or None), out, overwrite, progress)
 

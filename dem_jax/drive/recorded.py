@@ -10,6 +10,7 @@ from dem_jax.drive.job import Job
 from dem_jax.drive.span import Span
 from dem_jax.step import collided
 from dem_jax.store import record, series
+from dem_jax.types import SETTLED_SPEED
 
 
 def header_of(job: Job) -> record.Header:
@@ -68,7 +69,7 @@ def _frames_of(job: Job, span: Span, count: int, run_axis: tuple[Any, ...]) -> d
 def facts_of(job: Job, span: Span, notes: list[str], reruns: list[str]) -> dict[str, Any]:
     """Additions of a span to the file's info: ``notes`` for the user, and ``reruns``, which were handled;
     ``settled`` (s), the end of a run that ended early; ``settling`` (s), how long a portion settled if that was cut short;
-    ``collisions``, see collided.told."""
+    ``collisions``, see collided.told; ``moving``, see count_moving."""
     facts: dict[str, Any] = {name: said for name, said in (("notes", notes), ("reruns", reruns)) if said}
     if span.settled and span.first >= 0:
         facts["settled"] = span.end * job.scene.run.sample
@@ -76,7 +77,28 @@ def facts_of(job: Job, span: Span, notes: list[str], reruns: list[str]) -> dict[
         facts["settling"] = (span.end - job.rule.start) * job.scene.run.sample
     if span.state.collisions is not None:
         facts["collisions"] = collided.told(span.system, span.state)
+    if span.end >= 0 and not job.shared:
+        facts["moving"] = count_moving(job, span)
     return facts
+
+
+def count_moving(job: Job, span: Span) -> dict[str, Any]:
+    """Of each block the number of pieces that are not at rest at the end of a span, other than those inside another block; of an
+    ensemble a list of one for each run."""
+    state = span.state
+    there = True if state.exchange is None else np.asarray(state.exchange.there)
+    moves = (np.linalg.norm(np.asarray(state.velocity, np.float64), axis=-2) >= SETTLED_SPEED) & there
+    position = np.asarray(state.position)
+    systems = [span.system] if job.varied is None else [job.built_of(k).system for k in range(job.runs or 1)]
+    low, high = (np.array([getattr(s, name) for s in systems]) for name in ("block_low", "block_high"))  # [R, 3, B]
+    rows = position.reshape(-1, *position.shape[-2:])[..., None]
+    inside = ((rows >= low[:, :, None]) & (rows <= high[:, :, None])).all(axis=1)  # [K, N, B]
+    counts = {}
+    for b, name in enumerate(span.system.blocks):
+        elsewhere = np.delete(inside, b, axis=-1).any(axis=-1)
+        each = (moves.reshape(elsewhere.shape) & ~elsewhere).sum(axis=-1).tolist()
+        counts[name] = each[0] if job.runs is None else each
+    return counts
 
 
 def restart_of(job: Job, span: Span) -> dict[str, np.ndarray] | None:

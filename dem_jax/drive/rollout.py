@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from dem_jax import build, compiling
-from dem_jax.build.given import Values, with_values
-from dem_jax.drive.prepare import built_of
+from dem_jax.build.given import Values, check_numbers, with_values
+from dem_jax.drive.prepare import built_of, checked_seed
 from dem_jax.errors import SceneError
 from dem_jax.pairs import guard
 from dem_jax.scene import Scene, load_scene
@@ -78,8 +78,10 @@ def rollout(
         The sampled series as JAX arrays.
 
     Raises:
-        SceneError: the scene or a parameter cannot be used; the message lists the permitted keys.
+        SceneError: the scene or a parameter cannot be used; the message lists the permitted keys. Numbers have
+            the limits that they have in a scene; traced values have none.
     """
+    seed = checked_seed(seed)
     scene = build.self_contained(scene if isinstance(scene, Scene) else load_scene(scene))
     double = scene.run.precision == "f64"
     if double and not jax.config.jax_enable_x64:  # type: ignore[attr-defined]
@@ -88,6 +90,7 @@ def rollout(
         compiling.loops_as_one()
     with jax.ensure_compile_time_eval(), np.errstate(all="ignore"):
         built = built_of(scene, seed, None)
+        check_numbers(scene, built, parameters, seed)
     if built.exchange is not None:
         raise SceneError("[inlet], [outlet]: pieces that come and go have no derivatives; allowed: a scene without them")
     built = replace(built, system=guard.roomy(built.system))

@@ -95,9 +95,10 @@ def vary(scene: Scene, built: Sequence[build.Built], parameters: dict[str, list[
 
     Raises SceneError if they cannot be computed by one program.
     """
-    first = built[0]
+    first, own = built[0], form(built[0])
     for run, other in enumerate(built):
-        _check_form(scene, parameters, run, first, other)
+        if other is not first and form(other) != own:
+            raise _needs_another_program(scene, parameters, run, first, other)
     columns = zip(*(jax.tree.leaves(b.system) for b in built), strict=True)
     skin = np.max([b.system.skin for b in built])
     system = first.system.replace(skin=jnp.asarray(skin))
@@ -124,13 +125,13 @@ def _differ(column: Sequence[Any]) -> bool:
     return any(x is not column[0] and not np.array_equal(x, column[0]) for x in column)
 
 
-def _check_form(scene: Scene, parameters: dict[str, list[Any]], run: int, first: build.Built, other: build.Built) -> None:
-    """Raise SceneError if a run needs another program than the first."""
-    if form(other) == form(first):
-        return
+def _needs_another_program(
+    scene: Scene, parameters: dict[str, list[Any]], run: int, first: build.Built, other: build.Built
+) -> SceneError:
+    """What to say of a run that needs another program than the first."""
     said = ", ".join(f"{key} = {short(values[run])}" for key, values in parameters.items())
     why = ", ".join(_unlike(first.system, other.system)) or "the number or the shape of pieces and walls, or how often they come in"
-    raise SceneError(
+    return SceneError(
         f"{scene.name}: run {run} ({said}) needs another program than run 0, by {why}; allowed: runs of one program, "
         f"others as an ensemble of their own"
     )
@@ -138,11 +139,11 @@ def _check_form(scene: Scene, parameters: dict[str, list[Any]], run: int, first:
 
 def form(built: build.Built) -> Any:
     """What two runs must have alike to be computed by one program, and in one ensemble."""
-    tree = built.system, built.state
-    shapes = tuple((np.shape(x), str(x.dtype)) for x in jax.tree.leaves(tree))
+    leaves, structure = jax.tree.flatten((built.system, built.state))
+    shapes = tuple((x.shape, x.dtype) for x in leaves)
     frames = np.round(built.frames, 6).tobytes()
     every = built.exchange and built.exchange.every
-    return str(jax.tree.structure(tree)), shapes, frames, built.settling_steps // built.step.substeps, built.samples, every
+    return structure, shapes, frames, built.settling_steps // built.step.substeps, built.samples, every
 
 
 def _unlike(one: System, other: System) -> list[str]:

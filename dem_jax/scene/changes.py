@@ -20,6 +20,7 @@ def on_top(below: Tree, above: Tree) -> Tree:
     the density below; what cannot act beside a key on top is dropped."""
     below = drop_overridden(below, above)
     portion = above.get("portion")
+    below = without_modulus_range(below, above)
     if _says_weight(above):
         below = without_density(below)
     if isinstance(portion, dict) and portion.get("product") and isinstance(below.get("portion"), dict):
@@ -39,6 +40,20 @@ def without_density(tree: Tree) -> Tree:
     """The tree without the density of [material]."""
     material = tree.get("material")
     return tree | ({"material": {k: v for k, v in material.items() if k != "density"}} if isinstance(material, dict) else {})
+
+
+def without_modulus_range(below: Tree, above: Tree) -> Tree:
+    """The tree below without the ranges of those moduli that the tree above replaces: they were those of another product."""
+    material, over = below.get("material"), above.get("material")
+    if not (isinstance(material, dict) and isinstance(over, dict)):
+        return below
+    if "youngs_modulus" in over:
+        material = {key: item for key, item in material.items() if key != "youngs_modulus_range"}
+    for name, row in over.items():
+        own = material.get(name)
+        if isinstance(row, dict) and isinstance(own, dict) and "youngs_modulus" in row:
+            material = material | {name: {key: item for key, item in own.items() if key != "youngs_modulus_range"}}
+    return below | {"material": material}
 
 
 def merged(below: Tree, above: Tree) -> Tree:

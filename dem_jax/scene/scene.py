@@ -6,7 +6,7 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
 from dem_jax.errors import SceneError
-from dem_jax.scene.changes import new_materials, on_top, set_key, without_density
+from dem_jax.scene.changes import new_materials, on_top, set_key, without_density, without_modulus_range
 from dem_jax.scene.library import with_named
 from dem_jax.scene.overrides import check_varied, drop_overridden, find_overridden, nested
 from dem_jax.scene.sections.base import Section, as_tuple
@@ -16,7 +16,7 @@ from dem_jax.scene.sections.cycle import Cycle
 from dem_jax.scene.sections.exchange import Inlet, Outlet
 from dem_jax.scene.sections.material import DEFAULT, WALL, Material, Pair
 from dem_jax.scene.sections.pieces import Piece, Portion, Product
-from dem_jax.scene.sections.run import RunSettings
+from dem_jax.scene.sections.run import ROUNDING, RunSettings
 from dem_jax.scene.sections.statistics import Statistics
 from dem_jax.scene.sections.walls import Block, Motion, Wall
 from dem_jax.scene.text import toml, value
@@ -68,6 +68,19 @@ class Scene(Section):
     def _inlet_has_a_place(self) -> "Scene":
         if self.inlet and (self.piece or (self.inlet.low is None and self.feed_bucket is None)):
             raise ValueError("[inlet] needs a [portion], and a [feed_bucket] or inlet.low and inlet.high")
+        return self
+
+    @model_validator(mode="after")
+    def _samples_within_its_other_times(self) -> "Scene":
+        """A time that is counted in samples and is shorter than one would silently become a whole one."""
+        sample, portion = self.run.sample, self.portion
+        rows = {"inlet": self.inlet, "outlet": self.outlet}
+        times = {f"{name}.every": row.every for name, row in rows.items() if row is not None}
+        if portion is not None and not self.piece and portion.arrangement == "settled":
+            times["portion.settling_time"] = portion.settling_time
+        for key, time in times.items():
+            if sample > time * (1 + ROUNDING):
+                raise ValueError(f"run.sample = {sample:g}: longer than {key} = {time:g}; allowed: at most that")
         return self
 
     @model_validator(mode="after")
@@ -157,6 +170,11 @@ def validated(
     new = new_materials(tree, changes)
     tree = without_density(tree) if any(key.endswith(".piece_weight") for key in changes) else dict(tree)
     tree = drop_overridden(tree, nested(changes))
+    moduli = dict[str, Any]()
+    for key in changes:
+        if key.startswith("material.") and key.endswith(".youngs_modulus"):
+            set_key(moduli, key.split("."), None)
+    tree = without_modulus_range(tree, moduli)
     for key, item in changes.items():
         set_key(tree, key.split("."), item)
     tree = on_top(tree, sections or {})

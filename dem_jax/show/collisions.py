@@ -12,9 +12,9 @@ from dem_jax import build
 from dem_jax.errors import RecordError
 from dem_jax.scene import parse
 from dem_jax.show import plot
+from dem_jax.show.facts import main_group
 from dem_jax.show.numbers import Number, said
 from dem_jax.show.overlay import COLOURS
-from dem_jax.show.summary import main_group
 from dem_jax.store.run import Run
 
 if TYPE_CHECKING:  # loaded where something is drawn: it takes a second

@@ -25,6 +25,9 @@ class Difference(NamedTuple):
     by: float
     low: float
     high: float
+    digits: int = 4
+    this_missing: str = ""
+    other_missing: str = ""
 
     @property
     def relative(self) -> float:
@@ -45,7 +48,8 @@ def differences(this: Run, other: Run, group: str | None = None, block: str | No
 def _difference(this: Number, other: Number) -> Difference:
     by = this.median - other.median
     low, high = _interval(*(n.values[np.isfinite(n.values)] for n in (this, other)))
-    return Difference(this.name, this.unit, this.median, other.median, by, low, high)
+    digits = max(this.digits, other.digits)
+    return Difference(this.name, this.unit, this.median, other.median, by, low, high, digits, this.missing, other.missing)
 
 
 def _interval(this: np.ndarray, other: np.ndarray) -> tuple[float, float]:
@@ -80,15 +84,18 @@ def compared(names: Sequence[str], runs: Sequence[Run], group: str | None = None
 
 
 def _words(d: Difference, name: str, first: str) -> str:
+    lacks = "; ".join(f"{n}: {why}" for n, why in ((name, d.this_missing), (first, d.other_missing)) if why)
+    lacks = f" ({lacks})" if lacks else ""
     if not np.isfinite(d.by):
         have = [n for n, value in ((name, d.this), (first, d.other)) if np.isfinite(value)]
-        return f"only {have[0]} has one" if have else "neither has one"
-    values = f"{name} {d.this:.4g} {d.unit}, {first} {d.other:.4g} {d.unit}"
+        return (f"only {have[0]} has one" if have else "neither has one") + lacks
+    unit = f" {d.unit}" if d.unit else ""
+    values = f"{name} {d.this:.{d.digits}g}{unit}, {first} {d.other:.{d.digits}g}{unit}"
     if d.by == 0.0:
-        return f"{values}: the same"
+        return f"{values}: the same{lacks}"
     share = f" ({100 * d.relative:+.3g} %)" if np.isfinite(d.relative) else ""
-    interval = "" if np.isnan(d.low) else f"; 5 to 95 %: {d.low:+.3g} to {d.high:+.3g} {d.unit}"
-    return f"{values}: {d.by:+.4g} {d.unit}{share}{interval}"
+    interval = "" if np.isnan(d.low) else f"; 5 to 95 %: {d.low:+.3g} to {d.high:+.3g}{unit}"
+    return f"{values}: {d.by:+.{d.digits}g}{unit}{share}{interval}{lacks}"
 
 
 def _verdict(found: Sequence[Difference], name: str, first: str, *runs: Run) -> str:

@@ -6,8 +6,9 @@ from typing import NamedTuple
 import numpy as np
 
 from dem_jax.scene import Scene, parse
-from dem_jax.show.numbers import Number, members_of, said
-from dem_jax.show.summary import impact_duration, main_block, main_group
+from dem_jax.show.at_rest import find_rest
+from dem_jax.show.facts import main_block, main_group
+from dem_jax.show.numbers import PEAK_DIGITS, Number, said
 from dem_jax.store.datasets import flat, nested
 from dem_jax.store.run import Run
 
@@ -37,28 +38,38 @@ def windows_of(scene: Scene, duration: float) -> list[Window]:
 
 
 def during(run: Run, window: Window) -> Run:
-    """The samples of a single run within a window, without poses."""
+    """The samples and poses of a run or an ensemble within a window, without a state to go on from."""
     first, last = np.searchsorted(run.time, (window.begin, window.end), side="right")
-    series = nested({name: array[first:last] for name, array in flat(run.series).items()})
-    return replace(run, time=run.time[first:last], series=series, pieces=None)
+    lead = (slice(None),) * (run.run_count is not None)
+    series = nested({name: array[(*lead, slice(first, last))] for name, array in flat(run.series).items()})
+    poses = run.pieces
+    if poses is not None:
+        within = (poses.time >= window.begin) & (poses.time <= window.end)
+        arrays = {name: array[(*lead, within)] for name, array in vars(poses).items() if name != "time"}
+        poses = replace(poses, time=poses.time[within], **arrays) if within.any() else None
+    info = {name: said for name, said in run.info.items() if name != "moving"}  # which is of the end
+    header = replace(run.header, info=info)
+    return replace(run, header=header, time=run.time[first:last], series=series, pieces=poses, restart={})
 
 
 def numbers_of_cycle(run: Run, window: Window) -> list[Number]:
     """Dosed mass (g), peak of the force (kg) and time to rest (ms) in a cycle, of each run of an ensemble; what FB and LF hold at
     its end (g); pieces that came in and were taken out since the cycle before."""
-    parts = [during(member, window) for member in members_of(run)]
+    part = during(run, window)
     block, group = main_block(run), main_group(run)
+    at_end = {name: 1e3 * np.atleast_2d(mass)[:, -1].astype(float) for name, mass in part.settled_mass.items()}
     found = []
     if block:
-        dosed = np.array([1e3 * float(part.settled_mass[block][-1]) for part in parts])
-        found.append(Number("dosed", "g", dosed))
+        found.append(Number("dosed", "g", at_end[block]))
     if group:
-        found.append(Number("peak force", "kg", np.array([part.pif_kg(group).max() for part in parts])))
+        found.append(Number("peak force", "kg", np.atleast_2d(part.pif_kg(group)).max(axis=1), PEAK_DIGITS))
     if group and block:
-        found.append(Number("time to rest", "ms", np.array([1e3 * impact_duration(part, group, block) for part in parts])))
+        rest = find_rest(part, group, block)
+        missing = rest.describe_bound() if run.run_count is None else rest.describe()
+        found.append(Number("time to rest", "ms", 1e3 * rest.duration, missing=missing))
     for name, words in FILLED.items():
         if block and name in run.settled_mass:
-            found.append(Number(words, "g", np.array([1e3 * float(part.settled_mass[name][-1]) for part in parts])))
+            found.append(Number(words, "g", at_end[name]))
     return found + _flow(run, window)
 
 

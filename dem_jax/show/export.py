@@ -9,10 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from dem_jax.errors import RecordError
-from dem_jax.show.facts import facts_of
+from dem_jax.show.facts import facts_of, main_block, main_group
 from dem_jax.show.numbers import HIGH, LOW, numbers_of
 from dem_jax.show.plot import check_format, grams_in
-from dem_jax.show.summary import main_block, main_group
 from dem_jax.store.output import check_writable, locked, write_whole
 from dem_jax.store.run import Run
 
@@ -72,7 +71,8 @@ def numbers_table(run: Run, group: str | None = None, block: str | None = None) 
     rows: list[tuple[Cell, ...]] = []
     for number in numbers_of(run, group, block):
         values = [number.median, *number.band, *number.values] if run.run_count is not None else [number.median]
-        rows.append((number.name, number.unit, *(float(v) if np.isfinite(v) else None for v in values)))
+        cells: list[Cell] = [float(v) if np.isfinite(v) else None for v in values]
+        rows.append((number.name, number.unit, *(cells if run.run_count is not None else [cells[0] or number.missing or cells[0]])))
     each = [f"run {k}" for k in range(run.run_count or 0)]
     return Table("numbers", ["number", "unit", *(["median", "5 %", "95 %", *each] if each else ["value"])], rows)
 

@@ -16,6 +16,16 @@ Facts = list[tuple[str, str]]  # what, and what there is to say of it
 EXPONENT = {"walton-braun": 0.5, "linear-dashpot": 0.5, "hertz-mindlin": 0.4}  # of stiffness, in the peak of one impact
 
 
+def main_group(run: Run) -> str | None:
+    """The wall group whose force is the PIF: the weigh bucket's flaps, or the first; None: no walls."""
+    return "wb_flaps" if "wb_flaps" in run.force else next(iter(run.force), None)
+
+
+def main_block(run: Run) -> str | None:
+    """The block whose settled mass counts: the weigh bucket's, or the first; None: there is none."""
+    return "wb" if "wb" in run.settled_mass else next(iter(run.settled_mass), None)
+
+
 def facts_of(run: Run) -> dict[str, Facts]:
     """"Product", "Scene" and "Computation" of a run, from the scene in its file. Raises SceneError."""
     scene = parse(run.scene, "the file's scene")
@@ -40,6 +50,75 @@ def stiffness_in_short(run: Run) -> str:
         return words
     power = {0.5: "sqrt(E NSF)"}.get(EXPONENT[scene.contact.law], f"(E NSF)^{EXPONENT[scene.contact.law]:g}")
     return f"{words}: of one impact they scale with {power}"
+
+
+def peak_factors_said(scene: Scene) -> str:
+    """What the peaks of a scene rest on: E, NSF, and by how much one impact would be harder with the product's own modulus."""
+    words = f"E = {_moduli(material_table(scene))}, NSF = {scene.material.softening:g}"
+    factors = find_peak_factors(scene)
+    if factors is None:
+        return f"{words}, {_assumed(scene)}"
+    times = f"{factors[0]:.3g} to {factors[1]:.3g} times as high"
+    return f"{words}; with a modulus of {_ranges(scene)} and NSF = 1 one impact is {times}"
+
+
+def _assumed(scene: Scene) -> str:
+    """What to say where the range of a modulus is not known."""
+    more = 2 ** EXPONENT[scene.contact.law]
+    key = "material.youngs_modulus_range is not given"
+    return f"an assumed modulus ({key}): with twice the modulus one impact is {more:.3g} times as high"
+
+
+def _ranges(scene: Scene) -> str:
+    """The ranges of the moduli of the pieces, where all are known."""
+    table = material_table(scene)
+    bounds = [modulus_range(scene, table.names[k]) for k in np.flatnonzero(~table.is_wall)]
+    return ", ".join(dict.fromkeys(f"{_si(b[0], 'Pa')} to {_si(b[1], 'Pa')}" for b in bounds if b is not None))
+
+
+def find_peak_factors(scene: Scene) -> tuple[float, float] | None:
+    """By how much the peak of one impact is higher with the least and with the greatest modulus that the product may have.
+
+    Without softening, which makes the simulated modulus another one than the product's: (E / (E NSF))^p, E in series with that of
+    the walls and p as of ``EXPONENT``. None: the range of a material is not known (material.youngs_modulus_range).
+    """
+    table, nsf, power = material_table(scene), scene.material.softening, EXPONENT[scene.contact.law]
+    walls = table.youngs_modulus[table.is_wall]
+    walls = walls if len(walls) else np.array([np.inf])
+    in_series = lambda e: 1 / (1 / e + 1 / walls)  # noqa: E731
+    found = []
+    for k in np.flatnonzero(~table.is_wall):
+        bounds = modulus_range(scene, table.names[k])
+        if bounds is None:
+            return None
+        found += [(in_series(e) / (nsf * in_series(table.youngs_modulus[k]))) ** power for e in bounds]
+    return float(np.min(found)), float(np.max(found))
+
+
+def modulus_range(scene: Scene, name: str) -> tuple[float, float] | None:
+    """Within which (Pa) the modulus of a material of pieces is known, as the scene says it."""
+    own = scene.material.named.get(name)
+    if own is not None and (own.youngs_modulus_range is not None or own.youngs_modulus is not None):
+        return own.youngs_modulus_range
+    return scene.material.youngs_modulus_range
+
+
+def band_of_peak(run: Run) -> tuple[float, float] | None:
+    """``find_peak_factors`` of the scene of a run; None as well for a contact law of the user's own."""
+    return None if "law" in run.info else find_peak_factors(parse(run.scene, "the file's scene"))
+
+
+def peak_band_said(run: Run, peaks: Sequence[float] | np.ndarray) -> str:
+    """The band of the peaks (kg) of a run or an ensemble by what is known of the modulus, in words."""
+    scene, factors = parse(run.scene, "the file's scene"), band_of_peak(run)
+    if "law" in run.info:
+        return "the peak rests on the stiffness of the contact law that was given"
+    if factors is None:
+        return f"the peak rests on {_assumed(scene)}"
+    softened = "" if scene.material.softening == 1 else " without softening (NSF = 1)"
+    which = "the peak" if np.size(peaks) == 1 else "the median peak"
+    low, high = (float(np.median(peaks)) * factor for factor in factors)
+    return f"band of {which}: {low:.3g} to {high:.3g} kg, as of one impact with a modulus of {_ranges(scene)}{softened}"
 
 
 def _moduli(table: MaterialTable) -> str:

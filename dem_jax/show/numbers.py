@@ -5,18 +5,29 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dem_jax.show.summary import impact_duration, main_block, main_group
+from dem_jax.show.at_rest import find_rest
+from dem_jax.show.facts import band_of_peak, main_block, main_group
+from dem_jax.show.swing import find_swing, window_of_end
 from dem_jax.store.run import Run
 
 LOW, HIGH = 0.05, 0.95  # quantiles that a band goes from and to
 
 
+PEAK_DIGITS = 3  # of a peak: it rests on a modulus that is known less well
+MEAN_WINDOW = 10e-3  # s: mean of the force that stands beside the peak
+
+
 class Number(NamedTuple):
-    """A quantity of a run: its name, its unit and its values [K], one of each run of an ensemble; nan: there is none."""
+    """A quantity of a run: its name, its unit and its values [K], one of each run of an ensemble; nan: there is none.
+
+    digits: how many are shown. missing: why there is none, in words.
+    """
 
     name: str
     unit: str
     values: np.ndarray
+    digits: int = 4
+    missing: str = ""
 
     @property
     def median(self) -> float:
@@ -40,48 +51,78 @@ def numbers_of(run: Run, group: str | None = None, block: str | None = None) -> 
     """Peaks of the product impact force (kg), when (ms), time to rest (ms), mean force at the end (g), settled mass (g).
 
     group, block: by default those of the weigh bucket, or the first. What a run has no group or no block for is left out.
-    The force at the end is the mean over the last tenth of the samples. Raises RecordError for a group that is not there.
+    The force at the end is the mean over the last tenth of the samples, with a load cell over whole periods of it. Raises
+    RecordError for a group that is not there.
     """
     group, block = group or main_group(run), block or main_block(run)
-    members, found = members_of(run), []
+    found = _numbers_of_force(run, group) if group else []
+    rest = find_rest(run, group, block) if block else None
+    if group and rest is not None:
+        missing = rest.describe_bound() if run.run_count is None else rest.describe()
+        found.append(Number("time to rest", "ms", 1e3 * rest.duration, missing=missing))
     if group:
-        mean = run.pif_kg(group).reshape(len(members), -1)
-        instants = run.pif_kg(group, mean=False).reshape(len(members), -1)
-        tail = max(1, mean.shape[1] // 10)
-        landed = mean.max(axis=1) > 0.0
-        found += [
-            Number("peak force", "kg", mean.max(axis=1)),
-            Number("peak force, instantaneous", "kg", instants.max(axis=1)),
-            Number("time of the peak", "ms", np.where(landed, 1e3 * run.time[mean.argmax(axis=1)], np.nan)),
-        ]
-        if block:
-            rest = np.array([1e3 * impact_duration(m, group, block) for m in members])
-            found.append(Number("time to rest", "ms", rest))
+        mean = run.pif_kg(group)
+        mean = mean.reshape(-1, mean.shape[-1])
+        tail = window_of_end(run) or max(1, mean.shape[1] // 10)
         found.append(Number("force at the end", "g", 1e3 * mean[:, -tail:].mean(axis=1)))
-    if block:
-        mass = np.asarray(run.settled_mass[block], np.float64).reshape(len(members), -1)
+    if (swing := find_swing(run)) is not None:
+        found.append(Number("load cell at the end", "g", 1e3 * swing.mean))
+        found.append(Number("load cell swings at the end by", "± g", 1e3 * swing.amplitude))
+    if block and rest is not None:
+        mass = np.asarray(run.settled_mass[block], np.float64).reshape(len(rest.moving), -1)
         found.append(Number("settled mass at the end", "g", 1e3 * mass[:, -1]))
+        found.append(Number("pieces not at rest at the end", "", rest.moving.astype(float)))
     return found
+
+
+def _numbers_of_force(run: Run, group: str) -> list[Number]:
+    """Peaks of the force (kg), the ends of their band where the modulus is known within one, and when they are (ms)."""
+    mean = run.pif_kg(group)
+    mean = mean.reshape(-1, mean.shape[-1])
+    instants = run.pif_kg(group, mean=False).reshape(len(mean), -1)
+    peaks, landed = mean.max(axis=1), mean.max(axis=1) > 0.0
+    found = [Number("peak force", "kg", peaks, PEAK_DIGITS)]
+    if (factors := band_of_peak(run)) is not None:
+        names = ("peak force, low end of its band", "peak force, high end of its band")
+        found += [Number(name, "kg", factor * peaks, PEAK_DIGITS) for name, factor in zip(names, factors, strict=True)]
+    found.append(Number("peak force, instantaneous", "kg", instants.max(axis=1), PEAK_DIGITS))
+    if (over := peak_of_means(run, group, MEAN_WINDOW)) is not None:
+        found.append(Number("peak force, mean over 10 ms", "kg", over, PEAK_DIGITS))
+    when = np.where(landed, 1e3 * run.time[mean.argmax(axis=1)], np.nan)
+    return [*found, Number("time of the peak", "ms", when)]
 
 
 def said(number: Number) -> str:
     """Value and unit; of an ensemble the median, the band, and how many runs have none."""
     missing = int((~np.isfinite(number.values)).sum())
-    if missing == len(number.values):
-        return "none"
     if len(number.values) == 1:
-        return f"{number.median:.4g} {number.unit}".rstrip()
-    low, high = number.band
-    without = f"; {missing} of {len(number.values)} runs have none" if missing else ""
-    return f"{number.median:.4g} {number.unit} (median; 5 to 95 %: {low:.4g} to {high:.4g} {number.unit}{without})"
+        return f"{number.median:.{number.digits}g} {number.unit}".rstrip() if not missing else number.missing or "none"
+    why = f": {number.missing}" if number.missing else ""
+    if missing == len(number.values):
+        return f"none{why}"
+    (low, high), d = number.band, number.digits
+    without = f"; {missing} of {len(number.values)} runs have none{why}" if missing else ""
+    return f"{number.median:.{d}g} {number.unit} (median; 5 to 95 %: {low:.{d}g} to {high:.{d}g} {number.unit}{without})"
 
 
 def averaged_peaks(run: Run, group: str, windows: Sequence[float] = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)) -> list[tuple[float, Number]]:
     """(averaging time (s), peak force (kg)) of the force averaged over longer and longer times, the first being one sample."""
-    mean = np.atleast_2d(run.pif_kg(group))
-    sums = np.concatenate([np.zeros((len(mean), 1)), np.cumsum(mean, axis=1)], axis=1)
-    lengths = [1] + [round(window / run.sample) for window in windows]
+    samples = run.pif_kg(group).shape[-1]
+    lengths = dict.fromkeys([1] + [round(window / run.sample) for window in windows])
     found = []
-    for n in dict.fromkeys(n for n in lengths if 1 <= n <= mean.shape[1]):
-        found.append((n * run.sample, Number("peak force", "kg", ((sums[:, n:] - sums[:, :-n]) / n).max(axis=1))))
+    for n in (n for n in lengths if 1 <= n <= samples):
+        over = peak_of_means(run, group, n * run.sample)
+        assert over is not None  # as the run is long enough
+        found.append((n * run.sample, Number("peak force", "kg", over, PEAK_DIGITS)))
     return found
+
+
+def peak_of_means(run: Run, group: str, window: float) -> np.ndarray | None:
+    """[K] (kg) the largest mean of the force over a time (s); None: the run or a sample is not that long."""
+    mean = run.pif_kg(group)
+    mean = mean.reshape(-1, mean.shape[-1])
+    n = round(window / run.sample)
+    if not 1 <= n <= mean.shape[1]:
+        return None
+    sums = np.concatenate([np.zeros((len(mean), 1)), np.cumsum(mean, axis=1)], axis=1)
+    return ((sums[:, n:] - sums[:, :-n]) / n).max(axis=1)

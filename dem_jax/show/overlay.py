@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dem_jax.show import plot
+from dem_jax.show.facts import main_block, main_group
 from dem_jax.show.span import Span, panels
-from dem_jax.show.summary import main_block, main_group
 from dem_jax.store.run import Run
 
 if TYPE_CHECKING:  # loaded where something is drawn: it takes a second

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dem_jax.errors import RecordError
+from dem_jax.show.at_rest import find_rest
+from dem_jax.show.facts import main_block, main_group
 from dem_jax.show.numbers import HIGH, LOW
 from dem_jax.show.span import Span, panels
-from dem_jax.show.summary import main_block, main_group
 from dem_jax.store.output import write_whole
 from dem_jax.store.run import Run
 
@@ -75,7 +76,7 @@ def figure_of_run(
         _limit(axes, run, mean, span)
     rights = [_draw_mass(axes, run, block) for axes in rows]
     outer_labels(rows, rights, FORCE_COLOUR, MASS_COLOUR, narrow)
-    figure.suptitle(title_of(run) if title is None else title, fontsize=11)
+    figure.suptitle(_title_with_rest(run, block) if title is None else title, fontsize=11)
     legend(figure, narrow)
     return figure
 
@@ -184,6 +185,13 @@ def limit_force(axes: "Axes", span: Span, least: float, most: float) -> None:
     axes.set_ylim(min(0.0, 1.05 * least), 1.15 * max(most, 1e-9))
     axes.grid(alpha=0.25, lw=0.5)
     axes.spines["top"].set_visible(False)
+
+
+def _title_with_rest(run: Run, block: str | None) -> str:
+    """The title, and below it what was not at rest at the end."""
+    block = block or main_block(run)
+    why = find_rest(run, None, block).describe() if block else ""
+    return f"{title_of(run)}\n{why}" if why else title_of(run)
 
 
 def title_of(run: Run) -> str:

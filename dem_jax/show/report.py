@@ -13,15 +13,15 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from dem_jax.show import paper, webpage
+from dem_jax.show.at_rest import find_rest
 from dem_jax.show.collisions import figure_of_collisions, table
 from dem_jax.show.compare import compared
-from dem_jax.show.facts import facts_of, stiffness_said, weight_of
+from dem_jax.show.facts import facts_of, main_block, main_group, peak_band_said, stiffness_said, weight_of
 from dem_jax.show.fitted import Fitted
 from dem_jax.show.numbers import averaged_peaks, numbers_of, said
 from dem_jax.show.overlay import COLOURS, figure_of_runs
 from dem_jax.show.player import three, view_of
 from dem_jax.show.plot import check_format, figure_of_run
-from dem_jax.show.summary import main_group
 from dem_jax.store.run import Run
 
 if TYPE_CHECKING:
@@ -165,6 +165,8 @@ def _side_by_side(named: Sequence[Named], columns: Sequence[Mapping[str, str]]) 
 def _numbers_said(named: Sequence[Named], group: str | None) -> list[dict[str, str]]:
     columns = [{number.name: said(number) for number in numbers_of(each.run, group)} for each in named]
     for column, each in zip(columns, named, strict=True):
+        if (of := group or main_group(each.run)) is not None:
+            column["what the peak rests on"] = peak_band_said(each.run, each.run.pif_kg(of).max(axis=-1))
         column["weight of the pieces"] = dict(facts_of(each.run)["Product"])["together"]
     return columns
 
@@ -187,12 +189,14 @@ def _numbers(named: Sequence[Named], group: str | None) -> str:
 
 
 def _unsettled(each: Named) -> str | None:
-    """What to say of a run that ended before all was settled: its time to rest is that of a part."""
-    settled = [number.median for number in numbers_of(each.run) if number.name.startswith("settled mass")]
-    weight = 1e3 * weight_of(each.run)
-    if not settled or settled[0] > 0.99 * weight:
+    """What to say of a run that ended before all was settled."""
+    block = main_block(each.run)
+    if block is None:
         return None
-    return f"When {each.name} ended, {settled[0]:.4g} g of {weight:.4g} g had settled."
+    settled, weight = 1e3 * float(np.median(each.run.settled_mass[block][..., -1])), 1e3 * weight_of(each.run)
+    why = find_rest(each.run, None, block).describe()
+    said = [f"When {each.name} ended, {settled:.4g} g of {weight:.4g} g had settled."] if settled <= 0.99 * weight else []
+    return " ".join([*said, *([f"{each.name}: {why}."] if why else [])]) or None
 
 
 def _view(drawn: Sequence[dict[str, Any]], without: Sequence[str], ensembles: bool) -> str:

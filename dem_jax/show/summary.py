@@ -1,15 +1,24 @@
 """What a run says when it has ended."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from dem_jax.build.load_cell import section_of
 from dem_jax.build.system import with_pieces_read
 from dem_jax.build.walls import describe_surfaces, with_buckets_read, written_out
 from dem_jax.scene import PieceShape, Scene, parse
-from dem_jax.show.facts import fills_said, portion_said, stickiness_said, stiffness_in_short
+from dem_jax.show.at_rest import Rest, find_rest
+from dem_jax.show.facts import (
+    fills_said,
+    main_block,
+    main_group,
+    peak_band_said,
+    portion_said,
+    stickiness_said,
+    stiffness_in_short,
+)
 from dem_jax.show.heap import heap_said
+from dem_jax.show.numbers import MEAN_WINDOW, peak_of_means
+from dem_jax.show.swing import Swing, find_swing
 from dem_jax.store.run import Run
 
 MISSED = 0.01  # of a peak: by how much samples may miss it before it is said
@@ -36,17 +45,18 @@ def summary(run: Run) -> list[str]:
     lines += [f"note: {note}" for note in (*info.get("notes", ()), *_notes_on_shapes(run))]
     group = main_group(run)
     block = main_block(run)
-    members = [run] if run.run_count is None else [run.member(k) for k in range(run.run_count)]
     if group:
-        lines += [_peaks(members, group), f"peaks are those of {stiffness_in_short(run)}"]
-    if "signal" in getattr(run, "load_cell", {}):
-        lines.append(_weighed(run))
+        lines += _peaks(run, group)
+    if (swing := find_swing(run)) is not None:
+        lines.append(_weighed(run, swing))
     if block:
-        mass = 1e3 * np.array([m.settled_mass[block][-1] for m in members])
-        lines.append(f"settled mass in {block} at the end: {_range(mass, '{:.4g}')} g")
+        rest = find_rest(run, group, block)
+        mass = 1e3 * np.atleast_2d(run.settled_mass[block])[:, -1]
+        unsettled = f"; {rest.describe()}" if rest.describe() else ""
+        lines.append(f"settled mass in {block} at the end: {_range(mass, '{:.4g}')} g{unsettled}")
     lines += filter(None, [heap_said(run)])
     if group and block:
-        lines.append(_durations(members, group, block))
+        lines.append(_durations(rest, block))
     return lines
 
 
@@ -57,13 +67,26 @@ def _listed(values: np.ndarray) -> str:
     return f"{values.min():.4g} to {values.max():.4g} ({len(np.unique(values))} values)"
 
 
-def _weighed(run: Run) -> str:
-    """What the load cell reads at the end and at most, and whether that is more than it is made for."""
-    weight = np.atleast_2d(run.load_cell["weight"])
-    most, cell = np.abs(weight).max(axis=1), section_of(parse(run.scene, "the file's scene"))
+def _weighed(run: Run, swing: Swing) -> str:
+    """What the load cell reads at the end and at most, whether it still swings, and whether that is more than it is made for."""
+    most, cell = np.abs(np.atleast_2d(run.load_cell["weight"])).max(axis=1), section_of(parse(run.scene, "the file's scene"))
     rated = "" if cell is None else f" of the rated {cell.rated_load:g} kg"
     beyond = ": beyond the rated load" if cell is not None and most.max() > cell.rated_load else ""
-    return f"load cell: {_range(1e3 * weight[:, -1], '{:.4g}')} g at the end, at most {_range(most, '{:.3g}')} kg{rated}{beyond}"
+    return f"load cell: {_reading(swing)}, at most {_range(most, '{:.3g}')} kg{rated}{beyond}"
+
+
+def _reading(swing: Swing) -> str:
+    """The reading at the end in words."""
+    swings = swing.is_swinging
+    if not swings.any():
+        return f"{_range(1e3 * swing.last, '{:.4g}')} g at the end"
+    by = f"still swings by ± {_range(1e3 * swing.amplitude[swings], '{:.3g}')} g at the end"
+    by += f" in {swings.sum()} of {len(swings)} runs" if len(swings) > 1 else ""
+    if np.isnan(swing.mean).any():
+        return f"{by}: a period of {_range(1e3 * swing.period, '{:.3g}')} ms is longer than the run, which has no mean"
+    number = swing.periods.min()
+    over = f"its last {number} periods" if number > 1 else "its last period"
+    return f"{_range(1e3 * swing.mean, '{:.4g}')} g, mean over {over} ({_range(1e3 * swing.period, '{:.3g}')} ms each); {by}"
 
 
 def _notes_on_shapes(run: Run) -> list[str]:
@@ -94,52 +117,40 @@ def notes_on_walls(scene: Scene) -> list[str]:
     return [*(f"{key}: {note}" for key, note in read.items() if note), *describe_surfaces(scene)]
 
 
-def main_group(run: Run) -> str | None:
-    """The wall group whose force is the PIF: the weigh bucket's flaps, or the first; None: no walls."""
-    return "wb_flaps" if "wb_flaps" in run.force else next(iter(run.force), None)
-
-
-def main_block(run: Run) -> str | None:
-    """The block whose settled mass counts: the weigh bucket's, or the first; None: there is none."""
-    return "wb" if "wb" in run.settled_mass else next(iter(run.settled_mass), None)
-
-
-def _peaks(members: Sequence[Run], group: str) -> str:
-    traces = [m.pif_kg(group) for m in members]
-    times = np.array([1e3 * m.time[np.argmax(t)] for m, t in zip(members, traces, strict=True)])
-    peaks = np.array([t.max() for t in traces])
+def _peaks(run: Run, group: str) -> list[str]:
+    """The peak of the force, when it is, its mean over 10 ms and what it rests on."""
+    traces = np.atleast_2d(run.pif_kg(group))
+    times, peaks = 1e3 * run.time[np.argmax(traces, axis=1)], traces.max(axis=1)
     if not peaks.any():
-        return f"peak PIF on {group}: nothing has landed"
-    instants = np.array([m.pif_kg(group, mean=False).max() for m in members])
+        return [f"peak PIF on {group}: nothing has landed"]
+    instants = np.atleast_2d(run.pif_kg(group, mean=False)).max(axis=1)
     words = f"mean over a sample; instantaneous {_range(instants, '{:.3g}')} kg"
-    every = [m.peak_kg(group) for m in members]
-    tops = np.array([trace.max() for trace in every if trace is not None])
+    every = run.peak_kg(group)
+    tops = np.zeros(0) if every is None else np.atleast_2d(every).max(axis=1)
     if len(tops) and np.any(np.abs(tops / np.maximum(instants, 1e-30) - 1) > MISSED):
         words += f" in samples, {_range(tops, '{:.3g}')} kg in every step"
-    return f"peak PIF on {group}: {_range(peaks, '{:.3g}')} kg at t = {_range(times, '{:.4g}')} ms ({words})"
+    over = peak_of_means(run, group, MEAN_WINDOW)
+    words += "" if over is None else f"; over 10 ms {_range(over, '{:.3g}')} kg"
+    lines = [f"peak PIF on {group}: {_range(peaks, '{:.3g}')} kg at t = {_range(times, '{:.4g}')} ms ({words})"]
+    return [*lines, f"peaks are those of {stiffness_in_short(run)}", peak_band_said(run, peaks)]
 
 
 def impact_duration(run: Run, group: str, block: str) -> float:
     """Time (s) from the first force on a group until the settled mass in a block is at its final value for good.
 
-    nan if nothing has landed or settled. run: a single run.
+    nan if nothing has landed or settled, or if the run ended before all was at rest. run: a single run.
     """
-    felt = np.flatnonzero(run.mean_force[group].any(axis=-1))
-    mass = run.settled_mass[block]
-    if not len(felt) or not mass[-1] > 0:
-        return np.nan
-    unsettled = np.flatnonzero(mass < mass[-1] * (1 - 1e-6))
-    end = run.time[unsettled[-1] + 1] if len(unsettled) else run.time[0]
-    return max(0.0, float(end - run.time[felt[0]]))
+    return float(find_rest(run, group, block).duration[0])
 
 
-def _durations(members: Sequence[Run], group: str, block: str) -> str:
-    ms = np.array([1e3 * impact_duration(m, group, block) for m in members])
-    if not np.isfinite(ms).any():
-        return f"duration of the impact: nothing has settled in {block}"
-    return (
-        f"duration of the impact: {_range(ms[np.isfinite(ms)], '{:.4g}')} ms from first force to the last piece at rest"
-    )
+def _durations(rest: Rest, block: str) -> str:
+    """How long the impact lasted, or why that is not known."""
+    ms, why = 1e3 * rest.duration[np.isfinite(rest.duration)], rest.describe()
+    if not len(ms):
+        bound = rest.describe_bound() if len(rest.duration) == 1 else why
+        return f"duration of the impact: {bound or f'nothing has settled in {block}'}"
+    without = f"; {why}, which are left out" if why else ""
+    return f"duration of the impact: {_range(ms, '{:.4g}')} ms from first force to the last piece at rest{without}"
 
 
 def _range(values: np.ndarray, form: str) -> str:

@@ -7,11 +7,14 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from dem_jax.show import plot
+from dem_jax.show.at_rest import find_rest
+from dem_jax.show.facts import main_block
 from dem_jax.show.numbers import Number
 from dem_jax.show.overlay import COLOURS, INK
+from dem_jax.store.reader import load_run
 from dem_jax.weighing import chain
 from dem_jax.weighing.settling import HOLD, time_to_weigh
-from dem_jax.weighing.traces import Trace
+from dem_jax.weighing.traces import Trace, is_product_model, trace_of_file
 
 if TYPE_CHECKING:  # loaded where something is drawn: it takes a second
     from matplotlib.axes import Axes
@@ -36,6 +39,23 @@ class Readings(NamedTuple):
         """The time to weigh (ms) of each run, for a tolerance (kg)."""
         name = f"time to weigh within {1e3 * tolerance:g} g"
         return Number(name, "ms", 1e3 * time_to_weigh(self.time, self.weight, self.truth, tolerance, HOLD))
+
+
+def read_trace(path: str | Path, group: str | None, block: str | None, truth: float | None) -> tuple[Trace, str]:
+    """The trace in a file, and what was not at rest at its end, in words (empty: nothing).
+
+    What a scale should show is not known of runs that ended before all was at rest: their truth is nan, unless it is given.
+    Arguments and errors as ``trace_of_file``.
+    """
+    found = trace_of_file(path, group, block, truth)
+    if truth is not None or is_product_model(path):
+        return found, ""
+    run = load_run(path)
+    name = block or main_block(run)
+    assert name is not None  # as the trace has its settled mass
+    rest = find_rest(run, None, name)
+    known = np.where(rest.is_complete, np.atleast_1d(found.truth), np.nan)
+    return found._replace(truth=known.reshape(np.shape(found.truth))), rest.describe()
 
 
 def readings_of(name: str, trace: Trace, rate: float | None, text: str) -> Readings:
@@ -77,14 +97,19 @@ def figure_of_readings(rows: Sequence[Readings], tolerances: Sequence[float]) ->
     for k, row in enumerate(rows):
         label = f"{row.name}, {row.filter}" if several else row.filter
         _draw(left, row, 1e3 * row.weight, COLOURS[k % len(COLOURS)], label)
-        errors = 1e3 * np.abs(row.weight - row.truth[:, None])
+        is_known = np.isfinite(row.truth)
+        if not is_known.any():
+            continue
+        errors = 1e3 * np.abs(row.weight - row.truth[:, None])[is_known]
         from_then_on = np.maximum.accumulate(errors[:, ::-1], axis=1)[:, ::-1]
         _draw(right, row, np.maximum(from_then_on, LEAST_ERROR), COLOURS[k % len(COLOURS)], label)
         for tolerance in tolerances:
             right.plot(row.after(tolerance).median, 1e3 * tolerance, "o", ms=5, color=COLOURS[k % len(COLOURS)], zorder=3)
-    truth = 1e3 * float(np.median(np.concatenate([row.truth for row in rows])))
-    left.axhline(truth, color=INK, lw=0.8, ls="--", label="what lies there in the end")
-    left.set_ylim(-0.1 * HEAD_ROOM * truth, HEAD_ROOM * truth)
+    known = np.concatenate([row.truth[np.isfinite(row.truth)] for row in rows])
+    if len(known):
+        truth = 1e3 * float(np.median(known))
+        left.axhline(truth, color=INK, lw=0.8, ls="--", label="what lies there in the end")
+        left.set_ylim(-0.1 * HEAD_ROOM * truth, HEAD_ROOM * truth)
     left.set_ylabel("reading (g)")
     right.set_yscale("log")
     right.set_ylim(LEAST_ERROR, None)

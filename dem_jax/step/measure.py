@@ -4,9 +4,8 @@ import jax.numpy as jnp
 
 from dem_jax.contact import forces, of_run
 from dem_jax.maths import rotation, vector
-from dem_jax.types import Array, Sample, State, System
+from dem_jax.types import SETTLED_SPEED, Array, Sample, State, System
 
-SETTLED_SPEED = 0.1  # m/s: slower pieces inside the block count as settled (paper, section 2.1)
 ENERGIES = ("kinetic", "potential", "elastic", "dissipated", "wall_work", "total")  # the rows of ``energies``
 
 

@@ -57,6 +57,12 @@ def is_table_of_lists(value: Any) -> bool:
     return all(isinstance(each, list) for each in lists) and len({len(each) for each in lists}) == 1
 
 
+def is_table_of_counts(value: Any) -> bool:
+    """Whether it is a table of keys with a whole number of at least 0 each, or a list of them."""
+    rows = list(value.values()) if isinstance(value, dict) else [None]
+    return all(is_seed(row) or is_list_of(is_seed)(row) for row in rows)
+
+
 HEADER = {
     "scene": Rule(is_text, "TOML text"),
     "seed": Rule(lambda v: is_seed(v) or (is_list_of(is_seed)(v) and len(v) > 0), "whole numbers of at least 0"),
@@ -78,6 +84,7 @@ INFO = {
     **dict.fromkeys(("step", "limit", "law", "stopped"), Rule(is_text, "a text")),
     **dict.fromkeys(("notes", "reruns"), Rule(is_list_of(is_text), "texts")),
     "steps": Rule(is_list_of(is_positive), "a time step for each run"),
+    "moving": Rule(is_table_of_counts, "a table of numbers of pieces"),
     "collisions": Rule(lambda v: isinstance(v, dict), "a table"),
     "parameters": Rule(is_table_of_lists, "a table of lists, of a value for each run"),
 }

@@ -127,12 +127,14 @@ class Run:
 
     def _own(self, k: int) -> dict[str, Any]:
         """What the header of a run says otherwise than that of the ensemble, where their parameters differ."""
-        values = self.info.get("parameters")
+        values, info = self.info.get("parameters"), dict(self.info)
+        if "moving" in info:
+            info["moving"] = {block: counts[k] for block, counts in info["moving"].items()}
         if not values:
-            return {}
+            return {"info": info}
         from dem_jax.scene import parse
 
-        info = {name: said for name, said in self.info.items() if name not in ("parameters", "steps")}
+        info = {name: said for name, said in info.items() if name not in ("parameters", "steps")}
         scene = parse(self.scene, "the ensemble's scene").replace({key: each[k] for key, each in values.items()})
         return {"scene": scene.to_toml(), "info": info, "dt": self.info["steps"][k]}
 

@@ -13,7 +13,7 @@ from dem_jax.study import model
 from dem_jax.study.design import points_of
 from dem_jax.study.file import DONE, Results
 from dem_jax.study.outputs import OUTPUTS
-from dem_jax.study.results import beside, label_of, number_of, of_point, short
+from dem_jax.study.results import beside, drops_not_at_rest, label_of, number_of, of_point, short
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -48,7 +48,7 @@ def figure_of(results: Results) -> "Figure":
     places = np.ravel(figure.subplots(high, wide, squeeze=False))
     for axes, draw in zip(places, [*panels, *[_nothing] * len(places)], strict=False):
         draw(axes)
-    figure.suptitle(study.title, fontsize=11)
+    figure.suptitle("\n".join([study.title, *drops_not_at_rest(results)]), fontsize=11, wrap=True)
     return figure
 
 

@@ -6,8 +6,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import find_peaks
 
-from dem_jax.show.numbers import members_of
-from dem_jax.show.summary import impact_duration, main_block, main_group
+from dem_jax.show.at_rest import Rest, find_rest
+from dem_jax.show.facts import main_block, main_group
+from dem_jax.show.numbers import MEAN_WINDOW, peak_of_means
 from dem_jax.store.run import Run
 from dem_jax.weighing import chain, traces
 from dem_jax.weighing.settling import HOLD, time_to_weigh
@@ -26,15 +27,27 @@ class Traces(NamedTuple):
     force: np.ndarray  # [K, T] (kg), means over a sample
     smooth: np.ndarray  # [K, T] (kg), means over WINDOW, each at its end
     settled: np.ndarray  # [K, T] (kg)
+    rest: Rest | None = None  # how the runs came to rest in the block; None: there is none
+
+    @property
+    def final(self) -> np.ndarray:
+        """[K] (kg) the settled mass once all is at rest; nan where a run ended before, and where nothing settled."""
+        known = self.settled[:, -1] > 0
+        return np.where(known if self.rest is None else known & self.rest.is_complete, self.settled[:, -1], np.nan)
 
 
 class Output(NamedTuple):
-    """A number of each run, nan where there is none: of what its drops do, or of what is to drop."""
+    """A number of each run, nan where there is none: of what its drops do, or of what is to drop.
+
+    digits: how many are shown. needs_rest: whether a run that ended before all was at rest has none.
+    """
 
     unit: str
     words: str
     of: Callable[[Traces], np.ndarray] | None = None  # [K]
     of_portion: Callable[[np.ndarray], float] | None = None  # of the masses of its pieces, [n] (kg)
+    digits: int = 4
+    needs_rest: bool = False
 
 
 def traces_of(run: Run) -> Traces:
@@ -43,7 +56,8 @@ def traces_of(run: Run) -> Traces:
     runs, samples = run.run_count or 1, len(run.time)
     force = run.pif_kg(group).reshape(runs, samples) if group else np.zeros((runs, samples))
     settled = run.settled_mass[block].reshape(runs, samples).astype(float) if block else np.zeros((runs, samples))
-    return Traces(run, run.time, force, _averaged(force, max(1, round(WINDOW / run.sample))), settled)
+    rest = find_rest(run, group, block) if block else None
+    return Traces(run, run.time, force, _averaged(force, max(1, round(WINDOW / run.sample))), settled, rest)
 
 
 def _averaged(force: np.ndarray, samples: int) -> np.ndarray:
@@ -63,8 +77,14 @@ def _peak_of_steps(t: Traces) -> np.ndarray:
     return np.full(len(t.force), np.nan) if peaks is None else peaks.reshape(t.force.shape).max(axis=1)
 
 
+def _peak_of_long_means(t: Traces) -> np.ndarray:
+    group = main_group(t.run)
+    over = peak_of_means(t.run, group, MEAN_WINDOW) if group else None
+    return np.full(len(t.force), np.nan) if over is None else over
+
+
 def _over_static(t: Traces) -> np.ndarray:
-    return np.where(t.settled[:, -1] > 0, t.force.max(axis=1) / np.where(t.settled[:, -1] > 0, t.settled[:, -1], 1), np.nan)
+    return t.force.max(axis=1) / t.final
 
 
 def _first_force(t: Traces) -> np.ndarray:
@@ -89,16 +109,18 @@ def _first_at_rest(t: Traces) -> np.ndarray:
 
 
 def _time_to_rest(t: Traces) -> np.ndarray:
-    group, block = main_group(t.run), main_block(t.run)
-    if not group or not block:
-        return np.full(len(t.force), np.nan)
-    return np.array([1e3 * impact_duration(member, group, block) for member in members_of(t.run)])
+    return np.full(len(t.force), np.nan) if t.rest is None else 1e3 * t.rest.duration
+
+
+def _moving(t: Traces) -> np.ndarray:
+    return np.full(len(t.force), np.nan) if t.rest is None else t.rest.moving.astype(float)
 
 
 def _impact_time(t: Traces) -> np.ndarray:
-    above = t.smooth > OF_WEIGHT * np.maximum(t.settled[:, -1:], 1e-9)
+    weight = t.final if t.rest is not None else np.zeros(len(t.force))
+    above = t.smooth > OF_WEIGHT * np.maximum(np.nan_to_num(weight), 1e-9)[:, None]
     last = above.shape[1] - 1 - above[:, ::-1].argmax(axis=1)
-    return _after_first_force(t, np.where(above.any(axis=1), last, -1))
+    return _after_first_force(t, np.where(above.any(axis=1) & np.isfinite(weight), last, -1))
 
 
 def _peak_duration(t: Traces) -> np.ndarray:
@@ -131,28 +153,38 @@ def _time_to_weigh(t: Traces) -> np.ndarray:
     of = chain.chain(t.run.sample, RATE, AVERAGE)
     found = traces.trace_of(t.run)
     time, readings = chain.weighed(of, found.time, np.atleast_2d(found.weight))
-    until = time_to_weigh(time, readings, np.ravel(found.truth), TOLERANCE, HOLD)
+    truth = np.ravel(found.truth)
+    until = time_to_weigh(time, readings, truth if t.rest is None else np.where(t.rest.is_complete, truth, np.nan), TOLERANCE, HOLD)
     first = _first_force(t)
     return np.where(first < len(t.time), 1e3 * (until - t.time[np.minimum(first, len(t.time) - 1)]), np.nan)
 
 
 OUTPUTS = {
-    "peak": Output("kg", "peak of the force, means over a sample", lambda t: t.force.max(axis=1)),
-    "peak_instant": Output("kg", "peak of the force at samples", _peak_instant),
-    "peak_every_step": Output("kg", "peak of the force of every time step", _peak_of_steps),
-    "peak_1ms": Output("kg", "peak of the force, means over 1 ms", lambda t: t.smooth.max(axis=1)),
-    "peak_over_static": Output("", "peak over the settled weight", _over_static),
+    "peak": Output("kg", "peak of the force, means over a sample", lambda t: t.force.max(axis=1), digits=3),
+    "peak_instant": Output("kg", "peak of the force at samples", _peak_instant, digits=3),
+    "peak_every_step": Output("kg", "peak of the force of every time step", _peak_of_steps, digits=3),
+    "peak_1ms": Output("kg", "peak of the force, means over 1 ms", lambda t: t.smooth.max(axis=1), digits=3),
+    "peak_10ms": Output("kg", "peak of the force, means over 10 ms", _peak_of_long_means, digits=3),
+    "peak_over_static": Output("", "peak over the settled weight", _over_static, digits=3, needs_rest=True),
     "time_of_peak": Output("ms", "time of the peak since the release", lambda t: 1e3 * t.time[t.force.argmax(axis=1)]),
     "peak_duration": Output("ms", "how long the highest peak (means over 1 ms) is above a tenth of its top", _peak_duration),
-    "second_peak": Output("kg", "the next highest burst, if it comes later; means over 5 ms", lambda t: _second_peak(t)[0]),
+    "second_peak": Output(
+        "kg", "the next highest burst, if it comes later; means over 5 ms", lambda t: _second_peak(t)[0], digits=3
+    ),
     "second_peak_after": Output("ms", "from the highest burst to the next highest", lambda t: _second_peak(t)[1]),
-    "impact_time": Output("ms", "from the first force until means over 1 ms stay below twice the settled weight", _impact_time),
+    "impact_time": Output(
+        "ms", "from the first force until means over 1 ms stay below twice the settled weight", _impact_time, needs_rest=True
+    ),
     "first_at_rest": Output("ms", "from the first force until some piece is at rest for good", _first_at_rest),
-    "time_to_rest": Output("ms", "from the first force until all is at rest", _time_to_rest),
+    "time_to_rest": Output("ms", "from the first force until all is at rest", _time_to_rest, needs_rest=True),
     "time_to_weigh": Output(
-        "ms", "from the first force until readings (1 kHz, mean over 0.1 s) stay within 1 g of the settled weight", _time_to_weigh
+        "ms",
+        "from the first force until readings (1 kHz, mean over 0.1 s) stay within 1 g of the settled weight",
+        _time_to_weigh,
+        needs_rest=True,
     ),
     "settled": Output("g", "settled mass at the end", lambda t: 1e3 * t.settled[:, -1]),
+    "not_at_rest": Output("", "number of pieces that are not at rest at the end", _moving),
     "pieces": Output("", "number of pieces", of_portion=len),
     "piece_weight": Output("g", "mean weight of a piece", of_portion=lambda masses: 1e3 * float(masses.mean())),
     "portion_weight": Output("g", "weight of all pieces", of_portion=lambda masses: 1e3 * float(masses.sum())),

@@ -9,7 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import stats
 
+from dem_jax.errors import SceneError
 from dem_jax.scene.text import value
+from dem_jax.show.facts import peak_factors_said
 from dem_jax.show.numbers import Number
 from dem_jax.store.output import write_whole
 from dem_jax.study import model
@@ -28,7 +30,8 @@ def label_of(study: Study, key: str) -> str:
 
 def number_of(results: Results, name: str, members: np.ndarray) -> Number:
     """An output of some drops, [M] bool; of those that are done."""
-    return Number(name, OUTPUTS[name].unit, results.outputs[name][members & (results.state == DONE)])
+    output = OUTPUTS[name]
+    return Number(name, output.unit, results.outputs[name][members & (results.state == DONE)], output.digits)
 
 
 def of_point(results: Results, point: int) -> np.ndarray:
@@ -70,14 +73,15 @@ def short(item: Any) -> str:
 
 
 def in_short(number: Number) -> str:
-    """The median, and the band where there are several values."""
+    """The median, the band where there are several values, and how many of the drops have one where not all do."""
     known = number.values[np.isfinite(number.values)]
     if not len(known):
         return "-"
+    count = f" [{len(known)} of {len(number.values)}]" if len(known) < len(number.values) else ""
     if len(known) == 1 or np.ptp(known) <= 1e-9 * abs(known[0]):
-        return f"{known[0]:.4g}"
+        return f"{known[0]:.{number.digits}g}{count}"
     low, high = number.band
-    return f"{number.median:.3g} ({low:.3g} to {high:.3g})"
+    return f"{number.median:.3g} ({low:.3g} to {high:.3g}){count}"
 
 
 class Beside(NamedTuple):
@@ -233,9 +237,33 @@ def findings(results: Results) -> list[str]:
     for row, ours, verdict in beside(results):
         at = "".join(f", {key} = {short(v)}" for key, v in row.at.items())
         lines.append(f"{row.source}{at}: {row.output} {row.low:g} to {row.high:g} {ours.unit}; ours {in_short(ours)}: {verdict}")
+    lines += [*drops_not_at_rest(results), *_stiffness(results)]
     if lost:
         lines.append(f"{lost} of the drops went wrong: " + "; ".join(dict.fromkeys(results.why.values())))
     return lines + ([f"{left} drops are still to be done"] if left else [])
+
+
+def drops_not_at_rest(results: Results) -> list[str]:
+    """What drops that ended before all was at rest lack, and how many these are."""
+    done = results.state == DONE
+    outputs = [name for name in results.study.outputs if OUTPUTS[name].needs_rest]
+    lacking = {name: int((done & np.isnan(results.outputs[name])).sum()) for name in outputs}
+    most = max(lacking.values(), default=0)
+    if not most:
+        return []
+    names = ", ".join(name for name, count in lacking.items() if count)
+    why = "pieces still moved when their run ended (run.duration), or nothing had landed"
+    return [f"{most} of {int(done.sum())} drops have no {names}: {why}; medians and bands are of the others"]
+
+
+def _stiffness(results: Results) -> list[str]:
+    """What the peaks of a study rest on; nothing where its scene is not there any more."""
+    if not any(OUTPUTS[name].unit == "kg" for name in results.study.outputs):
+        return []
+    try:
+        return [f"peaks are those of {peak_factors_said(results.study.base())}"]
+    except SceneError:
+        return []
 
 
 def _depends(study: Study, rows: list[Influence]) -> list[str]:

@@ -73,7 +73,7 @@ class Study(Section):
     seeds: int = Field(8, ge=1, le=100_000, description="drops at each point")
     seed: int = Field(0, ge=0, description="the first of them; each point has the same")
     parameter: dict[str, Parameter] = {}
-    outputs: Names = ("peak", "peak_1ms", "first_at_rest", "time_to_rest", "settled")
+    outputs: Names = ("peak", "peak_1ms", "peak_10ms", "first_at_rest", "time_to_rest", "settled")
     traces: bool = Field(False, description="keep the force over time of each drop, and draw it")
     span: Positive | None = Field(None, description="s of traces that are drawn, from the first force; unset: all")
     compare: dict[str, Any] = Field(

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from dem_jax.build import build, self_contained
+from dem_jax.build import Reuse, build, self_contained
 from dem_jax.build.pieces import goods_of, masses_of
 from dem_jax.drive import heap, varied
 from dem_jax.drive.interface import drive, resume
@@ -52,11 +52,11 @@ def batches(study: Study) -> Iterator[Batch | Failed]:
     differ = any(varied.is_of_file(key) for key in study.parameter)
     base = base if differ else self_contained(base)
     read = self_contained if differ else (lambda scene: scene)  # of points that have the same files they are read once
-    forms: dict[int, Any] = {}
+    forms, reuse = dict[int, Any](), Reuse()
     for n, point in enumerate(points):
         try:
             scene = read(base.replace(point))
-            forms[n] = _form(scene, study), [point[key] for key in point if varied.is_of_file(key)]
+            forms[n] = _form(scene, study, reuse), [point[key] for key in point if varied.is_of_file(key)]
         except SceneError as error:
             if len(points) == 1:
                 raise
@@ -77,9 +77,9 @@ def _cut(members: list[int], seeds: int) -> list[list[int]]:
     return [members[k : k + size] for k in range(0, len(members), size)]
 
 
-def _form(scene: Scene, study: Study) -> Any:
+def _form(scene: Scene, study: Study, reuse: Reuse) -> Any:
     """What drops must have alike to be of one batch."""
-    return varied.form(build(scene, study.seed)), scene.run.model_dump_json(exclude={"step"})
+    return varied.form(build(scene, study.seed, reuse=reuse)), scene.run.model_dump_json(exclude={"step"})
 
 
 def _is_common(key: str) -> bool:

@@ -50,13 +50,19 @@ def trace_of(run: Run, group: str | None = None, block: str | None = None, truth
 
 def trace_of_file(path: FileName, group: str | None = None, block: str | None = None, truth: float | None = None) -> Trace:
     """The trace of a run, an ensemble or portions of the Product Model in a file. Raises RecordError, as ``trace_of``."""
-    with reading(path) as file:
-        if file.attrs.get("program") == "product_model":
+    if is_product_model(path):
+        with reading(path) as file:
             return _of_product_model(file, path, truth)
     try:
         return trace_of(load_run(path), group, block, truth)
     except RecordError as error:
         raise error if str(path) in str(error) else RecordError(f"{path}: {error}") from error
+
+
+def is_product_model(path: FileName) -> bool:
+    """Whether a file is one of product_model. Raises RecordError."""
+    with reading(path) as file:
+        return bool(file.attrs.get("program") == "product_model")
 
 
 def _of_product_model(file: "h5py.File", path: FileName, truth: float | None) -> Trace:

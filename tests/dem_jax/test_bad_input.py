@@ -37,7 +37,7 @@ SET = [  # --set of plate-drop -> what the line must hold
     ("material.stiffness_size=width2", r"stiffness_size = .*width2.* allowed: equivalent-diameter"),
     ("run.step=-1.0", r'run\.step = -1\.0: allowed: "auto" or a number > 0'),
     ("run.step=automatic", r'run\.step = "automatic": allowed: "auto" or a number > 0'),
-    ("run.step=1e-3", r"run\.step = 0\.001: allowed: at most 3\.\d+e-05 s, the stability limit"),
+    ("run.step=1e-3", r"run\.step = 0\.001: allowed: at most 3\.\d+e-05 s, the linear stability limit"),
     ("run.duration=inf", r"run\.duration = inf: allowed: a number > 0"),
     ("run.duration=true", r"run\.duration = true: allowed: a number > 0"),
     ("run.precision=f16", r'run\.precision = "f16": allowed: "f32" or "f64"'),

@@ -64,7 +64,7 @@ def test_a_single_run_is_held_against_the_band_of_an_ensemble():
 def test_of_two_single_runs_no_chance_is_claimed():
     lines = compared(["a", "b", "c"], [stored(), stored((3.0,)), stored()])
     assert lines[0] == "peak force: b 3 kg, a 2 kg: +1 kg (+50 %)"
-    assert "one run each" in lines[6] and "c 2 kg, a 2 kg: the same" in lines[7]
+    assert "one run each" in lines[8] and "c 2 kg, a 2 kg: the same" in lines[9]
     assert compared(["a"], [stored()]) == []
 
 
@@ -72,7 +72,8 @@ def test_what_only_one_of_them_has_is_said():
     never = stored()
     never = replace(never, series=never.series | {"settled_mass": {"plate": 0 * never.settled_mass["plate"]}})
     lines = compared(["a", "b"], [stored(), never])
-    assert "time to rest: only a has one" in lines
+    assert "time to rest: only a has one (b: > 279.9 ms: 2 of 2 pieces not at rest at the end)" in lines
+    assert "pieces not at rest at the end: b 2, a 0: +2" in lines
 
 
 def test_the_impact_is_at_least_60_ms_and_the_whole_all_of_it():

@@ -127,7 +127,7 @@ def test_each_cycle_has_its_dose_its_peak_and_its_time_to_rest():
         assert dosed.median == pytest.approx(dose) and highest.median == pytest.approx(peak + 1e-3 * dose)
         assert rest.median == pytest.approx(30.0, abs=1.1)  # ms, of samples of 1 ms
         assert np.all((during(run, window).time > window.begin) & (during(run, window).time <= window.end))
-    assert cycles_said(run)[1].startswith("cycle 2: dosed 22 g, peak force 2.022 kg, time to rest ")
+    assert cycles_said(run)[1].startswith("cycle 2: dosed 22 g, peak force 2.02 kg, time to rest ")
     assert len(cycles_said(run)) == 3
 
 

@@ -9,7 +9,7 @@ import pytest
 
 import dem_jax
 from dem_jax import build, compiling, smooth_peak, validation
-from dem_jax.build.given import SWITCHES, keys_of, with_values
+from dem_jax.build.given import SWITCHES, check_numbers, keys_of, with_values
 from dem_jax.contact.motion.cubics import cubics
 from dem_jax.errors import SceneError
 from dem_jax.pairs import guard
@@ -204,12 +204,44 @@ def test_values_do_what_the_scene_s_own_numbers_do(name):
         ({"material.pull_off": 1.0}, "material.pull_off: the scene has 0"),
         ({"material.friction_wall": 1.0}, "material.friction_wall: the scene has 0"),
         ({"material.rest_damping": 1.0}, "material.rest_damping: the scene has 0"),
+        ({"material.youngs_modulus": -1e8}, r"material\.youngs_modulus = -100000000\.0: allowed: a number > 0"),
+        ({"material.restitution": 1.5}, r"material\.restitution = 1\.5: allowed: a number > 0 and <= 1"),
+        ({"material.poisson_ratio": np.float32(0.5)}, r"material\.poisson_ratio = 0\.5: allowed: a number >= 0 and < 0\.5"),
+        ({"run.gravity": [0.0, 0.0, np.nan]}, r"run\.gravity = \[0\.0, 0\.0, nan\]: allowed: a list of 3"),
+        ({"piece.0.orientation": jnp.zeros(4)}, r"piece\.0\.orientation = .*: allowed: a quaternion that is not zero"),
+        ({"material.density": 1e-6}, r"run\.step = .*: allowed: at most .* s"),
     ],
 )
 def test_what_decides_the_program_is_refused_in_one_line(parameters, message):
     with pytest.raises(SceneError, match=message) as error:
         dem_jax.rollout(ball(), parameters)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("name", scenes())
+def test_every_number_has_the_limits_of_the_scene(name):
+    """Below any of them for each key that has one; what is traced passes."""
+    scene = build.self_contained(scenes()[name])
+    made = build.build(scene)
+    free = {"height", "swing_deg", "opening_angle_deg", "start", "opening_start", "shake_start", "shake_end"}
+    refused = 0
+    for key, form in keys_of(scene).items():
+        if form or key.split(".")[-1] in free:
+            continue
+        try:
+            check_numbers(scene, made, {key: -1e3})
+        except SceneError as error:
+            refused += "the scene has 0" not in str(error)
+        else:
+            pytest.fail(f"{key} = -1000 is taken")
+    assert refused > 20
+    traced = jax.eval_shape(lambda e: check_numbers(scene, made, {"material.restitution": e}) or e, jax.ShapeDtypeStruct((), float))
+    assert traced.shape == ()
+
+
+def test_a_value_that_makes_the_time_step_unstable_is_refused():
+    with pytest.raises(SceneError, match=r"density = 0\.001: the scene's time step, .* is not stable with it; allowed: .* at most"):
+        dem_jax.rollout(ball(step="auto"), {"material.density": 1e-3})
 
 
 def test_double_precision_is_asked_for():

@@ -2,14 +2,16 @@
 
 import dataclasses
 
+import jax
 import numpy as np
 import pytest
 from scipy import stats
 
 import dem_jax
-from dem_jax.drive import execute, prepare, programs
+from dem_jax import build
+from dem_jax.drive import execute, prepare, programs, varied
 from dem_jax.errors import SceneError, SimulationError
-from dem_jax.scene import parse
+from dem_jax.scene import load_scene, parse
 from dem_jax.store import record
 
 BALLS = {
@@ -129,3 +131,56 @@ def test_a_file_has_room_for_the_seeds_of_many_runs(three, tmp_path):
     many = dataclasses.replace(header, seed=tuple(range(20_000)), run_count=20_000)
     record.Writer.create(tmp_path / "many.h5", many).close()
     assert record.load_restart(tmp_path / "many.h5")[0].seed == many.seed
+
+
+CHANGES = {  # of each section of a scene: keys that change arrays, places, numbers of pieces or the program
+    "weigh-bucket": [
+        {"material.restitution": 0.3}, {"material.density": 310.0}, {"material.softening": 0.02}, {"material.friction_wall": 0.0},
+        {"material.stiffness_size": "width"}, {"material.pull_off": 0.01}, {"material.wall_youngs_modulus": 1e9},
+        {"drop.height": 0.25}, {"weigh_bucket.flap_angle_deg": 50.0}, {"weigh_bucket.load_cell": {}},
+        {"feed_bucket.opening_time": 0.1},
+        {"portion.scale_factor": 0.9}, {"portion.count": 3}, {"portion.size_spread": 0.1}, {"portion.piece_weight": 5e-3},
+        {"portion.arrangement": "scattered"}, {"portion.settling_time": 0.3}, {"run.gravity": [0.0, 1.0, -9.0]}, {"run.step": 3e-6},
+        {"run.precision": "f64"}, {"run.sample": 6e-5}, {"contact.law": "linear-dashpot"}, {"run.domain_low": [-2.0, -2.0, -2.0]},
+    ],
+    "weighing-cycles": [{"material.restitution": 0.3}, {"inlet.every": 0.06}, {"feeder.frequency": 40.0}, {"portion.count": 5}],
+    "plate-drop": [
+        {"piece.0.position": [0.0, 0.01, 0.1]}, {"piece.0.shape": "cuboid", "piece.0.size": [0.02, 0.02, 0.03]},
+        {"wall.0.thickness": 0.02},
+    ],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_what_is_built_after_another_scene_is_what_is_built_alone(name):
+    """After the stock scene, and before it again: no step of building is shared whose inputs differ."""
+    base, reuse = build.self_contained(load_scene(name)), build.Reuse()
+    own = build.build(base)
+    for change in CHANGES[name]:
+        scene = base.replace(change)
+        alone = build.build(scene)
+        for found, wanted in ((build.build(base, reuse=reuse), own), (build.build(scene, reuse=reuse), alone)):
+            assert found.step == wanted.step and found.samples == wanted.samples and found.numbers == wanted.numbers, change
+            assert varied.form(found) == varied.form(wanted), change
+            trees = ((found.system, wanted.system), (found.state, wanted.state))
+            for one, other in (pair for tree in trees for pair in zip(*map(jax.tree.leaves, tree), strict=True)):
+                np.testing.assert_array_equal(one, other, err_msg=str(change))
+
+
+def test_runs_that_differ_in_their_material_share_most_of_their_building(monkeypatch):
+    """Shapes, walls, hulls and the first state are made once for a hundred values, not for each."""
+    made = dict.fromkeys(("goods_of", "walls_of", "wall_arrays", "_hulls_of", "first_state", "placed"), 0)
+
+    def counted(name, function):
+        def call(*arguments):
+            made[name] += 1
+            return function(*arguments)
+
+        return call
+
+    for name in made:
+        monkeypatch.setattr(f"dem_jax.build.system.{name}", counted(name, getattr(build.system, name)))
+    scene = load_scene("weigh-bucket", {"run.frames": 0.0})
+    job = prepare.prepare(scene, [0] * 100, 100, parameters={"material.restitution": np.linspace(0.1, 0.5, 100).tolist()})
+    assert job.varied.leaves and made.pop("placed") == 1 + 100, "once, and for the seed of each run"
+    assert set(made.values()) == {1}, made

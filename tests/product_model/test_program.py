@@ -71,7 +71,7 @@ def test_an_interrupt_in_a_session_is_one_line(capsys):
 @pytest.mark.parametrize("seed", [-1, 2**31])
 def test_a_seed_out_of_range_is_one_line(seed, capsys):
     assert main(["simulate", "--seed", str(seed)]) == 2
-    assert capsys.readouterr().err == f"product_model: seed = {seed}: must be from 0 to 2147483647\n"
+    assert capsys.readouterr().err == f"product_model: seed = {seed}: must be a whole number from 0 to 2147483647\n"
 
 
 def test_a_missing_device_is_one_line(monkeypatch, capsys):

@@ -3,14 +3,25 @@
 import re
 from typing import Annotated
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from dem_jax.scene.sections.base import NotNegative, Positive, Section, as_tuple
 
 DEFAULT, WALL = "default", "wall"  # names of [material] in [[pair]]: of pieces, and of walls, that name no other
 
+RANGE_HELP = "Pa, low and high, that the real modulus of the pieces is likely within: the band of the peak follows, nothing else"
+
+
+def _is_rising(pair: tuple[float, float]) -> tuple[float, float]:
+    """The pair. Raises ValueError unless the first is not above the second."""
+    if pair[0] > pair[1]:
+        raise ValueError(f"youngs_modulus_range = {list(pair)}: allowed: low, high, the first not above the second")
+    return pair
+
+
 Restitution = Annotated[float, Field(gt=0, le=1)]
 PoissonRatio = Annotated[float, Field(ge=0, lt=0.5)]
+ModulusRange = Annotated[tuple[Positive, Positive], BeforeValidator(as_tuple), AfterValidator(_is_rising)]
 
 
 class NamedMaterial(Section):
@@ -20,6 +31,7 @@ class NamedMaterial(Section):
     youngs_modulus: Positive | None = Field(
         None, description="Pa: E_p of pieces, E_b of walls; unset: youngs_modulus or wall_youngs_modulus of [material]"
     )
+    youngs_modulus_range: ModulusRange | None = Field(None, description=RANGE_HELP)
     poisson_ratio: PoissonRatio | None = Field(
         None, description="unset: poisson_ratio or, of walls, wall_poisson_ratio of [material]"
     )
@@ -40,6 +52,7 @@ class Material(Section, extra="allow"):
 
     density: Positive = Field(300.0, description="kg/m3, pieces")
     youngs_modulus: Positive = Field(1.0e8, description="Pa, pieces (E_p)")
+    youngs_modulus_range: ModulusRange | None = Field(None, description=RANGE_HELP)
     wall_youngs_modulus: Positive = Field(1.0e11, description="Pa, walls (E_b)")
     restitution: Restitution = Field(0.1, description="epsilon of eq. 6")
     friction_piece: NotNegative = Field(0.7, description="mu between pieces")

@@ -7,6 +7,7 @@ from pydantic import Field, model_validator
 from dem_jax.scene.sections.base import NotNegative, Positive, Section, Vector
 
 Error = Annotated[float, Field(gt=0, le=0.2)]
+ROUNDING = 1e-9  # relative: times that differ by less are the same
 
 
 class Accuracy(Section):
@@ -31,6 +32,9 @@ class RunSettings(Section):
     settled_time: Positive = Field(0.02, description="s, after the last motion of a wall; see settled_speed")
     sample: Positive = Field(30e-6, description="s between samples")
     step: Literal["auto"] | Positive = Field("auto", description='s, or "auto"')
+    allow_unstable_step: bool = Field(
+        False, description="let a step be longer than the stable one, so that impacts gain more than 1 % of their energy"
+    )
     accuracy: Accuracy | None = Field(
         None, description="instead of step: { restitution = 0.01, peak_force = 0.001 }, relative errors, both or one"
     )
@@ -54,4 +58,12 @@ class RunSettings(Section):
     def _has_one_step(self) -> "RunSettings":
         if self.accuracy is not None and self.step != "auto":
             raise ValueError(f'step = {self.step:g}: beside accuracy, from which the step follows; allowed: "auto"')
+        return self
+
+    @model_validator(mode="after")
+    def _samples_within_its_duration(self) -> "RunSettings":
+        if self.sample > self.duration * (1 + ROUNDING):
+            raise ValueError(
+                f"sample = {self.sample:g}: longer than run.duration = {self.duration:g}; allowed: at most the duration"
+            )
         return self
