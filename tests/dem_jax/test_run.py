@@ -448,5 +448,5 @@ def test_a_restart_state_that_does_not_fit_is_refused(tmp_path, uninterrupted):
         dem_jax.resume(out, duration=1.0)
     with h5py.File(out, "r+") as file:
         del file["restart"]
-    with pytest.raises(RecordError, match=r"run\.h5 holds no state to go on from"):
+    with pytest.raises(RecordError, match=r"run\.h5 contains no state to continue from"):
         dem_jax.resume(out)
