@@ -20,7 +20,6 @@ orientation; q is of the limit of a single contact.
 - A sphere that sticks (mu = 10), q of the tangential limit: 0.14, 0.47, 1.6 and 3.0 % at 0.1, 0.15, 0.2 and 0.25.
 - A marshmallow that sticks: 0 and 1.0 % at 0.1 and 0.15; a plate of 30 x 20 x 5 mm 0.04, 0.3 and 1.5 % at 0.1, 0.15, 0.2.
 - Without friction that plate, a marshmallow and a cube gain at most 0.1 % at 0.3.
-- A sphere in the corner of three walls gains less than on one.
 
 At epsilon = 0.9 and less an impact loses at least 19 % of the energy along the normal, and gains none at q = 0.4.
 """
