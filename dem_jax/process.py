@@ -27,12 +27,20 @@ class SilentStream:
 
     def __init__(self, stream: Any) -> None:
         self._stream = stream
+        self._has_ended = False
 
     def write(self, text: str) -> int:
         """Write, or do nothing."""
+        if not self._has_ended:
+            with suppress(OSError, ValueError, AttributeError):
+                self._stream.write(text)
+        return len(text)
+
+    def write_last(self, text: str) -> None:
+        """Write what nothing is to follow: the thread of a bar may be about to draw it once more."""
+        self._has_ended = True
         with suppress(OSError, ValueError, AttributeError):
             self._stream.write(text)
-        return len(text)
 
     def flush(self) -> None:
         """Flush, or do nothing."""
@@ -193,8 +201,9 @@ def _save_one(save: Save) -> None:
 def _say() -> None:
     bars = getattr(sys.modules.get("tqdm"), "tqdm", None)
     line_begun = "\n" if getattr(bars, "_instances", None) else ""
-    sys.stderr.write(f"{line_begun}dem_jax: {ending_said()}\n")
-    sys.stderr.flush()
+    stream = sys.stderr if isinstance(sys.stderr, SilentStream) else SilentStream(sys.stderr)
+    stream.write_last(f"{line_begun}dem_jax: {ending_said()}\n")
+    stream.flush()
     with suppress(OSError, ValueError):
         sys.stdout.flush()
 

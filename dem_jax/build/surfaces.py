@@ -76,7 +76,7 @@ def find_surfaces(panels: Sequence[Group], smooth_angle: float, piece_radius: fl
         return None
     sines = [np.linalg.norm(np.cross(normals[i], normals[j])) for i, edges in enumerate(beyond) for e in edges for j in e]
     if max(sines) <= FLAT_BEND:
-        return _planes(panels, members)
+        return _planes(panels, normals, members, beyond)
     return _smooth_surfaces(panels, normals, beyond, piece_radius)
 
 
@@ -91,28 +91,29 @@ def count_surfaces(found: Surfaces | None, panels: int) -> int:
 # --- planes ---
 
 
-def _planes(panels: Sequence[Group], members: Sequence[np.ndarray]) -> Surfaces:
+def _planes(
+    panels: Sequence[Group], normals: np.ndarray, members: Sequence[np.ndarray], beyond: list[list[list[int]]]
+) -> Surfaces:
     """Surfaces of panels that continue each other in a plane only."""
     seams, number = [NO_SEAMS for _ in panels], np.full(len(panels), -1)
-    known: list[tuple[str, np.ndarray, np.ndarray]] = []  # group, point, normal
-    for group in members:
-        flags = meshes.seams([panels[i][1] for i in group])
-        for i, flag in zip(group, flags, strict=True):
-            if not any(flag):
-                continue
-            name, corners = panels[i]
-            normal = loop_normal(corners)
-            across = _outward(corners, normal)[flag]
-            seams[i] = NO_SEAMS._replace(across=across, openness=np.zeros(len(across)))
-            size = np.linalg.norm(np.ptp(corners, axis=0))
-            found = [
-                k
-                for k, (other_name, point, other) in enumerate(known)
-                if other_name == name and other @ normal > np.cos(1e-3) and abs((corners[0] - point) @ other) < 1e-3 * size
-            ]
-            number[i] = found[0] if found else len(known)
-            known += [] if found else [(name, corners[0], normal)]
+    known: list[int] = []  # the first panel of each plane
+    for i in (int(i) for group in members for i in group if any(beyond[i])):
+        flag = [bool(edge) for edge in beyond[i]]
+        across = _outward(panels[i][1], normals[i])[flag]
+        seams[i] = NO_SEAMS._replace(across=across, openness=np.zeros(len(across)))
+        found = [k for k, first in enumerate(known) if _are_coplanar(panels, normals, first, i)]
+        number[i] = found[0] if found else len(known)
+        known += [] if found else [i]
     return Surfaces(seams, number, False)
+
+
+def _are_coplanar(panels: Sequence[Group], normals: np.ndarray, first: int, second: int) -> bool:
+    """Whether two panels are of one group and one plane, to COPLANAR and that of the second one's size."""
+    (group, points), (name, corners) = panels[first], panels[second]
+    if group != name or normals[first] @ normals[second] <= np.cos(meshes.COPLANAR):
+        return False
+    size = float(np.linalg.norm(np.ptp(corners, axis=0)))
+    return bool(abs((corners[0] - points[0]) @ normals[first]) < meshes.COPLANAR * size)
 
 
 def _outward(corners: np.ndarray, normal: np.ndarray) -> np.ndarray:
@@ -208,15 +209,11 @@ def _with_planes_joined(
 ) -> np.ndarray:
     """The labels, the same for surfaces of one group with panels in one plane: a piece that lies on both has one contact."""
     labels = labels.copy()
-    known: list[tuple[str, np.ndarray, np.ndarray, int]] = []  # group, point, normal, panel
-    for i in np.flatnonzero(has_seam).tolist():
-        name, corners = panels[i]
-        size = np.linalg.norm(np.ptp(corners, axis=0))
-        for other, point, normal, label in known:
-            is_one = other == name and normal @ normals[i] > np.cos(1e-3) and abs((corners[0] - point) @ normal) < 1e-3 * size
-            if is_one and labels[label] != labels[i]:
-                labels[labels == labels[i]] = labels[label]
-        known.append((name, corners[0], normals[i], i))
+    known = np.flatnonzero(has_seam).tolist()
+    for n, i in enumerate(known):
+        for other in known[:n]:
+            if labels[other] != labels[i] and _are_coplanar(panels, normals, other, i):
+                labels[labels == labels[i]] = labels[other]
     return labels
 
 
