@@ -66,7 +66,7 @@ def test_a_run_says_which_peak_its_samples_missed_and_of_what_stiffness_it_is():
     assert not fine.info.get("notes")
     (said,), (plain,) = ([line for line in summary(run) if line.startswith("peak PIF")] for run in (coarse, fine))
     assert said.endswith("instantaneous 28.8 kg in samples, 31.5 kg in every step; over 10 ms 0.146 kg)")
-    assert plain.endswith("(mean over a sample; instantaneous 31.4 kg)")
+    assert plain.endswith("(mean over a sample; instantaneous 31.4 kg; over 10 ms 0.146 kg)")
     assert "peaks are those of E = 100 MPa, NSF = 1: of one impact they scale with sqrt(E NSF)" in summary(coarse)
 
 
