@@ -1,4 +1,4 @@
-"""Command line: `python -m product_model simulate ...`, `stream ...`, `fmu ...` and `table`."""
+"""Command line: `python -m product_model simulate ...`, `stream ...`, `fmu ...`, `c ...` and `table`."""
 
 import argparse
 import sys
@@ -37,6 +37,17 @@ FLAGS = {
 }
 
 
+FMU_TEXT = (
+    "Write a functional mock-up unit for co-simulation. It is compiled from C, contains the library for this platform and the "
+    "sources for others, and needs no Python. Without a C compiler a unit of FMI 2.0 is written that runs the Python beside it."
+)
+C_TEXT = (
+    "Write a model as C99: product_model.h and product_model.c (no dependency, no allocated memory), its parameters "
+    "(product_model_parameters.h), an example (main.c) and README.txt with the line that compiles it. --precision f32 computes in "
+    "single precision."
+)
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="product_model", description="Impact-force curves of the Product Model")
     commands = parser.add_subparsers(dest="command", required=True, parser_class=_Parser)
@@ -52,10 +63,24 @@ def _parser() -> argparse.ArgumentParser:
     simulate.add_argument("--overwrite", "--force", action="store_true", help="replace files that exist")
     streamed = commands.add_parser("stream", help="one random portion sample by sample, as lines of a table on the standard output")
     _add_inputs(streamed, FORMS[:2])
-    unit = commands.add_parser("fmu", help="a functional mock-up unit (FMI 2.0), for Simulink, OpenModelica and the like")
-    _add_inputs(unit, FORMS[:2])
+    unit = commands.add_parser(
+        "fmu", help="a functional mock-up unit for Simulink, OpenModelica and the like", description=FMU_TEXT
+    )
+    _add_inputs(unit, FORMS)
     unit.add_argument("out", metavar="OUT", help=".fmu")
+    unit.add_argument(
+        "--fmi", choices=("2", "3"), default="2", help="version of the standard: 2.0 or 3.0 (default 2)"
+    )
+    unit.add_argument(
+        "--python", action="store_true", help="a unit that runs the Python beside it, instead of C (FMI 2.0)"
+    )
     unit.add_argument("--overwrite", action="store_true", help="replace a file that exists")
+    sources = commands.add_parser("c", help="C99 source files of a model, for any machine", description=C_TEXT)
+    _add_inputs(sources, FORMS)
+    sources.add_argument(
+        "--out", default="product_model_c", metavar="DIR", help="folder (default product_model_c)"
+    )
+    sources.add_argument("--overwrite", action="store_true", help="replace files that exist")
     return parser
 
 
@@ -149,11 +174,33 @@ def _stream(args: argparse.Namespace) -> None:
 
 
 def _fmu(args: argparse.Namespace) -> None:
+    """Write a unit, print its path, and say on the standard error which kind it is."""
     from product_model.fmu import check_fmu, write_fmu
+    from product_model.fmu_compiled import find_compiler, write_compiled_fmu
 
     check_fmu(args.out, args.overwrite)
     params, _ = _inputs(args)
+    compiler = None if args.python else find_compiler()
+    if compiler is not None:
+        print(write_compiled_fmu(args.out, params, args.seed, args.overwrite, args.fmi))
+        words = f"the unit (FMI {args.fmi}.0) is compiled by {compiler} for this platform"
+        print(f"{words} and has the C sources for others", file=sys.stderr)
+        return
+    if args.fmi == "3":
+        missing = "compiled C; omit --python" if args.python else "a C compiler (cc, gcc, clang, or CC)"
+        raise BadInput(f"fmi = 3: needs {missing}")
     print(write_fmu(args.out, params, args.seed, args.overwrite))
+    reason = "" if args.python else "no C compiler found: "
+    words = "the unit (FMI 2.0) runs the Python beside it, in which product-impact must be installed"
+    print(reason + words, file=sys.stderr)
+
+
+def _c(args: argparse.Namespace) -> None:
+    from product_model.c_export import write_c
+
+    params, _ = _inputs(args)
+    folder = write_c(args.out, params, args.seed, args.overwrite)
+    print(f"written: {folder}; compile: cc -std=c99 -O2 -o example main.c product_model.c -lm")
 
 
 def _report(trace: "Trace", params: Parameters, args: argparse.Namespace) -> None:
@@ -192,7 +239,7 @@ def _run(argv: Sequence[str] | None) -> None:
         print(table())
         return
     checked_seed(args.seed)
-    {"simulate": _simulate, "stream": _stream, "fmu": _fmu}[args.command](args)
+    {"simulate": _simulate, "stream": _stream, "fmu": _fmu, "c": _c}[args.command](args)
 
 
 if __name__ == "__main__":

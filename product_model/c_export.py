@@ -1,0 +1,170 @@
+"""The Product Model as C99 source files: one header, one source, the parameters and an example."""
+
+import contextlib
+import re
+from os import PathLike
+from pathlib import Path
+
+from product_model.inputs import (
+    INPUTS,
+    LEAVES,
+    BadInput,
+    Parameters,
+    check,
+    checked_seed,
+    grid_of,
+    pieces_of,
+)
+from product_model.program import temporary_file
+from product_model.record import version
+
+SOURCES = Path(__file__).with_name("c")
+REALS = {"f32": "float", "f64": "double"}
+FORM_NAMES = {
+    "rectangular": "PRODUCT_MODEL_RECTANGULAR",
+    "interval-mean": "PRODUCT_MODEL_INTERVAL_MEAN",
+    "smooth": "PRODUCT_MODEL_SMOOTH",
+}
+FIELDS = (
+    *LEAVES,
+    "m_target",
+    "sample",
+    "start",
+    "smooth_width",
+)  # the doubles of product_model_parameters, in its order
+EXAMPLE_CAPACITY = 256  # pieces for which there is always room
+README = """The Product Model in C99, written by product-impact {version}: {pieces} pieces of {mass:g} g, {precision}, form {form}.
+
+product_model.h, product_model.c   the model; needs <math.h> and <stdint.h>, allocates no memory
+product_model_parameters.h         the parameters of this product
+main.c                             an example: one portion as a table of times and forces
+
+    cc -std=c99 -O2 -o example main.c product_model.c -lm
+    ./example 0 > portion.csv
+
+The force of seed N is that of `product_model.simulate(parameters, N)` in Python. Other compilers: the mode of ISO C (-std=c99)
+or -ffp-contract=off, and no -ffast-math. product_model.h describes the functions.
+"""
+
+
+def write_c(
+    folder: str | PathLike[str], params: Parameters, seed: int = 0, overwrite: bool = False
+) -> Path:
+    """Write the model with these parameters as C99 files into `folder`, which is made if it is missing.
+
+    Args:
+        folder: path; its parent must exist.
+        params: parameters, pulse form and precision of the files.
+        seed: that the example uses unless told otherwise.
+        overwrite: replace files of these names.
+
+    Returns: the path of the folder.
+    Raises: `BadInput` for inputs out of range and for files that exist or cannot be written.
+    """
+    check(params)
+    seed, folder = checked_seed(seed), Path(folder)
+    files = source_files(params, seed, EXAMPLE_CAPACITY) | {
+        "main.c": (SOURCES / "main.c").read_text(encoding="utf-8"),
+        "README.txt": README.format(
+            version=version(),
+            pieces=pieces_of(params),
+            mass=1e3 * float(params.m_piece),
+            precision=REALS[params.precision],
+            form=params.form,
+        ),
+    }
+    check_folder(folder, list(files), overwrite)
+    try:
+        folder.mkdir(exist_ok=True)
+        for name, text in files.items():
+            with temporary_file(folder / name) as part:
+                part.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise BadInput(f"out = {folder}: cannot be written ({error.strerror or error})") from None
+    return folder
+
+
+def check_folder(folder: Path, names: list[str], overwrite: bool) -> None:
+    """Raise `BadInput` unless files of these names may be written into `folder`."""
+    if folder.exists() and not folder.is_dir():
+        raise BadInput(f"out = {folder}: must be a folder, and is a file")
+    if not folder.absolute().parent.is_dir():
+        raise BadInput(f"out = {folder}: the folder above it does not exist")
+    with contextlib.suppress(StopIteration):
+        taken = next(
+            name for name in names if (folder / name).exists() or (folder / name).is_symlink()
+        )
+        if not overwrite:
+            raise BadInput(
+                f"out = {folder}: {taken} exists there; give another folder, or --overwrite to replace it"
+            )
+
+
+def source_files(params: Parameters, seed: int, capacity: int) -> dict[str, str]:
+    """Name -> text of the model's files with these parameters and room for twice as many pieces, at least `capacity`."""
+    header = (SOURCES / "product_model.h").read_text(encoding="utf-8")
+    header = _with_default(header, "PRODUCT_MODEL_REAL", REALS[params.precision])
+    header = _with_default(
+        header, "PRODUCT_MODEL_MAX_PIECES", str(max(capacity, 2 * pieces_of(params)))
+    )
+    source = (SOURCES / "product_model.c").read_text(encoding="utf-8")
+    return {
+        "product_model.h": header,
+        "product_model.c": source,
+        "product_model_parameters.h": parameter_header(params, seed),
+    }
+
+
+def _with_default(header: str, macro: str, value: str) -> str:
+    """`header` with another default of a macro."""
+    changed, count = re.subn(rf"(#define {macro}) \w+", rf"\1 {value}", header)
+    assert count == 1, macro
+    return changed
+
+
+def parameter_header(params: Parameters, seed: int) -> str:
+    """The text of product_model_parameters.h: initial values of the struct `product_model_parameters`, and the seed."""
+    rows = {row.name: row for row in INPUTS}
+    values = [
+        (repr(float(getattr(params, name))), f"{name} ({rows[name].unit}): {rows[name].meaning}")
+        for name in FIELDS
+    ]
+    values += [
+        (str(params.pieces or 0), "pieces; 0: m_target / m_piece (eq. 16)"),
+        (FORM_NAMES[params.form], "form"),
+    ]
+    lines = [f"        {value}, /* {_ascii(text)} */ \\" for value, text in values]
+    grid = grid_of(params)
+    return "\n".join(
+        [
+            f"/* Parameters of the Product Model, written by product-impact {version()}. */",
+            "",
+            "#ifndef PRODUCT_MODEL_PARAMETERS_H",
+            "#define PRODUCT_MODEL_PARAMETERS_H",
+            "",
+            "#define PRODUCT_MODEL_PARAMETERS \\",
+            "    { \\",
+            *lines,
+            "    }",
+            f"#define PRODUCT_MODEL_PIECES {pieces_of(params)} /* of a portion with these parameters */",
+            f"#define PRODUCT_MODEL_SEED {seed}",
+            f"#define PRODUCT_MODEL_DURATION {grid.sample * grid.samples!r} /* (s) until the pieces have landed */",
+            "",
+            "#endif",
+            "",
+        ]
+    )
+
+
+def _ascii(text: str) -> str:
+    """`text` in letters that every compiler reads."""
+    for letter, plain in {
+        "²": "2",
+        "Δ": "D",
+        "γ": "gamma",
+        "σ": "sigma",
+        "τ": "tau",
+        "é": "e",
+    }.items():
+        text = text.replace(letter, plain)
+    return text.encode("ascii", "replace").decode()

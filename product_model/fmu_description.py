@@ -1,0 +1,265 @@
+"""The XML files of a functional mock-up unit that is compiled from C, for FMI 2.0 and 3.0."""
+
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass
+
+from product_model.c_export import FIELDS
+from product_model.inputs import INPUTS, LEAVES, Parameters, pieces_of
+from product_model.record import version
+
+IDENTIFIER = "product_model"
+DESCRIPTION = (
+    "Product impact force of portions of piece goods (Profe, Kostetzer and Ament, SIMULTECH 2023)"
+)
+LONGEST = 2.0  # s: until when a tool simulates by default
+UNITS = {
+    "m": {"m": 1},
+    "s": {"s": 1},
+    "kg": {"kg": 1},
+    "m/s2": {"m": 1, "s": -2},
+    "N": {"kg": 1, "m": 1, "s": -2},
+}
+PIECES, SEED, RELEASE, FORCE, PIF_KG, TIME = range(1000, 1006)  # value references as in c/unit.h
+SOURCE_NAMES = {"2": ("product_model.c", "fmi2.c"), "3": ("product_model.c", "fmi3.c")}
+TYPES = {
+    "2": {"real": "Real", "integer": "Integer", "boolean": "Boolean"},
+    "3": {"real": "Float64", "integer": "Int32", "boolean": "Boolean"},
+}
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A variable of the unit.
+
+    kind: real, integer or boolean; start: initial value as text, None for an output; minimum: least value, None if there is none.
+    """
+
+    name: str
+    reference: int
+    kind: str
+    causality: str
+    variability: str
+    description: str
+    unit: str | None = None
+    start: str | None = None
+    minimum: str | None = None
+
+
+def variables_of(params: Parameters, seed: int) -> list[Variable]:
+    """The variables of a unit of these inputs."""
+    rows = {row.name: row for row in INPUTS}
+    found = []
+    for name in LEAVES:
+        row, start = rows[name], repr(float(getattr(params, name)))
+        unit = row.unit.replace("²", "2")
+        found.append(
+            Variable(
+                name,
+                FIELDS.index(name),
+                "real",
+                "parameter",
+                "tunable",
+                row.meaning,
+                unit,
+                start,
+                "0",
+            )
+        )
+    target = f"{rows['m_target'].meaning}, from which the number of pieces follows (eq. 16); 0: `pieces` pieces"
+    found += [
+        Variable(
+            "m_target",
+            FIELDS.index("m_target"),
+            "real",
+            "parameter",
+            "tunable",
+            target,
+            "kg",
+            "0.0",
+            "0",
+        ),
+        Variable(
+            "pieces",
+            PIECES,
+            "integer",
+            "parameter",
+            "tunable",
+            rows["pieces"].meaning,
+            None,
+            str(pieces_of(params)),
+            "1",
+        ),
+        Variable(
+            "seed",
+            SEED,
+            "integer",
+            "parameter",
+            "fixed",
+            "seed of the random numbers",
+            None,
+            str(seed),
+            "0",
+        ),
+        Variable(
+            "release",
+            RELEASE,
+            "boolean",
+            "input",
+            "discrete",
+            "a rising edge lets the next portion fall",
+            None,
+            "false",
+        ),
+        Variable(
+            "force",
+            FORCE,
+            "real",
+            "output",
+            "continuous",
+            "total impact force, mean over the step",
+            "N",
+        ),
+        Variable(
+            "pif_kg",
+            PIF_KG,
+            "real",
+            "output",
+            "continuous",
+            "product impact force as a weight, mean over the step",
+            "kg",
+        ),
+    ]
+    if params.form == "rectangular":
+        found[-2:] = [_at_the_end(variable) for variable in found[-2:]]
+    return found
+
+
+def _at_the_end(variable: Variable) -> Variable:
+    text = variable.description.replace("mean over", "at the end of")
+    return Variable(
+        variable.name,
+        variable.reference,
+        variable.kind,
+        "output",
+        "continuous",
+        text,
+        variable.unit,
+    )
+
+
+def describe_model(fmi: str, params: Parameters, seed: int, token: str) -> bytes:
+    """modelDescription.xml of a unit of FMI 2.0 or 3.0. token: as the library has it."""
+    variables = variables_of(params, seed)
+    root = ET.Element(
+        "fmiModelDescription",
+        {
+            "fmiVersion": f"{fmi}.0",
+            "modelName": IDENTIFIER,
+            {"2": "guid", "3": "instantiationToken"}[fmi]: token,
+            "description": DESCRIPTION,
+            "version": version(),
+            "generationTool": f"product-impact {version()}",
+        },
+    )
+    if fmi == "2":
+        root.set("numberOfEventIndicators", "0")
+    can = {
+        "2": ("canGetAndSetFMUstate", "canSerializeFMUstate"),
+        "3": ("canGetAndSetFMUState", "canSerializeFMUState"),
+    }[fmi]
+    simulation = {
+        "modelIdentifier": IDENTIFIER,
+        "canHandleVariableCommunicationStepSize": "true",
+    } | dict.fromkeys(can, "true")
+    element = ET.SubElement(root, "CoSimulation", simulation)
+    if fmi == "2":
+        files = ET.SubElement(element, "SourceFiles")
+        for name in SOURCE_NAMES[fmi]:
+            ET.SubElement(files, "File", name=name)
+    _add_units(root)
+    ET.SubElement(
+        root,
+        "DefaultExperiment",
+        startTime="0.0",
+        stopTime=repr(LONGEST),
+        stepSize=repr(params.sample),
+    )
+    (_add_variables_2 if fmi == "2" else _add_variables_3)(root, variables)
+    return _as_bytes(root)
+
+
+def describe_build() -> bytes:
+    """sources/buildDescription.xml of FMI 3.0."""
+    root = ET.Element("fmiBuildDescription", fmiVersion="3.0")
+    configuration = ET.SubElement(root, "BuildConfiguration", modelIdentifier=IDENTIFIER)
+    files = ET.SubElement(configuration, "SourceFileSet", language="C99")
+    for name in SOURCE_NAMES["3"]:
+        ET.SubElement(files, "SourceFile", name=name)
+    return _as_bytes(root)
+
+
+def _add_units(root: ET.Element) -> None:
+    units = ET.SubElement(root, "UnitDefinitions")
+    for name, exponents in UNITS.items():
+        unit = ET.SubElement(units, "Unit", name=name)
+        ET.SubElement(unit, "BaseUnit", {base: str(power) for base, power in exponents.items()})
+
+
+def _attributes(variable: Variable) -> dict[str, str]:
+    """Attributes of the type: unit, least and initial value."""
+    named = {"unit": variable.unit, "min": variable.minimum, "start": variable.start}
+    return {name: value for name, value in named.items() if value is not None}
+
+
+def _common(variable: Variable, fmi: str) -> dict[str, str]:
+    common = {
+        "name": variable.name,
+        "valueReference": str(variable.reference),
+        "description": variable.description,
+    }
+    common |= {"causality": variable.causality, "variability": variable.variability}
+    if variable.causality in ("parameter", "output"):
+        common["initial"] = "exact" if variable.causality == "parameter" else "calculated"
+    return common
+
+
+def _add_variables_2(root: ET.Element, variables: list[Variable]) -> None:
+    listed = ET.SubElement(root, "ModelVariables")
+    for variable in variables:
+        scalar = ET.SubElement(listed, "ScalarVariable", _common(variable, "2"))
+        ET.SubElement(scalar, TYPES["2"][variable.kind], _attributes(variable))
+    structure = ET.SubElement(root, "ModelStructure")
+    for tag in ("Outputs", "InitialUnknowns"):
+        unknowns = ET.SubElement(structure, tag)
+        for index, variable in enumerate(variables, 1):
+            if variable.causality == "output":
+                ET.SubElement(unknowns, "Unknown", index=str(index))
+
+
+def _add_variables_3(root: ET.Element, variables: list[Variable]) -> None:
+    listed = ET.SubElement(root, "ModelVariables")
+    ET.SubElement(
+        listed,
+        "Float64",
+        {
+            "name": "time",
+            "valueReference": str(TIME),
+            "causality": "independent",
+            "variability": "continuous",
+            "unit": "s",
+        },
+    )
+    for variable in variables:
+        ET.SubElement(
+            listed, TYPES["3"][variable.kind], _common(variable, "3") | _attributes(variable)
+        )
+    structure = ET.SubElement(root, "ModelStructure")
+    for tag in ("Output", "InitialUnknown"):
+        for variable in variables:
+            if variable.causality == "output":
+                ET.SubElement(structure, tag, valueReference=str(variable.reference))
+
+
+def _as_bytes(root: ET.Element) -> bytes:
+    ET.indent(root)
+    return b'<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="utf-8") + b"\n"
