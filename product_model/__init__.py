@@ -11,7 +11,7 @@ begin_program()
 from product_model import stream  # noqa: E402
 from product_model.fitted import Fitted, drawn, read_fit  # noqa: E402
 from product_model.inputs import BadInput, Parameters, check, parameters, table  # noqa: E402
-from product_model.monte_carlo import Peaks, bands, ensemble, peaks  # noqa: E402
+from product_model.monte_carlo import Peaks, bands, ensemble, ensemble_blocks, peaks  # noqa: E402
 from product_model.portion import Trace, compiled, simulate  # noqa: E402
 from product_model.record import load, save  # noqa: E402
 
@@ -26,6 +26,7 @@ __all__ = [
     "compiled",
     "drawn",
     "ensemble",
+    "ensemble_blocks",
     "load",
     "parameters",
     "peaks",

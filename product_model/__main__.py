@@ -2,15 +2,18 @@
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
 from product_model.inputs import DTYPES, FORMS, BadInput, Parameters, checked_seed, table
-from product_model.program import run_program, temporary_file
+from product_model.program import QuietStream, run_program, set_open_line, temporary_file
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from product_model.fitted import Fitted
+    from product_model.monte_carlo import Summary
     from product_model.portion import Trace
 
 
@@ -20,6 +23,8 @@ class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         self.exit(2, f"{self.prog}: {message}\n")
 
+
+BLOCK_BYTES = 2**28  # of memory for portions that are computed at a time
 
 FLAGS = {
     "m_target": ("KG", float, "target weight of the portion"),
@@ -112,6 +117,7 @@ def _inputs(args: argparse.Namespace) -> tuple[Parameters, "Fitted | None"]:
 
 def _simulate(args: argparse.Namespace) -> None:
     from product_model import drawn, ensemble, save
+    from product_model.monte_carlo import summarize
     from product_model.record import check_output
     from product_model.target import check_target
 
@@ -127,6 +133,10 @@ def _simulate(args: argparse.Namespace) -> None:
     varied = {}
     if args.draw and fit is not None:
         varied = {name: values for name, values in drawn(fit, args.runs, args.seed).items() if getattr(args, name) is None}
+    block = _block_size(params, args, varied)
+    if args.runs > block:
+        _report(_save_in_blocks(params, args, varied, block), params, args)
+        return
     trace = ensemble(params, args.seed, args.runs, varied)
     if args.runs == 1:
         import jax
@@ -135,15 +145,74 @@ def _simulate(args: argparse.Namespace) -> None:
         trace = jax.tree.map(lambda leaf: np.asarray(leaf)[0], trace)
         varied = {name: values[0] for name, values in varied.items()}
     save(args.out, trace, params, seed=args.seed, overwrite=args.overwrite, varied=varied)
-    if args.plot:
-        from product_model.plot import figure
+    _plot(trace, args)
+    _report(summarize(trace), params, args)
 
-        try:
-            with temporary_file(Path(args.plot)) as part:
-                figure(trace).savefig(part, dpi=150, format=Path(args.plot).suffix[1:])
-        except OSError as error:
-            raise BadInput(f"plot = {args.plot}: cannot be written ({error.strerror or error})") from None
-    _report(trace, params, args)
+
+def _block_size(params: Parameters, args: argparse.Namespace, varied: Mapping[str, "np.ndarray"]) -> int:
+    """Number of portions that are computed at a time; a note where the file becomes large.
+
+    Raises `BadInput` where a table of all portions does not fit into memory.
+    """
+    import numpy as np
+
+    from product_model.inputs import DTYPES, grid_of, pieces_of
+    from product_model.memory import GIGABYTE, NUMBERS_TO_SAVE, check_memory, portion_bytes
+    from product_model.record import SUFFIXES, file_bytes
+
+    widest = params.replace(**{name: float(column.max()) for name, column in varied.items() if name != "gravity"})
+    samples, itemsize = grid_of(widest).samples, np.dtype(DTYPES[params.precision]).itemsize
+    one = portion_bytes(samples, pieces_of(params), itemsize, NUMBERS_TO_SAVE)
+    if Path(args.out).suffix not in SUFFIXES[:2]:
+        check_memory(args.runs, args.runs * one, "write to .h5, which is done in blocks, or give a larger --sample")
+        return args.runs
+    size = file_bytes(args.runs, samples, itemsize)
+    if size > GIGABYTE:
+        words = f"{args.runs} portions of {samples} samples make a file of {size / GIGABYTE:.1f} GB"
+        print(f"note: {words}, which is written in blocks; a larger --sample makes it smaller", file=sys.stderr)
+    return max(1, BLOCK_BYTES // one)
+
+
+def _save_in_blocks(params: Parameters, args: argparse.Namespace, varied: Mapping[str, "np.ndarray"], block: int) -> "Summary":
+    """Write more portions than are computed at a time, with a progress bar. The figure is that of the first block."""
+    from tqdm import tqdm
+
+    from product_model.monte_carlo import ensemble_blocks, join_summaries, summarize
+    from product_model.record import save_blocks
+
+    parts: list[Summary] = []
+    bar = tqdm(total=args.runs, unit="portion", file=QuietStream(sys.stderr))
+
+    def summarized() -> Iterator["Trace"]:
+        for trace in ensemble_blocks(params, args.seed, args.runs, block, varied):
+            if not parts:
+                _plot(trace, args)
+            parts.append(summarize(trace))
+            yield trace
+            bar.update(len(trace.force))
+
+    set_open_line(True)
+    try:
+        save_blocks(args.out, summarized(), args.runs, params, seed=args.seed, overwrite=args.overwrite, varied=varied)
+    finally:
+        bar.close()
+        set_open_line(False)
+    if args.plot:
+        print(f"note: the figure is that of the first {len(parts[0].peaks.first)} portions", file=sys.stderr)
+    return join_summaries(parts)
+
+
+def _plot(trace: "Trace", args: argparse.Namespace) -> None:
+    """Draw the figure if one is asked for."""
+    if not args.plot:
+        return
+    from product_model.plot import figure
+
+    try:
+        with temporary_file(Path(args.plot)) as part:
+            figure(trace).savefig(part, dpi=150, format=Path(args.plot).suffix[1:])
+    except OSError as error:
+        raise BadInput(f"plot = {args.plot}: cannot be written ({error.strerror or error})") from None
 
 
 STREAMED = 256  # samples computed at a time
@@ -203,14 +272,12 @@ def _c(args: argparse.Namespace) -> None:
     print(f"written: {folder}; compile: cc -std=c99 -O2 -o example main.c product_model.c -lm")
 
 
-def _report(trace: "Trace", params: Parameters, args: argparse.Namespace) -> None:
-    import numpy as np
-
-    from product_model.monte_carlo import QUANTILES, peaks
+def _report(summary: "Summary", params: Parameters, args: argparse.Namespace) -> None:
+    from product_model.monte_carlo import QUANTILES
 
     print(
-        f"{args.runs} portion(s) of {trace.height.shape[-1]} pieces of {float(params.m_piece) * 1e3:g} g, "
-        f"{trace.grid.samples} samples of {trace.grid.sample * 1e6:g} us, {params.form}, {params.precision}"
+        f"{args.runs} portion(s) of {summary.pieces} pieces of {float(params.m_piece) * 1e3:g} g, "
+        f"{summary.grid.samples} samples of {summary.grid.sample * 1e6:g} us, {params.form}, {params.precision}"
     )
     print("quantile".ljust(22) + "".join(f"{100 * q:>10.0f} %" for q in QUANTILES))
     units = {
@@ -219,11 +286,10 @@ def _report(trace: "Trace", params: Parameters, args: argparse.Namespace) -> Non
         "first": ("first impact (ms)", 1e3),
         "duration": ("total duration (ms)", 1e3),
     }
-    for name, values in peaks(trace).quantiles().items():
+    for name, values in summary.peaks.quantiles().items():
         print(units[name][0].ljust(22) + "".join(f"{units[name][1] * v:>12.2f}" for v in values))
-    redrawn, late = int(np.sum(trace.redrawn)), int(np.sum(trace.late))
-    print(f"drop heights drawn again because negative: {redrawn}; pulses not over at the end: {late}")
-    if late:
+    print(f"drop heights drawn again because negative: {summary.redrawn}; pulses not over at the end: {summary.late}")
+    if summary.late:
         print("warning: the trace ends before all pieces have landed; give a longer --duration", file=sys.stderr)
     print(f"written: {args.out}" + (f", {args.plot}" if args.plot else ""))
 

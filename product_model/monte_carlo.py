@@ -1,7 +1,9 @@
 """Monte Carlo: many random portions from one key, and what their forces have in common."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+import math
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields
 from functools import partial
 from typing import Any
 
@@ -9,7 +11,9 @@ import jax
 import numpy as np
 from numpy.typing import ArrayLike
 
+from product_model.grid import Grid
 from product_model.inputs import DTYPES, LEAVES, BadInput, Parameters, check, grid_of
+from product_model.memory import GIGABYTE, available_memory, check_memory, portion_bytes
 from product_model.portion import Key, Leaves, Trace, as_key, in_precision, leaves_of, portion, static_of
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
@@ -20,13 +24,22 @@ def _portions(leaves: Leaves, keys: jax.Array, static: tuple[tuple[str, Any], ..
     return jax.vmap(lambda key, own: portion(leaves | own, key, **dict(static)))(keys, varied)
 
 
-def ensemble(params: Parameters, key: Key, runs: int, varied: Mapping[str, ArrayLike] | None = None) -> Trace:
-    """`runs` independent portions from one key: a `Trace` with a leading axis [runs].
+@dataclass(frozen=True)
+class _Prepared:
+    """All that a program for several portions takes: leaves, keys [runs], static inputs, varied leaves [runs]."""
 
-    varied: leaves of `Parameters` that differ from portion to portion, name -> [runs], in the place of the inputs'; a trace
-    whose duration is not given is long enough for the largest.
-    Raises `BadInput` where an input is out of range.
-    """
+    leaves: Leaves
+    keys: jax.Array
+    static: tuple[tuple[str, Any], ...]
+    varied: dict[str, np.ndarray]
+
+    def portions(self, rows: slice) -> Trace:
+        """The portions of these rows."""
+        return _portions(self.leaves, self.keys[rows], self.static, {name: column[rows] for name, column in self.varied.items()})
+
+
+def _prepare(params: Parameters, key: Key, runs: int, varied: Mapping[str, ArrayLike] | None) -> _Prepared:
+    """Checked inputs; call it inside `in_precision`."""
     check(params)
     if runs < 1:
         raise BadInput(f"runs = {runs}: must be at least 1")
@@ -37,11 +50,47 @@ def ensemble(params: Parameters, key: Key, runs: int, varied: Mapping[str, Array
     for k in (np.argmin, np.argmax):  # of each its least and its largest must be an input
         check(params.replace(**{name: float(column[k(column)]) for name, column in values.items()}))
     widest = params.replace(**{name: float((np.min if name == "gravity" else np.max)(column)) for name, column in values.items()})
+    keys = jax.random.split(as_key(key), runs)
+    own = {name: column.astype(DTYPES[params.precision]) for name, column in values.items()}
+    static = static_of(params) | {"grid": grid_of(widest)}
+    return _Prepared(leaves_of(params), keys, tuple(static.items()), own)
+
+
+def ensemble(params: Parameters, key: Key, runs: int, varied: Mapping[str, ArrayLike] | None = None) -> Trace:
+    """`runs` independent portions from one key: a `Trace` with a leading axis [runs].
+
+    varied: leaves of `Parameters` that differ from portion to portion, name -> [runs], in the place of the inputs'; a trace
+    whose duration is not given is long enough for the largest.
+    Raises `BadInput` where an input is out of range, and where the portions do not fit into memory: see `ensemble_blocks`.
+    Warns if they take more than half of it.
+    """
     with in_precision(params.precision):
-        keys = jax.random.split(as_key(key), runs)
-        own = {name: column.astype(DTYPES[params.precision]) for name, column in values.items()}
-        static = static_of(params) | {"grid": grid_of(widest)}
-        return _portions(leaves_of(params), keys, tuple(static.items()), own)
+        prepared = _prepare(params, key, runs, varied)
+        static = dict(prepared.static)
+        itemsize = np.dtype(DTYPES[params.precision]).itemsize
+        needed = runs * portion_bytes(static["grid"].samples, static["pieces"], itemsize)
+        check_memory(runs, needed, "use ensemble_blocks, a larger sample or f32")
+        if needed > (available_memory() or math.inf) / 2:
+            warnings.warn(f"{runs} portions take {needed / GIGABYTE:.1f} GB of memory; ensemble_blocks takes less", stacklevel=2)
+        return prepared.portions(slice(None))
+
+
+def ensemble_blocks(
+    params: Parameters, key: Key, runs: int, block: int, varied: Mapping[str, ArrayLike] | None = None
+) -> Iterator[Trace]:
+    """The portions of `ensemble`, at most `block` at a time: each a `Trace` with a leading axis, in order.
+
+    For more portions than memory holds. The forces are those of `ensemble` to rounding.
+    Raises `BadInput` where an input is out of range.
+    """
+    if block < 1:
+        raise BadInput(f"block = {block}: must be at least 1")
+    size = -(-runs // -(-max(runs, 1) // block))  # of nearly equal blocks
+    with in_precision(params.precision):
+        prepared = _prepare(params, key, runs, varied)
+    for first in range(0, runs, size):
+        with in_precision(params.precision):
+            yield prepared.portions(slice(first, min(first + size, runs)))
 
 
 @dataclass(frozen=True)
@@ -69,6 +118,35 @@ def peaks(trace: Trace) -> Peaks:
     duration = last - first + np.asarray(trace.pulses.duration)
     peak = force.max(axis=1) / np.asarray(trace.gravity)
     return Peaks(peak, trace.time[force.argmax(axis=1)], first, duration)
+
+
+@dataclass(frozen=True)
+class Summary:
+    """Numbers of all portions.
+
+    pieces: of each portion;  grid: sample times;  peaks: of every portion
+    redrawn: drop heights drawn again because negative;  late: pulses that are not over at the end
+    """
+
+    pieces: int
+    grid: Grid
+    peaks: Peaks
+    redrawn: int
+    late: int
+
+
+def summarize(trace: Trace) -> Summary:
+    """The summary of one trace or of an ensemble."""
+    redrawn, late = (int(np.sum(counts)) for counts in (trace.redrawn, trace.late))
+    return Summary(int(trace.height.shape[-1]), trace.grid, peaks(trace), redrawn, late)
+
+
+def join_summaries(parts: Sequence[Summary]) -> Summary:
+    """The summary of all portions of several."""
+    names = [f.name for f in fields(Peaks)]
+    joined = {name: np.concatenate([getattr(part.peaks, name) for part in parts]) for name in names}
+    redrawn, late = sum(part.redrawn for part in parts), sum(part.late for part in parts)
+    return Summary(parts[0].pieces, parts[0].grid, Peaks(**joined), redrawn, late)
 
 
 def bands(trace: Trace, levels: Sequence[float] = QUANTILES) -> np.ndarray:

@@ -2,7 +2,8 @@
 
 import dataclasses
 import importlib.metadata
-from collections.abc import Mapping
+import shutil
+from collections.abc import Iterable, Mapping
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -59,6 +60,52 @@ def save(
     return path
 
 
+def save_blocks(
+    path: FileName,
+    blocks: Iterable[Trace],
+    runs: int,
+    params: Parameters,
+    *,
+    seed: int | None = None,
+    overwrite: bool = False,
+    varied: Mapping[str, np.ndarray] | None = None,
+) -> Path:
+    """Write the portions of `ensemble_blocks` to an HDF5 file, a block at a time: the file of `save` for an ensemble.
+
+    runs: number of all portions. Raises `BadInput` as `check_output` does, for another format, and for a disk that is too full.
+    """
+    seed = None if seed is None else checked_seed(seed)
+    path = check_output(path, overwrite)
+    if path.suffix not in SUFFIXES[:2]:
+        raise BadInput(f"out = {path}: portions are written in blocks to {' or '.join(SUFFIXES[:2])} only")
+    try:
+        with temporary_file(path) as part:
+            first = 0
+            for trace in blocks:
+                arrays = _arrays(trace, params)
+                if not first:
+                    _check_disk(path, runs, trace)
+                    _create_hdf5(part, arrays, runs)
+                    _describe_hdf5(part, trace, params, seed, varied or {})
+                _fill_hdf5(part, arrays, slice(first, first + len(trace.force)))
+                first += len(trace.force)
+    except OSError as error:
+        raise BadInput(f"out = {path}: cannot be written ({error.strerror or error})") from None
+    return path
+
+
+def file_bytes(runs: int, samples: int, itemsize: int) -> int:
+    """Bytes of the HDF5 file of so many portions and samples, but for its small parts."""
+    return runs * samples * (7 * itemsize + 8)  # two forces of three components, the PIF; the settled mass is a double
+
+
+def _check_disk(path: Path, runs: int, trace: Trace) -> None:
+    needed = file_bytes(runs, trace.grid.samples, trace.force.dtype.itemsize)
+    free = shutil.disk_usage(path.resolve().parent).free
+    if needed > free:
+        raise BadInput(f"out = {path}: needs {needed / 1e9:.1f} GB, and {free / 1e9:.1f} GB are free; give a larger --sample")
+
+
 def inputs_of(params: Parameters, trace: Trace) -> dict[str, Any]:
     """All inputs as plain numbers and strings, with the number of pieces and the length that were used."""
     values = {f.name: getattr(params, f.name) for f in dataclasses.fields(params)}
@@ -99,10 +146,20 @@ def _downward(force: np.ndarray) -> np.ndarray:
 
 
 def _hdf5(path: Path, trace: Trace, params: Parameters, seed: int | None, varied: Mapping[str, np.ndarray]) -> None:
-    import h5py
+    arrays = _arrays(trace, params)
+    _create_hdf5(path, arrays, None)
+    _describe_hdf5(path, trace, params, seed, varied)
+    _fill_hdf5(path, arrays, ...)
 
+
+Arrays = dict[str, tuple[np.ndarray, str]]  # dataset -> (values, unit)
+CHUNK_BYTES = 2**16  # least size of a chunk of portions that are written in blocks
+
+
+def _arrays(trace: Trace, params: Parameters) -> Arrays:
+    """The datasets that have a value for each portion, and the time."""
     mean = np.asarray(trace.force)
-    table = {
+    return {
         "time": (trace.time, "s"),
         f"force/{GROUP}": (_downward(instantaneous(trace, params)), "N"),
         f"mean_force/{GROUP}": (_downward(mean), "N"),
@@ -114,12 +171,43 @@ def _hdf5(path: Path, trace: Trace, params: Parameters, seed: int | None, varied
         "pieces/redrawn": (np.asarray(trace.redrawn), "1"),
         "pieces/late": (np.asarray(trace.late), "1"),
     }
-    units = {row.name: row.unit for row in INPUTS}
-    table |= {f"parameters/{name}": (values, units[name]) for name, values in varied.items()}
+
+
+def _create_hdf5(path: Path, arrays: Arrays, runs: int | None) -> None:
+    """A file with empty datasets for these arrays. runs: number of all portions, None: as many as the arrays have."""
+    import h5py
+
     with h5py.File(path, "w", libver=FORM) as file:
-        for name, (values, unit) in table.items():
-            checked = {"fletcher32": True} if np.size(values) and np.ndim(values) else {}  # HDF5 can check no others
-            file.create_dataset(name, data=values, **checked).attrs["units"] = unit
+        for name, (values, unit) in arrays.items():
+            shape = values.shape
+            options: dict[str, Any] = {}
+            if runs is not None and name != "time":
+                shape = (runs, *shape[1:])
+                row = max(values[0].nbytes, 1)
+                options["chunks"] = (min(runs, -(-CHUNK_BYTES // row)), *shape[1:])
+            if values.size and values.ndim:  # HDF5 can check no others
+                options["fletcher32"] = True
+            file.create_dataset(name, shape, values.dtype, **options).attrs["units"] = unit
+
+
+def _fill_hdf5(path: Path, arrays: Arrays, rows: Any) -> None:
+    """Write arrays into the datasets of these names. rows: slice of the portions, or ... for all that the datasets have."""
+    import h5py
+
+    with h5py.File(path, "r+", libver=FORM) as file:
+        for name, (values, _) in arrays.items():
+            file[name][... if name == "time" else rows] = values
+
+
+def _describe_hdf5(path: Path, trace: Trace, params: Parameters, seed: int | None, varied: Mapping[str, np.ndarray]) -> None:
+    """Add the varied parameters and the attributes."""
+    import h5py
+
+    units = {row.name: row.unit for row in INPUTS}
+    with h5py.File(path, "r+", libver=FORM) as file:
+        for name, values in varied.items():
+            checked = {"fletcher32": True} if np.ndim(values) else {}
+            file.create_dataset(f"parameters/{name}", data=values, **checked).attrs["units"] = units[name]
         file.attrs["scene"] = scene_text(params, trace)
         file.attrs["program"] = "product_model"
         file.attrs["version"] = version()

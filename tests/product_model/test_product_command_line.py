@@ -2,13 +2,14 @@
 
 import tomllib
 from pathlib import Path
+from types import SimpleNamespace
 
 import h5py
 import numpy as np
 import pytest
 from scipy.io import loadmat
 
-from product_model import BadInput, load, parameters, simulate
+from product_model import BadInput, ensemble, load, parameters, simulate
 from product_model.__main__ import main
 
 SHORT = ["simulate", "--sample", "1e-3", "--duration", "0.3"]
@@ -49,6 +50,52 @@ def test_csv_and_mat_hold_the_same_numbers():
     mat = loadmat("t.mat")
     np.testing.assert_array_equal(mat["force_n"], force)
     assert mat["inputs"]["h_mean"][0, 0].item() == 0.25
+
+
+def test_a_mat_file_has_the_documented_arrays():
+    for runs, shape in (("1", (300, 1)), ("2", (2, 300))):
+        assert main([*SHORT, "--runs", runs, "--out", f"{runs}.mat"]) == 0
+        mat = {name: value for name, value in loadmat(f"{runs}.mat").items() if not name.startswith("__")}
+        assert mat.keys() == {"time_s", "force_n", "pif_g", "settled_mass_kg", "inputs"}
+        assert mat["time_s"].shape == (300, 1)
+        assert {mat[name].shape for name in ("force_n", "pif_g", "settled_mass_kg")} == {shape}
+
+
+def test_portions_in_blocks_make_the_same_file(monkeypatch, capsys):
+    monkeypatch.setattr("product_model.__main__.BLOCK_BYTES", 70_000)  # two portions
+    assert main([*SHORT, "--runs", "4", "--out", "blocks.h5", "--plot", "blocks.png"]) == 0
+    in_blocks, said = capsys.readouterr()
+    monkeypatch.setattr("product_model.__main__.BLOCK_BYTES", 2**28)
+    assert main([*SHORT, "--runs", "4", "--out", "whole.h5"]) == 0
+    assert in_blocks.replace("blocks.h5, blocks.png", "whole.h5") == capsys.readouterr().out
+    assert "the figure is that of the first 2 portions" in said and Path("blocks.png").stat().st_size > 0
+    blocks, whole = load("blocks.h5"), load("whole.h5")
+    assert blocks.keys() == whole.keys() and blocks.pop("attrs") == whole.pop("attrs")
+    for name, values in whole.items():
+        np.testing.assert_allclose(blocks[name], values, rtol=1e-13, atol=1e-13, err_msg=name)
+        assert blocks[name].dtype == values.dtype
+
+
+def test_what_does_not_fit_is_refused_before_it_is_computed(monkeypatch, capsys):
+    monkeypatch.setattr("product_model.memory.available_memory", lambda: 100_000_000)
+    assert main(["simulate", "--runs", "10000", "--out", "t.mat"]) == 2
+    error = capsys.readouterr().err  # 12 numbers for each of 10886 samples and 20 for each of 9 pieces, 8 bytes each
+    assert "runs = 10000: needs 10.5 GB of memory, and 0.1 GB are available; write to .h5" in error
+    with pytest.raises(BadInput, match="runs = 10000: needs 3.5 GB of memory, and 0.1 GB are available; use ensemble_blocks"):
+        ensemble(parameters(), 0, 10000)
+    monkeypatch.setattr("shutil.disk_usage", lambda path: SimpleNamespace(free=50_000))
+    monkeypatch.setattr("product_model.__main__.BLOCK_BYTES", 70_000)
+    assert main([*SHORT, "--runs", "8", "--out", "t.h5"]) == 2
+    assert "out = t.h5: needs 0.0 GB, and 0.0 GB are free; give a larger --sample" in capsys.readouterr().err
+    assert not list(Path().iterdir())
+
+
+def test_a_note_says_how_large_a_file_becomes(monkeypatch, capsys):
+    """It stops at the disk, which is full here."""
+    monkeypatch.setattr("shutil.disk_usage", lambda path: SimpleNamespace(free=0))
+    monkeypatch.setattr("product_model.__main__.BLOCK_BYTES", 70_000)
+    assert main([*SHORT, "--runs", "100000", "--out", "t.h5"]) == 2
+    assert "note: 100000 portions of 300 samples make a file of 1.9 GB" in capsys.readouterr().err
 
 
 def test_a_figure_is_drawn_for_one_and_for_many():

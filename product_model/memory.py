@@ -1,0 +1,51 @@
+"""Memory that portions need, and memory that there is."""
+
+import os
+from pathlib import Path
+
+from product_model.inputs import BadInput
+
+GIGABYTE = 1e9
+NUMBERS_TO_COMPUTE = 4, 15  # for each sample and each piece of a portion, measured
+NUMBERS_TO_SAVE = 12, 20  # the same, with the arrays of a file
+LIMIT_FILES = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory.current")  # of a container
+
+
+def portion_bytes(samples: int, pieces: int, itemsize: int, numbers: tuple[int, int] = NUMBERS_TO_COMPUTE) -> int:
+    """Bytes that one portion needs while it is computed, or with NUMBERS_TO_SAVE until it is in a file."""
+    return itemsize * (numbers[0] * samples + numbers[1] * pieces)
+
+
+def available_memory() -> int | None:
+    """Bytes that this process may still take, None where the system does not say."""
+    found = [_available_in_system(), _available_in_container()]
+    return min((number for number in found if number is not None), default=None)
+
+
+def _available_in_system() -> int | None:
+    try:
+        lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
+        return next(1024 * int(line.split()[1]) for line in lines if line.startswith("MemAvailable:"))
+    except (OSError, ValueError, StopIteration):
+        pass
+    try:  # macOS does not say how much is free
+        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    except (AttributeError, OSError, ValueError):
+        return None
+
+
+def _available_in_container() -> int | None:
+    try:
+        limit, used = (int(Path(name).read_text(encoding="ascii")) for name in LIMIT_FILES)
+        return max(limit - used, 0)
+    except (OSError, ValueError):
+        return None
+
+
+def check_memory(runs: int, needed: int, advice: str) -> None:
+    """Raise `BadInput` where `runs` portions need more bytes than are available. advice: how to need fewer."""
+    available = available_memory()
+    if available is not None and needed > available:
+        raise BadInput(
+            f"runs = {runs}: needs {needed / GIGABYTE:.1f} GB of memory, and {available / GIGABYTE:.1f} GB are available; {advice}"
+        )
