@@ -7,16 +7,22 @@ handover to another thread costs more than a third of a trace.
 
 import argparse
 import statistics
+import subprocess
+import tempfile
 import time
+from pathlib import Path
 
 import jax
 
 from benchmarks import report
 from product_model import compiled, ensemble, parameters, stream
+from product_model.c_export import write_c
+from product_model.fmu_compiled import find_compiler
 from product_model.portion import in_precision
 
 BATCH = 512
 SAMPLES = 3334
+HEAD = ("what", "precision", "median", "quartiles", "best", "compile (s)")
 
 
 def timed(call, repeats: int):
@@ -70,6 +76,44 @@ def streaming(precision, form):
     return [f"stream in a scan, {form}", precision, f"{mid:,.0f} x real time", f"{low:,.0f} to {high:,.0f}", best, f"{first:.2f}"]
 
 
+def compiled_heads(folder, precision, params):
+    """Path of the program `product_model_heads.c` for these parameters; None without a C compiler."""
+    compiler = find_compiler()
+    if compiler is None:
+        return None
+    write_c(folder, params.replace(precision=precision), overwrite=True)
+    program = folder / f"heads_{precision}"
+    source = Path(__file__).with_name("product_model_heads.c")
+    command = [compiler, "-std=c99", "-O2", f"-I{folder}", source, folder / "product_model.c", "-o", program, "-lm"]
+    subprocess.run(command, check=True)
+    return program
+
+
+def times_real_time(program, heads, step, seconds, repeats=9):
+    """Two sorted lists of simulated over CPU time: with a call for each step, and for each second."""
+    words = [program, str(heads), str(step), str(seconds)]
+    found = [subprocess.check_output(words, text=True).split() for _ in range(repeats)]
+    return (sorted(map(float, column)) for column in zip(*found, strict=True))
+
+
+def in_c(precision):
+    """Rows of the C form: nine pieces a second for each head."""
+    with tempfile.TemporaryDirectory() as name:
+        program = compiled_heads(Path(name), precision, parameters())
+        if program is None:
+            return
+        for step, seconds in ((1e-3, 3000), (30e-6, 100)):
+            calls, blocks = times_real_time(program, 1, step, seconds)
+            for kind, found in (("a call a step", calls), ("a call a second", blocks)):
+                low, mid, high = statistics.quantiles(found, n=4)
+                what = f"C: one head, nine pieces a second, steps of {1e3 * step:g} ms, {kind}"
+                yield [what, precision, f"{mid:,.0f} x real time", f"{low:,.0f} to {high:,.0f}", f"{found[-1]:,.0f}", ""]
+        calls, _ = times_real_time(program, 20, 1e-3, 300)
+        low, mid, high = (100 / ratio for ratio in statistics.quantiles(calls, n=4))
+        share, spread = f"{mid:.3f} % of a core", f"{high:.3f} to {low:.3f}"
+        yield ["C: 20 heads at 1 kHz, nine pieces a second each", precision, share, spread, f"{100 / calls[-1]:.3f}", ""]
+
+
 def rows():
     """Rows of the table."""
     for precision in ("f32", "f64"):
@@ -80,16 +124,20 @@ def rows():
             yield single(precision, form, "rbg")
             yield batch(precision, form)
             yield streaming(precision, form)
+        yield from in_c(precision)
 
 
 def main(argv=None):
     parser = argparse.ArgumentParser(prog="python -m benchmarks.product_model", description=__doc__.splitlines()[0])
+    parser.add_argument("--c", action="store_true", help="only the rows of the C form, printed")
     parser.add_argument("--quick", action="store_true", help="the same, written to out/benchmarks")
     options = parser.parse_args(argv)
+    if options.c:
+        print(report.table(HEAD, [row for precision in ("f32", "f64") for row in in_c(precision)]))
+        return
     jax.config.update("jax_cpu_enable_async_dispatch", False)
-    head = ("what", "precision", "median", "quartiles", "best", "compile (s)")
     text = ["# Speed of the Product Model", "", report.environment(), "", "318 pieces, 100 ms at 30 us.", ""]
-    report.write("product_model", "\n".join([*text, report.table(head, list(rows()))]), options.quick)
+    report.write("product_model", "\n".join([*text, report.table(HEAD, list(rows()))]), options.quick)
 
 
 if __name__ == "__main__":

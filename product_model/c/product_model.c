@@ -340,7 +340,7 @@ void product_model_reset(product_model_state *state)
     int32_t parent;
     state->waiting = state->unfinished = state->count;
     state->whole = 0;
-    state->fraction = state->level = state->level_error = 0;
+    state->fraction = state->level = state->level_error = state->dt = 0;
     for (parent = state->count / 2 - 1; parent >= 0; parent--)
         sift_down(state->edges, state->count, parent);
 }
@@ -356,18 +356,28 @@ static void add_level(product_model_state *state, real level)
     state->level = sum;
 }
 
-/* Advance the time by `steps` samples; a number that is whole but for rounding is made whole. */
-static real advance_time(product_model_state *state, real steps)
+/* Keep the length of the time step dt in samples; whole but for rounding, it is made whole. */
+static void set_step(product_model_state *state, real dt)
 {
-    real nearest = (real)floor((double)steps + 0.5), whole;
-    if (fabs((double)(steps - nearest)) <=
-        4 * (SINGLE ? (double)FLT_EPSILON : DBL_EPSILON) * (double)nearest)
-        steps = nearest;
-    state->fraction += steps;
-    whole = (real)floor(state->fraction);
-    state->fraction -= whole;
-    state->whole = whole < FAR - state->whole ? state->whole + (int32_t)whole : FAR;
-    return steps;
+    real steps = dt / state->sample, nearest = (real)floor((double)steps + 0.5), whole;
+    real rounding = 4 * (SINGLE ? (real)FLT_EPSILON : (real)DBL_EPSILON);
+    if (fabs((double)(steps - nearest)) <= (double)(rounding * nearest)) steps = nearest;
+    whole = (real)floor((double)steps);
+    state->dt = dt;
+    state->steps = steps;
+    state->step_whole = whole < FAR ? (int32_t)whole : FAR;
+    state->step_fraction = whole < FAR ? steps - whole : 0;
+}
+
+static void advance_time(product_model_state *state)
+{
+    state->whole += state->step_whole;
+    state->fraction += state->step_fraction;
+    if (state->fraction >= 1) {
+        state->fraction -= 1;
+        state->whole++;
+    }
+    if (state->whole > FAR) state->whole = FAR; /* in which no edge is missed */
 }
 
 /* Samples from an edge to the present; negative if it is still to come. */
@@ -414,9 +424,36 @@ static real unfinished_force(product_model_state *state, real steps)
 product_model_real product_model_step(product_model_state *state, product_model_real dt)
 {
     real before = state->level + state->level_error;
-    real ahead = state->form == PRODUCT_MODEL_SMOOTH ? -REACH * state->width : 0, steps;
-    if (!(dt > 0)) return before;
-    steps = advance_time(state, dt / state->sample);
+    real ahead = state->form == PRODUCT_MODEL_SMOOTH ? -REACH * state->width : 0;
+    if (state->unfinished == 0 || !(dt > 0)) return before;
+    if (dt != state->dt) set_step(state, dt);
+    advance_time(state);
     while (state->waiting > 0 && time_since(state, &state->edges[0]) >= ahead) pop_edge(state);
-    return state->unfinished > state->waiting ? before + unfinished_force(state, steps) : before;
+    if (state->unfinished == state->waiting) return before;
+    return before + unfinished_force(state, state->steps);
+}
+
+/* Number of coming time steps, at most `count`, in which certainly no edge acts in part. */
+static int32_t count_quiet_steps(const product_model_state *state, int32_t count)
+{
+    int32_t quiet;
+    if (state->unfinished == 0) return count;
+    if (state->unfinished > state->waiting || state->form == PRODUCT_MODEL_SMOOTH) return 0;
+    if (state->step_fraction > 0 || state->step_whole == 0) return 0;
+    quiet = (state->edges[0].whole - 1 - state->whole) / state->step_whole;
+    return quiet < 0 ? 0 : quiet < count ? quiet : count;
+}
+
+void product_model_steps(product_model_state *state, product_model_real dt,
+                         product_model_real *forces, int32_t count)
+{
+    int32_t done = 0;
+    while (done < count) {
+        int32_t quiet = dt == state->dt ? count_quiet_steps(state, count - done) : 0, k;
+        real level = state->level + state->level_error;
+        for (k = 0; k < quiet; k++) forces[done + k] = level;
+        if (state->unfinished > 0) state->whole += quiet * state->step_whole;
+        done += quiet;
+        if (done < count) forces[done++] = product_model_step(state, dt);
+    }
 }

@@ -87,6 +87,10 @@ typedef struct {
     int32_t unfinished;
     int32_t whole; /* present time, as in an edge */
     product_model_real fraction;
+    product_model_real dt;    /* (s) the last time step, and its length in samples: */
+    product_model_real steps; /* in all, and as step_whole + step_fraction */
+    product_model_real step_fraction;
+    int32_t step_whole;
     product_model_real level;       /* (N) force of the edges that act in full */
     product_model_real level_error; /* (N) rounding error of this sum */
     product_model_edge edges[2 * PRODUCT_MODEL_MAX_PIECES];
@@ -112,6 +116,11 @@ int product_model_start_with_key(product_model_state *state,
 
    Costs O(log pieces) for each edge in the time step, and otherwise nothing that grows. */
 product_model_real product_model_step(product_model_state *state, product_model_real dt);
+
+/* The same for `count` time steps of dt (s), whose forces (N) go to forces[0 ... count - 1]. Faster
+   than as many calls: between the edges of the pulses it only fills. */
+void product_model_steps(product_model_state *state, product_model_real dt,
+                         product_model_real *forces, int32_t count);
 
 /* Let the same portion fall again. */
 void product_model_reset(product_model_state *state);

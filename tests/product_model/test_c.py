@@ -1,5 +1,6 @@
 """The C form of the model computes the forces of `simulate` from the same seeds."""
 
+import ctypes
 import subprocess
 
 import jax
@@ -78,6 +79,19 @@ def test_a_longer_step_is_the_mean_of_its_samples(libraries):
         np.testing.assert_allclose(
             coarse, fine.reshape(100, 3).mean(axis=1), rtol=0, atol=tolerance * fine.max()
         )
+
+
+@pytest.mark.parametrize("form", ["rectangular", "interval-mean", "smooth"])
+@pytest.mark.parametrize("step", [1e-3, 2e-3, 0.7e-3])
+def test_many_steps_at_once_are_the_same_steps(libraries, form, step):
+    library, params = libraries["f64"], short(form=form, smooth_width=1e-3)
+    one, _ = library.start(params, 3)
+    many, _ = library.start(params, 3)
+    found = np.empty(400)
+    for first, count in ((0, 1), (1, 150), (151, 0), (151, 249)):
+        part = found[first : first + count]
+        library.functions.product_model_steps(many, ctypes.c_double(step), part.ctypes, count)
+    np.testing.assert_array_equal(found, library.forces(one, np.full(400, step)))
 
 
 def test_a_step_after_the_end_is_the_weight_and_a_reset_lets_the_same_portion_fall(libraries):
