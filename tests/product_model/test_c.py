@@ -1,6 +1,8 @@
 """The C form of the model computes the forces of `simulate` from the same seeds."""
 
 import ctypes
+import json
+import re
 import subprocess
 
 import jax
@@ -183,6 +185,20 @@ def test_the_command_writes_files_that_compile_and_give_the_trace_of_simulate(ca
     np.testing.assert_allclose(
         force, expected.force, rtol=1e-8, atol=1e-8
     )  # nine digits are written
+
+
+def test_files_of_a_fit_have_its_parameters():
+    rows = {"dt_impact": 4e-4, "gamma_low": 0.03, "gamma_high": 0.05, "h_mean": 0.2}
+    tree = {name: {"value": value, "low": 0.9 * value, "high": value} for name, value in rows.items()}
+    with open("fit.json", "w") as file:
+        json.dump({"parameters": tree, "info": {"pieces": [7], "m_piece": [4e-3]}}, file)
+    assert main("c --fit fit.json --seed 3 --form rectangular --out own".split()) == 0
+    with open("own/product_model_parameters.h") as file:
+        text = file.read()
+    found = {name: value for value, name in re.findall(r"^ +(\S+), /\* (\w+)", text, re.MULTILINE)}
+    assert {name: float(found[name]) for name in rows} == rows
+    assert float(found["m_piece"]) == 4e-3 and found["pieces"] == "7"
+    assert found["form"] == "PRODUCT_MODEL_RECTANGULAR" and "#define PRODUCT_MODEL_SEED 3\n" in text
 
 
 def test_files_have_the_precision_and_the_room_that_are_needed():
