@@ -99,7 +99,7 @@ def quarter_period(shape, softening):
 
 @cache
 def stable_step(shape, restitution):
-    """Stability limit (s) of an impact on the plate."""
+    """Linear stability limit (s) of an impact on the plate."""
     from dem_jax import build
 
     kind = SPHERE if shape == "sphere" else PIECE
@@ -240,7 +240,7 @@ def impact_points(kind, count, numbers, cadences):
 
 
 def _stable(kind, numbers):
-    """Those that are within the stability limit of the unloading branch, which an eccentric contact halves."""
+    """Those that are within the linear stability limit of the unloading branch, which an eccentric contact halves."""
     return [n for n in numbers if n >= (8 if kind is SPHERE else 20)]
 
 
@@ -264,7 +264,7 @@ def resolution(kind, count, numbers, restitutions):
 
     Over ``count`` phases of a sphere, or orientations of a piece that strikes with one corner alone until its force is
     gone. walton_braun_accuracy.ErrorBound are their bounds. numbers: steps, or (steps, precision); double precision unless said.
-    Those that are unstable are left out.
+    Those beyond the linear stability limit are left out.
     """
     is_sphere, worst = kind is SPHERE, {}
     candidates = starts(kind, count) if is_sphere else starts(kind, 2 * count, apart=1.5e-3)
@@ -289,9 +289,9 @@ def step_rows(worst, numbers, restitutions):
     for n in numbers:
         at = [worst.get((n, e)) for e in restitutions]
         peaks = [both[0] for both in at if both]
-        rebounds = ["unstable" if both is None else _percent(both[1]) for both in at]
+        rebounds = ["beyond the linear limit" if both is None else _percent(both[1]) for both in at]
         name = n if isinstance(n, int) else ", ".join(map(str, n))
-        rows.append((name, *rebounds, _percent(max(peaks)) if peaks else "unstable"))
+        rows.append((name, *rebounds, _percent(max(peaks)) if peaks else "beyond the linear limit"))
     return rows
 
 

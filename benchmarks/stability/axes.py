@@ -54,7 +54,7 @@ def trial(name: str, *arguments: Any, make: Callable[..., Scene] = landing, **ch
 
 
 def time_steps(_: bool) -> Iterator[Trial]:
-    """Parts of the linear stability limit."""
+    """Shares of the linear stability limit, beyond which contacts swing without bound."""
 
     def at(piece: dict, part: float) -> Scene:
         scene = landing(piece, material__restitution=1.0, run__precision="f64")
@@ -71,7 +71,7 @@ def time_steps(_: bool) -> Iterator[Trial]:
     both = {"sphere": SPHERE, "marshmallow": MARSHMALLOW}.items()
     for (name, piece), part in itertools.product(both, (0.01, 0.03, 0.1, 0.25, 0.5, 0.9, 1.1, 2.0)):
         growth = expected(piece, part)
-        yield Trial(f"{name}, {part:g} of the limit", lambda p=piece, q=part: at(p, q), part > 1, growth=growth)
+        yield Trial(f"{name}, {part:g} of the linear limit", lambda p=piece, q=part: at(p, q), part > 1, growth=growth)
 
 
 def materials(_: bool) -> Iterator[Trial]:
@@ -255,7 +255,7 @@ def ensembles(quick: bool) -> Iterator[Trial]:
 
 
 AXES: dict[str, Callable[[bool], Iterator[Trial]]] = {
-    "time step over the limit": time_steps,
+    "time step by the linear limit": time_steps,
     "restitution, softening, moduli": materials,
     "sizes and masses": sizes,
     "speed and spin": speeds,

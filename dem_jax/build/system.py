@@ -7,7 +7,7 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import ArrayLike, DTypeLike
+from numpy.typing import DTypeLike
 
 from dem_jax.build import drive
 from dem_jax.build.exchange import Plan, boxes_of, domain_with, plan_of
@@ -23,7 +23,7 @@ from dem_jax.build.start import Box, Start, first_state, motion_of_start, placed
 from dem_jax.build.statistics import statistics_of
 from dem_jax.build.surfaces import PanelSeams
 from dem_jax.build.time_step import TimeStep, block_steps, choose_step, longest_reach, possible_contacts
-from dem_jax.build.typed import array, typed
+from dem_jax.build.typed import array, kept_array, kept_tree, typed
 from dem_jax.build.walls import wall_arrays, walls_of, with_buckets_read, written_out
 from dem_jax.contact import motion
 from dem_jax.contact.law import ContactLaw
@@ -69,14 +69,14 @@ def build(scene: Scene, seed: int = 0, law: ContactLaw | None = None, reuse: Reu
     of_pieces = (scene.piece, scene.portion, scene.feeder, scene.inlet, scene.folder, densities)
     of_walls = (scene.wall, scene.motion, scene.block, *(getattr(scene, name) for name in PLACES), scene.folder)
     goods = reuse.get("goods", lambda: goods_of(scene, reuse), of_pieces)
-    made = list(goods.shapes)
+    made = reuse.get("made", lambda: list(goods.shapes), (), goods.shapes)  # not anew where only weights differ
     laid = reuse.get("walls", lambda: walls_of(scene), of_walls)
     panels, motions, joint, blocks, regions = laid
     plan, waiting = plan_of(scene, panels, regions, made), goods.numbers[-1] if scene.inlet else 0
     regions = boxes_of(scene, panels, regions, goods.numbers, made)
-    where = (scene.piece, scene.portion, scene.inlet, seed)
+    where = (scene.piece, scene.portion, scene.inlet, goods.numbers, seed)
     start = reuse.get(
-        "start", lambda: placed(scene, made, goods.numbers, regions, np.random.default_rng(seed)), where, (goods, laid)
+        "start", lambda: placed(scene, made, goods.numbers, regions, np.random.default_rng(seed)), where, (made, laid)
     )
     pieces = reuse.get("pieces", lambda: piece_arrays(scene, goods), (densities,), (goods,))
     materials = materials_of(scene, table)
@@ -98,19 +98,19 @@ def build(scene: Scene, seed: int = 0, law: ContactLaw | None = None, reuse: Reu
     )
     domain = _domain(scene, panels, start.position[: len(made) - waiting], made, plan)
     parts, convex, hulls, shape_rows = reuse.get(
-        "hulls", lambda: _hulls_of(made, plates, seams, dtype), (scene.run.precision,), (goods, plates, seams)
+        "hulls", lambda: _hulls_of(made, plates, seams, dtype), (scene.run.precision,), (made, plates, seams)
     )
     has_hulls = any(shape.radius == 0 for shape in made)
     is_general = hulls is not None and hulls.features is not None
-    kept = partial(_kept_array, reuse)
+    kept = partial(kept_array, reuse)
     system = System(
-        pieces=reuse.get("typed pieces", lambda: typed(pieces, dtype), (scene.run.precision,), (pieces,)),
+        pieces=kept_tree(reuse, "typed pieces", pieces, dtype),
         parts=parts,
         hulls=hulls,
         shape=shape_rows,
         walls=walls,
-        materials=typed(materials, dtype),
-        law=typed(law, dtype),
+        materials=kept_tree(reuse, "materials", materials, dtype),
+        law=kept_tree(reuse, "law", law, dtype),
         reach=kept("reach", longest_reach(law, contacts), dtype),
         gravity=kept("gravity", scene.run.gravity, dtype),
         dt=kept("dt", step.dt, dtype),
@@ -152,12 +152,6 @@ def build(scene: Scene, seed: int = 0, law: ContactLaw | None = None, reuse: Reu
     return Built(
         system, state, step, shortest, tuple(made), frames, settling, samples, frame_every, regions, goods.numbers, goods, plan
     )
-
-
-def _kept_array(reuse: Reuse, name: str, numbers: ArrayLike, dtype: DTypeLike) -> Array:
-    """Numbers as an array, that of a scene before where they are the same."""
-    found = np.asarray(numbers, dtype)
-    return reuse.get(name, lambda: array(found, dtype), (found.tobytes(), found.shape))
 
 
 def _hulls_of(

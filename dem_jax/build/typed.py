@@ -7,6 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike
 
+from dem_jax.build.reuse import Reuse
+
 Tree = TypeVar("Tree")
 
 
@@ -26,3 +28,20 @@ def typed(tree: Tree, dtype: DTypeLike) -> Tree:
 def array(x: ArrayLike, dtype: DTypeLike) -> jax.Array:
     """Numbers as an array, converted as in ``typed``."""
     return jnp.asarray(np.asarray(x, dtype))
+
+
+def kept_array(reuse: Reuse, name: str, numbers: ArrayLike, dtype: DTypeLike) -> jax.Array:
+    """Numbers as an array, that of a scene before where they are the same."""
+    found = np.asarray(numbers, dtype)
+    return reuse.get(name, lambda: array(found, dtype), (found.tobytes(), found.shape, found.dtype))
+
+
+def kept_tree(reuse: Reuse, name: str, tree: Tree, dtype: DTypeLike) -> Tree:
+    """As ``typed``, with the arrays of a scene before for leaves whose numbers are the same."""
+    leaves, structure = jax.tree.flatten(tree)
+    if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
+        return typed(tree, dtype)
+    with np.errstate(over="ignore"):  # see build.finite
+        types = [np.int32 if np.asarray(leaf).dtype.kind == "i" else dtype for leaf in leaves]
+        kept = [kept_array(reuse, f"{name} {k}", x, own) for k, (x, own) in enumerate(zip(leaves, types, strict=True))]
+    return reuse.get(name, lambda: jax.tree.unflatten(structure, kept), (structure,), tuple(kept))

@@ -11,7 +11,7 @@ from dem_jax.contact import bodies, boundary, collisions, of_run, seams, smooth_
 from dem_jax.contact.answer import Contacts, answer, is_arm_due, no_contacts, no_touch, within
 from dem_jax.contact.blocks import block_of, block_of_slots, block_size, in_one, with_block
 from dem_jax.contact.bodies import Body
-from dem_jax.contact.geometry import NOTHING, Known, geometry
+from dem_jax.contact.geometry import NOTHING, Known, Place, geometry, locate_by_edges, may_overlap
 from dem_jax.contact.ledger import entered
 from dem_jax.contact.met import Met, met, moments_in_world, no_met, of_pieces
 from dem_jax.contact.smooth_surfaces import fillet_gap
@@ -116,7 +116,8 @@ def _of_shared_surfaces(system: System, state: State, kind: str, stacked: Array,
         none = block_of(nothing, k, size)
 
         def own() -> Met:
-            part = seams.own(rows, met(rows, a, b, offset, rest(memory)))
+            part = met(rows, a, b, offset, rest(memory))
+            part = part if lacks_patches else seams.own(rows, part)
             if part.moments is None:
                 return part
             fresh = partial(moments_in_world, a, part.moments)
@@ -126,8 +127,30 @@ def _of_shared_surfaces(system: System, state: State, kind: str, stacked: Array,
         part = if_any(there, own, lambda: none)
         return with_block(carry, (part, facing), k, size)
 
+    def located(k: Array | int, found: Place) -> Place:
+        """Weights and points, those of contacts that have none, nor has any sibling, by their edges."""
+        _, rows, a, b, offset = side(k)
+        here = block_of(touch, k, size)
+        assert here.weight is not None
+        is_lone = _lacks_patch(system, rows, here)
+
+        def alone() -> Array:
+            of = seams.of_block(slots, siblings, touch.normal, k, size)
+            return is_lone & ((of.number == 0) | (seams.total_weight(touch, of) <= 0))
+
+        is_lone = if_any(is_lone, alone, lambda: is_lone)
+        is_lone = if_any(is_lone, lambda: is_lone & may_overlap(system, rows, a, b, offset), lambda: is_lone)
+        place = here.weight, here.at_a, here.at_b
+        place = if_any(is_lone, lambda: locate_by_edges(system, rows, a, b, offset, here, is_lone), lambda: place)
+        return with_block(found, place, k, size)
+
+    lacks_patches = _may_lack_patch(system, kind)
     nothing = no_met(system, kind, slots, stacked.dtype)
     touch, facing = by_blocks(touched, (nothing, start[1]))
+    if lacks_patches:
+        assert touch.weight is not None
+        weight, at_a, at_b = by_blocks(located, (touch.weight, touch.at_a, touch.at_b))
+        touch = seams.own(slots, touch._replace(weight=weight, at_a=at_a, at_b=at_b))
     assert touch.weight is not None
     is_touching = within(system, slots, touch.overlap) + fillet_gap(system, kind, slots) > 0
     weight = jnp.where(is_touching, touch.weight, 0)
@@ -190,11 +213,31 @@ def _resolve(system: System, kind: str, side: Sides, known: Known, is_due: Array
     memory, slots, a, b, offset = side
     depth, rest, facing = geometry(system, kind, slots, a, b, offset, known)
     turn = _turn(system, kind, a, b)
-    loaded = lambda: answer(system, memory, slots, a, b, offset, met(slots, a, b, offset, rest(memory)), turn, is_due)  # noqa: E731
+
+    def loaded() -> Contacts:
+        part = met(slots, a, b, offset, rest(memory))
+        if _may_lack_patch(system, kind):
+            is_lone, place = _lacks_patch(system, slots, part), (part.weight, part.at_a, part.at_b)
+            found = lambda: locate_by_edges(system, slots, a, b, offset, part, is_lone)  # noqa: E731
+            weight, at_a, at_b = jax.lax.cond(jnp.any(is_lone), found, lambda: place)
+            part = part._replace(weight=weight, at_a=at_a, at_b=at_b)
+        return answer(system, memory, slots, a, b, offset, part, turn, is_due)
+
     if kind != "hulls" or not system.slot_block:
         return loaded(), facing
     is_touching = jnp.any((within(system, slots, depth) > 0) & slots.live | (memory.overlap > 0))
     return jax.lax.cond(is_touching, loaded, lambda: no_contacts(system, memory, slots)), facing
+
+
+def _may_lack_patch(system: System, kind: str) -> bool:
+    """Whether contacts of a kind can have no contact patch by the faces that look at each other: of general polytopes."""
+    return kind == "hulls" and system.hulls is not None and system.hulls.features is not None
+
+
+def _lacks_patch(system: System, slots: Slots, part: Met) -> Array:
+    """Which contacts overlap without a patch, [P] bool."""
+    assert part.weight is not None
+    return (within(system, slots, part.overlap) > 0) & (part.weight <= 0) & slots.live
 
 
 def elastic_energy(system: System, state: State, kind: str) -> Array:

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 
 from dem_jax.contact import collide, hulls, look, near
 from dem_jax.contact.bodies import Body
+from dem_jax.contact.met import Met, of_pieces
 from dem_jax.contact.near import Rows
 from dem_jax.contact.ties import without_ties
 from dem_jax.maths import vector
@@ -24,7 +25,10 @@ class Known(NamedTuple):
     clipping: Callable[[], Array] | None = None  # Near.clipping: nobody needs them where nothing touches
 
 
+Place = tuple[Array, Vector, Vector]  # weight [P] (m2) and point [P] x 3 (m) about the centres of both pieces, see ``Met``
+
 NOTHING = Known()
+EDGE_WEIGHT = 1e-6  # of depth times length: of contacts whose weight is told by edges
 
 
 def geometry(
@@ -153,6 +157,37 @@ def _between_zonotopes(
     nearer = rel._replace(offset=vector.add_scaled(rel.offset, -reach, normal))
     found = collide.hull_hull(hull_a, hull_b, nearer, (depth, normal, along + reach))
     return found._replace(point=vector.add_scaled(found.point, 0.5 * reach, normal))
+
+
+def locate_by_edges(system: System, slots: Slots, a: Body, b: Body, offset: Vector, found: Met, is_lone: Array) -> Place:
+    """Weights and points of contacts of polytopes, by all of their edges where the faces that look at each other tell none.
+
+    That is where the vertex or edge that touches belongs to neither of these faces, as at the ridge of a hip roof.
+
+    is_lone: [P] bool, of which contacts that is so; of parts that do not overlap themselves the weight stays 0. It is next to
+    none beside that of a patch, so that it decides only where there is no patch.
+    """
+    table, reach = system.hulls, system.law.reach(slots.pair)
+    assert table is not None and a.rotation is not None and found.weight is not None
+    nearer = offset if reach is None else vector.add_scaled(offset, -reach, found.normal)
+    length, centroid = near.edges_inside(table, shapes_of(system, slots), relative(a, b, nearer))
+    at_b = vector.rotate(a.rotation, centroid)
+    at_b = at_b if b.arm is None else vector.add(at_b, b.arm)
+    is_lone = is_lone & (length > 0)
+    depth = found.overlap if reach is None else found.overlap + reach
+    return (
+        jnp.where(is_lone, EDGE_WEIGHT * depth * length, found.weight),
+        vector.where(is_lone, vector.add(at_b, of_pieces(a, b, offset)), found.at_a),
+        vector.where(is_lone, at_b, found.at_b),
+    )
+
+
+def may_overlap(system: System, slots: Slots, a: Body, b: Body, offset: Vector) -> Array:
+    """Whether parts of polytopes themselves, without what continues them, may be within the reach of the law, [P] bool."""
+    table, reach = system.hulls, system.law.reach(slots.pair)
+    assert table is not None and table.features is not None
+    most = look.overlap_at_most(table.features, shapes_of(system, slots), relative(a, b, offset), True)
+    return most > (0 if reach is None else -reach)
 
 
 def nearness(system: System, kind: str, slots: Slots, a: Body, b: Body, offset: Vector) -> Array:

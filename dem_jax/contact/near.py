@@ -220,6 +220,47 @@ def touched(
     return point, weight, _deepest(corners, depth, steep, rel.offset, about(point, weight, found.along)), moments
 
 
+def edges_inside(hulls: Hulls, rows: Rows, rel: Relative) -> tuple[Array, Vector]:
+    """Length [P] (m) of the edges of outer faces of both bodies that are inside the other one, and its centroid [P] x 3 (m)
+    about b's origin, in a's frame.
+
+    Bodies that overlap have such edges, also where the faces that look most along the normal (``touched``) have none.
+    """
+    loops = hulls.loops
+    assert loops is not None and hulls.features is not None
+    turn, d = vector.expand_matrix(rel.rotation, 0), expand(rel.offset, 0)
+    both, table_rows = jnp.stack(rows), hulls.row.shape[0]
+    planes = hulls.features.own_planes[..., both[::-1]]  # [4, F, 2, P]
+    together = min(TOGETHER, planes.shape[1])
+    counts = hulls.features.counts[3][both]
+
+    def add_face(face: Array, total: tuple[Array, Vector]) -> tuple[Array, Vector]:
+        length, first = total
+        own_a, own_b = (vectors(loops, at) for at in kept(face * table_rows + both))
+        from_b, around_b = vector.sub(own_a, d), vector.rotate(turn, own_b)
+        seen = _sides(vector.rotate_back(turn, from_b), vector.add(around_b, d))
+        corners = _sides(from_b, around_b)
+        corner, edge = vector.at(corners, slice(-1)), vector.each(lambda c: c[1:] - c[:-1], corners)
+
+        def cut(k: Array | int, inside: tuple[Array, Array]) -> tuple[Array, Array]:
+            some = jax.lax.dynamic_slice_in_dim(planes, k * together, together, 1)  # the last begin earlier: no matter
+            start, end = crossings(seen, unpack(some), some[3])
+            return jnp.maximum(inside[0], start), jnp.minimum(inside[1], end)
+
+        none = jnp.zeros_like(edge[0])
+        start, end = jax.lax.fori_loop(0, -(-planes.shape[1] // together), cut, (none, none + 1))
+        counted = face < counts
+        if hulls.inner is not None:
+            counted = counted & (hulls.inner[face, both] <= 0)
+        inside = jnp.where(counted, jnp.maximum(end - start, 0) * vector.norm(edge), 0)
+        x, y, z = (jnp.sum(inside * (c + 0.5 * (start + end) * e), axis=(0, 1)) for c, e in zip(corner, edge, strict=True))
+        return length + jnp.sum(inside, axis=(0, 1)), kept(*vector.add(first, (x, y, z)))
+
+    zero = jnp.zeros(rows[0].shape, rel.offset[0].dtype)
+    length, first = jax.lax.fori_loop(0, hulls.features.own_planes.shape[1], add_face, (zero, (zero, zero, zero)))
+    return length, vector.scale(1 / jnp.where(length > 0, length, 1), first)
+
+
 def _deepest(corners: Vector, depth: Array, steep: Array, offset: Vector, between: Deepest) -> Deepest:
     """The corner that is deepest below a face across the normal of the contact, if there is one; between: else.
 

@@ -99,12 +99,18 @@ def find_parts(slots: Slots, met: Met, own: Met, of: Kin) -> Array:
     slots, own: of the block; met: of all slots; of both the weights of those that touch.
     """
     del slots
-    weight = met.weight
-    assert weight is not None and own.weight is not None
-    add = lambda total, slot, there: total + jnp.where(there, weight[slot], 0)  # noqa: E731
-    total = over_siblings(of, add, jnp.zeros_like(own.weight))
+    assert own.weight is not None
+    total = total_weight(met, of)
     part = own.weight / jnp.where(total > 0, total, 1)
     return jnp.where(of.number > 0, part, 1)
+
+
+def total_weight(met: Met, of: Kin) -> Array:
+    """The weight of each slot of a block with its siblings, [B]. met: of all slots."""
+    weight = met.weight
+    assert weight is not None
+    add = lambda total, slot, there: total + jnp.where(there, weight[slot], 0)  # noqa: E731
+    return over_siblings(of, add, jnp.zeros(of.number.shape, weight.dtype))
 
 
 def merge_contacts(

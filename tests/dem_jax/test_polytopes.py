@@ -10,10 +10,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from benchmarks import depth as exact
-from dem_jax import Scene, build, shapes, simulate
+from dem_jax import Scene, build, ensemble, shapes, simulate, validation
 from dem_jax.build import hulls as tables_of
 from dem_jax.compiling import known
 from dem_jax.contact import bodies, boundary, collide, geometry, hulls, look, near, watch
+from dem_jax.maths.pose import matrix_of_quaternion
 from dem_jax.pairs import guard, neighbours, search
 from dem_jax.step import stepping
 
@@ -336,3 +337,58 @@ def test_a_sphere_on_a_hull_of_hundreds_of_faces():
 
 
 sphere_on = jax.jit(collide.hull_sphere, compiler_options=known("cpu"))
+
+
+def test_contact_whose_edges_are_on_neither_of_the_facing_faces_is_where_they_cross():
+    """Two hip roofs, ridge across ridge: the faces that look most along the normal are hips, far from where the ridges cross.
+
+    The hips lean by 30 degrees, the slopes by 60: with a depth of d, of each ridge, an edge of two faces, a length of 2 d tan 30
+    is inside the other roof, and of no other edge anything.
+    """
+    depth, end, high = 1e-4, 5e-3, 1e-2  # m: of one ridge below the other; half of a ridge; height of a roof
+    x, y = 2e-3, -1e-3  # m: where b has its middle
+    base = [(end + high * 3**0.5) * u for u in (-1, 1)], [high / 3**0.5 * u for u in (-1, 1)]
+    corners = [(-end, 0, 0), (end, 0, 0), *((u, v, -high) for u in base[0] for v in base[1])]
+    shape, centre = shapes.placed_hull(np.array(corners))
+    table = jax.tree.map(jnp.asarray, tables_of.table([shape], np.float64))
+    principal = matrix_of_quaternion(shape.principal)
+    turned = np.array([(0, 1, 0), (1, 0, 0), (0, 0, -1)])  # b: upside down, its ridge along y
+    place = np.array([x, y, -depth])
+    offset = principal.T @ (place + turned @ centre - centre)
+    rotation = principal.T @ turned @ principal
+    rel = collide.Relative(tuple(tuple(jnp.asarray([c]) for c in row) for row in rotation), tuple(jnp.asarray([c]) for c in offset))
+    rows = (jnp.zeros(1, jnp.int32),) * 2
+
+    @partial(jax.jit, compiler_options=known("cpu"))
+    def contact(table, rows, rel):
+        found = geometry.polytopes(table, rows, rel)
+        return found.depth, found.weight, *near.edges_inside(table, rows, rel)
+
+    found, weight, length, point = contact(table, rows, rel)
+    assert float(found[0]) == pytest.approx(depth, rel=1e-9) and float(weight[0]) == 0
+    assert float(length[0]) == pytest.approx(8 * depth * np.tan(np.pi / 6), rel=1e-9)
+    crossing = principal @ (np.array([float(c[0]) for c in point]) + offset) + centre
+    np.testing.assert_allclose(crossing, [x, 0, -depth / 2], atol=1e-9)
+
+
+@pytest.mark.long
+def test_long_hulls_that_land_on_an_edge_bounce():
+    """Of an impact at e = 1 with friction nothing gains energy, and nothing sinks in: 64 orientations, of which about ten begin on
+    an edge that is on no face that looks at the plate."""
+    random = np.random.default_rng(1).normal(size=(24, 3))
+    points = random / np.linalg.norm(random, axis=1, keepdims=True) * (0.03, 0.004, 0.003)
+    settings = {"gravity": (0.0, 0.0, 0.0), "precision": "f64", "frames": 0.0, "sample": 1e-4, "duration": 0.02}
+    row = {"shape": "hull", "points": tuple(map(tuple, points.tolist())), "position": (0.0, 0.0, 0.2)}
+    scene = validation.plate_scene(row, run=settings, restitution=1.0, friction_wall=10.0)
+    (shape,) = build.build(scene).shapes
+    turns = Rotation.random(64, random_state=5)
+    heights = [1e-5 - (turn.as_matrix() @ shape.vertices.T)[2].min() for turn in turns]
+    parameters = {
+        "piece.0.position": [[0.0, 0.0, height] for height in heights],
+        "piece.0.velocity": [[0.2, 0.1, -1.0]] * 64,
+        "piece.0.orientation": turns.as_quat(scalar_first=True).tolist(),
+    }
+    run = ensemble(scene, 64, parameters=parameters)
+    energy = run.energy["kinetic"] + run.energy["elastic"]
+    assert (energy.max(axis=1) / energy[:, 0]).max() < 1.01  # no impact gains more at a stable step
+    assert run.overlap.max() < 0.5
