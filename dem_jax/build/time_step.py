@@ -20,9 +20,9 @@ orientation; q is of the limit of a single contact.
 - A sphere that sticks (mu = 10), q of the tangential limit: 0.14, 0.47, 1.6 and 3.0 % at 0.1, 0.15, 0.2 and 0.25.
 - A marshmallow that sticks: 0 and 1.0 % at 0.1 and 0.15; a plate of 30 x 20 x 5 mm 0.04, 0.3 and 1.5 % at 0.1, 0.15, 0.2.
 - Without friction that plate, a marshmallow and a cube gain at most 0.1 % at 0.3.
-- At the stable step itself, of 64 impacts each that stick (mu = 10), Walton and Braun: a hull of an almond's size 0.30 %, needles
-  of 100 x 4 x 4 mm and cylinders of 60 x 6 mm 0.35 and 0.30 %, a tetrahedron 0.11 %, a flat and a long hull nothing. Hertz with
-  friction (spheres, marshmallow, almond, rod of 60 x 6 x 6 mm, flat hull) nothing; a linear spring 0.38 % (sphere), 0.06 % (needle).
+- At the stable step itself, 64 impacts each that stick (mu = 10), Walton and Braun: a hull of an almond's size 0.30 %, needles of
+  100 x 4 x 4 mm and cylinders of 60 x 6 mm 0.35 and 0.30 %, a tetrahedron 0.11 %, a flat and a long hull nothing. Hertz with
+  friction (sphere, marshmallow, almond, rod of 60 x 6 x 6 mm, flat hull) nothing; a linear spring 0.38 % (sphere), 0.06 % (needle).
 
 At epsilon = 0.9 and less an impact loses at least 19 % of the energy along the normal, and gains none at q = 0.4.
 """

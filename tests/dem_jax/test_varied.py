@@ -184,3 +184,15 @@ def test_runs_that_differ_in_their_material_share_most_of_their_building(monkeyp
     job = prepare.prepare(scene, [0] * 100, 100, parameters={"material.restitution": np.linspace(0.1, 0.5, 100).tolist()})
     assert job.varied.leaves and made.pop("placed") == 1 + 100, "once, and for the seed of each run"
     assert set(made.values()) == {1}, made
+
+
+def test_runs_that_differ_in_material_alone_share_all_other_arrays():
+    """No hull, wall or place is computed again for another density or restitution."""
+    scene, reuse = load_scene("weigh-bucket", {"portion.count": 3}), build.Reuse()
+    changes = {}, {"material.density": 400.0}, {"material.density": 400.0, "material.restitution": 0.3}
+    first, heavy, lively = (build.build(scene.replace(change), 0, reuse=reuse).system for change in changes)
+    assert heavy.hulls is first.hulls and heavy.walls is first.walls and heavy.parts is first.parts
+    np.testing.assert_allclose(heavy.pieces.mass, first.pieces.mass * 4 / 3, rtol=1e-6)  # single precision
+    assert heavy.pieces.width is first.pieces.width and heavy.materials is first.materials
+    assert lively.pieces is heavy.pieces and lively.materials.youngs_modulus is heavy.materials.youngs_modulus
+    np.testing.assert_allclose(lively.materials.restitution, 0.3, rtol=1e-6)
