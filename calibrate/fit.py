@@ -220,8 +220,8 @@ def _free(fixed: dict[str, float], count: int) -> Free:
         raise BadInput("fixed: at least one parameter must be free")
     if "gamma_high" in free and count < LEAST_TRACES:
         raise BadInput(
-            f"{count} traces are too few to tell gamma_high; at least {LEAST_TRACES} are needed, or a fixed "
-            "gamma_high (--fix-gamma-high)"
+            f"{count} {'trace is' if count == 1 else 'traces are'} too few to tell gamma_high; at least {LEAST_TRACES} are "
+            "needed, or a fixed gamma_high (--fix-gamma-high)"
         )
     return free
 

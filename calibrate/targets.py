@@ -99,7 +99,9 @@ def target(
     if pieces < 1:
         raise BadInput(f"pieces = {pieces}: must be at least 1")
     if force.max() <= 0:
-        raise BadInput(f"{name}: the force is nowhere positive (downward is positive)")
+        raise BadInput(
+            f"{name}: the force is nowhere positive; that of the pieces on the bucket counts as positive: reverse its sign"
+        )
     return Target(time, force, float(m_piece), int(pieces), float(height_offset), float(gravity), name)
 
 
