@@ -18,7 +18,7 @@ from dem_jax.contact.smooth_surfaces import fillet_gap
 from dem_jax.maths import vector
 from dem_jax.maths.table import columns
 from dem_jax.maths.vector import Vector
-from dem_jax.types import Array, ContactTable, Facing, Memory, Near, Slots, State, System, WallLoads
+from dem_jax.types import Array, ContactTable, Facing, Memory, Near, Siblings, Slots, State, System, WallLoads
 
 T = TypeVar("T")
 # What ``_contacts_of_kind`` says, and carries by blocks:
@@ -87,33 +87,81 @@ def _contacts_of_kind(system: System, state: State, kind: str, stacked: Array, l
     return jax.lax.fori_loop(0, (state.scratch.filled[kind] + size - 1) // size, block, start)
 
 
+class _SharedSurfaces(NamedTuple):
+    """Contacts of one kind of which several may be one, and the blocks in which they are computed."""
+
+    system: System
+    kind: str
+    slots: Slots
+    siblings: Siblings
+    near: Near | None
+    before: Memory
+    stacked: Array  # as in ``contacts``
+    filled: Array  # slots
+    size: int  # of a block
+    is_due: Array  # as in ``answer``
+
+    def by_blocks(self, block: Callable[[Array | int, T], T], carry: T) -> T:
+        """The carry after all blocks of slots."""
+        if self.size == self.slots.b.shape[0]:
+            return block(0, carry)
+        return jax.lax.fori_loop(0, (self.filled + self.size - 1) // self.size, block, carry)
+
+    def if_any(self, which: Array, then: Callable[[], T], other: Callable[[], T]) -> T:
+        """One of the two; always the first where slots are not computed by blocks."""
+        return jax.lax.cond(jnp.any(which), then, other) if self.system.slot_block else then()
+
+    def sides(self, k: Array | int) -> Sides:
+        """Both sides of a block."""
+        return _sides(self.stacked, block_of(self.slots, k, self.size), block_of(self.before, k, self.size))
+
+    def siblings_of_block(self, touch: Met, k: Array | int) -> seams.Kin:
+        """Siblings of a block; touch: of all slots."""
+        return seams.of_block(self.slots, self.siblings, touch.normal, k, self.size)
+
+    def are_touching(self, rows: Slots, overlap: Array) -> Array:
+        """Whether slots touch, or the fillet between facets, [P] bool."""
+        return within(self.system, rows, overlap) + fillet_gap(self.system, self.kind, rows) > 0
+
+
 def _of_shared_surfaces(system: System, state: State, kind: str, stacked: Array, start: OfKind, column: int, size: int) -> OfKind:
     """As ``_contacts_of_kind``, of contacts of which several may be one, see ``seams``: first where each touches, then what
     part each has, then the contact law. start: what there is before the step; size: of a block, 0: all at once."""
-    slots, siblings = state.scratch.slots[kind], state.scratch.siblings[kind]
-    near, before = state.scratch.near.get(kind), start[0]
-    room, is_due = slots.b.shape[0], is_arm_due(state)
-    size = size or room
+    scratch = state.scratch
+    siblings = scratch.siblings[kind]
     if not system.slot_block:
         siblings = siblings.replace(most=system.touching)
+    slots, filled = scratch.slots[kind], scratch.filled[kind]
+    shared = _SharedSurfaces(
+        system,
+        kind,
+        slots,
+        siblings,
+        scratch.near.get(kind),
+        start[0],
+        stacked,
+        filled,
+        size or slots.b.shape[0],
+        is_arm_due(state),
+    )
+    touch, facing = _touches(shared, start[1])
+    assert touch.weight is not None
+    is_touching = shared.are_touching(slots, touch.overlap)
+    parts = _parts(shared, touch, jnp.where(is_touching, touch.weight, 0))
+    return _merged(shared, touch, is_touching, parts, (start[0], facing, *start[2:]), column)
 
-    def by_blocks(block: Callable[[Array | int, T], T], carry: T) -> T:
-        if size == room:
-            return block(0, carry)
-        return jax.lax.fori_loop(0, (state.scratch.filled[kind] + size - 1) // size, block, carry)
 
-    def if_any(which: Array, then: Callable[[], T], other: Callable[[], T]) -> T:
-        return jax.lax.cond(jnp.any(which), then, other) if system.slot_block else then()
-
-    def side(k: Array | int) -> Sides:
-        return _sides(stacked, block_of(slots, k, size), block_of(before, k, size))
+def _touches(shared: _SharedSurfaces, facing: Facing | None) -> tuple[Met, Facing | None]:
+    """Where each slot touches, by itself, and the faces of polytopes that look at each other."""
+    lacks_patches = _may_lack_patch(shared.system, shared.kind)
+    nothing = no_met(shared.system, shared.kind, shared.slots, shared.stacked.dtype)
 
     def touched(k: Array | int, carry: tuple[Met, Facing | None]) -> tuple[Met, Facing | None]:
-        known = _known(near, carry[1], lambda tree: block_of(tree, k, size))
-        memory, rows, a, b, offset = side(k)
-        depth, rest, facing = geometry(system, kind, rows, a, b, offset, known)
-        there = (within(system, rows, depth) + fillet_gap(system, kind, rows) > 0) & rows.live | (memory.overlap > 0)
-        none = block_of(nothing, k, size)
+        known = _known(shared.near, carry[1], lambda tree: block_of(tree, k, shared.size))
+        memory, rows, a, b, offset = shared.sides(k)
+        depth, rest, seen = geometry(shared.system, shared.kind, rows, a, b, offset, known)
+        there = shared.are_touching(rows, depth) & rows.live | (memory.overlap > 0)
+        none = block_of(nothing, k, shared.size)
 
         def own() -> Met:
             part = met(rows, a, b, offset, rest(memory))
@@ -121,67 +169,77 @@ def _of_shared_surfaces(system: System, state: State, kind: str, stacked: Array,
             if part.moments is None:
                 return part
             fresh = partial(moments_in_world, a, part.moments)
-            spread = if_any(is_due | there & (memory.overlap <= 0), fresh, lambda: none.spread)
+            spread = shared.if_any(shared.is_due | there & (memory.overlap <= 0), fresh, lambda: none.spread)
             return part._replace(moments=None, spread=spread)
 
-        part = if_any(there, own, lambda: none)
-        return with_block(carry, (part, facing), k, size)
+        return with_block(carry, (shared.if_any(there, own, lambda: none), seen), k, shared.size)
+
+    touch, facing = shared.by_blocks(touched, (nothing, facing))
+    return _located(shared, touch) if lacks_patches else touch, facing
+
+
+def _located(shared: _SharedSurfaces, touch: Met) -> Met:
+    """Contacts with weights and points, those of contacts that have none, nor has any sibling, by their edges."""
+    system, size = shared.system, shared.size
 
     def located(k: Array | int, found: Place) -> Place:
-        """Weights and points, those of contacts that have none, nor has any sibling, by their edges."""
-        _, rows, a, b, offset = side(k)
+        _, rows, a, b, offset = shared.sides(k)
         here = block_of(touch, k, size)
         assert here.weight is not None
         is_lone = _lacks_patch(system, rows, here)
 
         def alone() -> Array:
-            of = seams.of_block(slots, siblings, touch.normal, k, size)
+            of = shared.siblings_of_block(touch, k)
             return is_lone & ((of.number == 0) | (seams.total_weight(touch, of) <= 0))
 
-        is_lone = if_any(is_lone, alone, lambda: is_lone)
-        is_lone = if_any(is_lone, lambda: is_lone & may_overlap(system, rows, a, b, offset), lambda: is_lone)
+        is_lone = shared.if_any(is_lone, alone, lambda: is_lone)
+        is_lone = shared.if_any(is_lone, lambda: is_lone & may_overlap(system, rows, a, b, offset), lambda: is_lone)
         place = here.weight, here.at_a, here.at_b
-        place = if_any(is_lone, lambda: locate_by_edges(system, rows, a, b, offset, here, is_lone), lambda: place)
+        place = shared.if_any(is_lone, lambda: locate_by_edges(system, rows, a, b, offset, here, is_lone), lambda: place)
         return with_block(found, place, k, size)
 
-    lacks_patches = _may_lack_patch(system, kind)
-    nothing = no_met(system, kind, slots, stacked.dtype)
-    touch, facing = by_blocks(touched, (nothing, start[1]))
-    if lacks_patches:
-        assert touch.weight is not None
-        weight, at_a, at_b = by_blocks(located, (touch.weight, touch.at_a, touch.at_b))
-        touch = seams.own(slots, touch._replace(weight=weight, at_a=at_a, at_b=at_b))
     assert touch.weight is not None
-    is_touching = within(system, slots, touch.overlap) + fillet_gap(system, kind, slots) > 0
-    weight = jnp.where(is_touching, touch.weight, 0)
-    merging = smooth_surfaces if system.walls.is_bent else seams
+    weight, at_a, at_b = shared.by_blocks(located, (touch.weight, touch.at_a, touch.at_b))
+    return seams.own(shared.slots, touch._replace(weight=weight, at_a=at_a, at_b=at_b))
+
+
+def _parts(shared: _SharedSurfaces, touch: Met, weight: Array) -> Array:
+    """What ``find_parts`` of the module that merges contacts says of each slot, [P]. weight: [P], of those that touch."""
+    is_bent = shared.system.walls.is_bent
+    merging = smooth_surfaces if is_bent else seams
 
     def weighed(k: Array | int, parts: Array) -> Array:
-        """The parts, with those of a block: see ``find_parts`` of what merges contacts."""
-        own, before = block_of((weight, parts), k, size)
-        here, rows = block_of(touch, k, size)._replace(weight=own), block_of(slots, k, size)
-        of = lambda: seams.of_block(slots, siblings, touch.normal, k, size)  # noqa: E731
-        found = if_any(own > 0, lambda: merging.find_parts(rows, touch._replace(weight=weight), here, of()), lambda: before)
-        return with_block(parts, found, k, size)
+        own, before = block_of((weight, parts), k, shared.size)
+        here, rows = block_of(touch, k, shared.size)._replace(weight=own), block_of(shared.slots, k, shared.size)
+        of = partial(shared.siblings_of_block, touch, k)
+        found = shared.if_any(own > 0, lambda: merging.find_parts(rows, touch._replace(weight=weight), here, of()), lambda: before)
+        return with_block(parts, found, k, shared.size)
 
-    parts = by_blocks(weighed, weight if system.walls.is_bent else (siblings.number == 0).astype(weight.dtype))
+    return shared.by_blocks(weighed, weight if is_bent else (shared.siblings.number == 0).astype(weight.dtype))
+
+
+def _merged(shared: _SharedSurfaces, touch: Met, is_touching: Array, parts: Array, start: OfKind, column: int) -> OfKind:
+    """The contact law's answer to contacts that are one, each slot with its part."""
+    system, kind, size = shared.system, shared.kind, shared.size
+    is_bent = system.walls.is_bent
 
     def resolved(k: Array | int, carry: OfKind) -> OfKind:
         memory, facing, loads, overlap, began, shares = carry
-        own, rows, a, b, offset = side(k)
+        own, rows, a, b, offset = shared.sides(k)
         there = block_of(is_touching, k, size) | (own.overlap > 0)
 
         def together() -> tuple[Contacts, Array]:
-            of = seams.of_block(slots, siblings, touch.normal, k, size)
-            here = block_of(touch, k, size)
-            one, memory, share = merging.merge_contacts(rows, touch, parts, before, here, of_pieces(a, b, offset), of)
-            return answer(system, memory, rows, a, b, offset, one, _turn(system, kind, a, b), is_due, share), share
+            of = shared.siblings_of_block(touch, k)
+            merge = partial(smooth_surfaces.merge_contacts, reach=system.law.reach(rows.pair)) if is_bent else seams.merge_contacts
+            one, memory, share = merge(rows, touch, parts, shared.before, block_of(touch, k, size), of_pieces(a, b, offset), of)
+            return answer(system, memory, rows, a, b, offset, one, _turn(system, kind, a, b), shared.is_due, share), share
 
-        part, share = if_any(there, together, lambda: (no_contacts(system, own, rows), block_of(parts, k, size)))
+        part, share = shared.if_any(there, together, lambda: (no_contacts(system, own, rows), block_of(parts, k, size)))
         memory, began, shares = with_block((memory, began, shares), (part.memory, part.touch, share), k, size)
-        return memory, facing, _put(loads, part, column + k * size, room), jnp.maximum(overlap, part.overlap), began, shares
+        loads = _put(loads, part, column + k * size, shared.slots.b.shape[0])
+        return memory, facing, loads, jnp.maximum(overlap, part.overlap), began, shares
 
-    return by_blocks(resolved, (before, facing, *start[2:]))
+    return shared.by_blocks(resolved, start)
 
 
 def _sides(stacked: Array, slots: Slots, memory: Memory) -> Sides:

@@ -16,9 +16,15 @@ which is 1 for the closest facet and reaches 0 just where the foot of the centre
 
 whose gradient is n: the force has a potential, which is that of a fillet of radius 2 h in the valley.
 
-A polytope touches a facet with a patch, see ``collide.pressure_centre``, whose depth-weighted measure is w_i. Beyond convex seams
+A polytope touches a facet with a patch, see ``collide.contact_patch``, whose depth-weighted measure is w_i. Beyond convex seams
 a facet's solid ends at its neighbours (``build.surfaces``), so that all facets find one overlap and one normal; in a valley each
-finds those of its own plane. The overlap is the largest, normal and point are the means weighted by w_i.
+finds those of its own plane. With p = POWER,
+
+    s = (sum_i w_i s_i^p / sum_i w_i)^(1/p),    n and point weighted by g_i = w_i s_i^(p - 1) / sum_j w_j s_j^(p - 1),
+
+so that s is close to the largest overlap, and g_i its derivative by s_i but for a factor: the work of the force is the change of
+the stored energy, up to 1/p of what changes of the weights w_i contribute. With the largest overlap and g_i = w_i it would not be:
+a box that rocks on two facets would lose energy.
 """
 
 from functools import partial
@@ -43,11 +49,15 @@ TWO = 0.57  # cosine of the angle (55 degrees) from which on they are two; betwe
 FILLET = 0.04  # of its radius: a sphere may touch the fillet of a valley while it is so far from both facets (bend <= 32 degrees)
 
 
+POWER = 32  # of the mean of overlaps of a polytope, see above
+
+
 class _Sums(NamedTuple):
     """Sums over the siblings of each slot of a block, with their weights."""
 
-    weight: Array  # [B]
-    overlap: Array  # [B] (m)
+    patch: Array  # [B]: of the weights of ``find_parts``
+    weight: Array  # [B]: of those of normals and points: derivatives of the common overlap
+    overlap: Array  # [B] (m of spheres, relative to the largest overlap to the power of POWER of polytopes)
     normal: Vector  # [B] x 3
     point: Vector  # [B] x 3 (m), from the centre of b
     spread: SecondMoments | None  # [B] (m2), of the patches about the centre of b; None: nobody needs them
@@ -99,7 +109,7 @@ def find_parts(slots: Slots, met: Met, own: Met, of: Kin) -> Array:
 
 
 def merge_contacts(
-    slots: Slots, met: Met, weight: Array, before: Memory, own: Met, offset: Vector, of: Kin
+    slots: Slots, met: Met, weight: Array, before: Memory, own: Met, offset: Vector, of: Kin, reach: Array | None
 ) -> tuple[Met, Memory, Array]:
     """The contacts of a block, each as one with its siblings.
 
@@ -108,49 +118,84 @@ def merge_contacts(
         met, weight, before: of all slots: contacts, their weights, their memory before the step.
         own: contacts of the block, offset: [B] x 3 (m) between the centres of their pieces.
         of: siblings of the block.
+        reach: (m) of the law, None: it has none.
 
     Returns:
         The contacts; the memory of those that were deepest before, so that a contact continues on the next facet; and the part
         of the common contact that each has, [B].
     """
-    own_weight, zero = weight[of.itself], jnp.zeros_like(own.overlap)
-    spread = None if met.spread is None else patch.add(met.spread, patch.product(met.at_b, met.at_b))
-    start = _Sums(zero, zero, (zero,) * 3, (zero,) * 3, spread and SecondMoments(*(zero,) * 6))
-    nothing = jnp.full_like(own.overlap, -jnp.inf), of.itself
-
-    def another(so_far: tuple[_Sums, Best, Best], slot: Array, there: Array) -> tuple[_Sums, Best, Best]:
-        sums, most, most_before = so_far
-        normal = vector.at(met.normal, slot)
-        nearness = nearness_of_normals(normal, own.normal)
-        part = jnp.where(there, nearness * weight[slot], 0)
-        sums = _Sums(
-            sums.weight + part,
-            sums.overlap + part * met.overlap[slot],
-            vector.add_scaled(sums.normal, part, normal),
-            vector.add_scaled(sums.point, part, vector.at(met.at_b, slot)),
-            jax.tree.map(lambda total, rows: total + part * rows[slot], sums.spread, spread),
-        )
-        touches = there & (part > 0)
-        most = deeper(most, jnp.where(met.overlap[slot] > 0, nearness, 1) * met.overlap[slot], slot, touches)
-        most_before = deeper(most_before, nearness * before.overlap[slot], slot, there)
-        return sums, most, most_before
-
-    sums, (most, pick), (_, former) = over_siblings(of, another, (start, nothing, nothing))
+    own_weight = weight[of.itself]
     is_shared = (of.number > 0) & (own_weight > 0)
-    memory = jax.tree.map(lambda rows: rows[..., former], before)
+    (most, pick), (_, former) = _deepest_siblings(met, weight, before, own, of, reach)
+    most = jnp.where(is_shared & (most > 0), most, 1)
+    sums = _weighted_sums(met, weight, own, of, reach, most)
     scale = 1 / jnp.where(is_shared, sums.weight, 1)
     mean = vector.scale(scale, sums.normal)
-    length2 = vector.dot(mean, mean)
     normal = vector.where(is_shared, vector.unit(mean), own.normal)
     point = vector.where(is_shared, vector.scale(scale, sums.point), own.at_b)
     if own.deepest is None:
-        most = scale * sums.overlap
-        most = most + 0.5 * (slots.radius_b - most) * jnp.maximum(1 - length2, 0)
-    overlap = jnp.where(of.number > 0, jnp.where(is_shared, most, -1), own.overlap)
+        share, overlap = own_weight * scale, scale * sums.overlap
+        overlap = overlap + 0.5 * (slots.radius_b - overlap) * jnp.maximum(1 - vector.dot(mean, mean), 0)
+    else:
+        share = own_weight * scale * _relative_to(most, own.overlap, reach) ** (POWER - 1)
+        mean_power = jnp.where(is_shared, sums.overlap / jnp.where(is_shared, sums.patch, 1), 1)
+        overlap = most * mean_power ** (1 / POWER) - (0 if reach is None else reach)
+    overlap = jnp.where(of.number > 0, jnp.where(is_shared, overlap, -1), own.overlap)
     deepest = picked_deepest(is_shared, pick, met.deepest, own.deepest)
     moments = None
     if own.spread is not None and sums.spread is not None:
         moments = partial(moments_of_patch, is_shared, patch.scale(scale, sums.spread), point, own.spread)
     one = Met(overlap, normal, vector.add(point, offset), point, own_weight, deepest, moments, tied=own.tied)
-    return one, memory, jnp.where(is_shared, own_weight * scale, 1)
+    memory = jax.tree.map(lambda rows: rows[..., former], before)
+    return one, memory, jnp.where(is_shared, share, 1)
 
+
+def _deepest_siblings(met: Met, weight: Array, before: Memory, own: Met, of: Kin, reach: Array | None) -> tuple[Best, Best]:
+    """Of the siblings of each slot of a block the deepest (from where the law begins to act), and the deepest before the step."""
+    nothing = jnp.full_like(own.overlap, -jnp.inf), of.itself
+
+    def another(so_far: tuple[Best, Best], slot: Array, there: Array) -> tuple[Best, Best]:
+        nearness = nearness_of_normals(vector.at(met.normal, slot), own.normal)
+        touches = there & (nearness * weight[slot] > 0)
+        most = deeper(so_far[0], nearness * _acting(met.overlap[slot], reach), slot, touches)
+        return most, deeper(so_far[1], nearness * before.overlap[slot], slot, there)
+
+    return over_siblings(of, another, (nothing, nothing))
+
+
+def _weighted_sums(met: Met, weight: Array, own: Met, of: Kin, reach: Array | None, most: Array) -> _Sums:
+    """Sums over the siblings of each slot of a block. most: [B] (m), the largest overlap of them."""
+    spread = None if met.spread is None else patch.add(met.spread, patch.product(met.at_b, met.at_b))
+    zero = jnp.zeros_like(own.overlap)
+    start = _Sums(zero, zero, zero, (zero,) * 3, (zero,) * 3, spread and SecondMoments(*(zero,) * 6))
+
+    def another(sums: _Sums, slot: Array, there: Array) -> _Sums:
+        normal = vector.at(met.normal, slot)
+        nearness = nearness_of_normals(normal, own.normal)
+        part = part_of_patch = jnp.where(there, nearness * weight[slot], 0)
+        if own.deepest is None:
+            overlap = part * met.overlap[slot]
+        else:
+            ratio = nearness * _relative_to(most, met.overlap[slot], reach)
+            part = part * ratio ** (POWER - 1)
+            overlap = part * ratio
+        return _Sums(
+            sums.patch + part_of_patch,
+            sums.weight + part,
+            sums.overlap + overlap,
+            vector.add_scaled(sums.normal, part, normal),
+            vector.add_scaled(sums.point, part, vector.at(met.at_b, slot)),
+            jax.tree.map(lambda total, rows: total + part * rows[slot], sums.spread, spread),
+        )
+
+    return over_siblings(of, another, start)
+
+
+def _acting(overlap: Array, reach: Array | None) -> Array:
+    """Overlap (m) from where the law begins to act."""
+    return overlap if reach is None else overlap + reach
+
+
+def _relative_to(most: Array, overlap: Array, reach: Array | None) -> Array:
+    """Overlap over the largest one, from 0 to 1."""
+    return jnp.clip(_acting(overlap, reach) / most, 0, 1)
