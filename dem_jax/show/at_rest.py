@@ -12,7 +12,8 @@ from dem_jax.scene.materials import material_table
 from dem_jax.store.run import Run
 from dem_jax.types import SETTLED_SPEED
 
-FLIGHT = 0.1  # of its fall: by how much the velocity of a piece in flight may change otherwise
+QUIET = 0.02  # s for which pieces must be slow to count as at rest, as run.settled_time
+ROUNDING = 1e-6  # of the settled mass, in single precision
 MASS_TOLERANCE = 1e-3  # of the lightest piece: masses that differ by less are the same
 
 
@@ -21,13 +22,17 @@ class Rest(NamedTuple):
 
     duration: [K] (s) from the first force until the settled mass has its final value for good; nan
         where nothing landed or settled, and where something still moved when the run ended.
-    moving: [K] number of pieces that were not at rest at the end.
+    moving: [K] number of pieces that were not at rest at the end: fast, or slow for less than the window.
+    slowed: [K] number of those that were slow at the end.
+    window: (s) for which a piece must be slow to be at rest.
     observed: [K] (s) from the first force to the end of the run; nan where nothing landed.
     pieces: number of pieces of a run.
     """
 
     duration: np.ndarray
     moving: np.ndarray
+    slowed: np.ndarray
+    window: float
     observed: np.ndarray
     pieces: int
 
@@ -44,16 +49,15 @@ class Rest(NamedTuple):
             runs = int((~self.is_complete).sum())
             return f"{runs} of {len(self.moving)} runs ended before all pieces were at rest"
         plural = "s" if self.pieces != 1 else ""
-        return f"{self.moving[0]} of {self.pieces} piece{plural} not at rest at the end"
+        said = f"{self.moving[0]} of {self.pieces} piece{plural} not at rest at the end"
+        if not self.slowed[0]:
+            return said
+        return f"{said} ({self.slowed[0]} slower than {SETTLED_SPEED:g} m/s there, but for less than {1e3 * self.window:.0f} ms)"
 
     def describe_bound(self) -> str:
         """Of a single run, what stands for the time to rest where it is not known: at least how long (ms), and why."""
         why = self.describe()
-        return (
-            f"> {1e3 * self.observed[0]:.4g} ms: {why}"
-            if why and np.isfinite(self.observed[0])
-            else why
-        )
+        return f"> {1e3 * self.observed[0]:.4g} ms: {why}" if why and np.isfinite(self.observed[0]) else why
 
 
 def find_rest(run: Run, group: str | None, block: str) -> Rest:
@@ -66,7 +70,9 @@ def find_rest(run: Run, group: str | None, block: str) -> Rest:
     """
     mass = np.asarray(run.settled_mass[block], np.float64)
     mass = mass.reshape(-1, mass.shape[-1])
-    moving = _count_moving(run, block, mass[:, -1])
+    window = _rest_window(run)
+    slowed = _count_slowed(run, mass, window)
+    moving = np.minimum(_count_fast(run, block, mass[:, -1]) + slowed, run.header.piece_count)
     none = np.full(len(mass), np.nan)
     observed, duration = none, none
     since = np.array([_start_of_final_value(row, run.time) for row in mass])
@@ -78,28 +84,64 @@ def find_rest(run: Run, group: str | None, block: str) -> Rest:
         known = (mass[:, -1] > 0) & (moving == 0)
         duration = np.where(known, np.maximum(0.0, since - first), np.nan)
         duration = np.where(np.isnan(first), np.nan, duration)
-    return Rest(duration, moving, observed, run.header.piece_count)
+    return Rest(duration, moving, slowed, window, observed, run.header.piece_count)
 
 
 def _start_of_final_value(mass: np.ndarray, time: np.ndarray) -> float:
     """Time (s) from which on the settled mass [T] (kg) has its final value."""
-    unsettled = np.flatnonzero(mass < mass[-1] * (1 - 1e-6))
+    unsettled = np.flatnonzero(mass < mass[-1] * (1 - ROUNDING))
     return float(time[unsettled[-1] + 1] if len(unsettled) else time[0])
 
 
-def _count_moving(run: Run, block: str, settled: np.ndarray) -> np.ndarray:
-    """[K] pieces that are not at rest at the end, other than those in another block.
+def _rest_window(run: Run) -> float:
+    """Time (s) for which a piece must be slow to be at rest: longer than at the top of a bounce."""
+    gravity = float(np.linalg.norm(run.header.gravity))
+    return max(QUIET, 2 * SETTLED_SPEED / gravity) if gravity else QUIET
+
+
+def _count_slowed(run: Run, settled: np.ndarray, window: float) -> np.ndarray:
+    """[K] fewest pieces that are slow at the end, but were not throughout the window before.
+
+    settled: [K, T] (kg), the settled mass, which lacked these pieces at some time in the window.
+    """
+    last = settled[:, run.time > run.time[-1] - window - 1e-3 * run.sample]
+    missing = settled[:, -1] - last.min(axis=-1)
+    counts = np.zeros(len(settled), int)
+    for k in np.flatnonzero(missing > ROUNDING * settled[:, -1]):
+        own = _piece_masses(run, int(k))
+        counts[k] = 1 if own is None else _fewest_pieces(own, missing[k])
+    return counts
+
+
+def _piece_masses(run: Run, k: int) -> np.ndarray | None:
+    """Masses (kg) of the pieces of run k; None where the scene of the file is of another version."""
+    try:
+        scene = parse(run.member(k).scene if run.parameters else run.scene, "the file's scene")
+    except SceneError:
+        return None
+    return masses_of(goods_of(scene), material_table(scene))
+
+
+def _fewest_pieces(masses: np.ndarray, mass: float) -> int:
+    """The fewest of the pieces, of these masses (kg), that a mass (kg) can be of."""
+    missing = mass - MASS_TOLERANCE * masses.min()
+    if missing <= 0:
+        return 0
+    return int(np.searchsorted(np.cumsum(np.sort(masses)[::-1]), missing)) + 1
+
+
+def _count_fast(run: Run, block: str, settled: np.ndarray) -> np.ndarray:
+    """[K] pieces that are fast at the end, other than those in another block.
 
     As the run counted them, or by the last poses; else by the mass that has not settled, where all
     pieces are to settle in the block. settled: [K] (kg), at the end.
     """
-    at_top = np.atleast_2d(_rises_or_falls(run)).sum(axis=-1)
     if block in run.info.get("moving", {}):
-        return np.ravel(run.info["moving"][block]) + at_top
+        return np.ravel(run.info["moving"][block])
     try:
         scene = parse(run.scene, "the file's scene")
     except SceneError:  # of another version: nothing is known of its pieces
-        return at_top + np.zeros(len(settled), int)
+        return np.zeros(len(settled), int)
     final = _find_final_motion(run)
     if final is None:
         return _count_missing(run, scene, settled)
@@ -110,34 +152,7 @@ def _count_moving(run: Run, block: str, settled: np.ndarray) -> np.ndarray:
             if other.name != block:
                 inside = (position >= np.array(other.low)) & (position <= np.array(other.high))
                 moves &= ~inside.all(axis=-1)
-    return moves.sum(axis=-1).reshape(len(settled)) + at_top
-
-
-def _rises_or_falls(run: Run) -> np.ndarray:
-    """[.., N] whether a piece is at the top of a bounce at the end, by the stored poses.
-
-    It is slow there, but was not before in the same flight: since then its velocity changed by gravity alone.
-    """
-    frames, gravity = run.pieces, np.asarray(run.header.gravity)
-    still = np.zeros(1, bool)
-    if frames is None or not gravity.any() or len(frames.time) < 2:
-        return still
-    span = 2 * SETTLED_SPEED / np.linalg.norm(gravity)
-    velocity = np.asarray(frames.velocity, np.float64)
-    slow = np.linalg.norm(np.take(velocity, -1, axis=-3), axis=-1) < SETTLED_SPEED
-    flies, was_fast = slow, np.zeros_like(slow)
-    for k in range(len(frames.time) - 1, 0, -1):
-        if frames.time[k] > run.time[-1] + run.sample or frames.time[-1] < run.time[-1] - span:
-            return still
-        fall = gravity * (frames.time[k] - frames.time[k - 1])
-        change = np.take(velocity, k, axis=-3) - np.take(velocity, k - 1, axis=-3)
-        flies = flies & (np.linalg.norm(change - fall, axis=-1) < FLIGHT * np.linalg.norm(fall))
-        was_fast = was_fast | (
-            flies & (np.linalg.norm(np.take(velocity, k - 1, axis=-3), axis=-1) >= SETTLED_SPEED)
-        )
-        if run.time[-1] - frames.time[k - 1] > span:
-            break
-    return was_fast
+    return moves.sum(axis=-1).reshape(len(settled))
 
 
 def _find_final_motion(run: Run) -> tuple[np.ndarray, np.ndarray] | None:
@@ -159,8 +174,7 @@ def _count_missing(run: Run, scene: Scene, settled: np.ndarray) -> np.ndarray:
         return np.zeros(len(settled), int)
     found = []
     for k, mass in enumerate(settled):
-        own = parse(run.member(k).scene, "the file's scene") if run.parameters else scene
-        pieces = np.sort(masses_of(goods_of(own), material_table(own)))[::-1]
-        missing = pieces.sum() - mass - MASS_TOLERANCE * pieces[-1]
-        found.append(int(np.searchsorted(np.cumsum(pieces), missing)) + 1 if missing > 0 else 0)
+        masses = _piece_masses(run, k)
+        assert masses is not None, "the scene was read before"
+        found.append(_fewest_pieces(masses, masses.sum() - mass))
     return np.array(found)
