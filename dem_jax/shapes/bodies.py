@@ -9,6 +9,7 @@ from dem_jax.errors import SceneError
 from dem_jax.shapes.checks import positive_length
 from dem_jax.shapes.mass import MassProperties, mass_properties
 from dem_jax.shapes.mending import mend_mesh
+from dem_jax.shapes.self_crossing import check_single_cover
 from dem_jax.shapes.stl import read_stl
 
 if TYPE_CHECKING:
@@ -48,6 +49,8 @@ def read_body(path: str | Path, unit: float = 1.0) -> Body:
     notes = [f"mended: {', '.join(done)}"] if done else []
     if _surface_count(mesh) == 1:
         outer = whole = mesh
+        middle, size = _frame_of(mesh)
+        check_single_cover(_checked_manifold((mesh.vertices - middle) / size, mesh.faces, path), middle, size, path)
         if mesh.volume < 0.0:
             outer.invert()
             notes.append(INWARDS)
@@ -72,8 +75,10 @@ def _surface_count(mesh: "trimesh.Trimesh") -> int:
 
 def _unite(mesh: "trimesh.Trimesh", path: str | Path) -> tuple["trimesh.Trimesh", "trimesh.Trimesh", list[str]]:
     """Outer surface and whole surface of the union of what the surfaces hold, and how it was made, in words."""
-    middle, size = mesh.bounds.mean(axis=0), float(mesh.extents.max())
+    middle, size = _frame_of(mesh)
     at_hand = _checked_manifold((np.asarray(mesh.vertices) - middle) / size, np.asarray(mesh.faces), path)
+    for shell in at_hand.decompose():
+        check_single_cover(shell, middle, size, path)
     solids, cavities, turned = _solids_and_cavities(at_hand)
     if not solids:
         raise SceneError(f"stl = {str(path)!r} holds no volume; allowed: the closed surface of a solid body")
@@ -91,6 +96,11 @@ def _unite(mesh: "trimesh.Trimesh", path: str | Path) -> tuple["trimesh.Trimesh"
     if inside:
         notes.append(f"{100 * (1.0 - whole.volume() / outer.volume()):.2g} % of the volume are cavities")
     return _mesh_of(outer, middle, size), _mesh_of(whole, middle, size), notes
+
+
+def _frame_of(mesh: "trimesh.Trimesh") -> tuple[np.ndarray, float]:
+    """Middle [3] and size of the box around a mesh."""
+    return mesh.bounds.mean(axis=0), float(mesh.extents.max())
 
 
 def _manifold_of(vertices: np.ndarray, faces: np.ndarray) -> "Manifold":

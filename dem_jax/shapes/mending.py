@@ -14,13 +14,15 @@ if TYPE_CHECKING:
 
 CRACKS = (0.0, 1e-6, 1e-5, 1e-4)  # of the size: corners closer than this are one, the first that closes the mesh
 TINY_HOLE = 0.02  # of the surface: holes up to this are closed
+FEW_EDGES = 4  # plane holes up to this are closed, whatever their size, as by trimesh.repair.fill_holes
+FLAT = 1e-6  # of the size: how far corners of a plane may lie apart from it
 MOST_LISTED = 5  # facets that a message lists by number
 
 
 def mend_mesh(mesh: "trimesh.Trimesh", source: str | Path) -> tuple["trimesh.Trimesh", list[str]]:
     """The mesh with every edge between facets that agree on the outside, and what was mended, in words.
 
-    Corners are welded, facets without area and duplicates left out, tiny holes closed, and facets that look the wrong way
+    Corners are welded, facets without area and duplicates left out, small holes closed, and facets that look the wrong way
     turned (trimesh.repair). A surface may meet another along an edge.
 
     Args:
@@ -36,7 +38,7 @@ def mend_mesh(mesh: "trimesh.Trimesh", source: str | Path) -> tuple["trimesh.Tri
     cleaned = (_clean_facets(mesh, crack * mesh.scale) for crack in CRACKS)
     clean = next((each for each in cleaned if not has_open_edges(each[0].faces)), None) or _clean_facets(mesh, 0.0)
     mended, done = clean
-    mended, closed = _close_tiny_holes(mended)
+    mended, closed = _close_holes(mended)
     done += closed
     if not _is_oriented(mended.faces):
         before = np.asarray(mended.faces).copy()
@@ -154,8 +156,8 @@ def _are_faults(faces: np.ndarray, single: np.ndarray, pairs: np.ndarray) -> np.
 # --- holes and winding ---
 
 
-def _close_tiny_holes(mesh: "trimesh.Trimesh") -> tuple["trimesh.Trimesh", list[str]]:
-    """The mesh with holes closed that are at most TINY_HOLE of the surface, and what was done."""
+def _close_holes(mesh: "trimesh.Trimesh") -> tuple["trimesh.Trimesh", list[str]]:
+    """The mesh with holes closed that are at most TINY_HOLE of the surface or plane with FEW_EDGES, and what was done."""
     import trimesh
 
     if not has_open_edges(mesh.faces):
@@ -166,12 +168,33 @@ def _close_tiny_holes(mesh: "trimesh.Trimesh") -> tuple["trimesh.Trimesh", list[
     hole = trimesh.graph.connected_component_labels(_adjacent(new), node_count=len(new))
     area = np.bincount(hole, trimesh.triangles.area(mesh.vertices[new]))
     share = area / (mesh.area + area)
-    tiny = share <= TINY_HOLE
-    if not tiny.any():
+    edges = 2 + np.bincount(hole)
+    is_plane = [_is_plane_hole(mesh, new[hole == k]) for k in range(len(edges))]
+    closed = (share <= TINY_HOLE) | ((edges <= FEW_EDGES) & is_plane)
+    if not closed.any():
         return mesh, []
-    out = trimesh.Trimesh(mesh.vertices, np.concatenate([old, new[tiny[hole]]]), process=False, validate=False)
-    out.metadata["number"] = np.concatenate([mesh.metadata["number"], np.full(int(tiny[hole].sum()), -1)])
-    return out, [f"{_count(int(tiny.sum()), 'hole')} closed ({100 * share[tiny].sum():.2g} % of the surface)"]
+    out = trimesh.Trimesh(mesh.vertices, np.concatenate([old, new[closed[hole]]]), process=False, validate=False)
+    out.metadata["number"] = np.concatenate([mesh.metadata["number"], np.full(int(closed[hole].sum()), -1)])
+    fewest, most = edges[closed].min(), edges[closed].max()
+    of = f"of {fewest} edges" if fewest == most else f"of {fewest} to {most} edges"
+    share_closed = area[closed].sum() / (mesh.area + area[closed].sum())
+    return out, [f"{_count(int(closed.sum()), 'hole')} {of} closed ({100 * share_closed:.2g} % of the surface)"]
+
+
+def _is_plane_hole(mesh: "trimesh.Trimesh", fan: np.ndarray) -> bool:
+    """Whether facets [K, 3] that fill a hole lie in a plane, do not fold over, and close a surface that leaves the plane."""
+    import trimesh
+
+    corners = np.asarray(mesh.vertices)[fan]
+    normals = trimesh.triangles.cross(corners)
+    normal = normals.sum(axis=0)
+    if not (normals @ normal > 0.0).all():
+        return False
+    faces = np.asarray(mesh.faces)
+    surface = trimesh.graph.connected_component_labels(_adjacent(faces), node_count=len(faces))
+    of_hole = np.isin(surface, surface[np.isin(faces, fan).sum(axis=1) > 1])
+    depth = lambda points: np.abs((points - corners[0, 0]) @ normal).max() / np.linalg.norm(normal)  # noqa: E731
+    return bool(depth(corners.reshape(-1, 3)) <= FLAT * mesh.scale < depth(mesh.triangles[of_hole].reshape(-1, 3)))
 
 
 def _facets_of_holes(faces: np.ndarray) -> np.ndarray:
@@ -228,7 +251,7 @@ def _check_closed(mesh: "trimesh.Trimesh", source: str | Path) -> None:
     )
     raise SceneError(
         f"stl = {str(source)!r} {what}, at facets {which} (counted from 0), from {low} to {high} (units of the file); "
-        "allowed: a closed (watertight) mesh; duplicates, facets turned round and tiny holes are mended"
+        "allowed: a closed (watertight) mesh; duplicates, facets turned round, tiny holes and plane ones of 3 or 4 edges are mended"
     )
 
 

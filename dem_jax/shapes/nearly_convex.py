@@ -1,5 +1,6 @@
 """The convex hull of a body that is convex, or nearly so, with the mass properties of the body itself."""
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -53,9 +54,10 @@ def read_hull(path: str | Path, unit: float = 1.0, tolerance: float = HULL_TOLER
         raise SceneError(f"stl = {str(path)!r}: {error}") from error
     excess = shape.volume / float(body.outer.volume) - 1.0
     if excess > tolerance:
+        needed = math.ceil(1e3 * excess) / 1e3
         raise SceneError(
             f"stl = {str(path)!r} is not convex: its hull has {100 * excess:.2g} % more volume; at most {100 * tolerance:g} % is "
-            'allowed (hull_tolerance); shape = "decomposed" cuts it into convex parts'
+            f'allowed (hull_tolerance); hull_tolerance = {needed:g} takes its hull, shape = "decomposed" cuts it into convex parts'
         )
     notes = body.notes
     if excess > EXACT:
