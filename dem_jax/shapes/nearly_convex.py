@@ -57,7 +57,7 @@ def read_hull(path: str | Path, unit: float = 1.0, tolerance: float = HULL_TOLER
         needed = math.ceil(1e3 * excess) / 1e3
         raise SceneError(
             f"stl = {str(path)!r} is not convex: its hull has {100 * excess:.2g} % more volume; at most {100 * tolerance:g} % is "
-            f'allowed (hull_tolerance); hull_tolerance = {needed:g} takes its hull, shape = "decomposed" cuts it into convex parts'
+            f'allowed (hull_tolerance); shape = "decomposed" cuts it into convex parts, hull_tolerance = {needed:g} takes its hull'
         )
     notes = body.notes
     if excess > EXACT:
