@@ -1,15 +1,13 @@
-"""The one error of this package."""
+"""The one error of this package, and its seeds."""
 
+from product_model import inputs
+from product_model.inputs import BadInput
 
-class BadInput(ValueError):
-    """One clear line that names what is wrong, its value and what is allowed."""
-
+__all__ = ["BadInput", "checked_seed"]
 
 MOST_SEED = 2_000_000_000  # others are made by adding to it, below 2^31
 
 
 def checked_seed(seed: object) -> int:
-    """The seed as a plain number. Raises `BadInput` unless it is a whole number of at least 0."""
-    if isinstance(seed, bool) or not hasattr(seed, "__index__") or not 0 <= int(seed.__index__()) <= MOST_SEED:
-        raise BadInput(f"seed = {seed!r}: must be a whole number from 0 to {MOST_SEED}")
-    return int(seed.__index__())
+    """The seed as a plain number. Raises `BadInput` unless it is a whole number from 0 to MOST_SEED."""
+    return inputs.checked_seed(seed, MOST_SEED)

@@ -100,11 +100,11 @@ class BadInput(ValueError):
 MOST_SEED = 2**31 - 1
 
 
-def checked_seed(seed: Any) -> int:
-    """The seed as a plain number. Raises `BadInput` unless it is a whole number from 0 to MOST_SEED."""
+def checked_seed(seed: Any, most: int = MOST_SEED) -> int:
+    """The seed as a plain number. Raises `BadInput` unless it is a whole number from 0 to the most allowed."""
     is_whole = isinstance(seed, int | np.integer) and not isinstance(seed, bool)
-    if not is_whole or not 0 <= seed <= MOST_SEED:
-        raise BadInput(f"seed = {seed!r}: must be a whole number from 0 to {MOST_SEED}")
+    if not is_whole or not 0 <= seed <= most:
+        raise BadInput(f"seed = {seed!r}: must be a whole number from 0 to {most}")
     return int(seed)
 
 

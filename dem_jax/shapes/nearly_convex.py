@@ -14,6 +14,7 @@ from dem_jax.shapes.mass import MassProperties, principal_frame
 from dem_jax.shapes.shape import Shape
 
 HULL_TOLERANCE = 0.02  # fraction by which a hull's volume may exceed the body's, unless a scene says otherwise
+MOST_TOLERANCE = 1.0  # that a scene may set
 EXACT = 1e-5  # the same, below which it is the rounding of a file in single precision
 
 
@@ -55,9 +56,10 @@ def read_hull(path: str | Path, unit: float = 1.0, tolerance: float = HULL_TOLER
     excess = shape.volume / float(body.outer.volume) - 1.0
     if excess > tolerance:
         needed = math.ceil(1e3 * excess) / 1e3
+        hint = f", hull_tolerance = {needed:g} takes its hull" if needed <= MOST_TOLERANCE else ""
         raise SceneError(
             f"stl = {str(path)!r} is not convex: its hull has {100 * excess:.2g} % more volume; at most {100 * tolerance:g} % is "
-            f'allowed (hull_tolerance); shape = "decomposed" cuts it into convex parts, hull_tolerance = {needed:g} takes its hull'
+            f'allowed (hull_tolerance); shape = "decomposed" cuts it into convex parts{hint}'
         )
     notes = body.notes
     if excess > EXACT:

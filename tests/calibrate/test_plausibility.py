@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 from synthetic import TRUTH, traces
 
+import product_model
 from calibrate import BadInput, fit
 from calibrate import __main__ as program
+from calibrate.errors import MOST_SEED, checked_seed
 from calibrate.plausibility import find_absurd, find_doubtful, find_impossible, release_shift
 from calibrate.prepare import measure
 from calibrate.targets import subtract_zero, target
@@ -148,3 +150,19 @@ def test_numbers_of_pieces_of_each_trace(tmp_path):
         read(tmp_path / "t.csv", 0.018, [6, 7, 8])
     with pytest.raises(BadInput, match="fewer than 8 quiet samples"):
         subtract_zero(target(time, 1 + time, 0.018, 6))
+
+
+@pytest.mark.parametrize("seed", [-1, MOST_SEED + 1, 1.5, 2.0, True, "3", None])
+def test_a_seed_is_a_whole_number_that_leaves_room_for_those_made_of_it(seed):
+    with pytest.raises(BadInput, match=f"^seed = .*: must be a whole number from 0 to {MOST_SEED}$"):
+        checked_seed(seed)
+    assert product_model.BadInput is BadInput
+
+
+def test_a_seed_of_numpy_is_a_plain_number():
+    assert type(checked_seed(np.int64(MOST_SEED))) is int and checked_seed(0) == 0
+
+
+def test_a_bad_seed_is_one_line_before_anything_is_read(capsys):
+    assert program.main(["fit", "no.csv", "--seed", "-1"]) == 2
+    assert capsys.readouterr().err == f"calibrate: seed = -1: must be a whole number from 0 to {MOST_SEED}\n"
