@@ -14,8 +14,7 @@ if TYPE_CHECKING:
 
 CRACKS = (0.0, 1e-6, 1e-5, 1e-4)  # of the size: corners closer than this are one, the first that closes the mesh
 TINY_HOLE = 0.02  # of the surface: holes up to this are closed
-FEW_EDGES = 4  # plane holes up to this are closed, whatever their size, as by trimesh.repair.fill_holes
-FLAT = 1e-6  # of the size: how far corners of a plane may lie apart from it
+FLAT = 1e-6  # of the size: corners no further from a plane are in it
 MOST_LISTED = 5  # facets that a message lists by number
 
 
@@ -157,7 +156,7 @@ def _are_faults(faces: np.ndarray, single: np.ndarray, pairs: np.ndarray) -> np.
 
 
 def _close_holes(mesh: "trimesh.Trimesh") -> tuple["trimesh.Trimesh", list[str]]:
-    """The mesh with holes closed that are at most TINY_HOLE of the surface or plane with FEW_EDGES, and what was done."""
+    """The mesh with holes closed that are at most TINY_HOLE of the surface or a missing facet, and what was done."""
     import trimesh
 
     if not has_open_edges(mesh.faces):
@@ -169,8 +168,8 @@ def _close_holes(mesh: "trimesh.Trimesh") -> tuple["trimesh.Trimesh", list[str]]
     area = np.bincount(hole, trimesh.triangles.area(mesh.vertices[new]))
     share = area / (mesh.area + area)
     edges = 2 + np.bincount(hole)
-    is_plane = [_is_plane_hole(mesh, new[hole == k]) for k in range(len(edges))]
-    closed = (share <= TINY_HOLE) | ((edges <= FEW_EDGES) & is_plane)
+    is_facet = [edges[k] == 3 and _is_missing_facet(mesh, new[hole == k][0]) for k in range(len(edges))]
+    closed = (share <= TINY_HOLE) | is_facet
     if not closed.any():
         return mesh, []
     out = trimesh.Trimesh(mesh.vertices, np.concatenate([old, new[closed[hole]]]), process=False, validate=False)
@@ -181,20 +180,17 @@ def _close_holes(mesh: "trimesh.Trimesh") -> tuple["trimesh.Trimesh", list[str]]
     return out, [f"{_count(int(closed.sum()), 'hole')} {of} closed ({100 * share_closed:.2g} % of the surface)"]
 
 
-def _is_plane_hole(mesh: "trimesh.Trimesh", fan: np.ndarray) -> bool:
-    """Whether facets [K, 3] that fill a hole lie in a plane, do not fold over, and close a surface that leaves the plane."""
+def _is_missing_facet(mesh: "trimesh.Trimesh", facet: np.ndarray) -> bool:
+    """Whether the surface that has all edges of a facet [3] leaves its plane, so that the facet can bound a volume."""
     import trimesh
 
-    corners = np.asarray(mesh.vertices)[fan]
-    normals = trimesh.triangles.cross(corners)
-    normal = normals.sum(axis=0)
-    if not (normals @ normal > 0.0).all():
-        return False
+    corners = np.asarray(mesh.vertices)[facet]
+    normal = trimesh.triangles.cross(corners[None])[0]
     faces = np.asarray(mesh.faces)
     surface = trimesh.graph.connected_component_labels(_adjacent(faces), node_count=len(faces))
-    of_hole = np.isin(surface, surface[np.isin(faces, fan).sum(axis=1) > 1])
-    depth = lambda points: np.abs((points - corners[0, 0]) @ normal).max() / np.linalg.norm(normal)  # noqa: E731
-    return bool(depth(corners.reshape(-1, 3)) <= FLAT * mesh.scale < depth(mesh.triangles[of_hole].reshape(-1, 3)))
+    around = np.isin(surface, surface[np.isin(faces, facet).sum(axis=1) > 1])
+    depth = np.abs((mesh.triangles[around].reshape(-1, 3) - corners[0]) @ normal).max()
+    return bool(depth > FLAT * mesh.scale * np.linalg.norm(normal))
 
 
 def _facets_of_holes(faces: np.ndarray) -> np.ndarray:
@@ -251,7 +247,7 @@ def _check_closed(mesh: "trimesh.Trimesh", source: str | Path) -> None:
     )
     raise SceneError(
         f"stl = {str(source)!r} {what}, at facets {which} (counted from 0), from {low} to {high} (units of the file); "
-        "allowed: a closed (watertight) mesh; duplicates, facets turned round, tiny holes and plane ones of 3 or 4 edges are mended"
+        "allowed: a closed (watertight) mesh; duplicates, facets turned round, single missing facets and tiny holes are mended"
     )
 
 

@@ -61,6 +61,8 @@ SET = [  # --set of plate-drop -> what the line must hold
     ("wall.0.group='a b'", r'wall\.0\.group = "a b": allowed: a text that matches'),
     ("wall.0.thickness=-0.1", r"wall\.0\.thickness = -0\.1: allowed: a number > 0"),
     ("wall.0.corners=[[0,0,0],[1,0,0]]", r"corners of wall group 'plate'.*at least 3 corners"),
+    ("wall.0.corners=[[0,0,0],[1,0,0],[1,1e-9,0]]", r"corners of wall group 'plate' corners 1 and 2 coincide"),
+    ("wall.0.corners=[[0,0,0],[1,0,0],[0.5,1e-9,0]]", r"corners of wall group 'plate' has no area"),
     ("wall.0.corners=[[0,0,0],[1,0,0],[1,1,0.5],[0,1,0]]", r"corners of wall group 'plate' corner .* off its plane"),
     ("piece=[]", r"a scene needs \[portion\] or at least one \[\[piece\]\]"),
     ("run.duration", r"--set 'run\.duration': allowed: section\.key=value"),
@@ -169,7 +171,7 @@ def folder(tmp_path, whole):
     import trimesh
 
     box = trimesh.creation.box((0.02, 0.02, 0.02))
-    trimesh.Trimesh(box.vertices, box.faces[1:]).export(tmp_path / "open.stl")
+    trimesh.Trimesh(box.vertices, box.faces[2:]).export(tmp_path / "open.stl")
     star = trimesh.creation.icosphere(1)
     star.vertices *= (0.01 + 0.01 * (np.arange(len(star.vertices)) % 2))[:, None]
     star.export(tmp_path / "bent.stl")
