@@ -156,12 +156,12 @@ def _block_size(params: Parameters, args: argparse.Namespace, varied: Mapping[st
     """
     import numpy as np
 
-    from product_model.inputs import DTYPES, grid_of, pieces_of
+    from product_model.inputs import DTYPES, pieces_of
     from product_model.memory import GIGABYTE, NUMBERS_TO_SAVE, check_memory, portion_bytes
+    from product_model.monte_carlo import widest_grid
     from product_model.record import SUFFIXES, file_bytes
 
-    widest = params.replace(**{name: float(column.max()) for name, column in varied.items() if name != "gravity"})
-    samples, itemsize = grid_of(widest).samples, np.dtype(DTYPES[params.precision]).itemsize
+    samples, itemsize = widest_grid(params, varied).samples, np.dtype(DTYPES[params.precision]).itemsize
     one = portion_bytes(samples, pieces_of(params), itemsize, NUMBERS_TO_SAVE)
     if Path(args.out).suffix not in SUFFIXES[:2]:
         check_memory(args.runs, args.runs * one, "write to .h5, which is done in blocks, or give a larger --sample")

@@ -1,6 +1,6 @@
 """The Product Model as C99 source files: one header, one source, the parameters and an example."""
 
-import contextlib
+import os
 import re
 from os import PathLike
 from pathlib import Path
@@ -90,14 +90,9 @@ def check_folder(folder: Path, names: list[str], overwrite: bool) -> None:
         raise BadInput(f"out = {folder}: must be a folder, and is a file")
     if not folder.absolute().parent.is_dir():
         raise BadInput(f"out = {folder}: the folder above it does not exist")
-    with contextlib.suppress(StopIteration):
-        taken = next(
-            name for name in names if (folder / name).exists() or (folder / name).is_symlink()
-        )
-        if not overwrite:
-            raise BadInput(
-                f"out = {folder}: {taken} exists there; give another folder, or --overwrite to replace it"
-            )
+    taken = [name for name in names if os.path.lexists(folder / name)]
+    if taken and not overwrite:
+        raise BadInput(f"out = {folder}: {taken[0]} exists there; give another folder, or --overwrite to replace it")
 
 
 def source_files(params: Parameters, seed: int, capacity: int) -> dict[str, str]:

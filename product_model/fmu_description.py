@@ -4,7 +4,7 @@ import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 
 from product_model.c_export import FIELDS
-from product_model.inputs import INPUTS, LEAVES, Parameters, pieces_of
+from product_model.inputs import INPUTS, LEAVES, Input, Parameters, pieces_of
 from product_model.record import version
 
 IDENTIFIER = "product_model"
@@ -48,103 +48,31 @@ class Variable:
 def variables_of(params: Parameters, seed: int) -> list[Variable]:
     """The variables of a unit of these inputs."""
     rows = {row.name: row for row in INPUTS}
-    found = []
-    for name in LEAVES:
-        row, start = rows[name], repr(float(getattr(params, name)))
-        unit = row.unit.replace("²", "2")
-        found.append(
-            Variable(
-                name,
-                FIELDS.index(name),
-                "real",
-                "parameter",
-                "tunable",
-                row.meaning,
-                unit,
-                start,
-                "0",
-            )
-        )
+    span = "at the end of the step" if params.form == "rectangular" else "mean over the step"
     target = f"{rows['m_target'].meaning}, from which the number of pieces follows (eq. 16); 0: `pieces` pieces"
-    found += [
-        Variable(
-            "m_target",
-            FIELDS.index("m_target"),
-            "real",
-            "parameter",
-            "tunable",
-            target,
-            "kg",
-            "0.0",
-            "0",
-        ),
-        Variable(
-            "pieces",
-            PIECES,
-            "integer",
-            "parameter",
-            "tunable",
-            rows["pieces"].meaning,
-            None,
-            str(pieces_of(params)),
-            "1",
-        ),
-        Variable(
-            "seed",
-            SEED,
-            "integer",
-            "parameter",
-            "fixed",
-            "seed of the random numbers",
-            None,
-            str(seed),
-            "0",
-        ),
-        Variable(
-            "release",
-            RELEASE,
-            "boolean",
-            "input",
-            "discrete",
-            "a rising edge lets the next portion fall",
-            None,
-            "false",
-        ),
-        Variable(
-            "force",
-            FORCE,
-            "real",
-            "output",
-            "continuous",
-            "total impact force, mean over the step",
-            "N",
-        ),
-        Variable(
-            "pif_kg",
-            PIF_KG,
-            "real",
-            "output",
-            "continuous",
-            "product impact force as a weight, mean over the step",
-            "kg",
-        ),
+    release = "a rising edge lets the next portion fall"
+    return [
+        *(_real_parameter(rows[name], rows[name].meaning, float(getattr(params, name))) for name in LEAVES),
+        _real_parameter(rows["m_target"], target, 0.0),
+        _integer_parameter("pieces", PIECES, "tunable", rows["pieces"].meaning, pieces_of(params), 1),
+        _integer_parameter("seed", SEED, "fixed", "seed of the random numbers", seed, 0),
+        Variable("release", RELEASE, "boolean", "input", "discrete", release, start="false"),
+        _output("force", FORCE, f"total impact force, {span}", "N"),
+        _output("pif_kg", PIF_KG, f"product impact force as a weight, {span}", "kg"),
     ]
-    if params.form == "rectangular":
-        found[-2:] = [_at_the_end(variable) for variable in found[-2:]]
-    return found
 
 
-def _at_the_end(variable: Variable) -> Variable:
-    text = variable.description.replace("mean over", "at the end of")
-    return Variable(
-        variable.name,
-        variable.reference,
-        variable.kind,
-        "output",
-        "continuous",
-        text,
-        variable.unit,
-    )
+def _real_parameter(row: Input, description: str, start: float) -> Variable:
+    unit, number = row.unit.replace("²", "2"), FIELDS.index(row.name)
+    return Variable(row.name, number, "real", "parameter", "tunable", description, unit, repr(start), "0")
+
+
+def _integer_parameter(name: str, reference: int, variability: str, description: str, start: int, least: int) -> Variable:
+    return Variable(name, reference, "integer", "parameter", variability, description, None, str(start), str(least))
+
+
+def _output(name: str, reference: int, description: str, unit: str) -> Variable:
+    return Variable(name, reference, "real", "output", "continuous", description, unit)
 
 
 def describe_model(fmi: str, params: Parameters, seed: int, token: str) -> bytes:

@@ -38,6 +38,12 @@ class _Prepared:
         return _portions(self.leaves, self.keys[rows], self.static, {name: column[rows] for name, column in self.varied.items()})
 
 
+def widest_grid(params: Parameters, varied: Mapping[str, np.ndarray]) -> Grid:
+    """The sample times of portions of which some leaves vary, name -> [runs]: long enough for the largest."""
+    ends = {name: float((np.min if name == "gravity" else np.max)(column)) for name, column in varied.items()}
+    return grid_of(params.replace(**ends))
+
+
 def _prepare(params: Parameters, key: Key, runs: int, varied: Mapping[str, ArrayLike] | None) -> _Prepared:
     """Checked inputs; call it inside `in_precision`."""
     check(params)
@@ -49,10 +55,9 @@ def _prepare(params: Parameters, key: Key, runs: int, varied: Mapping[str, Array
             raise BadInput(f"varied: {name} {column.shape}: must be one of {', '.join(LEAVES)}, each with {runs} values")
     for k in (np.argmin, np.argmax):  # of each its least and its largest must be an input
         check(params.replace(**{name: float(column[k(column)]) for name, column in values.items()}))
-    widest = params.replace(**{name: float((np.min if name == "gravity" else np.max)(column)) for name, column in values.items()})
     keys = jax.random.split(as_key(key), runs)
     own = {name: column.astype(DTYPES[params.precision]) for name, column in values.items()}
-    static = static_of(params) | {"grid": grid_of(widest)}
+    static = static_of(params) | {"grid": widest_grid(params, values)}
     return _Prepared(leaves_of(params), keys, tuple(static.items()), own)
 
 

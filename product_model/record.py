@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from product_model.inputs import INPUTS, LEAVES, BadInput, Parameters, checked_seed
+from product_model.memory import GIGABYTE
 from product_model.portion import Trace, in_precision
 from product_model.program import temporary_file
 from product_model.pulses import rectangular
@@ -103,7 +104,8 @@ def _check_disk(path: Path, runs: int, trace: Trace) -> None:
     needed = file_bytes(runs, trace.grid.samples, trace.force.dtype.itemsize)
     free = shutil.disk_usage(path.resolve().parent).free
     if needed > free:
-        raise BadInput(f"out = {path}: needs {needed / 1e9:.1f} GB, and {free / 1e9:.1f} GB are free; give a larger --sample")
+        sizes = f"needs {needed / GIGABYTE:.1f} GB, and {free / GIGABYTE:.1f} GB are free"
+        raise BadInput(f"out = {path}: {sizes}; give a larger --sample")
 
 
 def inputs_of(params: Parameters, trace: Trace) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from dem_jax.contact import follow, of_run, patch
 from dem_jax.contact.bodies import Body
 from dem_jax.contact.law import Contact, Response, Torsion
 from dem_jax.contact.ledger import downward
-from dem_jax.contact.met import Met, of_pieces
+from dem_jax.contact.met import Met, acting_overlap, of_pieces
 from dem_jax.maths import vector
 from dem_jax.maths.vector import Vector
 from dem_jax.types import Array, Memory, Slots, State, System
@@ -30,8 +30,7 @@ class Contacts(NamedTuple):
 
 def within(system: System, slots: Slots, overlap: Array) -> Array:
     """Overlap (m), [P], more by the reach of the law: a contact is what is positive."""
-    reach = system.law.reach(slots.pair)
-    return overlap if reach is None else overlap + reach
+    return acting_overlap(overlap, system.law.reach(slots.pair))
 
 
 def no_contacts(system: System, memory: Memory, slots: Slots) -> Contacts:

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 from dem_jax.contact import collide, hulls, look, near
 from dem_jax.contact.bodies import Body
-from dem_jax.contact.met import Met, of_pieces
+from dem_jax.contact.met import Met, acting_overlap, of_pieces
 from dem_jax.contact.near import Rows
 from dem_jax.contact.ties import without_ties
 from dem_jax.maths import vector
@@ -129,7 +129,7 @@ def _between_polytopes(
         return axes, features, faces, lambda: near.every_plane(table, rows), None
     assert known.facing is not None and known.clipping is not None
     axes, clipping = near.axes(known.near, rel), known.clipping
-    touching = slots.live & ((axes.depth if reach is None else axes.depth + reach) > 0)
+    touching = slots.live & (acting_overlap(axes.depth, reach) > 0)
     facing = near.faced(table, known.facing, rows, axes.normal, touching, rel)
     is_wide = jnp.any(known.near.wide & touching)
     planes = lambda: near.Planes(clipping(), is_wide)  # noqa: E731
@@ -174,9 +174,8 @@ def locate_by_edges(system: System, slots: Slots, a: Body, b: Body, offset: Vect
     at_b = vector.rotate(a.rotation, centroid)
     at_b = at_b if b.arm is None else vector.add(at_b, b.arm)
     is_lone = is_lone & (length > 0)
-    depth = found.overlap if reach is None else found.overlap + reach
     return (
-        jnp.where(is_lone, EDGE_WEIGHT * depth * length, found.weight),
+        jnp.where(is_lone, EDGE_WEIGHT * acting_overlap(found.overlap, reach) * length, found.weight),
         vector.where(is_lone, vector.add(at_b, of_pieces(a, b, offset)), found.at_a),
         vector.where(is_lone, at_b, found.at_b),
     )

@@ -54,6 +54,11 @@ def of_pieces(a: Body, b: Body, offset: Vector) -> Vector:
     return offset if a.arm is None or b.arm is None else vector.add(offset, vector.sub(a.arm, b.arm))
 
 
+def acting_overlap(overlap: Array, reach: Array | None) -> Array:
+    """Overlap (m) from where the law begins to act, [P]. reach: (m) of the law, None: it has none."""
+    return overlap if reach is None else overlap + reach
+
+
 def no_met(system: System, kind: str, slots: Slots, dtype: DTypeLike) -> Met:
     """Slots of a kind, of surfaces that others continue, in which nothing touches."""
     zero = jnp.zeros(slots.b.shape, dtype)

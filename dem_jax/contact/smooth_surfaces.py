@@ -35,7 +35,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dem_jax.contact import patch
-from dem_jax.contact.met import Met
+from dem_jax.contact.met import Met, acting_overlap
 from dem_jax.contact.patch import SecondMoments
 from dem_jax.contact.seams import Best, Kin, deeper, moments_of_patch, over_siblings, picked_deepest
 from dem_jax.maths import vector
@@ -157,7 +157,7 @@ def _deepest_siblings(met: Met, weight: Array, before: Memory, own: Met, of: Kin
     def another(so_far: tuple[Best, Best], slot: Array, there: Array) -> tuple[Best, Best]:
         nearness = nearness_of_normals(vector.at(met.normal, slot), own.normal)
         touches = there & (nearness * weight[slot] > 0)
-        most = deeper(so_far[0], nearness * _acting(met.overlap[slot], reach), slot, touches)
+        most = deeper(so_far[0], nearness * acting_overlap(met.overlap[slot], reach), slot, touches)
         return most, deeper(so_far[1], nearness * before.overlap[slot], slot, there)
 
     return over_siblings(of, another, (nothing, nothing))
@@ -191,11 +191,6 @@ def _weighted_sums(met: Met, weight: Array, own: Met, of: Kin, reach: Array | No
     return over_siblings(of, another, start)
 
 
-def _acting(overlap: Array, reach: Array | None) -> Array:
-    """Overlap (m) from where the law begins to act."""
-    return overlap if reach is None else overlap + reach
-
-
 def _relative_to(most: Array, overlap: Array, reach: Array | None) -> Array:
     """Overlap over the largest one, from 0 to 1."""
-    return jnp.clip(_acting(overlap, reach) / most, 0, 1)
+    return jnp.clip(acting_overlap(overlap, reach) / most, 0, 1)

@@ -1,5 +1,7 @@
 """When the pieces came to rest in a block, and how many of them still moved when the run ended."""
 
+from collections.abc import Callable
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -106,20 +108,25 @@ def _count_slowed(run: Run, settled: np.ndarray, window: float) -> np.ndarray:
     """
     last = settled[:, run.time > run.time[-1] - window - 1e-3 * run.sample]
     missing = settled[:, -1] - last.min(axis=-1)
-    counts = np.zeros(len(settled), int)
+    counts, masses_of_run = np.zeros(len(settled), int), _piece_masses(run)
     for k in np.flatnonzero(missing > ROUNDING * settled[:, -1]):
-        own = _piece_masses(run, int(k))
+        own = masses_of_run(int(k))
         counts[k] = 1 if own is None else _fewest_pieces(own, missing[k])
     return counts
 
 
-def _piece_masses(run: Run, k: int) -> np.ndarray | None:
-    """Masses (kg) of the pieces of run k; None where the scene of the file is of another version."""
-    try:
-        scene = parse(run.member(k).scene if run.parameters else run.scene, "the file's scene")
-    except SceneError:
-        return None
-    return masses_of(goods_of(scene), material_table(scene))
+def _piece_masses(run: Run) -> Callable[[int], np.ndarray | None]:
+    """Run k -> masses (kg) of its pieces, each scene read once; None where the scene of the file is of another version."""
+
+    @cache
+    def read(text: str) -> np.ndarray | None:
+        try:
+            scene = parse(text, "the file's scene")
+        except SceneError:
+            return None
+        return masses_of(goods_of(scene), material_table(scene))
+
+    return lambda k: read(run.member(k).scene if run.parameters else run.scene)
 
 
 def _fewest_pieces(masses: np.ndarray, mass: float) -> int:
@@ -172,9 +179,9 @@ def _count_missing(run: Run, scene: Scene, settled: np.ndarray) -> np.ndarray:
     """[K] fewest pieces that the mass that has not settled can be of; 0 where not all pieces are to settle in one block."""
     if scene.feeder or scene.inlet or scene.outlet or scene.cycle:
         return np.zeros(len(settled), int)
-    found = []
+    found, masses_of_run = [], _piece_masses(run)
     for k, mass in enumerate(settled):
-        masses = _piece_masses(run, k)
+        masses = masses_of_run(k)
         assert masses is not None, "the scene was read before"
         found.append(_fewest_pieces(masses, masses.sum() - mass))
     return np.array(found)

@@ -2,17 +2,16 @@
 
 #include "unit.h"
 
+typedef void logger(void *environment, const char *name, int status, const char *category,
+                    const char *message, ...);
+
 typedef struct {
-    void (*logger)(void *environment, const char *name, int status, const char *category,
-                   const char *message, ...);
+    logger *log;
     void *(*allocate)(size_t, size_t);
     void (*release)(void *);
     void (*step_finished)(void *, int);
     void *environment;
 } callbacks;
-
-typedef void logger(void *environment, const char *name, int status, const char *category,
-                    const char *message, ...);
 
 static int report(unit *u, const char *error)
 {
@@ -31,7 +30,7 @@ EXPORT int fmi2SetDebugLogging(void *u, int on, size_t n, const char *const cate
 EXPORT void *fmi2Instantiate(const char *name, int type, const char *token, const char *resources,
                              const callbacks *functions, int visible, int logging)
 {
-    void (*log)(void) = functions ? (void (*)(void))functions->logger : NULL;
+    void (*log)(void) = functions ? (void (*)(void))functions->log : NULL;
     return type == 1 ? make_unit(name, token, functions ? functions->environment : NULL, log)
                      : NULL; /* 1: co-simulation */
 }
@@ -99,10 +98,7 @@ EXPORT int fmi2SetString(void *u, const unsigned references[], size_t n, const c
 
 EXPORT int fmi2GetFMUstate(void *u, void **state)
 {
-    if (!*state) *state = malloc(sizeof(unit_values));
-    if (!*state) return report(u, "no memory for the state");
-    memcpy(*state, &((unit *)u)->values, sizeof(unit_values));
-    return STATUS_OK;
+    return report(u, keep_values(&((unit *)u)->values, state));
 }
 
 EXPORT int fmi2SetFMUstate(void *u, void *state)
@@ -113,10 +109,7 @@ EXPORT int fmi2SetFMUstate(void *u, void *state)
 
 EXPORT int fmi2FreeFMUstate(void *u, void **state)
 {
-    if (state) {
-        free(*state);
-        *state = NULL;
-    }
+    free_values(state);
     return STATUS_OK;
 }
 
@@ -137,10 +130,7 @@ EXPORT int fmi2DeSerializeFMUstate(void *u, const char bytes[], size_t size, voi
 {
     if (size != sizeof(unit_values))
         return report(u, "fmi2DeSerializeFMUstate: not a state of this unit");
-    if (!*state) *state = malloc(sizeof(unit_values));
-    if (!*state) return report(u, "no memory for the state");
-    memcpy(*state, bytes, sizeof(unit_values));
-    return STATUS_OK;
+    return report(u, keep_values(bytes, state));
 }
 
 /* ---- not offered, as modelDescription.xml says ---- */

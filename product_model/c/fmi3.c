@@ -86,10 +86,7 @@ ACCESS(Boolean, bool, find_boolean)
 
 EXPORT int fmi3GetFMUState(void *u, void **state)
 {
-    if (!*state) *state = malloc(sizeof(unit_values));
-    if (!*state) return report(u, "no memory for the state");
-    memcpy(*state, &((unit *)u)->values, sizeof(unit_values));
-    return STATUS_OK;
+    return report(u, keep_values(&((unit *)u)->values, state));
 }
 
 EXPORT int fmi3SetFMUState(void *u, void *state)
@@ -100,10 +97,7 @@ EXPORT int fmi3SetFMUState(void *u, void *state)
 
 EXPORT int fmi3FreeFMUState(void *u, void **state)
 {
-    if (state) {
-        free(*state);
-        *state = NULL;
-    }
+    free_values(state);
     return STATUS_OK;
 }
 
@@ -124,10 +118,7 @@ EXPORT int fmi3DeserializeFMUState(void *u, const uint8_t bytes[], size_t size, 
 {
     if (size != sizeof(unit_values))
         return report(u, "fmi3DeserializeFMUState: not a state of this unit");
-    if (!*state) *state = malloc(sizeof(unit_values));
-    if (!*state) return report(u, "no memory for the state");
-    memcpy(*state, bytes, sizeof(unit_values));
-    return STATUS_OK;
+    return report(u, keep_values(bytes, state));
 }
 
 /* ---- not offered, as modelDescription.xml says ---- */

@@ -30,6 +30,12 @@ class Values(ctypes.Structure):
     ]
 
 
+def values_of(params):
+    """The struct of these `Parameters`."""
+    numbers = (float(getattr(params, name)) for name in FIELDS)
+    return Values(*numbers, params.pieces or 0, FORMS.index(params.form))
+
+
 def compile_c(folder, *arguments):
     """Compile in `folder` with all warnings as errors."""
     subprocess.run([find_compiler(), *STRICT, *arguments, "-lm"], cwd=folder, check=True)
@@ -64,21 +70,13 @@ class Library:
     def start(self, params, seed, target=0.0):
         """(state, error code) of a stream. params: `Parameters`."""
         state = ctypes.create_string_buffer(SIZE)
-        values = Values(
-            *(float(getattr(params, name)) for name in FIELDS),
-            params.pieces or 0,
-            FORMS.index(params.form),
-        )
+        values = values_of(params)
         return state, self.functions.product_model_start(state, ctypes.byref(values), seed, target)
 
     def start_with_key(self, params, key):
         """State of a stream of a key [2] uint32."""
         state = ctypes.create_string_buffer(SIZE)
-        values = Values(
-            *(float(getattr(params, name)) for name in FIELDS),
-            params.pieces or 0,
-            FORMS.index(params.form),
-        )
+        values = values_of(params)
         words = (ctypes.c_uint32 * 2)(*(int(word) for word in key))
         assert (
             self.functions.product_model_start_with_key(
