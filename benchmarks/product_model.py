@@ -67,7 +67,7 @@ def streaming(precision, form):
     """How much faster than real time a stream inside a scan is: the sample time over the time per sample."""
     params = settings(precision, form)
     state = stream.start(params, jax.random.key(0))
-    with in_precision(precision):
+    with in_precision(params):
         scan = jax.jit(lambda s: jax.lax.scan(lambda s, _: stream.step(s), s, None, length=SAMPLES)[1])
         first, times = timed(lambda: scan(state), 80)
     length = SAMPLES * params.sample

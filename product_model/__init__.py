@@ -9,6 +9,7 @@ from product_model.program import begin_program
 begin_program()
 
 from product_model import stream  # noqa: E402
+from product_model.extended import Landings, landings  # noqa: E402
 from product_model.fitted import Fitted, drawn, read_fit  # noqa: E402
 from product_model.inputs import BadInput, Parameters, check, parameters, table  # noqa: E402
 from product_model.monte_carlo import Peaks, bands, ensemble, ensemble_blocks, peaks  # noqa: E402
@@ -18,6 +19,7 @@ from product_model.record import load, save  # noqa: E402
 __all__ = [
     "BadInput",
     "Fitted",
+    "Landings",
     "Parameters",
     "Peaks",
     "Trace",
@@ -27,6 +29,7 @@ __all__ = [
     "drawn",
     "ensemble",
     "ensemble_blocks",
+    "landings",
     "load",
     "parameters",
     "peaks",

@@ -157,12 +157,12 @@ def _block_size(params: Parameters, args: argparse.Namespace, varied: Mapping[st
     import numpy as np
 
     from product_model.inputs import DTYPES, pieces_of
-    from product_model.memory import GIGABYTE, NUMBERS_TO_SAVE, check_memory, portion_bytes
+    from product_model.memory import GIGABYTE, NUMBERS_TO_SAVE, check_memory, portion_bytes, pulses_of
     from product_model.monte_carlo import widest_grid
     from product_model.record import SUFFIXES, file_bytes
 
     samples, itemsize = widest_grid(params, varied).samples, np.dtype(DTYPES[params.precision]).itemsize
-    one = portion_bytes(samples, pieces_of(params), itemsize, NUMBERS_TO_SAVE)
+    one = portion_bytes(samples, pulses_of(params, pieces_of(params)), itemsize, NUMBERS_TO_SAVE)
     if Path(args.out).suffix not in SUFFIXES[:2]:
         check_memory(args.runs, args.runs * one, "write to .h5, which is done in blocks, or give a larger --sample")
         return args.runs
@@ -234,7 +234,7 @@ def _stream(args: argparse.Namespace) -> None:
     print("time_s,force_n,pif_g")
     times = grid.times()
     for first in range(0, grid.samples, STREAMED):
-        with in_precision(params.precision):
+        with in_precision(params):
             state, force = several(state)
         rows = zip(times[first : first + STREAMED], np.asarray(force).tolist(), strict=False)
         lines = [f"{time:.9g},{value:.9g},{1e3 * value / gravity:.9g}\n" for time, value in rows]

@@ -97,6 +97,8 @@ def check_folder(folder: Path, names: list[str], overwrite: bool) -> None:
 
 def source_files(params: Parameters, seed: int, capacity: int) -> dict[str, str]:
     """Name -> text of the model's files with these parameters and room for twice as many pieces, at least `capacity`."""
+    if params.landings is not None:
+        raise BadInput("landings: only the paper's model can be written as C; omit the additions")
     header = (SOURCES / "product_model.h").read_text(encoding="utf-8")
     header = _with_default(header, "PRODUCT_MODEL_REAL", REALS[params.precision])
     header = _with_default(

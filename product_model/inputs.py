@@ -8,6 +8,8 @@ import jax
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from product_model.errors import BadInput
+from product_model.extended import ADDITIONS, Landings, check_landings, latest_end
 from product_model.grid import Grid, grid_over
 from product_model.model import GRAVITY, number_of_pieces
 
@@ -23,9 +25,9 @@ class Parameters:
     """All inputs of the model. Leaves can be traced, mapped and differentiated; the other fields are static.
 
     Leaves, each a float or [] array: h_mean, gamma_low, gamma_high, dt_impact, m_piece, gravity. Units and sources
-    of the
-    defaults: `INPUTS`. `pieces` None: eq. 16 from m_target; `duration` None: until all but one in 10^4 pieces have
-    landed in a portion that spreads like gamma_high.
+    of the defaults: `INPUTS`. `landings` None: the paper's model, else the additions of the extended one. `pieces` None:
+    eq. 16 from m_target; `duration` None: until all but one in 10^4 pieces have landed in a portion that spreads like
+    gamma_high.
     """
 
     h_mean: float | jax.Array = 0.25
@@ -34,6 +36,7 @@ class Parameters:
     dt_impact: float | jax.Array = 500e-6
     m_piece: float | jax.Array = 5.832e-3
     gravity: float | jax.Array = GRAVITY
+    landings: Landings | None = None
     m_target: float = _static(default=0.05)
     pieces: int | None = _static(default=None)
     sample: float = _static(default=30e-6)
@@ -48,7 +51,7 @@ class Parameters:
         return replace(self, **changes)
 
 
-LEAVES = tuple(f.name for f in fields(Parameters) if not f.metadata.get("static"))
+LEAVES = tuple(f.name for f in fields(Parameters) if not f.metadata.get("static") and f.name != "landings")
 
 
 @dataclass(frozen=True)
@@ -91,10 +94,6 @@ OUTPUTS = (
     Input("pif_kg, pif_g", "PIF", "kg, g", "product impact force as a weight", "eq. 24"),
     Input("settled_mass", "Σ F_static/g", "kg", "mass whose pulse is over", "Fig. 6"),
 )
-
-
-class BadInput(ValueError):
-    """One clear line that names what is wrong, its value and what is allowed."""
 
 
 MOST_SEED = 2**31 - 1
@@ -160,11 +159,13 @@ def one_line(error: ValidationError) -> str:
 
 def check(params: Parameters) -> Parameters:
     """`params`, or `BadInput` with one line. Traced leaves cannot be looked at and are taken as they are."""
-    values = {f.name: getattr(params, f.name) for f in fields(params)}
+    values = {f.name: getattr(params, f.name) for f in fields(params) if f.name != "landings"}
+    if params.landings is not None:
+        check_landings(params.landings)
     traced = {name for name in LEAVES if isinstance(values[name], jax.core.Tracer)}
     if traced:
         known = {name: value for name, value in values.items() if name not in traced}
-        values = {f.name: f.default for f in fields(params)} | known
+        values = {name: getattr(Parameters, name) for name in values} | known
         values["gamma_high"] = max(values["gamma_low"], values["gamma_high"])
     try:
         _Checked(**{name: _plain(value) for name, value in values.items()})
@@ -202,8 +203,18 @@ def grid_of(params: Parameters) -> Grid:
     if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
         raise BadInput("duration: must be given where h_mean, gamma_high, dt_impact or gravity is traced")
     h_mean, gamma_high, dt_impact, gravity = (float(leaf) for leaf in leaves)
-    last = (2.0 * (h_mean + 4.0 * gamma_high) / gravity) ** 0.5 + dt_impact
+    fall = (2.0 * (h_mean + 4.0 * gamma_high) / gravity) ** 0.5
+    last = fall + dt_impact
+    if params.landings is not None:
+        last = latest_end(_known(params.landings), fall, dt_impact, gravity)
     return grid_over(params.start, max(last + 0.01 - params.start, params.sample), params.sample)
+
+
+def _known(landings: Landings) -> dict[str, float]:
+    """The numbers of `landings`; raises `BadInput` where one is traced."""
+    if any(isinstance(value, jax.core.Tracer) for value in landings.values().values()):
+        raise BadInput("duration: must be given where landings are traced")
+    return {name: float(value) for name, value in landings.values().items()}
 
 
 def table() -> str:
@@ -215,6 +226,10 @@ def table() -> str:
     for row in INPUTS:
         default = "" if defaults[row.name] is None else str(defaults[row.name])
         rows.append(f"| {row.name} | {row.symbol} | {row.unit} | {default} | {row.meaning} | {row.source} |")
+    rows += ["", "| addition of the extended model | unit | default | range | meaning |", "|---|---|---|---|---|"]
+    for added in ADDITIONS:
+        default, allowed = getattr(Landings, added.name), f"{added.low:g} to {added.high:g}"
+        rows.append(f"| {added.name} | {added.unit} | {default:g} | {allowed} | {added.meaning} |")
     rows += ["", "| output | symbol | unit | meaning | source |", "|---|---|---|---|---|"]
     rows += [f"| {row.name} | {row.symbol} | {row.unit} | {row.meaning} | {row.source} |" for row in OUTPUTS]
     return "\n".join(rows)

@@ -3,17 +3,22 @@
 import os
 from pathlib import Path
 
-from product_model.inputs import BadInput
+from product_model.inputs import BadInput, Parameters
 
 GIGABYTE = 1e9
-NUMBERS_TO_COMPUTE = 4, 15  # for each sample and each piece of a portion, measured
+NUMBERS_TO_COMPUTE = 4, 15  # for each sample and each pulse of a portion, measured
 NUMBERS_TO_SAVE = 12, 20  # the same, with the arrays of a file
 LIMIT_FILES = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory.current")  # of a container
 
 
-def portion_bytes(samples: int, pieces: int, itemsize: int, numbers: tuple[int, int] = NUMBERS_TO_COMPUTE) -> int:
+def portion_bytes(samples: int, pulses: int, itemsize: int, numbers: tuple[int, int] = NUMBERS_TO_COMPUTE) -> int:
     """Bytes that one portion needs while it is computed, or with NUMBERS_TO_SAVE until it is in a file."""
-    return itemsize * (numbers[0] * samples + numbers[1] * pieces)
+    return itemsize * (numbers[0] * samples + numbers[1] * pulses)
+
+
+def pulses_of(params: Parameters, pieces: int) -> int:
+    """Number of pulses of a portion, by which its memory is counted: those of the extended model are a few for each piece."""
+    return pieces if params.landings is None else pieces * (1 + sum(params.landings.impacts))
 
 
 def available_memory() -> int | None:

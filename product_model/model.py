@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -44,6 +45,14 @@ def pif_kg(force: jax.Array, gravity: Numbers = GRAVITY) -> jax.Array:
     return force / gravity
 
 
+class Triangles(NamedTuple):
+    """Isosceles triangular pulses, [pulses] each: start (s), half of their length (s), slope (N/s) of their rise."""
+
+    start: jax.Array
+    half: jax.Array
+    slope: jax.Array
+
+
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Pulses:
@@ -66,6 +75,22 @@ class Pulses:
         """
         times = jnp.concatenate([self.start, self.start + self.duration])
         return times, jnp.concatenate([self.force, self.weight - self.force])
+
+    def triangles(self, dtype: Any) -> None:
+        """None: the force is constant between its edges."""
+
+    def ends(self) -> jax.Array:
+        """[..., pieces] (s) ends of the pulses."""
+        return self.start + (self.duration[..., None] if getattr(self.duration, "ndim", 0) else self.duration)
+
+    def weight_steps(self) -> tuple[jax.Array, jax.Array]:
+        """Times (s) and weights (N) that come to rest then, [..., pieces] each."""
+        return self.ends(), self.weight
+
+    @property
+    def first_touch(self) -> jax.Array:
+        """[..., pieces] (s) moment of the first impact of each piece."""
+        return self.start
 
 
 def pulses(height: jax.Array, mass: jax.Array, dt_impact: jax.Array, gravity: Numbers) -> Pulses:

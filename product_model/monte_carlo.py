@@ -11,17 +11,33 @@ import jax
 import numpy as np
 from numpy.typing import ArrayLike
 
+from product_model.extended import ADDED
 from product_model.grid import Grid
 from product_model.inputs import DTYPES, LEAVES, BadInput, Parameters, check, grid_of
-from product_model.memory import GIGABYTE, available_memory, check_memory, portion_bytes
+from product_model.memory import GIGABYTE, available_memory, check_memory, portion_bytes, pulses_of
 from product_model.portion import Key, Leaves, Trace, as_key, in_precision, leaves_of, portion, static_of
 
+SHORTENING = ("gravity",)  # inputs whose largest value makes the shortest portions
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 
 
 @partial(jax.jit, static_argnames=("static",))
 def _portions(leaves: Leaves, keys: jax.Array, static: tuple[tuple[str, Any], ...], varied: Leaves) -> Trace:
-    return jax.vmap(lambda key, own: portion(leaves | own, key, **dict(static)))(keys, varied)
+    return jax.vmap(lambda key, own: portion(with_own(leaves, own), key, **dict(static)))(keys, varied)
+
+
+def with_own(leaves: Leaves, own: Leaves) -> Leaves:
+    """`leaves` with the values of `own` in their place, those of the landings among them."""
+    added = {name: value for name, value in own.items() if name in ADDED}
+    if not added:
+        return leaves | own
+    return leaves | {name: own[name] for name in own if name not in ADDED} | {"landings": leaves["landings"].replace(**added)}
+
+
+def _with_values(params: Parameters, values: Mapping[str, float]) -> Parameters:
+    """`params` with these values, those of the landings among them."""
+    given = with_own({"landings": params.landings}, dict(values))
+    return params.replace(**given)
 
 
 @dataclass(frozen=True)
@@ -40,8 +56,8 @@ class _Prepared:
 
 def widest_grid(params: Parameters, varied: Mapping[str, np.ndarray]) -> Grid:
     """The sample times of portions of which some leaves vary, name -> [runs]: long enough for the largest."""
-    ends = {name: float((np.min if name == "gravity" else np.max)(column)) for name, column in varied.items()}
-    return grid_of(params.replace(**ends))
+    ends = {name: float((np.min if name in SHORTENING else np.max)(column)) for name, column in varied.items()}
+    return grid_of(_with_values(params, ends))
 
 
 def _prepare(params: Parameters, key: Key, runs: int, varied: Mapping[str, ArrayLike] | None) -> _Prepared:
@@ -51,10 +67,11 @@ def _prepare(params: Parameters, key: Key, runs: int, varied: Mapping[str, Array
         raise BadInput(f"runs = {runs}: must be at least 1")
     values = {name: np.asarray(column, np.float64) for name, column in (varied or {}).items()}
     for name, column in values.items():
-        if name not in LEAVES or column.shape != (runs,):
-            raise BadInput(f"varied: {name} {column.shape}: must be one of {', '.join(LEAVES)}, each with {runs} values")
+        known = LEAVES if params.landings is None else LEAVES + ADDED
+        if name not in known or column.shape != (runs,):
+            raise BadInput(f"varied: {name} {column.shape}: must be one of {', '.join(known)}, each with {runs} values")
     for k in (np.argmin, np.argmax):  # of each its least and its largest must be an input
-        check(params.replace(**{name: float(column[k(column)]) for name, column in values.items()}))
+        check(_with_values(params, {name: float(column[k(column)]) for name, column in values.items()}))
     keys = jax.random.split(as_key(key), runs)
     own = {name: column.astype(DTYPES[params.precision]) for name, column in values.items()}
     static = static_of(params) | {"grid": widest_grid(params, values)}
@@ -69,11 +86,11 @@ def ensemble(params: Parameters, key: Key, runs: int, varied: Mapping[str, Array
     Raises `BadInput` where an input is out of range, and where the portions do not fit into memory: see `ensemble_blocks`.
     Warns if they take more than half of it.
     """
-    with in_precision(params.precision):
+    with in_precision(params):
         prepared = _prepare(params, key, runs, varied)
         static = dict(prepared.static)
         itemsize = np.dtype(DTYPES[params.precision]).itemsize
-        needed = runs * portion_bytes(static["grid"].samples, static["pieces"], itemsize)
+        needed = runs * portion_bytes(static["grid"].samples, pulses_of(params, static["pieces"]), itemsize)
         check_memory(runs, needed, "use ensemble_blocks, a larger sample or f32")
         if needed > (available_memory() or math.inf) / 2:
             warnings.warn(f"{runs} portions take {needed / GIGABYTE:.1f} GB of memory; ensemble_blocks takes less", stacklevel=2)
@@ -91,10 +108,10 @@ def ensemble_blocks(
     if block < 1:
         raise BadInput(f"block = {block}: must be at least 1")
     size = -(-runs // -(-max(runs, 1) // block))  # of nearly equal blocks
-    with in_precision(params.precision):
+    with in_precision(params):
         prepared = _prepare(params, key, runs, varied)
     for first in range(0, runs, size):
-        with in_precision(params.precision):
+        with in_precision(params):
             yield prepared.portions(slice(first, min(first + size, runs)))
 
 
@@ -118,9 +135,9 @@ class Peaks:
 
 def peaks(trace: Trace) -> Peaks:
     """Peak PIF, its time and the total duration of every portion of an ensemble (or of one trace: [1])."""
-    force, start = np.atleast_2d(np.asarray(trace.force)), np.atleast_2d(np.asarray(trace.pulses.start))
-    first, last = start.min(axis=1), start.max(axis=1)
-    duration = last - first + np.asarray(trace.pulses.duration)
+    force, start, ends = (np.atleast_2d(np.asarray(a)) for a in (trace.force, trace.pulses.start, trace.pulses.ends()))
+    first = start.min(axis=1)
+    duration = ends.max(axis=1) - first
     peak = force.max(axis=1) / np.asarray(trace.gravity)
     return Peaks(peak, trace.time[force.argmax(axis=1)], first, duration)
 

@@ -9,11 +9,13 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 
 from product_model import draws, fall, model
 from product_model import pulses as sharp
 from product_model import smooth as smoothed
 from product_model.draws import DType
+from product_model.extended import LandingPulses, count_numbers, landing_numbers, landing_pulses
 from product_model.grid import Grid
 from product_model.inputs import DTYPES, LEAVES, Parameters, check, checked_seed, grid_of, pieces_of
 
@@ -27,7 +29,8 @@ class Trace:
     """The force of one portion, or of several with a leading axis [runs] on every array.
 
     force:        [T] (N)       total force in the form that was asked for, downward positive
-    pulses:       [pieces]      start (s), duration (s), force (N), weight (N) of every piece's pulse
+    pulses:       [pieces]      start (s), duration (s), force (N), weight (N) of every piece's pulse; of the extended model
+                                those of `LandingPulses`
     height:       [pieces] (m)  drop heights
     sigma_height: [] (m)        their standard deviation in this portion, eqs 19-22
     again:        [pieces]      True where the drop height would have been negative and was drawn again
@@ -36,7 +39,7 @@ class Trace:
     """
 
     force: jax.Array
-    pulses: model.Pulses
+    pulses: model.Pulses | LandingPulses
     height: jax.Array
     sigma_height: jax.Array
     again: jax.Array
@@ -66,13 +69,12 @@ class Trace:
     @property
     def late(self) -> np.ndarray:
         """[] pieces whose pulse is not over at the last sample: lengthen the trace if there are any."""
-        end = _concrete(self.pulses.start) + self._over_time(_concrete(self.pulses.duration))
-        return (end > self.grid.end).sum(axis=-1)
+        return (_concrete(self.pulses.ends()) > self.grid.end).sum(axis=-1)
 
     def settled_mass(self) -> np.ndarray:
-        """[T] (kg) mass whose pulse is over at each sample time: the static weight of Fig. 6 over g."""
-        end = np.asarray(self.pulses.start, np.float64) + np.asarray(self._over_time(self.pulses.duration), np.float64)
-        mass = np.asarray(self.pulses.weight, np.float64) / np.asarray(self._over_time(self.gravity), np.float64)
+        """[T] (kg) mass whose weight rests on the flaps at each sample time: the static weight of Fig. 6 over g."""
+        end, weight = (np.asarray(values, np.float64) for values in _in_double(self.pulses).weight_steps())
+        mass = weight / np.asarray(self._over_time(self.gravity), np.float64)
         if end.ndim == 1:
             return _settled(self.time, end, mass)
         return np.stack([_settled(self.time, e, m) for e, m in zip(end, mass, strict=True)])
@@ -88,13 +90,18 @@ def _concrete(value: Any) -> Any:
     return value if isinstance(value, jax.core.Tracer) else np.asarray(value)
 
 
+def _in_double(pulses: Any) -> Any:
+    """`pulses` as NumPy arrays in double precision."""
+    return jax.tree.map(lambda leaf: np.asarray(leaf, np.float64), pulses)
+
+
 def _settled(time: np.ndarray, end: np.ndarray, mass: np.ndarray) -> np.ndarray:
     order = np.argsort(end)
     total = np.concatenate([[0.0], np.cumsum(mass[order])])
     return total[np.searchsorted(end[order], time, side="right")]
 
 
-def render(pulses: model.Pulses, grid: Grid, form: str, smooth_width: float) -> jax.Array:
+def render(pulses: model.Pulses | LandingPulses, grid: Grid, form: str, smooth_width: float) -> jax.Array:
     """Force [T] (N) of `pulses` in one of the three forms."""
     if form == "rectangular":
         return sharp.rectangular(pulses, grid)
@@ -103,28 +110,37 @@ def render(pulses: model.Pulses, grid: Grid, form: str, smooth_width: float) -> 
     return smoothed.smooth(pulses, grid, smooth_width)
 
 
-def random_numbers(key: jax.Array, pieces: int, dtype: DType) -> tuple[jax.Array, jax.Array]:
-    """What a portion draws: z [] normal for its spread, v [pieces] uniform on (-1, 1) for its drop heights.
+def random_numbers(key: jax.Array, pieces: int, dtype: DType, more: int = 0) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """What a portion draws: z [] normal for its spread, v [pieces] uniform on (-1, 1) for its drop heights, and [pieces, more]
+    further uniform numbers, which change none of the others.
 
     All from one call of the generator, which on a CPU costs more to enter than to fill.
     """
     lowest = np.nextafter(np.array(-1.0, dtype), np.array(0.0, dtype))
-    v = draws.uniform(key, pieces + 1, dtype, lowest, 1.0)
-    return fall.standard_normal(v[0]), v[1:]
+    v = draws.uniform(key, 1 + pieces * (1 + more), dtype, lowest, 1.0)
+    return fall.standard_normal(v[0]), v[1 : pieces + 1], v[pieces + 1 :].reshape(pieces, more)
 
 
 @partial(jax.jit, static_argnames=("pieces", "grid", "form", "smooth_width"))
 def portion(leaves: Leaves, key: jax.Array, *, pieces: int, grid: Grid, form: str, smooth_width: float) -> Trace:
     """Eqs 9-22 for one key. leaves: dict of the names in `LEAVES`, [] each and all of one dtype, which is that of
-    the result.
+    the result; "landings", if any, the additions of the extended model.
     """
-    z, v = random_numbers(key, pieces, jnp.result_type(leaves["h_mean"]))
+    extended = leaves.get("landings")
+    more = 0 if extended is None else count_numbers(extended.impacts)
+    z, v, numbers = random_numbers(key, pieces, jnp.result_type(leaves["h_mean"]), more)
     sigma = fall.sigma_height(leaves["gamma_low"], leaves["gamma_high"], z)
     height, again = fall.drop_heights(leaves["h_mean"], sigma, v)
     mass = jnp.broadcast_to(leaves["m_piece"], (pieces,))
-    pulses = model.pulses(height, mass, leaves["dt_impact"], leaves["gravity"])
+    pulses: model.Pulses | LandingPulses
+    if extended is None:
+        pulses = model.pulses(height, mass, leaves["dt_impact"], leaves["gravity"])
+    else:
+        given = leaves["dt_impact"], leaves["h_mean"], leaves["gravity"]
+        landed = landing_pulses(extended, height, mass, *given, landing_numbers(numbers, extended.impacts))
+        pulses = lax.optimization_barrier(landed)  # else XLA computes them once for each use
     return Trace(
-        force=render(pulses, grid, form, smooth_width),
+        force=render(pulses, grid, form, smooth_width).astype(height.dtype),
         pulses=pulses,
         height=height,
         sigma_height=sigma,
@@ -134,16 +150,24 @@ def portion(leaves: Leaves, key: jax.Array, *, pieces: int, grid: Grid, form: st
     )
 
 
-def in_precision(precision: str) -> contextlib.AbstractContextManager[Any]:
-    """Context in which arrays of `precision` ("f32" or "f64") exist, whatever the global flag says."""
-    needed = precision == "f64" and not jax.config.jax_enable_x64  # type: ignore[attr-defined]
+def in_precision(params: Parameters) -> contextlib.AbstractContextManager[Any]:
+    """Context in which arrays of the precision that `params` need exist, whatever the global flag says.
+
+    Landings are rendered in double precision, in f32 as well: slopes that are summed up twice lose four digits otherwise.
+    """
+    double = params.precision == "f64" or params.landings is not None
+    needed = double and not jax.config.jax_enable_x64  # type: ignore[attr-defined]
     return jax.enable_x64(True) if needed else contextlib.nullcontext()
 
 
 def leaves_of(params: Parameters) -> Leaves:
     """The leaves of `params` in its precision; call it inside `in_precision`."""
     dtype = DTYPES[params.precision]
-    return {name: _cast(getattr(params, name), dtype) for name in LEAVES}
+    leaves = {name: _cast(getattr(params, name), dtype) for name in LEAVES}
+    if params.landings is None:
+        return leaves
+    added = {name: _cast(value, dtype) for name, value in params.landings.values().items()}
+    return leaves | {"landings": params.landings.replace(**added)}
 
 
 def _cast(value: Any, dtype: DType) -> np.ndarray | jax.Array:
@@ -173,7 +197,7 @@ def simulate(params: Parameters, key: Key) -> Trace:
     loop that counts microseconds use `compiled`.
     """
     check(params)
-    with in_precision(params.precision):
+    with in_precision(params):
         return portion(leaves_of(params), as_key(key), **static_of(params))
 
 
@@ -187,7 +211,9 @@ def compiled(params: Parameters) -> Callable[[jax.Array], Trace]:
     """
     check(params)
     static = static_of(params)
-    with in_precision(params.precision):
+    if params.landings is not None:
+        return _compiled_landings(params, static)
+    with in_precision(params):
         leaves = leaves_of(params)
         weight = jnp.full(static["pieces"], leaves["m_piece"] * leaves["gravity"])
         duration, gravity = jnp.asarray(leaves["dt_impact"]), jnp.asarray(leaves["gravity"])
@@ -202,9 +228,14 @@ def compiled(params: Parameters) -> Callable[[jax.Array], Trace]:
         pulses = model.Pulses(start, duration, height_of_pulse, weight)
         return Trace(force, pulses, height, sigma, again, gravity, static["grid"])
 
-    if params.precision == "f32" or jax.config.jax_enable_x64:  # type: ignore[attr-defined]
-        return run
-    return _within_x64(run)
+    return run if isinstance(in_precision(params), contextlib.nullcontext) else _within_x64(run)
+
+
+def _compiled_landings(params: Parameters, static: dict[str, Any]) -> Callable[[jax.Array], Trace]:
+    with in_precision(params):
+        leaves = leaves_of(params)
+    run = jax.jit(lambda key: portion(leaves, key, **static))
+    return run if isinstance(in_precision(params), contextlib.nullcontext) else _within_x64(run)
 
 
 def _within_x64(run: Callable[[jax.Array], Trace]) -> Callable[[jax.Array], Trace]:

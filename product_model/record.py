@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from product_model.extended import ADDITIONS
 from product_model.inputs import INPUTS, LEAVES, BadInput, Parameters, checked_seed
 from product_model.memory import GIGABYTE
 from product_model.portion import Trace, in_precision
@@ -110,8 +111,11 @@ def _check_disk(path: Path, runs: int, trace: Trace) -> None:
 
 def inputs_of(params: Parameters, trace: Trace) -> dict[str, Any]:
     """All inputs as plain numbers and strings, with the number of pieces and the length that were used."""
-    values = {f.name: getattr(params, f.name) for f in dataclasses.fields(params)}
+    values = {f.name: getattr(params, f.name) for f in dataclasses.fields(params) if f.name != "landings"}
     values |= {name: float(values[name]) for name in LEAVES}
+    if params.landings is not None:
+        values |= {name: float(value) for name, value in params.landings.values().items()}
+        values |= {"impacts": list(params.landings.impacts), "shape": params.landings.shape}
     return values | {"pieces": int(trace.height.shape[-1]), "duration": trace.grid.sample * trace.grid.samples}
 
 
@@ -133,10 +137,10 @@ def version() -> str:
 
 
 def instantaneous(trace: Trace, params: Parameters) -> np.ndarray:
-    """[T] or [runs, T] (N) the same portions as sampled rectangles."""
+    """[T] or [runs, T] (N) the force of the same portions at the sample times."""
     import jax
 
-    with in_precision(params.precision):
+    with in_precision(params):
         sample = lambda pulses: rectangular(pulses, trace.grid)  # noqa: E731
         return np.asarray((sample if trace.force.ndim == 1 else jax.vmap(sample))(trace.pulses))
 
@@ -168,7 +172,7 @@ def _arrays(trace: Trace, params: Parameters) -> Arrays:
         f"settled_mass/{BLOCK}": (trace.settled_mass(), "kg"),
         "pif": (np.asarray(trace.pif_kg), "kg"),
         "pieces/drop_height": (np.asarray(trace.height), "m"),
-        "pieces/impact_time": (np.asarray(trace.pulses.start), "s"),
+        "pieces/impact_time": (np.asarray(trace.pulses.first_touch), "s"),
         "pieces/sigma_height": (np.asarray(trace.sigma_height), "m"),
         "pieces/redrawn": (np.asarray(trace.redrawn), "1"),
         "pieces/late": (np.asarray(trace.late), "1"),
@@ -205,7 +209,7 @@ def _describe_hdf5(path: Path, trace: Trace, params: Parameters, seed: int | Non
     """Add the varied parameters and the attributes."""
     import h5py
 
-    units = {row.name: row.unit for row in INPUTS}
+    units = {row.name: row.unit for row in (*INPUTS, *ADDITIONS)}
     with h5py.File(path, "r+", libver=FORM) as file:
         for name, values in varied.items():
             checked = {"fletcher32": True} if np.ndim(values) else {}

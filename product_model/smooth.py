@@ -11,8 +11,8 @@ import jax.numpy as jnp
 from jax.scipy.special import erf, ndtr
 
 from product_model.grid import Grid
-from product_model.model import Numbers, Pulses
-from product_model.pulses import cumulative_sum, in_samples
+from product_model.model import Numbers
+from product_model.pulses import Pulses, corners_of, cumulative_sum, in_samples, ramp_changes, wide_dtype
 
 REACH = 8.5  # standard deviations beyond which a Gaussian edge is 0 or 1 to double precision
 
@@ -48,4 +48,28 @@ def smooth(pulses: Pulses, grid: Grid, width: float) -> jax.Array:
     ramp = bins * _ramp((node[None, :] - (position - whole)[:, None]) / bins)
     deposit = jumps[:, None] * (ramp[:, 2:] - 2.0 * ramp[:, 1:-1] + ramp[:, :-2])
     index = jnp.maximum(whole.astype(jnp.int32)[:, None] + jnp.arange(-reach, reach + 2, dtype=jnp.int32)[None, :], 0)
-    return cumulative_sum(jnp.zeros(grid.samples, jumps.dtype).at[index].add(deposit, mode="drop"))
+    changes = jnp.zeros(grid.samples, jumps.dtype).at[index].add(deposit, mode="drop")
+    return cumulative_sum(_with_smooth_ramps(changes, pulses, grid, bins))
+
+
+def _with_smooth_ramps(changes: jax.Array, pulses: Pulses, grid: Grid, bins: float) -> jax.Array:
+    """`changes` [T] (N) of the force with those of the smoothed ramps. bins: width of the Gaussian in samples."""
+    triangles = pulses.triangles(wide_dtype())
+    if triangles is None:
+        return changes
+    corners = corners_of(triangles, grid)
+    reach = math.ceil(REACH * bins) + 1
+    position = jnp.minimum(corners.position, float(grid.samples + reach + 3))
+    whole = jnp.floor(position)
+    node = jnp.arange(-reach - 1, reach + 4).astype(position.dtype)[:, None, None]
+    parabola = bins**2 * _parabola((node - (position - whole)[None]) / bins)
+    parts = corners.shared(jnp.diff(parabola, 3, axis=0))
+    first = jnp.arange(1 - reach, reach + 3, dtype=jnp.int32)[:, None, None]
+    return changes.astype(parts.dtype) + ramp_changes(whole.astype(jnp.int32)[None] + first, parts, grid.samples)
+
+
+def _parabola(u: jax.Array) -> jax.Array:
+    """Integral of `_ramp`; written as that of max(u, 0) and what is small, to keep its precision."""
+    below = -jnp.abs(u)
+    small = 0.5 * ((u * u + 1.0) * ndtr(below) + below * jnp.exp(-0.5 * u * u) / math.sqrt(2.0 * math.pi))
+    return jnp.where(u > 0.0, 0.5 * (u * u + 1.0) - small, small)

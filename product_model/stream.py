@@ -5,7 +5,7 @@ station that is itself a scan. The state holds the sample counter and a few numb
 time.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import jax
@@ -13,8 +13,9 @@ import jax.numpy as jnp
 
 from product_model.grid import Grid
 from product_model.inputs import BadInput, Parameters, check
-from product_model.model import Pulses
+from product_model.model import Triangles
 from product_model.portion import Key, as_key, in_precision, leaves_of, portion, static_of
+from product_model.pulses import Pulses, corners_of, mean_ramp, sampled_ramp, wide_dtype
 
 _FAR = 2**30  # sample number no stream reaches
 
@@ -22,13 +23,15 @@ _FAR = 2**30  # sample number no stream reaches
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Stream:
-    """State of a stream of E = 2 pieces edges.
+    """State of a stream of E edges, of which the paper's model has two for each piece.
 
     bin:    [E]      number of the sample in whose interval each edge lies, ascending
     level:  [E + 1]  (N) force after the first i edges
     excess: [E + 1]  (N) sum over the first i edges of what each adds to the mean of its own bin
     passed: []       number of edges that lie before the next sample's interval
     sample: []       number of the next sample
+    slope:  [E + 1]  (N) change of the force in each sample after the first i edges, of which corners of pulses are some;
+                     its level is then that of the sample in which edge i - 1 lies. None: the force is constant between edges
     """
 
     bin: jax.Array
@@ -36,6 +39,7 @@ class Stream:
     excess: jax.Array
     passed: jax.Array
     sample: jax.Array
+    slope: jax.Array | None = None
 
 
 def start(params: Parameters, key: Key) -> Stream:
@@ -48,8 +52,12 @@ def start(params: Parameters, key: Key) -> Stream:
     if params.form == "smooth":
         raise BadInput("form = smooth: a stream is rectangular or interval-mean")
     static = static_of(params)
-    with in_precision(params.precision):
-        return _sorted_edges(portion(leaves_of(params), as_key(key), **static).pulses, static["grid"], params.form)
+    with in_precision(params):
+        pulses = portion(leaves_of(params), as_key(key), **static).pulses
+        triangles = pulses.triangles(wide_dtype())
+        if triangles is not None:
+            return _sorted_corners(pulses, triangles, static["grid"], params.form)
+        return _sorted_edges(pulses, static["grid"], params.form)
 
 
 @partial(jax.jit, static_argnames=("grid", "form"))
@@ -71,10 +79,48 @@ def _sorted_edges(pulses: Pulses, grid: Grid, form: str) -> Stream:
     )
 
 
+@partial(jax.jit, static_argnames=("grid", "form"))
+def _sorted_corners(pulses: Pulses, triangles: Triangles, grid: Grid, form: str) -> Stream:
+    """The stream of a force that has slopes; sums are taken in the widest dtype, as rounding errors of a slope grow with time."""
+    wide, dtype = wide_dtype(), pulses.edges()[1].dtype
+    edges, jumps = pulses.edges()
+    corners = corners_of(triangles, grid)
+    position = jnp.concatenate([(edges.astype(wide) - grid.start) / grid.sample, corners.position.reshape(-1)])
+    order = jnp.argsort(position)
+    position = position[order]
+    jump = jnp.concatenate([jumps.astype(wide), jnp.zeros(corners.change.size, wide)])[order]
+    slope = jnp.concatenate([jnp.zeros(len(jumps), wide), corners.change.reshape(-1)])[order]
+    sampled = form == "rectangular"
+    whole = jnp.where(jnp.asarray(sampled) & (slope == 0.0), jnp.ceil(position) - 1.0, jnp.floor(position))
+    whole = jnp.clip(whole, 0.0, float(_FAR))
+    after = position - whole
+    share = jnp.ones_like(after) if sampled else 1.0 - jnp.maximum(after, 0.0)
+    risen = jnp.where(after < 0.0, 0.5 - after, mean_ramp(after)[0])
+    excess = jump * share + slope * (sampled_ramp(after)[0] if sampled else risen)
+    height = (1.0 if sampled else 0.5) - after  # of the ramp in the sample of its corner
+    later = jnp.argsort(whole)
+    whole, jump, slope, excess, height = (values[later] for values in (whole, jump, slope, excess, height))
+    nothing = jnp.zeros(1, wide)
+    slopes_after = jnp.concatenate([nothing, jnp.cumsum(slope)])
+    moved = slopes_after[:-1] * jnp.diff(whole, prepend=whole[:1])
+    level = jnp.concatenate([nothing, jnp.cumsum(jump + slope * height + moved)])
+    return Stream(
+        bin=whole.astype(jnp.int32),
+        level=level.astype(dtype),
+        excess=jnp.concatenate([nothing, jnp.cumsum(excess)]).astype(dtype),
+        passed=jnp.zeros((), jnp.int32),
+        sample=jnp.zeros((), jnp.int32),
+        slope=slopes_after.astype(dtype),
+    )
+
+
 def step(stream: Stream) -> tuple[Stream, jax.Array]:
     """(next stream, force [] (N) of this sample). O(log pieces); after the last sample of the grid the static
     weight goes on.
     """
     passed = jnp.searchsorted(stream.bin, stream.sample, side="right", method="scan_unrolled").astype(jnp.int32)
     force = stream.level[stream.passed] + (stream.excess[passed] - stream.excess[stream.passed])
-    return Stream(stream.bin, stream.level, stream.excess, passed, stream.sample + 1), force
+    if stream.slope is not None:
+        since = stream.sample - stream.bin[jnp.maximum(stream.passed - 1, 0)]
+        force = force + stream.slope[stream.passed] * since.astype(force.dtype)
+    return replace(stream, passed=passed, sample=stream.sample + 1), force
