@@ -1,9 +1,11 @@
 """The traces that the Product Model is fitted to: from HDF5 ensembles and runs, tables of text, or arrays."""
 
-from collections.abc import Callable, Iterator, Sequence
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,8 +27,8 @@ class Target:
 
     time: [T] (s) after the release, ends of the sample intervals, equidistant; force: [T] (N) means over them,
     downward positive
-    m_piece: (kg) weight of one piece; pieces: number of pieces; height_offset: (m) known deviation of this trace's
-    mean drop height from the others'; gravity: (m/s2); name: for messages
+    m_piece: (kg) weight of one piece, their mean where they differ; pieces: number of pieces
+    height_offset: (m) known deviation of this trace's mean drop height from the others'; gravity: (m/s2); name: for messages
     assumed: which units the source does not tell, of "time" and "force"; from_release: False where times do not count
     from the release
     """
@@ -119,10 +121,10 @@ def read(
     Args:
         path: an HDF5 file with a run, or an ensemble with a leading run axis, in the layout of the discrete element runs;
             or a table of any program as text, or a LabVIEW measurement (`csv_table`).
-        m_piece: (kg) of one piece. Default: from the file, which a table does not tell.
+        m_piece: (kg) of one piece. Default: from the file, which a table does not tell; the mean where pieces differ.
         pieces: number of pieces of all traces, or of each. Default: from the file, which a table does not tell.
         group: wall group of an HDF5 file whose mean force is read. Default: wb_flaps, or the only one there is.
-        tell: called with one line that says how a table was understood.
+        tell: called with one line that says how a table was understood, or by how much the pieces of a file differ in weight.
         table: what a table does not tell itself, as its units.
         tare: whether the mean force before the first impact is subtracted from each trace.
 
@@ -139,7 +141,7 @@ def read(
     try:
         with open(path, "rb") as file:
             is_hdf5 = file.read(8) == HDF5 or path.suffix.lower() in (".h5", ".hdf5")
-        found = _read_hdf5(path, m_piece, pieces, group) if is_hdf5 else _read_table(path, m_piece, pieces, said, table)
+        found = _read_hdf5(path, m_piece, pieces, group, said) if is_hdf5 else _read_table(path, m_piece, pieces, said, table)
     except OSError as error:
         raise BadInput(f"{path}: cannot be read ({error.strerror or error})") from None
     for line in said:
@@ -184,7 +186,9 @@ def _of_column(path: Path, column: Column, m_piece: float, pieces: int) -> Targe
     return replace(trace, assumed=column.assumed, from_release=column.from_release)
 
 
-def _read_hdf5(path: Path, m_piece: float | None, pieces: int | Sequence[int] | None, group: str | None) -> list[Target]:
+def _read_hdf5(
+    path: Path, m_piece: float | None, pieces: int | Sequence[int] | None, group: str | None, said: list[str]
+) -> list[Target]:
     import h5py
 
     try:
@@ -196,21 +200,53 @@ def _read_hdf5(path: Path, m_piece: float | None, pieces: int | Sequence[int] | 
             count = file["pieces/drop_height"].shape[-1] if "pieces/drop_height" in file else count
     except (OSError, KeyError) as error:
         raise BadInput(f"{path}: not a trace file ({str(error).strip(chr(39))})") from None
-    m_piece = piece_mass(str(attrs.get("scene", ""))) if m_piece is None else m_piece
-    pieces = attrs.get("piece_count", count) if pieces is None else pieces
-    if m_piece is None:
-        raise BadInput(f"{path}: its scene does not tell m_piece; give --m-piece")
-    if pieces is None:
-        raise BadInput(f"{path}: its scene does not tell pieces; give --pieces")
-    gravity = float(np.linalg.norm(attrs.get("gravity", (0.0, 0.0, -9.81))))
     runs = force if force.ndim == 2 else force[None]
     if len(runs) == 0:
         raise BadInput(f"{path}: holds no runs")
+    masses = _masses(path, attrs, m_piece, len(runs), said)
+    pieces = attrs.get("piece_count", count) if pieces is None else pieces
+    if pieces is None:
+        raise BadInput(f"{path}: its scene does not tell pieces; give --pieces")
+    gravity = float(np.linalg.norm(attrs.get("gravity", (0.0, 0.0, -9.81))))
     numbers = _each(path, pieces, len(runs))
     return [
-        target(time, run, m_piece, int(n), gravity=gravity, name=f"{path}:{k}")
-        for k, (run, n) in enumerate(zip(runs, numbers, strict=True))
+        target(time, run, mass, int(n), gravity=gravity, name=f"{path}:{k}")
+        for k, (run, mass, n) in enumerate(zip(runs, masses, numbers, strict=True))
     ]
+
+
+def _masses(path: Path, attrs: dict[str, Any], m_piece: float | None, runs: int, said: list[str]) -> list[float]:
+    """(kg) of a piece of each run, the mean of those that the file tells; `said` gets a line where they differ."""
+    if m_piece is not None:
+        return [m_piece] * runs
+    rows = stored_masses(path, attrs, runs)
+    if rows is None:
+        mass = piece_mass(str(attrs.get("scene", "")))
+        if mass is None:
+            raise BadInput(f"{path}: its scene does not tell m_piece; give --m-piece")
+        return [mass] * runs
+    spread = max(rows, key=lambda row: float(np.std(row) / np.mean(row)))
+    if np.ptp(spread) > 1e-6 * np.mean(spread):
+        low, high, mean = (1e3 * float(of(spread)) for of in (np.min, np.max, np.mean))
+        said.append(
+            f"{path}: {len(spread)} pieces of {low:.3g} to {high:.3g} g: m_piece is their mean, {mean:.4g} g "
+            f"(standard deviation {100 * np.std(spread) / np.mean(spread):.2g} %)"
+        )
+    return [float(np.mean(row)) for row in rows]
+
+
+def stored_masses(path: Path, attrs: Mapping[str, Any], runs: int) -> list[np.ndarray] | None:
+    """(kg) of the pieces of each run as the file's attribute info has them, one where all are alike; None: it has none."""
+    try:
+        found = json.loads(str(attrs.get("info", "{}"))).get("piece_masses")
+        if found is None:
+            return None
+        rows = [np.asarray(row, np.float64) for row in (found if np.ndim(found[0]) else [found])]
+        if not all(row.ndim == 1 and len(row) and np.isfinite(row).all() and (row > 0).all() for row in rows):
+            raise ValueError("masses must be greater than 0")
+        return [rows[k if len(rows) > 1 else 0] for k in range(runs)]
+    except (ValueError, TypeError, AttributeError, LookupError) as error:
+        raise BadInput(f"{path}: piece_masses of its attribute info cannot be read ({error})") from None
 
 
 def _group(path: Path, groups: list[str], group: str | None) -> str:

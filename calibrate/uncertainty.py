@@ -2,7 +2,9 @@
 words.
 """
 
+import os
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -50,6 +52,12 @@ def _unstratified(draws: Draws, seed: int) -> Draws:
     return replace(draws, z=jnp.asarray(z))
 
 
+def available_cores() -> int:
+    """Number of processor cores that this process may use."""
+    allowed = getattr(os, "sched_getaffinity", None)
+    return len(allowed(0)) if allowed else os.cpu_count() or 1
+
+
 def measured_like(measured: Measured, height: jax.Array, spread: jax.Array, lags: jax.Array) -> Measured:
     """`measured` with other summaries."""
     return replace(measured, height=height, spread=spread, increments=lags)
@@ -79,11 +87,17 @@ def bootstrap(
         return None
     count = -(-count // BATCH) * BATCH
     sets = data_sets(theta, targets, measured, count, seed + 1_000_003)
-    parts = []
-    for first in range(0, count, BATCH):
-        some = measured_like(sets, *(a[first : first + BATCH] for a in (sets.height, sets.spread, sets.increments)))
-        parts.append(jax.block_until_ready(solve_data_sets(theta, draws, some, free, fine)))
-        progress("bootstrap", first + BATCH, count)
+
+    def refit(first: int) -> Solution:
+        with jax.enable_x64(True):  # which each thread has for itself
+            some = measured_like(sets, *(a[first : first + BATCH] for a in (sets.height, sets.spread, sets.increments)))
+            return jax.block_until_ready(solve_data_sets(theta, draws, some, free, fine))
+
+    with ThreadPoolExecutor(available_cores()) as pool:  # XLA leaves a core to each call
+        waiting = [pool.submit(refit, first) for first in range(0, count, BATCH)]
+        for done, _ in enumerate(as_completed(waiting), 1):
+            progress("bootstrap", done * BATCH, count)
+        parts = [each.result() for each in waiting]
     return Refits(jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts), sets)
 
 

@@ -154,6 +154,12 @@ def end() -> NoReturn:
     os._exit(128 + (_STATE.received or signal.SIGINT))
 
 
+def save_computed() -> str | None:
+    """Save what was computed, in a process that another program ends; returns where it is, in words, None: nothing was there."""
+    _save_all()
+    return _STATE.said[0] if _STATE.said else None
+
+
 def ending_said() -> str:
     """What an interrupt did, in one line."""
     word = next((w for name, w in SIGNALS.items() if getattr(signal, name, None) == _STATE.received), "interrupted")

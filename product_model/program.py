@@ -12,9 +12,11 @@ from typing import Any, NoReturn
 PROGRAMS = ("product_model", "calibrate")  # this package's own, and the one built on it
 BAD_INPUT, INTERRUPTED = 2, 130
 SIGNALS = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "hung up"}  # that end a program: what they do to it
+SAVING = 5.0  # s at most, to save what was computed
 PATIENCE = 0.5  # s that an interrupted program waits for its standard output to take what was printed
 
 _unfinished: set[Path] = set()  # temporary files that an interrupted program removes
+_savers: list[Callable[[], str | None]] = []  # called when a program is interrupted
 _open_line = threading.Event()  # set while a progress bar stands on the last line of stderr
 
 
@@ -112,6 +114,16 @@ def temporary_file(path: Path) -> Iterator[Path]:
         _unfinished.discard(part)
 
 
+@contextlib.contextmanager
+def saving(save: Callable[[], str | None]) -> Iterator[None]:
+    """If the process is interrupted in here, `save` is called first; it returns where what was computed is, in words."""
+    _savers.append(save)
+    try:
+        yield
+    finally:
+        _savers.remove(save)
+
+
 class QuietStream:
     """A stream that falls silent once nobody takes what is written, as a progress bar may."""
 
@@ -168,16 +180,26 @@ def _wait_for_signal(name: str, reading: int) -> None:
 
 def _leave(name: str, number: int, words: str) -> NoReturn:
     """End the process without waiting for what it computes."""
-    flushing = threading.Thread(target=_flush, daemon=True)
-    flushing.start()
-    flushing.join(PATIENCE)
+    said: list[str] = []
+    for action, seconds in ((lambda: _save(said), SAVING if _savers else 0.0), (_flush, PATIENCE)):
+        thread = threading.Thread(target=action, daemon=True)
+        thread.start()
+        thread.join(seconds)
     for part in list(_unfinished):
         with contextlib.suppress(OSError):
             part.unlink(missing_ok=True)
     with contextlib.suppress(OSError, ValueError):
         line = "\n" if _open_line.is_set() else ""
-        os.write(sys.stderr.fileno(), f"{line}{name}: {words}\n".encode())
+        os.write(sys.stderr.fileno(), f"{line}{name}: {'; '.join([words, *said])}\n".encode())
     os._exit(128 + number)
+
+
+def _save(said: list[str]) -> None:
+    """Call what saves; `said` gets where things are."""
+    for save in list(_savers):
+        with contextlib.suppress(Exception):  # such as of a full disk: the process ends all the same
+            words = save()
+            said += [words] if words else []
 
 
 def _flush() -> None:

@@ -14,6 +14,7 @@ from dem_jax.contact.law import ContactLaw
 from dem_jax.drive import hosts, loop, recorded, restart, target
 from dem_jax.drive.job import Job
 from dem_jax.drive.prepare import checked_seed, prepare
+from dem_jax.drive.progress import Tell
 from dem_jax.drive.varied import drawn
 from dem_jax.errors import RecordError, SceneError
 from dem_jax.scene import Scene, parse
@@ -29,7 +30,7 @@ def simulate(
     seed: int = 0,
     out: FileName | None = None,
     overwrite: bool = False,
-    progress: bool = False,
+    progress: bool | Tell = False,
     quantities: Iterable[Quantity] = (),
     law: ContactLaw | None = None,
 ) -> record.Run:
@@ -40,7 +41,8 @@ def simulate(
         seed: seed of the initial arrangement of a portion.
         out: HDF5 file to write during the run; without one the run stays in memory.
         overwrite: replace an existing file.
-        progress: show a progress bar on stderr.
+        progress: show a progress bar on stderr, or a function that is called instead with the phase
+            (text) and the share that is done.
         quantities: quantities to sample in addition to those of dem_jax.
         law: a contact law (``dem_jax.contact.law``) instead of the scene's; ``info["law"]`` in the file
             contains the name of its type.
@@ -63,7 +65,7 @@ def ensemble(
     seed: int | Sequence[int] = 0,
     out: FileName | None = None,
     overwrite: bool = False,
-    progress: bool = False,
+    progress: bool | Tell = False,
     quantities: Iterable[Quantity] = (),
     law: ContactLaw | None = None,
     parameters: Mapping[str, Any] | None = None,
@@ -87,7 +89,8 @@ def ensemble(
         seed: first of the consecutive seeds, or the seeds of all runs.
         out: HDF5 file to write during the run; without one the runs stay in memory.
         overwrite: replace an existing file.
-        progress: show a progress bar on stderr.
+        progress: show a progress bar on stderr, or a function that is called instead with the phase
+            (text) and the share that is done.
         quantities: quantities to sample in addition to those of dem_jax.
         law: a contact law instead of the scene's.
         parameters: keys of the scene, such as ``"material.restitution"``, each with one value per run, or with a
@@ -117,7 +120,7 @@ def ensemble(
 def resume(
     path: FileName,
     duration: float | None = None,
-    progress: bool = False,
+    progress: bool | Tell = False,
     quantities: Iterable[Quantity] = (),
     law: ContactLaw | None = None,
 ) -> record.Run:
@@ -129,7 +132,8 @@ def resume(
     Args:
         path: HDF5 file of a run or an ensemble.
         duration: new duration (s) of the run.
-        progress: show a progress bar on stderr.
+        progress: show a progress bar on stderr, or a function that is called instead with the phase
+            (text) and the share that is done.
         quantities: the same quantities as at the start of the run.
         law: the same contact law as at the start of the run.
 
@@ -163,7 +167,7 @@ def resume(
         return _into_file(job, path, writer, progress, resumes=bool(arrays))
 
 
-def drive(job: Job, out: FileName | None = None, overwrite: bool = False, progress: bool = False) -> record.Run:
+def drive(job: Job, out: FileName | None = None, overwrite: bool = False, progress: bool | Tell = False) -> record.Run:
     """Run a job from its beginning, into a file or into memory. Arguments and errors as ``simulate``."""
     with hosts.together(job.shared):
         if out is None:
@@ -199,7 +203,7 @@ def _gone_on(job: Job, path: FileName, header: record.Header, arrays: dict[str, 
     return replace(job, system=system, state=state, samples_kept=samples, frames_kept=frames, notes=notes, reruns=reruns, slow=slow)
 
 
-def _into_file(job: Job, path: FileName, make: target.MakeWriter, progress: bool, resumes: bool = False) -> record.Run:
+def _into_file(job: Job, path: FileName, make: target.MakeWriter, progress: bool | Tell, resumes: bool = False) -> record.Run:
     """Run into a file; make: makes what writes it, once there is something to write; resumes: it is read before."""
     place = os.path.abspath(path)
     with target.File(path, make if job.writes else None) as file:

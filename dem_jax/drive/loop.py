@@ -14,16 +14,16 @@ import jax
 from dem_jax.drive import exchange, failure, hosts, ringing
 from dem_jax.drive.execute import execute
 from dem_jax.drive.job import Job
-from dem_jax.drive.progress import Progress
+from dem_jax.drive.progress import Progress, Tell
 from dem_jax.drive.recorded import facts_of, restart_of, rows_of
 from dem_jax.drive.span import Span, advance, looked_at
 from dem_jax.drive.target import Target
 from dem_jax.errors import SceneError, SimulationError
 
 
-def run(job: Job, target: Target, progress: bool) -> None:
+def run(job: Job, target: Target, progress: bool | Tell) -> None:
     """Run a job to its end, into a target. Raises SceneError and SimulationError."""
-    with jax.enable_x64(job.double), Progress(job, progress and job.writes) as shown:
+    with jax.enable_x64(job.double), Progress(job, job.writes and progress) as shown:
         try:
             _check_alike(job)
             _run(job, target, shown)

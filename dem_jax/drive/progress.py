@@ -3,6 +3,7 @@
 import sys
 import threading
 import time
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Self
 
 from dem_jax.drive.job import Job
@@ -14,16 +15,23 @@ if TYPE_CHECKING:
 TICK, LOGGED = 0.5, 5.0  # (s) between two looks of the bar: on a screen, in a log
 
 
+Tell = Callable[[str, float], object]  # is told of progress: what is being done, and the share that is done
+
+
 class Progress:
     """A bar with simulated time, speed and an estimate of what is left; silent unless asked for. A context manager."""
 
-    def __init__(self, job: Job, shown: bool) -> None:
+    def __init__(self, job: Job, shown: bool | Tell) -> None:
+        """shown: whether there is a bar, or what is told instead."""
         self._job = job
+        self._tell: Tell | None = shown if callable(shown) else None
+        shown = bool(shown) and self._tell is None
         self._bar: Any = None
         self._ended = threading.Event()
         self._stream = SilentStream(sys.stderr)
         self._clock: threading.Thread | None = None
         self._from = job.sample_of(job.state)
+        self._share = 0.0
         self._since, self._compiled = time.perf_counter(), job.clock.compile
         if shown:
             from tqdm import tqdm
@@ -50,6 +58,8 @@ class Progress:
 
     def compiling(self) -> None:
         """A program is about to be compiled."""
+        if self._tell is not None:
+            self._tell("compiling", self._share)
         if self._bar is not None:
             self._bar.set_description_str("compiling")
 
@@ -60,6 +70,10 @@ class Progress:
 
     def advance(self, span: "Span") -> None:
         """A chunk is done."""
+        left_out = (0 if span.end < 0 else self._job.samples) - span.end if span.settled else 0
+        self._share = (span.end + left_out - self._from) / max(self._job.samples - self._from, 1)
+        if self._tell is not None:
+            self._tell(self._phase(span.end), self._share)
         if self._bar is None:
             return
         now, compiled = time.perf_counter(), self._job.clock.compile
@@ -68,7 +82,6 @@ class Progress:
         self._since, self._compiled = now, compiled
         self._bar.set_postfix_str(f"{1e6 * took / steps:.3g} µs/step", refresh=False)
         self._bar.set_description_str(self._phase(span.end), refresh=False)
-        left_out = (0 if span.end < 0 else self._job.samples) - span.end if span.settled else 0
         self._bar.update(span.count + left_out)
 
 

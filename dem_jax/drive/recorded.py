@@ -5,9 +5,11 @@ from typing import Any
 import jax
 import numpy as np
 
+from dem_jax.build.pieces import masses_of
 from dem_jax.drive import restart
 from dem_jax.drive.job import Job
 from dem_jax.drive.span import Span
+from dem_jax.scene.materials import material_table
 from dem_jax.step import collided
 from dem_jax.store import record, series
 from dem_jax.types import SETTLED_SPEED
@@ -21,6 +23,7 @@ def header_of(job: Job) -> record.Header:
     own: dict[str, Any] = {"law": type(job.system.law).__name__} if job.own_law else {}
     if job.varied is not None:
         own |= {"parameters": job.varied.parameters, "steps": [b.step.dt for b in job.varied.built]}
+    own["piece_masses"] = masses_of_runs(job)
     return record.Header(
         scene=scene.to_toml(),
         seed=job.seeds[0] if job.runs is None else job.seeds,
@@ -36,6 +39,16 @@ def header_of(job: Job) -> record.Header:
         info={"step": str(step), "critical_step": step.critical, "stable_step": step.stable, "limit": step.limit} | own,
         quantities=series.declared(job.system),
     )
+
+
+def masses_of_runs(job: Job) -> list[Any]:
+    """(kg) of each piece, of one if all are alike; of runs whose pieces differ a list of such lists."""
+    runs = 1 if job.varied is None else len(job.varied.built)
+    built = {id(job.built_of(k)): (job.scene_of(k), job.built_of(k).goods) for k in range(runs)}
+    found = {key: masses_of(goods, material_table(scene)).tolist() for key, (scene, goods) in built.items()}
+    found = {key: row[:1] if min(row) == max(row) else row for key, row in found.items()}
+    rows = [found[id(job.built_of(k))] for k in range(runs)]
+    return rows[0] if all(row == rows[0] for row in rows) else rows
 
 
 def rows_of(job: Job, span: Span, count: int) -> tuple[dict[str, Any], dict[str, Any] | None]:

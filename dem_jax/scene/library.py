@@ -1,4 +1,4 @@
-"""Products and buckets by name, laid over a scene by its keys ``product`` and ``bucket``."""
+"""Products and buckets by name, or in a TOML file of the same form, laid over a scene by its keys ``product`` and ``bucket``."""
 
 import tomllib
 from collections.abc import Sequence
@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from dem_jax.errors import SceneError
-from dem_jax.scene.changes import Tree, merged
+from dem_jax.scene.changes import DEEPEST, Tree, is_deep, merged, on_top
 from dem_jax.scene.overrides import drop_overridden
 from dem_jax.scene.sections.material import NamedMaterial
 from dem_jax.scene.sections.pieces import OF_PRODUCT
@@ -23,6 +23,7 @@ FORMER_NAMES = {  # of buckets, of a version that named them by what makers call
     "5-litre": "9.1-litre",
 }
 OF_BUCKETS = ("feed_bucket", "weigh_bucket")
+SECTIONS = {PRODUCTS: ("portion", "material", "pair"), BUCKETS: (*OF_BUCKETS, "drop")}  # of a file of the user's
 
 
 def products() -> dict[str, str]:
@@ -52,7 +53,7 @@ def with_product(tree: Tree, name: Any, source: str | Path) -> Tree:
     if tree.get("piece"):
         raise SceneError(f"{source}: product = {name!r}: allowed in a scene with a portion, this one lists its pieces")
     kept = {key: item for key, item in (tree.get("portion") or {}).items() if key not in (*OF_PRODUCT, "product")}
-    return merged(tree | {"portion": kept}, own)
+    return on_top(tree | {"portion": kept}, own)
 
 
 def with_bucket(tree: Tree, name: Any, source: str | Path) -> Tree:
@@ -108,8 +109,54 @@ def _mixture(portion: Tree, rows: Sequence[Any], material: Any, source: str | Pa
 
 
 def _named(folder: Path, key: str, name: Any, source: str | Path) -> Tree:
-    """What is in a library's file. Raises SceneError."""
+    """What is in a library's file, or in a file of the user's. Raises SceneError."""
+    if isinstance(name, str) and name.endswith(".toml"):
+        return read_part(_beside(source, name), key, SECTIONS[folder])
     known = list(_listed(folder))
     if name not in known:
-        raise SceneError(f"{source}: {key} = {name!r}: no such {key.split('.')[-1]}; {choices(str(name), known)}")
+        allowed = f"{choices(str(name), known)}, or a file that ends in .toml"
+        raise SceneError(f"{source}: {key} = {name!r}: no such {key.split('.')[-1]}; {allowed}")
     return tomllib.loads((folder / f"{name}.toml").read_text(encoding="utf-8"))
+
+
+def _beside(source: str | Path, name: str) -> Path:
+    """A file that a scene names: beside the scene's own file, if there is such a one, else in the working folder."""
+    beside = Path(source).parent / name
+    return beside if Path(source).suffix == ".toml" and beside.is_file() else Path(name)
+
+
+def read_part(path: Path, key: str, sections: Sequence[str]) -> Tree:
+    """The tree of a product or a bucket in a TOML file; STL files in it are beside it.
+
+    Args:
+        path: of the file.
+        key: of the scene that names it, for messages.
+        sections: that it may have.
+
+    Returns:
+        Section -> keys.
+
+    Raises:
+        SceneError: it cannot be read, or has another section.
+    """
+    try:
+        tree = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except (OSError, ValueError, RecursionError) as error:
+        reason = (error.strerror if isinstance(error, OSError) else str(error).splitlines()[0]) or type(error).__name__
+        raise SceneError(f"{key} = {str(path)!r}: cannot be read as TOML ({reason})") from error
+    if is_deep(tree):
+        raise SceneError(f"{key} = {str(path)!r}: tables and lists are nested too deep; allowed: {DEEPEST} in each other")
+    stray = [name for name in tree if name not in sections]
+    if stray or not tree:
+        found = f"it has {stray[0]!r}" if stray else "it is empty"
+        raise SceneError(f"{key} = {str(path)!r}: {found}; allowed: {', '.join(f'[{name}]' for name in sections)}")
+    return {name: _with_places(item, path.resolve().parent) for name, item in tree.items()}
+
+
+def _with_places(item: Any, folder: Path, key: str = "") -> Any:
+    """A tree with its STL files from the root; folder: where they are."""
+    if isinstance(item, dict):
+        return {name: _with_places(below, folder, name) for name, below in item.items()}
+    if isinstance(item, list):
+        return [_with_places(below, folder, key) for below in item]
+    return str(folder / item) if key in ("stl", "flap_stl") and isinstance(item, str) else item

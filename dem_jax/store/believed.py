@@ -51,6 +51,11 @@ def is_list_of(holds: Callable[[Any], bool]) -> Callable[[Any], bool]:
     return lambda value: isinstance(value, list | tuple) and all(map(holds, value))
 
 
+def is_list_of_masses(value: Any) -> bool:
+    """Whether it is a list of masses, or of such lists."""
+    return is_list_of(is_positive)(value) or is_list_of(is_list_of(is_positive))(value)
+
+
 def is_table_of_lists(value: Any) -> bool:
     """Whether it is a table of keys with a list each, all equally long."""
     lists = list(value.values()) if isinstance(value, dict) else []
@@ -84,6 +89,7 @@ INFO = {
     **dict.fromkeys(("step", "limit", "law", "stopped"), Rule(is_text, "a text")),
     **dict.fromkeys(("notes", "reruns"), Rule(is_list_of(is_text), "texts")),
     "steps": Rule(is_list_of(is_positive), "a time step for each run"),
+    "piece_masses": Rule(is_list_of_masses, "a mass of each piece, of each run if they differ"),
     "moving": Rule(is_table_of_counts, "a table of numbers of pieces"),
     "collisions": Rule(lambda v: isinstance(v, dict), "a table"),
     "parameters": Rule(is_table_of_lists, "a table of lists, of a value for each run"),

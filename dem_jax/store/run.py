@@ -128,6 +128,8 @@ class Run:
     def _own(self, k: int) -> dict[str, Any]:
         """What the header of a run says otherwise than that of the ensemble, where their parameters differ."""
         values, info = self.info.get("parameters"), dict(self.info)
+        if np.ndim(next(iter(info.get("piece_masses", ())), 0.0)):
+            info["piece_masses"] = info["piece_masses"][k]
         if "moving" in info:
             info["moving"] = {block: counts[k] for block, counts in info["moving"].items()}
         if not values:

@@ -1,10 +1,13 @@
 """Weight of one piece from the scene text of a file."""
 
+import json
 import math
 
+import h5py
+import numpy as np
 import pytest
 
-from calibrate import BadInput
+from calibrate import BadInput, read
 from calibrate.pieces import piece_mass
 
 SHAPES = {
@@ -52,3 +55,42 @@ def test_weight_follows_the_material_by_name():
     one, other = (f"[[portion.product]]\n{cuboid.format(*row)}" for row in ((0.01, "gummy"), (0.02, "nut")))
     assert piece_mass(head + one + other) == pytest.approx(3e-3, rel=1e-12)
     assert piece_mass(head + one + other.replace("nut", "gummy")) is None
+
+
+def _drops(path, masses, runs=3):
+    """A file of drops that ends at the weight of its pieces, with `masses` in its attribute info."""
+    time, portion = 3e-5 * np.arange(1, 101), masses if np.ndim(masses[0]) else [masses] * runs
+    weight = np.array([9.81 * (row[0] * 4 if len(row) == 1 else sum(row)) for row in portion])
+    force = np.zeros((runs, 100, 3))
+    force[:, 50:, 2] = -weight[:, None]
+    with h5py.File(path, "w") as file:
+        file["time"], file["mean_force/wb_flaps"] = time, force
+        file.attrs.update({"info": json.dumps({"piece_masses": masses}), "piece_count": 4, "gravity": [0.0, 0.0, -9.81]})
+    return path
+
+
+def test_pieces_of_different_weights_have_the_mean_of_the_file(tmp_path):
+    """[1, 2, 3, 6] g: mean 3 g, standard deviation sqrt(3.5) g, 62 % of it."""
+    said = []
+    traces = read(_drops(tmp_path / "a.h5", [0.001, 0.002, 0.003, 0.006]), tell=said.append)
+    assert [(t.m_piece, t.pieces) for t in traces] == [(0.003, 4)] * 3
+    assert traces[0].end == pytest.approx(traces[0].weight, rel=1e-12)
+    assert said == [f"{tmp_path / 'a.h5'}: 4 pieces of 1 to 6 g: m_piece is their mean, 3 g (standard deviation 62 %)"]
+
+
+def test_each_run_has_its_own_masses_and_equal_ones_are_not_mentioned(tmp_path):
+    said = []
+    each = read(_drops(tmp_path / "b.h5", [[0.001], [0.002], [0.003]]), tell=said.append)
+    assert [t.m_piece for t in each] == [0.001, 0.002, 0.003]
+    assert [t.m_piece for t in read(_drops(tmp_path / "c.h5", [0.004]), tell=said.append)] == [0.004] * 3
+    assert not said
+    assert read(tmp_path / "c.h5", m_piece=0.005)[0].m_piece == 0.005  # what is given comes first
+
+
+@pytest.mark.parametrize("masses", [[], [-1.0], "heavy", [0.001, "x"], {"a": 1}])
+def test_masses_that_cannot_be_are_one_line(tmp_path, masses):
+    path = _drops(tmp_path / "d.h5", [0.004])
+    with h5py.File(path, "a") as file:
+        file.attrs["info"] = json.dumps({"piece_masses": masses})
+    with pytest.raises(BadInput, match="piece_masses of its attribute info cannot be read"):
+        read(path)

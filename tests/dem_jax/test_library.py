@@ -6,8 +6,10 @@ import pytest
 import dem_jax
 from dem_jax.build.pieces import goods_of
 from dem_jax.cli.main import main
+from dem_jax.drive.prepare import prepare
+from dem_jax.drive.recorded import masses_of_runs
 from dem_jax.errors import SceneError
-from dem_jax.scene import load_scene, parse
+from dem_jax.scene import library, load_scene, parse
 from dem_jax.scene.buckets import depth
 from dem_jax.scene.library import buckets, products
 
@@ -95,3 +97,59 @@ def test_the_command_lists_buckets_and_prints_one(capsys):
     assert rows["2.9-litre"][1:7] == ["2.9", "140", "x", "120", "0.25", "0.08"]  # 0.14 * 0.12 * (0.13 + 0.06 tan 55 / 2) m3
     assert main(["buckets", "9.1-litre"]) == 0 and "[weigh_bucket]" in capsys.readouterr().out
     assert main(["buckets", "barrel"]) == 2
+
+
+OWN = '[portion]\nshape = "prism"\nsides = 6\nradius = 8e-3\nheight = 30e-3\n\n[material]\ndensity = 600.0\nrestitution = 0.25\n'
+
+
+def test_a_product_may_be_a_file_of_the_same_form(tmp_path):
+    """Beside the scene that names it, or in the working folder; equal to the product of the library where it says the same."""
+    (tmp_path / "stick.toml").write_text(OWN)
+    (tmp_path / "scene.toml").write_text('base = "weigh-bucket"\nproduct = "stick.toml"\n')
+    scene = load_scene("weigh-bucket", {"product": str(tmp_path / "stick.toml")})
+    assert (scene.portion.shape, scene.portion.height, scene.material.density) == ("prism", 0.03, 600.0)
+    assert scene.portion.arrangement == "settled" and scene.feed_bucket == load_scene("weigh-bucket").feed_bucket
+    for other in (load_scene(tmp_path / "scene.toml"), load_scene("weigh-bucket", {"product": "stick.toml"})):
+        assert (other.portion, other.material) == (scene.portion, scene.material)
+    (tmp_path / "nut.toml").write_text((library.PRODUCTS / "hazelnut.toml").read_text())
+    by_file, by_name = (load_scene("weigh-bucket", {"product": name}) for name in ("nut.toml", "hazelnut"))
+    assert (by_file.portion, by_file.material) == (by_name.portion, by_name.material)
+
+
+def test_a_bucket_may_be_a_file_and_stl_files_are_beside_it(tmp_path):
+    folder = tmp_path / "parts"
+    folder.mkdir()
+    (folder / "bucket.toml").write_text("[weigh_bucket]\nmouth = [0.16, 0.14]\n[drop]\nheight = 0.2\n")
+    scene = load_scene("weigh-bucket", {"bucket": "parts/bucket.toml"})
+    assert scene.weigh_bucket.mouth == (0.16, 0.14) and scene.drop.height == 0.2
+    (folder / "bean.toml").write_text('[portion]\nshape = "hull"\nstl = "bean.stl"\nunit = 0.001\npiece_weight = 0.001\n')
+    scene = load_scene("weigh-bucket", {"product": "hazelnut"}).replace({"product": "parts/bean.toml"})
+    assert scene.portion.stl == str(folder / "bean.stl") and scene.portion.size_spread == 0.0
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[portion", "cannot be read as TOML"),
+        ("", "it is empty; allowed: .portion., .material., .pair."),
+        ('base = "weigh-bucket"\n', "it has 'base'; allowed"),
+    ],
+)
+def test_a_file_that_is_no_product_is_one_line(tmp_path, text, message):
+    (tmp_path / "stick.toml").write_text(text)
+    with pytest.raises(SceneError, match=f"product = 'stick.toml': {message}"):
+        load_scene("weigh-bucket", {"product": "stick.toml"})
+    with pytest.raises(SceneError, match="no such product.*or a file that ends in .toml"):
+        load_scene("weigh-bucket", {"product": "stick"})
+
+
+def test_a_file_of_results_has_the_masses_of_the_pieces():
+    """density × 4/3 π r³, of one piece where all are alike; of runs of different densities a list for each."""
+    changes = {"piece": [{"shape": "sphere", "radius": r, "position": [0, 0, r]} for r in (0.01, 0.02)], "material.density": 250.0}
+    scene = load_scene("plate-drop", changes)
+    ball = 4 / 3 * np.pi * 250.0 * 1e-6
+    assert masses_of_runs(prepare(scene, [0], None)) == pytest.approx([ball, 8 * ball], rel=1e-12)
+    alike = scene.replace({"piece": changes["piece"][:1]})
+    assert masses_of_runs(prepare(alike, [0], None)) == pytest.approx([ball], rel=1e-12)
+    varied = prepare(alike, [0, 1], 2, parameters={"material.density": [250.0, 251.0]})
+    assert np.array(masses_of_runs(varied)) == pytest.approx(ball * np.array([[1.0], [1.004]]), rel=1e-12)
