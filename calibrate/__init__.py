@@ -6,6 +6,7 @@ import product_model  # noqa: F401  # first: from then on Ctrl-C ends the progra
 from calibrate.csv_table import TableOptions
 from calibrate.errors import BadInput
 from calibrate.fit import Fit, fit
+from calibrate.landing_fit import LandingFit, fit_landings
 from calibrate.targets import Target, read, target
 
-__all__ = ["BadInput", "Fit", "TableOptions", "Target", "fit", "read", "target"]
+__all__ = ["BadInput", "Fit", "LandingFit", "TableOptions", "Target", "fit", "fit_landings", "read", "target"]

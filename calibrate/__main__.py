@@ -14,6 +14,7 @@ from product_model.program import QuietStream, fail_program, run_program, set_op
 
 if TYPE_CHECKING:
     from calibrate.fit import Fit
+    from calibrate.landing_fit import LandingFit
     from calibrate.targets import Target
 
 FAILED = 1  # exit code where a fit was made and cannot be meant
@@ -52,6 +53,12 @@ def _parser() -> argparse.ArgumentParser:
         unit, flag = ("S" if name == "dt_impact" else "M"), name.replace("_", "-")
         fit.add_argument(f"--{flag}", type=float, metavar=unit, help=f"start value of {name}")
         fit.add_argument(f"--fix-{flag}", type=float, metavar=unit, help=f"keep {name} at this value")
+    fit.add_argument(
+        "--model",
+        choices=("paper", "extended"),
+        default="paper",
+        help="the paper's model, or the extended one: of several nested models the smallest that traces kept out do not reject",
+    )
     fit.add_argument("--simulations", type=int, default=512, metavar="M", help="simulated portions (default 512)")
     fit.add_argument("--bootstrap", type=int, default=100, metavar="B", help="refits for the intervals; 0: local estimate only")
     fit.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the random numbers (default 0)")
@@ -145,6 +152,8 @@ def _fit(args: argparse.Namespace) -> int:
     from calibrate.fit import fit
 
     targets = _traces(args)
+    if args.model == "extended":
+        return _fit_extended(args, targets, paths)
     given = {name: getattr(args, name) for name in NAMES if getattr(args, name) is not None}
     fixed = {name: getattr(args, f"fix_{name}") for name in NAMES if getattr(args, f"fix_{name}") is not None}
     with _progress() as show:
@@ -169,6 +178,32 @@ def _fit(args: argparse.Namespace) -> int:
     return 0
 
 
+def _fit_extended(args: argparse.Namespace, targets: "list[Target]", paths: list[Path]) -> int:
+    """Fit the extended model, write and report; the exit code."""
+    from calibrate.landing_fit import fit_landings
+    from calibrate.landing_report import report_landings
+
+    kept = [name for name in NAMES if getattr(args, f"fix_{name}") is not None]
+    if kept:
+        raise BadInput(f"fix_{kept[0]}: is for --model paper; give a start value (--{kept[0].replace('_', '-')})")
+    given = {name: getattr(args, name) for name in NAMES if getattr(args, name) is not None}
+    with _progress() as show:
+        result = fit_landings(
+            targets,
+            given,
+            align=args.align,
+            simulations=min(args.simulations, 256),
+            intervals=args.bootstrap > 0,
+            seed=args.seed,
+            progress=show,
+            force=args.force,
+        )
+    _write(result, targets, paths, args.seed)
+    print(report_landings(result))
+    print(f"written: {', '.join(map(str, paths))}")
+    return 0
+
+
 def _traces(args: argparse.Namespace) -> "list[Target]":
     """The traces of all files."""
     from calibrate.csv_table import TableOptions
@@ -179,7 +214,7 @@ def _traces(args: argparse.Namespace) -> "list[Target]":
     return [t for path in args.traces for t in read(path, args.m_piece, args.pieces, args.group, **options)]
 
 
-def _write(result: "Fit", targets: "list[Target]", paths: Sequence[Path], seed: int) -> None:
+def _write(result: "Fit | LandingFit", targets: "list[Target]", paths: Sequence[Path], seed: int) -> None:
     """Write the fit, and the figure where there is a second path."""
     try:
         with temporary_file(paths[0]) as part:

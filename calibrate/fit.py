@@ -52,6 +52,9 @@ class Fit:
     warnings: list[str] = field(default_factory=list)
     absurd: list[str] = field(default_factory=list)
 
+    def landings(self) -> None:
+        """None: the paper's model has no additions."""
+
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers, strings and lists, as written to fit.json."""
         return asdict(self)

@@ -8,8 +8,8 @@ from calibrate.loss import BLOCKS, Measured
 from calibrate.targets import Target, rebin
 from calibrate.uncertainty import Refits
 from calibrate.unconstrained import Theta
+from product_model import Landings, simulate
 from product_model import parameters as inputs
-from product_model import simulate
 
 ALARM = 0.05  # p-value below which the model is said not to describe the traces: one false alarm in twenty fits
 SETS = 1999  # data sets of a check; its least p-value, 1/2000, times five blocks and checks is far below ALARM
@@ -30,14 +30,17 @@ def _energy(x: np.ndarray, y: np.ndarray) -> float:
     return 2.0 * np.abs(x[:, None] - y[None, :]).mean() - _within(x) - _within(y)
 
 
-def simulated_targets(theta: Theta, targets: list[Target], count: int, seed: int) -> list[Target]:
-    """`count` traces of the model with the compositions and sample times of `targets` in turn."""
+def simulated_targets(
+    theta: Theta, targets: list[Target], count: int, seed: int, landings: Landings | None = None
+) -> list[Target]:
+    """`count` traces of the model with the compositions and sample times of `targets` in turn. landings: of the extended model."""
     out = []
     keys = jax.random.split(jax.random.key(seed), count)
     for k in range(count):
         of = targets[k % len(targets)]
         params = inputs(
             **{name: float(theta[name]) for name in theta},
+            landings=landings,
             m_piece=of.m_piece,
             pieces=of.pieces,
             gravity=of.gravity,

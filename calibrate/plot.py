@@ -8,9 +8,12 @@ from calibrate.errors import checked_seed
 from calibrate.fit import Fit
 from calibrate.goodness import simulated_targets
 from calibrate.targets import Target, rebin
+from calibrate.unconstrained import NAMES
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from calibrate.landing_fit import LandingFit
 
 
 def _curves(targets: list[Target], align: str, bin_: float, start: float, length: float) -> np.ndarray:
@@ -30,7 +33,7 @@ def _landing(curves: np.ndarray) -> tuple[float, float]:
     return FINE * float(first), FINE * float(last + 1)
 
 
-def figure(result: Fit, targets: list[Target], seed: int = 0, bin_: float | None = None) -> "Figure":
+def figure(result: "Fit | LandingFit", targets: list[Target], seed: int = 0, bin_: float | None = None) -> "Figure":
     """Mean and 5-95 % band of traces and model, and the difference of the means with how much of it is chance.
 
     bin_: (s) over which forces are averaged first; None: a twelfth of the time in which pieces land, so that most bins of most
@@ -39,8 +42,8 @@ def figure(result: Fit, targets: list[Target], seed: int = 0, bin_: float | None
     from matplotlib.figure import Figure
 
     seed, align = checked_seed(seed), result.info["align"]
-    theta = {name: row["value"] for name, row in result.parameters.items()}
-    model = simulated_targets(theta, targets, max(128, len(targets)), seed + 7_000_003)
+    theta = {name: result.parameters[name]["value"] for name in NAMES}
+    model = simulated_targets(theta, targets, max(128, len(targets)), seed + 7_000_003, result.landings())
     begin = min((t.first_impact if align == "release" else 0.0) for t in targets) - 5e-3
     last = max(
         float(t.time[np.flatnonzero(t.force > 1.5 * t.weight)[-1]]) if (t.force > 1.5 * t.weight).any() else t.first_impact

@@ -104,11 +104,12 @@ def _add_inputs(parser: argparse.ArgumentParser, forms: Sequence[str]) -> None:
 def _inputs(args: argparse.Namespace) -> tuple[Parameters, "Fitted | None"]:
     """The inputs: as given, else of the fit, else the defaults; and the fit."""
     from product_model import parameters, read_fit
+    from product_model.fitted import FITTED
 
     given = {name: getattr(args, name) for name in FLAGS if getattr(args, name) is not None}
     fit = read_fit(args.fit) if args.fit else None
     if fit is not None:
-        known = fit.value | {"m_piece": fit.m_piece}
+        known = {name: fit.value[name] for name in FITTED} | {"m_piece": fit.m_piece, "landings": fit.landings}
         if "m_target" not in given:  # which with m_piece decides the number of pieces
             known["pieces"] = fit.pieces
         given = {name: value for name, value in known.items() if value is not None} | given
@@ -132,7 +133,7 @@ def _simulate(args: argparse.Namespace) -> None:
         check_target("plot", args.plot, (".png", ".pdf", ".svg"), ".png, .pdf or .svg", args.overwrite)
     varied = {}
     if args.draw and fit is not None:
-        varied = {name: values for name, values in drawn(fit, args.runs, args.seed).items() if getattr(args, name) is None}
+        varied = {name: values for name, values in drawn(fit, args.runs, args.seed).items() if getattr(args, name, None) is None}
     block = _block_size(params, args, varied)
     if args.runs > block:
         _report(_save_in_blocks(params, args, varied, block), params, args)

@@ -84,7 +84,7 @@ class Addition:
 ADDITIONS = (
     Addition("pulse_exponent", "1", "power of its momentum with which a pulse becomes longer", 0.0, 5.0),
     Addition("late_duration", "s", "length of a pulse of 3.3 % of a piece's momentum after the first landing", 1e-6, 1.0),
-    Addition("share_exponent", "1", "evenness of the impacts of a landing; small: the last one has most of its momentum", 0.0, 100.0),
+    Addition("share_exponent", "1", "evenness of the impacts of a landing; small: the last one has most momentum", 0.0, 100.0),
     Addition("impact_delay", "s", "mean time between the impacts of a landing", 0.0, 1.0),
     Addition("rebound", "1", "mean share of its speed with which a piece leaves a landing", 0.0, 1.0),
     Addition("slump_depth", "m", "mean height that a piece falls between two landings", 0.0, 1.0),

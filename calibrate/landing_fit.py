@@ -1,0 +1,335 @@
+"""The fit of the extended model: traces in, the smallest model that they do not contradict, its parameters with intervals.
+
+The loss is an energy distance between summaries of measured and simulated traces, jointly and one by one, with common random
+numbers. A coarse search finds the valley, Adam descends in it. A third of the traces is kept out of the fit for the judgement.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass, field
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+
+from calibrate.errors import BadInput, checked_seed
+from calibrate.fit import Fit, fit
+from calibrate.landing_model import (
+    MODELS,
+    NAMES,
+    REACH,
+    LandingDraws,
+    Values,
+    draw_landings,
+    scattered_starts,
+    simulated,
+    simulated_summaries,
+    to_coordinates,
+    to_values,
+)
+from calibrate.landing_summaries import Frame, accelerations, count_peaks, frame_of, summarize
+from calibrate.targets import Target
+from calibrate.two_samples import Judgement, judge
+from calibrate.uncertainty import Tell
+from product_model import Landings
+from product_model.extended import ADDED
+
+ALARM = 0.05  # p below which a model is rejected
+LEAST_TRACES = 24  # a third of which is judged
+SEARCHED, SEARCH_SIMULATIONS = 64, 64  # starts of the coarse search, and simulated portions of each
+BEST = 3  # starts that Adam tries
+STEPS = (25, 100)  # of Adam from each of these, and from the best of them
+JUDGED = 256  # simulated traces of a judgement
+MARGINALS = 3.5  # weight of the mean distance of single summaries beside the joint one
+
+
+@dataclass(frozen=True)
+class LandingFit:
+    """What a fit of the extended model found. All SI.
+
+    model: name of the chosen one of paper, pulses, landings, full; parameters: name -> {"value", "low", "high", "sd", "free"}
+    of it, low and high of the 90 % interval; impacts: of each landing
+    judgements: model -> {"distance", "p", "passed", "of", "worst"}: of traces that were not fitted
+    statements: in words; paper: the fit of the paper's model
+    """
+
+    model: str
+    parameters: dict[str, dict[str, Any]]
+    impacts: tuple[int, ...]
+    judgements: dict[str, dict[str, Any]]
+    statements: list[str]
+    paper: Fit
+    info: dict[str, Any] = field(default_factory=dict)
+
+    def landings(self) -> Landings | None:
+        """The additions of the chosen model; None: it is the paper's."""
+        if self.model == "paper":
+            return None
+        return Landings(**{name: self.parameters[name]["value"] for name in ADDED}, impacts=self.impacts)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers, strings and lists, as written to fit.json."""
+        tree = asdict(self)
+        paper = tree.pop("paper")
+        return tree | {"impacts": list(self.impacts), "paper": paper["parameters"], "p_values": paper["p_values"]}
+
+
+@dataclass(frozen=True)
+class Problem:
+    """The traces to fit and how they are compared: frame, their summaries [K, D] in standard deviations, gravity (m/s2)."""
+
+    frame: Frame
+    summaries: np.ndarray
+    centre: np.ndarray
+    scale: np.ndarray
+    gravity: float
+
+
+def pose_problem(targets: list[Target], frame: Frame) -> Problem:
+    """The problem of fitting `targets`."""
+    rows = np.asarray(_summaries(jnp.asarray(accelerations(targets, frame)), frame))
+    centre, scale = rows.mean(0), rows.std(0) + 1e-9
+    return Problem(frame, (rows - centre) / scale, centre, scale, targets[0].gravity)
+
+
+@partial(jax.jit, static_argnames=("frame",))
+def _summaries(rows: jax.Array, frame: Frame) -> jax.Array:
+    return jax.vmap(lambda row: summarize(row, frame))(rows)
+
+
+def _distances(x: jax.Array, y: jax.Array) -> jax.Array:
+    squared = jnp.sum((x[:, None, :] - y[None, :, :]) ** 2, axis=-1)
+    apart = squared > 1e-18
+    return jnp.where(apart, jnp.sqrt(jnp.where(apart, squared, 1.0)), 0.0)
+
+
+def _loss_of_samples(x: jax.Array, y: jax.Array) -> jax.Array:
+    """Energy distance of samples [K, D] and [M, D], without the part that depends on x alone, and MARGINALS times its mean over
+    the single columns.
+    """
+    count = len(y)
+    pairs = count * (count - 1)
+    joint = 2.0 * jnp.mean(_distances(x, y)) - jnp.sum(_distances(y, y)) / pairs
+    across = jnp.mean(jnp.abs(x[:, None, :] - y[None, :, :]), axis=(0, 1))
+    rank = jnp.asarray((2.0 * np.arange(count) - count + 1.0) * 2.0 / pairs)
+    single = 2.0 * across - jnp.sum(rank[:, None] * jnp.sort(y, axis=0), axis=0)
+    return joint + MARGINALS * jnp.mean(single)
+
+
+def loss(
+    u: Values, start: Values, draws: LandingDraws, data: tuple[jax.Array, ...], gravity: float, free: Any, frame: Frame
+) -> jax.Array:
+    """[] how far simulated traces at the coordinates `u` are from measured ones. data: their summaries, centre and scale."""
+    x, centre, scale = data
+    keep = np.flatnonzero(frame.smooth)
+    y = (simulated_summaries(to_values(u, free), draws, gravity, frame) - centre[None]) / scale[None]
+    far = sum(jnp.maximum(jnp.abs(u[name] - start[name]) - REACH, 0.0) ** 2 for name in free)
+    return _loss_of_samples(x[:, keep], y[:, keep]) + 0.05 * far
+
+
+_slope = jax.jit(jax.value_and_grad(loss), static_argnames=("free", "frame", "gravity"))
+_value = jax.jit(loss, static_argnames=("free", "frame", "gravity"))
+
+
+def descend(u: Values, arguments: tuple[Any, ...], steps: int, rate: float, tell: Callable[[], object]) -> tuple[float, Values]:
+    """Least loss found by Adam from `u`, and where. arguments: of `loss` after u."""
+    optimiser = optax.adam(optax.cosine_decay_schedule(rate, steps, 0.05), b1=0.8, b2=0.98)
+    with jax.numpy_dtype_promotion("standard"):
+        state, best = optimiser.init(u), (np.inf, u)
+        for _ in range(steps):
+            value, slope = _slope(u, *arguments)
+            if float(value) < best[0]:
+                best = (float(value), u)
+            slope = jax.tree.map(lambda s: jnp.nan_to_num(jnp.clip(s, -10.0, 10.0)), slope)
+            move, state = optimiser.update(slope, state)
+            u = optax.apply_updates(u, move)
+            tell()
+    return best
+
+
+def default_start(paper: Fit, targets: list[Target]) -> Values:
+    """Start values: drop height and lengths from the fit of the paper's model, the rest as in the stock scene, times with the
+    length of pulses."""
+    known = {name: paper.parameters[name]["value"] for name in ("gamma_low", "gamma_high", "h_mean")}
+    stock = Landings()
+    size = (float(np.mean([t.m_piece for t in targets])) / 5.832e-3) ** (1.0 / 3.0)  # lengths of pieces beside the stock's
+    times = {name: size * getattr(stock, name) for name in ("late_duration", "impact_delay")}
+    known["gamma_high"] = min(known["gamma_high"], known["gamma_low"] + 0.02)
+    return stock.values() | times | {"dt_impact": 690e-6 * size} | known
+
+
+def fit_landings(
+    traces: Iterable[Target],
+    start: dict[str, float] | None = None,
+    *,
+    models: tuple[str, ...] = tuple(MODELS),
+    align: str = "first-impact",
+    simulations: int = 256,
+    intervals: bool = True,
+    seed: int = 0,
+    progress: Tell | None = None,
+    force: bool = False,
+) -> LandingFit:
+    """Fit the extended model to `traces`, and choose the smallest of the nested models that traces kept out do not contradict.
+
+    Args:
+        traces: list of `Target`, at least LEAST_TRACES, every third of which is kept for the judgement.
+        start: start values of any parameters; the others from the fit of the paper's model and the stock scene.
+        models: names of MODELS that are tried, the smallest first.
+        align: of the paper's fit.
+        simulations: simulated portions of a step.
+        intervals: whether intervals are found, which takes as long as the fit.
+        seed: of all random numbers.
+        progress: called with (name of the stage, done, of).
+        force: fit traces, too, that cannot be meant as they were read.
+
+    Raises: `BadInput`.
+    """
+    targets = list(traces)
+    if len(targets) < LEAST_TRACES:
+        raise BadInput(f"{len(targets)} traces: the extended model needs at least {LEAST_TRACES}; fit the paper's (--model paper)")
+    unknown = sorted(set(start or {}) - set(NAMES)) + sorted(set(models) - set(MODELS))
+    if unknown:
+        raise BadInput(f"{unknown[0]}: unknown; known are {', '.join((*NAMES, *MODELS))}")
+    with jax.enable_x64(True):
+        seed = checked_seed(seed)
+        paper = fit(targets, align=align, bootstrap=0, seed=seed, force=force)
+        return _fit(targets, paper, start or {}, models, simulations, intervals, seed, progress or (lambda *_: None))
+
+
+def _fit(
+    targets: list[Target],
+    paper: Fit,
+    given: dict[str, float],
+    models: tuple[str, ...],
+    simulations: int,
+    intervals: bool,
+    seed: int,
+    progress: Tell,
+) -> LandingFit:
+    frame = frame_of(targets)
+    kept_out = targets[2::3]
+    fitted = [trace for k, trace in enumerate(targets) if k % 3 != 2]
+    problem = pose_problem(fitted, frame)
+    draws = draw_landings(fitted, simulations, seed)
+    start = default_start(paper, targets) | given
+    judgements = {"paper": judge_paper(paper, kept_out, frame, seed)}
+    found: dict[str, Values] = {}
+    chosen = "paper" if judgements["paper"].joint.p >= ALARM else None
+    steps = (BEST * STEPS[0] + STEPS[1]) * len(models)
+    done = iter(range(1, steps + 1))
+    for name in models if chosen is None else ():
+        found[name] = _descend_from_all(start, MODELS[name], problem, draws, seed, lambda: progress("fit", next(done), steps))
+        judgements[name] = judge_landings(to_values(found[name], MODELS[name]), kept_out, frame, seed)
+        if judgements[name].joint.p >= ALARM:
+            chosen = name
+            break
+        start = start | {k: float(v) for k, v in to_values(found[name], MODELS[name]).items() if k in MODELS[name]}
+    best = chosen or min(judgements, key=lambda name: judgements[name].joint.distance)
+    parameters = _parameters(best, found, paper, problem, draws, targets, intervals, seed, progress)
+    return LandingFit(
+        model=best,
+        parameters=parameters,
+        impacts=draws.impacts,
+        judgements={name: _plain(judgement) for name, judgement in judgements.items()},
+        statements=statements(best, chosen, judgements),
+        paper=paper,
+        info=paper.info | {"align": "first-impact", "kept_out": len(kept_out), "simulations": simulations, "seed": seed},
+    )
+
+
+def _descend_from_all(
+    start: Values, free: tuple[str, ...], problem: Problem, draws: LandingDraws, seed: int, tell: Callable[[], object]
+) -> Values:
+    """Coordinates of the least loss: a coarse search, Adam from the best few, and from the best of these."""
+    u0 = to_coordinates(start)
+    data = jnp.asarray(problem.summaries), jnp.asarray(problem.centre), jnp.asarray(problem.scale)
+    arguments = u0, draws, data, problem.gravity, free, problem.frame
+    few = jax.tree.map(lambda leaf: leaf[:SEARCH_SIMULATIONS], draws)
+    starts = scattered_starts(start, SEARCHED, seed)
+    values = [float(_value(u, u0, few, data, problem.gravity, free, problem.frame)) for u in starts]
+    order = np.argsort(np.nan_to_num(values, nan=np.inf))
+    tried = [0, *(k for k in order if k != 0)][:BEST]
+    ends = [descend(starts[k], arguments, STEPS[0], 0.08, tell) for k in tried]
+    return descend(min(ends, key=lambda end: end[0])[1], arguments, STEPS[1], 0.04, tell)[1]
+
+
+def _all_summaries(rows: np.ndarray, frame: Frame) -> np.ndarray:
+    return np.concatenate([np.asarray(_summaries(jnp.asarray(rows), frame)), count_peaks(rows, frame)], axis=1)
+
+
+def judge_landings(values: Values, targets: list[Target], frame: Frame, seed: int, simulations: int = JUDGED) -> Judgement:
+    """Traces that were not fitted beside simulated ones at `values`, with other random numbers than any fit's."""
+    draws = draw_landings(targets, simulations, seed + 4_000_003)
+    rows = np.asarray(_simulated(jax.tree.map(jnp.asarray, values), draws, targets[0].gravity, frame))
+    return _judge(targets, rows, frame, seed)
+
+
+_simulated = jax.jit(simulated, static_argnames=("frame", "gravity"))
+
+
+def judge_paper(paper: Fit, targets: list[Target], frame: Frame, seed: int, simulations: int = JUDGED) -> Judgement:
+    """The same for the paper's model."""
+    from calibrate.goodness import simulated_targets
+
+    theta = {name: row["value"] for name, row in paper.parameters.items()}
+    model = simulated_targets(theta, targets, simulations, seed + 4_000_003)
+    return _judge(targets, accelerations(model, frame), frame, seed)
+
+
+def _judge(targets: list[Target], rows: np.ndarray, frame: Frame, seed: int) -> Judgement:
+    names = (*frame.names, "number of peaks", "time between peaks")
+    return judge(_all_summaries(accelerations(targets, frame), frame), _all_summaries(rows, frame), names, seed=seed)
+
+
+def _plain(judgement: Judgement) -> dict[str, Any]:
+    worst = [
+        {"name": name, "p": judgement.single[name].p, "shift": judgement.shift[name], "spread": judgement.spread[name]}
+        for name in judgement.worst(5)
+    ]
+    joint = judgement.joint
+    return {"distance": joint.distance, "p": joint.p, "passed": judgement.passed, "of": len(judgement.single), "worst": worst}
+
+
+def statements(best: str, chosen: str | None, judgements: dict[str, Judgement]) -> list[str]:
+    """In words: which model describes the traces, and in what the others differ."""
+    lines = [
+        f"model {name}: {'not rejected' if j.joint.p >= ALARM else 'rejected'} by the traces kept out (p = {j.joint.p:.2g}, energy "
+        f"distance {j.joint.distance:.3g}; {j.passed} of {len(j.single)} single comparisons pass)"
+        for name, j in judgements.items()
+    ]
+    if chosen is None:
+        worst = "; ".join(
+            f"{name} by {judgements[best].shift[name]:+.2f} standard deviations, spread x {judgements[best].spread[name]:.2f}"
+            for name in judgements[best].worst()
+        )
+        lines.append(f"no model describes the traces in all; nearest is {best}, which differs in {worst or 'no single number'}")
+    return lines
+
+
+def _parameters(
+    model: str,
+    found: dict[str, Values],
+    paper: Fit,
+    problem: Problem,
+    draws: LandingDraws,
+    targets: list[Target],
+    intervals: bool,
+    seed: int,
+    progress: Tell,
+) -> dict[str, dict[str, Any]]:
+    """name -> value, low, high, sd, free of the chosen model."""
+    if model == "paper":
+        return paper.parameters
+    from calibrate.landing_intervals import sandwich
+
+    free = MODELS[model]
+    values = {name: float(value) for name, value in to_values(found[model], free).items()}
+    none = {name: (value, value, 0.0) for name, value in values.items()}
+    ends = sandwich(found[model], free, problem, draws, targets, seed, progress) if intervals else none
+    return {
+        name: {"value": values[name], "low": ends[name][0], "high": ends[name][1], "sd": ends[name][2], "free": name in free}
+        for name in NAMES
+    }

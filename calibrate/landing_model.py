@@ -1,0 +1,148 @@
+"""Simulated traces of the extended model for a fit: coordinates of its parameters, random numbers, forces."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from scipy.stats import qmc
+
+from calibrate.landing_summaries import Frame, summarize
+from calibrate.targets import Target
+from product_model import fall
+from product_model.extended import ADDED, LandingNumbers, LandingPulses, Landings, landing_numbers, landing_pulses
+from product_model.extended import count_numbers as numbers_of_piece
+from product_model.grid import Grid
+from product_model.pulses import interval_mean
+
+Values = dict[str, Any]  # name of a parameter -> value
+
+NAMES = ("dt_impact", "gamma_low", "gamma_high", "h_mean", *ADDED)
+BEFORE = 4  # bins that a simulated trace begins before its first impact, and as many more after its end
+MARGIN = 64  # bins
+REACH = 2.5  # in coordinates, about a factor of 12, beyond which a start value is doubted and a penalty begins
+
+# nested models: which parameters each has free; the others are those of OFF_VALUES
+PULSES = ("dt_impact", "gamma_low", "gamma_high", "h_mean", "pulse_exponent", "share_exponent", "impact_delay")
+LANDINGS = (*PULSES, "late_duration", "rebound", "slump_depth", "early_weight", "release_time", "release_skew")
+MODELS = {"pulses": PULSES, "landings": LANDINGS, "full": (*LANDINGS, "release_order", "cushioning")}
+OFF_VALUES = {"rebound": 0.0, "slump_depth": 0.0, "early_weight": 0.0, "release_time": 0.0, "release_skew": 0.0}
+OFF_VALUES |= {"release_order": 0.0, "cushioning": 0.0, "late_duration": 590e-6}
+
+LINEAR = ("pulse_exponent", "release_skew", "cushioning")  # the others are positive, or lie between 0 and 1
+SHARES = ("early_weight", "release_order")
+LEAST = {"gamma_low": 1e-4, "late_duration": 2e-6, "rebound": 1e-4, "slump_depth": 1e-6, "release_time": 1e-6}
+
+
+def impacts_for(pieces: int) -> tuple[int, ...]:
+    """Impacts of each landing: fewer where many pieces make a trace anyway."""
+    return (7, 3, 3, 2, 1) if pieces <= 16 else (4, 2, 2, 1) if pieces <= 64 else (3, 2, 1)
+
+
+def to_coordinates(values: Values) -> Values:
+    """Unconstrained coordinates of all parameters."""
+    u = {name: jnp.asarray(values[name], jnp.float64) for name in LINEAR}
+    for name in SHARES:
+        share = jnp.clip(jnp.asarray(values[name], jnp.float64), 0.02, 0.98)
+        u[name] = jnp.log(share / (1.0 - share))
+    for name in NAMES:
+        if name not in u and name != "gamma_high":
+            u[name] = jnp.log(jnp.maximum(jnp.asarray(values[name], jnp.float64), LEAST.get(name, 1e-9)))
+    gap = jnp.asarray(values["gamma_high"], jnp.float64) - values["gamma_low"]
+    return u | {"gamma_high": jnp.log(jnp.maximum(gap, 2e-4))}
+
+
+def to_values(u: Values, free: tuple[str, ...]) -> Values:
+    """All parameters: those that are `free` from their coordinates, the others off."""
+    values: Values = dict(OFF_VALUES)
+    for name in free:
+        values[name] = u[name] if name in LINEAR else jax.nn.sigmoid(u[name]) if name in SHARES else jnp.exp(u[name])
+    values["pulse_exponent"] = jnp.clip(values["pulse_exponent"], 0.0, 4.5)
+    return values | {"gamma_high": values["gamma_low"] + values["gamma_high"]}
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class LandingDraws:
+    """Random numbers of M simulated portions of up to n pieces, kept while the parameters move.
+
+    z: [M] normal; v: [M, n] uniform on (-1, 1); numbers: [M, ...] of the landings; phase: [M] in (0, 1), where in a bin a trace
+    begins; mass: [M, n] (kg), zero where a portion has fewer pieces
+    """
+
+    z: jax.Array
+    v: jax.Array
+    numbers: LandingNumbers
+    phase: jax.Array
+    mass: jax.Array
+    impacts: tuple[int, ...] = field(metadata={"static": True})
+
+
+def draw_landings(targets: list[Target], simulations: int, seed: int) -> LandingDraws:
+    """Random numbers of `simulations` portions, taking the compositions of the traces in turn."""
+    pieces = max(trace.pieces for trace in targets)
+    impacts = impacts_for(pieces)
+    random = np.random.default_rng([seed, 7])
+    tiny = np.finfo(np.float64).eps
+    v = random.uniform(-1.0 + tiny, 1.0, (simulations, pieces, 1 + numbers_of_piece(impacts)))
+    of = [targets[k % len(targets)] for k in range(simulations)]
+    mass = np.array([[trace.m_piece] * trace.pieces + [0.0] * (pieces - trace.pieces) for trace in of])
+    numbers = jax.vmap(lambda row: landing_numbers(row, impacts))(jnp.asarray(v[..., 1:]))
+    z, phase = random.standard_normal(simulations), random.uniform(size=simulations)
+    return LandingDraws(jnp.asarray(z), jnp.asarray(v[..., 0]), numbers, jnp.asarray(phase), jnp.asarray(mass), impacts)
+
+
+def portion_pulses(values: Values, draws: LandingDraws, gravity: float) -> LandingPulses:
+    """The pulses of one portion (a row of `draws`) at `values`."""
+    sigma = fall.sigma_height(values["gamma_low"], values["gamma_high"], draws.z)
+    height, _ = fall.drop_heights(values["h_mean"], sigma, draws.v)
+    extended = Landings(**{name: values[name] for name in ADDED}, impacts=draws.impacts)
+    given = values["dt_impact"], values["h_mean"], gravity
+    return landing_pulses(extended, height, draws.mass, *given, draws.numbers)
+
+
+def acceleration(pulses: LandingPulses, draws: LandingDraws, frame: Frame) -> jax.Array:
+    """Force over mass [samples] (m/s2) of one portion from its first impact on, as `accelerations` finds it in a trace."""
+    first = jnp.min(jnp.where(draws.mass > 0.0, pulses.first_touch, jnp.inf))
+    origin = first - (BEFORE + draws.phase) * frame.bin
+    grid = Grid(0.0, frame.bin, frame.samples + MARGIN)
+    shifted = LandingPulses(
+        pulses.start - origin,
+        pulses.duration,
+        pulses.force,
+        pulses.step_time - origin,
+        pulses.weight,
+        pulses.first_touch - origin,
+        pulses.shape,
+    )
+    force = interval_mean(shifted, grid) / jnp.sum(draws.mass)
+    begin = jnp.argmax(force > 0.02 * force[jnp.argmax(force)])
+    return lax.dynamic_slice(force, (jnp.minimum(begin, MARGIN),), (frame.samples,))
+
+
+def simulated(values: Values, draws: LandingDraws, gravity: float, frame: Frame) -> jax.Array:
+    """Forces over mass [M, samples] (m/s2) of all portions of `draws`."""
+    return jax.vmap(lambda row: acceleration(portion_pulses(values, row, gravity), row, frame))(draws)
+
+
+def simulated_summaries(values: Values, draws: LandingDraws, gravity: float, frame: Frame) -> jax.Array:
+    """Summaries [M, D] of all portions; those that look at single pulses without their derivatives by the times of impact."""
+    fast = jnp.asarray(frame.fast)
+
+    def one(row: LandingDraws) -> jax.Array:
+        pulses = lax.optimization_barrier(portion_pulses(values, row, gravity))
+        times = {name: lax.stop_gradient(getattr(pulses, name)) for name in ("start", "step_time", "first_touch")}
+        held = LandingPulses(**times, duration=pulses.duration, force=pulses.force, weight=pulses.weight, shape=pulses.shape)
+        moving = summarize(acceleration(pulses, row, frame), frame)
+        return jnp.where(fast, summarize(acceleration(held, row, frame), frame), moving)
+
+    return jax.vmap(one)(draws)
+
+
+def scattered_starts(start: Values, count: int, seed: int) -> list[Values]:
+    """`start`, then others about it by up to one in each coordinate, from a Sobol sequence."""
+    u, names = to_coordinates(start), [name for name in NAMES if name != "h_mean"]
+    shifts = 2.0 * qmc.Sobol(len(names), seed=np.random.default_rng([seed, 8])).random(count) - 1.0
+    return [u] + [u | {name: u[name] + shift for name, shift in zip(names, row, strict=True)} for row in shifts[1:]]

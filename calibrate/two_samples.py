@@ -1,0 +1,78 @@
+"""Do two samples of traces differ? Energy distances with permutation tests (Szekely and Rizzo, J. Stat. Plan. Inference 2013)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.distance import cdist
+
+PERMUTATIONS = 499
+
+
+@dataclass(frozen=True)
+class Difference:
+    """How far two samples are apart: energy distance, 0 in the mean for one distribution, and p of a permutation test."""
+
+    distance: float
+    p: float
+
+
+def energy_distance(between: np.ndarray, first: np.ndarray) -> float:
+    """Energy distance of two samples, U-statistic. between: [N, N] distances of all; first: [N] which are of the first sample."""
+    a, b = first, ~first
+    n, m = int(a.sum()), int(b.sum())
+    within_a = between[np.ix_(a, a)].sum() / (n * (n - 1))
+    within_b = between[np.ix_(b, b)].sum() / (m * (m - 1))
+    return float(2.0 * between[np.ix_(a, b)].mean() - within_a - within_b)
+
+
+def compare(x: np.ndarray, y: np.ndarray, permutations: int = PERMUTATIONS, seed: int = 0) -> Difference:
+    """The difference of samples [n, D] and [m, D]."""
+    pooled = np.concatenate([x, y])
+    between = cdist(pooled, pooled)
+    count, total = len(x), len(pooled)
+    random, sums = np.random.default_rng(seed), between.sum()
+    whole = between.sum(1)
+    labels = np.zeros((permutations + 1, total))
+    labels[0, :count] = 1.0
+    for row in labels[1:]:
+        row[random.permutation(total)[:count]] = 1.0
+    within_x = np.einsum("ki,ki->k", labels @ between, labels)
+    across = labels @ whole - within_x
+    within_y = sums - within_x - 2.0 * across
+    rest = total - count
+    distances = 2.0 * across / (count * rest) - within_x / (count * (count - 1)) - within_y / (rest * (rest - 1))
+    return Difference(float(distances[0]), float(np.mean(distances >= distances[0] - 1e-12)))
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """Two samples compared in all summaries jointly and in each.
+
+    joint: of all; single: name -> of one; shift: name -> difference of the means (second less first) in standard deviations of
+    the first; spread: name -> ratio of the standard deviations
+    """
+
+    joint: Difference
+    single: dict[str, Difference]
+    shift: dict[str, float]
+    spread: dict[str, float]
+
+    @property
+    def passed(self) -> int:
+        """How many single comparisons have p of at least 0.05."""
+        return sum(difference.p >= 0.05 for difference in self.single.values())
+
+    def worst(self, count: int = 3) -> list[str]:
+        """Names of the `count` summaries that differ most, of those with p below 0.05."""
+        differ = [name for name, difference in self.single.items() if difference.p < 0.05]
+        return sorted(differ, key=lambda name: -self.single[name].distance)[:count]
+
+
+def judge(x: np.ndarray, y: np.ndarray, names: tuple[str, ...], permutations: int = PERMUTATIONS, seed: int = 0) -> Judgement:
+    """Compare summaries [n, D] of measured traces with those [m, D] of others, in units of the standard deviation of the first."""
+    scale = x.std(0) + 1e-9
+    x, y = x / scale, y / scale
+    single = {name: compare(x[:, [k]], y[:, [k]], permutations, seed) for k, name in enumerate(names)}
+    shift = {name: float(y[:, k].mean() - x[:, k].mean()) for k, name in enumerate(names)}
+    spread = {name: float(y[:, k].std() / max(x[:, k].std(), 1e-12)) for k, name in enumerate(names)}
+    return Judgement(compare(x, y, permutations, seed), single, shift, spread)
