@@ -18,6 +18,10 @@ OPEN_BEND = 0.01  # (rad) from which on a convex seam is an edge of the surface 
 REACH = 3.0  # bounding radii of the largest piece, within which a panel has to know the neighbours beyond its convex seams
 FINEST = 0.004  # (rad) between the normals of such neighbours: what lies between is left out
 MOST_PLANES = 48  # such neighbours of a panel; where there are more, coarser ones are taken
+NEAREST = 16  # of them that stay where they are if others are left out
+ROUNDS = 20  # in which the others are moved inwards
+STEEPEST = 0.2  # cosine of the angle to the panel up to which planes are moved
+BEHIND = 1e-3  # of the reach: where the inside of the solid behind a panel is
 BELOW = 1e-6  # of the reach: corners that are above a plane by no more are not above it
 
 Group = tuple[str, np.ndarray]  # name of the wall group, corners of a panel [k, 3] (m)
@@ -91,9 +95,7 @@ def count_surfaces(found: Surfaces | None, panels: int) -> int:
 # --- planes ---
 
 
-def _planes(
-    panels: Sequence[Group], normals: np.ndarray, members: Sequence[np.ndarray], beyond: list[list[list[int]]]
-) -> Surfaces:
+def _planes(panels: Sequence[Group], normals: np.ndarray, members: Sequence[np.ndarray], beyond: list[list[list[int]]]) -> Surfaces:
     """Surfaces of panels that continue each other in a plane only."""
     seams, number = [NO_SEAMS for _ in panels], np.full(len(panels), -1)
     known: list[int] = []  # the first panel of each plane
@@ -125,9 +127,7 @@ def _outward(corners: np.ndarray, normal: np.ndarray) -> np.ndarray:
 # --- smooth surfaces of facets ---
 
 
-def _smooth_surfaces(
-    panels: Sequence[Group], normals: np.ndarray, beyond: list[list[list[int]]], piece_radius: float
-) -> Surfaces:
+def _smooth_surfaces(panels: Sequence[Group], normals: np.ndarray, beyond: list[list[list[int]]], piece_radius: float) -> Surfaces:
     """Surfaces of panels of which some meet at an angle."""
     corners = [np.asarray(panel, float) for _, panel in panels]
     seams = []
@@ -173,22 +173,68 @@ def _planes_beyond(
                 continue
             front.append(j)
             found.append((j, offset))
-    return _thinned(normals, found, normals[i])
+    inside = corners[i].mean(axis=0) - BEHIND * reach * normals[i]
+    return _thinned(normals, found, normals[i], inside, reach)
 
 
-def _thinned(normals: np.ndarray, found: Sequence[tuple[int, float]], own: np.ndarray) -> np.ndarray:
-    """Planes [k, 4] of the panels found, nearest first, no two of them nearly parallel."""
-    finest = FINEST
+def _thinned(
+    normals: np.ndarray, found: Sequence[tuple[int, float]], own: np.ndarray, inside: np.ndarray, reach: float
+) -> np.ndarray:
+    """Planes [k, 4] of the panels found, nearest first, no two of them nearly parallel.
+
+    Args:
+        normals: [W, 3] of all panels.
+        found: number and offset (m) of panels, nearest first.
+        own: [3] normal of the panel whose solid they end.
+        inside: [3] (m), a point of that solid.
+        reach: (m) from there, within which it has to end where the surface does.
+    """
+    finest, exact = FINEST, 3
     while True:
-        kept: list[tuple[int, float]] = []
+        kept, left_out = list[tuple[int, float]](), list[tuple[int, float]]()
         directions = own[None]
         for j, offset in found:
-            if (np.linalg.norm(directions - normals[j], axis=1) > (finest if len(kept) > 2 else FLAT_BEND)).all():
-                kept.append((j, offset))
-                directions = np.concatenate([directions, normals[j][None]])
+            is_new = np.linalg.norm(directions - normals[j], axis=1) > (finest if len(kept) >= exact else FLAT_BEND)
+            (kept if is_new.all() else left_out).append((j, offset))
+            directions = np.concatenate([directions, normals[j][None]]) if is_new.all() else directions
         if len(kept) <= MOST_PLANES:
-            return np.array([[*normals[j], offset] for j, offset in kept]).reshape(-1, 4)
-        finest *= 1.5
+            planes = _planes_of(normals, kept)
+            if finest == FINEST:
+                return planes
+            is_fixed = (np.arange(len(planes)) < exact) | (planes[:, :3] @ own < STEEPEST)
+            return _moved_inwards(planes, is_fixed, _planes_of(normals, left_out), inside, reach)
+        finest, exact = 1.5 * finest, NEAREST
+
+
+def _planes_of(normals: np.ndarray, panels: Sequence[tuple[int, float]]) -> np.ndarray:
+    """Planes [k, 4] of panels, given by number and offset (m)."""
+    return np.array([[*normals[j], offset] for j, offset in panels]).reshape(-1, 4)
+
+
+def _moved_inwards(planes: np.ndarray, is_fixed: np.ndarray, left_out: np.ndarray, inside: np.ndarray, reach: float) -> np.ndarray:
+    """Planes [k, 4], those that are not fixed moved so far in that their solid ends where the planes left out end it.
+
+    A solid that is too large would overlap with a piece that touches none of the surface; one that is too small far from its panel
+    has next to no part in a contact there.
+    """
+    from scipy.spatial import HalfspaceIntersection, QhullError
+
+    box = np.concatenate([np.eye(3), -np.eye(3)])
+    rows = np.concatenate([planes, np.c_[box, box @ inside + reach]])
+    for _ in range(ROUNDS):
+        try:
+            corners = HalfspaceIntersection(rows * [1, 1, 1, -1], inside).intersections
+        except QhullError:  # a solid without an inside
+            break
+        above = (corners @ left_out[:, :3].T - left_out[:, 3]).max(axis=1)
+        meets = np.abs(corners @ planes[:, :3].T - rows[: len(planes), 3]) < BELOW * reach
+        way = np.where(meets, np.maximum(above, 0)[:, None], 0).max(axis=0)
+        way[is_fixed] = 0
+        if way.max() < BELOW * reach:
+            break
+        room = rows[: len(planes), 3] - planes[:, :3] @ inside
+        rows[: len(planes), 3] -= np.minimum(way, 0.5 * room)
+    return rows[: len(planes)]
 
 
 def _numbers(panels: Sequence[Group], normals: np.ndarray, beyond: list[list[list[int]]]) -> np.ndarray:
@@ -204,9 +250,7 @@ def _numbers(panels: Sequence[Group], normals: np.ndarray, beyond: list[list[lis
     return _compact(np.where(has_seam, _with_planes_joined(panels, normals, labels, has_seam), -1))
 
 
-def _with_planes_joined(
-    panels: Sequence[Group], normals: np.ndarray, labels: np.ndarray, has_seam: np.ndarray
-) -> np.ndarray:
+def _with_planes_joined(panels: Sequence[Group], normals: np.ndarray, labels: np.ndarray, has_seam: np.ndarray) -> np.ndarray:
     """The labels, the same for surfaces of one group with panels in one plane: a piece that lies on both has one contact."""
     labels = labels.copy()
     known = np.flatnonzero(has_seam).tolist()
