@@ -1,4 +1,4 @@
-"""Command line: `python -m calibrate fit runs.h5`."""
+"""Command line: `python -m calibrate fit runs.h5`, `python -m calibrate product hazelnut`."""
 
 import argparse
 import contextlib
@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from calibrate.errors import BadInput, checked_seed
+from calibrate.product_command import add_product_command
 from product_model.program import QuietStream, fail_program, run_program, set_open_line, temporary_file
 
 if TYPE_CHECKING:
@@ -70,6 +71,8 @@ def _parser() -> argparse.ArgumentParser:
         action="store_true",
         help="fit traces, and write parameters, that cannot be meant as they are; replaces files that exist, too",
     )
+    fit.set_defaults(action=_fit)
+    add_product_command(commands, _use_cache)
     return parser
 
 
@@ -257,7 +260,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code (2 on bad input, with one line on stderr)."""
     codes: list[int] = []
     args = _parser().parse_args(argv)
-    return run_program("calibrate", lambda: codes.append(_fit(args)), (BadInput,)) or codes[0]
+    return run_program("calibrate", lambda: codes.append(args.action(args)), (BadInput,)) or codes[0]
 
 
 if __name__ == "__main__":
