@@ -124,10 +124,8 @@ FitFunction = Callable[[Sequence[Target], int, Tell, bool], FittedModel]
 MODELS: dict[str, FitFunction] = {"paper": fit_paper}
 
 
-def fit_model(
-    name: str, targets: Sequence[Target], seed: int, progress: Tell, force: bool = False
-) -> FittedModel:
-    """The model of a name, fitted. Raises `BadInput`."""
+def find_model(name: str) -> FitFunction:
+    """The function that fits the model of a name. Raises `BadInput`."""
     if name not in MODELS:
         raise BadInput(f"model = {name!r}: must be one of {', '.join(MODELS)}")
-    return MODELS[name](targets, seed, progress, force)
+    return MODELS[name]

@@ -155,7 +155,10 @@ def calibrate_product(
 
 
 def _check_request(request: ProductRequest) -> None:
+    from calibrate.models import find_model
+
     checked_seed(request.seed)
+    find_model(request.model)
     if not LEAST_DROPS <= request.drops <= MOST_DROPS:
         raise BadInput(
             f"drops = {request.drops}: must be a whole number from {LEAST_DROPS} to {MOST_DROPS}"
@@ -414,7 +417,7 @@ def _recorded_time(path: Path) -> float:
 def _fit_drops(
     files: ProductFiles, request: ProductRequest, progress: OverallProgress
 ) -> tuple["FittedModel", Curves]:
-    from calibrate.models import fit_model
+    from calibrate.models import find_model
     from calibrate.targets import read
 
     shares = {
@@ -428,7 +431,7 @@ def _fit_drops(
         progress.tell(words, before + own * min(done / max(total, 1), 1.0))
 
     targets = read(files.ensemble)
-    return fit_model(request.model, targets, request.seed, tell, request.force), curves_of(targets)
+    return find_model(request.model)(targets, request.seed, tell, request.force), curves_of(targets)
 
 
 def _judge(

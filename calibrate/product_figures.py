@@ -3,7 +3,7 @@
 matplotlib is imported when one is drawn.
 """
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -84,7 +84,7 @@ def draw_momentum(figure: "FigureBase", data: Curves, model: Curves) -> None:
         label="weight × time since the release",
     )
     for axes in (left, right):
-        axes.set_ylabel("momentum received by the flaps (N s)")
+        axes.set_ylabel("momentum received\nby the flaps (N s)")
         axes.set_ylim(bottom=0)
     _label(left, right)
 
@@ -108,9 +108,11 @@ def draw_load_cell(figure: "FigureBase", data: Curves, model: Curves) -> None:
     for axes in (left, right):
         axes.axhline(mass, color="0.4", lw=0.8, ls=":", label=f"weight, {_kilograms(mass)}")
         axes.set_ylabel(
-            f"reading (kg) of a load cell of\n{CELL_FREQUENCY:g} Hz, damping ratio {CELL_DAMPING:g}"
+            f"reading of the load cell (kg)\n{CELL_FREQUENCY:g} Hz, damping {CELL_DAMPING:g}"
         )
-    _label(left, right)
+    low, high = left.get_ylim()
+    left.set_ylim(low - 0.4 * (high - low), high)  # room for the legend
+    _label(left, right, loc="lower center", ncols=2)
 
 
 DRAWN = {"force": draw_force, "momentum": draw_momentum, "load-cell": draw_load_cell}
@@ -137,7 +139,8 @@ def _draw_pair(axes: "Axes", time: np.ndarray, data: np.ndarray, model: np.ndarr
         axes.plot(time, middle, color=colour, ls=line, lw=1.6, label=f"{name}, median")
 
 
-def _label(left: "Axes", right: "Axes") -> None:
+def _label(left: "Axes", right: "Axes", **legend: Any) -> None:
+    """Names of axes and panels; legend: of the left panel, where it is."""
     left.set_xlabel("time after the first impact (ms)")
     right.set_xlabel("time after the release (ms)")
     left.set_title(f"the first {1e3 * FIRST:g} ms", fontsize=10)
@@ -145,7 +148,7 @@ def _label(left: "Axes", right: "Axes") -> None:
     for axes in (left, right):
         axes.margins(x=0)
         axes.grid(alpha=0.25)
-    left.legend(fontsize=7.5, framealpha=0.85)
+    left.legend(fontsize=7.5, framealpha=0.85, **legend)
     handles, labels = right.get_legend_handles_labels()
     own = [
         (h, name)

@@ -2,6 +2,7 @@
 
 import base64
 import io
+import re
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -84,7 +85,7 @@ def compared_cells(row: Comparison, differs: bool) -> list[str]:
     return [
         row.words,
         *shown,
-        f"{100 * row.change:+.0f} % of the median" if differs else "within chance",
+        f"{100 * row.change:+.0f} %" if differs else "within chance",
     ]
 
 
@@ -124,7 +125,8 @@ def html_page(report: Report, figures: Mapping[str, "Figure"]) -> str:
 
 
 def _list(lines: Sequence[str]) -> str:
-    return f"<ul>{''.join(f'<li>{escape(line)}</li>' for line in lines)}</ul>" if lines else ""
+    items = (re.sub(r"`(.+?)`", r"<code>\1</code>", escape(line)) for line in lines)
+    return f"<ul>{''.join(f'<li>{item}</li>' for item in items)}</ul>" if lines else ""
 
 
 def _table(head: Sequence[str] | None, rows: Sequence[Sequence[str]]) -> str:
@@ -134,7 +136,7 @@ def _table(head: Sequence[str] | None, rows: Sequence[Sequence[str]]) -> str:
 
 def _row(cells: Sequence[str]) -> str:
     first, *others = cells
-    marked = ' class="differs"' if cells[-1].endswith("of the median") else ""
+    marked = ' class="differs"' if cells[-1][:1] in "+-" else ""
     tags = [
         f"<td{marked if k == len(others) - 1 else ''}>{escape(cell)}</td>"
         for k, cell in enumerate(others)
@@ -162,7 +164,7 @@ def pdf_page(report: Report) -> "Figure":
     _write_words(words, report, lines, high)
     for figure, draw in zip(drawn, DRAWN.values(), strict=True):
         draw(figure, report.data, report.model)
-        figure.subplots_adjust(left=0.09, right=0.96, top=0.88, bottom=0.2, wspace=0.24)
+        figure.subplots_adjust(left=0.11, right=0.96, top=0.88, bottom=0.2, wspace=0.24)
     return page
 
 

@@ -221,6 +221,16 @@ def test_a_bar_whose_reader_is_gone_falls_silent(monkeypatch):
         assert shown._bar.n == 10
 
 
+def test_a_function_is_told_of_progress_instead_of_a_bar(capsys):
+    told = []
+    with Progress(bare_job(), lambda phase, share: told.append((phase, share))) as shown:
+        shown.compiling()
+        shown.advance(SimpleNamespace(count=4, end=4, settled=False))
+        shown.advance(SimpleNamespace(count=1, end=5, settled=True))  # at rest: what is left need not be computed
+    assert told == [("compiling", 0.0), ("running", 0.4), ("running", 1.0)]
+    assert capsys.readouterr().err == ""
+
+
 @pytest.mark.parametrize("closed", [">&-", "2>&-", ">&- 2>&- <&-"])
 def test_closed_streams_are_as_dev_null(closed):
     search = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
