@@ -5,6 +5,7 @@ import re
 from os import PathLike
 from pathlib import Path
 
+from product_model.extended import ADDITIONS, Landings
 from product_model.inputs import (
     INPUTS,
     LEAVES,
@@ -25,6 +26,7 @@ FORM_NAMES = {
     "interval-mean": "PRODUCT_MODEL_INTERVAL_MEAN",
     "smooth": "PRODUCT_MODEL_SMOOTH",
 }
+SHAPE_NAMES = {"triangle": "PRODUCT_MODEL_TRIANGLE", "rectangle": "PRODUCT_MODEL_RECTANGLE"}
 FIELDS = (
     *LEAVES,
     "m_target",
@@ -34,6 +36,7 @@ FIELDS = (
 )  # the doubles of product_model_parameters, in its order
 EXAMPLE_CAPACITY = 256  # pieces for which there is always room
 README = """The Product Model in C99, written by product-impact {version}: {pieces} pieces of {mass:g} g, {precision}, form {form}.
+{model}
 
 product_model.h, product_model.c   the model; needs <math.h> and <stdint.h>, allocates no memory
 product_model_parameters.h         the parameters of this product
@@ -71,6 +74,7 @@ def write_c(
             mass=1e3 * float(params.m_piece),
             precision=REALS[params.precision],
             form=params.form,
+            model=describe_impacts(params.landings),
         ),
     }
     check_folder(folder, list(files), overwrite)
@@ -82,6 +86,14 @@ def write_c(
     except OSError as error:
         raise BadInput(f"out = {folder}: cannot be written ({error.strerror or error})") from None
     return folder
+
+
+def describe_impacts(landings: Landings | None) -> str:
+    """A sentence that says how often a piece lands."""
+    if landings is None:
+        return "The model of the paper: each piece lands once, in one rectangular pulse."
+    numbers = ", ".join(str(count) for count in landings.impacts)
+    return f"The extended model: each piece lands {len(landings.impacts)} times, in {numbers} impacts ({landings.shape} pulses)."
 
 
 def check_folder(folder: Path, names: list[str], overwrite: bool) -> None:
@@ -97,13 +109,13 @@ def check_folder(folder: Path, names: list[str], overwrite: bool) -> None:
 
 def source_files(params: Parameters, seed: int, capacity: int) -> dict[str, str]:
     """Name -> text of the model's files with these parameters and room for twice as many pieces, at least `capacity`."""
-    if params.landings is not None:
-        raise BadInput("landings: only the paper's model can be written as C; omit the additions")
     header = (SOURCES / "product_model.h").read_text(encoding="utf-8")
     header = _with_default(header, "PRODUCT_MODEL_REAL", REALS[params.precision])
     header = _with_default(
         header, "PRODUCT_MODEL_MAX_PIECES", str(max(capacity, 2 * pieces_of(params)))
     )
+    impacts = 0 if params.landings is None else sum(params.landings.impacts)
+    header = _with_default(header, "PRODUCT_MODEL_MAX_IMPACTS", str(impacts))
     source = (SOURCES / "product_model.c").read_text(encoding="utf-8")
     return {
         "product_model.h": header,
@@ -131,6 +143,8 @@ def parameter_header(params: Parameters, seed: int) -> str:
         (FORM_NAMES[params.form], "form"),
     ]
     lines = [f"        {value}, /* {_ascii(text)} */ \\" for value, text in values]
+    if params.landings is not None:
+        lines += _landing_lines(params.landings)
     grid = grid_of(params)
     return "\n".join(
         [
@@ -151,6 +165,18 @@ def parameter_header(params: Parameters, seed: int) -> str:
             "",
         ]
     )
+
+
+def _landing_lines(landings: Landings) -> list[str]:
+    """Lines with the initial values of the struct `product_model_landings`."""
+    values = [(repr(float(getattr(landings, row.name))), f"{row.name} ({row.unit}): {row.meaning}") for row in ADDITIONS]
+    values += [
+        (SHAPE_NAMES[landings.shape], "shape of the impacts"),
+        (str(len(landings.impacts)), "landings of a piece"),
+    ]
+    lines = [f"            {value}, /* {_ascii(text)} */ \\" for value, text in values]
+    numbers = ", ".join(str(count) for count in landings.impacts)
+    return ["        { /* the extended model */ \\", *lines, f"            {{ {numbers} }}, /* impacts */ \\", "        }, \\"]
 
 
 def _ascii(text: str) -> str:

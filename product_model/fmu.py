@@ -40,6 +40,8 @@ def write_fmu(path: str | os.PathLike[str], params: Parameters, seed: int = 0, o
     check(params)
     if params.form == "smooth":
         raise BadInput("form = smooth: a stream is rectangular or interval-mean")
+    if params.landings is not None:
+        raise BadInput("landings: the unit that runs Python has the paper's model only; a compiled unit has the extended one")
     try:
         from pythonfmu.builder import FmuBuilder
     except ImportError as error:

@@ -40,11 +40,11 @@ def write_compiled_fmu(
 ) -> Path:
     """Write a unit with the library for this platform and the C sources for all others.
 
-    Variables: the leaves of `Parameters`, `m_target`, `pieces` and `seed` (parameters), `release`
-    (input: each rising edge lets the next portion fall, the first falls at the start), `force` (N)
-    and `pif_kg` (kg) (outputs). A step of any length gives the mean over it (with the rectangular
-    form: the force at its end). Portion n after the first is that of `product_model.simulate` with
-    the seed `seed + n`.
+    Variables: the leaves of `Parameters`, the additions of the extended model if there are any,
+    `m_target`, `pieces` and `seed` (parameters), `release` (input: each rising edge lets the next
+    portion fall, the first falls at the start), `force` (N) and `pif_kg` (kg) (outputs). A step of any
+    length gives the mean over it (with the rectangular form: the force at its end). Portion n after
+    the first is that of `product_model.simulate` with the seed `seed + n`.
 
     Args:
         path: of the unit, ending in .fmu.

@@ -4,6 +4,7 @@ import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 
 from product_model.c_export import FIELDS
+from product_model.extended import ADDITIONS
 from product_model.inputs import INPUTS, LEAVES, Input, Parameters, pieces_of
 from product_model.record import version
 
@@ -17,9 +18,11 @@ UNITS = {
     "s": {"s": 1},
     "kg": {"kg": 1},
     "m/s2": {"m": 1, "s": -2},
+    "1": {},
     "N": {"kg": 1, "m": 1, "s": -2},
 }
 PIECES, SEED, RELEASE, FORCE, PIF_KG, TIME = range(1000, 1006)  # value references as in c/unit.h
+LANDINGS = 100  # that of the first addition of the extended model
 SOURCE_NAMES = {"2": ("product_model.c", "fmi2.c"), "3": ("product_model.c", "fmi3.c")}
 TYPES = {
     "2": {"real": "Real", "integer": "Integer", "boolean": "Boolean"},
@@ -53,6 +56,7 @@ def variables_of(params: Parameters, seed: int) -> list[Variable]:
     release = "a rising edge lets the next portion fall"
     return [
         *(_real_parameter(rows[name], rows[name].meaning, float(getattr(params, name))) for name in LEAVES),
+        *_landing_parameters(params),
         _real_parameter(rows["m_target"], target, 0.0),
         _integer_parameter("pieces", PIECES, "tunable", rows["pieces"].meaning, pieces_of(params), 1),
         _integer_parameter("seed", SEED, "fixed", "seed of the random numbers", seed, 0),
@@ -65,6 +69,17 @@ def variables_of(params: Parameters, seed: int) -> list[Variable]:
 def _real_parameter(row: Input, description: str, start: float) -> Variable:
     unit, number = row.unit.replace("²", "2"), FIELDS.index(row.name)
     return Variable(row.name, number, "real", "parameter", "tunable", description, unit, repr(start), "0")
+
+
+def _landing_parameters(params: Parameters) -> list[Variable]:
+    """The additions of the extended model, none for the paper's model."""
+    if params.landings is None:
+        return []
+    fixed = ("real", "parameter", "tunable")
+    return [
+        Variable(row.name, LANDINGS + k, *fixed, row.meaning, row.unit, repr(float(value)), repr(row.low))
+        for k, (row, value) in enumerate(zip(ADDITIONS, params.landings.values().values(), strict=True))
+    ]
 
 
 def _integer_parameter(name: str, reference: int, variability: str, description: str, start: int, least: int) -> Variable:

@@ -244,6 +244,12 @@ static void add_edge(product_model_state *state, real position, real level)
     edge->level = level;
 }
 
+/* Samples from whole + fraction to the present; negative if that is still to come. */
+static real samples_since(const product_model_state *state, int32_t whole, real fraction)
+{
+    return (real)(state->whole - whole) + (state->fraction - fraction);
+}
+
 /* ---- a portion ---- */
 
 static int is_positive(double x) { return x > 0 && x <= DBL_MAX; }
@@ -276,35 +282,320 @@ static real sigma_height(const product_model_parameters *p, const uint32_t key[2
     return fused((high - low) * ((real)1 / (real)3), larger(normal, 0), low);
 }
 
-/* Eq. 18 for a number v on (-1, 1): a drop height (m). One that would be negative, which has the
-   probability `negative`, is drawn again from the rest of the distribution, with v as its random
-   number. */
-static real drop_height(real h_mean, real sigma, real negative, real v)
+/* The distribution of the drop heights of a portion. */
+typedef struct {
+    real mean, sigma; /* (m) */
+    real negative;    /*     probability of a negative height */
+} height_distribution;
+
+static height_distribution heights_of(const product_model_parameters *p, const uint32_t key[2])
 {
-    real below = (v + 1) * (real)0.5;
+    height_distribution heights;
+    heights.mean = (real)p->h_mean;
+    heights.sigma = sigma_height(p, key);
+    heights.negative = 0;
+    if (heights.sigma > 0)
+        heights.negative =
+            (real)0.5 - (real)0.5 * error_function(heights.mean / heights.sigma * (1 / SQRT2));
+    return heights;
+}
+
+/* Eq. 18: drop height (m) of a piece. One that would be negative is drawn again from the rest of the
+   distribution, with v as its random number. */
+static real drop_height(const height_distribution *heights, const uint32_t key[2], int32_t piece)
+{
+    real v = uniform_between_signs(key, (uint32_t)piece + 1);
+    real below = (v + 1) * (real)0.5, negative = heights->negative;
     if (below < negative) v = 2 * fused(below / negative, 1 - negative, negative) - 1;
-    return larger(fused(inverse_erf(v), sigma * SQRT2, h_mean), (real)LOWEST_HEIGHT);
+    return larger(fused(inverse_erf(v), heights->sigma * SQRT2, heights->mean),
+                  (real)LOWEST_HEIGHT);
 }
 
 /* The two edges of each piece's pulse, eqs 9-14 and 17. */
 static void add_pulses(product_model_state *state, const product_model_parameters *p,
                        const uint32_t key[2], int32_t pieces)
 {
-    real h_mean = (real)p->h_mean, gravity = (real)p->gravity, mass = (real)p->m_piece;
-    real length = (real)p->dt_impact;
+    real gravity = (real)p->gravity, mass = (real)p->m_piece, length = (real)p->dt_impact;
     real start = (real)p->start, per_second = 1 / state->sample, weight = mass * gravity;
     real earliest = p->form == PRODUCT_MODEL_SMOOTH ? -(REACH * state->width + 4) : 0;
-    real sigma = sigma_height(p, key), negative = 0;
+    height_distribution heights = heights_of(p, key);
     int32_t piece;
-    if (sigma > 0) negative = (real)0.5 - (real)0.5 * error_function(h_mean / sigma * (1 / SQRT2));
     for (piece = 0; piece < pieces; piece++) {
-        real height =
-            drop_height(h_mean, sigma, negative, uniform_between_signs(key, (uint32_t)piece + 1));
-        real time = root(height * 2 / gravity), force = mass * (gravity * time) / length;
+        real time = root(drop_height(&heights, key, piece) * 2 / gravity);
+        real force = mass * (gravity * time) / length;
         add_edge(state, larger((time - start) * per_second, earliest), force);
         add_edge(state, larger(((time + length) - start) * per_second, earliest), weight - force);
     }
 }
+
+#if PRODUCT_MODEL_MAX_IMPACTS > 0
+
+/* ---- a portion of the extended model: product_model/extended.py ---- */
+
+#define MOST_REBOUND    ((real)0.9)     /* of the speed */
+#define MOST_NORMAL     ((real)4)       /* in standard deviations of a moment of release */
+#define LEADING         (1 / 0.33)      /* over the share whose pulse has the length dt_impact */
+#define LEADING_OFFSET  ((real)0.03)    /* added to every share */
+#define TRAILING        (1 / 0.033)     /* the same of late_duration */
+#define TRAILING_OFFSET ((real)0.004)
+
+/* The random numbers of one piece beside that of its drop height; product_model.landing_numbers. */
+typedef struct {
+    const uint32_t *key;
+    uint32_t first;  /* number of the first one */
+    int32_t flights; /* landings but one */
+    int32_t gaps;    /* impacts but one of each landing */
+} piece_numbers;
+
+static real number_between_signs(const piece_numbers *numbers, int32_t index)
+{
+    return uniform_between_signs(numbers->key, numbers->first + (uint32_t)index);
+}
+
+/* Exponential number of mean 1. */
+static real exponential(const piece_numbers *numbers, int32_t index)
+{
+    real half = (number_between_signs(numbers, index) + 1) * (real)0.5;
+    return SINGLE ? -log_single(half) : -(real)log(half);
+}
+
+static real power(real base, real exponent)
+{
+    return SINGLE ? (real)powf((float)base, (float)exponent) : (real)pow(base, exponent);
+}
+
+/* exp(x) - 1 */
+static real exp_minus_one(real x) { return SINGLE ? (real)expm1f((float)x) : (real)expm1(x); }
+
+/* Number of impacts of a piece, at most one more than there is room for; 0: the paper's model. */
+static int32_t impacts_of(const product_model_parameters *p)
+{
+    int32_t impacts = 0, j;
+    if (p->landings.landings > PRODUCT_MODEL_MAX_IMPACTS) return PRODUCT_MODEL_MAX_IMPACTS + 1;
+    for (j = 0; j < p->landings.landings; j++) {
+        if (p->landings.impacts[j] > PRODUCT_MODEL_MAX_IMPACTS - impacts)
+            return PRODUCT_MODEL_MAX_IMPACTS + 1;
+        impacts += p->landings.impacts[j];
+    }
+    return impacts;
+}
+
+static int is_within(double x, double low, double high) { return x >= low && x < high; }
+
+static int are_landings_allowed(const product_model_parameters *p)
+{
+    const product_model_landings *l = &p->landings;
+    int32_t j;
+    if (l->landings == 0) return 1;
+    for (j = 0; j < l->landings && j < PRODUCT_MODEL_MAX_IMPACTS; j++)
+        if (l->impacts[j] < 1) return 0;
+    return l->landings > 0 && is_within(l->pulse_exponent, 0, 5) &&
+           is_within(l->late_duration, 1e-6, 1) && is_within(l->share_exponent, 0, 100) &&
+           is_within(l->impact_delay, 0, 1) && is_within(l->rebound, 0, 1) &&
+           is_within(l->slump_depth, 0, 1) && is_within(l->early_weight, 0, 1) &&
+           is_within(l->release_time, 0, 1) && is_within(l->release_skew, -5, 5) &&
+           is_within(l->release_order, 0, 1) && is_within(l->cushioning, -5, 10) &&
+           (l->shape == PRODUCT_MODEL_TRIANGLE || l->shape == PRODUCT_MODEL_RECTANGLE);
+}
+
+static double probability_below(double z) { return 0.5 * erfc(-z / 1.4142135623730951); }
+
+/* Standard normal quantile of (index + 1/2) / pieces; one step of Newton's method in double
+   precision. */
+static double normal_score(int32_t index, int32_t pieces)
+{
+    int32_t lower = index < pieces - 1 - index ? index : pieces - 1 - index;
+    double probability = (lower + 0.5) / pieces, z;
+    if (2 * lower + 1 == pieces) return 0;
+    z = (double)(inverse_erf((real)(2 * probability - 1)) * SQRT2);
+    z -= (probability_below(z) - probability) * exp(0.5 * z * z) * 2.5066282746310002;
+    return index == lower ? z : -z;
+}
+
+/* Over the standard deviation of the normal scores of a portion. */
+static double score_scale(int32_t pieces)
+{
+    double sum = 0;
+    int32_t k;
+    for (k = 0; k < pieces / 2; k++) sum += 2 * normal_score(k, pieces) * normal_score(k, pieces);
+    return pieces > 1 ? 1 / sqrt(sum / pieces) : 1;
+}
+
+static void add_pulse(product_model_state *state, double position, real length, real force)
+{
+    product_model_pulse *pulse = &state->pulses[state->pulse_count++];
+    int is_far = !(fabs(position) < FAR);
+    double whole = floor(position);
+    pulse->whole = !is_far ? (int32_t)whole : position < 0 ? -FAR : FAR;
+    pulse->fraction = !is_far ? (real)(position - whole) : 0;
+    pulse->length = length;
+    pulse->force = force;
+}
+
+/* The same for a beginning and a length in seconds. Beginnings are divided in double precision,
+   which the slopes of triangles need; those of rectangles are rounded like edges. */
+static void add_pulse_at(product_model_state *state, const product_model_parameters *p, real time,
+                         real duration, real force)
+{
+    real start = (real)p->start, per_second = 1 / state->sample, begin, end;
+    if (p->landings.shape == PRODUCT_MODEL_TRIANGLE) {
+        add_pulse(state, ((double)time - p->start) / p->sample,
+                  (real)((double)duration / p->sample), force);
+    } else {
+        begin = (time - start) * per_second;
+        end = (time + duration - start) * per_second;
+        add_pulse(state, begin, end - begin, force);
+    }
+}
+
+/* A piece in free fall or on its flaps. */
+typedef struct {
+    real speed;   /* (m/s) at this landing */
+    real again;   /* (m/s) with which it leaves it */
+    real landing; /* (s)   moment of this landing */
+    real delay;   /* (s)   mean time between its impacts */
+    int32_t used; /*       impacts but one of each landing so far */
+} falling_piece;
+
+/* The impacts of landing j of a piece. */
+static void add_impacts(product_model_state *state, const product_model_parameters *p,
+                        const piece_numbers *numbers, falling_piece *piece, int32_t j)
+{
+    const product_model_landings *l = &p->landings;
+    real mass = (real)p->m_piece, reference = root(2 * (real)p->gravity * (real)p->h_mean);
+    real length = j == 0 ? (real)p->dt_impact : (real)l->late_duration;
+    real offset = j == 0 ? LEADING_OFFSET : TRAILING_OFFSET, left = 1, later = 0;
+    int32_t shares = 1 + 2 * numbers->flights + piece->used, k, count = l->impacts[j];
+    for (k = 0; k < count; k++) {
+        real rest = 0, momentum, duration;
+        if (k < count - 1) {
+            real half = (number_between_signs(numbers, shares + k) + 1) * (real)0.5;
+            rest = left * power(half, (real)l->share_exponent);
+        }
+        momentum = (piece->speed + piece->again) * (left - rest);
+        duration = length * power((momentum / reference + offset) *
+                                      (j == 0 ? (real)LEADING : (real)TRAILING),
+                                  (real)l->pulse_exponent);
+        add_pulse_at(state, p, piece->landing + later, duration, mass * momentum / duration);
+        left = rest;
+        if (k < count - 1)
+            later += piece->delay * exponential(numbers, shares + numbers->gaps + k) *
+                     (real)(k < 1 ? 2 : k + 1);
+    }
+    piece->used += count - 1;
+}
+
+/* From landing j to the next one: up with the speed `again`, then down to a random depth. */
+static void fly(const product_model_landings *l, const piece_numbers *numbers, falling_piece *piece,
+                real less, int32_t j)
+{
+    real slump = exponential(numbers, 1 + numbers->flights + j);
+    real depth = (real)l->slump_depth * (slump * slump * slump);
+    piece->speed = root(fused(piece->again, piece->again, depth * (less * (real)(1.0 / 3.0))));
+    piece->landing += (piece->again + piece->speed) / less;
+}
+
+/* Moment of release (s) of a normal number, and the mean time between the impacts (s). */
+static real release_time(const product_model_landings *l, real normal, double score, real *delay)
+{
+    real order = (real)l->release_order, skew = (real)l->release_skew, z, skewed;
+    z = fused(normal, root(1 - order * order) * SQRT2, order * (real)score);
+    z = z > MOST_NORMAL ? MOST_NORMAL : larger(z, -MOST_NORMAL);
+    skewed = fabs((double)skew) > (double)(real)1e-3 ? exp_minus_one(skew * z) / skew
+                                                     : z * fused((real)0.5 * skew, z, 1);
+    *delay = (real)l->impact_delay * power(2 * (real)probability_below(z) + (real)0.02,
+                                           (real)l->cushioning);
+    return (real)l->release_time * skewed;
+}
+
+/* The impacts of all pieces, and their weight in two steps each. */
+static void add_landings(product_model_state *state, const product_model_parameters *p,
+                         const uint32_t key[2], int32_t pieces)
+{
+    const product_model_landings *l = &p->landings;
+    real gravity = (real)p->gravity, less = (1 - (real)l->early_weight) * gravity;
+    real mass = (real)p->m_piece, dt_impact = (real)p->dt_impact, start = (real)p->start;
+    real per_second = 1 / state->sample;
+    real earliest = p->form == PRODUCT_MODEL_SMOOTH ? -(REACH * state->width + 4) : 0;
+    double scale = score_scale(pieces);
+    height_distribution heights = heights_of(p, key);
+    int32_t i, j, flights = l->landings - 1, gaps = impacts_of(p) - l->landings;
+    state->shape = l->shape;
+    for (i = 0; i < pieces; i++) {
+        piece_numbers numbers;
+        falling_piece piece;
+        real fall = root(drop_height(&heights, key, i) * 2 / gravity), touch;
+        numbers.key = key;
+        numbers.first = 1 + (uint32_t)pieces + (uint32_t)i * (uint32_t)(1 + 2 * (flights + gaps));
+        numbers.flights = flights;
+        numbers.gaps = gaps;
+        piece.used = 0;
+        touch = fall + release_time(l, inverse_erf(number_between_signs(&numbers, 0)),
+                                    scale * normal_score(i, pieces), &piece.delay);
+        piece.speed = gravity * fall;
+        piece.landing = touch;
+        for (j = 0; j <= flights; j++) {
+            real share = j == flights ? 0 : (real)l->rebound * exponential(&numbers, 1 + j);
+            piece.again = (share < MOST_REBOUND ? share : MOST_REBOUND) * piece.speed;
+            add_impacts(state, p, &numbers, &piece, j);
+            if (j < flights) fly(l, &numbers, &piece, less, j);
+        }
+        add_edge(state, larger((touch + dt_impact - start) * per_second, earliest),
+                 mass * (gravity - less));
+        add_edge(state, larger((piece.landing + dt_impact - start) * per_second, earliest),
+                 mass * less);
+    }
+}
+
+/* ---- the heap of pulses ---- */
+
+static int begins_earlier(const product_model_pulse *a, const product_model_pulse *b)
+{
+    return a->whole < b->whole || (a->whole == b->whole && a->fraction < b->fraction);
+}
+
+static void swap_pulses(product_model_pulse *a, product_model_pulse *b)
+{
+    product_model_pulse kept = *a;
+    *a = *b;
+    *b = kept;
+}
+
+static void sift_pulse_down(product_model_pulse *heap, int32_t size, int32_t parent)
+{
+    for (;;) {
+        int32_t child = 2 * parent + 1;
+        if (child >= size) return;
+        if (child + 1 < size && begins_earlier(&heap[child + 1], &heap[child])) child++;
+        if (!begins_earlier(&heap[child], &heap[parent])) return;
+        swap_pulses(&heap[child], &heap[parent]);
+        parent = child;
+    }
+}
+
+static void clear_pulses(product_model_state *state) { state->pulse_count = 0; }
+
+static void reset_pulses(product_model_state *state)
+{
+    int32_t parent;
+    state->pulses_waiting = state->pulses_unfinished = state->pulse_count;
+    for (parent = state->pulse_count / 2 - 1; parent >= 0; parent--)
+        sift_pulse_down(state->pulses, state->pulse_count, parent);
+}
+
+#else
+
+static int32_t impacts_of(const product_model_parameters *p) { return (void)p, 0; }
+static int are_landings_allowed(const product_model_parameters *p) { return (void)p, 1; }
+static void clear_pulses(product_model_state *state) { (void)state; }
+static void reset_pulses(product_model_state *state) { (void)state; }
+static void add_landings(product_model_state *state, const product_model_parameters *p,
+                         const uint32_t key[2], int32_t pieces)
+{
+    (void)state, (void)p, (void)key, (void)pieces;
+}
+
+#endif
 
 int product_model_start_with_key(product_model_state *state,
                                  const product_model_parameters *parameters, const uint32_t key[2],
@@ -312,17 +603,23 @@ int product_model_start_with_key(product_model_state *state,
 {
     int32_t pieces;
     state->count = 0;
+    clear_pulses(state);
     state->sample = 1;
     state->form = PRODUCT_MODEL_INTERVAL_MEAN;
     product_model_reset(state);
-    if (!are_allowed(parameters) || !(target >= 0 && target <= DBL_MAX))
+    if (!are_allowed(parameters) || !are_landings_allowed(parameters) ||
+        !(target >= 0 && target <= DBL_MAX))
         return PRODUCT_MODEL_BAD_PARAMETER;
+    if (impacts_of(parameters) > PRODUCT_MODEL_MAX_IMPACTS) return PRODUCT_MODEL_TOO_MANY_IMPACTS;
     pieces = number_of_pieces(parameters, target);
     if (pieces > PRODUCT_MODEL_MAX_PIECES) return PRODUCT_MODEL_TOO_MANY_PIECES;
     state->sample = (real)parameters->sample;
     state->width = (real)(parameters->smooth_width / parameters->sample);
     state->form = parameters->form;
-    add_pulses(state, parameters, key, pieces);
+    if (impacts_of(parameters) > 0)
+        add_landings(state, parameters, key, pieces);
+    else
+        add_pulses(state, parameters, key, pieces);
     product_model_reset(state);
     return PRODUCT_MODEL_OK;
 }
@@ -343,6 +640,7 @@ void product_model_reset(product_model_state *state)
     state->fraction = state->level = state->level_error = state->dt = 0;
     for (parent = state->count / 2 - 1; parent >= 0; parent--)
         sift_down(state->edges, state->count, parent);
+    reset_pulses(state);
 }
 
 /* ---- a time step ---- */
@@ -383,7 +681,7 @@ static void advance_time(product_model_state *state)
 /* Samples from an edge to the present; negative if it is still to come. */
 static real time_since(const product_model_state *state, const product_model_edge *edge)
 {
-    return (real)(state->whole - edge->whole) + (state->fraction - edge->fraction);
+    return samples_since(state, edge->whole, edge->fraction);
 }
 
 /* Integral of a Gaussian step of unit width, u Phi(u) + phi(u). */
@@ -421,14 +719,125 @@ static real unfinished_force(product_model_state *state, real steps)
     return force;
 }
 
+#if PRODUCT_MODEL_MAX_IMPACTS > 0
+
+static real time_since_begin(const product_model_state *state, const product_model_pulse *pulse)
+{
+    return samples_since(state, pulse->whole, pulse->fraction);
+}
+
+static real smaller(real a, real b) { return a < b ? a : b; }
+
+/* Force of a pulse at a time after its beginning, over its mean force. Times in samples. */
+static real momentary_part(int32_t shape, real time, real length)
+{
+    if (time < 0 || time >= length) return 0;
+    return shape == PRODUCT_MODEL_RECTANGLE ? 1 : 4 * smaller(time, length - time) / length;
+}
+
+/* Its mean from `begin` to `end`, over its mean force and without cancellation. */
+static real mean_part(int32_t shape, real begin, real end, real length)
+{
+    real steps = end - begin, half = length / 2, from, to, area;
+    from = larger(begin, 0);
+    to = smaller(end, length);
+    if (!(to > from)) return 0;
+    if (shape == PRODUCT_MODEL_RECTANGLE) return (to - from) / steps;
+    area = from < half ? (smaller(to, half) - from) * (smaller(to, half) + from) : 0;
+    from = length - larger(from, half);
+    to = length - to;
+    if (from > to) area += (from - to) * (from + to);
+    return area / half / steps;
+}
+
+/* What a Gaussian of unit width adds to the integral of a step (rectangle) and of a ramp
+   (triangle): what is left of them when the sharp ones are taken away. */
+static double blur(int32_t shape, double u)
+{
+    double below = -fabs(u), density = exp(-0.5 * u * u) / 2.5066282746310002, part;
+    if (shape == PRODUCT_MODEL_RECTANGLE) return below * probability_below(below) + density;
+    part = 0.5 * ((u * u + 1) * probability_below(below) + below * density);
+    return u > 0 ? 0.5 - part : part;
+}
+
+/* What the Gaussian adds to the momentum of a pulse until a time after its beginning, over its mean
+   force. width, time and length in samples. */
+static double blurred_part(int32_t shape, double width, double time, double length)
+{
+    double u = time / width, v = (time - length) / width;
+    if (shape == PRODUCT_MODEL_RECTANGLE) return width * (blur(shape, u) - blur(shape, v));
+    return 4 * width * width / length *
+           (blur(shape, u) - 2 * blur(shape, (time - length / 2) / width) + blur(shape, v));
+}
+
+static real pulse_part(const product_model_state *state, const product_model_pulse *pulse,
+                       real steps)
+{
+    real end = time_since_begin(state, pulse), part;
+    if (state->form == PRODUCT_MODEL_RECTANGULAR)
+        return momentary_part(state->shape, end, pulse->length);
+    part = mean_part(state->shape, end - steps, end, pulse->length);
+    if (state->form == PRODUCT_MODEL_SMOOTH)
+        part += (real)((blurred_part(state->shape, state->width, end, pulse->length) -
+                        blurred_part(state->shape, state->width, end - steps, pulse->length)) /
+                       steps);
+    return part;
+}
+
+/* The force of the pulses that act in the time step; `ahead` as in product_model_step. */
+static real pulse_force(product_model_state *state, real ahead, real steps)
+{
+    double force = 0;
+    int32_t k;
+    while (state->pulses_waiting > 0 && time_since_begin(state, &state->pulses[0]) >= ahead) {
+        state->pulses_waiting--;
+        swap_pulses(&state->pulses[0], &state->pulses[state->pulses_waiting]);
+        sift_pulse_down(state->pulses, state->pulses_waiting, 0);
+    }
+    for (k = state->pulses_unfinished - 1; k >= state->pulses_waiting; k--) {
+        product_model_pulse *pulse = &state->pulses[k];
+        force += (double)(pulse->force * pulse_part(state, pulse, steps));
+        if (time_since_begin(state, pulse) - pulse->length >= -ahead)
+            swap_pulses(pulse, &state->pulses[--state->pulses_unfinished]);
+    }
+    return (real)force;
+}
+
+/* Whether nothing changes any more. */
+static int is_over(const product_model_state *state)
+{
+    return state->unfinished == 0 && state->pulses_unfinished == 0;
+}
+
+/* Number of the sample in which the next edge or pulse lies; the present one while a pulse acts. */
+static int32_t next_change(const product_model_state *state)
+{
+    int32_t next = state->waiting > 0 ? state->edges[0].whole : FAR;
+    if (state->pulses_unfinished > state->pulses_waiting) return state->whole;
+    if (state->pulses_waiting > 0 && state->pulses[0].whole < next) next = state->pulses[0].whole;
+    return next;
+}
+
+#else
+
+static real pulse_force(product_model_state *state, real ahead, real steps)
+{
+    return (void)state, (void)ahead, (void)steps, (real)0;
+}
+static int is_over(const product_model_state *state) { return state->unfinished == 0; }
+static int32_t next_change(const product_model_state *state) { return state->edges[0].whole; }
+
+#endif
+
 product_model_real product_model_step(product_model_state *state, product_model_real dt)
 {
     real before = state->level + state->level_error;
     real ahead = state->form == PRODUCT_MODEL_SMOOTH ? -REACH * state->width : 0;
-    if (state->unfinished == 0 || !(dt > 0)) return before;
+    if (is_over(state) || !(dt > 0)) return before;
     if (dt != state->dt) set_step(state, dt);
     advance_time(state);
     while (state->waiting > 0 && time_since(state, &state->edges[0]) >= ahead) pop_edge(state);
+    before += pulse_force(state, ahead, state->steps);
     if (state->unfinished == state->waiting) return before;
     return before + unfinished_force(state, state->steps);
 }
@@ -437,10 +846,10 @@ product_model_real product_model_step(product_model_state *state, product_model_
 static int32_t count_quiet_steps(const product_model_state *state, int32_t count)
 {
     int32_t quiet;
-    if (state->unfinished == 0) return count;
+    if (is_over(state)) return count;
     if (state->unfinished > state->waiting || state->form == PRODUCT_MODEL_SMOOTH) return 0;
     if (state->step_fraction > 0 || state->step_whole == 0) return 0;
-    quiet = (state->edges[0].whole - 1 - state->whole) / state->step_whole;
+    quiet = (next_change(state) - 1 - state->whole) / state->step_whole;
     return quiet < 0 ? 0 : quiet < count ? quiet : count;
 }
 
@@ -452,7 +861,7 @@ void product_model_steps(product_model_state *state, product_model_real dt,
         int32_t quiet = dt == state->dt ? count_quiet_steps(state, count - done) : 0, k;
         real level = state->level + state->level_error;
         for (k = 0; k < quiet; k++) forces[done + k] = level;
-        if (state->unfinished > 0) state->whole += quiet * state->step_whole;
+        if (!is_over(state)) state->whole += quiet * state->step_whole;
         done += quiet;
         if (done < count) forces[done++] = product_model_step(state, dt);
     }

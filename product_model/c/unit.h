@@ -23,6 +23,7 @@ enum { STATUS_OK = 0, STATUS_ERROR = 3 }; /* of both versions */
 
 /* Value references. Those of parameters that are doubles count them in their struct. */
 enum { PARAMETERS = offsetof(product_model_parameters, pieces) / sizeof(double) };
+enum { LANDINGS = 100 }; /* the first of product_model_landings */
 enum { PIECES = 1000, SEED, RELEASE, FORCE, PIF_KG, TIME };
 
 /* All that changes, plain data: a copy of it is the state of the unit. */
@@ -72,6 +73,8 @@ static const char *release_portion(unit *u)
     v->fallen++;
     if (error == PRODUCT_MODEL_TOO_MANY_PIECES)
         return "the portion has more pieces than the unit was compiled for";
+    if (error == PRODUCT_MODEL_TOO_MANY_IMPACTS)
+        return "a piece has more impacts than the unit was compiled for";
     return error ? "a parameter is out of the range that its description gives" : NULL;
 }
 
@@ -128,6 +131,11 @@ static void free_values(void **state)
 static double *find_real(unit *u, unsigned reference)
 {
     if (reference < PARAMETERS) return (double *)(void *)&u->values.parameters + reference;
+#if PRODUCT_MODEL_MAX_IMPACTS > 0
+    if (reference >= LANDINGS &&
+        reference < LANDINGS + offsetof(product_model_landings, shape) / sizeof(double))
+        return (double *)(void *)&u->values.parameters.landings + (reference - LANDINGS);
+#endif
     return reference == FORCE    ? &u->values.force
            : reference == PIF_KG ? &u->values.pif_kg
            : reference == TIME   ? &u->values.time

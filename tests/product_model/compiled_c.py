@@ -9,12 +9,14 @@ import pytest
 
 from product_model import parameters
 from product_model.c_export import FIELDS, REALS, SOURCES
+from product_model.extended import ADDED, SHAPES
 from product_model.fmu_compiled import find_compiler
 
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic"]
 FORMS = ("rectangular", "interval-mean", "smooth")
-CAPACITY = 400
-SIZE = 1 << 16  # bytes; more than a state of 800 edges has
+CAPACITY = 400  # pieces
+IMPACTS = 16  # of a piece in the extended model
+SIZE = 1 << 18  # bytes; more than a state of 800 edges and 6400 pulses has
 
 needs_compiler = pytest.mark.skipif(
     find_compiler() is None, reason="no C compiler: cc, gcc or clang, or CC in the environment"
@@ -30,10 +32,33 @@ class Values(ctypes.Structure):
     ]
 
 
+class LandingValues(ctypes.Structure):
+    """product_model_landings."""
+
+    _fields_ = [(name, ctypes.c_double) for name in ADDED] + [
+        ("shape", ctypes.c_int32),
+        ("landings", ctypes.c_int32),
+        ("impacts", ctypes.c_int32 * IMPACTS),
+    ]
+
+
+class ExtendedValues(ctypes.Structure):
+    """product_model_parameters of a library with room for impacts."""
+
+    _fields_ = [*Values._fields_, ("landings", LandingValues)]
+
+
 def values_of(params):
-    """The struct of these `Parameters`."""
-    numbers = (float(getattr(params, name)) for name in FIELDS)
-    return Values(*numbers, params.pieces or 0, FORMS.index(params.form))
+    """The struct of these `Parameters`; a library without room for impacts reads its beginning."""
+    numbers = [float(getattr(params, name)) for name in FIELDS]
+    numbers += [params.pieces or 0, FORMS.index(params.form)]
+    own = params.landings
+    if own is None:
+        return ExtendedValues(*numbers)
+    room = ctypes.c_int32 * IMPACTS
+    impacts = room(*own.impacts[:IMPACTS])
+    added = [float(value) for value in own.values().values()]
+    return ExtendedValues(*numbers, LandingValues(*added, SHAPES.index(own.shape), len(own.impacts), impacts))
 
 
 def compile_c(folder, *arguments):
@@ -42,9 +67,9 @@ def compile_c(folder, *arguments):
 
 
 class Library:
-    """The functions of product_model.h in one precision."""
+    """The functions of product_model.h in one precision. impacts: room for them, 0 for the paper's model."""
 
-    def __init__(self, folder, precision):
+    def __init__(self, folder, precision, impacts=0):
         for name in ("product_model.c", "product_model.h"):
             shutil.copy(SOURCES / name, folder)
         name = f"{precision}.so"
@@ -54,6 +79,7 @@ class Library:
             "-fPIC",
             f"-DPRODUCT_MODEL_REAL={REALS[precision]}",
             f"-DPRODUCT_MODEL_MAX_PIECES={CAPACITY}",
+            f"-DPRODUCT_MODEL_MAX_IMPACTS={impacts}",
         ]
         compile_c(folder, *options, "product_model.c", "-o", name)
         self.functions = ctypes.CDLL(str(folder / name))
