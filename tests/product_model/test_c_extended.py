@@ -52,9 +52,18 @@ def force_at(trace, times, shape):
     return height @ np.asarray(pulses.force) + (times[:, None] >= np.asarray(pulses.step_time)) @ np.asarray(pulses.weight)
 
 
-@pytest.mark.parametrize("seed", [0, 3, 2**31 - 1])
-def test_the_force_is_that_of_simulate(library, seed):
-    params = settings()
+@pytest.mark.parametrize(
+    ("seed", "changes"),
+    [
+        (0, {}),
+        (2**31 - 1, {}),
+        (3, {"cushioning": 1.5, "release_skew": 0.0, "release_order": 0.9, "early_weight": 0.0}),
+        (4, {"cushioning": -0.5, "release_skew": 0.8, "release_time": 4e-3, "rebound": 0.5, "share_exponent": 2.0}),
+        (5, {"slump_depth": 0.0, "rebound": 0.0, "impact_delay": 0.0, "pulse_exponent": 0.0, "late_duration": 2e-3}),
+    ],
+)
+def test_the_force_is_that_of_simulate(library, seed, changes):
+    params = settings(landings=Landings(**changes))
     expected = np.asarray(simulate(params, seed).force)
     found = library.trace(params, seed, len(expected))
     # `simulate` rounds slopes, so that their sums are exact, which costs it 2e-12 of the peak; see `Corners`
