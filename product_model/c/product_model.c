@@ -364,8 +364,36 @@ static real power(real base, real exponent)
     return SINGLE ? (real)powf((float)base, (float)exponent) : (real)pow(base, exponent);
 }
 
-/* exp(x) - 1 */
-static real exp_minus_one(real x) { return SINGLE ? (real)expm1f((float)x) : (real)expm1(x); }
+/* exp(x), |x| < 87, in single precision (Cephes). */
+static real exp_single(real x)
+{
+    static const double series[] = {
+        0.000198756912, 0.00139819994, 0.00833345205, 0.0416657962, 0.166666657, 0.5};
+    real whole = (real)floor((double)fused(x, (real)1.44269502, (real)0.5)), rest;
+    rest = fused(whole, (real)0.000212194442, fused(whole, (real)-0.693359375, x));
+    rest = fused(polynomial(series, 6, rest), rest * rest, rest) + 1;
+    return (real)ldexp((double)rest, (int)whole);
+}
+
+/* tanh(x), |x| < 7, in single precision as XLA has it. */
+static real tanh_single(real x)
+{
+    static const double over[] = {
+        -2.76076837e-16, 2.00018794e-13, -8.60467184e-11, 5.12229725e-08, 1.48572235e-05,
+        0.000637261954, 0.00489352457};
+    static const double under[] = {
+        1.19825836e-06, 0.000118534706, 0.00226843474, 0.00489352504};
+    if (fabs((double)x) < (double)(real)4e-4) return x;
+    return x * polynomial(over, 7, x * x) / polynomial(under, 4, x * x);
+}
+
+/* exp(x) - 1, |x| <= 20 */
+static real exp_minus_one(real x)
+{
+    if (!SINGLE) return (real)expm1(x);
+    if (x > (real)0.5 || x < (real)-0.5) return exp_single(x) - 1;
+    return x == 0 ? x : tanh_single(x * (real)0.5) * (exp_single(x) + 1);
+}
 
 /* Number of impacts of a piece, at most one more than there is room for; 0: the paper's model. */
 static int32_t impacts_of(const product_model_parameters *p)
@@ -495,17 +523,18 @@ static void fly(const product_model_landings *l, const piece_numbers *numbers, f
     piece->landing += (piece->again + piece->speed) / less;
 }
 
-/* Moment of release (s) of a normal number, and the mean time between the impacts (s). */
-static real release_time(const product_model_landings *l, real normal, double score, real *delay)
+/* Moment of release of a normal number, over release_time, and the mean time between the impacts
+   (s). */
+static real release_moment(const product_model_landings *l, real normal, double score, real *delay)
 {
     real order = (real)l->release_order, skew = (real)l->release_skew, z, skewed;
-    z = fused(normal, root(1 - order * order) * SQRT2, order * (real)score);
+    z = fused(order, (real)score, normal * (root(fused(-order, order, 1)) * SQRT2));
     z = z > MOST_NORMAL ? MOST_NORMAL : larger(z, -MOST_NORMAL);
     skewed = fabs((double)skew) > (double)(real)1e-3 ? exp_minus_one(skew * z) / skew
                                                      : z * fused((real)0.5 * skew, z, 1);
     *delay = (real)l->impact_delay * power(2 * (real)probability_below(z) + (real)0.02,
                                            (real)l->cushioning);
-    return (real)l->release_time * skewed;
+    return skewed;
 }
 
 /* The impacts of all pieces, and their weight in two steps each. */
@@ -530,8 +559,9 @@ static void add_landings(product_model_state *state, const product_model_paramet
         numbers.flights = flights;
         numbers.gaps = gaps;
         piece.used = 0;
-        touch = fall + release_time(l, inverse_erf(number_between_signs(&numbers, 0)),
-                                    scale * normal_score(i, pieces), &piece.delay);
+        touch = release_moment(l, inverse_erf(number_between_signs(&numbers, 0)),
+                               scale * normal_score(i, pieces), &piece.delay);
+        touch = fused((real)l->release_time, touch, fall);
         piece.speed = gravity * fall;
         piece.landing = touch;
         for (j = 0; j <= flights; j++) {
