@@ -428,6 +428,30 @@ static int are_landings_allowed(const product_model_parameters *p)
 
 static double probability_below(double z) { return 0.5 * erfc(-z / 1.4142135623730951); }
 
+/* 2 Phi(z), |z| <= 4, Phi the normal distribution; in single precision as XLA has it (Cephes). */
+static real twice_probability_below(real z)
+{
+    static const double central[] = {
+        7.85386146e-05, -0.000801019371, 0.00518832775, -0.0268538129, 0.112835854, -0.37612626,
+        1.12837911};
+    static const double middle[] = {
+        0.0232682, -0.138703942, 0.368742466, -0.582473278, 0.621000469, -0.494451523, 0.340488,
+        -0.274112701, 0.563825965};
+    static const double tail[] = {
+        -10.477664, 12.9772, -7.49551868, 2.92101908, -1.01526523, 0.42184633, -0.282076746,
+        0.564189494};
+    real w = z * (real)0.707106769, size = (real)fabs((double)w), square = w * w, inverse, beyond;
+    if (!SINGLE) return (real)(2 * probability_below(z));
+    if (size < (real)0.707106769) return error_function(w) + 1;
+    inverse = 1 / square;
+    if (size < 1)
+        beyond = fused(-size, polynomial(central, 7, square), 1);
+    else
+        beyond = exp_single(-square) * (1 / size) *
+                 (size < 2 ? polynomial(middle, 9, inverse) : polynomial(tail, 8, inverse));
+    return w > 0 ? 2 - beyond : beyond;
+}
+
 /* Standard normal quantile of (index + 1/2) / pieces; one step of Newton's method in double
    precision. */
 static double normal_score(int32_t index, int32_t pieces)
@@ -532,7 +556,7 @@ static real release_moment(const product_model_landings *l, real normal, double 
     z = z > MOST_NORMAL ? MOST_NORMAL : larger(z, -MOST_NORMAL);
     skewed = fabs((double)skew) > (double)(real)1e-3 ? exp_minus_one(skew * z) / skew
                                                      : z * fused((real)0.5 * skew, z, 1);
-    *delay = (real)l->impact_delay * power(2 * (real)probability_below(z) + (real)0.02,
+    *delay = (real)l->impact_delay * power(twice_probability_below(z) + (real)0.02,
                                            (real)l->cushioning);
     return skewed;
 }

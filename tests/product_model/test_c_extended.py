@@ -72,8 +72,9 @@ def test_the_force_is_that_of_simulate(library, seed, changes):
 
 def test_single_precision_is_that_of_simulate(libraries):
     """One unit of rounding of a start at 0.25 s would move a pulse by 15 ns, which is 1e-4 of the height of a pulse of 300 us."""
-    params = settings(precision="f32", start=0.0, duration=0.3)
     for seed in range(4):
+        own = Landings(cushioning=0.5 * seed, release_skew=0.4 * (seed - 1))
+        params = settings(precision="f32", start=0.0, duration=0.3, landings=own)
         expected = np.asarray(simulate(params, seed).force, np.float64)
         found = libraries["f32"].trace(params, seed, len(expected))
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6 * expected.max())
