@@ -51,7 +51,8 @@ class LandingFit:
 
     model: name of the chosen one of paper, pulses, landings, full; parameters: name -> {"value", "low", "high", "sd", "free"}
     of it, low and high of the 90 % interval; impacts: of each landing
-    judgements: model -> {"distance", "p", "passed", "of", "worst"}: of traces that were not fitted
+    judgements: model -> {"distance", "p", "cell_distance", "cell_p", "passed", "of", "worst"}: of traces that were not
+    fitted, in all and in what a load cell shows; "traces": the fitted traces in the place of a model's
     statements: in words; paper: the fit of the paper's model
     """
 
@@ -216,6 +217,7 @@ def _fit(
     draws = draw_landings(fitted, simulations, seed)
     start = default_start(paper, targets) | given
     judgements = {"paper": judge_paper(paper, kept_out, frame, seed)}
+    reference = _judge(kept_out, accelerations(fitted, frame), frame, seed)
     found: dict[str, Values] = {}
     chosen = "paper" if judgements["paper"].joint.p >= ALARM else None
     steps = (BEST * STEPS[0] + STEPS[1]) * len(models)
@@ -233,8 +235,8 @@ def _fit(
         model=best,
         parameters=parameters,
         impacts=draws.impacts,
-        judgements={name: _plain(judgement) for name, judgement in judgements.items()},
-        statements=statements(best, chosen, judgements),
+        judgements={name: _plain(judgement) for name, judgement in (judgements | {"traces": reference}).items()},
+        statements=statements(best, chosen, judgements, reference),
         paper=paper,
         info=paper.info | {"align": "first-impact", "kept_out": len(kept_out), "simulations": simulations, "seed": seed},
     )
@@ -289,17 +291,21 @@ def _plain(judgement: Judgement) -> dict[str, Any]:
         {"name": name, "p": judgement.single[name].p, "shift": judgement.shift[name], "spread": judgement.spread[name]}
         for name in judgement.worst(5)
     ]
-    joint = judgement.joint
-    return {"distance": joint.distance, "p": joint.p, "passed": judgement.passed, "of": len(judgement.single), "worst": worst}
+    joint, cell = judgement.joint, judgement.cell
+    of_cell = {"cell_distance": cell.distance, "cell_p": cell.p}
+    singles = {"passed": judgement.passed, "of": len(judgement.single), "worst": worst}
+    return {"distance": joint.distance, "p": joint.p} | of_cell | singles
 
 
-def statements(best: str, chosen: str | None, judgements: dict[str, Judgement]) -> list[str]:
+def statements(best: str, chosen: str | None, judgements: dict[str, Judgement], reference: Judgement) -> list[str]:
     """In words: which model describes the traces, and in what the others differ."""
     lines = [
         f"model {name}: {'not rejected' if j.joint.p >= ALARM else 'rejected'} by the traces kept out (p = {j.joint.p:.2g}, energy "
-        f"distance {j.joint.distance:.3g}; {j.passed} of {len(j.single)} single comparisons pass)"
+        f"distance {j.joint.distance:.3g}; load cell p = {j.cell.p:.2g}; {j.passed} of {len(j.single)} single comparisons pass)"
         for name, j in judgements.items()
     ]
+    joint = reference.joint
+    lines.append(f"the fitted traces themselves differ from those kept out by {joint.distance:.3g} (p = {joint.p:.2g})")
     if chosen is None:
         worst = "; ".join(
             f"{name} by {judgements[best].shift[name]:+.2f} standard deviations, spread x {judgements[best].spread[name]:.2f}"

@@ -48,11 +48,13 @@ def compare(x: np.ndarray, y: np.ndarray, permutations: int = PERMUTATIONS, seed
 class Judgement:
     """Two samples compared in all summaries jointly and in each.
 
-    joint: of all; single: name -> of one; shift: name -> difference of the means (second less first) in standard deviations of
+    joint: of all; cell: of what a load cell shows; single: name -> of one
+    shift: name -> difference of the means (second less first) in standard deviations of
     the first; spread: name -> ratio of the standard deviations
     """
 
     joint: Difference
+    cell: Difference
     single: dict[str, Difference]
     shift: dict[str, float]
     spread: dict[str, float]
@@ -75,4 +77,6 @@ def judge(x: np.ndarray, y: np.ndarray, names: tuple[str, ...], permutations: in
     single = {name: compare(x[:, [k]], y[:, [k]], permutations, seed) for k, name in enumerate(names)}
     shift = {name: float(y[:, k].mean() - x[:, k].mean()) for k, name in enumerate(names)}
     spread = {name: float(y[:, k].std() / max(x[:, k].std(), 1e-12)) for k, name in enumerate(names)}
-    return Judgement(compare(x, y, permutations, seed), single, shift, spread)
+    cell = [k for k, name in enumerate(names) if name.startswith("cell")]
+    joint, of_cell = compare(x, y, permutations, seed), compare(x[:, cell], y[:, cell], permutations, seed)
+    return Judgement(joint, of_cell, single, shift, spread)
