@@ -34,7 +34,7 @@ def main(argv=None):
     for item in options.files:
         name, file = item.split("=", 1)
         begin = time.perf_counter()
-        found = fit_landings(calibrate.read(file), models=tuple(options.models.split(",")), intervals=False, force=True)
+        found = fit_landings(calibrate.read(file), models=tuple(options.models.split(",")), force=True)
         rows += rows_of(name, found, time.perf_counter() - begin)
         values.append([name, *(f"{found.parameters[key]['value']:.4g}" if key in found.parameters else "" for key in NAMES)])
         differ.append(f"- {name}: {found.statements[-1]}")

@@ -28,6 +28,7 @@ class _Parser(argparse.ArgumentParser):
         self.exit(2, f"{self.prog}: {message}\n")
 
 
+BOOTSTRAP = "refits for the intervals (default 100; extended model: 0, none); 0 for the paper's: local estimate only"
 NAMES = ("dt_impact", "gamma_low", "gamma_high", "h_mean")
 
 
@@ -61,7 +62,7 @@ def _parser() -> argparse.ArgumentParser:
         help="the paper's model, or the extended one: of several nested models the smallest that traces kept out do not reject",
     )
     fit.add_argument("--simulations", type=int, default=512, metavar="M", help="simulated portions (default 512)")
-    fit.add_argument("--bootstrap", type=int, default=100, metavar="B", help="refits for the intervals; 0: local estimate only")
+    fit.add_argument("--bootstrap", type=int, metavar="B", help=BOOTSTRAP)
     fit.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the random numbers (default 0)")
     fit.add_argument("--out", default="fit.json", metavar="FILE", help="JSON file (default fit.json); the figure goes beside it")
     fit.add_argument("--no-plot", action="store_true", help="draw no figure")
@@ -105,7 +106,7 @@ def _outputs(args: argparse.Namespace) -> list[Path]:
         if path.exists() and not (args.overwrite or args.force):
             raise BadInput(f"out = {path}: exists; give another name, or --overwrite to replace it")
     for name, least in (("simulations", 64), ("bootstrap", 0)):
-        if getattr(args, name) < least:
+        if (getattr(args, name) or 0) < least:
             raise BadInput(f"{name} = {getattr(args, name)}: must be at least {least}")
     return paths
 
@@ -166,7 +167,7 @@ def _fit(args: argparse.Namespace) -> int:
             fixed=fixed,
             align=args.align,
             simulations=args.simulations,
-            bootstrap=args.bootstrap,
+            bootstrap=100 if args.bootstrap is None else args.bootstrap,
             seed=args.seed,
             progress=show,
             force=args.force,
@@ -196,7 +197,7 @@ def _fit_extended(args: argparse.Namespace, targets: "list[Target]", paths: list
             given,
             align=args.align,
             simulations=min(args.simulations, 256),
-            intervals=args.bootstrap > 0,
+            bootstrap=args.bootstrap or 0,
             seed=args.seed,
             progress=show,
             force=args.force,

@@ -121,6 +121,8 @@ def _advice(fitted: FittedModel, found: Judgement, drops: int) -> list[str]:
     """What to do next."""
     lines = list(fitted.absurd)
     differing = {row.name for row in found.differing}
+    if fitted.is_rejected and fitted.name == "paper":
+        lines.append("Fit the extended model, which describes drops far better (`--model extended`, at least 24 drops).")
     if "cell_peak" in differing:
         lines.append(
             "Do not tune the filter of a scale with this model: use the simulated drops themselves (`dem-jax weigh`)."

@@ -16,6 +16,7 @@ import optax
 
 from calibrate.errors import BadInput, checked_seed
 from calibrate.fit import Fit, fit
+from calibrate.landing_intervals import LEAST_REFITS, refit_intervals
 from calibrate.landing_model import (
     MODELS,
     NAMES,
@@ -42,6 +43,7 @@ SEARCHED, SEARCH_SIMULATIONS = 64, 64  # starts of the coarse search, and simula
 BEST = 3  # starts that Adam tries
 STEPS = (25, 100)  # of Adam from each of these, and from the best of them
 JUDGED = 256  # simulated traces of a judgement
+NO_INTERVALS = f"no intervals were asked for: {LEAST_REFITS} refits or more (--bootstrap) give them"
 MARGINALS = 3.5  # weight of the mean distance of single summaries beside the joint one
 
 
@@ -168,7 +170,7 @@ def fit_landings(
     models: tuple[str, ...] = tuple(MODELS),
     align: str = "first-impact",
     simulations: int = 256,
-    intervals: bool = True,
+    bootstrap: int = 0,
     seed: int = 0,
     progress: Tell | None = None,
     force: bool = False,
@@ -181,7 +183,7 @@ def fit_landings(
         models: names of MODELS that are tried, the smallest first.
         align: of the paper's fit.
         simulations: simulated portions of a step.
-        intervals: whether intervals are found, which takes as long as the fit.
+        bootstrap: number of refits for the intervals, at least LEAST_REFITS, or 0 for none. Each takes a quarter of the fit.
         seed: of all random numbers.
         progress: called with (name of the stage, done, of).
         force: fit traces, too, that cannot be meant as they were read.
@@ -194,10 +196,12 @@ def fit_landings(
     unknown = sorted(set(start or {}) - set(NAMES)) + sorted(set(models) - set(MODELS))
     if unknown:
         raise BadInput(f"{unknown[0]}: unknown; known are {', '.join((*NAMES, *MODELS))}")
+    if bootstrap and bootstrap < LEAST_REFITS:
+        raise BadInput(f"bootstrap = {bootstrap}: must be 0, or at least {LEAST_REFITS}")
     with jax.enable_x64(True):
         seed = checked_seed(seed)
         paper = fit(targets, align=align, bootstrap=0, seed=seed, force=force)
-        return _fit(targets, paper, start or {}, models, simulations, intervals, seed, progress or (lambda *_: None))
+        return _fit(targets, paper, start or {}, models, simulations, bootstrap, seed, progress or (lambda *_: None))
 
 
 def _fit(
@@ -206,7 +210,7 @@ def _fit(
     given: dict[str, float],
     models: tuple[str, ...],
     simulations: int,
-    intervals: bool,
+    bootstrap: int,
     seed: int,
     progress: Tell,
 ) -> LandingFit:
@@ -230,15 +234,15 @@ def _fit(
             break
         start = start | {k: float(v) for k, v in to_values(found[name], MODELS[name]).items() if k in MODELS[name]}
     best = chosen or min(judgements, key=lambda name: judgements[name].joint.distance)
-    parameters = _parameters(best, found, paper, problem, draws, targets, intervals, seed, progress)
+    parameters = _parameters(best, found, paper, problem, draws, targets, bootstrap, seed, progress)
     return LandingFit(
         model=best,
         parameters=parameters,
         impacts=draws.impacts,
         judgements={name: _plain(judgement) for name, judgement in (judgements | {"traces": reference}).items()},
-        statements=statements(best, chosen, judgements, reference),
+        statements=statements(best, chosen, judgements, reference) + ([] if bootstrap else [NO_INTERVALS]),
         paper=paper,
-        info=paper.info | {"align": "first-impact", "kept_out": len(kept_out), "simulations": simulations, "seed": seed},
+        info=paper.info | {"align": "first-impact", "bootstrap": bootstrap, "kept_out": len(kept_out), "simulations": simulations},
     )
 
 
@@ -322,19 +326,19 @@ def _parameters(
     problem: Problem,
     draws: LandingDraws,
     targets: list[Target],
-    intervals: bool,
+    bootstrap: int,
     seed: int,
     progress: Tell,
 ) -> dict[str, dict[str, Any]]:
     """name -> value, low, high, sd, free of the chosen model."""
     if model == "paper":
         return paper.parameters
-    from calibrate.landing_intervals import sandwich
-
     free = MODELS[model]
     values = {name: float(value) for name, value in to_values(found[model], free).items()}
     none = {name: (value, value, 0.0) for name, value in values.items()}
-    ends = sandwich(found[model], free, problem, draws, targets, seed, progress) if intervals else none
+    ends = none
+    if bootstrap:
+        ends = refit_intervals(found[model], free, problem, targets, len(draws.z), bootstrap, seed, progress)
     return {
         name: {"value": values[name], "low": ends[name][0], "high": ends[name][1], "sd": ends[name][2], "free": name in free}
         for name in NAMES

@@ -13,8 +13,10 @@ from calibrate.curves import Curves
 from calibrate.errors import BadInput
 from calibrate.fit import Fit, fit
 from calibrate.goodness import ALARM
+from calibrate.landing_fit import LandingFit, fit_landings
 from calibrate.targets import Target
 from product_model import ensemble, parameters
+from product_model.extended import ADDITIONS
 
 Tell = Callable[[str, int, int], object]  # of progress: name of the stage, done, of
 
@@ -87,7 +89,7 @@ def fit_paper(
         },
         statements=result.statements,
         absurd=result.absurd,
-        simulate=lambda count, seed: _simulate_paper(result, targets, count, seed),
+        simulate=lambda count, seed: _simulate(result, targets, count, seed),
         content=result.to_dict(),
     )
 
@@ -99,11 +101,12 @@ def _paper_row(result: Fit, name: str) -> ParameterRow:
     return ParameterRow(name, symbol, words, unit, value, low, high, name in result.free)
 
 
-def _simulate_paper(result: Fit, targets: Sequence[Target], count: int, seed: int) -> Curves:
+def _simulate(result: Fit | LandingFit, targets: Sequence[Target], count: int, seed: int) -> Curves:
     """`count` portions of the composition of the first trace, at its sample times."""
     first = targets[0]
     params = parameters(
-        **{name: row["value"] for name, row in result.parameters.items()},
+        **{name: result.parameters[name]["value"] for name in PAPER_ROWS},
+        landings=result.landings(),
         m_piece=first.m_piece,
         pieces=first.pieces,
         gravity=first.gravity,
@@ -120,8 +123,37 @@ def _simulate_paper(result: Fit, targets: Sequence[Target], count: int, seed: in
     )
 
 
+def fit_extended(targets: Sequence[Target], seed: int, progress: Tell, force: bool = False) -> FittedModel:
+    """The smallest of the nested extended models that traces kept out do not reject, or the nearest. Raises `BadInput`."""
+    result = fit_landings(targets, seed=seed, progress=progress, force=force)
+    judged = result.judgements[result.model]
+    return FittedModel(
+        name="extended",
+        title=f"extended Product Model ({result.model}): spread release, several landings, triangular pulses",
+        rows=[_extended_row(result, name) for name in result.parameters],
+        p=judged["p"],
+        p_values={"all numbers of traces that were not fitted": judged["p"], "reading of a 40 Hz load cell": judged["cell_p"]},
+        statements=result.statements,
+        absurd=result.paper.absurd,
+        simulate=lambda count, seed: _simulate(result, targets, count, seed),
+        content=result.to_dict(),
+    )
+
+
+def _extended_row(result: LandingFit, name: str) -> ParameterRow:
+    row = result.parameters[name]
+    if name in PAPER_ROWS:
+        symbol, words, unit, factor = PAPER_ROWS[name]
+    else:
+        added = next(added for added in ADDITIONS if added.name == name)
+        unit, factor = {"s": ("µs", 1e6), "m": ("mm", 1e3), "1": ("", 1.0)}[added.unit]
+        symbol, words = name, added.meaning
+    value, low, high = (factor * row[key] for key in ("value", "low", "high"))
+    return ParameterRow(name, symbol, words, unit, value, low, high, row["free"])
+
+
 FitFunction = Callable[[Sequence[Target], int, Tell, bool], FittedModel]
-MODELS: dict[str, FitFunction] = {"paper": fit_paper}
+MODELS: dict[str, FitFunction] = {"paper": fit_paper, "extended": fit_extended}
 
 
 def find_model(name: str) -> FitFunction:

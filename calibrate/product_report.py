@@ -72,7 +72,8 @@ class Report:
 
 def parameter_cells(row: ParameterRow) -> list[str]:
     """Cells below PARAMETER_HEAD."""
-    interval = f"{number(row.low)} to {number(row.high)} {row.unit}" if row.free else "kept"
+    found = f"{number(row.low)} to {number(row.high)} {row.unit}"
+    interval = found if row.high > row.low else "not found" if row.free else "kept"
     return [row.symbol, row.words, f"{number(row.value)} {row.unit}", interval]
 
 

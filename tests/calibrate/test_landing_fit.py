@@ -96,7 +96,7 @@ def found(many):
     saved = landing_fit.SEARCHED, landing_fit.BEST, landing_fit.STEPS, landing_fit.JUDGED
     landing_fit.SEARCHED, landing_fit.BEST, landing_fit.STEPS, landing_fit.JUDGED = 1, 1, (4, 8), 64
     try:
-        return fit_landings(many, TRUTH.landings.values(), models=("full",), simulations=64, intervals=False, force=True)
+        return fit_landings(many, TRUTH.landings.values(), models=("full",), simulations=64, force=True)
     finally:
         landing_fit.SEARCHED, landing_fit.BEST, landing_fit.STEPS, landing_fit.JUDGED = saved
 
