@@ -11,6 +11,7 @@ from dem_jax.build.surfaces import count_surfaces, find_surfaces
 from dem_jax.build.walls import describe_surfaces
 from dem_jax.contact.motion.cubics import cubics
 from dem_jax.scene import Scene
+from dem_jax.validation import CellImpact
 from dem_jax.validation.normal import NormalImpact
 
 RADIUS = 0.06  # m, of the troughs and drums
@@ -227,6 +228,27 @@ def test_a_trough_that_accelerates_exerts_the_forces_of_gravity():
     seen = landing(rounded(11, 1, 100.0), LANDING, motion)
     largest = np.abs(fixed.mean_force["plate"]).max()
     np.testing.assert_allclose(seen.mean_force["plate"], fixed.mean_force["plate"], atol=1e-3 * largest)
+
+
+@pytest.mark.parametrize("facets", [11, pytest.param(121, marks=pytest.mark.long)])
+def test_a_sphere_in_a_trough_on_a_load_cell_is_two_masses_on_springs(impact, facets):
+    """A trough on a cell that gives way as the contact does: peak and deflection of the closed form, while they touch.
+
+    Tolerance: a sampled peak, and a step of 1/60 of a period, whose square is 3e-4 and acts on two springs: 2e-3.
+    """
+    cell = {"mass": 0.05, "stiffness": 2e4, "damping_ratio": 0.0}
+    bucket = {"panels": rounded(facets, 1), "opening_angle_deg": 0.0, "load_cell": cell}
+    run = {"precision": "f64", "duration": 0.003, "sample": 1e-5, "frames": 0.0}
+    material = {"restitution": 1.0, "friction_wall": 0.0}
+    lowest = RADIUS * (1 - np.cos(np.radians(30.0 / facets)))  # of the facet in the middle
+    low = {**BALL, "position": (0.0, 0.0, BALL["radius"] + lowest + 1e-9)}
+    found = dem_jax.simulate(Scene(piece=[low], weigh_bucket=bucket, run=run, material=material))
+    case = CellImpact(impact.mass, impact.stiffness, cell["mass"], cell["stiffness"], 0.0, 9.81)
+    u, x, *_ = case.motion((0.0, 0.0, 1.0, 0.0), np.asarray(found.time))
+    touching = np.cumprod(u >= x).astype(bool)
+    assert np.abs(found.peak_force["wb_flaps"]).max() == pytest.approx(case.contact * (u - x)[touching].max(), rel=2e-3)
+    deflection = np.asarray(found.load_cell["deflection"])
+    np.testing.assert_allclose(deflection[touching], x[touching], atol=2e-3 * x[touching].max())
 
 
 @pytest.mark.long
