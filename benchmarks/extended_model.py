@@ -32,13 +32,14 @@ def main(argv=None):
     options = parser.parse_args(argv)
     rows, values, differ = [], [], []
     for item in options.files:
-        name, file = item.split("=", 1)
+        name, file = item.rsplit("=", 1)
         begin = time.perf_counter()
         found = fit_landings(calibrate.read(file), models=tuple(options.models.split(",")), force=True)
         rows += rows_of(name, found, time.perf_counter() - begin)
         values.append([name, *(f"{found.parameters[key]['value']:.4g}" if key in found.parameters else "" for key in NAMES)])
-        differ.append(f"- {name}: {found.statements[-1]}")
-        print(f"{name}: {found.statements[-1]}", flush=True)
+        said = next((line for line in found.statements if line.startswith("no model")), f"{found.model} is not rejected")
+        differ.append(f"- {name}: {said}")
+        print(differ[-1], flush=True)
     lines = ["# The extended Product Model judged by drops", "", report.environment(), "", report.table(HEAD, rows), ""]
     lines += ["Parameters (SI):", "", report.table(("drops", *NAMES), values), "", *differ]
     report.write("extended_model", "\n".join(lines), quick=True)

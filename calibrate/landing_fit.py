@@ -24,6 +24,7 @@ from calibrate.landing_model import (
     LandingDraws,
     Values,
     draw_landings,
+    portion_pulses,
     scattered_starts,
     simulated,
     simulated_summaries,
@@ -242,8 +243,18 @@ def _fit(
         judgements={name: _plain(judgement) for name, judgement in (judgements | {"traces": reference}).items()},
         statements=statements(best, chosen, judgements, reference) + ([] if bootstrap else [NO_INTERVALS]),
         paper=paper,
-        info=paper.info | {"align": "first-impact", "bootstrap": bootstrap, "kept_out": len(kept_out), "simulations": simulations},
+        info=paper.info | {"align": "first-impact", "bootstrap": bootstrap, "kept_out": len(kept_out), "simulations": simulations}
+        | {"release_delay": release_delay(found[best], MODELS[best], draws, targets) if best != "paper" else 0.0},
     )
+
+
+def release_delay(u: Values, free: tuple[str, ...], draws: LandingDraws, targets: list[Target]) -> float:
+    """(s) by how much later the first impact of the traces is in the mean than that of the model, which a fit from the first
+    impact on does not see: the time for which the feed bucket still bears the portion, if times count from its opening.
+    """
+    pulses = jax.vmap(lambda row: portion_pulses(to_values(u, free), row, targets[0].gravity))(draws)
+    first = jnp.min(jnp.where(draws.mass > 0.0, pulses.first_touch, jnp.inf), axis=1)
+    return float(np.mean([trace.first_impact for trace in targets]) - jnp.mean(first))
 
 
 def _descend_from_all(

@@ -103,7 +103,7 @@ def _paper_row(result: Fit, name: str) -> ParameterRow:
 
 def _simulate(result: Fit | LandingFit, targets: Sequence[Target], count: int, seed: int) -> Curves:
     """`count` portions of the composition of the first trace, at its sample times."""
-    first = targets[0]
+    first, delay = targets[0], result.info.get("release_delay", 0.0)
     params = parameters(
         **{name: result.parameters[name]["value"] for name in PAPER_ROWS},
         landings=result.landings(),
@@ -111,12 +111,12 @@ def _simulate(result: Fit | LandingFit, targets: Sequence[Target], count: int, s
         pieces=first.pieces,
         gravity=first.gravity,
         sample=first.sample,
-        start=float(first.time[0]) - first.sample,
+        start=float(first.time[0]) - first.sample - delay,
         duration=first.sample * len(first.time),
     )
     made = ensemble(params, seed, count)
     return Curves(
-        made.time,
+        made.time + delay,
         np.asarray(made.force, np.float64),
         np.full(count, first.m_piece * first.pieces),
         first.gravity,
