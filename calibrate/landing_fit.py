@@ -16,6 +16,7 @@ import optax
 
 from calibrate.errors import BadInput, checked_seed
 from calibrate.fit import Fit, fit
+from calibrate.goodness import simulated_targets
 from calibrate.landing_intervals import LEAST_REFITS, refit_intervals
 from calibrate.landing_model import (
     MODELS,
@@ -33,7 +34,7 @@ from calibrate.landing_model import (
 )
 from calibrate.landing_summaries import Frame, accelerations, count_peaks, frame_of, summarize
 from calibrate.targets import Target
-from calibrate.two_samples import Judgement, judge
+from calibrate.two_samples import SampleComparison, compare_summaries
 from calibrate.uncertainty import Tell
 from product_model import Landings
 from product_model.extended import ADDED
@@ -277,7 +278,7 @@ def _all_summaries(rows: np.ndarray, frame: Frame) -> np.ndarray:
     return np.concatenate([np.asarray(_summaries(jnp.asarray(rows), frame)), count_peaks(rows, frame)], axis=1)
 
 
-def judge_landings(values: Values, targets: list[Target], frame: Frame, seed: int, simulations: int = JUDGED) -> Judgement:
+def judge_landings(values: Values, targets: list[Target], frame: Frame, seed: int, simulations: int = JUDGED) -> SampleComparison:
     """Traces that were not fitted beside simulated ones at `values`, with other random numbers than any fit's."""
     draws = draw_landings(targets, simulations, seed + 4_000_003)
     rows = np.asarray(_simulated(jax.tree.map(jnp.asarray, values), draws, targets[0].gravity, frame))
@@ -287,21 +288,19 @@ def judge_landings(values: Values, targets: list[Target], frame: Frame, seed: in
 _simulated = jax.jit(simulated, static_argnames=("frame", "gravity"))
 
 
-def judge_paper(paper: Fit, targets: list[Target], frame: Frame, seed: int, simulations: int = JUDGED) -> Judgement:
+def judge_paper(paper: Fit, targets: list[Target], frame: Frame, seed: int, simulations: int = JUDGED) -> SampleComparison:
     """The same for the paper's model."""
-    from calibrate.goodness import simulated_targets
-
     theta = {name: row["value"] for name, row in paper.parameters.items()}
     model = simulated_targets(theta, targets, simulations, seed + 4_000_003)
     return _judge(targets, accelerations(model, frame), frame, seed)
 
 
-def _judge(targets: list[Target], rows: np.ndarray, frame: Frame, seed: int) -> Judgement:
+def _judge(targets: list[Target], rows: np.ndarray, frame: Frame, seed: int) -> SampleComparison:
     names = (*frame.names, "number of peaks", "time between peaks")
-    return judge(_all_summaries(accelerations(targets, frame), frame), _all_summaries(rows, frame), names, seed=seed)
+    return compare_summaries(_all_summaries(accelerations(targets, frame), frame), _all_summaries(rows, frame), names, seed=seed)
 
 
-def _plain(judgement: Judgement) -> dict[str, Any]:
+def _plain(judgement: SampleComparison) -> dict[str, Any]:
     worst = [
         {"name": name, "p": judgement.single[name].p, "shift": judgement.shift[name], "spread": judgement.spread[name]}
         for name in judgement.worst(5)
@@ -312,7 +311,7 @@ def _plain(judgement: Judgement) -> dict[str, Any]:
     return {"distance": joint.distance, "p": joint.p} | of_cell | singles
 
 
-def statements(best: str, chosen: str | None, judgements: dict[str, Judgement], reference: Judgement) -> list[str]:
+def statements(best: str, chosen: str | None, judgements: dict[str, SampleComparison], reference: SampleComparison) -> list[str]:
     """In words: which model describes the traces, and in what the others differ."""
     lines = [
         f"model {name}: {'not rejected' if j.joint.p >= ALARM else 'rejected'} by the traces kept out (p = {j.joint.p:.2g}, energy "

@@ -45,7 +45,7 @@ def compare(x: np.ndarray, y: np.ndarray, permutations: int = PERMUTATIONS, seed
 
 
 @dataclass(frozen=True)
-class Judgement:
+class SampleComparison:
     """Two samples compared in all summaries jointly and in each.
 
     joint: of all; cell: of what a load cell shows; single: name -> of one
@@ -70,7 +70,9 @@ class Judgement:
         return sorted(differ, key=lambda name: -self.single[name].distance)[:count]
 
 
-def judge(x: np.ndarray, y: np.ndarray, names: tuple[str, ...], permutations: int = PERMUTATIONS, seed: int = 0) -> Judgement:
+def compare_summaries(
+    x: np.ndarray, y: np.ndarray, names: tuple[str, ...], permutations: int = PERMUTATIONS, seed: int = 0
+) -> SampleComparison:
     """Compare summaries [n, D] of measured traces with those [m, D] of others, in units of the standard deviation of the first."""
     scale = x.std(0) + 1e-9
     x, y = x / scale, y / scale
@@ -79,4 +81,4 @@ def judge(x: np.ndarray, y: np.ndarray, names: tuple[str, ...], permutations: in
     spread = {name: float(y[:, k].std() / max(x[:, k].std(), 1e-12)) for k, name in enumerate(names)}
     cell = [k for k, name in enumerate(names) if name.startswith("cell")]
     joint, of_cell = compare(x, y, permutations, seed), compare(x[:, cell], y[:, cell], permutations, seed)
-    return Judgement(joint, of_cell, single, shift, spread)
+    return SampleComparison(joint, of_cell, single, shift, spread)

@@ -27,6 +27,7 @@ from jax.scipy.special import ndtr
 from scipy.special import ndtri
 
 from product_model.errors import BadInput
+from product_model.fall import standard_normal
 from product_model.model import Numbers, Triangles
 
 SHAPES = ("triangle", "rectangle")
@@ -153,11 +154,8 @@ def landing_numbers(v: jax.Array, impacts: tuple[int, ...]) -> LandingNumbers:
     """The random numbers from `v` [pieces, count_numbers(impacts)] uniform on (-1, 1)."""
     flights, gaps = len(impacts) - 1, sum(impacts) - len(impacts)
     release, rebound, slump, share, delay = jnp.split(v.T, np.cumsum([1, flights, flights, gaps]))
-    return LandingNumbers(_normal(release[0]), _exponential(rebound), _exponential(slump), 0.5 * (share + 1.0), _exponential(delay))
-
-
-def _normal(v: jax.Array) -> jax.Array:
-    return jnp.asarray(np.sqrt(2.0), v.dtype) * jax.scipy.special.erfinv(v)
+    exponential = [_exponential(values) for values in (rebound, slump, delay)]
+    return LandingNumbers(standard_normal(release[0]), exponential[0], exponential[1], 0.5 * (share + 1.0), exponential[2])
 
 
 def _exponential(v: jax.Array) -> jax.Array:
