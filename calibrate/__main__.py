@@ -61,7 +61,7 @@ def _parser() -> argparse.ArgumentParser:
         default="paper",
         help="the paper's model, or the extended one: of several nested models the smallest that traces kept out do not reject",
     )
-    fit.add_argument("--simulations", type=int, default=512, metavar="M", help="simulated portions (default 512)")
+    fit.add_argument("--simulations", type=int, metavar="M", help="simulated portions (default 512; extended model: 256)")
     fit.add_argument("--bootstrap", type=int, metavar="B", help=BOOTSTRAP)
     fit.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the random numbers (default 0)")
     fit.add_argument("--out", default="fit.json", metavar="FILE", help="JSON file (default fit.json); the figure goes beside it")
@@ -106,8 +106,9 @@ def _outputs(args: argparse.Namespace) -> list[Path]:
         if path.exists() and not (args.overwrite or args.force):
             raise BadInput(f"out = {path}: exists; give another name, or --overwrite to replace it")
     for name, least in (("simulations", 64), ("bootstrap", 0)):
-        if (getattr(args, name) or 0) < least:
-            raise BadInput(f"{name} = {getattr(args, name)}: must be at least {least}")
+        value = getattr(args, name)
+        if value is not None and value < least:
+            raise BadInput(f"{name} = {value}: must be at least {least}")
     return paths
 
 
@@ -166,7 +167,7 @@ def _fit(args: argparse.Namespace) -> int:
             given,
             fixed=fixed,
             align=args.align,
-            simulations=args.simulations,
+            simulations=512 if args.simulations is None else args.simulations,
             bootstrap=100 if args.bootstrap is None else args.bootstrap,
             seed=args.seed,
             progress=show,
@@ -196,7 +197,7 @@ def _fit_extended(args: argparse.Namespace, targets: "list[Target]", paths: list
             targets,
             given,
             align=args.align,
-            simulations=min(args.simulations, 256),
+            simulations=256 if args.simulations is None else args.simulations,
             bootstrap=args.bootstrap or 0,
             seed=args.seed,
             progress=show,
