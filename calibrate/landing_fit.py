@@ -6,33 +6,30 @@ numbers. A coarse search finds the valley, Adam descends in it. A third of the t
 
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, field
-from functools import partial
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optax
 
 from calibrate.errors import BadInput, checked_seed
 from calibrate.fit import Fit, fit
 from calibrate.goodness import simulated_targets
 from calibrate.landing_intervals import LEAST_REFITS, refit_intervals
+from calibrate.landing_loss import Problem, descend, loss_alone, pose_problem, summarize_rows
 from calibrate.landing_model import (
     MODELS,
     NAMES,
-    REACH,
     LandingDraws,
     Values,
     draw_landings,
     portion_pulses,
     scattered_starts,
     simulated,
-    simulated_summaries,
     to_coordinates,
     to_values,
 )
-from calibrate.landing_summaries import Frame, accelerations, count_peaks, frame_of, summarize
+from calibrate.landing_summaries import Frame, accelerations, count_peaks, frame_of
 from calibrate.targets import Target
 from calibrate.two_samples import SampleComparison, compare_summaries
 from calibrate.uncertainty import Tell
@@ -46,7 +43,6 @@ BEST = 3  # starts that Adam tries
 STEPS = (25, 100)  # of Adam from each of these, and from the best of them
 JUDGED = 256  # simulated traces of a judgement
 NO_INTERVALS = f"no intervals were asked for: {LEAST_REFITS} refits or more (--bootstrap) give them"
-MARGINALS = 3.5  # weight of the mean distance of single summaries beside the joint one
 
 
 @dataclass(frozen=True)
@@ -79,79 +75,6 @@ class LandingFit:
         tree = asdict(self)
         paper = tree.pop("paper")
         return tree | {"impacts": list(self.impacts), "paper": paper["parameters"], "p_values": paper["p_values"]}
-
-
-@dataclass(frozen=True)
-class Problem:
-    """The traces to fit and how they are compared: frame, their summaries [K, D] in standard deviations, gravity (m/s2)."""
-
-    frame: Frame
-    summaries: np.ndarray
-    centre: np.ndarray
-    scale: np.ndarray
-    gravity: float
-
-
-def pose_problem(targets: list[Target], frame: Frame) -> Problem:
-    """The problem of fitting `targets`."""
-    rows = np.asarray(_summaries(jnp.asarray(accelerations(targets, frame)), frame))
-    centre, scale = rows.mean(0), rows.std(0) + 1e-9
-    return Problem(frame, (rows - centre) / scale, centre, scale, targets[0].gravity)
-
-
-@partial(jax.jit, static_argnames=("frame",))
-def _summaries(rows: jax.Array, frame: Frame) -> jax.Array:
-    return jax.vmap(lambda row: summarize(row, frame))(rows)
-
-
-def _distances(x: jax.Array, y: jax.Array) -> jax.Array:
-    squared = jnp.sum((x[:, None, :] - y[None, :, :]) ** 2, axis=-1)
-    apart = squared > 1e-18
-    return jnp.where(apart, jnp.sqrt(jnp.where(apart, squared, 1.0)), 0.0)
-
-
-def _loss_of_samples(x: jax.Array, y: jax.Array) -> jax.Array:
-    """Energy distance of samples [K, D] and [M, D], without the part that depends on x alone, and MARGINALS times its mean over
-    the single columns.
-    """
-    count = len(y)
-    pairs = count * (count - 1)
-    joint = 2.0 * jnp.mean(_distances(x, y)) - jnp.sum(_distances(y, y)) / pairs
-    across = jnp.mean(jnp.abs(x[:, None, :] - y[None, :, :]), axis=(0, 1))
-    rank = jnp.asarray((2.0 * np.arange(count) - count + 1.0) * 2.0 / pairs)
-    single = 2.0 * across - jnp.sum(rank[:, None] * jnp.sort(y, axis=0), axis=0)
-    return joint + MARGINALS * jnp.mean(single)
-
-
-def loss(
-    u: Values, start: Values, draws: LandingDraws, data: tuple[jax.Array, ...], gravity: float, free: Any, frame: Frame
-) -> jax.Array:
-    """[] how far simulated traces at the coordinates `u` are from measured ones. data: their summaries, centre and scale."""
-    x, centre, scale = data
-    keep = np.flatnonzero(frame.smooth)
-    y = (simulated_summaries(to_values(u, free), draws, gravity, frame) - centre[None]) / scale[None]
-    far = sum(jnp.maximum(jnp.abs(u[name] - start[name]) - REACH, 0.0) ** 2 for name in free)
-    return _loss_of_samples(x[:, keep], y[:, keep]) + 0.05 * far
-
-
-_slope = jax.jit(jax.value_and_grad(loss), static_argnames=("free", "frame", "gravity"))
-_value = jax.jit(loss, static_argnames=("free", "frame", "gravity"))
-
-
-def descend(u: Values, arguments: tuple[Any, ...], steps: int, rate: float, tell: Callable[[], object]) -> tuple[float, Values]:
-    """Least loss found by Adam from `u`, and where. arguments: of `loss` after u."""
-    optimiser = optax.adam(optax.cosine_decay_schedule(rate, steps, 0.05), b1=0.8, b2=0.98)
-    with jax.numpy_dtype_promotion("standard"):
-        state, best = optimiser.init(u), (np.inf, u)
-        for _ in range(steps):
-            value, slope = _slope(u, *arguments)
-            if float(value) < best[0]:
-                best = (float(value), u)
-            slope = jax.tree.map(lambda s: jnp.nan_to_num(jnp.clip(s, -10.0, 10.0)), slope)
-            move, state = optimiser.update(slope, state)
-            u = optax.apply_updates(u, move)
-            tell()
-    return best
 
 
 def default_start(paper: Fit, targets: list[Target]) -> Values:
@@ -267,7 +190,7 @@ def _descend_from_all(
     arguments = u0, draws, data, problem.gravity, free, problem.frame
     few = jax.tree.map(lambda leaf: leaf[:SEARCH_SIMULATIONS], draws)
     starts = scattered_starts(start, SEARCHED, seed)
-    values = [float(_value(u, u0, few, data, problem.gravity, free, problem.frame)) for u in starts]
+    values = [float(loss_alone(u, u0, few, data, problem.gravity, free, problem.frame)) for u in starts]
     order = np.argsort(np.nan_to_num(values, nan=np.inf))
     tried = [0, *(k for k in order if k != 0)][:BEST]
     ends = [descend(starts[k], arguments, STEPS[0], 0.08, tell) for k in tried]
@@ -275,7 +198,7 @@ def _descend_from_all(
 
 
 def _all_summaries(rows: np.ndarray, frame: Frame) -> np.ndarray:
-    return np.concatenate([np.asarray(_summaries(jnp.asarray(rows), frame)), count_peaks(rows, frame)], axis=1)
+    return np.concatenate([np.asarray(summarize_rows(jnp.asarray(rows), frame)), count_peaks(rows, frame)], axis=1)
 
 
 def judge_landings(values: Values, targets: list[Target], frame: Frame, seed: int, simulations: int = JUDGED) -> SampleComparison:

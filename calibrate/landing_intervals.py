@@ -1,11 +1,10 @@
 """How sure a fit of the extended model is: refits to data sets that the fitted model made itself (a parametric bootstrap)."""
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from calibrate.landing_loss import Problem, descend
 from calibrate.landing_model import Values, draw_landings, simulated_summaries, to_values
 from calibrate.targets import Target
 from calibrate.uncertainty import Tell
@@ -18,7 +17,7 @@ LEAST_REFITS = 8
 def refit_intervals(
     u: Values,
     free: tuple[str, ...],
-    problem: Any,
+    problem: Problem,
     targets: list[Target],
     simulations: int,
     count: int,
@@ -26,29 +25,41 @@ def refit_intervals(
     progress: Tell,
 ) -> dict[str, tuple[float, float, float]]:
     """name -> (low, high) of the 90 % interval, and standard deviation, of every parameter, from `count` refits."""
-    from calibrate.landing_fit import descend
-
     size, done = len(problem.summaries), iter(range(1, count * STEPS + 1))
     made = _replicas(u, free, problem, targets, count * size, seed)
     centre, scale = jnp.asarray(problem.centre), jnp.asarray(problem.scale)
     ends = []
     for k in range(count):
-        draws = draw_landings(targets, simulations, seed + 5_000_003 + k)  # those of a fit are random, too
+        draws = draw_landings(
+            targets, simulations, seed + 5_000_003 + k
+        )  # those of a fit are random, too
         data = jnp.asarray(made[k * size : (k + 1) * size]), centre, scale
         arguments = u, draws, data, problem.gravity, free, problem.frame
         tell = lambda: progress("intervals", next(done), count * STEPS)  # noqa: E731
         ends.append(descend(u, arguments, STEPS, RATE, tell)[1])
     refits = np.array([[float(end[name]) for name in free] for end in ends])
     covariance = np.atleast_2d(np.cov(refits, rowvar=False))
-    shifts = np.random.default_rng([seed, 9]).multivariate_normal(np.zeros(len(free)), covariance, DRAWN, method="eigh")
+    shifts = np.random.default_rng([seed, 9]).multivariate_normal(
+        np.zeros(len(free)), covariance, DRAWN, method="eigh"
+    )
     many = u | {name: u[name] + jnp.asarray(shifts[:, k]) for k, name in enumerate(free)}
-    values = {name: np.asarray(value) * np.ones(DRAWN) for name, value in to_values(many, free).items()}
-    low, high = ({name: float(np.quantile(row, level)) for name, row in values.items()} for level in (0.05, 0.95))
+    values = {
+        name: np.asarray(value) * np.ones(DRAWN) for name, value in to_values(many, free).items()
+    }
+    low, high = (
+        {name: float(np.quantile(row, level)) for name, row in values.items()}
+        for level in (0.05, 0.95)
+    )
     at = {name: float(value) for name, value in to_values(u, free).items()}
-    return {name: (min(low[name], at[name]), max(high[name], at[name]), float(row.std())) for name, row in values.items()}
+    return {
+        name: (min(low[name], at[name]), max(high[name], at[name]), float(row.std()))
+        for name, row in values.items()
+    }
 
 
-def _replicas(u: Values, free: tuple[str, ...], problem: Any, targets: list[Target], count: int, seed: int) -> np.ndarray:
+def _replicas(
+    u: Values, free: tuple[str, ...], problem: Problem, targets: list[Target], count: int, seed: int
+) -> np.ndarray:
     """Summaries [count, D] of traces at `u`, in the units of the problem."""
     summaries = jax.jit(simulated_summaries, static_argnames=("frame", "gravity"))
     values, rows = to_values(u, free), []

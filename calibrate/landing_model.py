@@ -114,7 +114,6 @@ def acceleration(pulses: LandingPulses, draws: LandingDraws, frame: Frame) -> ja
         pulses.force,
         pulses.step_time - origin,
         pulses.weight,
-        pulses.first_touch - origin,
         pulses.shape,
     )
     force = interval_mean(shifted, grid) / jnp.sum(draws.mass)
@@ -133,7 +132,7 @@ def simulated_summaries(values: Values, draws: LandingDraws, gravity: float, fra
 
     def one(row: LandingDraws) -> jax.Array:
         pulses = lax.optimization_barrier(portion_pulses(values, row, gravity))
-        times = {name: lax.stop_gradient(getattr(pulses, name)) for name in ("start", "step_time", "first_touch")}
+        times = {name: lax.stop_gradient(getattr(pulses, name)) for name in ("start", "step_time")}
         held = LandingPulses(**times, duration=pulses.duration, force=pulses.force, weight=pulses.weight, shape=pulses.shape)
         moving = summarize(acceleration(pulses, row, frame), frame)
         return jnp.where(fast, summarize(acceleration(held, row, frame), frame), moving)

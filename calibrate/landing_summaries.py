@@ -58,11 +58,11 @@ class Frame:
         return sorted({self.bins(length) for length in PEAKS})
 
     @cached_property
-    def masks(self) -> list[np.ndarray]:
-        """Frequencies of each band that there are."""
+    def bands(self) -> dict[str, np.ndarray]:
+        """Name -> frequencies of each band that has any."""
         frequency = np.fft.rfftfreq(self.samples, self.bin)
-        masks = [(frequency >= low) & (frequency < high) for low, high in BANDS]
-        return [mask for mask in masks if mask.any()]
+        masks = {f"band {a:g} to {b:g} Hz": (frequency >= a) & (frequency < b) for a, b in BANDS}
+        return {name: mask for name, mask in masks.items() if mask.any()}
 
     @cached_property
     def cell(self) -> tuple[int, np.ndarray]:
@@ -84,14 +84,7 @@ class Frame:
         names = [f"momentum at {ms(k)}" for k in self.moments] + ["momentum of the end"]
         names += [f"peak of {ms(k)}" for k in self.peaks] + ["time to half", "time to nine tenths"]
         names += [f"increments of {ms(k)}" for k in self.lags] + [f"late increments of {ms(k)}" for k in self.lags[:3]]
-        bands = [band for band, mask in zip(BANDS, self._all_masks, strict=True) if mask.any()]
-        names += [f"band {low:g} to {high:g} Hz" for low, high in bands]
-        return (*names, "cell: peak", "cell: time of peak", "cell: middle", "cell: end", "cell: least")
-
-    @property
-    def _all_masks(self) -> list[np.ndarray]:
-        frequency = np.fft.rfftfreq(self.samples, self.bin)
-        return [(frequency >= low) & (frequency < high) for low, high in BANDS]
+        return (*names, *self.bands, "cell: peak", "cell: time of peak", "cell: middle", "cell: end", "cell: least")
 
     @property
     def fast(self) -> np.ndarray:
@@ -170,7 +163,7 @@ def summarize(acceleration: jax.Array, frame: Frame) -> jax.Array:
         early, late = acceleration[: frame.half], acceleration[frame.half :]
         out += [_log_increments(early, k) for k in frame.lags] + [_log_increments(late, k) for k in frame.lags[:3]]
         power = jnp.abs(jnp.fft.rfft(acceleration)) ** 2
-        out += [jnp.log(jnp.sum(power * mask) / mask.sum() + 1e-9) for mask in frame.masks]
+        out += [jnp.log(jnp.sum(power * mask) / mask.sum() + 1e-9) for mask in frame.bands.values()]
         block, response = frame.cell
         blocks = acceleration[: len(response) * block].reshape(len(response), block).mean(1) / STANDARD_GRAVITY
         shown = jnp.asarray(response) @ blocks

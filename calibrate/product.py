@@ -15,6 +15,7 @@ import numpy as np
 from calibrate.curves import Curves, curves_of
 from calibrate.errors import BadInput, checked_seed
 from calibrate.overall_progress import OverallProgress, Stage
+from calibrate.uncertainty import available_cores
 from product_model.program import saving, temporary_file
 
 if TYPE_CHECKING:
@@ -27,15 +28,11 @@ BASE_SCENE = "weigh-bucket"
 PRODUCT_SECTIONS = {"portion", "material", "pair"}  # of a file that is a product and no scene
 LEAST_DROPS, MOST_DROPS = 4, 100_000
 SAMPLE = 30e-6  # s
-SLUMP, OPENING = (
-    0.05,
-    0.4,
-)  # s that a heap slumps for; share of the time of opening after which a portion falls
+SLUMP = 0.05  # s that a heap slumps for
+OPENING = 0.4  # share of the time of opening after which a portion falls
 PORTIONS = 512  # of the model, that drops are compared with
-FIT_SECONDS, OTHER_SECONDS = (
-    25.0,
-    3.0,
-)  # that a fit, and each of judgement and report, are expected to take
+FIT_SECONDS = 25.0  # that a fit is expected to take
+OTHER_SECONDS = 3.0  # that judgement and report are expected to take each
 PIECE_SECONDS = 0.06  # that a piece of a drop is, on two cores
 SEED_OF_PORTIONS = 9_000_011  # added to the seed of a fit
 
@@ -132,7 +129,7 @@ def calibrate_product(
         masses = portion_masses(scene)
     _check_ensemble(files, scene, request)
     tell(describe_drops(request, scene, masses))
-    ensemble_seconds = PIECE_SECONDS * len(masses) * request.drops * 2 / max(os.cpu_count() or 1, 1)
+    ensemble_seconds = PIECE_SECONDS * len(masses) * request.drops * 2 / available_cores()
     stages = [
         Stage("drops", ensemble_seconds),
         Stage("fit", FIT_SECONDS),

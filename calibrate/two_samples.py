@@ -16,16 +16,9 @@ class Difference:
     p: float
 
 
-def energy_distance(between: np.ndarray, first: np.ndarray) -> float:
-    """Energy distance of two samples, U-statistic. between: [N, N] distances of all; first: [N] which are of the first sample."""
-    a, b = first, ~first
-    n, m = int(a.sum()), int(b.sum())
-    within_a = between[np.ix_(a, a)].sum() / (n * (n - 1))
-    within_b = between[np.ix_(b, b)].sum() / (m * (m - 1))
-    return float(2.0 * between[np.ix_(a, b)].mean() - within_a - within_b)
-
-
-def compare(x: np.ndarray, y: np.ndarray, permutations: int = PERMUTATIONS, seed: int = 0) -> Difference:
+def compare(
+    x: np.ndarray, y: np.ndarray, permutations: int = PERMUTATIONS, seed: int = 0
+) -> Difference:
     """The difference of samples [n, D] and [m, D]."""
     pooled = np.concatenate([x, y])
     between = cdist(pooled, pooled)
@@ -40,7 +33,11 @@ def compare(x: np.ndarray, y: np.ndarray, permutations: int = PERMUTATIONS, seed
     across = labels @ whole - within_x
     within_y = sums - within_x - 2.0 * across
     rest = total - count
-    distances = 2.0 * across / (count * rest) - within_x / (count * (count - 1)) - within_y / (rest * (rest - 1))
+    distances = (
+        2.0 * across / (count * rest)
+        - within_x / (count * (count - 1))
+        - within_y / (rest * (rest - 1))
+    )
     return Difference(float(distances[0]), float(np.mean(distances >= distances[0] - 1e-12)))
 
 
@@ -71,14 +68,25 @@ class SampleComparison:
 
 
 def compare_summaries(
-    x: np.ndarray, y: np.ndarray, names: tuple[str, ...], permutations: int = PERMUTATIONS, seed: int = 0
+    x: np.ndarray,
+    y: np.ndarray,
+    names: tuple[str, ...],
+    permutations: int = PERMUTATIONS,
+    seed: int = 0,
 ) -> SampleComparison:
     """Compare summaries [n, D] of measured traces with those [m, D] of others, in units of the standard deviation of the first."""
     scale = x.std(0) + 1e-9
     x, y = x / scale, y / scale
-    single = {name: compare(x[:, [k]], y[:, [k]], permutations, seed) for k, name in enumerate(names)}
+    single = {
+        name: compare(x[:, [k]], y[:, [k]], permutations, seed) for k, name in enumerate(names)
+    }
     shift = {name: float(y[:, k].mean() - x[:, k].mean()) for k, name in enumerate(names)}
-    spread = {name: float(y[:, k].std() / max(x[:, k].std(), 1e-12)) for k, name in enumerate(names)}
+    spread = {
+        name: float(y[:, k].std() / max(x[:, k].std(), 1e-12)) for k, name in enumerate(names)
+    }
     cell = [k for k, name in enumerate(names) if name.startswith("cell")]
-    joint, of_cell = compare(x, y, permutations, seed), compare(x[:, cell], y[:, cell], permutations, seed)
+    joint, of_cell = (
+        compare(x, y, permutations, seed),
+        compare(x[:, cell], y[:, cell], permutations, seed),
+    )
     return SampleComparison(joint, of_cell, single, shift, spread)

@@ -175,7 +175,6 @@ class LandingPulses:
     force:       [impacts pieces] (N)  mean force of each pulse
     step_time:   [2 pieces] (s)        moments at which weight comes to rest on the flaps
     weight:      [2 pieces] (N)        that weight
-    first_touch: [pieces] (s)          moment of the first impact of each piece
     shape:       static                of the pulses, one of SHAPES
     """
 
@@ -184,8 +183,12 @@ class LandingPulses:
     force: jax.Array
     step_time: jax.Array
     weight: jax.Array
-    first_touch: jax.Array
     shape: str = field(metadata={"static": True})
+
+    @property
+    def first_touch(self) -> jax.Array:
+        """[..., pieces] (s) moment of the first impact of each piece."""
+        return self.start[..., : self.weight.shape[-1] // 2]
 
     def edges(self) -> tuple[jax.Array, jax.Array]:
         """Times (s) and jumps (N) of the force."""
@@ -262,7 +265,7 @@ def landing_pulses(
     delay = extended.impact_delay * (2.0 * place + 0.02) ** extended.cushioning
     less = (1.0 - extended.early_weight) * gravity
     starts, durations, forces = [], [], []
-    landing, first_touch, used = touch, touch, 0
+    landing, used = touch, 0
     for j, count in enumerate(extended.impacts):
         last = j + 1 == len(extended.impacts)
         again = jnp.zeros_like(speed) if last else jnp.minimum(extended.rebound * numbers.rebound[j], MOST_REBOUND) * speed
@@ -284,7 +287,6 @@ def landing_pulses(
         force=flat(forces),
         step_time=jnp.concatenate([touch, landing]) + dt_impact,
         weight=jnp.concatenate([mass * (gravity - less), mass * less]),
-        first_touch=first_touch,
         shape=extended.shape,
     )
 

@@ -86,10 +86,8 @@ def _sorted_corners(pulses: Pulses, triangles: Triangles, grid: Grid, form: str)
     edges, jumps = pulses.edges()
     corners = corners_of(triangles, grid)
     position = jnp.concatenate([(edges.astype(wide) - grid.start) / grid.sample, corners.position.reshape(-1)])
-    order = jnp.argsort(position)
-    position = position[order]
-    jump = jnp.concatenate([jumps.astype(wide), jnp.zeros(corners.change.size, wide)])[order]
-    slope = jnp.concatenate([jnp.zeros(len(jumps), wide), corners.change.reshape(-1)])[order]
+    jump = jnp.concatenate([jumps.astype(wide), jnp.zeros(corners.change.size, wide)])
+    slope = jnp.concatenate([jnp.zeros(len(jumps), wide), corners.change.reshape(-1)])
     sampled = form == "rectangular"
     whole = jnp.where(jnp.asarray(sampled) & (slope == 0.0), jnp.ceil(position) - 1.0, jnp.floor(position))
     whole = jnp.clip(whole, 0.0, float(_FAR))
@@ -98,8 +96,8 @@ def _sorted_corners(pulses: Pulses, triangles: Triangles, grid: Grid, form: str)
     risen = jnp.where(after < 0.0, 0.5 - after, mean_ramp(after)[0])
     excess = jump * share + slope * (sampled_ramp(after)[0] if sampled else risen)
     height = (1.0 if sampled else 0.5) - after  # of the ramp in the sample of its corner
-    later = jnp.argsort(whole)
-    whole, jump, slope, excess, height = (values[later] for values in (whole, jump, slope, excess, height))
+    order = jnp.argsort(whole)
+    whole, jump, slope, excess, height = (values[order] for values in (whole, jump, slope, excess, height))
     nothing = jnp.zeros(1, wide)
     slopes_after = jnp.concatenate([nothing, jnp.cumsum(slope)])
     moved = slopes_after[:-1] * jnp.diff(whole, prepend=whole[:1])

@@ -33,8 +33,6 @@ def test_energy_distance_of_two_points_each():
     """2 E|x - y| - E|x - x'| - E|y - y'| of {0, 1} and {2, 5}: 2 x 3 - 1 - 3."""
     x, y = np.array([[0.0], [1.0]]), np.array([[2.0], [5.0]])
     assert two_samples.compare(x, y, 9).distance == pytest.approx(2.0)
-    between = np.abs(np.concatenate([x, y]) - np.concatenate([x, y]).T)
-    assert two_samples.energy_distance(between, np.array([True, True, False, False])) == pytest.approx(2.0)
 
 
 def test_p_of_equal_and_of_different_samples():

@@ -1,0 +1,105 @@
+"""How far simulated traces of the extended model are from measured ones, and Adam on it.
+
+The loss is an energy distance between summaries of measured and simulated traces, jointly and one
+by one, with common random numbers.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+
+from calibrate.landing_model import REACH, LandingDraws, Values, simulated_summaries, to_values
+from calibrate.landing_summaries import Frame, accelerations, summarize
+from calibrate.targets import Target
+
+MARGINALS = 3.5  # weight of the mean distance of single summaries beside the joint one
+
+
+@dataclass(frozen=True)
+class Problem:
+    """The traces to fit and how they are compared: frame, their summaries [K, D] in standard deviations, gravity (m/s2)."""
+
+    frame: Frame
+    summaries: np.ndarray
+    centre: np.ndarray
+    scale: np.ndarray
+    gravity: float
+
+
+def pose_problem(targets: list[Target], frame: Frame) -> Problem:
+    """The problem of fitting `targets`."""
+    rows = np.asarray(summarize_rows(jnp.asarray(accelerations(targets, frame)), frame))
+    centre, scale = rows.mean(0), rows.std(0) + 1e-9
+    return Problem(frame, (rows - centre) / scale, centre, scale, targets[0].gravity)
+
+
+@partial(jax.jit, static_argnames=("frame",))
+def summarize_rows(rows: jax.Array, frame: Frame) -> jax.Array:
+    """Summaries [K, D] of accelerations [K, samples] (m/s2)."""
+    return jax.vmap(lambda row: summarize(row, frame))(rows)
+
+
+def _distances(x: jax.Array, y: jax.Array) -> jax.Array:
+    squared = jnp.sum((x[:, None, :] - y[None, :, :]) ** 2, axis=-1)
+    apart = squared > 1e-18
+    return jnp.where(apart, jnp.sqrt(jnp.where(apart, squared, 1.0)), 0.0)
+
+
+def _loss_of_samples(x: jax.Array, y: jax.Array) -> jax.Array:
+    """Energy distance of samples [K, D] and [M, D], without the part that depends on x alone, and MARGINALS times its mean over
+    the single columns.
+    """
+    count = len(y)
+    pairs = count * (count - 1)
+    joint = 2.0 * jnp.mean(_distances(x, y)) - jnp.sum(_distances(y, y)) / pairs
+    across = jnp.mean(jnp.abs(x[:, None, :] - y[None, :, :]), axis=(0, 1))
+    rank = jnp.asarray((2.0 * np.arange(count) - count + 1.0) * 2.0 / pairs)
+    single = 2.0 * across - jnp.sum(rank[:, None] * jnp.sort(y, axis=0), axis=0)
+    return joint + MARGINALS * jnp.mean(single)
+
+
+def loss(
+    u: Values,
+    start: Values,
+    draws: LandingDraws,
+    data: tuple[jax.Array, ...],
+    gravity: float,
+    free: Any,
+    frame: Frame,
+) -> jax.Array:
+    """[] how far simulated traces at the coordinates `u` are from measured ones. data: their summaries, centre and scale."""
+    x, centre, scale = data
+    keep = np.flatnonzero(frame.smooth)
+    y = (simulated_summaries(to_values(u, free), draws, gravity, frame) - centre[None]) / scale[
+        None
+    ]
+    far = sum(jnp.maximum(jnp.abs(u[name] - start[name]) - REACH, 0.0) ** 2 for name in free)
+    return _loss_of_samples(x[:, keep], y[:, keep]) + 0.05 * far
+
+
+loss_and_slope = jax.jit(jax.value_and_grad(loss), static_argnames=("free", "frame", "gravity"))
+loss_alone = jax.jit(loss, static_argnames=("free", "frame", "gravity"))
+
+
+def descend(
+    u: Values, arguments: tuple[Any, ...], steps: int, rate: float, tell: Callable[[], object]
+) -> tuple[float, Values]:
+    """Least loss found by Adam from `u`, and where. arguments: of `loss` after u."""
+    optimiser = optax.adam(optax.cosine_decay_schedule(rate, steps, 0.05), b1=0.8, b2=0.98)
+    with jax.numpy_dtype_promotion("standard"):
+        state, best = optimiser.init(u), (np.inf, u)
+        for _ in range(steps):
+            value, slope = loss_and_slope(u, *arguments)
+            if float(value) < best[0]:
+                best = (float(value), u)
+            slope = jax.tree.map(lambda s: jnp.nan_to_num(jnp.clip(s, -10.0, 10.0)), slope)
+            move, state = optimiser.update(slope, state)
+            u = optax.apply_updates(u, move)
+            tell()
+    return best
