@@ -22,7 +22,7 @@ MAY_IMPORT = {  # room -> rooms below it
     "pairs": BASE | {"contact"},
     "step": BASE | {"contact", "pairs"},
     "store": BASE | {"step", "scene"},
-    "weighing": {"errors", "store"},
+    "weighing": {"errors", "scene", "store"},
     "build": BASE | {"contact", "pairs", "step", "scene", "shapes"},
     "drive": BASE | {"contact", "pairs", "step", "scene", "build", "store", "__version__"},
     "show": BASE | {"contact", "scene", "shapes", "build", "store", "weighing"},

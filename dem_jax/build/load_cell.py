@@ -11,20 +11,10 @@ from dem_jax.scene.numbers import array, sqrt
 from dem_jax.types import LoadCell as Cell
 from dem_jax.types import host
 
-BEND = 0.5e-3  # m, at the rated load
-STANDARD_GRAVITY = 9.81  # m/s2: of the rated load
-
 
 def section_of(scene: Scene) -> LoadCell | None:
     """The section of the scene's load cell, or None without one."""
     return scene.weigh_bucket.load_cell if scene.weigh_bucket else None
-
-
-def stiffness(section: LoadCell) -> float:
-    """Stiffness of a load cell (N/m)."""
-    if section.natural_frequency is not None:
-        return section.mass * (2 * np.pi * section.natural_frequency) ** 2
-    return section.rated_load * STANDARD_GRAVITY / BEND if section.stiffness is None else section.stiffness
 
 
 def load_cell_of(scene: Scene, groups: Sequence[str], group: np.ndarray) -> Cell | None:
@@ -32,7 +22,7 @@ def load_cell_of(scene: Scene, groups: Sequence[str], group: np.ndarray) -> Cell
     section = section_of(scene)
     if section is None or scene.weigh_bucket is None:
         return None
-    spring = stiffness(section)
+    spring = section.spring()
     carried = buckets.groups(scene.weigh_bucket, "wb")
     carries = np.array([name in carried for name in groups], float)
     return Cell(
@@ -54,4 +44,4 @@ def added_rate(scene: Scene, law: ContactLaw, contacts: Sequence[PossibleContact
     section = section_of(scene)
     if section is None:
         return 0.0
-    return (stiffness(section) + pieces * stiffest(law, contacts)) / section.mass
+    return (section.spring() + pieces * stiffest(law, contacts)) / section.mass

@@ -1,8 +1,13 @@
 """python -m dem_jax weigh"""
 
+from typing import TYPE_CHECKING
+
 from dem_jax.cli import stored
-from dem_jax.cli.arguments import Args, Commands, command
+from dem_jax.cli.arguments import Args, Commands, command, whole
 from dem_jax.errors import RecordError
+
+if TYPE_CHECKING:
+    from dem_jax.weighing.traces import Trace
 
 FILTERS = ("average:0.1", "bessel:4:8", "fir:201:10")
 RATE = 1000.0  # 1/s, as fast digital load cells have
@@ -21,6 +26,16 @@ def add(commands: Commands) -> None:
         "--tolerance", type=float, nargs="+", metavar="G", help="g of the truth within which a reading counts (default: 0.1 0.5 1)"
     )
     made.add_argument("--rate", type=float, default=RATE, help=f"readings per second (default: {RATE:g})")
+    made.add_argument(
+        "--noise", metavar="N",
+        help="noise of the signal: none, typical, or a TOML file with keys of [weigh_bucket.load_cell.noise], those not in it "
+        "typical (default: that of the scene)",
+    )  # fmt: skip
+    made.add_argument("--seed", type=whole, default=0, help="of the noise (default: 0)")
+    made.add_argument(
+        "--cell", metavar="C",
+        help="load cell to put under a bucket that has none: typical, or a TOML file with keys of [weigh_bucket.load_cell]",
+    )  # fmt: skip
     made.add_argument("--group", help="weigh the force on this wall group (default: the load cell, or all of the weigh bucket)")
     made.add_argument("--block", help="block whose settled mass at the end is the truth (default: wb, or the first)")
     made.add_argument("--truth", type=float, metavar="G", help="g that the scale should show, instead of a settled mass")
@@ -29,27 +44,48 @@ def add(commands: Commands) -> None:
 
 def weigh(args: Args) -> None:
     """Print the times to weigh and draw the readings."""
-    from dem_jax.show.weighing import plot_readings, read_trace, readings_of, table
+    from dem_jax.show.weighing import plot_readings, readings_of, table
     from dem_jax.weighing.settling import TOLERANCES
 
     out = stored.target(args.out or stored.default_out(args.files, "-weigh.png"), args.files)
     tolerances = [1e-3 * grams for grams in args.tolerance] if args.tolerance else TOLERANCES
     if not all(0 < tolerance < 1e3 for tolerance in tolerances):
         raise RecordError(f"--tolerance {' '.join(f'{grams:g}' for grams in args.tolerance)}: allowed: numbers above 0 (g)")
-    truth = None if args.truth is None else 1e-3 * args.truth
     rows = []
-    for name, file in zip(stored.names_of(args.files), args.files, strict=True):
-        trace, why = read_trace(file, args.group, args.block, truth)
-        if why:
-            print(f"note: {name}: {why}: what the scale should show is not known there; --truth G gives it")
+    traces = _read_traces(args)
+    for k, (name, file, trace) in enumerate(zip(stored.names_of(args.files), args.files, traces, strict=True)):
         for text in args.filters or FILTERS:
             try:
-                rows.append(readings_of(f"{name}: {trace.source}", trace, args.rate, text))
+                rows.append(readings_of(f"{name}: {trace.source}", trace, args.rate, text, (args.seed, k)))
             except ValueError as error:
                 raise RecordError(f"{file}: {error}") from error
     for line in table(rows, tolerances):
         print(line)
     print(plot_readings(rows, tolerances, out))
+
+
+def _read_traces(args: Args) -> list["Trace"]:
+    """The traces of the files, on the load cell and with the noise that the arguments ask for. Raises RecordError, SceneError."""
+    from dem_jax.scene import LoadCell, Noise, load_section
+    from dem_jax.show.weighing import on_cell, read_trace
+    from dem_jax.weighing.cell import cell_of
+
+    truth = None if args.truth is None else 1e-3 * args.truth
+    section = "weigh_bucket.load_cell"
+    noise = None if args.noise in (None, "none", "typical") else load_section(args.noise, Noise, f"{section}.noise")
+    noise = Noise() if args.noise == "typical" else noise
+    cell = None if args.cell in (None, "typical") else load_section(args.cell, LoadCell, section)
+    cell = LoadCell() if args.cell == "typical" else cell
+    traces = []
+    for name, file in zip(stored.names_of(args.files), args.files, strict=True):
+        trace, why = read_trace(file, args.group, args.block, truth)
+        if why:
+            print(f"note: {name}: {why}: what the scale should show is not known there; --truth G gives it")
+        if cell and trace.cell:
+            raise RecordError(f"--cell {args.cell}: {file} has the signal of its own load cell; allowed: files without one")
+        trace = on_cell(trace, cell_of(cell)) if cell else trace
+        traces.append(trace if args.noise is None else trace._replace(noise=noise))
+    return traces
 
 
 def _filters() -> str:

@@ -1,12 +1,13 @@
 """User input: sections of a scene, TOML in and out, buckets and placement of pieces."""
 
 from dem_jax.scene.changes import parse_setting
-from dem_jax.scene.files import STOCK, load_scene, parse, stock_scenes
+from dem_jax.scene.files import STOCK, load_scene, load_section, parse, stock_scenes
 from dem_jax.scene.scene import Scene
 from dem_jax.scene.sections.base import NotNegative, Points, Positive, Quaternion, Section, Size, Vector
 from dem_jax.scene.sections.buckets import Bucket, Drop, Feeder, LoadCell, WeighBucket
 from dem_jax.scene.sections.exchange import Inlet, Outlet
 from dem_jax.scene.sections.material import Material, NamedMaterial, Pair
+from dem_jax.scene.sections.noise import Noise
 from dem_jax.scene.sections.pieces import SHAPE_KEYS, BodyMass, ConvexShape, Part, Piece, PieceShape, Portion, Product
 from dem_jax.scene.sections.run import Accuracy, Error, RunSettings
 from dem_jax.scene.sections.walls import Block, Drive, Motion, Wall
@@ -27,6 +28,7 @@ __all__ = [
     "Material",
     "Motion",
     "NamedMaterial",
+    "Noise",
     "NotNegative",
     "Outlet",
     "Pair",
@@ -50,6 +52,7 @@ __all__ = [
     "allowed",
     "described",
     "load_scene",
+    "load_section",
     "parse",
     "parse_setting",
     "stock_scenes",

@@ -2,14 +2,19 @@
 
 import tomllib
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
+
+from pydantic import ValidationError
 
 from dem_jax.errors import SceneError
 from dem_jax.scene.changes import DEEPEST, Tree, is_deep, on_top
 from dem_jax.scene.library import with_named
 from dem_jax.scene.overrides import without_overridden
 from dem_jax.scene.scene import Scene, validated
+from dem_jax.scene.sections.base import Section
+from dem_jax.scene.words import one_line
 
+OneSection = TypeVar("OneSection", bound=Section)
 STOCK = Path(__file__).parent.parent / "scenes"
 
 
@@ -33,6 +38,29 @@ def parse(text: str, source: str | Path = "scene") -> Scene:
     tree = _loads(text, source)
     tree = tree if "base" in tree else without_overridden(tree)
     return validated(_based(tree, Path("."), source, ()), str(source))
+
+
+def load_section(path: str | Path, model: type[OneSection], place: str) -> OneSection:
+    """A section alone from a TOML file, whose keys stand at the top or in the table in which a scene has them.
+
+    Args:
+        path: of the file.
+        model: class of the section.
+        place: dotted name of that table.
+
+    Raises:
+        SceneError: the file or a key cannot be used.
+    """
+    try:
+        tree = _loads(Path(path).read_text(encoding="utf-8-sig"), path)
+    except (OSError, UnicodeDecodeError) as error:
+        raise SceneError(f"{path} cannot be read ({type(error).__name__}); allowed: a TOML file with keys of [{place}]") from error
+    for name in place.split(".") if place.split(".")[0] in tree else ():
+        tree = tree.get(name, {}) if isinstance(tree, dict) else {}
+    try:
+        return model.model_validate(tree)
+    except ValidationError as error:
+        raise SceneError(f"{path}: {one_line(error, tree, model)}") from error
 
 
 def stock_scenes() -> dict[str, str]:

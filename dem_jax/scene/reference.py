@@ -16,7 +16,7 @@ Model = type[BaseModel]
 
 HIDDEN = {"folder"}  # keys of Scene that no file contains
 SHARED = "Keys shared by shapes: "
-UNIT = re.compile(r"(kg m2|kg/m3|kg/s|kg|m/s2|m/s|m3|m2|m|rad/s|s|N m|N/m|N|Pa|Hz|degrees|J)(?=$|[,;: ])[,;:]?\s*")
+UNIT = re.compile(r"(kg m2|kg/m3|kg/s|kg|m/s2|m/s|m3|m2|m|rad/s|1/s|s|N m|N s|N/m|N|Pa|Hz|degrees|J)(?=$|[,;: ])[,;:]?\s*")
 HEAD = "| key | unit | default | allowed | meaning |\n| --- | --- | --- | --- | --- |"
 
 

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dem_jax.build.load_cell import section_of, stiffness
+from dem_jax.build.load_cell import section_of
 from dem_jax.scene import parse
 from dem_jax.show.facts import main_block
 from dem_jax.store.run import Run
@@ -74,7 +74,7 @@ def _find_period(run: Run) -> np.ndarray | None:
         section = section_of(parse(of_run.scene, "the file's scene"))
         assert section is not None  # as the run has its readings
         damped = np.sqrt(max(1 - section.damping_ratio**2, 1e-2))
-        found.append(2 * np.pi * np.sqrt((section.mass + mass) / stiffness(section)) / damped)
+        found.append(2 * np.pi * np.sqrt((section.mass + mass) / section.spring()) / damped)
     return np.array(found)
 
 

@@ -12,7 +12,9 @@ from dem_jax.show.facts import main_block
 from dem_jax.show.numbers import Number
 from dem_jax.show.overlay import COLOURS, INK
 from dem_jax.store.reader import load_run
-from dem_jax.weighing import chain
+from dem_jax.weighing import chain, filters
+from dem_jax.weighing.cell import Cell, through_cell
+from dem_jax.weighing.noise import Seed, add_noise
 from dem_jax.weighing.settling import HOLD, time_to_weigh
 from dem_jax.weighing.traces import Trace, is_product_model, trace_of_file
 
@@ -58,11 +60,36 @@ def read_trace(path: str | Path, group: str | None, block: str | None, truth: fl
     return found._replace(truth=known.reshape(np.shape(found.truth))), rest.describe()
 
 
-def readings_of(name: str, trace: Trace, rate: float | None, text: str) -> Readings:
-    """The readings of a trace at a rate (1/s) through a filter, as filters.ALLOWED. Raises ValueError."""
+def readings_of(name: str, trace: Trace, rate: float | None, text: str, seed: Seed = 0) -> Readings:
+    """The readings of a trace at a rate (1/s) through a filter, as filters.ALLOWED; seed: of the trace's noise.
+
+    Raises ValueError.
+    """
     of = chain.chain(trace.sample, rate, text)
-    time, weight = chain.weighed(of, trace.time, np.atleast_2d(trace.weight))
+    time, signal = converted(trace, rate, seed)
+    weight = filters.filtered(of.filter, filters.start(of.filter, signal.shape[:-1]), signal)[0]
     return Readings(name, text, of.filter.delay * of.samples * trace.sample, time, weight, np.atleast_1d(trace.truth))
+
+
+def converted(trace: Trace, rate: float | None, seed: Seed = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Time [m] (s) and signal [K, m] (kg) of the converter, before the filter: means at a rate (1/s), with the trace's noise and
+    less its tare. Raises ValueError."""
+    plain = chain.chain(trace.sample, rate, "none")
+    time, signal = chain.weighed(plain, trace.time, np.atleast_2d(trace.weight))
+    if trace.noise is None:
+        return time, signal
+    load = trace.product
+    if np.ndim(load):
+        load = chain.weighed(plain, trace.time, np.broadcast_to(load, np.shape(np.atleast_2d(trace.weight))))[1]
+    every = plain.samples * trace.sample
+    noisy = add_noise(signal, 1 / every, trace.noise, trace.cell, seed, time[0] - every, load, trace.gravity)
+    return time, noisy - trace.noise.tare
+
+
+def on_cell(trace: Trace, cell: Cell) -> Trace:
+    """The trace of a force as a load cell under the bucket shows it."""
+    weight = through_cell(trace.weight, 1 / trace.sample, cell, trace.product, trace.gravity)
+    return trace._replace(weight=weight, source=f"load cell under the {trace.source}", cell=cell)
 
 
 def table(rows: Sequence[Readings], tolerances: Sequence[float]) -> list[str]:

@@ -5,25 +5,36 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from dem_jax.errors import RecordError
+from dem_jax.scene import LoadCell, Noise, parse
 from dem_jax.store.datasets import FileName, reading
 from dem_jax.store.reader import load_run
-from dem_jax.store.run import Run
+from dem_jax.store.run import STANDARD_GRAVITY, Run
+from dem_jax.weighing.cell import Cell, cell_of
 
 if TYPE_CHECKING:
     import h5py
 
 BUCKET, BLOCK = ("wb_walls", "wb_flaps"), "wb"  # what a scale weighs, where there is a weigh bucket
 LEAST = 2  # samples
+KEYS = "weigh_bucket.load_cell."  # of a scene
 
 
 class Trace(NamedTuple):
-    """time: [T] (s) ends of the sample intervals. weight: [.., T] (kg), the force over g. truth: [..] (kg), what lies there in
-    the end. source: what the weight is of. Ensembles have a leading axis of runs."""
+    """What a scale feels; ensembles have a leading axis of runs.
+
+    time: [T] (s) ends of the sample intervals. weight: [.., T] (kg), the force over g. truth: [..] (kg), mass that lies there in
+    the end. source: what the weight is of. product: [.., T] or a number (kg), mass that lies there over time. cell: the load
+    cell that the weight has gone through; None: none. noise: of the scene; None: none. gravity: (m/s2).
+    """
 
     time: np.ndarray
     weight: np.ndarray
     truth: np.ndarray
     source: str
+    product: np.ndarray | float = 0.0
+    cell: Cell | None = None
+    noise: Noise | None = None
+    gravity: float = STANDARD_GRAVITY
 
     @property
     def sample(self) -> float:
@@ -37,15 +48,34 @@ def trace_of(run: Run, group: str | None = None, block: str | None = None, truth
     block: whose settled mass at the end is the truth, by default the weigh bucket's or the first; truth (kg): instead of that.
     Raises RecordError for a group or block that is not there.
     """
-    cell = getattr(run, "load_cell", {})
-    if group is None and "weight" in cell:
-        weight, source = np.asarray(cell["weight"], np.float64), "load cell"
+    series = getattr(run, "load_cell", {})
+    section, cell = _sections_of(run)
+    if group is None and "weight" in series:
+        weight, source = np.asarray(series["weight"], np.float64), "load cell"
     else:
         groups = [group] if group else [name for name in BUCKET if name in run.force] or list(run.force)[:1]
         if not groups:
             raise RecordError("there is no force to weigh: the run has no walls")
         weight, source = np.sum([run.pif_kg(name) for name in groups], axis=0), f"force on {' and '.join(groups)}"
-    return _checked(Trace(np.asarray(run.time), weight, _truth(run.settled_mass, block, truth, weight.shape[:-1]), source))
+        cell = None
+    known, product = _truth(run.settled_mass, block, truth, weight.shape[:-1]), _product(run.settled_mass, block)
+    gravity = float(np.linalg.norm(run.header.gravity)) or STANDARD_GRAVITY
+    noise = section.noise if section else None
+    return _checked(Trace(np.asarray(run.time), weight, known, source, product, cell, noise, gravity))
+
+
+def _sections_of(run: Run) -> tuple[LoadCell | None, Cell | None]:
+    """The section of the load cell in a run's scene, and the cell, whose values are [K] where the runs differ in it."""
+    bucket = parse(run.scene, "the file's scene").weigh_bucket
+    section = bucket.load_cell if bucket else None
+    if section is None:
+        return None, None
+    given = {key.removeprefix(KEYS): values for key, values in run.info.get("parameters", {}).items()}
+    changes = {key: values for key, values in given.items() if key in LoadCell.model_fields}
+    if not changes:
+        return section, cell_of(section)
+    rows = [section.model_copy(update=dict(zip(changes, row, strict=True))) for row in zip(*changes.values(), strict=True)]
+    return section, Cell(*np.array([cell_of(row) for row in rows]).T)
 
 
 def trace_of_file(path: FileName, group: str | None = None, block: str | None = None, truth: float | None = None) -> Trace:
@@ -71,7 +101,8 @@ def _of_product_model(file: "h5py.File", path: FileName, truth: float | None) ->
         raise RecordError(f"{path} is damaged: it lacks {', '.join(missing)}")
     time, weight = (np.asarray(file[name][()], np.float64) for name in ("time", "pif"))
     known = _truth({BLOCK: file[f"settled_mass/{BLOCK}"][()]}, None, truth, weight.shape[:-1])
-    return _checked(Trace(time, weight, known, "Product Model"))
+    product = np.asarray(file[f"settled_mass/{BLOCK}"][()], np.float64)
+    return _checked(Trace(time, weight, known, "Product Model", product))
 
 
 def _truth(masses: dict[str, np.ndarray], block: str | None, truth: float | None, lead: tuple[int, ...]) -> np.ndarray:
@@ -83,6 +114,12 @@ def _truth(masses: dict[str, np.ndarray], block: str | None, truth: float | None
         allowed = f"one of {', '.join(masses)}" if masses else "the mass itself, as there is no block"
         raise RecordError(f"block = {block!r}: what the scale should show is not known; allowed: {allowed}")
     return np.asarray(masses[name], np.float64)[..., -1]
+
+
+def _product(masses: dict[str, np.ndarray], block: str | None) -> np.ndarray | float:
+    """[.., T] (kg) that lies in the block over time."""
+    name = block or (BLOCK if BLOCK in masses else next(iter(masses), None))
+    return np.asarray(masses[name], np.float64) if name in masses else 0.0
 
 
 def _checked(trace: Trace) -> Trace:

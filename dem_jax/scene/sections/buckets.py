@@ -1,5 +1,6 @@
 """Buckets and the linear feeder, from few named sizes."""
 
+import math
 from typing import Annotated
 
 from pydantic import BeforeValidator, Field, model_validator
@@ -17,8 +18,11 @@ from dem_jax.scene.sections.base import (
     as_tuple,
     check_needed,
 )
+from dem_jax.scene.sections.noise import Noise
 from dem_jax.scene.sections.walls import Drive
 
+BEND = 0.5e-3  # m, of a load cell at the rated load
+STANDARD_GRAVITY = 9.81  # m/s2: of the rated load
 Panels = Annotated[tuple[Points, ...], BeforeValidator(as_tuple)]
 
 
@@ -92,6 +96,13 @@ class LoadCell(Section):
     )
     natural_frequency: Positive | None = Field(None, description="Hz, of the mass without pieces, in place of the stiffness")
     damping_ratio: NotNegative = Field(0.02, description="of the critical damping of the mass without pieces")
+    noise: Noise | None = Field(None, description="noise with which weigh shows the signal; unset: none")
+
+    def spring(self) -> float:
+        """Stiffness (N/m)."""
+        if self.natural_frequency is not None:
+            return self.mass * (2 * math.pi * self.natural_frequency) ** 2
+        return self.rated_load * STANDARD_GRAVITY / BEND if self.stiffness is None else self.stiffness
 
     @model_validator(mode="after")
     def _has_one_spring(self) -> "LoadCell":
