@@ -30,9 +30,8 @@ def refit_intervals(
     centre, scale = jnp.asarray(problem.centre), jnp.asarray(problem.scale)
     ends = []
     for k in range(count):
-        draws = draw_landings(
-            targets, simulations, seed + 5_000_003 + k
-        )  # those of a fit are random, too
+        # random numbers of its own, as those of a fit are chance, too
+        draws = draw_landings(targets, simulations, seed + 5_000_003 + k)
         data = jnp.asarray(made[k * size : (k + 1) * size]), centre, scale
         arguments = u, draws, data, problem.gravity, free, problem.frame
         tell = lambda: progress("intervals", next(done), count * STEPS)  # noqa: E731
@@ -43,9 +42,8 @@ def refit_intervals(
         np.zeros(len(free)), covariance, DRAWN, method="eigh"
     )
     many = u | {name: u[name] + jnp.asarray(shifts[:, k]) for k, name in enumerate(free)}
-    values = {
-        name: np.asarray(value) * np.ones(DRAWN) for name, value in to_values(many, free).items()
-    }
+    found = to_values(many, free)
+    values = {name: np.asarray(value) * np.ones(DRAWN) for name, value in found.items()}
     low, high = (
         {name: float(np.quantile(row, level)) for name, row in values.items()}
         for level in (0.05, 0.95)

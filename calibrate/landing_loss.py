@@ -76,9 +76,8 @@ def loss(
     """[] how far simulated traces at the coordinates `u` are from measured ones. data: their summaries, centre and scale."""
     x, centre, scale = data
     keep = np.flatnonzero(frame.smooth)
-    y = (simulated_summaries(to_values(u, free), draws, gravity, frame) - centre[None]) / scale[
-        None
-    ]
+    rows = simulated_summaries(to_values(u, free), draws, gravity, frame)
+    y = (rows - centre[None]) / scale[None]
     far = sum(jnp.maximum(jnp.abs(u[name] - start[name]) - REACH, 0.0) ** 2 for name in free)
     return _loss_of_samples(x[:, keep], y[:, keep]) + 0.05 * far
 

@@ -77,16 +77,11 @@ def compare_summaries(
     """Compare summaries [n, D] of measured traces with those [m, D] of others, in units of the standard deviation of the first."""
     scale = x.std(0) + 1e-9
     x, y = x / scale, y / scale
-    single = {
-        name: compare(x[:, [k]], y[:, [k]], permutations, seed) for k, name in enumerate(names)
-    }
-    shift = {name: float(y[:, k].mean() - x[:, k].mean()) for k, name in enumerate(names)}
-    spread = {
-        name: float(y[:, k].std() / max(x[:, k].std(), 1e-12)) for k, name in enumerate(names)
-    }
+    columns = list(enumerate(names))
+    single = {name: compare(x[:, [k]], y[:, [k]], permutations, seed) for k, name in columns}
+    shift = {name: float(y[:, k].mean() - x[:, k].mean()) for k, name in columns}
+    spread = {name: float(y[:, k].std() / max(x[:, k].std(), 1e-12)) for k, name in columns}
     cell = [k for k, name in enumerate(names) if name.startswith("cell")]
-    joint, of_cell = (
-        compare(x, y, permutations, seed),
-        compare(x[:, cell], y[:, cell], permutations, seed),
-    )
+    joint = compare(x, y, permutations, seed)
+    of_cell = compare(x[:, cell], y[:, cell], permutations, seed)
     return SampleComparison(joint, of_cell, single, shift, spread)

@@ -7,7 +7,7 @@ import numpy as np
 from dem_jax.build.time_step import PossibleContact, stiffest
 from dem_jax.contact.law import ContactLaw
 from dem_jax.scene import LoadCell, Scene, buckets
-from dem_jax.scene.numbers import array, sqrt
+from dem_jax.scene.numbers import array
 from dem_jax.types import LoadCell as Cell
 from dem_jax.types import host
 
@@ -22,13 +22,12 @@ def load_cell_of(scene: Scene, groups: Sequence[str], group: np.ndarray) -> Cell
     section = section_of(scene)
     if section is None or scene.weigh_bucket is None:
         return None
-    spring = section.spring()
     carried = buckets.groups(scene.weigh_bucket, "wb")
     carries = np.array([name in carried for name in groups], float)
     return Cell(
         mass=host(array(section.mass)),
-        stiffness=host(array(spring)),
-        damping=host(array(2 * section.damping_ratio * sqrt(spring * section.mass))),
+        stiffness=host(array(section.spring())),
+        damping=host(array(section.damper())),
         groups=host(carries),
         panels=host(carries[group]),
     )

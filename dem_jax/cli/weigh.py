@@ -44,7 +44,7 @@ def add(commands: Commands) -> None:
 
 def weigh(args: Args) -> None:
     """Print the times to weigh and draw the readings."""
-    from dem_jax.show.weighing import plot_readings, readings_of, table
+    from dem_jax.show.weighing import convert_trace, filter_signal, plot_readings, table
     from dem_jax.weighing.settling import TOLERANCES
 
     out = stored.target(args.out or stored.default_out(args.files, "-weigh.png"), args.files)
@@ -54,11 +54,12 @@ def weigh(args: Args) -> None:
     rows = []
     traces = _read_traces(args)
     for k, (name, file, trace) in enumerate(zip(stored.names_of(args.files), args.files, traces, strict=True)):
-        for text in args.filters or FILTERS:
-            try:
-                rows.append(readings_of(f"{name}: {trace.source}", trace, args.rate, text, (args.seed, k)))
-            except ValueError as error:
-                raise RecordError(f"{file}: {error}") from error
+        try:
+            signal = convert_trace(trace, args.rate, (args.seed, k))
+            for text in args.filters or FILTERS:
+                rows.append(filter_signal(f"{name}: {trace.source}", trace, signal, args.rate, text))
+        except ValueError as error:
+            raise RecordError(f"{file}: {error}") from error
     for line in table(rows, tolerances):
         print(line)
     print(plot_readings(rows, tolerances, out))

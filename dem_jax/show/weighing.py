@@ -65,14 +65,18 @@ def readings_of(name: str, trace: Trace, rate: float | None, text: str, seed: Se
 
     Raises ValueError.
     """
-    of = chain.chain(trace.sample, rate, text)
-    time, signal = converted(trace, rate, seed)
-    weight = filters.filtered(of.filter, filters.start(of.filter, signal.shape[:-1]), signal)[0]
+    return filter_signal(name, trace, convert_trace(trace, rate, seed), rate, text)
+
+
+def filter_signal(name: str, trace: Trace, signal: tuple[np.ndarray, np.ndarray], rate: float | None, text: str) -> Readings:
+    """The readings of a trace whose signal has been converted at a rate (1/s), see ``convert_trace``. Raises ValueError."""
+    of, (time, values) = chain.chain(trace.sample, rate, text), signal
+    weight = filters.filtered(of.filter, filters.start(of.filter, values.shape[:-1]), values)[0]
     return Readings(name, text, of.filter.delay * of.samples * trace.sample, time, weight, np.atleast_1d(trace.truth))
 
 
-def converted(trace: Trace, rate: float | None, seed: Seed = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Time [m] (s) and signal [K, m] (kg) of the converter, before the filter: means at a rate (1/s), with the trace's noise and
+def convert_trace(trace: Trace, rate: float | None, seed: Seed = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Time [m] (s) and signal [K, m] (kg) of the converter, before any filter: means at a rate (1/s), with the trace's noise and
     less its tare. Raises ValueError."""
     plain = chain.chain(trace.sample, rate, "none")
     time, signal = chain.weighed(plain, trace.time, np.atleast_2d(trace.weight))

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from dem_jax.scene import LoadCell
+from dem_jax.store.run import STANDARD_GRAVITY
 
-STANDARD_GRAVITY = 9.81  # m/s2
 STEPS_PER_PERIOD = 150  # of the cell: its frequency is then (2 pi / 150)^2 / 24 = 7e-5 too high
 
 
@@ -39,8 +39,7 @@ class Cell(NamedTuple):
 
 def cell_of(section: LoadCell) -> Cell:
     """The cell of a scene's section."""
-    spring = section.spring()
-    return Cell(section.mass, spring, 2 * section.damping_ratio * np.sqrt(spring * section.mass))
+    return Cell(section.mass, section.spring(), section.damper())
 
 
 def through_cell(

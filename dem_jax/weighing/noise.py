@@ -11,7 +11,8 @@ import numpy as np
 from scipy import signal
 
 from dem_jax.scene import LoadCell, Noise
-from dem_jax.weighing.cell import STANDARD_GRAVITY, Cell, means, respond, substeps
+from dem_jax.store.run import STANDARD_GRAVITY
+from dem_jax.weighing.cell import Cell, means, respond, substeps
 
 TYPICAL = Noise()
 REFERENCE_RATE = 1000.0  # 1/s, of Noise.white

@@ -99,9 +99,8 @@ def _of_product_model(file: "h5py.File", path: FileName, truth: float | None) ->
     """The trace of a file of product_model.save."""
     if missing := [name for name in ("time", "pif", f"settled_mass/{BLOCK}") if name not in file]:
         raise RecordError(f"{path} is damaged: it lacks {', '.join(missing)}")
-    time, weight = (np.asarray(file[name][()], np.float64) for name in ("time", "pif"))
-    known = _truth({BLOCK: file[f"settled_mass/{BLOCK}"][()]}, None, truth, weight.shape[:-1])
-    product = np.asarray(file[f"settled_mass/{BLOCK}"][()], np.float64)
+    time, weight, product = (np.asarray(file[name][()], np.float64) for name in ("time", "pif", f"settled_mass/{BLOCK}"))
+    known = _truth({BLOCK: product}, None, truth, weight.shape[:-1])
     return _checked(Trace(time, weight, known, "Product Model", product))
 
 
@@ -109,7 +108,7 @@ def _truth(masses: dict[str, np.ndarray], block: str | None, truth: float | None
     """[..] (kg)"""
     if truth is not None:
         return np.full(lead, truth)
-    name = block or (BLOCK if BLOCK in masses else next(iter(masses), None))
+    name = _block_of(masses, block)
     if name not in masses:
         allowed = f"one of {', '.join(masses)}" if masses else "the mass itself, as there is no block"
         raise RecordError(f"block = {block!r}: what the scale should show is not known; allowed: {allowed}")
@@ -118,8 +117,13 @@ def _truth(masses: dict[str, np.ndarray], block: str | None, truth: float | None
 
 def _product(masses: dict[str, np.ndarray], block: str | None) -> np.ndarray | float:
     """[.., T] (kg) that lies in the block over time."""
-    name = block or (BLOCK if BLOCK in masses else next(iter(masses), None))
+    name = _block_of(masses, block)
     return np.asarray(masses[name], np.float64) if name in masses else 0.0
+
+
+def _block_of(masses: dict[str, np.ndarray], block: str | None) -> str | None:
+    """Name of the block whose mass counts: the one asked for, that of a weigh bucket, or the first."""
+    return block or (BLOCK if BLOCK in masses else next(iter(masses), None))
 
 
 def _checked(trace: Trace) -> Trace:

@@ -5,6 +5,7 @@ from typing import Annotated
 
 from pydantic import BeforeValidator, Field, model_validator
 
+from dem_jax.scene.numbers import sqrt
 from dem_jax.scene.sections.base import (
     PLACING,
     MaterialName,
@@ -103,6 +104,10 @@ class LoadCell(Section):
         if self.natural_frequency is not None:
             return self.mass * (2 * math.pi * self.natural_frequency) ** 2
         return self.rated_load * STANDARD_GRAVITY / BEND if self.stiffness is None else self.stiffness
+
+    def damper(self) -> float:
+        """Damping (N s/m)."""
+        return 2 * self.damping_ratio * sqrt(self.spring() * self.mass)
 
     @model_validator(mode="after")
     def _has_one_spring(self) -> "LoadCell":
