@@ -5,7 +5,6 @@ from typing import Annotated
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from dem_jax.scene.numbers import sqrt
 from dem_jax.scene.sections.base import (
     PLACING,
     MaterialName,
@@ -107,6 +106,8 @@ class LoadCell(Section):
 
     def damper(self) -> float:
         """Damping (N s/m)."""
+        from dem_jax.scene.numbers import sqrt  # here, as reading a scene needs no numpy
+
         return 2 * self.damping_ratio * sqrt(self.spring() * self.mass)
 
     @model_validator(mode="after")
