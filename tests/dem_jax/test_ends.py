@@ -34,6 +34,7 @@ from tests.dem_jax.test_record import header, samples
 COMMAND = """
 import hashlib, signal, sys, time
 signal.signal(signal.SIGINT, signal.{handler})  # whatever it was where the tests were started
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # ignored where the tests run under nohup
 from pathlib import Path
 from dem_jax import process
 from dem_jax.cli import main, scenes
