@@ -5,28 +5,53 @@ from dem_jax.cli.arguments import Args, Commands, command
 
 def add(commands: Commands) -> None:
     """Add the command to the parser."""
-    made = command(commands, "products", products, "List the products that a scene can name, or print the keys of one.")
-    made.add_argument("name", nargs="?", metavar="PRODUCT", help="print its keys")
+    made = command(commands, "products", products, "List the products that a scene can name, or print one: numbers, sources, keys.")
+    made.add_argument("name", nargs="?", metavar="PRODUCT", help="NAME, NAME:STATE or FILE.toml: print its numbers and keys")
 
 
 def products(args: Args) -> None:
-    """List the products with what they weigh and are made of, or print one."""
-    from dem_jax.scene import library, load_scene
-    from dem_jax.scene.library import with_product
-
-    known = library.products()
+    """List the products, or print one."""
     if args.name:
-        with_product({}, args.name, "products")
-        print((library.PRODUCTS / f"{args.name}.toml").read_text(encoding="utf-8"), end="")
-        return
+        _print_product(args.name)
+    else:
+        _print_list()
+
+
+def _print_product(name: str) -> None:
+    """Print the numbers of a product with their sources, and its keys as TOML. Raises SceneError."""
+    from dem_jax.scene import evidence
+    from dem_jax.scene.library import product_tree, states_of_product
+    from dem_jax.scene.text import toml
+
+    tree = product_tree(name, "products")
+    for line in evidence.described(tree, name):
+        print(f"# {line}".rstrip())
+    if tree.get("evidence"):
+        print("#", "; ".join(f"{grade}: {words}" for grade, words in evidence.GRADES.items()))
+    states = states_of_product(name)
+    if states:
+        print(f"# states: {', '.join(f'{name}:{state}' for state in states)}")
+    print(toml(tree), end="")
+
+
+def _print_list() -> None:
+    """Print what the products weigh and are made of."""
     from dem_jax.build.pieces import goods_of, masses_of
+    from dem_jax.scene import evidence, library, load_scene
     from dem_jax.scene.materials import material_table
 
+    known = library.products()
     wide = max(map(len, known))
-    print(f"{'product':{wide}}  {'g':>6}  {'E (Pa)':>7}  {'rest.':>5}  {'mu':>4}  what it is")
+    print(f"{'product':{wide}}  {'g':>6}  {'E (Pa)':>9}  {'rest.':>6}  {'mu':>6}  what it is")
     for name, text in known.items():
-        scene = load_scene("weigh-bucket", {"product": name, "portion.count": 1, "portion.size_spread": 0.0})
+        alike = {"portion.count": 1, "portion.size_spread": 0.0, "portion.piece_weight_spread": 0.0}
+        scene = load_scene("weigh-bucket", {"product": name, **alike})
         weight = 1e3 * masses_of(goods_of(scene), material_table(scene))[0]
-        m = scene.material
-        print(f"{name:{wide}}  {weight:6.3g}  {m.youngs_modulus:7.1g}  {m.restitution:5.2g}  {m.friction_wall:4.2g}  {text}")
-    print("moduli, restitution and friction (with the wall) are assumed: orders of magnitude. --set product=NAME takes one")
+        m, rows = scene.material, evidence.evidence_of(library.product_tree(name, "products"), name)
+        shown = {"youngs_modulus": f"{m.youngs_modulus:7.1g}"} | {
+            key: f"{getattr(m, key):4.2g}" for key in ("restitution", "friction_wall")
+        }
+        graded = [f"{number} {rows[key].grade}" for key, number in shown.items()]
+        print(f"{name:{wide}}  {weight:6.3g}  {'  '.join(graded)}  {text}")
+    print("; ".join(f"{grade}: {words}" for grade, words in evidence.GRADES.items()))
+    print("mu: on smooth stainless steel. --set product=NAME takes one; dem-jax products NAME prints ranges and sources")

@@ -20,7 +20,7 @@ def on_top(below: Tree, above: Tree) -> Tree:
     the density below; what cannot act beside a key on top is dropped."""
     below = drop_overridden(below, above)
     portion = above.get("portion")
-    below = without_modulus_range(below, above)
+    below = without_ranges(without_modulus_range(below, above), above)
     if _says_weight(above):
         below = without_density(below)
     if isinstance(portion, dict) and portion.get("product") and isinstance(below.get("portion"), dict):
@@ -54,6 +54,25 @@ def without_modulus_range(below: Tree, above: Tree) -> Tree:
         if isinstance(row, dict) and isinstance(own, dict) and "youngs_modulus" in row:
             material = material | {name: {key: item for key, item in own.items() if key != "youngs_modulus_range"}}
     return below | {"material": material}
+
+
+def without_ranges(below: Tree, above: Tree) -> Tree:
+    """The tree below without those rows of [[uncertain]] whose number the tree above replaces: they were about another value."""
+    rows = below.get("uncertain")
+    if not isinstance(rows, list | tuple) or not rows:
+        return below
+    return below | {"uncertain": tuple(row for row in rows if not (isinstance(row, dict) and _sets(above, row.get("key"))))}
+
+
+def _sets(tree: Any, key: Any) -> bool:
+    """Whether a tree has a value at a dotted key, or replaces the list that it is in."""
+    for part in str(key).split("."):
+        if isinstance(tree, list | tuple):
+            return True
+        if not isinstance(tree, dict) or part not in tree:
+            return False
+        tree = tree[part]
+    return True
 
 
 def merged(below: Tree, above: Tree) -> Tree:

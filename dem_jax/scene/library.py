@@ -6,10 +6,11 @@ from pathlib import Path
 from typing import Any
 
 from dem_jax.errors import SceneError
-from dem_jax.scene.changes import DEEPEST, Tree, is_deep, merged, on_top
+from dem_jax.scene.changes import DEEPEST, Tree, is_deep, merged, on_top, without_ranges
+from dem_jax.scene.evidence import for_scene, in_state, states_of
 from dem_jax.scene.overrides import drop_overridden
 from dem_jax.scene.sections.material import NamedMaterial
-from dem_jax.scene.sections.pieces import OF_PRODUCT
+from dem_jax.scene.sections.pieces import OF_PRODUCT, SPREADS
 from dem_jax.scene.words import choices
 
 PRODUCTS = Path(__file__).parent.parent / "products"
@@ -23,7 +24,8 @@ FORMER_NAMES = {  # of buckets, of a version that named them by what makers call
     "5-litre": "9.1-litre",
 }
 OF_BUCKETS = ("feed_bucket", "weigh_bucket")
-SECTIONS = {PRODUCTS: ("portion", "material", "pair"), BUCKETS: (*OF_BUCKETS, "drop")}  # of a file of the user's
+OF_A_PRODUCT = ("portion", "material", "pair", "contact", "evidence", "state")
+SECTIONS = {PRODUCTS: OF_A_PRODUCT, BUCKETS: (*OF_BUCKETS, "drop")}  # of a file of the user's
 
 
 def products() -> dict[str, str]:
@@ -46,14 +48,43 @@ def _listed(folder: Path) -> dict[str, str]:
     return {path.stem: path.read_text(encoding="utf-8").splitlines()[0].lstrip("# ") for path in sorted(folder.glob("*.toml"))}
 
 
+def product_tree(name: Any, source: str | Path, key: str = "product") -> Tree:
+    """The tree of a product in one of its states, with its evidence.
+
+    Args:
+        name: of the library, or a file that ends in .toml; with ``:STATE`` the state of that name.
+        source: begins the messages of errors.
+        key: that names the product.
+
+    Raises:
+        SceneError: there is no such product, or it has no such state.
+    """
+    plain, colon, state = name.rpartition(":") if isinstance(name, str) else ("", "", "")
+    if not colon or state.endswith(".toml"):
+        return in_state(_named(PRODUCTS, key, name, source), None, str(name))
+    return in_state(_named(PRODUCTS, key, plain, source), state, f"{source}: {key} = {name!r}")
+
+
+def states_of_product(name: str) -> list[str]:
+    """Names of the further states of a product, [] where the name is of a state. Raises SceneError."""
+    is_state = ":" in name and not name.endswith(".toml")
+    return [] if is_state else list(states_of(_named(PRODUCTS, "product", name, "products")))
+
+
 def with_product(tree: Tree, name: Any, source: str | Path) -> Tree:
-    """A scene's tree with the product in its portion: shape, sizes and [material] are the product's; how many there are and how
-    they lie stays. Raises SceneError."""
-    own = _named(PRODUCTS, "product", name, source)
+    """A scene's tree with the product in its portion: shape, sizes, [material] and the ranges of its numbers are the product's;
+    how many there are and how they lie stays. Raises SceneError."""
+    own = for_scene(product_tree(name, source), f"product {name}")
     if tree.get("piece"):
         raise SceneError(f"{source}: product = {name!r}: allowed in a scene with a portion, this one lists its pieces")
     kept = {key: item for key, item in (tree.get("portion") or {}).items() if key not in (*OF_PRODUCT, "product")}
-    return on_top(tree | {"portion": kept}, own)
+    rows = [row for row in tree.get("uncertain") or () if not _is_of_material(row)]
+    return on_top(tree | {"portion": kept, "uncertain": rows}, own | {"uncertain": [*rows, *own.get("uncertain", [])]})
+
+
+def _is_of_material(row: Any) -> bool:
+    """Whether a row of [[uncertain]] is about a number of [material]."""
+    return isinstance(row, dict) and str(row.get("key")).startswith("material.")
 
 
 def with_bucket(tree: Tree, name: Any, source: str | Path) -> Tree:
@@ -78,34 +109,42 @@ def with_named(below: Tree, own: Tree, source: str | Path) -> Tree:
     rows = portion.get("product") if isinstance(portion, dict) else None
     named = [row for row in rows if isinstance(row, dict) and "product" in row] if isinstance(rows, list | tuple) else []
     if portion and rows and named:
-        own["portion"], own["material"] = _mixture(portion, rows, own.get("material"), source)
+        own["portion"], own["material"], ranges = _mixture(portion, rows, own.get("material"), source)
+        own["uncertain"] = [*ranges, *own.get("uncertain", [])]
     return below
 
 
-def _mixture(portion: Tree, rows: Sequence[Any], material: Any, source: str | Path) -> tuple[Tree, Any]:
-    """A portion whose rows may name products, with the keys of these beneath their own, and [material] with theirs by name.
+def _mixture(portion: Tree, rows: Sequence[Any], material: Any, source: str | Path) -> tuple[Tree, Any, list[Tree]]:
+    """A portion whose rows may name products, with the keys of these beneath their own, [material] with theirs by name, and the
+    rows of [[uncertain]] with the ranges of their numbers.
 
     Softening is one for all materials: the largest of the products', so that none is softer than its own file says.
     """
-    filled, materials, softening = [], {}, []
+    filled, materials, softening, ranges = [], {}, [], list[Tree]()
     for n, row in enumerate(rows):
         if not isinstance(row, dict) or "product" not in row:
             filled.append(row)
             continue
         own = {key: item for key, item in row.items() if key != "product"}
         name = row["product"]
-        product = _named(PRODUCTS, f"portion.product.{n}.product", name, source)
+        product = for_scene(product_tree(name, source, f"portion.product.{n}.product"), f"product {name}")
+        name = name.replace(":", "-") if isinstance(name, str) else name
         shape = product["portion"]
         if "shape" in own:
-            shape = {key: item for key, item in shape.items() if key in ("material", "size_spread", "piece_weight")}
+            shape = {key: item for key, item in shape.items() if key in ("material", "piece_weight", *SPREADS)}
+        if any(own.get(key) for key in SPREADS):
+            shape = {key: item for key, item in shape.items() if key not in SPREADS}
         filled.append({"material": name, **shape, **own})
         if filled[-1]["material"] == name:
             of_product = product.get("material", {})
             softening += [of_product["softening"]] if "softening" in of_product else []
             materials[name] = {key: item for key, item in of_product.items() if key in NamedMaterial.model_fields}
+            known = {key.split(".")[1]: row for row in product.get("uncertain", []) for key in [row["key"]]}
+            ranges += [row | {"key": f"material.{name}.{key}"} for key, row in known.items() if key in materials[name]]
     given = material if isinstance(material, dict) else {}
     whole = merged({**({"softening": max(softening)} if softening else {}), **materials}, given)
-    return {**portion, "product": filled}, whole if material is None or given else material
+    ranges = without_ranges({"uncertain": ranges}, {"material": given})["uncertain"]
+    return {**portion, "product": filled}, whole if material is None or given else material, list(ranges)
 
 
 def _named(folder: Path, key: str, name: Any, source: str | Path) -> Tree:

@@ -68,7 +68,11 @@ OVERRIDES = (
     Override("run.until_settled", ("run.settled_time",), lambda ends: ends is False, "without run.until_settled = true"),
 )
 # Of two keys that say the same thing in two ways, that of the scene on top holds: the one below is dropped.
-ALTERNATIVES = (Override("portion.target_weight", ("portion.count",), bool, "beside portion.target_weight"),)
+ALTERNATIVES = (
+    Override("portion.target_weight", ("portion.count",), bool, "beside portion.target_weight"),
+    Override("portion.size_spread", ("portion.piece_weight_spread",), bool, "beside portion.size_spread"),
+    Override("portion.piece_weight_spread", ("portion.size_spread",), bool, "beside portion.piece_weight_spread"),
+)
 
 
 def drop_overridden(below: Tree, above: Tree) -> Tree:

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
 from dem_jax.errors import SceneError
-from dem_jax.scene.changes import new_materials, on_top, set_key, without_density, without_modulus_range
+from dem_jax.scene.changes import new_materials, on_top, set_key, without_density, without_modulus_range, without_ranges
 from dem_jax.scene.library import with_named
 from dem_jax.scene.overrides import check_varied, drop_overridden, find_overridden, nested
 from dem_jax.scene.sections.base import Section, as_tuple
@@ -18,6 +18,7 @@ from dem_jax.scene.sections.material import DEFAULT, WALL, Material, Pair
 from dem_jax.scene.sections.pieces import Piece, Portion, Product
 from dem_jax.scene.sections.run import ROUNDING, RunSettings
 from dem_jax.scene.sections.statistics import Statistics
+from dem_jax.scene.sections.uncertain import Uncertain
 from dem_jax.scene.sections.walls import Block, Motion, Wall
 from dem_jax.scene.text import toml, value
 from dem_jax.scene.words import choices, one_line
@@ -44,6 +45,7 @@ class Scene(Section):
     statistics: Statistics | None = None
     inlet: Inlet | None = None
     outlet: Outlet | None = None
+    uncertain: Annotated[tuple[Uncertain, ...], BeforeValidator(as_tuple)] = ()
     folder: str = Field(".", description="folder that files named in the scene are relative to")
 
     @model_validator(mode="after")
@@ -127,6 +129,13 @@ class Scene(Section):
             seen.add(frozenset(pair.of))
         return self
 
+    @model_validator(mode="after")
+    def _doubts_numbers_that_it_has(self) -> "Scene":
+        for n, row in enumerate(self.uncertain):
+            if number_of(self, row.key) is None:
+                raise ValueError(f"uncertain.{n}.key = {value(row.key)}: allowed: the dotted key of a number that this scene sets")
+        return self
+
     def replace(self, changes: dict[str, Any] | None = None, **sections: Any) -> "Scene":
         """A scene with some values changed: ``scene.replace(material={"restitution": 0.3})`` or
         ``scene.replace({"material.restitution": 0.3})``. Lists are replaced whole. Raises SceneError."""
@@ -135,6 +144,19 @@ class Scene(Section):
     def to_toml(self) -> str:
         """The scene as TOML text, complete with defaults; ``parse`` reads it back."""
         return toml(self.model_dump(exclude_none=True))
+
+
+def number_of(scene: Scene, key: str) -> float | None:
+    """The number at a dotted key of a scene; None where there is none."""
+    found: Any = scene
+    for part in key.split("."):
+        if isinstance(found, tuple) and part.isdecimal():
+            found = found[int(part)] if int(part) < len(found) else None
+        elif isinstance(found, Section):
+            found = getattr(found, part) if part in {*type(found).model_fields, *(found.model_extra or {})} else None
+        else:
+            return None
+    return found if isinstance(found, float | int) and not isinstance(found, bool) else None
 
 
 def rows_of_pieces(scene: Scene) -> dict[str, Piece | Portion | Product]:
@@ -174,7 +196,7 @@ def validated(
     for key in changes:
         if key.startswith("material.") and key.endswith(".youngs_modulus"):
             set_key(moduli, key.split("."), None)
-    tree = without_modulus_range(tree, moduli)
+    tree = without_ranges(without_modulus_range(tree, moduli), nested(changes))
     for key, item in changes.items():
         set_key(tree, key.split("."), item)
     tree = on_top(tree, sections or {})

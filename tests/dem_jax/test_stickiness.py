@@ -61,17 +61,19 @@ def test_pieces_of_a_portion_have_the_spread_of_weight_asked():
     mass = np.asarray(build.build(scene).system.pieces.mass, float)
     assert mass.mean() == pytest.approx(0.004, rel=1e-6) and mass.std() == pytest.approx(0.0008, rel=1e-5)  # single precision
     with pytest.raises(SceneError, match=r"size_spread = 0\.1 beside piece_weight_spread = 0\.2: each decides the other"):
-        scene.replace(portion={"size_spread": 0.1})
+        scene.replace(portion={"size_spread": 0.1, "piece_weight_spread": 0.2})
+    other = scene.replace(portion={"size_spread": 0.1}).portion
+    assert (other.size_spread, other.piece_weight_spread) == (0.1, 0.0), "the one on top replaces the one below"
 
 
 def test_a_mixture_takes_products_by_name():
     rows = '[[portion.product]]\nproduct = "hazelnut"\nshare = 2\n[[portion.product]]\nproduct = "gummy-bear"\nsize_spread = 0.1\n'
     scene = parse(f'base = "weigh-bucket"\n[portion]\ntarget_weight = 0.05\n{rows}[material.hazelnut]\nrestitution = 0.6\n')
     nut, bear = scene.portion.product
-    assert (nut.shape, nut.radius, nut.size_spread, nut.share, nut.material) == ("sphere", 6.5e-3, 0.06, 2.0, "hazelnut")
+    assert (nut.shape, nut.radius, nut.piece_weight_spread, nut.share, nut.material) == ("sphere", 6.4e-3, 0.25, 2.0, "hazelnut")
     assert (bear.shape, bear.size_spread, bear.material) == ("chamfered-cuboid", 0.1, "gummy-bear")
     named = scene.material.named
-    assert (named["hazelnut"].density, named["hazelnut"].restitution) == (950.0, 0.6)
+    assert (named["hazelnut"].density, named["hazelnut"].restitution) == (920.0, 0.6)
     assert (named["gummy-bear"].youngs_modulus, named["gummy-bear"].pull_off) == (5e5, 0.005)
     assert scene.material.softening == 1.0  # of the gummy bears, the larger
     assert parse(scene.to_toml()) == scene
