@@ -30,7 +30,7 @@ from dem_jax.types import State, System, Walls
 
 Values = Mapping[str, Any]  # key of a scene -> a number, an array, or what stands for one while JAX traces
 
-OF_MATERIAL = tuple(key for key in NamedMaterial.model_fields if key != "youngs_modulus_range")
+OF_MATERIAL = tuple(key for key in NamedMaterial.model_fields if key not in ("youngs_modulus_range", "wall_surface"))
 OF_ALL = ("wall_youngs_modulus", "wall_poisson_ratio", "softening", "separation", "tangential_stiffness")
 DAMPING = ("unloading_damping", "rest_damping")
 FLAPS = ("opening_angle_deg", "opening_start", "opening_time", "open_dwell", "closing_time")

@@ -6,6 +6,7 @@ import numpy as np
 
 from dem_jax.contact.law import ContactLaw
 from dem_jax.contact.law.cohesion import Cohesive
+from dem_jax.contact.law.densifying import Densifying
 from dem_jax.contact.law.hertz_mindlin import HertzMindlin
 from dem_jax.contact.law.linear_dashpot import LinearDashpot
 from dem_jax.contact.law.rolling import Rolling
@@ -41,6 +42,9 @@ LAWS: dict[str, Callable[[Scene], ContactLaw]] = {
     "walton-braun": _walton_braun,
     "linear-dashpot": lambda scene: LinearDashpot(_number(scene.material.tangential_stiffness)),
     "hertz-mindlin": lambda scene: HertzMindlin(_number(scene.contact.impact_speed)),
+    "densifying": lambda scene: Densifying(
+        _number(scene.contact.densification), _number(scene.material.tangential_stiffness), _number(scene.contact.impact_speed)
+    ),
 }
 
 

@@ -39,6 +39,7 @@ def _print_list() -> None:
     from dem_jax.build.pieces import goods_of, masses_of
     from dem_jax.scene import evidence, library, load_scene
     from dem_jax.scene.materials import material_table
+    from dem_jax.scene.surfaces import SURFACES
 
     known = library.products()
     wide = max(map(len, known))
@@ -54,4 +55,6 @@ def _print_list() -> None:
         graded = [f"{number} {rows[key].grade}" for key, number in shown.items()]
         print(f"{name:{wide}}  {weight:6.3g}  {'  '.join(graded)}  {text}")
     print("; ".join(f"{grade}: {words}" for grade, words in evidence.GRADES.items()))
-    print("mu: on smooth stainless steel. --set product=NAME takes one; dem-jax products NAME prints ranges and sources")
+    factors = ", ".join(f"{surface} {row.friction:g}" for surface, row in SURFACES.items())
+    print(f"mu: on smooth stainless steel; material.wall_surface multiplies it: {factors}")
+    print("--set product=NAME takes one; dem-jax products NAME prints ranges and sources")

@@ -11,6 +11,7 @@ from dem_jax.drive.job import Job
 from dem_jax.errors import SceneError, SimulationError
 from dem_jax.scene import buckets
 from dem_jax.scene.extreme import furthest
+from dem_jax.scene.materials import material_table, modulus_range, rows_of_pieces
 from dem_jax.scene.scene import Scene
 from dem_jax.scene.words import short
 from dem_jax.step.quantities import QUANTITIES
@@ -221,9 +222,21 @@ def _deep(job: Job, system: System, state: State, overlap: float, member: int) -
     return int(of_parts[b]), (
         f"its contact with {body_name(system, a)} is {100 * overlap:.3g} % of the piece's width deep (at most "
         f"{100 * DEEPEST:g} %); likely cause: {_overfull(job, member)}"
-        f"the material is too soft for this load (raise material.softening), "
+        f"the material is too soft for this load ({_softness(job, member, int(of_parts[b]))}), "
         f"or the piece is pinched between walls{_gives_way(job.scene, _group(system, a))}"
     )
+
+
+def _softness(job: Job, member: int, piece: int) -> str:
+    """The modulus that a piece has in the simulation, the range of its product's, and what stiffens it."""
+    scene = job.scene_of(member)
+    table, name = material_table(scene), job.built_of(member).goods.materials[piece]
+    modulus = float(table.youngs_modulus[rows_of_pieces(table, [name])[0]]) * scene.material.softening
+    bounds = modulus_range(scene, name)
+    known = "" if bounds is None else f", of a product of {bounds[0]:g} to {bounds[1]:g} Pa"
+    raised = "raise material.softening" if scene.material.softening < 1 else "raise material.youngs_modulus"
+    foam = "" if scene.contact.law == "densifying" else ', or take contact.law = "densifying", which stiffens as a foam does'
+    return f"E · NSF = {modulus:g} Pa{known}; {raised}{foam}"
 
 
 def _gives_way(scene: Scene, group: str | None) -> str:

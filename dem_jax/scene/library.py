@@ -24,6 +24,7 @@ FORMER_NAMES = {  # of buckets, of a version that named them by what makers call
     "5-litre": "9.1-litre",
 }
 OF_BUCKETS = ("feed_bucket", "weigh_bucket")
+OF_FOAMS = "densifying"  # a contact law that products name
 OF_A_PRODUCT = ("portion", "material", "pair", "contact", "evidence", "state")
 SECTIONS = {PRODUCTS: OF_A_PRODUCT, BUCKETS: (*OF_BUCKETS, "drop")}  # of a file of the user's
 
@@ -72,11 +73,15 @@ def states_of_product(name: str) -> list[str]:
 
 
 def with_product(tree: Tree, name: Any, source: str | Path) -> Tree:
-    """A scene's tree with the product in its portion: shape, sizes, [material] and the ranges of its numbers are the product's;
-    how many there are and how they lie stays. Raises SceneError."""
+    """A scene's tree with the product in its portion: shape, sizes, [material], the contact law that it needs and the ranges of
+    its numbers are the product's; how many there are and how they lie stays. Raises SceneError."""
     own = for_scene(product_tree(name, source), f"product {name}")
     if tree.get("piece"):
         raise SceneError(f"{source}: product = {name!r}: allowed in a scene with a portion, this one lists its pieces")
+    contact = tree.get("contact")
+    if isinstance(contact, dict) and contact.get("law") == OF_FOAMS:  # which the product before it needed
+        own_keys = ("law", "densification", "impact_speed")
+        tree = tree | {"contact": {key: item for key, item in contact.items() if key not in own_keys}}
     kept = {key: item for key, item in (tree.get("portion") or {}).items() if key not in (*OF_PRODUCT, "product")}
     rows = [row for row in tree.get("uncertain") or () if not _is_of_material(row)]
     return on_top(tree | {"portion": kept, "uncertain": rows}, own | {"uncertain": [*rows, *own.get("uncertain", [])]})
@@ -109,18 +114,19 @@ def with_named(below: Tree, own: Tree, source: str | Path) -> Tree:
     rows = portion.get("product") if isinstance(portion, dict) else None
     named = [row for row in rows if isinstance(row, dict) and "product" in row] if isinstance(rows, list | tuple) else []
     if portion and rows and named:
-        own["portion"], own["material"], ranges = _mixture(portion, rows, own.get("material"), source)
-        own["uncertain"] = [*ranges, *own.get("uncertain", [])]
+        own.update(_mixture(own, rows, source))
     return below
 
 
-def _mixture(portion: Tree, rows: Sequence[Any], material: Any, source: str | Path) -> tuple[Tree, Any, list[Tree]]:
-    """A portion whose rows may name products, with the keys of these beneath their own, [material] with theirs by name, and the
-    rows of [[uncertain]] with the ranges of their numbers.
+def _mixture(own_tree: Tree, rows: Sequence[Any], source: str | Path) -> Tree:
+    """Sections of a scene whose portion has rows that may name products.
 
-    Softening is one for all materials: the largest of the products', so that none is softer than its own file says.
+    The keys of products lie beneath those of their rows, [material] has theirs by name, [[uncertain]] the ranges of their
+    numbers. Softening is one for all materials: the largest of the products', so that none is softer than its own file says. So
+    is the contact law: the one that a product needs, unless the scene sets it.
     """
-    filled, materials, softening, ranges = [], {}, [], list[Tree]()
+    portion, material = own_tree["portion"], own_tree.get("material")
+    filled, materials, softening, ranges, contact = [], {}, [], list[Tree](), Tree()
     for n, row in enumerate(rows):
         if not isinstance(row, dict) or "product" not in row:
             filled.append(row)
@@ -129,6 +135,7 @@ def _mixture(portion: Tree, rows: Sequence[Any], material: Any, source: str | Pa
         name = row["product"]
         product = for_scene(product_tree(name, source, f"portion.product.{n}.product"), f"product {name}")
         name = name.replace(":", "-") if isinstance(name, str) else name
+        contact |= product.get("contact", {})
         shape = product["portion"]
         if "shape" in own:
             shape = {key: item for key, item in shape.items() if key in ("material", "piece_weight", *SPREADS)}
@@ -144,7 +151,9 @@ def _mixture(portion: Tree, rows: Sequence[Any], material: Any, source: str | Pa
     given = material if isinstance(material, dict) else {}
     whole = merged({**({"softening": max(softening)} if softening else {}), **materials}, given)
     ranges = without_ranges({"uncertain": ranges}, {"material": given})["uncertain"]
-    return {**portion, "product": filled}, whole if material is None or given else material, list(ranges)
+    sections = {"portion": {**portion, "product": filled}, "material": whole if material is None or given else material}
+    law = {"contact": merged({"contact": contact}, own_tree)["contact"]} if contact else {}
+    return {**sections, **law, "uncertain": [*ranges, *own_tree.get("uncertain", [])]}
 
 
 def _named(folder: Path, key: str, name: Any, source: str | Path) -> Tree:

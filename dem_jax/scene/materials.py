@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from dem_jax.scene import buckets
 from dem_jax.scene.numbers import array
 from dem_jax.scene.scene import Scene
 from dem_jax.scene.sections.material import DEFAULT, WALL, Material, NamedMaterial
+from dem_jax.scene.surfaces import SURFACES
 
 
 @dataclass(frozen=True)
@@ -46,6 +48,7 @@ class _Row:
     friction_wall: float
     rolling_friction: float
     pull_off: float
+    wall_surface: str
 
 
 def material_table(scene: Scene) -> MaterialTable:
@@ -68,8 +71,8 @@ def material_table(scene: Scene) -> MaterialTable:
         youngs_modulus=each("youngs_modulus"),
         poisson_ratio=each("poisson_ratio"),
         restitution=pairs("restitution", _of_piece_or_mean("restitution", "restitution")),
-        friction=pairs("friction", _of_piece_or_mean("friction_piece", "friction_wall")),
-        pull_off=pairs("pull_off", _of_piece_or_mean("pull_off", "pull_off")),
+        friction=pairs("friction", _of_piece_or_mean("friction_piece", "friction_wall", "friction")),
+        pull_off=pairs("pull_off", _of_piece_or_mean("pull_off", "pull_off", "pull_off")),
         rolling=pairs("rolling_friction", _of_piece_or_mean("rolling_friction", "rolling_friction")),
     )
 
@@ -106,6 +109,14 @@ def materials_of_groups(scene: Scene) -> dict[str, str | None]:
     return found
 
 
+def modulus_range(scene: Scene, name: str | None) -> tuple[float, float] | None:
+    """Within which (Pa) the modulus of a material of pieces is known, as the scene says it; name: None of [material] itself."""
+    own = scene.material.named.get(name or "")
+    if own is not None and (own.youngs_modulus_range is not None or own.youngs_modulus is not None):
+        return own.youngs_modulus_range
+    return scene.material.youngs_modulus_range
+
+
 def _names_of_pieces(scene: Scene) -> list[str | None]:
     if scene.piece:
         return [row.material for row in scene.piece]
@@ -122,7 +133,7 @@ def _row(base: Material, name: str | None, is_wall: bool) -> _Row:
     """The material with the name, None: [material] itself, as pieces or as walls have it."""
     own = NamedMaterial() if name is None else base.named[name]
 
-    def said(key: str, inherited: str | None = None) -> float:
+    def said(key: str, inherited: str | None = None) -> Any:
         value = getattr(own, key)
         return getattr(base, inherited or key) if value is None else value
 
@@ -137,15 +148,18 @@ def _row(base: Material, name: str | None, is_wall: bool) -> _Row:
         friction_wall=said("friction_wall"),
         rolling_friction=said("rolling_friction"),
         pull_off=said("pull_off"),
+        wall_surface=said("wall_surface"),
     )
 
 
-def _of_piece_or_mean(between_pieces: str, on_wall: str) -> Callable[[_Row, _Row], float]:
-    """Properties of two materials that are not listed as a pair."""
+def _of_piece_or_mean(between_pieces: str, on_wall: str, by_surface: str | None = None) -> Callable[[_Row, _Row], float]:
+    """Properties of two materials that are not listed as a pair; by_surface: the factor of a wall's surface on them."""
 
     def rule(a: _Row, b: _Row) -> float:
         if a.is_wall != b.is_wall:
-            return getattr(b if a.is_wall else a, on_wall)
+            piece, wall = (b, a) if a.is_wall else (a, b)
+            own = getattr(piece, on_wall)
+            return own * getattr(SURFACES[wall.wall_surface], by_surface) if by_surface else own
         one, other = getattr(a, between_pieces), getattr(b, between_pieces)
         return one if one is other else 0.5 * (one + other)
 

@@ -7,13 +7,14 @@ import numpy as np
 from dem_jax.build.bucket_fill import fills_of
 from dem_jax.build.pieces import Goods, densities_of, goods_of, masses_of
 from dem_jax.scene import Scene, parse
-from dem_jax.scene.materials import MaterialTable, material_table, rows_of_pieces
+from dem_jax.scene.materials import MaterialTable, material_table, modulus_range, rows_of_pieces
 from dem_jax.shapes import extents
 from dem_jax.show.heap import heap_said
 from dem_jax.store.run import Run
 
 Facts = list[tuple[str, str]]  # what, and what there is to say of it
-EXPONENT = {"walton-braun": 0.5, "linear-dashpot": 0.5, "hertz-mindlin": 0.4}  # of stiffness, in the peak of one impact
+# Power of the stiffness in the peak of one impact; of a densifying spring while its overlap is small.
+EXPONENT = {"walton-braun": 0.5, "linear-dashpot": 0.5, "hertz-mindlin": 0.4, "densifying": 0.5}
 
 
 def main_group(run: Run) -> str | None:
@@ -93,14 +94,6 @@ def find_peak_factors(scene: Scene) -> tuple[float, float] | None:
             return None
         found += [(in_series(e) / (nsf * in_series(table.youngs_modulus[k]))) ** power for e in bounds]
     return float(np.min(found)), float(np.max(found))
-
-
-def modulus_range(scene: Scene, name: str) -> tuple[float, float] | None:
-    """Within which (Pa) the modulus of a material of pieces is known, as the scene says it."""
-    own = scene.material.named.get(name)
-    if own is not None and (own.youngs_modulus_range is not None or own.youngs_modulus is not None):
-        return own.youngs_modulus_range
-    return scene.material.youngs_modulus_range
 
 
 def band_of_peak(run: Run) -> tuple[float, float] | None:

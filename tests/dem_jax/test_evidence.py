@@ -97,6 +97,15 @@ def test_a_mixture_has_the_ranges_of_its_products_by_name():
     assert keys["material.frozen-pea-thawing.friction_wall"] == (0.57, 0.72)
 
 
+def test_the_law_of_foams_comes_and_goes_with_the_product():
+    foam = load_scene("weigh-bucket", {"product": "marshmallow-soft"})
+    assert foam.contact.law == "densifying" and foam.replace({"product": "hazelnut"}).contact.law == "walton-braun"
+    assert foam.replace({"contact.law": "hertz-mindlin"}).contact.law == "hertz-mindlin"
+    rows = '[[portion.product]]\nproduct = "hazelnut"\n[[portion.product]]\nproduct = "marshmallow-soft"\n'
+    assert parse(f'base = "weigh-bucket"\n[portion]\n{rows}').contact.law == "densifying"
+    assert parse(f'base = "weigh-bucket"\n[contact]\nlaw = "linear-dashpot"\n[portion]\n{rows}').contact.law == "linear-dashpot"
+
+
 @pytest.mark.parametrize(
     ("row", "message"),
     [
@@ -143,3 +152,19 @@ def test_the_command_prints_values_ranges_grades_and_sources(capsys, tmp_path):
     by_file, by_name = (load_scene("weigh-bucket", {"product": name}) for name in ("again.toml", "peanut"))
     sections = ("portion", "material", "uncertain")
     assert [getattr(by_file, key) for key in sections] == [getattr(by_name, key) for key in sections]
+
+
+def test_a_wall_surface_multiplies_friction_and_pull_off_on_that_wall_alone():
+    """On PTFE 0.7 times the friction of stainless steel, on dimples 0.85 times, with 0.4 times the pull-off; listed pairs stay."""
+    base = {"product": "gummy-bear", "material.wall_surface": "ptfe", "feed_bucket.material": "tray"}
+    walls = load_scene("weigh-bucket", {**base, "material.tray.wall_surface": "dimpled"})
+    table = material_table(walls)
+    piece, weigh, feed = (table.names.index(name) for name in ("default", "wall", "tray"))
+    own = walls.material
+    assert table.friction[piece, weigh] == own.friction_wall * 0.7 and table.pull_off[piece, weigh] == own.pull_off
+    assert table.friction[piece, feed] == own.friction_wall * 0.85 and table.pull_off[piece, feed] == own.pull_off * 0.4
+    assert table.friction[piece, piece] == own.friction_piece and table.pull_off[piece, piece] == own.pull_off
+    listed = material_table(walls.replace({"pair": [{"of": ["default", "tray"], "friction": 0.5}]}))
+    assert listed.friction[piece, feed] == 0.5
+    with pytest.raises(SceneError, match='material.wall_surface = "teflon": allowed: "stainless" or "galvanised" or "dimpled"'):
+        load_scene("weigh-bucket", {"material.wall_surface": "teflon"})

@@ -22,8 +22,9 @@ def test_every_product_is_a_portion(name):
     assert sum(weights) == pytest.approx(0.05, abs=0.5 * max(weights) + 1e-9)
     assert 0.05e-3 < max(weights) < 0.05, "a piece that a scale drops several of"
     stiff = scene.material.youngs_modulus * scene.material.softening
-    assert 1e5 <= stiff <= 1e7, "neither too soft to land nor too slow to compute"
-    assert stiff == scene.material.youngs_modulus or stiff >= 1e6, "softened only where the measured modulus is stiffer"
+    softest = 1e5 if scene.contact.law == "walton-braun" else 3e4  # a foam stiffens
+    assert softest <= stiff <= 1e7, "neither too soft to land nor too slow to compute"
+    assert stiff == scene.material.youngs_modulus or stiff >= 1e6 * (1 - 1e-9), "softened only where the measured modulus is stiffer"
     assert parse(scene.to_toml()) == scene
 
 

@@ -7,15 +7,16 @@ from pydantic import Field
 from dem_jax.scene.sections.base import NotNegative, Positive, Section
 from dem_jax.scene.sections.material import Material
 
-LawName = Literal["walton-braun", "linear-dashpot", "hertz-mindlin"]
+LawName = Literal["walton-braun", "linear-dashpot", "hertz-mindlin", "densifying"]
 
 # Keys that belong to some laws only, by section and key: the laws that have them.
 OF_LAWS = {
     ("material", "separation"): ("walton-braun",),
     ("material", "unloading_damping"): ("walton-braun",),
     ("material", "rest_damping"): ("walton-braun",),
-    ("material", "tangential_stiffness"): ("walton-braun", "linear-dashpot"),
-    ("contact", "impact_speed"): ("hertz-mindlin",),
+    ("material", "tangential_stiffness"): ("walton-braun", "linear-dashpot", "densifying"),
+    ("contact", "impact_speed"): ("hertz-mindlin", "densifying"),
+    ("contact", "densification"): ("densifying",),
 }
 
 
@@ -30,7 +31,12 @@ class Contact(Section):
     """The contact law. Cohesion comes to it with material.pull_off or pair.pull_off."""
 
     law: LawName = "walton-braun"
-    impact_speed: Positive = Field(5.0, description='m/s, the fastest impact that the time step resolves; law "hertz-mindlin"')
+    impact_speed: Positive = Field(
+        5.0, description='m/s, the fastest impact that the time step resolves; law "hertz-mindlin" or "densifying"'
+    )
+    densification: Positive = Field(
+        0.2, description='overlap at which a foam is solid, as fraction of the size L of the smaller body; law "densifying"'
+    )
     cohesion: Cohesion = Cohesion()
     smooth_angle_deg: float = Field(
         20.0, ge=0, le=45, description="panels of a wall group that meet at no more are one smooth surface, touched once"

@@ -6,6 +6,7 @@ from typing import Annotated
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from dem_jax.scene.sections.base import NotNegative, Positive, Section, as_tuple
+from dem_jax.scene.surfaces import SurfaceName
 
 DEFAULT, WALL = "default", "wall"  # names of [material] in [[pair]]: of pieces, and of walls, that name no other
 
@@ -40,6 +41,7 @@ class NamedMaterial(Section):
     friction_wall: NotNegative | None = Field(None, description="mu between such a piece and a wall")
     rolling_friction: NotNegative | None = Field(None, description="mu_r of such a piece, on pieces and on walls")
     pull_off: NotNegative | None = Field(None, description="N, largest adhesive force of a contact, of pieces")
+    wall_surface: SurfaceName | None = Field(None, description="of walls: changes friction_wall and pull_off of pieces on them")
 
 
 class Material(Section, extra="allow"):
@@ -73,6 +75,9 @@ class Material(Section, extra="allow"):
     poisson_ratio: PoissonRatio = Field(0.3, description="pieces")
     wall_poisson_ratio: PoissonRatio = Field(0.3, description="walls")
     pull_off: NotNegative = Field(0.0, description="N, largest adhesive force of a contact")
+    wall_surface: SurfaceName = Field(
+        "stainless", description="of walls: changes friction_wall and pull_off of pieces on them by its factors"
+    )
 
     @property
     def named(self) -> dict[str, NamedMaterial]:
@@ -93,7 +98,7 @@ class Pair(Section):
 
     Two pieces of one material: its restitution, friction_piece, rolling_friction and pull_off. Two pieces of different
     materials: the arithmetic mean of both. A piece and a wall: the restitution, friction_wall, rolling_friction and pull_off of
-    the piece's material.
+    the piece's material, friction_wall and pull_off times the factors of the wall's wall_surface.
     Stiffness follows from both moduli, eq. 5. Materials by name hold for pieces and walls alike: ``of = ["gummy",
     "gummy"]`` is said of two pieces and of a piece on a wall.
     """
