@@ -309,6 +309,12 @@ def piece_arrays(scene: Scene, goods: Goods) -> Pieces:
     )
 
 
+def size_of_piece(scene: Scene, law: str) -> float:
+    """The size L (m) of the first piece, from which a contact law takes its stiffness. Raises SceneError."""
+    convention = "equivalent-diameter" if law == "hertz-mindlin" else scene.material.stiffness_size  # as ``curvature`` above
+    return shapes.size_length(goods_of(scene).shapes[0], convention)
+
+
 def _width(shape: shapes.Shape) -> float:
     """Smallest width (m): least extent along the normal of a face; of several parts that of the narrowest."""
     if shape.radius > 0:

@@ -12,6 +12,7 @@ from dem_jax.cli import (
     ensemble,
     export,
     gltf,
+    measure,
     plot,
     posterior,
     products,
@@ -26,7 +27,10 @@ from dem_jax.cli import (
 from dem_jax.cli.arguments import BAD_INPUT, Parser, one_line
 from dem_jax.errors import PlatformError, RecordError, SceneError, SimulationError
 
-COMMANDS = (run, ensemble, study, posterior, scenes, products, buckets, plot, report, export, render, gltf, vtk, weigh, collisions)
+COMMANDS = (
+    *(run, ensemble, study, posterior, scenes, products, buckets, measure),
+    *(plot, report, export, render, gltf, vtk, weigh, collisions),
+)
 FAILED, INTERRUPTED = 1, 130
 
 
