@@ -1,5 +1,8 @@
 """python -m dem_jax weigh"""
 
+import sys
+from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dem_jax.cli import stored
@@ -8,6 +11,7 @@ from dem_jax.errors import RecordError
 
 if TYPE_CHECKING:
     from dem_jax.weighing.traces import Trace
+    from dem_jax.weighing.tuning import Drops
 
 FILTERS = ("average:0.1", "bessel:4:8", "fir:201:10")
 RATE = 1000.0  # 1/s, as fast digital load cells have
@@ -25,6 +29,12 @@ def add(commands: Commands) -> None:
     made.add_argument(
         "--tolerance", type=float, nargs="+", metavar="G", help="g of the truth within which a reading counts (default: 0.1 0.5 1)"
     )
+    made.add_argument(
+        "--tune", type=float, metavar="G",
+        help="find the best filter of each family for a tolerance of G grams on half of the drops of all files, and judge it by "
+        "the other half, beside the filters given",
+    )  # fmt: skip
+    made.add_argument("--pool", action="store_true", help="count the drops of all files as one set (--tune always does)")
     made.add_argument("--rate", type=float, default=RATE, help=f"readings per second (default: {RATE:g})")
     made.add_argument(
         "--noise", metavar="N",
@@ -43,26 +53,66 @@ def add(commands: Commands) -> None:
 
 
 def weigh(args: Args) -> None:
-    """Print the times to weigh and draw the readings."""
-    from dem_jax.show.weighing import convert_trace, filter_signal, plot_readings, table
-    from dem_jax.weighing.settling import TOLERANCES
+    """Print the times to weigh and draw the readings, or tune filters."""
+    from dem_jax.show.weighing import convert_trace
 
     out = stored.target(args.out or stored.default_out(args.files, "-weigh.png"), args.files)
-    tolerances = [1e-3 * grams for grams in args.tolerance] if args.tolerance else TOLERANCES
-    if not all(0 < tolerance < 1e3 for tolerance in tolerances):
-        raise RecordError(f"--tolerance {' '.join(f'{grams:g}' for grams in args.tolerance)}: allowed: numbers above 0 (g)")
-    rows = []
+    tolerances = _read_tolerances(args)
     traces = _read_traces(args)
-    for k, (name, file, trace) in enumerate(zip(stored.names_of(args.files), args.files, traces, strict=True)):
+    drops = []
+    for k, (file, trace) in enumerate(zip(args.files, traces, strict=True)):
         try:
-            signal = convert_trace(trace, args.rate, (args.seed, k))
-            for text in args.filters or FILTERS:
-                rows.append(filter_signal(f"{name}: {trace.source}", trace, signal, args.rate, text))
+            drops.append(convert_trace(trace, args.rate, (args.seed, k)))
         except ValueError as error:
             raise RecordError(f"{file}: {error}") from error
-    for line in table(rows, tolerances):
+    if args.tune is None:
+        _show_readings(args, tolerances, traces, drops, out)
+    else:
+        _tune(args, tolerances[0], traces, drops, out)
+
+
+def _read_tolerances(args: Args) -> Sequence[float]:
+    """(kg), of --tune the only one. Raises RecordError."""
+    from dem_jax.weighing.settling import TOLERANCES
+
+    if args.tune is not None and args.tolerance:
+        raise RecordError("--tolerance: allowed: without --tune, which has a tolerance of its own")
+    flag, grams = ("--tune", [args.tune]) if args.tune is not None else ("--tolerance", args.tolerance or ())
+    if not all(0 < each < 1e6 for each in grams):
+        raise RecordError(f"{flag} {' '.join(f'{each:g}' for each in grams)}: allowed: numbers above 0 (g)")
+    return [1e-3 * each for each in grams] or TOLERANCES
+
+
+def _show_readings(args: Args, tolerances: Sequence[float], traces: Sequence["Trace"], drops: Sequence["Drops"], out: Path) -> None:
+    """The table and the figure of the readings."""
+    from dem_jax.show.weighing import filter_drops, plot_readings, table, table_of_pool
+
+    rows = []
+    for name, file, trace, some in zip(stored.names_of(args.files), args.files, traces, drops, strict=True):
+        try:
+            for text in args.filters or FILTERS:
+                rows.append(filter_drops(f"{name}: {trace.source}", trace, some, args.rate, text))
+        except ValueError as error:
+            raise RecordError(f"{file}: {error}") from error
+    for line in (table_of_pool if args.pool else table)(rows, tolerances):
         print(line)
     print(plot_readings(rows, tolerances, out))
+
+
+def _tune(args: Args, tolerance: float, traces: Sequence["Trace"], drops: Sequence["Drops"], out: Path) -> None:
+    """The table and the figure of the best filter of each family."""
+    from dem_jax.show.tuned_filters import plot_tuned, table_of_tuned
+    from dem_jax.weighing.tuning import judge_filter, tune_filters
+
+    cells = [trace.cell for trace in traces if trace.cell]
+    try:
+        given = [judge_filter(text, drops, args.rate, tolerance) for text in args.filters or ()]
+        rows = tune_filters(drops, args.rate, tolerance, cells, lambda family: print(f"search: {family}", file=sys.stderr))
+    except ValueError as error:
+        raise RecordError(f"--tune {args.tune:g}: {error}") from error
+    for line in table_of_tuned([*rows, *given]):
+        print(line)
+    print(plot_tuned([*rows, *given], tolerance, out))
 
 
 def _read_traces(args: Args) -> list["Trace"]:

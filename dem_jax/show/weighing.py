@@ -9,26 +9,29 @@ import numpy as np
 from dem_jax.show import plot
 from dem_jax.show.at_rest import find_rest
 from dem_jax.show.facts import main_block
-from dem_jax.show.numbers import Number
 from dem_jax.show.overlay import COLOURS, INK
 from dem_jax.store.reader import load_run
 from dem_jax.weighing import chain, filters
 from dem_jax.weighing.cell import Cell, through_cell
-from dem_jax.weighing.noise import Seed, add_noise
-from dem_jax.weighing.settling import HOLD, time_to_weigh
+from dem_jax.weighing.noise import Seed, add_noise, draw_release_delays
+from dem_jax.weighing.settling import HOLD, QUANTILES, Times, find_quantile, pool_times, time_to_weigh
 from dem_jax.weighing.traces import Trace, is_product_model, trace_of_file
+from dem_jax.weighing.tuning import Drops
 
 if TYPE_CHECKING:  # loaded where something is drawn: it takes a second
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-HEADINGS = ("trace", "filter", "delay (ms)", "within (g)", "after (ms)", "5 %", "95 %", "never")
+SHARES = tuple(f"{100 * q:g} %" for q in QUANTILES)
+OF_TIMES = (*(f"{share} (ms)" for share in SHARES), *(f"{share} since impact" for share in SHARES), "never")
+HEADINGS = ("trace", "filter", "delay (ms)", "within (g)", *OF_TIMES)
 LEAST_ERROR = 1e-2  # g: below, errors are drawn as this
 HEAD_ROOM = 2.0  # times the truth: how far up readings are shown
 
 
 class Readings(NamedTuple):
-    """What a scale shows of a trace. time: [m] (s); weight: [K, m] (kg), of K runs; truth: [K] (kg); delay: (s), of the filter."""
+    """Readings of a trace. time: [m] (s); weight: [K, m] (kg), of K runs; truth: [K] (kg); delay: (s), of the filter; impact: [K]
+    (s), first impact."""
 
     name: str
     filter: str
@@ -36,11 +39,12 @@ class Readings(NamedTuple):
     time: np.ndarray
     weight: np.ndarray
     truth: np.ndarray
+    impact: np.ndarray
 
-    def after(self, tolerance: float) -> Number:
-        """The time to weigh (ms) of each run, for a tolerance (kg)."""
-        name = f"time to weigh within {1e3 * tolerance:g} g"
-        return Number(name, "ms", 1e3 * time_to_weigh(self.time, self.weight, self.truth, tolerance, HOLD))
+    def times(self, tolerance: float) -> Times:
+        """The time to weigh of each run, for a tolerance (kg)."""
+        release = time_to_weigh(self.time, self.weight, self.truth, tolerance, HOLD)
+        return Times(release, release - self.impact)
 
 
 def read_trace(path: str | Path, group: str | None, block: str | None, truth: float | None) -> tuple[Trace, str]:
@@ -65,19 +69,26 @@ def readings_of(name: str, trace: Trace, rate: float | None, text: str, seed: Se
 
     Raises ValueError.
     """
-    return filter_signal(name, trace, convert_trace(trace, rate, seed), rate, text)
+    return filter_drops(name, trace, convert_trace(trace, rate, seed), rate, text)
 
 
-def filter_signal(name: str, trace: Trace, signal: tuple[np.ndarray, np.ndarray], rate: float | None, text: str) -> Readings:
-    """The readings of a trace whose signal has been converted at a rate (1/s), see ``convert_trace``. Raises ValueError."""
-    of, (time, values) = chain.chain(trace.sample, rate, text), signal
-    weight = filters.filtered(of.filter, filters.start(of.filter, values.shape[:-1]), values)[0]
-    return Readings(name, text, of.filter.delay * of.samples * trace.sample, time, weight, np.atleast_1d(trace.truth))
+def filter_drops(name: str, trace: Trace, drops: Drops, rate: float | None, text: str) -> Readings:
+    """The readings of a trace that has been converted at a rate (1/s), see ``convert_trace``. Raises ValueError."""
+    of = chain.chain(trace.sample, rate, text)
+    weight = filters.filtered(of.filter, filters.start(of.filter, drops.signal.shape[:-1]), drops.signal)[0]
+    return Readings(name, text, of.filter.delay * of.samples * trace.sample, drops.time, weight, drops.truth, drops.impact)
 
 
-def convert_trace(trace: Trace, rate: float | None, seed: Seed = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Time [m] (s) and signal [K, m] (kg) of the converter, before any filter: means at a rate (1/s), with the trace's noise and
-    less its tare. Raises ValueError."""
+def convert_trace(trace: Trace, rate: float | None, seed: Seed = 0) -> Drops:
+    """The drops of a trace as the converter shows them, before any filter: means at a rate (1/s), with the trace's noise and less
+    its tare. Raises ValueError."""
+    truth = np.atleast_1d(trace.truth)
+    impact = np.atleast_1d(trace.first_impact) + draw_release_delays(trace.noise, seed, len(truth))
+    return Drops(*_convert_signal(trace, rate, seed), truth, impact)
+
+
+def _convert_signal(trace: Trace, rate: float | None, seed: Seed) -> tuple[np.ndarray, np.ndarray]:
+    """Time [m] (s) and signal [K, m] (kg) of the converter."""
     plain = chain.chain(trace.sample, rate, "none")
     time, signal = chain.weighed(plain, trace.time, np.atleast_2d(trace.weight))
     if trace.noise is None:
@@ -97,16 +108,41 @@ def on_cell(trace: Trace, cell: Cell) -> Trace:
 
 
 def table(rows: Sequence[Readings], tolerances: Sequence[float]) -> list[str]:
-    """Lines of a table: for each of the readings and each tolerance (kg) the median time to weigh, its band, how many never do."""
-    cells: list[tuple[str, ...]] = [HEADINGS]
-    for row in rows:
+    """Lines of a table: for each of the readings and each tolerance (kg) quantiles of the times to weigh (ms), since the release
+    and since the first impact, and how many drops never are."""
+    parts = [(*_name_cells(row.name, row), tolerance, row.times(tolerance)) for row in rows for tolerance in tolerances]
+    return _align_times(parts)
+
+
+def table_of_pool(rows: Sequence[Readings], tolerances: Sequence[float]) -> list[str]:
+    """Lines of a table as ``table``, with the drops of all traces behind a filter as one set."""
+    parts = []
+    for text in dict.fromkeys(row.filter for row in rows):
+        same = [row for row in rows if row.filter == text]
         for tolerance in tolerances:
-            number = row.after(tolerance)
-            never = int(np.isnan(number.values).sum())
-            times = [f"{value:.4g}" if np.isfinite(value) else "-" for value in (number.median, *number.band)]
-            most = f"{never} of {len(number.values)}"
-            cells.append((row.name, row.filter, f"{1e3 * row.delay:.3g}", f"{1e3 * tolerance:g}", *times, most))
-    widths = [max(len(line[k]) for line in cells) for k in range(len(HEADINGS))]
+            pooled = pool_times([row.times(tolerance) for row in same])
+            parts.append((*_name_cells(f"{len(same)} files", same[0]), tolerance, pooled))
+    return _align_times(parts)
+
+
+def _align_times(parts: Sequence[tuple[str, str, str, float, Times]]) -> list[str]:
+    """Lines under HEADINGS; a tolerance is in kg."""
+    return align_cells([HEADINGS, *((*names, f"{1e3 * within:g}", *cells_of_times(times)) for *names, within, times in parts)])
+
+
+def _name_cells(name: str, row: Readings) -> tuple[str, str, str]:
+    return name, row.filter, "-" if np.isnan(row.delay) else f"{1e3 * row.delay:.3g}"
+
+
+def cells_of_times(times: Times) -> tuple[str, ...]:
+    """Cells under OF_TIMES."""
+    found = [1e3 * find_quantile(since, q) for since in times for q in QUANTILES]
+    return *(f"{value:.4g}" if np.isfinite(value) else "-" for value in found), f"{times.never} of {len(times.release)}"
+
+
+def align_cells(cells: Sequence[tuple[str, ...]]) -> list[str]:
+    """Lines of a table with columns of equal width."""
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
     return ["  ".join(text.ljust(width) for text, width in zip(line, widths, strict=True)).rstrip() for line in cells]
 
 
@@ -119,7 +155,7 @@ def plot_readings(rows: Sequence[Readings], tolerances: Sequence[float], path: s
 
 def figure_of_readings(rows: Sequence[Readings], tolerances: Sequence[float]) -> "Figure":
     """Figure (matplotlib.figure.Figure): the readings (g) over ms, and the largest error (g) from then on, with dots for the
-    times to weigh at their tolerances (kg). Of several runs the median, the band from 5 to 95 % and the median time."""
+    times to weigh at their tolerances (kg). Of several runs the median, the band from 5 to 95 % and the time of half of them."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(10.8, 4.2), layout="constrained")
@@ -135,7 +171,8 @@ def figure_of_readings(rows: Sequence[Readings], tolerances: Sequence[float]) ->
         from_then_on = np.maximum.accumulate(errors[:, ::-1], axis=1)[:, ::-1]
         _draw(right, row, np.maximum(from_then_on, LEAST_ERROR), COLOURS[k % len(COLOURS)], label)
         for tolerance in tolerances:
-            right.plot(row.after(tolerance).median, 1e3 * tolerance, "o", ms=5, color=COLOURS[k % len(COLOURS)], zorder=3)
+            half = 1e3 * find_quantile(row.times(tolerance).release, 0.5)
+            right.plot(half, 1e3 * tolerance, "o", ms=5, color=COLOURS[k % len(COLOURS)], zorder=3)
     known = np.concatenate([row.truth[np.isfinite(row.truth)] for row in rows])
     if len(known):
         truth = 1e3 * float(np.median(known))

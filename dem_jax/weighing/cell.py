@@ -36,6 +36,11 @@ class Cell(NamedTuple):
         """Rate (1/s) at which the ringing of the mass without product decays."""
         return np.asarray(self.damping) / (2 * np.asarray(self.mass))
 
+    @property
+    def damping_ratio(self) -> np.ndarray:
+        """Of the critical damping of the mass without product."""
+        return self.decay / (2 * np.pi * self.frequency)
+
 
 def cell_of(section: LoadCell) -> Cell:
     """The cell of a scene's section."""

@@ -1,39 +1,57 @@
-"""Filters of a scale: a cascade of sections b / a, by scipy.signal, each of gain 1 at rest.
+"""Filters of a scale: a cascade of sections b / a, by scipy.signal, each of gain 1 at rest, and of those in ``adaptive``.
 
     a_0 y_n = sum_k b_k x_(n-k) - sum_(k>0) a_k y_(n-k)
 """
 
+import re
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy import signal
 
+from dem_jax.weighing.adaptive import THRESHOLD, FallingBandwidth, GrowingWindow
+
 Coefficients = tuple[float, ...]
-Memory = tuple[np.ndarray, ...]  # of each section what it keeps from reading to reading, [.., order]
+Linear = tuple[Coefficients, Coefficients]  # b, a
+Section = Linear | FallingBandwidth | GrowingWindow
+Memory = tuple[Any, ...]  # of each section what it keeps from reading to reading; of a linear one [.., order]
 WINDOW = "hamming"  # of an FIR filter, unless it is named
+MOST_DAMPING = 0.9  # ratio, of an oscillation that a shaper cancels: with more there is hardly one
 HIGHEST = 25  # order of a Bessel filter, as far as scipy goes
-ALLOWED = "none, average:SECONDS, bessel:ORDER:HZ, fir:TAPS:HZ[:WINDOW], or a file .csv of taps or of second-order sections"
+ALLOWED = (
+    "none, average:SECONDS[:SECONDS..], bessel:ORDER:HZ, fir:TAPS:HZ[:WINDOW], notch:HZ:WIDTH_HZ, "
+    "shaper:HZ:DAMPING_RATIO[:IMPULSES], variable:HZ:LAST_HZ:SECONDS, growing:WAIT_SECONDS[:THRESHOLD_KG], "
+    "a file .csv of taps or of second-order sections, or several of these joined by +"
+)
 
 
 @dataclass(frozen=True)
 class Filter:
     """A filter for readings of one rate.
 
-    name: as a person wrote it. sections: (b, a) of each, one after the other.
+    name: as a person wrote it. sections: one after the other, (b, a) of those that are linear.
     """
 
     name: str
-    sections: tuple[tuple[Coefficients, Coefficients], ...]
+    sections: tuple[Section, ...]
 
     @property
     def delay(self) -> float:
-        """Group delay at rest, in readings: by which a slow change is late."""
-        return float(sum(_delay(b) - _delay(a) for b, a in self.sections))
+        """Group delay at rest, in readings: by which a slow change is late; nan for a window that grows."""
+        return float(sum(_delay(s[0]) - _delay(s[1]) if isinstance(s, tuple) else s.delay for s in self.sections))
 
 
 def named(text: str, rate: float) -> Filter:
     """The filter of a text as in ALLOWED, for readings of a rate (1/s). Raises ValueError."""
+    parts = [text] if Path(text).is_file() else re.split(r"(?<![0-9.][eE])\+", text)
+    return Filter(text, tuple(section for part in parts for section in _named(part, rate).sections))
+
+
+def _named(text: str, rate: float) -> Filter:
+    """The filter of a text without +."""
     kind, *numbers = text.split(":")
     if kind == "none" and not numbers:
         return Filter(text, ())
@@ -44,13 +62,23 @@ def named(text: str, rate: float) -> Filter:
         values = [float(number) for number in numbers]
     except ValueError:
         values = []
-    if kind == "average" and len(values) == 1:
-        return moving_average(values[0], rate, text)
-    if kind == "bessel" and len(values) == 2:
-        return bessel(values[0], values[1], rate, text)
-    if kind == "fir" and len(values) == 2:
-        return fir(values[0], values[1], rate, window, text)
-    raise ValueError(f"filter {text!r}: allowed: {ALLOWED}")
+    makers: dict[str, tuple[range, Callable[..., Filter]]] = {  # how many numbers, and what makes the filter of them
+        "average": (range(1, 10), lambda *seconds: cascaded_averages(seconds, rate, text)),
+        "bessel": (range(2, 3), lambda order, hz: bessel(order, hz, rate, text)),
+        "fir": (range(2, 3), lambda taps, hz: fir(taps, hz, rate, window, text)),
+        "notch": (range(2, 3), lambda hz, width: notch(hz, width, rate, text)),
+        "shaper": (range(2, 4), lambda hz, damping, count=2.0: shaper(hz, damping, rate, count, text)),
+        "variable": (range(3, 4), lambda hz, last, time: falling_bandwidth(hz, last, time, rate, text)),
+        "growing": (range(1, 3), lambda wait, kg=THRESHOLD: growing_window(wait, rate, kg, text)),
+    }
+    if kind not in makers or len(values) not in makers[kind][0]:
+        raise ValueError(f"filter {text!r}: allowed: {ALLOWED}")
+    return makers[kind][1](*values)
+
+
+def cascaded_averages(seconds: Sequence[float], rate: float, name: str = "cascaded averages") -> Filter:
+    """Moving averages one after the other. Raises ValueError."""
+    return Filter(name, tuple(section for each in seconds for section in moving_average(each, rate, name).sections))
 
 
 def moving_average(seconds: float, rate: float, name: str = "moving average") -> Filter:
@@ -81,6 +109,73 @@ def fir(taps: float, frequency: float, rate: float, window: str = WINDOW, name: 
         raise ValueError(f"filter {name!r}: window = {window!r}: {error}; allowed: one of scipy.signal.windows") from error
 
 
+def notch(frequency: float, width: float, rate: float, name: str = "notch") -> Filter:
+    """A notch of second order that takes out a frequency (Hz), with a width (Hz) at 3 dB less. Raises ValueError."""
+    _check_frequency(frequency, rate, name)
+    if not 0 < width < rate / 2:
+        raise ValueError(f"filter {name!r}: width = {width:g} Hz: allowed: above 0 and below {rate / 2:g} Hz, half of the rate")
+    return Filter(name, (_section(*signal.iirnotch(frequency, frequency / width, rate)),))
+
+
+def shaper(frequency: float, damping_ratio: float, rate: float, impulses: float = 2, name: str = "shaper") -> Filter:
+    """The input shaper that leaves nothing of an oscillation: impulses half a damped period apart, in the ratios of a binomial
+    with the decay of the oscillation over that time (2: zero vibration; 3: of its derivative by the frequency as well).
+
+    An impulse between two readings n and n + 1 is shared between them so that the oscillation at readings, p^k with
+    p = exp(s / rate), is still cancelled exactly: 1 + a p^-n + b p^-(n + 1) = 0, of which a and b are the real solution.
+
+    Args:
+        frequency: (Hz) of the oscillation without damping.
+        damping_ratio: of the critical damping.
+        rate: readings per second.
+        impulses: their number.
+        name: for messages.
+
+    Raises:
+        ValueError: a number that is not allowed.
+
+    Reference:
+        N. C. Singer, W. P. Seering, Preshaping command inputs to reduce system vibration,
+        J. Dyn. Syst. Meas. Control 112 (1990) 76.
+    """
+    _check_frequency(frequency, rate, name)
+    if not 0 <= damping_ratio <= MOST_DAMPING:
+        raise ValueError(f"filter {name!r}: damping ratio = {damping_ratio:g}: allowed: from 0 to {MOST_DAMPING:g}")
+    if not (2 <= impulses <= 20 and impulses == int(impulses)):
+        raise ValueError(f"filter {name!r}: impulses = {impulses:g}: allowed: a whole number from 2 to 20")
+    swing = 2 * np.pi * frequency / rate
+    angle, shrink = swing * np.sqrt(1 - damping_ratio**2), np.exp(-damping_ratio * swing)
+    whole = int(np.pi / angle)
+    pair = np.zeros(whole + 2)
+    pair[0] = 1.0
+    pair[whole] += -(shrink**whole) * np.sin((whole + 1) * angle) / np.sin(angle)
+    pair[whole + 1] = shrink ** (whole + 1) * np.sin(whole * angle) / np.sin(angle)
+    taps = np.ones(1)
+    for _ in range(int(impulses) - 1):
+        taps = np.convolve(taps, pair)
+    return Filter(name, (_section(taps),))
+
+
+def falling_bandwidth(first: float, last: float, time: float, rate: float, name: str = "variable") -> Filter:
+    """A low pass of second order (two of the first) whose bandwidth falls from one frequency (Hz) to another with a time constant
+    (s) from the trigger on. Raises ValueError."""
+    _check_frequency(first, rate, name)
+    if not 0 < last <= first:
+        raise ValueError(f"filter {name!r}: last frequency = {last:g} Hz: allowed: above 0 and at most the first, {first:g} Hz")
+    if not 0 < time < 1e6:
+        raise ValueError(f"filter {name!r}: seconds = {time:g}: allowed: above 0")
+    return Filter(name, (FallingBandwidth(first, last, time, rate),) * 2)
+
+
+def growing_window(wait: float, rate: float, threshold: float = THRESHOLD, name: str = "growing") -> Filter:
+    """The mean since a wait (s) after the first impact, at which a reading exceeds a threshold (kg). Raises ValueError."""
+    if not 0 <= wait < 1e6:
+        raise ValueError(f"filter {name!r}: wait = {wait:g} s: allowed: 0 or more")
+    if not 0 < threshold < 1e6:
+        raise ValueError(f"filter {name!r}: threshold = {threshold:g} kg: allowed: above 0")
+    return Filter(name, (GrowingWindow(round(wait * rate), threshold),))
+
+
 def of_table(path: str | Path) -> Filter:
     """The filter of a CSV file: a tap in each line, or a section b0, b1, b2, a0, a1, a2. Raises ValueError."""
     try:
@@ -105,16 +200,19 @@ def of_coefficients(sections: list[tuple[np.ndarray, np.ndarray]], name: str = "
 
 def start(of: Filter, lead: tuple[int, ...] = ()) -> Memory:
     """What a filter keeps of an empty scale, for signals with these leading axes."""
-    return tuple(np.zeros((*lead, max(len(b), len(a)) - 1)) for b, a in of.sections)
+    return tuple(np.zeros((*lead, max(map(len, s)) - 1)) if isinstance(s, tuple) else s.start(lead) for s in of.sections)
 
 
 def filtered(of: Filter, memory: Memory, values: np.ndarray) -> tuple[np.ndarray, Memory]:
     """Readings [.., n] after the filter, [.., n], and what it keeps for those that follow."""
     if not values.shape[-1]:  # of which scipy makes no memory
         return values, memory
-    after = []
-    for (b, a), kept in zip(of.sections, memory, strict=True):
-        values, kept = signal.lfilter(b, a, values, zi=kept)
+    after: list[Any] = []
+    for section, kept in zip(of.sections, memory, strict=True):
+        if isinstance(section, tuple):
+            values, kept = signal.lfilter(*section, values, zi=kept)
+        else:
+            values, kept = section.filtered(kept, values)
         after.append(kept)
     return values, tuple(after)
 

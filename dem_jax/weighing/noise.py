@@ -65,6 +65,13 @@ def add_noise(
     return found.reshape(values.shape)
 
 
+def draw_release_delays(noise: Noise | None, seed: Seed, count: int) -> np.ndarray:
+    """[count] (s) by which ``add_noise`` has the release of each run come after the trigger; negative: before it."""
+    if noise is None or not noise.release_jitter:
+        return np.zeros(count)
+    return noise.release_jitter * _Random(seed, range(count)).normal("release")[:, 0]
+
+
 class _Random:
     """Generators of random numbers of some runs."""
 

@@ -1,7 +1,11 @@
-"""The time to weigh: from when on a reading may be believed."""
+"""The time to weigh: from when on a reading may be believed; its quantiles over drops."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
+QUANTILES = (0.5, 0.9, 0.99)
 TOLERANCES = (1e-4, 5e-4, 1e-3)  # kg
 HOLD = 0.05  # s that a reading must have stayed, for it not to be a swing that happens to cross the truth as the trace ends
 
@@ -19,3 +23,27 @@ def time_to_weigh(
     after = np.append(np.asarray(time, np.float64), np.nan)
     found = after[last + 1]
     return np.where(time[-1] - found >= hold, found, np.nan)
+
+
+class Times(NamedTuple):
+    """Times to weigh of K drops (s), [K], from the release and from the first impact; nan: never."""
+
+    release: np.ndarray
+    impact: np.ndarray
+
+    @property
+    def never(self) -> int:
+        """Number of drops that are never weighed."""
+        return int(np.isnan(self.release).sum())
+
+
+def pool_times(parts: Sequence[Times]) -> Times:
+    """The times of all parts as those of one set of drops."""
+    return Times(*(np.concatenate(each) for each in zip(*parts, strict=True)))
+
+
+def find_quantile(times: np.ndarray, quantile: float) -> float:
+    """The smallest time by which a share of all drops is weighed; nan if fewer ever are (nan: never)."""
+    ordered = np.sort(np.where(np.isnan(times), np.inf, times))
+    found = ordered[int(np.ceil(quantile * len(ordered) - 1e-9)) - 1]
+    return float(found) if np.isfinite(found) else float("nan")

@@ -24,7 +24,8 @@ class Trace(NamedTuple):
 
     time: [T] (s) ends of the sample intervals. weight: [.., T] (kg), the force over g. truth: [..] (kg), mass that lies there in
     the end. source: what the weight is of. product: [.., T] or a number (kg), mass that lies there over time. cell: the load
-    cell that the weight has gone through; None: none. noise: of the scene; None: none. gravity: (m/s2).
+    cell that the weight has gone through; None: none. noise: of the scene; None: none. gravity: (m/s2). impact: [..] (s) first
+    force of the product, nan: there is none; None: where the weight begins.
     """
 
     time: np.ndarray
@@ -35,11 +36,23 @@ class Trace(NamedTuple):
     cell: Cell | None = None
     noise: Noise | None = None
     gravity: float = STANDARD_GRAVITY
+    impact: np.ndarray | None = None
+
+    @property
+    def first_impact(self) -> np.ndarray:
+        """[..] (s) end of the sample in which the product first presses; nan: it never does."""
+        return find_first_force(self.time, self.weight) if self.impact is None else self.impact
 
     @property
     def sample(self) -> float:
         """(s) sample time."""
         return float((self.time[-1] - self.time[0]) / (len(self.time) - 1))
+
+
+def find_first_force(time: np.ndarray, force: np.ndarray) -> np.ndarray:
+    """[..] (s) end of the first sample whose force [.., T] is not 0; nan: none is."""
+    acts = force != 0
+    return np.where(acts.any(axis=-1), time[np.argmax(acts, axis=-1)], np.nan)
 
 
 def trace_of(run: Run, group: str | None = None, block: str | None = None, truth: float | None = None) -> Trace:
@@ -50,18 +63,20 @@ def trace_of(run: Run, group: str | None = None, block: str | None = None, truth
     """
     series = getattr(run, "load_cell", {})
     section, cell = _sections_of(run)
+    groups = [group] if group else [name for name in BUCKET if name in run.force] or list(run.force)[:1]
+    force = np.sum([run.pif_kg(name) for name in groups], axis=0) if groups else None
     if group is None and "weight" in series:
         weight, source = np.asarray(series["weight"], np.float64), "load cell"
+    elif force is None:
+        raise RecordError("there is no force to weigh: the run has no walls")
     else:
-        groups = [group] if group else [name for name in BUCKET if name in run.force] or list(run.force)[:1]
-        if not groups:
-            raise RecordError("there is no force to weigh: the run has no walls")
-        weight, source = np.sum([run.pif_kg(name) for name in groups], axis=0), f"force on {' and '.join(groups)}"
-        cell = None
+        weight, source, cell = force, f"force on {' and '.join(groups)}", None
     known, product = _truth(run.settled_mass, block, truth, weight.shape[:-1]), _product(run.settled_mass, block)
     gravity = float(np.linalg.norm(run.header.gravity)) or STANDARD_GRAVITY
     noise = section.noise if section else None
-    return _checked(Trace(np.asarray(run.time), weight, known, source, product, cell, noise, gravity))
+    time = np.asarray(run.time)
+    impact = None if force is None else find_first_force(time, force)
+    return _checked(Trace(time, weight, known, source, product, cell, noise, gravity, impact))
 
 
 def _sections_of(run: Run) -> tuple[LoadCell | None, Cell | None]:

@@ -7,16 +7,19 @@ from scipy import signal
 import product_model
 from dem_jax.__main__ import main
 from dem_jax.errors import RecordError
-from dem_jax.show.weighing import figure_of_readings, readings_of, table
+from dem_jax.show.weighing import figure_of_readings, readings_of, table, table_of_pool
 from dem_jax.store.record import Run
 from dem_jax.validation import CellImpact
 from dem_jax.weighing import chain, filters
+from dem_jax.weighing.adaptive import FallingBandwidth
 from dem_jax.weighing.settling import time_to_weigh
 from dem_jax.weighing.traces import Trace, trace_of, trace_of_file
 from tests.dem_jax.stored import stored
 
 RATE = 1000.0
-KINDS = ("none", "average:0.02", "bessel:4:15", "bessel:5:40", "fir:101:20", "fir:64:20:blackman", "own.csv")
+KINDS = ("none", "average:0.02", "bessel:4:15", "bessel:5:40", "fir:101:20", "fir:64:20:blackman")
+KINDS += ("average:0.04:0.02:0.01", "notch:50:10", "shaper:50:0.02:3", "notch:50:10+average:0.1", "own.csv")
+CHANGING = ("variable:40:2:0.1", "growing:0.05", "shaper:50:0.02+growing:0.05:1e-2")
 
 
 def own(path):
@@ -65,15 +68,18 @@ def test_the_delay_is_the_group_delay_at_rest_and_that_of_a_ramp(tmp_path):
 
 
 def test_what_rests_reads_true_through_any_filter(tmp_path):
-    for text in KINDS[:-1] + (own(tmp_path / "own.csv"),):
+    for text in KINDS[:-1] + CHANGING + (own(tmp_path / "own.csv"),):
         of = filters.named(text, RATE)
         assert one_go(of, np.full(5000, 0.05))[-1] == pytest.approx(0.05, rel=1e-9), text
     (tmp_path / "taps.csv").write_text("1\n2\n1\n")
     assert filters.named(str(tmp_path / "taps.csv"), RATE).sections == (((0.25, 0.5, 0.25), (1.0, 0.0)),)
 
 
-@pytest.mark.parametrize("text", KINDS)
-@pytest.mark.parametrize("rate", [RATE, 1 / 90e-6, 1 / 30e-6, 777.7])
+RATES = (RATE, 1 / 90e-6, 1 / 30e-6, 777.7)
+STREAMS = [(text, rate) for text in KINDS[:6] + KINDS[-1:] for rate in RATES] + [(text, 777.7) for text in KINDS[6:-1] + CHANGING]
+
+
+@pytest.mark.parametrize(("text", "rate"), STREAMS)
 def test_a_stream_of_blocks_has_the_bits_of_one_go(text, rate, tmp_path):
     text = own(tmp_path / "own.csv") if text == "own.csv" else text
     of = chain.chain(30e-6, rate, text)
@@ -90,7 +96,7 @@ def test_a_stream_of_blocks_has_the_bits_of_one_go(text, rate, tmp_path):
     np.testing.assert_array_equal(chain.weighed(of, 30e-6 * np.arange(1, 3001), weight[1])[1], whole[1])
 
 
-@pytest.mark.parametrize("rate", [RATE, 1 / 90e-6, 1 / 30e-6, 777.7])
+@pytest.mark.parametrize("rate", RATES)
 def test_a_reading_is_the_mean_of_its_interval(rate):
     """Of samples that are means over their intervals: a straight line's are its values in the middle."""
     sample = 30e-6
@@ -120,6 +126,67 @@ def test_a_ringing_cell_reaches_the_tolerance_when_its_envelope_does():
         assert abs(case.alone(start, np.array([after]))[0][0]) <= tolerance
         beyond = case.alone(start, np.linspace(after, envelope + np.pi / swing, 5000))[0]
         assert np.abs(beyond).max() <= tolerance * (1 + 1e-9)
+
+
+@pytest.mark.parametrize(("frequency", "ratio"), [(50.0, 0.0), (50.0, 0.02), (43.7, 0.1), (311.0, 0.3), (17.3, 0.9)])
+@pytest.mark.parametrize("impulses", [2, 3, 5])
+def test_a_shaper_cancels_the_ringing_of_a_cell_exactly_also_between_readings(frequency, ratio, impulses):
+    swing = 2 * np.pi * frequency
+    pole = swing * (-ratio + 1j * np.sqrt(1 - ratio**2))
+    edges = np.arange(601) / RATE
+    ring = np.imag(np.exp(pole * edges + 0.7j) / pole)  # the integral of a ringing, whose means are those of a converter
+    readings = one_go(filters.shaper(frequency, ratio, RATE, impulses), 0.05 + RATE * np.diff(ring))
+    settled = (impulses - 1) * (int(RATE / (2 * frequency * np.sqrt(1 - ratio**2))) + 1)  # its last impulse, in readings
+    np.testing.assert_allclose(readings[settled:], 0.05, rtol=0, atol=1e-13)
+    taps = np.array(filters.shaper(frequency, ratio, RATE, impulses).sections[0][0])
+    assert (taps >= 0).all() and taps.sum() == pytest.approx(1.0, rel=1e-14)
+
+
+def test_a_shaper_has_the_impulses_of_the_literature_where_half_periods_are_whole_readings():
+    zero_vibration = [0.5, *[0.0] * 9, 0.5, 0.0]
+    np.testing.assert_allclose(filters.shaper(50.0, 0.0, RATE).sections[0][0], zero_vibration, atol=1e-15)
+    taps = np.array(filters.shaper(50.0, 0.0, RATE, 3).sections[0][0])
+    np.testing.assert_allclose(taps[[0, 10, 20]], [0.25, 0.5, 0.25], atol=1e-15)
+
+
+def test_a_notch_has_a_zero_at_its_frequency_and_is_3_db_down_at_its_width():
+    ((b, a),) = filters.notch(50.0, 10.0, RATE).sections
+    gain = np.abs(signal.freqz(b, a, [50.0, 0.0], fs=RATE)[1])
+    np.testing.assert_allclose(gain, [0.0, 1.0], atol=1e-12)
+    frequency = np.linspace(40.0, 60.0, 20001)
+    beyond = frequency[np.abs(signal.freqz(b, a, frequency, fs=RATE)[1]) <= np.sqrt(0.5)]
+    assert beyond[-1] - beyond[0] == pytest.approx(10.0, abs=2e-3)  # two steps of the frequencies
+
+
+def test_cascaded_averages_are_the_convolution_of_their_windows():
+    pulse = np.append(1.0, np.zeros(99))
+    windows = np.convolve(np.convolve(np.full(40, 1 / 40), np.full(20, 1 / 20)), np.full(10, 1 / 10))
+    readings = one_go(filters.named("average:0.04:0.02:0.01", RATE), pulse)
+    np.testing.assert_allclose(readings, np.append(windows, np.zeros(100 - len(windows))), rtol=0, atol=1e-15)
+
+
+def test_a_growing_window_is_the_running_mean_since_its_wait_after_the_first_impact():
+    values = 0.02 + 0.1 * np.random.default_rng(1).random((2, 400))
+    values[0, :100], values[1, :250] = 0.019, 0.0  # below the threshold
+    readings = one_go(filters.named("growing:0.03", RATE), values)
+    for row, found, first in zip(values, readings, (100, 250), strict=True):
+        np.testing.assert_array_equal(found[: first + 30], row[: first + 30])
+        count = np.arange(1, 400 - first - 30 + 1)
+        np.testing.assert_allclose(found[first + 30 :], np.cumsum(row[first + 30 :]) / count, rtol=1e-14)
+
+
+def test_a_low_pass_of_falling_bandwidth_has_its_closed_step_response():
+    of = FallingBandwidth(40.0, 2.0, 0.1, RATE)
+    time = np.arange(1, 501) / RATE
+    frequency = 2.0 + 38.0 * np.exp(-time / 0.1)
+    found = of.filtered(of.start(()), np.ones(500))[0]
+    np.testing.assert_allclose(found, 1 - np.exp(-2 * np.pi * np.cumsum(frequency) / RATE), rtol=1e-12)
+    keep = np.exp(-2 * np.pi * 5.0 / RATE)  # of a bandwidth that does not fall: two equal poles
+    same = signal.lfilter([(1 - keep) ** 2], np.convolve([1, -keep], [1, -keep]), np.ones(500))
+    constant = filters.named("variable:5:5:0.1", RATE)
+    np.testing.assert_allclose(one_go(constant, np.ones(500)), same, rtol=1e-11)
+    ramp = np.arange(3000.0)
+    assert ramp[-1] - one_go(constant, ramp)[-1] == pytest.approx(constant.delay, rel=1e-9)
 
 
 def test_a_mean_over_whole_swings_sees_nothing_of_them():
@@ -152,6 +219,15 @@ def test_never_is_nan_and_runs_are_told_apart():
         ("odd.csv", "2 columns: allowed: 1"),
         ("high.csv", "do not add up to 0"),
         ("wild.csv", "within the unit circle"),
+        ("average:0.1:0", "at least one reading"),
+        ("notch:50:500", "width = 500 Hz: allowed: above 0 and below 500 Hz"),
+        ("notch:500:1", "500 Hz: allowed: above 0 and below 500 Hz"),
+        ("shaper:50:1", "damping ratio = 1: allowed: from 0 to 0.9"),
+        ("shaper:50:0.1:2.5", "impulses = 2.5: allowed: a whole number from 2 to 20"),
+        ("variable:10:20:0.1", "last frequency = 20 Hz: allowed: above 0 and at most the first"),
+        ("variable:10:2:0", "seconds = 0: allowed: above 0"),
+        ("growing:-1", "wait = -1 s: allowed: 0 or more"),
+        ("growing:0.1:0", "threshold = 0 kg: allowed: above 0"),
     ],
 )
 def test_what_is_no_filter_is_said(text, words, tmp_path):
@@ -187,8 +263,10 @@ def test_portions_of_the_product_model_are_weighed_by_the_same_chain_as_they_com
     assert read.source == "Product Model" and read.truth == pytest.approx(9 * 0.005832)
     row = readings_of("portion", read, RATE, "average:0.05")
     last = float(trace.pulses.start.max() + trace.pulses.duration.max())
-    after = float(row.after(1e-6).median)
-    assert 1e3 * last + 49 < after < 1e3 * last + 52  # once the last impact has left the window
+    times = row.times(1e-6)
+    assert last + 0.049 < times.release[0] < last + 0.052  # once the last impact has left the window
+    first = float(trace.pulses.start.min())
+    assert first < times.release[0] - times.impact[0] <= first + read.sample  # the end of the sample of the first force
     of = chain.chain(read.sample, RATE, "average:0.05")
     state, found = chain.start(of), []
     for sample in trace.pif_kg:  # one by one
@@ -202,21 +280,32 @@ def test_the_table_and_the_figure_say_when(tmp_path, capsys):
     steps = np.array([0.1, 0.2, 0.3])
     trace = Trace(time, 0.05 * (time >= steps[:, None] + 0.5e-4), np.full(3, 0.05), "load cell")
     row = readings_of("drops", trace, RATE, "average:0.02")
-    np.testing.assert_allclose(row.after(1e-9).values, 1e3 * (steps + 0.02))
+    np.testing.assert_allclose(row.times(1e-9).release, steps + 0.02)
+    np.testing.assert_allclose(row.times(1e-9).impact, 0.0199)  # the first sample of the step ends 0.1 ms after it
     head, line = table([row], [1e-4])
-    assert head.split()[:2] == ["trace", "filter"] and line.split() == [*"drops average:0.02 9.5 0.1 220 130 310 0 of 3".split()]
+    assert head.split()[:2] == ["trace", "filter"]
+    assert line.split() == "drops average:0.02 9.5 0.1 220 320 320 19.9 19.9 19.9 0 of 3".split()
+    late = row._replace(name="late", weight=0.0 * row.weight)
+    assert len(table([row, late], [1e-4])) == 3 and len(table_of_pool([row, late], [1e-4])) == 2
+    assert table_of_pool([row, late], [1e-4])[1].split() == "2 files average:0.02 9.5 0.1 320 - - 19.9 - - 3 of 6".split()
     left, right = figure_of_readings([row], [1e-4, 1e-3]).axes
     assert left.get_ylabel() == "reading (g)" and right.get_yscale() == "log"
     dots = [line.get_xydata()[0] for line in right.get_lines() if line.get_marker() == "o"]
-    np.testing.assert_allclose(dots, [[220.0, 0.1], [row.after(1e-3).median, 1.0]])
+    np.testing.assert_allclose(dots, [[220.0, 0.1], [1e3 * np.sort(row.times(1e-3).release)[1], 1.0]])
     stored(peaks=(2.0, 3.0)).save(tmp_path / "runs.h5")
     assert main(["weigh", "runs.h5", "--filter", "none", "--tolerance", "0.5", "--out", "runs.pdf"]) == 0
     out = capsys.readouterr().out
     assert "runs: force on plate  none    0           0.5" in out and "runs.pdf" in out
+    assert main(["weigh", "runs.h5", "runs.h5", "--filter", "none", "--tolerance", "0.5", "--pool", "--out", "runs.pdf"]) == 0
+    assert " of 4" in capsys.readouterr().out.splitlines()[1]
     for arguments, words in (
         (["--rate", "1e6"], "rate = 1e+06: allowed: above 0 and at most 10000 per second"),
         (["--filter", "bessel:4:900"], "runs.h5: filter 'bessel:4:900'"),
         (["--tolerance", "0"], "--tolerance 0: allowed: numbers above 0"),
+        (["--tune", "-1"], "--tune -1: allowed: numbers above 0"),
+        (["--tune", "1", "--tolerance", "1"], "--tolerance: allowed: without --tune"),
+        (["--tune", "1"], "--tune 1: 2 drops whose truth is known: allowed: at least 4"),
+        (["--tune", "1", "--rate", "10"], "--tune 1: rate = 10: allowed: at least 20 per second"),
         (["--block", "wb"], "block = 'wb'"),
         (["--group", "lf"], "group = 'lf'"),
     ):

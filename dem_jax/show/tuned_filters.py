@@ -1,0 +1,52 @@
+"""Tuned filters of a scale: their table, and the figure of the share of drops that are weighed over time."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dem_jax.show import plot
+from dem_jax.show.overlay import COLOURS
+from dem_jax.show.weighing import OF_TIMES, align_cells, cells_of_times
+from dem_jax.weighing.settling import QUANTILES
+from dem_jax.weighing.tuning import Tuned
+
+if TYPE_CHECKING:  # loaded where something is drawn: it takes a second
+    from matplotlib.figure import Figure
+
+LINES = ("-", "--", ":")  # of families, each in all colours
+
+
+def table_of_tuned(rows: Sequence[Tuned]) -> list[str]:
+    """Lines of a table: family, filter, and quantiles of the times to weigh (ms) of the drops that judge."""
+    return align_cells([("family", "filter", *OF_TIMES), *((row.family, row.filter, *cells_of_times(row.times)) for row in rows)])
+
+
+def plot_tuned(rows: Sequence[Tuned], tolerance: float, path: str | Path) -> Path:
+    """Save ``figure_of_tuned`` as PNG, PDF or SVG. Returns the path. Raises RecordError."""
+    path = Path(path)
+    plot.check_format(path, plot.PICTURE_FORMATS)
+    return plot.save_figure(figure_of_tuned(rows, tolerance), path, dpi=200)
+
+
+def figure_of_tuned(rows: Sequence[Tuned], tolerance: float) -> "Figure":
+    """Figure (matplotlib.figure.Figure): the share (%) of the drops that judge whose reading is and stays within a tolerance (kg),
+    over the time since the first impact (ms)."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8.0, 5.0), layout="constrained")
+    axes = figure.subplots()
+    for k, row in enumerate(rows):
+        times = np.sort(row.times.impact[np.isfinite(row.times.impact)])
+        share = 100 * np.arange(len(times) + 1) / len(row.times.impact)
+        line = LINES[k // len(COLOURS) % len(LINES)]
+        axes.step(np.append(0.0, 1e3 * times), share, where="post", color=COLOURS[k % len(COLOURS)], ls=line, label=row.family)
+    for quantile in QUANTILES:
+        axes.axhline(100 * quantile, color="0.6", lw=0.6, ls=":")
+    axes.set_xlabel("time since the first impact (ms)")
+    axes.set_ylabel(f"drops weighed within {1e3 * tolerance:g} g (%)")
+    axes.set_ylim(0, 101)
+    axes.set_xlim(left=0)
+    plot.legend(figure)
+    return figure

@@ -1,0 +1,248 @@
+"""The best filter of each family of the trade for a set of drops: found on one half of them, judged by the other.
+
+A drop counts by its time to weigh. The search minimises the 90 % quantile of it, since the first
+impact, over the drops of even number, then the median: a grid over the parameters of a family, then
+finer grids about the best. The drops of odd number judge.
+"""
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy import signal
+
+from dem_jax.weighing import filters
+from dem_jax.weighing.cell import Cell
+from dem_jax.weighing.settling import HOLD, Times, find_quantile, pool_times, time_to_weigh
+
+GOAL = 0.9  # the quantile that the search minimises
+LEVELS = 3  # finer grids about the best
+BRANCHES = 2  # the best, about which there are finer grids
+REFINEMENT = 3.0  # ratio of the spacings of two levels
+LEAST_DROPS = 4
+LEAST_RATE = 20.0  # readings per second, at which the slowest filters of all families are possible
+UNKNOWN_CELL = (15.0, 120.0)  # Hz, where the frequency of a cell is looked for if it is not known
+SOFTER, STIFFER = 0.7, 1.05  # of a known one, which product makes slower
+DAMPING_RATIO = 0.02  # of a cell that is not known
+
+
+class Drops(NamedTuple):
+    """Signals of K drops as a converter gives them.
+
+    time: [m] (s) ends of the intervals, since the release. signal: [K, m] (kg). truth: [K] (kg), nan:
+    not known. impact: [K] (s) first impact.
+    """
+
+    time: np.ndarray
+    signal: np.ndarray
+    truth: np.ndarray
+    impact: np.ndarray
+
+    def take(self, which: slice | np.ndarray) -> "Drops":
+        """Some of the drops."""
+        return Drops(self.time, self.signal[which], self.truth[which], self.impact[which])
+
+
+class Axis(NamedTuple):
+    """A parameter of a family: values from low to high in equal ratios; for whole numbers the nearest."""
+
+    low: float
+    high: float
+    points: int
+    is_whole: bool = False
+
+    def values(self) -> np.ndarray:
+        """The grid."""
+        return self._round(np.geomspace(self.low, self.high, self.points))
+
+    def refine(self, at: float, level: int) -> np.ndarray:
+        """Five values about one, within the limits; each level has a third of the spacing of the one before."""
+        ratio = (self.high / self.low) ** (REFINEMENT**-level / max(self.points - 1, 1))
+        return self._round(np.clip(at * ratio ** np.arange(-2.0, 3.0), self.low, self.high))
+
+    def _round(self, values: np.ndarray) -> np.ndarray:
+        return np.unique(np.round(values) if self.is_whole else values)
+
+
+@dataclass(frozen=True)
+class Family:
+    """Filters of one kind. text: the filter, as filters.ALLOWED, from values of the axes."""
+
+    name: str
+    axes: tuple[Axis, ...]
+    text: Callable[..., str]
+
+
+class Tuned(NamedTuple):
+    """The best filter of a family. filter: its text. times: of the drops that judge. searched: of those
+    that it was found with."""
+
+    family: str
+    filter: str
+    times: Times
+    searched: Times
+
+
+def tune_filters(
+    drops: Sequence[Drops],
+    rate: float,
+    tolerance: float,
+    cells: Sequence[Cell] = (),
+    progress: Callable[[str], None] = lambda _: None,
+) -> list[Tuned]:
+    """The best filter of each family.
+
+    Args:
+        drops: of one file or of several, which count as one set; those whose truth is not known, or
+            that never touch the bucket, are left out.
+        rate: readings per second, the same for all.
+        tolerance: (kg).
+        cells: load cells behind which the drops were weighed; none: not known.
+        progress: is told the name of each family before it is searched.
+
+    Returns:
+        A row for each family, the soonest 90 % quantile since the first impact first.
+
+    Raises:
+        ValueError: too few drops, or a rate that is too low.
+    """
+    if not rate >= LEAST_RATE:
+        raise ValueError(f"rate = {rate:g}: allowed: at least {LEAST_RATE:g} per second, to tune filters")
+    search, judge = split_drops(drops)
+    portion = float(np.median(np.concatenate([each.truth for each in search])))
+    duration = min(each.time[-1] for each in search)
+    known = [
+        float(np.median([np.median(values) for values in each]))
+        for each in zip(*((cell.frequency, cell.damping_ratio) for cell in cells), strict=True)
+    ]
+    rows = []
+    for family in list_families(rate, duration, portion, *known):
+        progress(family.name)
+        text = _search(family, search, rate, tolerance)
+        exact = [weigh_drops(text, some, rate, tolerance) for some in (judge, search)]
+        rows.append(Tuned(family.name, text, *exact))
+    return sorted(rows, key=lambda row: _score(row.times))
+
+
+def judge_filter(text: str, drops: Sequence[Drops], rate: float, tolerance: float) -> Tuned:
+    """A given filter, judged by the same drops as those that are tuned. Raises ValueError."""
+    search, judge = split_drops(drops)
+    return Tuned("given", text, *(weigh_drops(text, some, rate, tolerance) for some in (judge, search)))
+
+
+def split_drops(drops: Sequence[Drops]) -> tuple[list[Drops], list[Drops]]:
+    """Drops of even number over all parts, by which filters are searched, and those of odd number, which judge.
+
+    Raises ValueError for too few drops whose truth is known.
+    """
+    known = [each.take(np.isfinite(each.truth) & np.isfinite(each.impact)) for each in drops]
+    number = sum(len(each.truth) for each in known)
+    if number < LEAST_DROPS:
+        raise ValueError(f"{number} drops whose truth is known: allowed: at least {LEAST_DROPS}, as half of them judge")
+    halves: tuple[list[Drops], list[Drops]] = [], []
+    first = 0
+    for each in known:
+        for half, start in zip(halves, (first % 2, 1 - first % 2), strict=True):
+            half.append(each.take(slice(start, None, 2)))
+        first += len(each.truth)
+    return halves
+
+
+def weigh_drops(text: str, drops: Sequence[Drops], rate: float, tolerance: float) -> Times:
+    """Times to weigh within a tolerance (kg) through a filter, of the drops of all parts. Raises ValueError."""
+    of = filters.named(text, rate)
+    return _find_times(drops, [filters.filtered(of, filters.start(of, d.signal.shape[:-1]), d.signal)[0] for d in drops], tolerance)
+
+
+def list_families(
+    rate: float, duration: float, portion: float, frequency: float | None = None, damping_ratio: float = DAMPING_RATIO
+) -> list[Family]:
+    """The families for signals of a rate (1/s), a duration (s) and a typical weight (kg), of a load cell of a frequency (Hz)
+    and a damping ratio; frequency None: not known."""
+    longest, highest = max(3.0, rate * duration / 2), rate / 3  # readings; Hz
+    pass_band = Axis(0.5, min(60.0, highest), 24)
+    cell = Axis(*UNKNOWN_CELL, 12) if frequency is None else Axis(SOFTER * frequency, STIFFER * frequency, 7)
+    cell = cell._replace(low=min(cell.low, highest / 2), high=min(cell.high, highest))
+    width = Axis(min(2.0, highest / 4), min(40.0, highest), 5)
+    impulses, threshold = Axis(2, 4, 3, True), Axis(0.1 * portion, 0.5 * portion, 3)
+
+    def window(points: int, least: float = 2) -> Axis:
+        return Axis(least, longest, points, True)
+
+    def average(*readings: float) -> str:
+        return ":".join(["average", *(f"{count / rate:.6g}" for count in readings)])
+
+    def shaper(f: float, count: float) -> str:
+        return f"shaper:{f:.4g}:{damping_ratio:.3g}:{count:.0f}"
+
+    def growing(wait: float, kg: float) -> str:
+        return f"growing:{wait / rate:.6g}:{kg:.4g}"
+
+    return [
+        Family("average", (window(160),), average),
+        Family("two averages", (window(20), window(20)), average),
+        Family("three averages", (window(9), window(9), window(9)), average),
+        Family("Bessel", (Axis(1, 8, 8, True), pass_band), lambda order, f: f"bessel:{order:.0f}:{f:.4g}"),
+        Family("FIR", (Axis(10, max(20.0, longest), 14, True), pass_band), lambda taps, f: f"fir:{taps:.0f}:{f:.4g}"),
+        Family("notch and average", (cell, width, window(10)), lambda f, w, n: f"notch:{f:.4g}:{w:.4g}+{average(n)}"),
+        Family("shaper and average", (cell, impulses, window(14)), lambda f, n, m: f"{shaper(f, n)}+{average(m)}"),
+        Family(
+            "variable low pass",
+            (Axis(5.0, min(100.0, highest), 7), Axis(0.2, 5.0, 7), Axis(0.02, max(duration, 0.04), 7)),
+            lambda first, last, time: f"variable:{first:.4g}:{last:.4g}:{time:.4g}",
+        ),
+        Family("growing window", (window(24, 1), threshold), growing),
+        Family(
+            "shaper and growing window",
+            (cell, impulses, window(14, 1)),
+            lambda f, n, wait: f"{shaper(f, n)}+{growing(wait, 0.2 * portion)}",
+        ),
+    ]
+
+
+def _search(family: Family, drops: Sequence[Drops], rate: float, tolerance: float) -> str:
+    """The text of the family's best filter."""
+    known = dict[str, tuple[tuple[float, float], tuple[float, ...]]]()  # score and values of each
+    grids = [[axis.values() for axis in family.axes]]
+    for level in range(1, LEVELS + 2):
+        for values in itertools.chain(*(itertools.product(*grid) for grid in grids)):
+            text = family.text(*values)
+            if text not in known:
+                times = _find_times(drops, _filter_roughly(text, drops, rate), tolerance)
+                known[text] = _score(times), values
+        best = sorted(known.values())[:BRANCHES]
+        grids = [[axis.refine(at, level) for axis, at in zip(family.axes, values, strict=True)] for _, values in best]
+    return min(known, key=known.__getitem__)
+
+
+def _filter_roughly(text: str, drops: Sequence[Drops], rate: float) -> list[np.ndarray]:
+    """Readings of each part through a filter, up to rounding: long windows by fast Fourier transforms."""
+    readings = [each.signal for each in drops]
+    for section in filters.named(text, rate).sections:
+        readings = [_filter_by_section(section, values) for values in readings]
+    return readings
+
+
+def _filter_by_section(section: filters.Section, values: np.ndarray) -> np.ndarray:
+    if isinstance(section, tuple) and not any(section[1][1:]):
+        return signal.oaconvolve(values, np.array([section[0]]), axes=-1)[..., : values.shape[-1]]
+    of = filters.Filter("", (section,))
+    return filters.filtered(of, filters.start(of, values.shape[:-1]), values)[0]
+
+
+def _find_times(drops: Sequence[Drops], readings: Sequence[np.ndarray], tolerance: float) -> Times:
+    parts = []
+    for each, values in zip(drops, readings, strict=True):
+        release = time_to_weigh(each.time, values, each.truth, tolerance, HOLD)
+        parts.append(Times(release, release - each.impact))
+    return pool_times(parts)
+
+
+def _score(times: Times) -> tuple[float, float]:
+    """The numbers that the search minimises: the 90 % quantile since the first impact, or where fewer are weighed a large number
+    that grows with the share of those that never are; then the median."""
+    goal, median = (find_quantile(times.impact, q) for q in (GOAL, 0.5))
+    never = times.never / len(times.impact)
+    return (goal if np.isfinite(goal) else 1e6 * (1 + never), median if np.isfinite(median) else 1e6)
