@@ -15,6 +15,8 @@ from product_model.inputs import BadInput, Parameters, check, parameters, table 
 from product_model.monte_carlo import Peaks, bands, ensemble, ensemble_blocks, peaks  # noqa: E402
 from product_model.portion import Trace, compiled, simulate  # noqa: E402
 from product_model.record import load, save  # noqa: E402
+from product_model.weigher import Weigher  # noqa: E402
+from product_model.weigher_file import load_weigher, save_weigher  # noqa: E402
 
 __all__ = [
     "BadInput",
@@ -23,6 +25,7 @@ __all__ = [
     "Parameters",
     "Peaks",
     "Trace",
+    "Weigher",
     "bands",
     "check",
     "compiled",
@@ -31,10 +34,12 @@ __all__ = [
     "ensemble_blocks",
     "landings",
     "load",
+    "load_weigher",
     "parameters",
     "peaks",
     "read_fit",
     "save",
+    "save_weigher",
     "simulate",
     "stream",
     "table",

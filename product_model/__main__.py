@@ -1,4 +1,4 @@
-"""Command line: `python -m product_model simulate ...`, `stream ...`, `fmu ...`, `c ...` and `table`."""
+"""Command line: `python -m product_model simulate ...`, `stream ...`, `fmu ...`, `c ...`, `weigh ...` and `table`."""
 
 import argparse
 import sys
@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NoReturn
 
 from product_model.inputs import DTYPES, FORMS, BadInput, Parameters, checked_seed, table
 from product_model.program import QuietStream, run_program, set_open_line, temporary_file
+from product_model.weigh_command import add_weigh_command, weigh
 
 if TYPE_CHECKING:
     import numpy as np
@@ -86,6 +87,7 @@ def _parser() -> argparse.ArgumentParser:
         "--out", default="product_model_c", metavar="DIR", help="folder (default product_model_c)"
     )
     sources.add_argument("--overwrite", action="store_true", help="replace files that exist")
+    add_weigh_command(commands)
     return parser
 
 
@@ -304,6 +306,9 @@ def _run(argv: Sequence[str] | None) -> None:
     args = _parser().parse_args(argv)
     if args.command == "table":
         print(table())
+        return
+    if args.command == "weigh":
+        weigh(args)
         return
     checked_seed(args.seed)
     {"simulate": _simulate, "stream": _stream, "fmu": _fmu, "c": _c}[args.command](args)

@@ -1,0 +1,80 @@
+"""Noise of an empty scale, before portions land: white noise and a damped line, from the
+autocovariance."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import nnls
+
+from product_model.weigher import Weigher
+
+GUARD = 5  # samples before the trigger that are not used
+LEAST_SAMPLES = 60
+LAGS = 100
+FREQUENCIES = np.geomspace(3.0, 100.0, 30)  # Hz
+DECAYS = np.geomspace(0.005, 0.5, 14)  # s
+LEAST_WHITE = 0.05  # g: what a model of one line leaves out, and quantization
+
+
+class ScaleNoise(NamedTuple):
+    """white: (g). line: [2] autoregressive coefficients, line_innovation: (g). sd: (g) of all
+    noise."""
+
+    white: float
+    line: np.ndarray
+    line_innovation: float
+    sd: float
+
+
+def fit_noise(signals: Sequence[np.ndarray], triggers: np.ndarray, empty: Weigher) -> ScaleNoise:
+    """The noise before triggers; where there are too few samples, white noise of LEAST_WHITE."""
+    quiet = [
+        s[: k - GUARD] for s, k in zip(signals, triggers, strict=True) if k - GUARD >= LEAST_SAMPLES
+    ]
+    if not quiet:
+        return ScaleNoise(LEAST_WHITE, np.zeros(2), 0.0, LEAST_WHITE)
+    covariance = _autocovariance([_without_ringing(values, empty) for values in quiet])
+    best = None
+    for frequency in FREQUENCIES[FREQUENCIES < 0.25 / empty.interval]:
+        for decay in DECAYS:
+            shrink = np.exp(-empty.interval / decay)
+            line = np.array(
+                [2 * shrink * np.cos(2 * np.pi * frequency * empty.interval), -(shrink**2)]
+            )
+            shape, innovation = _line_autocovariance(line, len(covariance))
+            basis = np.stack([shape, np.arange(len(covariance)) == 0], axis=1)
+            (size, white), misfit = nnls(basis, covariance)
+            if best is None or misfit < best[0]:
+                best = (misfit, line, np.sqrt(size * innovation), np.sqrt(white))
+    assert best is not None
+    return ScaleNoise(
+        max(float(best[3]), LEAST_WHITE), best[1], float(best[2]), float(np.sqrt(covariance[0]))
+    )
+
+
+def _without_ringing(values: np.ndarray, empty: Weigher) -> np.ndarray:
+    """Values less a constant and a decaying oscillation of the empty cell."""
+    time = empty.interval * np.arange(len(values))
+    swing = np.exp((-empty.delta + 1j * np.sqrt(empty.omega**2 - empty.delta**2)) * time)
+    basis = np.stack([np.ones(len(values)), swing.real, swing.imag], axis=1)
+    return values - basis @ np.linalg.lstsq(basis, values, rcond=None)[0]
+
+
+def _autocovariance(parts: Sequence[np.ndarray]) -> np.ndarray:
+    lags = min(LAGS, min(map(len, parts)) // 2)
+    total = [
+        sum(float(values[: len(values) - lag] @ values[lag:]) for values in parts)
+        for lag in range(lags + 1)
+    ]
+    return np.array(total) / [sum(len(values) - lag for values in parts) for lag in range(lags + 1)]
+
+
+def _line_autocovariance(line: np.ndarray, count: int) -> tuple[np.ndarray, float]:
+    """Autocovariance [count] of unit variance of an autoregressive process of second order, and the
+    variance of its innovations."""
+    a, b = line
+    found = [1.0, a / (1 - b)]
+    while len(found) < count:
+        found.append(a * found[-1] + b * found[-2])
+    return np.array(found), (1 + b) * ((1 - b) ** 2 - a**2) / (1 - b)

@@ -1,0 +1,193 @@
+"""Command line: `python -m calibrate weigher signals.csv --weights weights.csv --cell
+cell.json`."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from calibrate.errors import BadInput, checked_seed
+
+if TYPE_CHECKING:
+    from calibrate.scale_signals import ScaleSignals
+    from calibrate.weigher import EmptyCell, Learnt
+
+TOLERANCES = (1.0, 0.5, 0.1)  # g
+SHARES = (0.5, 0.9, 0.99)
+CELL_KEYS = ("mass", "frequency", "damping")
+
+
+def add_weigher_command(commands: Any, add_table: Any, progress: Any) -> None:
+    """Add the command to the parser. add_table: adds the arguments of tables of text. progress:
+    shows the progress."""
+    parser = commands.add_parser(
+        "weigher", help="learn an estimator of the weight from signals of portions of known weight"
+    )
+    parser.add_argument(
+        "signals",
+        nargs="+",
+        metavar="FILE",
+        help="tables of a logger (a column for each portion), or HDF5 ensembles",
+    )
+    parser.add_argument(
+        "--weights",
+        metavar="FILE",
+        help="table whose last column is the weight of each portion (default: at rest)",
+    )
+    parser.add_argument(
+        "--cell",
+        metavar="FILE",
+        help="of calibrate cell (.json), or keys of [weigh_bucket.load_cell] (.toml)",
+    )
+    parser.add_argument(
+        "--mass",
+        type=float,
+        metavar="KG",
+        help="of the empty bucket on the cell, instead of --cell",
+    )
+    parser.add_argument(
+        "--frequency",
+        type=float,
+        metavar="HZ",
+        help="natural frequency of the empty cell, instead of --cell",
+    )
+    parser.add_argument(
+        "--damping", type=float, metavar="RATIO", help="of the critical damping, instead of --cell"
+    )
+    parser.add_argument(
+        "--rate",
+        type=float,
+        default=1000.0,
+        metavar="HZ",
+        help="readings per second of ensembles (default 1000)",
+    )
+    parser.add_argument(
+        "--noise",
+        metavar="N",
+        help="noise of ensembles: none, typical or a TOML file (default: that of the scene)",
+    )
+    parser.add_argument(
+        "--seed", type=int, default=0, metavar="N", help="of that noise (default 0)"
+    )
+    parser.add_argument(
+        "--out", default="weigher.json", metavar="FILE", help="JSON file (default weigher.json)"
+    )
+    parser.add_argument("--overwrite", action="store_true", help="replace the file if it exists")
+    add_table(parser)
+    parser.set_defaults(action=lambda args: learn(args, progress))
+
+
+def learn(args: argparse.Namespace, progress: Any) -> int:
+    """Learn, write and report; the exit code."""
+    from calibrate.scale_signals import SignalOptions, read_signals, read_weights
+    from calibrate.table_columns import TableOptions
+    from calibrate.weigher import learn_weigher
+    from product_model.weigher_file import save_weigher
+
+    checked_seed(args.seed)
+    out = _target(args)
+    cell = _cell_of_arguments(args)
+    table = TableOptions(args.decimal, args.time_unit, args.force_unit, args.sample)
+    found = read_signals(args.signals, SignalOptions(table, args.rate, args.noise, args.seed, cell))
+    for line in found.said:
+        print(line)
+    cell = cell or found.cell
+    if cell is None:
+        raise BadInput(
+            "cell: is not known; allowed: --cell FILE, or --mass, --frequency and --damping"
+        )
+    weights = _known_weights(found, read_weights(args.weights) if args.weights else None)
+    assert found.interval is not None
+    with progress() as show:
+        learnt = learn_weigher(found.signals, weights, found.interval, cell, show)
+    save_weigher(learnt.weigher, out, _about(args, found, learnt, cell))
+    for line in report(learnt):
+        print(line)
+    print(f"written: {out}")
+    return 0
+
+
+def _target(args: argparse.Namespace) -> Path:
+    out = Path(args.out)
+    if out.suffix != ".json":
+        raise BadInput(f"out = {out}: must end in .json")
+    if not out.parent.is_dir():
+        raise BadInput(f"out = {out}: the folder does not exist")
+    if out.exists() and not args.overwrite:
+        raise BadInput(f"out = {out}: exists; give another name, or --overwrite to replace it")
+    return out
+
+
+def _cell_of_arguments(args: argparse.Namespace) -> "EmptyCell | None":
+    from calibrate.scale_signals import checked_cell, read_cell
+    from calibrate.weigher import EmptyCell
+
+    given = [name for name in CELL_KEYS if getattr(args, name) is not None]
+    if args.cell and given:
+        raise BadInput(f"{given[0]}: is part of --cell {args.cell}; allowed: one of the two")
+    if args.cell:
+        return read_cell(args.cell)
+    if not given:
+        return None
+    if missing := [name for name in CELL_KEYS if name not in given]:
+        raise BadInput(
+            f"{missing[0]}: is not given; allowed: --mass, --frequency and --damping together"
+        )
+    return checked_cell(EmptyCell(args.mass, args.frequency, args.damping), "arguments")
+
+
+def _known_weights(found: "ScaleSignals", given: np.ndarray | None) -> np.ndarray | None:
+    if given is None:
+        return np.array(found.weights) if found.weights else None
+    if found.weights:
+        raise BadInput(
+            "weights: those of simulated drops are in their files; allowed: --weights with tables"
+        )
+    if len(given) != len(found.signals):
+        raise BadInput(
+            f"weights = {len(given)} in number: allowed: {len(found.signals)}, one for each signal"
+        )
+    return given
+
+
+def _about(
+    args: argparse.Namespace, found: "ScaleSignals", learnt: "Learnt", cell: "EmptyCell"
+) -> dict[str, Any]:
+    return {
+        "portions": len(found.signals),
+        "files": [Path(path).name for path in args.signals],
+        "cell": {
+            "mass_kg": cell.mass,
+            "natural_frequency_hz": cell.frequency,
+            "damping_ratio": cell.damping_ratio,
+        },
+        "held_out": report(learnt),
+    }
+
+
+def report(learnt: "Learnt") -> list[str]:
+    """Lines about held-out portions: times until the error stays within tolerances, coverage of the
+    error bar, doubts."""
+    weigher, every = learnt.weigher, 1e3 * float(learnt.weigher.interval)
+    errors, n = np.abs(learnt.errors), learnt.errors.shape[1]
+    lines = [
+        f"{len(errors)} portions of {float(weigher.weight):.4g} g in the mean; held-out portions, from the first impact on:"
+    ]
+    for tolerance in TOLERANCES:
+        off = errors > tolerance
+        until = np.where(off.any(axis=1), n - np.argmax(off[:, ::-1], axis=1), 0).astype(float)
+        until[until >= n] = np.inf
+        times = np.quantile(until, SHARES, method="higher") * every
+        shown = ", ".join(
+            f"{100 * share:g} % after {time:.0f} ms"
+            if np.isfinite(time)
+            else f"{100 * share:g} % never"
+            for share, time in zip(SHARES, times, strict=True)
+        )
+        lines.append(f"- within {tolerance:g} g: {shown}")
+    inside = float((errors <= 1.96 * learnt.sd).mean())
+    lines.append(
+        f"- the 95 % interval holds {100 * inside:.1f} %; the check doubts {int(learnt.flagged.sum())} of {len(errors)}"
+    )
+    return lines

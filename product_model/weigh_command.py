@@ -1,0 +1,99 @@
+"""Command line: `logger | python -m product_model weigh weigher.json`: a reading for each sample as
+it comes."""
+
+import argparse
+import sys
+from collections.abc import Iterator
+from typing import Any, TextIO
+
+import numpy as np
+
+from product_model.inputs import BadInput
+
+TEXT = (
+    "Read samples of a load cell (g, with the tare), one in each line, from the standard input or "
+    "a file. For each sample print the time (s), the net weight (g), its standard deviation (g), "
+    "the status (empty, estimate or fallback) and the reason of a fallback."
+)
+
+
+def add_weigh_command(commands: Any) -> None:
+    """Add the command to the parser."""
+    parser = commands.add_parser(
+        "weigh", help="readings of a scale as its samples come, by an estimator", description=TEXT
+    )
+    parser.add_argument("weigher", metavar="weigher.json", help="of calibrate weigher")
+    parser.add_argument(
+        "samples",
+        nargs="?",
+        default="-",
+        metavar="FILE",
+        help="file of samples (default -: standard input)",
+    )
+    parser.add_argument(
+        "--column",
+        type=int,
+        metavar="N",
+        help="column of the samples, from 1 on (default: the last)",
+    )
+    parser.add_argument(
+        "--every", type=int, default=1, metavar="N", help="print each N-th reading (default 1)"
+    )
+
+
+def weigh(args: argparse.Namespace) -> None:
+    """Print a reading for each sample. Raises `BadInput`."""
+    from product_model.weigher_file import load_weigher
+
+    if args.every < 1:
+        raise BadInput(f"every = {args.every}: allowed: at least 1")
+    if args.column is not None and args.column < 1:
+        raise BadInput(f"column = {args.column}: allowed: at least 1")
+    weigher = load_weigher(args.weigher)
+    if args.samples == "-":
+        _print_readings(weigher, read_samples(sys.stdin, "standard input", args.column), args.every)
+        return
+    try:
+        with open(args.samples, encoding="utf-8") as file:
+            _print_readings(weigher, read_samples(file, args.samples, args.column), args.every)
+    except OSError as error:
+        raise BadInput(f"{args.samples}: cannot be read ({error.strerror or error})") from None
+
+
+def _print_readings(weigher: Any, samples: Iterator[float], every: int) -> None:
+    from product_model.weigher import STATUS, describe_doubts
+
+    state = weigher.start()
+    print("time_s,grams,sd_g,status,doubts", flush=True)
+    for number, sample in enumerate(samples):
+        state, reading = weigher.feed(state, np.float64(sample))
+        if number % every:
+            continue
+        numbers = f"{number * float(weigher.interval):.9g},{float(reading.grams):.4f},{float(reading.sd):.4f}"
+        print(
+            f"{numbers},{STATUS[int(reading.status)]},{describe_doubts(int(reading.doubts))}",
+            flush=True,
+        )
+
+
+def read_samples(lines: TextIO, name: str, column: int | None = None) -> Iterator[float]:
+    """The numbers of a column (None: the last) of lines, as they come; the first line may be a
+    header. Raises `BadInput`."""
+    for number, line in enumerate(lines, 1):
+        cells = line.replace(";", ",").replace("\t", ",").split(",")
+        if not line.strip():
+            continue
+        if column is not None and column > len(cells):
+            raise BadInput(
+                f"{name}: line {number}: {len(cells)} columns, allowed: at least {column}"
+            )
+        cell = cells[-1 if column is None else column - 1].strip()
+        try:
+            value = float(cell)
+        except ValueError:
+            if number == 1:
+                continue
+            raise BadInput(f"{name}: line {number}: {cell!r}: allowed: a number (g)") from None
+        if not np.isfinite(value):
+            raise BadInput(f"{name}: line {number}: {cell!r}: allowed: a finite number (g)")
+        yield value

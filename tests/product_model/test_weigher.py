@@ -1,0 +1,269 @@
+"""The estimator of the weight: closed forms without noise, streaming, and signals that the product
+does not make."""
+
+import io
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+
+from product_model import BadInput, load_weigher, save_weigher
+from product_model import weigher as estimator
+from product_model.__main__ import main
+from product_model.weigher import ESTIMATE, FALLBACK, SHAPES, TOTAL, Weigher, cell_step
+
+H, OMEGA, ZETA, MASS = 1e-3, 2 * np.pi * 50.0, 0.02, 1000.0  # s, 1/s, ratio, g
+ROWS, LEAD, TARE = 150, 80, 12.5
+
+
+def make_weigher(momentum, residual=1e-7, **changes):
+    """An estimator of a product with this mean momentum per weight [ROWS + 1] (s), a cell known
+    exactly and nearly no noise."""
+    values = dict(
+        interval=H,
+        omega=OMEGA,
+        delta=ZETA * OMEGA,
+        mass=MASS,
+        stiffness_sd=1e-7,
+        damping_sd=1e-7,
+        kick=1.0,
+        kick_rate=1e-9,
+        load_rate=1e-9,
+        white=1e-3,
+        line=np.zeros(2),
+        line_innovation=0.0,
+        drift=1e-12,
+        level=1e-3,
+        weight=50.0,
+        least=5.0,
+        most=500.0,
+        impulse=H - np.diff(momentum),
+        shapes=np.zeros((ROWS, 1)),
+        residual=np.full(ROWS, residual),
+        residual_decay=0.9,
+        landed=np.clip(1 - momentum[1:] / max(momentum[0], 1e-9), 0, 1),
+        pulse=np.zeros(ROWS),
+        widening=np.ones(ROWS),
+        check_mean=np.zeros(ROWS),
+        check_sd=np.ones(ROWS),
+        check_decay=0.95,
+        threshold=5.0,
+        sections=np.array([[1.0, 0.0, 0.0, 1.0, 0.0, 0.0]]),
+        filter_sd=np.full(ROWS, 100.0),
+        settled=10 * ROWS,
+    )
+    return Weigher(**values | changes)
+
+
+def show(impulses, landed, weight, omega=OMEGA, mass=MASS):
+    """Signal (g) of the cell under impulses (g s) of samples from LEAD on, with a share of the
+    weight on it."""
+    xi = eta = 0.0
+    signal = [TARE] * LEAD
+    for impulse, share in zip(impulses, landed, strict=True):
+        ratio = mass / (mass + weight * share)
+        e00, e01, e10, e11, g0, g1 = cell_step(np, omega**2 * ratio, ZETA * OMEGA * ratio, H)
+        xi, after = e00 * xi + e01 * eta + g0 * impulse, e10 * xi + e11 * eta + g1 * impulse
+        signal.append(TARE + (impulse - (after - eta)) / H)
+        eta = after
+    return np.array(signal)
+
+
+@pytest.mark.parametrize(("mass", "error"), [(1e9, 1e-4), (MASS, 0.02)])
+def test_a_constant_force_step_gives_the_exact_weight(mass, error):
+    """Noise is 1e-3 g. The load changes the frequency of a light bucket, which is linearized about
+    the mean weight at first."""
+    weigher = make_weigher(np.zeros(ROWS + 1), mass=mass)
+    signal = show(np.full(ROWS, 37.25 * H), weigher.landed, 37.25, mass=mass)
+    reading = weigher.read(signal[None])
+    assert (reading.status[0, LEAD:] == ESTIMATE).all()
+    np.testing.assert_allclose(
+        reading.grams[0, LEAD + 4 :], 37.25, atol=error
+    )  # two unknowns of the cell, and the weight
+    np.testing.assert_allclose(reading.grams[0, -1], 37.25, atol=0.1 * error)
+
+
+@pytest.mark.parametrize(("mass", "error"), [(1e9, 1e-4), (MASS, 0.15)])
+def test_an_ideal_pulse_gives_the_exact_weight_when_it_is_over(mass, error):
+    """All pieces land within one sample with a momentum per weight of 0.25 s; the cell rings with
+    80 times the weight."""
+    weigher = make_weigher(np.append(0.25, np.zeros(ROWS)), mass=mass)
+    for weight in (20.0, 61.5):
+        signal = show(weight * weigher.impulse, weigher.landed, weight, mass=mass)
+        reading = weigher.read(signal[None])
+        assert np.ptp(signal[LEAD:]) > 70 * weight
+        np.testing.assert_allclose(reading.grams[0, LEAD + 3 :], weight, atol=error)
+        np.testing.assert_allclose(reading.grams[0, -1], weight, atol=0.2 * error)
+
+
+def test_the_error_bar_without_noise_is_that_of_the_momentum():
+    """Without noise the impulses are seen, and the weight has the variance of generalized least
+    squares on them. The impulse of a sample shows in the sample after it, so that the last one
+    counts in part."""
+    momentum = 0.2 * np.exp(-np.arange(ROWS + 1) * H / 0.02)
+    weigher = make_weigher(momentum, residual=0.05, mass=1e9)
+    signal = show(40.0 * weigher.impulse, weigher.landed, 40.0, mass=1e9)
+    state = estimator.start(weigher)
+    for sample in signal[: LEAD + 40]:
+        state, reading = estimator.feed(weigher, state, sample, np)
+
+    def expected(count):
+        lag = np.abs(np.subtract.outer(np.arange(count + 1), np.arange(count + 1)))
+        differences = np.diff(np.eye(count + 1), axis=0)
+        covariance = differences @ (0.05**2 * 0.9**lag) @ differences.T
+        impulse = weigher.impulse[:count]
+        return (impulse @ np.linalg.solve(covariance, impulse) + 50.0**-2) ** -0.5
+
+    assert expected(40) < float(reading.sd) < expected(39)
+    assert expected(39) < 1.02 * expected(40)
+    assert float(reading.grams) == pytest.approx(40.0, abs=1e-3)
+
+
+def test_a_shape_conserves_momentum_and_is_told_from_the_weight():
+    """A portion that lands otherwise than the mean by one amplitude of the shape."""
+    momentum = 0.2 * np.exp(-np.arange(ROWS + 1) * H / 0.02)
+    shape = 0.5 * np.sin(np.arange(ROWS + 1) * H / 0.03) * np.exp(-np.arange(ROWS + 1) * H / 0.02)
+    weigher = make_weigher(momentum, shapes=-np.diff(shape)[:, None])
+    signal = show(40.0 * weigher.impulse + 1.7 * weigher.shapes[:, 0], weigher.landed, 40.0)
+    state = estimator.start(weigher)
+    for sample in signal[: LEAD + 60]:
+        state, _ = estimator.feed(weigher, state, sample, np)
+    assert state.mean[SHAPES] == pytest.approx(1.7, abs=1e-3)
+    assert state.mean[TOTAL] == pytest.approx(40.0, abs=1e-3)
+
+
+def test_a_cell_that_is_1_percent_softer_is_found_with_the_weight():
+    momentum = 0.2 * np.exp(-np.arange(ROWS + 1) * H / 0.02)
+    weigher = make_weigher(momentum, stiffness_sd=0.02, white=0.1, residual=1e-4)
+    signal = show(40.0 * weigher.impulse, weigher.landed, 40.0, omega=np.sqrt(0.99) * OMEGA)
+    reading = weigher.read(signal[None])
+    wrong = replace(weigher, stiffness_sd=1e-7).read(signal[None])
+    errors = [np.sqrt(np.mean((r.grams[0, LEAD + 30 :] - 40.0) ** 2)) for r in (reading, wrong)]
+    assert errors[0] < 0.2 * errors[1]
+
+
+def portions(count=6):
+    """Signals [count, n] of a product with scatter, noise, and weights of 30 to 70 g; an estimator
+    of it."""
+    random = np.random.default_rng(3)
+    momentum = 0.2 * np.exp(-np.arange(ROWS + 1) * H / 0.02)
+    shape = 0.3 * np.exp(-np.arange(ROWS + 1) * H / 0.03)
+    weigher = make_weigher(
+        momentum,
+        1e-3,
+        shapes=-np.diff(shape)[:, None],
+        white=0.1,
+        level=3.0,
+        stiffness_sd=0.01,
+        damping_sd=0.1,
+    )
+    weigher = replace(weigher, check_sd=np.full(ROWS, 0.5))
+    weights = np.linspace(30.0, 70.0, count)
+    signals = []
+    for weight in weights:
+        impulses = weight * weigher.impulse + random.standard_normal() * weigher.shapes[:, 0]
+        signals.append(show(impulses, weigher.landed, weight))
+    return np.array(signals) + 0.1 * random.standard_normal((count, LEAD + ROWS)), weights, weigher
+
+
+def test_streaming_equals_batch_and_the_state_does_not_grow():
+    signals, weights, weigher = portions()
+    batch = weigher.read(signals)
+    with jax.enable_x64(True):
+        several = jax.jit(jax.vmap(estimator.feed, in_axes=(None, 0, 0)))
+        state, found = weigher.start((len(signals),)), []
+        size = sum(leaf.size for leaf in jax.tree.leaves(state))
+        for sample in signals.T:
+            state, reading = several(weigher, state, sample)
+            found.append(reading)
+        assert several._cache_size() == 1
+    assert sum(leaf.size for leaf in jax.tree.leaves(state)) == size
+    np.testing.assert_allclose(
+        np.stack([r.grams for r in found], 1), batch.grams, atol=1e-9, rtol=0
+    )
+    np.testing.assert_allclose(np.stack([r.sd for r in found], 1), batch.sd, atol=1e-9, rtol=0)
+    np.testing.assert_array_equal(np.stack([r.status for r in found], 1), batch.status)
+    assert (batch.status[:, -1] == ESTIMATE).all()
+    np.testing.assert_array_less(np.abs(batch.grams[:, -1] - weights), 4 * batch.sd[:, -1])
+
+
+def test_two_portions_and_a_late_piece_are_told_and_the_filter_reads():
+    signals, weights, weigher = portions()
+    assert (weigher.read(signals).status[:, -1] == ESTIMATE).all()
+    later = np.pad(signals - TARE, [(0, 0), (40, 0)])[:, : signals.shape[1]]
+    both = weigher.read(signals + later)
+    piece = show(np.append(np.zeros(100), 6.0 * weigher.impulse[:50]), np.ones(ROWS), 6.0) - TARE
+    late = weigher.read(signals + piece)
+    for reading in (both, late):
+        assert (reading.status[:, -1] == FALLBACK).all()
+        assert not reading.believed[:, -1].any()
+        # this filter passes each sample as it is; the tare is the mean of 80 samples with noise of 0.1 g
+    np.testing.assert_allclose(both.grams[:, -1], (signals + later)[:, -1] - TARE, atol=0.1)
+
+
+def test_a_scale_that_is_emptied_weighs_again():
+    signals, weights, weigher = portions(2)
+    empty = np.full((2, 200), TARE)
+    reading = weigher.read(np.concatenate([signals, empty, signals], axis=1))
+    again = LEAD + ROWS + 200 + LEAD
+    assert (reading.status[:, again - 5] == 0).all()
+    assert (reading.status[:, again + 100] == ESTIMATE).all()
+    np.testing.assert_array_less(
+        np.abs(reading.grams[:, again + 100] - weights), 4 * reading.sd[:, again + 100]
+    )
+
+
+def test_a_file_gives_the_same_readings(tmp_path):
+    signals, _, weigher = portions(2)
+    path = tmp_path / "weigher.json"
+    save_weigher(weigher, path, {"product": "test"})
+    # numbers of tables have seven digits
+    np.testing.assert_allclose(
+        load_weigher(path).read(signals).grams, weigher.read(signals).grams, rtol=1e-5, atol=1e-6
+    )
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('"weigher": 1', '"weigher": 7', "weigher = 7: allowed: 1"),
+        ('\n"omega": ', '\n"omga": ', "lacks omega"),
+        ('"white": 0.001', '"white": -1', "white: allowed: numbers above 0"),
+        ('"line": [0.0, 0.0]', '"line": [0.0]', "line: has (1,) numbers, allowed: (2,)"),
+        ("{", "", "is no JSON file"),
+    ],
+)
+def test_a_damaged_file_is_one_line(tmp_path, old, new, words):
+    path = tmp_path / "weigher.json"
+    save_weigher(make_weigher(np.zeros(ROWS + 1)), path)
+    text = path.read_text(encoding="utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new, 1), encoding="utf-8")
+    with pytest.raises(BadInput) as error:
+        load_weigher(path)
+    assert words in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_the_command_reads_samples_as_they_come(tmp_path, monkeypatch, capsys):
+    signals, weights, weigher = portions(2)
+    save_weigher(weigher, tmp_path / "weigher.json")
+    lines = ["time,grams", *(f"{k},{value:.9f}" for k, value in enumerate(signals[0]))]
+    monkeypatch.setattr("sys.stdin", io.StringIO("\n".join(lines)))
+    assert main(["weigh", str(tmp_path / "weigher.json"), "--every", "10"]) == 0
+    printed = capsys.readouterr().out.splitlines()
+    assert printed[0] == "time_s,grams,sd_g,status,doubts"
+    assert len(printed) == 1 + len(signals[0]) // 10
+    time, grams, sd, status, doubts = printed[-1].split(",")
+    assert (float(time), status, doubts) == (0.22, "estimate", "")
+    expected = weigher.read(signals[:1])
+    assert float(grams) == pytest.approx(expected.grams[0, 220], abs=1e-3)  # a file has 7 digits
+    assert float(sd) == pytest.approx(expected.sd[0, 220], abs=1e-3)
+
+
+def test_a_sample_that_is_no_number_is_one_line(tmp_path, monkeypatch, capsys):
+    save_weigher(make_weigher(np.zeros(ROWS + 1)), tmp_path / "weigher.json")
+    monkeypatch.setattr("sys.stdin", io.StringIO("12.5\noverload\n"))
+    assert main(["weigh", str(tmp_path / "weigher.json")]) == 2
+    assert "standard input: line 2: 'overload': allowed: a number (g)" in capsys.readouterr().err
