@@ -87,7 +87,7 @@ def load_weigher(path: str | Path) -> Weigher:
     values: dict[str, Any] = {}
     for name in names:
         try:
-            values[name] = np.asarray(content[name], np.int64 if name in WHOLE else np.float64)
+            values[name] = np.asarray(content[name], np.int32 if name in WHOLE else np.float64)
         except (TypeError, ValueError):
             raise BadInput(f"{path}: {name}: allowed: numbers, all rows of equal length") from None
         if not np.isfinite(values[name]).all():
