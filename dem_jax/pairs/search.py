@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from dem_jax.contact import of_run
+from dem_jax.errors import SceneError
 from dem_jax.maths import vector
 from dem_jax.maths.compaction import EMPTY, WORD, first_of_words, first_set, packed
 from dem_jax.types import Array, Guard, Partition, System, host
@@ -195,9 +196,18 @@ def jax_md() -> tuple[ModuleType, ModuleType]:
 
     Imported only where a scene asks for its list, as that takes seconds and hundreds of MB. It computes as it is
     imported, which a trace under way must not see, and promotes dtypes.
+
+    Raises:
+        SceneError: jax-md is not installed.
     """
-    with jax.ensure_compile_time_eval(), jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
-        from jax_md import partition, space
+    try:
+        with jax.ensure_compile_time_eval(), jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
+            from jax_md import partition, space
+    except ImportError as error:
+        raise SceneError(
+            "run.neighbours = \"jax-md\": needs jax-md: pip install 'product-impact[jax-md]'; allowed without it: "
+            f'"auto", "all-pairs" and "cells" ({error})'
+        ) from None
     return partition, space
 
 

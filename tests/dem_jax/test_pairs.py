@@ -1,5 +1,6 @@
 """Whole runs by each way of searching for pairs, and what happens when the list of jax-md outgrows its room."""
 
+import sys
 from dataclasses import replace
 from functools import partial
 
@@ -87,3 +88,9 @@ def test_the_list_of_jax_md_can_be_made_for_many_members_at_once():
 def test_an_unknown_way_of_searching_is_an_error():
     with pytest.raises(SceneError, match='run.neighbours = "octree": allowed: "auto" or "all-pairs" or "cells" or "jax-md"'):
         dem_jax.load_scene("plate-drop", {"run.neighbours": "octree"})
+
+
+def test_the_list_of_jax_md_without_jax_md_is_an_error(monkeypatch):
+    monkeypatch.setitem(sys.modules, "jax_md", None)  # as if it were not installed
+    with pytest.raises(SceneError, match=r"""run.neighbours = "jax-md": needs jax-md: pip install 'product-impact\[jax-md\]'"""):
+        dem_jax.simulate(heap("jax-md"))
