@@ -204,7 +204,7 @@ def _read_hdf5(
     if len(runs) == 0:
         raise BadInput(f"{path}: holds no runs")
     masses = _masses(path, attrs, m_piece, len(runs), said)
-    pieces = attrs.get("piece_count", count) if pieces is None else pieces
+    pieces = _stored_counts(attrs, count) if pieces is None else pieces
     if pieces is None:
         raise BadInput(f"{path}: its scene does not tell pieces; give --pieces")
     gravity = float(np.linalg.norm(attrs.get("gravity", (0.0, 0.0, -9.81))))
@@ -213,6 +213,15 @@ def _read_hdf5(
         target(time, run, mass, int(n), gravity=gravity, name=f"{path}:{k}")
         for k, (run, mass, n) in enumerate(zip(runs, masses, numbers, strict=True))
     ]
+
+
+def _stored_counts(attrs: Mapping[str, Any], count: int | None) -> Any:
+    """The number of pieces of all runs, or a list of that of each, as the file has it; count: of those whose poses it has."""
+    try:
+        counts = json.loads(str(attrs.get("info", "{}"))).get("piece_counts")
+    except (ValueError, AttributeError):
+        counts = None
+    return counts or attrs.get("piece_count", count)
 
 
 def _masses(path: Path, attrs: dict[str, Any], m_piece: float | None, runs: int, said: list[str]) -> list[float]:

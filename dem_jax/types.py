@@ -300,6 +300,7 @@ class System(Tree):
     sample_parts: int = static()  # a sample interval of more steps than the next is cut into so many parts, a rebuild before each
     block_steps: int = static()  # most steps between rebuilds of the pairs; one comes before the sample that exceeds it
     slot_block: int = static()  # contacts are computed so many at a time, at most; 0: all slots at once
+    present: Array | None  # [N] bool: False for the last pieces of a run that has fewer than others of its ensemble; None: all are
     exchanges: bool = static()  # whether pieces come in and leave: State.exchange
     runs: int = static()  # R, how many runs this is, side by side; they do not see each other
     blocks: tuple[str, ...] = static()  # names of the B blocks

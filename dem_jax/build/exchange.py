@@ -50,13 +50,18 @@ def plan_of(scene: Scene, panels: Sequence[Panel], regions: Sequence[Box], made:
     if inlet is None and outlet is None:
         return None
     radius = max(shape.bounding_radius for shape in made)
-    away = _highest(panels, regions) + [AWAY, -AWAY, 0.0]
-    lot = away + 4 * radius * np.arange(len(made))[:, None] * [1.0, 0.0, 0.0]
+    lot = find_lot(panels, regions, radius, len(made))
     below = None
     if outlet is not None:
         below = outlet.below if outlet.below is not None else float(_corners(panels, regions)[:, 2].min()) - 2 * radius
     every = min(section.every for section in (inlet, outlet) if section is not None)
     return Plan(every, _box_of_inlet(scene, regions, radius), below, lot)
+
+
+def find_lot(panels: Sequence[Panel], regions: Sequence[Box], radius: float, count: int) -> np.ndarray:
+    """[count, 3] (m): places outside of the scene, far from all walls and from each other, for pieces of a bounding radius (m)."""
+    away = _highest(panels, regions) + [AWAY, -AWAY, 0.0]
+    return away + 4 * radius * np.arange(count)[:, None] * [1.0, 0.0, 0.0]
 
 
 def _box_of_inlet(scene: Scene, regions: Sequence[Box], radius: float) -> Corners | None:

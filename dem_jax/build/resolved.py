@@ -12,6 +12,7 @@ import numpy as np
 
 from dem_jax.build.system import Built
 from dem_jax.scene import Scene
+from dem_jax.step.presence import find_present
 
 PLACES = float(np.finfo(np.float32).eps)  # of the size: less overlap than this may be lost in rounding
 FAR = 1.0  # m from the origin
@@ -21,7 +22,8 @@ def note(scene: Scene, built: Built) -> str | None:
     """What to say of a scene in single precision; None: nothing."""
     if scene.run.precision != "f32":
         return None
-    there = slice(None) if built.state.exchange is None else np.asarray(built.state.exchange.there)  # not what waits outside
+    present = find_present(built.system, built.state)
+    there = slice(None) if present is None else np.asarray(present)
     position, velocity = (np.asarray(x, float)[:, there] for x in (built.state.position, built.state.velocity))
     said = []
     away = float(np.abs(position).max())

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from dem_jax.build import drive
-from dem_jax.build.exchange import Plan, boxes_of, domain_with, plan_of
+from dem_jax.build.exchange import Plan, boxes_of, domain_with, find_lot, plan_of
 from dem_jax.build.finite import MOST_STEPS, check_finite, check_steps
 from dem_jax.build.law import law_of, materials_of
 from dem_jax.build.load_cell import added_rate
@@ -18,6 +18,7 @@ from dem_jax.build.parts import hull_table, part_arrays, solids_of
 from dem_jax.build.pieces import Goods, alike, goods_of, named, piece_arrays, with_points
 from dem_jax.build.reuse import Reuse
 from dem_jax.build.room import capacity, partition, row_capacity, touching
+from dem_jax.build.room_of_ensemble import Room, pad_goods, pad_solids, pad_start
 from dem_jax.build.sampling import shortest_contact
 from dem_jax.build.start import Box, Start, first_state, motion_of_start, placed, settling_samples
 from dem_jax.build.statistics import statistics_of
@@ -55,13 +56,16 @@ class Built:
     frame_every: int  # samples between stored frames; 0: none
     regions: list[Box]  # in which pieces are scattered: of the feed bucket, of the feeder, and where those of an inlet wait
     numbers: tuple[int, ...]  # pieces in each of these boxes; () of pieces listed one by one
-    goods: Goods  # the pieces before they are anywhere
+    goods: Goods  # the pieces before they are anywhere, without those that only fill up the room of an ensemble
     exchange: Plan | None  # how pieces come in and leave
+    lot: np.ndarray | None  # [n, 3] (m): where pieces are outside that fill up the room of an ensemble; None: it needs none
 
 
-def build(scene: Scene, seed: int = 0, law: ContactLaw | None = None, reuse: Reuse | None = None) -> Built:
-    """Everything that a run of the scene needs. law: instead of the scene's; reuse: of scenes that were built before. Raises
-    SceneError."""
+def build(
+    scene: Scene, seed: int = 0, law: ContactLaw | None = None, reuse: Reuse | None = None, room: Room | None = None
+) -> Built:
+    """Everything that a run of the scene needs. law: instead of the scene's; reuse: of scenes that were built before; room: of
+    an ensemble whose runs have different numbers of pieces. Raises SceneError."""
     reuse = reuse or Reuse()
     dtype = float_dtype(scene.run.precision)
     table = material_table(scene)
@@ -69,36 +73,44 @@ def build(scene: Scene, seed: int = 0, law: ContactLaw | None = None, reuse: Reu
     of_pieces = (scene.piece, scene.portion, scene.feeder, scene.inlet, scene.folder, densities)
     of_walls = (scene.wall, scene.motion, scene.block, *(getattr(scene, name) for name in PLACES), scene.folder)
     goods = reuse.get("goods", lambda: goods_of(scene, reuse), of_pieces)
-    made = reuse.get("made", lambda: list(goods.shapes), (), goods.shapes)  # not anew where only weights differ
+    own = reuse.get("made", lambda: list(goods.shapes), (), goods.shapes)  # not anew where only weights differ
     laid = reuse.get("walls", lambda: walls_of(scene), of_walls)
     panels, motions, joint, blocks, regions = laid
-    plan, waiting = plan_of(scene, panels, regions, made), goods.numbers[-1] if scene.inlet else 0
-    regions = boxes_of(scene, panels, regions, goods.numbers, made)
+    plan, waiting = plan_of(scene, panels, regions, own), goods.numbers[-1] if scene.inlet else 0
+    regions = boxes_of(scene, panels, regions, goods.numbers, own)
     where = (scene.piece, scene.portion, scene.inlet, goods.numbers, seed)
     start = reuse.get(
-        "start", lambda: placed(scene, made, goods.numbers, regions, np.random.default_rng(seed)), where, (made, laid)
+        "start", lambda: placed(scene, own, goods.numbers, regions, np.random.default_rng(seed)), where, (own, laid)
     )
     pieces = reuse.get("pieces", lambda: piece_arrays(scene, goods), (densities,), (goods,))
     materials = materials_of(scene, table)
     law = law or law_of(scene, materials)
-    contacts = possible_contacts(law, materials, made, pieces, reuse)
+    contacts = possible_contacts(law, materials, own, pieces, reuse)
     if not contacts:
         raise SceneError(f"{scene.name}: a single piece and no wall: nothing can touch; allowed: another piece, or a [[wall]]")
-    together = 1 if len(made) == len(panels) == 1 else 2
-    more = added_rate(scene, law, contacts, len(made)) + drive.added_rate(motions, panels, law, contacts, len(made))
+    together = 1 if len(own) == len(panels) == 1 else 2
+    more = added_rate(scene, law, contacts, len(own)) + drive.added_rate(motions, panels, law, contacts, len(own))
     step = choose_step(scene, law, contacts, together, more)
     settling = settling_samples(scene) * step.substeps
     samples = max(1, round(scene.run.duration / scene.run.sample))
     check_steps(scene, settling, samples, step.substeps, step.dt)
     frame_every = min(max(1, round(scene.run.frames / scene.run.sample)), MOST_STEPS) if scene.run.frames else 0
-    largest = max(shape.bounding_radius for shape in made)
+    largest = max(shape.bounding_radius for shape in own)
     inputs = (densities[1:3], scene.contact, scene.run.precision, largest)
     walls, plates, seams = reuse.get(
         "wall arrays", lambda: wall_arrays(scene, panels, motions, joint, dtype, largest), inputs, (laid,)
     )
-    domain = _domain(scene, panels, start.position[: len(made) - waiting], made, plan)
+    domain = _domain(scene, panels, start.position[: len(own) - waiting], own, plan)
+    made, lot, present = own, None, None
+    if room is not None:
+        padded = reuse.get("padded", lambda: pad_goods(goods, room), (room,), (goods,))
+        made = reuse.get("padded shapes", lambda: list(padded.shapes), (), padded.shapes)
+        lot = find_lot(panels, regions, largest, len(made) - len(own))
+        start = pad_start(start, lot)
+        pieces = piece_arrays(scene, padded)
+        present = kept_array(reuse, "present", np.arange(len(made)) < len(own), bool)
     parts, convex, hulls, shape_rows = reuse.get(
-        "hulls", lambda: _hulls_of(made, plates, seams, dtype), (scene.run.precision,), (made, plates, seams)
+        "hulls", lambda: _hulls_of(made, plates, seams, dtype, room), (scene.run.precision, room), (made, plates, seams)
     )
     has_hulls = any(shape.radius == 0 for shape in made)
     is_general = hulls is not None and hulls.features is not None
@@ -128,6 +140,7 @@ def build(scene: Scene, seed: int = 0, law: ContactLaw | None = None, reuse: Reu
         partition=partition(convex, scene.run.neighbours, domain),
         has_hulls=has_hulls,
         alike=alike(goods),
+        present=present,
         escape_stops=scene.run.escape == "stop",
         has_rotation=True,
         may_tie=len(scene.piece) > 1,
@@ -149,18 +162,20 @@ def build(scene: Scene, seed: int = 0, law: ContactLaw | None = None, reuse: Reu
     state = _first_state(system, start, frames, -settling, waiting, reuse)
     check_finite(scene, system, state, reuse)
     shortest = shortest_contact(law, contacts)
-    return Built(
-        system, state, step, shortest, tuple(made), frames, settling, samples, frame_every, regions, goods.numbers, goods, plan
-    )
+    begin = regions, goods.numbers, goods, plan, lot
+    return Built(system, state, step, shortest, tuple(made), frames, settling, samples, frame_every, *begin)
 
 
 def _hulls_of(
-    made: Sequence[Shape], plates: list[Shape], seams: list[PanelSeams] | None, dtype: DTypeLike
+    made: Sequence[Shape], plates: list[Shape], seams: list[PanelSeams] | None, dtype: DTypeLike, room: Room | None = None
 ) -> tuple[Parts, list[Shape], Hulls | None, Array]:
     """Arrays of the parts of the pieces, their shapes, the table of hulls of parts and panels (None: all are spheres), and the row
     of each in it."""
     solids = solids_of(made)
-    table, rows = hull_table(solids, plates, seams)
+    more = pad_solids(solids, room, made) if room else []
+    table, rows = hull_table([*solids, more], plates, seams)
+    count = sum(map(len, solids))
+    rows = np.concatenate([rows[:count], rows[count + len(more) :]])
     convex = [solid.shape for row in solids for solid in row]
     return typed(part_arrays(solids), dtype), convex, typed(table, dtype) if table else None, array(rows, np.int32)
 
@@ -221,7 +236,7 @@ def _domain(
 def state_of_seed(scene: Scene, built: Built, seed: int) -> State:
     """The first state of the same scene with another seed, for the system that was built. Raises SceneError."""
     start = placed(scene, built.shapes, built.numbers, built.regions, np.random.default_rng(seed))
-    return started(built, start)
+    return started(built, start if built.lot is None else pad_start(start, built.lot))
 
 
 def started(built: Built, start: Start) -> State:

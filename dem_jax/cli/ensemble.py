@@ -9,13 +9,20 @@ def add(commands: Commands) -> None:
     made = command(commands, "ensemble", ensemble, "Simulate a scene with many seeds at once.")
     simulating.add_arguments(made)
     made.add_argument("--runs", type=positive, default=64, metavar="K", help="number of runs (default: 64)")
+    made.add_argument(
+        "--vary", action="append", default=[], metavar="KEY=VALUES", dest="varied",
+        help="values of a key that the runs take in turn: portion.count=5:13 (whole numbers from 5 to 13), "
+        "drop.height=0.2:0.3:0.05 (steps of 0.05), material.restitution=0.1,0.5; several keys: all combinations in turn",
+    )  # fmt: skip
 
 
 def ensemble(args: Args) -> None:
     """Simulate a scene with many seeds."""
     simulating.use_cache()
     scene, out = simulating.scene_and_target(args, "-ensemble")
+    from dem_jax.cli.varying import parse_varied
     from dem_jax.drive import interface
 
-    done = interface.ensemble(scene, args.runs, args.seed, out, args.overwrite, progress=not args.quiet)
+    parameters = parse_varied(args.varied, args.runs)
+    done = interface.ensemble(scene, args.runs, args.seed, out, args.overwrite, not args.quiet, parameters=parameters)
     simulating.finish(done, out, args)

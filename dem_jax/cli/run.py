@@ -19,7 +19,7 @@ def run(args: Args) -> None:
     """Simulate a scene, or go on with a file."""
     if (args.scene is None) == (args.resume is None):
         raise SceneError("run: allowed: either a SCENE or --resume FILE")
-    if args.resume and (args.settings or args.out or args.seed):
+    if args.resume and (args.settings or args.out or args.seed or args.record_rate is not None):
         raise SceneError("run --resume: allowed beside it: --duration, --no-plot, --quiet; the rest is in the file")
     simulating.use_cache()
     progress = not args.quiet

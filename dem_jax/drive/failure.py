@@ -14,6 +14,7 @@ from dem_jax.scene.extreme import furthest
 from dem_jax.scene.materials import material_table, modulus_range, rows_of_pieces
 from dem_jax.scene.scene import Scene
 from dem_jax.scene.words import short
+from dem_jax.step.presence import find_present_of_runs
 from dem_jax.step.quantities import QUANTITIES
 from dem_jax.types import Guard, Sample, State, System
 
@@ -83,7 +84,9 @@ def escapes(job: Job, state: State) -> list[str]:
     position = position.reshape(-1, *position.shape[-2:])  # [runs, 3, N]
     systems = [job.built_of(run).system for run in range(len(position))]
     low, high = (np.stack([getattr(s, name) for s in systems])[:, :, None] for name in ("domain_low", "domain_high"))
-    out = np.argwhere(((position < low) | (position > high)).any(axis=1))
+    outside = ((position < low) | (position > high)).any(axis=1)
+    present = find_present_of_runs(systems, state)
+    out = np.argwhere(outside if present is None else outside & present)
     return [f"{_name(job, member)}: piece {piece} left the domain" for member, piece in out]
 
 

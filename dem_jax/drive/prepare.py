@@ -10,6 +10,7 @@ import numpy as np
 
 from dem_jax import build, compiling
 from dem_jax.build import bucket_fill, resolved, sampling
+from dem_jax.build.room_of_ensemble import Room, find_room
 from dem_jax.contact.geometry import is_kept
 from dem_jax.contact.law import ContactLaw
 from dem_jax.drive import execute, settled, varied
@@ -51,7 +52,8 @@ def prepare(
         scenes = varied.scenes_of(scene, parameters, len(seeds))
         distinct = {id(s): s for s in scenes}
         reuse = build.Reuse()
-        each = {key: built_of(s, seeds[0], law, reuse) for key, s in distinct.items()}
+        room = find_room(list(distinct.values()), reuse) if len(distinct) > 1 else None
+        each = {key: built_of(s, seeds[0], law, reuse, room) for key, s in distinct.items()}
         built = [each[id(s)] for s in scenes]
         different, system = varied.vary(scene, built, parameters) if parameters else (None, built[0].system)
         sampled = checked((*system.quantities, *quantities))
@@ -95,10 +97,12 @@ def _stacked(arrays: Sequence[Any]) -> np.ndarray:
     return np.stack(arrays)
 
 
-def built_of(scene: Scene, seed: int, law: ContactLaw | None, reuse: build.Reuse | None = None) -> build.Built:
+def built_of(
+    scene: Scene, seed: int, law: ContactLaw | None, reuse: build.Reuse | None = None, room: Room | None = None
+) -> build.Built:
     """As ``build.build``; numbers that no check foresaw are one line as well."""
     try:
-        return build.build(scene, seed, law, reuse)
+        return build.build(scene, seed, law, reuse, room)
     except (ArithmeticError, MemoryError, np.linalg.LinAlgError) as error:
         why = (str(error).splitlines() or [type(error).__name__])[0]
         far = f"furthest from what is usual is {furthest(scene)}"

@@ -11,6 +11,7 @@ from dem_jax.drive.job import Job
 from dem_jax.drive.span import Span
 from dem_jax.scene.materials import material_table
 from dem_jax.step import collided
+from dem_jax.step.presence import find_present_of_runs
 from dem_jax.store import record, series
 from dem_jax.types import SETTLED_SPEED
 
@@ -24,6 +25,8 @@ def header_of(job: Job) -> record.Header:
     if job.varied is not None:
         own |= {"parameters": job.varied.parameters, "steps": [b.step.dt for b in job.varied.built]}
     own["piece_masses"] = masses_of_runs(job)
+    if job.system.present is not None:
+        own["piece_counts"] = [len(job.built_of(k).goods.shapes) for k in range(job.runs or 1)]
     return record.Header(
         scene=scene.to_toml(),
         seed=job.seeds[0] if job.runs is None else job.seeds,
@@ -71,12 +74,20 @@ def _frames_of(job: Job, span: Span, count: int, run_axis: tuple[Any, ...]) -> d
     number = np.arange(before + 1, (span.first + count) // job.every + 1)
     poses = span.poses[(*run_axis, slice(0, len(number)))]
     if span.first == 0:
-        release = series.pose_of(span.system, span.start)
+        release = _pose_of_release(job, span)
         number, poses = np.append(0, number), np.concatenate([np.expand_dims(release, -3), poses], axis=-3)
     new = number >= job.frames_kept
     poses = poses[(*run_axis, new)]
     time_of = number[new] * (job.every * job.scene.run.sample)
     return series.of_poses(poses, job.built.frames, time_of) if new.any() else None
+
+
+def _pose_of_release(job: Job, span: Span) -> np.ndarray:
+    """Poses at the start of a span, [.., 13, N]."""
+    if job.varied is None:
+        return series.pose_of(span.system, span.start)
+    states = [jax.tree.map(lambda x, k=k: x[k], span.start.replace(scratch=None)) for k in range(job.runs or 1)]
+    return np.stack([series.pose_of(job.built_of(k).system, state) for k, state in enumerate(states)])
 
 
 def facts_of(job: Job, span: Span, notes: list[str], reruns: list[str]) -> dict[str, Any]:
@@ -99,10 +110,11 @@ def count_moving(job: Job, span: Span) -> dict[str, Any]:
     """Of each block the number of pieces that are not at rest at the end of a span, other than those inside another block; of an
     ensemble a list of one for each run."""
     state = span.state
-    there = True if state.exchange is None else np.asarray(state.exchange.there)
-    moves = (np.linalg.norm(np.asarray(state.velocity, np.float64), axis=-2) >= SETTLED_SPEED) & there
-    position = np.asarray(state.position)
     systems = [span.system] if job.varied is None else [job.built_of(k).system for k in range(job.runs or 1)]
+    present = find_present_of_runs(systems, state)
+    moves = np.linalg.norm(np.asarray(state.velocity, np.float64), axis=-2) >= SETTLED_SPEED
+    moves = moves if present is None else moves & present.reshape(moves.shape)
+    position = np.asarray(state.position)
     low, high = (np.array([getattr(s, name) for s in systems]) for name in ("block_low", "block_high"))  # [R, 3, B]
     rows = position.reshape(-1, *position.shape[-2:])[..., None]
     inside = ((rows >= low[:, :, None]) & (rows <= high[:, :, None])).all(axis=1)  # [K, N, B]

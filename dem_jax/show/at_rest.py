@@ -74,7 +74,7 @@ def find_rest(run: Run, group: str | None, block: str) -> Rest:
     mass = mass.reshape(-1, mass.shape[-1])
     window = _rest_window(run)
     slowed = _count_slowed(run, mass, window)
-    moving = np.minimum(_count_fast(run, block, mass[:, -1]) + slowed, run.header.piece_count)
+    moving = np.minimum(_count_fast(run, block, mass[:, -1]) + slowed, run.piece_counts)
     none = np.full(len(mass), np.nan)
     observed, duration = none, none
     since = np.array([_start_of_final_value(row, run.time) for row in mass])

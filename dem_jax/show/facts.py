@@ -30,7 +30,10 @@ def main_block(run: Run) -> str | None:
 def facts_of(run: Run) -> dict[str, Facts]:
     """"Product", "Scene" and "Computation" of a run, from the scene in its file. Raises SceneError."""
     scene = parse(run.scene, "the file's scene")
-    return {"Product": _product(scene), "Scene": _scene(scene, run), "Computation": _computation(scene, run)}
+    product = _product(scene)
+    if "piece_counts" in run.info:
+        product.append(("in the runs", pieces_said(run)))
+    return {"Product": product, "Scene": _scene(scene, run), "Computation": _computation(scene, run)}
 
 
 def stiffness_said(run: Run) -> str:
@@ -122,6 +125,13 @@ def _moduli(table: MaterialTable) -> str:
 def weight_of(run: Run) -> float:
     """Mass (kg) of all pieces of a run. Raises SceneError."""
     return float(masses_of(*_goods(parse(run.scene, "the file's scene"))).sum())
+
+
+def pieces_said(run: Run) -> str:
+    """The number of pieces of a run, or the smallest and the largest of an ensemble, in words."""
+    low, high = int(run.piece_counts.min()), int(run.piece_counts.max())
+    number = f"{low} to {high}" if low < high else str(high)
+    return f"{number} piece{'s' if high != 1 else ''}"
 
 
 def portion_said(scene: Scene) -> str | None:
@@ -219,10 +229,18 @@ def _computation(scene: Scene, run: Run) -> Facts:
         ("sample time", f"{1e6 * run.sample:.4g} µs"),
         ("duration", f"{run.time[-1]:.4g} s from the release"),
         ("runs", f"{runs}seed {seeds[0]}" + (f" to {seeds[-1]}" if len(seeds) > 1 else "")),
+        *((key, listed(values)) for key, values in run.parameters.items()),
         ("precision", {"f32": "single", "f64": "double"}[run.precision]),
         ("program", f"dem_jax {run.version}"),
     ]
     return facts
+
+
+def listed(values: np.ndarray) -> str:
+    """The values of a parameter, one for each run, in few words."""
+    if values.ndim > 1 or values.dtype.kind not in "iuf":
+        return f"{len(values)} values"
+    return f"{values.min():.4g} to {values.max():.4g} ({len(np.unique(values))} values)"
 
 
 def _between(values: Sequence[float] | np.ndarray) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 
 from dem_jax.errors import RecordError
 from dem_jax.show.at_rest import find_rest
-from dem_jax.show.facts import main_block, main_group
+from dem_jax.show.facts import main_block, main_group, pieces_said
 from dem_jax.show.numbers import HIGH, LOW
 from dem_jax.show.span import Span, panels
 from dem_jax.store.output import write_whole
@@ -201,7 +201,7 @@ def title_of(run: Run) -> str:
     rows = tree.get("piece") or portion.get("product") or [portion]
     factors = {row["scale_factor"] for row in rows if "scale_factor" in row}
     words = [str(tree.get("name", tree.get("base", "")))]
-    words.append(f"{run.header.piece_count} piece" + ("s" if run.header.piece_count != 1 else ""))
+    words.append(pieces_said(run))
     if len(factors) == 1:
         words.append(f"SF = {factors.pop():g}")
     if "restitution" in tree.get("material", {}):

@@ -9,9 +9,11 @@ from dem_jax.scene import PieceShape, Scene, parse
 from dem_jax.show.at_rest import Rest, find_rest
 from dem_jax.show.facts import (
     fills_said,
+    listed,
     main_block,
     main_group,
     peak_band_said,
+    pieces_said,
     portion_said,
     stickiness_said,
     stiffness_in_short,
@@ -26,18 +28,17 @@ MISSED = 0.01  # of a peak: by how much samples may miss it before it is said
 
 def summary(run: Run) -> list[str]:
     """Lines on a run or an ensemble: step, compile time, peak PIF, duration of the impact, settled mass."""
-    info, count = run.info, run.header.piece_count
+    info = run.info
     lines = [info["step"]] if "step" in info else []
-    pieces = f"{count} piece{'s' if count != 1 else ''}"
+    pieces = pieces_said(run)
     if run.run_count is not None:
         pieces = f"{run.run_count} runs of {pieces}"
-    asked = portion_said(parse(run.scene, "the file's scene"))
-    ended = "" if run.settled is None else ", then all was settled"
-    lines += [f"{key}: {_listed(values)}" for key, values in run.parameters.items()]
-    lines.append(f"{pieces}, {run.time[-1]:.6g} s in samples of {run.sample:.3g} s, {run.precision}{ended}")
-    lines += [] if asked is None else [asked]
     scene = parse(run.scene, "the file's scene")
-    lines += [*stickiness_said(scene), *fills_said(scene)]
+    of_portion = [*filter(None, [portion_said(scene)]), *stickiness_said(scene), *fills_said(scene)]
+    ended = "" if run.settled is None else ", then all was settled"
+    lines += [f"{key}: {listed(values)}" for key, values in run.parameters.items()]
+    lines.append(f"{pieces}, {run.time[-1]:.6g} s in samples of {run.sample:.3g} s, {run.precision}{ended}")
+    lines += of_portion if "piece_counts" not in info else stickiness_said(scene)  # of other portions
     if "settling" in info:
         lines.append(f"released after {info['settling']:.6g} s of settling, when all was settled")
     if "elapsed" in info:
@@ -58,13 +59,6 @@ def summary(run: Run) -> list[str]:
     if group and block:
         lines.append(_durations(rest, block))
     return lines
-
-
-def _listed(values: np.ndarray) -> str:
-    """The values of a parameter, one for each run, in few words."""
-    if values.ndim > 1 or values.dtype.kind not in "iuf":
-        return f"{len(values)} values"
-    return f"{values.min():.4g} to {values.max():.4g} ({len(np.unique(values))} values)"
 
 
 def _weighed(run: Run, swing: Swing) -> str:

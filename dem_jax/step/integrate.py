@@ -5,6 +5,7 @@ import jax.numpy as jnp
 
 from dem_jax.maths import rotation, vector
 from dem_jax.step import drive, load_cell
+from dem_jax.step.presence import find_present
 from dem_jax.types import Array, State, System
 
 
@@ -60,9 +61,9 @@ def _turned(system: System, orientation: Array, rest: Array, momentum: Array) ->
 
 
 def _gravity(system: System, state: State) -> Array:
-    """[3, 1] or [3, N] (m/s2): none on pieces that wait outside."""
-    gravity = system.gravity[:, None]
-    return gravity if state.exchange is None else jnp.where(state.exchange.there, gravity, 0)
+    """[3, 1] or [3, N] (m/s2): none on pieces that are outside."""
+    gravity, present = system.gravity[:, None], find_present(system, state)
+    return gravity if present is None else jnp.where(present, gravity, 0)
 
 
 def _add(value: Array, rest: Array, change: Array) -> tuple[Array, Array]:

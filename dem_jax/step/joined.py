@@ -26,7 +26,8 @@ def is_worthwhile(system: System, runs: int) -> bool:
     is_listed = any(search.choice(system.neighbours, count) != "all-pairs" for count in kinds)
     is_small = sum(kinds) <= MOST_PIECES and runs >= AT_ONCE
     is_plain = not seams.are_there(system) and system.walls.load_cell is None  # a cell sets the walls of each run apart
-    is_plain = is_plain and system.walls.drive is None and system.statistics is None and not system.exchanges
+    is_plain = is_plain and system.walls.drive is None and system.statistics is None
+    is_plain = is_plain and not system.exchanges and system.present is None
     return is_small and bool(system.slot_block) and is_plain and not is_listed
 
 

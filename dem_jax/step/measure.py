@@ -4,6 +4,7 @@ import jax.numpy as jnp
 
 from dem_jax.contact import forces, of_run
 from dem_jax.maths import rotation, vector
+from dem_jax.step.presence import find_present
 from dem_jax.types import SETTLED_SPEED, Array, Sample, State, System
 
 ENERGIES = ("kinetic", "potential", "elastic", "dissipated", "wall_work", "total")  # the rows of ``energies``
@@ -58,8 +59,9 @@ def energies(system: System, state: State) -> Array:
 
 
 def mass_there(system: System, state: State) -> Array:
-    """Mass of each piece, [N] (kg), 0 of those that wait outside."""
-    return system.pieces.mass if state.exchange is None else jnp.where(state.exchange.there, system.pieces.mass, 0)
+    """Mass of each piece, [N] (kg), 0 of those that are outside."""
+    present = find_present(system, state)
+    return system.pieces.mass if present is None else jnp.where(present, system.pieces.mass, 0)
 
 
 def piece_mass(system: System, state: State) -> Array:
@@ -104,21 +106,22 @@ def culprit(system: System, state: State) -> Array:
 
 
 def in_domain(system: System, state: State) -> Array:
-    """Whether the centre of each piece is inside the domain, [N] bool; so are those that wait outside."""
+    """Whether the centre of each piece is inside the domain, [N] bool; so are those that are not in the scene."""
     x = state.position
     inside = jnp.all((x >= system.domain_low[:, None]) & (x <= system.domain_high[:, None]), axis=0)
-    return inside if state.exchange is None else inside | ~state.exchange.there
+    present = find_present(system, state)
+    return inside if present is None else inside | ~present
 
 
 def frame(system: System, state: State) -> Array:
-    """Position, orientation, velocity and angular velocity of every piece, [13, N]; no position of those that wait outside."""
+    """Position, orientation, velocity and angular velocity of every piece, [13, N]; no position of those that are outside."""
     omega = jnp.zeros_like(state.velocity)
     if system.has_rotation:
         moments = vector.unpack(system.pieces.inertia)
         omega = jnp.stack(
             rotation.angular_velocity(tuple(state.orientation), tuple(state.angular_momentum), moments)
         )
-    position = state.position
-    if state.exchange is not None:
-        position = jnp.where(state.exchange.there, position, jnp.nan)
+    position, present = state.position, find_present(system, state)
+    if present is not None:
+        position = jnp.where(present, position, jnp.nan)
     return jnp.concatenate([position, state.orientation, state.velocity, omega])

@@ -89,6 +89,7 @@ INFO = {
     **dict.fromkeys(("step", "limit", "law", "stopped"), Rule(is_text, "a text")),
     **dict.fromkeys(("notes", "reruns"), Rule(is_list_of(is_text), "texts")),
     "steps": Rule(is_list_of(is_positive), "a time step for each run"),
+    "piece_counts": Rule(is_list_of(is_count), "a number of pieces for each run"),
     "piece_masses": Rule(is_list_of_masses, "a mass of each piece, of each run if they differ"),
     "moving": Rule(is_table_of_counts, "a table of numbers of pieces"),
     "collisions": Rule(lambda v: isinstance(v, dict), "a table"),

@@ -68,6 +68,10 @@ def _check_forms(header: Header, held: dict[str, Any], path: FileName) -> None:
         if name not in held:
             raise RecordError(f"{path} lacks the dataset {name!r}")
     lead: tuple[int | None, ...] = () if header.run_count is None else (header.run_count,)
+    counts = header.info.get("piece_counts", [])
+    if counts and (len(counts) != header.run_count or max(counts) > header.piece_count):
+        words = f"{header.run_count or 1} numbers of at most {header.piece_count}"
+        raise RecordError(f"{path} is damaged: piece_counts of its attribute info; allowed: {words}, one for each run")
     sizes = {"xyz": 3, "piece": header.piece_count}
     times = {clock: int(np.prod(held[clock].shape)) for clock in CLOCKS if clock in held}
     for clock in times:

@@ -59,6 +59,12 @@ class Run:
     parameters = property(lambda self: {key: np.array(values) for key, values in self.info.get("parameters", {}).items()})
     settled = property(lambda self: self.info.get("settled"))
 
+    @property
+    def piece_counts(self) -> np.ndarray:
+        """Number of pieces of each run of an ensemble, [K], or of a single run, [1]."""
+        counts = self.info.get("piece_counts", [self.header.piece_count])
+        return np.broadcast_to(counts, (self.run_count or 1,))
+
     def __getattr__(self, name: str) -> Any:
         found = self.__dict__
         if name.startswith("_") or "series" not in found:  # while it is unpickled
@@ -120,7 +126,8 @@ class Run:
             raise RecordError(f"run {k!r} is not in this ensemble; it has 0 to {self.run_count - 1}")
         pieces = self.pieces
         if pieces is not None:
-            pieces = Frames(pieces.time, **{n: a[k] for n, a in vars(pieces).items() if n != "time"})
+            own = slice(None, int(self.piece_counts[k]))
+            pieces = Frames(pieces.time, **{n: a[k][..., own, :] for n, a in vars(pieces).items() if n != "time"})
         seed = self.seed[k] if np.ndim(self.seed) else self.seed
         series = nested({name: array[k] for name, array in flat(self.series).items()})
         return Run(replace(self.header, seed=seed, run_count=None, **self._own(k)), self.time, series, pieces)
@@ -136,9 +143,10 @@ class Run:
             return {"info": info}
         from dem_jax.scene import parse
 
-        info = {name: said for name, said in info.items() if name not in ("parameters", "steps")}
+        info = {name: said for name, said in info.items() if name not in ("parameters", "steps", "piece_counts")}
         scene = parse(self.scene, "the ensemble's scene").replace({key: each[k] for key, each in values.items()})
-        return {"scene": scene.to_toml(), "info": info, "dt": self.info["steps"][k]}
+        count = int(self.piece_counts[k])
+        return {"scene": scene.to_toml(), "info": info, "dt": self.info["steps"][k], "piece_count": count}
 
 
 def _of(forces: dict[str, np.ndarray], group: str) -> np.ndarray:

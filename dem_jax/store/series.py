@@ -6,6 +6,7 @@ import numpy as np
 
 from dem_jax.maths import rotation
 from dem_jax.maths.pose import matrix_of_quaternion
+from dem_jax.step.presence import find_present
 from dem_jax.step.quantity import Quantity
 from dem_jax.store.header import Stored
 from dem_jax.types import Sample, State, System
@@ -54,7 +55,7 @@ def pose_of(system: System, state: State) -> np.ndarray:
         p = np.moveaxis(momentum, -2, -1)[..., None]
         local = np.swapaxes(turn, -1, -2) @ p / np.asarray(system.pieces.inertia, np.float64).T[..., None]
         spin = np.moveaxis((turn @ local)[..., 0], -1, -2).astype(momentum.dtype)
-    position = np.asarray(state.position)
-    if state.exchange is not None:
-        position = np.where(np.asarray(state.exchange.there)[..., None, :], position, np.nan)
+    position, present = np.asarray(state.position), find_present(system, state)
+    if present is not None:
+        position = np.where(np.asarray(present)[..., None, :], position, np.nan)
     return np.concatenate([position, q, np.asarray(state.velocity), spin], axis=-2)

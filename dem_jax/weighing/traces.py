@@ -66,7 +66,7 @@ def trace_of(run: Run, group: str | None = None, block: str | None = None, truth
     groups = [group] if group else [name for name in BUCKET if name in run.force] or list(run.force)[:1]
     force = np.sum([run.pif_kg(name) for name in groups], axis=0) if groups else None
     if group is None and "weight" in series:
-        weight, source = np.asarray(series["weight"], np.float64), "load cell"
+        weight, source = _mean_signal(run, cell), "load cell"
     elif force is None:
         raise RecordError("there is no force to weigh: the run has no walls")
     else:
@@ -77,6 +77,21 @@ def trace_of(run: Run, group: str | None = None, block: str | None = None, truth
     time = np.asarray(run.time)
     impact = None if force is None else find_first_force(time, force)
     return _checked(Trace(time, weight, known, source, product, cell, noise, gravity, impact))
+
+
+def _mean_signal(run: Run, cell: Cell | None) -> np.ndarray:
+    """[.., T] (kg) means of the cell's signal over the sample intervals, by the balance of momentum, k x + c x' = F - m x''; the
+    signal at their ends for a file without the force on the bucket."""
+    signal = np.asarray(run.load_cell["weight"], np.float64)
+    groups = [name for name in BUCKET if name in run.mean_force]
+    if cell is None or not groups or "velocity" not in run.load_cell:
+        return signal
+    gravity = float(np.linalg.norm(run.header.gravity)) or STANDARD_GRAVITY
+    force = -np.sum([np.asarray(run.mean_force[name], np.float64)[..., 2] for name in groups], axis=0)
+    velocity = np.asarray(run.load_cell["velocity"], np.float64)
+    momentum = np.reshape(cell.mass, (-1,) + (1,) * (velocity.ndim > 1)) * velocity
+    means = (force[..., 1:] - np.diff(momentum, axis=-1) / run.sample) / gravity
+    return np.concatenate([signal[..., :1], means], axis=-1)
 
 
 def _sections_of(run: Run) -> tuple[LoadCell | None, Cell | None]:

@@ -2,16 +2,21 @@
 
 import dataclasses
 
+import h5py
 import jax
 import numpy as np
 import pytest
 from scipy import stats
 
 import dem_jax
+from calibrate import targets
 from dem_jax import build
+from dem_jax.build.pieces import goods_of
+from dem_jax.build.room_of_ensemble import find_room
 from dem_jax.drive import execute, prepare, programs, varied
-from dem_jax.errors import SceneError, SimulationError
+from dem_jax.errors import RecordError, SceneError, SimulationError
 from dem_jax.scene import load_scene, parse
+from dem_jax.show.summary import summary
 from dem_jax.store import record
 
 BALLS = {
@@ -55,6 +60,68 @@ def test_all_runs_share_one_program():
     programs.KEPT.clear()
     dem_jax.ensemble(balls(), seed=SEEDS, parameters=PARAMETERS)
     assert len(programs.KEPT) == 1
+
+
+COUNTS = [2, 3, 2]
+
+
+@pytest.fixture(scope="module")
+def counted(tmp_path_factory):
+    path = tmp_path_factory.mktemp("counted") / "counted.h5"
+    before = len(programs.KEPT)
+    dem_jax.ensemble(balls(), seed=SEEDS, parameters={"portion.count": COUNTS}, out=path)
+    assert len(programs.KEPT) == before + 1
+    return path
+
+
+def test_runs_of_different_numbers_of_pieces_share_a_program_and_have_the_bits_of_their_own_scenes(counted):
+    found = record.load_run(counted)
+    assert found.piece_counts.tolist() == COUNTS and found.header.piece_count == 3
+    for k in (0, 2):
+        count, member = COUNTS[k], found.member(k)
+        alone = dem_jax.simulate(balls(), seed=SEEDS[k])
+        assert np.abs(alone.force["plate"]).max() > 0.01, "the balls have landed"
+        assert parse(member.scene, "run") == parse(alone.scene, "run") and member.header.piece_count == count
+        assert member.info["piece_masses"] == alone.info["piece_masses"] and member.info["moving"] == alone.info["moving"]
+        assert member.dt == alone.dt and member.piece_counts.tolist() == [count]
+        np.testing.assert_array_equal(member.pieces.position, alone.pieces.position)
+        for name, series in (("force", member.force["plate"]), ("total energy", member.energy["total"])):
+            wanted = {"force": alone.force["plate"], "total energy": alone.energy["total"]}[name]
+            np.testing.assert_allclose(series, wanted, rtol=1e-13, atol=1e-14, err_msg=name)  # sums with more terms, which are 0
+    assert np.isnan(found.pieces.position[[0, 2], :, 2]).all() and np.isfinite(found.pieces.position[1]).all()
+
+
+def test_an_ensemble_over_the_number_of_pieces_is_gone_on_with_and_described(counted, tmp_path):
+    whole = record.load_run(counted)
+    half = tmp_path / "half.h5"
+    dem_jax.ensemble(balls(run__duration=0.01), seed=SEEDS, parameters={"portion.count": COUNTS}, out=half)
+    gone_on = dem_jax.resume(half, duration=0.02)
+    np.testing.assert_array_equal(gone_on.force["plate"], whole.force["plate"])
+    lines = summary(whole)
+    assert "portion.count: 2 to 3 (2 values)" in lines and any(line.startswith("3 runs of 2 to 3 pieces") for line in lines)
+    assert [target.pieces for target in targets.read(counted)] == COUNTS
+    with h5py.File(counted, "a") as file:
+        file.attrs["info"] = file.attrs["info"].replace("[2, 3, 2]", "[2, 4, 2]")
+    with pytest.raises(RecordError, match="piece_counts of its attribute info; allowed: 3 numbers of at most 3"):
+        record.load_run(counted)
+
+
+def test_room_is_made_for_the_shapes_of_the_run_with_most():
+    """Hulls of pieces that differ in size have rows in a table: as many in each run, so that one program serves all."""
+    scene = dem_jax.load_scene("weigh-bucket", {"product": "almond", "portion.piece_weight_spread": 0.1})
+    scenes, reuse = varied.scenes_of(scene, {"portion.count": [3, 5]}, 2), build.Reuse()
+    room = find_room(scenes, reuse)
+    built = [build.build(each, 0, None, reuse, room) for each in scenes]
+    assert varied.form(built[0]) == varied.form(built[1])
+    assert [int(each.system.present.sum()) for each in built] == [3, 5] == [len(each.goods.shapes) for each in built]
+    by_weight = varied.scenes_of(scene, {"portion.target_weight": [0.005, 0.02]}, 2)
+    assert find_room(by_weight, reuse).pieces == len(goods_of(by_weight[1]).shapes) > len(goods_of(by_weight[0]).shapes)
+    assert find_room(scenes[:1] * 2, reuse) is None
+
+
+def test_pieces_that_come_and_go_are_not_filled_up():
+    scene = dem_jax.load_scene("weigh-bucket", {"portion.count": 3, "outlet": {}})
+    assert find_room([scene, scene.replace({"portion.count": 4})], build.Reuse()) is None
 
 
 def test_what_is_alike_is_built_once(monkeypatch):
@@ -109,7 +176,10 @@ def test_the_run_that_fails_is_named_with_its_parameters():
 @pytest.mark.parametrize(
     ("parameters", "more", "said"),
     [
-        ({"portion.count": [2, 3]}, {}, r"run 1 \(portion.count = 3\) needs another program than run 0, by .*allowed"),
+        (
+            {"contact.law": ["walton-braun", "linear-dashpot"]}, {},
+            r'run 1 \(contact.law = "linear-dashpot"\) needs another program than run 0, by .*allowed',
+        ),
         ({"run.sample": [2e-5, 3e-5]}, {}, "run.sample: allowed: run.step, and keys that are not of run"),
         ({"wall.0.stl": ["a.stl", "b.stl"]}, {}, "wall.0.stl: allowed: keys that name no file"),
         ({"material.restitution": [0.1, 0.2], "drop.height": [0.1]}, {}, "drop.height has 1 values; allowed: 2"),

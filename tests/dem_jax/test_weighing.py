@@ -1,5 +1,7 @@
 """The scale behind the force: readings at its rate, filters, streams, and the time to weigh against closed forms."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import signal
@@ -7,6 +9,7 @@ from scipy import signal
 import product_model
 from dem_jax.__main__ import main
 from dem_jax.errors import RecordError
+from dem_jax.scene import load_scene
 from dem_jax.show.weighing import figure_of_readings, readings_of, table, table_of_pool
 from dem_jax.store.record import Run
 from dem_jax.validation import CellImpact
@@ -253,6 +256,30 @@ def test_what_a_run_weighs_is_its_cell_or_else_all_of_its_bucket():
     with pytest.raises(RecordError, match="block = 'fb'"):
         trace_of(bucket, block="fb")
     assert trace_of(bucket, truth=0.25).truth == 0.25
+
+
+def test_the_signal_of_a_cell_is_its_mean_over_samples_however_thin():
+    """By the balance of momentum, from samples of a ringing cell at 100 per second, two of a swing."""
+    case = CellImpact(mass=0.05, contact=1e4, suspended=1.0, stiffness=98e3, damping=12.0, gravity=9.81)
+    section = {"mass": 1.0, "stiffness": 98e3, "damping_ratio": 12.0 / 2 / 98e3**0.5}
+    scene = load_scene("weigh-bucket").replace({"weigh_bucket.load_cell": section})
+    sample, fine = 0.01, 2000
+    ends = sample * np.arange(0, 31)
+    inside = (np.arange(30 * fine) + 0.5) * sample / fine
+    signal = [98e3 * x + 12.0 * v for x, v in (case.alone((1e-4, 0.02), t) for t in (ends, inside))]
+    velocity = case.alone((1e-4, 0.02), ends)[1]
+    header = replace(stored(scene=scene).header, groups=("wb_walls", "wb_flaps"), sample=sample)
+    none = {name: np.zeros((31, 3)) for name in ("wb_walls", "wb_flaps")}
+    cell = {"weight": signal[0] / 9.81, "velocity": velocity}
+    run = Run(header, ends, {"force": none, "mean_force": none, "settled_mass": {"wb": 0 * ends}, "load_cell": cell})
+    wanted = signal[1].reshape(30, fine).mean(axis=1) / 9.81
+    np.testing.assert_allclose(trace_of(run).weight[1:], wanted, rtol=0, atol=1e-6)  # midpoints: (2 pi / 100)^2 / 24 of 0.6 kg each
+    pair = Run(replace(header, run_count=2), ends, {k: _twice(v) for k, v in run.series.items()})
+    np.testing.assert_allclose(trace_of(pair).weight, np.stack([trace_of(run).weight] * 2), rtol=1e-14)
+
+
+def _twice(tree):
+    return {name: np.stack([array] * 2) for name, array in tree.items()}
 
 
 def test_portions_of_the_product_model_are_weighed_by_the_same_chain_as_they_come(tmp_path):
