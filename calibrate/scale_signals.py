@@ -111,14 +111,14 @@ def _add_drops(found: ScaleSignals, path: str, number: int, options: SignalOptio
                     f"{path}: the bucket has no load cell: give --cell, or --mass, --frequency and --damping"
                 )
             trace = on_cell(trace, _cell(Cell, options.cell))
-        time, values = convert_trace(trace, options.rate, (options.seed, number))
+        drops = convert_trace(trace, options.rate, (options.seed, number))
     except (RecordError, SceneError, ValueError) as error:
         raise BadInput(str(error) if path in str(error) else f"{path}: {error}") from None
-    truth = np.atleast_1d(trace.truth)
+    time, truth = drops.time, drops.truth
     known = np.isfinite(truth)
     found.cell = found.cell or _empty_cell(trace.cell)
     found.weights += list(1e3 * truth[known])
-    for row in values[known]:
+    for row in drops.signal[known]:
         found.add(path, 1e3 * row, float(time[-1] - time[0]) / (len(time) - 1))
     left = "" if known.all() else f"; {why}: {int((~known).sum())} left out"
     found.said.append(f"{path}: {int(known.sum())} portions of {trace.source}{left}")
