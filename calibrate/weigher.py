@@ -22,10 +22,10 @@ from product_model.weigher import Weigher, WeigherState
 LEAST_PORTIONS = 10
 LEAST_TIME = 0.15  # s of a signal after the trigger
 LONGEST_TIME = 0.5  # s after the trigger for which the momentum is described
-PORTIONS_PER_SHAPE = 4
+PORTIONS_PER_SHAPE = 2
 MOST_SHAPES = 20
 RESIDUAL_DECAY = 0.9  # of the momentum beside the shapes, from sample to sample
-PULSE_FACTOR = 2.0  # on the scatter of the impulse of a sample
+PULSE_FACTOR = 4.0  # on the scatter of the impulse of a sample
 FOLDS = 5
 HELD_OUT_AFTER = 0.2  # s after the rows for which held-out portions are weighed
 LEAD = 0.15  # s before the trigger, from which they are weighed
