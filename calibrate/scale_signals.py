@@ -119,7 +119,7 @@ def _add_drops(found: ScaleSignals, path: str, number: int, options: SignalOptio
     found.cell = found.cell or _empty_cell(trace.cell)
     found.weights += list(1e3 * truth[known])
     for row in drops.signal[known]:
-        found.add(path, 1e3 * row, float(time[-1] - time[0]) / (len(time) - 1))
+        found.add(path, 1e3 * row, float(np.ptp(drops.time)) / (len(drops.time) - 1))
     left = "" if known.all() else f"; {why}: {int((~known).sum())} left out"
     found.said.append(f"{path}: {int(known.sum())} portions of {trace.source}{left}")
 

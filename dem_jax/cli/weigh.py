@@ -34,6 +34,10 @@ def add(commands: Commands) -> None:
         help="find the best filter of each family for a tolerance of G grams on half of the drops of all files, and judge it by "
         "the other half, beside the filters given",
     )  # fmt: skip
+    made.add_argument(
+        "--weigher", action="append", dest="weighers", metavar="FILE", default=[],
+        help="an estimator of calibrate weigher (weigher.json), beside the filters given; again for several",
+    )  # fmt: skip
     made.add_argument("--pool", action="store_true", help="count the drops of all files as one set (--tune always does)")
     made.add_argument("--rate", type=float, default=RATE, help=f"readings per second (default: {RATE:g})")
     made.add_argument(
@@ -77,6 +81,8 @@ def _read_tolerances(args: Args) -> Sequence[float]:
 
     if args.tune is not None and args.tolerance:
         raise RecordError("--tolerance: allowed: without --tune, which has a tolerance of its own")
+    if args.tune is not None and args.weighers:
+        raise RecordError("--weigher: allowed: without --tune, which compares filters")
     flag, grams = ("--tune", [args.tune]) if args.tune is not None else ("--tolerance", args.tolerance or ())
     if not all(0 < each < 1e6 for each in grams):
         raise RecordError(f"{flag} {' '.join(f'{each:g}' for each in grams)}: allowed: numbers above 0 (g)")
@@ -85,17 +91,23 @@ def _read_tolerances(args: Args) -> Sequence[float]:
 
 def _show_readings(args: Args, tolerances: Sequence[float], traces: Sequence["Trace"], drops: Sequence["Drops"], out: Path) -> None:
     """The table and the figure of the readings."""
-    from dem_jax.show.weighing import filter_drops, plot_readings, table, table_of_pool
+    from dem_jax.show.weighing import estimate_drops, filter_drops, plot_readings, table, table_of_pool
 
-    rows = []
+    rows, said = [], []
     for name, file, trace, some in zip(stored.names_of(args.files), args.files, traces, drops, strict=True):
         try:
-            for text in args.filters or FILTERS:
+            for text in args.filters or (() if args.weighers else FILTERS):
                 rows.append(filter_drops(f"{name}: {trace.source}", trace, some, args.rate, text))
+            for path in args.weighers:
+                row, words = estimate_drops(f"{name}: {trace.source}", some, args.rate, path)
+                rows.append(row)
+                said.append(words)
         except ValueError as error:
             raise RecordError(f"{file}: {error}") from error
     for line in (table_of_pool if args.pool else table)(rows, tolerances):
         print(line)
+    for words in said:
+        print(words)
     print(plot_readings(rows, tolerances, out))
 
 

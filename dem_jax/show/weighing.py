@@ -79,6 +79,28 @@ def filter_drops(name: str, trace: Trace, drops: Drops, rate: float | None, text
     return Readings(name, text, of.filter.delay * of.samples * trace.sample, drops.time, weight, drops.truth, drops.impact)
 
 
+def estimate_drops(name: str, drops: Drops, rate: float, path: str) -> tuple[Readings, str]:
+    """The readings of drops by an estimator in a file of ``calibrate weigher``, and a line about its error bar and its doubts.
+
+    Raises ValueError.
+    """
+    import product_model
+
+    try:
+        weigher = product_model.load_weigher(path)
+    except product_model.BadInput as error:
+        raise ValueError(str(error)) from None
+    if abs(weigher.rate / rate - 1) > 1e-3:
+        raise ValueError(f"rate = {rate:g}: allowed: {weigher.rate:g}, that of {path}")
+    found = weigher.read(1e3 * drops.signal)
+    off = np.abs(found.grams - 1e3 * drops.truth[:, None])[found.believed]
+    inside = 100 * float(np.mean(off < 1.96 * found.sd[found.believed])) if off.size else np.nan
+    flagged = int((found.doubts > 0).any(axis=-1).sum())
+    words = f"{name}: {Path(path).name}: doubted in {flagged} of {len(found.grams)}; its 95 % interval holds {inside:.1f} %"
+    row = Readings(name, Path(path).name, 0.0, drops.time, 1e-3 * found.grams, drops.truth, drops.impact)
+    return row, words
+
+
 def convert_trace(trace: Trace, rate: float | None, seed: Seed = 0) -> Drops:
     """The drops of a trace as the converter shows them, before any filter: means at a rate (1/s), with the trace's noise and less
     its tare. Raises ValueError."""

@@ -145,3 +145,25 @@ def test_bad_input_is_one_line(learnt, tmp_path, monkeypatch, capsys, arguments,
     assert words in said
     assert len(said.strip().splitlines()) == 1
     assert not (tmp_path / "weigher.json").exists()
+
+
+def test_portions_of_a_file_are_read_as_the_converter_gives_them(tmp_path):
+    """Portions of the Product Model on a cell with typical noise: readings at 1 kHz, weights of the file."""
+    import h5py
+
+    from calibrate.csv_table import TableOptions
+    from calibrate.scale_signals import SignalOptions, read_signals
+    from calibrate.weigher import EmptyCell
+
+    time = 5e-4 * np.arange(1, 1201)
+    landed = 1e-3 * np.array([[30.0], [40.0], [50.0]]) * (time > 0.25)
+    with h5py.File(tmp_path / "portions.h5", "w") as file:
+        file.attrs["program"] = "product_model"
+        file["time"], file["pif"], file["settled_mass/wb"] = time, landed, landed
+    options = SignalOptions(TableOptions(), noise="typical", cell=EmptyCell(1.0, 50.0, 0.02))
+    found = read_signals([str(tmp_path / "portions.h5")], options)
+    assert [len(values) for values in found.signals] == [600, 600, 600]
+    assert found.interval == pytest.approx(1e-3)
+    np.testing.assert_allclose(found.weights, [30.0, 40.0, 50.0])
+    shown = [values[-100:].mean() for values in found.signals]  # five periods of the cell
+    np.testing.assert_allclose(shown, found.weights, atol=3.0)  # noise, and ringing that is damped
