@@ -114,7 +114,7 @@ def _add_drops(found: ScaleSignals, path: str, number: int, options: SignalOptio
         drops = convert_trace(trace, options.rate, (options.seed, number))
     except (RecordError, SceneError, ValueError) as error:
         raise BadInput(str(error) if path in str(error) else f"{path}: {error}") from None
-    time, truth = drops.time, drops.truth
+    truth = drops.truth
     known = np.isfinite(truth)
     found.cell = found.cell or _empty_cell(trace.cell)
     found.weights += list(1e3 * truth[known])

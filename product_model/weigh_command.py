@@ -37,6 +37,19 @@ def add_weigh_command(commands: Any) -> None:
         help="column of the samples, from 1 on (default: the last)",
     )
     parser.add_argument(
+        "--decide",
+        type=float,
+        metavar="G",
+        help="print one line for each portion, as soon as its error is within G grams",
+    )
+    parser.add_argument(
+        "--confidence",
+        type=float,
+        default=0.99,
+        metavar="P",
+        help="of --decide, from 0.5 to below 1 (default 0.99)",
+    )
+    parser.add_argument(
         "--every", type=int, default=1, metavar="N", help="print each N-th reading (default 1)"
     )
 
@@ -51,29 +64,34 @@ def weigh(args: argparse.Namespace) -> None:
         raise BadInput(f"column = {args.column}: allowed: at least 1")
     weigher = load_weigher(args.weigher)
     if args.samples == "-":
-        _print_readings(weigher, read_samples(sys.stdin, "standard input", args.column), args.every)
+        _print(weigher, read_samples(sys.stdin, "standard input", args.column), args)
         return
     try:
         with open(args.samples, encoding="utf-8") as file:
-            _print_readings(weigher, read_samples(file, args.samples, args.column), args.every)
+            _print(weigher, read_samples(file, args.samples, args.column), args)
     except OSError as error:
         raise BadInput(f"{args.samples}: cannot be read ({error.strerror or error})") from None
 
 
-def _print_readings(weigher: Any, samples: Iterator[float], every: int) -> None:
-    from product_model.weigher import STATUS, describe_doubts
+def _print(weigher: Any, samples: Iterator[float], args: argparse.Namespace) -> None:
+    """A line for each reading, or for each portion the one that counts."""
+    from product_model.decision import is_decided
+    from product_model.weigher import EMPTY, STATUS, describe_doubts
 
-    state = weigher.start()
+    state, is_open = weigher.start(), True
     print("time_s,grams,sd_g,status,doubts", flush=True)
     for number, sample in enumerate(samples):
         state, reading = weigher.feed(state, np.float64(sample))
-        if number % every:
+        if args.decide is not None:
+            is_open = is_open or int(reading.status) == EMPTY
+            if not (is_open and bool(is_decided(reading, args.decide, args.confidence))):
+                continue
+            is_open = False
+        elif number % args.every:
             continue
-        numbers = f"{number * float(weigher.interval):.9g},{float(reading.grams):.4f},{float(reading.sd):.4f}"
-        print(
-            f"{numbers},{STATUS[int(reading.status)]},{describe_doubts(int(reading.doubts))}",
-            flush=True,
-        )
+        time = f"{number * float(weigher.interval):.9g}"
+        words = f"{STATUS[int(reading.status)]},{describe_doubts(int(reading.doubts))}"
+        print(f"{time},{float(reading.grams):.4f},{float(reading.sd):.4f},{words}", flush=True)
 
 
 def read_samples(lines: TextIO, name: str, column: int | None = None) -> Iterator[float]:

@@ -33,6 +33,7 @@ SIGNAL, WEIGHT, FILTER = 1, 2, 4  # bits of Reading.doubts
 DOUBTS = {SIGNAL: "signal", WEIGHT: "weight", FILTER: "filter"}
 CAP = 100.0  # of a squared normalized innovation in the running mean
 EMPTY_AFTER = 0.1  # s for which the filter's reading stays within the trigger level of the tare until the scale counts as empty
+STILL = 0.05  # s, over which the filter's reading is to be still
 WARM_UP = 0.03  # s after the start without a trigger, in which the tare is found
 STEP = 1e-4  # relative, of the central differences for frequency and damping
 LIMIT = 0.5  # largest relative error of frequency squared and damping
@@ -140,13 +141,16 @@ class WeigherState(NamedTuple):
     the shapes. row: of the tables, -1: empty. tare: (g) at the trigger. memory: [.., S, 2] of the
     filter, origin: (g) first sample. check: running mean of squared innovations. doubts: bits, kept
     until the scale is empty. calm: samples near the tare. count: samples since the start, at most
-    those of the warm-up. """
+    those of the warm-up. filter_mean, filter_variance: running mean and variance (g^2) of the
+    filter's reading."""
 
     mean: Array
     covariance: Array
     row: Array
     tare: Array
     memory: Array
+    filter_mean: Array
+    filter_variance: Array
     origin: Array
     check: Array
     doubts: Array
@@ -155,7 +159,8 @@ class WeigherState(NamedTuple):
 
 
 class Reading(NamedTuple):
-    """grams: net weight. sd: (g) its standard deviation. believed: whether grams is the
+    """grams: net weight. sd: (g) its standard deviation; of a filter the error that it had as long
+    after the first impact of portions learnt, and its own scatter in the last moments. believed: whether grams is the
     estimator's. status: EMPTY, ESTIMATE or FALLBACK. doubts: bits that say why it is the
     filter's."""
 
@@ -181,6 +186,8 @@ def start(weigher: Weigher, lead: tuple[int, ...] = ()) -> WeigherState:
         row=whole(-1),
         tare=np.zeros(lead),
         memory=np.zeros((*lead, len(weigher.sections), 2)),
+        filter_mean=np.zeros(lead),
+        filter_variance=np.zeros(lead),
         origin=np.zeros(lead),
         check=np.ones(lead),
         doubts=whole(0),
@@ -444,6 +451,7 @@ def _filter(
 ) -> tuple[WeigherState, Array]:
     """The state with the memory of the filter after a sample, and its reading [..] (g) with the
     tare."""
+    is_first = state.count == 1
     value, memory = sample - state.origin, []
     for k in range(len(weigher.sections)):
         b0, b1, b2, _, a1, a2 = (weigher.sections[k, i] for i in range(6))
@@ -451,7 +459,15 @@ def _filter(
         out = b0 * value + first
         memory.append(xp.stack([b1 * value - a1 * out + second, b2 * value - a2 * out], -1))
         value = out
-    return state._replace(memory=xp.stack(memory, -2)), value + state.origin
+    reading = value + state.origin
+    keep = xp.exp(-weigher.interval / STILL)
+    off = reading - xp.where(is_first, reading, state.filter_mean)
+    state = state._replace(
+        memory=xp.stack(memory, -2),
+        filter_mean=reading - keep * off,
+        filter_variance=keep * (state.filter_variance + (1 - keep) * off**2),
+    )
+    return state, reading
 
 
 def _judge(
@@ -481,9 +497,8 @@ def _reading(xp: ModuleType, weigher: Weigher, state: WeigherState, filtered: Ar
     net = filtered - xp.where(is_on, state.tare, state.mean[..., TARE])
     grams = xp.where(believed, state.mean[..., TOTAL], net)
     quiet = xp.sqrt(state.covariance[..., TARE, TARE])
-    sd = xp.where(
-        believed, _widened_sd(xp, weigher, state), xp.where(is_on, weigher.filter_sd[row], quiet)
-    )
+    moving = xp.sqrt(weigher.filter_sd[row] ** 2 + state.filter_variance)
+    sd = xp.where(believed, _widened_sd(xp, weigher, state), xp.where(is_on, moving, quiet))
     status = xp.where(is_on, xp.where(is_doubted, FALLBACK, ESTIMATE), EMPTY)
     return Reading(grams, sd, believed, status, xp.where(is_on, state.doubts, 0))
 

@@ -11,6 +11,7 @@ import pytest
 from product_model import BadInput, load_weigher, save_weigher
 from product_model import weigher as estimator
 from product_model.__main__ import main
+from product_model.decision import first_decision
 from product_model.weigher import ESTIMATE, FALLBACK, SHAPES, TOTAL, Weigher, cell_step
 
 H, OMEGA, ZETA, MASS = 1e-3, 2 * np.pi * 50.0, 0.02, 1000.0  # s, 1/s, ratio, g
@@ -267,3 +268,34 @@ def test_a_sample_that_is_no_number_is_one_line(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("sys.stdin", io.StringIO("12.5\noverload\n"))
     assert main(["weigh", str(tmp_path / "weigher.json")]) == 2
     assert "standard input: line 2: 'overload': allowed: a number (g)" in capsys.readouterr().err
+
+
+def test_a_scale_decides_when_its_error_bar_is_within_the_tolerance(tmp_path, monkeypatch, capsys):
+    """One line for each portion, with the first reading whose 99 % interval is within 0.5 g."""
+    signals, weights, weigher = portions(2)
+    reading = weigher.read(signals)
+    first = first_decision(reading, 0.5)
+    for k in range(2):
+        factor = 2.5758  # of 99 %
+        sd = reading.sd[k]
+        assert factor * sd[first[k]] <= 0.5 < factor * sd[first[k] - 1]
+        assert abs(reading.grams[k, first[k]] - weights[k]) < 0.5
+    assert (first_decision(reading, 1e-6) == -1).all()
+    save_weigher(weigher, tmp_path / "weigher.json")
+    record = np.concatenate([signals[0], np.full(200, TARE), signals[1]])
+    monkeypatch.setattr("sys.stdin", io.StringIO("\n".join(map(str, record))))
+    assert main(["weigh", str(tmp_path / "weigher.json"), "--decide", "0.5"]) == 0
+    lines = capsys.readouterr().out.splitlines()[1:]
+    times = [float(line.split(",")[0]) for line in lines]
+    expected = [H * first[0], H * (len(signals[0]) + 200 + first[1])]
+    np.testing.assert_allclose(times, expected, atol=1.5 * H)  # the tare is known better later
+
+
+@pytest.mark.parametrize(
+    ("tolerance", "confidence", "words"),
+    [(0.0, 0.99, "tolerance = 0 g: allowed"), (0.1, 1.0, "confidence = 1: allowed")],
+)
+def test_a_decision_without_a_tolerance_is_one_line(tolerance, confidence, words):
+    signals, _, weigher = portions(2)
+    with pytest.raises(BadInput, match=words):
+        first_decision(weigher.read(signals[:, :5]), tolerance, confidence)
