@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from calibrate.errors import BadInput, checked_seed
 from calibrate.product_command import add_product_command
+from calibrate.signals_command import add_signals_command
 from calibrate.weigher_command import add_weigher_command
 from product_model.program import QuietStream, fail_program, run_program, set_open_line, temporary_file
 
@@ -76,6 +77,7 @@ def _parser() -> argparse.ArgumentParser:
     fit.set_defaults(action=_fit)
     add_product_command(commands, _use_cache)
     add_weigher_command(commands, _add_table, _progress)
+    add_signals_command(commands, _add_table, _numbers, _progress, _use_cache)
     return parser
 
 
