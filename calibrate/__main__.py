@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
+from calibrate.cell_command import add_cell_command
 from calibrate.errors import BadInput, checked_seed
 from calibrate.product_command import add_product_command
 from calibrate.signals_command import add_signals_command
@@ -78,6 +79,7 @@ def _parser() -> argparse.ArgumentParser:
     add_product_command(commands, _use_cache)
     add_weigher_command(commands, _add_table, _progress)
     add_signals_command(commands, _add_table, _numbers, _progress, _use_cache)
+    add_cell_command(commands, _add_table)
     return parser
 
 

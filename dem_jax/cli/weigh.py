@@ -48,7 +48,8 @@ def add(commands: Commands) -> None:
     made.add_argument("--seed", type=whole, default=0, help="of the noise (default: 0)")
     made.add_argument(
         "--cell", metavar="C",
-        help="load cell to put under a bucket that has none: typical, or a TOML file with keys of [weigh_bucket.load_cell]",
+        help="load cell to put under a bucket that has none: typical, a file of calibrate cell, or a TOML file with keys of "
+        "[weigh_bucket.load_cell]",
     )  # fmt: skip
     made.add_argument("--group", help="weigh the force on this wall group (default: the load cell, or all of the weigh bucket)")
     made.add_argument("--block", help="block whose settled mass at the end is the truth (default: wb, or the first)")
@@ -129,16 +130,14 @@ def _tune(args: Args, tolerance: float, traces: Sequence["Trace"], drops: Sequen
 
 def _read_traces(args: Args) -> list["Trace"]:
     """The traces of the files, on the load cell and with the noise that the arguments ask for. Raises RecordError, SceneError."""
-    from dem_jax.scene import LoadCell, Noise, load_section
+    from dem_jax.scene import Noise, load_section
     from dem_jax.show.weighing import on_cell, read_trace
-    from dem_jax.weighing.cell import cell_of
+    from dem_jax.weighing.cell import SECTION, cell_of, read_cell_file
 
     truth = None if args.truth is None else 1e-3 * args.truth
-    section = "weigh_bucket.load_cell"
-    noise = None if args.noise in (None, "none", "typical") else load_section(args.noise, Noise, f"{section}.noise")
+    noise = None if args.noise in (None, "none", "typical") else load_section(args.noise, Noise, f"{SECTION}.noise")
     noise = Noise() if args.noise == "typical" else noise
-    cell = None if args.cell in (None, "typical") else load_section(args.cell, LoadCell, section)
-    cell = LoadCell() if args.cell == "typical" else cell
+    cell = None if args.cell is None else read_cell_file(args.cell)
     traces = []
     for name, file in zip(stored.names_of(args.files), args.files, strict=True):
         trace, why = read_trace(file, args.group, args.block, truth)

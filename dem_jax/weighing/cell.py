@@ -6,13 +6,18 @@ m is the mass of the empty bucket, p the product that lies in it, a the accelera
 scheme is that of ``dem_jax.step.load_cell``: velocity Verlet with the damper in the kick, exact in momentum and of second order.
 """
 
+import json
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from pydantic import ValidationError
 
-from dem_jax.scene import LoadCell
+from dem_jax.errors import RecordError
+from dem_jax.scene import LoadCell, load_section
 from dem_jax.store.run import STANDARD_GRAVITY
 
+SECTION = "weigh_bucket.load_cell"
 STEPS_PER_PERIOD = 150  # of the cell: its frequency is then (2 pi / 150)^2 / 24 = 7e-5 too high
 
 
@@ -40,6 +45,33 @@ class Cell(NamedTuple):
     def damping_ratio(self) -> np.ndarray:
         """Of the critical damping of the mass without product."""
         return self.decay / (2 * np.pi * self.frequency)
+
+
+def read_cell_file(path: str) -> LoadCell:
+    """The section of a load cell: "typical", a file of calibrate cell (.json), or a TOML file of its keys.
+
+    Raises SceneError, and RecordError for a file that is not one of calibrate cell.
+    """
+    if path == "typical":
+        return LoadCell()
+    if not path.lower().endswith(".json"):
+        return load_section(path, LoadCell, SECTION)
+    try:
+        found = json.loads(Path(path).read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise RecordError(f"{path}: cannot be read ({error})") from None
+    rows = found.get("parameters", {}) if isinstance(found, dict) else {}
+    values = {}
+    for name in ("mass", "natural_frequency", "damping_ratio"):
+        row = rows.get(name) if isinstance(rows, dict) else None
+        if not isinstance(row, dict) or not isinstance(row.get("value"), int | float):
+            raise RecordError(f"{path}: {name} is missing; allowed: a file of calibrate cell")
+        values[name] = row["value"]
+    try:
+        return LoadCell(**values)
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise RecordError(f"{path}: {first['loc'][0]} = {first['input']}: {first['msg']}") from None
 
 
 def cell_of(section: LoadCell) -> Cell:

@@ -1,0 +1,113 @@
+"""Command line: `python -m calibrate cell empty.csv --loaded 200 loaded.csv`."""
+
+import argparse
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from calibrate.errors import BadInput
+
+if TYPE_CHECKING:
+    from calibrate.cell import CellFit
+    from calibrate.taps import Oscillation
+
+
+def add_cell_command(commands: Any, add_table: Any) -> None:
+    """Add the command to the parser. add_table: adds the arguments of tables of text."""
+    parser = commands.add_parser("cell", help="mass, natural frequency, damping and noise of a load cell from taps on its bucket")
+    parser.add_argument("empty", nargs="+", metavar="FILE", help="tables of a logger: taps on the empty bucket, in each column")
+    parser.add_argument(
+        "--loaded", nargs="+", action="append", default=[], metavar=("GRAMS", "FILE"),
+        help="tables with taps on the bucket with a load of known weight; again for another load",
+    )  # fmt: skip
+    parser.add_argument("--mass", type=float, metavar="KG", help="of the empty bucket, where it is known, instead of --loaded")
+    parser.add_argument("--out", default="cell.json", metavar="FILE", help="JSON file (default cell.json)")
+    parser.add_argument("--overwrite", action="store_true", help="replace the file if it exists")
+    add_table(parser)
+    parser.set_defaults(action=calibrate_cell)
+
+
+def calibrate_cell(args: argparse.Namespace) -> int:
+    """Fit, write and report; the exit code."""
+    from calibrate.cell import fit_cell
+    from product_model.program import temporary_file
+
+    out = _check_target(args)
+    if args.mass is not None and args.loaded:
+        raise BadInput("mass: follows from --loaded; allowed: one of the two")
+    oscillations, interval = _read_oscillations(args)
+    fit = fit_cell(oscillations, interval, args.mass)
+    files = [Path(path).name for path in args.empty + [path for _, *paths in args.loaded for path in paths]]
+    try:
+        with temporary_file(out) as part:
+            part.write_text(json.dumps(fit.to_dict() | {"files": files}, indent=2) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise BadInput(f"out = {out}: cannot be written ({error.strerror or error})") from None
+    for line in report_cell(fit):
+        print(line)
+    print(f"written: {out}")
+    return 0
+
+
+def _check_target(args: argparse.Namespace) -> Path:
+    """The file to write. Raises `BadInput`."""
+    out = Path(args.out)
+    if out.suffix != ".json":
+        raise BadInput(f"out = {out}: must end in .json")
+    if not out.parent.is_dir():
+        raise BadInput(f"out = {out}: the folder does not exist")
+    if out.exists() and not args.overwrite:
+        raise BadInput(f"out = {out}: exists; give another name, or --overwrite to replace it")
+    return out
+
+
+def _read_oscillations(args: argparse.Namespace) -> "tuple[list[Oscillation], float]":
+    """The oscillations of all files, and the interval (s) between samples."""
+    from calibrate.scale_signals import SignalOptions, read_signals
+    from calibrate.table_columns import TableOptions
+    from calibrate.taps import find_oscillations
+
+    options = SignalOptions(TableOptions(args.decimal, args.time_unit, args.force_unit, args.sample))
+    groups = [(0.0, args.empty), *((_load(rows), rows[1:]) for rows in args.loaded)]
+    signals, names, loads, interval = [], [], [], None
+    for load, paths in groups:
+        for path in paths:
+            found = read_signals([path], options)
+            assert found.interval is not None
+            if interval is not None and abs(found.interval / interval - 1) > 1e-3:
+                raise BadInput(f"{path}: a sample each {found.interval:g} s: allowed: {interval:g} s as in the signals before")
+            interval = interval or found.interval
+            for line in found.said:
+                print(line)
+            signals += found.signals
+            names += [f"{path}, signal {k + 1}" for k in range(len(found.signals))]
+            loads += [load] * len(found.signals)
+    assert interval is not None
+    return find_oscillations(signals, names, loads, interval), interval
+
+
+def _load(row: Sequence[str]) -> float:
+    """(kg) of a load."""
+    try:
+        grams = float(row[0])
+    except ValueError:
+        grams = 0.0
+    if not 0 < grams < 1e6 or len(row) < 2:
+        raise BadInput(f"loaded {' '.join(row)}: allowed: a weight above 0 (g), then one file or several")
+    return 1e-3 * grams
+
+
+def report_cell(fit: "CellFit") -> list[str]:
+    """Lines about a load cell: values with 90 % intervals, noise, and the section of a scene."""
+    units = {"mass": ("kg", 1.0), "natural_frequency": ("Hz", 1.0), "damping_ratio": ("", 1.0)}
+    lines = ["parameter            value           90 % interval"]
+    for name, (unit, factor) in units.items():
+        row = {key: factor * value for key, value in fit.parameters[name].items()}
+        kept = "   given" if row["low"] == row["high"] else f"{row['low']:.5g} ... {row['high']:.5g}"
+        lines.append(f"{name:<18}{row['value']:>10.5g} {unit:<4}  {kept}")
+    scatter = "" if fit.dispersion == 1 else f"; taps scatter by {fit.dispersion**0.5:.2g} times as much as the noise lets expect"
+    lines.append(f"{fit.taps} taps, free after {1e3 * fit.touch:g} ms; noise {fit.noise.covariance[0] ** 0.5:.3g} g{scatter}")
+    values = ", ".join(f"{name} = {fit.parameters[name]['value']:.6g}" for name in units)
+    lines.append(f"[weigh_bucket.load_cell]: {values}")
+    return lines
