@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import signal as scipy_signal
+from scipy.optimize import minimize
 
 from calibrate.errors import BadInput
 from calibrate.momentum import find_triggers, smooth_momentum
@@ -38,6 +39,9 @@ LEAST_THRESHOLD = 3.0
 MARGIN = 0.5  # of the lightest and heaviest portion learnt, by which weights that are believed may differ
 WINDOW = 0.01  # s on either side, over which statistics of rows are pooled
 NOTCH_QUALITY = 1.0  # of the notches
+NOISE_FACTOR = 2.0  # on the noise before the trigger: a single line is not all of its colour
+FREQUENCY_RANGE = 0.1  # relative, within which the frequency of the cell is searched
+ENDING = 0.4  # share of a signal after the trigger that is taken as ringing alone
 FLOOR = 1e-5  # s, least scatter of the momentum per weight
 
 
@@ -101,6 +105,11 @@ def learn_weigher(
         raise BadInput(
             f"signals end {rows * interval:.3g} s after the first impact: allowed: at least {LEAST_TIME:g} s"
         )
+    if empty.delta > 0:
+        omega, delta = refine_cell(signals, found.start, weights, empty)
+        empty = replace(empty, omega=omega, delta=delta)
+        empty = _with_noise(empty, fit_noise(signals, found.start, empty))
+        found = find_triggers(empty, signals)
     tell("momentum", 0, FOLDS + 2)
     momentum, scatter, landed = smooth_momentum(empty, signals, found, weights)
     tell("momentum", 1, FOLDS + 2)
@@ -147,11 +156,46 @@ def read_at_rest(
 
 
 def _constant_beside_ringing(values: np.ndarray, empty: Weigher, load: float) -> float:
-    share = empty.mass / (empty.mass + max(load, 0.0))
-    time = empty.interval * np.arange(len(values))
-    swing = np.exp(-empty.delta * share * time) * np.exp(1j * empty.omega * np.sqrt(share) * time)
-    basis = np.stack([np.ones(len(values)), swing.real, swing.imag], 1)
+    basis = _ringing(empty.omega, empty.delta, empty, load, len(values))
     return float(np.linalg.lstsq(basis, values, rcond=None)[0][0])
+
+
+def _ringing(omega: float, delta: float, empty: Weigher, load: float, count: int) -> np.ndarray:
+    """[count, 3] a constant and a decaying oscillation of the loaded cell."""
+    share = empty.mass / (empty.mass + max(load, 0.0))
+    time = empty.interval * np.arange(count)
+    swing = np.exp((-delta * share + 1j * omega * np.sqrt(share)) * time)
+    return np.stack([np.ones(count), swing.real, swing.imag], 1)
+
+
+def refine_cell(
+    signals: Sequence[np.ndarray], triggers: np.ndarray, weights: np.ndarray, empty: Weigher
+) -> tuple[float, float]:
+    """omega and delta (1/s) of the empty cell, from the ringing at the end of signals.
+
+    Searched within FREQUENCY_RANGE of the given ones. Where the ringing is not most of what the
+    signals show beside a constant, they are those given.
+    """
+    parts = [
+        values[-max(MOST_SHAPES, int(ENDING * (len(values) - k))) :]
+        for values, k in zip(signals, triggers, strict=True)
+    ]
+    scale = sum(float(((part - part.mean()) ** 2).sum()) for part in parts)
+
+    def misfit(logarithms: np.ndarray) -> float:
+        omega, delta = empty.omega * np.exp(logarithms[0]), empty.delta * np.exp(logarithms[1])
+        total = 0.0
+        for part, load in zip(parts, weights, strict=True):
+            basis = _ringing(omega, delta, empty, load, len(part))
+            total += float(((part - basis @ np.linalg.lstsq(basis, part, rcond=None)[0]) ** 2).sum())
+        return total / scale
+
+    steps = np.linspace(-FREQUENCY_RANGE, FREQUENCY_RANGE, 21)
+    first = min(steps, key=lambda step: misfit(np.array([step, 0.0])))
+    found = minimize(misfit, [first, 0.0], method="Nelder-Mead", options={"maxfev": 60})
+    is_clear = found.fun < 0.5 and abs(found.x[0]) < FREQUENCY_RANGE and abs(found.x[1]) < 1.5
+    change = np.exp(found.x) if is_clear else np.ones(2)
+    return float(empty.omega * change[0]), float(empty.delta * change[1])
 
 
 def _rough_weight(signals: Sequence[np.ndarray]) -> float:
@@ -209,9 +253,9 @@ def _with_noise(empty: Weigher, noise: ScaleNoise) -> Weigher:
     rate = noise.sd * empty.interval
     return replace(
         empty,
-        white=noise.white,
+        white=NOISE_FACTOR * noise.white,
         line=noise.line,
-        line_innovation=noise.line_innovation,
+        line_innovation=NOISE_FACTOR * noise.line_innovation,
         load_rate=rate,
         kick_rate=10 * rate,
     )
@@ -259,12 +303,11 @@ def _pooled_mean(values: np.ndarray, reach: int) -> np.ndarray:
 @dataclass(frozen=True)
 class _HeldOut:
     """[K, n] from the trigger on: errors (g), standard deviations (g) and logarithms of the running
-    check of held-out portions; errors (g) of the filter."""
+    check of held-out portions."""
 
     errors: np.ndarray
     sd: np.ndarray
     check: np.ndarray
-    filter: np.ndarray
 
 
 def _held_out(
@@ -279,7 +322,7 @@ def _held_out(
     fold = np.arange(len(weights)) % FOLDS
     rows = min(len(s) - k for s, k in zip(signals, triggers, strict=True))
     rows = min(rows, len(weigher.impulse) + int(HELD_OUT_AFTER / weigher.interval))
-    found = np.full((4, len(weights), rows), np.nan)
+    found = np.full((3, len(weights), rows), np.nan)
     for k in range(FOLDS):
         some = np.flatnonzero(fold == k)
         learnt = replace(make(np.flatnonzero(fold != k)), sections=weigher.sections)
@@ -297,7 +340,7 @@ def _weigh_all(
     weights: np.ndarray,
     rows: int,
 ) -> np.ndarray:
-    """[4, K, rows] as in _HeldOut: all signals are cut so that they trigger together."""
+    """[3, K, rows] as in _HeldOut: all signals are cut so that they trigger together."""
     lead = min(int(triggers.min()), int(LEAD / weigher.interval))
     cut = np.stack([s[k - lead : k + rows] for s, k in zip(signals, triggers, strict=True)])
     state, found = estimator.start(weigher, (len(cut),)), []
@@ -310,7 +353,8 @@ def _weigh_all(
 def _facts_of(state: WeigherState, weights: np.ndarray) -> np.ndarray:
     total = estimator.TOTAL
     sd = np.sqrt(state.covariance[:, total, total])
-    return np.stack([state.mean[:, total] - weights, sd, np.log(state.check), np.zeros(len(sd))])
+    sd = np.where(state.row >= 0, sd, np.nan)  # before it triggers, which is a sample later for some
+    return np.stack([state.mean[:, total] - weights, sd, np.log(state.check)])
 
 
 def _judged(
@@ -345,7 +389,7 @@ def _pooled_quantile(values: np.ndarray, share: float, reach: int) -> np.ndarray
     """[n] quantile of values [K, n] over portions and over rows up to ``reach`` away."""
     count = values.shape[1]
     return np.array(
-        [np.quantile(values[:, max(0, k - reach) : k + reach + 1], share) for k in range(count)]
+        [np.nanquantile(values[:, max(0, k - reach) : k + reach + 1], share) for k in range(count)]
     )
 
 

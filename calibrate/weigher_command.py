@@ -186,7 +186,7 @@ def report(learnt: "Learnt") -> list[str]:
             for share, time in zip(SHARES, times, strict=True)
         )
         lines.append(f"- within {tolerance:g} g: {shown}")
-    inside = float((errors <= 1.96 * learnt.sd).mean())
+    inside = float((errors <= 1.96 * learnt.sd)[np.isfinite(learnt.sd)].mean())
     lines.append(
         f"- the 95 % interval holds {100 * inside:.1f} %; the check doubts {int(learnt.flagged.sum())} of {len(errors)}"
     )
