@@ -103,9 +103,14 @@ def fit_cell(oscillations: Sequence[Oscillation], interval: float, mass: float |
     _check_loads(oscillations, mass)
     for touch in TOUCHES:
         rings = [each._replace(values=each.values[round(touch / interval) :]) for each in oscillations]
-        fit = _Fit(rings, interval, mass)
+        try:
+            fit = _Fit(rings, interval, mass)
+        except BadInput:
+            if touch == TOUCHES[-1]:
+                raise
+            continue
         noise = fit.run()
-        if fit.excess_at_start() <= FREE:
+        if fit.excess_at_start() <= FREE or touch == TOUCHES[-1]:
             break
     return _summarize(fit, noise, touch)
 
@@ -328,7 +333,8 @@ def _check_residual(rings: Sequence[Oscillation], residual: float) -> None:
     quiet = [signal.detrend(ring.quiet) for ring in rings if len(ring.quiet)]
     noise = float(np.std(np.concatenate(quiet))) if quiet else 0.0
     size = float(np.mean([np.std(ring.values) for ring in rings]))
-    if residual > max(WORST * noise, SMALL * size):
+    quantum = float(np.median([np.diff(np.unique(ring.values)).min(initial=np.inf) for ring in rings]))
+    if residual > max(WORST * noise, SMALL * size, 0.5 * quantum):
         raise BadInput(
             f"taps: they leave {residual:.3g} g beside that of one cell: allowed: {WORST:g} times the noise before taps, "
             f"{noise:.2g} g, or {100 * SMALL:g} % of them; is it one cell, and does nothing touch the bucket then?"

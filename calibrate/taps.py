@@ -7,9 +7,9 @@ import numpy as np
 
 from calibrate.errors import BadInput
 
-RISE = 3.0  # times the steps between samples just before, that those of a tap exceed
-CLEAR = 12.0  # times the typical step between samples of a quiet signal, likewise
-BEFORE, GAP = 0.04, 0.004  # s before a tap that its steps are compared with, and that are left out of it
+RISE = 3.0  # times the rms step between samples before a tap, that of those after it is
+WEAKEST = 0.05  # of the rms steps after the strongest tap of a signal: weaker ones are noise
+AFTER, FEWEST = 0.02, 8  # s, and least samples, of the time after; that before is twice as long
 APART = 0.1  # s between taps, at least
 SHORTEST = 0.1  # s of an oscillation, and of quiet signal before a tap
 LONGEST = 2.0  # s after a tap that are used
@@ -34,19 +34,28 @@ def find_taps(signal: np.ndarray, interval: float) -> np.ndarray:
         interval: (s) between samples.
 
     Returns:
-        [n]: those whose step from one sample to the next exceeds all of the 40 ms before and the noise by far.
+        [n]: where steps from sample to sample become larger than before by far; 0 for a signal that begins with its largest
+        steps, as one does that a logger records from the tap on.
     """
-    steps = np.abs(np.diff(signal))
-    before, gap, apart = (max(1, round(time / interval)) for time in (BEFORE, GAP, APART))
-    window = np.lib.stride_tricks.sliding_window_view(np.pad(steps, (before + gap, 0), mode="edge"), before)[: len(steps)]
-    recent = window.max(axis=1)
-    quiet = np.quantile(steps, 0.1) if len(steps) else 0.0
-    rises = np.flatnonzero((steps > RISE * recent) & (steps > CLEAR * quiet) & (steps > 0))
+    steps = np.square(np.diff(signal))
+    after, apart = max(FEWEST, round(AFTER / interval)), max(1, round(APART / interval))
+    total = np.append(0.0, np.cumsum(steps))
+    place = np.arange(2 * after, len(steps) - after + 1)
+    if not len(place):
+        return np.zeros(0, int)
+    later = (total[place + after] - total[place]) / after
+    earlier = (total[place] - total[place - 2 * after]) / (2 * after)
+    ratio = later / np.maximum(earlier, 1e-12 + 1e-12 * steps.mean())
     taps: list[int] = []
-    for sample in rises.tolist():
-        if not taps or sample - taps[-1] >= apart:
-            taps.append(sample)
-    return np.array(taps, int)
+    for k in np.argsort(-ratio, kind="stable").tolist():
+        if ratio[k] < RISE**2:
+            break
+        if later[k] >= WEAKEST**2 * later.max() and all(abs(place[k] - tap) >= apart for tap in taps):
+            taps.append(int(place[k]))
+    quarter = max(1, len(steps) // 4)
+    if not taps and steps[:quarter].mean() > RISE**2 * steps[-quarter:].mean():
+        taps = [0]
+    return np.sort(np.array(taps, int))
 
 
 def find_oscillations(

@@ -100,6 +100,32 @@ def test_a_hand_that_stays_on_the_bucket_is_waited_for():
 
 
 @pytest.mark.parametrize(
+    ("change", "tolerance"),
+    [
+        (lambda row: np.round(row), 2e-3),  # a scale that shows whole grams
+        (lambda row: 5 * np.round(row / 5), 5e-3),
+        (lambda row: 25.0 - row, 1e-3),  # of the other sign
+        (lambda row: row[QUIET:], 1e-3),  # recorded from the tap on
+        (lambda row: row + 0.5 * np.sin(2 * np.pi * 50.0 * np.arange(len(row)) / RATE), 2e-3),  # mains hum beside the cell's 46 Hz
+        (lambda row: row + 3e-3 * np.arange(len(row)), 1e-3),  # drift of 3 g/s
+        (lambda row: np.convolve(np.pad(row, 12, mode="edge"), np.hanning(25) / 12, "valid"), 5e-3),  # a soft finger: 12 ms
+    ],
+)
+def test_signals_as_scales_give_them_show_the_same_cell(change, tolerance):
+    loads = (0.0, 0.0, 0.2, 0.2)
+    fit = fitted([change(tapped(load, seed=k)) for k, load in enumerate(loads)], loads)
+    np.testing.assert_allclose(values(fit), TRUTH, rtol=tolerance)
+    assert fit.taps == 4
+
+
+def test_weak_taps_are_found():
+    loads = (0.0, 0.0, 0.2, 0.2)
+    fit = fitted([tapped(load, seed=k, size=2.0) for k, load in enumerate(loads)], loads)  # 40 times the noise
+    rows = [fit.parameters[name] for name in NAMES]
+    assert all(abs(row["value"] - true) < 4 * row["sd"] for row, true in zip(rows, TRUTH, strict=True))
+
+
+@pytest.mark.parametrize(
     ("loads", "given", "mass", "words"),
     [
         ((0.0, 0.2), (0.2, 0.0), None, "allowed: a lower one with a load; are the files in the right places"),
