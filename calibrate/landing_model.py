@@ -1,7 +1,6 @@
 """Simulated traces of the extended model for a fit: coordinates of its parameters, random numbers, forces."""
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -11,15 +10,13 @@ from scipy.stats import qmc
 
 from calibrate.landing_summaries import Frame, summarize
 from calibrate.targets import Target
-from product_model import fall
-from product_model.extended import ADDED, LandingNumbers, LandingPulses, Landings, landing_numbers, landing_pulses
+from product_model import coordinates, fall
+from product_model.coordinates import NAMES, Values, to_coordinates
+from product_model.extended import ADDED, LandingNumbers, LandingPulses, Landings, choose_impacts, landing_numbers, landing_pulses
 from product_model.extended import count_numbers as numbers_of_piece
 from product_model.grid import Grid
 from product_model.pulses import interval_mean
 
-Values = dict[str, Any]  # name of a parameter -> value
-
-NAMES = ("dt_impact", "gamma_low", "gamma_high", "h_mean", *ADDED)
 BEFORE = 4  # bins that a simulated trace begins before its first impact, and as many more after its end
 MARGIN = 64  # bins
 REACH = 2.5  # in coordinates, about a factor of 12, beyond which a start value is doubted and a penalty begins
@@ -31,36 +28,11 @@ MODELS = {"pulses": PULSES, "landings": LANDINGS, "full": (*LANDINGS, "release_o
 OFF_VALUES = {"rebound": 0.0, "slump_depth": 0.0, "early_weight": 0.0, "release_time": 0.0, "release_skew": 0.0}
 OFF_VALUES |= {"release_order": 0.0, "cushioning": 0.0, "late_duration": 590e-6}
 
-LINEAR = ("pulse_exponent", "release_skew", "cushioning")  # the others are positive, or lie between 0 and 1
-SHARES = ("early_weight", "release_order")
-LEAST = {"gamma_low": 1e-4, "late_duration": 2e-6, "rebound": 1e-4, "slump_depth": 1e-6, "release_time": 1e-6}
-
-
-def impacts_for(pieces: int) -> tuple[int, ...]:
-    """Impacts of each landing: fewer where many pieces make a trace anyway."""
-    return (7, 3, 3, 2, 1) if pieces <= 16 else (4, 2, 2, 1) if pieces <= 64 else (3, 2, 1)
-
-
-def to_coordinates(values: Values) -> Values:
-    """Unconstrained coordinates of all parameters."""
-    u = {name: jnp.asarray(values[name], jnp.float64) for name in LINEAR}
-    for name in SHARES:
-        share = jnp.clip(jnp.asarray(values[name], jnp.float64), 0.02, 0.98)
-        u[name] = jnp.log(share / (1.0 - share))
-    for name in NAMES:
-        if name not in u and name != "gamma_high":
-            u[name] = jnp.log(jnp.maximum(jnp.asarray(values[name], jnp.float64), LEAST.get(name, 1e-9)))
-    gap = jnp.asarray(values["gamma_high"], jnp.float64) - values["gamma_low"]
-    return u | {"gamma_high": jnp.log(jnp.maximum(gap, 2e-4))}
-
 
 def to_values(u: Values, free: tuple[str, ...]) -> Values:
     """All parameters: those that are `free` from their coordinates, the others off."""
-    values: Values = dict(OFF_VALUES)
-    for name in free:
-        values[name] = u[name] if name in LINEAR else jax.nn.sigmoid(u[name]) if name in SHARES else jnp.exp(u[name])
-    values["pulse_exponent"] = jnp.clip(values["pulse_exponent"], 0.0, 4.5)
-    return values | {"gamma_high": values["gamma_low"] + values["gamma_high"]}
+    off = {name: value for name, value in OFF_VALUES.items() if name not in free}
+    return coordinates.to_values(u, off)
 
 
 @jax.tree_util.register_dataclass
@@ -83,7 +55,7 @@ class LandingDraws:
 def draw_landings(targets: list[Target], simulations: int, seed: int) -> LandingDraws:
     """Random numbers of `simulations` portions, taking the compositions of the traces in turn."""
     pieces = max(trace.pieces for trace in targets)
-    impacts = impacts_for(pieces)
+    impacts = choose_impacts(pieces)
     random = np.random.default_rng([seed, 7])
     tiny = np.finfo(np.float64).eps
     v = random.uniform(-1.0 + tiny, 1.0, (simulations, pieces, 1 + numbers_of_piece(impacts)))

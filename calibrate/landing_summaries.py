@@ -107,7 +107,7 @@ def frame_of(targets: list[Target]) -> Frame:
             "ones do not show its pulses; fit the paper's model (--model paper)"
         )
     length = round(max(coarsest, BIN), 12)  # equal for files whose times are rounded
-    landing = float(np.quantile([_landing_time(trace) for trace in targets], 0.9))
+    landing = float(np.quantile([landing_time(trace) for trace in targets], 0.9))
     shortest = min(float(trace.time[-1]) - trace.first_impact for trace in targets)
     samples = int(min(max(WINDOW, 3.0 * landing), shortest) / length)
     if samples * length < 1.2 * landing:
@@ -115,7 +115,7 @@ def frame_of(targets: list[Target]) -> Frame:
     return Frame(length, samples)
 
 
-def _landing_time(trace: Target) -> float:
+def landing_time(trace: Target) -> float:
     """(s) from the first impact until nine tenths of the momentum that the pieces bring are given."""
     time = np.arange(1, int((trace.time[-1] - trace.first_impact) / 1e-3) + 1) * 1e-3
     force = rebin(trace, trace.first_impact, 1e-3, len(time))

@@ -4,7 +4,7 @@ import argparse
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from product_model.inputs import DTYPES, FORMS, BadInput, Parameters, checked_seed, table
 from product_model.program import QuietStream, run_program, set_open_line, temporary_file
@@ -61,7 +61,9 @@ def _parser() -> argparse.ArgumentParser:
     simulate = commands.add_parser("simulate", help="random portions, written to a file")
     _add_inputs(simulate, FORMS)
     simulate.add_argument(
-        "--draw", action="store_true", help="each portion with parameters of its own, drawn from the intervals of --fit"
+        "--draw",
+        action="store_true",
+        help="each portion with parameters of its own, drawn from the intervals of --fit or --product",
     )
     simulate.add_argument("--runs", type=int, default=1, metavar="K", help="number of random portions (default 1)")
     simulate.add_argument("--out", default="trace.h5", metavar="FILE", help=".h5, .csv or .mat (default trace.h5)")
@@ -93,29 +95,74 @@ def _parser() -> argparse.ArgumentParser:
 
 def _add_inputs(parser: argparse.ArgumentParser, forms: Sequence[str]) -> None:
     """The flags of all inputs; what is not given is None."""
-    parser.add_argument("--fit", metavar="FILE", help="fit.json of `calibrate fit`: its parameters, unless given here")
+    source = parser.add_mutually_exclusive_group()
+    source.add_argument("--fit", metavar="FILE", help="fit.json of `calibrate fit`: its parameters, unless given here")
+    source.add_argument(
+        "--product",
+        metavar="NAME|PRODUCT.toml",
+        help="extended model of a product that need not be simulated, predicted from its properties",
+    )
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        dest="settings",
+        metavar="KEY=VALUE",
+        help="with --product: change the scene, such as --set drop.height=0.25",
+    )
     for name, (metavar, kind, text) in FLAGS.items():
         default = getattr(Parameters, name)
         shown = "" if default is None else f" (default {default:g})"
-        parser.add_argument(f"--{name.replace('_', '-')}", metavar=metavar, type=kind, help=text + shown)
+        flags = [f"--{name.replace('_', '-')}", *(["--target"] if name == "m_target" else [])]
+        parser.add_argument(*flags, metavar=metavar, type=kind, help=text + shown)
     parser.add_argument("--form", choices=forms, default=Parameters.form, help=f"pulse form (default {Parameters.form})")
     parser.add_argument("--precision", choices=tuple(DTYPES), default=Parameters.precision, help="default f64")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the random numbers (default 0)")
 
 
 def _inputs(args: argparse.Namespace) -> tuple[Parameters, "Fitted | None"]:
-    """The inputs: as given, else of the fit, else the defaults; and the fit."""
+    """The inputs: as given, else of the fit or the product, else the defaults; and the fit."""
     from product_model import parameters, read_fit
     from product_model.fitted import FITTED
 
     given = {name: getattr(args, name) for name in FLAGS if getattr(args, name) is not None}
-    fit = read_fit(args.fit) if args.fit else None
-    if fit is not None:
-        known = {name: fit.value[name] for name in FITTED} | {"m_piece": fit.m_piece, "landings": fit.landings}
+    if args.settings and not args.product:
+        raise BadInput("set: changes the scene of a product; give --product")
+    known: dict[str, Any] = {}
+    fit = None
+    if args.product:
+        fit, known = _predict(args)
+    elif args.fit:
+        fit = read_fit(args.fit)
         if "m_target" not in given:  # which with m_piece decides the number of pieces
             known["pieces"] = fit.pieces
-        given = {name: value for name, value in known.items() if value is not None} | given
+    if fit is not None:
+        known |= {name: fit.value[name] for name in FITTED} | {"m_piece": fit.m_piece, "landings": fit.landings}
+    given = {name: value for name, value in known.items() if value is not None} | given
     return parameters(form=args.form, precision=args.precision, **given), fit
+
+
+def _predict(args: argparse.Namespace) -> tuple["Fitted", dict[str, Any]]:
+    """The predicted model of a product, and the inputs that follow from its scene.
+
+    How sure it is, and what it leaves out, are printed on the standard error.
+    """
+    from dem_jax.errors import SceneError
+    from dem_jax.scene import parse_setting
+    from product_model.conditions import product_conditions
+    from product_model.transfer import describe_prediction, predict_parameters
+
+    if args.m_piece is not None:
+        raise BadInput(f"m_piece = {args.m_piece:g}: follows from the product; give one of these")
+    try:
+        settings = dict(parse_setting(text) for text in args.settings)
+    except SceneError as error:
+        raise BadInput(str(error)) from None
+    gravity = {} if args.gravity is None else {"run.gravity": (0.0, 0.0, -args.gravity)}
+    drop, notes = product_conditions(args.product, args.m_target, args.pieces, settings | gravity)
+    for line in [*describe_prediction(drop), *notes]:
+        print(f"note: {line}", file=sys.stderr)
+    return predict_parameters(drop), {"pieces": drop.pieces, "gravity": drop.gravity}
 
 
 def _simulate(args: argparse.Namespace) -> None:
@@ -129,7 +176,7 @@ def _simulate(args: argparse.Namespace) -> None:
     if args.runs < 1:
         raise BadInput(f"runs = {args.runs}: must be at least 1")
     if args.draw and fit is None:
-        raise BadInput("draw: needs the intervals of a fit; give --fit FILE")
+        raise BadInput("draw: needs the intervals of a fit; give --fit FILE or --product NAME")
     check_output(args.out, args.overwrite)
     if args.plot:
         check_target("plot", args.plot, (".png", ".pdf", ".svg"), ".png, .pdf or .svg", args.overwrite)

@@ -99,6 +99,11 @@ ADDED = tuple(row.name for row in ADDITIONS)
 OFF = Landings(0.0, 1e-3, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, shape="rectangle")  # the paper's model
 
 
+def choose_impacts(pieces: int) -> tuple[int, ...]:
+    """Impacts of each landing of a portion; fewer where the many pieces make a trace anyway."""
+    return (7, 3, 3, 2, 1) if pieces <= 16 else (4, 2, 2, 1) if pieces <= 64 else (3, 2, 1)
+
+
 def check_landings(landings: Landings, error: type[Exception] = BadInput) -> Landings:
     """`landings`, or an error with one line. Traced numbers cannot be looked at and are taken as they are."""
     for row in ADDITIONS:
