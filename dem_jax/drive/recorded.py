@@ -79,7 +79,8 @@ def _frames_of(job: Job, span: Span, count: int, run_axis: tuple[Any, ...]) -> d
     new = number >= job.frames_kept
     poses = poses[(*run_axis, new)]
     time_of = number[new] * (job.every * job.scene.run.sample)
-    return series.of_poses(poses, job.built.frames, time_of) if new.any() else None
+    frames = job.built.frames if job.runs is None else np.stack([job.built_of(k).frames for k in range(job.runs)])
+    return series.of_poses(poses, frames, time_of) if new.any() else None
 
 
 def _pose_of_release(job: Job, span: Span) -> np.ndarray:

@@ -141,9 +141,8 @@ def form(built: build.Built) -> Any:
     """What two runs must have alike to be computed by one program, and in one ensemble."""
     leaves, structure = jax.tree.flatten((built.system, built.state))
     shapes = tuple((x.shape, x.dtype) for x in leaves)
-    frames = np.round(built.frames, 6).tobytes()
     every = built.exchange and built.exchange.every
-    return structure, shapes, frames, built.settling_steps // built.step.substeps, built.samples, every
+    return structure, shapes, built.settling_steps // built.step.substeps, built.samples, every
 
 
 def _unlike(one: System, other: System) -> list[str]:

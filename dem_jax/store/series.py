@@ -33,9 +33,9 @@ def kept(system: System) -> list[Quantity]:
 
 
 def of_poses(poses: np.ndarray, frames: np.ndarray, time: np.ndarray) -> dict[str, np.ndarray]:
-    """The fields of store.run.Frames of poses [.., F, 13, N]; frames: Built.frames, [N, 4]; time: [F] (s)."""
+    """The fields of store.run.Frames of poses [.., F, 13, N]; frames: Built.frames, [.., N, 4]; time: [F] (s)."""
     poses = np.moveaxis(poses, -2, -1)
-    back = rotation.conjugate(tuple(frames.T.astype(poses.dtype)))
+    back = rotation.conjugate(tuple(np.moveaxis(frames.astype(poses.dtype), -1, 0)[..., None, :]))
     q = np.stack(rotation.multiply(tuple(np.moveaxis(poses[..., 3:7], -1, 0)), back), axis=-1)
     return {
         "time": time,
