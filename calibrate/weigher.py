@@ -24,9 +24,9 @@ LEAST_PORTIONS = 10
 LEAST_TIME = 0.15  # s of a signal after the trigger
 LONGEST_TIME = 0.5  # s after the trigger for which the momentum is described
 PORTIONS_PER_SHAPE = 2
-MOST_SHAPES = 20
+MOST_SHAPES = 28
 RESIDUAL_DECAY = 0.9  # of the momentum beside the shapes, from sample to sample
-PULSE_FACTOR = 4.0  # on the scatter of the impulse of a sample
+PULSE_FACTOR = 8.0  # on the scatter of the impulse of a sample
 FOLDS = 5
 HELD_OUT_AFTER = 0.2  # s after the rows for which held-out portions are weighed
 LEAD = 0.15  # s before the trigger, from which they are weighed
@@ -39,6 +39,7 @@ LEAST_THRESHOLD = 3.0
 MARGIN = 0.5  # of the lightest and heaviest portion learnt, by which weights that are believed may differ
 WINDOW = 0.01  # s on either side, over which statistics of rows are pooled
 NOTCH_QUALITY = 1.0  # of the notches
+LEAST_ENDING = 50  # samples of it
 NOISE_FACTOR = 2.0  # on the noise before the trigger: a single line is not all of its colour
 FREQUENCY_RANGE = 0.1  # relative, within which the frequency of the cell is searched
 ENDING = 0.4  # share of a signal after the trigger that is taken as ringing alone
@@ -177,7 +178,7 @@ def refine_cell(
     signals show beside a constant, they are those given.
     """
     parts = [
-        values[-max(MOST_SHAPES, int(ENDING * (len(values) - k))) :]
+        values[-max(LEAST_ENDING, int(ENDING * (len(values) - k))) :]
         for values, k in zip(signals, triggers, strict=True)
     ]
     scale = sum(float(((part - part.mean()) ** 2).sum()) for part in parts)
@@ -363,12 +364,12 @@ def _judged(
     """The estimator with the widening, the check and its limits."""
     rows = len(weigher.impulse)
     reach = round(WINDOW / weigher.interval)
-    score = np.abs(held_out.errors[:, :rows]) / held_out.sd[:, :rows]
-    widening = np.maximum(1.0, _pooled_quantile(score, 0.95, reach) / 1.96)
-    check = held_out.check[:, :rows]
-    middle = _pooled_quantile(check, 0.5, reach)
-    spread = np.maximum(_pooled_quantile(check, 0.84, reach) - middle, 0.1)
-    worst = ((check - middle) / spread).max(axis=1)
+    row_of = np.minimum(np.arange(held_out.check.shape[1]), rows - 1)
+    score = np.abs(held_out.errors) / held_out.sd
+    widening = np.maximum(1.0, _quantile_of_rows(score, 0.95, rows, reach) / 1.96)
+    middle = _quantile_of_rows(held_out.check, 0.5, rows, reach)
+    spread = np.maximum(_quantile_of_rows(held_out.check, 0.84, rows, reach) - middle, 0.1)
+    worst = ((held_out.check - middle[row_of]) / spread[row_of]).max(axis=1)
     threshold = max(LEAST_THRESHOLD, float(np.quantile(worst, 1 - FALSE_ALARMS, method="higher")))
     judged = replace(
         weigher,
@@ -379,17 +380,17 @@ def _judged(
         least=(1 - MARGIN) * float(weights.min()),
         most=(1 + MARGIN) * float(weights.max()),
     )
-    every = np.append(widening, np.full(max(0, held_out.sd.shape[1] - rows), widening[-1]))[
-        : held_out.sd.shape[1]
-    ]
-    return Learnt(judged, triggers, held_out.errors, held_out.sd * every, worst > threshold)
+    sd = held_out.sd * widening[row_of]
+    return Learnt(judged, triggers, held_out.errors, sd, worst > threshold)
 
 
-def _pooled_quantile(values: np.ndarray, share: float, reach: int) -> np.ndarray:
-    """[n] quantile of values [K, n] over portions and over rows up to ``reach`` away."""
-    count = values.shape[1]
+def _quantile_of_rows(values: np.ndarray, share: float, rows: int, reach: int) -> np.ndarray:
+    """[rows] quantile of values [K, n] over portions and over samples up to ``reach`` away; for the
+    last row over all that follow it."""
+    last = rows - 1
+    ends = [*(k + reach + 1 for k in range(last)), values.shape[1]]
     return np.array(
-        [np.nanquantile(values[:, max(0, k - reach) : k + reach + 1], share) for k in range(count)]
+        [np.nanquantile(values[:, max(0, k - reach) : end], share) for k, end in enumerate(ends)]
     )
 
 

@@ -17,7 +17,9 @@ Both are pure functions of arrays with any leading axes; the size of the state d
 time. A chi-square test of the innovations detects a signal that the product does not make; the
 reading is then that of a Bessel filter. """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from types import ModuleType
 from typing import Any, NamedTuple
 
@@ -122,7 +124,17 @@ class Weigher:
         """The state and the reading after a sample (g), compiled and in double precision; see
         `feed`."""
         with jax.enable_x64(True):
-            return _feed_compiled(self, state, sample)
+            return self._compiled(state, sample)
+
+    @cached_property
+    def _compiled(self) -> Callable[..., "tuple[WeigherState, Reading]"]:
+        """`feed` with the data of this estimator as constants, which halves the time of a call."""
+        constant = jax.tree.map(jnp.asarray, self)
+
+        def advance(state: WeigherState, sample: Array) -> tuple[WeigherState, Reading]:
+            return feed(constant, state, jnp.asarray(sample, jnp.float64), jnp)
+
+        return jax.jit(advance)
 
     def read(self, signals: np.ndarray) -> "Reading":
         """Readings [.., n] of signals [.., n] (g), each of an empty scale at first."""
@@ -214,13 +226,6 @@ def feed(
     state = _judge(xp, weigher, state, innovation, filtered)
     reading = _reading(xp, weigher, state, filtered)
     return _finish(xp, weigher, state, filtered), reading
-
-
-@jax.jit
-def _feed_compiled(
-    weigher: Weigher, state: WeigherState, sample: Array
-) -> tuple[WeigherState, Reading]:
-    return feed(weigher, state, jnp.asarray(sample, jnp.float64), jnp)
 
 
 def _begin(xp: ModuleType, weigher: Weigher, state: WeigherState, sample: Array) -> WeigherState:

@@ -265,7 +265,7 @@ def test_the_command_reads_samples_as_they_come(tmp_path, monkeypatch, capsys):
 
 def test_a_sample_that_is_no_number_is_one_line(tmp_path, monkeypatch, capsys):
     save_weigher(make_weigher(np.zeros(ROWS + 1)), tmp_path / "weigher.json")
-    monkeypatch.setattr("sys.stdin", io.StringIO("12.5\noverload\n"))
+    monkeypatch.setattr("sys.stdin", io.StringIO("grams\noverload\n"))
     assert main(["weigh", str(tmp_path / "weigher.json")]) == 2
     assert "standard input: line 2: 'overload': allowed: a number (g)" in capsys.readouterr().err
 
