@@ -7,6 +7,7 @@ import numpy as np
 from dem_jax.contact.law import ContactLaw
 from dem_jax.contact.law.cohesion import Cohesive
 from dem_jax.contact.law.densifying import Densifying
+from dem_jax.contact.law.elastic_plastic import ElasticPlastic
 from dem_jax.contact.law.hertz_mindlin import HertzMindlin
 from dem_jax.contact.law.linear_dashpot import LinearDashpot
 from dem_jax.contact.law.rolling import Rolling
@@ -44,6 +45,9 @@ LAWS: dict[str, Callable[[Scene], ContactLaw]] = {
     "hertz-mindlin": lambda scene: HertzMindlin(_number(scene.contact.impact_speed)),
     "densifying": lambda scene: Densifying(
         _number(scene.contact.densification), _number(scene.material.tangential_stiffness), _number(scene.contact.impact_speed)
+    ),
+    "elastic-plastic": lambda scene: ElasticPlastic(
+        _number(scene.contact.yield_pressure), _number(scene.material.tangential_stiffness), _number(scene.contact.impact_speed)
     ),
 }
 

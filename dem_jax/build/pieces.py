@@ -130,8 +130,7 @@ def goods_of(scene: Scene, reuse: Reuse | None = None) -> Goods:
         own = tuple(map(_own_density, scene.piece, listed))
         return Goods(tuple(listed), tuple(row.material for row in scene.piece), (), own)
     assert scene.portion is not None  # as a Scene makes sure
-    rows = scene.portion.rows
-    made = _shapes_of_rows(rows, "portion.product.{}" if scene.portion.product else "portion", scene.folder, reuse)
+    rows, made = scene.portion.rows, shapes_of_portion(scene, reuse)
     resized = reuse.get("resized", lambda: cache(shapes.scaled))
     found: list[shapes.Shape] = []
     names: list[str | None] = []
@@ -145,6 +144,13 @@ def goods_of(scene: Scene, reuse: Reuse | None = None) -> Goods:
             densities += [_own_density(row, shape)] * number
         numbers.append(sum(counts))
     return Goods(tuple(found), tuple(names), tuple(numbers), tuple(densities))
+
+
+def shapes_of_portion(scene: Scene, reuse: Reuse | None = None) -> list[shapes.Shape]:
+    """The shape of each product of the portion, at its size as given. Raises SceneError."""
+    assert scene.portion is not None
+    key = "portion.product.{}" if scene.portion.product else "portion"
+    return _shapes_of_rows(scene.portion.rows, key, scene.folder, reuse or Reuse())
 
 
 def _own_density(row: PieceShape, shape: shapes.Shape) -> float | None:
@@ -311,7 +317,8 @@ def piece_arrays(scene: Scene, goods: Goods) -> Pieces:
 
 def size_of_piece(scene: Scene, law: str) -> float:
     """The size L (m) of the first piece, from which a contact law takes its stiffness. Raises SceneError."""
-    convention = "equivalent-diameter" if law == "hertz-mindlin" else scene.material.stiffness_size  # as ``curvature`` above
+    of_curvature = law in ("hertz-mindlin", "elastic-plastic")  # as ``curvature`` above
+    convention = "equivalent-diameter" if of_curvature else scene.material.stiffness_size
     return shapes.size_length(goods_of(scene).shapes[0], convention)
 
 

@@ -14,6 +14,8 @@ def add(commands: Commands) -> None:
         help="values of a key that the runs take in turn: portion.count=5:13 (whole numbers from 5 to 13), "
         "drop.height=0.2:0.3:0.05 (steps of 0.05), material.restitution=0.1,0.5; several keys: all combinations in turn",
     )  # fmt: skip
+    words = "draw the numbers of the product from their ranges, anew for each run, and say how much of the bands is due to them"
+    made.add_argument("--uncertain", action="store_true", help=words)
 
 
 def ensemble(args: Args) -> None:
@@ -23,6 +25,8 @@ def ensemble(args: Args) -> None:
     from dem_jax.cli.varying import parse_varied
     from dem_jax.drive import interface
 
-    parameters = parse_varied(args.varied, args.runs)
-    done = interface.ensemble(scene, args.runs, args.seed, out, args.overwrite, not args.quiet, parameters=parameters)
+    parameters, progress = parse_varied(args.varied, args.runs), not args.quiet
+    done = interface.ensemble(
+        scene, args.runs, args.seed, out, args.overwrite, progress, parameters=parameters, uncertain=args.uncertain
+    )
     simulating.finish(done, out, args)

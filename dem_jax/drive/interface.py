@@ -15,9 +15,10 @@ from dem_jax.drive import hosts, loop, recorded, restart, target
 from dem_jax.drive.job import Job
 from dem_jax.drive.prepare import checked_seed, prepare
 from dem_jax.drive.progress import Tell
+from dem_jax.drive.uncertain import draw_numbers
 from dem_jax.drive.varied import drawn
 from dem_jax.errors import RecordError, SceneError
-from dem_jax.scene import Scene, parse
+from dem_jax.scene import Scene, load_scene, parse
 from dem_jax.step.quantity import Quantity
 from dem_jax.store import record
 
@@ -69,6 +70,7 @@ def ensemble(
     quantities: Iterable[Quantity] = (),
     law: ContactLaw | None = None,
     parameters: Mapping[str, Any] | None = None,
+    uncertain: bool = False,
 ) -> record.Run:
     """Simulate a scene with many seeds or parameter values; every series has a leading run axis [K].
 
@@ -96,6 +98,9 @@ def ensemble(
         parameters: keys of the scene, such as ``"material.restitution"``, each with one value per run, or with a
             distribution of ``scipy.stats`` (sampled with the first seed). All keys are permitted that leave the
             compiled program unchanged. ``run.parameters`` contains the values.
+        uncertain: give each run its own values of the scene's uncertain numbers (``[[uncertain]]``, which
+            products bring with them), drawn from their ranges with the first seed. Keys in ``parameters`` are
+            not drawn, and the number of pieces is that of the scene.
 
     Returns:
         The ensemble; each run is that of its own scene, ``scene.replace({key: value, ...})``.
@@ -113,6 +118,9 @@ def ensemble(
     if not count or (listed and runs not in (None, count)):
         raise SceneError(f"seed: {np.size(seed)} of them; allowed: one, or one for each of {runs or 'at least one'} run(s)")
     seeds = tuple(given) if listed else tuple(range(first, first + count))
+    if uncertain:
+        scene = scene if isinstance(scene, Scene) else load_scene(scene)
+        scene, values = draw_numbers(scene, count, first, values)
     with hosts.together():
         return drive(prepare(scene, seeds, count, quantities, law, values or None), out, overwrite, progress)
 

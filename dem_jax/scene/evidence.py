@@ -21,7 +21,7 @@ Tree = dict[str, Any]
 
 GRADES = {"A": "measured on the product", "B": "measured on a close relative", "C": "judgement"}
 OF_PIECE = {"piece_weight": "kg", "volume": "m3", "extent": "m"}  # numbers that the shape and the density make
-TO_A_FACTOR = ("youngs_modulus", "pull_off")  # numbers known to a factor only: drawn log-normal
+TO_A_FACTOR = ("youngs_modulus", "pull_off")  # numbers known to a factor only: drawn uniformly by their logarithm
 OF_RANGE = "youngs_modulus_range"  # key of [material] that follows from the evidence
 
 
@@ -129,7 +129,7 @@ def _uncertain(rows: dict[str, Evidence]) -> Iterator[Tree]:
     """Rows of [[uncertain]]: of each number of [material] that has a range."""
     for name, row in rows.items():
         if row.range is not None and name in Material.model_fields:
-            how = "log-normal" if name in TO_A_FACTOR else "uniform"
+            how = "log-uniform" if name in TO_A_FACTOR else "uniform"
             yield {"key": f"material.{name}", "range": list(row.range), "distribution": how}
 
 

@@ -19,7 +19,8 @@ FEWEST = 3  # measurements
 NARROWEST = 1e-3  # half of an interval, relative: no reading is more accurate
 FORCES = {"force_N": 1.0, "force_g": 9.80665e-3, "force_kg": 9.80665}  # columns, and newtons of one unit
 WAYS = {"way_m": 1.0, "way_mm": 1e-3, "way_um": 1e-6}
-MODULI = ("walton-braun", "linear-dashpot", "hertz-mindlin", "densifying")  # laws that a modulus is measured by
+HERTZIAN = ("hertz-mindlin", "elastic-plastic")  # laws of this elastic part
+MODULI = ("walton-braun", "linear-dashpot", "densifying", *HERTZIAN)  # laws that a modulus is measured by
 
 
 @dataclass(frozen=True)
@@ -98,7 +99,7 @@ def estimate_modulus(
 
     With s half of the approach of the plates and L the size: F = E L s (``walton-braun``, ``linear-dashpot``),
     F = E L s / (1 - s / D) with D = densification L (``densifying``), F = 4/3 E / (1 - nu^2) sqrt(L / 2) s^(3/2)
-    (``hertz-mindlin``).
+    (``hertz-mindlin``, and ``elastic-plastic`` below yielding).
 
     Args:
         pieces: forces (N) and positions of the upper plate, downward (m), of each piece, at least three
@@ -106,7 +107,7 @@ def estimate_modulus(
         size: L (m), the diameter of a sphere of the same volume.
         law: name of the contact law.
         densification: of ``densifying``.
-        poisson: Poisson's ratio nu of the pieces, of ``hertz-mindlin``.
+        poisson: Poisson's ratio nu of the pieces, of these two.
 
     Returns:
         The geometric mean over the pieces; of one piece its fit.
@@ -133,7 +134,7 @@ def _force_curve(law: str, size: float, densification: float, poisson: float) ->
         raise SceneError(f"size = {size:g}: allowed: a length (m) above 0")
     if law not in MODULI:
         raise SceneError(f"law = {law!r}: allowed: {', '.join(MODULI)}")
-    if law == "hertz-mindlin":
+    if law in HERTZIAN:
         return lambda way: 4 / 3 / (1 - poisson**2) * np.sqrt(0.5 * size) * (0.5 * np.maximum(way, 0)) ** 1.5
     if law == "densifying":
         depth = densification * size

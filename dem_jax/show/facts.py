@@ -13,8 +13,9 @@ from dem_jax.show.heap import heap_said
 from dem_jax.store.run import Run
 
 Facts = list[tuple[str, str]]  # what, and what there is to say of it
-# Power of the stiffness in the peak of one impact; of a densifying spring while its overlap is small.
-EXPONENT = {"walton-braun": 0.5, "linear-dashpot": 0.5, "hertz-mindlin": 0.4, "densifying": 0.5}
+# Power of the stiffness in the peak of one impact; of a densifying spring while its overlap is small, of an
+# elastic-plastic contact before it yields (then 0).
+EXPONENT = {"walton-braun": 0.5, "linear-dashpot": 0.5, "hertz-mindlin": 0.4, "densifying": 0.5, "elastic-plastic": 0.4}
 
 
 def main_group(run: Run) -> str | None:

@@ -22,6 +22,7 @@ from dem_jax.show.numbers import averaged_peaks, numbers_of, said
 from dem_jax.show.overlay import COLOURS, figure_of_runs
 from dem_jax.show.player import three, view_of
 from dem_jax.show.plot import check_format, figure_of_run
+from dem_jax.show.uncertainty import describe_splits, figure_of_splits, split_ensemble
 from dem_jax.store.run import Run
 
 if TYPE_CHECKING:
@@ -31,6 +32,7 @@ POLICY = "script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: b
 MOST_KINDS = 4  # of pieces that the first line names
 SPEEDS = "impact speeds, and where pieces hit"
 PEAKS = "Peak by the time that the force is averaged over, the first being the sample time."
+UNKNOWN = "Chance and unknown numbers"
 SLOWER = (1, 2, 5, 10, 20, 50, 100, 200)  # than in truth: what the player offers
 
 
@@ -69,6 +71,8 @@ def content(named: Sequence[Named], group: str | None = None, fit: Fitted | None
     strips = [(each.name, paper.strip_of(run)) for each, run in zip(named, shown, strict=True)]
     sheets += [paper.Sheet(f"The drop: {name}", [], strip) for name, strip in strips if strip is not None]
     sheets += [paper.Sheet(f"Collisions: {name}", list(lines), figure) for name, lines, figure in _collisions_of(named, group)]
+    for name, lines, figure in _unknown_of(named, group):
+        sheets.append(paper.Sheet(f"{UNKNOWN}: {name}", lines, figure))
     if fit is not None:
         sheets.append(paper.Sheet("The Product Model, fitted", [fit.rows(), *fit.statements], fit.picture))
     facts = [facts_of(each.run) for each in named]
@@ -86,6 +90,7 @@ def page(named: Sequence[Named], group: str | None = None, fit: Fitted | None = 
         "view": _view(drawn, [name for name, view in views if not view], any(e.run.run_count is not None for e in named)),
         "figure": _figure(named, group) if any(each.run.force for each in named) else _note("The runs have no walls."),
         "depends": _depends(named, group),
+        "unknown": _unknown(named, group),
         "collisions": _collisions(named, group),
         "model": "" if fit is None else _model(fit),
         "facts": _facts(named),
@@ -269,6 +274,21 @@ def _collisions(named: Sequence[Named], group: str | None) -> str:
     for name, lines, figure in _collisions_of(named, group):
         head = f"<h2>Collisions{escape(f': {name}' if len(named) > 1 else '')}</h2>"
         found.append(f"{head}\n{webpage.image(SPEEDS, webpage.png(figure))}{_list('', lines)}")
+    return "".join(found)
+
+
+def _unknown_of(named: Sequence[Named], group: str | None) -> Iterator[tuple[str, list[str], "Figure"]]:
+    """Of each ensemble with drawn numbers its name, their shares of the scatter in words, and the picture."""
+    for each in named:
+        if splits := split_ensemble(each.run, group):
+            yield each.name, describe_splits(splits), figure_of_splits(splits)
+
+
+def _unknown(named: Sequence[Named], group: str | None) -> str:
+    found = []
+    for name, lines, figure in _unknown_of(named, group):
+        head = f"<h2>{UNKNOWN}{escape(f': {name}' if len(named) > 1 else '')}</h2>"
+        found.append(f"{head}\n{webpage.image('shares of the variance', webpage.png(figure))}{_list('', lines)}")
     return "".join(found)
 
 

@@ -21,6 +21,7 @@ from dem_jax.show.facts import (
 from dem_jax.show.heap import heap_said
 from dem_jax.show.numbers import MEAN_WINDOW, peak_of_means
 from dem_jax.show.swing import Swing, find_swing
+from dem_jax.show.uncertainty import describe_uncertainty
 from dem_jax.store.run import Run
 
 MISSED = 0.01  # of a peak: by how much samples may miss it before it is said
@@ -58,7 +59,7 @@ def summary(run: Run) -> list[str]:
     lines += filter(None, [heap_said(run)])
     if group and block:
         lines.append(_durations(rest, block))
-    return lines
+    return [*lines, *describe_uncertainty(run)]
 
 
 def _weighed(run: Run, swing: Swing) -> str:

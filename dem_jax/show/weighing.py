@@ -11,17 +11,19 @@ from dem_jax.show.at_rest import find_rest
 from dem_jax.show.facts import main_block
 from dem_jax.show.overlay import COLOURS, INK
 from dem_jax.store.reader import load_run
+from dem_jax.store.run import Run
 from dem_jax.weighing import chain, filters
 from dem_jax.weighing.cell import Cell, through_cell
 from dem_jax.weighing.noise import Seed, add_noise, draw_release_delays
 from dem_jax.weighing.settling import HOLD, QUANTILES, Times, find_quantile, pool_times, time_to_weigh
-from dem_jax.weighing.traces import Trace, is_product_model, trace_of_file
+from dem_jax.weighing.traces import Trace, is_product_model, trace_of, trace_of_file
 from dem_jax.weighing.tuning import Drops
 
 if TYPE_CHECKING:  # loaded where something is drawn: it takes a second
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+RATE, AVERAGE, TOLERANCE = 1000.0, "average:0.1", 1e-3  # 1/s, filter (s), kg: of a scale, where no other is given
 SHARES = tuple(f"{100 * q:g} %" for q in QUANTILES)
 OF_TIMES = (*(f"{share} (ms)" for share in SHARES), *(f"{share} since impact" for share in SHARES), "never")
 HEADINGS = ("trace", "filter", "delay (ms)", "within (g)", *OF_TIMES)
@@ -45,6 +47,21 @@ class Readings(NamedTuple):
         """The time to weigh of each run, for a tolerance (kg)."""
         release = time_to_weigh(self.time, self.weight, self.truth, tolerance, HOLD)
         return Times(release, release - self.impact)
+
+
+def find_time_to_weigh(run: Run, is_known: np.ndarray) -> np.ndarray:
+    """Times [K] (s) since the release from which the readings of a scale stay within 1 g of the settled mass.
+
+    Args:
+        run: a run or an ensemble with a block.
+        is_known: [K] whether the settled mass is known, or one for all.
+
+    Returns:
+        The times; nan where the settled mass is not known, and where the readings do not stay.
+    """
+    of, trace = chain.chain(run.sample, RATE, AVERAGE), trace_of(run)
+    time, readings = chain.weighed(of, trace.time, np.atleast_2d(trace.weight))
+    return time_to_weigh(time, readings, np.where(is_known, np.ravel(trace.truth), np.nan), TOLERANCE, HOLD)
 
 
 def read_trace(path: str | Path, group: str | None, block: str | None, truth: float | None) -> tuple[Trace, str]:

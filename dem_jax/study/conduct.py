@@ -13,6 +13,7 @@ from dem_jax.study import file, work
 from dem_jax.study.file import DONE, LOST, OPEN, Results
 from dem_jax.study.outputs import evaluated, evaluated_portions, of_drops
 from dem_jax.study.table import Study, load_study
+from dem_jax.study.uncertain import fill_parameters
 
 SPACED = 20.0  # times that writing takes, between two
 
@@ -28,7 +29,7 @@ def study(
     Raises SceneError for what cannot be a study and RecordError for a file. Drops that go wrong are lost, and said to be.
     """
     compiling.loops_as_one(unrolled=True)
-    table = source if isinstance(source, Study) else load_study(source, quick)
+    table = fill_parameters(source if isinstance(source, Study) else load_study(source, quick))
     with nullcontext() if out is None else locked(out):
         results = _begun(table, out, overwrite)
         if not (results.state == OPEN).any():

@@ -9,12 +9,10 @@ from scipy.signal import find_peaks
 from dem_jax.show.at_rest import Rest, find_rest
 from dem_jax.show.facts import main_block, main_group
 from dem_jax.show.numbers import MEAN_WINDOW, peak_of_means
+from dem_jax.show.weighing import find_time_to_weigh
 from dem_jax.store.run import Run
-from dem_jax.weighing import chain, traces
-from dem_jax.weighing.settling import HOLD, time_to_weigh
 
 WINDOW = 1e-3  # s, over which forces are averaged where it says so
-RATE, AVERAGE, TOLERANCE = 1000.0, "average:0.1", 1e-3  # 1/s, filter (s), kg: of a scale
 BURST, PROMINENCE = 5e-3, 0.2  # s, over which forces are averaged to tell bursts apart; of the highest, that others rise by
 OF_PEAK, OF_WEIGHT = 0.1, 2.0  # of its top, down to which a peak lasts; of the settled weight, above which an impact goes on
 
@@ -150,11 +148,7 @@ def _second_peak(t: Traces) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _time_to_weigh(t: Traces) -> np.ndarray:
-    of = chain.chain(t.run.sample, RATE, AVERAGE)
-    found = traces.trace_of(t.run)
-    time, readings = chain.weighed(of, found.time, np.atleast_2d(found.weight))
-    truth = np.ravel(found.truth)
-    until = time_to_weigh(time, readings, truth if t.rest is None else np.where(t.rest.is_complete, truth, np.nan), TOLERANCE, HOLD)
+    until = find_time_to_weigh(t.run, np.array(True) if t.rest is None else t.rest.is_complete)
     first = _first_force(t)
     return np.where(first < len(t.time), 1e3 * (until - t.time[np.minimum(first, len(t.time) - 1)]), np.nan)
 

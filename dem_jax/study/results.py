@@ -19,6 +19,7 @@ from dem_jax.study.design import points_of
 from dem_jax.study.file import DONE, LOST, OPEN, Results
 from dem_jax.study.outputs import OUTPUTS
 from dem_jax.study.table import RMSE, Reference, Study
+from dem_jax.study.uncertain import describe_uncertainty
 
 FEWEST, MANY = 8, 128  # drawn points from which on ranks are correlated, and shares of the variance computed
 
@@ -63,7 +64,7 @@ def write_csv(results: Results, path: Path) -> Path:
     for member in np.flatnonzero(results.state == DONE).tolist():
         values = [results.outputs[name][member] for name in study.outputs]
         told = ["" if np.isnan(v) else f"{v:.9g}" for v in values]
-        rows.writerow([*points[member // study.seeds].values(), study.seed + member % study.seeds, *told])
+        rows.writerow([*points[member // study.seeds].values(), study.seed_of(member), *told])
     return write_whole(path, text.getvalue().encode())
 
 
@@ -233,7 +234,7 @@ def findings(results: Results) -> list[str]:
     lines += [f"{name} goes with {key} to the power {p:.3f} ± {half:.3f}" for name, key, p, half in powers(results)]
     for name in study.outputs:
         lines += _depends(study, [i for i in influences(results) if i.output == name])
-    lines += _distances(results)
+    lines += [*describe_uncertainty(results), *_distances(results)]
     for row, ours, verdict in beside(results):
         at = "".join(f", {key} = {short(v)}" for key, v in row.at.items())
         lines.append(f"{row.source}{at}: {row.output} {row.low:g} to {row.high:g} {ours.unit}; ours {in_short(ours)}: {verdict}")

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 import tomli_w
 from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
+from dem_jax.drive.uncertain import held_counts
 from dem_jax.errors import SceneError
 from dem_jax.scene import Scene, load_scene
 from dem_jax.scene.overrides import check_varied
@@ -71,8 +72,9 @@ class Study(Section):
     points: int = Field(5, ge=1, le=100_000, description="of a range in a grid, or of the whole of another design")
     design_seed: int = Field(0, ge=0, description="of a design that is drawn")
     seeds: int = Field(8, ge=1, le=100_000, description="drops at each point")
-    seed: int = Field(0, ge=0, description="the first of them; each point has the same")
+    seed: int = Field(0, ge=0, description="the first of them; each point has the same, with uncertain = true its own")
     parameter: dict[str, Parameter] = {}
+    uncertain: bool = Field(False, description="the uncertain numbers of the scene are the parameters, of a Sobol design")
     outputs: Names = ("peak", "peak_1ms", "peak_10ms", "first_at_rest", "time_to_rest", "settled")
     traces: bool = Field(False, description="keep the force over time of each drop, and draw it")
     span: Positive | None = Field(None, description="s of traces that are drawn, from the first force; unset: all")
@@ -96,17 +98,26 @@ class Study(Section):
         for key in (*self.compare, *(key for row in self.reference for key in row.at)):
             if key not in self.parameter:
                 raise ValueError(f"{key!r} in compare or reference.at: allowed: a parameter of the study")
+        if self.uncertain and any(row.values is not None for row in self.parameter.values()):
+            raise ValueError("uncertain = true: allowed without parameters")
         if (self.model is not None or self.compare) and not self.traces:
             raise ValueError("model, compare: allowed with traces = true")
         return self
 
     def base(self) -> Scene:
-        """The scene, with what is set for all points. Raises SceneError."""
+        """The scene, with what is set for all points; with as many pieces at all of them, if numbers of it are uncertain.
+
+        Raises SceneError.
+        """
         beside = Path(self.folder) / self.scene
         changes = {"run.frames": 0.0} | self.set
         scene = load_scene(beside if beside.is_file() else self.scene, changes)
         check_varied(scene, self.parameter, f"study {self.name}: {scene.name}")
-        return scene
+        return scene.replace(held_counts(scene)) if self.uncertain else scene
+
+    def seed_of(self, member: int) -> int:
+        """The seed of a drop: points have the same seeds, but where the shares of chance and of numbers are wanted."""
+        return self.seed + (member if self.uncertain else member % self.seeds)
 
     def of_scene(self, scene: str) -> "Study":
         """The same study of another scene: a stock scene or a .toml file, from where the process is."""

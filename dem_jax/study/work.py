@@ -68,7 +68,7 @@ def batches(study: Study) -> Iterator[Batch | Failed]:
         common = read(base.replace({key: first[key] for key in first if _is_common(key)}))
         for members in _cut([n * study.seeds + k for n in numbers for k in range(study.seeds)], study.seeds):
             rows = tuple(points[m // study.seeds] for m in members)
-            yield Batch(tuple(members), rows, tuple(study.seed + m % study.seeds for m in members), common)
+            yield Batch(tuple(members), rows, tuple(map(study.seed_of, members)), common)
 
 
 def _cut(members: list[int], seeds: int) -> list[list[int]]:

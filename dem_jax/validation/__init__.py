@@ -8,7 +8,7 @@ system step by step and reads the quantities of the solution. A ``Problem`` is a
 
 from dem_jax.validation.cell import CellImpact
 from dem_jax.validation.eccentric import EccentricImpact
-from dem_jax.validation.normal import DashpotImpact, HertzImpact, NormalImpact
+from dem_jax.validation.normal import DashpotImpact, ElasticPlasticImpact, HertzImpact, NormalImpact
 from dem_jax.validation.oblique import ObliqueImpact
 from dem_jax.validation.problem import Problem, Solution, solve
 from dem_jax.validation.rotation import FreeRotation
@@ -27,6 +27,7 @@ __all__ = [
     "CellImpact",
     "DashpotImpact",
     "EccentricImpact",
+    "ElasticPlasticImpact",
     "FreeRotation",
     "HertzImpact",
     "NormalImpact",

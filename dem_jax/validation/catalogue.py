@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable
 
-from dem_jax.validation import chain, chung_ooi, classics, poured, squeeze, statics
+from dem_jax.validation import chain, chung_ooi, classics, measured_impacts, poured, squeeze, statics
 from dem_jax.validation.problem import Problem
 
 FAMILIES: dict[str, Callable[[], Iterable[Problem]]] = {
@@ -11,6 +11,9 @@ FAMILIES: dict[str, Callable[[], Iterable[Problem]]] = {
     "rest": lambda: [statics.tower(), statics.groove("sphere"), statics.groove("cuboid")],
     "rows": lambda: [chain.cradle()],
     "walls that close": lambda: [squeeze.jaws(), squeeze.flaps()],
+    "measured impacts": lambda: [
+        measured_impacts.potato(), measured_impacts.tablet(), *map(measured_impacts.fruit, ("walton-braun", "hertz-mindlin")),
+    ],
     "packings": lambda: [poured.poured(4, 8), poured.poured(7, 4, 1.2)],
 }
 

@@ -162,3 +162,43 @@ class HertzImpact:
         from scipy.special import beta
 
         return 0.4 * beta(0.4, 0.5) * self.largest_overlap / self.speed
+
+
+@dataclass(frozen=True)
+class ElasticPlasticImpact:
+    """A sphere that yields at a contact pressure: central impact on a fixed wall, no gravity (Thornton 1997)."""
+
+    mass: float  # kg: effective
+    modulus: float  # Pa: E*
+    radius: float  # m: R*
+    pressure: float  # Pa: p
+    speed: float  # m/s: at first touch
+
+    @property
+    def yield_overlap(self) -> float:
+        """(m)."""
+        return self.radius * (np.pi * self.pressure / (2 * self.modulus)) ** 2
+
+    @property
+    def yield_speed(self) -> float:
+        """Fastest impact without yielding (m/s)."""
+        force = np.pi**3 * self.radius**2 * self.pressure**3 / (6 * self.modulus**2)
+        return np.sqrt(0.8 * force * self.yield_overlap / self.mass)
+
+    @property
+    def restitution(self) -> float:
+        """Thornton's closed form of the speed over that of yield."""
+        slowness = self.yield_speed / self.speed
+        if slowness >= 1:
+            return 1.0
+        below = slowness + 2 * np.sqrt(1.2 - 0.2 * slowness**2)
+        return np.sqrt(1.2 * np.sqrt(3)) * np.sqrt(1 - slowness**2 / 6) * (slowness / below) ** 0.25
+
+    @property
+    def peak_force(self) -> float:
+        """(N): by the energy of Hertz's part and of the straight one beyond it."""
+        edge, slope = self.yield_overlap, np.pi * self.pressure * self.radius
+        energy, start = 0.5 * self.mass * self.speed**2, 2 / 3 * slope * edge
+        if energy <= 0.4 * start * edge:
+            return HertzImpact(self.mass, 4 / 3 * self.modulus * np.sqrt(self.radius), self.speed).peak_force
+        return np.sqrt(start**2 + 2 * slope * (energy - 0.4 * start * edge))

@@ -62,7 +62,7 @@ def test_every_number_has_a_grade_and_a_source_or_is_called_a_judgement(name):
         assert bool(row.address) == (row.grade != "C"), key
     drawn = {row.key: row for row in scene.uncertain}
     assert set(drawn) == {f"material.{key}" for key in tree["material"] if rows.get(key) and rows[key].range}
-    assert all(row.distribution == "log-normal" for key, row in drawn.items() if key.endswith(("modulus", "pull_off")))
+    assert all(row.distribution == "log-uniform" for key, row in drawn.items() if key.endswith(("modulus", "pull_off")))
     assert parse(scene.to_toml()) == scene
 
 
@@ -129,7 +129,7 @@ def test_evidence_that_is_not_valid_is_one_line(tmp_path, row, message):
     ("row", "message"),
     [
         ({"key": "material.bounce"}, r'uncertain.0.key = "material.bounce": allowed: the dotted key'),
-        ({"key": "drop.height", "distribution": "log-normal"}, "numbers above 0"),
+        ({"key": "drop.height", "distribution": "log-uniform"}, "numbers above 0"),
         ({"key": "portion.shape"}, 'uncertain.0.key = "portion.shape"'),
     ],
 )

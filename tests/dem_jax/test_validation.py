@@ -8,11 +8,13 @@ import pytest
 from dem_jax import validation
 from dem_jax.validation import (
     DashpotImpact,
+    ElasticPlasticImpact,
     HertzImpact,
     NormalImpact,
     ObliqueImpact,
     chain,
     chung_ooi,
+    measured_impacts,
     poured,
     solved,
     squeeze,
@@ -92,6 +94,27 @@ def test_momentum_is_handed_on_in_a_cradle():
 def test_poured_spheres_weigh_on_the_floor():
     solution = near(poured.poured(4, 1, 0.7, softening=3e-3), "f32")
     assert solution.errors["force on the floor"] > 0  # of single precision and of what still rings
+
+
+def test_a_tablet_rebounds_as_measured():
+    problem = measured_impacts.tablet()
+    assert near(problem).errors.keys() == problem.bounds.keys()
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("case", ["potato", "walton-braun", "hertz-mindlin"])
+def test_a_potato_and_fruit_land_as_measured(case):
+    problem = measured_impacts.potato() if case == "potato" else measured_impacts.fruit(case)
+    assert near(problem).errors.keys() == problem.bounds.keys()
+
+
+def test_which_law_does_not_reproduce_the_potato():
+    """From 1 to 1.75 m/s: mean stress F / (pi R s) of Hertz, and Thornton's restitution far above yield."""
+    slow, fast = (HertzImpact(0.175, 1e6, speed) for speed in (1.0, 1.75))
+    stress = [hit.peak_force / hit.largest_overlap for hit in (slow, fast)]
+    assert stress[1] / stress[0] - 1 == pytest.approx(0.25, abs=0.002)
+    yielding = [ElasticPlasticImpact(0.175, 3e6, 0.034, 1e4, speed).restitution for speed in (1.0, 1.75)]
+    assert yielding[1] / yielding[0] - 1 == pytest.approx(-0.13, abs=0.002)
 
 
 def test_an_error_is_seen():

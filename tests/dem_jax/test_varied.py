@@ -135,6 +135,23 @@ def test_pieces_that_come_and_go_are_not_filled_up():
     assert find_room([scene, scene.replace({"portion.count": 4})], build.Reuse()) is None
 
 
+def test_uncertain_numbers_are_drawn_for_each_run_of_one_program():
+    """Between their ends; keys that are given are not drawn, and each run is that of its own scene."""
+    ranges = {"material.restitution": (0.2, 0.6), "material.friction_wall": (0.1, 0.3), "material.friction_piece": (0.1, 0.2)}
+    scene = balls(uncertain=[{"key": key, "range": list(ends)} for key, ends in ranges.items()])
+    programs.KEPT.clear()
+    found = dem_jax.ensemble(scene, seed=SEEDS, parameters={"material.friction_piece": [0.3] * 3}, uncertain=True)
+    assert len(programs.KEPT) == 1 and found.parameters["material.friction_piece"].tolist() == [0.3] * 3
+    for key in ("material.restitution", "material.friction_wall"):
+        low, high = ranges[key]
+        assert len({*found.parameters[key]}) == 3 and (low < found.parameters[key]).all() and (found.parameters[key] < high).all()
+    alone = dem_jax.simulate(scene.replace({key: values[1] for key, values in found.parameters.items()}), seed=SEEDS[1])
+    np.testing.assert_array_equal(found.member(1).force["plate"], alone.force["plate"])
+    assert summary(found)[-1] == "2 unknown numbers: their shares of the scatter need at least 9 runs that come to rest"
+    with pytest.raises(SceneError, match=r"uncertain = \[\]: no number of the scene has a range"):
+        dem_jax.ensemble(balls(), runs=2, uncertain=True)
+
+
 def test_what_is_alike_is_built_once(monkeypatch):
     built, build_one = [], prepare.built_of
     monkeypatch.setattr(prepare, "built_of", lambda *arguments: built.append(1) or build_one(*arguments))

@@ -2,10 +2,10 @@
 
 A law is a value with a type: a frozen pytree (``types.pytree``) of its parameters with the methods of ``ContactLaw``. There
 is no base class and no list of names in the step; whatever has these methods is a law. One file for each law:
-``walton_braun`` (the paper's, the default), ``linear_dashpot``, ``hertz_mindlin``, ``densifying`` (foams); ``cohesion``
-makes a cohesive law of any of them, ``rolling`` one with rolling friction; ``friction`` is the tangential spring and
-``dashpot`` the damping that they share. ``LAWS`` of ``dem_jax.build.law`` has them by the names that a scene uses,
-``dem_jax.scene.sections.contact`` has their keys.
+``walton_braun`` (the paper's, the default), ``linear_dashpot``, ``hertz_mindlin``, ``densifying`` (foams),
+``elastic_plastic`` (restitution that falls with the speed); ``cohesion`` makes a cohesive law of any of them, ``rolling`` one
+with rolling friction; ``friction`` is the tangential spring and ``dashpot`` the damping that they share. ``LAWS`` of
+``dem_jax.build.law`` has them by the names that a scene uses, ``dem_jax.scene.sections.contact`` has their keys.
 """
 
 from typing import Any, NamedTuple, Protocol

@@ -7,15 +7,16 @@ from pydantic import Field
 from dem_jax.scene.sections.base import NotNegative, Positive, Section
 from dem_jax.scene.sections.material import Material
 
-LawName = Literal["walton-braun", "linear-dashpot", "hertz-mindlin", "densifying"]
+LawName = Literal["walton-braun", "linear-dashpot", "hertz-mindlin", "densifying", "elastic-plastic"]
 
 # Keys that belong to some laws only, by section and key: the laws that have them.
 OF_LAWS = {
     ("material", "separation"): ("walton-braun",),
     ("material", "unloading_damping"): ("walton-braun",),
     ("material", "rest_damping"): ("walton-braun",),
-    ("material", "tangential_stiffness"): ("walton-braun", "linear-dashpot", "densifying"),
-    ("contact", "impact_speed"): ("hertz-mindlin", "densifying"),
+    ("material", "tangential_stiffness"): ("walton-braun", "linear-dashpot", "densifying", "elastic-plastic"),
+    ("contact", "impact_speed"): ("hertz-mindlin", "densifying", "elastic-plastic"),
+    ("contact", "yield_pressure"): ("elastic-plastic",),
     ("contact", "densification"): ("densifying",),
 }
 
@@ -32,10 +33,14 @@ class Contact(Section):
 
     law: LawName = "walton-braun"
     impact_speed: Positive = Field(
-        5.0, description='m/s, the fastest impact that the time step resolves; law "hertz-mindlin" or "densifying"'
+        5.0,
+        description='m/s, the fastest impact that the time step resolves; law "hertz-mindlin", "densifying", "elastic-plastic"',
     )
     densification: Positive = Field(
         0.2, description='overlap at which a foam is solid, as fraction of the size L of the smaller body; law "densifying"'
+    )
+    yield_pressure: Positive = Field(
+        1e6, description='Pa, contact pressure at which pieces yield, with moduli times softening; law "elastic-plastic"'
     )
     cohesion: Cohesion = Cohesion()
     smooth_angle_deg: float = Field(

@@ -15,18 +15,18 @@ def _is_rising(pair: tuple[float, float]) -> tuple[float, float]:
 
 
 Range = Annotated[tuple[float, float], BeforeValidator(as_tuple), AfterValidator(_is_rising)]
-Distribution = Literal["uniform", "log-normal"]
+Distribution = Literal["uniform", "log-uniform"]
 
 
 class Uncertain(Section):
     """A number that is known within a range only: ``ensemble --uncertain`` draws it for each run."""
 
     key: str = Field(description="dotted key of a number of this scene, such as material.restitution")
-    range: Range = Field(description="low, high: the ends of a uniform distribution, 5 and 95 % of a log-normal one")
-    distribution: Distribution = Field("uniform", description="log-normal for numbers known to a factor, such as moduli")
+    range: Range = Field(description="low, high: between which it is drawn")
+    distribution: Distribution = Field("uniform", description="log-uniform for numbers known to a factor, such as moduli")
 
     @model_validator(mode="after")
     def _has_a_logarithm(self) -> "Uncertain":
-        if self.distribution == "log-normal" and self.range[0] <= 0:
-            raise ValueError(f'range = {list(self.range)}: allowed with distribution = "log-normal": numbers above 0')
+        if self.distribution == "log-uniform" and self.range[0] <= 0:
+            raise ValueError(f'range = {list(self.range)}: allowed with distribution = "log-uniform": numbers above 0')
         return self

@@ -1,0 +1,101 @@
+"""Chance of the fall and unknown numbers of the product: ``python -m benchmarks.uncertainty [--quick] [products ...]``.
+
+For each product a study of the ranges in its file (``uncertain = true``): the bands of peak, time to rest and time to weigh, the
+share of the scatter that is due to the numbers, the share between drops of equal numbers, and the number to measure first.
+"""
+
+import argparse
+
+import numpy as np
+
+from benchmarks import report
+from dem_jax import compiling
+from dem_jax.scene.library import products
+from dem_jax.show.uncertainty import Split, first_to_measure, short_name
+from dem_jax.study import conduct, results
+from dem_jax.study.outputs import OUTPUTS
+from dem_jax.study.table import checked
+from dem_jax.study.uncertain import replicate_shares, split_outputs
+
+PRODUCTS = ("meatball", "cherry-tomato", "toffee", "cheese-cube", "gummy-bear")
+POINTS, SEEDS = 32, 2  # of the numbers; drops at each
+TARGET = 0.05  # kg
+SETTINGS = {"portion.target_weight": TARGET, "run.energy": False, "run.duration": 2.5, "run.until_settled": True}
+HEAD = ("product", "pieces", "answer", "median (5 to 95 %)", "by unknown numbers", "largest first", "drops of equal numbers")
+
+
+def conducted(product: str, quick: bool):
+    """The results of a product's study."""
+    tree = {
+        "name": f"uncertain-{product}", "title": f"Unknown numbers of {product}", "scene": "weigh-bucket", "uncertain": True,
+        "points": 16 if quick else POINTS, "seeds": SEEDS, "outputs": ["peak", "time_to_rest", "time_to_weigh"],
+        "set": SETTINGS | {"product": product},
+    }  # fmt: skip
+    return conduct.study(checked(tree, "benchmarks.uncertainty"))
+
+
+def rows_of(product: str, found) -> list[list[str]]:
+    """Table rows of a product, one for each answer."""
+    splits, replicates = split_outputs(found), {row.output: row for row in replicate_shares(found)}
+    pieces = found.study.base().portion.count
+    rows = []
+    for split in splits:
+        name, values = split.answer.name, split.answer.values
+        missing = int(np.isnan(values).sum())
+        low, high = split.answer.band
+        count = f"; {len(values) - missing} of {len(values)} drops" if missing else ""
+        band = f"{split.answer.median:.3g} ({low:.3g} to {high:.3g}) {OUTPUTS[name].unit}{count}"
+        chance = percent(replicates[name][1:]) if name in replicates else "-"
+        rows.append([product, str(pieces), name.replace("_", " "), band, percent(split.numbers[1:]), parts_of(split), chance])
+    return rows
+
+
+def percent(share) -> str:
+    """A share with its interval."""
+    value, low, high = (100 * x for x in share)
+    return f"{value:.0f} % ({low:.0f} to {high:.0f})"
+
+
+def parts_of(split: Split) -> str:
+    """The numbers that differ from nothing, with their shares."""
+    return ", ".join(f"{short_name(p.name)} {100 * p.value:.0f} %" for p in split.parts if p.is_known) or "none known"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("products", nargs="*", default=PRODUCTS, metavar="product", choices=[*products(), PRODUCTS])
+    parser.add_argument("--quick", action="store_true", help="one product and few drops")
+    options = parser.parse_args()
+    compiling.loops_as_one(unrolled=True)
+    names = options.products[:1] if options.quick else options.products
+    rows, lines = [], []
+    for product in names:
+        found = conducted(product, options.quick)
+        rows += rows_of(product, found)
+        first = first_to_measure(split_outputs(found))
+        lines.append(f"- {product}: {'no number stands out' if first is None else short_name(first.name)} ({found.elapsed:.0f} s)")
+        print("\n".join(" | ".join(row) for row in rows_of(product, found)), flush=True)
+        print("\n".join(results.findings(found)), flush=True)
+    drops = (16 if options.quick else POINTS) * SEEDS
+    text = f"""# Chance of the fall and unknown numbers
+
+{report.environment()}
+
+{drops} drops of {1e3 * TARGET:g} g of each product into the stock weigh bucket: {drops // SEEDS} points of a Sobol design over
+the ranges of density, modulus, restitution, friction and pull-off in its file, {SEEDS} drops with seeds of their own at each.
+The number of pieces is fixed. Scatter is the variance of the normal scores of the ranks. "By unknown numbers" is the sum
+of the first-order shares, with a 90 % interval; a number is listed if its share differs from zero. "Drops of equal
+numbers" is the share of the scatter between drops that differ in their seed alone: the chance of the fall by an analysis
+of variance, without a model of the effects. Both add up to 100 % where the effects of the numbers do.
+
+{report.table(HEAD, rows)}
+
+To be measured first, by the mean share over the three answers:
+
+{chr(10).join(lines)}
+"""
+    report.write("uncertainty", text, options.quick)
+
+
+if __name__ == "__main__":
+    main()

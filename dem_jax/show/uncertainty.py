@@ -1,0 +1,234 @@
+"""How much of the scatter of an ensemble is the chance of the fall, and how much the unknown numbers of its product.
+
+The scatter of an answer is the variance of the normal scores y of its ranks, so that a single piece that rolls on does not
+decide it (rank regression: Iman and Conover, Technometrics 21 (1979) 499-509).
+
+Each run has its own numbers x_i (``ensemble --uncertain``), at probabilities p_i of their ranges. Least squares give
+
+    y = a + sum_i sum_j b_ij P_j(2 p_i - 1) + chance,    P_1(t) = sqrt(3) t,  P_2(t) = sqrt(5) (3 t^2 - 1) / 2,
+
+with Legendre polynomials of variance 1, so that number i contributes sum_j b_ij^2 to the variance of y; divided by the
+variance, this is its first-order Sobol index (Sudret, Reliab. Eng. Syst. Saf. 93 (2008) 964-979). The variance of the
+coefficients is subtracted from their squares, which makes them unbiased. Intervals are those of the noncentral F
+distribution. Effects of several numbers together, and of higher order, count as chance.
+"""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from dem_jax.scene import parse
+from dem_jax.scene.ranges import probability
+from dem_jax.show.at_rest import find_rest
+from dem_jax.show.facts import main_block, main_group
+from dem_jax.show.numbers import Number, numbers_of, said
+from dem_jax.show.weighing import find_time_to_weigh
+from dem_jax.store.run import Run
+
+if TYPE_CHECKING:  # loaded where something is drawn: it takes a second
+    from matplotlib.figure import Figure
+
+ANSWERS = ("peak force", "time to rest", "time to weigh")
+CHANCE = "chance of the fall"  # and effects of several numbers together
+LOW, HIGH = 0.05, 0.95  # ends of an interval
+NO_CHANCE = 1e6  # F from which the chance is lost in rounding
+FEWEST_PER_TERM = 3  # runs for each coefficient, for polynomials of a degree
+
+
+class Share(NamedTuple):
+    """A share of the variance with its interval."""
+
+    name: str
+    value: float
+    low: float
+    high: float
+
+    @property
+    def is_known(self) -> bool:
+        """Whether it differs from nothing."""
+        return self.low > 0
+
+
+class Split(NamedTuple):
+    """The variance of an answer: all numbers together, and each of them, the largest first."""
+
+    answer: Number
+    numbers: Share
+    parts: list[Share]
+
+
+def uncertain_keys(run: Run) -> list[str]:
+    """Keys of the uncertain numbers that differ between the runs of an ensemble."""
+    rows = parse(run.scene, "the file's scene").uncertain
+    return [row.key for row in rows if np.ptp(np.asarray(run.parameters.get(row.key, [0.0]), float)) > 0]
+
+
+def split_ensemble(run: Run, group: str | None = None) -> list[Split]:
+    """The scatter of peak, time to rest and time to weigh of an ensemble with drawn numbers; [] of other runs."""
+    keys = uncertain_keys(run)
+    if not keys:
+        return []
+    rows = {row.key: row for row in parse(run.scene, "the file's scene").uncertain}
+    drawn = np.array([probability(rows[key], run.parameters[key]) for key in keys]).T
+    found = [split_scatter(drawn, keys, answer) for answer in answers_of(run, group)]
+    return [split for split in found if split is not None]
+
+
+def answers_of(run: Run, group: str | None = None) -> list[Number]:
+    """Peak force (kg), time to rest (ms) and time to weigh (ms) of an ensemble, as far as there are any."""
+    group, block = group or main_group(run), main_block(run)
+    found = [number for number in numbers_of(run, group) if number.name in ANSWERS]
+    if group and block:
+        rest = find_rest(run, group, block)
+        first_force = run.time[-1] - rest.observed
+        found.append(Number("time to weigh", "ms", 1e3 * (find_time_to_weigh(run, rest.is_complete) - first_force)))
+    return found
+
+
+def normal_scores(values: np.ndarray) -> np.ndarray:
+    """The values of a normal distribution at the ranks of values; nan stays."""
+    from scipy.stats import norm, rankdata
+
+    known = np.isfinite(values)
+    scores = np.full(len(values), np.nan)
+    scores[known] = norm.ppf((rankdata(values[known]) - 0.5) / known.sum()) if known.any() else 0.0
+    return scores
+
+
+def split_scatter(drawn: np.ndarray, names: Sequence[str], answer: Number) -> Split | None:
+    """The scatter of an answer by numbers: ``split_variance`` of its normal scores."""
+    split = split_variance(drawn, names, answer._replace(values=normal_scores(answer.values)))
+    return None if split is None else split._replace(answer=answer)
+
+
+def split_variance(drawn: np.ndarray, names: Sequence[str], answer: Number) -> Split | None:
+    """The variance of an answer by numbers.
+
+    Args:
+        drawn: [K, d] probabilities of the numbers of each run, from 0 to 1, independent of each other.
+        names: [d] of the numbers.
+        answer: [K] values; those that are nan are left out.
+
+    Returns:
+        The split; None with fewer than three runs for each number, or an answer that is the same in all runs.
+    """
+    known = np.isfinite(answer.values)
+    y, t = answer.values[known], 2 * drawn[known] - 1
+    degree = next((n for n in (2, 1) if len(y) >= FEWEST_PER_TERM * (n * len(names) + 1)), 0)
+    if not degree or np.ptp(y) <= 1e-9 * np.abs(y).max():
+        return None
+    terms = np.sqrt(3) * t if degree == 1 else np.hstack([np.sqrt(3) * t, np.sqrt(5) * (3 * t**2 - 1) / 2])
+    design = np.hstack([np.ones((len(y), 1)), terms])
+    coefficients, scatter = np.linalg.lstsq(design, y, rcond=None)[0], np.linalg.inv(design.T @ design)
+    free = len(y) - design.shape[1]
+    noise = float(((y - design @ coefficients) ** 2).sum()) / free
+    own = [[1 + i + n * len(names) for n in range(degree)] for i in range(len(names))]
+    gained = [float((coefficients[k] ** 2 - noise * np.diag(scatter)[k]).sum()) for k in own]
+    variance = max(sum(gained), 0.0) + noise
+    every = _strength(coefficients[1:], scatter[1:, 1:], noise, free)
+    ends = [bound / (bound + len(y)) for bound in every[1:]]
+    numbers = _share("numbers of the product", max(sum(gained), 0.0) / variance, *ends)
+    parts = []
+    for name, columns, part in zip(names, own, gained, strict=True):
+        strengths = _strength(coefficients[columns], scatter[np.ix_(columns, columns)], noise, free)
+        low, high = (bound / (every[0] + len(y)) for bound in strengths[1:])
+        parts.append(_share(name, max(part, 0.0) / variance, low, high))
+    return Split(answer, numbers, sorted(parts, key=lambda share: -share.value))
+
+
+def _share(name: str, value: float, low: float, high: float) -> Share:
+    """A share of at most 1 within its interval, which another estimator gives."""
+    return Share(name, value, min(low, value), min(max(high, value), 1.0))
+
+
+def _strength(coefficients: np.ndarray, scatter: np.ndarray, noise: float, free: int) -> tuple[float, float, float]:
+    """The noncentrality of the F distribution of some coefficients: its estimate, and its 90 % interval."""
+    from scipy.special import ncfdtr, ncfdtrinc
+
+    count = len(coefficients)
+    ratio = float(coefficients @ np.linalg.solve(scatter, coefficients)) / (count * noise) if noise > 0 else np.inf
+    if ratio > NO_CHANCE:
+        return (count * NO_CHANCE,) * 3
+    bounds = [float(ncfdtrinc(count, free, p, ratio)) if ncfdtr(count, free, 0.0, ratio) > p else 0.0 for p in (HIGH, LOW)]
+    return max(count * ratio * (free - 2) / free - count, 0.0), bounds[0], bounds[1]
+
+
+def first_to_measure(splits: Sequence[Split]) -> Share | None:
+    """The number with the largest mean share over the answers, of those that differ from nothing in one of them; None: there is
+    none."""
+    known = {share.name for split in splits for share in split.parts if share.is_known}
+    means = [
+        Share(name, *np.mean([share[1:] for split in splits for share in split.parts if share.name == name], axis=0))
+        for name in known
+    ]
+    return max(means, key=lambda share: share.value, default=None)
+
+
+def describe_uncertainty(run: Run, group: str | None = None) -> list[str]:
+    """Shares of chance and of unknown numbers of an ensemble in words; [] of runs without drawn numbers."""
+    if not (keys := uncertain_keys(run)):
+        return []
+    if splits := split_ensemble(run, group):
+        return describe_splits(splits)
+    least = FEWEST_PER_TERM * (len(keys) + 1)
+    return [f"{len(keys)} unknown numbers: their shares of the scatter need at least {least} runs that come to rest"]
+
+
+def describe_splits(splits: Sequence[Split]) -> list[str]:
+    """Shares of chance and of unknown numbers for each answer, and the number to measure first."""
+    lines, first = [_describe_split(split) for split in splits], first_to_measure(splits)
+    if first is None:
+        return [*lines, "measure first: no number differs from the chance of the fall with so few runs (--runs)"]
+    return [*lines, f"measure first: {short_name(first.name)} ({_percent(first)} of the scatter, mean of {len(splits)} answers)"]
+
+
+def _describe_split(split: Split) -> str:
+    numbers = split.numbers
+    parts = ", ".join(f"{short_name(share.name)} {_percent(share)}" for share in split.parts if share.is_known)
+    band = f"{100 * numbers.low:.0f} to {100 * numbers.high:.0f} %"
+    by = f"{_percent(numbers)} ({band}) of its scatter is due to unknown numbers{f' ({parts})' if parts else ''}"
+    return f"{split.answer.name} {said(split.answer)}: {by}, {100 * (1 - numbers.value):.0f} % to the {CHANCE}"
+
+
+def short_name(key: str) -> str:
+    """A key without its section."""
+    return key.removeprefix("material.")
+
+
+def _percent(share: Share) -> str:
+    return f"{100 * share.value:.0f} %"
+
+
+def figure_of_splits(splits: Sequence[Split]) -> "Figure":
+    """Bars of the scatter of each answer: the share of each number of the product, and of the chance of the fall."""
+    import matplotlib
+    from matplotlib.figure import Figure
+
+    names = list(dict.fromkeys(share.name for split in splits for share in split.parts))
+    palette = matplotlib.colormaps["tab10" if len(names) <= 10 else "tab20"]
+    colours = {name: palette(k) for k, name in enumerate(sorted(names))} | {CHANCE: "#c8c8c8"}
+    figure = Figure(figsize=(9.0, 1.1 + 0.75 * len(splits)), layout="constrained")
+    axes = figure.subplots()
+    for row, split in enumerate(splits):
+        left = 0.0
+        total = sum(share.value for share in split.parts) or 1.0
+        scale = split.numbers.value / total  # parts below nothing were raised to it
+        bars = [(share.name, scale * share.value) for share in split.parts] + [(CHANCE, 1 - split.numbers.value)]
+        for name, width in bars:
+            axes.barh(row, 100 * width, left=100 * left, color=colours[name], height=0.6, label=name)
+            if width > 0.06:
+                axes.text(100 * (left + width / 2), row, f"{100 * width:.0f} %", ha="center", va="center", fontsize=8)
+            left += width
+    axes.set_yticks(range(len(splits)), [_label(split.answer) for split in splits], fontsize=9)
+    axes.invert_yaxis()
+    axes.set(xlim=(0, 100), xlabel="share of the scatter (%)")
+    handles = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
+    shown = [name for name in [*names, CHANCE] if name in handles]
+    figure.legend([handles[n] for n in shown], [short_name(n) for n in shown], loc="outside lower center", ncols=4, fontsize=8)
+    return figure
+
+
+def _label(answer: Number) -> str:
+    low, high = answer.band
+    return f"{answer.name}\n{answer.median:.3g} {answer.unit} ({low:.3g} to {high:.3g})"

@@ -1,0 +1,96 @@
+"""Studies of the uncertain numbers of a scene: their ranges as parameters, and the shares of the scatter of single drops."""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from dem_jax.scene.ranges import probability, uncertain_rows
+from dem_jax.scene.sections.uncertain import Uncertain
+from dem_jax.show.numbers import Number
+from dem_jax.show.uncertainty import Split, describe_splits, normal_scores, short_name, split_scatter
+from dem_jax.study.design import points_of
+from dem_jax.study.file import DONE, Results
+from dem_jax.study.outputs import OUTPUTS
+from dem_jax.study.table import Parameter, Study
+
+
+def fill_parameters(study: Study) -> Study:
+    """The study with the uncertain numbers of its scene as parameters of a Sobol design, where it asks for them.
+
+    Raises SceneError where the scene has none.
+    """
+    if not study.uncertain or study.parameter:  # which a file of results holds
+        return study
+    parameters = {row.key: _parameter(row) for row in uncertain_rows(study.base())}
+    return study.model_copy(update={"parameter": parameters, "design": "sobol"})
+
+
+def _parameter(row: Uncertain) -> Parameter:
+    low, high = row.range
+    return Parameter(low=low, high=high, log=row.distribution == "log-uniform", label=short_name(row.key))
+
+
+def split_outputs(results: Results) -> list[Split]:
+    """The scatter of each output of single drops by the uncertain numbers and by chance; [] of other studies."""
+    study = results.study
+    if not study.uncertain:
+        return []
+    points = [point for point in points_of(study) for _ in range(study.seeds)]
+    drawn = np.array([_probabilities(key, row, points) for key, row in study.parameter.items()]).T
+    values = {name: np.where(results.state == DONE, results.outputs[name], np.nan) for name in study.outputs}
+    answers = [Number(name, OUTPUTS[name].unit, values[name], OUTPUTS[name].digits) for name in study.outputs]
+    return [split for answer in answers if (split := split_scatter(drawn, list(study.parameter), answer)) is not None]
+
+
+def _probabilities(key: str, row: Parameter, points: list[dict[str, float]]) -> np.ndarray:
+    assert row.low is not None and row.high is not None  # as fill_parameters made it
+    ends = (row.low, row.high)
+    known = Uncertain(key=key, range=ends, distribution="log-uniform" if row.log else "uniform")
+    return probability(known, [point[key] for point in points])
+
+
+class Replicates(NamedTuple):
+    """The share of the scatter that drops of one point have among themselves, with its 90 % interval."""
+
+    output: str
+    share: float
+    low: float
+    high: float
+
+
+def replicate_shares(results: Results) -> Iterator[Replicates]:
+    """The chance of the fall of each output, from the drops with equal numbers, whatever the numbers do.
+
+    One-way analysis of variance with random effects (Searle, Casella and McCulloch, Variance Components, 1992, chapter 3), over the
+    points whose drops are all done.
+    """
+    for name in results.study.outputs:
+        rows = results.of_points(normal_scores(np.where(results.state == DONE, results.outputs[name], np.nan)))
+        rows = rows[np.isfinite(rows).all(axis=1)]
+        if rows.shape[1] > 1 and len(rows) > 2 and np.ptp(rows) > 0:
+            yield Replicates(name, *share_within(rows))
+
+
+def share_within(rows: np.ndarray) -> tuple[float, float, float]:
+    """The share of the variance within the rows [points, seeds], and its 90 % interval."""
+    from scipy.stats import f
+
+    points, seeds = rows.shape
+    within = rows.var(axis=1, ddof=1).mean()
+    ratio = seeds * rows.mean(axis=1).var(ddof=1) / within if within > 0 else np.inf
+    degrees = points - 1, points * (seeds - 1)
+    ratios = ratio, ratio / f.ppf(0.05, *degrees), ratio / f.ppf(0.95, *degrees)
+    estimate, low, high = (float(np.clip(seeds / (r - 1 + seeds), 0.0, 1.0)) if np.isfinite(r) else 0.0 for r in ratios)
+    return estimate, low, high
+
+
+def describe_uncertainty(results: Results) -> list[str]:
+    """Shares of chance and of unknown numbers in words; [] of other studies."""
+    splits = split_outputs(results)
+    lines = describe_splits(splits) if splits else []
+    for row in replicate_shares(results) if results.study.uncertain else ():
+        band = f"{100 * row.low:.0f} to {100 * row.high:.0f} %"
+        share = f"{100 * row.share:.0f} % ({band}) of the scatter"
+        lines.append(f"{row.output}: drops with equal numbers have {share} among themselves")
+    return lines
