@@ -24,7 +24,7 @@ FORMER_NAMES = {  # of buckets, of a version that named them by what makers call
     "5-litre": "9.1-litre",
 }
 OF_BUCKETS = ("feed_bucket", "weigh_bucket")
-OF_FOAMS = "densifying"  # a contact law that products name
+LAWS_OF_PRODUCTS = ("densifying", "elastic-plastic")  # contact laws that belong to a product
 OF_A_PRODUCT = ("portion", "material", "pair", "contact", "evidence", "state")
 SECTIONS = {PRODUCTS: OF_A_PRODUCT, BUCKETS: (*OF_BUCKETS, "drop")}  # of a file of the user's
 
@@ -79,8 +79,8 @@ def with_product(tree: Tree, name: Any, source: str | Path) -> Tree:
     if tree.get("piece"):
         raise SceneError(f"{source}: product = {name!r}: allowed in a scene with a portion, this one lists its pieces")
     contact = tree.get("contact")
-    if isinstance(contact, dict) and contact.get("law") == OF_FOAMS:  # which the product before it needed
-        own_keys = ("law", "densification", "impact_speed")
+    if isinstance(contact, dict) and contact.get("law") in LAWS_OF_PRODUCTS:  # which the product before it needed
+        own_keys = ("law", "densification", "yield_pressure", "impact_speed")
         tree = tree | {"contact": {key: item for key, item in contact.items() if key not in own_keys}}
     kept = {key: item for key, item in (tree.get("portion") or {}).items() if key not in (*OF_PRODUCT, "product")}
     rows = [row for row in tree.get("uncertain") or () if not _is_of_material(row)]

@@ -33,6 +33,7 @@ ANSWERS = ("peak force", "time to rest", "time to weigh")
 CHANCE = "chance of the fall"  # and effects of several numbers together
 LOW, HIGH = 0.05, 0.95  # ends of an interval
 NO_CHANCE = 1e6  # F from which the chance is lost in rounding
+DEGREES = (2, 1)  # of the polynomials, the first for which there are enough runs
 FEWEST_PER_TERM = 3  # runs for each coefficient, for polynomials of a degree
 
 
@@ -102,23 +103,28 @@ def split_scatter(drawn: np.ndarray, names: Sequence[str], answer: Number) -> Sp
     return None if split is None else split._replace(answer=answer)
 
 
-def split_variance(drawn: np.ndarray, names: Sequence[str], answer: Number) -> Split | None:
+def split_variance(
+    drawn: np.ndarray, names: Sequence[str], answer: Number, degrees: Sequence[int] = DEGREES
+) -> Split | None:
     """The variance of an answer by numbers.
 
     Args:
         drawn: [K, d] probabilities of the numbers of each run, from 0 to 1, independent of each other.
         names: [d] of the numbers.
         answer: [K] values; those that are nan are left out.
+        degrees: of the polynomials, the first for which there are enough values.
 
     Returns:
         The split; None with fewer than three runs for each number, or an answer that is the same in all runs.
     """
+    from scipy.special import eval_legendre
+
     known = np.isfinite(answer.values)
     y, t = answer.values[known], 2 * drawn[known] - 1
-    degree = next((n for n in (2, 1) if len(y) >= FEWEST_PER_TERM * (n * len(names) + 1)), 0)
+    degree = next((n for n in degrees if len(y) >= FEWEST_PER_TERM * (n * len(names) + 1)), 0)
     if not degree or np.ptp(y) <= 1e-9 * np.abs(y).max():
         return None
-    terms = np.sqrt(3) * t if degree == 1 else np.hstack([np.sqrt(3) * t, np.sqrt(5) * (3 * t**2 - 1) / 2])
+    terms = np.hstack([np.sqrt(2 * n + 1) * eval_legendre(n, t) for n in range(1, degree + 1)])
     design = np.hstack([np.ones((len(y), 1)), terms])
     coefficients, scatter = np.linalg.lstsq(design, y, rcond=None)[0], np.linalg.inv(design.T @ design)
     free = len(y) - design.shape[1]

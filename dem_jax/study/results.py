@@ -13,14 +13,16 @@ from dem_jax.errors import SceneError
 from dem_jax.scene.text import value
 from dem_jax.show.facts import peak_factors_said
 from dem_jax.show.numbers import Number
+from dem_jax.show.uncertainty import split_variance
 from dem_jax.store.output import write_whole
 from dem_jax.study import model
 from dem_jax.study.design import points_of
 from dem_jax.study.file import DONE, LOST, OPEN, Results
 from dem_jax.study.outputs import OUTPUTS
 from dem_jax.study.table import RMSE, Reference, Study
-from dem_jax.study.uncertain import describe_uncertainty
+from dem_jax.study.uncertain import describe_uncertainty, probabilities
 
+MOST_DEGREE = 6  # of polynomials
 FEWEST, MANY = 8, 128  # drawn points from which on ranks are correlated, and shares of the variance computed
 
 
@@ -150,8 +152,7 @@ class Influence(NamedTuple):
 def influences(results: Results) -> list[Influence]:
     """Of a study whose points are drawn, of ranges, over the means of points; none of a grid, or of few points.
 
-    Shares are those of SALib's given-data method (Plischke, Borgonovo, Smith, Eur. J. Oper. Res. 226 (2013) 536-550), the extra
-    ``study``; without it ranks are correlated however many points there are.
+    Shares are those of polynomials of up to sixth degree (``show.uncertainty``).
     """
     study = results.study
     keys = [key for key, parameter in study.parameter.items() if parameter.values is None]
@@ -171,15 +172,13 @@ def influences(results: Results) -> list[Influence]:
     return found
 
 
-def _shares(study: Study, keys: list[str], inputs: np.ndarray, y: np.ndarray) -> list[tuple[float, float, float]] | None:
-    """First-order shares with their intervals; None without SALib."""
-    try:
-        from SALib.analyze import delta  # type: ignore[import-untyped]
-    except ImportError:
-        return None
-    bounds = [[float(study.parameter[key].low or 0), float(study.parameter[key].high or 0)] for key in keys]
-    said = delta.analyze({"num_vars": len(keys), "names": keys, "bounds": bounds}, inputs, y, seed=0)
-    return [(float(s), float(s - c), float(s + c)) for s, c in zip(said["S1"], said["S1_conf"], strict=True)]
+def _shares(study: Study, keys: list[str], inputs: np.ndarray, y: np.ndarray) -> list[tuple[float, float, float]]:
+    """First-order shares of each parameter with their 90 % intervals."""
+    drawn = np.array([probabilities(study.parameter[key], inputs[:, k]) for k, key in enumerate(keys)]).T
+    split = split_variance(drawn, keys, Number("", "", y), range(MOST_DEGREE, 0, -1))
+    assert split is not None  # as there are MANY values, which differ
+    parts = {part.name: part for part in split.parts}
+    return [(parts[key].value, parts[key].low, parts[key].high) for key in keys]
 
 
 def _correlation(x: np.ndarray, y: np.ndarray) -> tuple[float, float, float]:

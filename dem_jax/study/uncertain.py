@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from dem_jax.scene.ranges import probability, uncertain_rows
 from dem_jax.scene.sections.uncertain import Uncertain
@@ -37,17 +38,18 @@ def split_outputs(results: Results) -> list[Split]:
     if not study.uncertain:
         return []
     points = [point for point in points_of(study) for _ in range(study.seeds)]
-    drawn = np.array([_probabilities(key, row, points) for key, row in study.parameter.items()]).T
+    drawn = np.array([probabilities(row, [point[key] for point in points]) for key, row in study.parameter.items()]).T
     values = {name: np.where(results.state == DONE, results.outputs[name], np.nan) for name in study.outputs}
     answers = [Number(name, OUTPUTS[name].unit, values[name], OUTPUTS[name].digits) for name in study.outputs]
     return [split for answer in answers if (split := split_scatter(drawn, list(study.parameter), answer)) is not None]
 
 
-def _probabilities(key: str, row: Parameter, points: list[dict[str, float]]) -> np.ndarray:
-    assert row.low is not None and row.high is not None  # as fill_parameters made it
-    ends = (row.low, row.high)
-    known = Uncertain(key=key, range=ends, distribution="log-uniform" if row.log else "uniform")
-    return probability(known, [point[key] for point in points])
+def probabilities(parameter: Parameter, values: ArrayLike) -> np.ndarray:
+    """Places from 0 to 1 of values of a parameter in its range."""
+    assert parameter.low is not None and parameter.high is not None
+    ends = (parameter.low, parameter.high)
+    row = Uncertain(key="", range=ends, distribution="log-uniform" if parameter.log else "uniform")
+    return probability(row, values)
 
 
 class Replicates(NamedTuple):

@@ -101,6 +101,8 @@ def test_the_law_of_foams_comes_and_goes_with_the_product():
     foam = load_scene("weigh-bucket", {"product": "marshmallow-soft"})
     assert foam.contact.law == "densifying" and foam.replace({"product": "hazelnut"}).contact.law == "walton-braun"
     assert foam.replace({"contact.law": "hertz-mindlin"}).contact.law == "hertz-mindlin"
+    tablet = foam.replace({"product": "hazelnut", "contact.law": "elastic-plastic", "contact.yield_pressure": 2e6})
+    assert tablet.contact.yield_pressure == 2e6 and tablet.replace({"product": "toffee"}).contact.law == "walton-braun"
     rows = '[[portion.product]]\nproduct = "hazelnut"\n[[portion.product]]\nproduct = "marshmallow-soft"\n'
     assert parse(f'base = "weigh-bucket"\n[portion]\n{rows}').contact.law == "densifying"
     assert parse(f'base = "weigh-bucket"\n[contact]\nlaw = "linear-dashpot"\n[portion]\n{rows}').contact.law == "linear-dashpot"

@@ -35,6 +35,8 @@ def mixture(sides):
 CASES = {
     "linear-dashpot": ({"law": "linear-dashpot"}, {}),
     "hertz-mindlin": ({"law": "hertz-mindlin", "impact_speed": 2.0}, {}),
+    "densifying": ({"law": "densifying", "impact_speed": 2.0}, {}),
+    "elastic-plastic": ({"law": "elastic-plastic", "impact_speed": 2.0, "yield_pressure": 1e5}, {}),
     "sticky walton-braun": ({"cohesion": {"range": 1e-3}}, {"pull_off": 0.3, "separation": 0.0}),
     "sticky hertz-mindlin": ({"law": "hertz-mindlin", "impact_speed": 2.0, "cohesion": {"range": 2e-4}}, {"pull_off": 0.05}),
 }
