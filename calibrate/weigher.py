@@ -36,6 +36,7 @@ KICK = 30.0  # g, ringing of an empty scale
 STIFFNESS_SD, DAMPING_SD = 0.01, 0.1  # relative
 FALSE_ALARMS = 0.02  # share of held-out portions that are doubted
 LEAST_THRESHOLD = 3.0
+LEAST_CHECK, LEAST_SPREAD = np.log(0.5), 0.3  # innovations as small as expected raise no doubt
 MARGIN = 0.5  # of the lightest and heaviest portion learnt, by which weights that are believed may differ
 WINDOW = 0.01  # s on either side, over which statistics of rows are pooled
 NOTCH_QUALITY = 1.0  # of the notches
@@ -367,8 +368,9 @@ def _judged(
     row_of = np.minimum(np.arange(held_out.check.shape[1]), rows - 1)
     score = np.abs(held_out.errors) / held_out.sd
     widening = np.maximum(1.0, _quantile_of_rows(score, 0.95, rows, reach) / 1.96)
-    middle = _quantile_of_rows(held_out.check, 0.5, rows, reach)
-    spread = np.maximum(_quantile_of_rows(held_out.check, 0.84, rows, reach) - middle, 0.1)
+    middle = np.maximum(_quantile_of_rows(held_out.check, 0.5, rows, reach), LEAST_CHECK)
+    high = _quantile_of_rows(held_out.check, 0.84, rows, reach)
+    spread = np.maximum(high - middle, LEAST_SPREAD)
     worst = ((held_out.check - middle[row_of]) / spread[row_of]).max(axis=1)
     threshold = max(LEAST_THRESHOLD, float(np.quantile(worst, 1 - FALSE_ALARMS, method="higher")))
     judged = replace(
