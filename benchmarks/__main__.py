@@ -11,7 +11,7 @@ import sys
 import time
 
 BENCHMARKS = ("steps", "skips", "accuracy", "depth", "validation", "landing", "stability", "faults")
-BENCHMARKS += ("shapes", "gradients", "peers", "scaling", "product_model", "calibration", "uncertainty")
+BENCHMARKS += ("shapes", "gradients", "peers", "scaling", "product_model", "calibration", "uncertainty", "weighing")
 
 
 def command(name, quick):
