@@ -15,12 +15,20 @@ def is_decided(reading: Reading, tolerance: float, confidence: float = CONFIDENC
 
     Raises `BadInput` for a tolerance or a confidence that is none.
     """
+    factor = check_decision(tolerance, confidence)
+    return (reading.status != EMPTY) & (factor * reading.sd <= tolerance)
+
+
+def check_decision(tolerance: float, confidence: float) -> float:
+    """The number of standard deviations that have this confidence.
+
+    Raises `BadInput` for a tolerance or a confidence that is none.
+    """
     if not 0 < tolerance < np.inf:
         raise BadInput(f"tolerance = {tolerance:g} g: allowed: above 0")
     if not 0.5 <= confidence < 1:
         raise BadInput(f"confidence = {confidence:g}: allowed: from 0.5 to below 1")
-    factor = NormalDist().inv_cdf(0.5 + 0.5 * confidence)
-    return (reading.status != EMPTY) & (factor * reading.sd <= tolerance)
+    return NormalDist().inv_cdf(0.5 + 0.5 * confidence)
 
 
 def first_decision(reading: Reading, tolerance: float, confidence: float = CONFIDENCE) -> np.ndarray:

@@ -56,12 +56,15 @@ def add_weigh_command(commands: Any) -> None:
 
 def weigh(args: argparse.Namespace) -> None:
     """Print a reading for each sample. Raises `BadInput`."""
+    from product_model.decision import check_decision
     from product_model.weigher_file import load_weigher
 
     if args.every < 1:
         raise BadInput(f"every = {args.every}: allowed: at least 1")
     if args.column is not None and args.column < 1:
         raise BadInput(f"column = {args.column}: allowed: at least 1")
+    if args.decide is not None:
+        check_decision(args.decide, args.confidence)
     weigher = load_weigher(args.weigher)
     if args.samples == "-":
         _print(weigher, read_samples(sys.stdin, "standard input", args.column), args)
@@ -76,12 +79,13 @@ def weigh(args: argparse.Namespace) -> None:
 def _print(weigher: Any, samples: Iterator[float], args: argparse.Namespace) -> None:
     """A line for each reading, or for each portion the one that counts."""
     from product_model.decision import is_decided
-    from product_model.weigher import EMPTY, STATUS, describe_doubts
+    from product_model.weigher import EMPTY, STATUS, Reading, describe_doubts
 
     state, is_open = weigher.start(), True
     print("time_s,grams,sd_g,status,doubts", flush=True)
     for number, sample in enumerate(samples):
-        state, reading = weigher.feed(state, np.float64(sample))
+        state, found = weigher.feed(state, np.float64(sample))
+        reading = Reading(*map(np.asarray, found))
         if args.decide is not None:
             is_open = is_open or int(reading.status) == EMPTY
             if not (is_open and bool(is_decided(reading, args.decide, args.confidence))):
