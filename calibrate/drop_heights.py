@@ -8,10 +8,11 @@ likelihood, which may be lopsided.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from scipy.optimize import minimize
-from scipy.special import log_ndtr, logsumexp
+from scipy.special import log_ndtr
 
 HEIGHTS = ("gamma_low", "gamma_high", "h_mean")
 NODES = 24  # of the quadrature over the half-normal part
@@ -35,42 +36,42 @@ class Heights:
 
 @dataclass(frozen=True)
 class Likelihood:
-    """Portions in the axes of their errors, padded to the most pieces: squares of the errors [K,
-    n], heights [K, n] and ones [K, n] in these axes, and which are there [K, n]."""
+    """Portions in the axes of their errors, padded with zeros to the most pieces: squares of the
+    errors [K, n], heights [K, n] and ones [K, n] in these axes, and numbers of pieces [K].
+
+    Negative heights are drawn again, so that heights follow a normal distribution above zero.
+    """
 
     variance: np.ndarray
     values: np.ndarray
     ones: np.ndarray
-    is_there: np.ndarray
+    count: np.ndarray
 
     @staticmethod
     def of(portions: Sequence[Heights]) -> "Likelihood":
         """From heights and covariances."""
         most = max(len(p.values) for p in portions)
-        arrays = np.zeros((4, len(portions), most))
+        arrays = np.zeros((3, len(portions), most))
         for k, p in enumerate(portions):
             variance, axes = np.linalg.eigh(p.covariance)
-            rows = (
-                np.maximum(variance, 0.0),
-                axes.T @ p.values,
-                axes.T @ np.ones(len(p.values)),
-                np.ones(len(p.values)),
-            )
+            rows = np.maximum(variance, 0.0), axes.T @ p.values, axes.sum(axis=0)
             arrays[:, k, : len(p.values)] = rows
-        return Likelihood(arrays[0], arrays[1], arrays[2], arrays[3].astype(bool))
+        return Likelihood(*arrays, np.array([len(p.values) for p in portions]))
 
     def log(self, h_mean: float, gamma_low: float, gamma_high: float) -> float:
         """ln of the likelihood."""
         nodes, weights = _half_normal()
         spread = np.append(gamma_low, gamma_low + (gamma_high - gamma_low) / 3.0 * nodes)
-        total = np.where(self.is_there, self.variance + spread[:, None, None] ** 2, 1.0)
-        off = self.values - h_mean * self.ones
-        count = self.is_there.sum(axis=1)
-        rows = -0.5 * (off**2 / total + np.log(total)).sum(axis=2) - 0.5 * np.log(2 * np.pi) * count
-        rows = rows - count * log_ndtr(h_mean / spread)[:, None]  # negative heights are drawn again
-        return float(logsumexp(rows + np.log(np.append(0.5, 0.5 * weights))[:, None], axis=0).sum())
+        wider = 1.0 + self.variance / spread[:, None, None] ** 2
+        off = ((self.values - h_mean * self.ones) ** 2 / wider).sum(axis=2) / spread[:, None] ** 2
+        each = np.log(spread) + 0.5 * np.log(2 * np.pi) + log_ndtr(h_mean / spread)  # of a height
+        rows = -0.5 * (off + np.log(wider).sum(axis=2)) - self.count * each[:, None]
+        rows = rows + np.log(np.append(0.5, 0.5 * weights))[:, None]
+        top = rows.max(axis=0)
+        return float((top + np.log(np.exp(rows - top).sum(axis=0))).sum())
 
 
+@cache
 def _half_normal() -> tuple[np.ndarray, np.ndarray]:
     """Nodes and weights of a mean over the positive half of a standard normal distribution."""
     x, weights = np.polynomial.legendre.leggauss(NODES)
