@@ -163,7 +163,8 @@ def main(argv=None):
     )
     lines = ["# The Product Model recovered from signals of a scale", "", report.environment(), ""]
     lines += [
-        f"{options.portions} portions a fit, {repeats} fits of each setting, 1 kHz, typical noise, release jitter {1e3 * JITTER:g} ms.",
+        f"{options.portions} portions a fit, {repeats} fits of each setting, 1 kHz, typical noise, "
+        f"release jitter {1e3 * JITTER:g} ms.",
         "",
     ]
     lines += [report.table(head, settings), "", "Errors (%), median / largest of the fits:", ""]

@@ -16,6 +16,7 @@ BEFORE, LEAST_BEFORE = 0.4, 12  # s before the onset that are used at most; samp
 GUARD = 0.03
 AFTER, LEAST_AFTER = 0.6, 0.08  # s after the onset that are used at most, and are needed
 PERIODS = 4.0  # of the load cell that must follow the onset
+FINEST = 5e-4  # s: readings that follow faster are averaged
 WHOLE = 0.25  # pieces: how far from a whole number a portion may weigh
 # how far the means of the last two fifths and of the last fifth may differ
 REST = 0.1  # of the weight
@@ -96,6 +97,7 @@ def cut_signals(
         raise BadInput("no signals")
     if weights is not None and len(weights) != len(signals):
         raise BadInput(f"weights: {len(weights)} for {len(signals)} signals; must be one for each")
+    signals = [_thin(signal) for signal in signals]
     interval = _common_interval(signals)
     onsets = [_find_onset(signal) for signal in signals]
     before = min(*onsets, round(BEFORE / interval))
@@ -206,6 +208,15 @@ def _common_interval(signals: Sequence[ScaleSignal]) -> float:
             "must be the same in all signals"
         )
     return float(intervals.mean())
+
+
+def _thin(signal: ScaleSignal) -> ScaleSignal:
+    """A signal of many readings as means over FINEST: no more is told by more of them."""
+    count = int(FINEST / signal.interval * (1 + 1e-6)) if signal.interval > 0 else 1
+    if count < 2:
+        return signal
+    rows = signal.values[: len(signal.values) // count * count].reshape(-1, count)
+    return ScaleSignal(signal.name, rows.mean(axis=1), signal.interval * count)
 
 
 def _find_onset(signal: ScaleSignal) -> int:

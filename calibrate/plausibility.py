@@ -101,8 +101,8 @@ def _check_force(targets: Sequence[Target]) -> Iterator[str]:
     if swings:
         trace = swings[0]
         yield (
-            f"{trace.name} swings to {trace.force.min():.4g} N, below zero: it is the signal of a load cell that rings, or its "
-            "sign is wrong; the Product Model describes the force on the bucket, which is never negative: remove the ringing first"
+            f"{trace.name} swings to {trace.force.min():.4g} N, below zero: it is the signal of a load cell that rings, which "
+            "`calibrate signals` fits, or its sign is wrong; the force of a portion on the bucket is never negative"
         )
     zeros = [(t, t.zero) for t in targets if t.zero is not None and abs(t.zero) > ZERO * t.weight]
     for trace, zero in zeros[:1]:

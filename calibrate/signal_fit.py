@@ -30,8 +30,8 @@ from product_model.model import GRAVITY
 
 ORDER = 16  # of the filter that whitens what is left
 FIRST_NOISE = 1e-4  # kg, before anything is known
-PULSES = (0.6, 3.0, 8.0)  # sample intervals: lengths that the search starts from
-QUICK = 12  # steps of a search that only tells which start is better
+PULSES = (0.3, 1.5, 6.0)  # sample intervals: lengths that the search starts from
+QUICK = 10  # steps of a search that only tells which start is better
 FEW = 8  # portions that such a search looks at
 ROUGH = 2.0  # times the median of the sums of squares: a portion that is started anew
 WEIGHT_ERROR = 3e-4  # relative, of weights that are given
@@ -183,19 +183,26 @@ def _local_starts(portions: Portions, readings: Readings, cell: CellGuess) -> np
 
 
 def _best_start(readings: Readings, start: Estimate) -> Estimate:
-    """The start, with what portions share from short searches in a few of them: from several
-    lengths of a pulse, then with readings as means or as points."""
+    """The start, with the numbers that portions share from searches in a few of them: short ones
+    from several lengths of a pulse, with readings as means and as points, then a longer one from
+    the best of each."""
     few = readings.some(FEW)
     first = replace(start, local=start.local[:FEW], cost=start.cost[:FEW])
-    trials = []
-    for length in PULSES:
-        shared = first.shared.copy()
-        shared[PULSE] = (length * readings.interval) ** 2
-        trials.append(solve(few, replace(first, shared=shared), steps=QUICK))
-    best = min(trials, key=lambda each: each.cost.sum())
-    other = solve(few, replace(best, is_mean=0.0), steps=QUICK)
-    best = min(best, other, key=lambda each: each.cost.sum())
+    ends = []
+    for is_mean in (1.0, 0.0):
+        trials = []
+        for length in PULSES:
+            shared = first.shared.copy()
+            shared[PULSE] = (length * readings.interval) ** 2
+            trial = replace(first, shared=shared, is_mean=is_mean)
+            trials.append(solve(few, trial, steps=QUICK))
+        ends.append(solve(few, min(trials, key=_total)))
+    best = min(ends, key=_total)
     return replace(start, shared=best.shared, is_mean=best.is_mean)
+
+
+def _total(found: Estimate) -> float:
+    return float(found.cost.sum())
 
 
 def _mend(portions: Portions, readings: Readings, found: Estimate) -> Estimate:
