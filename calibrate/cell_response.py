@@ -10,13 +10,14 @@ numbers of the empty cell are its angular frequency omega = sqrt(k / M), its dam
 zeta = c / (2 M omega) and 1 / M; gravity cancels.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 SHARED = ("log_omega", "damping_ratio", "inverse_mass", "squared_pulse")
-LOCAL = ("release", "tare", "level", "rate", "weight")  # then the middles of the pulses
+# then the middles of the pulses and, where pieces differ in weight, their relative differences
+LOCAL = ("release", "tare", "level", "rate", "weight")
 PULSE = SHARED.index("squared_pulse")
 
 
@@ -32,9 +33,23 @@ class Segments(NamedTuple):
     integral: jax.Array
 
 
-def fall_times(shared: jax.Array, local: jax.Array) -> jax.Array:
+def middles_of(local: Any, pieces: int) -> Any:
+    """[.., pieces] (s) middles of the pulses."""
+    return local[..., len(LOCAL) : len(LOCAL) + pieces]
+
+
+def fall_times(shared: jax.Array, local: jax.Array, pieces: int) -> jax.Array:
     """[pieces] (s) from the release to the beginning of each pulse."""
-    return local[len(LOCAL) :] - 0.5 * jnp.sqrt(shared[PULSE]) - local[0]
+    return middles_of(local, pieces) - 0.5 * jnp.sqrt(shared[PULSE]) - local[0]
+
+
+def piece_masses(local: jax.Array, share: jax.Array) -> jax.Array:
+    """[pieces] (kg): equal, or as the numbers behind the middles of the pulses say."""
+    differences = local[len(LOCAL) + share.shape[0] :]
+    if differences.shape[0]:
+        share = share * (1.0 + differences)
+        share = share / jnp.sum(share)
+    return local[LOCAL.index("weight")] * share
 
 
 def respond(
@@ -45,8 +60,9 @@ def respond(
     Args:
         shared: [4] ln of the angular frequency of the empty cell (rad/s), its damping ratio, one
             over its mass (1/kg), and the squared length of a pulse (s2).
-        local: [5 + pieces] moment of the release (s), tare (kg), level (kg) and rate (kg/s) of the
-            cell at the first edge, weight of the portion (kg), and middles of the pulses (s).
+        local: [5 + pieces] or [5 + 2 pieces] moment of the release (s), tare (kg), level (kg) and
+            rate (kg/s) of the cell at the first edge, weight of the portion (kg), middles of the
+            pulses (s), and relative differences of the weights of pieces from their mean.
         share: [pieces] of the weight; 0 for a piece that is not there.
         edges: [T + 1] (s) ends of the sample intervals, the first one where the readings begin.
         is_mean: [] 1: means over the intervals, as converters make them; 0: values at their ends.
@@ -72,8 +88,8 @@ def _forces(
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Beginnings of the segments [2 pieces + 1] (s), forces (kg) and masses over M in them."""
     duration = jnp.sqrt(shared[PULSE])
-    mass, middle = local[4] * share, local[len(LOCAL) :]
-    pulse = mass * fall_times(shared, local) / duration
+    mass, middle = piece_masses(local, share), middles_of(local, share.shape[0])
+    pulse = mass * fall_times(shared, local, share.shape[0]) / duration
     times = jnp.concatenate([middle - 0.5 * duration, middle + 0.5 * duration])
     order = jnp.argsort(times)
     forces = jnp.cumsum(jnp.concatenate([pulse, mass - pulse])[order])

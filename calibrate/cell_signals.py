@@ -8,6 +8,7 @@ import numpy as np
 
 from calibrate.errors import BadInput
 from calibrate.scale_signals import ScaleSignals, SignalOptions, read_signals
+from calibrate.signal_start import momentum_weight
 from calibrate.table_columns import TableOptions
 
 ONSET = 0.15  # of the largest reading: a signal that exceeds it shows the portion
@@ -18,7 +19,7 @@ AFTER, LEAST_AFTER = 0.6, 0.08  # s after the onset that are used at most, and a
 PERIODS = 4.0  # of the load cell that must follow the onset
 FINEST = 5e-4  # s: readings that follow faster are averaged
 WHOLE = 0.25  # pieces: how far from a whole number a portion may weigh
-# how far the means of the last two fifths and of the last fifth may differ
+# how far the weights of the last six and of the last three tenths after the onset may differ
 REST = 0.1  # of the weight
 REST_RINGING = 0.1  # of the standard deviation of the readings there
 
@@ -113,7 +114,7 @@ def cut_signals(
     guard = max(before - round(GUARD / interval), before // 2)
     tare = np.median(values[:, :guard], axis=1)
     names = [s.name for s in signals]
-    settled = settled_weight(values - tare[:, None], names)
+    settled = settled_weight(time, values - tare[:, None], names)
     if weights is not None:
         _check_weights(weights, settled, names)
     known = settled if weights is None else weights
@@ -125,27 +126,28 @@ def cut_signals(
     return Portions(time, values, tare, known, counts, names, interval * np.array(onsets))
 
 
-def settled_weight(values: np.ndarray, names: Sequence[str]) -> np.ndarray:
-    """[K] (kg) mean over the last two fifths of signals [K, T] less their tare, with a smooth
-    window that takes out most of the ringing. Raises `BadInput` where a signal still changes
-    then."""
-    tail, end = (values[:, -max(int(share * values.shape[1]), 2) :] for share in (0.4, 0.2))
-    whole, last = _smooth_mean(tail), _smooth_mean(end)
-    allowed = REST * np.abs(whole) + REST_RINGING * tail.std(axis=1)
+def settled_weight(time: np.ndarray, values: np.ndarray, names: Sequence[str]) -> np.ndarray:
+    """[K] (kg) at which signals [K, T] less their tare end, however they ring. Raises `BadInput`
+    where a signal still changes then."""
+    after = time[-1] - max(time[0], 0.0)
+    spans = (0.6 * after, 0.3 * after)
+    whole, last = (momentum_weight(time, values, time[-1] - span) for span in spans)
+    allowed = REST * np.abs(whole) + REST_RINGING * values[:, time > time[-1] - spans[1]].std(
+        axis=1
+    )
     odd = np.flatnonzero(~(np.abs(last - whole) <= allowed))
     if len(odd):
         raise BadInput(
-            f"{names[odd[0]]}: the reading goes from {1e3 * whole[odd[0]]:.4g} to "
-            f"{1e3 * last[odd[0]]:.4g} g in the last two fifths "
-            "of the signal: it must stay at the portion's weight there (a longer signal, or one "
-            "without the emptying)"
+            f"{names[odd[0]]}: the weight goes from {1e3 * whole[odd[0]]:.4g} to "
+            f"{1e3 * last[odd[0]]:.4g} g in the last part of the signal: it must stay at the "
+            "portion's weight there (a longer signal, or one without the emptying)"
         )
     return whole
 
 
-def _smooth_mean(rows: np.ndarray) -> np.ndarray:
-    window = np.hanning(rows.shape[1] + 2)[1:-1]
-    return rows @ window / window.sum()
+def _smooth_mean(row: np.ndarray) -> float:
+    window = np.hanning(len(row) + 2)[1:-1]
+    return float(row @ window / window.sum())
 
 
 def count_pieces(weight: np.ndarray, m_piece: float, names: Sequence[str]) -> np.ndarray:
@@ -231,7 +233,7 @@ def _find_onset(signal: ScaleSignal) -> int:
             f"{signal.name}: {len(values)} readings; at least {4 * LEAST_BEFORE} are needed"
         )
     base = float(np.median(values[: max(len(values) // 20, LEAST_BEFORE // 2)]))
-    if float(_smooth_mean(values[None, -int(0.4 * len(values)) :])[0]) < base:
+    if _smooth_mean(values[-int(0.4 * len(values)) :]) < base:
         raise BadInput(
             f"{signal.name} falls below its beginning: weight must count as positive; reverse the "
             "sign"

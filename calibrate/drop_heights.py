@@ -56,7 +56,8 @@ class Likelihood:
             variance, axes = np.linalg.eigh(p.covariance)
             rows = np.maximum(variance, 0.0), axes.T @ p.values, axes.sum(axis=0)
             arrays[:, k, : len(p.values)] = rows
-        return Likelihood(*arrays, np.array([len(p.values) for p in portions]))
+        count = np.array([len(p.values) for p in portions])
+        return Likelihood(arrays[0], arrays[1], arrays[2], count)
 
     def log(self, h_mean: float, gamma_low: float, gamma_high: float) -> float:
         """ln of the likelihood."""

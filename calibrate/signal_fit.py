@@ -17,7 +17,7 @@ from scipy.linalg import solve_toeplitz
 from scipy.stats import t as student
 
 from calibrate import signal_start
-from calibrate.cell_response import LOCAL, PULSE, SHARED
+from calibrate.cell_response import LOCAL, PULSE, SHARED, middles_of
 from calibrate.cell_signals import Portions, ScaleSignal, cut_signals
 from calibrate.drop_heights import HEIGHTS, Heights, fit_heights
 from calibrate.errors import BadInput
@@ -34,6 +34,10 @@ PULSES = (0.3, 1.5, 6.0)  # sample intervals: lengths that the search starts fro
 QUICK = 10  # steps of a search that only tells which start is better
 FEW = 8  # portions that such a search looks at
 ROUGH = 2.0  # times the median of the sums of squares: a portion that is started anew
+WHITENINGS = 2
+ROUGH_FIT = 1.5  # times the noise at rest: a residual beyond has pieces of different weight tried
+GAIN = 0.7  # of the residual: below, pieces differ in weight
+UNEQUAL = 0.1  # standard deviation of the weights of pieces that differ, before anything is known
 WEIGHT_ERROR = 3e-4  # relative, of weights that are given
 MASS_DOUBT = 2.0  # 1/kg
 
@@ -121,9 +125,13 @@ def fit_signals(
 
 
 def solve_portions(
-    portions: Portions, has_weights: bool, cell: CellGuess | None, tell: Tell
+    portions: Portions,
+    has_weights: bool,
+    cell: CellGuess | None,
+    tell: Tell,
 ) -> Solved:
-    """Cell, pulse, and moments of impact that describe the signals best."""
+    """Cell, pulse, and moments of impact that describe the signals best; pieces of different weight
+    only where they describe them much better than equal ones."""
     guess = cell or signal_start.guess_cell(
         portions.time, portions.values - portions.tare[:, None], portions.weight
     )
@@ -138,10 +146,32 @@ def solve_portions(
     tell("signals", 1, 4)
     found = _mend(portions, readings, solve(readings, found))
     tell("signals", 2, 4)
-    for done in (3, 4):
+    solved = _whiten(portions, readings, found)
+    tell("signals", 3, 4)
+    left = _residual(solved)
+    if left["landing"] > ROUGH_FIT * left["rest"]:
+        other = _solve_unequal(portions, readings, found)
+        better = _residual(other)["landing"] < GAIN * left["landing"]
+        solved = other if better else solved
+    tell("signals", 4, 4)
+    return solved
+
+
+def _whiten(portions: Portions, readings: Readings, found: Estimate) -> Solved:
+    """The solution with white residuals."""
+    for _ in range(WHITENINGS):
+        if found.mass_spread:
+            found = replace(found, mass_spread=_mass_spread(readings, found))
         found = solve(readings, replace(found, whitening=whiten(residuals(readings, found))))
-        tell("signals", done, 4)
     return Solved(portions, readings, found, residuals(readings, found))
+
+
+def _solve_unequal(portions: Portions, readings: Readings, found: Estimate) -> Solved:
+    """The solution with pieces that differ in weight."""
+    local = np.hstack([found.local, np.zeros(readings.share.shape)])
+    start = replace(found, local=local, mass_spread=UNEQUAL)
+    ends = [solve(readings, replace(start, is_mean=is_mean)) for is_mean in (1.0, 0.0)]
+    return _whiten(portions, readings, min(ends, key=_total))
 
 
 def _readings(portions: Portions, cell: CellGuess, has_weights: bool) -> Readings:
@@ -219,6 +249,18 @@ def _mend(portions: Portions, readings: Readings, found: Estimate) -> Estimate:
     return solve(readings, replace(found, local=np.where(better[:, None], anew.local, found.local)))
 
 
+def _mass_spread(readings: Readings, found: Estimate) -> float:
+    """Relative standard deviation of the weights of pieces: their estimates and what these leave
+    open, of which a fit is a step of the EM algorithm."""
+    there, s = readings.share > 0, len(SHARED)
+    own = curve(readings, found).hessian[:, s:, s:]
+    scale = np.sqrt(np.einsum("kii->ki", own))
+    inverse = np.linalg.pinv(own / scale[:, :, None] / scale[:, None, :], hermitian=True)
+    places = slice(len(LOCAL) + there.shape[1], None)
+    variance = (np.einsum("kii->ki", inverse) / scale**2)[:, places]
+    return float(np.sqrt(np.mean((found.local[:, places] ** 2 + variance)[there])))
+
+
 def whiten(left: np.ndarray) -> np.ndarray:
     """[ORDER + 1] filter that makes rows [K, T] white noise of variance 1: an autoregressive model
     of their autocovariance."""
@@ -238,7 +280,7 @@ def height_estimates(solved: Solved, now: Curvature) -> list[Heights]:
     wrong a moment can be where the slopes say that it may have any value.
     """
     found, s = solved.estimate, len(SHARED)
-    time, rate = falls(found), float(np.exp(found.shared[0]))
+    time, rate = falls(solved.readings, found), float(np.exp(found.shared[0]))
     samples = solved.left.shape[1] - ORDER
     portions = []
     for k, there in enumerate(solved.readings.share > 0):
@@ -318,6 +360,7 @@ def _report(
         "m_piece": [m_piece],
         "source": "load cell",
         "sample": portions.interval,
+        "mass_spread": found.mass_spread,
     }
     readings = "mean" if found.is_mean else "point"
     fit = SignalFit(rows, cell, readings, each, _residual(solved), [], info)
@@ -344,7 +387,7 @@ def _residual(solved: Solved) -> dict[str, float]:
     the weight while they land."""
     time, found = solved.portions.time, solved.estimate
     there = solved.readings.share > 0
-    last = np.where(there, found.local[:, len(LOCAL) :], -np.inf).max(axis=1)
+    last = np.where(there, middles_of(found.local, there.shape[1]), -np.inf).max(axis=1)
     lands = (time > -0.02) & (time < last[:, None] + 0.1)
     rest = (time < -0.02) | (time > last[:, None] + 0.3)
     weight = found.local[:, LOCAL.index("tare")] + found.local[:, LOCAL.index("weight")]

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from calibrate.cell_response import LOCAL, PULSE, SHARED, fall_times, respond
+from calibrate.cell_response import LOCAL, PULSE, SHARED, middles_of, respond
 
 AT_ONCE = 8  # portions whose derivatives are computed together
 STEPS = 40  # most steps of a solution
@@ -22,6 +22,7 @@ SHORTEST_FALL = 5e-3  # s
 SHORTEST_PULSE = 0.02  # of a sample interval
 DAMPING_RATIOS = (1e-5, 0.9)
 MOST_INVERSE_MASS = 50.0  # 1/kg
+MOST_DIFFERENCE = 0.9  # of the mean weight of pieces: by how much one may differ
 
 
 @dataclass(frozen=True)
@@ -68,6 +69,7 @@ class Estimate:
     is_mean: float
     whitening: np.ndarray
     cost: np.ndarray
+    mass_spread: float = 0.0
 
     @property
     def pulse(self) -> float:
@@ -125,11 +127,11 @@ def residuals(readings: Readings, found: Estimate) -> np.ndarray:
     return readings.values - np.asarray(shown)
 
 
-def falls(found: Estimate) -> np.ndarray:
+def falls(readings: Readings, found: Estimate) -> np.ndarray:
     """[K, pieces] (s) from the release to the beginning of each pulse."""
-    return np.asarray(
-        jax.vmap(fall_times, (None, 0))(jnp.asarray(found.shared), jnp.asarray(found.local))
-    )
+    count = readings.share.shape[1]
+    times = middles_of(found.local, count) - found.local[:, :1]
+    return times - 0.5 * found.pulse
 
 
 def curve(readings: Readings, found: Estimate) -> Curvature:
@@ -147,8 +149,19 @@ def curve(readings: Readings, found: Estimate) -> Curvature:
     cost = cost + each**2
     gradient[:, mass] += each / readings.inverse_mass_sd / np.sqrt(len(cost))
     hessian[:, mass, mass] += readings.inverse_mass_sd**-2 / len(cost)
+    sets = 1
+    if found.local.shape[1] > len(LOCAL) + readings.share.shape[1]:
+        sets = 2
+        places = (
+            len(SHARED) + len(LOCAL) + readings.share.shape[1] + np.arange(readings.share.shape[1])
+        )
+        off = found.local[:, places - len(SHARED)] / found.mass_spread
+        cost = cost + (off**2).sum(axis=1)
+        gradient[:, places] += off / found.mass_spread
+        hessian[:, places, places] += found.mass_spread**-2
     missing = np.concatenate(
-        [np.zeros((len(cost), len(SHARED) + len(LOCAL)), bool), readings.share == 0], axis=1
+        [np.zeros((len(cost), len(SHARED) + len(LOCAL)), bool), *[readings.share == 0] * sets],
+        axis=1,
     )
     rows, columns = np.nonzero(missing)
     hessian[rows, columns, columns] = 1.0
@@ -234,10 +247,10 @@ def _project(trial: Estimate, readings: Readings) -> Estimate:
     shared[1] = np.clip(shared[1], *DAMPING_RATIOS)
     shared[2] = np.clip(shared[2], 0.0, MOST_INVERSE_MASS)
     shared[PULSE] = max(shared[PULSE], (SHORTEST_PULSE * readings.interval) ** 2)
-    pieces = local[:, len(LOCAL) :]
-    local[:, len(LOCAL) :] = np.clip(
-        pieces, readings.edges[0] + readings.interval, readings.edges[-1]
-    )
-    first = np.where(readings.share > 0, local[:, len(LOCAL) :], np.inf).min(axis=1)
+    count = readings.share.shape[1]
+    middles, differences = middles_of(local, count), local[:, len(LOCAL) + count :]
+    differences[:] = np.clip(differences, -MOST_DIFFERENCE, MOST_DIFFERENCE)
+    middles[:] = np.clip(middles, readings.edges[0] + readings.interval, readings.edges[-1])
+    first = np.where(readings.share > 0, middles, np.inf).min(axis=1)
     local[:, 0] = np.minimum(local[:, 0], first - 0.5 * np.sqrt(shared[PULSE]) - SHORTEST_FALL)
     return replace(trial, shared=shared, local=local)

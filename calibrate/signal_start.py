@@ -52,16 +52,8 @@ def guess_cell(time: np.ndarray, values: np.ndarray, weight: np.ndarray) -> Cell
         weight: [K] (kg).
     """
     interval = time[1] - time[0]
-    begin = int(np.searchsorted(time, min(LANDING, 0.4 * time[-1])))
-    rows = []
-    for row in values:
-        total, slope, bend = _integral(row, interval), *_derivatives(row, interval)
-        inside = slice(begin, -1)
-        basis = np.stack([np.ones(len(time)), time, -slope, bend], axis=1)[inside]
-        scale = np.abs(basis).max(axis=0)
-        found = np.linalg.lstsq(basis / scale, total[inside], rcond=None)[0] / scale
-        rows.append(found[2:])
-    stretch, lag = np.array(rows).T
+    begin = min(LANDING, 0.4 * time[-1])
+    stretch, lag = _free_ringing(time, values, begin)[:, 2:].T
     sine = np.clip(interval / (2.0 * np.sqrt(np.maximum(stretch, 0.3 * interval**2))), 1e-4, 0.95)
     square = (0.5 * interval / np.arcsin(sine)) ** 2  # 1 / omega^2 of each loaded cell
     inverse_mass, empty = _regress(square, weight)
@@ -69,6 +61,25 @@ def guess_cell(time: np.ndarray, values: np.ndarray, weight: np.ndarray) -> Cell
     return CellGuess(
         omega, float(np.clip(0.5 * omega * np.median(lag / stretch), 1e-3, 0.3)), inverse_mass
     )
+
+
+def momentum_weight(time: np.ndarray, values: np.ndarray, begin: float) -> np.ndarray:
+    """[K] (kg) that signals [K, T] less their tare show from `begin` (s) on, however they ring."""
+    return _free_ringing(time, values, begin)[:, 1]
+
+
+def _free_ringing(time: np.ndarray, values: np.ndarray, begin: float) -> np.ndarray:
+    """[K, 4] constant, weight (kg), 1 / omega^2 (s2) of the loaded cell and that times the lag (s)
+    of its damper: its momentum makes up what the integral of the reading lacks of W t."""
+    inside = slice(int(np.searchsorted(time, begin)), -1)
+    rows = []
+    for row in values:
+        slope, bend = _derivatives(row, time[1] - time[0])
+        basis = np.stack([np.ones(len(time)), time, -slope, bend], axis=1)[inside]
+        scale = np.abs(basis).max(axis=0)
+        total = _integral(row, time[1] - time[0])[inside]
+        rows.append(np.linalg.lstsq(basis / scale, total, rcond=None)[0] / scale)
+    return np.array(rows)
 
 
 def find_quiet(time: np.ndarray, values: np.ndarray, cell: CellGuess) -> tuple[int, np.ndarray]:

@@ -15,7 +15,6 @@ FALL = 1.0  # times the fall time: pulses that are longer
 UNLIKE = (
     0.3  # of what the cell shows beside the weight: a residual that is larger describes nothing
 )
-SMALL = 0.01  # of what the cell shows beside the weight: a residual that is smaller changes little
 # times the noise at rest: a residual that says that the model does not describe the signals
 ROUGH = 1.5
 
@@ -57,13 +56,14 @@ def describe(fit: "SignalFit") -> None:
 def _doubts(fit: "SignalFit") -> list[str]:
     """That the model does not describe the signals."""
     left = fit.residual
-    if left["landing"] < max(ROUGH * left["rest"], SMALL * left["signal"]):
+    if left["landing"] < ROUGH * left["rest"]:
         return []
     return [
         f"the residual is {1e3 * left['landing']:.2g} g while portions land, "
         f"{_percent(left)} of what the load cell shows beside the weight, and "
         f"{1e3 * left['rest']:.2g} g at rest: the signals differ from the model (rebounds, pieces "
-        "that roll or land together, a filter of the scale); parameters are those of the pulses "
+        "that roll or land together, a filter of the scale); "
+        "parameters are those of the pulses "
         "nearest to the signals, and their intervals are too narrow"
     ]
 
@@ -73,13 +73,7 @@ def _percent(left: dict[str, float]) -> str:
 
 
 def _limits(fit: "SignalFit") -> list[str]:
-    lines, count, left = [], fit.info["traces"], fit.residual
-    if ROUGH * left["rest"] < left["landing"] < SMALL * left["signal"]:
-        lines.append(
-            f"the residual while portions land is {left['landing'] / left['rest']:.2g} times that at rest, "
-            f"{_percent(left)} of what the load cell shows beside the weight: pulses are not quite "
-            "rectangular; the interval of dt_impact is too narrow"
-        )
+    lines, count = [], fit.info["traces"]
     row, sample = fit.parameters["dt_impact"], fit.info["sample"]
     if row["low"] < 0.5 * row["value"]:
         lines.append(

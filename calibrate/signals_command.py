@@ -190,7 +190,12 @@ def report(result: "SignalFit") -> str:
         + ("means over their intervals" if result.readings == "mean" else "values at their times"),
         f"residual: {1e3 * left['landing']:.3g} g while portions land, {1e3 * left['rest']:.3g} g "
         "at rest",
-        f"pieces: {pieces}",
+        f"pieces: {pieces}"
+        + (
+            f"; their weights differ by {100 * spread:.2g} %"
+            if (spread := result.info["mass_spread"])
+            else ""
+        ),
     ]
     doubts = [*result.absurd, *result.warnings]
     if doubts:
