@@ -36,7 +36,7 @@ FEW = 8  # portions that such a search looks at
 ROUGH = 2.0  # times the median of the sums of squares: a portion that is started anew
 WHITENINGS = 2
 ROUGH_FIT = 1.5  # times the noise at rest: a residual beyond has pieces of different weight tried
-GAIN = 0.7  # of the residual: below, pieces differ in weight
+SMALL = 5e-3  # of what the cell shows beside the weight: a residual that is no larger is small
 UNEQUAL = 0.1  # standard deviation of the weights of pieces that differ, before anything is known
 WEIGHT_ERROR = 3e-4  # relative, of weights that are given
 MASS_DOUBT = 2.0  # 1/kg
@@ -131,7 +131,8 @@ def solve_portions(
     tell: Tell,
 ) -> Solved:
     """Cell, pulse, and moments of impact that describe the signals best; pieces of different weight
-    only where they describe them much better than equal ones."""
+    only where equal ones do not describe them and these do: else the weights of pieces would make
+    up for rebounds."""
     guess = cell or signal_start.guess_cell(
         portions.time, portions.values - portions.tare[:, None], portions.weight
     )
@@ -151,8 +152,9 @@ def solve_portions(
     left = _residual(solved)
     if left["landing"] > ROUGH_FIT * left["rest"]:
         other = _solve_unequal(portions, readings, found)
-        better = _residual(other)["landing"] < GAIN * left["landing"]
-        solved = other if better else solved
+        left = _residual(other)
+        describes = left["landing"] <= max(ROUGH_FIT * left["rest"], SMALL * left["signal"])
+        solved = other if describes else solved
     tell("signals", 4, 4)
     return solved
 
