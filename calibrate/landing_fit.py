@@ -1,10 +1,11 @@
 """The fit of the extended model: traces in, the smallest model that they do not contradict, its parameters with intervals.
 
-The loss is an energy distance between summaries of measured and simulated traces, jointly and one by one, with common random
-numbers. A coarse search finds the valley, Adam descends in it. A third of the traces is kept out of the fit for the judgement.
+The loss is an energy distance between summaries of measured and simulated traces, jointly and one by one. A coarse search finds
+the valley and Adam descends in it, with common random numbers at first, in the end with others in each step: a fit to the same few
+portions adapts to them. A third of the traces is kept out of the fit for the judgement.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -16,7 +17,14 @@ from calibrate.errors import BadInput, checked_seed
 from calibrate.fit import Fit, fit
 from calibrate.goodness import simulated_targets
 from calibrate.landing_intervals import LEAST_REFITS, refit_intervals
-from calibrate.landing_loss import Problem, descend, loss_alone, pose_problem, summarize_rows
+from calibrate.landing_loss import (
+    Problem,
+    descend,
+    descend_anew,
+    loss_alone,
+    pose_problem,
+    summarize_rows,
+)
 from calibrate.landing_model import (
     MODELS,
     NAMES,
@@ -40,7 +48,9 @@ ALARM = 0.05  # p below which a model is rejected
 LEAST_TRACES = 24  # a third of which is judged
 SEARCHED, SEARCH_SIMULATIONS = 64, 64  # starts of the coarse search, and simulated portions of each
 BEST = 3  # starts that Adam tries
-STEPS = (25, 100)  # of Adam from each of these, and from the best of them
+STEPS = (25, 160)  # of Adam from each of these, and from the best of them
+RATES = 0.08, 0.05  # of the same
+SETS, SET_SEED = 16, 8_000_009  # sets of random numbers that the latter takes in turn; between their seeds
 JUDGED = 256  # simulated traces of a judgement
 NO_INTERVALS = f"no intervals were asked for: {LEAST_REFITS} refits or more (--bootstrap) give them"
 
@@ -143,7 +153,8 @@ def _fit(
     kept_out = targets[2::3]
     fitted = [trace for k, trace in enumerate(targets) if k % 3 != 2]
     problem = pose_problem(fitted, frame)
-    draws = draw_landings(fitted, simulations, seed)
+    sets = [draw_landings(fitted, simulations, seed + SET_SEED * k) for k in range(SETS)]
+    draws = sets[0]
     start = default_start(paper, targets) | given
     judgements = {"paper": judge_paper(paper, kept_out, frame, seed)}
     reference = _judge(kept_out, accelerations(fitted, frame), frame, seed)
@@ -152,7 +163,7 @@ def _fit(
     steps = (BEST * STEPS[0] + STEPS[1]) * len(models)
     done = iter(range(1, steps + 1))
     for name in models if chosen is None else ():
-        found[name] = _descend_from_all(start, MODELS[name], problem, draws, seed, lambda: progress("fit", next(done), steps))
+        found[name] = _descend_from_all(start, MODELS[name], problem, sets, seed, lambda: progress("fit", next(done), steps))
         judgements[name] = judge_landings(to_values(found[name], MODELS[name]), kept_out, frame, seed)
         if judgements[name].joint.p >= ALARM:
             chosen = name
@@ -182,19 +193,27 @@ def release_delay(u: Values, free: tuple[str, ...], draws: LandingDraws, targets
 
 
 def _descend_from_all(
-    start: Values, free: tuple[str, ...], problem: Problem, draws: LandingDraws, seed: int, tell: Callable[[], object]
+    start: Values,
+    free: tuple[str, ...],
+    problem: Problem,
+    draws: Sequence[LandingDraws],
+    seed: int,
+    tell: Callable[[], object],
 ) -> Values:
-    """Coordinates of the least loss: a coarse search, Adam from the best few, and from the best of these."""
+    """Coordinates of the least loss: a coarse search, Adam from the best few with the first of the `draws`, and from the best of
+    these with all of them in turn.
+    """
     u0 = to_coordinates(start)
     data = jnp.asarray(problem.summaries), jnp.asarray(problem.centre), jnp.asarray(problem.scale)
-    arguments = u0, draws, data, problem.gravity, free, problem.frame
-    few = jax.tree.map(lambda leaf: leaf[:SEARCH_SIMULATIONS], draws)
+    others = data, problem.gravity, free, problem.frame
+    few = jax.tree.map(lambda leaf: leaf[:SEARCH_SIMULATIONS], draws[0])
     starts = scattered_starts(start, SEARCHED, seed)
-    values = [float(loss_alone(u, u0, few, data, problem.gravity, free, problem.frame)) for u in starts]
+    values = [float(loss_alone(u, u0, few, *others)) for u in starts]
     order = np.argsort(np.nan_to_num(values, nan=np.inf))
     tried = [0, *(k for k in order if k != 0)][:BEST]
-    ends = [descend(starts[k], arguments, STEPS[0], 0.08, tell) for k in tried]
-    return descend(min(ends, key=lambda end: end[0])[1], arguments, STEPS[1], 0.04, tell)[1]
+    ends = [descend(starts[k], (u0, draws[0], *others), STEPS[0], RATES[0], tell) for k in tried]
+    best = min(ends, key=lambda end: end[0])[1]
+    return descend_anew(best, draws, others, STEPS[1], RATES[1], tell)
 
 
 def _all_summaries(rows: np.ndarray, frame: Frame) -> np.ndarray:

@@ -4,7 +4,7 @@ The loss is an energy distance between summaries of measured and simulated trace
 by one, with common random numbers.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -18,6 +18,7 @@ from calibrate.landing_model import REACH, LandingDraws, Values, simulated_summa
 from calibrate.landing_summaries import Frame, accelerations, summarize
 from calibrate.targets import Target
 
+AVERAGED = 0.3  # share of the steps of `descend_anew` whose mean it returns
 MARGINALS = 3.5  # weight of the mean distance of single summaries beside the joint one
 
 
@@ -102,3 +103,37 @@ def descend(
             u = optax.apply_updates(u, move)
             tell()
     return best
+
+
+def descend_anew(
+    u: Values,
+    draws: Sequence[LandingDraws],
+    arguments: tuple[Any, ...],
+    steps: int,
+    rate: float,
+    tell: Callable[[], object],
+) -> Values:
+    """Where Adam ends from `u` if each step has other random numbers: the mean of the last steps.
+
+    A fit with common random numbers adapts to these few portions: other portions of the same
+    parameters are further from the traces (`descend` finds the valley, and is what a refit needs).
+
+    Args:
+        u: coordinates.
+        draws: random numbers, taken in turn.
+        arguments: of `loss` after its draws.
+        steps, rate: of Adam.
+        tell: called after each step.
+    """
+    optimiser = optax.adam(optax.cosine_decay_schedule(rate, steps, 0.05), b1=0.9, b2=0.98)
+    with jax.numpy_dtype_promotion("standard"):
+        state, start, last = optimiser.init(u), u, []
+        for step in range(steps):
+            _, slope = loss_and_slope(u, start, draws[step % len(draws)], *arguments)
+            slope = jax.tree.map(lambda s: jnp.nan_to_num(jnp.clip(s, -10.0, 10.0)), slope)
+            move, state = optimiser.update(slope, state)
+            u = optax.apply_updates(u, move)
+            if step >= (1.0 - AVERAGED) * (steps - 1):
+                last.append(u)
+            tell()
+    return jax.tree.map(lambda *rows: jnp.mean(jnp.stack(rows)), *last)

@@ -118,3 +118,14 @@ def test_the_file_of_a_fit_is_read_by_the_product_model(found, tmp_path):
     path.write_text(json.dumps(tree))
     with pytest.raises(BadInput, match="rebound = 1.5: must be a number from 0 to below 1"):
         read_fit(path)
+
+
+def test_steps_with_other_numbers_end_in_the_mean_of_the_last(monkeypatch):
+    """Loss (u - c)^2 of c = -1 and 1 in turn: near 0, where each by itself would pull to its own."""
+    from calibrate import landing_loss
+
+    slope = lambda u, _, c: ((u["h"] - c) ** 2, {"h": 2.0 * (u["h"] - c)})  # noqa: E731
+    monkeypatch.setattr(landing_loss, "loss_and_slope", slope)
+    told = []
+    end = landing_loss.descend_anew({"h": jnp.asarray(0.8)}, (-1.0, 1.0), (), 100, 0.05, lambda: told.append(1))
+    assert len(told) == 100 and abs(float(end["h"])) < 0.05
