@@ -169,7 +169,7 @@ def rows_of(product: str, sets: dict[str, tuple[Signals, Signals]], texts: dict[
 
 def stand_in(weigher: Weigher) -> Weigher:
     """An estimator that is never believed."""
-    return replace(weigher, threshold=-1e9)
+    return replace(weigher, threshold=np.full(3, -1e9))
 
 
 def decisions(product: str, learnt: Signals, judge: Signals, texts: dict[float, str]) -> list[list[str]]:

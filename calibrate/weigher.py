@@ -34,9 +34,11 @@ CHECK_DECAY = 0.95
 LEVEL = 0.1  # of the mean weight, of the trigger
 KICK = 30.0  # g, ringing of an empty scale
 STIFFNESS_SD, DAMPING_SD = 0.01, 0.1  # relative
-FALSE_ALARMS = 0.02  # share of held-out portions that are doubted
+FALSE_ALARMS = (0.02, 0.01, 0.01)  # share of held-out portions that each check doubts
 LEAST_THRESHOLD = 3.0
-LEAST_CHECK, LEAST_SPREAD = np.log(0.5), 0.3  # innovations as small as expected raise no doubt
+LEAST_MIDDLE = (np.log(0.5), -np.inf, -np.inf)  # of the logarithm of each check: the running mean
+# raises no doubt where innovations are as small as expected
+LEAST_SPREAD = (0.3, 0.5, 0.3)  # of the logarithm of each check
 MARGIN = 0.5  # of the lightest and heaviest portion learnt, by which weights that are believed may differ
 WINDOW = 0.01  # s on either side, over which statistics of rows are pooled
 NOTCH_QUALITY = 1.0  # of the notches
@@ -241,10 +243,10 @@ def _empty_weigher(interval: float, cell: EmptyCell, weight: float) -> Weigher:
         landed=np.ones(1),
         pulse=np.zeros(1),
         widening=np.ones(1),
-        check_mean=np.zeros(1),
-        check_sd=np.ones(1),
+        check_mean=np.zeros((1, estimator.CHECKS)),
+        check_sd=np.ones((1, estimator.CHECKS)),
         check_decay=CHECK_DECAY,
-        threshold=np.inf,
+        threshold=np.full(estimator.CHECKS, np.inf),
         sections=np.array([[1.0, 0.0, 0.0, 1.0, 0.0, 0.0]]),
         filter_sd=np.full(1, np.inf),
         settled=1,
@@ -290,8 +292,8 @@ def _with_product(
         landed=landed[:rows],
         pulse=PULSE_FACTOR * scatter[:rows] * weight,
         widening=np.ones(rows),
-        check_mean=np.zeros(rows),
-        check_sd=np.ones(rows),
+        check_mean=np.zeros((rows, estimator.CHECKS)),
+        check_sd=np.ones((rows, estimator.CHECKS)),
         filter_sd=np.full(rows, np.inf),
         settled=rows,
     )
@@ -304,8 +306,8 @@ def _pooled_mean(values: np.ndarray, reach: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _HeldOut:
-    """[K, n] from the trigger on: errors (g), standard deviations (g) and logarithms of the running
-    check of held-out portions."""
+    """From the trigger on, of held-out portions: errors (g) [K, n], standard deviations (g) [K, n] and
+    logarithms of the checks [3, K, n]; nan: before the portion triggers."""
 
     errors: np.ndarray
     sd: np.ndarray
@@ -324,7 +326,7 @@ def _held_out(
     fold = np.arange(len(weights)) % FOLDS
     rows = min(len(s) - k for s, k in zip(signals, triggers, strict=True))
     rows = min(rows, len(weigher.impulse) + int(HELD_OUT_AFTER / weigher.interval))
-    found = np.full((3, len(weights), rows), np.nan)
+    found = np.full((2 + estimator.CHECKS, len(weights), rows), np.nan)
     for k in range(FOLDS):
         some = np.flatnonzero(fold == k)
         learnt = replace(make(np.flatnonzero(fold != k)), sections=weigher.sections)
@@ -332,7 +334,7 @@ def _held_out(
             learnt, [signals[i] for i in some.tolist()], triggers[some], weights[some], rows
         )
         tell("held-out portions", k + 2, FOLDS + 2)
-    return _HeldOut(*found)
+    return _HeldOut(found[0], found[1], found[2:])
 
 
 def _weigh_all(
@@ -342,7 +344,7 @@ def _weigh_all(
     weights: np.ndarray,
     rows: int,
 ) -> np.ndarray:
-    """[3, K, rows] as in _HeldOut: all signals are cut so that they trigger together."""
+    """[2 + 3, K, rows] as in _HeldOut: all signals are cut so that they trigger together."""
     lead = min(int(triggers.min()), int(LEAD / weigher.interval))
     cut = np.stack([s[k - lead : k + rows] for s, k in zip(signals, triggers, strict=True)])
     state, found = estimator.start(weigher, (len(cut),)), []
@@ -355,8 +357,9 @@ def _weigh_all(
 def _facts_of(state: WeigherState, weights: np.ndarray) -> np.ndarray:
     total = estimator.TOTAL
     sd = np.sqrt(state.covariance[:, total, total])
-    sd = np.where(state.row >= 0, sd, np.nan)  # before it triggers, which is a sample later for some
-    return np.stack([state.mean[:, total] - weights, sd, np.log(state.check)])
+    facts = np.stack([sd, *np.log(state.check).T])
+    facts[:, state.row < 0] = np.nan  # before it triggers, which is a sample later for some
+    return np.stack([state.mean[:, total] - weights, *facts])
 
 
 def _judged(
@@ -365,25 +368,31 @@ def _judged(
     """The estimator with the widening, the check and its limits."""
     rows = len(weigher.impulse)
     reach = round(WINDOW / weigher.interval)
-    row_of = np.minimum(np.arange(held_out.check.shape[1]), rows - 1)
+    row_of = np.minimum(np.arange(held_out.sd.shape[1]), rows - 1)
     score = np.abs(held_out.errors) / held_out.sd
     widening = np.maximum(1.0, _quantile_of_rows(score, 0.95, rows, reach) / 1.96)
-    middle = np.maximum(_quantile_of_rows(held_out.check, 0.5, rows, reach), LEAST_CHECK)
-    high = _quantile_of_rows(held_out.check, 0.84, rows, reach)
-    spread = np.maximum(high - middle, LEAST_SPREAD)
-    worst = ((held_out.check - middle[row_of]) / spread[row_of]).max(axis=1)
-    threshold = max(LEAST_THRESHOLD, float(np.quantile(worst, 1 - FALSE_ALARMS, method="higher")))
+    middle, high = (
+        np.stack([_quantile_of_rows(check, share, rows, reach) for check in held_out.check])
+        for share in (0.5, 0.84)
+    )
+    middle = np.maximum(middle, np.array(LEAST_MIDDLE)[:, None])
+    spread = np.maximum(high - middle, np.array(LEAST_SPREAD)[:, None])
+    excess = (held_out.check - middle[:, None, row_of]) / spread[:, None, row_of]
+    worst = np.nanmax(excess, axis=2)
+    shares = 1 - np.array(FALSE_ALARMS)
+    limits = [np.quantile(w, share, method="higher") for w, share in zip(worst, shares, strict=True)]
+    threshold = np.maximum(LEAST_THRESHOLD, limits)
     judged = replace(
         weigher,
         widening=widening,
-        check_mean=middle,
-        check_sd=spread,
+        check_mean=middle.T,
+        check_sd=spread.T,
         threshold=threshold * (1 + 1e-6),
         least=(1 - MARGIN) * float(weights.min()),
         most=(1 + MARGIN) * float(weights.max()),
     )
     sd = held_out.sd * widening[row_of]
-    return Learnt(judged, triggers, held_out.errors, sd, worst > threshold)
+    return Learnt(judged, triggers, held_out.errors, sd, (worst.T > threshold).any(axis=1))
 
 
 def _quantile_of_rows(values: np.ndarray, share: float, rows: int, reach: int) -> np.ndarray:

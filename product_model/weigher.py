@@ -14,8 +14,8 @@ derives it.
 
 `start` returns the state of an empty scale, `feed` the state and the reading after one more sample.
 Both are pure functions of arrays with any leading axes; the size of the state does not depend on
-time. A chi-square test of the innovations detects a signal that the product does not make; the
-reading is then that of a Bessel filter. """
+time. Chi-square tests of the innovations and of the amplitudes of the shapes detect a signal that
+the product does not make; the reading is then that of a Bessel filter. """
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -33,7 +33,10 @@ EMPTY, ESTIMATE, FALLBACK = 0, 1, 2  # Reading.status
 STATUS = ("empty", "estimate", "fallback")
 SIGNAL, WEIGHT, FILTER = 1, 2, 4  # bits of Reading.doubts
 DOUBTS = {SIGNAL: "signal", WEIGHT: "weight", FILTER: "filter"}
-CAP = 100.0  # of a squared normalized innovation in the running mean
+CAP = 100.0  # of a squared normalized innovation in the checks
+CHECKS = 3  # innovations of late, innovations since the trigger, amplitudes of the shapes
+CHECKS_AT_TRIGGER = np.array([1.0, 1e-6, 1.0])
+QUIET_SAMPLES = 6  # without an innovation, that the mean since the trigger begins with
 EMPTY_AFTER = 0.1  # s for which the filter's reading stays within the trigger level of the tare until the scale counts as empty
 STILL = 0.05  # s, over which the filter's reading is to be still
 WARM_UP = 0.03  # s after the start without a trigger, in which the tare is found
@@ -73,8 +76,8 @@ class Weigher:
     momentum beside the shapes, residual_decay: its correlation from sample to sample. landed: [N]
     share of the weight that lies on the cell. pulse: [N] (g s) standard deviation of the impulse of
     a sample. widening: [N] factor on the standard deviation of the weight. check_mean, check_sd:
-    [N] of the logarithm of the running mean of squared normalized innovations; check_decay: of that
-    mean; threshold: of its distance from check_mean, in standard deviations. sections: [S, 6]
+    [N, 3] of the logarithms of the checks (`WeigherState`); check_decay: of the running mean;
+    threshold: [3] of their distances from check_mean, in standard deviations. sections: [S, 6]
     second-order sections of the filter; filter_sd: [N] (g) of its reading; settled: row from which
     it is compared. """
 
@@ -151,7 +154,9 @@ class WeigherState(NamedTuple):
     mean, covariance: [.., d], [.., d, d] of the unknowns: xi, eta, rho (residual momentum), two
     samples of the line of noise, tare, relative errors of omega^2 and delta, weight, amplitudes of
     the shapes. row: of the tables, -1: empty. tare: (g) at the trigger. memory: [.., S, 2] of the
-    filter, origin: (g) first sample. check: running mean of squared innovations. doubts: bits, kept
+    filter, origin: (g) first sample. check: [.., 3] squared normalized innovations, their running
+    mean and their mean since the trigger; squared amplitudes of the shapes by what a portion of the
+    product is expected to show. doubts: bits, kept
     until the scale is empty. calm: samples near the tare. count: samples since the start, at most
     those of the warm-up. filter_mean, filter_variance: running mean and variance (g^2) of the
     filter's reading."""
@@ -201,7 +206,7 @@ def start(weigher: Weigher, lead: tuple[int, ...] = ()) -> WeigherState:
         filter_mean=np.zeros(lead),
         filter_variance=np.zeros(lead),
         origin=np.zeros(lead),
-        check=np.ones(lead),
+        check=np.ones((*lead, CHECKS)),
         doubts=whole(0),
         calm=np.zeros(lead),
         count=np.zeros(lead),
@@ -252,7 +257,7 @@ def _begin(xp: ModuleType, weigher: Weigher, state: WeigherState, sample: Array)
         row=xp.where(triggers, 0, state.row),
         tare=tare,
         origin=origin,
-        check=xp.where(triggers, 1.0, state.check),
+        check=xp.where(triggers[..., None], CHECKS_AT_TRIGGER, state.check),
         doubts=xp.where(triggers, 0, state.doubts),
         calm=xp.where(triggers, 0.0, state.calm),
         count=xp.where(is_warm, state.count, state.count + 1.0),
@@ -480,19 +485,30 @@ def _judge(
 ) -> WeigherState:
     """The state with the doubts that a sample raises."""
     row, is_on = xp.maximum(state.row, 0), state.row >= 0
-    share = weigher.check_decay
-    check = xp.where(
-        is_on, share * state.check + (1 - share) * xp.minimum(innovation, CAP), state.check
-    )
+    check = xp.where(is_on[..., None], _checks(xp, weigher, state, innovation), state.check)
     excess = (xp.log(check) - weigher.check_mean[row]) / weigher.check_sd[row]
+    is_unlike = (excess > weigher.threshold).any(-1)
     grams, sd = state.mean[..., TOTAL], _widened_sd(xp, weigher, state)
     is_outside = (grams - CLEAR * sd > weigher.most) | (grams + CLEAR * sd < weigher.least)
     apart = xp.abs(filtered - state.tare - grams) > CLEAR * xp.sqrt(
         sd**2 + weigher.filter_sd[row] ** 2
     )
-    found = xp.where(excess > weigher.threshold, SIGNAL, 0) | xp.where(is_outside, WEIGHT, 0)
+    found = xp.where(is_unlike, SIGNAL, 0) | xp.where(is_outside, WEIGHT, 0)
     found = found | xp.where(apart & (row >= weigher.settled), FILTER, 0)
     return state._replace(check=check, doubts=xp.where(is_on, state.doubts | found, state.doubts))
+
+
+def _checks(xp: ModuleType, weigher: Weigher, state: WeigherState, innovation: Array) -> Array:
+    """[.., 3] the checks after a sample; see `WeigherState`.
+
+    An amplitude has the prior variance 1, so that its estimate has 1 less the variance left."""
+    samples = xp.asarray(xp.maximum(state.row, 0) + QUIET_SAMPLES, innovation.dtype)
+    part = xp.minimum(innovation, CAP)
+    of_late = weigher.check_decay * state.check[..., 0] + (1 - weigher.check_decay) * part
+    since = (samples * state.check[..., 1] + part) / (samples + 1)
+    left = xp.diagonal(state.covariance, axis1=-2, axis2=-1)[..., SHAPES:]
+    shown = (state.mean[..., SHAPES:] ** 2).sum(-1)
+    return xp.stack([of_late, since, (1 + shown) / (1 + (1 - left).sum(-1))], -1)
 
 
 def _reading(xp: ModuleType, weigher: Weigher, state: WeigherState, filtered: Array) -> Reading:

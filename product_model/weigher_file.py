@@ -9,9 +9,9 @@ import numpy as np
 
 from product_model.inputs import BadInput
 from product_model.program import temporary_file
-from product_model.weigher import Weigher
+from product_model.weigher import CHECKS, Weigher
 
-VERSION = 1  # of the file
+VERSION = 2  # of the file
 DIGITS = 7  # significant, of numbers of tables
 UNITS = {
     "interval": "s",
@@ -108,7 +108,8 @@ def _content(path: str | Path) -> dict[str, Any]:
     version = content.get("weigher") if isinstance(content, dict) else None
     if version != VERSION:
         raise BadInput(
-            f"{path}: weigher = {version!r}: allowed: {VERSION}, a file that calibrate weigher wrote"
+            f"{path}: weigher = {version!r}: allowed: {VERSION}, a file that calibrate weigher of this "
+            "version wrote; learn the product again"
         )
     return content
 
@@ -119,6 +120,10 @@ def _check_shapes(path: str | Path, values: dict[str, np.ndarray]) -> None:
         wanted: tuple[int, ...] = (rows,) if name in ROWS else ()
         if name == "shapes":
             wanted = (rows, value.shape[1] if value.ndim == 2 else 0)
+        elif name in ("check_mean", "check_sd"):
+            wanted = (rows, CHECKS)
+        elif name == "threshold":
+            wanted = (CHECKS,)
         elif name == "line":
             wanted = (2,)
         elif name == "sections":

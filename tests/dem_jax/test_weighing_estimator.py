@@ -19,7 +19,7 @@ def path(tmp_path):
         drift=1e-6, level=1.0, weight=50.0, least=5.0, most=500.0, impulse=np.full(ROWS, H),
         shapes=np.zeros((ROWS, 1)), residual=np.full(ROWS, 1e-6), residual_decay=0.9,
         landed=np.ones(ROWS), pulse=np.zeros(ROWS), widening=np.ones(ROWS),
-        check_mean=np.zeros(ROWS), check_sd=np.ones(ROWS), check_decay=0.95, threshold=4.0,
+        check_mean=np.zeros((ROWS, 3)), check_sd=np.ones((ROWS, 3)), check_decay=0.95, threshold=np.full(3, 4.0),
         sections=np.array([[1.0, 0.0, 0.0, 1.0, 0.0, 0.0]]), filter_sd=np.full(ROWS, 50.0), settled=ROWS,
     )  # fmt: skip
     save_weigher(weigher, tmp_path / "weigher.json")

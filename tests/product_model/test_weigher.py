@@ -12,7 +12,7 @@ from product_model import BadInput, load_weigher, save_weigher
 from product_model import weigher as estimator
 from product_model.__main__ import main
 from product_model.decision import first_decision
-from product_model.weigher import ESTIMATE, FALLBACK, SHAPES, TOTAL, Weigher, cell_step
+from product_model.weigher import ESTIMATE, FALLBACK, SHAPES, SIGNAL, TOTAL, Weigher, cell_step
 
 H, OMEGA, ZETA, MASS = 1e-3, 2 * np.pi * 50.0, 0.02, 1000.0  # s, 1/s, ratio, g
 ROWS, LEAD, TARE = 150, 80, 12.5
@@ -46,10 +46,10 @@ def make_weigher(momentum, residual=1e-7, **changes):
         landed=np.clip(1 - momentum[1:] / max(momentum[0], 1e-9), 0, 1),
         pulse=np.zeros(ROWS),
         widening=np.ones(ROWS),
-        check_mean=np.zeros(ROWS),
-        check_sd=np.ones(ROWS),
+        check_mean=np.zeros((ROWS, 3)),
+        check_sd=np.ones((ROWS, 3)),
         check_decay=0.95,
-        threshold=5.0,
+        threshold=np.full(3, 5.0),
         sections=np.array([[1.0, 0.0, 0.0, 1.0, 0.0, 0.0]]),
         filter_sd=np.full(ROWS, 100.0),
         settled=10 * ROWS,
@@ -134,6 +134,44 @@ def test_a_shape_conserves_momentum_and_is_told_from_the_weight():
     assert state.mean[TOTAL] == pytest.approx(40.0, abs=1e-3)
 
 
+@pytest.mark.parametrize(("amplitude", "doubts"), [(5.0, 0), (8.0, SIGNAL)])
+def test_amplitudes_beyond_their_prior_are_doubted(amplitude, doubts):
+    """The innovations fit, as the shape explains the signal: the check is (1 + a^2) / 2, because
+    nothing of the prior variance 1 is left; its logarithm exceeds 3 from a = 6.3 on."""
+    momentum = 0.2 * np.exp(-np.arange(ROWS + 1) * H / 0.02)
+    shape = 0.05 * np.sin(np.arange(ROWS + 1) * H / 0.03) * np.exp(-np.arange(ROWS + 1) * H / 0.02)
+    weigher = make_weigher(
+        momentum, shapes=-np.diff(shape)[:, None], threshold=np.array([1e9, 1e9, 3.0])
+    )
+    signal = show(
+        40.0 * weigher.impulse + amplitude * weigher.shapes[:, 0], weigher.landed, 40.0
+    )
+    state = estimator.start(weigher)
+    for sample in signal[: LEAD + 60]:
+        state, reading = estimator.feed(weigher, state, sample, np)
+    assert state.check[2] == pytest.approx((1 + amplitude**2) / 2, rel=1e-3)  # as of the amplitude
+    assert reading.doubts == doubts
+
+
+def test_innovations_are_averaged_since_the_trigger(monkeypatch):
+    """The second check is their sum over the samples since the trigger and six quiet ones."""
+    signals, _, weigher = portions(2)
+    found, update = [], estimator._update
+
+    def keep(*given):
+        state, innovation = update(*given)
+        found.append(np.minimum(innovation, estimator.CAP))
+        return state, innovation
+
+    monkeypatch.setattr(estimator, "_update", keep)
+    state = estimator.start(weigher)
+    for sample in signals[0, : LEAD + 60]:
+        state, _ = estimator.feed(weigher, state, sample, np)
+    count = int(state.row)  # samples since the trigger
+    total = np.sum(found[-count:])
+    assert state.check[1] == pytest.approx((total + 6e-6) / (count + 6), rel=1e-9)
+
+
 def test_a_cell_that_is_1_percent_softer_is_found_with_the_weight():
     momentum = 0.2 * np.exp(-np.arange(ROWS + 1) * H / 0.02)
     weigher = make_weigher(momentum, stiffness_sd=0.02, white=0.1, residual=1e-4)
@@ -159,7 +197,7 @@ def portions(count=6):
         stiffness_sd=0.01,
         damping_sd=0.1,
     )
-    weigher = replace(weigher, check_sd=np.full(ROWS, 0.5))
+    weigher = replace(weigher, check_sd=np.full((ROWS, 3), 0.5))
     weights = np.linspace(30.0, 70.0, count)
     signals = []
     for weight in weights:
@@ -228,7 +266,8 @@ def test_a_file_gives_the_same_readings(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ('"weigher": 1', '"weigher": 7', "weigher = 7: allowed: 1"),
+        ('"weigher": 2', '"weigher": 1', "weigher = 1: allowed: 2, a file that calibrate weigher of"),
+        ('"threshold": [5.0, 5.0, 5.0]', '"threshold": 5.0', "threshold: has () numbers, allowed: (3,)"),
         ('\n"omega": ', '\n"omga": ', "lacks omega"),
         ('"white": 0.001', '"white": -1', "white: allowed: numbers above 0"),
         ('"line": [0.0, 0.0]', '"line": [0.0]', "line: has (1,) numbers, allowed: (2,)"),
