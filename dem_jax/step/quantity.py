@@ -21,7 +21,7 @@ Rows = tuple[tuple[str, int | tuple[int, ...]], ...]  # name, and its place on t
 # Names that differ between files and runs.
 RESERVED = frozenset(
     "time pieces restart header series values replace save pif_kg peak_kg member settled scene seed dt precision version sample"
-    " run_count info parameters".split()
+    " run_count info parameters piece_counts".split()
 )
 
 

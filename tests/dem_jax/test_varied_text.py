@@ -54,15 +54,15 @@ def test_the_command_passes_values_seeds_and_the_rate_on(monkeypatch, tmp_path, 
 
     asked = {}
 
-    def ensemble(scene, runs, seed, out, overwrite, progress, parameters):
-        asked.update(scene=scene, runs=runs, seed=seed, parameters=parameters)
+    def ensemble(scene, runs, seed, out, overwrite, progress, parameters, uncertain):
+        asked.update(scene=scene, runs=runs, seed=seed, parameters=parameters, uncertain=uncertain)
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(interface, "ensemble", ensemble)
     monkeypatch.setattr(simulating, "finish", lambda *_: None)
     command = ["ensemble", "weigh-bucket", "--runs", "3", "--vary", "portion.count=5:6", "--record-rate", "500"]
     assert main(command) == 0
-    assert asked["parameters"] == {"portion.count": [5, 6, 5]} and asked["runs"] == 3
+    assert asked["parameters"] == {"portion.count": [5, 6, 5]} and asked["runs"] == 3 and asked["uncertain"] is False
     assert asked["scene"] == load_scene("weigh-bucket", {"run.sample": 2e-3, "run.frames": 0.0})
     assert main([*command, "--set", "run.frames=0.01"]) == 0 and asked["scene"].run.frames == 0.01
     for wrong, words in ((["--record-rate", "0"], "--record-rate 0"), (["--vary", "a=x:2"], "--vary a=x:2")):
