@@ -37,6 +37,7 @@ from product_model.fitted import NINETY, Fitted
 TABLE = Path(__file__).parent / "transfer.json"
 FORMAT = 1  # of the table
 SCALED = tuple(name for name in NAMES if name != "h_mean")  # learnt as coordinates
+WIDEST = 1.0  # standard deviation in coordinates: no interval reaches beyond a factor of 5.2 to either side
 PORTIONS = 256  # whose mean momentum decides the drop height
 MOST_LOST = 0.7  # share of the fall that the opening flaps may take, far beyond the design's
 ROUNDING = 1e-5  # of the ends of conditions in a table
@@ -287,8 +288,9 @@ def predict_parameters(drop: DropConditions, table: TransferTable | None = None)
 
     Returns:
         Values, and 90 % intervals: how sure the learnt coefficients are (jackknife over groups of
-        ensembles), for h_mean also how well the polynomial says the lost time of other ensembles. For
-        a drop outside of the design (`TransferTable.outside`) they are extrapolated.
+        ensembles), for h_mean also how well the polynomial says the lost time of other ensembles, at
+        most a factor of 5.2 to either side. For a drop outside of the design
+        (`TransferTable.outside`) they are extrapolated.
     """
     table = table or shipped_table()
     u = table.coordinates(drop, table.coefficients)
@@ -335,4 +337,5 @@ def _uncertainty(u: dict[str, float], others: list[dict[str, float]]) -> dict[st
     """Standard deviation of each coordinate, by those without a group of ensembles (jackknife)."""
     count = len(others)
     spread = {name: sum((other[name] - u[name]) ** 2 for other in others) for name in u}
-    return {name: float(np.sqrt((count - 1) / count * s)) if count else 0.0 for name, s in spread.items()}
+    found = {name: float(np.sqrt((count - 1) / count * s)) if count else 0.0 for name, s in spread.items()}
+    return {name: min(sd, WIDEST) for name, sd in found.items()}

@@ -91,6 +91,13 @@ def test_intervals_are_the_jackknife():
     assert fitted.low["h_mean"] <= fitted.value["h_mean"] <= fitted.high["h_mean"]
 
 
+def test_no_interval_is_wider_than_a_factor_of_five():
+    groups = [Coefficients({name: [d, 0.0] for name in SCALED}, [-2.0, 0.0]) for d in (-9.0, 9.0)]
+    fitted = predict_parameters(STOCK, small_table(groups=groups))
+    for name in ("slump_depth", "release_time"):
+        assert np.log(fitted.high[name] / fitted.value[name]) == pytest.approx(1.6448536, rel=1e-6)
+
+
 def test_a_table_is_read_as_it_was_written():
     table = shipped_table()
     write_table("table.json", table)
@@ -121,7 +128,7 @@ def test_conditions_of_a_product():
 
 
 def test_the_command_predicts_a_product(capsys):
-    arguments = ["simulate", "--product", "hazelnut", "--target", "0.02", "--sample", "1e-3", "--out", "a.h5"]
+    arguments = ["simulate", "--product", "hazelnut", "--target", "0.02", "--sample", "1e-3", "--duration", "3", "--out", "a.h5"]
     assert main([*arguments, "--runs", "3", "--draw"]) == 0
     out, err = capsys.readouterr()
     drop, _ = product_conditions("hazelnut", 0.02)
