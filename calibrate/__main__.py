@@ -1,27 +1,32 @@
 """Command line: `python -m calibrate fit runs.h5`, `python -m calibrate product hazelnut`."""
 
 import argparse
-import contextlib
-import json
-import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from calibrate.cell_command import add_cell_command
+from calibrate.command import (
+    FAILED,
+    add_table,
+    check_outputs,
+    parse_numbers,
+    show_progress,
+    table_options,
+    use_cache,
+    write_results,
+)
 from calibrate.errors import BadInput, checked_seed
 from calibrate.product_command import add_product_command
 from calibrate.signals_command import add_signals_command
 from calibrate.weigher_command import add_weigher_command
-from product_model.program import QuietStream, fail_program, run_program, set_open_line, temporary_file
+from product_model.program import fail_program, run_program
 
 if TYPE_CHECKING:
     from calibrate.fit import Fit
     from calibrate.landing_fit import LandingFit
     from calibrate.targets import Target
-
-FAILED = 1  # exit code where a fit was made and cannot be meant
 
 
 class _Parser(argparse.ArgumentParser):
@@ -43,9 +48,8 @@ def _parser() -> argparse.ArgumentParser:
         "traces", nargs="+", metavar="FILE", help="HDF5 runs or ensembles, tables of text (times, forces), or LabVIEW's .lvm"
     )
     fit.add_argument("--m-piece", type=float, metavar="KG", help="weight of one piece (default: from the file's scene)")
-    fit.add_argument(
-        "--pieces", type=_numbers, metavar="N[,N...]", help="number of pieces of all traces or of each (default: from the file)"
-    )
+    pieces = "number of pieces of all traces or of each (default: from the file)"
+    fit.add_argument("--pieces", type=parse_numbers, metavar="N[,N...]", help=pieces)
     fit.add_argument("--group", metavar="NAME", help="wall group whose force is fitted (default wb_flaps)")
     fit.add_argument(
         "--align",
@@ -53,7 +57,7 @@ def _parser() -> argparse.ArgumentParser:
         default="release",
         help="what times count from: the file's time zero, or the balance of momentum (default release)",
     )
-    _add_table(fit)
+    add_table(fit)
     for name in NAMES:
         unit, flag = ("S" if name == "dt_impact" else "M"), name.replace("_", "-")
         fit.add_argument(f"--{flag}", type=float, metavar=unit, help=f"start value of {name}")
@@ -76,41 +80,15 @@ def _parser() -> argparse.ArgumentParser:
         help="fit traces, and write parameters, that cannot be meant as they are; replaces files that exist, too",
     )
     fit.set_defaults(action=_fit)
-    add_product_command(commands, _use_cache)
-    add_weigher_command(commands, _add_table, _progress)
-    add_signals_command(commands, _add_table, _numbers, _progress, _use_cache)
-    add_cell_command(commands, _add_table)
+    add_product_command(commands)
+    add_weigher_command(commands)
+    add_signals_command(commands)
+    add_cell_command(commands)
     return parser
 
 
-def _add_table(parser: argparse.ArgumentParser) -> None:
-    """What a table of text may not tell itself."""
-    table = parser.add_argument_group("tables of text")
-    table.add_argument("--time-unit", metavar="UNIT", help="s, ms, us or min, instead of the header's (without any: s)")
-    table.add_argument("--force-unit", metavar="UNIT", help="N, mN, kN, kg, g or lbf, instead of the header's (without any: N)")
-    table.add_argument("--decimal", choices=(".", ","), help="the decimal sign (default: as the numbers tell)")
-    table.add_argument("--sample", type=float, metavar="S", help="time from row to row, instead of a column of times")
-    table.add_argument("--tare", action="store_true", help="subtract the mean force before the first impact from each trace")
-
-
-def _numbers(text: str) -> list[int]:
-    """Whole numbers between commas."""
-    try:
-        return [int(part) for part in text.split(",")]
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r}: must be a whole number, or several between commas") from None
-
-
 def _outputs(args: argparse.Namespace) -> list[Path]:
-    out = Path(args.out)
-    if out.suffix != ".json":
-        raise BadInput(f"out = {out}: must end in .json")
-    if not out.parent.is_dir():
-        raise BadInput(f"out = {out}: the folder does not exist")
-    paths = [out] if args.no_plot else [out, out.with_suffix(".png")]
-    for path in paths:
-        if path.exists() and not (args.overwrite or args.force):
-            raise BadInput(f"out = {path}: exists; give another name, or --overwrite to replace it")
+    paths = check_outputs(args)
     for name, least in (("simulations", 64), ("bootstrap", 0)):
         value = getattr(args, name)
         if value is not None and value < least:
@@ -118,48 +96,11 @@ def _outputs(args: argparse.Namespace) -> list[Path]:
     return paths
 
 
-@contextlib.contextmanager
-def _progress() -> Iterator[Callable[[str, int, int], None]]:
-    """What shows the progress of a fit; the bar appears when there is some."""
-    from tqdm import tqdm
-
-    bars: list[Any] = []
-
-    def show(stage: str, done: int, total: int) -> None:
-        if not bars:
-            bars.append(tqdm(total=1, file=QuietStream(sys.stderr)))
-            set_open_line(True)
-        bars[0].set_description(stage)
-        bars[0].total, bars[0].n = total, done
-        bars[0].refresh()
-
-    try:
-        yield show
-    finally:
-        for bar in bars:
-            bar.close()
-        set_open_line(False)
-
-
-def _use_cache() -> None:
-    """Keep compiled programs in the user's cache folder, so that a second fit need not compile.
-
-    JAX_COMPILATION_CACHE_DIR names another folder.
-    """
-    import jax
-
-    if not jax.config.jax_compilation_cache_dir:  # type: ignore[attr-defined]
-        base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-        jax.config.update("jax_compilation_cache_dir", str(Path(base) / "calibrate" / "jax"))
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-        jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
-
-
 def _fit(args: argparse.Namespace) -> int:
     """Fit, write and report; the exit code."""
     checked_seed(args.seed)
     paths = _outputs(args)
-    _use_cache()
+    use_cache()
     from calibrate.fit import fit
 
     targets = _traces(args)
@@ -167,7 +108,7 @@ def _fit(args: argparse.Namespace) -> int:
         return _fit_extended(args, targets, paths)
     given = {name: getattr(args, name) for name in NAMES if getattr(args, name) is not None}
     fixed = {name: getattr(args, f"fix_{name}") for name in NAMES if getattr(args, f"fix_{name}") is not None}
-    with _progress() as show:
+    with show_progress() as show:
         result = fit(
             targets,
             given,
@@ -198,7 +139,7 @@ def _fit_extended(args: argparse.Namespace, targets: "list[Target]", paths: list
     if kept:
         raise BadInput(f"fix_{kept[0]}: is for --model paper; give a start value (--{kept[0].replace('_', '-')})")
     given = {name: getattr(args, name) for name in NAMES if getattr(args, name) is not None}
-    with _progress() as show:
+    with show_progress() as show:
         result = fit_landings(
             targets,
             given,
@@ -217,26 +158,21 @@ def _fit_extended(args: argparse.Namespace, targets: "list[Target]", paths: list
 
 def _traces(args: argparse.Namespace) -> "list[Target]":
     """The traces of all files."""
-    from calibrate.csv_table import TableOptions
     from calibrate.targets import read
 
-    table = TableOptions(args.decimal, args.time_unit, args.force_unit, args.sample)
-    options: dict[str, Any] = {"tell": print, "table": table, "tare": args.tare}
+    options: dict[str, Any] = {"tell": print, "table": table_options(args), "tare": args.tare}
     return [t for path in args.traces for t in read(path, args.m_piece, args.pieces, args.group, **options)]
 
 
-def _write(result: "Fit | LandingFit", targets: "list[Target]", paths: Sequence[Path], seed: int) -> None:
+def _write(result: "Fit | LandingFit", targets: "list[Target]", paths: list[Path], seed: int) -> None:
     """Write the fit, and the figure where there is a second path."""
-    try:
-        with temporary_file(paths[0]) as part:
-            part.write_text(json.dumps(result.to_dict(), indent=2) + "\n", encoding="utf-8")
-        for path in paths[1:]:
-            from calibrate.plot import figure
 
-            with temporary_file(path) as part:
-                figure(result, targets, seed).savefig(part, dpi=150, format=path.suffix[1:])
-    except OSError as error:
-        raise BadInput(f"out = {paths[0]}: cannot be written ({error.strerror or error})") from None
+    def draw() -> Any:
+        from calibrate.plot import figure
+
+        return figure(result, targets, seed)
+
+    write_results(result.to_dict(), paths, draw)
 
 
 def report(result: "Fit") -> str:

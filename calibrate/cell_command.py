@@ -1,20 +1,21 @@
 """Command line: `python -m calibrate cell empty.csv --loaded 200 loaded.csv`."""
 
 import argparse
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from calibrate.command import add_table, table_options, write_results
 from calibrate.errors import BadInput
+from product_model.target import check_target
 
 if TYPE_CHECKING:
     from calibrate.cell import CellFit
     from calibrate.taps import Oscillation
 
 
-def add_cell_command(commands: Any, add_table: Any) -> None:
-    """Add the command to the parser. add_table: adds the arguments of tables of text."""
+def add_cell_command(commands: Any) -> None:
+    """Add the command to the parser."""
     parser = commands.add_parser("cell", help="mass, natural frequency, damping and noise of a load cell from taps on its bucket")
     parser.add_argument("empty", nargs="+", metavar="FILE", help="tables of a logger: taps on the empty bucket, in each column")
     parser.add_argument(
@@ -31,44 +32,26 @@ def add_cell_command(commands: Any, add_table: Any) -> None:
 def calibrate_cell(args: argparse.Namespace) -> int:
     """Fit, write and report; the exit code."""
     from calibrate.cell import fit_cell
-    from product_model.program import temporary_file
 
-    out = _check_target(args)
+    out = check_target("out", args.out, (".json",), ".json", args.overwrite)
     if args.mass is not None and args.loaded:
         raise BadInput("mass: follows from --loaded; allowed: one of the two")
     oscillations, interval = _read_oscillations(args)
     fit = fit_cell(oscillations, interval, args.mass)
     files = [Path(path).name for path in args.empty + [path for _, *paths in args.loaded for path in paths]]
-    try:
-        with temporary_file(out) as part:
-            part.write_text(json.dumps(fit.to_dict() | {"files": files}, indent=2) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise BadInput(f"out = {out}: cannot be written ({error.strerror or error})") from None
+    write_results(fit.to_dict() | {"files": files}, [out])
     for line in report_cell(fit):
         print(line)
     print(f"written: {out}")
     return 0
 
 
-def _check_target(args: argparse.Namespace) -> Path:
-    """The file to write. Raises `BadInput`."""
-    out = Path(args.out)
-    if out.suffix != ".json":
-        raise BadInput(f"out = {out}: must end in .json")
-    if not out.parent.is_dir():
-        raise BadInput(f"out = {out}: the folder does not exist")
-    if out.exists() and not args.overwrite:
-        raise BadInput(f"out = {out}: exists; give another name, or --overwrite to replace it")
-    return out
-
-
 def _read_oscillations(args: argparse.Namespace) -> "tuple[list[Oscillation], float]":
     """The oscillations of all files, and the interval (s) between samples."""
     from calibrate.scale_signals import SignalOptions, read_signals
-    from calibrate.table_columns import TableOptions
     from calibrate.taps import find_oscillations
 
-    options = SignalOptions(TableOptions(args.decimal, args.time_unit, args.force_unit, args.sample))
+    options = SignalOptions(table_options(args))
     groups = [(0.0, args.empty), *((_load(rows), rows[1:]) for rows in args.loaded)]
     signals, names, loads, interval = [], [], [], None
     for load, paths in groups:

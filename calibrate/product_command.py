@@ -4,17 +4,16 @@ import argparse
 import sys
 from typing import TYPE_CHECKING, Any
 
+from calibrate.command import FAILED, use_cache
 from calibrate.errors import BadInput
 from product_model.program import fail_program
 
 if TYPE_CHECKING:
     from calibrate.product import ProductFit, ProductRequest
 
-FAILED = 1  # exit code where drops cannot be simulated, or a fit was made and cannot be meant
 
-
-def add_product_command(commands: Any, use_cache: Any) -> None:
-    """Add the command to the parser. use_cache: called before anything is compiled."""
+def add_product_command(commands: Any) -> None:
+    """Add the command to the parser."""
     parser = commands.add_parser(
         "product",
         help="from a product to its fitted model: simulated drops, fit, judgement, report",
@@ -70,7 +69,7 @@ def add_product_command(commands: Any, use_cache: Any) -> None:
         action="store_true",
         help="fit traces, and write parameters, that cannot be meant as they are",
     )
-    parser.set_defaults(action=run_product, use_cache=use_cache)
+    parser.set_defaults(action=run_product)
 
 
 def run_product(args: argparse.Namespace) -> int:
@@ -78,7 +77,7 @@ def run_product(args: argparse.Namespace) -> int:
     from calibrate.product import SimulationFailed, calibrate_product
 
     request = _request(args)
-    args.use_cache()
+    use_cache()
     try:
         found = calibrate_product(request, _tell, shown=True)
     except SimulationFailed as error:

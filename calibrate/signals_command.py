@@ -1,104 +1,74 @@
 """Command line: `python -m calibrate signals scale.csv --m-piece 0.018`."""
 
 import argparse
-import json
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from calibrate.command import (
+    FAILED,
+    add_scale_signals,
+    add_table,
+    check_outputs,
+    parse_numbers,
+    show_progress,
+    signal_options,
+    use_cache,
+    write_results,
+)
 from calibrate.errors import BadInput, checked_seed
-from product_model.program import fail_program, temporary_file
+from product_model.program import fail_program
 
 if TYPE_CHECKING:
     from calibrate.cell_signals import ScaleSignal
     from calibrate.signal_fit import SignalFit, Solved
     from calibrate.signal_start import CellGuess
 
-ARGUMENTS: tuple[tuple[str, Any, str, str], ...] = (
-    ("--m-piece", float, "KG", "weight of one piece; needed"),
-    (
-        "--weights",
-        str,
-        "FILE",
-        "table whose last column is the weight of each portion (default: at rest)",
-    ),
-    (
-        "--cell",
-        str,
-        "FILE",
-        "load cell to start from: of calibrate cell (.json), or a scene's keys (.toml)",
-    ),
-    ("--frequency", float, "HZ", "natural frequency of the empty cell to start from"),
-    (
-        "--noise",
-        str,
-        "N",
-        "noise of ensembles: none, typical or a TOML file (default: the scene's)",
-    ),
-)
+CELL = "load cell to start from: of calibrate cell (.json), or a scene's keys (.toml)"
 SWITCHES = (
     ("--no-plot", "draw no figure"),
     ("--overwrite", "replace files that exist"),
     ("--force", "write parameters that cannot be meant; replaces files that exist, too"),
 )
-RATE = "readings per second of ensembles (default 1000)"
 OUT = "JSON file (default fit.json); the figure goes beside it"
-FAILED = 1  # exit code where a fit was made and cannot be meant
 
 
-def add_signals_command(
-    commands: Any, add_table: Any, numbers: Any, progress: Any, use_cache: Any
-) -> None:
-    """Add the command to the parser.
-
-    Args:
-        commands: where it is added.
-        add_table: adds the arguments of tables of text.
-        numbers: reads whole numbers between commas.
-        progress: shows the progress.
-        use_cache: called before anything is compiled.
-    """
+def add_signals_command(commands: Any) -> None:
+    """Add the command to the parser."""
     parser = commands.add_parser(
         "signals", help="fit the Product Model to the signals of a scale (load cell)"
     )
-    parser.add_argument(
-        "signals",
-        nargs="+",
-        metavar="FILE",
-        help="tables of a logger (a column for each portion), or HDF5 ensembles",
-    )
-    for flag, kind, unit, words in ARGUMENTS:
-        parser.add_argument(flag, type=kind, metavar=unit, help=words)
+    add_scale_signals(parser)
+    parser.add_argument("--m-piece", type=float, metavar="KG", help="weight of one piece; needed")
     parser.add_argument(
         "--pieces",
-        type=numbers,
+        type=parse_numbers,
         metavar="N[,N...]",
         help="number of pieces of all portions or of each (default: weight over --m-piece)",
     )
-    parser.add_argument("--rate", type=float, default=1000.0, metavar="HZ", help=RATE)
-    parser.add_argument(
-        "--seed", type=int, default=0, metavar="N", help="of that noise (default 0)"
-    )
+    frequency = "natural frequency of the empty cell to start from"
+    parser.add_argument("--cell", metavar="FILE", help=CELL)
+    parser.add_argument("--frequency", type=float, metavar="HZ", help=frequency)
     parser.add_argument("--out", default="fit.json", metavar="FILE", help=OUT)
     for flag, words in SWITCHES:
         parser.add_argument(flag, action="store_true", help=words)
     add_table(parser)
-    parser.set_defaults(action=lambda args: _run(args, progress, use_cache))
+    parser.set_defaults(action=_run)
 
 
-def _run(args: argparse.Namespace, progress: Any, use_cache: Any) -> int:
+def _run(args: argparse.Namespace) -> int:
     """Fit, write and report; the exit code."""
     if args.m_piece is None:
         raise BadInput("m_piece: is not given; give the weight of one piece, --m-piece KG")
     checked_seed(args.seed)
-    paths = _outputs(args)
+    paths = check_outputs(args)
     signals, weights, cell = _inputs(args)
     use_cache()
     from calibrate.signal_fit import fit_signals
 
-    with progress() as show:
+    with show_progress() as show:
         result, solved = fit_signals(signals, args.m_piece, args.pieces, weights, cell, show)
     print(report(result))
     if result.absurd and not args.force:
@@ -115,8 +85,7 @@ def _inputs(
 ) -> "tuple[list[ScaleSignal], np.ndarray | None, CellGuess | None]":
     """Signals, weights (kg) where they are known, and what is thought of the load cell."""
     from calibrate.cell_signals import read_scale_signals
-    from calibrate.csv_table import TableOptions
-    from calibrate.scale_signals import SignalOptions, read_cell, read_weights
+    from calibrate.scale_signals import read_cell, read_weights
     from calibrate.signal_start import CellGuess
 
     if args.cell and args.frequency is not None:
@@ -124,9 +93,7 @@ def _inputs(
     if args.frequency is not None and not 0.1 < args.frequency < 1e4:
         raise BadInput(f"frequency = {args.frequency:g}: must be 0.1 to 10000 (Hz)")
     empty = read_cell(args.cell) if args.cell else None
-    table = TableOptions(args.decimal, args.time_unit, args.force_unit, args.sample)
-    options = SignalOptions(table, args.rate, args.noise, args.seed, empty)
-    signals, found = read_scale_signals(args.signals, options)
+    signals, found = read_scale_signals(args.signals, signal_options(args, empty))
     for line in found.said:
         print(line)
     if args.weights and found.weights:
@@ -141,31 +108,15 @@ def _inputs(
     return signals, 1e-3 * known if len(known) else None, cell
 
 
-def _outputs(args: argparse.Namespace) -> list[Path]:
-    out = Path(args.out)
-    if out.suffix != ".json":
-        raise BadInput(f"out = {out}: must end in .json")
-    if not out.parent.is_dir():
-        raise BadInput(f"out = {out}: the folder does not exist")
-    paths = [out] if args.no_plot else [out, out.with_suffix(".png")]
-    for path in paths:
-        if path.exists() and not (args.overwrite or args.force):
-            raise BadInput(f"out = {path}: exists; give another name, or --overwrite to replace it")
-    return paths
-
-
 def _write(result: "SignalFit", solved: "Solved", paths: list[Path]) -> None:
     """Write the fit, and the figure where there is a second path."""
-    try:
-        with temporary_file(paths[0]) as part:
-            part.write_text(json.dumps(result.to_dict(), indent=2) + "\n", encoding="utf-8")
-        for path in paths[1:]:
-            from calibrate.signal_figure import draw_signals
 
-            with temporary_file(path) as part:
-                draw_signals(result, solved).savefig(part, dpi=150, format=path.suffix[1:])
-    except OSError as error:
-        raise BadInput(f"out = {paths[0]}: cannot be written ({error.strerror or error})") from None
+    def draw() -> Any:
+        from calibrate.signal_figure import draw_signals
+
+        return draw_signals(result, solved)
+
+    write_results(result.to_dict(), paths, draw)
 
 
 def report(result: "SignalFit") -> str:

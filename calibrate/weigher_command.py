@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from calibrate.command import add_scale_signals, add_table, show_progress, signal_options
 from calibrate.errors import BadInput, checked_seed
+from product_model.target import check_target
 
 if TYPE_CHECKING:
     from calibrate.scale_signals import ScaleSignals
@@ -18,23 +20,12 @@ SHARES = (0.5, 0.9, 0.99)
 CELL_KEYS = ("mass", "frequency", "damping")
 
 
-def add_weigher_command(commands: Any, add_table: Any, progress: Any) -> None:
-    """Add the command to the parser. add_table: adds the arguments of tables of text. progress:
-    shows the progress."""
+def add_weigher_command(commands: Any) -> None:
+    """Add the command to the parser."""
     parser = commands.add_parser(
         "weigher", help="learn an estimator of the weight from signals of portions of known weight"
     )
-    parser.add_argument(
-        "signals",
-        nargs="+",
-        metavar="FILE",
-        help="tables of a logger (a column for each portion), or HDF5 ensembles",
-    )
-    parser.add_argument(
-        "--weights",
-        metavar="FILE",
-        help="table whose last column is the weight of each portion (default: at rest)",
-    )
+    add_scale_signals(parser)
     parser.add_argument(
         "--cell",
         metavar="FILE",
@@ -56,40 +47,23 @@ def add_weigher_command(commands: Any, add_table: Any, progress: Any) -> None:
         "--damping", type=float, metavar="RATIO", help="of the critical damping, instead of --cell"
     )
     parser.add_argument(
-        "--rate",
-        type=float,
-        default=1000.0,
-        metavar="HZ",
-        help="readings per second of ensembles (default 1000)",
-    )
-    parser.add_argument(
-        "--noise",
-        metavar="N",
-        help="noise of ensembles: none, typical or a TOML file (default: that of the scene)",
-    )
-    parser.add_argument(
-        "--seed", type=int, default=0, metavar="N", help="of that noise (default 0)"
-    )
-    parser.add_argument(
         "--out", default="weigher.json", metavar="FILE", help="JSON file (default weigher.json)"
     )
     parser.add_argument("--overwrite", action="store_true", help="replace the file if it exists")
     add_table(parser)
-    parser.set_defaults(action=lambda args: learn(args, progress))
+    parser.set_defaults(action=learn)
 
 
-def learn(args: argparse.Namespace, progress: Any) -> int:
+def learn(args: argparse.Namespace) -> int:
     """Learn, write and report; the exit code."""
-    from calibrate.scale_signals import SignalOptions, read_signals, read_weights
-    from calibrate.table_columns import TableOptions
+    from calibrate.scale_signals import read_signals, read_weights
     from calibrate.weigher import learn_weigher
     from product_model.weigher_file import save_weigher
 
     checked_seed(args.seed)
-    out = _target(args)
+    out = check_target("out", args.out, (".json",), ".json", args.overwrite)
     cell = _cell_of_arguments(args)
-    table = TableOptions(args.decimal, args.time_unit, args.force_unit, args.sample)
-    found = read_signals(args.signals, SignalOptions(table, args.rate, args.noise, args.seed, cell))
+    found = read_signals(args.signals, signal_options(args, cell))
     for line in found.said:
         print(line)
     cell = cell or found.cell
@@ -99,24 +73,13 @@ def learn(args: argparse.Namespace, progress: Any) -> int:
         )
     weights = _known_weights(found, read_weights(args.weights) if args.weights else None)
     assert found.interval is not None
-    with progress() as show:
+    with show_progress() as show:
         learnt = learn_weigher(found.signals, weights, found.interval, cell, show)
     save_weigher(learnt.weigher, out, _about(args, found, learnt, cell))
     for line in report(learnt):
         print(line)
     print(f"written: {out}")
     return 0
-
-
-def _target(args: argparse.Namespace) -> Path:
-    out = Path(args.out)
-    if out.suffix != ".json":
-        raise BadInput(f"out = {out}: must end in .json")
-    if not out.parent.is_dir():
-        raise BadInput(f"out = {out}: the folder does not exist")
-    if out.exists() and not args.overwrite:
-        raise BadInput(f"out = {out}: exists; give another name, or --overwrite to replace it")
-    return out
 
 
 def _cell_of_arguments(args: argparse.Namespace) -> "EmptyCell | None":

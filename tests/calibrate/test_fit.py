@@ -8,7 +8,8 @@ import pytest
 from synthetic import TRUTH, traces
 
 from calibrate import BadInput, fit, target
-from calibrate.__main__ import _use_cache, main
+from calibrate.__main__ import main
+from calibrate.command import use_cache
 from calibrate.fit import _checked_start, default_start, several_starts
 from calibrate.prepare import draw, measure
 from calibrate.solve import scan_lengths, solve_starts
@@ -177,10 +178,10 @@ def test_compiled_programs_are_kept_in_the_users_cache(tmp_path, monkeypatch):
     before = {name: getattr(jax.config, name) for name in names}
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     try:
-        _use_cache()
+        use_cache()
         assert jax.config.jax_compilation_cache_dir == before["jax_compilation_cache_dir"]  # a folder that is named stays
         jax.config.update("jax_compilation_cache_dir", None)
-        _use_cache()
+        use_cache()
         assert jax.config.jax_compilation_cache_dir == str(tmp_path / "calibrate" / "jax")
     finally:
         for name, value in before.items():
