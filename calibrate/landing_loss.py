@@ -4,7 +4,7 @@ The loss is an energy distance between summaries of measured and simulated trace
 by one, with common random numbers.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -91,18 +91,9 @@ def descend(
     u: Values, arguments: tuple[Any, ...], steps: int, rate: float, tell: Callable[[], object]
 ) -> tuple[float, Values]:
     """Least loss found by Adam from `u`, and where. arguments: of `loss` after u."""
-    optimiser = optax.adam(optax.cosine_decay_schedule(rate, steps, 0.05), b1=0.8, b2=0.98)
-    with jax.numpy_dtype_promotion("standard"):
-        state, best = optimiser.init(u), (np.inf, u)
-        for _ in range(steps):
-            value, slope = loss_and_slope(u, *arguments)
-            if float(value) < best[0]:
-                best = (float(value), u)
-            slope = jax.tree.map(lambda s: jnp.nan_to_num(jnp.clip(s, -10.0, 10.0)), slope)
-            move, state = optimiser.update(slope, state)
-            u = optax.apply_updates(u, move)
-            tell()
-    return best
+    path = _step_down(u, lambda _: arguments, steps, rate, 0.8, tell)
+    found = [(float(value), at) for value, at, _ in path]
+    return min((each for each in found if each[0] < np.inf), key=lambda each: each[0], default=(np.inf, u))
 
 
 def descend_anew(
@@ -125,15 +116,29 @@ def descend_anew(
         steps, rate: of Adam.
         tell: called after each step.
     """
-    optimiser = optax.adam(optax.cosine_decay_schedule(rate, steps, 0.05), b1=0.9, b2=0.98)
-    with jax.numpy_dtype_promotion("standard"):
-        state, start, last = optimiser.init(u), u, []
-        for step in range(steps):
-            _, slope = loss_and_slope(u, start, draws[step % len(draws)], *arguments)
+    path = _step_down(u, lambda k: (u, draws[k % len(draws)], *arguments), steps, rate, 0.9, tell)
+    ends = [after for _, _, after in path]
+    last = [end for k, end in enumerate(ends) if k >= (1.0 - AVERAGED) * (steps - 1)]
+    return jax.tree.map(lambda *rows: jnp.mean(jnp.stack(rows)), *last)
+
+
+def _step_down(
+    u: Values,
+    arguments: Callable[[int], tuple[Any, ...]],
+    steps: int,
+    rate: float,
+    memory: float,
+    tell: Callable[[], object],
+) -> Iterator[tuple[jax.Array, Values, Values]]:
+    """Loss of each step of Adam, where it is, and where the step leads. arguments: of `loss` after u, by the number of the step."""
+    optimiser = optax.adam(optax.cosine_decay_schedule(rate, steps, 0.05), b1=memory, b2=0.98)
+    state = optimiser.init(u)
+    for step in range(steps):
+        with jax.numpy_dtype_promotion("standard"):
+            value, slope = loss_and_slope(u, *arguments(step))
             slope = jax.tree.map(lambda s: jnp.nan_to_num(jnp.clip(s, -10.0, 10.0)), slope)
             move, state = optimiser.update(slope, state)
-            u = optax.apply_updates(u, move)
-            if step >= (1.0 - AVERAGED) * (steps - 1):
-                last.append(u)
-            tell()
-    return jax.tree.map(lambda *rows: jnp.mean(jnp.stack(rows)), *last)
+            after = optax.apply_updates(u, move)
+        tell()
+        yield value, u, after
+        u = after
