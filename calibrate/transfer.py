@@ -20,6 +20,7 @@ from calibrate.errors import BadInput
 from calibrate.landing_loss import Problem, loss_and_slope, pose_problem
 from calibrate.landing_model import MODELS, LandingDraws, draw_landings
 from calibrate.landing_summaries import BIN, Frame, landing_time
+from calibrate.summaries import momentum_release
 from calibrate.targets import Target
 from product_model.coordinates import Values, to_values
 from product_model.transfer import (
@@ -62,17 +63,12 @@ class Ensemble:
 
     def fall_time(self) -> float:
         """(s) of a fall from rest that gives the momentum that the portions bring, in the median."""
-        return float(np.median([_momentum(trace) / trace.gravity for trace in self.targets]))
+        release = [momentum_release(t.time, t.force, t.sample, t.weight) for t in self.targets]
+        return float(np.median([t.first_impact for t in self.targets] - np.array(release)))
 
     def lost_time(self) -> float:
         """(s) by which that is less than a free fall through the drop height."""
         return max(self.drop.fall_time - self.fall_time(), LEAST_LOST * self.drop.opening_time)
-
-
-def _momentum(trace: Target) -> float:
-    """(m/s) that a portion gives beyond its weight after the first impact, over its mass."""
-    given = float(trace.force.sum()) * trace.sample * trace.gravity / trace.weight
-    return given - trace.gravity * (float(trace.time[-1]) - trace.first_impact)
 
 
 @dataclass(frozen=True)
