@@ -1,4 +1,4 @@
-"""The densifying spring: impacts of a mass against closed forms, in a loop of its own without a scene; the soft marshmallow."""
+"""The densifying spring: impacts of a mass against closed forms, without a scene; the soft marshmallow."""
 
 import jax
 import jax.numpy as jnp
@@ -7,10 +7,11 @@ import pytest
 from scipy.integrate import quad, solve_ivp
 
 from dem_jax import build
-from dem_jax.contact.law import Contact, Couple, dashpot
+from dem_jax.contact.law import Couple, dashpot
 from dem_jax.contact.law.densifying import LINEAR, Densifying, largest_overlap, loading_time, relative_spring
 from dem_jax.errors import SceneError
 from dem_jax.scene import load_scene
+from tests.dem_jax.impacts import trace_impacts
 
 MASS, MODULUS, SIZE, DENSIFICATION = 5.832e-3, 3e4, 0.0334, 0.2  # about the soft marshmallow: kg, Pa, m
 SPEEDS = np.array([0.01, 0.5, 2.0, 4.0])  # m/s: relative overlaps of 0.01 to 0.85
@@ -30,27 +31,8 @@ def law_and_pair(restitution):
 
 @jax.jit
 def impacts(restitution, speed, dt):
-    """Overlap, force and speed [steps, P] of impacts by kick, drift, kick, that touch at half of a step, until a step after it."""
-    law, pair = law_and_pair(restitution)
-    zero = jnp.zeros_like(speed)
-    nothing = (zero, zero, zero)
-
-    def step(carry, _):
-        overlap, velocity, push, history = carry
-        velocity = velocity - 0.5 * dt * push / MASS
-        moved = velocity * dt
-        overlap = overlap + moved
-        answer = law.force(pair, history, Contact(overlap, moved, nothing, nothing, dt))
-        velocity = velocity - 0.5 * dt * answer.push / MASS
-        return (overlap, velocity, answer.push, answer.history), (
-            overlap,
-            answer.push,
-            velocity,
-            law.energy(pair, answer.history, overlap),
-        )
-
-    first = (-0.5 * speed * dt, speed, zero, law.start(pair, zero))
-    return jax.lax.scan(step, first, None, STEPS)[1]
+    """As ``trace_impacts``, until a step after each impact."""
+    return trace_impacts(*law_and_pair(restitution), MASS, speed, dt, STEPS)
 
 
 @pytest.fixture(scope="module")

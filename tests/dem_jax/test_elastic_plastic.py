@@ -1,4 +1,4 @@
-"""The elastic-plastic contact: impacts of a mass against Thornton's closed form, in a loop of its own without a scene."""
+"""The elastic-plastic contact: impacts of a mass against Thornton's closed form, without a scene."""
 
 import jax
 import jax.numpy as jnp
@@ -7,17 +7,12 @@ import pytest
 from scipy.integrate import quad
 
 from dem_jax import build
-from dem_jax.contact.law import Contact, Couple
-from dem_jax.contact.law.elastic_plastic import (
-    ElasticPlastic,
-    History,
-    dent_of,
-    largest_overlap,
-    loading_force,
-)
+from dem_jax.contact.law import Couple
+from dem_jax.contact.law.elastic_plastic import ElasticPlastic, History, dent_of, largest_overlap, loading_force
 from dem_jax.errors import SceneError
 from dem_jax.scene import load_scene
 from dem_jax.validation import ElasticPlasticImpact
+from tests.dem_jax.impacts import trace_impacts
 
 MASS, MODULUS, RADIUS, PRESSURE = 3e-4, 1e8, 4e-3, 5e6  # about a tablet: kg, Pa, m, Pa
 CASE = ElasticPlasticImpact(MASS, MODULUS, RADIUS, PRESSURE, 1.0)
@@ -39,24 +34,8 @@ def law_and_pair(restitution):
 
 @jax.jit
 def impacts(restitution, speed, dt):
-    """Overlap, force, speed and energy [steps, P] of impacts by kick, drift, kick that touch at half of a step."""
-    law, pair = law_and_pair(restitution)
-    zero = jnp.zeros_like(speed)
-    nothing = (zero, zero, zero)
-
-    def step(carry, _):
-        overlap, velocity, push, history = carry
-        velocity = velocity - 0.5 * dt * push / MASS
-        moved = velocity * dt
-        overlap = overlap + moved
-        answer = law.force(pair, history, Contact(overlap, moved, nothing, nothing, dt))
-        velocity = velocity - 0.5 * dt * answer.push / MASS
-        return (overlap, velocity, answer.push, answer.history), (
-            overlap, answer.push, velocity, law.energy(pair, answer.history, overlap),
-        )  # fmt: skip
-
-    first = (-0.5 * speed * dt, speed, zero, law.start(pair, zero))
-    return jax.lax.scan(step, first, None, STEPS)[1]
+    """As ``trace_impacts``."""
+    return trace_impacts(*law_and_pair(restitution), MASS, speed, dt, STEPS)
 
 
 @pytest.fixture(scope="module")

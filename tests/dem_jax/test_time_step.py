@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from dem_jax import build, ensemble, shapes, simulate, validation
-from dem_jax.contact.law import Contact, walton_braun
+from dem_jax.contact.law import walton_braun
 from dem_jax.errors import SceneError
 from dem_jax.scene import Scene
 from dem_jax.validation import NormalImpact
+from tests.dem_jax.impacts import trace_impacts
 
 MASS = 5.832e-3  # kg
 DIAMETER = (6 * 19440e-9 / np.pi) ** (1 / 3)  # m, of the sphere of equal volume
@@ -224,24 +225,9 @@ def test_oscillation_on_the_unloading_branch_blows_up_above_the_limit_only():
 @partial(jax.jit, static_argnames="steps")
 def scalar_impacts(dt, phase, epsilon, steps):
     """Rebound over impact speed, and peak force over v sqrt(m K), of velocity Verlet with the law; m = K = v = 1."""
-    law, nowhere = walton_braun.WaltonBraun(0.001, 1.0, None), (0.0, 0.0, 0.0)
-
-    def one(dt, phase, epsilon):
-        pair = walton_braun.Pair(1.0, epsilon, None, None)
-
-        def step(carry, _):
-            s, v, push, history = carry
-            v = v - 0.5 * dt * push
-            s = s + dt * v
-            said = law.force(pair, history, Contact(s, dt * v, nowhere, nowhere, dt))
-            v = v - 0.5 * dt * said.push
-            return (s, v, said.push, said.history), said.push
-
-        start = (-phase * dt, jnp.ones_like(dt), jnp.zeros_like(dt), law.start(pair, dt))
-        (_, v, _, _), force = jax.lax.scan(step, start, None, length=steps)
-        return -v, jnp.max(force)
-
-    return jax.vmap(one)(dt, phase, epsilon)
+    law, pair = walton_braun.WaltonBraun(0.001, 1.0, None), walton_braun.Pair(1.0, epsilon, None, None)
+    _, force, velocity, _ = trace_impacts(law, pair, 1.0, jnp.ones_like(dt), dt, steps, phase)
+    return -velocity[-1], force.max(axis=0)
 
 
 def worst_errors(epsilon, number):

@@ -1,0 +1,35 @@
+"""Impacts of a mass on the spring of a contact law, for tests of laws without a scene."""
+
+import jax
+import jax.numpy as jnp
+
+from dem_jax.contact.law import Contact
+
+
+def trace_impacts(law, pair, mass, speed, dt, steps, phase=0.5):
+    """Overlap (m), force (N), speed (m/s) and energy (J), [steps, P], of impacts by kick, drift, kick.
+
+    Args:
+        law: contact law without friction.
+        pair: its constants.
+        mass: (kg).
+        speed: [P] (m/s) of the impact.
+        dt: [P] (s) time step.
+        steps: number of steps.
+        phase: part of a step after which they touch.
+    """
+    zero = jnp.zeros_like(speed)
+    nothing = (zero, zero, zero)
+
+    def step(carry, _):
+        overlap, velocity, push, history = carry
+        velocity = velocity - 0.5 * dt * push / mass
+        moved = velocity * dt
+        overlap = overlap + moved
+        answer = law.force(pair, history, Contact(overlap, moved, nothing, nothing, dt))
+        velocity = velocity - 0.5 * dt * answer.push / mass
+        seen = overlap, answer.push, velocity, law.energy(pair, answer.history, overlap)
+        return (overlap, velocity, answer.push, answer.history), seen
+
+    first = (-phase * speed * dt, speed, zero, law.start(pair, zero))
+    return jax.lax.scan(step, first, None, steps)[1]
