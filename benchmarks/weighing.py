@@ -216,8 +216,7 @@ def take(signals: Signals, which: slice) -> Signals:
 
 def filtered(text: str, signals: Signals) -> np.ndarray:
     """[K, n] (g) readings through a filter, whose levels are in kg."""
-    of, values = filters.named(text, RATE), signals.drops.signal
-    return 1e3 * filters.filtered(of, filters.start(of, values.shape[:-1]), values)[0]
+    return 1e3 * filters.filter_signal(filters.named(text, RATE), signals.drops.signal)
 
 
 def still(signals: Signals, values: np.ndarray, hold: int, band: float) -> np.ndarray:

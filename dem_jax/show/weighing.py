@@ -15,7 +15,7 @@ from dem_jax.store.run import Run
 from dem_jax.weighing import chain, filters
 from dem_jax.weighing.cell import Cell, through_cell
 from dem_jax.weighing.noise import Seed, add_noise, draw_release_delays
-from dem_jax.weighing.settling import HOLD, QUANTILES, Times, find_quantile, pool_times, time_to_weigh
+from dem_jax.weighing.settling import HOLD, QUANTILES, Times, find_quantile, find_times, pool_times, time_to_weigh
 from dem_jax.weighing.traces import Trace, is_product_model, trace_of, trace_of_file
 from dem_jax.weighing.tuning import Drops
 
@@ -45,8 +45,7 @@ class Readings(NamedTuple):
 
     def times(self, tolerance: float) -> Times:
         """The time to weigh of each run, for a tolerance (kg)."""
-        release = time_to_weigh(self.time, self.weight, self.truth, tolerance, HOLD)
-        return Times(release, release - self.impact)
+        return find_times(self.time, self.weight, self.truth, self.impact, tolerance)
 
 
 def find_time_to_weigh(run: Run, is_known: np.ndarray) -> np.ndarray:
@@ -92,7 +91,7 @@ def readings_of(name: str, trace: Trace, rate: float | None, text: str, seed: Se
 def filter_drops(name: str, trace: Trace, drops: Drops, rate: float | None, text: str) -> Readings:
     """The readings of a trace that has been converted at a rate (1/s), see ``convert_trace``. Raises ValueError."""
     of = chain.chain(trace.sample, rate, text)
-    weight = filters.filtered(of.filter, filters.start(of.filter, drops.signal.shape[:-1]), drops.signal)[0]
+    weight = filters.filter_signal(of.filter, drops.signal)
     return Readings(name, text, of.filter.delay * of.samples * trace.sample, drops.time, weight, drops.truth, drops.impact)
 
 

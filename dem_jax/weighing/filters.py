@@ -1,13 +1,10 @@
-"""Filters of a scale: a cascade of sections b / a, by scipy.signal, each of gain 1 at rest, and of those in ``adaptive``.
-
-    a_0 y_n = sum_k b_k x_(n-k) - sum_(k>0) a_k y_(n-k)
-"""
+"""Filters of a scale: a cascade of linear sections, by scipy.signal, each of gain 1 at rest, and of those in ``adaptive``."""
 
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import signal
@@ -15,9 +12,7 @@ from scipy import signal
 from dem_jax.weighing.adaptive import THRESHOLD, FallingBandwidth, GrowingWindow
 
 Coefficients = tuple[float, ...]
-Linear = tuple[Coefficients, Coefficients]  # b, a
-Section = Linear | FallingBandwidth | GrowingWindow
-Memory = tuple[Any, ...]  # of each section what it keeps from reading to reading; of a linear one [.., order]
+Memory = tuple[Any, ...]  # of each section what it keeps from reading to reading
 WINDOW = "hamming"  # of an FIR filter, unless it is named
 MOST_DAMPING = 0.9  # ratio, of an oscillation that a shaper cancels: with more there is hardly one
 HIGHEST = 25  # order of a Bessel filter, as far as scipy goes
@@ -28,11 +23,37 @@ ALLOWED = (
 )
 
 
+class Linear(NamedTuple):
+    """A section b / a:
+
+        a_0 y_n = sum_k b_k x_(n-k) - sum_(k>0) a_k y_(n-k)
+    """
+
+    b: Coefficients
+    a: Coefficients
+
+    @property
+    def delay(self) -> float:
+        """Group delay at rest, in readings."""
+        return _delay(self.b) - _delay(self.a)
+
+    def start(self, lead: tuple[int, ...]) -> np.ndarray:
+        """Zeros [.., order]."""
+        return np.zeros((*lead, max(len(self.b), len(self.a)) - 1))
+
+    def filtered(self, memory: Any, values: np.ndarray) -> tuple[np.ndarray, Any]:
+        """Readings [.., n] after the filter, and the memory for those that follow."""
+        return signal.lfilter(self.b, self.a, values, zi=memory)
+
+
+Section = Linear | FallingBandwidth | GrowingWindow
+
+
 @dataclass(frozen=True)
 class Filter:
     """A filter for readings of one rate.
 
-    name: as a person wrote it. sections: one after the other, (b, a) of those that are linear.
+    name: as a person wrote it. sections: one after the other.
     """
 
     name: str
@@ -41,7 +62,7 @@ class Filter:
     @property
     def delay(self) -> float:
         """Group delay at rest, in readings: by which a slow change is late; nan for a window that grows."""
-        return float(sum(_delay(s[0]) - _delay(s[1]) if isinstance(s, tuple) else s.delay for s in self.sections))
+        return float(sum(section.delay for section in self.sections))
 
 
 def named(text: str, rate: float) -> Filter:
@@ -200,7 +221,7 @@ def of_coefficients(sections: list[tuple[np.ndarray, np.ndarray]], name: str = "
 
 def start(of: Filter, lead: tuple[int, ...] = ()) -> Memory:
     """What a filter keeps of an empty scale, for signals with these leading axes."""
-    return tuple(np.zeros((*lead, max(map(len, s)) - 1)) if isinstance(s, tuple) else s.start(lead) for s in of.sections)
+    return tuple(section.start(lead) for section in of.sections)
 
 
 def filtered(of: Filter, memory: Memory, values: np.ndarray) -> tuple[np.ndarray, Memory]:
@@ -209,20 +230,22 @@ def filtered(of: Filter, memory: Memory, values: np.ndarray) -> tuple[np.ndarray
         return values, memory
     after: list[Any] = []
     for section, kept in zip(of.sections, memory, strict=True):
-        if isinstance(section, tuple):
-            values, kept = signal.lfilter(*section, values, zi=kept)
-        else:
-            values, kept = section.filtered(kept, values)
+        values, kept = section.filtered(kept, values)
         after.append(kept)
     return values, tuple(after)
 
 
-def _section(b: np.ndarray, a: np.ndarray | Coefficients = (1.0,)) -> tuple[Coefficients, Coefficients]:
+def filter_signal(of: Filter, values: np.ndarray) -> np.ndarray:
+    """Readings [.., n] of a whole signal after the filter, [.., n], from an empty scale on."""
+    return filtered(of, start(of, values.shape[:-1]), values)[0]
+
+
+def _section(b: np.ndarray, a: np.ndarray | Coefficients = (1.0,)) -> Linear:
     """The coefficients of gain 1 at rest. An a_1, if of 0, has scipy go from reading to reading with an FIR filter too, where it
     would else convolve, whose rounding depends on how many readings there are."""
     b, a = np.asarray(b, float) / a[0], np.asarray(a, float) / a[0]
     b = b * (a.sum() / b.sum())
-    return tuple(b.tolist()), tuple(np.append(a, 0.0 if len(a) == 1 else ()).tolist())
+    return Linear(tuple(b.tolist()), tuple(np.append(a, 0.0 if len(a) == 1 else ()).tolist()))
 
 
 def _delay(coefficients: Coefficients) -> float:

@@ -37,6 +37,14 @@ class Times(NamedTuple):
         return int(np.isnan(self.release).sum())
 
 
+def find_times(
+    time: np.ndarray, readings: np.ndarray, truth: np.ndarray, impact: np.ndarray, tolerance: float
+) -> Times:
+    """The times to weigh of drops, with ``HOLD``; impact: [K] (s), first impact; the rest as for ``time_to_weigh``."""
+    release = time_to_weigh(time, readings, truth, tolerance, HOLD)
+    return Times(release, release - impact)
+
+
 def pool_times(parts: Sequence[Times]) -> Times:
     """The times of all parts as those of one set of drops."""
     return Times(*(np.concatenate(each) for each in zip(*parts, strict=True)))

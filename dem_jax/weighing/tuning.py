@@ -15,7 +15,7 @@ from scipy import signal
 
 from dem_jax.weighing import filters
 from dem_jax.weighing.cell import Cell
-from dem_jax.weighing.settling import HOLD, Times, find_quantile, pool_times, time_to_weigh
+from dem_jax.weighing.settling import Times, find_quantile, find_times, pool_times
 
 GOAL = 0.9  # the quantile that the search minimises
 LEVELS = 3  # finer grids about the best
@@ -153,7 +153,7 @@ def split_drops(drops: Sequence[Drops]) -> tuple[list[Drops], list[Drops]]:
 def weigh_drops(text: str, drops: Sequence[Drops], rate: float, tolerance: float) -> Times:
     """Times to weigh within a tolerance (kg) through a filter, of the drops of all parts. Raises ValueError."""
     of = filters.named(text, rate)
-    return _find_times(drops, [filters.filtered(of, filters.start(of, d.signal.shape[:-1]), d.signal)[0] for d in drops], tolerance)
+    return _find_times(drops, [filters.filter_signal(of, each.signal) for each in drops], tolerance)
 
 
 def list_families(
@@ -226,18 +226,15 @@ def _filter_roughly(text: str, drops: Sequence[Drops], rate: float) -> list[np.n
 
 
 def _filter_by_section(section: filters.Section, values: np.ndarray) -> np.ndarray:
-    if isinstance(section, tuple) and not any(section[1][1:]):
-        return signal.oaconvolve(values, np.array([section[0]]), axes=-1)[..., : values.shape[-1]]
-    of = filters.Filter("", (section,))
-    return filters.filtered(of, filters.start(of, values.shape[:-1]), values)[0]
+    if isinstance(section, filters.Linear) and not any(section.a[1:]):
+        return signal.oaconvolve(values, np.array([section.b]), axes=-1)[..., : values.shape[-1]]
+    return filters.filter_signal(filters.Filter("", (section,)), values)
 
 
 def _find_times(drops: Sequence[Drops], readings: Sequence[np.ndarray], tolerance: float) -> Times:
-    parts = []
-    for each, values in zip(drops, readings, strict=True):
-        release = time_to_weigh(each.time, values, each.truth, tolerance, HOLD)
-        parts.append(Times(release, release - each.impact))
-    return pool_times(parts)
+    """Times to weigh of the drops of all parts, from their readings."""
+    parts = zip(drops, readings, strict=True)
+    return pool_times([find_times(each.time, values, each.truth, each.impact, tolerance) for each, values in parts])
 
 
 def _score(times: Times) -> tuple[float, float]:
