@@ -295,7 +295,7 @@ def _unlike(found: dict[str, np.ndarray], saved: dict[str, np.ndarray]) -> str |
 def _model(path: Path, name: str) -> str | None:
     from dem_jax.weighing.traces import trace_of_file
 
-    found, saved = trace_of_file(path), trace_of_file(path.parent / name)
+    (found, _), (saved, _) = trace_of_file(path), trace_of_file(path.parent / name)
     return _unlike({"weight": found.weight, "time": found.time}, {"weight": saved.weight, "time": saved.time})
 
 

@@ -10,13 +10,12 @@ from dem_jax.show import plot
 from dem_jax.show.at_rest import find_rest
 from dem_jax.show.facts import main_block
 from dem_jax.show.overlay import COLOURS, INK
-from dem_jax.store.reader import load_run
 from dem_jax.store.run import Run
 from dem_jax.weighing import chain, filters
 from dem_jax.weighing.cell import Cell, through_cell
 from dem_jax.weighing.noise import Seed, add_noise, draw_release_delays
 from dem_jax.weighing.settling import HOLD, QUANTILES, Times, find_quantile, find_times, pool_times, time_to_weigh
-from dem_jax.weighing.traces import Trace, is_product_model, trace_of, trace_of_file
+from dem_jax.weighing.traces import Trace, trace_of, trace_of_file
 from dem_jax.weighing.tuning import Drops
 
 if TYPE_CHECKING:  # loaded where something is drawn: it takes a second
@@ -69,10 +68,9 @@ def read_trace(path: str | Path, group: str | None, block: str | None, truth: fl
     What a scale should show is not known of runs that ended before all was at rest: their truth is nan, unless it is given.
     Arguments and errors as ``trace_of_file``.
     """
-    found = trace_of_file(path, group, block, truth)
-    if truth is not None or is_product_model(path):
+    found, run = trace_of_file(path, group, block, truth)
+    if truth is not None or run is None:
         return found, ""
-    run = load_run(path)
     name = block or main_block(run)
     assert name is not None  # as the trace has its settled mass
     rest = find_rest(run, None, name)

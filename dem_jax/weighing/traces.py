@@ -63,30 +63,29 @@ def trace_of(run: Run, group: str | None = None, block: str | None = None, truth
     """
     series = getattr(run, "load_cell", {})
     section, cell = _sections_of(run)
+    gravity = float(np.linalg.norm(run.header.gravity)) or STANDARD_GRAVITY
     groups = [group] if group else [name for name in BUCKET if name in run.force] or list(run.force)[:1]
     force = np.sum([run.pif_kg(name) for name in groups], axis=0) if groups else None
     if group is None and "weight" in series:
-        weight, source = _mean_signal(run, cell), "load cell"
+        weight, source = _mean_signal(run, cell, gravity), "load cell"
     elif force is None:
         raise RecordError("there is no force to weigh: the run has no walls")
     else:
         weight, source, cell = force, f"force on {' and '.join(groups)}", None
     known, product = _truth(run.settled_mass, block, truth, weight.shape[:-1]), _product(run.settled_mass, block)
-    gravity = float(np.linalg.norm(run.header.gravity)) or STANDARD_GRAVITY
     noise = section.noise if section else None
     time = np.asarray(run.time)
     impact = None if force is None else find_first_force(time, force)
     return _checked(Trace(time, weight, known, source, product, cell, noise, gravity, impact))
 
 
-def _mean_signal(run: Run, cell: Cell | None) -> np.ndarray:
+def _mean_signal(run: Run, cell: Cell | None, gravity: float) -> np.ndarray:
     """[.., T] (kg) means of the cell's signal over the sample intervals, by the balance of momentum, k x + c x' = F - m x''; the
     signal at their ends for a file without the force on the bucket."""
     signal = np.asarray(run.load_cell["weight"], np.float64)
     groups = [name for name in BUCKET if name in run.mean_force]
     if cell is None or not groups or "velocity" not in run.load_cell:
         return signal
-    gravity = float(np.linalg.norm(run.header.gravity)) or STANDARD_GRAVITY
     force = -np.sum([np.asarray(run.mean_force[name], np.float64)[..., 2] for name in groups], axis=0)
     velocity = np.asarray(run.load_cell["velocity"], np.float64)
     momentum = np.reshape(cell.mass, (-1,) + (1,) * (velocity.ndim > 1)) * velocity
@@ -108,21 +107,21 @@ def _sections_of(run: Run) -> tuple[LoadCell | None, Cell | None]:
     return section, Cell(*np.array([cell_of(row) for row in rows]).T)
 
 
-def trace_of_file(path: FileName, group: str | None = None, block: str | None = None, truth: float | None = None) -> Trace:
-    """The trace of a run, an ensemble or portions of the Product Model in a file. Raises RecordError, as ``trace_of``."""
-    if is_product_model(path):
-        with reading(path) as file:
-            return _of_product_model(file, path, truth)
+def trace_of_file(
+    path: FileName, group: str | None = None, block: str | None = None, truth: float | None = None
+) -> tuple[Trace, Run | None]:
+    """The trace of a run, an ensemble or portions of the Product Model in a file, and the run or ensemble (None: there is none).
+
+    Raises RecordError, as ``trace_of``.
+    """
+    with reading(path) as file:
+        if file.attrs.get("program") == "product_model":
+            return _of_product_model(file, path, truth), None
     try:
-        return trace_of(load_run(path), group, block, truth)
+        run = load_run(path)
+        return trace_of(run, group, block, truth), run
     except RecordError as error:
         raise error if str(path) in str(error) else RecordError(f"{path}: {error}") from error
-
-
-def is_product_model(path: FileName) -> bool:
-    """Whether a file is one of product_model. Raises RecordError."""
-    with reading(path) as file:
-        return bool(file.attrs.get("program") == "product_model")
 
 
 def _of_product_model(file: "h5py.File", path: FileName, truth: float | None) -> Trace:

@@ -286,7 +286,8 @@ def test_portions_of_the_product_model_are_weighed_by_the_same_chain_as_they_com
     params = product_model.parameters(m_target=0.05, m_piece=0.005832, h_mean=0.25, dt_impact=5e-4, sample=1e-4, duration=0.6)
     trace = product_model.simulate(params, 1)
     product_model.save(tmp_path / "trace.h5", trace, params)
-    read = trace_of_file(tmp_path / "trace.h5")
+    read, run = trace_of_file(tmp_path / "trace.h5")
+    assert run is None
     assert read.source == "Product Model" and read.truth == pytest.approx(9 * 0.005832)
     row = readings_of("portion", read, RATE, "average:0.05")
     last = float(trace.pulses.start.max() + trace.pulses.duration.max())
