@@ -1,5 +1,6 @@
-"""Plain values as TOML text, with each list on one line."""
+"""Plain values as TOML text, with each list on one line, and tables of texts."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import tomli_w
@@ -17,6 +18,12 @@ def value(item: Any) -> str:
     except (TypeError, ValueError):
         return repr(item)
     return text.removeprefix("item = [[").removesuffix("]]\n")
+
+
+def align_columns(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Lines of a table with columns of equal width."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
 
 
 def _on_one_line(text: str) -> str:

@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dem_jax.scene.text import align_columns
 from dem_jax.show import plot
 from dem_jax.show.overlay import COLOURS
-from dem_jax.show.weighing import OF_TIMES, align_cells, cells_of_times
+from dem_jax.show.weighing import OF_TIMES, cells_of_times
 from dem_jax.weighing.settling import QUANTILES
 from dem_jax.weighing.tuning import Tuned
 
@@ -20,7 +21,7 @@ LINES = ("-", "--", ":")  # of families, each in all colours
 
 def table_of_tuned(rows: Sequence[Tuned]) -> list[str]:
     """Lines of a table: family, filter, and quantiles of the times to weigh (ms) of the drops that judge."""
-    return align_cells([("family", "filter", *OF_TIMES), *((row.family, row.filter, *cells_of_times(row.times)) for row in rows)])
+    return align_columns([("family", "filter", *OF_TIMES), *((row.family, row.filter, *cells_of_times(row.times)) for row in rows)])
 
 
 def plot_tuned(rows: Sequence[Tuned], tolerance: float, path: str | Path) -> Path:

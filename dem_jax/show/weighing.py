@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from dem_jax.scene.text import align_columns
 from dem_jax.show import plot
 from dem_jax.show.at_rest import find_rest
 from dem_jax.show.facts import main_block
@@ -163,7 +164,7 @@ def table_of_pool(rows: Sequence[Readings], tolerances: Sequence[float]) -> list
 
 def _align_times(parts: Sequence[tuple[str, str, str, float, Times]]) -> list[str]:
     """Lines under HEADINGS; a tolerance is in kg."""
-    return align_cells([HEADINGS, *((*names, f"{1e3 * within:g}", *cells_of_times(times)) for *names, within, times in parts)])
+    return align_columns([HEADINGS, *((*names, f"{1e3 * within:g}", *cells_of_times(times)) for *names, within, times in parts)])
 
 
 def _name_cells(name: str, row: Readings) -> tuple[str, str, str]:
@@ -174,12 +175,6 @@ def cells_of_times(times: Times) -> tuple[str, ...]:
     """Cells under OF_TIMES."""
     found = [1e3 * find_quantile(since, q) for since in times for q in QUANTILES]
     return *(f"{value:.4g}" if np.isfinite(value) else "-" for value in found), f"{times.never} of {len(times.release)}"
-
-
-def align_cells(cells: Sequence[tuple[str, ...]]) -> list[str]:
-    """Lines of a table with columns of equal width."""
-    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-    return ["  ".join(text.ljust(width) for text, width in zip(line, widths, strict=True)).rstrip() for line in cells]
 
 
 def plot_readings(rows: Sequence[Readings], tolerances: Sequence[float], path: str | Path) -> Path:

@@ -10,7 +10,7 @@ import numpy as np
 from scipy import stats
 
 from dem_jax.errors import SceneError
-from dem_jax.scene.text import value
+from dem_jax.scene.text import align_columns, value
 from dem_jax.show.facts import peak_factors_said
 from dem_jax.show.numbers import Number
 from dem_jax.show.uncertainty import split_variance
@@ -219,7 +219,7 @@ def text(results: Results) -> list[str]:
     """Lines that say all of it."""
     head, rows = table(results)
     first, *others = findings(results)
-    return [results.study.title, first, "", *_columns([head, *rows]), *others]
+    return [results.study.title, first, "", *align_columns([head, *rows]), *others]
 
 
 def findings(results: Results) -> list[str]:
@@ -291,8 +291,3 @@ def _distances(results: Results) -> list[str]:
     if results.study.model is not None:
         found.append(f"a drop and the Product Model: RMSE {in_short(_rmse(results, 'rmse_model', results.state == DONE))} g")
     return found
-
-
-def _columns(rows: list[list[str]]) -> list[str]:
-    wide = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return ["  ".join(cell.ljust(n) for cell, n in zip(row, wide, strict=True)).rstrip() for row in rows]
