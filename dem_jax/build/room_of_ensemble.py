@@ -7,11 +7,12 @@ from typing import NamedTuple
 import numpy as np
 
 from dem_jax.build.parts import Solid
-from dem_jax.build.pieces import Goods, distinct_shapes, goods_of
+from dem_jax.build.pieces import Goods, distinct_shapes, goods_of, piece_arrays
 from dem_jax.build.reuse import Reuse
 from dem_jax.build.start import Start
 from dem_jax.scene import Scene
 from dem_jax.shapes import Shape, parts_of
+from dem_jax.types import Pieces
 
 
 class Room(NamedTuple):
@@ -32,7 +33,16 @@ def find_room(scenes: Sequence[Scene], reuse: Reuse) -> Room | None:
     return Room(max(counts), max(_count_polytopes(each.shapes) for each in goods))
 
 
-def pad_goods(goods: Goods, room: Room) -> Goods:
+def fill_room(
+    scene: Scene, goods: Goods, start: Start, lot: np.ndarray, room: Room, reuse: Reuse
+) -> tuple[list[Shape], Pieces, Start]:
+    """Shapes, arrays and start of the pieces and of those that fill up the room, which rest in a lot [n, 3] (m) outside."""
+    padded = reuse.get("padded", lambda: _pad_goods(goods, room), (room,), (goods,))
+    made = reuse.get("padded shapes", lambda: list(padded.shapes), (), padded.shapes)
+    return made, piece_arrays(scene, padded), pad_start(start, lot)
+
+
+def _pad_goods(goods: Goods, room: Room) -> Goods:
     """The pieces and copies of the last one, as many as there is room for."""
     more = room.pieces - len(goods.shapes)
     return replace(

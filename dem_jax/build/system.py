@@ -18,19 +18,19 @@ from dem_jax.build.parts import hull_table, part_arrays, solids_of
 from dem_jax.build.pieces import Goods, alike, goods_of, named, piece_arrays, with_points
 from dem_jax.build.reuse import Reuse
 from dem_jax.build.room import capacity, partition, row_capacity, touching
-from dem_jax.build.room_of_ensemble import Room, pad_goods, pad_solids, pad_start
+from dem_jax.build.room_of_ensemble import Room, fill_room, pad_solids, pad_start
 from dem_jax.build.sampling import shortest_contact
 from dem_jax.build.start import Box, Start, first_state, motion_of_start, placed, settling_samples
 from dem_jax.build.statistics import statistics_of
 from dem_jax.build.surfaces import PanelSeams
-from dem_jax.build.time_step import TimeStep, block_steps, choose_step, longest_reach, possible_contacts
+from dem_jax.build.time_step import PossibleContact, TimeStep, block_steps, choose_step, longest_reach, possible_contacts
 from dem_jax.build.typed import array, kept_array, kept_tree, typed
 from dem_jax.build.walls import wall_arrays, walls_of, with_buckets_read, written_out
 from dem_jax.contact import motion
 from dem_jax.contact.law import ContactLaw
 from dem_jax.contact.smooth_surfaces import largest_fillet
 from dem_jax.errors import SceneError
-from dem_jax.scene import Scene
+from dem_jax.scene import Motion, Scene
 from dem_jax.scene.buckets import Panel
 from dem_jax.scene.materials import material_table
 from dem_jax.shapes import Shape
@@ -86,29 +86,18 @@ def build(
     materials = materials_of(scene, table)
     law = law or law_of(scene, materials)
     contacts = possible_contacts(law, materials, own, pieces, reuse)
-    if not contacts:
-        raise SceneError(f"{scene.name}: a single piece and no wall: nothing can touch; allowed: another piece, or a [[wall]]")
-    together = 1 if len(own) == len(panels) == 1 else 2
-    more = added_rate(scene, law, contacts, len(own)) + drive.added_rate(motions, panels, law, contacts, len(own))
-    step = choose_step(scene, law, contacts, together, more)
-    settling = settling_samples(scene) * step.substeps
-    samples = max(1, round(scene.run.duration / scene.run.sample))
-    check_steps(scene, settling, samples, step.substeps, step.dt)
-    frame_every = min(max(1, round(scene.run.frames / scene.run.sample)), MOST_STEPS) if scene.run.frames else 0
+    step = _choose_step(scene, law, contacts, motions, panels, len(own))
+    settling, samples, frame_every = _find_lengths(scene, step)
     largest = max(shape.bounding_radius for shape in own)
     inputs = (densities[1:3], scene.contact, scene.run.precision, largest)
     walls, plates, seams = reuse.get(
         "wall arrays", lambda: wall_arrays(scene, panels, motions, joint, dtype, largest), inputs, (laid,)
     )
     domain = _domain(scene, panels, start.position[: len(own) - waiting], own, plan)
-    made, lot, present = own, None, None
+    made, lot = own, None
     if room is not None:
-        padded = reuse.get("padded", lambda: pad_goods(goods, room), (room,), (goods,))
-        made = reuse.get("padded shapes", lambda: list(padded.shapes), (), padded.shapes)
-        lot = find_lot(panels, regions, largest, len(made) - len(own))
-        start = pad_start(start, lot)
-        pieces = piece_arrays(scene, padded)
-        present = kept_array(reuse, "present", np.arange(len(made)) < len(own), bool)
+        lot = find_lot(panels, regions, largest, room.pieces - len(own))
+        made, pieces, start = fill_room(scene, goods, start, lot, room, reuse)
     parts, convex, hulls, shape_rows = reuse.get(
         "hulls", lambda: _hulls_of(made, plates, seams, dtype, room), (scene.run.precision, room), (made, plates, seams)
     )
@@ -140,7 +129,7 @@ def build(
         partition=partition(convex, scene.run.neighbours, domain),
         has_hulls=has_hulls,
         alike=alike(goods),
-        present=present,
+        present=None if room is None else kept("present", np.arange(len(made)) < len(own), bool),
         escape_stops=scene.run.escape == "stop",
         has_rotation=True,
         may_tie=len(scene.piece) > 1,
@@ -161,9 +150,35 @@ def build(
     frames = np.array([m.principal for m in made])
     state = _first_state(system, start, frames, -settling, waiting, reuse)
     check_finite(scene, system, state, reuse)
-    shortest = shortest_contact(law, contacts)
-    begin = regions, goods.numbers, goods, plan, lot
-    return Built(system, state, step, shortest, tuple(made), frames, settling, samples, frame_every, *begin)
+    return Built(
+        system, state, step, shortest_contact(law, contacts), tuple(made), frames, settling, samples, frame_every,
+        regions, goods.numbers, goods, plan, lot,
+    )  # fmt: skip
+
+
+def _choose_step(
+    scene: Scene,
+    law: ContactLaw,
+    contacts: list[PossibleContact],
+    motions: Sequence[Motion],
+    panels: Sequence[Panel],
+    pieces: int,
+) -> TimeStep:
+    """The time step for a number of pieces, and all else that swings. Raises SceneError."""
+    if not contacts:
+        raise SceneError(f"{scene.name}: a single piece and no wall: nothing can touch; allowed: another piece, or a [[wall]]")
+    together = 1 if pieces == len(panels) == 1 else 2
+    more = added_rate(scene, law, contacts, pieces) + drive.added_rate(motions, panels, law, contacts, pieces)
+    return choose_step(scene, law, contacts, together, more)
+
+
+def _find_lengths(scene: Scene, step: TimeStep) -> tuple[int, int, int]:
+    """Steps before time zero, samples to be run, and samples between stored frames (0: none). Raises SceneError."""
+    settling = settling_samples(scene) * step.substeps
+    samples = max(1, round(scene.run.duration / scene.run.sample))
+    check_steps(scene, settling, samples, step.substeps, step.dt)
+    frame_every = min(max(1, round(scene.run.frames / scene.run.sample)), MOST_STEPS) if scene.run.frames else 0
+    return settling, samples, frame_every
 
 
 def _hulls_of(

@@ -35,11 +35,13 @@ def summary(run: Run) -> list[str]:
     if run.run_count is not None:
         pieces = f"{run.run_count} runs of {pieces}"
     scene = parse(run.scene, "the file's scene")
-    of_portion = [*filter(None, [portion_said(scene)]), *stickiness_said(scene), *fills_said(scene)]
     ended = "" if run.settled is None else ", then all was settled"
     lines += [f"{key}: {listed(values)}" for key, values in run.parameters.items()]
     lines.append(f"{pieces}, {run.time[-1]:.6g} s in samples of {run.sample:.3g} s, {run.precision}{ended}")
-    lines += of_portion if "piece_counts" not in info else stickiness_said(scene)  # of other portions
+    if "piece_counts" in info:  # each run has a portion of its own
+        lines += stickiness_said(scene)
+    else:
+        lines += [*filter(None, [portion_said(scene)]), *stickiness_said(scene), *fills_said(scene)]
     if "settling" in info:
         lines.append(f"released after {info['settling']:.6g} s of settling, when all was settled")
     if "elapsed" in info:
