@@ -3,8 +3,9 @@
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 
 from dem_jax.drive.varied import Varied
@@ -60,3 +61,8 @@ class Chunk(NamedTuple):
 
 
 Way = Callable[[Chunk], Computed]  # how chunks are computed, see execute
+
+
+def take_runs(tree: Any, which: Any) -> Any:
+    """One run, by its number, or some runs of a tree whose arrays all have a leading run axis."""
+    return jax.tree.map(lambda x: x[which], tree)

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dem_jax.build.exchange import Plan
+from dem_jax.drive.chunk import take_runs
 from dem_jax.drive.job import Job
 from dem_jax.maths.pose import matrix_of_quaternion
 from dem_jax.scene import Inlet, Scene
@@ -30,7 +31,7 @@ def exchanged(job: Job, state: State, at: int) -> State:
     if job.runs is None:
         new = _of_run(job, host, at, 0)
     else:
-        each = [_of_run(job, jax.tree.map(lambda x, k=k: x[k], host.replace(scratch=None)), at, k) for k in range(job.runs)]
+        each = [_of_run(job, take_runs(host.replace(scratch=None), k), at, k) for k in range(job.runs)]
         new = jax.tree.map(lambda *x: np.stack(x), *each)
     return state.replace(motion=jax.tree.map(jnp.asarray, new.motion), exchange=jax.tree.map(jnp.asarray, new.exchange))
 

@@ -14,7 +14,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from dem_jax.drive import hosts, programs
-from dem_jax.drive.chunk import Chunk, Computed, Known, Times, Way
+from dem_jax.drive.chunk import Chunk, Computed, Known, Times, Way, take_runs
 from dem_jax.drive.job import Job
 from dem_jax.drive.progress import Progress
 from dem_jax.step import joined, stepping
@@ -73,7 +73,7 @@ def on_devices(chunk: Chunk) -> Computed:
 def on_hosts(here: Way, runs: int, chunk: Chunk) -> Computed:
     """The runs of an ensemble shared out among processes; here: how each computes its own."""
     mine = hosts.share(runs)
-    state, known = jax.tree.map(lambda x: x[mine], jax.device_get((chunk.state, chunk.known)))
+    state, known = take_runs(jax.device_get((chunk.state, chunk.known)), mine)
     own = chunk._replace(state=state, known=known, varied=chunk.varied and chunk.varied.taken(mine))
     parts = hosts.exchange(lambda: jax.device_get(here(own)) if len(state.step) else None)
     return jax.tree.map(lambda *x: np.concatenate(x), *(part for part in parts if part is not None))
@@ -90,15 +90,15 @@ def _on_all_cores(
 ) -> Computed:
     """groups: the run or runs of each thread. together: makes one array of theirs."""
     kept = jax.device_get(_bare(chunk.state))
-    scratch = jax.device_put(_of_runs(groups[0], jax.device_get(chunk.state.scratch)))  # a rebuild refills it: any run's will do
+    scratch = jax.device_put(take_runs(jax.device_get(chunk.state.scratch), groups[0]))  # a rebuild refills it: any run's will do
     system = lambda k: chunk.system if chunk.varied is None else chunk.varied.system(chunk.system, k)  # noqa: E731
-    own = lambda k: chunk._replace(system=system(k), state=_of_runs(k, kept).replace(scratch=scratch))  # noqa: E731
+    own = lambda k: chunk._replace(system=system(k), state=take_runs(kept, k).replace(scratch=scratch))  # noqa: E731
     program = programs.program(own(groups[0]), run_chunk)
     known = chunk.known and jax.device_get(chunk.known._replace(results=_without_scratch(chunk.known.results)))
 
     def one(k: Any) -> Computed:
         if known and np.all(known.stands[k]):
-            return _of_runs(k, known.results)
+            return take_runs(known.results, k)
         with jax.enable_x64(chunk.double):  # which holds for one thread only
             return jax.device_get(_without_scratch(computed(program, own(k))))
 
@@ -115,10 +115,6 @@ def _bare(state: State) -> State:
 
 def _without_scratch(done: Computed) -> Computed:
     return done._replace(state=_bare(done.state))
-
-
-def _of_runs(k: Any, tree: Any) -> Any:
-    return jax.tree.map(lambda x: x[k], tree)
 
 
 def _cores() -> int:

@@ -1,12 +1,12 @@
 """What makes a run stop: where it shows in the samples, and a line with piece, time and likely cause."""
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import jax
 import numpy as np
 
 from dem_jax.build import bucket_fill
 from dem_jax.contact import boundary
+from dem_jax.drive.chunk import take_runs
 from dem_jax.drive.job import Job
 from dem_jax.errors import SceneError, SimulationError
 from dem_jax.scene import buckets
@@ -61,7 +61,7 @@ def describe(job: Job, span: "Span", state: State, member: int, k: int) -> Simul
     samples = span.samples
     system = span.system
     if job.runs is not None:
-        state, samples = _member(state, member), _member(samples, member)
+        state, samples = take_runs((state, samples), member)
         system = system if job.varied is None else job.varied.system(system, member)
     at = (span.first + k + 1) * job.scene.run.sample
     if samples.culprit[k] >= 0:
@@ -119,10 +119,6 @@ def _name(job: Job, member: int) -> str:
     own = job.varied.of_run(member) if job.varied is not None else {}
     said = "".join(f", {key} = {short(value)}" for key, value in own.items())
     return f"{job.scene.name}, run {member} (seed {job.seeds[member]}{said})"
-
-
-def _member(tree: Any, k: int) -> Any:
-    return jax.tree.map(lambda x: x[k], tree)
 
 
 def _finite(samples: Sample) -> list[str]:

@@ -7,6 +7,7 @@ import numpy as np
 
 from dem_jax.build.pieces import masses_of
 from dem_jax.drive import restart
+from dem_jax.drive.chunk import take_runs
 from dem_jax.drive.job import Job
 from dem_jax.drive.span import Span
 from dem_jax.scene.materials import material_table
@@ -79,7 +80,7 @@ def _frames_of(job: Job, span: Span, count: int, run_axis: tuple[Any, ...]) -> d
     new = number >= job.frames_kept
     poses = poses[(*run_axis, new)]
     time_of = number[new] * (job.every * job.scene.run.sample)
-    frames = job.built.frames if job.runs is None else np.stack([job.built_of(k).frames for k in range(job.runs)])
+    frames = job.built.frames if job.varied is None else np.stack([built.frames for built in job.varied.built])
     return series.of_poses(poses, frames, time_of) if new.any() else None
 
 
@@ -87,8 +88,8 @@ def _pose_of_release(job: Job, span: Span) -> np.ndarray:
     """Poses at the start of a span, [.., 13, N]."""
     if job.varied is None:
         return series.pose_of(span.system, span.start)
-    states = [jax.tree.map(lambda x, k=k: x[k], span.start.replace(scratch=None)) for k in range(job.runs or 1)]
-    return np.stack([series.pose_of(job.built_of(k).system, state) for k, state in enumerate(states)])
+    state = span.start.replace(scratch=None)
+    return np.stack([series.pose_of(built.system, take_runs(state, k)) for k, built in enumerate(job.varied.built)])
 
 
 def facts_of(job: Job, span: Span, notes: list[str], reruns: list[str]) -> dict[str, Any]:
@@ -111,7 +112,7 @@ def count_moving(job: Job, span: Span) -> dict[str, Any]:
     """Of each block the number of pieces that are not at rest at the end of a span, other than those inside another block; of an
     ensemble a list of one for each run."""
     state = span.state
-    systems = [span.system] if job.varied is None else [job.built_of(k).system for k in range(job.runs or 1)]
+    systems = [span.system] if job.varied is None else [built.system for built in job.varied.built]
     present = find_present_of_runs(systems, state)
     moves = np.linalg.norm(np.asarray(state.velocity, np.float64), axis=-2) >= SETTLED_SPEED
     moves = moves if present is None else moves & present.reshape(moves.shape)
