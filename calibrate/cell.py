@@ -17,9 +17,11 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import linalg, optimize, signal, stats
+from scipy import optimize, signal, stats
 
+from calibrate.autoregression import fit_autoregression, sum_lagged_products
 from calibrate.errors import BadInput
+from calibrate.ringing import fit_basis
 from calibrate.taps import Oscillation
 
 NAMES = ("mass", "natural_frequency", "damping_ratio")
@@ -146,8 +148,7 @@ class _Fit:
         """Of an oscillation, whitened if the noise is known."""
         rows = np.vstack([_basis(self.root(place, ring.load), len(ring.values), self.interval), ring.values])
         rows = rows if noise is None else noise.whiten(rows)
-        basis, values = rows[:-1].T, rows[-1]
-        return values - basis @ np.linalg.lstsq(basis, values, rcond=None)[0]
+        return fit_basis(rows[:-1].T, rows[-1])[1]
 
     def run(self) -> NoiseModel:
         """Fit parameters and noise in turn. Returns the noise."""
@@ -223,14 +224,14 @@ def find_root(rings: Sequence[Oscillation], interval: float) -> complex:
 
     def total(place: np.ndarray) -> float:
         root = 2 * np.pi * np.exp(place[0]) * complex(-np.exp(place[1]), 1.0)
-        return sum(float(np.sum(_project(root, ring.values, interval)[0] ** 2)) for ring in rings)
+        return sum(float(np.sum(_project(root, ring.values, interval)[1] ** 2)) for ring in rings)
 
     starts = [np.array([np.log(peak), np.log(ratio)]) for ratio in (0.003, 0.01, 0.03, 0.1)]
     best = optimize.minimize(total, min(starts, key=total), method="Nelder-Mead")
     frequency, ratio = np.exp(best.x)
     root = 2 * np.pi * frequency * complex(-ratio, 1.0)
     sizes = [_project(root, ring.values, interval) for ring in rings]
-    clear = max(float(np.hypot(*size[:2]) / max(float(np.std(rest)), 1e-12)) for rest, size in sizes)
+    clear = max(float(np.hypot(*size[:2]) / max(float(np.std(rest)), 1e-12)) for size, rest in sizes)
     if not clear > LEAST_RATIO or not LOWEST <= frequency <= HIGHEST / interval or not DAMPING[0] < ratio < DAMPING[1]:
         raise BadInput(
             f"{longest.name}: no clear oscillation: the best is {frequency:.3g} Hz with a damping ratio of {ratio:.2g}, "
@@ -243,18 +244,16 @@ def find_root(rings: Sequence[Oscillation], interval: float) -> complex:
 def fit_noise(left: Sequence[np.ndarray], quiet: Sequence[np.ndarray]) -> NoiseModel:
     """The noise of signals, from residuals of fits and from quiet signals before taps."""
     parts = [*left, *(signal.detrend(each) for each in quiet if len(each))]
-    lags = min(LAGS, min(map(len, parts)) // 2)
     total = sum(map(len, parts))
-    rows = [sum(float(part[: len(part) - lag] @ part[lag:]) for part in parts) / total for lag in range(lags + 1)]
-    covariance = np.array(rows)
+    covariance = sum_lagged_products(parts, LAGS) / total
     covariance[0] = max(covariance[0], 1e-12) * (1 + 1e-9)
     best: tuple[float, np.ndarray, float] | None = None
-    for order in range(min(MOST_ORDER, lags) + 1):
-        own = -linalg.solve_toeplitz(covariance[:order], covariance[1 : order + 1]) if order else np.zeros(0)
-        variance = max(float(covariance[0] + own @ covariance[1 : order + 1]), 1e-9 * covariance[0])
+    for order in range(min(MOST_ORDER, len(covariance) - 1) + 1):
+        coefficients, innovation = fit_autoregression(covariance, order)
+        variance = max(innovation, 1e-9 * covariance[0])
         criterion = total * np.log(variance) + 2 * order
         if best is None or criterion < best[0]:
-            best = criterion, np.append(1.0, own), np.sqrt(variance)
+            best = criterion, coefficients, np.sqrt(variance)
     assert best is not None
     return NoiseModel(best[1], best[2], covariance)
 
@@ -267,10 +266,8 @@ def _basis(root: complex, count: int, interval: float) -> np.ndarray:
 
 
 def _project(root: complex, values: np.ndarray, interval: float) -> tuple[np.ndarray, np.ndarray]:
-    """Residuals, and the factors of the basis."""
-    basis = _basis(root, len(values), interval).T
-    size = np.linalg.lstsq(basis, values, rcond=None)[0]
-    return values - basis @ size, size
+    """The factors of the basis, and residuals."""
+    return fit_basis(_basis(root, len(values), interval).T, values)
 
 
 def _differentiate(function: Callable[[np.ndarray], np.ndarray], place: np.ndarray, step: float = 1e-5) -> np.ndarray:

@@ -7,6 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import nnls
 
+from calibrate.autoregression import sum_lagged_products
+from calibrate.ringing import fit_basis, ringing_basis
 from product_model.weigher import Weigher
 
 GUARD = 5  # samples before the trigger that are not used
@@ -55,19 +57,13 @@ def fit_noise(signals: Sequence[np.ndarray], triggers: np.ndarray, empty: Weighe
 
 def _without_ringing(values: np.ndarray, empty: Weigher) -> np.ndarray:
     """Values less a constant and a decaying oscillation of the empty cell."""
-    time = empty.interval * np.arange(len(values))
-    swing = np.exp((-empty.delta + 1j * np.sqrt(empty.omega**2 - empty.delta**2)) * time)
-    basis = np.stack([np.ones(len(values)), swing.real, swing.imag], axis=1)
-    return values - basis @ np.linalg.lstsq(basis, values, rcond=None)[0]
+    root = -empty.delta + 1j * np.sqrt(empty.omega**2 - empty.delta**2)
+    return fit_basis(ringing_basis(root, empty.interval * np.arange(len(values))), values)[1]
 
 
 def _autocovariance(parts: Sequence[np.ndarray]) -> np.ndarray:
-    lags = min(LAGS, min(map(len, parts)) // 2)
-    total = [
-        sum(float(values[: len(values) - lag] @ values[lag:]) for values in parts)
-        for lag in range(lags + 1)
-    ]
-    return np.array(total) / [sum(len(values) - lag for values in parts) for lag in range(lags + 1)]
+    total = sum_lagged_products(parts, LAGS)
+    return total / [sum(len(values) - lag for values in parts) for lag in range(len(total))]
 
 
 def _line_autocovariance(line: np.ndarray, count: int) -> tuple[np.ndarray, float]:

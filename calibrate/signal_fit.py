@@ -13,10 +13,10 @@ from typing import Any
 
 import jax
 import numpy as np
-from scipy.linalg import solve_toeplitz
 from scipy.stats import t as student
 
 from calibrate import signal_start
+from calibrate.autoregression import fit_autoregression
 from calibrate.cell_response import LOCAL, PULSE, SHARED, middles_of
 from calibrate.cell_signals import Portions, ScaleSignal, cut_signals
 from calibrate.drop_heights import HEIGHTS, Heights, fit_heights
@@ -271,8 +271,8 @@ def whiten(left: np.ndarray) -> np.ndarray:
         np.array([(left[:, : count - k] * left[:, k:]).sum() for k in range(ORDER + 1)]) / left.size
     )
     lags[0] *= 1.0 + 1e-9
-    forward = solve_toeplitz(lags[:-1], lags[1:])
-    return np.append(1.0, -forward) / np.sqrt(max(lags[0] - forward @ lags[1:], 1e-6 * lags[0]))
+    coefficients, variance = fit_autoregression(lags, ORDER)
+    return coefficients / np.sqrt(max(variance, 1e-6 * lags[0]))
 
 
 def height_estimates(solved: Solved, now: Curvature) -> list[Heights]:

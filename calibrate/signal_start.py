@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calibrate.cell_response import LOCAL
+from calibrate.ringing import fit_basis, ringing_basis
 
 LANDING = 0.1  # s after the first impact, after which the cell is taken to ring freely, at first
 EARLIEST = 0.25  # of the time from the release to the first impact: no piece lands before
@@ -114,11 +115,10 @@ def find_quiet(time: np.ndarray, values: np.ndarray, cell: CellGuess) -> tuple[i
 def _fit_ringing(time: np.ndarray, values: np.ndarray, cell: CellGuess) -> tuple[np.ndarray, float]:
     """Constant [K] of a constant and a free oscillation of the empty cell, and the median rms of
     what is left."""
-    swing = np.exp((-cell.damping_ratio + 1j) * cell.omega * (time - time[0]))
-    basis = np.stack([np.ones(len(time)), swing.real, swing.imag], axis=1)
-    found, *_ = np.linalg.lstsq(basis, values.T, rcond=None)
+    root = (-cell.damping_ratio + 1j) * cell.omega
+    found, left = fit_basis(ringing_basis(root, time - time[0]), values.T)
     free = max(len(time) - 3, 1)
-    return found[0], float(np.median(np.sqrt(((values.T - basis @ found) ** 2).sum(axis=0) / free)))
+    return found[0], float(np.median(np.sqrt((left**2).sum(axis=0) / free)))
 
 
 def _regress(square: np.ndarray, weight: np.ndarray) -> tuple[float, float]:

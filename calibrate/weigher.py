@@ -16,6 +16,7 @@ from scipy.optimize import minimize
 
 from calibrate.errors import BadInput
 from calibrate.momentum import find_triggers, smooth_momentum
+from calibrate.ringing import fit_basis, ringing_basis
 from calibrate.scale_noise import ScaleNoise, fit_noise
 from product_model import weigher as estimator
 from product_model.weigher import Weigher, WeigherState
@@ -161,15 +162,14 @@ def read_at_rest(
 
 def _constant_beside_ringing(values: np.ndarray, empty: Weigher, load: float) -> float:
     basis = _ringing(empty.omega, empty.delta, empty, load, len(values))
-    return float(np.linalg.lstsq(basis, values, rcond=None)[0][0])
+    return float(fit_basis(basis, values)[0][0])
 
 
 def _ringing(omega: float, delta: float, empty: Weigher, load: float, count: int) -> np.ndarray:
     """[count, 3] a constant and a decaying oscillation of the loaded cell."""
     share = empty.mass / (empty.mass + max(load, 0.0))
-    time = empty.interval * np.arange(count)
-    swing = np.exp((-delta * share + 1j * omega * np.sqrt(share)) * time)
-    return np.stack([np.ones(count), swing.real, swing.imag], 1)
+    root = -delta * share + 1j * omega * np.sqrt(share)
+    return ringing_basis(root, empty.interval * np.arange(count))
 
 
 def refine_cell(
@@ -191,7 +191,7 @@ def refine_cell(
         total = 0.0
         for part, load in zip(parts, weights, strict=True):
             basis = _ringing(omega, delta, empty, load, len(part))
-            total += float(((part - basis @ np.linalg.lstsq(basis, part, rcond=None)[0]) ** 2).sum())
+            total += float((fit_basis(basis, part)[1] ** 2).sum())
         return total / scale
 
     steps = np.linspace(-FREQUENCY_RANGE, FREQUENCY_RANGE, 21)
