@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks import report
-from calibrate.weigher import EmptyCell, learn_weigher
+from calibrate.empty_cell import EmptyCell
+from calibrate.weigher import learn_weigher
 from dem_jax import ensemble, load_scene
 from dem_jax.weighing import filters
 from dem_jax.weighing.cell import Cell

@@ -14,7 +14,8 @@ from product_model.program import QuietStream, set_open_line, temporary_file
 from product_model.target import check_target
 
 if TYPE_CHECKING:
-    from calibrate.scale_signals import EmptyCell, SignalOptions
+    from calibrate.empty_cell import EmptyCell
+    from calibrate.scale_signals import SignalOptions
     from calibrate.table_columns import TableOptions
 
 FAILED = 1  # exit code where a fit was made and cannot be meant

@@ -1,26 +1,20 @@
 """Signals of a scale from tables of loggers or from simulated drops, with the weights of their
 portions."""
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from calibrate.csv_table import TableOptions, read_table
+from calibrate.empty_cell import EmptyCell, dem_cell, empty_cell_of
 from calibrate.errors import BadInput
 from calibrate.table_text import read_lines
+from calibrate.targets import HDF5
 from calibrate.units import GRAVITY, unit_in_name
-from calibrate.weigher import EmptyCell
-
-if TYPE_CHECKING:
-    from dem_jax.scene import Noise
 
 GRAM = 1e-3 * GRAVITY  # N
-HDF5 = b"\x89HDF\r\n\x1a\n"
-SECTION = "weigh_bucket.load_cell"
 
 
 @dataclass
@@ -89,59 +83,32 @@ def _add_drops(found: ScaleSignals, path: str, number: int, options: SignalOptio
     """Add the load-cell signals of an ensemble of dem_jax or of portions of the Product Model, as
     the converter gives them."""
     from dem_jax.errors import RecordError, SceneError
-    from dem_jax.scene import Noise, load_section
     from dem_jax.show.weighing import convert_trace, on_cell, read_trace
-    from dem_jax.weighing.cell import Cell
+    from dem_jax.weighing.noise import read_noise
 
     try:
         trace, why = read_trace(path, None, None, None)
-        noise: Noise | None = (
-            None
-            if options.noise in (None, "none", "typical")
-            else _noise(load_section, options.noise)
-        )
-        trace = (
-            trace
-            if options.noise is None
-            else trace._replace(noise=Noise() if options.noise == "typical" else noise)
-        )
-        if trace.cell is None:
+        if options.noise is not None:
+            trace = trace._replace(noise=read_noise(options.noise))
+        cell = trace.cell
+        if cell is None:
             if options.cell is None:
                 raise BadInput(
                     f"{path}: the bucket has no load cell: give --cell, or --mass, --frequency and --damping"
                 )
-            trace = on_cell(trace, _cell(Cell, options.cell))
+            cell = dem_cell(options.cell)
+            trace = on_cell(trace, cell)
         drops = convert_trace(trace, options.rate, (options.seed, number))
     except (RecordError, SceneError, ValueError) as error:
         raise BadInput(str(error) if path in str(error) else f"{path}: {error}") from None
     truth = drops.truth
     known = np.isfinite(truth)
-    found.cell = found.cell or _empty_cell(trace.cell)
+    found.cell = found.cell or empty_cell_of(cell)
     found.weights += list(1e3 * truth[known])
     for row in drops.signal[known]:
         found.add(path, 1e3 * row, float(np.ptp(drops.time)) / (len(drops.time) - 1))
     left = "" if known.all() else f"; {why}: {int((~known).sum())} left out"
     found.said.append(f"{path}: {int(known.sum())} portions of {trace.source}{left}")
-
-
-def _noise(load_section: Any, path: str | None) -> "Noise":
-    from dem_jax.scene import Noise
-
-    noise: Noise = load_section(path, Noise, f"{SECTION}.noise")
-    return noise
-
-
-def _cell(kind: Any, cell: EmptyCell) -> Any:
-    omega = 2 * np.pi * cell.frequency
-    return kind(cell.mass, cell.mass * omega**2, 2 * cell.damping_ratio * cell.mass * omega)
-
-
-def _empty_cell(cell: Any) -> EmptyCell:
-    """The cell of a trace; of an ensemble over cells the mean one."""
-    mass, frequency, decay = (
-        float(np.mean(value)) for value in (cell.mass, cell.frequency, cell.decay)
-    )
-    return EmptyCell(mass, frequency, decay / (2 * np.pi * frequency))
 
 
 def read_weights(path: str) -> np.ndarray:
@@ -164,50 +131,3 @@ def read_weights(path: str) -> np.ndarray:
     if not weights or not all(0 < weight < np.inf for weight in weights):
         raise BadInput(f"{path}: allowed: weights above 0, one in each line, in the last column")
     return factor * np.array(weights)
-
-
-def read_cell(path: str) -> EmptyCell:
-    """The load cell in a file of ``calibrate cell`` (.json) or of keys of a scene's section
-    (.toml). Raises `BadInput`."""
-    if path.lower().endswith(".toml"):
-        return _cell_of_section(path)
-    try:
-        content = json.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise BadInput(f"{path}: cannot be read ({error})") from None
-    content = content if isinstance(content, dict) else {}
-    content = content.get("parameters", content)
-    values = []
-    for key in ("mass", "natural_frequency", "damping_ratio"):
-        value = content.get(key)
-        value = value.get("value") if isinstance(value, dict) else value
-        if not isinstance(value, int | float) or not value >= 0:
-            raise BadInput(f"{path}: {key} = {value!r}: allowed: a number of at least 0")
-        values.append(float(value))
-    return checked_cell(EmptyCell(*values), path)
-
-
-def checked_cell(cell: EmptyCell, where: str) -> EmptyCell:
-    """The cell. Raises `BadInput` for values that no cell has."""
-    for name, value, most in (
-        ("mass", cell.mass, 1e6),
-        ("frequency", cell.frequency, 1e6),
-        ("damping", cell.damping_ratio, 1.0),
-    ):
-        if not (0 if name == "damping" else 1e-9) <= value < most:
-            raise BadInput(
-                f"{where}: {name} = {value:g}: allowed: {'from 0 to' if name == 'damping' else 'above 0 and'} below {most:g}"
-            )
-    return cell
-
-
-def _cell_of_section(path: str) -> EmptyCell:
-    from dem_jax.errors import SceneError
-    from dem_jax.scene import LoadCell, load_section
-    from dem_jax.weighing.cell import cell_of
-
-    try:
-        section: LoadCell = load_section(path, LoadCell, SECTION)
-    except SceneError as error:
-        raise BadInput(str(error)) from None
-    return _empty_cell(cell_of(section))

@@ -85,7 +85,8 @@ def _inputs(
 ) -> "tuple[list[ScaleSignal], np.ndarray | None, CellGuess | None]":
     """Signals, weights (kg) where they are known, and what is thought of the load cell."""
     from calibrate.cell_signals import read_scale_signals
-    from calibrate.scale_signals import read_cell, read_weights
+    from calibrate.empty_cell import read_cell
+    from calibrate.scale_signals import read_weights
     from calibrate.signal_start import CellGuess
 
     if args.cell and args.frequency is not None:

@@ -14,6 +14,7 @@ import numpy as np
 from scipy import signal as scipy_signal
 from scipy.optimize import minimize
 
+from calibrate.empty_cell import EmptyCell
 from calibrate.errors import BadInput
 from calibrate.momentum import find_triggers, smooth_momentum
 from calibrate.ringing import fit_basis, ringing_basis
@@ -48,16 +49,6 @@ NOISE_FACTOR = 2.0  # on the noise before the trigger: a single line is not all 
 FREQUENCY_RANGE = 0.1  # relative, within which the frequency of the cell is searched
 ENDING = 0.4  # share of a signal after the trigger that is taken as ringing alone
 FLOOR = 1e-5  # s, least scatter of the momentum per weight
-
-
-@dataclass(frozen=True)
-class EmptyCell:
-    """A load cell without product. mass: (kg). frequency: (Hz). damping_ratio: of the critical
-    damping."""
-
-    mass: float
-    frequency: float
-    damping_ratio: float
 
 
 @dataclass(frozen=True)

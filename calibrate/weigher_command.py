@@ -12,8 +12,9 @@ from calibrate.errors import BadInput, checked_seed
 from product_model.target import check_target
 
 if TYPE_CHECKING:
+    from calibrate.empty_cell import EmptyCell
     from calibrate.scale_signals import ScaleSignals
-    from calibrate.weigher import EmptyCell, Learnt
+    from calibrate.weigher import Learnt
 
 TOLERANCES = (1.0, 0.5, 0.1)  # g
 SHARES = (0.5, 0.9, 0.99)
@@ -83,8 +84,7 @@ def learn(args: argparse.Namespace) -> int:
 
 
 def _cell_of_arguments(args: argparse.Namespace) -> "EmptyCell | None":
-    from calibrate.scale_signals import checked_cell, read_cell
-    from calibrate.weigher import EmptyCell
+    from calibrate.empty_cell import EmptyCell, checked_cell, read_cell
 
     given = [name for name in CELL_KEYS if getattr(args, name) is not None]
     if args.cell and given:

@@ -130,13 +130,12 @@ def _tune(args: Args, tolerance: float, traces: Sequence["Trace"], drops: Sequen
 
 def _read_traces(args: Args) -> list["Trace"]:
     """The traces of the files, on the load cell and with the noise that the arguments ask for. Raises RecordError, SceneError."""
-    from dem_jax.scene import Noise, load_section
     from dem_jax.show.weighing import on_cell, read_trace
-    from dem_jax.weighing.cell import SECTION, cell_of, read_cell_file
+    from dem_jax.weighing.cell import cell_of, read_cell_file
+    from dem_jax.weighing.noise import read_noise
 
     truth = None if args.truth is None else 1e-3 * args.truth
-    noise = None if args.noise in (None, "none", "typical") else load_section(args.noise, Noise, f"{SECTION}.noise")
-    noise = Noise() if args.noise == "typical" else noise
+    noise = None if args.noise is None else read_noise(args.noise)
     cell = None if args.cell is None else read_cell_file(args.cell)
     traces = []
     for name, file in zip(stored.names_of(args.files), args.files, strict=True):

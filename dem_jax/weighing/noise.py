@@ -10,9 +10,9 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import signal
 
-from dem_jax.scene import LoadCell, Noise
+from dem_jax.scene import LoadCell, Noise, load_section
 from dem_jax.store.run import STANDARD_GRAVITY
-from dem_jax.weighing.cell import Cell, means, respond, substeps
+from dem_jax.weighing.cell import SECTION, Cell, means, respond, substeps
 
 TYPICAL = Noise()
 REFERENCE_RATE = 1000.0  # 1/s, of Noise.white
@@ -23,6 +23,13 @@ LONGEST_LEAD = 3.0  # s
 AT_ONCE = 64  # runs, so that memory does not grow with their number
 
 Seed = int | Sequence[int]
+
+
+def read_noise(choice: str) -> Noise | None:
+    """The noise that a choice names: "none", "typical", or a TOML file of its keys. Raises SceneError."""
+    if choice == "none":
+        return None
+    return TYPICAL if choice == "typical" else load_section(choice, Noise, f"{SECTION}.noise")
 
 
 def add_noise(

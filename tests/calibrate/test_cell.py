@@ -8,8 +8,8 @@ from scipy import signal as filters
 
 from calibrate.__main__ import main
 from calibrate.cell import NAMES, fit_cell, fit_noise
+from calibrate.empty_cell import read_cell
 from calibrate.errors import BadInput
-from calibrate.scale_signals import read_cell
 from calibrate.taps import find_oscillations, find_taps
 from dem_jax.errors import RecordError
 from dem_jax.weighing.cell import read_cell_file

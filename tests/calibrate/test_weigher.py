@@ -114,8 +114,9 @@ def test_the_file_says_how_it_was_made(learnt):
 def test_weights_are_read_at_rest(learnt, tmp_path):
     """The command without weights: means beside the ringing are those of the pieces within 0.1 g, a
     tenth of noise and tare."""
+    from calibrate.empty_cell import EmptyCell
     from calibrate.momentum import find_triggers
-    from calibrate.weigher import EmptyCell, _empty_weigher, read_at_rest
+    from calibrate.weigher import _empty_weigher, read_at_rest
 
     signals, weights = make_portions(4, 5)
     empty = _empty_weigher(H, EmptyCell(0.8, 45.0, 0.03), 50.0)
@@ -152,8 +153,8 @@ def test_portions_of_a_file_are_read_as_the_converter_gives_them(tmp_path):
     import h5py
 
     from calibrate.csv_table import TableOptions
+    from calibrate.empty_cell import EmptyCell
     from calibrate.scale_signals import SignalOptions, read_signals
-    from calibrate.weigher import EmptyCell
 
     time = 5e-4 * np.arange(1, 1201)
     landed = 1e-3 * np.array([[30.0], [40.0], [50.0]]) * (time > 0.25)
