@@ -48,26 +48,23 @@ def calibrate_cell(args: argparse.Namespace) -> int:
 
 def _read_oscillations(args: argparse.Namespace) -> "tuple[list[Oscillation], float]":
     """The oscillations of all files, and the interval (s) between samples."""
-    from calibrate.scale_signals import SignalOptions, read_signals
+    from calibrate.scale_signals import ScaleSignals, SignalOptions, add_file
     from calibrate.taps import find_oscillations
 
     options = SignalOptions(table_options(args))
     groups = [(0.0, args.empty), *((_load(rows), rows[1:]) for rows in args.loaded)]
-    signals, names, loads, interval = [], [], [], None
+    found, names, loads = ScaleSignals(), list[str](), list[float]()
     for load, paths in groups:
         for path in paths:
-            found = read_signals([path], options)
-            assert found.interval is not None
-            if interval is not None and abs(found.interval / interval - 1) > 1e-3:
-                raise BadInput(f"{path}: a sample each {found.interval:g} s: allowed: {interval:g} s as in the signals before")
-            interval = interval or found.interval
-            for line in found.said:
+            before = len(found.said)
+            add_file(found, path, options)
+            for line in found.said[before:]:
                 print(line)
-            signals += found.signals
-            names += [f"{path}, signal {k + 1}" for k in range(len(found.signals))]
-            loads += [load] * len(found.signals)
-    assert interval is not None
-    return find_oscillations(signals, names, loads, interval), interval
+            count = len(found.signals) - len(names)
+            names += [f"{path}, signal {k + 1}" for k in range(count)]
+            loads += [load] * count
+    assert found.interval is not None
+    return find_oscillations(found.signals, names, loads, found.interval), found.interval
 
 
 def _load(row: Sequence[str]) -> float:
@@ -83,10 +80,10 @@ def _load(row: Sequence[str]) -> float:
 
 def report_cell(fit: "CellFit") -> list[str]:
     """Lines about a load cell: values with 90 % intervals, noise, and the section of a scene."""
-    units = {"mass": ("kg", 1.0), "natural_frequency": ("Hz", 1.0), "damping_ratio": ("", 1.0)}
+    units = {"mass": "kg", "natural_frequency": "Hz", "damping_ratio": ""}
     lines = ["parameter            value           90 % interval"]
-    for name, (unit, factor) in units.items():
-        row = {key: factor * value for key, value in fit.parameters[name].items()}
+    for name, unit in units.items():
+        row = fit.parameters[name]
         kept = "   given" if row["low"] == row["high"] else f"{row['low']:.5g} ... {row['high']:.5g}"
         lines.append(f"{name:<18}{row['value']:>10.5g} {unit:<4}  {kept}")
     scatter = "" if fit.dispersion == 1 else f"; taps scatter by {fit.dispersion**0.5:.2g} times as much as the noise lets expect"

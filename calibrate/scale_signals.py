@@ -55,20 +55,28 @@ def read_signals(paths: Sequence[str], options: SignalOptions) -> ScaleSignals:
     """The signals in tables and in HDF5 files of simulated drops. Raises `BadInput`."""
     found = ScaleSignals()
     for number, path in enumerate(paths):
-        try:
-            with open(path, "rb") as file:
-                is_simulated = file.read(len(HDF5)) == HDF5
-        except OSError as error:
-            raise BadInput(f"{path}: cannot be read ({error.strerror or error})") from None
-        if is_simulated:
-            _add_drops(found, path, number, options)
-        else:
-            _add_table(found, path, options.table)
+        add_file(found, path, options, number)
     if found.weights and len(found.weights) != len(found.signals):
         raise BadInput(
             "weights are known of simulated drops only: allowed: tables alone with --weights, or simulated drops alone"
         )
     return found
+
+
+def add_file(
+    found: ScaleSignals, path: str, options: SignalOptions, number: int = 0
+) -> None:
+    """Add the signals of a file to those found in others; number: of the file, for the seed of the
+    noise of simulated drops. Raises `BadInput`."""
+    try:
+        with open(path, "rb") as file:
+            is_simulated = file.read(len(HDF5)) == HDF5
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read ({error.strerror or error})") from None
+    if is_simulated:
+        _add_drops(found, path, number, options)
+    else:
+        _add_table(found, path, options.table)
 
 
 def _add_table(found: ScaleSignals, path: str, options: TableOptions) -> None:
