@@ -208,10 +208,10 @@ def solve(
             found, now = replace(trial, cost=ahead.cost), ahead
             if before - after < TOLERANCE * before:
                 break
-        elif damping.min() >= 1e9:
+            continue
+        if damping.min() >= 1e9:
             break
-        if not (np.isfinite(after) and after <= before):
-            damping = np.maximum(damping, 1e-4)
+        damping = np.maximum(damping, 1e-4)
     return replace(found, cost=now.cost)
 
 
@@ -228,11 +228,7 @@ def _step(found: Estimate, now: Curvature, damping: np.ndarray, keep_shared: boo
     cross = now.hessian[:, s:, :s] / scale[:, s:, None]
     both = np.linalg.solve(own, np.concatenate([cross, gradient[..., None]], axis=2))
     total = now.hessian[:, :s, :s].sum(axis=0)
-    total = (
-        total + np.diag(np.einsum("ii,k->i", total, damping) / len(damping))
-        if damping.size
-        else total
-    )
+    total = total + np.diag(np.einsum("ii,k->i", total, damping) / len(damping))
     schur = total - np.einsum("kai,kaj->ij", cross, both[..., :s])
     right = now.gradient[:, :s].sum(axis=0) - np.einsum("kai,ka->i", cross, both[..., s])
     size = np.sqrt(np.diag(total))
