@@ -8,13 +8,11 @@ import numpy as np
 
 from calibrate.errors import BadInput
 from calibrate.scale_signals import ScaleSignals, SignalOptions, read_signals
-from calibrate.signal_start import momentum_weight
+from calibrate.signal_start import find_quiet_end, momentum_weight
 from calibrate.table_columns import TableOptions
 
 ONSET = 0.15  # of the largest reading: a signal that exceeds it shows the portion
 BEFORE, LEAST_BEFORE = 0.4, 12  # s before the onset that are used at most; samples that are needed
-# s before the onset that do not count for the tare, as the first of many small pieces may land then
-GUARD = 0.03
 AFTER, LEAST_AFTER = 0.6, 0.08  # s after the onset that are used at most, and are needed
 PERIODS = 4.0  # of the load cell that must follow the onset
 FINEST = 5e-4  # s: readings that follow faster are averaged
@@ -111,8 +109,7 @@ def cut_signals(
     values = np.array(
         [s.values[k - before : k + after] for s, k in zip(signals, onsets, strict=True)]
     )
-    guard = max(before - round(GUARD / interval), before // 2)
-    tare = np.median(values[:, :guard], axis=1)
+    tare = np.median(values[:, : find_quiet_end(before, interval)], axis=1)
     names = [s.name for s in signals]
     settled = settled_weight(time, values - tare[:, None], names)
     if weights is not None:

@@ -18,7 +18,6 @@ HEIGHTS = ("gamma_low", "gamma_high", "h_mean")
 NODES = 24  # of the quadrature over the half-normal part
 FURTHEST = 5.0  # standard deviations
 LEAST_SPREAD = 1e-5  # m
-LEVEL = 0.90
 # of the log likelihood at the ends of a 90 % interval: half of the chi-squared quantile with one
 # degree of freedom
 DROP = 1.3527
@@ -84,20 +83,21 @@ def _half_normal() -> tuple[np.ndarray, np.ndarray]:
 def fit_heights(portions: Sequence[Heights]) -> dict[str, dict[str, float]]:
     """Most likely values with 90 % intervals: name -> value, low, high, sd, local_sd (m)."""
     likelihood = Likelihood.of(portions)
-    start = _start(portions)
-    best = _maximize(likelihood, start)
-    found = {name: {"value": value} for name, value in zip(HEIGHTS, best, strict=True)}
+    best = _maximize(likelihood, _start(portions))
     top = likelihood.log(best[2], best[0], best[1])
     local = _local_deviations(likelihood, best)
+    found = {}
     for place, name in enumerate(HEIGHTS):
         low, high = (_end(likelihood, best, place, sign, top, local[place]) for sign in (-1.0, 1.0))
-        found[name] |= {
-            "low": low,
-            "high": high,
-            "sd": (high - low) / (2 * 1.6449),
-            "local_sd": local[place],
-        }
+        found[name] = interval_row(best[place], low, high, local[place])
     return found
+
+
+def interval_row(value: float, low: float, high: float, local: float) -> dict[str, float]:
+    """A parameter with its 90 % interval, the standard deviation of a normal one as wide, and the
+    local standard deviation."""
+    sd = (high - low) / (2 * 1.6449)
+    return {"value": value, "low": low, "high": high, "sd": sd, "local_sd": local}
 
 
 def _start(portions: Sequence[Heights]) -> np.ndarray:

@@ -119,8 +119,9 @@ def _check_height(targets: Sequence[Target], measured: Measured) -> Iterator[str
     weight = f"weight and number of the pieces ({targets[0].pieces} of {targets[0].m_piece:g} kg)"
     zero = "" if measured.from_momentum else "; where times do not count from the release, give --align first-impact"
     yield (
-        f"the momentum of the traces tells a mean drop height of {_length(height)}; allowed are {_length(HEIGHTS[0])} to "
-        f"{_length(HEIGHTS[1])}: look at the unit of time and at {weight}{zero}{_unit_hint(targets, 'time')}"
+        f"the momentum of the traces tells a mean drop height of {format_length(height)}; allowed are "
+        f"{format_length(HEIGHTS[0])} to {format_length(HEIGHTS[1])}: look at the unit of time and at "
+        f"{weight}{zero}{_unit_hint(targets, 'time')}"
     )
 
 
@@ -158,7 +159,8 @@ def _percent(ratio: float) -> str:
     return f"{100 * ratio:.3g} %" if abs(ratio) < 100 else f"{ratio:.3g} times"
 
 
-def _length(metres: float) -> str:
+def format_length(metres: float) -> str:
+    """A length in mm, m or km."""
     if abs(metres) >= 1e3:
         return f"{1e-3 * metres:.4g} km"
     return f"{metres:.3g} m" if abs(metres) >= 0.5 else f"{1e3 * metres:.3g} mm"
@@ -205,12 +207,12 @@ def find_absurd(parameters: dict[str, dict[str, Any]]) -> list[str]:
     value = {name: row[0] for name, row in rows.items()}
     height = value["h_mean"]
     if not HEIGHTS[0] <= height <= HEIGHTS[1]:
-        lines.append(f"h_mean = {_length(height)}; allowed are {_length(HEIGHTS[0])} to {_length(HEIGHTS[1])}")
+        lines.append(f"h_mean = {format_length(height)}; allowed are {format_length(HEIGHTS[0])} to {format_length(HEIGHTS[1])}")
     if not PULSES[0] <= value["dt_impact"] <= PULSES[1]:
         lines.append(f"dt_impact = {1e3 * value['dt_impact']:.4g} ms; allowed are {1e3 * PULSES[0]:g} to {1e3 * PULSES[1]:g} ms")
     for name in ("gamma_low", "gamma_high"):
         if value[name] > WIDEST * height:
             lines.append(
-                f"{name} = {_length(value[name])}: more than {WIDEST:g} times the mean drop height, {_length(height)}"
+                f"{name} = {format_length(value[name])}: more than {WIDEST:g} times the mean drop height, {format_length(height)}"
             )
     return lines

@@ -19,12 +19,12 @@ from calibrate import signal_start
 from calibrate.autoregression import fit_autoregression
 from calibrate.cell_response import LOCAL, PULSE, SHARED, middles_of
 from calibrate.cell_signals import Portions, ScaleSignal, cut_signals
-from calibrate.drop_heights import HEIGHTS, Heights, fit_heights
+from calibrate.drop_heights import HEIGHTS, Heights, fit_heights, interval_row
 from calibrate.errors import BadInput
 from calibrate.fit import LEAST_TRACES
 from calibrate.signal_solve import Curvature, Estimate, Readings, curve, falls, residuals, solve
 from calibrate.signal_start import CellGuess
-from calibrate.signal_statements import describe, find_absurd
+from calibrate.signal_statements import ROUGH_FIT, describe, find_absurd
 from calibrate.uncertainty import Tell
 from product_model.model import GRAVITY
 
@@ -35,7 +35,6 @@ QUICK = 10  # steps of a search that only tells which start is better
 FEW = 8  # portions that such a search looks at
 ROUGH = 2.0  # times the median of the sums of squares: a portion that is started anew
 WHITENINGS = 2
-ROUGH_FIT = 1.5  # times the noise at rest: a residual beyond has pieces of different weight tried
 SMALL = 5e-3  # of what the cell shows beside the weight: a residual that is no larger is small
 UNEQUAL = 0.1  # standard deviation of the weights of pieces that differ, before anything is known
 WEIGHT_ERROR = 3e-4  # relative, of weights that are given
@@ -289,14 +288,8 @@ def height_estimates(solved: Solved, now: Curvature) -> list[Heights]:
         information = now.hessian[k, s:, s:].copy()
         places = len(LOCAL) + np.flatnonzero(there)
         information[places, places] += 0.25 * rate * np.sqrt(information[places, places])
-        scale = np.sqrt(np.diag(information))
-        covariance = (
-            np.linalg.pinv(information / scale[:, None] / scale, hermitian=True)
-            / scale[:, None]
-            / scale
-        )
-        covariance = covariance * max(float(now.cost[k]) / samples, 1.0)
-        slope = np.zeros((there.sum(), len(scale)))
+        covariance = _invert(information) * max(float(now.cost[k]) / samples, 1.0)
+        slope = np.zeros((there.sum(), len(information)))
         fall = time[k, there]
         slope[np.arange(len(fall)), places], slope[:, 0] = GRAVITY * fall, -GRAVITY * fall
         portions.append(Heights(0.5 * GRAVITY * fall**2, slope @ covariance @ slope.T))
@@ -321,8 +314,7 @@ def _pulse_row(found: Estimate, now: Curvature) -> dict[str, Any]:
         "kai,kaj->ij", cross / scale[..., None], inner
     )
     score = now.gradient[:, :s] - np.einsum("kai,ka->ki", inner, now.gradient[:, s:] / scale)
-    size = np.sqrt(np.diag(schur))
-    inverse = np.linalg.pinv(schur / size[:, None] / size, hermitian=True) / size[:, None] / size
+    inverse = _invert(schur)
     sandwich = inverse @ (score.T @ score) @ inverse * count / max(count - s, 1)
     square = float(found.shared[PULSE])
     local, sd = (
@@ -332,13 +324,14 @@ def _pulse_row(found: Estimate, now: Curvature) -> dict[str, Any]:
     reach = float(student.ppf(0.95, max(count - s, 2))) * sd
     value = np.sqrt(square)
     low, high = np.sqrt(max(square - reach, 0.0)), np.sqrt(square + reach)
-    return {
-        "value": value,
-        "low": low,
-        "high": high,
-        "sd": (high - low) / (2 * 1.6449),
-        "local_sd": 0.5 * local / value,
-    }
+    return interval_row(value, low, high, 0.5 * local / value)
+
+
+def _invert(information: np.ndarray) -> np.ndarray:
+    """The pseudoinverse of a symmetric matrix, whose rows may have different units."""
+    scale = np.sqrt(np.diag(information))
+    inverse = np.linalg.pinv(information / scale[:, None] / scale, hermitian=True)
+    return inverse / scale[:, None] / scale
 
 
 def _report(

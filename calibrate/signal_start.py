@@ -83,6 +83,11 @@ def _free_ringing(time: np.ndarray, values: np.ndarray, begin: float) -> np.ndar
     return np.array(rows)
 
 
+def find_quiet_end(onset: int, interval: float) -> int:
+    """Number of readings before an onset that no piece has touched."""
+    return max(onset - round(GUARD / interval), onset // 2)
+
+
 def find_quiet(time: np.ndarray, values: np.ndarray, cell: CellGuess) -> tuple[int, np.ndarray]:
     """Where signals begin to be a tare and the free ringing of the empty cell, and the tare.
 
@@ -98,8 +103,7 @@ def find_quiet(time: np.ndarray, values: np.ndarray, cell: CellGuess) -> tuple[i
         Index of the first reading of the longest such part before the first impact, and the tare
         [K] (kg).
     """
-    onset, guard = int(np.searchsorted(time, 0.0)), round(GUARD / (time[1] - time[0]))
-    last = max(onset - guard, onset // 2)
+    last = find_quiet_end(int(np.searchsorted(time, 0.0)), time[1] - time[0])
     firsts = sorted(
         {int(last * (1.0 - share)) for share in QUIET_SHARES if share * last >= LEAST_QUIET} | {0}
     )

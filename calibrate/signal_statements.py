@@ -4,19 +4,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calibrate.plausibility import _length
+from calibrate.plausibility import format_length
 from calibrate.uncertainty import FEW_TRACES
+from product_model.model import GRAVITY
 
 if TYPE_CHECKING:
     from calibrate.signal_fit import SignalFit
 
 HEIGHTS = (0.02, 2.0)  # m, of a mean drop height
 FALL = 1.0  # times the fall time: pulses that are longer
-UNLIKE = (
-    0.3  # of what the cell shows beside the weight: a residual that is larger describes nothing
-)
+UNLIKE = 0.3  # of what the cell shows beside the weight: with a larger residual nothing is described
 # times the noise at rest: a residual that says that the model does not describe the signals
-ROUGH = 1.5
+ROUGH_FIT = 1.5
 
 
 def find_absurd(fit: "SignalFit") -> list[str]:
@@ -25,16 +24,16 @@ def find_absurd(fit: "SignalFit") -> list[str]:
     if not np.isfinite(list(value.values())).all():
         return ["the fit diverged: look at the signals"]
     lines = []
-    height, fall = value["h_mean"], float(np.sqrt(2 * value["h_mean"] / 9.81))
+    height, fall = value["h_mean"], float(np.sqrt(2 * value["h_mean"] / GRAVITY))
     if not HEIGHTS[0] <= height <= HEIGHTS[1]:
         lines.append(
-            f"h_mean = {_length(height)}; allowed are {_length(HEIGHTS[0])} to "
-            f"{_length(HEIGHTS[1])}"
+            f"h_mean = {format_length(height)}; allowed are {format_length(HEIGHTS[0])} to "
+            f"{format_length(HEIGHTS[1])}"
         )
     if value["dt_impact"] > FALL * fall:
         lines.append(
             f"dt_impact = {1e3 * value['dt_impact']:.3g} ms: longer than the fall of "
-            f"{1e3 * fall:.3g} ms from h_mean = {_length(height)}"
+            f"{1e3 * fall:.3g} ms from h_mean = {format_length(height)}"
         )
     share = fit.residual["landing"] / fit.residual["signal"]
     if not share <= UNLIKE:
@@ -56,7 +55,7 @@ def describe(fit: "SignalFit") -> None:
 def _doubts(fit: "SignalFit") -> list[str]:
     """That the model does not describe the signals."""
     left = fit.residual
-    if left["landing"] < ROUGH * left["rest"]:
+    if left["landing"] < ROUGH_FIT * left["rest"]:
         return []
     return [
         f"the residual is {1e3 * left['landing']:.2g} g while portions land, "
