@@ -63,21 +63,28 @@ def smooth_momentum(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Momentum [K, n + 1] (s, per weight) before the trigger and after each sample; scatter [n] (s)
     of the impulse per weight in a sample; share [n] of the weight that lies on the cell."""
-    rows = min(len(s) - k for s, k in zip(signals, triggers.start, strict=True))
+    rows = count_rows(signals, triggers.start)
     table = np.stack([s[k : k + rows] for s, k in zip(signals, triggers.start, strict=True)])
     scatter = np.full(rows, FIRST_SCATTER)
     landed = np.minimum(1.0, np.arange(rows) * empty.interval / FIRST_LANDING)
     for _ in range(PASSES):
         momentum = _smooth(empty, table, triggers, weights, scatter, landed) / weights[:, None]
         variance = (np.diff(momentum, axis=1) ** 2).mean(axis=0)
-        width = 2 * REACH + 1
-        pooled = np.convolve(
-            np.pad(variance, REACH, mode="edge"), np.full(width, 1 / width), "valid"
-        )
-        scatter = WIDER * np.sqrt(pooled) + 1e-6
+        scatter = WIDER * np.sqrt(pooled_mean(variance, REACH)) + 1e-6
         mean = momentum.mean(axis=0)
         landed = np.clip(1 - mean[1:] / mean[0], 0.0, 1.0)
     return momentum, scatter, landed
+
+
+def count_rows(signals: Sequence[np.ndarray], start: np.ndarray) -> int:
+    """Samples from the trigger on that all signals have."""
+    return min(len(s) - k for s, k in zip(signals, start, strict=True))
+
+
+def pooled_mean(values: np.ndarray, reach: int) -> np.ndarray:
+    """[n] means over samples [n] up to ``reach`` away."""
+    width = 2 * reach + 1
+    return np.convolve(np.pad(values, reach, mode="edge"), np.full(width, 1 / width), "valid")
 
 
 class _Pass(NamedTuple):
@@ -151,7 +158,7 @@ def _forward(
     known = push * (weights * h)[:, None]
     known[:, 2] = 0.0
     ahead = (rows @ mean[..., None])[..., 0] + known
-    anywhere = estimator._pulse_covariance(np, empty.omega**2, h)[
+    anywhere = estimator.pulse_covariance(np, empty.omega**2, h)[
         np.ix_([0, 1, 2, 3, 5], [0, 1, 2, 3, 5])
     ]
     noise = ((scatter * weights) ** 2)[:, None, None] * (

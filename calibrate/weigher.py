@@ -16,7 +16,7 @@ from scipy.optimize import minimize
 
 from calibrate.empty_cell import EmptyCell
 from calibrate.errors import BadInput
-from calibrate.momentum import find_triggers, smooth_momentum
+from calibrate.momentum import count_rows, find_triggers, pooled_mean, smooth_momentum
 from calibrate.ringing import fit_basis, ringing_basis
 from calibrate.scale_noise import ScaleNoise, fit_noise
 from product_model import weigher as estimator
@@ -89,14 +89,13 @@ def learn_weigher(
     mean_weight = float(np.mean(weights)) if weights is not None else _rough_weight(signals)
     empty = _empty_weigher(interval, cell, mean_weight)
     found = find_triggers(empty, signals)
-    noise = fit_noise(signals, found.start, empty)
-    empty = _with_noise(empty, noise)
+    empty = _with_noise(empty, fit_noise(signals, found.start, empty))
     found = find_triggers(empty, signals)
     if weights is not None:
         _check_weights(weights, signals, found.tare)
     else:
         weights = read_at_rest(signals, found.start, found.tare, empty)
-    rows = min(len(s) - k for s, k in zip(signals, found.start, strict=True))
+    rows = count_rows(signals, found.start)
     if rows * interval < LEAST_TIME:
         raise BadInput(
             f"signals end {rows * interval:.3g} s after the first impact: allowed: at least {LEAST_TIME:g} s"
@@ -273,7 +272,7 @@ def _with_product(
     _, portions = np.linalg.eigh(off @ off.T)
     shapes = off.T @ portions[:, -number:][:, ::-1]
     beside = np.maximum((off**2).sum(axis=0) - (shapes**2).sum(axis=1), 0.0)
-    residual = np.sqrt(_pooled_mean(beside, 3) + (FLOOR * weight) ** 2)
+    residual = np.sqrt(pooled_mean(beside, 3) + (FLOOR * weight) ** 2)
     return replace(
         empty,
         weight=weight,
@@ -288,11 +287,6 @@ def _with_product(
         filter_sd=np.full(rows, np.inf),
         settled=rows,
     )
-
-
-def _pooled_mean(values: np.ndarray, reach: int) -> np.ndarray:
-    width = 2 * reach + 1
-    return np.convolve(np.pad(values, reach, mode="edge"), np.full(width, 1 / width), "valid")
 
 
 @dataclass(frozen=True)
@@ -315,8 +309,7 @@ def _held_out(
 ) -> _HeldOut:
     """Each portion weighed by an estimator that has not learnt from it."""
     fold = np.arange(len(weights)) % FOLDS
-    rows = min(len(s) - k for s, k in zip(signals, triggers, strict=True))
-    rows = min(rows, len(weigher.impulse) + int(HELD_OUT_AFTER / weigher.interval))
+    rows = min(count_rows(signals, triggers), len(weigher.impulse) + int(HELD_OUT_AFTER / weigher.interval))
     found = np.full((2 + estimator.CHECKS, len(weights), rows), np.nan)
     for k in range(FOLDS):
         some = np.flatnonzero(fold == k)
@@ -405,7 +398,7 @@ def _with_filter(
 ) -> Weigher:
     """The estimator with the filter, of those of ``_filters``, whose reading comes first within 1 %
     of the weight and stays there in nine of ten portions, and with its errors."""
-    rows = min(len(s) - k for s, k in zip(signals, triggers, strict=True))
+    rows = count_rows(signals, triggers)
     best: tuple[float, np.ndarray, np.ndarray] | None = None
     for sections in _filters(weigher):
         errors = []
@@ -413,7 +406,7 @@ def _with_filter(
             filtered = scipy_signal.sosfilt(sections, values - values[0]) + values[0]
             errors.append(filtered[trigger : trigger + rows] - zero - weight)
         off = np.abs(np.array(errors)) > 0.01 * weights[:, None]
-        until = np.where(off.any(axis=1), rows - np.argmax(off[:, ::-1], axis=1), 0)
+        until = count_until_within(off)
         late = float(np.quantile(until, 0.9)) + 1e-3 * float(np.mean(until))
         if best is None or late < best[0]:
             best = (late, sections, np.array(errors))
@@ -427,6 +420,11 @@ def _with_filter(
         filter_sd=np.maximum.accumulate(sd[::-1])[::-1][:count],
         settled=settled,
     )
+
+
+def count_until_within(off: np.ndarray) -> np.ndarray:
+    """[K] samples until the last one [K, n] that is off, which counts; 0: none is."""
+    return np.where(off.any(axis=1), off.shape[1] - np.argmax(off[:, ::-1], axis=1), 0)
 
 
 def _filters(weigher: Weigher) -> Iterator[np.ndarray]:

@@ -132,14 +132,15 @@ def _about(
 def report(learnt: "Learnt") -> list[str]:
     """Lines about held-out portions: times until the error stays within tolerances, coverage of the
     error bar, doubts."""
+    from calibrate.weigher import count_until_within
+
     weigher, every = learnt.weigher, 1e3 * float(learnt.weigher.interval)
     errors, n = np.abs(learnt.errors), learnt.errors.shape[1]
     lines = [
         f"{len(errors)} portions of {float(weigher.weight):.4g} g in the mean; held-out portions, from the first impact on:"
     ]
     for tolerance in TOLERANCES:
-        off = errors > tolerance
-        until = np.where(off.any(axis=1), n - np.argmax(off[:, ::-1], axis=1), 0).astype(float)
+        until = count_until_within(errors > tolerance).astype(float)
         until[until >= n] = np.inf
         times = np.quantile(until, SHARES, method="higher") * every
         shown = ", ".join(

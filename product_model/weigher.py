@@ -412,11 +412,11 @@ def _noise(
         + of_shaking
         + of_line
         + of_white
-        + pulse[..., None, None] * _pulse_covariance(xp, omega2, h)
+        + pulse[..., None, None] * pulse_covariance(xp, omega2, h)
     )
 
 
-def _pulse_covariance(xp: ModuleType, omega2: Array, h: Array) -> Array:
+def pulse_covariance(xp: ModuleType, omega2: Array, h: Array) -> Array:
     """[6, 6] of a unit impulse at a random time in the interval, relative to one that is spread
     over it.
 
