@@ -2,7 +2,8 @@
 known weight.
 
 A fixed-interval smoother (modified Bryson-Frazier form): the impulse of each sample is the weight's
-and a random one, and all is at rest in the end. """
+and a random one, and all is at rest in the end.
+"""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -110,11 +111,7 @@ def _smooth(
     tare."""
     count = len(weights)
     mean, covariance = np.zeros((count, 4)), np.zeros((count, 4, 4))
-    mean[:, :2], mean[:, 3], covariance[:, :2, :2] = (
-        triggers.mean,
-        triggers.tare,
-        triggers.covariance,
-    )
+    mean[:, :2], mean[:, 3], covariance[:, :2, :2] = triggers.mean, triggers.tare, triggers.covariance
     covariance[:, 2, 2], covariance[:, 3, 3] = weights**2, TARE_SD**2
     passed = []
     for k in range(table.shape[1]):

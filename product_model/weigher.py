@@ -15,7 +15,8 @@ derives it.
 `start` returns the state of an empty scale, `feed` the state and the reading after one more sample.
 Both are pure functions of arrays with any leading axes; the size of the state does not depend on
 time. Chi-square tests of the innovations and of the amplitudes of the shapes detect a signal that
-the product does not make; the reading is then that of a Bessel filter. """
+the product does not make; the reading is then that of a Bessel filter.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -37,25 +38,17 @@ CAP = 100.0  # of a squared normalized innovation in the checks
 CHECKS = 3  # innovations of late, innovations since the trigger, amplitudes of the shapes
 CHECKS_AT_TRIGGER = np.array([1.0, 1e-6, 1.0])
 QUIET_SAMPLES = 6  # without an innovation, that the mean since the trigger begins with
-EMPTY_AFTER = 0.1  # s for which the filter's reading stays within the trigger level of the tare until the scale counts as empty
+# s for which the filter's reading stays within the trigger level of the tare until the scale counts
+# as empty
+EMPTY_AFTER = 0.1
 STILL = 0.05  # s, over which the filter's reading is to be still
 WARM_UP = 0.03  # s after the start without a trigger, in which the tare is found
 STEP = 1e-4  # relative, of the central differences for frequency and damping
 LIMIT = 0.5  # largest relative error of frequency squared and damping
-CLEAR = (
-    4.0  # standard deviations by which estimate and filter, or a weight and its limits, must differ
-)
-XI, ETA, RHO, LINE, TARE, KAPPA, LAMBDA, TOTAL, SHAPES = (
-    0,
-    1,
-    2,
-    3,
-    5,
-    6,
-    7,
-    8,
-    9,
-)  # positions of the unknowns
+# standard deviations by which estimate and filter, or a weight and its limits, must differ
+CLEAR = 4.0
+# positions of the unknowns
+XI, ETA, RHO, LINE, TARE, KAPPA, LAMBDA, TOTAL, SHAPES = 0, 1, 2, 3, 5, 6, 7, 8, 9
 
 
 @jax.tree_util.register_dataclass
@@ -79,7 +72,8 @@ class Weigher:
     [N, 3] of the logarithms of the checks (`WeigherState`); check_decay: of the running mean;
     threshold: [3] of their distances from check_mean, in standard deviations. sections: [S, 6]
     second-order sections of the filter; filter_sd: [N] (g) of its reading; settled: row from which
-    it is compared. """
+    it is compared.
+    """
 
     interval: Array
     omega: Array
@@ -156,10 +150,9 @@ class WeigherState(NamedTuple):
     the shapes. row: of the tables, -1: empty. tare: (g) at the trigger. memory: [.., S, 2] of the
     filter, origin: (g) first sample. check: [.., 3] squared normalized innovations, their running
     mean and their mean since the trigger; squared amplitudes of the shapes by what a portion of the
-    product is expected to show. doubts: bits, kept
-    until the scale is empty. calm: samples near the tare. count: samples since the start, at most
-    those of the warm-up. filter_mean, filter_variance: running mean and variance (g^2) of the
-    filter's reading."""
+    product is expected to show. doubts: bits, kept until the scale is empty. calm: samples near the
+    tare. count: samples since the start, at most those of the warm-up. filter_mean,
+    filter_variance: running mean and variance (g^2) of the filter's reading."""
 
     mean: Array
     covariance: Array
@@ -177,9 +170,9 @@ class WeigherState(NamedTuple):
 
 class Reading(NamedTuple):
     """grams: net weight. sd: (g) its standard deviation; of a filter the error that it had as long
-    after the first impact of portions learnt, and its own scatter in the last moments. believed: whether grams is the
-    estimator's. status: EMPTY, ESTIMATE or FALLBACK. doubts: bits that say why it is the
-    filter's."""
+    after the first impact of portions learnt, and its own scatter in the last moments. believed:
+    whether grams is the estimator's. status: EMPTY, ESTIMATE or FALLBACK. doubts: bits that say why
+    it is the filter's."""
 
     grams: Array
     sd: Array
@@ -270,7 +263,8 @@ def cell_step(xp: ModuleType, omega2: Array, delta: Array, interval: Array) -> t
     xi' = e00 xi + e01 eta + g0 I,    eta' = e10 xi + e11 eta + g1 I
 
     for the impulse I (g s) of the interval (s), with omega2 = omega^2 (1/s^2) and the decay delta
-    (1/s), below omega. """
+    (1/s), below omega.
+    """
     turn = xp.sqrt(omega2 - delta**2)
     shrink = xp.exp(-delta * interval)
     cosine, sine = shrink * xp.cos(turn * interval), shrink * xp.sin(turn * interval) / turn
@@ -307,32 +301,21 @@ def _predict(xp: ModuleType, weigher: Weigher, state: WeigherState) -> tuple[Arr
     def row_of(
         e0: Array, e1: Array, gain: Array, lines: list[Array], tare: Array, slope: list[Array]
     ) -> Array:
-        numbers = [
-            e0,
-            e1,
-            gain * (1 - keep),
-            *lines,
-            tare,
-            slope[0],
-            slope[1],
-            gain * impulse + slope[2],
-        ]
-        return xp.concatenate(
-            [xp.stack([one * number for number in numbers], -1), (gain * one)[..., None] * shapes],
-            -1,
-        )
+        by_weight = gain * impulse + slope[2]
+        numbers = [e0, e1, gain * (1 - keep), *lines, tare, slope[0], slope[1], by_weight]
+        first = xp.stack([one * number for number in numbers], -1)
+        return xp.concatenate([first, (gain * one)[..., None] * shapes], -1)
 
     h, none = weigher.interval, [zero, zero, zero]
     e00, e01, e10, e11, g0, g1 = step
+    of_sample = [-slope / h for slope in slopes[1]]
     rows = [
         row_of(e00, e01, g0, none[:2], zero, slopes[0]),
         row_of(e10, e11, g1, none[:2], zero, slopes[1]),
         row_of(zero, zero, zero, none[:2], zero, none),
         row_of(zero, zero, zero, line, zero, none),
         row_of(zero, zero, zero, [one, zero], zero, none),
-        row_of(
-            -e10 / h, (1 - e11) / h, (1 - g1) / h, line, one, [-slope / h for slope in slopes[1]]
-        ),
+        row_of(-e10 / h, (1 - e11) / h, (1 - g1) / h, line, one, of_sample),
     ]
     rows[2] = _with_unknown(xp, rows[2], RHO, keep)
     matrix = xp.stack(rows, -2)
@@ -343,9 +326,8 @@ def _predict(xp: ModuleType, weigher: Weigher, state: WeigherState) -> tuple[Arr
     shift = mean[..., TOTAL, None] * xp.stack(
         [slopes[0][2], slopes[1][2], zero, zero, zero, -slopes[1][2] / h], -1
     )
-    return exact - shift, _Dynamics(
-        matrix, _noise(xp, weigher, step, innovation, active, active * weigher.pulse[row] ** 2)
-    )
+    noise = _noise(xp, weigher, step, innovation, active, active * weigher.pulse[row] ** 2)
+    return exact - shift, _Dynamics(matrix, noise)
 
 
 def _loaded_cell(
@@ -357,12 +339,8 @@ def _loaded_cell(
     share = weigher.mass / (weigher.mass + load)
     stiffer = 1 + xp.clip(mean[..., KAPPA], -LIMIT, LIMIT)
     damped = 1 + xp.clip(mean[..., LAMBDA], -LIMIT, LIMIT)
-    omega2, delta, h = (
-        weigher.omega**2 * stiffer * share,
-        weigher.delta * damped * share,
-        weigher.interval,
-    )
-    xi, eta = mean[..., XI], mean[..., ETA]
+    omega2, delta = weigher.omega**2 * stiffer * share, weigher.delta * damped * share
+    h, xi, eta = weigher.interval, mean[..., XI], mean[..., ETA]
 
     def slope(high: tuple[Array, ...], low: tuple[Array, ...]) -> list[Array]:
         e00, e01, e10, e11, g0, g1 = ((a - b) / (2 * STEP) for a, b in zip(high, low, strict=True))
@@ -393,7 +371,8 @@ def _noise(
     """Covariance [.., 6, 6] of the noise of a step.
 
     residual: (g s)^2 innovation of the residual momentum. pulse: (g s)^2 of impulses that are
-    anywhere within the interval. """
+    anywhere within the interval.
+    """
     h, omega2 = weigher.interval, weigher.omega**2
     zero, one = xp.zeros_like(residual), xp.ones_like(residual)
 
@@ -421,7 +400,8 @@ def pulse_covariance(xp: ModuleType, omega2: Array, h: Array) -> Array:
     over it.
 
     At u before the end: xi is off by omega^2 (u - h/2), eta by -omega^2 (u^2/2 - h^2/6), the sample
-    by the latter over -h. """
+    by the latter over -h.
+    """
     a, b, c = omega2**2 * h**2 / 12, -(omega2**2) * h**3 / 24, omega2**2 * h**4 / 45
     zero = 0.0 * a
     rows = [[a, b, zero, zero, zero, -b / h], [b, c, zero, zero, zero, -c / h], *3 * [6 * [zero]]]

@@ -34,17 +34,7 @@ UNITS = {
     "pulse": "g s",
     "filter_sd": "g",
 }
-ROWS = (
-    "impulse",
-    "shapes",
-    "residual",
-    "landed",
-    "pulse",
-    "widening",
-    "check_mean",
-    "check_sd",
-    "filter_sd",
-)
+ROWS = ("impulse", "residual", "landed", "pulse", "widening", "filter_sd")  # [N]
 WHOLE = ("settled",)
 POSITIVE = (
     "interval",
@@ -116,18 +106,17 @@ def _content(path: str | Path) -> dict[str, Any]:
 
 def _check_shapes(path: str | Path, values: dict[str, np.ndarray]) -> None:
     rows = len(values["impulse"]) if values["impulse"].ndim else 0
+    shapes, sections = values["shapes"], values["sections"]
+    allowed: dict[str, tuple[int, ...]] = dict.fromkeys(ROWS, (rows,)) | {
+        "shapes": (rows, shapes.shape[1] if shapes.ndim == 2 else 0),
+        "check_mean": (rows, CHECKS),
+        "check_sd": (rows, CHECKS),
+        "threshold": (CHECKS,),
+        "line": (2,),
+        "sections": (len(sections) if sections.ndim else 0, 6),
+    }
     for name, value in values.items():
-        wanted: tuple[int, ...] = (rows,) if name in ROWS else ()
-        if name == "shapes":
-            wanted = (rows, value.shape[1] if value.ndim == 2 else 0)
-        elif name in ("check_mean", "check_sd"):
-            wanted = (rows, CHECKS)
-        elif name == "threshold":
-            wanted = (CHECKS,)
-        elif name == "line":
-            wanted = (2,)
-        elif name == "sections":
-            wanted = (len(value) if value.ndim else 0, 6)
+        wanted = allowed.get(name, ())
         if value.shape != wanted or not all(wanted):
             raise BadInput(
                 f"{path}: {name}: has {value.shape} numbers, allowed: {wanted}, at least one row"
