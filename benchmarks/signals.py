@@ -17,8 +17,8 @@ from calibrate.cell_response import respond
 from calibrate.cell_signals import ScaleSignal
 from calibrate.drop_heights import HEIGHTS, Heights, fit_heights
 from calibrate.signal_fit import fit_signals
-from dem_jax.scene import Noise
-from dem_jax.weighing.cell import Cell
+from dem_jax.scene import LoadCell, Noise
+from dem_jax.weighing.cell import cell_of
 from dem_jax.weighing.noise import add_noise
 
 RATE, BEFORE, AFTER = 1000.0, 0.3, 0.9  # readings per second; s before and after the trigger
@@ -76,17 +76,15 @@ def simulate_signals(
             rows.append(np.asarray(respond(shared, local, np.full(len(each), 1 / len(each)), edges, np.ones(()))))
         loads.append(setting.m_piece * (edges[1:, None] > land).sum(axis=1))
         heights.append(each)
-    stiffness = (2 * np.pi * setting.frequency) ** 2 * setting.mass
-    cell = Cell(setting.mass, stiffness, 2 * setting.damping * np.sqrt(stiffness * setting.mass))
+    cell = cell_of(LoadCell(mass=setting.mass, natural_frequency=setting.frequency, damping_ratio=setting.damping))
     values = add_noise(np.array(rows), RATE, noise, cell, seed, -BEFORE, np.array(loads))
     return [ScaleSignal(f"portion {k}", row, 1 / RATE) for k, row in enumerate(values)], heights
 
 
 def recover(setting: Setting, portions: int, repeats: int, first_seed: int):
     """Errors [R, 4], whether the interval holds the truth [R, 4], share of portions whose pieces are counted right, seconds."""
-    noise = Noise(
-        tare=TARE, release_jitter=0.0
-    )  # the release is late by itself: a delay of the readings would blunt them
+    # the release is late by itself: a delay of the readings would blunt them
+    noise = Noise(tare=TARE, release_jitter=0.0)
     errors, inside, counted, seconds = [], [], [], []
     for k in range(repeats):
         signals, heights = simulate_signals(setting, portions, first_seed + k, noise)
@@ -128,60 +126,66 @@ def main(argv=None):
     parser.add_argument("--quick", action="store_true", help="one fit of each setting")
     options = parser.parse_args(argv)
     repeats, alone = (1, 10) if options.quick else (options.repeats, options.heights)
-    rows, single, every_error, every_inside = [], [], [], []
-    for name, setting in SETTINGS.items():
-        errors, inside, counted, seconds = recover(
-            setting, options.portions, repeats, 1000 * (1 + list(SETTINGS).index(name))
-        )
-        cover = cover_heights(setting, options.portions, alone, 7)
-        every_error.append(errors)
-        every_inside.append(inside)
-        worst = [f"{100 * np.median(np.abs(e)):.2g} / {100 * np.abs(e).max():.2g}" for e in errors.T]
-        rows.append([name, *worst, f"{100 * counted:.0f} %", f"{seconds:.0f}"])
-        single.append([name, *(f"{100 * c:.0f} %" for c in cover.mean(axis=0))])
-    error, inside = np.concatenate(every_error), np.concatenate(every_inside)
-    shares = [
-        f"{n}: {100 * np.mean(np.abs(error[:, NAMES.index(n)]) <= w):.0f} % within {100 * w:g} %"
-        for n, w in WITHIN.items()
-    ]
-    covers = [f"{n}: {100 * c:.0f} %" for n, c in zip(NAMES, inside.mean(axis=0), strict=True)]
-    settings = [
-        [name, f"{1e3 * s.m_piece:g}", f"{s.pieces[0]}-{s.pieces[1]}", *(f"{1e3 * x:g}" for x in s[2:6]), *s[6:]]
-        for name, s in SETTINGS.items()
-    ]
-    head = (
-        "",
-        "piece (g)",
-        "pieces",
-        "h_mean (mm)",
-        "γ_low (mm)",
-        "γ_high (mm)",
-        "Δt_impact (ms)",
-        "cell (Hz)",
-        "damping",
-        "bucket (kg)",
-    )
+    fits, covers = {}, {}
+    for number, (name, setting) in enumerate(SETTINGS.items(), 1):
+        fits[name] = recover(setting, options.portions, repeats, 1000 * number)
+        covers[name] = cover_heights(setting, options.portions, alone, 7)
     lines = ["# The Product Model recovered from signals of a scale", "", report.environment(), ""]
     lines += [
         f"{options.portions} portions a fit, {repeats} fits of each setting, 1 kHz, typical noise, "
         f"release jitter {1e3 * JITTER:g} ms.",
         "",
+        settings_table(),
+        "",
+        *fit_lines(fits),
+        f"The same of heights alone, known to 0.2 mm ({alone} fits of each setting):",
+        "",
+        report.table(("", *HEIGHTS), [[name, *percentages(cover)] for name, cover in covers.items()]),
+        "",
     ]
-    lines += [report.table(head, settings), "", "Errors (%), median / largest of the fits:", ""]
-    lines += [report.table(("", *NAMES, "pieces counted right", "fit (CPU s)"), rows), ""]
-    lines += [
+    report.write("signals", "\n".join(lines), quick=True)
+
+
+def settings_table() -> str:
+    """The settings in the units of the trade."""
+    head = (
+        "", "piece (g)", "pieces", "h_mean (mm)", "γ_low (mm)", "γ_high (mm)", "Δt_impact (ms)", "cell (Hz)", "damping",
+        "bucket (kg)",
+    )  # fmt: skip
+    rows = [
+        [name, f"{1e3 * s.m_piece:g}", f"{s.pieces[0]}-{s.pieces[1]}", *(f"{1e3 * x:g}" for x in s[2:6]), *s[6:]]
+        for name, s in SETTINGS.items()
+    ]
+    return report.table(head, rows)
+
+
+def fit_lines(fits: dict) -> list[str]:
+    """Errors of each setting as a table, then of all settings; fits: of `recover`."""
+    rows = []
+    for name, (errors, _, counted, seconds) in fits.items():
+        worst = [f"{100 * np.median(np.abs(e)):.2g} / {100 * np.abs(e).max():.2g}" for e in errors.T]
+        rows.append([name, *worst, f"{100 * counted:.0f} %", f"{seconds:.0f}"])
+    error, inside = (np.concatenate([fit[k] for fit in fits.values()]) for k in (0, 1))
+    shares = [
+        f"{n}: {100 * np.mean(np.abs(error[:, NAMES.index(n)]) <= w):.0f} % within {100 * w:g} %"
+        for n, w in WITHIN.items()
+    ]
+    covers = [f"{n}: {share}" for n, share in zip(NAMES, percentages(inside), strict=True)]
+    return [
+        "Errors (%), median / largest of the fits:",
+        "",
+        report.table(("", *NAMES, "pieces counted right", "fit (CPU s)"), rows),
+        "",
         "All settings: " + "; ".join(shares) + ".",
         "",
         f"90 % intervals that hold the truth ({len(inside)} fits): " + "; ".join(covers) + ".",
         "",
     ]
-    lines += [
-        f"The same of heights alone, known to 0.2 mm ({alone} fits of each setting):",
-        "",
-        report.table(("", *HEIGHTS), single),
-        "",
-    ]
-    report.write("signals", "\n".join(lines), quick=True)
+
+
+def percentages(inside: np.ndarray) -> list[str]:
+    """Of true values [R, P], for each of P."""
+    return [f"{100 * share:.0f} %" for share in inside.mean(axis=0)]
 
 
 if __name__ == "__main__":

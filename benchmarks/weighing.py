@@ -17,8 +17,9 @@ from benchmarks import report
 from calibrate.empty_cell import EmptyCell
 from calibrate.weigher import learn_weigher
 from dem_jax import ensemble, load_scene
+from dem_jax.scene import LoadCell
 from dem_jax.weighing import filters
-from dem_jax.weighing.cell import Cell
+from dem_jax.weighing.cell import Cell, cell_of
 from dem_jax.weighing.noise import TYPICAL, add_noise
 from dem_jax.weighing.settling import find_quantile, time_to_weigh
 from dem_jax.weighing.traces import trace_of
@@ -119,8 +120,7 @@ def estimated(weigher: Weigher, judge: Signals) -> tuple[dict[float, np.ndarray]
 
 
 def _cell() -> Cell:
-    stiffness = CELL.mass * (2 * np.pi * CELL.frequency) ** 2
-    return Cell(CELL.mass, stiffness, 2 * CELL.damping_ratio * np.sqrt(stiffness * CELL.mass))
+    return cell_of(LoadCell(mass=CELL.mass, natural_frequency=CELL.frequency, damping_ratio=CELL.damping_ratio))
 
 
 def learn(signals: Signals, count: int | None = None, cell: EmptyCell = CELL) -> Weigher:
