@@ -146,6 +146,17 @@ def goods_of(scene: Scene, reuse: Reuse | None = None) -> Goods:
     return Goods(tuple(found), tuple(names), tuple(numbers), tuple(densities))
 
 
+def kept_goods(scene: Scene, table: MaterialTable, reuse: Reuse) -> Goods:
+    """As ``goods_of``, those of the scene before where all that they are made from is the same. Raises SceneError."""
+    made_from = (scene.piece, scene.portion, scene.feeder, scene.inlet, scene.folder, material_inputs(scene, table))
+    return reuse.get("goods", lambda: goods_of(scene, reuse), made_from)
+
+
+def material_inputs(scene: Scene, table: MaterialTable) -> tuple[Any, ...]:
+    """What goods and their arrays are made from besides their sections: densities, names, whether of walls, and the size L."""
+    return tuple(table.density.tolist()), table.names, table.is_wall.tolist(), scene.material.stiffness_size
+
+
 def shapes_of_portion(scene: Scene, reuse: Reuse | None = None) -> list[shapes.Shape]:
     """The shape of each product of the portion, at its size as given. Raises SceneError."""
     assert scene.portion is not None

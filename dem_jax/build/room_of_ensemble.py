@@ -7,10 +7,11 @@ from typing import NamedTuple
 import numpy as np
 
 from dem_jax.build.parts import Solid
-from dem_jax.build.pieces import Goods, distinct_shapes, goods_of, piece_arrays
+from dem_jax.build.pieces import Goods, distinct_shapes, kept_goods, piece_arrays
 from dem_jax.build.reuse import Reuse
 from dem_jax.build.start import Start
 from dem_jax.scene import Scene
+from dem_jax.scene.materials import material_table
 from dem_jax.shapes import Shape, parts_of
 from dem_jax.types import Pieces
 
@@ -26,7 +27,7 @@ def find_room(scenes: Sequence[Scene], reuse: Reuse) -> Room | None:
     """The room that the run with most pieces needs; None: all have as many, or pieces come and go. Raises SceneError."""
     if any(scene.inlet or scene.outlet for scene in scenes):
         return None
-    goods = [goods_of(scene, reuse) for scene in scenes]
+    goods = [kept_goods(scene, material_table(scene), reuse) for scene in scenes]
     counts = [len(each.shapes) for each in goods]
     if len(set(counts)) == 1:
         return None

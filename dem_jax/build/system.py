@@ -15,7 +15,7 @@ from dem_jax.build.finite import MOST_STEPS, check_finite, check_steps
 from dem_jax.build.law import law_of, materials_of
 from dem_jax.build.load_cell import added_rate
 from dem_jax.build.parts import hull_table, part_arrays, solids_of
-from dem_jax.build.pieces import Goods, alike, goods_of, named, piece_arrays, with_points
+from dem_jax.build.pieces import Goods, alike, kept_goods, material_inputs, named, piece_arrays, with_points
 from dem_jax.build.reuse import Reuse
 from dem_jax.build.room import capacity, partition, row_capacity, touching
 from dem_jax.build.room_of_ensemble import Room, fill_room, pad_solids, pad_start
@@ -69,10 +69,8 @@ def build(
     reuse = reuse or Reuse()
     dtype = float_dtype(scene.run.precision)
     table = material_table(scene)
-    densities = tuple(table.density.tolist()), table.names, table.is_wall.tolist(), scene.material.stiffness_size
-    of_pieces = (scene.piece, scene.portion, scene.feeder, scene.inlet, scene.folder, densities)
     of_walls = (scene.wall, scene.motion, scene.block, *(getattr(scene, name) for name in PLACES), scene.folder)
-    goods = reuse.get("goods", lambda: goods_of(scene, reuse), of_pieces)
+    goods, densities = kept_goods(scene, table, reuse), material_inputs(scene, table)
     own = reuse.get("made", lambda: list(goods.shapes), (), goods.shapes)  # not anew where only weights differ
     laid = reuse.get("walls", lambda: walls_of(scene), of_walls)
     panels, motions, joint, blocks, regions = laid

@@ -1,6 +1,7 @@
 """Ensembles over parameters: each run is that of its own scene, in one program, and what cannot be one is said."""
 
 import dataclasses
+import operator
 
 import h5py
 import jax
@@ -267,7 +268,8 @@ def test_what_is_built_after_another_scene_is_what_is_built_alone(name):
 
 def test_runs_that_differ_in_their_material_share_most_of_their_building(monkeypatch):
     """Shapes, walls, hulls and the first state are made once for a hundred values, not for each."""
-    made = dict.fromkeys(("goods_of", "walls_of", "wall_arrays", "_hulls_of", "first_state", "placed"), 0)
+    in_system = [f"system.{name}" for name in ("walls_of", "wall_arrays", "_hulls_of", "first_state", "placed")]
+    made = dict.fromkeys(("pieces.goods_of", *in_system), 0)  # the first also where the room of all runs is found
 
     def counted(name, function):
         def call(*arguments):
@@ -277,10 +279,10 @@ def test_runs_that_differ_in_their_material_share_most_of_their_building(monkeyp
         return call
 
     for name in made:
-        monkeypatch.setattr(f"dem_jax.build.system.{name}", counted(name, getattr(build.system, name)))
+        monkeypatch.setattr(f"dem_jax.build.{name}", counted(name, operator.attrgetter(name)(build)))
     scene = load_scene("weigh-bucket", {"run.frames": 0.0})
     job = prepare.prepare(scene, [0] * 100, 100, parameters={"material.restitution": np.linspace(0.1, 0.5, 100).tolist()})
-    assert job.varied.leaves and made.pop("placed") == 1 + 100, "once, and for the seed of each run"
+    assert job.varied.leaves and made.pop("system.placed") == 1 + 100, "once, and for the seed of each run"
     assert set(made.values()) == {1}, made
 
 
