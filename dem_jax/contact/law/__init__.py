@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Protocol
 
 import jax
 
-from dem_jax.contact.law.springs import Real
+from dem_jax.contact.law.springs import Real, series
 from dem_jax.maths.vector import Vector
 from dem_jax.types import Patch
 
@@ -35,6 +35,11 @@ class Couple(NamedTuple):
     pull_off: Array | None  # (N): largest adhesive force; None where no pair of the scene has any
     rolling: Array | None = None  # mu_r; None where no pair of the scene has any
     patch: Patch | None = None  # of polytopes with friction; None: bodies that touch at a point
+
+    @property
+    def stiffness(self) -> Array:
+        """K (N/m): E L of both in series, eqs 5, 7 and 8."""
+        return series(*(e * size for e, size in zip(self.youngs_modulus, self.size, strict=True)))
 
 
 class Torsion(NamedTuple):

@@ -24,7 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dem_jax.contact.law import Contact, ContactLaw, Couple, Response
-from dem_jax.contact.law.springs import Real, quarter_period, series
+from dem_jax.contact.law.springs import Real, quarter_period
 from dem_jax.errors import SceneError
 from dem_jax.maths import vector
 from dem_jax.types import pytree
@@ -62,8 +62,7 @@ class Cohesive:
         """Those of the law, P_0 and k_a. Raises SceneError where no pair of the scene has a pull-off force."""
         if couple.pull_off is None:
             raise SceneError("material.pull_off = 0: with a cohesive law; allowed: more than 0, there or in a [[pair]]")
-        spring = series(*(e * size for e, size in zip(couple.youngs_modulus, couple.size, strict=True)))
-        return Pair(self.law.pair(couple), couple.pull_off, self.stiffness * spring)
+        return Pair(self.law.pair(couple), couple.pull_off, self.stiffness * couple.stiffness)
 
     def start(self, pair: Pair, like: Array) -> History:
         """No tension, no bond."""

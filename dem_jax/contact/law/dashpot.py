@@ -14,6 +14,7 @@ omega^2 = 4 k / 5 m and eta = sqrt(5 m k) zeta.
 """
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -25,6 +26,13 @@ Array = jax.Array
 
 STEPS = 15  # per quarter period, as of the loading branch of Walton and Braun
 STOP_STEPS = 6  # in the time m / c, in which the dashpot alone stops the mass: corners of a polytope stop six times sooner
+
+
+class History(NamedTuple):
+    """Of contacts of an elastic spring, at the last step."""
+
+    overlap: Array  # [P] (m): ``elastic_overlap``
+    spring: Array | None  # [3, P] (N): tangential force on b, world axes, of patches [4, P], see ``friction``; None without
 
 
 def damping_ratio(restitution: Array) -> Array:

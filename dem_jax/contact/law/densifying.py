@@ -23,8 +23,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from dem_jax.contact.law import Contact, Couple, Response, dashpot, friction
+from dem_jax.contact.law.dashpot import History
 from dem_jax.contact.law.friction import where_rough
-from dem_jax.contact.law.springs import Real, series
+from dem_jax.contact.law.springs import Real
 from dem_jax.maths import vector
 from dem_jax.types import Patch, pytree
 
@@ -45,13 +46,6 @@ class Pair(NamedTuple):
     patch: Patch | None = None  # of bodies that touch over one
 
 
-class History(NamedTuple):
-    """Of contacts, at the last step."""
-
-    overlap: Array  # [P] (m): dashpot.elastic_overlap
-    spring: Array | None  # [3, P] (N): tangential force on b, world axes, of patches [4, P], see ``friction``; None without
-
-
 @pytree
 class Densifying:
     """Ends where bodies part."""
@@ -62,7 +56,7 @@ class Densifying:
 
     def pair(self, couple: Couple) -> Pair:
         """K of both in series, D of the smaller one."""
-        stiffness = series(*(e * size for e, size in zip(couple.youngs_modulus, couple.size, strict=True)))
+        stiffness = couple.stiffness
         depth = self.densification * jnp.minimum(*couple.size)
         ratio = dashpot.damping_ratio(couple.restitution)
         shape = jnp.broadcast_shapes(jnp.shape(stiffness), jnp.shape(depth))
@@ -70,8 +64,7 @@ class Densifying:
 
     def start(self, pair: Pair, like: Array) -> History:
         """No overlap."""
-        zero = jnp.zeros_like(like)
-        return History(zero, None if pair.friction is None else friction.start(pair.patch, like))
+        return History(jnp.zeros_like(like), friction.start(pair.friction, pair.patch, like))
 
     def force(self, pair: Pair, history: History, contact: Contact) -> Response:
         """Spring, dashpot and friction."""
@@ -82,17 +75,12 @@ class Densifying:
         damping = 2 * pair.ratio * jnp.sqrt(pair.mass * pair.stiffness) * rate
         damping = damping * dashpot.power(history.overlap, s, c.approach, 0.0, jnp.ones_like)
         push = vector.kept(dashpot.damped(elastic, damping, c.approach, pair.mass, c.dt))
-        if history.spring is None or pair.friction is None:
-            return Response(push, None, History(s, None))
-        shear = friction.sheared(history.spring, c, push, self.tangential * pair.stiffness, pair.friction)
-        return friction.with_shear(Response(push, None, History(s, jnp.stack(shear))), shear, c)
+        return friction.respond(push, History(s, history.spring), c, self.tangential * pair.stiffness, pair.friction)
 
     def energy(self, pair: Pair, history: History, overlap: Array) -> Array:
         """Of both springs (J)."""
         energy = pair.stiffness * pair.depth**2 * relative_spring(history.overlap / pair.depth)[1]
-        if history.spring is None:
-            return energy
-        return energy + friction.energy(history.spring, self.tangential * pair.stiffness)
+        return friction.add_energy(energy, history.spring, self.tangential * pair.stiffness)
 
     def reach(self, pair: Pair) -> None:
         """None: no force across a gap."""

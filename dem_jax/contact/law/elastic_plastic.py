@@ -82,7 +82,7 @@ class ElasticPlastic:
     def start(self, pair: Pair, like: Array) -> History:
         """No overlap."""
         zero = jnp.zeros_like(like)
-        return History(zero, zero, None if pair.friction is None else friction.start(pair.patch, like))
+        return History(zero, zero, friction.start(pair.friction, pair.patch, like))
 
     def force(self, pair: Pair, history: History, contact: Contact) -> Response:
         """Spring, dashpot below the deepest overlap, and friction."""
@@ -95,19 +95,15 @@ class ElasticPlastic:
         damping = pair.ratio * vector.safe_sqrt(5 * pair.mass * dent.force / _at_least(dent.depth)) * vector.safe_sqrt(root)
         damping = jnp.where(s < deepest, damping, 0)
         push = vector.kept(dashpot.damped(dent.force * place * root, damping, c.approach, pair.mass, c.dt))
-        if history.spring is None or pair.friction is None:
-            return Response(push, None, History(s, deepest, None))
-        shear = friction.sheared(history.spring, c, push, self.tangential * yield_stiffness(pair), pair.friction)
-        return friction.with_shear(Response(push, None, History(s, deepest, jnp.stack(shear))), shear, c)
+        stiffness = self.tangential * yield_stiffness(pair)
+        return friction.respond(push, History(s, deepest, history.spring), c, stiffness, pair.friction)
 
     def energy(self, pair: Pair, history: History, overlap: Array) -> Array:
         """2/5 F_m d (x / d)^(5/2), and of the tangential spring (J)."""
         dent = dent_of(pair, history.deepest)
         place = _place(dent, history.overlap - history.deepest)
         energy = 0.4 * dent.force * dent.depth * place * place * vector.safe_sqrt(place)
-        if history.spring is None:
-            return energy
-        return energy + friction.energy(history.spring, self.tangential * yield_stiffness(pair))
+        return friction.add_energy(energy, history.spring, self.tangential * yield_stiffness(pair))
 
     def reach(self, pair: Pair) -> None:
         """None: no force across a gap."""

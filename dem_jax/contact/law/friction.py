@@ -11,6 +11,8 @@ turn, and the more it spins the less it resists sliding. Its normal is the direc
 can. What is stored is f^2 / 2 K_t whatever the arm does meanwhile, so that a patch that changes makes no energy.
 """
 
+from typing import Any
+
 import jax.numpy as jnp
 import numpy as np
 
@@ -23,9 +25,25 @@ from dem_jax.types import Patch
 Shear = tuple[Array, ...]  # [P] (N): tangential force on b, x, y, z, and of a patch f, counter-clockwise about the normal
 
 
-def start(patch: Patch | None, like: Array) -> Array:
-    """The spring of contacts that begin, [3, P], of patches [4, P]."""
-    return jnp.stack([jnp.zeros_like(like)] * (3 if patch is None else 4))
+def start(friction: Array | None, patch: Patch | None, like: Array) -> Array | None:
+    """The spring of contacts that begin, [3, P], of patches [4, P]; None without friction."""
+    return None if friction is None else jnp.stack([jnp.zeros_like(like)] * (3 if patch is None else 4))
+
+
+def respond(push: Array, history: Any, contact: Contact, stiffness: Array, friction: Array | None) -> Response:
+    """The response of a law: its normal force, friction, and its history with the spring of this step.
+
+    Args:
+        push: normal force, [P] (N).
+        history: of the law in this step, but for ``spring``, which is that of the last one, None without friction.
+        contact: motion in this step.
+        stiffness: K_t (N/m).
+        friction: mu.
+    """
+    if history.spring is None or friction is None:
+        return Response(push, None, history)
+    shear = sheared(history.spring, contact, push, stiffness, friction)
+    return with_shear(Response(push, None, history._replace(spring=jnp.stack(shear))), shear, contact)
 
 
 def sheared(spring: Array, contact: Contact, normal_force: Array, stiffness: Array, friction: Array) -> Shear:
@@ -61,6 +79,11 @@ def scale(factor: Array, shear: Shear) -> Shear:
 def energy(spring: Array, stiffness: Array) -> Array:
     """What the spring stores, [P] (J). stiffness: K_t (N/m)."""
     return 0.5 * _dot(tuple(spring), tuple(spring)) / stiffness
+
+
+def add_energy(normal: Array, spring: Array | None, stiffness: Array) -> Array:
+    """Energy of a normal force and of the tangential spring beside it, if there is one, [P] (J). stiffness: K_t (N/m)."""
+    return normal if spring is None else normal + energy(spring, stiffness)
 
 
 def tangential_force(

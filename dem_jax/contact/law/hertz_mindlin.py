@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dem_jax.contact.law import Contact, Couple, Response, dashpot, friction
+from dem_jax.contact.law.dashpot import History
 from dem_jax.contact.law.friction import where_rough
 from dem_jax.contact.law.springs import Real
 from dem_jax.maths import vector
@@ -42,13 +43,6 @@ class Pair(NamedTuple):
     patch: Patch | None = None  # of bodies that touch over one
 
 
-class History(NamedTuple):
-    """Of contacts, at the last step."""
-
-    overlap: Array  # [P] (m): dashpot.elastic_overlap
-    spring: Array | None  # [3, P] (N): tangential force on b, world axes, of patches [4, P], see ``friction``; None without
-
-
 @pytree
 class HertzMindlin:
     """Ends where bodies part."""
@@ -67,8 +61,7 @@ class HertzMindlin:
 
     def start(self, pair: Pair, like: Array) -> History:
         """No overlap."""
-        zero = jnp.zeros_like(like)
-        return History(zero, None if pair.friction is None else friction.start(pair.patch, like))
+        return History(jnp.zeros_like(like), friction.start(pair.friction, pair.patch, like))
 
     def force(self, pair: Pair, history: History, contact: Contact) -> Response:
         """Hertz, damping and friction."""
@@ -77,22 +70,18 @@ class HertzMindlin:
         root = vector.safe_sqrt(s)
         damping = pair.damping * dashpot.power(before, s, c.approach, 0.25, lambda x: jnp.sqrt(jnp.sqrt(x)))
         push = vector.kept(dashpot.damped(pair.stiffness * s * root, damping, c.approach, pair.mass, c.dt))
-        if history.spring is None or pair.friction is None:
-            return Response(push, None, History(s, None))
         was = vector.safe_sqrt(before)
         falls = jnp.where(root < was, root / jnp.where(was > 0, was, 1), 1)
         stiffness = pair.tangential * jnp.where(root < was, root, 0.5 * (was + root))
-        shear = friction.sheared(falls[None] * history.spring, c, push, stiffness, pair.friction)
-        return friction.with_shear(Response(push, None, History(s, jnp.stack(shear))), shear, c)
+        spring = None if history.spring is None else falls[None] * history.spring
+        return friction.respond(push, History(s, spring), c, stiffness, pair.friction)
 
     def energy(self, pair: Pair, history: History, overlap: Array) -> Array:
         """2/5 k s^(5/2), and of the tangential spring (J)."""
         s = history.overlap
         root = vector.safe_sqrt(s)
         energy = 0.4 * pair.stiffness * s * s * root
-        if history.spring is None:
-            return energy
-        return energy + friction.energy(history.spring, pair.tangential * jnp.where(s > 0, root, 1))
+        return friction.add_energy(energy, history.spring, pair.tangential * jnp.where(s > 0, root, 1))
 
     def reach(self, pair: Pair) -> None:
         """None: no force across a gap."""

@@ -14,8 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from dem_jax.contact.law import Contact, Couple, Response, dashpot, friction
+from dem_jax.contact.law.dashpot import History
 from dem_jax.contact.law.friction import where_rough
-from dem_jax.contact.law.springs import Real, quarter_period, series
+from dem_jax.contact.law.springs import Real, quarter_period
 from dem_jax.maths import vector
 from dem_jax.types import Patch, pytree
 
@@ -32,13 +33,6 @@ class Pair(NamedTuple):
     patch: Patch | None = None  # of bodies that touch over one
 
 
-class History(NamedTuple):
-    """Of contacts, at the last step."""
-
-    overlap: Array  # [P] (m): dashpot.elastic_overlap
-    spring: Array | None  # [3, P] (N): tangential force on b, world axes, of patches [4, P], see ``friction``; None without
-
-
 @pytree
 class LinearDashpot:
     """Ends where bodies part."""
@@ -47,14 +41,13 @@ class LinearDashpot:
 
     def pair(self, couple: Couple) -> Pair:
         """K, and c from the restitution."""
-        stiffness = series(*(e * size for e, size in zip(couple.youngs_modulus, couple.size, strict=True)))
+        stiffness = couple.stiffness
         damping = 2 * dashpot.damping_ratio(couple.restitution) * (couple.mass * stiffness) ** 0.5
         return Pair(stiffness, damping, couple.mass, couple.friction, couple.patch)
 
     def start(self, pair: Pair, like: Array) -> History:
         """No overlap."""
-        zero = jnp.zeros_like(like)
-        return History(zero, None if pair.friction is None else friction.start(pair.patch, like))
+        return History(jnp.zeros_like(like), friction.start(pair.friction, pair.patch, like))
 
     def force(self, pair: Pair, history: History, contact: Contact) -> Response:
         """Spring, dashpot and friction."""
@@ -62,18 +55,12 @@ class LinearDashpot:
         s = vector.kept(dashpot.elastic_overlap(history.overlap, c.approach, c.overlap))
         damping = pair.damping * dashpot.power(history.overlap, s, c.approach, 0.0, jnp.ones_like)
         push = vector.kept(dashpot.damped(pair.stiffness * s, damping, c.approach, pair.mass, c.dt))
-        if history.spring is None or pair.friction is None:
-            return Response(push, None, History(s, None))
-        stiffness = self.tangential * pair.stiffness
-        shear = friction.sheared(history.spring, c, push, stiffness, pair.friction)
-        return friction.with_shear(Response(push, None, History(s, jnp.stack(shear))), shear, c)
+        return friction.respond(push, History(s, history.spring), c, self.tangential * pair.stiffness, pair.friction)
 
     def energy(self, pair: Pair, history: History, overlap: Array) -> Array:
         """Of both springs (J)."""
         energy = 0.5 * pair.stiffness * history.overlap**2
-        if history.spring is None:
-            return energy
-        return energy + friction.energy(history.spring, self.tangential * pair.stiffness)
+        return friction.add_energy(energy, history.spring, self.tangential * pair.stiffness)
 
     def reach(self, pair: Pair) -> None:
         """None: no force across a gap."""

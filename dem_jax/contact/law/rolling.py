@@ -20,7 +20,7 @@ import numpy as np
 
 from dem_jax.contact.law import Contact, ContactLaw, Couple, Response
 from dem_jax.contact.law.friction import tangential_force
-from dem_jax.contact.law.springs import Real, series
+from dem_jax.contact.law.springs import Real
 from dem_jax.errors import SceneError
 from dem_jax.maths import vector
 from dem_jax.types import pytree
@@ -57,9 +57,8 @@ class Rolling:
         """Those of the law, and of the spring. Raises SceneError where no pair of the scene has rolling friction."""
         if couple.rolling is None:
             raise SceneError("material.rolling_friction = 0: with a law that has it; allowed: more than 0, there or in a [[pair]]")
-        spring = series(*(e * size for e, size in zip(couple.youngs_modulus, couple.size, strict=True)))
         radius = 1 / (couple.curvature[0] + couple.curvature[1])
-        edge = 2.25 * spring * couple.rolling**2
+        edge = 2.25 * couple.stiffness * couple.rolling**2
         stiffness = edge * radius**2
         damping = 2 * RATIO * (stiffness * 1.4 * couple.mass) ** 0.5 * radius
         return Pair(self.law.pair(couple), couple.rolling * radius, stiffness, damping, edge)

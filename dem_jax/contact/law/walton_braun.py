@@ -12,7 +12,7 @@ import numpy as np
 from dem_jax.contact.law import Contact, Couple, Response, corner, dashpot, friction, rest
 from dem_jax.contact.law.corner import Lines
 from dem_jax.contact.law.friction import where_rough
-from dem_jax.contact.law.springs import Real, quarter_period, series
+from dem_jax.contact.law.springs import Real, quarter_period
 from dem_jax.maths import vector
 from dem_jax.types import Patch, pytree
 
@@ -59,16 +59,15 @@ class WaltonBraun:
 
     def pair(self, couple: Couple) -> Pair:
         """K_nl = E L of each body (eqs 7, 8), in series (eq. 5)."""
-        of_a, of_b = (e * size for e, size in zip(couple.youngs_modulus, couple.size, strict=True))
         mass = None if self.damping is None and self.at_rest is None else couple.mass
         size = None if self.at_rest is None else jnp.minimum(*couple.size)
-        return Pair(series(of_a, of_b), couple.restitution, couple.friction, mass, size, couple.patch)
+        return Pair(couple.stiffness, couple.restitution, couple.friction, mass, size, couple.patch)
 
     def start(self, pair: Pair, like: Array) -> History:
         """No force."""
         zero = jnp.zeros_like(like)
         resting = None if self.at_rest is None else rest.start(like)
-        return History(zero, zero, None if pair.friction is None else friction.start(pair.patch, like), resting)
+        return History(zero, zero, friction.start(pair.friction, pair.patch, like), resting)
 
     def force(self, pair: Pair, history: History, contact: Contact) -> Response:
         """Eqs 1-4, and the tangential spring."""
@@ -105,9 +104,7 @@ class WaltonBraun:
         energy = recoverable_energy(history.force, overlap, pair.stiffness, pair.unload, self.separation)
         if history.resting is not None:
             energy = energy + rest.energy(history.resting, self._spring(pair))
-        if history.spring is None:
-            return energy
-        return energy + friction.energy(history.spring, self.tangential * pair.stiffness)
+        return friction.add_energy(energy, history.spring, self.tangential * pair.stiffness)
 
     def reach(self, pair: Pair) -> None:
         """None: no force across a gap."""
