@@ -34,9 +34,9 @@ def conducted(product: str, quick: bool):
     return conduct.study(checked(tree, "benchmarks.uncertainty"))
 
 
-def rows_of(product: str, found) -> list[list[str]]:
+def rows_of(product: str, found, splits: list[Split]) -> list[list[str]]:
     """Table rows of a product, one for each answer."""
-    splits, replicates = split_outputs(found), {row.output: row for row in replicate_shares(found)}
+    replicates = {row.name: row for row in replicate_shares(found)}
     pieces = found.study.base().portion.count
     rows = []
     for split in splits:
@@ -71,10 +71,11 @@ def main() -> None:
     rows, lines = [], []
     for product in names:
         found = conducted(product, options.quick)
-        rows += rows_of(product, found)
-        first = first_to_measure(split_outputs(found))
+        splits = split_outputs(found)
+        own, first = rows_of(product, found, splits), first_to_measure(splits)
+        rows += own
         lines.append(f"- {product}: {'no number stands out' if first is None else short_name(first.name)}")
-        print("\n".join(" | ".join(row) for row in rows_of(product, found)), flush=True)
+        print("\n".join(" | ".join(row) for row in own), flush=True)
         print("\n".join(results.findings(found)), flush=True)
     drops = (16 if options.quick else POINTS) * SEEDS
     text = f"""# Chance of the fall and unknown numbers

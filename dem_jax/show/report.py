@@ -32,8 +32,11 @@ POLICY = "script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: b
 MOST_KINDS = 4  # of pieces that the first line names
 SPEEDS = "impact speeds, and where pieces hit"
 PEAKS = "Peak by the time that the force is averaged over, the first being the sample time."
-UNKNOWN = "Chance and unknown numbers"
+UNKNOWN, SHARES = "Chance and unknown numbers", "shares of the variance"
 SLOWER = (1, 2, 5, 10, 20, 50, 100, 200)  # than in truth: what the player offers
+
+
+Part = tuple[str, list[str], "Figure"]  # name of a run, lines and picture
 
 
 class Named(NamedTuple):
@@ -71,8 +74,7 @@ def content(named: Sequence[Named], group: str | None = None, fit: Fitted | None
     strips = [(each.name, paper.strip_of(run)) for each, run in zip(named, shown, strict=True)]
     sheets += [paper.Sheet(f"The drop: {name}", [], strip) for name, strip in strips if strip is not None]
     sheets += [paper.Sheet(f"Collisions: {name}", list(lines), figure) for name, lines, figure in _collisions_of(named, group)]
-    for name, lines, figure in _unknown_of(named, group):
-        sheets.append(paper.Sheet(f"{UNKNOWN}: {name}", lines, figure))
+    sheets += [paper.Sheet(f"{UNKNOWN}: {name}", list(lines), figure) for name, lines, figure in _unknown_of(named, group)]
     if fit is not None:
         sheets.append(paper.Sheet("The Product Model, fitted", [fit.rows(), *fit.statements], fit.picture))
     facts = [facts_of(each.run) for each in named]
@@ -90,8 +92,8 @@ def page(named: Sequence[Named], group: str | None = None, fit: Fitted | None = 
         "view": _view(drawn, [name for name, view in views if not view], any(e.run.run_count is not None for e in named)),
         "figure": _figure(named, group) if any(each.run.force for each in named) else _note("The runs have no walls."),
         "depends": _depends(named, group),
-        "unknown": _unknown(named, group),
-        "collisions": _collisions(named, group),
+        "unknown": _write_sections(UNKNOWN, SHARES, named, _unknown_of(named, group)),
+        "collisions": _write_sections("Collisions", SPEEDS, named, _collisions_of(named, group)),
         "model": "" if fit is None else _model(fit),
         "facts": _facts(named),
         "footer": escape(f"Made by dem_jax {named[0].run.version}." + (" 3-D view: three.js, MIT licence." if drawn else "")),
@@ -262,33 +264,26 @@ def _stiffness(named: Sequence[Named]) -> list[str]:
     return [("" if len(words) == 1 else f"{', '.join(names)}: ") + text for text, names in words.items()]
 
 
-def _collisions_of(named: Sequence[Named], group: str | None) -> Iterator[tuple[str, list[str], "Figure"]]:
+def _collisions_of(named: Sequence[Named], group: str | None) -> Iterator[Part]:
     """Of each run with statistics of collisions its name, what there is to say, and the figure."""
     for each in named:
         if "collisions" in each.run.info:
             yield each.name, table(each.run), figure_of_collisions(each.run, group)
 
 
-def _collisions(named: Sequence[Named], group: str | None) -> str:
-    found = []
-    for name, lines, figure in _collisions_of(named, group):
-        head = f"<h2>Collisions{escape(f': {name}' if len(named) > 1 else '')}</h2>"
-        found.append(f"{head}\n{webpage.image(SPEEDS, webpage.png(figure))}{_list('', lines)}")
-    return "".join(found)
-
-
-def _unknown_of(named: Sequence[Named], group: str | None) -> Iterator[tuple[str, list[str], "Figure"]]:
+def _unknown_of(named: Sequence[Named], group: str | None) -> Iterator[Part]:
     """Of each ensemble with drawn numbers its name, their shares of the scatter in words, and the picture."""
     for each in named:
         if splits := split_ensemble(each.run, group):
             yield each.name, describe_splits(splits), figure_of_splits(splits)
 
 
-def _unknown(named: Sequence[Named], group: str | None) -> str:
+def _write_sections(title: str, picture: str, named: Sequence[Named], parts: Iterator[Part]) -> str:
+    """A section for each part, with its name if there are several runs; picture: what it shows, in words."""
     found = []
-    for name, lines, figure in _unknown_of(named, group):
-        head = f"<h2>{UNKNOWN}{escape(f': {name}' if len(named) > 1 else '')}</h2>"
-        found.append(f"{head}\n{webpage.image('shares of the variance', webpage.png(figure))}{_list('', lines)}")
+    for name, lines, figure in parts:
+        head = f"<h2>{title}{escape(f': {name}' if len(named) > 1 else '')}</h2>"
+        found.append(f"{head}\n{webpage.image(picture, webpage.png(figure))}{_list('', lines)}")
     return "".join(found)
 
 

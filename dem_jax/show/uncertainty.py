@@ -20,6 +20,7 @@ import numpy as np
 
 from dem_jax.scene import parse
 from dem_jax.scene.ranges import probability
+from dem_jax.scene.sections.uncertain import Uncertain
 from dem_jax.show.at_rest import find_rest
 from dem_jax.show.facts import main_block, main_group
 from dem_jax.show.numbers import Number, numbers_of, said
@@ -59,20 +60,23 @@ class Split(NamedTuple):
     parts: list[Share]
 
 
-def uncertain_keys(run: Run) -> list[str]:
-    """Keys of the uncertain numbers that differ between the runs of an ensemble."""
-    rows = parse(run.scene, "the file's scene").uncertain
-    return [row.key for row in rows if np.ptp(np.asarray(run.parameters.get(row.key, [0.0]), float)) > 0]
+def find_drawn(run: Run) -> dict[str, Uncertain]:
+    """The uncertain numbers that differ between the runs of an ensemble, by their keys."""
+    rows = {row.key: row for row in parse(run.scene, "the file's scene").uncertain}
+    return {key: row for key, row in rows.items() if np.ptp(np.asarray(run.parameters.get(key, [0.0]), float)) > 0}
 
 
 def split_ensemble(run: Run, group: str | None = None) -> list[Split]:
     """The scatter of peak, time to rest and time to weigh of an ensemble with drawn numbers; [] of other runs."""
-    keys = uncertain_keys(run)
-    if not keys:
+    return _split_by(find_drawn(run), run, group)
+
+
+def _split_by(rows: dict[str, Uncertain], run: Run, group: str | None) -> list[Split]:
+    """The scatter of the answers of an ensemble by numbers that were drawn; [] without any."""
+    if not rows:
         return []
-    rows = {row.key: row for row in parse(run.scene, "the file's scene").uncertain}
-    drawn = np.array([probability(rows[key], run.parameters[key]) for key in keys]).T
-    found = [split_scatter(drawn, keys, answer) for answer in answers_of(run, group)]
+    drawn = np.array([probability(row, run.parameters[key]) for key, row in rows.items()]).T
+    found = [split_scatter(drawn, list(rows), answer) for answer in answers_of(run, group)]
     return [split for split in found if split is not None]
 
 
@@ -131,10 +135,11 @@ def split_variance(
     noise = float(((y - design @ coefficients) ** 2).sum()) / free
     own = [[1 + i + n * len(names) for n in range(degree)] for i in range(len(names))]
     gained = [float((coefficients[k] ** 2 - noise * np.diag(scatter)[k]).sum()) for k in own]
-    variance = max(sum(gained), 0.0) + noise
+    explained = max(sum(gained), 0.0)
+    variance = explained + noise
     every = _strength(coefficients[1:], scatter[1:, 1:], noise, free)
     ends = [bound / (bound + len(y)) for bound in every[1:]]
-    numbers = _share("numbers of the product", max(sum(gained), 0.0) / variance, *ends)
+    numbers = _share("numbers of the product", explained / variance, *ends)
     parts = []
     for name, columns, part in zip(names, own, gained, strict=True):
         strengths = _strength(coefficients[columns], scatter[np.ix_(columns, columns)], noise, free)
@@ -173,12 +178,12 @@ def first_to_measure(splits: Sequence[Split]) -> Share | None:
 
 def describe_uncertainty(run: Run, group: str | None = None) -> list[str]:
     """Shares of chance and of unknown numbers of an ensemble in words; [] of runs without drawn numbers."""
-    if not (keys := uncertain_keys(run)):
+    if not (rows := find_drawn(run)):
         return []
-    if splits := split_ensemble(run, group):
+    if splits := _split_by(rows, run, group):
         return describe_splits(splits)
-    least = FEWEST_PER_TERM * (len(keys) + 1)
-    return [f"{len(keys)} unknown numbers: their shares of the scatter need at least {least} runs that come to rest"]
+    least = FEWEST_PER_TERM * (len(rows) + 1)
+    return [f"{len(rows)} unknown numbers: their shares of the scatter need at least {least} runs that come to rest"]
 
 
 def describe_splits(splits: Sequence[Split]) -> list[str]:
@@ -192,9 +197,13 @@ def describe_splits(splits: Sequence[Split]) -> list[str]:
 def _describe_split(split: Split) -> str:
     numbers = split.numbers
     parts = ", ".join(f"{short_name(share.name)} {_percent(share)}" for share in split.parts if share.is_known)
-    band = f"{100 * numbers.low:.0f} to {100 * numbers.high:.0f} %"
-    by = f"{_percent(numbers)} ({band}) of its scatter is due to unknown numbers{f' ({parts})' if parts else ''}"
+    by = f"{describe_share(numbers)} of its scatter is due to unknown numbers{f' ({parts})' if parts else ''}"
     return f"{split.answer.name} {said(split.answer)}: {by}, {100 * (1 - numbers.value):.0f} % to the {CHANCE}"
+
+
+def describe_share(share: Share) -> str:
+    """A share with its interval in words."""
+    return f"{_percent(share)} ({100 * share.low:.0f} to {100 * share.high:.0f} %)"
 
 
 def short_name(key: str) -> str:

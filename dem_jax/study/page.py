@@ -38,6 +38,5 @@ def write_page(source: str | Path, path: str | Path) -> Path:
     return webpage.write(path, webpage.page(title, POLICY, "study.html", **fields))
 
 
-
 def _picture(words: str, figure: "Figure | None") -> str:
     return "" if figure is None else webpage.image(words, webpage.png(figure))

@@ -139,7 +139,7 @@ def _verdict(row: Reference, ours: Number) -> str:
 
 class Influence(NamedTuple):
     """How much an output depends on a parameter: its share of the variance by itself (first order), or with few points the
-    correlation of ranks; low, high: 95 % interval."""
+    correlation of ranks; low, high: 90 % interval of a share, 95 % of a correlation."""
 
     output: str
     parameter: str
@@ -231,8 +231,9 @@ def findings(results: Results) -> list[str]:
     if any("(" in cell for row in rows for cell in row):
         lines += ["medians, in brackets 5 to 95 %"]
     lines += [f"{name} goes with {key} to the power {p:.3f} ± {half:.3f}" for name, key, p, half in powers(results)]
+    found = influences(results)
     for name in study.outputs:
-        lines += _depends(study, [i for i in influences(results) if i.output == name])
+        lines += _depends(study, [i for i in found if i.output == name])
     lines += [*describe_uncertainty(results), *_distances(results)]
     for row, ours, verdict in beside(results):
         at = "".join(f", {key} = {short(v)}" for key, v in row.at.items())

@@ -1,7 +1,6 @@
 """Studies of the uncertain numbers of a scene: their ranges as parameters, and the shares of the scatter of single drops."""
 
 from collections.abc import Iterator
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -9,7 +8,15 @@ from numpy.typing import ArrayLike
 from dem_jax.scene.ranges import probability, uncertain_rows
 from dem_jax.scene.sections.uncertain import Uncertain
 from dem_jax.show.numbers import Number
-from dem_jax.show.uncertainty import Split, describe_splits, normal_scores, short_name, split_scatter
+from dem_jax.show.uncertainty import (
+    Share,
+    Split,
+    describe_share,
+    describe_splits,
+    normal_scores,
+    short_name,
+    split_scatter,
+)
 from dem_jax.study.design import points_of
 from dem_jax.study.file import DONE, Results
 from dem_jax.study.outputs import OUTPUTS
@@ -52,17 +59,8 @@ def probabilities(parameter: Parameter, values: ArrayLike) -> np.ndarray:
     return probability(row, values)
 
 
-class Replicates(NamedTuple):
-    """The share of the scatter that drops of one point have among themselves, with its 90 % interval."""
-
-    output: str
-    share: float
-    low: float
-    high: float
-
-
-def replicate_shares(results: Results) -> Iterator[Replicates]:
-    """The chance of the fall of each output, from the drops with equal numbers, whatever the numbers do.
+def replicate_shares(results: Results) -> Iterator[Share]:
+    """The chance of the fall of each output: the share of the scatter that drops with equal numbers have among themselves.
 
     One-way analysis of variance with random effects (Searle, Casella and McCulloch, Variance Components, 1992, chapter 3), over the
     points whose drops are all done.
@@ -71,7 +69,7 @@ def replicate_shares(results: Results) -> Iterator[Replicates]:
         rows = results.of_points(normal_scores(np.where(results.state == DONE, results.outputs[name], np.nan)))
         rows = rows[np.isfinite(rows).all(axis=1)]
         if rows.shape[1] > 1 and len(rows) > 2 and np.ptp(rows) > 0:
-            yield Replicates(name, *share_within(rows))
+            yield Share(name, *share_within(rows))
 
 
 def share_within(rows: np.ndarray) -> tuple[float, float, float]:
@@ -92,7 +90,5 @@ def describe_uncertainty(results: Results) -> list[str]:
     splits = split_outputs(results)
     lines = describe_splits(splits) if splits else []
     for row in replicate_shares(results) if results.study.uncertain else ():
-        band = f"{100 * row.low:.0f} to {100 * row.high:.0f} %"
-        share = f"{100 * row.share:.0f} % ({band}) of the scatter"
-        lines.append(f"{row.output}: drops with equal numbers have {share} among themselves")
+        lines.append(f"{row.name}: drops with equal numbers have {describe_share(row)} of the scatter among themselves")
     return lines
