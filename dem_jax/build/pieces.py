@@ -17,6 +17,7 @@ from dem_jax.errors import SceneError
 from dem_jax.scene import SHAPE_KEYS, BodyMass, ConvexShape, Part, PieceShape, Portion, Product, Scene, arrange
 from dem_jax.scene.materials import MaterialTable, material_table, rows_of_pieces
 from dem_jax.scene.numbers import array
+from dem_jax.scene.sections.contact import HERTZIAN
 from dem_jax.types import Pieces, host
 
 REQUIRED = {
@@ -328,8 +329,7 @@ def piece_arrays(scene: Scene, goods: Goods) -> Pieces:
 
 def size_of_piece(scene: Scene, law: str) -> float:
     """The size L (m) of the first piece, from which a contact law takes its stiffness. Raises SceneError."""
-    of_curvature = law in ("hertz-mindlin", "elastic-plastic")  # as ``curvature`` above
-    convention = "equivalent-diameter" if of_curvature else scene.material.stiffness_size
+    convention = "equivalent-diameter" if law in HERTZIAN else scene.material.stiffness_size  # as of ``Pieces``
     return shapes.size_length(goods_of(scene).shapes[0], convention)
 
 

@@ -78,15 +78,18 @@ def _size_and_law(args: Args) -> tuple[float, str, float, float]:
     """L (m), the contact law, its densification and Poisson's ratio. Raises SceneError."""
     from dem_jax.errors import SceneError
     from dem_jax.scene import load_scene
+    from dem_jax.scene.library import ONE_PIECE
+    from dem_jax.scene.sections.contact import Contact
+    from dem_jax.scene.sections.material import Material
 
     if (args.size is None) == (args.product is None):
         raise SceneError("--size, --product: exactly one of the two must be given")
     if args.product is None:
-        return args.size, args.law or "walton-braun", 0.2, 0.3
+        contact = Contact()
+        return args.size, args.law or contact.law, contact.densification, Material().poisson_ratio
     from dem_jax.build.pieces import size_of_piece
 
-    alike = {"portion.count": 1, "portion.size_spread": 0.0, "portion.piece_weight_spread": 0.0}
-    scene = load_scene("weigh-bucket", {"product": args.product, **alike})
+    scene = load_scene("weigh-bucket", {"product": args.product, **ONE_PIECE})
     law = args.law or scene.contact.law
     return size_of_piece(scene, law), law, scene.contact.densification, scene.material.poisson_ratio
 

@@ -45,8 +45,7 @@ def _print_list() -> None:
     wide = max(map(len, known))
     print(f"{'product':{wide}}  {'g':>6}  {'E (Pa)':>9}  {'rest.':>6}  {'mu':>6}  what it is")
     for name, text in known.items():
-        alike = {"portion.count": 1, "portion.size_spread": 0.0, "portion.piece_weight_spread": 0.0}
-        scene = load_scene("weigh-bucket", {"product": name, **alike})
+        scene = load_scene("weigh-bucket", {"product": name, **library.ONE_PIECE})
         weight = 1e3 * masses_of(goods_of(scene), material_table(scene))[0]
         m, rows = scene.material, evidence.evidence_of(library.product_tree(name, "products"), name)
         shown = {"youngs_modulus": f"{m.youngs_modulus:7.1g}"} | {

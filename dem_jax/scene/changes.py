@@ -20,7 +20,7 @@ def on_top(below: Tree, above: Tree) -> Tree:
     the density below; what cannot act beside a key on top is dropped."""
     below = drop_overridden(below, above)
     portion = above.get("portion")
-    below = without_ranges(without_modulus_range(below, above), above)
+    below = without_ranges(below, above)
     if _says_weight(above):
         below = without_density(below)
     if isinstance(portion, dict) and portion.get("product") and isinstance(below.get("portion"), dict):
@@ -42,8 +42,16 @@ def without_density(tree: Tree) -> Tree:
     return tree | ({"material": {k: v for k, v in material.items() if k != "density"}} if isinstance(material, dict) else {})
 
 
-def without_modulus_range(below: Tree, above: Tree) -> Tree:
-    """The tree below without the ranges of those moduli that the tree above replaces: they were those of another product."""
+def without_ranges(below: Tree, above: Tree) -> Tree:
+    """The tree below without the ranges of those numbers that the tree above replaces: they were about other values."""
+    below, rows = _without_modulus_ranges(below, above), below.get("uncertain")
+    if not isinstance(rows, list | tuple) or not rows:
+        return below
+    return below | {"uncertain": tuple(row for row in rows if not (isinstance(row, dict) and _sets(above, row.get("key"))))}
+
+
+def _without_modulus_ranges(below: Tree, above: Tree) -> Tree:
+    """Without those of the moduli that the tree above replaces."""
     material, over = below.get("material"), above.get("material")
     if not (isinstance(material, dict) and isinstance(over, dict)):
         return below
@@ -54,14 +62,6 @@ def without_modulus_range(below: Tree, above: Tree) -> Tree:
         if isinstance(row, dict) and isinstance(own, dict) and "youngs_modulus" in row:
             material = material | {name: {key: item for key, item in own.items() if key != "youngs_modulus_range"}}
     return below | {"material": material}
-
-
-def without_ranges(below: Tree, above: Tree) -> Tree:
-    """The tree below without those rows of [[uncertain]] whose number the tree above replaces: they were about another value."""
-    rows = below.get("uncertain")
-    if not isinstance(rows, list | tuple) or not rows:
-        return below
-    return below | {"uncertain": tuple(row for row in rows if not (isinstance(row, dict) and _sets(above, row.get("key"))))}
 
 
 def _sets(tree: Any, key: Any) -> bool:

@@ -9,6 +9,7 @@ from dem_jax.errors import SceneError
 from dem_jax.scene.changes import DEEPEST, Tree, is_deep, merged, on_top, without_ranges
 from dem_jax.scene.evidence import for_scene, in_state, states_of
 from dem_jax.scene.overrides import drop_overridden
+from dem_jax.scene.sections.contact import OF_LAWS
 from dem_jax.scene.sections.material import NamedMaterial
 from dem_jax.scene.sections.pieces import OF_PRODUCT, SPREADS
 from dem_jax.scene.words import choices
@@ -25,6 +26,8 @@ FORMER_NAMES = {  # of buckets, of a version that named them by what makers call
 }
 OF_BUCKETS = ("feed_bucket", "weigh_bucket")
 LAWS_OF_PRODUCTS = ("densifying", "elastic-plastic")  # contact laws that belong to a product
+KEYS_OF_LAWS = ("law", *(key for section, key in OF_LAWS if section == "contact"))  # of [contact]
+ONE_PIECE = {"portion.count": 1} | {f"portion.{key}": 0.0 for key in SPREADS}  # changes of a scene
 OF_A_PRODUCT = ("portion", "material", "pair", "contact", "evidence", "state")
 SECTIONS = {PRODUCTS: OF_A_PRODUCT, BUCKETS: (*OF_BUCKETS, "drop")}  # of a file of the user's
 
@@ -60,16 +63,20 @@ def product_tree(name: Any, source: str | Path, key: str = "product") -> Tree:
     Raises:
         SceneError: there is no such product, or it has no such state.
     """
-    plain, colon, state = name.rpartition(":") if isinstance(name, str) else ("", "", "")
-    if not colon or state.endswith(".toml"):
-        return in_state(_named(PRODUCTS, key, name, source), None, str(name))
+    plain, state = _split_state(name)
     return in_state(_named(PRODUCTS, key, plain, source), state, f"{source}: {key} = {name!r}")
 
 
 def states_of_product(name: str) -> list[str]:
     """Names of the further states of a product, [] where the name is of a state. Raises SceneError."""
-    is_state = ":" in name and not name.endswith(".toml")
-    return [] if is_state else list(states_of(_named(PRODUCTS, "product", name, "products")))
+    plain, state = _split_state(name)
+    return list(states_of(_named(PRODUCTS, "product", plain, "products"))) if state is None else []
+
+
+def _split_state(name: Any) -> tuple[Any, str | None]:
+    """Product and state of ``PRODUCT:STATE``, else the name and None."""
+    plain, colon, state = name.rpartition(":") if isinstance(name, str) else ("", "", "")
+    return (plain, state) if colon and not state.endswith(".toml") else (name, None)
 
 
 def with_product(tree: Tree, name: Any, source: str | Path) -> Tree:
@@ -80,8 +87,7 @@ def with_product(tree: Tree, name: Any, source: str | Path) -> Tree:
         raise SceneError(f"{source}: product = {name!r}: allowed in a scene with a portion, this one lists its pieces")
     contact = tree.get("contact")
     if isinstance(contact, dict) and contact.get("law") in LAWS_OF_PRODUCTS:  # which the product before it needed
-        own_keys = ("law", "densification", "yield_pressure", "impact_speed")
-        tree = tree | {"contact": {key: item for key, item in contact.items() if key not in own_keys}}
+        tree = tree | {"contact": {key: item for key, item in contact.items() if key not in KEYS_OF_LAWS}}
     kept = {key: item for key, item in (tree.get("portion") or {}).items() if key not in (*OF_PRODUCT, "product")}
     rows = [row for row in tree.get("uncertain") or () if not _is_of_material(row)]
     return on_top(tree | {"portion": kept, "uncertain": rows}, own | {"uncertain": [*rows, *own.get("uncertain", [])]})
@@ -131,23 +137,18 @@ def _mixture(own_tree: Tree, rows: Sequence[Any], source: str | Path) -> Tree:
         if not isinstance(row, dict) or "product" not in row:
             filled.append(row)
             continue
-        own = {key: item for key, item in row.items() if key != "product"}
         name = row["product"]
         product = for_scene(product_tree(name, source, f"portion.product.{n}.product"), f"product {name}")
-        name = name.replace(":", "-") if isinstance(name, str) else name
+        name = name.replace(":", "-")
         contact |= product.get("contact", {})
-        shape = product["portion"]
-        if "shape" in own:
-            shape = {key: item for key, item in shape.items() if key in ("material", "piece_weight", *SPREADS)}
-        if any(own.get(key) for key in SPREADS):
-            shape = {key: item for key, item in shape.items() if key not in SPREADS}
-        filled.append({"material": name, **shape, **own})
+        filled.append({"material": name} | _fill_row(row, product["portion"]))
         if filled[-1]["material"] == name:
             of_product = product.get("material", {})
             softening += [of_product["softening"]] if "softening" in of_product else []
             materials[name] = {key: item for key, item in of_product.items() if key in NamedMaterial.model_fields}
-            known = {key.split(".")[1]: row for row in product.get("uncertain", []) for key in [row["key"]]}
-            ranges += [row | {"key": f"material.{name}.{key}"} for key, row in known.items() if key in materials[name]]
+            for known in product.get("uncertain", []):
+                key = known["key"].removeprefix("material.")
+                ranges += [known | {"key": f"material.{name}.{key}"}] if key in materials[name] else []
     given = material if isinstance(material, dict) else {}
     whole = merged({**({"softening": max(softening)} if softening else {}), **materials}, given)
     ranges = without_ranges({"uncertain": ranges}, {"material": given})["uncertain"]
@@ -156,11 +157,21 @@ def _mixture(own_tree: Tree, rows: Sequence[Any], source: str | Path) -> Tree:
     return {**sections, **law, "uncertain": [*ranges, *own_tree.get("uncertain", [])]}
 
 
+def _fill_row(row: Tree, portion: Tree) -> Tree:
+    """A row of a mixture on top of the portion of the product that it names; a shape of its own replaces the product's."""
+    own = {key: item for key, item in row.items() if key != "product"}
+    if "shape" in own:
+        portion = {key: item for key, item in portion.items() if key in ("material", "piece_weight", *SPREADS)}
+    if any(own.get(key) for key in SPREADS):
+        portion = {key: item for key, item in portion.items() if key not in SPREADS}
+    return portion | own
+
+
 def _named(folder: Path, key: str, name: Any, source: str | Path) -> Tree:
     """What is in a library's file, or in a file of the user's. Raises SceneError."""
     if isinstance(name, str) and name.endswith(".toml"):
         return read_part(_beside(source, name), key, SECTIONS[folder])
-    known = list(_listed(folder))
+    known = [path.stem for path in sorted(folder.glob("*.toml"))]
     if name not in known:
         allowed = f"{choices(str(name), known)}, or a file that ends in .toml"
         raise SceneError(f"{source}: {key} = {name!r}: no such {key.split('.')[-1]}; {allowed}")

@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dem_jax.errors import SceneError
+from dem_jax.scene.sections.contact import HERTZIAN
 
 CONFIDENCE = 0.9  # so that the ends are 5 and 95 %
 FEWEST = 3  # measurements
 NARROWEST = 1e-3  # half of an interval, relative: no reading is more accurate
 FORCES = {"force_N": 1.0, "force_g": 9.80665e-3, "force_kg": 9.80665}  # columns, and newtons of one unit
 WAYS = {"way_m": 1.0, "way_mm": 1e-3, "way_um": 1e-6}
-HERTZIAN = ("hertz-mindlin", "elastic-plastic")  # laws of this elastic part
 MODULI = ("walton-braun", "linear-dashpot", "densifying", *HERTZIAN)  # laws that a modulus is measured by
 
 
@@ -66,7 +66,7 @@ def estimate_restitution(drops: ArrayLike, rebounds: ArrayLike) -> Measured:
         raise SceneError(f"{len(drop)} drops, {len(rebound)} rebounds: allowed: as many of both, finite numbers")
     for k in np.flatnonzero((rebound <= 0) | (rebound > drop)):
         raise SceneError(f"row {k + 1}: rebound = {rebound[k]:g} of drop = {drop[k]:g}: allowed: above 0, at most the drop")
-    return _mean("restitution", np.sqrt(rebound / drop), "rebounds", 0.0, 1.0)
+    return _mean("restitution", np.sqrt(rebound / drop), "rebounds", 1.0)
 
 
 def estimate_friction(angles_deg: ArrayLike, key: str = "friction_wall") -> Measured:
@@ -85,7 +85,7 @@ def estimate_friction(angles_deg: ArrayLike, key: str = "friction_wall") -> Meas
     angles = np.asarray(angles_deg, float)
     for angle in angles[~((angles > 0) & (angles < 80))]:
         raise SceneError(f"angle = {angle:g}: allowed: degrees, above 0 and below 80")
-    return _mean(key, np.tan(np.radians(angles)), "angles of sliding", 0.0, np.inf)
+    return _mean(key, np.tan(np.radians(angles)), "angles of sliding", np.inf)
 
 
 def estimate_modulus(
@@ -164,13 +164,13 @@ def _fit(shape: Callable[[np.ndarray], np.ndarray], force: np.ndarray, way: np.n
     return float(np.exp(found.x[0])), float(np.sqrt(covariance[0, 0]))
 
 
-def _mean(key: str, values: np.ndarray, kind: str, least: float, most: float) -> Measured:
-    """The mean of measurements with its interval, within bounds. Raises SceneError."""
+def _mean(key: str, values: np.ndarray, kind: str, most: float) -> Measured:
+    """The mean of measurements with its interval, which ends between a tenth of the mean and a bound. Raises SceneError."""
     if len(values) < FEWEST:
         raise SceneError(f"{len(values)} {kind}: allowed: at least {FEWEST}, better ten")
     mean, deviation = float(values.mean()), float(values.std(ddof=1))
     half = max(_student_factor(len(values) - 1) * deviation / np.sqrt(len(values)), NARROWEST * mean)
-    ends = max(mean - half, least if least > 0 else 0.1 * mean), min(mean + half, most)
+    ends = max(mean - half, 0.1 * mean), min(mean + half, most)
     return Measured(key, mean, *ends, len(values), deviation / mean, kind)
 
 

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
 from dem_jax.errors import SceneError
-from dem_jax.scene.changes import new_materials, on_top, set_key, without_density, without_modulus_range, without_ranges
+from dem_jax.scene.changes import new_materials, on_top, set_key, without_density, without_ranges
 from dem_jax.scene.library import with_named
 from dem_jax.scene.overrides import check_varied, drop_overridden, find_overridden, nested
 from dem_jax.scene.sections.base import Section, as_tuple
@@ -191,12 +191,8 @@ def validated(
     tree = with_named(tree, changes, source)
     new = new_materials(tree, changes)
     tree = without_density(tree) if any(key.endswith(".piece_weight") for key in changes) else dict(tree)
-    tree = drop_overridden(tree, nested(changes))
-    moduli = dict[str, Any]()
-    for key in changes:
-        if key.startswith("material.") and key.endswith(".youngs_modulus"):
-            set_key(moduli, key.split("."), None)
-    tree = without_ranges(without_modulus_range(tree, moduli), nested(changes))
+    above = nested(changes)
+    tree = without_ranges(drop_overridden(tree, above), above)
     for key, item in changes.items():
         set_key(tree, key.split("."), item)
     tree = on_top(tree, sections or {})

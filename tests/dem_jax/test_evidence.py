@@ -8,16 +8,15 @@ from dem_jax.cli.main import main
 from dem_jax.errors import SceneError
 from dem_jax.scene import load_scene, parse
 from dem_jax.scene.evidence import evidence_of
-from dem_jax.scene.library import product_tree, products, states_of_product
+from dem_jax.scene.library import ONE_PIECE, product_tree, products, states_of_product
 from dem_jax.scene.materials import material_table
 
-ALIKE = {"portion.count": 1, "portion.size_spread": 0.0, "portion.piece_weight_spread": 0.0}
 EVERY = [full for name in products() for full in (name, *(f"{name}:{state}" for state in states_of_product(name)))]
 
 
 def piece_of(name):
     """The shape of a piece, its weight (kg) and the evidence of its product."""
-    scene = load_scene("weigh-bucket", {"product": name, **ALIKE})
+    scene = load_scene("weigh-bucket", {"product": name, **ONE_PIECE})
     goods = goods_of(scene)
     return goods.shapes[0], masses_of(goods, material_table(scene))[0], evidence_of(product_tree(name, "test"), name)
 

@@ -19,6 +19,7 @@ OF_LAWS = {
     ("contact", "yield_pressure"): ("elastic-plastic",),
     ("contact", "densification"): ("densifying",),
 }
+HERTZIAN = ("hertz-mindlin", "elastic-plastic")  # laws whose stiffness follows from the curvature of bodies
 
 
 class Cohesion(Section):
