@@ -23,12 +23,11 @@ def _print_product(name: str) -> None:
     from dem_jax.scene.library import product_tree, states_of_product
     from dem_jax.scene.text import toml
 
-    tree = product_tree(name, "products")
+    tree, states = product_tree(name, "products"), states_of_product(name)
     for line in evidence.described(tree, name):
         print(f"# {line}".rstrip())
     if tree.get("evidence"):
         print("#", "; ".join(f"{grade}: {words}" for grade, words in evidence.GRADES.items()))
-    states = states_of_product(name)
     if states:
         print(f"# states: {', '.join(f'{name}:{state}' for state in states)}")
     print(toml(tree), end="")

@@ -91,9 +91,9 @@ def value_of(tree: Tree, name: str, row: Evidence) -> Any:
     return row.value if row.value is not None else own.get(name)
 
 
-def states_of(tree: Tree) -> dict[str, Tree]:
-    """The further states of a product: name -> the sections that differ in it."""
-    return dict(tree.get("state", {}))
+def states_of(tree: Tree, source: str) -> dict[str, Tree]:
+    """The further states of a product: name -> the sections that differ in it. Raises SceneError."""
+    return dict(_tables(tree, "state", source))
 
 
 def in_state(tree: Tree, state: str | None, source: str) -> Tree:
@@ -101,7 +101,7 @@ def in_state(tree: Tree, state: str | None, source: str) -> Tree:
     plain = {key: item for key, item in tree.items() if key != "state"}
     if state is None:
         return plain
-    known = states_of(tree)
+    known = states_of(tree, source)
     if state not in known:
         allowed = choices(state, sorted(known)) if known else "it has one state only"
         raise SceneError(f"{source}: no state {state!r}; {allowed}")

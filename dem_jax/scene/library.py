@@ -12,7 +12,7 @@ from dem_jax.scene.overrides import drop_overridden
 from dem_jax.scene.sections.contact import OF_LAWS
 from dem_jax.scene.sections.material import NamedMaterial
 from dem_jax.scene.sections.pieces import OF_PRODUCT, SPREADS
-from dem_jax.scene.words import choices
+from dem_jax.scene.words import choices, short
 
 PRODUCTS = Path(__file__).parent.parent / "products"
 BUCKETS = Path(__file__).parent.parent / "buckets"
@@ -64,13 +64,18 @@ def product_tree(name: Any, source: str | Path, key: str = "product") -> Tree:
         SceneError: there is no such product, or it has no such state.
     """
     plain, state = _split_state(name)
-    return in_state(_named(PRODUCTS, key, plain, source), state, f"{source}: {key} = {name!r}")
+    begin = f"{source}: {key} = {name!r}"
+    tree = in_state(_named(PRODUCTS, key, plain, source), state, begin)
+    for section in ("portion", "material", "contact"):
+        if not isinstance(tree.get(section, {}), dict):
+            raise SceneError(f"{begin}: {section} = {short(tree[section])}: allowed: a table [{section}]")
+    return tree
 
 
 def states_of_product(name: str) -> list[str]:
     """Names of the further states of a product, [] where the name is of a state. Raises SceneError."""
     plain, state = _split_state(name)
-    return list(states_of(_named(PRODUCTS, "product", plain, "products"))) if state is None else []
+    return list(states_of(_named(PRODUCTS, "product", plain, "products"), f"product {plain}")) if state is None else []
 
 
 def _split_state(name: Any) -> tuple[Any, str | None]:
@@ -89,8 +94,16 @@ def with_product(tree: Tree, name: Any, source: str | Path) -> Tree:
     if isinstance(contact, dict) and contact.get("law") in LAWS_OF_PRODUCTS:  # which the product before it needed
         tree = tree | {"contact": {key: item for key, item in contact.items() if key not in KEYS_OF_LAWS}}
     kept = {key: item for key, item in (tree.get("portion") or {}).items() if key not in (*OF_PRODUCT, "product")}
-    rows = [row for row in tree.get("uncertain") or () if not _is_of_material(row)]
+    rows = [row for row in _ranges_of(tree, source) if not _is_of_material(row)]
     return on_top(tree | {"portion": kept, "uncertain": rows}, own | {"uncertain": [*rows, *own.get("uncertain", [])]})
+
+
+def _ranges_of(tree: Tree, source: str | Path) -> list[Any]:
+    """Rows of [[uncertain]]. Raises SceneError."""
+    rows = tree.get("uncertain") or []
+    if not isinstance(rows, list | tuple):
+        raise SceneError(f"{source}: uncertain = {short(rows)}: allowed: tables [[uncertain]]")
+    return list(rows)
 
 
 def _is_of_material(row: Any) -> bool:
@@ -131,7 +144,7 @@ def _mixture(own_tree: Tree, rows: Sequence[Any], source: str | Path) -> Tree:
     numbers. Softening is one for all materials: the largest of the products', so that none is softer than its own file says. So
     is the contact law: the one that a product needs, unless the scene sets it.
     """
-    portion, material = own_tree["portion"], own_tree.get("material")
+    portion, material, own_ranges = own_tree["portion"], own_tree.get("material"), _ranges_of(own_tree, source)
     filled, materials, softening, ranges, contact = [], {}, [], list[Tree](), Tree()
     for n, row in enumerate(rows):
         if not isinstance(row, dict) or "product" not in row:
@@ -141,7 +154,7 @@ def _mixture(own_tree: Tree, rows: Sequence[Any], source: str | Path) -> Tree:
         product = for_scene(product_tree(name, source, f"portion.product.{n}.product"), f"product {name}")
         name = name.replace(":", "-")
         contact |= product.get("contact", {})
-        filled.append({"material": name} | _fill_row(row, product["portion"]))
+        filled.append({"material": name} | _fill_row(row, product.get("portion", {})))
         if filled[-1]["material"] == name:
             of_product = product.get("material", {})
             softening += [of_product["softening"]] if "softening" in of_product else []
@@ -154,7 +167,7 @@ def _mixture(own_tree: Tree, rows: Sequence[Any], source: str | Path) -> Tree:
     ranges = without_ranges({"uncertain": ranges}, {"material": given})["uncertain"]
     sections = {"portion": {**portion, "product": filled}, "material": whole if material is None or given else material}
     law = {"contact": merged({"contact": contact}, own_tree)["contact"]} if contact else {}
-    return {**sections, **law, "uncertain": [*ranges, *own_tree.get("uncertain", [])]}
+    return {**sections, **law, "uncertain": [*ranges, *own_ranges]}
 
 
 def _fill_row(row: Tree, portion: Tree) -> Tree:

@@ -126,6 +126,33 @@ def test_evidence_that_is_not_valid_is_one_line(tmp_path, row, message):
         load_scene("weigh-bucket", {"product": "nut.toml"})
 
 
+SHAPE = '[portion]\nshape = "sphere"\nradius = 6e-3\n'
+
+
+@pytest.mark.parametrize(
+    ("text", "name", "message"),
+    [
+        (f"material = 5\n{SHAPE}", "nut.toml", r"product = 'nut.toml': material = 5: allowed: a table \[material\]"),
+        ("portion = 5\n", "nut.toml", r"product = 'nut.toml': portion = 5: allowed: a table \[portion\]"),
+        (f"state = 5\n{SHAPE}", "nut.toml:wet", r"product = 'nut.toml:wet': state: allowed: tables \[state.NAME\]"),
+        (f"{SHAPE}[state]\nwet = 5\n", "nut.toml:wet", r"product = 'nut.toml:wet': state: allowed: tables \[state.NAME\]"),
+        (f"{SHAPE}[state.wet]\nmaterial = 5\n", "nut.toml:wet", r"'nut.toml:wet': material = 5: allowed: a table \[material\]"),
+    ],
+)
+def test_sections_of_a_product_that_are_no_tables_are_refused(tmp_path, text, name, message):
+    (tmp_path / "nut.toml").write_text(text)
+    with pytest.raises(SceneError, match=message):
+        load_scene("weigh-bucket", {"product": name})
+    with pytest.raises(SceneError, match=message):
+        parse(f'base = "weigh-bucket"\n[[portion.product]]\nproduct = "{name}"\n')
+
+
+def test_ranges_that_are_no_tables_are_refused_beside_products():
+    for rows in ('product = "hazelnut"\n', '[[portion.product]]\nproduct = "hazelnut"\n'):
+        with pytest.raises(SceneError, match=r"uncertain = 5: allowed: tables \[\[uncertain\]\]"):
+            parse(f'base = "weigh-bucket"\nuncertain = 5\n{rows}')
+
+
 @pytest.mark.parametrize(
     ("row", "message"),
     [
