@@ -147,28 +147,24 @@ def on_cell(trace: Trace, cell: Cell) -> Trace:
 def table(rows: Sequence[Readings], tolerances: Sequence[float]) -> list[str]:
     """Lines of a table: for each of the readings and each tolerance (kg) quantiles of the times to weigh (ms), since the release
     and since the first impact, and how many drops never are."""
-    parts = [(*_name_cells(row.name, row), tolerance, row.times(tolerance)) for row in rows for tolerance in tolerances]
-    return _align_times(parts)
+    return _table([(row.name, [row]) for row in rows], tolerances)
 
 
 def table_of_pool(rows: Sequence[Readings], tolerances: Sequence[float]) -> list[str]:
     """Lines of a table as ``table``, with the drops of all traces behind a filter as one set."""
-    parts = []
-    for text in dict.fromkeys(row.filter for row in rows):
-        same = [row for row in rows if row.filter == text]
+    same = [[row for row in rows if row.filter == text] for text in dict.fromkeys(row.filter for row in rows)]
+    return _table([(f"{len(pooled)} files", pooled) for pooled in same], tolerances)
+
+
+def _table(sets: Sequence[tuple[str, Sequence[Readings]]], tolerances: Sequence[float]) -> list[str]:
+    """Lines under HEADINGS: for each name and its readings behind one filter, and each tolerance (kg)."""
+    lines = [HEADINGS]
+    for name, rows in sets:
+        delay = "-" if np.isnan(rows[0].delay) else f"{1e3 * rows[0].delay:.3g}"
         for tolerance in tolerances:
-            pooled = pool_times([row.times(tolerance) for row in same])
-            parts.append((*_name_cells(f"{len(same)} files", same[0]), tolerance, pooled))
-    return _align_times(parts)
-
-
-def _align_times(parts: Sequence[tuple[str, str, str, float, Times]]) -> list[str]:
-    """Lines under HEADINGS; a tolerance is in kg."""
-    return align_columns([HEADINGS, *((*names, f"{1e3 * within:g}", *cells_of_times(times)) for *names, within, times in parts)])
-
-
-def _name_cells(name: str, row: Readings) -> tuple[str, str, str]:
-    return name, row.filter, "-" if np.isnan(row.delay) else f"{1e3 * row.delay:.3g}"
+            times = pool_times([row.times(tolerance) for row in rows])
+            lines.append((name, rows[0].filter, delay, f"{1e3 * tolerance:g}", *cells_of_times(times)))
+    return align_columns(lines)
 
 
 def cells_of_times(times: Times) -> tuple[str, ...]:
