@@ -155,20 +155,23 @@ class _Fit:
         noise = None
         for _ in range(ROUNDS):
             self.place = self._least_squares(noise)
-            left = [self.residuals(self.place, ring, None) for ring in self.rings]
-            noise = fit_noise(left, [ring.quiet for ring in self.rings])
+            noise = fit_noise(self.left(), [ring.quiet for ring in self.rings])
         assert noise is not None
         self.place = self._least_squares(noise)
         return noise
 
+    def left(self) -> list[np.ndarray]:
+        """Residuals (g) of each oscillation."""
+        return [self.residuals(self.place, ring, None) for ring in self.rings]
+
     def mean_square(self) -> float:
         """Of all residuals (g2)."""
-        return float(np.mean(np.concatenate([self.residuals(self.place, ring, None) for ring in self.rings]) ** 2))
+        return float(np.mean(np.concatenate(self.left()) ** 2))
 
     def excess_at_start(self) -> float:
         """Mean square of the residuals at the beginning of oscillations, relative to that of their second half."""
         count = max(3, round(START / self.interval))
-        left = [self.residuals(self.place, ring, None) for ring in self.rings]
+        left = self.left()
         late = np.mean([np.mean(each[len(each) // 2 :] ** 2) for each in left])
         return float(np.mean([each[:count] ** 2 for each in left]) / max(late, 1e-12))
 

@@ -58,7 +58,7 @@ class Likelihood:
         count = np.array([len(p.values) for p in portions])
         return Likelihood(arrays[0], arrays[1], arrays[2], count)
 
-    def log(self, h_mean: float, gamma_low: float, gamma_high: float) -> float:
+    def log(self, gamma_low: float, gamma_high: float, h_mean: float) -> float:
         """ln of the likelihood."""
         nodes, weights = _half_normal()
         spread = np.append(gamma_low, gamma_low + (gamma_high - gamma_low) / 3.0 * nodes)
@@ -84,7 +84,7 @@ def fit_heights(portions: Sequence[Heights]) -> dict[str, dict[str, float]]:
     """Most likely values with 90 % intervals: name -> value, low, high, sd, local_sd (m)."""
     likelihood = Likelihood.of(portions)
     best = _maximize(likelihood, _start(portions))
-    top = likelihood.log(best[2], best[0], best[1])
+    top = likelihood.log(*best)
     local = _local_deviations(likelihood, best)
     found = {}
     for place, name in enumerate(HEIGHTS):
@@ -123,7 +123,7 @@ def _from_free(free: np.ndarray) -> np.ndarray:
 
 def _maximize(likelihood: Likelihood, start: np.ndarray) -> np.ndarray:
     """Most likely gamma_low, gamma_high, h_mean."""
-    cost = lambda free: -likelihood.log(*_from_free(free)[[2, 0, 1]])  # noqa: E731
+    cost = lambda free: -likelihood.log(*_from_free(free))  # noqa: E731
     trials = [_to_free(start), _to_free(start * [1.3, 0.7, 1.0] + [0.0, start[0], 0.0])]
     ends = [minimize(cost, trial, method="BFGS", options={"gtol": 1e-4}) for trial in trials]
     ends = [
@@ -136,7 +136,7 @@ def _maximize(likelihood: Likelihood, start: np.ndarray) -> np.ndarray:
 def _local_deviations(likelihood: Likelihood, best: np.ndarray) -> np.ndarray:
     """[3] (m) standard deviations from the observed information."""
     step = 0.03 * best + 1e-6
-    ahead = lambda change: likelihood.log(*np.maximum(best + change, 1e-7)[[2, 0, 1]])  # noqa: E731
+    ahead = lambda change: likelihood.log(*np.maximum(best + change, 1e-7))  # noqa: E731
     units, hessian = np.diag(step), np.zeros((3, 3))
     for i in range(3):
         for j in range(i, 3):
@@ -161,7 +161,7 @@ def _end(
         """Standard deviations from the most likely value, over that of the end."""
         nonlocal state
         state = _profile(likelihood, state, place, value)
-        return float(np.sqrt(max(top - likelihood.log(*state[[2, 0, 1]]), 0.0) / DROP))
+        return float(np.sqrt(max(top - likelihood.log(*state), 0.0) / DROP))
 
     least = LEAST_SPREAD if place < 2 else best[2] / SEARCHED
     reach = max(1.3 * min(local, best[place]), 1e-3 * best[place])
@@ -199,7 +199,7 @@ def _profile(likelihood: Likelihood, start: np.ndarray, place: int, value: float
         return row
 
     first = np.log(np.maximum(start[others], 1e-7))
-    cost = lambda free: -likelihood.log(*whole(free)[[2, 0, 1]])  # noqa: E731
+    cost = lambda free: -likelihood.log(*whole(free))  # noqa: E731
     end = minimize(
         cost,
         first,

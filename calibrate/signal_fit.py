@@ -241,8 +241,7 @@ def _mend(portions: Portions, readings: Readings, found: Estimate) -> Estimate:
     rough = found.cost > ROUGH * np.median(found.cost)
     if not rough.any():
         return found
-    cell = CellGuess(float(np.exp(found.shared[0])), float(found.shared[1]), float(found.shared[2]))
-    local = np.where(rough[:, None], _local_starts(portions, readings, cell), found.local)
+    local = np.where(rough[:, None], _local_starts(portions, readings, found.cell), found.local)
     anew = solve(readings, replace(found, local=local), keep_shared=True)
     better = anew.cost < found.cost
     if not better.any():
@@ -281,7 +280,7 @@ def height_estimates(solved: Solved, now: Curvature) -> list[Heights]:
     wrong a moment can be where the slopes say that it may have any value.
     """
     found, s = solved.estimate, len(SHARED)
-    time, rate = falls(solved.readings, found), float(np.exp(found.shared[0]))
+    time, rate = falls(solved.readings, found), found.cell.omega
     samples = solved.left.shape[1] - ORDER
     portions = []
     for k, there in enumerate(solved.readings.share > 0):
@@ -342,10 +341,10 @@ def _report(
         name: {k: float(v) for k, v in parameters[name].items()} | {"free": True}
         for name in ("dt_impact", *HEIGHTS)
     }
-    inverse_mass = float(found.shared[2])
+    omega, damping_ratio, inverse_mass = found.cell
     cell = {
-        "natural_frequency": float(np.exp(found.shared[0]) / (2 * np.pi)),
-        "damping_ratio": float(found.shared[1]),
+        "natural_frequency": omega / (2 * np.pi),
+        "damping_ratio": damping_ratio,
         "mass": 1.0 / inverse_mass if inverse_mass > 0 else float("inf"),
     }
     each = [_portion_row(k, solved, heights[k]) for k in range(len(heights))]

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from calibrate.cell_response import LOCAL, PULSE, SHARED, middles_of, respond
+from calibrate.signal_start import CellGuess
 
 AT_ONCE = 8  # portions whose derivatives are computed together
 STEPS = 40  # most steps of a solution
@@ -70,6 +71,11 @@ class Estimate:
     whitening: np.ndarray
     cost: np.ndarray
     mass_spread: float = 0.0
+
+    @property
+    def cell(self) -> CellGuess:
+        """The empty cell."""
+        return CellGuess(float(np.exp(self.shared[0])), float(self.shared[1]), float(self.shared[2]))
 
     @property
     def pulse(self) -> float:
