@@ -7,6 +7,7 @@ drop counts by the time from its first impact until the error stays within a tol
 """
 
 import argparse
+import itertools
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -25,7 +26,7 @@ from dem_jax.weighing.settling import find_quantile, time_to_weigh
 from dem_jax.weighing.traces import trace_of
 from dem_jax.weighing.tuning import Drops, tune_filters, weigh_drops
 from product_model.decision import first_decision
-from product_model.weigher import Weigher
+from product_model.weigher import Reading, Weigher
 
 PRODUCTS = {"marshmallow": tuple(range(5, 14)), "hazelnut": (38, 46, 54), "cherry-tomato": (5, 7, 9, 11, 13)}
 RUNS, LEARN, JUDGE = 16, 1, 501  # drops for each number of pieces; seeds of the two sets
@@ -46,6 +47,8 @@ first impact, of those that are right in 99 % of the drops learnt from (if none 
 right). The confidence is chosen in the same way, on one half of these drops by an estimator that has
 learnt from the other half; the estimator that is judged has learnt from all."""
 IMPACT = 0.01  # kg: first reading above, without noise
+
+Outcome = tuple[float, float]  # mean time (s) of a decision, share of the drops that are decided right
 
 
 @dataclass(frozen=True)
@@ -178,36 +181,46 @@ def decisions(product: str, learnt: Signals, judge: Signals, texts: dict[float, 
     that are right in 99 % the soonest."""
     chosen = take(learnt, slice(1, None, 2))
     pairs = [(chosen, learn(take(learnt, slice(0, None, 2)))), (judge, learn(learnt))]
-    readings = [weigher.read(each.values) for each, weigher in pairs]
+    readings = [(each, weigher.read(each.values)) for each, weigher in pairs]
+    filters_tried = dict.fromkeys([*FILTERS, *texts.values()])
+    shown = {text: [(each, filtered(text, each)) for each in (learnt, judge)] for text in filters_tried}
     rows = []
     for tolerance in TOLERANCES[:2]:
-        ways = {}
-        for confidence in CONFIDENCES:
-            at = [first_decision(reading, 1e3 * tolerance, confidence) for reading in readings]
-            ways["estimator", f"confidence {confidence:g}"] = [
-                _outcome(each, k, reading.grams, tolerance) for each, k, reading in zip((chosen, judge), at, readings, strict=True)
-            ]
-        for text in {*FILTERS, *texts.values()}:
-            shown = [filtered(text, each) for each in (learnt, judge)]
-            for hold in HOLDS:
-                for band in BANDS:
-                    found = [
-                        still(each, values, hold, band * 1e3 * tolerance)
-                        for each, values in zip((learnt, judge), shown, strict=True)
-                    ]
-                    words = f"{text}, within {1e3 * band * tolerance:g} g for {1e3 * hold / RATE:g} ms"
-                    ways["filter", words] = [
-                        _outcome(each, k, values, tolerance)
-                        for each, k, values in zip((learnt, judge), found, shown, strict=True)
-                    ]
-        for kind in ("filter", "estimator"):
-            some = {words: of for (name, words), of in ways.items() if name == kind}
-            enough = {words: of for words, of in some.items() if of[0][1] >= RIGHT}
-            words = min(enough, key=lambda w: enough[w][0][0]) if enough else max(some, key=lambda w: some[w][0][1])
-            mean, right = some[words][1]
+        found = {"filter": filter_ways(shown, tolerance), "estimator": estimator_ways(readings, tolerance)}
+        for kind, ways in found.items():
+            words = best_way(ways)
+            mean, right = ways[words][1]
             rows.append([product, f"{1e3 * tolerance:g} g", kind, words, f"{1e3 * mean:.0f}", f"{100 * right:.1f} %"])
             print(*rows[-1], sep=" | ", flush=True)
     return rows
+
+
+def filter_ways(shown: dict[str, list[tuple[Signals, np.ndarray]]], tolerance: float) -> dict[str, list[Outcome]]:
+    """Outcomes on the drops that choose and on those that judge, of all filters, durations and bands."""
+    ways = {}
+    for (text, parts), hold, band in itertools.product(shown.items(), HOLDS, BANDS):
+        words = f"{text}, within {1e3 * band * tolerance:g} g for {1e3 * hold / RATE:g} ms"
+        ways[words] = [
+            _outcome(each, still(each, values, hold, band * 1e3 * tolerance), values, tolerance) for each, values in parts
+        ]
+    return ways
+
+
+def estimator_ways(readings: list[tuple[Signals, Reading]], tolerance: float) -> dict[str, list[Outcome]]:
+    """Outcomes on the drops that choose and on those that judge, of all confidences."""
+    return {
+        f"confidence {confidence:g}": [
+            _outcome(each, first_decision(reading, 1e3 * tolerance, confidence), reading.grams, tolerance)
+            for each, reading in readings
+        ]
+        for confidence in CONFIDENCES
+    }
+
+
+def best_way(ways: dict[str, list[Outcome]]) -> str:
+    """The soonest of those that are right often enough on the drops that choose; else the most often right."""
+    enough = {words: outcomes for words, outcomes in ways.items() if outcomes[0][1] >= RIGHT}
+    return min(enough, key=lambda words: enough[words][0][0]) if enough else max(ways, key=lambda words: ways[words][0][1])
 
 
 def take(signals: Signals, which: slice) -> Signals:
@@ -229,7 +242,7 @@ def still(signals: Signals, values: np.ndarray, hold: int, band: float) -> np.nd
     return np.where(is_still.any(axis=1), is_still.argmax(axis=1) + hold - 1, -1)
 
 
-def _outcome(signals: Signals, at: np.ndarray, grams: np.ndarray, tolerance: float) -> tuple[float, float]:
+def _outcome(signals: Signals, at: np.ndarray, grams: np.ndarray, tolerance: float) -> Outcome:
     """Mean time (s) since the first impact of the drops that are decided, and the share of all that are decided right."""
     decided = at >= 0
     off = np.abs(grams[np.arange(len(at)), at] - signals.weights)
