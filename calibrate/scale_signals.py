@@ -28,8 +28,10 @@ class ScaleSignals:
     cell: EmptyCell | None = None
     said: list[str] = field(default_factory=list)
 
-    def add(self, path: str, values: np.ndarray, interval: float) -> None:
-        """Add the signal of a portion. Raises `BadInput` for another sample interval."""
+    def add(self, path: str, time: np.ndarray, values: np.ndarray) -> None:
+        """Add the signal (g) of a portion at even times (s). Raises `BadInput` for another sample
+        interval."""
+        interval = float(time[-1] - time[0]) / (len(time) - 1)
         if self.interval is not None and abs(interval / self.interval - 1) > 1e-3:
             raise BadInput(
                 f"{path}: a sample each {interval:g} s: allowed: {self.interval:g} s as in the signals before"
@@ -83,8 +85,8 @@ def _add_table(found: ScaleSignals, path: str, options: TableOptions) -> None:
     table = read_table(Path(path), options)
     found.said.append(table.said.replace("force", "signal"))
     for column in table.columns:
-        interval = float(column.time[-1] - column.time[0]) / (len(column.time) - 1)
-        found.add(path, column.force / (1.0 if "force" in column.assumed else GRAM), interval)
+        values = column.force / (1.0 if "force" in column.assumed else GRAM)
+        found.add(path, column.time, values)
 
 
 def _add_drops(found: ScaleSignals, path: str, number: int, options: SignalOptions) -> None:
@@ -114,7 +116,7 @@ def _add_drops(found: ScaleSignals, path: str, number: int, options: SignalOptio
     found.cell = found.cell or empty_cell_of(cell)
     found.weights += list(1e3 * truth[known])
     for row in drops.signal[known]:
-        found.add(path, 1e3 * row, float(np.ptp(drops.time)) / (len(drops.time) - 1))
+        found.add(path, drops.time, 1e3 * row)
     left = "" if known.all() else f"; {why}: {int((~known).sum())} left out"
     found.said.append(f"{path}: {int(known.sum())} portions of {trace.source}{left}")
 
