@@ -25,9 +25,9 @@ def _print_product(name: str) -> None:
 
     tree, states = product_tree(name, "products"), states_of_product(name)
     for line in evidence.described(tree, name):
-        print(f"# {line}".rstrip())
+        print(f"# {line}")
     if tree.get("evidence"):
-        print("#", "; ".join(f"{grade}: {words}" for grade, words in evidence.GRADES.items()))
+        print("#", evidence.LEGEND)
     if states:
         print(f"# states: {', '.join(f'{name}:{state}' for state in states)}")
     print(toml(tree), end="")
@@ -52,7 +52,7 @@ def _print_list() -> None:
         }
         graded = [f"{number} {rows[key].grade}" for key, number in shown.items()]
         print(f"{name:{wide}}  {weight:6.3g}  {'  '.join(graded)}  {text}")
-    print("; ".join(f"{grade}: {words}" for grade, words in evidence.GRADES.items()))
+    print(evidence.LEGEND)
     factors = ", ".join(f"{surface} {row.friction:g}" for surface, row in SURFACES.items())
     print(f"mu: on smooth stainless steel; material.wall_surface multiplies it: {factors}")
     print("--set product=NAME takes one; dem-jax products NAME prints ranges and sources")

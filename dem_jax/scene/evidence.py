@@ -15,11 +15,13 @@ from dem_jax.scene.sections.base import Section, Size, as_tuple
 from dem_jax.scene.sections.material import Material
 from dem_jax.scene.sections.pieces import Portion
 from dem_jax.scene.sections.uncertain import Range
+from dem_jax.scene.text import align_columns
 from dem_jax.scene.words import choices, one_line
 
 Tree = dict[str, Any]
 
 GRADES = {"A": "measured on the product", "B": "measured on a close relative", "C": "judgement"}
+LEGEND = "; ".join(f"{grade}: {words}" for grade, words in GRADES.items())
 OF_PIECE = {"piece_weight": "kg", "volume": "m3", "extent": "m"}  # numbers that the shape and the density make
 TO_A_FACTOR = ("youngs_modulus", "pull_off")  # numbers known to a factor only: drawn uniformly by their logarithm
 OF_RANGE = "youngs_modulus_range"  # key of [material] that follows from the evidence
@@ -32,7 +34,7 @@ class Evidence(Section):
         None, description="of a piece's weight (kg), volume (m3) or extent (m); of other numbers it is in their own section"
     )
     range: Range | None = Field(None, description="5 and 95 %, in the unit of the number")
-    grade: Literal["A", "B", "C"] = Field(description="; ".join(f"{key}: {words}" for key, words in GRADES.items()))
+    grade: Literal["A", "B", "C"] = Field(description=LEGEND)
     source: str = Field("judgement", description="author, year, journal; judgement where nothing was measured")
     address: str = Field("", description="DOI or address of the source")
     says: str = Field("", description="numbers that the source gives, with the conditions of the measurement")
@@ -149,8 +151,7 @@ def described(tree: Tree, source: str) -> list[str]:
         unit = unit_of(name)
         value, span = _shown(value_of(tree, name, row)), "" if row.range is None else " to ".join(map(_shown, row.range))
         table.append((f"{name} ({unit})" if unit else name, value, span, _origin(row)))
-    wide = [max(len(line[k]) for line in table) for k in range(3)]
-    return ["  ".join([*(text.ljust(w) for text, w in zip(line, wide, strict=False)), line[3]]) for line in table]
+    return align_columns(table)
 
 
 def unit_of(name: str) -> str:

@@ -3,6 +3,7 @@
 The exact values are the measured ones and the bounds their scatter, except where a closed form is named.
 """
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -83,7 +84,7 @@ def tablet() -> Problem:
     """A tablet by the elastic-plastic law: the restitution falls with about the fourth root of the speed."""
     mass = 4 / 3 * np.pi * TABLET_RADIUS**3 * TABLET_DENSITY
     modulus = 1 / ((1 - 0.3**2) / TABLET_MODULUS + (1 - 0.3**2) / 1e11)
-    at = lambda speed: ElasticPlasticImpact(mass, modulus, TABLET_RADIUS, TABLET_PRESSURE, speed)  # noqa: E731
+    at = partial(ElasticPlasticImpact, mass, modulus, TABLET_RADIUS, TABLET_PRESSURE)
     speeds = [float(times * at(1.0).yield_speed) for times in TABLET_TIMES]
     contact = {"law": "elastic-plastic", "yield_pressure": TABLET_PRESSURE, "impact_speed": speeds[-1]}
     material = {"density": TABLET_DENSITY, "youngs_modulus": TABLET_MODULUS, "restitution": 1.0}
