@@ -34,21 +34,20 @@ def _parse_one(text: str) -> tuple[str, list[Any]]:
     key, equals, item = text.partition("=")
     if not equals or not key.strip() or not item.strip():
         raise SceneError(f"--vary {text}: {ALLOWED}")
-    parsed = parse_setting(f"{key}=[{item}]")[1] if ":" not in item else None
+    if ":" in item:
+        return key.strip(), _expand_range(text, item.split(":"))
+    parsed = parse_setting(f"{key}=[{item}]")[1]
     if isinstance(parsed, list) and parsed:
         return key.strip(), parsed
-    bounds = item.split(":")
-    if len(bounds) == 1:  # names without quotes
-        return key.strip(), [parse_setting(f"{key}={part.strip()}")[1] for part in item.split(",")]
+    return key.strip(), [parse_setting(f"{key}={part.strip()}")[1] for part in item.split(",")]  # names without quotes
+
+
+def _expand_range(text: str, bounds: Sequence[str]) -> list[Any]:
+    """Numbers from low to high, both among them; whole ones where low and step are. bounds: low, high, and the step if given."""
     try:
-        low, high, *step = (float(bound) for bound in bounds)
+        low, high, *steps = (float(bound) for bound in bounds)
     except ValueError:
         raise SceneError(f"--vary {text}: {ALLOWED}") from None
-    return key.strip(), _expand_range(text, low, high, step)
-
-
-def _expand_range(text: str, low: float, high: float, steps: Sequence[float]) -> list[Any]:
-    """Numbers from low to high, both among them; whole ones where low and step are."""
     is_whole = all(number.is_integer() for number in (low, *steps))
     if not steps and not (is_whole and high.is_integer()):
         raise SceneError(f"--vary {text}: a range of numbers that are not whole needs a step; {ALLOWED}")
