@@ -538,12 +538,8 @@ def _start_covariance(xp: ModuleType, weigher: Weigher) -> Array:
     """[d, d] of an empty scale that may ring."""
     size = SHAPES + np.shape(weigher.shapes)[1]
     line = _line_covariance(xp, weigher)
-    values = xp.zeros(size)
-    values = _with_unknown(xp, values, XI, weigher.kick**2)
-    values = _with_unknown(xp, values, ETA, (weigher.kick / weigher.omega) ** 2)
-    values = _with_unknown(xp, values, TARE, weigher.kick**2)
-    values = _with_unknown(xp, values, LINE, line[0])
-    values = _with_unknown(xp, values, LINE + 1, line[0])
+    parts = {XI: weigher.kick**2, ETA: (weigher.kick / weigher.omega) ** 2, TARE: weigher.kick**2}
+    values = _variances(xp, parts | {LINE: line[0], LINE + 1: line[0]}, xp.zeros(size - SHAPES))
     beside = np.zeros((size, size))
     beside[LINE, LINE + 1] = beside[LINE + 1, LINE] = 1.0
     return values[:, None] * xp.eye(size) + line[1] * xp.asarray(beside)
@@ -560,7 +556,6 @@ def _line_covariance(xp: ModuleType, weigher: Weigher) -> tuple[Array, Array]:
 def _portion_variances(xp: ModuleType, weigher: Weigher, size: int) -> Array:
     """[d] variances that a trigger adds: of a portion, and of the signal below the trigger
     level."""
-    values = xp.concatenate([xp.zeros(SHAPES), xp.ones(size - SHAPES)])
     below = weigher.level**2
     parts = {XI: below, ETA: 0.1 * below / weigher.omega**2, RHO: weigher.residual[0] ** 2}
     parts |= {
@@ -568,6 +563,10 @@ def _portion_variances(xp: ModuleType, weigher: Weigher, size: int) -> Array:
         LAMBDA: weigher.damping_sd**2,
         TOTAL: weigher.weight**2,
     }
-    for place, value in parts.items():
-        values = _with_unknown(xp, values, place, value)
-    return values
+    return _variances(xp, parts, xp.ones(size - SHAPES))
+
+
+def _variances(xp: ModuleType, parts: dict[int, Array], of_shapes: Array) -> Array:
+    """[d] variances of the unknowns: parts by position, 0 for the others before the shapes."""
+    before = xp.stack([xp.asarray(parts.get(place, 0.0)) for place in range(SHAPES)])
+    return xp.concatenate([before, of_shapes])
