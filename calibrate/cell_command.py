@@ -25,7 +25,7 @@ def add_cell_command(commands: Any) -> None:
     parser.add_argument("--mass", type=float, metavar="KG", help="of the empty bucket, where it is known, instead of --loaded")
     parser.add_argument("--out", default="cell.json", metavar="FILE", help="JSON file (default cell.json)")
     parser.add_argument("--overwrite", action="store_true", help="replace the file if it exists")
-    add_table(parser)
+    add_table(parser, "g")
     parser.set_defaults(action=calibrate_cell)
 
 

@@ -21,11 +21,12 @@ if TYPE_CHECKING:
 FAILED = 1  # exit code where a fit was made and cannot be meant
 
 
-def add_table(parser: argparse.ArgumentParser) -> None:
-    """What a table of text may not tell itself."""
+def add_table(parser: argparse.ArgumentParser, unit_by_default: str = "N") -> None:
+    """What a table of text may not tell itself; unit_by_default: of forces without a unit."""
     table = parser.add_argument_group("tables of text")
     table.add_argument("--time-unit", metavar="UNIT", help="s, ms, us or min, instead of the header's (without any: s)")
-    table.add_argument("--force-unit", metavar="UNIT", help="N, mN, kN, kg, g or lbf, instead of the header's (without any: N)")
+    units = f"N, mN, kN, kg, g or lbf, instead of the header's (without any: {unit_by_default})"
+    table.add_argument("--force-unit", metavar="UNIT", help=units)
     table.add_argument("--decimal", choices=(".", ","), help="the decimal sign (default: as the numbers tell)")
     table.add_argument("--sample", type=float, metavar="S", help="time from row to row, instead of a column of times")
     table.add_argument("--tare", action="store_true", help="subtract the mean force before the first impact from each trace")

@@ -86,7 +86,7 @@ def _column(
     """A column of forces with its times, where both have values."""
     own = fields[k]
     unit = unit_named(options.force_unit) if options.force_unit else own.unit
-    force = own.values * (1.0 if unit == NONE else unit.newtons)
+    force = own.values * (unit_named(options.unit_by_default) if unit == NONE else unit).newtons
     assumed = ["force"] if unit == NONE else []
     if options.sample is not None:
         time, scale, column = options.sample * np.arange(1.0, len(force) + 1.0), 1.0, None
@@ -131,7 +131,7 @@ def _said(
 ) -> list[str]:
     """How the table was understood."""
     times = {find_time(path, fields, roles.times, k) for k in roles.forces} if roles.times else set()
-    shown = [f"{fields[k].name!r} ({_unit_said(fields[k], options.force_unit, 'N')})" for k in roles.forces[:3]]
+    shown = [f"{fields[k].name!r} ({_unit_said(fields[k], options.force_unit, options.unit_by_default)})" for k in roles.forces[:3]]
     forces = ", ".join(shown) + (f" and {len(roles.forces) - 3} more" if len(roles.forces) > 3 else "")
     clock = [fields[k] for k in sorted(times)]
     time = ", ".join(f"{f.name!r} ({_unit_said(f, None if f.is_clock else options.time_unit, 's')})" for f in clock[:3])

@@ -3,7 +3,7 @@
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,13 +14,23 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
+class CellNoise:
+    """Noise of the signal of a load cell at rest. rate: samples per second. autocovariance: [lags + 1]
+    (g^2)."""
+
+    rate: float
+    autocovariance: tuple[float, ...]
+
+
+@dataclass(frozen=True)
 class EmptyCell:
     """A load cell without product. mass: (kg). frequency: (Hz). damping_ratio: of the critical
-    damping."""
+    damping. noise: of its signal, where it was measured."""
 
     mass: float
     frequency: float
     damping_ratio: float
+    noise: CellNoise | None = None
 
 
 def read_cell(path: str) -> EmptyCell:
@@ -33,6 +43,7 @@ def read_cell(path: str) -> EmptyCell:
     except (OSError, ValueError) as error:
         raise BadInput(f"{path}: cannot be read ({error})") from None
     content = content if isinstance(content, dict) else {}
+    noise = _measured_noise(content["noise"], path) if "noise" in content else None
     content = content.get("parameters", content)
     values = []
     for key in ("mass", "natural_frequency", "damping_ratio"):
@@ -41,7 +52,23 @@ def read_cell(path: str) -> EmptyCell:
         if not isinstance(value, int | float) or not value >= 0:
             raise BadInput(f"{path}: {key} = {value!r}: allowed: a number of at least 0")
         values.append(float(value))
-    return checked_cell(EmptyCell(*values), path)
+    return checked_cell(EmptyCell(values[0], values[1], values[2], noise), path)
+
+
+def _measured_noise(content: Any, path: str) -> CellNoise:
+    """The noise in a file of ``calibrate cell``. Raises `BadInput`."""
+    try:
+        rate = float(content["rate_hz"])
+        values = tuple(float(value) for value in content["autocovariance_g2"])
+    except (KeyError, TypeError, ValueError):
+        raise BadInput(
+            f"{path}: noise: allowed: rate_hz and autocovariance_g2, as calibrate cell writes them"
+        ) from None
+    if not (0 < rate < np.inf and values and values[0] > 0 and np.isfinite(values).all()):
+        raise BadInput(
+            f"{path}: noise: allowed: a rate_hz above 0, finite autocovariance_g2, the first above 0"
+        )
+    return CellNoise(rate, values)
 
 
 def checked_cell(cell: EmptyCell, where: str) -> EmptyCell:

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from calibrate.autoregression import sum_lagged_products
+from calibrate.empty_cell import CellNoise
 from calibrate.ringing import fit_basis, ringing_basis
 from product_model.weigher import Weigher
 
@@ -29,14 +30,44 @@ class ScaleNoise(NamedTuple):
     sd: float
 
 
-def fit_noise(signals: Sequence[np.ndarray], triggers: np.ndarray, empty: Weigher) -> ScaleNoise:
-    """The noise before triggers; where there are too few samples, white noise of LEAST_WHITE."""
+def fit_noise(
+    signals: Sequence[np.ndarray],
+    triggers: np.ndarray,
+    empty: Weigher,
+    measured: CellNoise | None = None,
+) -> ScaleNoise:
+    """The noise of a scale.
+
+    Args:
+        signals: (g) of portions.
+        triggers: [K] samples at which portions trigger, before which a signal shows noise alone.
+        empty: the estimator of an empty scale.
+        measured: noise of the cell at rest, whose colour is used if its rate is that of the
+            signals; it is scaled up where the signals show more.
+
+    Returns:
+        The noise measured, else that before triggers; where there are too few samples, white noise of
+        LEAST_WHITE.
+    """
     quiet = [
         s[: k - GUARD] for s, k in zip(signals, triggers, strict=True) if k - GUARD >= LEAST_SAMPLES
     ]
-    if not quiet:
+    shown = _autocovariance([_without_ringing(each, empty) for each in quiet]) if quiet else None
+    if measured is not None and is_usable(measured, float(empty.interval)):
+        known = np.array(measured.autocovariance[: LAGS + 1])
+        return _fit_line(known * max(1.0, shown[0] / known[0] if shown is not None else 1.0), empty)
+    if shown is None:
         return ScaleNoise(LEAST_WHITE, np.zeros(2), 0.0, LEAST_WHITE)
-    covariance = _autocovariance([_without_ringing(values, empty) for values in quiet])
+    return _fit_line(shown, empty)
+
+
+def is_usable(measured: CellNoise, interval: float) -> bool:
+    """Whether noise was measured at the rate of signals with this interval (s) between samples."""
+    return abs(measured.rate * interval - 1) <= 1e-3
+
+
+def _fit_line(covariance: np.ndarray, empty: Weigher) -> ScaleNoise:
+    """White noise and a damped line of an autocovariance [lags + 1] (g^2), by least squares."""
     best = None
     for frequency in FREQUENCIES[FREQUENCIES < 0.25 / empty.interval]:
         for decay in DECAYS:

@@ -2,7 +2,7 @@
 portions."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -82,11 +82,10 @@ def add_file(
 
 
 def _add_table(found: ScaleSignals, path: str, options: TableOptions) -> None:
-    table = read_table(Path(path), options)
+    table = read_table(Path(path), replace(options, unit_by_default="g"))
     found.said.append(table.said.replace("force", "signal"))
     for column in table.columns:
-        values = column.force / (1.0 if "force" in column.assumed else GRAM)
-        found.add(path, column.time, values)
+        found.add(path, column.time, column.force / GRAM)
 
 
 def _add_drops(found: ScaleSignals, path: str, number: int, options: SignalOptions) -> None:

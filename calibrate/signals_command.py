@@ -54,7 +54,7 @@ def add_signals_command(commands: Any) -> None:
     parser.add_argument("--out", default="fit.json", metavar="FILE", help=OUT)
     for flag, words in SWITCHES:
         parser.add_argument(flag, action="store_true", help=words)
-    add_table(parser)
+    add_table(parser, "g")
     parser.set_defaults(action=_run)
 
 

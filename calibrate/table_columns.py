@@ -20,13 +20,14 @@ class TableOptions:
     """What a person tells of a table that the table itself does not.
 
     decimal: "." or ","; time_unit, force_unit: instead of those in the header; sample: (s) between rows, instead of
-    a column of times
+    a column of times; unit_by_default: of forces, where neither the header nor force_unit tells one
     """
 
     decimal: str | None = None
     time_unit: str | None = None
     force_unit: str | None = None
     sample: float | None = None
+    unit_by_default: str = "N"
 
     def __post_init__(self) -> None:
         for key, kinds in (("time_unit", ("time",)), ("force_unit", ("force", "mass"))):

@@ -89,7 +89,7 @@ def learn_weigher(
     mean_weight = float(np.mean(weights)) if weights is not None else _rough_weight(signals)
     empty = _empty_weigher(interval, cell, mean_weight)
     found = find_triggers(empty, signals)
-    empty = _with_noise(empty, fit_noise(signals, found.start, empty))
+    empty = _with_noise(empty, fit_noise(signals, found.start, empty, cell.noise))
     found = find_triggers(empty, signals)
     if weights is not None:
         _check_weights(weights, signals, found.tare)
@@ -103,7 +103,7 @@ def learn_weigher(
     if empty.delta > 0:
         omega, delta = refine_cell(signals, found.start, weights, empty)
         empty = replace(empty, omega=omega, delta=delta)
-        empty = _with_noise(empty, fit_noise(signals, found.start, empty))
+        empty = _with_noise(empty, fit_noise(signals, found.start, empty, cell.noise))
         found = find_triggers(empty, signals)
     tell("momentum", 0, FOLDS + 2)
     momentum, scatter, landed = smooth_momentum(empty, signals, found, weights)

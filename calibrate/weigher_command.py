@@ -51,7 +51,7 @@ def add_weigher_command(commands: Any) -> None:
         "--out", default="weigher.json", metavar="FILE", help="JSON file (default weigher.json)"
     )
     parser.add_argument("--overwrite", action="store_true", help="replace the file if it exists")
-    add_table(parser)
+    add_table(parser, "g")
     parser.set_defaults(action=learn)
 
 
@@ -72,6 +72,8 @@ def learn(args: argparse.Namespace) -> int:
         raise BadInput(
             "cell: is not known; allowed: --cell FILE, or --mass, --frequency and --damping"
         )
+    for line in _describe_noise(cell, found.interval):
+        print(line)
     weights = _known_weights(found, read_weights(args.weights) if args.weights else None)
     assert found.interval is not None
     with show_progress() as show:
@@ -98,6 +100,18 @@ def _cell_of_arguments(args: argparse.Namespace) -> "EmptyCell | None":
             f"{missing[0]}: is not given; allowed: --mass, --frequency and --damping together"
         )
     return checked_cell(EmptyCell(args.mass, args.frequency, args.damping), "arguments")
+
+
+def _describe_noise(cell: "EmptyCell", interval: float | None) -> list[str]:
+    """Lines about the noise in a file of the cell."""
+    from calibrate.scale_noise import is_usable
+
+    if cell.noise is None or interval is None:
+        return []
+    if is_usable(cell.noise, interval):
+        return [f"noise: as measured with the cell, {cell.noise.autocovariance[0] ** 0.5:.3g} g"]
+    rates = f"{cell.noise.rate:g} Hz, and signals have {1 / interval:g} Hz"
+    return [f"noise: that of the cell was measured at {rates}; that before the impacts is used"]
 
 
 def _known_weights(found: "ScaleSignals", given: np.ndarray | None) -> np.ndarray | None:

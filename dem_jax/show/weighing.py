@@ -1,6 +1,7 @@
 """What a scale makes of runs: a table of times to weigh, and the figure of its readings and their errors."""
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -14,7 +15,7 @@ from dem_jax.show.overlay import COLOURS, INK
 from dem_jax.store.run import Run
 from dem_jax.weighing import chain, filters
 from dem_jax.weighing.cell import Cell, through_cell
-from dem_jax.weighing.noise import Seed, add_noise, draw_release_delays
+from dem_jax.weighing.noise import Seed, add_noise, delay_releases, draw_release_delays
 from dem_jax.weighing.settling import HOLD, QUANTILES, Times, find_quantile, find_times, pool_times, time_to_weigh
 from dem_jax.weighing.traces import Trace, trace_of, trace_of_file
 from dem_jax.weighing.tuning import Drops
@@ -126,13 +127,14 @@ def convert_trace(trace: Trace, rate: float | None, seed: Seed = 0) -> Drops:
 
 def _convert_signal(trace: Trace, rate: float | None, seed: Seed) -> tuple[np.ndarray, np.ndarray]:
     """Time [m] (s) and signal [K, m] (kg) of the converter."""
-    plain = chain.chain(trace.sample, rate, "none")
-    time, signal = chain.weighed(plain, trace.time, np.atleast_2d(trace.weight))
+    plain, weight = chain.chain(trace.sample, rate, "none"), np.atleast_2d(trace.weight)
+    late = partial(delay_releases, sample=trace.sample, noise=trace.noise, seed=seed)
+    time, signal = chain.weighed(plain, trace.time, late(weight))
     if trace.noise is None:
         return time, signal
     load = trace.product
     if np.ndim(load):
-        load = chain.weighed(plain, trace.time, np.broadcast_to(load, np.shape(np.atleast_2d(trace.weight))))[1]
+        load = chain.weighed(plain, trace.time, late(np.broadcast_to(load, weight.shape)))[1]
     every = plain.samples * trace.sample
     noisy = add_noise(signal, 1 / every, trace.noise, trace.cell, seed, time[0] - every, load, trace.gravity)
     return time, noisy - trace.noise.tare

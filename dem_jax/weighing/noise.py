@@ -1,14 +1,16 @@
 """The noise of a scale's signal, as a pure function of arrays, a rate and a seed.
 
 Vibration acts on the base of the cell and the closing flaps on the bucket, so that both reach the reading through the cell's own
-dynamics; electronics, tare and drift are added to the reading; a late release delays it. The noise of run k of an ensemble depends
-on the seed and on k alone, and that of each source on no other source.
+dynamics; electronics, tare and drift are added to the reading. A late release delays the trace before the converter samples it
+(``delay_releases``). The noise of run k of an ensemble depends on the seed and on k alone, and that of each source on no other
+source.
 """
 
 from collections.abc import Sequence
 
 import numpy as np
 from scipy import signal
+from scipy.interpolate import CubicHermiteSpline
 
 from dem_jax.scene import LoadCell, Noise, load_section
 from dem_jax.store.run import STANDARD_GRAVITY
@@ -47,7 +49,7 @@ def add_noise(
     Args:
         weight: [.., n] (kg), means over intervals of 1 / rate, as a converter makes them.
         rate: readings per second.
-        noise: levels of all sources; None: the signal as it is.
+        noise: levels of all sources but the release; None: the signal as it is.
         cell: load cell through which vibration acts; None: a rigid one under a bucket of 1 kg.
         seed: a whole number or several; runs and sources have random numbers of their own.
         start: (s after the release) when the first interval begins.
@@ -73,10 +75,24 @@ def add_noise(
 
 
 def draw_release_delays(noise: Noise | None, seed: Seed, count: int) -> np.ndarray:
-    """[count] (s) by which ``add_noise`` has the release of each run come after the trigger; negative: before it."""
+    """[count] (s) by which ``delay_releases`` has the release of each run come after the trigger; negative: before it."""
     if noise is None or not noise.release_jitter:
         return np.zeros(count)
     return noise.release_jitter * _Random(seed, range(count)).normal("release")[:, 0]
+
+
+def delay_releases(weight: np.ndarray, sample: float, noise: Noise | None, seed: Seed = 0) -> np.ndarray:
+    """Traces whose releases come late by the jitter of the noise, as a converter samples them afterwards.
+
+    Args:
+        weight: [K, T], means over sample intervals.
+        sample: (s) interval.
+        noise: with the standard deviation of the release; None: no delay.
+        seed: as in ``add_noise``.
+    """
+    if noise is None or not noise.release_jitter:
+        return weight
+    return delay_signal(np.asarray(weight, np.float64), draw_release_delays(noise, seed, len(weight)) / sample)
 
 
 class _Random:
@@ -107,8 +123,7 @@ def _of_rows(
 ) -> np.ndarray:
     """``add_noise`` of signals [K, n]; load: [K, n] or a number."""
     count = rows.shape[-1]
-    found = delay_signal(rows, noise.release_jitter * rate * draw.normal("release")) if noise.release_jitter else rows
-    found = found + vibration(count, rate, noise, cell, draw, start, load) / gravity
+    found = rows + vibration(count, rate, noise, cell, draw, start, load) / gravity
     if noise.white:
         found = found + noise.white * np.sqrt(rate / REFERENCE_RATE) * draw.normal("white", count)
     tare = noise.tare + (noise.tare_spread * draw.normal("tare") if noise.tare_spread else 0.0)
@@ -119,17 +134,21 @@ def _of_rows(
 
 
 def delay_signal(rows: np.ndarray, samples: np.ndarray) -> np.ndarray:
-    """Means over the same intervals of signals [K, n] that come a number of samples [K, 1] later (negative: earlier).
+    """Means over the same intervals of signals [K, n] that come a number of samples [K] later (negative: earlier).
 
-    Within an interval a signal is taken as its mean, before the first as in the first, after the last as in the last; so a delay
-    does not change the integral.
+    The integral of a signal is a cubic between the ends of its intervals, with the mean of both neighbours as its slope there, so
+    that a delay changes no integral, and a signal that is a parabola in time is delayed exactly. Before the first interval a signal
+    is as in the first, after the last as in the last.
     """
-    count = rows.shape[-1]
-    room = int(np.ceil(np.abs(samples).max())) + 1
+    count, delays = rows.shape[-1], np.ravel(samples)
+    room = int(np.ceil(np.abs(delays).max())) + 2
     padded = np.pad(rows, [(0, 0), (room, room)], mode="edge")
     total = np.pad(np.cumsum(padded, axis=-1), [(0, 0), (1, 0)])
+    slope = 0.5 * (padded[:, 1:] + padded[:, :-1])
+    slope = np.concatenate([padded[:, :1], slope, padded[:, -1:]], axis=-1)
     edges, known = np.arange(count + 1), np.arange(-room, count + room + 1)
-    return np.stack([np.diff(np.interp(edges - by, known, row)) for row, by in zip(total, np.ravel(samples), strict=True)])
+    curves = [CubicHermiteSpline(known, *row) for row in zip(total, slope, strict=True)]
+    return np.stack([np.diff(curve(edges - by)) for curve, by in zip(curves, delays, strict=True)])
 
 
 def vibration(

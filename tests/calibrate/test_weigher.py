@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from calibrate.__main__ import main
+from calibrate.errors import BadInput
 from product_model import load_weigher
 from product_model.weigher import ESTIMATE, FALLBACK, cell_step
 
@@ -168,3 +169,49 @@ def test_portions_of_a_file_are_read_as_the_converter_gives_them(tmp_path):
     np.testing.assert_allclose(found.weights, [30.0, 40.0, 50.0])
     shown = [values[-100:].mean() for values in found.signals]  # five periods of the cell
     np.testing.assert_allclose(shown, found.weights, atol=3.0)  # noise, and ringing that is damped
+
+
+def test_the_noise_of_a_cell_file_is_used_where_signals_begin_at_once(tmp_path):
+    """White noise and a damped line of a cell file are found exactly; louder signals scale both."""
+    from calibrate.empty_cell import read_cell
+    from calibrate.scale_noise import DECAYS, FREQUENCIES, fit_noise
+    from calibrate.weigher import _empty_weigher
+
+    shrink, frequency = np.exp(-H / DECAYS[8]), FREQUENCIES[14]
+    line = np.array([2 * shrink * np.cos(2 * np.pi * frequency * H), -(shrink**2)])
+    shape = [1.0, line[0] / (1 - line[1])]
+    while len(shape) < 101:
+        shape.append(line @ shape[-1:-3:-1])
+    values = 0.3**2 * np.array(shape) + 0.1**2 * (np.arange(101) == 0)
+    rows = {"mass": 0.8, "natural_frequency": 45.0, "damping_ratio": 0.03}
+    noise = {"rate_hz": 1000.0, "autocovariance_g2": values.tolist()}
+    path = tmp_path / "cell.json"
+    path.write_text(json.dumps({"parameters": rows, "noise": noise}), encoding="utf-8")
+    cell = read_cell(str(path))
+    empty = _empty_weigher(H, cell, 50.0)
+    found = fit_noise([np.zeros(20)], np.array([10]), empty, cell.noise)
+    assert found.white == pytest.approx(0.1, rel=1e-6)
+    np.testing.assert_allclose(found.line, line, rtol=1e-12)
+    assert found.sd**2 == pytest.approx(0.1, rel=1e-6)  # 0.3^2 + 0.1^2
+    loud = 2.0 * np.random.default_rng(0).standard_normal(400)
+    louder = fit_noise([loud], np.array([390]), empty, cell.noise)
+    assert louder.white / louder.sd == pytest.approx(found.white / found.sd, rel=1e-6)
+    assert louder.sd == pytest.approx(2.0, rel=4 / np.sqrt(2 * 390))  # 4 standard errors
+    path.write_text(json.dumps({"parameters": rows, "noise": {"rate_hz": 0}}), encoding="utf-8")
+    with pytest.raises(BadInput, match="noise: allowed: rate_hz"):
+        read_cell(str(path))
+
+
+def test_a_table_without_a_unit_is_in_grams(tmp_path):
+    from calibrate.csv_table import TableOptions
+    from calibrate.scale_signals import SignalOptions, read_signals
+
+    time = H * np.arange(20)
+    table = np.column_stack([time, np.where(time > 0.01, 37.5, 0.0)])
+    for unit, factor in (("", 1.0), (" (N)", 1e-3 * 9.81)):
+        values = table * [1.0, factor]
+        names = f"time (s),signal{unit}"
+        np.savetxt(tmp_path / "t.csv", values, "%.9f", ",", header=names, comments="")
+        found = read_signals([str(tmp_path / "t.csv")], SignalOptions(TableOptions()))
+        assert found.signals[0][-1] == pytest.approx(37.5, rel=1e-6)
+        assert ("'signal (N)' (N)" if unit else "'signal' (taken as g)") in found.said[0]

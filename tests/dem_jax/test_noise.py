@@ -6,11 +6,11 @@ import pytest
 from dem_jax.__main__ import main
 from dem_jax.errors import SceneError
 from dem_jax.scene import LoadCell, Noise, load_scene, load_section
-from dem_jax.show.weighing import on_cell, readings_of
+from dem_jax.show.weighing import convert_trace, on_cell, readings_of
 from dem_jax.store.record import Run
 from dem_jax.weighing import chain, filters
 from dem_jax.weighing.cell import Cell, cell_of, through_cell
-from dem_jax.weighing.noise import SOURCES, add_noise, base_acceleration, delay_signal
+from dem_jax.weighing.noise import SOURCES, add_noise, base_acceleration, delay_releases, delay_signal, draw_release_delays
 from dem_jax.weighing.noise import _Random as Random
 from dem_jax.weighing.traces import Trace, trace_of
 from tests.dem_jax.stored import SCENE, stored
@@ -120,10 +120,28 @@ def test_a_late_release_moves_the_signal_and_keeps_its_integral():
     np.testing.assert_allclose(delay_signal(signal, np.array([[3.0], [-4.0]])), whole, atol=1e-13)
     part = delay_signal(signal, np.array([[3.3], [-4.4]]))
     np.testing.assert_allclose(part.sum(axis=1), signal.sum(axis=1), rtol=1e-13)
-    np.testing.assert_allclose(part[0, 5:], (0.7 * np.roll(signal[0], 3) + 0.3 * np.roll(signal[0], 4))[5:], atol=1e-13)
-    late = add_noise(np.broadcast_to(np.arange(1000.0), (400, 1000)), RATE, only(release_jitter=2e-3), None, seed=2)
+    late = delay_releases(np.broadcast_to(np.arange(1000.0), (400, 1000)), 1 / RATE, only(release_jitter=2e-3), seed=2)
     shift = np.arange(1000.0)[500] - late[:, 500]
     assert shift.std() == pytest.approx(2.0, rel=4 / np.sqrt(800)) and abs(shift.mean()) < 4 * 2.0 / 20
+
+
+def test_a_parabola_is_delayed_exactly():
+    mean = lambda begin: begin**2 + begin + 1 / 3 - 5 * (begin + 0.5)  # noqa: E731, of t^2 - 5 t over a sample
+    rows = mean(np.arange(100.0))[None].repeat(3, axis=0)
+    for row, by in zip(delay_signal(rows, np.array([0.3, 2.5, -1.7])), (0.3, 2.5, -1.7), strict=True):
+        np.testing.assert_allclose(row[6:-6], mean(np.arange(100.0) - by)[6:-6], rtol=1e-10)
+
+
+def test_a_late_release_does_not_smear_a_short_pulse():
+    """A pulse of 1 ms in a trace of 50 us, read at 1 kHz: the readings are those of the pulse that comes later."""
+    time, sample, noise = np.arange(1, 10_001) * 5e-5, 5e-5, only(release_jitter=2e-3)
+    pulse = lambda begin: np.diff(np.clip(np.append(0.0, time) - begin, 0.0, 1e-3)) / 1e-3  # noqa: E731
+    traces = np.tile(pulse(0.25), (20, 1))
+    drops = convert_trace(Trace(time, traces, np.full(20, 0.05), "load cell", noise=noise), RATE, 3)
+    whole = np.stack([pulse(0.25 + by) for by in draw_release_delays(noise, 3, 20)]).reshape(20, -1, 20).mean(axis=-1)
+    # half of a sample of the trace is left at each edge of the pulse
+    np.testing.assert_allclose(drops.signal, whole, atol=0.5 * sample / 1e-3 * pulse(0.25).max())
+    assert ((drops.signal > 0.02 * pulse(0.25).max()).sum(axis=1) <= 2).all()
 
 
 def test_noise_depends_on_the_seed_and_the_run_alone():
