@@ -1,8 +1,7 @@
 """The contact law of a scene, and the materials that it acts between. In numpy, double precision."""
 
 from collections.abc import Callable
-
-import numpy as np
+from typing import Any
 
 from dem_jax.contact.law import ContactLaw
 from dem_jax.contact.law.cohesion import Cohesive
@@ -52,26 +51,36 @@ LAWS: dict[str, Callable[[Scene], ContactLaw]] = {
 }
 
 
-def materials_of(scene: Scene, table: MaterialTable | None = None) -> Materials:
-    """The materials as arrays. table: of the scene, if it is known already. Raises SceneError."""
+def materials_of(scene: Scene, table: MaterialTable | None = None, form: Materials | None = None) -> Materials:
+    """The materials as arrays.
+
+    Args:
+        scene: its values may be traced.
+        table: of the scene, if it is known already.
+        form: which properties of pairs there are, and whether as one number; by default those that are not 0, and as one
+            number where all pairs have the same.
+
+    Raises:
+        SceneError: a material that nothing defines.
+    """
     table = table or material_table(scene)
+    pairs: dict[str, Any] = {name: _pairs(table, name, form) for name in ("restitution", "friction", "pull_off", "rolling")}
     return Materials(
         youngs_modulus=host(scene.material.softening * table.youngs_modulus),
         poisson_ratio=host(table.poisson_ratio),
-        restitution=_in_short(table, table.restitution),
-        friction=_if_any(table, table.friction),
-        pull_off=_if_any(table, table.pull_off),
-        rolling=_if_any(table, table.rolling),
         is_wall=tuple(table.is_wall.tolist()),
+        **pairs,
     )
 
 
-def _in_short(table: MaterialTable, pairs: np.ndarray) -> Array:
-    """A table of pairs; [1, 1] if all have the same. Two walls never touch: what stands between them is left alone."""
-    met = ~(table.is_wall[:, None] & table.is_wall)
-    return host(pairs[:1, :1] if not is_traced(pairs) and (pairs[met] == pairs[0, 0]).all() else pairs)
-
-
-def _if_any(table: MaterialTable, pairs: np.ndarray) -> Array | None:
-    met = ~(table.is_wall[:, None] & table.is_wall)
-    return _in_short(table, pairs) if is_traced(pairs) or pairs[met].any() else None
+def _pairs(table: MaterialTable, name: str, form: Materials | None) -> Array | None:
+    """A property of pairs; [1, 1] of one number for all. Two walls never touch: their entries do not count."""
+    values = getattr(table, name)
+    if form is None:
+        touching = ~(table.is_wall[:, None] & table.is_wall)
+        is_absent = name != "restitution" and not is_traced(values) and not values[touching].any()
+        is_uniform = name in table.uniform
+    else:
+        is_absent = getattr(form, name) is None
+        is_uniform = not is_absent and getattr(form, name).shape == (1, 1)
+    return None if is_absent else host(values[:1, :1] if is_uniform else values)

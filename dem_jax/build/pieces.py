@@ -309,9 +309,9 @@ def _cut(row: PieceShape, found: shapes.Decomposition) -> PieceShape:
     )
 
 
-def piece_arrays(scene: Scene, goods: Goods) -> Pieces:
-    """Arrays of the pieces, in numpy. Raises SceneError."""
-    table = material_table(scene)
+def piece_arrays(scene: Scene, goods: Goods, table: MaterialTable | None = None) -> Pieces:
+    """Arrays of the pieces, in numpy or of traced values. table: materials of the scene, if known. Raises SceneError."""
+    table = table or material_table(scene)
     row = rows_of_pieces(table, goods.materials)
     distinct, index = distinct_shapes(goods.shapes)
     each = lambda value: np.array([value(shape) for shape in distinct])[index]  # noqa: E731

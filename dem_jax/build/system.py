@@ -1,7 +1,7 @@
 """From a scene to a system and its first state: shapes to tables, materials to stiffness, walls to panels, slots."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import jax
@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from dem_jax.build import drive
+from dem_jax.build.arrays import Layout, ParameterArrays, find_arrays
 from dem_jax.build.exchange import Plan, boxes_of, domain_with, find_lot, plan_of
 from dem_jax.build.finite import MOST_STEPS, check_finite, check_steps
-from dem_jax.build.law import law_of, materials_of
 from dem_jax.build.load_cell import added_rate
 from dem_jax.build.parts import hull_table, part_arrays, solids_of
-from dem_jax.build.pieces import Goods, alike, kept_goods, material_inputs, named, piece_arrays, with_points
+from dem_jax.build.pieces import Goods, alike, kept_goods, named, with_points
 from dem_jax.build.reuse import Reuse
 from dem_jax.build.room import capacity, partition, row_capacity, touching
 from dem_jax.build.room_of_ensemble import Room, fill_room, pad_solids, pad_start
@@ -24,8 +24,8 @@ from dem_jax.build.start import Box, Start, first_state, motion_of_start, placed
 from dem_jax.build.statistics import statistics_of
 from dem_jax.build.surfaces import PanelSeams
 from dem_jax.build.time_step import PossibleContact, TimeStep, block_steps, choose_step, longest_reach, possible_contacts
-from dem_jax.build.typed import array, kept_array, kept_tree, typed
-from dem_jax.build.walls import wall_arrays, walls_of, with_buckets_read, written_out
+from dem_jax.build.typed import array, kept_array, typed
+from dem_jax.build.walls import panel_arrays, walls_of, with_buckets_read, written_out
 from dem_jax.contact import motion
 from dem_jax.contact.law import ContactLaw
 from dem_jax.contact.smooth_surfaces import largest_fillet
@@ -59,6 +59,8 @@ class Built:
     goods: Goods  # the pieces before they are anywhere, without those that only fill up the room of an ensemble
     exchange: Plan | None  # how pieces come in and leave
     lot: np.ndarray | None  # [n, 3] (m): where pieces are outside that fill up the room of an ensemble; None: it needs none
+    layout: Layout
+    start: Start  # of the pieces that are not of the lot
 
 
 def build(
@@ -70,7 +72,7 @@ def build(
     dtype = float_dtype(scene.run.precision)
     table = material_table(scene)
     of_walls = (scene.wall, scene.motion, scene.block, *(getattr(scene, name) for name in PLACES), scene.folder)
-    goods, densities = kept_goods(scene, table, reuse), material_inputs(scene, table)
+    goods = kept_goods(scene, table, reuse)
     own = reuse.get("made", lambda: list(goods.shapes), (), goods.shapes)  # not anew where only weights differ
     laid = reuse.get("walls", lambda: walls_of(scene), of_walls)
     panels, motions, joint, blocks, regions = laid
@@ -80,22 +82,21 @@ def build(
     start = reuse.get(
         "start", lambda: placed(scene, own, goods.numbers, regions, np.random.default_rng(seed)), where, (own, laid)
     )
-    pieces = reuse.get("pieces", lambda: piece_arrays(scene, goods), (densities,), (goods,))
-    materials = materials_of(scene, table)
-    law = law or law_of(scene, materials)
-    contacts = possible_contacts(law, materials, own, pieces, reuse)
+    largest = max(shape.bounding_radius for shape in own)
+    inputs = (table.names, table.is_wall.tolist(), scene.contact, scene.run.precision, largest)
+    fixed, plates, seams = reuse.get("panels", lambda: panel_arrays(scene, panels, joint, dtype, largest), inputs, (laid,))
+    layout = Layout(goods, fixed, tuple(blocks), scene.drop.height, law)
+    arrays = find_arrays(scene, layout, motions, start, table, reuse=reuse)
+    pieces, walls, law = arrays.pieces, arrays.walls, arrays.law
+    contacts = possible_contacts(law, arrays.materials, own, pieces, reuse)
     step = _choose_step(scene, law, contacts, motions, panels, len(own))
     settling, samples, frame_every = _find_lengths(scene, step)
-    largest = max(shape.bounding_radius for shape in own)
-    inputs = (densities[1:3], scene.contact, scene.run.precision, largest)
-    walls, plates, seams = reuse.get(
-        "wall arrays", lambda: wall_arrays(scene, panels, motions, joint, dtype, largest), inputs, (laid,)
-    )
     domain = _domain(scene, panels, start.position[: len(own) - waiting], own, plan)
-    made, lot = own, None
+    made, lot, filled = own, None, start
     if room is not None:
         lot = find_lot(panels, regions, largest, room.pieces - len(own))
-        made, pieces, start = fill_room(scene, goods, start, lot, room, reuse)
+        made, pieces, filled = fill_room(scene, goods, start, lot, room, reuse)
+        arrays = replace(arrays, pieces=pieces)
     parts, convex, hulls, shape_rows = reuse.get(
         "hulls", lambda: _hulls_of(made, plates, seams, dtype, room), (scene.run.precision, room), (made, plates, seams)
     )
@@ -103,21 +104,14 @@ def build(
     is_general = hulls is not None and hulls.features is not None
     kept = partial(kept_array, reuse)
     system = System(
-        pieces=kept_tree(reuse, "typed pieces", pieces, dtype),
         parts=parts,
         hulls=hulls,
         shape=shape_rows,
-        walls=walls,
-        materials=kept_tree(reuse, "materials", materials, dtype),
-        law=kept_tree(reuse, "law", law, dtype),
         reach=kept("reach", longest_reach(law, contacts), dtype),
-        gravity=kept("gravity", scene.run.gravity, dtype),
         dt=kept("dt", step.dt, dtype),
         resolved=kept("resolved", step.resolved, dtype),
         substeps=kept("substeps", step.substeps // step.parts, np.int32),
         skin=kept("skin", SKIN * pieces.width.min() + largest_fillet(walls, parts), dtype),
-        block_low=kept("block_low", np.reshape([b.low for b in blocks], (-1, 3)).T, dtype),
-        block_high=kept("block_high", np.reshape([b.high for b in blocks], (-1, 3)).T, dtype),
         domain_low=kept("domain_low", domain[0], dtype),
         domain_high=kept("domain_high", domain[1], dtype),
         capacity=capacity(len(parts.polytopes), len(parts.spheres), len(panels), is_general, parts.owner is not None),
@@ -129,7 +123,7 @@ def build(
         alike=alike(goods),
         present=None if room is None else kept("present", np.arange(len(made)) < len(own), bool),
         escape_stops=scene.run.escape == "stop",
-        has_rotation=True,
+        has_rotation=has_hulls or _turns(arrays),
         may_tie=len(scene.piece) > 1,
         ledger=scene.run.energy,
         statistics=statistics_of(scene, len(panels), dtype),
@@ -142,16 +136,21 @@ def build(
         quantities=reuse.get(
             "quantities", lambda: quantities.sampled(walls, scene.statistics is not None, plan is not None), (), (walls, plan)
         ),
+        **arrays.system_fields(reuse),
     )
-    turns = materials.friction is not None or materials.rolling is not None or bool(np.any(start.spin))
-    system = system.replace(has_rotation=has_hulls or turns)
     frames = np.array([m.principal for m in made])
-    state = _first_state(system, start, frames, -settling, waiting, reuse)
+    state = _first_state(system, filled, frames, -settling, waiting, reuse)
     check_finite(scene, system, state, reuse)
     return Built(
         system, state, step, shortest_contact(law, contacts), tuple(made), frames, settling, samples, frame_every,
-        regions, goods.numbers, goods, plan, lot,
+        regions, goods.numbers, goods, plan, lot, layout, start,
     )  # fmt: skip
+
+
+def _turns(arrays: ParameterArrays) -> bool:
+    """Whether spheres of these materials may turn."""
+    materials = arrays.materials
+    return materials.friction is not None or materials.rolling is not None or bool(np.any(arrays.start.spin))
 
 
 def _choose_step(

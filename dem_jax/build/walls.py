@@ -168,6 +168,34 @@ def wall_arrays(
 ) -> tuple[Walls, list[Shape], list[PanelSeams] | None]:
     """The walls, the shapes of their panels and the seams of each; piece_radius: (m) as of ``find_surfaces``,
     0 where nobody asks for contacts. Raises SceneError."""
+    walls, plates, seams = panel_arrays(scene, panels, joint, dtype, piece_radius)
+    return walls.replace(**typed(moving_arrays(scene, motions, walls), dtype)), plates, seams
+
+
+def moving_arrays(scene: Scene, motions: Sequence[Motion], walls: Walls) -> dict[str, Any]:
+    """Fields of Walls that say how the groups move: pivots, motions, load cell and drives, in numpy or of traced values.
+
+    Args:
+        scene: its numbers may be traced.
+        motions: sections of all motions, see ``walls_of``.
+        walls: the panels and their groups.
+
+    Raises:
+        SceneError: motions that do not go together.
+    """
+    moved, pivot = motion.motions_of(motions, walls.groups)
+    return {
+        "pivot": host(pivot),
+        "motions": moved,
+        "load_cell": load_cell_of(scene, walls.groups, np.asarray(walls.group)),
+        "drive": drive_of(motions, walls.groups),
+    }
+
+
+def panel_arrays(
+    scene: Scene, panels: Sequence[Panel], joint: dict[str, str], dtype: DTypeLike, piece_radius: float = 0.0
+) -> tuple[Walls, list[Shape], list[PanelSeams] | None]:
+    """As ``wall_arrays``, of walls at rest. Raises SceneError."""
     groups = list(dict.fromkeys(group for group, _, _ in panels))
     made = [_plate(corners, thickness, f"corners of wall group {group!r}") for group, corners, thickness in panels]
     reports: dict[str, list[int]] = {}
@@ -175,7 +203,6 @@ def wall_arrays(
         reports.setdefault(joint.get(group, group), []).append(i)
     number = np.array([groups.index(name) for name, _, _ in panels], int)
     material = rows_of_groups(material_table(scene), scene, groups)
-    moved, pivot = motion.motions_of(motions, tuple(groups))
     extent = [np.abs(shape.vertices).max(0) for shape, _, _ in made]
     surfaces = find_surfaces([(group, corners) for group, corners, _ in panels], smooth_angle(scene), piece_radius)
     is_bent = surfaces is not None and surfaces.is_bent
@@ -190,10 +217,10 @@ def wall_arrays(
         group=host(number),
         material=host(material[number]),
         plane=None if surfaces is None else host(surfaces.number),
-        pivot=host(pivot),
-        motions=moved,
-        load_cell=load_cell_of(scene, groups, number),
-        drive=drive_of(motions, groups),
+        pivot=host(np.zeros((3, len(groups)))),
+        motions=(),
+        load_cell=None,
+        drive=None,
         is_bent=is_bent,
         groups=tuple(groups),
         reports=tuple((name, tuple(members)) for name, members in reports.items()),

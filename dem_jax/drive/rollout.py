@@ -1,7 +1,7 @@
 """A run as a function of numbers of its scene, for ``jax.grad``, ``jvp``, ``vmap`` and ``jit``."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,13 +10,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from dem_jax import build, compiling
-from dem_jax.build.given import Values, check_numbers, with_values
+from dem_jax.build.parameters import Parameters
+from dem_jax.build.topology import POSES, assemble, check_parameters, split_scene
 from dem_jax.drive.prepare import built_of, checked_seed
 from dem_jax.errors import SceneError
 from dem_jax.pairs import guard
 from dem_jax.scene import Scene, load_scene
+from dem_jax.scene.words import short
 from dem_jax.step import stepping
-from dem_jax.step.quantity import Quantity, checked
+from dem_jax.step.quantity import Quantity, checked, with_fixed_rows
 from dem_jax.types import Array
 
 KEPT = 2**30  # bytes
@@ -48,7 +50,7 @@ class Rollout:
 @compiling.uncollected()
 def rollout(
     scene: Scene | str | Path,
-    parameters: Values,
+    parameters: Parameters,
     seed: int = 0,
     quantities: Iterable[Quantity] = (),
     checkpoint: bool | None = None,
@@ -81,31 +83,53 @@ def rollout(
         SceneError: the scene or a parameter cannot be used; the message lists the permitted keys. Numbers have
             the limits that they have in a scene; traced values have none.
     """
-    seed = checked_seed(seed)
     scene = build.self_contained(scene if isinstance(scene, Scene) else load_scene(scene))
-    double = scene.run.precision == "f64"
-    if double and not jax.config.jax_enable_x64:  # type: ignore[attr-defined]
+    built = build_for_tracing(scene, seed)
+    topology, own = split_scene(scene, built)
+    check_parameters(topology, parameters)
+    check_numbers(scene, built, parameters)
+    system, state = assemble(topology, own | dict(parameters))
+    sampled = checked((*built.system.quantities, *quantities))
+    system = system.replace(quantities=tuple(with_fixed_rows(one, built.system) for one in sampled))
+    parts, substeps = built.step.parts, built.step.substeps
+    before = built.settling_steps // substeps
+    samples = before + built.samples
+    if checkpoint is None:
+        checkpoint = samples * substeps * sum(x.nbytes for x in jax.tree.leaves(built.state)) > KEPT
+    state, recorded = stepping.rollout(system, state, samples, substeps // parts, checkpoint)
+    good = guard.stands(system, state.guard)
+    kept = lambda x: jnp.where(good, x[before:], jnp.nan) if jnp.issubdtype(x.dtype, jnp.floating) else x[before:]  # noqa: E731
+    series = {q.name: q.datasets(system, kept(recorded.values[q.name])) for q in system.quantities if q.kept}
+    series = {name: found for name, found in series.items() if not (isinstance(found, dict) and not found)}
+    time = jnp.arange(1, built.samples + 1, dtype=system.dt.dtype) * scene.run.sample
+    return Rollout(time, series)
+
+
+def build_for_tracing(scene: Scene, seed: int) -> build.Built:
+    """What is built of a self-contained scene, on the host also where JAX traces. Raises SceneError."""
+    seed = checked_seed(seed)
+    if scene.run.precision == "f64" and not jax.config.jax_enable_x64:  # type: ignore[attr-defined]
         raise SceneError('run.precision = "f64": allowed: "f32", or jax.config.update("jax_enable_x64", True) first')
     if not compiling.is_in_use():
         compiling.loops_as_one()
     with jax.ensure_compile_time_eval(), np.errstate(all="ignore"):
-        built = built_of(scene, seed, None)
-        check_numbers(scene, built, parameters, seed)
-    if built.exchange is not None:
-        raise SceneError("[inlet], [outlet]: pieces that come and go have no derivatives; allowed: a scene without them")
-    built = replace(built, system=guard.roomy(built.system))
-    made = built.system.replace(quantities=checked((*built.system.quantities, *quantities)))
-    system, state = with_values(scene, built, parameters, seed)
-    system = system.replace(quantities=made.quantities)
-    before = built.settling_steps // built.step.substeps
-    parts = built.step.parts
-    samples = before + built.samples
-    if checkpoint is None:
-        checkpoint = samples * built.step.substeps * sum(x.nbytes for x in jax.tree.leaves(built.state)) > KEPT
-    state, recorded = stepping.rollout(system, state, samples, built.step.substeps // parts, checkpoint)
-    good = guard.stands(system, state.guard)
-    kept = lambda x: jnp.where(good, x[before:], jnp.nan) if jnp.issubdtype(x.dtype, jnp.floating) else x[before:]  # noqa: E731
-    series = {q.name: q.datasets(made, kept(recorded.values[q.name])) for q in made.quantities if q.kept}
-    series = {name: found for name, found in series.items() if not (isinstance(found, dict) and not found)}
-    time = jnp.arange(1, built.samples + 1, dtype=system.dt.dtype) * scene.run.sample
-    return Rollout(time, series)
+        return built_of(scene, seed, None)
+
+
+def check_numbers(scene: Scene, built: build.Built, values: Parameters) -> None:
+    """Raise SceneError for values that a scene would not take, or with which the time step of this one is not stable.
+
+    Values that stand for any number while JAX traces pass: the scene's own are in their place.
+    """
+    given = {key: value for key, value in values.items() if key not in POSES and not isinstance(value, jax.core.Tracer)}
+    numbers = {key: np.asarray(value, float).tolist() for key, value in given.items()}
+    if not numbers:
+        return
+    with jax.ensure_compile_time_eval(), np.errstate(all="ignore"):
+        checked = built_of(scene.replace(numbers), 0, None).step
+    if built.step.dt > checked.stable * (1 + 1e-6) and not scene.run.allow_unstable_step:
+        said = ", ".join(f"{key} = {short(value)}" for key, value in numbers.items())
+        raise SceneError(
+            f"{said}: the scene's time step, dt = {built.step.dt:.4g} s, is not stable with it; allowed: a scene whose own numbers "
+            f"or run.step make it at most {checked.stable:.4g} s, or run.allow_unstable_step = true"
+        )

@@ -8,7 +8,7 @@ import numpy as np
 
 from dem_jax.errors import SceneError
 from dem_jax.scene import buckets
-from dem_jax.scene.numbers import array
+from dem_jax.scene.numbers import array, is_traced
 from dem_jax.scene.scene import Scene
 from dem_jax.scene.sections.material import DEFAULT, WALL, Material, NamedMaterial
 from dem_jax.scene.surfaces import SURFACES
@@ -32,6 +32,7 @@ class MaterialTable:
     friction: np.ndarray  # [M, M]: mu
     pull_off: np.ndarray  # [M, M] (N): largest adhesive force of a contact
     rolling: np.ndarray  # [M, M]: mu_r
+    uniform: frozenset[str]  # names of those of them that are one number for all pairs that can touch
 
 
 @dataclass(frozen=True)
@@ -57,24 +58,30 @@ def material_table(scene: Scene) -> MaterialTable:
     rows = [_row(scene.material, name, False) for name in _in_order(of_pieces)]
     rows += [_row(scene.material, name, True) for name in _in_order(of_walls)]
     each = lambda key: array([getattr(row, key) for row in rows])  # noqa: E731
-    listed = {frozenset(pair.of): pair for pair in scene.pair}
-
-    def pairs(key: str, rule: Callable[[_Row, _Row], float]) -> np.ndarray:
-        said = [[getattr(listed.get(frozenset((a.name, b.name))), key, None) for b in rows] for a in rows]
-        return array([[rule(a, b) if s is None else s for b, s in zip(rows, line, strict=True)]
-                      for a, line in zip(rows, said, strict=True)])  # fmt: skip
-
+    pairs = {name: _pairs(scene, rows, key, rule) for name, (key, rule) in _RULES.items()}
+    touching = [(i, j) for i, a in enumerate(rows) for j, b in enumerate(rows) if not (a.is_wall and b.is_wall)]
     return MaterialTable(
         names=tuple(row.name for row in rows),
         is_wall=np.array([row.is_wall for row in rows]),
         density=each("density"),
         youngs_modulus=each("youngs_modulus"),
         poisson_ratio=each("poisson_ratio"),
-        restitution=pairs("restitution", _of_piece_or_mean("restitution", "restitution")),
-        friction=pairs("friction", _of_piece_or_mean("friction_piece", "friction_wall", "friction")),
-        pull_off=pairs("pull_off", _of_piece_or_mean("pull_off", "pull_off", "pull_off")),
-        rolling=pairs("rolling_friction", _of_piece_or_mean("rolling_friction", "rolling_friction")),
+        uniform=frozenset(name for name, values in pairs.items() if _are_one([values[i][j] for i, j in touching])),
+        **{name: array(values) for name, values in pairs.items()},
     )
+
+
+def _pairs(scene: Scene, rows: Sequence[_Row], key: str, rule: Callable[[_Row, _Row], float]) -> list[list[float]]:
+    """A property of each pair of materials: as listed, else by its rule."""
+    listed = {frozenset(pair.of): getattr(pair, key) for pair in scene.pair}
+    said = [[listed.get(frozenset((a.name, b.name))) for b in rows] for a in rows]
+    return [[rule(a, b) if s is None else s for b, s in zip(rows, line, strict=True)] for a, line in zip(rows, said, strict=True)]
+
+
+def _are_one(values: Sequence[Any]) -> bool:
+    """Whether values are the same number: of those that may stand for any, whether they are one object."""
+    first = values[0]
+    return all(value is first or not is_traced((value, first)) and value == first for value in values)
 
 
 def rows_of_pieces(table: MaterialTable, names: Sequence[str | None]) -> np.ndarray:
@@ -159,8 +166,17 @@ def _of_piece_or_mean(between_pieces: str, on_wall: str, by_surface: str | None 
         if a.is_wall != b.is_wall:
             piece, wall = (b, a) if a.is_wall else (a, b)
             own = getattr(piece, on_wall)
-            return own * getattr(SURFACES[wall.wall_surface], by_surface) if by_surface else own
+            factor = getattr(SURFACES[wall.wall_surface], by_surface) if by_surface else 1.0
+            return own if factor == 1.0 else own * factor
         one, other = getattr(a, between_pieces), getattr(b, between_pieces)
         return one if one is other else 0.5 * (one + other)
 
     return rule
+
+
+_RULES = {  # property of pairs -> key of [[pair]], and the rule for pairs that are not listed
+    "restitution": ("restitution", _of_piece_or_mean("restitution", "restitution")),
+    "friction": ("friction", _of_piece_or_mean("friction_piece", "friction_wall", "friction")),
+    "pull_off": ("pull_off", _of_piece_or_mean("pull_off", "pull_off", "pull_off")),
+    "rolling": ("rolling_friction", _of_piece_or_mean("rolling_friction", "rolling_friction")),
+}

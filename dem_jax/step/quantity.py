@@ -7,7 +7,7 @@ order of the arrays of a State, the last one first, and then the runs that are s
 """
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax.numpy as jnp
@@ -38,6 +38,16 @@ class Axis:
     size: Callable[[System], int]
     rows: Callable[[System], Rows] | None = None
     symbol: str = ""
+
+
+@dataclass(frozen=True)
+class FixedRows:
+    """Rows of an axis that were found once, for systems whose arrays are traced."""
+
+    rows: Rows
+
+    def __call__(self, system: System) -> Rows:
+        return self.rows
 
 
 def moving_groups(system: System) -> Rows:
@@ -148,6 +158,12 @@ class Quantity:
         if rows is None:
             return turned(values)
         return {name: turned(_row(values, place)) for name, place in rows}
+
+
+def with_fixed_rows(quantity: Quantity, system: System) -> Quantity:
+    """The quantity with the rows that its axes have in a system."""
+    axes = tuple(replace(axis, rows=FixedRows(axis.rows(system))) if axis.rows else axis for axis in quantity.along)
+    return replace(quantity, axes=axes)
 
 
 def checked(quantities: Iterable[Quantity]) -> tuple[Quantity, ...]:

@@ -9,8 +9,9 @@ import pytest
 
 import dem_jax
 from dem_jax import build, compiling, smooth_peak, validation
-from dem_jax.build.given import SWITCHES, check_numbers, keys_of, with_values
+from dem_jax.build.topology import POSES, assemble, split_scene
 from dem_jax.contact.motion.cubics import cubics
+from dem_jax.drive.rollout import check_numbers
 from dem_jax.errors import SceneError
 from dem_jax.pairs import guard
 from dem_jax.step import stepping
@@ -158,16 +159,12 @@ def scenes():
     return {"station": station, "moving": moving.replace(rough)}
 
 
-def changed(scene):
-    """Values of all keys that may be given, a tenth less than the scene's own; of speeds with something added."""
+def changed(topology, parameters):
+    """Values of all parameters, a tenth less than the scene's own; of speeds with something added."""
     values = {}
-    for key, form in keys_of(scene).items():
-        old = scene.model_dump()
-        for part in key.split("."):
-            old = old[int(part)] if isinstance(old, list | tuple) else old.get(part)
-        off = key.split(".")[-1] in {*SWITCHES, "pull_off"} and (not np.any(old) or old is None and not scene.material.pull_off)
-        if not (off or key.endswith(("duration", "shake_end"))):  # what ends before it begins is no motion
-            values[key] = (np.full(form, 0.5) if old is None else np.asarray(old, float)) * 0.9 + 0.01 * key.endswith("velocity")
+    for key, form in topology.shapes.items():
+        if not key.endswith(("duration", "shake_end")) and key not in POSES:  # what ends before it begins is no motion
+            values[key] = parameters.get(key, np.full(form, 0.5)) * 0.9 + 0.01 * key.endswith("velocity")
     return values
 
 
@@ -175,9 +172,11 @@ def changed(scene):
 def test_values_do_what_the_scene_s_own_numbers_do(name):
     """The arrays of system and state are those of a scene with these numbers."""
     scene = build.self_contained(scenes()[name].replace({"run.precision": "f64", "run.step": 2e-6}))
-    made, values = build.build(scene), changed(scene)
+    made = build.build(scene)
+    topology, own = split_scene(scene, made)
+    values = changed(topology, own)
     assert len(values) > 30
-    system, state = with_values(scene, made, values)
+    system, state = assemble(topology, own | values)
     plain = lambda value: tuple(map(tuple, value.tolist())) if value.ndim == 2 else value.tolist()  # noqa: E731
     new = build.build(scene.replace({key: plain(value) for key, value in values.items()}))
     walls = np.array(made.system.materials.is_wall)
@@ -185,7 +184,7 @@ def test_values_do_what_the_scene_s_own_numbers_do(name):
         leaves = zip(*(jax.tree_util.tree_flatten_with_path(tree)[0] for tree in (found, wanted)), strict=True)
         for (path, one), (_, other) in leaves:
             where = jax.tree_util.keystr(path)
-            if where.split(".")[1] in ("dt", "substeps", "domain_low", "domain_high", "reach"):
+            if where.split(".")[1] in ("dt", "substeps", "domain_low", "domain_high", "reach", "skin"):
                 continue
             one, other = np.broadcast_arrays(one, other)
             if where.startswith(".materials") and one.ndim == 2:  # what stands between two walls means nothing
@@ -225,7 +224,7 @@ def test_every_number_has_the_limits_of_the_scene(name):
     made = build.build(scene)
     free = {"height", "swing_deg", "opening_angle_deg", "start", "opening_start", "shake_start", "shake_end"}
     refused = 0
-    for key, form in keys_of(scene).items():
+    for key, form in split_scene(scene, made)[0].shapes.items():
         if form or key.split(".")[-1] in free:
             continue
         try:

@@ -268,7 +268,7 @@ def test_what_is_built_after_another_scene_is_what_is_built_alone(name):
 
 def test_runs_that_differ_in_their_material_share_most_of_their_building(monkeypatch):
     """Shapes, walls, hulls and the first state are made once for a hundred values, not for each."""
-    in_system = [f"system.{name}" for name in ("walls_of", "wall_arrays", "_hulls_of", "first_state", "placed")]
+    in_system = [f"system.{name}" for name in ("walls_of", "panel_arrays", "_hulls_of", "first_state", "placed")]
     made = dict.fromkeys(("pieces.goods_of", *in_system), 0)  # the first also where the room of all runs is found
 
     def counted(name, function):

@@ -1,5 +1,6 @@
 """All motions of walls together: which kinds there are, where they put each group, how fast, and when all is at rest."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -104,7 +105,7 @@ def _turned(frame: _Inner, move: _Turn) -> _Inner:
     )
 
 
-def motions_of(sections: list[Motion], groups: tuple[str, ...]) -> tuple[tuple[Kind, ...], np.ndarray]:
+def motions_of(sections: Sequence[Motion], groups: tuple[str, ...]) -> tuple[tuple[Kind, ...], np.ndarray]:
     """The kinds of motion that sections ask for, and the pivot [3, G] (m) of each group, that of its innermost motion.
 
     A group may have several sections, of different kinds. Tables are ``written_out``. Raises SceneError.

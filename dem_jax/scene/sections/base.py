@@ -1,7 +1,8 @@
 """What every section of a scene shares: no unknown keys, no wrong types, only finite numbers of a size that can be."""
 
 from collections.abc import Iterable, Iterator
-from typing import Annotated, Any, Self
+from dataclasses import dataclass
+from typing import Annotated, Any, Self, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
@@ -12,6 +13,23 @@ def as_tuple(value: Any) -> Any:
     """A list as a tuple; anything else as it is."""
     return tuple(value) if isinstance(value, list) else value
 
+
+@dataclass(frozen=True)
+class ParameterMark:
+    """Marks a key whose value enters arrays only, so that it can be a parameter of a compiled program.
+
+    is_switch: with 0 in the scene the program has nothing of it, and it is no parameter.
+    is_inherited: unset, other keys stand for it, and it may be given nevertheless.
+    """
+
+    is_switch: bool = False
+    is_inherited: bool = False
+
+
+T = TypeVar("T")
+Parameter = Annotated[T, ParameterMark()]
+SwitchedParameter = Annotated[T, ParameterMark(is_switch=True)]
+InheritedParameter = Annotated[T, ParameterMark(is_inherited=True)]
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]

@@ -9,12 +9,14 @@ from dem_jax.scene.sections.base import (
     PLACING,
     MaterialName,
     NotNegative,
+    Parameter,
     Points,
     Positive,
     Section,
     StlMove,
     StlTurn,
     StlUnit,
+    SwitchedParameter,
     as_tuple,
     check_needed,
 )
@@ -37,11 +39,11 @@ class Bucket(Section):
     )
     wall_height: Positive = Field(0.13, description="m, of the vertical walls above the hinges")
     flap_angle_deg: float = Field(55.0, gt=0, lt=90, description="degrees of the closed flaps below the horizontal")
-    opening_angle_deg: float = Field(65.0, ge=0, le=150, description="degrees by which a flap opens")
-    opening_start: float = Field(0.0, description="s after the release")
-    opening_time: Positive = Field(0.08, description="s")
-    open_dwell: NotNegative = Field(0.1, description="s")
-    closing_time: Positive = Field(0.09, description="s")
+    opening_angle_deg: SwitchedParameter[float] = Field(65.0, ge=0, le=150, description="degrees by which a flap opens")
+    opening_start: Parameter[float] = Field(0.0, description="s after the release")
+    opening_time: Parameter[Positive] = Field(0.08, description="s")
+    open_dwell: Parameter[NotNegative] = Field(0.1, description="s")
+    closing_time: Parameter[Positive] = Field(0.09, description="s")
     period: NotNegative = Field(0.0, description="s from one opening to the next; 0: it opens once")
     drive: Drive | None = Field(None, description="drive of each flap; unset: unlimited torque")
     thickness: Positive = Field(0.005, description="m, of walls and flaps")
@@ -89,13 +91,15 @@ class LoadCell(Section):
     bend by a few tenths of a millimetre at the rated load, and a bucket of 1 kg: 98 kN/m, 50 Hz.
     """
 
-    mass: Positive = Field(1.0, description="kg without pieces: bucket, flaps and the moving part of the cell")
-    rated_load: Positive = Field(5.0, description="kg; a run prints a note beyond it")
-    stiffness: Positive | None = Field(
+    mass: Parameter[Positive] = Field(1.0, description="kg without pieces: bucket, flaps and the moving part of the cell")
+    rated_load: Parameter[Positive] = Field(5.0, description="kg; a run prints a note beyond it")
+    stiffness: Parameter[Positive | None] = Field(
         None, description="N/m; unset: from natural_frequency, or from 0.5 mm at the rated load if that is unset too"
     )
-    natural_frequency: Positive | None = Field(None, description="Hz, of the mass without pieces, in place of the stiffness")
-    damping_ratio: NotNegative = Field(0.02, description="of the critical damping of the mass without pieces")
+    natural_frequency: Parameter[Positive | None] = Field(
+        None, description="Hz, of the mass without pieces, in place of the stiffness"
+    )
+    damping_ratio: Parameter[NotNegative] = Field(0.02, description="of the critical damping of the mass without pieces")
     noise: Noise | None = Field(None, description="noise with which weigh shows the signal; unset: none")
 
     def spring(self) -> float:
@@ -126,7 +130,7 @@ class WeighBucket(Bucket):
 class Drop(Section):
     """Where the feed bucket is above the weigh bucket."""
 
-    height: Positive = Field(
+    height: Parameter[Positive] = Field(
         0.25, description="m, from the lower edge of the closed feed flaps to that of the weigh flaps"
     )
 
@@ -147,13 +151,13 @@ class Feeder(Section):
     tilt_deg: float = Field(3.0, ge=0, lt=45, description="degrees by which the pan descends towards the bucket")
     overhang: float = Field(0.0, description="m by which the edge of the pan stands over the inside of the feed bucket")
     clearance: Positive = Field(0.02, description="m from the feed bucket's upper edge to that of the pan")
-    stroke: NotNegative = Field(4e-4, description="m, amplitude of the vibration")
+    stroke: SwitchedParameter[NotNegative] = Field(4e-4, description="m, amplitude of the vibration")
     stroke_angle_deg: float = Field(25.0, gt=0, lt=90, description="degrees of the stroke above the horizontal, forwards and up")
-    frequency: Positive = Field(50.0, description="Hz")
-    start: float = Field(0.27, description="s after the release; by default when the flaps of the feed bucket are shut")
-    duration: Positive = Field(0.7, description="s of vibration")
+    frequency: Parameter[Positive] = Field(50.0, description="Hz")
+    start: Parameter[float] = Field(0.27, description="s after the release; by default when the flaps of the feed bucket are shut")
+    duration: Parameter[Positive] = Field(0.7, description="s of vibration")
     period: NotNegative = Field(0.0, description="s from one beginning of the vibration to the next; 0: once")
-    ramp: Positive = Field(0.02, description="s, to full amplitude and back")
+    ramp: Parameter[Positive] = Field(0.02, description="s, to full amplitude and back")
     thickness: Positive = Field(0.005, description="m")
     material: MaterialName = None
     stl: str | None = Field(

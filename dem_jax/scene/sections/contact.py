@@ -4,7 +4,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from dem_jax.scene.sections.base import NotNegative, Positive, Section
+from dem_jax.scene.sections.base import NotNegative, Parameter, Positive, Section
 from dem_jax.scene.sections.material import Material
 
 LawName = Literal["walton-braun", "linear-dashpot", "hertz-mindlin", "densifying", "elastic-plastic"]
@@ -25,7 +25,7 @@ HERTZIAN = ("hertz-mindlin", "elastic-plastic")  # laws whose stiffness follows 
 class Cohesion(Section):
     """How bodies hold on to each other, where a pull_off is more than 0 (dem_jax.contact.law.cohesion)."""
 
-    stiffness: Positive = Field(1.0, description="of the tension, relative to the two bodies in series (eqs 5, 7 and 8)")
+    stiffness: Parameter[Positive] = Field(1.0, description="of the tension, relative to the two bodies in series (eqs 5, 7 and 8)")
     range: NotNegative = Field(1e-4, description="m, gap over which the tension decreases from pull_off to 0")
 
 
@@ -37,10 +37,10 @@ class Contact(Section):
         5.0,
         description='m/s, the fastest impact that the time step resolves; law "hertz-mindlin", "densifying", "elastic-plastic"',
     )
-    densification: Positive = Field(
+    densification: Parameter[Positive] = Field(
         0.2, description='overlap at which a foam is solid, as fraction of the size L of the smaller body; law "densifying"'
     )
-    yield_pressure: Positive = Field(
+    yield_pressure: Parameter[Positive] = Field(
         1e6, description='Pa, contact pressure at which pieces yield, with moduli times softening; law "elastic-plastic"'
     )
     cohesion: Cohesion = Cohesion()

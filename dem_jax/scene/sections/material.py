@@ -5,7 +5,15 @@ from typing import Annotated
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from dem_jax.scene.sections.base import NotNegative, Positive, Section, as_tuple
+from dem_jax.scene.sections.base import (
+    InheritedParameter,
+    NotNegative,
+    Parameter,
+    Positive,
+    Section,
+    SwitchedParameter,
+    as_tuple,
+)
 from dem_jax.scene.surfaces import SurfaceName
 
 DEFAULT, WALL = "default", "wall"  # names of [material] in [[pair]]: of pieces, and of walls, that name no other
@@ -28,19 +36,21 @@ ModulusRange = Annotated[tuple[Positive, Positive], BeforeValidator(as_tuple), A
 class NamedMaterial(Section):
     """A material that pieces or walls name; what it does not set is as in [material]."""
 
-    density: Positive | None = Field(None, description="kg/m3, pieces")
-    youngs_modulus: Positive | None = Field(
+    density: InheritedParameter[Positive | None] = Field(None, description="kg/m3, pieces")
+    youngs_modulus: InheritedParameter[Positive | None] = Field(
         None, description="Pa: E_p of pieces, E_b of walls; unset: youngs_modulus or wall_youngs_modulus of [material]"
     )
     youngs_modulus_range: ModulusRange | None = Field(None, description=RANGE_HELP)
-    poisson_ratio: PoissonRatio | None = Field(
+    poisson_ratio: InheritedParameter[PoissonRatio | None] = Field(
         None, description="unset: poisson_ratio or, of walls, wall_poisson_ratio of [material]"
     )
-    restitution: Restitution | None = Field(None, description="epsilon of eq. 6, of pieces")
-    friction_piece: NotNegative | None = Field(None, description="mu between pieces")
-    friction_wall: NotNegative | None = Field(None, description="mu between such a piece and a wall")
-    rolling_friction: NotNegative | None = Field(None, description="mu_r of such a piece, on pieces and on walls")
-    pull_off: NotNegative | None = Field(None, description="N, largest adhesive force of a contact, of pieces")
+    restitution: InheritedParameter[Restitution | None] = Field(None, description="epsilon of eq. 6, of pieces")
+    friction_piece: InheritedParameter[NotNegative | None] = Field(None, description="mu between pieces")
+    friction_wall: InheritedParameter[NotNegative | None] = Field(None, description="mu between such a piece and a wall")
+    rolling_friction: InheritedParameter[NotNegative | None] = Field(
+        None, description="mu_r of such a piece, on pieces and on walls"
+    )
+    pull_off: InheritedParameter[NotNegative | None] = Field(None, description="N, largest adhesive force of a contact, of pieces")
     wall_surface: SurfaceName | None = Field(None, description="of walls: changes friction_wall and pull_off of pieces on them")
 
 
@@ -52,29 +62,29 @@ class Material(Section, extra="allow"):
 
     __pydantic_extra__: dict[str, NamedMaterial]
 
-    density: Positive = Field(300.0, description="kg/m3, pieces")
-    youngs_modulus: Positive = Field(1.0e8, description="Pa, pieces (E_p)")
+    density: Parameter[Positive] = Field(300.0, description="kg/m3, pieces")
+    youngs_modulus: Parameter[Positive] = Field(1.0e8, description="Pa, pieces (E_p)")
     youngs_modulus_range: ModulusRange | None = Field(None, description=RANGE_HELP)
-    wall_youngs_modulus: Positive = Field(1.0e11, description="Pa, walls (E_b)")
-    restitution: Restitution = Field(0.1, description="epsilon of eq. 6")
-    friction_piece: NotNegative = Field(0.7, description="mu between pieces")
-    friction_wall: NotNegative = Field(0.3, description="mu between piece and wall")
-    rolling_friction: NotNegative = Field(
+    wall_youngs_modulus: Parameter[Positive] = Field(1.0e11, description="Pa, walls (E_b)")
+    restitution: Parameter[Restitution] = Field(0.1, description="epsilon of eq. 6")
+    friction_piece: Parameter[NotNegative] = Field(0.7, description="mu between pieces")
+    friction_wall: Parameter[NotNegative] = Field(0.3, description="mu between piece and wall")
+    rolling_friction: Parameter[NotNegative] = Field(
         0.0, description="mu_r of pieces, on pieces and on walls: tangent of the slope on which a sphere just stays"
     )
-    softening: Positive = Field(0.01, description="NSF, on both moduli")
+    softening: Parameter[Positive] = Field(0.01, description="NSF, on both moduli")
     stiffness_size: str = Field("equivalent-diameter", description="L of eqs 7-8, a name of shapes.SIZE_LENGTHS")
-    separation: float = Field(0.001, ge=0, lt=1, description="lambda of eq. 1")
-    tangential_stiffness: Positive = Field(1.0, description="K_t / K_nl")
-    unloading_damping: float = Field(
+    separation: Parameter[float] = Field(0.001, ge=0, lt=1, description="lambda of eq. 1")
+    tangential_stiffness: Parameter[Positive] = Field(1.0, description="K_t / K_nl")
+    unloading_damping: SwitchedParameter[float] = Field(
         0.0, ge=0, le=1, description="damping ratio of the unloading branch; 0: as in the paper"
     )
-    rest_damping: float = Field(
+    rest_damping: SwitchedParameter[float] = Field(
         0.0, ge=0, le=0.5, description="damping ratio of contacts at rest, not during impacts; 0.2 stops creep; 0: as in the paper"
     )
-    poisson_ratio: PoissonRatio = Field(0.3, description="pieces")
-    wall_poisson_ratio: PoissonRatio = Field(0.3, description="walls")
-    pull_off: NotNegative = Field(0.0, description="N, largest adhesive force of a contact")
+    poisson_ratio: Parameter[PoissonRatio] = Field(0.3, description="pieces")
+    wall_poisson_ratio: Parameter[PoissonRatio] = Field(0.3, description="walls")
+    pull_off: Parameter[NotNegative] = Field(0.0, description="N, largest adhesive force of a contact")
     wall_surface: SurfaceName = Field(
         "stainless", description="of walls: changes friction_wall and pull_off of pieces on them by its factors"
     )
@@ -106,10 +116,10 @@ class Pair(Section):
     of: Annotated[tuple[str, str], BeforeValidator(as_tuple)] = Field(
         description=f'names of two materials, in any order; [material] itself is "{DEFAULT}" of pieces, "{WALL}" of walls'
     )
-    restitution: Restitution | None = Field(None, description="epsilon of eq. 6")
-    friction: NotNegative | None = Field(None, description="mu")
-    rolling_friction: NotNegative | None = Field(None, description="mu_r")
-    pull_off: NotNegative | None = Field(None, description="N, largest adhesive force of a contact")
+    restitution: InheritedParameter[Restitution | None] = Field(None, description="epsilon of eq. 6")
+    friction: InheritedParameter[NotNegative | None] = Field(None, description="mu")
+    rolling_friction: InheritedParameter[NotNegative | None] = Field(None, description="mu_r")
+    pull_off: InheritedParameter[NotNegative | None] = Field(None, description="N, largest adhesive force of a contact")
 
     @model_validator(mode="after")
     def _says_something(self) -> "Pair":

@@ -4,7 +4,18 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from dem_jax.scene.sections.base import MaterialName, Points, Positive, Quaternion, Section, Size, Vector, as_tuple, check_needed
+from dem_jax.scene.sections.base import (
+    MaterialName,
+    Parameter,
+    Points,
+    Positive,
+    Quaternion,
+    Section,
+    Size,
+    Vector,
+    as_tuple,
+    check_needed,
+)
 from dem_jax.scene.text import value
 
 AnyShape = Literal["chamfered-cuboid", "cuboid", "sphere", "prism", "cylinder", "hull", "tube", "compound", "decomposed"]
@@ -115,10 +126,10 @@ class Piece(PieceShape):
 
     material: MaterialName = None
 
-    position: Vector = Field(description="m, centre of mass")
-    orientation: Quaternion = Field((1.0, 0.0, 0.0, 0.0), description="quaternion w x y z, body to world")
-    velocity: Vector = Field((0.0, 0.0, 0.0), description="m/s")
-    angular_velocity: Vector = Field((0.0, 0.0, 0.0), description="rad/s, world frame")
+    position: Parameter[Vector] = Field(description="m, centre of mass")
+    orientation: Parameter[Quaternion] = Field((1.0, 0.0, 0.0, 0.0), description="quaternion w x y z, body to world")
+    velocity: Parameter[Vector] = Field((0.0, 0.0, 0.0), description="m/s")
+    angular_velocity: Parameter[Vector] = Field((0.0, 0.0, 0.0), description="rad/s, world frame")
 
 
 class Product(PieceShape):

@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from dem_jax.scene.sections.base import NotNegative, Positive, Section, Vector
+from dem_jax.scene.sections.base import NotNegative, Parameter, Positive, Section, Vector
 
 Error = Annotated[float, Field(gt=0, le=0.2)]
 ROUNDING = 1e-9  # relative: times that differ by less are the same
@@ -39,7 +39,7 @@ class RunSettings(Section):
         None, description="instead of step: { restitution = 0.01, peak_force = 0.001 }, relative errors, both or one"
     )
     precision: Literal["f32", "f64"] = "f32"
-    gravity: Vector = Field((0.0, 0.0, -9.81), description="m/s2")
+    gravity: Parameter[Vector] = Field((0.0, 0.0, -9.81), description="m/s2")
     frames: NotNegative = Field(1e-3, description="s between stored poses; 0: none")
     energy: bool = Field(True, description="keep the energy ledger: dissipated energy and work of walls")
     domain_low: Vector | None = Field(

@@ -7,12 +7,14 @@ from dem_jax.scene.sections.base import (
     MaterialName,
     NotNegative,
     Numbers,
+    Parameter,
     Points,
     Positive,
     Section,
     StlMove,
     StlTurn,
     StlUnit,
+    SwitchedParameter,
     Vector,
     check_needed,
 )
@@ -49,10 +51,10 @@ class Drive(Section):
     Plausible values (named assumptions) for a small stepping motor, as of size NEMA 23, behind a sheet of 0.2 kg.
     """
 
-    torque: Positive = Field(1.0, description="N m, at most, about the hinge")
-    inertia: Positive = Field(1e-3, description="kg m2 about the hinge, of the flap and everything that rotates with it")
-    natural_frequency: Positive = Field(15.0, description="Hz, of the return to the prescribed motion")
-    damping_ratio: NotNegative = Field(1.0, description="fraction of the critical damping")
+    torque: Parameter[Positive] = Field(1.0, description="N m, at most, about the hinge")
+    inertia: Parameter[Positive] = Field(1e-3, description="kg m2 about the hinge, of the flap and everything that rotates with it")
+    natural_frequency: Parameter[Positive] = Field(15.0, description="Hz, of the return to the prescribed motion")
+    damping_ratio: Parameter[NotNegative] = Field(1.0, description="fraction of the critical damping")
 
 
 class Motion(Section):
@@ -64,25 +66,25 @@ class Motion(Section):
     group: str
     pivot: Vector = Field((0.0, 0.0, 0.0), description="m, a point of the hinge's axis")
     axis: Vector = Field((1.0, 0.0, 0.0), description="direction of the hinge")
-    swing_deg: float = Field(0.0, description="degrees, opening angle of the flap, right-handed about the axis")
-    start: float = Field(0.0, description="s")
-    opening: Positive = Field(0.08, description="s")
-    dwell: NotNegative = Field(0.1, description="s, hold time of the open flap")
-    closing: Positive = Field(0.09, description="s")
-    period: NotNegative = Field(0.0, description="s; 0: once")
+    swing_deg: SwitchedParameter[float] = Field(0.0, description="degrees, opening angle of the flap, right-handed about the axis")
+    start: Parameter[float] = Field(0.0, description="s")
+    opening: Parameter[Positive] = Field(0.08, description="s")
+    dwell: Parameter[NotNegative] = Field(0.1, description="s, hold time of the open flap")
+    closing: Parameter[Positive] = Field(0.09, description="s")
+    period: Parameter[NotNegative] = Field(0.0, description="s; 0: once")
     drive: Drive | None = Field(None, description="drive of the flap; unset: unlimited torque")
-    stroke: Vector = Field((0.0, 0.0, 0.0), description="m, amplitude of the vibration")
-    frequency: NotNegative = Field(50.0, description="Hz")
-    shake_start: float = Field(0.0, description="s")
-    shake_end: float = Field(1e3, description="s")
-    shake_ramp: Positive = Field(0.02, description="s, to full amplitude and back")
+    stroke: SwitchedParameter[Vector] = Field((0.0, 0.0, 0.0), description="m, amplitude of the vibration")
+    frequency: Parameter[NotNegative] = Field(50.0, description="Hz")
+    shake_start: Parameter[float] = Field(0.0, description="s")
+    shake_end: Parameter[float] = Field(1e3, description="s")
+    shake_ramp: Parameter[Positive] = Field(0.02, description="s, to full amplitude and back")
     shake_period: NotNegative = Field(0.0, description="s from one beginning of the vibration to the next; 0: once")
     table: str | None = Field(
         None, description="CSV file, relative to the scene's, with columns time (s) and angle_deg, x, y or z (m)"
     )
     times: Numbers | None = Field(None, description="s, instead of a table; at rest before the first and after the last")
-    angles_deg: Numbers | None = Field(None, description="degrees, angles at these times, right-handed about the axis")
-    ways: Points | None = Field(None, description="m at these times, from where the walls are given")
+    angles_deg: Parameter[Numbers | None] = Field(None, description="degrees, angles at these times, right-handed about the axis")
+    ways: Parameter[Points | None] = Field(None, description="m at these times, from where the walls are given")
 
     @model_validator(mode="after")
     def _has_what_its_keys_act_on(self) -> "Motion":
