@@ -20,6 +20,7 @@ from calibrate.momentum import count_rows, find_triggers, pooled_mean, smooth_mo
 from calibrate.ringing import fit_basis, ringing_basis
 from calibrate.scale_noise import ScaleNoise, fit_noise
 from product_model import weigher as estimator
+from product_model.decision import NORMAL_95
 from product_model.weigher import Weigher, WeigherState
 
 LEAST_PORTIONS = 10
@@ -42,6 +43,7 @@ LEAST_MIDDLE = (np.log(0.5), -np.inf, -np.inf)  # of the logarithm of each check
 # raises no doubt where innovations are as small as expected
 LEAST_SPREAD = (0.3, 0.5, 0.3)  # of the logarithm of each check
 MARGIN = 0.5  # of the lightest and heaviest portion learnt, by which weights that are believed may differ
+LEAST_WIDENING = 0.3
 WINDOW = 0.01  # s on either side, over which statistics of rows are pooled
 NOTCH_QUALITY = 1.0  # of the notches
 LEAST_ENDING = 50  # samples of it
@@ -309,7 +311,9 @@ def _held_out(
 ) -> _HeldOut:
     """Each portion weighed by an estimator that has not learnt from it."""
     fold = np.arange(len(weights)) % FOLDS
-    rows = min(count_rows(signals, triggers), len(weigher.impulse) + int(HELD_OUT_AFTER / weigher.interval))
+    rows = min(
+        count_rows(signals, triggers), len(weigher.impulse) + int(HELD_OUT_AFTER / weigher.interval)
+    )
     found = np.full((2 + estimator.CHECKS, len(weights), rows), np.nan)
     for k in range(FOLDS):
         some = np.flatnonzero(fold == k)
@@ -353,18 +357,24 @@ def _judged(
     rows = len(weigher.impulse)
     reach = round(WINDOW / weigher.interval)
     row_of = np.minimum(np.arange(held_out.sd.shape[1]), rows - 1)
-    score = np.abs(held_out.errors) / held_out.sd
-    widening = np.maximum(1.0, _quantile_of_rows(score, 0.95, rows, reach) / 1.96)
     middle, high = (
         np.stack([_quantile_of_rows(check, share, rows, reach) for check in held_out.check])
         for share in (0.5, 0.84)
     )
     middle = np.maximum(middle, np.array(LEAST_MIDDLE)[:, None])
+    usual = np.moveaxis(middle[:, None, row_of], 0, -1)
+    share = min(1.0, np.ceil(0.95 * (len(weights) + 1)) / len(weights))  # of conformal prediction
+    factor = estimator.scale_variance(np, np.exp(np.moveaxis(held_out.check, 0, -1)), usual)
+    sd = held_out.sd * np.sqrt(factor)
+    score = np.abs(held_out.errors) / sd
+    widening = np.maximum(LEAST_WIDENING, _quantile_of_rows(score, share, rows, reach) / NORMAL_95)
     spread = np.maximum(high - middle, np.array(LEAST_SPREAD)[:, None])
     excess = (held_out.check - middle[:, None, row_of]) / spread[:, None, row_of]
     worst = np.nanmax(excess, axis=2)
     shares = 1 - np.array(FALSE_ALARMS)
-    limits = [np.quantile(w, share, method="higher") for w, share in zip(worst, shares, strict=True)]
+    limits = [
+        np.quantile(w, share, method="higher") for w, share in zip(worst, shares, strict=True)
+    ]
     threshold = np.maximum(LEAST_THRESHOLD, limits)
     judged = replace(
         weigher,
@@ -375,8 +385,9 @@ def _judged(
         least=(1 - MARGIN) * float(weights.min()),
         most=(1 + MARGIN) * float(weights.max()),
     )
-    sd = held_out.sd * widening[row_of]
-    return Learnt(judged, triggers, held_out.errors, sd, (worst.T > threshold).any(axis=1))
+    return Learnt(
+        judged, triggers, held_out.errors, sd * widening[row_of], (worst.T > threshold).any(axis=1)
+    )
 
 
 def _quantile_of_rows(values: np.ndarray, share: float, rows: int, reach: int) -> np.ndarray:

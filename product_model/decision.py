@@ -1,6 +1,9 @@
-"""A scale that decides: the reading counts when its own error bar is within the tolerance."""
+"""A scale that decides: the reading counts when its own error bar is within the tolerance.
 
-from statistics import NormalDist
+1.96 standard deviations of a reading hold 95 % of the portions. Few portions are known when it is
+learnt how wide that is, so that errors have the tails of a t distribution of four degrees of freedom,
+whose quantiles have a closed form: 99 % are within 3.25 standard deviations instead of 2.58.
+"""
 
 import numpy as np
 
@@ -8,6 +11,7 @@ from product_model.inputs import BadInput
 from product_model.weigher import EMPTY, Array, Reading
 
 CONFIDENCE = 0.99  # that the weight is within the tolerance
+NORMAL_95 = 1.96  # standard deviations of a reading that hold 95 %
 
 
 def is_decided(reading: Reading, tolerance: float, confidence: float = CONFIDENCE) -> Array:
@@ -20,7 +24,7 @@ def is_decided(reading: Reading, tolerance: float, confidence: float = CONFIDENC
 
 
 def check_decision(tolerance: float, confidence: float) -> float:
-    """The number of standard deviations that have this confidence.
+    """The number of standard deviations of a reading that have this confidence.
 
     Raises `BadInput` for a tolerance or a confidence that is none.
     """
@@ -28,10 +32,24 @@ def check_decision(tolerance: float, confidence: float) -> float:
         raise BadInput(f"tolerance = {tolerance:g} g: allowed: above 0")
     if not 0.5 <= confidence < 1:
         raise BadInput(f"confidence = {confidence:g}: allowed: from 0.5 to below 1")
-    return NormalDist().inv_cdf(0.5 + 0.5 * confidence)
+    return NORMAL_95 * t_quantile(0.5 + 0.5 * confidence) / t_quantile(0.975)
 
 
-def first_decision(reading: Reading, tolerance: float, confidence: float = CONFIDENCE) -> np.ndarray:
+def t_quantile(share: float) -> float:
+    """Quantile of Student's t distribution of four degrees of freedom.
+
+    Args:
+        share: probability below it, from 0.5 to below 1.
+
+    Source: W. T. Shaw, Journal of Computational Finance 9(4), 2006, eq. 37.
+    """
+    root = np.sqrt(4 * share * (1 - share))
+    return float(2 * np.sqrt(max(np.cos(np.arccos(root) / 3) / root - 1, 0.0)))
+
+
+def first_decision(
+    reading: Reading, tolerance: float, confidence: float = CONFIDENCE
+) -> np.ndarray:
     """[..] the first sample at which readings [.., n] may be taken; -1: none.
 
     Raises `BadInput`, as `is_decided`.

@@ -36,6 +36,7 @@ SIGNAL, WEIGHT, FILTER = 1, 2, 4  # bits of Reading.doubts
 DOUBTS = {SIGNAL: "signal", WEIGHT: "weight", FILTER: "filter"}
 CAP = 100.0  # of a squared normalized innovation in the checks
 CHECKS = 3  # innovations of late, innovations since the trigger, amplitudes of the shapes
+AMPLITUDE_FREEDOM = 4.0  # degrees of freedom with which amplitudes are taken to have the variance 1
 CHECKS_AT_TRIGGER = np.array([1.0, 1e-6, 1.0])
 QUIET_SAMPLES = 6  # without an innovation, that the mean since the trigger begins with
 # s for which the filter's reading stays within the trigger level of the tare until the scale counts
@@ -488,7 +489,8 @@ def _checks(xp: ModuleType, weigher: Weigher, state: WeigherState, innovation: A
     since = (samples * state.check[..., 1] + part) / (samples + 1)
     left = xp.diagonal(state.covariance, axis1=-2, axis2=-1)[..., SHAPES:]
     shown = (state.mean[..., SHAPES:] ** 2).sum(-1)
-    return xp.stack([of_late, since, (1 + shown) / (1 + (1 - left).sum(-1))], -1)
+    of_shapes = (AMPLITUDE_FREEDOM + shown) / (AMPLITUDE_FREEDOM + (1 - left).sum(-1))
+    return xp.stack([of_late, since, of_shapes], -1)
 
 
 def _reading(xp: ModuleType, weigher: Weigher, state: WeigherState, filtered: Array) -> Reading:
@@ -523,8 +525,22 @@ def _finish(xp: ModuleType, weigher: Weigher, state: WeigherState, filtered: Arr
 
 
 def _widened_sd(xp: ModuleType, weigher: Weigher, state: WeigherState) -> Array:
+    row = xp.maximum(state.row, 0)
     variance = xp.maximum(state.covariance[..., TOTAL, TOTAL], 0.0)
-    return xp.sqrt(variance) * weigher.widening[xp.maximum(state.row, 0)]
+    return (
+        xp.sqrt(variance * scale_variance(xp, state.check, weigher.check_mean[row]))
+        * (weigher.widening[row])
+    )
+
+
+def scale_variance(xp: ModuleType, check: Array, usual: Array) -> Array:
+    """[..] factor on the variance of the weight of a portion that is less like those learnt than half
+    of these: the posterior scale of a multivariate t distribution.
+
+    check: [.., 3] of `WeigherState`. usual: [.., 3] medians of its logarithm.
+    """
+    ratio = xp.maximum(check[..., 1:] / xp.exp(usual[..., 1:]), 1.0)
+    return ratio[..., 0] * ratio[..., 1]
 
 
 def _with_unknown(xp: ModuleType, vector: Array, place: int, value: Array) -> Array:

@@ -11,7 +11,7 @@ from product_model.inputs import BadInput
 from product_model.program import temporary_file
 from product_model.weigher import CHECKS, Weigher
 
-VERSION = 2  # of the file
+VERSION = 3  # of the file
 DIGITS = 7  # significant, of numbers of tables
 UNITS = {
     "interval": "s",

@@ -11,8 +11,17 @@ import pytest
 from product_model import BadInput, load_weigher, save_weigher
 from product_model import weigher as estimator
 from product_model.__main__ import main
-from product_model.decision import first_decision
-from product_model.weigher import ESTIMATE, FALLBACK, SHAPES, SIGNAL, TOTAL, Weigher, cell_step
+from product_model.decision import first_decision, t_quantile
+from product_model.weigher import (
+    ESTIMATE,
+    FALLBACK,
+    SHAPES,
+    SIGNAL,
+    TOTAL,
+    Weigher,
+    cell_step,
+    scale_variance,
+)
 
 H, OMEGA, ZETA, MASS = 1e-3, 2 * np.pi * 50.0, 0.02, 1000.0  # s, 1/s, ratio, g
 ROWS, LEAD, TARE = 150, 80, 12.5
@@ -136,20 +145,23 @@ def test_a_shape_conserves_momentum_and_is_told_from_the_weight():
 
 @pytest.mark.parametrize(("amplitude", "doubts"), [(5.0, 0), (8.0, SIGNAL)])
 def test_amplitudes_beyond_their_prior_are_doubted(amplitude, doubts):
-    """The innovations fit, as the shape explains the signal: the check is (1 + a^2) / 2, because
-    nothing of the prior variance 1 is left; its logarithm exceeds 3 from a = 6.3 on."""
+    """The innovations fit, as the shape explains the signal: the check is (4 + a^2) / 5, because
+    nothing of the prior variance 1 is left; its logarithm exceeds 2 from a = 5.7 on. The variance of
+    the weight is larger by it, as of a t distribution of four degrees of freedom."""
     momentum = 0.2 * np.exp(-np.arange(ROWS + 1) * H / 0.02)
     shape = 0.05 * np.sin(np.arange(ROWS + 1) * H / 0.03) * np.exp(-np.arange(ROWS + 1) * H / 0.02)
     weigher = make_weigher(
-        momentum, shapes=-np.diff(shape)[:, None], threshold=np.array([1e9, 1e9, 3.0])
+        momentum, shapes=-np.diff(shape)[:, None], threshold=np.array([1e9, 1e9, 2.0])
     )
-    signal = show(
-        40.0 * weigher.impulse + amplitude * weigher.shapes[:, 0], weigher.landed, 40.0
-    )
+    signal = show(40.0 * weigher.impulse + amplitude * weigher.shapes[:, 0], weigher.landed, 40.0)
     state = estimator.start(weigher)
     for sample in signal[: LEAD + 60]:
         state, reading = estimator.feed(weigher, state, sample, np)
-    assert state.check[2] == pytest.approx((1 + amplitude**2) / 2, rel=1e-3)  # as of the amplitude
+    factor = (4 + amplitude**2) / 5
+    assert state.check[2] == pytest.approx(factor, rel=1e-3)  # as of the amplitude
+    if not doubts:
+        variance = state.covariance[TOTAL, TOTAL] * max(1.0, state.check[1]) * factor
+        assert reading.sd == pytest.approx(np.sqrt(variance), rel=1e-3)
     assert reading.doubts == doubts
 
 
@@ -266,8 +278,16 @@ def test_a_file_gives_the_same_readings(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ('"weigher": 2', '"weigher": 1', "weigher = 1: allowed: 2, a file that calibrate weigher of"),
-        ('"threshold": [5.0, 5.0, 5.0]', '"threshold": 5.0', "threshold: has () numbers, allowed: (3,)"),
+        (
+            '"weigher": 3',
+            '"weigher": 1',
+            "weigher = 1: allowed: 3, a file that calibrate weigher of",
+        ),
+        (
+            '"threshold": [5.0, 5.0, 5.0]',
+            '"threshold": 5.0',
+            "threshold: has () numbers, allowed: (3,)",
+        ),
         ('\n"omega": ', '\n"omga": ', "lacks omega"),
         ('"white": 0.001', '"white": -1', "white: allowed: numbers above 0"),
         ('"line": [0.0, 0.0]', '"line": [0.0]', "line: has (1,) numbers, allowed: (2,)"),
@@ -315,7 +335,9 @@ def test_a_scale_decides_when_its_error_bar_is_within_the_tolerance(tmp_path, mo
     reading = weigher.read(signals)
     first = first_decision(reading, 0.5)
     for k in range(2):
-        factor = 2.5758  # of 99 %
+        factor = (
+            3.2506  # of 99 %: 1.96 times 4.6041 / 2.7764, quantiles of t with 4 degrees of freedom
+        )
         sd = reading.sd[k]
         assert factor * sd[first[k]] <= 0.5 < factor * sd[first[k] - 1]
         assert abs(reading.grams[k, first[k]] - weights[k]) < 0.5
@@ -338,3 +360,19 @@ def test_a_decision_without_a_tolerance_is_one_line(tolerance, confidence, words
     signals, _, weigher = portions(2)
     with pytest.raises(BadInput, match=words):
         first_decision(weigher.read(signals[:, :5]), tolerance, confidence)
+
+
+def test_quantiles_of_t_with_four_degrees_of_freedom():
+    from scipy import stats
+
+    shares = [0.5, 0.75, 0.975, 0.995, 0.9999]
+    exact = stats.t.ppf(shares, 4)
+    np.testing.assert_allclose([t_quantile(share) for share in shares], exact, rtol=1e-9, atol=1e-7)
+
+
+def test_a_portion_unlike_those_learnt_has_a_wider_error_bar():
+    """Twice the usual mean innovation and three times the usual amplitudes: six times the variance; a
+    portion that is more regular than usual has the usual one."""
+    check, usual = np.array([9.0, 2.0, 1.5]), np.log([1.0, 1.0, 0.5])
+    assert scale_variance(np, check, usual) == pytest.approx(6.0, rel=1e-12)
+    assert scale_variance(np, np.array([9.0, 0.2, 0.1]), usual) == 1.0
