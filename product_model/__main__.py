@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from product_model.fitted import Fitted
     from product_model.monte_carlo import Summary
     from product_model.portion import Trace
+    from product_model.weigher import Weigher
 
 
 class _Parser(argparse.ArgumentParser):
@@ -54,6 +55,9 @@ C_TEXT = (
 )
 
 
+WEIGHER_TEXT = "weigher.json of calibrate weigher: its estimator of the weight instead of the Product Model"
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="product_model", description="Impact-force curves of the Product Model")
     commands = parser.add_subparsers(dest="command", required=True, parser_class=_Parser)
@@ -83,12 +87,14 @@ def _parser() -> argparse.ArgumentParser:
         "--python", action="store_true", help="a unit that runs the Python beside it, instead of C (FMI 2.0)"
     )
     unit.add_argument("--overwrite", action="store_true", help="replace a file that exists")
+    unit.add_argument("--weigher", metavar="FILE", help=WEIGHER_TEXT)
     sources = commands.add_parser("c", help="C99 source files of a model, for any machine", description=C_TEXT)
     _add_inputs(sources, FORMS)
     sources.add_argument(
         "--out", default="product_model_c", metavar="DIR", help="folder (default product_model_c)"
     )
     sources.add_argument("--overwrite", action="store_true", help="replace files that exist")
+    sources.add_argument("--weigher", metavar="FILE", help=WEIGHER_TEXT)
     add_weigh_command(commands)
     return parser
 
@@ -298,6 +304,11 @@ def _fmu(args: argparse.Namespace) -> None:
     from product_model.fmu_compiled import find_compiler, write_compiled_fmu
 
     check_fmu(args.out, args.overwrite)
+    if args.weigher:
+        from product_model.weigher_export import write_weigher_fmu
+
+        print(write_weigher_fmu(args.out, _read_weigher(args), args.overwrite, args.fmi))
+        return
     params, _ = _inputs(args)
     compiler = None if args.python else find_compiler()
     if compiler is not None:
@@ -317,9 +328,28 @@ def _fmu(args: argparse.Namespace) -> None:
 def _c(args: argparse.Namespace) -> None:
     from product_model.c_export import write_c
 
+    if args.weigher:
+        from product_model.weigher_export import write_weigher_c
+
+        folder = write_weigher_c(args.out, _read_weigher(args), args.overwrite)
+        print(f"written: {folder}; compile: cc -std=c99 -O2 -o example main.c weigher.c -lm")
+        return
     params, _ = _inputs(args)
     folder = write_c(args.out, params, args.seed, args.overwrite)
     print(f"written: {folder}; compile: cc -std=c99 -O2 -o example main.c product_model.c -lm")
+
+
+def _read_weigher(args: argparse.Namespace) -> "Weigher":
+    """The estimator of --weigher, beside which no input of the model may be given. Raises `BadInput`."""
+    from product_model.weigher_file import load_weigher
+
+    usual: dict[str, Any] = {"fit": None, "product": None, "settings": [], "form": Parameters.form, "python": False}
+    usual |= dict.fromkeys(FLAGS) | {"precision": Parameters.precision, "seed": 0}
+    for name, value in usual.items():
+        if getattr(args, name, value) != value:
+            flag = "set" if name == "settings" else name.replace("_", "-")
+            raise BadInput(f"weigher: an estimator has no inputs of the model; omit --{flag}")
+    return load_weigher(args.weigher)
 
 
 def _report(summary: "Summary", params: Parameters, args: argparse.Namespace) -> None:

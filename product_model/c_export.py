@@ -78,6 +78,14 @@ def write_c(
         ),
     }
     check_folder(folder, list(files), overwrite)
+    return write_sources(folder, files)
+
+
+def write_sources(folder: Path, files: dict[str, str]) -> Path:
+    """Write files, name -> text, into `folder`, which is made if it is missing. Returns its path.
+
+    Raises: `BadInput` where that is not possible.
+    """
     try:
         folder.mkdir(exist_ok=True)
         for name, text in files.items():
@@ -110,12 +118,12 @@ def check_folder(folder: Path, names: list[str], overwrite: bool) -> None:
 def source_files(params: Parameters, seed: int, capacity: int) -> dict[str, str]:
     """Name -> text of the model's files with these parameters and room for twice as many pieces, at least `capacity`."""
     header = (SOURCES / "product_model.h").read_text(encoding="utf-8")
-    header = _with_default(header, "PRODUCT_MODEL_REAL", REALS[params.precision])
-    header = _with_default(
+    header = set_macro(header, "PRODUCT_MODEL_REAL", REALS[params.precision])
+    header = set_macro(
         header, "PRODUCT_MODEL_MAX_PIECES", str(max(capacity, 2 * pieces_of(params)))
     )
     impacts = 0 if params.landings is None else sum(params.landings.impacts)
-    header = _with_default(header, "PRODUCT_MODEL_MAX_IMPACTS", str(impacts))
+    header = set_macro(header, "PRODUCT_MODEL_MAX_IMPACTS", str(impacts))
     source = (SOURCES / "product_model.c").read_text(encoding="utf-8")
     return {
         "product_model.h": header,
@@ -124,7 +132,7 @@ def source_files(params: Parameters, seed: int, capacity: int) -> dict[str, str]
     }
 
 
-def _with_default(header: str, macro: str, value: str) -> str:
+def set_macro(header: str, macro: str, value: str) -> str:
     """`header` with another default of a macro."""
     changed, count = re.subn(rf"(#define {macro}) \w+", rf"\1 {value}", header)
     assert count == 1, macro

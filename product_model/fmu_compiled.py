@@ -8,11 +8,20 @@ import subprocess
 import sys
 import tempfile
 import zipfile
+from collections.abc import Sequence
 from pathlib import Path
 
 from product_model.c_export import SOURCES, source_files
 from product_model.fmu import check_fmu
-from product_model.fmu_description import IDENTIFIER, SOURCE_NAMES, describe_build, describe_model
+from product_model.fmu_description import (
+    IDENTIFIER,
+    MODEL,
+    UnitKind,
+    Variable,
+    describe_build,
+    describe_model,
+    variables_of,
+)
 from product_model.inputs import BadInput, Parameters, check, checked_seed
 from product_model.program import temporary_file
 
@@ -59,21 +68,56 @@ def write_compiled_fmu(
     seed = checked_seed(seed)
     path = check_fmu(path, overwrite)
     check(params)
-    compiler = find_compiler()
-    if compiler is None:
-        raise BadInput(
-            f"out = {path}: no C compiler found ({', '.join(COMPILERS)}, or the environment variable CC)"
-        )
+    compiler = require_compiler(path)
     files = source_files(params, seed, CAPACITY)
     for name in ("unit.h", f"fmi{fmi}.c"):
         files[name] = (SOURCES / name).read_text(encoding="utf-8")
     token = hashlib.sha256("".join(files.values()).encode()).hexdigest()
     files["product_model_parameters.h"] += f'\n#define PRODUCT_MODEL_TOKEN "{token}"\n'
+    return pack_unit(path, compiler, files, MODEL, variables_of(params, seed), params.sample, token, fmi)
+
+
+def require_compiler(path: Path) -> str:
+    """Path of the C compiler. Raises `BadInput` where there is none; path: of the unit."""
+    compiler = find_compiler()
+    if compiler is None:
+        raise BadInput(
+            f"out = {path}: no C compiler found ({', '.join(COMPILERS)}, or the environment variable CC)"
+        )
+    return compiler
+
+
+def pack_unit(
+    path: Path,
+    compiler: str,
+    files: dict[str, str],
+    kind: UnitKind,
+    variables: list[Variable],
+    step: float,
+    token: str,
+    fmi: str,
+) -> Path:
+    """Compile and write a unit.
+
+    Args:
+        path: of the unit.
+        compiler: path of the C compiler.
+        files: name -> text of the sources.
+        kind: of the unit.
+        variables: of the unit.
+        step: (s) that a tool takes by default.
+        token: as the library has it.
+        fmi: "2" or "3".
+
+    Returns: the path.
+    Raises: `BadInput` where it cannot be compiled or written.
+    """
     entries = {f"sources/{name}": text.encode() for name, text in files.items()}
-    entries["modelDescription.xml"] = describe_model(fmi, params, seed, token)
+    entries["modelDescription.xml"] = describe_model(fmi, kind, variables, step, token)
     if fmi == "3":
-        entries["sources/buildDescription.xml"] = describe_build()
-    entries[binary_name(fmi)] = compile_unit(compiler, files, fmi)
+        entries["sources/buildDescription.xml"] = describe_build(kind)
+    name = binary_name(fmi, kind.identifier)
+    entries[name] = compile_unit(compiler, files, kind.sources[fmi])
     try:
         with temporary_file(path) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as unit:
             for name in sorted(entries):
@@ -83,7 +127,7 @@ def write_compiled_fmu(
     return path
 
 
-def binary_name(fmi: str) -> str:
+def binary_name(fmi: str, identifier: str = IDENTIFIER) -> str:
     """Path of the library of this platform inside a unit."""
     system, suffix = SYSTEMS.get(sys.platform, SYSTEMS["linux"])
     processor = PROCESSORS.get(platform.machine().lower(), platform.machine().lower())
@@ -93,16 +137,16 @@ def binary_name(fmi: str) -> str:
         if fmi == "2"
         else f"{processor}-{'windows' if system == 'win' else system}"
     )
-    return f"binaries/{folder}/{IDENTIFIER}{suffix}"
+    return f"binaries/{folder}/{identifier}{suffix}"
 
 
-def compile_unit(compiler: str, files: dict[str, str], fmi: str) -> bytes:
+def compile_unit(compiler: str, files: dict[str, str], sources: Sequence[str]) -> bytes:
     """The library that the compiler makes of the files. Raises `BadInput` with the compiler's first line if it fails."""
     with tempfile.TemporaryDirectory() as folder:
         for name, text in files.items():
             Path(folder, name).write_text(text, encoding="utf-8")
         library = Path(folder, "unit")
-        command = [compiler, *FLAGS, *SOURCE_NAMES[fmi], "-o", library.name, "-lm"]
+        command = [compiler, *FLAGS, *sources, "-o", library.name, "-lm"]
         done = subprocess.run(command, cwd=folder, capture_output=True, text=True, errors="replace")
         if done.returncode or not library.is_file():
             said = (done.stderr or done.stdout or "no output").strip().splitlines()[0][:160]

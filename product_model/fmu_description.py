@@ -20,7 +20,9 @@ UNITS = {
     "m/s2": {"m": 1, "s": -2},
     "1": {},
     "N": {"kg": 1, "m": 1, "s": -2},
+    "g": {"kg": 1},
 }
+FACTORS = {"g": 1e-3}  # to the base units, where it is not 1
 PIECES, SEED, RELEASE, FORCE, PIF_KG, TIME = range(1000, 1006)  # value references as in c/unit.h
 LANDINGS = 100  # that of the first addition of the extended model
 SOURCE_NAMES = {"2": ("product_model.c", "fmi2.c"), "3": ("product_model.c", "fmi3.c")}
@@ -28,6 +30,19 @@ TYPES = {
     "2": {"real": "Real", "integer": "Integer", "boolean": "Boolean"},
     "3": {"real": "Float64", "integer": "Int32", "boolean": "Boolean"},
 }
+
+
+@dataclass(frozen=True)
+class UnitKind:
+    """What a unit is. identifier: of the model and its library. sources: of each version of the
+    standard, the C files that are compiled."""
+
+    identifier: str
+    description: str
+    sources: dict[str, tuple[str, str]]
+
+
+MODEL = UnitKind(IDENTIFIER, DESCRIPTION, SOURCE_NAMES)
 
 
 @dataclass(frozen=True)
@@ -90,16 +105,17 @@ def _output(name: str, reference: int, description: str, unit: str) -> Variable:
     return Variable(name, reference, "real", "output", "continuous", description, unit)
 
 
-def describe_model(fmi: str, params: Parameters, seed: int, token: str) -> bytes:
-    """modelDescription.xml of a unit of FMI 2.0 or 3.0. token: as the library has it."""
-    variables = variables_of(params, seed)
+def describe_model(
+    fmi: str, kind: UnitKind, variables: list[Variable], step: float, token: str
+) -> bytes:
+    """modelDescription.xml of a unit of FMI 2.0 or 3.0. step: (s) by default. token: as the library has it."""
     root = ET.Element(
         "fmiModelDescription",
         {
             "fmiVersion": f"{fmi}.0",
-            "modelName": IDENTIFIER,
+            "modelName": kind.identifier,
             {"2": "guid", "3": "instantiationToken"}[fmi]: token,
-            "description": DESCRIPTION,
+            "description": kind.description,
             "version": version(),
             "generationTool": f"product-impact {version()}",
         },
@@ -111,41 +127,45 @@ def describe_model(fmi: str, params: Parameters, seed: int, token: str) -> bytes
         "3": ("canGetAndSetFMUState", "canSerializeFMUState"),
     }[fmi]
     simulation = {
-        "modelIdentifier": IDENTIFIER,
+        "modelIdentifier": kind.identifier,
         "canHandleVariableCommunicationStepSize": "true",
     } | dict.fromkeys(can, "true")
     element = ET.SubElement(root, "CoSimulation", simulation)
     if fmi == "2":
         files = ET.SubElement(element, "SourceFiles")
-        for name in SOURCE_NAMES[fmi]:
+        for name in kind.sources[fmi]:
             ET.SubElement(files, "File", name=name)
-    _add_units(root)
+    _add_units(root, {variable.unit for variable in variables} | {"s"})
     ET.SubElement(
         root,
         "DefaultExperiment",
         startTime="0.0",
         stopTime=repr(LONGEST),
-        stepSize=repr(params.sample),
+        stepSize=repr(step),
     )
     (_add_variables_2 if fmi == "2" else _add_variables_3)(root, variables)
     return _as_bytes(root)
 
 
-def describe_build() -> bytes:
+def describe_build(kind: UnitKind) -> bytes:
     """sources/buildDescription.xml of FMI 3.0."""
     root = ET.Element("fmiBuildDescription", fmiVersion="3.0")
-    configuration = ET.SubElement(root, "BuildConfiguration", modelIdentifier=IDENTIFIER)
+    configuration = ET.SubElement(root, "BuildConfiguration", modelIdentifier=kind.identifier)
     files = ET.SubElement(configuration, "SourceFileSet", language="C99")
-    for name in SOURCE_NAMES["3"]:
+    for name in kind.sources["3"]:
         ET.SubElement(files, "SourceFile", name=name)
     return _as_bytes(root)
 
 
-def _add_units(root: ET.Element) -> None:
+def _add_units(root: ET.Element, used: set[str | None]) -> None:
     units = ET.SubElement(root, "UnitDefinitions")
     for name, exponents in UNITS.items():
+        if name not in used:
+            continue
         unit = ET.SubElement(units, "Unit", name=name)
-        ET.SubElement(unit, "BaseUnit", {base: str(power) for base, power in exponents.items()})
+        factor = {"factor": repr(FACTORS[name])} if name in FACTORS else {}
+        powers = {base: str(power) for base, power in exponents.items()}
+        ET.SubElement(unit, "BaseUnit", powers | factor)
 
 
 def _attributes(variable: Variable) -> dict[str, str]:
