@@ -7,6 +7,7 @@ from contextlib import suppress
 
 from dem_jax import process
 from dem_jax.cli import (
+    app,
     buckets,
     collisions,
     ensemble,
@@ -29,7 +30,7 @@ from dem_jax.errors import PlatformError, RecordError, SceneError, SimulationErr
 
 COMMANDS = (
     *(run, ensemble, study, posterior, scenes, products, buckets, measure),
-    *(plot, report, export, render, gltf, vtk, weigh, collisions),
+    *(plot, report, export, render, gltf, vtk, weigh, collisions, app),
 )
 FAILED, INTERRUPTED = 1, 130
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from dem_jax import build
 from dem_jax.contact import motion
-from dem_jax.scene import parse
+from dem_jax.scene import Scene, parse
 from dem_jax.shapes import Shape, meshes
 from dem_jax.store.run import Run
 from dem_jax.types import Walls
@@ -25,6 +25,11 @@ def bodies_of(run: Run) -> tuple[list[Shape], dict[str, list[Solid]], WallPose]:
     being the touched surface. wall_pose: t (s) -> group -> (rotation [3, 3], origin [3] (m)). Raises SceneError.
     """
     scene = parse(run.scene, "the file's scene")
+    return build.pieces.pieces_of(scene), *walls_of_scene(scene)
+
+
+def walls_of_scene(scene: Scene) -> tuple[dict[str, list[Solid]], WallPose]:
+    """Walls and wall_pose of a scene whose STL files are read, as in ``bodies_of``. Raises SceneError."""
     panels, motions, joint, *_ = build.walls.walls_of(scene)
     with jax.enable_x64(True):
         walls = build.walls.wall_arrays(scene, panels, motions, joint, np.float64)[0]
@@ -32,7 +37,7 @@ def bodies_of(run: Run) -> tuple[list[Shape], dict[str, list[Solid]], WallPose]:
     for group, corners, thickness in panels:
         plate = meshes.plate(corners, thickness)
         solids[group].append((plate.vertices, plate.faces))
-    return build.pieces.pieces_of(scene), solids, _pose_function(walls)
+    return solids, _pose_function(walls)
 
 
 def _pose_function(walls: Walls) -> WallPose:

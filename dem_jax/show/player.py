@@ -1,9 +1,11 @@
 """Data of the 3-D view of a report: shapes, walls and stored poses as plain data, and the library that draws them."""
 
 import base64
+import json
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from html import escape
 from typing import Any
 
 import numpy as np
@@ -11,13 +13,17 @@ from numpy.typing import ArrayLike
 
 from dem_jax.errors import RecordError
 from dem_jax.maths.pose import quaternion_of_matrix
+from dem_jax.scene import Scene
 from dem_jax.shapes import surface
-from dem_jax.show.drawing import Solid, WallPose, bodies_of
+from dem_jax.show import webpage
+from dem_jax.show.drawing import Solid, WallPose, bodies_of, walls_of_scene
 from dem_jax.show.render import Camera, scene_of
 from dem_jax.store.run import Run
 
 MOST_BYTES = 5 * 2**20  # of the poses in a page, all views together
 MOST_PLATES = 1000  # of walls that are drawn with their thickness and edges
+SLOWER = (1, 2, 5, 10, 20, 50, 100, 200)  # than in truth: what the player offers
+POLICY = "script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:"  # of a page that loads nothing
 
 
 def three() -> str:
@@ -101,6 +107,64 @@ def view_of(run: Run, views: int = 1) -> dict[str, Any] | None:
         "box": found.box.tolist(),
         "fastest": found.fastest,
     }
+
+
+def view_walls(scene: Scene, times: np.ndarray, level: np.ndarray | None = None) -> dict[str, Any]:
+    """The data of a view of the walls of a scene that nothing falls into yet, for JSON.
+
+    Args:
+        scene: with its STL files read.
+        times: [F] (s) instants of the moving walls.
+        level: triangles [.., 3, 3] (m) of a surface that is drawn in the buckets.
+
+    Raises:
+        SceneError: a wall cannot be read.
+    """
+    walls, wall_pose = walls_of_scene(scene)
+    points = np.concatenate([corners for plates in walls.values() for corners, _ in plates])
+    still = np.tile([1.0, 0.0, 0.0, 0.0], (len(times), 1))
+    surfaces = [] if level is None else [level]
+    whole = sum(map(len, walls.values())) <= MOST_PLATES
+    return {
+        "time": times.tolist(),
+        "shapes": [{"triangles": _coded(each), "smooth": False} for each in surfaces],
+        "shape": list(range(len(surfaces))),
+        "position": _coded(np.zeros((len(times), 3 * len(surfaces)))),
+        "orientation": _coded(still if surfaces else np.zeros((len(times), 0))),
+        "walls": [{"triangles": _coded(_plates(plates, whole)), "edges": whole} for plates in walls.values()],
+        "wall_pose": _coded(_wall_poses(list(walls), wall_pose, times)),
+        "box": [points.min(axis=0).tolist(), points.max(axis=0).tolist()],
+        "fastest": 0.0,
+    }
+
+
+def write_controls(names: Sequence[str]) -> str:
+    """The canvas of the player and its controls as HTML. names: of the views that can be chosen."""
+    runs = "".join(f'<option value="{k}">{escape(name)}</option>' for k, name in enumerate(names))
+    paces = "".join(f'<option value="{n}">{"real time" if n == 1 else f"{n} times slower"}</option>' for n in SLOWER)
+    return f"""<div class="view"><canvas id="drop"></canvas><div class="controls">
+<button id="play">Play</button><input type="range" id="time" min="0" value="0" step="1" aria-label="instant">
+<output id="shown"></output><select id="pace" aria-label="pace">{paces}</select>
+<select id="run" aria-label="run"{"" if len(names) > 1 else " hidden"}>{runs}</select><button id="again">Reset view</button>
+</div></div>"""
+
+
+def write_player(title: str, view: dict[str, Any], more: str = "") -> str:
+    """A page of the player alone, which holds all that it shows, as HTML text.
+
+    Args:
+        title: of the page.
+        view: of ``view_of`` or ``view_walls``.
+        more: script that runs behind the player's.
+    """
+    fields = {
+        "view": write_controls([title]),
+        "views": json.dumps([{"name": title, "view": view}]).replace("<", "\\u003c"),
+        "three": three(),
+        "script": webpage.part("report.js"),
+        "more": more,
+    }
+    return webpage.page(title, POLICY, "player.html", **fields)
 
 
 def _wall_poses(groups: Sequence[str], wall_pose: WallPose, times: np.ndarray) -> np.ndarray:

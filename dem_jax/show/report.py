@@ -20,7 +20,7 @@ from dem_jax.show.facts import facts_of, main_block, main_group, peak_band_said,
 from dem_jax.show.fitted import Fitted
 from dem_jax.show.numbers import averaged_peaks, numbers_of, said
 from dem_jax.show.overlay import COLOURS, figure_of_runs
-from dem_jax.show.player import three, view_of
+from dem_jax.show.player import POLICY, three, view_of, write_controls
 from dem_jax.show.plot import check_format, figure_of_run
 from dem_jax.show.uncertainty import describe_splits, figure_of_splits, split_ensemble
 from dem_jax.store.run import Run
@@ -28,12 +28,10 @@ from dem_jax.store.run import Run
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-POLICY = "script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:"
 MOST_KINDS = 4  # of pieces that the first line names
 SPEEDS = "impact speeds, and where pieces hit"
 PEAKS = "Peak by the time that the force is averaged over, the first being the sample time."
 UNKNOWN, SHARES = "Chance and unknown numbers", "shares of the variance"
-SLOWER = (1, 2, 5, 10, 20, 50, 100, 200)  # than in truth: what the player offers
 
 
 Part = tuple[str, list[str], "Figure"]  # name of a run, lines and picture
@@ -213,13 +211,8 @@ def _view(drawn: Sequence[dict[str, Any]], without: Sequence[str], ensembles: bo
     if not drawn:
         return missing
     which = " Of an ensemble, the run whose peak is the median." if ensembles else ""
-    runs = "".join(f'<option value="{k}">{escape(each["name"])}</option>' for k, each in enumerate(drawn))
-    paces = "".join(f'<option value="{n}">{"real time" if n == 1 else f"{n} times slower"}</option>' for n in SLOWER)
-    return f"""<div class="view"><canvas id="drop"></canvas><div class="controls">
-<button id="play">Play</button><input type="range" id="time" min="0" value="0" step="1" aria-label="instant">
-<output id="shown"></output><select id="pace" aria-label="pace">{paces}</select>
-<select id="run" aria-label="run"{"" if len(drawn) > 1 else " hidden"}>{runs}</select><button id="again">Reset view</button>
-</div></div>{_note(f"Drag to turn, scroll to come nearer.{which}")}{missing}"""
+    controls = write_controls([each["name"] for each in drawn])
+    return f"{controls}{_note(f'Drag to turn, scroll to come nearer.{which}')}{missing}"
 
 
 def _drawn(named: Sequence[Named], with_force: Sequence[Named], group: str | None, narrow: bool = False) -> "Figure":

@@ -1,0 +1,210 @@
+"""Page 2: the bucket, how the portion is released, and the load cell."""
+
+from collections.abc import Awaitable, Callable
+from dataclasses import replace
+from pathlib import Path
+
+from nicegui import events, ui
+
+from dem_jax.app import facts
+from dem_jax.app.design import CELL_FIELDS, RELEASE_FIELDS, read_number, write_bucket
+from dem_jax.app.facts import BucketStlFacts
+from dem_jax.app.folder import BUCKETS, LARGEST_STL
+from dem_jax.app.pages import parts
+from dem_jax.app.pages.product import UNITS
+from dem_jax.app.session import Session
+from dem_jax.errors import RecordError, SceneError
+from dem_jax.scene import Scene
+
+Action = Callable[[], Awaitable[None]]
+LONGEST = 400  # ms of the timeline of the flaps
+
+
+async def show_bucket(session: Session) -> None:
+    """The page."""
+    parts.show_title(
+        "Bucket and release",
+        "Choose where the portion falls, from how high and how fast the flaps open.",
+    )
+    with ui.element("div").classes("columns"):
+        form = ui.element("section").classes("wide")
+        with ui.element("section").classes("side").props('aria-label="Buckets in 3-D"'):
+            view = ui.element("div").classes("view")
+            notes = ui.element("div").props("aria-live=polite")
+            command = ui.element("div")
+
+    async def show_view() -> None:
+        text = session.design.to_toml()
+        command.clear()
+        with command:
+            parts.show_command([session.next_command()])
+            with ui.expansion("The scene file").classes("more"):
+                parts.show_code(text)
+        try:
+            found = await session.workspace.helper.ask(
+                facts.describe_scene, text, str(session.folder.root)
+            )
+        except RecordError as error:
+            notes.clear()
+            with notes:
+                parts.show_error(str(error))
+            return
+        if text != session.design.to_toml():
+            return  # a later change has its own view
+        view.clear()
+        notes.clear()
+        with view:
+            key = session.workspace.keep_page(found.page)
+            ui.element("iframe").props(
+                f'src="/view/{key}" title="Buckets in 3-D; the time moves the flaps"'
+            )
+        with notes:
+            parts.show_lines(found.notes)
+
+    async def refresh() -> None:
+        form.clear()
+        with form:
+            await _show_form(session, refresh, show_view)
+        await show_view()
+
+    await refresh()
+
+
+async def _show_form(session: Session, refresh: Action, show_view: Action) -> None:
+    """Bucket, release and load cell."""
+    try:
+        scene = session.design.read_scene(session.folder.root)
+    except SceneError as error:
+        parts.show_error(str(error))
+        return
+    parts.show_heading("Bucket")
+    names = {"": "The paper's: 2.7 litres"}
+    names |= {name: f"Your own: {Path(name).stem}" for name in session.folder.list_buckets()}
+    names |= {
+        card.name: f"{card.litres:.2g} litres: {card.text}"
+        for card in await session.workspace.list_buckets()
+    }
+
+    async def choose(event: events.ValueChangeEventArguments) -> None:
+        session.design = session.design.with_bucket(event.value)
+        await refresh()
+
+    ui.select(names, value=session.design.bucket, label="Bucket", on_change=choose).props(
+        "outlined"
+    ).classes("wide-field")
+    with ui.expansion("Your own weigh bucket from an STL file").classes("more"):
+        _show_upload(session, refresh)
+    parts.show_heading("Release")
+    fields = parts.Fields(session, show_view)
+    fields.show(RELEASE_FIELDS, scene)
+    _show_timeline(scene, fields)
+    parts.show_heading("Load cell")
+
+    async def hang(event: events.ValueChangeEventArguments) -> None:
+        session.design = replace(session.design, has_load_cell=event.value)
+        await refresh()
+
+    with ui.element("div"):
+        ui.switch(
+            "The weigh bucket hangs on a load cell",
+            value=session.design.has_load_cell,
+            on_change=hang,
+        )
+    if session.design.has_load_cell:
+        parts.Fields(session, show_view).show(CELL_FIELDS, scene)
+    ui.button("Next: drop", on_click=lambda: ui.navigate.to("/drop")).props("no-caps unelevated")
+
+
+def _show_timeline(scene: Scene, fields: parts.Fields) -> None:
+    """When the feed flaps begin to open and when they are open, to be dragged."""
+    start = 1e3 * (read_number(scene, "feed_bucket.opening_start") or 0.0)
+    end = start + 1e3 * (read_number(scene, "feed_bucket.opening_time") or 0.0)
+    ui.label("Flaps: from closed to open (ms after the release)").classes("field-title")
+    line = ui.range(min=0, max=max(LONGEST, end), step=1, value={"min": start, "max": end})
+    line.props('label-always color=primary aria-label="Flaps begin to open, are open"').classes(
+        "timeline"
+    )
+
+    def drag() -> None:
+        low, high = line.value["min"], line.value["max"]
+        fields.set_value("feed_bucket.opening_start", low)
+        fields.set_value("feed_bucket.opening_time", max(high - low, 1))
+
+    line.on("change", drag)
+
+
+def _show_upload(session: Session, refresh: Action) -> None:
+    """An STL file that becomes a weigh bucket."""
+    form = ui.element("div")
+
+    async def receive(event: events.UploadEventArguments) -> None:
+        form.clear()
+        with form:
+            try:
+                name = session.folder.store_upload(
+                    BUCKETS, event.file.name, await event.file.read()
+                )
+                path = str(session.folder.find_path(name))
+                found = await session.workspace.helper.ask(facts.describe_bucket_stl, path)
+                _show_stl(session, name, found, refresh)
+            except RecordError as error:
+                parts.show_error(str(error))
+
+    parts.show_upload("Drop an STL file of the bucket here, or choose it", LARGEST_STL, receive)
+    form.move(target_index=-1)
+
+
+def _show_stl(session: Session, name: str, found: BucketStlFacts, refresh: Action) -> None:
+    """What an STL of a bucket holds, its unit and where it is."""
+    stem = Path(name).stem
+    with ui.element("div").classes("panel"):
+        parts.show_heading(f"Read: {stem}")
+        parts.show_lines(
+            [f"{' × '.join(f'{edge:.4g}' for edge in found.size)} units of the file", *found.notes]
+        )
+        unit = (
+            ui.select(UNITS, value=found.unit, label="Unit of the file")
+            .props("outlined dense")
+            .classes("field")
+        )
+        turns, moves = [], []
+        with ui.element("div").classes("fields"):
+            for axis in "xyz":
+                box = ui.number(f"Turn about {axis} (°)", value=0, step=90)
+                turns.append(
+                    box.props(
+                        'outlined dense hint="Applied first, about x, then y, then z."'
+                    ).classes("field")
+                )
+            for axis in "xyz":
+                box = ui.number(f"Move along {axis} (mm)", value=0, step=5)
+                moves.append(
+                    box.props(
+                        'outlined dense hint="From the middle under the feed bucket."'
+                    ).classes("field")
+                )
+        wrong = ui.label().classes("error").props("role=alert")
+
+        async def use() -> None:
+            wrong.set_text("")
+            turn = [float(box.value or 0) for box in turns]
+            move = [1e-3 * float(box.value or 0) for box in moves]
+            bucket = f"{BUCKETS}/{stem}.toml"
+            before = session.design
+            try:
+                session.folder.write_text(
+                    bucket, write_bucket(f"{stem}.stl", unit.value, turn, move, True)
+                )
+                session.design = session.design.with_bucket(bucket)
+                text = session.design.to_toml()
+                await session.workspace.helper.ask(
+                    facts.describe_scene, text, str(session.folder.root)
+                )
+            except (RecordError, SceneError) as error:
+                session.design = before
+                session.folder.find_path(bucket).unlink(missing_ok=True)
+                wrong.set_text(str(error))
+                return
+            await refresh()
+
+        ui.button("Use this bucket", on_click=use).props("no-caps unelevated")

@@ -1,0 +1,150 @@
+"""Page 3: the drop: one or many, its progress, the pieces in 3-D, the force and the numbers."""
+
+from collections.abc import Awaitable, Callable
+from dataclasses import replace
+
+from nicegui import ui
+
+from dem_jax.app import facts
+from dem_jax.app.design import RUN_COUNTS
+from dem_jax.app.jobs import Job
+from dem_jax.app.pages import parts
+from dem_jax.app.session import Session
+from dem_jax.errors import RecordError
+
+WORDS = {1: "One drop", 16: "16 drops", 64: "64 drops"}
+
+
+async def show_drop(session: Session) -> None:
+    """The page."""
+    parts.show_title("Drop", "Compute the drop, watch it, and read its numbers.")
+    with ui.element("section").classes("panel").props('aria-label="Compute"'):
+        with ui.element("div").classes("line"):
+            runs = ui.toggle({n: WORDS[n] for n in RUN_COUNTS}, value=session.design.runs).props(
+                "no-caps unelevated"
+            )
+            runs.props('aria-label="Number of drops"')
+            seed = ui.number("First seed", value=session.design.seed, min=0, step=1, precision=0)
+            seed.props(
+                'outlined dense hint="Which arrangement of the pieces; the next drop has the next."'
+            ).classes("seed")
+            start = ui.button("Drop", icon="play_arrow").props("no-caps unelevated")
+        ui.label(_describe_design(session)).classes("small")
+        follow = parts.show_job(session, "drop", lambda job: finish(job))
+        command = ui.element("div")
+    result = ui.element("section").props('aria-label="Result"')
+
+    def show_command() -> None:
+        command.clear()
+        with command:
+            job = session.jobs.get("drop")
+            shown = job.argv if job is not None and not job.is_over else session.next_command()
+            parts.show_command([shown], "The command of this drop")
+
+    def change() -> None:
+        number = int(seed.value or 0)
+        session.design = replace(session.design, runs=int(runs.value), seed=max(number, 0))
+        show_command()
+
+    async def begin() -> None:
+        try:
+            job, name = session.enter_drop()
+        except RecordError as error:
+            ui.notify(str(error), type="negative")
+            return
+        session.opened_jobs["drop"] = name
+        start.disable()
+        follow(job)
+        show_command()
+
+    async def finish(_: Job) -> None:
+        session.shown, session.member = session.opened_jobs["drop"], None
+        await show_result()
+
+    def wake() -> None:
+        job = session.jobs.get("drop")
+        start.set_enabled(job is None or job.is_over)
+
+    async def show_result() -> None:
+        result.clear()
+        with result:
+            await _show_result(session, show_result)
+        show_command()
+
+    runs.on_value_change(change)
+    seed.on_value_change(change)
+    start.on_click(begin)
+    ui.timer(0.2, wake)
+    await show_result()
+
+
+def _describe_design(session: Session) -> str:
+    """What falls, in words."""
+    names = ", ".join(
+        name.split("/")[-1].removesuffix(".toml") for name, _ in session.design.products
+    )
+    bucket = session.design.bucket.split("/")[-1].removesuffix(".toml") or "the paper's"
+    changed = ", ".join(
+        f"{key} = {value:g}" for key, value in sorted(session.design.changes.items())
+    )
+    return f"{names} into bucket {bucket}{f'; {changed}' if changed else ''}"
+
+
+async def _show_result(session: Session, refresh: Callable[[], Awaitable[None]]) -> None:
+    """A file of results: which one, the drop, the force, the numbers."""
+    names = parts.list_results(session)
+    if session.shown not in names:
+        session.shown, session.member = (names[0] if names else ""), None
+    if not session.shown:
+        ui.label("Nothing has been dropped in this folder yet.").classes("lead")
+        return
+
+    async def choose(name: str) -> None:
+        session.shown, session.member = name, None
+        await refresh()
+
+    box = ui.select(names, value=session.shown, label="Result", on_change=lambda e: choose(e.value))
+    box.props("outlined dense").classes("wide-field")
+    path = str(session.folder.find_path(session.shown))
+    try:
+        found = await session.workspace.helper.ask(facts.describe_run, path, session.member)
+    except RecordError as error:
+        parts.show_error(str(error))
+        return
+    if found.run_count > 1:
+        _show_members(session, found.run_count, found.member, refresh)
+    with ui.element("div").classes("halves"):
+        with ui.element("div").classes("view"):
+            source = f"/play/{session.shown}" + (
+                f"?member={found.member}" if found.run_count > 1 else ""
+            )
+            ui.element("iframe").props(f'src="{source}" title="The drop in 3-D" id=drop-view')
+        with ui.element("div"):
+            chart = parts.show_chart([(session.shown, found.force, found.settled)])
+            ui.run_javascript(f"followDrop({chart.id})")
+            with ui.element("div").classes("line"):
+                jump = ui.button("Jump to the peak", icon="bolt").props("outline no-caps")
+                jump.on_click(lambda: ui.run_javascript(f"sendTime({found.peak_time})"))
+                ui.label("Click into the force to see that instant.").classes("small")
+    parts.show_table(
+        ["number", "value"],
+        found.numbers,
+        "Numbers" if found.run_count == 1 else "Medians and bands",
+    )
+    parts.show_heading("What they depend on")
+    parts.show_lines(found.notes)
+    ui.button("Next: compare", on_click=lambda: ui.navigate.to("/compare")).props("no-caps outline")
+
+
+def _show_members(
+    session: Session, count: int, member: int, refresh: Callable[[], Awaitable[None]]
+) -> None:
+    """Which run of an ensemble is shown."""
+
+    async def choose(number: int) -> None:
+        session.member = number
+        await refresh()
+
+    options = {k: f"Drop {k + 1} of {count}" for k in range(count)}
+    box = ui.select(options, value=member, label="Shown drop", on_change=lambda e: choose(e.value))
+    box.props('outlined dense hint="At first the one whose peak is the median."').classes("field")

@@ -1,0 +1,217 @@
+"""Page 5: the scale's reading, the Product Model, and files to take along."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from nicegui import ui
+
+from dem_jax.app import facts
+from dem_jax.app.jobs import Job
+from dem_jax.app.pages import parts
+from dem_jax.app.session import Session
+from dem_jax.errors import RecordError
+
+FILTERS = {
+    "average:0.1": "Mean over 0.1 s",
+    "average:0.05": "Mean over 0.05 s",
+    "bessel:4:8": "Bessel, 4th order, 8 Hz",
+    "fir:201:10": "FIR, 201 taps, 10 Hz",
+    "growing:0.05": "Growing window from 0.05 s",
+    "none": "No filter",
+}
+
+
+class Download(NamedTuple):
+    """A file that a command makes of results. ending: of its name. needs_fit: whether it is made of a fitted model."""
+
+    label: str
+    text: str
+    program: str
+    verb: str
+    ending: str
+    needs_fit: bool = False
+
+
+DOWNLOADS = (
+    Download(
+        "Report", "HTML page to send: numbers, 3-D view, force", "dem-jax", "report", "-report.html"
+    ),
+    Download("Report as PDF", "The same for print", "dem-jax", "report", "-report.pdf"),
+    Download("Spreadsheet", "XLSX with all series", "dem-jax", "export", ".xlsx"),
+    Download("Animation", "GIF of the drop", "dem-jax", "render", ".gif"),
+    Download("3-D model", "glTF for slides and Blender", "dem-jax", "gltf", ".glb"),
+    Download(
+        "FMU", "Fitted model for Simulink and other tools", "product-model", "fmu", ".fmu", True
+    ),
+    Download("C source", "Fitted model as C99, zipped", "product-model", "c", "-c.zip", True),
+)
+
+
+def make_commands(download: Download, name: str) -> list[str]:
+    """The command that makes a download of the results of a name."""
+    stem = Path(name).stem
+    if not download.needs_fit:
+        return [download.program, download.verb, name, "--out", f"{stem}{download.ending}"]
+    fit = ["--fit", f"{stem}-fit.json"]
+    if download.verb == "fmu":
+        return ["product-model", "fmu", *fit, f"{stem}.fmu", "--overwrite"]
+    return ["product-model", "c", *fit, "--out", f"{stem}-c", "--overwrite"]
+
+
+async def show_model(session: Session) -> None:
+    """The page."""
+    parts.show_title(
+        "Weigh and model",
+        "See when the scale knows the weight, fit the Product Model, take files along.",
+    )
+    names = session.folder.list_results()
+    if not names:
+        ui.label("Nothing has been dropped in this folder yet.").classes("lead")
+        return
+    if session.shown not in names:
+        session.shown = names[0]
+
+    def choose(name: str) -> None:
+        session.shown = name
+        ui.navigate.to("/model")
+
+    box = ui.select(names, value=session.shown, label="Result", on_change=lambda e: choose(e.value))
+    box.props("outlined dense").classes("wide-field")
+    try:
+        path = str(session.folder.find_path(session.shown))
+        found = await session.workspace.helper.ask(facts.describe_run, path, None)
+    except RecordError as error:
+        parts.show_error(str(error))
+        return
+    has_cell = "weigh_bucket.load_cell" in " ".join(found.settings)
+    _show_weigh(session, has_cell)
+    _show_fit(session, found.run_count)
+    _show_downloads(session)
+
+
+def _show_weigh(session: Session, has_cell: bool) -> None:
+    """The reading of the scale through filters and an estimator."""
+    with ui.element("section").classes("panel").props('aria-label="Weigh"'):
+        parts.show_heading("The scale's reading")
+        chosen = ui.select(
+            FILTERS, multiple=True, value=["average:0.1", "bessel:4:8"], label="Filters"
+        )
+        chosen.props("outlined use-chips").classes("wide-field")
+        weighers = session.folder.list_files(".json", "weigher")
+        weigher = ui.select(["", *weighers], value="", label="Estimator (of calibrate weigher)")
+        hint = (
+            "Files weigher….json in this folder."
+            if weighers
+            else "None in this folder: calibrate weigher makes one."
+        )
+        weigher.props("outlined dense").classes("field").props["hint"] = hint
+        with ui.element("div"):
+            cell = ui.switch("Put a typical load cell under the bucket", value=False)
+        cell.set_visibility(not has_cell)
+        start = ui.button("Weigh", icon="scale").props("no-caps unelevated")
+        command, result = ui.element("div"), ui.element("div").props("aria-live=polite")
+
+        def make_argv() -> list[str]:
+            argv = ["dem-jax", "weigh", session.shown]
+            for text in chosen.value or []:
+                argv += ["--filter", text]
+            argv += ["--weigher", weigher.value] if weigher.value else []
+            argv += ["--cell", "typical"] if cell.value and not has_cell else []
+            return [*argv, "--out", f"{Path(session.shown).stem}-weigh.png"]
+
+        def write_command() -> None:
+            command.clear()
+            with command:
+                parts.show_command([make_argv()], "The command of this reading")
+
+        async def finish(job: Job) -> None:
+            result.clear()
+            with result:
+                show_figure(
+                    f"{Path(job.argv[2]).stem}-weigh.png",
+                    "Readings of the scale and their error",
+                    job.lines,
+                )
+
+        follow = parts.show_job(session, "weigh", finish)
+        for box in (chosen, weigher, cell):
+            box.on_value_change(write_command)
+        start.on_click(lambda: follow(session.workspace.runner.enter(make_argv())))
+        write_command()
+
+
+def _show_fit(session: Session, count: int) -> None:
+    """The Product Model of several drops, with its judgement."""
+    with ui.element("section").classes("panel").props('aria-label="Product Model"'):
+        parts.show_heading("Product Model")
+        if count < 2:
+            ui.label(
+                "A fit needs several drops: compute 16 or 64, and choose that result above."
+            ).classes("lead")
+            return
+        stem = Path(session.shown).stem
+        argv = ["calibrate", "fit", session.shown, "--out", f"{stem}-fit.json", "--overwrite"]
+        start = ui.button("Fit the model", icon="insights").props("no-caps unelevated")
+        parts.show_command([argv], "The command of this fit")
+        result = ui.element("div").props("aria-live=polite")
+
+        async def finish(job: Job) -> None:
+            result.clear()
+            with result:
+                show_figure(f"{stem}-fit.png", "Traces and the fitted model", job.lines)
+
+        follow = parts.show_job(session, "fit", finish)
+        start.on_click(lambda: follow(session.workspace.runner.enter(argv)))
+
+
+def show_figure(name: str, words: str, lines: Sequence[str]) -> None:
+    """A picture that a command drew, and what it printed."""
+    ui.html(f'<img alt="{words}" src="/files/{name}?inline=true">', sanitize=False).classes(
+        "figure"
+    )
+    parts.show_text("pre", "\n".join(lines)).props("tabindex=0")
+
+
+def _show_downloads(session: Session) -> None:
+    """Files that others can use."""
+    with ui.element("section").classes("panel").props('aria-label="Downloads"'):
+        parts.show_heading("Take along")
+        name, stem = session.shown, Path(session.shown).stem
+        has_fit = session.folder.find_path(f"{stem}-fit.json").is_file()
+        command = ui.element("div")
+
+        async def finish(job: Job) -> None:
+            target = session.opened_jobs["download"]
+            if target.endswith("-c.zip"):
+                session.folder.zip_folder(target.removesuffix(".zip"), target)
+            ui.download(f"/files/{target}")
+
+        def begin(download: Download) -> None:
+            argv = make_commands(download, name)
+            session.folder.find_path(f"{stem}{download.ending}").unlink(missing_ok=True)
+            session.opened_jobs["download"] = f"{stem}{download.ending}"
+            command.clear()
+            with command:
+                parts.show_command([argv], "The command of this file")
+            follow(session.workspace.runner.enter(argv))
+
+        with ui.element("div").classes("downloads"):
+            for download in DOWNLOADS:
+                with ui.element("div"):
+                    box = ui.button(
+                        download.label, icon="download", on_click=lambda _, d=download: begin(d)
+                    )
+                    box.props("outline no-caps").set_enabled(has_fit or not download.needs_fit)
+                    ui.label(
+                        download.text + ("" if has_fit or not download.needs_fit else "; fit first")
+                    ).classes("small")
+            for ending, text in ((".h5", "Result as HDF5"), (".toml", "Scene as TOML")):
+                if session.folder.find_path(f"{stem}{ending}").is_file():
+                    with ui.element("div"):
+                        box = ui.button(f"{text.split()[0]} file", icon="download")
+                        box.props("outline no-caps").on_click(
+                            lambda _, e=ending: ui.download(f"/files/{stem}{e}")
+                        )
+                        ui.label(text).classes("small")
+        follow = parts.show_job(session, "download", finish)

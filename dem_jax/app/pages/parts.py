@@ -1,0 +1,301 @@
+"""Parts that the pages share: headings, fields with unit and limits, commands to copy, the state of a job, charts."""
+
+import asyncio
+from collections.abc import Awaitable, Callable, Sequence
+from typing import Any
+
+from nicegui import ui
+
+from dem_jax.app.design import FieldText, find_field_errors, read_number
+from dem_jax.app.facts import Curve
+from dem_jax.app.jobs import Job, format_command
+from dem_jax.app.session import Session
+from dem_jax.errors import SceneError
+from dem_jax.scene import Scene
+
+COLOURS = ("#1d4ed8", "#c2410c", "#15803d", "#7e22ce", "#0e7490", "#a16207")
+
+
+def show_text(tag: str, text: str) -> ui.html:
+    """A text in an element of HTML."""
+    return ui.html(_escape(text), sanitize=False, tag=tag)
+
+
+def show_title(title: str, lead: str) -> None:
+    """The heading of a page and a sentence below it."""
+    show_text("h1", title)
+    ui.label(lead).classes("lead")
+
+
+def show_heading(title: str) -> None:
+    """The heading of a section."""
+    show_text("h2", title)
+
+
+def show_command(
+    commands: Sequence[Sequence[str]], text: str = "The command behind this page"
+) -> None:
+    """Commands as they are typed in a shell, with a button that copies them."""
+    lines = "\n".join(format_command(argv) for argv in commands)
+    with ui.element("section").classes("command").props(f'aria-label="{text}"'):
+        with ui.element("div").classes("command-head"):
+            ui.label(text)
+            copy = ui.button("Copy", on_click=lambda: ui.clipboard.write(lines)).props(
+                "flat dense no-caps"
+            )
+            copy.props('aria-label="Copy the command"')
+        show_code(lines)
+
+
+def show_code(text: str) -> None:
+    """A text in a fixed pitch, as it is."""
+    show_text("pre", text).props("tabindex=0")
+
+
+def show_lines(lines: Sequence[str], style: str = "notes") -> None:
+    """Sentences as a list."""
+    if lines:
+        with ui.element("ul").classes(style):
+            for line in lines:
+                show_text("li", line)
+
+
+def show_table(head: Sequence[str], rows: Sequence[Sequence[str]], caption: str = "") -> None:
+    """A table whose first column heads the rows."""
+    cells = "".join(f"<th scope=col>{_escape(cell)}</th>" for cell in head)
+    top = f"<thead><tr>{cells}</tr></thead>" if any(head) else ""
+    body = "".join(
+        f"<tr><th scope=row>{_escape(row[0])}</th>{''.join(f'<td>{_escape(cell)}</td>' for cell in row[1:])}</tr>"
+        for row in rows
+    )
+    title = f"<caption>{_escape(caption)}</caption>" if caption else ""
+    ui.html(f"<table>{title}{top}<tbody>{body}</tbody></table>", sanitize=False).classes(
+        "table"
+    ).props("tabindex=0")
+
+
+def show_error(message: str) -> None:
+    """What went wrong, read out at once."""
+    ui.label(message).classes("error").props("role=alert")
+
+
+def _escape(text: str) -> str:
+    return (
+        text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;").replace('"', "&quot;")
+    )
+
+
+class Fields:
+    """Number fields of the design of a session.
+
+    changed: called after each change that the scene allows.
+    """
+
+    def __init__(self, session: Session, changed: Callable[[], Awaitable[None]]) -> None:
+        self._session = session
+        self._changed = changed
+        self._inputs: dict[str, ui.number] = {}
+
+    def show(
+        self, texts: Sequence[FieldText], scene: Scene, notes: dict[str, str] | None = None
+    ) -> None:
+        """Show fields with the values of a scene. notes: key -> a further sentence below the field."""
+        with ui.element("div").classes("fields"):
+            for text in texts:
+                self._show_one(text, read_number(scene, text.key), (notes or {}).get(text.key, ""))
+
+    def _show_one(self, text: FieldText, value: float | None, note: str) -> None:
+        shown = None if value is None else float(f"{value / text.factor:.6g}")
+        label = f"{text.label} ({text.unit})" if text.unit else text.label
+        hint = f"{text.sentence} Allowed: {text.allowed}.{f' {note}' if note else ''}"
+        box = ui.number(
+            label, value=shown, step=text.step, on_change=lambda e: self._change(text, e.value)
+        )
+        box.props("outlined dense debounce=300").classes("field").props["hint"] = hint
+        self._inputs[text.key] = box
+
+    async def _change(self, text: FieldText, shown: float | None) -> None:
+        design = self._session.design
+        if shown is None:
+            self._session.design = design.with_change(text.key, None)
+        else:
+            value = float(f"{shown * text.factor:.12g}")
+            plain = design.with_change(text.key, None)
+            self._session.design = (
+                plain
+                if self._is_default(plain, text.key, value)
+                else design.with_change(text.key, value)
+            )
+        errors = find_field_errors(self._session.design, self._session.folder.root)
+        for key, box in self._inputs.items():
+            box.error = errors.get(key)
+        if not errors:
+            await self._changed()
+
+    def _is_default(self, design: Any, key: str, value: float) -> bool:
+        try:
+            return read_number(design.read_scene(self._session.folder.root), key) == value
+        except SceneError:
+            return False
+
+    def set_value(self, key: str, shown: float) -> None:
+        """Put a value into a field."""
+        if key in self._inputs:
+            self._inputs[key].value = shown
+
+
+def show_job(
+    session: Session, page: str, finished: Callable[[Job], Awaitable[None]]
+) -> Callable[[Job], None]:
+    """A place for the job of a page: its progress, the time left, a button that cancels it, and why it failed.
+
+    Args:
+        session: of the tab; its job of this page is taken up if it still runs.
+        page: name of the place.
+        finished: called once when a job has ended, unless it was cancelled or failed.
+
+    Returns:
+        A function that starts a job and shows it.
+    """
+    with ui.element("div").classes("job").props("role=status") as place:
+        message = ui.label()
+        with ui.element("div").classes("job-line"):
+            bar = ui.linear_progress(0, show_value=False, size="10px").props(
+                "rounded aria-label=Progress"
+            )
+            cancel = ui.button(
+                "Cancel", on_click=lambda: session.workspace.runner.cancel(session.jobs[page])
+            )
+            cancel.props("outline no-caps")
+    place.set_visibility(False)
+    followed: dict[str, Job | None] = {"job": None}
+
+    async def update() -> None:
+        job = followed["job"]
+        if job is None:
+            return
+        message.set_text(job.message)
+        message.classes(replace="error" if job.state in ("failed", "cancelled") else "job-message")
+        bar.set_value(1.0 if job.state == "done" else job.share or 0.0)
+        bar.props(f"indeterminate={'true' if job.share is None and not job.is_over else 'false'}")
+        bar.set_visibility(not job.is_over)
+        cancel.set_visibility(not job.is_over)
+        if job.is_over:
+            followed["job"] = None
+            timer.deactivate()
+            if job.state == "done":
+                await finished(job)
+
+    timer = ui.timer(0.15, update, active=False)
+
+    def follow(job: Job) -> None:
+        followed["job"] = session.jobs[page] = job
+        place.set_visibility(True)
+        timer.activate()
+        if job.state == "waiting":
+            _keep(asyncio.get_running_loop().create_task(session.workspace.runner.follow(job)))
+
+    if page in session.jobs and not session.jobs[page].is_over:
+        follow(session.jobs[page])
+    return follow
+
+
+_TASKS: set[asyncio.Task[Any]] = set()
+
+
+def _keep(task: asyncio.Task[Any]) -> None:
+    """Keep a task until it is done: the loop itself does not."""
+    _TASKS.add(task)
+    task.add_done_callback(_TASKS.discard)
+
+
+def show_chart(
+    curves: Sequence[tuple[str, Curve | None, Curve | None]], height: str = "26rem"
+) -> ui.echart:
+    """The force and the settled mass over time, one below the other, with a cursor; (name, force, settled) of each run."""
+    series: list[dict[str, Any]] = []
+    for k, (name, force, settled) in enumerate(curves):
+        colour = COLOURS[k % len(COLOURS)]
+        for axis, curve in ((0, force), (1, settled)):
+            if curve is not None:
+                series.append(_make_series(name, curve, axis, colour))
+    names = [name for name, _, _ in curves]
+    chart = ui.echart(_make_options(series, names)).classes("chart").style(f"height:{height}")
+    chart.props(
+        f'role=img aria-label="Force and settled mass over time: {_escape(", ".join(names))}"'
+    )
+    return chart
+
+
+def _make_series(name: str, curve: Curve, axis: int, colour: str) -> dict[str, Any]:
+    cursor = {
+        "symbol": "none",
+        "silent": True,
+        "animation": False,
+        "label": {"show": False},
+        "data": [],
+    }
+    return {
+        "name": name,
+        "type": "line",
+        "xAxisIndex": axis,
+        "yAxisIndex": axis,
+        "showSymbol": False,
+        "lineStyle": {"width": 1.4, "color": colour},
+        "itemStyle": {"color": colour},
+        "data": [list(point) for point in zip(curve.time, curve.value, strict=True)],
+        "markLine": {**cursor, "lineStyle": {"color": "#b91c1c", "type": "solid", "width": 1.5}},
+    }
+
+
+def _make_options(series: list[dict[str, Any]], names: Sequence[str]) -> dict[str, Any]:
+    words = {"color": "#334155", "fontSize": 12}
+    time = {"type": "value", "axisLabel": words, "nameTextStyle": words}
+    value = {"type": "value", "axisLabel": words, "nameTextStyle": {**words, "align": "left"}}
+    return {
+        "animation": False,
+        "textStyle": {"fontFamily": "system-ui, sans-serif"},
+        "legend": {"show": len(names) > 1, "top": 0, "type": "scroll"},
+        "tooltip": {"trigger": "axis", "confine": True},
+        "axisPointer": {"link": [{"xAxisIndex": "all"}]},
+        "grid": [
+            {"left": 56, "right": 18, "top": 52, "height": "44%"},
+            {"left": 56, "right": 18, "bottom": 62, "height": "20%"},
+        ],
+        "xAxis": [
+            {**time, "gridIndex": 0, "axisLabel": {"show": False}},
+            {
+                **time,
+                "gridIndex": 1,
+                "name": "ms after the release",
+                "nameLocation": "middle",
+                "nameGap": 24,
+            },
+        ],
+        "yAxis": [
+            {**value, "gridIndex": 0, "name": "force (kg)"},
+            {**value, "gridIndex": 1, "name": "settled (g)", "splitNumber": 2},
+        ],
+        "dataZoom": [
+            {"type": "inside", "xAxisIndex": [0, 1], "zoomOnMouseWheel": "ctrl"},
+            {"type": "slider", "xAxisIndex": [0, 1], "height": 16, "bottom": 6},
+        ],
+        "series": series,
+    }
+
+
+def list_results(session: Session) -> list[str]:
+    """Names of the results in the folder, the newest first."""
+    return session.folder.list_results()
+
+
+def show_upload(text: str, largest: int, receive: Callable[[Any], Awaitable[None]]) -> None:
+    """A place for one STL file: dropped there, or chosen by its button. largest: bytes."""
+    box = ui.upload(
+        label=text, on_upload=receive, max_file_size=largest, max_files=1, auto_upload=True
+    )
+    box.props(f'accept=.stl flat bordered aria-label="{text}"').classes("upload")
+    box.on(
+        "rejected",
+        lambda: ui.notify(f"Allowed: an STL file of up to {largest // 2**20} MB", type="negative"),
+    )

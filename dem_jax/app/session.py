@@ -1,0 +1,105 @@
+"""What the server shares, and what each tab of a browser has for itself."""
+
+import secrets
+from collections import OrderedDict
+from dataclasses import dataclass, field
+
+from dem_jax.app import facts
+from dem_jax.app.design import Design, name_run_command
+from dem_jax.app.facts import BucketCard, ProductCard
+from dem_jax.app.folder import Folder
+from dem_jax.app.helper import Helper
+from dem_jax.app.jobs import Job, JobRunner
+
+MOST_PAGES = 16  # previews that are kept
+
+
+class Workspace:
+    """The folder, the helper process and the jobs of a server."""
+
+    def __init__(self, folder: Folder) -> None:
+        self.folder = folder
+        self.helper = Helper()
+        self.runner = JobRunner(folder.root)
+        self._pages: OrderedDict[str, str] = OrderedDict()
+        self._products: list[ProductCard] = []
+        self._buckets: list[BucketCard] = []
+
+    async def start(self) -> None:
+        """Start the processes that wait."""
+        self.helper.prepare()
+        await self.runner.prepare()
+
+    async def close(self) -> None:
+        """End all processes."""
+        await self.runner.close()
+        self.helper.close()
+
+    async def list_products(self) -> list[ProductCard]:
+        """Cards of the library, and of one's own products before them."""
+        library = await self._list_library()
+        return [
+            *[await self.describe_product(name) for name in self.folder.list_products()],
+            *library,
+        ]
+
+    async def _list_library(self) -> list[ProductCard]:
+        self._products = self._products or await self.helper.ask(facts.describe_products)
+        return self._products
+
+    async def describe_product(self, name: str) -> ProductCard:
+        """The card of a product of the library or of one's own. Raises RecordError."""
+        for card in await self._list_library():
+            if card.name == name:
+                return card
+        path = str(self.folder.find_path(name)) if name.endswith(".toml") else name
+        return await self.helper.ask(facts.describe_own_product, path, name)
+
+    async def list_buckets(self) -> list[BucketCard]:
+        """The buckets of the library."""
+        self._buckets = self._buckets or await self.helper.ask(facts.describe_buckets)
+        return self._buckets
+
+    def keep_page(self, text: str) -> str:
+        """Keep a page of a view; returns its key."""
+        key = secrets.token_hex(8)
+        self._pages[key] = text
+        while len(self._pages) > MOST_PAGES:
+            self._pages.popitem(last=False)
+        return key
+
+    def find_page(self, key: str) -> str | None:
+        """A page that was kept; None: there is none."""
+        return self._pages.get(key)
+
+
+@dataclass
+class Session:
+    """What a tab of a browser has for itself: choices, the job of each page, the results that are shown and compared."""
+
+    workspace: Workspace
+    design: Design = field(default_factory=Design)
+    shown: str = ""
+    member: int | None = None
+    compared: list[str] = field(default_factory=list)
+    jobs: dict[str, Job] = field(default_factory=dict)
+    opened_jobs: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def folder(self) -> Folder:
+        return self.workspace.folder
+
+    def next_command(self) -> list[str]:
+        """The command of the next drop; the name in it may be taken by another tab meanwhile."""
+        stem, number = self.design.stem, 1
+        taken = {
+            path.stem for path in self.folder.root.iterdir() if path.suffix in (".toml", ".h5")
+        }
+        while (candidate := stem if number == 1 else f"{stem}-{number}") in taken:
+            number += 1
+        return name_run_command(self.design, candidate)
+
+    def enter_drop(self) -> tuple[Job, str]:
+        """Write the scene under a free name and enter its command; returns the job and the name of its results."""
+        stem = self.folder.reserve_stem(self.design.stem, self.design.to_toml())
+        return self.workspace.runner.enter(name_run_command(self.design, stem)), f"{stem}.h5"

@@ -1,0 +1,35 @@
+"""python -m dem_jax app"""
+
+from dem_jax.cli.arguments import Args, Commands, command, whole
+from dem_jax.errors import RecordError
+
+
+def add(commands: Commands) -> None:
+    """Add the command to the parser."""
+    text = "Open the app in a browser: product, bucket, drop, comparison, weighing and model by clicks."
+    made = command(commands, "app", app, text)
+    made.add_argument(
+        "folder",
+        nargs="?",
+        default=".",
+        metavar="FOLDER",
+        help="holds all scenes and results (default: here)",
+    )
+    made.add_argument("--port", type=whole, default=0, help="of 127.0.0.1 (default: a free one)")
+    made.add_argument("--no-browser", action="store_true", help="print the address only")
+
+
+def app(args: Args) -> None:
+    """Serve the app until it is interrupted."""
+    from dem_jax.app.folder import Folder
+
+    folder = Folder(args.folder)
+    try:
+        from dem_jax.app.server import serve
+    except ModuleNotFoundError as error:
+        if error.name is None or error.name.split(".")[0] != "nicegui":
+            raise
+        raise RecordError(
+            "app: NiceGUI is missing; allowed: pip install 'product-impact[app]'"
+        ) from error
+    serve(folder, args.port, not args.no_browser)
