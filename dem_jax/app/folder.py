@@ -59,7 +59,7 @@ class Folder:
         return [
             name
             for name in self._list("", (".toml",))
-            if "base" in self.find_path(name).read_text(errors="replace")
+            if "base" in self.find_path(name).read_text(encoding="utf-8", errors="replace")
         ]
 
     def list_products(self) -> list[str]:
@@ -144,7 +144,7 @@ class Folder:
             return f"{candidate}.stl"
         raise AssertionError
 
-    def write_text(self, name: str, text: str) -> None:
+    def replace_text(self, name: str, text: str) -> None:
         """Write a text file whole or not at all. Raises RecordError."""
         path = self.find_path(name)
         path.parent.mkdir(exist_ok=True)

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 PROGRAMS = {"dem-jax": "dem_jax", "calibrate": "calibrate", "product-model": "product_model"}
-PROGRESS = re.compile(r"(?:(\w[\w ]*):\s*)?(\d+)%\|[^|]*\|[^\[]*\[([\d:]+)\s*<\s*([\d:?]+)")
+PROGRESS = re.compile(r"(?:(\w[\w ]*):\s*)?(\d+)%\s*\|[^|]*\|[^\[]*\[([\d:]+)\s*<\s*([\d:?]+)")
 LAST_LINES = 40  # of stderr that are kept
 
 

@@ -117,7 +117,7 @@ def with_bucket(tree: Tree, name: Any, source: str | Path) -> Tree:
     own = _named(BUCKETS, "bucket", FORMER_NAMES.get(name, name) if isinstance(name, str) else name, source)
     if not all(tree.get(key) for key in OF_BUCKETS):
         raise SceneError(f"{source}: bucket = {name!r}: allowed in a scene with [feed_bucket] and [weigh_bucket]")
-    return merged(tree, drop_overridden(own, {"cycle": tree.get("cycle")}))
+    return on_top(tree, drop_overridden(own, {"cycle": tree.get("cycle")}))
 
 
 KEYS = {"product": with_product, "bucket": with_bucket}  # of a scene, which the sections of a file come after

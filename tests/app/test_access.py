@@ -64,19 +64,28 @@ def test_an_address_with_two_slashes_leads_nowhere_else():
 
 @pytest.mark.parametrize(
     "headers",
-    [{}, {"cookie": f"dem_jax_{PORT}=wrong"}, {"cookie": f"dem_jax_{PORT + 1}={TOKEN}"}, {"cookie": "\x01;;=" }],
+    [
+        {},
+        {"cookie": f"dem_jax_{PORT}=wrong"},
+        {"cookie": f"dem_jax_{PORT + 1}={TOKEN}"},
+        {"cookie": "\x01;;="},
+    ],
 )
 def test_without_the_token_nothing_is_shown(headers):
     assert status(ask(**headers)) == 401
     assert status(ask(query="token=wrong", **headers)) == 401
 
 
-@pytest.mark.parametrize("host", ["example.org", f"example.org:{PORT}", "127.0.0.1:80", f"0.0.0.0:{PORT}", None])
+@pytest.mark.parametrize(
+    "host", ["example.org", f"example.org:{PORT}", "127.0.0.1:80", f"0.0.0.0:{PORT}", None]
+)
 def test_a_name_that_was_pointed_at_this_machine_is_refused(host):
     assert status(ask(host=host, cookie=COOKIE)) == 421
 
 
-@pytest.mark.parametrize("origin", ["http://example.org", "null", "http://127.0.0.1:80", f"https://{HOST}", ""])
+@pytest.mark.parametrize(
+    "origin", ["http://example.org", "null", "http://127.0.0.1:80", f"https://{HOST}", ""]
+)
 def test_requests_of_other_origins_are_refused(origin):
     assert status(ask(origin=origin, cookie=COOKIE)) == 403
     assert ask("websocket", origin=origin, cookie=COOKIE)[0]["type"] == "websocket.close"

@@ -33,7 +33,11 @@ MIXED = Design(products=(("hazelnut", 2.0), ("almond", 1.0)), bucket="5.4-litre"
     [
         Design(),
         MIXED,
-        Design(bucket="", has_load_cell=True, changes={"drop.height": 0.3, "weigh_bucket.load_cell.mass": 0.8}),
+        Design(
+            bucket="",
+            has_load_cell=True,
+            changes={"drop.height": 0.3, "weigh_bucket.load_cell.mass": 0.8},
+        ),
         Design().with_product("frozen-pea:thawing").with_change("material.restitution", 0.4),
     ],
 )
@@ -103,9 +107,13 @@ def test_an_own_bucket_lies_under_the_feed_bucket(tmp_path):
     tray.export(tmp_path / "tray.stl")
     found = facts.describe_bucket_stl(str(tmp_path / "tray.stl"))
     assert found.unit == 1e-3 and found.size == pytest.approx([180.0, 160.0, 60.0])
-    (tmp_path / "tray.toml").write_text(write_bucket("tray.stl", found.unit, (0, 0, 0), (0, 0, 0), True))
+    (tmp_path / "tray.toml").write_text(
+        write_bucket("tray.stl", found.unit, (0, 0, 0), (0, 0, 0), True)
+    )
     said = facts.describe_scene(Design().with_bucket("tray.toml").to_toml(), str(tmp_path))
-    assert any("weigh bucket: " in note and "to the brim 1.73 litres" in note for note in said.notes)
+    assert any(
+        "weigh bucket: " in note and "to the brim 1.73 litres" in note for note in said.notes
+    )
 
 
 def test_a_question_is_a_study():

@@ -16,7 +16,18 @@ def binary_stl(facets=1):
 
 @pytest.mark.parametrize(
     "name",
-    ["../secret.h5", "/etc/passwd", "a/../../secret", "a/b/c.toml", ".hidden", "", "a\\..\\b", "a\x00.h5", "x" * 90, "a/"],
+    [
+        "../secret.h5",
+        "/etc/passwd",
+        "a/../../secret",
+        "a/b/c.toml",
+        ".hidden",
+        "",
+        "a\\..\\b",
+        "a\x00.h5",
+        "x" * 90,
+        "a/",
+    ],
 )
 def test_names_that_lead_out_of_the_folder_are_refused(tmp_path, name):
     with pytest.raises(RecordError):
@@ -55,8 +66,14 @@ def test_a_name_is_free_for_the_results_too(tmp_path):
 
 def test_an_upload_is_stored_under_a_plain_free_name(tmp_path):
     folder = Folder(tmp_path)
-    assert folder.store_upload("products", "../../My part (1).STL", binary_stl()) == "products/My-part-1.stl"
-    assert folder.store_upload("products", "My part 1.stl", binary_stl(2)) == "products/My-part-1-2.stl"
+    assert (
+        folder.store_upload("products", "../../My part (1).STL", binary_stl())
+        == "products/My-part-1.stl"
+    )
+    assert (
+        folder.store_upload("products", "My part 1.stl", binary_stl(2))
+        == "products/My-part-1-2.stl"
+    )
     assert (tmp_path / "products/My-part-1.stl").read_bytes() == binary_stl()
 
 
@@ -84,7 +101,9 @@ def test_too_large_an_upload_is_refused():
 
 def test_a_scene_that_names_files_elsewhere_is_refused(tmp_path):
     folder = Folder(tmp_path)
-    folder.check_references({"base": "weigh-bucket", "product": "frozen-pea:thawing", "bucket": "buckets/a.toml"})
+    folder.check_references(
+        {"base": "weigh-bucket", "product": "frozen-pea:thawing", "bucket": "buckets/a.toml"}
+    )
     for tree in (
         {"product": "../a.toml"},
         {"weigh_bucket": {"stl": "/etc/part.stl"}},

@@ -192,7 +192,7 @@ def _show_stl(session: Session, name: str, found: BucketStlFacts, refresh: Actio
             bucket = f"{BUCKETS}/{stem}.toml"
             before = session.design
             try:
-                session.folder.write_text(
+                session.folder.replace_text(
                     bucket, write_bucket(f"{stem}.stl", unit.value, turn, move, True)
                 )
                 session.design = session.design.with_bucket(bucket)

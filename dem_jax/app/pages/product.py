@@ -276,7 +276,7 @@ def _show_stl(
             product = f"{PRODUCTS}/{stem}.toml"
             busy = ui.spinner(size="sm")
             try:
-                session.folder.write_text(product, text)
+                session.folder.replace_text(product, text)
                 await session.workspace.describe_product(product)
             except RecordError as error:
                 session.folder.find_path(product).unlink(missing_ok=True)
