@@ -15,7 +15,7 @@ from functools import cache
 import numpy as np
 
 from benchmarks import report
-from dem_jax.compiling import loops_as_one
+from dem_jax.xla_flags import set_loop_flags
 
 SPEED, GRAVITY = 2.2147, 9.81  # m/s: a fall of 0.25 m; m/s2
 SPHERE = {"shape": "sphere", "radius": 0.5 * (6 * 19440e-9 / np.pi) ** (1 / 3)}  # of the marshmallow's volume
@@ -100,19 +100,19 @@ def quarter_period(shape, softening):
 @cache
 def stable_step(shape, restitution):
     """Linear stability limit (s) of an impact on the plate."""
-    from dem_jax import build
+    from dem_jax import assembly
 
     kind = SPHERE if shape == "sphere" else PIECE
-    return build.build(plate(kind, starts(kind, 1)[0], 1, "f64", restitution, step="auto")).step.linear_limit
+    return assembly.assemble_system(plate(kind, starts(kind, 1)[0], 1, "f64", restitution, step="auto")).step.linear_limit
 
 
 @cache
 def spring(shape, softening, restitution=0.1):
     """The exact solution of a central impact on the plate."""
-    from dem_jax import build, validation
+    from dem_jax import assembly, validation
 
     kind = SPHERE if shape == "sphere" else PIECE
-    system = build.build(validation.plate_scene(kind, softening=softening)).system
+    system = assembly.assemble_system(validation.plate_scene(kind, softening=softening)).system
     mass, stiffness = float(system.pieces.mass[0]), float(validation.wall_stiffness(system)[0])
     return validation.NormalImpact(mass, stiffness, restitution, SPEED, GRAVITY)
 
@@ -121,22 +121,22 @@ def impacts(kind, begin, number, precision, restitution=0.1, softening=0.01, win
     """Impacts from all of ``begin``, each step sampled."""
     import jax
 
-    from dem_jax import build
-    from dem_jax.drive.interface import drive
-    from dem_jax.drive.prepare import prepare
+    from dem_jax import assembly
+    from dem_jax.runner.interface import run_job
+    from dem_jax.runner.job_setup import prepare_job
 
     window = window or WINDOW[kind["shape"]]
     quarter = quarter_period(kind["shape"], softening)
     length = round(window / (quarter / number)) * quarter / number
     kept = {"duration": length, "frames": length}
     scene = plate(kind, begin[0], number, precision, restitution, softening, **kept)
-    job = prepare(scene, (0,) * len(begin), len(begin))
+    job = prepare_job(scene, (0,) * len(begin), len(begin))
     down, still = np.array([[0.0, 0.0, -SPEED]]), np.zeros((1, 3))
     with jax.enable_x64(precision == "f64"):
-        placed = [build.Start(np.array([place]), np.array([turn]), down, still) for place, turn, _ in begin]
-        states = [build.started(job.built, start) for start in placed]
+        placed = [assembly.InitialConditions(np.array([place]), np.array([turn]), down, still) for place, turn, _ in begin]
+        states = [assembly.replace_initial_motion(job.built, start) for start in placed]
         job = replace(job, state=jax.tree.map(lambda *x: jax.numpy.asarray(np.stack(x)), *states))
-    found = drive(job, None, False, False)
+    found = run_job(job, None, False, False)
     force, mean = (-x["plate"][..., 2].astype(float) for x in (found.force, found.mean_force))
     last = {name: np.asarray(getattr(found.pieces, name)[:, -1, 0], float) for name in ("position", "velocity")}
     speed = last["velocity"][:, 2]
@@ -186,18 +186,18 @@ def costs_of_a_step(kind, start, variants):
     """
     import jax
 
-    from dem_jax.drive.execute import execute
-    from dem_jax.drive.prepare import prepare
+    from dem_jax.runner.executors import execute_chunk
+    from dem_jax.runner.job_setup import prepare_job
 
     jobs, times = {}, {}
     for name, (precision, changes) in variants.items():
         scene = plate(kind, start, DEFAULT, precision, sample=30e-6, duration=1.0, **changes)
-        jobs[name], times[name] = prepare(scene, (0,), None), []
+        jobs[name], times[name] = prepare_job(scene, (0,), None), []
     for _ in range(1 + ROUNDS):  # the first compiles
         for name, job in jobs.items():
             begin = time.process_time()
             with jax.enable_x64(job.scene.run.precision == "f64"):
-                execute(job, job.system, job.state, 0, 200)
+                execute_chunk(job, job.system, job.state, 0, 200)
             times[name].append((time.process_time() - begin) / (200 * job.steps_per_sample))
     return {name: statistics.median(each[1:]) for name, each in times.items()}
 
@@ -297,19 +297,19 @@ def step_rows(worst, numbers, restitutions):
 
 def nearest_bound(kind, worst):
     """The largest ratios of the worst errors of rebound and of peak force to walton_braun_accuracy.ErrorBound, where that holds."""
-    from dem_jax import build, validation
-    from dem_jax.build.time_step import RESOLVED
-    from dem_jax.contact.law import walton_braun_accuracy
+    from dem_jax import assembly, validation
+    from dem_jax.assembly.time_step import RESOLVED_SHARE
+    from dem_jax.contact_laws import walton_braun_accuracy
 
     bound = walton_braun_accuracy.SPHERE if kind is SPHERE else walton_braun_accuracy.POLYTOPE
-    made = build.build(validation.plate_scene(kind, restitution=0.1)).step
+    made = assembly.assemble_system(validation.plate_scene(kind, restitution=0.1)).step
     eccentric = made.linear_limit * spring(kind["shape"], 0.01).frequency / (2 * 0.1)  # root of the least effective mass
     ratios = []
     for (number, restitution), (peak, rebound) in worst.items():
-        if isinstance(number, int) and eccentric * number >= bound.least(restitution):
+        if isinstance(number, int) and eccentric * number >= bound.min_steps(restitution):
             step = quarter_period(kind["shape"], 0.01) / number
-            corrected = step <= RESOLVED * stable_step(kind["shape"], restitution)
-            most = bound.errors(eccentric * number, restitution, corrected)
+            corrected = step <= RESOLVED_SHARE * stable_step(kind["shape"], restitution)
+            most = bound.error_bounds(eccentric * number, restitution, corrected)
             found = {"peak_force": peak, "restitution": rebound}
             ratios.append([found[key] / max(most[key], finest) for key, finest in bound.finest["f64"].items()])
     return np.max(ratios, axis=0)
@@ -327,7 +327,7 @@ def step_section(count, numbers, restitutions):
         rebound, peak = nearest_bound(kind, worst)
         text.append(f"{what}; double precision unless said:\n\n{report.table(heads, step_rows(worst, every, restitutions))}")
         text.append(
-            "Of the bounds in `dem_jax/contact/law/walton_braun_accuracy.py`, from which `run.accuracy` takes the step, "
+            "Of the bounds in `dem_jax/contact_laws/walton_braun_accuracy.py`, from which `run.accuracy` takes the step, "
             f"these errors reach at most "
             f"{100 * rebound:.0f} % (restitution) and {100 * peak:.0f} % (peak force)."
         )
@@ -361,17 +361,17 @@ def drops(scene, seeds) -> Drops:
     """Run a scene with all seeds, again if anything was compiled meanwhile: the time is that of running alone."""
     import jax
 
-    from dem_jax.drive.execute import execute
-    from dem_jax.drive.interface import drive
-    from dem_jax.drive.prepare import prepare
-    from dem_jax.show.summary import impact_duration
+    from dem_jax.runner.executors import execute_chunk
+    from dem_jax.runner.interface import run_job
+    from dem_jax.runner.job_setup import prepare_job
+    from dem_jax.visualization.summary import impact_duration
 
-    job = prepare(scene, tuple(range(seeds)), seeds)
+    job = prepare_job(scene, tuple(range(seeds)), seeds)
     with jax.enable_x64(scene.run.precision == "f64"):
-        execute(job, job.system, job.state, 0, 0)  # no samples: it compiles
+        execute_chunk(job, job.system, job.state, 0, 0)  # no samples: it compiles
     while True:
         compiled, start = job.clock.compile, time.process_time()
-        found = drive(job, None, False, False)
+        found = run_job(job, None, False, False)
         took = time.process_time() - start
         if job.clock.compile == compiled:
             break
@@ -387,9 +387,9 @@ def drops(scene, seeds) -> Drops:
 
 def variants(quick):
     """Label, series and changes of the quick-release drop; the first is the reference (a quick one: the default)."""
-    from dem_jax import build, load_scene
+    from dem_jax import assembly, load_scene
 
-    step = build.build(load_scene("quick-release")).step.critical
+    step = assembly.assemble_system(load_scene("quick-release")).step.critical
     sphere = {"portion": {"shape": "sphere", "radius": SPHERE["radius"]}}
     half = {"run": {"step": step / 2}}
     rows = [
@@ -509,7 +509,7 @@ def main(argv=None):
     parser.add_argument("--quick", action="store_true", help="fewer steps, phases and seeds")
     parser.add_argument("--seeds", type=int, help="of the drop; unset: 64, quick 4")
     options = parser.parse_args(argv)
-    loops_as_one()  # as in production, before anything is compiled
+    set_loop_flags()  # as in production, before anything is compiled
     begin, environment = time.perf_counter(), report.environment()
     count, seeds = (6, 4) if options.quick else (16, 64)
     seeds = options.seeds or seeds

@@ -6,10 +6,10 @@ def compiled(system, state, samples, frames=0, members=None):
     import jax
     import jax.numpy as jnp
 
-    from dem_jax import compiling
-    from dem_jax.step import stepping
+    from dem_jax import xla_flags
+    from dem_jax.dynamics import stepping
 
     count, every, phase = jnp.int32(samples), jnp.int32(1), jnp.int32(0)
     run = lambda system, state: stepping.run_chunk(system, state, count, every, samples, frames, phase)  # noqa: E731
     run = run if members is None else jax.vmap(run, in_axes=(None, 0))
-    return compiling.jit(run, jax.default_backend()).lower(system, state).compile()
+    return xla_flags.jit_for_backend(run, jax.default_backend()).lower(system, state).compile()

@@ -18,9 +18,9 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks import report
 from dem_jax import shapes
-from dem_jax.build import hulls
-from dem_jax.compiling import known
-from dem_jax.contact import collide, geometry
+from dem_jax.assembly import hull_table
+from dem_jax.narrow_phase import collision_primitives, contact_geometry
+from dem_jax.xla_flags import supported_options
 
 PAIRS = 10_000
 BATCH = 250  # one compiled program
@@ -48,7 +48,7 @@ def bodies() -> list[shapes.Shape]:
     for count in CORNERS:
         points = random.normal(size=(count, 3))
         points *= 0.015 / np.linalg.norm(points, axis=1, keepdims=True)
-        made.append(shapes.hull(points * random.uniform(0.6, 1.4, 3)))
+        made.append(shapes.convex_hull(points * random.uniform(0.6, 1.4, 3)))
     return [*made, shapes.chamfered_cuboid((0.03, 0.02, 0.012), 0.003), shapes.prism(5, 0.014, 0.03)]
 
 
@@ -101,16 +101,16 @@ def reference(points: np.ndarray) -> tuple[float, np.ndarray]:
     return -float(np.linalg.norm(x)), x / np.linalg.norm(x)
 
 
-@partial(jax.jit, compiler_options=known("cpu"))
+@partial(jax.jit, compiler_options=supported_options("cpu"))
 def _contact(table, a, b, turn, offset):
-    return geometry.polytopes(table, (a, b), collide.Relative(tuple(tuple(row) for row in turn), tuple(offset)))._replace(
+    return contact_geometry.polytope_contact(table, (a, b), collision_primitives.RelativePose(tuple(tuple(row) for row in turn), tuple(offset)))._replace(
         moments=None
     )
 
 
 def computed(made: list[shapes.Shape], pairs: Pairs, dtype) -> tuple[np.ndarray, np.ndarray]:
     """Depth [P] (m) and normal [P, 3] of pairs by the narrow phase, in a's frame. Needs jax_enable_x64 for float64."""
-    table = hulls.table(made, dtype)
+    table = hull_table.build_hull_table(made, dtype)
     table = table.replace(row=table.row.astype(np.int32))
     turn = pairs.turn.as_matrix().transpose(1, 2, 0).astype(dtype)
     offset = pairs.offset.T.astype(dtype)
@@ -145,7 +145,7 @@ def errors(count: int, dtypes, seed: int = 0) -> list[Errors]:
     for dtype in dtypes:
         depth, normal = computed(made, pairs, dtype)
         overlap = np.array([(first @ n).max() - (second @ n).min() for (first, second), n in zip(both, normal, strict=True)])
-        left = (overlap - depth / (1 - collide.FACE_PREFERENCE))[inside]
+        left = (overlap - depth / (1 - collision_primitives.FACE_PREFERENCE))[inside]
         beyond = np.maximum(depth, true - depth)[~inside]
         out.append(Errors(int(inside.sum()), *(x / size for x in (np.abs(depth - true)[inside], left, beyond))))
     return out

@@ -19,7 +19,7 @@ import numpy as np
 import dem_jax
 from benchmarks import report
 from benchmarks.apart import outcomes
-from dem_jax import build, compiling
+from dem_jax import assembly, xla_flags
 
 PATIENCE = 900.0  # s for a row
 ROUNDS = 9
@@ -56,13 +56,13 @@ def peak(parameters, of, checkpoint):
 def measure(case: tuple[str, str]) -> tuple[str, str]:
     """Name of a scene and a mode -> what was measured, as JSON."""
     jax.config.update("jax_enable_x64", True)
-    compiling.loops_as_one()
+    xla_flags.set_loop_flags()
     name, mode = case
     of = scene(name)
     function = partial(peak, of=of, checkpoint=mode == "reverse, checkpoint")
     derivative = jax.jacfwd(function) if mode == "forward" else jax.grad(function)
     marks = [time.perf_counter()]
-    traced = compiling.jit(derivative, jax.default_backend()).lower(NUMBERS)
+    traced = xla_flags.jit_for_backend(derivative, jax.default_backend()).lower(NUMBERS)
     marks.append(time.perf_counter())
     program = traced.compile()
     marks.append(time.perf_counter())
@@ -71,7 +71,7 @@ def measure(case: tuple[str, str]) -> tuple[str, str]:
         start = time.perf_counter()
         found = jax.block_until_ready(program(NUMBERS))
         times.append(time.perf_counter() - start)
-    made = build.build(of)
+    made = assembly.assemble_system(of)
     steps = made.settling_steps + made.samples * made.step.substeps
     memory = program.memory_analysis().temp_size_in_bytes
     trace, compiled = np.diff(marks).tolist()

@@ -20,11 +20,11 @@ from benchmarks import report
 from benchmarks.box import open_box
 from benchmarks.peers.liggghts import setting, version, walls
 from benchmarks.peers.packing import GRAVITY
-from dem_jax import build, compiling, load_scene, simulate
-from dem_jax.build.law import law_of
-from dem_jax.build.time_step import possible_contacts
-from dem_jax.contact.law import Contact, Response
-from dem_jax.contact.law.walton_braun import History, Pair, WaltonBraun
+from dem_jax import assembly, load_scene, simulate, xla_flags
+from dem_jax.assembly.contact_law import build_contact_law
+from dem_jax.assembly.time_step import list_possible_contacts
+from dem_jax.contact_laws import ContactKinematics, Response
+from dem_jax.contact_laws.walton_braun import WaltonBraun, WaltonBraunHistory, WaltonBraunPair
 from dem_jax.types import pytree
 
 RADIUS, DENSITY = 0.01, 300.0  # m, kg/m3
@@ -38,7 +38,7 @@ WORDS = ["liggghts", "-log", "none"]
 class Uncorrected(WaltonBraun):
     """Eqs 1-4 at steps alone."""
 
-    def force(self, pair: Pair, history: History, contact: Contact) -> Response:
+    def force(self, pair: WaltonBraunPair, history: WaltonBraunHistory, contact: ContactKinematics) -> Response:
         """As of a step that is too coarse for more."""
         return super().force(pair, history, contact._replace(resolved=0.0))
 
@@ -110,9 +110,9 @@ def ours(landing: Landing) -> tuple[Trace, tuple[float, float]]:
         run={"precision": "f64", "step": STEP, "sample": EVERY * STEP, "duration": landing.duration, "frames": landing.duration}
         | {"gravity": (0.0, 0.0, -GRAVITY), "domain_high": (1.0, 1.0, 1.0)},
     )
-    law = Uncorrected(**vars(law_of(scene)))
-    built = build.build(scene, law=law)
-    found = possible_contacts(built.system.law, built.system.materials, built.shapes, built.system.pieces)
+    law = Uncorrected(**vars(build_contact_law(scene)))
+    built = assembly.assemble_system(scene, law=law)
+    found = list_possible_contacts(built.system.law, built.system.materials, built.shapes, built.system.pieces)
     stiffness = [float(np.ravel(one.pair.stiffness)[0]) for one in found]
     run = simulate(scene, law=law)
     last = run.pieces
@@ -189,7 +189,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if name is None:
         print("LIGGGHTS is not found: `liggghts` is to be on the PATH (a package of Debian)")
         return 0
-    compiling.loops_as_one()
+    xla_flags.set_loop_flags()
     rows, good = [], True
     for words, (landing, until, allowed) in CASES.items():
         if options.quick and len(landing.position) > 2:

@@ -13,7 +13,7 @@ SPEED, TURN = 1e-3, 1e-4  # m/s, rad, about: on a perfect lattice at rest there 
 
 def box_scene(shape: str, count: int, precision="f32"):
     """Scene of ``count`` pieces, spheres of 10 mm radius or marshmallows, in a box that their lattice fills."""
-    from dem_jax.scene import parse
+    from dem_jax.scene import parse_scene
 
     pitch = np.array([0.02] * 3 if shape == "sphere" else [0.055, 0.023, 0.016]) * (1 - PRESS)
     cells = lattice_cells(count)
@@ -21,7 +21,7 @@ def box_scene(shape: str, count: int, precision="f32"):
     corners = open_box(0.5 * size[0], 0.5 * size[1], size[2])
     walls = "\n".join(f'[[wall]]\ngroup = "box"\ncorners = {[list(map(float, c)) for c in row]}' for row in corners)
     radius = "radius = 0.01" if shape == "sphere" else ""
-    scene = parse(f"""
+    scene = parse_scene(f"""
 [portion]
 shape = "{shape}"
 {radius}
@@ -57,27 +57,27 @@ def positions(cells, pitch, count):
 
 def system_of(shape: str, count: int):
     """System and first state on the lattice, with capacities that fit, found by rebuilding until nothing overflows."""
-    from dem_jax import build
-    from dem_jax.drive.prepare import slot_block
-    from dem_jax.pairs import guard, neighbours
+    from dem_jax import assembly
+    from dem_jax.broad_phase import neighbour_list, overflow_recovery
+    from dem_jax.runner.job_setup import choose_slot_block
 
     scene, centres = box_scene(shape, count)
-    built = build.build(scene, 0)
+    built = assembly.assemble_system(scene, 0)
     high = centres.astype(np.float32)
     velocity, turns = np.random.default_rng(1).normal(0, 1, (2, *centres.shape)) * np.reshape([SPEED, TURN], (2, 1, 1))
-    state = built.state.moved(
+    state = built.state.replace_motion(
         position=jnp.asarray(high),
         position_rest=jnp.asarray(centres - high, jnp.float32),
         orientation=jnp.asarray(np.concatenate([np.ones((1, count)), 0.5 * turns]), jnp.float32),
         velocity=jnp.asarray(velocity, jnp.float32),
     )
     high = jnp.max(state.position, axis=1) + 1
-    system = built.system.replace(skin=jnp.float32(SKIN), domain_high=high, slot_block=slot_block())
-    rebuild = jax.jit(neighbours.rebuild)
+    system = built.system.replace(skin=jnp.float32(SKIN), domain_high=high, slot_block=choose_slot_block())
+    rebuild = jax.jit(neighbour_list.rebuild_neighbour_list)
     for _ in range(8):
         rebuilt = rebuild(system, state)
         seen = jax.device_get(rebuilt.guard)
-        if not guard.outgrown(system, seen):
+        if not overflow_recovery.describe_overflow(system, seen):
             return system, rebuilt
-        system, state = guard.grown(system, guard.fresh(state), seen)
+        system, state = overflow_recovery.grow_capacity(system, overflow_recovery.reset_report(state), seen)
     raise RuntimeError(f"capacities did not settle for {count} pieces")

@@ -57,7 +57,7 @@ def time_chunk(system, state, members=None):
     """Seconds per step (a value per repeat), compile time (s). Each chunk goes on from the one before."""
     import jax
 
-    from dem_jax.drive.job import samples_per_block
+    from dem_jax.runner.job import samples_per_block
 
     samples = BLOCKS * samples_per_block(system)
     start = time.perf_counter()
@@ -202,14 +202,14 @@ def together(rows) -> dict:
 
 def serve(pinned, kind, *arguments):
     """Measure a row in this process and print it."""
-    from dem_jax.compiling import loops_as_one
+    from dem_jax.xla_flags import set_loop_flags
 
     cores = sorted(os.sched_getaffinity(0))
     if pinned:  # before JAX starts its threads
         os.sched_setaffinity(0, cores[-1:])
     elif kind == "cores":
         os.sched_setaffinity(0, cores[: int(arguments[0])])
-    loops_as_one(unrolled=kind not in ("size", "members"))  # as in production
+    set_loop_flags(unrolled=kind not in ("size", "members"))  # as in production
     print(json.dumps(ROWS[kind](*(int(x) if x.isdecimal() else x for x in arguments))))
 
 

@@ -23,8 +23,8 @@ import numpy as np
 from benchmarks import report
 from benchmarks.peers import yade
 from benchmarks.peers.ours import Advance
-from dem_jax import compiling
-from dem_jax.build import hulls
+from dem_jax import xla_flags
+from dem_jax.assembly import hull_table
 
 VOLUME = 19440e-9  # m3, of a marshmallow
 SIZES = (8, 64, 343)
@@ -113,14 +113,14 @@ def scene(product: Product, width, height, position, orientation, material, run)
 def settled(product: Product, count: int):
     """A job whose pieces lie in a box, and its inner width (m)."""
     from dem_jax import simulate
-    from dem_jax.build import build
-    from dem_jax.drive.prepare import prepare
+    from dem_jax.assembly import assemble_system
+    from dem_jax.runner.job_setup import prepare_job
 
     loose = {"restitution": 0.5, "softening": SOFT}
     one = np.ones((len(product.pieces), 1))
-    most, hulls.MOST_DIRECTIONS = hulls.MOST_DIRECTIONS, 0 if product.general else hulls.MOST_DIRECTIONS
+    most, hull_table.MOST_DIRECTIONS = hull_table.MOST_DIRECTIONS, 0 if product.general else hull_table.MOST_DIRECTIONS
     probe = scene(product, 10.0, 1.0, one * [0, 0, 0.5], one * [1.0, 0, 0, 0], loose, {})
-    system = build(probe, 0).system
+    system = assemble_system(probe, 0).system
     size = 2 * float(np.max(system.parts.bounding_radius))
     if size > SLENDER * float(np.min(system.pieces.width)):  # they fall far, and are thin
         loose["softening"] = 10 * SOFT
@@ -138,8 +138,8 @@ def settled(product: Product, count: int):
     last = simulate(scene(product, width, height, position, turns, loose, run)).pieces
     run = {"sample": 5e-5, "duration": 1e3, "frames": 0.0, "energy": False}
     packed = scene(product, width, height, last.position[-1], last.orientation[-1], {"restitution": 0.1}, run)
-    job = prepare(packed, (0,), None)
-    hulls.MOST_DIRECTIONS = most
+    job = prepare_job(packed, (0,), None)
+    hull_table.MOST_DIRECTIONS = most
     known = job.state.guard.replace(start_overlap=0 * job.state.guard.start_overlap)  # settled pieces overlap a little
     return replace(job, state=job.state.replace(guard=known)), width
 
@@ -150,7 +150,7 @@ def main(argv=None):
     parser.add_argument("--sizes", type=int, nargs="+", default=None)
     parser.add_argument("--only", nargs="+", default=None, help="products whose names contain any of these")
     options = parser.parse_args(argv)
-    compiling.loops_as_one()
+    xla_flags.set_loop_flags()
     head = report.environment()
     sizes = options.sizes or ((8,) if options.quick else SIZES)
     chosen = products()[:3] if options.quick else products()
@@ -243,7 +243,7 @@ def _theirs(child, steps):
 
 def _packing(product, job, width, stack):
     """The file of the places in which the pieces of a job begin."""
-    from dem_jax.shapes import hull as hull_of
+    from dem_jax.shapes import convex_hull as hull_of
 
     path = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "packed.npz"
     rows = job.scene.piece

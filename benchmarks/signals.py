@@ -1,7 +1,7 @@
 """The Product Model recovered from signals of a scale: `python -m benchmarks.signals [--repeats N]`.
 
 Portions of known parameters fall on a load cell (exact response), are read at 1 kHz with the noise that
-`dem_jax.weighing.noise` calls typical, and are fitted by `calibrate.fit_signals`. Writes
+`dem_jax.weighing.signal_noise` calls typical, and are fitted by `calibrate.fit_signals`. Writes
 out/benchmarks/signals.md; `benchmarks/results/signals.md` holds such a table.
 """
 
@@ -18,8 +18,8 @@ from calibrate.cell_signals import ScaleSignal
 from calibrate.drop_heights import HEIGHTS, Heights, fit_heights
 from calibrate.signal_fit import fit_signals
 from dem_jax.scene import LoadCell, Noise
-from dem_jax.weighing.cell import cell_of
-from dem_jax.weighing.noise import add_noise
+from dem_jax.weighing.cell import build_cell
+from dem_jax.weighing.signal_noise import add_noise
 
 RATE, BEFORE, AFTER = 1000.0, 0.3, 0.9  # readings per second; s before and after the trigger
 TARE, JITTER = 0.0127, 2e-3  # kg; s, of the release after the trigger
@@ -76,7 +76,7 @@ def simulate_signals(
             rows.append(np.asarray(respond(shared, local, np.full(len(each), 1 / len(each)), edges, np.ones(()))))
         loads.append(setting.m_piece * (edges[1:, None] > land).sum(axis=1))
         heights.append(each)
-    cell = cell_of(LoadCell(mass=setting.mass, natural_frequency=setting.frequency, damping_ratio=setting.damping))
+    cell = build_cell(LoadCell(mass=setting.mass, natural_frequency=setting.frequency, damping_ratio=setting.damping))
     values = add_noise(np.array(rows), RATE, noise, cell, seed, -BEFORE, np.array(loads))
     return [ScaleSignal(f"portion {k}", row, 1 / RATE) for k, row in enumerate(values)], heights
 

@@ -93,35 +93,35 @@ def moving(scene):
 
 def idly_moved(walls):
     """Walls with a hinge and a vibration of every group that do nothing."""
-    from dem_jax.build.typed import typed
-    from dem_jax.contact.motion import Hinge, Vibration
+    from dem_jax.assembly.dtype_cast import cast_tree
     from dem_jax.scene import Motion
+    from dem_jax.walls.motion import Hinge, Vibration
 
     idle = [Motion(group=group) for group in walls.groups]
-    motions = tuple(kind.of(idle) for kind in (Hinge, Vibration))
-    return walls.replace(motions=typed(motions, walls.pivot.dtype))
+    motions = tuple(kind.from_sections(idle) for kind in (Hinge, Vibration))
+    return walls.replace(motions=cast_tree(motions, walls.pivot.dtype))
 
 
 def prepared(scene, computed, frames, quick):
     """A compiled chunk with system and state that have room for all it needs, and its number of steps."""
     import jax
 
-    from dem_jax.drive.prepare import prepare
-    from dem_jax.drive.span import ATTEMPTS
-    from dem_jax.pairs import guard, neighbours
+    from dem_jax.broad_phase import neighbour_list, overflow_recovery
+    from dem_jax.runner.chunk_result import MOST_ATTEMPTS
+    from dem_jax.runner.job_setup import prepare_job
 
-    job = prepare(scene, (0,), None)
+    job = prepare_job(scene, (0,), None)
     system = job.system.replace(**{name: value(job.system) if callable(value) else value for name, value in computed.items()})
-    state = guard.with_scratch(system, job.state.replace(contacts=neighbours.no_contacts(system)))
+    state = overflow_recovery.with_empty_scratch(system, job.state.replace(contacts=neighbour_list.init_contact_tables(system)))
     each = int(system.substeps) * system.sample_parts
     steps = STEPS * max(1, 64 // state.position.shape[1])  # so that starting a chunk is a small part of it
     samples = max(8, steps // (4 * each if quick else each))
-    for _ in range(ATTEMPTS):
+    for _ in range(MOST_ATTEMPTS):
         program = chunk.compiled(system, state, samples, frames)
         seen = jax.device_get(program(system, state)[0].guard)
-        if not guard.outgrown(system, seen):
+        if not overflow_recovery.describe_overflow(system, seen):
             return program, system, state, samples * each
-        system, state = guard.grown(system, guard.fresh(state), seen)
+        system, state = overflow_recovery.grow_capacity(system, overflow_recovery.reset_report(state), seen)
     raise RuntimeError("capacities did not settle")
 
 
@@ -144,7 +144,7 @@ def skips(quick) -> list[Skip]:
     """All rows."""
     import jax.numpy as jnp
 
-    from dem_jax.pairs import search
+    from dem_jax.broad_phase import candidate_search
 
     few, sizes = (9, (9, 64)) if quick else (64, (64, 343, 1000))
     here = "test_skips.py: "
@@ -190,7 +190,7 @@ def skips(quick) -> list[Skip]:
         Skip("a rebuild before each step", plain, pieces, every_step, test=here + "candidates"),
     ]  # fmt: skip
     for count in sizes:
-        best = search.choice("auto", count)
+        best = candidate_search.choose_search("auto", count)
         for choice in SEARCHES:
             other = lambda count=count, choice=choice: heap(count, run={"neighbours": choice})  # noqa: E731
             if choice != best:
@@ -244,9 +244,9 @@ def main(argv=None):
     parser.add_argument("--only", nargs="+", default=[], metavar="word", help="only rows whose name holds one of these")
     options = parser.parse_args(argv)
     os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
-    from dem_jax.compiling import loops_as_one
+    from dem_jax.xla_flags import set_loop_flags
 
-    loops_as_one()  # as in production, before anything is compiled
+    set_loop_flags()  # as in production, before anything is compiled
     start = report.environment()
     chosen = [row for row in skips(options.quick) if not options.only or any(word in row.name for word in options.only)]
     rows = [measured(row, options.quick) for row in chosen]

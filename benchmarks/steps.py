@@ -23,9 +23,9 @@ REPEATS = 7
 
 def packed(count: int):
     """A system and a state of ``count`` marshmallows at rest in the closed feed bucket."""
-    from dem_jax.drive.loop import spans
-    from dem_jax.drive.prepare import prepare
-    from dem_jax.drive.progress import Progress
+    from dem_jax.runner.job_setup import prepare_job
+    from dem_jax.runner.loop import iterate_chunks
+    from dem_jax.runner.progress import Progress
     from dem_jax.scene import load_scene
 
     factor = min(1.0, (PORTION / (count * 5.832e-3)) ** (1 / 3))
@@ -35,8 +35,8 @@ def packed(count: int):
         material={"softening": 0.001},
         run={"duration": 3e-5, "frames": 0.0},
     )
-    job = prepare(scene, (0,), None)
-    *_, last = spans(job, Progress(job, False))
+    job = prepare_job(scene, (0,), None)
+    *_, last = iterate_chunks(job, Progress(job, False))
     return last.system, last.state, job
 
 
@@ -45,16 +45,16 @@ def cost_of_a_step(count: int):
     import jax
     import numpy as np
 
-    from dem_jax.drive.chunk import SAMPLES
-    from dem_jax.drive.execute import execute
+    from dem_jax.runner.chunk import CHUNK_SAMPLES
+    from dem_jax.runner.executors import execute_chunk
 
     system, state, job = packed(count)
     samples = max(20, int(1.0 / (30e-6 * count**0.8 * job.steps_per_sample)) // 10 * 10)
-    samples = min(samples, SAMPLES)
+    samples = min(samples, CHUNK_SAMPLES)
     times = []
     for _ in range(REPEATS):
         start = time.perf_counter()
-        after, _, _ = execute(job, system, state, 0, samples)
+        after, _, _ = execute_chunk(job, system, state, 0, samples)
         jax.block_until_ready(after)
         times.append((time.perf_counter() - start) / (samples * job.steps_per_sample))
     table = state.contacts["hulls"]

@@ -20,10 +20,10 @@ import dem_jax
 import product_model
 from benchmarks import report
 from calibrate import target
-from calibrate.curves import Curves, curves_of, measure_curves
+from calibrate.curves import Curves, collect_curves, measure_curves
 from calibrate.errors import BadInput
 from calibrate.landing_fit import judge_landings
-from calibrate.transfer import Ensemble, choose_frame, learn_transfer
+from calibrate.transfer_fit import Ensemble, choose_frame, learn_transfer
 from dem_jax.errors import SceneError, SimulationError
 from dem_jax.scene import load_scene
 from product_model.conditions import product_conditions, scene_conditions
@@ -143,7 +143,7 @@ def check_product(name, table):
     frame = choose_frame(targets)
     with jax.enable_x64(True):
         distance = judge_landings(fitted.value, targets, frame, 0, PORTIONS).joint.distance
-    data, model = measure_curves(curves_of(targets)), measure_curves(simulate_model(fitted, drop, time))
+    data, model = measure_curves(collect_curves(targets)), measure_curves(simulate_model(fitted, drop, time))
     errors = {key: float(np.median(model[key].values) / np.median(data[key].values) - 1) for key in OUTPUTS}
     outside = "; ".join(line.split(" = ")[0] for line in table.outside(drop))
     return [name, drop.pieces, outside, f"{distance:.3g}", *(f"{100 * errors[key]:+.0f} %" for key in OUTPUTS)], errors

@@ -9,13 +9,13 @@ import argparse
 import numpy as np
 
 from benchmarks import report
-from dem_jax import compiling
-from dem_jax.scene.library import products
-from dem_jax.show.uncertainty import Split, first_to_measure, short_name
-from dem_jax.study import conduct, results
+from dem_jax import xla_flags
+from dem_jax.scene.library import list_products
+from dem_jax.study import analysis, study_runner
+from dem_jax.study.config import validate_study
 from dem_jax.study.outputs import OUTPUTS
-from dem_jax.study.table import checked
-from dem_jax.study.uncertain import replicate_shares, split_outputs
+from dem_jax.study.uncertain_parameters import replicate_shares, split_outputs
+from dem_jax.visualization.variance_decomposition import VarianceSplit, choose_first_number, short_name
 
 PRODUCTS = ("meatball", "cherry-tomato", "toffee", "cheese-cube", "chocolate-bar")
 POINTS, SEEDS = 32, 2  # of the numbers; drops at each
@@ -31,10 +31,10 @@ def conducted(product: str, quick: bool):
         "points": 16 if quick else POINTS, "seeds": SEEDS, "outputs": ["peak", "time_to_rest", "time_to_weigh"],
         "set": SETTINGS | {"product": product},
     }  # fmt: skip
-    return conduct.study(checked(tree, "benchmarks.uncertainty"))
+    return study_runner.run_study(validate_study(tree, "benchmarks.uncertainty"))
 
 
-def rows_of(product: str, found, splits: list[Split]) -> list[list[str]]:
+def rows_of(product: str, found, splits: list[VarianceSplit]) -> list[list[str]]:
     """Table rows of a product, one for each answer."""
     replicates = {row.name: row for row in replicate_shares(found)}
     pieces = found.study.base().portion.count
@@ -56,27 +56,27 @@ def percent(share) -> str:
     return f"{value:.0f} % ({low:.0f} to {high:.0f})"
 
 
-def parts_of(split: Split) -> str:
+def parts_of(split: VarianceSplit) -> str:
     """The numbers that differ from nothing, with their shares."""
     return ", ".join(f"{short_name(p.name)} {100 * p.value:.0f} %" for p in split.parts if p.is_known) or "none known"
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("products", nargs="*", default=PRODUCTS, metavar="product", choices=[*products(), PRODUCTS])
+    parser.add_argument("products", nargs="*", default=PRODUCTS, metavar="product", choices=[*list_products(), PRODUCTS])
     parser.add_argument("--quick", action="store_true", help="one product and few drops")
     options = parser.parse_args()
-    compiling.loops_as_one(unrolled=True)
+    xla_flags.set_loop_flags(unrolled=True)
     names = options.products[:1] if options.quick else options.products
     rows, lines = [], []
     for product in names:
         found = conducted(product, options.quick)
         splits = split_outputs(found)
-        own, first = rows_of(product, found, splits), first_to_measure(splits)
+        own, first = rows_of(product, found, splits), choose_first_number(splits)
         rows += own
         lines.append(f"- {product}: {'no number stands out' if first is None else short_name(first.name)}")
         print("\n".join(" | ".join(row) for row in own), flush=True)
-        print("\n".join(results.findings(found)), flush=True)
+        print("\n".join(analysis.list_findings(found)), flush=True)
     drops = (16 if options.quick else POINTS) * SEEDS
     text = f"""# Chance of the fall and unknown numbers
 

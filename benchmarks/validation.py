@@ -13,10 +13,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from benchmarks import report
-from dem_jax import compiling, ensemble, load_scene
+from dem_jax import ensemble, load_scene, xla_flags
 from dem_jax.errors import SceneError, SimulationError
-from dem_jax.validation import Problem, Solution, solve
-from dem_jax.validation.catalogue import FAMILIES, problems
+from dem_jax.validation import Problem, Solution, solve_problem
+from dem_jax.validation.catalogue import FAMILIES, list_problems
 
 HEAD = ["problem", "compared", "f32", "f64", "f64, a quarter of the step", "f32 from f64", "allowed"]
 FINER = 4
@@ -26,15 +26,15 @@ SURE = 0.01  # least p-value that equal distributions give but once in a hundred
 
 def solutions(problem: Problem, finer: bool) -> dict[str, Solution]:
     """In single and in double precision, and with the finer step."""
-    solved = {"f32": solve(problem, "f32"), "f64": solve(problem, "f64")}
-    return solved | ({"finer": solve(problem, "f64", FINER)} if finer else {})
+    solved = {"f32": solve_problem(problem, "f32"), "f64": solve_problem(problem, "f64")}
+    return solved | ({"finer": solve_problem(problem, "f64", FINER)} if finer else {})
 
 
 def rows_of(problem: Problem, solved: dict[str, Solution]) -> list[list[str]]:
     """Rows of the table, one for each that is compared."""
     rows = []
     for name, allowed in problem.bounds.items():
-        apart = problem.between(solved["f32"].found, solved["f64"].found, name)
+        apart = problem.relative_error(solved["f32"].found, solved["f64"].found, name)
         errors = [f"{s.errors[name]:.2g}" for s in solved.values()] + [""] * ("finer" not in solved)
         rows.append([problem.name, name, *errors, f"{apart:.2g}", f"{allowed:.2g}"])
     return rows
@@ -54,7 +54,7 @@ def drops(seeds: int) -> tuple[str, bool]:
     """The table of the two-sample tests, and whether no difference was seen."""
     from scipy.stats import anderson_ksamp, ks_2samp
 
-    from dem_jax.show.summary import impact_duration
+    from dem_jax.visualization.summary import impact_duration
 
     found = {}
     for precision, first in (("f32", 0), ("f64", 0), ("f64, other seeds", seeds)):
@@ -90,13 +90,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.validation", description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="one law, no packings, few drops")
     options = parser.parse_args(argv)
-    compiling.loops_as_one()
+    xla_flags.set_loop_flags()
     start, good, rows, poured = time.perf_counter(), True, [], []
     left_out = ("packings", "Chung and Ooi, walton-braun", "Chung and Ooi, linear-dashpot") if options.quick else ()
-    for problem in problems(name for name in FAMILIES if name not in left_out):
+    for problem in list_problems(name for name in FAMILIES if name not in left_out):
         try:
             solved = solutions(problem, finer=problem.seeds is None and not options.quick)
-            found, near = rows_of(problem, solved), not any(s.beyond for s in solved.values())
+            found, near = rows_of(problem, solved), not any(s.failing_quantities for s in solved.values())
             poured += [solved] * (problem.seeds is not None)
         except (SceneError, SimulationError) as error:
             found, near = [[problem.name, f"stopped: {error}", *[""] * (len(HEAD) - 2)]], False

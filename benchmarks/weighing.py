@@ -16,14 +16,14 @@ import numpy as np
 
 from benchmarks import report
 from calibrate.empty_cell import EmptyCell
-from calibrate.weigher import learn_weigher
+from calibrate.weigher_fit import learn_weigher
 from dem_jax import ensemble, load_scene
 from dem_jax.scene import LoadCell
 from dem_jax.weighing import filters
-from dem_jax.weighing.cell import Cell, cell_of
-from dem_jax.weighing.noise import TYPICAL, add_noise
+from dem_jax.weighing.cell import Cell, build_cell
 from dem_jax.weighing.settling import find_quantile, time_to_weigh
-from dem_jax.weighing.traces import trace_of
+from dem_jax.weighing.signal_noise import TYPICAL, add_noise
+from dem_jax.weighing.traces import extract_trace
 from dem_jax.weighing.tuning import Drops, tune_filters, weigh_drops
 from product_model.decision import first_decision
 from product_model.weigher import Reading, Weigher
@@ -75,7 +75,7 @@ def simulate(product: str, count: int, seed: int, folder: Path, runs: int) -> tu
             "weigh_bucket.load_cell.damping_ratio": CELL.damping_ratio, "run.duration": 1.0, "run.frames": 0.0,
             "run.sample": SAMPLE, "run.escape": "note",
         }  # fmt: skip
-        trace = trace_of(ensemble(load_scene("weigh-bucket", changes), runs, seed + 1000 * count))
+        trace = extract_trace(ensemble(load_scene("weigh-bucket", changes), runs, seed + 1000 * count))
         folder.mkdir(parents=True, exist_ok=True)
         np.savez_compressed(path, weight=trace.weight.astype(np.float32), truth=trace.truth)
     with np.load(path) as stored:
@@ -123,7 +123,7 @@ def estimated(weigher: Weigher, judge: Signals) -> tuple[dict[float, np.ndarray]
 
 
 def _cell() -> Cell:
-    return cell_of(LoadCell(mass=CELL.mass, natural_frequency=CELL.frequency, damping_ratio=CELL.damping_ratio))
+    return build_cell(LoadCell(mass=CELL.mass, natural_frequency=CELL.frequency, damping_ratio=CELL.damping_ratio))
 
 
 def learn(signals: Signals, count: int | None = None, cell: EmptyCell = CELL) -> Weigher:
@@ -230,7 +230,7 @@ def take(signals: Signals, which: slice) -> Signals:
 
 def filtered(text: str, signals: Signals) -> np.ndarray:
     """[K, n] (g) readings through a filter, whose levels are in kg."""
-    return 1e3 * filters.filter_signal(filters.named(text, RATE), signals.drops.signal)
+    return 1e3 * filters.filter_signal(filters.parse_filter(text, RATE), signals.drops.signal)
 
 
 def still(signals: Signals, values: np.ndarray, hold: int, band: float) -> np.ndarray:

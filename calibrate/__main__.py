@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from calibrate.targets import Target
 
 
-class _Parser(argparse.ArgumentParser):
+class _CommandParser(argparse.ArgumentParser):
     """Says what is wrong in one line and leaves with code 2."""
 
     def error(self, message: str) -> NoReturn:
@@ -41,8 +41,8 @@ NAMES = ("dt_impact", "gamma_low", "gamma_high", "h_mean")
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(prog="calibrate", description="Fit the Product Model to impact-force traces")
-    commands = parser.add_subparsers(dest="command", required=True, parser_class=_Parser)
+    parser = _CommandParser(prog="calibrate", description="Fit the Product Model to impact-force traces")
+    commands = parser.add_subparsers(dest="command", required=True, parser_class=_CommandParser)
     fit = commands.add_parser("fit", help="fit to one or several trace files")
     fit.add_argument(
         "traces", nargs="+", metavar="FILE", help="HDF5 runs or ensembles, tables of text (times, forces), or LabVIEW's .lvm"
@@ -168,7 +168,7 @@ def _write(result: "Fit | LandingFit", targets: "list[Target]", paths: list[Path
     """Write the fit, and the figure where there is a second path."""
 
     def draw() -> Any:
-        from calibrate.plot import figure
+        from calibrate.fit_figure import figure
 
         return figure(result, targets, seed)
 

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 from calibrate.command import add_table, table_options, write_results
 from calibrate.errors import BadInput
-from product_model.target import check_target
+from product_model.output_path import check_target
 
 if TYPE_CHECKING:
-    from calibrate.cell import CellFit
+    from calibrate.cell_fit import CellFit
     from calibrate.taps import Oscillation
 
 
@@ -31,7 +31,7 @@ def add_cell_command(commands: Any) -> None:
 
 def calibrate_cell(args: argparse.Namespace) -> int:
     """Fit, write and report; the exit code."""
-    from calibrate.cell import fit_cell
+    from calibrate.cell_fit import fit_cell
 
     out = check_target("out", args.out, (".json",), ".json", args.overwrite)
     if args.mass is not None and args.loaded:

@@ -33,14 +33,14 @@ class Segments(NamedTuple):
     integral: jax.Array
 
 
-def middles_of(local: Any, pieces: int) -> Any:
+def piece_middles(local: Any, pieces: int) -> Any:
     """[.., pieces] (s) middles of the pulses."""
     return local[..., len(LOCAL) : len(LOCAL) + pieces]
 
 
 def fall_times(shared: jax.Array, local: jax.Array, pieces: int) -> jax.Array:
     """[pieces] (s) from the release to the beginning of each pulse."""
-    return middles_of(local, pieces) - 0.5 * jnp.sqrt(shared[PULSE]) - local[0]
+    return piece_middles(local, pieces) - 0.5 * jnp.sqrt(shared[PULSE]) - local[0]
 
 
 def piece_masses(local: jax.Array, share: jax.Array) -> jax.Array:
@@ -88,7 +88,7 @@ def _forces(
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Beginnings of the segments [2 pieces + 1] (s), forces (kg) and masses over M in them."""
     duration = jnp.sqrt(shared[PULSE])
-    mass, middle = piece_masses(local, share), middles_of(local, share.shape[0])
+    mass, middle = piece_masses(local, share), piece_middles(local, share.shape[0])
     pulse = mass * fall_times(shared, local, share.shape[0]) / duration
     times = jnp.concatenate([middle - 0.5 * duration, middle + 0.5 * duration])
     order = jnp.argsort(times)

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from calibrate.errors import BadInput
+from product_model.output_path import check_target
 from product_model.program import QuietStream, set_open_line, temporary_file
-from product_model.target import check_target
 
 if TYPE_CHECKING:
     from calibrate.empty_cell import EmptyCell

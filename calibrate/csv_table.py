@@ -17,7 +17,7 @@ from calibrate.table_text import Layout, find_layout, read_lines
 from calibrate.time_grid import even_times
 from calibrate.units import NONE, unit_named
 
-__all__ = ["Column", "Table", "TableOptions", "read_table"]
+__all__ = ["Column", "CsvTable", "TableOptions", "read_table"]
 
 EPOCH = 1e8  # s: times beyond count from the beginning of a calendar
 WORDS = {";": '";"', "\t": "tabs", "|": '"|"', ",": '","', "": "spaces"}
@@ -39,7 +39,7 @@ class Column:
 
 
 @dataclass(frozen=True)
-class Table:
+class CsvTable:
     """What was read. said: in one line, how the text was understood."""
 
     columns: list[Column]
@@ -51,7 +51,7 @@ class Table:
         return self.columns[0].time
 
 
-def read_table(path: Path, options: TableOptions | None = None) -> Table:
+def read_table(path: Path, options: TableOptions | None = None) -> CsvTable:
     """The traces in a text file.
 
     Args:
@@ -77,7 +77,7 @@ def read_table(path: Path, options: TableOptions | None = None) -> Table:
     fields, signs = read_fields(path, layout, options)
     roles = find_roles(path, layout, fields, options)
     columns = [_column(path, layout, fields, roles, k, options) for k in roles.forces]
-    return Table(columns, "; ".join(_said(path, layout, signs, fields, roles, columns, options)))
+    return CsvTable(columns, "; ".join(_describe_table(path, layout, signs, fields, roles, columns, options)))
 
 
 def _column(
@@ -120,7 +120,7 @@ def _range_with_values(path: Path, layout: Layout, name: str, time: np.ndarray, 
     return first, last
 
 
-def _said(
+def _describe_table(
     path: Path,
     layout: Layout,
     signs: Signs,
@@ -131,10 +131,10 @@ def _said(
 ) -> list[str]:
     """How the table was understood."""
     times = {find_time(path, fields, roles.times, k) for k in roles.forces} if roles.times else set()
-    shown = [f"{fields[k].name!r} ({_unit_said(fields[k], options.force_unit, options.unit_by_default)})" for k in roles.forces[:3]]
+    shown = [f"{fields[k].name!r} ({_describe_unit(fields[k], options.force_unit, options.unit_by_default)})" for k in roles.forces[:3]]
     forces = ", ".join(shown) + (f" and {len(roles.forces) - 3} more" if len(roles.forces) > 3 else "")
     clock = [fields[k] for k in sorted(times)]
-    time = ", ".join(f"{f.name!r} ({_unit_said(f, None if f.is_clock else options.time_unit, 's')})" for f in clock[:3])
+    time = ", ".join(f"{f.name!r} ({_describe_unit(f, None if f.is_clock else options.time_unit, 's')})" for f in clock[:3])
     time += f" and {len(clock) - 3} more, one for each force" if len(clock) > 3 else ""
     used = {*times, *roles.times, *roles.forces}
     left = [f.name for k, f in enumerate(fields) if k not in used and f.named and (f.quantity or np.isfinite(f.values).any())]
@@ -153,7 +153,7 @@ def _said(
     ]
 
 
-def _unit_said(column: Field, given: str | None, default: str) -> str:
+def _describe_unit(column: Field, given: str | None, default: str) -> str:
     if given:
         return unit_named(given).symbol
     return f"clock, {column.unit.symbol}" if column.is_clock else column.unit.symbol or f"taken as {default}"

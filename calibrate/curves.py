@@ -51,7 +51,7 @@ class Curves:
         )
 
 
-def curves_of(targets: Sequence[Target]) -> Curves:
+def collect_curves(targets: Sequence[Target]) -> Curves:
     """The traces of an ensemble. Raises `BadInput` where they do not share their times."""
     first = targets[0]
     if any(

@@ -88,13 +88,13 @@ def checked_cell(cell: EmptyCell, where: str) -> EmptyCell:
 def _cell_of_section(path: str) -> EmptyCell:
     from dem_jax.errors import SceneError
     from dem_jax.scene import LoadCell, load_section
-    from dem_jax.weighing.cell import SECTION, cell_of
+    from dem_jax.weighing.cell import SECTION, build_cell
 
     try:
         section: LoadCell = load_section(path, LoadCell, SECTION)
     except SceneError as error:
         raise BadInput(str(error)) from None
-    return empty_cell_of(cell_of(section))
+    return empty_cell_of(build_cell(section))
 
 
 def empty_cell_of(cell: "Cell") -> EmptyCell:

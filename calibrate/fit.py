@@ -10,12 +10,12 @@ import numpy as np
 
 from calibrate import goodness, plausibility, uncertainty
 from calibrate.errors import BadInput, checked_seed
-from calibrate.loss import BLOCKS, Draws, Measured
-from calibrate.prepare import draw, measure
+from calibrate.fit_data import draw_random_numbers, measure_summaries
+from calibrate.loss import BLOCKS, MeasuredSummaries, RandomDraws
 from calibrate.solve import scan_lengths, solve_starts
 from calibrate.targets import Target
-from calibrate.uncertainty import Tell
-from calibrate.unconstrained import NAMES, Free, Theta
+from calibrate.uncertainty import ProgressCallback
+from calibrate.unconstrained import NAMES, FreeParameters, ModelParameters
 
 Rows = dict[str, dict[str, Any]]  # Fit.parameters
 Ends = dict[str, list[float]]  # Fit.starts
@@ -39,7 +39,7 @@ class Fit:
     """
 
     parameters: dict[str, dict[str, Any]]
-    free: Free
+    free: FreeParameters
     starts: dict[str, list[float]]
     losses: list[float]
     converged: list[bool]
@@ -60,7 +60,7 @@ class Fit:
         return asdict(self)
 
 
-def default_start(targets: list[Target], measured: Measured, draws: Draws) -> dict[str, float]:
+def default_start(targets: list[Target], measured: MeasuredSummaries, draws: RandomDraws) -> dict[str, float]:
     """Start values that the traces tell: h_mean and the limits from their own mean drop heights and spreads, dt_impact
     as the best of a coarse scan of the increments.
 
@@ -75,7 +75,7 @@ def default_start(targets: list[Target], measured: Measured, draws: Draws) -> di
     return start | {"dt_impact": float(lengths[int(np.argmin(scan_lengths(lengths, start, draws, measured)))])}
 
 
-def several_starts(start: Theta, own: Theta, free: Free, count: int = STARTS) -> Theta:
+def several_starts(start: ModelParameters, own: ModelParameters, free: FreeParameters, count: int = STARTS) -> ModelParameters:
     """`count` starts: `start`, then `own`, which the traces tell, and others about that by factors of up to two: name
     -> [count]. The parameters that are not `free` have the value of `start` in all.
     """
@@ -98,7 +98,7 @@ def several_starts(start: Theta, own: Theta, free: Free, count: int = STARTS) ->
     return {name: jnp.asarray([row[name] for row in rows[:count]]) for name in NAMES}
 
 
-def _checked_start(start: Theta | None, fixed: Theta, own: Theta) -> dict[str, float]:
+def _checked_start(start: ModelParameters | None, fixed: ModelParameters, own: ModelParameters) -> dict[str, float]:
     unknown = sorted((set(start or {}) | set(fixed or {})) - set(NAMES))
     if unknown:
         raise BadInput(f"{unknown[0]}: unknown; known are {', '.join(NAMES)}")
@@ -126,7 +126,7 @@ def fit(
     fine: int = 128,
     bootstrap: int = 100,
     seed: int = 0,
-    progress: Tell | None = None,
+    progress: ProgressCallback | None = None,
     force: bool = False,
 ) -> Fit:
     """Fit dt_impact, gamma_low, gamma_high and h_mean to `traces`, a list of `Target`.
@@ -145,13 +145,13 @@ def fit(
         return _fit(targets, measured, impossible, *arguments)
 
 
-def _measure_possible(targets: list[Target], align: str, force: bool) -> tuple[Measured, list[str]]:
+def _measure_possible(targets: list[Target], align: str, force: bool) -> tuple[MeasuredSummaries, list[str]]:
     """The summaries of the traces, and why these cannot be meant as they were read: raises `BadInput` unless `force`."""
     if align == "release" and (names := [t.name for t in targets if not t.from_release]):
         raise BadInput(f"{names[0]}: times of a clock do not tell when the portion was released: give --align first-impact")
     impossible = plausibility.find_impossible(targets)
     if not impossible or force:
-        measured = measure(targets, align)
+        measured = measure_summaries(targets, align)
         impossible = plausibility.find_impossible(targets, measured)
     if impossible and not force:
         raise BadInput(f"{impossible[0]}; --force fits nevertheless")
@@ -160,7 +160,7 @@ def _measure_possible(targets: list[Target], align: str, force: bool) -> tuple[M
 
 def _fit(
     targets: list[Target],
-    measured: Measured,
+    measured: MeasuredSummaries,
     impossible: list[str],
     given: dict[str, float] | None,
     fixed: dict[str, float],
@@ -169,13 +169,13 @@ def _fit(
     fine: int,
     bootstrap: int,
     seed: int,
-    progress: Tell,
+    progress: ProgressCallback,
 ) -> Fit:
-    draws = draw(targets, simulations, seed)
+    draws = draw_random_numbers(targets, simulations, seed)
     fine = min(fine, draws.z.shape[0])
     own = default_start(targets, measured, draws)
     start = _checked_start(given, fixed, own)
-    free = _free(fixed, len(targets))
+    free = _free_parameters(fixed, len(targets))
     progress("starts", 0, 1)
     solutions = jax.block_until_ready(solve_starts(several_starts(start, own, free), draws, measured, free, fine))
     progress("starts", 1, 1)
@@ -193,8 +193,8 @@ def _fit(
         free=free,
         starts=ends,
         losses=[float(v) for v in losses],
-        converged=_settled(ends, solutions.change, parameters, free),
-        agreed=_agreed(ends, best, parameters, free),
+        converged=_converged_starts(ends, solutions.change, parameters, free),
+        agreed=_agreeing_starts(ends, best, parameters, free),
         distances={name: float(value) for name, value in zip(BLOCKS, solutions.distances[best], strict=True)},
         p_values=goodness.p_values(theta, targets, measured, solutions.distances[best], refits, seed),
         rmse_g=goodness.rmse_g(theta, targets, align, seed),
@@ -217,7 +217,7 @@ def _fit(
     return result
 
 
-def _free(fixed: dict[str, float], count: int) -> Free:
+def _free_parameters(fixed: dict[str, float], count: int) -> FreeParameters:
     free = tuple(name for name in NAMES if name not in fixed)
     if not free:
         raise BadInput("fixed: at least one parameter must be free")
@@ -229,20 +229,20 @@ def _free(fixed: dict[str, float], count: int) -> Free:
     return free
 
 
-def _agreed(ends: Ends, best: int, parameters: Rows, free: Free) -> list[bool]:
+def _agreeing_starts(ends: Ends, best: int, parameters: Rows, free: FreeParameters) -> list[bool]:
     """[S] whether each start ended where the best one did, within a share of the intervals."""
-    return _little(lambda name, s: abs(ends[name][s] - ends[name][best]), len(ends["h_mean"]), parameters, free)
+    return _within_share(lambda name, s: abs(ends[name][s] - ends[name][best]), len(ends["h_mean"]), parameters, free)
 
 
-def _settled(ends: Ends, change: Theta, parameters: Rows, free: Free) -> list[bool]:
+def _converged_starts(ends: Ends, change: ModelParameters, parameters: Rows, free: FreeParameters) -> list[bool]:
     """[S] whether the last round of each start changed nothing by more than a share of the intervals."""
-    return _little(lambda name, s: float(change[name][s]) * ends[name][s], len(ends["h_mean"]), parameters, free)
+    return _within_share(lambda name, s: float(change[name][s]) * ends[name][s], len(ends["h_mean"]), parameters, free)
 
 
-def _little(distance: Callable[[str, int], float], count: int, parameters: Rows, free: Free) -> list[bool]:
+def _within_share(distance: Callable[[str, int], float], count: int, parameters: Rows, free: FreeParameters) -> list[bool]:
     """[count] whether distance(name, s) is within a share of the intervals of all free parameters."""
-    return [all(distance(name, s) <= AGREEMENT * _half(parameters[name]) for name in free) for s in range(count)]
+    return [all(distance(name, s) <= AGREEMENT * _half_width(parameters[name]) for name in free) for s in range(count)]
 
 
-def _half(row: dict[str, Any]) -> float:
+def _half_width(row: dict[str, Any]) -> float:
     return max(0.5 * (row["high"] - row["low"]), 1e-3 * abs(row["value"]))

@@ -4,10 +4,10 @@ import jax
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calibrate.loss import BLOCKS, Measured
+from calibrate.loss import BLOCKS, MeasuredSummaries
 from calibrate.targets import Target, rebin
 from calibrate.uncertainty import Refits
-from calibrate.unconstrained import Theta
+from calibrate.unconstrained import ModelParameters
 from product_model import Landings, simulate
 from product_model import parameters as inputs
 
@@ -31,7 +31,7 @@ def _energy(x: np.ndarray, y: np.ndarray) -> float:
 
 
 def simulated_targets(
-    theta: Theta, targets: list[Target], count: int, seed: int, landings: Landings | None = None
+    theta: ModelParameters, targets: list[Target], count: int, seed: int, landings: Landings | None = None
 ) -> list[Target]:
     """`count` traces of the model with the compositions and sample times of `targets` in turn. landings: of the extended model."""
     out = []
@@ -54,9 +54,9 @@ def simulated_targets(
 
 
 def p_values(
-    theta: Theta,
+    theta: ModelParameters,
     targets: list[Target],
-    measured: Measured,
+    measured: MeasuredSummaries,
     distances: ArrayLike,
     refits: Refits | None,
     seed: int,
@@ -68,7 +68,7 @@ def p_values(
     """
     result: dict[str, float] = {}
     if refits is not None:
-        result |= _of_blocks(distances, measured, refits)
+        result |= _block_p_values(distances, measured, refits)
     model = np.array([check_summaries(t) for t in simulated_targets(theta, targets, 768, seed + 3_000_003)])
     data = np.array([check_summaries(t) for t in targets])
     random = np.random.default_rng([seed, 4])
@@ -87,7 +87,7 @@ def _within(x: np.ndarray) -> np.ndarray:
     return 2.0 * np.sort(x, axis=-1) @ rank / max(x.shape[-1] * (x.shape[-1] - 1), 1)
 
 
-def complete_distances(parts: ArrayLike, measured: Measured) -> np.ndarray:
+def complete_distances(parts: ArrayLike, measured: MeasuredSummaries) -> np.ndarray:
     """[..., 3] energy distances of the blocks with the part that depends on the data alone, which the loss leaves
     out.
     """
@@ -96,13 +96,13 @@ def complete_distances(parts: ArrayLike, measured: Measured) -> np.ndarray:
     return np.asarray(parts) - np.stack([within[..., 0], within[..., 1], np.mean(within[..., 2:], axis=-1)], axis=-1)
 
 
-def _of_blocks(distances: ArrayLike, measured: Measured, refits: Refits) -> dict[str, float]:
+def _block_p_values(distances: ArrayLike, measured: MeasuredSummaries, refits: Refits) -> dict[str, float]:
     observed = complete_distances(distances, measured)
     null = complete_distances(refits.solution.distances, refits.sets)
     return {name: float((1 + np.sum(null[:, k] >= observed[k])) / (1 + len(null))) for k, name in enumerate(BLOCKS)}
 
 
-def rmse_g(theta: Theta, targets: list[Target], align: str, seed: int) -> float:
+def rmse_g(theta: ModelParameters, targets: list[Target], align: str, seed: int) -> float:
     """The paper's figure (g): root mean square difference of the PIF of each trace and of one random model trace,
     aligned alike, mean over the traces. Dominated by the random times of impact, hence never fitted."""
     values = []

@@ -85,7 +85,7 @@ def _reasons(fitted: FittedModel, found: Judgement) -> list[str]:
     if tests:
         lines.append(f"Tests that reject it: {'; '.join(tests)}.")
     lines += [
-        f"{row.words[0].upper()}{row.words[1:]}: {compare_said(row)}." for row in found.differing
+        f"{row.words[0].upper()}{row.words[1:]}: {describe_comparison(row)}." for row in found.differing
     ]
     if not lines:
         lines.append("None of the numbers compared differs by more than chance.")
@@ -95,7 +95,7 @@ def _reasons(fitted: FittedModel, found: Judgement) -> list[str]:
     return lines
 
 
-def compare_said(row: Comparison) -> str:
+def describe_comparison(row: Comparison) -> str:
     """Medians of the drops and of the model, and the difference, in words."""
     data, model = (f"{number(of[1])} {row.unit}" for of in (row.data, row.model))
     size = f"{abs(100 * row.change):.0f} % {'more' if row.change > 0 else 'less'}"

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from calibrate.errors import BadInput
-from calibrate.table_text import Header, Layout, Line
+from calibrate.table_text import Layout, Line, TableHeader
 
 END = "***End_of_Header***"
 SEPARATORS = {"tab": "\t", "comma": ",", "semicolon": ";", "space": ""}
@@ -33,7 +33,7 @@ class Segment:
             is_time = name.lower().replace(" ", "_") in ("x_value", "time")
             is_comment = name.lower() == "comment"
             units.append("s" if is_time else "" if is_comment else next(channels, ""))
-        return dataclasses.replace(layout, header=Header(layout.header.names, units, layout.header.line))
+        return dataclasses.replace(layout, header=TableHeader(layout.header.names, units, layout.header.line))
 
 
 def labview_segment(path: Path, lines: Sequence[Line]) -> Segment | None:

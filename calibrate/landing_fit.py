@@ -18,10 +18,10 @@ from calibrate.fit import Fit, fit
 from calibrate.goodness import simulated_targets
 from calibrate.landing_intervals import LEAST_REFITS, refit_intervals
 from calibrate.landing_loss import (
-    Problem,
-    descend,
-    descend_anew,
+    LandingProblem,
     loss_alone,
+    minimize_landing_loss,
+    minimize_with_fresh_draws,
     pose_problem,
     summarize_rows,
 )
@@ -37,10 +37,10 @@ from calibrate.landing_model import (
     to_coordinates,
     to_values,
 )
-from calibrate.landing_summaries import Frame, accelerations, count_peaks, frame_of
+from calibrate.landing_summaries import TraceFrame, accelerations, count_peaks, find_common_frame
 from calibrate.targets import Target
 from calibrate.two_samples import SampleComparison, compare_summaries
-from calibrate.uncertainty import Tell
+from calibrate.uncertainty import ProgressCallback
 from product_model import Landings
 from product_model.extended import ADDED
 
@@ -107,7 +107,7 @@ def fit_landings(
     simulations: int = 256,
     bootstrap: int = 0,
     seed: int = 0,
-    progress: Tell | None = None,
+    progress: ProgressCallback | None = None,
     force: bool = False,
 ) -> LandingFit:
     """Fit the extended model to `traces`, and choose the smallest of the nested models that traces kept out do not contradict.
@@ -147,9 +147,9 @@ def _fit(
     simulations: int,
     bootstrap: int,
     seed: int,
-    progress: Tell,
+    progress: ProgressCallback,
 ) -> LandingFit:
-    frame = frame_of(targets)
+    frame = find_common_frame(targets)
     kept_out = targets[2::3]
     fitted = [trace for k, trace in enumerate(targets) if k % 3 != 2]
     problem = pose_problem(fitted, frame)
@@ -195,7 +195,7 @@ def release_delay(u: Values, free: tuple[str, ...], draws: LandingDraws, targets
 def _descend_from_all(
     start: Values,
     free: tuple[str, ...],
-    problem: Problem,
+    problem: LandingProblem,
     draws: Sequence[LandingDraws],
     seed: int,
     tell: Callable[[], object],
@@ -211,16 +211,16 @@ def _descend_from_all(
     values = [float(loss_alone(u, u0, few, *others)) for u in starts]
     order = np.argsort(np.nan_to_num(values, nan=np.inf))
     tried = [0, *(k for k in order if k != 0)][:BEST]
-    ends = [descend(starts[k], (u0, draws[0], *others), STEPS[0], RATES[0], tell) for k in tried]
+    ends = [minimize_landing_loss(starts[k], (u0, draws[0], *others), STEPS[0], RATES[0], tell) for k in tried]
     best = min(ends, key=lambda end: end[0])[1]
-    return descend_anew(best, draws, others, STEPS[1], RATES[1], tell)
+    return minimize_with_fresh_draws(best, draws, others, STEPS[1], RATES[1], tell)
 
 
-def _all_summaries(rows: np.ndarray, frame: Frame) -> np.ndarray:
+def _all_summaries(rows: np.ndarray, frame: TraceFrame) -> np.ndarray:
     return np.concatenate([np.asarray(summarize_rows(jnp.asarray(rows), frame)), count_peaks(rows, frame)], axis=1)
 
 
-def judge_landings(values: Values, targets: list[Target], frame: Frame, seed: int, simulations: int = JUDGED) -> SampleComparison:
+def judge_landings(values: Values, targets: list[Target], frame: TraceFrame, seed: int, simulations: int = JUDGED) -> SampleComparison:
     """Traces that were not fitted beside simulated ones at `values`, with other random numbers than any fit's."""
     draws = draw_landings(targets, simulations, seed + 4_000_003)
     rows = np.asarray(_simulated(jax.tree.map(jnp.asarray, values), draws, targets[0].gravity, frame))
@@ -230,14 +230,14 @@ def judge_landings(values: Values, targets: list[Target], frame: Frame, seed: in
 _simulated = jax.jit(simulated, static_argnames=("frame", "gravity"))
 
 
-def judge_paper(paper: Fit, targets: list[Target], frame: Frame, seed: int, simulations: int = JUDGED) -> SampleComparison:
+def judge_paper(paper: Fit, targets: list[Target], frame: TraceFrame, seed: int, simulations: int = JUDGED) -> SampleComparison:
     """The same for the paper's model."""
     theta = {name: row["value"] for name, row in paper.parameters.items()}
     model = simulated_targets(theta, targets, simulations, seed + 4_000_003)
     return _judge(targets, accelerations(model, frame), frame, seed)
 
 
-def _judge(targets: list[Target], rows: np.ndarray, frame: Frame, seed: int) -> SampleComparison:
+def _judge(targets: list[Target], rows: np.ndarray, frame: TraceFrame, seed: int) -> SampleComparison:
     names = (*frame.names, "number of peaks", "time between peaks")
     return compare_summaries(_all_summaries(accelerations(targets, frame), frame), _all_summaries(rows, frame), names, seed=seed)
 
@@ -275,12 +275,12 @@ def _parameters(
     model: str,
     found: dict[str, Values],
     paper: Fit,
-    problem: Problem,
+    problem: LandingProblem,
     draws: LandingDraws,
     targets: list[Target],
     bootstrap: int,
     seed: int,
-    progress: Tell,
+    progress: ProgressCallback,
 ) -> dict[str, dict[str, Any]]:
     """name -> value, low, high, sd, free of the chosen model."""
     if model == "paper":

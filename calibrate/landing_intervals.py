@@ -4,10 +4,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from calibrate.landing_loss import Problem, descend
+from calibrate.landing_loss import LandingProblem, minimize_landing_loss
 from calibrate.landing_model import Values, draw_landings, simulated_summaries, to_values
 from calibrate.targets import Target
-from calibrate.uncertainty import Tell
+from calibrate.uncertainty import ProgressCallback
 
 STEPS, RATE = 40, 0.05  # of Adam in a refit, which begins at the fit
 DRAWN = 2000  # normal draws by which an interval in coordinates becomes one of the parameters
@@ -17,12 +17,12 @@ LEAST_REFITS = 8
 def refit_intervals(
     u: Values,
     free: tuple[str, ...],
-    problem: Problem,
+    problem: LandingProblem,
     targets: list[Target],
     simulations: int,
     count: int,
     seed: int,
-    progress: Tell,
+    progress: ProgressCallback,
 ) -> dict[str, tuple[float, float, float]]:
     """name -> (low, high) of the 90 % interval, and standard deviation, of every parameter, from `count` refits."""
     size, done = len(problem.summaries), iter(range(1, count * STEPS + 1))
@@ -35,7 +35,7 @@ def refit_intervals(
         data = jnp.asarray(made[k * size : (k + 1) * size]), centre, scale
         arguments = u, draws, data, problem.gravity, free, problem.frame
         tell = lambda: progress("intervals", next(done), count * STEPS)  # noqa: E731
-        ends.append(descend(u, arguments, STEPS, RATE, tell)[1])
+        ends.append(minimize_landing_loss(u, arguments, STEPS, RATE, tell)[1])
     refits = np.array([[float(end[name]) for name in free] for end in ends])
     covariance = np.atleast_2d(np.cov(refits, rowvar=False))
     shifts = np.random.default_rng([seed, 9]).multivariate_normal(
@@ -56,7 +56,7 @@ def refit_intervals(
 
 
 def _replicas(
-    u: Values, free: tuple[str, ...], problem: Problem, targets: list[Target], count: int, seed: int
+    u: Values, free: tuple[str, ...], problem: LandingProblem, targets: list[Target], count: int, seed: int
 ) -> np.ndarray:
     """Summaries [count, D] of traces at `u`, in the units of the problem."""
     summaries = jax.jit(simulated_summaries, static_argnames=("frame", "gravity"))

@@ -15,7 +15,7 @@ import numpy as np
 import optax
 
 from calibrate.landing_model import REACH, LandingDraws, Values, simulated_summaries, to_values
-from calibrate.landing_summaries import Frame, accelerations, summarize
+from calibrate.landing_summaries import TraceFrame, accelerations, summarize
 from calibrate.targets import Target
 
 AVERAGED = 0.3  # share of the steps of `descend_anew` whose mean it returns
@@ -23,25 +23,25 @@ MARGINALS = 3.5  # weight of the mean distance of single summaries beside the jo
 
 
 @dataclass(frozen=True)
-class Problem:
+class LandingProblem:
     """The traces to fit and how they are compared: frame, their summaries [K, D] in standard deviations, gravity (m/s2)."""
 
-    frame: Frame
+    frame: TraceFrame
     summaries: np.ndarray
     centre: np.ndarray
     scale: np.ndarray
     gravity: float
 
 
-def pose_problem(targets: list[Target], frame: Frame) -> Problem:
+def pose_problem(targets: list[Target], frame: TraceFrame) -> LandingProblem:
     """The problem of fitting `targets`."""
     rows = np.asarray(summarize_rows(jnp.asarray(accelerations(targets, frame)), frame))
     centre, scale = rows.mean(0), rows.std(0) + 1e-9
-    return Problem(frame, (rows - centre) / scale, centre, scale, targets[0].gravity)
+    return LandingProblem(frame, (rows - centre) / scale, centre, scale, targets[0].gravity)
 
 
 @partial(jax.jit, static_argnames=("frame",))
-def summarize_rows(rows: jax.Array, frame: Frame) -> jax.Array:
+def summarize_rows(rows: jax.Array, frame: TraceFrame) -> jax.Array:
     """Summaries [K, D] of accelerations [K, samples] (m/s2)."""
     return jax.vmap(lambda row: summarize(row, frame))(rows)
 
@@ -72,7 +72,7 @@ def loss(
     data: tuple[jax.Array, ...],
     gravity: float,
     free: Any,
-    frame: Frame,
+    frame: TraceFrame,
 ) -> jax.Array:
     """[] how far simulated traces at the coordinates `u` are from measured ones. data: their summaries, centre and scale."""
     x, centre, scale = data
@@ -87,7 +87,7 @@ loss_and_slope = jax.jit(jax.value_and_grad(loss), static_argnames=("free", "fra
 loss_alone = jax.jit(loss, static_argnames=("free", "frame", "gravity"))
 
 
-def descend(
+def minimize_landing_loss(
     u: Values, arguments: tuple[Any, ...], steps: int, rate: float, tell: Callable[[], object]
 ) -> tuple[float, Values]:
     """Least loss found by Adam from `u`, and where. arguments: of `loss` after u."""
@@ -96,7 +96,7 @@ def descend(
     return min((each for each in found if each[0] < np.inf), key=lambda each: each[0], default=(np.inf, u))
 
 
-def descend_anew(
+def minimize_with_fresh_draws(
     u: Values,
     draws: Sequence[LandingDraws],
     arguments: tuple[Any, ...],

@@ -8,7 +8,7 @@ import numpy as np
 from jax import lax
 from scipy.stats import qmc
 
-from calibrate.landing_summaries import Frame, summarize
+from calibrate.landing_summaries import TraceFrame, summarize
 from calibrate.targets import Target
 from product_model import coordinates, fall
 from product_model.coordinates import NAMES, Values, to_coordinates
@@ -75,7 +75,7 @@ def portion_pulses(values: Values, draws: LandingDraws, gravity: float) -> Landi
     return landing_pulses(extended, height, draws.mass, *given, draws.numbers)
 
 
-def acceleration(pulses: LandingPulses, draws: LandingDraws, frame: Frame) -> jax.Array:
+def acceleration(pulses: LandingPulses, draws: LandingDraws, frame: TraceFrame) -> jax.Array:
     """Force over mass [samples] (m/s2) of one portion from its first impact on, as `accelerations` finds it in a trace."""
     first = jnp.min(jnp.where(draws.mass > 0.0, pulses.first_touch, jnp.inf))
     origin = first - (BEFORE + draws.phase) * frame.bin
@@ -93,12 +93,12 @@ def acceleration(pulses: LandingPulses, draws: LandingDraws, frame: Frame) -> ja
     return lax.dynamic_slice(force, (jnp.minimum(begin, MARGIN),), (frame.samples,))
 
 
-def simulated(values: Values, draws: LandingDraws, gravity: float, frame: Frame) -> jax.Array:
+def simulated(values: Values, draws: LandingDraws, gravity: float, frame: TraceFrame) -> jax.Array:
     """Forces over mass [M, samples] (m/s2) of all portions of `draws`."""
     return jax.vmap(lambda row: acceleration(portion_pulses(values, row, gravity), row, frame))(draws)
 
 
-def simulated_summaries(values: Values, draws: LandingDraws, gravity: float, frame: Frame) -> jax.Array:
+def simulated_summaries(values: Values, draws: LandingDraws, gravity: float, frame: TraceFrame) -> jax.Array:
     """Summaries [M, D] of all portions; those that look at single pulses without their derivatives by the times of impact."""
     fast = jnp.asarray(frame.fast)
 

@@ -27,7 +27,7 @@ STANDARD_GRAVITY = 9.81
 
 
 @dataclass(frozen=True)
-class Frame:
+class TraceFrame:
     """The samples of a trace from its first impact on: length of a bin (s) and their number."""
 
     bin: float
@@ -98,7 +98,7 @@ class Frame:
         return np.array([n not in ("time to nine tenths", "cell: time of peak") for n in self.names])
 
 
-def frame_of(targets: list[Target]) -> Frame:
+def find_common_frame(targets: list[Target]) -> TraceFrame:
     """The frame that all `targets` fill. Raises `BadInput` where their samples are too long or too few."""
     coarsest = max(trace.sample for trace in targets)
     if coarsest > LONGEST_BIN:
@@ -112,7 +112,7 @@ def frame_of(targets: list[Target]) -> Frame:
     samples = int(min(max(WINDOW, 3.0 * landing), shortest) / length)
     if samples * length < 1.2 * landing:
         raise BadInput(f"traces end {1e3 * shortest:.3g} ms after their first impact, before the pieces are at rest")
-    return Frame(length, samples)
+    return TraceFrame(length, samples)
 
 
 def landing_time(trace: Target) -> float:
@@ -123,7 +123,7 @@ def landing_time(trace: Target) -> float:
     return float(time[np.argmax(brought >= 0.9 * brought[-1])])
 
 
-def accelerations(targets: list[Target], frame: Frame) -> np.ndarray:
+def accelerations(targets: list[Target], frame: TraceFrame) -> np.ndarray:
     """Force over mass [K, samples] (m/s2) of traces from their first impact on."""
     rows = []
     for trace in targets:
@@ -152,7 +152,7 @@ def _crossing(momentum: jax.Array, level: jax.Array) -> jax.Array:
     return after + (level - low) / jnp.maximum(high - low, 1e-9)
 
 
-def summarize(acceleration: jax.Array, frame: Frame) -> jax.Array:
+def summarize(acceleration: jax.Array, frame: TraceFrame) -> jax.Array:
     """The summaries [len(frame.names)] of one trace [samples] (m/s2)."""
     with jax.numpy_dtype_promotion("standard"):
         momentum = jnp.concatenate([jnp.zeros(1), jnp.cumsum(acceleration) * frame.bin])
@@ -177,7 +177,7 @@ def _log_increments(values: jax.Array, lag: int) -> jax.Array:
     return jnp.log(jnp.mean((values[lag:] - values[:-lag]) ** 2) + 1e-3)
 
 
-def count_peaks(accelerations: np.ndarray, frame: Frame) -> np.ndarray:
+def count_peaks(accelerations: np.ndarray, frame: TraceFrame) -> np.ndarray:
     """[K, 2]: number of peaks of means over 150 us in the first half, and log of the mean time between them."""
     bins = frame.bins(150e-6)
     momentum = np.concatenate([np.zeros((len(accelerations), 1)), np.cumsum(accelerations, 1)], axis=1)

@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from calibrate.summaries import log_increments, moments_of_pulses
-from calibrate.unconstrained import Theta
+from calibrate.summaries import log_increments, pulse_moments
+from calibrate.unconstrained import ModelParameters
 from product_model import fall, model
 from product_model.grid import Grid
 from product_model.pulses import deposits
@@ -18,7 +18,7 @@ BLOCKS = ("height", "spread", "increments")
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Draws:
+class RandomDraws:
     """Random numbers of M simulated portions of up to n pieces, kept while the parameters move.
 
     z: [M] normal (stratified); v: [M, n] uniform on (-1, 1); last: [M] the v of the piece that lands when the first
@@ -36,7 +36,7 @@ class Draws:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Measured:
+class MeasuredSummaries:
     """Summaries of the K measured traces and what is needed to simulate comparable ones.
 
     height, spread: [K] (m); increments: [K, lags]
@@ -75,8 +75,8 @@ class Measured:
         return jnp.concatenate([moments, increments @ self.whiten], axis=-1)
 
 
-def _pulses_of(
-    theta: Theta, z: jax.Array, v: jax.Array, mass: jax.Array, offset: jax.Array, gravity: jax.Array
+def _simulate_pulses(
+    theta: ModelParameters, z: jax.Array, v: jax.Array, mass: jax.Array, offset: jax.Array, gravity: jax.Array
 ) -> model.Pulses:
     """Pulses of one simulated portion at `theta`, a dict of the four parameters."""
     sigma = fall.sigma_height(theta["gamma_low"], theta["gamma_high"], z)
@@ -92,7 +92,7 @@ def _changes(pulses: model.Pulses, mass: jax.Array, phase: jax.Array, grid: Grid
     return deposits(model.Pulses(shifted, pulses.duration, pulses.force / weight, pulses.weight / weight), grid)
 
 
-def moments(theta: Theta, draws: Draws, measured: Measured) -> tuple[jax.Array, jax.Array]:
+def moments(theta: ModelParameters, draws: RandomDraws, measured: MeasuredSummaries) -> tuple[jax.Array, jax.Array]:
     """Mean drop height [M] and spread [M] (m) of all simulated portions at `theta`."""
     # the balance of momentum puts the release of every simulated portion at dt_impact: its weight sets in so much later
     origin = theta["dt_impact"] if measured.from_momentum else 0.0
@@ -100,15 +100,15 @@ def moments(theta: Theta, draws: Draws, measured: Measured) -> tuple[jax.Array, 
     def one(
         z: jax.Array, v: jax.Array, last: jax.Array, mass: jax.Array, offset: jax.Array
     ) -> tuple[jax.Array, jax.Array]:
-        pulses = _pulses_of(theta, z, jnp.minimum(v, last), mass, offset, measured.gravity)
+        pulses = _simulate_pulses(theta, z, jnp.minimum(v, last), mass, offset, measured.gravity)
         times, jumps = pulses.edges()
         landed = jnp.where(jnp.tile(mass > 0.0, 2), times - origin, 0.0)
-        return moments_of_pulses(landed, jumps, jnp.sum(pulses.weight), measured.end, measured.gravity, measured.floor)
+        return pulse_moments(landed, jumps, jnp.sum(pulses.weight), measured.end, measured.gravity, measured.floor)
 
     return jax.vmap(one)(draws.z, draws.v, draws.last, draws.mass, draws.offset)
 
 
-def increments(theta: Theta, draws: Draws, measured: Measured, fine: int) -> jax.Array:
+def increments(theta: ModelParameters, draws: RandomDraws, measured: MeasuredSummaries, fine: int) -> jax.Array:
     """Log squared increments [fine, lags] of the first `fine` simulated portions at `theta`.
 
     One portion after the other: a trace then stays in the cache of the processor, three times as fast as all at once.
@@ -116,7 +116,7 @@ def increments(theta: Theta, draws: Draws, measured: Measured, fine: int) -> jax
 
     def one(draw: Any) -> jax.Array:
         z, v, phase, mass, offset = draw
-        pulses = _pulses_of(theta, z, v, mass, offset, measured.gravity)
+        pulses = _simulate_pulses(theta, z, v, mass, offset, measured.gravity)
         return log_increments(_changes(pulses, mass, phase, measured.grid), measured.lags)
 
     some = draws.z, draws.v, draws.phase, draws.mass, draws.offset
@@ -134,7 +134,7 @@ def energy_distance(x: jax.Array, y: jax.Array) -> jax.Array:
     return 2.0 * jnp.mean(jnp.abs(x[:, None] - y[None, :])) - jnp.sum(rank * jnp.sort(y))
 
 
-def moment_distances(theta: Theta, draws: Draws, measured: Measured) -> jax.Array:
+def moment_distances(theta: ModelParameters, draws: RandomDraws, measured: MeasuredSummaries) -> jax.Array:
     """[2] energy distances of height and of spread squared, each over its scale."""
     height, spread = moments(theta, draws, measured)
     of_height = energy_distance(measured.height, height) / measured.scale[0]
@@ -142,7 +142,7 @@ def moment_distances(theta: Theta, draws: Draws, measured: Measured) -> jax.Arra
 
 
 def increment_distance(
-    theta: Theta, draws: Draws, measured: Measured, fine: int, combine: jax.Array | None = None
+    theta: ModelParameters, draws: RandomDraws, measured: MeasuredSummaries, fine: int, combine: jax.Array | None = None
 ) -> jax.Array:
     """[] energy distance of the log squared increments, mean over the columns that the matrix `combine` [lags, lags]
     makes of them (None: the whitened ones).
@@ -152,13 +152,13 @@ def increment_distance(
     return jnp.mean(jax.vmap(energy_distance, in_axes=1)(measured.increments @ combine, simulated))
 
 
-def distances(theta: Theta, draws: Draws, measured: Measured, fine: int) -> jax.Array:
+def distances(theta: ModelParameters, draws: RandomDraws, measured: MeasuredSummaries, fine: int) -> jax.Array:
     """[3] energy distances of the BLOCKS."""
     last = increment_distance(theta, draws, measured, fine)
     return jnp.concatenate([moment_distances(theta, draws, measured), last[None]])
 
 
-def joint_distance(theta: Theta, draws: Draws, measured: Measured, fine: int) -> jax.Array:
+def joint_distance(theta: ModelParameters, draws: RandomDraws, measured: MeasuredSummaries, fine: int) -> jax.Array:
     """One energy distance of all summaries together, each over its scale. Kept for comparison: it hardly tells
     gamma_high.
     """

@@ -150,7 +150,7 @@ def _evidence(cells: Sequence[str], sign: str) -> _Evidence:
     return _Evidence(likely=zero, doubtful="" if zero else signed[0])
 
 
-def signs_of(columns: Iterable[Sequence[str]], decimal: str | None = None) -> Signs:
+def detect_signs(columns: Iterable[Sequence[str]], decimal: str | None = None) -> Signs:
     """Decimal sign and sign of grouping of a table, from its columns of tidy numbers, if need be as `decimal` tells.
 
     Raises `BadInput` where columns contradict each other or leave it open.

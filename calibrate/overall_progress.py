@@ -82,7 +82,7 @@ class OverallProgress:
         words = stage if self._words in ("", stage) else f"{stage} ({self._words})"
         self._bar.n = self._done
         self._bar.set_description_str(words, refresh=False)
-        self._bar.set_postfix_str(f"about {_clock_said(left)} left", refresh=False)
+        self._bar.set_postfix_str(f"about {_format_clock(left)} left", refresh=False)
         self._bar.refresh()
 
     def finish(self) -> None:
@@ -98,6 +98,6 @@ class OverallProgress:
             self._draw()
 
 
-def _clock_said(seconds: float) -> str:
+def _format_clock(seconds: float) -> str:
     minutes, rest = divmod(round(seconds), 60)
     return f"{minutes}:{rest:02d}"

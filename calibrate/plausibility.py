@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from calibrate.loss import Measured
+from calibrate.loss import MeasuredSummaries
 from calibrate.summaries import momentum_release
 from calibrate.targets import Target
 
@@ -36,7 +36,7 @@ UNITS = {  # ratio of what is read to what is meant: why
 }
 
 
-def find_impossible(targets: Sequence[Target], measured: Measured | None = None) -> list[str]:
+def find_impossible(targets: Sequence[Target], measured: MeasuredSummaries | None = None) -> list[str]:
     """Why the traces cannot be meant as they were read; empty where they can.
 
     Args:
@@ -112,7 +112,7 @@ def _check_force(targets: Sequence[Target]) -> Iterator[str]:
         )
 
 
-def _check_height(targets: Sequence[Target], measured: Measured) -> Iterator[str]:
+def _check_height(targets: Sequence[Target], measured: MeasuredSummaries) -> Iterator[str]:
     height = float(np.mean(np.asarray(measured.height)))
     if np.isfinite(height) and HEIGHTS[0] <= height <= HEIGHTS[1]:
         return
@@ -125,7 +125,7 @@ def _check_height(targets: Sequence[Target], measured: Measured) -> Iterator[str
     )
 
 
-def _check_release(targets: Sequence[Target], measured: Measured) -> Iterator[str]:
+def _check_release(targets: Sequence[Target], measured: MeasuredSummaries) -> Iterator[str]:
     share, shift = release_shift(targets)
     if not measured.from_momentum and abs(share) > RELEASE:
         yield (

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from calibrate.curves import Curves, curves_of
+from calibrate.curves import Curves, collect_curves
 from calibrate.errors import BadInput, checked_seed
 from calibrate.overall_progress import OverallProgress, Stage
 from calibrate.uncertainty import available_cores
@@ -218,7 +218,7 @@ def load_product_scene(request: ProductRequest) -> "Scene":
 
     Raises SceneError, and `BadInput` where it is not one portion that falls from one bucket into another.
     """
-    from dem_jax import build
+    from dem_jax import assembly
     from dem_jax.scene import load_scene
 
     settings = dict(request.settings or {})
@@ -241,7 +241,7 @@ def load_product_scene(request: ProductRequest) -> "Scene":
         scene = scene.replace({"run.duration": min(scene.run.duration, choose_duration(scene))})
     if "name" not in settings:
         scene = scene.replace({"name": request.name})
-    return build.self_contained(scene)
+    return assembly.inline_files(scene)
 
 
 def _is_scene(product: str) -> bool:
@@ -285,7 +285,7 @@ def _check_scene(base: str, scene: "Scene") -> None:
 def choose_duration(scene: "Scene") -> float:
     """(s) until a portion is at rest: opening of the flaps, fall, rebounds that each last ε times the one before, slumping."""
     named = [
-        own.restitution for own in scene.material.named.values() if own.restitution is not None
+        own.restitution for own in scene.material.named_materials.values() if own.restitution is not None
     ]
     restitution = min(max([scene.material.restitution, *named]), 0.9)
     fall = math.sqrt(2.0 * scene.drop.height / float(np.linalg.norm(scene.run.gravity)))
@@ -296,10 +296,10 @@ def choose_duration(scene: "Scene") -> float:
 
 def portion_masses(scene: "Scene") -> np.ndarray:
     """[N] (kg) of the pieces of a portion. Raises SceneError."""
-    from dem_jax.build.pieces import goods_of, masses_of
-    from dem_jax.scene.materials import material_table
+    from dem_jax.assembly.piece_arrays import build_piece_set, compute_masses
+    from dem_jax.scene.material_properties import build_material_table
 
-    return masses_of(goods_of(scene), material_table(scene))
+    return compute_masses(build_piece_set(scene), build_material_table(scene))
 
 
 def describe_drops(request: ProductRequest, scene: "Scene", masses: np.ndarray) -> str:
@@ -386,7 +386,7 @@ def simulate_drops(
     def save() -> str | None:
         return (
             f"what was computed is in {path}; the same command continues"
-            if process.save_computed()
+            if process.save_partial_results()
             else None
         )
 
@@ -428,7 +428,7 @@ def _fit_drops(
         progress.tell(words, before + own * min(done / max(total, 1), 1.0))
 
     targets = read(files.ensemble)
-    return find_model(request.model)(targets, request.seed, tell, request.force), curves_of(targets)
+    return find_model(request.model)(targets, request.seed, tell, request.force), collect_curves(targets)
 
 
 def _judge(
@@ -436,7 +436,7 @@ def _judge(
 ) -> "Report":
     from calibrate.judgement import judge
     from calibrate.product_report import Report
-    from dem_jax.show.facts import fills_said, peak_factors_said
+    from dem_jax.visualization.metadata import describe_fills, describe_peak_factors
 
     model = fitted.simulate(PORTIONS, request.seed + SEED_OF_PORTIONS)
     feed = scene.feed_bucket
@@ -445,8 +445,8 @@ def _judge(
         "scene": f"{request.scene or BASE_SCENE if not _is_scene(request.product) else request.product}"
         + (f", bucket {request.bucket}" if request.bucket else ""),
         "flaps": f"of the feed bucket open in {1e3 * feed.opening_time:g} ms",
-        "fill": (fills_said(scene) or ["not known"])[-1],
-        "stiffness": peak_factors_said(scene),
+        "fill": (describe_fills(scene) or ["not known"])[-1],
+        "stiffness": describe_peak_factors(scene),
     }
     found = judge(fitted, data, model)
     return Report(

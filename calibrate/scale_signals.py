@@ -92,11 +92,11 @@ def _add_drops(found: ScaleSignals, path: str, number: int, options: SignalOptio
     """Add the load-cell signals of an ensemble of dem_jax or of portions of the Product Model, as
     the converter gives them."""
     from dem_jax.errors import RecordError, SceneError
-    from dem_jax.show.weighing import convert_trace, on_cell, read_trace
-    from dem_jax.weighing.noise import read_noise
+    from dem_jax.visualization.scale_readings import apply_cell, convert_trace, read_settled_trace
+    from dem_jax.weighing.signal_noise import read_noise
 
     try:
-        trace, why = read_trace(path, None, None, None)
+        trace, why = read_settled_trace(path, None, None, None)
         if options.noise is not None:
             trace = trace._replace(noise=read_noise(options.noise))
         cell = trace.cell
@@ -106,7 +106,7 @@ def _add_drops(found: ScaleSignals, path: str, number: int, options: SignalOptio
                     f"{path}: the bucket has no load cell: give --cell, or --mass, --frequency and --damping"
                 )
             cell = dem_cell(options.cell)
-            trace = on_cell(trace, cell)
+            trace = apply_cell(trace, cell)
         drops = convert_trace(trace, options.rate, (options.seed, number))
     except (RecordError, SceneError, ValueError) as error:
         raise BadInput(str(error) if path in str(error) else f"{path}: {error}") from None

@@ -17,7 +17,7 @@ from scipy.stats import t as student
 
 from calibrate import signal_start
 from calibrate.autoregression import fit_autoregression
-from calibrate.cell_response import LOCAL, PULSE, SHARED, middles_of
+from calibrate.cell_response import LOCAL, PULSE, SHARED, piece_middles
 from calibrate.cell_signals import Portions, ScaleSignal, cut_signals
 from calibrate.drop_heights import HEIGHTS, Heights, fit_heights, interval_row
 from calibrate.errors import BadInput
@@ -25,7 +25,7 @@ from calibrate.fit import LEAST_TRACES
 from calibrate.signal_solve import Curvature, Estimate, Readings, curve, falls, residuals, solve
 from calibrate.signal_start import CellGuess
 from calibrate.signal_statements import ROUGH_FIT, describe, find_absurd
-from calibrate.uncertainty import Tell
+from calibrate.uncertainty import ProgressCallback
 from product_model.model import GRAVITY
 
 ORDER = 16  # of the filter that whitens what is left
@@ -85,7 +85,7 @@ def fit_signals(
     pieces: Sequence[int] | None = None,
     weights: np.ndarray | None = None,
     cell: CellGuess | None = None,
-    progress: Tell | None = None,
+    progress: ProgressCallback | None = None,
 ) -> tuple[SignalFit, Solved]:
     """Fit the Product Model to signals of a scale.
 
@@ -127,7 +127,7 @@ def solve_portions(
     portions: Portions,
     has_weights: bool,
     cell: CellGuess | None,
-    tell: Tell,
+    tell: ProgressCallback,
 ) -> Solved:
     """Cell, pulse, and moments of impact that describe the signals best; pieces of different weight
     only where equal ones do not describe them and these do: else the weights of pieces would make
@@ -381,7 +381,7 @@ def _residual(solved: Solved) -> dict[str, float]:
     the weight while they land."""
     time, found = solved.portions.time, solved.estimate
     there = solved.readings.share > 0
-    last = np.where(there, middles_of(found.local, there.shape[1]), -np.inf).max(axis=1)
+    last = np.where(there, piece_middles(found.local, there.shape[1]), -np.inf).max(axis=1)
     lands = (time > -0.02) & (time < last[:, None] + 0.1)
     rest = (time < -0.02) | (time > last[:, None] + 0.3)
     weight = found.local[:, LOCAL.index("tare")] + found.local[:, LOCAL.index("weight")]

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from calibrate.cell_response import LOCAL, PULSE, SHARED, middles_of, respond
+from calibrate.cell_response import LOCAL, PULSE, SHARED, piece_middles, respond
 from calibrate.signal_start import CellGuess
 
 AT_ONCE = 8  # portions whose derivatives are computed together
@@ -119,7 +119,7 @@ def _normal_equations(
 
 
 @jax.jit
-def _readings_of(
+def _simulate_readings(
     shared: jax.Array, local: jax.Array, share: jax.Array, edges: jax.Array, is_mean: jax.Array
 ) -> jax.Array:
     return jax.vmap(respond, (None, 0, 0, None, None))(shared, local, share, edges, is_mean)
@@ -127,7 +127,7 @@ def _readings_of(
 
 def residuals(readings: Readings, found: Estimate) -> np.ndarray:
     """[K, T] (kg) what the model leaves of the readings."""
-    shown = _readings_of(
+    shown = _simulate_readings(
         found.shared, found.local, readings.share, readings.edges, np.asarray(found.is_mean)
     )
     return readings.values - np.asarray(shown)
@@ -136,7 +136,7 @@ def residuals(readings: Readings, found: Estimate) -> np.ndarray:
 def falls(readings: Readings, found: Estimate) -> np.ndarray:
     """[K, pieces] (s) from the release to the beginning of each pulse."""
     count = readings.share.shape[1]
-    times = middles_of(found.local, count) - found.local[:, :1]
+    times = piece_middles(found.local, count) - found.local[:, :1]
     return times - 0.5 * found.pulse
 
 
@@ -250,7 +250,7 @@ def _project(trial: Estimate, readings: Readings) -> Estimate:
     shared[2] = np.clip(shared[2], 0.0, MOST_INVERSE_MASS)
     shared[PULSE] = max(shared[PULSE], (SHORTEST_PULSE * readings.interval) ** 2)
     count = readings.share.shape[1]
-    middles, differences = middles_of(local, count), local[:, len(LOCAL) + count :]
+    middles, differences = piece_middles(local, count), local[:, len(LOCAL) + count :]
     differences[:] = np.clip(differences, -MOST_DIFFERENCE, MOST_DIFFERENCE)
     middles[:] = np.clip(middles, readings.edges[0] + readings.interval, readings.edges[-1])
     first = np.where(readings.share > 0, middles, np.inf).min(axis=1)

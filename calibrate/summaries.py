@@ -52,7 +52,7 @@ def _height_and_spread(moments: Sequence[Any], end: Any, weight: Any, gravity: A
     return mean, xp.where(wide, xp.sqrt(xp.where(wide, variance, 1.0)), floor)
 
 
-def moments_of_trace(
+def trace_moments(
     time: np.ndarray, force: np.ndarray, sample: float, weight: float, pieces: int, gravity: float, floor: float
 ) -> tuple[np.floating, np.floating]:
     """Mean drop height and spread (m), [] each, of the first impacts of one measured trace (NumPy).
@@ -67,7 +67,7 @@ def moments_of_trace(
     return _height_and_spread([np.sum(force * w) * sample for w in weights], end, weight, gravity, floor, np)
 
 
-def moments_of_pulses(
+def pulse_moments(
     times: jax.Array, jumps: jax.Array, weight: jax.Array, end: jax.Array, gravity: jax.Array, floor: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     """The same of a simulated portion, from the times (s) and jumps (N) of its edges [E], up to its last edge or the
@@ -116,7 +116,7 @@ def log_increments(changes: jax.Array, lags: Sequence[int]) -> jax.Array:
     return jnp.log(jnp.maximum(squares, 1e-12 * jnp.maximum(jnp.sum(changes**2), 1e-12)))
 
 
-def log_increments_of_trace(force: np.ndarray, lags: Sequence[int]) -> np.ndarray:
+def trace_log_increments(force: np.ndarray, lags: Sequence[int]) -> np.ndarray:
     """The same of one measured trace [T] (NumPy), by its definition: traces of any length, without a program for
     each.
     """

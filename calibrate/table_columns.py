@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from calibrate.errors import BadInput
-from calibrate.number_text import PLAIN, Signs, clock_decimals, clock_seconds, is_date, is_missing, signs_of
+from calibrate.number_text import PLAIN, Signs, clock_decimals, clock_seconds, detect_signs, is_date, is_missing
 from calibrate.table_text import Layout
 from calibrate.units import NONE, Unit, quantity_named, unit_in_name, unit_named
 
@@ -82,7 +82,7 @@ def read_fields(path: Path, layout: Layout, options: TableOptions) -> tuple[list
     if layout.separator == ",":
         _refuse_split_numbers(path, layout, numbers)
     try:
-        signs = signs_of(numbers, options.decimal)
+        signs = detect_signs(numbers, options.decimal)
     except BadInput as error:
         raise BadInput(f"{path}: {error}") from None
     return [_field(path, layout, k, cells[k], clocks[k], signs) for k in range(count)], signs

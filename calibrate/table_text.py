@@ -38,7 +38,7 @@ class Line:
 
 
 @dataclass(frozen=True)
-class Header:
+class TableHeader:
     """Names and units of the columns as written, "" where nothing is; line: of the first of both, None without."""
 
     names: list[str]
@@ -57,7 +57,7 @@ class Layout:
     separator: str
     rows: list[list[str]]
     numbers: list[int]
-    header: Header
+    header: TableHeader
     preamble: list[str]
     before: int
 
@@ -145,7 +145,7 @@ def find_layout(path: Path, lines: Sequence[Line], separator: str | None = None,
         separator,
         [row[:count] + [""] * (count - len(row)) for row in rows],
         [line.number for line in lines[first:]],
-        header if header.names else Header([""] * count, [""] * count),
+        header if header.names else TableHeader([""] * count, [""] * count),
         [line.text for line in lines[:first] if line.number < top],
         top - 1,
     )
@@ -203,18 +203,18 @@ def _unlike_rows(path: Path, line: Line, separator: str, count: int) -> BadInput
     return BadInput(f"{path}: line {line.number}: {shown}: must be {count} numbers, as in the lines above{hint}")
 
 
-def _find_header(path: Path, above: Sequence[Line], separator: str, rows: Sequence[Sequence[str]]) -> Header:
+def _find_header(path: Path, above: Sequence[Line], separator: str, rows: Sequence[Sequence[str]]) -> TableHeader:
     """Names and units of the columns: units may stand in the names, or in a line of their own below or above them."""
     most, count = max(map(len, rows)), max(len(_without_end(row)) for row in rows)
     lines = [(line, _header_cells(line, separator)) for line in reversed(above[-HEADER_LINES:])]
     if not lines:
-        return Header([], [])
+        return TableHeader([], [])
     nearest, cells = lines[0]
     numbered = _begins_with_number(cells, rows, count)
     if not (numbered or count <= len(cells) <= most or len(_without_end(cells)) == count):
         is_remark = len(cells) < 2 or nearest.then_blank or nearest.text.lstrip()[:1] in ("#", "%") or ": " in nearest.text
         if is_remark:
-            return Header([], [])
+            return TableHeader([], [])
         raise BadInput(
             f"{path}: line {nearest.number}: {nearest.text.strip()[:60]!r} has {len(cells)} cells, the rows below have {count}"
             + (COMMAS if separator == "," else ": name each column, or put a blank line below what is no header")
@@ -230,7 +230,7 @@ def _find_header(path: Path, above: Sequence[Line], separator: str, rows: Sequen
     row = group[names][1] if names >= 0 else [""] * len(cells)
     units = [""] * len(cells) if at is None else [_bare(u) if u != n else "" for u, n in zip(group[at][1], row, strict=True)]
     top = min(group[max(names, 0)][0].number, group[at or 0][0].number)
-    return Header(["no", *row], ["", *units], top) if numbered else Header(row, units, top)
+    return TableHeader(["no", *row], ["", *units], top) if numbered else TableHeader(row, units, top)
 
 
 def _header_cells(line: Line, separator: str) -> list[str]:

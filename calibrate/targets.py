@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from calibrate.csv_table import Column, TableOptions, read_table
 from calibrate.errors import BadInput
-from calibrate.pieces import piece_mass
+from calibrate.piece_weights import piece_mass
 
 ALIGNMENTS = ("release", "first-impact")
 HDF5 = b"\x89HDF\r\n\x1a\n"
@@ -178,10 +178,10 @@ def _read_table(
     table = read_table(path, options)
     said.append(table.said)
     numbers = _each(path, pieces, len(table.columns))
-    return [_of_column(path, column, m_piece, n) for column, n in zip(table.columns, numbers, strict=True)]
+    return [_column_target(path, column, m_piece, n) for column, n in zip(table.columns, numbers, strict=True)]
 
 
-def _of_column(path: Path, column: Column, m_piece: float, pieces: int) -> Target:
+def _column_target(path: Path, column: Column, m_piece: float, pieces: int) -> Target:
     trace = target(column.time, column.force, m_piece, pieces, name=f"{path}:{column.name}")
     return replace(trace, assumed=column.assumed, from_release=column.from_release)
 

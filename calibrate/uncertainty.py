@@ -13,16 +13,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from calibrate.loss import Draws, Measured, increment_distance, increments, moment_distances, moments
-from calibrate.prepare import draw
-from calibrate.solve import Solution, axes_of_sets, solve_data_sets
+from calibrate.fit_data import draw_random_numbers
+from calibrate.loss import MeasuredSummaries, RandomDraws, increment_distance, increments, moment_distances, moments
+from calibrate.solve import FitSolution, data_set_axes, solve_data_sets
 from calibrate.targets import Target
-from calibrate.unconstrained import NAMES, Free, Theta, to_parameters, to_unconstrained
+from calibrate.unconstrained import NAMES, FreeParameters, ModelParameters, to_parameters, to_unconstrained
 
 if TYPE_CHECKING:
     from calibrate.fit import Fit
 
-Tell = Callable[[str, int, int], object]  # of progress: name of the stage, done, of
+ProgressCallback = Callable[[str, int, int], object]  # of progress: name of the stage, done, of
 
 LEVEL = 0.90
 BATCH = 4  # refits at once: as many as a fit has starts, so that both are one program
@@ -32,22 +32,22 @@ UNITS = {"dt_impact": ("us", 1e6), "gamma_low": ("mm", 1e3), "gamma_high": ("mm"
 
 
 @partial(jax.jit, static_argnames=("count",))
-def _replicas(theta: Theta, draws: Draws, measured: Measured, count: int) -> tuple[jax.Array, jax.Array, jax.Array]:
+def _replicas(theta: ModelParameters, draws: RandomDraws, measured: MeasuredSummaries, count: int) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Summaries of simulated portions at `theta`, as if measured: height, spread [M], increments [M, lags]."""
     return *moments(theta, draws, measured), increments(theta, draws, measured, count)
 
 
-def data_sets(theta: Theta, targets: list[Target], measured: Measured, count: int, seed: int) -> Measured:
+def data_sets(theta: ModelParameters, targets: list[Target], measured: MeasuredSummaries, count: int, seed: int) -> MeasuredSummaries:
     """`count` synthetic data sets of the composition of `targets`, other random numbers than any fit's:
     `Measured` with leading axis.
     """
-    many = _unstratified(draw(targets, count * len(targets), seed), seed)
+    many = _with_plain_normals(draw_random_numbers(targets, count * len(targets), seed), seed)
     height, spread, lags = _replicas(theta, many, measured, many.z.shape[0])
     shape = (count, len(targets))
     return measured_like(measured, height.reshape(shape), spread.reshape(shape), lags.reshape(*shape, -1))
 
 
-def _unstratified(draws: Draws, seed: int) -> Draws:
+def _with_plain_normals(draws: RandomDraws, seed: int) -> RandomDraws:
     z = np.random.default_rng([seed, 1]).standard_normal(draws.z.shape[0])
     return replace(draws, z=jnp.asarray(z))
 
@@ -58,7 +58,7 @@ def available_cores() -> int:
     return len(allowed(0)) if allowed else os.cpu_count() or 1
 
 
-def measured_like(measured: Measured, height: jax.Array, spread: jax.Array, lags: jax.Array) -> Measured:
+def measured_like(measured: MeasuredSummaries, height: jax.Array, spread: jax.Array, lags: jax.Array) -> MeasuredSummaries:
     """`measured` with other summaries."""
     return replace(measured, height=height, spread=spread, increments=lags)
 
@@ -67,20 +67,20 @@ def measured_like(measured: Measured, height: jax.Array, spread: jax.Array, lags
 class Refits:
     """The bootstrap: solution, with leading axis [B], and the data sets that it fits, with the same axis."""
 
-    solution: Solution
-    sets: Measured
+    solution: FitSolution
+    sets: MeasuredSummaries
 
 
 def bootstrap(
-    theta: Theta,
+    theta: ModelParameters,
     targets: list[Target],
-    draws: Draws,
-    measured: Measured,
-    free: Free,
+    draws: RandomDraws,
+    measured: MeasuredSummaries,
+    free: FreeParameters,
     fine: int,
     count: int,
     seed: int,
-    progress: Tell,
+    progress: ProgressCallback,
 ) -> Refits | None:
     """`count` refits to data sets simulated at `theta`: `Refits`, or None for count = 0."""
     if count == 0:
@@ -88,7 +88,7 @@ def bootstrap(
     count = -(-count // BATCH) * BATCH
     sets = data_sets(theta, targets, measured, count, seed + 1_000_003)
 
-    def refit(first: int) -> Solution:
+    def refit(first: int) -> FitSolution:
         with jax.enable_x64(True):  # which each thread has for itself
             some = measured_like(sets, *(a[first : first + BATCH] for a in (sets.height, sets.spread, sets.increments)))
             return jax.block_until_ready(solve_data_sets(theta, draws, some, free, fine))
@@ -101,13 +101,13 @@ def bootstrap(
     return Refits(jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts), sets)
 
 
-def _slopes(u: Theta, fixed: Theta, draws: Draws, measured: Measured, fine: int) -> Theta:
+def _slopes(u: ModelParameters, fixed: ModelParameters, draws: RandomDraws, measured: MeasuredSummaries, fine: int) -> ModelParameters:
     """Gradients of the blocks' losses in their own coordinates at `u`: dict of [] (a leading axis for mapped data
     sets).
     """
     shape = {name: value for name, value in u.items() if name != "dt_impact"}
     pulse = {name: value for name, value in u.items() if name == "dt_impact"}
-    slope: Theta = {}
+    slope: ModelParameters = {}
     if shape:
         slope |= jax.grad(lambda s: jnp.sum(moment_distances(to_parameters(s | pulse, fixed), draws, measured)))(shape)
     if pulse:
@@ -116,12 +116,12 @@ def _slopes(u: Theta, fixed: Theta, draws: Draws, measured: Measured, fine: int)
 
 
 @partial(jax.jit, static_argnames=("fine",))
-def _slopes_of_sets(u: Theta, fixed: Theta, draws: Draws, sets: Measured, fine: int) -> Theta:
-    return jax.vmap(lambda m: _slopes(u, fixed, draws, m, fine), in_axes=(axes_of_sets(sets),))(sets)
+def _data_set_slopes(u: ModelParameters, fixed: ModelParameters, draws: RandomDraws, sets: MeasuredSummaries, fine: int) -> ModelParameters:
+    return jax.vmap(lambda m: _slopes(u, fixed, draws, m, fine), in_axes=(data_set_axes(sets),))(sets)
 
 
 def local_estimate(
-    theta: Theta, targets: list[Target], draws: Draws, measured: Measured, free: Free, fine: int, seed: int, count: int = 64
+    theta: ModelParameters, targets: list[Target], draws: RandomDraws, measured: MeasuredSummaries, free: FreeParameters, fine: int, seed: int, count: int = 64
 ) -> dict[str, float]:
     """Standard deviation of each free parameter without refits: slope^-1 (covariance of gradients) slope^-T, name ->
     sd.
@@ -135,8 +135,8 @@ def local_estimate(
     names = sorted(u)
     sets = data_sets(theta, targets, measured, count, seed + 2_000_003)
 
-    def vector(u: Theta) -> np.ndarray:
-        slopes = _slopes_of_sets(u, fixed, draws, sets, fine)
+    def vector(u: ModelParameters) -> np.ndarray:
+        slopes = _data_set_slopes(u, fixed, draws, sets, fine)
         return np.stack([np.asarray(slopes[name]) for name in names], axis=1)
 
     step = {name: 0.1 if name in ("ratio", "gap", "fraction") else 0.02 for name in names}
@@ -151,7 +151,7 @@ def local_estimate(
     return result
 
 
-def table(theta: Theta, free: Free, local: dict[str, float], refits: Refits | None) -> dict[str, dict[str, Any]]:
+def table(theta: ModelParameters, free: FreeParameters, local: dict[str, float], refits: Refits | None) -> dict[str, dict[str, Any]]:
     """name -> value, low, high (90 %), sd, local_sd. The interval mirrors the quantiles of ln(refit/value) about
     the value.
     """
@@ -181,7 +181,7 @@ def table(theta: Theta, free: Free, local: dict[str, float], refits: Refits | No
     return result
 
 
-def without_spread(measured: Measured) -> list[str]:
+def without_spread(measured: MeasuredSummaries) -> list[str]:
     """Says so where many traces tell no spread at all: the balance of momentum gives a negative variance of the drop
     heights. Pieces of a portion of one have none.
     """

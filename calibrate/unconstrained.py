@@ -9,15 +9,15 @@ from typing import Any
 
 import jax.numpy as jnp
 
-Theta = dict[str, Any]  # name of a parameter, or of a coordinate -> value, [] each
-Free = tuple[str, ...]  # names of the parameters that are fitted
+ModelParameters = dict[str, Any]  # name of a parameter, or of a coordinate -> value, [] each
+FreeParameters = tuple[str, ...]  # names of the parameters that are fitted
 
 NAMES = ("dt_impact", "gamma_low", "gamma_high", "h_mean")
 MEAN = 1.0 / (3.0 * math.sqrt(2.0 * math.pi))  # E max(z, 0)/3, so that gamma_low + MEAN (gamma_high - gamma_low) = E sigma_height
 LEAST, MOST = 1e-3, 1e3  # bounds of (gamma_high - gamma_low)/gamma_low that a fit is started from
 
 
-def to_unconstrained(theta: Theta, free: Free) -> Theta:
+def to_unconstrained(theta: ModelParameters, free: FreeParameters) -> ModelParameters:
     """Coordinates of the `free` parameters from `theta`, a dict of NAMES."""
     low, high = theta["gamma_low"], theta["gamma_high"]
     ratio = jnp.log(jnp.clip((high - low) / jnp.maximum(low, 1e-12), LEAST, MOST))
@@ -31,7 +31,7 @@ def to_unconstrained(theta: Theta, free: Free) -> Theta:
     return both | {name: jnp.log(theta[name]) for name in ("dt_impact", "h_mean") if name in free}
 
 
-def to_parameters(u: Theta, fixed: Theta) -> Theta:
+def to_parameters(u: ModelParameters, fixed: ModelParameters) -> ModelParameters:
     """`theta`, a dict of NAMES, from coordinates `u` and the values of the `fixed` parameters."""
     theta = dict(fixed) | {name: jnp.exp(u[name]) for name in ("dt_impact", "h_mean") if name in u}
     if "spread" in u:

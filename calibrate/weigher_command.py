@@ -9,12 +9,12 @@ import numpy as np
 
 from calibrate.command import add_scale_signals, add_table, show_progress, signal_options
 from calibrate.errors import BadInput, checked_seed
-from product_model.target import check_target
+from product_model.output_path import check_target
 
 if TYPE_CHECKING:
     from calibrate.empty_cell import EmptyCell
     from calibrate.scale_signals import ScaleSignals
-    from calibrate.weigher import Learnt
+    from calibrate.weigher_fit import Learnt
 
 TOLERANCES = (1.0, 0.5, 0.1)  # g
 SHARES = (0.5, 0.9, 0.99)
@@ -58,7 +58,7 @@ def add_weigher_command(commands: Any) -> None:
 def learn(args: argparse.Namespace) -> int:
     """Learn, write and report; the exit code."""
     from calibrate.scale_signals import read_signals, read_weights
-    from calibrate.weigher import learn_weigher
+    from calibrate.weigher_fit import learn_weigher
     from product_model.weigher_file import save_weigher
 
     checked_seed(args.seed)
@@ -146,7 +146,7 @@ def _about(
 def report(learnt: "Learnt") -> list[str]:
     """Lines about held-out portions: times until the error stays within tolerances, coverage of the
     error bar, doubts."""
-    from calibrate.weigher import count_until_within
+    from calibrate.weigher_fit import count_until_within
 
     weigher, every = learnt.weigher, 1e3 * float(learnt.weigher.interval)
     errors, n = np.abs(learnt.errors), learnt.errors.shape[1]

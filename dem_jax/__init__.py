@@ -6,25 +6,29 @@
 
 from typing import Any
 
+from dem_jax.deprecation import install_former_modules
+
 __version__ = "0.1.0"
 
 _HOME = {
     "Scene": "scene",
     "load_scene": "scene",
     "stock_scenes": "scene",
-    "simulate": "drive.interface",
-    "resume": "drive.interface",
-    "ensemble": "drive.interface",
-    "rollout": "drive.rollout",
-    "Rollout": "drive.rollout",
-    "smooth_peak": "maths.peak",
-    "Quantity": "step.quantity",
-    "Run": "store.record",
-    "load_run": "store.record",
+    "simulate": "runner.interface",
+    "resume": "runner.interface",
+    "ensemble": "runner.interface",
+    "rollout": "runner.rollout",
+    "Rollout": "runner.rollout",
+    "smooth_peak": "math.smooth_maximum",
+    "Quantity": "dynamics.quantity",
+    "Run": "io.run_files",
+    "load_run": "io.run_files",
     "SceneError": "errors",
     "RecordError": "errors",
     "SimulationError": "errors",
 }
+
+install_former_modules()
 
 __all__ = [*_HOME, "__version__"]
 

@@ -1,8 +1,8 @@
 """How a process ends: by itself, by a signal within a second, and with streams that nobody reads.
 
-XLA compiles for up to minutes without returning to Python, where a signal is only noted. ``begin`` therefore starts a thread that
+XLA compiles for up to minutes without returning to Python, where a signal is only noted. ``install_signal_handlers`` therefore starts a thread that
 is woken by the signal itself. The main thread has GRACE to unwind; then the thread saves what the run has computed so far
-(``saving``) and ends the process by ``os._exit``: to unwind Python while XLA compiles ends in a segmentation fault.
+(``save_on_interrupt``) and ends the process by ``os._exit``: to unwind Python while XLA compiles ends in a segmentation fault.
 """
 
 import os
@@ -14,9 +14,9 @@ from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Any, NoReturn
 
-GRACE = 0.25  # s, for the main thread to unwind
-SAVING = 5.0  # s at most, to save what was computed
-LEAVING = 0.2  # s at most, to print a line, and to leave a cluster of processes
+UNWIND_TIMEOUT = 0.25  # s, for the main thread to unwind
+SAVE_TIMEOUT = 5.0  # s at most, to save what was computed
+EXIT_TIMEOUT = 0.2  # s at most, to print a line, and to leave a cluster of processes
 SIGNALS = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "hung up"}  # and what they do to a process
 
 Save = Callable[[], str | None]  # saves what is computed and says where it is, None: nothing was there to save
@@ -51,15 +51,15 @@ class SilentStream:
         return getattr(self._stream, name)
 
 
-class _Process:
+class _SignalState:
     """What a signal has to know."""
 
     def __init__(self) -> None:
         self.begun = False
         self.unwinds = False  # whether the main thread is where KeyboardInterrupt is caught
         self.received = 0  # the first signal
-        self.deferred = False  # it came within ``undisturbed``
-        self.writing = 0  # depth of ``undisturbed``
+        self.deferred = False  # it came within ``defer_signals``
+        self.writing = 0  # depth of ``defer_signals``
         self.lock = threading.RLock()
         self.ending = threading.Lock()
         self.savers: dict[object, Save] = {}
@@ -67,7 +67,7 @@ class _Process:
         self.woken: Any = None  # the end of a socket that the signal writes to
 
 
-_STATE = _Process()
+_STATE = _SignalState()
 
 
 def open_closed_streams() -> None:
@@ -77,7 +77,7 @@ def open_closed_streams() -> None:
             setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))
 
 
-def begin() -> None:
+def install_signal_handlers() -> None:
     """Make this process end within a second of a signal, and go on without a reader of stderr. Does nothing the second time."""
     if _STATE.begun or threading.current_thread() is not threading.main_thread():
         return
@@ -95,18 +95,18 @@ def begin() -> None:
         if number and signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):  # else it is ignored (nohup)
             signal.signal(number, _on_signal)
     if hasattr(os, "register_at_fork"):
-        os.register_at_fork(after_in_child=_forget)
+        os.register_at_fork(after_in_child=_reset_after_fork)
     threading.Thread(target=_wait_for_signal, args=(read,), daemon=True).start()
 
 
-def finish() -> None:
+def end_signal_handling() -> None:
     """The work is done: from now on a signal ends the process at once."""
     if _STATE.begun:
         _restore_signals(signal.SIG_DFL)  # not Python's own handler, which raises while Python ends
 
 
 @contextmanager
-def unwinding() -> Iterator[None]:
+def allow_interrupt() -> Iterator[None]:
     """Where KeyboardInterrupt is caught around this, a signal raises it in here; elsewhere it ends the process."""
     _STATE.unwinds = True
     try:
@@ -116,7 +116,7 @@ def unwinding() -> Iterator[None]:
 
 
 @contextmanager
-def saving(save: Save) -> Iterator[None]:
+def save_on_interrupt(save: Save) -> Iterator[None]:
     """If the process is interrupted in here, save what was computed."""
     key = object()
     _STATE.savers[key] = save
@@ -130,7 +130,7 @@ def saving(save: Save) -> Iterator[None]:
 
 
 @contextmanager
-def undisturbed() -> Iterator[None]:
+def defer_signals() -> Iterator[None]:
     """Only one thread is in here at a time, and a signal waits until it has left."""
     with _STATE.lock:
         _STATE.writing += 1
@@ -140,27 +140,27 @@ def undisturbed() -> Iterator[None]:
             _STATE.writing -= 1
     if _STATE.deferred and not _STATE.writing and threading.current_thread() is threading.main_thread():
         _STATE.deferred = False
-        _interrupt()
+        _handle_interrupt()
 
 
-def end() -> NoReturn:
+def end_process() -> NoReturn:
     """Save what was computed, say where it is in one line, and end the process with 128 + the signal's number."""
     if not _STATE.ending.acquire(blocking=False):  # another thread is about to
         threading.Event().wait()
-    _within(SAVING, _save_all)
-    _within(LEAVING, _say)
-    _within(LEAVING, _leave_cluster)
-    _within(LEAVING, _end_children)
+    _call_with_timeout(SAVE_TIMEOUT, _save_all)
+    _call_with_timeout(EXIT_TIMEOUT, _print_ending)
+    _call_with_timeout(EXIT_TIMEOUT, _leave_cluster)
+    _call_with_timeout(EXIT_TIMEOUT, _end_children)
     os._exit(128 + (_STATE.received or signal.SIGINT))
 
 
-def save_computed() -> str | None:
+def save_partial_results() -> str | None:
     """Save what was computed, in a process that another program ends; returns where it is, in words, None: nothing was there."""
     _save_all()
     return _STATE.said[0] if _STATE.said else None
 
 
-def ending_said() -> str:
+def describe_interrupt() -> str:
     """What an interrupt did, in one line."""
     word = next((w for name, w in SIGNALS.items() if getattr(signal, name, None) == _STATE.received), "interrupted")
     return f"{word}; {_STATE.said[0] if _STATE.said else 'no file of results was written'}"
@@ -173,21 +173,21 @@ def _on_signal(number: int, _: FrameType | None) -> None:
     if _STATE.writing:
         _STATE.deferred = True
     else:
-        _interrupt()
+        _handle_interrupt()
 
 
-def _interrupt() -> None:
+def _handle_interrupt() -> None:
     if _STATE.unwinds:
         raise KeyboardInterrupt
-    end()
+    end_process()
 
 
 def _wait_for_signal(read: Any) -> None:
     """The thread that a signal wakes."""
     number = read.recv(1)[0]
-    threading.Event().wait(GRACE)
+    threading.Event().wait(UNWIND_TIMEOUT)
     _STATE.received = _STATE.received or number
-    end()
+    end_process()
 
 
 def _save_all() -> None:
@@ -204,11 +204,11 @@ def _save_one(save: Save) -> None:
         _STATE.said.insert(0, said)  # what was begun first, such as a study, is saved last and speaks for the others
 
 
-def _say() -> None:
+def _print_ending() -> None:
     bars = getattr(sys.modules.get("tqdm"), "tqdm", None)
     line_begun = "\n" if getattr(bars, "_instances", None) else ""
     stream = sys.stderr if isinstance(sys.stderr, SilentStream) else SilentStream(sys.stderr)
-    stream.write_last(f"{line_begun}dem_jax: {ending_said()}\n")
+    stream.write_last(f"{line_begun}dem_jax: {describe_interrupt()}\n")
     stream.flush()
     with suppress(OSError, ValueError):
         sys.stdout.flush()
@@ -228,19 +228,19 @@ def _end_children() -> None:
             child.terminate()
 
 
-def _within(seconds: float, function: Callable[[], None]) -> None:
+def _call_with_timeout(seconds: float, function: Callable[[], None]) -> None:
     """Call a function, but do not wait for it for longer, nor for what it raises, as of a module that is half imported."""
 
-    def call() -> None:
+    def call_quietly() -> None:
         with suppress(Exception):
             function()
 
-    thread = threading.Thread(target=call, daemon=True)
+    thread = threading.Thread(target=call_quietly, daemon=True)
     thread.start()
     thread.join(seconds)
 
 
-def _forget() -> None:
+def _reset_after_fork() -> None:
     """A process that was forked from this one ends as any other."""
     if _STATE.begun:
         _restore_signals(signal.default_int_handler)

@@ -19,26 +19,26 @@ SETTLED_SPEED = 0.1  # m/s: slower pieces inside a block count as settled (paper
 T = TypeVar("T")
 
 
-def host(array: Any) -> Array:
+def as_array(array: Any) -> Array:
     """numpy's array (or number) as it is, where a tree has one of JAX's: what is built is of numpy until it is complete."""
     return array
 
 
-def static() -> Any:
+def static_field() -> Any:
     """A field that is part of what is compiled, not an array."""
     return dataclasses.field(metadata={"static": True})
 
 
-@dataclass_transform(frozen_default=True, field_specifiers=(static,))
+@dataclass_transform(frozen_default=True, field_specifiers=(static_field,))
 def pytree(cls: type[T]) -> type[T]:
-    """Make a frozen dataclass that JAX sees as a tree of its fields, the ``static`` ones as part of its structure; its method
+    """Make a frozen dataclass that JAX sees as a tree of its fields, the ``static_field`` ones as part of its structure; its method
     ``replace(**changes)`` gives the same but for the changes."""
     cls = dataclasses.dataclass(frozen=True)(cls)
     cls.replace = dataclasses.replace  # type: ignore[attr-defined]
     return jax.tree_util.register_dataclass(cls)
 
 
-class Tree:
+class PytreeBase:
     """For type checkers, which do not see that ``pytree`` gives a class a method."""
 
     if TYPE_CHECKING:
@@ -47,24 +47,24 @@ class Tree:
 
 
 @pytree
-class Features(Tree):
-    """Faces, corners and edges of S convex polytopes, padded to the same counts, for ``contact.look``."""
+class PolytopeFeatures(PytreeBase):
+    """Faces, corners and edges of S convex polytopes, padded to the same counts, for ``narrow_phase.feature_search``."""
 
     planes: Array  # [4, F, S]: outward unit normals and offsets (m) of the polytope by which depth and normal are found
     corners: Array  # [3, V, S] (m): its corners
     edges: Array  # [13, E, S]: its edges: middle (m), unit direction, half length (m), unit directions into both its faces
-    tips: Array  # [3, 14, S] (m): its corners that are furthest along its axes and between them
-    own_planes: Array  # [4, F', S]: of the part itself, where others continue it; else the same
-    own_corners: Array  # [3, V', S] (m): likewise
-    inner: Array | None  # [F', S]: 1 for own faces that other parts of the piece cover, 0 for all others
-    rings: Array  # [k, F', S] int32: the corners of each of its own faces, some repeated
+    extreme_vertices: Array  # [3, 14, S] (m): its corners that are furthest along its axes and between them
+    part_planes: Array  # [4, F', S]: of the part itself, where others continue it; else the same
+    part_corners: Array  # [3, V', S] (m): likewise
+    interior_faces: Array | None  # [F', S]: 1 for own faces that other parts of the piece cover, 0 for all others
+    face_vertices: Array  # [k, F', S] int32: the corners of each of its own faces, some repeated
     counts: Array  # [4, S] int32: how many planes, corners, edges and own planes a shape has; the rest repeats its first
-    all_clip: bool = static()  # whether any is a part that others continue
-    is_bent: bool = static()  # whether any is a panel that others continue at an angle
+    all_clip: bool = static_field()  # whether any is a part that others continue
+    is_bent: bool = static_field()  # whether any is a panel that others continue at an angle
 
 
 @pytree
-class Hulls(Tree):
+class Hulls(PytreeBase):
     """A table of S convex polytopes, padded by repetition to the same counts of faces, corners and edge directions.
 
     Gathered to pairs, the last axis is the pair; with one shape it stays 1 and broadcasts.
@@ -73,7 +73,7 @@ class Hulls(Tree):
     normals: tuple[Array, Array, Array]  # [F, S] x 3: outward unit normals; of a zonotope face f + F/2 is opposite to face f
     offsets: Array  # [F, S] (m): n . x <= offset
     corners: tuple[Array, Array, Array] | None  # [k, F, S] x 3 (m): corners of each face in order, some repeated
-    loops: Array | None  # [3 (1 + k), F S] (m): the same as columns, each closed by its first corner; of zonotopes, whose
+    face_loops: Array | None  # [3 (1 + k), F S] (m): the same as columns, each closed by its first corner; of zonotopes, whose
     # edges come in opposite pairs, [3 (1 + k/2), F S]: centre of the face, then the first half of its edges
     row: Array  # [S] int32: which shape of the table
     vertices: tuple[Array, Array, Array]  # [V, S] x 3 (m)
@@ -85,14 +85,14 @@ class Hulls(Tree):
     # plane; else 0
     open_edges: Array | None  # [k, F S]: how much of an edge is one of the surface, 0 where another panel or part continues
     # it in a plane, else 1, as columns; not gathered to pairs
-    inner: Array | None  # [F, S]: 1 for faces that other parts of the piece cover, 0 for all others
-    features: Features | None  # of polytopes that are not all zonotopes of few edges, for contacts of polytopes
+    interior_faces: Array | None  # [F, S]: 1 for faces that other parts of the piece cover, 0 for all others
+    features: PolytopeFeatures | None  # of polytopes that are not all zonotopes of few edges, for contacts of polytopes
     extended: "Hulls | None"  # of which depth and normal are found, of a part that others continue more of the piece; None: these
-    is_zonotope: bool = static()
+    is_zonotope: bool = static_field()
 
 
 @pytree
-class Facing(Tree):
+class SupportFaces(PytreeBase):
     """Which faces of P pairs of polytopes can look most along the normal of their contact, while it stays near a direction.
 
     Sides are those of a and of b, in the frame of the body that they belong to.
@@ -102,12 +102,12 @@ class Facing(Tree):
     normals: Array  # [3, Kd, 2, P]: of the faces of each side that look most along it
     faces: Array  # [Kd, 2, P] int32: which these are
     direction: Array  # [3, 2, P]: outward normal of the contact
-    margin: Array  # [P]: by which the normal may differ from that; negative: nothing is known
+    validity_radius: Array  # [P]: by which the normal may differ from that; negative: nothing is known
 
 
 @pytree
-class Near(Tree):
-    """The features of P pairs of convex polytopes that can decide their contact until they have moved, see ``contact.look``.
+class ActiveFeatures(PytreeBase):
+    """The features of P pairs of convex polytopes that can decide their contact until they have moved, see ``narrow_phase.feature_search``.
 
     Pairs of arrays, and sides, [.., 2, P], are those of a and of b, in the frame of the body that they belong to.
     """
@@ -116,16 +116,16 @@ class Near(Tree):
     faces: Array  # [4, Kf, 2, P]: normals and offsets (m) of faces
     corners: Array  # [3, Kv, 2, P] (m): of b that the faces of a may meet, and of a that those of b may
     edges: tuple[Array, Array]  # [13, Ke, P]: couples of edges, as in Features
-    clipping: Array  # [4, Kc, 2, P]: planes of own faces of b that may cut a, and of a that may cut b
-    wide: Array  # [P] bool: whether more of them than these may
-    margin: Array  # [P] (m): way within which that is certain; negative: nothing is known
+    clip_planes: Array  # [4, Kc, 2, P]: planes of own faces of b that may cut a, and of a that may cut b
+    needs_all_planes: Array  # [P] bool: whether more of them than these may
+    validity_radius: Array  # [P] (m): way within which that is certain; negative: nothing is known
     offset: Array  # [3, P] (m): b's origin in a's frame at the look ...
     rotation: Array  # [9, P]: ... and rows of the rotation from b's frame to a's
     depth: Array  # [P] (m): their overlap then
 
 
 @pytree
-class Pieces(Tree):
+class Pieces(PytreeBase):
     """The N pieces. The principal frame of a piece is its body frame here."""
 
     mass: Array  # [N] (kg)
@@ -138,7 +138,7 @@ class Pieces(Tree):
 
 
 @pytree
-class Parts(Tree):
+class Parts(PytreeBase):
     """The M convex parts of the pieces, piece by piece: what touches. Mostly each piece is its own only part."""
 
     owner: Array | None  # [M] int32: the piece that it is a part of; None: M = N, part k is piece k
@@ -154,13 +154,13 @@ class Parts(Tree):
         """M."""
         return self.radius.shape[0]
 
-    def piece(self, part: Any) -> Any:
+    def owning_piece(self, part: Any) -> Any:
         """The piece that each part belongs to."""
         return part if self.owner is None else self.owner[part]
 
 
 @pytree
-class LoadCell(Tree):
+class LoadCellModel(PytreeBase):
     """A spring and a damper along the vertical (z) that carry some wall groups as one rigid body."""
 
     mass: Array  # (kg): of all that it carries of itself: bucket, flaps, and what of the cell moves with them
@@ -171,7 +171,7 @@ class LoadCell(Tree):
 
 
 @pytree
-class Drive(Tree):
+class FlapDrives(PytreeBase):
     """Drives of limited torque that swing some of the G wall groups about their hinges."""
 
     groups: Array  # [G]: 1 for those, 0 for all others, whose motion is given
@@ -188,17 +188,17 @@ class Drive(Tree):
 
 
 @pytree
-class Statistics(Tree):
+class CollisionBins(PytreeBase):
     """What is asked of the collisions with walls."""
 
     slowest: Array  # (m/s): a slower touch is not counted
     fastest: Array  # (m/s): where the last class of speeds begins to count all that is faster too
-    classes: int = static()  # of speeds, of equal width
-    cells: int = static()  # of the map along each side of the box around a panel
+    classes: int = static_field()  # of speeds, of equal width
+    cells: int = static_field()  # of the map along each side of the box around a panel
 
 
 @pytree
-class Plates(Tree):
+class Plates(PytreeBase):
     """Panels for contacts with spheres: convex polygons of some thickness, in the panel's frame, z along the surface's normal.
 
     Padded by repetition of an edge to the same number k of edges. Gathered to pairs, the last axis is the pair.
@@ -212,7 +212,7 @@ class Plates(Tree):
 
 
 @pytree
-class Walls(Tree):
+class Walls(PytreeBase):
     """Convex plates in G groups, each group moved as a rigid body or at rest.
 
     A name that forces are reported under may stand for several groups (``wb_flaps`` for both flaps).
@@ -226,21 +226,21 @@ class Walls(Tree):
     plates: Plates
     plane: Array | None  # [W] int32: the same number for panels that are one surface, -1 for all others
     pivot: Array  # [3, G] (m): moves with the group; torques are about it; on the axis of a hinge
-    motions: tuple  # of the kinds in contact.motion, each of all groups that move so; none: all rest
-    load_cell: LoadCell | None  # None: no group is on one
-    drive: Drive | None  # None: no group has one
-    is_bent: bool = static()  # whether panels of one surface meet at an angle, see ``contact.smooth_surfaces``
-    groups: tuple[str, ...] = static()  # names of the G groups
-    reports: tuple[tuple[str, tuple[int, ...]], ...] = static()  # ((reported name, (group, ...)), ...)
+    motions: tuple  # of the kinds in walls.motion, each of all groups that move so; none: all rest
+    load_cell: LoadCellModel | None  # None: no group is on one
+    drive: FlapDrives | None  # None: no group has one
+    is_bent: bool = static_field()  # whether panels of one surface meet at an angle, see ``contacts.smooth_surfaces``
+    groups: tuple[str, ...] = static_field()  # names of the G groups
+    reports: tuple[tuple[str, tuple[int, ...]], ...] = static_field()  # ((reported name, (group, ...)), ...)
 
     @property
-    def moving(self) -> bool:
+    def has_motion(self) -> bool:
         """Whether any group moves."""
         return bool(self.motions) or self.load_cell is not None
 
 
 @pytree
-class Materials(Tree):
+class Materials(PytreeBase):
     """The M materials of pieces and walls, and what each pair of them has; [1, 1] where all pairs have the same."""
 
     youngs_modulus: Array  # [M] (Pa): softened by NSF
@@ -249,7 +249,7 @@ class Materials(Tree):
     friction: Array | None  # [M, M]: mu; None: no pair has any, and nothing of friction is computed
     pull_off: Array | None  # [M, M] (N): largest adhesive force; None: no pair has any
     rolling: Array | None  # [M, M]: mu_r; None: no pair has any
-    is_wall: tuple[bool, ...] = static()  # [M] bool: whether it is a material of walls
+    is_wall: tuple[bool, ...] = static_field()  # [M] bool: whether it is a material of walls
 
 
 class Partition(NamedTuple):
@@ -263,7 +263,7 @@ class Partition(NamedTuple):
 
 
 @pytree
-class System(Tree):
+class System(PytreeBase):
     """All that never changes while a scene runs: arrays, and the static choices that decide what is compiled."""
 
     pieces: Pieces
@@ -283,37 +283,37 @@ class System(Tree):
     block_high: Array  # [3, B] (m)
     domain_low: Array  # [3] (m): a piece outside has left the scene
     domain_high: Array  # [3] (m)
-    capacity: tuple[tuple[str, int, int], ...] = static()  # of each kind of contact that the scene has its name (see
+    capacity: tuple[tuple[str, int, int], ...] = static_field()  # of each kind of contact that the scene has its name (see
     # neighbours), candidates, slots
-    touching: int = static()  # most contacts that a piece may have at once
-    neighbours: str = static()  # how pairs of pieces are found, as in scene.RunSettings
-    row_capacity: int = static()  # most pieces in three neighbouring cells in a row, where there are cells
-    partition: Partition | None = static()  # of jax-md's list
-    has_hulls: bool = static()  # whether any piece is not a sphere
-    alike: tuple[str, ...] = static()  # "hulls" if all polytopes of pieces are one shape, "spheres" if all spheres are, of
+    touching: int = static_field()  # most contacts that a piece may have at once
+    neighbours: str = static_field()  # how pairs of pieces are found, as in scene.RunSettings
+    row_capacity: int = static_field()  # most pieces in three neighbouring cells in a row, where there are cells
+    partition: Partition | None = static_field()  # of jax-md's list
+    has_hulls: bool = static_field()  # whether any piece is not a sphere
+    alike: tuple[str, ...] = static_field()  # "hulls" if all polytopes of pieces are one shape, "spheres" if all spheres are, of
     # one material; never of pieces of several parts
-    escape_stops: bool = static()  # whether a piece outside the domain stops the run
-    has_rotation: bool = static()
-    may_tie: bool = static()  # whether separating axes of polytopes may tie exactly: of pieces that a scene places one by one
-    ledger: bool = static()  # whether work and dissipation are added up
-    statistics: Statistics | None  # of collisions with walls; None: nothing of them is computed
-    sample_parts: int = static()  # a sample interval of more steps than the next is cut into so many parts, a rebuild before each
-    block_steps: int = static()  # most steps between rebuilds of the pairs; one comes before the sample that exceeds it
-    slot_block: int = static()  # contacts are computed so many at a time, at most; 0: all slots at once
+    escape_stops: bool = static_field()  # whether a piece outside the domain stops the run
+    has_rotation: bool = static_field()
+    may_tie: bool = static_field()  # whether separating axes of polytopes may tie exactly: of pieces that a scene places one by one
+    ledger: bool = static_field()  # whether work and dissipation are added up
+    statistics: CollisionBins | None  # of collisions with walls; None: nothing of them is computed
+    sample_parts: int = static_field()  # a sample interval of more steps than the next is cut into so many parts, a rebuild before each
+    block_steps: int = static_field()  # most steps between rebuilds of the pairs; one comes before the sample that exceeds it
+    slot_block: int = static_field()  # contacts are computed so many at a time, at most; 0: all slots at once
     present: Array | None  # [N] bool: False for the last pieces of a run that has fewer than others of its ensemble; None: all are
-    exchanges: bool = static()  # whether pieces come in and leave: State.exchange
-    runs: int = static()  # R, how many runs this is, side by side; they do not see each other
-    blocks: tuple[str, ...] = static()  # names of the B blocks
-    quantities: tuple = static()  # step.quantity.Quantity of all that is sampled
+    exchanges: bool = static_field()  # whether pieces come in and leave: State.exchange
+    runs: int = static_field()  # R, how many runs this is, side by side; they do not see each other
+    blocks: tuple[str, ...] = static_field()  # names of the B blocks
+    quantities: tuple = static_field()  # dynamics.quantity.Quantity of all that is sampled
 
 
 @pytree
-class Patch(Tree):
+class PatchMarker(PytreeBase):
     """A mark, without numbers: bodies that touch over a patch, not at a point, and rub about its normal too."""
 
 
 @pytree
-class Memory(Tree):
+class ContactHistory(PytreeBase):
     """What contacts remember of the last step."""
 
     overlap: Array  # [P] (m): s_n, more by the law's reach; 0: no contact
@@ -324,7 +324,7 @@ class Memory(Tree):
 
 
 @pytree
-class ContactTable(Tree):
+class ContactTable(PytreeBase):
     """P slots for contacts between two kinds of bodies; an empty slot has a = -1.
 
     Bodies are numbered parts first, then panels. b is always a part, a is a part or a panel.
@@ -332,11 +332,11 @@ class ContactTable(Tree):
 
     a: Array  # [P] int32
     b: Array  # [P] int32
-    memory: Memory
+    memory: ContactHistory
 
 
 @pytree
-class Slots(Tree):
+class PairConstants(PytreeBase):
     """What stays the same in each slot between two rebuilds."""
 
     live: Array  # [P] bool: whether the slot holds a pair
@@ -351,13 +351,13 @@ class Slots(Tree):
     plate_a: Plates | None = None  # [.., P]: of spheres on walls
     surface_a: Array | None = None  # [P] int32: of a, where others continue it: Walls.plane, or beyond those Parts.surface; else -1
     surface_b: Array | None = None  # [P] int32: Parts.surface of b
-    patch: Patch | None = None  # None: they touch at a point, or without friction
+    patch: PatchMarker | None = None  # None: they touch at a point, or without friction
 
 
 @pytree
-class Siblings(Tree):
+class SharedContacts(PytreeBase):
     """The contacts of the same surface with the same surface as each slot has, itself among them; none where no other body
-    continues any of the two. See ``contact.seams``."""
+    continues any of the two. See ``contacts.contact_reduction``."""
 
     order: Array  # [P] int32: slots, siblings next to each other and in order
     first: Array  # [P] int32: where in it those of each slot begin
@@ -366,7 +366,7 @@ class Siblings(Tree):
 
 
 @pytree
-class Ledger(Tree):
+class Ledger(PytreeBase):
     """What each run adds up; ``impulse``, ``peak`` and ``overlap`` start anew with each sample interval."""
 
     impulse: Array  # [3, G, R] (N s): of the pieces on each wall group
@@ -377,7 +377,7 @@ class Ledger(Tree):
 
 
 @pytree
-class Guard(Tree):
+class OverflowReport(PytreeBase):
     """What must not happen silently, as data: the host looks at it after each chunk."""
 
     needed: dict[str, Array]  # kind of contact -> int32 [2]: most candidates and slots that any rebuild wanted
@@ -391,7 +391,7 @@ class Guard(Tree):
 
 
 @pytree
-class Motion(Tree):
+class PieceMotion(PytreeBase):
     """How the pieces of all runs move, and the loads on them. Velocities and momenta are at the time of the positions."""
 
     position: Array  # [3, N] (m): centres of mass
@@ -406,7 +406,7 @@ class Motion(Tree):
 
 
 @pytree
-class WallLoads(Tree):
+class WallLoads(PytreeBase):
     """Loads of the pieces on each wall group."""
 
     force: Array  # [3, G, R] (N)
@@ -414,7 +414,7 @@ class WallLoads(Tree):
 
 
 @pytree
-class CellMotion(Tree):
+class LoadCellMotion(PytreeBase):
     """How what a load cell carries moves, about where it is without pieces."""
 
     deflection: Array  # [R] (m), downwards
@@ -422,7 +422,7 @@ class CellMotion(Tree):
 
 
 @pytree
-class DriveMotion(Tree):
+class FlapDriveMotion(PytreeBase):
     """By how much flaps with a drive are turned beyond their motion, about the axis of the hinge; 0 of all others."""
 
     lag: Array  # [G, R] (rad)
@@ -430,7 +430,7 @@ class DriveMotion(Tree):
 
 
 @pytree
-class Collisions(Tree):
+class CollisionTotals(PytreeBase):
     """What collisions with the walls have added up to since the first step; C = W cells^2 places on the panels."""
 
     cells: Array  # [3, C, R]: number, normal impulse (N s) and work that contacts took (J) in each place
@@ -441,7 +441,7 @@ class Collisions(Tree):
 
 
 @pytree
-class Exchange(Tree):
+class PieceExchange(PytreeBase):
     """Which pieces are in the scene, and what came into it and left it; all others wait outside, at rest."""
 
     there: Array  # [N] bool
@@ -452,46 +452,46 @@ class Exchange(Tree):
 
 
 @pytree
-class Scratch(Tree):
+class Scratch(PytreeBase):
     """What the rebuild at the beginning of each block of steps fills anew, from the rest of the state."""
 
-    slots: dict[str, Slots]  # by kind of contact
+    slots: dict[str, PairConstants]  # by kind of contact
     filled: dict[str, Array]  # kind of contact -> int32: how many slots hold a pair, the first ones
-    busiest: Array  # int32: most contacts of a piece
-    walled: Array  # [2, touching, N] int32: like ``State.incidence`` of contacts with walls, and the numbers of their groups
-    most_walled: Array  # int32: most contacts of a piece with walls
+    max_contacts: Array  # int32: most contacts of a piece
+    wall_contacts: Array  # [2, touching, N] int32: like ``State.incidence`` of contacts with walls, and the numbers of their groups
+    max_wall_contacts: Array  # int32: most contacts of a piece with walls
     loads: Array  # [7, columns] (N, N m, N): of each contact force and torque on a piece, about its centre, and the rise of the
     # force on b along gravity, see ``Response.rise``: all on b, then all on a, kind by kind; one more column holds zeros
-    since: Array  # int32: the step of the rebuild
-    way: Array  # [R] (m): most that two bodies can have approached each other since then ...
-    rate: Array  # [R] (m): ... of it in the last step
-    lead: Array  # [R] (m): most that two bodies approach each other at the speeds they had then, until the next rebuild
-    siblings: dict[str, Siblings]  # by kind of contact, where surfaces go on
+    rebuild_step: Array  # int32: the step of the rebuild
+    displacement: Array  # [R] (m): most that two bodies can have approached each other since then ...
+    displacement_rate: Array  # [R] (m): ... of it in the last step
+    expected_displacement: Array  # [R] (m): most that two bodies approach each other at the speeds they had then, until the next rebuild
+    shared_contacts: dict[str, SharedContacts]  # by kind of contact, where surfaces go on
     shares: dict[str, Array]  # likewise, [P]: the part that each slot has of a contact that several have together
-    near: dict[str, Near]  # by kind of contact, of polytopes with Features; none where each step looks at all features
-    facing: dict[str, Facing]  # likewise
+    active_features: dict[str, ActiveFeatures]  # by kind of contact, of polytopes with Features; none where each step looks at all features
+    support_faces: dict[str, SupportFaces]  # likewise
     is_first: Array  # bool: whether no overlap of near polytopes was noted in the guard yet
-    spare: Array | None  # [P] (m): way that each pair of polytopes may still move before it is asked whether a look is due
-    looked: Array  # int32: after which step that was the way to go
-    ahead: Array | None  # [rows, M + W]: bodies.stack of the step that a look is due for, or of the last one
-    tried: Array  # int32: that step
+    remaining_margin: Array | None  # [P] (m): way that each pair of polytopes may still move before it is asked whether a look is due
+    refreshed_at: Array  # int32: after which step that was the way to go
+    pending_bodies: Array | None  # [rows, M + W]: bodies.stack of the step that a look is due for, or of the last one
+    pending_step: Array  # int32: that step
 
 
 @pytree
-class State(Tree):
+class State(PytreeBase):
     """What a step changes."""
 
     step: Array  # int32: time is step * dt
-    motion: Motion
+    motion: PieceMotion
     walls: WallLoads
-    cell: CellMotion | None  # None: no wall is on a load cell
-    drive: DriveMotion | None  # None: no flap has a drive of limited torque
-    collisions: Collisions | None  # None: nobody asked for them
-    exchange: Exchange | None  # None: all pieces are there from beginning to end
+    cell: LoadCellMotion | None  # None: no wall is on a load cell
+    drive: FlapDriveMotion | None  # None: no flap has a drive of limited torque
+    collisions: CollisionTotals | None  # None: nobody asked for them
+    exchange: PieceExchange | None  # None: all pieces are there from beginning to end
     contacts: dict[str, ContactTable]  # by kind of contact
     incidence: Array  # [touching, N] int32: where the contacts of each piece stand among all (see neighbours.find_incidence)
     ledger: Ledger
-    guard: Guard
+    guard: OverflowReport
     scratch: Scratch
 
     position = property(lambda self: self.motion.position)
@@ -499,7 +499,7 @@ class State(Tree):
     velocity = property(lambda self: self.motion.velocity)
     angular_momentum = property(lambda self: self.motion.angular_momentum)
 
-    def moved(self, **fields: Any) -> "State":
+    def replace_motion(self, **fields: Any) -> "State":
         """The state with some fields of its motion replaced."""
         return self.replace(motion=self.motion.replace(**fields))
 

@@ -174,8 +174,8 @@ def _predict(args: argparse.Namespace) -> tuple["Fitted", dict[str, Any]]:
 def _simulate(args: argparse.Namespace) -> None:
     from product_model import drawn, ensemble, save
     from product_model.monte_carlo import summarize
+    from product_model.output_path import check_target
     from product_model.record import check_output
-    from product_model.target import check_target
 
     params, fit = _inputs(args)
     checked_seed(args.seed)
@@ -212,13 +212,13 @@ def _block_size(params: Parameters, args: argparse.Namespace, varied: Mapping[st
     """
     import numpy as np
 
-    from product_model.inputs import DTYPES, pieces_of
-    from product_model.memory import GIGABYTE, NUMBERS_TO_SAVE, check_memory, portion_bytes, pulses_of
+    from product_model.inputs import DTYPES, count_pieces
+    from product_model.memory import GIGABYTE, NUMBERS_TO_SAVE, check_memory, count_pulses, portion_bytes
     from product_model.monte_carlo import widest_grid
     from product_model.record import SUFFIXES, file_bytes
 
     samples, itemsize = widest_grid(params, varied).samples, np.dtype(DTYPES[params.precision]).itemsize
-    one = portion_bytes(samples, pulses_of(params, pieces_of(params)), itemsize, NUMBERS_TO_SAVE)
+    one = portion_bytes(samples, count_pulses(params, count_pieces(params)), itemsize, NUMBERS_TO_SAVE)
     if Path(args.out).suffix not in SUFFIXES[:2]:
         check_memory(args.runs, args.runs * one, "write to .h5, which is done in blocks, or give a larger --sample")
         return args.runs
@@ -280,11 +280,11 @@ def _stream(args: argparse.Namespace) -> None:
     import numpy as np
 
     from product_model import stream
-    from product_model.inputs import grid_of
+    from product_model.inputs import build_grid
     from product_model.portion import in_precision
 
     params, _ = _inputs(args)
-    grid, gravity = grid_of(params), float(params.gravity)
+    grid, gravity = build_grid(params), float(params.gravity)
     state = stream.start(params, args.seed)
     several = jax.jit(lambda state: jax.lax.scan(lambda state, _: stream.step(state), state, None, length=STREAMED))
     print("time_s,force_n,pif_g")

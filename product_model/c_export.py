@@ -6,16 +6,7 @@ from os import PathLike
 from pathlib import Path
 
 from product_model.extended import ADDITIONS, Landings
-from product_model.inputs import (
-    INPUTS,
-    LEAVES,
-    BadInput,
-    Parameters,
-    check,
-    checked_seed,
-    grid_of,
-    pieces_of,
-)
+from product_model.inputs import INPUTS, LEAVES, BadInput, Parameters, build_grid, check, checked_seed, count_pieces
 from product_model.program import temporary_file
 from product_model.record import version
 
@@ -70,7 +61,7 @@ def write_c(
         "main.c": (SOURCES / "main.c").read_text(encoding="utf-8"),
         "README.txt": README.format(
             version=version(),
-            pieces=pieces_of(params),
+            pieces=count_pieces(params),
             mass=1e3 * float(params.m_piece),
             precision=REALS[params.precision],
             form=params.form,
@@ -120,7 +111,7 @@ def source_files(params: Parameters, seed: int, capacity: int) -> dict[str, str]
     header = (SOURCES / "product_model.h").read_text(encoding="utf-8")
     header = set_macro(header, "PRODUCT_MODEL_REAL", REALS[params.precision])
     header = set_macro(
-        header, "PRODUCT_MODEL_MAX_PIECES", str(max(capacity, 2 * pieces_of(params)))
+        header, "PRODUCT_MODEL_MAX_PIECES", str(max(capacity, 2 * count_pieces(params)))
     )
     impacts = 0 if params.landings is None else sum(params.landings.impacts)
     header = set_macro(header, "PRODUCT_MODEL_MAX_IMPACTS", str(impacts))
@@ -153,7 +144,7 @@ def parameter_header(params: Parameters, seed: int) -> str:
     lines = [f"        {value}, /* {_ascii(text)} */ \\" for value, text in values]
     if params.landings is not None:
         lines += _landing_lines(params.landings)
-    grid = grid_of(params)
+    grid = build_grid(params)
     return "\n".join(
         [
             f"/* Parameters of the Product Model, written by product-impact {version()}. */",
@@ -165,7 +156,7 @@ def parameter_header(params: Parameters, seed: int) -> str:
             "    { \\",
             *lines,
             "    }",
-            f"#define PRODUCT_MODEL_PIECES {pieces_of(params)} /* of a portion with these parameters */",
+            f"#define PRODUCT_MODEL_PIECES {count_pieces(params)} /* of a portion with these parameters */",
             f"#define PRODUCT_MODEL_SEED {seed}",
             f"#define PRODUCT_MODEL_DURATION {grid.sample * grid.samples!r} /* (s) until the pieces have landed */",
             "",

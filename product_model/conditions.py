@@ -55,12 +55,12 @@ def product_conditions(
 
 def scene_conditions(scene: "Scene") -> tuple[DropConditions, list[str]]:
     """The same for a scene in which a portion falls from a feed bucket. Raises SceneError."""
-    from dem_jax.build.pieces import goods_of, masses_of
-    from dem_jax.scene.materials import material_table, rows_of_pieces
+    from dem_jax.assembly.piece_arrays import build_piece_set, compute_masses
+    from dem_jax.scene.material_properties import build_material_table, find_piece_rows
 
-    goods, table = goods_of(scene), material_table(scene)
-    masses = masses_of(goods, table)
-    rows = rows_of_pieces(table, goods.materials)
+    goods, table = build_piece_set(scene), build_material_table(scene)
+    masses = compute_masses(goods, table)
+    rows = find_piece_rows(table, goods.materials)
     wall = np.flatnonzero(table.is_wall)[0]
     volumes = np.array([shape.volume for shape in goods.shapes])
     around = np.array([2.0 * shape.bounding_radius for shape in goods.shapes])

@@ -11,9 +11,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from product_model.inputs import BadInput, Parameters, check, checked_seed, pieces_of
+from product_model.inputs import BadInput, Parameters, check, checked_seed, count_pieces
+from product_model.output_path import check_target
 from product_model.program import temporary_file
-from product_model.target import check_target
 
 SLAVE = Path(__file__).with_name("fmu_slave.py")
 LIBRARY = Path(__file__).with_name("fmu_library.so")  # made from fmu_library.c
@@ -46,7 +46,7 @@ def write_fmu(path: str | os.PathLike[str], params: Parameters, seed: int = 0, o
         from pythonfmu.builder import FmuBuilder
     except ImportError as error:
         raise BadInput(f"out = {path}: needs pythonfmu: pip install 'product-impact[fmu]' ({error})") from None
-    with tempfile.TemporaryDirectory() as folder, _imports_kept():
+    with tempfile.TemporaryDirectory() as folder, _preserve_imports():
         inputs, slave = Path(folder) / "inputs.json", Path(folder) / SLAVE.name
         inputs.write_text(json.dumps(_plain(params) | {"seed": seed}), encoding="utf-8")
         shutil.copy2(SLAVE, slave)
@@ -72,7 +72,7 @@ def _copy_with_library(made: Path, path: Path) -> None:
 
 
 @contextmanager
-def _imports_kept() -> Iterator[None]:
+def _preserve_imports() -> Iterator[None]:
     """pythonfmu puts folders into the path of imports and leaves them there."""
     path = list(sys.path)
     try:
@@ -84,5 +84,5 @@ def _imports_kept() -> Iterator[None]:
 
 def _plain(params: Parameters) -> dict[str, float | int | str | None]:
     """All inputs as plain numbers and strings, with the number of pieces."""
-    values = {f.name: getattr(params, f.name) for f in dataclasses.fields(params)} | {"pieces": pieces_of(params)}
+    values = {f.name: getattr(params, f.name) for f in dataclasses.fields(params)} | {"pieces": count_pieces(params)}
     return {name: value if isinstance(value, int | str | None) else float(value) for name, value in values.items()}

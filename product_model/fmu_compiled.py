@@ -13,15 +13,7 @@ from pathlib import Path
 
 from product_model.c_export import SOURCES, source_files
 from product_model.fmu import check_fmu
-from product_model.fmu_description import (
-    IDENTIFIER,
-    MODEL,
-    UnitKind,
-    Variable,
-    describe_build,
-    describe_model,
-    variables_of,
-)
+from product_model.fmu_description import IDENTIFIER, MODEL, UnitKind, Variable, describe_build, describe_model, list_variables
 from product_model.inputs import BadInput, Parameters, check, checked_seed
 from product_model.program import temporary_file
 
@@ -74,7 +66,7 @@ def write_compiled_fmu(
         files[name] = (SOURCES / name).read_text(encoding="utf-8")
     token = hashlib.sha256("".join(files.values()).encode()).hexdigest()
     files["product_model_parameters.h"] += f'\n#define PRODUCT_MODEL_TOKEN "{token}"\n'
-    return pack_unit(path, compiler, files, MODEL, variables_of(params, seed), params.sample, token, fmi)
+    return pack_unit(path, compiler, files, MODEL, list_variables(params, seed), params.sample, token, fmi)
 
 
 def require_compiler(path: Path) -> str:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from product_model.c_export import FIELDS
 from product_model.extended import ADDITIONS
-from product_model.inputs import INPUTS, LEAVES, Input, Parameters, pieces_of
+from product_model.inputs import INPUTS, LEAVES, Input, Parameters, count_pieces
 from product_model.record import version
 
 IDENTIFIER = "product_model"
@@ -63,7 +63,7 @@ class Variable:
     minimum: str | None = None
 
 
-def variables_of(params: Parameters, seed: int) -> list[Variable]:
+def list_variables(params: Parameters, seed: int) -> list[Variable]:
     """The variables of a unit of these inputs."""
     rows = {row.name: row for row in INPUTS}
     span = "at the end of the step" if params.form == "rectangular" else "mean over the step"
@@ -73,7 +73,7 @@ def variables_of(params: Parameters, seed: int) -> list[Variable]:
         *(_real_parameter(rows[name], rows[name].meaning, float(getattr(params, name))) for name in LEAVES),
         *_landing_parameters(params),
         _real_parameter(rows["m_target"], target, 0.0),
-        _integer_parameter("pieces", PIECES, "tunable", rows["pieces"].meaning, pieces_of(params), 1),
+        _integer_parameter("pieces", PIECES, "tunable", rows["pieces"].meaning, count_pieces(params), 1),
         _integer_parameter("seed", SEED, "fixed", "seed of the random numbers", seed, 0),
         Variable("release", RELEASE, "boolean", "input", "discrete", release, start="false"),
         _output("force", FORCE, f"total impact force, {span}", "N"),

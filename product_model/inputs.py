@@ -186,7 +186,7 @@ def _plain(value: Any) -> Any:
     return value.item() if hasattr(value, "item") and getattr(value, "ndim", 1) == 0 else value
 
 
-def pieces_of(params: Parameters) -> int:
+def count_pieces(params: Parameters) -> int:
     """Number of pieces n: as given, else eq. 16. Under jit, grad or vmap over m_piece it must be given."""
     if params.pieces is not None:
         return params.pieces
@@ -195,7 +195,7 @@ def pieces_of(params: Parameters) -> int:
     return number_of_pieces(params.m_target, float(params.m_piece))
 
 
-def grid_of(params: Parameters) -> Grid:
+def build_grid(params: Parameters) -> Grid:
     """The sample times. Under jit, grad or vmap over the drop heights the duration must be given."""
     if params.duration is not None:
         return grid_over(params.start, params.duration, params.sample)

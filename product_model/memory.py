@@ -16,7 +16,7 @@ def portion_bytes(samples: int, pulses: int, itemsize: int, numbers: tuple[int, 
     return itemsize * (numbers[0] * samples + numbers[1] * pulses)
 
 
-def pulses_of(params: Parameters, pieces: int) -> int:
+def count_pulses(params: Parameters, pieces: int) -> int:
     """Number of pulses of a portion, by which its memory is counted: those of the extended model are a few for each piece."""
     return pieces if params.landings is None else pieces * (1 + sum(params.landings.impacts))
 

@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike
 
 from product_model.extended import ADDED
 from product_model.grid import Grid
-from product_model.inputs import DTYPES, LEAVES, BadInput, Parameters, check, grid_of
-from product_model.memory import GIGABYTE, available_memory, check_memory, portion_bytes, pulses_of
-from product_model.portion import Key, Leaves, Trace, as_key, in_precision, leaves_of, portion, static_of
+from product_model.inputs import DTYPES, LEAVES, BadInput, Parameters, build_grid, check
+from product_model.memory import GIGABYTE, available_memory, check_memory, count_pulses, portion_bytes
+from product_model.portion import Key, Leaves, Trace, as_key, in_precision, parameter_leaves, portion, static_parameters
 
 SHORTENING = ("gravity",)  # inputs whose largest value makes the shortest portions
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
@@ -57,7 +57,7 @@ class _Prepared:
 def widest_grid(params: Parameters, varied: Mapping[str, np.ndarray]) -> Grid:
     """The sample times of portions of which some leaves vary, name -> [runs]: long enough for the largest."""
     ends = {name: float((np.min if name in SHORTENING else np.max)(column)) for name, column in varied.items()}
-    return grid_of(_with_values(params, ends))
+    return build_grid(_with_values(params, ends))
 
 
 def _prepare(params: Parameters, key: Key, runs: int, varied: Mapping[str, ArrayLike] | None) -> _Prepared:
@@ -74,8 +74,8 @@ def _prepare(params: Parameters, key: Key, runs: int, varied: Mapping[str, Array
         check(_with_values(params, {name: float(column[k(column)]) for name, column in values.items()}))
     keys = jax.random.split(as_key(key), runs)
     own = {name: column.astype(DTYPES[params.precision]) for name, column in values.items()}
-    static = static_of(params) | {"grid": widest_grid(params, values)}
-    return _Prepared(leaves_of(params), keys, tuple(static.items()), own)
+    static = static_parameters(params) | {"grid": widest_grid(params, values)}
+    return _Prepared(parameter_leaves(params), keys, tuple(static.items()), own)
 
 
 def ensemble(params: Parameters, key: Key, runs: int, varied: Mapping[str, ArrayLike] | None = None) -> Trace:
@@ -90,7 +90,7 @@ def ensemble(params: Parameters, key: Key, runs: int, varied: Mapping[str, Array
         prepared = _prepare(params, key, runs, varied)
         static = dict(prepared.static)
         itemsize = np.dtype(DTYPES[params.precision]).itemsize
-        needed = runs * portion_bytes(static["grid"].samples, pulses_of(params, static["pieces"]), itemsize)
+        needed = runs * portion_bytes(static["grid"].samples, count_pulses(params, static["pieces"]), itemsize)
         check_memory(runs, needed, "use ensemble_blocks, a larger sample or f32")
         if needed > (available_memory() or math.inf) / 2:
             warnings.warn(f"{runs} portions take {needed / GIGABYTE:.1f} GB of memory; ensemble_blocks takes less", stacklevel=2)

@@ -17,7 +17,7 @@ from product_model import smooth as smoothed
 from product_model.draws import DType
 from product_model.extended import LandingPulses, count_numbers, landing_numbers, landing_pulses
 from product_model.grid import Grid
-from product_model.inputs import DTYPES, LEAVES, Parameters, check, checked_seed, grid_of, pieces_of
+from product_model.inputs import DTYPES, LEAVES, Parameters, build_grid, check, checked_seed, count_pieces
 
 Key = int | np.integer | jax.Array  # a random key of JAX, or an integer seed
 Leaves = dict[str, Any]  # name -> [] array
@@ -76,8 +76,8 @@ class Trace:
         end, weight = (np.asarray(values, np.float64) for values in _in_double(self.pulses).weight_steps())
         mass = weight / np.asarray(self._over_time(self.gravity), np.float64)
         if end.ndim == 1:
-            return _settled(self.time, end, mass)
-        return np.stack([_settled(self.time, e, m) for e, m in zip(end, mass, strict=True)])
+            return _settled_mass(self.time, end, mass)
+        return np.stack([_settled_mass(self.time, e, m) for e, m in zip(end, mass, strict=True)])
 
     def _over_time(self, value: Any) -> Any:
         return value[..., None] if getattr(value, "ndim", 0) else value
@@ -95,7 +95,7 @@ def _in_double(pulses: Any) -> Any:
     return jax.tree.map(lambda leaf: np.asarray(leaf, np.float64), pulses)
 
 
-def _settled(time: np.ndarray, end: np.ndarray, mass: np.ndarray) -> np.ndarray:
+def _settled_mass(time: np.ndarray, end: np.ndarray, mass: np.ndarray) -> np.ndarray:
     order = np.argsort(end)
     total = np.concatenate([[0.0], np.cumsum(mass[order])])
     return total[np.searchsorted(end[order], time, side="right")]
@@ -160,7 +160,7 @@ def in_precision(params: Parameters) -> contextlib.AbstractContextManager[Any]:
     return jax.enable_x64(True) if needed else contextlib.nullcontext()
 
 
-def leaves_of(params: Parameters) -> Leaves:
+def parameter_leaves(params: Parameters) -> Leaves:
     """The leaves of `params` in its precision; call it inside `in_precision`."""
     dtype = DTYPES[params.precision]
     leaves = {name: _cast(getattr(params, name), dtype) for name in LEAVES}
@@ -174,11 +174,11 @@ def _cast(value: Any, dtype: DType) -> np.ndarray | jax.Array:
     return jnp.asarray(value).astype(dtype) if isinstance(value, jax.Array) else np.asarray(value, dtype)
 
 
-def static_of(params: Parameters) -> dict[str, Any]:
+def static_parameters(params: Parameters) -> dict[str, Any]:
     """The static choices that fix the program: a new set compiles anew."""
     return {
-        "pieces": pieces_of(params),
-        "grid": grid_of(params),
+        "pieces": count_pieces(params),
+        "grid": build_grid(params),
         "form": params.form,
         "smooth_width": params.smooth_width,
     }
@@ -198,7 +198,7 @@ def simulate(params: Parameters, key: Key) -> Trace:
     """
     check(params)
     with in_precision(params):
-        return portion(leaves_of(params), as_key(key), **static_of(params))
+        return portion(parameter_leaves(params), as_key(key), **static_parameters(params))
 
 
 def compiled(params: Parameters) -> Callable[[jax.Array], Trace]:
@@ -210,11 +210,11 @@ def compiled(params: Parameters) -> Callable[[jax.Array], Trace]:
     program, each array of which costs microseconds; the rest is made once.
     """
     check(params)
-    static = static_of(params)
+    static = static_parameters(params)
     if params.landings is not None:
         return _compiled_landings(params, static)
     with in_precision(params):
-        leaves = leaves_of(params)
+        leaves = parameter_leaves(params)
         weight = jnp.full(static["pieces"], leaves["m_piece"] * leaves["gravity"])
         duration, gravity = jnp.asarray(leaves["dt_impact"]), jnp.asarray(leaves["gravity"])
 
@@ -233,7 +233,7 @@ def compiled(params: Parameters) -> Callable[[jax.Array], Trace]:
 
 def _compiled_landings(params: Parameters, static: dict[str, Any]) -> Callable[[jax.Array], Trace]:
     with in_precision(params):
-        leaves = leaves_of(params)
+        leaves = parameter_leaves(params)
     run = jax.jit(lambda key: portion(leaves, key, **static))
     return run if isinstance(in_precision(params), contextlib.nullcontext) else _within_x64(run)
 

@@ -17,7 +17,7 @@ from product_model.grid import Grid
 from product_model.model import Triangles
 
 
-class Pulses(Protocol):
+class PulseTrain(Protocol):
     """What a force is made of: jumps, and triangles if there are any."""
 
     def edges(self) -> tuple[jax.Array, jax.Array]:
@@ -48,7 +48,7 @@ def in_samples(times: jax.Array, grid: Grid, margin: int = 0) -> jax.Array:
     return jnp.clip((times - grid.start) / grid.sample, -float(margin), float(grid.samples + 1 + margin))
 
 
-def rectangular(pulses: Pulses, grid: Grid) -> jax.Array:
+def rectangular(pulses: PulseTrain, grid: Grid) -> jax.Array:
     """The paper's form: force [T] (N) at each sample time, t_i <= t_k < t_i + Delta t for the rectangle of piece i.
 
     A pulse covers the samples that fall into it: Delta t/sample of them on average, exactly so where that is a whole
@@ -61,7 +61,7 @@ def rectangular(pulses: Pulses, grid: Grid) -> jax.Array:
     return cumulative_sum(with_ramps(changes, pulses, grid, sampled_ramp))
 
 
-def interval_mean(pulses: Pulses, grid: Grid) -> jax.Array:
+def interval_mean(pulses: PulseTrain, grid: Grid) -> jax.Array:
     """Mean of the force over the interval that ends at each sample time: [T] (N).
 
     Exact for every Delta t, also below one sample; the impulse of the samples is m v to rounding. Piecewise linear
@@ -70,7 +70,7 @@ def interval_mean(pulses: Pulses, grid: Grid) -> jax.Array:
     return cumulative_sum(with_ramps(deposits(pulses, grid), pulses, grid, mean_ramp))
 
 
-def deposits(pulses: Pulses, grid: Grid) -> jax.Array:
+def deposits(pulses: PulseTrain, grid: Grid) -> jax.Array:
     """Changes [T] (N) of the interval mean from one sample to the next: each edge's jump, shared by two neighbours."""
     times, jumps = pulses.edges()
     position = in_samples(times, grid)
@@ -120,7 +120,7 @@ class Corners:
         return jnp.concatenate([parts, (self.change - jnp.sum(parts, axis=0))[None]])
 
 
-def corners_of(triangles: Triangles, grid: Grid) -> Corners:
+def triangle_corners(triangles: Triangles, grid: Grid) -> Corners:
     """The corners of `triangles`."""
     start, half = (triangles.start - grid.start) / grid.sample, triangles.half / grid.sample
     slope = triangles.slope * grid.sample
@@ -135,12 +135,12 @@ def round_to(values: jax.Array, quantum: jax.Array) -> jax.Array:
     return values + lax.stop_gradient(jnp.round(values / quantum) * quantum - values)
 
 
-def with_ramps(changes: jax.Array, pulses: Pulses, grid: Grid, ramp: Ramp) -> jax.Array:
+def with_ramps(changes: jax.Array, pulses: PulseTrain, grid: Grid, ramp: Ramp) -> jax.Array:
     """`changes` [T] (N) of the force from one sample to the next, with those of the ramps of `pulses` if there are any."""
     triangles = pulses.triangles(wide_dtype())
     if triangles is None:
         return changes
-    corners = corners_of(triangles, grid)
+    corners = triangle_corners(triangles, grid)
     position = jnp.minimum(corners.position, float(grid.samples + 1))
     whole = jnp.floor(position)
     parts = corners.shared(jnp.stack(ramp(position - whole)))

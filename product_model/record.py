@@ -13,10 +13,10 @@ import numpy as np
 from product_model.extended import ADDITIONS
 from product_model.inputs import INPUTS, LEAVES, BadInput, Parameters, checked_seed
 from product_model.memory import GIGABYTE
+from product_model.output_path import check_target
 from product_model.portion import Trace, in_precision
 from product_model.program import temporary_file
 from product_model.pulses import rectangular
-from product_model.target import check_target
 
 FileName = str | PathLike[str]
 
@@ -109,7 +109,7 @@ def _check_disk(path: Path, runs: int, trace: Trace) -> None:
         raise BadInput(f"out = {path}: {sizes}; give a larger --sample")
 
 
-def inputs_of(params: Parameters, trace: Trace) -> dict[str, Any]:
+def list_inputs(params: Parameters, trace: Trace) -> dict[str, Any]:
     """All inputs as plain numbers and strings, with the number of pieces and the length that were used."""
     values = {f.name: getattr(params, f.name) for f in dataclasses.fields(params) if f.name != "landings"}
     values |= {name: float(values[name]) for name in LEAVES}
@@ -123,7 +123,7 @@ def scene_text(params: Parameters, trace: Trace) -> str:
     """The inputs as TOML text."""
     lines = ['base = "product-model"', "", "[portion]", f"count = {trace.height.shape[-1]}"]
     lines += [f"piece_mass = {float(params.m_piece)!r}", f"target_weight = {params.m_target!r}", "", "[product_model]"]
-    for name, value in inputs_of(params, trace).items():
+    for name, value in list_inputs(params, trace).items():
         lines.append(f'{name} = "{value}"' if isinstance(value, str) else f"{name} = {value!r}")
     return "\n".join(lines) + "\n"
 
@@ -241,7 +241,7 @@ def _csv(path: Path, trace: Trace, params: Parameters, seed: int | None, varied:
 def _mat(path: Path, trace: Trace, params: Parameters, seed: int | None, varied: Mapping[str, np.ndarray]) -> None:
     from scipy.io import savemat
 
-    inputs = {k: np.nan if v is None else v for k, v in inputs_of(params, trace).items()} | dict(varied)
+    inputs = {k: np.nan if v is None else v for k, v in list_inputs(params, trace).items()} | dict(varied)
     arrays = {"time_s": trace.time, "force_n": np.asarray(trace.force), "pif_g": np.asarray(trace.pif_g)}
     with open(path, "wb") as file:
         savemat(file, arrays | {"settled_mass_kg": trace.settled_mass(), "inputs": inputs}, oned_as="column")

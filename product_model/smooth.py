@@ -12,7 +12,7 @@ from jax.scipy.special import erf, ndtr
 
 from product_model.grid import Grid
 from product_model.model import Numbers
-from product_model.pulses import Pulses, corners_of, cumulative_sum, in_samples, ramp_changes, wide_dtype
+from product_model.pulses import PulseTrain, cumulative_sum, in_samples, ramp_changes, triangle_corners, wide_dtype
 
 REACH = 8.5  # standard deviations beyond which a Gaussian edge is 0 or 1 to double precision
 
@@ -33,7 +33,7 @@ def _ramp(u: jax.Array) -> jax.Array:
     return jnp.maximum(u, 0.0) + below * ndtr(below) + jnp.exp(-0.5 * u * u) / math.sqrt(2.0 * math.pi)
 
 
-def smooth(pulses: Pulses, grid: Grid, width: float) -> jax.Array:
+def smooth(pulses: PulseTrain, grid: Grid, width: float) -> jax.Array:
     """Interval mean of the smoothed force: [T] (N). width: (s), positive and static; the cost grows with width/sample.
 
     Each edge deposits the second differences of the ramp on the bins within `REACH` widths. Their sum and their
@@ -52,12 +52,12 @@ def smooth(pulses: Pulses, grid: Grid, width: float) -> jax.Array:
     return cumulative_sum(_with_smooth_ramps(changes, pulses, grid, bins))
 
 
-def _with_smooth_ramps(changes: jax.Array, pulses: Pulses, grid: Grid, bins: float) -> jax.Array:
+def _with_smooth_ramps(changes: jax.Array, pulses: PulseTrain, grid: Grid, bins: float) -> jax.Array:
     """`changes` [T] (N) of the force with those of the smoothed ramps. bins: width of the Gaussian in samples."""
     triangles = pulses.triangles(wide_dtype())
     if triangles is None:
         return changes
-    corners = corners_of(triangles, grid)
+    corners = triangle_corners(triangles, grid)
     reach = math.ceil(REACH * bins) + 1
     position = jnp.minimum(corners.position, float(grid.samples + reach + 3))
     whole = jnp.floor(position)

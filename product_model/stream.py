@@ -14,8 +14,8 @@ import jax.numpy as jnp
 from product_model.grid import Grid
 from product_model.inputs import BadInput, Parameters, check
 from product_model.model import Triangles
-from product_model.portion import Key, as_key, in_precision, leaves_of, portion, static_of
-from product_model.pulses import Pulses, corners_of, mean_ramp, sampled_ramp, wide_dtype
+from product_model.portion import Key, as_key, in_precision, parameter_leaves, portion, static_parameters
+from product_model.pulses import PulseTrain, mean_ramp, sampled_ramp, triangle_corners, wide_dtype
 
 _FAR = 2**30  # sample number no stream reaches
 
@@ -51,9 +51,9 @@ def start(params: Parameters, key: Key) -> Stream:
     check(params)
     if params.form == "smooth":
         raise BadInput("form = smooth: a stream is rectangular or interval-mean")
-    static = static_of(params)
+    static = static_parameters(params)
     with in_precision(params):
-        pulses = portion(leaves_of(params), as_key(key), **static).pulses
+        pulses = portion(parameter_leaves(params), as_key(key), **static).pulses
         triangles = pulses.triangles(wide_dtype())
         if triangles is not None:
             return _sorted_corners(pulses, triangles, static["grid"], params.form)
@@ -61,7 +61,7 @@ def start(params: Parameters, key: Key) -> Stream:
 
 
 @partial(jax.jit, static_argnames=("grid", "form"))
-def _sorted_edges(pulses: Pulses, grid: Grid, form: str) -> Stream:
+def _sorted_edges(pulses: PulseTrain, grid: Grid, form: str) -> Stream:
     """Compiled as the batch form is, whose division by the sample time some versions of XLA round otherwise."""
     times, jumps = pulses.edges()
     position = (times - grid.start) / grid.sample
@@ -80,11 +80,11 @@ def _sorted_edges(pulses: Pulses, grid: Grid, form: str) -> Stream:
 
 
 @partial(jax.jit, static_argnames=("grid", "form"))
-def _sorted_corners(pulses: Pulses, triangles: Triangles, grid: Grid, form: str) -> Stream:
+def _sorted_corners(pulses: PulseTrain, triangles: Triangles, grid: Grid, form: str) -> Stream:
     """The stream of a force that has slopes; sums are taken in the widest dtype, as rounding errors of a slope grow with time."""
     wide, dtype = wide_dtype(), pulses.edges()[1].dtype
     edges, jumps = pulses.edges()
-    corners = corners_of(triangles, grid)
+    corners = triangle_corners(triangles, grid)
     position = jnp.concatenate([(edges.astype(wide) - grid.start) / grid.sample, corners.position.reshape(-1)])
     jump = jnp.concatenate([jumps.astype(wide), jnp.zeros(corners.change.size, wide)])
     slope = jnp.concatenate([jnp.zeros(len(jumps), wide), corners.change.reshape(-1)])

@@ -7,7 +7,7 @@ Each parameter has a coordinate u (`coordinates`), and
 The physics scales lengths with the piece, lengths of pulses with the time of contact sqrt(m / (E L)),
 times between impacts with L over the speed of impact, and the release with the opening time of the
 flaps. x_k are logarithms of dimensionless conditions of the drop, their products, and restitution
-and friction; the b_k are learnt from ensembles of simulated drops (`calibrate.transfer`) and shipped
+and friction; the b_k are learnt from ensembles of simulated drops (`calibrate.transfer_fit`) and shipped
 as a table with a version.
 
 The drop height h_mean follows from the momentum of the portion, which scatters by one or two percent

@@ -17,13 +17,13 @@ os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
 import jax  # noqa: E402
 import pytest  # noqa: E402
 
-from dem_jax import compiling  # noqa: E402
-from dem_jax.drive import programs  # noqa: E402
+from dem_jax import xla_flags  # noqa: E402
+from dem_jax.runner import programs  # noqa: E402
 
-compiling.loops_as_one()  # as in production, before anything is compiled
+xla_flags.set_loop_flags()  # as in production, before anything is compiled
 # Unlike in production (which notebooks and tests of the command line run): compiles in two thirds of the time, and the
 # program takes 0.8 to 1.05 times as long.
-compiling.OPTIONS["cpu"]["xla_backend_optimization_level"] = 2
+xla_flags.BACKEND_OPTIONS["cpu"]["xla_backend_optimization_level"] = 2
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_enable_x64", True)
@@ -39,6 +39,6 @@ def _in_an_empty_folder(tmp_path, monkeypatch):
 def _compiled_for_one_module():
     """Programs are forgotten after each file, few of which share any: else a worker grows to several gigabytes."""
     yield
-    programs.KEPT.clear()
+    programs.EXECUTABLES.clear()
     jax.clear_caches()
     gc.collect()

@@ -13,15 +13,15 @@ from pathlib import Path
 import pytest
 
 from calibrate.__main__ import _parser as parser_of_calibrate
-from dem_jax.cli.main import parser
-from dem_jax.scene.changes import parse_setting
+from dem_jax.cli.main import build_parser
 from dem_jax.scene.scene import Scene
-from dem_jax.study.table import Study
+from dem_jax.scene.tree_merging import parse_setting
+from dem_jax.study.config import Study
 from product_model.__main__ import _parser as parser_of_product_model
 
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
-PROGRAMS = {"dem_jax": parser, "product_model": parser_of_product_model, "calibrate": parser_of_calibrate}
+PROGRAMS = {"dem_jax": build_parser, "product_model": parser_of_product_model, "calibrate": parser_of_calibrate}
 COMMAND = re.compile(r"(?:python -m (dem_jax|product_model|calibrate)|\b(dem-jax|product-model|calibrate)) ([^`|#>]*)")
 
 

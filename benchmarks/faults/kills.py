@@ -27,7 +27,7 @@ PATIENCE = 600.0  # s
 LATE = 0.8  # share of the kills that wait until there may be a file
 PROGRAM = """
 import sys
-from dem_jax.store.writer import Writer
+from dem_jax.io.writer import Writer
 first = Writer.__init__
 Writer.__init__ = lambda self, path, header, exists, interval: first(self, path, header, exists, 0.0)
 from dem_jax.cli.main import main

@@ -221,35 +221,35 @@ def _numbers(tree: Any) -> Any:
 
 
 def _study(path: Path, _: str) -> str | None:
-    from dem_jax.study.table import load_study
+    from dem_jax.study.config import load_study
 
-    scenes = [load_study(path, quick).base() for quick in (False, True)]  # which checks what is set
+    scenes = [load_study(path, quick).base_scene() for quick in (False, True)]  # which checks what is set
     numbers = [x for scene in scenes for x in _numbers(scene.model_dump())]
     return None if np.isfinite(numbers).all() else "a number that is not finite"
 
 
 def _wall(path: Path, _: str) -> str | None:
-    from dem_jax.build import system
+    from dem_jax.assembly import system
 
     wall = [{"group": "plate", "stl": path.name, "unit": 1e-3}]
     scene = dem_jax.load_scene("plate-drop").replace(wall=wall, block=[]).model_copy(update={"folder": str(path.parent)})
-    panels = [row.corners for row in system.self_contained(scene).wall]
+    panels = [row.corners for row in system.inline_files(scene).wall]
     return None if panels and np.isfinite(np.concatenate(panels)).all() else "panels that are not finite, or none"
 
 
 def _piece(path: Path, _: str) -> str | None:
-    from dem_jax.shapes import hull_of_stl
+    from dem_jax.shapes import read_hull_shape
 
-    shape = hull_of_stl(path, 1e-3)
+    shape = read_hull_shape(path, 1e-3)
     return None if np.isfinite(shape.vertices).all() and shape.volume > 0 else "a body that is not finite"
 
 
 def _motion(path: Path, _: str) -> str | None:
-    from dem_jax.build import system
+    from dem_jax.assembly import system
 
     motion = [{"group": "plate", "table": path.name}]
     scene = dem_jax.load_scene("plate-drop").replace(motion=motion).model_copy(update={"folder": str(path.parent)})
-    row = system.self_contained(scene).motion[0]
+    row = system.inline_files(scene).motion[0]
     values = [row.times or (), row.angles_deg or (), *(row.ways or ())]
     if not all(np.isfinite(v).all() for v in values):
         return "rows that are not finite"
@@ -266,14 +266,14 @@ def _forces(path: Path, _: str) -> str | None:
 
 
 def _results(path: Path, name: str) -> str | None:
-    from dem_jax.store import record
+    from dem_jax.io import run_files
 
-    run = record.load_run(path)
-    wrong = _unlike(record.series_of(run), record.series_of(_saved(str(path.parent / name))))
+    run = run_files.load_run(path)
+    wrong = _unlike(run_files.collect_series(run), run_files.collect_series(_saved(str(path.parent / name))))
     if wrong:
         return wrong
     try:
-        record.load_restart(path)
+        run_files.load_restart(path)
     except RecordError as error:
         return None if len(str(error).splitlines()) == 1 else "many lines"
     return None
@@ -293,9 +293,9 @@ def _unlike(found: dict[str, np.ndarray], saved: dict[str, np.ndarray]) -> str |
 
 
 def _model(path: Path, name: str) -> str | None:
-    from dem_jax.weighing.traces import trace_of_file
+    from dem_jax.weighing.traces import load_trace
 
-    (found, _), (saved, _) = trace_of_file(path), trace_of_file(path.parent / name)
+    (found, _), (saved, _) = load_trace(path), load_trace(path.parent / name)
     return _unlike({"weight": found.weight, "time": found.time}, {"weight": saved.weight, "time": saved.time})
 
 

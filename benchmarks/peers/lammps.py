@@ -8,7 +8,7 @@ import numpy as np
 
 from benchmarks.peers import packing as p
 from benchmarks.peers.child import Child
-from dem_jax.maths.pose import matrix_of_quaternion
+from dem_jax.math.pose import quaternion_to_matrix
 
 SKIN = 0.002  # m
 ROUND = 1e-3  # m: diameter of the rounding; the corners are drawn in by half of it
@@ -110,7 +110,7 @@ def body_data(box: p.Packing) -> str:
     links = itertools.chain(edges, sides)
     tail = [f"{x}" for row in links for x in row] + [f"{ROUND}"]
     atoms, shapes = [], []
-    for n, (x, turn) in enumerate(zip(box.position, matrix_of_quaternion(box.orientation), strict=True), 1):
+    for n, (x, turn) in enumerate(zip(box.position, quaternion_to_matrix(box.orientation), strict=True), 1):
         atoms.append(f"{n} 1 1 {p.MASS} {x[0]:.9g} {x[1]:.9g} {x[2]:.9g}")
         inertia = turn @ np.diag(p.INERTIA) @ turn.T
         moments = [inertia[i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]

@@ -16,12 +16,12 @@ def pieces(path, _):
 
 def start(box: p.Packing):
     """The box as a job that is set up, in single precision, at the poses of a packing."""
-    from dem_jax.drive.prepare import prepare
+    from dem_jax.runner.job_setup import prepare_job
 
     settings = {"step": p.STEP, "sample": SUBSTEPS * p.STEP, "duration": 1e3, "frames": 0.0, "energy": False}
     material = {"restitution": p.RESTITUTION}
     scene = p.scene(box.shape, box.width, box.height, box.position, box.orientation, material, settings)
-    job = prepare(scene, (0,), None)
+    job = prepare_job(scene, (0,), None)
     state = job.state
     known = state.guard.replace(start_overlap=0 * state.guard.start_overlap)  # settled pieces overlap a little
     return replace(job, state=state.replace(guard=known))
@@ -34,14 +34,14 @@ class Advance:
         self.job, self.system, self.state, self.at = job, job.system, job.state, 0
 
     def __call__(self, steps):
-        from dem_jax.drive.chunk import SAMPLES
-        from dem_jax.drive.progress import Progress
-        from dem_jax.drive.span import advance
+        from dem_jax.runner.chunk import CHUNK_SAMPLES
+        from dem_jax.runner.chunk_result import compute_chunk
+        from dem_jax.runner.progress import Progress
 
         end = self.at + max(1, round(steps / SUBSTEPS))
         while self.at < end:
-            count = min(SAMPLES, end - self.at)
-            span = advance(self.job, self.system, self.state, self.at, count, Progress(self.job, False))
+            count = min(CHUNK_SAMPLES, end - self.at)
+            span = compute_chunk(self.job, self.system, self.state, self.at, count, Progress(self.job, False))
             self.system, self.state, self.at = span.system, span.state, self.at + count
 
 

@@ -43,7 +43,7 @@ def build(box, p):
         PolyhedraMat,
     )
 
-    from dem_jax.maths.pose import matrix_of_quaternion
+    from dem_jax.math.pose import quaternion_to_matrix
 
     scene = Omega()
     # Force = young * volume of the overlap: as stiff as ours for two faces of 10 cm2.
@@ -52,7 +52,7 @@ def build(box, p):
     for axis, place, sense in ((2, 0.0, 1), (0, -half, 1), (0, half, -1), (1, -half, 1), (1, half, -1)):
         scene.bodies.append(utils.wall(place, axis=axis, sense=sense, material=material))
     corners = p.vertices() if box.corners is None else box.corners
-    for position, turn in zip(box.position, matrix_of_quaternion(box.orientation)):  # noqa: B905  (YADE's own, older Python)
+    for position, turn in zip(box.position, quaternion_to_matrix(box.orientation)):  # noqa: B905  (YADE's own, older Python)
         points = [Vector3(*map(float, v)) for v in corners @ turn.T + position]
         scene.bodies.append(polyhedra_utils.polyhedra(material, v=points))
     scene.engines = [

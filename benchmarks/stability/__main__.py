@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from benchmarks import report
 from benchmarks.stability.axes import AXES
 from benchmarks.stability.trials import Outcome, tried
-from dem_jax import compiling
+from dem_jax import xla_flags
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -21,7 +21,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--quick", action="store_true", help="shorter rest, fewer runs")
     parser.add_argument("--only", nargs="+", default=None, help="axes whose names contain any of these")
     options = parser.parse_args(argv)
-    compiling.loops_as_one()
+    xla_flags.set_loop_flags()
     chosen = [name for name in AXES if not options.only or any(words in name for words in options.only)]
     start, outcomes = time.perf_counter(), []
     for name in chosen:

@@ -10,11 +10,11 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.shapes import faces, needle, plate
 from benchmarks.stability.trials import GROWTH, Trial
-from dem_jax import SceneError, build, load_scene
-from dem_jax.drive.prepare import prepare
+from dem_jax import SceneError, assembly, load_scene
+from dem_jax.io.run_files import Run
+from dem_jax.runner.job_setup import prepare_job
 from dem_jax.scene import Scene
-from dem_jax.shapes import parts_of
-from dem_jax.store.record import Run
+from dem_jax.shapes import list_parts
 
 MARSHMALLOW = {"shape": "chamfered-cuboid"}
 SPHERE = {"shape": "sphere", "radius": 0.01}
@@ -34,10 +34,10 @@ def landing(piece: dict = MARSHMALLOW, speed: float = 1.5, spin: float = 5.0, ti
 
 def _lowest(piece: dict) -> float:
     """The lowest point of a tilted piece (m), relative to its centre of mass."""
-    (shape,) = build.build(pieces([piece | {"position": (0.0, 0.0, 1.0)}]), 0).shapes
-    points = [part.centre + part.shape.vertices if part.shape.radius == 0 else [part.centre] for part in parts_of(shape)]
+    (shape,) = assembly.assemble_system(pieces([piece | {"position": (0.0, 0.0, 1.0)}]), 0).shapes
+    points = [part.centre + part.shape.vertices if part.shape.radius == 0 else [part.centre] for part in list_parts(shape)]
     height = Rotation.from_quat(TILTED, scalar_first=True).apply(np.concatenate(points))[:, 2]
-    return float(height.min() - max(part.shape.radius for part in parts_of(shape)))
+    return float(height.min() - max(part.shape.radius for part in list_parts(shape)))
 
 
 def pieces(rows: Sequence[dict], **changes: Any) -> Scene:
@@ -58,13 +58,13 @@ def time_steps(_: bool) -> Iterator[Trial]:
 
     def at(piece: dict, part: float) -> Scene:
         scene = landing(piece, material__restitution=1.0, run__precision="f64")
-        limit = prepare(scene, (0,), None).built.step.linear_limit
+        limit = prepare_job(scene, (0,), None).built.step.linear_limit
         step = {"run.step": part * limit, "run.sample": part * limit, "run.allow_unstable_step": True}
         return scene.replace(step | {"run.duration": 0.03})
 
     def expected(piece: dict, part: float) -> float:
         try:
-            return max(0.01, prepare(at(piece, part), (0,), None).built.step.error)
+            return max(0.01, prepare_job(at(piece, part), (0,), None).built.step.error)
         except SceneError:
             return 0.0
 

@@ -123,23 +123,23 @@ def _bare(annotation: Any) -> Any:
 def outcome(case: Case) -> tuple[str, str]:
     """What came of it, and in which words."""
     from dem_jax import load_scene
-    from dem_jax.drive.interface import drive
-    from dem_jax.drive.prepare import prepare
     from dem_jax.errors import RecordError, SceneError, SimulationError
-    from dem_jax.store.record import series_of
+    from dem_jax.io.run_files import collect_series
+    from dem_jax.runner.interface import run_job
+    from dem_jax.runner.job_setup import prepare_job
 
     base, changes = SCENES[case.scene]
     try:
         scene = load_scene(base, changes).replace({case.key: case.value})
-        job = prepare(scene, (0,), None)
+        job = prepare_job(scene, (0,), None)
         if _steps(job) > STEPS:
             less = {"run.duration": 100 * scene.run.sample}
             less |= {"portion.settling_time": 100 * scene.run.sample} if scene.portion else {}
-            job = prepare(scene.replace(less), (0,), None)
+            job = prepare_job(scene.replace(less), (0,), None)
         pieces = job.system.pieces.mass.shape[0]
         if _steps(job) * pieces > LONG:
             return "long", f"{_steps(job):.3g} steps of {pieces} pieces"
-        bad = [name for name, array in series_of(drive(job)).items() if not np.isfinite(array).all()]
+        bad = [name for name, array in collect_series(run_job(job)).items() if not np.isfinite(array).all()]
         return ("not finite", ", ".join(bad)) if bad else ("finite", "")
     except (SceneError, SimulationError, RecordError) as error:
         lines = str(error).splitlines()

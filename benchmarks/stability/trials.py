@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from dem_jax import SceneError, SimulationError, ensemble, simulate
+from dem_jax.io.run_files import Run, collect_series
 from dem_jax.scene import Scene
-from dem_jax.store.record import Run, series_of
 
 GROWTH = 0.01  # of the largest energy that a run had: more from nothing is a fault
 DEEP = 0.5  # of a piece's width: deeper overlaps are one line, of the guard
@@ -59,7 +59,7 @@ def tried(trial: Trial) -> Outcome:
 
 def looked_at(run: Run, scene: Scene, trial: Trial) -> tuple[tuple[str, ...], dict[str, float]]:
     """Faults and figures of a run or an ensemble."""
-    bad = [name for name, array in series_of(run).items() if not np.isfinite(array).all()]
+    bad = [name for name, array in collect_series(run).items() if not np.isfinite(array).all()]
     if bad:
         return (f"not finite: {', '.join(bad)}",), {}
     figures = {"energy": energy_growth(run), "momentum": momentum_error(run, scene), "overlap": float(np.max(run.overlap))}

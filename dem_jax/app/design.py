@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from dem_jax.errors import SceneError
-from dem_jax.scene import Scene, parse
+from dem_jax.scene import Scene, parse_scene
+from dem_jax.scene.messages import describe_allowed, find_section
 from dem_jax.scene.scene import Scene as SceneModel
-from dem_jax.scene.text import toml
-from dem_jax.scene.words import allowed, section_of
+from dem_jax.scene.toml_text import dump_toml
 
 Tree = dict[str, Any]
 BASE = "weigh-bucket"  # the stock scene that every design starts from
@@ -37,8 +37,8 @@ class FieldText(NamedTuple):
         model: Any = SceneModel
         *sections, key = self.key.split(".")
         for section in sections:
-            model = section_of(model, section)
-        bounds = allowed(model.model_fields[key]).removeprefix("a number").strip()
+            model = find_section(model, section)
+        bounds = describe_allowed(model.model_fields[key]).removeprefix("a number").strip()
         for sign, word in SIGNS.items():
             bounds = bounds.replace(f"{sign} ", f"{word} ")
         bounds = bounds.replace("  ", " ").replace("at least 0 and up to", "0 to")
@@ -261,11 +261,11 @@ class Design:
 
     def to_toml(self) -> str:
         """The text of the TOML file."""
-        return toml(self.to_tree())
+        return dump_toml(self.to_tree())
 
     def read_scene(self, folder: Path) -> Scene:
         """The scene that the file makes in a folder. Raises SceneError."""
-        return parse(self.to_toml(), folder / "new.toml")
+        return parse_scene(self.to_toml(), folder / "new.toml")
 
 
 def read_design(tree: Tree) -> Design:
@@ -348,7 +348,7 @@ def write_product(stl: str, unit: float, weight: float, is_convex: bool, materia
         "unit": unit,
         "piece_weight": weight,
     }
-    return toml({"portion": portion, "material": material})
+    return dump_toml({"portion": portion, "material": material})
 
 
 def write_bucket(
@@ -364,7 +364,7 @@ def write_bucket(
         centre: whether the middle of its mouth is put under the feed bucket first.
     """
     own = {"stl": stl, "unit": unit, "rotate_deg": list(turn), "move": list(move), "centre": centre}
-    return toml({"weigh_bucket": {**own, "opening_angle_deg": 0.0}})
+    return dump_toml({"weigh_bucket": {**own, "opening_angle_deg": 0.0}})
 
 
 def write_study(scene: str, title: str, key: str, values: Sequence[float], seeds: int) -> str:
@@ -377,4 +377,4 @@ def write_study(scene: str, title: str, key: str, values: Sequence[float], seeds
         "design": "grid",
         "outputs": outputs,
     }
-    return toml({**head, "parameter": {key: {"values": list(values)}}})
+    return dump_toml({**head, "parameter": {key: {"values": list(values)}}})

@@ -107,7 +107,7 @@ def describe_products() -> list[ProductCard]:
     """The products of the library."""
     from dem_jax.scene import library
 
-    return [_describe_product(name, name, text) for name, text in library.products().items()]
+    return [_describe_product(name, name, text) for name, text in library.list_products().items()]
 
 
 def describe_own_product(path: str, name: str) -> ProductCard:
@@ -116,34 +116,34 @@ def describe_own_product(path: str, name: str) -> ProductCard:
     if state:
         from dem_jax.scene import library
 
-        title, _, text = library.products()[plain].partition(": ")
+        title, _, text = library.list_products()[plain].partition(": ")
         return _describe_product(path, name, f"{title}, {state}: {text}")
     return _describe_product(path, name, f"{Path(name).stem}: your own part")
 
 
 def _describe_product(source: str, name: str, text: str) -> ProductCard:
     from dem_jax.app.drawing import draw_piece
-    from dem_jax.build.pieces import goods_of, masses_of
+    from dem_jax.assembly.piece_arrays import build_piece_set, compute_masses
     from dem_jax.scene import evidence, library, load_scene
-    from dem_jax.scene.materials import material_table
-    from dem_jax.shapes import surface
+    from dem_jax.scene.material_properties import build_material_table
+    from dem_jax.shapes import surface_mesh
 
     scene = load_scene("weigh-bucket", {"product": source, **library.ONE_PIECE})
-    goods = goods_of(scene)
-    weight = 1e3 * float(masses_of(goods, material_table(scene))[0])
-    picture = draw_piece(*surface(goods.shapes[0]), goods.shapes[0].radius > 0.0)
-    tree = library.product_tree(source, "products")
+    goods = build_piece_set(scene)
+    weight = 1e3 * float(compute_masses(goods, build_material_table(scene))[0])
+    picture = draw_piece(*surface_mesh(goods.shapes[0]), goods.shapes[0].radius > 0.0)
+    tree = library.load_product(source, "products")
     rows = [
-        _split_row(row, evidence.unit_of(key), key) for key, row in _list_evidence(tree, source)
+        _split_row(row, evidence.find_number_unit(key), key) for key, row in _list_evidence(tree, source)
     ]
-    return ProductCard(name, text, weight, picture, rows, library.states_of_product(source))
+    return ProductCard(name, text, weight, picture, rows, library.list_product_states(source))
 
 
 def _list_evidence(tree: dict[str, Any], source: str) -> Iterator[tuple[str, tuple[Any, Any]]]:
     from dem_jax.scene import evidence
 
-    for key, row in evidence.evidence_of(tree, source).items():
-        yield key, (evidence.value_of(tree, key, row), row)
+    for key, row in evidence.read_evidence(tree, source).items():
+        yield key, (evidence.find_evidence_value(tree, key, row), row)
 
 
 def _split_row(found: tuple[Any, Any], unit: str, key: str) -> tuple[str, str, str, str]:
@@ -164,24 +164,24 @@ def _format_value(value: Any) -> str:
 def describe_buckets() -> list[BucketCard]:
     """The buckets of the library."""
     from dem_jax.scene import library, load_scene
-    from dem_jax.scene.buckets import volume
+    from dem_jax.scene.bucket_geometry import bucket_volume
 
     found = []
-    for name, text in library.buckets().items():
+    for name, text in library.list_buckets().items():
         scene = load_scene("weigh-bucket", {"bucket": name})
         assert scene.weigh_bucket is not None
-        found.append(BucketCard(name, text, 1e3 * volume(scene.weigh_bucket), scene.drop.height))
+        found.append(BucketCard(name, text, 1e3 * bucket_volume(scene.weigh_bucket), scene.drop.height))
     return sorted(found, key=lambda each: each.litres)
 
 
 def describe_stl(path: str) -> StlFacts:
     """What an STL of a piece holds, and a guess of its unit. Raises SceneError for one that cannot be used."""
-    from dem_jax.shapes import HULL_TOLERANCE, hull, read_body
+    from dem_jax.shapes import HULL_TOLERANCE, convex_hull, read_body
 
     body = read_body(path)
     mesh = body.outer
     size = [float(edge) for edge in np.ptp(mesh.vertices, axis=0)]
-    excess = float(hull(np.asarray(mesh.vertices)).volume / mesh.volume - 1)
+    excess = float(convex_hull(np.asarray(mesh.vertices)).volume / mesh.volume - 1)
     notes = list(body.notes) or [NO_LETTERS]
     return StlFacts(
         size,
@@ -203,9 +203,9 @@ def guess_unit(largest: float) -> float:
 
 def describe_bucket_stl(path: str) -> BucketStlFacts:
     """What an STL of a bucket holds, and a guess of its unit. Raises SceneError."""
-    from dem_jax.shapes import meshes
+    from dem_jax.shapes import wall_meshes
 
-    found = meshes.wall_of_stl(path)
+    found = wall_meshes.read_wall_mesh(path)
     size = [float(edge) for edge in np.ptp(np.concatenate(found.panels), axis=0)]
     return BucketStlFacts(size, 1e-3 if max(size) > 2.0 else 1.0, [str(found)])
 
@@ -220,24 +220,24 @@ def describe_scene(text: str, folder: str) -> SceneFacts:
     Raises:
         SceneError: it cannot be computed.
     """
-    from dem_jax.build.bucket_fill import bucket_capacity, check_buckets_meet
-    from dem_jax.build.pieces import goods_of
-    from dem_jax.build.walls import with_buckets_read
-    from dem_jax.scene import parse
-    from dem_jax.show.facts import fills_said, portion_said, stickiness_said
-    from dem_jax.show.player import view_walls, write_player
-    from dem_jax.show.summary import notes_on_pieces, notes_on_walls
+    from dem_jax.assembly.bucket_fill import bucket_capacity, check_buckets_meet
+    from dem_jax.assembly.piece_arrays import build_piece_set
+    from dem_jax.assembly.wall_panels import inline_buckets
+    from dem_jax.scene import parse_scene
+    from dem_jax.visualization.metadata import describe_fills, describe_portion, describe_stickiness
+    from dem_jax.visualization.summary import list_piece_notes, list_wall_notes
+    from dem_jax.visualization.web_viewer import view_walls, write_player
 
-    scene = parse(text, Path(folder) / "new.toml")
-    read = with_buckets_read(scene)
+    scene = parse_scene(text, Path(folder) / "new.toml")
+    read = inline_buckets(scene)
     notes = [
-        *filter(None, [portion_said(scene)]),
-        *fills_said(read),
+        *filter(None, [describe_portion(scene)]),
+        *describe_fills(read),
         *check_buckets_meet(scene, read),
     ]
-    notes += [*stickiness_said(scene), *notes_on_walls(scene), *notes_on_pieces(scene)]
+    notes += [*describe_stickiness(scene), *list_wall_notes(scene), *list_piece_notes(scene)]
     capacity = bucket_capacity(read, "weigh_bucket")
-    goods = goods_of(scene)
+    goods = build_piece_set(scene)
     number = goods.numbers[0] if goods.numbers else 0
     level = (
         None
@@ -282,12 +282,12 @@ def describe_run(path: str, member: int | None = None) -> RunFacts:
 
     Raises RecordError and SceneError.
     """
-    from dem_jax.show.facts import main_block, main_group
+    from dem_jax.visualization.metadata import find_main_block, find_main_group
 
     whole = _load(path)
     chosen = _choose_member(whole, member)
     run = whole if whole.run_count is None else whole.member(chosen)
-    group, block = main_group(run), main_block(run)
+    group, block = find_main_group(run), find_main_block(run)
     force = None if group is None else run.pif_kg(group)
     peak = 0.0 if force is None else 1e3 * float(run.time[int(np.argmax(force))])
     return RunFacts(
@@ -313,14 +313,14 @@ def _load(path: str) -> Any:
 
 @lru_cache(maxsize=2)
 def _load_state(path: str, state: tuple[int, int]) -> Any:
-    from dem_jax.store.record import load_run
+    from dem_jax.io.run_files import load_run
 
     return load_run(path)
 
 
 def _choose_member(run: Any, member: int | None) -> int:
     """The number of a run of an ensemble: the one asked for, or the one whose peak is the median."""
-    from dem_jax.show.facts import main_group
+    from dem_jax.visualization.metadata import find_main_group
 
     if run.run_count is None:
         return 0
@@ -328,39 +328,39 @@ def _choose_member(run: Any, member: int | None) -> int:
         if not 0 <= member < run.run_count:
             raise RecordError(f"run {member}: allowed: 0 to {run.run_count - 1}")
         return member
-    group = main_group(run)
+    group = find_main_group(run)
     peaks = run.pif_kg(group).max(axis=1) if group else np.zeros(run.run_count)
     return int(np.argsort(peaks, kind="stable")[(run.run_count - 1) // 2])
 
 
 def _list_numbers(run: Any) -> list[tuple[str, str]]:
     """The numbers of a run with their bands, and the time to weigh."""
-    from dem_jax.show.facts import main_block
-    from dem_jax.show.numbers import Number, numbers_of, said
-    from dem_jax.study.outputs import evaluated
+    from dem_jax.study.outputs import evaluate_outputs
+    from dem_jax.visualization.metadata import find_main_block
+    from dem_jax.visualization.metrics import Metric, compute_metrics, format_metric
 
-    found = [(number.name, said(number)) for number in numbers_of(run)]
-    if main_block(run) is not None:
-        times = evaluated(run, ["time_to_weigh"])["time_to_weigh"]
-        words = said(Number("time to weigh", "ms", times, missing="not within 1 g until the end"))
+    found = [(number.name, format_metric(number)) for number in compute_metrics(run)]
+    if find_main_block(run) is not None:
+        times = evaluate_outputs(run, ["time_to_weigh"])["time_to_weigh"]
+        words = format_metric(Metric("time to weigh", "ms", times, missing="not within 1 g until the end"))
         found.append(("time to weigh (within 1 g)", words))
     return found
 
 
 def _list_notes(run: Any) -> list[str]:
     """What the numbers depend on, fill levels and the notes of a run."""
-    from dem_jax.scene import parse
-    from dem_jax.show.facts import fills_said, main_group, peak_band_said, stiffness_in_short
-    from dem_jax.show.heap import heap_said
+    from dem_jax.scene import parse_scene
+    from dem_jax.visualization.bucket_heap import describe_heap
+    from dem_jax.visualization.metadata import describe_fills, describe_peak_band, find_main_group, summarize_stiffness
 
-    scene = parse(run.scene, "the file's scene")
+    scene = parse_scene(run.scene, "the file's scene")
     notes = [
-        f"peaks are those of {stiffness_in_short(run)}, and of samples of {1e6 * run.sample:.3g} µs"
+        f"peaks are those of {summarize_stiffness(run)}, and of samples of {1e6 * run.sample:.3g} µs"
     ]
-    if (group := main_group(run)) is not None:
-        notes.append(peak_band_said(run, run.pif_kg(group).max(axis=-1)))
-    heap = heap_said(run) if run.run_count is None else None
-    return [*notes, *fills_said(scene), *filter(None, [heap]), *run.info.get("notes", ())]
+    if (group := find_main_group(run)) is not None:
+        notes.append(describe_peak_band(run, run.pif_kg(group).max(axis=-1)))
+    heap = describe_heap(run) if run.run_count is None else None
+    return [*notes, *describe_fills(scene), *filter(None, [heap]), *run.info.get("notes", ())]
 
 
 def thin_curve(time: np.ndarray, values: np.ndarray) -> Curve:
@@ -384,14 +384,14 @@ def thin_curve(time: np.ndarray, values: np.ndarray) -> Curve:
 
 def flatten_tree(tree: Any, key: str = "") -> dict[str, str]:
     """Dotted key -> value as text, of a tree of TOML."""
-    from dem_jax.scene.words import short
+    from dem_jax.scene.messages import shorten_value
 
     if isinstance(tree, dict):
         found: dict[str, str] = {}
         for name, item in tree.items():
             found |= flatten_tree(item, f"{key}.{name}" if key else name)
         return found
-    return {key: short(tree)}
+    return {key: shorten_value(tree)}
 
 
 def compare_runs(paths: list[str]) -> Comparison:
@@ -399,23 +399,23 @@ def compare_runs(paths: list[str]) -> Comparison:
 
     Raises RecordError and SceneError.
     """
-    from dem_jax.show.compare import compared
+    from dem_jax.visualization.comparison import describe_differences
 
     runs = [_load(path) for path in paths]
     trees = [flatten_tree(tomllib.loads(run.scene)) for run in runs]
     keys = sorted({key for tree in trees for key in tree} - {"name"})
     rows = [(key, [tree.get(key, "not set") for tree in trees]) for key in keys]
     differing = [row for row in rows if len(set(row[1])) > 1]
-    return Comparison(differing, compared([Path(path).stem for path in paths], runs))
+    return Comparison(differing, describe_differences([Path(path).stem for path in paths], runs))
 
 
 def write_run_player(path: str, member: int | None, script: str) -> str:
     """A page that plays a run, as HTML text. script: runs behind the player's. Raises RecordError and SceneError."""
-    from dem_jax.show.player import view_of, write_player
+    from dem_jax.visualization.web_viewer import build_view_data, write_player
 
     whole = _load(path)
     run = whole if whole.run_count is None else whole.member(_choose_member(whole, member))
-    view = view_of(run)
+    view = build_view_data(run)
     if view is None:
         raise RecordError(
             f"{Path(path).name}: no poses were stored; allowed: a run with run.frames above 0"
@@ -435,6 +435,6 @@ def call_safely(function: Callable[..., Any], *arguments: Any) -> tuple[Any, str
 
 def prepare() -> None:
     """Import what the functions need, so that the first call is quick."""
-    import dem_jax.show.player
-    import dem_jax.show.summary
     import dem_jax.study.outputs  # noqa: F401
+    import dem_jax.visualization.summary
+    import dem_jax.visualization.web_viewer  # noqa: F401

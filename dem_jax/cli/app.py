@@ -1,13 +1,13 @@
 """python -m dem_jax app"""
 
-from dem_jax.cli.arguments import Args, Commands, command, whole
+from dem_jax.cli.arguments import Args, Commands, create_command, nonnegative_int
 from dem_jax.errors import RecordError
 
 
-def add(commands: Commands) -> None:
+def add_command(commands: Commands) -> None:
     """Add the command to the parser."""
     text = "Open the app in a browser: product, bucket, drop, comparison, weighing and model by clicks."
-    made = command(commands, "app", app, text)
+    made = create_command(commands, "app", app, text)
     made.add_argument(
         "folder",
         nargs="?",
@@ -15,7 +15,7 @@ def add(commands: Commands) -> None:
         metavar="FOLDER",
         help="holds all scenes and results (default: here)",
     )
-    made.add_argument("--port", type=whole, default=0, help="of 127.0.0.1 (default: a free one)")
+    made.add_argument("--port", type=nonnegative_int, default=0, help="of 127.0.0.1 (default: a free one)")
     made.add_argument("--no-browser", action="store_true", help="print the address only")
 
 

@@ -21,44 +21,44 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Exit with code 2."""
-        self.exit(BAD_INPUT, f"{self.prog}: {one_line(message)} (see --help)\n")
+        self.exit(BAD_INPUT, f"{self.prog}: {join_lines(message)} (see --help)\n")
 
 
-def one_line(message: object) -> str:
+def join_lines(message: object) -> str:
     """The message without line breaks."""
     return " ".join(str(message).split())
 
 
-def command(commands: Commands, name: str, action: Callable[[Args], None], text: str) -> Parser:
+def create_command(commands: Commands, name: str, action: Callable[[Args], None], text: str) -> Parser:
     """A command that calls ``action``."""
     made = commands.add_parser(name, help=text, description=text)
     made.set_defaults(action=action)
     return made
 
 
-def quantities() -> str:
+def quantity_table() -> str:
     """A table of the sampled quantities."""
-    from dem_jax.step.quantities import QUANTITIES
-    from dem_jax.step.quantity import listed
+    from dem_jax.dynamics.quantity import format_quantity_table
+    from dem_jax.dynamics.standard_quantities import QUANTITIES
 
-    return listed(QUANTITIES)
+    return format_quantity_table(QUANTITIES)
 
 
-def positive(text: str) -> int:
+def positive_int(text: str) -> int:
     """A whole number of at least 1."""
     if not text.isdecimal() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"{text!r}: allowed: a whole number of at least 1")
     return int(text)
 
 
-def whole(text: str) -> int:
+def nonnegative_int(text: str) -> int:
     """A whole number of at least 0."""
     if not text.isdecimal():
         raise argparse.ArgumentTypeError(f"{text!r}: allowed: a whole number of at least 0")
     return int(text)
 
 
-def instants(text: str) -> int | str | list[float]:
+def parse_instants(text: str) -> int | str | list[float]:
     """A number of instants, times (s) with commas, or "auto"."""
     if text == "auto":
         return text

@@ -25,14 +25,14 @@ from dem_jax.cli import (
     vtk,
     weigh,
 )
-from dem_jax.cli.arguments import BAD_INPUT, Parser, one_line
+from dem_jax.cli.arguments import BAD_INPUT, Parser, join_lines
 from dem_jax.errors import PlatformError, RecordError, SceneError, SimulationError
 
 COMMANDS = (
     *(run, ensemble, study, posterior, scenes, products, buckets, measure),
     *(plot, report, export, render, gltf, vtk, weigh, collisions, app),
 )
-FAILED, INTERRUPTED = 1, 130
+RUN_FAILED, INTERRUPTED = 1, 130
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -42,45 +42,45 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     process.open_closed_streams()
     if argv is None:
-        process.begin()
+        process.install_signal_handlers()
     try:
-        with process.unwinding():
-            code = _run(argv)
+        with process.allow_interrupt():
+            code = _run_command(argv)
     except KeyboardInterrupt:
         if argv is None:
-            process.end()
-        return _fail(INTERRUPTED, process.ending_said())
+            process.end_process()
+        return _report_failure(INTERRUPTED, process.describe_interrupt())
     if argv is None:
-        process.finish()
+        process.end_signal_handling()
     return code
 
 
-def _run(argv: Sequence[str] | None) -> int:
+def _run_command(argv: Sequence[str] | None) -> int:
     try:
-        args = parser().parse_args(argv)
+        args = build_parser().parse_args(argv)
         args.action(args)
         sys.stdout.flush()
         return 0
     except (SceneError, RecordError, PlatformError) as error:
-        return _fail(BAD_INPUT, error)
+        return _report_failure(BAD_INPUT, error)
     except SimulationError as error:
         where = f"; earlier results are in {error.path}" if error.path else "; nothing was recorded before"
-        return _fail(FAILED, f"{error}{where}")
+        return _report_failure(RUN_FAILED, f"{error}{where}")
     except BrokenPipeError:  # of `| head`
-        _mute()
+        _mute_output()
         return 0
     except OSError as error:
-        _mute()
-        return _fail(BAD_INPUT, f"{error.filename or _place_of_error()}: {error.strerror or error}")
+        _mute_output()
+        return _report_failure(BAD_INPUT, f"{error.filename or _locate_error()}: {error.strerror or error}")
     except MemoryError as error:
-        return _fail(FAILED, f"there is not enough memory ({error or 'none was left'}); allowed: fewer runs, pieces or samples")
+        return _report_failure(RUN_FAILED, f"there is not enough memory ({error or 'none was left'}); allowed: fewer runs, pieces or samples")
     except (RuntimeError, AssertionError):
-        if (platform := _platform_missing()) is None:
+        if (platform := _find_missing_platform()) is None:
             raise
-        return _fail(BAD_INPUT, platform)
+        return _report_failure(BAD_INPUT, platform)
 
 
-def _place_of_error() -> str:
+def _locate_error() -> str:
     """Where an error happened that names no file."""
     try:
         os.getcwd()
@@ -89,33 +89,33 @@ def _place_of_error() -> str:
     return "output"
 
 
-def _platform_missing() -> PlatformError | None:
+def _find_missing_platform() -> PlatformError | None:
     """That JAX was asked for a platform that it does not have, which what it is used for first trips over."""
     if "jax" in sys.modules:
-        from dem_jax import compiling
+        from dem_jax import xla_flags
 
         try:
-            compiling.check_platform()
+            xla_flags.check_platform()
         except PlatformError as error:
             return error
     return None
 
 
-def parser() -> Parser:
+def build_parser() -> Parser:
     """The command line."""
     top = Parser(prog="dem_jax", description="Product impact force of a combination scale (discrete element method).")
     commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for command in COMMANDS:
-        command.add(commands)
+        command.add_command(commands)
     return top
 
 
-def _mute() -> None:
+def _mute_output() -> None:
     """What was printed and not written yet goes nowhere: Python would try again at its end."""
     with suppress(OSError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _fail(code: int, message: object) -> int:
-    print(f"dem_jax: {one_line(message)}", file=sys.stderr)
+def _report_failure(code: int, message: object) -> int:
+    print(f"dem_jax: {join_lines(message)}", file=sys.stderr)
     return code

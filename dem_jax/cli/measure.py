@@ -3,17 +3,17 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dem_jax.cli.arguments import Args, Commands, Parser, command
+from dem_jax.cli.arguments import Args, Commands, Parser, create_command
 
 if TYPE_CHECKING:
-    from dem_jax.scene.measurement import Measured
+    from dem_jax.scene.measurement import MeasuredNumber
 
 TEXT = "Estimate a number of a product from your own measurements, with an interval, as lines for its file."
 
 
-def add(commands: Commands) -> None:
+def add_command(commands: Commands) -> None:
     """Add the command to the parser."""
-    made = command(commands, "measure", measure, TEXT)
+    made = create_command(commands, "measure", measure_number, TEXT)
     kinds = made.add_subparsers(dest="kind", required=True, metavar="restitution|friction|modulus", parser_class=Parser)
     restitution = kinds.add_parser("restitution", help="from the heights of rebounds", description="From the heights of rebounds.")
     restitution.add_argument("file", metavar="heights.csv", help="columns drop and rebound, in one unit of length")
@@ -33,19 +33,19 @@ def add(commands: Commands) -> None:
         kind.add_argument("--into", metavar="FILE.toml", help="product file in which the number is replaced, or that is written")
 
 
-def measure(args: Args) -> None:
+def measure_number(args: Args) -> None:
     """Print a measured number and its lines for a product's file."""
-    from dem_jax.scene.text import toml
+    from dem_jax.scene.toml_text import dump_toml
 
-    found, source = {"restitution": _restitution, "friction": _friction, "modulus": _modulus}[args.kind](args)
+    found, source = {"restitution": _estimate_restitution, "friction": _estimate_friction, "modulus": _estimate_modulus}[args.kind](args)
     print(f"# {found.describe()}")
-    print(toml(found.tree(source)), end="")
+    print(dump_toml(found.to_tree(source)), end="")
     if args.into:
-        _write_into(Path(args.into), found.tree(source))
+        _write_into(Path(args.into), found.to_tree(source))
         print(f"# written into {args.into}")
 
 
-def _restitution(args: Args) -> "tuple[Measured, str]":
+def _estimate_restitution(args: Args) -> "tuple[MeasuredNumber, str]":
     from dem_jax.errors import SceneError
     from dem_jax.scene import measurement
 
@@ -56,18 +56,18 @@ def _restitution(args: Args) -> "tuple[Measured, str]":
     return measurement.estimate_restitution(*heights), args.file
 
 
-def _friction(args: Args) -> "tuple[Measured, str]":
+def _estimate_friction(args: Args) -> "tuple[MeasuredNumber, str]":
     from dem_jax.scene import measurement
 
     key = "friction_piece" if args.on_pieces else "friction_wall"
     return measurement.estimate_friction(args.angles, key), "angles " + " ".join(f"{angle:g}" for angle in args.angles)
 
 
-def _modulus(args: Args) -> "tuple[Measured, str]":
+def _estimate_modulus(args: Args) -> "tuple[MeasuredNumber, str]":
     from dem_jax.scene import measurement
 
-    columns = measurement.read_columns(args.file, (*measurement.FORCES, *measurement.WAYS, "piece"))
-    force, way = (measurement.read_quantity(columns, units, args.file) for units in (measurement.FORCES, measurement.WAYS))
+    columns = measurement.read_columns(args.file, (*measurement.FORCE_UNITS, *measurement.WAY_UNITS, "piece"))
+    force, way = (measurement.read_quantity(columns, units, args.file) for units in (measurement.FORCE_UNITS, measurement.WAY_UNITS))
     names = columns.get("piece", ["1"] * len(force))
     rows = {name: [k for k, own in enumerate(names) if own == name] for name in dict.fromkeys(names)}
     pieces = [(force[own], way[own]) for own in rows.values()]
@@ -87,11 +87,11 @@ def _size_and_law(args: Args) -> tuple[float, str, float, float]:
     if args.product is None:
         contact = Contact()
         return args.size, args.law or contact.law, contact.densification, Material().poisson_ratio
-    from dem_jax.build.pieces import size_of_piece
+    from dem_jax.assembly.piece_arrays import find_piece_size
 
     scene = load_scene("weigh-bucket", {"product": args.product, **ONE_PIECE})
     law = args.law or scene.contact.law
-    return size_of_piece(scene, law), law, scene.contact.densification, scene.material.poisson_ratio
+    return find_piece_size(scene, law), law, scene.contact.densification, scene.material.poisson_ratio
 
 
 def _write_into(path: Path, own: dict) -> None:
@@ -99,22 +99,22 @@ def _write_into(path: Path, own: dict) -> None:
     import tomllib
 
     from dem_jax.errors import SceneError
-    from dem_jax.scene.changes import merged
-    from dem_jax.scene.evidence import evidence_of
-    from dem_jax.scene.library import PRODUCTS, SECTIONS, read_part
-    from dem_jax.scene.text import toml
+    from dem_jax.scene.evidence import read_evidence
+    from dem_jax.scene.library import FILE_SECTIONS, PRODUCTS, read_library_file
+    from dem_jax.scene.toml_text import dump_toml
+    from dem_jax.scene.tree_merging import merge_tables
 
     tree = {}
     if path.exists():
-        read_part(path, "--into", SECTIONS[PRODUCTS])  # which says what is wrong with it
+        read_library_file(path, "--into", FILE_SECTIONS[PRODUCTS])  # which says what is wrong with it
         tree = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     kept = {section: dict(tree.get(section, {})) for section in ("material", "evidence")}
     for key in own["evidence"]:
         kept["evidence"].pop(key, None)
         kept["material"].pop(f"{key}_range", None)
-    whole = merged(tree | kept, own)
-    evidence_of(whole, str(path))
+    whole = merge_tables(tree | kept, own)
+    read_evidence(whole, str(path))
     try:
-        path.write_text(toml(whole), encoding="utf-8")
+        path.write_text(dump_toml(whole), encoding="utf-8")
     except OSError as error:
         raise SceneError(f"--into {path}: cannot be written ({error.strerror})") from error

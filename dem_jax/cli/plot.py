@@ -1,18 +1,18 @@
 """python -m dem_jax plot"""
 
-from dem_jax.cli import stored
-from dem_jax.cli.arguments import Args, Commands, command
+from dem_jax.cli import result_files
+from dem_jax.cli.arguments import Args, Commands, create_command
 
 
-def add(commands: Commands) -> None:
+def add_command(commands: Commands) -> None:
     """Add the command to the parser."""
-    made = command(
+    made = create_command(
         commands,
         "plot",
-        plot,
+        plot_files,
         "Draw product impact force and settled mass over time, for several files with their differences; or draw a study.",
     )
-    stored.add_files(made)
+    result_files.add_files(made)
     made.add_argument("--out", metavar="FILE", help=".png, .pdf or .svg (default: the first file's name .png)")
     made.add_argument("--group", help="wall group (default: wb_flaps, or the first)")
     made.add_argument("--block", help="block of the settled mass (default: wb, or the first)")
@@ -20,21 +20,21 @@ def add(commands: Commands) -> None:
     made.add_argument("--end", type=float, metavar="S", help="s, where it ends")
 
 
-def plot(args: Args) -> None:
+def plot_files(args: Args) -> None:
     """Draw the figure of files; of several, say by how much they differ."""
-    out = stored.target(args.out or stored.default_out(args.files, ".png"), args.files)
-    if stored.is_study(args.files):
-        from dem_jax.study import file
-        from dem_jax.study.figure import plot_study
+    out = result_files.output_path(args.out or result_files.default_output_path(args.files, ".png"), args.files)
+    if result_files.is_study(args.files):
+        from dem_jax.study import results_file
+        from dem_jax.study.study_figure import plot_study
 
-        print(plot_study(file.load(args.files[0]), out))
+        print(plot_study(results_file.load_results(args.files[0]), out))
         return
-    from dem_jax.show.compare import compared
-    from dem_jax.show.overlay import plot_runs
+    from dem_jax.visualization.comparison import describe_differences
+    from dem_jax.visualization.comparison_figure import plot_runs
 
-    names, runs = stored.runs_of(args.files)
-    stored.check_parts(names, runs, args.group, args.block)
+    names, runs = result_files.load_runs(args.files)
+    result_files.check_parts(names, runs, args.group, args.block)
     made = plot_runs(names, runs, out, args.group, args.block, args.start, args.end)
-    for line in compared(names, runs, args.group, args.block):
+    for line in describe_differences(names, runs, args.group, args.block):
         print(line)
     print(made)

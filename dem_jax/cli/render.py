@@ -2,21 +2,21 @@
 
 from pathlib import Path
 
-from dem_jax.cli import stored
-from dem_jax.cli.arguments import Args, Commands, command, instants
+from dem_jax.cli import result_files
+from dem_jax.cli.arguments import Args, Commands, create_command, parse_instants
 
 
-def add(commands: Commands) -> None:
+def add_command(commands: Commands) -> None:
     """Add the command to the parser."""
-    made = command(commands, "render", render, "Draw the scene with its pieces: animation, picture or film strip.")
-    stored.add_arguments(made)
+    made = create_command(commands, "render", render_run, "Draw the scene with its pieces: animation, picture or film strip.")
+    result_files.add_arguments(made)
     kind = made.add_mutually_exclusive_group()
     kind.add_argument("--gif", action="store_true", help="an animation (default)")
     kind.add_argument("--png", action="store_true", help="a picture of the end")
     kind.add_argument("--at", type=float, metavar="S", help="a picture of the time S (s)")
     kind.add_argument(
         "--strip",
-        type=instants,
+        type=parse_instants,
         metavar="auto|N|T,T,...",
         help="a film strip: auto: start, approach, first contact, peak force and rest; or N instants; or these times (s)",
     )
@@ -26,20 +26,20 @@ def add(commands: Commands) -> None:
     made.add_argument("--elevation", type=float, default=14.0, metavar="DEG", help="of the eye (default: 14)")
 
 
-def render(args: Args) -> None:
+def render_run(args: Args) -> None:
     """Draw a run of a file."""
-    from dem_jax.show.instants import impact_instants
-    from dem_jax.show.render import Camera
-    from dem_jax.show.render import render as draw
+    from dem_jax.visualization.instants import find_impact_instants
+    from dem_jax.visualization.rendering import Camera
+    from dem_jax.visualization.rendering import render_frames as draw
 
-    run, bodies = stored.stored(args)
+    run, bodies = result_files.load_run_bodies(args)
     still = args.png or args.at is not None or args.strip is not None
     path = Path(args.file)
     out = args.out or (path.with_name(f"{path.stem}-scene.png") if still else path.with_suffix(".gif"))
-    stored.target(out, [args.file])
+    result_files.output_path(out, [args.file])
     camera = Camera(args.azimuth, args.elevation)
     strip, labels = args.strip, []
     if strip == "auto":
-        story = impact_instants(run)
+        story = find_impact_instants(run)
         strip, labels = [instant.time for instant in story], [instant.label for instant in story]
     print(draw(run.pieces, *bodies, out, at=args.at, strip=strip, camera=camera, colour=args.colour, labels=labels))

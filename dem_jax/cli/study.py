@@ -3,19 +3,19 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dem_jax.cli import simulating
-from dem_jax.cli.arguments import Args, Commands, command
+from dem_jax.cli import simulation_options
+from dem_jax.cli.arguments import Args, Commands, create_command
 from dem_jax.errors import SceneError
 
 if TYPE_CHECKING:
-    from dem_jax.study.table import Study
+    from dem_jax.study.config import Study
 
-EVERY = "all"  # the stock studies
+ALL_STUDIES = "all"  # the stock studies
 
 
-def add(commands: Commands) -> None:
+def add_command(commands: Commands) -> None:
     """Add the command to the parser."""
-    made = command(commands, "study", study, "Conduct studies: drops at many points of parameters, with a table and a figure.")
+    made = create_command(commands, "study", run_studies, "Conduct studies: drops at many points of parameters, with a table and a figure.")
     words = "a stock study's name, or a .toml file; several one after the other; all: every stock study; without: a list"
     made.add_argument("study", nargs="*", metavar="STUDY", help=words)
     made.add_argument("--scene", metavar="SCENE", help="a stock scene or a .toml file in the place of the study's")
@@ -26,46 +26,46 @@ def add(commands: Commands) -> None:
     made.add_argument("--quiet", action="store_true", help="no progress bar")
 
 
-def study(args: Args) -> None:
+def run_studies(args: Args) -> None:
     """Conduct studies one after the other: of each print the table, draw the figure."""
-    from dem_jax.study.table import load_study, stock_studies
+    from dem_jax.study.config import load_study, stock_studies
 
     if not args.study:
         for name, title in stock_studies().items():
             print(f"{name:<16} {title}")
         return
-    names = [name for asked in args.study for name in (stock_studies() if asked == EVERY else [asked])]
+    names = [name for asked in args.study for name in (stock_studies() if asked == ALL_STUDIES else [asked])]
     if args.out is not None and len(names) > 1:
         raise SceneError(f"--out {args.out}: {len(names)} studies; allowed: of one by itself")
-    simulating.check_ending(args.out)
+    simulation_options.check_ending(args.out)
     tables = [load_study(name, args.quick) for name in names]
     named = [table.name for table in tables]
     if twice := [name for name in named if named.count(name) > 1]:
         raise SceneError(f"study {' '.join(args.study)}: {twice[0]!r} twice, in one file; allowed: each name once")
     if args.scene is not None:
-        tables = [table.of_scene(args.scene) for table in tables]
-    simulating.use_cache()
+        tables = [table.with_scene(args.scene) for table in tables]
+    simulation_options.use_cache()
     took = 0.0
     for table in tables:
-        took += _conduct(table, args)
+        took += _run_one_study(table, args)
         if len(tables) > 1:
             print()
     if len(tables) > 1:
         print(f"{len(tables)} studies, {took:.0f} s")
 
 
-def _conduct(table: "Study", args: Args) -> float:
+def _run_one_study(table: "Study", args: Args) -> float:
     """One study; returns how long it took (s), with what was done before it was gone on with."""
-    from dem_jax.study import conduct, results
+    from dem_jax.study import analysis, study_runner
 
     out = Path(args.out or f"{table.name}{'-quick' if args.quick else ''}.h5")
-    simulating.check_beside(out, ".csv", *([] if args.no_plot else [".png"]))
-    found = conduct.study(table, out, args.overwrite, progress=not args.quiet)
-    for line in results.text(found):
+    simulation_options.check_beside(out, ".csv", *([] if args.no_plot else [".png"]))
+    found = study_runner.run_study(table, out, args.overwrite, progress=not args.quiet)
+    for line in analysis.describe_results(found):
         print(line)
-    files = [out, results.write_csv(found, out.with_suffix(".csv"))]
+    files = [out, analysis.write_csv(found, out.with_suffix(".csv"))]
     if not args.no_plot:
-        from dem_jax.study.figure import plot_study
+        from dem_jax.study.study_figure import plot_study
 
         files.append(plot_study(found, out.with_suffix(".png")))
     print(f"wrote {', '.join(map(str, files))}")

@@ -5,23 +5,23 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dem_jax.cli import stored
-from dem_jax.cli.arguments import Args, Commands, command, whole
+from dem_jax.cli import result_files
+from dem_jax.cli.arguments import Args, Commands, create_command, nonnegative_int
 from dem_jax.errors import RecordError
 
 if TYPE_CHECKING:
-    from dem_jax.weighing.traces import Trace
+    from dem_jax.weighing.traces import WeightTrace
     from dem_jax.weighing.tuning import Drops
 
 FILTERS = ("average:0.1", "bessel:4:8", "fir:201:10")
 RATE = 1000.0  # 1/s, as fast digital load cells have
 
 
-def add(commands: Commands) -> None:
+def add_command(commands: Commands) -> None:
     """Add the command to the parser."""
-    made = command(commands, "weigh", weigh, "Readings of a scale and their settling time, of runs or Product Model traces.")
-    made.more = _filters
-    stored.add_files(made)
+    made = create_command(commands, "weigh", weigh_files, "Readings of a scale and their settling time, of runs or Product Model traces.")
+    made.more = _filter_help
+    result_files.add_files(made)
     made.add_argument(
         "--filter", action="append", dest="filters", metavar="F",
         help=f"one, or several by giving it again (default: {', '.join(FILTERS)}); see below",
@@ -45,7 +45,7 @@ def add(commands: Commands) -> None:
         help="noise of the signal: none, typical, or a TOML file with keys of [weigh_bucket.load_cell.noise], those not in it "
         "typical (default: that of the scene)",
     )  # fmt: skip
-    made.add_argument("--seed", type=whole, default=0, help="of the noise (default: 0)")
+    made.add_argument("--seed", type=nonnegative_int, default=0, help="of the noise (default: 0)")
     made.add_argument(
         "--cell", metavar="C",
         help="load cell to put under a bucket that has none: typical, a file of calibrate cell, or a TOML file with keys of "
@@ -57,11 +57,11 @@ def add(commands: Commands) -> None:
     made.add_argument("--out", metavar="FILE", help=".png, .pdf or .svg (default: the first file's name -weigh.png)")
 
 
-def weigh(args: Args) -> None:
+def weigh_files(args: Args) -> None:
     """Print the times to weigh and draw the readings, or tune filters."""
-    from dem_jax.show.weighing import convert_trace
+    from dem_jax.visualization.scale_readings import convert_trace
 
-    out = stored.target(args.out or stored.default_out(args.files, "-weigh.png"), args.files)
+    out = result_files.output_path(args.out or result_files.default_output_path(args.files, "-weigh.png"), args.files)
     tolerances = _read_tolerances(args)
     traces = _read_traces(args)
     drops = []
@@ -73,7 +73,7 @@ def weigh(args: Args) -> None:
     if args.tune is None:
         _show_readings(args, tolerances, traces, drops, out)
     else:
-        _tune(args, tolerances[0], traces, drops, out)
+        _tune_filters(args, tolerances[0], traces, drops, out)
 
 
 def _read_tolerances(args: Args) -> Sequence[float]:
@@ -90,12 +90,18 @@ def _read_tolerances(args: Args) -> Sequence[float]:
     return [1e-3 * each for each in grams] or TOLERANCES
 
 
-def _show_readings(args: Args, tolerances: Sequence[float], traces: Sequence["Trace"], drops: Sequence["Drops"], out: Path) -> None:
+def _show_readings(args: Args, tolerances: Sequence[float], traces: Sequence["WeightTrace"], drops: Sequence["Drops"], out: Path) -> None:
     """The table and the figure of the readings."""
-    from dem_jax.show.weighing import estimate_drops, filter_drops, plot_readings, table, table_of_pool
+    from dem_jax.visualization.scale_readings import (
+        estimate_drops,
+        filter_drops,
+        plot_readings,
+        tabulate_pooled_readings,
+        tabulate_readings,
+    )
 
     rows, said = [], []
-    for name, file, trace, some in zip(stored.names_of(args.files), args.files, traces, drops, strict=True):
+    for name, file, trace, some in zip(result_files.short_names(args.files), args.files, traces, drops, strict=True):
         try:
             for text in args.filters or (() if args.weighers else FILTERS):
                 rows.append(filter_drops(f"{name}: {trace.source}", trace, some, args.rate, text))
@@ -105,16 +111,16 @@ def _show_readings(args: Args, tolerances: Sequence[float], traces: Sequence["Tr
                 said.append(words)
         except ValueError as error:
             raise RecordError(f"{file}: {error}") from error
-    for line in (table_of_pool if args.pool else table)(rows, tolerances):
+    for line in (tabulate_pooled_readings if args.pool else tabulate_readings)(rows, tolerances):
         print(line)
     for words in said:
         print(words)
     print(plot_readings(rows, tolerances, out))
 
 
-def _tune(args: Args, tolerance: float, traces: Sequence["Trace"], drops: Sequence["Drops"], out: Path) -> None:
+def _tune_filters(args: Args, tolerance: float, traces: Sequence["WeightTrace"], drops: Sequence["Drops"], out: Path) -> None:
     """The table and the figure of the best filter of each family."""
-    from dem_jax.show.tuned_filters import plot_tuned, table_of_tuned
+    from dem_jax.visualization.tuned_filters import plot_tuned_filters, tabulate_tuned_filters
     from dem_jax.weighing.tuning import judge_filter, tune_filters
 
     cells = [trace.cell for trace in traces if trace.cell]
@@ -123,33 +129,33 @@ def _tune(args: Args, tolerance: float, traces: Sequence["Trace"], drops: Sequen
         rows = tune_filters(drops, args.rate, tolerance, cells, lambda family: print(f"search: {family}", file=sys.stderr))
     except ValueError as error:
         raise RecordError(f"--tune {args.tune:g}: {error}") from error
-    for line in table_of_tuned([*rows, *given]):
+    for line in tabulate_tuned_filters([*rows, *given]):
         print(line)
-    print(plot_tuned([*rows, *given], tolerance, out))
+    print(plot_tuned_filters([*rows, *given], tolerance, out))
 
 
-def _read_traces(args: Args) -> list["Trace"]:
+def _read_traces(args: Args) -> list["WeightTrace"]:
     """The traces of the files, on the load cell and with the noise that the arguments ask for. Raises RecordError, SceneError."""
-    from dem_jax.show.weighing import on_cell, read_trace
-    from dem_jax.weighing.cell import cell_of, read_cell_file
-    from dem_jax.weighing.noise import read_noise
+    from dem_jax.visualization.scale_readings import apply_cell, read_settled_trace
+    from dem_jax.weighing.cell import build_cell, read_cell_file
+    from dem_jax.weighing.signal_noise import read_noise
 
     truth = None if args.truth is None else 1e-3 * args.truth
     noise = None if args.noise is None else read_noise(args.noise)
     cell = None if args.cell is None else read_cell_file(args.cell)
     traces = []
-    for name, file in zip(stored.names_of(args.files), args.files, strict=True):
-        trace, why = read_trace(file, args.group, args.block, truth)
+    for name, file in zip(result_files.short_names(args.files), args.files, strict=True):
+        trace, why = read_settled_trace(file, args.group, args.block, truth)
         if why:
             print(f"note: {name}: {why}: what the scale should show is not known there; --truth G gives it")
         if cell and trace.cell:
             raise RecordError(f"--cell {args.cell}: {file} has the signal of its own load cell; allowed: files without one")
-        trace = on_cell(trace, cell_of(cell)) if cell else trace
+        trace = apply_cell(trace, build_cell(cell)) if cell else trace
         traces.append(trace if args.noise is None else trace._replace(noise=noise))
     return traces
 
 
-def _filters() -> str:
+def _filter_help() -> str:
     from dem_jax.weighing.filters import ALLOWED
 
     return f"filters: {ALLOWED}\n"

@@ -26,8 +26,8 @@ def _import_ahead() -> None:
     """Import what a simulation needs, so that it begins at once."""
     import jax  # noqa: F401
 
-    import dem_jax.drive.interface
-    import dem_jax.show.summary  # noqa: F401
+    import dem_jax.runner.interface
+    import dem_jax.visualization.summary  # noqa: F401
 
 
 def _find_main(program: str) -> Callable[[], int]:

@@ -7,12 +7,12 @@ from typing import Any, TypeVar
 from pydantic import ValidationError
 
 from dem_jax.errors import SceneError
-from dem_jax.scene.changes import DEEPEST, Tree, is_deep, on_top
-from dem_jax.scene.library import with_named
-from dem_jax.scene.overrides import without_overridden
-from dem_jax.scene.scene import Scene, validated
+from dem_jax.scene.library import apply_library_keys
+from dem_jax.scene.messages import format_error
+from dem_jax.scene.overrides import drop_inactive_keys
+from dem_jax.scene.scene import Scene, validate_scene
 from dem_jax.scene.sections.base import Section
-from dem_jax.scene.words import one_line
+from dem_jax.scene.tree_merging import DEEPEST, Tree, is_too_deep, overlay_scene
 
 OneSection = TypeVar("OneSection", bound=Section)
 STOCK = Path(__file__).parent.parent / "scenes"
@@ -28,16 +28,16 @@ def load_scene(source: str | Path, changes: dict[str, Any] | None = None) -> Sce
     Raises:
         SceneError: the file or a key cannot be used.
     """
-    tree, path = _read(source, ())
-    return validated(tree, path.stem if path.parent == STOCK else str(path), changes)
+    tree, path = _read_scene(source, ())
+    return validate_scene(tree, path.stem if path.parent == STOCK else str(path), changes)
 
 
-def parse(text: str, source: str | Path = "scene") -> Scene:
+def parse_scene(text: str, source: str | Path = "scene") -> Scene:
     """A scene from TOML text that is complete in itself, as a file of results keeps it, or has a stock scene as its base. Raises
     SceneError."""
-    tree = _loads(text, source)
-    tree = tree if "base" in tree else without_overridden(tree)
-    return validated(_based(tree, Path("."), source, ()), str(source))
+    tree = _load_toml(text, source)
+    tree = tree if "base" in tree else drop_inactive_keys(tree)
+    return validate_scene(_merge_base(tree, Path("."), source, ()), str(source))
 
 
 def load_section(path: str | Path, model: type[OneSection], place: str) -> OneSection:
@@ -52,7 +52,7 @@ def load_section(path: str | Path, model: type[OneSection], place: str) -> OneSe
         SceneError: the file or a key cannot be used.
     """
     try:
-        tree = _loads(Path(path).read_text(encoding="utf-8-sig"), path)
+        tree = _load_toml(Path(path).read_text(encoding="utf-8-sig"), path)
     except (OSError, UnicodeDecodeError) as error:
         raise SceneError(f"{path} cannot be read ({type(error).__name__}); allowed: a TOML file with keys of [{place}]") from error
     for name in place.split(".") if place.split(".")[0] in tree else ():
@@ -60,7 +60,7 @@ def load_section(path: str | Path, model: type[OneSection], place: str) -> OneSe
     try:
         return model.model_validate(tree)
     except ValidationError as error:
-        raise SceneError(f"{path}: {one_line(error, tree, model)}") from error
+        raise SceneError(f"{path}: {format_error(error, tree, model)}") from error
 
 
 def stock_scenes() -> dict[str, str]:
@@ -72,7 +72,7 @@ def stock_scenes() -> dict[str, str]:
     return out
 
 
-def _read(source: str | Path, seen: tuple[Path, ...]) -> tuple[Tree, Path]:
+def _read_scene(source: str | Path, seen: tuple[Path, ...]) -> tuple[Tree, Path]:
     path = Path(source)
     stock = STOCK / f"{source}.toml"
     if stock.is_file() and path.suffix != ".toml":
@@ -86,32 +86,32 @@ def _read(source: str | Path, seen: tuple[Path, ...]) -> tuple[Tree, Path]:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise SceneError(f"scene {path}: cannot be read ({type(error).__name__}); allowed: a TOML text file") from error
-    own = _loads(text, path)
+    own = _load_toml(text, path)
     name = own.get("name", path.stem)
-    tree = _based(own, path.parent, path, (*seen, path.resolve()))
+    tree = _merge_base(own, path.parent, path, (*seen, path.resolve()))
     tree["name"] = name
     if path != stock:
         tree["folder"] = str(path.parent)
     return tree, path
 
 
-def _loads(text: str, source: str | Path) -> Tree:
+def _load_toml(text: str, source: str | Path) -> Tree:
     try:
         tree = tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # of a number of thousands of digits, and of brackets, as well
         raise SceneError(f"scene {source}: not valid TOML: {error}") from error
-    if is_deep(tree):
+    if is_too_deep(tree):
         raise SceneError(f"scene {source}: tables and lists are nested too deep; allowed: {DEEPEST} in each other")
     return tree
 
 
-def _based(tree: Tree, folder: Path, source: str | Path, seen: tuple[Path, ...]) -> Tree:
+def _merge_base(tree: Tree, folder: Path, source: str | Path, seen: tuple[Path, ...]) -> Tree:
     """The tree on top of its base."""
     base = tree.pop("base", None)
     if base is None:
-        return on_top(with_named({}, tree, source), tree)
+        return overlay_scene(apply_library_keys({}, tree, source), tree)
     if not isinstance(base, str):
         raise SceneError(f"scene {source}: base = {base!r}: allowed: a stock scene's name or a path")
     beside = folder / base
-    below, _ = _read(beside if beside.is_file() else base, seen)
-    return on_top(with_named(below, tree, source), tree)
+    below, _ = _read_scene(beside if beside.is_file() else base, seen)
+    return overlay_scene(apply_library_keys(below, tree, source), tree)

@@ -11,12 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-CELLS = 200  # of the grid along the longer side of a bucket
-GAP = 0.004  # m: slits no wider than this, as between two flaps, hold pieces
-PACKING = 0.6  # volume of pieces over that of a heap of them: an assumption, loose heaps of most shapes have 0.55 to 0.65
+GRID_CELLS = 200  # of the grid along the longer side of a bucket
+SLIT_WIDTH = 0.004  # m: slits no wider than this, as between two flaps, hold pieces
+PACKING_FRACTION = 0.6  # volume of pieces over that of a heap of them: an assumption, loose heaps of most shapes have 0.55 to 0.65
 
 
-class Capacity(NamedTuple):
+class BucketCapacity(NamedTuple):
     """What a bucket holds to its brim, as it stands.
 
     volume: (m3). bottom, brim: heights (m) of its deepest point and of the water's surface. low, high: [2] (m) corners of the box
@@ -48,32 +48,32 @@ class HeightMap(NamedTuple):
     ridge: np.ndarray
 
 
-def capacity_of(panels: Sequence[np.ndarray]) -> Capacity | None:
+def find_capacity(panels: Sequence[np.ndarray]) -> BucketCapacity | None:
     """What the largest basin of some panels [k, 3] (m) holds; None: they hold nothing."""
-    return _capacity(tuple(np.ascontiguousarray(panel, np.float64).tobytes() for panel in panels))
+    return _find_cached_capacity(tuple(np.ascontiguousarray(panel, np.float64).tobytes() for panel in panels))
 
 
-def middle_of_mouth(panels: Sequence[np.ndarray]) -> np.ndarray:
+def find_mouth_middle(panels: Sequence[np.ndarray]) -> np.ndarray:
     """The middle [2] (m) of the mouth of a bucket of panels [k, 3] (m), in x and y; of one that holds nothing that of the box
     around it."""
-    capacity = capacity_of(panels)
-    return _middle(panels) if capacity is None else capacity.middle
+    capacity = find_capacity(panels)
+    return _box_middle(panels) if capacity is None else capacity.middle
 
 
-def _middle(panels: Sequence[np.ndarray]) -> np.ndarray:
+def _box_middle(panels: Sequence[np.ndarray]) -> np.ndarray:
     """The middle [2] (m) of the box around panels, in x and y."""
     points = np.concatenate(panels)[:, :2]
     return 0.5 * (points.min(axis=0) + points.max(axis=0))
 
 
 @lru_cache(maxsize=32)
-def _capacity(panels: tuple[bytes, ...]) -> Capacity | None:
+def _find_cached_capacity(panels: tuple[bytes, ...]) -> BucketCapacity | None:
     from scipy import ndimage
 
     corners = [np.frombuffer(panel).reshape(-1, 3) for panel in panels]
-    surface, of_box = map_heights(corners), _middle(corners)
+    surface, of_box = map_heights(corners), _box_middle(corners)
     closed = _close_slits(surface)
-    level = _water_level(closed)
+    level = _find_water_level(closed)
     ground = np.where(np.isfinite(surface.floor), surface.floor, surface.ridge)
     is_wet = (level > closed + 1e-9) & np.isfinite(ground)
     basins, count = ndimage.label(is_wet)
@@ -88,7 +88,7 @@ def _capacity(panels: tuple[bytes, ...]) -> Capacity | None:
     points = surface.origin + surface.cell * (columns + 0.5)
     middle = points.mean(axis=0)
     is_symmetric = (np.abs(middle - of_box) <= surface.cell).all()  # as far as the grid tells
-    return Capacity(
+    return BucketCapacity(
         volume=float((brim - ground[is_wet]).sum() * surface.cell**2),
         bottom=float(ground[is_wet].min()),
         brim=brim,
@@ -105,8 +105,8 @@ def map_heights(panels: Sequence[np.ndarray], like: HeightMap | None = None) -> 
     if like is None:
         points = np.concatenate(panels)[:, :2]
         low, high = points.min(axis=0), points.max(axis=0)
-        cell = float((high - low).max()) / CELLS
-        margin = int(np.ceil(GAP / cell)) + 2  # of cells with nothing around
+        cell = float((high - low).max()) / GRID_CELLS
+        margin = int(np.ceil(SLIT_WIDTH / cell)) + 2  # of cells with nothing around
         shape = tuple((np.ceil((high - low) / cell - 1e-9).astype(int) + 2 * margin).tolist())
         like = HeightMap(low - margin * cell, cell, np.full(shape, -np.inf), np.empty(0))
     floor = np.full(like.floor.shape, -np.inf)
@@ -150,12 +150,12 @@ def _close_slits(surface: HeightMap) -> np.ndarray:
     """The height [nx, ny] (m) of the highest point in each cell, slits filled; below all of it where there is nothing."""
     from scipy import ndimage
 
-    slit = 2 * int(np.ceil(0.5 * GAP / surface.cell)) + 1  # cells
+    slit = 2 * int(np.ceil(0.5 * SLIT_WIDTH / surface.cell)) + 1  # cells
     height = np.where(np.isfinite(surface.ridge), surface.ridge, np.min(surface.ridge[np.isfinite(surface.ridge)]) - 1.0)
     return np.maximum(height, ndimage.grey_closing(height, size=(slit, slit)))
 
 
-def _water_level(height: np.ndarray) -> np.ndarray:
+def _find_water_level(height: np.ndarray) -> np.ndarray:
     """The height [nx, ny] (m) to which water rises in each cell of ``_close_slits``, that of the ground where it runs off."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree

@@ -6,13 +6,13 @@ from pathlib import Path
 from typing import Any
 
 from dem_jax.errors import SceneError
-from dem_jax.scene.changes import DEEPEST, Tree, is_deep, merged, on_top, without_ranges
-from dem_jax.scene.evidence import for_scene, in_state, states_of
-from dem_jax.scene.overrides import drop_overridden
-from dem_jax.scene.sections.contact import OF_LAWS
+from dem_jax.scene.evidence import extract_scene_sections, read_states, select_state
+from dem_jax.scene.messages import shorten_value, suggest_choices
+from dem_jax.scene.overrides import drop_overridden_keys
+from dem_jax.scene.sections.contact import LAW_KEYS
 from dem_jax.scene.sections.material import NamedMaterial
-from dem_jax.scene.sections.pieces import OF_PRODUCT, SPREADS
-from dem_jax.scene.words import choices, short
+from dem_jax.scene.sections.piece import PRODUCT_KEYS, SPREAD_KEYS
+from dem_jax.scene.tree_merging import DEEPEST, Tree, drop_replaced_ranges, is_too_deep, merge_tables, overlay_scene
 
 PRODUCTS = Path(__file__).parent.parent / "products"
 BUCKETS = Path(__file__).parent.parent / "buckets"
@@ -24,35 +24,35 @@ FORMER_NAMES = {  # of buckets, of a version that named them by what makers call
     "3-litre": "5.4-litre",
     "5-litre": "9.1-litre",
 }
-OF_BUCKETS = ("feed_bucket", "weigh_bucket")
+BUCKET_SECTIONS = ("feed_bucket", "weigh_bucket")
 LAWS_OF_PRODUCTS = ("densifying", "elastic-plastic")  # contact laws that belong to a product
-KEYS_OF_LAWS = ("law", *(key for section, key in OF_LAWS if section == "contact"))  # of [contact]
-ONE_PIECE = {"portion.count": 1} | {f"portion.{key}": 0.0 for key in SPREADS}  # changes of a scene
-OF_A_PRODUCT = ("portion", "material", "pair", "contact", "evidence", "state")
-SECTIONS = {PRODUCTS: OF_A_PRODUCT, BUCKETS: (*OF_BUCKETS, "drop")}  # of a file of the user's
+KEYS_OF_LAWS = ("law", *(key for section, key in LAW_KEYS if section == "contact"))  # of [contact]
+ONE_PIECE = {"portion.count": 1} | {f"portion.{key}": 0.0 for key in SPREAD_KEYS}  # changes of a scene
+PRODUCT_SECTIONS = ("portion", "material", "pair", "contact", "evidence", "state")
+FILE_SECTIONS = {PRODUCTS: PRODUCT_SECTIONS, BUCKETS: (*BUCKET_SECTIONS, "drop")}  # of a file of the user's
 
 
-def products() -> dict[str, str]:
+def list_products() -> dict[str, str]:
     """Names of the products and what each is (the first comment line of its file)."""
-    return _listed(PRODUCTS)
+    return _list_first_comments(PRODUCTS)
 
 
-def buckets() -> dict[str, str]:
+def list_buckets() -> dict[str, str]:
     """Names of the buckets, by the litres that the weigh bucket holds to its brim, and what each is for (the first comment line of
     its file)."""
-    return _listed(BUCKETS)
+    return _list_first_comments(BUCKETS)
 
 
-def bucket_file(name: str) -> Path:
+def find_bucket_file(name: str) -> Path:
     """The file of a bucket by its name or its former name."""
     return BUCKETS / f"{FORMER_NAMES.get(name, name)}.toml"
 
 
-def _listed(folder: Path) -> dict[str, str]:
+def _list_first_comments(folder: Path) -> dict[str, str]:
     return {path.stem: path.read_text(encoding="utf-8").splitlines()[0].lstrip("# ") for path in sorted(folder.glob("*.toml"))}
 
 
-def product_tree(name: Any, source: str | Path, key: str = "product") -> Tree:
+def load_product(name: Any, source: str | Path, key: str = "product") -> Tree:
     """The tree of a product in one of its states, with its evidence.
 
     Args:
@@ -65,17 +65,17 @@ def product_tree(name: Any, source: str | Path, key: str = "product") -> Tree:
     """
     plain, state = _split_state(name)
     begin = f"{source}: {key} = {name!r}"
-    tree = in_state(_named(PRODUCTS, key, plain, source), state, begin)
+    tree = select_state(_load_named(PRODUCTS, key, plain, source), state, begin)
     for section in ("portion", "material", "contact"):
         if not isinstance(tree.get(section, {}), dict):
-            raise SceneError(f"{begin}: {section} = {short(tree[section])}: allowed: a table [{section}]")
+            raise SceneError(f"{begin}: {section} = {shorten_value(tree[section])}: allowed: a table [{section}]")
     return tree
 
 
-def states_of_product(name: str) -> list[str]:
+def list_product_states(name: str) -> list[str]:
     """Names of the further states of a product, [] where the name is of a state. Raises SceneError."""
     plain, state = _split_state(name)
-    return list(states_of(_named(PRODUCTS, "product", plain, "products"), f"product {plain}")) if state is None else []
+    return list(read_states(_load_named(PRODUCTS, "product", plain, "products"), f"product {plain}")) if state is None else []
 
 
 def _split_state(name: Any) -> tuple[Any, str | None]:
@@ -84,74 +84,74 @@ def _split_state(name: Any) -> tuple[Any, str | None]:
     return (plain, state) if colon and not state.endswith(".toml") else (name, None)
 
 
-def with_product(tree: Tree, name: Any, source: str | Path) -> Tree:
+def apply_product(tree: Tree, name: Any, source: str | Path) -> Tree:
     """A scene's tree with the product in its portion: shape, sizes, [material], the contact law that it needs and the ranges of
     its numbers are the product's; how many there are and how they lie stays. Raises SceneError."""
-    own = for_scene(product_tree(name, source), f"product {name}")
+    own = extract_scene_sections(load_product(name, source), f"product {name}")
     if tree.get("piece"):
         raise SceneError(f"{source}: product = {name!r}: allowed in a scene with a portion, this one lists its pieces")
     contact = tree.get("contact")
     if isinstance(contact, dict) and contact.get("law") in LAWS_OF_PRODUCTS:  # which the product before it needed
         tree = tree | {"contact": {key: item for key, item in contact.items() if key not in KEYS_OF_LAWS}}
-    kept = {key: item for key, item in (tree.get("portion") or {}).items() if key not in (*OF_PRODUCT, "product")}
-    rows = [row for row in _ranges_of(tree, source) if not _is_of_material(row)]
-    return on_top(tree | {"portion": kept, "uncertain": rows}, own | {"uncertain": [*rows, *own.get("uncertain", [])]})
+    kept = {key: item for key, item in (tree.get("portion") or {}).items() if key not in (*PRODUCT_KEYS, "product")}
+    rows = [row for row in _get_ranges(tree, source) if not _is_material_row(row)]
+    return overlay_scene(tree | {"portion": kept, "uncertain": rows}, own | {"uncertain": [*rows, *own.get("uncertain", [])]})
 
 
-def _ranges_of(tree: Tree, source: str | Path) -> list[Any]:
+def _get_ranges(tree: Tree, source: str | Path) -> list[Any]:
     """Rows of [[uncertain]]. Raises SceneError."""
     rows = tree.get("uncertain") or []
     if not isinstance(rows, list | tuple):
-        raise SceneError(f"{source}: uncertain = {short(rows)}: allowed: tables [[uncertain]]")
+        raise SceneError(f"{source}: uncertain = {shorten_value(rows)}: allowed: tables [[uncertain]]")
     return list(rows)
 
 
-def _is_of_material(row: Any) -> bool:
+def _is_material_row(row: Any) -> bool:
     """Whether a row of [[uncertain]] is about a number of [material]."""
     return isinstance(row, dict) and str(row.get("key")).startswith("material.")
 
 
-def with_bucket(tree: Tree, name: Any, source: str | Path) -> Tree:
+def apply_bucket(tree: Tree, name: Any, source: str | Path) -> Tree:
     """A scene's tree with the sizes of both buckets and the drop height; whether and when they open stays but for the time that it
     takes. Raises SceneError."""
-    own = _named(BUCKETS, "bucket", FORMER_NAMES.get(name, name) if isinstance(name, str) else name, source)
-    if not all(tree.get(key) for key in OF_BUCKETS):
+    own = _load_named(BUCKETS, "bucket", FORMER_NAMES.get(name, name) if isinstance(name, str) else name, source)
+    if not all(tree.get(key) for key in BUCKET_SECTIONS):
         raise SceneError(f"{source}: bucket = {name!r}: allowed in a scene with [feed_bucket] and [weigh_bucket]")
-    return on_top(tree, drop_overridden(own, {"cycle": tree.get("cycle")}))
+    return overlay_scene(tree, drop_overridden_keys(own, {"cycle": tree.get("cycle")}))
 
 
-KEYS = {"product": with_product, "bucket": with_bucket}  # of a scene, which the sections of a file come after
+LIBRARY_KEYS = {"product": apply_product, "bucket": apply_bucket}  # of a scene, which the sections of a file come after
 
 
-def with_named(below: Tree, own: Tree, source: str | Path) -> Tree:
-    """A tree with what the keys of ``KEYS`` in another name, which are taken out of that, as are names of products in a mixture.
+def apply_library_keys(below: Tree, own: Tree, source: str | Path) -> Tree:
+    """A tree with what the keys of ``LIBRARY_KEYS`` in another name, which are taken out of that, as are names of products in a mixture.
     Raises SceneError."""
-    for key, lay in KEYS.items():
+    for key, lay in LIBRARY_KEYS.items():
         if (name := own.pop(key, None)) is not None:
             below = lay(below, name, source)
     portion = own.get("portion")
     rows = portion.get("product") if isinstance(portion, dict) else None
     named = [row for row in rows if isinstance(row, dict) and "product" in row] if isinstance(rows, list | tuple) else []
     if portion and rows and named:
-        own.update(_mixture(own, rows, source))
+        own.update(_mix_products(own, rows, source))
     return below
 
 
-def _mixture(own_tree: Tree, rows: Sequence[Any], source: str | Path) -> Tree:
+def _mix_products(own_tree: Tree, rows: Sequence[Any], source: str | Path) -> Tree:
     """Sections of a scene whose portion has rows that may name products.
 
     The keys of products lie beneath those of their rows, [material] has theirs by name, [[uncertain]] the ranges of their
     numbers. Softening is one for all materials: the largest of the products', so that none is softer than its own file says. So
     is the contact law: the one that a product needs, unless the scene sets it.
     """
-    portion, material, own_ranges = own_tree["portion"], own_tree.get("material"), _ranges_of(own_tree, source)
+    portion, material, own_ranges = own_tree["portion"], own_tree.get("material"), _get_ranges(own_tree, source)
     filled, materials, softening, ranges, contact = [], {}, [], list[Tree](), Tree()
     for n, row in enumerate(rows):
         if not isinstance(row, dict) or "product" not in row:
             filled.append(row)
             continue
         name = row["product"]
-        product = for_scene(product_tree(name, source, f"portion.product.{n}.product"), f"product {name}")
+        product = extract_scene_sections(load_product(name, source, f"portion.product.{n}.product"), f"product {name}")
         name = name.replace(":", "-")
         contact |= product.get("contact", {})
         filled.append({"material": name} | _fill_row(row, product.get("portion", {})))
@@ -163,10 +163,10 @@ def _mixture(own_tree: Tree, rows: Sequence[Any], source: str | Path) -> Tree:
                 key = known["key"].removeprefix("material.")
                 ranges += [known | {"key": f"material.{name}.{key}"}] if key in materials[name] else []
     given = material if isinstance(material, dict) else {}
-    whole = merged({**({"softening": max(softening)} if softening else {}), **materials}, given)
-    ranges = without_ranges({"uncertain": ranges}, {"material": given})["uncertain"]
+    whole = merge_tables({**({"softening": max(softening)} if softening else {}), **materials}, given)
+    ranges = drop_replaced_ranges({"uncertain": ranges}, {"material": given})["uncertain"]
     sections = {"portion": {**portion, "product": filled}, "material": whole if material is None or given else material}
-    law = {"contact": merged({"contact": contact}, own_tree)["contact"]} if contact else {}
+    law = {"contact": merge_tables({"contact": contact}, own_tree)["contact"]} if contact else {}
     return {**sections, **law, "uncertain": [*ranges, *own_ranges]}
 
 
@@ -174,30 +174,30 @@ def _fill_row(row: Tree, portion: Tree) -> Tree:
     """A row of a mixture on top of the portion of the product that it names; a shape of its own replaces the product's."""
     own = {key: item for key, item in row.items() if key != "product"}
     if "shape" in own:
-        portion = {key: item for key, item in portion.items() if key in ("material", "piece_weight", *SPREADS)}
-    if any(own.get(key) for key in SPREADS):
-        portion = {key: item for key, item in portion.items() if key not in SPREADS}
+        portion = {key: item for key, item in portion.items() if key in ("material", "piece_weight", *SPREAD_KEYS)}
+    if any(own.get(key) for key in SPREAD_KEYS):
+        portion = {key: item for key, item in portion.items() if key not in SPREAD_KEYS}
     return portion | own
 
 
-def _named(folder: Path, key: str, name: Any, source: str | Path) -> Tree:
+def _load_named(folder: Path, key: str, name: Any, source: str | Path) -> Tree:
     """What is in a library's file, or in a file of the user's. Raises SceneError."""
     if isinstance(name, str) and name.endswith(".toml"):
-        return read_part(_beside(source, name), key, SECTIONS[folder])
+        return read_library_file(_resolve_beside(source, name), key, FILE_SECTIONS[folder])
     known = [path.stem for path in sorted(folder.glob("*.toml"))]
     if name not in known:
-        allowed = f"{choices(str(name), known)}, or a file that ends in .toml"
+        allowed = f"{suggest_choices(str(name), known)}, or a file that ends in .toml"
         raise SceneError(f"{source}: {key} = {name!r}: no such {key.split('.')[-1]}; {allowed}")
     return tomllib.loads((folder / f"{name}.toml").read_text(encoding="utf-8"))
 
 
-def _beside(source: str | Path, name: str) -> Path:
+def _resolve_beside(source: str | Path, name: str) -> Path:
     """A file that a scene names: beside the scene's own file, if there is such a one, else in the working folder."""
     beside = Path(source).parent / name
     return beside if Path(source).suffix == ".toml" and beside.is_file() else Path(name)
 
 
-def read_part(path: Path, key: str, sections: Sequence[str]) -> Tree:
+def read_library_file(path: Path, key: str, sections: Sequence[str]) -> Tree:
     """The tree of a product or a bucket in a TOML file; STL files in it are beside it.
 
     Args:
@@ -216,19 +216,19 @@ def read_part(path: Path, key: str, sections: Sequence[str]) -> Tree:
     except (OSError, ValueError, RecursionError) as error:
         reason = (error.strerror if isinstance(error, OSError) else str(error).splitlines()[0]) or type(error).__name__
         raise SceneError(f"{key} = {str(path)!r}: cannot be read as TOML ({reason})") from error
-    if is_deep(tree):
+    if is_too_deep(tree):
         raise SceneError(f"{key} = {str(path)!r}: tables and lists are nested too deep; allowed: {DEEPEST} in each other")
     stray = [name for name in tree if name not in sections]
     if stray or not tree:
         found = f"it has {stray[0]!r}" if stray else "it is empty"
         raise SceneError(f"{key} = {str(path)!r}: {found}; allowed: {', '.join(f'[{name}]' for name in sections)}")
-    return {name: _with_places(item, path.resolve().parent) for name, item in tree.items()}
+    return {name: _resolve_stl_paths(item, path.resolve().parent) for name, item in tree.items()}
 
 
-def _with_places(item: Any, folder: Path, key: str = "") -> Any:
+def _resolve_stl_paths(item: Any, folder: Path, key: str = "") -> Any:
     """A tree with its STL files from the root; folder: where they are."""
     if isinstance(item, dict):
-        return {name: _with_places(below, folder, name) for name, below in item.items()}
+        return {name: _resolve_stl_paths(below, folder, name) for name, below in item.items()}
     if isinstance(item, list):
-        return [_with_places(below, folder, key) for below in item]
+        return [_resolve_stl_paths(below, folder, key) for below in item]
     return str(folder / item) if key in ("stl", "flap_stl") and isinstance(item, str) else item

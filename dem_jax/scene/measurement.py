@@ -13,18 +13,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dem_jax.errors import SceneError
-from dem_jax.scene.sections.contact import HERTZIAN
+from dem_jax.scene.sections.contact import HERTZIAN_LAWS
 
-CONFIDENCE = 0.9  # so that the ends are 5 and 95 %
+CONFIDENCE_LEVEL = 0.9  # so that the ends are 5 and 95 %
 FEWEST = 3  # measurements
 NARROWEST = 1e-3  # half of an interval, relative: no reading is more accurate
-FORCES = {"force_N": 1.0, "force_g": 9.80665e-3, "force_kg": 9.80665}  # columns, and newtons of one unit
-WAYS = {"way_m": 1.0, "way_mm": 1e-3, "way_um": 1e-6}
-MODULI = ("walton-braun", "linear-dashpot", "densifying", *HERTZIAN)  # laws that a modulus is measured by
+FORCE_UNITS = {"force_N": 1.0, "force_g": 9.80665e-3, "force_kg": 9.80665}  # columns, and newtons of one unit
+WAY_UNITS = {"way_m": 1.0, "way_mm": 1e-3, "way_um": 1e-6}
+MODULUS_LAWS = ("walton-braun", "linear-dashpot", "densifying", *HERTZIAN_LAWS)  # laws that a modulus is measured by
 
 
 @dataclass(frozen=True)
-class Measured:
+class MeasuredNumber:
     """A number of a product as it was measured."""
 
     key: str  # of [material]
@@ -40,15 +40,15 @@ class Measured:
         words = f"{self.key} = {self.value:.3g}, with 90 % between {self.low:.3g} and {self.high:.3g}"
         return f"{words} ({self.count} {self.kind}, relative standard deviation {self.spread:.2g})"
 
-    def tree(self, source: str) -> dict:
+    def to_tree(self, source: str) -> dict:
         """The sections of a product's file with this number and its evidence; source: the file or the readings behind it."""
         says = f"{self.count} {self.kind}, relative standard deviation {self.spread:.2g}"
-        low, high = _rounded(self.low, 4), _rounded(self.high, 4)
+        low, high = _round_digits(self.low, 4), _round_digits(self.high, 4)
         row = {"range": [low, high], "grade": "A", "source": "own measurement", "address": source, "says": says}
-        return {"material": {self.key: min(max(_rounded(self.value, 3), low), high)}, "evidence": {self.key: row}}
+        return {"material": {self.key: min(max(_round_digits(self.value, 3), low), high)}, "evidence": {self.key: row}}
 
 
-def estimate_restitution(drops: ArrayLike, rebounds: ArrayLike) -> Measured:
+def estimate_restitution(drops: ArrayLike, rebounds: ArrayLike) -> MeasuredNumber:
     """The coefficient of restitution of pieces that are dropped on a plate.
 
     Args:
@@ -66,10 +66,10 @@ def estimate_restitution(drops: ArrayLike, rebounds: ArrayLike) -> Measured:
         raise SceneError(f"{len(drop)} drops, {len(rebound)} rebounds: allowed: as many of both, finite numbers")
     for k in np.flatnonzero((rebound <= 0) | (rebound > drop)):
         raise SceneError(f"row {k + 1}: rebound = {rebound[k]:g} of drop = {drop[k]:g}: allowed: above 0, at most the drop")
-    return _mean("restitution", np.sqrt(rebound / drop), "rebounds", 1.0)
+    return _mean_with_interval("restitution", np.sqrt(rebound / drop), "rebounds", 1.0)
 
 
-def estimate_friction(angles_deg: ArrayLike, key: str = "friction_wall") -> Measured:
+def estimate_friction(angles_deg: ArrayLike, key: str = "friction_wall") -> MeasuredNumber:
     """The coefficient of friction from the angles (degrees) at which pieces begin to slide down a tilted plate.
 
     Args:
@@ -85,7 +85,7 @@ def estimate_friction(angles_deg: ArrayLike, key: str = "friction_wall") -> Meas
     angles = np.asarray(angles_deg, float)
     for angle in angles[~((angles > 0) & (angles < 80))]:
         raise SceneError(f"angle = {angle:g}: allowed: degrees, above 0 and below 80")
-    return _mean(key, np.tan(np.radians(angles)), "angles of sliding", np.inf)
+    return _mean_with_interval(key, np.tan(np.radians(angles)), "angles of sliding", np.inf)
 
 
 def estimate_modulus(
@@ -94,7 +94,7 @@ def estimate_modulus(
     law: str = "walton-braun",
     densification: float = 0.2,
     poisson: float = 0.3,
-) -> Measured:
+) -> MeasuredNumber:
     """Young's modulus of pieces that are pressed between two hard plates, which are two contacts in series.
 
     With s half of the approach of the plates and L the size: F = E L s (``walton-braun``, ``linear-dashpot``),
@@ -115,8 +115,8 @@ def estimate_modulus(
     Raises:
         SceneError: too few points, or points through which no such curve rises.
     """
-    shape = _force_curve(law, size, densification, poisson)
-    fits = [_fit(shape, np.asarray(force, float), np.asarray(way, float), k + 1) for k, (force, way) in enumerate(pieces)]
+    shape = _make_force_curve(law, size, densification, poisson)
+    fits = [_fit_modulus(shape, np.asarray(force, float), np.asarray(way, float), k + 1) for k, (force, way) in enumerate(pieces)]
     logs = np.log([modulus for modulus, _ in fits])
     if len(fits) == 1:
         deviation, kind = fits[0][1], "piece between plates"
@@ -125,16 +125,16 @@ def estimate_modulus(
         deviation, kind = float(logs.std(ddof=1)), "pieces between plates"
         half = _student_factor(len(logs) - 1) * deviation / np.sqrt(len(logs))
     low, value, high = (float(np.exp(logs.mean() + sign * max(half, NARROWEST))) for sign in (-1, 0, 1))
-    return Measured("youngs_modulus", value, low, high, len(logs), deviation, kind)
+    return MeasuredNumber("youngs_modulus", value, low, high, len(logs), deviation, kind)
 
 
-def _force_curve(law: str, size: float, densification: float, poisson: float) -> Callable[[np.ndarray], np.ndarray]:
+def _make_force_curve(law: str, size: float, densification: float, poisson: float) -> Callable[[np.ndarray], np.ndarray]:
     """Force over modulus (m2) at ways of the plates (m). Raises SceneError."""
     if not (np.isfinite(size) and size > 0):
         raise SceneError(f"size = {size:g}: allowed: a length (m) above 0")
-    if law not in MODULI:
-        raise SceneError(f"law = {law!r}: allowed: {', '.join(MODULI)}")
-    if law in HERTZIAN:
+    if law not in MODULUS_LAWS:
+        raise SceneError(f"law = {law!r}: allowed: {', '.join(MODULUS_LAWS)}")
+    if law in HERTZIAN_LAWS:
         return lambda way: 4 / 3 / (1 - poisson**2) * np.sqrt(0.5 * size) * (0.5 * np.maximum(way, 0)) ** 1.5
     if law == "densifying":
         depth = densification * size
@@ -142,7 +142,7 @@ def _force_curve(law: str, size: float, densification: float, poisson: float) ->
     return lambda way: 0.5 * size * np.maximum(way, 0)
 
 
-def _fit(shape: Callable[[np.ndarray], np.ndarray], force: np.ndarray, way: np.ndarray, piece: int) -> tuple[float, float]:
+def _fit_modulus(shape: Callable[[np.ndarray], np.ndarray], force: np.ndarray, way: np.ndarray, piece: int) -> tuple[float, float]:
     """The modulus (Pa) of a piece, and the standard deviation of its logarithm. Raises SceneError."""
     from scipy.optimize import least_squares
 
@@ -154,34 +154,34 @@ def _fit(shape: Callable[[np.ndarray], np.ndarray], force: np.ndarray, way: np.n
     begin, span = way.min(), np.ptp(way)
     first = np.log(max(force.max(), 1e-300) / max(float(shape(np.array(span))), 1e-300))
 
-    def miss(x: np.ndarray) -> np.ndarray:
+    def force_residuals(x: np.ndarray) -> np.ndarray:
         return (np.exp(x[0]) * shape(way - begin - x[1] * span) - force) / force.max()
 
-    found = least_squares(miss, [first, 0.0], x_scale=[0.1, 0.1])
+    found = least_squares(force_residuals, [first, 0.0], x_scale=[0.1, 0.1])
     free = max(len(force) - 2, 1)
     scatter = 2 * found.cost / free
     covariance = scatter * np.linalg.pinv(found.jac.T @ found.jac)
     return float(np.exp(found.x[0])), float(np.sqrt(covariance[0, 0]))
 
 
-def _mean(key: str, values: np.ndarray, kind: str, most: float) -> Measured:
+def _mean_with_interval(key: str, values: np.ndarray, kind: str, most: float) -> MeasuredNumber:
     """The mean of measurements with its interval, which ends between a tenth of the mean and a bound. Raises SceneError."""
     if len(values) < FEWEST:
         raise SceneError(f"{len(values)} {kind}: allowed: at least {FEWEST}, better ten")
     mean, deviation = float(values.mean()), float(values.std(ddof=1))
     half = max(_student_factor(len(values) - 1) * deviation / np.sqrt(len(values)), NARROWEST * mean)
     ends = max(mean - half, 0.1 * mean), min(mean + half, most)
-    return Measured(key, mean, *ends, len(values), deviation / mean, kind)
+    return MeasuredNumber(key, mean, *ends, len(values), deviation / mean, kind)
 
 
 def _student_factor(degrees: int) -> float:
     """The factor on the standard error at the ends of the interval."""
     from scipy.stats import t
 
-    return float(t.ppf(0.5 + 0.5 * CONFIDENCE, max(degrees, 1)))
+    return float(t.ppf(0.5 + 0.5 * CONFIDENCE_LEVEL, max(degrees, 1)))
 
 
-def _rounded(number: float, digits: int) -> float:
+def _round_digits(number: float, digits: int) -> float:
     return float(f"{number:.{digits}g}")
 
 

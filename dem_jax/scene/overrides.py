@@ -6,14 +6,14 @@ from typing import Any, NamedTuple
 from pydantic import BaseModel
 
 from dem_jax.errors import SceneError
-from dem_jax.scene.text import value
+from dem_jax.scene.toml_text import format_value
 
 Tree = dict[str, Any]
 BUCKETS = ("weigh_bucket", "feed_bucket")
-SIZES = ("mouth", "wall_height", "flap_angle_deg", "lap")  # of a bucket
-TIMES = ("opening_start", "opening_time", "open_dwell", "closing_time", "period")  # of its flaps
-PAN = ("length", "width", "wall_height")
-VIBRATION = ("start", "duration", "period")
+SIZE_KEYS = ("mouth", "wall_height", "flap_angle_deg", "lap")  # of a bucket
+FLAP_TIME_KEYS = ("opening_start", "opening_time", "open_dwell", "closing_time", "period")  # of its flaps
+PAN_KEYS = ("length", "width", "wall_height")
+VIBRATION_KEYS = ("start", "duration", "period")
 
 
 class Override(NamedTuple):
@@ -22,7 +22,7 @@ class Override(NamedTuple):
     by, keys: dotted, of a scene. holds: whether a value of ``by`` overrides. why: in words, to follow "cannot act".
     """
 
-    by: str
+    overriding_key: str
     keys: tuple[str, ...]
     holds: Callable[[Any], bool]
     why: str
@@ -32,20 +32,20 @@ def _is_absent(item: Any) -> bool:
     return item is None
 
 
-def _of(section: str, names: Iterable[str]) -> tuple[str, ...]:
+def _prefix_keys(section: str, names: Iterable[str]) -> tuple[str, ...]:
     return tuple(f"{section}.{name}" for name in names)
 
 
-def _of_own_sizes(section: str, sizes: tuple[str, ...]) -> list[Override]:
+def _size_overrides(section: str, sizes: tuple[str, ...]) -> list[Override]:
     """What overrides the sizes of a bucket or a feeder."""
     return [Override(f"{section}.{by}", sizes, bool, f"beside {section}.{by}, which has its own sizes") for by in ("stl", "panels")]
 
 
-def _of_bucket(section: str) -> list[Override]:
+def _bucket_overrides(section: str) -> list[Override]:
     """What overrides keys of a bucket."""
-    sizes, times = _of(section, SIZES), _of(section, TIMES)
+    sizes, times = _prefix_keys(section, SIZE_KEYS), _prefix_keys(section, FLAP_TIME_KEYS)
     return [
-        *_of_own_sizes(section, sizes),
+        *_size_overrides(section, sizes),
         Override(f"{section}.opening_angle_deg", times, lambda a: a == 0, f"beside {section}.opening_angle_deg = 0: it stays shut"),
         Override("cycle", times, bool, "beside [cycle], which says when buckets open"),
         Override(section, ("drop.height",), _is_absent, f"without [{section}]"),
@@ -53,9 +53,9 @@ def _of_bucket(section: str) -> list[Override]:
 
 
 OVERRIDES = (
-    *(row for section in BUCKETS for row in _of_bucket(section)),
-    *_of_own_sizes("feeder", _of("feeder", PAN)),
-    Override("cycle.lf", _of("feeder", VIBRATION), bool, "beside cycle.lf, which says when the feeder vibrates"),
+    *(row for section in BUCKETS for row in _bucket_overrides(section)),
+    *_size_overrides("feeder", _prefix_keys("feeder", PAN_KEYS)),
+    Override("cycle.lf", _prefix_keys("feeder", VIBRATION_KEYS), bool, "beside cycle.lf, which says when the feeder vibrates"),
     Override("piece", ("portion",), bool, "beside [[piece]]: these are all pieces"),
     Override("portion.count", ("portion.target_weight",), bool, "beside portion.count"),
     Override(
@@ -75,48 +75,48 @@ ALTERNATIVES = (
 )
 
 
-def drop_overridden(below: Tree, above: Tree) -> Tree:
+def drop_overridden_keys(below: Tree, above: Tree) -> Tree:
     """The tree below without the keys that those of the tree on top leave without effect."""
     for row in (*OVERRIDES, *ALTERNATIVES):
-        item, said = _find(above, row.by)
+        item, said = _find_value(above, row.overriding_key)
         if said and row.holds(item):
             for key in row.keys:
-                below = below if _find(above, key)[1] else _without(below, key.split("."))
+                below = below if _find_value(above, key)[1] else _drop_key(below, key.split("."))
     return below
 
 
-def without_overridden(tree: Tree) -> Tree:
+def drop_inactive_keys(tree: Tree) -> Tree:
     """The tree of a whole scene, such as an earlier version stored, without the keys that cannot act."""
     for row in OVERRIDES:
-        item, said = _find(tree, row.by)
+        item, said = _find_value(tree, row.overriding_key)
         if said and row.holds(item):
             for key in row.keys:
-                tree = _without(tree, key.split("."))
+                tree = _drop_key(tree, key.split("."))
     return tree
 
 
-def find_overridden(scene: BaseModel, keys: Iterable[str] | None = None) -> Iterator[str]:
+def find_inactive_keys(scene: BaseModel, keys: Iterable[str] | None = None) -> Iterator[str]:
     """What is wrong, in words, of each key that cannot act; keys: of these, else of all that are not at their defaults."""
     given = None if keys is None else set(keys)
-    replaced = {key for row in ALTERNATIVES if given and row.by in given for key in row.keys} - (given or set())
+    replaced = {key for row in ALTERNATIVES if given and row.overriding_key in given for key in row.keys} - (given or set())
     for row in OVERRIDES:
-        if row.by in replaced or not row.holds(_find(scene, row.by)[0]):
+        if row.overriding_key in replaced or not row.holds(_find_value(scene, row.overriding_key)[0]):
             continue
         for key in row.keys:
-            item, said = _find(scene, key)
-            is_set = item != _default(scene, key) if said and given is None else any(_is_in(own, key) for own in given or ())
+            item, said = _find_value(scene, key)
+            is_set = item != _default_value(scene, key) if said and given is None else any(_is_within(own, key) for own in given or ())
             if item is not None and is_set:
-                shown = "" if isinstance(item, BaseModel) else f" = {value(item)}"
+                shown = "" if isinstance(item, BaseModel) else f" = {format_value(item)}"
                 yield f"{key}{shown}: cannot act {row.why}; allowed: to leave it out"
 
 
-def check_varied(scene: BaseModel, keys: Iterable[str], source: str) -> None:
+def check_varied_keys(scene: BaseModel, keys: Iterable[str], source: str) -> None:
     """Raise SceneError for a key that is to vary and cannot act in a scene; source: begins the message."""
-    for wrong in find_overridden(scene, keys):
+    for wrong in find_inactive_keys(scene, keys):
         raise SceneError(f"{source}: {wrong}")
 
 
-def _find(tree: Any, key: str) -> tuple[Any, bool]:
+def _find_value(tree: Any, key: str) -> tuple[Any, bool]:
     """The value of a dotted key in a tree or a scene, and whether there is that key."""
     for part in key.split("."):
         if isinstance(tree, BaseModel) and part in type(tree).model_fields:
@@ -128,35 +128,35 @@ def _find(tree: Any, key: str) -> tuple[Any, bool]:
     return tree, True
 
 
-def _is_in(key: str, section: str) -> bool:
+def _is_within(key: str, section: str) -> bool:
     """Whether a dotted key is another one, or in it."""
     return key == section or key.startswith(f"{section}.")
 
 
-def nested(changes: Tree) -> Tree:
+def nest_keys(changes: Tree) -> Tree:
     """The tree of dotted keys; of several in one table all, of one within a value of another the last."""
     tree: Tree = {}
     for key, item in changes.items():
         table, *below = key.split(".")
         if below:
             own = tree[table] if isinstance(tree.get(table), dict) else {}
-            tree[table] = own | nested({".".join(below): item})
+            tree[table] = own | nest_keys({".".join(below): item})
         else:
             tree[table] = item
     return tree
 
 
-def _default(scene: BaseModel, key: str) -> Any:
+def _default_value(scene: BaseModel, key: str) -> Any:
     """The default of a dotted key."""
     section, _, name = key.rpartition(".")
-    owner = _find(scene, section)[0] if section else scene
+    owner = _find_value(scene, section)[0] if section else scene
     return type(owner).model_fields[name].default
 
 
-def _without(tree: Any, keys: list[str]) -> Any:
+def _drop_key(tree: Any, keys: list[str]) -> Any:
     """The tree without a key, copied where it changes."""
     if not isinstance(tree, dict) or keys[0] not in tree:
         return tree
     if len(keys) == 1:
         return {name: item for name, item in tree.items() if name != keys[0]}
-    return tree | {keys[0]: _without(tree[keys[0]], keys[1:])}
+    return tree | {keys[0]: _drop_key(tree[keys[0]], keys[1:])}

@@ -7,24 +7,24 @@ from numpy.typing import ArrayLike
 
 from dem_jax.errors import SceneError
 from dem_jax.scene.scene import Scene
-from dem_jax.scene.sections.uncertain import Uncertain
+from dem_jax.scene.sections.uncertain_number import UncertainNumber
 
 Array = np.ndarray
 
 
-def quantile(row: Uncertain, probability: ArrayLike) -> Array:
+def evaluate_quantile(row: UncertainNumber, probability: ArrayLike) -> Array:
     """The values of an uncertain number at probabilities from 0 to 1."""
     (low, high), p = row.range, np.asarray(probability, float)
     return low * (high / low) ** p if row.distribution == "log-uniform" else low + (high - low) * p
 
 
-def probability(row: Uncertain, value: ArrayLike) -> Array:
-    """The probabilities of values of an uncertain number: the inverse of ``quantile``."""
+def evaluate_cdf(row: UncertainNumber, value: ArrayLike) -> Array:
+    """The probabilities of values of an uncertain number: the inverse of ``evaluate_quantile``."""
     (low, high), x = row.range, np.asarray(value, float)
     return np.log(x / low) / np.log(high / low) if row.distribution == "log-uniform" else (x - low) / (high - low)
 
 
-def uncertain_rows(scene: Scene, without: Sequence[str] = ()) -> list[Uncertain]:
+def select_uncertain_rows(scene: Scene, without: Sequence[str] = ()) -> list[UncertainNumber]:
     """The uncertain numbers of a scene, but those of some keys. Raises SceneError where there are none."""
     rows = [row for row in scene.uncertain if row.key not in without]
     if not rows:
@@ -33,7 +33,7 @@ def uncertain_rows(scene: Scene, without: Sequence[str] = ()) -> list[Uncertain]
     return rows
 
 
-def draw_values(rows: Sequence[Uncertain], runs: int, seed: int) -> dict[str, list[float]]:
+def draw_values(rows: Sequence[UncertainNumber], runs: int, seed: int) -> dict[str, list[float]]:
     """One value of each uncertain number for each run, from a Latin hypercube.
 
     Args:
@@ -47,4 +47,4 @@ def draw_values(rows: Sequence[Uncertain], runs: int, seed: int) -> dict[str, li
     from scipy.stats import qmc
 
     drawn = qmc.LatinHypercube(len(rows), rng=np.random.default_rng(seed)).random(runs)
-    return {row.key: quantile(row, column).tolist() for row, column in zip(rows, drawn.T, strict=True)}
+    return {row.key: evaluate_quantile(row, column).tolist() for row, column in zip(rows, drawn.T, strict=True)}

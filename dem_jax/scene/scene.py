@@ -6,22 +6,22 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
 from dem_jax.errors import SceneError
-from dem_jax.scene.changes import new_materials, on_top, set_key, without_density, without_ranges
-from dem_jax.scene.library import with_named
-from dem_jax.scene.overrides import check_varied, drop_overridden, find_overridden, nested
+from dem_jax.scene.library import apply_library_keys
+from dem_jax.scene.messages import format_error, suggest_choices
+from dem_jax.scene.overrides import check_varied_keys, drop_overridden_keys, find_inactive_keys, nest_keys
 from dem_jax.scene.sections.base import Section, as_tuple
-from dem_jax.scene.sections.buckets import Bucket, Drop, Feeder, WeighBucket
-from dem_jax.scene.sections.contact import Contact, stray_key
-from dem_jax.scene.sections.cycle import Cycle
-from dem_jax.scene.sections.exchange import Inlet, Outlet
-from dem_jax.scene.sections.material import DEFAULT, WALL, Material, Pair
-from dem_jax.scene.sections.pieces import Piece, Portion, Product
-from dem_jax.scene.sections.run import ROUNDING, RunSettings
-from dem_jax.scene.sections.statistics import Statistics
-from dem_jax.scene.sections.uncertain import Uncertain
-from dem_jax.scene.sections.walls import Block, Motion, Wall
-from dem_jax.scene.text import toml, value
-from dem_jax.scene.words import choices, one_line
+from dem_jax.scene.sections.bucket import Bucket, Drop, Feeder, WeighBucket
+from dem_jax.scene.sections.contact import Contact, find_stray_key
+from dem_jax.scene.sections.cycle_settings import Cycle
+from dem_jax.scene.sections.inlet_outlet import Inlet, Outlet
+from dem_jax.scene.sections.material import DEFAULT_NAME, WALL_NAME, Material, Pair
+from dem_jax.scene.sections.piece import Piece, Portion, Product
+from dem_jax.scene.sections.run_settings import ROUNDING, RunSettings
+from dem_jax.scene.sections.statistics_settings import Statistics
+from dem_jax.scene.sections.uncertain_number import UncertainNumber
+from dem_jax.scene.sections.wall import Block, Motion, Wall
+from dem_jax.scene.toml_text import dump_toml, format_value
+from dem_jax.scene.tree_merging import drop_density, drop_replaced_ranges, find_new_materials, overlay_scene, set_key
 
 
 class Scene(Section):
@@ -45,7 +45,7 @@ class Scene(Section):
     statistics: Statistics | None = None
     inlet: Inlet | None = None
     outlet: Outlet | None = None
-    uncertain: Annotated[tuple[Uncertain, ...], BeforeValidator(as_tuple)] = ()
+    uncertain: Annotated[tuple[UncertainNumber, ...], BeforeValidator(as_tuple)] = ()
     folder: str = Field(".", description="folder that files named in the scene are relative to")
 
     @model_validator(mode="after")
@@ -87,30 +87,30 @@ class Scene(Section):
 
     @model_validator(mode="after")
     def _sets_no_key_of_another_law(self) -> "Scene":
-        if stray := stray_key(self.contact, self.material):
+        if stray := find_stray_key(self.contact, self.material):
             raise ValueError(stray)
         return self
 
     @model_validator(mode="after")
     def _sets_no_key_that_cannot_act(self) -> "Scene":
-        for wrong in find_overridden(self):
+        for wrong in find_inactive_keys(self):
             raise ValueError(wrong)
         return self
 
     @model_validator(mode="after")
     def _names_materials_that_exist(self) -> "Scene":
-        known = list(self.material.named)
-        for key, name in materials_named(self):
+        known = list(self.material.named_materials)
+        for key, name in list_named_materials(self):
             if name not in known:
-                allowed = choices(name, known) if known else "allowed: a name of a [material.NAME], of which there is none"
-                raise ValueError(f"{key} = {value(name)}: no such material; {allowed}")
+                allowed = suggest_choices(name, known) if known else "allowed: a name of a [material.NAME], of which there is none"
+                raise ValueError(f"{key} = {format_value(name)}: no such material; {allowed}")
         return self
 
     @model_validator(mode="after")
     def _says_one_of_weight_and_density(self) -> "Scene":
-        for key, row in rows_of_pieces(self).items():
+        for key, row in list_piece_sections(self).items():
             said, name = self.material.density, "material.density"
-            own = self.material.named.get(row.material or "")
+            own = self.material.named_materials.get(row.material or "")
             if own is not None and own.density is not None:
                 said, name = own.density, f"material.{row.material}.density"
             if row.piece_weight is not None and said != Material().density:
@@ -119,34 +119,34 @@ class Scene(Section):
 
     @model_validator(mode="after")
     def _lists_each_pair_once(self) -> "Scene":
-        known, seen = [DEFAULT, WALL, *self.material.named], set()
+        known, seen = [DEFAULT_NAME, WALL_NAME, *self.material.named_materials], set()
         for n, pair in enumerate(self.pair):
             for name in pair.of:
                 if name not in known:
-                    raise ValueError(f"pair.{n}.of = {value(pair.of)}: no such material; {choices(name, known)}")
+                    raise ValueError(f"pair.{n}.of = {format_value(pair.of)}: no such material; {suggest_choices(name, known)}")
             if frozenset(pair.of) in seen:
-                raise ValueError(f"pair.{n}.of = {value(pair.of)}: is listed already; allowed: each pair once")
+                raise ValueError(f"pair.{n}.of = {format_value(pair.of)}: is listed already; allowed: each pair once")
             seen.add(frozenset(pair.of))
         return self
 
     @model_validator(mode="after")
     def _doubts_numbers_that_it_has(self) -> "Scene":
         for n, row in enumerate(self.uncertain):
-            if number_of(self, row.key) is None:
-                raise ValueError(f"uncertain.{n}.key = {value(row.key)}: allowed: the dotted key of a number that this scene sets")
+            if find_number(self, row.key) is None:
+                raise ValueError(f"uncertain.{n}.key = {format_value(row.key)}: allowed: the dotted key of a number that this scene sets")
         return self
 
     def replace(self, changes: dict[str, Any] | None = None, **sections: Any) -> "Scene":
         """A scene with some values changed: ``scene.replace(material={"restitution": 0.3})`` or
         ``scene.replace({"material.restitution": 0.3})``. Lists are replaced whole. Raises SceneError."""
-        return validated(self.model_dump(exclude_unset=False), "scene", changes, sections)
+        return validate_scene(self.model_dump(exclude_unset=False), "scene", changes, sections)
 
     def to_toml(self) -> str:
         """The scene as TOML text, complete with defaults; ``parse`` reads it back."""
-        return toml(self.model_dump(exclude_none=True))
+        return dump_toml(self.model_dump(exclude_none=True))
 
 
-def number_of(scene: Scene, key: str) -> float | None:
+def find_number(scene: Scene, key: str) -> float | None:
     """The number at a dotted key of a scene; None where there is none."""
     found: Any = scene
     for part in key.split("."):
@@ -159,7 +159,7 @@ def number_of(scene: Scene, key: str) -> float | None:
     return found if isinstance(found, float | int) and not isinstance(found, bool) else None
 
 
-def rows_of_pieces(scene: Scene) -> dict[str, Piece | Portion | Product]:
+def list_piece_sections(scene: Scene) -> dict[str, Piece | Portion | Product]:
     """Key -> the section of pieces that are alike: a piece, a product, or the portion of one product."""
     if scene.piece or scene.portion is None:
         return {f"piece.{n}": row for n, row in enumerate(scene.piece)}
@@ -167,7 +167,7 @@ def rows_of_pieces(scene: Scene) -> dict[str, Piece | Portion | Product]:
     return {f"portion.product.{n}": row for n, row in enumerate(products)} if products else {"portion": scene.portion}
 
 
-def materials_named(scene: Scene) -> list[tuple[str, str]]:
+def list_named_materials(scene: Scene) -> list[tuple[str, str]]:
     """(key, name) wherever the scene names a material for pieces or walls."""
     products = scene.portion.product if scene.portion else ()
     places = {
@@ -182,34 +182,34 @@ def materials_named(scene: Scene) -> list[tuple[str, str]]:
     return [(f"{key}.material", row.material) for key, row in places.items() if row and row.material is not None]
 
 
-def validated(
+def validate_scene(
     tree: dict[str, Any], source: str, changes: dict[str, Any] | None = None, sections: dict[str, Any] | None = None
 ) -> Scene:
     """The scene of a tree of plain values with changes by dotted keys (``product``, ``bucket`` first), then by sections. Raises
     SceneError, whose words begin with ``source``."""
     changes = dict(changes or {})
-    tree = with_named(tree, changes, source)
-    new = new_materials(tree, changes)
-    tree = without_density(tree) if any(key.endswith(".piece_weight") for key in changes) else dict(tree)
-    above = nested(changes)
-    tree = without_ranges(drop_overridden(tree, above), above)
+    tree = apply_library_keys(tree, changes, source)
+    new = find_new_materials(tree, changes)
+    tree = drop_density(tree) if any(key.endswith(".piece_weight") for key in changes) else dict(tree)
+    above = nest_keys(changes)
+    tree = drop_replaced_ranges(drop_overridden_keys(tree, above), above)
     for key, item in changes.items():
         set_key(tree, key.split("."), item)
-    tree = on_top(tree, sections or {})
+    tree = overlay_scene(tree, sections or {})
     try:
         scene = Scene.model_validate(tree)
     except ValidationError as error:
-        raise SceneError(f"{source}: {one_line(error, tree, Scene)}") from error
+        raise SceneError(f"{source}: {format_error(error, tree, Scene)}") from error
     _check_new_materials(scene, new, source)
-    check_varied(scene, changes, source)
+    check_varied_keys(scene, changes, source)
     return scene
 
 
 def _check_new_materials(scene: Scene, new: dict[str, str], source: str) -> None:
     """A key like material.NAME.restitution whose NAME nothing in the scene has is a slip of the pen. Raises SceneError."""
-    used = {name for _, name in materials_named(scene)} | {name for pair in scene.pair for name in pair.of}
+    used = {name for _, name in list_named_materials(scene)} | {name for pair in scene.pair for name in pair.of}
     for name, key in new.items():
         if name not in used:
-            known = [other for other in scene.material.named if other not in new]
-            allowed = choices(name, known) if known else "allowed: a name that a piece or wall has"
+            known = [other for other in scene.material.named_materials if other not in new]
+            allowed = suggest_choices(name, known) if known else "allowed: a name that a piece or wall has"
             raise SceneError(f"{source}: {key}: nothing is of a material {name!r}; {allowed}")

@@ -1,74 +1,74 @@
 """Shapes of pieces and walls: exact mass properties, faces, edges, convex parts; STL in. Host side, float64, SI."""
 
-from dem_jax.shapes.bodies import Body, read_body
-from dem_jax.shapes.checks import positive_length
-from dem_jax.shapes.compound import Placed, checked_mass, compound, tube
-from dem_jax.shapes.continued import Continued, continued
-from dem_jax.shapes.decomposed import JOINT, Decomposition, decompose, decomposed
-from dem_jax.shapes.hull import hull, placed_hull
-from dem_jax.shapes.mass import MassProperties, mass_properties
-from dem_jax.shapes.nearly_convex import HULL_TOLERANCE, MeshHull, differs_in_mass, hull_of_stl, read_hull, with_mass
-from dem_jax.shapes.polytope import edges_of_faces, loop_normal, polytope
+from dem_jax.shapes.checks import require_length
+from dem_jax.shapes.compound import PlacedShape, make_compound, require_mass_properties, tube
+from dem_jax.shapes.decomposition import JOINT_TOLERANCE, Decomposition, decompose_mesh, make_decomposed_shape
+from dem_jax.shapes.extended_parts import Continuation, find_continuations
+from dem_jax.shapes.hull import convex_hull, hull_and_centre
+from dem_jax.shapes.hull_simplification import MOST_CORNERS, Simplification, simplify_hull
+from dem_jax.shapes.mass import MassProperties, integrate_polyhedron
+from dem_jax.shapes.mesh_body import MeshBody, read_body
+from dem_jax.shapes.nearly_convex import HULL_TOLERANCE, MeshHull, has_other_mass, read_hull, read_hull_shape, replace_mass
+from dem_jax.shapes.polytope import list_edges, loop_normal, make_polytope
 from dem_jax.shapes.primitives import chamfered_cuboid, cuboid, cylinder, prism, sphere
 from dem_jax.shapes.shape import (
     SIZE_LENGTHS,
     TOLERANCE,
-    Part,
+    ConvexPart,
     Shape,
-    convex_surface,
-    extents,
-    parts_of,
-    scaled,
+    convex_surface_mesh,
+    list_parts,
+    principal_extents,
+    scale_shape,
     size_length,
-    surface,
+    surface_mesh,
 )
-from dem_jax.shapes.simplified import MOST_CORNERS, Simplification, simplified
 from dem_jax.shapes.stl import load_stl
 
 __all__ = [
     "HULL_TOLERANCE",
-    "JOINT",
+    "JOINT_TOLERANCE",
     "MOST_CORNERS",
     "SIZE_LENGTHS",
     "TOLERANCE",
-    "Body",
-    "Continued",
+    "MeshBody",
+    "Continuation",
     "Decomposition",
     "MassProperties",
     "MeshHull",
-    "Part",
-    "Placed",
+    "ConvexPart",
+    "PlacedShape",
     "Shape",
     "Simplification",
     "chamfered_cuboid",
-    "checked_mass",
-    "compound",
-    "continued",
-    "convex_surface",
+    "require_mass_properties",
+    "make_compound",
+    "find_continuations",
+    "convex_surface_mesh",
     "cuboid",
     "cylinder",
-    "decompose",
-    "decomposed",
-    "differs_in_mass",
-    "edges_of_faces",
-    "extents",
-    "hull",
-    "hull_of_stl",
+    "decompose_mesh",
+    "make_decomposed_shape",
+    "has_other_mass",
+    "list_edges",
+    "principal_extents",
+    "convex_hull",
+    "read_hull_shape",
     "load_stl",
     "loop_normal",
-    "mass_properties",
-    "parts_of",
-    "placed_hull",
-    "polytope",
-    "positive_length",
+    "integrate_polyhedron",
+    "list_parts",
+    "hull_and_centre",
+    "make_polytope",
+    "require_length",
     "prism",
     "read_body",
     "read_hull",
-    "scaled",
-    "simplified",
+    "scale_shape",
+    "simplify_hull",
     "size_length",
     "sphere",
-    "surface",
+    "surface_mesh",
     "tube",
-    "with_mass",
+    "replace_mass",
 ]

@@ -16,13 +16,13 @@ if TYPE_CHECKING:
     from manifold3d import Manifold
 
 NEGLIGIBLE = 1e-9  # of the volume of the box around a surface: one that holds less holds nothing
-START = 1e-6  # of the size: where a ray begins below the facet that it is cast from
-SHEET = 0.03  # of the size: a closed surface that looks inwards and holds less, as 2 volume / area, is a sheet inside out
+RAY_START = 1e-6  # of the size: where a ray begins below the facet that it is cast from
+SHEET_THICKNESS = 0.03  # of the size: a closed surface that looks inwards and holds less, as 2 volume / area, is a sheet inside out
 MOST_FACETS = 1000  # from which rays are cast, four each; of more, those evenly spaced in the file
-INSET = 0.2  # of the way from a corner of a facet to its middle, at which a ray is cast as well
+RAY_INSET = 0.2  # of the way from a corner of a facet to its middle, at which a ray is cast as well
 
 
-class Bodies(NamedTuple):
+class ClosedBodies(NamedTuple):
     """The closed bodies of a mesh.
 
     mesh: all facets, those of bodies that meet replaced by the surface of their union.
@@ -33,20 +33,20 @@ class Bodies(NamedTuple):
     mesh: "trimesh.Trimesh"
     is_closed: np.ndarray
     number: int = 0
-    turned: int = 0
+    flipped_count: int = 0
     vessels: int = 0
 
     def __str__(self) -> str:
         """What there is beside open surfaces, in words; empty: nothing."""
         several = "closed bodies, united where they meet" if self.number > 1 else "closed body"
         said = [f"{self.number} {several}"] if self.number else []
-        said += [f"{self.turned} of them turned inside out"] if self.turned and self.number > 1 else []
-        said += ["turned inside out"] if self.turned and self.number == 1 else []
+        said += [f"{self.flipped_count} of them turned inside out"] if self.flipped_count and self.number > 1 else []
+        said += ["turned inside out"] if self.flipped_count and self.number == 1 else []
         said += [f"{self.vessels} closed surface{'s' if self.vessels > 1 else ''} seen from inside"] if self.vessels else []
         return ", ".join(said)
 
 
-def find_bodies(mesh: "trimesh.Trimesh", source: str | Path) -> Bodies:
+def find_bodies(mesh: "trimesh.Trimesh", source: str | Path) -> ClosedBodies:
     """The closed bodies of a mesh, united where they overlap or touch.
 
     Args:
@@ -58,17 +58,17 @@ def find_bodies(mesh: "trimesh.Trimesh", source: str | Path) -> Bodies:
     """
     faces = np.asarray(mesh.faces)
     surface = _label_surfaces(faces)
-    signs = [_sign_of_volume(mesh, faces[surface == k]) for k in range(surface.max() + 1)]
+    signs = [_volume_sign(mesh, faces[surface == k]) for k in range(surface.max() + 1)]
     closed = np.array(signs)[surface] != 0
     if not closed.any():
-        return Bodies(mesh, closed)
+        return ClosedBodies(mesh, closed)
     whole = [sign for sign in signs if sign]
     if len(whole) == 1 and _has_single_shell(faces[closed]):
-        return _single_body(mesh, closed, whole[0])
-    return _unite(mesh, closed, source)
+        return _make_single_body(mesh, closed, whole[0])
+    return _unite_bodies(mesh, closed, source)
 
 
-def measure_thickness(bodies: Bodies, source: str | Path) -> float:
+def measure_thickness(bodies: ClosedBodies, source: str | Path) -> float:
     """The least thickness (m) of closed bodies along the normals of their facets; inf without bodies.
 
     From the middle of each facet and from a point near each of its corners a ray is cast into the body; where it first leaves
@@ -79,29 +79,29 @@ def measure_thickness(bodies: Bodies, source: str | Path) -> float:
     mesh, faces = bodies.mesh, np.asarray(bodies.mesh.faces)[bodies.is_closed]
     corners = np.asarray(mesh.vertices)[faces]
     middle = corners.mean(axis=1, keepdims=True)
-    points = np.concatenate([middle, (1 - INSET) * corners + INSET * middle], axis=1)  # [F, 4, 3]
+    points = np.concatenate([middle, (1 - RAY_INSET) * corners + RAY_INSET * middle], axis=1)  # [F, 4, 3]
     inward = -np.asarray(mesh.face_normals)[bodies.is_closed]
     some = np.unique(np.linspace(0, len(faces) - 1, min(len(faces), MOST_FACETS)).astype(int))
-    body, start, end = _manifold_of(mesh, faces, source), START * mesh.scale, 2 * mesh.scale
-    found = [_way_out(body, point, way, start, end) for row, way in zip(points[some], inward[some], strict=True) for point in row]
+    body, start, end = _make_manifold(mesh, faces, source), RAY_START * mesh.scale, 2 * mesh.scale
+    found = [_exit_distance(body, point, way, start, end) for row, way in zip(points[some], inward[some], strict=True) for point in row]
     return float(min(found))
 
 
-def _way_out(body: "Manifold", point: np.ndarray, way: np.ndarray, start: float, end: float) -> float:
+def _exit_distance(body: "Manifold", point: np.ndarray, way: np.ndarray, start: float, end: float) -> float:
     """How far (m) a body reaches from a point along a unit direction; looked at from ``start`` to ``end`` (m)."""
     hits = body.ray_cast((point + start * way).tolist(), (point + end * way).tolist())
     out = [float((np.asarray(hit.position) - point) @ way) for hit in hits if np.dot(hit.normal, way) > 0.0]
     return min((length for length in out if length > 2 * start), default=np.inf)
 
 
-def _sides(faces: np.ndarray) -> np.ndarray:
+def _directed_edges(faces: np.ndarray) -> np.ndarray:
     """[F, 3, 2] directed edges."""
     return faces[:, [[0, 1], [1, 2], [2, 0]]]
 
 
-def _edge_of_side(faces: np.ndarray) -> np.ndarray:
+def _number_edges(faces: np.ndarray) -> np.ndarray:
     """[F, 3] number of the edge of each side."""
-    sides = np.sort(_sides(faces), axis=2)
+    sides = np.sort(_directed_edges(faces), axis=2)
     return np.unique(sides.reshape(-1, 2), axis=0, return_inverse=True)[1].reshape(-1, 3)
 
 
@@ -110,7 +110,7 @@ def _label_surfaces(faces: np.ndarray) -> np.ndarray:
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    edge = _edge_of_side(faces) + len(faces)
+    edge = _number_edges(faces) + len(faces)
     rows = np.repeat(np.arange(len(faces)), 3)
     size = int(edge.max()) + 1
     labels = connected_components(coo_array((np.ones(len(rows)), (rows, edge.ravel())), shape=(size, size)), directed=False)[1]
@@ -119,25 +119,25 @@ def _label_surfaces(faces: np.ndarray) -> np.ndarray:
 
 def _is_balanced(faces: np.ndarray) -> bool:
     """Whether each edge is passed as often one way as the other: the facets are a closed surface with an inside."""
-    sides = _sides(faces)
+    sides = _directed_edges(faces)
     way = np.where(sides[:, :, 0] < sides[:, :, 1], 1, -1)
-    return not np.bincount(_edge_of_side(faces).ravel(), way.ravel()).any()
+    return not np.bincount(_number_edges(faces).ravel(), way.ravel()).any()
 
 
 def _has_single_shell(faces: np.ndarray) -> bool:
     """Whether each edge borders two facets."""
-    return bool((np.bincount(_edge_of_side(faces).ravel()) == 2).all())
+    return bool((np.bincount(_number_edges(faces).ravel()) == 2).all())
 
 
-def _sign_of_volume(mesh: "trimesh.Trimesh", faces: np.ndarray) -> int:
+def _volume_sign(mesh: "trimesh.Trimesh", faces: np.ndarray) -> int:
     """1 for a closed surface that looks outwards, -1 for one that looks inwards, 0 for an open one and one that holds nothing."""
     if not _is_balanced(faces):
         return 0
-    volume, box = _volume(mesh, faces), np.ptp(np.asarray(mesh.vertices)[faces].reshape(-1, 3), axis=0)
+    volume, box = _signed_volume(mesh, faces), np.ptp(np.asarray(mesh.vertices)[faces].reshape(-1, 3), axis=0)
     return 0 if abs(volume) <= NEGLIGIBLE * float(np.prod(box)) else int(np.sign(volume))
 
 
-def _volume(mesh: "trimesh.Trimesh", faces: np.ndarray) -> float:
+def _signed_volume(mesh: "trimesh.Trimesh", faces: np.ndarray) -> float:
     """(m3) that facets hold, negative where they look inwards."""
     corners = np.asarray(mesh.vertices)[faces]
     corners = corners - corners.reshape(-1, 3).mean(axis=0)
@@ -146,45 +146,45 @@ def _volume(mesh: "trimesh.Trimesh", faces: np.ndarray) -> float:
 
 def _is_sheet(volume: float, area: float, size: float) -> bool:
     """Whether a closed surface is that of a sheet (m3, m2, m)."""
-    return 2 * abs(volume) < SHEET * size * area
+    return 2 * abs(volume) < SHEET_THICKNESS * size * area
 
 
-def _single_body(mesh: "trimesh.Trimesh", closed: np.ndarray, sign: int) -> Bodies:
+def _make_single_body(mesh: "trimesh.Trimesh", closed: np.ndarray, sign: int) -> ClosedBodies:
     """The one body of a mesh; sign: of its volume."""
     if sign > 0:
-        return Bodies(mesh, closed, 1)
+        return ClosedBodies(mesh, closed, 1)
     faces = np.asarray(mesh.faces)
-    if not _is_sheet(_volume(mesh, faces[closed]), float(mesh.area_faces[closed].sum()), mesh.scale):
-        return Bodies(mesh, np.zeros_like(closed), vessels=1)
+    if not _is_sheet(_signed_volume(mesh, faces[closed]), float(mesh.area_faces[closed].sum()), mesh.scale):
+        return ClosedBodies(mesh, np.zeros_like(closed), vessels=1)
     turned = mesh.copy()
     turned.faces = np.where(closed[:, None], faces[:, ::-1], faces)
-    return Bodies(turned, closed, 1, 1)
+    return ClosedBodies(turned, closed, 1, 1)
 
 
-def _unite(mesh: "trimesh.Trimesh", closed: np.ndarray, source: str | Path) -> Bodies:
+def _unite_bodies(mesh: "trimesh.Trimesh", closed: np.ndarray, source: str | Path) -> ClosedBodies:
     """The bodies of several closed surfaces: those that meet united, cavities cut out of the bodies that they are in."""
     import trimesh
     from manifold3d import Manifold, OpType
 
     faces = np.asarray(mesh.faces)
-    shells = [shell for shell in _manifold_of(mesh, faces[closed], source).decompose() if shell.volume()]
+    shells = [shell for shell in _make_manifold(mesh, faces[closed], source).decompose() if shell.volume()]
     outward = [shell for shell in shells if shell.volume() > 0.0]
-    sheets, inward = _sheets_and_inward([_turned(shell) for shell in shells if shell.volume() < 0.0], outward, mesh.scale)
+    sheets, inward = _separate_sheets([_flip_shell(shell) for shell in shells if shell.volume() < 0.0], outward, mesh.scale)
     solid = Manifold.batch_boolean([*outward, *sheets], OpType.Add)
     is_cavity = [_is_within(shell, solid) for shell in inward]
     cavities = [shell for shell, is_within in zip(inward, is_cavity, strict=True) if is_within]
     vessels = [shell for shell, is_within in zip(inward, is_cavity, strict=True) if not is_within]
     solid = solid - Manifold.batch_boolean(cavities, OpType.Add)
     rest = (np.asarray(mesh.vertices), faces[~closed])
-    surfaces = [rest, *(_arrays_of(each, turned=True) for each in vessels), _arrays_of(solid)]
+    surfaces = [rest, *(_to_arrays(each, turned=True) for each in vessels), _to_arrays(solid)]
     first = np.cumsum([0, *(len(points) for points, _ in surfaces)])
     rows = [facets + start for (_, facets), start in zip(surfaces, first, strict=False)]
     made = trimesh.Trimesh(np.concatenate([points for points, _ in surfaces]), np.concatenate(rows), process=False, validate=False)
     is_closed = np.arange(len(made.faces)) >= len(made.faces) - len(rows[-1])
-    return Bodies(made, is_closed, len(outward) + len(sheets), len(sheets), len(vessels))
+    return ClosedBodies(made, is_closed, len(outward) + len(sheets), len(sheets), len(vessels))
 
 
-def _sheets_and_inward(
+def _separate_sheets(
     turned: list["Manifold"], outward: list["Manifold"], size: float
 ) -> tuple[list["Manifold"], list["Manifold"]]:
     """Closed surfaces that looked inwards, apart: sheets inside out, which are thin and in no body, and all others."""
@@ -200,7 +200,7 @@ def _is_within(shell: "Manifold", body: "Manifold") -> bool:
     return (shell - body).volume() <= 1e-6 * shell.volume()
 
 
-def _manifold_of(mesh: "trimesh.Trimesh", faces: np.ndarray, source: str | Path) -> "Manifold":
+def _make_manifold(mesh: "trimesh.Trimesh", faces: np.ndarray, source: str | Path) -> "Manifold":
     from manifold3d import Error, Manifold, Mesh64
 
     vertices = np.ascontiguousarray(mesh.vertices, np.float64)
@@ -213,15 +213,15 @@ def _manifold_of(mesh: "trimesh.Trimesh", faces: np.ndarray, source: str | Path)
     return made
 
 
-def _turned(shell: "Manifold") -> "Manifold":
+def _flip_shell(shell: "Manifold") -> "Manifold":
     """The shell seen from the other side."""
     from manifold3d import Manifold, Mesh64
 
-    points, faces = _arrays_of(shell, turned=True)
+    points, faces = _to_arrays(shell, turned=True)
     return Manifold(Mesh64(np.array(points, np.float64, order="C"), np.array(faces, np.uint64, order="C")))
 
 
-def _arrays_of(shell: "Manifold", turned: bool = False) -> tuple[np.ndarray, np.ndarray]:
+def _to_arrays(shell: "Manifold", turned: bool = False) -> tuple[np.ndarray, np.ndarray]:
     """Corners [V, 3] (m) and facets [F, 3]; turned: seen from the other side."""
     mesh = shell.to_mesh64()
     faces = np.asarray(mesh.tri_verts).astype(int)

@@ -5,62 +5,62 @@ from typing import Any
 import numpy as np
 
 from dem_jax.errors import SceneError
-from dem_jax.shapes.checks import solid_points
-from dem_jax.shapes.facets import Facets, are_sound, grown, loops_of
-from dem_jax.shapes.mass import Loop, mass_properties
-from dem_jax.shapes.polytope import polytope
+from dem_jax.shapes.checks import require_points
+from dem_jax.shapes.coplanar_merge import Facets, grow_faces, is_closed_convex, trace_face_loops
+from dem_jax.shapes.mass import Loop, integrate_polyhedron
+from dem_jax.shapes.polytope import make_polytope
 from dem_jax.shapes.shape import TOLERANCE, Shape
 
 MOST_OFF_PLANE = 10.0  # of TOLERANCE
 
 
-def hull(points: Any) -> Shape:
+def convex_hull(points: Any) -> Shape:
     """Convex hull of points [P, 3] (m) in the user's frame; the body frame has its axes, moved to the centre of mass.
 
     Facets that lie within TOLERANCE of one plane are one face; among points that are scattered about a plane by about as much
     faces may be off theirs by MOST_OFF_PLANE times that. Raises SceneError for fewer than 4 points, a wrong form,
     values that are not finite, and points that all lie in one plane.
     """
-    return polytope("hull", *faces_of_hull(points))
+    return make_polytope("hull", *find_hull_faces(points))
 
 
-def placed_hull(points: Any) -> tuple[Shape, np.ndarray]:
-    """As ``hull``, and the centre of mass [3] (m) in the frame of the points."""
-    vertices, faces = faces_of_hull(points)
-    return polytope("hull", vertices, faces), mass_properties(vertices, faces)[1]
+def hull_and_centre(points: Any) -> tuple[Shape, np.ndarray]:
+    """As ``convex_hull``, and the centre of mass [3] (m) in the frame of the points."""
+    vertices, faces = find_hull_faces(points)
+    return make_polytope("hull", vertices, faces), integrate_polyhedron(vertices, faces)[1]
 
 
-def faces_of_hull(points: Any) -> tuple[np.ndarray, tuple[Loop, ...]]:
-    """Vertices [V, 3] (m) and faces of the convex hull of points [P, 3] (m). Raises SceneError as ``hull``."""
-    points = solid_points(points)
+def find_hull_faces(points: Any) -> tuple[np.ndarray, tuple[Loop, ...]]:
+    """Vertices [V, 3] (m) and faces of the convex hull of points [P, 3] (m). Raises SceneError as ``convex_hull``."""
+    points = require_points(points)
     size = float(np.linalg.norm(np.ptp(points, axis=0)))
-    points = _welded(points, TOLERANCE * size)
-    faces = _faces(points, size)
+    points = _weld_points(points, TOLERANCE * size)
+    faces = _merge_hull_faces(points, size)
     used = np.unique(np.concatenate(faces))
     return points[used], tuple(tuple(np.searchsorted(used, loop).tolist()) for loop in faces)
 
 
-def _faces(points: np.ndarray, size: float) -> tuple[Loop, ...]:
+def _merge_hull_faces(points: np.ndarray, size: float) -> tuple[Loop, ...]:
     """Faces of the hull of points. Where points are scattered by about TOLERANCE about a plane, which of its facets are one
     face is not certain: the first choice is taken that makes convex faces which close."""
     tolerance = TOLERANCE * size
-    facets = _facets(points, size)
-    faces = first = grown(points, facets, tolerance)
-    if are_sound(points, faces, 3.0 * tolerance, tolerance):
+    facets = _triangulate_hull(points, size)
+    faces = first = grow_faces(points, facets, tolerance)
+    if is_closed_convex(points, faces, 3.0 * tolerance, tolerance):
         return faces
     for width in (1.0, 0.1, 0.01):
-        merged = _facets(points, size, f"Qt C-{width * TOLERANCE:g}")
-        faces = loops_of(points, merged, merged.plane)
-        if are_sound(points, faces, MOST_OFF_PLANE * tolerance, tolerance):
+        merged = _triangulate_hull(points, size, f"Qt C-{width * TOLERANCE:g}")
+        faces = trace_face_loops(points, merged, merged.plane)
+        if is_closed_convex(points, faces, MOST_OFF_PLANE * tolerance, tolerance):
             return faces
     for width in (0.1, 0.01, 0.0):
-        faces = grown(points, facets, width * tolerance)
-        if are_sound(points, faces, tolerance, tolerance):
+        faces = grow_faces(points, facets, width * tolerance)
+        if is_closed_convex(points, faces, tolerance, tolerance):
             return faces
     return first
 
 
-def _welded(points: np.ndarray, tolerance: float) -> np.ndarray:
+def _weld_points(points: np.ndarray, tolerance: float) -> np.ndarray:
     """Points of which those closer than tolerance are one (the first of each cluster)."""
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
@@ -70,7 +70,7 @@ def _welded(points: np.ndarray, tolerance: float) -> np.ndarray:
     return points[np.unique(cluster, return_index=True)[1]]
 
 
-def _facets(points: np.ndarray, size: float, options: str = "Qt") -> Facets:
+def _triangulate_hull(points: np.ndarray, size: float, options: str = "Qt") -> Facets:
     """Hull of points as triangles; options: of Qhull, for points about their mean in units of the size (m)."""
     from scipy.spatial import ConvexHull, QhullError
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dem_jax.maths.pose import quaternion_of_matrix
+from dem_jax.math.pose import matrix_to_quaternion
 
 Loop = tuple[int, ...]
 
@@ -36,28 +36,28 @@ class MassProperties(NamedTuple):
     gyration: np.ndarray
 
 
-NOTHING = Moments(0.0, np.zeros(3), np.zeros((3, 3)))
+ZERO_MOMENTS = Moments(0.0, np.zeros(3), np.zeros((3, 3)))
 
 
-def moments_of(volume: float, centre: np.ndarray, spread: np.ndarray) -> Moments:
+def build_moments(volume: float, centre: np.ndarray, spread: np.ndarray) -> Moments:
     """Moments about the origin of a body of a volume (m3), its centre [3] (m) and <x x^T> about that [3, 3] (m2)."""
     return Moments(volume, volume * centre, volume * (spread + np.outer(centre, centre)))
 
 
-def mass_properties_of(moments: Moments) -> MassProperties:
+def mass_from_moments(moments: Moments) -> MassProperties:
     """Volume, centre and inertia over mass of a body with these moments about the origin."""
     centre = moments.first / moments.volume
     spread = moments.second / moments.volume - np.outer(centre, centre)
     return MassProperties(float(moments.volume), centre, np.trace(spread) * np.eye(3) - spread)
 
 
-def mass_properties(vertices: np.ndarray, faces: Sequence[Loop] | np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+def integrate_polyhedron(vertices: np.ndarray, faces: Sequence[Loop] | np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
     """Volume (m3), centre of mass [3] (m) and <x x^T> about it [3, 3] (m2) of a closed polyhedron of uniform density.
 
     vertices [V, 3] (m); faces: planar vertex loops, counter-clockwise seen from outside. Signed tetrahedra are summed.
     """
     start = vertices.mean(axis=0)  # near the solid, so that nothing cancels for a body far from the origin
-    fans = np.concatenate([_fan(loop) for loop in faces])
+    fans = np.concatenate([_triangulate_fan(loop) for loop in faces])
     corners = vertices[fans] - start  # [T, 3 corners, 3]
     sixfold = np.linalg.det(corners)
     volume = sixfold.sum() / 6.0
@@ -67,7 +67,7 @@ def mass_properties(vertices: np.ndarray, faces: Sequence[Loop] | np.ndarray) ->
     return volume, start + centre, second / (120.0 * volume) - np.outer(centre, centre)
 
 
-def _fan(loop: Loop) -> np.ndarray:
+def _triangulate_fan(loop: Loop) -> np.ndarray:
     return np.array([(loop[0], loop[i], loop[i + 1]) for i in range(1, len(loop) - 1)])
 
 
@@ -82,4 +82,4 @@ def principal_frame(inertia: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     moments, axes = moments[list(order)], axes[:, order]
     signs = [np.array(s) for s in product((1.0, -1.0), repeat=3) if np.linalg.det(axes * s) > 0.0]
     axes = axes * max(signs, key=lambda s: np.trace(axes * s))
-    return moments, quaternion_of_matrix(axes)
+    return moments, matrix_to_quaternion(axes)

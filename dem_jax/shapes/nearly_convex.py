@@ -8,14 +8,14 @@ from typing import NamedTuple
 import numpy as np
 
 from dem_jax.errors import SceneError
-from dem_jax.shapes.bodies import read_body
-from dem_jax.shapes.hull import placed_hull
+from dem_jax.shapes.hull import hull_and_centre
 from dem_jax.shapes.mass import MassProperties, principal_frame
+from dem_jax.shapes.mesh_body import read_body
 from dem_jax.shapes.shape import Shape
 
 HULL_TOLERANCE = 0.02  # fraction by which a hull's volume may exceed the body's, unless a scene says otherwise
 MOST_TOLERANCE = 1.0  # that a scene may set
-EXACT = 1e-5  # the same, below which it is the rounding of a file in single precision
+EXACT_TOLERANCE = 1e-5  # the same, below which it is the rounding of a file in single precision
 
 
 class MeshHull(NamedTuple):
@@ -31,7 +31,7 @@ class MeshHull(NamedTuple):
     notes: tuple[str, ...]
 
 
-def hull_of_stl(path: str | Path, unit: float = 1.0, tolerance: float = HULL_TOLERANCE) -> Shape:
+def read_hull_shape(path: str | Path, unit: float = 1.0, tolerance: float = HULL_TOLERANCE) -> Shape:
     """The convex hull of an STL, with the mass properties of the body in it.
 
     Args:
@@ -43,14 +43,14 @@ def hull_of_stl(path: str | Path, unit: float = 1.0, tolerance: float = HULL_TOL
         SceneError: as ``read_body``, and for a body that is not convex within the tolerance.
     """
     found = read_hull(path, unit, tolerance)
-    return found.shape if found.mass is None else with_mass(found.shape, found.centre, found.mass)
+    return found.shape if found.mass is None else replace_mass(found.shape, found.centre, found.mass)
 
 
 def read_hull(path: str | Path, unit: float = 1.0, tolerance: float = HULL_TOLERANCE) -> MeshHull:
-    """As ``hull_of_stl``, and what its mass properties are and what was changed."""
+    """As ``read_hull_shape``, and what its mass properties are and what was changed."""
     body = read_body(path, unit)
     try:
-        shape, centre = placed_hull(body.outer.vertices)
+        shape, centre = hull_and_centre(body.outer.vertices)
     except SceneError as error:
         raise SceneError(f"stl = {str(path)!r}: {error}") from error
     excess = shape.volume / float(body.outer.volume) - 1.0
@@ -62,18 +62,18 @@ def read_hull(path: str | Path, unit: float = 1.0, tolerance: float = HULL_TOLER
             f'allowed (hull_tolerance); shape = "decomposed" cuts it into convex parts{hint}'
         )
     notes = body.notes
-    if excess > EXACT:
+    if excess > EXACT_TOLERANCE:
         notes += (f"its convex hull, with {100 * excess:.2g} % more volume, touches others; mass and inertia are the mesh's",)
-    return MeshHull(shape, centre, body.mass if differs_in_mass(shape, centre, body.mass) else None, notes)
+    return MeshHull(shape, centre, body.mass if has_other_mass(shape, centre, body.mass) else None, notes)
 
 
-def differs_in_mass(shape: Shape, centre: np.ndarray, mass: MassProperties) -> bool:
+def has_other_mass(shape: Shape, centre: np.ndarray, mass: MassProperties) -> bool:
     """Whether a shape, whose centre of mass [3] (m) is there, has other mass properties by more than rounding."""
     shift = float(np.abs(centre - mass.centre).max())
-    return abs(shape.volume / mass.volume - 1.0) > EXACT or shift > EXACT * shape.bounding_radius
+    return abs(shape.volume / mass.volume - 1.0) > EXACT_TOLERANCE or shift > EXACT_TOLERANCE * shape.bounding_radius
 
 
-def with_mass(shape: Shape, centre: np.ndarray, mass: MassProperties) -> Shape:
+def replace_mass(shape: Shape, centre: np.ndarray, mass: MassProperties) -> Shape:
     """The convex polytope with other mass properties, about that centre of mass.
 
     Args:

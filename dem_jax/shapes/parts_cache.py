@@ -14,14 +14,14 @@ import numpy as np
 FORMAT = 2  # of what is kept; raised when the same mesh and settings are cut in another way
 
 
-def cache_folder() -> Path:
+def find_cache_folder() -> Path:
     """The folder of kept decompositions: XDG_CACHE_HOME/dem_jax/parts, by default in ~/.cache."""
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "dem_jax" / "parts"
 
 
-def key_of(vertices: np.ndarray, faces: np.ndarray, settings: dict[str, Any]) -> str:
+def make_cache_key(vertices: np.ndarray, faces: np.ndarray, settings: dict[str, Any]) -> str:
     """Name under which the parts of a mesh are kept: of its numbers, the settings and the versions of what cuts it."""
-    versions = [FORMAT, *(_version(name) for name in ("coacd", "fast-simplification"))]
+    versions = [FORMAT, *(_package_version(name) for name in ("coacd", "fast-simplification"))]
     found = hashlib.sha256(json.dumps([versions, settings], sort_keys=True).encode())
     found.update(np.ascontiguousarray(vertices, np.float64).tobytes())
     found.update(np.ascontiguousarray(faces, np.int64).tobytes())
@@ -31,27 +31,27 @@ def key_of(vertices: np.ndarray, faces: np.ndarray, settings: dict[str, Any]) ->
 def load_arrays(key: str) -> dict[str, np.ndarray] | None:
     """What is kept under a key; None: nothing, or nothing that can be read."""
     try:
-        with np.load(cache_folder() / f"{key}.npz") as kept:
+        with np.load(find_cache_folder() / f"{key}.npz") as kept:
             return dict(kept)
     except Exception:  # a file that is cut short or was written by something else trips numpy in many ways
         return None
 
 
-def keep_arrays(key: str, arrays: dict[str, np.ndarray]) -> None:
+def store_arrays(key: str, arrays: dict[str, np.ndarray]) -> None:
     """Keep arrays under a key; where the folder cannot be written, nothing is kept."""
     with suppress(OSError):
-        cache_folder().mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=cache_folder(), suffix=".part")
+        find_cache_folder().mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(dir=find_cache_folder(), suffix=".part")
         try:
             with os.fdopen(handle, "wb") as file:
                 np.savez(file, **arrays)  # type: ignore[arg-type]  # numpy's own names are not among the keys
-            os.replace(name, cache_folder() / f"{key}.npz")
+            os.replace(name, find_cache_folder() / f"{key}.npz")
         finally:
             with suppress(FileNotFoundError):
                 os.unlink(name)
 
 
-def _version(package: str) -> str:
+def _package_version(package: str) -> str:
     try:
         return version(package)
     except PackageNotFoundError:

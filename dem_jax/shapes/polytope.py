@@ -5,23 +5,23 @@ from collections.abc import Sequence
 import numpy as np
 
 from dem_jax.errors import SceneError
-from dem_jax.shapes.facets import closed_sides
-from dem_jax.shapes.mass import Loop, mass_properties, principal_frame
-from dem_jax.shapes.parallel import directions
+from dem_jax.shapes.coplanar_merge import find_closed_sides
+from dem_jax.shapes.edge_directions import find_edge_directions
+from dem_jax.shapes.mass import Loop, integrate_polyhedron, principal_frame
 from dem_jax.shapes.shape import TOLERANCE, Shape
 
 MOST_AT_ONCE = 10_000_000  # products of points and normals held in memory
 
 
-def polytope(name: str, vertices: np.ndarray, faces: Sequence[Loop]) -> Shape:
+def make_polytope(name: str, vertices: np.ndarray, faces: Sequence[Loop]) -> Shape:
     """Shape of a convex polytope from its vertices [V, 3] (m) and planar faces, counter-clockwise seen from outside; the
     frame is moved to the centre of mass. Raises SceneError if the faces do not close."""
-    volume, centre, second = mass_properties(vertices, faces)
+    volume, centre, second = integrate_polyhedron(vertices, faces)
     vertices = vertices - centre
     normals = loop_normals(vertices, faces)
     radius = float(np.linalg.norm(vertices, axis=1).max())
-    edges = edges_of_faces(faces)
-    units, of_edge = directions(vertices[edges[:, 1]] - vertices[edges[:, 0]], TOLERANCE * radius)
+    edges = list_edges(faces)
+    units, of_edge = find_edge_directions(vertices[edges[:, 1]] - vertices[edges[:, 0]], TOLERANCE * radius)
     gyration, principal = principal_frame(np.trace(second) * np.eye(3) - second)
     return Shape(
         name=name,
@@ -29,14 +29,14 @@ def polytope(name: str, vertices: np.ndarray, faces: Sequence[Loop]) -> Shape:
         vertices=vertices,
         faces=tuple(faces),
         normals=normals,
-        offsets=highest(vertices, normals),
+        offsets=support_distances(vertices, normals),
         edges=edges,
         volume=float(volume),
         gyration=gyration,
         principal=principal,
         bounding_radius=radius,
         edge_directions=units,
-        generators=_generators(vertices, faces, edges, units, of_edge, TOLERANCE * radius),
+        generators=_zonotope_generators(vertices, faces, edges, units, of_edge, TOLERANCE * radius),
     )
 
 
@@ -59,21 +59,21 @@ def loop_normals(vertices: np.ndarray, faces: Sequence[Loop]) -> np.ndarray:
     return areas / np.array([np.linalg.norm(area) for area in areas])[:, None]
 
 
-def highest(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+def support_distances(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
     """How far [F] (m) points [P, 3] (m) reach along each normal [F, 3]."""
     some = max(1, MOST_AT_ONCE // len(points))
     return np.concatenate([(points @ normals[k : k + some].T).max(axis=0) for k in range(0, len(normals), some)])
 
 
-def edges_of_faces(faces: Sequence[Loop]) -> np.ndarray:
+def list_edges(faces: Sequence[Loop]) -> np.ndarray:
     """Vertex indices [E, 2] of the edges of a polyhedron, each once. Raises SceneError if its faces do not close."""
-    sides = closed_sides(faces)
+    sides = find_closed_sides(faces)
     if sides is None:
         raise SceneError("points are degenerate: the faces of their hull do not close; points must be 1e-6 of its size apart")
     return np.array(sorted(side for side in sides if side[0] < side[1]))
 
 
-def _generators(
+def _zonotope_generators(
     vertices: np.ndarray,
     faces: Sequence[Loop],
     edges: np.ndarray,
@@ -82,14 +82,14 @@ def _generators(
     tolerance: float,
 ) -> np.ndarray | None:
     """Half-edges [D, 3] of a zonotope, else None."""
-    if not (_symmetric(vertices, tolerance) and all(_symmetric(vertices[list(loop)], tolerance) for loop in faces)):
+    if not (_is_symmetric(vertices, tolerance) and all(_is_symmetric(vertices[list(loop)], tolerance) for loop in faces)):
         return None
     lengths = np.linalg.norm(vertices[edges[:, 1]] - vertices[edges[:, 0]], axis=1)
     mean = np.bincount(of_edge, lengths) / np.bincount(of_edge)
     return 0.5 * mean[:, None] * directions
 
 
-def _symmetric(points: np.ndarray, tolerance: float) -> bool:
+def _is_symmetric(points: np.ndarray, tolerance: float) -> bool:
     """Whether each point has its mirror image through the mean of all."""
     from scipy.spatial import cKDTree
 

@@ -10,7 +10,7 @@ from dem_jax.errors import SceneError
 if TYPE_CHECKING:
     from manifold3d import Manifold
 
-RAYS = 32  # along each edge of the box around a body, in all three directions
+RAYS_PER_EDGE = 32  # along each edge of the box around a body, in all three directions
 MOST_SHARE = 1e-3  # of the volume: crossings that hold less are the noise of a scan
 
 
@@ -65,9 +65,9 @@ def _measure_cover(body: "Manifold", sign: float) -> tuple[float, float, np.ndar
 
 def _ray_origins(low: np.ndarray, high: np.ndarray, axis: int) -> np.ndarray:
     """[RAYS**2, 3] points below a box, evenly spaced; off its middle planes, where edges often lie."""
-    share = (np.arange(RAYS) + 0.4871) / RAYS
+    share = (np.arange(RAYS_PER_EDGE) + 0.4871) / RAYS_PER_EDGE
     b, c = [k for k in range(3) if k != axis]
-    grid = np.zeros((RAYS, RAYS, 3))
+    grid = np.zeros((RAYS_PER_EDGE, RAYS_PER_EDGE, 3))
     grid[..., axis] = low[axis] - 0.1
     grid[..., b] = (low[b] + (high[b] - low[b]) * share)[:, None]
     grid[..., c] = (low[c] + (high[c] - low[c]) * share)[None, :]

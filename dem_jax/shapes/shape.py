@@ -7,8 +7,8 @@ from math import pi
 import numpy as np
 
 from dem_jax.errors import SceneError
-from dem_jax.maths.pose import matrix_of_quaternion
-from dem_jax.shapes.checks import positive
+from dem_jax.math.pose import quaternion_to_matrix
+from dem_jax.shapes.checks import require_positive
 
 # Lengths closer than this fraction of the size are the same: an STL stores single precision (6e-8 of its coordinates).
 TOLERANCE = 1e-6
@@ -35,7 +35,7 @@ class Shape:
     generators: [G, 3] (m) half-edges, in the order of `edge_directions`, of a zonotope (a centrally symmetric polytope
         whose faces are centrally symmetric too): it is the set of all sums of t_i g_i with |t_i| <= 1, and its
         half-width along n is the sum of |n . g_i|. None for all other shapes.
-    parts: convex parts that the body is the union of; () for a convex shape: ``parts_of`` gives the parts of any.
+    parts: convex parts that the body is the union of; () for a convex shape: ``list_parts`` gives the parts of any.
     fused: [number of parts] labels 0, 1, ...: parts of one label continue each other without a notch, see ``joints``.
     """
 
@@ -52,12 +52,12 @@ class Shape:
     bounding_radius: float
     edge_directions: np.ndarray
     generators: np.ndarray | None
-    parts: tuple["Part", ...] = ()
-    fused: np.ndarray = field(default_factory=lambda: np.zeros(1, int))
+    parts: tuple["ConvexPart", ...] = ()
+    joint_labels: np.ndarray = field(default_factory=lambda: np.zeros(1, int))
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class ConvexPart:
     """A convex part of a body.
 
     shape: polytope or sphere about its own centre of mass, its axes parallel to the body frame of the whole.
@@ -67,17 +67,17 @@ class Part:
 
     shape: Shape
     centre: np.ndarray
-    inner: tuple[bool, ...]
+    interior_faces: tuple[bool, ...]
 
 
-def parts_of(shape: Shape) -> tuple[Part, ...]:
+def list_parts(shape: Shape) -> tuple[ConvexPart, ...]:
     """The convex parts of a shape; a convex shape is its own only part."""
-    return shape.parts or (Part(shape, np.zeros(3), (False,) * len(shape.faces)),)
+    return shape.parts or (ConvexPart(shape, np.zeros(3), (False,) * len(shape.faces)),)
 
 
-def scaled(shape: Shape, factor: float) -> Shape:
+def scale_shape(shape: Shape, factor: float) -> Shape:
     """The same shape with all lengths times factor (SF): volume goes with SF^3. Raises SceneError unless factor > 0."""
-    f = positive("scale_factor", factor, "a positive number")
+    f = require_positive("scale_factor", factor, "a positive number")
     return replace(
         shape,
         radius=f * shape.radius,
@@ -87,15 +87,15 @@ def scaled(shape: Shape, factor: float) -> Shape:
         gyration=f**2 * shape.gyration,
         bounding_radius=f * shape.bounding_radius,
         generators=None if shape.generators is None else f * shape.generators,
-        parts=tuple(replace(part, shape=scaled(part.shape, f), centre=f * part.centre) for part in shape.parts),
+        parts=tuple(replace(part, shape=scale_shape(part.shape, f), centre=f * part.centre) for part in shape.parts),
     )
 
 
-def extents(shape: Shape) -> np.ndarray:
+def principal_extents(shape: Shape) -> np.ndarray:
     """Extents [3] (m) along the principal axes of inertia, largest first: length, width, thickness."""
     if shape.radius > 0.0:
         return np.full(3, 2.0 * shape.radius)
-    turn = matrix_of_quaternion(shape.principal)
+    turn = quaternion_to_matrix(shape.principal)
     points = [shape.vertices @ turn]
     for part in shape.parts:
         if part.shape.radius > 0.0:
@@ -106,9 +106,9 @@ def extents(shape: Shape) -> np.ndarray:
 # L of eqs 7-8 as a function of the shape (m).
 SIZE_LENGTHS: dict[str, Callable[[Shape], float]] = {
     "equivalent-diameter": lambda shape: (6.0 * shape.volume / pi) ** (1.0 / 3.0),
-    "length": lambda shape: float(extents(shape)[0]),
-    "width": lambda shape: float(extents(shape)[1]),
-    "thickness": lambda shape: float(extents(shape)[2]),
+    "length": lambda shape: float(principal_extents(shape)[0]),
+    "width": lambda shape: float(principal_extents(shape)[1]),
+    "thickness": lambda shape: float(principal_extents(shape)[2]),
     "cube-root-volume": lambda shape: shape.volume ** (1.0 / 3.0),
 }
 
@@ -124,22 +124,22 @@ def size_length(shape: Shape, convention: str = "equivalent-diameter") -> float:
     return SIZE_LENGTHS[convention](shape)
 
 
-def surface(shape: Shape, subdivisions: int = 2) -> tuple[np.ndarray, tuple[tuple[int, ...], ...]]:
+def surface_mesh(shape: Shape, subdivisions: int = 2) -> tuple[np.ndarray, tuple[tuple[int, ...], ...]]:
     """Vertices [V, 3] (m) and faces of what is drawn: the polytope itself, or a sphere as an icosahedron subdivided; of
     several parts what shows of each, one after the other."""
     if not shape.parts:
-        return convex_surface(shape, subdivisions)
+        return convex_surface_mesh(shape, subdivisions)
     vertices, faces, start = [], [], 0
     for part in shape.parts:
-        points, loops = convex_surface(part.shape, subdivisions)
-        shown = loops if part.shape.radius > 0.0 else [f for f, hidden in zip(loops, part.inner, strict=True) if not hidden]
+        points, loops = convex_surface_mesh(part.shape, subdivisions)
+        shown = loops if part.shape.radius > 0.0 else [f for f, hidden in zip(loops, part.interior_faces, strict=True) if not hidden]
         faces += [tuple(start + v for v in loop) for loop in shown]
         vertices.append(points + part.centre)
         start += len(points)
     return np.concatenate(vertices), tuple(faces)
 
 
-def convex_surface(shape: Shape, subdivisions: int = 2) -> tuple[np.ndarray, tuple[tuple[int, ...], ...]]:
+def convex_surface_mesh(shape: Shape, subdivisions: int = 2) -> tuple[np.ndarray, tuple[tuple[int, ...], ...]]:
     """Vertices [V, 3] (m) and faces of a convex shape; a sphere is an icosahedron subdivided so often."""
     if shape.radius == 0.0:
         return shape.vertices, shape.faces

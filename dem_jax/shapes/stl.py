@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dem_jax.errors import SceneError
-from dem_jax.shapes.checks import positive_length
+from dem_jax.shapes.checks import require_length
 
 if TYPE_CHECKING:
     import trimesh
 
-SLIVER = 1e-4  # area over squared longest edge, of facets that may be left out
+SLIVER_AREA = 1e-4  # area over squared longest edge, of facets that may be left out
 
 
 def load_stl(path: str | Path, unit: float = 1.0) -> "trimesh.Trimesh":
@@ -23,7 +23,7 @@ def load_stl(path: str | Path, unit: float = 1.0) -> "trimesh.Trimesh":
     unit: metres per unit of the file. Raises SceneError for a file that is missing, unreadable or without area, and for
     corners that are not finite or so far off that facets are lost in rounding.
     """
-    unit = positive_length("unit", unit)
+    unit = require_length("unit", unit)
     mesh = read_stl(path)
     mesh.process()
     mesh.update_faces(~find_flat_facets(mesh, path))
@@ -41,7 +41,7 @@ def read_stl(path: str | Path) -> "trimesh.Trimesh":
     if not Path(path).is_file():
         raise SceneError(f"stl = {str(path)!r}: there is no such file")
     try:
-        with np.errstate(all="ignore"), _unlogged():  # of corners that are not finite, which are refused below
+        with np.errstate(all="ignore"), _silence_trimesh():  # of corners that are not finite, which are refused below
             mesh = trimesh.load_mesh(str(path), file_type="stl", process=False)
     except Exception as error:  # trimesh's readers raise whatever the bytes made them trip over
         raise SceneError(f"stl = {str(path)!r} cannot be read as an STL file ({_first_line(error)})") from error
@@ -60,7 +60,7 @@ def find_flat_facets(mesh: "trimesh.Trimesh", path: str | Path) -> np.ndarray:
         raise SceneError(f"stl = {str(path)!r} is degenerate: all its triangles have no area")
     corners = mesh.triangles
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
-    small = flat & (mesh.area_faces > SLIVER * longest**2)
+    small = flat & (mesh.area_faces > SLIVER_AREA * longest**2)
     if small.any():
         low, high = (np.asarray(bound).tolist() for bound in mesh.bounds)
         raise SceneError(
@@ -71,7 +71,7 @@ def find_flat_facets(mesh: "trimesh.Trimesh", path: str | Path) -> np.ndarray:
 
 
 @contextmanager
-def _unlogged() -> Iterator[None]:
+def _silence_trimesh() -> Iterator[None]:
     """Without what trimesh logs, with traceback, of errors that it raises as well."""
     logger = logging.getLogger("trimesh")
     before = logger.level

@@ -3,23 +3,23 @@
 Closed forms are frozen dataclasses of plain numbers (SI) whose properties are the solution (``normal``, ``oblique``, ``eccentric``,
 ``rotation``, ``cell``), and where there is none an adaptive solver of high order takes its place (``solved``). ``traces`` runs a
 system step by step and reads the quantities of the solution. A ``Problem`` is a scene, its solution and the quantities compared
-(``catalogue.problems`` lists all); ``solve`` runs it as a user would and says how far off it is.
+(``catalogue.problems`` lists all); ``solve_problem`` runs it as a user would and says how far off it is.
 """
 
-from dem_jax.validation.cell import CellImpact
+from dem_jax.validation.cell_impact import CellImpact
 from dem_jax.validation.eccentric import EccentricImpact
+from dem_jax.validation.free_rotation import FreeRotation
 from dem_jax.validation.normal import DashpotImpact, ElasticPlasticImpact, HertzImpact, NormalImpact
 from dem_jax.validation.oblique import ObliqueImpact
-from dem_jax.validation.problem import Problem, Solution, solve
-from dem_jax.validation.rotation import FreeRotation
-from dem_jax.validation.traces import (
-    lasting,
-    motion,
+from dem_jax.validation.problem import Problem, Solution, solve_problem
+from dem_jax.validation.trajectory import (
     plate_scene,
-    refined,
-    trace,
+    read_motion,
+    trace_motion,
     wall_stiffness,
+    with_finer_steps,
     with_friction,
+    with_permanent_pairs,
     with_restitution,
 )
 
@@ -34,12 +34,12 @@ __all__ = [
     "ObliqueImpact",
     "Problem",
     "Solution",
-    "lasting",
-    "motion",
+    "with_permanent_pairs",
+    "read_motion",
     "plate_scene",
-    "refined",
-    "solve",
-    "trace",
+    "with_finer_steps",
+    "solve_problem",
+    "trace_motion",
     "wall_stiffness",
     "with_friction",
     "with_restitution",

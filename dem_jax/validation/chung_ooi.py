@@ -12,21 +12,21 @@ from typing import Any
 
 import numpy as np
 
+from dem_jax.io.run_data import Run
 from dem_jax.scene import Scene
-from dem_jax.store.run import Run
-from dem_jax.validation import solved
-from dem_jax.validation.problem import Compared, Problem, made
-from dem_jax.validation.solved import After, Ball
-from dem_jax.validation.traces import plate_scene
+from dem_jax.validation import reference_solver
+from dem_jax.validation.problem import ComparedValues, Problem, create_scene
+from dem_jax.validation.reference_solver import Ball, ImpactResult
+from dem_jax.validation.trajectory import plate_scene
 
 LAWS = ("walton-braun", "linear-dashpot", "hertz-mindlin")
 RIGID = 1e20  # Pa, of walls
-LATE = 0.05  # of the duration: when bodies touch
+TOUCH_SHARE = 0.05  # of the duration: when bodies touch
 SOURCE = "Chung and Ooi 2011; DOP853 of scipy, event by event"
 
 
 @dataclass(frozen=True)
-class Solid:
+class SphereMaterial:
     """The material of the spheres."""
 
     youngs_modulus: float  # Pa
@@ -34,17 +34,17 @@ class Solid:
     density: float  # kg/m3
 
 
-ALUMINA, IRON = Solid(380e9, 0.23, 4000.0), Solid(100e9, 0.25, 7000.0)  # aluminium oxide, cast iron
-GLASS, LIMESTONE = Solid(48e9, 0.20, 2800.0), Solid(20e9, 0.25, 2500.0)
-ALUMINIUM, MAGNESIUM = Solid(70e9, 0.30, 2699.0), Solid(40e9, 0.35, 1800.0)  # alloys
-STEEL = Solid(208e9, 0.30, 7850.0)
+ALUMINA, IRON = SphereMaterial(380e9, 0.23, 4000.0), SphereMaterial(100e9, 0.25, 7000.0)  # aluminium oxide, cast iron
+GLASS, LIMESTONE = SphereMaterial(48e9, 0.20, 2800.0), SphereMaterial(20e9, 0.25, 2500.0)
+ALUMINIUM, MAGNESIUM = SphereMaterial(70e9, 0.30, 2699.0), SphereMaterial(40e9, 0.35, 1800.0)  # alloys
+STEEL = SphereMaterial(208e9, 0.30, 7850.0)
 
 
 @dataclass(frozen=True)
-class Impact:
+class SphereImpact:
     """One impact: a sphere on the plate, or two spheres in flight, in the plane of x and z."""
 
-    solid: Solid
+    solid: SphereMaterial
     radius: float  # m
     speed: float  # m/s of approach
     restitution: float
@@ -59,7 +59,7 @@ class Impact:
         rows = [(self.radius, self.along, self.surface), *([self.other] if self.other else [])]
         return tuple(Ball(self.solid.density * 4 / 3 * np.pi * r**3, r, v, w) for r, v, w in rows)
 
-    def law(self, name: str) -> solved.NormalLaw:
+    def contact_law(self, name: str) -> reference_solver.NormalLaw:
         """Normal and tangential law of that contact, from the material."""
         balls, e = self.balls, self.restitution
         mass = 1 / sum(1 / b.mass for b in balls)
@@ -71,16 +71,16 @@ class Impact:
             root = 1 / np.sqrt(sum(1 / b.radius for b in balls))
             stiffness = 4 / 3 * modulus / (1 - nu**2) / both * root
             along = 8 * modulus / (2 * (2 - nu) * (1 + nu)) / both * root
-            return solved.Hertz(stiffness, np.sqrt(5 * mass * stiffness) * zeta, along)
+            return reference_solver.HertzLaw(stiffness, np.sqrt(5 * mass * stiffness) * zeta, along)
         soft = SOFT * modulus
         stiffness = 1 / sum(1 / (soft * 2 * b.radius) for b in balls)
         if name == "linear-dashpot":
-            return solved.Dashpot(stiffness, 2 * zeta * np.sqrt(mass * stiffness))
-        return solved.WaltonBraun(stiffness, e, 0.001)
+            return reference_solver.DashpotLaw(stiffness, 2 * zeta * np.sqrt(mass * stiffness))
+        return reference_solver.WaltonBraunLaw(stiffness, e, 0.001)
 
-    def after(self, law: str) -> After:
+    def exact_result(self, law: str) -> ImpactResult:
         """The exact solution."""
-        return solved.impact(self.law(law), self.balls, self.speed, self.friction)
+        return reference_solver.solve_impact(self.contact_law(law), self.balls, self.speed, self.friction)
 
 
 SOFT = 0.01  # NSF of laws that are linear
@@ -96,23 +96,23 @@ def _damping_ratio(restitution: float, guess: float) -> float:
     return float(brentq(loss, 0.5 * guess, 1 - 1e-12, xtol=1e-15))
 
 
-def problems(law: str, tests: Iterable[int] = range(1, 9)) -> list[Problem]:
+def build_problems(law: str, tests: Iterable[int] = range(1, 9)) -> list[Problem]:
     """Those of some of the tests, with a law of ``LAWS``."""
-    return [_problem(law, *_tests()[n]) for n in tests]
+    return [_build_problem(law, *_list_tests()[n]) for n in tests]
 
 
-def _tests() -> dict[int, tuple[str, list[Impact], tuple[str, ...]]]:
+def _list_tests() -> dict[int, tuple[str, list[SphereImpact], tuple[str, ...]]]:
     """Number -> title, the impacts of its curves, and the quantities compared."""
     central = ("restitution", "overlap")
     oblique = ("along", "spin")
-    two = replace(Impact(GLASS, 0.01, 20.0, 1.0, 0.35), other=(0.01, 0.0, 0.0))
-    plate = Impact(ALUMINIUM, 0.1, 0.2, 1.0, 0.0001)
-    hard = Impact(ALUMINA, 2.5e-3, 3.9, 1.0, 0.092)
+    two = replace(SphereImpact(GLASS, 0.01, 20.0, 1.0, 0.35), other=(0.01, 0.0, 0.0))
+    plate = SphereImpact(ALUMINIUM, 0.1, 0.2, 1.0, 0.0001)
+    hard = SphereImpact(ALUMINA, 2.5e-3, 3.9, 1.0, 0.092)
     kharaz = replace(hard, restitution=0.98)
     angles = np.radians([2.0, 5.0, 10.0, 20.0, 30.0, 45.0, 60.0, 75.0])
-    fine = Impact(STEEL, 1e-5, 5.0, 1.0, 0.3)
+    fine = SphereImpact(STEEL, 1e-5, 5.0, 1.0, 0.3)
     ratios = np.array([0.2, 0.7, 1.5, 2.5, 4.0, 6.0, 9.0])  # of the tangential speed to mu times the normal one
-    spun = Impact(ALUMINIUM, 0.1, 0.2, 0.5, 0.4)
+    spun = SphereImpact(ALUMINIUM, 0.1, 0.2, 0.5, 0.4)
     pair = replace(spun, other=(0.1, 0.0, 0.0))
     uneven = replace(spun, other=(0.3, 0.0, 0.0))
     spins = ratios * spun.friction * spun.speed
@@ -144,13 +144,13 @@ def _tests() -> dict[int, tuple[str, list[Impact], tuple[str, ...]]]:
     }
 
 
-def _problem(law: str, title: str, impacts: list[Impact], compared: tuple[str, ...]) -> Problem:
-    number = next(n for n, row in _tests().items() if row[0] == title)
-    exact = [i.after(law) for i in impacts]
-    duration = 2 * max(a.lasted for a in exact)
-    touch = LATE * duration
-    scenes = [_scene(law, i, duration, touch) for i in impacts]
-    parameters = {key: [_value(s, key) for s in scenes] for key in _varied(impacts[0], law)}
+def _build_problem(law: str, title: str, impacts: list[SphereImpact], compared: tuple[str, ...]) -> Problem:
+    number = next(n for n, row in _list_tests().items() if row[0] == title)
+    exact = [i.exact_result(law) for i in impacts]
+    duration = 2 * max(a.duration for a in exact)
+    touch = TOUCH_SHARE * duration
+    scenes = [_impact_scene(law, i, duration, touch) for i in impacts]
+    parameters = {key: [_scene_value(s, key) for s in scenes] for key in _varied_keys(impacts[0], law)}
     # a dashpot's force is largest within the first steps of a contact: its top is not resolved, what it does to the motion is
     damped = number == 3 and law != "walton-braun"
     bounds = {"restitution": 0.01, "peak force": 0.1 if damped else 0.01, "overlap": 0.01, "along": 0.01, "spin": 0.01}
@@ -159,13 +159,13 @@ def _problem(law: str, title: str, impacts: list[Impact], compared: tuple[str, .
         source=SOURCE,
         scene=scenes[0],
         parameters=parameters,
-        measured=partial(_measured, impacts, compared),
-        exact=partial(_compared, impacts, exact, compared),
+        measure=partial(_read_impacts, impacts, compared),
+        exact=partial(_compare_impacts, impacts, exact, compared),
         bounds={name: bounds[name] for name in compared},
     )
 
 
-def _varied(impact: Impact, law: str) -> list[str]:
+def _varied_keys(impact: SphereImpact, law: str) -> list[str]:
     """Keys of the scene in which the impacts of a test may differ."""
     of_material = ["youngs_modulus", "poisson_ratio", "density", "restitution", "friction_wall", "friction_piece"]
     of_piece = ["radius", "position", "velocity", "angular_velocity"]
@@ -174,14 +174,14 @@ def _varied(impact: Impact, law: str) -> list[str]:
     return [f"material.{k}" for k in of_material] + [f"piece.{n}.{k}" for n in pieces for k in of_piece] + own
 
 
-def _value(scene: Scene, key: str) -> Any:
+def _scene_value(scene: Scene, key: str) -> Any:
     found: Any = scene
     for name in key.split("."):
         found = found[int(name)] if name.isdigit() else getattr(found, name)
     return list(found) if isinstance(found, tuple) else found
 
 
-def _scene(law: str, i: Impact, duration: float, touch: float) -> Scene:
+def _impact_scene(law: str, i: SphereImpact, duration: float, touch: float) -> Scene:
     material: dict[str, Any] = {
         "youngs_modulus": i.solid.youngs_modulus,
         "poisson_ratio": i.solid.poisson_ratio,
@@ -214,10 +214,10 @@ def _scene(law: str, i: Impact, duration: float, touch: float) -> Scene:
     ]
     places = [(0.0, 0.0, -i.radius - part * gap), (0.0, 0.0, radius + (1 - part) * gap)]
     pieces = [{"shape": "sphere", "position": place} | row for place, row in zip(places, rows, strict=True)]
-    return made(piece=pieces, material=material, contact=contact, run=run)
+    return create_scene(piece=pieces, material=material, contact=contact, run=run)
 
 
-def _measured(impacts: list[Impact], compared: tuple[str, ...], run: Run) -> Compared:
+def _read_impacts(impacts: list[SphereImpact], compared: tuple[str, ...], run: Run) -> ComparedValues:
     """From the last frame, and the peaks of every step."""
     frames = run.pieces
     assert frames is not None
@@ -231,11 +231,11 @@ def _measured(impacts: list[Impact], compared: tuple[str, ...], run: Run) -> Com
         apart = velocity[k, 1, 2] - velocity[k, 0, 2] if i.other else velocity[k, 0, 2]
         peak = np.nan if i.other else float(run.peak_force["plate"][k].max())
         deepest = float(run.overlap[k].max()) * 2 * min(b.radius for b in i.balls)  # it is relative to the narrower's width
-        after.append(After(apart, along, surface, 0.0, peak, deepest))
-    return _compared(impacts, after, compared)
+        after.append(ImpactResult(apart, along, surface, 0.0, peak, deepest))
+    return _compare_impacts(impacts, after, compared)
 
 
-def _compared(impacts: list[Impact], after: list[After], compared: tuple[str, ...]) -> Compared:
+def _compare_impacts(impacts: list[SphereImpact], after: list[ImpactResult], compared: tuple[str, ...]) -> ComparedValues:
     """Restitution, peak force (N), largest overlap (m), effect of friction over mu (1 + e) v_n: along, and of the surface over
     5/2 of it, by which a sphere that slides throughout has both 1."""
     unit = np.array([i.friction * (1 + i.restitution) * i.speed for i in impacts])[:, None]

@@ -19,14 +19,14 @@ class EccentricImpact:
     restitution: float
 
     @property
-    def turning(self) -> np.ndarray:
+    def moment_arm(self) -> np.ndarray:
         """r x n (m)."""
         return np.cross(self.arm, self.normal)
 
     @property
     def effective_mass(self) -> float:
         """(kg)."""
-        return 1 / float(1 / self.mass + self.turning @ np.linalg.solve(self.inertia, self.turning))
+        return 1 / float(1 / self.mass + self.moment_arm @ np.linalg.solve(self.inertia, self.moment_arm))
 
     @property
     def speed(self) -> float:
@@ -46,7 +46,7 @@ class EccentricImpact:
     @property
     def spin_after(self) -> np.ndarray:
         """[3] (rad/s)."""
-        return self.spin + np.linalg.solve(self.inertia, self.impulse * self.turning)
+        return self.spin + np.linalg.solve(self.inertia, self.impulse * self.moment_arm)
 
     @property
     def peak_force(self) -> float:

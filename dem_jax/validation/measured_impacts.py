@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from dem_jax.io.run_data import Run
 from dem_jax.scene import Scene
-from dem_jax.store.run import Run
 from dem_jax.validation.normal import ElasticPlasticImpact
-from dem_jax.validation.problem import Compared, Problem
-from dem_jax.validation.traces import plate_scene
+from dem_jax.validation.problem import ComparedValues, Problem
+from dem_jax.validation.trajectory import plate_scene
 
 POTATO_MASS, POTATO_DENSITY, POTATO_STRESS = 0.175, 1080.0, 0.9e6  # kg, measured; kg/m3, assumed; Pa, measured
 POTATO_SPEEDS = [1.0, 1.25, 1.5, 1.75]  # m/s
@@ -24,54 +24,54 @@ FRUIT_MASSES, FRUIT_FORCES = np.array([29.4, 95.0, 190.1]) * 1e-3, np.array([40.
 FRUIT_DENSITY, FRUIT_SPEED = 1000.0, 2.0  # kg/m3, m/s: neither changes the exponent
 
 
-def radius_of(mass: float | np.ndarray, density: float) -> Any:
+def sphere_radius(mass: float | np.ndarray, density: float) -> Any:
     """Radius (m) of a sphere."""
     return (3 * mass / (4 * np.pi * density)) ** (1 / 3)
 
 
-def _scene(radius: float, speed: float, duration: float, contact: dict[str, Any], **material: Any) -> Scene:
+def _impact_scene(radius: float, speed: float, duration: float, contact: dict[str, Any], **material: Any) -> Scene:
     """A sphere just above the plate, without gravity and friction."""
     piece = {"shape": "sphere", "radius": radius, "position": (0.0, 0.0, 1.001 * radius), "velocity": (0.0, 0.0, -speed)}
     run = {"duration": duration, "sample": duration / 400, "frames": duration / 400, "energy": False}
     return plate_scene(piece, run=run, softening=1.0, friction_wall=0.0, friction_piece=0.0, **material).replace(contact=contact)
 
 
-def _falls(speeds: list[float]) -> dict[str, list[Any]]:
+def _fall_velocities(speeds: list[float]) -> dict[str, list[Any]]:
     return {"piece.0.velocity": [[0.0, 0.0, -speed] for speed in speeds]}
 
 
-def _restitution(run: Run, speeds: list[float]) -> np.ndarray:
+def _read_restitution(run: Run, speeds: list[float]) -> np.ndarray:
     assert run.pieces is not None
     return np.asarray(run.pieces.velocity[:, -1, 0, 2], float) / np.array(speeds)
 
 
-def _peaks(run: Run) -> np.ndarray:
+def _read_peaks(run: Run) -> np.ndarray:
     return np.asarray(run.peak_force["plate"], float).max(axis=1)
 
 
-def potato() -> Problem:
+def potato_problem() -> Problem:
     """A potato by Walton and Braun's law: the restitution is its constant, and E = pi times the stress.
 
     The linear spring K = E L of a sphere, L = 2 R, on the dent of area 2 pi R s is a contact of the constant stress E / pi.
     """
-    radius = radius_of(POTATO_MASS, POTATO_DENSITY)
-    scene = _scene(
+    radius = sphere_radius(POTATO_MASS, POTATO_DENSITY)
+    scene = _impact_scene(
         radius, POTATO_SPEEDS[0], 8e-3, {}, density=POTATO_DENSITY,
         youngs_modulus=np.pi * POTATO_STRESS, restitution=POTATO_RESTITUTION, separation=0.0,
     )  # fmt: skip
 
-    def measured(run: Run) -> Compared:
+    def read_potato(run: Run) -> ComparedValues:
         assert run.pieces is not None
         depth = radius - np.asarray(run.pieces.position[:, :, 0, 2], float).min(axis=1)
-        stress = _peaks(run) / (2 * np.pi * radius * depth)
-        return {"restitution": _restitution(run, POTATO_SPEEDS), "contact stress": stress}
+        stress = _read_peaks(run) / (2 * np.pi * radius * depth)
+        return {"restitution": _read_restitution(run, POTATO_SPEEDS), "contact stress": stress}
 
     return Problem(
         name="a potato, restitution and stress at 1 to 1.75 m/s, Walton and Braun",
         source="Stropek and Golacki, Int. Agrophys. 36 (2022) 115-122: 0.44 to 0.49 and 0.9 MPa at all speeds",
         scene=scene,
-        parameters=_falls(POTATO_SPEEDS),
-        measured=measured,
+        parameters=_fall_velocities(POTATO_SPEEDS),
+        measure=read_potato,
         exact=lambda: {
             "restitution": np.full(len(POTATO_SPEEDS), POTATO_RESTITUTION),
             "contact stress": np.full(len(POTATO_SPEEDS), POTATO_STRESS),
@@ -80,7 +80,7 @@ def potato() -> Problem:
     )
 
 
-def tablet() -> Problem:
+def tablet_problem() -> Problem:
     """A tablet by the elastic-plastic law: the restitution falls with about the fourth root of the speed."""
     mass = 4 / 3 * np.pi * TABLET_RADIUS**3 * TABLET_DENSITY
     modulus = 1 / ((1 - 0.3**2) / TABLET_MODULUS + (1 - 0.3**2) / 1e11)
@@ -88,19 +88,19 @@ def tablet() -> Problem:
     speeds = [float(times * at(1.0).yield_speed) for times in TABLET_TIMES]
     contact = {"law": "elastic-plastic", "yield_pressure": TABLET_PRESSURE, "impact_speed": speeds[-1]}
     material = {"density": TABLET_DENSITY, "youngs_modulus": TABLET_MODULUS, "restitution": 1.0}
-    scene = _scene(TABLET_RADIUS, speeds[0], 1e-3, contact, **material)
+    scene = _impact_scene(TABLET_RADIUS, speeds[0], 1e-3, contact, **material)
 
-    def measured(run: Run) -> Compared:
-        restitution = _restitution(run, speeds)
+    def read_tablet(run: Run) -> ComparedValues:
+        restitution = _read_restitution(run, speeds)
         exponent = np.polyfit(np.log(speeds), np.log(restitution), 1)[0]
-        return {"restitution": restitution, "peak force": _peaks(run), "exponent of the speed": np.array(exponent)}
+        return {"restitution": restitution, "peak force": _read_peaks(run), "exponent of the speed": np.array(exponent)}
 
     return Problem(
         name="a tablet, restitution against speed, elastic-plastic",
         source="exponent: Bharadwaj, Smith and Hancock, Int. J. Pharm. 402 (2010) 50-56; the rest: Thornton 1997",
         scene=scene,
-        parameters=_falls(speeds),
-        measured=measured,
+        parameters=_fall_velocities(speeds),
+        measure=read_tablet,
         exact=lambda: {
             "restitution": np.array([at(speed).restitution for speed in speeds]),
             "peak force": np.array([at(speed).peak_force for speed in speeds]),
@@ -110,18 +110,18 @@ def tablet() -> Problem:
     )
 
 
-def fruit(law: str) -> Problem:
+def fruit_problem(law: str) -> Problem:
     """Three masses at one speed: the exponent of the peak force, 2/3 of each law without a length or a time of its own."""
-    radii = radius_of(FRUIT_MASSES, FRUIT_DENSITY)
+    radii = sphere_radius(FRUIT_MASSES, FRUIT_DENSITY)
     contact = {"law": law} | ({"impact_speed": FRUIT_SPEED} if law == "hertz-mindlin" else {})
     material = {"density": FRUIT_DENSITY, "youngs_modulus": 1e6, "restitution": 0.5}
-    scene = _scene(float(radii[0]), FRUIT_SPEED, 0.03, contact, **material)
+    scene = _impact_scene(float(radii[0]), FRUIT_SPEED, 0.03, contact, **material)
     return Problem(
         name=f"fruit of three masses, exponent of the peak force, {law}",
         source="Raji and Favier, J. Eng. Technol.: 40, 87 and 136 N at 29.4, 95 and 190.1 g",
         scene=scene,
         parameters={"piece.0.radius": radii.tolist(), "piece.0.position": [[0.0, 0.0, 1.001 * r] for r in radii.tolist()]},
-        measured=lambda run: {"exponent of the mass": np.array(np.polyfit(np.log(FRUIT_MASSES), np.log(_peaks(run)), 1)[0])},
+        measure=lambda run: {"exponent of the mass": np.array(np.polyfit(np.log(FRUIT_MASSES), np.log(_read_peaks(run)), 1)[0])},
         exact=lambda: {"exponent of the mass": np.array(np.polyfit(np.log(FRUIT_MASSES), np.log(FRUIT_FORCES), 1)[0])},
         bounds={"exponent of the mass": 0.03},
     )

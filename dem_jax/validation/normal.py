@@ -5,7 +5,7 @@ from typing import TypeVar
 
 import numpy as np
 
-Times = TypeVar("Times", float, np.ndarray)
+TimeValues = TypeVar("TimeValues", float, np.ndarray)
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class NormalImpact:
         square = self.switch_speed**2 + work
         return np.sqrt(square) if square > 0 else np.nan
 
-    def start(self, time: float) -> tuple[float, float]:
+    def state_before_touch(self, time: float) -> tuple[float, float]:
         """Gap (m) and speed towards the wall (m/s) at a time (s) before first touch."""
         return self.speed * time - 0.5 * self.gravity * time**2, self.speed - self.gravity * time
 
@@ -101,31 +101,31 @@ class DashpotImpact:
         return np.sqrt(self.stiffness / self.mass)
 
     @property
-    def _turn(self) -> tuple[float, float]:
+    def _phase_and_root(self) -> tuple[float, float]:
         """Phase of the largest overlap, and sqrt(1 - zeta^2)."""
         return np.arccos(self.ratio), np.sqrt(1 - self.ratio**2)
 
     @property
     def loading_time(self) -> float:
         """From first touch to the largest overlap (s); the contact lasts twice as long."""
-        phase, root = self._turn
+        phase, root = self._phase_and_root
         return phase / root / self.frequency
 
     @property
     def restitution(self) -> float:
         """Speed after over speed before."""
-        phase, root = self._turn
+        phase, root = self._phase_and_root
         return np.exp(-2 * self.ratio * phase / root)
 
     @property
     def largest_overlap(self) -> float:
         """(m)."""
-        phase, root = self._turn
+        phase, root = self._phase_and_root
         return self.speed / self.frequency * np.exp(-self.ratio * phase / root)
 
-    def force(self, time: Times) -> Times:
+    def force(self, time: TimeValues) -> TimeValues:
         """(N) at times (s) since first touch, while it lasts."""
-        z, root = self.ratio, self._turn[1]
+        z, root = self.ratio, self._phase_and_root[1]
         phase = root * self.frequency * time
         wave = 2 * z * np.cos(phase) + (1 - 2 * z * z) / root * np.sin(phase)
         return self.mass * self.frequency * self.speed * np.exp(-z * self.frequency * time) * wave
@@ -133,7 +133,7 @@ class DashpotImpact:
     @property
     def peak_force(self) -> float:
         """(N): where its derivative vanishes; from zeta = 1/2 on that of the dashpot at first touch."""
-        z, root = self.ratio, self._turn[1]
+        z, root = self.ratio, self._phase_and_root[1]
         phase = np.arctan2(root * (1 - 4 * z * z), z * (3 - 4 * z * z)) if z < 0.5 else 0.0
         return self.force(phase / root / self.frequency)
 

@@ -17,7 +17,7 @@ class ObliqueImpact:
     friction: float
     tangential: float = 1.0  # K_t / K_nl
 
-    def sliding(self, normal: float, along: float, surface: float = 0.0) -> tuple[float, float]:
+    def sliding_speeds(self, normal: float, along: float, surface: float = 0.0) -> tuple[float, float]:
         """Speed along the wall and surface speed after an impact that slides throughout (m/s).
 
         normal: (m/s) of approach, along and surface: (m/s) before.

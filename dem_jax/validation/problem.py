@@ -7,12 +7,12 @@ from typing import Any
 import jax
 import numpy as np
 
-from dem_jax import build
-from dem_jax.drive.interface import ensemble, simulate
+from dem_jax import assembly
+from dem_jax.io.run_data import Run
+from dem_jax.runner.interface import ensemble, simulate
 from dem_jax.scene import Scene
-from dem_jax.store.run import Run
 
-Compared = Mapping[str, np.ndarray]  # name of a compared quantity -> values of any shape
+ComparedValues = Mapping[str, np.ndarray]  # name of a compared quantity -> values of any shape
 
 
 @dataclass(frozen=True)
@@ -25,19 +25,19 @@ class Problem:
     name: str
     source: str  # of the exact solution
     scene: Scene
-    measured: Callable[[Run], Compared]
-    exact: Callable[[], Compared]  # host side, SI
+    measure: Callable[[Run], ComparedValues]
+    exact: Callable[[], ComparedValues]  # host side, SI
     bounds: Mapping[str, float]  # name of a compared quantity -> largest error at the automatic step, in either precision
     parameters: Mapping[str, list[Any]] = field(default_factory=dict)  # keys of the scene -> values in runs side by side
     seeds: int | None = None  # of an ensemble of seeds; None: one run, or as many as the parameters have values
     scale: Mapping[str, float] = field(default_factory=dict)
 
-    def errors(self, found: Compared) -> dict[str, float]:
+    def compute_errors(self, found: ComparedValues) -> dict[str, float]:
         """Errors of the measured quantities, by name."""
         exact = self.exact()
-        return {name: self.between(found, exact, name) for name in self.bounds}
+        return {name: self.relative_error(found, exact, name) for name in self.bounds}
 
-    def between(self, one: Compared, other: Compared, name: str) -> float:
+    def relative_error(self, one: ComparedValues, other: ComparedValues, name: str) -> float:
         """The error of one if the other is taken for exact."""
         a, b = np.asarray(one[name]), np.asarray(other[name])
         return float(np.abs(a - b).max()) / (self.scale.get(name) or float(np.abs(b).max()))
@@ -49,21 +49,21 @@ class Solution:
 
     problem: Problem
     run: Run
-    found: Compared
+    found: ComparedValues
     errors: dict[str, float]
 
     @property
-    def beyond(self) -> list[str]:
+    def failing_quantities(self) -> list[str]:
         """Quantities with an error above their bound, or that are not finite."""
         return [name for name, error in self.errors.items() if not error <= self.problem.bounds[name]]
 
 
-def made(**sections: Any) -> Scene:
+def create_scene(**sections: Any) -> Scene:
     """A scene of these sections."""
     return Scene.model_validate(sections)
 
 
-def solve(problem: Problem, precision: str = "f64", finer: int = 1) -> Solution:
+def solve_problem(problem: Problem, precision: str = "f64", finer: int = 1) -> Solution:
     """Run a problem with the automatic step, or with several steps in place of one.
 
     Raises SceneError and SimulationError.
@@ -73,18 +73,18 @@ def solve(problem: Problem, precision: str = "f64", finer: int = 1) -> Solution:
     if finer > 1 and parameters:
         count = len(next(iter(parameters.values())))
         each = [scene.replace({key: values[k] for key, values in parameters.items()}) for k in range(count)]
-        parameters["run.step"] = [_step(s) / finer for s in each]
+        parameters["run.step"] = [_automatic_step(s) / finer for s in each]
     elif finer > 1:
-        scene = scene.replace({"run.step": _step(scene) / finer})
+        scene = scene.replace({"run.step": _automatic_step(scene) / finer})
     if parameters or problem.seeds:
         run = ensemble(scene, problem.seeds, parameters=parameters or None)
     else:
         run = simulate(scene)
-    found = problem.measured(run)
-    return Solution(problem, run, found, problem.errors(found))
+    found = problem.measure(run)
+    return Solution(problem, run, found, problem.compute_errors(found))
 
 
-def _step(scene: Scene) -> float:
+def _automatic_step(scene: Scene) -> float:
     """(s)"""
     with jax.enable_x64(scene.run.precision == "f64"):
-        return build.build(scene).step.dt
+        return assembly.assemble_system(scene).step.dt

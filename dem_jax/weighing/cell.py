@@ -3,7 +3,7 @@
     (m + p) (x'' + a) + c x' + k x = F,    reading = (k x + c x') / g
 
 m is the mass of the empty bucket, p the product that lies in it, a the acceleration of the base, F the force of the product. The
-scheme is that of ``dem_jax.step.load_cell``: velocity Verlet with the damper in the kick, exact in momentum and of second order.
+scheme is that of ``dem_jax.dynamics.load_cell_oscillator``: velocity Verlet with the damper in the kick, exact in momentum and of second order.
 """
 
 import json
@@ -14,8 +14,8 @@ import numpy as np
 from pydantic import ValidationError
 
 from dem_jax.errors import RecordError
+from dem_jax.io.run_data import STANDARD_GRAVITY
 from dem_jax.scene import LoadCell, load_section
-from dem_jax.store.run import STANDARD_GRAVITY
 
 SECTION = "weigh_bucket.load_cell"
 STEPS_PER_PERIOD = 150  # of the cell: its frequency is then (2 pi / 150)^2 / 24 = 7e-5 too high
@@ -74,12 +74,12 @@ def read_cell_file(path: str) -> LoadCell:
         raise RecordError(f"{path}: {first['loc'][0]} = {first['input']}: {first['msg']}") from None
 
 
-def cell_of(section: LoadCell) -> Cell:
+def build_cell(section: LoadCell) -> Cell:
     """The cell of a scene's section."""
-    return Cell(section.mass, section.spring(), section.damper())
+    return Cell(section.mass, section.spring_stiffness(), section.damping_constant())
 
 
-def through_cell(
+def simulate_cell(
     weight: np.ndarray, rate: float, cell: Cell, load: np.ndarray | float = 0.0, gravity: float = STANDARD_GRAVITY
 ) -> np.ndarray:
     """The signal of a cell at rest at first, under a force on a held bucket.
@@ -95,17 +95,17 @@ def through_cell(
         [.., n] (kg): means of the signal over the same intervals.
     """
     values = np.asarray(weight, np.float64)
-    parts = substeps(cell, rate)
+    parts = count_substeps(cell, rate)
     rows = np.repeat(values.reshape(-1, values.shape[-1]), parts, axis=-1) * gravity
     edges = np.pad(rows, [(0, 0), (1, 1)], mode="edge")
     force = 0.5 * (edges[:, 1:] + edges[:, :-1])
     force[:, 0] = 0.5 * rows[:, 0]
-    mass = _at_edges(load, values.shape, parts)
-    signal = respond(cell, force, mass, 1 / (rate * parts))
-    return (means(signal, parts) / gravity).reshape(values.shape)
+    mass = _load_at_edges(load, values.shape, parts)
+    signal = integrate_cell(cell, force, mass, 1 / (rate * parts))
+    return (interval_means(signal, parts) / gravity).reshape(values.shape)
 
 
-def respond(cell: Cell, push: np.ndarray, load: np.ndarray | float, step: float) -> np.ndarray:
+def integrate_cell(cell: Cell, push: np.ndarray, load: np.ndarray | float, step: float) -> np.ndarray:
     """Force of spring and damper (N) at the edges of n steps, [K, n + 1], of a cell at rest at first.
 
     Args:
@@ -132,19 +132,19 @@ def respond(cell: Cell, push: np.ndarray, load: np.ndarray | float, step: float)
     return (spring * deflection + damper * velocity).T
 
 
-def substeps(cell: Cell | None, rate: float, highest: float = 0.0) -> int:
+def count_substeps(cell: Cell | None, rate: float, highest: float = 0.0) -> int:
     """Steps for each interval of 1 / rate, for a cell and a highest frequency (Hz) of what shakes it."""
     own = 0.0 if cell is None else STEPS_PER_PERIOD * float(np.max(cell.frequency))
     return max(1, int(np.ceil(max(own, 40.0 * highest) / rate)))
 
 
-def means(edges: np.ndarray, parts: int) -> np.ndarray:
+def interval_means(edges: np.ndarray, parts: int) -> np.ndarray:
     """Means over intervals of ``parts`` steps, [.., n], of values at the edges of the steps, [.., n parts + 1]."""
     middle = 0.5 * (edges[..., 1:] + edges[..., :-1])
     return middle.reshape(*middle.shape[:-1], -1, parts).mean(axis=-1)
 
 
-def _at_edges(load: np.ndarray | float, shape: tuple[int, ...], parts: int) -> np.ndarray | float:
+def _load_at_edges(load: np.ndarray | float, shape: tuple[int, ...], parts: int) -> np.ndarray | float:
     """Product at the edges of the steps, [K, n parts + 1], or the number that it is."""
     if np.ndim(load) == 0:
         return float(load)

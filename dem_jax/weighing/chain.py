@@ -1,6 +1,6 @@
 """The signal chain of a scale: means over the intervals of its own rate, as a converter makes them, then a filter.
 
-Streaming: ``start`` makes a state, ``feed`` takes a block of samples and answers with the readings that it completes. However
+Streaming: ``start_chain`` makes a state, ``feed`` takes a block of samples and answers with the readings that it completes. However
 a trace is cut into blocks, the readings have the same bits.
 """
 
@@ -14,23 +14,23 @@ from dem_jax.weighing.filters import Filter
 DIGITS = 6  # to which the end of a reading is rounded, in samples: 1 kHz of 30 us samples then ends with every hundredth
 
 
-class Chain(NamedTuple):
+class SignalChain(NamedTuple):
     """samples: of the trace in a reading, at least 1, not always a whole number. filter: made for the rate of the readings."""
 
     samples: float
     filter: Filter
 
 
-class Running(NamedTuple):
+class ChainState(NamedTuple):
     """The state of a chain: bounded, however long it runs."""
 
-    seen: int  # samples
-    given: int  # readings
+    sample_count: int  # samples
+    reading_count: int  # readings
     total: np.ndarray  # [.., 1]: sum of all samples seen since the end of the last reading
-    memory: filters.Memory
+    memory: filters.FilterMemory
 
 
-def chain(sample: float, rate: float | None, text: str) -> Chain:
+def build_chain(sample: float, rate: float | None, text: str) -> SignalChain:
     """The chain of traces of a sample time (s) with a rate (1/s), None: that of the samples, and a filter as in filters.ALLOWED.
 
     Raises ValueError.
@@ -39,46 +39,46 @@ def chain(sample: float, rate: float | None, text: str) -> Chain:
     rate = most if rate is None else rate
     if not 0 < rate <= most * (1 + 1e-9):
         raise ValueError(f"rate = {rate:g}: allowed: above 0 and at most {most:g} per second, that of the samples")
-    return Chain(max(1.0, most / rate), filters.named(text, rate))
+    return SignalChain(max(1.0, most / rate), filters.parse_filter(text, rate))
 
 
-def start(of: Chain, lead: tuple[int, ...] = ()) -> Running:
+def start_chain(of: SignalChain, lead: tuple[int, ...] = ()) -> ChainState:
     """The state of an empty scale, for traces with these leading axes."""
-    return Running(0, 0, np.zeros((*lead, 1)), filters.start(of.filter, lead))
+    return ChainState(0, 0, np.zeros((*lead, 1)), filters.start_filter(of.filter, lead))
 
 
-def feed(of: Chain, state: Running, block: np.ndarray) -> tuple[Running, np.ndarray]:
+def feed(of: SignalChain, state: ChainState, block: np.ndarray) -> tuple[ChainState, np.ndarray]:
     """The state after a block of samples [.., n], and the readings [.., m] that it completes."""
     block = np.asarray(block, np.float64)
-    ends = _ends(of, state.given, state.seen + block.shape[-1])
+    ends = _reading_ends(of, state.reading_count, state.sample_count + block.shape[-1])
     readings, total, first = [], state.total, 0
     for end, before in zip(ends[1:], ends[:-1], strict=True):
-        last, part = int(end) - state.seen, end - int(end)
-        total = _added(total, block[..., first:last])
+        last, part = int(end) - state.sample_count, end - int(end)
+        total = _add_samples(total, block[..., first:last])
         over = part * block[..., last : last + 1] if part else 0.0
         readings.append((total + over) / (end - before))
         total, first = -over + np.zeros_like(total), last
-    total = _added(total, block[..., first:])
+    total = _add_samples(total, block[..., first:])
     found = np.concatenate(readings, axis=-1) if readings else block[..., :0]
-    found, memory = filters.filtered(of.filter, state.memory, found)
-    return Running(state.seen + block.shape[-1], state.given + len(readings), total, memory), found
+    found, memory = filters.apply_filter(of.filter, state.memory, found)
+    return ChainState(state.sample_count + block.shape[-1], state.reading_count + len(readings), total, memory), found
 
 
-def weighed(of: Chain, time: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def weigh_trace(of: SignalChain, time: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(time [m] (s), readings [.., m]) of a trace in one go; time: [T] (s), ends of its sample intervals; weight: [.., T]."""
-    readings = feed(of, start(of, weight.shape[:-1]), weight)[1]
+    readings = feed(of, start_chain(of, weight.shape[:-1]), weight)[1]
     sample = (time[-1] - time[0]) / max(1, len(time) - 1)
-    ends = _ends(of, 0, len(time))[1:]
+    ends = _reading_ends(of, 0, len(time))[1:]
     return time[0] + (ends - 1) * sample, readings
 
 
-def _ends(of: Chain, given: int, seen: int) -> np.ndarray:
+def _reading_ends(of: SignalChain, given: int, seen: int) -> np.ndarray:
     """Where readings end, in samples from the beginning: that of the last one given, and of those that are complete by now."""
     number = np.arange(given, max(given, int(seen / of.samples) + 1) + 1)
     ends = np.round(number * of.samples, DIGITS)
     return ends[(number == given) | (ends <= seen)]
 
 
-def _added(total: np.ndarray, samples: np.ndarray) -> np.ndarray:
+def _add_samples(total: np.ndarray, samples: np.ndarray) -> np.ndarray:
     """The sum, one sample after the other, so that it does not matter where blocks end."""
     return np.cumsum(np.concatenate([total, samples], axis=-1), axis=-1)[..., -1:]

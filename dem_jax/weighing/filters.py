@@ -9,13 +9,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import signal
 
-from dem_jax.weighing.adaptive import THRESHOLD, FallingBandwidth, GrowingWindow
+from dem_jax.weighing.adaptive_filters import THRESHOLD, FallingBandwidth, GrowingWindow
 
 Coefficients = tuple[float, ...]
-Memory = tuple[Any, ...]  # of each section what it keeps from reading to reading
+FilterMemory = tuple[Any, ...]  # of each section what it keeps from reading to reading
 WINDOW = "hamming"  # of an FIR filter, unless it is named
 MOST_DAMPING = 0.9  # ratio, of an oscillation that a shaper cancels: with more there is hardly one
-HIGHEST = 25  # order of a Bessel filter, as far as scipy goes
+HIGHEST_ORDER = 25  # order of a Bessel filter, as far as scipy goes
 ALLOWED = (
     "none, average:SECONDS[:SECONDS..], bessel:ORDER:HZ, fir:TAPS:HZ[:WINDOW], notch:HZ:WIDTH_HZ, "
     "shaper:HZ:DAMPING_RATIO[:IMPULSES], variable:HZ:LAST_HZ:SECONDS, growing:WAIT_SECONDS[:THRESHOLD_KG], "
@@ -23,7 +23,7 @@ ALLOWED = (
 )
 
 
-class Linear(NamedTuple):
+class LinearSection(NamedTuple):
     """A section b / a:
 
         a_0 y_n = sum_k b_k x_(n-k) - sum_(k>0) a_k y_(n-k)
@@ -35,18 +35,18 @@ class Linear(NamedTuple):
     @property
     def delay(self) -> float:
         """Group delay at rest, in readings."""
-        return _delay(self.b) - _delay(self.a)
+        return _polynomial_delay(self.b) - _polynomial_delay(self.a)
 
-    def start(self, lead: tuple[int, ...]) -> np.ndarray:
+    def initial_memory(self, lead: tuple[int, ...]) -> np.ndarray:
         """Zeros [.., order]."""
         return np.zeros((*lead, max(len(self.b), len(self.a)) - 1))
 
-    def filtered(self, memory: Any, values: np.ndarray) -> tuple[np.ndarray, Any]:
+    def filter_block(self, memory: Any, values: np.ndarray) -> tuple[np.ndarray, Any]:
         """Readings [.., n] after the filter, and the memory for those that follow."""
         return signal.lfilter(self.b, self.a, values, zi=memory)
 
 
-Section = Linear | FallingBandwidth | GrowingWindow
+Section = LinearSection | FallingBandwidth | GrowingWindow
 
 
 @dataclass(frozen=True)
@@ -65,19 +65,19 @@ class Filter:
         return float(sum(section.delay for section in self.sections))
 
 
-def named(text: str, rate: float) -> Filter:
+def parse_filter(text: str, rate: float) -> Filter:
     """The filter of a text as in ALLOWED, for readings of a rate (1/s). Raises ValueError."""
     parts = [text] if Path(text).is_file() else re.split(r"(?<![0-9.][eE])\+", text)
-    return Filter(text, tuple(section for part in parts for section in _named(part, rate).sections))
+    return Filter(text, tuple(section for part in parts for section in _parse_single_filter(part, rate).sections))
 
 
-def _named(text: str, rate: float) -> Filter:
+def _parse_single_filter(text: str, rate: float) -> Filter:
     """The filter of a text without +."""
     kind, *numbers = text.split(":")
     if kind == "none" and not numbers:
         return Filter(text, ())
     if text.lower().endswith(".csv"):
-        return of_table(text)
+        return load_filter_table(text)
     window = numbers.pop() if kind == "fir" and len(numbers) == 3 else WINDOW
     try:
         values = [float(number) for number in numbers]
@@ -85,10 +85,10 @@ def _named(text: str, rate: float) -> Filter:
         values = []
     makers: dict[str, tuple[range, Callable[..., Filter]]] = {  # how many numbers, and what makes the filter of them
         "average": (range(1, 10), lambda *seconds: cascaded_averages(seconds, rate, text)),
-        "bessel": (range(2, 3), lambda order, hz: bessel(order, hz, rate, text)),
-        "fir": (range(2, 3), lambda taps, hz: fir(taps, hz, rate, window, text)),
-        "notch": (range(2, 3), lambda hz, width: notch(hz, width, rate, text)),
-        "shaper": (range(2, 4), lambda hz, damping, count=2.0: shaper(hz, damping, rate, count, text)),
+        "bessel": (range(2, 3), lambda order, hz: bessel_filter(order, hz, rate, text)),
+        "fir": (range(2, 3), lambda taps, hz: fir_filter(taps, hz, rate, window, text)),
+        "notch": (range(2, 3), lambda hz, width: notch_filter(hz, width, rate, text)),
+        "shaper": (range(2, 4), lambda hz, damping, count=2.0: input_shaper(hz, damping, rate, count, text)),
         "variable": (range(3, 4), lambda hz, last, time: falling_bandwidth(hz, last, time, rate, text)),
         "growing": (range(1, 3), lambda wait, kg=THRESHOLD: growing_window(wait, rate, kg, text)),
     }
@@ -107,38 +107,38 @@ def moving_average(seconds: float, rate: float, name: str = "moving average") ->
     count = round(seconds * rate) if 0 < seconds < 1e6 else 0
     if count < 1:
         raise ValueError(f"filter {name!r}: seconds = {seconds:g}: allowed: a number of at least one reading, {1 / rate:g} s")
-    return Filter(name, (_section(np.full(count, 1 / count)),))
+    return Filter(name, (_normalize_section(np.full(count, 1 / count)),))
 
 
-def bessel(order: float, frequency: float, rate: float, name: str = "Bessel") -> Filter:
+def bessel_filter(order: float, frequency: float, rate: float, name: str = "Bessel") -> Filter:
     """Bessel's low pass (maximally flat delay) that lets a frequency (Hz) pass at 3 dB less. Raises ValueError."""
-    if not (1 <= order <= HIGHEST and order == int(order)):
-        raise ValueError(f"filter {name!r}: order = {order:g}: allowed: a whole number from 1 to {HIGHEST}")
+    if not (1 <= order <= HIGHEST_ORDER and order == int(order)):
+        raise ValueError(f"filter {name!r}: order = {order:g}: allowed: a whole number from 1 to {HIGHEST_ORDER}")
     _check_frequency(frequency, rate, name)
     rows = signal.bessel(int(order), frequency, fs=rate, norm="mag", output="sos")
-    return Filter(name, tuple(_section(row[:3], row[3:]) for row in rows))
+    return Filter(name, tuple(_normalize_section(row[:3], row[3:]) for row in rows))
 
 
-def fir(taps: float, frequency: float, rate: float, window: str = WINDOW, name: str = "FIR") -> Filter:
+def fir_filter(taps: float, frequency: float, rate: float, window: str = WINDOW, name: str = "FIR") -> Filter:
     """A low pass of ``taps`` coefficients by a window of scipy's, at half at a frequency (Hz). Raises ValueError."""
     if not (1 <= taps <= 10**6 and taps == int(taps)):
         raise ValueError(f"filter {name!r}: taps = {taps:g}: allowed: a whole number from 1 to 1000000")
     _check_frequency(frequency, rate, name)
     try:
-        return Filter(name, (_section(signal.firwin(int(taps), frequency, window=window, fs=rate)),))
+        return Filter(name, (_normalize_section(signal.firwin(int(taps), frequency, window=window, fs=rate)),))
     except ValueError as error:
         raise ValueError(f"filter {name!r}: window = {window!r}: {error}; allowed: one of scipy.signal.windows") from error
 
 
-def notch(frequency: float, width: float, rate: float, name: str = "notch") -> Filter:
+def notch_filter(frequency: float, width: float, rate: float, name: str = "notch") -> Filter:
     """A notch of second order that takes out a frequency (Hz), with a width (Hz) at 3 dB less. Raises ValueError."""
     _check_frequency(frequency, rate, name)
     if not 0 < width < rate / 2:
         raise ValueError(f"filter {name!r}: width = {width:g} Hz: allowed: above 0 and below {rate / 2:g} Hz, half of the rate")
-    return Filter(name, (_section(*signal.iirnotch(frequency, frequency / width, rate)),))
+    return Filter(name, (_normalize_section(*signal.iirnotch(frequency, frequency / width, rate)),))
 
 
-def shaper(frequency: float, damping_ratio: float, rate: float, impulses: float = 2, name: str = "shaper") -> Filter:
+def input_shaper(frequency: float, damping_ratio: float, rate: float, impulses: float = 2, name: str = "shaper") -> Filter:
     """The input shaper that leaves nothing of an oscillation: impulses half a damped period apart, in the ratios of a binomial
     with the decay of the oscillation over that time (2: zero vibration; 3: of its derivative by the frequency as well).
 
@@ -174,7 +174,7 @@ def shaper(frequency: float, damping_ratio: float, rate: float, impulses: float 
     taps = np.ones(1)
     for _ in range(int(impulses) - 1):
         taps = np.convolve(taps, pair)
-    return Filter(name, (_section(taps),))
+    return Filter(name, (_normalize_section(taps),))
 
 
 def falling_bandwidth(first: float, last: float, time: float, rate: float, name: str = "variable") -> Filter:
@@ -197,7 +197,7 @@ def growing_window(wait: float, rate: float, threshold: float = THRESHOLD, name:
     return Filter(name, (GrowingWindow(round(wait * rate), threshold),))
 
 
-def of_table(path: str | Path) -> Filter:
+def load_filter_table(path: str | Path) -> Filter:
     """The filter of a CSV file: a tap in each line, or a section b0, b1, b2, a0, a1, a2. Raises ValueError."""
     try:
         table = np.loadtxt(path, delimiter=",", ndmin=2, encoding="utf-8")
@@ -206,49 +206,49 @@ def of_table(path: str | Path) -> Filter:
     if table.shape[1] not in (1, 6) or not table.size:
         raise ValueError(f"filter {str(path)!r}: {table.shape[1]} columns: allowed: 1, of taps, or 6, of second-order sections")
     rows = [(table[:, 0], np.ones(1))] if table.shape[1] == 1 else [(row[:3], row[3:]) for row in table]
-    return of_coefficients(rows, str(path))
+    return build_filter(rows, str(path))
 
 
-def of_coefficients(sections: list[tuple[np.ndarray, np.ndarray]], name: str = "own") -> Filter:
+def build_filter(sections: list[tuple[np.ndarray, np.ndarray]], name: str = "own") -> Filter:
     """The filter of sections (b, a) of one's own. Raises ValueError for one that does not come to rest, or shows nothing then."""
     for b, a in sections:
         if not (np.isfinite(b).all() and np.isfinite(a).all() and a[0] != 0 and np.sum(b) != 0):
             raise ValueError(f"filter {name!r}: allowed: finite coefficients, a0 that is not 0, and b that do not add up to 0")
         if (np.abs(np.roots(a)) >= 1).any():
             raise ValueError(f"filter {name!r}: does not come to rest; allowed: poles within the unit circle")
-    return Filter(name, tuple(_section(b, a) for b, a in sections))
+    return Filter(name, tuple(_normalize_section(b, a) for b, a in sections))
 
 
-def start(of: Filter, lead: tuple[int, ...] = ()) -> Memory:
+def start_filter(of: Filter, lead: tuple[int, ...] = ()) -> FilterMemory:
     """What a filter keeps of an empty scale, for signals with these leading axes."""
-    return tuple(section.start(lead) for section in of.sections)
+    return tuple(section.initial_memory(lead) for section in of.sections)
 
 
-def filtered(of: Filter, memory: Memory, values: np.ndarray) -> tuple[np.ndarray, Memory]:
+def apply_filter(of: Filter, memory: FilterMemory, values: np.ndarray) -> tuple[np.ndarray, FilterMemory]:
     """Readings [.., n] after the filter, [.., n], and what it keeps for those that follow."""
     if not values.shape[-1]:  # of which scipy makes no memory
         return values, memory
     after: list[Any] = []
     for section, kept in zip(of.sections, memory, strict=True):
-        values, kept = section.filtered(kept, values)
+        values, kept = section.filter_block(kept, values)
         after.append(kept)
     return values, tuple(after)
 
 
 def filter_signal(of: Filter, values: np.ndarray) -> np.ndarray:
     """Readings [.., n] of a whole signal after the filter, [.., n], from an empty scale on."""
-    return filtered(of, start(of, values.shape[:-1]), values)[0]
+    return apply_filter(of, start_filter(of, values.shape[:-1]), values)[0]
 
 
-def _section(b: np.ndarray, a: np.ndarray | Coefficients = (1.0,)) -> Linear:
+def _normalize_section(b: np.ndarray, a: np.ndarray | Coefficients = (1.0,)) -> LinearSection:
     """The coefficients of gain 1 at rest. An a_1, if of 0, has scipy go from reading to reading with an FIR filter too, where it
     would else convolve, whose rounding depends on how many readings there are."""
     b, a = np.asarray(b, float) / a[0], np.asarray(a, float) / a[0]
     b = b * (a.sum() / b.sum())
-    return Linear(tuple(b.tolist()), tuple(np.append(a, 0.0 if len(a) == 1 else ()).tolist()))
+    return LinearSection(tuple(b.tolist()), tuple(np.append(a, 0.0 if len(a) == 1 else ()).tolist()))
 
 
-def _delay(coefficients: Coefficients) -> float:
+def _polynomial_delay(coefficients: Coefficients) -> float:
     """That of a polynomial at rest, in readings: sum of k c_k over sum of c_k."""
     return float(np.arange(len(coefficients)) @ np.array(coefficients) / np.sum(coefficients))
 

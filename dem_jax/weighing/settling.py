@@ -25,29 +25,29 @@ def time_to_weigh(
     return np.where(time[-1] - found >= hold, found, np.nan)
 
 
-class Times(NamedTuple):
+class WeighingTimes(NamedTuple):
     """Times to weigh of K drops (s), [K], from the release and from the first impact; nan: never."""
 
     release: np.ndarray
     impact: np.ndarray
 
     @property
-    def never(self) -> int:
+    def never_count(self) -> int:
         """Number of drops that are never weighed."""
         return int(np.isnan(self.release).sum())
 
 
-def find_times(
+def find_weighing_times(
     time: np.ndarray, readings: np.ndarray, truth: np.ndarray, impact: np.ndarray, tolerance: float
-) -> Times:
+) -> WeighingTimes:
     """The times to weigh of drops, with ``HOLD``; impact: [K] (s), first impact; the rest as for ``time_to_weigh``."""
     release = time_to_weigh(time, readings, truth, tolerance, HOLD)
-    return Times(release, release - impact)
+    return WeighingTimes(release, release - impact)
 
 
-def pool_times(parts: Sequence[Times]) -> Times:
+def pool_weighing_times(parts: Sequence[WeighingTimes]) -> WeighingTimes:
     """The times of all parts as those of one set of drops."""
-    return Times(*(np.concatenate(each) for each in zip(*parts, strict=True)))
+    return WeighingTimes(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
 
 def find_quantile(times: np.ndarray, quantile: float) -> float:

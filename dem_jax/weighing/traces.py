@@ -5,21 +5,21 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from dem_jax.errors import RecordError
-from dem_jax.scene import LoadCell, Noise, parse
-from dem_jax.store.datasets import FileName, reading
-from dem_jax.store.reader import load_run
-from dem_jax.store.run import STANDARD_GRAVITY, Run
-from dem_jax.weighing.cell import Cell, cell_of
+from dem_jax.io.datasets import FileName, open_for_reading
+from dem_jax.io.reader import load_run
+from dem_jax.io.run_data import STANDARD_GRAVITY, Run
+from dem_jax.scene import LoadCell, Noise, parse_scene
+from dem_jax.weighing.cell import Cell, build_cell
 
 if TYPE_CHECKING:
     import h5py
 
 BUCKET, BLOCK = ("wb_walls", "wb_flaps"), "wb"  # what a scale weighs, where there is a weigh bucket
-LEAST = 2  # samples
-KEYS = "weigh_bucket.load_cell."  # of a scene
+LEAST_SAMPLES = 2  # samples
+CELL_KEYS = "weigh_bucket.load_cell."  # of a scene
 
 
-class Trace(NamedTuple):
+class WeightTrace(NamedTuple):
     """What a scale feels; ensembles have a leading axis of runs.
 
     time: [T] (s) ends of the sample intervals. weight: [.., T] (kg), the force over g. truth: [..] (kg), mass that lies there in
@@ -55,14 +55,14 @@ def find_first_force(time: np.ndarray, force: np.ndarray) -> np.ndarray:
     return np.where(acts.any(axis=-1), time[np.argmax(acts, axis=-1)], np.nan)
 
 
-def trace_of(run: Run, group: str | None = None, block: str | None = None, truth: float | None = None) -> Trace:
+def extract_trace(run: Run, group: str | None = None, block: str | None = None, truth: float | None = None) -> WeightTrace:
     """The signal of the run's load cell; without one, or with a group, the mean force on that or on all of the weigh bucket.
 
     block: whose settled mass at the end is the truth, by default the weigh bucket's or the first; truth (kg): instead of that.
     Raises RecordError for a group or block that is not there.
     """
     series = getattr(run, "load_cell", {})
-    section, cell = _sections_of(run)
+    section, cell = _find_load_cell(run)
     gravity = float(np.linalg.norm(run.header.gravity)) or STANDARD_GRAVITY
     groups = [group] if group else [name for name in BUCKET if name in run.force] or list(run.force)[:1]
     force = np.sum([run.pif_kg(name) for name in groups], axis=0) if groups else None
@@ -72,11 +72,11 @@ def trace_of(run: Run, group: str | None = None, block: str | None = None, truth
         raise RecordError("there is no force to weigh: the run has no walls")
     else:
         weight, source, cell = force, f"force on {' and '.join(groups)}", None
-    known, product = _truth(run.settled_mass, block, truth, weight.shape[:-1]), _product(run.settled_mass, block)
+    known, product = _find_truth(run.settled_mass, block, truth, weight.shape[:-1]), _product_mass(run.settled_mass, block)
     noise = section.noise if section else None
     time = np.asarray(run.time)
     impact = None if force is None else find_first_force(time, force)
-    return _checked(Trace(time, weight, known, source, product, cell, noise, gravity, impact))
+    return _check_length(WeightTrace(time, weight, known, source, product, cell, noise, gravity, impact))
 
 
 def _mean_signal(run: Run, cell: Cell | None, gravity: float) -> np.ndarray:
@@ -93,70 +93,70 @@ def _mean_signal(run: Run, cell: Cell | None, gravity: float) -> np.ndarray:
     return np.concatenate([signal[..., :1], means], axis=-1)
 
 
-def _sections_of(run: Run) -> tuple[LoadCell | None, Cell | None]:
+def _find_load_cell(run: Run) -> tuple[LoadCell | None, Cell | None]:
     """The section of the load cell in a run's scene, and the cell, whose values are [K] where the runs differ in it."""
-    bucket = parse(run.scene, "the file's scene").weigh_bucket
+    bucket = parse_scene(run.scene, "the file's scene").weigh_bucket
     section = bucket.load_cell if bucket else None
     if section is None:
         return None, None
-    given = {key.removeprefix(KEYS): values for key, values in run.info.get("parameters", {}).items()}
+    given = {key.removeprefix(CELL_KEYS): values for key, values in run.info.get("parameters", {}).items()}
     changes = {key: values for key, values in given.items() if key in LoadCell.model_fields}
     if not changes:
-        return section, cell_of(section)
+        return section, build_cell(section)
     rows = [section.model_copy(update=dict(zip(changes, row, strict=True))) for row in zip(*changes.values(), strict=True)]
-    return section, Cell(*np.array([cell_of(row) for row in rows]).T)
+    return section, Cell(*np.array([build_cell(row) for row in rows]).T)
 
 
-def trace_of_file(
+def load_trace(
     path: FileName, group: str | None = None, block: str | None = None, truth: float | None = None
-) -> tuple[Trace, Run | None]:
+) -> tuple[WeightTrace, Run | None]:
     """The trace of a run, an ensemble or portions of the Product Model in a file, and the run or ensemble (None: there is none).
 
-    Raises RecordError, as ``trace_of``.
+    Raises RecordError, as ``extract_trace``.
     """
-    with reading(path) as file:
+    with open_for_reading(path) as file:
         if file.attrs.get("program") == "product_model":
-            return _of_product_model(file, path, truth), None
+            return _read_model_trace(file, path, truth), None
     try:
         run = load_run(path)
-        return trace_of(run, group, block, truth), run
+        return extract_trace(run, group, block, truth), run
     except RecordError as error:
         raise error if str(path) in str(error) else RecordError(f"{path}: {error}") from error
 
 
-def _of_product_model(file: "h5py.File", path: FileName, truth: float | None) -> Trace:
+def _read_model_trace(file: "h5py.File", path: FileName, truth: float | None) -> WeightTrace:
     """The trace of a file of product_model.save."""
     if missing := [name for name in ("time", "pif", f"settled_mass/{BLOCK}") if name not in file]:
         raise RecordError(f"{path} is damaged: it lacks {', '.join(missing)}")
     time, weight, product = (np.asarray(file[name][()], np.float64) for name in ("time", "pif", f"settled_mass/{BLOCK}"))
-    known = _truth({BLOCK: product}, None, truth, weight.shape[:-1])
-    return _checked(Trace(time, weight, known, "Product Model", product))
+    known = _find_truth({BLOCK: product}, None, truth, weight.shape[:-1])
+    return _check_length(WeightTrace(time, weight, known, "Product Model", product))
 
 
-def _truth(masses: dict[str, np.ndarray], block: str | None, truth: float | None, lead: tuple[int, ...]) -> np.ndarray:
+def _find_truth(masses: dict[str, np.ndarray], block: str | None, truth: float | None, lead: tuple[int, ...]) -> np.ndarray:
     """[..] (kg)"""
     if truth is not None:
         return np.full(lead, truth)
-    name = _block_of(masses, block)
+    name = _choose_block(masses, block)
     if name not in masses:
         allowed = f"one of {', '.join(masses)}" if masses else "the mass itself, as there is no block"
         raise RecordError(f"block = {block!r}: what the scale should show is not known; allowed: {allowed}")
     return np.asarray(masses[name], np.float64)[..., -1]
 
 
-def _product(masses: dict[str, np.ndarray], block: str | None) -> np.ndarray | float:
+def _product_mass(masses: dict[str, np.ndarray], block: str | None) -> np.ndarray | float:
     """[.., T] (kg) that lies in the block over time."""
-    name = _block_of(masses, block)
+    name = _choose_block(masses, block)
     return np.asarray(masses[name], np.float64) if name in masses else 0.0
 
 
-def _block_of(masses: dict[str, np.ndarray], block: str | None) -> str | None:
+def _choose_block(masses: dict[str, np.ndarray], block: str | None) -> str | None:
     """Name of the block whose mass counts: the one asked for, that of a weigh bucket, or the first."""
     return block or (BLOCK if BLOCK in masses else next(iter(masses), None))
 
 
-def _checked(trace: Trace) -> Trace:
+def _check_length(trace: WeightTrace) -> WeightTrace:
     """Raises RecordError for a trace that is too short."""
-    if len(trace.time) < LEAST:
-        raise RecordError(f"{len(trace.time)} sample: allowed: at least {LEAST}")
+    if len(trace.time) < LEAST_SAMPLES:
+        raise RecordError(f"{len(trace.time)} sample: allowed: at least {LEAST_SAMPLES}")
     return trace

@@ -15,10 +15,10 @@ from scipy import signal
 
 from dem_jax.weighing import filters
 from dem_jax.weighing.cell import Cell
-from dem_jax.weighing.settling import Times, find_quantile, find_times, pool_times
+from dem_jax.weighing.settling import WeighingTimes, find_quantile, find_weighing_times, pool_weighing_times
 
-GOAL = 0.9  # the quantile that the search minimises
-LEVELS = 3  # finer grids about the best
+GOAL_QUANTILE = 0.9  # the quantile that the search minimises
+REFINEMENT_LEVELS = 3  # finer grids about the best
 BRANCHES = 2  # the best, about which there are finer grids
 REFINEMENT = 3.0  # ratio of the spacings of two levels
 LEAST_DROPS = 4
@@ -40,12 +40,12 @@ class Drops(NamedTuple):
     truth: np.ndarray
     impact: np.ndarray
 
-    def take(self, which: slice | np.ndarray) -> "Drops":
+    def take_drops(self, which: slice | np.ndarray) -> "Drops":
         """Some of the drops."""
         return Drops(self.time, self.signal[which], self.truth[which], self.impact[which])
 
 
-class Axis(NamedTuple):
+class SearchAxis(NamedTuple):
     """A parameter of a family: values from low to high in equal ratios; for whole numbers the nearest."""
 
     low: float
@@ -53,36 +53,36 @@ class Axis(NamedTuple):
     points: int
     is_whole: bool = False
 
-    def values(self) -> np.ndarray:
+    def grid_values(self) -> np.ndarray:
         """The grid."""
-        return self._round(np.geomspace(self.low, self.high, self.points))
+        return self._round_values(np.geomspace(self.low, self.high, self.points))
 
-    def refine(self, at: float, level: int) -> np.ndarray:
+    def refine_grid(self, at: float, level: int) -> np.ndarray:
         """Five values about one, within the limits; each level has a third of the spacing of the one before."""
         ratio = (self.high / self.low) ** (REFINEMENT**-level / max(self.points - 1, 1))
-        return self._round(np.clip(at * ratio ** np.arange(-2.0, 3.0), self.low, self.high))
+        return self._round_values(np.clip(at * ratio ** np.arange(-2.0, 3.0), self.low, self.high))
 
-    def _round(self, values: np.ndarray) -> np.ndarray:
+    def _round_values(self, values: np.ndarray) -> np.ndarray:
         return np.unique(np.round(values) if self.is_whole else values)
 
 
 @dataclass(frozen=True)
-class Family:
+class FilterFamily:
     """Filters of one kind. text: the filter, as filters.ALLOWED, from values of the axes."""
 
     name: str
-    axes: tuple[Axis, ...]
+    axes: tuple[SearchAxis, ...]
     text: Callable[..., str]
 
 
-class Tuned(NamedTuple):
+class TunedFilter(NamedTuple):
     """The best filter of a family. filter: its text. times: of the drops that judge. searched: of those
     that it was found with."""
 
     family: str
     filter: str
-    times: Times
-    searched: Times
+    times: WeighingTimes
+    search_times: WeighingTimes
 
 
 def tune_filters(
@@ -91,7 +91,7 @@ def tune_filters(
     tolerance: float,
     cells: Sequence[Cell] = (),
     progress: Callable[[str], None] = lambda _: None,
-) -> list[Tuned]:
+) -> list[TunedFilter]:
     """The best filter of each family.
 
     Args:
@@ -120,16 +120,16 @@ def tune_filters(
     rows = []
     for family in list_families(rate, duration, portion, *known):
         progress(family.name)
-        text = _search(family, search, rate, tolerance)
+        text = _search_family(family, search, rate, tolerance)
         exact = [weigh_drops(text, some, rate, tolerance) for some in (judge, search)]
-        rows.append(Tuned(family.name, text, *exact))
-    return sorted(rows, key=lambda row: _score(row.times))
+        rows.append(TunedFilter(family.name, text, *exact))
+    return sorted(rows, key=lambda row: _score_times(row.times))
 
 
-def judge_filter(text: str, drops: Sequence[Drops], rate: float, tolerance: float) -> Tuned:
+def judge_filter(text: str, drops: Sequence[Drops], rate: float, tolerance: float) -> TunedFilter:
     """A given filter, judged by the same drops as those that are tuned. Raises ValueError."""
     search, judge = split_drops(drops)
-    return Tuned("given", text, *(weigh_drops(text, some, rate, tolerance) for some in (judge, search)))
+    return TunedFilter("given", text, *(weigh_drops(text, some, rate, tolerance) for some in (judge, search)))
 
 
 def split_drops(drops: Sequence[Drops]) -> tuple[list[Drops], list[Drops]]:
@@ -137,7 +137,7 @@ def split_drops(drops: Sequence[Drops]) -> tuple[list[Drops], list[Drops]]:
 
     Raises ValueError for too few drops whose truth is known.
     """
-    known = [each.take(np.isfinite(each.truth) & np.isfinite(each.impact)) for each in drops]
+    known = [each.take_drops(np.isfinite(each.truth) & np.isfinite(each.impact)) for each in drops]
     number = sum(len(each.truth) for each in known)
     if number < LEAST_DROPS:
         raise ValueError(f"{number} drops whose truth is known: allowed: at least {LEAST_DROPS}, as half of them judge")
@@ -145,101 +145,101 @@ def split_drops(drops: Sequence[Drops]) -> tuple[list[Drops], list[Drops]]:
     first = 0
     for each in known:
         for half, start in zip(halves, (first % 2, 1 - first % 2), strict=True):
-            half.append(each.take(slice(start, None, 2)))
+            half.append(each.take_drops(slice(start, None, 2)))
         first += len(each.truth)
     return halves
 
 
-def weigh_drops(text: str, drops: Sequence[Drops], rate: float, tolerance: float) -> Times:
+def weigh_drops(text: str, drops: Sequence[Drops], rate: float, tolerance: float) -> WeighingTimes:
     """Times to weigh within a tolerance (kg) through a filter, of the drops of all parts. Raises ValueError."""
-    of = filters.named(text, rate)
-    return _find_times(drops, [filters.filter_signal(of, each.signal) for each in drops], tolerance)
+    of = filters.parse_filter(text, rate)
+    return _find_pooled_times(drops, [filters.filter_signal(of, each.signal) for each in drops], tolerance)
 
 
 def list_families(
     rate: float, duration: float, portion: float, frequency: float | None = None, damping_ratio: float = DAMPING_RATIO
-) -> list[Family]:
+) -> list[FilterFamily]:
     """The families for signals of a rate (1/s), a duration (s) and a typical weight (kg), of a load cell of a frequency (Hz)
     and a damping ratio; frequency None: not known."""
     longest, highest = max(3.0, rate * duration / 2), rate / 3  # readings; Hz
-    pass_band = Axis(0.5, min(60.0, highest), 24)
-    cell = Axis(*UNKNOWN_CELL, 12) if frequency is None else Axis(SOFTER * frequency, STIFFER * frequency, 7)
+    pass_band = SearchAxis(0.5, min(60.0, highest), 24)
+    cell = SearchAxis(*UNKNOWN_CELL, 12) if frequency is None else SearchAxis(SOFTER * frequency, STIFFER * frequency, 7)
     cell = cell._replace(low=min(cell.low, highest / 2), high=min(cell.high, highest))
-    width = Axis(min(2.0, highest / 4), min(40.0, highest), 5)
-    impulses, threshold = Axis(2, 4, 3, True), Axis(0.1 * portion, 0.5 * portion, 3)
+    width = SearchAxis(min(2.0, highest / 4), min(40.0, highest), 5)
+    impulses, threshold = SearchAxis(2, 4, 3, True), SearchAxis(0.1 * portion, 0.5 * portion, 3)
 
-    def window(points: int, least: float = 2) -> Axis:
-        return Axis(least, longest, points, True)
+    def window_axis(points: int, least: float = 2) -> SearchAxis:
+        return SearchAxis(least, longest, points, True)
 
-    def average(*readings: float) -> str:
+    def average_text(*readings: float) -> str:
         return ":".join(["average", *(f"{count / rate:.6g}" for count in readings)])
 
-    def shaper(f: float, count: float) -> str:
+    def shaper_text(f: float, count: float) -> str:
         return f"shaper:{f:.4g}:{damping_ratio:.3g}:{count:.0f}"
 
-    def growing(wait: float, kg: float) -> str:
+    def growing_text(wait: float, kg: float) -> str:
         return f"growing:{wait / rate:.6g}:{kg:.4g}"
 
     return [
-        Family("average", (window(160),), average),
-        Family("two averages", (window(20), window(20)), average),
-        Family("three averages", (window(9), window(9), window(9)), average),
-        Family("Bessel", (Axis(1, 8, 8, True), pass_band), lambda order, f: f"bessel:{order:.0f}:{f:.4g}"),
-        Family("FIR", (Axis(10, max(20.0, longest), 14, True), pass_band), lambda taps, f: f"fir:{taps:.0f}:{f:.4g}"),
-        Family("notch and average", (cell, width, window(10)), lambda f, w, n: f"notch:{f:.4g}:{w:.4g}+{average(n)}"),
-        Family("shaper and average", (cell, impulses, window(14)), lambda f, n, m: f"{shaper(f, n)}+{average(m)}"),
-        Family(
+        FilterFamily("average", (window_axis(160),), average_text),
+        FilterFamily("two averages", (window_axis(20), window_axis(20)), average_text),
+        FilterFamily("three averages", (window_axis(9), window_axis(9), window_axis(9)), average_text),
+        FilterFamily("Bessel", (SearchAxis(1, 8, 8, True), pass_band), lambda order, f: f"bessel:{order:.0f}:{f:.4g}"),
+        FilterFamily("FIR", (SearchAxis(10, max(20.0, longest), 14, True), pass_band), lambda taps, f: f"fir:{taps:.0f}:{f:.4g}"),
+        FilterFamily("notch and average", (cell, width, window_axis(10)), lambda f, w, n: f"notch:{f:.4g}:{w:.4g}+{average_text(n)}"),
+        FilterFamily("shaper and average", (cell, impulses, window_axis(14)), lambda f, n, m: f"{shaper_text(f, n)}+{average_text(m)}"),
+        FilterFamily(
             "variable low pass",
-            (Axis(5.0, min(100.0, highest), 7), Axis(0.2, 5.0, 7), Axis(0.02, max(duration, 0.04), 7)),
+            (SearchAxis(5.0, min(100.0, highest), 7), SearchAxis(0.2, 5.0, 7), SearchAxis(0.02, max(duration, 0.04), 7)),
             lambda first, last, time: f"variable:{first:.4g}:{last:.4g}:{time:.4g}",
         ),
-        Family("growing window", (window(24, 1), threshold), growing),
-        Family(
+        FilterFamily("growing window", (window_axis(24, 1), threshold), growing_text),
+        FilterFamily(
             "shaper and growing window",
-            (cell, impulses, window(14, 1)),
-            lambda f, n, wait: f"{shaper(f, n)}+{growing(wait, 0.2 * portion)}",
+            (cell, impulses, window_axis(14, 1)),
+            lambda f, n, wait: f"{shaper_text(f, n)}+{growing_text(wait, 0.2 * portion)}",
         ),
     ]
 
 
-def _search(family: Family, drops: Sequence[Drops], rate: float, tolerance: float) -> str:
+def _search_family(family: FilterFamily, drops: Sequence[Drops], rate: float, tolerance: float) -> str:
     """The text of the family's best filter."""
     known = dict[str, tuple[tuple[float, float], tuple[float, ...]]]()  # score and values of each
-    grids = [[axis.values() for axis in family.axes]]
-    for level in range(1, LEVELS + 2):
+    grids = [[axis.grid_values() for axis in family.axes]]
+    for level in range(1, REFINEMENT_LEVELS + 2):
         for values in itertools.chain(*(itertools.product(*grid) for grid in grids)):
             text = family.text(*values)
             if text not in known:
-                times = _find_times(drops, _filter_roughly(text, drops, rate), tolerance)
-                known[text] = _score(times), values
+                times = _find_pooled_times(drops, _filter_roughly(text, drops, rate), tolerance)
+                known[text] = _score_times(times), values
         best = sorted(known.values())[:BRANCHES]
-        grids = [[axis.refine(at, level) for axis, at in zip(family.axes, values, strict=True)] for _, values in best]
+        grids = [[axis.refine_grid(at, level) for axis, at in zip(family.axes, values, strict=True)] for _, values in best]
     return min(known, key=known.__getitem__)
 
 
 def _filter_roughly(text: str, drops: Sequence[Drops], rate: float) -> list[np.ndarray]:
     """Readings of each part through a filter, up to rounding: long windows by fast Fourier transforms."""
     readings = [each.signal for each in drops]
-    for section in filters.named(text, rate).sections:
+    for section in filters.parse_filter(text, rate).sections:
         readings = [_filter_by_section(section, values) for values in readings]
     return readings
 
 
 def _filter_by_section(section: filters.Section, values: np.ndarray) -> np.ndarray:
-    if isinstance(section, filters.Linear) and not any(section.a[1:]):
+    if isinstance(section, filters.LinearSection) and not any(section.a[1:]):
         return signal.oaconvolve(values, np.array([section.b]), axes=-1)[..., : values.shape[-1]]
     return filters.filter_signal(filters.Filter("", (section,)), values)
 
 
-def _find_times(drops: Sequence[Drops], readings: Sequence[np.ndarray], tolerance: float) -> Times:
+def _find_pooled_times(drops: Sequence[Drops], readings: Sequence[np.ndarray], tolerance: float) -> WeighingTimes:
     """Times to weigh of the drops of all parts, from their readings."""
     parts = zip(drops, readings, strict=True)
-    return pool_times([find_times(each.time, values, each.truth, each.impact, tolerance) for each, values in parts])
+    return pool_weighing_times([find_weighing_times(each.time, values, each.truth, each.impact, tolerance) for each, values in parts])
 
 
-def _score(times: Times) -> tuple[float, float]:
+def _score_times(times: WeighingTimes) -> tuple[float, float]:
     """The numbers that the search minimises: the 90 % quantile since the first impact, or where fewer are weighed a large number
     that grows with the share of those that never are; then the median."""
-    goal, median = (find_quantile(times.impact, q) for q in (GOAL, 0.5))
-    never = times.never / len(times.impact)
+    goal, median = (find_quantile(times.impact, q) for q in (GOAL_QUANTILE, 0.5))
+    never = times.never_count / len(times.impact)
     return (goal if np.isfinite(goal) else 1e6 * (1 + never), median if np.isfinite(median) else 1e6)

@@ -23,7 +23,7 @@ from dem_jax.app.design import (
 )
 from dem_jax.app.drawing import PIXELS_PER_MM, draw_piece
 from dem_jax.errors import SceneError
-from dem_jax.study.table import Study
+from dem_jax.study.config import Study
 
 MIXED = Design(products=(("hazelnut", 2.0), ("almond", 1.0)), bucket="5.4-litre")
 
@@ -79,12 +79,12 @@ def test_choosing_another_product_or_bucket_forgets_its_changes_only():
 
 
 def test_commands_are_those_of_the_command_line():
-    from dem_jax.cli.main import parser
+    from dem_jax.cli.main import build_parser
 
     one, many = (name_run_command(replace(Design(seed=3), runs=n), "nut") for n in (1, 16))
     assert one == ["dem-jax", "run", "nut.toml", "--seed", "3", "--out", "nut.h5", "--no-plot"]
-    assert parser().parse_args(one[1:]).seed == 3
-    assert parser().parse_args(many[1:]).runs == 16
+    assert build_parser().parse_args(one[1:]).seed == 3
+    assert build_parser().parse_args(many[1:]).runs == 16
 
 
 def test_an_own_part_becomes_a_product_of_its_weight(tmp_path):

@@ -11,7 +11,7 @@ from scipy.spatial import ConvexHull, cKDTree
 from benchmarks.peers import __main__ as peers
 from benchmarks.peers import lammps, liggghts, mujoco, packing
 from benchmarks.peers.child import Child, Stopped
-from dem_jax.maths.pose import matrix_of_quaternion
+from dem_jax.math.pose import quaternion_to_matrix
 
 ECHO = "from benchmarks.peers.child import serve; serve(lambda steps: sum(range(20000 * steps)))"
 
@@ -34,7 +34,7 @@ def test_the_piece_is_the_marshmallow():
 
 
 def test_loose_pieces_are_in_the_box_and_apart(box):
-    turned = np.einsum("nij,vj->nvi", matrix_of_quaternion(box.orientation), packing.vertices()) + box.position[:, None]
+    turned = np.einsum("nij,vj->nvi", quaternion_to_matrix(box.orientation), packing.vertices()) + box.position[:, None]
     assert np.abs(turned[..., :2]).max() < 0.5 * box.width
     assert turned[..., 2].min() > 0
     np.testing.assert_allclose(np.linalg.norm(box.orientation, axis=1), 1, rtol=1e-12)

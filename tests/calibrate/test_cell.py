@@ -7,7 +7,7 @@ import pytest
 from scipy import signal as filters
 
 from calibrate.__main__ import main
-from calibrate.cell import NAMES, fit_cell, fit_noise
+from calibrate.cell_fit import NAMES, fit_cell, fit_noise
 from calibrate.empty_cell import read_cell
 from calibrate.errors import BadInput
 from calibrate.taps import find_oscillations, find_taps
@@ -60,7 +60,7 @@ def test_without_noise_the_cell_is_exact():
 
 
 def test_intervals_hold_the_truth_in_nine_of_ten(monkeypatch):
-    monkeypatch.setattr("calibrate.cell.SYSTEMATIC", (0.0, 0.0, 0.0))  # of the noise alone
+    monkeypatch.setattr("calibrate.cell_fit.SYSTEMATIC", (0.0, 0.0, 0.0))  # of the noise alone
     random, scores = np.random.default_rng(3), []
     for trial in range(16):
         truth = random.uniform((0.6, 40.0, 0.01), (1.4, 60.0, 0.03))

@@ -11,7 +11,7 @@ from calibrate import BadInput, fit, target
 from calibrate.__main__ import main
 from calibrate.command import use_cache
 from calibrate.fit import _checked_start, default_start, several_starts
-from calibrate.prepare import draw, measure
+from calibrate.fit_data import draw_random_numbers, measure_summaries
 from calibrate.solve import scan_lengths, solve_starts
 from calibrate.unconstrained import NAMES
 
@@ -51,7 +51,7 @@ def test_bias_over_several_data_sets_is_small():
     values = {name: [] for name in NAMES}
     for seed in range(8):
         data = traces(64, 64, seed=500 + seed)
-        measured, draws = measure(data), draw(data, 256, seed)
+        measured, draws = measure_summaries(data), draw_random_numbers(data, 256, seed)
         start = {name: np.asarray([value * 1.2]) for name, value in TRUTH.items()}
         solved = solve_starts(start, draws, measured, NAMES, 64)
         for name in NAMES:
@@ -98,7 +98,7 @@ def test_traces_that_tell_no_spread_are_told():
 
     from calibrate.uncertainty import without_spread
 
-    measured = measure(traces(8, 8))
+    measured = measure_summaries(traces(8, 8))
     heap = replace(measured, spread=measured.spread.at[:3].set(measured.floor))
     assert without_spread(measured) == [] and "3 of 8 traces tell no spread" in without_spread(heap)[0]
 
@@ -147,7 +147,7 @@ def test_each_lag_by_itself_decides_where_the_whitened_increments_lead_elsewhere
     for trace in traces(32, 32, dt_impact=350e-6):
         echo = np.interp(trace.time - 3e-3, trace.time, trace.force, left=0.0)
         data.append(target(trace.time, (trace.force + 0.5 * echo) / 1.5, trace.m_piece, trace.pieces))
-    measured, draws = measure(data), draw(data, 128, 0)
+    measured, draws = measure_summaries(data), draw_random_numbers(data, 128, 0)
     starts = {name: np.full(2, value) for name, value in TRUTH.items()} | {"dt_impact": np.array([2e-3, 150e-6])}
     theta = solve_starts(starts, draws, measured, NAMES, 64).theta
     assert float(theta["dt_impact"][0]) == pytest.approx(float(theta["dt_impact"][1]), rel=0.02)
@@ -168,7 +168,7 @@ def test_a_limit_that_is_given_moves_the_other_one_that_is_not():
 def test_the_first_guess_is_near(dt_impact):
     """The scan goes up in steps of a factor of 1.56. The quantiles of the spreads are rough guesses of the limits."""
     data = traces(32, 32, dt_impact=dt_impact)
-    own = default_start(data, measure(data), draw(data, 64, 0))
+    own = default_start(data, measure_summaries(data), draw_random_numbers(data, 64, 0))
     for name, share in {"dt_impact": 0.35, "gamma_low": 0.5, "gamma_high": 0.6, "h_mean": 0.02}.items():
         assert own[name] == pytest.approx((TRUTH | {"dt_impact": dt_impact})[name], rel=share)
 

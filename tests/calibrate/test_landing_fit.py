@@ -16,7 +16,7 @@ TRUTH = parameters(
     pieces=4, h_mean=0.3, gamma_low=0.006, gamma_high=0.014, dt_impact=690e-6, landings=Landings(impacts=(7, 3, 3, 2, 1)),
     sample=60e-6, start=0.2, duration=0.13,
 )  # fmt: skip
-FRAME = landing_summaries.Frame(60e-6, 1400)
+FRAME = landing_summaries.TraceFrame(60e-6, 1400)
 
 
 def traces(count, params=TRUTH, seed=0):
@@ -75,10 +75,10 @@ def test_a_simulated_trace_is_what_is_read_from_one(many):
 
 
 def test_the_frame_needs_short_samples(many):
-    assert landing_summaries.frame_of(many).bin == pytest.approx(60e-6)
+    assert landing_summaries.find_common_frame(many).bin == pytest.approx(60e-6)
     coarse = traces(1, TRUTH.replace(sample=1e-3))
     with pytest.raises(BadInput, match=r"sample = 1000 us: the extended model needs samples of at most 120 us"):
-        landing_summaries.frame_of(coarse)
+        landing_summaries.find_common_frame(coarse)
 
 
 def test_too_few_traces_and_unknown_names_are_refused(many):
@@ -127,5 +127,5 @@ def test_steps_with_other_numbers_end_in_the_mean_of_the_last(monkeypatch):
     slope = lambda u, _, c: ((u["h"] - c) ** 2, {"h": 2.0 * (u["h"] - c)})  # noqa: E731
     monkeypatch.setattr(landing_loss, "loss_and_slope", slope)
     told = []
-    end = landing_loss.descend_anew({"h": jnp.asarray(0.8)}, (-1.0, 1.0), (), 100, 0.05, lambda: told.append(1))
+    end = landing_loss.minimize_with_fresh_draws({"h": jnp.asarray(0.8)}, (-1.0, 1.0), (), 100, 0.05, lambda: told.append(1))
     assert len(told) == 100 and abs(float(end["h"])) < 0.05

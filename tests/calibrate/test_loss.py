@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from synthetic import TRUTH, traces
 
+from calibrate.fit_data import draw_random_numbers, measure_summaries
 from calibrate.loss import increment_distance, moment_distances
-from calibrate.prepare import draw, measure
-from calibrate.solve import FINEST, halve, solve_joint, solve_starts
+from calibrate.solve import FINEST, bisect_slope, solve_joint, solve_starts
 from calibrate.unconstrained import NAMES, to_parameters, to_unconstrained
 
 
@@ -20,7 +20,7 @@ def arrays(theta):
 def test_derivatives_equal_central_differences(name):
     """At a relative step of 1e-7: the distances are sums of |x - y|, with no kink within the step here."""
     data = traces()
-    measured, draws = measure(data), draw(data, 64, 0)
+    measured, draws = measure_summaries(data), draw_random_numbers(data, 64, 0)
     block = (
         (lambda t: increment_distance(t, draws, measured, 32))
         if name == "dt_impact"
@@ -45,7 +45,7 @@ CORNERS = {
 @pytest.mark.parametrize(("count", "pieces"), [(1, 8), (4, 1)])
 def test_gradients_are_finite_in_every_corner(corner, count, pieces):
     data = traces(count, pieces)
-    measured, draws = measure(data), draw(data, 16, 0)
+    measured, draws = measure_summaries(data), draw_random_numbers(data, 16, 0)
 
     def loss(theta):
         return jnp.sum(moment_distances(theta, draws, measured)) + increment_distance(theta, draws, measured, 8)
@@ -57,7 +57,7 @@ def test_gradients_are_finite_in_every_corner(corner, count, pieces):
 @pytest.mark.parametrize(("least", "found"), [(0.3, 0.3), (-1.7, -1.7), (5.0, 2.0), (-5.0, -2.0)])
 def test_halving_finds_the_least_value_or_the_end_of_the_interval(least, found):
     slope = lambda x: jnp.tanh(x - least)  # noqa: E731
-    assert float(halve(slope, jnp.asarray(0.0), 2.0)) == pytest.approx(found, abs=FINEST)
+    assert float(bisect_slope(slope, jnp.asarray(0.0), 2.0)) == pytest.approx(found, abs=FINEST)
 
 
 @pytest.mark.parametrize("free", [NAMES, ("gamma_low",), ("gamma_high", "h_mean"), ("dt_impact",)])
@@ -71,7 +71,7 @@ def test_coordinates_go_there_and_back(free):
 def test_one_joint_distance_leaves_gamma_high_where_it_started():
     """The blocks find gamma_high from wherever they start; the joint distance of all summaries stays near its start."""
     data = traces(64, 64)
-    measured, draws = measure(data), draw(data, 256, 1)
+    measured, draws = measure_summaries(data), draw_random_numbers(data, 256, 1)
     ends = {"blocks": [], "joint": []}
     for factor in (0.7, 1.6):
         start = arrays(TRUTH | {"gamma_high": 0.06 * factor})

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calibrate import BadInput, read
-from calibrate.pieces import piece_mass
+from calibrate.piece_weights import piece_mass
 
 SHAPES = {
     'shape = "chamfered-cuboid"': 19440e-9,

@@ -14,8 +14,8 @@ import product_model
 from calibrate import BadInput, fit
 from calibrate import __main__ as program
 from calibrate.errors import MOST_SEED, checked_seed
+from calibrate.fit_data import measure_summaries
 from calibrate.plausibility import find_absurd, find_doubtful, find_impossible, release_shift
-from calibrate.prepare import measure
 from calibrate.targets import subtract_zero, target
 
 
@@ -29,7 +29,7 @@ def scaled(data, force=1.0, time=1.0, **changes):
 
 
 def test_traces_that_fall_are_possible(data):
-    assert find_impossible(data, measure(data)) == [] and find_doubtful(data) == []
+    assert find_impossible(data, measure_summaries(data)) == [] and find_doubtful(data) == []
 
 
 REASONS = {
@@ -87,9 +87,9 @@ def test_a_time_zero_that_is_not_the_release_is_told(shift, share, data):
     moved = [replace(t, time=t.time + shift) for t in data]
     found, at = release_shift(moved)
     assert found == pytest.approx(share, rel=0.15, abs=0.01) and at == pytest.approx(shift, abs=1e-3)
-    lines = find_impossible(moved, measure(moved)), find_doubtful(moved), find_doubtful(moved, "first-impact")
+    lines = find_impossible(moved, measure_summaries(moved)), find_doubtful(moved), find_doubtful(moved, "first-impact")
     assert ["puts their release at" in str(kind) for kind in lines] == [abs(share) > 0.5, 0.25 < abs(share) < 0.5, False]
-    assert find_impossible(moved, measure(moved, "first-impact")) == []
+    assert find_impossible(moved, measure_summaries(moved, "first-impact")) == []
 
 
 def rows(**values):

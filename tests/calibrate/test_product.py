@@ -11,7 +11,7 @@ import dem_jax
 from calibrate import BadInput, models
 from calibrate.__main__ import main
 from calibrate.curves import Curves, average, load_cell, measure_curves, received
-from calibrate.judgement import compare_said, judge, number
+from calibrate.judgement import describe_comparison, judge, number
 from calibrate.models import FittedModel, ParameterRow
 from calibrate.overall_progress import OverallProgress, Stage
 from calibrate.product import (
@@ -85,7 +85,7 @@ def test_equal_drops_and_model_do_not_differ_and_a_higher_peak_is_told():
     high = judge(fitted(portions, p=0.001), data, portions(256, 2, peak=30.0))
     (peak,) = [row for row in high.differing if row.name == "peak_1ms"]
     assert peak.change == pytest.approx(0.5, abs=0.06)  # three standard deviations of medians of 64 and 256 values, 0.02
-    assert "kg in the drops (" in compare_said(peak) and "more)" in compare_said(peak)
+    assert "kg in the drops (" in describe_comparison(peak) and "more)" in describe_comparison(peak)
     assert "is rejected" in high.verdict and "Tests that reject it: peaks." in high.reasons
     assert any("--drops 256" in line for line in high.advice)  # half of 1 to 3 mm is half of 2 mm
 

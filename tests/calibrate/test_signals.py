@@ -16,7 +16,7 @@ from calibrate.errors import BadInput
 from calibrate.signal_fit import fit_signals
 from calibrate.signal_start import CellGuess, find_quiet, guess_portion
 from calibrate.signal_statements import describe, find_absurd
-from dem_jax.weighing.cell import Cell, means, through_cell
+from dem_jax.weighing.cell import Cell, interval_means, simulate_cell
 from product_model import read_fit
 
 GRAVITY = 9.81
@@ -68,7 +68,7 @@ def test_the_response_is_that_of_the_equation_of_motion():
         load += M_PIECE * (fine[1:] > fall + PULSE)
     stiffness = (2 * np.pi * FREQUENCY) ** 2 * CELL_MASS
     cell = Cell(CELL_MASS, stiffness, 2 * DAMPING * np.sqrt(stiffness * CELL_MASS))
-    solved = through_cell(np.diff(impulse) * rate, rate, cell, load).reshape(-1, 100).mean(axis=1)
+    solved = simulate_cell(np.diff(impulse) * rate, rate, cell, load).reshape(-1, 100).mean(axis=1)
     found = readings_of(local_numbers(falls))[: len(solved)]
     assert np.abs(found).max() > 1.0
     assert (
@@ -81,7 +81,7 @@ def test_readings_are_values_or_means_of_the_same_signal():
     fine = np.linspace(EDGES[0], EDGES[-1], 20 * (len(EDGES) - 1) + 1)
     values = np.append(np.nan, readings_of(local, 0.0, fine))
     np.testing.assert_allclose(readings_of(local, 0.0), values[20::20], rtol=0, atol=1e-12)
-    trapezoids = means(np.nan_to_num(values, nan=0.03 - 2 * DAMPING / np.exp(SHARED[0])), 20)
+    trapezoids = interval_means(np.nan_to_num(values, nan=0.03 - 2 * DAMPING / np.exp(SHARED[0])), 20)
     assert (
         np.abs(readings_of(local, 1.0) - trapezoids).max() < 1e-3
     )  # of 1 kg: trapezoids of 50 us, 45 Hz, and kinks of the force

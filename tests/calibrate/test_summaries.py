@@ -7,16 +7,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from calibrate.fit_data import LAGS, draw_random_numbers, measure_summaries, whitening
 from calibrate.loss import energy_distance
-from calibrate.prepare import LAGS, draw, measure, whitening
 from calibrate.summaries import (
     first_rest,
     log_increments,
-    log_increments_of_trace,
-    moments_of_pulses,
-    moments_of_trace,
     momentum_release,
+    pulse_moments,
     still_falling,
+    trace_log_increments,
+    trace_moments,
 )
 from calibrate.targets import rebin, target
 from product_model import ensemble, parameters, simulate
@@ -25,7 +25,7 @@ M_PIECE = 5.832e-3
 
 
 def moments(time, force, pieces, sample=3e-5):
-    return moments_of_trace(time, np.asarray(force), sample, pieces * M_PIECE * 9.81, pieces, 9.81, 1e-4)
+    return trace_moments(time, np.asarray(force), sample, pieces * M_PIECE * 9.81, pieces, 9.81, 1e-4)
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +51,7 @@ def test_pulses_and_their_sampled_trace_have_the_same_moments(pieces):
     last = np.sort(np.asarray(made.pulses.start))[-1 - still_falling(pieces)]
     start = jnp.minimum(made.pulses.start, last)
     pulses = replace(made.pulses, start=start, force=made.pulses.weight * start / made.pulses.duration)
-    closed = moments_of_pulses(*pulses.edges(), pieces * M_PIECE * 9.81, made.grid.end, 9.81, 1e-4)
+    closed = pulse_moments(*pulses.edges(), pieces * M_PIECE * 9.81, made.grid.end, 9.81, 1e-4)
     sampled = moments(made.time, made.force, pieces)
     assert sampled[0] == pytest.approx(float(closed[0]), rel=5e-4 if pieces == 1 else 2e-4)  # a fifth of pulse over fall
     assert sampled[1] == pytest.approx(float(closed[1]), rel=4e-3, abs=1e-3 if pieces == 1 else 0.0)
@@ -83,7 +83,7 @@ def test_increments_equal_shifted_differences():
     force = np.concatenate([np.zeros(32), inner, np.full(32, inner[-1])])
     smooth = (force[:-3] + force[1:-2] + force[2:-1] + force[3:]) / 4
     expected = [np.log(((smooth[lag:] - smooth[:-lag]) ** 2).sum()) for lag in LAGS]
-    np.testing.assert_allclose(log_increments_of_trace(force, LAGS), expected, rtol=1e-12)
+    np.testing.assert_allclose(trace_log_increments(force, LAGS), expected, rtol=1e-12)
     np.testing.assert_allclose(log_increments(jnp.diff(jnp.asarray(force), prepend=0.0), LAGS), expected, rtol=1e-12)
 
 
@@ -121,7 +121,7 @@ def test_summaries_do_not_hang_on_the_sample_time_or_the_zero_of_time():
     made = {s: ensemble(parameters(pieces=20, sample=s, duration=0.42), 0, 3) for s in (3e-5, 6e-5)}
     rows = {}
     for s, trace in made.items():
-        rows[s] = measure([target(trace.time, np.asarray(trace.force[k]), 5.832e-3, 20) for k in range(3)])
+        rows[s] = measure_summaries([target(trace.time, np.asarray(trace.force[k]), 5.832e-3, 20) for k in range(3)])
     # the first impacts end at a sample; what of one and a half pieces of twenty is left then lands up to 60 us later
     np.testing.assert_allclose(rows[3e-5].height, rows[6e-5].height, rtol=4e-5)
     np.testing.assert_allclose(rows[3e-5].spread, rows[6e-5].spread, rtol=1e-3)
@@ -129,7 +129,7 @@ def test_summaries_do_not_hang_on_the_sample_time_or_the_zero_of_time():
     late = made[3e-5]
     shifted = [target(late.time - 0.1, np.asarray(late.force[k]), 5.832e-3, 20) for k in range(3)]
     unshifted = [target(late.time, np.asarray(late.force[k]), 5.832e-3, 20) for k in range(3)]
-    a, b = (measure(traces, "first-impact") for traces in (shifted, unshifted))
+    a, b = (measure_summaries(traces, "first-impact") for traces in (shifted, unshifted))
     np.testing.assert_allclose(a.height, b.height, rtol=1e-9)
     np.testing.assert_allclose(a.spread, b.spread, rtol=1e-7)
 
@@ -137,7 +137,7 @@ def test_summaries_do_not_hang_on_the_sample_time_or_the_zero_of_time():
 def test_draws_take_the_compositions_in_turn():
     time = 1e-4 * np.arange(1, 401)
     traces = [target(time, np.ones(400), 1e-3, n) for n in (2, 5)]
-    draws = draw(traces, 7, 0)
+    draws = draw_random_numbers(traces, 7, 0)
     np.testing.assert_array_equal((np.asarray(draws.mass) > 0).sum(1), [2, 5] * 4)
     z = np.sort(np.asarray(draws.z))
     from scipy.stats import norm

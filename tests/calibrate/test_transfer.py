@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from calibrate import target
-from calibrate.transfer import (
+from calibrate.transfer_fit import (
     Ensemble,
     Lesson,
     choose_frame,

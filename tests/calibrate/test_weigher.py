@@ -117,7 +117,7 @@ def test_weights_are_read_at_rest(learnt, tmp_path):
     tenth of noise and tare."""
     from calibrate.empty_cell import EmptyCell
     from calibrate.momentum import find_triggers
-    from calibrate.weigher import _empty_weigher, read_at_rest
+    from calibrate.weigher_fit import _empty_weigher, read_at_rest
 
     signals, weights = make_portions(4, 5)
     empty = _empty_weigher(H, EmptyCell(0.8, 45.0, 0.03), 50.0)
@@ -175,7 +175,7 @@ def test_the_noise_of_a_cell_file_is_used_where_signals_begin_at_once(tmp_path):
     """White noise and a damped line of a cell file are found exactly; louder signals scale both."""
     from calibrate.empty_cell import read_cell
     from calibrate.scale_noise import DECAYS, FREQUENCIES, fit_noise
-    from calibrate.weigher import _empty_weigher
+    from calibrate.weigher_fit import _empty_weigher
 
     shrink, frequency = np.exp(-H / DECAYS[8]), FREQUENCIES[14]
     line = np.array([2 * shrink * np.cos(2 * np.pi * frequency * H), -(shrink**2)])

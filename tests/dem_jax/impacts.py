@@ -3,7 +3,7 @@
 import jax
 import jax.numpy as jnp
 
-from dem_jax.contact.law import Contact
+from dem_jax.contact_laws import ContactKinematics
 
 
 def trace_impacts(law, pair, mass, speed, dt, steps, phase=0.5):
@@ -26,10 +26,10 @@ def trace_impacts(law, pair, mass, speed, dt, steps, phase=0.5):
         velocity = velocity - 0.5 * dt * push / mass
         moved = velocity * dt
         overlap = overlap + moved
-        answer = law.force(pair, history, Contact(overlap, moved, nothing, nothing, dt))
-        velocity = velocity - 0.5 * dt * answer.push / mass
-        seen = overlap, answer.push, velocity, law.energy(pair, answer.history, overlap)
-        return (overlap, velocity, answer.push, answer.history), seen
+        answer = law.force(pair, history, ContactKinematics(overlap, moved, nothing, nothing, dt))
+        velocity = velocity - 0.5 * dt * answer.normal_force / mass
+        seen = overlap, answer.normal_force, velocity, law.energy(pair, answer.history, overlap)
+        return (overlap, velocity, answer.normal_force, answer.history), seen
 
-    first = (-phase * speed * dt, speed, zero, law.start(pair, zero))
+    first = (-phase * speed * dt, speed, zero, law.init_history(pair, zero))
     return jax.lax.scan(step, first, None, steps)[1]

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from dem_jax.io.run_files import Frames, Run, RunHeader
 from dem_jax.scene import load_scene
-from dem_jax.store.record import Frames, Header, Run
 
 G = 9.81
 PIECES = [
@@ -24,7 +24,7 @@ def stored(peaks=(2.0,), frames=20, at_rest=0.1, scene=SCENE):
     force = {"plate": pick(kg[..., None] * (0.0, 0.0, -G))}
     mass = {"plate": pick(np.broadcast_to(3e-3 * (time > at_rest), kg.shape))}
     seed = 7 if runs is None else tuple(range(runs))
-    header = Header(scene.to_toml(), seed, 5e-6, "f32", "0.1.0", 1e-4, (0.0, 0.0, -G), ("plate",), ("plate",), 2, runs)
+    header = RunHeader(scene.to_toml(), seed, 5e-6, "f32", "0.1.0", 1e-4, (0.0, 0.0, -G), ("plate",), ("plate",), 2, runs)
     series = {"force": force, "mean_force": force, "settled_mass": mass}
     return Run(header, time, series, poses(runs, frames) if frames else None)
 

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from benchmarks import accuracy
-from dem_jax import build, load_scene, scene, simulate, validation
-from dem_jax.contact.law import walton_braun_accuracy
-from dem_jax.drive.prepare import prepare
+from dem_jax import assembly, load_scene, scene, simulate, validation
+from dem_jax.contact_laws import walton_braun_accuracy
 from dem_jax.errors import SceneError
-from dem_jax.show import summary
+from dem_jax.runner.job_setup import prepare_job
+from dem_jax.visualization import summary
 
 KINDS = {"sphere": accuracy.SPHERE, "marshmallow": accuracy.PIECE}
 COMPUTED = ["sphere", pytest.param("marshmallow", marks=pytest.mark.long)]
@@ -20,7 +20,7 @@ COMPUTED = ["sphere", pytest.param("marshmallow", marks=pytest.mark.long)]
 def step_of(kind, asked, restitution=0.1, precision="f64", **settings):
     """The choice of the time step of an impact with ``run.accuracy``."""
     settings = {"accuracy": asked, "precision": precision, "sample": 1e-3} | settings
-    return build.build(validation.plate_scene(KINDS[kind], run=settings, restitution=restitution)).step
+    return assembly.assemble_system(validation.plate_scene(KINDS[kind], run=settings, restitution=restitution)).step
 
 
 @cache
@@ -81,12 +81,12 @@ def test_the_bounds_and_the_steps_are_each_others_inverse():
         for restitution in (0.05, 0.1, 0.7):
             for asked in ({"restitution": 1e-5}, {"peak_force": 3e-5}, {"restitution": 1e-5, "peak_force": 1e-3}):
                 for corrected in (False, True):
-                    number, key = bound.steps(asked, restitution, corrected)
-                    reached = bound.errors(number, restitution, corrected)
+                    number, key = bound.required_steps(asked, restitution, corrected)
+                    reached = bound.error_bounds(number, restitution, corrected)
                     assert reached[key] == pytest.approx(asked[key], rel=1e-12)
                     assert all(reached[k] <= asked[k] * (1 + 1e-12) for k in asked)
-            number, key = bound.steps({"peak_force": 0.2}, restitution, False)
-            assert key is None and number == bound.least(restitution)
+            number, key = bound.required_steps({"peak_force": 0.2}, restitution, False)
+            assert key is None and number == bound.min_steps(restitution)
 
 
 def test_the_limit_is_named():
@@ -94,13 +94,13 @@ def test_the_limit_is_named():
     assert "from run.accuracy.restitution = 0.01: " in words and "steps per loading quarter period, sphere of" in words
     assert "the coarsest step whose error is known (run.accuracy): " in str(step_of("sphere", {"peak_force": 0.2}))
     found = simulate(load_scene("plate-drop", {"run.accuracy.restitution": 0.005, "run.duration": 1e-3}))
-    assert "run.accuracy.restitution = 0.005" in summary.summary(found)[0]
+    assert "run.accuracy.restitution = 0.005" in summary.summarize_run(found)[0]
 
 
 def test_every_accuracy_is_the_same_program():
     """As the step is a number of the system, and steps per sample are too."""
     programs = {
-        jax.tree.structure(prepare(load_scene("plate-drop", {"run.accuracy.restitution": r}), (0,), None).system)
+        jax.tree.structure(prepare_job(load_scene("plate-drop", {"run.accuracy.restitution": r}), (0,), None).system)
         for r in (0.2, 0.03, 5e-3)
     }
     assert len(programs) == 1
@@ -110,8 +110,8 @@ def test_a_scene_says_it_in_a_table_of_its_own_and_reads_it_back(tmp_path):
     (tmp_path / "mine.toml").write_text('base = "plate-drop"\n[run.accuracy]\nrestitution = 0.02\npeak_force = 0.001\n')
     mine = load_scene(tmp_path / "mine.toml")
     assert (mine.run.accuracy.restitution, mine.run.accuracy.peak_force) == (0.02, 0.001)
-    assert scene.parse(mine.to_toml()) == mine
-    assert scene.parse(scene.described(mine)).run == mine.run
+    assert scene.parse_scene(mine.to_toml()) == mine
+    assert scene.parse_scene(scene.describe_scene(mine)).run == mine.run
     assert load_scene("plate-drop", {"run.accuracy": {"peak_force": 0.01}}).run.accuracy.restitution is None
 
 
@@ -133,6 +133,6 @@ def test_a_scene_says_it_in_a_table_of_its_own_and_reads_it_back(tmp_path):
 )
 def test_what_is_not_allowed_is_said(changes, message):
     with pytest.raises(SceneError, match=message):
-        build.build(load_scene("plate-drop", changes))
+        assembly.assemble_system(load_scene("plate-drop", changes))
     if changes.get("run.accuracy.restitution") == 1e-3:
-        build.build(load_scene("plate-drop", changes | {"run.precision": "f64"}))
+        assembly.assemble_system(load_scene("plate-drop", changes | {"run.precision": "f64"}))

@@ -10,9 +10,9 @@ import pytest
 
 import dem_jax
 from dem_jax.__main__ import main
-from dem_jax.drive import failure
-from dem_jax.scene import parse
-from dem_jax.scene.sections.pieces import Piece
+from dem_jax.runner import failure
+from dem_jax.scene import parse_scene
+from dem_jax.scene.sections.piece import Piece
 from dem_jax.types import Sample
 
 SET = [  # --set of plate-drop -> what the line must hold
@@ -232,7 +232,7 @@ def test_as_a_process(tmp_path):
 
 def test_a_run_whose_numbers_overflow_stops(whole):
     """Energies of a contact that is next to nothing stiff are infinite; nothing else would show it."""
-    scene = parse(dem_jax.load_run(whole).scene)
+    scene = parse_scene(dem_jax.load_run(whole).scene)
     expected = r"at t = 3e-05 s: energy not finite; likely cause: .* usual is material\.softening = 1e-30"
     with pytest.raises(dem_jax.SimulationError, match=expected) as caught:
         dem_jax.simulate(scene.replace({"material.softening": 1e-30, "run.duration": 9e-5}))
@@ -245,13 +245,13 @@ def test_a_force_that_is_not_finite_is_found(runs):
     force[..., 3:, 0, 2] = np.nan
     one = np.zeros((*runs, 5))
     sample = Sample({"force": force, "own": one, "culprit": one.astype(int) - 1, "overlap": one, "stride": one})
-    assert failure.find(sample, 5) == (0, 3)
-    assert failure.find(sample, 3) is None, "samples beyond count are none"
-    assert failure.find(sample.replace(own=one + np.nan), 3) == (0, 0), "a user's quantity is no exception"
+    assert failure.detect_failure(sample, 5) == (0, 3)
+    assert failure.detect_failure(sample, 3) is None, "samples beyond count are none"
+    assert failure.detect_failure(sample.replace(own=one + np.nan), 3) == (0, 0), "a user's quantity is no exception"
 
 
 def test_frames_that_are_rarer_than_the_run_is_long(whole):
-    scene = parse(dem_jax.load_run(whole).scene)
+    scene = parse_scene(dem_jax.load_run(whole).scene)
     assert dem_jax.simulate(scene.replace({"run.frames": 1e5, "run.duration": 9e-5})).pieces.time.tolist() == [0.0]
 
 

@@ -4,11 +4,11 @@ import jax
 import numpy as np
 import pytest
 
-from dem_jax import build
-from dem_jax.contact import blocks
-from dem_jax.pairs import guard
+from dem_jax import assembly
+from dem_jax.broad_phase import overflow_recovery
+from dem_jax.contacts import tiling
+from dem_jax.dynamics import stepping
 from dem_jax.scene import load_scene
-from dem_jax.step import stepping
 
 SAMPLES, PER_CHUNK = 200, 50  # of 30 us
 
@@ -48,18 +48,18 @@ def tubes():
 def roomy(made, slot_block):
     """System and first state with so many slots that there are several blocks."""
     system = made.system.replace(slot_block=slot_block)
-    return guard.with_capacity(system, made.state, tuple((k, 640, 176) for k, *_ in system.capacity), 24, 0)
+    return overflow_recovery.with_capacity(system, made.state, tuple((k, 640, 176) for k, *_ in system.capacity), 24, 0)
 
 
 def traced(scene, slot_block, count=SAMPLES):
     """State after ``count`` samples, these, and the fewest and most slots that were filled."""
-    system, state = roomy(build.build(scene, 0), slot_block)
+    system, state = roomy(assembly.assemble_system(scene, 0), slot_block)
     samples, filled = [], []
     for _ in range(count // PER_CHUNK):
-        state, rows, _ = stepping.chunk(system, state, np.int32(PER_CHUNK), np.int32(1), samples=PER_CHUNK, frames=0)
+        state, rows, _ = stepping.run_compiled_chunk(system, state, np.int32(PER_CHUNK), np.int32(1), samples=PER_CHUNK, frames=0)
         samples.append(jax.device_get(rows))
         filled.append(sum(int(n) for n in state.scratch.filled.values()))
-    assert not guard.outgrown(system, jax.device_get(state.guard))
+    assert not overflow_recovery.describe_overflow(system, jax.device_get(state.guard))
     return jax.device_get(state), jax.tree.map(lambda *x: np.concatenate(x), *samples), (min(filled), max(filled))
 
 
@@ -76,7 +76,7 @@ def test_blocks_of_slots_do_not_change_the_trace():
     with jax.enable_x64(True):
         state, samples, _ = traced(heap(), 0)
         in_blocks, rows, (_, most) = traced(heap(), 64)
-        size = blocks.block_size(build.build(heap(), 0).system.replace(slot_block=64), "hulls", 176)
+        size = tiling.tile_size(assembly.assemble_system(heap(), 0).system.replace(slot_block=64), "hulls", 176)
     assert most > 2 * size > 0  # several blocks
     touching = np.asarray(in_blocks.contacts["hulls"].memory.overlap).reshape(-1, size) > 0
     filled = touching[: -(-int(in_blocks.scratch.filled["hulls"]) // size)]
@@ -92,14 +92,14 @@ def test_blocks_of_slots_do_not_change_the_trace():
 
 def test_blocks_of_slots_of_shared_surfaces_do_not_change_the_trace(monkeypatch):
     """Each tube stands on six parts and two panels, in contacts that lie in several blocks and are one."""
-    monkeypatch.setattr(blocks, "LEAST_BLOCK", 4)
+    monkeypatch.setattr(tiling, "MIN_TILE_SIZE", 4)
     with jax.enable_x64(True):
         state, samples, _ = traced(tubes(), 0, 100)
         in_blocks, rows, (_, most) = traced(tubes(), 4, 100)
         room = in_blocks.contacts["hulls"].a.shape[0]
-        size = blocks.block_size(build.build(tubes(), 0).system.replace(slot_block=4), "hulls", room)
+        size = tiling.tile_size(assembly.assemble_system(tubes(), 0).system.replace(slot_block=4), "hulls", room)
     assert most > 4 * size > 0
-    siblings, filled = in_blocks.scratch.siblings["hulls"], int(in_blocks.scratch.filled["hulls"])
+    siblings, filled = in_blocks.scratch.shared_contacts["hulls"], int(in_blocks.scratch.filled["hulls"])
     block = np.arange(room) // size
     order, first, number = (np.asarray(of) for of in (siblings.order, siblings.first, siblings.number))
     apart = [block[slot] != block[other] for slot in range(room) for other in order[first[slot] :][: number[slot]]]
@@ -131,9 +131,9 @@ def test_free_fall_in_one_jump_is_that_step_by_step():
 def test_free_fall_is_exact_where_it_can_be():
     with jax.enable_x64(True):
         scene = high().replace(run={"gravity": (1.0, -2.0, -9.81)})
-        made, time = build.build(scene, 0), 20 * scene.run.sample
+        made, time = assembly.assemble_system(scene, 0), 20 * scene.run.sample
         system, state = roomy(made, 64)
-        state, samples, _ = stepping.chunk(system, state, np.int32(20), np.int32(1), samples=PER_CHUNK, frames=0)
+        state, samples, _ = stepping.run_compiled_chunk(system, state, np.int32(20), np.int32(1), samples=PER_CHUNK, frames=0)
         samples = jax.tree.map(lambda x: x[:20], samples)
         g, v = np.array([1.0, -2.0, -9.81]), np.array([p.velocity for p in scene.piece])
         start = np.array([p.position for p in scene.piece])

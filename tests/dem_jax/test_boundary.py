@@ -6,22 +6,22 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dem_jax import build, validation
-from dem_jax.contact import boundary
-from dem_jax.contact.motion import Hinge, Vibration
-from dem_jax.maths.smooth import smooth_step
-from dem_jax.pairs import guard
+from dem_jax import assembly, validation
+from dem_jax.broad_phase import overflow_recovery
+from dem_jax.dynamics import stepping
+from dem_jax.math.smoothstep import smooth_step
 from dem_jax.scene import Motion, Scene
-from dem_jax.step import stepping
+from dem_jax.walls import kinematics
+from dem_jax.walls.motion import Hinge, Vibration
 
 SAMPLES = 1024
 
 
 def run(made, samples, finer=1, skin=0.01):
-    system = validation.refined(made.system, finer)
+    system = validation.with_finer_steps(made.system, finer)
     system = system.replace(skin=system.skin * 0 + skin)
-    state, recorded, _ = stepping.chunk(system, made.state, np.int32(samples), np.int32(1), samples=SAMPLES, frames=0)
-    assert not guard.outgrown(system, jax.device_get(state.guard))
+    state, recorded, _ = stepping.run_compiled_chunk(system, made.state, np.int32(samples), np.int32(1), samples=SAMPLES, frames=0)
+    assert not overflow_recovery.describe_overflow(system, jax.device_get(state.guard))
     return state, jax.tree.map(lambda x: np.asarray(x)[:samples], recorded)
 
 
@@ -37,23 +37,23 @@ def test_smooth_step_is_smooth_at_its_ends():
 
 def test_a_flap_opens_dwells_closes_and_does_so_again():
     times = {"swing_deg": 0.0, "start": 0.1, "opening": 0.2, "dwell": 0.3, "closing": 0.4}
-    once, again = (Hinge.of([Motion(group="flap", **times, period=period)]) for period in (0.0, 2.0))
+    once, again = (Hinge.from_sections([Motion(group="flap", **times, period=period)]) for period in (0.0, 2.0))
     for t, expected in ((0.0, 0), (0.1, 0), (0.2, 0.5), (0.3, 1), (0.6, 1), (0.8, 0.5), (1.0, 0), (1.9, 0)):
         for hinge in (once, again):
-            assert float(hinge.opened(t)[0]) == pytest.approx(expected, abs=1e-12)
-    assert float(once.opened(2.2)[0]) == 0
-    assert float(again.opened(2.2)[0]) == pytest.approx(0.5, abs=1e-12)
-    assert float(again.opened(-1.8)[0]) == 0  # not before it starts
+            assert float(hinge.opening_fraction(t)[0]) == pytest.approx(expected, abs=1e-12)
+    assert float(once.opening_fraction(2.2)[0]) == 0
+    assert float(again.opening_fraction(2.2)[0]) == pytest.approx(0.5, abs=1e-12)
+    assert float(again.opening_fraction(-1.8)[0]) == 0  # not before it starts
 
 
 def test_a_vibration_is_a_sine_that_starts_and_ends_gently():
     keys = {"stroke": (0.0, 0.0, 0.0), "frequency": 5.0, "shake_start": 1.0, "shake_end": 3.0, "shake_ramp": 0.1}
-    vibration = Vibration.of([Motion(group="pan", **keys)])
+    vibration = Vibration.from_sections([Motion(group="pan", **keys)])
     for t in (0.5, 1.0, 3.0, 3.5):
-        assert float(vibration.displacement(t)[0]) == pytest.approx(0, abs=1e-14)
+        assert float(vibration.relative_displacement(t)[0]) == pytest.approx(0, abs=1e-14)
     for t in (1.15, 1.83, 2.5):
-        assert float(vibration.displacement(t)[0]) == pytest.approx(np.sin(2 * np.pi * 5 * (t - 1)), abs=1e-13)
-    assert float(vibration.displacement(1.05)[0]) == pytest.approx(0.5, abs=1e-13)
+        assert float(vibration.relative_displacement(t)[0]) == pytest.approx(np.sin(2 * np.pi * 5 * (t - 1)), abs=1e-13)
+    assert float(vibration.relative_displacement(1.05)[0]) == pytest.approx(0.5, abs=1e-13)
 
 
 def plate(group, half=0.1, z=0.0, **more):
@@ -71,12 +71,12 @@ MOVING = (
 def moving_walls():
     piece = {"position": (0.0, 0.0, 0.5)}
     walls = [plate("flap"), plate("pan", z=0.2), plate("fixed", z=-0.2)]
-    return build.build(Scene(piece=[piece], wall=walls, motion=MOVING, run=SETTINGS), 0).system.walls
+    return assembly.assemble_system(Scene(piece=[piece], wall=walls, motion=MOVING, run=SETTINGS), 0).system.walls
 
 
 def test_velocities_of_moving_walls_are_the_rates_of_their_poses():
     walls = moving_walls()
-    stacked = jax.jit(jax.vmap(lambda t: boundary.panels(walls, t, t)))
+    stacked = jax.jit(jax.vmap(lambda t: kinematics.compute_wall_state(walls, t, t)))
     times, h = np.linspace(0.005, 0.25, 40), 1e-5
     now, before, after = (jax.device_get(stacked(times + s)) for s in (0.0, -h, h))
     rate = lambda f: (np.array(f(after)) - np.array(f(before))) / (2 * h)  # noqa: E731
@@ -96,7 +96,7 @@ def test_velocities_of_moving_walls_are_the_rates_of_their_poses():
 def test_a_hinge_leaves_its_axis_where_it_is():
     walls = moving_walls()
     pivot, axis = np.array(MOVING[0]["pivot"]), np.array(MOVING[0]["axis"]) / np.linalg.norm(MOVING[0]["axis"])
-    shut, wide = (boundary.panels(walls, jnp.asarray(t), jnp.asarray(t)) for t in (0.0, 0.13))
+    shut, wide = (kinematics.compute_wall_state(walls, jnp.asarray(t), jnp.asarray(t)) for t in (0.0, 0.13))
     turn = [np.array(p.rotation)[..., 0] for p in (shut, wide)]
     place = [np.array(p.centre)[:, 0] for p in (shut, wide)]
     for along in (-0.1, 0.0, 0.07):
@@ -112,10 +112,10 @@ def test_a_piece_rides_on_a_vibrating_plate(stroke):
     motion = [{"group": "plate", "stroke": stroke, "frequency": 10.0, "shake_ramp": 0.02}]
     piece = {"position": (0.0, 0.0, 0.008 - 1e-6)}
     scene = Scene(piece=[piece], wall=[plate("plate")], motion=motion, run=SETTINGS)
-    made = build.build(scene, 0)
+    made = assembly.assemble_system(scene, 0)
     state, recorded = run(made, 1000)
     time = float(made.system.dt) * np.asarray(state.step)
-    panels = boundary.panels(made.system.walls, jnp.asarray(time), jnp.asarray(time))
+    panels = kinematics.compute_wall_state(made.system.walls, jnp.asarray(time), jnp.asarray(time))
     speed, own = np.array(panels.velocity)[:, 0], np.asarray(state.velocity)[:, 0]
     assert np.linalg.norm(speed) > 0.005
     # what is left is the contact's own ringing: weight / K_nu is 0.02 um, at 24000 rad/s 0.4 mm/s
@@ -131,13 +131,13 @@ def test_the_torque_of_a_flap_is_force_times_arm():
     """A ball falls onto a flap that swings: the contact point is the centre less the radius along the flap's normal."""
     ball = {"shape": "sphere", "radius": 0.01, "position": (0.02, 0.01, 0.0099), "velocity": (0.3, 0.1, -0.4)}
     motion = [{"group": "flap", "pivot": (0.1, 0.0, 0.0), "axis": (0.0, 1.0, 0.0), "swing_deg": 30.0, "opening": 0.2}]
-    made = build.build(Scene(piece=[ball], wall=[plate("flap")], motion=motion, run=SETTINGS), 0)
+    made = assembly.assemble_system(Scene(piece=[ball], wall=[plate("flap")], motion=motion, run=SETTINGS), 0)
     seen = 0
     for samples in (1, 4, 60, 150, 200):
         state, recorded = run(made, samples)
         force, torque = recorded.force[-1, :, 0], recorded.torque[-1, :, 0]
         time = state.step.astype(float) * made.system.dt
-        panels = boundary.panels(made.system.walls, time, time)
+        panels = kinematics.compute_wall_state(made.system.walls, time, time)
         normal = np.array(panels.rotation)[:, 2, 0]
         centre = np.asarray(state.position)[:, 0]
         surface = np.array(panels.centre)[:, 0] + 0.005 * normal
@@ -170,7 +170,7 @@ def test_walls_from_an_stl_are_the_same_as_panels_given_by_corners(tmp_path):
     piece = {"position": (0.01, 0.0, 0.05), "orientation": (1.0, 0.3, 0.2, 0.1), "velocity": (1.0, 0.5, -1.0)}
     given = Scene(piece=[piece], wall=[{"group": "box", "corners": c} for c in corners], run=SETTINGS)
     read = Scene(piece=[piece], wall=[{"group": "box", "stl": "box.stl", "unit": 1e-3}], run=SETTINGS, folder=str(tmp_path))
-    traces = [run(build.build(scene, 0), 400)[1].mean_force for scene in (given, read)]
+    traces = [run(assembly.assemble_system(scene, 0), 400)[1].mean_force for scene in (given, read)]
     peak = np.abs(traces[0]).max()
     assert peak > 1.0
     assert (np.abs(traces[0]).max((1, 2)) > 0.01 * peak).sum() > 10  # it hits more than once

@@ -13,7 +13,7 @@ import pytest
 
 import dem_jax
 from dem_jax.__main__ import main
-from dem_jax.scene import described, load_scene, parse, stock_scenes
+from dem_jax.scene import describe_scene, load_scene, parse_scene, stock_scenes
 
 SCENE = """
 base = "plate-drop"
@@ -62,12 +62,12 @@ def test_run_writes_file_and_figure_and_says_what_happened(scene, tmp_path, caps
         assert words in out, words
     assert "100%" in err and "µs/step" in err, "the bar"
     run = dem_jax.load_run("ball.h5")
-    assert run.seed == 4 and parse(run.scene).material.restitution == 0.3
+    assert run.seed == 4 and parse_scene(run.scene).material.restitution == 0.3
     assert (tmp_path / "ball.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_peak_and_duration_in_the_summary_are_those_of_the_run(scene, capsys):
-    from dem_jax.show.summary import impact_duration
+    from dem_jax.visualization.summary import impact_duration
 
     soft = ["--set", "material.restitution=0.3", "--set", "run.duration=0.06"]  # slower than 0.1 m/s after the impact
     assert main(["run", scene, *soft, "--quiet", "--no-plot", "--out", "x.h5"]) == 0
@@ -139,13 +139,13 @@ def test_stock_scenes_are_listed_and_printed_with_every_key(capsys):
         assert name in listed and text in listed
         assert main(["scenes", name]) == 0
         text = capsys.readouterr().out
-        assert parse(text) == load_scene(name), "what is printed is the scene"
+        assert parse_scene(text) == load_scene(name), "what is printed is the scene"
         for words in ("# kg/m3, pieces; a number > 0", "settling_time = 0.5", "# m/s2; a list of 3, each a number"):
             assert words in text
 
 
 def test_values_that_differ_from_the_default_are_told():
-    text = described(load_scene("plate-drop", {"run.duration": 0.7, "piece.0.sides": None}))
+    text = describe_scene(load_scene("plate-drop", {"run.duration": 0.7, "piece.0.sides": None}))
     assert "duration = 0.7" in text and "default: 0.2" in text
 
 

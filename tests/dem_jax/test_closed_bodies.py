@@ -6,10 +6,10 @@ import trimesh
 from trimesh.creation import box
 
 import dem_jax
-from dem_jax.build.walls import SHARE_OF_SHEET, panels_of, walls_of
-from dem_jax.scene import Wall, load_scene, parse
+from dem_jax.assembly.wall_panels import SHARE_OF_SHEET, lay_out_walls, list_wall_panels
+from dem_jax.scene import Wall, load_scene, parse_scene
 from dem_jax.shapes.closed_bodies import find_bodies, measure_thickness
-from dem_jax.shapes.meshes import wall_of_stl
+from dem_jax.shapes.wall_meshes import read_wall_mesh
 
 SHEET = 1.5e-3  # m
 INSIDE = (0.137, 0.117, 0.1285)  # m, of a tray of 140 x 120 x 130 mm
@@ -66,7 +66,7 @@ BODIES = [
 @pytest.mark.parametrize(("make", "said", "thickness"), BODIES)
 def test_closed_bodies_are_found_and_measured(make, said, thickness, tmp_path):
     make().export(tmp_path / "a.stl")
-    mesh = wall_of_stl(tmp_path / "a.stl")
+    mesh = read_wall_mesh(tmp_path / "a.stl")
     assert mesh.bodies == said
     if thickness is not None:
         assert mesh.thinnest == pytest.approx(thickness, rel=1e-4)  # single precision of the file, over the sheet
@@ -80,12 +80,12 @@ def test_bodies_that_touch_have_the_panels_of_one(tmp_path):
     tray().export(tmp_path / "tray.stl")
     areas = []
     for name in ("plates.stl", "tray.stl"):
-        panels = wall_of_stl(tmp_path / name).panels
+        panels = read_wall_mesh(tmp_path / name).panels
         normals = np.array([np.cross(p - p[0], np.roll(p, -1, 0) - p[0]).sum(0) / 2 for p in panels])
         areas.append([np.linalg.norm(normals, axis=1).sum(), len(panels)])
     assert areas[0][0] == pytest.approx(areas[1][0], rel=1e-6) and areas[0][1] == areas[1][1]
     cubes().export(tmp_path / "cubes.stl")
-    assert len(wall_of_stl(tmp_path / "cubes.stl").panels) == 6
+    assert len(read_wall_mesh(tmp_path / "cubes.stl").panels) == 6
 
 
 def test_a_cavity_bounds_the_sheet_from_within():
@@ -97,10 +97,10 @@ def test_a_cavity_bounds_the_sheet_from_within():
 def test_no_panel_is_thicker_than_the_sheet_and_it_is_said(tmp_path):
     tray().export(tmp_path / "tray.stl")
     wall = Wall(group="tray", stl="tray.stl", rotate_deg=(0.0, 20.0, 30.0), move=(0.1, 0.0, 0.4))
-    (thickness,) = {thickness for _, _, thickness in panels_of(wall, tmp_path)}
+    (thickness,) = {thickness for _, _, thickness in list_wall_panels(wall, tmp_path)}
     assert thickness == pytest.approx(SHARE_OF_SHEET * SHEET, rel=1e-4)
     thin = wall.model_copy(update={"thickness": 1e-4})
-    assert {thickness for _, _, thickness in panels_of(thin, tmp_path)} == {1e-4}
+    assert {thickness for _, _, thickness in list_wall_panels(thin, tmp_path)} == {1e-4}
 
 
 def test_a_bucket_with_flaps_is_as_thin_as_its_thinnest_body_and_keeps_it_in_its_file(tmp_path):
@@ -116,9 +116,9 @@ def test_a_bucket_with_flaps_is_as_thin_as_its_thinnest_body_and_keeps_it_in_its
         flap.export(tmp_path / f"{name}.stl")
     keys = {"stl": "walls.stl", "flap_stl": ("left.stl", "right.stl"), "opening_angle_deg": 60.0}
     scene = load_scene("quick-release").replace({"feed_bucket": keys, "folder": str(tmp_path)})
-    of_feed = [thickness for group, _, thickness in walls_of(scene)[0] if group.startswith("fb")]
+    of_feed = [thickness for group, _, thickness in lay_out_walls(scene)[0] if group.startswith("fb")]
     assert len(of_feed) > 20 and of_feed == pytest.approx([1e-4] * len(of_feed), rel=1e-3)
-    alone = parse(dem_jax.build.self_contained(scene).to_toml())
+    alone = parse_scene(dem_jax.assembly.inline_files(scene).to_toml())
     assert alone.feed_bucket.thickness == of_feed[0]
     assert "left.stl: 12 facets, 6 panels" in alone.feed_bucket.note
     assert "thickness of the panels 0.1 mm, not 5 mm" in alone.feed_bucket.note
@@ -128,7 +128,7 @@ def test_no_plate_reaches_into_the_inside(tmp_path):
     """Corners of the backs of all panels are in the sheet: at most a rounding of the file inside of the tray."""
     tray().export(tmp_path / "tray.stl")
     low, high = np.array([-INSIDE[0] / 2, -INSIDE[1] / 2, SHEET]), np.array([INSIDE[0] / 2, INSIDE[1] / 2, 1.0])
-    for _, corners, thickness in panels_of(Wall(group="tray", stl="tray.stl"), tmp_path):
+    for _, corners, thickness in list_wall_panels(Wall(group="tray", stl="tray.stl"), tmp_path):
         normal = np.cross(corners[1] - corners[0], corners[2] - corners[1])
         back = corners - thickness * normal / np.linalg.norm(normal)
         assert not ((back > low + 1e-7) & (back < high - 1e-7)).all(axis=1).any()

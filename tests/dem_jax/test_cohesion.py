@@ -7,15 +7,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dem_jax import build, validation
-from dem_jax.contact.law import Contact, Couple
-from dem_jax.contact.law.cohesion import Cohesive
-from dem_jax.contact.law.hertz_mindlin import HertzMindlin
-from dem_jax.contact.law.linear_dashpot import LinearDashpot
-from dem_jax.contact.law.walton_braun import WaltonBraun
-from dem_jax.pairs import neighbours
+from dem_jax import assembly, validation
+from dem_jax.broad_phase import neighbour_list
+from dem_jax.contact_laws import ContactKinematics, MaterialPair
+from dem_jax.contact_laws.cohesion import Cohesive
+from dem_jax.contact_laws.hertz_mindlin import HertzMindlin
+from dem_jax.contact_laws.linear_dashpot import LinearDashpot
+from dem_jax.contact_laws.walton_braun import WaltonBraun
+from dem_jax.dynamics import stepping
 from dem_jax.scene import Scene
-from dem_jax.step import stepping
 
 PULL_OFF, RANGE = 0.5, 1e-4  # N, m
 LAWS = ("walton-braun", "linear-dashpot", "hertz-mindlin")
@@ -29,7 +29,7 @@ PIECES = {
 def built(law, shape="sphere", ratio=1.0, reach=RANGE):
     material = {"restitution": 0.5, "pull_off": PULL_OFF}
     scene = validation.plate_scene(PIECES[shape][0], **material)
-    return build.build(scene.replace(contact={"law": law, "cohesion": {"range": reach, "stiffness": ratio}}))
+    return assembly.assemble_system(scene.replace(contact={"law": law, "cohesion": {"range": reach, "stiffness": ratio}}))
 
 
 def coming_up(made):
@@ -41,12 +41,12 @@ def coming_up(made):
 def pulled(system, state, height, speed):
     """Forces (N) and heights (m) of a very heavy piece that is pushed into the plate for 500 steps and then pulled off."""
     heavy = system.replace(pieces=system.pieces.replace(mass=system.pieces.mass * 1e9), dt=jnp.full_like(system.dt, 2e-6))
-    heavy = validation.lasting(heavy)
+    heavy = validation.with_permanent_pairs(heavy)
     read = lambda _, s: (-s.walls.force[2, 0, 0], s.position[2, 0])  # noqa: E731
     zero = jnp.zeros_like(height)
-    state = state.moved(position=jnp.stack([zero, zero, height])[:, None])
-    state, into = validation.trace(heavy, state.moved(velocity=jnp.stack([zero, zero, -speed])[:, None]), 500, read)
-    _, out = validation.trace(heavy, state.moved(velocity=jnp.stack([zero, zero, speed])[:, None]), 2500, read)
+    state = state.replace_motion(position=jnp.stack([zero, zero, height])[:, None])
+    state, into = validation.trace_motion(heavy, state.replace_motion(velocity=jnp.stack([zero, zero, -speed])[:, None]), 500, read)
+    _, out = validation.trace_motion(heavy, state.replace_motion(velocity=jnp.stack([zero, zero, speed])[:, None]), 2500, read)
     return into, out
 
 
@@ -87,7 +87,7 @@ def pair_of_spheres(law):
     pieces = [{"shape": "sphere", "radius": 0.0167, "position": (0.0, 0.0, s * 0.01671)} for s in (-1, 1)]
     run = {"precision": "f64", "gravity": (0.0, 0.0, 0.0), "frames": 0.0}
     material = {"restitution": 1.0, "pull_off": PULL_OFF, "friction_wall": 0.0, "friction_piece": 0.0}
-    return build.build(Scene(piece=pieces, run=run, material=material, contact={"law": law, "cohesion": {"range": RANGE}}))
+    return assembly.assemble_system(Scene(piece=pieces, run=run, material=material, contact={"law": law, "cohesion": {"range": RANGE}}))
 
 
 @jax.jit
@@ -95,7 +95,7 @@ def collided(system, state, speeds):
     def one(speed):
         velocity = jnp.zeros((3, 2)).at[2].set(jnp.stack([0.5 * speed, -0.5 * speed]))
         read = lambda _, s: (s.position[2, 1] - s.position[2, 0], s.velocity[2, 1] - s.velocity[2, 0])  # noqa: E731
-        return validation.trace(validation.lasting(system), state.moved(velocity=velocity), 6000, read)[1]
+        return validation.trace_motion(validation.with_permanent_pairs(system), state.replace_motion(velocity=velocity), 6000, read)[1]
 
     return jax.vmap(one)(speeds)
 
@@ -124,19 +124,19 @@ HANGING += [pytest.param("hertz-mindlin", "sphere", marks=pytest.mark.long)]
 def test_a_piece_hangs_below_a_ceiling_if_it_weighs_less_than_the_pull_off_force(law, shape):
     """The ceiling is the plate, with gravity away from it that grows slowly."""
     made = built(law, shape)
-    system, mass = validation.lasting(made.system), float(made.system.pieces.mass[0])
+    system, mass = validation.with_permanent_pairs(made.system), float(made.system.pieces.mass[0])
     dt, steps = 2e-5, 6000
     system = system.replace(dt=jnp.asarray(dt))
-    start = made.state.moved(position=jnp.asarray([0.0, 0.0, PIECES[shape][1] - 1e-8])[:, None])
+    start = made.state.replace_motion(position=jnp.asarray([0.0, 0.0, PIECES[shape][1] - 1e-8])[:, None])
 
     @jax.jit
     @jax.vmap
     def fall(weight):
         def one(state, part):
             gravity = jnp.stack([0 * weight, 0 * weight, weight / mass * jnp.minimum(1.2 * part, 1)])
-            return stepping.advance(system.replace(gravity=gravity), state), None
+            return stepping.advance_step(system.replace(gravity=gravity), state), None
 
-        state = neighbours.rebuild(system, start)
+        state = neighbour_list.rebuild_neighbour_list(system, start)
         return jax.lax.scan(one, state, jnp.arange(steps) / steps)[0].position[2, 0]
 
     gap = np.asarray(fall(PULL_OFF * jnp.array([0.5, 0.97, 1.03, 2.0]))) - PIECES[shape][1]
@@ -149,7 +149,7 @@ def test_friction_never_reverses_and_never_exceeds_its_limit(law):
     """The limit is mu times the repulsive part F_n + A, also where the sum pulls."""
     random, n, mu = np.random.default_rng(1), 400, 0.5
     one = jnp.ones(n)
-    couple = Couple(
+    couple = MaterialPair(
         youngs_modulus=(1e6 * one, 1e9 * one),
         poisson_ratio=(0.3 * one, 0.3 * one),
         size=(0.03 * one, 0.03 * one),
@@ -160,27 +160,27 @@ def test_friction_never_reverses_and_never_exceeds_its_limit(law):
         pull_off=PULL_OFF * jnp.asarray(random.integers(0, 2, n).astype(float)),
     )
     sticky = Cohesive(law, 1.0, RANGE)
-    pair = sticky.pair(couple)
-    history = sticky.start(pair, one)
+    pair = sticky.pair_parameters(couple)
+    history = sticky.init_history(pair, one)
     overlap, pulls = np.full(n, 2e-5), 0
     for _ in range(60):
         before, overlap = overlap, overlap + random.normal(-1e-6, 3e-6, n)
         slip = random.normal(0, 1e-5, (2, n))
-        contact = Contact(
+        contact = ContactKinematics(
             jnp.asarray(overlap), jnp.asarray(overlap - before), (*jnp.asarray(slip), 0 * one), (0 * one, 0 * one, one), 1e-5 * one
         )
-        fresh = sticky.start(pair, one)._replace(tension=history.tension, bond=history.bond)
+        fresh = sticky.init_history(pair, one)._replace(tension=history.tension, bond=history.bond)
         answer = sticky.force(pair, history, contact)
-        repulsive = np.asarray(answer.push + answer.history.tension)
+        repulsive = np.asarray(answer.normal_force + answer.history.tension)
         assert (repulsive >= 0).all()
-        size = np.sqrt(sum(np.asarray(c) ** 2 for c in answer.drag))
+        size = np.sqrt(sum(np.asarray(c) ** 2 for c in answer.tangential_force))
         assert (size <= mu * repulsive * (1 + 1e-9) + 1e-12).all()
-        direct = sticky.force(pair, fresh, contact).drag  # of a spring that begins: against the slip
+        direct = sticky.force(pair, fresh, contact).tangential_force  # of a spring that begins: against the slip
         assert (direct[0] * slip[0] + direct[1] * slip[1] <= 1e-18).all()
         away = np.asarray(couple.pull_off) == 0
         assert (np.asarray(answer.history.tension)[away] == 0).all()
-        assert (np.asarray(answer.push)[overlap < -coming_up_of(pair) - RANGE] == 0).all()
-        pulls += int((np.asarray(answer.push) < 0).sum())
+        assert (np.asarray(answer.normal_force)[overlap < -coming_up_of(pair) - RANGE] == 0).all()
+        pulls += int((np.asarray(answer.normal_force) < 0).sum())
         history = answer.history
     assert pulls > 1000
 

@@ -15,10 +15,10 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from dem_jax import shapes
-from dem_jax.build import hulls as tables_of
-from dem_jax.build import walls
-from dem_jax.compiling import known
-from dem_jax.contact import collide, geometry, hulls
+from dem_jax.assembly import hull_table as tables_of
+from dem_jax.assembly import wall_panels
+from dem_jax.narrow_phase import collision_primitives, contact_geometry, hull_lookup
+from dem_jax.xla_flags import supported_options
 
 BATCH = 192  # pairs at a time: one compiled program for each table of shapes
 ROUNDING = 1e-14  # m: bodies are 0.1 m in size, a depth is a difference of sums of a few such lengths
@@ -30,7 +30,7 @@ MARSHMALLOW = shapes.chamfered_cuboid()
 CUBOID = shapes.cuboid((0.03, 0.02, 0.012))
 PANEL = shapes.cuboid((0.14, 0.12, 0.01))
 PRISM = shapes.prism(5, 0.014, 0.03)
-TETRAHEDRON = shapes.hull(np.array([(0, 0, 0), (0.04, 0, 0), (0.01, 0.035, 0), (0.012, 0.01, 0.03)]))
+TETRAHEDRON = shapes.convex_hull(np.array([(0, 0, 0), (0.04, 0, 0), (0.01, 0.035, 0), (0.012, 0.01, 0.03)]))
 CYLINDER = shapes.cylinder(0.012, 0.03, sides=9)
 
 ZONOTOPES = (MARSHMALLOW, CUBOID, PANEL)
@@ -42,13 +42,13 @@ def principal(shape):
     return shape.vertices @ Rotation.from_quat(shape.principal, scalar_first=True).as_matrix()
 
 
-@partial(jax.jit, compiler_options=known("cpu"))
+@partial(jax.jit, compiler_options=supported_options("cpu"))
 def _computed(table, ia, ib, turn, offset):
-    rel = collide.Relative(tuple(tuple(row) for row in turn), tuple(offset))
+    rel = collision_primitives.RelativePose(tuple(tuple(row) for row in turn), tuple(offset))
     if table.features is not None:
-        return geometry.polytopes(table, (ia, ib), rel)._replace(moments=None)  # a function
-    a, b = (hulls.with_faces(hulls.gather(table, i, False), table) for i in (ia, ib))
-    return collide.hull_hull(a, b, rel)._replace(moments=None)
+        return contact_geometry.polytope_contact(table, (ia, ib), rel)._replace(moments=None)  # a function
+    a, b = (hull_lookup.attach_face_loops(hull_lookup.gather_hulls(table, i, False), table) for i in (ia, ib))
+    return collision_primitives.hull_hull(a, b, rel)._replace(moments=None)
 
 
 def contact(table, ia, ib, pose_a, pose_b, dtype=np.float64):
@@ -68,7 +68,7 @@ def contact(table, ia, ib, pose_a, pose_b, dtype=np.float64):
 
 
 def table(shapes_, dtype=np.float64):
-    rows = tables_of.table(shapes_, dtype)
+    rows = tables_of.build_hull_table(shapes_, dtype)
     return jax.tree.map(jnp.asarray, rows.replace(row=rows.row.astype(np.int32)))
 
 
@@ -148,7 +148,7 @@ def test_depth_and_normal_equal_those_of_the_hull_of_all_differences(tables, kin
     inside = true[0] > 0
     # the normal may be that of a face up to 2 % deeper (collide.FACE_PREFERENCE); it points from a to b, so that
     # moving b along it by a depth larger by as much separates the two
-    still = separates(shapes_, ia, ib, pose_a, pose_b, found[1], found[0] * (1 + collide.FACE_PREFERENCE))
+    still = separates(shapes_, ia, ib, pose_a, pose_b, found[1], found[0] * (1 + collision_primitives.FACE_PREFERENCE))
     assert (still[inside] <= ROUNDING).all()
     same = np.sum(found[1] * true[1], axis=1)[inside] > 1 - 1e-9
     assert same.mean() > 0.9
@@ -242,7 +242,7 @@ def test_face_edge_and_vertex_meet_at_any_angle_down_to_exactly_parallel(tables,
     inside = true[0] > tolerance
     np.testing.assert_allclose(found[0][inside], true[0][inside], atol=tolerance, rtol=0)
     assert (found[0][true[0] < 0] <= tolerance).all()
-    further = found[0] * (1 + collide.FACE_PREFERENCE) + tolerance
+    further = found[0] * (1 + collision_primitives.FACE_PREFERENCE) + tolerance
     left = separates(ZONOTOPES, ia, ib, pose_a, pose_b, found[1], further)
     assert (left[inside] <= tolerance).all()
 
@@ -380,7 +380,7 @@ def test_the_contact_point_of_an_overlap_no_deeper_than_rounding_is_at_the_piece
     place = slope.apply(np.column_stack([random.uniform(-0.03, 0.03, (count, 2)), height]))
     depth, _, point = contact(tables["single"], 2, 0, (slope, np.zeros((count, 3))), (slope * turn, place), np.float32)
     assert (depth > 0).sum() > count / 4
-    furthest = np.linalg.norm(corners, axis=2).max() * np.sqrt(collide.FURTHEST)
+    furthest = np.linalg.norm(corners, axis=2).max() * np.sqrt(collision_primitives.MAX_RADIUS_FACTOR)
     assert np.linalg.norm(point - place, axis=1)[depth > 0].max() < furthest * (1 + 1e-5)
 
 
@@ -390,7 +390,7 @@ def test_two_spheres(tables):
     along = random.normal(size=(3, BATCH))
     along /= np.linalg.norm(along, axis=0)
     depth = random.uniform(-2e-3, 4e-3, BATCH)
-    found = collide.sphere_sphere(*radius, tuple(along * (radius.sum(0) - depth)))
+    found = collision_primitives.sphere_sphere(*radius, tuple(along * (radius.sum(0) - depth)))
     np.testing.assert_allclose(found.depth, depth, atol=1e-16)
     np.testing.assert_allclose(np.stack(found.normal), along, atol=1e-14)
     np.testing.assert_allclose(np.stack(found.point), along * (radius[0] - 0.5 * depth), atol=1e-15)
@@ -411,7 +411,7 @@ def test_a_sphere_at_a_face_an_edge_a_corner_and_inside(tables):
             edge = random.uniform() if k % 3 == 1 else 0.0
             centre[k] = two[0] + edge * (two[1] - two[0]) + random.normal(size=3) * 0.5 * radius
     rows = tables["polytopes"]
-    found = jax.jit(lambda i, c: collide.hull_sphere(hulls.gather(rows, i, True), jnp.full(i.shape, radius), tuple(c)))(
+    found = jax.jit(lambda i, c: collision_primitives.hull_sphere(hull_lookup.gather_hulls(rows, i, True), jnp.full(i.shape, radius), tuple(c)))(
         index.astype(np.int32), centre.T
     )
     true = [reference(solids[i] - c) for i, c in zip(index, centre, strict=True)]
@@ -438,7 +438,7 @@ def test_a_sphere_on_a_panel_is_one_on_the_plate_behind_it(dtype):
         turns = 2 * np.pi * (np.arange(3 + k % 5) + random.uniform(0, 0.7, 3 + k % 5)) / (3 + k % 5)
         corners = np.stack([0.05 * np.cos(turns), 0.03 * np.sin(turns), 0 * turns], axis=1)
         turned = corners @ Rotation.random(random_state=k).as_matrix()
-        panels.append(walls._plate(turned, 10 ** random.uniform(-3.5, -1.5), "panel")[0])
+        panels.append(wall_panels._build_panel(turned, 10 ** random.uniform(-3.5, -1.5), "panel")[0])
     index = random.integers(0, len(panels), 4 * BATCH).astype(np.int32)
     centre = np.empty((len(index), 3))
     for k, i in enumerate(index):
@@ -447,10 +447,10 @@ def test_a_sphere_on_a_panel_is_one_on_the_plate_behind_it(dtype):
         near = two[0] + random.uniform() * (k % 2) * (two[1] - two[0]) + random.normal(size=3) * 0.5 * radius
         within = random.dirichlet(np.ones(len(corners))) @ corners
         centre[k] = near if k % 4 < 2 else within if k % 4 == 2 else within + (0, 0, random.uniform(-1, 1) * 2 * radius)
-    table = tables_of.table(panels, np.float64)
-    true = jax.jit(collide.hull_sphere)(hulls.gather(table, index, True), np.full(index.shape, radius), tuple(centre.T))
-    plates = jax.tree.map(lambda rows: np.asarray(rows[..., index], dtype), walls._plates(panels, None))
-    found = jax.jit(collide.plate_sphere)(plates, np.full(index.shape, radius, dtype), tuple(centre.T.astype(dtype)))
+    table = tables_of.build_hull_table(panels, np.float64)
+    true = jax.jit(collision_primitives.hull_sphere)(hull_lookup.gather_hulls(table, index, True), np.full(index.shape, radius), tuple(centre.T))
+    plates = jax.tree.map(lambda rows: np.asarray(rows[..., index], dtype), wall_panels._build_plates(panels, None))
+    found = jax.jit(collision_primitives.plate_sphere)(plates, np.full(index.shape, radius, dtype), tuple(centre.T.astype(dtype)))
     depth, near = np.asarray(true.depth), {np.float64: 1e-15, np.float32: 3e-8}[dtype]
     assert (depth > radius).sum() > 100 and ((depth > 0) & (depth < radius)).sum() > 100 and (depth < 0).sum() > 50
     np.testing.assert_allclose(found.depth, depth, rtol=0, atol=near)
@@ -465,7 +465,7 @@ def test_a_sphere_never_jumps_as_its_centre_enters_a_body(tables):
     rows = tables["polytopes"]
     height = np.linspace(0.0076, 0.0084, 401)
     centre = np.stack([np.full(401, 0.003), np.full(401, 0.002), height])
-    found = jax.jit(lambda i, c: collide.hull_sphere(hulls.gather(rows, i, True), jnp.full(i.shape, 0.006), tuple(c)))(
+    found = jax.jit(lambda i, c: collision_primitives.hull_sphere(hull_lookup.gather_hulls(rows, i, True), jnp.full(i.shape, 0.006), tuple(c)))(
         np.zeros(401, np.int32), centre
     )
     np.testing.assert_allclose(found.depth, 0.014 - height, atol=1e-15)

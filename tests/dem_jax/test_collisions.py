@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 import dem_jax
-from dem_jax import build
+from dem_jax import assembly
 from dem_jax.__main__ import main
 from dem_jax.errors import RecordError, SceneError
 from dem_jax.scene import Scene
-from dem_jax.show.collisions import figure_of_collisions, maps_of, speeds_of, table
-from dem_jax.show.report import Named, content, write_report
+from dem_jax.visualization.report_page import NamedRun, compose_sheets, write_report
+from dem_jax.visualization.wall_impacts import count_impact_speeds, draw_wall_impacts, map_impacts, tabulate_impacts
 from tests.dem_jax.stored import stored
 
 RADIUS, SPEED, EPSILON = 0.01, 2.0, 0.8
@@ -66,7 +66,7 @@ def test_a_sphere_that_goes_to_and_fro_n_times_with_known_speeds_impulses_and_lo
         assert run.collision_energy[group][-1] == pytest.approx(lost, rel=1e-9)
         assert lost == pytest.approx(0.5 * mass * ((1 - EPSILON**2) * speeds[k:hits:2] ** 2).sum(), rel=2e-2)
         classes = np.histogram(before, np.linspace(0, 2.5, 26))[0]
-        np.testing.assert_array_equal(speeds_of(run)[1][group][0], classes)
+        np.testing.assert_array_equal(count_impact_speeds(run)[1][group][0], classes)
 
 
 def test_what_walls_dissipate_is_what_the_ledger_says_at_all_times():
@@ -79,14 +79,14 @@ def test_what_walls_dissipate_is_what_the_ledger_says_at_all_times():
 def test_the_maps_have_it_where_it_happened():
     run = to_and_fro()
     for group in ("floor", "roof"):
-        (panel,) = maps_of(run, group)
+        (panel,) = map_impacts(run, group)
         assert panel.number.sum() == run.collisions[group][-1] and (panel.number > 0).sum() == 1
         at = np.array(AT) @ panel.axes[:, :2].T  # in the panel's own frame
-        x, y = np.floor((at / panel.half + 1) / 2 * ASKED["cells"]).astype(int)
+        x, y = np.floor((at / panel.half_extent + 1) / 2 * ASKED["cells"]).astype(int)
         assert panel.number[y, x] == panel.number.sum()
         assert panel.energy[y, x] == pytest.approx(run.collision_energy[group][-1], rel=1e-12)
         assert panel.impulse[y, x] == pytest.approx(run.collision_impulse[group][-1], rel=1e-12)
-        np.testing.assert_allclose(panel.half, SIDE)
+        np.testing.assert_allclose(panel.half_extent, SIDE)
 
 
 def test_slow_touches_are_not_counted_but_do_their_work():
@@ -106,21 +106,21 @@ def test_a_run_goes_on_with_its_statistics_and_ensembles_have_them_for_each_run(
     np.testing.assert_array_equal(resumed.collision_energy["floor"], to_and_fro().collision_energy["floor"])
     two = dem_jax.ensemble(scene(), runs=2)
     assert two.info["collisions"]["runs"] == 2 * to_and_fro().info["collisions"]["runs"]
-    assert maps_of(two, "floor")[0].number.sum() == maps_of(to_and_fro(), "floor")[0].number.sum()  # of the mean
+    assert map_impacts(two, "floor")[0].number.sum() == map_impacts(to_and_fro(), "floor")[0].number.sum()  # of the mean
 
 
 def test_nothing_is_computed_or_kept_unless_it_is_asked_for():
-    built = build.build(scene(statistics=None))
+    built = assembly.assemble_system(scene(statistics=None))
     assert built.system.statistics is None and built.state.collisions is None
     assert not [q.name for q in built.system.quantities if q.name.startswith("collision")]
-    asked = build.build(scene())
+    asked = assembly.assemble_system(scene())
     assert [q.name for q in asked.system.quantities if q.name.startswith("collision")] == [
         "collisions", "collision_impulse", "collision_energy",
     ]  # fmt: skip
     plain = dem_jax.simulate(scene(statistics=None))
     np.testing.assert_allclose(plain.force["floor"], to_and_fro().force["floor"], rtol=1e-9, atol=1e-9)
     with pytest.raises(RecordError, match=r"allowed: one of a scene with \[statistics\]"):
-        table(plain)
+        tabulate_impacts(plain)
 
 
 def drop(**run):
@@ -142,10 +142,10 @@ def test_a_box_on_a_swinging_bucket_whose_flaps_open_balances_with_the_ledger():
     assert scale > 1e-4 and np.abs(run.energy["wall_work"]).max() > 0.01 * scale  # moving walls take part
     np.testing.assert_allclose(both, run.energy["dissipated"], atol=1e-11 * scale)
     for name in groups:
-        maps = maps_of(run, name)
+        maps = map_impacts(run, name)
         assert sum(each.number.sum() for each in maps) == run.collisions[name][-1]
         assert sum(each.impulse.sum() for each in maps) == pytest.approx(run.collision_impulse[name][-1], rel=1e-9)
-    flaps = maps_of(run, "wb_flaps")
+    flaps = map_impacts(run, "wb_flaps")
     assert len(flaps) == 2 and sum(each.number.sum() for each in flaps) >= 3
 
 
@@ -155,7 +155,7 @@ def test_the_command_prints_and_draws(tmp_path, capsys):
     out = capsys.readouterr().out
     number = to_and_fro().collisions["floor"][-1]
     assert f"floor: number: {number:.4g} collisions" in out and "roof: fastest: 1.6" in out and "ball-collisions.png" in out
-    figure = figure_of_collisions(to_and_fro(), "floor")
+    figure = draw_wall_impacts(to_and_fro(), "floor")
     speeds, panel = figure.axes[:2]
     assert speeds.get_xlabel() == "impact speed (m/s)" and panel.get_xlabel() == "along x (mm)"
     image = panel.get_images()[0].get_array()  # turned so that x goes right and y up
@@ -182,11 +182,11 @@ def test_what_cannot_be_asked_is_said(asked, words):
 def test_there_is_nothing_to_hit_without_walls():
     with pytest.raises(SceneError, match=r"no \[statistics\] in a scene without walls"):
         two = [{"shape": "sphere", "radius": RADIUS, "position": (0.0, 0.1 * k, 0.0)} for k in (0, 1)]
-        build.build(scene().replace(wall=[], piece=two))
+        assembly.assemble_system(scene().replace(wall=[], piece=two))
 
 
 def test_a_report_has_the_map_of_collisions():
     page = write_report(["ball"], [to_and_fro()], "ball.html").read_text()
-    assert "<h2>Collisions</h2>" in page and page.count("<img") == 3 and all(line in page for line in table(to_and_fro()))
+    assert "<h2>Collisions</h2>" in page and page.count("<img") == 3 and all(line in page for line in tabulate_impacts(to_and_fro()))
     assert "Collisions" not in write_report(["plain"], [stored()], "plain.html").read_text()
-    assert "Collisions: ball" in [sheet.head for sheet in content([Named("ball", to_and_fro())])]
+    assert "Collisions: ball" in [sheet.head for sheet in compose_sheets([NamedRun("ball", to_and_fro())])]

@@ -10,15 +10,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dem_jax import build, compiling
-from dem_jax.contact import blocks
-from dem_jax.drive import programs
-from dem_jax.drive.interface import simulate
-from dem_jax.drive.prepare import slot_block
-from dem_jax.maths import vector
-from dem_jax.pairs import guard
+from dem_jax import assembly, xla_flags
+from dem_jax.broad_phase import overflow_recovery
+from dem_jax.contacts import tiling
+from dem_jax.dynamics import stepping
+from dem_jax.math import vector
+from dem_jax.runner import programs
+from dem_jax.runner.interface import simulate
+from dem_jax.runner.job_setup import choose_slot_block
 from dem_jax.scene import load_scene
-from dem_jax.step import stepping
 
 BASE = {"run.duration": 6e-4, "portion.settling_time": 6e-4, "portion.count": 3}
 
@@ -40,9 +40,9 @@ SAME_PROGRAM = {
 def traces(monkeypatch):
     """Counts how often a step is traced."""
     count = []
-    advance = stepping.advance
-    monkeypatch.setattr(stepping, "advance", lambda *args: count.append(1) or advance(*args))
-    monkeypatch.setattr(programs, "KEPT", {})
+    advance = stepping.advance_step
+    monkeypatch.setattr(stepping, "advance_step", lambda *args: count.append(1) or advance(*args))
+    monkeypatch.setattr(programs, "EXECUTABLES", {})
     return count
 
 
@@ -53,11 +53,11 @@ def test_other_values_do_not_compile_anew(traces):
 
     go({})
     first = len(traces)
-    assert first > 0 and len(programs.KEPT) == 1
+    assert first > 0 and len(programs.EXECUTABLES) == 1
     for name, changes in SAME_PROGRAM.items():
         result = go(changes, seed=1)
         assert np.isfinite(result.energy["kinetic"]).all()
-        assert len(traces) == first and len(programs.KEPT) == 1, name
+        assert len(traces) == first and len(programs.EXECUTABLES) == 1, name
     go({"portion.count": 4})
     assert len(traces) == 2 * first  # the count of pieces is part of the program: the test can fail
 
@@ -65,19 +65,19 @@ def test_other_values_do_not_compile_anew(traces):
 def test_flags_of_the_person_are_left_alone(monkeypatch):
     mine = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=7"
     monkeypatch.setenv("XLA_FLAGS", mine)
-    compiling.loops_as_one()
+    xla_flags.set_loop_flags()
     assert os.environ["XLA_FLAGS"] == mine
     monkeypatch.setenv("XLA_FLAGS", "--xla_cpu_enable_fast_math=false")
-    monkeypatch.setattr(compiling, "is_in_use", lambda: False)
-    compiling.loops_as_one()
-    compiling.loops_as_one(unrolled=True)  # the first call decides
-    assert os.environ["XLA_FLAGS"] == f"--xla_cpu_enable_fast_math=false {compiling.LOOPS},{compiling.NOT_UNROLLED}"
+    monkeypatch.setattr(xla_flags, "is_xla_in_use", lambda: False)
+    xla_flags.set_loop_flags()
+    xla_flags.set_loop_flags(unrolled=True)  # the first call decides
+    assert os.environ["XLA_FLAGS"] == f"--xla_cpu_enable_fast_math=false {xla_flags.LOOP_FLAGS},{xla_flags.NO_PARTIAL_UNROLLING}"
 
 
 def test_of_an_ensemble_loops_are_unrolled():
     program = (
-        "import os, sys; from dem_jax.drive.prepare import prepare\n"
-        "prepare('quick-release', [0], 1 if sys.argv[1] == 'ensemble' else None)\n"
+        "import os, sys; from dem_jax.runner.job_setup import prepare_job\n"
+        "prepare_job('quick-release', [0], 1 if sys.argv[1] == 'ensemble' else None)\n"
         "print(os.environ['XLA_FLAGS'])"
     )
     settings = {name: value for name, value in os.environ.items() if name != "XLA_FLAGS"}
@@ -87,28 +87,28 @@ def test_of_an_ensemble_loops_are_unrolled():
         done = subprocess.run([sys.executable, "-c", program, which], env=settings, capture_output=True, text=True)
         assert not done.returncode and "Warning" not in done.stderr, done.stderr
         said[which] = done.stdout.strip()
-    assert said == {"ensemble": compiling.LOOPS, "run": f"{compiling.LOOPS},{compiling.NOT_UNROLLED}"}
+    assert said == {"ensemble": xla_flags.LOOP_FLAGS, "run": f"{xla_flags.LOOP_FLAGS},{xla_flags.NO_PARTIAL_UNROLLING}"}
 
 
 def test_a_warning_says_that_it_is_too_late_to_make_one_function_of_each_loop(monkeypatch):
     jnp.ones(()).block_until_ready()
-    compiling.loops_as_one()  # said in time, by conftest.py
+    xla_flags.set_loop_flags()  # said in time, by conftest.py
     monkeypatch.setenv("XLA_FLAGS", "")
-    with pytest.warns(RuntimeWarning, match=r"two to three times as long.* call dem_jax.compiling.loops_as_one\(\) before"):
-        compiling.loops_as_one()
+    with pytest.warns(RuntimeWarning, match=r"two to three times as long.* call dem_jax.xla_flags.set_loop_flags\(\) before"):
+        xla_flags.set_loop_flags()
 
 
 def test_whether_jax_is_in_use_is_known_and_changes_nothing():
     program = (
-        "import os, jax; from dem_jax import compiling\n"
-        "print(compiling.is_in_use(), compiling.is_in_use(), len(jax.devices()), compiling.is_in_use())"
+        "import os, jax; from dem_jax import xla_flags\n"
+        "print(xla_flags.is_xla_in_use(), xla_flags.is_xla_in_use(), len(jax.devices()), xla_flags.is_xla_in_use())"
     )
     settings = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "JAX_NUM_CPU_DEVICES": "3"}
     done = subprocess.run([sys.executable, "-c", program], env=settings, capture_output=True, text=True)
     assert done.stdout.split() == ["False", "False", "3", "True"], done.stderr
     devices = jax.config.jax_num_cpu_devices
     jnp.ones(()).block_until_ready()
-    assert compiling.is_in_use() and jax.config.jax_num_cpu_devices == devices
+    assert xla_flags.is_xla_in_use() and jax.config.jax_num_cpu_devices == devices
 
 
 GONE = {"xla_cpu_use_fusion_emitters"} if jax.__version_info__ >= (0, 11) else set()  # options that a version has no more
@@ -116,10 +116,10 @@ GONE = {"xla_cpu_use_fusion_emitters"} if jax.__version_info__ >= (0, 11) else s
 
 def test_every_option_is_known_to_the_compiler():
     """To those of all versions that are supported: one that a new version lacks shows here."""
-    rest = {name: value for name, value in compiling.OPTIONS["cpu"].items() if name not in GONE}
-    assert compiling.known("cpu") == rest
-    assert compiling.known("cpu", light=True) == rest | compiling.LIGHT["cpu"]
-    compiled = compiling.jit(lambda x: x + 1, "cpu")
+    rest = {name: value for name, value in xla_flags.BACKEND_OPTIONS["cpu"].items() if name not in GONE}
+    assert xla_flags.supported_options("cpu") == rest
+    assert xla_flags.supported_options("cpu", light=True) == rest | xla_flags.FAST_COMPILE_OPTIONS["cpu"]
+    compiled = xla_flags.jit_for_backend(lambda x: x + 1, "cpu")
     assert float(compiled(jnp.ones(()))) == 2.0
 
 
@@ -153,16 +153,16 @@ def test_what_is_left_to_compile_does_not_grow_unseen(tmp_path):
 )
 def test_single_runs_of_few_slots_are_compiled_lightly(name, changes, light):
     """Their steps are nearly as fast so, and the others slower."""
-    built = build.build(load_scene(name).replace({"run.precision": "f32"} | changes))
-    assert programs.is_light(built.system) is light
+    built = assembly.assemble_system(load_scene(name).replace({"run.precision": "f32"} | changes))
+    assert programs.needs_fast_compile(built.system) is light
 
 
 def test_lightly_compiled_steps_have_the_same_bits(monkeypatch):
     scene = load_scene("plate-drop")
     runs = []
-    for slots in (programs.LIGHT_SLOTS, 0):
-        monkeypatch.setattr(programs, "LIGHT_SLOTS", slots)
-        monkeypatch.setattr(programs, "KEPT", {})
+    for slots in (programs.FAST_COMPILE_SLOTS, 0):
+        monkeypatch.setattr(programs, "FAST_COMPILE_SLOTS", slots)
+        monkeypatch.setattr(programs, "EXECUTABLES", {})
         runs.append(simulate(scene))
     one, other = runs
     assert one.force["plate"].any()
@@ -171,12 +171,12 @@ def test_lightly_compiled_steps_have_the_same_bits(monkeypatch):
 
 
 def test_options_that_the_compiler_does_not_have_are_not_asked_for(monkeypatch):
-    wanted = compiling.OPTIONS["cpu"]
-    monkeypatch.setitem(compiling.OPTIONS, "cpu", wanted | {"xla_cpu_of_another_version": True})
-    assert compiling.known("cpu") == {name: value for name, value in wanted.items() if name not in GONE}
-    compiled = compiling.jit(lambda x: x + 2, "cpu")
+    wanted = xla_flags.BACKEND_OPTIONS["cpu"]
+    monkeypatch.setitem(xla_flags.BACKEND_OPTIONS, "cpu", wanted | {"xla_cpu_of_another_version": True})
+    assert xla_flags.supported_options("cpu") == {name: value for name, value in wanted.items() if name not in GONE}
+    compiled = xla_flags.jit_for_backend(lambda x: x + 2, "cpu")
     assert float(compiled(jnp.ones(()))) == 3.0
-    assert compiling.known("another") == {}
+    assert xla_flags.supported_options("another") == {}
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
@@ -185,16 +185,16 @@ def test_what_is_kept_is_the_same_to_the_last_bit(dtype):
     hard = [0.0, -0.0, 1 / 3, -1.0, np.inf, -np.inf, info.max, -info.tiny, np.nan]
     x = np.concatenate([np.array(hard, dtype), np.random.default_rng(0).normal(size=100).astype(dtype)])
     unsigned = {np.float32: np.uint32, np.float64: np.uint64}[dtype]
-    for kept in (vector.kept, jax.jit(vector.kept)):
+    for kept in (vector.fusion_barrier, jax.jit(vector.fusion_barrier)):
         np.testing.assert_array_equal(np.asarray(kept(jnp.asarray(x))).view(unsigned), x.view(unsigned))
-    for gradient in (jax.grad(lambda x: 3 * vector.kept(x)), jax.jacfwd(lambda x: 3 * vector.kept(x))):
+    for gradient in (jax.grad(lambda x: 3 * vector.fusion_barrier(x)), jax.jacfwd(lambda x: 3 * vector.fusion_barrier(x))):
         assert float(gradient(jnp.asarray(0.7, dtype))) == 3
 
 
 def test_whole_numbers_that_are_kept_are_the_same():
     info = np.iinfo(np.int32)
     x = jnp.asarray([0, 1, -1, 7, info.max, info.min], jnp.int32)
-    for kept in (vector.kept, jax.jit(vector.kept)):
+    for kept in (vector.fusion_barrier, jax.jit(vector.fusion_barrier)):
         np.testing.assert_array_equal(kept(x), x)
 
 
@@ -206,18 +206,18 @@ def test_what_is_kept_is_computed_once_by_the_compiled_program():
 
     def kernels(kept):
         ones = jnp.ones(64)
-        text = compiling.jit(lambda a, b: three(kept, a, b), "cpu").lower(ones, ones).compile().as_text()
+        text = xla_flags.jit_for_backend(lambda a, b: three(kept, a, b), "cpu").lower(ones, ones).compile().as_text()
         return text.count("kind=kLoop")
 
-    assert kernels(vector.kept) == kernels(lambda x: x) + 1
+    assert kernels(vector.fusion_barrier) == kernels(lambda x: x) + 1
 
 
 def test_loads_of_contacts_are_not_padded_by_the_compiled_program():
     # Padding reads on, masked, past the end of what is padded: several times the time of a step if those pages are unused.
     scene = load_scene("quick-release").replace(BASE)
-    built = build.build(scene, 0)
+    built = assembly.assemble_system(scene, 0)
     rows = 2 * sum(slots for *_, slots in built.system.capacity) + 1
-    text = compiling.jit(stepping.step, "cpu").lower(built.system, built.state).compile().as_text()
+    text = xla_flags.jit_for_backend(stepping.step, "cpu").lower(built.system, built.state).compile().as_text()
     assert f"f32[7,{rows}]" in text
     assert not re.search(rf"f32\[7,{rows}\]\S* pad\(", text)
 
@@ -225,14 +225,14 @@ def test_loads_of_contacts_are_not_padded_by_the_compiled_program():
 @pytest.mark.parametrize("shape", [{}, {"portion.shape": "sphere", "portion.radius": 0.01}], ids=["polytopes", "spheres"])
 def test_a_step_writes_over_history_and_loads(shape):
     """Else 28 MB would be copied in each step of 50 000 spheres."""
-    built = build.build(load_scene("quick-release").replace(BASE | shape), 0)
+    built = assembly.assemble_system(load_scene("quick-release").replace(BASE | shape), 0)
     rooms = {kind: 1024 + 64 * k for k, (kind, *_) in enumerate(built.system.capacity)}
     capacity = tuple((kind, near, rooms[kind]) for kind, near, _ in built.system.capacity)
-    system, state = guard.with_capacity(built.system, built.state, capacity, built.system.touching, 1)
-    system = system.replace(slot_block=slot_block())
-    assert all(blocks.block_size(system, kind, room) for kind, room in rooms.items())
-    steps = lambda system, state: jax.lax.fori_loop(0, 9, lambda _, state: stepping.advance(system, state), state)  # noqa: E731
-    text = compiling.jit(steps, "cpu").lower(system, state).compile().as_text()
+    system, state = overflow_recovery.with_capacity(built.system, built.state, capacity, built.system.touching, 1)
+    system = system.replace(slot_block=choose_slot_block())
+    assert all(tiling.tile_size(system, kind, room) for kind, room in rooms.items())
+    steps = lambda system, state: jax.lax.fori_loop(0, 9, lambda _, state: stepping.advance_step(system, state), state)  # noqa: E731
+    text = xla_flags.jit_for_backend(steps, "cpu").lower(system, state).compile().as_text()
     loop, entry = text.split("\nENTRY ")
     sizes = "|".join(map(str, [*rooms.values(), 2 * sum(rooms.values()) + 1]))
     copies = rf"(f32|s32)\[(\d,)?({sizes})\]\S* copy\("

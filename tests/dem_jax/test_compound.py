@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dem_jax import build, compiling, validation
-from dem_jax.drive.interface import ensemble, resume, simulate
-from dem_jax.maths import rotation
-from dem_jax.pairs import guard, neighbours
+from dem_jax import assembly, validation, xla_flags
+from dem_jax.broad_phase import neighbour_list, overflow_recovery
+from dem_jax.dynamics import stepping
+from dem_jax.math import quaternions
+from dem_jax.runner.interface import ensemble, resume, simulate
 from dem_jax.scene import Scene, load_scene
-from dem_jax.step import stepping
 from dem_jax.validation import EccentricImpact
 
 SAMPLES = 1024  # capacity of a chunk
@@ -46,13 +46,13 @@ TUBE = {"shape": "tube", "outer_radius": 0.012, "inner_radius": 0.009, "height":
 
 def started(piece, **run):
     settings = {"precision": "f64", "sample": 2e-5, "frames": 0.0} | run
-    return build.build(load_scene("plate-drop").replace(piece=[piece], run=settings), 0)
+    return assembly.assemble_system(load_scene("plate-drop").replace(piece=[piece], run=settings), 0)
 
 
 def run(made, samples):
     """The last state and the samples, numpy."""
-    state, recorded, _ = stepping.chunk(made.system, made.state, np.int32(samples), np.int32(1), samples=SAMPLES, frames=0)
-    assert not guard.outgrown(made.system, jax.device_get(state.guard))
+    state, recorded, _ = stepping.run_compiled_chunk(made.system, made.state, np.int32(samples), np.int32(1), samples=SAMPLES, frames=0)
+    assert not overflow_recovery.describe_overflow(made.system, jax.device_get(state.guard))
     return state, jax.tree.map(lambda x: np.asarray(x)[:samples], recorded)
 
 
@@ -88,7 +88,7 @@ def pressed(piece, height):
     pose = {"position": (0.0, 0.0, height + DEEP), "velocity": (0.0, 0.0, -1.0)}
     made = started(piece | pose, gravity=(0.0, 0.0, 0.0))
     system = made.system.replace(dt=jnp.full_like(made.system.dt, 2 * DEEP), resolved=jnp.zeros_like(made.system.resolved))
-    state = jax.jit(lambda s: stepping.advance(system, neighbours.rebuild(system, s)))(made.state)
+    state = jax.jit(lambda s: stepping.advance_step(system, neighbour_list.rebuild_neighbour_list(system, s)))(made.state)
     return made, state, float(state.motion.force[2, 0])
 
 
@@ -119,9 +119,9 @@ def test_an_eccentric_impact_on_one_ball_of_two():
     low = -0.01 - 0.01 * np.sin(angle)
     piece = BALLS | {"position": (0, 0, 1e-7 - low), "orientation": tuple(q.tolist()), "velocity": (0, 0, -1.0)}
     scene = validation.plate_scene(piece, softening=100.0, restitution=0.5, separation=0.0, friction_wall=0.0)
-    made = build.build(scene)
+    made = assembly.assemble_system(scene)
     assert made.system.has_rotation and made.system.has_hulls and made.system.hulls is None
-    system = validation.lasting(made.system)
+    system = validation.with_permanent_pairs(made.system)
     turn = Rotation.from_quat(np.roll(np.asarray(made.state.orientation[:, 0]), -1)).as_matrix()
     inertia = turn @ np.diag(np.asarray(system.pieces.inertia[:, 0])) @ turn.T
     arm = Rotation.from_rotvec([0, angle, 0]).apply([0.01, 0, 0]) - [0, 0, 0.01]
@@ -136,8 +136,8 @@ def test_an_eccentric_impact_on_one_ball_of_two():
         restitution=0.5,
     )
     steps = int(2 * exact.duration / float(system.dt)) + 20
-    state, seen = jax.jit(lambda s: validation.trace(system, s, steps, validation.motion))(made.state)
-    omega = rotation.angular_velocity(tuple(state.orientation), tuple(state.angular_momentum), tuple(system.pieces.inertia))
+    state, seen = jax.jit(lambda s: validation.trace_motion(system, s, steps, validation.read_motion))(made.state)
+    omega = quaternions.angular_velocity(tuple(state.orientation), tuple(state.angular_momentum), tuple(system.pieces.inertia))
     # 1 %: ten steps to a quarter period of unloading
     assert np.max(seen["force"]) == pytest.approx(exact.peak_force, rel=1e-2)
     np.testing.assert_allclose(np.asarray(state.velocity[:, 0]), exact.velocity_after, atol=1e-2)
@@ -174,7 +174,7 @@ def mixed():
 def test_momentum_and_energy_balance_in_a_box(mixed):
     """The walls' impulse and gravity make the momentum, to rounding. What the sum of energies is off by is the error of the
     steps, of second order: 7.6e-5 of the largest kinetic energy, and 4.00 times less with each half of the step."""
-    mass = np.asarray(build.build(boxed(MIXED)).system.pieces.mass)
+    mass = np.asarray(assembly.assemble_system(boxed(MIXED)).system.pieces.mass)
     gravity = 9.81 * mass.sum()
     p = np.asarray(mixed.momentum)
     impulse = np.cumsum(-np.asarray(mixed.mean_force["box"])[:, 2] - gravity) * 1e-4
@@ -206,11 +206,11 @@ def test_parts_of_a_piece_never_touch_each_other():
     """Overlapping parts in free flight: no candidates, no force."""
     cross = compound([box((0.05, 0.01, 0.01), (0, 0, 0)), box((0.01, 0.05, 0.01), (0, 0, 0))])
     made = started(cross | {"position": (0, 0, 0.2)})
-    state = jax.jit(lambda state: neighbours.rebuild(validation.lasting(made.system), state))(made.state)
+    state = jax.jit(lambda state: neighbour_list.rebuild_neighbour_list(validation.with_permanent_pairs(made.system), state))(made.state)
     table = state.contacts["hulls"]
     live = np.asarray(table.a) >= 0
     assert live.any() and (np.asarray(table.a)[live] >= made.system.parts.count).all()  # with the plate only
-    assert not np.any(jax.jit(lambda state: stepping.advance(made.system, state))(state).motion.force)
+    assert not np.any(jax.jit(lambda state: stepping.advance_step(made.system, state))(state).motion.force)
 
 
 UPRIGHT = pytest.param(TUBE, 0.0150, marks=pytest.mark.long)
@@ -230,11 +230,11 @@ def test_derivatives_are_finite():
     made = started(blocks(2, 1, 1) | {"position": (0, 0, 0.0101), "orientation": (1, 0.02, 0.03, 0), "velocity": (0, 0, -0.5)})
 
     def height(speed):
-        state = made.state.moved(velocity=made.state.velocity.at[2].set(speed))
+        state = made.state.replace_motion(velocity=made.state.velocity.at[2].set(speed))
         return stepping.rollout(made.system, state, 20, 4)[0].velocity[2, 0]
 
     # Few steps: all the time goes into compiling, which is quickest where LLVM does not optimise.
-    options = compiling.known("cpu") | {"xla_backend_optimization_level": 0}
+    options = xla_flags.supported_options("cpu") | {"xla_backend_optimization_level": 0}
     derivative = jax.jit(lambda speed: jax.jvp(height, (speed,), (jnp.ones(()),)), compiler_options=options)
     value, slope = derivative(jnp.float64(-0.5))
     assert np.isfinite(value) and np.isfinite(slope) and float(slope) != 0

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dem_jax import build, validation
-from dem_jax.pairs import guard, search
+from dem_jax import assembly, validation
+from dem_jax.broad_phase import candidate_search, overflow_recovery
+from dem_jax.dynamics import observables, stepping
 from dem_jax.scene import Scene, load_scene
-from dem_jax.step import measure, stepping
 
 SAMPLES = 1024  # capacity of a chunk
 PART = 200  # steps of an impact at a time, whatever the time step: one program for all
@@ -20,23 +20,23 @@ PART = 200  # steps of an impact at a time, whatever the time step: one program 
 def built(scene, skin=None):
     """The scene's system and first state; skin (m): larger than its own, so that a chunk never has to be run again, and
     with room for all pairs."""
-    made = build.build(scene, 0)
+    made = assembly.assemble_system(scene, 0)
     if not skin:
         return made
     system = made.system.replace(skin=made.system.skin * 0 + skin)
     counts = system.parts.polytopes.shape[0], system.parts.spheres.shape[0], system.walls.group.shape[0]
-    room = tuple((kind, *[search.pair_count(kind, *counts)] * 2) for kind, *_ in system.capacity)
-    system, state = guard.with_capacity(system, made.state, room, system.touching, system.row_capacity)
+    room = tuple((kind, *[candidate_search.pair_count(kind, *counts)] * 2) for kind, *_ in system.capacity)
+    system, state = overflow_recovery.with_capacity(system, made.state, room, system.touching, system.row_capacity)
     return replace(made, system=system, state=state)
 
 
 def run(made, samples, finer=1, state=None):
     """The state after some samples, and the samples, as numpy; finer: steps per step of the scene."""
-    system = validation.refined(made.system, finer)
+    system = validation.with_finer_steps(made.system, finer)
     count, every = np.int32(samples), np.int32(1)
     start = made.state if state is None else state
-    state, recorded, _ = stepping.chunk(system, start, count, every, samples=SAMPLES, frames=0)
-    assert not guard.outgrown(system, jax.device_get(state.guard))
+    state, recorded, _ = stepping.run_compiled_chunk(system, start, count, every, samples=SAMPLES, frames=0)
+    assert not overflow_recovery.describe_overflow(system, jax.device_get(state.guard))
     return state, jax.tree.map(lambda x: np.asarray(x)[:samples], recorded)
 
 
@@ -177,14 +177,14 @@ def test_energy_never_grows_in_an_impact_that_tips_and_turns(restitution, fricti
     What may come from nothing is the work on the separation line, lambda = 0.1 % of the work of loading, as the overlap
     grows by turning, and what the time step leaves, which falls with its square.
     """
-    made = build.build(validation.plate_scene({}, restitution=restitution, friction_wall=friction), 0)
+    made = assembly.assemble_system(validation.plate_scene({}, restitution=restitution, friction_wall=friction), 0)
     turns = Rotation.random(24, random_state=4)
     frame = Rotation.from_quat(made.frames[0], scalar_first=True)  # principal to body
     height = [1e-5 - turn.apply(made.shapes[0].vertices)[:, 2].min() for turn in turns]
     start = jnp.array(height), jnp.asarray((turns * frame).as_quat(scalar_first=True))
     rise = []
     for finer in (1, 2):
-        system = validation.lasting(made.system).replace(dt=made.system.dt / finer)
+        system = validation.with_permanent_pairs(made.system).replace(dt=made.system.dt / finer)
         states, parts = impacts(made.state, *start), []
         for _ in range(round(6e-3 / float(system.dt) / PART)):
             states, energy = impact_energies(system, states)
@@ -203,7 +203,7 @@ def impacts(state, heights, orientations):
 
     def one(height, orientation):
         zero = jnp.zeros_like(height)
-        return state.moved(
+        return state.replace_motion(
             position=jnp.stack([zero, zero, height])[:, None],
             orientation=orientation[:, None],
             velocity=jnp.stack([zero, zero, zero - 2])[:, None],
@@ -215,8 +215,8 @@ def impacts(state, heights, orientations):
 @jax.jit
 def impact_energies(system, states):
     """The states [K] after a part of the run, and their energies [K, PART, 6] on the way."""
-    energies = lambda system, state: measure.energies(system, state)[:, 0]  # noqa: E731
-    return jax.vmap(lambda state: validation.trace(system, state, PART, energies))(states)
+    energies = lambda system, state: observables.energy_terms(system, state)[:, 0]  # noqa: E731
+    return jax.vmap(lambda state: validation.trace_motion(system, state, PART, energies))(states)
 
 
 def box(restitution):

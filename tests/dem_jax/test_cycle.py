@@ -6,12 +6,12 @@ import jax
 import numpy as np
 import pytest
 
-from dem_jax import build
-from dem_jax.drive import settled
+from dem_jax import assembly
 from dem_jax.errors import SceneError
-from dem_jax.scene import load_scene, parse
-from dem_jax.scene.cycle import timed
-from dem_jax.show.cycles import cycles_said, during, numbers_of_cycle, windows_of
+from dem_jax.runner import stop_criterion
+from dem_jax.scene import load_scene, parse_scene
+from dem_jax.scene.cycle_timing import apply_cycle
+from dem_jax.visualization.cycle_metrics import compute_cycle_metrics, cut_cycle_window, describe_cycles, find_cycle_windows
 from tests.dem_jax.stored import G, stored
 
 PERIOD = 1.3
@@ -30,11 +30,11 @@ def station(**changes):
 def motions(scene):
     """The walls' groups, and how far flaps are open and the pan is out, of every ms through three cycles and a little more."""
     with jax.enable_x64(True):
-        panels, sections, joint, *_ = build.walls.walls_of(scene)
-        walls = build.walls.wall_arrays(scene, panels, sections, joint, np.float64)[0]
+        panels, sections, joint, *_ = assembly.wall_panels.lay_out_walls(scene)
+        walls = assembly.wall_panels.build_walls(scene, panels, sections, joint, np.float64)[0]
         hinge, vibration = walls.motions
         time = np.arange(-200, 3 * 1300 + 200) / 1000
-        return walls.groups.index, time, np.array(jax.vmap(hinge.opened)(time)), np.array(jax.vmap(vibration.displacement)(time))
+        return walls.groups.index, time, np.array(jax.vmap(hinge.opening_fraction)(time)), np.array(jax.vmap(vibration.relative_displacement)(time))
 
 
 def test_walls_move_as_table_1_says_in_each_of_three_cycles():
@@ -63,7 +63,7 @@ def test_one_cycle_is_the_station_as_it_was():
 
 
 def test_a_delay_moves_what_it_should():
-    late = timed(station(fb={"opens": [0.1, 0.18], "closes": [0.3, 0.4]}, lf=[0.4, 1.0], period=1.2))
+    late = apply_cycle(station(fb={"opens": [0.1, 0.18], "closes": [0.3, 0.4]}, lf=[0.4, 1.0], period=1.2))
     assert late.weigh_bucket.opening_start == pytest.approx(-0.1)  # time zero is when FB opens
     assert late.feed_bucket.opening_start == 0.0
     assert late.feed_bucket.open_dwell == pytest.approx(0.12) and late.feed_bucket.closing_time == pytest.approx(0.1)
@@ -95,22 +95,22 @@ def test_a_cycle_needs_what_it_moves_and_never_rests():
         load_scene("weigh-bucket").replace(cycle=CYCLE)
     scene = station().replace(run={"until_settled": True})
     with pytest.raises(SceneError, match=r"the walls never rest: \[cycle\] goes on"):
-        settled.rule_of(scene, None, 0, 1)
+        stop_criterion.build_criterion(scene, None, 0, 1)
 
 
 def test_a_scene_with_a_cycle_is_written_and_read():
     scene = station()
-    assert parse(scene.to_toml()) == scene
-    assert parse('base = "weighing-station"\n[cycle]\n' + scene.to_toml().split("[cycle]\n")[1].split("\n[")[0] + "\n" + "\n".join(
+    assert parse_scene(scene.to_toml()) == scene
+    assert parse_scene('base = "weighing-station"\n[cycle]\n' + scene.to_toml().split("[cycle]\n")[1].split("\n[")[0] + "\n" + "\n".join(
         f'[cycle.{name}]\nopens = {CYCLE[name]["opens"]}\ncloses = {CYCLE[name]["closes"]}' for name in ("wb", "fb")
     )).cycle == scene.cycle  # fmt: skip
 
 
 def test_each_cycle_has_its_dose_its_peak_and_its_time_to_rest():
     scene = station()
-    windows = windows_of(scene, 3 * PERIOD)
+    windows = find_cycle_windows(scene, 3 * PERIOD)
     assert [(w.number, round(w.begin, 9), round(w.end, 9)) for w in windows] == [(1, 0.11, 1.22), (2, 1.41, 2.52), (3, 2.71, 3.82)]
-    assert len(windows_of(scene, 3 * PERIOD - 0.09)) == 2 and not windows_of(load_scene("weighing-station"), 3.0)
+    assert len(find_cycle_windows(scene, 3 * PERIOD - 0.09)) == 2 and not find_cycle_windows(load_scene("weighing-station"), 3.0)
     time = 1e-3 * np.arange(1, 3901)
     grams, kg = np.zeros(3900), np.zeros(3900)
     for k, dose in enumerate((11.0, 22.0, 33.0)):
@@ -123,12 +123,12 @@ def test_each_cycle_has_its_dose_its_peak_and_its_time_to_rest():
     series = {"force": force, "mean_force": force, "settled_mass": {"wb": 1e-3 * grams}}
     run = replace(plain, header=replace(plain.header, scene=scene.to_toml()), time=time, series=series, pieces=None)
     for window, dose, peak in zip(windows, (11.0, 22.0, 33.0), (1.0, 2.0, 3.0), strict=True):
-        dosed, highest, rest = numbers_of_cycle(run, window)
+        dosed, highest, rest = compute_cycle_metrics(run, window)
         assert dosed.median == pytest.approx(dose) and highest.median == pytest.approx(peak + 1e-3 * dose)
         assert rest.median == pytest.approx(30.0, abs=1.1)  # ms, of samples of 1 ms
-        assert np.all((during(run, window).time > window.begin) & (during(run, window).time <= window.end))
-    assert cycles_said(run)[1].startswith("cycle 2: dosed 22 g, peak force 2.02 kg, time to rest ")
-    assert len(cycles_said(run)) == 3
+        assert np.all((cut_cycle_window(run, window).time > window.begin) & (cut_cycle_window(run, window).time <= window.end))
+    assert describe_cycles(run)[1].startswith("cycle 2: dosed 22 g, peak force 2.02 kg, time to rest ")
+    assert len(describe_cycles(run)) == 3
 
 
 def test_each_cycle_says_what_its_buckets_hold_and_what_came_and_went():
@@ -140,8 +140,8 @@ def test_each_cycle_says_what_its_buckets_hold_and_what_came_and_went():
     series["piece_count"] = {"inside": 13 + came - gone, "brought_in": came, "taken_out": gone}
     plain = stored()
     run = replace(plain, header=replace(plain.header, scene=scene.to_toml()), time=time, series=series, pieces=None)
-    found = [{n.name: n.median for n in numbers_of_cycle(run, window)} for window in windows_of(scene, 3.9)]
+    found = [{n.name: n.median for n in compute_cycle_metrics(run, window)} for window in find_cycle_windows(scene, 3.9)]
     assert [row["in FB"] for row in found] == pytest.approx([12.2, 25.2, 38.2])  # at 1.22, 2.52, 3.82 s
     assert [row["on LF"] for row in found] == pytest.approx([24.4, 50.4, 76.4])
     assert [row["came in"] for row in found] == [6, 12 - 6, 19 - 12] and [row["taken out"] for row in found] == [0, 3, 3]
-    assert cycles_said(run)[1].endswith("in FB 25.2 g, on LF 50.4 g, came in 6, taken out 3")
+    assert describe_cycles(run)[1].endswith("in FB 25.2 g, on LF 50.4 g, came in 6, taken out 3")

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp
 
-from dem_jax import build
-from dem_jax.contact.law import Couple, dashpot
-from dem_jax.contact.law.densifying import LINEAR, Densifying, largest_overlap, loading_time, relative_spring
+from dem_jax import assembly
+from dem_jax.contact_laws import MaterialPair, dashpot
+from dem_jax.contact_laws.densifying import LINEAR_LIMIT, Densifying, largest_overlap, loading_time, relative_spring
 from dem_jax.errors import SceneError
 from dem_jax.scene import load_scene
 from tests.dem_jax.impacts import trace_impacts
@@ -25,8 +25,8 @@ def law_and_pair(restitution):
     one = jnp.ones_like(jnp.asarray(restitution))
     moduli, sizes = (1e16 * one, MODULUS * one), (SIZE * one, SIZE * one)
     zero = 0 * one
-    couple = Couple(moduli, (zero, zero), sizes, (zero, zero), MASS * one, jnp.asarray(restitution), None, None)
-    return law, law.pair(couple)
+    couple = MaterialPair(moduli, (zero, zero), sizes, (zero, zero), MASS * one, jnp.asarray(restitution), None, None)
+    return law, law.pair_parameters(couple)
 
 
 @jax.jit
@@ -97,16 +97,16 @@ def test_force_and_energy_belong_together_and_go_on_along_the_tangent():
     """U is the integral of F; the slope of F is continuous and stays beyond LINEAR."""
     with jax.enable_x64(True):
         spring = lambda x: [float(a) for a in relative_spring(jnp.asarray(x))]  # noqa: E731
-        for x in (1e-4, 0.049, 0.051, 0.5, LINEAR, 1.3):
+        for x in (1e-4, 0.049, 0.051, 0.5, LINEAR_LIMIT, 1.3):
             force, energy, rate = spring(x)
             integral = sum(
-                quad(lambda y: spring(y)[0], *ends, epsabs=1e-13)[0] for ends in ((0, min(x, LINEAR)), (min(x, LINEAR), x))
+                quad(lambda y: spring(y)[0], *ends, epsabs=1e-13)[0] for ends in ((0, min(x, LINEAR_LIMIT)), (min(x, LINEAR_LIMIT), x))
             )
             assert energy == pytest.approx(integral, rel=1e-7)
             assert rate == pytest.approx(force / np.sqrt(2 * energy), rel=1e-7)
-        slopes = [(spring(x + 1e-6)[0] - spring(x)[0]) / 1e-6 for x in (LINEAR - 1e-6, LINEAR, 1.3)]
+        slopes = [(spring(x + 1e-6)[0] - spring(x)[0]) / 1e-6 for x in (LINEAR_LIMIT - 1e-6, LINEAR_LIMIT, 1.3)]
         assert slopes == pytest.approx([100.0] * 3, rel=1e-3)  # 1 / (1 - 0.9)^2
-        assert np.isfinite(jax.vmap(jax.grad(lambda x: relative_spring(x)[2]))(jnp.array([0.0, 0.05, LINEAR]))).all()
+        assert np.isfinite(jax.vmap(jax.grad(lambda x: relative_spring(x)[2]))(jnp.array([0.0, 0.05, LINEAR_LIMIT]))).all()
 
 
 def test_single_precision_keeps_small_overlaps():
@@ -120,7 +120,7 @@ def test_the_step_resolves_the_stiffest_part():
     scene = load_scene("weigh-bucket", {"product": "marshmallow-soft"})
     assert scene.contact.law == "densifying" and scene.material.softening == 1.0
     assert scene.material.youngs_modulus == 3e4 and scene.material.youngs_modulus_range == (1.5e4, 1.5e5)
-    made = build.build(scene)
+    made = assembly.assemble_system(scene)
     assert made.step.dt <= made.step.stable
     thinnest, size = 0.016, float(made.system.pieces.size[0])
     assert scene.contact.densification * size < 0.5 * thinnest, "solid before half of the width is reached"

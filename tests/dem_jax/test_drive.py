@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 import dem_jax
-from dem_jax import build
-from dem_jax.build import drive as building
-from dem_jax.build.time_step import possible_contacts, stiffest
-from dem_jax.contact import boundary
-from dem_jax.drive import failure
+from dem_jax import assembly
+from dem_jax.assembly import flap_drive_setup as building
+from dem_jax.assembly.time_step import largest_stiffness, list_possible_contacts
+from dem_jax.dynamics import flap_drive, interleaved_batch
 from dem_jax.errors import SceneError
+from dem_jax.runner import failure
 from dem_jax.scene import Scene
-from dem_jax.step import drive, joined
-from dem_jax.types import DriveMotion
+from dem_jax.types import FlapDriveMotion
+from dem_jax.walls import kinematics
 
 TORQUE, INERTIA, FREQUENCY = 0.05, 1e-3, 15.0
 DRIVE = {"torque": TORQUE, "inertia": INERTIA, "natural_frequency": FREQUENCY}
@@ -40,7 +40,7 @@ def scene(drive=DRIVE, duration=0.6, motion=None, **run):
 
 @cache
 def made():
-    return build.build(scene())
+    return assembly.assemble_system(scene())
 
 
 def alone(lag, rate, time, steps, **changes):
@@ -51,8 +51,8 @@ def alone(lag, rate, time, steps, **changes):
     walls = system.walls.replace(motions=(hinge,), drive=system.walls.drive.replace(**changes))
     system = system.replace(walls=walls, dt=jnp.asarray(time / steps))
     of_flap = np.array([[0.0], [1.0]])
-    state = state.replace(drive=DriveMotion(jnp.asarray(lag * of_flap), jnp.asarray(rate * of_flap)))
-    return jax.jit(drive.swing)(system, state, jnp.int32(steps))
+    state = state.replace(drive=FlapDriveMotion(jnp.asarray(lag * of_flap), jnp.asarray(rate * of_flap)))
+    return jax.jit(flap_drive.free_response)(system, state, jnp.int32(steps))
 
 
 def test_a_flap_comes_back_to_its_motion_as_the_closed_form_at_second_order():
@@ -125,7 +125,7 @@ OF_FEED, OPENS = {"feed_bucket.drive.torque": 1.0}, {"weigh_bucket.opening_angle
     ],
 )
 def test_what_is_pinched_is_told_of_the_drive_of_the_wall_that_pinches(of, group, cure):
-    said = failure._gives_way(of, group)
+    said = failure._suggest_drives(of, group)
     assert cure in said and bool(cure) == bool(said)
 
 
@@ -136,16 +136,16 @@ def test_energy_of_the_pieces_adds_up_with_what_flaps_do():
 
 def test_what_nothing_holds_up_follows_its_motion():
     system, state = made().system, made().state
-    panels = boundary.at_rebuild(system, jnp.asarray(3000))
-    same = boundary.carried(system, state, panels)
+    panels = kinematics.wall_state_at_rebuild(system, jnp.asarray(3000))
+    same = kinematics.apply_compliance(system, state, panels)
     np.testing.assert_allclose(same.rows, panels.rows, atol=1e-16)
-    turned = DriveMotion(jnp.array([[0.0], [0.1]]), jnp.array([[0.0], [2.0]]))
-    swung = boundary.carried(system, state.replace(drive=turned), panels)
+    turned = FlapDriveMotion(jnp.array([[0.0], [0.1]]), jnp.array([[0.0], [2.0]]))
+    swung = kinematics.apply_compliance(system, state.replace(drive=turned), panels)
     hinge = system.walls.motions[0]
     angle = float(hinge.at(system.dt * 3000)[0][1]) + 0.1
     open_so_far = hinge.replace(swing=jnp.array([0.0, angle]), start=hinge.start - 1, dwell=hinge.dwell + 10)
     held = system.walls.replace(motions=(open_so_far,))
-    there = boundary.at_rebuild(system.replace(walls=held), jnp.asarray(3000))
+    there = kinematics.wall_state_at_rebuild(system.replace(walls=held), jnp.asarray(3000))
     pose = np.array([0, 1, 2, *range(9, 18)])
     np.testing.assert_allclose(swung.rows[pose], there.rows[pose], atol=1e-15)
     arm = np.asarray(swung.rows[:3, 1]) - np.array([0, HINGE, DOWN])
@@ -172,7 +172,7 @@ def test_steps_that_a_look_at_hulls_interrupts_swing_the_flap_once(monkeypatch):
     hull = {"shape": "hull", "points": tuple(map(tuple, points.tolist())), "position": (0.0, 0.0, 0.014)}
     hit = scene(duration=0.05, motion={"closing": 0.03}).replace(piece=[hull | {"angular_velocity": (0.0, 0.0, 300.0)}])
     kept = dem_jax.simulate(hit)
-    monkeypatch.setattr("dem_jax.drive.prepare.slot_block", lambda: 0)
+    monkeypatch.setattr("dem_jax.runner.job_setup.choose_slot_block", lambda: 0)
     plain = dem_jax.simulate(hit)  # looks at all in every step
     assert np.abs(plain.flap_lag["flap"]).max() > 0.01
     np.testing.assert_allclose(kept.flap_lag["flap"], plain.flap_lag["flap"], atol=1e-9)
@@ -183,12 +183,12 @@ def test_runs_of_an_ensemble_have_drives_of_their_own():
     for k, torque in enumerate((0.1, TORQUE)):
         np.testing.assert_array_equal(two.flap_lag["flap"][k], pressed(torque).flap_lag["flap"])
     system = made().system.replace(slot_block=64)
-    assert not joined.is_worthwhile(system, 64)
-    assert joined.is_worthwhile(system.replace(walls=system.walls.replace(drive=None)), 64)
+    assert not interleaved_batch.is_batch_worthwhile(system, 64)
+    assert interleaved_batch.is_batch_worthwhile(system.replace(walls=system.walls.replace(drive=None)), 64)
 
 
 def test_a_motion_that_is_given_has_nothing_of_a_drive():
-    given = build.build(scene(None))
+    given = assembly.assemble_system(scene(None))
     assert given.state.drive is None and given.system.walls.drive is None
     assert "flap_lag" not in {quantity.name for quantity in given.system.quantities}
 
@@ -209,16 +209,16 @@ def test_flaps_that_are_shut_are_locked_and_open_under_their_load():
 def test_the_step_is_stable_with_a_flap_that_weighs_next_to_nothing():
     """A rod with its pieces on it has no higher frequency than the bound says."""
     light = DRIVE | {"inertia": 1e-7}
-    goods = build.pieces.goods_of(scene(light))
-    law, materials = build.law.law_of(scene(light)), build.law.materials_of(scene(light))
-    contacts = possible_contacts(law, materials, list(goods.shapes), build.pieces.piece_arrays(scene(light), goods))
-    row, n, stiffness, mass = scene(light).motion[0], 5, stiffest(law, contacts), 6e-3
+    goods = assembly.piece_arrays.build_piece_set(scene(light))
+    law, materials = assembly.contact_law.build_contact_law(scene(light)), assembly.contact_law.build_materials(scene(light))
+    contacts = list_possible_contacts(law, materials, list(goods.shapes), assembly.piece_arrays.build_piece_arrays(scene(light), goods))
+    row, n, stiffness, mass = scene(light).motion[0], 5, largest_stiffness(law, contacts), 6e-3
     panels = [("flap", np.array([(0.0, HINGE + 0.2, DOWN), (0.1, HINGE, DOWN)]), 0.005)]
     arms = np.linspace(0.05, 0.2, n)
     matrix = np.diag([(2 * np.pi * FREQUENCY) ** 2 + np.sum(stiffness * arms**2) / 1e-7] + n * [stiffness / mass])
     matrix[0, 1:] = matrix[1:, 0] = -stiffness * arms / np.sqrt(1e-7 * mass)
-    assert np.linalg.eigvalsh(matrix)[-1] < stiffness / mass + building.added_rate([row], panels, law, contacts, n)
-    assert build.build(scene(light)).step.stable < 0.5 * made().step.stable
+    assert np.linalg.eigvalsh(matrix)[-1] < stiffness / mass + building.bound_drive_frequency([row], panels, law, contacts, n)
+    assert assembly.assemble_system(scene(light)).step.stable < 0.5 * made().step.stable
 
 
 @pytest.mark.parametrize(
@@ -232,7 +232,7 @@ def test_the_step_is_stable_with_a_flap_that_weighs_next_to_nothing():
 )
 def test_what_is_no_drive_is_said(motion, words):
     with pytest.raises((SceneError, ValueError), match=words):
-        build.build(scene(motion=motion))
+        assembly.assemble_system(scene(motion=motion))
 
 
 def test_flaps_that_never_open_have_no_drive():

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dem_jax import build, validation
-from dem_jax.maths import rotation
-from dem_jax.step import measure
+from dem_jax import assembly, validation
+from dem_jax.dynamics import observables
+from dem_jax.math import quaternions
 from dem_jax.validation import EccentricImpact
 
 SPEED, SPIN = 2.0, 30.0  # m/s, rad/s
@@ -23,32 +23,32 @@ RESTITUTION = 0.5
 
 @cache
 def built(softening):
-    return build.build(validation.plate_scene({}, softening=softening, restitution=RESTITUTION, separation=0.0))
+    return assembly.assemble_system(validation.plate_scene({}, softening=softening, restitution=RESTITUTION, separation=0.0))
 
 
 def read(system, state):
-    omega = rotation.angular_velocity(
+    omega = quaternions.angular_velocity(
         tuple(state.orientation), tuple(state.angular_momentum), tuple(system.pieces.inertia)
     )
-    return validation.motion(system, state) | {"spin": jnp.stack(omega)[:, 0]}
+    return validation.read_motion(system, state) | {"spin": jnp.stack(omega)[:, 0]}
 
 
 @jax.jit
 def run(system, state, dt, friction, height, velocity, orientation, spin):
     """1200 steps of impacts side by side."""
-    system = validation.with_friction(validation.lasting(system).replace(dt=dt), friction)
+    system = validation.with_friction(validation.with_permanent_pairs(system).replace(dt=dt), friction)
 
     def one(height, velocity, orientation, spin):
         inertia = tuple(system.pieces.inertia)
-        momentum = rotation.angular_momentum(tuple(orientation[:, None]), tuple(spin[:, None]), inertia)
+        momentum = quaternions.angular_momentum(tuple(orientation[:, None]), tuple(spin[:, None]), inertia)
         zero = jnp.zeros_like(height)
-        start = state.moved(
+        start = state.replace_motion(
             position=jnp.stack([zero, zero, height])[:, None],
             velocity=velocity[:, None],
             orientation=orientation[:, None],
             angular_momentum=jnp.stack(momentum),
         )
-        return validation.trace(system, start, 1200, lambda *x: read(*x) | {"energy": measure.energies(*x)[:, 0]})[1]
+        return validation.trace_motion(system, start, 1200, lambda *x: read(*x) | {"energy": observables.energy_terms(*x)[:, 0]})[1]
 
     return jax.vmap(one)(height, velocity, orientation, spin)
 

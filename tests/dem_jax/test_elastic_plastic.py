@@ -6,9 +6,15 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from dem_jax import build
-from dem_jax.contact.law import Couple
-from dem_jax.contact.law.elastic_plastic import ElasticPlastic, History, dent_of, largest_overlap, loading_force
+from dem_jax import assembly
+from dem_jax.contact_laws import MaterialPair
+from dem_jax.contact_laws.elastic_plastic import (
+    ElasticPlastic,
+    ElasticPlasticHistory,
+    flatten_contact,
+    largest_overlap,
+    loading_force,
+)
 from dem_jax.errors import SceneError
 from dem_jax.scene import load_scene
 from dem_jax.validation import ElasticPlasticImpact
@@ -25,11 +31,11 @@ def law_and_pair(restitution):
     """A law, and its constants of a sphere on a rigid wall for each restitution."""
     law = ElasticPlastic(jnp.asarray(PRESSURE), jnp.asarray(1.0), jnp.asarray(SPEEDS[-1]))
     one = jnp.ones_like(jnp.asarray(restitution))
-    couple = Couple(
+    couple = MaterialPair(
         (1e18 * one, MODULUS * one), (0 * one, 0 * one), (RADIUS * one, RADIUS * one), (0 * one, one / RADIUS), MASS * one,
         jnp.asarray(restitution), None, None,
     )  # fmt: skip
-    return law, law.pair(couple)
+    return law, law.pair_parameters(couple)
 
 
 @jax.jit
@@ -88,8 +94,8 @@ def test_energy_is_kept_but_for_yielding_and_the_dashpot(found):
 def forces(deepest):
     """First loading, the dent, and the stored energy at deepest overlaps."""
     law, pair = law_and_pair(jnp.ones_like(deepest))
-    history = History(deepest, deepest, None)
-    return loading_force(pair, deepest), dent_of(pair, deepest), law.energy(pair, history, deepest)
+    history = ElasticPlasticHistory(deepest, deepest, None)
+    return loading_force(pair, deepest), flatten_contact(pair, deepest), law.energy(pair, history, deepest)
 
 
 def test_the_force_has_no_jump_where_it_yields_and_where_it_turns():
@@ -108,7 +114,7 @@ def test_the_force_has_no_jump_where_it_yields_and_where_it_turns():
 def test_the_step_of_a_scene_resolves_unloading():
     """Of a tablet of the scene's keys; other laws have no yield pressure."""
     own = {"contact.law": "elastic-plastic", "contact.yield_pressure": 2e6, "contact.impact_speed": 3.0}
-    made = build.build(load_scene("plate-drop", own))
+    made = assembly.assemble_system(load_scene("plate-drop", own))
     assert made.step.dt <= made.step.stable and np.isfinite(made.step.dt)
     with pytest.raises(SceneError, match='contact.yield_pressure = 100000: law "walton-braun" has no such key'):
         load_scene("plate-drop", {"contact.yield_pressure": 1e5})

@@ -16,17 +16,17 @@ import jax
 import numpy as np
 import pytest
 
-from dem_jax import compiling, process
+from dem_jax import process, xla_flags
 from dem_jax.__main__ import main
-from dem_jax.cli import simulating
-from dem_jax.drive import programs, target
-from dem_jax.drive.prepare import prepare
-from dem_jax.drive.progress import Progress
+from dem_jax.cli import simulation_options
 from dem_jax.errors import PlatformError, RecordError
-from dem_jax.show.plot import save_figure
-from dem_jax.store import output
-from dem_jax.store.record import Writer, load_run
-from dem_jax.study import file as study_file
+from dem_jax.io import atomic_files
+from dem_jax.io.run_files import Writer, load_run
+from dem_jax.runner import programs, sinks
+from dem_jax.runner.job_setup import prepare_job
+from dem_jax.runner.progress import Progress
+from dem_jax.study import results_file as study_file
+from dem_jax.visualization.run_figure import save_figure
 from tests.dem_jax.test_record import header, samples
 
 # --- signals: of a command that computes, in Python or, as XLA does while it compiles, outside of it ---
@@ -144,29 +144,29 @@ def test_what_is_pending_is_saved_once_when_a_run_is_interrupted(tmp_path, monke
     path = tmp_path / "run.h5"
     monkeypatch.setattr(process._STATE, "said", [])
     with pytest.raises(KeyboardInterrupt):
-        with target.File(path, lambda: Writer.create(path, header(), interval=3600)) as file:
+        with sinks.FileSink(path, lambda: Writer.create(path, header(), interval=3600)) as file:
             file.append(samples(0, 10), restart={"step": np.int64(1)})
             raise KeyboardInterrupt
     np.testing.assert_array_equal(load_run(path).time, samples(0, 10)["time"])
-    assert f"is in {path}; python -m dem_jax run --resume {path}" in process.ending_said()
-    with output.locked(path):  # and it can be gone on with
+    assert f"is in {path}; python -m dem_jax run --resume {path}" in process.describe_interrupt()
+    with atomic_files.lock_file(path):  # and it can be gone on with
         pass
 
 
 def test_what_is_appended_while_another_thread_flushes_is_in_the_next_flush_as_a_whole(run_file, monkeypatch):
     """An interrupt flushes in a thread of its own: a restart state must not be ahead of the samples."""
-    from dem_jax.store import writer as module
+    from dem_jax.io import writer as module
 
     writer = Writer.resume(run_file, interval=3600)
     writer.append(samples(10, 5), restart={"step": np.int64(15)})
-    extend, late = module.extend, [lambda: writer.append(samples(15, 5), restart={"step": np.int64(20)})]
+    extend, late = module.extend_dataset, [lambda: writer.append(samples(15, 5), restart={"step": np.int64(20)})]
 
     def extended(*given):
         while late:
             late.pop()()
         extend(*given)
 
-    monkeypatch.setattr(module, "extend", extended)
+    monkeypatch.setattr(module, "extend_dataset", extended)
     writer.flush()
     run = load_run(run_file)
     assert (len(run.time), run.restart["step"]) == (15, 15)
@@ -216,18 +216,18 @@ def test_a_bar_whose_reader_is_gone_falls_silent(monkeypatch):
     stream.isatty = lambda: False
     monkeypatch.setattr(sys, "stderr", stream)
     with Progress(bare_job(), True) as shown:
-        shown.compiling()
-        shown.note("a note")
-        shown.advance(SimpleNamespace(count=10, end=10, settled=False))
+        shown.show_compiling()
+        shown.show_note("a note")
+        shown.show_chunk(SimpleNamespace(count=10, end=10, settled=False))
         assert shown._bar.n == 10
 
 
 def test_a_function_is_told_of_progress_instead_of_a_bar(capsys):
     told = []
     with Progress(bare_job(), lambda phase, share: told.append((phase, share))) as shown:
-        shown.compiling()
-        shown.advance(SimpleNamespace(count=4, end=4, settled=False))
-        shown.advance(SimpleNamespace(count=1, end=5, settled=True))  # at rest: what is left need not be computed
+        shown.show_compiling()
+        shown.show_chunk(SimpleNamespace(count=4, end=4, settled=False))
+        shown.show_chunk(SimpleNamespace(count=1, end=5, settled=True))  # at rest: what is left need not be computed
     assert told == [("compiling", 0.0), ("running", 0.4), ("running", 1.0)]
     assert capsys.readouterr().err == ""
 
@@ -248,8 +248,8 @@ def test_a_platform_that_jax_does_not_have_is_one_line(error, monkeypatch, capsy
 
     monkeypatch.setattr(jax, "devices", without)
     with pytest.raises(PlatformError, match="^JAX_PLATFORMS = .*: JAX finds no such device; allowed: cpu"):
-        prepare("plate-drop", (0,), None)
-    monkeypatch.setattr("dem_jax.cli.scenes.scenes", without)  # as of a command that does not ask first
+        prepare_job("plate-drop", (0,), None)
+    monkeypatch.setattr("dem_jax.cli.scenes.show_scenes", without)  # as of a command that does not ask first
     assert main(["scenes"]) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1
 
@@ -288,16 +288,16 @@ def test_a_file_is_written_by_one_process_at_a_time(run_file, monkeypatch, capsy
     Path("link.h5").symlink_to(run_file)
     monkeypatch.chdir(run_file.parent)
     before = run_file.read_bytes()
-    with output.locked("run.h5"):
+    with atomic_files.lock_file("run.h5"):
         for name in (run_file, "../" + run_file.parent.name + "/run.h5", "link.h5"):
-            with pytest.raises(RecordError, match="cannot be written: another process writes it"), output.locked(name):
+            with pytest.raises(RecordError, match="cannot be written: another process writes it"), atomic_files.lock_file(name):
                 pass
-        monkeypatch.setattr("dem_jax.drive.loop.run", lambda *_: pytest.fail("it began to compute"))
+        monkeypatch.setattr("dem_jax.runner.loop.run_loop", lambda *_: pytest.fail("it began to compute"))
         assert main(["run", "plate-drop", "--out", "run.h5", "--overwrite", "--quiet", "--no-plot"]) == 2
         assert capsys.readouterr().err.count("another process writes it") == 1
-        with output.locked("other.h5"):  # is another file
+        with atomic_files.lock_file("other.h5"):  # is another file
             pass
-    with output.locked("run.h5"):
+    with atomic_files.lock_file("run.h5"):
         pass
     assert run_file.read_bytes() == before
 
@@ -329,7 +329,7 @@ def test_a_link_is_followed(run_file):
     content = run_file.read_bytes()
     Path("there").mkdir()
     Path("link.h5").symlink_to("there/new.h5")  # which is not there yet
-    output.write_whole("link.h5", content)
+    atomic_files.write_atomically("link.h5", content)
     assert Path("link.h5").is_symlink() and Path("there/new.h5").read_bytes() == content
     load_run("link.h5").save("link.h5", overwrite=True)
     assert Path("link.h5").is_symlink() and len(load_run("there/new.h5").time) == 10
@@ -347,7 +347,7 @@ def test_a_writer_writes_where_it_began(run_file, monkeypatch):
 def test_a_file_that_is_open_in_another_program_is_told_from_a_damaged_one(run_file, capsys):
     with open(run_file, "rb") as other:
         fcntl.flock(other, fcntl.LOCK_EX)  # as HDF5 does for who writes
-        for read in (load_run, study_file.load):
+        for read in (load_run, study_file.load_results):
             with pytest.raises(RecordError, match=r"run\.h5 cannot be read: it is open in another program"):
                 read(run_file)
         for argv in (["plot", "run.h5"], ["run", "--resume", "run.h5"], ["run", "plate-drop", "--out", "run.h5", "--overwrite"]):
@@ -371,7 +371,7 @@ def test_a_figure_that_cannot_be_finished_leaves_the_one_before(monkeypatch):
     def full(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(output.os, "replace", full)
+    monkeypatch.setattr(atomic_files.os, "replace", full)
     with pytest.raises(RecordError, match=r"figure\.png cannot be written: No space left on device"):
         save_figure(Figure(figsize=(1, 1)), Path("figure.png"))
     assert Path("figure.png").read_bytes() == before and len(list(Path().iterdir())) == 1
@@ -391,7 +391,7 @@ def test_the_file_that_is_read_is_not_written_over(run_file, command, capsys):
 
 
 def test_a_study_is_not_written_into_its_table_nor_a_persons_file(capsys, monkeypatch):
-    monkeypatch.setattr("dem_jax.study.work.run", lambda *_: pytest.fail("it began to compute"))
+    monkeypatch.setattr("dem_jax.study.batches.run_batch", lambda *_: pytest.fail("it began to compute"))
     assert main(["study", "restitution", "--out", "restitution.csv"]) == 2
     assert "results are HDF5; allowed: a name that ends in .h5" in capsys.readouterr().err
     Path("mine.h5.batch").write_text("mine")
@@ -425,23 +425,23 @@ def test_a_kept_program_that_was_cut_short_is_removed(tmp_path):
     shown = []
     said = "Error reading persistent compilation cache entry for 'jit__chunk': error: incomplete or truncated stream"
     for message in (said, "Error writing persistent compilation cache entry for 'x'", "another warning"):
-        simulating._show_warning(shown.append, tmp_path, message)
+        simulation_options._show_warning(shown.append, tmp_path, message)
     assert shown == ["another warning"]
     assert [path.name for path in tmp_path.iterdir()] == ["jit_stage-1-cache"]
 
 
 def test_a_process_keeps_the_programs_that_it_used_last(monkeypatch):
-    monkeypatch.setattr(programs, "KEPT", {})
-    monkeypatch.setattr(programs, "MOST_KEPT", 3)
+    monkeypatch.setattr(programs, "EXECUTABLES", {})
+    monkeypatch.setattr(programs, "MOST_EXECUTABLES", 3)
     for key in (1, 2, 3, 1, 4, 5):
-        programs._keep(key, str)
-    assert list(programs.KEPT) == [1, 4, 5]
+        programs._store_executable(key, str)
+    assert list(programs.EXECUTABLES) == [1, 4, 5]
 
 
 def test_a_program_that_is_not_kept_is_freed():
     function = lambda x: x + 3  # noqa: E731
     gone = weakref.ref(function)
-    compiled = compiling.jit(function, "cpu").lower(1.0).compile()
+    compiled = xla_flags.jit_for_backend(function, "cpu").lower(1.0).compile()
     assert float(compiled(1.0)) == 4.0
     del function, compiled
     gc.collect()

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 import dem_jax
-from dem_jax import build
-from dem_jax.drive import execute
-from dem_jax.drive.interface import drive
-from dem_jax.drive.prepare import prepare
+from dem_jax import assembly
 from dem_jax.errors import SceneError, SimulationError
+from dem_jax.runner import executors
+from dem_jax.runner.interface import run_job
+from dem_jax.runner.job_setup import prepare_job
 
 PATHS = ("force/plate", "mean_force/plate", "settled_mass/plate", "energy/total", "momentum", "overlap")
 
@@ -74,7 +74,7 @@ def test_members_differ_by_their_seed_alone(three):
 
 
 def test_capacities_are_grown_for_all(three, monkeypatch):
-    monkeypatch.setattr(build.system, "capacity", lambda *_: (("plates", 2, 1), ("spheres", 1, 1)))
+    monkeypatch.setattr(assembly.system, "estimate_capacities", lambda *_: (("plates", 2, 1), ("spheres", 1, 1)))
     grown = dem_jax.ensemble(scattered(), runs=3, seed=7)
     assert any("2 pairs of plates for 1 slots" in note for note in grown.info["reruns"])
     for path in PATHS:
@@ -86,17 +86,17 @@ def test_only_the_runs_that_outgrew_something_are_run_again(monkeypatch):
     """Two of three runs begin too high to need the slots that are missing."""
 
     def two_high(slots):
-        monkeypatch.setattr(build.system, "capacity", lambda *_: (("plates", 8, slots), ("spheres", 8, 8)))
-        job = prepare(scattered(), (7, 8, 9), 3)
+        monkeypatch.setattr(assembly.system, "estimate_capacities", lambda *_: (("plates", 8, slots), ("spheres", 8, 8)))
+        job = prepare_job(scattered(), (7, 8, 9), 3)
         with jax.enable_x64(True):
             system = job.system.replace(domain_high=job.system.domain_high + 1)
-            state = job.state.moved(position=job.state.position.at[::2, 2].add(0.3))
+            state = job.state.replace_motion(position=job.state.position.at[::2, 2].add(0.3))
         return replace(job, system=system, state=state)
 
-    ample = drive(two_high(8), None, False, False)
-    computed, compute = [], execute.computed
-    monkeypatch.setattr(execute, "computed", lambda *arguments: computed.append(arguments) or compute(*arguments))
-    grown = drive(two_high(1), None, False, False)
+    ample = run_job(two_high(8), None, False, False)
+    computed, compute = [], executors.call_program
+    monkeypatch.setattr(executors, "call_program", lambda *arguments: computed.append(arguments) or compute(*arguments))
+    grown = run_job(two_high(1), None, False, False)
     assert any("2 pairs of plates for 1 slots" in note for note in grown.info["reruns"])
     assert len(computed) == 3 + 1, "one chunk of three runs, and of the low one again"
     assert np.abs(ample.force["plate"][1]).max() > 0.01 and not ample.force["plate"][::2].any()
@@ -106,7 +106,7 @@ def test_only_the_runs_that_outgrew_something_are_run_again(monkeypatch):
 
 
 def test_a_file_has_a_leading_run_axis_and_can_be_gone_on_with(three, tmp_path, monkeypatch):
-    monkeypatch.setattr("dem_jax.drive.job.CHUNK_TIME", 1.2e-2)
+    monkeypatch.setattr("dem_jax.runner.job.CHUNK_TIME", 1.2e-2)
     written = dem_jax.ensemble(scattered(**{"run.duration": 0.011}), runs=3, seed=7, out=tmp_path / "runs.h5")
     assert written.time.shape == (550,) and written.settled_mass["plate"].shape == (3, 550)
     longer = dem_jax.resume(tmp_path / "runs.h5", duration=0.02)
@@ -116,29 +116,29 @@ def test_a_file_has_a_leading_run_axis_and_can_be_gone_on_with(three, tmp_path, 
 
 
 def test_the_member_that_fails_is_named(tmp_path):
-    job = prepare(scattered(), (3, 4, 5), 3)
+    job = prepare_job(scattered(), (3, 4, 5), 3)
     with jax.enable_x64(True):
-        job = replace(job, state=job.state.moved(velocity=job.state.velocity.at[1, 2, 0].set(np.inf)))
+        job = replace(job, state=job.state.replace_motion(velocity=job.state.velocity.at[1, 2, 0].set(np.inf)))
     with pytest.raises(SimulationError, match=r"scattered, run 1 \(seed 4\): piece 0 at t = 2e-05 s") as caught:
-        drive(job, tmp_path / "runs.h5", False, False)
+        run_job(job, tmp_path / "runs.h5", False, False)
     assert (caught.value.member, caught.value.piece) == (1, 0)
 
 
 def test_overlapping_starts_name_the_run():
-    job = prepare(scattered(), (3, 4, 5), 3)
+    job = prepare_job(scattered(), (3, 4, 5), 3)
     with jax.enable_x64(True):
-        job = replace(job, state=job.state.moved(position=job.state.position.at[2, 2, 1].set(0.0)))
+        job = replace(job, state=job.state.replace_motion(position=job.state.position.at[2, 2, 1].set(0.0)))
     with pytest.raises(
         SceneError, match=r"piece 1 and wall group 'plate' of run 2 \(seed 5\) overlap at the start by 50 %"
     ):
-        drive(job, None, False, False)
+        run_job(job, None, False, False)
 
 
 SHARDED = """
 import sys, jax, numpy as np
 jax.config.update("jax_enable_x64", True)
 import dem_jax
-from dem_jax.drive import execute, programs
+from dem_jax.runner import execute, programs
 execute.in_threads = execute.on_devices
 runs = dem_jax.ensemble("scene.toml", runs=4, seed=7)
 (program,) = programs.KEPT.values()

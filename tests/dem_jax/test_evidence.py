@@ -3,22 +3,22 @@
 import numpy as np
 import pytest
 
-from dem_jax.build.pieces import goods_of, masses_of
+from dem_jax.assembly.piece_arrays import build_piece_set, compute_masses
 from dem_jax.cli.main import main
 from dem_jax.errors import SceneError
-from dem_jax.scene import load_scene, parse
-from dem_jax.scene.evidence import evidence_of
-from dem_jax.scene.library import ONE_PIECE, product_tree, products, states_of_product
-from dem_jax.scene.materials import material_table
+from dem_jax.scene import load_scene, parse_scene
+from dem_jax.scene.evidence import read_evidence
+from dem_jax.scene.library import ONE_PIECE, list_product_states, list_products, load_product
+from dem_jax.scene.material_properties import build_material_table
 
-EVERY = [full for name in products() for full in (name, *(f"{name}:{state}" for state in states_of_product(name)))]
+EVERY = [full for name in list_products() for full in (name, *(f"{name}:{state}" for state in list_product_states(name)))]
 
 
 def piece_of(name):
     """The shape of a piece, its weight (kg) and the evidence of its product."""
     scene = load_scene("weigh-bucket", {"product": name, **ONE_PIECE})
-    goods = goods_of(scene)
-    return goods.shapes[0], masses_of(goods, material_table(scene))[0], evidence_of(product_tree(name, "test"), name)
+    goods = build_piece_set(scene)
+    return goods.shapes[0], compute_masses(goods, build_material_table(scene))[0], read_evidence(load_product(name, "test"), name)
 
 
 def extent_of(shape):
@@ -53,7 +53,7 @@ def test_hulls_of_ellipsoids_are_symmetric_and_turn_like_them(name):
 def test_every_number_has_a_grade_and_a_source_or_is_called_a_judgement(name):
     """All numbers of [material] but those of the model; those that are drawn lie within their range."""
     scene = load_scene("weigh-bucket", {"product": name})
-    tree, rows = product_tree(name, "test"), evidence_of(product_tree(name, "test"), name)
+    tree, rows = load_product(name, "test"), read_evidence(load_product(name, "test"), name)
     of_model = {"softening", "youngs_modulus_range"}
     assert set(tree["material"]) - of_model <= set(rows) and {"piece_weight", "volume", "extent"} <= set(rows)
     for key, row in rows.items():
@@ -62,7 +62,7 @@ def test_every_number_has_a_grade_and_a_source_or_is_called_a_judgement(name):
     drawn = {row.key: row for row in scene.uncertain}
     assert set(drawn) == {f"material.{key}" for key in tree["material"] if rows.get(key) and rows[key].range}
     assert all(row.distribution == "log-uniform" for key, row in drawn.items() if key.endswith(("modulus", "pull_off")))
-    assert parse(scene.to_toml()) == scene
+    assert parse_scene(scene.to_toml()) == scene
 
 
 def test_a_state_changes_what_it_says_and_has_its_own_evidence():
@@ -90,7 +90,7 @@ def test_a_number_that_is_replaced_loses_its_range():
 
 def test_a_mixture_has_the_ranges_of_its_products_by_name():
     rows = '[[portion.product]]\nproduct = "hazelnut"\n[[portion.product]]\nproduct = "frozen-pea:thawing"\nsize_spread = 0.1\n'
-    scene = parse(f'base = "weigh-bucket"\n[portion]\n{rows}[material.hazelnut]\nrestitution = 0.4\n')
+    scene = parse_scene(f'base = "weigh-bucket"\n[portion]\n{rows}[material.hazelnut]\nrestitution = 0.4\n')
     keys = {row.key: row.range for row in scene.uncertain}
     assert "material.hazelnut.restitution" not in keys and keys["material.hazelnut.density"] == (780.0, 1020.0)
     assert keys["material.frozen-pea-thawing.friction_wall"] == (0.57, 0.72)
@@ -103,8 +103,8 @@ def test_the_law_of_foams_comes_and_goes_with_the_product():
     tablet = foam.replace({"product": "hazelnut", "contact.law": "elastic-plastic", "contact.yield_pressure": 2e6})
     assert tablet.contact.yield_pressure == 2e6 and tablet.replace({"product": "toffee"}).contact.law == "walton-braun"
     rows = '[[portion.product]]\nproduct = "hazelnut"\n[[portion.product]]\nproduct = "marshmallow-soft"\n'
-    assert parse(f'base = "weigh-bucket"\n[portion]\n{rows}').contact.law == "densifying"
-    assert parse(f'base = "weigh-bucket"\n[contact]\nlaw = "linear-dashpot"\n[portion]\n{rows}').contact.law == "linear-dashpot"
+    assert parse_scene(f'base = "weigh-bucket"\n[portion]\n{rows}').contact.law == "densifying"
+    assert parse_scene(f'base = "weigh-bucket"\n[contact]\nlaw = "linear-dashpot"\n[portion]\n{rows}').contact.law == "linear-dashpot"
 
 
 @pytest.mark.parametrize(
@@ -144,13 +144,13 @@ def test_sections_of_a_product_that_are_no_tables_are_refused(tmp_path, text, na
     with pytest.raises(SceneError, match=message):
         load_scene("weigh-bucket", {"product": name})
     with pytest.raises(SceneError, match=message):
-        parse(f'base = "weigh-bucket"\n[[portion.product]]\nproduct = "{name}"\n')
+        parse_scene(f'base = "weigh-bucket"\n[[portion.product]]\nproduct = "{name}"\n')
 
 
 def test_ranges_that_are_no_tables_are_refused_beside_products():
     for rows in ('product = "hazelnut"\n', '[[portion.product]]\nproduct = "hazelnut"\n'):
         with pytest.raises(SceneError, match=r"uncertain = 5: allowed: tables \[\[uncertain\]\]"):
-            parse(f'base = "weigh-bucket"\nuncertain = 5\n{rows}')
+            parse_scene(f'base = "weigh-bucket"\nuncertain = 5\n{rows}')
 
 
 @pytest.mark.parametrize(
@@ -186,13 +186,13 @@ def test_a_wall_surface_multiplies_friction_and_pull_off_on_that_wall_alone():
     """On PTFE 0.7 times the friction of stainless steel, on dimples 0.85 times, with 0.4 times the pull-off; listed pairs stay."""
     base = {"product": "gummy-bear", "material.wall_surface": "ptfe", "feed_bucket.material": "tray"}
     walls = load_scene("weigh-bucket", {**base, "material.tray.wall_surface": "dimpled"})
-    table = material_table(walls)
+    table = build_material_table(walls)
     piece, weigh, feed = (table.names.index(name) for name in ("default", "wall", "tray"))
     own = walls.material
     assert table.friction[piece, weigh] == own.friction_wall * 0.7 and table.pull_off[piece, weigh] == own.pull_off
     assert table.friction[piece, feed] == own.friction_wall * 0.85 and table.pull_off[piece, feed] == own.pull_off * 0.4
     assert table.friction[piece, piece] == own.friction_piece and table.pull_off[piece, piece] == own.pull_off
-    listed = material_table(walls.replace({"pair": [{"of": ["default", "tray"], "friction": 0.5}]}))
+    listed = build_material_table(walls.replace({"pair": [{"of": ["default", "tray"], "friction": 0.5}]}))
     assert listed.friction[piece, feed] == 0.5
     with pytest.raises(SceneError, match='material.wall_surface = "teflon": allowed: "stainless" or "galvanised" or "dimpled"'):
         load_scene("weigh-bucket", {"material.wall_surface": "teflon"})

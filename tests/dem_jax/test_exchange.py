@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 import dem_jax
-from dem_jax import build
-from dem_jax.build import resolved
-from dem_jax.build.exchange import plan_of
+from dem_jax import assembly
+from dem_jax.assembly import precision_check
+from dem_jax.assembly.exchange_plan import plan_exchange
 from dem_jax.errors import SceneError
 from dem_jax.scene import load_scene
 
@@ -101,19 +101,19 @@ def test_runs_of_an_ensemble_are_those_of_their_own_seeds(run):
 def test_what_is_left_open_follows_from_the_scene():
     scene = load_scene("weighing-cycles")
     with jax.enable_x64(False):
-        panels, _, _, _, regions = build.walls.walls_of(scene)
-        goods = build.pieces.goods_of(scene)
-        plan = plan_of(scene, panels, regions, goods.shapes)
+        panels, _, _, _, regions = assembly.wall_panels.lay_out_walls(scene)
+        goods = assembly.piece_arrays.build_piece_set(scene)
+        plan = plan_exchange(scene, panels, regions, goods.shapes)
     radius = goods.shapes[0].bounding_radius
-    low, high = plan.box
-    assert plan.below == pytest.approx(min(corners[:, 2].min() for _, corners, _ in panels) - 2 * radius)
+    low, high = plan.inlet_box
+    assert plan.outlet_height == pytest.approx(min(corners[:, 2].min() for _, corners, _ in panels) - 2 * radius)
     assert low[0] == regions[1][0][0] and high[0] == pytest.approx(regions[1][0][0] / 2 + regions[1][1][0] / 2)
     assert low[2] == regions[1][1][2]  # above the sides of the pan
     assert goods.numbers == (9, 4, scene.inlet.waiting)
     with jax.enable_x64(False):
-        assert resolved.note(scene, build.build(scene)) is None  # what waits far away does not count
-    apart = np.linalg.norm(np.diff(plan.lot, axis=0), axis=1)
-    assert (apart > 2 * radius).all() and (plan.lot[:, 0] > max(corners[:, 0].max() for _, corners, _ in panels)).all()
+        assert precision_check.note_low_precision(scene, assembly.assemble_system(scene)) is None  # what waits far away does not count
+    apart = np.linalg.norm(np.diff(plan.waiting_places, axis=0), axis=1)
+    assert (apart > 2 * radius).all() and (plan.waiting_places[:, 0] > max(corners[:, 0].max() for _, corners, _ in panels)).all()
 
 
 @pytest.mark.parametrize(

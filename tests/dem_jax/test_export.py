@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from dem_jax.errors import RecordError
-from dem_jax.show.export import export, numbers_table, scene_table, series_table
+from dem_jax.visualization.table_export import export_tables, numbers_table, scene_table, series_table
 from tests.dem_jax.stored import stored
 
 
@@ -19,7 +19,7 @@ def read(path):
 
 def test_a_run_is_written_as_csv_with_its_numbers_and_scene_beside_it():
     run = stored()
-    paths = export(run, "drop.csv")
+    paths = export_tables(run, "drop.csv")
     assert [path.name for path in paths] == ["drop.csv", "drop-numbers.csv", "drop-scene.csv"]
     head, rows = read("drop.csv")
     assert head == ["time (s)", "PIF on plate (kg)", "PIF on plate, instantaneous (kg)", "settled mass in plate (g)"]
@@ -46,7 +46,7 @@ def test_of_an_ensemble_there_are_bands_and_all_runs():
 def test_xlsx_has_a_sheet_of_each():
     openpyxl = pytest.importorskip("openpyxl")
     run = stored()
-    assert [path.name for path in export(run, "drop.xlsx")] == ["drop.xlsx"]
+    assert [path.name for path in export_tables(run, "drop.xlsx")] == ["drop.xlsx"]
     book = openpyxl.load_workbook("drop.xlsx", read_only=True)
     assert book.sheetnames == ["series", "numbers", "scene"]
     rows = list(book["series"].iter_rows(values_only=True))
@@ -57,18 +57,18 @@ def test_xlsx_has_a_sheet_of_each():
 
 def test_what_cannot_be_written_is_said_in_one_line(monkeypatch):
     with pytest.raises(RecordError, match=r"a\.txt must end in one of: \.csv, \.xlsx"):
-        export(stored(), "a.txt")
+        export_tables(stored(), "a.txt")
     with pytest.raises(RecordError, match="group = 'lf' is not in this run"):
-        export(stored(), "a.csv", group="lf")
+        export_tables(stored(), "a.csv", group="lf")
     with pytest.raises(RecordError, match="cannot be written: No such file"):
-        export(stored(), "nowhere/a.csv")
+        export_tables(stored(), "nowhere/a.csv")
     monkeypatch.setitem(sys.modules, "openpyxl", None)  # as where it is not installed
     with pytest.raises(RecordError, match=r"a\.xlsx needs openpyxl: pip install 'product-impact\[xlsx\]'"):
-        export(stored(), "a.xlsx")
+        export_tables(stored(), "a.xlsx")
 
 
 def test_more_than_a_sheet_holds_is_refused(monkeypatch):
     pytest.importorskip("openpyxl")
-    monkeypatch.setattr("dem_jax.show.export.MOST_ROWS", 3000)
+    monkeypatch.setattr("dem_jax.visualization.table_export.MOST_ROWS", 3000)
     with pytest.raises(RecordError, match=r"a\.xlsx cannot hold 3000 rows and 4 columns: .* allowed: \.csv"):
-        export(stored(), "a.xlsx")
+        export_tables(stored(), "a.xlsx")

@@ -14,10 +14,10 @@ import pytest
 import dem_jax
 from benchmarks.faults import mutated
 from dem_jax.__main__ import main
-from dem_jax.drive import interface
 from dem_jax.errors import RecordError, SceneError
-from dem_jax.store import output, writer
-from dem_jax.store.record import load_run
+from dem_jax.io import atomic_files, writer
+from dem_jax.io.run_files import load_run
+from dem_jax.runner import interface
 
 SCENE = ["plate-drop", "--set", 'piece=[{shape="sphere", radius=0.01, position=[0, 0, 0.0105]}]', "--set", "run.frames=0"]
 SHORT = [*SCENE, "--set", "run.duration=0.03", "--quiet", "--no-plot"]
@@ -70,7 +70,7 @@ FULL = f"""
 import resource, sys
 sys.path[:0] = [{str(REPOSITORY)!r}, {str(Path(__file__).parent)!r}]
 from dem_jax.errors import RecordError, SceneError
-from dem_jax.store.record import Writer
+from dem_jax.io.run_files import Writer
 from test_record import header, samples
 resource.setrlimit(resource.RLIMIT_FSIZE, (400_000, 400_000))
 writer = Writer.create("run.h5", header(), interval=0)
@@ -103,7 +103,7 @@ def test_a_run_goes_on_from_a_full_disk(whole, capsys):
 @pytest.fixture
 def computing_nothing(monkeypatch):
     """Fails if anything is computed."""
-    monkeypatch.setattr(interface.loop, "run", lambda *_: pytest.fail("it began to compute"))
+    monkeypatch.setattr(interface.loop, "run_loop", lambda *_: pytest.fail("it began to compute"))
 
 
 @pytest.mark.usefixtures("computing_nothing")
@@ -120,7 +120,7 @@ def test_what_cannot_be_written_is_found_before_computing(copy, capsys, monkeypa
     with room_for(1000):
         assert "cannot be written: File too large" in refused(["run", *SHORT, "--out", "new.h5"], capsys)
         assert "cannot be written: File too large" in refused(goes_on, capsys)
-    monkeypatch.setattr(output.os, "access", lambda *_: False)  # as root, who may run the tests, all can be written
+    monkeypatch.setattr(atomic_files.os, "access", lambda *_: False)  # as root, who may run the tests, all can be written
     assert "run.h5 cannot be written: Permission denied" in refused(goes_on, capsys)
     assert "run.h5 cannot be written: Permission denied" in refused(["run", *SHORT, "--out", str(copy), "--overwrite"], capsys)
     assert sorted(path.name for path in Path().iterdir()) == ["loop.h5", "run.h5"]
@@ -142,7 +142,7 @@ def test_a_summary_is_printed_although_the_figure_cannot_be_written(capsys, monk
     def full(*_):
         raise RecordError("run.png cannot be written: No space left on device")
 
-    monkeypatch.setattr("dem_jax.show.plot.plot_run", full)
+    monkeypatch.setattr("dem_jax.visualization.run_figure.plot_run", full)
     assert main(["run", *SHORT[:-1], "--out", "run.h5"]) == 2
     out, err = capsys.readouterr()
     assert "wrote run.h5\n" in out

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from dem_jax import build, validation
-from dem_jax.maths import rotation
+from dem_jax import assembly, validation
+from dem_jax.math import quaternions
 from dem_jax.validation import FreeRotation
 
 SPIN = (0.5, 30.0, 0.5)  # rad/s, body axes
@@ -19,7 +19,7 @@ COUNT = 6400  # two halves of the period at the finest step, more than four peri
 
 @cache
 def made():
-    return build.build(validation.plate_scene({"angular_velocity": SPIN}))
+    return assembly.assemble_system(validation.plate_scene({"angular_velocity": SPIN}))
 
 
 def problem():
@@ -29,8 +29,8 @@ def problem():
 def read(system, state):
     inertia = tuple(system.pieces.inertia)
     q, p = tuple(state.orientation), tuple(state.angular_momentum)
-    omega = rotation.angular_velocity(q, p, inertia)
-    body = rotation.vector.rotate_back(rotation.matrix(q), omega)
+    omega = quaternions.angular_velocity(q, p, inertia)
+    body = quaternions.vector.rotate_back(quaternions.rotation_matrix(q), omega)
     energy = 0.5 * sum(w * l for w, l in zip(omega, p, strict=True))
     return {"spin": jnp.stack(body)[:, 0], "energy": energy[0], "momentum": state.angular_momentum[:, 0]}
 
@@ -38,8 +38,8 @@ def read(system, state):
 @cache
 def runs():
     """For each step size: time [T] and what was read [T, ...]."""
-    system, state = validation.lasting(made().system), made().state
-    many = jax.jit(jax.vmap(lambda dt: validation.trace(system.replace(dt=dt), state, COUNT, read)[1]))
+    system, state = validation.with_permanent_pairs(made().system), made().state
+    many = jax.jit(jax.vmap(lambda dt: validation.trace_motion(system.replace(dt=dt), state, COUNT, read)[1]))
     found = jax.tree.map(np.asarray, many(jnp.asarray(STEPS)))
     time = np.array(STEPS)[:, None] * np.arange(1, COUNT + 1)
     return [(time[k], {name: x[k] for name, x in found.items()}) for k in range(len(STEPS))]
@@ -117,9 +117,9 @@ def test_rotation_returns_when_time_is_reversed():
     inertia = problem().moments
     q = tuple(jnp.asarray(c)[None] for c in (0.5, 0.5, -0.5, 0.5))
     start = tuple(jnp.asarray(c)[None] for c in (2e-6, 4e-5, 1e-6))
-    change, _ = rotation.free_rotation(q, start, inertia, 0.01)
+    change, _ = quaternions.free_rotation(q, start, inertia, 0.01)
     there = tuple(x + d for x, d in zip(q, change, strict=True))
-    back, _ = rotation.free_rotation(there, start, inertia, -0.01)
+    back, _ = quaternions.free_rotation(there, start, inertia, -0.01)
     np.testing.assert_allclose(-np.stack(back), np.stack(change), atol=1e-15)
     assert np.abs(np.stack(change)).max() > 0.05
 
@@ -128,7 +128,7 @@ def turned_sphere(angle):
     """Orientation of a sphere after one step that turns it by an angle (rad), and where it should be: [4] each."""
     axis, dt = np.array([3.0, -4.0, 12.0]) / 13, 0.05
     upright, momentum = (jnp.asarray(c)[None] for c in (1.0, 0.0, 0.0, 0.0)), jnp.asarray(2e-6 * angle / dt * axis)[:, None]
-    change, _ = rotation.spin(tuple(upright), tuple(momentum), (2e-6,) * 3, dt)
+    change, _ = quaternions.isotropic_free_rotation(tuple(upright), tuple(momentum), (2e-6,) * 3, dt)
     return np.array([1.0, 0.0, 0.0, 0.0]) + np.stack(change)[:, 0], np.array([np.cos(0.5 * angle), *(np.sin(0.5 * angle) * axis)])
 
 

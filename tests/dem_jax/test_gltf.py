@@ -10,7 +10,7 @@ import trimesh
 
 from dem_jax.cli.main import main
 from dem_jax.errors import RecordError
-from dem_jax.show.gltf import write_gltf
+from dem_jax.visualization.gltf_export import write_gltf
 from tests.dem_jax.stored import SCENE, stored
 
 

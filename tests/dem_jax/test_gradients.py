@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dem_jax import build, compiling, shapes, validation
-from dem_jax.step import stepping
+from dem_jax import assembly, shapes, validation, xla_flags
+from dem_jax.dynamics import stepping
 from dem_jax.validation import NormalImpact
 
 G = 9.81  # m/s2
@@ -25,7 +25,7 @@ EPSILON = 0.3
 def frustum():
     """Corners of a pyramid without its top, of a marshmallow's volume, about its centre of mass: no face has an opposite one."""
     points = np.array([(x * w, y * w, z) for z, w in ((0.0, 1.0), (1.0, 0.6)) for x in (-1, 1) for y in (-0.7, 0.7)])
-    shape = shapes.hull(points)
+    shape = shapes.convex_hull(points)
     return shape.vertices * (19440e-9 / shape.volume) ** (1 / 3)
 
 
@@ -42,7 +42,7 @@ def built(shape):
     piece = piece | {"position": (0.0, 0.0, half + HEIGHT), "velocity": (0.0, 0.0, -SPEED)}
     run = {"step": DT, "sample": DT, "rebuild_steps": 40, "energy": False}
     smooth = {"friction_piece": 0.0, "friction_wall": 0.0}
-    return build.build(validation.plate_scene(piece, (0.0, 0.0, -G), run=run, restitution=EPSILON, **smooth))
+    return assembly.assemble_system(validation.plate_scene(piece, (0.0, 0.0, -G), run=run, restitution=EPSILON, **smooth))
 
 
 def outcome(shape, parameters):
@@ -52,7 +52,7 @@ def outcome(shape, parameters):
     system, state = made.system, made.state
     size = system.pieces.size * (stiffness / validation.wall_stiffness(system))  # K_nl = E L
     system = validation.with_restitution(system.replace(pieces=system.pieces.replace(size=size)), epsilon)
-    state = state.moved(position=jnp.asarray(state.position).at[2, 0].set(height))
+    state = state.replace_motion(position=jnp.asarray(state.position).at[2, 0].set(height))
     last, samples = stepping.rollout(system, state, STEPS, 1)
     force = -samples.force[:, 2, 0]
     return jnp.stack([jnp.max(force), peak(force), last.velocity[2, 0]])
@@ -80,7 +80,7 @@ def derivatives(shape):
     """Reverse mode and central finite differences, [3 outcomes, 3 parameters], and the outcomes."""
     parameters = start_of(shape)
     # Few steps: all the time goes into compiling, which takes six times as long where LLVM optimises.
-    options = {"compiler_options": compiling.known("cpu") | {"xla_backend_optimization_level": 0}}
+    options = {"compiler_options": xla_flags.supported_options("cpu") | {"xla_backend_optimization_level": 0}}
     both = jax.jit(lambda p, weights: (lambda out, pull: (out, pull(weights)[0]))(*jax.vjp(partial(outcome, shape), p)), **options)
     function = lambda p: both(p, jnp.zeros(3))[0]  # noqa: E731  (one program for all)
     reverse = np.stack([both(parameters, weights)[1] for weights in jnp.eye(3)])

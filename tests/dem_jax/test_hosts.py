@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import dem_jax
-from dem_jax.store import record
+from dem_jax.io import run_files
 
 SCRIPT = """
 import pickle, sys
@@ -21,13 +21,13 @@ jax.config.update("jax_cpu_collectives_implementation", "gloo")
 port, index = sys.argv[1:3]
 jax.distributed.initialize(coordinator_address=f"localhost:{port}", num_processes=2, process_id=int(index))
 import dem_jax
-import dem_jax.drive.job
-from dem_jax.drive import execute, hosts, loop
-from dem_jax.drive.interface import drive
-from dem_jax.drive.prepare import prepare
-from dem_jax.store import record
+import dem_jax.runner.job
+from dem_jax.runner import execute, hosts, loop
+from dem_jax.runner.interface import drive
+from dem_jax.runner.job_setup import prepare
+from dem_jax.io import record
 from dem_jax.errors import RecordError
-dem_jax.drive.job.CHUNK_TIME = 0.007
+dem_jax.runner.job.CHUNK_TIME = 0.007
 mine, other = int(index) == 0, int(index) == 1
 calls, threads = [], execute.in_threads
 def counted(chunk):
@@ -81,7 +81,7 @@ after = go().time[-1]
 # a run of the second process is thrown sideways
 job = prepare("scene.toml", (3, 4), 2)
 with jax.enable_x64(True):
-    job = replace(job, state=job.state.moved(velocity=job.state.velocity.at[1, 0, 1].set(2000.0)))
+    job = replace(job, state=job.state.replace_motion(velocity=job.state.velocity.at[1, 0, 1].set(2000.0)))
 thrown = caught(lambda: drive(job, "thrown.h5", False, False))
 pickle.dump((same, single, wrong, after, thrown), open(f"found-{index}", "wb"))
 """
@@ -124,14 +124,14 @@ def two(tmp_path_factory):
 
 
 def assert_same(a, b):
-    for x, y in ((record.series_of(a), record.series_of(b)), (vars(a.pieces), vars(b.pieces)), (a.restart, b.restart)):
+    for x, y in ((run_files.collect_series(a), run_files.collect_series(b)), (vars(a.pieces), vars(b.pieces)), (a.restart, b.restart)):
         assert x.keys() == y.keys()
         for name, array in x.items():
             np.testing.assert_array_equal(y[name], array, err_msg=name)
 
 
 def test_members_have_the_same_bits_in_one_process_and_in_two(two, monkeypatch):
-    monkeypatch.setattr("dem_jax.drive.job.CHUNK_TIME", 0.007)
+    monkeypatch.setattr("dem_jax.runner.job.CHUNK_TIME", 0.007)
     alone = dem_jax.ensemble(scene(), runs=3, seed=7)
     assert np.abs(alone.force["plate"]).max() > 0.01 and 0.01 < alone.settled < 0.05
     (first, second), folder = two

@@ -5,12 +5,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dem_jax.maths.identity import KEPT, KEPT_IN_DERIVATIVES
+from dem_jax.math.barrier_primitives import DERIVATIVE_BARRIER, FUSION_BARRIER
 
 VALUES = [0.0, -0.0, 1.0, -2.5, 1e-40, 3e38, np.inf, -np.inf, np.nan]
 
 
-@pytest.mark.parametrize("identity", [KEPT, KEPT_IN_DERIVATIVES])
+@pytest.mark.parametrize("identity", [FUSION_BARRIER, DERIVATIVE_BARRIER])
 @pytest.mark.parametrize("dtype", ["float32", "float64", "int32"])
 def test_the_value_is_the_same_to_the_last_bit(identity, dtype):
     x = np.arange(-4, 5, dtype=dtype) if dtype == "int32" else np.array(VALUES, dtype)
@@ -23,7 +23,7 @@ def test_the_value_is_the_same_to_the_last_bit(identity, dtype):
             assert dtype == "int32" or np.array_equal(np.signbit(found), np.signbit(x))
 
 
-@pytest.mark.parametrize("identity", [KEPT, KEPT_IN_DERIVATIVES])
+@pytest.mark.parametrize("identity", [FUSION_BARRIER, DERIVATIVE_BARRIER])
 def test_derivatives_are_those_of_the_identity(identity):
     f = lambda x: jnp.sum(jnp.sin(identity.bind(x)) * identity.bind(x * x))  # noqa: E731
     g = lambda x: jnp.sum(jnp.sin(x) * (x * x))  # noqa: E731

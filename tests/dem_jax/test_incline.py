@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dem_jax import build, validation
-from dem_jax.maths import rotation
+from dem_jax import assembly, validation
+from dem_jax.math import quaternions
 
 G = 9.81  # m/s2
 EPSILON = 0.5  # restitution does not enter; steps are larger than at 0.1
@@ -18,12 +18,12 @@ EPSILON = 0.5  # restitution does not enter; steps are larger than at 0.1
 def placed(piece, height, **material):
     """A system, and a function that makes its first state for an angle: at rest, sunk in by its weight."""
     material = {"restitution": EPSILON} | material
-    made = build.build(validation.plate_scene(piece | {"position": (0.0, 0.0, height)}, (0.0, 0.0, -G), **material))
+    made = assembly.assemble_system(validation.plate_scene(piece | {"position": (0.0, 0.0, height)}, (0.0, 0.0, -G), **material))
     mass, stiffness = made.system.pieces.mass[0], validation.wall_stiffness(made.system)[0]
 
     def start(angle):
         sunk = mass * G * jnp.cos(angle) / stiffness
-        return made.state.moved(position=made.state.position - jnp.stack([0 * sunk, 0 * sunk, sunk])[:, None])
+        return made.state.replace_motion(position=made.state.position - jnp.stack([0 * sunk, 0 * sunk, sunk])[:, None])
 
     return made, start
 
@@ -35,14 +35,14 @@ def on_incline(system, start, angle, friction, steps, every):
     def one(angle, friction):
         gravity = G * jnp.stack([jnp.sin(angle), 0 * angle, -jnp.cos(angle)])
         changed = validation.with_friction(system.replace(gravity=gravity), friction)
-        return validation.trace(validation.lasting(changed), start(angle), steps, read, every)[1]
+        return validation.trace_motion(validation.with_permanent_pairs(changed), start(angle), steps, read, every)[1]
 
     return jax.vmap(one)(angle, friction)
 
 
 def read(system, state):
-    upright = rotation.matrix(tuple(state.orientation))[2]  # world z in body axes
-    return validation.motion(system, state) | {"upright": jnp.stack(upright)[:, 0]}
+    upright = quaternions.rotation_matrix(tuple(state.orientation))[2]  # world z in body axes
+    return validation.read_motion(system, state) | {"upright": jnp.stack(upright)[:, 0]}
 
 
 def run(made, start, degrees, friction, duration):

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dem_jax import build
-from dem_jax.pairs import guard
+from dem_jax import assembly
+from dem_jax.broad_phase import overflow_recovery
+from dem_jax.dynamics import stepping
 from dem_jax.scene import Scene
-from dem_jax.step import stepping
 
 PIECES = (
     ((-0.02, 0.01, 0.030), (1.0, 0.3, 0.2, 0.1), (0.2, 0.1, -1.0), (5.0, -3.0, 2.0)),
@@ -49,15 +49,15 @@ def scene(turn=SAME, shift=(0.0, 0.0, 0.0), order=range(4)):
 
 def run(of):
     """The last state, the samples, and how often two pieces were seen in touch."""
-    made = build.build(of, 0)
+    made = assembly.assemble_system(of, 0)
     system = made.system.replace(skin=made.system.skin * 0 + 0.01)
     state, samples, touches = made.state, [], 0
     for _ in range(SAMPLES // 10):
-        state, recorded, _ = stepping.chunk(system, state, np.int32(10), np.int32(1), samples=1024, frames=0)
+        state, recorded, _ = stepping.run_compiled_chunk(system, state, np.int32(10), np.int32(1), samples=1024, frames=0)
         samples.append(jax.tree.map(lambda x: np.asarray(x)[:10], recorded))
         table = jax.device_get(state.contacts["hulls"])
         touches += int(((table.a >= 0) & (table.a < len(PIECES)) & (table.memory.law.force > 0)).sum())
-    assert not guard.outgrown(system, jax.device_get(state.guard))
+    assert not overflow_recovery.describe_overflow(system, jax.device_get(state.guard))
     return jax.device_get(state), jax.tree.map(lambda *x: np.concatenate(x), *samples), touches
 
 

@@ -6,15 +6,15 @@ import jax
 import numpy as np
 import pytest
 
-from dem_jax import build
-from dem_jax.drive import execute
-from dem_jax.drive.interface import drive, resume
-from dem_jax.drive.prepare import prepare
+from dem_jax import assembly
+from dem_jax.dynamics import interleaved_batch
 from dem_jax.errors import SceneError, SimulationError
+from dem_jax.runner import executors
+from dem_jax.runner.interface import resume, run_job
+from dem_jax.runner.job_setup import prepare_job
 from dem_jax.scene import Scene, load_scene
-from dem_jax.step import joined
 
-RUNS = joined.AT_ONCE + 3  # two groups, the second filled up by its last run
+RUNS = interleaved_batch.RUNS_AT_ONCE + 3  # two groups, the second filled up by its last run
 ROUNDING = 1e-9  # of the largest value: rounding of 1e-16, which collisions enlarge
 SIZE = 0.1  # m, half of the floor
 FLOOR = [(-SIZE, -SIZE, 0.0), (SIZE, -SIZE, 0.0), (SIZE, SIZE, 0.0), (-SIZE, SIZE, 0.0)]
@@ -43,17 +43,17 @@ def scene(duration=0.012):
 
 def job_of(order=range(RUNS), duration=0.012):
     """Runs that begin with other velocities each, some of them too high to hit anything for a while."""
-    job = prepare(scene(duration), tuple(order), len(order))
+    job = prepare_job(scene(duration), tuple(order), len(order))
     random = np.random.default_rng(0)
     way, high = random.normal(0, 0.05, (RUNS, 3, 5)), np.where(np.arange(RUNS) % 4 == 1, 0.004, 0.0)
     with jax.enable_x64(True):
         state, pick = job.state, lambda x: x[np.array(order)]
         position = state.position.at[:, 2].add(pick(high)[:, None])
-        return replace(job, state=state.moved(velocity=state.velocity + pick(way), position=position))
+        return replace(job, state=state.replace_motion(velocity=state.velocity + pick(way), position=position))
 
 
 def driven(job):
-    return drive(job, None, False, False)
+    return run_job(job, None, False, False)
 
 
 @pytest.fixture(scope="module")
@@ -77,8 +77,8 @@ def assert_same(found, wanted, rounding=ROUNDING):
 
 def alone(job):
     """The same ensemble, each run by itself."""
-    assert job.way is execute.side_by_side
-    return driven(replace(job, way=execute.in_threads))
+    assert job.executor is executors.run_interleaved
+    return driven(replace(job, executor=executors.run_threaded))
 
 
 def test_each_run_is_what_it_is_by_itself(side_by_side):
@@ -93,7 +93,7 @@ def test_each_run_is_what_it_is_by_itself(side_by_side):
 
 def test_the_bits_of_a_run_do_not_depend_on_its_place_and_company(side_by_side):
     order = [*range(4, RUNS), 3, 2, 1, 0]
-    for count in (RUNS, joined.AT_ONCE):
+    for count in (RUNS, interleaved_batch.RUNS_AT_ONCE):
         found = driven(job_of(order[:count]))
         for place, k in enumerate(order[:count]):
             for name in SERIES:
@@ -119,21 +119,21 @@ def balls():
 @pytest.mark.parametrize(("room", "note"), [((1, 1), "candidate pairs of plates for 1"), ((8, 1), "pairs of plates for 1 slots")])
 def test_room_is_grown_for_all(monkeypatch, room, note):
     """Too few candidates for all together, or too few slots for one run."""
-    full = build.system.capacity
-    ample = driven(prepare(balls(), range(RUNS), RUNS))
-    monkeypatch.setattr(build.system, "capacity", lambda *a: (("plates", *room), *full(*a)[1:]))
-    grown = driven(prepare(balls(), range(RUNS), RUNS))
+    full = assembly.system.estimate_capacities
+    ample = driven(prepare_job(balls(), range(RUNS), RUNS))
+    monkeypatch.setattr(assembly.system, "estimate_capacities", lambda *a: (("plates", *room), *full(*a)[1:]))
+    grown = driven(prepare_job(balls(), range(RUNS), RUNS))
     assert any(note in line for line in grown.info["reruns"])
     assert np.abs(ample.force["floor"]).max(axis=(1, 2)).min() > 0.01, "all runs have landed"
     assert_same(grown, ample)
 
 
 def test_going_on_gives_the_same_bits(side_by_side, tmp_path, monkeypatch):
-    monkeypatch.setattr("dem_jax.drive.job.CHUNK_TIME", 2e-3)
+    monkeypatch.setattr("dem_jax.runner.job.CHUNK_TIME", 2e-3)
     whole = driven(job_of())
     job = job_of(duration=0.006)
-    assert job.stride < 200, "in several chunks"
-    drive(job, tmp_path / "runs.h5", False, False)
+    assert job.samples_per_chunk < 200, "in several chunks"
+    run_job(job, tmp_path / "runs.h5", False, False)
     longer = resume(tmp_path / "runs.h5", duration=0.012)
     for name in SERIES:
         for key, series in getattr(whole, name).items():
@@ -146,7 +146,7 @@ def test_the_run_that_fails_is_named():
     job = job_of()
     last = RUNS - 1
     with jax.enable_x64(True):
-        job = replace(job, state=job.state.moved(velocity=job.state.velocity.at[last, 2, 0].set(np.inf)))
+        job = replace(job, state=job.state.replace_motion(velocity=job.state.velocity.at[last, 2, 0].set(np.inf)))
     with pytest.raises(SimulationError, match=rf"run {last} \(seed {last}\): piece 0 at t = 3e-05 s") as caught:
         driven(job)
     assert (caught.value.member, caught.value.piece) == (last, 0)
@@ -155,7 +155,7 @@ def test_the_run_that_fails_is_named():
 def test_a_contact_that_is_too_deep_names_its_run_and_bodies():
     job = job_of()
     with jax.enable_x64(True):
-        job = replace(job, state=job.state.moved(velocity=job.state.velocity.at[5, 2, 3].set(-300.0)))
+        job = replace(job, state=job.state.replace_motion(velocity=job.state.velocity.at[5, 2, 3].set(-300.0)))
     with pytest.raises(SimulationError, match=r"run 5 \(seed 5\): piece 3 .* its contact with wall group 'floor'") as caught:
         driven(job)
     assert (caught.value.member, caught.value.piece) == (5, 3)
@@ -165,18 +165,18 @@ def test_a_contact_that_is_too_deep_names_its_run_and_bodies():
 def test_a_start_with_overlap_names_the_run_and_the_bodies(piece, other):
     job = job_of()
     with jax.enable_x64(True):
-        job = replace(job, state=job.state.moved(position=job.state.position.at[7, 2, piece].set(0.002)))
+        job = replace(job, state=job.state.replace_motion(position=job.state.position.at[7, 2, piece].set(0.002)))
     with pytest.raises(SceneError, match=rf"piece {piece} and {other} of run 7 \(seed 7\) overlap at the start"):
         driven(job)
 
 
 def test_only_where_it_pays():
-    system = prepare(scene(), (0,), None).system
-    assert joined.is_worthwhile(system, joined.AT_ONCE)
-    assert not joined.is_worthwhile(system, joined.AT_ONCE - 1)
-    assert not joined.is_worthwhile(system.replace(slot_block=0), joined.AT_ONCE), "no CPU"
-    assert not joined.is_worthwhile(system.replace(neighbours="cells"), joined.AT_ONCE)
+    system = prepare_job(scene(), (0,), None).system
+    assert interleaved_batch.is_batch_worthwhile(system, interleaved_batch.RUNS_AT_ONCE)
+    assert not interleaved_batch.is_batch_worthwhile(system, interleaved_batch.RUNS_AT_ONCE - 1)
+    assert not interleaved_batch.is_batch_worthwhile(system.replace(slot_block=0), interleaved_batch.RUNS_AT_ONCE), "no CPU"
+    assert not interleaved_batch.is_batch_worthwhile(system.replace(neighbours="cells"), interleaved_batch.RUNS_AT_ONCE)
     with jax.enable_x64(True):
-        many = {"portion.count": joined.MOST_PIECES + 1, "portion.scale_factor": 0.5}
-        heap = prepare(load_scene("quick-release", many), (0,), None).system
-    assert not joined.is_worthwhile(heap, joined.AT_ONCE)
+        many = {"portion.count": interleaved_batch.MOST_PIECES + 1, "portion.scale_factor": 0.5}
+        heap = prepare_job(load_scene("quick-release", many), (0,), None).system
+    assert not interleaved_batch.is_batch_worthwhile(heap, interleaved_batch.RUNS_AT_ONCE)

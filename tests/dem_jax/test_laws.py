@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from dem_jax import build, validation
-from dem_jax.contact.law import dashpot
-from dem_jax.contact.law.linear_dashpot import LinearDashpot
-from dem_jax.pairs.slots import constants
+from dem_jax import assembly, validation
+from dem_jax.broad_phase.pair_constants import compute_pair_constants
+from dem_jax.contact_laws import dashpot
+from dem_jax.contact_laws.linear_dashpot import LinearDashpot
 from dem_jax.scene import Scene
 from dem_jax.validation import DashpotImpact, HertzImpact, ObliqueImpact
 
@@ -33,14 +33,14 @@ def built(law, shape="sphere", precision="f64", friction=0.0):
     stiff = {"youngs_modulus": 1e12, "wall_youngs_modulus": 1e15, "softening": 1.0} if friction else {}
     mu = {"friction_wall": friction, "friction_piece": friction}
     scene = validation.plate_scene(PIECES[shape][0], precision=precision, **mu, **stiff)
-    return build.build(scene.replace(contact={"law": law}))
+    return assembly.assemble_system(scene.replace(contact={"law": law}))
 
 
 def pair_of(made):
     """The law's constants of the piece against the wall, as numbers."""
     system, number = made.system, made.system.pieces.mass.shape[0]
     kind = next(iter(made.state.contacts))
-    pair = constants(system, kind, jnp.array([number]), jnp.array([0])).pair
+    pair = compute_pair_constants(system, kind, jnp.array([number]), jnp.array([0])).pair
     return jax.tree.map(lambda x: float(x[0]), pair)
 
 
@@ -68,13 +68,13 @@ def impacts(system, state, height, rows):
 
     def one(row):
         dt, restitution, friction, part, normal, along = row
-        changed = validation.with_restitution(validation.lasting(system).replace(dt=dt), restitution)
+        changed = validation.with_restitution(validation.with_permanent_pairs(system).replace(dt=dt), restitution)
         if system.materials.friction is not None:
             changed = validation.with_friction(changed, friction)
         zero = jnp.zeros_like(dt)
         place = jnp.stack([zero, zero, height + normal * dt * part])
-        start = state.moved(position=place[:, None], velocity=jnp.stack([along, zero, -normal])[:, None])
-        return validation.trace(changed, start, STEPS, read)
+        start = state.replace_motion(position=place[:, None], velocity=jnp.stack([along, zero, -normal])[:, None])
+        return validation.trace_motion(changed, start, STEPS, read)
 
     return jax.vmap(one)(rows)[1]
 
@@ -128,7 +128,7 @@ def test_the_default_step_gives_the_restitution_within_a_percent(law, precision)
         made = built(law, "sphere", precision)
         for e in (0.1, 0.5, 0.9):
             scene = validation.plate_scene(PIECES["sphere"][0], restitution=e).replace(contact={"law": law, **_speed(law)})
-            dt = build.build(scene.replace(run={"sample": 1e-2, "precision": precision})).step.dt
+            dt = assembly.assemble_system(scene.replace(run={"sample": 1e-2, "precision": precision})).step.dt
             out = run(made, "sphere", [(dt, e, 0.0, p, SPEED, 0.0) for p in np.linspace(0.1, 1, 8)])["velocity"][:, -1, 2]
             print(law, precision, e, out / SPEED / e - 1)
             assert np.abs(out / SPEED / e - 1).max() < 0.03
@@ -200,7 +200,7 @@ def hertz_material(modulus, ratio, density):
 @jax.jit
 def approach(system, state):
     """Speeds and forces of STEPS steps."""
-    return validation.trace(validation.lasting(system), state, STEPS, lambda _, s: (s.position, s.velocity, s.motion.force))[1]
+    return validation.trace_motion(validation.with_permanent_pairs(system), state, STEPS, lambda _, s: (s.position, s.velocity, s.motion.force))[1]
 
 
 @pytest.mark.parametrize("material", [GLASS, LIMESTONE, ALUMINIUM, MAGNESIUM], ids=["glass", "limestone", "Al", "Mg"])
@@ -221,7 +221,7 @@ def test_elastic_impacts_of_chung_and_ooi(material):
     else:
         piece = sphere | {"position": (0.0, 0.0, radius + gap), "velocity": (0.0, 0.0, -closing)}
         scene = validation.plate_scene(piece, run=run, **hertz_material(*kind)).replace(contact=contact)
-    made = build.build(scene)
+    made = assembly.assemble_system(scene)
     place, velocity, force = (np.asarray(x)[:, 2] for x in approach(made.system, made.state))
     depth = 2 * radius - (place[:, 1] - place[:, 0]) if pairs else radius - place[:, 0]
     mass = float(made.system.pieces.mass[0]) / (2 if pairs else 1)
@@ -253,7 +253,7 @@ def test_an_impact_that_slides_throughout(law):
     dt, friction = elastic(law, made).loading_time / 100, 1e-3  # of all that slides, loading the spring is some 1e-3
     for e in (0.3, 0.7, 1.0):
         found = run(made, "sphere", [(dt, e, friction, 0.5, SPEED, SPEED)])
-        along, surface = ObliqueImpact(e, friction).sliding(SPEED, SPEED)
+        along, surface = ObliqueImpact(e, friction).sliding_speeds(SPEED, SPEED)
         spin = found["momentum"][0, -1, 1] / float(made.system.pieces.inertia[1, 0])
         assert SPEED - found["velocity"][0, -1, 0] == pytest.approx(SPEED - along, rel=2e-3)
         assert -RADIUS * spin == pytest.approx(surface, rel=2e-3)
@@ -301,11 +301,11 @@ def test_derivatives_of_the_rebound(law):
     dt = jnp.asarray(elastic(law, made).loading_time / 50)
 
     def rebound(e, speed, part):
-        changed = validation.with_restitution(validation.lasting(made.system).replace(dt=dt), e)
+        changed = validation.with_restitution(validation.with_permanent_pairs(made.system).replace(dt=dt), e)
         zero = jnp.zeros_like(e)
         place = jnp.stack([zero, zero, RADIUS + SPEED * dt * part])
-        start = made.state.moved(position=place[:, None], velocity=jnp.stack([zero, zero, -speed])[:, None])
-        return validation.trace(changed, start, 130, lambda _, s: None)[0].velocity[2, 0]
+        start = made.state.replace_motion(position=place[:, None], velocity=jnp.stack([zero, zero, -speed])[:, None])
+        return validation.trace_motion(changed, start, 130, lambda _, s: None)[0].velocity[2, 0]
 
     slopes = jax.jit(jax.grad(rebound, (0, 1, 2)))(jnp.asarray(0.6), jnp.asarray(SPEED), jnp.asarray(0.5))
     assert np.isfinite(slopes).all()

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 import dem_jax
-from dem_jax import build
-from dem_jax.contact.law import Response
-from dem_jax.contact.law.cohesion import Cohesive
-from dem_jax.contact.law.linear_dashpot import LinearDashpot
-from dem_jax.contact.law.springs import quarter_period, series
-from dem_jax.contact.law.walton_braun import WaltonBraun
+from dem_jax import assembly
+from dem_jax.broad_phase import candidate_search, overflow_recovery
+from dem_jax.contact_laws import Response
+from dem_jax.contact_laws.cohesion import Cohesive
+from dem_jax.contact_laws.linear_dashpot import LinearDashpot
+from dem_jax.contact_laws.springs import combine_in_series, quarter_period
+from dem_jax.contact_laws.walton_braun import WaltonBraun
+from dem_jax.dynamics import stepping
 from dem_jax.errors import RecordError, SceneError
-from dem_jax.pairs import guard, search
-from dem_jax.scene import Scene, described, load_scene, parse
-from dem_jax.step import stepping
+from dem_jax.scene import Scene, describe_scene, load_scene, parse_scene
 from dem_jax.types import pytree
 
 SAMPLES = 500
@@ -68,14 +68,14 @@ LONG = dict.fromkeys(set(CASES) - {GENERAL}, pytest.mark.long)  # each like that
 @pytest.mark.parametrize("case", [pytest.param(case, marks=LONG.get(case, ())) for case in CASES])
 def test_energy_never_comes_from_nothing_and_momentum_balances(case):
     contact, material = CASES[case]
-    made = build.build(box(contact, {"restitution": 0.4} | material, {}, 5 if case == GENERAL else 6))
+    made = assembly.assemble_system(box(contact, {"restitution": 0.4} | material, {}, 5 if case == GENERAL else 6))
     system = made.system
     counts = system.parts.polytopes.shape[0], system.parts.spheres.shape[0], system.walls.group.shape[0]
-    room = tuple((kind, *[search.pair_count(kind, *counts)] * 2) for kind, *_ in system.capacity)
-    system, state = guard.with_capacity(system, made.state, room, 7 + 6, system.row_capacity)
+    room = tuple((kind, *[candidate_search.pair_count(kind, *counts)] * 2) for kind, *_ in system.capacity)
+    system, state = overflow_recovery.with_capacity(system, made.state, room, 7 + 6, system.row_capacity)
     system = system.replace(skin=jnp.asarray(0.02))
-    state, recorded, _ = stepping.chunk(system, state, np.int32(SAMPLES), np.int32(1), samples=SAMPLES, frames=0)
-    assert not guard.outgrown(system, jax.device_get(state.guard))
+    state, recorded, _ = stepping.run_compiled_chunk(system, state, np.int32(SAMPLES), np.int32(1), samples=SAMPLES, frames=0)
+    assert not overflow_recovery.describe_overflow(system, jax.device_get(state.guard))
     energy = np.asarray(recorded.energy)
     kinetic, _, elastic, lost, _, total = energy.T
     start = kinetic[0]
@@ -149,10 +149,10 @@ class Plateau:
 
     limit: jax.Array  # (N)
 
-    def pair(self, couple):
-        return series(*(e * size for e, size in zip(couple.youngs_modulus, couple.size, strict=True)))
+    def pair_parameters(self, couple):
+        return combine_in_series(*(e * size for e, size in zip(couple.youngs_modulus, couple.size, strict=True)))
 
-    def start(self, pair, like):
+    def init_history(self, pair, like):
         return ()
 
     def force(self, pair, history, contact):
@@ -162,7 +162,7 @@ class Plateau:
         s, edge = jnp.maximum(overlap, 0), self.limit / pair
         return jnp.where(s < edge, 0.5 * pair * s * s, self.limit * (s - 0.5 * edge))
 
-    def reach(self, pair):
+    def interaction_range(self, pair):
         return None
 
     def critical_steps(self, pair, mass):
@@ -199,11 +199,11 @@ def test_a_law_of_one_s_own_is_run_kept_by_name_and_asked_for_again():
 def test_a_scene_names_its_law_and_comes_back():
     contact = {"law": "hertz-mindlin", "cohesion": {"range": 2e-4}}
     scene = load_scene("plate-drop").replace(contact=contact, material={"pull_off": 0.1})
-    assert parse(scene.to_toml()) == scene == parse(described(scene))
-    law = build.law.law_of(scene)
+    assert parse_scene(scene.to_toml()) == scene == parse_scene(describe_scene(scene))
+    law = assembly.contact_law.build_contact_law(scene)
     assert type(law).__name__ == "Cohesive" and float(law.range) == 2e-4 and float(law.law.impact_speed) == 5.0
-    assert isinstance(build.law.law_of(scene.replace(contact={"law": "linear-dashpot"}, material={"pull_off": 0.0})), LinearDashpot)
-    assert isinstance(build.law.law_of(load_scene("plate-drop")), WaltonBraun)
+    assert isinstance(assembly.contact_law.build_contact_law(scene.replace(contact={"law": "linear-dashpot"}, material={"pull_off": 0.0})), LinearDashpot)
+    assert isinstance(assembly.contact_law.build_contact_law(load_scene("plate-drop")), WaltonBraun)
 
 
 MISTAKES = [
@@ -230,10 +230,10 @@ def test_a_mistake_is_one_clear_line(changes, expected):
 
 def test_a_cohesive_law_needs_a_pull_off_force():
     with pytest.raises(SceneError, match="material.pull_off = 0: with a cohesive law"):
-        build.build(load_scene("plate-drop"), law=Cohesive(LinearDashpot(1.0), 1.0, 1e-4))
+        assembly.assemble_system(load_scene("plate-drop"), law=Cohesive(LinearDashpot(1.0), 1.0, 1e-4))
 
 
 def test_the_accuracy_of_another_law_is_not_known():
     scene = load_scene("plate-drop").replace(contact={"law": "hertz-mindlin"}, run={"accuracy": {"restitution": 0.01}})
     with pytest.raises(SceneError, match="run.accuracy: known of the law of Walton and Braun only, not of HertzMindlin"):
-        build.build(scene)
+        assembly.assemble_system(scene)

@@ -4,20 +4,20 @@ import numpy as np
 import pytest
 
 import dem_jax
-from dem_jax.build.pieces import goods_of
+from dem_jax.assembly.piece_arrays import build_piece_set
 from dem_jax.cli.main import main
-from dem_jax.drive.prepare import prepare
-from dem_jax.drive.recorded import masses_of_runs
 from dem_jax.errors import SceneError
-from dem_jax.scene import library, load_scene, parse
-from dem_jax.scene.buckets import depth
-from dem_jax.scene.library import buckets, products
+from dem_jax.runner.job_setup import prepare_job
+from dem_jax.runner.recording import list_piece_masses
+from dem_jax.scene import library, load_scene, parse_scene
+from dem_jax.scene.bucket_geometry import flap_depth
+from dem_jax.scene.library import list_buckets, list_products
 
 
-@pytest.mark.parametrize("name", products())
+@pytest.mark.parametrize("name", list_products())
 def test_every_product_is_a_portion(name):
     scene = load_scene("weigh-bucket", {"product": name})
-    goods = goods_of(scene)
+    goods = build_piece_set(scene)
     weights = [scene.material.density * shape.volume for shape in goods.shapes]
     assert sum(weights) == pytest.approx(0.05, abs=0.5 * max(weights) + 1e-9)
     assert 0.05e-3 < max(weights) < 0.05, "a piece that a scale drops several of"
@@ -25,7 +25,7 @@ def test_every_product_is_a_portion(name):
     softest = 1e5 if scene.contact.law == "walton-braun" else 3e4  # a foam stiffens
     assert softest <= stiff <= 1e7, "neither too soft to land nor too slow to compute"
     assert stiff == scene.material.youngs_modulus or stiff >= 1e6 * (1 - 1e-9), "softened only where it is stiffer"
-    assert parse(scene.to_toml()) == scene
+    assert parse_scene(scene.to_toml()) == scene
 
 
 def test_a_product_takes_the_place_of_shape_and_material_and_leaves_the_rest():
@@ -66,19 +66,19 @@ def test_an_ensemble_and_a_study_vary_it():
         dem_jax.ensemble("weigh-bucket", parameters={"product": ["marshmallow", "hazelnut"]})
 
 
-@pytest.mark.parametrize("name", buckets())
+@pytest.mark.parametrize("name", list_buckets())
 def test_every_bucket_is_that_of_a_scene(name):
     """Both buckets clear each other, opened too; the feed bucket's mouth is the narrower, and what opens is the scene's."""
     scene = load_scene("weigh-bucket", {"bucket": name})
     feed, weigh = scene.feed_bucket, scene.weigh_bucket
     assert weigh.opening_angle_deg == 0.0 and feed.opening_angle_deg > 0.0 and feed.opening_start == 0.0
     assert all(f < w for f, w in zip(feed.mouth, weigh.mouth, strict=True))
-    bottom, top = scene.drop.height, depth(weigh) + weigh.wall_height
-    hinge, flap = bottom + depth(feed), np.hypot(depth(feed), feed.mouth[1] / 2)
+    bottom, top = scene.drop.height, flap_depth(weigh) + weigh.wall_height
+    hinge, flap = bottom + flap_depth(feed), np.hypot(flap_depth(feed), feed.mouth[1] / 2)
     opened = np.radians(feed.flap_angle_deg + feed.opening_angle_deg)  # from the horizontal, through the vertical
     swept = [hinge - (flap + feed.lap) * np.sin(angle) for angle in np.linspace(np.radians(feed.flap_angle_deg), opened, 50)]
     assert min(swept) > top, "open flaps stand above the weigh bucket"
-    assert parse(scene.to_toml()) == scene
+    assert parse_scene(scene.to_toml()) == scene
 
 
 def test_a_bucket_by_name_takes_sizes_and_is_changed():
@@ -150,8 +150,8 @@ def test_a_file_of_results_has_the_masses_of_the_pieces():
     changes = {"piece": [{"shape": "sphere", "radius": r, "position": [0, 0, r]} for r in (0.01, 0.02)], "material.density": 250.0}
     scene = load_scene("plate-drop", changes)
     ball = 4 / 3 * np.pi * 250.0 * 1e-6
-    assert masses_of_runs(prepare(scene, [0], None)) == pytest.approx([ball, 8 * ball], rel=1e-12)
+    assert list_piece_masses(prepare_job(scene, [0], None)) == pytest.approx([ball, 8 * ball], rel=1e-12)
     alike = scene.replace({"piece": changes["piece"][:1]})
-    assert masses_of_runs(prepare(alike, [0], None)) == pytest.approx([ball], rel=1e-12)
-    varied = prepare(alike, [0, 1], 2, parameters={"material.density": [250.0, 251.0]})
-    assert np.array(masses_of_runs(varied)) == pytest.approx(ball * np.array([[1.0], [1.004]]), rel=1e-12)
+    assert list_piece_masses(prepare_job(alike, [0], None)) == pytest.approx([ball], rel=1e-12)
+    varied = prepare_job(alike, [0, 1], 2, parameters={"material.density": [250.0, 251.0]})
+    assert np.array(list_piece_masses(varied)) == pytest.approx(ball * np.array([[1.0], [1.004]]), rel=1e-12)

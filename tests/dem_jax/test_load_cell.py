@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 
 import dem_jax
-from dem_jax import build, validation
-from dem_jax.build.load_cell import added_rate
-from dem_jax.build.time_step import possible_contacts
-from dem_jax.contact import boundary
+from dem_jax import assembly, validation
+from dem_jax.assembly.load_cell_setup import bound_load_cell_frequency
+from dem_jax.assembly.time_step import list_possible_contacts
+from dem_jax.dynamics import integrator, interleaved_batch
 from dem_jax.errors import SceneError
 from dem_jax.scene import Scene
-from dem_jax.show.summary import summary
-from dem_jax.step import integrate, joined
-from dem_jax.types import CellMotion
+from dem_jax.types import LoadCellMotion
 from dem_jax.validation import CellImpact
+from dem_jax.visualization.summary import summarize_run
+from dem_jax.walls import kinematics
 
 SLOPE = np.radians(55.0)  # of the flaps
 RADIUS, GRAVITY = 0.02, 9.81
@@ -38,8 +38,8 @@ def scene(cell=CELL, height=TOUCH, speed=0.0, run=None, bucket=None, **material)
 @cache
 def made():
     """With every pair a candidate for good."""
-    built = build.build(scene())
-    return validation.lasting(built.system), built.state
+    built = assembly.assemble_system(scene())
+    return validation.with_permanent_pairs(built.system), built.state
 
 
 def problem(damping=True):
@@ -59,7 +59,7 @@ def read(_, state):
 @jax.jit
 def ran(system, state):
     """State after STEPS steps, and u, x, u', x' after each."""
-    return validation.trace(system, state, STEPS, read)
+    return validation.trace_motion(system, state, STEPS, read)
 
 
 def traced(start, dt, parts=1, damping=True):
@@ -70,9 +70,9 @@ def traced(start, dt, parts=1, damping=True):
     if not damping:
         walls = walls.replace(load_cell=walls.load_cell.replace(damping=0 * walls.load_cell.damping))
     system = system.replace(dt=jnp.asarray(np.float64(dt)), walls=walls)
-    cell = CellMotion(jnp.array([x]), jnp.array([w]))
+    cell = LoadCellMotion(jnp.array([x]), jnp.array([w]))
     up = lambda z: jnp.array([[0.0], [0.0], [z]])  # noqa: E731
-    state = state.moved(position=up(TOUCH - u), velocity=up(-v)).replace(cell=cell)
+    state = state.replace_motion(position=up(TOUCH - u), velocity=up(-v)).replace(cell=cell)
     rows = []
     for _ in range(parts):
         state, found = ran(system, state)
@@ -93,7 +93,7 @@ def test_the_cell_alone_swings_as_the_closed_form_at_second_order():
         dt = period / STEPS / parts
         time = dt * np.arange(1, parts * STEPS + 1)
         found = traced((-0.1, start[0], 0.0, start[1]), dt, parts)[[1, 3]]  # the sphere falls from far above
-        errors.append(np.abs(found - case.alone(start, time)).max(1) / case.alone(start, time).max(1))
+        errors.append(np.abs(found - case.free_motion(start, time)).max(1) / case.free_motion(start, time).max(1))
     assert (errors[0] < 2e-3).all()  # the period is off by (omega dt)^2 / 24 = 4e-5, the phase 2 pi times that
     assert (np.abs(orders(errors) - 2) < 0.02).all(), orders(errors)
 
@@ -140,8 +140,8 @@ def test_free_flight_in_one_jump_is_that_of_single_steps():
     system, state = made()
     system = system.replace(dt=jnp.asarray(np.float64(1e-5)))
     above = state.position + np.array([[0.0], [0.0], [0.05]])
-    state = state.moved(position=above).replace(cell=CellMotion(jnp.array([1e-4]), jnp.array([0.01])))
-    jumped, stepped = jax.jit(integrate.flight)(system, state, jnp.int32(STEPS)), ran(system, state)[0]
+    state = state.replace_motion(position=above).replace(cell=LoadCellMotion(jnp.array([1e-4]), jnp.array([0.01])))
+    jumped, stepped = jax.jit(integrator.ballistic_step)(system, state, jnp.int32(STEPS)), ran(system, state)[0]
     for name in ("deflection", "velocity"):
         np.testing.assert_allclose(getattr(jumped.cell, name), getattr(stepped.cell, name), rtol=1e-11)
 
@@ -150,14 +150,14 @@ def test_walls_and_flaps_go_down_with_the_cell():
     """Also while they swing, and by far less than what single precision keeps of a height."""
     floor = {"group": "floor", "corners": [(-1, -1, -1), (1, -1, -1), (1, 1, -1), (-1, 1, -1)]}
     swinging = scene(bucket={"opening_angle_deg": 65.0}, run={"precision": "f32"}).replace(wall=[floor])
-    built = build.build(swinging)
+    built = assembly.assemble_system(swinging)
     system = built.system
-    held = jax.jit(boundary.at_rebuild)(system, jnp.int32(4000))
-    cell = CellMotion(*(jnp.asarray([x], system.dt.dtype) for x in (1.5e-9, 0.25)))
-    moved = jax.jit(boundary.carried)(system, built.state.replace(cell=cell), held)
+    held = jax.jit(kinematics.wall_state_at_rebuild)(system, jnp.int32(4000))
+    cell = LoadCellMotion(*(jnp.asarray([x], system.dt.dtype) for x in (1.5e-9, 0.25)))
+    moved = jax.jit(kinematics.apply_compliance)(system, built.state.replace(cell=cell), held)
     floor = system.walls.groups.index("floor")
     on_it = np.asarray(system.walls.group) != floor
-    sunk = (np.asarray(held.rows[2], float) - np.asarray(moved.rows[2], float)) - np.asarray(moved.rest[2], float)
+    sunk = (np.asarray(held.rows[2], float) - np.asarray(moved.rows[2], float)) - np.asarray(moved.residual[2], float)
     np.testing.assert_allclose(sunk, 1.5e-9 * on_it, rtol=1e-6)
     np.testing.assert_allclose(held.rows[5] - moved.rows[5], 0.25 * on_it, rtol=1e-5)
     np.testing.assert_allclose(held.groups[5] - moved.groups[5], 0.25 * (np.arange(4) != floor), rtol=1e-5)
@@ -193,10 +193,10 @@ def test_the_summary_says_what_is_read_and_whether_the_cell_is_overloaded():
     run = landing(0.2)
     mass, most = run.load_cell["weight"][-1], np.abs(run.load_cell["weight"]).max()
     words = f"load cell: {1e3 * mass:.4g} g at the end, at most {most:.3g} kg of the rated "
-    assert words + "5 kg" in summary(run)
+    assert words + "5 kg" in summarize_run(run)
     weak = dem_jax.simulate(scene(**(LANDING | {"cell": LANDING["cell"] | {"rated_load": 0.1}}), run={"duration": 0.2}))
-    assert words + "0.1 kg: beyond the rated load" in summary(weak)
-    assert not [line for line in summary(weak) if "load cell" in line and words not in line]
+    assert words + "0.1 kg: beyond the rated load" in summarize_run(weak)
+    assert not [line for line in summarize_run(weak) if "load cell" in line and words not in line]
 
 
 def test_files_hold_the_readings_with_their_units_and_go_on_from_them(tmp_path):
@@ -215,14 +215,14 @@ def test_files_hold_the_readings_with_their_units_and_go_on_from_them(tmp_path):
 def test_runs_of_an_ensemble_have_a_cell_each():
     two = dem_jax.ensemble(scene(**LANDING, run={"duration": 0.2}), runs=2)
     np.testing.assert_array_equal(two.load_cell["signal"][1], landing(0.2).load_cell["signal"])
-    system = build.build(scene()).system
-    assert not joined.is_worthwhile(system.replace(slot_block=64), 64)
+    system = assembly.assemble_system(scene()).system
+    assert not interleaved_batch.is_batch_worthwhile(system.replace(slot_block=64), 64)
     held = system.walls.replace(load_cell=None)
-    assert joined.is_worthwhile(system.replace(slot_block=64, walls=held), 64)
+    assert interleaved_batch.is_batch_worthwhile(system.replace(slot_block=64, walls=held), 64)
 
 
 def test_a_held_bucket_has_nothing_of_a_cell():
-    held = build.build(scene(cell=None))
+    held = assembly.assemble_system(scene(cell=None))
     assert held.state.cell is None and held.system.walls.load_cell is None
     assert "load_cell" not in {quantity.name for quantity in held.system.quantities}
 
@@ -230,22 +230,22 @@ def test_a_held_bucket_has_nothing_of_a_cell():
 def test_the_step_is_stable_with_a_bucket_that_weighs_next_to_nothing():
     """The largest eigenvalue of many pieces at once on the bucket, exactly, is below what the bound says."""
     light = scene(cell=CELL | {"mass": 1e-3})
-    goods = build.pieces.goods_of(light)
-    law, materials = build.law.law_of(light), build.law.materials_of(light)
-    contacts = possible_contacts(law, materials, list(goods.shapes), build.pieces.piece_arrays(light, goods))
+    goods = assembly.piece_arrays.build_piece_set(light)
+    law, materials = assembly.contact_law.build_contact_law(light), assembly.contact_law.build_materials(light)
+    contacts = list_possible_contacts(law, materials, list(goods.shapes), assembly.piece_arrays.build_piece_arrays(light, goods))
     held = 4 / min(float(np.min(law.stable_step(c.pair, c.mass))) for c in contacts) ** 2
     case, M, n = problem(), 1e-3, 7
     stiffness = held * case.mass
     matrix = np.diag([(CELL["stiffness"] + n * stiffness) / M] + n * [held])
     matrix[0, 1:] = matrix[1:, 0] = -stiffness / np.sqrt(M * case.mass)
-    assert np.linalg.eigvalsh(matrix)[-1] < held + added_rate(light, law, contacts, n)
-    assert build.build(light).step.stable < 0.5 * build.build(scene(cell=None)).step.stable
+    assert np.linalg.eigvalsh(matrix)[-1] < held + bound_load_cell_frequency(light, law, contacts, n)
+    assert assembly.assemble_system(light).step.stable < 0.5 * assembly.assemble_system(scene(cell=None)).step.stable
 
 
 def test_natural_frequency_and_defaults():
-    cell = build.build(scene(cell={"mass": 2.0, "natural_frequency": 40.0})).system.walls.load_cell
+    cell = assembly.assemble_system(scene(cell={"mass": 2.0, "natural_frequency": 40.0})).system.walls.load_cell
     assert float(np.sqrt(cell.stiffness / cell.mass)) == pytest.approx(2 * np.pi * 40)
-    cell = build.build(scene(cell={})).system.walls.load_cell
+    cell = assembly.assemble_system(scene(cell={})).system.walls.load_cell
     assert float(cell.stiffness) == pytest.approx(5.0 * 9.81 / 0.5e-3)
     assert float(cell.damping) == pytest.approx(2 * 0.02 * np.sqrt(float(cell.stiffness)))
 

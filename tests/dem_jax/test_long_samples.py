@@ -3,7 +3,7 @@
 import numpy as np
 
 import dem_jax
-from dem_jax import build
+from dem_jax import assembly
 
 
 def test_a_long_sample_interval_has_the_mean_of_the_short_ones():
@@ -14,11 +14,11 @@ def test_a_long_sample_interval_has_the_mean_of_the_short_ones():
             "run.precision": "f64", "run.duration": 0.16, "run.sample": 1e-4, "run.frames": 0.0,
         }
     )  # fmt: skip
-    made = build.build(short, 0)
+    made = assembly.assemble_system(short, 0)
     dt = made.step.dt
     many = 61 * 40 * dt
     long = short.replace({"run.sample": many, "run.step": dt})
-    parted = build.build(long, 0)
+    parted = assembly.assemble_system(long, 0)
     assert parted.system.sample_parts > 40 and parted.system.block_steps >= int(parted.system.substeps)
     assert int(parted.system.substeps) * parted.system.sample_parts == parted.step.substeps >= 61 * 40
     coarse, fine = dem_jax.simulate(long), dem_jax.simulate(short)

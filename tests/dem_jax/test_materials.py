@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from dem_jax import build
+from dem_jax import assembly
 from dem_jax.errors import SceneError
-from dem_jax.scene import described, load_scene, materials, parse
+from dem_jax.scene import describe_scene, load_scene, material_properties, parse_scene
 
 SCENE = """
 base = "plate-drop"
@@ -79,11 +79,11 @@ corners = [[-0.5, -0.5, 0.0], [-0.5, 0.5, 0.0], [-0.5, 0.5, 1.0], [-0.5, -0.5, 1
 
 @pytest.fixture
 def scene():
-    return parse(SCENE)
+    return parse_scene(SCENE)
 
 
 def test_a_single_material_is_two_rows_and_four_numbers():
-    table = materials.material_table(load_scene("weigh-bucket"))
+    table = material_properties.build_material_table(load_scene("weigh-bucket"))
     assert table.names == ("default", "wall") and table.is_wall.tolist() == [False, True]
     np.testing.assert_array_equal(table.density, 300.0)
     np.testing.assert_array_equal(table.youngs_modulus, [1e8, 1e11])
@@ -96,7 +96,7 @@ def test_a_single_material_is_two_rows_and_four_numbers():
 
 def test_what_a_material_does_not_set_is_that_of_the_scene(scene):
     """Of a wall E_b and its Poisson's ratio: "nut" is of pieces with E_p and of a wall with E_b."""
-    table = materials.material_table(scene)
+    table = material_properties.build_material_table(scene)
     assert table.names == ("default", "gummy", "nut", "wall", "steel", "nut")
     assert table.is_wall.tolist() == [False] * 3 + [True] * 3
     assert table.density[:3].tolist() == [400.0, 1300.0, 400.0]
@@ -106,7 +106,7 @@ def test_what_a_material_does_not_set_is_that_of_the_scene(scene):
 
 def test_the_rules_of_pairs(scene):
     """Listed; else two of one material, the mean of two different ones, the piece's on a wall."""
-    table = materials.material_table(scene)
+    table = material_properties.build_material_table(scene)
     default, gummy, nut, wall, steel, chute = range(6)
     expected = {
         (default, default): (0.2, 0.7, 0.01),
@@ -132,22 +132,22 @@ def test_the_rules_of_pairs(scene):
 
 
 def test_which_piece_and_which_wall_is_of_which(scene):
-    table = materials.material_table(scene)
-    goods = build.pieces.goods_of(scene)
-    assert materials.rows_of_pieces(table, goods.materials).tolist() == [1, 0, 2, 1]
-    assert materials.rows_of_groups(table, scene, ("plate", "side", "chute")).tolist() == [3, 4, 5]
+    table = material_properties.build_material_table(scene)
+    goods = assembly.piece_arrays.build_piece_set(scene)
+    assert material_properties.find_piece_rows(table, goods.materials).tolist() == [1, 0, 2, 1]
+    assert material_properties.find_group_rows(table, scene, ("plate", "side", "chute")).tolist() == [3, 4, 5]
     named = {"material.steel.restitution": 0.5, "material.felt.density": 1.0}
     station = load_scene("weighing-station", named | {"weigh_bucket.material": "steel", "feeder.material": "felt"})
-    walls = build.build(station).system.walls
-    table = materials.material_table(station)
+    walls = assembly.assemble_system(station).system.walls
+    table = material_properties.build_material_table(station)
     assert table.names == ("default", "wall", "steel", "felt")
-    of_group = dict(zip(walls.groups, materials.rows_of_groups(table, station, walls.groups).tolist(), strict=True))
+    of_group = dict(zip(walls.groups, material_properties.find_group_rows(table, station, walls.groups).tolist(), strict=True))
     assert of_group == {group: {"wb": 2, "fb": 1, "lf": 3}[group[:2]] for group in walls.groups}
 
 
 def test_mass_inertia_and_stiffness_follow_the_material_of_each_piece(scene):
     """One shape of three materials: a piece keeps the numbers of its material, and the step is that of the stiffest."""
-    built = build.build(scene.replace(run={"precision": "f64"}))
+    built = assembly.assemble_system(scene.replace(run={"precision": "f64"}))
     pieces = built.system.pieces
     np.testing.assert_allclose(pieces.mass, 19440e-9 * np.array([1300.0, 400.0, 400.0, 1300.0]), rtol=1e-12)
     np.testing.assert_allclose(pieces.inertia[0] / pieces.mass, float(pieces.inertia[0, 0] / pieces.mass[0]), rtol=1e-12)
@@ -155,14 +155,14 @@ def test_mass_inertia_and_stiffness_follow_the_material_of_each_piece(scene):
     np.testing.assert_allclose(stiffness / stiffness[1], [0.2, 1.0, 1.0, 0.2], rtol=1e-12)
     assert built.system.alike == ("hulls",)
     order = scene.piece[::-1]
-    assert build.build(scene.replace(piece=order)).step.critical == pytest.approx(built.step.critical, rel=1e-12)
+    assert assembly.assemble_system(scene.replace(piece=order)).step.critical == pytest.approx(built.step.critical, rel=1e-12)
     assert built.step.critical == pytest.approx(critical_step(scene, np.asarray(pieces.mass), float(pieces.size[0])), rel=1e-12)
 
 
 def critical_step(scene, mass, size):
     """The smallest over all pairs of pieces, and of pieces and walls, of 15 steps per loading and 10 per unloading quarter."""
-    table = materials.material_table(scene)
-    row = materials.rows_of_pieces(table, [piece.material for piece in scene.piece])
+    table = material_properties.build_material_table(scene)
+    row = material_properties.find_piece_rows(table, [piece.material for piece in scene.piece])
     modulus = scene.material.softening * table.youngs_modulus * size
     found = []
     for i, a in enumerate(row):
@@ -174,13 +174,13 @@ def critical_step(scene, mass, size):
 
 
 def test_materials_are_changed_by_key_and_by_section(scene):
-    assert scene.replace({"material.gummy.restitution": 0.4}).material.named["gummy"].restitution == 0.4
+    assert scene.replace({"material.gummy.restitution": 0.4}).material.named_materials["gummy"].restitution == 0.4
     changed = scene.replace(material={"gummy": {"restitution": 0.4}})
-    assert changed.material.named["gummy"].restitution == 0.4 and changed.material.named["gummy"].density == 1300.0
-    assert changed == parse(SCENE.replace("restitution = 0.6", "restitution = 0.4"))
-    assert parse(changed.to_toml()) == changed == parse(described(changed))
+    assert changed.material.named_materials["gummy"].restitution == 0.4 and changed.material.named_materials["gummy"].density == 1300.0
+    assert changed == parse_scene(SCENE.replace("restitution = 0.6", "restitution = 0.4"))
+    assert parse_scene(changed.to_toml()) == changed == parse_scene(describe_scene(changed))
     made = load_scene("plate-drop", {"material.felt.density": 90.0, "piece.0.material": "felt"})
-    assert build.build(made).system.pieces.mass[0] == pytest.approx(90 * 19440e-9, rel=1e-6)
+    assert assembly.assemble_system(made).system.pieces.mass[0] == pytest.approx(90 * 19440e-9, rel=1e-6)
 
 
 MISTAKES = [  # changes of the scene -> what the line must hold
@@ -220,4 +220,4 @@ def test_a_scene_without_named_materials_says_so():
 def test_a_wall_group_is_of_one_material(scene):
     rows = [wall.model_copy(update={"group": "all"}) for wall in scene.wall]
     with pytest.raises(SceneError, match=r"wall\.1\.material = steel: wall group 'all' has none; allowed: one material"):
-        build.build(scene.replace(wall=rows))
+        assembly.assemble_system(scene.replace(wall=rows))

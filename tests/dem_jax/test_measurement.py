@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from dem_jax.cli.main import main
-from dem_jax.contact.law import Contact, Couple
-from dem_jax.contact.law.densifying import Densifying
-from dem_jax.contact.law.hertz_mindlin import HertzMindlin
-from dem_jax.contact.law.linear_dashpot import LinearDashpot
+from dem_jax.contact_laws import ContactKinematics, MaterialPair
+from dem_jax.contact_laws.densifying import Densifying
+from dem_jax.contact_laws.hertz_mindlin import HertzMindlin
+from dem_jax.contact_laws.linear_dashpot import LinearDashpot
 from dem_jax.errors import SceneError
 from dem_jax.scene import load_scene
-from dem_jax.scene.evidence import evidence_of
-from dem_jax.scene.library import product_tree
+from dem_jax.scene.evidence import read_evidence
+from dem_jax.scene.library import load_product
 from dem_jax.scene.measurement import estimate_friction, estimate_modulus, estimate_restitution
 
 SIZE, MODULUS = 0.0128, 2e7  # m, Pa
@@ -56,9 +56,9 @@ def force_of_contact(law, overlap):
     """Force (N) of a contact law on an elastic sphere that a rigid plate presses in by an overlap (m)."""
     one = jnp.ones_like(overlap)
     moduli, sizes, curvatures = (1e17 * one, MODULUS * one), (SIZE * one, SIZE * one), (0 * one, 2 / SIZE * one)
-    pair = law.pair(Couple(moduli, (0.3 * one, 0.3 * one), sizes, curvatures, one, one, None, None))
-    still, history = (0 * one, 0 * one, 0 * one), law.start(pair, one)._replace(overlap=overlap)
-    return np.asarray(law.force(pair, history, Contact(overlap, 0 * one, still, still, 1e-6)).push)
+    pair = law.pair_parameters(MaterialPair(moduli, (0.3 * one, 0.3 * one), sizes, curvatures, one, one, None, None))
+    still, history = (0 * one, 0 * one, 0 * one), law.init_history(pair, one)._replace(overlap=overlap)
+    return np.asarray(law.force(pair, history, ContactKinematics(overlap, 0 * one, still, still, 1e-6)).normal_force)
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -117,7 +117,7 @@ def test_the_commands_write_into_a_product_file(tmp_path, monkeypatch, capsys):
     scene = load_scene("weigh-bucket", {"product": "mine.toml"})
     assert scene.material.restitution == 0.4 and scene.material.friction_wall == pytest.approx(0.328, abs=1e-3)
     assert scene.material.youngs_modulus == pytest.approx(2e7 * np.sqrt(2), rel=1e-3), "128 N/mm of way is E L / 2 of 12.8 mm"
-    rows = evidence_of(product_tree("mine.toml", "test"), "mine.toml")
+    rows = read_evidence(load_product("mine.toml", "test"), "mine.toml")
     assert rows["restitution"].grade == "A" and rows["restitution"].address == "heights.csv"
     assert rows["density"].source.startswith("Milani"), "the rest is as it was"
     ranges = {row.key: row.range for row in scene.uncertain}

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from dem_jax import build, shapes
+from dem_jax import assembly, shapes
 from dem_jax.errors import SceneError
-from dem_jax.scene import parse
-from dem_jax.shapes import meshes
+from dem_jax.scene import parse_scene
+from dem_jax.shapes import wall_meshes
 
 SINGLE = 1e-6  # relative; an STL stores single precision
 
@@ -41,7 +41,7 @@ def panels_of(tmp_path, vertices, facets, unit=1.0, **options):
 
     path = tmp_path / "wall.stl"
     trimesh.Trimesh(np.asarray(vertices) / unit, facets, process=False).export(path)
-    return meshes.panels_of_stl(path, unit, **options)
+    return wall_meshes.read_wall_panels(path, unit, **options)
 
 
 def area_vector(panel):
@@ -63,7 +63,7 @@ def assert_panels_cover(panels, vertices, facets):
     """Each panel is a sound convex polygon (plate checks it), and per normal their areas sum to the mesh's."""
     total = {}
     for panel in panels:
-        meshes.plate(panel, 0.01)
+        wall_meshes.build_plate(panel, 0.01)
         vector = area_vector(panel)
         key = tuple((np.round(vector / np.linalg.norm(vector), 3) + 0.0).tolist())
         total[key] = total.get(key, 0.0) + np.linalg.norm(vector)
@@ -77,7 +77,7 @@ def test_a_box_is_six_panels_that_face_outward(tmp_path):
     assert sorted(len(p) for p in panels) == [4] * 6
     assert_panels_cover(panels, box.vertices, facets)
     assert all(area_vector(p) @ p.mean(axis=0) > 0 for p in panels)
-    assert not np.any(meshes.seams(panels))
+    assert not np.any(wall_meshes.find_seams(panels))
 
 
 def test_the_facets_of_a_plane_are_one_panel_however_finely_they_are_cut(tmp_path):
@@ -107,7 +107,7 @@ def test_a_facet_that_is_not_convex_is_cut_into_two_and_the_cut_is_a_seam(tmp_pa
     panels = panels_of(tmp_path, *L_SHAPE)
     assert len(panels) == 6 + 2 * 2
     assert_panels_cover(panels, *L_SHAPE)
-    for panel, marks in zip(panels, meshes.seams(panels), strict=True):
+    for panel, marks in zip(panels, wall_meshes.find_seams(panels), strict=True):
         level = np.abs(area_vector(panel)[2]) > 1e-9
         assert sum(marks) == (1 if level else 0)
 
@@ -122,7 +122,7 @@ def test_a_facet_with_a_hole_is_cut_around_it(tmp_path):
         inside = np.cross(np.roll(panel, -1, axis=0) - panel, offset)[:, 2] > 0
         assert not inside.all()  # the hole's centre is in no panel
     marks = [
-        mark for panel, marks in zip(panels, meshes.seams(panels), strict=True) for mark in marks if panel[0, 2] == 0.5
+        mark for panel, marks in zip(panels, wall_meshes.find_seams(panels), strict=True) for mark in marks if panel[0, 2] == 0.5
     ]
     assert sum(marks) >= 8  # four cuts, each seen from both sides
 
@@ -131,30 +131,30 @@ def test_seams_are_edges_shared_with_a_coplanar_neighbour_in_part_or_in_whole():
     left = np.array([(0, 0, 0), (1, 0, 0), (1, 2, 0), (0, 2, 0)], float)
     right = np.array([(1, 0.5, 0), (2, 0.5, 0), (2, 1, 0), (1, 1, 0)], float)  # borders half a unit of left's edge 1
     none = [False] * 4
-    assert meshes.seams([left, right]) == [[False, True, False, False], [False, False, False, True]]
-    assert meshes.seams([left]) == [none]
+    assert wall_meshes.find_seams([left, right]) == [[False, True, False, False], [False, False, False, True]]
+    assert wall_meshes.find_seams([left]) == [none]
     apart = right + (0.01, 0, 0)
     touching = right + (0, 1.5, 0)  # shares one point only
     behind = right[::-1]  # looks the other way
     raised = right + (0, 0, 0.01)
     folded = right @ np.array([(np.cos(0.1), 0, np.sin(0.1)), (0, 1, 0), (-np.sin(0.1), 0, np.cos(0.1))])
     for other in (apart, touching, behind, raised, folded + left[1] - (np.cos(0.1), 0, np.sin(0.1))):
-        assert meshes.seams([left, other]) == [none, none]
+        assert wall_meshes.find_seams([left, other]) == [none, none]
 
 
 def test_a_plate_is_the_prism_behind_its_polygon():
     polygon = np.array([(0, 0, 1), (2, 0, 1), (2, 1, 1), (1, 2, 1), (0, 1, 1)], float)
-    made = meshes.plate(polygon, 0.1)
+    made = wall_meshes.build_plate(polygon, 0.1)
     assert made.vertices.shape == (10, 3) and made.edges.shape == (15, 2) and len(made.faces) == 7
     np.testing.assert_array_equal(made.vertices[:5], polygon)
     np.testing.assert_allclose(made.vertices[5:], polygon - (0, 0, 0.1), rtol=1e-15)
     np.testing.assert_allclose(made.normals[:2], [(0, 0, 1), (0, 0, -1)], atol=1e-15)
     np.testing.assert_allclose(made.offsets[:2], [1, -0.9], rtol=1e-15)
-    volume, centre, _ = shapes.mass_properties(made.vertices, made.faces)  # positive: faces are seen from outside
+    volume, centre, _ = shapes.integrate_polyhedron(made.vertices, made.faces)  # positive: faces are seen from outside
     assert volume == pytest.approx(0.1 * 3.0, rel=1e-12)
     assert (made.normals @ centre < made.offsets).all()
     assert {frozenset(e) for e in made.edges.tolist()} == {
-        frozenset(e) for e in shapes.edges_of_faces(made.faces).tolist()
+        frozenset(e) for e in shapes.list_edges(made.faces).tolist()
     }
     np.testing.assert_array_equal(made.edges[:5], [(0, 1), (1, 2), (2, 3), (3, 4), (4, 0)])
 
@@ -180,7 +180,7 @@ STAR = [(np.cos(a), np.sin(a), 0) for a in 4 * np.pi / 5 * np.arange(5)]
 )
 def test_a_bad_panel_is_refused_by_its_name_and_value(polygon, thickness, message):
     with pytest.raises(SceneError, match=message) as caught:
-        meshes.plate(polygon, thickness, name="floor")
+        wall_meshes.build_plate(polygon, thickness, name="floor")
     assert "\n" not in str(caught.value)
 
 
@@ -188,16 +188,16 @@ def test_a_bad_stl_is_refused(tmp_path):
     import trimesh
 
     with pytest.raises(SceneError, match=r"no\.stl': there is no such file"):
-        meshes.panels_of_stl(tmp_path / "no.stl")
+        wall_meshes.read_wall_panels(tmp_path / "no.stl")
     with pytest.raises(SceneError, match=r"unit = 0 must be a positive length"):
-        meshes.panels_of_stl(tmp_path / "no.stl", unit=0)
+        wall_meshes.read_wall_panels(tmp_path / "no.stl", unit=0)
     (tmp_path / "empty.stl").write_bytes(b"")
     with pytest.raises(SceneError, match=r"empty\.stl'"):
-        meshes.panels_of_stl(tmp_path / "empty.stl")
+        wall_meshes.read_wall_panels(tmp_path / "empty.stl")
     line = trimesh.Trimesh([(0, 0, 0), (1, 0, 0), (2, 0, 0)], [(0, 1, 2)], process=False)
     line.export(tmp_path / "line.stl")
     with pytest.raises(SceneError, match=r"line\.stl' is degenerate: all its triangles have no area"):
-        meshes.panels_of_stl(tmp_path / "line.stl")
+        wall_meshes.read_wall_panels(tmp_path / "line.stl")
 
 
 # --- walls of an STL that are not what they seem ---
@@ -249,7 +249,7 @@ def test_an_stl_that_would_lose_facets_is_refused(change, message, tmp_path):
 def test_doubled_facets_are_read_once_and_it_is_said_what_was_read(tmp_path, capsys):
     from dem_jax import load_scene, simulate
     from dem_jax.__main__ import main
-    from dem_jax.show.summary import summary
+    from dem_jax.visualization.summary import summarize_run
 
     twice = box_with(lambda corners: np.concatenate([corners, np.roll(corners, 1, axis=1)]))
     panels = panels_of(tmp_path, twice.reshape(-1, 3), np.arange(72).reshape(-1, 3))
@@ -259,7 +259,7 @@ def test_doubled_facets_are_read_once_and_it_is_said_what_was_read(tmp_path, cap
     assert main(["scenes", "scene.toml"]) == 0
     assert f"\n# wall.0: {said}x from -0.05 to 0.05 m, y from" in capsys.readouterr().out
     changes = {"run.duration": 1e-4, "piece": [{"shape": "sphere", "radius": 0.01, "position": [0, 0, 0.2]}]}
-    lines = summary(simulate(load_scene("scene.toml", changes)))
+    lines = summarize_run(simulate(load_scene("scene.toml", changes)))
     assert [line for line in lines if line.startswith(f"note: {said}")]
 
 
@@ -268,9 +268,9 @@ def test_an_stl_that_is_in_millimetres_is_asked_about(tmp_path, unit, fits):
     import trimesh
 
     trimesh.creation.box((20.0, 15.0, 10.0)).export(tmp_path / "bean.stl")
-    piece = parse(f'[[piece]]\nshape = "hull"\nposition = [0, 0, 1]\nstl = "bean.stl"\n{unit}').piece[0]
-    wall = parse(f'[[piece]]\nposition = [0, 0, 1]\n[[wall]]\ngroup = "w"\nstl = "bean.stl"\n{unit}').wall[0]
-    for made, row in ((build.pieces.make_shape, piece), (build.walls.written_out, wall)):
+    piece = parse_scene(f'[[piece]]\nshape = "hull"\nposition = [0, 0, 1]\nstl = "bean.stl"\n{unit}').piece[0]
+    wall = parse_scene(f'[[piece]]\nposition = [0, 0, 1]\n[[wall]]\ngroup = "w"\nstl = "bean.stl"\n{unit}').wall[0]
+    for made, row in ((assembly.piece_arrays.make_shape, piece), (assembly.wall_panels.inline_wall_panels, wall)):
         if fits:
             made(row, tmp_path)
             continue

@@ -6,13 +6,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import dem_jax
-from dem_jax import build
-from dem_jax.contact import boundary, motion
-from dem_jax.contact.motion import Table
+from dem_jax import assembly
+from dem_jax.dynamics.quantity import moving_group_rows
 from dem_jax.errors import SceneError
+from dem_jax.io import run_files
 from dem_jax.scene import Motion, Scene
-from dem_jax.step.quantity import moving_groups
-from dem_jax.store import record
+from dem_jax.walls import kinematics, motion
+from dem_jax.walls.motion import Table
 
 SETTINGS = {"precision": "f64", "sample": 1e-4, "frames": 0.0}
 PIECE = {"position": (0.0, 0.0, 0.5)}
@@ -24,11 +24,11 @@ def plate(group, half=0.1, z=0.0):
 
 def walls_of(*motions, folder=".", groups=("flap", "fixed")):
     walls = [plate(group, z=-0.2 * k) for k, group in enumerate(groups)]
-    return build.build(Scene(piece=[PIECE], wall=walls, motion=motions, run=SETTINGS, folder=str(folder))).system.walls
+    return assembly.assemble_system(Scene(piece=[PIECE], wall=walls, motion=motions, run=SETTINGS, folder=str(folder))).system.walls
 
 
 def panels(walls, times):
-    return jax.device_get(jax.jit(jax.vmap(lambda t: boundary.panels(walls, t, t)))(np.asarray(times)))
+    return jax.device_get(jax.jit(jax.vmap(lambda t: kinematics.compute_wall_state(walls, t, t)))(np.asarray(times)))
 
 
 HINGE = {"group": "flap", "pivot": (0.1, 0.02, 0.01), "axis": (0.2, 1.0, 0.3), "start": 0.01, "opening": 0.08, "dwell": 0.02}
@@ -38,7 +38,7 @@ CLOSED = 0.01 + 0.08 + 0.02 + 0.09  # s
 def sampled(hinge, swing_deg, rows):
     """The hinge as a table, its opening and its closing in so many rows each."""
     times = np.concatenate([np.linspace(0.01, 0.09, rows), np.linspace(0.11, CLOSED, rows)])
-    angles = swing_deg * np.array([motion.Hinge.of([Motion(**hinge, swing_deg=swing_deg)]).opened(t)[0] for t in times])
+    angles = swing_deg * np.array([motion.Hinge.from_sections([Motion(**hinge, swing_deg=swing_deg)]).opening_fraction(t)[0] for t in times])
     where = {key: hinge[key] for key in ("group", "pivot", "axis")}
     return where | {"times": times.tolist(), "angles_deg": angles.tolist()}
 
@@ -78,7 +78,7 @@ def test_a_table_goes_through_its_rows_and_rests_beside_them():
     for t in times:  # no jump in velocity: it goes with acceleration, 1e4 degrees/s2, and the distance of 2e-9 s
         before, after = (np.array(jax.tree.leaves(rate(t + s))) for s in (-1e-9, 1e-9))
         np.testing.assert_allclose(before, after, atol=1e-4)
-    begins, ends = motion.interval(walls_of(row))
+    begins, ends = motion.motion_interval(walls_of(row))
     assert (begins, ends) == (0.0, 0.1)  # the earliest of none is zero
 
 
@@ -150,16 +150,16 @@ def test_a_group_moves_if_a_motion_has_it():
     idle, hinge = {"group": "idle", "swing_deg": 0.0, "start": 1.0}, {"group": "flap", "swing_deg": 10.0}
     row = {"group": "tabled", "times": (0.0, 1.0), "ways": ((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))}
     walls = walls_of(idle, hinge, row, groups=("fixed", "idle", "flap", "tabled"))
-    assert motion.moves(walls).tolist() == [False, False, True, True]
-    assert not motion.moves(walls_of(idle, groups=("fixed", "idle"))).any() and not walls_of(idle, groups=("idle",)).moving
-    made = build.build(Scene(piece=[PIECE], wall=[plate("fixed"), plate("tabled", z=-0.1)], motion=[row], run=SETTINGS))
-    assert moving_groups(made.system) == (("tabled", 1),)
+    assert motion.find_moving_groups(walls).tolist() == [False, False, True, True]
+    assert not motion.find_moving_groups(walls_of(idle, groups=("fixed", "idle"))).any() and not walls_of(idle, groups=("idle",)).has_motion
+    made = assembly.assemble_system(Scene(piece=[PIECE], wall=[plate("fixed"), plate("tabled", z=-0.1)], motion=[row], run=SETTINGS))
+    assert moving_group_rows(made.system) == (("tabled", 1),)
 
 
 def test_the_program_does_not_grow_with_the_number_of_groups():
     def equations(groups):
         walls = walls_of(*({"group": g} | section for section in ALL for g in groups), groups=groups)
-        return str(jax.make_jaxpr(lambda t: boundary.panels(walls, t, t))(0.1)).count(" = ")
+        return str(jax.make_jaxpr(lambda t: kinematics.compute_wall_state(walls, t, t))(0.1)).count(" = ")
 
     assert equations(("a", "b")) == equations(("a", "b", "c", "d", "e"))
 
@@ -169,13 +169,13 @@ CSV = "time, angle_deg, z\n0.0, 0, 0\n0.01, 20, 0.001\n\n0.02, 5, 0.003\n"
 
 def test_a_file_says_what_its_rows_in_the_scene_say(tmp_path):
     (tmp_path / "flap.csv").write_text("\ufeff" + CSV)  # with the mark that spreadsheets put in front
-    read = motion.written_out(Motion(group="flap", table="flap.csv"), tmp_path)
+    read = motion.load_table_rows(Motion(group="flap", table="flap.csv"), tmp_path)
     ways = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.001), (0.0, 0.0, 0.003))
     assert read == Motion(group="flap", times=(0.0, 0.01, 0.02), angles_deg=(0.0, 20.0, 5.0), ways=ways)
     (tmp_path / "only.csv").write_text("angle_deg,time\n3,0\n4,1\n")
-    only = motion.written_out(Motion(group="flap", table="only.csv"), tmp_path)
+    only = motion.load_table_rows(Motion(group="flap", table="only.csv"), tmp_path)
     assert only == Motion(group="flap", times=(0.0, 1.0), angles_deg=(3.0, 4.0))
-    table = Table.of([only])
+    table = Table.from_sections([only])
     assert table.ways is None and table.times.shape == (2, 1)
 
 
@@ -256,7 +256,7 @@ def riding(folder):
 def test_a_floor_that_follows_a_table_carries_a_piece(tmp_path):
     scene = riding(tmp_path)
     found = dem_jax.simulate(scene)
-    walls, pose = build.build(scene).system.walls, found.pieces
+    walls, pose = assembly.assemble_system(scene).system.walls, found.pieces
     moved = panels(walls, pose.time)
     shift = np.array(moved.centre)[..., 0].T + (0, 0, 0.005)
     assert np.ptp(shift[:, 0]) == pytest.approx(0.015, rel=1e-2) and np.ptp(shift[:, 2]) == pytest.approx(0.01, rel=1e-2)
@@ -281,11 +281,11 @@ def test_a_run_goes_on_when_its_table_is_gone(tmp_path):
     out = tmp_path / "run.h5"
     dem_jax.simulate(scene.replace(run={"duration": 0.03}), out=out)
     (tmp_path / "way.csv").unlink()
-    stored = dem_jax.scene.parse(dem_jax.load_run(out).scene)
+    stored = dem_jax.scene.parse_scene(dem_jax.load_run(out).scene)
     assert stored.motion[0].table is None and len(stored.motion[0].times) == 41
     found = dem_jax.resume(out, duration=0.06)
-    for name, array in record.series_of(whole).items():
-        np.testing.assert_array_equal(record.series_of(found)[name], array, err_msg=name)
+    for name, array in run_files.collect_series(whole).items():
+        np.testing.assert_array_equal(run_files.collect_series(found)[name], array, err_msg=name)
     assert found.mean_force["plate"].any()
     with pytest.raises(SceneError, match=r"motion\.table = 'way\.csv': cannot be read"):
         dem_jax.simulate(scene)
@@ -309,7 +309,7 @@ def test_a_run_that_is_settled_ends_after_the_last_row_of_its_table():
 def test_a_table_in_single_precision_is_that_in_double():
     times, row = np.linspace(0.0, 0.25, 301), {"group": "flap"} | ALL[1]
     scene = Scene(piece=[PIECE], wall=[plate("flap")], motion=[row], run=SETTINGS | {"precision": "f32"})
-    single = build.build(scene).system.walls
+    single = assembly.assemble_system(scene).system.walls
     found, expected = panels(single, times.astype(np.float32)), panels(walls_of(row, groups=("flap",)), times)
     assert found.rows.dtype == np.float32
     # velocity of 1 m/s and acceleration of 100 m/s2 in the rounding of a time of 0.25 s, 1.5e-8 s, twice

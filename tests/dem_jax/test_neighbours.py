@@ -10,10 +10,10 @@ from scipy.optimize import nnls
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from dem_jax import build
-from dem_jax.pairs import guard, neighbours, search
+from dem_jax import assembly
+from dem_jax.broad_phase import candidate_search, neighbour_list, overflow_recovery
+from dem_jax.dynamics import stepping
 from dem_jax.scene import Scene
-from dem_jax.step import stepping
 
 SETTINGS = {"precision": "f64", "sample": 1e-4, "frames": 0.0}
 FLOOR = {"group": "floor", "corners": [(-0.4, -0.4, 0.0), (0.4, -0.4, 0.0), (0.4, 0.4, 0.0), (-0.4, 0.4, 0.0)]}
@@ -43,15 +43,15 @@ KINDS = ("random", "packed", "clustered", "collinear", "far apart")
 def marshmallows():
     """A dozen marshmallows over a floor, with room for every pair."""
     pieces = [{"position": (0.07 * (k % 4), 0.07 * (k // 4), 0.3)} for k in range(COUNT)]
-    made = build.build(Scene(piece=pieces, wall=[FLOOR], run=SETTINGS), 0)
+    made = assembly.assemble_system(Scene(piece=pieces, wall=[FLOOR], run=SETTINGS), 0)
     system = made.system.replace(skin=jnp.asarray(SKIN))
-    every = (("hulls", *[search.pair_count("hulls", COUNT, 0, 1)] * 2),)
-    system, state = guard.with_capacity(system, made.state, every, COUNT, system.row_capacity)
-    return made, system, state, jax.jit(partial(neighbours.rebuild, system))
+    every = (("hulls", *[candidate_search.pair_count("hulls", COUNT, 0, 1)] * 2),)
+    system, state = overflow_recovery.with_capacity(system, made.state, every, COUNT, system.row_capacity)
+    return made, system, state, jax.jit(partial(neighbour_list.rebuild_neighbour_list, system))
 
 
 def placed(state, place, orientation):
-    return state.moved(position=jnp.asarray(place.T), orientation=jnp.asarray(orientation.T))
+    return state.replace_motion(position=jnp.asarray(place.T), orientation=jnp.asarray(orientation.T))
 
 
 def corners(made, place, orientation):
@@ -110,8 +110,8 @@ def test_all_ways_of_searching_find_the_pairs_of_a_brute_force_search(kind, prec
     for choice in CHOICES:
         system, state, rebuild = spheres(choice, precision)
         box = {name: jnp.asarray(corner) for name, corner in box_around(place, kind).items()}
-        after = rebuild(system.replace(skin=jnp.full_like(system.skin, SKIN), **box), state.moved(position=jnp.asarray(place.T)))
-        assert not guard.outgrown(system, jax.device_get(after.guard))
+        after = rebuild(system.replace(skin=jnp.full_like(system.skin, SKIN), **box), state.replace_motion(position=jnp.asarray(place.T)))
+        assert not overflow_recovery.describe_overflow(system, jax.device_get(after.guard))
         found[choice] = pairs_in(after.contacts["spheres"])
     place = place.astype(float)
     gap = np.linalg.norm(place[:, None] - place[None], axis=-1) - 2 * RADIUS
@@ -128,13 +128,13 @@ def test_a_table_of_parts_has_the_pairs_of_the_list_in_their_order(monkeypatch):
     place, turn = poses("clustered", np.random.default_rng(5), 30, 4 * RADIUS)
     rows = zip(place.tolist(), turn.tolist(), strict=True)
     pieces = [{"shape": "compound", "part": two, "position": at, "orientation": q} for at, q in rows]
-    made = build.build(Scene(piece=pieces, wall=[FLOOR], run=SETTINGS), 0)
-    every = tuple((kind, *[search.pair_count(kind, 0, 60, 1)] * 2) for kind, *_ in made.system.capacity)
-    system, state = guard.with_capacity(made.system.replace(skin=jnp.asarray(SKIN)), made.state, every, 120, 0)
+    made = assembly.assemble_system(Scene(piece=pieces, wall=[FLOOR], run=SETTINGS), 0)
+    every = tuple((kind, *[candidate_search.pair_count(kind, 0, 60, 1)] * 2) for kind, *_ in made.system.capacity)
+    system, state = overflow_recovery.with_capacity(made.system.replace(skin=jnp.asarray(SKIN)), made.state, every, 120, 0)
     tables = []
     for many in (61, 60):
-        monkeypatch.setattr(search, "MANY", many)
-        tables.append(jax.jit(lambda state: neighbours.rebuild(system, state).contacts["spheres"])(state))
+        monkeypatch.setattr(candidate_search, "TABLE_MIN_PARTS", many)
+        tables.append(jax.jit(lambda state: neighbour_list.rebuild_neighbour_list(system, state).contacts["spheres"])(state))
     owner, one = np.asarray(system.parts.owner), jax.device_get(tables[0])
     live = one.a >= 0
     assert 100 < live.sum() < 60 * 59 / 2 - 30 and (owner[one.a[live]] != owner[one.b[live]]).all()
@@ -160,12 +160,12 @@ def spheres(choice, precision):
             {"shape": "sphere", "radius": RADIUS, "position": (0.025 * (k % 20), 0.025 * (k // 20), 0.0)}
             for k in range(COUNT_SPHERES)
         ]
-        made = build.build(Scene(piece=pieces, run=SETTINGS | {"precision": precision, "neighbours": choice}), 0)
+        made = assembly.assemble_system(Scene(piece=pieces, run=SETTINGS | {"precision": precision, "neighbours": choice}), 0)
         system = made.system
         if choice == "jax-md":
             system = system.replace(partition=system.partition._replace(pairs=30_000, cell=120, reach=1.5 * SKIN))
-        system, state = guard.with_capacity(system, made.state, (("spheres", 20000, 20000),), COUNT_SPHERES, COUNT_SPHERES)
-        _SPHERES[choice, precision] = system, state, jax.jit(neighbours.rebuild)
+        system, state = overflow_recovery.with_capacity(system, made.state, (("spheres", 20000, 20000),), COUNT_SPHERES, COUNT_SPHERES)
+        _SPHERES[choice, precision] = system, state, jax.jit(neighbour_list.rebuild_neighbour_list)
     return _SPHERES[choice, precision]
 
 
@@ -173,22 +173,22 @@ def test_too_many_pairs_are_reported_not_lost_in_silence(marshmallows):
     made, _, state, _ = marshmallows
     small = (("hulls", 8, 8),)
     system = made.system.replace(skin=jnp.asarray(SKIN), capacity=small, touching=2)
-    tables = {"hulls": neighbours.empty_table(system, "hulls", 8)}
-    state = guard.with_scratch(
+    tables = {"hulls": neighbour_list.init_contact_table(system, "hulls", 8)}
+    state = overflow_recovery.with_empty_scratch(
         system, placed(made.state, *poses("clustered", np.random.default_rng(3), COUNT, 0.045)).replace(contacts=tables)
     )
-    after = jax.device_get(jax.jit(neighbours.rebuild)(system, state)).guard
+    after = jax.device_get(jax.jit(neighbour_list.rebuild_neighbour_list)(system, state)).guard
     assert after.needed["hulls"][0] > 8
     assert after.touching > 2
-    said = " ".join(guard.outgrown(system, after))
+    said = " ".join(overflow_recovery.describe_overflow(system, after))
     assert "of hulls for 8" in said and "contacts of a piece" in said
-    larger, again = guard.grown(system, state, after)
+    larger, again = overflow_recovery.grow_capacity(system, state, after)
     for _ in range(4):  # what was cut off in one stage shows in the next
-        after = jax.device_get(jax.jit(neighbours.rebuild)(larger, again)).guard
-        left = guard.outgrown(larger, after)
+        after = jax.device_get(jax.jit(neighbour_list.rebuild_neighbour_list)(larger, again)).guard
+        left = overflow_recovery.describe_overflow(larger, after)
         if not left:
             break
-        larger, again = guard.grown(larger, again, after)
+        larger, again = overflow_recovery.grow_capacity(larger, again, after)
     assert not left
 
 
@@ -201,7 +201,7 @@ def test_every_search_counts_the_pairs_that_it_has_no_room_for():
             system, state, rebuild = spheres(choice, "f64")
             box = {name: jnp.asarray(corner) for name, corner in box_around(place, "clustered").items()}
             small = system.replace(capacity=(("spheres", room, 20000),), skin=jnp.full_like(system.skin, SKIN), **box)
-            after = rebuild(small, state.moved(position=jnp.asarray(place.T)))
+            after = rebuild(small, state.replace_motion(position=jnp.asarray(place.T)))
             needed[choice, room] = int(after.guard.needed["spheres"][0])
     assert len(set(needed.values())) == 1 and needed["cells", 64] > 640
 
@@ -211,7 +211,7 @@ def test_the_order_of_the_slots_does_not_matter(marshmallows):
     _, system, state, rebuild = marshmallows
     random = np.random.default_rng(4)
     state = placed(state, *poses("packed", random, COUNT, 0.045))
-    advance = jax.jit(partial(stepping.advance, system))
+    advance = jax.jit(partial(stepping.advance_step, system))
     settled = rebuild(state)
     for _ in range(3):
         settled = advance(settled)
@@ -219,7 +219,7 @@ def test_the_order_of_the_slots_does_not_matter(marshmallows):
     assert (np.asarray(table.memory.law.force) > 0).sum() > 5 and np.abs(np.asarray(table.memory.law.spring)).max() > 0
     order = random.permutation(table.a.shape[0])
     tables = {"hulls": jax.tree.map(lambda x: x[..., order], table)}
-    mixed = settled.replace(contacts=tables, incidence=neighbours.find_incidence(system, tables).columns)
+    mixed = settled.replace(contacts=tables, incidence=neighbour_list.find_incidence(system, tables).load_columns)
     one, other = (advance(rebuild(s)) for s in (settled, mixed))
     np.testing.assert_array_equal(one.contacts["hulls"].memory.law.force, other.contacts["hulls"].memory.law.force)
     np.testing.assert_array_equal(one.motion.force, other.motion.force)
@@ -234,9 +234,9 @@ def incline(rebuild_steps):
     slope = np.radians(10)
     gravity = (9.81 * np.sin(slope), 0.0, -9.81 * np.cos(slope))
     settings = {**SETTINGS, "gravity": gravity, "rebuild_steps": rebuild_steps}
-    made = build.build(Scene(piece=[piece], wall=[FLOOR], run=settings), 0)
-    state, recorded, _ = stepping.chunk(made.system, made.state, np.int32(1000), np.int32(1), samples=1024, frames=0)
-    assert not guard.outgrown(made.system, jax.device_get(state.guard))
+    made = assembly.assemble_system(Scene(piece=[piece], wall=[FLOOR], run=settings), 0)
+    state, recorded, _ = stepping.run_compiled_chunk(made.system, made.state, np.int32(1000), np.int32(1), samples=1024, frames=0)
+    assert not overflow_recovery.describe_overflow(made.system, jax.device_get(state.guard))
     return made, state, jax.tree.map(lambda x: np.asarray(x)[:1000], recorded)
 
 
@@ -256,7 +256,7 @@ def test_the_noted_way_bounds_how_far_bodies_have_approached_each_other(marshmal
     """Pieces that fly and spin at random for some steps: no gap shrinks by more, so no pair within it was missed."""
     made, system, state, rebuild = marshmallows
     random = np.random.default_rng(5)
-    advance = jax.jit(partial(stepping.advance, system.replace(touching=1)))
+    advance = jax.jit(partial(stepping.advance_step, system.replace(touching=1)))
     place, orientation = poses("random", random, COUNT, 0.09)
     solid = corners(made, place, orientation)
     gaps = lambda s: np.array([distance(s[i], s[j]) for i in range(COUNT) for j in range(i + 1, COUNT)])  # noqa: E731
@@ -264,10 +264,10 @@ def test_the_noted_way_bounds_how_far_bodies_have_approached_each_other(marshmal
     for speed in (0.1, 1.0, 10.0):
         start = rebuild(placed(state, place, orientation))
         spin = random.normal(size=(3, COUNT)) * speed / 0.03 * np.asarray(system.pieces.inertia)
-        start = start.moved(velocity=jnp.asarray(random.normal(size=(3, COUNT)) * speed), angular_momentum=jnp.asarray(spin))
+        start = start.replace_motion(velocity=jnp.asarray(random.normal(size=(3, COUNT)) * speed), angular_momentum=jnp.asarray(spin))
         for _ in range(6):
             start = advance(start)
-        said = float(start.scratch.way[0])
+        said = float(start.scratch.displacement[0])
         moved = corners(made, np.asarray(start.position).T, np.asarray(start.orientation).T)
         shrunk = (before - gaps(moved)).max()
         assert 0 < shrunk <= said

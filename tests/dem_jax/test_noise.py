@@ -5,18 +5,18 @@ import pytest
 
 from dem_jax.__main__ import main
 from dem_jax.errors import SceneError
+from dem_jax.io.run_files import Run
 from dem_jax.scene import LoadCell, Noise, load_scene, load_section
-from dem_jax.show.weighing import convert_trace, on_cell, readings_of
-from dem_jax.store.record import Run
+from dem_jax.visualization.scale_readings import apply_cell, compute_readings, convert_trace
 from dem_jax.weighing import chain, filters
-from dem_jax.weighing.cell import Cell, cell_of, through_cell
-from dem_jax.weighing.noise import SOURCES, add_noise, base_acceleration, delay_releases, delay_signal, draw_release_delays
-from dem_jax.weighing.noise import _Random as Random
-from dem_jax.weighing.traces import Trace, trace_of
+from dem_jax.weighing.cell import Cell, build_cell, simulate_cell
+from dem_jax.weighing.signal_noise import SOURCES, add_noise, base_acceleration, delay_releases, delay_signal, draw_release_delays
+from dem_jax.weighing.signal_noise import _NoiseGenerators as Random
+from dem_jax.weighing.traces import WeightTrace, extract_trace
 from tests.dem_jax.stored import SCENE, stored
 
 RATE, G = 1000.0, 9.81
-CELL = cell_of(LoadCell(mass=1.0, natural_frequency=50.0, damping_ratio=0.02))
+CELL = build_cell(LoadCell(mass=1.0, natural_frequency=50.0, damping_ratio=0.02))
 OFF = {key: 0.0 for key in ("white", "quantum", "floor_acceleration", "band_acceleration", "neighbour_kicks")}
 OFF |= {key: 0.0 for key in ("motor_starts", "closing_impulse", "tare_spread", "drift", "release_jitter")}
 EMPTY = np.zeros(1000)
@@ -33,7 +33,7 @@ def test_white_noise_has_its_standard_deviation_through_the_chain(rate):
     density = 5e-5 * np.sqrt(rate / 1000.0)  # a mean over a longer interval has less of it
     assert found.std() == pytest.approx(density, rel=4 / np.sqrt(2 * count))  # 4 standard errors
     mean = filters.moving_average(100 / rate, rate)
-    after = filters.filtered(mean, filters.start(mean), found)[0][100:]
+    after = filters.apply_filter(mean, filters.start_filter(mean), found)[0][100:]
     assert after.std() == pytest.approx(density / 10, rel=4 / np.sqrt(2 * count / 100))  # as 100 readings share their noise
 
 
@@ -109,8 +109,8 @@ def test_tare_and_drift_are_added_exactly():
     slope = drift[:, -1:] - drift[:, :1]
     np.testing.assert_allclose(drift, slope / 0.499 * (np.arange(1, 501) / RATE - 0.1), atol=1e-15)
     assert np.ptp(slope) > 0
-    trace = Trace(np.arange(1, 501) / RATE, signal, np.zeros(3), "load cell", noise=only(tare=0.0127))
-    np.testing.assert_allclose(readings_of("", trace, RATE, "none").weight, signal, atol=1e-16)  # the scale shows the net weight
+    trace = WeightTrace(np.arange(1, 501) / RATE, signal, np.zeros(3), "load cell", noise=only(tare=0.0127))
+    np.testing.assert_allclose(compute_readings("", trace, RATE, "none").weight, signal, atol=1e-16)  # the scale shows the net weight
 
 
 def test_a_late_release_moves_the_signal_and_keeps_its_integral():
@@ -137,7 +137,7 @@ def test_a_late_release_does_not_smear_a_short_pulse():
     time, sample, noise = np.arange(1, 10_001) * 5e-5, 5e-5, only(release_jitter=2e-3)
     pulse = lambda begin: np.diff(np.clip(np.append(0.0, time) - begin, 0.0, 1e-3)) / 1e-3  # noqa: E731
     traces = np.tile(pulse(0.25), (20, 1))
-    drops = convert_trace(Trace(time, traces, np.full(20, 0.05), "load cell", noise=noise), RATE, 3)
+    drops = convert_trace(WeightTrace(time, traces, np.full(20, 0.05), "load cell", noise=noise), RATE, 3)
     whole = np.stack([pulse(0.25 + by) for by in draw_release_delays(noise, 3, 20)]).reshape(20, -1, 20).mean(axis=-1)
     # half of a sample of the trace is left at each edge of the pulse
     np.testing.assert_allclose(drops.signal, whole, atol=0.5 * sample / 1e-3 * pulse(0.25).max())
@@ -163,14 +163,14 @@ def test_noise_depends_on_the_seed_and_the_run_alone():
 def test_no_noise_leaves_the_bits():
     signal = np.random.default_rng(1).uniform(0, 0.1, 500)
     assert add_noise(signal, RATE, None) is signal
-    trace = Trace(np.arange(1, 501) * 1e-4, signal, np.array(0.05), "load cell", cell=CELL)
-    of = chain.chain(trace.sample, RATE, "bessel:4:40")
-    np.testing.assert_array_equal(readings_of("", trace, RATE, "bessel:4:40").weight[0], chain.weighed(of, trace.time, signal)[1])
+    trace = WeightTrace(np.arange(1, 501) * 1e-4, signal, np.array(0.05), "load cell", cell=CELL)
+    of = chain.build_chain(trace.sample, RATE, "bessel:4:40")
+    np.testing.assert_array_equal(compute_readings("", trace, RATE, "bessel:4:40").weight[0], chain.weigh_trace(of, trace.time, signal)[1])
 
 
 def test_a_force_goes_through_a_cell_as_its_equation_says():
     weight = np.where(np.arange(1000) < 100, 0.0, 0.3)
-    found = through_cell(weight, RATE, CELL, load=0.3)
+    found = simulate_cell(weight, RATE, CELL, load=0.3)
     mass = 1.3
     decay = CELL.damping / 2 / mass
     turn = np.sqrt(CELL.stiffness / mass - decay**2)
@@ -180,8 +180,8 @@ def test_a_force_goes_through_a_cell_as_its_equation_says():
     expected = 0.3 * (x + CELL.damping / CELL.stiffness * v).reshape(-1, 100).mean(axis=1)
     np.testing.assert_allclose(found[100:], expected, atol=2e-3 * 0.3)  # half a step, 0.02 rad, at its edge
     np.testing.assert_array_equal(found[:99], 0.0)
-    trace = Trace(np.arange(1, 1001) / RATE, weight, np.array(0.3), "force on wb", product=0.3)
-    np.testing.assert_array_equal(on_cell(trace, CELL).weight, found)
+    trace = WeightTrace(np.arange(1, 1001) / RATE, weight, np.array(0.3), "force on wb", product=0.3)
+    np.testing.assert_array_equal(apply_cell(trace, CELL).weight, found)
 
 
 def test_a_run_is_weighed_with_the_noise_of_its_scene(tmp_path, capsys, monkeypatch):
@@ -191,12 +191,12 @@ def test_a_run_is_weighed_with_the_noise_of_its_scene(tmp_path, capsys, monkeypa
     header = run.header
     weight = {"weight": run.pif_kg("plate")}
     run = Run(header, run.time, run.series | {"load_cell": weight})
-    trace = trace_of(run)
+    trace = extract_trace(run)
     assert trace.noise.white == 1e-3 and trace.cell.mass == 2.0 and trace.gravity == 9.81
     header.info["parameters"] = {"weigh_bucket.load_cell.mass": [2.0, 3.0], "material.restitution": [0.1, 0.2]}
-    np.testing.assert_array_equal(trace_of(run).cell.mass, [2.0, 3.0])
+    np.testing.assert_array_equal(extract_trace(run).cell.mass, [2.0, 3.0])
     del header.info["parameters"]
-    noisy, plain = (readings_of("", t, RATE, "none").weight for t in (trace, trace._replace(noise=None)))
+    noisy, plain = (compute_readings("", t, RATE, "none").weight for t in (trace, trace._replace(noise=None)))
     assert (noisy - plain)[:, 200:].std() == pytest.approx(1e-3, rel=0.2)
     stored(peaks=(2.0, 3.0), scene=SCENE).save("runs.h5")
     (tmp_path / "loud.toml").write_text("[weigh_bucket.load_cell.noise]\nwhite = 1e-3\n")

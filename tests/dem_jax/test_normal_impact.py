@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dem_jax import build, validation
+from dem_jax import assembly, validation
 from dem_jax.scene import load_scene
 from dem_jax.validation import NormalImpact
 
@@ -35,7 +35,7 @@ TABLE = {
 
 @cache
 def built(shape, precision="f64"):
-    return build.build(validation.plate_scene(PIECES[shape], precision=precision))
+    return assembly.assemble_system(validation.plate_scene(PIECES[shape], precision=precision))
 
 
 def problem(shape, restitution, gravity, separation=0.001):
@@ -47,7 +47,7 @@ def problem(shape, restitution, gravity, separation=0.001):
 def start_of(made, height, speed):
     """The state of a piece at a height that falls with a speed."""
     zero = jnp.zeros_like(height)
-    return made.state.moved(
+    return made.state.replace_motion(
         position=jnp.stack([zero, zero, height])[:, None], velocity=jnp.stack([zero, zero, -speed])[:, None]
     )
 
@@ -58,9 +58,9 @@ def run(system, states, dt, restitution, gravity):
 
     def one(state, dt, restitution, gravity):
         zero = jnp.zeros_like(gravity)
-        changed = validation.lasting(system).replace(dt=dt, gravity=jnp.stack([zero, zero, -gravity]))
+        changed = validation.with_permanent_pairs(system).replace(dt=dt, gravity=jnp.stack([zero, zero, -gravity]))
         changed = validation.with_restitution(changed, restitution)
-        return validation.trace(changed, state, 800, validation.motion)
+        return validation.trace_motion(changed, state, 800, validation.read_motion)
 
     return jax.vmap(one)(states, dt, restitution, gravity)
 
@@ -209,7 +209,7 @@ def test_single_precision_a_metre_away_at_full_stiffness(shape):
     gap = 2e-7 + speeds * dt * np.tile(phases(24)[0], 8)  # beyond what rounding may make of the place
     place = (away[:, None] + np.array([0, 0, 1])[:, None] * (HALF_HEIGHT[shape] + gap)).astype(np.float32)
     states = jax.vmap(partial(start_of, made))(jnp.zeros(192, np.float32), jnp.asarray(speeds, np.float32))
-    states = states.moved(position=jnp.asarray(place.T[:, :, None]))
+    states = states.replace_motion(position=jnp.asarray(place.T[:, :, None]))
     each = lambda x: jnp.full(192, x, np.float32)  # noqa: E731
     _, found = jax.tree.map(np.asarray, run(system, states, each(dt), each(0.5), each(0.0)))
     rebound = found["velocity"][:, -1, 2] / [c.rebound_speed for c in cases]

@@ -3,10 +3,10 @@
 import pytest
 
 from dem_jax.errors import SceneError
-from dem_jax.scene import load_scene, parse, stock_scenes
-from dem_jax.scene.library import buckets
-from dem_jax.scene.overrides import OVERRIDES, check_varied, nested
-from dem_jax.study.table import load_study
+from dem_jax.scene import load_scene, parse_scene, stock_scenes
+from dem_jax.scene.library import list_buckets
+from dem_jax.scene.overrides import OVERRIDES, check_varied_keys, nest_keys
+from dem_jax.study.config import load_study
 
 STL = {"weigh_bucket.stl": "a.stl"}
 BOTH = {"portion.count": 5, "portion.target_weight": 0.1}
@@ -45,8 +45,8 @@ def test_a_key_that_cannot_act_is_refused(name, changes, said):
 def test_what_a_study_or_an_ensemble_varies_must_act(tmp_path):
     (tmp_path / "own.toml").write_text('base = "weigh-bucket"\n[weigh_bucket]\nstl = "a.stl"\n')
     with pytest.raises(SceneError, match="study bucket-own: own: weigh_bucket.flap_angle_deg = 55.0: cannot act"):
-        load_study("bucket").of_scene(str(tmp_path / "own.toml")).base()
-    assert load_study("scale-factor").base()
+        load_study("bucket").with_scene(str(tmp_path / "own.toml")).base_scene()
+    assert load_study("scale-factor").base_scene()
     scene = load_scene("weigh-bucket", STL)
     with pytest.raises(SceneError, match="weigh_bucket.flap_angle_deg = 55.0: cannot act beside weigh_bucket.stl"):
         scene.replace({"weigh_bucket.flap_angle_deg": 55.0})  # as for each point and each run
@@ -79,15 +79,15 @@ def test_the_later_of_weight_and_count_holds():
     scene = load_scene("weigh-bucket", {"portion.count": 20}).replace({"portion.target_weight": 0.1})
     assert (scene.portion.count, scene.portion.target_weight) == (None, 0.1)
     assert scene.replace({"portion.count": 3}).portion.target_weight == 0.05
-    check_varied(load_scene("weigh-bucket", {"portion.count": 20}), ["portion.target_weight"], "a study")
+    check_varied_keys(load_scene("weigh-bucket", {"portion.count": 20}), ["portion.target_weight"], "a study")
 
 
 @pytest.mark.parametrize("name", stock_scenes())
 def test_stock_scenes_are_their_own_text_and_take_every_bucket(name):
     scene = load_scene(name)
-    assert parse(scene.to_toml()) == scene
+    assert parse_scene(scene.to_toml()) == scene
     if scene.feed_bucket:
-        for bucket in buckets():
+        for bucket in list_buckets():
             load_scene(name, {"bucket": bucket})
 
 
@@ -97,14 +97,14 @@ def test_a_stored_scene_of_before_is_read_without_them():
     panels = "panels = [[[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0]]]"
     old = text.replace("[weigh_bucket]\n", f"[weigh_bucket]\n{panels}\n")
     assert "flap_angle_deg = 45.0" in old
-    assert parse(old).weigh_bucket.flap_angle_deg == 55.0
+    assert parse_scene(old).weigh_bucket.flap_angle_deg == 55.0
 
 
 def test_every_override_names_keys_that_exist():
     """A key that is renamed must be renamed there too."""
     full = load_scene("weighing-cycles")
     for row in OVERRIDES:
-        for key in (row.by, *row.keys):
+        for key in (row.overriding_key, *row.keys):
             found = full
             for part in key.split("."):
                 assert part in type(found).model_fields, key
@@ -112,4 +112,4 @@ def test_every_override_names_keys_that_exist():
 
 
 def test_nested():
-    assert nested({"a.b": 1, "a.c.d": 2, "e": 3}) == {"a": {"b": 1, "c": {"d": 2}}, "e": 3}
+    assert nest_keys({"a.b": 1, "a.c.d": 2, "e": 3}) == {"a": {"b": 1, "c": {"d": 2}}, "e": 3}

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 import dem_jax
-from dem_jax.drive import restart
-from dem_jax.drive.interface import drive
-from dem_jax.drive.prepare import prepare
+from dem_jax.broad_phase import neighbour_list, overflow_recovery
 from dem_jax.errors import SceneError
-from dem_jax.pairs import guard, neighbours
+from dem_jax.runner import restart_state
+from dem_jax.runner.interface import run_job
+from dem_jax.runner.job_setup import prepare_job
 from dem_jax.scene import Scene
 
 FLOOR = {"group": "floor", "corners": [(-0.2, -0.2, 0.0), (0.2, -0.2, 0.0), (0.2, 0.2, 0.0), (-0.2, 0.2, 0.0)]}
@@ -48,10 +48,10 @@ def test_a_run_does_not_depend_on_how_pairs_are_found(runs, choice):
 
 @pytest.mark.long
 def test_a_list_without_room_grows_and_the_run_is_the_same(runs):
-    job = prepare(heap("jax-md"), (0,), None)
+    job = prepare_job(heap("jax-md"), (0,), None)
     small = job.system.partition._replace(pairs=60, cell=1, reach=4e-4, sides=(3, 3, 3))
     job = replace(job, system=job.system.replace(partition=small))
-    grown = drive(job, None, False, False)
+    grown = run_job(job, None, False, False)
     notes = " ".join(grown.header.info["reruns"])
     assert "more than 60 pairs in the list of jax-md" in notes
     assert "pieces in a cell of jax-md for 1" in notes and "for a list of jax-md within 0.0004 m" in notes
@@ -61,23 +61,23 @@ def test_a_list_without_room_grows_and_the_run_is_the_same(runs):
 
 
 def test_a_restart_keeps_the_room_of_the_list():
-    job = prepare(heap("jax-md"), (0,), None)
+    job = prepare_job(heap("jax-md"), (0,), None)
     larger = job.system.replace(partition=job.system.partition._replace(pairs=777, cell=41, reach=0.0123))
-    system, _ = restart.unpack(job.system, job.state, restart.pack(larger, job.state))
+    system, _ = restart_state.unpack_state(job.system, job.state, restart_state.pack_state(larger, job.state))
     assert system.partition == larger.partition
 
 
 @pytest.mark.long
 def test_the_list_of_jax_md_can_be_made_for_many_members_at_once():
-    job = prepare(heap("jax-md"), (0,), None)
+    job = prepare_job(heap("jax-md"), (0,), None)
     shifts = jnp.asarray([0.0, 0.002, 0.004], job.state.position.dtype)
-    pressed = lambda shift: job.state.moved(position=job.state.position * (1 - 15 * shift))  # noqa: E731
-    rebuild = partial(neighbours.rebuild, job.system)
+    pressed = lambda shift: job.state.replace_motion(position=job.state.position * (1 - 15 * shift))  # noqa: E731
+    rebuild = partial(neighbour_list.rebuild_neighbour_list, job.system)
     together = jax.jit(jax.vmap(rebuild))(jax.vmap(pressed)(shifts))
     counts = []
     for k, shift in enumerate(shifts):
         alone = jax.jit(rebuild)(pressed(shift))
-        assert not guard.outgrown(job.system, jax.device_get(alone.guard))
+        assert not overflow_recovery.describe_overflow(job.system, jax.device_get(alone.guard))
         for kind, table in alone.contacts.items():
             np.testing.assert_array_equal(together.contacts[kind].a[k], table.a)
             np.testing.assert_array_equal(together.contacts[kind].b[k], table.b)

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from dem_jax import build, shapes
+from dem_jax import assembly, shapes
 from dem_jax.errors import SceneError
-from dem_jax.scene import described, load_scene, parse
+from dem_jax.scene import describe_scene, load_scene, parse_scene
 
 HALVES = """
 base = "plate-drop"
@@ -35,17 +35,17 @@ position = [0.002, 0.002, -0.002]
 
 
 def test_a_compound_is_listed_part_by_part_and_comes_back_from_its_text():
-    scene = parse(HALVES)
-    body = build.make_shape(scene.piece[0])
+    scene = parse_scene(HALVES)
+    body = assembly.make_shape(scene.piece[0])
     whole = shapes.cuboid((0.08, 0.04, 0.02))
     assert body.volume == pytest.approx(whole.volume, rel=1e-12)
     np.testing.assert_allclose(body.gyration, whole.gyration, rtol=1e-11)
-    for text in (scene.to_toml(), described(scene)):
-        assert parse(text).piece == scene.piece
+    for text in (scene.to_toml(), describe_scene(scene)):
+        assert parse_scene(text).piece == scene.piece
 
 
 def test_parts_may_be_written_as_tables_of_their_own_and_hulls_stay_where_their_points_are():
-    body = build.make_shape(parse(ROWS).piece[0])
+    body = assembly.make_shape(parse_scene(ROWS).piece[0])
     tip, ball = 1e-6 / 6, 4 / 3 * np.pi * 8e-9
     assert body.volume == pytest.approx(tip + ball, rel=1e-12)
     apart = body.parts[1].centre - body.parts[0].centre
@@ -64,7 +64,7 @@ def test_a_tube_and_what_is_given_of_a_mass():
             },
         ]
     )
-    tube, given = (build.make_shape(row) for row in parse(scene.to_toml()).piece)
+    tube, given = (assembly.make_shape(row) for row in parse_scene(scene.to_toml()).piece)
     assert tube.volume == pytest.approx(np.pi * 36e-6 * 0.04, rel=1e-12) and len(tube.parts) == 8
     assert given.volume == 5e-6 and given.gyration.tolist() == [1e-4, 1e-4, 5e-5]
     np.testing.assert_allclose(given.parts[0].centre, (0, 0, -0.001), atol=1e-18)
@@ -79,11 +79,11 @@ def test_stl_files_of_parts_are_put_into_the_scene(tmp_path):
     part = [{"shape": "hull", "stl": "block.stl", "unit": 1e-3}, {"shape": "cuboid", "size": (0.02, 0.01, 0.01)}]
     row = {"shape": "compound", "part": part, "position": (0, 0, 0.1)}
     scene = load_scene("plate-drop").replace(piece=[row], folder=str(tmp_path))
-    kept = parse(build.self_contained(scene).to_toml()).piece[0]
+    kept = parse_scene(assembly.inline_files(scene).to_toml()).piece[0]
     assert kept.part[0].stl is None and kept.part[0].points is not None
-    for body in (build.make_shape(scene.piece[0], tmp_path), build.make_shape(kept, "nowhere")):
+    for body in (assembly.make_shape(scene.piece[0], tmp_path), assembly.make_shape(kept, "nowhere")):
         np.testing.assert_allclose(body.gyration, shapes.cuboid((0.03, 0.01, 0.01)).gyration, rtol=1e-5)
-        assert body.fused.tolist() == [0, 0]
+        assert body.joint_labels.tolist() == [0, 0]
 
 
 @pytest.mark.parametrize(
@@ -109,6 +109,6 @@ def test_stl_files_of_parts_are_put_into_the_scene(tmp_path):
 )
 def test_mistakes_are_named_by_key(piece, message):
     with pytest.raises(SceneError, match=message) as caught:
-        build.self_contained(load_scene("plate-drop").replace(piece=[piece | {"position": (0, 0, 1)}]))
-        build.build(load_scene("plate-drop").replace(piece=[piece | {"position": (0, 0, 1)}]))
+        assembly.inline_files(load_scene("plate-drop").replace(piece=[piece | {"position": (0, 0, 1)}]))
+        assembly.assemble_system(load_scene("plate-drop").replace(piece=[piece | {"position": (0, 0, 1)}]))
     assert "\n" not in str(caught.value)

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dem_jax import build, shapes, validation
-from dem_jax.build import hulls as tables
-from dem_jax.compiling import known
-from dem_jax.contact import collide, geometry, hulls, patch
-from dem_jax.contact.law import friction
+from dem_jax import assembly, shapes, validation
+from dem_jax.assembly import hull_table as tables
+from dem_jax.contact_laws import friction
+from dem_jax.narrow_phase import collision_primitives, contact_geometry, hull_lookup, patch_moments
 from dem_jax.validation import classics
+from dem_jax.xla_flags import supported_options
 
 
 def moments_of(corners):
@@ -23,8 +23,8 @@ def moments_of(corners):
     length = np.linalg.norm(edge, axis=1)
     centroid = (length[:, None] * (begin + edge / 2)).sum(0) / length.sum()
     begin = begin - centroid
-    found = patch.of_edges(tuple(begin.T), tuple(edge.T), (length, length / 2, length / 3))
-    return patch.SecondMoments(*(entry.sum() / length.sum() for entry in found))
+    found = patch_moments.edge_moments(tuple(begin.T), tuple(edge.T), (length, length / 2, length / 3))
+    return patch_moments.SecondMoments(*(entry.sum() / length.sum() for entry in found))
 
 
 def mean_distance(corners):
@@ -55,28 +55,28 @@ def polygon(n, wide=1.0):
     + [(polygon(3), 0.022), (polygon(64, 2.0), 0.01), (polygon(64, 4.0), 0.05)],
 )
 def test_arm_is_the_mean_distance_from_the_centroid(corners, within):
-    arm, exact = float(patch.friction_arm(moments_of(corners))), mean_distance(corners)
+    arm, exact = float(patch_moments.friction_arm(moments_of(corners))), mean_distance(corners)
     assert abs(arm / exact - 1) < within
     turned = corners @ Rotation.from_rotvec([0, 0, 0.7]).as_matrix()[:2, :2].T + [3.0, -2.0]
-    assert float(patch.friction_arm(moments_of(turned))) == pytest.approx(arm, rel=1e-12)
+    assert float(patch_moments.friction_arm(moments_of(turned))) == pytest.approx(arm, rel=1e-12)
 
 
 def test_arm_in_closed_form():
     assert mean_distance(rectangle(1.0, 1.0)) == pytest.approx((np.sqrt(2) + np.arcsinh(1)) / 6, rel=1e-12)  # 0.3826
     assert mean_distance(polygon(1000)) == pytest.approx(2 / 3, rel=1e-5)
-    line = patch.SecondMoments(*(jnp.asarray(x) for x in (1 / 12, 0.0, 0.0, 0.0, 0.0, 0.0)))
-    assert float(patch.friction_arm(line)) == pytest.approx(0.25, rel=1e-12)
-    assert float(patch.friction_arm(patch.scale(jnp.asarray(0.0), line))) == 0
+    line = patch_moments.SecondMoments(*(jnp.asarray(x) for x in (1 / 12, 0.0, 0.0, 0.0, 0.0, 0.0)))
+    assert float(patch_moments.friction_arm(line)) == pytest.approx(0.25, rel=1e-12)
+    assert float(patch_moments.friction_arm(patch_moments.scale_moments(jnp.asarray(0.0), line))) == 0
 
 
 def test_moments_turn_and_shift_as_those_of_points():
     random = np.random.default_rng(3)
     points, weight, offset = random.normal(size=(3, 20)), random.random(20), random.normal(size=3)
     turn = Rotation.random(random_state=4).as_matrix()
-    of = lambda x: patch.SecondMoments(*(np.sum(weight * c) for c in patch.product(tuple(x), tuple(x))))  # noqa: E731
+    of = lambda x: patch_moments.SecondMoments(*(np.sum(weight * c) for c in patch_moments.outer_product(tuple(x), tuple(x))))  # noqa: E731
     rows = tuple(tuple(jnp.asarray(c) for c in row) for row in turn)
-    np.testing.assert_allclose(patch.rotated(rows, of(points)), of(turn @ points), rtol=1e-12, atol=1e-12)
-    shifted = patch.shifted(of(points), weight.sum(), tuple((weight * points).sum(1)), tuple(offset))
+    np.testing.assert_allclose(patch_moments.rotate_moments(rows, of(points)), of(turn @ points), rtol=1e-12, atol=1e-12)
+    shifted = patch_moments.shift_origin(of(points), weight.sum(), tuple((weight * points).sum(1)), tuple(offset))
     np.testing.assert_allclose(shifted, of(points + offset[:, None]), rtol=1e-12, atol=1e-12)
 
 
@@ -89,21 +89,21 @@ CUBES = {
 }
 
 
-@partial(jax.jit, static_argnums=0, compiler_options=known("cpu"))
+@partial(jax.jit, static_argnums=0, compiler_options=supported_options("cpu"))
 def arms(kind, table, turn, offset):
     """Depth along the normal (m) and arm of friction (m) of cubes, [P], on a large plate."""
-    rel = collide.Relative(turn, offset)
+    rel = collision_primitives.RelativePose(turn, offset)
     if kind == "any":
-        found = geometry.polytopes(table, tuple(jnp.full(offset[0].shape, k, jnp.int32) for k in (1, 0)), rel)
+        found = contact_geometry.polytope_contact(table, tuple(jnp.full(offset[0].shape, k, jnp.int32) for k in (1, 0)), rel)
     else:
-        plate, cube = (hulls.with_faces(hulls.gather(table, np.array([k]), False), table) for k in (1, 0))
-        found = collide.hull_hull(plate, cube, rel)
-    return found.depth, patch.friction_arm(found.moments())
+        plate, cube = (hull_lookup.attach_face_loops(hull_lookup.gather_hulls(table, np.array([k]), False), table) for k in (1, 0))
+        found = collision_primitives.hull_hull(plate, cube, rel)
+    return found.depth, patch_moments.friction_arm(found.moments())
 
 
 def tipped(kind, axes, angles):
     """Arms of a cube that is tipped by angles about axes [P, 3], its lowest point SUNK below the top of the plate."""
-    table = jax.tree.map(jnp.asarray, tables.table(CUBES[kind], np.float64))
+    table = jax.tree.map(jnp.asarray, tables.build_hull_table(CUBES[kind], np.float64))
     table = table.replace(row=table.row.astype(np.int32))
     turn = Rotation.from_rotvec(axes * angles[:, None]).as_matrix()
     lowest = (turn @ CUBES[kind][0].vertices.T).min(axis=2)[:, 2]
@@ -142,7 +142,7 @@ def test_what_a_patch_gives_back_it_took():
         force = np.clip(force + random.normal(scale=0.02, size=paths), 0.5, 2.0)
         after = step(spring, normal, tuple(slip), force, 1.0, 0.5)
         work = -sum(0.5 * (p + q) * s for p, q, s in zip(spring, after, slip, strict=True))
-        now, size = friction.energy(jnp.stack(after), 1.0), friction.size(after)
+        now, size = friction.spring_energy(jnp.stack(after), 1.0), friction.shear_magnitude(after)
         assert (size <= 0.5 * force * (1 + 1e-12)).all()
         lost, sticks = np.asarray(work - (now - stored)), np.asarray(size < 0.5 * force * (1 - 1e-9))
         np.testing.assert_allclose(lost[sticks], 0, atol=1e-14)
@@ -177,8 +177,8 @@ def test_without_turning_a_patch_has_the_force_of_a_point():
 
 
 def test_a_box_and_a_disc_that_spin_on_a_plate_come_to_a_stand():
-    solution = validation.solve(classics.turning(), "f64")
-    assert not solution.beyond, solution.errors
+    solution = validation.solve_problem(classics.turning_problem(), "f64")
+    assert not solution.failing_quantities, solution.errors
     run = solution.run
     # After they stand they swing on the spring of friction, with what it holds: mu F_n r at most over its stiffness.
     late = np.asarray(run.pieces.angular_velocity[:, :, 2])[np.asarray(run.pieces.time) > 1.1 * 0.0148]
@@ -190,13 +190,13 @@ def test_a_box_and_a_disc_that_spin_on_a_plate_come_to_a_stand():
 @pytest.mark.parametrize("law", ["linear-dashpot", "hertz-mindlin"])
 @pytest.mark.long
 def test_other_laws_stop_a_spin_too(law):
-    problem = classics.turning(law)
-    assert not validation.solve(problem, "f64").beyond
+    problem = classics.turning_problem(law)
+    assert not validation.solve_problem(problem, "f64").failing_quantities
 
 
 def test_spheres_and_scenes_without_friction_have_no_patch():
     sphere = {"shape": "sphere", "radius": 0.01}
     for piece, friction_wall in ((sphere, 0.5), ({"shape": "cuboid", "size": (0.02,) * 3}, 0.0)):
         made = validation.plate_scene(piece, friction_wall=friction_wall, friction_piece=0.0, run={"duration": 1e-3})
-        for table in build.build(made).state.contacts.values():
+        for table in assembly.assemble_system(made).state.contacts.values():
             assert table.memory.arm is None and (table.memory.law.spring is None or table.memory.law.spring.shape[0] == 3)

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 import dem_jax
-from dem_jax import build, validation
-from dem_jax.build import sampling
+from dem_jax import assembly, validation
+from dem_jax.assembly import sampling_check
+from dem_jax.dynamics import interleaved_batch
 from dem_jax.errors import RecordError
+from dem_jax.io.run_files import collect_series
 from dem_jax.scene import Scene, load_scene
-from dem_jax.show.summary import summary
-from dem_jax.step import joined
-from dem_jax.store.record import series_of
+from dem_jax.visualization.summary import summarize_run
 
 COARSE, FINE, END = 3e-5, 3e-6, 0.24  # s: samples, and a time after the peak of the first impact
 STIFF = load_scene("plate-drop", {"material.softening": 1.0, "run.precision": "f64"})
@@ -64,10 +64,10 @@ def test_a_run_says_which_peak_its_samples_missed_and_of_what_stiffness_it_is():
     (note,) = coarse.info["notes"]
     assert note.startswith("run.sample = 3e-05 s: the shortest contacts last ") and "less than 3 samples" in note
     assert not fine.info.get("notes")
-    (said,), (plain,) = ([line for line in summary(run) if line.startswith("peak PIF")] for run in (coarse, fine))
+    (said,), (plain,) = ([line for line in summarize_run(run) if line.startswith("peak PIF")] for run in (coarse, fine))
     assert said.endswith("instantaneous 28.8 kg in samples, 31.5 kg in every step; over 10 ms 0.146 kg)")
     assert plain.endswith("(mean over a sample; instantaneous 31.4 kg; over 10 ms 0.146 kg)")
-    assert "peaks are those of E = 100 MPa, NSF = 1: of one impact they scale with sqrt(E NSF)" in summary(coarse)
+    assert "peaks are those of E = 100 MPa, NSF = 1: of one impact they scale with sqrt(E NSF)" in summarize_run(coarse)
 
 
 def test_it_is_the_largest_of_samples_that_are_steps_but_where_a_ball_turns():
@@ -96,7 +96,7 @@ def test_it_is_that_of_the_closed_form_wherever_in_a_step_the_top_falls(restitut
     material = {"restitution": restitution, "separation": 0.0}
     settings = {"precision": precision, "duration": 3e-3, "frames": 0.0, "gravity": (0.0, 0.0, 0.0)}
     made = Scene(piece=rows, wall=plates, material=material, run=settings)
-    system = build.build(made).system
+    system = assembly.assemble_system(made).system
     exact = validation.NormalImpact(
         float(system.pieces.mass[0]), float(validation.wall_stiffness(system)[0]), restitution, speed, 0.0, 0.0
     ).peak_force
@@ -107,7 +107,7 @@ def test_it_is_that_of_the_closed_form_wherever_in_a_step_the_top_falls(restitut
     assert np.abs(off).max() < 5e-4 and np.ptp(off) < 1e-5
 
 
-@pytest.mark.parametrize("runs", [2, pytest.param(joined.AT_ONCE, marks=pytest.mark.long)])
+@pytest.mark.parametrize("runs", [2, pytest.param(interleaved_batch.RUNS_AT_ONCE, marks=pytest.mark.long)])
 def test_each_run_of_an_ensemble_has_its_own(runs):
     many, one = landed(1.6e-4, 8, runs), landed(1.6e-4, 8)
     for name in PANELS:
@@ -116,18 +116,18 @@ def test_each_run_of_an_ensemble_has_its_own(runs):
 
 
 def test_the_peak_of_a_report_of_two_groups_is_that_of_their_sum():
-    from dem_jax.contact import ledger
-    from dem_jax.contact.boundary import after_step
+    from dem_jax.contacts import ledger
+    from dem_jax.walls.kinematics import wall_state_after_step
 
-    made = build.build(balls(1.6e-4))
+    made = assembly.assemble_system(balls(1.6e-4))
     system = made.system.replace(
         gravity=np.array([0.0, 3.0, -4.0]), walls=made.system.walls.replace(reports=(("floor", (0, 1)), ("right", (1,))))
     )
     force = np.array([[9.0, 9.0], [1.0, -5.0], [-2.0, -4.0]])[..., None]  # along gravity 2.2 and 0.2 N
     loads = made.state.walls.replace(force=force)
     state = made.state.replace(ledger=ledger.empty_ledger(system, np.float64))
-    entered = jax.jit(lambda: ledger.entered(
-        system, state, 0 * state.velocity, after_step(system, state.step), np.zeros((6, 2)), loads, np.zeros((2, 1)), np.zeros(1)
+    entered = jax.jit(lambda: ledger.accumulate_ledger(
+        system, state, 0 * state.velocity, wall_state_after_step(system, state.step), np.zeros((6, 2)), loads, np.zeros((2, 1)), np.zeros(1)
     ).peak)  # fmt: skip
     np.testing.assert_allclose(entered()[:, 0], [2.4, 0.2], rtol=1e-12)
 
@@ -141,19 +141,19 @@ def test_a_run_gone_on_with_has_the_same_peaks(tmp_path):
     with h5py.File(path) as file:
         assert file["peak_force/left"].attrs["units"] == "N" and "restart/ledger/peak" not in file
     resumed = dem_jax.resume(path, duration=32 * 1.6e-4)
-    for name, array in series_of(whole).items():
-        np.testing.assert_array_equal(series_of(resumed)[name], array, err_msg=name)
+    for name, array in collect_series(whole).items():
+        np.testing.assert_array_equal(collect_series(resumed)[name], array, err_msg=name)
 
 
 @pytest.mark.parametrize("softening, is_said", [(0.01, False), (1.0, True)])
 def test_contacts_of_fewer_than_three_samples_are_named(softening, is_said):
     """Of a ball: the quarter periods of the loading and, 1/epsilon quicker, of the unloading branch."""
-    from dem_jax import build, validation
+    from dem_jax import assembly, validation
 
-    made = build.build(balls(3e-5, allow_unstable_step=True).replace(material={"softening": softening, "friction_wall": 0.0}))
+    made = assembly.assemble_system(balls(3e-5, allow_unstable_step=True).replace(material={"softening": softening, "friction_wall": 0.0}))
     stiffness, mass = float(validation.wall_stiffness(made.system)[0]), float(made.system.pieces.mass[0])
     against_wall = 0.5 * np.pi * np.sqrt(mass / stiffness) * (1 + 0.1)
     between = 0.5 * np.pi * np.sqrt(0.5 * mass / (0.5 * stiffness)) * (1 + 0.1)  # half the mass on half of the stiffness
-    assert made.shortest == pytest.approx(min(against_wall, between), rel=0.02)
-    assert (sampling.note(3e-5, made.shortest) is not None) is is_said
-    assert sampling.note(made.shortest / 3, made.shortest) is None
+    assert made.shortest_contact_time == pytest.approx(min(against_wall, between), rel=0.02)
+    assert (sampling_check.note_coarse_sampling(3e-5, made.shortest_contact_time) is not None) is is_said
+    assert sampling_check.note_coarse_sampling(made.shortest_contact_time / 3, made.shortest_contact_time) is None

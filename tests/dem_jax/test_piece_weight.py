@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from calibrate.pieces import piece_mass
-from dem_jax import build
-from dem_jax.build.pieces import goods_of
+from calibrate.piece_weights import piece_mass
+from dem_jax import assembly
+from dem_jax.assembly.piece_arrays import build_piece_set
 from dem_jax.errors import SceneError
-from dem_jax.scene import load_scene, parse
-from dem_jax.show.facts import portion_said
+from dem_jax.scene import load_scene, parse_scene
+from dem_jax.visualization.metadata import describe_portion
 
 NUGGET = {"shape": "cuboid", "size": (0.04, 0.03, 0.02), "scale_factor": 1.1, "piece_weight": 0.018}
 
@@ -23,7 +23,7 @@ def test_a_piece_weighs_what_is_said_whatever_its_shape():
     ]
     pieces = [row | {"piece_weight": 0.018, "position": (0.1 * k, 0.0, 0.1)} for k, row in enumerate(shapes)]
     by_density = {"shape": "sphere", "radius": 0.01, "position": (0.0, 0.1, 0.1)}
-    pieces = build.build(load_scene("plate-drop").replace(piece=[*pieces, by_density])).system.pieces
+    pieces = assembly.assemble_system(load_scene("plate-drop").replace(piece=[*pieces, by_density])).system.pieces
     np.testing.assert_allclose(pieces.mass, [0.018] * 4 + [300 * 4 / 3 * np.pi * 1e-6], rtol=1e-6)
     np.testing.assert_allclose(pieces.inertia[:, 0], 0.4 * 0.018 * 1e-4, rtol=1e-6)
     edges = 1.1 * np.array([0.04, 0.03, 0.02])
@@ -32,24 +32,24 @@ def test_a_piece_weighs_what_is_said_whatever_its_shape():
 
 def test_a_portion_has_as_many_pieces_as_their_weight_makes():
     scene = load_scene("quick-release").replace(portion=NUGGET | {"target_weight": 0.1})
-    assert len(goods_of(scene).shapes) == 6
-    assert portion_said(scene) == "100 g asked, 6 pieces = 108 g (18 g each)"
+    assert len(build_piece_set(scene).shapes) == 6
+    assert describe_portion(scene) == "100 g asked, 6 pieces = 108 g (18 g each)"
     assert piece_mass(scene.to_toml()) == 0.018
-    assert portion_said(scene.replace({"portion.count": 3})) is None
-    assert portion_said(load_scene("plate-drop")) is None
-    assert portion_said(load_scene("weighing-station")).startswith("50 g asked, 9 pieces = 52.49 g")
+    assert describe_portion(scene.replace({"portion.count": 3})) is None
+    assert describe_portion(load_scene("plate-drop")) is None
+    assert describe_portion(load_scene("weighing-station")).startswith("50 g asked, 9 pieces = 52.49 g")
 
 
 def test_sizes_that_spread_keep_the_density():
     scene = load_scene("quick-release").replace(portion=NUGGET | {"count": 20, "size_spread": 0.2})
-    goods, mass = goods_of(scene), np.asarray(build.build(scene).system.pieces.mass)
+    goods, mass = build_piece_set(scene), np.asarray(assembly.assemble_system(scene).system.pieces.mass)
     volume = np.array([shape.volume for shape in goods.shapes])
     np.testing.assert_allclose(mass / volume, 0.018 / (1.1**3 * 24e-6), rtol=1e-5)
 
 
 def test_pieces_of_one_shape_and_two_weights_differ():
     rows = [{"shape": "sphere", "radius": 0.01, "piece_weight": w, "position": (0.0, 0.0, 10 * w)} for w in (0.01, 0.02)]
-    made = build.build(load_scene("plate-drop").replace(piece=rows))
+    made = assembly.assemble_system(load_scene("plate-drop").replace(piece=rows))
     assert made.system.alike == () and np.asarray(made.system.pieces.mass).tolist() == pytest.approx([0.01, 0.02])
 
 
@@ -91,6 +91,6 @@ def test_products_have_weights_of_their_own():
     shape = "sphere"
     radius = 0.012
     """
-    scene = parse(text)
-    mass = np.asarray(build.build(scene).system.pieces.mass)
+    scene = parse_scene(text)
+    mass = np.asarray(assembly.assemble_system(scene).system.pieces.mass)
     assert np.isclose(mass, 0.004).sum() == 12 and len(mass) > 12  # half of 100 g, rounded so that the total is nearest

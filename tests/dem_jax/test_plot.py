@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from dem_jax.errors import RecordError
-from dem_jax.show.plot import FORCE_COLOUR, MASS_COLOUR, figure_of_run, plot_run
-from dem_jax.store.record import Header, Run
+from dem_jax.io.run_files import Run, RunHeader
+from dem_jax.visualization.run_figure import FORCE_COLOUR, MASS_COLOUR, draw_run_figure, plot_run
 
 SCENE = 'name = "weigh-bucket"\n[portion]\nscale_factor = 0.4\n[material]\nrestitution = 0.7\n'
 G = 9.81
@@ -31,7 +31,7 @@ def made_up(runs=None):
     means = np.apply_along_axis(lambda row: np.convolve(row, np.ones(8) / 8, "same"), 1, instants)
     pick = (lambda a: a[0]) if runs is None else (lambda a: a)
     vector = lambda kg: pick(kg)[..., None] * (0.0, 0.0, -G)  # noqa: E731
-    header = Header(SCENE, 7, 5e-6, "f32", "0.1", 30e-6, (0.0, 0.0, -G), ("wb_walls", "wb_flaps"), ("wb",), 9, runs)
+    header = RunHeader(SCENE, 7, 5e-6, "f32", "0.1", 30e-6, (0.0, 0.0, -G), ("wb_walls", "wb_flaps"), ("wb",), 9, runs)
     force = {"wb_walls": 0 * vector(instants), "wb_flaps": vector(instants)}
     mean_force = {"wb_walls": 0 * vector(means), "wb_flaps": vector(means)}
     return Run(header, time, {"force": force, "mean_force": mean_force, "settled_mass": {"wb": pick(mass)}})
@@ -43,7 +43,7 @@ def lines(axes):
 
 def test_a_run_is_drawn_in_kilograms_and_grams_over_milliseconds():
     run = made_up()
-    left, right = figure_of_run(run).axes
+    left, right = draw_run_figure(run).axes
     assert left.get_xlabel() == "time since release (ms)"
     assert left.get_ylabel().endswith("(kg)") and right.get_ylabel() == "settled mass (g)"
     drawn = lines(left)
@@ -56,23 +56,23 @@ def test_a_run_is_drawn_in_kilograms_and_grams_over_milliseconds():
 
 
 def test_the_title_and_the_peak_are_told():
-    figure = figure_of_run(made_up())
+    figure = draw_run_figure(made_up())
     assert figure.get_suptitle() == "weigh-bucket, 9 pieces, SF = 0.4, ε = 0.7"
     peak = made_up().pif_kg("wb_flaps")
     words = f"{peak.max():.3g} kg at {1e3 * made_up().time[peak.argmax()]:.1f} ms"
     assert words in [text.get_text() for text in figure.axes[0].texts]
     listed = replace(made_up().header, scene='name = "mine"\n[[piece]]\nscale_factor = 1.0\n', piece_count=1)
-    assert figure_of_run(replace(made_up(), header=listed)).get_suptitle() == "mine, 1 piece, SF = 1"
+    assert draw_run_figure(replace(made_up(), header=listed)).get_suptitle() == "mine, 1 piece, SF = 1"
 
 
 def test_all_that_happens_is_inside_the_axes():
     run = made_up()
-    left, right = figure_of_run(run).axes
+    left, right = draw_run_figure(run).axes
     first = 1e3 * run.time[np.flatnonzero(run.pif_kg("wb_flaps"))[0]]
     assert 0.8 * first < left.get_xlim()[0] < first and left.get_xlim()[1] == 1e3 * run.time[-1]
     assert left.get_ylim()[0] <= 0 and left.get_ylim()[1] > run.pif_kg("wb_flaps").max()
     assert right.get_ylim()[1] > 9 * 5.832
-    for made in (figure_of_run(run), figure_of_run(made_up(runs=6))):
+    for made in (draw_run_figure(run), draw_run_figure(made_up(runs=6))):
         made.draw_without_rendering()
         legend = made.legends[0].get_window_extent()
         assert (
@@ -80,13 +80,13 @@ def test_all_that_happens_is_inside_the_axes():
             and legend.x1 < made.bbox.x1
             and not legend.overlaps(made._suptitle.get_window_extent())
         )
-    zoomed, _ = figure_of_run(run, start=0.05, end=0.06).axes
+    zoomed, _ = draw_run_figure(run, start=0.05, end=0.06).axes
     assert zoomed.get_xlim() == pytest.approx((50, 60))
 
 
 def test_an_ensemble_is_drawn_as_median_band_and_members():
     run = made_up(runs=40)
-    figure = figure_of_run(run)
+    figure = draw_run_figure(run)
     left, right = figure.axes
     pif = run.pif_kg("wb_flaps")
     np.testing.assert_allclose(lines(left)["PIF on wb_flaps, median"].get_ydata(), np.median(pif, axis=0), atol=1e-12)
@@ -127,8 +127,8 @@ def test_what_is_not_there_is_named(tmp_path):
 
 def test_a_run_without_blocks_or_forces_is_still_a_figure():
     run = made_up()
-    (only,) = figure_of_run(replace(run, series=run.series | {"settled_mass": {}})).axes
+    (only,) = draw_run_figure(replace(run, series=run.series | {"settled_mass": {}})).axes
     assert "mean over 30 µs" in lines(only)
     still = {"wb_flaps": 0 * run.force["wb_flaps"]}
-    left, _ = figure_of_run(replace(run, series=run.series | {"mean_force": still, "force": still})).axes
+    left, _ = draw_run_figure(replace(run, series=run.series | {"mean_force": still, "force": still})).axes
     assert left.get_xlim()[0] == pytest.approx(0.03)

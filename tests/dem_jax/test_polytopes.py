@@ -10,13 +10,22 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from benchmarks import depth as exact
-from dem_jax import Scene, build, ensemble, shapes, simulate, validation
-from dem_jax.build import hulls as tables_of
-from dem_jax.compiling import known
-from dem_jax.contact import bodies, boundary, collide, geometry, hulls, look, near, watch
-from dem_jax.maths.pose import matrix_of_quaternion
-from dem_jax.pairs import guard, neighbours, search
-from dem_jax.step import stepping
+from dem_jax import Scene, assembly, ensemble, shapes, simulate, validation
+from dem_jax.assembly import hull_table as tables_of
+from dem_jax.broad_phase import candidate_search, neighbour_list, overflow_recovery
+from dem_jax.dynamics import stepping
+from dem_jax.math.pose import quaternion_to_matrix
+from dem_jax.narrow_phase import (
+    cached_features,
+    collision_primitives,
+    contact_geometry,
+    feature_cache,
+    feature_search,
+    hull_lookup,
+    packed_bodies,
+)
+from dem_jax.walls import kinematics
+from dem_jax.xla_flags import supported_options
 
 MARSHMALLOW = shapes.chamfered_cuboid()
 
@@ -38,35 +47,35 @@ BATCH = 64
 HULLS = [exact.bodies()[k] for k in (6, 10)] + [shapes.cuboid((0.09, 0.09, 0.02)), MARSHMALLOW]
 
 
-@partial(jax.jit, compiler_options=known("cpu"))
+@partial(jax.jit, compiler_options=supported_options("cpu"))
 def from_all(table, rows, rel):
     """Near features, and contact from all of them."""
-    found = look.look(table.features, rows, tuple(table.bounding_radius[row] for row in rows), rel, None)
-    axes = near.axes(found, rel)
-    facing = look.facing(table.features, rows, axes.normal, rel)
-    faces = near.looking(facing, axes.normal, rel)
-    return found, facing, axes, faces, near.touched(table, rows, faces, near.every_plane(table, rows), rel, axes)[:2]
+    found = feature_search.find_active_features(table.features, rows, tuple(table.bounding_radius[row] for row in rows), rel, None)
+    axes = cached_features.find_separating_axis(found, rel)
+    facing = feature_search.find_support_faces(table.features, rows, axes.normal, rel)
+    faces = cached_features.select_support_faces(facing, axes.normal, rel)
+    return found, facing, axes, faces, cached_features.polytope_contact_patch(table, rows, faces, cached_features.all_clip_planes(table, rows), rel, axes)[:2]
 
 
-@partial(jax.jit, compiler_options=known("cpu"))
+@partial(jax.jit, compiler_options=supported_options("cpu"))
 def from_near(table, rows, kept, facing, rel):
     """The same from what is known from before, how far the bodies have moved, and whether the facing faces are certain."""
-    axes = near.axes(kept, rel)
+    axes = cached_features.find_separating_axis(kept, rel)
     touching = jnp.ones_like(axes.depth, bool)
-    facing = near.faced(table, facing, rows, axes.normal, touching, rel)
-    faces = near.looking(facing, axes.normal, rel)
+    facing = cached_features.update_support_faces(table, facing, rows, axes.normal, touching, rel)
+    faces = cached_features.select_support_faces(facing, axes.normal, rel)
     centre, in_full = (
-        near.touched(table, rows, faces, near.Planes(kept.clipping, is_wide), rel, axes)[0] for is_wide in (False, True)
+        cached_features.polytope_contact_patch(table, rows, faces, cached_features.ClipPlanes(kept.clip_planes, is_wide), rel, axes)[0] for is_wide in (False, True)
     )
-    return axes, faces, centre, in_full, near.moved(kept, table.bounding_radius[rows[1]], rel)
+    return axes, faces, centre, in_full, cached_features.relative_displacement_bound(kept, table.bounding_radius[rows[1]], rel)
 
 
 def relative(turn, offset):
-    return collide.Relative(tuple(tuple(row) for row in turn.as_matrix().transpose(1, 2, 0)), tuple(offset.T))
+    return collision_primitives.RelativePose(tuple(tuple(row) for row in turn.as_matrix().transpose(1, 2, 0)), tuple(offset.T))
 
 
 def test_near_features_say_what_all_say_until_bodies_have_moved_by_the_margin():
-    table = jax.tree.map(jnp.asarray, tables_of.table(HULLS, np.float64))
+    table = jax.tree.map(jnp.asarray, tables_of.build_hull_table(HULLS, np.float64))
     table = table.replace(row=table.row.astype(np.int32))
     corners = [exact.in_principal_frame(shape) for shape in HULLS]
     random, compared, in_full = np.random.default_rng(2), 0, 0
@@ -74,7 +83,7 @@ def test_near_features_say_what_all_say_until_bodies_have_moved_by_the_margin():
         pairs = exact.random_pairs(BATCH, corners, [shape.normals for shape in HULLS], seed=trial)
         rows = tuple(i.astype(np.int32) for i in (pairs.a, pairs.b))
         kept, facing, *_ = from_all(table, rows, relative(pairs.turn, pairs.offset))
-        margin = np.asarray(kept.margin)
+        margin = np.asarray(kept.validity_radius)
         is_shallow = np.abs(np.asarray(kept.depth)) < 5e-4
         assert (margin[is_shallow] > 0).all()
         rel = moved_within(margin, random, pairs)
@@ -85,7 +94,7 @@ def test_near_features_say_what_all_say_until_bodies_have_moved_by_the_margin():
         np.testing.assert_allclose(axes.depth[sure], true.depth[sure], atol=1e-15, rtol=0)
         for one, other in zip((*axes.normal, *faces), (*true.normal, *true_faces), strict=True):
             np.testing.assert_allclose(one[sure], other[sure], atol=1e-12)
-        narrow = sure & ~np.asarray(kept.wide)
+        narrow = sure & ~np.asarray(kept.needs_all_planes)
         in_full += narrow.sum()
         for one, every, other in zip(centre, from_every_plane, true_centre[0], strict=True):
             np.testing.assert_allclose(one[narrow], other[narrow], atol=1e-12)
@@ -106,15 +115,15 @@ def moved_within(margin, random, pairs):
 def test_near_features_say_what_all_say_of_bodies_apart_within_the_reach_of_a_law():
     """And mostly not in this place only: cohesive pieces in a heap would be looked at in every step."""
     reach = 3e-4
-    table = jax.tree.map(jnp.asarray, tables_of.table(HULLS, np.float64))
+    table = jax.tree.map(jnp.asarray, tables_of.build_hull_table(HULLS, np.float64))
     table = table.replace(row=table.row.astype(np.int32))
     corners = [exact.in_principal_frame(shape) for shape in HULLS]
     random, compared, known_for_more = np.random.default_rng(5), 0, 0
 
     @jax.jit
     def found(rows, rel):
-        kept = look.look(table.features, rows, tuple(table.bounding_radius[row] for row in rows), rel, jnp.full((BATCH,), reach))
-        return kept, near.axes(kept, rel)
+        kept = feature_search.find_active_features(table.features, rows, tuple(table.bounding_radius[row] for row in rows), rel, jnp.full((BATCH,), reach))
+        return kept, cached_features.find_separating_axis(kept, rel)
 
     for trial in range(16):
         pairs = exact.random_pairs(BATCH, corners, [shape.normals for shape in HULLS], seed=trial)
@@ -129,12 +138,12 @@ def test_near_features_say_what_all_say_of_bodies_apart_within_the_reach_of_a_la
             tip = ours[np.argmax(ours @ along)] - theirs[np.argmin(theirs @ along)]
             pairs.offset[k] = tip + gap[k] * along / np.linalg.norm(along)
         kept, axes = found(rows, relative(pairs.turn, pairs.offset))
-        margin, apart = np.asarray(kept.margin), (-reach < axes.depth) & (axes.depth < 0)
+        margin, apart = np.asarray(kept.validity_radius), (-reach < axes.depth) & (axes.depth < 0)
         known_for_more += (margin[apart] > 1e-6).sum()
         rel = moved_within(margin, random, pairs)
         true = found(rows, rel)[1]
-        axes = near.axes(kept, rel)
-        sure = np.asarray(apart & (near.moved(kept, table.bounding_radius[rows[1]], rel) <= margin) & (true.depth > -reach))
+        axes = cached_features.find_separating_axis(kept, rel)
+        sure = np.asarray(apart & (cached_features.relative_displacement_bound(kept, table.bounding_radius[rows[1]], rel) <= margin) & (true.depth > -reach))
         compared += sure.sum()
         np.testing.assert_allclose(axes.depth[sure], true.depth[sure], atol=1e-15, rtol=0)
         there = sure & (np.abs(np.asarray(true.depth)) > 1e-9)
@@ -155,7 +164,7 @@ MIXTURE = [
 def test_an_end_that_stands_on_a_wall_is_not_looked_at_in_every_step():
     """All edges of its rim are equally near then, to rounding."""
     bodies = [shapes.cuboid((0.2, 0.2, 0.02)), shapes.cylinder(0.015, 0.05, 64)]
-    table = jax.tree.map(jnp.asarray, tables_of.table(bodies, np.float32))
+    table = jax.tree.map(jnp.asarray, tables_of.build_hull_table(bodies, np.float32))
     rows = tuple(np.full(BATCH, k, np.int32) for k in (0, 1))
     random = np.random.default_rng(0)
     tilts = 10.0 ** random.uniform(-8, -5, BATCH) * (np.arange(BATCH) > 8)  # the first stand exactly upright
@@ -167,9 +176,9 @@ def test_an_end_that_stands_on_a_wall_is_not_looked_at_in_every_step():
     offset = np.c_[random.uniform(-0.05, 0.05, (BATCH, 2)), np.full(BATCH, 0.035 - 4e-6)].astype(np.float32)
     rel = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), relative(turn, offset))
     radius = tuple(table.bounding_radius[row] for row in rows)
-    found = jax.jit(lambda rows, rel: look.look(table.features, rows, radius, rel, None))(rows, rel)
+    found = jax.jit(lambda rows, rel: feature_search.find_active_features(table.features, rows, radius, rel, None))(rows, rel)
     assert np.allclose(found.depth, 4e-6, atol=2e-7)
-    assert np.all(np.asarray(found.margin) > 1e-5)
+    assert np.all(np.asarray(found.validity_radius) > 1e-5)
 
 
 def closed_box(**run):
@@ -215,7 +224,7 @@ def test_energy_of_mixed_hulls_in_a_closed_box_never_grows_and_the_ledger_closes
 def test_a_run_with_kept_features_is_the_one_that_looks_at_all_in_every_step(monkeypatch):
     scene = closed_box(duration=0.03)
     kept = simulate(scene)
-    monkeypatch.setattr("dem_jax.drive.prepare.slot_block", lambda: 0)
+    monkeypatch.setattr("dem_jax.runner.job_setup.choose_slot_block", lambda: 0)
     plain = simulate(scene)
     assert np.abs(kept.force["box"]).max() > 1
     np.testing.assert_allclose(kept.force["box"], plain.force["box"], atol=1e-7)
@@ -239,24 +248,24 @@ def test_no_pair_moves_faster_than_what_a_look_waits_for():
     corners = [(-0.05, -0.05, 0.0), (0.15, -0.05, 0.0), (0.15, 0.1, 0.0), (-0.05, 0.1, 0.0)]
     flap = {"group": "flap", "pivot": (-0.05, 0.0, 0.0), "axis": (0.0, 1.0, 0.0), "swing_deg": 60.0, "start": 0.0, "opening": 0.02}
     wall, run = {"group": "flap", "corners": corners}, {"precision": "f64", "frames": 0.0}
-    made = build.build(Scene(piece=pieces, wall=[wall], motion=[flap], run=run), 0)
-    roomy = (("hulls", *[search.pair_count("hulls", 16, 0, 1)] * 2),)
-    system, state = guard.with_capacity(made.system, made.state, roomy, 16, made.system.row_capacity)
+    made = assembly.assemble_system(Scene(piece=pieces, wall=[wall], motion=[flap], run=run), 0)
+    roomy = (("hulls", *[candidate_search.pair_count("hulls", 16, 0, 1)] * 2),)
+    system, state = overflow_recovery.with_capacity(made.system, made.state, roomy, 16, made.system.row_capacity)
     state = state.replace(step=jnp.asarray(round(0.01 / float(system.dt)), jnp.int32))  # in the middle of the swing
 
     @jax.jit
     def moved(state):
         """The state after the way of a step, and how far each pair moved, and was to move at most."""
-        state = neighbours.rebuild(system, state)
+        state = neighbour_list.rebuild_neighbour_list(system, state)
         slots, there = state.scratch.slots["hulls"], []
-        after, omega, panels = stepping._moved(system, state.replace(step=state.step + 1), None)
-        for each, walls in ((state, boundary.after_step(system, state.step)), (after, panels)):
-            stacked = bodies.stack(system, each, omega, walls)
-            a, b = (bodies.take(stacked, of) for of in (slots.a, slots.b))
-            there.append(geometry.relative(a, b, bodies.offset(a, b)))
+        after, omega, panels = stepping._advance_kinematics(system, state.replace(step=state.step + 1), None)
+        for each, walls in ((state, kinematics.wall_state_after_step(system, state.step)), (after, panels)):
+            stacked = packed_bodies.pack_bodies(system, each, omega, walls)
+            a, b = (packed_bodies.gather_bodies(stacked, of) for of in (slots.a, slots.b))
+            there.append(contact_geometry.relative_pose(a, b, packed_bodies.centre_offset(a, b)))
         was = SimpleNamespace(offset=jnp.stack(there[0].offset), rotation=[c for row in there[0].rotation for c in row])
-        way = near.moved(was, system.hulls.bounding_radius[system.shape[slots.b]], there[1])
-        return after, way, system.dt * watch._paces(system, state.scratch, stacked), slots.live
+        way = cached_features.relative_displacement_bound(was, system.hulls.bounding_radius[system.shape[slots.b]], there[1])
+        return after, way, system.dt * feature_cache._relative_speed_bounds(system, state.scratch, stacked), slots.live
 
     ratios = []
     for _ in range(50):
@@ -264,7 +273,7 @@ def test_no_pair_moves_faster_than_what_a_look_waits_for():
         ratios.append((way / most)[live])
     ratios = np.concatenate(ratios)
     print(f"{ratios.size} pairs moved by {ratios.min():.2g} to {ratios.max():.4f} of what a look waits for")
-    assert ratios.size > 500 and 0.5 < ratios.max() < watch.ROUNDING
+    assert ratios.size > 500 and 0.5 < ratios.max() < feature_cache.SPEED_MARGIN
 
 
 # --- thin walls ---
@@ -276,7 +285,7 @@ def test_a_panel_of_a_tenth_of_a_millimetre_has_the_contact_of_one_of_ten(genera
     """A marshmallow in any orientation, up to half of its width deep."""
     if general:
         monkeypatch.setattr(tables_of, "MOST_DIRECTIONS", 0)
-    table = tables_of.table([shapes.cuboid((0.3, 0.3, t)) for t in (1e-4, 1e-2)] + [MARSHMALLOW], dtype)
+    table = tables_of.build_hull_table([shapes.cuboid((0.3, 0.3, t)) for t in (1e-4, 1e-2)] + [MARSHMALLOW], dtype)
     table = table.replace(row=table.row.astype(np.int32))
     random, count = np.random.default_rng(0), 96
     turn = Rotation.from_quat(random.normal(size=(count, 4)))
@@ -297,12 +306,12 @@ def test_a_panel_of_a_tenth_of_a_millimetre_has_the_contact_of_one_of_ten(genera
     np.testing.assert_allclose(thin.point[2] - 0.5e-4, thick.point[2] - 0.5e-2, atol=30 * rounding, rtol=0)
 
 
-@partial(jax.jit, compiler_options=known("cpu"))
+@partial(jax.jit, compiler_options=supported_options("cpu"))
 def contact(table, rows, rel):
     if table.features is not None:
-        return geometry.polytopes(table, rows, rel)._replace(moments=None)  # a function
-    rows_of_both = (hulls.with_faces(hulls.gather(table, row, False), table) for row in rows)
-    return collide.hull_hull(*rows_of_both, rel)._replace(moments=None)
+        return contact_geometry.polytope_contact(table, rows, rel)._replace(moments=None)  # a function
+    rows_of_both = (hull_lookup.attach_face_loops(hull_lookup.gather_hulls(table, row, False), table) for row in rows)
+    return collision_primitives.hull_hull(*rows_of_both, rel)._replace(moments=None)
 
 
 ON_SHEETS = [pytest.param({"shape": "chamfered-cuboid"}, marks=pytest.mark.long), MIXTURE[0]]
@@ -325,18 +334,18 @@ def test_a_piece_bounces_off_a_sheet_as_off_a_slab(piece):
 
 def test_a_sphere_on_a_hull_of_hundreds_of_faces():
     shape = exact.bodies()[14]
-    table = tables_of.table([shape], np.float64)
+    table = tables_of.build_hull_table([shape], np.float64)
     corners, random = exact.in_principal_frame(shape), np.random.default_rng(4)
     centre, radius = random.normal(size=(60, 3)) * 0.012, np.full(60, 0.004)
-    found = sphere_on(table.replace(loops=None, open_edges=None, features=None), radius, tuple(centre.T))
+    found = sphere_on(table.replace(face_loops=None, open_edges=None, features=None), radius, tuple(centre.T))
     true = [exact.reference(point[None] - corners) for point in centre]
     inside = np.array([depth > 0 for depth, _ in true])
-    assert len(shape.normals) > collide.FEW and 5 < inside.sum() < 55
+    assert len(shape.normals) > collision_primitives.UNROLL_LIMIT and 5 < inside.sum() < 55
     np.testing.assert_allclose(found.depth, [0.004 + depth for depth, _ in true], atol=1e-15)
     np.testing.assert_allclose(np.stack(found.normal, axis=1), [normal for _, normal in true], atol=1e-10)
 
 
-sphere_on = jax.jit(collide.hull_sphere, compiler_options=known("cpu"))
+sphere_on = jax.jit(collision_primitives.hull_sphere, compiler_options=supported_options("cpu"))
 
 
 def test_contact_whose_edges_are_on_neither_of_the_facing_faces_is_where_they_cross():
@@ -349,20 +358,20 @@ def test_contact_whose_edges_are_on_neither_of_the_facing_faces_is_where_they_cr
     x, y = 2e-3, -1e-3  # m: where b has its middle
     base = [(end + high * 3**0.5) * u for u in (-1, 1)], [high / 3**0.5 * u for u in (-1, 1)]
     corners = [(-end, 0, 0), (end, 0, 0), *((u, v, -high) for u in base[0] for v in base[1])]
-    shape, centre = shapes.placed_hull(np.array(corners))
-    table = jax.tree.map(jnp.asarray, tables_of.table([shape], np.float64))
-    principal = matrix_of_quaternion(shape.principal)
+    shape, centre = shapes.hull_and_centre(np.array(corners))
+    table = jax.tree.map(jnp.asarray, tables_of.build_hull_table([shape], np.float64))
+    principal = quaternion_to_matrix(shape.principal)
     turned = np.array([(0, 1, 0), (1, 0, 0), (0, 0, -1)])  # b: upside down, its ridge along y
     place = np.array([x, y, -depth])
     offset = principal.T @ (place + turned @ centre - centre)
     rotation = principal.T @ turned @ principal
-    rel = collide.Relative(tuple(tuple(jnp.asarray([c]) for c in row) for row in rotation), tuple(jnp.asarray([c]) for c in offset))
+    rel = collision_primitives.RelativePose(tuple(tuple(jnp.asarray([c]) for c in row) for row in rotation), tuple(jnp.asarray([c]) for c in offset))
     rows = (jnp.zeros(1, jnp.int32),) * 2
 
-    @partial(jax.jit, compiler_options=known("cpu"))
+    @partial(jax.jit, compiler_options=supported_options("cpu"))
     def contact(table, rows, rel):
-        found = geometry.polytopes(table, rows, rel)
-        return found.depth, found.weight, *near.edges_inside(table, rows, rel)
+        found = contact_geometry.polytope_contact(table, rows, rel)
+        return found.depth, found.weight, *cached_features.edges_inside(table, rows, rel)
 
     found, weight, length, point = contact(table, rows, rel)
     assert float(found[0]) == pytest.approx(depth, rel=1e-9) and float(weight[0]) == 0
@@ -380,7 +389,7 @@ def test_long_hulls_that_land_on_an_edge_bounce():
     settings = {"gravity": (0.0, 0.0, 0.0), "precision": "f64", "frames": 0.0, "sample": 1e-4, "duration": 0.02}
     row = {"shape": "hull", "points": tuple(map(tuple, points.tolist())), "position": (0.0, 0.0, 0.2)}
     scene = validation.plate_scene(row, run=settings, restitution=1.0, friction_wall=10.0)
-    (shape,) = build.build(scene).shapes
+    (shape,) = assembly.assemble_system(scene).shapes
     turns = Rotation.random(64, random_state=5)
     heights = [1e-5 - (turn.as_matrix() @ shape.vertices.T)[2].min() for turn in turns]
     parameters = {

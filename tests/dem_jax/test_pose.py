@@ -3,27 +3,27 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from dem_jax.maths.pose import matrix_of_quaternion, quaternion_of_matrix
+from dem_jax.math.pose import matrix_to_quaternion, quaternion_to_matrix
 
 TURNS = Rotation.concatenate([Rotation.random(50, random_state=1), Rotation.from_rotvec(np.pi * np.eye(3))])  # half turns too
 
 
 def test_matrices_are_those_of_scipy_whatever_the_length():
     quaternions = 3.0 * TURNS.as_quat(scalar_first=True)
-    found = matrix_of_quaternion(quaternions.reshape(1, -1, 4))
+    found = quaternion_to_matrix(quaternions.reshape(1, -1, 4))
     assert found.shape == (1, len(TURNS), 3, 3)
     np.testing.assert_allclose(found[0], TURNS.as_matrix(), rtol=0, atol=1e-15)
 
 
 def test_a_piece_that_waits_or_failed_has_no_matrix_and_harms_no_other():
-    found = matrix_of_quaternion([[1.0, 0.0, 0.0, 0.0], [np.nan] * 4])
+    found = quaternion_to_matrix([[1.0, 0.0, 0.0, 0.0], [np.nan] * 4])
     np.testing.assert_array_equal(found[0], np.eye(3))
     assert np.isnan(found[1]).all()
-    assert matrix_of_quaternion(np.zeros((2, 0, 4))).shape == (2, 0, 3, 3)
+    assert quaternion_to_matrix(np.zeros((2, 0, 4))).shape == (2, 0, 3, 3)
 
 
 def test_a_quaternion_of_a_matrix_turns_as_the_matrix_does():
     for matrix in TURNS.as_matrix():
-        quaternion = quaternion_of_matrix(matrix)
+        quaternion = matrix_to_quaternion(matrix)
         assert quaternion[0] >= 0
-        np.testing.assert_allclose(matrix_of_quaternion(quaternion), matrix, rtol=0, atol=1e-14)
+        np.testing.assert_allclose(quaternion_to_matrix(quaternion), matrix, rtol=0, atol=1e-14)

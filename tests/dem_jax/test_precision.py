@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dem_jax import build, simulate, validation
+from dem_jax import assembly, simulate, validation
 
 # The last two first touched, in single precision, with an overlap that had no contact point; by the way of that point, not of the
 # deepest corner, the peak of the one before them was 0.11 % off at 0.1 m/s.
@@ -16,7 +16,7 @@ SIZE = 0.0167  # m
 
 def corners():
     scene = validation.plate_scene({"shape": "chamfered-cuboid"}, **STIFF)
-    return np.asarray(build.build(scene).shapes[0].vertices)
+    return np.asarray(assembly.assemble_system(scene).shapes[0].vertices)
 
 
 def landed(speed, turn, place, precision, **run):

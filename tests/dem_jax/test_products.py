@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 import dem_jax
-from dem_jax import build
-from dem_jax.build import portion
-from dem_jax.build.pieces import goods_of
+from dem_jax import assembly
+from dem_jax.assembly import portion_counts
+from dem_jax.assembly.piece_arrays import build_piece_set
 from dem_jax.errors import SceneError
-from dem_jax.scene import described, load_scene, parse
+from dem_jax.scene import describe_scene, load_scene, parse_scene
 
 BALL = 4 / 3 * np.pi * 0.01**3  # m3
 SCENE = """
@@ -45,12 +45,12 @@ precision = "f64"
 def mix(mass, share=None, spread=None, by="weight"):
     k = len(mass)
     of = lambda values, default: np.array([default] * k if values is None else values, float)  # noqa: E731
-    return portion.Mix(np.array(mass, float), of(share, 1.0), of(spread, 0.0), by)
+    return portion_counts.ProductMix(np.array(mass, float), of(share, 1.0), of(spread, 0.0), by)
 
 
 def masses(scene):
     """(kg) of each piece, and the numbers of pieces by (kind of shape, material)."""
-    goods = goods_of(scene)
+    goods = build_piece_set(scene)
     density = {None: 1000.0, "gummy": 1300.0}
     mass = np.array([s.volume * density[m] for s, m in zip(goods.shapes, goods.materials, strict=True)])
     kinds = [(shape.name, name) for shape, name in zip(goods.shapes, goods.materials, strict=True)]
@@ -71,7 +71,7 @@ def masses(scene):
     ],
 )
 def test_numbers_of_a_weight(mass, share, by, target, expected):
-    assert portion.numbers_of_weight(mix(mass, share, by=by), target) == expected
+    assert portion_counts.apportion_weight(mix(mass, share, by=by), target) == expected
 
 
 def test_the_total_is_the_nearest_of_all_ways_to_round():
@@ -83,15 +83,15 @@ def test_the_total_is_the_nearest_of_all_ways_to_round():
         target = random.uniform(10, 60)
         part = share / share.sum()
         exact = target * part / mass if by == "weight" else target * part / (part @ mass)
-        found = np.array(portion.numbers_of_weight(mix(mass, share, by=by), target))
+        found = np.array(portion_counts.apportion_weight(mix(mass, share, by=by), target))
         assert (np.abs(found - exact) < 1).all()
         ways = np.floor(exact) + np.array(np.meshgrid(*[[0, 1]] * k)).reshape(k, -1).T
         assert abs(found @ mass - target) == pytest.approx(np.abs(ways @ mass - target).min(), abs=1e-9)
 
 
 def test_of_equally_near_ways_the_larger_remainder_is_rounded_up():
-    assert portion.numbers_of_weight(mix([1.0, 1.0], (2.2, 3.7)), 5.9) == (2, 4)
-    assert portion.numbers_of_weight(mix([1.0, 1.0], (3.7, 2.2)), 5.9) == (4, 2)
+    assert portion_counts.apportion_weight(mix([1.0, 1.0], (2.2, 3.7)), 5.9) == (2, 4)
+    assert portion_counts.apportion_weight(mix([1.0, 1.0], (3.7, 2.2)), 5.9) == (4, 2)
 
 
 @pytest.mark.parametrize(
@@ -105,13 +105,13 @@ def test_of_equally_near_ways_the_larger_remainder_is_rounded_up():
     ],
 )
 def test_numbers_of_a_count(share, by, count, expected):
-    assert portion.numbers_of_count(mix([1.0, 2.0, 1.0][: len(share)], share, by=by), count) == expected
+    assert portion_counts.apportion_count(mix([1.0, 2.0, 1.0][: len(share)], share, by=by), count) == expected
 
 
 @pytest.mark.parametrize("spread", [0.01, 0.1, 0.3, 0.5])
 @pytest.mark.parametrize("number", [2, 3, 9, 16, 17, 100, 5000])
 def test_sizes_have_exactly_the_mean_and_the_spread(number, spread):
-    found = portion.sizes(number, spread)
+    found = portion_counts.distribute_sizes(number, spread)
     assert found.shape == (number,) and (np.diff(found) >= 0).all() and found[0] > 0
     assert found.mean() == pytest.approx(1, rel=1e-12) and found.std() == pytest.approx(spread, rel=1e-12)
     assert number == len(np.unique(found)) or number > 16 >= len(np.unique(found)) >= 12
@@ -122,7 +122,7 @@ def test_sizes_are_lognormal():
     from scipy.stats import lognorm
 
     sigma = np.sqrt(np.log1p(0.3**2))
-    found = portion.sizes(5000, 0.3)
+    found = portion_counts.distribute_sizes(5000, 0.3)
     of = lognorm(sigma, scale=np.exp(-(sigma**2) / 2))
     middle = 0.5 * (np.unique(found)[1:] + np.unique(found)[:-1])
     # a class is 6/16 sigma wide and its border anywhere in it: 0.4 * 3/16 at most
@@ -132,8 +132,8 @@ def test_sizes_are_lognormal():
 
 
 def test_one_piece_or_no_spread_is_the_nominal_size():
-    np.testing.assert_array_equal(portion.sizes(1, 0.4), 1.0)
-    np.testing.assert_array_equal(portion.sizes(7, 0.0), 1.0)
+    np.testing.assert_array_equal(portion_counts.distribute_sizes(1, 0.4), 1.0)
+    np.testing.assert_array_equal(portion_counts.distribute_sizes(7, 0.0), 1.0)
 
 
 def test_the_weight_counts_the_pieces_as_large_as_they_are():
@@ -141,14 +141,14 @@ def test_the_weight_counts_the_pieces_as_large_as_they_are():
     for spread in (0.1, 0.5):
         goods = mix([1.0], spread=[spread])
         for target in (5.0, 50.0, 700.0):
-            (number,) = portion.numbers_of_weight(goods, target)
-            total = np.sum(portion.sizes(number, spread) ** 3)
-            others = [np.sum(portion.sizes(n, spread) ** 3) for n in (number - 1, number + 1)]
+            (number,) = portion_counts.apportion_weight(goods, target)
+            total = np.sum(portion_counts.distribute_sizes(number, spread) ** 3)
+            others = [np.sum(portion_counts.distribute_sizes(n, spread) ** 3) for n in (number - 1, number + 1)]
             assert abs(total - target) <= min(abs(other - target) for other in others) + 1e-9
 
 
 def test_a_portion_of_three_products_has_its_weight_by_shares():
-    scene = parse(SCENE)
+    scene = parse_scene(SCENE)
     mass, numbers = masses(scene)
     exact = {
         ("sphere", None): 0.1 / (1000 * BALL),
@@ -158,34 +158,34 @@ def test_a_portion_of_three_products_has_its_weight_by_shares():
     assert numbers.keys() == exact.keys()
     assert all(abs(numbers[kind] - exact[kind]) < 1 for kind in exact)
     assert abs(mass.sum() - 0.2) < 0.5 * mass.min()
-    built = build.build(scene)
+    built = assembly.assemble_system(scene)
     np.testing.assert_allclose(built.system.pieces.mass, mass, rtol=1e-12)
     assert built.system.alike == ("hulls",), "spheres are of two materials"
-    assert parse(scene.to_toml()) == scene == parse(described(scene))
+    assert parse_scene(scene.to_toml()) == scene == parse_scene(describe_scene(scene))
 
 
 def test_one_product_is_the_portion_without_products():
     plain = load_scene("weigh-bucket")
     product = plain.replace(portion={"product": [{}]})
-    assert len(goods_of(product).shapes) == len(goods_of(plain).shapes) == 9
-    assert goods_of(product).numbers == goods_of(plain).numbers == (9,)
+    assert len(build_piece_set(product).shapes) == len(build_piece_set(plain).shapes) == 9
+    assert build_piece_set(product).numbers == build_piece_set(plain).numbers == (9,)
 
 
 def test_products_are_mixed_by_the_seed_and_keep_their_sizes():
     """Ensembles build once: a seed moves pieces and changes none. Each product is found low and high in the grid."""
-    scene = parse(SCENE).replace({"portion.target_weight": 1.0, "portion.product.0.size_spread": 0.2})
-    built, other = build.build(scene, 1), build.build(scene, 2)
+    scene = parse_scene(SCENE).replace({"portion.target_weight": 1.0, "portion.product.0.size_spread": 0.2})
+    built, other = assembly.assemble_system(scene, 1), assembly.assemble_system(scene, 2)
     for name in ("mass", "inertia", "bounding_radius", "size", "material"):
         np.testing.assert_array_equal(getattr(built.system.pieces, name), getattr(other.system.pieces, name))
-    moved = build.state_of_seed(scene, built, 2)
+    moved = assembly.build_seeded_state(scene, built, 2)
     np.testing.assert_array_equal(moved.position, other.state.position)
     assert np.abs(np.asarray(moved.position - built.state.position)).max() > 0.01
-    goods = goods_of(scene)
+    goods = build_piece_set(scene)
     first = np.array([n is None for n in goods.materials])
     radii = np.array([s.radius for s in goods.shapes])[first]
     assert radii.mean() == pytest.approx(0.01, rel=1e-12) and radii.std() == pytest.approx(0.002, rel=1e-9)
     assert len(np.unique(radii)) == 16
-    heights = np.array([np.asarray(build.state_of_seed(scene, built, seed).position[2]) for seed in range(20)])
+    heights = np.array([np.asarray(assembly.build_seeded_state(scene, built, seed).position[2]) for seed in range(20)])
     low = heights < np.median(heights)
     # the lower half of all pieces has its part of each product: 5 standard errors of 20 draws without replacement
     error = 5 * 0.5 / np.sqrt(20 * first.sum())
@@ -195,8 +195,8 @@ def test_products_are_mixed_by_the_seed_and_keep_their_sizes():
 
 
 def test_scattered_pieces_of_all_sizes_never_overlap():
-    scene = parse(SCENE).replace({"portion.product.0.size_spread": 0.3})
-    built = build.build(scene, 3)
+    scene = parse_scene(SCENE).replace({"portion.product.0.size_spread": 0.3})
+    built = assembly.assemble_system(scene, 3)
     place, radius = np.asarray(built.state.position).T, np.asarray(built.system.pieces.bounding_radius)
     gap = np.linalg.norm(place[:, None] - place[None], axis=-1) - radius[:, None] - radius
     assert gap[np.triu_indices(len(place), 1)].min() > 0
@@ -208,12 +208,12 @@ def test_the_feeder_has_the_products_of_the_portion(count, expected):
     station = load_scene("weighing-station").replace(
         portion={"product": products, "count": 12, "share_by": "count"}, feeder={"count": count}
     )
-    goods = goods_of(station)
+    goods = build_piece_set(station)
     assert goods.numbers == (12, sum(expected))
     names = [shape.name for shape in goods.shapes]
     assert names[:12] == ["chamfered-cuboid"] * 4 + ["sphere"] * 8
     assert names[12:] == ["chamfered-cuboid"] * expected[0] + ["sphere"] * expected[1]
-    built = build.build(station)
+    built = assembly.assemble_system(station)
     x = np.asarray(built.state.position[0])
     assert x[12:].max() < x[:12].min(), "those of the feeder lie on it"
 
@@ -226,10 +226,10 @@ def test_a_hull_of_an_stl_among_the_products_goes_with_the_scene(tmp_path):
         'base = "weigh-bucket"\n[portion]\n[[portion.product]]\nshape = "hull"\nstl = "box.stl"\nunit = 1e-3\n[[portion.product]]\n'
     )
     scene = load_scene(tmp_path / "mine.toml")
-    alone = parse(build.self_contained(scene).to_toml())
+    alone = parse_scene(assembly.inline_files(scene).to_toml())
     assert alone.portion.product[0].stl is None and alone.portion.product[1] == scene.portion.product[1]
-    assert goods_of(alone).shapes[0].volume == pytest.approx(2e-6, rel=1e-6)
-    assert goods_of(alone).numbers == goods_of(scene).numbers
+    assert build_piece_set(alone).shapes[0].volume == pytest.approx(2e-6, rel=1e-6)
+    assert build_piece_set(alone).numbers == build_piece_set(scene).numbers
 
 
 def test_walls_of_an_stl_keep_their_material(tmp_path):
@@ -239,7 +239,7 @@ def test_walls_of_an_stl_keep_their_material(tmp_path):
     scene = load_scene("plate-drop").replace(
         wall=[{"group": "table", "stl": str(tmp_path / "table.stl"), "material": "steel"}], material={"steel": {}}
     )
-    assert {wall.material for wall in build.self_contained(scene).wall} == {"steel"}
+    assert {wall.material for wall in assembly.inline_files(scene).wall} == {"steel"}
 
 
 @pytest.mark.long
@@ -247,7 +247,7 @@ def test_an_ensemble_of_a_mixed_portion_is_its_seeds_one_by_one():
     """To the last bit; and the momentum of every interval closes with the masses that the materials say."""
     balls = [{"shape": "sphere", "radius": 0.01, "size_spread": 0.2}, {"shape": "sphere", "radius": 0.01, "material": "gummy"}]
     changes = {"portion.product": balls, "portion.target_weight": 0.04, "portion.arrangement": "scattered"}
-    scene = parse(SCENE).replace(changes | {"run.duration": 0.1, "run.sample": 1e-3, "feed_bucket.opening_start": 1.0})
+    scene = parse_scene(SCENE).replace(changes | {"run.duration": 0.1, "run.sample": 1e-3, "feed_bucket.opening_start": 1.0})
     runs = dem_jax.ensemble(scene, runs=2, seed=3)
     alone = dem_jax.simulate(scene, seed=4)
     np.testing.assert_array_equal(runs.member(1).force["fb_flaps"], alone.force["fb_flaps"])
@@ -280,5 +280,5 @@ MISTAKES = [  # changes of the scene -> what the line must hold
 @pytest.mark.parametrize(("changes", "expected"), MISTAKES)
 def test_a_mistake_is_one_clear_line(changes, expected):
     with pytest.raises(SceneError, match=expected) as error:
-        build.build(parse(SCENE).replace(changes))
+        assembly.assemble_system(parse_scene(SCENE).replace(changes))
     assert "\n" not in str(error.value)

@@ -10,24 +10,24 @@ import numpy as np
 import pytest
 
 import dem_jax
-from dem_jax import Quantity, build
+from dem_jax import Quantity, assembly
 from dem_jax.__main__ import main
-from dem_jax.contact import of_run
-from dem_jax.drive import failure
+from dem_jax.contacts import batch_reduction
+from dem_jax.dynamics import interleaved_batch
+from dem_jax.dynamics.quantity import RESERVED, Axis, format_quantity_table, validate_quantities
+from dem_jax.dynamics.standard_quantities import COLLISIONS, QUANTITIES
 from dem_jax.errors import RecordError
+from dem_jax.io import series
+from dem_jax.io.run_files import Run, collect_series
+from dem_jax.runner import failure
 from dem_jax.scene import Scene
-from dem_jax.step import joined
-from dem_jax.step.quantities import COLLISIONS, QUANTITIES
-from dem_jax.step.quantity import RESERVED, Axis, checked, listed
-from dem_jax.store import series
-from dem_jax.store.record import Run, series_of
 from dem_jax.types import Sample
 
 SIZE = 0.1  # m, half of the floor
 FLOOR = [(-SIZE, -SIZE, 0.0), (SIZE, -SIZE, 0.0), (SIZE, SIZE, 0.0), (-SIZE, SIZE, 0.0)]
 SIDE = [(SIZE, -SIZE, 0.0), (SIZE, -SIZE, 0.1), (SIZE, SIZE, 0.1), (SIZE, SIZE, 0.0)]
 SAMPLE, EVERY, SHORT, LONG = 3e-5, 10, 40, 90  # s; in samples: between frames, a run, and the run that it is part of
-JOINED = joined.AT_ONCE + 1
+JOINED = interleaved_batch.RUNS_AT_ONCE + 1
 JOINED_LONG = pytest.param(JOINED, marks=pytest.mark.long)
 SIDES = Axis("side", lambda _: 2, lambda _: (("left", 0), ("right", 1)), "SIDE")
 # Of scenes that ask for them: test_load_cell, _drive, _collisions, _exchange.
@@ -52,15 +52,15 @@ def scene(precision="f64", samples=SHORT, **run):
 
 
 def _velocity(system, state):
-    return of_run.apart(system, state.velocity)
+    return batch_reduction.split_runs(system, state.velocity)
 
 
 def _top(system, state):
-    return of_run.largest(system, state.position[2])
+    return batch_reduction.max_per_run(system, state.position[2])
 
 
 def _shares(system, state):
-    across = of_run.apart(system, state.position[0] * system.pieces.mass)
+    across = batch_reduction.split_runs(system, state.position[0] * system.pieces.mass)
     return jnp.stack([-jnp.sum(jnp.minimum(across, 0), axis=0), jnp.sum(jnp.maximum(across, 0), axis=0)])
 
 
@@ -98,12 +98,12 @@ def test_every_quantity_is_in_the_file_with_its_unit_and_comes_back(tmp_path, pr
                 assert file[path].shape == (*lead, SHORT, *along), path
                 assert file[path].dtype in (dtype, np.int32), path
         assert set(file) == {q.name for q in (*KEPT, *OWN)} | {"time", "pieces", "restart"}
-    written = series_of(run)
+    written = collect_series(run)
     run.save(tmp_path / "again.h5")
     again = dem_jax.load_run(tmp_path / "again.h5")
     held = computed(precision, runs)
     assert again.header == run.header
-    for found in (series_of(again), series_of(held)):
+    for found in (collect_series(again), collect_series(held)):
         assert found.keys() == written.keys()
         for path, array in written.items():
             np.testing.assert_array_equal(found[path], array, err_msg=path)
@@ -111,7 +111,7 @@ def test_every_quantity_is_in_the_file_with_its_unit_and_comes_back(tmp_path, pr
         assert getattr(run, quantity.name) is run.series[quantity.name]
     if runs is not None:
         member = run.member(1)
-        for path, array in series_of(member).items():
+        for path, array in collect_series(member).items():
             np.testing.assert_array_equal(array, written[path] if path == "time" else written[path][1], err_msg=path)
 
 
@@ -130,9 +130,9 @@ def test_values_are_those_of_the_pieces_at_that_time(runs):
 
 def test_own_quantities_change_nothing_else():
     plain, more = computed("f64", None, quantities=()), computed("f64", None)
-    assert set(series_of(more)) > set(series_of(plain))
-    for path, array in series_of(plain).items():
-        np.testing.assert_array_equal(series_of(more)[path], array, err_msg=path)
+    assert set(collect_series(more)) > set(collect_series(plain))
+    for path, array in collect_series(plain).items():
+        np.testing.assert_array_equal(collect_series(more)[path], array, err_msg=path)
 
 
 @pytest.mark.parametrize("runs", [None, JOINED_LONG])
@@ -141,9 +141,9 @@ def test_a_resumed_run_goes_on_with_all_quantities(tmp_path, runs):
     computed("f64", runs, path)
     resumed = dem_jax.resume(path, duration=LONG * SAMPLE, quantities=OWN)
     whole = computed("f64", runs, samples=LONG)
-    assert len(resumed.time) == LONG and series_of(resumed).keys() == series_of(whole).keys()
-    for name, array in series_of(whole).items():
-        np.testing.assert_array_equal(series_of(resumed)[name], array, err_msg=name)
+    assert len(resumed.time) == LONG and collect_series(resumed).keys() == collect_series(whole).keys()
+    for name, array in collect_series(whole).items():
+        np.testing.assert_array_equal(collect_series(resumed)[name], array, err_msg=name)
 
 
 def test_a_program_is_compiled_for_its_quantities():
@@ -154,7 +154,7 @@ def test_a_program_is_compiled_for_its_quantities():
 
 
 def test_what_the_scene_does_not_have_is_left_out():
-    labels = lambda made: {stored.name: stored.labels for stored in series.declared(build.build(made).system)}  # noqa: E731
+    labels = lambda made: {stored.name: stored.labels for stored in series.declare_quantities(assembly.assemble_system(made).system)}  # noqa: E731
     known, still = labels(scene()), labels(scene(energy=False).replace(motion=[], block=[]))
     assert known["energy"] == ("kinetic", "potential", "elastic", "dissipated", "wall_work", "total")
     assert still["energy"] == ("kinetic", "potential", "elastic")
@@ -164,24 +164,24 @@ def test_what_the_scene_does_not_have_is_left_out():
 
 def test_reports_of_several_groups_are_added_up():
     force = QUANTITIES[0]
-    system = build.build(dem_jax.load_scene("weigh-bucket")).system
+    system = assembly.assemble_system(dem_jax.load_scene("weigh-bucket")).system
     members = dict(system.walls.reports)["wb_flaps"]
     assert len(members) == 2
     values = np.random.default_rng(0).normal(size=(4, 7, 3, len(system.walls.groups))).astype(np.float32)  # 4 runs, 7 samples
-    found = force.datasets(system, values)
+    found = force.to_datasets(system, values)
     assert set(found) == {name for name, _ in system.walls.reports}
     np.testing.assert_array_equal(found["wb_flaps"], values[..., members[0]] + values[..., members[1]])
     assert found["wb_flaps"].dtype == np.float32
 
 
 def test_what_only_the_driver_reads_is_sampled_but_not_kept():
-    system, state = build.build(scene()).system, build.build(scene()).state
-    shapes = jax.eval_shape(lambda state: Sample({q.name: q.measured(system, state) for q in system.quantities}), state)
+    system, state = assembly.assemble_system(scene()).system, assembly.assemble_system(scene()).state
+    shapes = jax.eval_shape(lambda state: Sample({q.name: q.evaluate(system, state) for q in system.quantities}), state)
     internal = {"step", "fastest", "stride", "culprit"}
     assert {q.name for q in QUANTITIES if not q.kept} == internal
     for name in internal:
         assert getattr(shapes, name).shape == (1,)
-        assert name not in {stored.name for stored in series.declared(system)}
+        assert name not in {stored.name for stored in series.declare_quantities(system)}
     with pytest.raises(AttributeError, match="a sample has no 'heat'; it has: .*energy"):
         _ = shapes.heat
 
@@ -198,7 +198,7 @@ def test_quantities_are_listed(capsys):
         row = [part.strip() for part in lines[quantity.name].split("  ") if part]
         assert row == [quantity.name, quantity.unit, quantity.path, quantity.help]
     assert "/force/GROUP " in lines["force"] and "/settled_mass/BLOCK " in lines["settled_mass"]
-    assert "/moment/SIDE  mass times distance" in listed(OWN)
+    assert "/moment/SIDE  mass times distance" in format_quantity_table(OWN)
 
 
 # --- files ---
@@ -212,8 +212,8 @@ def test_a_file_that_does_not_say_what_it_holds_is_read_and_gone_on_with(tmp_pat
         del file.attrs["quantities"]
     old = dem_jax.load_run(path)
     assert old.header.quantities is None
-    for name, array in series_of(run).items():
-        np.testing.assert_array_equal(series_of(old)[name], array, err_msg=name)
+    for name, array in collect_series(run).items():
+        np.testing.assert_array_equal(collect_series(old)[name], array, err_msg=name)
     assert len(dem_jax.resume(path, duration=LONG * SAMPLE).energy["total"]) == LONG
 
 
@@ -295,7 +295,7 @@ def test_no_part_may_be_left_out(lost):
 
 def test_names_differ():
     with pytest.raises(ValueError, match="quantity 'force': there are two of this name; allowed: one"):
-        checked((*QUANTITIES, replace(QUANTITIES[1], name="force")))
+        validate_quantities((*QUANTITIES, replace(QUANTITIES[1], name="force")))
     with pytest.raises(ValueError, match="quantity 'energy': there are two of this name"):
         dem_jax.simulate(scene(), quantities=[Quantity(**GOOD | {"name": "energy"})])
     with pytest.raises(ValueError, match="quantities: 'top': allowed: dem_jax.Quantity"):
@@ -316,7 +316,7 @@ def test_what_a_run_calls_something_else_is_reserved():
     [
         (("xyz",), _top, r"quantity 'own': its function gave the form \(1,\); allowed: 3 \(xyz\), 1 \(run\)"),
         (("group", "xyz"), lambda system, state: state.walls.force[0], r"form \(2, 1\); allowed: 3 \(xyz\), 2 \(group\), 1"),
-        ((), lambda system, state: jnp.max(state.position[2]), r"gave the form \(\); allowed: 1 \(run\); contact.of_run has sums"),
+        ((), lambda system, state: jnp.max(state.position[2]), r"gave the form \(\); allowed: 1 \(run\); contacts.batch_reduction has sums"),
     ],
 )
 def test_a_function_that_does_not_fit_its_axes_is_refused_before_anything_runs(tmp_path, axes, of, line):
@@ -338,8 +338,8 @@ def test_a_quantity_of_ones_own_that_is_not_finite_stops_a_run():
     fine = {"culprit": np.full((1, 4), -1), "count": np.zeros((1, 4), np.int32)}
     fine |= {name: np.zeros((1, 4)) for name in ("overlap", "stride")}
     samples = Sample(fine | {"own": np.array([[1.0, 2.0, np.nan, np.nan]])})
-    assert failure.find(samples, 4) == (0, 2) and failure.find(samples, 2) is None
-    line = failure._not_finite(None, jax.tree.map(lambda x: x[0], samples), 2, 0.1, 0)
+    assert failure.detect_failure(samples, 4) == (0, 2) and failure.detect_failure(samples, 2) is None
+    line = failure._describe_nonfinite(None, jax.tree.map(lambda x: x[0], samples), 2, 0.1, 0)
     assert line.startswith("at t = 0.1 s: the quantity 'own' is not finite, while all else is; likely cause: its own function")
 
 
@@ -374,7 +374,7 @@ def test_contacts_are_those_that_the_poses_show(runs):
 def test_parts_of_pieces_are_no_walls_among_the_contacts():
     two = [{"shape": "sphere", "radius": 0.01, "position": (x, 0.0, 0.0)} for x in (-0.008, 0.008)]
     piece = {"shape": "compound", "part": two}
-    built = build.build(scene().replace(piece=[piece | {"position": (0.0, 0.0, z)} for z in (0.02, 0.05)]))
+    built = assembly.assemble_system(scene().replace(piece=[piece | {"position": (0.0, 0.0, z)} for z in (0.02, 0.05)]))
     system, state = built.system, built.state
     assert system.parts.count == 4
 
@@ -384,5 +384,5 @@ def test_parts_of_pieces_are_no_walls_among_the_contacts():
         return table.replace(a=table.a.at[0].set(a), b=table.b.at[0].set(b), memory=memory)
 
     tables = {"spheres": touching("spheres", 2, 0), "plates": touching("plates", 4 + 1, 3)}  # the second panel
-    (found,) = (q.measured(system, state.replace(contacts=state.contacts | tables)) for q in QUANTITIES if q.name == "contacts")
+    (found,) = (q.evaluate(system, state.replace(contacts=state.contacts | tables)) for q in QUANTITIES if q.name == "contacts")
     assert found[:, 0].tolist() == [0, 1, 1]  # floor, side, between pieces

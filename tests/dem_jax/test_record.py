@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from dem_jax.errors import RecordError
-from dem_jax.store.record import Header, Run, Writer, load_run
+from dem_jax.io.run_files import Run, RunHeader, Writer, load_run
 
 LABELS = {  # of the made-up runs' quantities
     **dict.fromkeys(("force", "mean_force", "torque"), ("wb_flaps", "wb_walls")),
@@ -21,13 +21,13 @@ LABELS = {  # of the made-up runs' quantities
     "momentum": None,
     "overlap": None,
 }
-KNOWN = Header("", 0, 1.0, "", "", 1.0, (), (), (), 1).held
+KNOWN = RunHeader("", 0, 1.0, "", "", 1.0, (), (), (), 1).stored_quantities
 STORED = tuple(stored._replace(labels=LABELS[stored.name]) for stored in KNOWN if stored.name in LABELS)
 REPOSITORY = Path(__file__).resolve().parents[2]
 
 
 def header(**changes):
-    plain = Header(
+    plain = RunHeader(
         scene='base = "weigh-bucket"\n[portion]\nscale_factor = 1.0\n',
         seed=7,
         dt=5.0e-6,
@@ -202,8 +202,8 @@ def test_product_impact_force_is_the_force_along_gravity_over_g():
 KILLED = """
 import os, signal, sys
 sys.path[:0] = [{repository!r}, {tests!r}]
-import dem_jax.store.writer as record
-from dem_jax.store import output
+import dem_jax.io.writer as record
+from dem_jax.io import output
 from test_record import header, samples, frames
 
 def die(*_, **__):
@@ -256,7 +256,7 @@ def test_a_process_killed_at_any_moment_leaves_a_consistent_file():
 import sys
 sys.path[:0] = [{str(REPOSITORY)!r}, {str(Path(__file__).parent)!r}]
 import numpy as np
-from dem_jax.store.record import Writer
+from dem_jax.io.run_files import Writer
 from test_record import header, samples
 writer = Writer.create("run.h5", header(), overwrite=True, interval=0)
 print("started", flush=True)
@@ -336,7 +336,7 @@ def test_a_write_that_fails_leaves_the_old_file_and_can_be_tried_again(tmp_path,
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setattr("dem_jax.store.writer.extend", full)
+        patch.setattr("dem_jax.io.writer.extend_dataset", full)
         with pytest.raises(RecordError, match=r"run\.h5 cannot be written: No space left on device"):
             writer.append(samples(10, 10))
     assert path.read_bytes() == before and [p.name for p in tmp_path.iterdir()] == ["run.h5"]

@@ -5,18 +5,18 @@ import re
 import pytest
 
 from dem_jax.scene import reference
+from dem_jax.scene.messages import find_named_section, find_section
 from dem_jax.scene.scene import Scene
 from dem_jax.scene.sections.material import Material
-from dem_jax.scene.words import section_by_name, section_of
 
 
 def sections(model=Scene):
     """A section and all below it."""
     yield model
     for key in model.model_fields:
-        if below := section_of(model, key):
+        if below := find_section(model, key):
             yield from sections(below)
-    if by_name := section_by_name(model):
+    if by_name := find_named_section(model):
         yield by_name
 
 
@@ -36,9 +36,9 @@ def tables():
 
 def test_every_key_stands_in_a_table(tables):
     shown = {key for table in tables.values() for key in table}
-    headed = {key for key in Scene.model_fields if section_of(Scene, key)}  # these are headings, not rows
+    headed = {key for key in Scene.model_fields if find_section(Scene, key)}  # these are headings, not rows
     keys = {key for model in sections() if model is not Scene for key in model.model_fields}
-    assert shown == keys | (Scene.model_fields.keys() - headed - reference.HIDDEN)
+    assert shown == keys | (Scene.model_fields.keys() - headed - reference.HIDDEN_KEYS)
     assert all(f"`[{key}]`" in tables or f"`[[{key}]]`" in tables for key in headed)
 
 

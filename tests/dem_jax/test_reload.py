@@ -5,14 +5,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dem_jax.contact.law import springs, walton_braun
+from dem_jax.contact_laws import springs, walton_braun
 
 K, EPSILON, LAMBDA = 2.0, 0.5, 0.001
 
 
 def law(force, overlap, new_overlap):
     """F_n where the bodies do not turn: the approach is the change of the overlap (0 where apart), eq. 4."""
-    return walton_braun.between(force + K / EPSILON**2 * (max(new_overlap, 0.0) - overlap), new_overlap, K, LAMBDA)
+    return walton_braun.clamp_to_branches(force + K / EPSILON**2 * (max(new_overlap, 0.0) - overlap), new_overlap, K, LAMBDA)
 
 
 @pytest.mark.parametrize(
@@ -41,7 +41,7 @@ def path(overlaps, epsilon, separation=0.0):
 
     def one(carry, s):
         force, overlap = carry
-        f = walton_braun.between(force + (s - overlap) / epsilon**2, s, 1.0, separation)
+        f = walton_braun.clamp_to_branches(force + (s - overlap) / epsilon**2, s, 1.0, separation)
         return (f, jnp.maximum(s, 0.0)), f
 
     zero = jnp.zeros(())
@@ -116,4 +116,4 @@ def test_force_stays_between_floor_and_loading_line():
 
 
 def test_stiffness_of_a_pair_is_in_series():
-    np.testing.assert_allclose(springs.series(3.0, 6.0), 2.0, rtol=1e-15)
+    np.testing.assert_allclose(springs.combine_in_series(3.0, 6.0), 2.0, rtol=1e-15)

@@ -10,16 +10,25 @@ from matplotlib.collections import PolyCollection
 
 from dem_jax import shapes
 from dem_jax.errors import RecordError
-from dem_jax.maths.pose import matrix_of_quaternion
-from dem_jax.shapes import meshes
-from dem_jax.show.render import Camera, _bodies, _clipped, _project, figure_of, painter_order, render, scene_of
-from dem_jax.store.record import Frames
+from dem_jax.io.run_files import Frames
+from dem_jax.math.pose import quaternion_to_matrix
+from dem_jax.shapes import wall_meshes
+from dem_jax.visualization.rendering import (
+    Camera,
+    _clip_loop,
+    _frame_bodies,
+    _project_points,
+    build_render_scene,
+    draw_frames,
+    painter_order,
+    render_frames,
+)
 
 STILL = {"plate": (np.eye(3), np.zeros(3))}
 
 
 def panel(corners, thickness=0.005):
-    made = meshes.plate(corners, thickness)
+    made = wall_meshes.build_plate(corners, thickness)
     return made.vertices, made.faces
 
 
@@ -67,7 +76,7 @@ def stacked():
     """27 marshmallows laid like bricks with gaps of 1 mm, all turned alike: their bounding spheres overlap."""
     place = np.array([(n % 3, n // 3 % 3, n // 9) for n in range(27)]) - (1, 1, 1)
     turn = np.array([0.9, 0.1, -0.3, 0.2])
-    centres = (place * (0.056, 0.024, 0.017)) @ matrix_of_quaternion(turn).T + (0, 0, 0.11)
+    centres = (place * (0.056, 0.024, 0.017)) @ quaternion_to_matrix(turn).T + (0, 0, 0.11)
     orientation = np.tile(turn, (1, 27, 1))
     frames = Frames(np.zeros(1), centres[None], orientation, np.ones((1, 27, 3)), np.zeros((1, 27, 3)))
     return frames, [shapes.chamfered_cuboid()] * 27, box_of_walls(0.11, 0.11, 0.2)
@@ -77,7 +86,7 @@ def made_of_parts():
     """Tubes, one beside the next on a grid, and dumb-bells, turned at random: parts that touch, in rings and in rows."""
     rng = np.random.default_rng(3)
     blocks = [((0.02, 0.02, 0.02), -0.02), ((0.02, 0.006, 0.006), 0.0), ((0.02, 0.02, 0.02), 0.02)]
-    bell = shapes.compound([shapes.Placed(shapes.cuboid(size), (x, 0, 0)) for size, x in blocks])
+    bell = shapes.make_compound([shapes.PlacedShape(shapes.cuboid(size), (x, 0, 0)) for size, x in blocks])
     kinds = [shapes.tube(0.02, 0.014, 0.03, 6), bell]
     pitch = 2.01 * max(s.bounding_radius for s in kinds)
     place = pitch * (np.array([(n % 2, n // 2 % 2, n // 4) for n in range(6)]) - (0.5, 0.5, -0.6))
@@ -89,8 +98,8 @@ def made_of_parts():
 @pytest.mark.parametrize("arranged", [packed, stacked, made_of_parts])
 def test_what_is_drawn_last_is_what_a_ray_from_the_eye_meets_first(camera, arranged):
     frames, pieces, walls = arranged()
-    scene = scene_of(frames, pieces, {"plate": walls}, lambda t: STILL, camera)
-    bodies, _, count = _bodies(scene, 0)
+    scene = build_render_scene(frames, pieces, {"plate": walls}, lambda t: STILL, camera)
+    bodies, _, count = _frame_bodies(scene, 0)
     assert count == 27 and len(bodies) == 32
     view, order = scene.view, painter_order(bodies, scene.view)
     assert sorted(order) == list(range(32))
@@ -108,9 +117,9 @@ def test_what_is_drawn_last_is_what_a_ray_from_the_eye_meets_first(camera, arran
 
 def test_a_panel_that_is_partly_outside_is_cut_at_the_box():
     square = np.array([(-2.0, 0, 0), (2, 0, 0), (2, 1, 0), (-2, 1, 0)])
-    kept = _clipped(square, np.array([(-1.0, -1, -1), (1, 0.5, 1)]))
+    kept = _clip_loop(square, np.array([(-1.0, -1, -1), (1, 0.5, 1)]))
     assert {tuple(p) for p in kept.tolist()} == {(-1, 0, 0), (1, 0, 0), (1, 0.5, 0), (-1, 0.5, 0)}
-    assert len(_clipped(square + (0, 0, 5), np.array([(-1.0, -1, -1), (1, 1, 1)]))) == 0
+    assert len(_clip_loop(square + (0, 0, 5), np.array([(-1.0, -1, -1), (1, 1, 1)]))) == 0
 
 
 def pixels(path):
@@ -119,17 +128,17 @@ def pixels(path):
 
 def place_on_picture(figure, scene, point, shape):
     """Row and column of the pixel at which a point in space is drawn."""
-    x, y = figure.axes[0].transData.transform(_project(scene.view, np.asarray(point, float))) * 150 / figure.dpi
+    x, y = figure.axes[0].transData.transform(_project_points(scene.view, np.asarray(point, float))) * 150 / figure.dpi
     return shape[0] - 1 - round(y), round(x)
 
 
 def test_pieces_are_drawn_where_they_are_and_in_the_colour_of_their_speed(tmp_path):
     frames, pieces, walls = falling()
-    scene = scene_of(frames, pieces, walls, lambda t: STILL, Camera())
+    scene = build_render_scene(frames, pieces, walls, lambda t: STILL, Camera())
     for i in (0, 6, 11):
-        render(frames, pieces, walls, lambda t: STILL, tmp_path / "now.png", at=frames.time[i] + 1e-3)
+        render_frames(frames, pieces, walls, lambda t: STILL, tmp_path / "now.png", at=frames.time[i] + 1e-3)
         picture = pixels(tmp_path / "now.png")
-        figure = figure_of(scene, [i])
+        figure = draw_frames(scene, [i])
         figure.draw_without_rendering()
         top = frames.position[i, 0] + (0, 0, 0.008)  # the middle of the upper face, which the camera sees
         row, column = place_on_picture(figure, scene, top, picture.shape)
@@ -143,8 +152,8 @@ def test_pieces_are_drawn_where_they_are_and_in_the_colour_of_their_speed(tmp_pa
 
 def test_walls_do_not_hide_pieces_and_those_in_front_are_thinner():
     frames, pieces, walls = packed()
-    scene = scene_of(frames, pieces, {"plate": walls}, lambda t: STILL, Camera())
-    (ax,) = [a for a in figure_of(scene, [0]).axes if a.get_title()]
+    scene = build_render_scene(frames, pieces, {"plate": walls}, lambda t: STILL, Camera())
+    (ax,) = [a for a in draw_frames(scene, [0]).axes if a.get_title()]
     (collection,) = [c for c in ax.collections if isinstance(c, PolyCollection)]
     alphas = np.unique(collection.get_facecolor()[:, 3].round(3))
     np.testing.assert_array_equal(alphas, [0.08, 0.25, 1.0])
@@ -153,8 +162,8 @@ def test_walls_do_not_hide_pieces_and_those_in_front_are_thinner():
 
 def test_everything_is_inside_the_picture():
     frames, pieces, walls = falling()
-    scene = scene_of(frames, pieces, walls, lambda t: STILL, Camera())
-    figure = figure_of(scene, [0, 11])
+    scene = build_render_scene(frames, pieces, walls, lambda t: STILL, Camera())
+    figure = draw_frames(scene, [0, 11])
     for ax in figure.axes[:2]:
         (collection,) = [c for c in ax.collections if isinstance(c, PolyCollection)]
         points = np.concatenate([path.vertices for path in collection.get_paths()])
@@ -166,24 +175,24 @@ def test_everything_is_inside_the_picture():
 
 def test_the_bar_of_length_is_as_long_as_it_says():
     frames, pieces, walls = falling()
-    scene = scene_of(frames, pieces, walls, lambda t: STILL, Camera())
-    ax = figure_of(scene, [0]).axes[0]
+    scene = build_render_scene(frames, pieces, walls, lambda t: STILL, Camera())
+    ax = draw_frames(scene, [0]).axes[0]
     (words,) = [text.get_text() for text in ax.texts]
     millimetres = float(words.removesuffix(" mm"))
     drawn = np.ptp(ax.get_lines()[0].get_xdata())
     middle = scene.view.box.mean(axis=0)
-    ends = _project(scene.view, np.stack([middle, middle + 1e-3 * millimetres * scene.view.axes[0]]))
+    ends = _project_points(scene.view, np.stack([middle, middle + 1e-3 * millimetres * scene.view.axes[0]]))
     assert drawn == pytest.approx(ends[1, 0] - ends[0, 0], rel=1e-12)
 
 
 def test_a_strip_shows_its_instants_side_by_side(tmp_path):
     frames, pieces, walls = falling()
     one, three = tmp_path / "one.png", tmp_path / "three.png"
-    render(frames, pieces, walls, lambda t: STILL, one)
-    render(frames, pieces, walls, lambda t: STILL, three, strip=[0.0, 0.1, 0.2])
+    render_frames(frames, pieces, walls, lambda t: STILL, one)
+    render_frames(frames, pieces, walls, lambda t: STILL, three, strip=[0.0, 0.1, 0.2])
     assert pixels(three).shape[1] > 2 * pixels(one).shape[1]
-    scene = scene_of(frames, pieces, walls, lambda t: STILL, Camera())
-    titles = [ax.get_title() for ax in figure_of(scene, [0, 5, 10], "drop").axes[:3]]
+    scene = build_render_scene(frames, pieces, walls, lambda t: STILL, Camera())
+    titles = [ax.get_title() for ax in draw_frames(scene, [0, 5, 10], "drop").axes[:3]]
     assert titles == ["drop\nt = 0.0 ms", "drop\nt = 100.0 ms", "drop\nt = 200.0 ms"]
 
 
@@ -191,7 +200,7 @@ def test_an_animation_has_all_frames_moves_and_loops(tmp_path):
     from PIL import Image
 
     frames, pieces, walls = falling()
-    render(frames, pieces, walls, lambda t: STILL, tmp_path / "drop.gif", fps=20)
+    render_frames(frames, pieces, walls, lambda t: STILL, tmp_path / "drop.gif", fps=20)
     with Image.open(tmp_path / "drop.gif") as animation:
         assert animation.n_frames == 12 and animation.info["loop"] == 0 and animation.info["duration"] == 50
         heights = []
@@ -206,7 +215,7 @@ def test_an_animation_has_all_frames_moves_and_loops(tmp_path):
 def test_a_video_shows_the_same_pictures(tmp_path):
     imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
     frames, pieces, walls = falling()
-    render(frames, pieces, walls, lambda t: STILL, tmp_path / "drop.mp4", fps=20)
+    render_frames(frames, pieces, walls, lambda t: STILL, tmp_path / "drop.mp4", fps=20)
     reader = imageio_ffmpeg.read_frames(str(tmp_path / "drop.mp4"))
     facts = next(reader)
     shown = [np.frombuffer(picture, np.uint8).reshape(*facts["size"][::-1], 3) for picture in reader]
@@ -221,13 +230,13 @@ def test_a_video_shows_the_same_pictures(tmp_path):
 def test_moving_walls_are_drawn_where_they_are():
     frames, pieces, _ = falling()
     flap = {"flap": [panel([(0, 0, 0), (0.1, 0, 0), (0.1, 0.1, 0), (0, 0.1, 0)])]}
-    quarter = matrix_of_quaternion([np.sqrt(0.5), np.sqrt(0.5), 0, 0])  # about x: y to z
+    quarter = quaternion_to_matrix([np.sqrt(0.5), np.sqrt(0.5), 0, 0])  # about x: y to z
 
     def pose(t):
         return {"flap": (quarter, np.array([0, 0.05, 0]))} if t > 0.1 else {"flap": (np.eye(3), np.zeros(3))}
 
-    scene = scene_of(frames, pieces, flap, pose, Camera())
-    before, after = _bodies(scene, 0)[0][-1], _bodies(scene, 11)[0][-1]
+    scene = build_render_scene(frames, pieces, flap, pose, Camera())
+    before, after = _frame_bodies(scene, 0)[0][-1], _frame_bodies(scene, 11)[0][-1]
     np.testing.assert_allclose(before.vertices[2], (0.1, 0.1, 0), atol=1e-15)
     np.testing.assert_allclose(after.vertices[2], (0.1, 0.05, 0.1), atol=1e-15)
     np.testing.assert_allclose(after.normals[0], (0, -1, 0), atol=1e-15)
@@ -235,10 +244,10 @@ def test_moving_walls_are_drawn_where_they_are():
 
 def test_pieces_told_apart_by_number_have_colours_of_their_own(tmp_path):
     frames, pieces, walls = packed()
-    scene = scene_of(frames, pieces, {"plate": walls}, lambda t: STILL, Camera(), colour="piece")
-    _, paints, _ = _bodies(scene, 0)
+    scene = build_render_scene(frames, pieces, {"plate": walls}, lambda t: STILL, Camera(), colour="piece")
+    _, paints, _ = _frame_bodies(scene, 0)
     assert len(set(paints[:6])) == 6
-    figure = figure_of(scene, [0])
+    figure = draw_frames(scene, [0])
     assert len(figure.axes) == 1  # no scale of speeds
 
 
@@ -246,30 +255,30 @@ def test_a_piece_that_is_no_longer_anywhere_is_left_out(tmp_path):
     frames, pieces, walls = packed()
     frames.position[0, 5] = np.nan
     frames.velocity[0, 5] = np.inf
-    scene = scene_of(frames, pieces, {"plate": walls}, lambda t: STILL, Camera())
-    assert _bodies(scene, 0)[2] == 26 and np.isfinite(scene.view.eye).all() and scene.fastest < 10
-    render(frames, pieces, {"plate": walls}, lambda t: STILL, tmp_path / "now.png")
+    scene = build_render_scene(frames, pieces, {"plate": walls}, lambda t: STILL, Camera())
+    assert _frame_bodies(scene, 0)[2] == 26 and np.isfinite(scene.view.eye).all() and scene.fastest < 10
+    render_frames(frames, pieces, {"plate": walls}, lambda t: STILL, tmp_path / "now.png")
     assert (pixels(tmp_path / "now.png").min(axis=-1) < 0.9).mean() > 0.1
 
 
 def test_what_cannot_be_drawn_is_said_in_one_line(tmp_path, monkeypatch):
     frames, pieces, walls = falling()
     with pytest.raises(RecordError, match=r"now\.bmp must end in one of: \.png, \.pdf, \.svg, \.gif, \.mp4"):
-        render(frames, pieces, walls, lambda t: STILL, tmp_path / "now.bmp")
+        render_frames(frames, pieces, walls, lambda t: STILL, tmp_path / "now.bmp")
     with pytest.raises(RecordError, match=r"the run has no frames; set run\.frames"):
-        render(None, pieces, walls, lambda t: STILL, tmp_path / "now.png")
+        render_frames(None, pieces, walls, lambda t: STILL, tmp_path / "now.png")
     ensemble = Frames(frames.time, *(np.stack([getattr(frames, n)] * 2) for n in list(vars(frames))[1:]))
     with pytest.raises(RecordError, match="frames of an ensemble; choose one of its runs"):
-        render(ensemble, pieces, walls, lambda t: STILL, tmp_path / "now.png")
+        render_frames(ensemble, pieces, walls, lambda t: STILL, tmp_path / "now.png")
     for instants in ({"at": 5.0}, {"at": -0.1}, {"strip": [0.0, 5.0]}):
         with pytest.raises(RecordError, match=r"no frame was stored at .* s; allowed: 0 to 0\.22 s"):
-            render(frames, pieces, walls, lambda t: STILL, tmp_path / "now.png", **instants)
+            render_frames(frames, pieces, walls, lambda t: STILL, tmp_path / "now.png", **instants)
     with monkeypatch.context() as patch:
         patch.setitem(sys.modules, "imageio_ffmpeg", None)  # as where it is not installed
         with pytest.raises(RecordError, match=r"now\.mp4 needs imageio-ffmpeg: pip install 'product-impact\[video\]'"):
-            render(frames, pieces, walls, lambda t: STILL, tmp_path / "now.mp4")
+            render_frames(frames, pieces, walls, lambda t: STILL, tmp_path / "now.mp4")
     with pytest.raises(RecordError, match="colour = 'spin' is unknown"):
-        render(frames, pieces, walls, lambda t: STILL, tmp_path / "now.png", colour="spin")
+        render_frames(frames, pieces, walls, lambda t: STILL, tmp_path / "now.png", colour="spin")
     for name in ("now.png", "now.gif", *(["now.mp4"] if find_spec("imageio_ffmpeg") else [])):
         with pytest.raises(RecordError, match="cannot be written: No such file"):
-            render(frames, pieces, walls, lambda t: STILL, tmp_path / "nowhere" / name)
+            render_frames(frames, pieces, walls, lambda t: STILL, tmp_path / "nowhere" / name)

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from dem_jax.errors import RecordError
-from dem_jax.show import player
-from dem_jax.show.fitted import read_fit
-from dem_jax.show.plot import figure_of_run
-from dem_jax.show.report import Named, content, write_report
+from dem_jax.visualization import web_viewer
+from dem_jax.visualization.fit_file import read_fit
+from dem_jax.visualization.report_page import NamedRun, compose_sheets, write_report
+from dem_jax.visualization.run_figure import draw_run_figure
 from tests.dem_jax.stored import PIECES, SCENE, stored
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
@@ -75,8 +75,8 @@ def test_the_view_has_the_stored_poses_and_the_real_shapes():
 
 
 def test_poses_are_thinned_to_keep_the_page_small(monkeypatch):
-    monkeypatch.setattr(player, "MOST_BYTES", 10 * 2 * 7 * 4 * 4 // 3 + 1)
-    view = player.view_of(stored())
+    monkeypatch.setattr(web_viewer, "MOST_BYTES", 10 * 2 * 7 * 4 * 4 // 3 + 1)
+    view = web_viewer.build_view_data(stored())
     assert view["time"] == stored().pieces.time[::2].tolist()
 
 
@@ -144,7 +144,7 @@ def test_a_narrow_screen_gets_a_figure_of_its_own():
     page = page_of(["drop"], stored())
     assert [page.count(f'<div class="figure {kind}"><img') for kind in ("wide", "narrow")] == [1, 1]
     assert "white-space: nowrap" not in re.search(r"caption {.*}", page)[0], "a caption that does not wrap widens the page"
-    figure = figure_of_run(stored(), narrow=True)
+    figure = draw_run_figure(stored(), narrow=True)
     panels = {axes.get_position().bounds: axes for axes in figure.axes}
     assert figure.get_figwidth() < 5 and len({left for left, *_ in panels}) == 1, "one column"
     assert all(axes.get_ylabel() for axes in figure.axes), "each panel has its labels"
@@ -152,7 +152,7 @@ def test_a_narrow_screen_gets_a_figure_of_its_own():
 
 def test_the_same_on_paper():
     """Words of the page are on the sheets, and the PDF has sheets of them."""
-    sheets = content([Named("drop", stored())], fit=fit_file())
+    sheets = compose_sheets([NamedRun("drop", stored())], fit=fit_file())
     heads = [sheet.head for sheet in sheets]
     assert heads[:3] == ["Product impact of drop", "The force", "The drop: drop"] and "The Product Model, fitted" in heads
     rows = [row for sheet in sheets for words in sheet.words if not isinstance(words, str) for row in words]

@@ -2,8 +2,8 @@
 
 import pytest
 
-from dem_jax import build, validation
-from dem_jax.build import resolved
+from dem_jax import assembly, validation
+from dem_jax.assembly import precision_check
 
 SLOW, STIFF = "impacts of up to", {"softening": 1.0}
 
@@ -11,7 +11,7 @@ SLOW, STIFF = "impacts of up to", {"softening": 1.0}
 def said(velocity=1.0, place=0.02, precision="f32", gravity=(0.0, 0.0, 0.0), **material):
     piece = {"shape": "sphere", "radius": 0.0167, "position": (0.0, 0.0, place), "velocity": (0.0, 0.0, -velocity)}
     scene = validation.plate_scene(piece, gravity, precision, **material)
-    return resolved.note(scene, build.build(scene))
+    return precision_check.note_low_precision(scene, assembly.assemble_system(scene))
 
 
 @pytest.mark.parametrize(

@@ -8,12 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dem_jax import build, validation
-from dem_jax.contact.law import rest
-from dem_jax.drive import ringing
+from dem_jax import assembly, validation
+from dem_jax.contact_laws import quasi_static_damping
+from dem_jax.dynamics import observables
 from dem_jax.errors import SceneError
+from dem_jax.runner import undamped_rest
 from dem_jax.scene import load_scene
-from dem_jax.step import measure
 
 G = 9.81  # m/s2
 DROP = 2e-3  # m: 0.2 m/s, which at epsilon = 0.1 does not bounce off (threshold 0.743 m/s)
@@ -22,18 +22,18 @@ DROP = 2e-3  # m: 0.2 m/s, which at epsilon = 0.1 does not bounce off (threshold
 @partial(jax.jit, static_argnames="every")
 def fall(system, state, damping, every):
     """400 readings, and the mean force of each interval between them."""
-    system = validation.lasting(system).replace(law=system.law.replace(damping=damping))
+    system = validation.with_permanent_pairs(system).replace(law=system.law.replace(damping=damping))
 
     def read(system, state):
-        return validation.motion(system, state) | {"impulse": state.ledger.impulse[2, 0, 0]}
+        return validation.read_motion(system, state) | {"impulse": state.ledger.impulse[2, 0, 0]}
 
-    return validation.trace(system, state, 400, read, every)[1]
+    return validation.trace_motion(system, state, 400, read, every)[1]
 
 
 @pytest.mark.parametrize(("shape", "half"), [("sphere", 0.0166785), ("chamfered-cuboid", 0.008)])
 def test_rest(shape, half):
     piece = {"shape": shape, "position": (0.0, 0.0, half + DROP)} | ({"radius": half} if shape == "sphere" else {})
-    made = build.build(validation.plate_scene(piece, (0.0, 0.0, -G), unloading_damping=0.2))
+    made = assembly.assemble_system(validation.plate_scene(piece, (0.0, 0.0, -G), unloading_damping=0.2))
     weight = float(made.system.pieces.mass[0]) * G
     every = round(5e-4 / made.step.dt)
     time = made.step.dt * every * np.arange(1, 401)
@@ -60,7 +60,7 @@ def test_rest(shape, half):
 def test_damping_is_off_by_default():
     assert load_scene("plate-drop").material.unloading_damping == 0
     assert load_scene("weigh-bucket").material.unloading_damping == 0
-    made = build.build(load_scene("weigh-bucket"))
+    made = assembly.assemble_system(load_scene("weigh-bucket"))
     assert made.system.law.at_rest is None
     history = jax.tree.leaves([table.memory.law for table in made.state.contacts.values()])
     assert len(history) == 3 * len(made.state.contacts)  # normal force and way, tangential force, nothing else
@@ -69,7 +69,7 @@ def test_damping_is_off_by_default():
 def test_damping_leaves_the_first_peak_alone():
     # It acts below the loading line only, which the first impact does not leave before its peak.
     piece = {"position": (0.0, 0.0, 0.008 + DROP)}
-    made = build.build(validation.plate_scene(piece, (0.0, 0.0, -G), unloading_damping=0.2))
+    made = assembly.assemble_system(validation.plate_scene(piece, (0.0, 0.0, -G), unloading_damping=0.2))
     every = 10  # of 6 us: 24 ms, the fall takes 20
     peaks = [np.asarray(fall(made.system, made.state, jnp.asarray(d), every)["force"]) for d in (0.0, 0.2)]
     assert peaks[0].max() == peaks[1].max() > 1.0
@@ -83,10 +83,10 @@ TILTED = [(1.0, 0.0, 0.0, 0.0), (0.9, 0.3, 0.2, 0.1), (0.5, 0.7, -0.3, 0.2)]  # 
 @jax.jit
 def slow_motion(system, state):
     def read(system, state):
-        found = validation.motion(system, state) | {"energy": measure.energies(system, state)[:, 0]}
+        found = validation.read_motion(system, state) | {"energy": observables.energy_terms(system, state)[:, 0]}
         return found | {"age": jnp.max(state.contacts["hulls"].memory.law.resting.age)}
 
-    return validation.trace(validation.lasting(system), state, READINGS, read, EVERY)[1]
+    return validation.trace_motion(validation.with_permanent_pairs(system), state, READINGS, read, EVERY)[1]
 
 
 @pytest.fixture(scope="module")
@@ -95,7 +95,7 @@ def damped():
     angle = np.radians(10.0)
     gravity = (float(G * np.sin(angle)), 0.0, float(-G * np.cos(angle)))
     piece = {"position": (0.0, 0.0, 0.008 + 1e-4)}
-    return build.build(validation.plate_scene(piece, gravity, restitution=0.7, rest_damping=0.2))
+    return assembly.assemble_system(validation.plate_scene(piece, gravity, restitution=0.7, rest_damping=0.2))
 
 
 def test_a_piece_on_a_slope_comes_to_rest(damped):
@@ -118,7 +118,7 @@ def test_a_piece_on_a_slope_comes_to_rest(damped):
 @pytest.mark.parametrize("restitution", [0.1, 0.5])
 def test_what_rings_up_to_the_loading_line_in_each_period_comes_to_rest(restitution):
     piece = {"position": (0.0, 0.0, 0.008 + 1e-4)}
-    made = build.build(validation.plate_scene(piece, (0.0, 0.0, -G), restitution=restitution, rest_damping=0.2))
+    made = assembly.assemble_system(validation.plate_scene(piece, (0.0, 0.0, -G), restitution=restitution, rest_damping=0.2))
     found = jax.tree.map(np.asarray, slow_motion(made.system, made.state))
     assert np.abs(found["velocity"][:100]).max() > 1e-3
     assert found["age"][-1] > 1
@@ -128,7 +128,7 @@ def test_what_rings_up_to_the_loading_line_in_each_period_comes_to_rest(restitut
 @pytest.mark.parametrize("orientation", TILTED, ids=["face", "edge", "corner"])
 def test_no_impact_feels_the_damping_at_rest(damped, orientation):
     q = np.asarray(orientation) / np.linalg.norm(orientation)
-    state = damped.state.moved(
+    state = damped.state.replace_motion(
         position=jnp.array([[0.0], [0.0], [0.04]]), velocity=jnp.array([[0.0], [0.0], [-2.0]]), orientation=jnp.asarray(q)[:, None]
     )
     found = {k: np.asarray(v) for k, v in slow_motion(damped.system, state).items()}
@@ -142,27 +142,27 @@ def test_no_impact_feels_the_damping_at_rest(damped, orientation):
 def test_nothing_is_added_before_rest():
     ages = jnp.array([0.0, 0.5, 1 - 1e-9])
     one = jnp.ones(3)
-    spring = rest.Spring(one, one, one, one, 0.2 * one)
+    spring = quasi_static_damping.DampedSpring(one, one, one, one, 0.2 * one)
     ways = (one, one, one)
-    assert (rest.push(ages, spring, one, 0.1, -one, one) == 0).all()
-    for found, elastic in zip(rest.drag(ages, spring, one, ways, ways, 0.1 * one, 0.1), ways, strict=True):
+    assert (quasi_static_damping.normal_damping_force(ages, spring, one, 0.1, -one, one) == 0).all()
+    for found, elastic in zip(quasi_static_damping.damped_friction(ages, spring, one, ways, ways, 0.1 * one, 0.1), ways, strict=True):
         assert (found == elastic).all()
-    torque, elastic = rest.twist(rest.Resting(ages, jnp.ones((3, 3))), ages, spring, ways, one, 0.1)
+    torque, elastic = quasi_static_damping.damped_torque(quasi_static_damping.QuasiStaticHistory(ages, jnp.ones((3, 3))), ages, spring, ways, one, 0.1)
     assert (jnp.stack(torque) == 0).all() and (jnp.stack(elastic) == 0).all()
 
 
 def test_rest_begins_after_ten_quarter_periods_and_outlasts_a_touch():
     one = jnp.ones(1)
-    spring = rest.Spring(one, one, one, one, 0.2 * one)
+    spring = quasi_static_damping.DampedSpring(one, one, one, one, 0.2 * one)
     quarter = np.pi / 2
     age, steps = jnp.zeros(1), 0
     while age[0] < 1:
-        age, steps = rest.aged(age, True, spring, 0.01 * quarter), steps + 1
+        age, steps = quasi_static_damping.update_rest_age(age, True, spring, 0.01 * quarter), steps + 1
     assert abs(steps - 1000) <= 1
-    age = rest.aged(age, True, spring, 0.01 * quarter)
-    touched = rest.aged(age, False, spring, 0.5 * quarter)
-    assert touched[0] >= 1 and rest.aged(touched, True, spring, 0.01 * quarter)[0] == 2
-    assert rest.aged(touched, False, spring, 0.6 * quarter)[0] == 0
+    age = quasi_static_damping.update_rest_age(age, True, spring, 0.01 * quarter)
+    touched = quasi_static_damping.update_rest_age(age, False, spring, 0.5 * quarter)
+    assert touched[0] >= 1 and quasi_static_damping.update_rest_age(touched, True, spring, 0.01 * quarter)[0] == 2
+    assert quasi_static_damping.update_rest_age(touched, False, spring, 0.6 * quarter)[0] == 0
 
 
 def test_what_may_be_asked_of_damping_at_rest():
@@ -188,4 +188,4 @@ def test_runs_say_where_rest_is_not_damped(changes, fastest, end, is_said):
     job = SimpleNamespace(scene=load_scene("plate-drop").replace({"run.sample": 0.01} | changes), own_law=False)
     samples = SimpleNamespace(fastest=np.array([[fastest] * 300, [1.0] * 300]))  # of two runs
     span = SimpleNamespace(count=end, end=end, samples=samples)
-    assert ringing.notes(job, span) == ([ringing.NOTE] if is_said else [])
+    assert undamped_rest.note_undamped_rest(job, span) == ([undamped_rest.UNDAMPED_NOTE] if is_said else [])

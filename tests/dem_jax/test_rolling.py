@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import dem_jax
-from dem_jax import build, validation
-from dem_jax.contact import of_run
-from dem_jax.contact.law.rolling import Rolling
+from dem_jax import assembly, validation
+from dem_jax.contact_laws.rolling_friction import Rolling
+from dem_jax.contacts import batch_reduction
 from dem_jax.errors import SceneError
 
 RADIUS, G, ROLLING, SPEED = 0.01, 9.81, 0.05, 0.03  # m, m/s2, mu_r, m/s
@@ -19,7 +19,7 @@ SPIN = dem_jax.Quantity(
     unit="kg m2/s",
     axes=("xyz",),
     help="angular momentum about the centre",
-    of=lambda system, state: of_run.total(system, state.angular_momentum),
+    of=lambda system, state: batch_reduction.sum_per_run(system, state.angular_momentum),
 )
 # On the flat: rolling, spinning about the vertical. On slopes that fall off along x, by their tangent over mu_r: from rest.
 CASES = {"rolls": 0.0, "spins": 0.0, "stays": 0.9, "starts": 1.2, "free": 1.2}
@@ -33,7 +33,7 @@ def ball(**changes):
         run={"duration": 0.18, "sample": 1e-3},
         **{"restitution": 0.5, "rest_damping": 0.3, "rolling_friction": ROLLING, "friction_wall": 0.5} | changes,
     )
-    system = build.build(made({"shape": "sphere", "radius": RADIUS})).system
+    system = assembly.assemble_system(made({"shape": "sphere", "radius": RADIUS})).system
     sunk = float(system.pieces.mass[0] * G / validation.wall_stiffness(system)[0])
     return made({"shape": "sphere", "radius": RADIUS, "position": (0.0, 0.0, RADIUS - sunk)})
 
@@ -42,7 +42,7 @@ def ball(**changes):
 def runs():
     """name of a case -> time [T] (s), velocity [T, 3] (m/s), angular velocity [T, 3] (rad/s) and energies of its run."""
     scene = ball()
-    pieces = build.build(scene).system.pieces
+    pieces = assembly.assemble_system(scene).system.pieces
     angle = np.arctan(ROLLING * np.array(list(CASES.values())))
     gravity = G * np.stack([np.sin(angle), 0 * angle, -np.cos(angle)], axis=1)
     velocity, spin = np.zeros((len(CASES), 3)), np.zeros((len(CASES), 3))
@@ -90,7 +90,7 @@ def test_there_is_no_torque_about_the_normal():
 
 
 def test_nothing_of_it_is_there_without_it():
-    rough, smooth = (build.build(ball(rolling_friction=value)) for value in (ROLLING, 0.0))
+    rough, smooth = (assembly.assemble_system(ball(rolling_friction=value)) for value in (ROLLING, 0.0))
     assert isinstance(rough.system.law, Rolling) and not isinstance(smooth.system.law, Rolling)
     assert smooth.system.materials.rolling is None
     histories = [made.state.contacts["plates"].memory.law for made in (rough, smooth)]
@@ -99,10 +99,10 @@ def test_nothing_of_it_is_there_without_it():
 
 def test_materials_and_pairs_have_their_own():
     scene = ball().replace({"material.nut.rolling_friction": 0.2, "piece.0.material": "nut"})
-    assert float(build.build(scene).system.materials.rolling[0, 1]) == 0.2
+    assert float(assembly.assemble_system(scene).system.materials.rolling[0, 1]) == 0.2
     scene = scene.replace(pair=[{"of": ["nut", "wall"], "rolling_friction": 0.3}])
-    assert float(build.build(scene).system.materials.rolling[0, 1]) == 0.3
+    assert float(assembly.assemble_system(scene).system.materials.rolling[0, 1]) == 0.3
     with pytest.raises(SceneError, match="rolling_friction = -1.0: allowed: a number >= 0"):
         ball(rolling_friction=-1.0)
-    stiff = [build.build(ball(rolling_friction=value)).step.stable for value in (0.05, 1.0)]
+    stiff = [assembly.assemble_system(ball(rolling_friction=value)).step.stable for value in (0.05, 1.0)]
     assert stiff[1] < 0.8 * stiff[0]

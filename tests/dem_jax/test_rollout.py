@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 import dem_jax
-from dem_jax import build, compiling, smooth_peak, validation
-from dem_jax.build.topology import POSES, assemble, split_scene
-from dem_jax.contact.motion.cubics import cubics
-from dem_jax.drive.rollout import check_numbers
+from dem_jax import assembly, smooth_peak, validation, xla_flags
+from dem_jax.assembly.topology import POSES, assemble, split_scene
+from dem_jax.broad_phase import overflow_recovery
+from dem_jax.dynamics import stepping
 from dem_jax.errors import SceneError
-from dem_jax.pairs import guard
-from dem_jax.step import stepping
+from dem_jax.runner.rollout import check_numbers
 from dem_jax.validation import plate_scene
+from dem_jax.walls.motion.hermite_cubics import fit_hermite_cubics
 
 DT = 4e-6  # s
 SPEED, RADIUS, EPSILON = 2.2, 0.0167, 0.4  # m/s, m
@@ -56,7 +56,7 @@ def peak(force):
 @cache
 def reverse():
     """Compiled: outcomes and their derivatives with weights. All the time goes into compiling."""
-    options = {"compiler_options": compiling.known("cpu") | {"xla_backend_optimization_level": 0}}
+    options = {"compiler_options": xla_flags.supported_options("cpu") | {"xla_backend_optimization_level": 0}}
     both = lambda p, weights: (lambda out, pull: (out, pull(weights)[0]))(*jax.vjp(outcome, p))  # noqa: E731
     return jax.jit(both, **options)
 
@@ -76,7 +76,7 @@ def test_gradients_equal_finite_differences():
 
 def test_gradients_equal_the_closed_forms():
     """F = m g + sqrt((m g)^2 + m K v^2); restitution does not enter before the peak, and is all of the rebound after it."""
-    system = build.build(ball()).system
+    system = assembly.assemble_system(ball()).system
     mass, stiffness = float(system.pieces.mass[0]), float(validation.wall_stiffness(system)[0])
     speed = np.sqrt(SPEED**2 + 2 * 9.81 * (HEIGHT - RADIUS))
     case = validation.NormalImpact(mass, stiffness, EPSILON, speed, 9.81)
@@ -96,7 +96,7 @@ def test_forward_mode_and_many_at_once_give_the_same():
     first, rest = PARAMETERS["piece.0.velocity"], {k: v for k, v in PARAMETERS.items() if k != "piece.0.velocity"}
     along = jnp.array([0.0, 0.0, 1.0])
     of_velocity = lambda v: jax.jvp(lambda v: outcome(rest | {"piece.0.velocity": v}), (v,), (along,))  # noqa: E731
-    options = {"compiler_options": compiling.known("cpu") | {"xla_backend_optimization_level": 0}}
+    options = {"compiler_options": xla_flags.supported_options("cpu") | {"xla_backend_optimization_level": 0}}
     values, slopes = jax.jit(jax.vmap(of_velocity), **options)(jnp.stack([jnp.asarray(first), 0.5 * jnp.asarray(first)]))
     for k, part in enumerate((1.0, 0.5)):
         parameters = rest | {"piece.0.velocity": part * first}
@@ -111,7 +111,7 @@ def test_what_reverse_mode_keeps_changes_no_derivative(monkeypatch):
     spy = lambda *given: kept.append(given[-1]) or real(*given)  # noqa: E731
     monkeypatch.setattr(stepping, "rollout", spy)
     jax.eval_shape(outcome, PARAMETERS)
-    monkeypatch.setattr("dem_jax.drive.rollout.KEPT", 1000)  # bytes
+    monkeypatch.setattr("dem_jax.runner.rollout.MOST_STATE_BYTES", 1000)  # bytes
     of_rebuilds = reverse.__wrapped__()(PARAMETERS, jnp.ones(3))
     assert kept == [False, True]
     for a, b in zip(jax.tree.leaves(reverse()(PARAMETERS, jnp.ones(3))), jax.tree.leaves(of_rebuilds), strict=True):
@@ -171,14 +171,14 @@ def changed(topology, parameters):
 @pytest.mark.parametrize("name", scenes())
 def test_values_do_what_the_scene_s_own_numbers_do(name):
     """The arrays of system and state are those of a scene with these numbers."""
-    scene = build.self_contained(scenes()[name].replace({"run.precision": "f64", "run.step": 2e-6}))
-    made = build.build(scene)
+    scene = assembly.inline_files(scenes()[name].replace({"run.precision": "f64", "run.step": 2e-6}))
+    made = assembly.assemble_system(scene)
     topology, own = split_scene(scene, made)
     values = changed(topology, own)
     assert len(values) > 30
     system, state = assemble(topology, own | values)
     plain = lambda value: tuple(map(tuple, value.tolist())) if value.ndim == 2 else value.tolist()  # noqa: E731
-    new = build.build(scene.replace({key: plain(value) for key, value in values.items()}))
+    new = assembly.assemble_system(scene.replace({key: plain(value) for key, value in values.items()}))
     walls = np.array(made.system.materials.is_wall)
     for found, wanted in ((system, new.system), (state.motion, new.state.motion)):
         leaves = zip(*(jax.tree_util.tree_flatten_with_path(tree)[0] for tree in (found, wanted)), strict=True)
@@ -220,8 +220,8 @@ def test_what_decides_the_program_is_refused_in_one_line(parameters, message):
 @pytest.mark.parametrize("name", scenes())
 def test_every_number_has_the_limits_of_the_scene(name):
     """Below any of them for each key that has one; what is traced passes."""
-    scene = build.self_contained(scenes()[name])
-    made = build.build(scene)
+    scene = assembly.inline_files(scenes()[name])
+    made = assembly.assemble_system(scene)
     free = {"height", "swing_deg", "opening_angle_deg", "start", "opening_start", "shake_start", "shake_end"}
     refused = 0
     for key, form in split_scene(scene, made)[0].shapes.items():
@@ -249,13 +249,13 @@ def test_double_precision_is_asked_for():
 
 
 def test_a_run_that_outgrew_its_room_is_told():
-    made = build.build(ball())
+    made = assembly.assemble_system(ball())
     good = made.state.guard
     for bad in (good.replace(travel=2 * made.system.skin), good.replace(touching=jnp.int32(99))):
-        assert guard.outgrown(made.system, jax.device_get(bad)) and not guard.stands(made.system, bad)
-    assert not guard.outgrown(made.system, jax.device_get(good)) and guard.stands(made.system, good)
-    assert guard.roomy(made.system).skin > 100 and made.system.skin < 2e-3
-    assert guard.roomy(made.system.replace(touching=0)).skin == made.system.skin
+        assert overflow_recovery.describe_overflow(made.system, jax.device_get(bad)) and not overflow_recovery.is_within_capacity(made.system, bad)
+    assert not overflow_recovery.describe_overflow(made.system, jax.device_get(good)) and overflow_recovery.is_within_capacity(made.system, good)
+    assert overflow_recovery.with_all_pairs(made.system).skin > 100 and made.system.skin < 2e-3
+    assert overflow_recovery.with_all_pairs(made.system.replace(touching=0)).skin == made.system.skin
 
 
 def test_a_smooth_peak_tends_to_the_peak():
@@ -271,6 +271,6 @@ def test_a_smooth_peak_tends_to_the_peak():
 def test_cubics_of_values_that_are_differentiated_are_those_of_numbers():
     times, random = np.cumsum(np.array([0.0, 0.1, 0.3, 0.05, 0.2, 0.4])), np.random.default_rng(0)
     for values in (random.normal(size=6), np.sort(random.normal(size=6)), np.zeros(6)):
-        found = jax.jit(partial(cubics, times))(values)
-        np.testing.assert_allclose(found, cubics(times, values), rtol=1e-12, atol=1e-10)
-    assert np.isfinite(jax.jit(jax.jacfwd(partial(cubics, times)))(jnp.zeros(6))).all()
+        found = jax.jit(partial(fit_hermite_cubics, times))(values)
+        np.testing.assert_allclose(found, fit_hermite_cubics(times, values), rtol=1e-12, atol=1e-10)
+    assert np.isfinite(jax.jit(jax.jacfwd(partial(fit_hermite_cubics, times)))(jnp.zeros(6))).all()

@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 
 import dem_jax
-from dem_jax import build, scene
-from dem_jax.drive import failure, programs
-from dem_jax.drive.interface import drive
-from dem_jax.drive.prepare import prepare
+from dem_jax import assembly, scene
+from dem_jax.broad_phase import overflow_recovery
 from dem_jax.errors import RecordError, SceneError, SimulationError
-from dem_jax.maths.pose import matrix_of_quaternion
-from dem_jax.pairs import guard
-from dem_jax.show.summary import summary
+from dem_jax.math.pose import quaternion_to_matrix
+from dem_jax.runner import failure, programs
+from dem_jax.runner.interface import run_job
+from dem_jax.runner.job_setup import prepare_job
+from dem_jax.visualization.summary import summarize_run
 
 G = 9.81
 
@@ -49,10 +49,10 @@ def settling(**changes):
 
 def series(result):
     """Every array of a run, by path."""
-    from dem_jax.store.record import series_of
+    from dem_jax.io.run_files import collect_series
 
     poses = {} if result.pieces is None else {f"pieces/{k}": v for k, v in vars(result.pieces).items()}
-    return series_of(result) | poses
+    return collect_series(result) | poses
 
 
 def assert_same(a, b, exactly=True, tolerance=0.0):
@@ -70,7 +70,7 @@ def assert_same(a, b, exactly=True, tolerance=0.0):
 @pytest.fixture(autouse=True)
 def short_chunks(monkeypatch):
     """Chunks of 100 samples at most, so that a short run has several."""
-    monkeypatch.setattr("dem_jax.drive.job.CHUNK_TIME", 100 * 5 * 5.3e-6)
+    monkeypatch.setattr("dem_jax.runner.job.CHUNK_TIME", 100 * 5 * 5.3e-6)
 
 
 # --- what a run holds ---
@@ -98,7 +98,7 @@ def test_frames_that_do_not_fit_into_chunks_hold_the_motion_of_their_times():
 def test_orientations_are_those_of_the_body_frame_in_which_the_shape_was_given():
     """A cuboid, longest along y, spins freely about its own z axis: by 30 rad/s x 0.02 s = 0.6 rad."""
     start = np.array([0.8, 0.0, 0.6, 0.0])  # about y, so that the spin axis is not vertical
-    axis = matrix_of_quaternion(start) @ np.array([0.0, 0.0, 1.0])
+    axis = quaternion_to_matrix(start) @ np.array([0.0, 0.0, 1.0])
     piece = {
         "shape": "cuboid", "size": [0.02, 0.05, 0.03], "position": [0.0, 0.0, 0.3],
         "orientation": start.tolist(), "angular_velocity": (30 * axis).tolist(),
@@ -167,10 +167,10 @@ def test_same_scene_and_seed_give_the_same_bits_and_another_seed_does_not():
 
 def test_other_numbers_need_no_other_program():
     dem_jax.simulate(balls())
-    before = len(programs.KEPT)
+    before = len(programs.EXECUTABLES)
     dem_jax.simulate(balls([0.02], **{"run.duration": 0.01, "run.frames": 1e-4, "run.gravity": [0, 0, -1.62]}))
     dem_jax.simulate(balls(**{"material.density": 310.0, "material.friction_wall": 0.1, "run.step": 3.4e-6}))
-    assert len(programs.KEPT) == before
+    assert len(programs.EXECUTABLES) == before
 
 
 def test_a_file_written_as_the_run_goes_is_the_run(tmp_path):
@@ -180,7 +180,7 @@ def test_a_file_written_as_the_run_goes_is_the_run(tmp_path):
     kept.save(tmp_path / "saved.h5")
     saved = dem_jax.load_run(tmp_path / "saved.h5")
     assert_same(written, saved)
-    assert scene.parse(saved.scene) == balls() and saved.seed == 0
+    assert scene.parse_scene(saved.scene) == balls() and saved.seed == 0
     assert saved.restart.keys() == written.restart.keys()
 
 
@@ -207,7 +207,7 @@ def test_stl_files_are_taken_into_the_run(tmp_path):
     )
     result = dem_jax.simulate(tmp_path / "mine.toml")
     (tmp_path / "piece.stl").unlink()
-    stored = scene.parse(result.scene)
+    stored = scene.parse_scene(result.scene)
     assert stored.name == "mine" and stored.piece[0].stl is None and len(stored.piece[0].points) == 8
     assert [wall.group for wall in stored.wall] == ["floor"] and len(stored.wall[0].corners) == 4
     assert_same(result, dem_jax.simulate(stored))
@@ -225,23 +225,23 @@ def test_a_run_that_outgrows_its_capacities_equals_one_with_ample_room(monkeypat
     ample = dem_jax.simulate(crowd())
     assert "reruns" not in ample.info
     tight = (("plates", 1, 1), ("spheres", 1, 1))
-    monkeypatch.setattr(build.system, "capacity", lambda *_: tight)
+    monkeypatch.setattr(assembly.system, "estimate_capacities", lambda *_: tight)
     grown = dem_jax.simulate(crowd())
     assert any("candidate pairs of spheres for 1" in note for note in grown.info["reruns"])
     assert any("run again with more room" in note for note in grown.info["reruns"])
-    assert not any("room" in line for line in summary(grown)), "what was handled is nothing to worry a person with"
+    assert not any("room" in line for line in summarize_run(grown)), "what was handled is nothing to worry a person with"
     assert_same(ample, grown, exactly=False, tolerance=1e-12)
 
 
 def test_a_piece_with_more_contacts_than_foreseen_is_given_room():
     scene = crowd()
     ample = dem_jax.simulate(scene)
-    job = prepare(scene, (0,), None)
+    job = prepare_job(scene, (0,), None)
     with jax.enable_x64(True):
         system = job.system.replace(touching=1)
-        state = guard.with_scratch(system, job.state)
+        state = overflow_recovery.with_empty_scratch(system, job.state)
     job = replace(job, system=system, state=state)
-    grown = drive(job, None, False, False)
+    grown = run_job(job, None, False, False)
     assert any("contacts of a piece for 1" in note for note in grown.info["reruns"])
     assert_same(ample, grown, exactly=False, tolerance=1e-12)
 
@@ -249,10 +249,10 @@ def test_a_piece_with_more_contacts_than_foreseen_is_given_room():
 def test_pieces_that_outrun_the_skin_are_run_again_with_a_larger_one():
     scene = crowd(**{"run.duration": 0.05})
     ample = dem_jax.simulate(scene)
-    job = prepare(scene, (0,), None)
+    job = prepare_job(scene, (0,), None)
     with jax.enable_x64(True):
         job = replace(job, system=job.system.replace(skin=job.system.skin * 1e-5))
-    grown = drive(job, None, False, False)
+    grown = run_job(job, None, False, False)
     assert any("than expected between rebuilds, with a skin of" in note for note in grown.info["reruns"])
     assert_same(ample, grown, exactly=False, tolerance=1e-9)  # not bits: how long a fall is a jump depends on the skin
 
@@ -316,13 +316,13 @@ def test_a_piece_that_leaves_the_domain_is_noted_where_that_is_asked_for(tmp_pat
 
 
 def test_motion_that_is_not_finite_stops_the_run():
-    job = prepare(balls([0.012, 0.1]), (0,), None)
+    job = prepare_job(balls([0.012, 0.1]), (0,), None)
     with jax.enable_x64(True):
-        job = replace(job, state=job.state.moved(velocity=job.state.velocity.at[2, 1].set(np.nan)))
+        job = replace(job, state=job.state.replace_motion(velocity=job.state.velocity.at[2, 1].set(np.nan)))
     with pytest.raises(
         SimulationError, match=r"piece 1 at t = 2e-05 s: its motion is not finite; .* lower run\.step; or restitution"
     ):
-        drive(job, None, False, False)
+        run_job(job, None, False, False)
 
 
 def test_a_contact_deeper_than_half_the_piece_stops_the_run(tmp_path):
@@ -334,7 +334,7 @@ def test_a_contact_deeper_than_half_the_piece_stops_the_run(tmp_path):
     ):
         dem_jax.simulate(scene, out=out)
     saved = dem_jax.load_run(out)
-    assert 0.49 < saved.overlap[-1] <= failure.DEEPEST
+    assert 0.49 < saved.overlap[-1] <= failure.DEEPEST_OVERLAP
 
 
 # --- restart ---
@@ -342,9 +342,9 @@ def test_a_contact_deeper_than_half_the_piece_stops_the_run(tmp_path):
 KILLED = """
 import os, signal, sys
 import dem_jax
-import dem_jax.drive.job
-from dem_jax.store import record
-dem_jax.drive.job.CHUNK_TIME = 100 * 5 * 5.3e-6
+import dem_jax.runner.job
+from dem_jax.io import record
+dem_jax.runner.job.CHUNK_TIME = 100 * 5 * 5.3e-6
 append, count = record.Writer.append, 0
 def killing(self, *args, **kw):
     global count
@@ -362,7 +362,7 @@ dem_jax.simulate(sys.argv[1], seed=5, out=sys.argv[2])
 def uninterrupted(tmp_path_factory):
     folder = tmp_path_factory.mktemp("whole")
     patch = pytest.MonkeyPatch()
-    patch.setattr("dem_jax.drive.job.CHUNK_TIME", 100 * 5 * 5.3e-6)
+    patch.setattr("dem_jax.runner.job.CHUNK_TIME", 100 * 5 * 5.3e-6)
     dem_jax.simulate(settling(), seed=5, out=folder / "run.h5")
     patch.undo()
     return folder / "run.h5"
@@ -397,7 +397,7 @@ def test_a_run_that_has_ended_goes_on_to_a_longer_duration(tmp_path, uninterrupt
     dem_jax.simulate(settling(**{"run.duration": 150 * 3e-5}), seed=5, out=out)
     result = dem_jax.resume(out, duration=0.02)
     assert_same(dem_jax.load_run(uninterrupted), result)
-    assert scene.parse(result.scene).run.duration == 0.02
+    assert scene.parse_scene(result.scene).run.duration == 0.02
     before = out.read_bytes()
     assert_same(result, dem_jax.resume(out))
     assert out.read_bytes() == before
@@ -406,7 +406,7 @@ def test_a_run_that_has_ended_goes_on_to_a_longer_duration(tmp_path, uninterrupt
 
 
 def test_grown_capacities_are_kept_over_a_restart(tmp_path, monkeypatch):
-    monkeypatch.setattr(build.system, "capacity", lambda *_: (("plates", 1, 1), ("spheres", 1, 1)))
+    monkeypatch.setattr(assembly.system, "estimate_capacities", lambda *_: (("plates", 1, 1), ("spheres", 1, 1)))
     dem_jax.simulate(crowd(), out=tmp_path / "whole.h5")
     dem_jax.simulate(crowd(**{"run.duration": 0.012}), out=tmp_path / "run.h5")
     resumed = dem_jax.resume(tmp_path / "run.h5", duration=0.02)
@@ -428,9 +428,9 @@ def test_a_file_of_before_one_pair_had_a_slot_of_its_own_goes_on(tmp_path, monke
     """With the room for eight pairs that it was written with."""
     out = tmp_path / "run.h5"
     with monkeypatch.context() as before:
-        before.setattr(build.system, "capacity", lambda *_: (("plates", 8, 8),))
+        before.setattr(assembly.system, "estimate_capacities", lambda *_: (("plates", 8, 8),))
         dem_jax.simulate(balls(), out=out)
-    assert build.build(balls()).system.capacity == (("plates", 1, 1),)
+    assert assembly.assemble_system(balls()).system.capacity == (("plates", 1, 1),)
     whole = dem_jax.simulate(balls(**{"run.duration": 0.06}))
     assert_same(whole, dem_jax.resume(out, duration=0.06), exactly=False, tolerance=1e-12)
 

@@ -7,9 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dem_jax.errors import SceneError
-from dem_jax.scene import Material, Scene, described, load_scene, parse
-from dem_jax.scene.changes import on_top, set_key
-from dem_jax.scene.text import toml, value
+from dem_jax.scene import Material, Scene, describe_scene, load_scene, parse_scene
+from dem_jax.scene.toml_text import dump_toml, format_value
+from dem_jax.scene.tree_merging import overlay_scene, set_key
 
 EXACT = settings(database=None, deadline=None, max_examples=60)
 
@@ -48,15 +48,15 @@ def scenes(draw):
 @EXACT
 @given(scenes())
 def test_a_scene_comes_back_exactly(scene):
-    assert parse(scene.to_toml()) == scene
-    assert parse(described(scene)) == scene
+    assert parse_scene(scene.to_toml()) == scene
+    assert parse_scene(describe_scene(scene)) == scene
     assert scene.replace() == scene
 
 
 @pytest.mark.parametrize("stock", ["plate-drop", "weigh-bucket", "quick-release", "weighing-station"])
 def test_stock_scenes_come_back_exactly(stock):
     scene = load_scene(stock)
-    assert parse(scene.to_toml()) == scene == parse(described(scene))
+    assert parse_scene(scene.to_toml()) == scene == parse_scene(describe_scene(scene))
 
 
 plain = st.recursive(
@@ -69,15 +69,15 @@ plain = st.recursive(
 @EXACT
 @given(plain)
 def test_a_value_stands_on_one_line_and_comes_back(item):
-    line = value(item)
+    line = format_value(item)
     assert "\n" not in line
     assert tomllib.loads(f"item = {line}") == {"item": item}
 
 
 def test_lists_stand_on_one_line_and_other_objects_as_python_shows_them():
-    assert toml({"run": {"gravity": (0.0, -0.0, 1e-5)}}) == "[run]\ngravity = [0.0, -0.0, 1e-05]\n"
-    assert value(None) == "None" and value(float("nan")) == "nan"
-    assert value({"a": [1, {"b": ",\n]"}]}) == '{ a = [1, { b = ",\\n]" }] }'
+    assert dump_toml({"run": {"gravity": (0.0, -0.0, 1e-5)}}) == "[run]\ngravity = [0.0, -0.0, 1e-05]\n"
+    assert format_value(None) == "None" and format_value(float("nan")) == "nan"
+    assert format_value({"a": [1, {"b": ",\n]"}]}) == '{ a = [1, { b = ",\\n]" }] }'
 
 
 def test_a_key_deep_in_lists_is_set_without_changing_the_original():
@@ -92,5 +92,5 @@ def test_a_key_deep_in_lists_is_set_without_changing_the_original():
 def test_products_take_the_place_of_the_shape_below():
     below = {"portion": {"shape": "sphere", "radius": 0.01, "material": "gummy", "settling_time": 0.3}}
     above = {"portion": {"product": [{"share": 1.0}]}}
-    assert on_top(below, above) == {"portion": {"settling_time": 0.3, "product": [{"share": 1.0}]}}
-    assert on_top(below, {"portion": {"radius": 0.02}})["portion"] == below["portion"] | {"radius": 0.02}
+    assert overlay_scene(below, above) == {"portion": {"settling_time": 0.3, "product": [{"share": 1.0}]}}
+    assert overlay_scene(below, {"portion": {"radius": 0.02}})["portion"] == below["portion"] | {"radius": 0.02}

@@ -4,10 +4,10 @@ import jax
 import numpy as np
 import pytest
 
-from dem_jax import build
-from dem_jax.pairs import guard
+from dem_jax import assembly
+from dem_jax.broad_phase import overflow_recovery
+from dem_jax.dynamics import stepping
 from dem_jax.scene import Scene
-from dem_jax.step import stepping
 
 SAMPLES = 1024
 SIZE = 0.12  # m, half of the plate
@@ -26,10 +26,10 @@ def run(panels, piece, samples, precision="f64"):
     """Samples, and the last state, of a piece, or several, on a plate made of panels."""
     walls = [{"group": "plate", "corners": corners, "thickness": 0.02} for corners in panels]
     settings = {"precision": precision, "sample": 1e-4, "frames": 0.0}
-    made = build.build(Scene(piece=piece if isinstance(piece, list) else [piece], wall=walls, run=settings), 0)
+    made = assembly.assemble_system(Scene(piece=piece if isinstance(piece, list) else [piece], wall=walls, run=settings), 0)
     system = made.system.replace(skin=made.system.skin * 0 + 0.01)
-    state, recorded, _ = stepping.chunk(system, made.state, np.int32(samples), np.int32(1), samples=SAMPLES, frames=0)
-    assert not guard.outgrown(system, jax.device_get(state.guard))
+    state, recorded, _ = stepping.run_compiled_chunk(system, made.state, np.int32(samples), np.int32(1), samples=SAMPLES, frames=0)
+    assert not overflow_recovery.describe_overflow(system, jax.device_get(state.guard))
     return made, state, jax.tree.map(lambda x: np.asarray(x)[:samples], recorded)
 
 
@@ -96,7 +96,7 @@ def test_siblings_are_the_contacts_of_the_same_two_surfaces():
     tube = {"shape": "tube", "outer_radius": 0.012, "inner_radius": 0.009, "height": 0.03, "sides": 6}
     at = [(0.0, 0.0, 0.015), (0.0237, 0.0, 0.015), (0.0, 0.024, 0.015)]
     _, state, _ = run(TWO, [tube | {"position": place} for place in at], 1)
-    slots, found = jax.device_get((state.scratch.slots["hulls"], state.scratch.siblings["hulls"]))
+    slots, found = jax.device_get((state.scratch.slots["hulls"], state.scratch.shared_contacts["hulls"]))
     surfaces = [np.where(of >= 0, of, 1000 + body) for of, body in ((slots.surface_a, slots.a), (slots.surface_b, slots.b))]
     continued = slots.live & ((slots.surface_a >= 0) | (slots.surface_b >= 0))
     for slot in range(len(slots.live)):
@@ -126,8 +126,8 @@ def test_without_the_seams_two_panels_would_count_twice(whole):
     system = system.replace(
         hulls=system.hulls.replace(seams=None, open_edges=None), walls=system.walls.replace(plane=None), skin=system.skin + 0.01
     )
-    state = guard.with_scratch(system, made.state)
-    _, recorded, _ = stepping.chunk(system, state, np.int32(300), np.int32(1), samples=SAMPLES, frames=0)
+    state = overflow_recovery.with_empty_scratch(system, made.state)
+    _, recorded, _ = stepping.run_compiled_chunk(system, state, np.int32(300), np.int32(1), samples=SAMPLES, frames=0)
     # twice the stiffness: the force of an impact is sqrt(2) times as large, off the middle a little more
     assert np.abs(recorded.force).max() == pytest.approx(np.sqrt(2) * peak, rel=0.1)
 
@@ -137,15 +137,15 @@ def test_a_scene_without_seams_has_none_of_it():
     step = [rectangle(-SIZE, 0, -SIZE, SIZE), [(x, y, -0.01) for x, y, _ in rectangle(0, SIZE, -SIZE, SIZE)]]
     for panels in (ONE, apart, step):
         walls = [{"group": "plate", "corners": corners} for corners in panels]
-        system = build.build(Scene(piece=[FALLING], wall=walls), 0).system
+        system = assembly.assemble_system(Scene(piece=[FALLING], wall=walls), 0).system
         assert system.hulls.seams is None and system.hulls.open_edges is None and system.walls.plane is None
     groups = [{"group": name, "corners": corners} for name, corners in zip("ab", TWO, strict=True)]
-    assert build.build(Scene(piece=[FALLING], wall=groups), 0).system.walls.plane is None
+    assert assembly.assemble_system(Scene(piece=[FALLING], wall=groups), 0).system.walls.plane is None
 
 
 def test_panels_of_a_plane_share_its_number():
     high = [[(x, y, 0.5) for x, y, _ in corners] for corners in TWO]
     walls = [{"group": name, "corners": c} for name, c in zip("aaaabb", [*TWO, *high, *TWO], strict=True)]
-    plane = np.asarray(build.build(Scene(piece=[FALLING], wall=walls), 0).system.walls.plane)
+    plane = np.asarray(assembly.assemble_system(Scene(piece=[FALLING], wall=walls), 0).system.walls.plane)
     assert plane[0] == plane[1] and plane[2] == plane[3] and plane[4] == plane[5]
     assert len(set(plane.tolist())) == 3 and plane.min() >= 0

@@ -5,7 +5,7 @@ import pytest
 
 from dem_jax import shapes
 from dem_jax.errors import SceneError
-from dem_jax.maths.pose import matrix_of_quaternion, quaternion_of_matrix
+from dem_jax.math.pose import matrix_to_quaternion, quaternion_to_matrix
 
 ROUNDING = 1e-12  # relative; sums of some tens of double-precision terms
 SINGLE = 2e-6  # relative; an STL keeps coordinates to 6e-8, volume and inertia multiply 3 to 5 of them
@@ -13,7 +13,7 @@ SINGLE = 2e-6  # relative; an STL keeps coordinates to 6e-8, volume and inertia 
 
 def rotation(seed):
     q = np.random.default_rng(seed).normal(size=4)
-    return matrix_of_quaternion(q / np.linalg.norm(q))
+    return quaternion_to_matrix(q / np.linalg.norm(q))
 
 
 def write_stl(path, vertices, faces, unit=1.0):
@@ -25,7 +25,7 @@ def write_stl(path, vertices, faces, unit=1.0):
 
 
 def inertia_in_body_frame(shape):
-    axes = matrix_of_quaternion(shape.principal)
+    axes = quaternion_to_matrix(shape.principal)
     return axes @ np.diag(shape.gyration) @ axes.T
 
 
@@ -42,7 +42,7 @@ def assert_sound(shape):
     assert np.linalg.norm(shape.normals, axis=1) == pytest.approx(1.0, rel=ROUNDING)
     sides = [{loop[i - 1], loop[i]} for loop in shape.faces for i in range(len(loop))]
     assert all(sides.count(set(edge)) == 2 for edge in shape.edges.tolist())
-    volume, centre, _ = shapes.mass_properties(shape.vertices, shape.faces)
+    volume, centre, _ = shapes.integrate_polyhedron(shape.vertices, shape.faces)
     assert volume == pytest.approx(shape.volume, rel=ROUNDING)
     assert np.abs(centre).max() < ROUNDING * size
     assert np.linalg.norm(shape.vertices, axis=1).max() == pytest.approx(size, rel=ROUNDING)
@@ -89,7 +89,7 @@ def test_a_regular_prism_has_its_closed_form_inertia(sides):
 def test_a_regular_tetrahedron_has_its_closed_form_inertia():
     corners = np.array([(1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)]) * 0.01
     edge = 0.02 * np.sqrt(2)
-    solid = shapes.hull(corners @ rotation(1).T + (0.3, -0.2, 0.1))
+    solid = shapes.convex_hull(corners @ rotation(1).T + (0.3, -0.2, 0.1))
     assert solid.volume == pytest.approx(edge**3 / (6 * np.sqrt(2)), rel=1e-11)  # 0.4 m off the origin: a digit lost
     np.testing.assert_allclose(solid.gyration, edge**2 / 20, rtol=1e-10)
     assert (len(solid.vertices), len(solid.faces), len(solid.edges), solid.generators) == (4, 4, 6, None)
@@ -137,7 +137,7 @@ def test_a_zonotope_is_the_sum_of_its_generators(shape):
 
 
 def test_only_zonotopes_have_generators():
-    octahedron = shapes.hull(np.concatenate([np.eye(3), -np.eye(3)]))  # its faces are triangles
+    octahedron = shapes.convex_hull(np.concatenate([np.eye(3), -np.eye(3)]))  # its faces are triangles
     assert octahedron.generators is None and len(octahedron.edge_directions) == 6
     assert shapes.prism(5, 1.0, 1.0).generators is None
     assert shapes.sphere(1.0).generators is None
@@ -150,7 +150,7 @@ def test_a_hull_finds_the_marshmallow_in_a_cloud_of_its_points_wherever_it_lies(
     middles = np.concatenate([[exact.vertices[list(loop)].mean(axis=0)] for loop in exact.faces])
     halves = exact.vertices[exact.edges].mean(axis=1)
     cloud = np.concatenate([exact.vertices, exact.vertices[:5], weights @ exact.vertices, middles, halves])
-    found = shapes.hull(cloud @ turn.T + move)
+    found = shapes.convex_hull(cloud @ turn.T + move)
     assert (len(found.vertices), len(found.faces), len(found.edges), len(found.edge_directions)) == (16, 10, 24, 5)
     assert found.volume == pytest.approx(exact.volume, rel=1e-11)  # points half a metre off lose one digit
     assert found.generators is not None
@@ -162,11 +162,11 @@ def test_a_hull_finds_the_marshmallow_in_a_cloud_of_its_points_wherever_it_lies(
 
 def test_the_inertia_of_a_hull_does_not_depend_on_how_it_is_turned():
     cloud = np.random.default_rng(5).normal(size=(40, 3)) * (0.03, 0.02, 0.01)
-    first = shapes.hull(cloud)
+    first = shapes.convex_hull(cloud)
     assert_sound(first)
     for seed in range(5):
         turn = rotation(seed)
-        other = shapes.hull(cloud @ turn.T)
+        other = shapes.convex_hull(cloud @ turn.T)
         assert other.volume == pytest.approx(first.volume, rel=ROUNDING)
         difference = inertia_in_body_frame(other) - turn @ inertia_in_body_frame(first) @ turn.T
         assert np.abs(difference).max() < ROUNDING * first.gyration.max()
@@ -174,7 +174,7 @@ def test_the_inertia_of_a_hull_does_not_depend_on_how_it_is_turned():
 
 
 def test_a_body_whose_axes_are_principal_has_no_rotation():
-    moved = shapes.hull(shapes.cuboid((3, 2, 1)).vertices + 7)
+    moved = shapes.convex_hull(shapes.cuboid((3, 2, 1)).vertices + 7)
     for shape in (shapes.prism(6, 0.01, 0.02), shapes.cylinder(0.01, 0.02), moved):
         np.testing.assert_array_equal(shape.principal, (1, 0, 0, 0))
 
@@ -182,12 +182,12 @@ def test_a_body_whose_axes_are_principal_has_no_rotation():
 def test_quaternions_and_matrices_are_inverse_to_each_other_up_to_half_turns():
     for seed in range(20):
         matrix = rotation(seed)
-        np.testing.assert_allclose(matrix_of_quaternion(quaternion_of_matrix(matrix)), matrix, atol=1e-14)
+        np.testing.assert_allclose(quaternion_to_matrix(matrix_to_quaternion(matrix)), matrix, atol=1e-14)
         assert np.linalg.det(matrix) == pytest.approx(1, rel=1e-14)
     for axis in np.eye(3):
         half_turn = 2 * np.outer(axis, axis) - np.eye(3)
-        np.testing.assert_allclose(matrix_of_quaternion(quaternion_of_matrix(half_turn)), half_turn, atol=1e-14)
-    quarter = matrix_of_quaternion([np.sqrt(0.5), 0, 0, np.sqrt(0.5)])
+        np.testing.assert_allclose(quaternion_to_matrix(matrix_to_quaternion(half_turn)), half_turn, atol=1e-14)
+    quarter = quaternion_to_matrix([np.sqrt(0.5), 0, 0, np.sqrt(0.5)])
     np.testing.assert_allclose(quarter @ [1, 0, 0], [0, 1, 0], atol=1e-15)
 
 
@@ -195,7 +195,7 @@ def test_an_stl_in_millimetres_gives_the_same_shape(tmp_path):
     exact = shapes.chamfered_cuboid()
     turn = rotation(6)
     path = write_stl(tmp_path / "piece.stl", exact.vertices @ turn.T + 0.1, exact.faces, unit=1e-3)
-    found = shapes.hull_of_stl(path, unit=1e-3)
+    found = shapes.read_hull_shape(path, unit=1e-3)
     assert (len(found.vertices), len(found.faces), len(found.edges), len(found.generators)) == (16, 10, 24, 5)
     assert found.volume == pytest.approx(exact.volume, rel=SINGLE)
     turned = turn @ np.diag(exact.gyration) @ turn.T
@@ -212,20 +212,20 @@ def test_a_finely_triangulated_stl_of_a_ball_keeps_its_own_exact_volume(tmp_path
 
     ball = trimesh.creation.icosphere(subdivisions=2, radius=0.01)
     ball.export(tmp_path / "ball.stl")
-    found = shapes.hull_of_stl(tmp_path / "ball.stl")
+    found = shapes.read_hull_shape(tmp_path / "ball.stl")
     assert (len(found.vertices), len(found.faces)) == (len(ball.vertices), len(ball.faces))
     assert found.volume == pytest.approx(ball.volume, rel=SINGLE)
     assert_sound(found)
 
 
 def test_scaling_goes_with_the_powers_of_length():
-    whole, small = shapes.chamfered_cuboid(), shapes.scaled(shapes.chamfered_cuboid(), 0.3)
+    whole, small = shapes.chamfered_cuboid(), shapes.scale_shape(shapes.chamfered_cuboid(), 0.3)
     direct = shapes.chamfered_cuboid((0.0165, 0.0069, 0.0048), 0.0015)
     assert small.volume == pytest.approx(0.027 * whole.volume, rel=ROUNDING)
     for field in ("vertices", "normals", "offsets", "gyration", "generators", "edge_directions"):
         np.testing.assert_allclose(getattr(small, field), getattr(direct, field), rtol=1e-11, atol=1e-15)
     assert small.bounding_radius == pytest.approx(direct.bounding_radius, rel=ROUNDING)
-    ball = shapes.scaled(shapes.sphere(0.01), 2.0)
+    ball = shapes.scale_shape(shapes.sphere(0.01), 2.0)
     assert ball.radius == 0.02 and ball.generators is None
     assert ball.volume == pytest.approx(shapes.sphere(0.02).volume, rel=ROUNDING)
 
@@ -237,16 +237,16 @@ def test_named_sizes():
     assert sizes.pop("cube-root-volume") == pytest.approx(26.89, abs=0.005)
     assert sizes == pytest.approx({"length": 55, "width": 23, "thickness": 16}, rel=ROUNDING)
     assert shapes.size_length(shapes.sphere(0.01)) == pytest.approx(0.02, rel=ROUNDING)
-    turned = shapes.hull(marshmallow.vertices @ rotation(7).T)
+    turned = shapes.convex_hull(marshmallow.vertices @ rotation(7).T)
     assert shapes.size_length(turned, "width") == pytest.approx(0.023, rel=1e-9)
 
 
 def test_the_drawn_surface_of_a_sphere_lies_on_it():
-    vertices, faces = shapes.surface(shapes.sphere(0.01))
+    vertices, faces = shapes.surface_mesh(shapes.sphere(0.01))
     np.testing.assert_allclose(np.linalg.norm(vertices, axis=1), 0.01, rtol=1e-12)
-    volume = shapes.mass_properties(vertices, faces)[0]
+    volume = shapes.integrate_polyhedron(vertices, faces)[0]
     assert 0.95 < volume / shapes.sphere(0.01).volume < 1.0  # 320 facets inside the sphere
-    assert shapes.surface(shapes.cuboid((1, 1, 1)))[1] == shapes.cuboid((1, 1, 1)).faces
+    assert shapes.surface_mesh(shapes.cuboid((1, 1, 1)))[1] == shapes.cuboid((1, 1, 1)).faces
 
 
 def l_shape():
@@ -260,22 +260,22 @@ def l_shape():
 def test_an_stl_that_is_no_convex_solid_is_refused_with_the_reason(tmp_path):
     box = shapes.cuboid((1, 1, 1))
     closed = write_stl(tmp_path / "closed.stl", box.vertices, box.faces)
-    assert shapes.hull_of_stl(closed).volume == pytest.approx(1, rel=SINGLE)
+    assert shapes.read_hull_shape(closed).volume == pytest.approx(1, rel=SINGLE)
     opened = write_stl(tmp_path / "open.stl", box.vertices, box.faces[1:])
     with pytest.raises(SceneError, match=r"open\.stl' is an open mesh: 4 edges .* at facets 3, 5, 7, 9 .*watertight"):
-        shapes.hull_of_stl(opened)
+        shapes.read_hull_shape(opened)
     bent = write_stl(tmp_path / "bent.stl", *l_shape())
     with pytest.raises(SceneError, match=r"not convex: its hull has 17 % more volume; at most 2 %"):  # 3.5 for 3
-        shapes.hull_of_stl(bent)
+        shapes.read_hull_shape(bent)
     with pytest.raises(SceneError, match=r"no\.stl': there is no such file"):
-        shapes.hull_of_stl(tmp_path / "no.stl")
+        shapes.read_hull_shape(tmp_path / "no.stl")
     for content in (b"", b"not a mesh", b"\0" * 84, b"solid nothing\nendsolid nothing\n"):
         (tmp_path / "bad.stl").write_bytes(content)
         with pytest.raises(SceneError, match=r"bad\.stl"):
-            shapes.hull_of_stl(tmp_path / "bad.stl")
+            shapes.read_hull_shape(tmp_path / "bad.stl")
     (tmp_path / "cut.stl").write_bytes(closed.read_bytes()[:300])
     with pytest.raises(SceneError, match=r"cut\.stl' holds no triangles .* cut short"):
-        shapes.hull_of_stl(tmp_path / "cut.stl")
+        shapes.read_hull_shape(tmp_path / "cut.stl")
 
 
 @pytest.mark.parametrize(
@@ -293,16 +293,16 @@ def test_an_stl_that_is_no_convex_solid_is_refused_with_the_reason(tmp_path):
         (lambda: shapes.prism(6.0, 1.0, 1.0), r"sides = 6\.0"),
         (lambda: shapes.prism(6, 1.0, -1.0), r"height = -1\.0"),
         (lambda: shapes.cylinder(float("inf"), 1.0), r"radius = inf"),
-        (lambda: shapes.scaled(shapes.sphere(1.0), 0), r"scale_factor = 0 must be a positive number"),
+        (lambda: shapes.scale_shape(shapes.sphere(1.0), 0), r"scale_factor = 0 must be a positive number"),
         (
             lambda: shapes.size_length(shapes.sphere(1.0), "girth"),
             r"stiffness_size = 'girth' is unknown; allowed: equivalent-dia",
         ),
-        (lambda: shapes.hull([(0, 0, 0), (1, 0, 0), (0, 1, 0)]), r"\[3, 3\] must be a list of at least 4"),
-        (lambda: shapes.hull([(0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1, 1e-9)]), r"must span a solid"),
-        (lambda: shapes.hull(np.zeros((5, 3))), r"must span a solid"),
-        (lambda: shapes.hull([(0, 0, 0), (1, 0, 0), (0, 1, np.nan), (1, 1, 1)]), r"points\[2\] must be finite"),
-        (lambda: shapes.hull([(0, 0), (1, 2)]), r"points of form \[2, 2\]"),
+        (lambda: shapes.convex_hull([(0, 0, 0), (1, 0, 0), (0, 1, 0)]), r"\[3, 3\] must be a list of at least 4"),
+        (lambda: shapes.convex_hull([(0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1, 1e-9)]), r"must span a solid"),
+        (lambda: shapes.convex_hull(np.zeros((5, 3))), r"must span a solid"),
+        (lambda: shapes.convex_hull([(0, 0, 0), (1, 0, 0), (0, 1, np.nan), (1, 1, 1)]), r"points\[2\] must be finite"),
+        (lambda: shapes.convex_hull([(0, 0), (1, 2)]), r"points of form \[2, 2\]"),
     ],
 )
 def test_bad_sizes_are_refused_by_key_and_value(make, message):
@@ -315,13 +315,13 @@ def test_a_hull_of_two_thousand_facets_has_the_combinatorics_of_a_triangulated_s
     """Points evenly on a sphere (a golden spiral): every facet is a triangle, so that F = 2 V - 4 and E = 3 V - 6."""
     z, turn = 1 - (2 * np.arange(1002) + 1) / 1002, np.pi * (3 - np.sqrt(5)) * np.arange(1002)
     ring = np.sqrt(1 - z * z)
-    found = shapes.hull(0.01 * np.stack([ring * np.cos(turn), ring * np.sin(turn), z], axis=1))
+    found = shapes.convex_hull(0.01 * np.stack([ring * np.cos(turn), ring * np.sin(turn), z], axis=1))
     assert (len(found.vertices), len(found.faces), len(found.edges)) == (1002, 2000, 3000)
     assert found.generators is None
     assert_sound(found)
 
 
 def test_parallel_edges_of_a_many_sided_prism_share_a_direction():
-    solid = shapes.hull(shapes.cylinder(0.01, 0.03, 400).vertices @ rotation(2).T)
+    solid = shapes.convex_hull(shapes.cylinder(0.01, 0.03, 400).vertices @ rotation(2).T)
     assert (len(solid.vertices), len(solid.faces), len(solid.edges)) == (800, 402, 1200)
     assert len(solid.edge_directions) == len(solid.generators) == 201

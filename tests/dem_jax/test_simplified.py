@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from dem_jax import Scene, build, load_scene, shapes
-from dem_jax.build import self_contained
+from dem_jax import Scene, assembly, load_scene, shapes
+from dem_jax.assembly import inline_files
 from dem_jax.errors import SceneError
 
 EXTENT = np.array([0.0275, 0.015, 0.010])  # m
@@ -24,7 +24,7 @@ def stl(tmp_path_factory):
 
 
 def test_a_hull_of_thousands_of_corners_is_the_body_of_its_points():
-    shape = shapes.hull(ellipsoid(3000))
+    shape = shapes.convex_hull(ellipsoid(3000))
     assert len(shape.vertices) == 3000
     assert len(shape.vertices) - len(shape.edges) + len(shape.faces) == 2
     assert shape.volume == pytest.approx(4 / 3 * np.pi * EXTENT.prod(), rel=5e-3)
@@ -33,9 +33,9 @@ def test_a_hull_of_thousands_of_corners_is_the_body_of_its_points():
 
 def test_a_simplified_hull_has_the_volume_the_centre_and_nearly_the_inertia_of_the_whole():
     points = ellipsoid(700) + (0.1, -0.2, 0.3)
-    whole = shapes.placed_hull(points)
-    found = shapes.simplified(points, 128)
-    few, centre = shapes.placed_hull(found.points)
+    whole = shapes.hull_and_centre(points)
+    found = shapes.simplify_hull(points, 128)
+    few, centre = shapes.hull_and_centre(found.points)
     assert len(found.points) == len(few.vertices) == 128 and found.before == 700
     assert few.volume == pytest.approx(whole[0].volume, rel=1e-12)
     np.testing.assert_allclose(centre, whole[1], atol=1e-12)
@@ -51,28 +51,28 @@ def test_a_simplified_hull_has_the_volume_the_centre_and_nearly_the_inertia_of_t
 
 def test_more_corners_are_nearer_to_the_whole():
     points = ellipsoid(700)
-    distance = [shapes.simplified(points, most).distance for most in (32, 128, 512)]
+    distance = [shapes.simplify_hull(points, most).distance for most in (32, 128, 512)]
     assert distance[0] > 3 * distance[1] > 9 * distance[2]
 
 
 def test_a_flat_base_stays_flat():
     around = np.linspace(0, 2 * np.pi, 300, endpoint=False)
     cone = np.vstack([np.c_[0.01 * np.cos(around), 0.01 * np.sin(around), 0 * around], [[0, 0, 0.03]]])
-    found = shapes.hull(shapes.simplified(cone, 64).points)
+    found = shapes.convex_hull(shapes.simplify_hull(cone, 64).points)
     assert sorted(len(face) for face in found.faces)[-1] == 63
 
 
 def test_a_scene_says_what_simplifying_changed_and_may_ask_for_all_corners(stl):
     few = Scene(portion={"shape": "hull", "stl": str(stl), "unit": 1e-3, "target_weight": 0.05})
-    contained = self_contained(few)
+    contained = inline_files(few)
     assert len(contained.portion.points) == 128
     assert "265 corners simplified to 128: nowhere further off than 0." in contained.portion.note
     assert contained.portion.note.startswith(str(stl))
-    assert self_contained(contained) == contained  # once
+    assert inline_files(contained) == contained  # once
     all_of_them = few.replace(portion={"max_corners": 300})
-    assert len(self_contained(all_of_them).portion.points) == 265
-    assert self_contained(all_of_them).portion.note is None
-    made = [build.pieces.goods_of(scene).shapes[0] for scene in (few, contained, all_of_them)]
+    assert len(inline_files(all_of_them).portion.points) == 265
+    assert inline_files(all_of_them).portion.note is None
+    made = [assembly.piece_arrays.build_piece_set(scene).shapes[0] for scene in (few, contained, all_of_them)]
     assert [len(shape.vertices) for shape in made] == [128, 128, 265]
     assert made[0].volume == pytest.approx(made[2].volume, rel=1e-6)
 
@@ -80,14 +80,14 @@ def test_a_scene_says_what_simplifying_changed_and_may_ask_for_all_corners(stl):
 def test_parts_of_a_compound_are_simplified_too_and_named(stl):
     part = {"shape": "hull", "stl": str(stl), "unit": 1e-3}
     other = {"shape": "cuboid", "size": (0.01, 0.01, 0.03), "position": (0.0, 0.0, 0.0)}
-    row = self_contained(Scene(portion={"shape": "compound", "part": [part, other]})).portion
+    row = inline_files(Scene(portion={"shape": "compound", "part": [part, other]})).portion
     assert row.note.startswith("part.0: hull of 265 corners simplified to 128")
     assert len(row.part[0].points) == 128
 
 
 def test_max_corners_is_a_key_of_hulls_alone_and_not_too_small():
     with pytest.raises(SceneError, match="portion.max_corners = 20: not a key of shape 'cuboid'"):
-        build.build(Scene(portion={"shape": "cuboid", "size": (0.01, 0.01, 0.01), "max_corners": 20}))
+        assembly.assemble_system(Scene(portion={"shape": "cuboid", "size": (0.01, 0.01, 0.01), "max_corners": 20}))
     with pytest.raises(SceneError, match="portion.max_corners = 5: "):
         load_scene("weigh-bucket").replace(portion={"shape": "hull", "points": ellipsoid(20).tolist(), "max_corners": 5})
 
@@ -97,6 +97,6 @@ def test_a_box_whose_corners_are_noisy_has_six_faces(noise):
     random = np.random.default_rng(2)
     mesh = trimesh.creation.box((0.03, 0.02, 0.01)).subdivide().subdivide().subdivide()
     points = mesh.vertices.astype(np.float32) + noise * random.normal(size=mesh.vertices.shape)
-    shape = shapes.hull(points)
+    shape = shapes.convex_hull(points)
     assert len(shape.faces) == 6 and len(shape.vertices) == 8
     assert shape.volume == pytest.approx(6e-6, rel=1e-5)

@@ -11,13 +11,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dem_jax import build
-from dem_jax.build.typed import typed
-from dem_jax.contact.motion import Hinge, Vibration
-from dem_jax.drive.prepare import SLOT_BLOCK
-from dem_jax.pairs import guard, neighbours
+from dem_jax import assembly
+from dem_jax.assembly.dtype_cast import cast_tree
+from dem_jax.broad_phase import neighbour_list, overflow_recovery
+from dem_jax.dynamics import stepping
+from dem_jax.runner.job_setup import SLOT_BLOCK
 from dem_jax.scene import Motion, Scene
-from dem_jax.step import stepping
+from dem_jax.walls.motion import Hinge, Vibration
 
 SAMPLES = 150  # of 30 us
 ROUNDING = 1e-9  # of the largest force: rounding of 1e-16, which collisions enlarge
@@ -52,16 +52,16 @@ def scene(pieces=THROWN, panels=(), **sections):
 def traced(made, frames=0, **choices):
     """Samples of a scene that was built, with some of the system's fields replaced."""
     system = made.system.replace(**choices)
-    state = guard.with_scratch(system, made.state.replace(contacts=neighbours.no_contacts(system)))
-    state, rows, _ = stepping.chunk(system, state, np.int32(SAMPLES), np.int32(50), samples=SAMPLES, frames=frames)
-    assert not guard.outgrown(system, jax.device_get(state.guard))
+    state = overflow_recovery.with_empty_scratch(system, made.state.replace(contacts=neighbour_list.init_contact_tables(system)))
+    state, rows, _ = stepping.run_compiled_chunk(system, state, np.int32(SAMPLES), np.int32(50), samples=SAMPLES, frames=frames)
+    assert not overflow_recovery.describe_overflow(system, jax.device_get(state.guard))
     return jax.device_get(rows)
 
 
 @cache
 def built(friction=True, balls=False):
     material = {} if friction else {"friction_piece": 0.0, "friction_wall": 0.0}
-    return build.build(scene(BALLS if balls else THROWN, material=material), 0)
+    return assembly.assemble_system(scene(BALLS if balls else THROWN, material=material), 0)
 
 
 @cache
@@ -92,9 +92,9 @@ def moving_by_nothing(made):
     """The walls of a system, with motions that lead nowhere."""
     walls = made.system.walls
     idle = [Motion(group=group) for group in walls.groups]
-    motions = tuple(kind.of(idle) for kind in (Hinge, Vibration))
-    moved = walls.replace(motions=typed(motions, walls.pivot.dtype))
-    assert moved.moving and not walls.moving
+    motions = tuple(kind.from_sections(idle) for kind in (Hinge, Vibration))
+    moved = walls.replace(motions=cast_tree(motions, walls.pivot.dtype))
+    assert moved.has_motion and not walls.has_motion
     return moved
 
 
@@ -115,7 +115,7 @@ def with_seams(pieces=THROWN, **sections):
     """The scene with two panels more, in one plane below the floor, which bring in the computation of seams."""
     x, z = 0.5 * SIZE, -0.3
     far = [[(a, -x, z), (a + x, -x, z), (a + x, x, z), (a, x, z)] for a in (-x, 0.0)]
-    return build.build(scene(pieces, panels=[("far", corners) for corners in far], **sections), 0)
+    return assembly.assemble_system(scene(pieces, panels=[("far", corners) for corners in far], **sections), 0)
 
 
 def smooth(made):
@@ -128,7 +128,7 @@ def test_all_at_once(balls):
     """As the driver runs a scene without friction on a CPU, and with all computed of which none is needed there."""
     made = built(friction=False, balls=balls)
     system = made.system
-    assert system.materials.friction is None and system.law.damping is None and system.alike and not system.walls.moving
+    assert system.materials.friction is None and system.law.damping is None and system.alike and not system.walls.has_motion
     assert system.has_rotation != balls and system.block_steps > 1
     least = traced(made, ledger=False, slot_block=SLOT_BLOCK)
     full = with_seams(BALLS if balls else THROWN, material={"friction_piece": 0.0, "friction_wall": 0.0})

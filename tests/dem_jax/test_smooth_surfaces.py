@@ -6,13 +6,13 @@ import trimesh
 from scipy.spatial import HalfspaceIntersection
 
 import dem_jax
-from dem_jax import build
-from dem_jax.build.surfaces import count_surfaces, find_surfaces
-from dem_jax.build.walls import describe_surfaces
-from dem_jax.contact.motion.cubics import cubics
+from dem_jax import assembly
+from dem_jax.assembly.panel_surfaces import count_surfaces, find_surfaces
+from dem_jax.assembly.wall_panels import describe_surfaces
 from dem_jax.scene import Scene
 from dem_jax.validation import CellImpact
 from dem_jax.validation.normal import NormalImpact
+from dem_jax.walls.motion.hermite_cubics import fit_hermite_cubics
 
 RADIUS = 0.06  # m, of the troughs and drums
 BALL = {"shape": "sphere", "radius": 0.015, "position": (0.0, 0.0, 0.0154), "velocity": (0.0, 0.0, -1.0)}
@@ -51,7 +51,7 @@ def landed(panels, piece, **settings):
 @pytest.fixture(scope="module")
 def impact():
     """The closed form of an impact of the ball on a plane."""
-    made = build.build(scene_of([rounded(1, 1, 90.0)[0]], BALL), 0)
+    made = assembly.assemble_system(scene_of([rounded(1, 1, 90.0)[0]], BALL), 0)
     table, mass = made.system.materials, float(made.system.pieces.mass[0])
     moduli = np.asarray(table.youngs_modulus, float)
     size = float(made.system.pieces.size[0])
@@ -103,8 +103,8 @@ def test_a_true_edge_stays_two_contacts(impact):
     peak, _ = landed(folded(14.0), {**BALL, "position": (0.0, 0.0, 0.0158)})
     assert peak == pytest.approx(np.sqrt(2) * impact.peak_force, rel=0.02)
     scene = scene_of(folded(14.0), BALL)
-    assert not build.build(scene, 0).system.walls.is_bent
-    assert build.build(scene.replace(contact={"smooth_angle_deg": 30.0}), 0).system.walls.is_bent
+    assert not assembly.assemble_system(scene, 0).system.walls.is_bent
+    assert assembly.assemble_system(scene.replace(contact={"smooth_angle_deg": 30.0}), 0).system.walls.is_bent
 
 
 @pytest.mark.parametrize("sign", [1, pytest.param(-1, marks=pytest.mark.long)], ids=["trough", "drum"])
@@ -220,7 +220,7 @@ def test_a_trough_that_accelerates_exerts_the_forces_of_gravity():
     rate, end = np.array([30.0, 10.0, 100.0]), 0.01
     times, way = (0.0, end, 1.2 * end, 2 * end), 0.5 * end**2
     ways = (0.0, way, 2.1 * way, 2.1 * way)  # with these slopes at its ends the first cubic is a parabola
-    assert cubics(times, ways)[:, 0] == pytest.approx([0.0, 0.5, 0.0, 0.0], abs=1e-9)
+    assert fit_hermite_cubics(times, ways)[:, 0] == pytest.approx([0.0, 0.5, 0.0, 0.0], abs=1e-9)
     motion = [{"group": "plate", "times": times, "ways": [tuple(rate * w) for w in ways]}]
     still = [{"group": "plate", "times": times, "ways": [(0.0, 0.0, 0.0)] * 4}]
     weight = tuple(np.array([0.0, 0.0, -9.81]) - rate)
@@ -244,7 +244,7 @@ def test_a_sphere_in_a_trough_on_a_load_cell_is_two_masses_on_springs(impact, fa
     low = {**BALL, "position": (0.0, 0.0, BALL["radius"] + lowest + 1e-9)}
     found = dem_jax.simulate(Scene(piece=[low], weigh_bucket=bucket, run=run, material=material))
     case = CellImpact(impact.mass, impact.stiffness, cell["mass"], cell["stiffness"], 0.0, 9.81)
-    u, x, *_ = case.motion((0.0, 0.0, 1.0, 0.0), np.asarray(found.time))
+    u, x, *_ = case.contact_motion((0.0, 0.0, 1.0, 0.0), np.asarray(found.time))
     touching = np.cumprod(u >= x).astype(bool)
     assert np.abs(found.peak_force["wb_flaps"]).max() == pytest.approx(case.contact * (u - x)[touching].max(), rel=2e-3)
     deflection = np.asarray(found.load_cell["deflection"])

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from dem_jax import build, shapes
+from dem_jax import assembly, shapes
 from dem_jax.errors import SceneError
-from dem_jax.maths.pose import matrix_of_quaternion
-from dem_jax.scene import load_scene, parse
+from dem_jax.math.pose import quaternion_to_matrix
+from dem_jax.scene import load_scene, parse_scene
 
 SINGLE = 2e-6  # relative; an STL keeps coordinates to 6e-8, volume and inertia multiply 3 to 5 of them
 
@@ -166,21 +166,21 @@ def test_a_scan_with_noise_is_told_the_key_and_the_value_that_take_it(tmp_path):
     facets = (rough.vertices * noise * (10, 7, 5))[rough.faces]
     path = write(tmp_path / "body.stl", facets)
     with pytest.raises(SceneError, match=r"hull has 2\.\d % more volume; .* hull_tolerance = 0\.0\d+ takes its hull") as caught:
-        shapes.hull_of_stl(path)
+        shapes.read_hull_shape(path)
     value = float(re.search(r"hull_tolerance = ([\d.]+) takes", str(caught.value)).group(1))
-    assert shapes.hull_of_stl(path, tolerance=value).volume == pytest.approx(shapes.read_body(path).mass.volume, rel=SINGLE)
+    assert shapes.read_hull_shape(path, tolerance=value).volume == pytest.approx(shapes.read_body(path).mass.volume, rel=SINGLE)
 
 
 def test_no_tolerance_is_named_that_a_scene_cannot_set(tmp_path):
     """Three bars of 20 x 2 x 2 through each other: 20^3 less the corners of the hull, for 3 * 80 - 2 * 8."""
     bars = [box(np.roll((20, 2, 2), k)) for k in range(3)]
     with pytest.raises(SceneError, match=r'\(hull_tolerance\); shape = "decomposed" cuts it into convex parts$'):
-        shapes.hull_of_stl(write(tmp_path / "body.stl", *bars))
+        shapes.read_hull_shape(write(tmp_path / "body.stl", *bars))
 
 
 def test_a_hollow_cube_is_a_hull_with_the_inertia_of_what_is_there(tmp_path):
     """Cube of edge a with a cavity of edge b: inertia over mass (a^5 - b^5) / (6 (a^3 - b^3))."""
-    found = shapes.hull_of_stl(write(tmp_path / "body.stl", BIG, SMALL[:, ::-1]))
+    found = shapes.read_hull_shape(write(tmp_path / "body.stl", BIG, SMALL[:, ::-1]))
     assert found.volume == pytest.approx(26000, rel=SINGLE)
     np.testing.assert_allclose(found.gyration, (30**5 - 10**5) / (6 * 26000), rtol=SINGLE)
     np.testing.assert_allclose(np.ptp(found.vertices, axis=0), 30.0, rtol=SINGLE)
@@ -189,7 +189,7 @@ def test_a_hollow_cube_is_a_hull_with_the_inertia_of_what_is_there(tmp_path):
 def test_overlapping_boxes_are_no_hull(tmp_path):
     path = write(tmp_path / "body.stl", *UNITED[0][0])  # an L: its hull has 3500 for 3000, the sum of both is 4000
     with pytest.raises(SceneError, match=r"not convex: its hull has 17 % more volume; at most 2 % .*hull_tolerance"):
-        shapes.hull_of_stl(path)
+        shapes.read_hull_shape(path)
 
 
 def dimpled():
@@ -205,14 +205,14 @@ def test_a_nearly_convex_mesh_is_a_hull_with_the_mass_properties_of_the_mesh(tmp
     """A cube less a pyramid: volume 8000 - 200, centre of mass by moments, inertia about z (a^5/6 - h b^4/30) / volume."""
     path = write(tmp_path / "dimple.stl", dimpled())
     with pytest.raises(SceneError, match=r"its hull has 2\.6 % more volume; at most 2 % is allowed \(hull_tolerance\)"):
-        shapes.hull_of_stl(path)
+        shapes.read_hull_shape(path)
     found = shapes.read_hull(path, tolerance=0.03)
     assert found.notes == ("its convex hull, with 2.6 % more volume, touches others; mass and inertia are the mesh's",)
-    shape = shapes.hull_of_stl(path, tolerance=0.03)
+    shape = shapes.read_hull_shape(path, tolerance=0.03)
     centre = -200 * (10 - 1.5 / 4) / 7800  # z of the mesh; of the cube 0
     assert shape.volume == pytest.approx(7800, rel=SINGLE)
     assert shape.vertices[:, 2].max() == pytest.approx(10 - centre, rel=SINGLE)
-    axes = matrix_of_quaternion(shape.principal)
+    axes = quaternion_to_matrix(shape.principal)
     inertia = axes @ np.diag(shape.gyration) @ axes.T
     assert inertia[2, 2] == pytest.approx((20**5 / 6 - 1.5 * 20**4 / 30) / 7800, rel=SINGLE)
 
@@ -220,12 +220,12 @@ def test_a_nearly_convex_mesh_is_a_hull_with_the_mass_properties_of_the_mesh(tmp
 def test_a_nearly_convex_piece_keeps_the_mass_asked_also_in_its_own_file(tmp_path):
     write(tmp_path / "dimple.stl", dimpled())
     rows = '[[piece]]\nshape = "hull"\nstl = "dimple.stl"\nunit = 1e-3\nhull_tolerance = 0.03\nposition = [0, 0, 0.1]\n'
-    scene = load_scene("plate-drop").replace(piece=[parse(rows).piece[0].model_dump()], folder=str(tmp_path))
+    scene = load_scene("plate-drop").replace(piece=[parse_scene(rows).piece[0].model_dump()], folder=str(tmp_path))
     asked = scene.replace(piece=[scene.piece[0].model_dump() | {"piece_weight": 0.012}])
     for given, mass in ((scene, 300 * 7.8e-6), (asked, 0.012)):
-        kept = parse(build.self_contained(given).to_toml())
+        kept = parse_scene(assembly.inline_files(given).to_toml())
         assert kept.piece[0].stl is None and "2.6 % more volume" in kept.piece[0].note
-        made = [build.build(each).system.pieces for each in (given, kept)]
+        made = [assembly.assemble_system(each).system.pieces for each in (given, kept)]
         for pieces in made:
             assert float(pieces.mass[0]) == pytest.approx(mass, rel=SINGLE)
         np.testing.assert_allclose(made[0].inertia, made[1].inertia, rtol=1e-6)  # single precision
@@ -242,7 +242,7 @@ def test_keys_of_a_hull_that_cannot_act_are_refused(tmp_path):
     ):
         scene = load_scene("plate-drop").replace(piece=[{"shape": "hull", "position": (0, 0, 99), **keys}])
         with pytest.raises(SceneError, match=message):
-            build.pieces.make_shape(scene.piece[0], tmp_path)
+            assembly.piece_arrays.make_shape(scene.piece[0], tmp_path)
 
 
 def test_what_was_mended_is_said_by_scenes(tmp_path, capsys):

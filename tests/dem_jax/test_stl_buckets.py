@@ -5,12 +5,12 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from dem_jax import build
-from dem_jax.build.walls import panels_of, walls_of
+from dem_jax import assembly
+from dem_jax.assembly.wall_panels import lay_out_walls, list_wall_panels
 from dem_jax.errors import SceneError
-from dem_jax.scene import Bucket, Wall, buckets, described, load_scene, parse
-from dem_jax.scene.materials import materials_of_groups
-from dem_jax.show.summary import notes_on_walls
+from dem_jax.scene import Bucket, Wall, bucket_geometry, describe_scene, load_scene, parse_scene
+from dem_jax.scene.material_properties import map_group_materials
+from dem_jax.visualization.summary import list_wall_notes
 
 SIZES = {"mouth": (0.15, 0.11), "wall_height": 0.12, "flap_angle_deg": 50.0, "lap": 0.0}
 TURN, WAY = (90.0, 0.0, 30.0), (0.3, -0.2, 0.0)  # by which a file is turned, then moved, to be the bucket
@@ -18,7 +18,7 @@ TURN, WAY = (90.0, 0.0, 30.0), (0.3, -0.2, 0.0)  # by which a file is turned, th
 
 @pytest.fixture(scope="module")
 def parts():
-    return buckets.parts(Bucket(**SIZES), "wb", 0.0)
+    return bucket_geometry.build_bucket_parts(Bucket(**SIZES), "wb", 0.0)
 
 
 def written(path, panels):
@@ -60,7 +60,7 @@ def test_a_bucket_of_stl_files_is_that_of_its_sizes(parts, files):
     own = placed(stl=walls, flap_stl=(left, right), opening_angle_deg=65.0)
     shut = own | {"opening_angle_deg": 0.0}
     scene = load_scene("quick-release").replace(weigh_bucket=shut, feed_bucket=own, drop={"height": 0.3})
-    panels, motions, joint, blocks, regions = walls_of(scene)
+    panels, motions, joint, blocks, regions = lay_out_walls(scene)
     found = [p for p in panels if p[0].startswith("wb")]
     assert sorted(group for group, *_ in found) == sorted(group for group, *_ in parts.panels)
     np.testing.assert_allclose(in_order(found), in_order(parts.panels), atol=5e-8)  # an STL is of single precision
@@ -78,53 +78,53 @@ def test_a_bucket_of_stl_files_is_that_of_its_sizes(parts, files):
 def test_a_bucket_of_one_file_is_held_shut_and_all_of_it_is_weighed(parts, files):
     cell = {"load_cell": {"mass": 1.2}}
     scene = load_scene("quick-release").replace(weigh_bucket=placed(stl=files[-1], move=(0.3, -0.2, 0.05)) | cell)
-    panels, motions, _, blocks, _ = walls_of(scene)
+    panels, motions, _, blocks, _ = lay_out_walls(scene)
     own = [p for p in panels if p[0] == "wb_flaps"]
     lifted = [(group, corners + [0, 0, 0.05], t) for group, corners, t in parts.panels]
     assert len(own) == 6 and [row.group for row in motions] == ["fb_flap_left", "fb_flap_right"]
     np.testing.assert_allclose(in_order(own), in_order(lifted), atol=5e-8)
-    walls = build.build(scene).system.walls
+    walls = assembly.assemble_system(scene).system.walls
     assert dict(zip(walls.groups, np.asarray(walls.load_cell.groups), strict=True))["wb_flaps"] == 1.0
-    assert materials_of_groups(scene).keys() == {"wb_flaps", "fb_walls", "fb_flap_left", "fb_flap_right"}
+    assert map_group_materials(scene).keys() == {"wb_flaps", "fb_walls", "fb_flap_left", "fb_flap_right"}
 
 
 def test_what_was_read_goes_with_the_scene(files):
     """A stored scene needs its files no more, and says what they were."""
     walls, left, right, _ = files
     scene = load_scene("quick-release").replace(feed_bucket=placed(stl=walls, flap_stl=(left, right)))
-    alone = parse(build.self_contained(scene).to_toml())
+    alone = parse_scene(assembly.inline_files(scene).to_toml())
     assert alone.feed_bucket.stl is None and "walls.stl: 8 facets, 4 panels" in alone.feed_bucket.note
-    assert in_order(walls_of(alone)[0]) == in_order(walls_of(scene)[0])
-    assert parse(described(alone)) == alone
-    (said,) = notes_on_walls(scene)
-    assert said == f"feed_bucket: {alone.feed_bucket.note}" and notes_on_walls(alone) == [said]
+    assert in_order(lay_out_walls(alone)[0]) == in_order(lay_out_walls(scene)[0])
+    assert parse_scene(describe_scene(alone)) == alone
+    (said,) = list_wall_notes(scene)
+    assert said == f"feed_bucket: {alone.feed_bucket.note}" and list_wall_notes(alone) == [said]
 
 
 def test_a_feeder_of_an_stl_is_that_of_its_sizes(tmp_path):
     """Wherever the file has it: panels, motion, block and the room in which pieces begin; moved on by ``move``."""
     station = load_scene("weighing-station").replace(feeder={"tilt_deg": 8.0, "overhang": 0.01})
-    expected = walls_of(station)
+    expected = lay_out_walls(station)
     pan = [corners - [0.2, 0.1, -0.3] for group, corners, _ in expected[0] if group == "lf"]
     keys = placed(stl=written(tmp_path / "pan.stl", pan), move=(0.0, -0.1, 0.0))
     own = station.replace(feeder=keys)
-    panels, motions, _, blocks, regions = walls_of(own)
+    panels, motions, _, blocks, regions = lay_out_walls(own)
     of = lambda rows: [row for row in rows if row[0] == "lf"]  # noqa: E731
     np.testing.assert_allclose(in_order(of(panels)), in_order(of(expected[0])), atol=1e-7)
     assert motions == expected[1]
     assert [block.name for block in blocks] == ["wb", "fb", "lf"]
     np.testing.assert_allclose([blocks[-1].low, blocks[-1].high], [expected[3][-1].low, expected[3][-1].high], atol=1e-3)
     np.testing.assert_allclose(regions[-1], expected[4][-1], atol=1e-3)
-    moved = walls_of(own.replace({"feeder.move": (0.02, -0.1, 0.03)}))[0]
+    moved = lay_out_walls(own.replace({"feeder.move": (0.02, -0.1, 0.03)}))[0]
     np.testing.assert_allclose(in_order(of(moved)), np.add(in_order(of(panels)), [0.02, 0.0, 0.03]), atol=1e-7)
-    alone = parse(build.self_contained(own).to_toml())
+    alone = parse_scene(assembly.inline_files(own).to_toml())
     assert alone.feeder.stl is None and "pan.stl: 8 facets, 4 panels" in alone.feeder.note
-    assert in_order(walls_of(alone)[0]) == in_order(panels)
+    assert in_order(lay_out_walls(alone)[0]) == in_order(panels)
 
 
 def test_a_wall_of_an_stl_is_turned_and_moved(tmp_path):
     trimesh.Trimesh([[0, 0, 0], [10, 0, 0], [0, 10, 0]], [[0, 1, 2]]).export(tmp_path / "a.stl")
     wall = Wall(group="a", stl="a.stl", unit=1e-3, rotate_deg=(0.0, 0.0, 90.0), move=(0.0, 0.0, 0.5))
-    ((_, corners, _),) = panels_of(wall, tmp_path)
+    ((_, corners, _),) = list_wall_panels(wall, tmp_path)
     expected = np.array([[0.0, 0.0, 0.5], [0.0, 0.01, 0.5], [-0.01, 0.0, 0.5]])
     assert max(np.abs(expected - corner).sum(axis=1).min() for corner in corners) < 1e-12
 
@@ -141,9 +141,9 @@ def test_a_wall_of_an_stl_is_turned_and_moved(tmp_path):
 )
 def test_a_mistake_is_one_clear_line(changes, said):
     with pytest.raises(SceneError, match=said):
-        walls_of(load_scene("quick-release", changes))
+        lay_out_walls(load_scene("quick-release", changes))
 
 
 def test_a_bucket_in_mm_taken_for_m_is_asked_about(files):
     with pytest.raises(SceneError, match=r"whole\.stl' is .* m large; allowed: unit = 1e-3 if it is in mm"):
-        walls_of(load_scene("quick-release", {"weigh_bucket.stl": files[-1]}))
+        lay_out_walls(load_scene("quick-release", {"weigh_bucket.stl": files[-1]}))

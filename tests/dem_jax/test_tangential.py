@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dem_jax import build, validation
-from dem_jax.contact.law import friction as friction_law
+from dem_jax import assembly, validation
+from dem_jax.contact_laws import friction as friction_law
 from dem_jax.validation import ObliqueImpact
 
 RADIUS = 0.01  # m
@@ -22,7 +22,7 @@ def built(softening, gravity):
     scene = validation.plate_scene(
         {"shape": "sphere", "radius": RADIUS}, (0.0, 0.0, -gravity), softening=softening, separation=0.0
     )
-    return build.build(scene)
+    return assembly.assemble_system(scene)
 
 
 @jax.jit
@@ -31,15 +31,15 @@ def run(system, state, rows):
 
     def one(dt, epsilon, friction, tangential, gap, along, normal, spin):
         zero = jnp.zeros_like(dt)
-        changed = validation.lasting(system).replace(dt=dt, law=system.law.replace(tangential=tangential))
+        changed = validation.with_permanent_pairs(system).replace(dt=dt, law=system.law.replace(tangential=tangential))
         changed = validation.with_friction(validation.with_restitution(changed, epsilon), friction)
         inertia = system.pieces.inertia[1, 0]
-        start = state.moved(
+        start = state.replace_motion(
             position=jnp.stack([zero, zero, RADIUS + gap])[:, None],
             velocity=jnp.stack([along, zero, normal])[:, None],
             angular_momentum=jnp.stack([zero, inertia * spin, zero])[:, None],
         )
-        return validation.trace(changed, start, 4096, validation.motion)[1]
+        return validation.trace_motion(changed, start, 4096, validation.read_motion)[1]
 
     return jax.vmap(one)(*rows.T)
 
@@ -70,7 +70,7 @@ def test_gross_sliding():
     for row, v, w, n in zip(rows, along, surface, normal, strict=True):
         exact = ObliqueImpact(row[0], row[1], row[2])
         sign = np.sign(row[3])
-        v_exact, w_exact = exact.sliding(NORMAL, sign * row[3], sign * row[4])
+        v_exact, w_exact = exact.sliding_speeds(NORMAL, sign * row[3], sign * row[4])
         assert abs(sign * v - v_exact) < 1e-5 * NORMAL  # 0.25 / (epsilon N)^2
         assert abs(sign * w - w_exact) < 3e-5 * NORMAL  # and the arm
         assert abs(sign * (row[3] - v) - row[1] * (n + NORMAL)) < 1e-12 * NORMAL

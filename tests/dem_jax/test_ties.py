@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dem_jax import build, shapes, validation
-from dem_jax.build import hulls as tables
-from dem_jax.contact import collide, hulls, ties
+from dem_jax import assembly, shapes, validation
+from dem_jax.assembly import hull_table as tables
+from dem_jax.narrow_phase import collision_primitives, hull_lookup, tied_axes
 from dem_jax.scene import load_scene
 
 SIDE, SPEED, GAP, MU = 0.02, 1.0, 1e-5, 0.5  # m, m/s, m, -
@@ -30,14 +30,14 @@ PAIRS = {
 
 
 def tied(one, other, offset, dtype):
-    """``ties.normal_of`` of two cubes, in world axes."""
-    table = jax.tree.map(jnp.asarray, tables.table([shapes.cuboid((SIDE,) * 3)], dtype))
-    cube = hulls.with_faces(hulls.gather(table, np.array([0]), False), table)
+    """``tied_axes.blend_tied_normals`` of two cubes, in world axes."""
+    table = jax.tree.map(jnp.asarray, tables.build_hull_table([shapes.cuboid((SIDE,) * 3)], dtype))
+    cube = hull_lookup.attach_face_loops(hull_lookup.gather_hulls(table, np.array([0]), False), table)
     turn, shift = one.inv() * other, one.inv().apply(offset)
     rows = tuple(tuple(jnp.asarray([c], dtype) for c in row) for row in turn.as_matrix())
-    rel = collide.Relative(rows, tuple(jnp.asarray([c], dtype) for c in shift))
-    depth = collide.separating_axes(cube, cube, rel)[0]
-    is_tie, normal, along = ties.normal_of(collide.tied_axes(cube, cube, rel), depth)
+    rel = collision_primitives.RelativePose(rows, tuple(jnp.asarray([c], dtype) for c in shift))
+    depth = collision_primitives.separating_axes(cube, cube, rel)[0]
+    is_tie, normal, along = tied_axes.blend_tied_normals(collision_primitives.list_zonotope_axes(cube, cube, rel), depth)
     return bool(is_tie[0]), one.apply([float(c[0]) for c in normal]), float(along[0]), float(depth[0])
 
 
@@ -79,14 +79,14 @@ def test_cubes_that_meet_head_on_leave_as_they_came():
             "run.precision": "f64",
         }
     )
-    made = build.build(scene)
-    system, steps = validation.lasting(made.system), 80
-    run = jax.jit(lambda state: validation.trace(system, state, steps, validation.motion))
+    made = assembly.assemble_system(scene)
+    system, steps = validation.with_permanent_pairs(made.system), 80
+    run = jax.jit(lambda state: validation.trace_motion(system, state, steps, validation.read_motion))
     for name, (one, other, apart) in PAIRS.items():
         turns = np.stack([one.as_quat(scalar_first=True), other.as_quat(scalar_first=True)], axis=1)
         place = np.array([[-0.5, 0.5], [0.0, 0.0], [0.0, 0.0]]) * (apart + GAP) + np.array([[0.0], [0.0], [0.5]])
         speed = np.array([[0.5, -0.5], [0.0, 0.0], [0.0, 0.0]]) * SPEED
-        state = made.state.moved(position=jnp.asarray(place), orientation=jnp.asarray(turns), velocity=jnp.asarray(speed))
+        state = made.state.replace_motion(position=jnp.asarray(place), orientation=jnp.asarray(turns), velocity=jnp.asarray(speed))
         end = run(state)[0]
         velocity, momentum = np.asarray(end.velocity), np.asarray(end.angular_momentum)
         assert (np.sum(velocity**2) / np.sum(speed**2)) > 0.95, name  # 0.34 before, of edges with friction

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dem_jax import build, ensemble, shapes, simulate, validation
-from dem_jax.contact.law import walton_braun
+from dem_jax import assembly, ensemble, shapes, simulate, validation
+from dem_jax.contact_laws import walton_braun
 from dem_jax.errors import SceneError
 from dem_jax.scene import Scene
 from dem_jax.validation import NormalImpact
@@ -20,7 +20,7 @@ DIAMETER = (6 * 19440e-9 / np.pi) ** (1 / 3)  # m, of the sphere of equal volume
 
 def step_of(run=None, piece=None, **material):
     """The choice of the time step of a scene."""
-    return build.build(validation.plate_scene(piece or {}, run=run, **material)).step
+    return assembly.assemble_system(validation.plate_scene(piece or {}, run=run, **material)).step
 
 
 def exact_quarter(softening=1.0):
@@ -30,7 +30,7 @@ def exact_quarter(softening=1.0):
 
 
 def test_stiffness_of_the_marshmallow():
-    system = build.build(validation.plate_scene({})).system
+    system = assembly.assemble_system(validation.plate_scene({})).system
     pieces = system.pieces
     np.testing.assert_allclose(validation.wall_stiffness(system), 33327.17, rtol=2e-7)  # printed digits
     np.testing.assert_allclose(pieces.mass, MASS, rtol=1e-12)
@@ -68,16 +68,16 @@ def test_limit_is_the_quickest_of_all_contacts_that_can_be():
     pieces = [{**row, "position": (0.1 * k, 0.0, 0.0)} for k, row in enumerate(rows)]
     floor = {"group": "floor", "corners": [(-1, -1, -1), (1, -1, -1), (1, 1, -1), (-1, 1, -1)]}
     scene = Scene(piece=pieces, wall=[floor], material={"restitution": 0.5})
-    goods = build.pieces.goods_of(scene)
-    made, arrays = goods.shapes, build.pieces.piece_arrays(scene, goods)
-    m, k, e = arrays.mass, 0.01 * 1e8 * arrays.size, np.array([build.time_step._eccentricity(shape) for shape in made])
+    goods = assembly.piece_arrays.build_piece_set(scene)
+    made, arrays = goods.shapes, assembly.piece_arrays.build_piece_arrays(scene, goods)
+    m, k, e = arrays.mass, 0.01 * 1e8 * arrays.size, np.array([assembly.time_step._normal_mass_ratio(shape) for shape in made])
     wall = 0.01 * 1e11 * arrays.size
     slow = [m / (k * wall / (k + wall)), m * e / (k * wall / (k + wall))]
     i, j = np.triu_indices(len(made), 1)
     pair = m[i] * m[j] / (m[i] + m[j]) * (k[i] + k[j]) / (k[i] * k[j])
     slow = [np.concatenate(both).min() for both in zip(slow, (pair, pair * np.minimum(e[i], e[j])), strict=True)]
-    law, materials = build.law.law_of(scene), build.law.materials_of(scene)
-    step = build.choose_step(scene, law, build.time_step.possible_contacts(law, materials, made, arrays))
+    law, materials = assembly.contact_law.build_contact_law(scene), assembly.contact_law.build_materials(scene)
+    step = assembly.choose_step(scene, law, assembly.time_step.list_possible_contacts(law, materials, made, arrays))
     np.testing.assert_allclose(step.critical, np.pi / 2 * np.sqrt(slow[0]) * min(1 / 15, 0.5 / 10), rtol=1e-12)
     both_sides = np.sqrt(2)  # of a body that is pressed from there
     np.testing.assert_allclose(step.linear_limit, 2 * 0.5 * np.sqrt(slow[1]) / both_sides, rtol=1e-12)
@@ -87,7 +87,7 @@ def test_limit_is_the_smallest_piece():
     small = {"shape": "sphere", "radius": 0.002, "position": (0.0, 0.0, 0.05)}
     large = {"shape": "chamfered-cuboid", "position": (0.0, 0.0, 0.2)}
     scene = validation.plate_scene(large).replace(piece=[large, small])
-    both, alone = build.build(scene).step, step_of(piece=small)
+    both, alone = assembly.assemble_system(scene).step, step_of(piece=small)
     # Against the wall: its own mass on nearly its own stiffness. Against the marshmallow: series stiffness, but nearly
     # the same mass. The wall is the stiffer one.
     np.testing.assert_allclose(both.critical, alone.critical, rtol=1e-12)
@@ -97,7 +97,7 @@ def test_limit_is_the_smallest_piece():
 def test_pair_and_wall_limit_alike():
     # Two like pieces: half the mass on half the stiffness, so the wall's K_nl, 0.1 % below E_p L, is what differs.
     two = [{"position": (0.0, 0.0, 0.1)}, {"position": (0.0, 0.0, 0.2)}]
-    pair = build.build(validation.plate_scene({}).replace(piece=two)).step.critical
+    pair = assembly.assemble_system(validation.plate_scene({}).replace(piece=two)).step.critical
     np.testing.assert_allclose(pair, step_of().critical, rtol=6e-4)
     assert pair < step_of().critical
 
@@ -129,7 +129,7 @@ def test_limit_of_a_sphere_is_that_of_its_tangential_spring():
     # K_t = K_nl moves 2/7 of the mass; without friction the normal spring moves all of it.
     scene = ball()
     changes = ({}, {"material.friction_wall": 0.0}, {"material.tangential_stiffness": 0.05})
-    rough, smooth, loose = (build.build(scene.replace(change)).step for change in changes)
+    rough, smooth, loose = (assembly.assemble_system(scene.replace(change)).step for change in changes)
     np.testing.assert_allclose(rough.linear_limit / smooth.linear_limit, np.sqrt(2 / 7), rtol=1e-9)
     np.testing.assert_allclose(loose.linear_limit, smooth.linear_limit, rtol=1e-9)
     np.testing.assert_allclose(loose.stable, smooth.stable, rtol=1e-9)
@@ -148,7 +148,7 @@ def test_no_impact_gains_more_than_a_hundredth_of_its_energy_at_a_stable_step(fr
     the stable step it does gain more, so that the limit is not far below."""
     scene = ball({"rebuild_steps": 4096, "allow_unstable_step": True, "duration": 0.012, "sample": 4e-3})
     scene = scene.replace({"material.friction_wall": friction})
-    stable = build.build(scene).step.stable
+    stable = assembly.assemble_system(scene).step.stable
     gains = [worst_gain(scene, part * stable, 48) for part in (1.0, fails)]
     assert gains[0] < allowed < gains[1]
 
@@ -165,12 +165,12 @@ def worst_gain(scene, step, phases):
 
 
 def test_a_step_beyond_the_stable_one_is_warned_of_with_the_error_to_expect():
-    limits = build.build(ball()).step
+    limits = assembly.assemble_system(ball()).step
     settings = {"step": 0.8 * limits.linear_limit, "duration": 1e-3, "allow_unstable_step": True}
     run = simulate(ball(settings, position=(0.0, 0.0, 0.1)))
     note, *_ = run.info["notes"]
     assert note.startswith("run.step: dt = ") and "times the stable step: an impact may gain up to about" in note
-    assert build.build(ball({"step": 0.9 * limits.stable})).step.warning is None
+    assert assembly.assemble_system(ball({"step": 0.9 * limits.stable})).step.warning is None
 
 
 def test_limit_holds_for_a_body_between_two_walls():
@@ -179,10 +179,10 @@ def test_limit_holds_for_a_body_between_two_walls():
     lid = [(x, y, 0.02 - 2 * gap) for x, y in ((-0.5, -0.5), (-0.5, 0.5), (0.5, 0.5), (0.5, -0.5))]
     walls = [{"group": "lid", "corners": lid}]
     place = {"position": (0.0, 0.0, 0.01 - gap), "velocity": (0.0, 0.0, v)}
-    linear = build.build(ball(walls=walls)).step.linear_limit
-    np.testing.assert_allclose(linear, build.build(ball()).step.linear_limit / np.sqrt(2), rtol=1e-9)
+    linear = assembly.assemble_system(ball(walls=walls)).step.linear_limit
+    np.testing.assert_allclose(linear, assembly.assemble_system(ball()).step.linear_limit / np.sqrt(2), rtol=1e-9)
     smooth = {"material.friction_wall": 0.0, "run.allow_unstable_step": True}
-    limit = build.build(ball(walls=walls).replace(smooth)).step.linear_limit
+    limit = assembly.assemble_system(ball(walls=walls).replace(smooth)).step.linear_limit
     for part in (0.3, 0.5, 0.9, 0.98):  # up to half of it the corners of the force are corrected: that feeds nothing
         dt = part * limit
         run = simulate(ball({"step": dt, "sample": dt, "duration": 400 * limit}, walls, **place).replace(smooth))
@@ -190,7 +190,7 @@ def test_limit_holds_for_a_body_between_two_walls():
         # of an oscillator in velocity Verlet, q of the limit, kinetic and elastic energy together swing by 1 / (1 - q^2)
         assert energy.max() < energy.min() / (1 - part**2) * 1.3
     with pytest.raises(SceneError, match="linear stability limit"):
-        build.build(ball({"step": 1.01 * limit}, walls, **place).replace(smooth))
+        assembly.assemble_system(ball({"step": 1.01 * limit}, walls, **place).replace(smooth))
 
 
 def test_stability_limit_is_that_of_the_unloading_branch():
@@ -208,7 +208,7 @@ def test_stability_limit_is_that_of_the_unloading_branch():
 
 def test_oscillation_on_the_unloading_branch_blows_up_above_the_limit_only():
     def swing(ratio):
-        law, pair = walton_braun.WaltonBraun(0.0, 1.0, None), walton_braun.Pair(1.0, 1.0, None, None)
+        law, pair = walton_braun.WaltonBraun(0.0, 1.0, None), walton_braun.WaltonBraunPair(1.0, 1.0, None, None)
         dt = ratio * law.stable_step(pair, 1.0)  # m = K = epsilon = 1
         s, v, largest = 1.0, 0.0, 1.0
         for _ in range(400):
@@ -225,7 +225,7 @@ def test_oscillation_on_the_unloading_branch_blows_up_above_the_limit_only():
 @partial(jax.jit, static_argnames="steps")
 def scalar_impacts(dt, phase, epsilon, steps):
     """Rebound over impact speed, and peak force over v sqrt(m K), of velocity Verlet with the law; m = K = v = 1."""
-    law, pair = walton_braun.WaltonBraun(0.001, 1.0, None), walton_braun.Pair(1.0, epsilon, None, None)
+    law, pair = walton_braun.WaltonBraun(0.001, 1.0, None), walton_braun.WaltonBraunPair(1.0, epsilon, None, None)
     _, force, velocity, _ = trace_impacts(law, pair, 1.0, jnp.ones_like(dt), dt, steps, phase)
     return -velocity[-1], force.max(axis=0)
 

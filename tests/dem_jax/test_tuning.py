@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from dem_jax.__main__ import main
-from dem_jax.show.tuned_filters import figure_of_tuned, table_of_tuned
-from dem_jax.show.weighing import convert_trace
+from dem_jax.visualization.scale_readings import convert_trace
+from dem_jax.visualization.tuned_filters import draw_tuned_filters, tabulate_tuned_filters
 from dem_jax.weighing import filters, tuning
-from dem_jax.weighing.noise import TYPICAL, draw_release_delays
-from dem_jax.weighing.settling import Times, find_quantile, time_to_weigh
-from dem_jax.weighing.traces import Trace
-from dem_jax.weighing.tuning import Drops, Tuned
+from dem_jax.weighing.settling import WeighingTimes, find_quantile, time_to_weigh
+from dem_jax.weighing.signal_noise import TYPICAL, draw_release_delays
+from dem_jax.weighing.traces import WeightTrace
+from dem_jax.weighing.tuning import Drops, TunedFilter
 from tests.dem_jax.stored import stored
 
 RATE = 1000.0
@@ -40,7 +40,7 @@ def test_the_best_average_of_an_undamped_ringing_is_one_period(monkeypatch):
     np.testing.assert_allclose(row.times.impact, 0.020, atol=1e-12)
     landed = [0.103, 0.109, 0.150, 0.156]  # of the second file the first and the third, as the first has an odd number
     np.testing.assert_allclose(row.times.release, np.array(landed) + 0.020)
-    np.testing.assert_allclose(row.searched.release, np.array([0.100, 0.106, 0.112, 0.153, 0.159]) + 0.020)
+    np.testing.assert_allclose(row.search_times.release, np.array([0.100, 0.106, 0.112, 0.153, 0.159]) + 0.020)
 
 
 def test_the_shaper_is_searched_about_the_frequency_of_the_cell(monkeypatch):
@@ -58,8 +58,8 @@ def test_drops_that_judge_are_not_searched(monkeypatch):
     even, odd = ringing_drops(6, 50.0), ringing_drops(6, 31.0)
     signal = np.where(np.arange(6)[:, None] % 2, odd.signal, even.signal)
     (row,) = tuning.tune_filters([even._replace(signal=signal)], RATE, 1e-5)
-    assert row.filter == "average:0.02" and np.isfinite(row.searched.release).all()
-    assert np.isnan(row.times.release).all() and row.times.never == 3
+    assert row.filter == "average:0.02" and np.isfinite(row.search_times.release).all()
+    assert np.isnan(row.times.release).all() and row.times.never_count == 3
 
 
 def test_the_search_sorts_families_and_a_drop_without_truth_does_not_count(monkeypatch):
@@ -78,7 +78,7 @@ def test_the_search_sorts_families_and_a_drop_without_truth_does_not_count(monke
 def test_every_filter_of_the_grids_is_possible_and_rests_at_the_weight(rate, known):
     for family in tuning.list_families(rate, 1.2, MASS, *known):
         for values in itertools.product(*((axis.low, axis.high) for axis in family.axes)):
-            of = filters.named(family.text(*values), rate)
+            of = filters.parse_filter(family.text(*values), rate)
             if rate <= 100.0:
                 settled = np.full((1, int(12 * rate)), MASS)  # 12 s: the slowest low pass has a time constant of 0.8 s
                 found = filters.filter_signal(of, settled)
@@ -99,7 +99,7 @@ def test_a_late_release_is_a_late_impact():
     quiet = {name: 0.0 for name in ("white", "quantum", "floor_acceleration", "band_acceleration", "neighbour_kicks")}
     quiet |= {name: 0.0 for name in ("motor_starts", "closing_impulse", "tare_spread", "drift")}
     noise = TYPICAL.model_copy(update=quiet)
-    drops = convert_trace(Trace(time, weight, np.full(6, MASS), "load cell", noise=noise), RATE, 4)
+    drops = convert_trace(WeightTrace(time, weight, np.full(6, MASS), "load cell", noise=noise), RATE, 4)
     delays = draw_release_delays(noise, 4, 6)
     assert np.ptp(delays) > 2e-3
     np.testing.assert_allclose(drops.impact, 0.2001 + delays)
@@ -108,10 +108,10 @@ def test_a_late_release_is_a_late_impact():
 
 
 def test_the_table_the_figure_and_the_command(monkeypatch, tmp_path, capsys):
-    row = Tuned("average", "average:0.02", Times(np.array([0.2, np.nan]), np.array([0.1, np.nan])), Times(*np.zeros((2, 2))))
-    head, line = table_of_tuned([row])
+    row = TunedFilter("average", "average:0.02", WeighingTimes(np.array([0.2, np.nan]), np.array([0.1, np.nan])), WeighingTimes(*np.zeros((2, 2))))
+    head, line = tabulate_tuned_filters([row])
     assert head.split()[:2] == ["family", "filter"] and line.split() == "average average:0.02 200 - - 100 - - 1 of 2".split()
-    axes = figure_of_tuned([row], 1e-3).axes[0]
+    axes = draw_tuned_filters([row], 1e-3).axes[0]
     np.testing.assert_array_equal(axes.get_lines()[0].get_xydata(), [[0.0, 0.0], [100.0, 50.0]])
     only(monkeypatch, "average")
     monkeypatch.chdir(tmp_path)

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 import dem_jax
-from dem_jax.drive.prepare import prepare
 from dem_jax.errors import SceneError
-from dem_jax.show import summary
-from dem_jax.store import record
+from dem_jax.io import run_files
+from dem_jax.runner.job_setup import prepare_job
+from dem_jax.visualization import summary
 
 WINDOW = 48 * 2e-5  # s: a multiple of the samples between rebuilds
 SPEED = 4e-3  # m/s
@@ -36,7 +36,7 @@ def portion(**changes):
 
 def series(result):
     poses = {f"pieces/{k}": v for k, v in vars(result.pieces).items()}
-    return record.series_of(result) | poses
+    return run_files.collect_series(result) | poses
 
 
 def assert_begins(whole, part):
@@ -60,7 +60,7 @@ def test_a_run_that_ends_early_is_the_beginning_of_the_whole_one():
     assert end == found.time[-1] == pytest.approx(len(found.time) * 2e-5)
     assert np.remainder(end / WINDOW + 0.5, 1) == pytest.approx(0.5), "after a whole number of windows"
     assert 0.020 < end < 0.03, "the impact takes about 5 ms"
-    assert any(line.endswith(f"{end:.6g} s in samples of 2e-05 s, f64, then all was settled") for line in summary.summary(found))
+    assert any(line.endswith(f"{end:.6g} s in samples of 2e-05 s, f64, then all was settled") for line in summary.summarize_run(found))
     speed, time = np.abs(found.pieces.velocity[:, 0, 2]), found.pieces.time
     assert speed[time > end - WINDOW].max() < SPEED
     before = (time > end - 2 * WINDOW) & (time <= end - WINDOW)
@@ -70,12 +70,12 @@ def test_a_run_that_ends_early_is_the_beginning_of_the_whole_one():
 def test_a_run_that_does_not_come_to_rest_goes_on_to_its_end():
     found = dem_jax.simulate(ball(**{"run.duration": 0.02}))
     assert found.settled is None and found.time[-1] == pytest.approx(0.02)
-    assert not any("settled at" in line or "all was settled" in line for line in summary.summary(found))
+    assert not any("settled at" in line or "all was settled" in line for line in summary.summarize_run(found))
 
 
 def test_where_chunks_end_changes_nothing(monkeypatch):
     expected = dem_jax.simulate(ball())
-    monkeypatch.setattr("dem_jax.drive.job.CHUNK_TIME", 20 * 5 * 5.3e-6)  # several in a window
+    monkeypatch.setattr("dem_jax.runner.job.CHUNK_TIME", 20 * 5 * 5.3e-6)  # several in a window
     found = dem_jax.simulate(ball())
     assert len(found.time) == len(expected.time)
     assert_begins(expected, found)
@@ -102,8 +102,8 @@ NEVER = [
 def test_motion_without_an_end_is_refused(motion, message):
     scene = ball(motion=[{"group": "plate"} | motion])
     with pytest.raises(SceneError, match=r"run\.until_settled = true: group 'plate' never rests: " + message):
-        prepare(scene, (0,), None)
-    prepare(scene.replace(run={"until_settled": False}), (0,), None)
+        prepare_job(scene, (0,), None)
+    prepare_job(scene.replace(run={"until_settled": False}), (0,), None)
 
 
 def test_a_time_too_short_to_tell_rest_from_the_top_of_a_bounce_is_refused():
@@ -123,7 +123,7 @@ def settled(tmp_path_factory):
 def test_a_portion_at_rest_is_released_at_once(settled):
     found, _ = settled
     assert 0.1 < found.info["settling"] < 0.5, "of 0.6 s"
-    assert any(f"released after {found.info['settling']:.6g} s of settling" in line for line in summary.summary(found))
+    assert any(f"released after {found.info['settling']:.6g} s of settling" in line for line in summary.summarize_run(found))
     assert np.linalg.norm(found.pieces.velocity[0]) < 0.01 and found.pieces.time[0] == 0
     mass = 300 * 4 / 3 * np.pi * 0.01**3
     last = found.time > found.settled - 0.02
@@ -149,9 +149,9 @@ class Stopped(Exception):
 @pytest.mark.parametrize("appends", [1, 4, 8, 12, 17])
 def test_a_run_that_was_stopped_goes_on_to_the_same_end(settled, tmp_path, monkeypatch, appends):
     """While it settles, about the release and after it; windows of several chunks."""
-    monkeypatch.setattr("dem_jax.drive.job.CHUNK_TIME", 90 * 10 * 5.3e-6)
+    monkeypatch.setattr("dem_jax.runner.job.CHUNK_TIME", 90 * 10 * 5.3e-6)
     out, count = tmp_path / "run.h5", []
-    append = record.Writer.append
+    append = run_files.Writer.append
 
     def stopping(self, *args, **kw):
         append(self, *args, **kw)
@@ -160,10 +160,10 @@ def test_a_run_that_was_stopped_goes_on_to_the_same_end(settled, tmp_path, monke
         if len(count) == appends:
             raise Stopped
 
-    monkeypatch.setattr(record.Writer, "append", stopping)
+    monkeypatch.setattr(run_files.Writer, "append", stopping)
     with pytest.raises(Stopped):
         dem_jax.simulate(portion(), out=out)
-    monkeypatch.setattr(record.Writer, "append", append)
+    monkeypatch.setattr(run_files.Writer, "append", append)
     found, (whole, _) = dem_jax.resume(out), settled
     assert (found.settled, found.info["settling"]) == (whole.settled, whole.info["settling"])
     assert len(found.time) == len(whole.time)

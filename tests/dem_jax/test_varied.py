@@ -11,14 +11,14 @@ from scipy import stats
 
 import dem_jax
 from calibrate import targets
-from dem_jax import build
-from dem_jax.build.pieces import goods_of
-from dem_jax.build.room_of_ensemble import find_room
-from dem_jax.drive import execute, prepare, programs, varied
+from dem_jax import assembly
+from dem_jax.assembly.ensemble_capacity import find_ensemble_capacity
+from dem_jax.assembly.piece_arrays import build_piece_set
 from dem_jax.errors import RecordError, SceneError, SimulationError
-from dem_jax.scene import load_scene, parse
-from dem_jax.show.summary import summary
-from dem_jax.store import record, series
+from dem_jax.io import run_files, series
+from dem_jax.runner import executors, job_setup, parameter_sweep, programs
+from dem_jax.scene import load_scene, parse_scene
+from dem_jax.visualization.summary import summarize_run
 
 BALLS = {
     "portion": {
@@ -52,15 +52,15 @@ def test_each_run_has_the_bits_of_its_own_scene_by_itself(three):
         own = balls().replace({key: values[k] for key, values in PARAMETERS.items()})
         member, alone = found.member(k), dem_jax.simulate(own, seed=SEEDS[k])
         assert np.abs(alone.force["plate"]).max() > 0.01, "the balls have landed"
-        assert parse(member.scene, "run") == parse(alone.scene, "run") and member.seed == SEEDS[k] and not member.parameters
+        assert parse_scene(member.scene, "run") == parse_scene(alone.scene, "run") and member.seed == SEEDS[k] and not member.parameters
         np.testing.assert_array_equal(member.force["plate"], alone.force["plate"])
         np.testing.assert_array_equal(member.pieces.position, alone.pieces.position)
 
 
 def test_all_runs_share_one_program():
-    programs.KEPT.clear()
+    programs.EXECUTABLES.clear()
     dem_jax.ensemble(balls(), seed=SEEDS, parameters=PARAMETERS)
-    assert len(programs.KEPT) == 1
+    assert len(programs.EXECUTABLES) == 1
 
 
 COUNTS = [2, 3, 2]
@@ -69,20 +69,20 @@ COUNTS = [2, 3, 2]
 @pytest.fixture(scope="module")
 def counted(tmp_path_factory):
     path = tmp_path_factory.mktemp("counted") / "counted.h5"
-    before = len(programs.KEPT)
+    before = len(programs.EXECUTABLES)
     dem_jax.ensemble(balls(), seed=SEEDS, parameters={"portion.count": COUNTS}, out=path)
-    assert len(programs.KEPT) == before + 1
+    assert len(programs.EXECUTABLES) == before + 1
     return path
 
 
 def test_runs_of_different_numbers_of_pieces_share_a_program_and_have_the_bits_of_their_own_scenes(counted):
-    found = record.load_run(counted)
+    found = run_files.load_run(counted)
     assert found.piece_counts.tolist() == COUNTS and found.header.piece_count == 3
     for k in (0, 2):
         count, member = COUNTS[k], found.member(k)
         alone = dem_jax.simulate(balls(), seed=SEEDS[k])
         assert np.abs(alone.force["plate"]).max() > 0.01, "the balls have landed"
-        assert parse(member.scene, "run") == parse(alone.scene, "run") and member.header.piece_count == count
+        assert parse_scene(member.scene, "run") == parse_scene(alone.scene, "run") and member.header.piece_count == count
         assert member.info["piece_masses"] == alone.info["piece_masses"] and member.info["moving"] == alone.info["moving"]
         assert member.dt == alone.dt and member.piece_counts.tolist() == [count]
         np.testing.assert_array_equal(member.pieces.position, alone.pieces.position)
@@ -92,31 +92,31 @@ def test_runs_of_different_numbers_of_pieces_share_a_program_and_have_the_bits_o
 
 
 def test_an_ensemble_over_the_number_of_pieces_is_gone_on_with_and_described(counted, tmp_path):
-    whole = record.load_run(counted)
+    whole = run_files.load_run(counted)
     half = tmp_path / "half.h5"
     dem_jax.ensemble(balls(run__duration=0.01), seed=SEEDS, parameters={"portion.count": COUNTS}, out=half)
     gone_on = dem_jax.resume(half, duration=0.02)
     np.testing.assert_array_equal(gone_on.force["plate"], whole.force["plate"])
-    lines = summary(whole)
+    lines = summarize_run(whole)
     assert "portion.count: 2 to 3 (2 values)" in lines and any(line.startswith("3 runs of 2 to 3 pieces") for line in lines)
     assert [target.pieces for target in targets.read(counted)] == COUNTS
     with h5py.File(counted, "a") as file:
         file.attrs["info"] = file.attrs["info"].replace("[2, 3, 2]", "[2, 4, 2]")
     with pytest.raises(RecordError, match="piece_counts of its attribute info; allowed: 3 numbers of at most 3"):
-        record.load_run(counted)
+        run_files.load_run(counted)
 
 
 def test_room_is_made_for_the_shapes_of_the_run_with_most():
     """Hulls of pieces that differ in size have rows in a table: as many in each run, so that one program serves all."""
     scene = dem_jax.load_scene("weigh-bucket", {"product": "almond", "portion.piece_weight_spread": 0.1})
-    scenes, reuse = varied.scenes_of(scene, {"portion.count": [3, 5]}, 2), build.Reuse()
-    room = find_room(scenes, reuse)
-    built = [build.build(each, 0, None, reuse, room) for each in scenes]
-    assert varied.form(built[0]) == varied.form(built[1])
-    assert [int(each.system.present.sum()) for each in built] == [3, 5] == [len(each.goods.shapes) for each in built]
-    by_weight = varied.scenes_of(scene, {"portion.target_weight": [0.005, 0.02]}, 2)
-    assert find_room(by_weight, reuse).pieces == len(goods_of(by_weight[1]).shapes) > len(goods_of(by_weight[0]).shapes)
-    assert find_room(scenes[:1] * 2, reuse) is None
+    scenes, reuse = parameter_sweep.build_run_scenes(scene, {"portion.count": [3, 5]}, 2), assembly.AssemblyCache()
+    room = find_ensemble_capacity(scenes, reuse)
+    built = [assembly.assemble_system(each, 0, None, reuse, room) for each in scenes]
+    assert parameter_sweep.program_signature(built[0]) == parameter_sweep.program_signature(built[1])
+    assert [int(each.system.present.sum()) for each in built] == [3, 5] == [len(each.piece_set.shapes) for each in built]
+    by_weight = parameter_sweep.build_run_scenes(scene, {"portion.target_weight": [0.005, 0.02]}, 2)
+    assert find_ensemble_capacity(by_weight, reuse).pieces == len(build_piece_set(by_weight[1]).shapes) > len(build_piece_set(by_weight[0]).shapes)
+    assert find_ensemble_capacity(scenes[:1] * 2, reuse) is None
 
 
 def test_poses_of_runs_whose_pieces_have_other_body_frames_are_each_in_their_own():
@@ -124,47 +124,47 @@ def test_poses_of_runs_whose_pieces_have_other_body_frames_are_each_in_their_own
     poses = random.standard_normal((2, 4, 13, 3))
     frames = random.standard_normal((2, 3, 4))
     frames /= np.linalg.norm(frames, axis=-1, keepdims=True)
-    both = series.of_poses(poses, frames, np.arange(4.0))
+    both = series.frames_from_poses(poses, frames, np.arange(4.0))
     for k in range(2):
-        alone = series.of_poses(poses[k], frames[k], np.arange(4.0))
+        alone = series.frames_from_poses(poses[k], frames[k], np.arange(4.0))
         for name in ("position", "orientation", "velocity", "angular_velocity"):
             np.testing.assert_array_equal(both[name][k], alone[name])
 
 
 def test_pieces_that_come_and_go_are_not_filled_up():
     scene = dem_jax.load_scene("weigh-bucket", {"portion.count": 3, "outlet": {}})
-    assert find_room([scene, scene.replace({"portion.count": 4})], build.Reuse()) is None
+    assert find_ensemble_capacity([scene, scene.replace({"portion.count": 4})], assembly.AssemblyCache()) is None
 
 
 def test_uncertain_numbers_are_drawn_for_each_run_of_one_program():
     """Between their ends; keys that are given are not drawn, and each run is that of its own scene."""
     ranges = {"material.restitution": (0.2, 0.6), "material.friction_wall": (0.1, 0.3), "material.friction_piece": (0.1, 0.2)}
     scene = balls(uncertain=[{"key": key, "range": list(ends)} for key, ends in ranges.items()])
-    programs.KEPT.clear()
+    programs.EXECUTABLES.clear()
     found = dem_jax.ensemble(scene, seed=SEEDS, parameters={"material.friction_piece": [0.3] * 3}, uncertain=True)
-    assert len(programs.KEPT) == 1 and found.parameters["material.friction_piece"].tolist() == [0.3] * 3
+    assert len(programs.EXECUTABLES) == 1 and found.parameters["material.friction_piece"].tolist() == [0.3] * 3
     for key in ("material.restitution", "material.friction_wall"):
         low, high = ranges[key]
         assert len({*found.parameters[key]}) == 3 and (low < found.parameters[key]).all() and (found.parameters[key] < high).all()
     alone = dem_jax.simulate(scene.replace({key: values[1] for key, values in found.parameters.items()}), seed=SEEDS[1])
     np.testing.assert_array_equal(found.member(1).force["plate"], alone.force["plate"])
-    assert summary(found)[-1] == "2 unknown numbers: their shares of the scatter need at least 9 runs that come to rest"
+    assert summarize_run(found)[-1] == "2 unknown numbers: their shares of the scatter need at least 9 runs that come to rest"
     with pytest.raises(SceneError, match=r"uncertain = \[\]: no number of the scene has a range"):
         dem_jax.ensemble(balls(), runs=2, uncertain=True)
 
 
 def test_what_is_alike_is_built_once(monkeypatch):
-    built, build_one = [], prepare.built_of
-    monkeypatch.setattr(prepare, "built_of", lambda *arguments: built.append(1) or build_one(*arguments))
-    prepare.prepare(balls(), range(20), 20)
+    built, build_one = [], job_setup.assemble_scene
+    monkeypatch.setattr(job_setup, "assemble_scene", lambda *arguments: built.append(1) or build_one(*arguments))
+    job_setup.prepare_job(balls(), range(20), 20)
     assert len(built) == 1
-    prepare.prepare(balls(), SEEDS, 3, parameters=PARAMETERS)
+    job_setup.prepare_job(balls(), SEEDS, 3, parameters=PARAMETERS)
     assert len(built) == 1 + 2
 
 
 def test_the_file_knows_the_parameters_and_is_gone_on_with_bit_for_bit(three, tmp_path):
     whole, path = three
-    kept = record.load_run(path)
+    kept = run_files.load_run(path)
     assert kept.parameters.keys() == PARAMETERS.keys()
     for key, values in PARAMETERS.items():
         np.testing.assert_array_equal(kept.parameters[key], values)
@@ -177,7 +177,7 @@ def test_the_file_knows_the_parameters_and_is_gone_on_with_bit_for_bit(three, tm
 
 def test_runs_that_differ_are_stepped_together_as_on_a_gpu(three, monkeypatch):
     whole, _ = three
-    monkeypatch.setattr(execute, "in_threads", execute.on_devices)
+    monkeypatch.setattr(executors, "run_threaded", executors.run_on_devices)
     together = dem_jax.ensemble(balls(), seed=SEEDS, parameters=PARAMETERS)
     scale = np.abs(whole.mean_force["plate"]).max()
     np.testing.assert_allclose(together.mean_force["plate"], whole.mean_force["plate"], atol=1e-6 * scale, rtol=0)
@@ -226,10 +226,10 @@ def test_what_cannot_be_one_ensemble_is_said(parameters, more, said):
 def test_a_file_has_room_for_the_seeds_of_many_runs(three, tmp_path):
     """HDF5 before 1.8 has 64 kB for an attribute."""
     _, path = three
-    header, *_ = record.load_restart(path)
+    header, *_ = run_files.load_restart(path)
     many = dataclasses.replace(header, seed=tuple(range(20_000)), run_count=20_000)
-    record.Writer.create(tmp_path / "many.h5", many).close()
-    assert record.load_restart(tmp_path / "many.h5")[0].seed == many.seed
+    run_files.Writer.create(tmp_path / "many.h5", many).close()
+    assert run_files.load_restart(tmp_path / "many.h5")[0].seed == many.seed
 
 
 CHANGES = {  # of each section of a scene: keys that change arrays, places, numbers of pieces or the program
@@ -253,14 +253,14 @@ CHANGES = {  # of each section of a scene: keys that change arrays, places, numb
 @pytest.mark.parametrize("name", CHANGES)
 def test_what_is_built_after_another_scene_is_what_is_built_alone(name):
     """After the stock scene, and before it again: no step of building is shared whose inputs differ."""
-    base, reuse = build.self_contained(load_scene(name)), build.Reuse()
-    own = build.build(base)
+    base, reuse = assembly.inline_files(load_scene(name)), assembly.AssemblyCache()
+    own = assembly.assemble_system(base)
     for change in CHANGES[name]:
         scene = base.replace(change)
-        alone = build.build(scene)
-        for found, wanted in ((build.build(base, reuse=reuse), own), (build.build(scene, reuse=reuse), alone)):
+        alone = assembly.assemble_system(scene)
+        for found, wanted in ((assembly.assemble_system(base, reuse=reuse), own), (assembly.assemble_system(scene, reuse=reuse), alone)):
             assert found.step == wanted.step and found.samples == wanted.samples and found.numbers == wanted.numbers, change
-            assert varied.form(found) == varied.form(wanted), change
+            assert parameter_sweep.program_signature(found) == parameter_sweep.program_signature(wanted), change
             trees = ((found.system, wanted.system), (found.state, wanted.state))
             for one, other in (pair for tree in trees for pair in zip(*map(jax.tree.leaves, tree), strict=True)):
                 np.testing.assert_array_equal(one, other, err_msg=str(change))
@@ -279,18 +279,18 @@ def test_runs_that_differ_in_their_material_share_most_of_their_building(monkeyp
         return call
 
     for name in made:
-        monkeypatch.setattr(f"dem_jax.build.{name}", counted(name, operator.attrgetter(name)(build)))
+        monkeypatch.setattr(f"dem_jax.assembly.{name}", counted(name, operator.attrgetter(name)(assembly)))
     scene = load_scene("weigh-bucket", {"run.frames": 0.0})
-    job = prepare.prepare(scene, [0] * 100, 100, parameters={"material.restitution": np.linspace(0.1, 0.5, 100).tolist()})
-    assert job.varied.leaves and made.pop("system.placed") == 1 + 100, "once, and for the seed of each run"
+    job = job_setup.prepare_job(scene, [0] * 100, 100, parameters={"material.restitution": np.linspace(0.1, 0.5, 100).tolist()})
+    assert job.sweep.leaves and made.pop("system.placed") == 1 + 100, "once, and for the seed of each run"
     assert set(made.values()) == {1}, made
 
 
 def test_runs_that_differ_in_material_alone_share_all_other_arrays():
     """No hull, wall or place is computed again for another density or restitution."""
-    scene, reuse = load_scene("weigh-bucket", {"portion.count": 3}), build.Reuse()
+    scene, reuse = load_scene("weigh-bucket", {"portion.count": 3}), assembly.AssemblyCache()
     changes = {}, {"material.density": 400.0}, {"material.density": 400.0, "material.restitution": 0.3}
-    first, heavy, lively = (build.build(scene.replace(change), 0, reuse=reuse).system for change in changes)
+    first, heavy, lively = (assembly.assemble_system(scene.replace(change), 0, reuse=reuse).system for change in changes)
     assert heavy.hulls is first.hulls and heavy.walls is first.walls and heavy.parts is first.parts
     np.testing.assert_allclose(heavy.pieces.mass, first.pieces.mass * 4 / 3, rtol=1e-6)  # single precision
     assert heavy.pieces.width is first.pieces.width and heavy.materials is first.materials

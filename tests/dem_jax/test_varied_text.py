@@ -3,7 +3,7 @@
 import pytest
 
 from dem_jax.__main__ import main
-from dem_jax.cli.varying import parse_varied
+from dem_jax.cli.vary_option import parse_varied_keys
 from dem_jax.errors import SceneError
 from dem_jax.scene import load_scene
 
@@ -22,7 +22,7 @@ from dem_jax.scene import load_scene
     ],
 )
 def test_runs_take_values_in_turn(texts, values):
-    assert parse_varied(texts, 5) == values
+    assert parse_varied_keys(texts, 5) == values
 
 
 @pytest.mark.parametrize(
@@ -45,12 +45,12 @@ def test_runs_take_values_in_turn(texts, values):
 )
 def test_bad_values_are_one_line(texts, words):
     with pytest.raises(SceneError, match=words):
-        parse_varied(texts, 5)
+        parse_varied_keys(texts, 5)
 
 
 def test_the_command_passes_values_seeds_and_the_rate_on(monkeypatch, tmp_path, capsys):
-    from dem_jax.cli import simulating
-    from dem_jax.drive import interface
+    from dem_jax.cli import simulation_options
+    from dem_jax.runner import interface
 
     asked = {}
 
@@ -59,7 +59,7 @@ def test_the_command_passes_values_seeds_and_the_rate_on(monkeypatch, tmp_path, 
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(interface, "ensemble", ensemble)
-    monkeypatch.setattr(simulating, "finish", lambda *_: None)
+    monkeypatch.setattr(simulation_options, "finish_run", lambda *_: None)
     command = ["ensemble", "weigh-bucket", "--runs", "3", "--vary", "portion.count=5:6", "--record-rate", "500"]
     assert main(command) == 0
     assert asked["parameters"] == {"portion.count": [5, 6, 5]} and asked["runs"] == 3 and asked["uncertain"] is False

@@ -8,10 +8,10 @@ import pytest
 
 from dem_jax import shapes
 from dem_jax.errors import RecordError
-from dem_jax.maths.pose import matrix_of_quaternion
-from dem_jax.shapes import meshes
-from dem_jax.show.vtk import export_vtk
-from dem_jax.store.record import Frames
+from dem_jax.io.run_files import Frames
+from dem_jax.math.pose import quaternion_to_matrix
+from dem_jax.shapes import wall_meshes
+from dem_jax.visualization.vtk_export import export_vtk
 
 QUARTER = np.array([np.sqrt(0.5), 0, 0, np.sqrt(0.5)])  # about z
 
@@ -29,11 +29,11 @@ def two_pieces():
 
 
 def one_flap():
-    square = meshes.plate([(0, 0, 0), (0.1, 0, 0), (0.1, 0.1, 0), (0, 0.1, 0)], 0.002)
+    square = wall_meshes.build_plate([(0, 0, 0), (0.1, 0, 0), (0.1, 0.1, 0), (0, 0.1, 0)], 0.002)
     walls = {"floor": [(square.vertices, square.faces)], "flap": [(square.vertices, square.faces)]}
 
     def pose(t):
-        return {"floor": (np.eye(3), np.zeros(3)), "flap": (matrix_of_quaternion(QUARTER), np.array([0, 0, 10 * t]))}
+        return {"floor": (np.eye(3), np.zeros(3)), "flap": (quaternion_to_matrix(QUARTER), np.array([0, 0, 10 * t]))}
 
     return walls, pose
 
@@ -66,7 +66,7 @@ def test_frames_hold_the_pieces_where_they_are(tmp_path):
     np.testing.assert_allclose(np.linalg.norm(last["Points"][16:] - (0.1, 0, 0.05), axis=1), 0.01, rtol=1e-12)
     np.testing.assert_array_equal(last["connectivity"][: last["offsets"][0]], kinds[0].faces[0])
     assert last["connectivity"].max() == len(last["Points"]) - 1 and last["offsets"][-1] == len(last["connectivity"])
-    facets = len(shapes.surface(kinds[1])[1])
+    facets = len(shapes.surface_mesh(kinds[1])[1])
     np.testing.assert_array_equal(last["piece"], [0] * 10 + [1] * facets)
     np.testing.assert_allclose(last["speed"], [5.0] * 10 + [1.0] * facets, rtol=1e-15)
     np.testing.assert_allclose(last["spin"], [2.0] * 10 + [0.0] * facets, rtol=1e-15)
@@ -80,7 +80,7 @@ def test_a_piece_of_parts_is_drawn_without_what_is_inside(tmp_path):
     found = arrays(tmp_path / "frames" / "pieces_00000.vtp")
     np.testing.assert_array_equal(found["offsets"], np.arange(4, 4 * 32 + 1, 4))  # of eight staves four faces each show
     loops = [tuple(loop) for loop in found["connectivity"].reshape(-1, 4)]
-    volume, centre, _ = shapes.mass_properties(found["Points"], loops)
+    volume, centre, _ = shapes.integrate_polyhedron(found["Points"], loops)
     assert volume == pytest.approx(pasta.volume, rel=1e-11)
     np.testing.assert_allclose(centre, (0, 0, 0.1), atol=1e-12)
 

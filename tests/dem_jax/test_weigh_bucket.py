@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import dem_jax
-from dem_jax.scene import parse
+from dem_jax.scene import parse_scene
 
 PIECE = 5.832e-3  # kg
 HEIGHT = {"weigh-bucket": 0.31, "quick-release": 0.25}  # m
@@ -59,7 +59,7 @@ def test_energy_ledger_closes(run):
 
 def test_peak_force_and_its_time(run):
     """A free fall from the closed flaps' edge, and more for pieces above it; force within the stiff limit."""
-    pif, height = run.pif_kg("wb_flaps"), HEIGHT[parse(run.scene).name]
+    pif, height = run.pif_kg("wb_flaps"), HEIGHT[parse_scene(run.scene).name]
     peak = int(np.argmax(pif))
     assert -0.016 < run.time[peak] - np.sqrt(2 * height / 9.81) < 0.034
     one = np.sqrt(2 * 9.81 * height * PIECE * 33327.17) / 9.81  # kg: peak of one piece that lands flat (VALIDATION, sec. 2)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dem_jax.show.weighing import estimate_drops
+from dem_jax.visualization.scale_readings import estimate_drops
 from dem_jax.weighing.tuning import Drops
 from product_model import Weigher, save_weigher
 
@@ -33,7 +33,7 @@ def test_a_step_is_weighed_within_five_samples_while_the_cell_rings(path):
     signal = 0.04 * np.diff(integral, prepend=0.0)[None, :] / H
     drops = Drops(time, signal, np.array([0.04]), np.array([LEAD * H]))
     row, words = estimate_drops("step", drops, 1000.0, path)
-    assert row.times(1e-3).impact[0] < 0.0055  # at the fifth sample
+    assert row.find_times_to_weigh(1e-3).impact[0] < 0.0055  # at the fifth sample
     assert np.abs(signal[0, -20:] - 0.04).max() > 0.03
     assert "doubted in 0 of 1" in words
 

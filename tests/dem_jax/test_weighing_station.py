@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import dem_jax
-from dem_jax import build
+from dem_jax import assembly
 from dem_jax.errors import SceneError
 from dem_jax.scene import load_scene
 
@@ -16,11 +16,11 @@ PEAK_SPEED = 2 * np.pi * FREQUENCY * STROKE  # m/s, along the stroke
 def test_the_cycle_is_that_of_table_1():
     with jax.enable_x64(True):
         scene = load_scene("weighing-station").replace(run={"precision": "f64"})
-        walls = build.build(scene).system.walls
+        walls = assembly.assemble_system(scene).system.walls
         time = np.linspace(-0.2, 1.2, 1401)
         hinge, vibration = walls.motions
-        opened = np.array([hinge.opened(t) for t in time])
-        shift = np.array([vibration.displacement(t) for t in time]) * np.linalg.norm(vibration.stroke, axis=0)
+        opened = np.array([hinge.opening_fraction(t) for t in time])
+        shift = np.array([vibration.relative_displacement(t) for t in time]) * np.linalg.norm(vibration.stroke, axis=0)
     of = walls.groups.index
     weigh, feed = opened[:, of("wb_flap_left")], opened[:, of("fb_flap_right")]
     starts = time[np.argmax(feed > 0)]

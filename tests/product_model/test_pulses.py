@@ -8,7 +8,7 @@ from scipy.special import erf
 
 from product_model import model, parameters, simulate
 from product_model.grid import Grid, grid_over
-from product_model.portion import portion, render, static_of
+from product_model.portion import portion, render, static_parameters
 from product_model.pulses import cumulative_sum
 from product_model.smooth import peak_factor
 
@@ -94,7 +94,7 @@ def test_edges_outside_the_grid_count_as_level_or_not_at_all():
 
 
 def total(leaves, params, weights):
-    force = portion(leaves, jax.random.key(3), **static_of(params)).force  # z = 1.1: gamma_high matters
+    force = portion(leaves, jax.random.key(3), **static_parameters(params)).force  # z = 1.1: gamma_high matters
     return jnp.sum(weights * force)
 
 
@@ -143,7 +143,7 @@ def test_gradients_are_finite_in_every_corner(form, corner, pieces):
     values = BASE | CORNERS[corner]
     params = parameters(form=form, pieces=pieces, duration=0.4, sample=1e-4, **values)
     leaves = {key: jnp.asarray(value) for key, value in values.items()}
-    slopes = jax.jit(jax.grad(lambda leaves: jnp.sum(portion(leaves, jax.random.key(2), **static_of(params)).force ** 2)))(leaves)
+    slopes = jax.jit(jax.grad(lambda leaves: jnp.sum(portion(leaves, jax.random.key(2), **static_parameters(params)).force ** 2)))(leaves)
     assert all(np.isfinite(float(slope)) for slope in slopes.values())
     if form != "rectangular":  # a pulse between two samples is not seen by the sampled form
         assert float(slopes["dt_impact"]) != 0.0

@@ -13,7 +13,7 @@ from dem_jax.app.folder import LARGEST_STL, PRODUCTS
 from dem_jax.app.pages import parts
 from dem_jax.app.session import Session
 from dem_jax.errors import RecordError, SceneError
-from dem_jax.scene.library import product_tree
+from dem_jax.scene.library import load_product
 
 UNITS = {1e-3: "millimetres", 1e-2: "centimetres", 1.0: "metres", 25.4e-3: "inches"}
 
@@ -269,7 +269,7 @@ def _show_stl(
                 weight.error = "Allowed: above 0 g"
                 return
             weight.error = None
-            material = product_tree(like.value, "products").get("material", {})
+            material = load_product(like.value, "products").get("material", {})
             text = write_product(
                 f"{stem}.stl", unit.value, 1e-3 * weight.value, found.is_hull, material
             )
@@ -293,4 +293,4 @@ def _show_stl(
 def _library_names() -> list[str]:
     from dem_jax.scene import library
 
-    return list(library.products())
+    return list(library.list_products())

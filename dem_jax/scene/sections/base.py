@@ -6,7 +6,7 @@ from typing import Annotated, Any, Self, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
-from dem_jax.scene.text import value
+from dem_jax.scene.toml_text import format_value
 
 
 def as_tuple(value: Any) -> Any:
@@ -38,15 +38,15 @@ Quaternion = Annotated[tuple[float, float, float, float], BeforeValidator(as_tup
 Size = Annotated[tuple[Positive, Positive, Positive], BeforeValidator(as_tuple)]
 Points = Annotated[tuple[Vector, ...], BeforeValidator(as_tuple)]
 Numbers = Annotated[tuple[float, ...], BeforeValidator(as_tuple)]
-PLACING = ("unit", "rotate_deg", "move")  # keys of how an STL is placed
+PLACING_KEYS = ("unit", "rotate_deg", "move")  # keys of how an STL is placed
 StlUnit = Annotated[Positive, Field(description="m per unit of an STL: 1e-3 of millimetres")]
 StlTurn = Annotated[Vector, Field(description="degrees, rotation of an STL about x, then y, then z of the scene")]
 StlMove = Annotated[Vector, Field(description="m, displacement of an STL after its rotation")]
 MaterialName = Annotated[str | None, Field(description="name of a [material.NAME]; unset: [material] itself")]
 
 
-LARGEST = 1e30  # of any number: what it is multiplied with must not take it beyond single precision, 3e38
-ALLOWED = f"numbers whose size is {1 / LARGEST:g} to {LARGEST:g}, and 0 where that may be"
+LARGEST_NUMBER = 1e30  # of any number: what it is multiplied with must not take it beyond single precision, 3e38
+ALLOWED_NUMBERS = f"numbers whose size is {1 / LARGEST_NUMBER:g} to {LARGEST_NUMBER:g}, and 0 where that may be"
 
 
 class Section(BaseModel):
@@ -58,12 +58,12 @@ class Section(BaseModel):
     def _is_of_this_world(self) -> Self:
         for key in type(self).model_fields:
             item = getattr(self, key)
-            if isinstance(item, float) and 0 < abs(item) < 1 / LARGEST:
-                raise ValueError(f"{key} = {item:.3g}: allowed: {ALLOWED}")
-            for number in _plain_numbers(item):
-                if abs(number) > LARGEST:
+            if isinstance(item, float) and 0 < abs(item) < 1 / LARGEST_NUMBER:
+                raise ValueError(f"{key} = {item:.3g}: allowed: {ALLOWED_NUMBERS}")
+            for number in _iterate_numbers(item):
+                if abs(number) > LARGEST_NUMBER:
                     shown = f"{number:.3g}" if isinstance(number, float) or number < 10**15 else "a large whole number"
-                    raise ValueError(f"{key} = {shown}: allowed: {ALLOWED}")
+                    raise ValueError(f"{key} = {shown}: allowed: {ALLOWED_NUMBERS}")
         return self
 
 
@@ -72,14 +72,14 @@ def check_needed(section: BaseModel, keys: Iterable[str], is_needed: bool, why: 
     for key in () if is_needed else keys:
         item = getattr(section, key)
         if item != type(section).model_fields[key].default:
-            shown = "" if isinstance(item, BaseModel) else f" = {value(item)}"
+            shown = "" if isinstance(item, BaseModel) else f" = {format_value(item)}"
             raise ValueError(f"{key}{shown}: cannot act {why}; allowed: to leave it out")
 
 
-def _plain_numbers(item: Any) -> Iterator[float]:
+def _iterate_numbers(item: Any) -> Iterator[float]:
     """Those in a value, however deep in tuples."""
     if isinstance(item, float | int):
         yield item
     elif isinstance(item, tuple):
         for each in item:
-            yield from _plain_numbers(each)
+            yield from _iterate_numbers(each)

@@ -10,7 +10,7 @@ from dem_jax.scene.sections.material import Material
 LawName = Literal["walton-braun", "linear-dashpot", "hertz-mindlin", "densifying", "elastic-plastic"]
 
 # Keys that belong to some laws only, by section and key: the laws that have them.
-OF_LAWS = {
+LAW_KEYS = {
     ("material", "separation"): ("walton-braun",),
     ("material", "unloading_damping"): ("walton-braun",),
     ("material", "rest_damping"): ("walton-braun",),
@@ -19,11 +19,11 @@ OF_LAWS = {
     ("contact", "yield_pressure"): ("elastic-plastic",),
     ("contact", "densification"): ("densifying",),
 }
-HERTZIAN = ("hertz-mindlin", "elastic-plastic")  # laws whose stiffness follows from the curvature of bodies
+HERTZIAN_LAWS = ("hertz-mindlin", "elastic-plastic")  # laws whose stiffness follows from the curvature of bodies
 
 
 class Cohesion(Section):
-    """How bodies hold on to each other, where a pull_off is more than 0 (dem_jax.contact.law.cohesion)."""
+    """How bodies hold on to each other, where a pull_off is more than 0 (dem_jax.contact_laws.cohesion)."""
 
     stiffness: Parameter[Positive] = Field(1.0, description="of the tension, relative to the two bodies in series (eqs 5, 7 and 8)")
     range: NotNegative = Field(1e-4, description="m, gap over which the tension decreases from pull_off to 0")
@@ -49,9 +49,9 @@ class Contact(Section):
     )
 
 
-def stray_key(contact: Contact, material: Material) -> str | None:
+def find_stray_key(contact: Contact, material: Material) -> str | None:
     """What is wrong, in words, if a key of another law is set; None if none is."""
-    for (section, key), laws in OF_LAWS.items():
+    for (section, key), laws in LAW_KEYS.items():
         where = contact if section == "contact" else material
         if contact.law not in laws and getattr(where, key) != type(where).model_fields[key].default:
             of = " or ".join(f'"{law}"' for law in laws)

@@ -14,9 +14,9 @@ from dem_jax.scene.sections.base import (
     SwitchedParameter,
     as_tuple,
 )
-from dem_jax.scene.surfaces import SurfaceName
+from dem_jax.scene.wall_surfaces import SurfaceName
 
-DEFAULT, WALL = "default", "wall"  # names of [material] in [[pair]]: of pieces, and of walls, that name no other
+DEFAULT_NAME, WALL_NAME = "default", "wall"  # names of [material] in [[pair]]: of pieces, and of walls, that name no other
 
 RANGE_HELP = "Pa, low and high, that the real modulus of the pieces is likely within: the band of the peak follows, nothing else"
 
@@ -90,15 +90,15 @@ class Material(Section, extra="allow"):
     )
 
     @property
-    def named(self) -> dict[str, NamedMaterial]:
+    def named_materials(self) -> dict[str, NamedMaterial]:
         """The materials by name, in the order in which they were written."""
         return dict(self.__pydantic_extra__ or {})
 
     @model_validator(mode="after")
     def _has_good_names(self) -> "Material":
-        for name in self.named:
-            if name in (DEFAULT, WALL) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]*", name):
-                words = f'a letter, then letters, digits, "_" and "-", and neither "{DEFAULT}" nor "{WALL}"'
+        for name in self.named_materials:
+            if name in (DEFAULT_NAME, WALL_NAME) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]*", name):
+                words = f'a letter, then letters, digits, "_" and "-", and neither "{DEFAULT_NAME}" nor "{WALL_NAME}"'
                 raise ValueError(f"a table by the name of {name!r}; allowed: {words}")
         return self
 
@@ -114,7 +114,7 @@ class Pair(Section):
     """
 
     of: Annotated[tuple[str, str], BeforeValidator(as_tuple)] = Field(
-        description=f'names of two materials, in any order; [material] itself is "{DEFAULT}" of pieces, "{WALL}" of walls'
+        description=f'names of two materials, in any order; [material] itself is "{DEFAULT_NAME}" of pieces, "{WALL_NAME}" of walls'
     )
     restitution: InheritedParameter[Restitution | None] = Field(None, description="epsilon of eq. 6")
     friction: InheritedParameter[NotNegative | None] = Field(None, description="mu")

@@ -1,0 +1,86 @@
+"""The contact law of a scene, and the materials that it acts between. In numpy, double precision."""
+
+from collections.abc import Callable
+from typing import Any
+
+from dem_jax.contact_laws import ContactLaw
+from dem_jax.contact_laws.cohesion import Cohesive
+from dem_jax.contact_laws.densifying import Densifying
+from dem_jax.contact_laws.elastic_plastic import ElasticPlastic
+from dem_jax.contact_laws.hertz_mindlin import HertzMindlin
+from dem_jax.contact_laws.linear_dashpot import LinearDashpot
+from dem_jax.contact_laws.rolling_friction import Rolling
+from dem_jax.contact_laws.walton_braun import WaltonBraun
+from dem_jax.scene import Scene
+from dem_jax.scene.array_namespace import as_float_array, is_traced, is_zero
+from dem_jax.scene.material_properties import MaterialTable, build_material_table
+from dem_jax.types import Array, Materials, as_array
+
+
+def build_contact_law(scene: Scene, materials: Materials | None = None) -> ContactLaw:
+    """The law that a scene asks for, cohesive where any pair of its materials has a pull-off force, and with rolling friction
+    where any has that. materials: of the scene, if they are known already."""
+    law, materials = LAWS[scene.contact.law](scene), materials or build_materials(scene)
+    if materials.pull_off is not None:
+        cohesion = scene.contact.cohesion
+        law = Cohesive(law, _host_number(cohesion.stiffness), _host_number(cohesion.range))
+    return law if materials.rolling is None else Rolling(law)
+
+
+def _build_walton_braun(scene: Scene) -> ContactLaw:
+    m = scene.material
+    damping = None if is_zero(m.unloading_damping) else _host_number(m.unloading_damping)
+    at_rest = None if is_zero(m.rest_damping) else _host_number(m.rest_damping)
+    return WaltonBraun(_host_number(m.separation), _host_number(m.tangential_stiffness), damping, at_rest)
+
+
+def _host_number(value: float) -> Array:
+    return as_array(as_float_array(value))
+
+
+LAWS: dict[str, Callable[[Scene], ContactLaw]] = {
+    "walton-braun": _build_walton_braun,
+    "linear-dashpot": lambda scene: LinearDashpot(_host_number(scene.material.tangential_stiffness)),
+    "hertz-mindlin": lambda scene: HertzMindlin(_host_number(scene.contact.impact_speed)),
+    "densifying": lambda scene: Densifying(
+        _host_number(scene.contact.densification), _host_number(scene.material.tangential_stiffness), _host_number(scene.contact.impact_speed)
+    ),
+    "elastic-plastic": lambda scene: ElasticPlastic(
+        _host_number(scene.contact.yield_pressure), _host_number(scene.material.tangential_stiffness), _host_number(scene.contact.impact_speed)
+    ),
+}
+
+
+def build_materials(scene: Scene, table: MaterialTable | None = None, form: Materials | None = None) -> Materials:
+    """The materials as arrays.
+
+    Args:
+        scene: its values may be traced.
+        table: of the scene, if it is known already.
+        form: which properties of pairs there are, and whether as one number; by default those that are not 0, and as one
+            number where all pairs have the same.
+
+    Raises:
+        SceneError: a material that nothing defines.
+    """
+    table = table or build_material_table(scene)
+    pairs: dict[str, Any] = {name: _pairs(table, name, form) for name in ("restitution", "friction", "pull_off", "rolling")}
+    return Materials(
+        youngs_modulus=as_array(scene.material.softening * table.youngs_modulus),
+        poisson_ratio=as_array(table.poisson_ratio),
+        is_wall=tuple(table.is_wall.tolist()),
+        **pairs,
+    )
+
+
+def _pairs(table: MaterialTable, name: str, form: Materials | None) -> Array | None:
+    """A property of pairs; [1, 1] of one number for all. Two walls never touch: their entries do not count."""
+    values = getattr(table, name)
+    if form is None:
+        touching = ~(table.is_wall[:, None] & table.is_wall)
+        is_absent = name != "restitution" and not is_traced(values) and not values[touching].any()
+        is_uniform = name in table.uniform
+    else:
+        is_absent = getattr(form, name) is None
+        is_uniform = not is_absent and getattr(form, name).shape == (1, 1)
+    return None if is_absent else as_array(values[:1, :1] if is_uniform else values)

@@ -1,0 +1,47 @@
+"""Arrays of the run's precision."""
+
+from typing import TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import ArrayLike, DTypeLike
+
+from dem_jax.assembly.assembly_cache import AssemblyCache
+
+Tree = TypeVar("Tree")
+
+
+def cast_tree(tree: Tree, dtype: DTypeLike) -> Tree:
+    """Float leaves to the dtype, int leaves to int32."""
+
+    def cast_leaf(x: ArrayLike) -> jax.Array:
+        if isinstance(x, jax.core.Tracer):
+            return jnp.asarray(x, np.dtype(dtype))
+        x = np.asarray(x)
+        with np.errstate(over="ignore"):  # see assembly.finiteness_check
+            return jnp.asarray(x.astype(np.int32 if x.dtype.kind == "i" else dtype))  # converted here: nothing to compile
+
+    return jax.tree.map(cast_leaf, tree)
+
+
+def cast_array(x: ArrayLike, dtype: DTypeLike) -> jax.Array:
+    """Numbers as an array, converted as in ``cast_tree``."""
+    return jnp.asarray(np.asarray(x, dtype))
+
+
+def reuse_array(reuse: AssemblyCache, name: str, numbers: ArrayLike, dtype: DTypeLike) -> jax.Array:
+    """Numbers as an array, that of a scene before where they are the same."""
+    found = np.asarray(numbers, dtype)
+    return reuse.get(name, lambda: cast_array(found, dtype), (found.tobytes(), found.shape, found.dtype))
+
+
+def reuse_tree(reuse: AssemblyCache, name: str, tree: Tree, dtype: DTypeLike) -> Tree:
+    """As ``cast_tree``, with the arrays of a scene before for leaves whose numbers are the same."""
+    leaves, structure = jax.tree.flatten(tree)
+    if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
+        return cast_tree(tree, dtype)
+    with np.errstate(over="ignore"):  # see assembly.finiteness_check
+        types = [np.int32 if np.asarray(leaf).dtype.kind == "i" else dtype for leaf in leaves]
+        kept = [reuse_array(reuse, f"{name} {k}", x, own) for k, (x, own) in enumerate(zip(leaves, types, strict=True))]
+    return reuse.get(name, lambda: jax.tree.unflatten(structure, kept), (structure,), tuple(kept))

@@ -1,0 +1,24 @@
+"""The unit of an STL, which the file does not say: a size that only millimetres explain is asked about."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from dem_jax.errors import SceneError
+from dem_jax.scene import Bucket, ConvexShape, Feeder, Wall
+
+LARGEST_PIECE, LARGEST_WALL = 1.0, 10.0  # m; a bean in mm taken for m is larger, and so is a bucket
+
+
+def check_stl_unit(row: ConvexShape | Wall | Bucket | Feeder, stl: str | None, points: Sequence[np.ndarray]) -> None:
+    """Raise SceneError for a piece, a wall, a bucket or a feeder whose STL is too large to be in metres, unless it says its unit.
+
+    points: [.., 3] (m) each, corners of the parts or panels of the STL.
+    """
+    limit = LARGEST_WALL if isinstance(row, Wall | Bucket | Feeder) else LARGEST_PIECE
+    if stl is None or "unit" in row.model_fields_set or not len(points):
+        return
+    size = np.ptp(np.concatenate(points), axis=0)
+    if size.max() > limit:
+        words = " x ".join(f"{edge:.4g}" for edge in size)
+        raise SceneError(f"stl = {stl!r} is {words} m large; allowed: unit = 1e-3 if it is in mm, unit = 1.0 if it is in m")

@@ -1,0 +1,193 @@
+"""A scene as two parts, its topology and its parameters, and the system with its first state as a function of both."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.extend.core import Var
+
+from dem_jax.assembly.arrays import Layout, find_arrays
+from dem_jax.assembly.contact_law import build_materials
+from dem_jax.assembly.initial_conditions import InitialConditions, build_initial_motion, read_listed_pieces
+from dem_jax.assembly.parameters import Parameters, find_parameters, find_unset_parameters, insert_values, is_left_out
+from dem_jax.assembly.system import AssembledSystem
+from dem_jax.assembly.wall_panels import lay_out_walls
+from dem_jax.broad_phase import neighbour_list, overflow_recovery
+from dem_jax.dynamics import quantity
+from dem_jax.errors import SceneError
+from dem_jax.scene import Scene
+from dem_jax.scene.array_namespace import as_float_array
+from dem_jax.scene.messages import suggest_choices
+from dem_jax.types import Materials, State, System
+
+POSES = {"portion.position": "position", "portion.orientation": "orientation"}  # parameters of pieces that a scene makes
+FIELDS = ("pieces", "materials", "law", "walls", "gravity", "block_low", "block_high")  # of a System, of parameters
+
+
+@dataclass(frozen=True, eq=False)
+class Topology:
+    """All of a scene that is no number of a compiled program's input: shapes, counts, groups, kinds, capacities, time step.
+
+    Two topologies are equal, and have the same hash, if their programs are the same: it can be a static argument of ``jax.jit``.
+    """
+
+    scene: Scene  # without the values of its parameters
+    layout: Layout
+    start: InitialConditions  # of pieces that are no parameters
+    system: System  # without FIELDS
+    state: State  # without motion; scratch has the forms of its arrays
+    frames: np.ndarray  # [N, 4]: principal frame to body frame, of each piece
+    materials: Materials  # forms of the arrays
+    shapes: Mapping[str, tuple[int, ...]]  # of the values of all parameters
+    unset: frozenset[str]  # parameters that may be given, in whose place others stand if they are not
+    settling_steps: int  # time steps before time zero
+    steps_per_sample: int  # of a sample interval of the scene
+    samples: int  # sample intervals from time zero to the end of the scene's run
+
+    @property
+    def steps(self) -> int:
+        """Time steps to the end of the scene's run, settling included."""
+        return self.settling_steps + self.samples * self.steps_per_sample
+
+    @property
+    def dt(self) -> float:
+        """Time step (s)."""
+        return float(self.system.dt)
+
+    @cached_property
+    def _identity(self) -> Any:
+        leaves, structure = jax.tree.flatten((self.system, self.state.step, self.layout.walls, self.layout.law, self.frames))
+        arrays = tuple((np.shape(leaf), str(np.asarray(leaf).dtype), np.asarray(leaf).tobytes()) for leaf in leaves)
+        forms = jax.tree.flatten((self.state.replace(step=None), self.materials))
+        counts = self.settling_steps, self.steps_per_sample, self.samples
+        return repr(self.scene), structure, arrays, (tuple(map(_form_of, forms[0])), forms[1]), tuple(self.shapes.items()), counts
+
+    def __eq__(self, other: object) -> bool:
+        return self is other or (isinstance(other, Topology) and self._identity == other._identity)
+
+    def __hash__(self) -> int:
+        return hash(self._identity)
+
+
+def split_scene(scene: Scene, built: AssembledSystem) -> tuple[Topology, dict[str, np.ndarray]]:
+    """Topology and parameters of a self-contained scene that was built. Raises SceneError for pieces that come and go."""
+    if built.exchange_plan is not None:
+        raise SceneError("[inlet], [outlet]: the host moves these pieces between steps; allowed: a scene without them")
+    values = find_parameters(scene)
+    if not scene.piece:
+        values |= {key: np.asarray(getattr(built.start, field), float) for key, field in POSES.items()}
+    unset = dict.fromkeys(find_unset_parameters(scene), np.zeros(()))
+    topology = _outline(scene, built, values, unset)
+    fill = partial(_fill_arrays, topology)
+    used = _find_used(fill, values)
+    also = [key for key in _find_used(fill, values | unset) if key in unset] if unset else []
+    own = {key: value for key, value in values.items() if key in used}
+    blank = insert_values(scene, {key: None for key in own if key not in POSES})
+    shapes = {key: np.shape(value) for key, value in (own | dict.fromkeys(also, 0.0)).items()}
+    topology = replace(topology, scene=blank, shapes=shapes, unset=frozenset(also))
+    form = jax.eval_shape(lambda values: neighbour_list.rebuild_neighbour_list(*_fill_arrays(topology, values)), own).scratch
+    return replace(topology, state=topology.state.replace(scratch=form)), own
+
+
+def assemble(topology: Topology, parameters: Parameters) -> tuple[System, State]:
+    """System and first state of a topology with values of its parameters. Pure: values may be traced.
+
+    Args:
+        topology: of a scene.
+        parameters: a value for each parameter of the topology.
+
+    Returns:
+        The system, which a run does not change, and the state at the first time step.
+
+    Raises:
+        SceneError: a parameter is missing, unknown, or of another form.
+    """
+    check_parameters(topology, parameters)
+    for key in topology.shapes.keys() - topology.unset - parameters.keys():
+        raise SceneError(f"{key}: missing; allowed: all parameters that dem_jax.model returns, with other values")
+    system, state = _fill_arrays(topology, parameters)
+    scratch = jax.tree.map(lambda form: np.zeros(form.shape, form.dtype), topology.state.scratch)
+    scratch = scratch.replace(rebuild_step=topology.state.step - system.block_steps)  # a rebuild is due
+    return system, state.replace(scratch=jax.tree.map(jnp.asarray, scratch))
+
+
+def check_parameters(topology: Topology, parameters: Parameters) -> None:
+    """Raise SceneError for keys that are no parameters, and for values of another form."""
+    for key, value in parameters.items():
+        if key not in topology.shapes:
+            raise _not_a_parameter(topology, key)
+        if (found := np.shape(value)) != topology.shapes[key]:
+            raise SceneError(f"{key}: a value of the form {found}; allowed: {topology.shapes[key]}")
+
+
+def _not_a_parameter(topology: Topology, key: str) -> SceneError:
+    if is_left_out(topology.scene, key):
+        return SceneError(f"{key}: the scene has 0, and its program nothing of it; allowed: a scene in which it is not 0")
+    return SceneError(f"{key}: decides the program or its sizes, or is no key of the scene; {suggest_choices(key, list(topology.shapes))}")
+
+
+def _outline(scene: Scene, built: AssembledSystem, values: Parameters, unset: Parameters) -> Topology:
+    """The topology of a scene with its values, before it is known which of them are parameters."""
+    of_scene = {key: value for key, value in {**values, **unset}.items() if key not in POSES}
+    materials = jax.eval_shape(lambda values: build_materials(insert_values(scene, values)), of_scene)
+    absent = [name for name in ("friction", "pull_off", "rolling") if getattr(built.system.materials, name) is None]
+    return Topology(
+        scene=scene,
+        layout=built.layout,
+        start=built.start,
+        system=_prepare_system(built),
+        state=built.state.replace(motion=None, scratch=None),
+        frames=built.frames,
+        materials=materials.replace(**dict.fromkeys(absent)),
+        shapes={key: np.shape(value) for key, value in {**values, **unset}.items()},
+        unset=frozenset(unset),
+        settling_steps=built.settling_steps,
+        steps_per_sample=built.step.substeps,
+        samples=built.samples,
+    )
+
+
+def _prepare_system(built: AssembledSystem) -> System:
+    """The system without FIELDS, for steps of a compiled loop: rebuilds after whole sample intervals, and quantities whose rows
+    have fixed names."""
+    system, part = overflow_recovery.with_all_pairs(built.system), built.step.substeps // built.step.parts
+    block = max(1, system.block_steps // part) if built.step.parts == 1 else 1
+    fixed = tuple(quantity.with_fixed_rows(one, system) for one in system.quantities)
+    return system.replace(block_steps=block * part, quantities=fixed, **dict.fromkeys(FIELDS))
+
+
+def _fill_arrays(topology: Topology, parameters: Parameters) -> tuple[System, State]:
+    """System and first state, whose scratch is that of the topology."""
+    scene = insert_values(topology.scene, {key: value for key, value in parameters.items() if key not in POSES})
+    start = topology.start
+    if scene.piece:
+        start = read_listed_pieces(scene.piece)
+    else:
+        start = replace(start, **{field: as_float_array(parameters[key]) for key, field in POSES.items() if key in parameters})
+    drop = scene.drop.model_copy(update={"height": topology.layout.drop_height})
+    motions = lay_out_walls(scene.model_copy(update={"drop": drop}))[1]
+    arrays = find_arrays(scene, topology.layout, motions, start, form=topology.materials)
+    system = topology.system.replace(**arrays.system_fields())
+    start = arrays.start
+    if not system.has_rotation:
+        start = replace(start, spin=np.zeros(start.spin.shape))
+    motion = jax.tree.map(jnp.asarray, build_initial_motion(system, start, topology.frames))
+    return system, topology.state.replace(motion=motion)
+
+
+def _find_used(function: Callable[[Parameters], Any], values: Parameters) -> list[str]:
+    """Keys of the values that the results of a function depend on."""
+    jaxpr = jax.make_jaxpr(function)(dict(values)).jaxpr
+    needed = {variable for variable in jaxpr.outvars if isinstance(variable, Var)}
+    for equation in reversed(jaxpr.eqns):
+        if not needed.isdisjoint(equation.outvars):
+            needed.update(variable for variable in equation.invars if isinstance(variable, Var))
+    return [key for key, variable in zip(sorted(values), jaxpr.invars, strict=True) if variable in needed]
+
+
+def _form_of(leaf: Any) -> tuple[tuple[int, ...], str]:
+    return np.shape(leaf), str(leaf.dtype)

@@ -1,0 +1,237 @@
+"""Files that are written: whole or not at all, under a name of their own until they are, and by one process at a time."""
+
+import errno
+import os
+import secrets
+import stat
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from hashlib import sha256
+from pathlib import Path
+from typing import IO, Any
+
+from dem_jax import process
+from dem_jax.errors import RecordError
+
+FileName = str | os.PathLike[str]
+Fingerprint = tuple[int, int, int, int]  # device, inode, size (bytes), time of the last change (ns)
+LEAST_ROOM = 2**16  # bytes: with less, work whose results go into a file need not begin
+OPEN_ELSEWHERE = "it is open in another program, which may write to it; close it there first"
+WRITTEN_ELSEWHERE = "another process writes it; allowed: another name, or to wait until that has ended"
+
+
+def resolve_destination(path: FileName) -> Path:
+    """The file itself, from the root: links are followed, and another working folder does not change it."""
+    return Path(os.path.realpath(path))
+
+
+def read_fingerprint(path: FileName) -> Fingerprint | None:
+    """What tells one state of a file from another; None: there is no such file."""
+    try:
+        return _stat_fingerprint(os.stat(path))
+    except FileNotFoundError:
+        return None
+
+
+def _stat_fingerprint(found: os.stat_result) -> Fingerprint:
+    return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns
+
+
+def write_atomically(path: FileName, content: bytes | memoryview) -> Path:
+    """Write a file anew. Whoever reads it meets the one before or all of this one, also if the process is killed meanwhile.
+
+    Returns the path as it was given. Raises RecordError where it cannot be written.
+    """
+    try:
+        replace_file(resolve_destination(path), content)
+    except OSError as error:
+        raise RecordError(f"{path} cannot be written: {describe_os_error(error)}") from error
+    return Path(path)
+
+
+def replace_file(path: Path, content: bytes | memoryview) -> Fingerprint:
+    """Put content in the place of a file; returns the new file's fingerprint. Raises OSError, and leaves the file as it was."""
+    before = os.stat(path) if path.exists() else None
+    if before is not None and not stat.S_ISREG(before.st_mode):
+        raise OSError(errno.EINVAL, "it is not a regular file")
+    with process.defer_signals():
+        file, part = _open_partial(path.parent)
+        try:
+            with file:
+                file.write(content)
+                file.flush()
+                if before is not None:
+                    with suppress(OSError):
+                        os.fchmod(file.fileno(), stat.S_IMODE(before.st_mode))
+                if part is None:
+                    part = _link_partial(file.fileno(), path.parent)
+                own = os.fstat(file.fileno())
+            os.replace(part, path)
+            found = os.stat(path)  # some file systems set the time of the last change on closing
+        except BaseException:
+            if part is not None:
+                with suppress(OSError):
+                    os.unlink(part)
+            raise
+    return _stat_fingerprint(found if os.path.samestat(own, found) else own)
+
+
+def _open_partial(folder: Path) -> tuple[IO[bytes], str | None]:
+    """A new file and its name; None: it has none yet, so that nothing of it stays behind if the process is killed."""
+    if hasattr(os, "O_TMPFILE") and os.path.isdir("/proc/self/fd"):
+        with suppress(OSError):  # not of every file system
+            return os.fdopen(os.open(folder, os.O_TMPFILE | os.O_WRONLY, 0o666), "wb"), None
+    part = _partial_name(folder)
+    return os.fdopen(os.open(part, os.O_CREAT | os.O_EXCL | os.O_WRONLY | getattr(os, "O_BINARY", 0), 0o666), "wb"), part
+
+
+def _link_partial(file: int, folder: Path) -> str:
+    part = _partial_name(folder)
+    base = os.open(folder, os.O_RDONLY)
+    try:
+        os.link(f"/proc/self/fd/{file}", part, src_dir_fd=base, dst_dir_fd=base, follow_symlinks=True)
+    finally:
+        os.close(base)
+    return part
+
+
+def _partial_name(folder: Path) -> str:
+    """A name that no other file has, and no longer than every file system takes."""
+    return os.path.join(folder, f".dem_jax-{secrets.token_hex(8)}.tmp")
+
+
+def check_destination(path: FileName, overwrite: bool = False) -> None:
+    """Raise RecordError if a file cannot be written, or exists and is not to be overwritten."""
+    place = resolve_destination(path)
+    if not place.parent.is_dir():
+        raise RecordError(f"{path} cannot be written: there is no folder {str(Path(path).parent)!r}")
+    with suppress(OSError):  # such as of a name that is too long, which is said below
+        if place.exists() and not (overwrite and place.is_file()):
+            allowed = "another name, or overwrite=True to replace it" if place.is_file() else "another name, or a file"
+            raise RecordError(f"{path} exists; allowed: {allowed}")
+    check_writable(path)
+
+
+def check_writable(path: FileName) -> None:
+    """Raise RecordError if a file cannot be written: for want of permission or room, or by its name. Leaves nothing behind."""
+    place = resolve_destination(path)
+    try:
+        if os.path.islink(place):
+            raise OSError(errno.ELOOP, os.strerror(errno.ELOOP))
+        if place.is_dir():
+            raise IsADirectoryError(errno.EISDIR, "it is a folder")
+        if place.exists():
+            _check_existing(place)
+        with tempfile.TemporaryFile(dir=place.parent) as file:
+            file.write(bytes(LEAST_ROOM))
+    except OSError as error:
+        raise RecordError(f"{path} cannot be written: {describe_os_error(error)}") from error
+
+
+def _check_existing(place: Path) -> None:
+    """Raises OSError for a file that is not to be replaced."""
+    if not place.is_file():
+        raise OSError(errno.EINVAL, "it is not a regular file")
+    if not os.access(place, os.W_OK):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+    if is_open_elsewhere(place):
+        raise OSError(errno.EAGAIN, OPEN_ELSEWHERE)
+
+
+def is_open_elsewhere(path: Path) -> bool:
+    """Whether another program has an HDF5 file open to write to it: HDF5 locks it then."""
+    try:
+        import fcntl
+    except ImportError:  # of Windows, which does not let such a file be replaced anyway
+        return False
+    try:
+        with open(path, "rb") as file:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:  # of a file system without locks
+        pass
+    return False
+
+
+def describe_os_error(error: OSError) -> str:
+    """Why a file cannot be read or written, in a few words."""
+    if getattr(error, "winerror", None) in (32, 33):
+        return OPEN_ELSEWHERE
+    return error.strerror or (str(error).splitlines() or [type(error).__name__])[0]
+
+
+@contextmanager
+def lock_file(path: FileName) -> Iterator[None]:
+    """Be the only process, of this user and machine, that writes a file. Raises RecordError where another one does.
+
+    The lock is kept in the user's cache folder, not beside the file, and ends with the process, however that ends.
+    """
+    held: tuple[str, int] | None = None
+    try:
+        held = _acquire_lock(resolve_destination(path))
+    except BlockingIOError as error:
+        raise RecordError(f"{path} cannot be written: {WRITTEN_ELSEWHERE}") from error
+    except OSError:  # no folder for locks, or a file system without: ``read_fingerprint`` still tells what another process did
+        pass
+    try:
+        yield
+    finally:
+        if held is not None:
+            with suppress(OSError):
+                os.unlink(held[0])  # while it is held: whoever takes it next looks whether it is still there
+            os.close(held[1])
+
+
+def _acquire_lock(place: Path) -> tuple[str, int]:
+    """The name and the descriptor of a lock that is held."""
+    folder = os.stat(place.parent)
+    key = f"{folder.st_dev} {folder.st_ino} {place.name}"
+    name = os.path.join(_find_lock_folder(), sha256(os.fsencode(key)).hexdigest()[:32])
+    while True:
+        file = os.open(name, os.O_RDWR | os.O_CREAT, 0o600)
+        try:
+            _lock_descriptor(file)
+            with suppress(OSError):
+                if os.path.samestat(os.fstat(file), os.stat(name)):
+                    return name, file
+        except BaseException:
+            os.close(file)
+            raise
+        os.close(file)  # its holder has removed it just now
+
+
+def _lock_descriptor(file: int) -> None:
+    """Raises BlockingIOError where it is held already."""
+    if sys.platform == "win32":
+        import msvcrt
+
+        try:
+            msvcrt.locking(file, msvcrt.LK_NBLCK, 1)
+        except OSError as error:
+            raise BlockingIOError(errno.EAGAIN, str(error)) from error
+    else:
+        import fcntl
+
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+def _find_lock_folder() -> str:
+    """Raises OSError where none can be made."""
+    for base in _list_cache_folders():
+        folder = os.path.join(base, "dem_jax", "locks")
+        with suppress(OSError):
+            os.makedirs(folder, mode=0o700, exist_ok=True)
+            if os.access(folder, os.W_OK):
+                return folder
+    raise OSError(errno.ENOENT, "there is no folder for locks")
+
+
+def _list_cache_folders() -> Iterator[str]:
+    base = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    if os.path.isabs(base):
+        yield base
+    user: Any = getattr(os, "getuid", lambda: "")()
+    yield os.path.join(tempfile.gettempdir(), f"dem_jax-{user}")

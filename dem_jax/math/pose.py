@@ -1,0 +1,26 @@
+"""Rotations on the host, in numpy: quaternions `w x y z` of unit length, body to world."""
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+
+
+def quaternion_to_matrix(quaternion: ArrayLike) -> np.ndarray:
+    """Rotation matrices [..., 3, 3] of quaternions [..., 4] (w x y z); lengths other than one are divided out.
+
+    Of what is no number, as of a piece that waits or a run that failed, nor are they; of none none. (scipy refuses the first, and
+    before 1.17 the second.)
+    """
+    q = np.asarray(quaternion, np.float64)
+    w, x, y, z = np.moveaxis(q / np.linalg.norm(q, axis=-1, keepdims=True), -1, 0)
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+    return np.stack([np.stack(row, -1) for row in rows], -2)
+
+
+def matrix_to_quaternion(matrix: ArrayLike) -> np.ndarray:
+    """Unit quaternion [4] (w x y z, w >= 0) of a rotation matrix [3, 3]."""
+    return np.roll(Rotation.from_matrix(matrix).as_quat(canonical=True), 1)  # w first

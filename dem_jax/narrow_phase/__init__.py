@@ -1,0 +1,1 @@
+"""Narrow phase: depth, normal and contact point of two bodies that may touch."""

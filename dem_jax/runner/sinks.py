@@ -1,0 +1,110 @@
+"""Where a run goes: into memory, into a file, or, in a process that another writes for, nowhere."""
+
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from dem_jax import process
+from dem_jax.errors import RecordError, SimulationError
+from dem_jax.io import run_files
+
+Arrays = dict[str, Any]  # name -> array, or group -> {name -> array}
+
+
+class Sink(Protocol):
+    """What the loop appends to."""
+
+    def append(
+        self, samples: Arrays, frames: Arrays | None = None, restart: Arrays | None = None, info: Arrays | None = None
+    ) -> None:
+        """As record.Writer.append."""
+
+    def report_failure(self, error: SimulationError) -> None:
+        """Say in the error where to find what was appended."""
+
+
+WriterFactory = Callable[[], run_files.Writer]
+
+
+class MemorySink:
+    """Keeps what a record.Writer would write."""
+
+    def __init__(self, header: run_files.RunHeader) -> None:
+        self._header = header
+        self._parts: dict[str, list[np.ndarray]] = {}
+        self._restart: Arrays = {}
+
+    def append(
+        self, samples: Arrays, frames: Arrays | None = None, restart: Arrays | None = None, info: Arrays | None = None
+    ) -> None:
+        """As record.Writer.append."""
+        poses = {f"pieces/{name}": array for name, array in (frames or {}).items()}
+        for name, array in (run_files.flatten_tree(samples) | poses).items():
+            self._parts.setdefault(name, []).append(array)
+        self._restart = restart or self._restart
+        self._header = replace(self._header, info=self._header.info | (info or {}))
+
+    def build_run(self) -> run_files.Run:
+        """All that was appended."""
+        return run_files.assemble_run(self._header, self._parts, self._restart)
+
+    def report_failure(self, error: SimulationError) -> None:
+        """Leave what was appended as the error's ``run``."""
+        error.run = self.build_run()
+
+
+class FileSink:
+    """A file that is begun once there is something to append. A context manager: it keeps other processes from writing the
+    file, flushes and closes it, also if the process is interrupted."""
+
+    def __init__(self, path: run_files.FileName, writer: WriterFactory | None) -> None:
+        """writer: None in a process that another writes for."""
+        self._path, self._make = Path(path), writer
+        self._writer: run_files.Writer | None = None
+        self._held = ExitStack()
+
+    def append(
+        self, samples: Arrays, frames: Arrays | None = None, restart: Arrays | None = None, info: Arrays | None = None
+    ) -> None:
+        """As record.Writer.append."""
+        self.open_writer()
+        if self._writer is not None:
+            self._writer.append(samples, frames, restart, info)
+
+    def open_writer(self) -> None:
+        """Make the writer, which checks the file."""
+        if self._writer is None and self._make is not None:
+            self._writer = self._make()
+
+    def flush(self) -> None:
+        """As record.Writer.flush."""
+        if self._writer is not None:
+            self._writer.flush()
+
+    def report_failure(self, error: SimulationError) -> None:
+        """Leave the file's name as the error's ``path``, if it has samples."""
+        error.path = self._path if self._writer is not None and (error.time or 0) > 0 else None
+
+    def __enter__(self) -> "FileSink":
+        if self._make is not None:
+            self._held.enter_context(run_files.lock_file(self._path))
+            self._held.enter_context(process.save_on_interrupt(self._save_interrupted))
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        try:
+            if self._writer is not None and not isinstance(error[1], RecordError):  # which writing has raised just now
+                self._writer.flush()
+        finally:
+            self._held.__exit__(*error)  # which is told of an interrupt, so that the last line says where the results are
+
+    def _save_interrupted(self) -> str | None:
+        """Of a process that is interrupted: what is saved, in words."""
+        if self._writer is None:
+            return None
+        self._writer.flush()
+        return f"what was computed before is in {self._path}; python -m dem_jax run --resume {self._path} goes on with it"

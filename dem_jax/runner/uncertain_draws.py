@@ -1,0 +1,36 @@
+"""Ensembles whose runs have different numbers of the product, drawn from the ranges within which they are known."""
+
+from typing import Any
+
+from dem_jax.assembly.piece_arrays import count_portion_pieces, make_portion_shapes
+from dem_jax.scene import Scene
+from dem_jax.scene.ranges import draw_values, select_uncertain_rows
+
+
+def draw_uncertain_numbers(scene: Scene, runs: int, seed: int, given: dict[str, Any]) -> tuple[Scene, dict[str, list[Any]]]:
+    """The scene with a fixed number of pieces, and values of its uncertain numbers for each run.
+
+    Args:
+        scene: with ``[[uncertain]]``.
+        runs: number of runs.
+        seed: of the draws.
+        given: values of keys for each run, which are not drawn.
+
+    Raises:
+        SceneError: the scene has no uncertain number beside those given.
+    """
+    rows = select_uncertain_rows(scene, tuple(given))
+    return scene.replace(fix_piece_counts(scene)), given | draw_values(rows, runs, seed)
+
+
+def fix_piece_counts(scene: Scene) -> dict[str, Any]:
+    """Changes of a scene that keep the number of pieces of each product, whatever their densities. Raises SceneError."""
+    portion = scene.portion
+    if portion is None:
+        return {}
+    counts = count_portion_pieces(scene, portion, make_portion_shapes(scene))[0]
+    changes: dict[str, Any] = {"portion.count": sum(counts)}
+    if portion.product:
+        changes["portion.share_by"] = "count"
+        changes |= {f"portion.product.{n}.share": float(count) for n, count in enumerate(counts)}
+    return changes

@@ -1,0 +1,1 @@
+"""Walls: panels, their prescribed motion, and their kinematics in a time step."""

@@ -1,0 +1,65 @@
+"""A flap that swings open about its hinge, dwells there and closes, once or again and again."""
+
+from typing import ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dem_jax.math.smoothstep import smooth_step
+from dem_jax.scene import Motion
+from dem_jax.scene.array_namespace import is_zero
+from dem_jax.types import Array, as_array, pytree
+from dem_jax.walls.motion.section_arrays import stack_section_values, stack_unit_axes
+
+
+@pytree
+class Hinge:
+    """Hinges of G groups, each about the pivot of its group; one that is no flap swings by nothing."""
+
+    axis: Array  # [3, G]: unit direction
+    swing: Array  # [G] (rad): angle of the open flap
+    start: Array  # [G] (s)
+    opening: Array  # [G] (s): how long it takes
+    dwell: Array  # [G] (s): open
+    closing: Array  # [G] (s)
+    period: Array  # [G] (s); 0: once
+    pivot: ClassVar[None] = None
+
+    @staticmethod
+    def is_requested(section: Motion) -> bool:
+        """Whether the section's flap swings."""
+        return not is_zero(section.swing_deg)
+
+    @classmethod
+    def from_sections(cls, sections: list[Motion]) -> "Hinge":
+        """Hinges from one section per group, in numpy. Raises SceneError."""
+        times = {key: as_array(stack_section_values(sections, key)) for key in ("start", "opening", "dwell", "closing", "period")}
+        return cls(as_array(stack_unit_axes(sections)), as_array(stack_section_values(sections, "swing_deg") * (np.pi / 180)), **times)
+
+    def moving_groups(self) -> np.ndarray:
+        """Which groups swing, [G] bool, in numpy."""
+        return np.asarray(self.swing) != 0
+
+    def opening_fraction(self, t: jax.Array) -> jax.Array:
+        """How far the flaps are open at a time (s), 0 to 1, [G]."""
+        since = t - self.start
+        cyclic = (self.period > 0) & (since > 0)
+        since = jnp.where(cyclic, jnp.mod(since, jnp.where(self.period > 0, self.period, 1)), since)
+        return smooth_step(since / self.opening) - smooth_step((since - self.opening - self.dwell) / self.closing)
+
+    def pose_at(self, t: jax.Array) -> tuple[jax.Array, None]:
+        """Angle (rad), [G], and no shift."""
+        return self.swing * self.opening_fraction(t), None
+
+    def active_interval(self) -> tuple[np.ndarray, np.ndarray]:
+        """Times (s) at which they begin to open and are shut, inf if they open again, [G] each."""
+        start, opening, dwell, closing, period = (
+            np.asarray(x, float) for x in (self.start, self.opening, self.dwell, self.closing, self.period)
+        )
+        return start, np.where(period > 0, np.inf, start + opening + dwell + closing)
+
+    @staticmethod
+    def find_endless_key(section: Motion, duration: float) -> str | None:
+        """Why the section's flap never rests."""
+        return f"period = {section.period:g}; allowed: 0 (once)" if section.period else None
