@@ -23,7 +23,11 @@ def follow(page: Path) -> float:
         if kind == "toml":
             (folder / code.splitlines()[0].removeprefix("# ")).write_text(code, encoding="utf-8")
             continue
-        steps = [[sys.executable, "-c", code]] if kind == "python" else [[*SHELL, line] for line in code.splitlines()]
+        steps = (
+            [[sys.executable, "-c", code]]
+            if kind == "python"
+            else [[*SHELL, line] for line in code.splitlines()]
+        )
         for step in steps:
             begin = time.perf_counter()
             subprocess.run(step, cwd=folder, check=True)

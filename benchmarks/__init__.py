@@ -1,1 +1,3 @@
-"""Benchmarks: ``python -m benchmarks.NAME``; tables with load, versions and compile time go to benchmarks/results/."""
+"""Benchmarks: ``python -m benchmarks.NAME``; tables with load, versions and compile time go to
+benchmarks/results/.
+"""

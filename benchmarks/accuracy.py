@@ -1,8 +1,10 @@
-"""Run time against error, for single impacts and for the weigh bucket: ``python -m benchmarks.accuracy``.
+"""Run time against error, for single impacts and for the weigh bucket: ``python -m
+benchmarks.accuracy``.
 
-Impacts of a sphere and of a tilted marshmallow on a plate, many phases and orientations at once, against the exact
-solution or a fine run in double precision; drops into the weigh bucket, which are chaotic, by their statistics over
-seeds. ``--quick``: fewer of each. Run times are processor time without compiling; drops share out all cores.
+Impacts of a sphere and of a tilted marshmallow on a plate, many phases and orientations at once,
+against the exact solution or a fine run in double precision; drops into the weigh bucket, which are
+chaotic, by their statistics over seeds. ``--quick``: fewer of each. Run times are processor time
+without compiling; drops share out all cores.
 """
 
 import argparse
@@ -18,17 +20,36 @@ from benchmarks import report
 from dem_jax.xla_flags import set_loop_flags
 
 SPEED, GRAVITY = 2.2147, 9.81  # m/s: a fall of 0.25 m; m/s2
-SPHERE = {"shape": "sphere", "radius": 0.5 * (6 * 19440e-9 / np.pi) ** (1 / 3)}  # of the marshmallow's volume
+SPHERE = {"shape": "sphere", "radius": 0.5 * (6 * 19440e-9 / np.pi) ** (1 / 3)}  # of the
+# marshmallow's volume
 PIECE = {"shape": "chamfered-cuboid"}
-WINDOW = {"sphere": 6.5e-3, "chamfered-cuboid": 2.5e-3}  # s: to the separation, to the end of the first pulse
+WINDOW = {"sphere": 6.5e-3, "chamfered-cuboid": 2.5e-3}  # s: to the separation, to the end of the
+# first pulse
 LONG = 6e-3  # s: to the end of the softest pulse, in which other corners strike too
 FINE = 1600  # steps per loading quarter period of the reference
 NUMBERS = (8, 12, 16, 25, 40, 63, 100, 160, 250, 400)
-ROUNDS = 15  # in which the costs of a step are measured, one after the other, so that what else the machine does falls on all
-DEFAULT = 100  # steps per loading quarter period of the default at restitution 0.1: ten in an unloading one
+ROUNDS = 15  # in which the costs of a step are measured, one after the other, so that what else the
+# machine does falls on all
+DEFAULT = 100  # steps per loading quarter period of the default at restitution 0.1: ten in an
+# unloading one
 QUANTITIES = ("peak force", "restitution", "impulse")
-SOFT_HEAD = ("softening", "peak, f32", "impulse, f32", "peak, f64", "impulse, f64", "steps over those at 1")
-DROP_HEAD = ("drop", "s per drop", "peak PIF (g)", "settled (ms)", "peak (%)", "settled time (%)", "impulse (%)")
+SOFT_HEAD = (
+    "softening",
+    "peak, f32",
+    "impulse, f32",
+    "peak, f64",
+    "impulse, f64",
+    "steps over those at 1",
+)
+DROP_HEAD = (
+    "drop",
+    "s per drop",
+    "peak PIF (g)",
+    "settled (ms)",
+    "peak (%)",
+    "settled time (%)",
+    "impulse (%)",
+)
 
 
 # --- single impacts ---
@@ -39,24 +60,33 @@ class Impacts:
     """What was measured of impacts side by side, [K] each."""
 
     peak: np.ndarray  # N: as reported, of the top, also where that falls between two steps
-    rebound: np.ndarray  # m/s: at separation (sphere), or of the corner that hit, at the end of the window
+    rebound: np.ndarray  # m/s: at separation (sphere), or of the corner that hit, at the end of the
+    # window
     impulse: np.ndarray  # N s, vertical, over the window
     quarter: float  # s: quarter period of the loading branch, central impact on the plate
-    once: np.ndarray | None = None  # whether the force has risen once and is gone by the end of the window
+    once: np.ndarray | None = None  # whether the force has risen once and is gone by the end of the
+    # window
 
     def of(self, chosen) -> "Impacts":
         """Some of the impacts; chosen: indices."""
         once = None if self.once is None else self.once[chosen]
-        return Impacts(self.peak[chosen], self.rebound[chosen], self.impulse[chosen], self.quarter, once)
+        return Impacts(
+            self.peak[chosen], self.rebound[chosen], self.impulse[chosen], self.quarter, once
+        )
 
     def errors(self, exact: "Impacts"):
         """Relative errors [3, K] of peak force, rebound speed and impulse."""
-        pairs = ((self.peak, exact.peak), (self.rebound, exact.rebound), (self.impulse, exact.impulse))
+        pairs = (
+            (self.peak, exact.peak),
+            (self.rebound, exact.rebound),
+            (self.impulse, exact.impulse),
+        )
         return np.array([np.abs(found - true) / np.abs(true) for found, true in pairs])
 
 
 def starts(kind, count, apart=2e-3):
-    """Positions, orientations and lowest corners of ``count`` pieces that touch the plate within 0.1 to 0.2 ms.
+    """Positions, orientations and lowest corners of ``count`` pieces that touch the plate within
+    0.1 to 0.2 ms.
 
     apart: (m) least height of the second corner above the lowest.
     """
@@ -72,7 +102,8 @@ def starts(kind, count, apart=2e-3):
     while len(out) < count:
         turn = Rotation.random(random_state=random)
         low = np.sort(turn.apply(corners)[:, 2])
-        if low[1] - low[0] > apart:  # a second corner that touches in the pulse makes another problem of it
+        if low[1] - low[0] > apart:  # a second corner that touches in the pulse makes another
+            # problem of it
             corner = corners[np.argmin(turn.apply(corners)[:, 2])]
             w = turn.as_quat(scalar_first=True)
             out.append(((0.0, 0.0, float(gap[len(out)] - low[0])), tuple(map(float, w)), corner))
@@ -84,11 +115,17 @@ def plate(kind, start, number, precision, restitution=0.1, softening=0.01, **run
     from dem_jax import validation
 
     position, orientation, _ = start
-    piece = kind | {"position": position, "orientation": orientation, "velocity": (0.0, 0.0, -SPEED)}
+    piece = kind | {
+        "position": position,
+        "orientation": orientation,
+        "velocity": (0.0, 0.0, -SPEED),
+    }
     step = quarter_period(kind["shape"], softening) / number
     settings = {"step": step, "sample": step, "allow_unstable_step": True} | run
     gravity = (0.0, 0.0, -GRAVITY)
-    return validation.plate_scene(piece, gravity, precision, settings, restitution=restitution, softening=softening)
+    return validation.plate_scene(
+        piece, gravity, precision, settings, restitution=restitution, softening=softening
+    )
 
 
 @cache
@@ -103,7 +140,9 @@ def stable_step(shape, restitution):
     from dem_jax import assembly
 
     kind = SPHERE if shape == "sphere" else PIECE
-    return assembly.assemble_system(plate(kind, starts(kind, 1)[0], 1, "f64", restitution, step="auto")).step.linear_limit
+    return assembly.assemble_system(
+        plate(kind, starts(kind, 1)[0], 1, "f64", restitution, step="auto")
+    ).step.linear_limit
 
 
 @cache
@@ -117,7 +156,9 @@ def spring(shape, softening, restitution=0.1):
     return validation.NormalImpact(mass, stiffness, restitution, SPEED, GRAVITY)
 
 
-def impacts(kind, begin, number, precision, restitution=0.1, softening=0.01, window=None) -> Impacts:
+def impacts(
+    kind, begin, number, precision, restitution=0.1, softening=0.01, window=None
+) -> Impacts:
     """Impacts from all of ``begin``, each step sampled."""
     import jax
 
@@ -133,12 +174,18 @@ def impacts(kind, begin, number, precision, restitution=0.1, softening=0.01, win
     job = prepare_job(scene, (0,) * len(begin), len(begin))
     down, still = np.array([[0.0, 0.0, -SPEED]]), np.zeros((1, 3))
     with jax.enable_x64(precision == "f64"):
-        placed = [assembly.InitialConditions(np.array([place]), np.array([turn]), down, still) for place, turn, _ in begin]
+        placed = [
+            assembly.InitialConditions(np.array([place]), np.array([turn]), down, still)
+            for place, turn, _ in begin
+        ]
         states = [assembly.replace_initial_motion(job.built, start) for start in placed]
         job = replace(job, state=jax.tree.map(lambda *x: jax.numpy.asarray(np.stack(x)), *states))
     found = run_job(job, None, False, False)
     force, mean = (-x["plate"][..., 2].astype(float) for x in (found.force, found.mean_force))
-    last = {name: np.asarray(getattr(found.pieces, name)[:, -1, 0], float) for name in ("position", "velocity")}
+    last = {
+        name: np.asarray(getattr(found.pieces, name)[:, -1, 0], float)
+        for name in ("position", "velocity")
+    }
     speed = last["velocity"][:, 2]
     if kind is SPHERE:
         apart = np.maximum(last["position"][:, 2] - kind["radius"], 0)
@@ -176,11 +223,16 @@ def exact(kind, begin, restitution=0.1, softening=0.01, window=None) -> Impacts:
     case = spring("sphere", softening, restitution)
     touch = [np.sqrt(SPEED**2 + 2 * GRAVITY * (start[0][2] - kind["radius"])) for start in begin]
     cases = [replace(case, speed=speed) for speed in touch]
-    return replace(fine, peak=np.array([c.peak_force for c in cases]), rebound=np.array([c.rebound_speed for c in cases]))
+    return replace(
+        fine,
+        peak=np.array([c.peak_force for c in cases]),
+        rebound=np.array([c.rebound_speed for c in cases]),
+    )
 
 
 def costs_of_a_step(kind, start, variants):
-    """Seconds of processor time per step of one impact, alone, at the default sampling: name -> median.
+    """Seconds of processor time per step of one impact, alone, at the default sampling: name ->
+    median.
 
     variants: name -> (precision, changes of ``run``). All take turns.
     """
@@ -230,22 +282,34 @@ def impact_points(kind, count, numbers, cadences):
             work = each[precision] * WINDOW[kind["shape"]] / found.quarter * number
             shown = tuple(np.sqrt(np.mean(errors**2, axis=1))), tuple(errors.max(axis=1))
             label = f"{number} steps, {precision}"
-            points.append(Point(label, precision, work, *shown, (number, precision) == (DEFAULT, "f32"), number))
+            points.append(
+                Point(
+                    label, precision, work, *shown, (number, precision) == (DEFAULT, "f32"), number
+                )
+            )
     at_default = next(p for p in points if p.default)
     for cadence in cadences:
         work = each[cadence] * WINDOW[kind["shape"]] / true.quarter * DEFAULT
         label = f"{DEFAULT} steps, f32, rebuilt every {cadence} steps"
-        points.append(replace(at_default, label=label, series=f"rebuilt every {cadence}", work=work, default=False))
+        points.append(
+            replace(
+                at_default, label=label, series=f"rebuilt every {cadence}", work=work, default=False
+            )
+        )
     return points
 
 
 def _stable(kind, numbers):
-    """Those that are within the linear stability limit of the unloading branch, which an eccentric contact halves."""
+    """Those that are within the linear stability limit of the unloading branch, which an eccentric
+    contact halves.
+    """
     return [n for n in numbers if n >= (8 if kind is SPHERE else 20)]
 
 
 def softening_rows(kind, count):
-    """Rows of a table: what softening does to an impact, against the stiffest, at the default number of steps."""
+    """Rows of a table: what softening does to an impact, against the stiffest, at the default
+    number of steps.
+    """
     begin, rows = starts(kind, count), []
     stiff = impacts(kind, begin, FINE // 4, "f64", softening=1.0, window=LONG)
     for softening in (1.0, 0.1, 0.01, 0.001):
@@ -260,11 +324,13 @@ def softening_rows(kind, count):
 
 
 def resolution(kind, count, numbers, restitutions):
-    """Worst errors of one pulse: (steps per loading quarter period, restitution) -> (of peak force, of rebound speed).
+    """Worst errors of one pulse: (steps per loading quarter period, restitution) -> (of peak force,
+    of rebound speed).
 
-    Over ``count`` phases of a sphere, or orientations of a piece that strikes with one corner alone until its force is
-    gone. walton_braun_accuracy.ErrorBound are their bounds. numbers: steps, or (steps, precision); double precision unless said.
-    Those beyond the linear stability limit are left out.
+    Over ``count`` phases of a sphere, or orientations of a piece that strikes with one corner alone
+    until its force is gone. walton_braun_accuracy.ErrorBound are their bounds. numbers: steps, or
+    (steps, precision); double precision unless said. Those beyond the linear stability limit are
+    left out.
     """
     is_sphere, worst = kind is SPHERE, {}
     candidates = starts(kind, count) if is_sphere else starts(kind, 2 * count, apart=1.5e-3)
@@ -284,7 +350,9 @@ def resolution(kind, count, numbers, restitutions):
 
 
 def step_rows(worst, numbers, restitutions):
-    """Rows of a table of worst errors: of rebound at each restitution, then the largest of peak force."""
+    """Rows of a table of worst errors: of rebound at each restitution, then the largest of peak
+    force.
+    """
     rows = []
     for n in numbers:
         at = [worst.get((n, e)) for e in restitutions]
@@ -296,14 +364,17 @@ def step_rows(worst, numbers, restitutions):
 
 
 def nearest_bound(kind, worst):
-    """The largest ratios of the worst errors of rebound and of peak force to walton_braun_accuracy.ErrorBound, where that holds."""
+    """The largest ratios of the worst errors of rebound and of peak force to
+    walton_braun_accuracy.ErrorBound, where that holds.
+    """
     from dem_jax import assembly, validation
     from dem_jax.assembly.time_step import RESOLVED_SHARE
     from dem_jax.contact_laws import walton_braun_accuracy
 
     bound = walton_braun_accuracy.SPHERE if kind is SPHERE else walton_braun_accuracy.POLYTOPE
     made = assembly.assemble_system(validation.plate_scene(kind, restitution=0.1)).step
-    eccentric = made.linear_limit * spring(kind["shape"], 0.01).frequency / (2 * 0.1)  # root of the least effective mass
+    # root of the least effective mass
+    eccentric = made.linear_limit * spring(kind["shape"], 0.01).frequency / (2 * 0.1)
     ratios = []
     for (number, restitution), (peak, rebound) in worst.items():
         if isinstance(number, int) and eccentric * number >= bound.min_steps(restitution):
@@ -311,7 +382,9 @@ def nearest_bound(kind, worst):
             corrected = step <= RESOLVED_SHARE * stable_step(kind["shape"], restitution)
             most = bound.error_bounds(eccentric * number, restitution, corrected)
             found = {"peak_force": peak, "restitution": rebound}
-            ratios.append([found[key] / max(most[key], finest) for key, finest in bound.finest["f64"].items()])
+            ratios.append(
+                [found[key] / max(most[key], finest) for key, finest in bound.finest["f64"].items()]
+            )
     return np.max(ratios, axis=0)
 
 
@@ -325,7 +398,9 @@ def step_section(count, numbers, restitutions):
         every = (*numbers, (100, "f32"), (400, "f32"))
         worst = resolution(kind, most, every, restitutions)
         rebound, peak = nearest_bound(kind, worst)
-        text.append(f"{what}; double precision unless said:\n\n{report.table(heads, step_rows(worst, every, restitutions))}")
+        text.append(
+            f"{what}; double precision unless said:\n\n{report.table(heads, step_rows(worst, every, restitutions))}"
+        )
         text.append(
             "Of the bounds in `dem_jax/contact_laws/walton_braun_accuracy.py`, from which `run.accuracy` takes the step, "
             f"these errors reach at most "
@@ -349,16 +424,24 @@ class Drops:
     def against(self, other: "Drops"):
         """Differences of the means relative to the other's, and their standard errors, [3] each."""
         out = []
-        for mine, theirs in ((self.peak, other.peak), (self.settled, other.settled), (self.impulse, other.impulse)):
+        for mine, theirs in (
+            (self.peak, other.peak),
+            (self.settled, other.settled),
+            (self.impulse, other.impulse),
+        ):
             mine, theirs = (x[np.isfinite(x)] for x in (mine, theirs))
             scale = theirs.mean()
-            error = np.sqrt(mine.var(ddof=1) / len(mine) + theirs.var(ddof=1) / len(theirs)) / abs(scale)
+            error = np.sqrt(mine.var(ddof=1) / len(mine) + theirs.var(ddof=1) / len(theirs)) / abs(
+                scale
+            )
             out.append(((mine.mean() - scale) / abs(scale), error))
         return np.array(out).T
 
 
 def drops(scene, seeds) -> Drops:
-    """Run a scene with all seeds, again if anything was compiled meanwhile: the time is that of running alone."""
+    """Run a scene with all seeds, again if anything was compiled meanwhile: the time is that of
+    running alone.
+    """
     import jax
 
     from dem_jax.runner.executors import execute_chunk
@@ -376,7 +459,9 @@ def drops(scene, seeds) -> Drops:
         if job.clock.compile == compiled:
             break
     members = [found.member(k) for k in range(seeds)]
-    vertical = sum(-found.mean_force[group][..., 2].astype(float) for group in ("wb_flaps", "wb_walls"))
+    vertical = sum(
+        -found.mean_force[group][..., 2].astype(float) for group in ("wb_flaps", "wb_walls")
+    )
     return Drops(
         peak=np.array([m.pif_kg("wb_flaps").max() for m in members]),
         impulse=vertical.sum(axis=1) * found.sample,
@@ -386,7 +471,9 @@ def drops(scene, seeds) -> Drops:
 
 
 def variants(quick):
-    """Label, series and changes of the quick-release drop; the first is the reference (a quick one: the default)."""
+    """Label, series and changes of the quick-release drop; the first is the reference (a quick one:
+    the default).
+    """
     from dem_jax import assembly, load_scene
 
     step = assembly.assemble_system(load_scene("quick-release")).step.critical
@@ -400,7 +487,11 @@ def variants(quick):
     if quick:
         return [("default (reference)", "reference", {}), *rows[1:]]
     return [
-        ("half the step, f64 (reference)", "reference", {"run": half["run"] | {"precision": "f64"}}),
+        (
+            "half the step, f64 (reference)",
+            "reference",
+            {"run": half["run"] | {"precision": "f64"}},
+        ),
         *rows,
         ("four times the step", "step, f32", {"run": {"step": 4 * step}}),
         ("half the step", "step, f32", half),
@@ -429,10 +520,24 @@ def drop_points(seeds, quick):
         reference = reference or found
         off, sure = found.against(reference)
         if found is not reference:
-            points.append(Point(label, series, found.work, tuple(np.abs(off)), tuple(sure), default=label == "default"))
-        values = (report.spread(found.peak * 1e3), report.spread(found.settled[np.isfinite(found.settled)] * 1e3))
+            points.append(
+                Point(
+                    label,
+                    series,
+                    found.work,
+                    tuple(np.abs(off)),
+                    tuple(sure),
+                    default=label == "default",
+                )
+            )
+        values = (
+            report.spread(found.peak * 1e3),
+            report.spread(found.settled[np.isfinite(found.settled)] * 1e3),
+        )
         cells = [f"{100 * o:+.1f} ± {100 * s:.1f}" for o, s in zip(off, sure, strict=True)]
-        rows.append((label, f"{found.work:.3g}", *values, *(cells if found is not reference else [""] * 3)))
+        rows.append(
+            (label, f"{found.work:.3g}", *values, *(cells if found is not reference else [""] * 3))
+        )
         print(rows[-1], flush=True)
     return points, rows
 
@@ -459,7 +564,11 @@ def impact_table(points):
     for p in points:
         name = f"**{p.label} (default)**" if p.default else p.label
         rows.append(
-            (name, f"{1e3 * p.work:.3g}", *(f"{_percent(e)} ({_percent(w)})" for e, w in zip(p.error, p.worst, strict=True)))
+            (
+                name,
+                f"{1e3 * p.work:.3g}",
+                *(f"{_percent(e)} ({_percent(w)})" for e, w in zip(p.error, p.worst, strict=True)),
+            )
         )
     return report.table(("steps per loading quarter period", "run time (ms)", *QUANTITIES), rows)
 
@@ -483,20 +592,38 @@ def figure(sphere, piece, drop, path):
             axes = panels[row, column]
             for series in dict.fromkeys(p.series for p in points):
                 here = sorted((p.work, p.error[row]) for p in points if p.series == series)
-                axes.plot(*zip(*here, strict=True), "o-" if len(here) > 2 else "o", ms=4, lw=1, label=series)
-            least = 0.0 if column < 2 else 1.0  # of drops the standard error counts: less is not resolved
+                axes.plot(
+                    *zip(*here, strict=True),
+                    "o-" if len(here) > 2 else "o",
+                    ms=4,
+                    lw=1,
+                    label=series,
+                )
+            least = 0.0 if column < 2 else 1.0  # of drops the standard error counts: less is not
+            # resolved
             known = [(p.work, max(p.error[row], least * p.worst[row])) for p in points]
             axes.plot(*zip(*pareto(known), strict=True), "k:", lw=1.5, label="Pareto front")
             default = [(p.work, p.error[row]) for p in points if p.default]
             if default:
-                axes.plot(*zip(*default, strict=True), "*", ms=15, mfc="none", mec="k", label="default")
+                axes.plot(
+                    *zip(*default, strict=True), "*", ms=15, mfc="none", mec="k", label="default"
+                )
             if column == 2:
-                axes.axhline(statistics.median(p.worst[row] for p in points), color="grey", lw=0.8, label="standard error")
+                axes.axhline(
+                    statistics.median(p.worst[row] for p in points),
+                    color="grey",
+                    lw=0.8,
+                    label="standard error",
+                )
             axes.set(xscale="log", yscale="log", xlabel="run time (s)", ylabel=f"error in {name}")
-            for axis in (axes.xaxis, axes.yaxis):  # few labels, but at least two on an axis shorter than two decades
+            for axis in (axes.xaxis, axes.yaxis):  # few labels, but at least two on an axis shorter
+                # than two decades
                 low, high = axis.get_view_interval()
-                axis.set_major_locator(LogLocator(subs=(1.0,) if high > 100 * low else (1.0, 2.0, 5.0)))
-                axis.set_major_formatter(LogFormatterSciNotation(minor_thresholds=(99, 99)))  # each tick has its label
+                axis.set_major_locator(
+                    LogLocator(subs=(1.0,) if high > 100 * low else (1.0, 2.0, 5.0))
+                )
+                # each tick has its label
+                axis.set_major_formatter(LogFormatterSciNotation(minor_thresholds=(99, 99)))
                 axis.set_minor_formatter(NullFormatter())
             axes.set_title(title if row == 0 else "")
             axes.grid(True, which="major", alpha=0.3)
@@ -505,7 +632,9 @@ def figure(sphere, piece, drop, path):
 
 
 def main(argv=None):
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.accuracy", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.accuracy", description=__doc__.splitlines()[0]
+    )
     parser.add_argument("--quick", action="store_true", help="fewer steps, phases and seeds")
     parser.add_argument("--seeds", type=int, help="of the drop; unset: 64, quick 4")
     options = parser.parse_args(argv)

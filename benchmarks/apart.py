@@ -8,10 +8,15 @@ from typing import Any
 
 
 def outcomes(
-    do: Callable[[Any], tuple[str, str]], cases: Iterable[Any], patience: float, memory: int | None = None
+    do: Callable[[Any], tuple[str, str]],
+    cases: Iterable[Any],
+    patience: float,
+    memory: int | None = None,
 ) -> Iterator[tuple[Any, str, str, float]]:
-    """Case, what came of it, words, seconds. do: of a module, case -> what came of it and words; patience: (s) for a case;
-    memory: bytes that the process may take. What hangs is "hang", and what ends the process "killed"."""
+    """Case, what came of it, words, seconds. do: of a module, case -> what came of it and words;
+    patience: (s) for a case; memory: bytes that the process may take. What hangs is "hang", and
+    what ends the process "killed".
+    """
     context, child, pipe = mp.get_context("spawn"), None, None
     for case in cases:
         if child is None or pipe is None:
@@ -22,7 +27,9 @@ def outcomes(
         start = time.perf_counter()
         pipe.send(case)
         try:
-            kind, words = pipe.recv() if pipe.poll(patience) else ("hang", f"more than {patience:g} s")
+            kind, words = (
+                pipe.recv() if pipe.poll(patience) else ("hang", f"more than {patience:g} s")
+            )
         except EOFError:
             kind, words = "killed", ""
         if kind in ("hang", "killed"):

@@ -1,10 +1,12 @@
-"""Recovery, coverage and speed of the fit: `python -m benchmarks.calibration [--sets 20] [--refits 48] [--minutes 10]`.
+"""Recovery, coverage and speed of the fit: `python -m benchmarks.calibration [--sets 20] [--refits
+48] [--minutes 10]`.
 
-Synthetic data sets of K = 64 traces with known parameters, drawn with other keys than the fits use, beside an oracle
-that knows the drop heights: the maximum likelihood of eqs 18-22 by quadrature over the spread. The oracle is also run
-alone over 400 data sets, which tells what scatter any number of sets can be expected to show. With `--refits 0` the
-intervals are those of the local estimate. `--minutes` begins no further data set after that time, for each number of
-pieces; the table says how many there were.
+Synthetic data sets of K = 64 traces with known parameters, drawn with other keys than the fits use,
+beside an oracle that knows the drop heights: the maximum likelihood of eqs 18-22 by quadrature over
+the spread. The oracle is also run alone over 400 data sets, which tells what scatter any number of
+sets can be expected to show. With `--refits 0` the intervals are those of the local estimate.
+`--minutes` begins no further data set after that time, for each number of pieces; the table says
+how many there were.
 """
 
 import argparse
@@ -32,7 +34,9 @@ ORACLE_SETS = 400
 
 
 def oracle(variance, pieces):
-    """(gamma_low, gamma_high) of largest likelihood given the variances [K] (m2) of all drop heights of each portion."""
+    """(gamma_low, gamma_high) of largest likelihood given the variances [K] (m2) of all drop
+    heights of each portion.
+    """
     share = np.exp(-0.5 * NODES**2)
     weights = np.concatenate([[0.5], 0.5 * share / share.sum()])
 
@@ -43,21 +47,33 @@ def oracle(variance, pieces):
         density = np.exp(chi2.logpdf(ratio, pieces - 1)) * ratio
         return -np.sum(np.log(density @ weights + 1e-300))
 
-    low, scale = np.exp(minimize(minus_log_likelihood, np.log([0.02, 0.0133]), method="Nelder-Mead").x)
+    low, scale = np.exp(
+        minimize(minus_log_likelihood, np.log([0.02, 0.0133]), method="Nelder-Mead").x
+    )
     return np.array([low / TRUTH["gamma_low"], (low + 3.0 * scale) / TRUTH["gamma_high"]]) - 1.0
 
 
 def floor(pieces):
-    """Standard deviations [2] of the oracle's relative errors over many data sets of normal drop heights."""
+    """Standard deviations [2] of the oracle's relative errors over many data sets of normal drop
+    heights.
+    """
     random = np.random.default_rng(pieces)
     scale = (TRUTH["gamma_high"] - TRUTH["gamma_low"]) / 3.0
-    sigma = TRUTH["gamma_low"] + scale * np.maximum(random.standard_normal((ORACLE_SETS, TRACES)), 0.0)
+    sigma = TRUTH["gamma_low"] + scale * np.maximum(
+        random.standard_normal((ORACLE_SETS, TRACES)), 0.0
+    )
     variance = sigma**2 * random.chisquare(pieces - 1, sigma.shape) / (pieces - 1)
-    return np.std([oracle(row, pieces) for row in tqdm(variance, desc=f"oracle, n = {pieces}")], axis=0, ddof=1)
+    return np.std(
+        [oracle(row, pieces) for row in tqdm(variance, desc=f"oracle, n = {pieces}")],
+        axis=0,
+        ddof=1,
+    )
 
 
 def one_set(pieces, seed, refits):
-    """Relative errors [4], covered [4], oracle's errors [2], seconds of the four starts and of the whole fit."""
+    """Relative errors [4], covered [4], oracle's errors [2], seconds of the four starts and of the
+    whole fit.
+    """
     params = parameters(pieces=pieces, m_piece=0.05 / pieces, sample=60e-6, duration=0.42, **TRUTH)
     made = ensemble(params, 10_000 + seed, TRACES)
     data = [target(made.time, np.asarray(force), 0.05 / pieces, pieces) for force in made.force]
@@ -71,9 +87,18 @@ def one_set(pieces, seed, refits):
     )
     rows = [found.parameters[name] for name in NAMES]
     errors = [row["value"] / TRUTH[name] - 1 for row, name in zip(rows, NAMES, strict=True)]
-    covered = [row["low"] <= TRUTH[name] <= row["high"] for row, name in zip(rows, NAMES, strict=True)]
+    covered = [
+        row["low"] <= TRUTH[name] <= row["high"] for row, name in zip(rows, NAMES, strict=True)
+    ]
     known = oracle(np.asarray(made.height).var(axis=1, ddof=1), pieces)
-    return errors, covered, known, marks[("starts", True)] - begin, time.perf_counter() - begin, all(found.agreed)
+    return (
+        errors,
+        covered,
+        known,
+        marks[("starts", True)] - begin,
+        time.perf_counter() - begin,
+        all(found.agreed),
+    )
 
 
 def several_sets(pieces, sets, refits, minutes):
@@ -94,10 +119,19 @@ def rows(pieces, results):
     count, lines = len(results), []
     for k, name in enumerate(NAMES):
         error = 100 * errors[:, k]
-        cells = [pieces, name, f"{error.mean():+.2f} ± {error.std(ddof=1) / np.sqrt(count):.2f}", f"{error.std(ddof=1):.2f}"]
+        cells = [
+            pieces,
+            name,
+            f"{error.mean():+.2f} ± {error.std(ddof=1) / np.sqrt(count):.2f}",
+            f"{error.std(ddof=1):.2f}",
+        ]
         if name in expected:
             best = 100 * known[:, k - 1]
-            cells += [f"{best.mean():+.2f}", f"{best.std(ddof=1):.2f}", f"{100 * expected[name]:.2f}"]
+            cells += [
+                f"{best.mean():+.2f}",
+                f"{best.std(ddof=1):.2f}",
+                f"{100 * expected[name]:.2f}",
+            ]
         else:
             cells += ["", "", ""]
         lines.append([*cells, f"{covered[:, k].sum():.0f} of {count}"])
@@ -110,7 +144,16 @@ def rows(pieces, results):
     return lines, timing
 
 
-HEAD = ("n", "parameter", "bias %", "sd %", "oracle bias %", "oracle sd %", f"oracle sd %, {ORACLE_SETS} sets", "coverage of 90 %")
+HEAD = (
+    "n",
+    "parameter",
+    "bias %",
+    "sd %",
+    "oracle bias %",
+    "oracle sd %",
+    f"oracle sd %, {ORACLE_SETS} sets",
+    "coverage of 90 %",
+)
 
 
 def table(sets: int, refits: int, counts, minutes: float) -> str:
@@ -135,8 +178,12 @@ def table(sets: int, refits: int, counts, minutes: float) -> str:
 
 
 def main(argv=None):
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.calibration", description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="two sets of nine pieces, without refits")
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.calibration", description=__doc__.splitlines()[0]
+    )
+    parser.add_argument(
+        "--quick", action="store_true", help="two sets of nine pieces, without refits"
+    )
     parser.add_argument("--sets", type=int, default=20)
     parser.add_argument("--refits", type=int, default=48)
     parser.add_argument("--pieces", type=int, nargs="+", default=[64, 9, 318])

@@ -1,8 +1,10 @@
-"""Cost of the derivatives of a run: ``python -m benchmarks.gradients`` (``--quick``: a sphere and a box).
+"""Cost of the derivatives of a run: ``python -m benchmarks.gradients`` (``--quick``: a sphere and a
+box).
 
-Each row in a process of its own, on all cores, with nothing kept from before: the smooth peak of a piece that lands on a plate at
-2 m/s, and of a box in the feed bucket whose flaps open, by three numbers of the scene. Forward mode is the measure of the error:
-what the two modes differ by, the largest of the three, in double precision, in which all is computed.
+Each row in a process of its own, on all cores, with nothing kept from before: the smooth peak of a
+piece that lands on a plate at 2 m/s, and of a box in the feed bucket whose flaps open, by three
+numbers of the scene. Forward mode is the measure of the error: what the two modes differ by, the
+largest of the three, in double precision, in which all is computed.
 """
 
 import argparse
@@ -25,8 +27,17 @@ PATIENCE = 900.0  # s for a row
 ROUNDS = 9
 WIDTH = 0.3  # N, of the smooth peak
 NUMBERS = {"material.youngs_modulus": 1e8, "material.density": 300.0, "material.restitution": 0.3}
-LANDING = {"position": (0.0, 0.0, 0.016), "velocity": (0.0, 0.0, -2.0), "orientation": (0.98, 0.1, 0.17, 0.0)}
-FRUSTUM = [[x * w * 0.012, y * w * 0.012, z * 0.02] for z, w in ((0.0, 1.0), (1.0, 0.6)) for x in (-1, 1) for y in (-0.7, 0.7)]
+LANDING = {
+    "position": (0.0, 0.0, 0.016),
+    "velocity": (0.0, 0.0, -2.0),
+    "orientation": (0.98, 0.1, 0.17, 0.0),
+}
+FRUSTUM = [
+    [x * w * 0.012, y * w * 0.012, z * 0.02]
+    for z, w in ((0.0, 1.0), (1.0, 0.6))
+    for x in (-1, 1)
+    for y in (-0.7, 0.7)
+]
 PIECES = {
     "sphere on a plate": {"shape": "sphere", "radius": 0.015},
     "marshmallow on a plate": {"shape": "chamfered-cuboid"},
@@ -44,7 +55,9 @@ def scene(name):
         return dem_jax.load_scene("weigh-bucket").replace(
             portion={"count": 1, "settling_time": 0.1}, run=run | {"duration": 0.05}
         )
-    return dem_jax.load_scene("plate-drop").replace(piece=[PIECES[name] | LANDING], run=run | {"duration": 0.003})
+    return dem_jax.load_scene("plate-drop").replace(
+        piece=[PIECES[name] | LANDING], run=run | {"duration": 0.003}
+    )
 
 
 def peak(parameters, of, checkpoint):
@@ -76,7 +89,16 @@ def measure(case: tuple[str, str]) -> tuple[str, str]:
     memory = program.memory_analysis().temp_size_in_bytes
     trace, compiled = np.diff(marks).tolist()
     values = [float(found[key]) for key in NUMBERS]
-    return "ok", json.dumps({"trace": trace, "compile": compiled, "run": times, "steps": steps, "memory": memory, "values": values})
+    return "ok", json.dumps(
+        {
+            "trace": trace,
+            "compile": compiled,
+            "run": times,
+            "steps": steps,
+            "memory": memory,
+            "values": values,
+        }
+    )
 
 
 def row(name, mode, got, forward):
@@ -96,7 +118,18 @@ def row(name, mode, got, forward):
     ]
 
 
-HEAD = ("scene", "mode", "steps", "trace s", "compile s", "together s", "run ms", "run us/step", "memory MB", "off forward mode by")
+HEAD = (
+    "scene",
+    "mode",
+    "steps",
+    "trace s",
+    "compile s",
+    "together s",
+    "run ms",
+    "run us/step",
+    "memory MB",
+    "off forward mode by",
+)
 
 
 def table(names) -> str:
@@ -118,11 +151,15 @@ def table(names) -> str:
 
 
 def main(argv=None) -> None:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.gradients", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.gradients", description=__doc__.splitlines()[0]
+    )
     parser.add_argument("--quick", action="store_true")
     options = parser.parse_args(argv)
     os.environ["JAX_ENABLE_COMPILATION_CACHE"] = "false"
-    report.write("gradients", table(QUICK if options.quick else (*PIECES, IN_THE_BUCKET)), options.quick)
+    report.write(
+        "gradients", table(QUICK if options.quick else (*PIECES, IN_THE_BUCKET)), options.quick
+    )
 
 
 if __name__ == "__main__":

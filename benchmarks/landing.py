@@ -1,9 +1,10 @@
-"""Spheres that land, by ourselves and in LIGGGHTS, an oracle that nobody here wrote: ``python -m benchmarks.landing``.
+"""Spheres that land, by ourselves and in LIGGGHTS, an oracle that nobody here wrote: ``python -m
+benchmarks.landing``.
 
-Both have the same law, stiffnesses, step and start (``edinburgh/stiffness`` without adhesion is Walton and Braun's spring, its
-tangential history the Coulomb-limited one), in double precision, and are compared step by step, without what we add where the
-force has corners. Exits with 1 if they part by more than is allowed; without LIGGGHTS there is nothing to compare with, and no
-table.
+Both have the same law, stiffnesses, step and start (``edinburgh/stiffness`` without adhesion is
+Walton and Braun's spring, its tangential history the Coulomb-limited one), in double precision, and
+are compared step by step, without what we add where the force has corners. Exits with 1 if they
+part by more than is allowed; without LIGGGHTS there is nothing to compare with, and no table.
 """
 
 import argparse
@@ -38,7 +39,9 @@ WORDS = ["liggghts", "-log", "none"]
 class Uncorrected(WaltonBraun):
     """Eqs 1-4 at steps alone."""
 
-    def force(self, pair: WaltonBraunPair, history: WaltonBraunHistory, contact: ContactKinematics) -> Response:
+    def force(
+        self, pair: WaltonBraunPair, history: WaltonBraunHistory, contact: ContactKinematics
+    ) -> Response:
         """As of a step that is too coarse for more."""
         return super().force(pair, history, contact._replace(resolved=0.0))
 
@@ -77,13 +80,22 @@ class Apart:
 
 def single(restitution: float, sideways: float = 0.0, friction: float = 0.0) -> Landing:
     """One sphere that reaches the floor at 1 m/s."""
-    return Landing(np.array([[0.0, 0.0, RADIUS + 1e-3]]), np.array([[sideways, 0.0, -1.0]]), 0.1, 0.2, restitution, friction)
+    return Landing(
+        np.array([[0.0, 0.0, RADIUS + 1e-3]]),
+        np.array([[sideways, 0.0, -1.0]]),
+        0.1,
+        0.2,
+        restitution,
+        friction,
+    )
 
 
 def pair(restitution: float, friction: float = 0.0) -> Landing:
     """One sphere that falls, off the centre, onto one that lies a little above the floor."""
     position = np.array([[0.0, 0.0, RADIUS + 1e-4], [0.4 * RADIUS, 0.0, 3 * RADIUS]])
-    return Landing(position, np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -1.0]]), 0.1, 0.2, restitution, friction)
+    return Landing(
+        position, np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -1.0]]), 0.1, 0.2, restitution, friction
+    )
 
 
 def drop(side: int, restitution: float, friction: float, duration: float) -> Landing:
@@ -92,7 +104,15 @@ def drop(side: int, restitution: float, friction: float, duration: float) -> Lan
     index = np.stack(np.meshgrid(*[np.arange(side)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     half, jitter = 0.5 * side * pitch, random.uniform(-1, 1, (side**3, 3)) * 0.14 * RADIUS
     position = (index + 0.5) * pitch - [half, half, -0.05] + jitter
-    return Landing(position, np.zeros((side**3, 3)), half, 0.05 + 3 * side * pitch, restitution, friction, duration)
+    return Landing(
+        position,
+        np.zeros((side**3, 3)),
+        half,
+        0.05 + 3 * side * pitch,
+        restitution,
+        friction,
+        duration,
+    )
 
 
 def ours(landing: Landing) -> tuple[Trace, tuple[float, float]]:
@@ -101,22 +121,39 @@ def ours(landing: Landing) -> tuple[Trace, tuple[float, float]]:
     rows = zip(landing.position.tolist(), landing.velocity.tolist(), strict=True)
     scene = load_scene("plate-drop").replace(
         name="landing",
-        piece=[{"shape": "sphere", "radius": RADIUS, "position": tuple(x), "velocity": tuple(v)} for x, v in rows],
-        wall=[{"group": "floor" if n == 0 else "sides", "corners": c, "thickness": 0.02} for n, c in enumerate(corners)],
+        piece=[
+            {"shape": "sphere", "radius": RADIUS, "position": tuple(x), "velocity": tuple(v)}
+            for x, v in rows
+        ],
+        wall=[
+            {"group": "floor" if n == 0 else "sides", "corners": c, "thickness": 0.02}
+            for n, c in enumerate(corners)
+        ],
         block=[],
         material={"density": DENSITY, "restitution": landing.restitution}
         | {"friction_wall": landing.friction, "friction_piece": landing.friction}
         | {"separation": SEPARATION, "tangential_stiffness": TANGENTIAL},
-        run={"precision": "f64", "step": STEP, "sample": EVERY * STEP, "duration": landing.duration, "frames": landing.duration}
+        run={
+            "precision": "f64",
+            "step": STEP,
+            "sample": EVERY * STEP,
+            "duration": landing.duration,
+            "frames": landing.duration,
+        }
         | {"gravity": (0.0, 0.0, -GRAVITY), "domain_high": (1.0, 1.0, 1.0)},
     )
     law = Uncorrected(**vars(build_contact_law(scene)))
     built = assembly.assemble_system(scene, law=law)
-    found = list_possible_contacts(built.system.law, built.system.materials, built.shapes, built.system.pieces)
+    found = list_possible_contacts(
+        built.system.law, built.system.materials, built.shapes, built.system.pieces
+    )
     stiffness = [float(np.ravel(one.pair.stiffness)[0]) for one in found]
     run = simulate(scene, law=law)
     last = run.pieces
-    return Trace(-run.force["floor"][:, 2], last.position[-1], last.velocity[-1]), (stiffness[0], stiffness[-1])
+    return Trace(-run.force["floor"][:, 2], last.position[-1], last.velocity[-1]), (
+        stiffness[0],
+        stiffness[-1],
+    )
 
 
 def liggghts(landing: Landing, stiffness: tuple[float, float], folder: Path) -> Trace:
@@ -124,12 +161,24 @@ def liggghts(landing: Landing, stiffness: tuple[float, float], folder: Path) -> 
     steps = EVERY * round(landing.duration / (EVERY * STEP))
     x, z = landing.half_width, landing.height
     atoms = []
-    for n, (at, v) in enumerate(zip(landing.position.tolist(), landing.velocity.tolist(), strict=True), 1):
+    for n, (at, v) in enumerate(
+        zip(landing.position.tolist(), landing.velocity.tolist(), strict=True), 1
+    ):
         atoms.append("create_atoms 1 single {} {} {} units box".format(*at))
-        atoms.append(f"set atom {n} diameter {2 * RADIUS} density {DENSITY} " + "vx {} vy {} vz {}".format(*v))
-    domain = f"region box block {-x - 0.02} {x + 0.02} {-x - 0.02} {x + 0.02} -0.02 {z + 0.02} units box"
+        atoms.append(
+            f"set atom {n} diameter {2 * RADIUS} density {DENSITY} "
+            + "vx {} vy {} vz {}".format(*v)
+        )
+    domain = (
+        f"region box block {-x - 0.02} {x + 0.02} {-x - 0.02} {x + 0.02} -0.02 {z + 0.02} units box"
+    )
     lines = [
-        *setting(stiffness[::-1], landing.restitution, 2 * (landing.friction,), [domain, "create_box 2 box"]),
+        *setting(
+            stiffness[::-1],
+            landing.restitution,
+            2 * (landing.friction,),
+            [domain, "create_box 2 box"],
+        ),
         f"timestep {STEP}",
         *walls(x, "store_force yes "),
         *atoms,
@@ -144,7 +193,9 @@ def liggghts(landing: Landing, stiffness: tuple[float, float], folder: Path) -> 
         "",
     ]
     (folder / "script").write_text("\n".join(lines))
-    done = subprocess.run([*WORDS, "-in", "script"], cwd=folder, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [*WORDS, "-in", "script"], cwd=folder, capture_output=True, text=True, check=False
+    )
     if done.returncode or "ERROR" in done.stdout:
         raise RuntimeError("\n".join(done.stdout.splitlines()[-20:]) + done.stderr)
     table = re.search(r"^ *Step .*\n((?: *\d.*\n)+)Loop time", done.stdout, re.MULTILINE)
@@ -163,10 +214,13 @@ def apart(landing: Landing, folder: Path, until: float) -> Apart:
     early = difference[: round(until / (EVERY * STEP))].max()
     places = np.sqrt(np.mean(np.sum((one.position - two.position) ** 2, axis=1)))
     impulse = abs(one.floor.sum() / two.floor.sum() - 1)
-    return Apart(float(difference.max() / largest), float(early / largest), float(impulse), float(places))
+    return Apart(
+        float(difference.max() / largest), float(early / largest), float(impulse), float(places)
+    )
 
 
-CASES = {  # name -> landing, until when the traces are compared (s), and the difference allowed until then
+CASES = {  # name -> landing, until when the traces are compared (s), and the difference allowed
+    # until then
     "a sphere on the floor, restitution 0.1": (single(0.1), 0.01, 1e-5),
     "a sphere on the floor, restitution 0.5": (single(0.5), 0.01, 1e-5),
     "a sphere on the floor, restitution 1": (single(1.0), 0.01, 1e-5),
@@ -182,7 +236,9 @@ IMPULSE = 0.01  # allowed, of all
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Compare all cases, write the table."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.landing", description=(__doc__ or "").splitlines()[0])
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.landing", description=(__doc__ or "").splitlines()[0]
+    )
     parser.add_argument("--quick", action="store_true", help="single contacts only")
     options = parser.parse_args(argv)
     name = version()
@@ -200,7 +256,16 @@ def main(argv: Sequence[str] | None = None) -> int:
         numbers = (found.early, allowed, found.whole, found.impulse, 1e3 * found.rms_places)
         rows.append([words, f"{landing.duration:g}", f"{until:g}", *(f"{x:.2g}" for x in numbers)])
         print(*rows[-1], sep=" | ", flush=True)
-    head = ["case", "lasts (s)", "until (s)", "apart until then", "allowed", "in all", "impulse", "places at the end (mm, rms)"]
+    head = [
+        "case",
+        "lasts (s)",
+        "until (s)",
+        "apart until then",
+        "allowed",
+        "in all",
+        "impulse",
+        "places at the end (mm, rms)",
+    ]
     text = f"""# Beside LIGGGHTS {name}
 
 {report.environment()}

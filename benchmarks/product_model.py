@@ -1,8 +1,9 @@
 """Speed of the Product Model: `python -m benchmarks.product_model`.
 
-318 pieces, 100 ms at 30 us. Each row: median and quartiles of repeated timings, compile time beside. Single traces are
-dispatched synchronously (`jax_cpu_enable_async_dispatch` off), as a program that waits for each of them should: a
-handover to another thread costs more than a third of a trace.
+318 pieces, 100 ms at 30 us. Each row: median and quartiles of repeated timings, compile time
+beside. Single traces are dispatched synchronously (`jax_cpu_enable_async_dispatch` off), as a
+program that waits for each of them should: a handover to another thread costs more than a third of
+a trace.
 """
 
 import argparse
@@ -26,8 +27,8 @@ HEAD = ("what", "precision", "median", "quartiles", "best", "compile (s)")
 
 
 def timed(call, repeats: int):
-    """(compile time, sorted times) in seconds of `repeats` calls, each timed by itself and waited for, so that other
-    programs on the same core spoil only those that they interrupt.
+    """(compile time, sorted times) in seconds of `repeats` calls, each timed by itself and waited
+    for, so that other programs on the same core spoil only those that they interrupt.
     """
     begin = time.perf_counter()
     jax.block_until_ready(call())
@@ -51,7 +52,14 @@ def single(precision, form, generator):
     first, times = timed(lambda: run(key), 200 if form == "smooth" else 4000)
     low, mid, high = (1e6 * q for q in statistics.quantiles(times, n=4))
     best = f"{1e6 * times[0]:.1f}"
-    return [f"one trace, {form}, {generator}", precision, f"{mid:.1f} us", f"{low:.1f} to {high:.1f}", best, f"{first:.2f}"]
+    return [
+        f"one trace, {form}, {generator}",
+        precision,
+        f"{mid:.1f} us",
+        f"{low:.1f} to {high:.1f}",
+        best,
+        f"{first:.2f}",
+    ]
 
 
 def batch(precision, form):
@@ -60,20 +68,38 @@ def batch(precision, form):
     first, times = timed(lambda: ensemble(params, key, BATCH).force, 80)
     high, mid, low = (BATCH / q for q in statistics.quantiles(times, n=4))
     best = f"{BATCH / times[0]:,.0f}"
-    return [f"batch of {BATCH}, {form}", precision, f"{mid:,.0f} per s", f"{low:,.0f} to {high:,.0f}", best, f"{first:.2f}"]
+    return [
+        f"batch of {BATCH}, {form}",
+        precision,
+        f"{mid:,.0f} per s",
+        f"{low:,.0f} to {high:,.0f}",
+        best,
+        f"{first:.2f}",
+    ]
 
 
 def streaming(precision, form):
-    """How much faster than real time a stream inside a scan is: the sample time over the time per sample."""
+    """How much faster than real time a stream inside a scan is: the sample time over the time per
+    sample.
+    """
     params = settings(precision, form)
     state = stream.start(params, jax.random.key(0))
     with in_precision(params):
-        scan = jax.jit(lambda s: jax.lax.scan(lambda s, _: stream.step(s), s, None, length=SAMPLES)[1])
+        scan = jax.jit(
+            lambda s: jax.lax.scan(lambda s, _: stream.step(s), s, None, length=SAMPLES)[1]
+        )
         first, times = timed(lambda: scan(state), 80)
     length = SAMPLES * params.sample
     high, mid, low = (length / q for q in statistics.quantiles(times, n=4))
     best = f"{length / times[0]:,.0f}"
-    return [f"stream in a scan, {form}", precision, f"{mid:,.0f} x real time", f"{low:,.0f} to {high:,.0f}", best, f"{first:.2f}"]
+    return [
+        f"stream in a scan, {form}",
+        precision,
+        f"{mid:,.0f} x real time",
+        f"{low:,.0f} to {high:,.0f}",
+        best,
+        f"{first:.2f}",
+    ]
 
 
 def compiled_heads(folder, precision, params):
@@ -84,7 +110,17 @@ def compiled_heads(folder, precision, params):
     write_c(folder, params.replace(precision=precision), overwrite=True)
     program = folder / f"heads_{precision}"
     source = Path(__file__).with_name("product_model_heads.c")
-    command = [compiler, "-std=c99", "-O2", f"-I{folder}", source, folder / "product_model.c", "-o", program, "-lm"]
+    command = [
+        compiler,
+        "-std=c99",
+        "-O2",
+        f"-I{folder}",
+        source,
+        folder / "product_model.c",
+        "-o",
+        program,
+        "-lm",
+    ]
     subprocess.run(command, check=True)
     return program
 
@@ -107,11 +143,25 @@ def in_c(precision):
             for kind, found in (("a call a step", calls), ("a call a second", blocks)):
                 low, mid, high = statistics.quantiles(found, n=4)
                 what = f"C: one head, nine pieces a second, steps of {1e3 * step:g} ms, {kind}"
-                yield [what, precision, f"{mid:,.0f} x real time", f"{low:,.0f} to {high:,.0f}", f"{found[-1]:,.0f}", ""]
+                yield [
+                    what,
+                    precision,
+                    f"{mid:,.0f} x real time",
+                    f"{low:,.0f} to {high:,.0f}",
+                    f"{found[-1]:,.0f}",
+                    "",
+                ]
         calls, _ = times_real_time(program, 20, 1e-3, 300)
         low, mid, high = (100 / ratio for ratio in statistics.quantiles(calls, n=4))
         share, spread = f"{mid:.3f} % of a core", f"{high:.3f} to {low:.3f}"
-        yield ["C: 20 heads at 1 kHz, nine pieces a second each", precision, share, spread, f"{100 / calls[-1]:.3f}", ""]
+        yield [
+            "C: 20 heads at 1 kHz, nine pieces a second each",
+            precision,
+            share,
+            spread,
+            f"{100 / calls[-1]:.3f}",
+            "",
+        ]
 
 
 def rows():
@@ -128,7 +178,9 @@ def rows():
 
 
 def main(argv=None):
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.product_model", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.product_model", description=__doc__.splitlines()[0]
+    )
     parser.add_argument("--c", action="store_true", help="only the rows of the C form, printed")
     parser.add_argument("--quick", action="store_true", help="the same, written to out/benchmarks")
     options = parser.parse_args(argv)
@@ -136,8 +188,17 @@ def main(argv=None):
         print(report.table(HEAD, [row for precision in ("f32", "f64") for row in in_c(precision)]))
         return
     jax.config.update("jax_cpu_enable_async_dispatch", False)
-    text = ["# Speed of the Product Model", "", report.environment(), "", "318 pieces, 100 ms at 30 us.", ""]
-    report.write("product_model", "\n".join([*text, report.table(HEAD, list(rows()))]), options.quick)
+    text = [
+        "# Speed of the Product Model",
+        "",
+        report.environment(),
+        "",
+        "318 pieces, 100 ms at 30 us.",
+        "",
+    ]
+    report.write(
+        "product_model", "\n".join([*text, report.table(HEAD, list(rows()))]), options.quick
+    )
 
 
 if __name__ == "__main__":

@@ -8,7 +8,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 RESULTS = Path(__file__).with_name("results")
-QUICK = Path("out/benchmarks")  # what a quick run makes does not replace what a whole one has measured
+QUICK = Path("out/benchmarks")  # what a quick run makes does not replace what a whole one has
+# measured
 
 
 def environment() -> str:

@@ -1,9 +1,10 @@
 """Growth with the number of pieces, of ensemble members and of cores, on whatever device JAX has.
 
-``python -m benchmarks.scaling`` (``--quick``: the smallest sizes; ``--sizes N ...``: these numbers of pieces). Pieces on a
-lattice, each touching its neighbours, in a box; ensembles of nine marshmallows at rest in the feed bucket. Each row is
-measured by a process of its own, whose memory is that row's alone; on a CPU it pins itself to one core, and times are
-those on the processor. On a GPU, where compiling takes longer than all else, everything is compiled first, side by side.
+``python -m benchmarks.scaling`` (``--quick``: the smallest sizes; ``--sizes N ...``: these numbers
+of pieces). Pieces on a lattice, each touching its neighbours, in a box; ensembles of nine
+marshmallows at rest in the feed bucket. Each row is measured by a process of its own, whose memory
+is that row's alone; on a CPU it pins itself to one core, and times are those on the processor. On a
+GPU, where compiling takes longer than all else, everything is compiled first, side by side.
 """
 
 import argparse
@@ -31,7 +32,8 @@ BLOCKS = 2  # rebuilds in a chunk that is timed, each with the steps until the n
 DROPS = 32  # of the ensemble that is shared out among cores
 WHOLE_DROPS = 64  # of the stock scene, to the end
 FIRST_DROPS = 1024  # the same on a GPU
-BESIDE = {  # drops of 50 g: scale factor, drops one after the other and together, settling and run of each (s)
+BESIDE = {  # drops of 50 g: scale factor, drops one after the other and together, settling and run
+    # of each (s)
     "9": (1.0, 64, 0.1, 0.05),
     "9-whole": (1.0, 16, 0.5, 0.4),
     "30": (0.656, 64, 0.1, 0.05),
@@ -46,15 +48,30 @@ DROP_HEAD = (
     "until settled", "s by the clock", "settling and fall and landing of each (s)", "µs of a core per member-step",
     "s by the clock for 0.2 s of each",
 )  # fmt: skip
-FIRST_HEAD = ("drops", "s by the clock", "of which compiling", "settling and fall and landing of each (s)", "µs per member-step")
+FIRST_HEAD = (
+    "drops",
+    "s by the clock",
+    "of which compiling",
+    "settling and fall and landing of each (s)",
+    "µs per member-step",
+)
 BESIDE_HEAD = (
     "pieces", "drops", "s of each", "µs per step, drops one after the other", "µs per member-step of their ensemble", "ratio",
 )  # fmt: skip
-MEMBER_HEAD = ("members", "µs per step of all", "µs per member-step", "drops of 0.2 s per s", "memory (MB)", "compile (s)")
+MEMBER_HEAD = (
+    "members",
+    "µs per step of all",
+    "µs per member-step",
+    "drops of 0.2 s per s",
+    "memory (MB)",
+    "compile (s)",
+)
 
 
 def time_chunk(system, state, members=None):
-    """Seconds per step (a value per repeat), compile time (s). Each chunk goes on from the one before."""
+    """Seconds per step (a value per repeat), compile time (s). Each chunk goes on from the one
+    before.
+    """
     import jax
 
     from dem_jax.runner.job import samples_per_block
@@ -88,7 +105,13 @@ def size_row(shape: str, count: int) -> dict:
     times, compile_time = time_chunk(system, state)
     held = sum(x.nbytes for x in jax.tree.leaves((system, state)))
     listed = sum(int((np.asarray(table.a) >= 0).sum()) for table in state.contacts.values())
-    found = {"shape": shape, "count": count, "times": times, "listed": listed / count, "held": held / count}
+    found = {
+        "shape": shape,
+        "count": count,
+        "times": times,
+        "listed": listed / count,
+        "held": held / count,
+    }
     return found | {"memory": memory(), "compile": compile_time, "setup": setup}
 
 
@@ -101,7 +124,13 @@ def member_row(count: int) -> dict:
     system, state, _ = packed(9)
     state = jax.tree.map(lambda x: jax.numpy.broadcast_to(x, (count, *x.shape)), state)
     times, compile_time = time_chunk(system.replace(slot_block=0), state, count)
-    return {"count": count, "times": times, "dt": float(system.dt), "memory": memory(), "compile": compile_time}
+    return {
+        "count": count,
+        "times": times,
+        "dt": float(system.dt),
+        "memory": memory(),
+        "compile": compile_time,
+    }
 
 
 def stock_drop(until_settled=False):
@@ -113,7 +142,9 @@ def stock_drop(until_settled=False):
 
 
 def core_row(cores: int) -> dict:
-    """An ensemble of drops by the public call, on so many cores: seconds by the clock without compiling."""
+    """An ensemble of drops by the public call, on so many cores: seconds by the clock without
+    compiling.
+    """
     import dem_jax
 
     scene = stock_drop()
@@ -127,11 +158,18 @@ def core_row(cores: int) -> dict:
 
 
 def beside_row(which) -> dict:
-    """The same drops one after the other and as an ensemble, in turns on one core: seconds of the processor per step."""
+    """The same drops one after the other and as an ensemble, in turns on one core: seconds of the
+    processor per step.
+    """
     import dem_jax
 
     factor, runs, settling, duration = BESIDE[str(which)]
-    settings = {"portion.scale_factor": factor, "portion.settling_time": settling, "run.duration": duration, "run.frames": 0.0}
+    settings = {
+        "portion.scale_factor": factor,
+        "portion.settling_time": settling,
+        "run.duration": duration,
+        "run.frames": 0.0,
+    }
     scene = dem_jax.load_scene("quick-release", settings)
     ways = {
         "times": lambda: [dem_jax.simulate(scene, seed=seed) for seed in range(runs)],
@@ -151,7 +189,9 @@ def beside_row(which) -> dict:
 
 
 def drops_row(until_settled) -> dict:
-    """The stock ensemble of drops by the public call, on all cores: seconds by the clock without compiling."""
+    """The stock ensemble of drops by the public call, on all cores: seconds by the clock without
+    compiling.
+    """
     import dem_jax
 
     scene = stock_drop(until_settled == "yes")
@@ -159,19 +199,35 @@ def drops_row(until_settled) -> dict:
     start = time.perf_counter()
     made = dem_jax.ensemble(scene, runs=WHOLE_DROPS, seed=0)
     seconds = time.perf_counter() - start
-    each = made.info.get("settling", scene.portion.settling_time) + made.info.get("settled", scene.run.duration)
-    return {"until": until_settled, "times": [seconds], "each": each, "dt": made.dt, "cores": len(os.sched_getaffinity(0))}
+    each = made.info.get("settling", scene.portion.settling_time) + made.info.get(
+        "settled", scene.run.duration
+    )
+    return {
+        "until": until_settled,
+        "times": [seconds],
+        "each": each,
+        "dt": made.dt,
+        "cores": len(os.sched_getaffinity(0)),
+    }
 
 
 def first_row(runs: int) -> dict:
-    """An ensemble of the stock drop by the public call, as a person meets it: with set-up and compiling."""
+    """An ensemble of the stock drop by the public call, as a person meets it: with set-up and
+    compiling.
+    """
     import dem_jax
 
     scene = stock_drop()
     start = time.perf_counter()
     made = dem_jax.ensemble(scene, runs=runs, seed=0)
     seconds, each = time.perf_counter() - start, scene.portion.settling_time + scene.run.duration
-    return {"runs": runs, "times": [seconds], "compile": made.info["compile_time"], "each": each, "dt": made.dt}
+    return {
+        "runs": runs,
+        "times": [seconds],
+        "compile": made.info["compile_time"],
+        "each": each,
+        "dt": made.dt,
+    }
 
 
 ROWS = {
@@ -180,22 +236,43 @@ ROWS = {
 
 
 def measured(kind, *arguments, pinned=False, cache=None) -> dict:
-    """A row measured by a process of its own, pinned to one core or not, or {"failed": which, and why}; cache: folder of
-    programs that are compiled already."""
-    words = [sys.executable, "-m", "benchmarks.scaling", *["--pinned"] * pinned, "--row", kind, *map(str, arguments)]
-    kept = {"JAX_COMPILATION_CACHE_DIR": cache, "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"} if cache else {}
+    """A row measured by a process of its own, pinned to one core or not, or {"failed": which, and
+    why}; cache: folder of programs that are compiled already.
+    """
+    words = [
+        sys.executable,
+        "-m",
+        "benchmarks.scaling",
+        *["--pinned"] * pinned,
+        "--row",
+        kind,
+        *map(str, arguments),
+    ]
+    kept = (
+        {"JAX_COMPILATION_CACHE_DIR": cache, "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
+        if cache
+        else {}
+    )
     environment = {"XLA_PYTHON_CLIENT_PREALLOCATE": "false"} | os.environ | kept
     done = subprocess.run(words, capture_output=True, text=True, check=False, env=environment)
     if done.returncode:  # out of memory at some size must not lose the other rows
         last = (done.stderr.strip() or f"exit code {done.returncode}").splitlines()[-1]
         return {"failed": f"{' '.join(words[4:])}: {last[:120]}"}
     found = json.loads(done.stdout.splitlines()[-1])
-    print(kind, *arguments, {k: v for k, v in found.items() if k != "times"}, report.spread(found["times"], 1e6), flush=True)
+    print(
+        kind,
+        *arguments,
+        {k: v for k, v in found.items() if k != "times"},
+        report.spread(found["times"], 1e6),
+        flush=True,
+    )
     return found
 
 
 def together(rows) -> dict:
-    """One row of those of several rounds: all times, the rest of the first; or the first that failed."""
+    """One row of those of several rounds: all times, the rest of the first; or the first that
+    failed.
+    """
     failed = [row for row in rows if "failed" in row]
     return failed[0] if failed else rows[0] | {"times": [t for row in rows for t in row["times"]]}
 
@@ -280,25 +357,42 @@ def first_cells(row):
     """Cells of the table of a first ensemble."""
     (seconds,) = row["times"]
     each = (seconds - row["compile"]) / (row["runs"] * row["each"] / row["dt"])
-    return row["runs"], f"{seconds:.1f}", f"{row['compile']:.1f}", f"{row['each']:.2f}", f"{each * 1e6:.3g}"
+    return (
+        row["runs"],
+        f"{seconds:.1f}",
+        f"{row['compile']:.1f}",
+        f"{row['each']:.2f}",
+        f"{each * 1e6:.3g}",
+    )
 
 
 def core_cells(rows):
     """Rows of the table of cores."""
     done = [row for row in rows if "failed" not in row]
     each = [statistics.median(row["times"]) for row in done]
-    return [(r["cores"], report.spread(r["times"]), f"{each[0] / t:.2f}") for r, t in zip(done, each, strict=True)]
+    return [
+        (r["cores"], report.spread(r["times"]), f"{each[0] / t:.2f}")
+        for r, t in zip(done, each, strict=True)
+    ]
 
 
 def drop_cells(row):
     """Cells of the table of whole drops."""
     (seconds,) = row["times"]
     each = seconds * row["cores"] / (WHOLE_DROPS * row["each"] / row["dt"])
-    return row["until"], f"{seconds:.1f}", f"{row['each']:.2f}", f"{each * 1e6:.3g}", f"{0.2 * seconds / row['each']:.1f}"
+    return (
+        row["until"],
+        f"{seconds:.1f}",
+        f"{row['each']:.2f}",
+        f"{each * 1e6:.3g}",
+        f"{0.2 * seconds / row['each']:.1f}",
+    )
 
 
 def which_rows(kind, sizes, quick):
-    """Arguments of the rows of numbers of pieces, and of those of ensembles; sizes: these numbers, or None."""
+    """Arguments of the rows of numbers of pieces, and of those of ensembles; sizes: these numbers,
+    or None.
+    """
     take = slice(2) if quick else slice(None)
     of_sizes = [("size", shape, n) for shape in SHAPES for n in (sizes or SIZES[kind][take])]
     return of_sizes, [("members", count) for count in MEMBERS[kind][take]]
@@ -319,7 +413,9 @@ def rows_of_cpu(sizes, quick) -> dict:
 
 
 def rows_of_gpu(sizes, quick) -> dict:
-    """As ``rows_of_cpu``; times for compiling and set-up are those of all rows compiled side by side."""
+    """As ``rows_of_cpu``; times for compiling and set-up are those of all rows compiled side by
+    side.
+    """
     of_sizes, of_members = which_rows("gpu", sizes, quick)
     every = [*of_sizes, *of_members]
     with tempfile.TemporaryDirectory() as cache:
@@ -333,9 +429,14 @@ def rows_of_gpu(sizes, quick) -> dict:
 
 
 def sections(kind, found) -> str:
-    """The tables of rows (``rows_of_cpu``, ``rows_of_gpu``, without those that failed), and what they say."""
+    """The tables of rows (``rows_of_cpu``, ``rows_of_gpu``, without those that failed), and what
+    they say.
+    """
     how = {
-        "cpu": ("one core, seconds on the processor; ", f"numbers of pieces\nare measured in {ROUNDS} rounds (if quick: one)"),
+        "cpu": (
+            "one core, seconds on the processor; ",
+            f"numbers of pieces\nare measured in {ROUNDS} rounds (if quick: one)",
+        ),
         "gpu": ("", "before that\nall are compiled side by side, in the seconds that stand here"),
     }[kind]
     text = f"""\
@@ -383,7 +484,9 @@ An ensemble of {DROPS} drops of the stock scene by `dem_jax.ensemble`, without c
 
 
 def main(argv=None):
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.scaling", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.scaling", description=__doc__.splitlines()[0]
+    )
     parser.add_argument("--quick", action="store_true", help="only the smallest sizes")
     parser.add_argument("--sizes", type=int, nargs="+", help="numbers of pieces")
     parser.add_argument("--row", nargs="+", help=argparse.SUPPRESS)

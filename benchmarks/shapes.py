@@ -1,9 +1,10 @@
-"""Steady cost of a step of packed pieces by their shape: ``python -m benchmarks.shapes`` (``--quick``: fewer).
+"""Steady cost of a step of packed pieces by their shape: ``python -m benchmarks.shapes``
+(``--quick``: fewer).
 
-Pieces of a marshmallow's volume, turned at random and settled in an open box, in single precision. All shapes are timed side by
-side in one process on one core, in turns; the marshmallow, whose contacts take the fast path of zonotopes, is the measure.
-Compiling, on all cores: the first call of 8 pieces, with nothing kept from before. YADE, where it is installed, begins from the
-same places.
+Pieces of a marshmallow's volume, turned at random and settled in an open box, in single precision.
+All shapes are timed side by side in one process on one core, in turns; the marshmallow, whose
+contacts take the fast path of zonotopes, is the measure. Compiling, on all cores: the first call of
+8 pieces, with nothing kept from before. YADE, where it is installed, begins from the same places.
 """
 
 import argparse
@@ -60,7 +61,9 @@ def needle(ratio: float) -> dict:
 
 def plate(ratio: float) -> dict:
     """A cuboid that is so many times as wide as it is thick."""
-    return _of_volume(np.array(list(itertools.product((-1, 1), repeat=3))) * [ratio, 1.001 * ratio, 1])
+    return _of_volume(
+        np.array(list(itertools.product((-1, 1), repeat=3))) * [ratio, 1.001 * ratio, 1]
+    )
 
 
 def faces(count: int) -> dict:
@@ -93,21 +96,33 @@ def products() -> list[Product]:
         Product("hull of 30 faces, 56 corners", (faces(30),)),
         Product("five shapes: of 16, 24, 32, 56 corners, marshmallow", five),
         Product("hull of 100 faces", (faces(100),)),
-        Product("cylinder of 64 sides", ({"shape": "cylinder", "radius": radius, "height": 0.05, "sides": 64},)),
+        Product(
+            "cylinder of 64 sides",
+            ({"shape": "cylinder", "radius": radius, "height": 0.05, "sides": 64},),
+        ),
         Product("needle 50 : 1", (needle(50),)),
         Product("plate 50 : 1", (plate(50),)),
     ]
 
 
 def scene(product: Product, width, height, position, orientation, material, run):
-    """A box of width and height (m) with pieces at poses [N, 3], [N, 4]; material, run: keys of these sections."""
+    """A box of width and height (m) with pieces at poses [N, 3], [N, 4]; material, run: keys of
+    these sections.
+    """
     from benchmarks.box import open_box
     from dem_jax.scene import load_scene
 
-    poses = zip(itertools.cycle(product.pieces), position.tolist(), orientation.tolist(), strict=False)
+    poses = zip(
+        itertools.cycle(product.pieces), position.tolist(), orientation.tolist(), strict=False
+    )
     pieces = [piece | {"position": tuple(p), "orientation": tuple(q)} for piece, p, q in poses]
-    walls = [{"group": "box", "corners": row, "thickness": 0.02} for row in open_box(0.5 * width, 0.5 * width, height)]
-    return load_scene("plate-drop").replace(name="box", piece=pieces, wall=walls, block=[], material=material, run=run)
+    walls = [
+        {"group": "box", "corners": row, "thickness": 0.02}
+        for row in open_box(0.5 * width, 0.5 * width, height)
+    ]
+    return load_scene("plate-drop").replace(
+        name="box", piece=pieces, wall=walls, block=[], material=material, run=run
+    )
 
 
 def settled(product: Product, count: int):
@@ -118,7 +133,10 @@ def settled(product: Product, count: int):
 
     loose = {"restitution": 0.5, "softening": SOFT}
     one = np.ones((len(product.pieces), 1))
-    most, hull_table.MOST_DIRECTIONS = hull_table.MOST_DIRECTIONS, 0 if product.general else hull_table.MOST_DIRECTIONS
+    most, hull_table.MOST_DIRECTIONS = (
+        hull_table.MOST_DIRECTIONS,
+        0 if product.general else hull_table.MOST_DIRECTIONS,
+    )
     probe = scene(product, 10.0, 1.0, one * [0, 0, 0.5], one * [1.0, 0, 0, 0], loose, {})
     system = assemble_system(probe, 0).system
     size = 2 * float(np.max(system.parts.bounding_radius))
@@ -129,7 +147,11 @@ def settled(product: Product, count: int):
     k = np.arange(count)
     index = np.stack([k % columns, k // columns % columns, k // columns**2], axis=1)
     random = np.random.default_rng(0)
-    position = (index + 0.5) * size * 1.02 - [0.5 * width - 0.01 * size * columns, 0.5 * width - 0.01 * size * columns, -0.001]
+    position = (index + 0.5) * size * 1.02 - [
+        0.5 * width - 0.01 * size * columns,
+        0.5 * width - 0.01 * size * columns,
+        -0.001,
+    ]
     turns = random.normal(size=(count, 4))
     turns /= np.linalg.norm(turns, axis=1, keepdims=True)
     height = float(position[:, 2].max()) + size
@@ -137,10 +159,13 @@ def settled(product: Product, count: int):
     run = {"duration": duration, "sample": 2e-4, "frames": duration, "energy": False}
     last = simulate(scene(product, width, height, position, turns, loose, run)).pieces
     run = {"sample": 5e-5, "duration": 1e3, "frames": 0.0, "energy": False}
-    packed = scene(product, width, height, last.position[-1], last.orientation[-1], {"restitution": 0.1}, run)
+    packed = scene(
+        product, width, height, last.position[-1], last.orientation[-1], {"restitution": 0.1}, run
+    )
     job = prepare_job(packed, (0,), None)
     hull_table.MOST_DIRECTIONS = most
-    known = job.state.guard.replace(start_overlap=0 * job.state.guard.start_overlap)  # settled pieces overlap a little
+    # settled pieces overlap a little
+    known = job.state.guard.replace(start_overlap=0 * job.state.guard.start_overlap)
     return replace(job, state=job.state.replace(guard=known)), width
 
 
@@ -148,17 +173,30 @@ def main(argv=None):
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="8 pieces of three shapes")
     parser.add_argument("--sizes", type=int, nargs="+", default=None)
-    parser.add_argument("--only", nargs="+", default=None, help="products whose names contain any of these")
+    parser.add_argument(
+        "--only", nargs="+", default=None, help="products whose names contain any of these"
+    )
     options = parser.parse_args(argv)
     xla_flags.set_loop_flags()
     head = report.environment()
     sizes = options.sizes or ((8,) if options.quick else SIZES)
     chosen = products()[:3] if options.quick else products()
     if options.only:
-        chosen = [p for p in chosen if p.name == "marshmallow" or any(word in p.name for word in options.only)]
-    found = {key: timed for n in sizes for key, timed in side_by_side(chosen if n <= MANY else chosen[:7], n).items()}
+        chosen = [
+            p
+            for p in chosen
+            if p.name == "marshmallow" or any(word in p.name for word in options.only)
+        ]
+    found = {
+        key: timed
+        for n in sizes
+        for key, timed in side_by_side(chosen if n <= MANY else chosen[:7], n).items()
+    }
     names = [p.name for p in chosen] + ([YADE] if (YADE, YADE_SIZE) in found else [])
-    rows = [[name, *(_cell(found, name, n) for n in sizes), _compiling(found, name, sizes[0])] for name in names]
+    rows = [
+        [name, *(_cell(found, name, n) for n in sizes), _compiling(found, name, sizes[0])]
+        for name in names
+    ]
     ratios = [[name, *(_ratio(found, name, n) for n in sizes)] for name in names]
     columns = [f"N = {n}" for n in sizes]
     text = f"""# Cost of a step by the shape of the pieces
@@ -185,7 +223,11 @@ def _cell(found, name, count):
 
 def _ratio(found, name, count):
     timed, measure = found.get((name, count)), found["marshmallow", count]
-    return report.spread([a / b for a, b in zip(timed.steps, measure.steps, strict=True)], 1) if timed else ""
+    return (
+        report.spread([a / b for a, b in zip(timed.steps, measure.steps, strict=True)], 1)
+        if timed
+        else ""
+    )
 
 
 def _compiling(found, name, count):
@@ -212,20 +254,34 @@ def side_by_side(chosen, count) -> dict:
             mover(10)
             out[product.name, count] = Timed([], time.perf_counter() - begin)
             mover(400)
-            runs[product.name] = partial(_ours, mover), max(400, int(400 * LENGTH / (400 * _ours(mover, 400))))
+            runs[product.name] = (
+                partial(_ours, mover),
+                max(400, int(400 * LENGTH / (400 * _ours(mover, 400)))),
+            )
             if product.name == "hull of 16 corners" and count == YADE_SIZE and yade.version():
-                child = stack.enter_context(yade.polyhedra(_packing(product, job, width, stack), None))
+                child = stack.enter_context(
+                    yade.polyhedra(_packing(product, job, width, stack), None)
+                )
                 child.run(1)
                 runs[YADE], out[YADE, count] = (partial(_theirs, child), 10), Timed([])
-            print(f"{product.name}, {count}: ready in {time.perf_counter() - start:.0f} s", file=sys.stderr, flush=True)
+            print(
+                f"{product.name}, {count}: ready in {time.perf_counter() - start:.0f} s",
+                file=sys.stderr,
+                flush=True,
+            )
         cores = os.sched_getaffinity(0)
-        os.sched_setaffinity(0, {min(cores)})  # steps are timed on one core; what is compiled may take all
+        os.sched_setaffinity(0, {min(cores)})  # steps are timed on one core; what is compiled may
+        # take all
         for _ in range(ROUNDS):
             for name, (run, steps) in runs.items():
                 out[name, count].steps.append(run(steps))
     os.sched_setaffinity(0, cores)
     for (name, _), timed in out.items():
-        print(f"{name}, {count}: {1e6 * statistics.median(timed.steps):.3g} us", file=sys.stderr, flush=True)
+        print(
+            f"{name}, {count}: {1e6 * statistics.median(timed.steps):.3g} us",
+            file=sys.stderr,
+            flush=True,
+        )
     return out
 
 
@@ -248,7 +304,10 @@ def _packing(product, job, width, stack):
     path = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "packed.npz"
     rows = job.scene.piece
     corners = hull_of(np.array(product.pieces[0]["points"])).vertices
-    poses = {"position": [row.position for row in rows], "orientation": [row.orientation for row in rows]}
+    poses = {
+        "position": [row.position for row in rows],
+        "orientation": [row.orientation for row in rows],
+    }
     np.savez(path, shape="hull", width=width, corners=corners, **poses)
     return path
 

@@ -1,8 +1,9 @@
-"""What each thing that a scene does not need costs if it is computed all the same: ``python -m benchmarks.skips``.
+"""What each thing that a scene does not need costs if it is computed all the same: ``python -m
+benchmarks.skips``.
 
-``--quick``: few pieces, few repeats. Each row steps a scene that does not need something with it left out and with it
-computed, in turn; beside it a scene that does need it, where nothing is left out. One core: the process pins itself to
-it; times are those on the processor.
+``--quick``: few pieces, few repeats. Each row steps a scene that does not need something with it
+left out and with it computed, in turn; beside it a scene that does need it, where nothing is left
+out. One core: the process pins itself to it; times are those on the processor.
 """
 
 import argparse
@@ -31,7 +32,8 @@ class Skip:
     name: str
     what: str  # the scene that does not need it
     scene: Callable  # () -> Scene
-    computed: dict = field(default_factory=dict)  # fields of System, or functions of it, with which it is computed
+    computed: dict = field(default_factory=dict)  # fields of System, or functions of it, with which
+    # it is computed
     other: Callable | None = None  # or the scene with which it is
     frames: int = 0  # or how many frames are kept then
     needing: tuple | None = None  # what a scene is that needs it, and () -> Scene
@@ -39,7 +41,9 @@ class Skip:
 
 
 def heap(count, shape="chamfered-cuboid", run=None, **material):
-    """Pieces in layers just above the floor of an open box, moving at random: they touch within the first steps."""
+    """Pieces in layers just above the floor of an open box, moving at random: they touch within the
+    first steps.
+    """
     import numpy as np
 
     from dem_jax.scene import Scene
@@ -47,20 +51,31 @@ def heap(count, shape="chamfered-cuboid", run=None, **material):
     size = {"sphere": (0.0335, 0.0335, 0.0335), "chamfered-cuboid": (0.0552, 0.0232, 0.0162)}[shape]
     columns = int(np.ceil(count ** (1 / 3)))
     index = np.stack(np.unravel_index(np.arange(count), (count, columns, columns)), axis=1)[:, ::-1]
-    place = (index + 0.5) * size - np.array([0.5, 0.5, 0.0]) * columns * np.array([size[0], size[1], 0.0])
+    place = (index + 0.5) * size - np.array([0.5, 0.5, 0.0]) * columns * np.array(
+        [size[0], size[1], 0.0]
+    )
     speed = np.random.default_rng(0).normal(0, 0.05, place.shape)
     kind = {"shape": shape} | ({"radius": 0.01668} if shape == "sphere" else {})
     rows = zip(place.tolist(), speed.tolist(), strict=True)
     pieces = [kind | {"position": tuple(p), "velocity": tuple(v)} for p, v in rows]
-    box = open_box(0.5 * columns * size[0] + 1e-4, 0.5 * columns * size[1] + 1e-4, (count // columns**2 + 2) * size[2])
+    box = open_box(
+        0.5 * columns * size[0] + 1e-4,
+        0.5 * columns * size[1] + 1e-4,
+        (count // columns**2 + 2) * size[2],
+    )
     walls = [{"group": "box", "corners": corners, "thickness": 0.02} for corners in box]
     return Scene(piece=pieces, wall=walls, material=material, run={"frames": 0.0} | (run or {}))
 
 
 def with_far_seam(scene):
     """The scene with two panels in one plane, far below all pieces."""
-    far = [[(a, -0.1, -0.5), (a + 0.1, -0.1, -0.5), (a + 0.1, 0.1, -0.5), (a, 0.1, -0.5)] for a in (-0.1, 0.0)]
-    return scene.replace(wall=[*scene.wall, *({"group": "far", "corners": corners} for corners in far)])
+    far = [
+        [(a, -0.1, -0.5), (a + 0.1, -0.1, -0.5), (a + 0.1, 0.1, -0.5), (a, 0.1, -0.5)]
+        for a in (-0.1, 0.0)
+    ]
+    return scene.replace(
+        wall=[*scene.wall, *({"group": "far", "corners": corners} for corners in far)]
+    )
 
 
 def with_seam(scene):
@@ -68,21 +83,28 @@ def with_seam(scene):
     (a, b, c, d), rest = scene.wall[0].corners, scene.wall[1:]
     middle = [tuple(0.5 * (x + y) for x, y in zip(*side, strict=True)) for side in ((a, b), (c, d))]
     halves = [(a, middle[0], middle[1], d), (middle[0], b, c, middle[1])]
-    return scene.replace(wall=[*({"group": "box", "corners": half, "thickness": 0.02} for half in halves), *rest])
+    return scene.replace(
+        wall=[*({"group": "box", "corners": half, "thickness": 0.02} for half in halves), *rest]
+    )
 
 
 def mixture(count):
     """The heap with every fourth piece a little smaller."""
     scene = heap(count)
     rows = [row.model_dump(exclude_unset=True) for row in scene.piece]
-    return scene.replace(piece=[row | ({"scale_factor": 0.97} if k % 4 == 3 else {}) for k, row in enumerate(rows)])
+    return scene.replace(
+        piece=[row | ({"scale_factor": 0.97} if k % 4 == 3 else {}) for k, row in enumerate(rows)]
+    )
 
 
 def fall(height):
     """One marshmallow above the floor (m), far from the sides of the box."""
     from dem_jax.scene import Scene
 
-    walls = [{"group": "box", "corners": corners, "thickness": 0.02} for corners in open_box(0.1, 0.1, 0.3)]
+    walls = [
+        {"group": "box", "corners": corners, "thickness": 0.02}
+        for corners in open_box(0.1, 0.1, 0.3)
+    ]
     return Scene(piece=[{"position": (0.0, 0.0, height)}], wall=walls, run={"frames": 0.0})
 
 
@@ -103,7 +125,9 @@ def idly_moved(walls):
 
 
 def prepared(scene, computed, frames, quick):
-    """A compiled chunk with system and state that have room for all it needs, and its number of steps."""
+    """A compiled chunk with system and state that have room for all it needs, and its number of
+    steps.
+    """
     import jax
 
     from dem_jax.broad_phase import neighbour_list, overflow_recovery
@@ -111,17 +135,27 @@ def prepared(scene, computed, frames, quick):
     from dem_jax.runner.job_setup import prepare_job
 
     job = prepare_job(scene, (0,), None)
-    system = job.system.replace(**{name: value(job.system) if callable(value) else value for name, value in computed.items()})
-    state = overflow_recovery.with_empty_scratch(system, job.state.replace(contacts=neighbour_list.init_contact_tables(system)))
+    system = job.system.replace(
+        **{
+            name: value(job.system) if callable(value) else value
+            for name, value in computed.items()
+        }
+    )
+    state = overflow_recovery.with_empty_scratch(
+        system, job.state.replace(contacts=neighbour_list.init_contact_tables(system))
+    )
     each = int(system.substeps) * system.sample_parts
-    steps = STEPS * max(1, 64 // state.position.shape[1])  # so that starting a chunk is a small part of it
+    steps = STEPS * max(1, 64 // state.position.shape[1])  # so that starting a chunk is a small
+    # part of it
     samples = max(8, steps // (4 * each if quick else each))
     for _ in range(MOST_ATTEMPTS):
         program = chunk.compiled(system, state, samples, frames)
         seen = jax.device_get(program(system, state)[0].guard)
         if not overflow_recovery.describe_overflow(system, seen):
             return program, system, state, samples * each
-        system, state = overflow_recovery.grow_capacity(system, overflow_recovery.reset_report(state), seen)
+        system, state = overflow_recovery.grow_capacity(
+            system, overflow_recovery.reset_report(state), seen
+        )
     raise RuntimeError("capacities did not settle")
 
 
@@ -158,10 +192,10 @@ def skips(quick) -> list[Skip]:
         "sample_parts": lambda s: int(s.substeps) * s.sample_parts,
         "block_steps": 1,
     }
-    without = lambda: heap(few, **smooth)  # noqa: E731
-    smooth_balls = lambda: heap(few, "sphere", **smooth)  # noqa: E731
-    silent = lambda: heap(few, run={"energy": False})  # noqa: E731
-    damped = lambda: heap(few, unloading_damping=0.1)  # noqa: E731
+    without = lambda: heap(few, **smooth)
+    smooth_balls = lambda: heap(few, "sphere", **smooth)
+    silent = lambda: heap(few, run={"energy": False})
+    damped = lambda: heap(few, unloading_damping=0.1)
     shaken = {"walls": lambda s: idly_moved(s.walls)}
     far_seam, own_seam = lambda: with_far_seam(heap(few)), lambda: with_seam(heap(few))
     rows = [
@@ -192,10 +226,18 @@ def skips(quick) -> list[Skip]:
     for count in sizes:
         best = candidate_search.choose_search("auto", count)
         for choice in SEARCHES:
-            other = lambda count=count, choice=choice: heap(count, run={"neighbours": choice})  # noqa: E731
+            other = lambda count=count, choice=choice: heap(count, run={"neighbours": choice})
             if choice != best:
-                own = lambda count=count: heap(count)  # noqa: E731
-                rows.append(Skip(f"{choice} (by {best})", f"{count} pieces", own, other=other, test="test_pairs.py"))
+                own = lambda count=count: heap(count)
+                rows.append(
+                    Skip(
+                        f"{choice} (by {best})",
+                        f"{count} pieces",
+                        own,
+                        other=other,
+                        test="test_pairs.py",
+                    )
+                )
     return rows
 
 
@@ -214,7 +256,11 @@ def measured(skip: Skip, quick):
         cells = (skip.name, skip.what, said, *[""] * 4, skip.test)
     else:
         ratios = [b / a for a, b in zip(times[0], times[1], strict=True)]
-        needing = (skip.needing[0], f"{statistics.median(times[2]) * 1e6:.3g}") if skip.needing else ("", "")
+        needing = (
+            (skip.needing[0], f"{statistics.median(times[2]) * 1e6:.3g}")
+            if skip.needing
+            else ("", "")
+        )
         both = (report.spread(each, 1e6) for each in times[:2])
         cells = (skip.name, skip.what, *both, report.spread(ratios), *needing, skip.test)
     print(cells, flush=True)
@@ -233,22 +279,41 @@ def endings(quick):
         seconds = [drop.info["elapsed"] - drop.info["compile_time"] for drop in drops]
         settling = [drop.info.get("settling", scene.portion.settling_time) for drop in drops]
         ends = [drop.info.get("settled", scene.run.duration) for drop in drops]
-        rows.append(("yes" if until_settled else "no", report.spread(settling), report.spread(ends), report.spread(seconds)))
+        rows.append(
+            (
+                "yes" if until_settled else "no",
+                report.spread(settling),
+                report.spread(ends),
+                report.spread(seconds),
+            )
+        )
         print(rows[-1], flush=True)
     return rows
 
 
 def main(argv=None):
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.skips", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.skips", description=__doc__.splitlines()[0]
+    )
     parser.add_argument("--quick", action="store_true", help="few pieces, few repeats")
-    parser.add_argument("--only", nargs="+", default=[], metavar="word", help="only rows whose name holds one of these")
+    parser.add_argument(
+        "--only",
+        nargs="+",
+        default=[],
+        metavar="word",
+        help="only rows whose name holds one of these",
+    )
     options = parser.parse_args(argv)
     os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     from dem_jax.xla_flags import set_loop_flags
 
     set_loop_flags()  # as in production, before anything is compiled
     start = report.environment()
-    chosen = [row for row in skips(options.quick) if not options.only or any(word in row.name for word in options.only)]
+    chosen = [
+        row
+        for row in skips(options.quick)
+        if not options.only or any(word in row.name for word in options.only)
+    ]
     rows = [measured(row, options.quick) for row in chosen]
     drops = endings(options.quick)
     text = f"""# What is left out where a scene does not need it

@@ -16,7 +16,8 @@ from pathlib import Path
 from benchmarks import report
 
 PIECES = (1, 9, 64, 343)
-PORTION = 0.052488  # kg: nine marshmallows at SF = 1; more pieces are smaller ones of the same total weight
+PORTION = 0.052488  # kg: nine marshmallows at SF = 1; more pieces are smaller ones of the same
+# total weight
 SETTLE = 0.25  # s
 REPEATS = 7
 
@@ -63,12 +64,22 @@ def cost_of_a_step(count: int):
 
 
 def whole_runs():
-    """Wall time (s) of the first and of later starts of the main job, cold and warm cache, and peak memory (MB)."""
+    """Wall time (s) of the first and of later starts of the main job, cold and warm cache, and peak
+    memory (MB).
+    """
     with tempfile.TemporaryDirectory() as folder:
         cache = dict(os.environ, JAX_COMPILATION_CACHE_DIR=str(Path(folder) / "cache"))
         walls, compiles = [], []
         for number in range(4):
-            command = [sys.executable, "-m", "dem_jax", "run", "weigh-bucket", "--out", str(Path(folder) / f"{number}.h5")]
+            command = [
+                sys.executable,
+                "-m",
+                "dem_jax",
+                "run",
+                "weigh-bucket",
+                "--out",
+                str(Path(folder) / f"{number}.h5"),
+            ]
             start = time.perf_counter()
             done = subprocess.run(command, env=cache, capture_output=True, text=True, check=True)
             walls.append(time.perf_counter() - start)
@@ -78,7 +89,9 @@ def whole_runs():
 
 
 def main(argv=None):
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.steps", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.steps", description=__doc__.splitlines()[0]
+    )
     parser.add_argument("--quick", action="store_true", help="1 and 9 pieces only")
     options = parser.parse_args(argv)
     whole = whole_runs()
@@ -87,7 +100,9 @@ def main(argv=None):
     for count in PIECES[:2] if options.quick else PIECES:
         times, active, slots, compiled = cost_of_a_step(count)
         each = statistics.median(times) / count * 1e6
-        rows.append((count, report.spread(times, 1e6), f"{each:.3g}", active, slots, f"{compiled:.1f}"))
+        rows.append(
+            (count, report.spread(times, 1e6), f"{each:.3g}", active, slots, f"{compiled:.1f}")
+        )
     head = ("pieces", "µs per step", "µs per step and piece", "contacts", "slots", "compile (s)")
     walls, compiles, memory = whole
     text = f"""# Cost of a step, start-up, whole run

@@ -1,10 +1,11 @@
-"""The table of transfer of the Product Model: `python -m benchmarks.transfer design|learn|check FOLDER`.
+"""The table of transfer of the Product Model: `python -m benchmarks.transfer design|learn|check
+FOLDER`.
 
-design: simulates ensembles of drops that fill the space of products and scenes (Sobol sequences, one
-for each number and shape of pieces) and writes their traces to FOLDER; what is there is kept.
-learn: fits the table to them and writes FOLDER/transfer.json (`product_model/transfer.json` is such a
-file). check: simulates products that were not learnt from and compares the predicted model with them;
-writes out/benchmarks/transfer.md, and the errors into the table.
+design: simulates ensembles of drops that fill the space of products and scenes (Sobol sequences,
+one for each number and shape of pieces) and writes their traces to FOLDER; what is there is kept.
+learn: fits the table to them and writes FOLDER/transfer.json (`product_model/transfer.json` is such
+a file). check: simulates products that were not learnt from and compares the predicted model with
+them; writes out/benchmarks/transfer.md, and the errors into the table.
 """
 
 import argparse
@@ -32,7 +33,8 @@ from product_model.transfer import predict_parameters, read_table, write_table
 
 SAMPLE = 30e-6  # s
 RADIUS = 16.7e-3  # m, of a sphere of the volume of a marshmallow
-FAMILIES = {  # (shape, pieces) -> points, least and greatest scale factor: a portion fills the feed bucket and fits into it
+FAMILIES = {  # (shape, pieces) -> points, least and greatest scale factor: a portion fills the feed
+    # bucket and fits into it
     ("chamfered-cuboid", 4): (16, 0.85, 1.5),
     ("chamfered-cuboid", 6): (12, 0.7, 1.4),
     ("chamfered-cuboid", 9): (16, 0.6, 1.25),
@@ -69,8 +71,17 @@ def design_points(shape, pieces):
             low * (high / low) ** x if by_log else low + x * (high - low)
             for x, (low, high, by_log) in zip(row, ranges, strict=True)
         ]
-        size = {"portion.scale_factor": values[0]} if shape != "sphere" else {"portion.radius": RADIUS * values[0]}
-        yield {"portion.shape": shape, "portion.count": pieces, **size, **dict(zip(RANGES, values[1:], strict=True))}
+        size = (
+            {"portion.scale_factor": values[0]}
+            if shape != "sphere"
+            else {"portion.radius": RADIUS * values[0]}
+        )
+        yield {
+            "portion.shape": shape,
+            "portion.count": pieces,
+            **size,
+            **dict(zip(RANGES, values[1:], strict=True)),
+        }
 
 
 def scene_of(settings):
@@ -107,7 +118,11 @@ def write_design(folder, runs):
 
 def targets_of(drop, time, force, name):
     """`Target` of each trace that has any force."""
-    return [target(time, row, drop.m_piece, drop.pieces, name=f"{name}:{k}") for k, row in enumerate(force) if row.max() > 0]
+    return [
+        target(time, row, drop.m_piece, drop.pieces, name=f"{name}:{k}")
+        for k, row in enumerate(force)
+        if row.max() > 0
+    ]
 
 
 def read_design(folder):
@@ -116,9 +131,17 @@ def read_design(folder):
     for path in sorted(folder.glob("*-*-*.npz")):
         with np.load(path) as data:
             drop, _ = scene_conditions(scene_of(json.loads(str(data["settings"]))))
-            found.append(Ensemble(path.stem, drop, targets_of(drop, data["time"], data["force"].astype(float), path.stem)))
+            found.append(
+                Ensemble(
+                    path.stem,
+                    drop,
+                    targets_of(drop, data["time"], data["force"].astype(float), path.stem),
+                )
+            )
     if not found:
-        raise BadInput(f"{folder}: no ensembles; make them by: python -m benchmarks.transfer design {folder}")
+        raise BadInput(
+            f"{folder}: no ensembles; make them by: python -m benchmarks.transfer design {folder}"
+        )
     return found
 
 
@@ -126,7 +149,12 @@ def simulate_model(fitted, drop, time):
     """`Curves` of portions of a predicted model at the times of traces."""
     sample = float(time[1] - time[0])
     values = {name: fitted.value[name] for name in FITTED}
-    given = {"m_piece": drop.m_piece, "pieces": drop.pieces, "gravity": drop.gravity, "landings": fitted.landings}
+    given = {
+        "m_piece": drop.m_piece,
+        "pieces": drop.pieces,
+        "gravity": drop.gravity,
+        "landings": fitted.landings,
+    }
     span = {"sample": sample, "start": float(time[0]) - sample, "duration": sample * len(time)}
     made = product_model.ensemble(product_model.parameters(**values, **given, **span), 5, PORTIONS)
     mass = np.full(PORTIONS, drop.m_piece * drop.pieces)
@@ -143,10 +171,22 @@ def check_product(name, table):
     frame = choose_frame(targets)
     with jax.enable_x64(True):
         distance = judge_landings(fitted.value, targets, frame, 0, PORTIONS).joint.distance
-    data, model = measure_curves(collect_curves(targets)), measure_curves(simulate_model(fitted, drop, time))
-    errors = {key: float(np.median(model[key].values) / np.median(data[key].values) - 1) for key in OUTPUTS}
+    data, model = (
+        measure_curves(collect_curves(targets)),
+        measure_curves(simulate_model(fitted, drop, time)),
+    )
+    errors = {
+        key: float(np.median(model[key].values) / np.median(data[key].values) - 1)
+        for key in OUTPUTS
+    }
     outside = "; ".join(line.split(" = ")[0] for line in table.outside(drop))
-    return [name, drop.pieces, outside, f"{distance:.3g}", *(f"{100 * errors[key]:+.0f} %" for key in OUTPUTS)], errors
+    return [
+        name,
+        drop.pieces,
+        outside,
+        f"{distance:.3g}",
+        *(f"{100 * errors[key]:+.0f} %" for key in OUTPUTS),
+    ], errors
 
 
 def check_products(folder):
@@ -159,20 +199,33 @@ def check_products(folder):
         rows.append(row)
         if not row[2]:  # inside of the design
             errors.append([abs(found[key]) for key in OUTPUTS])
-    quantiles = {key: np.quantile([row[k] for row in errors], (0.5, 0.9)) for k, key in enumerate(OUTPUTS)}
-    found = {key: {"median": float(q[0]), "nine_tenths": float(q[1])} for key, q in quantiles.items()}
+    quantiles = {
+        key: np.quantile([row[k] for row in errors], (0.5, 0.9)) for k, key in enumerate(OUTPUTS)
+    }
+    found = {
+        key: {"median": float(q[0]), "nine_tenths": float(q[1])} for key, q in quantiles.items()
+    }
     write_table(folder / "transfer.json", replace(table, errors=found))
     words = [
         f"{DROPS} drops of {1e3 * TARGET:g} g of each beside {PORTIONS} predicted portions; errors are those of medians.",
         "Median (nine tenths) of the errors of products inside of the design: "
         + ", ".join(f"{key} {100 * q[0]:.0f} % ({100 * q[1]:.0f} %)" for key, q in quantiles.items()) + ".",
     ]  # fmt: skip
-    lines = ["# The Product Model of products that were not learnt from", "", report.environment(), "", *words, ""]
+    lines = [
+        "# The Product Model of products that were not learnt from",
+        "",
+        report.environment(),
+        "",
+        *words,
+        "",
+    ]
     report.write("transfer", "\n".join([*lines, report.table(HEAD, rows)]), quick=True)
 
 
 def main(argv=None):
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.transfer", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.transfer", description=__doc__.splitlines()[0]
+    )
     parser.add_argument("what", choices=("design", "learn", "check"))
     parser.add_argument("folder", type=Path)
     parser.add_argument("--runs", type=int, default=32, help="drops at each point (default 32)")
@@ -180,8 +233,13 @@ def main(argv=None):
     if options.what == "design":
         write_design(options.folder, options.runs)
     elif options.what == "learn":
-        say = lambda what, epoch, value: print(f"{what}: epoch {epoch}, mean loss {value:.4f}", flush=True)  # noqa: E731
-        write_table(options.folder / "transfer.json", learn_transfer(read_design(options.folder), "1", tell=say))
+        say = lambda what, epoch, value: print(
+            f"{what}: epoch {epoch}, mean loss {value:.4f}", flush=True
+        )
+        write_table(
+            options.folder / "transfer.json",
+            learn_transfer(read_design(options.folder), "1", tell=say),
+        )
     else:
         check_products(options.folder)
 

@@ -1,7 +1,9 @@
-"""Chance of the fall and unknown numbers of the product: ``python -m benchmarks.uncertainty [--quick] [products ...]``.
+"""Chance of the fall and unknown numbers of the product: ``python -m benchmarks.uncertainty
+[--quick] [products ...]``.
 
-For each product a study of the ranges in its file (``uncertain = true``): the bands of peak, time to rest and time to weigh, the
-share of the scatter that is due to the numbers, the share between drops of equal numbers, and the number to measure first.
+For each product a study of the ranges in its file (``uncertain = true``): the bands of peak, time
+to rest and time to weigh, the share of the scatter that is due to the numbers, the share between
+drops of equal numbers, and the number to measure first.
 """
 
 import argparse
@@ -15,13 +17,30 @@ from dem_jax.study import analysis, study_runner
 from dem_jax.study.config import validate_study
 from dem_jax.study.outputs import OUTPUTS
 from dem_jax.study.uncertain_parameters import replicate_shares, split_outputs
-from dem_jax.visualization.variance_decomposition import VarianceSplit, choose_first_number, short_name
+from dem_jax.visualization.variance_decomposition import (
+    VarianceSplit,
+    choose_first_number,
+    short_name,
+)
 
 PRODUCTS = ("meatball", "cherry-tomato", "toffee", "cheese-cube", "chocolate-bar")
 POINTS, SEEDS = 32, 2  # of the numbers; drops at each
 TARGET = 0.05  # kg
-SETTINGS = {"portion.target_weight": TARGET, "run.energy": False, "run.duration": 2.5, "run.until_settled": True}
-HEAD = ("product", "pieces", "answer", "median (5 to 95 %)", "by unknown numbers", "largest first", "drops of equal numbers")
+SETTINGS = {
+    "portion.target_weight": TARGET,
+    "run.energy": False,
+    "run.duration": 2.5,
+    "run.until_settled": True,
+}
+HEAD = (
+    "product",
+    "pieces",
+    "answer",
+    "median (5 to 95 %)",
+    "by unknown numbers",
+    "largest first",
+    "drops of equal numbers",
+)
 
 
 def conducted(product: str, quick: bool):
@@ -46,7 +65,17 @@ def rows_of(product: str, found, splits: list[VarianceSplit]) -> list[list[str]]
         count = f"; {len(values) - missing} of {len(values)} drops" if missing else ""
         band = f"{split.answer.median:.3g} ({low:.3g} to {high:.3g}) {OUTPUTS[name].unit}{count}"
         chance = percent(replicates[name][1:]) if name in replicates else "-"
-        rows.append([product, str(pieces), name.replace("_", " "), band, percent(split.numbers[1:]), parts_of(split), chance])
+        rows.append(
+            [
+                product,
+                str(pieces),
+                name.replace("_", " "),
+                band,
+                percent(split.numbers[1:]),
+                parts_of(split),
+                chance,
+            ]
+        )
     return rows
 
 
@@ -58,12 +87,21 @@ def percent(share) -> str:
 
 def parts_of(split: VarianceSplit) -> str:
     """The numbers that differ from nothing, with their shares."""
-    return ", ".join(f"{short_name(p.name)} {100 * p.value:.0f} %" for p in split.parts if p.is_known) or "none known"
+    return (
+        ", ".join(f"{short_name(p.name)} {100 * p.value:.0f} %" for p in split.parts if p.is_known)
+        or "none known"
+    )
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("products", nargs="*", default=PRODUCTS, metavar="product", choices=[*list_products(), PRODUCTS])
+    parser.add_argument(
+        "products",
+        nargs="*",
+        default=PRODUCTS,
+        metavar="product",
+        choices=[*list_products(), PRODUCTS],
+    )
     parser.add_argument("--quick", action="store_true", help="one product and few drops")
     options = parser.parse_args()
     xla_flags.set_loop_flags(unrolled=True)
@@ -74,7 +112,9 @@ def main() -> None:
         splits = split_outputs(found)
         own, first = rows_of(product, found, splits), choose_first_number(splits)
         rows += own
-        lines.append(f"- {product}: {'no number stands out' if first is None else short_name(first.name)}")
+        lines.append(
+            f"- {product}: {'no number stands out' if first is None else short_name(first.name)}"
+        )
         print("\n".join(" | ".join(row) for row in own), flush=True)
         print("\n".join(analysis.list_findings(found)), flush=True)
     drops = (16 if options.quick else POINTS) * SEEDS

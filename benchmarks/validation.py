@@ -1,9 +1,11 @@
-"""Every problem with an exact solution in both precisions: ``python -m benchmarks.validation`` (``--quick``: fewer).
+"""Every problem with an exact solution in both precisions: ``python -m benchmarks.validation``
+(``--quick``: fewer).
 
-Each problem of ``dem_jax.validation`` runs as a user would run it, at the automatic step, in single and in double precision, and in
-double precision with a quarter of that step; errors are against its exact solution. Then drops into the weigh bucket, which are
-chaotic: whether single precision changes the distributions of peak, of duration and of time to rest, by two-sample tests. Exits
-with 1 if anything is further off than the problem allows.
+Each problem of ``dem_jax.validation`` runs as a user would run it, at the automatic step, in single
+and in double precision, and in double precision with a quarter of that step; errors are against its
+exact solution. Then drops into the weigh bucket, which are chaotic: whether single precision
+changes the distributions of peak, of duration and of time to rest, by two-sample tests. Exits with
+1 if anything is further off than the problem allows.
 """
 
 import argparse
@@ -18,7 +20,15 @@ from dem_jax.errors import SceneError, SimulationError
 from dem_jax.validation import Problem, Solution, solve_problem
 from dem_jax.validation.catalogue import FAMILIES, list_problems
 
-HEAD = ["problem", "compared", "f32", "f64", "f64, a quarter of the step", "f32 from f64", "allowed"]
+HEAD = [
+    "problem",
+    "compared",
+    "f32",
+    "f64",
+    "f64, a quarter of the step",
+    "f32 from f64",
+    "allowed",
+]
 FINER = 4
 SEEDS = 256
 SURE = 0.01  # least p-value that equal distributions give but once in a hundred
@@ -46,8 +56,12 @@ def packings(solved: list[dict[str, Solution]]) -> str:
     for precision, solution in (row for each in solved for row in each.items()):
         filled = np.asarray(solution.found["fraction"])
         error = filled.std(ddof=1) / len(filled) ** 0.5
-        rows.append([solution.problem.name, precision, len(filled), f"{filled.mean():.4f} ± {error:.4f}"])
-    return report.table(["problem", "precision", "seeds", "fraction filled, mean and its standard error"], rows)
+        rows.append(
+            [solution.problem.name, precision, len(filled), f"{filled.mean():.4f} ± {error:.4f}"]
+        )
+    return report.table(
+        ["problem", "precision", "seeds", "fraction filled, mean and its standard error"], rows
+    )
 
 
 def drops(seeds: int) -> tuple[str, bool]:
@@ -58,13 +72,19 @@ def drops(seeds: int) -> tuple[str, bool]:
 
     found = {}
     for precision, first in (("f32", 0), ("f64", 0), ("f64, other seeds", seeds)):
-        scene = load_scene("quick-release").replace({"run.precision": precision[:3], "run.frames": 0.0, "run.energy": False})
+        scene = load_scene("quick-release").replace(
+            {"run.precision": precision[:3], "run.frames": 0.0, "run.energy": False}
+        )
         runs = ensemble(scene, seeds, seed=first)
         members = [runs.member(k) for k in range(seeds)]
         found[precision] = {
             "peak (kg)": np.array([m.peak_kg("wb_flaps").max() for m in members]),
-            "peak of means over a sample (kg)": np.array([m.pif_kg("wb_flaps").max() for m in members]),
-            "duration until half of the impulse has come (s)": np.array([_half(m) for m in members]),
+            "peak of means over a sample (kg)": np.array(
+                [m.pif_kg("wb_flaps").max() for m in members]
+            ),
+            "duration until half of the impulse has come (s)": np.array(
+                [_half(m) for m in members]
+            ),
             "time to rest (s)": np.array([impact_duration(m, "wb_flaps", "wb") for m in members]),
         }
     rows, equal = [], True
@@ -73,8 +93,24 @@ def drops(seeds: int) -> tuple[str, bool]:
             one, two = (x[np.isfinite(x)] for x in (found["f32"][name], found[other][name]))
             ks, anderson = ks_2samp(one, two).pvalue, anderson_ksamp([one, two]).pvalue
             equal &= min(ks, anderson) > SURE / len(found["f32"]) / 2
-            rows.append([name, other, report.spread(one), report.spread(two), f"{ks:.2g}", f"{anderson:.2g}"])
-    head = ["of each drop", "f32 against", "f32: median (lowest to highest)", "f64", "p, Kolmogorov-Smirnov", "p, Anderson-Darling"]
+            rows.append(
+                [
+                    name,
+                    other,
+                    report.spread(one),
+                    report.spread(two),
+                    f"{ks:.2g}",
+                    f"{anderson:.2g}",
+                ]
+            )
+    head = [
+        "of each drop",
+        "f32 against",
+        "f32: median (lowest to highest)",
+        "f64",
+        "p, Kolmogorov-Smirnov",
+        "p, Anderson-Darling",
+    ]
     return report.table(head, rows), equal
 
 
@@ -87,16 +123,25 @@ def _half(run) -> float:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Solve all, write the table, and exit with 1 if anything is further off than it may be."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.validation", description=(__doc__ or "").splitlines()[0])
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.validation", description=(__doc__ or "").splitlines()[0]
+    )
     parser.add_argument("--quick", action="store_true", help="one law, no packings, few drops")
     options = parser.parse_args(argv)
     xla_flags.set_loop_flags()
     start, good, rows, poured = time.perf_counter(), True, [], []
-    left_out = ("packings", "Chung and Ooi, walton-braun", "Chung and Ooi, linear-dashpot") if options.quick else ()
+    left_out = (
+        ("packings", "Chung and Ooi, walton-braun", "Chung and Ooi, linear-dashpot")
+        if options.quick
+        else ()
+    )
     for problem in list_problems(name for name in FAMILIES if name not in left_out):
         try:
             solved = solutions(problem, finer=problem.seeds is None and not options.quick)
-            found, near = rows_of(problem, solved), not any(s.failing_quantities for s in solved.values())
+            found, near = (
+                rows_of(problem, solved),
+                not any(s.failing_quantities for s in solved.values()),
+            )
             poured += [solved] * (problem.seeds is not None)
         except (SceneError, SimulationError) as error:
             found, near = [[problem.name, f"stopped: {error}", *[""] * (len(HEAD) - 2)]], False

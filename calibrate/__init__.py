@@ -1,5 +1,5 @@
-"""Calibration of the Product Model to impact-force traces by gradient descent, with intervals and a goodness of
-fit.
+"""Calibration of the Product Model to impact-force traces by gradient descent, with intervals and a
+goodness of fit.
 """
 
 import product_model  # noqa: F401  # first: from then on Ctrl-C ends the program at once, while the rest is imported

@@ -41,16 +41,28 @@ NAMES = ("dt_impact", "gamma_low", "gamma_high", "h_mean")
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = _CommandParser(prog="calibrate", description="Fit the Product Model to impact-force traces")
+    parser = _CommandParser(
+        prog="calibrate", description="Fit the Product Model to impact-force traces"
+    )
     commands = parser.add_subparsers(dest="command", required=True, parser_class=_CommandParser)
     fit = commands.add_parser("fit", help="fit to one or several trace files")
     fit.add_argument(
-        "traces", nargs="+", metavar="FILE", help="HDF5 runs or ensembles, tables of text (times, forces), or LabVIEW's .lvm"
+        "traces",
+        nargs="+",
+        metavar="FILE",
+        help="HDF5 runs or ensembles, tables of text (times, forces), or LabVIEW's .lvm",
     )
-    fit.add_argument("--m-piece", type=float, metavar="KG", help="weight of one piece (default: from the file's scene)")
+    fit.add_argument(
+        "--m-piece",
+        type=float,
+        metavar="KG",
+        help="weight of one piece (default: from the file's scene)",
+    )
     pieces = "number of pieces of all traces or of each (default: from the file)"
     fit.add_argument("--pieces", type=parse_numbers, metavar="N[,N...]", help=pieces)
-    fit.add_argument("--group", metavar="NAME", help="wall group whose force is fitted (default wb_flaps)")
+    fit.add_argument(
+        "--group", metavar="NAME", help="wall group whose force is fitted (default wb_flaps)"
+    )
     fit.add_argument(
         "--align",
         choices=("release", "first-impact"),
@@ -61,17 +73,31 @@ def _parser() -> argparse.ArgumentParser:
     for name in NAMES:
         unit, flag = ("S" if name == "dt_impact" else "M"), name.replace("_", "-")
         fit.add_argument(f"--{flag}", type=float, metavar=unit, help=f"start value of {name}")
-        fit.add_argument(f"--fix-{flag}", type=float, metavar=unit, help=f"keep {name} at this value")
+        fit.add_argument(
+            f"--fix-{flag}", type=float, metavar=unit, help=f"keep {name} at this value"
+        )
     fit.add_argument(
         "--model",
         choices=("paper", "extended"),
         default="paper",
         help="the paper's model, or the extended one: of several nested models the smallest that traces kept out do not reject",
     )
-    fit.add_argument("--simulations", type=int, metavar="M", help="simulated portions (default 512; extended model: 256)")
+    fit.add_argument(
+        "--simulations",
+        type=int,
+        metavar="M",
+        help="simulated portions (default 512; extended model: 256)",
+    )
     fit.add_argument("--bootstrap", type=int, metavar="B", help=BOOTSTRAP)
-    fit.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the random numbers (default 0)")
-    fit.add_argument("--out", default="fit.json", metavar="FILE", help="JSON file (default fit.json); the figure goes beside it")
+    fit.add_argument(
+        "--seed", type=int, default=0, metavar="N", help="seed of the random numbers (default 0)"
+    )
+    fit.add_argument(
+        "--out",
+        default="fit.json",
+        metavar="FILE",
+        help="JSON file (default fit.json); the figure goes beside it",
+    )
     fit.add_argument("--no-plot", action="store_true", help="draw no figure")
     fit.add_argument("--overwrite", action="store_true", help="replace files that exist")
     fit.add_argument(
@@ -107,7 +133,11 @@ def _fit(args: argparse.Namespace) -> int:
     if args.model == "extended":
         return _fit_extended(args, targets, paths)
     given = {name: getattr(args, name) for name in NAMES if getattr(args, name) is not None}
-    fixed = {name: getattr(args, f"fix_{name}") for name in NAMES if getattr(args, f"fix_{name}") is not None}
+    fixed = {
+        name: getattr(args, f"fix_{name}")
+        for name in NAMES
+        if getattr(args, f"fix_{name}") is not None
+    }
     with show_progress() as show:
         result = fit(
             targets,
@@ -123,7 +153,11 @@ def _fit(args: argparse.Namespace) -> int:
     if result.absurd and not args.force:
         print(report(result))
         sys.stdout.flush()
-        return fail_program("calibrate", f"nothing is written: {result.absurd[0]}; --force writes it nevertheless", FAILED)
+        return fail_program(
+            "calibrate",
+            f"nothing is written: {result.absurd[0]}; --force writes it nevertheless",
+            FAILED,
+        )
     _write(result, targets, paths, args.seed)
     print(report(result))
     print(f"written: {', '.join(map(str, paths))}")
@@ -137,7 +171,9 @@ def _fit_extended(args: argparse.Namespace, targets: "list[Target]", paths: list
 
     kept = [name for name in NAMES if getattr(args, f"fix_{name}") is not None]
     if kept:
-        raise BadInput(f"fix_{kept[0]}: is for --model paper; give a start value (--{kept[0].replace('_', '-')})")
+        raise BadInput(
+            f"fix_{kept[0]}: is for --model paper; give a start value (--{kept[0].replace('_', '-')})"
+        )
     given = {name: getattr(args, name) for name in NAMES if getattr(args, name) is not None}
     with show_progress() as show:
         result = fit_landings(
@@ -161,10 +197,16 @@ def _traces(args: argparse.Namespace) -> "list[Target]":
     from calibrate.targets import read
 
     options: dict[str, Any] = {"tell": print, "table": table_options(args), "tare": args.tare}
-    return [t for path in args.traces for t in read(path, args.m_piece, args.pieces, args.group, **options)]
+    return [
+        t
+        for path in args.traces
+        for t in read(path, args.m_piece, args.pieces, args.group, **options)
+    ]
 
 
-def _write(result: "Fit | LandingFit", targets: "list[Target]", paths: list[Path], seed: int) -> None:
+def _write(
+    result: "Fit | LandingFit", targets: "list[Target]", paths: list[Path], seed: int
+) -> None:
     """Write the fit, and the figure where there is a second path."""
 
     def draw() -> Any:
@@ -177,7 +219,12 @@ def _write(result: "Fit | LandingFit", targets: "list[Target]", paths: list[Path
 
 def report(result: "Fit") -> str:
     """The fit as a table with 90 % intervals, then the statements."""
-    units = {"dt_impact": ("us", 1e6), "gamma_low": ("mm", 1e3), "gamma_high": ("mm", 1e3), "h_mean": ("mm", 1e3)}
+    units = {
+        "dt_impact": ("us", 1e6),
+        "gamma_low": ("mm", 1e3),
+        "gamma_high": ("mm", 1e3),
+        "h_mean": ("mm", 1e3),
+    }
     lines = ["parameter           value      90 % interval            sd   local sd"]
     for name, (unit, factor) in units.items():
         row = {key: v * factor for key, v in result.parameters[name].items() if key != "free"}
@@ -204,7 +251,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code (2 on bad input, with one line on stderr)."""
     codes: list[int] = []
     args = _parser().parse_args(argv)
-    return run_program("calibrate", lambda: codes.append(args.action(args)), (BadInput,)) or codes[0]
+    return (
+        run_program("calibrate", lambda: codes.append(args.action(args)), (BadInput,)) or codes[0]
+    )
 
 
 if __name__ == "__main__":

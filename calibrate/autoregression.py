@@ -1,4 +1,6 @@
-"""Noise as an autoregressive process: lagged products of signals, and the process that has their autocovariance."""
+"""Noise as an autoregressive process: lagged products of signals, and the process that has their
+autocovariance.
+"""
 
 from collections.abc import Sequence
 
@@ -14,11 +16,17 @@ def sum_lagged_products(parts: Sequence[np.ndarray], most: int) -> np.ndarray:
         most: lags, of which there are at most half of the samples of the shortest part.
     """
     lags = min(most, min(map(len, parts)) // 2)
-    return np.array([sum(float(part[: len(part) - lag] @ part[lag:]) for part in parts) for lag in range(lags + 1)])
+    return np.array(
+        [
+            sum(float(part[: len(part) - lag] @ part[lag:]) for part in parts)
+            for lag in range(lags + 1)
+        ]
+    )
 
 
 def fit_autoregression(covariance: np.ndarray, order: int) -> tuple[np.ndarray, float]:
-    """Coefficients [order + 1], the first 1, of the process and the variance of its innovations (Yule-Walker equations).
+    """Coefficients [order + 1], the first 1, of the process and the variance of its innovations
+    (Yule-Walker equations).
 
     Args:
         covariance: [order + 1 or more] autocovariance.

@@ -16,14 +16,29 @@ if TYPE_CHECKING:
 
 def add_cell_command(commands: Any) -> None:
     """Add the command to the parser."""
-    parser = commands.add_parser("cell", help="mass, natural frequency, damping and noise of a load cell from taps on its bucket")
-    parser.add_argument("empty", nargs="+", metavar="FILE", help="tables of a logger: taps on the empty bucket, in each column")
+    parser = commands.add_parser(
+        "cell",
+        help="mass, natural frequency, damping and noise of a load cell from taps on its bucket",
+    )
+    parser.add_argument(
+        "empty",
+        nargs="+",
+        metavar="FILE",
+        help="tables of a logger: taps on the empty bucket, in each column",
+    )
     parser.add_argument(
         "--loaded", nargs="+", action="append", default=[], metavar=("GRAMS", "FILE"),
         help="tables with taps on the bucket with a load of known weight; again for another load",
     )  # fmt: skip
-    parser.add_argument("--mass", type=float, metavar="KG", help="of the empty bucket, where it is known, instead of --loaded")
-    parser.add_argument("--out", default="cell.json", metavar="FILE", help="JSON file (default cell.json)")
+    parser.add_argument(
+        "--mass",
+        type=float,
+        metavar="KG",
+        help="of the empty bucket, where it is known, instead of --loaded",
+    )
+    parser.add_argument(
+        "--out", default="cell.json", metavar="FILE", help="JSON file (default cell.json)"
+    )
     parser.add_argument("--overwrite", action="store_true", help="replace the file if it exists")
     add_table(parser, "g")
     parser.set_defaults(action=calibrate_cell)
@@ -38,7 +53,10 @@ def calibrate_cell(args: argparse.Namespace) -> int:
         raise BadInput("mass: follows from --loaded; allowed: one of the two")
     oscillations, interval = _read_oscillations(args)
     fit = fit_cell(oscillations, interval, args.mass)
-    files = [Path(path).name for path in args.empty + [path for _, *paths in args.loaded for path in paths]]
+    files = [
+        Path(path).name
+        for path in args.empty + [path for _, *paths in args.loaded for path in paths]
+    ]
     write_results(fit.to_dict() | {"files": files}, [out])
     for line in report_cell(fit):
         print(line)
@@ -74,7 +92,9 @@ def _load(row: Sequence[str]) -> float:
     except ValueError:
         grams = 0.0
     if not 0 < grams < 1e6 or len(row) < 2:
-        raise BadInput(f"loaded {' '.join(row)}: allowed: a weight above 0 (g), then one file or several")
+        raise BadInput(
+            f"loaded {' '.join(row)}: allowed: a weight above 0 (g), then one file or several"
+        )
     return 1e-3 * grams
 
 
@@ -84,10 +104,18 @@ def report_cell(fit: "CellFit") -> list[str]:
     lines = ["parameter            value           90 % interval"]
     for name, unit in units.items():
         row = fit.parameters[name]
-        kept = "   given" if row["low"] == row["high"] else f"{row['low']:.5g} ... {row['high']:.5g}"
+        kept = (
+            "   given" if row["low"] == row["high"] else f"{row['low']:.5g} ... {row['high']:.5g}"
+        )
         lines.append(f"{name:<18}{row['value']:>10.5g} {unit:<4}  {kept}")
-    scatter = "" if fit.dispersion == 1 else f"; taps scatter by {fit.dispersion**0.5:.2g} times as much as the noise lets expect"
-    lines.append(f"{fit.taps} taps, free after {1e3 * fit.touch:g} ms; noise {fit.noise.covariance[0] ** 0.5:.3g} g{scatter}")
+    scatter = (
+        ""
+        if fit.dispersion == 1
+        else f"; taps scatter by {fit.dispersion**0.5:.2g} times as much as the noise lets expect"
+    )
+    lines.append(
+        f"{fit.taps} taps, free after {1e3 * fit.touch:g} ms; noise {fit.noise.covariance[0] ** 0.5:.3g} g{scatter}"
+    )
     values = ", ".join(f"{name} = {fit.parameters[name]['value']:.6g}" for name in units)
     lines.append(f"[weigh_bucket.load_cell]: {values}")
     return lines

@@ -1,14 +1,17 @@
-"""A load cell from taps on its bucket, empty and with a known load: mass, natural frequency, damping ratio, noise.
+"""A load cell from taps on its bucket, empty and with a known load: mass, natural frequency,
+damping ratio, noise.
 
 After a tap the bucket swings freely,
 
     (m + p) x'' + c x' + k x = 0,    signal = a + b t + exp(-d t) (A cos w t + B sin w t),
     d = c / 2 (m + p),    w^2 = k / (m + p) - d^2,
 
-p being the load. The load makes it slower, which gives the mass: m = p f_p^2 / (f^2 - f_p^2). Mass, frequency and damping ratio are
-fitted to all taps at once by maximum likelihood; a, b, A and B of each tap are linear and are eliminated. The noise is an
-autoregressive process, estimated from the signal before taps and from the residuals. The covariance of the parameters is that of
-the likelihood, widened where taps scatter more than it lets expect, and by the accuracy of a load and a clock (SYSTEMATIC).
+p being the load. The load makes it slower, which gives the mass: m = p f_p^2 / (f^2 - f_p^2). Mass,
+frequency and damping ratio are fitted to all taps at once by maximum likelihood; a, b, A and B of
+each tap are linear and are eliminated. The noise is an autoregressive process, estimated from the
+signal before taps and from the residuals. The covariance of the parameters is that of the
+likelihood, widened where taps scatter more than it lets expect, and by the accuracy of a load and a
+clock (SYSTEMATIC).
 """
 
 from collections.abc import Callable, Sequence
@@ -30,19 +33,24 @@ MOST_ORDER = 40  # of the noise
 LAGS = 100  # of the covariance of the noise in the file
 ROUNDS = 3  # of fit and noise
 PRIOR = 6.0  # degrees of freedom with which taps are taken to scatter as the noise lets expect
-TOUCHES = (0.01, 0.02, 0.04, 0.08)  # s for which a tap may touch the bucket: the shortest after which the oscillation is free
+TOUCHES = (0.01, 0.02, 0.04, 0.08)  # s for which a tap may touch the bucket: the shortest after
+# which the oscillation is free
 START = 0.02  # s of the oscillation that show whether it is
 FREE = 3.0  # times the mean square of later residuals, that those of a free one have there
 LOWEST, HIGHEST = 3.0, 1 / 3  # Hz; of the rate: frequencies that are looked for
 LEAST_RATIO = 5.0  # of an oscillation to the noise
-WORST, SMALL = 4.0, 0.03  # times the noise before taps, and share of the oscillations, that residuals may have
-SYSTEMATIC = (1e-3, 1e-4, 1e-3)  # relative standard errors beside the noise: of load and mass, of the clock, of the damping
+WORST, SMALL = 4.0, 0.03  # times the noise before taps, and share of the oscillations, that
+# residuals may have
+SYSTEMATIC = (1e-3, 1e-4, 1e-3)  # relative standard errors beside the noise: of load and mass, of
+# the clock, of the damping
 MOST_ERROR = 0.25  # relative, of the mass
 DAMPING = (1e-5, 0.5)
 
 
 class NoiseModel(NamedTuple):
-    """Noise of a signal. coefficients: of the autoregressive process, the first 1. innovation: (g). covariance: [lags + 1] (g2)."""
+    """Noise of a signal. coefficients: of the autoregressive process, the first 1. innovation: (g).
+    covariance: [lags + 1] (g2).
+    """
 
     coefficients: np.ndarray
     innovation: float
@@ -51,16 +59,19 @@ class NoiseModel(NamedTuple):
     def whiten(self, rows: np.ndarray) -> np.ndarray:
         """Rows [.., n] as unit white noise, [.., n - order]."""
         order = len(self.coefficients) - 1
-        return signal.lfilter(self.coefficients, [1.0], rows, axis=-1)[..., order:] / self.innovation
+        return (
+            signal.lfilter(self.coefficients, [1.0], rows, axis=-1)[..., order:] / self.innovation
+        )
 
 
 @dataclass(frozen=True)
 class CellFit:
     """A fitted load cell.
 
-    parameters: name -> {"value", "low", "high", "sd"} in kg, Hz and 1. covariance: [3, 3] of the logarithms. noise: of the signal.
-    rate: samples per second. taps: number. touch: (s) for which a tap touches. dispersion: variance between taps relative to that
-    of the noise. residual: (g) standard deviation.
+    parameters: name -> {"value", "low", "high", "sd"} in kg, Hz and 1. covariance: [3, 3] of the
+    logarithms. noise: of the signal. rate: samples per second. taps: number. touch: (s) for which a
+    tap touches. dispersion: variance between taps relative to that of the noise. residual: (g)
+    standard deviation.
     """
 
     parameters: dict[str, dict[str, float]]
@@ -83,18 +94,32 @@ class CellFit:
         }
         units = dict(zip(NAMES, ("kg", "Hz", "1"), strict=True))
         rows = {name: values | {"unit": units[name]} for name, values in self.parameters.items()}
-        about = {"taps": self.taps, "touch_s": self.touch, "dispersion": self.dispersion, "residual_g": self.residual}
+        about = {
+            "taps": self.taps,
+            "touch_s": self.touch,
+            "dispersion": self.dispersion,
+            "residual_g": self.residual,
+        }
         kept = {"coverage": COVERAGE, "covariance_of_logarithms": self.covariance.tolist()}
-        return {"kind": "load cell", "version": 1, "parameters": rows, **kept, "noise": noise, **about}
+        return {
+            "kind": "load cell",
+            "version": 1,
+            "parameters": rows,
+            **kept,
+            "noise": noise,
+            **about,
+        }
 
 
-def fit_cell(oscillations: Sequence[Oscillation], interval: float, mass: float | None = None) -> CellFit:
+def fit_cell(
+    oscillations: Sequence[Oscillation], interval: float, mass: float | None = None
+) -> CellFit:
     """The load cell that rings after taps.
 
     Args:
-        oscillations: of the empty bucket and, unless its mass is given, of the bucket with one load or several.
-        interval: (s) between samples.
-        mass: (kg) of the empty bucket, where it is known.
+        oscillations: of the empty bucket and, unless its mass is given, of the bucket with one load
+        or several. interval: (s) between samples. mass: (kg) of the empty bucket, where it is
+        known.
 
     Returns:
         `CellFit`.
@@ -104,7 +129,9 @@ def fit_cell(oscillations: Sequence[Oscillation], interval: float, mass: float |
     """
     _check_loads(oscillations, mass)
     for touch in TOUCHES:
-        rings = [each._replace(values=each.values[round(touch / interval) :]) for each in oscillations]
+        rings = [
+            each._replace(values=each.values[round(touch / interval) :]) for each in oscillations
+        ]
         try:
             fit = _Fit(rings, interval, mass)
         except BadInput:
@@ -122,13 +149,17 @@ def _check_loads(oscillations: Sequence[Oscillation], mass: float | None) -> Non
     if not any(each.load == 0 for each in oscillations):
         raise BadInput("taps: none of the empty bucket; allowed: one or more")
     if mass is None and not any(each.load > 0 for each in oscillations):
-        raise BadInput("taps: none of the loaded bucket, which give the mass: allowed: --loaded GRAMS FILE, or --mass KG")
+        raise BadInput(
+            "taps: none of the loaded bucket, which give the mass: allowed: --loaded GRAMS FILE, or --mass KG"
+        )
     if mass is not None and not 0 < mass < 1e6:
         raise BadInput(f"mass = {mass:g}: allowed: a number above 0 (kg)")
 
 
 class _Fit:
-    """Parameters are logarithms: of the mass unless it is given, of frequency and damping ratio of the empty bucket."""
+    """Parameters are logarithms: of the mass unless it is given, of frequency and damping ratio of
+    the empty bucket.
+    """
 
     def __init__(self, rings: Sequence[Oscillation], interval: float, mass: float | None) -> None:
         self.rings, self.interval, self.mass = rings, interval, mass
@@ -144,9 +175,13 @@ class _Fit:
         omega, decay = 2 * np.pi * frequency, 2 * np.pi * frequency * ratio * mass / (mass + load)
         return complex(-decay, np.sqrt(max(omega**2 * mass / (mass + load) - decay**2, 1.0)))
 
-    def residuals(self, place: np.ndarray, ring: Oscillation, noise: NoiseModel | None) -> np.ndarray:
+    def residuals(
+        self, place: np.ndarray, ring: Oscillation, noise: NoiseModel | None
+    ) -> np.ndarray:
         """Of an oscillation, whitened if the noise is known."""
-        rows = np.vstack([_basis(self.root(place, ring.load), len(ring.values), self.interval), ring.values])
+        rows = np.vstack(
+            [_basis(self.root(place, ring.load), len(ring.values), self.interval), ring.values]
+        )
         rows = rows if noise is None else noise.whiten(rows)
         return fit_basis(rows[:-1].T, rows[-1])[1]
 
@@ -169,14 +204,18 @@ class _Fit:
         return float(np.mean(np.concatenate(self.left()) ** 2))
 
     def excess_at_start(self) -> float:
-        """Mean square of the residuals at the beginning of oscillations, relative to that of their second half."""
+        """Mean square of the residuals at the beginning of oscillations, relative to that of their
+        second half.
+        """
         count = max(3, round(START / self.interval))
         left = self.left()
         late = np.mean([np.mean(each[len(each) // 2 :] ** 2) for each in left])
         return float(np.mean([each[:count] ** 2 for each in left]) / max(late, 1e-12))
 
     def scores(self, noise: NoiseModel) -> tuple[np.ndarray, np.ndarray]:
-        """Gradients of half of the square sum of each oscillation, [n, P], and their expected Hessians, [n, P, P]."""
+        """Gradients of half of the square sum of each oscillation, [n, P], and their expected
+        Hessians, [n, P, P].
+        """
         gradients, hessians = [], []
         for ring in self.rings:
             slope = _differentiate(partial(self.residuals, ring=ring, noise=noise), self.place)
@@ -194,7 +233,9 @@ class _Fit:
         """From the oscillations of each load by themselves."""
         roots: dict[float, complex] = {}
         for load in dict.fromkeys(ring.load for ring in self.rings):
-            roots[load] = find_root([ring for ring in self.rings if ring.load == load], self.interval)
+            roots[load] = find_root(
+                [ring for ring in self.rings if ring.load == load], self.interval
+            )
         frequency, ratio = abs(roots[0.0]) / (2 * np.pi), -roots[0.0].real / abs(roots[0.0])
         own = [np.log(frequency), np.log(max(ratio, 10 * DAMPING[0]))]
         if self.mass is not None:
@@ -234,8 +275,14 @@ def find_root(rings: Sequence[Oscillation], interval: float) -> complex:
     frequency, ratio = np.exp(best.x)
     root = 2 * np.pi * frequency * complex(-ratio, 1.0)
     sizes = [_project(root, ring.values, interval) for ring in rings]
-    clear = max(float(np.hypot(*size[:2]) / max(float(np.std(rest)), 1e-12)) for size, rest in sizes)
-    if not clear > LEAST_RATIO or not LOWEST <= frequency <= HIGHEST / interval or not DAMPING[0] < ratio < DAMPING[1]:
+    clear = max(
+        float(np.hypot(*size[:2]) / max(float(np.std(rest)), 1e-12)) for size, rest in sizes
+    )
+    if (
+        not clear > LEAST_RATIO
+        or not LOWEST <= frequency <= HIGHEST / interval
+        or not DAMPING[0] < ratio < DAMPING[1]
+    ):
         raise BadInput(
             f"{longest.name}: no clear oscillation: the best is {frequency:.3g} Hz with a damping ratio of {ratio:.2g}, "
             f"{clear:.2g} times the noise: allowed: {LOWEST:g} to {HIGHEST / interval:.4g} Hz, below {DAMPING[1]:g}, "
@@ -273,9 +320,14 @@ def _project(root: complex, values: np.ndarray, interval: float) -> tuple[np.nda
     return fit_basis(_basis(root, len(values), interval).T, values)
 
 
-def _differentiate(function: Callable[[np.ndarray], np.ndarray], place: np.ndarray, step: float = 1e-5) -> np.ndarray:
+def _differentiate(
+    function: Callable[[np.ndarray], np.ndarray], place: np.ndarray, step: float = 1e-5
+) -> np.ndarray:
     """[n, P] central differences."""
-    rows = [(function(place + step * unit) - function(place - step * unit)) / (2 * step) for unit in np.eye(len(place))]
+    rows = [
+        (function(place + step * unit) - function(place - step * unit)) / (2 * step)
+        for unit in np.eye(len(place))
+    ]
     return np.stack(rows, axis=-1)
 
 
@@ -291,22 +343,36 @@ def _summarize(fit: _Fit, noise: NoiseModel, touch: float) -> CellFit:
     _check_residual(fit.rings, residual)
     width = float(stats.t.ppf(0.5 + COVERAGE / 2, freedom))
     rows = zip(values, sd, strict=True)
-    bounds = [{"value": v, "low": v * np.exp(-width * s), "high": v * np.exp(width * s), "sd": v * s} for v, s in rows]
-    parameters = {name: {key: float(x) for key, x in row.items()} for name, row in zip(NAMES, bounds, strict=True)}
-    return CellFit(parameters, covariance, noise, 1 / fit.interval, len(fit.rings), touch, dispersion, residual)
+    bounds = [
+        {"value": v, "low": v * np.exp(-width * s), "high": v * np.exp(width * s), "sd": v * s}
+        for v, s in rows
+    ]
+    parameters = {
+        name: {key: float(x) for key, x in row.items()}
+        for name, row in zip(NAMES, bounds, strict=True)
+    }
+    return CellFit(
+        parameters, covariance, noise, 1 / fit.interval, len(fit.rings), touch, dispersion, residual
+    )
 
 
-def _estimate_covariance(gradients: np.ndarray, hessians: np.ndarray) -> tuple[np.ndarray, float, float]:
-    """Covariance of the parameters [P, P], the variance between taps relative to that of the noise, and degrees of freedom.
+def _estimate_covariance(
+    gradients: np.ndarray, hessians: np.ndarray
+) -> tuple[np.ndarray, float, float]:
+    """Covariance of the parameters [P, P], the variance between taps relative to that of the noise,
+    and degrees of freedom.
 
-    gradients: [n, P] of each tap. hessians: [n, P, P]. That of the likelihood by the variance between taps, and each parameter at
-    least with the variance that the gradients of the taps have (sandwich).
+    gradients: [n, P] of each tap. hessians: [n, P, P]. That of the likelihood by the variance
+    between taps, and each parameter at least with the variance that the gradients of the taps have
+    (sandwich).
     """
     count, size = gradients.shape
     scatter, freedom = PRIOR, PRIOR - size
     for gradient, hessian in zip(gradients, hessians, strict=True):
         scatter += float(gradient @ np.linalg.pinv(hessian, rcond=1e-6, hermitian=True) @ gradient)
-        freedom += float(np.linalg.matrix_rank(hessian, tol=1e-6 * np.linalg.norm(hessian), hermitian=True))
+        freedom += float(
+            np.linalg.matrix_rank(hessian, tol=1e-6 * np.linalg.norm(hessian), hermitian=True)
+        )
     dispersion = max(1.0, scatter / max(freedom, PRIOR))
     inverse = np.linalg.inv(hessians.sum(axis=0))
     covariance = dispersion * inverse
@@ -325,7 +391,9 @@ def _check(values: np.ndarray, sd: np.ndarray, taps: int) -> None:
             f"{100 * MOST_ERROR:.0f} %; take more taps or a heavier load, or give --mass"
         )
     if not DAMPING[0] < values[2] < DAMPING[1]:
-        raise BadInput(f"damping ratio = {values[2]:.2g}: allowed: {DAMPING[0]:g} to {DAMPING[1]:g}")
+        raise BadInput(
+            f"damping ratio = {values[2]:.2g}: allowed: {DAMPING[0]:g} to {DAMPING[1]:g}"
+        )
 
 
 def _check_residual(rings: Sequence[Oscillation], residual: float) -> None:
@@ -333,7 +401,9 @@ def _check_residual(rings: Sequence[Oscillation], residual: float) -> None:
     quiet = [signal.detrend(ring.quiet) for ring in rings if len(ring.quiet)]
     noise = float(np.std(np.concatenate(quiet))) if quiet else 0.0
     size = float(np.mean([np.std(ring.values) for ring in rings]))
-    quantum = float(np.median([np.diff(np.unique(ring.values)).min(initial=np.inf) for ring in rings]))
+    quantum = float(
+        np.median([np.diff(np.unique(ring.values)).min(initial=np.inf) for ring in rings])
+    )
     if residual > max(WORST * noise, SMALL * size, 0.5 * quantum):
         raise BadInput(
             f"taps: they leave {residual:.3g} g beside that of one cell: allowed: {WORST:g} times the noise before taps, "

@@ -1,4 +1,6 @@
-"""What the commands of `python -m calibrate` share: arguments, the files that they write, progress and the compilation cache."""
+"""What the commands of `python -m calibrate` share: arguments, the files that they write, progress
+and the compilation cache.
+"""
 
 import argparse
 import contextlib
@@ -24,12 +26,27 @@ FAILED = 1  # exit code where a fit was made and cannot be meant
 def add_table(parser: argparse.ArgumentParser, unit_by_default: str = "N") -> None:
     """What a table of text may not tell itself; unit_by_default: of forces without a unit."""
     table = parser.add_argument_group("tables of text")
-    table.add_argument("--time-unit", metavar="UNIT", help="s, ms, us or min, instead of the header's (without any: s)")
+    table.add_argument(
+        "--time-unit",
+        metavar="UNIT",
+        help="s, ms, us or min, instead of the header's (without any: s)",
+    )
     units = f"N, mN, kN, kg, g or lbf, instead of the header's (without any: {unit_by_default})"
     table.add_argument("--force-unit", metavar="UNIT", help=units)
-    table.add_argument("--decimal", choices=(".", ","), help="the decimal sign (default: as the numbers tell)")
-    table.add_argument("--sample", type=float, metavar="S", help="time from row to row, instead of a column of times")
-    table.add_argument("--tare", action="store_true", help="subtract the mean force before the first impact from each trace")
+    table.add_argument(
+        "--decimal", choices=(".", ","), help="the decimal sign (default: as the numbers tell)"
+    )
+    table.add_argument(
+        "--sample",
+        type=float,
+        metavar="S",
+        help="time from row to row, instead of a column of times",
+    )
+    table.add_argument(
+        "--tare",
+        action="store_true",
+        help="subtract the mean force before the first impact from each trace",
+    )
 
 
 def parse_numbers(text: str) -> list[int]:
@@ -37,7 +54,9 @@ def parse_numbers(text: str) -> list[int]:
     try:
         return [int(part) for part in text.split(",")]
     except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r}: must be a whole number, or several between commas") from None
+        raise argparse.ArgumentTypeError(
+            f"{text!r}: must be a whole number, or several between commas"
+        ) from None
 
 
 def add_scale_signals(parser: argparse.ArgumentParser) -> None:
@@ -50,7 +69,9 @@ def add_scale_signals(parser: argparse.ArgumentParser) -> None:
     rate = "readings per second of ensembles (default 1000)"
     parser.add_argument("--rate", type=float, default=1000.0, metavar="HZ", help=rate)
     parser.add_argument("--noise", metavar="N", help=noise)
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of that noise (default 0)")
+    parser.add_argument(
+        "--seed", type=int, default=0, metavar="N", help="of that noise (default 0)"
+    )
 
 
 def table_options(args: argparse.Namespace) -> "TableOptions":
@@ -61,7 +82,9 @@ def table_options(args: argparse.Namespace) -> "TableOptions":
 
 
 def signal_options(args: argparse.Namespace, cell: "EmptyCell | None") -> "SignalOptions":
-    """What the arguments of `add_scale_signals` and `add_table` say of signals of a scale with this cell."""
+    """What the arguments of `add_scale_signals` and `add_table` say of signals of a scale with this
+    cell.
+    """
     from calibrate.scale_signals import SignalOptions
 
     return SignalOptions(table_options(args), args.rate, args.noise, args.seed, cell)

@@ -1,6 +1,7 @@
 """Tables of other programs, as text: traces with their times, and how the text was understood.
 
-Nothing has to be told that the table tells itself. What it leaves open is an error that says what to give.
+Nothing has to be told that the table tells itself. What it leaves open is an error that says what
+to give.
 """
 
 from collections.abc import Sequence
@@ -27,8 +28,8 @@ WORDS = {";": '";"', "\t": "tabs", "|": '"|"', ",": '","', "": "spaces"}
 class Column:
     """A column of forces: name, as in the header; time: [T] (s), of its own; force: [T] (N).
 
-    assumed: which units the table does not tell, of "time" and "force"; from_release: False where times are those of a
-    clock, which do not tell when the portion was released
+    assumed: which units the table does not tell, of "time" and "force"; from_release: False where
+    times are those of a clock, which do not tell when the portion was released
     """
 
     name: str
@@ -55,8 +56,8 @@ def read_table(path: Path, options: TableOptions | None = None) -> CsvTable:
     """The traces in a text file.
 
     Args:
-        path: of a table with any separator, decimal sign and header, or of a LabVIEW measurement (.lvm).
-        options: what the table does not tell itself.
+        path: of a table with any separator, decimal sign and header, or of a LabVIEW measurement
+        (.lvm). options: what the table does not tell itself.
 
     Returns:
         `Table`: one column of forces (N) with its times (s) for each trace.
@@ -69,7 +70,11 @@ def read_table(path: Path, options: TableOptions | None = None) -> CsvTable:
     segment = labview_segment(path, lines)
     if segment is not None:
         lines = segment.lines
-        options = replace(options, decimal=options.decimal or segment.decimal, sample=options.sample or segment.sample)
+        options = replace(
+            options,
+            decimal=options.decimal or segment.decimal,
+            sample=options.sample or segment.sample,
+        )
     least = 1 if options.sample is not None else 2
     layout = find_layout(path, lines, segment.separator if segment else None, least)
     if segment is not None:
@@ -77,7 +82,9 @@ def read_table(path: Path, options: TableOptions | None = None) -> CsvTable:
     fields, signs = read_fields(path, layout, options)
     roles = find_roles(path, layout, fields, options)
     columns = [_column(path, layout, fields, roles, k, options) for k in roles.forces]
-    return CsvTable(columns, "; ".join(_describe_table(path, layout, signs, fields, roles, columns, options)))
+    return CsvTable(
+        columns, "; ".join(_describe_table(path, layout, signs, fields, roles, columns, options))
+    )
 
 
 def _column(
@@ -92,14 +99,21 @@ def _column(
         time, scale, column = options.sample * np.arange(1.0, len(force) + 1.0), 1.0, None
     else:
         column = fields[find_time(path, fields, roles.times, k)]
-        told = unit_named(options.time_unit) if options.time_unit and not column.is_clock else column.unit
+        told = (
+            unit_named(options.time_unit)
+            if options.time_unit and not column.is_clock
+            else column.unit
+        )
         assumed += ["time"] if told == NONE else []
         time, scale = column.values, told.factor
     first, last = _range_with_values(path, layout, own.name, time, force)
     time, force, numbers = time[first:last], force[first:last], layout.numbers[first:last]
     if column is not None:
         place = next(j for j, f in enumerate(fields) if f is column)
-        at = lambda n: (f"{path}: line {numbers[n]}: {column.name!r}", layout.rows[first + n][place])  # noqa: E731
+        at = lambda n: (
+            f"{path}: line {numbers[n]}: {column.name!r}",
+            layout.rows[first + n][place],
+        )
         is_clock = column.is_clock or scale * time[0] > EPOCH
         origin = time[0] if is_clock else 0.0
         time = scale * even_times(time - origin, column.decimals, at)
@@ -107,7 +121,9 @@ def _column(
     return Column(own.name, time, force, tuple(assumed), column is None or not is_clock)
 
 
-def _range_with_values(path: Path, layout: Layout, name: str, time: np.ndarray, force: np.ndarray) -> tuple[int, int]:
+def _range_with_values(
+    path: Path, layout: Layout, name: str, time: np.ndarray, force: np.ndarray
+) -> tuple[int, int]:
     """First and last row but one between which time and force have values."""
     ok = np.isfinite(time) & np.isfinite(force)
     rows = np.flatnonzero(ok)
@@ -116,7 +132,9 @@ def _range_with_values(path: Path, layout: Layout, name: str, time: np.ndarray, 
     first, last = int(rows[0]), int(rows[-1]) + 1
     if not ok[first:last].all():
         n = first + int(np.argmin(ok[first:last]))
-        raise BadInput(f"{path}: line {layout.numbers[n]}: {name!r} has no value there (or an infinite one); fill it in")
+        raise BadInput(
+            f"{path}: line {layout.numbers[n]}: {name!r} has no value there (or an infinite one); fill it in"
+        )
     return first, last
 
 
@@ -130,21 +148,39 @@ def _describe_table(
     options: TableOptions,
 ) -> list[str]:
     """How the table was understood."""
-    times = {find_time(path, fields, roles.times, k) for k in roles.forces} if roles.times else set()
-    shown = [f"{fields[k].name!r} ({_describe_unit(fields[k], options.force_unit, options.unit_by_default)})" for k in roles.forces[:3]]
-    forces = ", ".join(shown) + (f" and {len(roles.forces) - 3} more" if len(roles.forces) > 3 else "")
+    times = (
+        {find_time(path, fields, roles.times, k) for k in roles.forces} if roles.times else set()
+    )
+    shown = [
+        f"{fields[k].name!r} ({_describe_unit(fields[k], options.force_unit, options.unit_by_default)})"
+        for k in roles.forces[:3]
+    ]
+    forces = ", ".join(shown) + (
+        f" and {len(roles.forces) - 3} more" if len(roles.forces) > 3 else ""
+    )
     clock = [fields[k] for k in sorted(times)]
-    time = ", ".join(f"{f.name!r} ({_describe_unit(f, None if f.is_clock else options.time_unit, 's')})" for f in clock[:3])
+    time = ", ".join(
+        f"{f.name!r} ({_describe_unit(f, None if f.is_clock else options.time_unit, 's')})"
+        for f in clock[:3]
+    )
     time += f" and {len(clock) - 3} more, one for each force" if len(clock) > 3 else ""
     used = {*times, *roles.times, *roles.forces}
-    left = [f.name for k, f in enumerate(fields) if k not in used and f.named and (f.quantity or np.isfinite(f.values).any())]
+    left = [
+        f.name
+        for k, f in enumerate(fields)
+        if k not in used and f.named and (f.quantity or np.isfinite(f.values).any())
+    ]
     sign = ", decimal comma" if signs.decimal == "," else ""
-    sign += f", thousands by {signs.grouping!r}" if signs.grouping and options.decimal is None else ""
+    sign += (
+        f", thousands by {signs.grouping!r}" if signs.grouping and options.decimal is None else ""
+    )
     cut = len(layout.rows) - min(len(column.time) for column in columns)
     before, separator = layout.before, WORDS.get(layout.separator, layout.separator)
     return [
         f"{path}: {len(layout.rows)} rows from line {layout.numbers[0]} on, separated by {separator}{sign}",
-        f"{before} line{'s' if before > 1 else ''} above left out" if before else "nothing above left out",
+        f"{before} line{'s' if before > 1 else ''} above left out"
+        if before
+        else "nothing above left out",
         "no header" if layout.header.line is None else "a header",
         f"time {time}" if times else f"time {options.sample:g} s from row to row",
         f"force {forces}",
@@ -156,4 +192,8 @@ def _describe_table(
 def _describe_unit(column: Field, given: str | None, default: str) -> str:
     if given:
         return unit_named(given).symbol
-    return f"clock, {column.unit.symbol}" if column.is_clock else column.unit.symbol or f"taken as {default}"
+    return (
+        f"clock, {column.unit.symbol}"
+        if column.is_clock
+        else column.unit.symbol or f"taken as {default}"
+    )

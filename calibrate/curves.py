@@ -1,4 +1,6 @@
-"""Forces of many portions on one time grid: bands, momentum, the reading of a load cell, and numbers to compare them by."""
+"""Forces of many portions on one time grid: bands, momentum, the reading of a load cell, and
+numbers to compare them by.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,8 +20,8 @@ LANDED = 0.9  # share of the momentum of the fall, which most pieces have given 
 class Curves:
     """Forces of K portions.
 
-    time: [T] (s) after the release, ends of the sample intervals, equidistant; force: [K, T] (N) means over these; mass: [K] (kg)
-    of each portion; gravity: (m/s2)
+    time: [T] (s) after the release, ends of the sample intervals, equidistant; force: [K, T] (N)
+    means over these; mass: [K] (kg) of each portion; gravity: (m/s2)
     """
 
     time: np.ndarray
@@ -65,7 +67,9 @@ def collect_curves(targets: Sequence[Target]) -> Curves:
 
 
 def average(curves: Curves, start: np.ndarray | float, bin_: float, count: int) -> np.ndarray:
-    """Mean force [K, count] (N) over intervals of `bin_` (s) from `start` ([K] or one, s) on; beyond the end the last ones."""
+    """Mean force [K, count] (N) over intervals of `bin_` (s) from `start` ([K] or one, s) on;
+    beyond the end the last ones.
+    """
     edges = np.concatenate([[curves.time[0] - curves.sample], curves.time])
     starts = np.broadcast_to(start, len(curves.force))
     rows = [
@@ -76,19 +80,21 @@ def average(curves: Curves, start: np.ndarray | float, bin_: float, count: int) 
 
 
 def received(curves: Curves, start: np.ndarray | float, step: float, count: int) -> np.ndarray:
-    """Momentum [K, count] (N s) that the bucket has received `step`, 2 `step`, ... (s) after `start` ([K] or one, s)."""
+    """Momentum [K, count] (N s) that the bucket has received `step`, 2 `step`, ... (s) after
+    `start` ([K] or one, s).
+    """
     return np.cumsum(average(curves, start, step, count), axis=1) * step
 
 
 def load_cell(
     curves: Curves, frequency: float = CELL_FREQUENCY, damping: float = CELL_DAMPING
 ) -> np.ndarray:
-    """Reading [K, T] (kg) at the ends of the sample intervals of a cell that is a damped oscillator; exact for forces that are
-    constant over a sample.
+    """Reading [K, T] (kg) at the ends of the sample intervals of a cell that is a damped
+    oscillator; exact for forces that are constant over a sample.
 
     Args:
-        frequency: (Hz) of the undamped cell, with the bucket on it; the portion's own mass on it is left out.
-        damping: ratio to the critical damping.
+        frequency: (Hz) of the undamped cell, with the bucket on it; the portion's own mass on it is
+        left out. damping: ratio to the critical damping.
     """
     rate = 2.0 * np.pi * frequency
     system = ([rate**2], [1.0, 2.0 * damping * rate, rate**2])
@@ -150,7 +156,9 @@ def measure_curves(curves: Curves) -> dict[str, Measure]:
 
 
 def _landing(curves: Curves) -> np.ndarray:
-    """[K] (s) from the first impact until LANDED of the momentum of free fall until then, m g t, is received."""
+    """[K] (s) from the first impact until LANDED of the momentum of free fall until then, m g t, is
+    received.
+    """
     due = LANDED * curves.weight[:, None] * np.maximum(curves.time, 0.0)
     reached = (curves.impulse >= due) & (curves.time > curves.first_impact[:, None])
     last = np.where(reached.any(axis=1), np.argmax(reached, axis=1), len(curves.time) - 1)

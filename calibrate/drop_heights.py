@@ -123,7 +123,7 @@ def _from_free(free: np.ndarray) -> np.ndarray:
 
 def _maximize(likelihood: Likelihood, start: np.ndarray) -> np.ndarray:
     """Most likely gamma_low, gamma_high, h_mean."""
-    cost = lambda free: -likelihood.log(*_from_free(free))  # noqa: E731
+    cost = lambda free: -likelihood.log(*_from_free(free))
     trials = [_to_free(start), _to_free(start * [1.3, 0.7, 1.0] + [0.0, start[0], 0.0])]
     ends = [minimize(cost, trial, method="BFGS", options={"gtol": 1e-4}) for trial in trials]
     ends = [
@@ -136,7 +136,7 @@ def _maximize(likelihood: Likelihood, start: np.ndarray) -> np.ndarray:
 def _local_deviations(likelihood: Likelihood, best: np.ndarray) -> np.ndarray:
     """[3] (m) standard deviations from the observed information."""
     step = 0.03 * best + 1e-6
-    ahead = lambda change: likelihood.log(*np.maximum(best + change, 1e-7))  # noqa: E731
+    ahead = lambda change: likelihood.log(*np.maximum(best + change, 1e-7))
     units, hessian = np.diag(step), np.zeros((3, 3))
     for i in range(3):
         for j in range(i, 3):
@@ -199,7 +199,7 @@ def _profile(likelihood: Likelihood, start: np.ndarray, place: int, value: float
         return row
 
     first = np.log(np.maximum(start[others], 1e-7))
-    cost = lambda free: -likelihood.log(*whole(free))  # noqa: E731
+    cost = lambda free: -likelihood.log(*whole(free))
     end = minimize(
         cost,
         first,

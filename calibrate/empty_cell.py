@@ -15,8 +15,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class CellNoise:
-    """Noise of the signal of a load cell at rest. rate: samples per second. autocovariance: [lags + 1]
-    (g^2)."""
+    """Noise of the signal of a load cell at rest. rate: samples per second. autocovariance: [lags +
+    1] (g^2).
+    """
 
     rate: float
     autocovariance: tuple[float, ...]

@@ -9,5 +9,7 @@ MOST_SEED = 2_000_000_000  # others are made by adding to it, below 2^31
 
 
 def checked_seed(seed: object) -> int:
-    """The seed as a plain number. Raises `BadInput` unless it is a whole number from 0 to MOST_SEED."""
+    """The seed as a plain number. Raises `BadInput` unless it is a whole number from 0 to
+    MOST_SEED.
+    """
     return inputs.checked_seed(seed, MOST_SEED)

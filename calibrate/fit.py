@@ -21,21 +21,24 @@ Rows = dict[str, dict[str, Any]]  # Fit.parameters
 Ends = dict[str, list[float]]  # Fit.starts
 
 STARTS = 4
-SCAN = (0.7, 90.0, 12)  # least and greatest dt_impact (bins) that the first guess looks at, and how many
-LEAST_TRACES = 4  # half of the traces say nothing of gamma_high; two of the rest are needed to tell a scatter
-AGREEMENT = 0.1  # share of the interval's half width: starts that differ by less agree, one whose last round changed less converged
+SCAN = (0.7, 90.0, 12)  # least and greatest dt_impact (bins) that the first guess looks at, and how
+# many
+LEAST_TRACES = 4  # half of the traces say nothing of gamma_high; two of the rest are needed to tell
+# a scatter
+AGREEMENT = 0.1  # share of the interval's half width: starts that differ by less agree, one whose
+# last round changed less converged
 
 
 @dataclass(frozen=True)
 class Fit:
     """What a fit found. All SI.
 
-    parameters: name -> {"value", "low", "high", "sd", "local_sd"}: 90 % interval of the parametric bootstrap, its
-    standard deviation and the fast local estimate; `free` names those fitted. starts: name -> [S]; losses: [S];
-    converged, agreed: [S]
-    distances: block -> energy distance; p_values: name -> p-value; rmse_g: the paper's figure, for comparison only
-    statements: what the data can and cannot tell, in words; warnings: those of them that say that the traces, or what was
-    told of them, are hardly what was meant; absurd: parameters that cannot be meant, in words
+    parameters: name -> {"value", "low", "high", "sd", "local_sd"}: 90 % interval of the parametric
+    bootstrap, its standard deviation and the fast local estimate; `free` names those fitted.
+    starts: name -> [S]; losses: [S]; converged, agreed: [S] distances: block -> energy distance;
+    p_values: name -> p-value; rmse_g: the paper's figure, for comparison only statements: what the
+    data can and cannot tell, in words; warnings: those of them that say that the traces, or what
+    was told of them, are hardly what was meant; absurd: parameters that cannot be meant, in words
     """
 
     parameters: dict[str, dict[str, Any]]
@@ -60,11 +63,14 @@ class Fit:
         return asdict(self)
 
 
-def default_start(targets: list[Target], measured: MeasuredSummaries, draws: RandomDraws) -> dict[str, float]:
-    """Start values that the traces tell: h_mean and the limits from their own mean drop heights and spreads, dt_impact
-    as the best of a coarse scan of the increments.
+def default_start(
+    targets: list[Target], measured: MeasuredSummaries, draws: RandomDraws
+) -> dict[str, float]:
+    """Start values that the traces tell: h_mean and the limits from their own mean drop heights and
+    spreads, dt_impact as the best of a coarse scan of the increments.
 
-    Raises `BadInput` where the momentum of the traces is not that of falling portions of their weight.
+    Raises `BadInput` where the momentum of the traces is not that of falling portions of their
+    weight.
     """
     height = float(np.mean(np.asarray(measured.height)))
     if not (np.isfinite(height) and height > 0):
@@ -72,11 +78,16 @@ def default_start(targets: list[Target], measured: MeasuredSummaries, draws: Ran
     low, high = np.quantile(np.asarray(measured.spread), [0.25, 0.95])
     start = {"gamma_low": float(low), "gamma_high": float(1.5 * high), "h_mean": height}
     lengths = measured.grid.sample * np.geomspace(*SCAN)
-    return start | {"dt_impact": float(lengths[int(np.argmin(scan_lengths(lengths, start, draws, measured)))])}
+    return start | {
+        "dt_impact": float(lengths[int(np.argmin(scan_lengths(lengths, start, draws, measured)))])
+    }
 
 
-def several_starts(start: ModelParameters, own: ModelParameters, free: FreeParameters, count: int = STARTS) -> ModelParameters:
-    """`count` starts: `start`, then `own`, which the traces tell, and others about that by factors of up to two: name
+def several_starts(
+    start: ModelParameters, own: ModelParameters, free: FreeParameters, count: int = STARTS
+) -> ModelParameters:
+    """`count` starts: `start`, then `own`, which the traces tell, and others about that by factors
+    of up to two: name
     -> [count]. The parameters that are not `free` have the value of `start` in all.
     """
     factors = {
@@ -88,7 +99,9 @@ def several_starts(start: ModelParameters, own: ModelParameters, free: FreeParam
     rows = [start]
     for k in range(4):
         row = {name: own[name] * factors[name][k] for name in ("dt_impact", "gamma_low", "h_mean")}
-        row["gamma_high"] = row["gamma_low"] + (own["gamma_high"] - own["gamma_low"]) * factors["gap"][k]
+        row["gamma_high"] = (
+            row["gamma_low"] + (own["gamma_high"] - own["gamma_low"]) * factors["gap"][k]
+        )
         row |= {name: start[name] for name in NAMES if name not in free}
         row["gamma_high"] = max(row["gamma_high"], row["gamma_low"])
         if "gamma_low" in free and "gamma_high" not in free:
@@ -98,7 +111,9 @@ def several_starts(start: ModelParameters, own: ModelParameters, free: FreeParam
     return {name: jnp.asarray([row[name] for row in rows[:count]]) for name in NAMES}
 
 
-def _checked_start(start: ModelParameters | None, fixed: ModelParameters, own: ModelParameters) -> dict[str, float]:
+def _checked_start(
+    start: ModelParameters | None, fixed: ModelParameters, own: ModelParameters
+) -> dict[str, float]:
     unknown = sorted((set(start or {}) | set(fixed or {})) - set(NAMES))
     if unknown:
         raise BadInput(f"{unknown[0]}: unknown; known are {', '.join(NAMES)}")
@@ -110,9 +125,13 @@ def _checked_start(start: ModelParameters | None, fixed: ModelParameters, own: M
         values["gamma_high"] = max(values["gamma_low"], values["gamma_high"])
     for name, value in values.items():
         if not (np.isfinite(value) and (value > 0 or (name == "gamma_low" and value == 0))):
-            raise BadInput(f"{name} = {value:g}: must be greater than 0 ({'s' if name == 'dt_impact' else 'm'})")
+            raise BadInput(
+                f"{name} = {value:g}: must be greater than 0 ({'s' if name == 'dt_impact' else 'm'})"
+            )
     if values["gamma_high"] < values["gamma_low"]:
-        raise BadInput(f"gamma_high = {values['gamma_high']:g} m: must be at least gamma_low = {values['gamma_low']:g} m")
+        raise BadInput(
+            f"gamma_high = {values['gamma_high']:g} m: must be at least gamma_low = {values['gamma_low']:g} m"
+        )
     return {name: float(values[name]) for name in NAMES}
 
 
@@ -131,24 +150,40 @@ def fit(
 ) -> Fit:
     """Fit dt_impact, gamma_low, gamma_high and h_mean to `traces`, a list of `Target`.
 
-    start: dict of start values, any subset (the others from the traces); fixed: dict of parameters that are not fitted
-    align: "release" or "first-impact"; simulations, fine: simulated portions of the moments and of the increments
-    bootstrap: number of refits for the intervals, 0 for the local estimate only; seed: of all random numbers
-    progress: called with (name of the stage, done, of) while it works; force: fit traces, too, that cannot be meant as
-    they were read. Runs in double precision whatever the global flag says. Raises `BadInput`.
+    start: dict of start values, any subset (the others from the traces); fixed: dict of parameters
+    that are not fitted align: "release" or "first-impact"; simulations, fine: simulated portions of
+    the moments and of the increments bootstrap: number of refits for the intervals, 0 for the local
+    estimate only; seed: of all random numbers progress: called with (name of the stage, done, of)
+    while it works; force: fit traces, too, that cannot be meant as they were read. Runs in double
+    precision whatever the global flag says. Raises `BadInput`.
     """
     targets = list(traces)
     seed = checked_seed(seed)
     with jax.enable_x64(True):
         measured, impossible = _measure_possible(targets, align, force)
-        arguments = start, fixed or {}, align, simulations, fine, bootstrap, seed, progress or (lambda *_: None)
+        arguments = (
+            start,
+            fixed or {},
+            align,
+            simulations,
+            fine,
+            bootstrap,
+            seed,
+            progress or (lambda *_: None),
+        )
         return _fit(targets, measured, impossible, *arguments)
 
 
-def _measure_possible(targets: list[Target], align: str, force: bool) -> tuple[MeasuredSummaries, list[str]]:
-    """The summaries of the traces, and why these cannot be meant as they were read: raises `BadInput` unless `force`."""
+def _measure_possible(
+    targets: list[Target], align: str, force: bool
+) -> tuple[MeasuredSummaries, list[str]]:
+    """The summaries of the traces, and why these cannot be meant as they were read: raises
+    `BadInput` unless `force`.
+    """
     if align == "release" and (names := [t.name for t in targets if not t.from_release]):
-        raise BadInput(f"{names[0]}: times of a clock do not tell when the portion was released: give --align first-impact")
+        raise BadInput(
+            f"{names[0]}: times of a clock do not tell when the portion was released: give --align first-impact"
+        )
     impossible = plausibility.find_impossible(targets)
     if not impossible or force:
         measured = measure_summaries(targets, align)
@@ -177,15 +212,21 @@ def _fit(
     start = _checked_start(given, fixed, own)
     free = _free_parameters(fixed, len(targets))
     progress("starts", 0, 1)
-    solutions = jax.block_until_ready(solve_starts(several_starts(start, own, free), draws, measured, free, fine))
+    solutions = jax.block_until_ready(
+        solve_starts(several_starts(start, own, free), draws, measured, free, fine)
+    )
     progress("starts", 1, 1)
     losses = np.asarray(solutions.loss)
     if not np.isfinite(losses).any():
-        raise BadInput("the fit diverged from every start: look at the traces, or give a start nearer to them")
+        raise BadInput(
+            "the fit diverged from every start: look at the traces, or give a start nearer to them"
+        )
     best = int(np.nanargmin(losses))
     theta = {name: solutions.theta[name][best] for name in NAMES}
     local = uncertainty.local_estimate(theta, targets, draws, measured, free, fine, seed)
-    refits = uncertainty.bootstrap(theta, targets, draws, measured, free, fine, bootstrap, seed, progress)
+    refits = uncertainty.bootstrap(
+        theta, targets, draws, measured, free, fine, bootstrap, seed, progress
+    )
     parameters = uncertainty.table(theta, free, local, refits)
     ends = {name: [float(v) for v in solutions.theta[name]] for name in NAMES}
     result = Fit(
@@ -195,8 +236,13 @@ def _fit(
         losses=[float(v) for v in losses],
         converged=_converged_starts(ends, solutions.change, parameters, free),
         agreed=_agreeing_starts(ends, best, parameters, free),
-        distances={name: float(value) for name, value in zip(BLOCKS, solutions.distances[best], strict=True)},
-        p_values=goodness.p_values(theta, targets, measured, solutions.distances[best], refits, seed),
+        distances={
+            name: float(value)
+            for name, value in zip(BLOCKS, solutions.distances[best], strict=True)
+        },
+        p_values=goodness.p_values(
+            theta, targets, measured, solutions.distances[best], refits, seed
+        ),
         rmse_g=goodness.rmse_g(theta, targets, align, seed),
         statements=[],
         info={
@@ -211,8 +257,14 @@ def _fit(
         },
     )
     result.absurd.extend(plausibility.find_absurd(parameters))
-    result.warnings.extend(impossible + plausibility.find_doubtful(targets, align) + uncertainty.without_spread(measured))
-    result.statements.extend([*result.absurd, *result.warnings, *uncertainty.statements(result, targets)])
+    result.warnings.extend(
+        impossible
+        + plausibility.find_doubtful(targets, align)
+        + uncertainty.without_spread(measured)
+    )
+    result.statements.extend(
+        [*result.absurd, *result.warnings, *uncertainty.statements(result, targets)]
+    )
     result.statements.extend(goodness.statements(result.p_values, result.info["bootstrap"]))
     return result
 
@@ -231,17 +283,33 @@ def _free_parameters(fixed: dict[str, float], count: int) -> FreeParameters:
 
 def _agreeing_starts(ends: Ends, best: int, parameters: Rows, free: FreeParameters) -> list[bool]:
     """[S] whether each start ended where the best one did, within a share of the intervals."""
-    return _within_share(lambda name, s: abs(ends[name][s] - ends[name][best]), len(ends["h_mean"]), parameters, free)
+    return _within_share(
+        lambda name, s: abs(ends[name][s] - ends[name][best]), len(ends["h_mean"]), parameters, free
+    )
 
 
-def _converged_starts(ends: Ends, change: ModelParameters, parameters: Rows, free: FreeParameters) -> list[bool]:
-    """[S] whether the last round of each start changed nothing by more than a share of the intervals."""
-    return _within_share(lambda name, s: float(change[name][s]) * ends[name][s], len(ends["h_mean"]), parameters, free)
+def _converged_starts(
+    ends: Ends, change: ModelParameters, parameters: Rows, free: FreeParameters
+) -> list[bool]:
+    """[S] whether the last round of each start changed nothing by more than a share of the
+    intervals.
+    """
+    return _within_share(
+        lambda name, s: float(change[name][s]) * ends[name][s],
+        len(ends["h_mean"]),
+        parameters,
+        free,
+    )
 
 
-def _within_share(distance: Callable[[str, int], float], count: int, parameters: Rows, free: FreeParameters) -> list[bool]:
+def _within_share(
+    distance: Callable[[str, int], float], count: int, parameters: Rows, free: FreeParameters
+) -> list[bool]:
     """[count] whether distance(name, s) is within a share of the intervals of all free parameters."""
-    return [all(distance(name, s) <= AGREEMENT * _half_width(parameters[name]) for name in free) for s in range(count)]
+    return [
+        all(distance(name, s) <= AGREEMENT * _half_width(parameters[name]) for name in free)
+        for s in range(count)
+    ]
 
 
 def _half_width(row: dict[str, Any]) -> float:

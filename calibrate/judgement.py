@@ -1,4 +1,6 @@
-"""Whether a fitted model is contradicted by the traces, in what, by how much, and what to do next: in plain words."""
+"""Whether a fitted model is contradicted by the traces, in what, by how much, and what to do next:
+in plain words.
+"""
 
 from dataclasses import dataclass
 
@@ -16,7 +18,8 @@ WIDE = 0.25  # half of an interval over the value, from which on more drops are 
 class Comparison:
     """A number of the data beside that of the model.
 
-    data, model: 5 %, 50 % and 95 % quantiles, in `unit`; p: of both being of one distribution (Kolmogorov and Smirnov)
+    data, model: 5 %, 50 % and 95 % quantiles, in `unit`; p: of both being of one distribution
+    (Kolmogorov and Smirnov)
     """
 
     name: str
@@ -61,7 +64,8 @@ def judge(fitted: FittedModel, data: Curves, model: Curves) -> Judgement:
 
 
 def _compare(name: str, data: Measure, model: Measure) -> Comparison:
-    digits = 9 - int(np.ceil(np.log10(max(np.abs(data.values).max(), 1e-300))))  # differences by rounding are none
+    digits = 9 - int(np.ceil(np.log10(max(np.abs(data.values).max(), 1e-300))))  # differences by
+    # rounding are none
     one, other = (np.round(of.values, digits) for of in (data, model))
     p = float(ks_2samp(one, other, method="asymp").pvalue)
     return Comparison(name, data.words, data.unit, _quantiles(data), _quantiles(model), p)
@@ -85,7 +89,8 @@ def _reasons(fitted: FittedModel, found: Judgement) -> list[str]:
     if tests:
         lines.append(f"Tests that reject it: {'; '.join(tests)}.")
     lines += [
-        f"{row.words[0].upper()}{row.words[1:]}: {describe_comparison(row)}." for row in found.differing
+        f"{row.words[0].upper()}{row.words[1:]}: {describe_comparison(row)}."
+        for row in found.differing
     ]
     if not lines:
         lines.append("None of the numbers compared differs by more than chance.")
@@ -122,7 +127,9 @@ def _advice(fitted: FittedModel, found: Judgement, drops: int) -> list[str]:
     lines = list(fitted.absurd)
     differing = {row.name for row in found.differing}
     if fitted.is_rejected and fitted.name == "paper":
-        lines.append("Fit the extended model, which describes drops far better (`--model extended`, at least 24 drops).")
+        lines.append(
+            "Fit the extended model, which describes drops far better (`--model extended`, at least 24 drops)."
+        )
     if "cell_peak" in differing:
         lines.append(
             "Do not tune the filter of a scale with this model: use the simulated drops themselves (`dem-jax weigh`)."

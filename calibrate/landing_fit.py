@@ -1,8 +1,10 @@
-"""The fit of the extended model: traces in, the smallest model that they do not contradict, its parameters with intervals.
+"""The fit of the extended model: traces in, the smallest model that they do not contradict, its
+parameters with intervals.
 
-The loss is an energy distance between summaries of measured and simulated traces, jointly and one by one. A coarse search finds
-the valley and Adam descends in it, with common random numbers at first, in the end with others in each step: a fit to the same few
-portions adapts to them. A third of the traces is kept out of the fit for the judgement.
+The loss is an energy distance between summaries of measured and simulated traces, jointly and one
+by one. A coarse search finds the valley and Adam descends in it, with common random numbers at
+first, in the end with others in each step: a fit to the same few portions adapts to them. A third
+of the traces is kept out of the fit for the judgement.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -50,7 +52,8 @@ SEARCHED, SEARCH_SIMULATIONS = 64, 64  # starts of the coarse search, and simula
 BEST = 3  # starts that Adam tries
 STEPS = (25, 160)  # of Adam from each of these, and from the best of them
 RATES = 0.08, 0.05  # of the same
-SETS, SET_SEED = 16, 8_000_009  # sets of random numbers that the latter takes in turn; between their seeds
+SETS, SET_SEED = 16, 8_000_009  # sets of random numbers that the latter takes in turn; between
+# their seeds
 JUDGED = 256  # simulated traces of a judgement
 NO_INTERVALS = f"no intervals were asked for: {LEAST_REFITS} refits or more (--bootstrap) give them"
 
@@ -59,11 +62,11 @@ NO_INTERVALS = f"no intervals were asked for: {LEAST_REFITS} refits or more (--b
 class LandingFit:
     """What a fit of the extended model found. All SI.
 
-    model: name of the chosen one of paper, pulses, landings, full; parameters: name -> {"value", "low", "high", "sd", "free"}
-    of it, low and high of the 90 % interval; impacts: of each landing
-    judgements: model -> {"distance", "p", "cell_distance", "cell_p", "passed", "of", "worst"}: of traces that were not
-    fitted, in all and in what a load cell shows; "traces": the fitted traces in the place of a model's
-    statements: in words; paper: the fit of the paper's model
+    model: name of the chosen one of paper, pulses, landings, full; parameters: name -> {"value",
+    "low", "high", "sd", "free"} of it, low and high of the 90 % interval; impacts: of each landing
+    judgements: model -> {"distance", "p", "cell_distance", "cell_p", "passed", "of", "worst"}: of
+    traces that were not fitted, in all and in what a load cell shows; "traces": the fitted traces
+    in the place of a model's statements: in words; paper: the fit of the paper's model
     """
 
     model: str
@@ -78,21 +81,31 @@ class LandingFit:
         """The additions of the chosen model; None: it is the paper's."""
         if self.model == "paper":
             return None
-        return Landings(**{name: self.parameters[name]["value"] for name in ADDED}, impacts=self.impacts)
+        return Landings(
+            **{name: self.parameters[name]["value"] for name in ADDED}, impacts=self.impacts
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers, strings and lists, as written to fit.json."""
         tree = asdict(self)
         paper = tree.pop("paper")
-        return tree | {"impacts": list(self.impacts), "paper": paper["parameters"], "p_values": paper["p_values"]}
+        return tree | {
+            "impacts": list(self.impacts),
+            "paper": paper["parameters"],
+            "p_values": paper["p_values"],
+        }
 
 
 def default_start(paper: Fit, targets: list[Target]) -> Values:
-    """Start values: drop height and lengths from the fit of the paper's model, the rest as in the stock scene, times with the
-    length of pulses."""
-    known = {name: paper.parameters[name]["value"] for name in ("gamma_low", "gamma_high", "h_mean")}
+    """Start values: drop height and lengths from the fit of the paper's model, the rest as in the
+    stock scene, times with the length of pulses.
+    """
+    known = {
+        name: paper.parameters[name]["value"] for name in ("gamma_low", "gamma_high", "h_mean")
+    }
     stock = Landings()
-    size = (float(np.mean([t.m_piece for t in targets])) / 5.832e-3) ** (1.0 / 3.0)  # lengths of pieces beside the stock's
+    # lengths of pieces beside the stock's
+    size = (float(np.mean([t.m_piece for t in targets])) / 5.832e-3) ** (1.0 / 3.0)
     times = {name: size * getattr(stock, name) for name in ("late_duration", "impact_delay")}
     known["gamma_high"] = min(known["gamma_high"], known["gamma_low"] + 0.02)
     return stock.values() | times | {"dt_impact": 690e-6 * size} | known
@@ -110,24 +123,25 @@ def fit_landings(
     progress: ProgressCallback | None = None,
     force: bool = False,
 ) -> LandingFit:
-    """Fit the extended model to `traces`, and choose the smallest of the nested models that traces kept out do not contradict.
+    """Fit the extended model to `traces`, and choose the smallest of the nested models that traces
+    kept out do not contradict.
 
     Args:
-        traces: list of `Target`, at least LEAST_TRACES, every third of which is kept for the judgement.
-        start: start values of any parameters; the others from the fit of the paper's model and the stock scene.
-        models: names of MODELS that are tried, the smallest first.
-        align: of the paper's fit.
-        simulations: simulated portions of a step.
-        bootstrap: number of refits for the intervals, at least LEAST_REFITS, or 0 for none. Each takes a quarter of the fit.
-        seed: of all random numbers.
-        progress: called with (name of the stage, done, of).
+        traces: list of `Target`, at least LEAST_TRACES, every third of which is kept for the
+        judgement. start: start values of any parameters; the others from the fit of the paper's
+        model and the stock scene. models: names of MODELS that are tried, the smallest first.
+        align: of the paper's fit. simulations: simulated portions of a step. bootstrap: number of
+        refits for the intervals, at least LEAST_REFITS, or 0 for none. Each takes a quarter of the
+        fit. seed: of all random numbers. progress: called with (name of the stage, done, of).
         force: fit traces, too, that cannot be meant as they were read.
 
     Raises: `BadInput`.
     """
     targets = list(traces)
     if len(targets) < LEAST_TRACES:
-        raise BadInput(f"{len(targets)} traces: the extended model needs at least {LEAST_TRACES}; fit the paper's (--model paper)")
+        raise BadInput(
+            f"{len(targets)} traces: the extended model needs at least {LEAST_TRACES}; fit the paper's (--model paper)"
+        )
     unknown = sorted(set(start or {}) - set(NAMES)) + sorted(set(models) - set(MODELS))
     if unknown:
         raise BadInput(f"{unknown[0]}: unknown; known are {', '.join((*NAMES, *MODELS))}")
@@ -136,7 +150,16 @@ def fit_landings(
     with jax.enable_x64(True):
         seed = checked_seed(seed)
         paper = fit(targets, align=align, bootstrap=0, seed=seed, force=force)
-        return _fit(targets, paper, start or {}, models, simulations, bootstrap, seed, progress or (lambda *_: None))
+        return _fit(
+            targets,
+            paper,
+            start or {},
+            models,
+            simulations,
+            bootstrap,
+            seed,
+            progress or (lambda *_: None),
+        )
 
 
 def _fit(
@@ -163,31 +186,58 @@ def _fit(
     steps = (BEST * STEPS[0] + STEPS[1]) * len(models)
     done = iter(range(1, steps + 1))
     for name in models if chosen is None else ():
-        found[name] = _descend_from_all(start, MODELS[name], problem, sets, seed, lambda: progress("fit", next(done), steps))
-        judgements[name] = judge_landings(to_values(found[name], MODELS[name]), kept_out, frame, seed)
+        found[name] = _descend_from_all(
+            start, MODELS[name], problem, sets, seed, lambda: progress("fit", next(done), steps)
+        )
+        judgements[name] = judge_landings(
+            to_values(found[name], MODELS[name]), kept_out, frame, seed
+        )
         if judgements[name].joint.p >= ALARM:
             chosen = name
             break
-        start = start | {k: float(v) for k, v in to_values(found[name], MODELS[name]).items() if k in MODELS[name]}
+        start = start | {
+            k: float(v)
+            for k, v in to_values(found[name], MODELS[name]).items()
+            if k in MODELS[name]
+        }
     best = chosen or min(judgements, key=lambda name: judgements[name].joint.distance)
     parameters = _parameters(best, found, paper, problem, draws, targets, bootstrap, seed, progress)
     return LandingFit(
         model=best,
         parameters=parameters,
         impacts=draws.impacts,
-        judgements={name: _plain(judgement) for name, judgement in (judgements | {"traces": reference}).items()},
-        statements=statements(best, chosen, judgements, reference) + ([] if bootstrap else [NO_INTERVALS]),
+        judgements={
+            name: _plain(judgement)
+            for name, judgement in (judgements | {"traces": reference}).items()
+        },
+        statements=statements(best, chosen, judgements, reference)
+        + ([] if bootstrap else [NO_INTERVALS]),
         paper=paper,
-        info=paper.info | {"align": "first-impact", "bootstrap": bootstrap, "kept_out": len(kept_out), "simulations": simulations}
-        | {"release_delay": release_delay(found[best], MODELS[best], draws, targets) if best != "paper" else 0.0},
+        info=paper.info
+        | {
+            "align": "first-impact",
+            "bootstrap": bootstrap,
+            "kept_out": len(kept_out),
+            "simulations": simulations,
+        }
+        | {
+            "release_delay": release_delay(found[best], MODELS[best], draws, targets)
+            if best != "paper"
+            else 0.0
+        },
     )
 
 
-def release_delay(u: Values, free: tuple[str, ...], draws: LandingDraws, targets: list[Target]) -> float:
-    """(s) by how much later the first impact of the traces is in the mean than that of the model, which a fit from the first
-    impact on does not see: the time for which the feed bucket still bears the portion, if times count from its opening.
+def release_delay(
+    u: Values, free: tuple[str, ...], draws: LandingDraws, targets: list[Target]
+) -> float:
+    """(s) by how much later the first impact of the traces is in the mean than that of the model,
+    which a fit from the first impact on does not see: the time for which the feed bucket still
+    bears the portion, if times count from its opening.
     """
-    pulses = jax.vmap(lambda row: portion_pulses(to_values(u, free), row, targets[0].gravity))(draws)
+    pulses = jax.vmap(lambda row: portion_pulses(to_values(u, free), row, targets[0].gravity))(
+        draws
+    )
     first = jnp.min(jnp.where(draws.mass > 0.0, pulses.first_touch, jnp.inf), axis=1)
     return float(np.mean([trace.first_impact for trace in targets]) - jnp.mean(first))
 
@@ -200,8 +250,8 @@ def _descend_from_all(
     seed: int,
     tell: Callable[[], object],
 ) -> Values:
-    """Coordinates of the least loss: a coarse search, Adam from the best few with the first of the `draws`, and from the best of
-    these with all of them in turn.
+    """Coordinates of the least loss: a coarse search, Adam from the best few with the first of the
+    `draws`, and from the best of these with all of them in turn.
     """
     u0 = to_coordinates(start)
     data = jnp.asarray(problem.summaries), jnp.asarray(problem.centre), jnp.asarray(problem.scale)
@@ -211,40 +261,65 @@ def _descend_from_all(
     values = [float(loss_alone(u, u0, few, *others)) for u in starts]
     order = np.argsort(np.nan_to_num(values, nan=np.inf))
     tried = [0, *(k for k in order if k != 0)][:BEST]
-    ends = [minimize_landing_loss(starts[k], (u0, draws[0], *others), STEPS[0], RATES[0], tell) for k in tried]
+    ends = [
+        minimize_landing_loss(starts[k], (u0, draws[0], *others), STEPS[0], RATES[0], tell)
+        for k in tried
+    ]
     best = min(ends, key=lambda end: end[0])[1]
     return minimize_with_fresh_draws(best, draws, others, STEPS[1], RATES[1], tell)
 
 
 def _all_summaries(rows: np.ndarray, frame: TraceFrame) -> np.ndarray:
-    return np.concatenate([np.asarray(summarize_rows(jnp.asarray(rows), frame)), count_peaks(rows, frame)], axis=1)
+    return np.concatenate(
+        [np.asarray(summarize_rows(jnp.asarray(rows), frame)), count_peaks(rows, frame)], axis=1
+    )
 
 
-def judge_landings(values: Values, targets: list[Target], frame: TraceFrame, seed: int, simulations: int = JUDGED) -> SampleComparison:
-    """Traces that were not fitted beside simulated ones at `values`, with other random numbers than any fit's."""
+def judge_landings(
+    values: Values, targets: list[Target], frame: TraceFrame, seed: int, simulations: int = JUDGED
+) -> SampleComparison:
+    """Traces that were not fitted beside simulated ones at `values`, with other random numbers than
+    any fit's.
+    """
     draws = draw_landings(targets, simulations, seed + 4_000_003)
-    rows = np.asarray(_simulated(jax.tree.map(jnp.asarray, values), draws, targets[0].gravity, frame))
+    rows = np.asarray(
+        _simulated(jax.tree.map(jnp.asarray, values), draws, targets[0].gravity, frame)
+    )
     return _judge(targets, rows, frame, seed)
 
 
 _simulated = jax.jit(simulated, static_argnames=("frame", "gravity"))
 
 
-def judge_paper(paper: Fit, targets: list[Target], frame: TraceFrame, seed: int, simulations: int = JUDGED) -> SampleComparison:
+def judge_paper(
+    paper: Fit, targets: list[Target], frame: TraceFrame, seed: int, simulations: int = JUDGED
+) -> SampleComparison:
     """The same for the paper's model."""
     theta = {name: row["value"] for name, row in paper.parameters.items()}
     model = simulated_targets(theta, targets, simulations, seed + 4_000_003)
     return _judge(targets, accelerations(model, frame), frame, seed)
 
 
-def _judge(targets: list[Target], rows: np.ndarray, frame: TraceFrame, seed: int) -> SampleComparison:
+def _judge(
+    targets: list[Target], rows: np.ndarray, frame: TraceFrame, seed: int
+) -> SampleComparison:
     names = (*frame.names, "number of peaks", "time between peaks")
-    return compare_summaries(_all_summaries(accelerations(targets, frame), frame), _all_summaries(rows, frame), names, seed=seed)
+    return compare_summaries(
+        _all_summaries(accelerations(targets, frame), frame),
+        _all_summaries(rows, frame),
+        names,
+        seed=seed,
+    )
 
 
 def _plain(judgement: SampleComparison) -> dict[str, Any]:
     worst = [
-        {"name": name, "p": judgement.single[name].p, "shift": judgement.shift[name], "spread": judgement.spread[name]}
+        {
+            "name": name,
+            "p": judgement.single[name].p,
+            "shift": judgement.shift[name],
+            "spread": judgement.spread[name],
+        }
         for name in judgement.worst(5)
     ]
     joint, cell = judgement.joint, judgement.cell
@@ -253,7 +328,12 @@ def _plain(judgement: SampleComparison) -> dict[str, Any]:
     return {"distance": joint.distance, "p": joint.p} | of_cell | singles
 
 
-def statements(best: str, chosen: str | None, judgements: dict[str, SampleComparison], reference: SampleComparison) -> list[str]:
+def statements(
+    best: str,
+    chosen: str | None,
+    judgements: dict[str, SampleComparison],
+    reference: SampleComparison,
+) -> list[str]:
     """In words: which model describes the traces, and in what the others differ."""
     lines = [
         f"model {name}: {'not rejected' if j.joint.p >= ALARM else 'rejected'} by the traces kept out (p = {j.joint.p:.2g}, energy "
@@ -261,13 +341,17 @@ def statements(best: str, chosen: str | None, judgements: dict[str, SampleCompar
         for name, j in judgements.items()
     ]
     joint = reference.joint
-    lines.append(f"the fitted traces themselves differ from those kept out by {joint.distance:.3g} (p = {joint.p:.2g})")
+    lines.append(
+        f"the fitted traces themselves differ from those kept out by {joint.distance:.3g} (p = {joint.p:.2g})"
+    )
     if chosen is None:
         worst = "; ".join(
             f"{name} by {judgements[best].shift[name]:+.2f} standard deviations, spread x {judgements[best].spread[name]:.2f}"
             for name in judgements[best].worst()
         )
-        lines.append(f"no model describes the traces in all; nearest is {best}, which differs in {worst or 'no single number'}")
+        lines.append(
+            f"no model describes the traces in all; nearest is {best}, which differs in {worst or 'no single number'}"
+        )
     return lines
 
 
@@ -290,8 +374,16 @@ def _parameters(
     none = {name: (value, value, 0.0) for name, value in values.items()}
     ends = none
     if bootstrap:
-        ends = refit_intervals(found[model], free, problem, targets, len(draws.z), bootstrap, seed, progress)
+        ends = refit_intervals(
+            found[model], free, problem, targets, len(draws.z), bootstrap, seed, progress
+        )
     return {
-        name: {"value": values[name], "low": ends[name][0], "high": ends[name][1], "sd": ends[name][2], "free": name in free}
+        name: {
+            "value": values[name],
+            "low": ends[name][0],
+            "high": ends[name][1],
+            "sd": ends[name][2],
+            "free": name in free,
+        }
         for name in NAMES
     }

@@ -1,4 +1,6 @@
-"""How sure a fit of the extended model is: refits to data sets that the fitted model made itself (a parametric bootstrap)."""
+"""How sure a fit of the extended model is: refits to data sets that the fitted model made itself (a
+parametric bootstrap).
+"""
 
 import jax
 import jax.numpy as jnp
@@ -24,7 +26,9 @@ def refit_intervals(
     seed: int,
     progress: ProgressCallback,
 ) -> dict[str, tuple[float, float, float]]:
-    """name -> (low, high) of the 90 % interval, and standard deviation, of every parameter, from `count` refits."""
+    """name -> (low, high) of the 90 % interval, and standard deviation, of every parameter, from
+    `count` refits.
+    """
     size, done = len(problem.summaries), iter(range(1, count * STEPS + 1))
     made = _replicas(u, free, problem, targets, count * size, seed)
     centre, scale = jnp.asarray(problem.centre), jnp.asarray(problem.scale)
@@ -34,7 +38,7 @@ def refit_intervals(
         draws = draw_landings(targets, simulations, seed + 5_000_003 + k)
         data = jnp.asarray(made[k * size : (k + 1) * size]), centre, scale
         arguments = u, draws, data, problem.gravity, free, problem.frame
-        tell = lambda: progress("intervals", next(done), count * STEPS)  # noqa: E731
+        tell = lambda: progress("intervals", next(done), count * STEPS)
         ends.append(minimize_landing_loss(u, arguments, STEPS, RATE, tell)[1])
     refits = np.array([[float(end[name]) for name in free] for end in ends])
     covariance = np.atleast_2d(np.cov(refits, rowvar=False))
@@ -56,7 +60,12 @@ def refit_intervals(
 
 
 def _replicas(
-    u: Values, free: tuple[str, ...], problem: LandingProblem, targets: list[Target], count: int, seed: int
+    u: Values,
+    free: tuple[str, ...],
+    problem: LandingProblem,
+    targets: list[Target],
+    count: int,
+    seed: int,
 ) -> np.ndarray:
     """Summaries [count, D] of traces at `u`, in the units of the problem."""
     summaries = jax.jit(simulated_summaries, static_argnames=("frame", "gravity"))

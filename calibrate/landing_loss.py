@@ -24,7 +24,9 @@ MARGINALS = 3.5  # weight of the mean distance of single summaries beside the jo
 
 @dataclass(frozen=True)
 class LandingProblem:
-    """The traces to fit and how they are compared: frame, their summaries [K, D] in standard deviations, gravity (m/s2)."""
+    """The traces to fit and how they are compared: frame, their summaries [K, D] in standard
+    deviations, gravity (m/s2).
+    """
 
     frame: TraceFrame
     summaries: np.ndarray
@@ -53,8 +55,8 @@ def _distances(x: jax.Array, y: jax.Array) -> jax.Array:
 
 
 def _loss_of_samples(x: jax.Array, y: jax.Array) -> jax.Array:
-    """Energy distance of samples [K, D] and [M, D], without the part that depends on x alone, and MARGINALS times its mean over
-    the single columns.
+    """Energy distance of samples [K, D] and [M, D], without the part that depends on x alone, and
+    MARGINALS times its mean over the single columns.
     """
     count = len(y)
     pairs = count * (count - 1)
@@ -74,7 +76,9 @@ def loss(
     free: Any,
     frame: TraceFrame,
 ) -> jax.Array:
-    """[] how far simulated traces at the coordinates `u` are from measured ones. data: their summaries, centre and scale."""
+    """[] how far simulated traces at the coordinates `u` are from measured ones. data: their
+    summaries, centre and scale.
+    """
     x, centre, scale = data
     keep = np.flatnonzero(frame.smooth)
     rows = simulated_summaries(to_values(u, free), draws, gravity, frame)
@@ -93,7 +97,9 @@ def minimize_landing_loss(
     """Least loss found by Adam from `u`, and where. arguments: of `loss` after u."""
     path = _step_down(u, lambda _: arguments, steps, rate, 0.8, tell)
     found = [(float(value), at) for value, at, _ in path]
-    return min((each for each in found if each[0] < np.inf), key=lambda each: each[0], default=(np.inf, u))
+    return min(
+        (each for each in found if each[0] < np.inf), key=lambda each: each[0], default=(np.inf, u)
+    )
 
 
 def minimize_with_fresh_draws(
@@ -130,7 +136,9 @@ def _step_down(
     memory: float,
     tell: Callable[[], object],
 ) -> Iterator[tuple[jax.Array, Values, Values]]:
-    """Loss of each step of Adam, where it is, and where the step leads. arguments: of `loss` after u, by the number of the step."""
+    """Loss of each step of Adam, where it is, and where the step leads. arguments: of `loss` after
+    u, by the number of the step.
+    """
     optimiser = optax.adam(optax.cosine_decay_schedule(rate, steps, 0.05), b1=memory, b2=0.98)
     state = optimiser.init(u)
     for step in range(steps):

@@ -12,8 +12,12 @@ LENGTHS = ("gamma_low", "gamma_high", "h_mean")
 
 
 def report_landings(result: "LandingFit") -> str:
-    """Parameters with 90 % intervals, the judgement of each model by traces kept out, and what differs."""
-    units = {"dt_impact": "s"} | dict.fromkeys(LENGTHS, "m") | {row.name: row.unit for row in ADDITIONS}
+    """Parameters with 90 % intervals, the judgement of each model by traces kept out, and what
+    differs.
+    """
+    units = (
+        {"dt_impact": "s"} | dict.fromkeys(LENGTHS, "m") | {row.name: row.unit for row in ADDITIONS}
+    )
     lines = [f"model: {result.model}", "parameter               value         90 % interval"]
     for name, row in result.parameters.items():
         unit, factor = UNITS[units[name]]

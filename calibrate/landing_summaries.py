@@ -1,7 +1,9 @@
-"""What the extended model is compared with traces by: some forty numbers of each trace, differentiable where they can be.
+"""What the extended model is compared with traces by: some forty numbers of each trace,
+differentiable where they can be.
 
-All of the force over the mass of the portion (m/s2), from its first impact on: the momentum at twelve moments, peaks of running
-means, mean squared increments early and late, the spectrum in four bands, and what a load cell of 40 Hz would show.
+All of the force over the mass of the portion (m/s2), from its first impact on: the momentum at
+twelve moments, peaks of running means, mean squared increments early and late, the spectrum in four
+bands, and what a load cell of 40 Hz would show.
 """
 
 import math
@@ -17,10 +19,13 @@ from calibrate.targets import ONSET, Target, rebin
 
 BIN = 30e-6  # s, that traces are brought to if theirs are shorter
 LONGEST_BIN = 120e-6  # s; longer samples do not show the pulses
-WINDOW = 0.088  # s from the first impact, in which drops of marshmallows from 0.3 m come to rest; longer where traces need it
-MOMENTS = np.array([1, 2, 3, 5, 7.5, 10, 15, 20, 30, 40, 60, 80]) / 88  # at which momentum is compared, in windows
+WINDOW = 0.088  # s from the first impact, in which drops of marshmallows from 0.3 m come to rest;
+# longer where traces need it
+MOMENTS = np.array([1, 2, 3, 5, 7.5, 10, 15, 20, 30, 40, 60, 80]) / 88  # at which momentum is
+# compared, in windows
 PEAKS = (60e-6, 240e-6, 1e-3, 5e-3)  # s, running means whose largest value is compared
-LAGS = (60e-6, 240e-6, 1e-3, 4e-3)  # s, of increments in the first half of the window; all but the last in its second half
+LAGS = (60e-6, 240e-6, 1e-3, 4e-3)  # s, of increments in the first half of the window; all but the
+# last in its second half
 BANDS = ((20.0, 60.0), (60.0, 200.0), (200.0, 1000.0), (1000.0, 5000.0))  # Hz
 CELL = 40.0, 0.05  # Hz and damping ratio of the load cell
 STANDARD_GRAVITY = 9.81
@@ -66,7 +71,9 @@ class TraceFrame:
 
     @cached_property
     def cell(self) -> tuple[int, np.ndarray]:
-        """Bins of a block of about 1 ms, and the response of the load cell at the ends of blocks to means over blocks."""
+        """Bins of a block of about 1 ms, and the response of the load cell at the ends of blocks to
+        means over blocks.
+        """
         block = self.bins(1e-3)
         count, length = self.samples // block, block * self.bin
         frequency, damping = 2.0 * math.pi * CELL[0], CELL[1]
@@ -80,26 +87,47 @@ class TraceFrame:
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of the summaries, in their order."""
-        ms = lambda bins: f"{1e3 * bins * self.bin:.3g} ms"  # noqa: E731
+        ms = lambda bins: f"{1e3 * bins * self.bin:.3g} ms"
         names = [f"momentum at {ms(k)}" for k in self.moments] + ["momentum of the end"]
         names += [f"peak of {ms(k)}" for k in self.peaks] + ["time to half", "time to nine tenths"]
-        names += [f"increments of {ms(k)}" for k in self.lags] + [f"late increments of {ms(k)}" for k in self.lags[:3]]
-        return (*names, *self.bands, "cell: peak", "cell: time of peak", "cell: middle", "cell: end", "cell: least")
+        names += [f"increments of {ms(k)}" for k in self.lags] + [
+            f"late increments of {ms(k)}" for k in self.lags[:3]
+        ]
+        return (
+            *names,
+            *self.bands,
+            "cell: peak",
+            "cell: time of peak",
+            "cell: middle",
+            "cell: end",
+            "cell: least",
+        )
 
     @property
     def fast(self) -> np.ndarray:
-        """Which of them look at single pulses: their derivatives by the times of impact are interference, and left out."""
+        """Which of them look at single pulses: their derivatives by the times of impact are
+        interference, and left out.
+        """
         short = {f"peak of {1e3 * k * self.bin:.3g} ms" for k in self.peaks[:2]}
-        return np.array([n in short or "increments" in n or n.startswith(("band 200", "band 1000")) for n in self.names])
+        return np.array(
+            [
+                n in short or "increments" in n or n.startswith(("band 200", "band 1000"))
+                for n in self.names
+            ]
+        )
 
     @property
     def smooth(self) -> np.ndarray:
         """Which of them a gradient sees: not the moments of crossings and peaks."""
-        return np.array([n not in ("time to nine tenths", "cell: time of peak") for n in self.names])
+        return np.array(
+            [n not in ("time to nine tenths", "cell: time of peak") for n in self.names]
+        )
 
 
 def find_common_frame(targets: list[Target]) -> TraceFrame:
-    """The frame that all `targets` fill. Raises `BadInput` where their samples are too long or too few."""
+    """The frame that all `targets` fill. Raises `BadInput` where their samples are too long or too
+    few.
+    """
     coarsest = max(trace.sample for trace in targets)
     if coarsest > LONGEST_BIN:
         raise BadInput(
@@ -111,7 +139,9 @@ def find_common_frame(targets: list[Target]) -> TraceFrame:
     shortest = min(float(trace.time[-1]) - trace.first_impact for trace in targets)
     samples = int(min(max(WINDOW, 3.0 * landing), shortest) / length)
     if samples * length < 1.2 * landing:
-        raise BadInput(f"traces end {1e3 * shortest:.3g} ms after their first impact, before the pieces are at rest")
+        raise BadInput(
+            f"traces end {1e3 * shortest:.3g} ms after their first impact, before the pieces are at rest"
+        )
     return TraceFrame(length, samples)
 
 
@@ -127,7 +157,12 @@ def accelerations(targets: list[Target], frame: TraceFrame) -> np.ndarray:
     """Force over mass [K, samples] (m/s2) of traces from their first impact on."""
     rows = []
     for trace in targets:
-        whole = rebin(trace, float(trace.time[0]) - trace.sample, frame.bin, int((trace.time[-1] - trace.time[0]) / frame.bin))
+        whole = rebin(
+            trace,
+            float(trace.time[0]) - trace.sample,
+            frame.bin,
+            int((trace.time[-1] - trace.time[0]) / frame.bin),
+        )
         first = int(np.argmax(whole > ONSET * whole.max()))
         row = np.full(frame.samples, whole[-1])
         found = whole[first : first + frame.samples]
@@ -141,7 +176,9 @@ def _running_mean(momentum: jax.Array, bins: int, length: float) -> jax.Array:
 
 
 def _largest(values: jax.Array) -> jax.Array:
-    """The largest entry, by its place: XLA may compute `values` once more for `max`, and round them otherwise."""
+    """The largest entry, by its place: XLA may compute `values` once more for `max`, and round them
+    otherwise.
+    """
     return values[jnp.argmax(values)]
 
 
@@ -158,18 +195,35 @@ def summarize(acceleration: jax.Array, frame: TraceFrame) -> jax.Array:
         momentum = jnp.concatenate([jnp.zeros(1), jnp.cumsum(acceleration) * frame.bin])
         out = [momentum[k] for k in frame.moments]
         out.append(out[-1] - out[-3])
-        out += [jnp.log(jnp.maximum(_largest(_running_mean(momentum, k, frame.bin)), 1e-3)) for k in frame.peaks]
-        out += [jnp.log(_crossing(momentum, share * momentum[-1]) * frame.bin + 1e-6) for share in (0.5, 0.9)]
+        out += [
+            jnp.log(jnp.maximum(_largest(_running_mean(momentum, k, frame.bin)), 1e-3))
+            for k in frame.peaks
+        ]
+        out += [
+            jnp.log(_crossing(momentum, share * momentum[-1]) * frame.bin + 1e-6)
+            for share in (0.5, 0.9)
+        ]
         early, late = acceleration[: frame.half], acceleration[frame.half :]
-        out += [_log_increments(early, k) for k in frame.lags] + [_log_increments(late, k) for k in frame.lags[:3]]
+        out += [_log_increments(early, k) for k in frame.lags] + [
+            _log_increments(late, k) for k in frame.lags[:3]
+        ]
         power = jnp.abs(jnp.fft.rfft(acceleration)) ** 2
         out += [jnp.log(jnp.sum(power * mask) / mask.sum() + 1e-9) for mask in frame.bands.values()]
         block, response = frame.cell
-        blocks = acceleration[: len(response) * block].reshape(len(response), block).mean(1) / STANDARD_GRAVITY
+        blocks = (
+            acceleration[: len(response) * block].reshape(len(response), block).mean(1)
+            / STANDARD_GRAVITY
+        )
         shown = jnp.asarray(response) @ blocks
         peak = jnp.argmax(shown)
         quarter = len(response) // 4
-        out += [shown[peak], peak * 1.0, shown[len(response) // 2], shown[-1], _largest(-shown[quarter:])]
+        out += [
+            shown[peak],
+            peak * 1.0,
+            shown[len(response) // 2],
+            shown[-1],
+            _largest(-shown[quarter:]),
+        ]
         return jnp.stack(out)
 
 
@@ -178,13 +232,23 @@ def _log_increments(values: jax.Array, lag: int) -> jax.Array:
 
 
 def count_peaks(accelerations: np.ndarray, frame: TraceFrame) -> np.ndarray:
-    """[K, 2]: number of peaks of means over 150 us in the first half, and log of the mean time between them."""
+    """[K, 2]: number of peaks of means over 150 us in the first half, and log of the mean time
+    between them.
+    """
     bins = frame.bins(150e-6)
-    momentum = np.concatenate([np.zeros((len(accelerations), 1)), np.cumsum(accelerations, 1)], axis=1)
+    momentum = np.concatenate(
+        [np.zeros((len(accelerations), 1)), np.cumsum(accelerations, 1)], axis=1
+    )
     means = (momentum[:, bins:] - momentum[:, :-bins]) / bins
     least = 0.1 * means.max(1, keepdims=True)
     shown = means[:, : frame.half]
-    is_peak = (shown[:, 1:-1] > shown[:, :-2]) & (shown[:, 1:-1] >= shown[:, 2:]) & (shown[:, 1:-1] > least)
+    is_peak = (
+        (shown[:, 1:-1] > shown[:, :-2])
+        & (shown[:, 1:-1] >= shown[:, 2:])
+        & (shown[:, 1:-1] > least)
+    )
     number = is_peak.sum(1)
     ends = np.array([np.flatnonzero(row)[[0, -1]] if row.any() else (0, 1) for row in is_peak])
-    return np.stack([number, np.log((ends[:, 1] - ends[:, 0] + 1) * frame.bin / np.maximum(number, 1))], axis=1)
+    return np.stack(
+        [number, np.log((ends[:, 1] - ends[:, 0] + 1) * frame.bin / np.maximum(number, 1))], axis=1
+    )

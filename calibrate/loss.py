@@ -1,4 +1,6 @@
-"""Energy distances between measured and simulated summaries, one block at a time, with common random numbers."""
+"""Energy distances between measured and simulated summaries, one block at a time, with common
+random numbers.
+"""
 
 from dataclasses import dataclass, field
 from typing import Any
@@ -21,9 +23,10 @@ BLOCKS = ("height", "spread", "increments")
 class RandomDraws:
     """Random numbers of M simulated portions of up to n pieces, kept while the parameters move.
 
-    z: [M] normal (stratified); v: [M, n] uniform on (-1, 1); last: [M] the v of the piece that lands when the first
-    impacts are over (drop heights grow with v); phase: [M] in (0, 1), where in a bin a trace begins
-    mass: [M, n] (kg), zero where a portion has fewer pieces; offset: [M] (m) known deviation of the drop height
+    z: [M] normal (stratified); v: [M, n] uniform on (-1, 1); last: [M] the v of the piece that
+    lands when the first impacts are over (drop heights grow with v); phase: [M] in (0, 1), where in
+    a bin a trace begins mass: [M, n] (kg), zero where a portion has fewer pieces; offset: [M] (m)
+    known deviation of the drop height
     """
 
     z: jax.Array
@@ -40,14 +43,12 @@ class MeasuredSummaries:
     """Summaries of the K measured traces and what is needed to simulate comparable ones.
 
     height, spread: [K] (m); increments: [K, lags]
-    scale: [2 + lags] standard deviations of height (m), of spread squared (m2) and of the increments, which make
-    blocks comparable
-    whiten: [lags, lags] what makes of the increments uncorrelated columns of standard deviation 1
-    end: [] (s) end of the traces after the release; gravity: [] (m/s2); floor: [] (m) least spread that is told from
-    none
-    grid: static, fine grid of the increments; lags: static (bins)
-    from_momentum: static; True: time counts from the release that the balance of momentum tells, not from that of
-    the file
+    scale: [2 + lags] standard deviations of height (m), of spread squared (m2) and of the
+    increments, which make blocks comparable whiten: [lags, lags] what makes of the increments
+    uncorrelated columns of standard deviation 1 end: [] (s) end of the traces after the release;
+    gravity: [] (m/s2); floor: [] (m) least spread that is told from none grid: static, fine grid of
+    the increments; lags: static (bins) from_momentum: static; True: time counts from the release
+    that the balance of momentum tells, not from that of the file
     """
 
     height: jax.Array
@@ -68,15 +69,21 @@ class MeasuredSummaries:
         return jnp.diag(1.0 / self.scale[2:])
 
     def columns(self, height: jax.Array, spread: jax.Array, increments: jax.Array) -> jax.Array:
-        """[..., 2 + lags] what the distances compare, in units of its standard deviation: height, spread squared (to
-        which the few widest portions, which alone tell of gamma_high, contribute more than to spread), increments.
+        """[..., 2 + lags] what the distances compare, in units of its standard deviation: height,
+        spread squared (to which the few widest portions, which alone tell of gamma_high, contribute
+        more than to spread), increments.
         """
         moments = jnp.stack([height / self.scale[0], spread**2 / self.scale[1]], axis=-1)
         return jnp.concatenate([moments, increments @ self.whiten], axis=-1)
 
 
 def _simulate_pulses(
-    theta: ModelParameters, z: jax.Array, v: jax.Array, mass: jax.Array, offset: jax.Array, gravity: jax.Array
+    theta: ModelParameters,
+    z: jax.Array,
+    v: jax.Array,
+    mass: jax.Array,
+    offset: jax.Array,
+    gravity: jax.Array,
 ) -> model.Pulses:
     """Pulses of one simulated portion at `theta`, a dict of the four parameters."""
     sigma = fall.sigma_height(theta["gamma_low"], theta["gamma_high"], z)
@@ -85,16 +92,23 @@ def _simulate_pulses(
 
 
 def _changes(pulses: model.Pulses, mass: jax.Array, phase: jax.Array, grid: Grid) -> jax.Array:
-    """Changes of the force over the weight from bin to bin of the fine grid, from the first impact on."""
+    """Changes of the force over the weight from bin to bin of the fine grid, from the first impact
+    on.
+    """
     first = jnp.min(jnp.where(mass > 0.0, pulses.start, jnp.inf))
     shifted = pulses.start - first + grid.sample * phase
     weight = jnp.sum(pulses.weight)
-    return deposits(model.Pulses(shifted, pulses.duration, pulses.force / weight, pulses.weight / weight), grid)
+    return deposits(
+        model.Pulses(shifted, pulses.duration, pulses.force / weight, pulses.weight / weight), grid
+    )
 
 
-def moments(theta: ModelParameters, draws: RandomDraws, measured: MeasuredSummaries) -> tuple[jax.Array, jax.Array]:
+def moments(
+    theta: ModelParameters, draws: RandomDraws, measured: MeasuredSummaries
+) -> tuple[jax.Array, jax.Array]:
     """Mean drop height [M] and spread [M] (m) of all simulated portions at `theta`."""
-    # the balance of momentum puts the release of every simulated portion at dt_impact: its weight sets in so much later
+    # the balance of momentum puts the release of every simulated portion at dt_impact: its weight
+    # sets in so much later
     origin = theta["dt_impact"] if measured.from_momentum else 0.0
 
     def one(
@@ -103,15 +117,20 @@ def moments(theta: ModelParameters, draws: RandomDraws, measured: MeasuredSummar
         pulses = _simulate_pulses(theta, z, jnp.minimum(v, last), mass, offset, measured.gravity)
         times, jumps = pulses.edges()
         landed = jnp.where(jnp.tile(mass > 0.0, 2), times - origin, 0.0)
-        return pulse_moments(landed, jumps, jnp.sum(pulses.weight), measured.end, measured.gravity, measured.floor)
+        return pulse_moments(
+            landed, jumps, jnp.sum(pulses.weight), measured.end, measured.gravity, measured.floor
+        )
 
     return jax.vmap(one)(draws.z, draws.v, draws.last, draws.mass, draws.offset)
 
 
-def increments(theta: ModelParameters, draws: RandomDraws, measured: MeasuredSummaries, fine: int) -> jax.Array:
+def increments(
+    theta: ModelParameters, draws: RandomDraws, measured: MeasuredSummaries, fine: int
+) -> jax.Array:
     """Log squared increments [fine, lags] of the first `fine` simulated portions at `theta`.
 
-    One portion after the other: a trace then stays in the cache of the processor, three times as fast as all at once.
+    One portion after the other: a trace then stays in the cache of the processor, three times as
+    fast as all at once.
     """
 
     def one(draw: Any) -> jax.Array:
@@ -124,43 +143,58 @@ def increments(theta: ModelParameters, draws: RandomDraws, measured: MeasuredSum
 
 
 def energy_distance(x: jax.Array, y: jax.Array) -> jax.Array:
-    """Energy distance of two samples x [K], y [M] of a number, without the part that depends on x alone.
+    """Energy distance of two samples x [K], y [M] of a number, without the part that depends on x
+    alone.
 
-    2 E|x - y| - E|y - y'| over pairs of different y (U-statistic): its mean is least where the distributions agree, for
-    every K and M. The second term is a weighted sum of the sorted y.
+    2 E|x - y| - E|y - y'| over pairs of different y (U-statistic): its mean is least where the
+    distributions agree, for every K and M. The second term is a weighted sum of the sorted y.
     """
     count = y.shape[0]
-    rank = jnp.asarray((2.0 * np.arange(count) - count + 1.0) * 2.0 / (count * max(count - 1, 1)), y.dtype)
+    rank = jnp.asarray(
+        (2.0 * np.arange(count) - count + 1.0) * 2.0 / (count * max(count - 1, 1)), y.dtype
+    )
     return 2.0 * jnp.mean(jnp.abs(x[:, None] - y[None, :])) - jnp.sum(rank * jnp.sort(y))
 
 
-def moment_distances(theta: ModelParameters, draws: RandomDraws, measured: MeasuredSummaries) -> jax.Array:
+def moment_distances(
+    theta: ModelParameters, draws: RandomDraws, measured: MeasuredSummaries
+) -> jax.Array:
     """[2] energy distances of height and of spread squared, each over its scale."""
     height, spread = moments(theta, draws, measured)
     of_height = energy_distance(measured.height, height) / measured.scale[0]
-    return jnp.stack([of_height, energy_distance(measured.spread**2, spread**2) / measured.scale[1]])
+    return jnp.stack(
+        [of_height, energy_distance(measured.spread**2, spread**2) / measured.scale[1]]
+    )
 
 
 def increment_distance(
-    theta: ModelParameters, draws: RandomDraws, measured: MeasuredSummaries, fine: int, combine: jax.Array | None = None
+    theta: ModelParameters,
+    draws: RandomDraws,
+    measured: MeasuredSummaries,
+    fine: int,
+    combine: jax.Array | None = None,
 ) -> jax.Array:
-    """[] energy distance of the log squared increments, mean over the columns that the matrix `combine` [lags, lags]
-    makes of them (None: the whitened ones).
+    """[] energy distance of the log squared increments, mean over the columns that the matrix
+    `combine` [lags, lags] makes of them (None: the whitened ones).
     """
     combine = measured.whiten if combine is None else combine
     simulated = increments(theta, draws, measured, fine) @ combine
     return jnp.mean(jax.vmap(energy_distance, in_axes=1)(measured.increments @ combine, simulated))
 
 
-def distances(theta: ModelParameters, draws: RandomDraws, measured: MeasuredSummaries, fine: int) -> jax.Array:
+def distances(
+    theta: ModelParameters, draws: RandomDraws, measured: MeasuredSummaries, fine: int
+) -> jax.Array:
     """[3] energy distances of the BLOCKS."""
     last = increment_distance(theta, draws, measured, fine)
     return jnp.concatenate([moment_distances(theta, draws, measured), last[None]])
 
 
-def joint_distance(theta: ModelParameters, draws: RandomDraws, measured: MeasuredSummaries, fine: int) -> jax.Array:
-    """One energy distance of all summaries together, each over its scale. Kept for comparison: it hardly tells
-    gamma_high.
+def joint_distance(
+    theta: ModelParameters, draws: RandomDraws, measured: MeasuredSummaries, fine: int
+) -> jax.Array:
+    """One energy distance of all summaries together, each over its scale. Kept for comparison: it
+    hardly tells gamma_high.
     """
     some = jax.tree.map(lambda leaf: leaf[:fine], draws)
     y = measured.columns(*moments(theta, some, measured), increments(theta, draws, measured, fine))

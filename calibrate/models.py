@@ -1,4 +1,5 @@
-"""The models that `calibrate product` fits, by name: each says its parameters, makes traces, and is judged.
+"""The models that `calibrate product` fits, by name: each says its parameters, makes traces, and is
+judged.
 
 A further model is one function from traces to a `FittedModel`, and one entry of MODELS.
 """
@@ -22,7 +23,9 @@ Tell = Callable[[str, int, int], object]  # of progress: name of the stage, done
 
 
 class ParameterRow(NamedTuple):
-    """A parameter of a fit. symbol and words: as people write it; unit: of value, low and high; free: whether it was fitted."""
+    """A parameter of a fit. symbol and words: as people write it; unit: of value, low and high;
+    free: whether it was fitted.
+    """
 
     name: str
     symbol: str
@@ -38,9 +41,10 @@ class ParameterRow(NamedTuple):
 class FittedModel:
     """A model with its parameters.
 
-    name: of MODELS; title: in words; rows: parameters with 90 % intervals; p: p-value of the test of the whole, p_values: of its
-    parts, in words; statements: what the fit says of itself; absurd: parameters that cannot be meant
-    simulate: (number of portions, seed) -> forces at the times of the traces that were fitted; content: what fit.json holds
+    name: of MODELS; title: in words; rows: parameters with 90 % intervals; p: p-value of the test
+    of the whole, p_values: of its parts, in words; statements: what the fit says of itself; absurd:
+    parameters that cannot be meant simulate: (number of portions, seed) -> forces at the times of
+    the traces that were fitted; content: what fit.json holds
     """
 
     name: str
@@ -77,7 +81,9 @@ PAPER_TESTS = {  # p-value of `goodness` -> what it compares
 def fit_paper(
     targets: Sequence[Target], seed: int, progress: Tell, force: bool = False
 ) -> FittedModel:
-    """The model of the paper, fitted to traces: rectangular pulses, one for each piece, at random times. Raises `BadInput`."""
+    """The model of the paper, fitted to traces: rectangular pulses, one for each piece, at random
+    times. Raises `BadInput`.
+    """
     result = fit(targets, seed=seed, progress=progress, force=force)
     return FittedModel(
         name="paper",
@@ -123,8 +129,12 @@ def _simulate(result: Fit | LandingFit, targets: Sequence[Target], count: int, s
     )
 
 
-def fit_extended(targets: Sequence[Target], seed: int, progress: Tell, force: bool = False) -> FittedModel:
-    """The smallest of the nested extended models that traces kept out do not reject, or the nearest. Raises `BadInput`."""
+def fit_extended(
+    targets: Sequence[Target], seed: int, progress: Tell, force: bool = False
+) -> FittedModel:
+    """The smallest of the nested extended models that traces kept out do not reject, or the
+    nearest. Raises `BadInput`.
+    """
     result = fit_landings(targets, seed=seed, progress=progress, force=force)
     judged = result.judgements[result.model]
     return FittedModel(
@@ -132,7 +142,10 @@ def fit_extended(targets: Sequence[Target], seed: int, progress: Tell, force: bo
         title=f"extended Product Model ({result.model}): spread release, several landings, triangular pulses",
         rows=[_extended_row(result, name) for name in result.parameters],
         p=judged["p"],
-        p_values={"all numbers of traces that were not fitted": judged["p"], "reading of a 40 Hz load cell": judged["cell_p"]},
+        p_values={
+            "all numbers of traces that were not fitted": judged["p"],
+            "reading of a 40 Hz load cell": judged["cell_p"],
+        },
         statements=result.statements,
         absurd=result.paper.absurd,
         simulate=lambda count, seed: _simulate(result, targets, count, seed),

@@ -111,7 +111,11 @@ def _smooth(
     tare."""
     count = len(weights)
     mean, covariance = np.zeros((count, 4)), np.zeros((count, 4, 4))
-    mean[:, :2], mean[:, 3], covariance[:, :2, :2] = triggers.mean, triggers.tare, triggers.covariance
+    mean[:, :2], mean[:, 3], covariance[:, :2, :2] = (
+        triggers.mean,
+        triggers.tare,
+        triggers.covariance,
+    )
     covariance[:, 2, 2], covariance[:, 3, 3] = weights**2, TARE_SD**2
     passed = []
     for k in range(table.shape[1]):

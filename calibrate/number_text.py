@@ -1,4 +1,6 @@
-"""Numbers, clock times and dates as programs write them, and which sign of a table is the decimal one."""
+"""Numbers, clock times and dates as programs write them, and which sign of a table is the decimal
+one.
+"""
 
 import re
 from collections.abc import Iterable, Sequence
@@ -6,13 +8,34 @@ from dataclasses import dataclass
 
 from calibrate.errors import BadInput
 
-MISSING = ("", "nan", "na", "n/a", "#n/a", "#nv", "null", "none", "-", "--", "---", "*", "?", "nil", "1.#qnan", "-nan", "-nan(ind)")
+MISSING = (
+    "",
+    "nan",
+    "na",
+    "n/a",
+    "#n/a",
+    "#nv",
+    "null",
+    "none",
+    "-",
+    "--",
+    "---",
+    "*",
+    "?",
+    "nil",
+    "1.#qnan",
+    "-nan",
+    "-nan(ind)",
+)
 SPACES = "\u00a0\u2009\u202f"  # besides the plain one
 GROUPS = re.compile(r"(?<=\d)[ '’_\u00a0\u2009\u202f](?=\d{3}(?!\d))")
 NUMBER = re.compile(r"[+-]?(?:\d[\d.,]*|[.,]\d+)(?:[eEdD][+-]?\d+)?$")
 PLAIN = re.compile(r"[+-]?\d+(?:[.,]\d+)?$")  # most cells of most tables
 INFINITE = re.compile(r"[+-]?(?:inf|infinity|1\.#inf|∞)$", re.I)
-CLOCK = re.compile(r"(?:(\d{1,3}):)?(\d{1,2}):(\d{1,2})(?:([.,:])(\d{1,9}))?\s*([ap]m)?\s*(?:z|utc|[+-]\d\d:?\d\d)?$", re.I)
+CLOCK = re.compile(
+    r"(?:(\d{1,3}):)?(\d{1,2}):(\d{1,2})(?:([.,:])(\d{1,9}))?\s*([ap]m)?\s*(?:z|utc|[+-]\d\d:?\d\d)?$",
+    re.I,
+)
 DATE = re.compile(
     r"(?:\d{4}[-./]\d{1,2}[-./]\d{1,2}|\d{1,2}[-./]\d{1,2}[-./](?:\d{4}|\d{2})"
     r"|\d{1,2}[-. ][A-Za-zä]{3,9}\.?[-. ](?:\d{4}|\d{2})|[A-Za-z]{3,9} \d{1,2},? \d{4})\.?$"
@@ -20,7 +43,9 @@ DATE = re.compile(
 
 
 def tidy(cell: str) -> str:
-    """A cell with one kind of sign and no blanks that carry nothing: "+ 0,081" and "−1 234" as "+0,081" and "-1234"."""
+    """A cell with one kind of sign and no blanks that carry nothing: "+ 0,081" and "−1 234" as
+    "+0,081" and "-1234".
+    """
     if PLAIN.match(cell):
         return cell
     cell = cell.strip(" \t" + SPACES).replace("−", "-").replace("–", "-")
@@ -44,7 +69,9 @@ def is_date(cell: str) -> bool:
 
 
 def clock_seconds(cell: str) -> float | None:
-    """(s) since midnight of a tidy cell with a clock time, behind a date or alone; None where it is none."""
+    """(s) since midnight of a tidy cell with a clock time, behind a date or alone; None where it is
+    none.
+    """
     found = _clock(cell)
     if found is None:
         return None
@@ -62,7 +89,13 @@ def clock_seconds(cell: str) -> float | None:
 def clock_decimals(cell: str) -> int:
     """Number of decimal places of the seconds of a clock time; 0 where it is none."""
     found = _clock(cell)
-    return 0 if found is None or not found.group(5) else 3 if found.group(4) == ":" else len(found.group(5))
+    return (
+        0
+        if found is None or not found.group(5)
+        else 3
+        if found.group(4) == ":"
+        else len(found.group(5))
+    )
 
 
 def _clock(cell: str) -> re.Match[str] | None:
@@ -92,7 +125,9 @@ class Signs:
         mantissa, exponent = _parts(cell)
         whole, sign, fraction = mantissa.partition(self.decimal)
         other = "," if self.decimal == "." else "."
-        if other in mantissa and (other in fraction or not re.fullmatch(rf"[+-]?[1-9]\d{{0,2}}(\{other}\d{{3}})+", whole)):
+        if other in mantissa and (
+            other in fraction or not re.fullmatch(rf"[+-]?[1-9]\d{{0,2}}(\{other}\d{{3}})+", whole)
+        ):
             raise ValueError(cell)
         return float(whole.replace(other, "") + sign.replace(",", ".") + fraction + exponent)
 
@@ -116,8 +151,9 @@ def _parts(cell: str) -> tuple[str, str]:
 
 @dataclass(frozen=True)
 class _Evidence:
-    """What the cells of one column say of one sign. `likely`: it groups thousands unless other columns prove
-    otherwise; `doubtful`: a cell that can be read both ways."""
+    """What the cells of one column say of one sign. `likely`: it groups thousands unless other
+    columns prove otherwise; `doubtful`: a cell that can be read both ways.
+    """
 
     decimal: bool = False
     grouping: bool = False
@@ -126,17 +162,22 @@ class _Evidence:
 
 
 def _evidence(cells: Sequence[str], sign: str) -> _Evidence:
-    """A sign is decimal where what follows is no group of three, or what stands before no beginning of groups.
+    """A sign is decimal where what follows is no group of three, or what stands before no beginning
+    of groups.
 
-    A column in which some cells have no sign and all others have three digits behind it is one of thousands if any
-    of those ends in 0: who leaves out ",000" leaves out that zero too. Without any such zero it is doubtful.
+    A column in which some cells have no sign and all others have three digits behind it is one of
+    thousands if any of those ends in 0: who leaves out ",000" leaves out that zero too. Without any
+    such zero it is doubtful.
     """
     other = "," if sign == "." else "."
     mantissas = [_parts(cell)[0].lstrip("+-") for cell in cells]
     signed = [cell for cell in mantissas if sign in cell]
     if not signed:
         return _Evidence()
-    if any(cell.count(sign) > 1 or (other in cell and cell.rfind(other) > cell.rfind(sign)) for cell in signed):
+    if any(
+        cell.count(sign) > 1 or (other in cell and cell.rfind(other) > cell.rfind(sign))
+        for cell in signed
+    ):
         return _Evidence(grouping=True)
     groups = re.compile(rf"[1-9]\d{{0,2}}\{sign}\d{{3}}")
     if not all(groups.fullmatch(cell) for cell in signed) or any(_parts(cell)[1] for cell in cells):
@@ -151,7 +192,8 @@ def _evidence(cells: Sequence[str], sign: str) -> _Evidence:
 
 
 def detect_signs(columns: Iterable[Sequence[str]], decimal: str | None = None) -> Signs:
-    """Decimal sign and sign of grouping of a table, from its columns of tidy numbers, if need be as `decimal` tells.
+    """Decimal sign and sign of grouping of a table, from its columns of tidy numbers, if need be as
+    `decimal` tells.
 
     Raises `BadInput` where columns contradict each other or leave it open.
     """

@@ -1,5 +1,6 @@
-"""One progress bar over stages of different kinds, with the time left: that of the stage by its own progress, of those after it by
-estimates."""
+"""One progress bar over stages of different kinds, with the time left: that of the stage by its own
+progress, of those after it by estimates.
+"""
 
 import sys
 import threading

@@ -1,8 +1,10 @@
-"""Whether traces can be those of portions that fall and land, and whether the parameters of a fit can be meant.
+"""Whether traces can be those of portions that fall and land, and whether the parameters of a fit
+can be meant.
 
-Traces in other units than was thought fit the Product Model as well as any: a force ten times too small is that of
-ten times as light pieces, and time in milliseconds read as seconds that of a fall from some kilometres. What tells it is
-what a person knows beside: the weight of the pieces, and that they fall for centimetres to metres.
+Traces in other units than was thought fit the Product Model as well as any: a force ten times too
+small is that of ten times as light pieces, and time in milliseconds read as seconds that of a fall
+from some kilometres. What tells it is what a person knows beside: the weight of the pieces, and
+that they fall for centimetres to metres.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -19,7 +21,8 @@ END = (0.7, 1.3)  # of the weight of the pieces: between them a trace must end
 NEARLY = 0.02  # of the weight: by how much it may do so without a warning
 ZERO, ZERO_NOTED = 0.05, 0.01  # of the weight: force before the first impact
 HEAVY = 5.0  # kg, of a piece: likely to be in grams
-RELEASE, RELEASE_NOTED = 0.5, 0.25  # of the time of the first impact: how far from time zero the momentum may put the release
+RELEASE, RELEASE_NOTED = 0.5, 0.25  # of the time of the first impact: how far from time zero the
+# momentum may put the release
 SWING = 0.5  # of the weight: how far below zero a force may swing
 HEIGHTS = (1e-3, 10.0)  # m, of a mean drop height
 PULSES = (1e-6, 0.1)  # s, of the pulse of a piece
@@ -36,7 +39,9 @@ UNITS = {  # ratio of what is read to what is meant: why
 }
 
 
-def find_impossible(targets: Sequence[Target], measured: MeasuredSummaries | None = None) -> list[str]:
+def find_impossible(
+    targets: Sequence[Target], measured: MeasuredSummaries | None = None
+) -> list[str]:
     """Why the traces cannot be meant as they were read; empty where they can.
 
     Args:
@@ -46,7 +51,12 @@ def find_impossible(targets: Sequence[Target], measured: MeasuredSummaries | Non
     Returns:
         A line for each reason, the one that explains most first.
     """
-    checks: list[Callable[[Sequence[Target]], Iterator[str]]] = [_check_length, _check_end, _check_each, _check_force]
+    checks: list[Callable[[Sequence[Target]], Iterator[str]]] = [
+        _check_length,
+        _check_end,
+        _check_each,
+        _check_force,
+    ]
     found = [line for check in checks for line in check(targets)] if targets else []
     if measured is None:
         return found
@@ -68,7 +78,10 @@ def _check_end(targets: Sequence[Target]) -> Iterator[str]:
         return
     trace = targets[0]
     kilograms = "; --m-piece is in kg" if trace.m_piece >= HEAVY else ""
-    why = next((f" ({words} do so)" for factor, words in UNITS.items() if abs(ratio / factor - 1) < 0.1), "")
+    why = next(
+        (f" ({words} do so)" for factor, words in UNITS.items() if abs(ratio / factor - 1) < 0.1),
+        "",
+    )
     yield (
         f"the traces end at {_percent(ratio)} of the weight of their pieces{why}: {trace.pieces} pieces of "
         f"{1e3 * trace.m_piece:.4g} g weigh {trace.weight:.4g} N; look at the unit of the force, weight and number of the "
@@ -117,7 +130,11 @@ def _check_height(targets: Sequence[Target], measured: MeasuredSummaries) -> Ite
     if np.isfinite(height) and HEIGHTS[0] <= height <= HEIGHTS[1]:
         return
     weight = f"weight and number of the pieces ({targets[0].pieces} of {targets[0].m_piece:g} kg)"
-    zero = "" if measured.from_momentum else "; where times do not count from the release, give --align first-impact"
+    zero = (
+        ""
+        if measured.from_momentum
+        else "; where times do not count from the release, give --align first-impact"
+    )
     yield (
         f"the momentum of the traces tells a mean drop height of {format_length(height)}; allowed are "
         f"{format_length(HEIGHTS[0])} to {format_length(HEIGHTS[1])}: look at the unit of time and at "
@@ -135,8 +152,9 @@ def _check_release(targets: Sequence[Target], measured: MeasuredSummaries) -> It
 
 
 def release_shift(targets: Sequence[Target]) -> tuple[float, float]:
-    """When the balance of momentum puts the release: as a share of the time of the first impact, and (s); medians over
-    the traces that end at the weight of their pieces, without which it tells nothing; 0 where none does.
+    """When the balance of momentum puts the release: as a share of the time of the first impact,
+    and (s); medians over the traces that end at the weight of their pieces, without which it tells
+    nothing; 0 where none does.
     """
     rows = []
     for t in targets:
@@ -189,7 +207,9 @@ def find_doubtful(targets: Sequence[Target], align: str = "release") -> list[str
         )
     zeros = [abs(t.zero) / t.weight for t in targets if t.zero is not None]
     if zeros and ZERO_NOTED < max(zeros) <= ZERO:
-        lines.append(f"before anything lands a trace stands at {100 * max(zeros):.1f} % of the weight: --tare subtracts it")
+        lines.append(
+            f"before anything lands a trace stands at {100 * max(zeros):.1f} % of the weight: --tare subtracts it"
+        )
     return lines
 
 
@@ -199,17 +219,26 @@ def find_absurd(parameters: dict[str, dict[str, Any]]) -> list[str]:
     Args:
         parameters: rows of `Fit.parameters`.
     """
-    rows = {name: [float(row[key]) for key in ("value", "low", "high")] for name, row in parameters.items()}
+    rows = {
+        name: [float(row[key]) for key in ("value", "low", "high")]
+        for name, row in parameters.items()
+    }
     infinite = [name for name, row in rows.items() if not np.isfinite(row).all()]
     if infinite:
-        return [f"{name} is not finite ({', '.join(f'{x:g}' for x in rows[name])})" for name in infinite]
+        return [
+            f"{name} is not finite ({', '.join(f'{x:g}' for x in rows[name])})" for name in infinite
+        ]
     lines = []
     value = {name: row[0] for name, row in rows.items()}
     height = value["h_mean"]
     if not HEIGHTS[0] <= height <= HEIGHTS[1]:
-        lines.append(f"h_mean = {format_length(height)}; allowed are {format_length(HEIGHTS[0])} to {format_length(HEIGHTS[1])}")
+        lines.append(
+            f"h_mean = {format_length(height)}; allowed are {format_length(HEIGHTS[0])} to {format_length(HEIGHTS[1])}"
+        )
     if not PULSES[0] <= value["dt_impact"] <= PULSES[1]:
-        lines.append(f"dt_impact = {1e3 * value['dt_impact']:.4g} ms; allowed are {1e3 * PULSES[0]:g} to {1e3 * PULSES[1]:g} ms")
+        lines.append(
+            f"dt_impact = {1e3 * value['dt_impact']:.4g} ms; allowed are {1e3 * PULSES[0]:g} to {1e3 * PULSES[1]:g} ms"
+        )
     for name in ("gamma_low", "gamma_high"):
         if value[name] > WIDEST * height:
             lines.append(

@@ -1,4 +1,6 @@
-"""From a product to its fitted model: simulated drops, fit, judgement, report. The one module of calibrate that uses dem_jax."""
+"""From a product to its fitted model: simulated drops, fit, judgement, report. The one module of
+calibrate that uses dem_jax.
+"""
 
 import json
 import math
@@ -41,8 +43,9 @@ SEED_OF_PORTIONS = 9_000_011  # added to the seed of a fit
 class ProductRequest:
     """What `calibrate product` is asked for.
 
-    product: a name of the library, or a TOML file of a product or of a scene; bucket: a name, a TOML or an STL file; target: (kg)
-    weight of a portion; scene: that the product is dropped in; settings: changed keys of the scene; out: a folder, or a .json file
+    product: a name of the library, or a TOML file of a product or of a scene; bucket: a name, a
+    TOML or an STL file; target: (kg) weight of a portion; scene: that the product is dropped in;
+    settings: changed keys of the scene; out: a folder, or a .json file
     """
 
     product: str
@@ -165,7 +168,9 @@ def _check_request(request: ProductRequest) -> None:
 
 
 def plan_files(request: ProductRequest) -> ProductFiles:
-    """Where everything goes. Raises `BadInput` where a result exists, unless it is to be replaced, or cannot be written."""
+    """Where everything goes. Raises `BadInput` where a result exists, unless it is to be replaced,
+    or cannot be written.
+    """
     out = Path(request.out or request.name)
     if out.suffix == ".json":
         folder, stem = out.parent, f"{out.stem}-"
@@ -216,7 +221,8 @@ def _check_writable(folder: Path, out: Path) -> None:
 def load_product_scene(request: ProductRequest) -> "Scene":
     """The scene of a drop, with STL files read.
 
-    Raises SceneError, and `BadInput` where it is not one portion that falls from one bucket into another.
+    Raises SceneError, and `BadInput` where it is not one portion that falls from one bucket into
+    another.
     """
     from dem_jax import assembly
     from dem_jax.scene import load_scene
@@ -283,9 +289,13 @@ def _check_scene(base: str, scene: "Scene") -> None:
 
 
 def choose_duration(scene: "Scene") -> float:
-    """(s) until a portion is at rest: opening of the flaps, fall, rebounds that each last ε times the one before, slumping."""
+    """(s) until a portion is at rest: opening of the flaps, fall, rebounds that each last ε times
+    the one before, slumping.
+    """
     named = [
-        own.restitution for own in scene.material.named_materials.values() if own.restitution is not None
+        own.restitution
+        for own in scene.material.named_materials.values()
+        if own.restitution is not None
     ]
     restitution = min(max([scene.material.restitution, *named]), 0.9)
     fall = math.sqrt(2.0 * scene.drop.height / float(np.linalg.norm(scene.run.gravity)))
@@ -317,7 +327,9 @@ def describe_drops(request: ProductRequest, scene: "Scene", masses: np.ndarray) 
 
 
 def _check_ensemble(files: ProductFiles, scene: "Scene", request: ProductRequest) -> bool:
-    """Whether there is an ensemble of the same inputs. Raises `BadInput` for another one, unless it is to be replaced."""
+    """Whether there is an ensemble of the same inputs. Raises `BadInput` for another one, unless it
+    is to be replaced.
+    """
     if not files.ensemble.exists():
         return False
     why = find_difference(files.ensemble, scene, request)
@@ -329,7 +341,9 @@ def _check_ensemble(files: ProductFiles, scene: "Scene", request: ProductRequest
 
 
 def find_difference(path: Path, scene: "Scene", request: ProductRequest) -> str | None:
-    """In what the ensemble of a file differs from the one asked for, in words; None: it is the same."""
+    """In what the ensemble of a file differs from the one asked for, in words; None: it is the
+    same.
+    """
     import h5py
 
     from dem_jax import __version__
@@ -372,8 +386,9 @@ def _short(item: Any) -> str:
 def simulate_drops(
     files: ProductFiles, scene: "Scene", request: ProductRequest, progress: OverallProgress
 ) -> list[str]:
-    """Make the ensemble of a file, or complete the one that is there; lines that say what was done. Raises as
-    `calibrate_product`."""
+    """Make the ensemble of a file, or complete the one that is there; lines that say what was done.
+    Raises as `calibrate_product`.
+    """
     import dem_jax
     from dem_jax import process
 
@@ -402,7 +417,9 @@ def simulate_drops(
 
 
 def _recorded_time(path: Path) -> float:
-    """(s) that the ensemble of a file holds; as long as can be where it ended because all was at rest."""
+    """(s) that the ensemble of a file holds; as long as can be where it ended because all was at
+    rest.
+    """
     import h5py
 
     with h5py.File(path, "r") as file:
@@ -428,7 +445,9 @@ def _fit_drops(
         progress.tell(words, before + own * min(done / max(total, 1), 1.0))
 
     targets = read(files.ensemble)
-    return find_model(request.model)(targets, request.seed, tell, request.force), collect_curves(targets)
+    return find_model(request.model)(targets, request.seed, tell, request.force), collect_curves(
+        targets
+    )
 
 
 def _judge(

@@ -59,7 +59,9 @@ def draw_force(figure: "FigureBase", data: Curves, model: Curves) -> None:
 
 
 def draw_momentum(figure: "FigureBase", data: Curves, model: Curves) -> None:
-    """Bands of the momentum that the bucket has received: the first 60 ms after the first impact, and the whole drop."""
+    """Bands of the momentum that the bucket has received: the first 60 ms after the first impact,
+    and the whole drop.
+    """
     left, right = figure.subplots(1, 2)
     step = FINE / 2
     count = round(FIRST / step)
@@ -90,7 +92,9 @@ def draw_momentum(figure: "FigureBase", data: Curves, model: Curves) -> None:
 
 
 def draw_load_cell(figure: "FigureBase", data: Curves, model: Curves) -> None:
-    """Bands of the reading of a load cell: the first 60 ms after the first impact, and the whole drop."""
+    """Bands of the reading of a load cell: the first 60 ms after the first impact, and the whole
+    drop.
+    """
     left, right = figure.subplots(1, 2)
     cells = [
         Curves(of.time, load_cell(of) * of.gravity, of.mass, of.gravity) for of in (data, model)
@@ -124,7 +128,9 @@ CAPTIONS = {
 
 
 def _whole(data: Curves, bin_: float) -> tuple[float, int]:
-    """(s) from when on, and in how many intervals, the whole drop is shown: from shortly before the earliest first impact."""
+    """(s) from when on, and in how many intervals, the whole drop is shown: from shortly before the
+    earliest first impact.
+    """
     begin = max(float(data.first_impact.min()) - 0.02, float(data.time[0]) - data.sample)
     return begin, max(int((float(data.time[-1]) - begin) / bin_ + 1e-6), 2)
 

@@ -54,7 +54,9 @@ footer { margin-top: 1.5rem; font-size: .85rem; }
 
 @dataclass(frozen=True)
 class Report:
-    """What the report says. product: its name; lead: what was dropped; facts: what was simulated, name -> words."""
+    """What the report says. product: its name; lead: what was dropped; facts: what was simulated,
+    name -> words.
+    """
 
     product: str
     lead: str
@@ -83,11 +85,7 @@ def compared_cells(row: Comparison, differs: bool) -> list[str]:
         f"{number(q[1])} ({number(q[0])} to {number(q[2])}) {row.unit}"
         for q in (row.data, row.model)
     ]
-    return [
-        row.words,
-        *shown,
-        f"{100 * row.change:+.0f} %" if differs else "within chance",
-    ]
+    return [row.words, *shown, f"{100 * row.change:+.0f} %" if differs else "within chance"]
 
 
 def html_page(report: Report, figures: Mapping[str, "Figure"]) -> str:

@@ -46,8 +46,8 @@ def fit_noise(
             signals; it is scaled up where the signals show more.
 
     Returns:
-        The noise measured, else that before triggers; where there are too few samples, white noise of
-        LEAST_WHITE.
+        The noise measured, else that before triggers; where there are too few samples, white noise
+        of LEAST_WHITE.
     """
     quiet = [
         s[: k - GUARD] for s, k in zip(signals, triggers, strict=True) if k - GUARD >= LEAST_SAMPLES

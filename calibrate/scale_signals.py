@@ -65,9 +65,7 @@ def read_signals(paths: Sequence[str], options: SignalOptions) -> ScaleSignals:
     return found
 
 
-def add_file(
-    found: ScaleSignals, path: str, options: SignalOptions, number: int = 0
-) -> None:
+def add_file(found: ScaleSignals, path: str, options: SignalOptions, number: int = 0) -> None:
     """Add the signals of a file to those found in others; number: of the file, for the seed of the
     noise of simulated drops. Raises `BadInput`."""
     try:

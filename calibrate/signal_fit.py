@@ -124,10 +124,7 @@ def fit_signals(
 
 
 def solve_portions(
-    portions: Portions,
-    has_weights: bool,
-    cell: CellGuess | None,
-    tell: ProgressCallback,
+    portions: Portions, has_weights: bool, cell: CellGuess | None, tell: ProgressCallback
 ) -> Solved:
     """Cell, pulse, and moments of impact that describe the signals best; pieces of different weight
     only where equal ones do not describe them and these do: else the weights of pieces would make

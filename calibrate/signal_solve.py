@@ -75,7 +75,9 @@ class Estimate:
     @property
     def cell(self) -> CellGuess:
         """The empty cell."""
-        return CellGuess(float(np.exp(self.shared[0])), float(self.shared[1]), float(self.shared[2]))
+        return CellGuess(
+            float(np.exp(self.shared[0])), float(self.shared[1]), float(self.shared[2])
+        )
 
     @property
     def pulse(self) -> float:

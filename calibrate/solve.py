@@ -1,14 +1,17 @@
-"""The fit itself: rounds until nothing changes, in one compiled program that maps over starts and over data sets.
+"""The fit itself: rounds until nothing changes, in one compiled program that maps over starts and
+over data sets.
 
-In each round height and spread are fitted first, by Adam (they hardly depend on dt_impact and cost O(pieces)), then
-dt_impact alone to the increments, whose derivatives with respect to the times of impact are interference of single
-pulses: right on average, but so scattered that they would hide what the spread says. In one dimension the sign of the
-slope is enough: the interval about the last value is halved until it is narrow. A round reaches as far as the one
-before it has moved, so that rounds become fine as the fit settles, and go on where the valley is flat.
+In each round height and spread are fitted first, by Adam (they hardly depend on dt_impact and cost
+O(pieces)), then dt_impact alone to the increments, whose derivatives with respect to the times of
+impact are interference of single pulses: right on average, but so scattered that they would hide
+what the spread says. In one dimension the sign of the slope is enough: the interval about the last
+value is halved until it is narrow. A round reaches as far as the one before it has moved, so that
+rounds become fine as the fit settles, and go on where the valley is flat.
 
-The rounds take each lag by itself: its distance has one least value in dt_impact, whatever the traces are. At the end
-come the whitened columns, which have several, but scatter half as much about the right one; the least value counts if
-it lies where it can be expected, as for traces that the model describes. Otherwise the value of the rounds stays.
+The rounds take each lag by itself: its distance has one least value in dt_impact, whatever the
+traces are. At the end come the whitened columns, which have several, but scatter half as much about
+the right one; the least value counts if it lies where it can be expected, as for traces that the
+model describes. Otherwise the value of the rounds stays.
 """
 
 from collections.abc import Callable
@@ -21,7 +24,14 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
-from calibrate.loss import MeasuredSummaries, RandomDraws, distances, increment_distance, joint_distance, moment_distances
+from calibrate.loss import (
+    MeasuredSummaries,
+    RandomDraws,
+    distances,
+    increment_distance,
+    joint_distance,
+    moment_distances,
+)
 from calibrate.unconstrained import FreeParameters, ModelParameters, to_parameters, to_unconstrained
 
 TOLERANCE = 1e-3  # in ln of a parameter: rounds end when one changes nothing by more than this
@@ -31,7 +41,8 @@ FINEST = 4e-4  # of ln dt_impact
 # reach of the first round of a fit and of refits: first step of Adam, half interval of ln dt_impact
 FAR, NEAR = (0.2, 3.0), (0.05, 0.05)
 LEAST_REACH = 0.01
-EXPECTED = 0.4  # times 1/sqrt(traces): four standard deviations of what the two columns of increments differ by, in ln dt_impact
+EXPECTED = 0.4  # times 1/sqrt(traces): four standard deviations of what the two columns of
+# increments differ by, in ln dt_impact
 SCANNED = 32  # simulated portions of the coarse scan for the first guess
 
 
@@ -40,9 +51,9 @@ SCANNED = 32  # simulated portions of the coarse scan for the first guess
 class FitSolution:
     """Where a fit ended, [] each (leading axes for several starts or data sets).
 
-    theta: dict of the four parameters (SI); distances: [3] energy distances of the blocks; loss: their sum with each
-    lag by itself, by which starts are compared
-    change: dict of what the last round changed in the ln of each parameter; rounds: how many there were
+    theta: dict of the four parameters (SI); distances: [3] energy distances of the blocks; loss:
+    their sum with each lag by itself, by which starts are compared change: dict of what the last
+    round changed in the ln of each parameter; rounds: how many there were
     """
 
     theta: ModelParameters
@@ -53,11 +64,17 @@ class FitSolution:
 
 
 def minimize_by_adam(
-    slope: Callable[[ModelParameters], ModelParameters], u: ModelParameters, first: jax.Array, steps: int = STEPS, finer: float = FINER
+    slope: Callable[[ModelParameters], ModelParameters],
+    u: ModelParameters,
+    first: jax.Array,
+    steps: int = STEPS,
+    finer: float = FINER,
 ) -> ModelParameters:
-    """Least value by Adam from `u` (a dict), its steps falling from `first` to `first/finer`; `slope(u)` is the gradient.
+    """Least value by Adam from `u` (a dict), its steps falling from `first` to `first/finer`;
+    `slope(u)` is the gradient.
 
-    Its memory is short (0.8 and 0.9), so that the steep way down to the valley is soon forgotten on the flat floor.
+    Its memory is short (0.8 and 0.9), so that the steep way down to the valley is soon forgotten on
+    the flat floor.
     """
     optimiser = optax.scale_by_adam(b1=0.8, b2=0.9)
 
@@ -66,15 +83,19 @@ def minimize_by_adam(
         size = -first * finer ** (-k / steps)
         with jax.numpy_dtype_promotion("standard"):  # optax counts its steps in whole numbers
             move, state = optimiser.update(slope(u), state)
-        return jax.tree.map(lambda old, change: old + size.astype(old.dtype) * change, u, move), state
+        return jax.tree.map(
+            lambda old, change: old + size.astype(old.dtype) * change, u, move
+        ), state
 
     with jax.numpy_dtype_promotion("standard"):
         return jax.lax.fori_loop(0, steps, step, (u, optimiser.init(u)))[0]
 
 
-def bisect_slope(slope: Callable[[jax.Array], jax.Array], x: jax.Array, reach: jax.Array | float) -> jax.Array:
-    """Where `slope(x)` [] changes from negative to positive within `reach` of `x`, to FINEST; an end of the interval if
-    it does not.
+def bisect_slope(
+    slope: Callable[[jax.Array], jax.Array], x: jax.Array, reach: jax.Array | float
+) -> jax.Array:
+    """Where `slope(x)` [] changes from negative to positive within `reach` of `x`, to FINEST; an
+    end of the interval if it does not.
     """
 
     def halve_interval(ends: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
@@ -83,27 +104,43 @@ def bisect_slope(slope: Callable[[jax.Array], jax.Array], x: jax.Array, reach: j
         rising = slope(middle) > 0.0
         return jnp.where(rising, low, middle), jnp.where(rising, middle, high)
 
-    low, high = jax.lax.while_loop(lambda ends: ends[1] - ends[0] > FINEST, halve_interval, (x - reach, x + reach))
+    low, high = jax.lax.while_loop(
+        lambda ends: ends[1] - ends[0] > FINEST, halve_interval, (x - reach, x + reach)
+    )
     return 0.5 * (low + high)
 
 
-def _fit_shape(u: ModelParameters, fixed: ModelParameters, draws: RandomDraws, measured: MeasuredSummaries, reach: jax.Array) -> ModelParameters:
+def _fit_shape(
+    u: ModelParameters,
+    fixed: ModelParameters,
+    draws: RandomDraws,
+    measured: MeasuredSummaries,
+    reach: jax.Array,
+) -> ModelParameters:
     """`u` with all but dt_impact fitted to height and spread; reach: first step."""
     pulse = {name: value for name, value in u.items() if name == "dt_impact"}
     shape = {name: value for name, value in u.items() if name != "dt_impact"}
     if not shape:
         return u
-    whole = lambda s: jnp.sum(moment_distances(to_parameters(s | pulse, fixed), draws, measured))  # noqa: E731
+    whole = lambda s: jnp.sum(moment_distances(to_parameters(s | pulse, fixed), draws, measured))
     return minimize_by_adam(jax.grad(whole), shape, reach) | pulse
 
 
 def _fit_pulse(
-    u: ModelParameters, fixed: ModelParameters, draws: RandomDraws, measured: MeasuredSummaries, fine: int, reach: jax.Array | float, combine: jax.Array
+    u: ModelParameters,
+    fixed: ModelParameters,
+    draws: RandomDraws,
+    measured: MeasuredSummaries,
+    fine: int,
+    reach: jax.Array | float,
+    combine: jax.Array,
 ) -> ModelParameters:
     """`u` with dt_impact fitted to the columns of the increments that `combine` makes."""
     if "dt_impact" not in u:
         return u
-    alone = lambda x: increment_distance(to_parameters(u | {"dt_impact": x}, fixed), draws, measured, fine, combine)  # noqa: E731
+    alone = lambda x: increment_distance(
+        to_parameters(u | {"dt_impact": x}, fixed), draws, measured, fine, combine
+    )
     return u | {"dt_impact": bisect_slope(jax.jacfwd(alone), u["dt_impact"], reach)}
 
 
@@ -120,9 +157,15 @@ def _largest(tree: ModelParameters) -> jax.Array:
 
 
 def solve(
-    start: ModelParameters, draws: RandomDraws, measured: MeasuredSummaries, free: FreeParameters, fine: int, reach: tuple[jax.Array, ...]
+    start: ModelParameters,
+    draws: RandomDraws,
+    measured: MeasuredSummaries,
+    free: FreeParameters,
+    fine: int,
+    reach: tuple[jax.Array, ...],
 ) -> FitSolution:
-    """Fit of the `free` parameters from `start`, a dict of the four ([] each); the others keep their value.
+    """Fit of the `free` parameters from `start`, a dict of the four ([] each); the others keep
+    their value.
 
     reach: [2] of the first round: first step of Adam, half interval of ln dt_impact.
     """
@@ -130,9 +173,26 @@ def solve(
 
     def run_round(carry: Any) -> Any:
         number, u, _, step, half = carry
-        new = _fit_pulse(_fit_shape(u, fixed, draws, measured, step), fixed, draws, measured, fine, half, measured.single_lags)
-        moved, change = _largest(_absolute_differences(new, u)), _absolute_differences(_log_parameters(new, fixed), _log_parameters(u, fixed))
-        return number + 1, new, change, jnp.clip(moved, LEAST_REACH, step), jnp.clip(3.0 * moved, LEAST_REACH, half)
+        new = _fit_pulse(
+            _fit_shape(u, fixed, draws, measured, step),
+            fixed,
+            draws,
+            measured,
+            fine,
+            half,
+            measured.single_lags,
+        )
+        moved, change = (
+            _largest(_absolute_differences(new, u)),
+            _absolute_differences(_log_parameters(new, fixed), _log_parameters(u, fixed)),
+        )
+        return (
+            number + 1,
+            new,
+            change,
+            jnp.clip(moved, LEAST_REACH, step),
+            jnp.clip(3.0 * moved, LEAST_REACH, half),
+        )
 
     def is_unsettled(carry: Any) -> jax.Array:
         number, _, change, *_ = carry
@@ -140,7 +200,9 @@ def solve(
 
     u = to_unconstrained(start, free)
     change = jax.tree.map(lambda v: jnp.full_like(v, jnp.inf), dict(start))
-    rounds, u, change, *_ = jax.lax.while_loop(is_unsettled, run_round, (jnp.zeros((), jnp.int32), u, change, *reach))
+    rounds, u, change, *_ = jax.lax.while_loop(
+        is_unsettled, run_round, (jnp.zeros((), jnp.int32), u, change, *reach)
+    )
     if "dt_impact" in u:
         expected = EXPECTED / np.sqrt(measured.height.shape[0])
         white = _fit_pulse(u, fixed, draws, measured, fine, expected, measured.whiten)
@@ -149,16 +211,25 @@ def solve(
         u = _fit_shape(u, fixed, draws, measured, jnp.full_like(u["dt_impact"], LEAST_REACH))
     theta = to_parameters(u, fixed)
     parts = distances(theta, draws, measured, fine)
-    loss = jnp.sum(parts[:2]) + increment_distance(theta, draws, measured, fine, measured.single_lags)
+    loss = jnp.sum(parts[:2]) + increment_distance(
+        theta, draws, measured, fine, measured.single_lags
+    )
     return FitSolution(theta, parts, loss, change, rounds)
 
 
 @partial(jax.jit, static_argnames=("free", "fine"))
 def _solve_all(
-    starts: ModelParameters, draws: RandomDraws, measured: MeasuredSummaries, reach: tuple[jax.Array, ...], free: FreeParameters, fine: int
+    starts: ModelParameters,
+    draws: RandomDraws,
+    measured: MeasuredSummaries,
+    reach: tuple[jax.Array, ...],
+    free: FreeParameters,
+    fine: int,
 ) -> FitSolution:
     axes = data_set_axes(measured)
-    return jax.vmap(lambda start, m: solve(start, draws, m, free, fine, reach), in_axes=(0, axes))(starts, measured)
+    return jax.vmap(lambda start, m: solve(start, draws, m, free, fine, reach), in_axes=(0, axes))(
+        starts, measured
+    )
 
 
 def data_set_axes(measured: MeasuredSummaries) -> MeasuredSummaries:
@@ -175,16 +246,33 @@ def _reach_arrays(pair: tuple[float, float]) -> tuple[jax.Array, ...]:
     return tuple(jnp.asarray(value) for value in pair)
 
 
-def solve_starts(starts: ModelParameters, draws: RandomDraws, measured: MeasuredSummaries, free: FreeParameters, fine: int) -> FitSolution:
-    """`solve` from several starts at once: every leaf of `starts` and of the result has a leading axis [starts]."""
+def solve_starts(
+    starts: ModelParameters,
+    draws: RandomDraws,
+    measured: MeasuredSummaries,
+    free: FreeParameters,
+    fine: int,
+) -> FitSolution:
+    """`solve` from several starts at once: every leaf of `starts` and of the result has a leading
+    axis [starts].
+    """
     count = len(starts["h_mean"])
-    summaries: dict[str, Any] = {name: _repeat_leaf(getattr(measured, name), count) for name in ("height", "spread", "increments")}
+    summaries: dict[str, Any] = {
+        name: _repeat_leaf(getattr(measured, name), count)
+        for name in ("height", "spread", "increments")
+    }
     return _solve_all(starts, draws, replace(measured, **summaries), _reach_arrays(FAR), free, fine)
 
 
-def solve_data_sets(start: ModelParameters, draws: RandomDraws, measured: MeasuredSummaries, free: FreeParameters, fine: int) -> FitSolution:
-    """`solve` of several data sets from one start, without going far: `measured` has a leading axis on
-    its summaries only. As many sets as starts share the program of `solve_starts`.
+def solve_data_sets(
+    start: ModelParameters,
+    draws: RandomDraws,
+    measured: MeasuredSummaries,
+    free: FreeParameters,
+    fine: int,
+) -> FitSolution:
+    """`solve` of several data sets from one start, without going far: `measured` has a leading axis
+    on its summaries only. As many sets as starts share the program of `solve_starts`.
     """
     count = measured.height.shape[0]
     starts = {name: _repeat_leaf(jnp.asarray(value), count) for name, value in start.items()}
@@ -192,18 +280,33 @@ def solve_data_sets(start: ModelParameters, draws: RandomDraws, measured: Measur
 
 
 @jax.jit
-def scan_lengths(lengths: jax.Array, start: ModelParameters, draws: RandomDraws, measured: MeasuredSummaries) -> jax.Array:
-    """[L] distance of the increments at each dt_impact of `lengths` (s), the other parameters as in `start`."""
+def scan_lengths(
+    lengths: jax.Array, start: ModelParameters, draws: RandomDraws, measured: MeasuredSummaries
+) -> jax.Array:
+    """[L] distance of the increments at each dt_impact of `lengths` (s), the other parameters as in
+    `start`.
+    """
 
     def at(length: jax.Array) -> jax.Array:
-        return increment_distance(start | {"dt_impact": length}, draws, measured, SCANNED, measured.single_lags)
+        return increment_distance(
+            start | {"dt_impact": length}, draws, measured, SCANNED, measured.single_lags
+        )
 
     return jax.lax.map(at, lengths)
 
 
 @partial(jax.jit, static_argnames=("free", "fine", "steps"))
-def solve_joint(start: ModelParameters, draws: RandomDraws, measured: MeasuredSummaries, free: FreeParameters, fine: int, steps: int = 150) -> ModelParameters:
+def solve_joint(
+    start: ModelParameters,
+    draws: RandomDraws,
+    measured: MeasuredSummaries,
+    free: FreeParameters,
+    fine: int,
+    steps: int = 150,
+) -> ModelParameters:
     """The fit to the one joint distance, for comparison only: theta."""
     fixed = {name: value for name, value in start.items() if name not in free}
     slope = jax.grad(lambda u: joint_distance(to_parameters(u, fixed), draws, measured, fine))
-    return to_parameters(minimize_by_adam(slope, to_unconstrained(start, free), jnp.asarray(0.1), steps, 20), fixed)
+    return to_parameters(
+        minimize_by_adam(slope, to_unconstrained(start, free), jnp.asarray(0.1), steps, 20), fixed
+    )

@@ -1,4 +1,6 @@
-"""Columns of a table: their values and units, which are times, which are forces and which of them belong together."""
+"""Columns of a table: their values and units, which are times, which are forces and which of them
+belong together.
+"""
 
 import re
 from collections.abc import Sequence
@@ -8,7 +10,15 @@ from pathlib import Path
 import numpy as np
 
 from calibrate.errors import BadInput
-from calibrate.number_text import PLAIN, Signs, clock_decimals, clock_seconds, detect_signs, is_date, is_missing
+from calibrate.number_text import (
+    PLAIN,
+    Signs,
+    clock_decimals,
+    clock_seconds,
+    detect_signs,
+    is_date,
+    is_missing,
+)
 from calibrate.table_text import Layout
 from calibrate.units import NONE, Unit, quantity_named, unit_in_name, unit_named
 
@@ -19,8 +29,9 @@ KNOWN = "N, mN, kN, kg, g (forces), s, ms, us, min (times)"
 class TableOptions:
     """What a person tells of a table that the table itself does not.
 
-    decimal: "." or ","; time_unit, force_unit: instead of those in the header; sample: (s) between rows, instead of
-    a column of times; unit_by_default: of forces, where neither the header nor force_unit tells one
+    decimal: "." or ","; time_unit, force_unit: instead of those in the header; sample: (s) between
+    rows, instead of a column of times; unit_by_default: of forces, where neither the header nor
+    force_unit tells one
     """
 
     decimal: str | None = None
@@ -42,8 +53,9 @@ class TableOptions:
 
 @dataclass(frozen=True)
 class Field:
-    """A column of the text. name: never empty; values: [R], nan where there is none, as written in its unit;
-    decimals: most decimal places; is_clock: (s) since midnight."""
+    """A column of the text. name: never empty; values: [R], nan where there is none, as written in
+    its unit; decimals: most decimal places; is_clock: (s) since midnight.
+    """
 
     name: str
     unit: Unit
@@ -56,7 +68,9 @@ class Field:
     @property
     def is_counter(self) -> bool:
         """Whether it numbers the rows."""
-        return len(self.values) > 1 and bool((np.diff(self.values) == 1.0).all() and self.values[0] == int(self.values[0]))
+        return len(self.values) > 1 and bool(
+            (np.diff(self.values) == 1.0).all() and self.values[0] == int(self.values[0])
+        )
 
     @property
     def rises(self) -> bool:
@@ -89,7 +103,9 @@ def read_fields(path: Path, layout: Layout, options: TableOptions) -> tuple[list
 
 
 def _refuse_split_numbers(path: Path, layout: Layout, numbers: Sequence[Sequence[str]]) -> None:
-    """Raises where commas that separate cells were decimal signs: "0,001,0,5" has cells such as 001."""
+    """Raises where commas that separate cells were decimal signs: "0,001,0,5" has cells such as
+    001.
+    """
     for column in numbers[1:]:
         odd = [cell for cell in column if re.fullmatch(r"0\d+", cell)]
         if len(odd) > 0.5 * len(column):
@@ -108,7 +124,9 @@ def _is_clock(cells: Sequence[str]) -> bool:
     return bool(some) and all(clock_seconds(cell) is not None for cell in some)
 
 
-def _field(path: Path, layout: Layout, k: int, cells: Sequence[str], clock: bool, signs: Signs) -> Field:
+def _field(
+    path: Path, layout: Layout, k: int, cells: Sequence[str], clock: bool, signs: Signs
+) -> Field:
     name, written = layout.header.names[k], layout.header.units[k]
     unit = unit_named(written) if written else unit_in_name(name)
     quantity, shown = quantity_named(name), name or f"column {k + 1}"
@@ -134,7 +152,9 @@ def _field(path: Path, layout: Layout, k: int, cells: Sequence[str], clock: bool
 
 
 def find_roles(path: Path, layout: Layout, fields: Sequence[Field], options: TableOptions) -> Roles:
-    """Which columns are times and which are forces. Raises `BadInput` where the table does not tell."""
+    """Which columns are times and which are forces. Raises `BadInput` where the table does not
+    tell.
+    """
     full = [k for k, f in enumerate(fields) if np.isfinite(f.values).any()]
     times = _times(fields, full)
     if options.sample is not None:
@@ -155,11 +175,18 @@ def find_roles(path: Path, layout: Layout, fields: Sequence[Field], options: Tab
             f"{path}: no column of forces among {_listed(fields, rest) or 'its columns'}; a unit must be one of {KNOWN}; "
             "write it there, or give --force-unit"
         )
-    return Roles(times, _forces(path, layout, fields, [k for k in rest if _may_be_force(fields[k], options)], options))
+    return Roles(
+        times,
+        _forces(
+            path, layout, fields, [k for k in rest if _may_be_force(fields[k], options)], options
+        ),
+    )
 
 
 def _times(fields: Sequence[Field], full: Sequence[int]) -> list[int]:
-    """Columns of times: by name or unit, without any the first that goes up evenly; and all that go up like one of them."""
+    """Columns of times: by name or unit, without any the first that goes up evenly; and all that go
+    up like one of them.
+    """
     times = [k for k in full if _is_time(fields[k])]
     if any(not fields[k].is_clock for k in times):
         times = [k for k in times if not fields[k].is_clock]
@@ -171,8 +198,14 @@ def _times(fields: Sequence[Field], full: Sequence[int]) -> list[int]:
 
 
 def _is_time_beside(column: Field, time: Field) -> bool:
-    """Whether a column without a name that says so holds times, too: it equals those of `time`, or goes up as evenly."""
-    if column.quantity not in ("", "date") or column.unit.kind not in ("none", "time") or not column.rises:
+    """Whether a column without a name that says so holds times, too: it equals those of `time`, or
+    goes up as evenly.
+    """
+    if (
+        column.quantity not in ("", "date")
+        or column.unit.kind not in ("none", "time")
+        or not column.rises
+    ):
         return False
     ratio = np.nanmean(np.diff(column.values)) / np.nanmean(np.diff(time.values))
     is_same = np.array_equal(column.values, time.values, equal_nan=True)
@@ -189,27 +222,39 @@ def _is_time(column: Field) -> bool:
 
 def _may_be_force(column: Field, options: TableOptions) -> bool:
     """Whether name, unit and values are not those of another quantity or of the number of a row."""
-    if column.quantity in ("other", "date", "time") or column.quantity == "index" and column.unit.kind != "force":
+    if (
+        column.quantity in ("other", "date", "time")
+        or column.quantity == "index"
+        and column.unit.kind != "force"
+    ):
         return False
     if column.is_counter and column.quantity not in ("force", "weight"):
         return False
     return options.force_unit is not None or column.unit.kind not in ("time", "other")
 
 
-def _forces(path: Path, layout: Layout, fields: Sequence[Field], able: Sequence[int], options: TableOptions) -> list[int]:
-    """Columns of forces: those in units of force, else of weight, else without a unit; with `force_unit` all of them."""
+def _forces(
+    path: Path, layout: Layout, fields: Sequence[Field], able: Sequence[int], options: TableOptions
+) -> list[int]:
+    """Columns of forces: those in units of force, else of weight, else without a unit; with
+    `force_unit` all of them.
+    """
     if options.force_unit is not None:
         return [k for k in able if fields[k].quantity in ("force", "weight")] or list(able)
-    of = lambda kind: [k for k in able if fields[k].unit.kind == kind]  # noqa: E731
+    of = lambda kind: [k for k in able if fields[k].unit.kind == kind]
     weights = _without_axes(fields, of("mass"))
-    chosen = of("force") or [k for k in weights if fields[k].quantity in ("force", "weight")] or weights
+    chosen = (
+        of("force") or [k for k in weights if fields[k].quantity in ("force", "weight")] or weights
+    )
     for k in of("unknown"):
         if not chosen or fields[k].quantity in ("force", "weight"):
             raise _unknown_unit(path, fields[k], "force")
     plain = [] if chosen else [k for k in of("none") if not fields[k].rises]
     chosen = chosen or [k for k in plain if fields[k].quantity in ("force", "weight")] or plain
     if not chosen:
-        raise BadInput(f"{path}: no column of forces among {_listed(fields, able)}; a unit must be one of {KNOWN}")
+        raise BadInput(
+            f"{path}: no column of forces among {_listed(fields, able)}; a unit must be one of {KNOWN}"
+        )
     for k in plain:
         _refuse_untold(path, layout, fields[k])
     return chosen
@@ -217,14 +262,21 @@ def _forces(path: Path, layout: Layout, fields: Sequence[Field], able: Sequence[
 
 def _without_axes(fields: Sequence[Field], columns: list[int]) -> list[int]:
     """Columns in g, unless their names are the axes x, y and z of an accelerometer."""
-    axes = {re.sub(r"[^xyz]", "", fields[k].name.split("(")[0].split("[")[0].lower())[-1:] for k in columns}
+    axes = {
+        re.sub(r"[^xyz]", "", fields[k].name.split("(")[0].split("[")[0].lower())[-1:]
+        for k in columns
+    }
     return [] if {"x", "y", "z"} <= axes else columns
 
 
 def _refuse_untold(path: Path, layout: Layout, column: Field) -> None:
-    """Raises where a unit is told neither by the header nor by what newtons would be: weights, and a unit above."""
+    """Raises where a unit is told neither by the header nor by what newtons would be: weights, and
+    a unit above.
+    """
     if column.quantity == "weight":
-        raise BadInput(f"{path}: {column.name!r} has no unit; write it there, as in '{column.name} [g]', or give --force-unit")
+        raise BadInput(
+            f"{path}: {column.name!r} has no unit; write it there, as in '{column.name} [g]', or give --force-unit"
+        )
     for text in layout.preamble:
         is_named = re.search(r"\b(units?|einheit(en)?|unit[ée]s?|unidad(es)?)\b", text, re.I)
         if is_named or unit_in_name(text).kind in ("force", "mass"):
@@ -246,9 +298,16 @@ def _listed(fields: Sequence[Field], columns: Sequence[int]) -> str:
 
 
 def find_time(path: Path, fields: Sequence[Field], times: Sequence[int], force: int) -> int:
-    """The column of times that belongs to a column of forces: the only one, else the next to its left. Raises `BadInput`."""
-    factor = lambda k: fields[k].unit.factor  # noqa: E731
-    if all(np.allclose(fields[k].values * factor(k), fields[times[0]].values * factor(times[0]), 1e-9, 0, True) for k in times):
+    """The column of times that belongs to a column of forces: the only one, else the next to its
+    left. Raises `BadInput`.
+    """
+    factor = lambda k: fields[k].unit.factor
+    if all(
+        np.allclose(
+            fields[k].values * factor(k), fields[times[0]].values * factor(times[0]), 1e-9, 0, True
+        )
+        for k in times
+    ):
         return times[0]
     left = [k for k in times if k < force]
     if not left or any(b == a + 1 for a, b in zip(times, times[1:], strict=False)):

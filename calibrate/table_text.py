@@ -1,4 +1,6 @@
-"""The text of a table: its encoding, what separates its cells, which lines are rows and which the header."""
+"""The text of a table: its encoding, what separates its cells, which lines are rows and which the
+header.
+"""
 
 import csv
 import re
@@ -10,7 +12,8 @@ from calibrate.errors import BadInput
 from calibrate.number_text import PLAIN, clock_seconds, is_date, is_missing, is_number, tidy
 from calibrate.units import is_bare_unit, quantity_named, unit_named
 
-SEPARATORS = (";", "\t", "|", ",", "")  # the last: spaces; of those that read as many rows the first is taken
+SEPARATORS = (";", "\t", "|", ",", "")  # the last: spaces; of those that read as many rows the
+# first is taken
 PROBED = 2000  # lines from which the separator is found
 BINARY = {
     b"PK\x03\x04": "an Excel workbook or another packed file",
@@ -39,7 +42,9 @@ class Line:
 
 @dataclass(frozen=True)
 class TableHeader:
-    """Names and units of the columns as written, "" where nothing is; line: of the first of both, None without."""
+    """Names and units of the columns as written, "" where nothing is; line: of the first of both,
+    None without.
+    """
 
     names: list[str]
     units: list[str]
@@ -50,8 +55,8 @@ class TableHeader:
 class Layout:
     """How the lines of a table are read.
 
-    separator: "" for spaces; rows: [R][C] tidy cells; numbers: [R] their lines; header: of C columns;
-    preamble: the lines before it; before: their number, with blank ones
+    separator: "" for spaces; rows: [R][C] tidy cells; numbers: [R] their lines; header: of C
+    columns; preamble: the lines before it; before: their number, with blank ones
     """
 
     separator: str
@@ -77,7 +82,9 @@ def read_lines(path: Path) -> list[Line]:
 
 
 def _decode(raw: bytes) -> str | None:
-    """The text of bytes: UTF-8, UTF-16 with or without a mark of the byte order, else Windows' Western European."""
+    """The text of bytes: UTF-8, UTF-16 with or without a mark of the byte order, else Windows'
+    Western European.
+    """
     if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
         encodings = ["utf-16"]
     elif b"\0" in raw[:200]:
@@ -93,9 +100,18 @@ def _decode(raw: bytes) -> str | None:
 
 
 def _join_quoted(texts: list[str]) -> list[str]:
-    """The lines, where those of one name in quotation marks, as "Force<line break>[N]", are in the first of them."""
+    """The lines, where those of one name in quotation marks, as "Force<line break>[N]", are in the
+    first of them.
+    """
     for n in range(min(len(texts), HEAD)):
-        last = next((k for k in range(n + 1, min(n + 12, len(texts))) if '"' in texts[k] and texts[k].count('"') % 2), None)
+        last = next(
+            (
+                k
+                for k in range(n + 1, min(n + 12, len(texts)))
+                if '"' in texts[k] and texts[k].count('"') % 2
+            ),
+            None,
+        )
         if texts[n].count('"') % 2 and last is not None:
             joined = " ".join(texts[n : last + 1])
             texts[n : last + 1] = [joined] + [""] * (last - n)
@@ -111,7 +127,8 @@ def split_cells(line: str, separator: str) -> list[str]:
     wide = [cell for cell in re.split(r"\s{2,}|\t", line) if cell]
     if len(wide) > 1 and any(" " in cell for cell in wide):
         return [cell.strip("\"'") for cell in wide]
-    line = re.sub(r"(?<=[^\s\])])\s+(?=[\[(][^\s\])]*[\])])", "\0", line)  # a unit belongs to its name
+    line = re.sub(r"(?<=[^\s\])])\s+(?=[\[(][^\s\])]*[\])])", "\0", line)  # a unit belongs to its
+    # name
     return [cell.replace("\0", " ") for cell in _parse_quoted(line, " ") if cell]
 
 
@@ -122,11 +139,14 @@ def _parse_quoted(line: str, separator: str) -> list[str]:
         return [line]
 
 
-def find_layout(path: Path, lines: Sequence[Line], separator: str | None = None, least: int = 2) -> Layout:
-    """How `lines` are to be read: by the separator by which most of them are rows of at least `least` values.
+def find_layout(
+    path: Path, lines: Sequence[Line], separator: str | None = None, least: int = 2
+) -> Layout:
+    """How `lines` are to be read: by the separator by which most of them are rows of at least
+    `least` values.
 
-    Raises `BadInput` where there are none, where a line below the first row is none, and where the header has
-    not as many cells as the rows.
+    Raises `BadInput` where there are none, where a line below the first row is none, and where the
+    header has not as many cells as the rows.
     """
     lines = list(lines)
     if lines and (found := re.match(r"^\"?sep=(.)\"?\s*$", lines[0].text, re.I)):  # of Excel
@@ -157,7 +177,9 @@ def _count_rows(lines: Sequence[Line], separator: str, least: int) -> int:
 
 
 def _find_rows(lines: Sequence[Line], separator: str) -> tuple[int, list[list[str]]]:
-    """Index of the first of the first lines that are rows of as many values, and the cells of all of these."""
+    """Index of the first of the first lines that are rows of as many values, and the cells of all
+    of these.
+    """
     first, rows = 0, list[list[str]]()
     for n, line in enumerate(lines):
         cells = _read_row(line.text, separator)
@@ -177,10 +199,14 @@ def _read_row(line: str, separator: str) -> list[str] | None:
     if len(written) > 1 and all(PLAIN.match(cell) for cell in written):
         return written
     cells = [tidy(cell) for cell in written]
-    if separator == "," and any(re.search(r"\d \d", cell) and is_number(t) for cell, t in zip(written, cells, strict=True)):
+    if separator == "," and any(
+        re.search(r"\d \d", cell) and is_number(t) for cell, t in zip(written, cells, strict=True)
+    ):
         return None  # "0,001 500,25": spaces between columns, not between thousands
     found = [is_number(cell) or clock_seconds(cell) is not None for cell in cells]
-    if not any(found) or not all(ok or is_missing(c) or is_date(c) for ok, c in zip(found, cells, strict=True)):
+    if not any(found) or not all(
+        ok or is_missing(c) or is_date(c) for ok, c in zip(found, cells, strict=True)
+    ):
         return None
     return cells
 
@@ -200,11 +226,17 @@ def _without_end(cells: Sequence[str]) -> list[str]:
 def _unlike_rows(path: Path, line: Line, separator: str, count: int) -> BadInput:
     hint = COMMAS if separator == "," and _read_row(line.text, separator) is not None else ""
     shown = repr(line.text.strip()[:60])
-    return BadInput(f"{path}: line {line.number}: {shown}: must be {count} numbers, as in the lines above{hint}")
+    return BadInput(
+        f"{path}: line {line.number}: {shown}: must be {count} numbers, as in the lines above{hint}"
+    )
 
 
-def _find_header(path: Path, above: Sequence[Line], separator: str, rows: Sequence[Sequence[str]]) -> TableHeader:
-    """Names and units of the columns: units may stand in the names, or in a line of their own below or above them."""
+def _find_header(
+    path: Path, above: Sequence[Line], separator: str, rows: Sequence[Sequence[str]]
+) -> TableHeader:
+    """Names and units of the columns: units may stand in the names, or in a line of their own below
+    or above them.
+    """
     most, count = max(map(len, rows)), max(len(_without_end(row)) for row in rows)
     lines = [(line, _header_cells(line, separator)) for line in reversed(above[-HEADER_LINES:])]
     if not lines:
@@ -212,12 +244,21 @@ def _find_header(path: Path, above: Sequence[Line], separator: str, rows: Sequen
     nearest, cells = lines[0]
     numbered = _begins_with_number(cells, rows, count)
     if not (numbered or count <= len(cells) <= most or len(_without_end(cells)) == count):
-        is_remark = len(cells) < 2 or nearest.then_blank or nearest.text.lstrip()[:1] in ("#", "%") or ": " in nearest.text
+        is_remark = (
+            len(cells) < 2
+            or nearest.then_blank
+            or nearest.text.lstrip()[:1] in ("#", "%")
+            or ": " in nearest.text
+        )
         if is_remark:
             return TableHeader([], [])
         raise BadInput(
             f"{path}: line {nearest.number}: {nearest.text.strip()[:60]!r} has {len(cells)} cells, the rows below have {count}"
-            + (COMMAS if separator == "," else ": name each column, or put a blank line below what is no header")
+            + (
+                COMMAS
+                if separator == ","
+                else ": name each column, or put a blank line below what is no header"
+            )
         )
     cells = cells[: max(count, len(_without_end(cells)))]
     group = []
@@ -225,12 +266,20 @@ def _find_header(path: Path, above: Sequence[Line], separator: str, rows: Sequen
         if len(other) != len(cells):
             break
         group.append((line, other))
-    at = next((k for k, (_, row) in enumerate(group) if _are_units(row, [r for _, r in group], k)), None)
+    at = next(
+        (k for k, (_, row) in enumerate(group) if _are_units(row, [r for _, r in group], k)), None
+    )
     names = 0 if at is None else at + 1 if at + 1 < len(group) else at - 1
     row = group[names][1] if names >= 0 else [""] * len(cells)
-    units = [""] * len(cells) if at is None else [_bare(u) if u != n else "" for u, n in zip(group[at][1], row, strict=True)]
+    units = (
+        [""] * len(cells)
+        if at is None
+        else [_bare(u) if u != n else "" for u, n in zip(group[at][1], row, strict=True)]
+    )
     top = min(group[max(names, 0)][0].number, group[at or 0][0].number)
-    return TableHeader(["no", *row], ["", *units], top) if numbered else TableHeader(row, units, top)
+    return (
+        TableHeader(["no", *row], ["", *units], top) if numbered else TableHeader(row, units, top)
+    )
 
 
 def _header_cells(line: Line, separator: str) -> list[str]:
@@ -238,7 +287,9 @@ def _header_cells(line: Line, separator: str) -> list[str]:
 
 
 def _begins_with_number(cells: Sequence[str], rows: Sequence[Sequence[str]], count: int) -> bool:
-    """Whether the header has one cell fewer than the rows, which begin with their number, as tables of R do."""
+    """Whether the header has one cell fewer than the rows, which begin with their number, as tables
+    of R do.
+    """
     first = rows[0][0]
     if len(cells) != count - 1 or len(cells) < 2 or not first.isdigit():
         return False
@@ -246,13 +297,21 @@ def _begins_with_number(cells: Sequence[str], rows: Sequence[Sequence[str]], cou
 
 
 def _are_units(cells: Sequence[str], group: Sequence[Sequence[str]], k: int) -> bool:
-    """Whether the k-th line of the header from below holds units: a known one, and nothing that names a quantity."""
+    """Whether the k-th line of the header from below holds units: a known one, and nothing that
+    names a quantity.
+    """
     names = group[k + 1] if k + 1 < len(group) else [""] * len(cells)
     known = [is_bare_unit(cell) for cell in cells]
     if len(group) == 1:
-        return all(ok or unit_named(cell).kind == "none" for ok, cell in zip(known, cells, strict=True)) and any(known)
-    others = [cell for ok, cell, name in zip(known, cells, names, strict=True) if not ok and cell != name]
-    return any(known) and not any(quantity_named(c) or len(c) > 12 or unit_named(c).kind == "none" and c for c in others)
+        return all(
+            ok or unit_named(cell).kind == "none" for ok, cell in zip(known, cells, strict=True)
+        ) and any(known)
+    others = [
+        cell for ok, cell, name in zip(known, cells, names, strict=True) if not ok and cell != name
+    ]
+    return any(known) and not any(
+        quantity_named(c) or len(c) > 12 or unit_named(c).kind == "none" and c for c in others
+    )
 
 
 def _bare(cell: str) -> str:

@@ -17,8 +17,10 @@ QUIET_MARGIN = 0.01  # s before a tap that do not count as quiet
 
 
 class Oscillation(NamedTuple):
-    """The signal after a tap. name: of the signal and the tap. load: (kg) in the bucket. values: (g) from the tap on, at the rate
-    of the signal. quiet: (g) before the tap, where it is the first; may be empty."""
+    """The signal after a tap. name: of the signal and the tap. load: (kg) in the bucket. values:
+    (g) from the tap on, at the rate of the signal. quiet: (g) before the tap, where it is the
+    first; may be empty.
+    """
 
     name: str
     load: float
@@ -34,8 +36,8 @@ def find_taps(signal: np.ndarray, interval: float) -> np.ndarray:
         interval: (s) between samples.
 
     Returns:
-        [n]: where steps from sample to sample become larger than before by far; 0 for a signal that begins with its largest
-        steps, as one does that a logger records from the tap on.
+        [n]: where steps from sample to sample become larger than before by far; 0 for a signal that
+        begins with its largest steps, as one does that a logger records from the tap on.
     """
     steps = np.square(np.diff(signal))
     after, apart = max(FEWEST, round(AFTER / interval)), max(1, round(APART / interval))
@@ -50,7 +52,9 @@ def find_taps(signal: np.ndarray, interval: float) -> np.ndarray:
     for k in np.argsort(-ratio, kind="stable").tolist():
         if ratio[k] < RISE**2:
             break
-        if later[k] >= WEAKEST**2 * later.max() and all(abs(place[k] - tap) >= apart for tap in taps):
+        if later[k] >= WEAKEST**2 * later.max() and all(
+            abs(place[k] - tap) >= apart for tap in taps
+        ):
             taps.append(int(place[k]))
     quarter = max(1, len(steps) // 4)
     if not taps and steps[:quarter].mean() > RISE**2 * steps[-quarter:].mean():
@@ -79,10 +83,21 @@ def find_oscillations(
         own = []
         for k, (start, end) in enumerate(zip(taps, np.append(taps[1:], len(signal)), strict=False)):
             values = signal[start : min(end - round(QUIET_MARGIN / interval), start + most)]
-            quiet = signal[: max(0, start - round(QUIET_MARGIN / interval))] if k == 0 else signal[:0]
+            quiet = (
+                signal[: max(0, start - round(QUIET_MARGIN / interval))] if k == 0 else signal[:0]
+            )
             if len(values) >= least:
-                own.append(Oscillation(f"{name}, tap {k + 1}", load, values, quiet if len(quiet) >= least else quiet[:0]))
+                own.append(
+                    Oscillation(
+                        f"{name}, tap {k + 1}",
+                        load,
+                        values,
+                        quiet if len(quiet) >= least else quiet[:0],
+                    )
+                )
         if not own:
-            raise BadInput(f"{name}: no tap: allowed: a signal that rises at once and then rings for {SHORTEST:g} s or more")
+            raise BadInput(
+                f"{name}: no tap: allowed: a signal that rises at once and then rings for {SHORTEST:g} s or more"
+            )
         found += own
     return found

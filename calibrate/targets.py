@@ -1,4 +1,6 @@
-"""The traces that the Product Model is fitted to: from HDF5 ensembles and runs, tables of text, or arrays."""
+"""The traces that the Product Model is fitted to: from HDF5 ensembles and runs, tables of text, or
+arrays.
+"""
 
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -25,12 +27,11 @@ QUIET = 8  # samples before the first impact from which the zero of a trace is t
 class Target:
     """One measured trace.
 
-    time: [T] (s) after the release, ends of the sample intervals, equidistant; force: [T] (N) means over them,
-    downward positive
-    m_piece: (kg) weight of one piece, their mean where they differ; pieces: number of pieces
-    height_offset: (m) known deviation of this trace's mean drop height from the others'; gravity: (m/s2); name: for messages
-    assumed: which units the source does not tell, of "time" and "force"; from_release: False where times do not count
-    from the release
+    time: [T] (s) after the release, ends of the sample intervals, equidistant; force: [T] (N) means
+    over them, downward positive m_piece: (kg) weight of one piece, their mean where they differ;
+    pieces: number of pieces height_offset: (m) known deviation of this trace's mean drop height
+    from the others'; gravity: (m/s2); name: for messages assumed: which units the source does not
+    tell, of "time" and "force"; from_release: False where times do not count from the release
     """
 
     time: np.ndarray
@@ -63,7 +64,9 @@ class Target:
         """(N) mean force before the first impact; None where the trace has no such part."""
         start = float(np.median(self.force[:QUIET]))
         before = int(np.argmax(np.abs(self.force - start) > ONSET * (self.force.max() - start)))
-        return float(np.mean(self.force[: max(int(0.9 * before), QUIET)])) if before >= QUIET else None
+        return (
+            float(np.mean(self.force[: max(int(0.9 * before), QUIET)])) if before >= QUIET else None
+        )
 
     @property
     def end(self) -> float:
@@ -81,8 +84,8 @@ def target(
     gravity: float = 9.81,
     name: str = "trace",
 ) -> Target:
-    """A checked `Target`. Raises `BadInput`: empty, different lengths, NaN, time not increasing or not
-    equidistant, mass, pieces.
+    """A checked `Target`. Raises `BadInput`: empty, different lengths, NaN, time not increasing or
+    not equidistant, mass, pieces.
     """
     time, force = np.asarray(time, np.float64), np.asarray(force, np.float64)
     if time.ndim != 1 or force.shape != time.shape:
@@ -90,12 +93,18 @@ def target(
     if len(time) < 16:
         raise BadInput(f"{name}: {len(time)} samples; at least 16 are needed")
     if not (np.isfinite(time).all() and np.isfinite(force).all()):
-        raise BadInput(f"{name}: sample {int(np.argmin(np.isfinite(time) & np.isfinite(force)))} is not finite")
+        raise BadInput(
+            f"{name}: sample {int(np.argmin(np.isfinite(time) & np.isfinite(force)))} is not finite"
+        )
     steps = np.diff(time)
     if (steps <= 0).any():
-        raise BadInput(f"{name}: time must increase, and does not at sample {int(np.argmax(steps <= 0)) + 1}")
+        raise BadInput(
+            f"{name}: time must increase, and does not at sample {int(np.argmax(steps <= 0)) + 1}"
+        )
     if (np.abs(steps - steps.mean()) > 1e-3 * steps.mean()).any():
-        raise BadInput(f"{name}: time must be equidistant; its steps lie between {steps.min():g} and {steps.max():g} s")
+        raise BadInput(
+            f"{name}: time must be equidistant; its steps lie between {steps.min():g} and {steps.max():g} s"
+        )
     if not (np.isfinite(m_piece) and m_piece > 0):
         raise BadInput(f"m_piece = {m_piece:g}: must be greater than 0 (kg)")
     if pieces < 1:
@@ -104,7 +113,9 @@ def target(
         raise BadInput(
             f"{name}: the force is nowhere positive; that of the pieces on the bucket counts as positive: reverse its sign"
         )
-    return Target(time, force, float(m_piece), int(pieces), float(height_offset), float(gravity), name)
+    return Target(
+        time, force, float(m_piece), int(pieces), float(height_offset), float(gravity), name
+    )
 
 
 def read(
@@ -119,14 +130,16 @@ def read(
     """All traces of one file.
 
     Args:
-        path: an HDF5 file with a run, or an ensemble with a leading run axis, in the layout of the discrete element runs;
+        path: an HDF5 file with a run, or an ensemble with a leading run axis, in the layout of the
+        discrete element runs;
             or a table of any program as text, or a LabVIEW measurement (`csv_table`).
-        m_piece: (kg) of one piece. Default: from the file, which a table does not tell; the mean where pieces differ.
-        pieces: number of pieces of all traces, or of each. Default: from the file, which a table does not tell.
-        group: wall group of an HDF5 file whose mean force is read. Default: wb_flaps, or the only one there is.
-        tell: called with one line that says how a table was understood, or by how much the pieces of a file differ in weight.
-        table: what a table does not tell itself, as its units.
-        tare: whether the mean force before the first impact is subtracted from each trace.
+        m_piece: (kg) of one piece. Default: from the file, which a table does not tell; the mean
+        where pieces differ. pieces: number of pieces of all traces, or of each. Default: from the
+        file, which a table does not tell. group: wall group of an HDF5 file whose mean force is
+        read. Default: wb_flaps, or the only one there is. tell: called with one line that says how
+        a table was understood, or by how much the pieces of a file differ in weight. table: what a
+        table does not tell itself, as its units. tare: whether the mean force before the first
+        impact is subtracted from each trace.
 
     Returns:
         A `Target` for each trace.
@@ -141,7 +154,11 @@ def read(
     try:
         with open(path, "rb") as file:
             is_hdf5 = file.read(8) == HDF5 or path.suffix.lower() in (".h5", ".hdf5")
-        found = _read_hdf5(path, m_piece, pieces, group, said) if is_hdf5 else _read_table(path, m_piece, pieces, said, table)
+        found = (
+            _read_hdf5(path, m_piece, pieces, group, said)
+            if is_hdf5
+            else _read_table(path, m_piece, pieces, said, table)
+        )
     except OSError as error:
         raise BadInput(f"{path}: cannot be read ({error.strerror or error})") from None
     for line in said:
@@ -150,9 +167,13 @@ def read(
 
 
 def subtract_zero(trace: Target) -> Target:
-    """`trace` less its mean force before the first impact. Raises `BadInput` where it has no such part."""
+    """`trace` less its mean force before the first impact. Raises `BadInput` where it has no such
+    part.
+    """
     if trace.zero is None:
-        raise BadInput(f"tare: {trace.name} has fewer than {QUIET} quiet samples before its first impact")
+        raise BadInput(
+            f"tare: {trace.name} has fewer than {QUIET} quiet samples before its first impact"
+        )
     return replace(trace, force=trace.force - trace.zero)
 
 
@@ -160,7 +181,9 @@ def _each(path: Path, pieces: int | Sequence[int], count: int) -> Iterator[int]:
     """The number of pieces of each of `count` traces."""
     numbers = [pieces] if isinstance(pieces, int | np.integer) else list(pieces)
     if len(numbers) not in (1, count):
-        raise BadInput(f"{path}: pieces: {len(numbers)} numbers for {count} traces; must be one, or one for each")
+        raise BadInput(
+            f"{path}: pieces: {len(numbers)} numbers for {count} traces; must be one, or one for each"
+        )
     return iter(numbers * count if len(numbers) == 1 else numbers)
 
 
@@ -178,7 +201,10 @@ def _read_table(
     table = read_table(path, options)
     said.append(table.said)
     numbers = _each(path, pieces, len(table.columns))
-    return [_column_target(path, column, m_piece, n) for column, n in zip(table.columns, numbers, strict=True)]
+    return [
+        _column_target(path, column, m_piece, n)
+        for column, n in zip(table.columns, numbers, strict=True)
+    ]
 
 
 def _column_target(path: Path, column: Column, m_piece: float, pieces: int) -> Target:
@@ -187,7 +213,11 @@ def _column_target(path: Path, column: Column, m_piece: float, pieces: int) -> T
 
 
 def _read_hdf5(
-    path: Path, m_piece: float | None, pieces: int | Sequence[int] | None, group: str | None, said: list[str]
+    path: Path,
+    m_piece: float | None,
+    pieces: int | Sequence[int] | None,
+    group: str | None,
+    said: list[str],
 ) -> list[Target]:
     import h5py
 
@@ -216,7 +246,9 @@ def _read_hdf5(
 
 
 def _stored_counts(attrs: Mapping[str, Any], count: int | None) -> Any:
-    """The number of pieces of all runs, or a list of that of each, as the file has it; count: of those whose poses it has."""
+    """The number of pieces of all runs, or a list of that of each, as the file has it; count: of
+    those whose poses it has.
+    """
     try:
         counts = json.loads(str(attrs.get("info", "{}"))).get("piece_counts")
     except (ValueError, AttributeError):
@@ -224,8 +256,12 @@ def _stored_counts(attrs: Mapping[str, Any], count: int | None) -> Any:
     return counts or attrs.get("piece_count", count)
 
 
-def _masses(path: Path, attrs: dict[str, Any], m_piece: float | None, runs: int, said: list[str]) -> list[float]:
-    """(kg) of a piece of each run, the mean of those that the file tells; `said` gets a line where they differ."""
+def _masses(
+    path: Path, attrs: dict[str, Any], m_piece: float | None, runs: int, said: list[str]
+) -> list[float]:
+    """(kg) of a piece of each run, the mean of those that the file tells; `said` gets a line where
+    they differ.
+    """
     if m_piece is not None:
         return [m_piece] * runs
     rows = stored_masses(path, attrs, runs)
@@ -245,17 +281,24 @@ def _masses(path: Path, attrs: dict[str, Any], m_piece: float | None, runs: int,
 
 
 def stored_masses(path: Path, attrs: Mapping[str, Any], runs: int) -> list[np.ndarray] | None:
-    """(kg) of the pieces of each run as the file's attribute info has them, one where all are alike; None: it has none."""
+    """(kg) of the pieces of each run as the file's attribute info has them, one where all are
+    alike; None: it has none.
+    """
     try:
         found = json.loads(str(attrs.get("info", "{}"))).get("piece_masses")
         if found is None:
             return None
         rows = [np.asarray(row, np.float64) for row in (found if np.ndim(found[0]) else [found])]
-        if not all(row.ndim == 1 and len(row) and np.isfinite(row).all() and (row > 0).all() for row in rows):
+        if not all(
+            row.ndim == 1 and len(row) and np.isfinite(row).all() and (row > 0).all()
+            for row in rows
+        ):
             raise ValueError("masses must be greater than 0")
         return [rows[k if len(rows) > 1 else 0] for k in range(runs)]
     except (ValueError, TypeError, AttributeError, LookupError) as error:
-        raise BadInput(f"{path}: piece_masses of its attribute info cannot be read ({error})") from None
+        raise BadInput(
+            f"{path}: piece_masses of its attribute info cannot be read ({error})"
+        ) from None
 
 
 def _group(path: Path, groups: list[str], group: str | None) -> str:
@@ -263,12 +306,14 @@ def _group(path: Path, groups: list[str], group: str | None) -> str:
         return group
     if group is None and (GROUP in groups or len(groups) == 1):
         return GROUP if GROUP in groups else groups[0]
-    raise BadInput(f"{path}: group = {group or GROUP}: has {', '.join(groups)}; choose one with --group")
+    raise BadInput(
+        f"{path}: group = {group or GROUP}: has {', '.join(groups)}; choose one with --group"
+    )
 
 
 def rebin(trace: Target, start: float, sample: float, samples: int) -> np.ndarray:
-    """Mean force [samples] (N) over intervals of `sample` from `start`, by the integral of the trace: exact for
-    nested grids.
+    """Mean force [samples] (N) over intervals of `sample` from `start`, by the integral of the
+    trace: exact for nested grids.
     """
     edges = np.concatenate([[trace.time[0] - trace.sample], trace.time])
     impulse = np.concatenate([[0.0], np.cumsum(trace.force) * trace.sample])

@@ -6,13 +6,15 @@ import numpy as np
 
 from calibrate.errors import BadInput
 
-COARSEST = 3e-3  # of the length of a trace: unit of the last digit up to which written times may be even
+COARSEST = 3e-3  # of the length of a trace: unit of the last digit up to which written times may be
+# even
 EVEN = 1e-3  # of a step: by how much even steps may differ
 GAPS = 0.02  # share of the steps: fewer that differ from all others are gaps, not rounding
 
 
 def even_times(time: np.ndarray, decimals: int, at: Callable[[int], tuple[str, str]]) -> np.ndarray:
-    """Even times [T] where `time` [T] is even but for rounding to `decimals` places; else `time` itself.
+    """Even times [T] where `time` [T] is even but for rounding to `decimals` places; else `time`
+    itself.
 
     Args:
         time: as written, in any unit.
@@ -20,7 +22,8 @@ def even_times(time: np.ndarray, decimals: int, at: Callable[[int], tuple[str, s
         at: place (file, line and column) and cell of an index, for messages.
 
     Raises:
-        BadInput: times that go back, that repeat although their digits would tell them apart, or with gaps.
+        BadInput: times that go back, that repeat although their digits would tell them apart, or
+        with gaps.
     """
     steps = np.diff(time)
     if len(time) < 3 or (steps > 0).all() and np.ptp(steps) <= EVEN * steps.mean():
@@ -30,15 +33,24 @@ def even_times(time: np.ndarray, decimals: int, at: Callable[[int], tuple[str, s
     odd = np.abs(steps - np.median(steps)) > 0.5 * last_digit
     is_rounded = odd.mean() >= GAPS if odd.any() else (steps > 0).all()
     is_fine = last_digit <= COARSEST * np.ptp(time)
-    if (steps >= 0).all() and is_rounded and is_fine and np.ptp(time - even) <= 1.001 * max(last_digit, _last_of_six(time)):
+    if (
+        (steps >= 0).all()
+        and is_rounded
+        and is_fine
+        and np.ptp(time - even) <= 1.001 * max(last_digit, _last_of_six(time))
+    ):
         offset = time - even
         return even + 0.5 * (offset.max() + offset.min())
     n = int(np.argmax(steps <= 0 if (steps <= 0).any() else np.abs(steps - np.median(steps)))) + 1
     (place, cell), (_, before) = at(n), at(n - 1)
     if time[n] == time[n - 1]:
-        raise BadInput(f"{place}: {cell} again: times must increase; give the time between rows with --sample S")
+        raise BadInput(
+            f"{place}: {cell} again: times must increase; give the time between rows with --sample S"
+        )
     if time[n] > time[n - 1]:
-        raise BadInput(f"{place}: {cell} after {before}: times must go up evenly, mostly by {np.median(steps):.6g}; fill the gap")
+        raise BadInput(
+            f"{place}: {cell} after {before}: times must go up evenly, mostly by {np.median(steps):.6g}; fill the gap"
+        )
     raise BadInput(
         f"{place}: {cell} after {before}: times must increase; sort rows by time, and put traces that follow each other "
         "into a column or a file each"

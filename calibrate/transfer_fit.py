@@ -1,4 +1,5 @@
-"""The extended model as a smooth function of the drop, learnt from many ensembles of simulated drops at once.
+"""The extended model as a smooth function of the drop, learnt from many ensembles of simulated
+drops at once.
 
 One set of coefficients (`product_model.transfer`) is fitted to all ensembles by Adam on the sum of
 their losses (`landing_loss`), each in its own units: directions of the parameters that one ensemble
@@ -45,7 +46,14 @@ TERMS = (
     "opening time x opening time", "restitution x restitution", "opening time x length",
     "opening time x restitution", "pieces x length",
 )  # fmt: skip
-LOST_BY = ("pieces", "length", "opening time", "elongation", "friction on the bucket", "friction between pieces")
+LOST_BY = (
+    "pieces",
+    "length",
+    "opening time",
+    "elongation",
+    "friction on the bucket",
+    "friction between pieces",
+)
 LOST_TERMS = (*LOST_BY, *(f"{a} x {b}" for a, b in combinations_with_replacement(LOST_BY, 2)))
 LEAST_LOST = 1e-3  # share of the opening time
 LOST_RIDGE = 0.1  # of the coefficients of the lost time
@@ -73,7 +81,9 @@ class Ensemble:
 
 @dataclass(frozen=True)
 class Lesson:
-    """An ensemble as the loss needs it. row: by which the coefficients are multiplied; fall_time: of `Ensemble`."""
+    """An ensemble as the loss needs it. row: by which the coefficients are multiplied; fall_time:
+    of `Ensemble`.
+    """
 
     name: str
     start: dict[str, float]
@@ -83,7 +93,9 @@ class Lesson:
     draws: LandingDraws
 
     def coordinates(self, rows: Rows) -> tuple[dict[str, jax.Array], dict[str, jax.Array]]:
-        """Coordinates of the parameters, and the slopes of that of h_mean, which follows from the others."""
+        """Coordinates of the parameters, and the slopes of that of h_mean, which follows from the
+        others.
+        """
         u = {name: jnp.asarray(self.start[name] + float(self.row @ rows[name])) for name in SCALED}
         draws = self.draws.z, self.draws.v, self.draws.numbers.release
         height, slopes = height_and_slopes(
@@ -98,10 +110,14 @@ class Lesson:
         data = tuple(jnp.asarray(part) for part in (of.summaries, of.centre, of.scale))
         value, slopes = loss_and_slope(u, u, self.draws, data, of.gravity, FREE, of.frame)
         whole = {name: slopes[name] + slopes["h_mean"] * by[name] for name in SCALED}
-        return float(value), {name: float(np.clip(np.nan_to_num(x), -10.0, 10.0)) for name, x in whole.items()}
+        return float(value), {
+            name: float(np.clip(np.nan_to_num(x), -10.0, 10.0)) for name, x in whole.items()
+        }
 
 
-def _height(u: Values, start: float, fall_time: float, gravity: float, *draws: jax.Array) -> jax.Array:
+def _height(
+    u: Values, start: float, fall_time: float, gravity: float, *draws: jax.Array
+) -> jax.Array:
     values = to_values(u | {"h_mean": jnp.asarray(start)})
     return jnp.log(solve_height(values, fall_time, gravity, *draws))
 
@@ -110,7 +126,9 @@ height_and_slopes = jax.jit(jax.value_and_grad(_height), static_argnums=3)
 
 
 def choose_frame(targets: Sequence[Target]) -> TraceFrame | None:
-    """One of few frames that holds the landing of `targets`, or None where they end before it is over."""
+    """One of few frames that holds the landing of `targets`, or None where they end before it is
+    over.
+    """
     landing = float(np.quantile([landing_time(trace) for trace in targets], 0.9))
     shortest = min(float(trace.time[-1]) - trace.first_impact for trace in targets)
     held = [window for window in WINDOWS if window <= shortest]
@@ -126,14 +144,24 @@ def empty_table(ensembles: Sequence[Ensemble], version: str) -> TransferTable:
     conditions = {}
     for name in found[0]:
         values = np.array([row[name] for row in found])
-        ends = [float(values.mean()), float(values.std()) or 1.0, float(values.min()), float(values.max())]
+        ends = [
+            float(values.mean()),
+            float(values.std()) or 1.0,
+            float(values.min()),
+            float(values.max()),
+        ]
         conditions[name] = ends
-    none = Coefficients({name: [0.0] * (1 + len(TERMS)) for name in SCALED}, [0.0] * (1 + len(LOST_TERMS)))
+    none = Coefficients(
+        {name: [0.0] * (1 + len(TERMS)) for name in SCALED}, [0.0] * (1 + len(LOST_TERMS))
+    )
     return TransferTable(version, conditions, list(TERMS), list(LOST_TERMS), none)
 
 
-def learn_lost_time(ensembles: Sequence[Ensemble], table: TransferTable) -> tuple[np.ndarray, float]:
-    """Coefficients of the logarithm of the lost time over the opening time by ridge regression, and their error.
+def learn_lost_time(
+    ensembles: Sequence[Ensemble], table: TransferTable
+) -> tuple[np.ndarray, float]:
+    """Coefficients of the logarithm of the lost time over the opening time by ridge regression, and
+    their error.
 
     The error is the standard deviation of what each ensemble differs from a regression without it.
     """
@@ -146,7 +174,9 @@ def learn_lost_time(ensembles: Sequence[Ensemble], table: TransferTable) -> tupl
     return gain @ found, float(np.sqrt(np.mean(left**2)))
 
 
-def prepare_lessons(ensembles: Sequence[Ensemble], table: TransferTable, portions: int) -> list[Lesson]:
+def prepare_lessons(
+    ensembles: Sequence[Ensemble], table: TransferTable, portions: int
+) -> list[Lesson]:
     """`Lesson` of each ensemble whose traces are long enough."""
     lessons = []
     for number, each in enumerate(ensembles):
@@ -222,11 +252,13 @@ def learn_transfer(
         for group in range(groups):
             kept = [each for k, each in enumerate(ensembles) if k % groups != group]
             names = {each.name for each in kept}
-            told = lambda e, v, group=group: tell(f"without group {group}", e, v)  # noqa: E731
+            told = lambda e, v, group=group: tell(f"without group {group}", e, v)
             few = [lesson for lesson in lessons if lesson.name in names]
             rows = learn_coefficients(few, zero, epochs[1], seed=group, tell=told)
             left_out.append(_to_lists(rows, learn_lost_time(kept, table)[0]))
-    return replace(table, coefficients=_to_lists(whole, lost_time), groups=left_out, lost_error=lost_error)
+    return replace(
+        table, coefficients=_to_lists(whole, lost_time), groups=left_out, lost_error=lost_error
+    )
 
 
 def _to_lists(rows: Rows, lost_time: np.ndarray) -> Coefficients:

@@ -1,4 +1,6 @@
-"""Do two samples of traces differ? Energy distances with permutation tests (Szekely and Rizzo, J. Stat. Plan. Inference 2013)."""
+"""Do two samples of traces differ? Energy distances with permutation tests (Szekely and Rizzo, J.
+Stat. Plan. Inference 2013).
+"""
 
 from dataclasses import dataclass
 
@@ -10,7 +12,9 @@ PERMUTATIONS = 499
 
 @dataclass(frozen=True)
 class Difference:
-    """How far two samples are apart: energy distance, 0 in the mean for one distribution, and p of a permutation test."""
+    """How far two samples are apart: energy distance, 0 in the mean for one distribution, and p of
+    a permutation test.
+    """
 
     distance: float
     p: float
@@ -74,7 +78,9 @@ def compare_summaries(
     permutations: int = PERMUTATIONS,
     seed: int = 0,
 ) -> SampleComparison:
-    """Compare summaries [n, D] of measured traces with those [m, D] of others, in units of the standard deviation of the first."""
+    """Compare summaries [n, D] of measured traces with those [m, D] of others, in units of the
+    standard deviation of the first.
+    """
     scale = x.std(0) + 1e-9
     x, y = x / scale, y / scale
     columns = list(enumerate(names))

@@ -1,7 +1,8 @@
 """Unconstrained coordinates of the fit: every value of them is a valid set of parameters.
 
-ln dt_impact and ln h_mean; for the limits, ln of the mean spread gamma_low + 0.133 (gamma_high - gamma_low) and ln of
-(gamma_high - gamma_low)/gamma_low, which the spreads of the traces determine nearly independently of each other.
+ln dt_impact and ln h_mean; for the limits, ln of the mean spread gamma_low + 0.133 (gamma_high -
+gamma_low) and ln of (gamma_high - gamma_low)/gamma_low, which the spreads of the traces determine
+nearly independently of each other.
 """
 
 import math
@@ -13,7 +14,8 @@ ModelParameters = dict[str, Any]  # name of a parameter, or of a coordinate -> v
 FreeParameters = tuple[str, ...]  # names of the parameters that are fitted
 
 NAMES = ("dt_impact", "gamma_low", "gamma_high", "h_mean")
-MEAN = 1.0 / (3.0 * math.sqrt(2.0 * math.pi))  # E max(z, 0)/3, so that gamma_low + MEAN (gamma_high - gamma_low) = E sigma_height
+MEAN = 1.0 / (3.0 * math.sqrt(2.0 * math.pi))  # E max(z, 0)/3, so that gamma_low + MEAN (gamma_high
+# - gamma_low) = E sigma_height
 LEAST, MOST = 1e-3, 1e3  # bounds of (gamma_high - gamma_low)/gamma_low that a fit is started from
 
 

@@ -40,7 +40,8 @@ OTHER = (
 ALIASES = {word: symbol for symbol, words in WORDS.items() for word in words.split()}
 # Symbols that stay clear when all is written in capitals, or in none ("n" of force_n).
 LOOSE = {name.lower(): name for name in (*TIME, *FORCE, *MASS)} | {"newton": "N"}
-NOT_LOOSE = ("MN", "Mn", "Mg", "MG", "G", "CN", "UN", "Min", "NS", "nS", "mS", "Ms")  # may mean something else
+# may mean something else
+NOT_LOOSE = ("MN", "Mn", "Mg", "MG", "G", "CN", "UN", "Min", "NS", "nS", "mS", "Ms")
 
 TIME_NAMES = (
     "time t zeit temps tiempo tempo tijd tid x-value x_value xvalue timestamp zeitstempel elapsed uhrzeit clock "
@@ -107,17 +108,21 @@ def _tidy(text: str) -> str:
 
 
 def is_bare_unit(cell: str) -> bool:
-    """Whether a cell of a header holds a unit of time, force or mass alone, with or without brackets."""
+    """Whether a cell of a header holds a unit of time, force or mass alone, with or without
+    brackets.
+    """
     return unit_named(cell).kind in ("time", "force", "mass")
 
 
 def unit_in_name(name: str) -> Unit:
     """The unit in a name such as "Force [kN]", "time_s", "F/N", "Time, s" or "t in ms".
 
-    What stands in brackets, behind a slash or behind "in" is a unit, known or not; a last word only where
-    it is a known one.
+    What stands in brackets, behind a slash or behind "in" is a unit, known or not; a last word only
+    where it is a known one.
     """
-    inside = [unit_named(text) for text in re.findall(r"[\[({<]\s*([^\[\](){}<>]+?)\s*[\])}>]", name)]
+    inside = [
+        unit_named(text) for text in re.findall(r"[\[({<]\s*([^\[\](){}<>]+?)\s*[\])}>]", name)
+    ]
     if inside:
         known = [unit for unit in inside if unit.kind not in ("unknown", "other")]
         known = known or [unit for unit in inside if unit.kind == "other"]
@@ -139,7 +144,11 @@ def quantity_named(name: str) -> str:
     plain = re.sub(r"[\[({<].*?[\])}>]", " ", name).strip().lower()
     words = [word for word in re.split(r"[\s_/,;:=-]+", plain) if word]
     joined = {plain, *words, *(re.sub(r"\d+$", "", word) for word in words)}
-    if words and (words[0] in TIME_NAMES or plain in TIME_NAMES) or joined & {"timestamp", "uhrzeit"}:
+    if (
+        words
+        and (words[0] in TIME_NAMES or plain in TIME_NAMES)
+        or joined & {"timestamp", "uhrzeit"}
+    ):
         return "time"
     if joined & set(OTHER_NAMES) or plain in ("ax", "ay", "az"):
         return "other"

@@ -42,7 +42,8 @@ LEAST_THRESHOLD = 3.0
 LEAST_MIDDLE = (np.log(0.5), -np.inf, -np.inf)  # of the logarithm of each check: the running mean
 # raises no doubt where innovations are as small as expected
 LEAST_SPREAD = (0.3, 0.5, 0.3)  # of the logarithm of each check
-MARGIN = 0.5  # of the lightest and heaviest portion learnt, by which weights that are believed may differ
+MARGIN = 0.5  # of the lightest and heaviest portion learnt, by which weights that are believed may
+# differ
 LEAST_WIDENING = 0.3
 WINDOW = 0.01  # s on either side, over which statistics of rows are pooled
 NOTCH_QUALITY = 1.0  # of the notches
@@ -110,7 +111,7 @@ def learn_weigher(
     tell("momentum", 0, FOLDS + 2)
     momentum, scatter, landed = smooth_momentum(empty, signals, found, weights)
     tell("momentum", 1, FOLDS + 2)
-    make = lambda use: _with_product(empty, momentum[use], weights[use], scatter, landed)  # noqa: E731
+    make = lambda use: _with_product(empty, momentum[use], weights[use], scatter, landed)
     weigher = make(np.arange(len(weights)))
     weigher = _with_filter(weigher, signals, found.start, found.tare, weights)
     held_out = _held_out(weigher, make, signals, found.start, weights, tell)
@@ -293,8 +294,9 @@ def _with_product(
 
 @dataclass(frozen=True)
 class _HeldOut:
-    """From the trigger on, of held-out portions: errors (g) [K, n], standard deviations (g) [K, n] and
-    logarithms of the checks [3, K, n]; nan: before the portion triggers."""
+    """From the trigger on, of held-out portions: errors (g) [K, n], standard deviations (g) [K, n]
+    and logarithms of the checks [3, K, n]; nan: before the portion triggers.
+    """
 
     errors: np.ndarray
     sd: np.ndarray

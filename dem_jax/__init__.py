@@ -1,7 +1,8 @@
 """Product impact force of a combination scale by the discrete element method.
 
-``scene = load_scene("weigh-bucket")``, ``run = simulate(scene, seed=0)``, ``runs = ensemble(scene, runs=64)``,
-``run.save(path)``, ``load_run(path)``, ``resume(path)``. Nothing is imported before it is used.
+``scene = load_scene("weigh-bucket")``, ``run = simulate(scene, seed=0)``, ``runs = ensemble(scene,
+runs=64)``, ``run.save(path)``, ``load_run(path)``, ``resume(path)``. Nothing is imported before it
+is used.
 """
 
 from typing import Any

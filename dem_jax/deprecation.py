@@ -49,7 +49,11 @@ class _FormerModule(ModuleType):
         if name.startswith("__"):
             raise AttributeError(f"module {self.__name__!r} has no attribute {name!r}")
         submodule = f"{self.__name__}.{name}"
-        return import_module(submodule) if submodule in MOVED else getattr(import_module(module), names.get(name, name))
+        return (
+            import_module(submodule)
+            if submodule in MOVED
+            else getattr(import_module(module), names.get(name, name))
+        )
 
 
 class _FormerLoader(Loader):
@@ -66,7 +70,11 @@ class _FormerFinder(MetaPathFinder):
     ) -> ModuleSpec | None:
         if fullname not in MOVED:
             return None
-        return ModuleSpec(fullname, _FormerLoader(), is_package=any(name.startswith(f"{fullname}.") for name in MOVED))
+        return ModuleSpec(
+            fullname,
+            _FormerLoader(),
+            is_package=any(name.startswith(f"{fullname}.") for name in MOVED),
+        )
 
 
 def install_former_modules() -> None:

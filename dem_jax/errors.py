@@ -1,4 +1,6 @@
-"""Exceptions with one-line messages that name key, value and values allowed, or piece, time and likely cause."""
+"""Exceptions with one-line messages that name key, value and values allowed, or piece, time and
+likely cause.
+"""
 
 from pathlib import Path
 from typing import Any
@@ -17,13 +19,21 @@ class PlatformError(RuntimeError):
 
 
 class SimulationError(RuntimeError):
-    """A run had to stop: a piece that is not finite or left the domain, or a contact that is too deep.
+    """A run had to stop: a piece that is not finite or left the domain, or a contact that is too
+    deep.
 
-    piece: its number. time: (s) since the release. member: of an ensemble, else None. path: file with the
-    results before, or None. run: the same results as record.Run if no file was requested, or None.
+    piece: its number. time: (s) since the release. member: of an ensemble, else None. path: file
+    with the results before, or None. run: the same results as record.Run if no file was requested,
+    or None.
     """
 
-    def __init__(self, message: str, piece: int | None = None, time: float | None = None, member: int | None = None) -> None:
+    def __init__(
+        self,
+        message: str,
+        piece: int | None = None,
+        time: float | None = None,
+        member: int | None = None,
+    ) -> None:
         super().__init__(message)
         self.piece, self.time, self.member = piece, time, member
         self.path: Path | None = None

@@ -1,8 +1,10 @@
 """How a process ends: by itself, by a signal within a second, and with streams that nobody reads.
 
-XLA compiles for up to minutes without returning to Python, where a signal is only noted. ``install_signal_handlers`` therefore starts a thread that
-is woken by the signal itself. The main thread has GRACE to unwind; then the thread saves what the run has computed so far
-(``save_on_interrupt``) and ends the process by ``os._exit``: to unwind Python while XLA compiles ends in a segmentation fault.
+XLA compiles for up to minutes without returning to Python, where a signal is only noted.
+``install_signal_handlers`` therefore starts a thread that is woken by the signal itself. The main
+thread has GRACE to unwind; then the thread saves what the run has computed so far
+(``save_on_interrupt``) and ends the process by ``os._exit``: to unwind Python while XLA compiles
+ends in a segmentation fault.
 """
 
 import os
@@ -17,13 +19,17 @@ from typing import Any, NoReturn
 UNWIND_TIMEOUT = 0.25  # s, for the main thread to unwind
 SAVE_TIMEOUT = 5.0  # s at most, to save what was computed
 EXIT_TIMEOUT = 0.2  # s at most, to print a line, and to leave a cluster of processes
-SIGNALS = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "hung up"}  # and what they do to a process
+SIGNALS = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "hung up"}  # and what they
+# do to a process
 
-Save = Callable[[], str | None]  # saves what is computed and says where it is, None: nothing was there to save
+Save = Callable[[], str | None]  # saves what is computed and says where it is, None: nothing was
+# there to save
 
 
 class SilentStream:
-    """A stream that falls silent once nobody reads it or it cannot be written, as a progress bar may and a run must not stop."""
+    """A stream that falls silent once nobody reads it or it cannot be written, as a progress bar
+    may and a run must not stop.
+    """
 
     def __init__(self, stream: Any) -> None:
         self._stream = stream
@@ -78,7 +84,9 @@ def open_closed_streams() -> None:
 
 
 def install_signal_handlers() -> None:
-    """Make this process end within a second of a signal, and go on without a reader of stderr. Does nothing the second time."""
+    """Make this process end within a second of a signal, and go on without a reader of stderr. Does
+    nothing the second time.
+    """
     if _STATE.begun or threading.current_thread() is not threading.main_thread():
         return
     _STATE.begun = True
@@ -92,7 +100,8 @@ def install_signal_handlers() -> None:
     signal.set_wakeup_fd(_STATE.woken.fileno(), warn_on_full_buffer=False)
     for name in SIGNALS:
         number = getattr(signal, name, None)  # not everywhere
-        if number and signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):  # else it is ignored (nohup)
+        # else it is ignored (nohup)
+        if number and signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
             signal.signal(number, _on_signal)
     if hasattr(os, "register_at_fork"):
         os.register_at_fork(after_in_child=_reset_after_fork)
@@ -107,7 +116,9 @@ def end_signal_handling() -> None:
 
 @contextmanager
 def allow_interrupt() -> Iterator[None]:
-    """Where KeyboardInterrupt is caught around this, a signal raises it in here; elsewhere it ends the process."""
+    """Where KeyboardInterrupt is caught around this, a signal raises it in here; elsewhere it ends
+    the process.
+    """
     _STATE.unwinds = True
     try:
         yield
@@ -138,13 +149,19 @@ def defer_signals() -> Iterator[None]:
             yield
         finally:
             _STATE.writing -= 1
-    if _STATE.deferred and not _STATE.writing and threading.current_thread() is threading.main_thread():
+    if (
+        _STATE.deferred
+        and not _STATE.writing
+        and threading.current_thread() is threading.main_thread()
+    ):
         _STATE.deferred = False
         _handle_interrupt()
 
 
 def end_process() -> NoReturn:
-    """Save what was computed, say where it is in one line, and end the process with 128 + the signal's number."""
+    """Save what was computed, say where it is in one line, and end the process with 128 + the
+    signal's number.
+    """
     if not _STATE.ending.acquire(blocking=False):  # another thread is about to
         threading.Event().wait()
     _call_with_timeout(SAVE_TIMEOUT, _save_all)
@@ -155,14 +172,19 @@ def end_process() -> NoReturn:
 
 
 def save_partial_results() -> str | None:
-    """Save what was computed, in a process that another program ends; returns where it is, in words, None: nothing was there."""
+    """Save what was computed, in a process that another program ends; returns where it is, in
+    words, None: nothing was there.
+    """
     _save_all()
     return _STATE.said[0] if _STATE.said else None
 
 
 def describe_interrupt() -> str:
     """What an interrupt did, in one line."""
-    word = next((w for name, w in SIGNALS.items() if getattr(signal, name, None) == _STATE.received), "interrupted")
+    word = next(
+        (w for name, w in SIGNALS.items() if getattr(signal, name, None) == _STATE.received),
+        "interrupted",
+    )
     return f"{word}; {_STATE.said[0] if _STATE.said else 'no file of results was written'}"
 
 
@@ -201,7 +223,8 @@ def _save_one(save: Save) -> None:
     except Exception as error:  # such as of a full disk
         said = " ".join(str(error).split())
     if said:
-        _STATE.said.insert(0, said)  # what was begun first, such as a study, is saved last and speaks for the others
+        _STATE.said.insert(0, said)  # what was begun first, such as a study, is saved last and
+        # speaks for the others
 
 
 def _print_ending() -> None:
@@ -229,7 +252,9 @@ def _end_children() -> None:
 
 
 def _call_with_timeout(seconds: float, function: Callable[[], None]) -> None:
-    """Call a function, but do not wait for it for longer, nor for what it raises, as of a module that is half imported."""
+    """Call a function, but do not wait for it for longer, nor for what it raises, as of a module
+    that is half imported.
+    """
 
     def call_quietly() -> None:
         with suppress(Exception):

@@ -1,4 +1,5 @@
-"""Compiler flags for the loops over time steps. A step of few pieces is hundreds of small operations.
+"""Compiler flags for the loops over time steps. A step of few pieces is hundreds of small
+operations.
 
 - **Loops as one function.** On the CPU XLA runs each operation as a task of its own, which takes
   longer than the operation; a loop that it considers small becomes one function instead. The
@@ -9,10 +10,10 @@
 - **Unrolling.** LLVM unrolls a loop completely or not at all: partial unrolling makes a step no
   faster and compiles longer. Without it, 47 almonds compile in 0.87 of the processor time, 7
   almonds, 47 hazelnuts and 64 marshmallows in 0.90 to 0.97, 9 marshmallows in 1.00 to 1.06; steps
-  are as fast and have the same bits. Batches of sixteen runs (``dynamics.interleaved_batch``) are the exception:
-  with partial unrolling their steps take 0.89 times as long, and compile as fast. A process that
-  begins with an ensemble therefore leaves it to LLVM. The limit of complete unrolling is 125
-  instructions instead of 150: seven penne compile in 0.78 of the time, 47 almonds and nine
+  are as fast and have the same bits. Batches of sixteen runs (``dynamics.interleaved_batch``) are
+  the exception: with partial unrolling their steps take 0.89 times as long, and compile as fast. A
+  process that begins with an ensemble therefore leaves it to LLVM. The limit of complete unrolling
+  is 125 instructions instead of 150: seven penne compile in 0.78 of the time, 47 almonds and nine
   marshmallows in 0.95, and steps of 9, 64 and 343 marshmallows take 1.02, 0.97 and 0.99 times as
   long.
 - **Scalar evolution.** `-forget-scev-loop-unroll=true` invalidates LLVM's scalar-evolution cache
@@ -38,7 +39,8 @@ import jax
 
 from dem_jax.errors import PlatformError
 
-KERNEL_COMMANDS = "FUSION,CUBLAS,CUBLASLT,CUSTOM_CALL,CUDNN,DYNAMIC_SLICE_FUSION"  # XLA's own choice
+KERNEL_COMMANDS = "FUSION,CUBLAS,CUBLASLT,CUSTOM_CALL,CUDNN,DYNAMIC_SLICE_FUSION"  # XLA's own
+# choice
 BACKEND_OPTIONS: dict[str, dict[str, Any]] = {
     "cpu": {
         "xla_cpu_use_fusion_emitters": False,
@@ -50,13 +52,16 @@ BACKEND_OPTIONS: dict[str, dict[str, Any]] = {
         "xla_gpu_graph_min_graph_size": 1,
     },
 }
-FAST_COMPILE_OPTIONS: dict[str, dict[str, Any]] = {"cpu": {"xla_backend_optimization_level": 2}}  # beside them, see ``jit_for_backend``
-NO_PARTIAL_UNROLLING = "-unroll-allow-partial=false,-unroll-runtime=false,-unroll-threshold=125"  # for LLVM
+# beside them, see ``jit_for_backend``
+FAST_COMPILE_OPTIONS: dict[str, dict[str, Any]] = {"cpu": {"xla_backend_optimization_level": 2}}
+# for LLVM
+NO_PARTIAL_UNROLLING = "-unroll-allow-partial=false,-unroll-runtime=false,-unroll-threshold=125"
 LOOP_FLAGS = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1073741824,-forget-scev-loop-unroll=true"
 
 
 def set_loop_flags(unrolled: bool = False) -> None:
-    """Have XLA make one function of each loop, in all that this process compiles; too late, with a warning, once XLA is in use.
+    """Have XLA make one function of each loop, in all that this process compiles; too late, with a
+    warning, once XLA is in use.
 
     unrolled: as is best for ensembles, with loops written out in part; the first call decides.
     Leaves XLA_FLAGS alone if it says something of ``xla_backend_extra_options`` already.
@@ -64,7 +69,9 @@ def set_loop_flags(unrolled: bool = False) -> None:
     flags = os.environ.get("XLA_FLAGS", "")
     if "xla_backend_extra_options" in flags:
         return
-    os.environ["XLA_FLAGS"] = f"{flags} {LOOP_FLAGS}".strip() + ("" if unrolled else f",{NO_PARTIAL_UNROLLING}")
+    os.environ["XLA_FLAGS"] = f"{flags} {LOOP_FLAGS}".strip() + (
+        "" if unrolled else f",{NO_PARTIAL_UNROLLING}"
+    )
     if is_xla_in_use() and jax.default_backend() == "cpu":
         warnings.warn(
             "steps of few pieces will take two to three times as long: JAX computed something before the first simulation; "
@@ -78,13 +85,18 @@ def check_platform() -> None:
     """Raise PlatformError unless JAX finds devices of the kind that it was asked for."""
     try:
         jax.devices()
-    except (RuntimeError, AssertionError) as error:  # the latter of "cuda" where no plugin for it is installed
+    except (RuntimeError, AssertionError) as error:  # the latter of "cuda" where no plugin for it
+        # is installed
         asked = jax.config.jax_platforms  # type: ignore[attr-defined]
-        raise PlatformError(f"JAX_PLATFORMS = {asked}: JAX finds no such device; allowed: cpu, or to leave it unset") from error
+        raise PlatformError(
+            f"JAX_PLATFORMS = {asked}: JAX finds no such device; allowed: cpu, or to leave it unset"
+        ) from error
 
 
 def is_xla_in_use() -> bool:
-    """Whether JAX has begun to use XLA. It does not say so; but from then on it refuses another number of CPU devices."""
+    """Whether JAX has begun to use XLA. It does not say so; but from then on it refuses another
+    number of CPU devices.
+    """
     devices = jax.config.jax_num_cpu_devices  # type: ignore[attr-defined]
     try:
         jax.config.update("jax_num_cpu_devices", devices + 1)
@@ -96,8 +108,10 @@ def is_xla_in_use() -> bool:
 
 @contextmanager
 def pause_garbage_collection() -> Iterator[None]:
-    """Without Python's search for circles of garbage: tracing makes a million objects that live on, and to look them through
-    again and again takes 0.7 s of the 10 s from a scene to its program on a slow machine."""
+    """Without Python's search for circles of garbage: tracing makes a million objects that live on,
+    and to look them through again and again takes 0.7 s of the 10 s from a scene to its program on
+    a slow machine.
+    """
     was = gc.isenabled()
     gc.disable()
     try:
@@ -107,21 +121,30 @@ def pause_garbage_collection() -> Iterator[None]:
             gc.enable()
 
 
-def jit_for_backend(function: Callable[..., Any], backend: str, light: bool = False, **options: Any) -> Any:
+def jit_for_backend(
+    function: Callable[..., Any], backend: str, light: bool = False, **options: Any
+) -> Any:
     """``jax.jit`` with those options that suit a backend and that its compiler has.
 
     What it compiles is kept for as long as what is returned.
-    light: with LLVM's second level of optimisation in place of its third, which compiles a quarter faster.
+    light: with LLVM's second level of optimisation in place of its third, which compiles a quarter
+    faster.
     """
     return jax.jit(function, compiler_options=supported_options(backend, light), **options)
 
 
 def supported_options(backend: str, light: bool = False) -> dict[str, Any]:
-    """Those of the OPTIONS of a backend, JAX's default one, that its compiler has; light: of LIGHT too."""
-    wanted = BACKEND_OPTIONS.get(backend, {}) | (FAST_COMPILE_OPTIONS.get(backend, {}) if light else {})
+    """Those of the OPTIONS of a backend, JAX's default one, that its compiler has; light: of LIGHT
+    too.
+    """
+    wanted = BACKEND_OPTIONS.get(backend, {}) | (
+        FAST_COMPILE_OPTIONS.get(backend, {}) if light else {}
+    )
     if _are_supported(backend, tuple(wanted.items())):
         return dict(wanted)
-    return {name: value for name, value in wanted.items() if _are_supported(backend, ((name, value),))}
+    return {
+        name: value for name, value in wanted.items() if _are_supported(backend, ((name, value),))
+    }
 
 
 @cache

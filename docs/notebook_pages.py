@@ -1,6 +1,7 @@
 """Hook of mkdocs: notebooks become pages, with the outputs that they were committed with.
 
-mkdocs-jupyter is not used because its pages draw formulas by a script that they load from elsewhere.
+mkdocs-jupyter is not used because its pages draw formulas by a script that they load from
+elsewhere.
 """
 
 import posixpath
@@ -29,5 +30,7 @@ def on_files(files: Files, config: Any) -> Files:
         files.remove(files.src_uris[f"notebooks/{path.name}"])
         files.append(NotebookPage.generated(config, f"notebooks/{path.name}", content=text))
         for picture, content in found["outputs"].items():
-            files.append(File.generated(config, posixpath.join("notebooks", picture), content=content))
+            files.append(
+                File.generated(config, posixpath.join("notebooks", picture), content=content)
+            )
     return files

@@ -1,4 +1,6 @@
-"""Command line: `python -m product_model simulate ...`, `stream ...`, `fmu ...`, `c ...`, `weigh ...` and `table`."""
+"""Command line: `python -m product_model simulate ...`, `stream ...`, `fmu ...`, `c ...`, `weigh
+...` and `table`.
+"""
 
 import argparse
 import sys
@@ -55,7 +57,9 @@ C_TEXT = (
 )
 
 
-WEIGHER_TEXT = "weigher.json of calibrate weigher: its estimator of the weight instead of the Product Model"
+WEIGHER_TEXT = (
+    "weigher.json of calibrate weigher: its estimator of the weight instead of the Product Model"
+)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -69,26 +73,44 @@ def _parser() -> argparse.ArgumentParser:
         action="store_true",
         help="each portion with parameters of its own, drawn from the intervals of --fit or --product",
     )
-    simulate.add_argument("--runs", type=int, default=1, metavar="K", help="number of random portions (default 1)")
-    simulate.add_argument("--out", default="trace.h5", metavar="FILE", help=".h5, .csv or .mat (default trace.h5)")
+    simulate.add_argument(
+        "--runs", type=int, default=1, metavar="K", help="number of random portions (default 1)"
+    )
+    simulate.add_argument(
+        "--out", default="trace.h5", metavar="FILE", help=".h5, .csv or .mat (default trace.h5)"
+    )
     simulate.add_argument("--plot", metavar="FILE", help="also draw a figure (.png, .pdf or .svg)")
-    simulate.add_argument("--overwrite", "--force", action="store_true", help="replace files that exist")
-    streamed = commands.add_parser("stream", help="one random portion sample by sample, as lines of a table on the standard output")
+    simulate.add_argument(
+        "--overwrite", "--force", action="store_true", help="replace files that exist"
+    )
+    streamed = commands.add_parser(
+        "stream",
+        help="one random portion sample by sample, as lines of a table on the standard output",
+    )
     _add_inputs(streamed, FORMS[:2])
     unit = commands.add_parser(
-        "fmu", help="a functional mock-up unit for Simulink, OpenModelica and the like", description=FMU_TEXT
+        "fmu",
+        help="a functional mock-up unit for Simulink, OpenModelica and the like",
+        description=FMU_TEXT,
     )
     _add_inputs(unit, FORMS)
     unit.add_argument("out", metavar="OUT", help=".fmu")
     unit.add_argument(
-        "--fmi", choices=("2", "3"), default="2", help="version of the standard: 2.0 or 3.0 (default 2)"
+        "--fmi",
+        choices=("2", "3"),
+        default="2",
+        help="version of the standard: 2.0 or 3.0 (default 2)",
     )
     unit.add_argument(
-        "--python", action="store_true", help="a unit that runs the Python beside it, instead of C (FMI 2.0)"
+        "--python",
+        action="store_true",
+        help="a unit that runs the Python beside it, instead of C (FMI 2.0)",
     )
     unit.add_argument("--overwrite", action="store_true", help="replace a file that exists")
     unit.add_argument("--weigher", metavar="FILE", help=WEIGHER_TEXT)
-    sources = commands.add_parser("c", help="C99 source files of a model, for any machine", description=C_TEXT)
+    sources = commands.add_parser(
+        "c", help="C99 source files of a model, for any machine", description=C_TEXT
+    )
     _add_inputs(sources, FORMS)
     sources.add_argument(
         "--out", default="product_model_c", metavar="DIR", help="folder (default product_model_c)"
@@ -102,7 +124,11 @@ def _parser() -> argparse.ArgumentParser:
 def _add_inputs(parser: argparse.ArgumentParser, forms: Sequence[str]) -> None:
     """The flags of all inputs; what is not given is None."""
     source = parser.add_mutually_exclusive_group()
-    source.add_argument("--fit", metavar="FILE", help="fit.json of `calibrate fit`: its parameters, unless given here")
+    source.add_argument(
+        "--fit",
+        metavar="FILE",
+        help="fit.json of `calibrate fit`: its parameters, unless given here",
+    )
     source.add_argument(
         "--product",
         metavar="NAME|PRODUCT.toml",
@@ -121,9 +147,18 @@ def _add_inputs(parser: argparse.ArgumentParser, forms: Sequence[str]) -> None:
         shown = "" if default is None else f" (default {default:g})"
         flags = [f"--{name.replace('_', '-')}", *(["--target"] if name == "m_target" else [])]
         parser.add_argument(*flags, metavar=metavar, type=kind, help=text + shown)
-    parser.add_argument("--form", choices=forms, default=Parameters.form, help=f"pulse form (default {Parameters.form})")
-    parser.add_argument("--precision", choices=tuple(DTYPES), default=Parameters.precision, help="default f64")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the random numbers (default 0)")
+    parser.add_argument(
+        "--form",
+        choices=forms,
+        default=Parameters.form,
+        help=f"pulse form (default {Parameters.form})",
+    )
+    parser.add_argument(
+        "--precision", choices=tuple(DTYPES), default=Parameters.precision, help="default f64"
+    )
+    parser.add_argument(
+        "--seed", type=int, default=0, metavar="N", help="seed of the random numbers (default 0)"
+    )
 
 
 def _inputs(args: argparse.Namespace) -> tuple[Parameters, "Fitted | None"]:
@@ -143,7 +178,10 @@ def _inputs(args: argparse.Namespace) -> tuple[Parameters, "Fitted | None"]:
         if "m_target" not in given:  # which with m_piece decides the number of pieces
             known["pieces"] = fit.pieces
     if fit is not None:
-        known |= {name: fit.value[name] for name in FITTED} | {"m_piece": fit.m_piece, "landings": fit.landings}
+        known |= {name: fit.value[name] for name in FITTED} | {
+            "m_piece": fit.m_piece,
+            "landings": fit.landings,
+        }
     given = {name: value for name, value in known.items() if value is not None} | given
     return parameters(form=args.form, precision=args.precision, **given), fit
 
@@ -185,10 +223,16 @@ def _simulate(args: argparse.Namespace) -> None:
         raise BadInput("draw: needs the intervals of a fit; give --fit FILE or --product NAME")
     check_output(args.out, args.overwrite)
     if args.plot:
-        check_target("plot", args.plot, (".png", ".pdf", ".svg"), ".png, .pdf or .svg", args.overwrite)
+        check_target(
+            "plot", args.plot, (".png", ".pdf", ".svg"), ".png, .pdf or .svg", args.overwrite
+        )
     varied = {}
     if args.draw and fit is not None:
-        varied = {name: values for name, values in drawn(fit, args.runs, args.seed).items() if getattr(args, name, None) is None}
+        varied = {
+            name: values
+            for name, values in drawn(fit, args.runs, args.seed).items()
+            if getattr(args, name, None) is None
+        }
     block = _block_size(params, args, varied)
     if args.runs > block:
         _report(_save_in_blocks(params, args, varied, block), params, args)
@@ -205,7 +249,9 @@ def _simulate(args: argparse.Namespace) -> None:
     _report(summarize(trace), params, args)
 
 
-def _block_size(params: Parameters, args: argparse.Namespace, varied: Mapping[str, "np.ndarray"]) -> int:
+def _block_size(
+    params: Parameters, args: argparse.Namespace, varied: Mapping[str, "np.ndarray"]
+) -> int:
     """Number of portions that are computed at a time; a note where the file becomes large.
 
     Raises `BadInput` where a table of all portions does not fit into memory.
@@ -213,24 +259,46 @@ def _block_size(params: Parameters, args: argparse.Namespace, varied: Mapping[st
     import numpy as np
 
     from product_model.inputs import DTYPES, count_pieces
-    from product_model.memory import GIGABYTE, NUMBERS_TO_SAVE, check_memory, count_pulses, portion_bytes
+    from product_model.memory import (
+        GIGABYTE,
+        NUMBERS_TO_SAVE,
+        check_memory,
+        count_pulses,
+        portion_bytes,
+    )
     from product_model.monte_carlo import widest_grid
     from product_model.record import SUFFIXES, file_bytes
 
-    samples, itemsize = widest_grid(params, varied).samples, np.dtype(DTYPES[params.precision]).itemsize
-    one = portion_bytes(samples, count_pulses(params, count_pieces(params)), itemsize, NUMBERS_TO_SAVE)
+    samples, itemsize = (
+        widest_grid(params, varied).samples,
+        np.dtype(DTYPES[params.precision]).itemsize,
+    )
+    one = portion_bytes(
+        samples, count_pulses(params, count_pieces(params)), itemsize, NUMBERS_TO_SAVE
+    )
     if Path(args.out).suffix not in SUFFIXES[:2]:
-        check_memory(args.runs, args.runs * one, "write to .h5, which is done in blocks, or give a larger --sample")
+        check_memory(
+            args.runs,
+            args.runs * one,
+            "write to .h5, which is done in blocks, or give a larger --sample",
+        )
         return args.runs
     size = file_bytes(args.runs, samples, itemsize)
     if size > GIGABYTE:
         words = f"{args.runs} portions of {samples} samples make a file of {size / GIGABYTE:.1f} GB"
-        print(f"note: {words}, which is written in blocks; a larger --sample makes it smaller", file=sys.stderr)
+        print(
+            f"note: {words}, which is written in blocks; a larger --sample makes it smaller",
+            file=sys.stderr,
+        )
     return max(1, BLOCK_BYTES // one)
 
 
-def _save_in_blocks(params: Parameters, args: argparse.Namespace, varied: Mapping[str, "np.ndarray"], block: int) -> "Summary":
-    """Write more portions than are computed at a time, with a progress bar. The figure is that of the first block."""
+def _save_in_blocks(
+    params: Parameters, args: argparse.Namespace, varied: Mapping[str, "np.ndarray"], block: int
+) -> "Summary":
+    """Write more portions than are computed at a time, with a progress bar. The figure is that of
+    the first block.
+    """
     from tqdm import tqdm
 
     from product_model.monte_carlo import ensemble_blocks, join_summaries, summarize
@@ -249,12 +317,23 @@ def _save_in_blocks(params: Parameters, args: argparse.Namespace, varied: Mappin
 
     set_open_line(True)
     try:
-        save_blocks(args.out, summarized(), args.runs, params, seed=args.seed, overwrite=args.overwrite, varied=varied)
+        save_blocks(
+            args.out,
+            summarized(),
+            args.runs,
+            params,
+            seed=args.seed,
+            overwrite=args.overwrite,
+            varied=varied,
+        )
     finally:
         bar.close()
         set_open_line(False)
     if args.plot:
-        print(f"note: the figure is that of the first {len(parts[0].peaks.first)} portions", file=sys.stderr)
+        print(
+            f"note: the figure is that of the first {len(parts[0].peaks.first)} portions",
+            file=sys.stderr,
+        )
     return join_summaries(parts)
 
 
@@ -268,7 +347,9 @@ def _plot(trace: "Trace", args: argparse.Namespace) -> None:
         with temporary_file(Path(args.plot)) as part:
             figure(trace).savefig(part, dpi=150, format=Path(args.plot).suffix[1:])
     except OSError as error:
-        raise BadInput(f"plot = {args.plot}: cannot be written ({error.strerror or error})") from None
+        raise BadInput(
+            f"plot = {args.plot}: cannot be written ({error.strerror or error})"
+        ) from None
 
 
 STREAMED = 256  # samples computed at a time
@@ -286,7 +367,11 @@ def _stream(args: argparse.Namespace) -> None:
     params, _ = _inputs(args)
     grid, gravity = build_grid(params), float(params.gravity)
     state = stream.start(params, args.seed)
-    several = jax.jit(lambda state: jax.lax.scan(lambda state, _: stream.step(state), state, None, length=STREAMED))
+    several = jax.jit(
+        lambda state: jax.lax.scan(
+            lambda state, _: stream.step(state), state, None, length=STREAMED
+        )
+    )
     print("time_s,force_n,pif_g")
     times = grid.times()
     for first in range(0, grid.samples, STREAMED):
@@ -317,11 +402,15 @@ def _fmu(args: argparse.Namespace) -> None:
         print(f"{words} and has the C sources for others", file=sys.stderr)
         return
     if args.fmi == "3":
-        missing = "compiled C; omit --python" if args.python else "a C compiler (cc, gcc, clang, or CC)"
+        missing = (
+            "compiled C; omit --python" if args.python else "a C compiler (cc, gcc, clang, or CC)"
+        )
         raise BadInput(f"fmi = 3: needs {missing}")
     print(write_fmu(args.out, params, args.seed, args.overwrite))
     reason = "" if args.python else "no C compiler found: "
-    words = "the unit (FMI 2.0) runs the Python beside it, in which product-impact must be installed"
+    words = (
+        "the unit (FMI 2.0) runs the Python beside it, in which product-impact must be installed"
+    )
     print(reason + words, file=sys.stderr)
 
 
@@ -340,10 +429,18 @@ def _c(args: argparse.Namespace) -> None:
 
 
 def _read_weigher(args: argparse.Namespace) -> "Weigher":
-    """The estimator of --weigher, beside which no input of the model may be given. Raises `BadInput`."""
+    """The estimator of --weigher, beside which no input of the model may be given. Raises
+    `BadInput`.
+    """
     from product_model.weigher_file import load_weigher
 
-    usual: dict[str, Any] = {"fit": None, "product": None, "settings": [], "form": Parameters.form, "python": False}
+    usual: dict[str, Any] = {
+        "fit": None,
+        "product": None,
+        "settings": [],
+        "form": Parameters.form,
+        "python": False,
+    }
     usual |= dict.fromkeys(FLAGS) | {"precision": Parameters.precision, "seed": 0}
     for name, value in usual.items():
         if getattr(args, name, value) != value:
@@ -368,9 +465,14 @@ def _report(summary: "Summary", params: Parameters, args: argparse.Namespace) ->
     }
     for name, values in summary.peaks.quantiles().items():
         print(units[name][0].ljust(22) + "".join(f"{units[name][1] * v:>12.2f}" for v in values))
-    print(f"drop heights drawn again because negative: {summary.redrawn}; pulses not over at the end: {summary.late}")
+    print(
+        f"drop heights drawn again because negative: {summary.redrawn}; pulses not over at the end: {summary.late}"
+    )
     if summary.late:
-        print("warning: the trace ends before all pieces have landed; give a longer --duration", file=sys.stderr)
+        print(
+            "warning: the trace ends before all pieces have landed; give a longer --duration",
+            file=sys.stderr,
+        )
     print(f"written: {args.out}" + (f", {args.plot}" if args.plot else ""))
 
 

@@ -6,7 +6,16 @@ from os import PathLike
 from pathlib import Path
 
 from product_model.extended import ADDITIONS, Landings
-from product_model.inputs import INPUTS, LEAVES, BadInput, Parameters, build_grid, check, checked_seed, count_pieces
+from product_model.inputs import (
+    INPUTS,
+    LEAVES,
+    BadInput,
+    Parameters,
+    build_grid,
+    check,
+    checked_seed,
+    count_pieces,
+)
 from product_model.program import temporary_file
 from product_model.record import version
 
@@ -44,7 +53,8 @@ or -ffp-contract=off, and no -ffast-math. product_model.h describes the function
 def write_c(
     folder: str | PathLike[str], params: Parameters, seed: int = 0, overwrite: bool = False
 ) -> Path:
-    """Write the model with these parameters as C99 files into `folder`, which is made if it is missing.
+    """Write the model with these parameters as C99 files into `folder`, which is made if it is
+    missing.
 
     Args:
         folder: path; its parent must exist.
@@ -103,11 +113,15 @@ def check_folder(folder: Path, names: list[str], overwrite: bool) -> None:
         raise BadInput(f"out = {folder}: the folder above it does not exist")
     taken = [name for name in names if os.path.lexists(folder / name)]
     if taken and not overwrite:
-        raise BadInput(f"out = {folder}: {taken[0]} exists there; give another folder, or --overwrite to replace it")
+        raise BadInput(
+            f"out = {folder}: {taken[0]} exists there; give another folder, or --overwrite to replace it"
+        )
 
 
 def source_files(params: Parameters, seed: int, capacity: int) -> dict[str, str]:
-    """Name -> text of the model's files with these parameters and room for twice as many pieces, at least `capacity`."""
+    """Name -> text of the model's files with these parameters and room for twice as many pieces, at
+    least `capacity`.
+    """
     header = (SOURCES / "product_model.h").read_text(encoding="utf-8")
     header = set_macro(header, "PRODUCT_MODEL_REAL", REALS[params.precision])
     header = set_macro(
@@ -131,7 +145,9 @@ def set_macro(header: str, macro: str, value: str) -> str:
 
 
 def parameter_header(params: Parameters, seed: int) -> str:
-    """The text of product_model_parameters.h: initial values of the struct `product_model_parameters`, and the seed."""
+    """The text of product_model_parameters.h: initial values of the struct
+    `product_model_parameters`, and the seed.
+    """
     rows = {row.name: row for row in INPUTS}
     values = [
         (repr(float(getattr(params, name))), f"{name} ({rows[name].unit}): {rows[name].meaning}")
@@ -168,14 +184,22 @@ def parameter_header(params: Parameters, seed: int) -> str:
 
 def _landing_lines(landings: Landings) -> list[str]:
     """Lines with the initial values of the struct `product_model_landings`."""
-    values = [(repr(float(getattr(landings, row.name))), f"{row.name} ({row.unit}): {row.meaning}") for row in ADDITIONS]
+    values = [
+        (repr(float(getattr(landings, row.name))), f"{row.name} ({row.unit}): {row.meaning}")
+        for row in ADDITIONS
+    ]
     values += [
         (SHAPE_NAMES[landings.shape], "shape of the impacts"),
         (str(len(landings.impacts)), "landings of a piece"),
     ]
     lines = [f"            {value}, /* {_ascii(text)} */ \\" for value, text in values]
     numbers = ", ".join(str(count) for count in landings.impacts)
-    return ["        { /* the extended model */ \\", *lines, f"            {{ {numbers} }}, /* impacts */ \\", "        }, \\"]
+    return [
+        "        { /* the extended model */ \\",
+        *lines,
+        f"            {{ {numbers} }}, /* impacts */ \\",
+        "        }, \\",
+    ]
 
 
 def _ascii(text: str) -> str:

@@ -1,4 +1,6 @@
-"""The conditions of a drop from a product of the library or a scene. The one module of product_model that uses dem_jax."""
+"""The conditions of a drop from a product of the library or a scene. The one module of
+product_model that uses dem_jax.
+"""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -22,7 +24,8 @@ def product_conditions(
     pieces: int | None = None,
     settings: Mapping[str, Any] | None = None,
 ) -> tuple[DropConditions, list[str]]:
-    """The conditions of a portion of a product in the stock scene, and what they leave out, in words.
+    """The conditions of a portion of a product in the stock scene, and what they leave out, in
+    words.
 
     Args:
         product: name of the library, or TOML file of a product.
@@ -65,7 +68,7 @@ def scene_conditions(scene: "Scene") -> tuple[DropConditions, list[str]]:
     volumes = np.array([shape.volume for shape in goods.shapes])
     around = np.array([2.0 * shape.bounding_radius for shape in goods.shapes])
     share = masses / masses.sum()
-    mean = lambda values: float(share @ np.asarray(values, float))  # noqa: E731
+    mean = lambda values: float(share @ np.asarray(values, float))
     assert scene.feed_bucket is not None
     drop = DropConditions(
         m_piece=float(masses.mean()),
@@ -90,7 +93,9 @@ def _left_out(scene: "Scene", rows: np.ndarray) -> list[str]:
         said.append(f"contact.law = {scene.contact.law}: learnt with {LAW}")
     if len(set(rows.tolist())) > 1:
         said.append("pieces of several materials: their means are used")
-    if any(value > 0 for value in _numbers(scene.material.pull_off, scene.material.rolling_friction)):
+    if any(
+        value > 0 for value in _numbers(scene.material.pull_off, scene.material.rolling_friction)
+    ):
         said.append("stickiness and rolling friction are not among the conditions")
     return said
 

@@ -1,6 +1,7 @@
 """Unconstrained coordinates of the parameters of the extended model, for fits and regressions.
 
-Positive numbers by their logarithm, shares by their logit, gamma_high by the logarithm of its distance from gamma_low.
+Positive numbers by their logarithm, shares by their logit, gamma_high by the logarithm of its
+distance from gamma_low.
 """
 
 from typing import Any

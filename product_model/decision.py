@@ -1,8 +1,9 @@
 """A scale that decides: the reading counts when its own error bar is within the tolerance.
 
 1.96 standard deviations of a reading hold 95 % of the portions. Few portions are known when it is
-learnt how wide that is, so that errors have the tails of a t distribution of four degrees of freedom,
-whose quantiles have a closed form: 99 % are within 3.25 standard deviations instead of 2.58.
+learnt how wide that is, so that errors have the tails of a t distribution of four degrees of
+freedom, whose quantiles have a closed form: 99 % are within 3.25 standard deviations instead of
+2.58.
 """
 
 import numpy as np

@@ -1,7 +1,8 @@
-"""Uniform random numbers of a key, those of ``jax.random.uniform``, in a form that a CPU is quick with.
+"""Uniform random numbers of a key, those of ``jax.random.uniform``, in a form that a CPU is quick
+with.
 
-JAX rolls the rounds of Threefry into a loop on a CPU, each turn of which is a dozen tasks for a pool of threads: longer
-than all the rest of one portion. Written out, the rounds are one function.
+JAX rolls the rounds of Threefry into a loop on a CPU, each turn of which is a dozen tasks for a
+pool of threads: longer than all the rest of one portion. Written out, the rounds are one function.
 """
 
 from typing import Any
@@ -12,25 +13,42 @@ import numpy as np
 
 DType = type[np.floating] | np.dtype[np.floating]
 
-ROTATIONS = ((13, 15, 26, 6), (17, 29, 16, 24))  # of Threefry-2x32 with 20 rounds, Salmon et al., SC 2011
+ROTATIONS = ((13, 15, 26, 6), (17, 29, 16, 24))  # of Threefry-2x32 with 20 rounds, Salmon et al.,
+# SC 2011
 PARITY = 0x1BD11BDA
-MANTISSA: dict[str, Any] = {"float32": (9, 0x3F800000, jnp.uint32), "float64": (12, 0x3FF0000000000000, jnp.uint64)}
+MANTISSA: dict[str, Any] = {
+    "float32": (9, 0x3F800000, jnp.uint32),
+    "float64": (12, 0x3FF0000000000000, jnp.uint64),
+}
 
 
-def uniform(key: jax.Array, count: int, dtype: DType, low: float | np.ndarray, high: float | np.ndarray) -> jax.Array:
-    """[count] uniform on [low, high), the same as ``jax.random.uniform`` gives for a key of any generator."""
+def uniform(
+    key: jax.Array, count: int, dtype: DType, low: float | np.ndarray, high: float | np.ndarray
+) -> jax.Array:
+    """[count] uniform on [low, high), the same as ``jax.random.uniform`` gives for a key of any
+    generator.
+    """
     if str(jax.random.key_impl(key)) != "threefry2x32":
         return jax.random.uniform(key, (count,), dtype, low, high)
     first, second = threefry(jax.random.key_data(key), count)
     shift, one, word = MANTISSA[np.dtype(dtype).name]
-    bits = first ^ second if word == jnp.uint32 else (first.astype(word) << word(32)) | second.astype(word)
-    unit = jax.lax.bitcast_convert_type((bits >> word(shift)) | word(one), dtype) - np.array(1, dtype)  # on [0, 1)
+    bits = (
+        first ^ second
+        if word == jnp.uint32
+        else (first.astype(word) << word(32)) | second.astype(word)
+    )
+    # on [0, 1)
+    unit = jax.lax.bitcast_convert_type((bits >> word(shift)) | word(one), dtype) - np.array(
+        1, dtype
+    )
     low, high = np.array(low, dtype), np.array(high, dtype)
     return jnp.maximum(low, unit * (high - low) + low)
 
 
 def threefry(key: jax.Array, count: int) -> tuple[jax.Array, jax.Array]:
-    """Two words [count] each, uint32: Threefry-2x32 of the counters 0 to count - 1. key: [2] uint32."""
+    """Two words [count] each, uint32: Threefry-2x32 of the counters 0 to count - 1. key: [2]
+    uint32.
+    """
     keys = key[0], key[1], key[0] ^ key[1] ^ jnp.uint32(PARITY)
     a = jnp.broadcast_to(keys[0], (count,))
     b = jnp.arange(count, dtype=jnp.uint32) + keys[1]

@@ -1,4 +1,6 @@
-"""The Product Model as a functional mock-up unit (FMI 2.0, co-simulation), for Simulink, OpenModelica, Dymola and the like."""
+"""The Product Model as a functional mock-up unit (FMI 2.0, co-simulation), for Simulink,
+OpenModelica, Dymola and the like.
+"""
 
 import dataclasses
 import json
@@ -25,15 +27,20 @@ def check_fmu(path: str | os.PathLike[str], overwrite: bool = False) -> Path:
     return check_target("out", path, (".fmu",), ".fmu", overwrite)
 
 
-def write_fmu(path: str | os.PathLike[str], params: Parameters, seed: int = 0, overwrite: bool = False) -> Path:
-    """Write a unit of these inputs, which a tool may change before it begins; its step is `params.sample`. Returns the path.
+def write_fmu(
+    path: str | os.PathLike[str], params: Parameters, seed: int = 0, overwrite: bool = False
+) -> Path:
+    """Write a unit of these inputs, which a tool may change before it begins; its step is
+    `params.sample`. Returns the path.
 
-    Variables: the leaves of `Parameters`, `pieces` and `seed` (parameters), `release` (input: each rising edge lets the next
-    portion fall, the first falls at the start), `force` (N) and `pif_kg` (kg) (outputs: means over the step). What a portion
-    does is `product_model.stream` of the key `seed`, of the n-th after the first `seed + n`. The unit calls the Python that it
-    is run beside, in which product-impact must be installed.
+    Variables: the leaves of `Parameters`, `pieces` and `seed` (parameters), `release` (input: each
+    rising edge lets the next portion fall, the first falls at the start), `force` (N) and `pif_kg`
+    (kg) (outputs: means over the step). What a portion does is `product_model.stream` of the key
+    `seed`, of the n-th after the first `seed + n`. The unit calls the Python that it is run beside,
+    in which product-impact must be installed.
 
-    Raises `BadInput` for inputs out of range, the smooth form, a path that cannot be written, and without pythonfmu.
+    Raises `BadInput` for inputs out of range, the smooth form, a path that cannot be written, and
+    without pythonfmu.
     """
     seed = checked_seed(seed)
     path = check_fmu(path, overwrite)
@@ -41,11 +48,15 @@ def write_fmu(path: str | os.PathLike[str], params: Parameters, seed: int = 0, o
     if params.form == "smooth":
         raise BadInput("form = smooth: a stream is rectangular or interval-mean")
     if params.landings is not None:
-        raise BadInput("landings: the unit that runs Python has the paper's model only; a compiled unit has the extended one")
+        raise BadInput(
+            "landings: the unit that runs Python has the paper's model only; a compiled unit has the extended one"
+        )
     try:
         from pythonfmu.builder import FmuBuilder
     except ImportError as error:
-        raise BadInput(f"out = {path}: needs pythonfmu: pip install 'product-impact[fmu]' ({error})") from None
+        raise BadInput(
+            f"out = {path}: needs pythonfmu: pip install 'product-impact[fmu]' ({error})"
+        ) from None
     with tempfile.TemporaryDirectory() as folder, _preserve_imports():
         inputs, slave = Path(folder) / "inputs.json", Path(folder) / SLAVE.name
         inputs.write_text(json.dumps(_plain(params) | {"seed": seed}), encoding="utf-8")
@@ -61,7 +72,9 @@ def write_fmu(path: str | os.PathLike[str], params: Parameters, seed: int = 0, o
 
 
 def _copy_with_library(made: Path, path: Path) -> None:
-    """Copy a unit, with our library for Linux before that of pythonfmu, which fails in folders such as `größe`."""
+    """Copy a unit, with our library for Linux before that of pythonfmu, which fails in folders such
+    as `größe`.
+    """
     with zipfile.ZipFile(made) as old, zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as new:
         for entry in old.namelist():
             if entry.startswith(LINUX) and entry.endswith(".so"):
@@ -84,5 +97,10 @@ def _preserve_imports() -> Iterator[None]:
 
 def _plain(params: Parameters) -> dict[str, float | int | str | None]:
     """All inputs as plain numbers and strings, with the number of pieces."""
-    values = {f.name: getattr(params, f.name) for f in dataclasses.fields(params)} | {"pieces": count_pieces(params)}
-    return {name: value if isinstance(value, int | str | None) else float(value) for name, value in values.items()}
+    values = {f.name: getattr(params, f.name) for f in dataclasses.fields(params)} | {
+        "pieces": count_pieces(params)
+    }
+    return {
+        name: value if isinstance(value, int | str | None) else float(value)
+        for name, value in values.items()
+    }

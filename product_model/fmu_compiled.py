@@ -13,7 +13,15 @@ from pathlib import Path
 
 from product_model.c_export import SOURCES, source_files
 from product_model.fmu import check_fmu
-from product_model.fmu_description import IDENTIFIER, MODEL, UnitKind, Variable, describe_build, describe_model, list_variables
+from product_model.fmu_description import (
+    IDENTIFIER,
+    MODEL,
+    UnitKind,
+    Variable,
+    describe_build,
+    describe_model,
+    list_variables,
+)
 from product_model.inputs import BadInput, Parameters, check, checked_seed
 from product_model.program import temporary_file
 
@@ -25,7 +33,9 @@ CAPACITY = 1024  # pieces of a portion for which there is always room
 
 
 def find_compiler() -> str | None:
-    """Path of the C compiler: that of the environment variable CC, else cc, gcc or clang; None if there is none."""
+    """Path of the C compiler: that of the environment variable CC, else cc, gcc or clang; None if
+    there is none.
+    """
     named = os.environ.get("CC")
     return next(
         (path for name in ((named,) if named else COMPILERS) if (path := shutil.which(name))), None
@@ -43,19 +53,19 @@ def write_compiled_fmu(
 
     Variables: the leaves of `Parameters`, the additions of the extended model if there are any,
     `m_target`, `pieces` and `seed` (parameters), `release` (input: each rising edge lets the next
-    portion fall, the first falls at the start), `force` (N) and `pif_kg` (kg) (outputs). A step of any
-    length gives the mean over it (with the rectangular form: the force at its end). Portion n after
-    the first is that of `product_model.simulate` with the seed `seed + n`.
+    portion fall, the first falls at the start), `force` (N) and `pif_kg` (kg) (outputs). A step of
+    any length gives the mean over it (with the rectangular form: the force at its end). Portion n
+    after the first is that of `product_model.simulate` with the seed `seed + n`.
 
     Args:
         path: of the unit, ending in .fmu.
-        params: parameters that a tool may change before it begins; `sample` is the step that it takes by default.
-        seed: start value of the parameter `seed`.
-        overwrite: replace a file that exists.
-        fmi: "2" or "3".
+        params: parameters that a tool may change before it begins; `sample` is the step that it
+        takes by default. seed: start value of the parameter `seed`. overwrite: replace a file that
+        exists. fmi: "2" or "3".
 
     Returns: the path.
-    Raises: `BadInput` for inputs out of range, a path that cannot be written, and without a C compiler.
+    Raises: `BadInput` for inputs out of range, a path that cannot be written, and without a C
+    compiler.
     """
     seed = checked_seed(seed)
     path = check_fmu(path, overwrite)
@@ -66,7 +76,9 @@ def write_compiled_fmu(
         files[name] = (SOURCES / name).read_text(encoding="utf-8")
     token = hashlib.sha256("".join(files.values()).encode()).hexdigest()
     files["product_model_parameters.h"] += f'\n#define PRODUCT_MODEL_TOKEN "{token}"\n'
-    return pack_unit(path, compiler, files, MODEL, list_variables(params, seed), params.sample, token, fmi)
+    return pack_unit(
+        path, compiler, files, MODEL, list_variables(params, seed), params.sample, token, fmi
+    )
 
 
 def require_compiler(path: Path) -> str:
@@ -133,7 +145,9 @@ def binary_name(fmi: str, identifier: str = IDENTIFIER) -> str:
 
 
 def compile_unit(compiler: str, files: dict[str, str], sources: Sequence[str]) -> bytes:
-    """The library that the compiler makes of the files. Raises `BadInput` with the compiler's first line if it fails."""
+    """The library that the compiler makes of the files. Raises `BadInput` with the compiler's first
+    line if it fails.
+    """
     with tempfile.TemporaryDirectory() as folder:
         for name, text in files.items():
             Path(folder, name).write_text(text, encoding="utf-8")

@@ -49,7 +49,8 @@ MODEL = UnitKind(IDENTIFIER, DESCRIPTION, SOURCE_NAMES)
 class Variable:
     """A variable of the unit.
 
-    kind: real, integer or boolean; start: initial value as text, None for an output; minimum: least value, None if there is none.
+    kind: real, integer or boolean; start: initial value as text, None for an output; minimum: least
+    value, None if there is none.
     """
 
     name: str
@@ -70,10 +71,15 @@ def list_variables(params: Parameters, seed: int) -> list[Variable]:
     target = f"{rows['m_target'].meaning}, from which the number of pieces follows (eq. 16); 0: `pieces` pieces"
     release = "a rising edge lets the next portion fall"
     return [
-        *(_real_parameter(rows[name], rows[name].meaning, float(getattr(params, name))) for name in LEAVES),
+        *(
+            _real_parameter(rows[name], rows[name].meaning, float(getattr(params, name)))
+            for name in LEAVES
+        ),
         *_landing_parameters(params),
         _real_parameter(rows["m_target"], target, 0.0),
-        _integer_parameter("pieces", PIECES, "tunable", rows["pieces"].meaning, count_pieces(params), 1),
+        _integer_parameter(
+            "pieces", PIECES, "tunable", rows["pieces"].meaning, count_pieces(params), 1
+        ),
         _integer_parameter("seed", SEED, "fixed", "seed of the random numbers", seed, 0),
         Variable("release", RELEASE, "boolean", "input", "discrete", release, start="false"),
         _output("force", FORCE, f"total impact force, {span}", "N"),
@@ -83,7 +89,9 @@ def list_variables(params: Parameters, seed: int) -> list[Variable]:
 
 def _real_parameter(row: Input, description: str, start: float) -> Variable:
     unit, number = row.unit.replace("²", "2"), FIELDS.index(row.name)
-    return Variable(row.name, number, "real", "parameter", "tunable", description, unit, repr(start), "0")
+    return Variable(
+        row.name, number, "real", "parameter", "tunable", description, unit, repr(start), "0"
+    )
 
 
 def _landing_parameters(params: Parameters) -> list[Variable]:
@@ -92,13 +100,29 @@ def _landing_parameters(params: Parameters) -> list[Variable]:
         return []
     fixed = ("real", "parameter", "tunable")
     return [
-        Variable(row.name, LANDINGS + k, *fixed, row.meaning, row.unit, repr(float(value)), repr(row.low))
-        for k, (row, value) in enumerate(zip(ADDITIONS, params.landings.values().values(), strict=True))
+        Variable(
+            row.name, LANDINGS + k, *fixed, row.meaning, row.unit, repr(float(value)), repr(row.low)
+        )
+        for k, (row, value) in enumerate(
+            zip(ADDITIONS, params.landings.values().values(), strict=True)
+        )
     ]
 
 
-def _integer_parameter(name: str, reference: int, variability: str, description: str, start: int, least: int) -> Variable:
-    return Variable(name, reference, "integer", "parameter", variability, description, None, str(start), str(least))
+def _integer_parameter(
+    name: str, reference: int, variability: str, description: str, start: int, least: int
+) -> Variable:
+    return Variable(
+        name,
+        reference,
+        "integer",
+        "parameter",
+        variability,
+        description,
+        None,
+        str(start),
+        str(least),
+    )
 
 
 def _output(name: str, reference: int, description: str, unit: str) -> Variable:
@@ -108,7 +132,9 @@ def _output(name: str, reference: int, description: str, unit: str) -> Variable:
 def describe_model(
     fmi: str, kind: UnitKind, variables: list[Variable], step: float, token: str
 ) -> bytes:
-    """modelDescription.xml of a unit of FMI 2.0 or 3.0. step: (s) by default. token: as the library has it."""
+    """modelDescription.xml of a unit of FMI 2.0 or 3.0. step: (s) by default. token: as the library
+    has it.
+    """
     root = ET.Element(
         "fmiModelDescription",
         {
@@ -137,11 +163,7 @@ def describe_model(
             ET.SubElement(files, "File", name=name)
     _add_units(root, {variable.unit for variable in variables} | {"s"})
     ET.SubElement(
-        root,
-        "DefaultExperiment",
-        startTime="0.0",
-        stopTime=repr(LONGEST),
-        stepSize=repr(step),
+        root, "DefaultExperiment", startTime="0.0", stopTime=repr(LONGEST), stepSize=repr(step)
     )
     (_add_variables_2 if fmi == "2" else _add_variables_3)(root, variables)
     return _as_bytes(root)

@@ -10,8 +10,8 @@ import numpy as np
 class Grid:
     """Equidistant sample times t_k = start + (k + 1) sample, k = 0 ... samples - 1.
 
-    Sample k stands for the interval of length `sample` that *ends* at t_k, as in the traces of the discrete element
-    method.
+    Sample k stands for the interval of length `sample` that *ends* at t_k, as in the traces of the
+    discrete element method.
 
     start:   (s)  beginning of the first interval, counted from the release of the portion
     sample:  (s)  sample time, Delta t_sample of Fig. 7
@@ -33,5 +33,7 @@ class Grid:
 
 
 def grid_over(start: float, duration: float, sample: float) -> Grid:
-    """The grid that covers `duration` seconds from `start`; the last interval may reach past the end."""
+    """The grid that covers `duration` seconds from `start`; the last interval may reach past the
+    end.
+    """
     return Grid(start, sample, max(1, math.ceil(duration / sample * (1.0 - 1e-12))))

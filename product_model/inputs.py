@@ -1,4 +1,6 @@
-"""The inputs of the Product Model (Fig. 7), their defaults with the source of each, and their validation."""
+"""The inputs of the Product Model (Fig. 7), their defaults with the source of each, and their
+validation.
+"""
 
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
@@ -22,12 +24,13 @@ _static = partial(field, metadata={"static": True})
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Parameters:
-    """All inputs of the model. Leaves can be traced, mapped and differentiated; the other fields are static.
+    """All inputs of the model. Leaves can be traced, mapped and differentiated; the other fields
+    are static.
 
-    Leaves, each a float or [] array: h_mean, gamma_low, gamma_high, dt_impact, m_piece, gravity. Units and sources
-    of the defaults: `INPUTS`. `landings` None: the paper's model, else the additions of the extended one. `pieces` None:
-    eq. 16 from m_target; `duration` None: until all but one in 10^4 pieces have landed in a portion that spreads like
-    gamma_high.
+    Leaves, each a float or [] array: h_mean, gamma_low, gamma_high, dt_impact, m_piece, gravity.
+    Units and sources of the defaults: `INPUTS`. `landings` None: the paper's model, else the
+    additions of the extended one. `pieces` None: eq. 16 from m_target; `duration` None: until all
+    but one in 10^4 pieces have landed in a portion that spreads like gamma_high.
     """
 
     h_mean: float | jax.Array = 0.25
@@ -51,12 +54,16 @@ class Parameters:
         return replace(self, **changes)
 
 
-LEAVES = tuple(f.name for f in fields(Parameters) if not f.metadata.get("static") and f.name != "landings")
+LEAVES = tuple(
+    f.name for f in fields(Parameters) if not f.metadata.get("static") and f.name != "landings"
+)
 
 
 @dataclass(frozen=True)
 class Input:
-    """One row of the table of inputs: name in Python, symbol and unit, meaning, source of the default."""
+    """One row of the table of inputs: name in Python, symbol and unit, meaning, source of the
+    default.
+    """
 
     name: str
     symbol: str
@@ -66,14 +73,30 @@ class Input:
 
 
 INPUTS = (
-    Input("m_target", "m_target", "kg", "target weight of the portion", "paper, section 4.1 (50 g)"),
-    Input("m_piece", "m_p", "kg", "weight of one piece", "paper, section 4 (marshmallow at SF = 1)"),
+    Input(
+        "m_target", "m_target", "kg", "target weight of the portion", "paper, section 4.1 (50 g)"
+    ),
+    Input(
+        "m_piece", "m_p", "kg", "weight of one piece", "paper, section 4 (marshmallow at SF = 1)"
+    ),
     Input("pieces", "n", "1", "number of pieces", "eq. 16, rounded, unless given"),
     Input("dt_impact", "Δt_impact", "s", "length of the pulse of one piece", "paper, section 4.3"),
     Input("sample", "Δt_sample", "s", "sample time", "paper, section 4.2"),
-    Input("h_mean", "h_mean", "m", "mean drop height", "assumed; the paper's force levels fit 0.2-0.3 m"),
+    Input(
+        "h_mean",
+        "h_mean",
+        "m",
+        "mean drop height",
+        "assumed; the paper's force levels fit 0.2-0.3 m",
+    ),
     Input("gamma_low", "γ_limit,low", "m", "lower limit of σ_height", "assumed; not in the paper"),
-    Input("gamma_high", "γ_limit,high", "m", "upper (three-sigma) limit of σ_height", "assumed; not in the paper"),
+    Input(
+        "gamma_high",
+        "γ_limit,high",
+        "m",
+        "upper (three-sigma) limit of σ_height",
+        "assumed; not in the paper",
+    ),
     Input("gravity", "g", "m/s²", "acceleration due to gravity", "paper, section 3.1"),
     Input("start", "", "s", "beginning of the trace after release", "chosen: the release"),
     Input("duration", "", "s", "length of the trace", "chosen: until the pieces have landed"),
@@ -84,7 +107,13 @@ INPUTS = (
         "rectangular, interval-mean or smooth",
         "chosen: means over Δt_sample, exact for every Δt_impact",
     ),
-    Input("smooth_width", "τ", "s", "width of the smooth form's Gaussian", "chosen: a tenth of the default Δt_impact"),
+    Input(
+        "smooth_width",
+        "τ",
+        "s",
+        "width of the smooth form's Gaussian",
+        "chosen: a tenth of the default Δt_impact",
+    ),
     Input("precision", "", "", "f32 or f64", "chosen"),
 )
 
@@ -100,7 +129,9 @@ MOST_SEED = 2**31 - 1
 
 
 def checked_seed(seed: Any, most: int = MOST_SEED) -> int:
-    """The seed as a plain number. Raises `BadInput` unless it is a whole number from 0 to the most allowed."""
+    """The seed as a plain number. Raises `BadInput` unless it is a whole number from 0 to the most
+    allowed.
+    """
     is_whole = isinstance(seed, int | np.integer) and not isinstance(seed, bool)
     if not is_whole or not 0 <= seed <= most:
         raise BadInput(f"seed = {seed!r}: must be a whole number from 0 to {most}")
@@ -138,9 +169,13 @@ class _Checked(BaseModel):
     @model_validator(mode="after")
     def _ordered(self) -> "_Checked":
         if self.gamma_high < self.gamma_low:
-            raise ValueError(f"gamma_high = {self.gamma_high:g} m: must be at least gamma_low = {self.gamma_low:g} m")
+            raise ValueError(
+                f"gamma_high = {self.gamma_high:g} m: must be at least gamma_low = {self.gamma_low:g} m"
+            )
         if self.pieces is None and self.m_target / self.m_piece > 1e7:
-            raise ValueError(f"m_target = {self.m_target:g} kg: more than 10^7 pieces of m_piece = {self.m_piece:g} kg")
+            raise ValueError(
+                f"m_target = {self.m_target:g} kg: more than 10^7 pieces of m_piece = {self.m_piece:g} kg"
+            )
         return self
 
 
@@ -158,7 +193,9 @@ def one_line(error: ValidationError) -> str:
 
 
 def check(params: Parameters) -> Parameters:
-    """`params`, or `BadInput` with one line. Traced leaves cannot be looked at and are taken as they are."""
+    """`params`, or `BadInput` with one line. Traced leaves cannot be looked at and are taken as
+    they are.
+    """
     values = {f.name: getattr(params, f.name) for f in fields(params) if f.name != "landings"}
     if params.landings is not None:
         check_landings(params.landings)
@@ -178,7 +215,9 @@ def parameters(**values: Any) -> Parameters:
     """Checked `Parameters` from keywords; raises `BadInput` (unknown name, wrong type or range)."""
     unknown = sorted(set(values) - {f.name for f in fields(Parameters)})
     if unknown:
-        raise BadInput(f"{unknown[0]}: unknown; known are {', '.join(f.name for f in fields(Parameters))}")
+        raise BadInput(
+            f"{unknown[0]}: unknown; known are {', '.join(f.name for f in fields(Parameters))}"
+        )
     return check(Parameters(**values))
 
 
@@ -187,11 +226,15 @@ def _plain(value: Any) -> Any:
 
 
 def count_pieces(params: Parameters) -> int:
-    """Number of pieces n: as given, else eq. 16. Under jit, grad or vmap over m_piece it must be given."""
+    """Number of pieces n: as given, else eq. 16. Under jit, grad or vmap over m_piece it must be
+    given.
+    """
     if params.pieces is not None:
         return params.pieces
     if isinstance(params.m_piece, jax.core.Tracer):
-        raise BadInput("pieces: must be given where m_piece is traced (eq. 16 fixes the shape of the arrays)")
+        raise BadInput(
+            "pieces: must be given where m_piece is traced (eq. 16 fixes the shape of the arrays)"
+        )
     return number_of_pieces(params.m_target, float(params.m_piece))
 
 
@@ -201,7 +244,9 @@ def build_grid(params: Parameters) -> Grid:
         return grid_over(params.start, params.duration, params.sample)
     leaves = (params.h_mean, params.gamma_high, params.dt_impact, params.gravity)
     if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
-        raise BadInput("duration: must be given where h_mean, gamma_high, dt_impact or gravity is traced")
+        raise BadInput(
+            "duration: must be given where h_mean, gamma_high, dt_impact or gravity is traced"
+        )
     h_mean, gamma_high, dt_impact, gravity = (float(leaf) for leaf in leaves)
     fall = (2.0 * (h_mean + 4.0 * gamma_high) / gravity) ** 0.5
     last = fall + dt_impact
@@ -218,18 +263,30 @@ def _known(landings: Landings) -> dict[str, float]:
 
 
 def table() -> str:
-    """Inputs and outputs of the model as in Fig. 7, with the default of each input and its source: a Markdown
-    table.
+    """Inputs and outputs of the model as in Fig. 7, with the default of each input and its source:
+    a Markdown table.
     """
     defaults = {f.name: f.default for f in fields(Parameters)}
-    rows = ["| input | symbol | unit | default | meaning | source of the default |", "|---|---|---|---|---|---|"]
+    rows = [
+        "| input | symbol | unit | default | meaning | source of the default |",
+        "|---|---|---|---|---|---|",
+    ]
     for row in INPUTS:
         default = "" if defaults[row.name] is None else str(defaults[row.name])
-        rows.append(f"| {row.name} | {row.symbol} | {row.unit} | {default} | {row.meaning} | {row.source} |")
-    rows += ["", "| addition of the extended model | unit | default | range | meaning |", "|---|---|---|---|---|"]
+        rows.append(
+            f"| {row.name} | {row.symbol} | {row.unit} | {default} | {row.meaning} | {row.source} |"
+        )
+    rows += [
+        "",
+        "| addition of the extended model | unit | default | range | meaning |",
+        "|---|---|---|---|---|",
+    ]
     for added in ADDITIONS:
         default, allowed = getattr(Landings, added.name), f"{added.low:g} to {added.high:g}"
         rows.append(f"| {added.name} | {added.unit} | {default:g} | {allowed} | {added.meaning} |")
     rows += ["", "| output | symbol | unit | meaning | source |", "|---|---|---|---|---|"]
-    rows += [f"| {row.name} | {row.symbol} | {row.unit} | {row.meaning} | {row.source} |" for row in OUTPUTS]
+    rows += [
+        f"| {row.name} | {row.symbol} | {row.unit} | {row.meaning} | {row.source} |"
+        for row in OUTPUTS
+    ]
     return "\n".join(rows)

@@ -11,13 +11,19 @@ NUMBERS_TO_SAVE = 12, 20  # the same, with the arrays of a file
 LIMIT_FILES = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory.current")  # of a container
 
 
-def portion_bytes(samples: int, pulses: int, itemsize: int, numbers: tuple[int, int] = NUMBERS_TO_COMPUTE) -> int:
-    """Bytes that one portion needs while it is computed, or with NUMBERS_TO_SAVE until it is in a file."""
+def portion_bytes(
+    samples: int, pulses: int, itemsize: int, numbers: tuple[int, int] = NUMBERS_TO_COMPUTE
+) -> int:
+    """Bytes that one portion needs while it is computed, or with NUMBERS_TO_SAVE until it is in a
+    file.
+    """
     return itemsize * (numbers[0] * samples + numbers[1] * pulses)
 
 
 def count_pulses(params: Parameters, pieces: int) -> int:
-    """Number of pulses of a portion, by which its memory is counted: those of the extended model are a few for each piece."""
+    """Number of pulses of a portion, by which its memory is counted: those of the extended model
+    are a few for each piece.
+    """
     return pieces if params.landings is None else pieces * (1 + sum(params.landings.impacts))
 
 
@@ -30,7 +36,9 @@ def available_memory() -> int | None:
 def _available_in_system() -> int | None:
     try:
         lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
-        return next(1024 * int(line.split()[1]) for line in lines if line.startswith("MemAvailable:"))
+        return next(
+            1024 * int(line.split()[1]) for line in lines if line.startswith("MemAvailable:")
+        )
     except (OSError, ValueError, StopIteration):
         pass
     try:  # macOS does not say how much is free
@@ -48,7 +56,9 @@ def _available_in_container() -> int | None:
 
 
 def check_memory(runs: int, needed: int, advice: str) -> None:
-    """Raise `BadInput` where `runs` portions need more bytes than are available. advice: how to need fewer."""
+    """Raise `BadInput` where `runs` portions need more bytes than are available. advice: how to
+    need fewer.
+    """
     available = available_memory()
     if available is not None and needed > available:
         raise BadInput(

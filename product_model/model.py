@@ -46,7 +46,9 @@ def pif_kg(force: jax.Array, gravity: Numbers = GRAVITY) -> jax.Array:
 
 
 class Triangles(NamedTuple):
-    """Isosceles triangular pulses, [pulses] each: start (s), half of their length (s), slope (N/s) of their rise."""
+    """Isosceles triangular pulses, [pulses] each: start (s), half of their length (s), slope (N/s)
+    of their rise.
+    """
 
     start: jax.Array
     half: jax.Array
@@ -56,7 +58,8 @@ class Triangles(NamedTuple):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Pulses:
-    """What every piece does to the weigh bucket: a pulse of equal length (eq. 17), then its static weight.
+    """What every piece does to the weigh bucket: a pulse of equal length (eq. 17), then its static
+    weight.
 
     start:    [pieces] (s)  moment of impact t_i, eq. 14
     duration: []       (s)  Delta t_impact
@@ -70,8 +73,8 @@ class Pulses:
     weight: jax.Array
 
     def edges(self) -> tuple[jax.Array, jax.Array]:
-        """Times [2 pieces] (s) and jumps [2 pieces] (N) of the total force, eq. 15: its rising edges, then its
-        falling ones.
+        """Times [2 pieces] (s) and jumps [2 pieces] (N) of the total force, eq. 15: its rising
+        edges, then its falling ones.
         """
         times = jnp.concatenate([self.start, self.start + self.duration])
         return times, jnp.concatenate([self.force, self.weight - self.force])
@@ -81,7 +84,9 @@ class Pulses:
 
     def ends(self) -> jax.Array:
         """[..., pieces] (s) ends of the pulses."""
-        return self.start + (self.duration[..., None] if getattr(self.duration, "ndim", 0) else self.duration)
+        return self.start + (
+            self.duration[..., None] if getattr(self.duration, "ndim", 0) else self.duration
+        )
 
     def weight_steps(self) -> tuple[jax.Array, jax.Array]:
         """Times (s) and weights (N) that come to rest then, [..., pieces] each."""
@@ -96,5 +101,6 @@ class Pulses:
 def pulses(height: jax.Array, mass: jax.Array, dt_impact: jax.Array, gravity: Numbers) -> Pulses:
     """Eqs 9-14 and 17 for pieces of `mass` [pieces] (kg) dropped from `height` [pieces] (m)."""
     start = fall_time(height, gravity)
-    force = impact_force(impulse(mass, gravity * start), dt_impact)  # eq. 9 as g t: one root instead of two
+    force = impact_force(impulse(mass, gravity * start), dt_impact)  # eq. 9 as g t: one root
+    # instead of two
     return Pulses(start, dt_impact, force, mass * gravity)

@@ -7,9 +7,16 @@ from pathlib import Path
 from product_model.inputs import BadInput
 
 
-def check_target(key: str, path: str | PathLike[str], suffixes: Sequence[str], allowed: str, overwrite: bool = False) -> Path:
-    """`path` if a file may be written there, else `BadInput`: another suffix, missing folder, or a file that nobody asked to
-    replace. key: the argument that names it; allowed: the suffixes in words.
+def check_target(
+    key: str,
+    path: str | PathLike[str],
+    suffixes: Sequence[str],
+    allowed: str,
+    overwrite: bool = False,
+) -> Path:
+    """`path` if a file may be written there, else `BadInput`: another suffix, missing folder, or a
+    file that nobody asked to replace. key: the argument that names it; allowed: the suffixes in
+    words.
     """
     path = Path(path)
     if path.suffix not in suffixes:

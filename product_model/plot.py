@@ -12,7 +12,9 @@ if TYPE_CHECKING:
 
 
 def figure(trace: Trace) -> "Figure":
-    """PIF over time: one trace with its static weight, or the quantile bands of an ensemble beside its peaks."""
+    """PIF over time: one trace with its static weight, or the quantile bands of an ensemble beside
+    its peaks.
+    """
     from matplotlib.figure import Figure
 
     many = trace.force.ndim == 2
@@ -26,14 +28,20 @@ def figure(trace: Trace) -> "Figure":
         axes[0].plot(time_ms, np.asarray(trace.pif_kg), lw=0.8, label="PIF, eq. 24")
         axes[0].plot(time_ms, trace.settled_mass(), lw=1.5, label="static weight")
     first, last = (1e3 * float(f(np.asarray(trace.pulses.start))) for f in (np.min, np.max))
-    axes[0].set(xlabel="time after release (ms)", ylabel="product impact force (kg)", xlim=(first - 10, last + 10))
+    axes[0].set(
+        xlabel="time after release (ms)",
+        ylabel="product impact force (kg)",
+        xlim=(first - 10, last + 10),
+    )
     axes[0].legend(loc="upper right")
     return fig
 
 
 def _bands(ax: Any, time_ms: np.ndarray, trace: Trace) -> None:
     low, mid, high = bands(trace, (0.05, 0.5, 0.95))
-    ax.fill_between(time_ms, low, high, alpha=0.3, lw=0, label=f"5-95 % of {len(trace.force)} portions")
+    ax.fill_between(
+        time_ms, low, high, alpha=0.3, lw=0, label=f"5-95 % of {len(trace.force)} portions"
+    )
     ax.plot(time_ms, mid, lw=1, label="median")
     ax.plot(time_ms, np.asarray(trace.pif_kg)[0], lw=0.6, color="k", label="one portion")
 

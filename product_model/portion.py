@@ -17,7 +17,15 @@ from product_model import smooth as smoothed
 from product_model.draws import DType
 from product_model.extended import LandingPulses, count_numbers, landing_numbers, landing_pulses
 from product_model.grid import Grid
-from product_model.inputs import DTYPES, LEAVES, Parameters, build_grid, check, checked_seed, count_pieces
+from product_model.inputs import (
+    DTYPES,
+    LEAVES,
+    Parameters,
+    build_grid,
+    check,
+    checked_seed,
+    count_pieces,
+)
 
 Key = int | np.integer | jax.Array  # a random key of JAX, or an integer seed
 Leaves = dict[str, Any]  # name -> [] array
@@ -29,13 +37,13 @@ class Trace:
     """The force of one portion, or of several with a leading axis [runs] on every array.
 
     force:        [T] (N)       total force in the form that was asked for, downward positive
-    pulses:       [pieces]      start (s), duration (s), force (N), weight (N) of every piece's pulse; of the extended model
+    pulses:       [pieces]      start (s), duration (s), force (N), weight (N) of every piece's
+    pulse; of the extended model
                                 those of `LandingPulses`
     height:       [pieces] (m)  drop heights
     sigma_height: [] (m)        their standard deviation in this portion, eqs 19-22
-    again:        [pieces]      True where the drop height would have been negative and was drawn again
-    gravity:      [] (m/s2)
-    grid:         static        sample times
+    again:        [pieces]      True where the drop height would have been negative and was drawn
+    again gravity:      [] (m/s2) grid:         static        sample times
     """
 
     force: jax.Array
@@ -68,12 +76,18 @@ class Trace:
 
     @property
     def late(self) -> np.ndarray:
-        """[] pieces whose pulse is not over at the last sample: lengthen the trace if there are any."""
+        """[] pieces whose pulse is not over at the last sample: lengthen the trace if there are
+        any.
+        """
         return (_concrete(self.pulses.ends()) > self.grid.end).sum(axis=-1)
 
     def settled_mass(self) -> np.ndarray:
-        """[T] (kg) mass whose weight rests on the flaps at each sample time: the static weight of Fig. 6 over g."""
-        end, weight = (np.asarray(values, np.float64) for values in _in_double(self.pulses).weight_steps())
+        """[T] (kg) mass whose weight rests on the flaps at each sample time: the static weight of
+        Fig. 6 over g.
+        """
+        end, weight = (
+            np.asarray(values, np.float64) for values in _in_double(self.pulses).weight_steps()
+        )
         mass = weight / np.asarray(self._over_time(self.gravity), np.float64)
         if end.ndim == 1:
             return _settled_mass(self.time, end, mass)
@@ -84,8 +98,8 @@ class Trace:
 
 
 def _concrete(value: Any) -> Any:
-    """A NumPy array of a value that is one, so that its precision does not hang on the global flag; a traced
-    value as it is.
+    """A NumPy array of a value that is one, so that its precision does not hang on the global flag;
+    a traced value as it is.
     """
     return value if isinstance(value, jax.core.Tracer) else np.asarray(value)
 
@@ -101,7 +115,9 @@ def _settled_mass(time: np.ndarray, end: np.ndarray, mass: np.ndarray) -> np.nda
     return total[np.searchsorted(end[order], time, side="right")]
 
 
-def render(pulses: model.Pulses | LandingPulses, grid: Grid, form: str, smooth_width: float) -> jax.Array:
+def render(
+    pulses: model.Pulses | LandingPulses, grid: Grid, form: str, smooth_width: float
+) -> jax.Array:
     """Force [T] (N) of `pulses` in one of the three forms."""
     if form == "rectangular":
         return sharp.rectangular(pulses, grid)
@@ -110,9 +126,11 @@ def render(pulses: model.Pulses | LandingPulses, grid: Grid, form: str, smooth_w
     return smoothed.smooth(pulses, grid, smooth_width)
 
 
-def random_numbers(key: jax.Array, pieces: int, dtype: DType, more: int = 0) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """What a portion draws: z [] normal for its spread, v [pieces] uniform on (-1, 1) for its drop heights, and [pieces, more]
-    further uniform numbers, which change none of the others.
+def random_numbers(
+    key: jax.Array, pieces: int, dtype: DType, more: int = 0
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """What a portion draws: z [] normal for its spread, v [pieces] uniform on (-1, 1) for its drop
+    heights, and [pieces, more] further uniform numbers, which change none of the others.
 
     All from one call of the generator, which on a CPU costs more to enter than to fill.
     """
@@ -122,9 +140,11 @@ def random_numbers(key: jax.Array, pieces: int, dtype: DType, more: int = 0) -> 
 
 
 @partial(jax.jit, static_argnames=("pieces", "grid", "form", "smooth_width"))
-def portion(leaves: Leaves, key: jax.Array, *, pieces: int, grid: Grid, form: str, smooth_width: float) -> Trace:
-    """Eqs 9-22 for one key. leaves: dict of the names in `LEAVES`, [] each and all of one dtype, which is that of
-    the result; "landings", if any, the additions of the extended model.
+def portion(
+    leaves: Leaves, key: jax.Array, *, pieces: int, grid: Grid, form: str, smooth_width: float
+) -> Trace:
+    """Eqs 9-22 for one key. leaves: dict of the names in `LEAVES`, [] each and all of one dtype,
+    which is that of the result; "landings", if any, the additions of the extended model.
     """
     extended = leaves.get("landings")
     more = 0 if extended is None else count_numbers(extended.impacts)
@@ -137,7 +157,9 @@ def portion(leaves: Leaves, key: jax.Array, *, pieces: int, grid: Grid, form: st
         pulses = model.pulses(height, mass, leaves["dt_impact"], leaves["gravity"])
     else:
         given = leaves["dt_impact"], leaves["h_mean"], leaves["gravity"]
-        landed = landing_pulses(extended, height, mass, *given, landing_numbers(numbers, extended.impacts))
+        landed = landing_pulses(
+            extended, height, mass, *given, landing_numbers(numbers, extended.impacts)
+        )
         pulses = lax.optimization_barrier(landed)  # else XLA computes them once for each use
     return Trace(
         force=render(pulses, grid, form, smooth_width).astype(height.dtype),
@@ -151,9 +173,11 @@ def portion(leaves: Leaves, key: jax.Array, *, pieces: int, grid: Grid, form: st
 
 
 def in_precision(params: Parameters) -> contextlib.AbstractContextManager[Any]:
-    """Context in which arrays of the precision that `params` need exist, whatever the global flag says.
+    """Context in which arrays of the precision that `params` need exist, whatever the global flag
+    says.
 
-    Landings are rendered in double precision, in f32 as well: slopes that are summed up twice lose four digits otherwise.
+    Landings are rendered in double precision, in f32 as well: slopes that are summed up twice lose
+    four digits otherwise.
     """
     double = params.precision == "f64" or params.landings is not None
     needed = double and not jax.config.jax_enable_x64  # type: ignore[attr-defined]
@@ -171,7 +195,11 @@ def parameter_leaves(params: Parameters) -> Leaves:
 
 
 def _cast(value: Any, dtype: DType) -> np.ndarray | jax.Array:
-    return jnp.asarray(value).astype(dtype) if isinstance(value, jax.Array) else np.asarray(value, dtype)
+    return (
+        jnp.asarray(value).astype(dtype)
+        if isinstance(value, jax.Array)
+        else np.asarray(value, dtype)
+    )
 
 
 def static_parameters(params: Parameters) -> dict[str, Any]:
@@ -185,16 +213,18 @@ def static_parameters(params: Parameters) -> dict[str, Any]:
 
 
 def as_key(key: Key) -> jax.Array:
-    """A random key from a key or a whole number as seed. Raises `BadInput` for a seed that is no such number."""
+    """A random key from a key or a whole number as seed. Raises `BadInput` for a seed that is no
+    such number.
+    """
     return key if isinstance(key, jax.Array) else jax.random.key(checked_seed(key))
 
 
 def simulate(params: Parameters, key: Key) -> Trace:
     """The product impact force of one random portion (eqs 9-22).
 
-    params: `Parameters`; key: a jax random key, or an integer seed. The same key gives the same trace.
-    Raises `BadInput` with one line where an input is out of range. Compiles once for each set of static inputs; in a
-    loop that counts microseconds use `compiled`.
+    params: `Parameters`; key: a jax random key, or an integer seed. The same key gives the same
+    trace. Raises `BadInput` with one line where an input is out of range. Compiles once for each
+    set of static inputs; in a loop that counts microseconds use `compiled`.
     """
     check(params)
     with in_precision(params):
@@ -202,12 +232,13 @@ def simulate(params: Parameters, key: Key) -> Trace:
 
 
 def compiled(params: Parameters) -> Callable[[jax.Array], Trace]:
-    """`key -> Trace` with all checks done and all inputs fixed beforehand: the fast way to many traces of one set of
-    inputs.
+    """`key -> Trace` with all checks done and all inputs fixed beforehand: the fast way to many
+    traces of one set of inputs.
 
-    The first call compiles. Where every trace is waited for, `jax.config.update("jax_cpu_enable_async_dispatch", False)`
-    at the start of the program saves a quarter of the time on a CPU. Only what is random comes out of the compiled
-    program, each array of which costs microseconds; the rest is made once.
+    The first call compiles. Where every trace is waited for,
+    `jax.config.update("jax_cpu_enable_async_dispatch", False)` at the start of the program saves a
+    quarter of the time on a CPU. Only what is random comes out of the compiled program, each array
+    of which costs microseconds; the rest is made once.
     """
     check(params)
     static = static_parameters(params)
@@ -221,7 +252,14 @@ def compiled(params: Parameters) -> Callable[[jax.Array], Trace]:
     @jax.jit
     def random_parts(key: jax.Array) -> tuple[jax.Array, ...]:
         trace = portion(leaves, key, **static)
-        return trace.force, trace.pulses.start, trace.pulses.force, trace.height, trace.sigma_height, trace.again
+        return (
+            trace.force,
+            trace.pulses.start,
+            trace.pulses.force,
+            trace.height,
+            trace.sigma_height,
+            trace.again,
+        )
 
     def run(key: jax.Array) -> Trace:
         force, start, height_of_pulse, height, sigma, again = random_parts(key)

@@ -1,4 +1,6 @@
-"""How a program of the command line begins and ends: its streams, signals, output that nobody takes, a missing device."""
+"""How a program of the command line begins and ends: its streams, signals, output that nobody
+takes, a missing device.
+"""
 
 import contextlib
 import os
@@ -11,9 +13,11 @@ from typing import Any, NoReturn
 
 PROGRAMS = ("product_model", "calibrate")  # this package's own, and the one built on it
 BAD_INPUT, INTERRUPTED = 2, 130
-SIGNALS = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "hung up"}  # that end a program: what they do to it
+SIGNALS = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "hung up"}  # that end a
+# program: what they do to it
 SAVING = 5.0  # s at most, to save what was computed
-PATIENCE = 0.5  # s that an interrupted program waits for its standard output to take what was printed
+PATIENCE = 0.5  # s that an interrupted program waits for its standard output to take what was
+# printed
 
 _unfinished: set[Path] = set()  # temporary files that an interrupted program removes
 _savers: list[Callable[[], str | None]] = []  # called when a program is interrupted
@@ -21,9 +25,11 @@ _open_line = threading.Event()  # set while a progress bar stands on the last li
 
 
 def begin_program() -> None:
-    """From now on SIGNALS end the process at once, if it is one of PROGRAMS and not a session of Python's or a test.
+    """From now on SIGNALS end the process at once, if it is one of PROGRAMS and not a session of
+    Python's or a test.
 
-    A thread waits for them, as Python's own handler must wait for a call into XLA to return, which can take a minute.
+    A thread waits for them, as Python's own handler must wait for a call into XLA to return, which
+    can take a minute.
     """
     name = _program_name()
     if name is None:
@@ -32,23 +38,31 @@ def begin_program() -> None:
     os.set_blocking(writing, False)
     signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
     for number in _numbers():
-        if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):  # else it is ignored, as by nohup
+        # else it is ignored, as by nohup
+        if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
             signal.signal(number, lambda *_: None)
     threading.Thread(target=_wait_for_signal, args=(name, reading), daemon=True).start()
 
 
 def _program_name() -> str | None:
-    """Which of PROGRAMS this process was started as, by `python -m` or the command of that name; None: as none."""
+    """Which of PROGRAMS this process was started as, by `python -m` or the command of that name;
+    None: as none.
+    """
     if threading.current_thread() is not threading.main_thread() or not sys.argv:
         return None
     command = Path(sys.argv[0]).stem.replace("-", "_")
     by_name = sys.argv[0] == "-m"  # until the module is found
     pairs = list(zip(sys.orig_argv, sys.orig_argv[1:], strict=False))
-    return next((name for name in PROGRAMS if (("-m", name) in pairs if by_name else command == name)), None)
+    return next(
+        (name for name in PROGRAMS if (("-m", name) in pairs if by_name else command == name)), None
+    )
 
 
-def run_program(name: str, action: Callable[[], object], errors: tuple[type[Exception], ...]) -> int:
-    """Run `action` and return the exit code: 0, 2 with one line on stderr for bad input, 130 after Ctrl-C.
+def run_program(
+    name: str, action: Callable[[], object], errors: tuple[type[Exception], ...]
+) -> int:
+    """Run `action` and return the exit code: 0, 2 with one line on stderr for bad input, 130 after
+    Ctrl-C.
 
     Args:
         name: of the program, which begins each message.
@@ -69,7 +83,9 @@ def run_program(name: str, action: Callable[[], object], errors: tuple[type[Exce
         return 0
     except OSError as error:
         _mute()
-        return fail_program(name, f"{error.filename or 'standard output'}: {error.strerror or error}")
+        return fail_program(
+            name, f"{error.filename or 'standard output'}: {error.strerror or error}"
+        )
     except (RuntimeError, AssertionError):
         missing = _missing_device()
         if missing is None:
@@ -99,7 +115,8 @@ def _missing_device() -> str | None:
 
 @contextlib.contextmanager
 def temporary_file(path: Path) -> Iterator[Path]:
-    """A path beside `path` for a file that replaces it when the block ends, and is removed where that fails.
+    """A path beside `path` for a file that replaces it when the block ends, and is removed where
+    that fails.
 
     Of a symbolic link the file that it leads to is replaced.
     """
@@ -116,7 +133,9 @@ def temporary_file(path: Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def saving(save: Callable[[], str | None]) -> Iterator[None]:
-    """If the process is interrupted in here, `save` is called first; it returns where what was computed is, in words."""
+    """If the process is interrupted in here, `save` is called first; it returns where what was
+    computed is, in words.
+    """
     _savers.append(save)
     try:
         yield
@@ -151,7 +170,9 @@ def set_open_line(is_open: bool) -> None:
 
 
 def _open_streams() -> None:
-    """Standard streams that are closed lead to nowhere, and none fails at a letter that its encoding lacks."""
+    """Standard streams that are closed lead to nowhere, and none fails at a letter that its
+    encoding lacks.
+    """
     for stream, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, stream) is None:
             setattr(sys, stream, open(os.devnull, mode, encoding="utf-8"))
@@ -168,7 +189,9 @@ def _mute() -> None:
 
 def _numbers() -> dict[int, str]:
     """The numbers of SIGNALS that there are on this machine, and what they do."""
-    return {int(getattr(signal, key)): words for key, words in SIGNALS.items() if hasattr(signal, key)}
+    return {
+        int(getattr(signal, key)): words for key, words in SIGNALS.items() if hasattr(signal, key)
+    }
 
 
 def _wait_for_signal(name: str, reading: int) -> None:
@@ -197,7 +220,8 @@ def _leave(name: str, number: int, words: str) -> NoReturn:
 def _save(said: list[str]) -> None:
     """Call what saves; `said` gets where things are."""
     for save in list(_savers):
-        with contextlib.suppress(Exception):  # such as of a full disk: the process ends all the same
+        with contextlib.suppress(Exception):  # such as of a full disk: the process ends all the
+            # same
             words = save()
             said += [words] if words else []
 

@@ -1,4 +1,6 @@
-"""Traces as files: HDF5 in the layout of the discrete element runs, CSV as a plain table, and MATLAB .mat."""
+"""Traces as files: HDF5 in the layout of the discrete element runs, CSV as a plain table, and
+MATLAB .mat.
+"""
 
 import dataclasses
 import importlib.metadata
@@ -23,12 +25,13 @@ FileName = str | PathLike[str]
 GROUP = "wb_flaps"  # wall group whose force this is in the discrete element model
 BLOCK = "wb"  # block whose settled mass it is
 SUFFIXES = (".h5", ".hdf5", ".csv", ".mat")
-FORM = ("v108", "v108")  # of HDF5: older ones do not check what says where data are, and reading damaged ones may never end
+FORM = ("v108", "v108")  # of HDF5: older ones do not check what says where data are, and reading
+# damaged ones may never end
 
 
 def check_output(path: FileName, overwrite: bool = False) -> Path:
-    """`path` if it may be written, else `BadInput`: unknown suffix, missing folder, or a file that nobody asked
-    to replace.
+    """`path` if it may be written, else `BadInput`: unknown suffix, missing folder, or a file that
+    nobody asked to replace.
     """
     return check_target("out", path, SUFFIXES, f"one of {', '.join(SUFFIXES)}", overwrite)
 
@@ -44,12 +47,14 @@ def save(
 ) -> Path:
     """Write `trace` (one portion or an ensemble); the suffix chooses the format. Returns the path.
 
-    varied: the inputs that differ from portion to portion, name -> [runs], written as /parameters/NAME (not to a table).
+    varied: the inputs that differ from portion to portion, name -> [runs], written as
+    /parameters/NAME (not to a table).
 
-    `.h5`: /time, /force/wb_flaps and /mean_force/wb_flaps [T, 3] (N, downward negative), /settled_mass/wb, /pif,
-    /pieces/..., with a leading run axis for an ensemble and the inputs as TOML text in the attribute `scene`.
-    `.csv`: time_s, then force_n and pif_g of each run. `.mat`: the same arrays and the inputs for MATLAB.
-    The file appears only when it is complete. Raises `BadInput` as `check_output` does.
+    `.h5`: /time, /force/wb_flaps and /mean_force/wb_flaps [T, 3] (N, downward negative),
+    /settled_mass/wb, /pif, /pieces/..., with a leading run axis for an ensemble and the inputs as
+    TOML text in the attribute `scene`. `.csv`: time_s, then force_n and pif_g of each run. `.mat`:
+    the same arrays and the inputs for MATLAB. The file appears only when it is complete. Raises
+    `BadInput` as `check_output` does.
     """
     seed = None if seed is None else checked_seed(seed)
     path = check_output(path, overwrite)
@@ -72,14 +77,18 @@ def save_blocks(
     overwrite: bool = False,
     varied: Mapping[str, np.ndarray] | None = None,
 ) -> Path:
-    """Write the portions of `ensemble_blocks` to an HDF5 file, a block at a time: the file of `save` for an ensemble.
+    """Write the portions of `ensemble_blocks` to an HDF5 file, a block at a time: the file of
+    `save` for an ensemble.
 
-    runs: number of all portions. Raises `BadInput` as `check_output` does, for another format, and for a disk that is too full.
+    runs: number of all portions. Raises `BadInput` as `check_output` does, for another format, and
+    for a disk that is too full.
     """
     seed = None if seed is None else checked_seed(seed)
     path = check_output(path, overwrite)
     if path.suffix not in SUFFIXES[:2]:
-        raise BadInput(f"out = {path}: portions are written in blocks to {' or '.join(SUFFIXES[:2])} only")
+        raise BadInput(
+            f"out = {path}: portions are written in blocks to {' or '.join(SUFFIXES[:2])} only"
+        )
     try:
         with temporary_file(path) as part:
             first = 0
@@ -98,7 +107,8 @@ def save_blocks(
 
 def file_bytes(runs: int, samples: int, itemsize: int) -> int:
     """Bytes of the HDF5 file of so many portions and samples, but for its small parts."""
-    return runs * samples * (7 * itemsize + 8)  # two forces of three components, the PIF; the settled mass is a double
+    return runs * samples * (7 * itemsize + 8)  # two forces of three components, the PIF; the
+    # settled mass is a double
 
 
 def _check_disk(path: Path, runs: int, trace: Trace) -> None:
@@ -110,19 +120,31 @@ def _check_disk(path: Path, runs: int, trace: Trace) -> None:
 
 
 def list_inputs(params: Parameters, trace: Trace) -> dict[str, Any]:
-    """All inputs as plain numbers and strings, with the number of pieces and the length that were used."""
-    values = {f.name: getattr(params, f.name) for f in dataclasses.fields(params) if f.name != "landings"}
+    """All inputs as plain numbers and strings, with the number of pieces and the length that were
+    used.
+    """
+    values = {
+        f.name: getattr(params, f.name) for f in dataclasses.fields(params) if f.name != "landings"
+    }
     values |= {name: float(values[name]) for name in LEAVES}
     if params.landings is not None:
         values |= {name: float(value) for name, value in params.landings.values().items()}
         values |= {"impacts": list(params.landings.impacts), "shape": params.landings.shape}
-    return values | {"pieces": int(trace.height.shape[-1]), "duration": trace.grid.sample * trace.grid.samples}
+    return values | {
+        "pieces": int(trace.height.shape[-1]),
+        "duration": trace.grid.sample * trace.grid.samples,
+    }
 
 
 def scene_text(params: Parameters, trace: Trace) -> str:
     """The inputs as TOML text."""
     lines = ['base = "product-model"', "", "[portion]", f"count = {trace.height.shape[-1]}"]
-    lines += [f"piece_mass = {float(params.m_piece)!r}", f"target_weight = {params.m_target!r}", "", "[product_model]"]
+    lines += [
+        f"piece_mass = {float(params.m_piece)!r}",
+        f"target_weight = {params.m_target!r}",
+        "",
+        "[product_model]",
+    ]
     for name, value in list_inputs(params, trace).items():
         lines.append(f'{name} = "{value}"' if isinstance(value, str) else f"{name} = {value!r}")
     return "\n".join(lines) + "\n"
@@ -141,7 +163,7 @@ def instantaneous(trace: Trace, params: Parameters) -> np.ndarray:
     import jax
 
     with in_precision(params):
-        sample = lambda pulses: rectangular(pulses, trace.grid)  # noqa: E731
+        sample = lambda pulses: rectangular(pulses, trace.grid)
         return np.asarray((sample if trace.force.ndim == 1 else jax.vmap(sample))(trace.pulses))
 
 
@@ -151,7 +173,9 @@ def _downward(force: np.ndarray) -> np.ndarray:
     return vector
 
 
-def _hdf5(path: Path, trace: Trace, params: Parameters, seed: int | None, varied: Mapping[str, np.ndarray]) -> None:
+def _hdf5(
+    path: Path, trace: Trace, params: Parameters, seed: int | None, varied: Mapping[str, np.ndarray]
+) -> None:
     arrays = _arrays(trace, params)
     _create_hdf5(path, arrays, None)
     _describe_hdf5(path, trace, params, seed, varied)
@@ -180,7 +204,9 @@ def _arrays(trace: Trace, params: Parameters) -> Arrays:
 
 
 def _create_hdf5(path: Path, arrays: Arrays, runs: int | None) -> None:
-    """A file with empty datasets for these arrays. runs: number of all portions, None: as many as the arrays have."""
+    """A file with empty datasets for these arrays. runs: number of all portions, None: as many as
+    the arrays have.
+    """
     import h5py
 
     with h5py.File(path, "w", libver=FORM) as file:
@@ -197,7 +223,9 @@ def _create_hdf5(path: Path, arrays: Arrays, runs: int | None) -> None:
 
 
 def _fill_hdf5(path: Path, arrays: Arrays, rows: Any) -> None:
-    """Write arrays into the datasets of these names. rows: slice of the portions, or ... for all that the datasets have."""
+    """Write arrays into the datasets of these names. rows: slice of the portions, or ... for all
+    that the datasets have.
+    """
     import h5py
 
     with h5py.File(path, "r+", libver=FORM) as file:
@@ -205,7 +233,9 @@ def _fill_hdf5(path: Path, arrays: Arrays, rows: Any) -> None:
             file[name][... if name == "time" else rows] = values
 
 
-def _describe_hdf5(path: Path, trace: Trace, params: Parameters, seed: int | None, varied: Mapping[str, np.ndarray]) -> None:
+def _describe_hdf5(
+    path: Path, trace: Trace, params: Parameters, seed: int | None, varied: Mapping[str, np.ndarray]
+) -> None:
     """Add the varied parameters and the attributes."""
     import h5py
 
@@ -213,7 +243,9 @@ def _describe_hdf5(path: Path, trace: Trace, params: Parameters, seed: int | Non
     with h5py.File(path, "r+", libver=FORM) as file:
         for name, values in varied.items():
             checked = {"fletcher32": True} if np.ndim(values) else {}
-            file.create_dataset(f"parameters/{name}", data=values, **checked).attrs["units"] = units[name]
+            file.create_dataset(f"parameters/{name}", data=values, **checked).attrs["units"] = (
+                units[name]
+            )
         file.attrs["scene"] = scene_text(params, trace)
         file.attrs["program"] = "product_model"
         file.attrs["version"] = version()
@@ -232,23 +264,38 @@ def _columns(trace: Trace) -> dict[str, np.ndarray]:
     return columns
 
 
-def _csv(path: Path, trace: Trace, params: Parameters, seed: int | None, varied: Mapping[str, np.ndarray]) -> None:
+def _csv(
+    path: Path, trace: Trace, params: Parameters, seed: int | None, varied: Mapping[str, np.ndarray]
+) -> None:
     columns = _columns(trace)
     table = np.stack(list(columns.values()), axis=1)
     np.savetxt(path, table, "%.9g", ",", header=",".join(columns), comments="", encoding="utf-8")
 
 
-def _mat(path: Path, trace: Trace, params: Parameters, seed: int | None, varied: Mapping[str, np.ndarray]) -> None:
+def _mat(
+    path: Path, trace: Trace, params: Parameters, seed: int | None, varied: Mapping[str, np.ndarray]
+) -> None:
     from scipy.io import savemat
 
-    inputs = {k: np.nan if v is None else v for k, v in list_inputs(params, trace).items()} | dict(varied)
-    arrays = {"time_s": trace.time, "force_n": np.asarray(trace.force), "pif_g": np.asarray(trace.pif_g)}
+    inputs = {k: np.nan if v is None else v for k, v in list_inputs(params, trace).items()} | dict(
+        varied
+    )
+    arrays = {
+        "time_s": trace.time,
+        "force_n": np.asarray(trace.force),
+        "pif_g": np.asarray(trace.pif_g),
+    }
     with open(path, "wb") as file:
-        savemat(file, arrays | {"settled_mass_kg": trace.settled_mass(), "inputs": inputs}, oned_as="column")
+        savemat(
+            file,
+            arrays | {"settled_mass_kg": trace.settled_mass(), "inputs": inputs},
+            oned_as="column",
+        )
 
 
 def load(path: FileName) -> dict[str, Any]:
-    """Name -> array of every dataset of an HDF5 file that `save` wrote; its attributes under "attrs".
+    """Name -> array of every dataset of an HDF5 file that `save` wrote; its attributes under
+    "attrs".
 
     Raises `BadInput` where the file is missing or not HDF5.
     """
@@ -257,7 +304,11 @@ def load(path: FileName) -> dict[str, Any]:
     try:
         with h5py.File(path, "r") as file:
             values = {}
-            file.visititems(lambda name, item: values.update({name: item[()]}) if isinstance(item, h5py.Dataset) else None)
+            file.visititems(
+                lambda name, item: (
+                    values.update({name: item[()]}) if isinstance(item, h5py.Dataset) else None
+                )
+            )
             return values | {"attrs": dict(file.attrs)}
     except OSError as error:
         raise BadInput(f"{path}: not a readable HDF5 file ({error})") from None

@@ -1,8 +1,8 @@
 """Real time: one sample per call, bounded state, the same numbers as the batch form.
 
-`start` draws a portion and sorts its edges; `step` is a pure function, for use inside a model of the weighing
-station that is itself a scan. The state holds the sample counter and a few numbers per piece, and does not grow with
-time.
+`start` draws a portion and sorts its edges; `step` is a pure function, for use inside a model of
+the weighing station that is itself a scan. The state holds the sample counter and a few numbers per
+piece, and does not grow with time.
 """
 
 from dataclasses import dataclass, replace
@@ -14,7 +14,14 @@ import jax.numpy as jnp
 from product_model.grid import Grid
 from product_model.inputs import BadInput, Parameters, check
 from product_model.model import Triangles
-from product_model.portion import Key, as_key, in_precision, parameter_leaves, portion, static_parameters
+from product_model.portion import (
+    Key,
+    as_key,
+    in_precision,
+    parameter_leaves,
+    portion,
+    static_parameters,
+)
 from product_model.pulses import PulseTrain, mean_ramp, sampled_ramp, triangle_corners, wide_dtype
 
 _FAR = 2**30  # sample number no stream reaches
@@ -30,8 +37,10 @@ class Stream:
     excess: [E + 1]  (N) sum over the first i edges of what each adds to the mean of its own bin
     passed: []       number of edges that lie before the next sample's interval
     sample: []       number of the next sample
-    slope:  [E + 1]  (N) change of the force in each sample after the first i edges, of which corners of pulses are some;
-                     its level is then that of the sample in which edge i - 1 lies. None: the force is constant between edges
+    slope:  [E + 1]  (N) change of the force in each sample after the first i edges, of which
+    corners of pulses are some;
+                     its level is then that of the sample in which edge i - 1 lies. None: the force
+                     is constant between edges
     """
 
     bin: jax.Array
@@ -43,10 +52,11 @@ class Stream:
 
 
 def start(params: Parameters, key: Key) -> Stream:
-    """A stream of the portion that `simulate(params, key)` makes. Forms: rectangular and interval-mean.
+    """A stream of the portion that `simulate(params, key)` makes. Forms: rectangular and
+    interval-mean.
 
-    Raises `BadInput` where an input is out of range or the form is smooth (its pulses begin before the impact, so
-    that there is no next sample without looking ahead).
+    Raises `BadInput` where an input is out of range or the form is smooth (its pulses begin before
+    the impact, so that there is no next sample without looking ahead).
     """
     check(params)
     if params.form == "smooth":
@@ -62,7 +72,9 @@ def start(params: Parameters, key: Key) -> Stream:
 
 @partial(jax.jit, static_argnames=("grid", "form"))
 def _sorted_edges(pulses: PulseTrain, grid: Grid, form: str) -> Stream:
-    """Compiled as the batch form is, whose division by the sample time some versions of XLA round otherwise."""
+    """Compiled as the batch form is, whose division by the sample time some versions of XLA round
+    otherwise.
+    """
     times, jumps = pulses.edges()
     position = (times - grid.start) / grid.sample
     order = jnp.argsort(position)
@@ -81,15 +93,21 @@ def _sorted_edges(pulses: PulseTrain, grid: Grid, form: str) -> Stream:
 
 @partial(jax.jit, static_argnames=("grid", "form"))
 def _sorted_corners(pulses: PulseTrain, triangles: Triangles, grid: Grid, form: str) -> Stream:
-    """The stream of a force that has slopes; sums are taken in the widest dtype, as rounding errors of a slope grow with time."""
+    """The stream of a force that has slopes; sums are taken in the widest dtype, as rounding errors
+    of a slope grow with time.
+    """
     wide, dtype = wide_dtype(), pulses.edges()[1].dtype
     edges, jumps = pulses.edges()
     corners = triangle_corners(triangles, grid)
-    position = jnp.concatenate([(edges.astype(wide) - grid.start) / grid.sample, corners.position.reshape(-1)])
+    position = jnp.concatenate(
+        [(edges.astype(wide) - grid.start) / grid.sample, corners.position.reshape(-1)]
+    )
     jump = jnp.concatenate([jumps.astype(wide), jnp.zeros(corners.change.size, wide)])
     slope = jnp.concatenate([jnp.zeros(len(jumps), wide), corners.change.reshape(-1)])
     sampled = form == "rectangular"
-    whole = jnp.where(jnp.asarray(sampled) & (slope == 0.0), jnp.ceil(position) - 1.0, jnp.floor(position))
+    whole = jnp.where(
+        jnp.asarray(sampled) & (slope == 0.0), jnp.ceil(position) - 1.0, jnp.floor(position)
+    )
     whole = jnp.clip(whole, 0.0, float(_FAR))
     after = position - whole
     share = jnp.ones_like(after) if sampled else 1.0 - jnp.maximum(after, 0.0)
@@ -97,7 +115,9 @@ def _sorted_corners(pulses: PulseTrain, triangles: Triangles, grid: Grid, form: 
     excess = jump * share + slope * (sampled_ramp(after)[0] if sampled else risen)
     height = (1.0 if sampled else 0.5) - after  # of the ramp in the sample of its corner
     order = jnp.argsort(whole)
-    whole, jump, slope, excess, height = (values[order] for values in (whole, jump, slope, excess, height))
+    whole, jump, slope, excess, height = (
+        values[order] for values in (whole, jump, slope, excess, height)
+    )
     nothing = jnp.zeros(1, wide)
     slopes_after = jnp.concatenate([nothing, jnp.cumsum(slope)])
     moved = slopes_after[:-1] * jnp.diff(whole, prepend=whole[:1])
@@ -113,10 +133,12 @@ def _sorted_corners(pulses: PulseTrain, triangles: Triangles, grid: Grid, form: 
 
 
 def step(stream: Stream) -> tuple[Stream, jax.Array]:
-    """(next stream, force [] (N) of this sample). O(log pieces); after the last sample of the grid the static
-    weight goes on.
+    """(next stream, force [] (N) of this sample). O(log pieces); after the last sample of the grid
+    the static weight goes on.
     """
-    passed = jnp.searchsorted(stream.bin, stream.sample, side="right", method="scan_unrolled").astype(jnp.int32)
+    passed = jnp.searchsorted(
+        stream.bin, stream.sample, side="right", method="scan_unrolled"
+    ).astype(jnp.int32)
     force = stream.level[stream.passed] + (stream.excess[passed] - stream.excess[stream.passed])
     if stream.slope is not None:
         since = stream.sample - stream.bin[jnp.maximum(stream.passed - 1, 0)]

@@ -1,20 +1,22 @@
-"""The extended model of a product that was never simulated: parameters as smooth functions of the drop.
+"""The extended model of a product that was never simulated: parameters as smooth functions of the
+drop.
 
 Each parameter has a coordinate u (`coordinates`), and
 
     u = u_stock + scaling of the physics + sum_k b_k x_k
 
-The physics scales lengths with the piece, lengths of pulses with the time of contact sqrt(m / (E L)),
-times between impacts with L over the speed of impact, and the release with the opening time of the
-flaps. x_k are logarithms of dimensionless conditions of the drop, their products, and restitution
-and friction; the b_k are learnt from ensembles of simulated drops (`calibrate.transfer_fit`) and shipped
-as a table with a version.
+The physics scales lengths with the piece, lengths of pulses with the time of contact sqrt(m / (E
+L)), times between impacts with L over the speed of impact, and the release with the opening time of
+the flaps. x_k are logarithms of dimensionless conditions of the drop, their products, and
+restitution and friction; the b_k are learnt from ensembles of simulated drops
+(`calibrate.transfer_fit`) and shipped as a table with a version.
 
-The drop height h_mean follows from the momentum of the portion, which scatters by one or two percent
-only and is the most certain number of a drop: pieces that start at rest bring the momentum of a free
-fall of the drop height, shortened by the time for which the opening flaps still bear them. The
-logarithm of this lost time over the opening time is a polynomial of the second degree in the
-conditions of the feed bucket, and h_mean is the height from which the model's portions bring it.
+The drop height h_mean follows from the momentum of the portion, which scatters by one or two
+percent only and is the most certain number of a drop: pieces that start at rest bring the momentum
+of a free fall of the drop height, shortened by the time for which the opening flaps still bear
+them. The logarithm of this lost time over the opening time is a polynomial of the second degree in
+the conditions of the feed bucket, and h_mean is the height from which the model's portions bring
+it.
 """
 
 import json
@@ -37,7 +39,8 @@ from product_model.fitted import NINETY, Fitted
 TABLE = Path(__file__).parent / "transfer.json"
 FORMAT = 1  # of the table
 SCALED = tuple(name for name in NAMES if name != "h_mean")  # learnt as coordinates
-WIDEST = 1.0  # standard deviation in coordinates: no interval reaches beyond a factor of 5.2 to either side
+WIDEST = 1.0  # standard deviation in coordinates: no interval reaches beyond a factor of 5.2 to
+# either side
 PORTIONS = 256  # whose mean momentum decides the drop height
 MOST_LOST = 0.7  # share of the fall that the opening flaps may take, far beyond the design's
 ROUNDING = 1e-5  # of the ends of conditions in a table
@@ -52,8 +55,8 @@ class DropConditions:
     modulus: (Pa) Young's modulus of the pieces as it is used, softening included; restitution,
     friction_wall: of pieces on the bucket; friction_piece: of pieces on each other; elongation:
     diameter of the smallest sphere around a piece over that of a sphere of its volume, 1 for a
-    sphere; drop_height: (m) between the flaps of both buckets; opening_time: (s) of the flaps of the
-    feed bucket; gravity: (m/s2)
+    sphere; drop_height: (m) between the flaps of both buckets; opening_time: (s) of the flaps of
+    the feed bucket; gravity: (m/s2)
     """
 
     m_piece: float
@@ -75,7 +78,9 @@ class DropConditions:
 
     @property
     def contact_time(self) -> float:
-        """(s) sqrt(m / (E L)), to which the time of contact of a piece with a linear spring is proportional."""
+        """(s) sqrt(m / (E L)), to which the time of contact of a piece with a linear spring is
+        proportional.
+        """
         return float(np.sqrt(self.m_piece / (self.modulus * self.length)))
 
     @property
@@ -100,7 +105,9 @@ STOCK_VALUES = Landings().values() | {
 
 
 def scale_parameters(drop: DropConditions) -> dict[str, float]:
-    """Coordinates of the parameters of the stock scene, scaled to `drop` by the physics alone; of h_mean the drop height's."""
+    """Coordinates of the parameters of the stock scene, scaled to `drop` by the physics alone; of
+    h_mean the drop height's.
+    """
     length = drop.length / STOCK.length
     contact = drop.contact_time / STOCK.contact_time
     passing = length * STOCK.speed / drop.speed
@@ -143,7 +150,9 @@ SHOWN = {  # condition -> of a value of it, in the units of a scene
 
 @dataclass(frozen=True)
 class Coefficients:
-    """What multiplies the terms: name of SCALED -> [1 + terms], and [1 + lost_terms] of the logarithm of the lost time."""
+    """What multiplies the terms: name of SCALED -> [1 + terms], and [1 + lost_terms] of the
+    logarithm of the lost time.
+    """
 
     scaled: dict[str, list[float]]
     lost_time: list[float]
@@ -155,10 +164,10 @@ class TransferTable:
 
     version: of the table; conditions: name -> [centre, width, least, greatest] of each in the
     design; terms, lost_terms: names of conditions, or two of them joined by " x "; coefficients: of
-    them; groups: the same, each learnt without a group of ensembles (jackknife); lost_error: standard
-    deviation of the logarithm of the lost time of ensembles that were left out
-    errors: name of an output -> {"median", "nine_tenths"} of its relative error for products that
-    were not learnt from
+    them; groups: the same, each learnt without a group of ensembles (jackknife); lost_error:
+    standard deviation of the logarithm of the lost time of ensembles that were left out errors:
+    name of an output -> {"median", "nine_tenths"} of its relative error for products that were not
+    learnt from
     """
 
     version: str
@@ -177,7 +186,9 @@ class TransferTable:
             name: (found[name] - centre) / width
             for name, (centre, width, *_) in self.conditions.items()
         }
-        return np.array([1.0, *(np.prod([centred[part] for part in t.split(" x ")]) for t in terms)])
+        return np.array(
+            [1.0, *(np.prod([centred[part] for part in t.split(" x ")]) for t in terms)]
+        )
 
     def outside(self, drop: DropConditions) -> list[str]:
         """In words: conditions of `drop` beyond those that were learnt from."""
@@ -190,19 +201,29 @@ class TransferTable:
         return lines
 
     def lost_time(self, drop: DropConditions, of: Coefficients, shift: float = 0.0) -> float:
-        """(s) by which the fall of a portion is shortened by the opening flaps. shift: of its logarithm."""
+        """(s) by which the fall of a portion is shortened by the opening flaps. shift: of its
+        logarithm.
+        """
         logarithm = float(self.row(drop, self.lost_terms) @ np.asarray(of.lost_time)) + shift
         return float(min(drop.opening_time * np.exp(logarithm), MOST_LOST * drop.fall_time))
 
-    def coordinates(self, drop: DropConditions, of: Coefficients, shift: float = 0.0) -> dict[str, float]:
+    def coordinates(
+        self, drop: DropConditions, of: Coefficients, shift: float = 0.0
+    ) -> dict[str, float]:
         """Coordinates of the parameters at coefficients. shift: of the logarithm of the lost time."""
         row, start = self.row(drop, self.terms), scale_parameters(drop)
-        u = start | {name: start[name] + float(row @ np.asarray(of.scaled[name])) for name in SCALED}
+        u = start | {
+            name: start[name] + float(row @ np.asarray(of.scaled[name])) for name in SCALED
+        }
         with jax.enable_x64(True):
             values = to_values({name: jnp.asarray(x, jnp.float64) for name, x in u.items()})
             random = np.random.default_rng(13)
             shape = (PORTIONS, drop.pieces)
-            normal, v, release = random.standard_normal(PORTIONS), random.uniform(-1, 1, shape), random.standard_normal(shape)
+            normal, v, release = (
+                random.standard_normal(PORTIONS),
+                random.uniform(-1, 1, shape),
+                random.standard_normal(shape),
+            )
             fall = drop.fall_time - self.lost_time(drop, of, shift)
             height = solve_height(values, fall, drop.gravity, normal, v, release)
             return u | {"h_mean": float(np.log(height))}
@@ -212,11 +233,12 @@ class TransferTable:
 def solve_height(
     values: Mapping[str, Any], fall_time: Any, gravity: float, normal: Any, v: Any, release: Any
 ) -> jax.Array:
-    """The mean drop height (m) from which portions bring the momentum of a fall from rest for a given time, in the mean.
+    """The mean drop height (m) from which portions bring the momentum of a fall from rest for a
+    given time, in the mean.
 
-    A piece that is released at r gives g (T - r - dt_impact) times its mass until a time T at which it
-    is at rest (`extended`), so that the portion brings g (first impact - mean r - dt_impact) beyond
-    its weight after the first impact.
+    A piece that is released at r gives g (T - r - dt_impact) times its mass until a time T at which
+    it is at rest (`extended`), so that the portion brings g (first impact - mean r - dt_impact)
+    beyond its weight after the first impact.
 
     Args:
         values: parameters; h_mean is where the solution begins.
@@ -270,7 +292,10 @@ def write_table(path: str | Path, table: TransferTable) -> None:
 def _format_tree(tree: Any, indent: str = "") -> str:
     """JSON text with one line for each list of numbers or words, numbers in six digits."""
     if isinstance(tree, dict) and tree:
-        rows = [f"{indent} {json.dumps(key)}: {_format_tree(value, indent + ' ')}" for key, value in tree.items()]
+        rows = [
+            f"{indent} {json.dumps(key)}: {_format_tree(value, indent + ' ')}"
+            for key, value in tree.items()
+        ]
         return "{\n" + ",\n".join(rows) + f"\n{indent}}}"
     if isinstance(tree, list) and tree and isinstance(tree[0], dict):
         return "[" + ", ".join(_format_tree(value, indent + " ") for value in tree) + "]"
@@ -288,8 +313,8 @@ def predict_parameters(drop: DropConditions, table: TransferTable | None = None)
 
     Returns:
         Values, and 90 % intervals: how sure the learnt coefficients are (jackknife over groups of
-        ensembles), for h_mean also how well the polynomial says the lost time of other ensembles, at
-        most a factor of 5.2 to either side. For a drop outside of the design
+        ensembles), for h_mean also how well the polynomial says the lost time of other ensembles,
+        at most a factor of 5.2 to either side. For a drop outside of the design
         (`TransferTable.outside`) they are extrapolated.
     """
     table = table or shipped_table()
@@ -318,7 +343,11 @@ def predict_parameters(drop: DropConditions, table: TransferTable | None = None)
     )
 
 
-ERROR_WORDS = {"peak_1ms": "peak of 1 ms", "peak_10ms": "peak of 10 ms", "landing_time": "time to land"}
+ERROR_WORDS = {
+    "peak_1ms": "peak of 1 ms",
+    "peak_10ms": "peak of 10 ms",
+    "landing_time": "time to land",
+}
 ERROR_WORDS |= {"cell_peak": "peak of a load cell of 40 Hz"}
 
 
@@ -329,7 +358,9 @@ def describe_prediction(drop: DropConditions, table: TransferTable | None = None
         f"{ERROR_WORDS.get(name, name)} {100 * of['median']:.0f} % (nine tenths: {100 * of['nine_tenths']:.0f} %)"
         for name, of in table.errors.items()
     )
-    lines = [f"predicted by table {table.version}; errors for products that it does not know: {errors}"]
+    lines = [
+        f"predicted by table {table.version}; errors for products that it does not know: {errors}"
+    ]
     return lines + [f"outside of what was learnt: {line}" for line in table.outside(drop)]
 
 
@@ -337,5 +368,8 @@ def _uncertainty(u: dict[str, float], others: list[dict[str, float]]) -> dict[st
     """Standard deviation of each coordinate, by those without a group of ensembles (jackknife)."""
     count = len(others)
     spread = {name: sum((other[name] - u[name]) ** 2 for other in others) for name in u}
-    found = {name: float(np.sqrt((count - 1) / count * s)) if count else 0.0 for name, s in spread.items()}
+    found = {
+        name: float(np.sqrt((count - 1) / count * s)) if count else 0.0
+        for name, s in spread.items()
+    }
     return {name: min(sd, WIDEST) for name, sd in found.items()}

@@ -190,7 +190,7 @@ def describe_doubts(doubts: int) -> str:
 def start(weigher: Weigher, lead: tuple[int, ...] = ()) -> WeigherState:
     """The state of an empty scale, of arrays of numpy with these leading axes."""
     size = SHAPES + np.shape(weigher.shapes)[1]
-    whole = lambda value: np.full(lead, value, np.int32)  # noqa: E731
+    whole = lambda value: np.full(lead, value, np.int32)
     return WeigherState(
         mean=np.zeros((*lead, size)),
         covariance=np.broadcast_to(_start_covariance(np, weigher), (*lead, size, size)).copy(),
@@ -534,8 +534,8 @@ def _widened_sd(xp: ModuleType, weigher: Weigher, state: WeigherState) -> Array:
 
 
 def scale_variance(xp: ModuleType, check: Array, usual: Array) -> Array:
-    """[..] factor on the variance of the weight of a portion that is less like those learnt than half
-    of these: the posterior scale of a multivariate t distribution.
+    """[..] factor on the variance of the weight of a portion that is less like those learnt than
+    half of these: the posterior scale of a multivariate t distribution.
 
     check: [.., 3] of `WeigherState`. usual: [.., 3] medians of its logarithm.
     """

@@ -1,4 +1,6 @@
-"""An estimator of the weight as C99 source files, and as a functional mock-up unit compiled of them."""
+"""An estimator of the weight as C99 source files, and as a functional mock-up unit compiled of
+them.
+"""
 
 import hashlib
 import os
@@ -65,8 +67,9 @@ def write_weigher_fmu(
 ) -> Path:
     """Write a unit with the library for this platform and the C sources for all others.
 
-    Variables: `sample` (input, g, with the tare); `grams`, `sd` (g), `believed`, `status` and `doubts`
-    (outputs). A step is a multiple of the interval between samples, in which the input is constant.
+    Variables: `sample` (input, g, with the tare); `grams`, `sd` (g), `believed`, `status` and
+    `doubts` (outputs). A step is a multiple of the interval between samples, in which the input is
+    constant.
 
     Args:
         path: of the unit, ending in .fmu.

@@ -1,4 +1,6 @@
-"""Settings of every test: no implicit promotion of dtype or rank, double precision, a lasting compilation cache."""
+"""Settings of every test: no implicit promotion of dtype or rank, double precision, a lasting
+compilation cache.
+"""
 
 import gc
 import os
@@ -8,8 +10,9 @@ os.environ.setdefault("JAX_PLATFORMS", "cpu")
 os.environ.setdefault("MPLBACKEND", "Agg")
 os.environ.setdefault("NOTEBOOK_DROPS", "2")
 
-# Compile time is most of the suite's time. The cache is keyed by the compiled program, so it never changes a result.
-# Set in the environment, so that processes that tests start, notebooks too, share it.
+# Compile time is most of the suite's time. The cache is keyed by the compiled program, so it never
+# changes a result. Set in the environment, so that processes that tests start, notebooks too, share
+# it.
 CACHE = os.path.join(tempfile.gettempdir(), "product-impact-jax-cache")
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", CACHE)
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
@@ -21,8 +24,8 @@ from dem_jax import xla_flags  # noqa: E402
 from dem_jax.runner import programs  # noqa: E402
 
 xla_flags.set_loop_flags()  # as in production, before anything is compiled
-# Unlike in production (which notebooks and tests of the command line run): compiles in two thirds of the time, and the
-# program takes 0.8 to 1.05 times as long.
+# Unlike in production (which notebooks and tests of the command line run): compiles in two thirds
+# of the time, and the program takes 0.8 to 1.05 times as long.
 xla_flags.BACKEND_OPTIONS["cpu"]["xla_backend_optimization_level"] = 2
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
@@ -31,13 +34,17 @@ jax.config.update("jax_enable_x64", True)
 
 @pytest.fixture(autouse=True)
 def _in_an_empty_folder(tmp_path, monkeypatch):
-    """Each test runs in a folder of its own, so that a file it forgets to name cannot land in the repository."""
+    """Each test runs in a folder of its own, so that a file it forgets to name cannot land in the
+    repository.
+    """
     monkeypatch.chdir(tmp_path)
 
 
 @pytest.fixture(scope="module", autouse=True)
 def _compiled_for_one_module():
-    """Programs are forgotten after each file, few of which share any: else a worker grows to several gigabytes."""
+    """Programs are forgotten after each file, few of which share any: else a worker grows to
+    several gigabytes.
+    """
     yield
     programs.EXECUTABLES.clear()
     jax.clear_caches()

@@ -1,4 +1,6 @@
-"""The layers of dem_jax: a package imports only from those below it, and the architecture page names all of them."""
+"""The layers of dem_jax: a package imports only from those below it, and the architecture page
+names all of them.
+"""
 
 import ast
 import re
@@ -10,7 +12,15 @@ ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "dem_jax"
 PAGE = (ROOT / "docs" / "architecture.md").read_text()
 BASE = {"types", "errors", "xla_flags", "math", "process"}
-CORE = BASE | {"scene", "walls", "contact_laws", "narrow_phase", "contacts", "broad_phase", "dynamics"}
+CORE = BASE | {
+    "scene",
+    "walls",
+    "contact_laws",
+    "narrow_phase",
+    "contacts",
+    "broad_phase",
+    "dynamics",
+}
 MAY_IMPORT = {  # package -> packages below it
     "errors": set(),
     "xla_flags": {"errors"},
@@ -34,7 +44,19 @@ MAY_IMPORT = {  # package -> packages below it
     "study": BASE | {"scene", "assembly", "dynamics", "runner", "io", "visualization", "weighing"},
     "validation": CORE | {"assembly", "runner", "io"},
     "app": BASE | {"scene", "shapes", "assembly", "io", "visualization", "study"},
-    "cli": BASE | {"app", "dynamics", "scene", "assembly", "runner", "io", "visualization", "study", "weighing", "__version__"},
+    "cli": BASE
+    | {
+        "app",
+        "dynamics",
+        "scene",
+        "assembly",
+        "runner",
+        "io",
+        "visualization",
+        "study",
+        "weighing",
+        "__version__",
+    },
     "__main__": {"cli"},
     "__init__": {"deprecation"},
     "scenes": set(),
@@ -60,7 +82,11 @@ def imported(path):
         names = []
         if isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}: relative import"
-            names = [f"{node.module}.{a.name}" for a in node.names] if node.module == "dem_jax" else [node.module]
+            names = (
+                [f"{node.module}.{a.name}" for a in node.names]
+                if node.module == "dem_jax"
+                else [node.module]
+            )
         elif isinstance(node, ast.Import):
             names = [a.name for a in node.names]
         for name in names:
@@ -73,7 +99,9 @@ def test_a_package_imports_only_from_those_below_it(path):
     package = package_of(path)
     own, others = imported(path)
     packages = {name.split(".")[1] for name in own if name != "dem_jax"} - {package}
-    assert packages <= MAY_IMPORT[package], f"{path} imports {sorted(packages - MAY_IMPORT[package])}"
+    assert packages <= MAY_IMPORT[package], (
+        f"{path} imports {sorted(packages - MAY_IMPORT[package])}"
+    )
     assert not [name for name in others if name.startswith("jax._src")]
 
 
@@ -87,16 +115,40 @@ def test_no_package_is_below_itself():
 
 
 def test_the_page_names_every_package():
-    packages = {package_of(path) for path in files()} - {"__init__", "__main__", "scenes", "studies", "products", "buckets"}
+    packages = {package_of(path) for path in files()} - {
+        "__init__",
+        "__main__",
+        "scenes",
+        "studies",
+        "products",
+        "buckets",
+    }
     assert not [package for package in packages if f"`{package}" not in PAGE]
 
 
 def test_the_drawing_has_each_package_above_all_that_it_imports():
     drawing = re.search(r"```text\n(.*?)```", PAGE, re.DOTALL)[1]
-    line = {package: n for n, row in enumerate(drawing.splitlines()) for package in re.findall(r"[a-z_]+", row)}
-    drawn = MAY_IMPORT.keys() - {"__main__", "__init__", "scenes", "studies", "products", "buckets", "validation"}
+    line = {
+        package: n
+        for n, row in enumerate(drawing.splitlines())
+        for package in re.findall(r"[a-z_]+", row)
+    }
+    drawn = MAY_IMPORT.keys() - {
+        "__main__",
+        "__init__",
+        "scenes",
+        "studies",
+        "products",
+        "buckets",
+        "validation",
+    }
     assert line.keys() == drawn
-    assert not [(package, of) for package in drawn for of in MAY_IMPORT[package] & drawn if line[package] >= line[of]]
+    assert not [
+        (package, of)
+        for package in drawn
+        for of in MAY_IMPORT[package] & drawn
+        if line[package] >= line[of]
+    ]
 
 
 def test_what_the_page_names_is_there():
@@ -104,9 +156,14 @@ def test_what_the_page_names_is_there():
     assert len(named) > 15
     for path, name in named:
         tree = ast.parse((ROOT / path).read_text())
-        known = {node.name for node in tree.body if isinstance(node, ast.FunctionDef | ast.ClassDef)}
+        known = {
+            node.name for node in tree.body if isinstance(node, ast.FunctionDef | ast.ClassDef)
+        }
         assert not name or name in known, (path, name)
-    for path in re.findall(r"`((?:contacts|contact_laws|narrow_phase|walls|scene|dynamics|shapes|math|assembly|runner|io|cli|notebooks)/[\w/]+(?:\.\w+)?/?)`", PAGE):
+    for path in re.findall(
+        r"`((?:contacts|contact_laws|narrow_phase|walls|scene|dynamics|shapes|math|assembly|runner|io|cli|notebooks)/[\w/]+(?:\.\w+)?/?)`",
+        PAGE,
+    ):
         assert (ROOT / path).exists() or (PACKAGE / path).exists(), path
 
 
@@ -120,9 +177,15 @@ def test_text_files_are_utf8_whatever_the_language_of_the_machine(package):
                 continue
             attribute = isinstance(node.func, ast.Attribute)
             name = node.func.attr if attribute else getattr(node.func, "id", "")
-            modes = [arg.value for arg in node.args if isinstance(arg, ast.Constant) and isinstance(arg.value, str)]
+            modes = [
+                arg.value
+                for arg in node.args
+                if isinstance(arg, ast.Constant) and isinstance(arg.value, str)
+            ]
             of_text = name in ("read_text", "write_text", "loadtxt", "savetxt", "genfromtxt") or (
-                name == "open" and not attribute and not any("b" in mode for mode in modes if len(mode) <= 3)
+                name == "open"
+                and not attribute
+                and not any("b" in mode for mode in modes if len(mode) <= 3)
             )
             if of_text and not any(keyword.arg == "encoding" for keyword in node.keywords):
                 found.append(f"{path.relative_to(ROOT)}:{node.lineno}")

@@ -1,6 +1,8 @@
-"""What the pages tell people to type is there: commands with their flags, scenes and studies, names that Python code imports.
+"""What the pages tell people to type is there: commands with their flags, scenes and studies, names
+that Python code imports.
 
-Command help and tables of keys are computed when the site is built; the tutorials are followed word for word by .ci/stories.
+Command help and tables of keys are computed when the site is built; the tutorials are followed word
+for word by .ci/stories.
 """
 
 import ast
@@ -21,14 +23,27 @@ from product_model.__main__ import _parser as parser_of_product_model
 
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
-PROGRAMS = {"dem_jax": build_parser, "product_model": parser_of_product_model, "calibrate": parser_of_calibrate}
-COMMAND = re.compile(r"(?:python -m (dem_jax|product_model|calibrate)|\b(dem-jax|product-model|calibrate)) ([^`|#>]*)")
+PROGRAMS = {
+    "dem_jax": build_parser,
+    "product_model": parser_of_product_model,
+    "calibrate": parser_of_calibrate,
+}
+COMMAND = re.compile(
+    r"(?:python -m (dem_jax|product_model|calibrate)|\b(dem-jax|product-model|calibrate)) ([^`|#>]*)"
+)
 
 
 def blocks(kind):
     """(page, code) of the fenced blocks of a kind."""
-    found = [(page, code) for page in PAGES for code in re.findall(rf"^```{kind}\n(.*?)^```$", page.read_text(), re.M | re.S)]
-    return [pytest.param(code, id=f"{page.relative_to(ROOT)}-{k}") for k, (page, code) in enumerate(found)]
+    found = [
+        (page, code)
+        for page in PAGES
+        for code in re.findall(rf"^```{kind}\n(.*?)^```$", page.read_text(), re.M | re.S)
+    ]
+    return [
+        pytest.param(code, id=f"{page.relative_to(ROOT)}-{k}")
+        for k, (page, code) in enumerate(found)
+    ]
 
 
 def commands():
@@ -61,7 +76,11 @@ def test_a_command_is_one_that_the_program_takes(program, line):
 @pytest.mark.parametrize("code", blocks("toml"))
 def test_a_piece_of_toml_is_of_a_scene_or_a_study(code):
     tree = tomllib.loads(code)
-    known = {*Study.model_fields} if "outputs" in tree else {*Scene.model_fields, "base", "product", "bucket"}
+    known = (
+        {*Study.model_fields}
+        if "outputs" in tree
+        else {*Scene.model_fields, "base", "product", "bucket"}
+    )
     assert tree.keys() <= known
     for key, section in tree.items():
         model = Scene.model_fields.get(key)
@@ -85,12 +104,23 @@ def test_what_python_code_imports_is_there(code):
         if isinstance(node, ast.ImportFrom) and node.module.split(".")[0] in PROGRAMS:
             module = importlib.import_module(node.module)
             for name in node.names:
-                assert hasattr(module, name.name) or importlib.import_module(f"{node.module}.{name.name}")
-        elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "dem_jax":
-            assert hasattr(importlib.import_module("dem_jax"), node.attr) or importlib.import_module(f"dem_jax.{node.attr}")
+                assert hasattr(module, name.name) or importlib.import_module(
+                    f"{node.module}.{name.name}"
+                )
+        elif (
+            isinstance(node, ast.Attribute)
+            and isinstance(node.value, ast.Name)
+            and node.value.id == "dem_jax"
+        ):
+            assert hasattr(
+                importlib.import_module("dem_jax"), node.attr
+            ) or importlib.import_module(f"dem_jax.{node.attr}")
 
 
 def test_the_readme_is_short_and_its_test_command_is_that_of_ci():
     text = (ROOT / "README.md").read_text()
     assert len(text.encode()) <= 7000
-    assert "python -m pytest -n 2\n" in text and "python -m pytest -n 2\n" in (ROOT / ".ci/run").read_text()
+    assert (
+        "python -m pytest -n 2\n" in text
+        and "python -m pytest -n 2\n" in (ROOT / ".ci/run").read_text()
+    )

@@ -1,9 +1,12 @@
-"""Processes that are killed at random moments, while they run or go on with what an earlier one left.
+"""Processes that are killed at random moments, while they run or go on with what an earlier one
+left.
 
-Each trial begins a run or an ensemble from the command line, kills it (SIGKILL) at a random moment, mostly between the first flush
-of its file and the time that it takes uninterrupted, goes on with its file, perhaps killed again, up to three times, and then to
-the end. The file must then hold, bit for bit, what an uninterrupted one holds; a process that was killed before its file was there
-begins anew. Files are flushed after each chunk of samples instead of each second, so that a kill meets flushes.
+Each trial begins a run or an ensemble from the command line, kills it (SIGKILL) at a random moment,
+mostly between the first flush of its file and the time that it takes uninterrupted, goes on with
+its file, perhaps killed again, up to three times, and then to the end. The file must then hold, bit
+for bit, what an uninterrupted one holds; a process that was killed before its file was there begins
+anew. Files are flushed after each chunk of samples instead of each second, so that a kill meets
+flushes.
 """
 
 import subprocess
@@ -15,12 +18,29 @@ from pathlib import Path
 
 import numpy as np
 
-DROP = ["quick-release", "--set", "portion.shape=sphere", "--set", "portion.radius=0.012", "--set", "portion.count=4"]
+DROP = [
+    "quick-release",
+    "--set",
+    "portion.shape=sphere",
+    "--set",
+    "portion.radius=0.012",
+    "--set",
+    "portion.count=4",
+]
 DROP += ["--set", "portion.settling_time=0.05", "--set", "run.frames=0.002"]
 QUIET = ["--quiet"]
 COMMANDS = {
     "run": ["run", *DROP, "--set", "run.duration=1.0", "--no-plot", *QUIET],
-    "ensemble": ["ensemble", *DROP, "--set", "run.duration=0.6", "--runs", "2", "--no-plot", *QUIET],
+    "ensemble": [
+        "ensemble",
+        *DROP,
+        "--set",
+        "run.duration=0.6",
+        "--runs",
+        "2",
+        "--no-plot",
+        *QUIET,
+    ],
 }
 MOST = 3  # times that one run is killed
 PATIENCE = 600.0  # s
@@ -75,12 +95,18 @@ def _times(words: list[str], path: Path) -> tuple[float, float]:
     return min(there, lasts), lasts
 
 
-def trial(kind: str, path: Path, whole: Path, there: float, lasts: float, random: np.random.Generator) -> Trial:
-    """One, against the file of an uninterrupted run that makes its file after ``there`` (s) and ends after ``lasts`` (s)."""
+def trial(
+    kind: str, path: Path, whole: Path, there: float, lasts: float, random: np.random.Generator
+) -> Trial:
+    """One, against the file of an uninterrupted run that makes its file after ``there`` (s) and
+    ends after ``lasts`` (s).
+    """
     kills, resumed, words = [], 0, [*COMMANDS[kind], "--out", str(path)]
     for _ in range(random.integers(1, MOST + 1)):
         start, before = time.perf_counter(), _written(path)
-        process = subprocess.Popen(_command(words), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        process = subprocess.Popen(
+            _command(words), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
         if random.random() < LATE:  # after a flush, and part of the time that is left then
             while process.poll() is None and _written(path) == before:
                 time.sleep(0.01)
@@ -93,7 +119,9 @@ def trial(kind: str, path: Path, whole: Path, there: float, lasts: float, random
             process.kill()
         _, err = process.communicate()
         if process.returncode not in (0, -9):
-            return Trial(kind, tuple(kills), resumed, f"exit code {process.returncode}: {err.strip()[-300:]}")
+            return Trial(
+                kind, tuple(kills), resumed, f"exit code {process.returncode}: {err.strip()[-300:]}"
+            )
         if process.returncode == 0:
             break
         kills.append(time.perf_counter() - start)
@@ -117,7 +145,9 @@ def _command(words: list[str]) -> list[str]:
 
 
 def _run(words: list[str], check: bool = True) -> tuple[int, str]:
-    done = subprocess.run(_command(words), capture_output=True, text=True, timeout=PATIENCE, check=False)
+    done = subprocess.run(
+        _command(words), capture_output=True, text=True, timeout=PATIENCE, check=False
+    )
     if check and done.returncode:
         raise RuntimeError(f"{' '.join(words)}: {done.stderr}")
     return done.returncode, done.stderr
@@ -132,7 +162,11 @@ def _unlike(path: Path, whole: Path) -> str:
         names: list[set[str]] = []
         for file in (one, other):
             names.append(set())
-            file.visititems(lambda name, item, n=names[-1]: n.add(name) if isinstance(item, h5py.Dataset) else None)
+            file.visititems(
+                lambda name, item, n=names[-1]: (
+                    n.add(name) if isinstance(item, h5py.Dataset) else None
+                )
+            )
         if names[0] != names[1]:
             found.append(f"datasets {sorted(names[0] ^ names[1])}")
         for name in sorted(names[0] & names[1]):

@@ -1,7 +1,9 @@
-"""Files that something has changed: scenes, studies, meshes, tables and results, each by one of several mutations.
+"""Files that something has changed: scenes, studies, meshes, tables and results, each by one of
+several mutations.
 
-What may come of one is what the file says, with all numbers finite, or one line of an error of ours; never another error, a hang,
-a process that takes all memory, or numbers that nobody wrote: the series of a damaged file of results are those that were saved.
+What may come of one is what the file says, with all numbers finite, or one line of an error of
+ours; never another error, a hang, a process that takes all memory, or numbers that nobody wrote:
+the series of a damaged file of results are those that were saved.
 """
 
 import re
@@ -20,9 +22,34 @@ from dem_jax.errors import RecordError, SceneError
 from product_model.inputs import BadInput
 
 OURS = (SceneError, RecordError, BadFit, BadInput)
-KINDS = ("toml", "study", "stl of a wall", "stl of a piece", "csv of a motion", "csv of forces", "hdf5", "hdf5 of the model")
+KINDS = (
+    "toml",
+    "study",
+    "stl of a wall",
+    "stl of a piece",
+    "csv of a motion",
+    "csv of forces",
+    "hdf5",
+    "hdf5 of the model",
+)
 GOOD = ("accepted", "one line")
-TOKENS = ("nan", "inf", "-1", "0", "1e308", "1e-308", "-0.0", "2147483648", "1e400", '""', "[]", "{}", "true", "\x00", "é")
+TOKENS = (
+    "nan",
+    "inf",
+    "-1",
+    "0",
+    "1e308",
+    "1e-308",
+    "-0.0",
+    "2147483648",
+    "1e400",
+    '""',
+    "[]",
+    "{}",
+    "true",
+    "\x00",
+    "é",
+)
 NUMBER = re.compile(rb"[-+]?\d+\.?\d*(?:[eE][-+]?\d+)?")
 
 
@@ -55,7 +82,9 @@ def outcome(case: Case) -> tuple[str, str]:
     except BaseException as error:
         if isinstance(error, KeyboardInterrupt):
             raise
-        where = [f"{Path(f.filename).name}:{f.lineno}" for f in traceback.extract_tb(error.__traceback__)]
+        where = [
+            f"{Path(f.filename).name}:{f.lineno}" for f in traceback.extract_tb(error.__traceback__)
+        ]
         return "traceback", f"{type(error).__name__} at {' '.join(where[-3:])}: {str(error)[:200]}"
     return ("nonsense", wrong) if wrong else ("accepted", "")
 
@@ -105,7 +134,11 @@ def _number(content: bytes, random: np.random.Generator) -> bytes:
     if not found:
         return content
     one = found[random.integers(len(found))]
-    word = TOKENS[random.integers(len(TOKENS))].encode() if random.random() < 0.7 else found[random.integers(len(found))].group()
+    word = (
+        TOKENS[random.integers(len(TOKENS))].encode()
+        if random.random() < 0.7
+        else found[random.integers(len(found))].group()
+    )
     return content[: one.start()] + word + content[one.end() :]
 
 
@@ -127,7 +160,9 @@ def seeds(kind: str, folder: str) -> list[tuple[str, bytes]]:
     """Files of a kind as they should be: name and content."""
     package = Path(dem_jax.__file__).parent
     if kind == "toml":
-        return [(p.name, p.read_bytes()) for p in sorted((package / "scenes").glob("*.toml"))] + [("all.toml", _everything())]
+        return [(p.name, p.read_bytes()) for p in sorted((package / "scenes").glob("*.toml"))] + [
+            ("all.toml", _everything())
+        ]
     if kind == "study":
         return [(p.name, p.read_bytes()) for p in sorted((package / "studies").glob("*.toml"))]
     if kind.startswith("stl"):
@@ -139,8 +174,13 @@ def seeds(kind: str, folder: str) -> list[tuple[str, bytes]]:
     if kind == "csv of forces":
         time = 0.0025 * np.arange(200)
         force = 0.5 * (1 - np.exp(-time / 0.05))
-        plain = "time (s),F1 (N),F2 (N)\n" + "\n".join(f"{t:.4f},{f:.5f},{1.1 * f:.5f}" for t, f in zip(time, force, strict=True))
-        rows = "\n".join(f"{1e3 * t:.1f};{100 * f:.3f}".replace(".", ",") for t, f in zip(time, force, strict=True))
+        plain = "time (s),F1 (N),F2 (N)\n" + "\n".join(
+            f"{t:.4f},{f:.5f},{1.1 * f:.5f}" for t, f in zip(time, force, strict=True)
+        )
+        rows = "\n".join(
+            f"{1e3 * t:.1f};{100 * f:.3f}".replace(".", ",")
+            for t, f in zip(time, force, strict=True)
+        )
         german = f"Zeit [ms];Kraft [g]\n{rows}"
         return [("plain.csv", plain.encode()), ("german.csv", german.encode())]
     name = {"hdf5": "run*.h5", "hdf5 of the model": "model*.h5"}[kind]
@@ -223,7 +263,8 @@ def _numbers(tree: Any) -> Any:
 def _study(path: Path, _: str) -> str | None:
     from dem_jax.study.config import load_study
 
-    scenes = [load_study(path, quick).base_scene() for quick in (False, True)]  # which checks what is set
+    scenes = [load_study(path, quick).base_scene() for quick in (False, True)]  # which checks what
+    # is set
     numbers = [x for scene in scenes for x in _numbers(scene.model_dump())]
     return None if np.isfinite(numbers).all() else "a number that is not finite"
 
@@ -232,23 +273,39 @@ def _wall(path: Path, _: str) -> str | None:
     from dem_jax.assembly import system
 
     wall = [{"group": "plate", "stl": path.name, "unit": 1e-3}]
-    scene = dem_jax.load_scene("plate-drop").replace(wall=wall, block=[]).model_copy(update={"folder": str(path.parent)})
+    scene = (
+        dem_jax.load_scene("plate-drop")
+        .replace(wall=wall, block=[])
+        .model_copy(update={"folder": str(path.parent)})
+    )
     panels = [row.corners for row in system.inline_files(scene).wall]
-    return None if panels and np.isfinite(np.concatenate(panels)).all() else "panels that are not finite, or none"
+    return (
+        None
+        if panels and np.isfinite(np.concatenate(panels)).all()
+        else "panels that are not finite, or none"
+    )
 
 
 def _piece(path: Path, _: str) -> str | None:
     from dem_jax.shapes import read_hull_shape
 
     shape = read_hull_shape(path, 1e-3)
-    return None if np.isfinite(shape.vertices).all() and shape.volume > 0 else "a body that is not finite"
+    return (
+        None
+        if np.isfinite(shape.vertices).all() and shape.volume > 0
+        else "a body that is not finite"
+    )
 
 
 def _motion(path: Path, _: str) -> str | None:
     from dem_jax.assembly import system
 
     motion = [{"group": "plate", "table": path.name}]
-    scene = dem_jax.load_scene("plate-drop").replace(motion=motion).model_copy(update={"folder": str(path.parent)})
+    scene = (
+        dem_jax.load_scene("plate-drop")
+        .replace(motion=motion)
+        .model_copy(update={"folder": str(path.parent)})
+    )
     row = system.inline_files(scene).motion[0]
     values = [row.times or (), row.angles_deg or (), *(row.ways or ())]
     if not all(np.isfinite(v).all() for v in values):
@@ -260,7 +317,11 @@ def _forces(path: Path, _: str) -> str | None:
     from calibrate.targets import read
 
     for found in read(path, m_piece=0.005, pieces=10):
-        if not (np.isfinite(found.time).all() and np.isfinite(found.force).all() and (np.diff(found.time) > 0).all()):
+        if not (
+            np.isfinite(found.time).all()
+            and np.isfinite(found.force).all()
+            and (np.diff(found.time) > 0).all()
+        ):
             return "rows that are not finite, or times that do not rise"
     return None
 
@@ -269,7 +330,9 @@ def _results(path: Path, name: str) -> str | None:
     from dem_jax.io import run_files
 
     run = run_files.load_run(path)
-    wrong = _unlike(run_files.collect_series(run), run_files.collect_series(_saved(str(path.parent / name))))
+    wrong = _unlike(
+        run_files.collect_series(run), run_files.collect_series(_saved(str(path.parent / name)))
+    )
     if wrong:
         return wrong
     try:
@@ -287,7 +350,9 @@ def _saved(path: str) -> Any:
 def _unlike(found: dict[str, np.ndarray], saved: dict[str, np.ndarray]) -> str | None:
     """Which series has other numbers than were saved."""
     for name in found.keys() & saved.keys():
-        if found[name].shape != saved[name].shape or not np.array_equal(found[name], saved[name], equal_nan=True):
+        if found[name].shape != saved[name].shape or not np.array_equal(
+            found[name], saved[name], equal_nan=True
+        ):
             return f"{name} is not what was saved"
     return None
 
@@ -296,7 +361,9 @@ def _model(path: Path, name: str) -> str | None:
     from dem_jax.weighing.traces import load_trace
 
     (found, _), (saved, _) = load_trace(path), load_trace(path.parent / name)
-    return _unlike({"weight": found.weight, "time": found.time}, {"weight": saved.weight, "time": saved.time})
+    return _unlike(
+        {"weight": found.weight, "time": found.time}, {"weight": saved.weight, "time": saved.time}
+    )
 
 
 READERS: dict[str, Callable[[Path, str], str | None]] = dict(

@@ -1,8 +1,9 @@
-"""Steps of the same packed box with each program that is installed, in turn: ``python -m benchmarks.peers``.
+"""Steps of the same packed box with each program that is installed, in turn: ``python -m
+benchmarks.peers``.
 
-``--quick``: 8 and 64 pieces. ``--patient``: slow programs with 1000 pieces too. ``--python FILE``: the interpreter that
-has MuJoCo, if it is not this one. Programs are found on PATH; what is missing is named and left out. One core: the process
-pins itself and all others to it.
+``--quick``: 8 and 64 pieces. ``--patient``: slow programs with 1000 pieces too. ``--python FILE``:
+the interpreter that has MuJoCo, if it is not this one. Programs are found on PATH; what is missing
+is named and left out. One core: the process pins itself and all others to it.
 """
 
 import argparse
@@ -23,7 +24,8 @@ from benchmarks.peers.child import Stopped
 PIECE, SPHERE = "chamfered-cuboid", "sphere"
 ROUNDS = 7
 ROUND_TIME = 0.5  # s that a peer should take in a round
-PATIENCE = 60.0  # s of processor time given to settle; what is too slow to settle is timed at the poses that it was given
+PATIENCE = 60.0  # s of processor time given to settle; what is too slow to settle is timed at the
+# poses that it was given
 
 
 @dataclass(frozen=True)
@@ -40,7 +42,8 @@ class Peer:
 
 
 def peers(python, patient=False):
-    """All that are installed, ourselves first of each shape, and lines on versions and on what is missing.
+    """All that are installed, ourselves first of each shape, and lines on versions and on what is
+    missing.
 
     patient: also those numbers of pieces of which a step takes a program a good part of a second.
     """
@@ -52,24 +55,38 @@ def peers(python, patient=False):
         "YADE": yade.version(),
         "MuJoCo": mujoco.version(python),
     }
-    meshes = lambda *where: mujoco.meshes(*where, python)  # noqa: E731
+    meshes = lambda *where: mujoco.meshes(*where, python)
     rows = [
         Peer("ours", "exact piece, hysteresis, friction; f32", PIECE, few, ours.pieces, 3000),
-        Peer("LIGGGHTS clumps", "8 spheres, hysteresis, friction", PIECE, few, liggghts.clumps, 60_000),
+        Peer(
+            "LIGGGHTS clumps",
+            "8 spheres, hysteresis, friction",
+            PIECE,
+            few,
+            liggghts.clumps,
+            60_000,
+        ),
         Peer("MuJoCo", "mesh, rigid contact, steps of 1 ms", PIECE, slow, meshes, 100, mujoco.STEP),
-        Peer("LAMMPS bodies", "exact piece, rounded; no hysteresis", PIECE, slow, lammps.bodies, 100),
+        Peer(
+            "LAMMPS bodies", "exact piece, rounded; no hysteresis", PIECE, slow, lammps.bodies, 100
+        ),
         Peer("YADE", "exact piece; force by volume of overlap", PIECE, slow, yade.polyhedra, 100),
         Peer("ours", "spheres, hysteresis, friction; f32", SPHERE, many, ours.pieces, 3000),
         Peer("LIGGGHTS", "spheres, hysteresis, friction", SPHERE, many, liggghts.spheres, 3000),
         Peer("LAMMPS", "spheres, dashpot, friction", SPHERE, many, lammps.spheres, 3000),
     ]
-    notes = [f"{name} {found}" if found else f"{name}: not installed, left out" for name, found in versions.items()]
+    notes = [
+        f"{name} {found}" if found else f"{name}: not installed, left out"
+        for name, found in versions.items()
+    ]
     return [row for row in rows if row.name == "ours" or versions[row.name.split()[0]]], notes
 
 
 @dataclass
 class Timed:
-    """What was measured of a peer and a number of pieces: seconds per step of each round, on a processor and by the clock."""
+    """What was measured of a peer and a number of pieces: seconds per step of each round, on a
+    processor and by the clock.
+    """
 
     busy: list
     wall: list
@@ -78,7 +95,9 @@ class Timed:
 
 
 def _settled(child, steps):
-    """Run so many steps, or as many as patience lasts: seconds per step of the last ones, and how many were run."""
+    """Run so many steps, or as many as patience lasts: seconds per step of the last ones, and how
+    many were run.
+    """
     done, batch, each, spent = 0, 10, 0.0, 0.0
     while done < steps and spent + batch * each < PATIENCE:
         _, busy = child.run(batch)
@@ -130,7 +149,9 @@ def measure(rows, sizes, round_time):
             try:
                 path = packing.settled(shape, count)
             except SimulationError as error:
-                found[shape, count] = dict.fromkeys((row.name for row in chosen), f"no packing: {error}")
+                found[shape, count] = dict.fromkeys(
+                    (row.name for row in chosen), f"no packing: {error}"
+                )
                 continue
             found[shape, count] = side_by_side(chosen, count, path, round_time)
     return found
@@ -146,9 +167,28 @@ def tables(rows, found) -> str:
             cells = [found[shape, n].get(row.name) for n in sizes]
             times = [_times(c) for c in cells]
             mine = [_times(found[shape, n].get("ours")) for n in sizes]
-            body.append((row.name, row.models, *(_cell(c, lambda c: report.spread(c.busy, 1e6)) for c in cells)))
-            rate.append((row.name, *("" if t is None else f"{statistics.median(t) / row.step:.3g}" for t in times)))
-            setup.append((row.name, *("" if t is None else f"{c.setup:.1f}" for c, t in zip(cells, times, strict=True))))
+            body.append(
+                (
+                    row.name,
+                    row.models,
+                    *(_cell(c, lambda c: report.spread(c.busy, 1e6)) for c in cells),
+                )
+            )
+            rate.append(
+                (
+                    row.name,
+                    *("" if t is None else f"{statistics.median(t) / row.step:.3g}" for t in times),
+                )
+            )
+            setup.append(
+                (
+                    row.name,
+                    *(
+                        "" if t is None else f"{c.setup:.1f}"
+                        for c, t in zip(cells, times, strict=True)
+                    ),
+                )
+            )
             if row.name != "ours":
                 ratio.append((row.name, *(_ratio(t, m) for t, m in zip(times, mine, strict=True))))
         head = [f"N = {n}" for n in sizes]
@@ -174,7 +214,11 @@ def _cell(timed, shown):
 
 def _ratio(theirs, mine):
     """Their time over ours, of each round."""
-    return "" if theirs is None or mine is None else report.spread([a / b for a, b in zip(theirs, mine, strict=True)])
+    return (
+        ""
+        if theirs is None or mine is None
+        else report.spread([a / b for a, b in zip(theirs, mine, strict=True)])
+    )
 
 
 def unsettled(rows, found) -> str:
@@ -185,7 +229,11 @@ def unsettled(rows, found) -> str:
             one = timed.get(row.name)
             if row.shape == shape and isinstance(one, Timed) and one.settled < row.settle:
                 out.append(f"{row.name} at N = {count} ({one.settled} of {row.settle} steps)")
-    return f"Timed before settled on its own: {', '.join(out)}." if out else "All settled on their own before they were timed."
+    return (
+        f"Timed before settled on its own: {', '.join(out)}."
+        if out
+        else "All settled on their own before they were timed."
+    )
 
 
 def figure(rows, found, path):
@@ -196,12 +244,21 @@ def figure(rows, found, path):
     import matplotlib.pyplot as plt
 
     fig, panels = plt.subplots(1, 2, figsize=(10, 4), sharey=True, layout="constrained")
-    for axes, shape, title in zip(panels, (PIECE, SPHERE), ("marshmallows", "spheres"), strict=True):
+    for axes, shape, title in zip(
+        panels, (PIECE, SPHERE), ("marshmallows", "spheres"), strict=True
+    ):
         for row in (row for row in rows if row.shape == shape):
             points = [(n, found[k, n].get(row.name)) for k, n in found if k == shape]
-            points = [(n, 1e6 * statistics.median(t.busy)) for n, t in points if isinstance(t, Timed)]
+            points = [
+                (n, 1e6 * statistics.median(t.busy)) for n, t in points if isinstance(t, Timed)
+            ]
             if points:
-                axes.loglog(*zip(*points, strict=True), "o-", lw=3 if row.name == "ours" else 1, label=row.name)
+                axes.loglog(
+                    *zip(*points, strict=True),
+                    "o-",
+                    lw=3 if row.name == "ours" else 1,
+                    label=row.name,
+                )
         axes.set(title=title, xlabel="pieces")
         axes.grid(True, which="major", alpha=0.3)
         axes.legend()
@@ -210,11 +267,23 @@ def figure(rows, found, path):
 
 
 def main(argv=None):
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.peers", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.peers", description=__doc__.splitlines()[0]
+    )
     parser.add_argument("--quick", action="store_true", help="8 and 64 pieces, short rounds")
-    parser.add_argument("--python", default=os.environ.get("PEERS_PYTHON", sys.executable), help="interpreter that has MuJoCo")
-    parser.add_argument("--sizes", type=int, nargs="+", default=[8, 64, 343, 1000, 8000], help="numbers of pieces")
-    parser.add_argument("--patient", action="store_true", help="also YADE, LAMMPS bodies and MuJoCo with 1000 pieces")
+    parser.add_argument(
+        "--python",
+        default=os.environ.get("PEERS_PYTHON", sys.executable),
+        help="interpreter that has MuJoCo",
+    )
+    parser.add_argument(
+        "--sizes", type=int, nargs="+", default=[8, 64, 343, 1000, 8000], help="numbers of pieces"
+    )
+    parser.add_argument(
+        "--patient",
+        action="store_true",
+        help="also YADE, LAMMPS bodies and MuJoCo with 1000 pieces",
+    )
     options = parser.parse_args(argv)
     os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     os.environ["OMP_NUM_THREADS"] = "1"

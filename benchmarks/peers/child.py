@@ -1,7 +1,9 @@
-"""A program that runs so many steps when told: all the benchmark knows of a peer. Needs no more than Python itself.
+"""A program that runs so many steps when told: all the benchmark knows of a peer. Needs no more
+than Python itself.
 
-The words are those of LAMMPS and its kin: ``run STEPS`` on the standard input, answered by a line that begins with
-``Loop time of``. Between two runs the program sleeps in its input, so that any number of them wait side by side.
+The words are those of LAMMPS and its kin: ``run STEPS`` on the standard input, answered by a line
+that begins with ``Loop time of``. Between two runs the program sleeps in its input, so that any
+number of them wait side by side.
 """
 
 import re
@@ -21,9 +23,11 @@ class Child:
     """A started program; a context manager that ends it."""
 
     def __init__(self, command, script="", folder=None):
-        """command: words; script: what it is told first, by ``include`` of a file in the folder that it works in.
+        """command: words; script: what it is told first, by ``include`` of a file in the folder
+        that it works in.
 
-        (Written to it line by line, a long one would wait for an answer to be read, and the answer for the rest.)
+        (Written to it line by line, a long one would wait for an answer to be read, and the answer
+        for the rest.)
         """
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
         self._process = subprocess.Popen(command, cwd=folder, text=True, **pipes)
@@ -63,7 +67,9 @@ class Child:
         return next((line for line in lines if "error" in line.lower()), "; ".join(lines[-3:]))
 
     def _busy(self):
-        """Seconds that the process, with all threads that it ever had, has run so far (Linux: its CPU clock)."""
+        """Seconds that the process, with all threads that it ever had, has run so far (Linux: its
+        CPU clock).
+        """
         return time.clock_gettime(~self._process.pid << 3 | 2)
 
 

@@ -1,4 +1,6 @@
-"""LAMMPS: spheres with a dashpot (``gran/hooke/history``) and the exact piece as a rounded polyhedron."""
+"""LAMMPS: spheres with a dashpot (``gran/hooke/history``) and the exact piece as a rounded
+polyhedron.
+"""
 
 import itertools
 import shutil
@@ -19,13 +21,21 @@ def version():
     """That of the program, or None if it is not found."""
     if not shutil.which("lmp"):
         return None
-    done = subprocess.run(["lmp", "-h"], capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL)
+    done = subprocess.run(
+        ["lmp", "-h"], capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL
+    )
     line = next((x for x in done.stdout.splitlines() if "Simulator" in x), "")
     return line.rpartition("Simulator - ")[2] or "of unknown version"
 
 
 def _head(style, newton):
-    return ["units si", f"atom_style {style}", "boundary f f f", "comm_modify mode single vel yes", f"newton {newton}"]
+    return [
+        "units si",
+        f"atom_style {style}",
+        "boundary f f f",
+        "comm_modify mode single vel yes",
+        f"newton {newton}",
+    ]
 
 
 def _tail(box: p.Packing, wall):
@@ -92,13 +102,23 @@ def bodies(path, folder):
 
 
 def faces(corners):
-    """Edges [24, 2] and faces of at most four corners (the octagons in three parts) of the piece, as LAMMPS has them."""
-    ring = sorted(range(len(corners)), key=lambda i: (corners[i, 2], np.arctan2(corners[i, 1], corners[i, 0])))
+    """Edges [24, 2] and faces of at most four corners (the octagons in three parts) of the piece,
+    as LAMMPS has them.
+    """
+    ring = sorted(
+        range(len(corners)), key=lambda i: (corners[i, 2], np.arctan2(corners[i, 1], corners[i, 0]))
+    )
     low, high = ring[:8], ring[8:]
     around = [(k, (k + 1) % 8) for k in range(8)]
-    edges = [(level[a], level[b]) for level in (low, high) for a, b in around] + list(zip(low, high, strict=True))
+    edges = [(level[a], level[b]) for level in (low, high) for a, b in around] + list(
+        zip(low, high, strict=True)
+    )
     sides = [(low[a], low[b], high[b], high[a]) for a, b in around]
-    ends = [tuple(level[k] for k in part) for level in (low, high) for part in ((0, 1, 2, 3), (0, 3, 4, 7), (4, 5, 6, 7))]
+    ends = [
+        tuple(level[k] for k in part)
+        for level in (low, high)
+        for part in ((0, 1, 2, 3), (0, 3, 4, 7), (4, 5, 6, 7))
+    ]
     return edges, sides + ends
 
 
@@ -110,19 +130,34 @@ def body_data(box: p.Packing) -> str:
     links = itertools.chain(edges, sides)
     tail = [f"{x}" for row in links for x in row] + [f"{ROUND}"]
     atoms, shapes = [], []
-    for n, (x, turn) in enumerate(zip(box.position, quaternion_to_matrix(box.orientation), strict=True), 1):
+    for n, (x, turn) in enumerate(
+        zip(box.position, quaternion_to_matrix(box.orientation), strict=True), 1
+    ):
         atoms.append(f"{n} 1 1 {p.MASS} {x[0]:.9g} {x[1]:.9g} {x[2]:.9g}")
         inertia = turn @ np.diag(p.INERTIA) @ turn.T
         moments = [inertia[i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
         values = [f"{v:.12g}" for v in (*moments, *(local @ turn.T).ravel())] + tail
         shapes += [f"{n} 3 {len(values)}", f"{len(local)} {len(edges)} {len(sides)}"]
-        shapes += [" ".join(values[k : k + 12]) for k in range(0, len(values), 12)]  # it takes 32 lines at most
-    head = ["packed pieces", "", f"{box.count} atoms", f"{box.count} bodies", "1 atom types", *_limits(box)]
+        # it takes 32 lines at most
+        shapes += [" ".join(values[k : k + 12]) for k in range(0, len(values), 12)]
+    head = [
+        "packed pieces",
+        "",
+        f"{box.count} atoms",
+        f"{box.count} bodies",
+        "1 atom types",
+        *_limits(box),
+    ]
     return "\n".join([*head, "", "Atoms", "", *atoms, "", "Bodies", "", *shapes, ""])
 
 
 def sphere_data(box: p.Packing, types) -> str:
-    """A data file with the spheres of a packing, for LIGGGHTS too; types: number of kinds of atoms that it makes room for."""
+    """A data file with the spheres of a packing, for LIGGGHTS too; types: number of kinds of atoms
+    that it makes room for.
+    """
     head = ["packed spheres", "", f"{box.count} atoms", f"{types} atom types", *_limits(box)]
-    rows = [f"{n} 1 {2 * p.RADIUS:.9g} {p.DENSITY} {x:.9g} {y:.9g} {z:.9g}" for n, (x, y, z) in enumerate(box.position, 1)]
+    rows = [
+        f"{n} 1 {2 * p.RADIUS:.9g} {p.DENSITY} {x:.9g} {y:.9g} {z:.9g}"
+        for n, (x, y, z) in enumerate(box.position, 1)
+    ]
     return "\n".join([*head, "", "Atoms", "", *rows, ""])

@@ -9,8 +9,12 @@ from benchmarks.peers.child import Child
 from benchmarks.peers.lammps import sphere_data
 
 MODEL = "model edinburgh/stiffness tangential history"
-OPTIONS = "fixKc on limitForce on"  # with no adhesion: loading K, unloading K / eps2, never attractive
-CLUMP = [(x, y, 0.0, 0.008) for x, y in itertools.product((-0.0195, -0.0065, 0.0065, 0.0195), (-0.0035, 0.0035))]
+OPTIONS = "fixKc on limitForce on"  # with no adhesion: loading K, unloading K / eps2, never
+# attractive
+CLUMP = [
+    (x, y, 0.0, 0.008)
+    for x, y in itertools.product((-0.0195, -0.0065, 0.0065, 0.0195), (-0.0035, 0.0035))
+]
 SKIN = 0.002  # m; 1 and 4 mm cost the same within 10 %
 
 
@@ -19,17 +23,21 @@ def version():
     if not shutil.which("liggghts"):
         return None
     words = ["liggghts", "-log", "none"]
-    done = subprocess.run(words, capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL)
+    done = subprocess.run(
+        words, capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL
+    )
     return done.stdout.partition("LIGGGHTS-PUBLIC ")[2].split(",")[0] or "of unknown version"
 
 
 def setting(loading, restitution, friction, domain):
-    """Units, domain, contact law, gravity. loading: stiffness (N/m), friction: both between pieces and on a wall; domain: the lines
-    that make LIGGGHTS's own box."""
-    pairs = lambda a, b: f"peratomtypepair 2 {a} {b} {b} {b}"  # noqa: E731
+    """Units, domain, contact law, gravity. loading: stiffness (N/m), friction: both between pieces
+    and on a wall; domain: the lines that make LIGGGHTS's own box.
+    """
+    pairs = lambda a, b: f"peratomtypepair 2 {a} {b} {b} {b}"
     properties = {
         "LoadingStiffness": pairs(*loading),
-        "UnloadingStiffness": pairs(restitution**-2, restitution**-2),  # relative to that of loading
+        "UnloadingStiffness": pairs(restitution**-2, restitution**-2),  # relative to that of
+        # loading
         "coefficientAdhesionStiffness": pairs(0, 0),
         "coefficientRestitution": pairs(1, 1),  # of the dashpot: none
         "coefficientFriction": pairs(*friction),
@@ -48,7 +56,10 @@ def setting(loading, restitution, friction, domain):
         *domain,
         f"neighbor {SKIN} bin",
         "neigh_modify delay 0",
-        *(f"fix p{n} all property/global {name} {value}" for n, (name, value) in enumerate(properties.items())),
+        *(
+            f"fix p{n} all property/global {name} {value}"
+            for n, (name, value) in enumerate(properties.items())
+        ),
         f"pair_style gran {MODEL} {OPTIONS}",
         "pair_coeff * *",
         f"fix weight all gravity {p.GRAVITY} vector 0 0 -1",
@@ -57,7 +68,11 @@ def setting(loading, restitution, friction, domain):
 
 def walls(half_width, options=""):
     """Floor and sides of the open box; half_width: (m)."""
-    planes = {"zplane": (0.0,), "xplane": (-half_width, half_width), "yplane": (-half_width, half_width)}
+    planes = {
+        "zplane": (0.0,),
+        "xplane": (-half_width, half_width),
+        "yplane": (-half_width, half_width),
+    }
     return [
         f"fix {kind}{n} all wall/gran {MODEL} primitive type 2 {kind} {place} {options}{OPTIONS}"
         for kind, places in planes.items()
@@ -72,7 +87,11 @@ def _head(box: p.Packing, domain):
 
 
 def _tail():
-    return ["thermo_style custom step atoms ke", "thermo 100000000", "thermo_modify lost error norm no flush yes"]
+    return [
+        "thermo_style custom step atoms ke",
+        "thermo 100000000",
+        "thermo_modify lost error norm no flush yes",
+    ]
 
 
 def _started(lines, folder):
@@ -90,7 +109,8 @@ def spheres(path, folder):
 def clumps(path, folder):
     """Clumps scattered in the box, as LIGGGHTS places them itself: they are still to settle."""
     box = p.load(path)
-    # A sixth of the space filled: so much its random insertion reaches. The column stands a little off the walls.
+    # A sixth of the space filled: so much its random insertion reaches. The column stands a little
+    # off the walls.
     x, height = 0.5 * box.width - 0.002, 6 * box.count * p.MASS / p.DENSITY / box.width**2 + 0.06
     (folder / "clump.txt").write_text("".join(f"{x} {y} {z} {r}\n" for x, y, z, r in CLUMP))
     inertia = f"{p.INERTIA[0]} 0 0 {p.INERTIA[1]} 0 {p.INERTIA[2]}"

@@ -1,6 +1,7 @@
 """MuJoCo: the exact piece as a mesh, rigid contact, Newton's solver, steps of 1 ms.
 
-``python -m benchmarks.peers.mujoco FILE`` serves a packing: run so in the interpreter that has the package.
+``python -m benchmarks.peers.mujoco FILE`` serves a packing: run so in the interpreter that has the
+package.
 """
 
 import subprocess
@@ -23,12 +24,18 @@ def model(box: p.Packing) -> str:
     """The scene in MuJoCo's own XML."""
     points = " ".join(f"{x:.9g}" for x in p.vertices().ravel())
     x = 0.5 * box.width
-    planes = ((0, 0, 0, 0, 0, 1), (-x, 0, 0, 1, 0, 0), (x, 0, 0, -1, 0, 0), (0, -x, 0, 0, 1, 0), (0, x, 0, 0, -1, 0))
+    planes = (
+        (0, 0, 0, 0, 0, 1),
+        (-x, 0, 0, 1, 0, 0),
+        (x, 0, 0, -1, 0, 0),
+        (0, -x, 0, 0, 1, 0),
+        (0, x, 0, 0, -1, 0),
+    )
     walls = [
         f'<geom type="plane" size="0 0 1" pos="{a} {b} {c}" zaxis="{u} {v} {w}" friction="{p.WALL_FRICTION}" priority="1"/>'
         for a, b, c, u, v, w in planes
     ]
-    words = lambda row: " ".join(f"{value:.9g}" for value in row)  # noqa: E731
+    words = lambda row: " ".join(f"{value:.9g}" for value in row)
     moments = words(p.INERTIA)
     bodies = [
         f'<body pos="{words(position)}" quat="{words(turn)}"><freejoint/><inertial pos="0 0 0" mass="{p.MASS}" '

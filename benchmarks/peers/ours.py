@@ -1,4 +1,6 @@
-"""Ourselves, by the public scene and the public driver: ``python -m benchmarks.peers.ours FILE`` serves a packing."""
+"""Ourselves, by the public scene and the public driver: ``python -m benchmarks.peers.ours FILE``
+serves a packing.
+"""
 
 import sys
 from dataclasses import replace
@@ -18,12 +20,21 @@ def start(box: p.Packing):
     """The box as a job that is set up, in single precision, at the poses of a packing."""
     from dem_jax.runner.job_setup import prepare_job
 
-    settings = {"step": p.STEP, "sample": SUBSTEPS * p.STEP, "duration": 1e3, "frames": 0.0, "energy": False}
+    settings = {
+        "step": p.STEP,
+        "sample": SUBSTEPS * p.STEP,
+        "duration": 1e3,
+        "frames": 0.0,
+        "energy": False,
+    }
     material = {"restitution": p.RESTITUTION}
-    scene = p.scene(box.shape, box.width, box.height, box.position, box.orientation, material, settings)
+    scene = p.scene(
+        box.shape, box.width, box.height, box.position, box.orientation, material, settings
+    )
     job = prepare_job(scene, (0,), None)
     state = job.state
-    known = state.guard.replace(start_overlap=0 * state.guard.start_overlap)  # settled pieces overlap a little
+    known = state.guard.replace(start_overlap=0 * state.guard.start_overlap)  # settled pieces
+    # overlap a little
     return replace(job, state=state.replace(guard=known))
 
 
@@ -41,7 +52,9 @@ class Advance:
         end = self.at + max(1, round(steps / SUBSTEPS))
         while self.at < end:
             count = min(CHUNK_SAMPLES, end - self.at)
-            span = compute_chunk(self.job, self.system, self.state, self.at, count, Progress(self.job, False))
+            span = compute_chunk(
+                self.job, self.system, self.state, self.at, count, Progress(self.job, False)
+            )
             self.system, self.state, self.at = span.system, span.state, self.at + count
 
 

@@ -1,4 +1,6 @@
-"""The box of settled pieces that every program starts from, and what all of them are told of pieces and material."""
+"""The box of settled pieces that every program starts from, and what all of them are told of pieces
+and material.
+"""
 
 import itertools
 import sys
@@ -32,7 +34,8 @@ class Packing:
     corners: np.ndarray | None = None  # [V, 3] (m), of a hull, about its centre of mass
 
     count = property(lambda self: len(self.position))
-    height = property(lambda self: float(self.position[:, 2].max()) + 0.08)  # m: no piece reaches so far
+    height = property(lambda self: float(self.position[:, 2].max()) + 0.08)  # m: no piece reaches
+    # so far
 
 
 def vertices():
@@ -44,7 +47,11 @@ def vertices():
 
 def width_of(shape, count):
     """Inner width (m) of the box: a heap about as high as half its width."""
-    columns = np.ceil(count ** (1 / 3) - 1e-9) if shape == "sphere" else max(2, round(0.7 * count ** (1 / 3)))
+    columns = (
+        np.ceil(count ** (1 / 3) - 1e-9)
+        if shape == "sphere"
+        else max(2, round(0.7 * count ** (1 / 3)))
+    )
     return float(columns * 1.03 * BOUNDING[shape])
 
 
@@ -55,8 +62,13 @@ def scene(shape, width, height, position, orientation, material, run):
     kind = {"shape": shape, "radius": float(RADIUS)} if shape == "sphere" else {"shape": shape}
     poses = zip(position.tolist(), orientation.tolist(), strict=True)
     pieces = [kind | {"position": tuple(p), "orientation": tuple(q)} for p, q in poses]
-    walls = [{"group": "box", "corners": row, "thickness": 0.02} for row in open_box(0.5 * width, 0.5 * width, height)]
-    return load_scene("plate-drop").replace(name="box", piece=pieces, wall=walls, block=[], material=material, run=run)
+    walls = [
+        {"group": "box", "corners": row, "thickness": 0.02}
+        for row in open_box(0.5 * width, 0.5 * width, height)
+    ]
+    return load_scene("plate-drop").replace(
+        name="box", piece=pieces, wall=walls, block=[], material=material, run=run
+    )
 
 
 def lattice(shape, count, width, random):
@@ -74,7 +86,8 @@ def lattice(shape, count, width, random):
 def settled(shape, count) -> Path:
     """The file of a packing, settled by ourselves if there is none yet.
 
-    Restitution 0.5 instead of 0.1 and a softening of 0.03 instead of 0.01: smaller overlaps are left by the fall.
+    Restitution 0.5 instead of 0.1 and a softening of 0.03 instead of 0.01: smaller overlaps are
+    left by the fall.
     """
     path = KEPT / f"packed-{shape}-{count}.npz"
     if path.exists():
@@ -86,12 +99,24 @@ def settled(shape, count) -> Path:
     height = float(position[:, 2].max()) + BOUNDING[shape]
     duration = round(float(np.sqrt(2 * 0.5 * height / GRAVITY)) + 0.35, 2)
     settings = {"duration": duration, "sample": 2e-4, "frames": duration, "energy": False}
-    loose = scene(shape, width, height, position, orientation, {"restitution": 0.5, "softening": 0.03}, settings)
+    loose = scene(
+        shape,
+        width,
+        height,
+        position,
+        orientation,
+        {"restitution": 0.5, "softening": 0.03},
+        settings,
+    )
     last = simulate(loose).pieces
     KEPT.mkdir(exist_ok=True)
-    np.savez(path, shape=shape, width=width, position=last.position[-1], orientation=last.orientation[-1])
+    np.savez(
+        path, shape=shape, width=width, position=last.position[-1], orientation=last.orientation[-1]
+    )
     speed = np.linalg.norm(last.velocity[-1], axis=1)
-    print(f"{path}: fastest {speed.max():.3g} m/s, median {np.median(speed):.3g} m/s", file=sys.stderr)
+    print(
+        f"{path}: fastest {speed.max():.3g} m/s, median {np.median(speed):.3g} m/s", file=sys.stderr
+    )
     return path
 
 

@@ -47,9 +47,17 @@ def build(box, p):
 
     scene = Omega()
     # Force = young * volume of the overlap: as stiff as ours for two faces of 10 cm2.
-    material = PolyhedraMat(density=p.DENSITY, young=p.PAIR / 1e-3, poisson=0.2, frictionAngle=atan(p.FRICTION))
+    material = PolyhedraMat(
+        density=p.DENSITY, young=p.PAIR / 1e-3, poisson=0.2, frictionAngle=atan(p.FRICTION)
+    )
     half = 0.5 * box.width
-    for axis, place, sense in ((2, 0.0, 1), (0, -half, 1), (0, half, -1), (1, -half, 1), (1, half, -1)):
+    for axis, place, sense in (
+        (2, 0.0, 1),
+        (0, -half, 1),
+        (0, half, -1),
+        (1, -half, 1),
+        (1, half, -1),
+    ):
         scene.bodies.append(utils.wall(place, axis=axis, sense=sense, material=material))
     corners = p.vertices() if box.corners is None else box.corners
     for position, turn in zip(box.position, quaternion_to_matrix(box.orientation)):  # noqa: B905  (YADE's own, older Python)

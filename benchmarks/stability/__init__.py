@@ -1,1 +1,3 @@
-"""Stress tests of numerical stability, too long for the tests: run by hand, each prints what it found."""
+"""Stress tests of numerical stability, too long for the tests: run by hand, each prints what it
+found.
+"""

@@ -1,8 +1,10 @@
-"""A stress campaign that tries to break every part: ``python -m benchmarks.stability`` (``--quick``: shorter; ``--only WORDS``).
+"""A stress campaign that tries to break every part: ``python -m benchmarks.stability``
+(``--quick``: shorter; ``--only WORDS``).
 
-Each axis is walked from one end of what is allowed to the other. What must hold: series are finite, no energy comes from nothing
-(more than 1 % of the largest there was; near the largest step what the run warns of), momentum balances, nothing sinks in; what
-cannot be is refused in one line. Beside it ``python -m benchmarks.stability.extremes`` makes each number of some scenes absurd.
+Each axis is walked from one end of what is allowed to the other. What must hold: series are finite,
+no energy comes from nothing (more than 1 % of the largest there was; near the largest step what the
+run warns of), momentum balances, nothing sinks in; what cannot be is refused in one line. Beside it
+``python -m benchmarks.stability.extremes`` makes each number of some scenes absurd.
 """
 
 import argparse
@@ -17,12 +19,18 @@ from dem_jax import xla_flags
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Walk the axes, write the table, and exit with 1 if anything failed."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.stability", description=(__doc__ or "").splitlines()[0])
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.stability", description=(__doc__ or "").splitlines()[0]
+    )
     parser.add_argument("--quick", action="store_true", help="shorter rest, fewer runs")
-    parser.add_argument("--only", nargs="+", default=None, help="axes whose names contain any of these")
+    parser.add_argument(
+        "--only", nargs="+", default=None, help="axes whose names contain any of these"
+    )
     options = parser.parse_args(argv)
     xla_flags.set_loop_flags()
-    chosen = [name for name in AXES if not options.only or any(words in name for words in options.only)]
+    chosen = [
+        name for name in AXES if not options.only or any(words in name for words in options.only)
+    ]
     start, outcomes = time.perf_counter(), []
     for name in chosen:
         for trial in AXES[name](options.quick):
@@ -47,11 +55,29 @@ def _text(outcomes: list[tuple[str, Outcome]], seconds: float) -> str:
     rows = []
     for name in dict.fromkeys(name for name, _ in outcomes):
         of = [outcome for axis, outcome in outcomes if axis == name]
-        worst = lambda key, of=of: max((o.figures[key] for o in of if key in o.figures), default=float("nan"))  # noqa: E731
+        worst = lambda key, of=of: max(
+            (o.figures[key] for o in of if key in o.figures), default=float("nan")
+        )
         refused = sum(outcome.ended == "one line" and not outcome.faults for outcome in of)
         failed = sum(bool(outcome.faults) for outcome in of)
-        rows.append([name, len(of), refused, failed, *(f"{worst(key):.2g}" for key in ("energy", "momentum", "overlap"))])
-    head = ["axis", "tried", "refused, as it should", "failed", "energy from nothing", "momentum off", "overlap / width"]
+        rows.append(
+            [
+                name,
+                len(of),
+                refused,
+                failed,
+                *(f"{worst(key):.2g}" for key in ("energy", "momentum", "overlap")),
+            ]
+        )
+    head = [
+        "axis",
+        "tried",
+        "refused, as it should",
+        "failed",
+        "energy from nothing",
+        "momentum off",
+        "overlap / width",
+    ]
     every = [[name, o.trial.name, _told(o)] for name, o in outcomes]
     return "\n\n".join(
         (

@@ -24,32 +24,50 @@ SHORT = {"run.duration": 0.05, "run.sample": 1e-4, "run.frames": 0.0}
 FLAT = ((-0.5, -0.5, 0.0), (0.5, -0.5, 0.0), (0.5, 0.5, 0.0), (-0.5, 0.5, 0.0))
 
 
-def landing(piece: dict = MARSHMALLOW, speed: float = 1.5, spin: float = 5.0, time: float = 1e-3, **changes: Any) -> Scene:
+def landing(
+    piece: dict = MARSHMALLOW,
+    speed: float = 1.5,
+    spin: float = 5.0,
+    time: float = 1e-3,
+    **changes: Any,
+) -> Scene:
     """A tilted piece that lands on the plate after a time (s)."""
     gap = time * speed
     pose = {"position": (0.0, 0.0, gap - _lowest(piece)), "orientation": TILTED}
-    motion = {"velocity": (0.3 * speed, 0.1 * speed, -speed), "angular_velocity": (spin, -1.6 * spin, 0.6 * spin)}
+    motion = {
+        "velocity": (0.3 * speed, 0.1 * speed, -speed),
+        "angular_velocity": (spin, -1.6 * spin, 0.6 * spin),
+    }
     return pieces([piece | pose | motion], **changes)
 
 
 def _lowest(piece: dict) -> float:
     """The lowest point of a tilted piece (m), relative to its centre of mass."""
     (shape,) = assembly.assemble_system(pieces([piece | {"position": (0.0, 0.0, 1.0)}]), 0).shapes
-    points = [part.centre + part.shape.vertices if part.shape.radius == 0 else [part.centre] for part in list_parts(shape)]
+    points = [
+        part.centre + part.shape.vertices if part.shape.radius == 0 else [part.centre]
+        for part in list_parts(shape)
+    ]
     height = Rotation.from_quat(TILTED, scalar_first=True).apply(np.concatenate(points))[:, 2]
     return float(height.min() - max(part.shape.radius for part in list_parts(shape)))
 
 
 def pieces(rows: Sequence[dict], **changes: Any) -> Scene:
     """Pieces and the plate; in names of keys __ stands for the dot."""
-    return load_scene("plate-drop", SHORT | {key.replace("__", "."): value for key, value in changes.items()}).replace(
-        piece=list(rows)
-    )
+    return load_scene(
+        "plate-drop", SHORT | {key.replace("__", "."): value for key, value in changes.items()}
+    ).replace(piece=list(rows))
 
 
-def trial(name: str, *arguments: Any, make: Callable[..., Scene] = landing, **changes: Any) -> Trial:
+def trial(
+    name: str, *arguments: Any, make: Callable[..., Scene] = landing, **changes: Any
+) -> Trial:
     """A trial of a scene that ``make`` makes."""
-    kept = {key: changes.pop(key) for key in ("refused", "runs", "growth", "figure", "check") if key in changes}
+    kept = {
+        key: changes.pop(key)
+        for key in ("refused", "runs", "growth", "figure", "check")
+        if key in changes
+    }
     return Trial(name, lambda: make(*arguments, **changes), **kept)
 
 
@@ -59,7 +77,11 @@ def time_steps(_: bool) -> Iterator[Trial]:
     def at(piece: dict, part: float) -> Scene:
         scene = landing(piece, material__restitution=1.0, run__precision="f64")
         limit = prepare_job(scene, (0,), None).built.step.linear_limit
-        step = {"run.step": part * limit, "run.sample": part * limit, "run.allow_unstable_step": True}
+        step = {
+            "run.step": part * limit,
+            "run.sample": part * limit,
+            "run.allow_unstable_step": True,
+        }
         return scene.replace(step | {"run.duration": 0.03})
 
     def expected(piece: dict, part: float) -> float:
@@ -71,7 +93,12 @@ def time_steps(_: bool) -> Iterator[Trial]:
     both = {"sphere": SPHERE, "marshmallow": MARSHMALLOW}.items()
     for (name, piece), part in itertools.product(both, (0.01, 0.03, 0.1, 0.25, 0.5, 0.9, 1.1, 2.0)):
         growth = expected(piece, part)
-        yield Trial(f"{name}, {part:g} of the linear limit", lambda p=piece, q=part: at(p, q), part > 1, growth=growth)
+        yield Trial(
+            f"{name}, {part:g} of the linear limit",
+            lambda p=piece, q=part: at(p, q),
+            part > 1,
+            growth=growth,
+        )
 
 
 def materials(_: bool) -> Iterator[Trial]:
@@ -83,19 +110,33 @@ def materials(_: bool) -> Iterator[Trial]:
         values = {"material__restitution": epsilon, "material__softening": softening}
         yield trial(f"epsilon {epsilon:g}, softening {softening:g}", **values, **more)
     for ratio in (1e-2, 1.0, 1e3, 1e6):
-        yield trial(f"wall's modulus over the pieces' {ratio:g}", speed=0.3, material__wall_youngs_modulus=1e8 * ratio)
+        yield trial(
+            f"wall's modulus over the pieces' {ratio:g}",
+            speed=0.3,
+            material__wall_youngs_modulus=1e8 * ratio,
+        )
 
 
 def sizes(_: bool) -> Iterator[Trial]:
     """Sizes and masses in one scene."""
     small = MARSHMALLOW | {"scale_factor": 0.1, "position": (0.0, 0.0, 0.002)}
     large = MARSHMALLOW | {"position": (0.0, 0.0, 0.02), "velocity": (0.0, 0.0, -0.3)}
-    yield trial("a marshmallow on one of a tenth of its size", [small, large], make=pieces, run__precision="f64")
+    yield trial(
+        "a marshmallow on one of a tenth of its size",
+        [small, large],
+        make=pieces,
+        run__precision="f64",
+    )
     for density in (10.0, 1e4):
         top = MARSHMALLOW | {"position": (0.0, 0.0, 0.03), "material": "other"}
         below = MARSHMALLOW | {"position": (0.0, 0.0, 0.0085)}
         other = {"other": {"density": density}}
-        yield trial(f"a marshmallow of {density:g} kg/m3 on one of 300", [below, top], make=pieces, material=other)
+        yield trial(
+            f"a marshmallow of {density:g} kg/m3 on one of 300",
+            [below, top],
+            make=pieces,
+            material=other,
+        )
 
 
 def speeds(_: bool) -> Iterator[Trial]:
@@ -107,7 +148,11 @@ def speeds(_: bool) -> Iterator[Trial]:
     yield trial("50 m/s, softening 1", speed=50.0, material__softening=1.0, run__duration=0.005)
     yield trial("50 m/s: deeper than a piece is thick", speed=50.0, refused=True)
     for spin in (100.0, 1e3, 1e4):
-        stiff = {"material__softening": 1.0, "run__duration": 0.01, "run__domain_high": (2.0, 2.0, 2.0)}
+        stiff = {
+            "material__softening": 1.0,
+            "run__duration": 0.01,
+            "run__domain_high": (2.0, 2.0, 2.0),
+        }
         yield trial(f"spin of {spin:g} rad/s", speed=1.0, spin=spin / 2, **stiff)
 
 
@@ -123,8 +168,15 @@ def durations(quick: bool) -> Iterator[Trial]:
     for precision in ("f32", "f64"):
         lying = MARSHMALLOW | {"position": (0.0, 0.0, 0.0081)}
         duration = 6e-6 * steps
-        run = {"run__duration": duration, "run__sample": 6e-3, "run__frames": duration / 20, "run__precision": precision}
-        yield trial(f"{steps:.0e} steps at rest, {precision}", [lying], make=pieces, figure=creep, **run)
+        run = {
+            "run__duration": duration,
+            "run__sample": 6e-3,
+            "run__frames": duration / 20,
+            "run__precision": precision,
+        }
+        yield trial(
+            f"{steps:.0e} steps at rest, {precision}", [lying], make=pieces, figure=creep, **run
+        )
 
 
 def places(_: bool) -> Iterator[Trial]:
@@ -133,8 +185,16 @@ def places(_: bool) -> Iterator[Trial]:
     def far(way: float, precision: str) -> Scene:
         scene = landing(run__precision=precision)
         x, y, z = scene.piece[0].position
-        walls = [{"group": "plate", "corners": [(a + way, b + way, c + way) for a, b, c in FLAT], "thickness": 0.05}]
-        row = scene.piece[0].model_dump(exclude_none=True) | {"position": (x + way, y + way, z + way)}
+        walls = [
+            {
+                "group": "plate",
+                "corners": [(a + way, b + way, c + way) for a, b, c in FLAT],
+                "thickness": 0.05,
+            }
+        ]
+        row = scene.piece[0].model_dump(exclude_none=True) | {
+            "position": (x + way, y + way, z + way)
+        }
         return scene.replace(piece=[row], wall=walls, block=[])
 
     def peak(run: Run) -> dict[str, float]:
@@ -142,13 +202,19 @@ def places(_: bool) -> Iterator[Trial]:
 
     for way, precision in itertools.product((0.0, 1.0, 100.0, 1e4), ("f64", "f32")):
         name = f"{way:g} m from the origin, {precision}"
-        rough = way == 1e4 and precision == "f32"  # where potential energy itself is rounded to a hundredth of the kinetic
-        yield Trial(name, lambda w=way, p=precision: far(w, p), growth=0.05 if rough else GROWTH, figure=peak)
+        rough = way == 1e4 and precision == "f32"  # where potential energy itself is rounded to a
+        # hundredth of the kinetic
+        yield Trial(
+            name,
+            lambda w=way, p=precision: far(w, p),
+            growth=0.05 if rough else GROWTH,
+            figure=peak,
+        )
 
 
 def touches(_: bool) -> Iterator[Trial]:
     """Contacts that are no general case."""
-    on = lambda *rows, **more: pieces([CUBE | row for row in rows], **more)  # noqa: E731
+    on = lambda *rows, **more: pieces([CUBE | row for row in rows], **more)
     up = {"position": (0.0, 0.0, 0.0101)}
     above = {"position": (0.0, 0.0, 0.0304), "velocity": (0.0, 0.0, -0.3)}
     yield trial("cube on cube, faces and edges parallel", up, above, make=on)
@@ -163,7 +229,9 @@ def touches(_: bool) -> Iterator[Trial]:
     yield trial("on the rim of the plate", rim, make=on, run__domain_low=(-1.0, -1.0, -1.0))
 
     def walls(rows: Sequence[Any], piece: dict, thickness: float = 0.01) -> Scene:
-        made = [{"group": f"w{k}", "corners": row, "thickness": thickness} for k, row in enumerate(rows)]
+        made = [
+            {"group": f"w{k}", "corners": row, "thickness": thickness} for k, row in enumerate(rows)
+        ]
         return pieces([piece]).replace(wall=made, block=[])
 
     halves = [[(-0.5, -0.5, 0.0), (0.0, -0.5, 0.0), (0.0, 0.5, 0.0), (-0.5, 0.5, 0.0)]]
@@ -172,10 +240,18 @@ def touches(_: bool) -> Iterator[Trial]:
     yield trial("across a seam", halves, flat, make=walls)
     corner = [FLAT, [(0.0, -0.5, 0.0), (0.0, 0.5, 0.0), (0.0, 0.5, 0.5), (0.0, -0.5, 0.5)]]
     corner += [[(0.5, 0.0, 0.0), (-0.5, 0.0, 0.0), (-0.5, 0.0, 0.5), (0.5, 0.0, 0.5)]]
-    into = MARSHMALLOW | {"position": (0.035, -0.035, 0.035), "orientation": TILTED, "velocity": (-1.0, 1.0, -1.0)}
+    into = MARSHMALLOW | {
+        "position": (0.035, -0.035, 0.035),
+        "orientation": TILTED,
+        "velocity": (-1.0, 1.0, -1.0),
+    }
     yield trial("into the corner of three walls", corner, into, make=walls)
     for thickness in (1e-4, 1e-3):
-        tilted = MARSHMALLOW | {"position": (0.0, 0.0, 0.032), "orientation": TILTED, "velocity": (0.0, 0.0, -2.2)}
+        tilted = MARSHMALLOW | {
+            "position": (0.0, 0.0, 0.032),
+            "orientation": TILTED,
+            "velocity": (0.0, 0.0, -2.2),
+        }
         yield trial(f"on a sheet of {1e3 * thickness:g} mm", [FLAT], tilted, thickness, make=walls)
 
 
@@ -203,24 +279,51 @@ def shapes(_: bool) -> Iterator[Trial]:
 
 def motions(_: bool) -> Iterator[Trial]:
     """Walls that move."""
-    portion = {"portion.count": 3, "portion.settling_time": 0.08, "run.duration": 0.25, "run.frames": 0.0, "run.sample": 1e-4}
+    portion = {
+        "portion.count": 3,
+        "portion.settling_time": 0.08,
+        "run.duration": 0.25,
+        "run.frames": 0.0,
+        "run.sample": 1e-4,
+    }
 
     def bucket(**changes: Any) -> Scene:
-        return load_scene("quick-release", portion | {key.replace("__", "."): value for key, value in changes.items()})
+        return load_scene(
+            "quick-release",
+            portion | {key.replace("__", "."): value for key, value in changes.items()},
+        )
 
     for opening in (0.001, 0.01, 0.1):
-        yield trial(f"flaps of the feed bucket open in {1e3 * opening:g} ms", make=bucket, feed_bucket__opening_time=opening)
+        yield trial(
+            f"flaps of the feed bucket open in {1e3 * opening:g} ms",
+            make=bucket,
+            feed_bucket__opening_time=opening,
+        )
 
-    early = {"opening_time": 0.06, "open_dwell": 0.03, "closing_time": 0.06}  # they close on what has not fallen through yet
+    early = {"opening_time": 0.06, "open_dwell": 0.03, "closing_time": 0.06}  # they close on what
+    # has not fallen through yet
     caught = {"portion__count": 9, "run__duration": 0.4, "run__escape": "note"}
     caught |= {f"feed_bucket__{key}": value for key, value in early.items()}
     for torque in (0.1, 1.0):
-        yield trial(f"flaps of {torque:g} N m close on pieces", make=bucket, feed_bucket__drive={"torque": torque}, **caught)
+        yield trial(
+            f"flaps of {torque:g} N m close on pieces",
+            make=bucket,
+            feed_bucket__drive={"torque": torque},
+            **caught,
+        )
 
     def closing(time: float) -> Scene:
         """A flap that closes on a piece which lies in its way."""
-        flap = {"group": "flap", "corners": [(0.0, -0.05, 0.05), (0.0, 0.05, 0.05), (0.0, 0.05, 0.0), (0.0, -0.05, 0.0)]}
-        turn = {"pivot": (0.0, 0.0, 0.05), "axis": (0.0, 1.0, 0.0), "times": (0.0, time), "angles_deg": (0.0, 25.0)}
+        flap = {
+            "group": "flap",
+            "corners": [(0.0, -0.05, 0.05), (0.0, 0.05, 0.05), (0.0, 0.05, 0.0), (0.0, -0.05, 0.0)],
+        }
+        turn = {
+            "pivot": (0.0, 0.0, 0.05),
+            "axis": (0.0, 1.0, 0.0),
+            "times": (0.0, time),
+            "angles_deg": (0.0, 25.0),
+        }
         motion = {"group": "flap"} | turn
         piece = CUBE | {"position": (-0.0105, 0.0, 0.0102)}
         scene = pieces([piece])
@@ -232,7 +335,12 @@ def motions(_: bool) -> Iterator[Trial]:
 
     def shaken() -> Scene:
         scene = pieces([MARSHMALLOW | {"position": (0.0, 0.0, 0.0081)}], run__duration=0.1)
-        motion = {"group": "plate", "stroke": (0.0, 0.0, 2e-4), "frequency": 200.0, "shake_ramp": 0.02}
+        motion = {
+            "group": "plate",
+            "stroke": (0.0, 0.0, 2e-4),
+            "frequency": 200.0,
+            "shake_ramp": 0.02,
+        }
         return scene.replace(motion=[motion])
 
     yield trial("the plate vibrates with 200 Hz", make=shaken)
@@ -240,7 +348,13 @@ def motions(_: bool) -> Iterator[Trial]:
 
 def ensembles(quick: bool) -> Iterator[Trial]:
     """Runs side by side: drops of different seeds, and the trials of other axes, sixteen of each."""
-    portion = {"portion.count": 3, "portion.settling_time": 0.08, "run.duration": 0.2, "run.frames": 0.0, "run.sample": 1e-4}
+    portion = {
+        "portion.count": 3,
+        "portion.settling_time": 0.08,
+        "run.duration": 0.2,
+        "run.frames": 0.0,
+        "run.sample": 1e-4,
+    }
     for epsilon, softening in ((0.1, 1e-2), (1.0, 1e-2), (0.05, 1e-3)):
         changes = portion | {"material.restitution": epsilon, "material.softening": softening}
         yield Trial(

@@ -1,8 +1,10 @@
-"""Numbers that a scene may hold but that nobody means: ``python -m benchmarks.stability.extremes`` (``--every 7``: fewer).
+"""Numbers that a scene may hold but that nobody means: ``python -m benchmarks.stability.extremes``
+(``--every 7``: fewer).
 
-Every number of a few scenes, in turn, is made far too small or large, also those that are unset. What is allowed is a run
-whose series are all finite, or one line that says what is wrong; never a traceback, a hang, or numbers that are not finite
-in a file. A run that is to take very long is set up, and shortened where it can be. Exits with 1 if anything else happens.
+Every number of a few scenes, in turn, is made far too small or large, also those that are unset.
+What is allowed is a run whose series are all finite, or one line that says what is wrong; never a
+traceback, a hang, or numbers that are not finite in a file. A run that is to take very long is set
+up, and shortened where it can be. Exits with 1 if anything else happens.
 """
 
 import argparse
@@ -28,15 +30,24 @@ GOOD = ("finite", "one line", "long")
 
 SHORT = {"run.duration": 0.02}
 PORTION = SHORT | {"portion.count": 3, "portion.settling_time": 0.06}
-BOX = [{"shape": "cuboid", "size": [0.03, 0.012, 0.012], "position": [x, 0.0, 0.3 * x]} for x in (-0.008, 0.008)]
+BOX = [
+    {"shape": "cuboid", "size": [0.03, 0.012, 0.012], "position": [x, 0.0, 0.3 * x]}
+    for x in (-0.008, 0.008)
+]
 PRODUCTS = [
     {"shape": "sphere", "radius": 0.008, "size_spread": 0.1, "material": "gummy"},
     {"shape": "compound", "part": BOX},
     {"shape": "prism", "sides": 5, "radius": 0.01, "height": 0.02, "share": 2.0},
 ]
-SPHERES = [{"shape": "sphere", "radius": 0.01, "position": [0, 0, z], "velocity": [0.1, 0, -1]} for z in (0.011, 0.032)]
+SPHERES = [
+    {"shape": "sphere", "radius": 0.01, "position": [0, 0, z], "velocity": [0.1, 0, -1]}
+    for z in (0.011, 0.032)
+]
 SCENES: dict[str, tuple[str, dict[str, Any]]] = {
-    "plate-drop": ("plate-drop", SHORT | {"piece.0.position": [0.0, 0.0, 0.009], "run.accuracy": {"restitution": 0.05}}),
+    "plate-drop": (
+        "plate-drop",
+        SHORT | {"piece.0.position": [0.0, 0.0, 0.009], "run.accuracy": {"restitution": 0.05}},
+    ),
     "quick-release": ("quick-release", PORTION),
     "weighing-station": ("weighing-station", PORTION | {"feeder.count": 2, "feeder.start": 0.0}),
     "products": (
@@ -47,17 +58,19 @@ SCENES: dict[str, tuple[str, dict[str, Any]]] = {
             "portion.product": PRODUCTS,
             "material.gummy": {"density": 1200.0, "restitution": 0.4, "pull_off": 1e-3},
             "pair": [{"of": ["gummy", "wall"], "friction": 0.5}],
-            "motion": [{"group": "wb_walls", "stroke": [0.0, 0.0, 1e-4], "times": [0.0, 1.0], "angles_deg": [0.0, 1.0]}],
+            "motion": [
+                {
+                    "group": "wb_walls",
+                    "stroke": [0.0, 0.0, 1e-4],
+                    "times": [0.0, 1.0],
+                    "angles_deg": [0.0, 1.0],
+                }
+            ],
         },
     ),
     "hertz-mindlin": (
         "plate-drop",
-        SHORT
-        | {
-            "piece": SPHERES,
-            "contact.law": "hertz-mindlin",
-            "material.pull_off": 1e-3,
-        },
+        SHORT | {"piece": SPHERES, "contact.law": "hertz-mindlin", "material.pull_off": 1e-3},
     ),
 }
 
@@ -109,7 +122,12 @@ def _extremes(annotation: Any, now: Any) -> list[Any]:
         return next((found for arg in args if (found := _extremes(arg, now))), [])
     if origin is tuple and get_origin(args[0]) is tuple:  # points
         rows = [list(row) for row in now or ()]
-        return [[[x, *rows[0][1:]], *rows[1:]] for sign in (1, -1) for x in np.multiply(sign, FLOATS).tolist() if rows]
+        return [
+            [[x, *rows[0][1:]], *rows[1:]]
+            for sign in (1, -1)
+            for x in np.multiply(sign, FLOATS).tolist()
+            if rows
+        ]
     if origin is tuple:
         rest = list(now or ()) if Ellipsis in args else list(now or [USUAL] * len(args))
         return [[x, *rest[1:]] for x in _extremes(args[0], None) if rest]
@@ -139,26 +157,42 @@ def outcome(case: Case) -> tuple[str, str]:
         pieces = job.system.pieces.mass.shape[0]
         if _steps(job) * pieces > LONG:
             return "long", f"{_steps(job):.3g} steps of {pieces} pieces"
-        bad = [name for name, array in collect_series(run_job(job)).items() if not np.isfinite(array).all()]
+        bad = [
+            name
+            for name, array in collect_series(run_job(job)).items()
+            if not np.isfinite(array).all()
+        ]
         return ("not finite", ", ".join(bad)) if bad else ("finite", "")
     except (SceneError, SimulationError, RecordError) as error:
         lines = str(error).splitlines()
         return ("one line", lines[0]) if len(lines) == 1 else ("many lines", str(error))
     except Exception as error:
         frames = traceback.extract_tb(error.__traceback__)
-        where = [f"{Path(frame.filename).name}:{frame.lineno}" for frame in frames if "dem_jax" in frame.filename]
+        where = [
+            f"{Path(frame.filename).name}:{frame.lineno}"
+            for frame in frames
+            if "dem_jax" in frame.filename
+        ]
         return "traceback", f"{type(error).__name__} at {' '.join(where[-2:])}: {str(error)[:300]}"
 
 
 def _steps(job: Any) -> int:
-    return job.built.settling_steps + job.samples * int(job.system.substeps) * job.system.sample_parts
+    return (
+        job.built.settling_steps + job.samples * int(job.system.substeps) * job.system.sample_parts
+    )
 
 
 def main(argv: list[str] | None = None) -> int:
     """Print what is not as allowed, and how often what came out."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.stability.extremes", description=__doc__.splitlines()[0])
-    parser.add_argument("--every", type=int, default=1, metavar="n", help="only each n-th of the cases")
-    parser.add_argument("--scenes", nargs="+", default=list(SCENES), choices=SCENES, help="only these")
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.stability.extremes", description=__doc__.splitlines()[0]
+    )
+    parser.add_argument(
+        "--every", type=int, default=1, metavar="n", help="only each n-th of the cases"
+    )
+    parser.add_argument(
+        "--scenes", nargs="+", default=list(SCENES), choices=SCENES, help="only these"
+    )
     parser.add_argument("--all", action="store_true", help="print each case")
     options = parser.parse_args(argv)
     chosen = [case for case in cases() if case.scene in options.scenes][:: options.every]

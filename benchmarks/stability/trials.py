@@ -1,7 +1,8 @@
 """What a trial of the stress campaign is, and the invariants that it is held against.
 
-A trial is a scene, and what may come of it: a run whose series are finite, whose energy does not grow, whose momentum balances and
-whose pieces stay out of each other; or, where the scene asks for what cannot be, one line that says so.
+A trial is a scene, and what may come of it: a run whose series are finite, whose energy does not
+grow, whose momentum balances and whose pieces stay out of each other; or, where the scene asks for
+what cannot be, one line that says so.
 """
 
 from collections.abc import Callable
@@ -26,7 +27,8 @@ class Trial:
     scene: Callable[[], Scene]
     refused: bool = False  # one line is what is right
     runs: int = 0  # of an ensemble; 0: a single run
-    growth: float = GROWTH  # what of the energy may come from nothing: near the largest step, what is warned of
+    growth: float = GROWTH  # what of the energy may come from nothing: near the largest step, what
+    # is warned of
     figure: Callable[[Run], dict[str, float]] | None = None  # what else is told
     check: Callable[[Run], str | None] | None = None  # what else is wrong
 
@@ -50,7 +52,13 @@ def tried(trial: Trial) -> Outcome:
     except (SceneError, SimulationError) as error:
         lines = str(error).splitlines()
         faults = () if trial.refused else (f"refused: {lines[0]}",)
-        return Outcome(trial, "one line", faults + (("more than one line",) if len(lines) > 1 else ()), {}, lines[0])
+        return Outcome(
+            trial,
+            "one line",
+            faults + (("more than one line",) if len(lines) > 1 else ()),
+            {},
+            lines[0],
+        )
     except Exception as error:
         return Outcome(trial, "traceback", (f"{type(error).__name__}: {str(error)[:200]}",), {})
     faults, figures = looked_at(run, scene, trial)
@@ -62,7 +70,11 @@ def looked_at(run: Run, scene: Scene, trial: Trial) -> tuple[tuple[str, ...], di
     bad = [name for name, array in collect_series(run).items() if not np.isfinite(array).all()]
     if bad:
         return (f"not finite: {', '.join(bad)}",), {}
-    figures = {"energy": energy_growth(run), "momentum": momentum_error(run, scene), "overlap": float(np.max(run.overlap))}
+    figures = {
+        "energy": energy_growth(run),
+        "momentum": momentum_error(run, scene),
+        "overlap": float(np.max(run.overlap)),
+    }
     figures |= trial.figure(run) if trial.figure else {}
     faults = []
     if figures["energy"] > trial.growth:
@@ -77,8 +89,10 @@ def looked_at(run: Run, scene: Scene, trial: Trial) -> tuple[tuple[str, ...], di
 
 
 def energy_growth(run: Run) -> float:
-    """What energy came from nothing, of the largest kinetic, elastic and dissipated energy that there was: how far motion, place
-    and springs hold more than they did at any time before, with what walls did since."""
+    """What energy came from nothing, of the largest kinetic, elastic and dissipated energy that
+    there was: how far motion, place and springs hold more than they did at any time before, with
+    what walls did since.
+    """
     e = {name: np.asarray(array, float) for name, array in run.energy.items()}
     held = e["kinetic"] + e["potential"] + e["elastic"] - e["wall_work"]
     scale = np.max(e["kinetic"] + e["elastic"] + np.abs(e["dissipated"]), axis=-1)
@@ -87,12 +101,17 @@ def energy_growth(run: Run) -> float:
 
 
 def momentum_error(run: Run, scene: Scene) -> float:
-    """How far the change of momentum in each sample is from what gravity and walls gave, of all that went through walls."""
+    """How far the change of momentum in each sample is from what gravity and walls gave, of all
+    that went through walls.
+    """
     if run.run_count is not None:
         return max(momentum_error(run.member(k), scene) for k in range(run.run_count))
     force = sum(np.asarray(f, float) for f in run.mean_force.values()) * scene.run.sample
     momentum = np.asarray(run.momentum, float)
-    change, gravity = np.diff(momentum, axis=0), np.asarray(scene.run.gravity, float) * scene.run.sample
+    change, gravity = (
+        np.diff(momentum, axis=0),
+        np.asarray(scene.run.gravity, float) * scene.run.sample,
+    )
     mass = 0.0
     if gravity.any():  # of all pieces: from samples without any force
         flight = np.abs(force[1:]).sum(-1) == 0

@@ -21,7 +21,8 @@ HEADERS = (
 
 
 class AccessGuard:
-    """ASGI middleware that refuses requests of other hosts and origins, without the token, or too large.
+    """ASGI middleware that refuses requests of other hosts and origins, without the token, or too
+    large.
 
     The first request carries the token in its address (``?token=...``); the answer stores it in a
     cookie that scripts cannot read and other sites cannot send, and redirects to the plain address.

@@ -197,9 +197,10 @@ FIELDS = {each.key: each for each in (*RELEASE_FIELDS, *CELL_FIELDS, *MATERIAL_F
 class Design:
     """What a person has chosen.
 
-    products: (name, share by weight) of the library or files of one's own; one of them, or a mixture.
-    bucket: name or file; "": the one of the base scene. changes: key of the scene -> value (SI).
-    has_load_cell: whether the weigh bucket hangs on a load cell. runs: number of drops. seed: the first.
+    products: (name, share by weight) of the library or files of one's own; one of them, or a
+    mixture. bucket: name or file; "": the one of the base scene. changes: key of the scene -> value
+    (SI). has_load_cell: whether the weigh bucket hangs on a load cell. runs: number of drops. seed:
+    the first.
     """
 
     products: tuple[tuple[str, float], ...] = (("marshmallow", 1.0),)
@@ -269,7 +270,9 @@ class Design:
 
 
 def read_design(tree: Tree) -> Design:
-    """The design of a scene's tree that the app wrote. Raises SceneError for a scene that has more in it."""
+    """The design of a scene's tree that the app wrote. Raises SceneError for a scene that has more
+    in it.
+    """
     found = Design(bucket=str(tree.get("bucket", "")))
     if isinstance(tree.get("product"), str):
         found = replace(found, products=((tree["product"], 1.0),))
@@ -354,7 +357,8 @@ def write_product(stl: str, unit: float, weight: float, is_convex: bool, materia
 def write_bucket(
     stl: str, unit: float, turn: Sequence[float], move: Sequence[float], centre: bool
 ) -> str:
-    """The TOML text of a weigh bucket of one's own, which stays closed, under the feed bucket of 2.9 litres.
+    """The TOML text of a weigh bucket of one's own, which stays closed, under the feed bucket of
+    2.9 litres.
 
     Args:
         stl: name of the file beside it.

@@ -39,7 +39,9 @@ def draw_piece(points: np.ndarray, faces: Sequence[Sequence[int]], is_round: boo
 
 
 def _lay_along(points: np.ndarray) -> np.ndarray:
-    """Points turned by quarter turns so that their largest extent is along x and their smallest along z."""
+    """Points turned by quarter turns so that their largest extent is along x and their smallest
+    along z.
+    """
     order = np.argsort(-np.ptp(points, axis=0), kind="stable")
     turned = points[:, order]
     is_mirrored = np.linalg.det(np.eye(3)[:, order]) < 0

@@ -1,4 +1,6 @@
-"""What the pages show of products, scenes and results, as plain data; computed in the helper process."""
+"""What the pages show of products, scenes and results, as plain data; computed in the helper
+process.
+"""
 
 import tomllib
 from collections.abc import Callable, Iterator
@@ -18,8 +20,8 @@ NO_LETTERS = "nothing was mended"
 class ProductCard(NamedTuple):
     """A product as the page shows it.
 
-    name: of the library, or of a file. text: what it is. weight: (g) of a piece. picture: SVG. rows:
-    (number, value, range, grade and source) as text. states: names of its further states.
+    name: of the library, or of a file. text: what it is. weight: (g) of a piece. picture: SVG.
+    rows: (number, value, range, grade and source) as text. states: names of its further states.
     """
 
     name: str
@@ -31,7 +33,9 @@ class ProductCard(NamedTuple):
 
 
 class BucketCard(NamedTuple):
-    """A bucket of the library: name, what it is for, litres of the weigh bucket to its brim, and drop height (m)."""
+    """A bucket of the library: name, what it is for, litres of the weigh bucket to its brim, and
+    drop height (m).
+    """
 
     name: str
     text: str
@@ -40,7 +44,9 @@ class BucketCard(NamedTuple):
 
 
 class SceneFacts(NamedTuple):
-    """What is known of a scene before it is computed: notes and fill levels in words, and a page with its buckets in 3-D."""
+    """What is known of a scene before it is computed: notes and fill levels in words, and a page
+    with its buckets in 3-D.
+    """
 
     notes: list[str]
     page: str
@@ -56,9 +62,9 @@ class Curve(NamedTuple):
 class RunFacts(NamedTuple):
     """A run or an ensemble as the page shows it.
 
-    name: of its file. run_count: of its runs. numbers: (name, value in words). notes: what it depends on, in
-    words. force, settled: curves (kg; g) of the chosen run. peak_time: (ms) of its force. member: its
-    number. settings: key of the scene -> value, as text.
+    name: of its file. run_count: of its runs. numbers: (name, value in words). notes: what it
+    depends on, in words. force, settled: curves (kg; g) of the chosen run. peak_time: (ms) of its
+    force. member: its number. settings: key of the scene -> value, as text.
     """
 
     name: str
@@ -111,7 +117,9 @@ def describe_products() -> list[ProductCard]:
 
 
 def describe_own_product(path: str, name: str) -> ProductCard:
-    """A product in a TOML file, or a state of one of the library; name: what the page calls it. Raises SceneError."""
+    """A product in a TOML file, or a state of one of the library; name: what the page calls it.
+    Raises SceneError.
+    """
     plain, _, state = name.partition(":")
     if state:
         from dem_jax.scene import library
@@ -134,7 +142,8 @@ def _describe_product(source: str, name: str, text: str) -> ProductCard:
     picture = draw_piece(*surface_mesh(goods.shapes[0]), goods.shapes[0].radius > 0.0)
     tree = library.load_product(source, "products")
     rows = [
-        _split_row(row, evidence.find_number_unit(key), key) for key, row in _list_evidence(tree, source)
+        _split_row(row, evidence.find_number_unit(key), key)
+        for key, row in _list_evidence(tree, source)
     ]
     return ProductCard(name, text, weight, picture, rows, library.list_product_states(source))
 
@@ -170,12 +179,16 @@ def describe_buckets() -> list[BucketCard]:
     for name, text in library.list_buckets().items():
         scene = load_scene("weigh-bucket", {"bucket": name})
         assert scene.weigh_bucket is not None
-        found.append(BucketCard(name, text, 1e3 * bucket_volume(scene.weigh_bucket), scene.drop.height))
+        found.append(
+            BucketCard(name, text, 1e3 * bucket_volume(scene.weigh_bucket), scene.drop.height)
+        )
     return sorted(found, key=lambda each: each.litres)
 
 
 def describe_stl(path: str) -> StlFacts:
-    """What an STL of a piece holds, and a guess of its unit. Raises SceneError for one that cannot be used."""
+    """What an STL of a piece holds, and a guess of its unit. Raises SceneError for one that cannot
+    be used.
+    """
     from dem_jax.shapes import HULL_TOLERANCE, convex_hull, read_body
 
     body = read_body(path)
@@ -194,7 +207,9 @@ def describe_stl(path: str) -> StlFacts:
 
 
 def guess_unit(largest: float) -> float:
-    """The unit (m per unit of the file) with which a piece is of the size of food: 3 mm to 0.3 m, if possible millimetres."""
+    """The unit (m per unit of the file) with which a piece is of the size of food: 3 mm to 0.3 m,
+    if possible millimetres.
+    """
     for unit in (1e-3, 1.0, 1e-2, 25.4e-3):
         if 3e-3 <= largest * unit <= 0.3:
             return unit
@@ -255,7 +270,9 @@ def describe_scene(text: str, folder: str) -> SceneFacts:
 
 
 def find_level(capacity: Any, heap: float) -> np.ndarray | None:
-    """Two triangles [2, 3, 3] (m): the surface of a heap of a volume (m3) that lies flat in a bucket; None: it is over the brim."""
+    """Two triangles [2, 3, 3] (m): the surface of a heap of a volume (m3) that lies flat in a
+    bucket; None: it is over the brim.
+    """
     cells = np.argwhere(capacity.is_wet)
     floor = capacity.surface.floor[capacity.is_wet]
     is_known = np.isfinite(floor)
@@ -278,7 +295,8 @@ def find_level(capacity: Any, heap: float) -> np.ndarray | None:
 
 
 def describe_run(path: str, member: int | None = None) -> RunFacts:
-    """Numbers and curves of a file of results; member: which run of an ensemble, None: the one whose peak is the median.
+    """Numbers and curves of a file of results; member: which run of an ensemble, None: the one
+    whose peak is the median.
 
     Raises RecordError and SceneError.
     """
@@ -342,7 +360,9 @@ def _list_numbers(run: Any) -> list[tuple[str, str]]:
     found = [(number.name, format_metric(number)) for number in compute_metrics(run)]
     if find_main_block(run) is not None:
         times = evaluate_outputs(run, ["time_to_weigh"])["time_to_weigh"]
-        words = format_metric(Metric("time to weigh", "ms", times, missing="not within 1 g until the end"))
+        words = format_metric(
+            Metric("time to weigh", "ms", times, missing="not within 1 g until the end")
+        )
         found.append(("time to weigh (within 1 g)", words))
     return found
 
@@ -351,7 +371,12 @@ def _list_notes(run: Any) -> list[str]:
     """What the numbers depend on, fill levels and the notes of a run."""
     from dem_jax.scene import parse_scene
     from dem_jax.visualization.bucket_heap import describe_heap
-    from dem_jax.visualization.metadata import describe_fills, describe_peak_band, find_main_group, summarize_stiffness
+    from dem_jax.visualization.metadata import (
+        describe_fills,
+        describe_peak_band,
+        find_main_group,
+        summarize_stiffness,
+    )
 
     scene = parse_scene(run.scene, "the file's scene")
     notes = [
@@ -364,7 +389,8 @@ def _list_notes(run: Any) -> list[str]:
 
 
 def thin_curve(time: np.ndarray, values: np.ndarray) -> Curve:
-    """A curve of at most 2 ``MOST_POINTS`` points that keeps the least and the largest value of each span.
+    """A curve of at most 2 ``MOST_POINTS`` points that keeps the least and the largest value of
+    each span.
 
     Args:
         time: [T].
@@ -395,7 +421,8 @@ def flatten_tree(tree: Any, key: str = "") -> dict[str, str]:
 
 
 def compare_runs(paths: list[str]) -> Comparison:
-    """By how much files differ from the first, in keys and in numbers, and whether that is beyond chance.
+    """By how much files differ from the first, in keys and in numbers, and whether that is beyond
+    chance.
 
     Raises RecordError and SceneError.
     """
@@ -410,7 +437,9 @@ def compare_runs(paths: list[str]) -> Comparison:
 
 
 def write_run_player(path: str, member: int | None, script: str) -> str:
-    """A page that plays a run, as HTML text. script: runs behind the player's. Raises RecordError and SceneError."""
+    """A page that plays a run, as HTML text. script: runs behind the player's. Raises RecordError
+    and SceneError.
+    """
     from dem_jax.visualization.web_viewer import build_view_data, write_player
 
     whole = _load(path)

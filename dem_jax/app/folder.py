@@ -40,7 +40,8 @@ class Folder:
             name: relative to the folder.
 
         Raises:
-            RecordError: it is outside of the folder, directly or by a link, or its name is not plain.
+            RecordError: it is outside of the folder, directly or by a link, or its name is not
+            plain.
         """
         parts = name.split("/")
         if len(parts) > 2 or not all(NAME.fullmatch(part) for part in parts):
@@ -126,7 +127,9 @@ class Folder:
         raise AssertionError  # there is always another number
 
     def store_upload(self, below: str, file_name: str, content: bytes) -> str:
-        """Store an uploaded STL under a free name; returns it, relative to the folder. Raises RecordError."""
+        """Store an uploaded STL under a free name; returns it, relative to the folder. Raises
+        RecordError.
+        """
         check_stl(file_name, content)
         stem = clean_stem(Path(file_name).stem)
         for candidate in _number_stems(f"{below}/{stem}"):

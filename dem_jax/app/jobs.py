@@ -1,4 +1,6 @@
-"""Commands that run in processes of their own: one after the other, with progress, cancel and the reason of a failure."""
+"""Commands that run in processes of their own: one after the other, with progress, cancel and the
+reason of a failure.
+"""
 
 import asyncio
 import json
@@ -22,8 +24,9 @@ LAST_LINES = 40  # of stderr that are kept
 class Job:
     """A command, and how far it is.
 
-    argv: program and arguments. state: "waiting", "running", "done", "failed" or "cancelled". share: 0
-    to 1, None: not known. time_left: in words. lines: of standard output. errors: of standard error.
+    argv: program and arguments. state: "waiting", "running", "done", "failed" or "cancelled".
+    share: 0 to 1, None: not known. time_left: in words. lines: of standard output. errors: of
+    standard error.
     """
 
     argv: list[str]

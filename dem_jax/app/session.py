@@ -75,7 +75,9 @@ class Workspace:
 
 @dataclass
 class Session:
-    """What a tab of a browser has for itself: choices, the job of each page, the results that are shown and compared."""
+    """What a tab of a browser has for itself: choices, the job of each page, the results that are
+    shown and compared.
+    """
 
     workspace: Workspace
     design: Design = field(default_factory=Design)
@@ -100,6 +102,8 @@ class Session:
         return name_run_command(self.design, candidate)
 
     def enter_drop(self) -> tuple[Job, str]:
-        """Write the scene under a free name and enter its command; returns the job and the name of its results."""
+        """Write the scene under a free name and enter its command; returns the job and the name of
+        its results.
+        """
         stem = self.folder.reserve_stem(self.design.stem, self.design.to_toml())
         return self.workspace.runner.enter(name_run_command(self.design, stem)), f"{stem}.h5"

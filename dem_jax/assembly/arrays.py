@@ -1,5 +1,6 @@
-"""Arrays of a system that follow from the parameters of its scene, in numpy or of values that JAX traces: of a single run, of each
-run of an ensemble and under differentiation alike."""
+"""Arrays of a system that follow from the parameters of its scene, in numpy or of values that JAX
+traces: of a single run, of each run of an ensemble and under differentiation alike.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -22,7 +23,9 @@ from dem_jax.types import Materials, Pieces, Walls
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Pieces before they are anywhere and walls at rest: the parameters of a scene do not change them."""
+    """Pieces before they are anywhere and walls at rest: the parameters of a scene do not change
+    them.
+    """
 
     goods: PieceSet
     walls: Walls  # without motions, load cell and drives, in the precision of the run
@@ -33,7 +36,9 @@ class Layout:
 
 @dataclass(frozen=True)
 class ParameterArrays:
-    """Fields of a System that follow from parameters, in double precision except for the walls, and where the pieces start."""
+    """Fields of a System that follow from parameters, in double precision except for the walls, and
+    where the pieces start.
+    """
 
     pieces: Pieces
     materials: Materials
@@ -48,7 +53,9 @@ class ParameterArrays:
         """The fields of a System, in the precision of the walls. reuse: arrays of scenes before."""
         reuse, dtype = reuse or AssemblyCache(), self.walls.centre.dtype
         names = ("pieces", "materials", "law", "gravity", "block_low", "block_high")
-        return {name: reuse_tree(reuse, f"typed {name}", getattr(self, name), dtype) for name in names} | {"walls": self.walls}
+        return {
+            name: reuse_tree(reuse, f"typed {name}", getattr(self, name), dtype) for name in names
+        } | {"walls": self.walls}
 
 
 def find_arrays(
@@ -65,11 +72,11 @@ def find_arrays(
     Args:
         scene: that of the layout, but for its parameters.
         layout: pieces and walls.
-        motions: sections of all motions of walls, see ``walls_of``; hinges at the drop height of the layout.
-        start: poses and velocities of the pieces, at the drop height of the layout unless they are listed one by one.
-        table: materials of the scene, if they are known already.
-        form: as of ``build_materials``.
-        reuse: arrays of scenes before; None where numbers are traced.
+        motions: sections of all motions of walls, see ``walls_of``; hinges at the drop height of
+        the layout. start: poses and velocities of the pieces, at the drop height of the layout
+        unless they are listed one by one. table: materials of the scene, if they are known already.
+        form: as of ``build_materials``. reuse: arrays of scenes before; None where numbers are
+        traced.
 
     Raises:
         SceneError: the scene cannot be used.
@@ -78,11 +85,21 @@ def find_arrays(
     inputs = () if reuse is None else (material_inputs(scene, table),)
     reuse = reuse or AssemblyCache()
     materials = build_materials(scene, table, form)
-    move = lambda: fixed.replace(**cast_tree(build_motion_arrays(scene, motions, fixed), fixed.centre.dtype))  # noqa: E731
+    move = lambda: fixed.replace(
+        **cast_tree(build_motion_arrays(scene, motions, fixed), fixed.centre.dtype)
+    )
     walls = reuse.get("moving walls", move, (), (fixed, motions))
-    corners = {key: np.reshape([getattr(block, key) for block in layout.blocks], (-1, 3)).T for key in ("low", "high")}
+    corners = {
+        key: np.reshape([getattr(block, key) for block in layout.blocks], (-1, 3)).T
+        for key in ("low", "high")
+    }
     arrays = ParameterArrays(
-        pieces=reuse.get("pieces", lambda: build_piece_arrays(scene, layout.goods, table), inputs, (layout.goods,)),
+        pieces=reuse.get(
+            "pieces",
+            lambda: build_piece_arrays(scene, layout.goods, table),
+            inputs,
+            (layout.goods,),
+        ),
         materials=materials,
         law=layout.law or build_contact_law(scene, materials),
         walls=walls,
@@ -95,24 +112,46 @@ def find_arrays(
     return arrays if is_zero(lift) else _raise_feed(scene, layout, arrays, lift)
 
 
-def _raise_feed(scene: Scene, layout: Layout, arrays: ParameterArrays, lift: Any) -> ParameterArrays:
+def _raise_feed(
+    scene: Scene, layout: Layout, arrays: ParameterArrays, lift: Any
+) -> ParameterArrays:
     """The arrays with feed bucket, feeder and the pieces in them raised by a height (m)."""
     walls, start = arrays.walls, arrays.start
     if scene.feed_bucket is None:
         return arrays
     parts = bucket_geometry.build_bucket_parts(scene.feed_bucket, "fb", 0.0)
-    hung, hinged = {group for group, *_ in parts.panels} | {bucket_geometry.FEEDER_GROUP}, {row.group for row in parts.motions}
-    higher, turned = (cast_tree(_upwards(lift, [g in names for g in walls.groups]), walls.centre.dtype) for names in (hung, hinged))
-    walls = walls.replace(centre=walls.centre + higher[:, np.asarray(walls.group)], pivot=walls.pivot + turned)
-    blocks = _upwards(lift, [block.name in ("fb", bucket_geometry.FEEDER_GROUP) for block in layout.blocks])
+    hung, hinged = (
+        {group for group, *_ in parts.panels} | {bucket_geometry.FEEDER_GROUP},
+        {row.group for row in parts.motions},
+    )
+    higher, turned = (
+        cast_tree(_upwards(lift, [g in names for g in walls.groups]), walls.centre.dtype)
+        for names in (hung, hinged)
+    )
+    walls = walls.replace(
+        centre=walls.centre + higher[:, np.asarray(walls.group)], pivot=walls.pivot + turned
+    )
+    blocks = _upwards(
+        lift, [block.name in ("fb", bucket_geometry.FEEDER_GROUP) for block in layout.blocks]
+    )
     if not scene.piece:
         # Those of a portion in a region of its own stay there.
-        own = 0 if scene.portion is None or scene.portion.region_low is None else layout.goods.numbers[0]
-        start = replace(start, position=start.position + _upwards(lift, [n >= own for n in range(len(start.position))]).T)
+        own = (
+            0
+            if scene.portion is None or scene.portion.region_low is None
+            else layout.goods.numbers[0]
+        )
+        start = replace(
+            start,
+            position=start.position
+            + _upwards(lift, [n >= own for n in range(len(start.position))]).T,
+        )
     low, high = arrays.block_low + blocks, arrays.block_high + blocks
     return replace(arrays, walls=walls, block_low=low, block_high=high, start=start)
 
 
 def _upwards(height: Any, which: list[bool]) -> Any:
     """A height (m) along z for those for which it holds, [3, n]."""
-    return as_float_array([[0.0] * len(which), [0.0] * len(which), [height if one else 0.0 for one in which]])
+    return as_float_array(
+        [[0.0] * len(which), [0.0] * len(which), [height if one else 0.0 for one in which]]
+    )

@@ -1,4 +1,6 @@
-"""What building a scene shares with building the one before: steps whose inputs are the same are not done again."""
+"""What building a scene shares with building the one before: steps whose inputs are the same are
+not done again.
+"""
 
 from collections.abc import Callable
 from typing import Any, TypeVar
@@ -7,12 +9,20 @@ T = TypeVar("T")
 
 
 class AssemblyCache:
-    """Values of the last call of each step, for scenes that differ in little, such as the runs of an ensemble."""
+    """Values of the last call of each step, for scenes that differ in little, such as the runs of
+    an ensemble.
+    """
 
     def __init__(self) -> None:
         self._kept: dict[str, tuple[tuple[Any, ...], tuple[Any, ...], Any]] = {}
 
-    def get(self, step: str, make: Callable[[], T], values: tuple[Any, ...] = (), objects: tuple[Any, ...] = ()) -> T:
+    def get(
+        self,
+        step: str,
+        make: Callable[[], T],
+        values: tuple[Any, ...] = (),
+        objects: tuple[Any, ...] = (),
+    ) -> T:
         """What ``make`` returns, or what it returned before where its inputs were the same.
 
         Args:

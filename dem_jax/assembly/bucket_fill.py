@@ -1,5 +1,6 @@
-"""What is known of the buckets of a scene before anything is computed: how full its portion makes them, and whether the weigh
-bucket is under the feed bucket."""
+"""What is known of the buckets of a scene before anything is computed: how full its portion makes
+them, and whether the weigh bucket is under the feed bucket.
+"""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -12,11 +13,14 @@ from dem_jax.scene import Bucket, Scene, bucket_geometry
 from dem_jax.scene.bucket_geometry import BucketParts
 from dem_jax.scene.fill_level import PACKING_FRACTION, BucketCapacity, find_capacity
 
-NOTED_SHARE, REFUSED_SHARE = 0.02, 0.25  # of the feed bucket's mouth, beyond what a centred weigh bucket leaves aside: said; refused
+NOTED_SHARE, REFUSED_SHARE = 0.02, 0.25  # of the feed bucket's mouth, beyond what a centred weigh
+# bucket leaves aside: said; refused
 
 
 class BucketFill(NamedTuple):
-    """How full a portion makes a bucket. name: in words. capacity: (m3) to the brim. heap: (m3) of the portion, as it lies."""
+    """How full a portion makes a bucket. name: in words. capacity: (m3) to the brim. heap: (m3) of
+    the portion, as it lies.
+    """
 
     name: str
     capacity: float
@@ -39,21 +43,37 @@ class BucketFill(NamedTuple):
 
 
 def scene_bucket_parts(scene: Scene, section: str) -> BucketParts | None:
-    """The panels of a bucket of a scene, those of STL files read already; None: there is no such bucket."""
+    """The panels of a bucket of a scene, those of STL files read already; None: there is no such
+    bucket.
+    """
     bucket = getattr(scene, section)
     above = section == "feed_bucket" and scene.weigh_bucket is not None
-    return bucket_geometry.build_bucket_parts(bucket, bucket_geometry.GROUP_PREFIXES[section], scene.drop.height if above else 0.0) if bucket else None
+    return (
+        bucket_geometry.build_bucket_parts(
+            bucket, bucket_geometry.GROUP_PREFIXES[section], scene.drop.height if above else 0.0
+        )
+        if bucket
+        else None
+    )
 
 
 def bucket_capacity(scene: Scene, section: str) -> BucketCapacity | None:
-    """What a bucket of a scene holds, as ``scene_bucket_parts`` has it; None: there is none, or it holds nothing."""
+    """What a bucket of a scene holds, as ``scene_bucket_parts`` has it; None: there is none, or it
+    holds nothing.
+    """
     parts, bucket = scene_bucket_parts(scene, section), getattr(scene, section)
     found = find_capacity([corners for _, corners, _ in parts.panels]) if parts else None
-    return found if found is None or bucket.panels else found._replace(volume=bucket_geometry.bucket_volume(bucket))
+    return (
+        found
+        if found is None or bucket.panels
+        else found._replace(volume=bucket_geometry.bucket_volume(bucket))
+    )
 
 
 def list_bucket_fills(scene: Scene, goods: PieceSet) -> list[BucketFill]:
-    """How full the portion makes the feed bucket, if it is in it at first, and the weigh bucket; scene: its STL files read."""
+    """How full the portion makes the feed bucket, if it is in it at first, and the weigh bucket;
+    scene: its STL files read.
+    """
     if scene.portion is None or not goods.numbers:
         return []
     heap = sum(shape.volume for shape in goods.shapes[: goods.numbers[0]]) / PACKING_FRACTION
@@ -69,7 +89,11 @@ def list_bucket_fills(scene: Scene, goods: PieceSet) -> list[BucketFill]:
 
 def note_overfull_buckets(scene: Scene, goods: PieceSet) -> list[str]:
     """What to say of buckets that the portion is too much for."""
-    return [f"{fill}; pieces fall beside it, or are pressed" for fill in list_bucket_fills(scene, goods) if fill.is_overfull]
+    return [
+        f"{fill}; pieces fall beside it, or are pressed"
+        for fill in list_bucket_fills(scene, goods)
+        if fill.is_overfull
+    ]
 
 
 def check_buckets_meet(scene: Scene, read: Scene) -> list[str]:
@@ -80,9 +104,14 @@ def check_buckets_meet(scene: Scene, read: Scene) -> list[str]:
         read: the same with its STL files read.
 
     Raises:
-        SceneError: if it is not under it at all, or by less than three quarters, and no [[wall]] could lead pieces there.
+        SceneError: if it is not under it at all, or by less than three quarters, and no [[wall]]
+        could lead pieces there.
     """
-    if not (scene.weigh_bucket and scene.feed_bucket and (_is_from_stl(scene.weigh_bucket) or _is_from_stl(scene.feed_bucket))):
+    if not (
+        scene.weigh_bucket
+        and scene.feed_bucket
+        and (_is_from_stl(scene.weigh_bucket) or _is_from_stl(scene.feed_bucket))
+    ):
         return []
     feed, capacity = scene_bucket_parts(read, "feed_bucket"), bucket_capacity(read, "weigh_bucket")
     assert feed is not None
@@ -111,27 +140,45 @@ def _is_from_stl(bucket: Bucket) -> bool:
 
 
 def _covered_share(capacity: BucketCapacity, feed: BucketParts, way: np.ndarray) -> float:
-    """The share of the feed bucket's mouth that is over that of a weigh bucket moved by a way [2] (m)."""
-    points = np.stack(np.meshgrid(*np.linspace(feed.interior_low[:2], feed.interior_high[:2], 41).T), axis=-1).reshape(-1, 2)
+    """The share of the feed bucket's mouth that is over that of a weigh bucket moved by a way [2]
+    (m).
+    """
+    points = np.stack(
+        np.meshgrid(*np.linspace(feed.interior_low[:2], feed.interior_high[:2], 41).T), axis=-1
+    ).reshape(-1, 2)
     cells = np.floor((points - way - capacity.surface.origin) / capacity.surface.cell).astype(int)
     there = ((cells >= 0) & (cells < capacity.is_wet.shape)).all(axis=1)
     return float(capacity.is_wet[tuple(cells[there].T)].sum() / len(points))
 
 
-def _describe_offset(scene: Scene, capacity: BucketCapacity, feed: BucketParts, way: np.ndarray, missed: float) -> str:
-    """What is wrong with where the buckets are, and what puts them right; way: [2] (m) of the weigh bucket."""
-    of_weigh, of_feed = _format_extent(capacity.low, capacity.high), _format_extent(feed.interior_low, feed.interior_high)
+def _describe_offset(
+    scene: Scene, capacity: BucketCapacity, feed: BucketParts, way: np.ndarray, missed: float
+) -> str:
+    """What is wrong with where the buckets are, and what puts them right; way: [2] (m) of the weigh
+    bucket.
+    """
+    of_weigh, of_feed = (
+        _format_extent(capacity.low, capacity.high),
+        _format_extent(feed.interior_low, feed.interior_high),
+    )
     said = f"{100 * missed:.0f} % of the feed bucket's mouth ({of_feed}) is not over that of the weigh bucket ({of_weigh})"
-    others = {"weigh_bucket": capacity.middle + way, "feed_bucket": capacity.middle}  # middle of the mouth of the other
+    # middle of the mouth of the other
+    others = {"weigh_bucket": capacity.middle + way, "feed_bucket": capacity.middle}
     for section, sign in (("weigh_bucket", 1.0), ("feed_bucket", -1.0)):
         bucket: Bucket = getattr(scene, section)
         if bucket.stl:
             there = np.round(np.asarray(bucket.move) + sign * np.array([*way, 0.0]), 4) + 0.0
             without = " and no move in x and y" if any(bucket.move[:2]) else ""
-            centred = f", or {section}.centre = true{without}" if np.abs(others[section]).max() < 1e-3 else ""
+            centred = (
+                f", or {section}.centre = true{without}"
+                if np.abs(others[section]).max() < 1e-3
+                else ""
+            )
             return f"{said}; allowed: {section}.move = {there.tolist()}, which centres it{centred}"
     return f"{said}; allowed: one under the other"
 
 
 def _format_extent(low: Sequence[float] | np.ndarray, high: Sequence[float] | np.ndarray) -> str:
-    return ", ".join(f"{axis} from {a:.3g} to {b:.3g} m" for axis, a, b in zip("xy", low, high, strict=False))
+    return ", ".join(
+        f"{axis} from {a:.3g} to {b:.3g} m" for axis, a, b in zip("xy", low, high, strict=False)
+    )

@@ -1,4 +1,6 @@
-"""How many pairs and contacts there is room for to begin with; outgrown, it is enlarged (broad_phase.overflow_recovery)."""
+"""How many pairs and contacts there is room for to begin with; outgrown, it is enlarged
+(broad_phase.overflow_recovery).
+"""
 
 import math
 from collections.abc import Sequence
@@ -13,23 +15,33 @@ from dem_jax.types import Partition, Parts
 def estimate_capacities(
     polytopes: int, spheres: int, panels: int, is_general: bool = False, of_parts: bool = False
 ) -> tuple[tuple[str, int, int], ...]:
-    """Kinds of contact that the scene can have, with candidates and slots to begin with (grown when they overflow).
+    """Kinds of contact that the scene can have, with candidates and slots to begin with (grown when
+    they overflow).
 
-    polytopes, spheres: numbers of such parts of pieces. What a settled heap was seen to need; is_general: of polytopes of any form,
-    which have more neighbours than boxes; of_parts: of pieces of several, which lie close together
-    and may be thin: most when they land. (Of few pieces all slots are computed in each step, of many only those that are filled.)
+    polytopes, spheres: numbers of such parts of pieces. What a settled heap was seen to need;
+    is_general: of polytopes of any form, which have more neighbours than boxes; of_parts: of pieces
+    of several, which lie close together and may be thin: most when they land. (Of few pieces all
+    slots are computed in each step, of many only those that are filled.)
     """
     p, s = polytopes, spheres
     walls = 4 * s ** (2 / 3) + 8 if panels else 0
     hulls = (12 * p, max(4 * p, 5 * p - 32)) if is_general else (9 * p, 3 * p + 5)
     hulls = (40 * p, 12 * p) if of_parts else hulls
     few = min(p, s)
-    wanted = {"hulls": hulls, "mixed": (8 * few, 4 * few), "plates": (2 * walls, walls), "spheres": (8 * s, 4 * s)}
+    wanted = {
+        "hulls": hulls,
+        "mixed": (8 * few, 4 * few),
+        "plates": (2 * walls, walls),
+        "spheres": (8 * s, 4 * s),
+    }
     out: list[tuple[str, int, int]] = []
     for kind in neighbour_list.PAIR_SOURCES:
         every = candidate_search.pair_count(kind, p, s, panels)
         if every:
-            candidates, slots = (overflow_recovery.round_capacity(min(every, math.ceil(count))) for count in wanted[kind])
+            candidates, slots = (
+                overflow_recovery.round_capacity(min(every, math.ceil(count)))
+                for count in wanted[kind]
+            )
             out.append((kind, candidates, slots))
     return tuple(out)
 
@@ -43,19 +55,25 @@ def estimate_contacts_per_piece(parts: Parts, panels: int, is_general: bool) -> 
 
 
 def estimate_row_capacity(made: Sequence[Shape], choice: str) -> int:
-    """Pieces that three cells of their bounding diameter hold when densely packed, to begin with; 0 without cells."""
+    """Pieces that three cells of their bounding diameter hold when densely packed, to begin with; 0
+    without cells.
+    """
     if candidate_search.choose_search(choice, len(made)) != "cells":
         return 0
     cell, volume = _diameter_and_volume(made)
     return overflow_recovery.round_capacity(int(np.ceil(3 * 0.65 * cell**3 / volume)))
 
 
-def estimate_partition(made: Sequence[Shape], choice: str, domain: tuple[np.ndarray, np.ndarray]) -> Partition | None:
+def estimate_partition(
+    made: Sequence[Shape], choice: str, domain: tuple[np.ndarray, np.ndarray]
+) -> Partition | None:
     """Room for the list of jax-md to begin with, where the scene chooses it."""
     if candidate_search.choose_search(choice, len(made)) != "jax-md":
         return None
     candidate_search.import_jax_md()  # before anything is traced
-    return candidate_search.initial_partition(len(made), *_diameter_and_volume(made), domain[1] - domain[0])
+    return candidate_search.initial_partition(
+        len(made), *_diameter_and_volume(made), domain[1] - domain[0]
+    )
 
 
 def _diameter_and_volume(made: Sequence[Shape]) -> tuple[float, float]:

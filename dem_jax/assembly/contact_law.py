@@ -18,8 +18,10 @@ from dem_jax.types import Array, Materials, as_array
 
 
 def build_contact_law(scene: Scene, materials: Materials | None = None) -> ContactLaw:
-    """The law that a scene asks for, cohesive where any pair of its materials has a pull-off force, and with rolling friction
-    where any has that. materials: of the scene, if they are known already."""
+    """The law that a scene asks for, cohesive where any pair of its materials has a pull-off force,
+    and with rolling friction where any has that. materials: of the scene, if they are known
+    already.
+    """
     law, materials = LAWS[scene.contact.law](scene), materials or build_materials(scene)
     if materials.pull_off is not None:
         cohesion = scene.contact.cohesion
@@ -31,7 +33,9 @@ def _build_walton_braun(scene: Scene) -> ContactLaw:
     m = scene.material
     damping = None if is_zero(m.unloading_damping) else _host_number(m.unloading_damping)
     at_rest = None if is_zero(m.rest_damping) else _host_number(m.rest_damping)
-    return WaltonBraun(_host_number(m.separation), _host_number(m.tangential_stiffness), damping, at_rest)
+    return WaltonBraun(
+        _host_number(m.separation), _host_number(m.tangential_stiffness), damping, at_rest
+    )
 
 
 def _host_number(value: float) -> Array:
@@ -40,31 +44,43 @@ def _host_number(value: float) -> Array:
 
 LAWS: dict[str, Callable[[Scene], ContactLaw]] = {
     "walton-braun": _build_walton_braun,
-    "linear-dashpot": lambda scene: LinearDashpot(_host_number(scene.material.tangential_stiffness)),
+    "linear-dashpot": lambda scene: LinearDashpot(
+        _host_number(scene.material.tangential_stiffness)
+    ),
     "hertz-mindlin": lambda scene: HertzMindlin(_host_number(scene.contact.impact_speed)),
     "densifying": lambda scene: Densifying(
-        _host_number(scene.contact.densification), _host_number(scene.material.tangential_stiffness), _host_number(scene.contact.impact_speed)
+        _host_number(scene.contact.densification),
+        _host_number(scene.material.tangential_stiffness),
+        _host_number(scene.contact.impact_speed),
     ),
     "elastic-plastic": lambda scene: ElasticPlastic(
-        _host_number(scene.contact.yield_pressure), _host_number(scene.material.tangential_stiffness), _host_number(scene.contact.impact_speed)
+        _host_number(scene.contact.yield_pressure),
+        _host_number(scene.material.tangential_stiffness),
+        _host_number(scene.contact.impact_speed),
     ),
 }
 
 
-def build_materials(scene: Scene, table: MaterialTable | None = None, form: Materials | None = None) -> Materials:
+def build_materials(
+    scene: Scene, table: MaterialTable | None = None, form: Materials | None = None
+) -> Materials:
     """The materials as arrays.
 
     Args:
         scene: its values may be traced.
         table: of the scene, if it is known already.
-        form: which properties of pairs there are, and whether as one number; by default those that are not 0, and as one
+        form: which properties of pairs there are, and whether as one number; by default those that
+        are not 0, and as one
             number where all pairs have the same.
 
     Raises:
         SceneError: a material that nothing defines.
     """
     table = table or build_material_table(scene)
-    pairs: dict[str, Any] = {name: _pairs(table, name, form) for name in ("restitution", "friction", "pull_off", "rolling")}
+    pairs: dict[str, Any] = {
+        name: _pairs(table, name, form)
+        for name in ("restitution", "friction", "pull_off", "rolling")
+    }
     return Materials(
         youngs_modulus=as_array(scene.material.softening * table.youngs_modulus),
         poisson_ratio=as_array(table.poisson_ratio),
@@ -74,7 +90,9 @@ def build_materials(scene: Scene, table: MaterialTable | None = None, form: Mate
 
 
 def _pairs(table: MaterialTable, name: str, form: Materials | None) -> Array | None:
-    """A property of pairs; [1, 1] of one number for all. Two walls never touch: their entries do not count."""
+    """A property of pairs; [1, 1] of one number for all. Two walls never touch: their entries do
+    not count.
+    """
     values = getattr(table, name)
     if form is None:
         touching = ~(table.is_wall[:, None] & table.is_wall)

@@ -20,7 +20,8 @@ def cast_tree(tree: Tree, dtype: DTypeLike) -> Tree:
             return jnp.asarray(x, np.dtype(dtype))
         x = np.asarray(x)
         with np.errstate(over="ignore"):  # see assembly.finiteness_check
-            return jnp.asarray(x.astype(np.int32 if x.dtype.kind == "i" else dtype))  # converted here: nothing to compile
+            # converted here: nothing to compile
+            return jnp.asarray(x.astype(np.int32 if x.dtype.kind == "i" else dtype))
 
     return jax.tree.map(cast_leaf, tree)
 
@@ -33,7 +34,9 @@ def cast_array(x: ArrayLike, dtype: DTypeLike) -> jax.Array:
 def reuse_array(reuse: AssemblyCache, name: str, numbers: ArrayLike, dtype: DTypeLike) -> jax.Array:
     """Numbers as an array, that of a scene before where they are the same."""
     found = np.asarray(numbers, dtype)
-    return reuse.get(name, lambda: cast_array(found, dtype), (found.tobytes(), found.shape, found.dtype))
+    return reuse.get(
+        name, lambda: cast_array(found, dtype), (found.tobytes(), found.shape, found.dtype)
+    )
 
 
 def reuse_tree(reuse: AssemblyCache, name: str, tree: Tree, dtype: DTypeLike) -> Tree:
@@ -43,5 +46,8 @@ def reuse_tree(reuse: AssemblyCache, name: str, tree: Tree, dtype: DTypeLike) ->
         return cast_tree(tree, dtype)
     with np.errstate(over="ignore"):  # see assembly.finiteness_check
         types = [np.int32 if np.asarray(leaf).dtype.kind == "i" else dtype for leaf in leaves]
-        kept = [reuse_array(reuse, f"{name} {k}", x, own) for k, (x, own) in enumerate(zip(leaves, types, strict=True))]
+        kept = [
+            reuse_array(reuse, f"{name} {k}", x, own)
+            for k, (x, own) in enumerate(zip(leaves, types, strict=True))
+        ]
     return reuse.get(name, lambda: jax.tree.unflatten(structure, kept), (structure,), tuple(kept))

@@ -1,4 +1,6 @@
-"""Runs with different numbers of pieces in one program: all have as many as the one with most, the rest of them outside."""
+"""Runs with different numbers of pieces in one program: all have as many as the one with most, the
+rest of them outside.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -9,7 +11,12 @@ import numpy as np
 from dem_jax.assembly.assembly_cache import AssemblyCache
 from dem_jax.assembly.initial_conditions import InitialConditions
 from dem_jax.assembly.part_arrays import PiecePart
-from dem_jax.assembly.piece_arrays import PieceSet, build_piece_arrays, find_distinct_shapes, reuse_piece_set
+from dem_jax.assembly.piece_arrays import (
+    PieceSet,
+    build_piece_arrays,
+    find_distinct_shapes,
+    reuse_piece_set,
+)
 from dem_jax.scene import Scene
 from dem_jax.scene.material_properties import build_material_table
 from dem_jax.shapes import Shape, list_parts
@@ -17,14 +24,20 @@ from dem_jax.types import Pieces
 
 
 class EnsembleCapacity(NamedTuple):
-    """What each run of an ensemble has room for. pieces: their number. polytopes: different convex ones among their parts."""
+    """What each run of an ensemble has room for. pieces: their number. polytopes: different convex
+    ones among their parts.
+    """
 
     pieces: int
     polytopes: int
 
 
-def find_ensemble_capacity(scenes: Sequence[Scene], reuse: AssemblyCache) -> EnsembleCapacity | None:
-    """The room that the run with most pieces needs; None: all have as many, or pieces come and go. Raises SceneError."""
+def find_ensemble_capacity(
+    scenes: Sequence[Scene], reuse: AssemblyCache
+) -> EnsembleCapacity | None:
+    """The room that the run with most pieces needs; None: all have as many, or pieces come and go.
+    Raises SceneError.
+    """
     if any(scene.inlet or scene.outlet for scene in scenes):
         return None
     goods = [reuse_piece_set(scene, build_material_table(scene), reuse) for scene in scenes]
@@ -35,9 +48,16 @@ def find_ensemble_capacity(scenes: Sequence[Scene], reuse: AssemblyCache) -> Ens
 
 
 def pad_pieces(
-    scene: Scene, goods: PieceSet, start: InitialConditions, lot: np.ndarray, room: EnsembleCapacity, reuse: AssemblyCache
+    scene: Scene,
+    goods: PieceSet,
+    start: InitialConditions,
+    lot: np.ndarray,
+    room: EnsembleCapacity,
+    reuse: AssemblyCache,
 ) -> tuple[list[Shape], Pieces, InitialConditions]:
-    """Shapes, arrays and start of the pieces and of those that fill up the room, which rest in a lot [n, 3] (m) outside."""
+    """Shapes, arrays and start of the pieces and of those that fill up the room, which rest in a
+    lot [n, 3] (m) outside.
+    """
     padded = reuse.get("padded", lambda: _pad_piece_set(goods, room), (room,), (goods,))
     made = reuse.get("padded shapes", lambda: list(padded.shapes), (), padded.shapes)
     return made, build_piece_arrays(scene, padded), pad_initial_conditions(start, lot)
@@ -59,15 +79,30 @@ def pad_initial_conditions(start: InitialConditions, lot: np.ndarray) -> Initial
     none = np.zeros_like(lot)
     turn = np.tile([1.0, 0.0, 0.0, 0.0], (len(lot), 1))
     more = InitialConditions(lot, turn, none, none)
-    return InitialConditions(*(np.concatenate([getattr(each, name) for each in (start, more)]) for name in InitialConditions.__dataclass_fields__))
+    return InitialConditions(
+        *(
+            np.concatenate([getattr(each, name) for each in (start, more)])
+            for name in InitialConditions.__dataclass_fields__
+        )
+    )
 
 
-def pad_polytopes(solids: list[list[PiecePart]], room: EnsembleCapacity, made: Sequence[Shape]) -> list[PiecePart]:
-    """Copies of a polytope, by which those of the pieces are as many different ones as there is room for."""
+def pad_polytopes(
+    solids: list[list[PiecePart]], room: EnsembleCapacity, made: Sequence[Shape]
+) -> list[PiecePart]:
+    """Copies of a polytope, by which those of the pieces are as many different ones as there is
+    room for.
+    """
     some = [solid for row in solids for solid in row if solid.shape.radius == 0][:1]
-    return [replace(solid) for solid in some for _ in range(room.polytopes - _count_polytopes(made))]
+    return [
+        replace(solid) for solid in some for _ in range(room.polytopes - _count_polytopes(made))
+    ]
 
 
 def _count_polytopes(shapes: Sequence[Shape]) -> int:
     """Number of different polytopes among the parts of pieces."""
-    return sum(part.shape.radius == 0 for shape in find_distinct_shapes(shapes)[0] for part in list_parts(shape))
+    return sum(
+        part.shape.radius == 0
+        for shape in find_distinct_shapes(shapes)[0]
+        for part in list_parts(shape)
+    )

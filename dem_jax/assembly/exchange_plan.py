@@ -14,7 +14,8 @@ from dem_jax.shapes import Shape
 from dem_jax.types import PieceExchange, System, as_array
 
 WAITING_DISTANCE = 1.0  # m, from all walls to where pieces wait
-FALL_MARGIN = 1.5  # times as far as a piece can fly between outlet and being taken out, the domain goes on
+FALL_MARGIN = 1.5  # times as far as a piece can fly between outlet and being taken out, the domain
+# goes on
 
 Box = tuple[ArrayLike, ArrayLike]  # lowest and highest corner [3] (m)
 Corners = tuple[np.ndarray, np.ndarray]  # likewise
@@ -31,11 +32,22 @@ class ExchangePlan:
 
 
 def list_start_boxes(
-    scene: Scene, panels: Sequence[Panel], regions: Sequence[Box], numbers: Sequence[int], made: Sequence[Shape]
+    scene: Scene,
+    panels: Sequence[Panel],
+    regions: Sequence[Box],
+    numbers: Sequence[int],
+    made: Sequence[Shape],
 ) -> list[Box]:
-    """The boxes in which the pieces of a portion begin, and last of those that wait outside if the scene has an inlet."""
+    """The boxes in which the pieces of a portion begin, and last of those that wait outside if the
+    scene has an inlet.
+    """
     portion = scene.portion
-    if scene.inlet is None or portion is None or not regions and (portion.region_low is None or portion.region_high is None):
+    if (
+        scene.inlet is None
+        or portion is None
+        or not regions
+        and (portion.region_low is None or portion.region_high is None)
+    ):
         return list(regions)
     if not regions:
         regions = [(np.array(portion.region_low), np.array(portion.region_high))]
@@ -44,8 +56,12 @@ def list_start_boxes(
     return [*regions, (low, low + [2 * size * wide, 2 * size * wide, 0.0])]
 
 
-def plan_exchange(scene: Scene, panels: Sequence[Panel], regions: Sequence[Box], made: Sequence[Shape]) -> ExchangePlan | None:
-    """regions: without that of the pieces that wait. Raises SceneError for an inlet that is too small for a piece."""
+def plan_exchange(
+    scene: Scene, panels: Sequence[Panel], regions: Sequence[Box], made: Sequence[Shape]
+) -> ExchangePlan | None:
+    """regions: without that of the pieces that wait. Raises SceneError for an inlet that is too
+    small for a piece.
+    """
     inlet, outlet = scene.inlet, scene.outlet
     if inlet is None and outlet is None:
         return None
@@ -53,13 +69,21 @@ def plan_exchange(scene: Scene, panels: Sequence[Panel], regions: Sequence[Box],
     lot = find_waiting_places(panels, regions, radius, len(made))
     below = None
     if outlet is not None:
-        below = outlet.below if outlet.below is not None else float(_collect_corners(panels, regions)[:, 2].min()) - 2 * radius
+        below = (
+            outlet.below
+            if outlet.below is not None
+            else float(_collect_corners(panels, regions)[:, 2].min()) - 2 * radius
+        )
     every = min(section.every for section in (inlet, outlet) if section is not None)
     return ExchangePlan(every, _find_inlet_box(scene, regions, radius), below, lot)
 
 
-def find_waiting_places(panels: Sequence[Panel], regions: Sequence[Box], radius: float, count: int) -> np.ndarray:
-    """[count, 3] (m): places outside of the scene, far from all walls and from each other, for pieces of a bounding radius (m)."""
+def find_waiting_places(
+    panels: Sequence[Panel], regions: Sequence[Box], radius: float, count: int
+) -> np.ndarray:
+    """[count, 3] (m): places outside of the scene, far from all walls and from each other, for
+    pieces of a bounding radius (m).
+    """
     away = _highest_corner(panels, regions) + [WAITING_DISTANCE, -WAITING_DISTANCE, 0.0]
     return away + 4 * radius * np.arange(count)[:, None] * [1.0, 0.0, 0.0]
 
@@ -71,7 +95,8 @@ def _find_inlet_box(scene: Scene, regions: Sequence[Box], radius: float) -> Corn
     if inlet.low is not None and inlet.high is not None:
         low, high = np.array(inlet.low), np.array(inlet.high)
     else:
-        low, high = (np.array(corner) for corner in regions[-1])  # of the feeder, or of the feed bucket
+        low, high = (np.array(corner) for corner in regions[-1])  # of the feeder, or of the feed
+        # bucket
         if scene.feeder:
             high[0] = low[0] + 0.5 * (high[0] - low[0])
         low[2] = high[2]
@@ -85,15 +110,22 @@ def _find_inlet_box(scene: Scene, regions: Sequence[Box], radius: float) -> Corn
     return low, high
 
 
-def extend_domain(plan: ExchangePlan, low: np.ndarray, high: np.ndarray, gravity: Sequence[float]) -> Corners:
-    """The domain, grown to hold the inlet, and as far beside and below the outlet as a piece flies before it is taken out."""
+def extend_domain(
+    plan: ExchangePlan, low: np.ndarray, high: np.ndarray, gravity: Sequence[float]
+) -> Corners:
+    """The domain, grown to hold the inlet, and as far beside and below the outlet as a piece flies
+    before it is taken out.
+    """
     if plan.inlet_box is not None:
         low, high = np.minimum(low, plan.inlet_box[0]), np.maximum(high, plan.inlet_box[1])
     if plan.outlet_height is not None:
         g = float(np.linalg.norm(gravity))
         speed = np.sqrt(2 * g * max(0.0, high[2] - plan.outlet_height))
         fall = FALL_MARGIN * (speed * plan.interval + 0.5 * g * plan.interval**2)
-        low, high = np.minimum(low - [fall, fall, 0.0], [np.inf, np.inf, plan.outlet_height - fall]), high + [fall, fall, 0.0]
+        low, high = (
+            np.minimum(low - [fall, fall, 0.0], [np.inf, np.inf, plan.outlet_height - fall]),
+            high + [fall, fall, 0.0],
+        )
     return low, high
 
 

@@ -1,6 +1,8 @@
-"""Faces, corners and edges of convex polytopes as tables on which general narrow-phase search works, padded to few sizes.
+"""Faces, corners and edges of convex polytopes as tables on which general narrow-phase search
+works, padded to few sizes.
 
-A shape with fewer of them than its table has repeats its first; ``PolytopeFeatures.counts`` says how many are its own.
+A shape with fewer of them than its table has repeats its first; ``PolytopeFeatures.counts`` says
+how many are its own.
 """
 
 from collections.abc import Sequence
@@ -13,8 +15,31 @@ from dem_jax.math.pose import quaternion_to_matrix
 from dem_jax.shapes import Shape
 from dem_jax.types import Array, PolytopeFeatures, as_array
 
-SUPPORT_DIRECTIONS = np.concatenate([np.eye(3), -np.eye(3), list(product((-1.0, 1.0), repeat=3))])  # [14, 3]
-TABLE_SIZES = (4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 768, 1024, 1536, 2048, 3072, 4096)
+# [14, 3]
+SUPPORT_DIRECTIONS = np.concatenate([np.eye(3), -np.eye(3), list(product((-1.0, 1.0), repeat=3))])
+TABLE_SIZES = (
+    4,
+    6,
+    8,
+    12,
+    16,
+    24,
+    32,
+    48,
+    64,
+    96,
+    128,
+    192,
+    256,
+    384,
+    512,
+    768,
+    1024,
+    1536,
+    2048,
+    3072,
+    4096,
+)
 
 
 def build_feature_table(
@@ -27,8 +52,8 @@ def build_feature_table(
 ) -> PolytopeFeatures:
     """Features of polytopes [S] by which depth and normal are found.
 
-    parts: what of them has the faces that touch, None: all of it; inner: for each of its faces whether other parts cover it;
-    all_clip, is_bent: as in Features.
+    parts: what of them has the faces that touch, None: all of it; inner: for each of its faces
+    whether other parts cover it; all_clip, is_bent: as in Features.
     """
     rows = [_ShapeFeatures(shape) for shape in shapes]
     own = rows if parts is None else [_ShapeFeatures(shape) for shape in parts]
@@ -40,11 +65,20 @@ def build_feature_table(
         planes=planes,
         corners=corners,
         edges=_stack_rows([_pad_rows(row.edges, edges) for row in rows], dtype),
-        extreme_vertices=_stack_rows([row.corners[np.argmax(row.corners @ SUPPORT_DIRECTIONS.T, axis=0)] for row in rows], dtype),
+        extreme_vertices=_stack_rows(
+            [row.corners[np.argmax(row.corners @ SUPPORT_DIRECTIONS.T, axis=0)] for row in rows],
+            dtype,
+        ),
         part_planes=planes if parts is None else _stack_planes(own, dtype),
         part_corners=corners if parts is None else _stack_corners(own, dtype),
         interior_faces=None if inner is None else _stack_interior(inner, faces, dtype),
-        face_vertices=_stack_rows([_pad_rows(np.array([_fill_loop(ring, sides) for ring in row.rings]), faces) for row in own], np.int32),
+        face_vertices=_stack_rows(
+            [
+                _pad_rows(np.array([_fill_loop(ring, sides) for ring in row.rings]), faces)
+                for row in own
+            ],
+            np.int32,
+        ),
         counts=_count_features(rows, own),
         all_clip=all_clip,
         is_bent=is_bent,
@@ -64,7 +98,9 @@ class _ShapeFeatures:
         self.edges = self._describe_edges(normals, shape.edges)
 
     def _describe_edges(self, normals: np.ndarray, ends: np.ndarray) -> np.ndarray:
-        """Middle, unit direction, half length, and the directions into the two faces, in them and square to the edge."""
+        """Middle, unit direction, half length, and the directions into the two faces, in them and
+        square to the edge.
+        """
         number = {tuple(edge): k for k, edge in enumerate(ends.tolist())}
         faces: list[list[int]] = [[] for _ in number]
         for f, ring in enumerate(self.rings):
@@ -76,18 +112,24 @@ class _ShapeFeatures:
         half = 0.5 * np.linalg.norm(end - start, axis=1, keepdims=True)
         along = 0.5 * (end - start) / half
         inward = np.cross(both, along[:, None])
-        inward *= np.sign(np.einsum("ekc,ekc->ek", inward, -both[:, ::-1]))[..., None]  # away from where the other face looks
+        # away from where the other face looks
+        inward *= np.sign(np.einsum("ekc,ekc->ek", inward, -both[:, ::-1]))[..., None]
         return np.concatenate([0.5 * (start + end), along, half, inward.reshape(-1, 6)], axis=1)
 
 
 def _count_features(rows: list[_ShapeFeatures], own: list[_ShapeFeatures]) -> Array:
-    each = [[len(r.planes), len(r.corners), len(r.edges), len(o.planes)] for r, o in zip(rows, own, strict=True)]
+    each = [
+        [len(r.planes), len(r.corners), len(r.edges), len(o.planes)]
+        for r, o in zip(rows, own, strict=True)
+    ]
     return as_array(np.array(each, np.int32).T)
 
 
 def _stack_interior(covered: Sequence[Sequence[bool]], faces: int, dtype: DTypeLike) -> Array:
     """Features.inner."""
-    return as_array(np.stack([_pad_rows(np.asarray(x, float), faces) for x in covered], axis=-1).astype(dtype))
+    return as_array(
+        np.stack([_pad_rows(np.asarray(x, float), faces) for x in covered], axis=-1).astype(dtype)
+    )
 
 
 def _stack_planes(rows: list[_ShapeFeatures], dtype: DTypeLike) -> Array:

@@ -13,12 +13,33 @@ from dem_jax.types import State, System
 
 MOST_STEPS = 2**31 - 2**17  # they are counted in 32 bits, beyond the last by those until a rebuild
 MOST_PIECES = 10**6
-FINITE_PARTS = ("pieces", "materials", "law", "reach", "gravity", "dt", "skin", "domain_low", "domain_high")  # of a System
-POSITIVE_PARTS = ("pieces.mass", "pieces.inertia", "pieces.size", "pieces.width", "materials.youngs_modulus", "dt", "skin")
+# of a System
+FINITE_PARTS = (
+    "pieces",
+    "materials",
+    "law",
+    "reach",
+    "gravity",
+    "dt",
+    "skin",
+    "domain_low",
+    "domain_high",
+)
+POSITIVE_PARTS = (
+    "pieces.mass",
+    "pieces.inertia",
+    "pieces.size",
+    "pieces.width",
+    "materials.youngs_modulus",
+    "dt",
+    "skin",
+)
 
 
 def check_steps(scene: Scene, settling: int, samples: int, substeps: int, dt: float) -> None:
-    """Raise SceneError for a run of more steps than can be counted. settling: steps before the release."""
+    """Raise SceneError for a run of more steps than can be counted. settling: steps before the
+    release.
+    """
     steps = settling + samples * substeps
     if steps > MOST_STEPS:
         raise SceneError(
@@ -37,8 +58,9 @@ def check_pieces(scene: Scene, count: float) -> None:
 
 
 def check_finite(scene: Scene, system: System, state: State, reuse: AssemblyCache) -> None:
-    """Raise SceneError if anything that a run begins with is not a number of its precision. reuse: arrays of scenes before are not
-    looked at again."""
+    """Raise SceneError if anything that a run begins with is not a number of its precision. reuse:
+    arrays of scenes before are not looked at again.
+    """
     known = reuse.get("finite", dict[int, Any])  # id -> the leaf, which is kept alive
     for tree, must in ((system, FINITE_PARTS), (state.replace(scratch=None), None)):
         for path, leaf in jax.tree_util.tree_flatten_with_path(tree)[0]:

@@ -16,7 +16,9 @@ from dem_jax.walls.motion.section_arrays import unit_axis
 
 
 def build_flap_drives(motions: Sequence[Motion], groups: Sequence[str]) -> FlapDrives | None:
-    """The drives of the G groups, in numpy, or None without drives. Raises SceneError for a drive without a swing."""
+    """The drives of the G groups, in numpy, or None without drives. Raises SceneError for a drive
+    without a swing.
+    """
     rows = {row.group: row for row in motions if row.drive is not None}
     if not rows:
         return None
@@ -25,11 +27,18 @@ def build_flap_drives(motions: Sequence[Motion], groups: Sequence[str]) -> FlapD
             continue
         key = f"motion.drive (group {row.group!r})"
         if row.drive is not None and not Hinge.is_requested(row):
-            raise SceneError(f"{key}: with swing_deg = 0; allowed: only for a flap that swings about a hinge")
+            raise SceneError(
+                f"{key}: with swing_deg = 0; allowed: only for a flap that swings about a hinge"
+            )
         if Table.is_requested(row) and row.angles_deg is not None:
-            raise SceneError(f"{key}: beside a table of angles; allowed: only for a flap without other rotations")
+            raise SceneError(
+                f"{key}: beside a table of angles; allowed: only for a flap without other rotations"
+            )
     found = [rows[name].drive if name in rows else None for name in groups]
-    each = [(d.torque, d.inertia, d.natural_frequency, d.damping_ratio) if d else (0.0, 1.0, 0.0, 0.0) for d in found]
+    each = [
+        (d.torque, d.inertia, d.natural_frequency, d.damping_ratio) if d else (0.0, 1.0, 0.0, 0.0)
+        for d in found
+    ]
     torque, inertia, frequency, ratio = (as_float_array([row[k] for row in each]) for k in range(4))
     rate = 2 * np.pi * frequency
     axes = [unit_axis(rows[name]) if name in rows else np.zeros(3) for name in groups]
@@ -44,15 +53,23 @@ def build_flap_drives(motions: Sequence[Motion], groups: Sequence[str]) -> FlapD
 
 
 def bound_drive_frequency(
-    motions: Sequence[Motion], panels: Sequence[Panel], law: ContactLaw, contacts: Sequence[PossibleContact], pieces: int
+    motions: Sequence[Motion],
+    panels: Sequence[Panel],
+    law: ContactLaw,
+    contacts: Sequence[PossibleContact],
+    pieces: int,
 ) -> float:
-    """By how much (1/s2) drives raise the largest squared frequency of pieces on walls whose motion is given, at most; 0: none.
+    """By how much (1/s2) drives raise the largest squared frequency of pieces on walls whose motion
+    is given, at most; 0: none.
 
-    As a load cell does: (k + n K r2) / I at most, K being the stiffest contact of n pieces, r the arm of the furthest corner.
+    As a load cell does: (k + n K r2) / I at most, K being the stiffest contact of n pieces, r the
+    arm of the furthest corner.
     """
     most = 0.0
     for row, drive in ((row, row.drive) for row in motions if row.drive is not None):
-        corners = np.concatenate([np.asarray(c, float) for group, c, _ in panels if group == row.group]) - np.array(row.pivot)
+        corners = np.concatenate(
+            [np.asarray(c, float) for group, c, _ in panels if group == row.group]
+        ) - np.array(row.pivot)
         arm = np.linalg.norm(np.cross(corners, unit_axis(row)), axis=1).max()
         own = (2 * np.pi * drive.natural_frequency) ** 2
         most += own + pieces * largest_stiffness(law, contacts) * arm * arm / drive.inertia

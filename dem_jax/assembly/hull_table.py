@@ -15,7 +15,8 @@ from dem_jax.shapes import Continuation, Shape
 from dem_jax.shapes.extended_parts import extend_panel
 from dem_jax.types import Array, Hulls, PolytopeFeatures, as_array
 
-SEAM_REACH = 10.0  # bounding radii of the largest piece by which a panel goes on beyond a seam, as far as contacts are concerned
+SEAM_REACH = 10.0  # bounding radii of the largest piece by which a panel goes on beyond a seam, as
+# far as contacts are concerned
 
 
 MOST_DIRECTIONS = 8  # of edges of a zonotope: with more, near features are quicker than all of them
@@ -35,21 +36,29 @@ class _HullRow(TypedDict):
     half_lengths: np.ndarray | None  # [D] (m), of a zonotope
 
 
-def build_hull_table(shapes: Sequence[Shape], dtype: DTypeLike, seams: SeamRows | None = None, continued: PartContinuations | None = None) -> Hulls:
-    """Stack polytopes [S] into one table, padded by repetition, which adds nothing to any minimum, maximum or sum.
+def build_hull_table(
+    shapes: Sequence[Shape],
+    dtype: DTypeLike,
+    seams: SeamRows | None = None,
+    continued: PartContinuations | None = None,
+) -> Hulls:
+    """Stack polytopes [S] into one table, padded by repetition, which adds nothing to any minimum,
+    maximum or sum.
 
-    Vertices are taken in the principal frame. The table is one of zonotopes if all its shapes are, of few edge directions;
-    else it has ``features``.
-    seams: None, or for each shape those edges of its face along z that are seams; with seams that bend the table is none of
-    zonotopes.
-    continued: None, or for each shape shapes.Continued where it is a part that others continue, else None; such a table is
-    none of zonotopes.
+    Vertices are taken in the principal frame. The table is one of zonotopes if all its shapes are,
+    of few edge directions; else it has ``features``. seams: None, or for each shape those edges of
+    its face along z that are seams; with seams that bend the table is none of zonotopes. continued:
+    None, or for each shape shapes.Continued where it is a part that others continue, else None;
+    such a table is none of zonotopes.
     """
     rows = [_describe_hull(shape) for shape in shapes]
     if continued:
         rows = [{**row, "half_lengths": None} for row in rows]
     is_bent = any(of.is_bent for of in seams or ())
-    zonotopes = not is_bent and all(row["half_lengths"] is not None and len(row["directions"]) <= MOST_DIRECTIONS for row in rows)
+    zonotopes = not is_bent and all(
+        row["half_lengths"] is not None and len(row["directions"]) <= MOST_DIRECTIONS
+        for row in rows
+    )
     if zonotopes:
         rows = [_pair_opposite_faces(row) for row in rows]
     sides = max(c.shape[1] for row in rows for c in row["corners"])
@@ -62,28 +71,43 @@ def build_hull_table(shapes: Sequence[Shape], dtype: DTypeLike, seams: SeamRows 
         normals.append(row["normals"][order])
         offsets.append(row["offsets"][order])
         pad = _pad_halves if zonotopes else pad_rows
-        loops.append(np.stack([pad(row["corners"][f].T, sides) for f in order], axis=1))  # [k, F, 3]
+        # [k, F, 3]
+        loops.append(np.stack([pad(row["corners"][f].T, sides) for f in order], axis=1))
     directions = [pad_rows(row["directions"], edges) for row in rows]
     widths = lengths = None
     if zonotopes:
         half = faces // 2
-        own = [row["half_lengths"] for row in rows if row["half_lengths"] is not None]  # all have them
+        # all have them
+        own = [row["half_lengths"] for row in rows if row["half_lengths"] is not None]
         lengths = _stack_last([_pad_zeros(of, edges) for of in own], dtype)
-        widths = _stack_last([_cross_widths(d, of, n[:half]) for d, of, n in zip(directions, own, normals, strict=True)], dtype)
+        widths = _stack_last(
+            [
+                _cross_widths(d, of, n[:half])
+                for d, of, n in zip(directions, own, normals, strict=True)
+            ],
+            dtype,
+        )
     return Hulls(
         normals=_stack_components(normals, dtype),
         offsets=_stack_last(offsets, dtype),
         corners=_stack_components(loops, dtype),
-        face_loops=_stack_columns([_halve_loop(c) for c in loops] if zonotopes else [_close_loops(c) for c in loops], dtype),
+        face_loops=_stack_columns(
+            [_halve_loop(c) for c in loops] if zonotopes else [_close_loops(c) for c in loops],
+            dtype,
+        ),
         row=as_array(np.arange(len(rows))),
         vertices=_stack_components([pad_rows(row["vertices"], corners) for row in rows], dtype),
         directions=_stack_components(directions, dtype),
-        bounding_radius=as_array(np.array([np.linalg.norm(row["vertices"], axis=1).max() for row in rows], dtype)),
+        bounding_radius=as_array(
+            np.array([np.linalg.norm(row["vertices"], axis=1).max() for row in rows], dtype)
+        ),
         half_lengths=lengths,
         cross_widths=widths,
         seams=stack_seams(seams, dtype) if seams and not is_bent else None,
         open_edges=_stack_open_edges(normals, loops, seams, continued, dtype),
-        interior_faces=_stack_last([_interior_flags(more, faces) for more in continued], dtype) if continued else None,
+        interior_faces=_stack_last([_interior_flags(more, faces) for more in continued], dtype)
+        if continued
+        else None,
         features=None if zonotopes else _build_features(shapes, dtype, seams, continued),
         extended=_build_extended_hulls(shapes, dtype, continued) if continued else None,
         is_zonotope=zonotopes,
@@ -130,9 +154,14 @@ def _pad_face_order(count: int, wanted: int, zonotopes: bool) -> list[int]:
     return [*range(half), *[0] * extra, *range(half, count), *[half] * extra]
 
 
-def _cross_widths(directions: np.ndarray, half_lengths: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """C[i, m] = sum of |g_k x e_i| over the generators k for which g_k x e_i is parallel to n_m, [D, F/2] (m)."""
-    generators = half_lengths[:, None] * directions[: len(half_lengths)]  # the rest of the directions pad
+def _cross_widths(
+    directions: np.ndarray, half_lengths: np.ndarray, normals: np.ndarray
+) -> np.ndarray:
+    """C[i, m] = sum of |g_k x e_i| over the generators k for which g_k x e_i is parallel to n_m,
+    [D, F/2] (m).
+    """
+    generators = half_lengths[:, None] * directions[: len(half_lengths)]  # the rest of the
+    # directions pad
     turned = np.cross(generators[None], directions[:, None])  # [i, k, 3]
     size = np.linalg.norm(turned, axis=-1)
     i, k = np.nonzero(size > 1e-12 * half_lengths)
@@ -153,7 +182,9 @@ def _close_loops(loop: np.ndarray) -> np.ndarray:
 
 
 def _halve_loop(loop: np.ndarray) -> np.ndarray:
-    """Centre and first half of the edges, [1 + k/2, F, 3], of centrally symmetric faces with corners [k, F, 3]."""
+    """Centre and first half of the edges, [1 + k/2, F, 3], of centrally symmetric faces with
+    corners [k, F, 3].
+    """
     edges = np.roll(loop, -1, axis=0) - loop
     half = len(loop) // 2
     centre = 0.5 * (loop[:1] + loop[half : half + 1])
@@ -167,46 +198,80 @@ def stack_seams(seams: SeamRows, dtype: DTypeLike) -> Vector:
     return _stack_components(filled, dtype)
 
 
-def _build_extended_hulls(shapes: Sequence[Shape], dtype: DTypeLike, continued: PartContinuations) -> Hulls:
+def _build_extended_hulls(
+    shapes: Sequence[Shape], dtype: DTypeLike, continued: PartContinuations
+) -> Hulls:
     """Hulls.extended of shapes, for contacts with spheres."""
-    plain = [dataclasses.replace(shape, generators=None) for shape in _extend_shapes(shapes, continued)]
+    plain = [
+        dataclasses.replace(shape, generators=None) for shape in _extend_shapes(shapes, continued)
+    ]
     return build_hull_table(plain, dtype).replace(face_loops=None, open_edges=None, features=None)
 
 
 def _extend_shapes(shapes: Sequence[Shape], continued: PartContinuations) -> list[Shape]:
     """Of each shape as much of its body as decides depth and normal."""
-    return [shape if part is None else part.extended for shape, part in zip(shapes, continued, strict=True)]
+    return [
+        shape if part is None else part.extended
+        for shape, part in zip(shapes, continued, strict=True)
+    ]
 
 
-def _build_features(shapes: Sequence[Shape], dtype: DTypeLike, seams: SeamRows | None, continued: PartContinuations | None) -> PolytopeFeatures:
+def _build_features(
+    shapes: Sequence[Shape],
+    dtype: DTypeLike,
+    seams: SeamRows | None,
+    continued: PartContinuations | None,
+) -> PolytopeFeatures:
     """Hulls.features of shapes."""
     if not seams and not continued:
         return feature_table.build_feature_table(shapes, dtype)
     are_parts, continued = bool(continued), continued or [None] * len(shapes)
     whole = _extend_shapes(shapes, continued)
     if seams:
-        largest = max(shape.bounding_radius for shape, of in zip(shapes, seams, strict=True) if not len(of.across))
+        largest = max(
+            shape.bounding_radius
+            for shape, of in zip(shapes, seams, strict=True)
+            if not len(of.across)
+        )
         reach = SEAM_REACH * largest
-        whole = [extend_panel(shape, of.across, reach, of.planes) for shape, of in zip(whole, seams, strict=True)]
-    inner = [(False,) * len(shape.faces) if part is None else part.interior_faces for shape, part in zip(shapes, continued, strict=True)]
+        whole = [
+            extend_panel(shape, of.across, reach, of.planes)
+            for shape, of in zip(whole, seams, strict=True)
+        ]
+    inner = [
+        (False,) * len(shape.faces) if part is None else part.interior_faces
+        for shape, part in zip(shapes, continued, strict=True)
+    ]
     is_bent = any(of.is_bent for of in seams or ())
-    return feature_table.build_feature_table(whole, dtype, shapes, inner if any(map(any, inner)) else None, are_parts, is_bent)
+    return feature_table.build_feature_table(
+        whole, dtype, shapes, inner if any(map(any, inner)) else None, are_parts, is_bent
+    )
 
 
 def _interior_flags(continued: Continuation | None, faces: int) -> np.ndarray:
     """Hulls.inner of a shape."""
-    return np.zeros(faces) if continued is None else _pad_zeros(np.array(continued.interior_faces, float), faces)
+    return (
+        np.zeros(faces)
+        if continued is None
+        else _pad_zeros(np.array(continued.interior_faces, float), faces)
+    )
 
 
 def _stack_open_edges(
-    normals: list[np.ndarray], loops: list[np.ndarray], seams: SeamRows | None, continued: PartContinuations | None, dtype: DTypeLike
+    normals: list[np.ndarray],
+    loops: list[np.ndarray],
+    seams: SeamRows | None,
+    continued: PartContinuations | None,
+    dtype: DTypeLike,
 ) -> Array | None:
     """Hulls.open_edges of S shapes with face normals [F, 3], face loops [k, F, 3] and seams [m, 3]."""
     if not seams and not continued:
         return None
     out = []
     none = [None] * len(loops)
-    for n, corners, rows, more in zip(normals, loops, seams or none, continued or none, strict=True):
+    for n, corners, rows, more in zip(
+        normals, loops, seams or none, continued or none, strict=True
+    ):
         if more is not None:
             ends = np.ones(corners.shape[:2])
             for f, edges in enumerate(more.open_edges):
@@ -231,7 +296,9 @@ def pad_rows(rows: np.ndarray, count: int) -> np.ndarray:
 
 
 def _pad_halves(loop: np.ndarray, count: int) -> np.ndarray:
-    """The corners [k, 3] of a centrally symmetric face, each half of the loop ended by repeating where it leads."""
+    """The corners [k, 3] of a centrally symmetric face, each half of the loop ended by repeating
+    where it leads.
+    """
     half, more = len(loop) // 2, (count - len(loop)) // 2
     first, second = (np.repeat(loop[k : k + 1], more, axis=0) for k in (half, 0))
     return np.concatenate([loop[:half], first, loop[half:], second])

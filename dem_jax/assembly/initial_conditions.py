@@ -17,7 +17,15 @@ from dem_jax.math import quaternions
 from dem_jax.scene import Piece, Scene, placement
 from dem_jax.scene.array_namespace import as_float_array, is_traced, sqrt
 from dem_jax.shapes import Shape
-from dem_jax.types import FlapDriveMotion, LoadCellMotion, PieceMotion, State, System, WallLoads, as_array
+from dem_jax.types import (
+    FlapDriveMotion,
+    LoadCellMotion,
+    PieceMotion,
+    State,
+    System,
+    WallLoads,
+    as_array,
+)
 
 REBUILD = jax.jit(neighbour_list.rebuild_neighbour_list)  # traced once for all systems of a form
 Box = tuple[ArrayLike, ArrayLike]  # lowest and highest corner [3] (m)
@@ -34,25 +42,38 @@ class InitialConditions:
 
 
 def place_pieces(
-    scene: Scene, made: Sequence[Shape], numbers: tuple[int, ...], regions: Sequence[Box], random: np.random.Generator
+    scene: Scene,
+    made: Sequence[Shape],
+    numbers: tuple[int, ...],
+    regions: Sequence[Box],
+    random: np.random.Generator,
 ) -> InitialConditions:
-    """Where the pieces begin: as listed, or scattered in the regions, so many in each (Goods.numbers). Pieces that differ
-    are mixed at random. Raises SceneError."""
+    """Where the pieces begin: as listed, or scattered in the regions, so many in each
+    (Goods.numbers). Pieces that differ are mixed at random. Raises SceneError.
+    """
     if scene.piece:
         return read_listed_pieces(scene.piece)
     portion = scene.portion
     assert portion is not None  # as a Scene makes sure
     low, high = portion.region_low, portion.region_high
     if (low is None) != (high is None):
-        raise SceneError(f"portion: region_{'low' if low is None else 'high'}: missing; allowed: both corners, or none")
+        raise SceneError(
+            f"portion: region_{'low' if low is None else 'high'}: missing; allowed: both corners, or none"
+        )
     if (low is None or high is None) and not regions:
-        raise SceneError("portion: region_low, region_high: missing; a scene without a feed bucket needs both")
+        raise SceneError(
+            "portion: region_low, region_high: missing; a scene without a feed bucket needs both"
+        )
     own = regions[0] if low is None or high is None else (low, high)
     radius = max(m.bounding_radius for m in made)
     boxes = [own, *regions[1:]]
     groups = zip(numbers, boxes, strict=False)
-    placed = [placement.scatter_pieces(number, radius, portion.spacing, *box, random) for number, box in groups]
-    if portion.product or portion.size_spread > 0 or portion.piece_weight_spread > 0:  # they come by product, in order of size
+    placed = [
+        placement.scatter_pieces(number, radius, portion.spacing, *box, random)
+        for number, box in groups
+    ]
+    # they come by product, in order of size
+    if portion.product or portion.size_spread > 0 or portion.piece_weight_spread > 0:
         placed = [(position[random.permutation(len(position))], turn) for position, turn in placed]
     position, orientation = (np.concatenate(rows) for rows in zip(*placed, strict=True))
     rest = np.zeros_like(position)
@@ -65,8 +86,13 @@ def read_listed_pieces(rows: Sequence[Piece]) -> InitialConditions:
     size = sqrt((q * q).sum(axis=1, keepdims=True))
     if not is_traced(q) and (size < 1e-6).any():
         k = int(np.argmin(size))
-        raise SceneError(f"piece.{k}.orientation = {rows[k].orientation}: allowed: a quaternion that is not zero")
-    position, velocity, spin = (as_float_array([getattr(p, key) for p in rows]) for key in ("position", "velocity", "angular_velocity"))
+        raise SceneError(
+            f"piece.{k}.orientation = {rows[k].orientation}: allowed: a quaternion that is not zero"
+        )
+    position, velocity, spin = (
+        as_float_array([getattr(p, key) for p in rows])
+        for key in ("position", "velocity", "angular_velocity")
+    )
     return InitialConditions(position, q / size, velocity, spin)
 
 
@@ -77,16 +103,24 @@ def count_settling_samples(scene: Scene) -> int:
     return max(1, round(scene.portion.settling_time / scene.run.sample))
 
 
-def build_initial_motion(system: System, start: InitialConditions, frames: np.ndarray) -> PieceMotion:
-    """Poses and velocities in the user's body frames as those of principal frames, in numpy; frames: Built.frames."""
+def build_initial_motion(
+    system: System, start: InitialConditions, frames: np.ndarray
+) -> PieceMotion:
+    """Poses and velocities in the user's body frames as those of principal frames, in numpy;
+    frames: Built.frames.
+    """
     dtype = system.dt.dtype
     position = start.position.T
     high = position.astype(dtype)
-    q = as_float_array(list(quaternions.hamilton_product(tuple(start.orientation.T), tuple(np.asarray(frames).T))))
+    q = as_float_array(
+        list(quaternions.hamilton_product(tuple(start.orientation.T), tuple(np.asarray(frames).T)))
+    )
     turn = q.astype(dtype)
     inertia = system.pieces.inertia
     inertia = inertia if isinstance(inertia, jax.core.Tracer) else as_array(np.asarray(inertia))
-    momentum = quaternions.angular_momentum(tuple(turn), tuple(start.spin.T.astype(dtype)), tuple(inertia))
+    momentum = quaternions.angular_momentum(
+        tuple(turn), tuple(start.spin.T.astype(dtype)), tuple(inertia)
+    )
     none = np.zeros(high.shape, dtype)
     return PieceMotion(
         position=as_array(high),
@@ -101,26 +135,39 @@ def build_initial_motion(system: System, start: InitialConditions, frames: np.nd
     )
 
 
-def build_initial_state(system: System, start: InitialConditions, frames: np.ndarray, step: int, waiting: int = 0) -> State:
-    """The state at a step, without any contact; start, frames: as of ``build_initial_motion``; waiting: last pieces, outside."""
+def build_initial_state(
+    system: System, start: InitialConditions, frames: np.ndarray, step: int, waiting: int = 0
+) -> State:
+    """The state at a step, without any contact; start, frames: as of ``build_initial_motion``;
+    waiting: last pieces, outside.
+    """
     dtype, n = system.dt.dtype, len(start.position)
     groups, runs = len(system.walls.groups), system.runs
     columns = 2 * sum(room for *_, room in system.capacity)  # of loads
     empty: Any = None  # until it is known what a rebuild fills
     cell = None
     if system.walls.load_cell is not None:
-        cell = LoadCellMotion(as_array(np.zeros((runs,), dtype)), as_array(np.zeros((runs,), dtype)))
+        cell = LoadCellMotion(
+            as_array(np.zeros((runs,), dtype)), as_array(np.zeros((runs,), dtype))
+        )
     drive = None
     if system.walls.drive is not None:
-        drive = FlapDriveMotion(as_array(np.zeros((groups, runs), dtype)), as_array(np.zeros((groups, runs), dtype)))
+        drive = FlapDriveMotion(
+            as_array(np.zeros((groups, runs), dtype)), as_array(np.zeros((groups, runs), dtype))
+        )
     state = State(
         step=as_array(np.int32(step)),
         motion=build_initial_motion(system, start, frames),
-        walls=WallLoads(as_array(np.zeros((3, groups, runs), dtype)), as_array(np.zeros((3, groups, runs), dtype))),
+        walls=WallLoads(
+            as_array(np.zeros((3, groups, runs), dtype)),
+            as_array(np.zeros((3, groups, runs), dtype)),
+        ),
         cell=cell,
         drive=drive,
         collisions=collision_statistics.init_collisions(system, dtype),
-        exchange=exchange_plan.init_exchange(system, waiting, step, dtype) if system.exchanges else None,
+        exchange=exchange_plan.init_exchange(system, waiting, step, dtype)
+        if system.exchanges
+        else None,
         contacts=neighbour_list.init_contact_tables(system),
         incidence=as_array(np.full((system.touching, n), columns, np.int32)),
         ledger=ledger.empty_ledger(system, dtype),
@@ -129,4 +176,5 @@ def build_initial_state(system: System, start: InitialConditions, frames: np.nda
     )
     form = REBUILD.eval_shape(system, state).scratch
     scratch = jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), form)
-    return jax.tree.map(jnp.asarray, state.replace(scratch=scratch))  # in numpy: each operation of jax.numpy would be compiled
+    return jax.tree.map(jnp.asarray, state.replace(scratch=scratch))  # in numpy: each operation of
+    # jax.numpy would be compiled

@@ -18,7 +18,9 @@ def find_load_cell(scene: Scene) -> LoadCell | None:
 
 
 def build_load_cell_model(scene: Scene, groups: Sequence[str], group: np.ndarray) -> Cell | None:
-    """The load cell, in numpy; None: the scene has none. groups: names of the G wall groups; group: [W], that of each panel."""
+    """The load cell, in numpy; None: the scene has none. groups: names of the G wall groups; group:
+    [W], that of each panel.
+    """
     section = find_load_cell(scene)
     if section is None or scene.weigh_bucket is None:
         return None
@@ -33,12 +35,16 @@ def build_load_cell_model(scene: Scene, groups: Sequence[str], group: np.ndarray
     )
 
 
-def bound_load_cell_frequency(scene: Scene, law: ContactLaw, contacts: Sequence[PossibleContact], pieces: int) -> float:
-    """By how much (1/s2) a load cell raises the largest squared frequency of pieces on held walls, at most; 0: there is none.
+def bound_load_cell_frequency(
+    scene: Scene, law: ContactLaw, contacts: Sequence[PossibleContact], pieces: int
+) -> float:
+    """By how much (1/s2) a load cell raises the largest squared frequency of pieces on held walls,
+    at most; 0: there is none.
 
-    Of the matrix of stiffness over mass, the bucket's own row is all that is new: at most (k + n K) / M, K being the stiffest
-    contact and n the number of pieces that may lie on it at once; by Weyl's inequality the largest eigenvalue is no more than
-    that and the one of the pieces added up.
+    Of the matrix of stiffness over mass, the bucket's own row is all that is new: at most (k + n K)
+    / M, K being the stiffest contact and n the number of pieces that may lie on it at once; by
+    Weyl's inequality the largest eigenvalue is no more than that and the one of the pieces added
+    up.
     """
     section = find_load_cell(scene)
     if section is None:

@@ -1,7 +1,8 @@
 """Which panels of the walls are one surface, and what each of them has to know of the others.
 
-Panels of one wall group that share an edge and meet there at no more than the smooth angle are facets of one smooth surface: a
-contact with several of them is one contact (``contacts.contact_reduction`` for planes, ``contacts.smooth_surfaces`` where they meet at an
+Panels of one wall group that share an edge and meet there at no more than the smooth angle are
+facets of one smooth surface: a contact with several of them is one contact
+(``contacts.contact_reduction`` for planes, ``contacts.smooth_surfaces`` where they meet at an
 angle). A sharper edge is a true edge, and so is the rim. Host side, float64, SI.
 """
 
@@ -14,8 +15,10 @@ import numpy as np
 from dem_jax.shapes import loop_normal, wall_meshes
 
 FLAT_BEND = 2e-6  # (rad) panels that meet at no more are one plane to the last digit that counts
-OPEN_BEND = 0.01  # (rad) from which on a convex seam is an edge of the surface as much as the rim is
-REACH = 3.0  # bounding radii of the largest piece, within which a panel has to know the neighbours beyond its convex seams
+OPEN_BEND = 0.01  # (rad) from which on a convex seam is an edge of the surface as much as the rim
+# is
+REACH = 3.0  # bounding radii of the largest piece, within which a panel has to know the neighbours
+# beyond its convex seams
 FINEST = 0.004  # (rad) between the normals of such neighbours: what lies between is left out
 MOST_PLANES = 48  # such neighbours of a panel; where there are more, coarser ones are taken
 NEAREST = 16  # of them that stay where they are if others are left out
@@ -31,8 +34,10 @@ class PanelSeams(NamedTuple):
     """Where other panels continue a panel, in its own frame, about its own centre."""
 
     across: np.ndarray  # [m, 3] outward unit directions, in its plane, across each seam
-    openness: np.ndarray  # [m] how much of the seam is an edge of the surface: 0 of flat and concave ones, 1 of convex ones
-    planes: np.ndarray  # [k, 4] outward normals and offsets (m) of the neighbours beyond convex seams
+    openness: np.ndarray  # [m] how much of the seam is an edge of the surface: 0 of flat and
+    # concave ones, 1 of convex ones
+    planes: np.ndarray  # [k, 4] outward normals and offsets (m) of the neighbours beyond convex
+    # seams
     is_bent: bool  # whether it meets any of its neighbours at an angle
 
     def to_panel_frame(self, turn: np.ndarray, origin: np.ndarray) -> "PanelSeams":
@@ -54,11 +59,14 @@ class PanelSurfaces(NamedTuple):
     """The surfaces that panels make."""
 
     seams: list[PanelSeams]  # of each panel, in the frame of the scene
-    number: np.ndarray  # [W] int: the same for panels of one surface, -1 for a panel that is one by itself
+    number: np.ndarray  # [W] int: the same for panels of one surface, -1 for a panel that is one by
+    # itself
     is_bent: bool  # whether panels of any surface meet at an angle
 
 
-def find_surfaces(panels: Sequence[Group], smooth_angle: float, piece_radius: float) -> PanelSurfaces | None:
+def find_surfaces(
+    panels: Sequence[Group], smooth_angle: float, piece_radius: float
+) -> PanelSurfaces | None:
     """The surfaces of panels; None if no panel continues another.
 
     Args:
@@ -72,13 +80,20 @@ def find_surfaces(panels: Sequence[Group], smooth_angle: float, piece_radius: fl
     ]
     beyond: list[list[list[int]]] = [[] for _ in panels]
     for group in members:
-        found = wall_meshes.find_neighbours([panels[i][1] for i in group], max(smooth_angle, wall_meshes.COPLANAR_ANGLE))
+        found = wall_meshes.find_neighbours(
+            [panels[i][1] for i in group], max(smooth_angle, wall_meshes.COPLANAR_ANGLE)
+        )
         for i, edges in zip(group, found, strict=True):
             beyond[i] = [[int(group[j]) for j in edge] for edge in edges]
     normals = np.array([loop_normal(corners) for _, corners in panels])
     if not any(map(any, beyond)):
         return None
-    sines = [np.linalg.norm(np.cross(normals[i], normals[j])) for i, edges in enumerate(beyond) for e in edges for j in e]
+    sines = [
+        np.linalg.norm(np.cross(normals[i], normals[j]))
+        for i, edges in enumerate(beyond)
+        for e in edges
+        for j in e
+    ]
     if max(sines) <= FLAT_BEND:
         return _group_coplanar_panels(panels, normals, members, beyond)
     return _group_smooth_panels(panels, normals, beyond, piece_radius)
@@ -95,7 +110,12 @@ def count_surfaces(found: PanelSurfaces | None, panels: int) -> int:
 # --- planes ---
 
 
-def _group_coplanar_panels(panels: Sequence[Group], normals: np.ndarray, members: Sequence[np.ndarray], beyond: list[list[list[int]]]) -> PanelSurfaces:
+def _group_coplanar_panels(
+    panels: Sequence[Group],
+    normals: np.ndarray,
+    members: Sequence[np.ndarray],
+    beyond: list[list[list[int]]],
+) -> PanelSurfaces:
     """Surfaces of panels that continue each other in a plane only."""
     seams, number = [NO_SEAMS for _ in panels], np.full(len(panels), -1)
     known: list[int] = []  # the first panel of each plane
@@ -110,7 +130,9 @@ def _group_coplanar_panels(panels: Sequence[Group], normals: np.ndarray, members
 
 
 def _are_coplanar(panels: Sequence[Group], normals: np.ndarray, first: int, second: int) -> bool:
-    """Whether two panels are of one group and one plane, to COPLANAR and that of the second one's size."""
+    """Whether two panels are of one group and one plane, to COPLANAR and that of the second one's
+    size.
+    """
     (group, points), (name, corners) = panels[first], panels[second]
     if group != name or normals[first] @ normals[second] <= np.cos(wall_meshes.COPLANAR_ANGLE):
         return False
@@ -127,7 +149,9 @@ def _outward_directions(corners: np.ndarray, normal: np.ndarray) -> np.ndarray:
 # --- smooth surfaces of facets ---
 
 
-def _group_smooth_panels(panels: Sequence[Group], normals: np.ndarray, beyond: list[list[list[int]]], piece_radius: float) -> PanelSurfaces:
+def _group_smooth_panels(
+    panels: Sequence[Group], normals: np.ndarray, beyond: list[list[list[int]]], piece_radius: float
+) -> PanelSurfaces:
     """Surfaces of panels of which some meet at an angle."""
     corners = [np.asarray(panel, float) for _, panel in panels]
     seams = []
@@ -137,12 +161,18 @@ def _group_smooth_panels(panels: Sequence[Group], normals: np.ndarray, beyond: l
         openness = np.clip([max(bend, 0.0) / OPEN_BEND for bend in bends], 0, 1)
         planes = _find_planes_beyond(corners, normals, beyond, i, REACH * piece_radius)
         is_bent = any(abs(bend) > FLAT_BEND for bend in bends)
-        seams.append(PanelSeams(_outward_directions(corners[i], normals[i])[flag], openness, planes, is_bent))
+        seams.append(
+            PanelSeams(_outward_directions(corners[i], normals[i])[flag], openness, planes, is_bent)
+        )
     return PanelSurfaces(seams, _label_surfaces(panels, normals, beyond), True)
 
 
-def _edge_bend(corners: Sequence[np.ndarray], normals: np.ndarray, i: int, others: Sequence[int]) -> float:
-    """The largest angle (rad) by which the surface falls away from panel i at an edge; negative: by which it rises."""
+def _edge_bend(
+    corners: Sequence[np.ndarray], normals: np.ndarray, i: int, others: Sequence[int]
+) -> float:
+    """The largest angle (rad) by which the surface falls away from panel i at an edge; negative: by
+    which it rises.
+    """
     return max((_bend_angle(corners, normals, i, j) for j in others), key=abs)
 
 
@@ -154,9 +184,15 @@ def _bend_angle(corners: Sequence[np.ndarray], normals: np.ndarray, i: int, j: i
 
 
 def _find_planes_beyond(
-    corners: Sequence[np.ndarray], normals: np.ndarray, beyond: list[list[list[int]]], i: int, reach: float
+    corners: Sequence[np.ndarray],
+    normals: np.ndarray,
+    beyond: list[list[list[int]]],
+    i: int,
+    reach: float,
 ) -> np.ndarray:
-    """Planes [k, 4] of the panels that are reached from panel i over convex seams, within a reach (m): they end the solid."""
+    """Planes [k, 4] of the panels that are reached from panel i over convex seams, within a reach
+    (m): they end the solid.
+    """
     low, high = corners[i].min(axis=0) - reach, corners[i].max(axis=0) + reach
     found: list[tuple[int, float]] = []  # panel, offset
     seen, front = {i}, deque([i])
@@ -178,7 +214,11 @@ def _find_planes_beyond(
 
 
 def _thin_planes(
-    normals: np.ndarray, found: Sequence[tuple[int, float]], own: np.ndarray, inside: np.ndarray, reach: float
+    normals: np.ndarray,
+    found: Sequence[tuple[int, float]],
+    own: np.ndarray,
+    inside: np.ndarray,
+    reach: float,
 ) -> np.ndarray:
     """Planes [k, 4] of the panels found, nearest first, no two of them nearly parallel.
 
@@ -194,15 +234,21 @@ def _thin_planes(
         kept, left_out = list[tuple[int, float]](), list[tuple[int, float]]()
         directions = own[None]
         for j, offset in found:
-            is_new = np.linalg.norm(directions - normals[j], axis=1) > (finest if len(kept) >= exact else FLAT_BEND)
+            is_new = np.linalg.norm(directions - normals[j], axis=1) > (
+                finest if len(kept) >= exact else FLAT_BEND
+            )
             (kept if is_new.all() else left_out).append((j, offset))
-            directions = np.concatenate([directions, normals[j][None]]) if is_new.all() else directions
+            directions = (
+                np.concatenate([directions, normals[j][None]]) if is_new.all() else directions
+            )
         if len(kept) <= MOST_PLANES:
             planes = _stack_planes(normals, kept)
             if finest == FINEST:
                 return planes
             is_fixed = (np.arange(len(planes)) < exact) | (planes[:, :3] @ own < STEEPEST)
-            return _move_planes_inwards(planes, is_fixed, _stack_planes(normals, left_out), inside, reach)
+            return _move_planes_inwards(
+                planes, is_fixed, _stack_planes(normals, left_out), inside, reach
+            )
         finest, exact = 1.5 * finest, NEAREST
 
 
@@ -211,11 +257,14 @@ def _stack_planes(normals: np.ndarray, panels: Sequence[tuple[int, float]]) -> n
     return np.array([[*normals[j], offset] for j, offset in panels]).reshape(-1, 4)
 
 
-def _move_planes_inwards(planes: np.ndarray, is_fixed: np.ndarray, left_out: np.ndarray, inside: np.ndarray, reach: float) -> np.ndarray:
-    """Planes [k, 4], those that are not fixed moved so far in that their solid ends where the planes left out end it.
+def _move_planes_inwards(
+    planes: np.ndarray, is_fixed: np.ndarray, left_out: np.ndarray, inside: np.ndarray, reach: float
+) -> np.ndarray:
+    """Planes [k, 4], those that are not fixed moved so far in that their solid ends where the
+    planes left out end it.
 
-    A solid that is too large would overlap with a piece that touches none of the surface; one that is too small far from its panel
-    has next to no part in a contact there.
+    A solid that is too large would overlap with a piece that touches none of the surface; one that
+    is too small far from its panel has next to no part in a contact there.
     """
     from scipy.spatial import HalfspaceIntersection, QhullError
 
@@ -237,7 +286,9 @@ def _move_planes_inwards(planes: np.ndarray, is_fixed: np.ndarray, left_out: np.
     return rows[: len(planes)]
 
 
-def _label_surfaces(panels: Sequence[Group], normals: np.ndarray, beyond: list[list[list[int]]]) -> np.ndarray:
+def _label_surfaces(
+    panels: Sequence[Group], normals: np.ndarray, beyond: list[list[list[int]]]
+) -> np.ndarray:
     """The number of the surface of each panel, [W]; -1 where it is one by itself."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -247,11 +298,17 @@ def _label_surfaces(panels: Sequence[Group], normals: np.ndarray, beyond: list[l
     graph = coo_array((np.ones(len(rows)), (rows, columns)), shape=(len(panels), len(panels)))
     _, labels = connected_components(graph, directed=False)
     has_seam = np.array([any(map(bool, edges)) for edges in beyond])
-    return _compact_labels(np.where(has_seam, _merge_coplanar_labels(panels, normals, labels, has_seam), -1))
+    return _compact_labels(
+        np.where(has_seam, _merge_coplanar_labels(panels, normals, labels, has_seam), -1)
+    )
 
 
-def _merge_coplanar_labels(panels: Sequence[Group], normals: np.ndarray, labels: np.ndarray, has_seam: np.ndarray) -> np.ndarray:
-    """The labels, the same for surfaces of one group with panels in one plane: a piece that lies on both has one contact."""
+def _merge_coplanar_labels(
+    panels: Sequence[Group], normals: np.ndarray, labels: np.ndarray, has_seam: np.ndarray
+) -> np.ndarray:
+    """The labels, the same for surfaces of one group with panels in one plane: a piece that lies on
+    both has one contact.
+    """
     labels = labels.copy()
     known = np.flatnonzero(has_seam).tolist()
     for n, i in enumerate(known):

@@ -16,8 +16,14 @@ Parameters = Mapping[str, Any]
 
 
 def find_parameters(scene: Scene) -> dict[str, np.ndarray]:
-    """Key -> value of all keys that are marked and set, in double precision; without switches that are off."""
-    found = {key: value for key, value, mark in _marked_keys(scene) if value is not None and not _is_off(value, mark)}
+    """Key -> value of all keys that are marked and set, in double precision; without switches that
+    are off.
+    """
+    found = {
+        key: value
+        for key, value, mark in _marked_keys(scene)
+        if value is not None and not _is_off(value, mark)
+    }
     return {key: np.asarray(value, float) for key, value in found.items()}
 
 
@@ -32,7 +38,9 @@ def is_left_out(scene: Scene, key: str) -> bool:
 
 
 def insert_values(scene: Scene, values: Parameters) -> Scene:
-    """The scene with values at some keys, which nothing checks: they may stand for any number, or be None."""
+    """The scene with values at some keys, which nothing checks: they may stand for any number, or
+    be None.
+    """
     changed: Any = scene
     for key, value in values.items():
         changed = _insert(changed, key.split("."), _as_in_scene(value))
@@ -40,7 +48,9 @@ def insert_values(scene: Scene, values: Parameters) -> Scene:
 
 
 def _marked_keys(scene: Scene) -> Iterator[tuple[str, Any, ParameterMark]]:
-    """Key, value and mark of all fields of a scene that have one; of unset ones those that are inherited."""
+    """Key, value and mark of all fields of a scene that have one; of unset ones those that are
+    inherited.
+    """
     for path, section in _sections("", scene):
         for name, field in type(section).model_fields.items():
             for mark in field.metadata:
@@ -52,7 +62,9 @@ def _marked_keys(scene: Scene) -> Iterator[tuple[str, Any, ParameterMark]]:
 def _sections(path: str, section: Section) -> Iterator[tuple[str, Section]]:
     """Path and section of all sections in one, itself first."""
     yield path, section
-    below = {name: getattr(section, name) for name in type(section).model_fields} | (section.model_extra or {})
+    below = {name: getattr(section, name) for name in type(section).model_fields} | (
+        section.model_extra or {}
+    )
     for name, item in below.items():
         rows = {f"{path}{name}.": item}
         if isinstance(item, tuple):

@@ -36,7 +36,7 @@ def _split_shape(shape: Shape) -> list[PiecePart]:
         return [PiecePart(shape, np.zeros(3), -1, None)]
     turn = quaternion_to_matrix(shape.principal)
     rows = zip(shape.parts, shape.joint_labels, find_continuations(shape), strict=True)
-    framed = lambda s: replace(s, principal=shape.principal)  # noqa: E731
+    framed = lambda s: replace(s, principal=shape.principal)
     return [
         PiecePart(
             framed(part.shape),
@@ -57,7 +57,9 @@ def build_part_arrays(solids: list[list[PiecePart]]) -> Parts:
         owner = as_array(np.repeat(np.arange(len(solids)), [len(row) for row in solids]))
         centre = as_array(np.array([solid.centre for solid in every]).T)
         names = [(n, solid.label) for n, row in enumerate(solids) for solid in row]
-        number = {name: k for k, name in enumerate(dict.fromkeys(name for name in names if name[1] >= 0))}
+        number = {
+            name: k for k, name in enumerate(dict.fromkeys(name for name in names if name[1] >= 0))
+        }
         surface = as_array(np.array([number.get(name, -1) for name in names])) if number else None
     return Parts(
         owner=owner,
@@ -70,8 +72,11 @@ def build_part_arrays(solids: list[list[PiecePart]]) -> Parts:
     )
 
 
-def build_body_hulls(solids: list[list[PiecePart]], plates: list[Shape], seams: list[PanelSeams] | None) -> tuple[Hulls | None, np.ndarray]:
-    """The table of hulls of parts and panels (None where all parts are spheres), and the row of each of them.
+def build_body_hulls(
+    solids: list[list[PiecePart]], plates: list[Shape], seams: list[PanelSeams] | None
+) -> tuple[Hulls | None, np.ndarray]:
+    """The table of hulls of parts and panels (None where all parts are spheres), and the row of
+    each of them.
 
     seams: of each panel, as ``hull_table.build_hull_table`` takes them.
     """
@@ -90,4 +95,6 @@ def build_body_hulls(solids: list[list[PiecePart]], plates: list[Shape], seams: 
     if seams:
         seams = [NO_SEAMS] * len(distinct) + seams
     more = [*[solid.continued for solid in distinct], *[None] * len(plates)]
-    return hull_table.build_hull_table(every, np.float64, seams, more if any(more) else None), np.array(index, int)
+    return hull_table.build_hull_table(
+        every, np.float64, seams, more if any(more) else None
+    ), np.array(index, int)

@@ -14,7 +14,17 @@ from dem_jax.assembly.assembly_cache import AssemblyCache
 from dem_jax.assembly.finiteness_check import check_pieces
 from dem_jax.assembly.stl_unit_check import check_stl_unit
 from dem_jax.errors import SceneError
-from dem_jax.scene import SHAPE_KEYS, BodyMass, ConvexShape, Part, PieceShape, Portion, Product, Scene, placement
+from dem_jax.scene import (
+    SHAPE_KEYS,
+    BodyMass,
+    ConvexShape,
+    Part,
+    PieceShape,
+    Portion,
+    Product,
+    Scene,
+    placement,
+)
 from dem_jax.scene.array_namespace import as_float_array
 from dem_jax.scene.material_properties import MaterialTable, build_material_table, find_piece_rows
 from dem_jax.scene.sections.contact import HERTZIAN_LAWS
@@ -29,37 +39,59 @@ REQUIRED_SIZES = {
     "compound": ("part",),
     "decomposed": ("stl",),
 }
-SIZES = frozenset().union(*SHAPE_KEYS.values()) - {"unit"}  # keys that belong to some shapes only; unit is never unset
+SIZES = frozenset().union(*SHAPE_KEYS.values()) - {"unit"}  # keys that belong to some shapes only;
+# unit is never unset
 
 
 def make_shape(row: PieceShape, folder: str | Path = ".") -> shapes.Shape:
-    """The shape that a scene names, scaled; STL files are looked for in a folder. Raises SceneError."""
+    """The shape that a scene names, scaled; STL files are looked for in a folder. Raises
+    SceneError.
+    """
     given = _collect_sizes(row)
     if row.shape == "compound":
         return shapes.scale_shape(_compound_from_row(row, folder), row.scale_factor)
     if row.shape == "decomposed":
-        return shapes.scale_shape(shapes.make_decomposed_shape(Path(folder) / given["stl"], row.unit, **_decomposition_options(row))[0], row.scale_factor)
+        return shapes.scale_shape(
+            shapes.make_decomposed_shape(
+                Path(folder) / given["stl"], row.unit, **_decomposition_options(row)
+            )[0],
+            row.scale_factor,
+        )
     if row.shape == "tube":
         return shapes.scale_shape(shapes.tube(**given), row.scale_factor)
     if row.shape == "hull":
         found = _make_hull(row, folder)
-        shape = found.shape if found.mass is None else shapes.replace_mass(found.shape, found.centre, found.mass)
+        shape = (
+            found.shape
+            if found.mass is None
+            else shapes.replace_mass(found.shape, found.centre, found.mass)
+        )
         return shapes.scale_shape(shape, row.scale_factor)
     return _make_convex_shape(row, folder)[0]
 
 
 def _collect_sizes(row: ConvexShape) -> dict[str, Any]:
-    """The sizes of a shape that are set. Raises SceneError for those of other shapes, and for one that it needs."""
-    given = {k: getattr(row, k) for k in sorted(SIZES & set(type(row).model_fields)) if getattr(row, k) not in (None, ())}
+    """The sizes of a shape that are set. Raises SceneError for those of other shapes, and for one
+    that it needs.
+    """
+    given = {
+        k: getattr(row, k)
+        for k in sorted(SIZES & set(type(row).model_fields))
+        if getattr(row, k) not in (None, ())
+    }
     stray = sorted(set(given) - SHAPE_KEYS[row.shape])
     if stray:
         allowed = ", ".join(sorted(SHAPE_KEYS[row.shape]))
-        raise SceneError(f"{stray[0]} = {given[stray[0]]}: not a key of shape {row.shape!r}; allowed: {allowed}")
+        raise SceneError(
+            f"{stray[0]} = {given[stray[0]]}: not a key of shape {row.shape!r}; allowed: {allowed}"
+        )
     if row.shape == "hull" and (row.points is None) == (row.stl is None):
         raise SceneError("shape 'hull': points, stl: exactly one of the two must be given")
     for key in ("hull_tolerance",) if row.stl is None else ("mass_properties",):
         if row.shape == "hull" and given.get(key) is not None:
-            other = "stl, whose own mass properties count" if row.stl else "points, whose hull is exact"
+            other = (
+                "stl, whose own mass properties count" if row.stl else "points, whose hull is exact"
+            )
             raise SceneError(f"{key}: no effect beside {other}")
     for key in REQUIRED_SIZES.get(row.shape, ()):
         if key not in given:
@@ -68,8 +100,9 @@ def _collect_sizes(row: ConvexShape) -> dict[str, Any]:
 
 
 def _make_convex_shape(row: ConvexShape, folder: str | Path) -> tuple[shapes.Shape, np.ndarray]:
-    """A convex shape, scaled, and its centre of mass [3] (m) in the frame of its points or its STL, else zero. Raises
-    SceneError."""
+    """A convex shape, scaled, and its centre of mass [3] (m) in the frame of its points or its STL,
+    else zero. Raises SceneError.
+    """
     given = _collect_sizes(row)
     if row.shape == "hull":
         found = _make_hull(row, folder)
@@ -82,7 +115,9 @@ def _make_convex_shape(row: ConvexShape, folder: str | Path) -> tuple[shapes.Sha
 def _make_hull(row: ConvexShape, folder: str | Path) -> shapes.MeshHull:
     """The hull of a row before scaling, of few corners, with what reading and simplifying changed."""
     if row.stl is not None:
-        found = shapes.read_hull(Path(folder) / row.stl, row.unit, row.hull_tolerance or shapes.HULL_TOLERANCE)
+        found = shapes.read_hull(
+            Path(folder) / row.stl, row.unit, row.hull_tolerance or shapes.HULL_TOLERANCE
+        )
         check_stl_unit(row, row.stl, [found.shape.vertices])
     else:
         mass = _given_mass_properties(row.mass_properties) if isinstance(row, PieceShape) else None
@@ -91,25 +126,41 @@ def _make_hull(row: ConvexShape, folder: str | Path) -> shapes.MeshHull:
     if len(found.shape.vertices) <= most:
         return found
     fewer = shapes.simplify_hull(found.shape.vertices + found.centre, most)
-    return shapes.MeshHull(*shapes.hull_and_centre(fewer.points), found.mass, (*found.notes, str(fewer)))
+    return shapes.MeshHull(
+        *shapes.hull_and_centre(fewer.points), found.mass, (*found.notes, str(fewer))
+    )
 
 
 def _given_mass_properties(given: BodyMass | None) -> shapes.MassProperties | None:
     """Mass properties that a row gives."""
-    return None if given is None else shapes.require_mass_properties(given.volume, given.centre, given.gyration)
+    return (
+        None
+        if given is None
+        else shapes.require_mass_properties(given.volume, given.centre, given.gyration)
+    )
 
 
 def _compound_from_row(row: PieceShape, folder: str | Path) -> shapes.Shape:
     placed = []
     for n, part in enumerate(row.part):
         shape, centre = call_with_key(f"part.{n}", _make_convex_shape, part, folder)
-        placed.append(shapes.PlacedShape(shape, centre if part.position is None else part.position, part.orientation))
-    return shapes.make_compound(placed, _given_mass_properties(row.mass_properties), row.joint_tolerance or shapes.TOLERANCE)
+        placed.append(
+            shapes.PlacedShape(
+                shape, centre if part.position is None else part.position, part.orientation
+            )
+        )
+    return shapes.make_compound(
+        placed, _given_mass_properties(row.mass_properties), row.joint_tolerance or shapes.TOLERANCE
+    )
 
 
 def _decomposition_options(row: PieceShape) -> dict[str, Any]:
     """How an STL is decomposed: what the row says of it."""
-    return {k: getattr(row, k) for k in ("concavity", "max_parts", "loss", "max_corners") if getattr(row, k) is not None}
+    return {
+        k: getattr(row, k)
+        for k in ("concavity", "max_parts", "loss", "max_corners")
+        if getattr(row, k) is not None
+    }
 
 
 @dataclass(frozen=True)
@@ -118,13 +169,16 @@ class PieceSet:
 
     shapes: tuple[shapes.Shape, ...]  # of each piece, scaled; one object where pieces are alike
     materials: tuple[str | None, ...]  # name of the material of each, None: [material] itself
-    numbers: tuple[int, ...]  # pieces of the portion, with a feeder on it, with an inlet those that wait; () of pieces listed
-    densities: tuple[float | None, ...]  # of each (kg/m3), where its weight is given; None: that of its material
+    numbers: tuple[int, ...]  # pieces of the portion, with a feeder on it, with an inlet those that
+    # wait; () of pieces listed
+    densities: tuple[float | None, ...]  # of each (kg/m3), where its weight is given; None: that of
+    # its material
 
 
 def build_piece_set(scene: Scene, reuse: AssemblyCache | None = None) -> PieceSet:
-    """The pieces of a scene: as listed, or of a portion product by product, then those on the feeder. reuse: of scenes before.
-    Raises SceneError."""
+    """The pieces of a scene: as listed, or of a portion product by product, then those on the
+    feeder. reuse: of scenes before. Raises SceneError.
+    """
     reuse = reuse or AssemblyCache()
     if scene.piece:
         listed = _make_row_shapes(scene.piece, "piece.{}", scene.folder, reuse)
@@ -148,14 +202,30 @@ def build_piece_set(scene: Scene, reuse: AssemblyCache | None = None) -> PieceSe
 
 
 def reuse_piece_set(scene: Scene, table: MaterialTable, reuse: AssemblyCache) -> PieceSet:
-    """As ``build_piece_set``, those of the scene before where all that they are made from is the same. Raises SceneError."""
-    made_from = (scene.piece, scene.portion, scene.feeder, scene.inlet, scene.folder, material_inputs(scene, table))
+    """As ``build_piece_set``, those of the scene before where all that they are made from is the
+    same. Raises SceneError.
+    """
+    made_from = (
+        scene.piece,
+        scene.portion,
+        scene.feeder,
+        scene.inlet,
+        scene.folder,
+        material_inputs(scene, table),
+    )
     return reuse.get("goods", lambda: build_piece_set(scene, reuse), made_from)
 
 
 def material_inputs(scene: Scene, table: MaterialTable) -> tuple[Any, ...]:
-    """What goods and their arrays are made from besides their sections: densities, names, whether of walls, and the size L."""
-    return tuple(table.density.tolist()), table.names, table.is_wall.tolist(), scene.material.stiffness_size
+    """What goods and their arrays are made from besides their sections: densities, names, whether
+    of walls, and the size L.
+    """
+    return (
+        tuple(table.density.tolist()),
+        table.names,
+        table.is_wall.tolist(),
+        scene.material.stiffness_size,
+    )
 
 
 def make_portion_shapes(scene: Scene, reuse: AssemblyCache | None = None) -> list[shapes.Shape]:
@@ -176,12 +246,16 @@ def _size_or_weight_spread(row: Product | Portion) -> tuple[float, bool]:
     return (row.piece_weight_spread if by_weight else row.size_spread), by_weight
 
 
-def compute_densities(table: MaterialTable, materials: Sequence[str | None], own: Sequence[float | None]) -> np.ndarray:
+def compute_densities(
+    table: MaterialTable, materials: Sequence[str | None], own: Sequence[float | None]
+) -> np.ndarray:
     """[N] (kg/m3) of pieces of materials by name, or their own."""
     found = table.density[find_piece_rows(table, materials)]
     if all(one is None for one in own):
         return found
-    return as_float_array([density if one is None else one for one, density in zip(own, found, strict=True)])
+    return as_float_array(
+        [density if one is None else one for one, density in zip(own, found, strict=True)]
+    )
 
 
 def compute_masses(goods: PieceSet, table: MaterialTable) -> np.ndarray:
@@ -196,7 +270,9 @@ def make_piece_shapes(scene: Scene) -> list[shapes.Shape]:
     return list(build_piece_set(scene).shapes)
 
 
-def _make_row_shapes(rows: Sequence[PieceShape], key: str, folder: str, reuse: AssemblyCache) -> list[shapes.Shape]:
+def _make_row_shapes(
+    rows: Sequence[PieceShape], key: str, folder: str, reuse: AssemblyCache
+) -> list[shapes.Shape]:
     made = reuse.get("shapes", dict[str, shapes.Shape], (folder,))
     out = []
     for n, row in enumerate(rows):
@@ -207,18 +283,35 @@ def _make_row_shapes(rows: Sequence[PieceShape], key: str, folder: str, reuse: A
     return out
 
 
-def count_portion_pieces(scene: Scene, of: Portion, made: Sequence[shapes.Shape]) -> list[tuple[int, ...]]:
-    """Pieces of each product (shapes ``made``): of the portion, on the feeder if there is one, and of those that wait for an inlet
-    if there is one (by default as many)."""
+def count_portion_pieces(
+    scene: Scene, of: Portion, made: Sequence[shapes.Shape]
+) -> list[tuple[int, ...]]:
+    """Pieces of each product (shapes ``made``): of the portion, on the feeder if there is one, and
+    of those that wait for an inlet if there is one (by default as many).
+    """
     table = build_material_table(scene)
-    own = [_density_from_weight(row, shape) for row, shape in zip(of.product_rows, made, strict=True)]
-    mass = compute_densities(table, [row.material for row in of.product_rows], own) * np.array([shape.volume for shape in made])
+    own = [
+        _density_from_weight(row, shape) for row, shape in zip(of.product_rows, made, strict=True)
+    ]
+    mass = compute_densities(table, [row.material for row in of.product_rows], own) * np.array(
+        [shape.volume for shape in made]
+    )
     spread, of_weight = zip(*map(_size_or_weight_spread, of.product_rows), strict=True)
-    mix = portion_counts.ProductMix(mass, np.array([row.share for row in of.product] or [1.0]), np.array(spread), of.share_by, of_weight)
+    mix = portion_counts.ProductMix(
+        mass,
+        np.array([row.share for row in of.product] or [1.0]),
+        np.array(spread),
+        of.share_by,
+        of_weight,
+    )
     if not of.count:
         with np.errstate(divide="ignore"):
             each = mix.share / mix.share.sum()
-            check_pieces(scene, of.target_weight * float(np.sum(each / mass) if of.share_by == "weight" else 1 / (each @ mass)))
+            check_pieces(
+                scene,
+                of.target_weight
+                * float(np.sum(each / mass) if of.share_by == "weight" else 1 / (each @ mass)),
+            )
     if of.count:
         held = portion_counts.apportion_count(mix, of.count)
     elif of.product or any(spread):
@@ -227,7 +320,13 @@ def count_portion_pieces(scene: Scene, of: Portion, made: Sequence[shapes.Shape]
         held = (placement.count_pieces(of.target_weight, float(mass[0])),)
     more = [scene.feeder.count] if scene.feeder else []
     more += [scene.inlet.waiting] if scene.inlet else []
-    return [held, *(held if count is None else portion_counts.apportion_by_remainder(np.array(held), count) for count in more)]
+    return [
+        held,
+        *(
+            held if count is None else portion_counts.apportion_by_remainder(np.array(held), count)
+            for count in more
+        ),
+    ]
 
 
 def call_with_key(key: str, function: Callable, *arguments: Any) -> Any:
@@ -246,34 +345,53 @@ def find_distinct_shapes(made: Sequence[shapes.Shape]) -> tuple[list[shapes.Shap
 
 
 def inline_shape_points(row: PieceShape, folder: str | Path) -> PieceShape:
-    """The row with the corners of the STL that it names, whole or cut into parts; others as they are. Raises SceneError."""
+    """The row with the corners of the STL that it names, whole or cut into parts; others as they
+    are. Raises SceneError.
+    """
     given = _collect_sizes(row)
     if row.shape == "decomposed":
-        cut = shapes.decompose_mesh(Path(folder) / given["stl"], row.unit, **_decomposition_options(row))
+        cut = shapes.decompose_mesh(
+            Path(folder) / given["stl"], row.unit, **_decomposition_options(row)
+        )
         check_stl_unit(row, given["stl"], cut.points)
         return _decomposed_row(row, cut)
     if row.shape == "compound":
-        parts = [call_with_key(f"part.{n}", _inline_part_points, part, folder) for n, part in enumerate(row.part)]
+        parts = [
+            call_with_key(f"part.{n}", _inline_part_points, part, folder)
+            for n, part in enumerate(row.part)
+        ]
         notes = [f"part.{n}: {what}" for n, (_, what) in enumerate(parts) if what]
-        return row.model_copy(update={"part": tuple(part for part, _ in parts)} | _append_note(row, notes))
+        return row.model_copy(
+            update={"part": tuple(part for part, _ in parts)} | _append_note(row, notes)
+        )
     if row.shape != "hull":
         return row
     found = _make_hull(row, folder)
     if row.stl is None and not found.notes:
         return row
     points: dict[str, Any] = {"stl": None, "unit": 1.0, "max_corners": None, "hull_tolerance": None}
-    points |= {"points": to_point_tuples(found.shape.vertices.tolist()), "mass_properties": _mass_section(found.mass, found.centre)}
+    points |= {
+        "points": to_point_tuples(found.shape.vertices.tolist()),
+        "mass_properties": _mass_section(found.mass, found.centre),
+    }
     said = "; ".join(found.notes)
-    return row.model_copy(update=points | _append_note(row, [f"{row.stl}: {said}" if row.stl else said] if said else []))
+    return row.model_copy(
+        update=points
+        | _append_note(row, [f"{row.stl}: {said}" if row.stl else said] if said else [])
+    )
 
 
 def _mass_section(mass: shapes.MassProperties | None, origin: np.ndarray) -> BodyMass | None:
-    """The section of a scene that gives these mass properties, in axes that begin at an origin [3] (m)."""
+    """The section of a scene that gives these mass properties, in axes that begin at an origin [3]
+    (m).
+    """
     if mass is None:
         return None
     g = mass.gyration.tolist()
     gyration = (g[0][0], g[1][1], g[2][2], g[0][1], g[0][2], g[1][2])
-    return BodyMass(volume=mass.volume, centre=tuple((mass.centre - origin).tolist()), gyration=gyration)
+    return BodyMass(
+        volume=mass.volume, centre=tuple((mass.centre - origin).tolist()), gyration=gyration
+    )
 
 
 def _append_note(row: PieceShape, said: Sequence[str]) -> dict[str, str]:
@@ -288,13 +406,24 @@ def _inline_part_points(part: Part, folder: str | Path) -> tuple[Part, str | Non
     if part.stl is None and not found.notes:
         return part, None
     points = to_point_tuples(((found.shape.vertices + found.centre) * part.scale_factor).tolist())
-    whole = {"stl": None, "unit": 1.0, "scale_factor": 1.0, "max_corners": None, "hull_tolerance": None, "points": points}
+    whole = {
+        "stl": None,
+        "unit": 1.0,
+        "scale_factor": 1.0,
+        "max_corners": None,
+        "hull_tolerance": None,
+        "points": points,
+    }
     return part.model_copy(update=whole), "; ".join(found.notes) or None
 
 
 def _decomposed_row(row: PieceShape, found: shapes.Decomposition) -> PieceShape:
-    """The row of a decomposed STL as a compound of hulls with the mass of the STL; a single part is a hull."""
-    whole: dict[str, Any] = dict.fromkeys(("stl", "concavity", "max_parts", "loss", "max_corners")) | {"unit": 1.0}
+    """The row of a decomposed STL as a compound of hulls with the mass of the STL; a single part is
+    a hull.
+    """
+    whole: dict[str, Any] = dict.fromkeys(
+        ("stl", "concavity", "max_parts", "loss", "max_corners")
+    ) | {"unit": 1.0}
     whole |= _append_note(row, [f"{row.stl}: {'; '.join((*found.notes, str(found)))}"])
     points = [to_point_tuples(part.tolist()) for part in found.points]
     mass = _mass_section(found.mass, np.zeros(3))
@@ -302,19 +431,28 @@ def _decomposed_row(row: PieceShape, found: shapes.Decomposition) -> PieceShape:
         differs = shapes.has_other_mass(*shapes.hull_and_centre(found.points[0]), found.mass)
         own = {"shape": "hull", "points": points[0], "mass_properties": mass if differs else None}
         return inline_shape_points(row.model_copy(update=whole | own), ".")
-    whole_parts = max(16, *map(len, points))  # simplified, they would not be flush where they were cut
+    whole_parts = max(16, *map(len, points))  # simplified, they would not be flush where they were
+    # cut
     parts = tuple(Part(shape="hull", points=each, max_corners=whole_parts) for each in points)
     return row.model_copy(
-        update=whole | {"shape": "compound", "part": parts, "mass_properties": mass, "joint_tolerance": shapes.JOINT_TOLERANCE}
+        update=whole
+        | {
+            "shape": "compound",
+            "part": parts,
+            "mass_properties": mass,
+            "joint_tolerance": shapes.JOINT_TOLERANCE,
+        }
     )
 
 
 def build_piece_arrays(scene: Scene, goods: PieceSet, table: MaterialTable | None = None) -> Pieces:
-    """Arrays of the pieces, in numpy or of traced values. table: materials of the scene, if known. Raises SceneError."""
+    """Arrays of the pieces, in numpy or of traced values. table: materials of the scene, if known.
+    Raises SceneError.
+    """
     table = table or build_material_table(scene)
     row = find_piece_rows(table, goods.materials)
     distinct, index = find_distinct_shapes(goods.shapes)
-    each = lambda value: np.array([value(shape) for shape in distinct])[index]  # noqa: E731
+    each = lambda value: np.array([value(shape) for shape in distinct])[index]
     mass = compute_masses(goods, table)
     return Pieces(
         mass=as_array(mass),
@@ -328,13 +466,18 @@ def build_piece_arrays(scene: Scene, goods: PieceSet, table: MaterialTable | Non
 
 
 def find_piece_size(scene: Scene, law: str) -> float:
-    """The size L (m) of the first piece, from which a contact law takes its stiffness. Raises SceneError."""
-    convention = "equivalent-diameter" if law in HERTZIAN_LAWS else scene.material.stiffness_size  # as of ``Pieces``
+    """The size L (m) of the first piece, from which a contact law takes its stiffness. Raises
+    SceneError.
+    """
+    # as of ``Pieces``
+    convention = "equivalent-diameter" if law in HERTZIAN_LAWS else scene.material.stiffness_size
     return shapes.size_length(build_piece_set(scene).shapes[0], convention)
 
 
 def _smallest_width(shape: shapes.Shape) -> float:
-    """Smallest width (m): least extent along the normal of a face; of several parts that of the narrowest."""
+    """Smallest width (m): least extent along the normal of a face; of several parts that of the
+    narrowest.
+    """
     if shape.radius > 0:
         return 2 * shape.radius
     if shape.parts:

@@ -1,4 +1,6 @@
-"""How many pieces of each product a portion has, and of which sizes. All from the scene alone: the seed decides places."""
+"""How many pieces of each product a portion has, and of which sizes. All from the scene alone: the
+seed decides places.
+"""
 
 from dataclasses import dataclass
 from itertools import product
@@ -23,13 +25,17 @@ class ProductMix:
 
     def product_sizes(self, k: int, number: int) -> np.ndarray:
         """Linear sizes [number] of the pieces of product k, see ``distribute_sizes``."""
-        return distribute_sizes(number, float(self.spread[k]), bool(self.is_by_weight) and self.is_by_weight[k])
+        return distribute_sizes(
+            number, float(self.spread[k]), bool(self.is_by_weight) and self.is_by_weight[k]
+        )
 
 
 def distribute_sizes(number: int, spread: float, of_weight: bool = False) -> np.ndarray:
-    """Linear sizes [number] of the pieces of a product relative to the nominal one, in ascending order.
+    """Linear sizes [number] of the pieces of a product relative to the nominal one, in ascending
+    order.
 
-    Where the spread is that of the weight, the weights have a mean of exactly that of the nominal piece.
+    Where the spread is that of the weight, the weights have a mean of exactly that of the nominal
+    piece.
     """
     values = _lognormal_quantiles(number, spread)
     return np.cbrt(values) if of_weight else values
@@ -38,9 +44,10 @@ def distribute_sizes(number: int, spread: float, of_weight: bool = False) -> np.
 def _lognormal_quantiles(number: int, spread: float) -> np.ndarray:
     """Values [number] about 1 in ascending order.
 
-    Quantiles of a lognormal distribution at (i + 1/2) / number, clipped at three standard deviations; of more than 16
-    pieces put into 16 classes of equal width in the logarithm, each with the mean of its pieces. Then shifted and
-    stretched so that the mean is exactly 1 and the standard deviation exactly ``spread``. One piece has value 1.
+    Quantiles of a lognormal distribution at (i + 1/2) / number, clipped at three standard
+    deviations; of more than 16 pieces put into 16 classes of equal width in the logarithm, each
+    with the mean of its pieces. Then shifted and stretched so that the mean is exactly 1 and the
+    standard deviation exactly ``spread``. One piece has value 1.
     """
     if spread < NARROWEST or number < 2:
         return np.ones(number)
@@ -54,16 +61,21 @@ def _lognormal_quantiles(number: int, spread: float) -> np.ndarray:
 
 
 def apportion_weight(mix: ProductMix, target: float) -> tuple[int, ...]:
-    """Pieces [K] of each product for a weight (kg): eq. 16 for each with its part, and its mean mass where sizes spread.
+    """Pieces [K] of each product for a weight (kg): eq. 16 for each with its part, and its mean
+    mass where sizes spread.
 
-    Each number is rounded up or down, all so that the total weight is nearest to the target; of ways that are equally
-    near, so that the numbers are nearest to the exact ones. At least one piece.
+    Each number is rounded up or down, all so that the total weight is nearest to the target; of
+    ways that are equally near, so that the numbers are nearest to the exact ones. At least one
+    piece.
     """
     exact = _exact_counts(mix, target)
     below = np.floor(exact).astype(int)
     ways = below + np.array(list(product((0, 1), repeat=len(exact))))  # [2^K, K]
     ways = ways[ways.sum(1) > 0]
-    weight = np.array([[_product_weight(mix, k, n) for n in (low, low + 1)] for k, low in enumerate(below)])  # [K, 2]
+    # [K, 2]
+    weight = np.array(
+        [[_product_weight(mix, k, n) for n in (low, low + 1)] for k, low in enumerate(below)]
+    )
     total = weight[np.arange(len(exact)), ways - below].sum(1)
     off = np.round(np.abs(total - target) / target, 12)  # equal but for rounding is equal
     best = np.lexsort((((ways - exact) ** 2).sum(1), off))[0]
@@ -72,12 +84,18 @@ def apportion_weight(mix: ProductMix, target: float) -> tuple[int, ...]:
 
 def apportion_count(mix: ProductMix, count: int) -> tuple[int, ...]:
     """Pieces [K] of each product for a number of all pieces, by largest remainder."""
-    each = mix.share if mix.share_by == "count" else mix.share / (mix.mass * _mean_cubes(mix, np.full(len(mix.mass), count)))
+    each = (
+        mix.share
+        if mix.share_by == "count"
+        else mix.share / (mix.mass * _mean_cubes(mix, np.full(len(mix.mass), count)))
+    )
     return apportion_by_remainder(each, count)
 
 
 def apportion_by_remainder(parts: np.ndarray, count: int) -> tuple[int, ...]:
-    """Whole numbers [K] in proportion to the parts that add up to a count: the largest remainders are rounded up."""
+    """Whole numbers [K] in proportion to the parts that add up to a count: the largest remainders
+    are rounded up.
+    """
     exact = count * np.asarray(parts, float) / np.sum(parts)
     number = np.floor(np.round(exact, 9)).astype(int)
     most = np.argsort(-(exact - number), kind="stable")
@@ -90,14 +108,20 @@ def _exact_counts(mix: ProductMix, target: float) -> np.ndarray:
     exact = np.full(len(mix.mass), 1000.0)
     for _ in range(4 if mix.spread.any() else 1):
         mean = mix.mass * _mean_cubes(mix, exact)
-        per_share = mean if mix.share_by == "weight" else np.full(len(mean), mix.share @ mean / mix.share.sum())
+        per_share = (
+            mean
+            if mix.share_by == "weight"
+            else np.full(len(mean), mix.share @ mean / mix.share.sum())
+        )
         exact = target * mix.share / mix.share.sum() / per_share
     return exact
 
 
 def _mean_cubes(mix: ProductMix, numbers: np.ndarray) -> np.ndarray:
     """Mean of the cube of the relative size [K], of so many pieces of each product."""
-    return np.array([np.mean(mix.product_sizes(k, max(1, round(n))) ** 3) for k, n in enumerate(numbers)])
+    return np.array(
+        [np.mean(mix.product_sizes(k, max(1, round(n))) ** 3) for k, n in enumerate(numbers)]
+    )
 
 
 def _product_weight(mix: ProductMix, k: int, number: int) -> float:

@@ -1,11 +1,14 @@
-"""What single precision does not resolve, said before a run begins: impacts that are slow and stiff, places far from the origin.
+"""What single precision does not resolve, said before a run begins: impacts that are slow and
+stiff, places far from the origin.
 
-Of an overlap s single precision knows about 1e-8 of the piece's size L, and an impact presses bodies in by about v / omega.
-Measured, NSF = 1, against double precision: of 240 landings of tilted marshmallows (120 orientations, at the origin and 0.5 m away)
-the peak force is off by at most 0.05 % and the motion by 0.05 % of the impact speed from 2e-5 to 0.002 m/s, with half of the
-automatic step or less (0.13 % in one other); with the whole of it by 0.29 % and 0.26 %, which the moment of first touch within a
-step makes in double precision too. At 5e-6 m/s a fifth is not seen at all. Far from the origin the peak force of a softened impact
-is off by 3e-6 at 1 m, 0.015 % at 100 m, 0.3 % at 10 km.
+Of an overlap s single precision knows about 1e-8 of the piece's size L, and an impact presses
+bodies in by about v / omega. Measured, NSF = 1, against double precision: of 240 landings of tilted
+marshmallows (120 orientations, at the origin and 0.5 m away) the peak force is off by at most 0.05
+% and the motion by 0.05 % of the impact speed from 2e-5 to 0.002 m/s, with half of the automatic
+step or less (0.13 % in one other); with the whole of it by 0.29 % and 0.26 %, which the moment of
+first touch within a step makes in double precision too. At 5e-6 m/s a fifth is not seen at all. Far
+from the origin the peak force of a softened impact is off by 3e-6 at 1 m, 0.015 % at 100 m, 0.3 %
+at 10 km.
 """
 
 import numpy as np
@@ -14,7 +17,8 @@ from dem_jax.assembly.system import AssembledSystem
 from dem_jax.dynamics.presence import find_present
 from dem_jax.scene import Scene
 
-RESOLVED_SHARE = float(np.finfo(np.float32).eps)  # of the size: less overlap than this may be lost in rounding
+RESOLVED_SHARE = float(np.finfo(np.float32).eps)  # of the size: less overlap than this may be lost
+# in rounding
 FAR_DISTANCE = 1.0  # m from the origin
 
 
@@ -24,23 +28,36 @@ def note_low_precision(scene: Scene, built: AssembledSystem) -> str | None:
         return None
     present = find_present(built.system, built.state)
     there = slice(None) if present is None else np.asarray(present)
-    position, velocity = (np.asarray(x, float)[:, there] for x in (built.state.position, built.state.velocity))
+    position, velocity = (
+        np.asarray(x, float)[:, there] for x in (built.state.position, built.state.velocity)
+    )
     said = []
     away = float(np.abs(position).max())
     if away > FAR_DISTANCE:
-        said.append(f"pieces are up to {away:.3g} m from the origin (peak forces are off by 0.015 % at 100 m, 0.3 % at 10 km)")
+        said.append(
+            f"pieces are up to {away:.3g} m from the origin (peak forces are off by 0.015 % at 100 m, 0.3 % at 10 km)"
+        )
     speed = _fastest_impact(scene, built, position, velocity)
-    overlap, size = speed * built.shortest_contact_time * 2 / np.pi, float(np.min(np.asarray(built.system.pieces.size)))
+    overlap, size = (
+        speed * built.shortest_contact_time * 2 / np.pi,
+        float(np.min(np.asarray(built.system.pieces.size))),
+    )
     if 0 < overlap < RESOLVED_SHARE * size:
         least = f"of less than {RESOLVED_SHARE * size:.1g} m little is left"
-        said.append(f"impacts of up to {speed:.2g} m/s press pieces in by about {overlap:.1g} m ({least})")
+        said.append(
+            f"impacts of up to {speed:.2g} m/s press pieces in by about {overlap:.1g} m ({least})"
+        )
     if not said:
         return None
     return f"run.precision = f32: {'; '.join(said)}: single precision does not resolve that, run.precision = f64 does"
 
 
-def _fastest_impact(scene: Scene, built: AssembledSystem, position: np.ndarray, velocity: np.ndarray) -> float:
-    """Speed (m/s) that a piece can have at an impact: its own and that of a fall to the lowest wall; inf where walls move."""
+def _fastest_impact(
+    scene: Scene, built: AssembledSystem, position: np.ndarray, velocity: np.ndarray
+) -> float:
+    """Speed (m/s) that a piece can have at an impact: its own and that of a fall to the lowest
+    wall; inf where walls move.
+    """
     walls, gravity = built.system.walls, np.asarray(scene.run.gravity, float)
     if walls.has_motion:
         return np.inf
@@ -49,6 +66,10 @@ def _fastest_impact(scene: Scene, built: AssembledSystem, position: np.ndarray, 
     if not g or not walls.group.shape[0]:
         return float(np.sqrt(own))
     down = gravity / g
-    centre, turn, extent = (np.asarray(x, float) for x in (walls.centre, walls.rotation, walls.half_extent))
-    lowest = float(np.max(down @ centre + np.sum(extent * np.abs(np.einsum("k,kiw->iw", down, turn)), axis=0)))
+    centre, turn, extent = (
+        np.asarray(x, float) for x in (walls.centre, walls.rotation, walls.half_extent)
+    )
+    lowest = float(
+        np.max(down @ centre + np.sum(extent * np.abs(np.einsum("k,kiw->iw", down, turn)), axis=0))
+    )
     return float(np.sqrt(own + 2 * g * max(0.0, lowest - float(np.min(down @ position)))))

@@ -1,4 +1,6 @@
-"""Whether samples are close enough to show the peak of a contact, and times that are not whole numbers of them."""
+"""Whether samples are close enough to show the peak of a contact, and times that are not whole
+numbers of them.
+"""
 
 from collections.abc import Sequence
 
@@ -10,15 +12,21 @@ from dem_jax.scene.sections.run_settings import RunSettings
 
 ROUNDED = 0.01  # of run.duration: a difference that is not mentioned
 ROUNDED_FRAMES = 0.1  # of run.frames: likewise (the default, 1 ms, is 33 samples of 30 us)
-FEWEST_SAMPLES = 3  # samples in a contact: of half a sine the largest of three evenly spaced is within 1 - sin(pi / 3) = 13 % of its top
+FEWEST_SAMPLES = 3  # samples in a contact: of half a sine the largest of three evenly spaced is
+# within 1 - sin(pi / 3) = 13 % of its top
 
 
 def shortest_contact_time(law: ContactLaw, contacts: Sequence[PossibleContact]) -> float:
-    """How long (s) the shortest of the contacts that a scene can have lasts: a quarter period on the branch that loads and one on
-    the branch that unloads, of the effective mass of an impact off the centre of mass. About: the law's stiffest is taken."""
+    """How long (s) the shortest of the contacts that a scene can have lasts: a quarter period on
+    the branch that loads and one on the branch that unloads, of the effective mass of an impact off
+    the centre of mass. About: the law's stiffest is taken.
+    """
     loading = getattr(law, "loading_step", law.stable_step)
     masses = ((c, c.mass * c.normal_mass_ratio) for c in contacts)
-    twice = [np.min(np.asarray(loading(c.pair, mass)) + np.asarray(law.stable_step(c.pair, mass))) for c, mass in masses]
+    twice = [
+        np.min(np.asarray(loading(c.pair, mass)) + np.asarray(law.stable_step(c.pair, mass)))
+        for c, mass in masses
+    ]
     return 0.25 * np.pi * float(min(twice))  # a step is 2 / omega, a quarter period pi / 2 omega
 
 
@@ -33,7 +41,8 @@ def note_coarse_sampling(sample: float, shortest: float) -> str | None:
 
 
 def note_rounded_times(run: RunSettings, samples: int, frame_every: int) -> list[str]:
-    """Notes on times of a scene that are rounded to whole samples, or that act otherwise than they read.
+    """Notes on times of a scene that are rounded to whole samples, or that act otherwise than they
+    read.
 
     Args:
         run: the section of the scene.
@@ -51,7 +60,11 @@ def note_rounded_times(run: RunSettings, samples: int, frame_every: int) -> list
         found.append(
             f"run.frames = {run.frames:g} s is longer than run.duration = {run.duration:g} s: only the first pose is stored"
         )
-    elif frames_asked and frame_every and abs(frame_every * run.sample / run.frames - 1) > ROUNDED_FRAMES:
+    elif (
+        frames_asked
+        and frame_every
+        and abs(frame_every * run.sample / run.frames - 1) > ROUNDED_FRAMES
+    ):
         found.append(
             f"run.frames = {run.frames:g} s is no multiple of run.sample = {run.sample:g} s: poses are stored every "
             f"{frame_every * run.sample:.4g} s"

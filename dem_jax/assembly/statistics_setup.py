@@ -11,12 +11,21 @@ MOST_PLACES = 4_000_000  # on all panels together
 
 
 def build_collision_bins(scene: Scene, panels: int, dtype: DTypeLike) -> CollisionBins | None:
-    """The speed bins and map cells of the panels, or None if the scene requests no statistics. Raises SceneError."""
+    """The speed bins and map cells of the panels, or None if the scene requests no statistics.
+    Raises SceneError.
+    """
     asked = scene.statistics
     if asked is None:
         return None
     if not 0 < panels * asked.cells**2 <= MOST_PLACES:
         most = int((MOST_PLACES / max(1, panels)) ** 0.5)
         allowed = f"at most {most}" if panels else "no [statistics] in a scene without walls"
-        raise SceneError(f"statistics.cells = {asked.cells}: of {panels} panels; allowed: {allowed}")
-    return CollisionBins(cast_array(asked.slowest, dtype), cast_array(asked.fastest, dtype), asked.speeds, asked.cells)
+        raise SceneError(
+            f"statistics.cells = {asked.cells}: of {panels} panels; allowed: {allowed}"
+        )
+    return CollisionBins(
+        cast_array(asked.slowest, dtype),
+        cast_array(asked.fastest, dtype),
+        asked.speeds,
+        asked.cells,
+    )

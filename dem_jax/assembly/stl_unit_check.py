@@ -1,4 +1,6 @@
-"""The unit of an STL, which the file does not say: a size that only millimetres explain is asked about."""
+"""The unit of an STL, which the file does not say: a size that only millimetres explain is asked
+about.
+"""
 
 from collections.abc import Sequence
 
@@ -10,8 +12,11 @@ from dem_jax.scene import Bucket, ConvexShape, Feeder, Wall
 LARGEST_PIECE, LARGEST_WALL = 1.0, 10.0  # m; a bean in mm taken for m is larger, and so is a bucket
 
 
-def check_stl_unit(row: ConvexShape | Wall | Bucket | Feeder, stl: str | None, points: Sequence[np.ndarray]) -> None:
-    """Raise SceneError for a piece, a wall, a bucket or a feeder whose STL is too large to be in metres, unless it says its unit.
+def check_stl_unit(
+    row: ConvexShape | Wall | Bucket | Feeder, stl: str | None, points: Sequence[np.ndarray]
+) -> None:
+    """Raise SceneError for a piece, a wall, a bucket or a feeder whose STL is too large to be in
+    metres, unless it says its unit.
 
     points: [.., 3] (m) each, corners of the parts or panels of the STL.
     """
@@ -21,4 +26,6 @@ def check_stl_unit(row: ConvexShape | Wall | Bucket | Feeder, stl: str | None, p
     size = np.ptp(np.concatenate(points), axis=0)
     if size.max() > limit:
         words = " x ".join(f"{edge:.4g}" for edge in size)
-        raise SceneError(f"stl = {stl!r} is {words} m large; allowed: unit = 1e-3 if it is in mm, unit = 1.0 if it is in m")
+        raise SceneError(
+            f"stl = {stl!r} is {words} m large; allowed: unit = 1e-3 if it is in mm, unit = 1.0 if it is in m"
+        )

@@ -1,4 +1,6 @@
-"""From a scene to a system and its first state: shapes to tables, materials to stiffness, walls to panels, slots."""
+"""From a scene to a system and its first state: shapes to tables, materials to stiffness, walls to
+panels, slots.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -12,10 +14,26 @@ from numpy.typing import DTypeLike
 from dem_jax.assembly import flap_drive_setup
 from dem_jax.assembly.arrays import Layout, ParameterArrays, find_arrays
 from dem_jax.assembly.assembly_cache import AssemblyCache
-from dem_jax.assembly.capacities import estimate_capacities, estimate_contacts_per_piece, estimate_partition, estimate_row_capacity
+from dem_jax.assembly.capacities import (
+    estimate_capacities,
+    estimate_contacts_per_piece,
+    estimate_partition,
+    estimate_row_capacity,
+)
 from dem_jax.assembly.dtype_cast import cast_array, cast_tree, reuse_array
-from dem_jax.assembly.ensemble_capacity import EnsembleCapacity, pad_initial_conditions, pad_pieces, pad_polytopes
-from dem_jax.assembly.exchange_plan import ExchangePlan, extend_domain, find_waiting_places, list_start_boxes, plan_exchange
+from dem_jax.assembly.ensemble_capacity import (
+    EnsembleCapacity,
+    pad_initial_conditions,
+    pad_pieces,
+    pad_polytopes,
+)
+from dem_jax.assembly.exchange_plan import (
+    ExchangePlan,
+    extend_domain,
+    find_waiting_places,
+    list_start_boxes,
+    plan_exchange,
+)
 from dem_jax.assembly.finiteness_check import MOST_STEPS, check_finite, check_steps
 from dem_jax.assembly.initial_conditions import (
     Box,
@@ -28,7 +46,13 @@ from dem_jax.assembly.initial_conditions import (
 from dem_jax.assembly.load_cell_setup import bound_load_cell_frequency
 from dem_jax.assembly.panel_surfaces import PanelSeams
 from dem_jax.assembly.part_arrays import build_body_hulls, build_part_arrays, list_piece_parts
-from dem_jax.assembly.piece_arrays import PieceSet, call_with_key, find_alike_kinds, inline_shape_points, reuse_piece_set
+from dem_jax.assembly.piece_arrays import (
+    PieceSet,
+    call_with_key,
+    find_alike_kinds,
+    inline_shape_points,
+    reuse_piece_set,
+)
 from dem_jax.assembly.sampling_check import shortest_contact_time
 from dem_jax.assembly.statistics_setup import build_collision_bins
 from dem_jax.assembly.time_step import (
@@ -39,7 +63,12 @@ from dem_jax.assembly.time_step import (
     largest_interaction_range,
     list_possible_contacts,
 )
-from dem_jax.assembly.wall_panels import build_panel_arrays, inline_buckets, inline_wall_panels, lay_out_walls
+from dem_jax.assembly.wall_panels import (
+    build_panel_arrays,
+    inline_buckets,
+    inline_wall_panels,
+    lay_out_walls,
+)
 from dem_jax.contact_laws import ContactLaw
 from dem_jax.contacts.smooth_surfaces import largest_fillet
 from dem_jax.deprecation import accept_former_methods
@@ -52,7 +81,8 @@ from dem_jax.shapes import Shape
 from dem_jax.types import Array, Hulls, Parts, State, System, float_dtype
 from dem_jax.walls import motion
 
-WALL_SECTIONS = ("weigh_bucket", "feed_bucket", "feeder", "drop", "cycle")  # sections of a scene that walls are made of
+WALL_SECTIONS = ("weigh_bucket", "feed_bucket", "feeder", "drop", "cycle")  # sections of a scene
+# that walls are made of
 SKIN_FRACTION = 0.03  # of the width of the narrowest piece: see broad_phase.neighbour_list
 
 
@@ -69,37 +99,61 @@ class AssembledSystem:
     settling_steps: int  # steps before time zero
     samples: int  # to be run
     frame_every: int  # samples between stored frames; 0: none
-    regions: list[Box]  # in which pieces are scattered: of the feed bucket, of the feeder, and where those of an inlet wait
+    regions: list[Box]  # in which pieces are scattered: of the feed bucket, of the feeder, and
+    # where those of an inlet wait
     numbers: tuple[int, ...]  # pieces in each of these boxes; () of pieces listed one by one
-    piece_set: PieceSet  # the pieces before they are anywhere, without those that only fill up the room of an ensemble
+    piece_set: PieceSet  # the pieces before they are anywhere, without those that only fill up the
+    # room of an ensemble
     exchange_plan: ExchangePlan | None  # how pieces come in and leave
-    waiting_places: np.ndarray | None  # [n, 3] (m): where pieces are outside that fill up the room of an ensemble; None: it needs none
+    waiting_places: np.ndarray | None  # [n, 3] (m): where pieces are outside that fill up the room
+    # of an ensemble; None: it needs none
     layout: Layout
     start: InitialConditions  # of the pieces that are not of the lot
 
 
 def assemble_system(
-    scene: Scene, seed: int = 0, law: ContactLaw | None = None, reuse: AssemblyCache | None = None, room: EnsembleCapacity | None = None
+    scene: Scene,
+    seed: int = 0,
+    law: ContactLaw | None = None,
+    reuse: AssemblyCache | None = None,
+    room: EnsembleCapacity | None = None,
 ) -> AssembledSystem:
-    """Everything that a run of the scene needs. law: instead of the scene's; reuse: of scenes that were built before; room: of
-    an ensemble whose runs have different numbers of pieces. Raises SceneError."""
+    """Everything that a run of the scene needs. law: instead of the scene's; reuse: of scenes that
+    were built before; room: of an ensemble whose runs have different numbers of pieces. Raises
+    SceneError.
+    """
     reuse = reuse or AssemblyCache()
     dtype = float_dtype(scene.run.precision)
     table = build_material_table(scene)
-    of_walls = (scene.wall, scene.motion, scene.block, *(getattr(scene, name) for name in WALL_SECTIONS), scene.folder)
+    of_walls = (
+        scene.wall,
+        scene.motion,
+        scene.block,
+        *(getattr(scene, name) for name in WALL_SECTIONS),
+        scene.folder,
+    )
     goods = reuse_piece_set(scene, table, reuse)
-    own = reuse.get("made", lambda: list(goods.shapes), (), goods.shapes)  # not anew where only weights differ
+    own = reuse.get("made", lambda: list(goods.shapes), (), goods.shapes)  # not anew where only
+    # weights differ
     laid = reuse.get("walls", lambda: lay_out_walls(scene), of_walls)
     panels, motions, joint, blocks, regions = laid
-    plan, waiting = plan_exchange(scene, panels, regions, own), goods.numbers[-1] if scene.inlet else 0
+    plan, waiting = (
+        plan_exchange(scene, panels, regions, own),
+        goods.numbers[-1] if scene.inlet else 0,
+    )
     regions = list_start_boxes(scene, panels, regions, goods.numbers, own)
     where = (scene.piece, scene.portion, scene.inlet, goods.numbers, seed)
     start = reuse.get(
-        "start", lambda: place_pieces(scene, own, goods.numbers, regions, np.random.default_rng(seed)), where, (own, laid)
+        "start",
+        lambda: place_pieces(scene, own, goods.numbers, regions, np.random.default_rng(seed)),
+        where,
+        (own, laid),
     )
     largest = max(shape.bounding_radius for shape in own)
     inputs = (table.names, table.is_wall.tolist(), scene.contact, scene.run.precision, largest)
-    fixed, plates, seams = reuse.get("panels", lambda: build_panel_arrays(scene, panels, joint, dtype, largest), inputs, (laid,))
+    fixed, plates, seams = reuse.get(
+        "panels", lambda: build_panel_arrays(scene, panels, joint, dtype, largest), inputs, (laid,)
+    )
     if law is not None:
         accept_former_methods(law)
     layout = Layout(goods, fixed, tuple(blocks), scene.drop.height, law)
@@ -115,7 +169,10 @@ def assemble_system(
         made, pieces, filled = pad_pieces(scene, goods, start, lot, room, reuse)
         arrays = replace(arrays, pieces=pieces)
     parts, convex, hulls, shape_rows = reuse.get(
-        "hulls", lambda: _build_hulls(made, plates, seams, dtype, room), (scene.run.precision, room), (made, plates, seams)
+        "hulls",
+        lambda: _build_hulls(made, plates, seams, dtype, room),
+        (scene.run.precision, room),
+        (made, plates, seams),
     )
     has_hulls = any(shape.radius == 0 for shape in made)
     is_general = hulls is not None and hulls.features is not None
@@ -131,7 +188,13 @@ def assemble_system(
         skin=kept("skin", SKIN_FRACTION * pieces.width.min() + largest_fillet(walls, parts), dtype),
         domain_low=kept("domain_low", domain[0], dtype),
         domain_high=kept("domain_high", domain[1], dtype),
-        capacity=estimate_capacities(len(parts.polytopes), len(parts.spheres), len(panels), is_general, parts.owner is not None),
+        capacity=estimate_capacities(
+            len(parts.polytopes),
+            len(parts.spheres),
+            len(panels),
+            is_general,
+            parts.owner is not None,
+        ),
         touching=estimate_contacts_per_piece(parts, len(panels), is_general),
         neighbours=scene.run.neighbours,
         row_capacity=estimate_row_capacity(convex, scene.run.neighbours),
@@ -151,7 +214,12 @@ def assemble_system(
         runs=1,
         blocks=tuple(b.name for b in blocks),
         quantities=reuse.get(
-            "quantities", lambda: standard_quantities.select_quantities(walls, scene.statistics is not None, plan is not None), (), (walls, plan)
+            "quantities",
+            lambda: standard_quantities.select_quantities(
+                walls, scene.statistics is not None, plan is not None
+            ),
+            (),
+            (walls, plan),
         ),
         **arrays.system_fields(reuse),
     )
@@ -167,7 +235,11 @@ def assemble_system(
 def _turns(arrays: ParameterArrays) -> bool:
     """Whether spheres of these materials may turn."""
     materials = arrays.materials
-    return materials.friction is not None or materials.rolling is not None or bool(np.any(arrays.start.spin))
+    return (
+        materials.friction is not None
+        or materials.rolling is not None
+        or bool(np.any(arrays.start.spin))
+    )
 
 
 def _choose_step(
@@ -180,67 +252,116 @@ def _choose_step(
 ) -> TimeStep:
     """The time step for a number of pieces, and all else that swings. Raises SceneError."""
     if not contacts:
-        raise SceneError(f"{scene.name}: a single piece and no wall: nothing can touch; allowed: another piece, or a [[wall]]")
+        raise SceneError(
+            f"{scene.name}: a single piece and no wall: nothing can touch; allowed: another piece, or a [[wall]]"
+        )
     together = 1 if pieces == len(panels) == 1 else 2
-    more = bound_load_cell_frequency(scene, law, contacts, pieces) + flap_drive_setup.bound_drive_frequency(motions, panels, law, contacts, pieces)
+    more = bound_load_cell_frequency(
+        scene, law, contacts, pieces
+    ) + flap_drive_setup.bound_drive_frequency(motions, panels, law, contacts, pieces)
     return choose_step(scene, law, contacts, together, more)
 
 
 def _find_run_lengths(scene: Scene, step: TimeStep) -> tuple[int, int, int]:
-    """Steps before time zero, samples to be run, and samples between stored frames (0: none). Raises SceneError."""
+    """Steps before time zero, samples to be run, and samples between stored frames (0: none).
+    Raises SceneError.
+    """
     settling = count_settling_samples(scene) * step.substeps
     samples = max(1, round(scene.run.duration / scene.run.sample))
     check_steps(scene, settling, samples, step.substeps, step.dt)
-    frame_every = min(max(1, round(scene.run.frames / scene.run.sample)), MOST_STEPS) if scene.run.frames else 0
+    frame_every = (
+        min(max(1, round(scene.run.frames / scene.run.sample)), MOST_STEPS)
+        if scene.run.frames
+        else 0
+    )
     return settling, samples, frame_every
 
 
 def _build_hulls(
-    made: Sequence[Shape], plates: list[Shape], seams: list[PanelSeams] | None, dtype: DTypeLike, room: EnsembleCapacity | None = None
+    made: Sequence[Shape],
+    plates: list[Shape],
+    seams: list[PanelSeams] | None,
+    dtype: DTypeLike,
+    room: EnsembleCapacity | None = None,
 ) -> tuple[Parts, list[Shape], Hulls | None, Array]:
-    """Arrays of the parts of the pieces, their shapes, the table of hulls of parts and panels (None: all are spheres), and the row
-    of each in it."""
+    """Arrays of the parts of the pieces, their shapes, the table of hulls of parts and panels
+    (None: all are spheres), and the row of each in it.
+    """
     solids = list_piece_parts(made)
     more = pad_polytopes(solids, room, made) if room else []
     table, rows = build_body_hulls([*solids, more], plates, seams)
     count = sum(map(len, solids))
     rows = np.concatenate([rows[:count], rows[count + len(more) :]])
     convex = [solid.shape for row in solids for solid in row]
-    return cast_tree(build_part_arrays(solids), dtype), convex, cast_tree(table, dtype) if table else None, cast_array(rows, np.int32)
+    return (
+        cast_tree(build_part_arrays(solids), dtype),
+        convex,
+        cast_tree(table, dtype) if table else None,
+        cast_array(rows, np.int32),
+    )
 
 
-def _reuse_initial_state(system: System, start: InitialConditions, frames: np.ndarray, step: int, waiting: int, reuse: AssemblyCache) -> State:
-    """The first state; where one of a system of the same form was made, that with this one's own step and motion."""
+def _reuse_initial_state(
+    system: System,
+    start: InitialConditions,
+    frames: np.ndarray,
+    step: int,
+    waiting: int,
+    reuse: AssemblyCache,
+) -> State:
+    """The first state; where one of a system of the same form was made, that with this one's own
+    step and motion.
+    """
     if system.exchanges:  # which count from the first step
         return build_initial_state(system, start, frames, step, waiting)
     leaves, structure = jax.tree.flatten(system)
     form = structure, [leaf.shape for leaf in leaves], system.dt.dtype
-    state = reuse.get("first state", lambda: build_initial_state(system, start, frames, step, waiting), form)
-    moved = lambda: jax.tree.map(jnp.asarray, build_initial_motion(system, start, frames))  # noqa: E731
+    state = reuse.get(
+        "first state", lambda: build_initial_state(system, start, frames, step, waiting), form
+    )
+    moved = lambda: jax.tree.map(jnp.asarray, build_initial_motion(system, start, frames))
     motion = reuse.get("first motion", moved, (), (start, system.pieces))
     return state.replace(step=jnp.asarray(np.int32(step)), motion=motion)
 
 
 def inline_files(scene: Scene) -> Scene:
-    """The scene with the contents of the STL and CSV files that it names in their place. Raises SceneError."""
+    """The scene with the contents of the STL and CSV files that it names in their place. Raises
+    SceneError.
+    """
     whole = inline_buckets(inline_pieces(scene))
-    walls = [panel for n, wall in enumerate(scene.wall) for panel in call_with_key(f"wall.{n}", inline_wall_panels, wall, scene.folder)]
+    walls = [
+        panel
+        for n, wall in enumerate(scene.wall)
+        for panel in call_with_key(f"wall.{n}", inline_wall_panels, wall, scene.folder)
+    ]
     motions = tuple(motion.load_table_rows(row, scene.folder) for row in scene.motion)
     return whole.model_copy(update={"wall": tuple(walls), "motion": motions, "folder": "."})
 
 
 def inline_pieces(scene: Scene) -> Scene:
     """The scene with the contents of the STL files of its pieces in their place. Raises SceneError."""
-    rows = [call_with_key(f"piece.{n}", inline_shape_points, row, scene.folder) for n, row in enumerate(scene.piece)]
-    portion = scene.portion and call_with_key("portion", inline_shape_points, scene.portion, scene.folder)
+    rows = [
+        call_with_key(f"piece.{n}", inline_shape_points, row, scene.folder)
+        for n, row in enumerate(scene.piece)
+    ]
+    portion = scene.portion and call_with_key(
+        "portion", inline_shape_points, scene.portion, scene.folder
+    )
     if portion and portion.product:
-        products = [call_with_key(f"portion.product.{n}", inline_shape_points, row, scene.folder) for n, row in enumerate(portion.product)]
+        products = [
+            call_with_key(f"portion.product.{n}", inline_shape_points, row, scene.folder)
+            for n, row in enumerate(portion.product)
+        ]
         portion = portion.model_copy(update={"product": tuple(products)})
     return scene.model_copy(update={"piece": tuple(rows), "portion": portion})
 
 
 def _find_domain(
-    scene: Scene, panels: Sequence[Panel], position: np.ndarray, made: Sequence[Shape], plan: ExchangePlan | None
+    scene: Scene,
+    panels: Sequence[Panel],
+    position: np.ndarray,
+    made: Sequence[Shape],
+    plan: ExchangePlan | None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """position: [n, 3] (m), of the pieces that are there at first."""
     points = np.concatenate([position, *[corners for _, corners, _ in panels]])
@@ -253,7 +374,9 @@ def _find_domain(
     if scene.run.domain_high is not None:
         high = np.array(scene.run.domain_high)
     if (low >= high).any():
-        raise SceneError(f"run.domain_low = {low.tolist()}: allowed: below run.domain_high = {high.tolist()}")
+        raise SceneError(
+            f"run.domain_low = {low.tolist()}: allowed: below run.domain_high = {high.tolist()}"
+        )
     out = (position < low) | (position > high)
     if out.any():
         k = int(np.argmax(out.any(1)))
@@ -263,9 +386,18 @@ def _find_domain(
 
 
 def build_seeded_state(scene: Scene, built: AssembledSystem, seed: int) -> State:
-    """The first state of the same scene with another seed, for the system that was built. Raises SceneError."""
-    start = place_pieces(scene, built.shapes, built.numbers, built.regions, np.random.default_rng(seed))
-    return replace_initial_motion(built, start if built.waiting_places is None else pad_initial_conditions(start, built.waiting_places))
+    """The first state of the same scene with another seed, for the system that was built. Raises
+    SceneError.
+    """
+    start = place_pieces(
+        scene, built.shapes, built.numbers, built.regions, np.random.default_rng(seed)
+    )
+    return replace_initial_motion(
+        built,
+        start
+        if built.waiting_places is None
+        else pad_initial_conditions(start, built.waiting_places),
+    )
 
 
 def replace_initial_motion(built: AssembledSystem, start: InitialConditions) -> State:

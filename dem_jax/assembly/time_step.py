@@ -1,30 +1,39 @@
 """The time step: as asked for, or from the smallest critical step over all contacts that can be.
 
-What no step may exceed is 2 / sqrt(lambda), lambda being the largest eigenvalue of stiffness over mass at a contact: of normal
-and tangential springs, whose contact point lies off the centre of mass, so that they move less than the whole mass (a sphere's
-tangential spring 2/7 of it). Contacts of one body add up: on both sides of it lambda is twice that of one, as in a row of pieces
-of which every other one moves against its neighbours. (In a pile the number is that of contacts; Otsubo, O'Sullivan and Shire,
-Computers and Geotechnics 86 (2017) 60-73.)
+What no step may exceed is 2 / sqrt(lambda), lambda being the largest eigenvalue of stiffness over
+mass at a contact: of normal and tangential springs, whose contact point lies off the centre of
+mass, so that they move less than the whole mass (a sphere's tangential spring 2/7 of it). Contacts
+of one body add up: on both sides of it lambda is twice that of one, as in a row of pieces of which
+every other one moves against its neighbours. (In a pile the number is that of contacts; Otsubo,
+O'Sullivan and Shire, Computers and Geotechnics 86 (2017) 60-73.)
 
-A step is called stable if no impact gains more than 1 % of its energy (``LARGEST_GAIN``). That is a share of the limits of a single
-contact, of its normal and of its tangential spring, each by itself (``STEP_SHARES``), and never beyond the linear limit above. A step
-beyond is refused unless the scene allows it (run.allow_unstable_step), and then notes what an impact may gain: about
-(dt / dt_l)^2, dt_l being 2 / omega of the branch on which it loads, and more next to the linear limit, q of it: over sqrt(1 - q^2).
+A step is called stable if no impact gains more than 1 % of its energy (``LARGEST_GAIN``). That is a
+share of the limits of a single contact, of its normal and of its tangential spring, each by itself
+(``STEP_SHARES``), and never beyond the linear limit above. A step beyond is refused unless the
+scene allows it (run.allow_unstable_step), and then notes what an impact may gain: about (dt /
+dt_l)^2, dt_l being 2 / omega of the branch on which it loads, and more next to the linear limit, q
+of it: over sqrt(1 - q^2).
 
-Measured at epsilon = 1, where nothing hides a gain, over the moment of first touch within a step, direction and
-orientation; q is of the limit of a single contact.
+Measured at epsilon = 1, where nothing hides a gain, over the moment of first touch within a step,
+direction and orientation; q is of the limit of a single contact.
 
-- Walton and Braun, central impact without friction: at most 0.24, 0.58, 1.1, 2.7 and 4.2 % at q = 0.2, 0.25, 0.28, 0.35 and
-  0.4; Hertz 0.41, 0.80 and 1.7 % at 0.2, 0.25 and 0.3; a linear spring, without corrections of corners, 0.24, 0.87 and 2.3 %
-  at 0.05, 0.1 and 0.15.
-- A sphere that sticks (mu = 10), q of the tangential limit: 0.14, 0.47, 1.6 and 3.0 % at 0.1, 0.15, 0.2 and 0.25.
-- A marshmallow that sticks: 0 and 1.0 % at 0.1 and 0.15; a plate of 30 x 20 x 5 mm 0.04, 0.3 and 1.5 % at 0.1, 0.15, 0.2.
+- Walton and Braun, central impact without friction: at most 0.24, 0.58, 1.1, 2.7 and 4.2 % at q =
+  0.2, 0.25, 0.28, 0.35 and
+  0.4; Hertz 0.41, 0.80 and 1.7 % at 0.2, 0.25 and 0.3; a linear spring, without corrections of
+  corners, 0.24, 0.87 and 2.3 % at 0.05, 0.1 and 0.15.
+- A sphere that sticks (mu = 10), q of the tangential limit: 0.14, 0.47, 1.6 and 3.0 % at 0.1, 0.15,
+  0.2 and 0.25.
+- A marshmallow that sticks: 0 and 1.0 % at 0.1 and 0.15; a plate of 30 x 20 x 5 mm 0.04, 0.3 and
+  1.5 % at 0.1, 0.15, 0.2.
 - Without friction that plate, a marshmallow and a cube gain at most 0.1 % at 0.3.
-- At the stable step itself, 64 impacts each that stick (mu = 10), Walton and Braun: a hull of an almond's size 0.30 %, needles of
-  100 x 4 x 4 mm and cylinders of 60 x 6 mm 0.35 and 0.30 %, a tetrahedron 0.11 %, a flat and a long hull nothing. Hertz with
-  friction (sphere, marshmallow, almond, rod of 60 x 6 x 6 mm, flat hull) nothing; a linear spring 0.38 % (sphere), 0.06 % (needle).
+- At the stable step itself, 64 impacts each that stick (mu = 10), Walton and Braun: a hull of an
+  almond's size 0.30 %, needles of 100 x 4 x 4 mm and cylinders of 60 x 6 mm 0.35 and 0.30 %, a
+  tetrahedron 0.11 %, a flat and a long hull nothing. Hertz with friction (sphere, marshmallow,
+  almond, rod of 60 x 6 x 6 mm, flat hull) nothing; a linear spring 0.38 % (sphere), 0.06 %
+  (needle).
 
-At epsilon = 0.9 and less an impact loses at least 19 % of the energy along the normal, and gains none at q = 0.4.
+At epsilon = 0.9 and less an impact loses at least 19 % of the energy along the normal, and gains
+none at q = 0.4.
 """
 
 from collections.abc import Sequence
@@ -54,19 +63,26 @@ from dem_jax.types import Materials, Pieces, as_array
 LARGEST_GAIN = 0.01  # of the energy of an impact: what no impact gains at a stable step
 NEARLY_ELASTIC = 0.9  # restitution up to which an impact loses more than a step can add
 AUTOMATIC_SHARE = 0.3  # of the linear limit: no automatic step is longer
-RESOLVED_SHARE = 0.5  # of it: up to here laws may correct what the step leaves out; beyond, that would feed what rings
+RESOLVED_SHARE = 0.5  # of it: up to here laws may correct what the step leaves out; beyond, that
+# would feed what rings
 
 
 class StepShares(NamedTuple):
-    """Shares of the linear limits of a single contact up to which no impact gains more than ``LARGEST_GAIN``."""
+    """Shares of the linear limits of a single contact up to which no impact gains more than
+    ``LARGEST_GAIN``.
+    """
 
     normal: float  # of restitution above NEARLY_ELASTIC
     damped: float  # of restitution up to it, of the normal spring
     tangential: float
 
 
-STEP_SHARES: dict[type, StepShares] = {WaltonBraun: StepShares(0.25, 0.4, 0.14), HertzMindlin: StepShares(0.25, 0.4, 0.14)}
-DEFAULT_STEP_SHARES = StepShares(0.1, 0.4, 0.14)  # of a linear spring, and of laws of the user's own
+STEP_SHARES: dict[type, StepShares] = {
+    WaltonBraun: StepShares(0.25, 0.4, 0.14),
+    HertzMindlin: StepShares(0.25, 0.4, 0.14),
+}
+DEFAULT_STEP_SHARES = StepShares(0.1, 0.4, 0.14)  # of a linear spring, and of laws of the user's
+# own
 
 
 @dataclass(frozen=True)
@@ -75,8 +91,10 @@ class TimeStep:
 
     dt: float  # s
     substeps: int  # steps per sample
-    parts: int  # of equally many steps that a sample is cut into, none of more steps than a rebuild is good for
-    critical: float  # s: the smallest critical step, by the law's critical steps or by the accuracy asked for
+    parts: int  # of equally many steps that a sample is cut into, none of more steps than a rebuild
+    # is good for
+    critical: float  # s: the smallest critical step, by the law's critical steps or by the accuracy
+    # asked for
     stable: float  # s: up to here no impact gains more than GAIN of its energy
     linear_limit: float  # s: beyond, contacts swing without bound; no step may exceed it
     limit: str  # what sets the critical step, in words
@@ -93,7 +111,9 @@ class TimeStep:
 
 @dataclass(frozen=True)
 class PossibleContact:
-    """A kind of contact that a scene can have, or kinds side by side, then with arrays [P] in the place of numbers."""
+    """A kind of contact that a scene can have, or kinds side by side, then with arrays [P] in the
+    place of numbers.
+    """
 
     mass: Any  # (kg): effective mass of a central contact
     normal_mass_ratio: Any  # smallest ratio of the effective mass of an off-centre contact to it
@@ -105,43 +125,68 @@ class PossibleContact:
 
 def largest_stiffness(law: ContactLaw, contacts: Sequence[PossibleContact]) -> float:
     """The stiffness (N/m) of the stiffest contact."""
-    return max(float(np.max(4 * c.mass / np.asarray(law.stable_step(c.pair, c.mass)) ** 2)) for c in contacts)
+    return max(
+        float(np.max(4 * c.mass / np.asarray(law.stable_step(c.pair, c.mass)) ** 2))
+        for c in contacts
+    )
 
 
-def choose_step(scene: Scene, law: ContactLaw, contacts: list[PossibleContact], together: int = 2, added: float = 0.0) -> TimeStep:
-    """The time step: as asked for, or from the smallest critical step over all contacts that can be. Raises SceneError.
+def choose_step(
+    scene: Scene,
+    law: ContactLaw,
+    contacts: list[PossibleContact],
+    together: int = 2,
+    added: float = 0.0,
+) -> TimeStep:
+    """The time step: as asked for, or from the smallest critical step over all contacts that can
+    be. Raises SceneError.
 
-    together: how many contacts can act on a body from opposite sides. added: to the largest eigenvalue (1/s2), by what else
-    swings.
+    together: how many contacts can act on a body from opposite sides. added: to the largest
+    eigenvalue (1/s2), by what else swings.
     """
     sample = scene.run.sample
     linear = min(float(np.min(_linear_limit(law, c))) for c in contacts) / np.sqrt(together)
     swings = np.sqrt(1 + 0.25 * added * linear**2)
     linear = linear / swings
     stable = min(linear, min(float(np.min(_stable_step(law, c))) for c in contacts) / swings)
-    critical, limit = _accurate_step(scene, law, contacts, linear) if scene.run.accuracy else _default_step(law, contacts)
+    critical, limit = (
+        _accurate_step(scene, law, contacts, linear)
+        if scene.run.accuracy
+        else _default_step(law, contacts)
+    )
     most = stable if scene.run.accuracy else min(AUTOMATIC_SHARE * linear, stable)
     if scene.run.step == "auto" and critical > most:
         critical, limit = most, f"{most / linear:.2g} of the linear stability limit"
     wanted = critical if scene.run.step == "auto" else scene.run.step
     if not (0 < critical < np.inf and 0 < stable):
-        raise SceneError(f"{scene.name}: no time step for {limit}; furthest from what is usual is {most_unusual_key(scene)}")
+        raise SceneError(
+            f"{scene.name}: no time step for {limit}; furthest from what is usual is {most_unusual_key(scene)}"
+        )
     substeps = max(1, int(np.ceil(sample / wanted - 1e-9)))
     parts = -(-substeps // block_steps(scene))
     substeps = parts * -(-substeps // parts)
     dt = sample / substeps
     _check_step(scene, wanted, stable, linear)
-    loading = min(float(np.min(getattr(law, "loading_step", law.stable_step)(c.pair, c.mass))) for c in contacts)
+    loading = min(
+        float(np.min(getattr(law, "loading_step", law.stable_step)(c.pair, c.mass)))
+        for c in contacts
+    )
     error = (dt / loading) ** 2 / np.sqrt(max(1 - (dt / linear) ** 2, 0.01))
-    warning = _describe_instability(dt, stable, error, critical) if dt > stable * (1 + 1e-9) else None
+    warning = (
+        _describe_instability(dt, stable, error, critical) if dt > stable * (1 + 1e-9) else None
+    )
     resolved = float(dt <= RESOLVED_SHARE * linear * (1 + 1e-9))
     return TimeStep(dt, substeps, parts, critical, stable, linear, limit, resolved, error, warning)
 
 
 def _check_step(scene: Scene, wanted: float, stable: float, linear: float) -> None:
-    """Raise SceneError for a step (s) beyond the linear limit (s), or beyond the stable one where the scene does not allow it."""
+    """Raise SceneError for a step (s) beyond the linear limit (s), or beyond the stable one where
+    the scene does not allow it.
+    """
     if wanted > linear * (1 + 1e-9):
-        raise SceneError(f"run.step = {wanted:g}: allowed: at most {linear:.4g} s, the linear stability limit")
+        raise SceneError(
+            f"run.step = {wanted:g}: allowed: at most {linear:.4g} s, the linear stability limit"
+        )
     if wanted > stable * (1 + 1e-9) and not scene.run.allow_unstable_step:
         raise SceneError(
             f"run.step = {wanted:g}: allowed: at most {stable:.4g} s, up to which no impact gains more than "
@@ -150,7 +195,9 @@ def _check_step(scene: Scene, wanted: float, stable: float, linear: float) -> No
 
 
 def _describe_instability(dt: float, stable: float, error: float, critical: float) -> str:
-    """What a person should know of a step (s) beyond the stable one (s). error: of energy; critical: (s)."""
+    """What a person should know of a step (s) beyond the stable one (s). error: of energy;
+    critical: (s).
+    """
     return (
         f"run.step: dt = {dt:.3g} s is {dt / stable:.2g} times the stable step: an impact may gain up to about "
         f"{100 * error:.2g} % of its energy, more where many contacts act at once; the automatic step is "
@@ -159,7 +206,9 @@ def _describe_instability(dt: float, stable: float, error: float, critical: floa
 
 
 def _stable_step(law: ContactLaw, c: PossibleContact) -> np.ndarray:
-    """The longest step (s), like the law's constants, with which an impact at a contact gains no more than GAIN of its energy."""
+    """The longest step (s), like the law's constants, with which an impact at a contact gains no
+    more than GAIN of its energy.
+    """
     shares = STEP_SHARES.get(type(_unwrap_law(law)), DEFAULT_STEP_SHARES)
     share = np.where(np.asarray(c.restitution) > NEARLY_ELASTIC, shares.normal, shares.damped)
     normal, tangential = _linear_limits(law, c)
@@ -174,13 +223,16 @@ def _unwrap_law(law: ContactLaw) -> ContactLaw:
 
 
 def _linear_limits(law: ContactLaw, c: PossibleContact) -> tuple[np.ndarray, np.ndarray]:
-    """The linear stability limits (s) of one contact, like the law's constants: of its normal and of its tangential spring (inf
-    without one)."""
+    """The linear stability limits (s) of one contact, like the law's constants: of its normal and
+    of its tangential spring (inf without one).
+    """
     normal = np.asarray(law.stable_step(c.pair, c.mass * c.normal_mass_ratio))
     tangential = getattr(law, "tangential_stiffness", lambda _: None)(c.pair)
     if tangential is None:
         return normal, np.full_like(normal, np.inf, dtype=float)
-    return normal, 2 * np.sqrt(c.mass * c.tangential_mass_ratio / np.maximum(tangential, np.finfo(float).tiny))
+    return normal, 2 * np.sqrt(
+        c.mass * c.tangential_mass_ratio / np.maximum(tangential, np.finfo(float).tiny)
+    )
 
 
 def _linear_limit(law: ContactLaw, c: PossibleContact) -> np.ndarray:
@@ -196,22 +248,37 @@ def largest_interaction_range(law: ContactLaw, contacts: list[PossibleContact]) 
 
 def _default_step(law: ContactLaw, contacts: list[PossibleContact]) -> tuple[float, str]:
     """The critical step (s) of the default resolution, and what sets it."""
-    steps = [(float(np.min(s)), f"{what}, {c.description}") for c in contacts for what, s in law.critical_steps(c.pair, c.mass).items()]
+    steps = [
+        (float(np.min(s)), f"{what}, {c.description}")
+        for c in contacts
+        for what, s in law.critical_steps(c.pair, c.mass).items()
+    ]
     return min(steps, key=lambda pair: pair[0])
 
 
-def _accurate_step(scene: Scene, law: ContactLaw, contacts: list[PossibleContact], stable: float) -> tuple[float, str]:
-    """The largest step (s) that keeps the accuracy that the scene asks for, and what sets it. stable: the limit (s). Raises
-    SceneError."""
+def _accurate_step(
+    scene: Scene, law: ContactLaw, contacts: list[PossibleContact], stable: float
+) -> tuple[float, str]:
+    """The largest step (s) that keeps the accuracy that the scene asks for, and what sets it.
+    stable: the limit (s). Raises SceneError.
+    """
     if not isinstance(law, WaltonBraun):
-        raise SceneError(f"run.accuracy: known of the law of Walton and Braun only, not of {type(law).__name__}; give run.step")
+        raise SceneError(
+            f"run.accuracy: known of the law of Walton and Braun only, not of {type(law).__name__}; give run.step"
+        )
     assert scene.run.accuracy is not None
     asked = scene.run.accuracy.model_dump(exclude_none=True)
     found = []
     for c in contacts:
-        bound = walton_braun_accuracy.SPHERE if c.normal_mass_ratio == 1 else walton_braun_accuracy.POLYTOPE
+        bound = (
+            walton_braun_accuracy.SPHERE
+            if c.normal_mass_ratio == 1
+            else walton_braun_accuracy.POLYTOPE
+        )
         for key, value in asked.items():
-            finest, finer = (bound.finest[precision][key] for precision in (scene.run.precision, "f64"))
+            finest, finer = (
+                bound.finest[precision][key] for precision in (scene.run.precision, "f64")
+            )
             if value < finest:
                 single = finer < finest
                 raise SceneError(
@@ -221,10 +288,21 @@ def _accurate_step(scene: Scene, law: ContactLaw, contacts: list[PossibleContact
         quarter = float(np.min(quarter_period(c.mass, c.pair.stiffness)))
         either = []
         for corrected, most in ((False, np.inf), (True, RESOLVED_SHARE * stable)):
-            number, first = bound.required_steps(asked, float(np.min(c.pair.restitution)), corrected)
-            why = f"run.accuracy.{first} = {asked[first]:g}" if first else "the coarsest step whose error is known (run.accuracy)"
+            number, first = bound.required_steps(
+                asked, float(np.min(c.pair.restitution)), corrected
+            )
+            why = (
+                f"run.accuracy.{first} = {asked[first]:g}"
+                if first
+                else "the coarsest step whose error is known (run.accuracy)"
+            )
             step = min(float(np.sqrt(c.normal_mass_ratio) * quarter / number), most)
-            either.append((step, f"{why}: {quarter / step:.3g} steps per loading quarter period, {c.description}"))
+            either.append(
+                (
+                    step,
+                    f"{why}: {quarter / step:.3g} steps per loading quarter period, {c.description}",
+                )
+            )
         found.append(max(either))
     return min(found)
 
@@ -235,44 +313,86 @@ def block_steps(scene: Scene) -> int:
 
 
 def list_possible_contacts(
-    law: ContactLaw, materials: Materials, made: Sequence[Shape], pieces: Pieces, reuse: AssemblyCache | None = None
+    law: ContactLaw,
+    materials: Materials,
+    made: Sequence[Shape],
+    pieces: Pieces,
+    reuse: AssemblyCache | None = None,
 ) -> list[PossibleContact]:
-    """Each kind of piece against each material of walls, and against the kinds that move quickest on its contact, about the
-    centre of mass and off it: of as many kinds as pieces, all pairs would be too many to list."""
+    """Each kind of piece against each material of walls, and against the kinds that move quickest
+    on its contact, about the centre of mass and off it: of as many kinds as pieces, all pairs would
+    be too many to list.
+    """
     of_material = (np.asarray(pieces.material).tobytes(),)
-    kinds = (reuse or AssemblyCache()).get("kinds", lambda: _list_piece_kinds(made, pieces), of_material, tuple(made))
+    kinds = (reuse or AssemblyCache()).get(
+        "kinds", lambda: _list_piece_kinds(made, pieces), of_material, tuple(made)
+    )
     first, number, least, swing = kinds
     out = []
     for i, p in enumerate(first):
         for wall in np.flatnonzero(materials.is_wall):
             couple = _build_material_pair(materials, pieces, p, None, wall)
-            factors, words = (float(least[i]), float(swing[i])), _describe_contact(made[p], "a wall")
-            out.append(PossibleContact(float(pieces.mass[p]), *factors, _single_value(couple.restitution), law.pair_parameters(couple), words))
+            factors, words = (
+                (float(least[i]), float(swing[i])),
+                _describe_contact(made[p], "a wall"),
+            )
+            out.append(
+                PossibleContact(
+                    float(pieces.mass[p]),
+                    *factors,
+                    _single_value(couple.restitution),
+                    law.pair_parameters(couple),
+                    words,
+                )
+            )
         others = first[i if number[i] > 1 else i + 1 :]
         if not len(others):
             continue
         couple = _build_material_pair(materials, pieces, np.full(len(others), p), others, None)
         pairs, rest = law.pair_parameters(couple), slice(len(first) - len(others), None)
         worst, least_swing = np.minimum(least[i], least[rest]), np.minimum(swing[i], swing[rest])
-        critical = np.min([np.broadcast_to(s, couple.mass.shape) for s in law.critical_steps(pairs, couple.mass).values()], axis=0)
+        critical = np.min(
+            [
+                np.broadcast_to(s, couple.mass.shape)
+                for s in law.critical_steps(pairs, couple.mass).values()
+            ],
+            axis=0,
+        )
         every = PossibleContact(couple.mass, worst, least_swing, couple.restitution, pairs, "")
-        linear, stable = (np.broadcast_to(f(law, every), couple.mass.shape) for f in (_linear_limit, _stable_step))
+        linear, stable = (
+            np.broadcast_to(f(law, every), couple.mass.shape) for f in (_linear_limit, _stable_step)
+        )
         for j in sorted({int(np.argmin(each)) for each in (critical, linear, stable)}):
             own = _build_material_pair(materials, pieces, p, others[j], None)
             words = _describe_contact(made[p], f"another ({made[others[j]].name})")
             factors = float(worst[j]), float(least_swing[j])
-            out.append(PossibleContact(float(couple.mass[j]), *factors, _single_value(own.restitution), law.pair_parameters(own), words))
+            out.append(
+                PossibleContact(
+                    float(couple.mass[j]),
+                    *factors,
+                    _single_value(own.restitution),
+                    law.pair_parameters(own),
+                    words,
+                )
+            )
     return out
 
 
-def _list_piece_kinds(made: Sequence[Shape], pieces: Pieces) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Of each kind of piece, by shape and material, the first piece, how many there are, and its least effective masses of an
-    off-centre and of a tangential contact, relative to its mass."""
+def _list_piece_kinds(
+    made: Sequence[Shape], pieces: Pieces
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Of each kind of piece, by shape and material, the first piece, how many there are, and its
+    least effective masses of an off-centre and of a tangential contact, relative to its mass.
+    """
     _, index = find_distinct_shapes(made)
-    _, first, number = np.unique(np.stack([index, pieces.material]), axis=1, return_index=True, return_counts=True)
+    _, first, number = np.unique(
+        np.stack([index, pieces.material]), axis=1, return_index=True, return_counts=True
+    )
     order = np.argsort(first)
     first, number = first[order], number[order]
-    of_shape = {id(made[i]): (_normal_mass_ratio(made[i]), _tangential_mass_ratio(made[i])) for i in first}
+    of_shape = {
+        id(made[i]): (_normal_mass_ratio(made[i]), _tangential_mass_ratio(made[i])) for i in first
+    }
     least, swing = np.transpose([of_shape[id(made[i])] for i in first])
     return first, number, least, swing
 
@@ -282,15 +402,23 @@ def _single_value(values: ArrayLike) -> float:
     return float(np.ravel(values)[0])
 
 
-def _build_material_pair(materials: Materials, pieces: Pieces, b: ArrayLike, a: ArrayLike | None, wall: np.integer | None) -> MaterialPair:
+def _build_material_pair(
+    materials: Materials, pieces: Pieces, b: ArrayLike, a: ArrayLike | None, wall: np.integer | None
+) -> MaterialPair:
     """The couple of pieces b and a, or of b and a wall of a material."""
     b = np.atleast_1d(b)
     own = b if a is None else np.atleast_1d(a)
     material = pieces.material[own] if wall is None else as_array(np.full(len(b), wall))
     curvature = pieces.curvature[own] if wall is None else as_array(np.zeros(len(b)))
     mass = combine_in_series(pieces.mass[own], pieces.mass[b]) if wall is None else pieces.mass[b]
-    both = lambda rows: (rows[own], rows[b])  # noqa: E731
-    return make_material_pair(materials, (material, pieces.material[b]), both(pieces.size), (curvature, pieces.curvature[b]), mass)
+    both = lambda rows: (rows[own], rows[b])
+    return make_material_pair(
+        materials,
+        (material, pieces.material[b]),
+        both(pieces.size),
+        (curvature, pieces.curvature[b]),
+        mass,
+    )
 
 
 def _describe_contact(shape: Shape, other: str) -> str:
@@ -298,21 +426,31 @@ def _describe_contact(shape: Shape, other: str) -> str:
 
 
 def _normal_mass_ratio(shape: Shape) -> float:
-    """Smallest effective mass of a frictionless contact at a vertex or on a ball, relative to the whole mass, in any
-    direction."""
+    """Smallest effective mass of a frictionless contact at a vertex or on a ball, relative to the
+    whole mass, in any direction.
+    """
     if shape.radius > 0:
         return 1.0
-    points = [part.centre + (part.shape.vertices if part.shape.radius == 0 else 0) for part in list_parts(shape)]
-    vertices = np.concatenate([np.reshape(p, (-1, 3)) for p in points]) @ pose.quaternion_to_matrix(shape.principal)
+    points = [
+        part.centre + (part.shape.vertices if part.shape.radius == 0 else 0)
+        for part in list_parts(shape)
+    ]
+    vertices = np.concatenate([np.reshape(p, (-1, 3)) for p in points]) @ pose.quaternion_to_matrix(
+        shape.principal
+    )
     arms = np.cross(vertices[:, None], np.eye(3)[None])  # [V, 3, 3]: r x n for n along each axis
     compliance = np.einsum("vik,vjk->vij", arms / shape.gyration, arms)
     return float(1 / (1 + np.linalg.eigvalsh(compliance).max()))
 
 
 def _tangential_mass_ratio(shape: Shape) -> float:
-    """Smallest effective mass of a tangential contact, relative to the whole mass: at a vertex, or on a ball."""
+    """Smallest effective mass of a tangential contact, relative to the whole mass: at a vertex, or
+    on a ball.
+    """
     if shape.radius == 0 and all(part.shape.radius == 0 for part in list_parts(shape)):
         return _normal_mass_ratio(shape)  # which takes all directions
-    balls = [(part.centre, part.shape.radius) for part in list_parts(shape) if part.shape.radius > 0]
+    balls = [
+        (part.centre, part.shape.radius) for part in list_parts(shape) if part.shape.radius > 0
+    ]
     arm = max(float(np.linalg.norm(centre)) + radius for centre, radius in balls)
     return min(_normal_mass_ratio(shape), float(1 / (1 + arm**2 / np.min(shape.gyration))))

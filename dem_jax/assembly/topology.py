@@ -1,4 +1,6 @@
-"""A scene as two parts, its topology and its parameters, and the system with its first state as a function of both."""
+"""A scene as two parts, its topology and its parameters, and the system with its first state as a
+function of both.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -12,8 +14,18 @@ from jax.extend.core import Var
 
 from dem_jax.assembly.arrays import Layout, find_arrays
 from dem_jax.assembly.contact_law import build_materials
-from dem_jax.assembly.initial_conditions import InitialConditions, build_initial_motion, read_listed_pieces
-from dem_jax.assembly.parameters import Parameters, find_parameters, find_unset_parameters, insert_values, is_left_out
+from dem_jax.assembly.initial_conditions import (
+    InitialConditions,
+    build_initial_motion,
+    read_listed_pieces,
+)
+from dem_jax.assembly.parameters import (
+    Parameters,
+    find_parameters,
+    find_unset_parameters,
+    insert_values,
+    is_left_out,
+)
 from dem_jax.assembly.system import AssembledSystem
 from dem_jax.assembly.wall_panels import lay_out_walls
 from dem_jax.broad_phase import neighbour_list, overflow_recovery
@@ -24,15 +36,19 @@ from dem_jax.scene.array_namespace import as_float_array
 from dem_jax.scene.messages import suggest_choices
 from dem_jax.types import Materials, State, System
 
-POSES = {"portion.position": "position", "portion.orientation": "orientation"}  # parameters of pieces that a scene makes
-FIELDS = ("pieces", "materials", "law", "walls", "gravity", "block_low", "block_high")  # of a System, of parameters
+POSES = {"portion.position": "position", "portion.orientation": "orientation"}  # parameters of
+# pieces that a scene makes
+# of a System, of parameters
+FIELDS = ("pieces", "materials", "law", "walls", "gravity", "block_low", "block_high")
 
 
 @dataclass(frozen=True, eq=False)
 class Topology:
-    """All of a scene that is no number of a compiled program's input: shapes, counts, groups, kinds, capacities, time step.
+    """All of a scene that is no number of a compiled program's input: shapes, counts, groups,
+    kinds, capacities, time step.
 
-    Two topologies are equal, and have the same hash, if their programs are the same: it can be a static argument of ``jax.jit``.
+    Two topologies are equal, and have the same hash, if their programs are the same: it can be a
+    static argument of ``jax.jit``.
     """
 
     scene: Scene  # without the values of its parameters
@@ -43,7 +59,8 @@ class Topology:
     frames: np.ndarray  # [N, 4]: principal frame to body frame, of each piece
     materials: Materials  # forms of the arrays
     shapes: Mapping[str, tuple[int, ...]]  # of the values of all parameters
-    unset: frozenset[str]  # parameters that may be given, in whose place others stand if they are not
+    unset: frozenset[str]  # parameters that may be given, in whose place others stand if they are
+    # not
     settling_steps: int  # time steps before time zero
     steps_per_sample: int  # of a sample interval of the scene
     samples: int  # sample intervals from time zero to the end of the scene's run
@@ -60,11 +77,23 @@ class Topology:
 
     @cached_property
     def _identity(self) -> Any:
-        leaves, structure = jax.tree.flatten((self.system, self.state.step, self.layout.walls, self.layout.law, self.frames))
-        arrays = tuple((np.shape(leaf), str(np.asarray(leaf).dtype), np.asarray(leaf).tobytes()) for leaf in leaves)
+        leaves, structure = jax.tree.flatten(
+            (self.system, self.state.step, self.layout.walls, self.layout.law, self.frames)
+        )
+        arrays = tuple(
+            (np.shape(leaf), str(np.asarray(leaf).dtype), np.asarray(leaf).tobytes())
+            for leaf in leaves
+        )
         forms = jax.tree.flatten((self.state.replace(step=None), self.materials))
         counts = self.settling_steps, self.steps_per_sample, self.samples
-        return repr(self.scene), structure, arrays, (tuple(map(_form_of, forms[0])), forms[1]), tuple(self.shapes.items()), counts
+        return (
+            repr(self.scene),
+            structure,
+            arrays,
+            (tuple(map(_form_of, forms[0])), forms[1]),
+            tuple(self.shapes.items()),
+            counts,
+        )
 
     def __eq__(self, other: object) -> bool:
         return self is other or (isinstance(other, Topology) and self._identity == other._identity)
@@ -74,12 +103,18 @@ class Topology:
 
 
 def split_scene(scene: Scene, built: AssembledSystem) -> tuple[Topology, dict[str, np.ndarray]]:
-    """Topology and parameters of a self-contained scene that was built. Raises SceneError for pieces that come and go."""
+    """Topology and parameters of a self-contained scene that was built. Raises SceneError for
+    pieces that come and go.
+    """
     if built.exchange_plan is not None:
-        raise SceneError("[inlet], [outlet]: the host moves these pieces between steps; allowed: a scene without them")
+        raise SceneError(
+            "[inlet], [outlet]: the host moves these pieces between steps; allowed: a scene without them"
+        )
     values = find_parameters(scene)
     if not scene.piece:
-        values |= {key: np.asarray(getattr(built.start, field), float) for key, field in POSES.items()}
+        values |= {
+            key: np.asarray(getattr(built.start, field), float) for key, field in POSES.items()
+        }
     unset = dict.fromkeys(find_unset_parameters(scene), np.zeros(()))
     topology = _outline(scene, built, values, unset)
     fill = partial(_fill_arrays, topology)
@@ -89,12 +124,15 @@ def split_scene(scene: Scene, built: AssembledSystem) -> tuple[Topology, dict[st
     blank = insert_values(scene, {key: None for key in own if key not in POSES})
     shapes = {key: np.shape(value) for key, value in (own | dict.fromkeys(also, 0.0)).items()}
     topology = replace(topology, scene=blank, shapes=shapes, unset=frozenset(also))
-    form = jax.eval_shape(lambda values: neighbour_list.rebuild_neighbour_list(*_fill_arrays(topology, values)), own).scratch
+    form = jax.eval_shape(
+        lambda values: neighbour_list.rebuild_neighbour_list(*_fill_arrays(topology, values)), own
+    ).scratch
     return replace(topology, state=topology.state.replace(scratch=form)), own
 
 
 def assemble(topology: Topology, parameters: Parameters) -> tuple[System, State]:
-    """System and first state of a topology with values of its parameters. Pure: values may be traced.
+    """System and first state of a topology with values of its parameters. Pure: values may be
+    traced.
 
     Args:
         topology: of a scene.
@@ -108,10 +146,13 @@ def assemble(topology: Topology, parameters: Parameters) -> tuple[System, State]
     """
     check_parameters(topology, parameters)
     for key in topology.shapes.keys() - topology.unset - parameters.keys():
-        raise SceneError(f"{key}: missing; allowed: all parameters that dem_jax.model returns, with other values")
+        raise SceneError(
+            f"{key}: missing; allowed: all parameters that dem_jax.model returns, with other values"
+        )
     system, state = _fill_arrays(topology, parameters)
     scratch = jax.tree.map(lambda form: np.zeros(form.shape, form.dtype), topology.state.scratch)
-    scratch = scratch.replace(rebuild_step=topology.state.step - system.block_steps)  # a rebuild is due
+    # a rebuild is due
+    scratch = scratch.replace(rebuild_step=topology.state.step - system.block_steps)
     return system, state.replace(scratch=jax.tree.map(jnp.asarray, scratch))
 
 
@@ -126,15 +167,27 @@ def check_parameters(topology: Topology, parameters: Parameters) -> None:
 
 def _not_a_parameter(topology: Topology, key: str) -> SceneError:
     if is_left_out(topology.scene, key):
-        return SceneError(f"{key}: the scene has 0, and its program nothing of it; allowed: a scene in which it is not 0")
-    return SceneError(f"{key}: decides the program or its sizes, or is no key of the scene; {suggest_choices(key, list(topology.shapes))}")
+        return SceneError(
+            f"{key}: the scene has 0, and its program nothing of it; allowed: a scene in which it is not 0"
+        )
+    return SceneError(
+        f"{key}: decides the program or its sizes, or is no key of the scene; {suggest_choices(key, list(topology.shapes))}"
+    )
 
 
-def _outline(scene: Scene, built: AssembledSystem, values: Parameters, unset: Parameters) -> Topology:
+def _outline(
+    scene: Scene, built: AssembledSystem, values: Parameters, unset: Parameters
+) -> Topology:
     """The topology of a scene with its values, before it is known which of them are parameters."""
     of_scene = {key: value for key, value in {**values, **unset}.items() if key not in POSES}
-    materials = jax.eval_shape(lambda values: build_materials(insert_values(scene, values)), of_scene)
-    absent = [name for name in ("friction", "pull_off", "rolling") if getattr(built.system.materials, name) is None]
+    materials = jax.eval_shape(
+        lambda values: build_materials(insert_values(scene, values)), of_scene
+    )
+    absent = [
+        name
+        for name in ("friction", "pull_off", "rolling")
+        if getattr(built.system.materials, name) is None
+    ]
     return Topology(
         scene=scene,
         layout=built.layout,
@@ -152,9 +205,13 @@ def _outline(scene: Scene, built: AssembledSystem, values: Parameters, unset: Pa
 
 
 def _prepare_system(built: AssembledSystem) -> System:
-    """The system without FIELDS, for steps of a compiled loop: rebuilds after whole sample intervals, and quantities whose rows
-    have fixed names."""
-    system, part = overflow_recovery.with_all_pairs(built.system), built.step.substeps // built.step.parts
+    """The system without FIELDS, for steps of a compiled loop: rebuilds after whole sample
+    intervals, and quantities whose rows have fixed names.
+    """
+    system, part = (
+        overflow_recovery.with_all_pairs(built.system),
+        built.step.substeps // built.step.parts,
+    )
     block = max(1, system.block_steps // part) if built.step.parts == 1 else 1
     fixed = tuple(quantity.with_fixed_rows(one, system) for one in system.quantities)
     return system.replace(block_steps=block * part, quantities=fixed, **dict.fromkeys(FIELDS))
@@ -162,12 +219,21 @@ def _prepare_system(built: AssembledSystem) -> System:
 
 def _fill_arrays(topology: Topology, parameters: Parameters) -> tuple[System, State]:
     """System and first state, whose scratch is that of the topology."""
-    scene = insert_values(topology.scene, {key: value for key, value in parameters.items() if key not in POSES})
+    scene = insert_values(
+        topology.scene, {key: value for key, value in parameters.items() if key not in POSES}
+    )
     start = topology.start
     if scene.piece:
         start = read_listed_pieces(scene.piece)
     else:
-        start = replace(start, **{field: as_float_array(parameters[key]) for key, field in POSES.items() if key in parameters})
+        start = replace(
+            start,
+            **{
+                field: as_float_array(parameters[key])
+                for key, field in POSES.items()
+                if key in parameters
+            },
+        )
     drop = scene.drop.model_copy(update={"height": topology.layout.drop_height})
     motions = lay_out_walls(scene.model_copy(update={"drop": drop}))[1]
     arrays = find_arrays(scene, topology.layout, motions, start, form=topology.materials)
@@ -186,7 +252,11 @@ def _find_used(function: Callable[[Parameters], Any], values: Parameters) -> lis
     for equation in reversed(jaxpr.eqns):
         if not needed.isdisjoint(equation.outvars):
             needed.update(variable for variable in equation.invars if isinstance(variable, Var))
-    return [key for key, variable in zip(sorted(values), jaxpr.invars, strict=True) if variable in needed]
+    return [
+        key
+        for key, variable in zip(sorted(values), jaxpr.invars, strict=True)
+        if variable in needed
+    ]
 
 
 def _form_of(leaf: Any) -> tuple[tuple[int, ...], str]:

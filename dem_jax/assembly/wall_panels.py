@@ -28,16 +28,20 @@ from dem_jax.shapes import Shape, wall_meshes
 from dem_jax.types import Plates, Walls, as_array
 from dem_jax.walls import motion
 
-AS_READ = {"unit": 1.0, "rotate_deg": (0.0, 0.0, 0.0), "move": (0.0, 0.0, 0.0)}  # of what is in metres where it is
+AS_READ = {"unit": 1.0, "rotate_deg": (0.0, 0.0, 0.0), "move": (0.0, 0.0, 0.0)}  # of what is in
+# metres where it is
 
-# Thickness of the panels of a closed body over the least that is behind its facets: a piece that presses on one side of a sheet by
-# nine tenths of it does not feel the panels of the other side.
+# Thickness of the panels of a closed body over the least that is behind its facets: a piece that
+# presses on one side of a sheet by nine tenths of it does not feel the panels of the other side.
 SHARE_OF_SHEET = 0.1
 
 
-def lay_out_walls(scene: Scene) -> tuple[list[Panel], list[Motion], dict[str, str], list[Block], list[Box]]:
-    """Panels (group, corners, thickness), sections of motions, reported names, blocks, and the boxes (low, high) in which
-    pieces start: of the feed bucket, of the feeder."""
+def lay_out_walls(
+    scene: Scene,
+) -> tuple[list[Panel], list[Motion], dict[str, str], list[Block], list[Box]]:
+    """Panels (group, corners, thickness), sections of motions, reported names, blocks, and the
+    boxes (low, high) in which pieces start: of the feed bucket, of the feeder.
+    """
     scene = inline_buckets(apply_cycle(scene))
     panels: list[Panel] = []
     joint: dict[str, str] = {}
@@ -50,7 +54,11 @@ def lay_out_walls(scene: Scene) -> tuple[list[Panel], list[Motion], dict[str, st
         found.append(bucket_geometry.build_bucket_parts(scene.weigh_bucket, "wb", 0.0))
         blocks.append(found[-1].block)
     if scene.feed_bucket:
-        found.append(bucket_geometry.build_bucket_parts(scene.feed_bucket, "fb", scene.drop.height if scene.weigh_bucket else 0.0))
+        found.append(
+            bucket_geometry.build_bucket_parts(
+                scene.feed_bucket, "fb", scene.drop.height if scene.weigh_bucket else 0.0
+            )
+        )
         regions.append((found[-1].interior_low, found[-1].interior_high))
     for bucket in found:
         panels += bucket.panels
@@ -65,7 +73,9 @@ def lay_out_walls(scene: Scene) -> tuple[list[Panel], list[Motion], dict[str, st
     known = {group for group, _, _ in panels}
     for row in motions:
         if row.group not in known:
-            raise SceneError(f"motion.group = {row.group!r}: no wall has this group; allowed: {', '.join(sorted(known))}")
+            raise SceneError(
+                f"motion.group = {row.group!r}: no wall has this group; allowed: {', '.join(sorted(known))}"
+            )
     return panels, motions, joint, blocks, regions
 
 
@@ -86,47 +96,81 @@ def _read_panels(row: Wall | Bucket | Feeder, stl: str, folder: str | Path) -> w
     check_stl_unit(row, stl, found.panels)
     turn = Rotation.from_euler("xyz", row.rotate_deg, degrees=True).as_matrix()
     still = not any(row.rotate_deg) and not any(row.move)
-    return found if still else found._replace(panels=[panel @ turn.T + np.array(row.move) for panel in found.panels])
+    return (
+        found
+        if still
+        else found._replace(panels=[panel @ turn.T + np.array(row.move) for panel in found.panels])
+    )
 
 
-def _limit_thickness(row: Wall | Bucket | Feeder, read: Sequence[wall_meshes.WallMesh]) -> tuple[float, list[str]]:
-    """Thickness (m) of the panels read for a row: no more than is behind the facets of closed bodies; and what there is to say."""
+def _limit_thickness(
+    row: Wall | Bucket | Feeder, read: Sequence[wall_meshes.WallMesh]
+) -> tuple[float, list[str]]:
+    """Thickness (m) of the panels read for a row: no more than is behind the facets of closed
+    bodies; and what there is to say.
+    """
     most = SHARE_OF_SHEET * min(mesh.thinnest for mesh in read)
     if row.thickness <= most:
         return row.thickness, []
-    return most, [f"thickness of the panels {1e3 * most:.3g} mm, not {1e3 * row.thickness:.3g} mm, as there is a body behind them"]
+    return most, [
+        f"thickness of the panels {1e3 * most:.3g} mm, not {1e3 * row.thickness:.3g} mm, as there is a body behind them"
+    ]
 
 
 def inline_buckets(scene: Scene) -> Scene:
-    """The scene with the panels of its buckets' and its feeder's STL files in their place, and what was read in words. Raises
-    SceneError."""
-    readers: dict[str, Callable[..., Any]] = {"weigh_bucket": _inline_bucket, "feed_bucket": _inline_bucket, "feeder": _inline_feeder}
+    """The scene with the panels of its buckets' and its feeder's STL files in their place, and what
+    was read in words. Raises SceneError.
+    """
+    readers: dict[str, Callable[..., Any]] = {
+        "weigh_bucket": _inline_bucket,
+        "feed_bucket": _inline_bucket,
+        "feeder": _inline_feeder,
+    }
     parts = {name: getattr(scene, name) for name in readers}
-    changes = {name: readers[name](row, scene.folder) for name, row in parts.items() if row is not None and row.stl}
+    changes = {
+        name: readers[name](row, scene.folder)
+        for name, row in parts.items()
+        if row is not None and row.stl
+    }
     return scene.model_copy(update=changes)
 
 
 def _inline_bucket(bucket: Bucket, folder: str | Path) -> Bucket:
-    """The bucket with its lowest point, closed, at z = 0, and with ``centre`` the middle of its mouth at x = y = 0, but for what it
-    is moved by."""
+    """The bucket with its lowest point, closed, at z = 0, and with ``centre`` the middle of its
+    mouth at x = y = 0, but for what it is moved by.
+    """
     assert bucket.stl is not None
     files = (bucket.stl, *(bucket.flap_stl or ()))
     found = [_read_panels(bucket, stl, folder) for stl in files]
-    lowest = np.concatenate([panel for mesh in (found[1:] or found) for panel in mesh.panels])[:, 2].min()
+    lowest = np.concatenate([panel for mesh in (found[1:] or found) for panel in mesh.panels])[
+        :, 2
+    ].min()
     every = [panel for mesh in found for panel in mesh.panels]
     aside = find_mouth_middle(every) - bucket.move[:2] if bucket.centre else np.zeros(2)
     down = np.array([*aside, lowest - bucket.move[2]])
     placed = [mesh._replace(panels=[panel - down for panel in mesh.panels]) for mesh in found]
     rows = [_to_corner_tuples(mesh) for mesh in placed]
     thickness, thinner = _limit_thickness(bucket, found)
-    said = [bucket.note, *(f"{stl}: {mesh}" for stl, mesh in zip(files, placed, strict=True)), *thinner]
-    panels = {"panels": rows[0], "flap_panels": tuple(rows[1:]) or None, "stl": None, "flap_stl": None, "centre": False}
+    said = [
+        bucket.note,
+        *(f"{stl}: {mesh}" for stl, mesh in zip(files, placed, strict=True)),
+        *thinner,
+    ]
+    panels = {
+        "panels": rows[0],
+        "flap_panels": tuple(rows[1:]) or None,
+        "stl": None,
+        "flap_stl": None,
+        "centre": False,
+    }
     changes = {"thickness": thickness, "note": "; ".join(filter(None, said))} | panels
     return bucket.model_copy(update=changes | AS_READ)
 
 
 def _inline_feeder(feeder: Feeder, folder: str | Path) -> Feeder:
-    """The feeder with the end of its floor, where x is greatest, at x = z = 0 but for what it is moved by."""
+    """The feeder with the end of its floor, where x is greatest, at x = z = 0 but for what it is
+    moved by.
+    """
     assert feeder.stl is not None
     mesh = _read_panels(feeder, feeder.stl, folder)
     floor = np.concatenate(bucket_geometry.select_floor_panels(mesh.panels) or mesh.panels)
@@ -136,7 +180,12 @@ def _inline_feeder(feeder: Feeder, folder: str | Path) -> Feeder:
     placed = mesh._replace(panels=[panel - edge for panel in mesh.panels])
     thickness, thinner = _limit_thickness(feeder, [placed])
     said = "; ".join(filter(None, [feeder.note, f"{feeder.stl}: {placed}", *thinner]))
-    changes = {"panels": _to_corner_tuples(placed), "note": said, "stl": None, "thickness": thickness}
+    changes = {
+        "panels": _to_corner_tuples(placed),
+        "note": said,
+        "stl": None,
+        "thickness": thickness,
+    }
     return feeder.model_copy(update=changes | AS_READ)
 
 
@@ -146,7 +195,9 @@ def _to_corner_tuples(mesh: wall_meshes.WallMesh) -> tuple[tuple[tuple[float, ..
 
 
 def inline_wall_panels(wall: Wall, folder: str | Path) -> list[Wall]:
-    """The wall with the panels of its STL, one each, and in the first what was read; others as they are. Raises SceneError."""
+    """The wall with the panels of its STL, one each, and in the first what was read; others as they
+    are. Raises SceneError.
+    """
     if wall.stl is None or wall.corners is not None:
         return [wall]
     mesh = _read_panels(wall, wall.stl, folder)
@@ -154,7 +205,10 @@ def inline_wall_panels(wall: Wall, folder: str | Path) -> list[Wall]:
     said = "; ".join(filter(None, [wall.note, f"{wall.stl}: {mesh}", *thinner]))
     notes = [said] + [None] * (len(mesh.panels) - 1)
     own = {"stl": None, "thickness": thickness}
-    changes = [own | {"corners": corners, "note": note} for corners, note in zip(_to_corner_tuples(mesh), notes, strict=True)]
+    changes = [
+        own | {"corners": corners, "note": note}
+        for corners, note in zip(_to_corner_tuples(mesh), notes, strict=True)
+    ]
     return [wall.model_copy(update=change | AS_READ) for change in changes]
 
 
@@ -166,14 +220,20 @@ def build_walls(
     dtype: DTypeLike,
     piece_radius: float = 0.0,
 ) -> tuple[Walls, list[Shape], list[PanelSeams] | None]:
-    """The walls, the shapes of their panels and the seams of each; piece_radius: (m) as of ``find_surfaces``,
-    0 where nobody asks for contacts. Raises SceneError."""
+    """The walls, the shapes of their panels and the seams of each; piece_radius: (m) as of
+    ``find_surfaces``, 0 where nobody asks for contacts. Raises SceneError.
+    """
     walls, plates, seams = build_panel_arrays(scene, panels, joint, dtype, piece_radius)
-    return walls.replace(**cast_tree(build_motion_arrays(scene, motions, walls), dtype)), plates, seams
+    return (
+        walls.replace(**cast_tree(build_motion_arrays(scene, motions, walls), dtype)),
+        plates,
+        seams,
+    )
 
 
 def build_motion_arrays(scene: Scene, motions: Sequence[Motion], walls: Walls) -> dict[str, Any]:
-    """Fields of Walls that say how the groups move: pivots, motions, load cell and drives, in numpy or of traced values.
+    """Fields of Walls that say how the groups move: pivots, motions, load cell and drives, in numpy
+    or of traced values.
 
     Args:
         scene: its numbers may be traced.
@@ -193,25 +253,39 @@ def build_motion_arrays(scene: Scene, motions: Sequence[Motion], walls: Walls) -
 
 
 def build_panel_arrays(
-    scene: Scene, panels: Sequence[Panel], joint: dict[str, str], dtype: DTypeLike, piece_radius: float = 0.0
+    scene: Scene,
+    panels: Sequence[Panel],
+    joint: dict[str, str],
+    dtype: DTypeLike,
+    piece_radius: float = 0.0,
 ) -> tuple[Walls, list[Shape], list[PanelSeams] | None]:
     """As ``build_walls``, of walls at rest. Raises SceneError."""
     groups = list(dict.fromkeys(group for group, _, _ in panels))
-    made = [_build_panel(corners, thickness, f"corners of wall group {group!r}") for group, corners, thickness in panels]
+    made = [
+        _build_panel(corners, thickness, f"corners of wall group {group!r}")
+        for group, corners, thickness in panels
+    ]
     reports: dict[str, list[int]] = {}
     for i, group in enumerate(groups):
         reports.setdefault(joint.get(group, group), []).append(i)
     number = np.array([groups.index(name) for name, _, _ in panels], int)
     material = find_group_rows(build_material_table(scene), scene, groups)
     extent = [np.abs(shape.vertices).max(0) for shape, _, _ in made]
-    surfaces = find_surfaces([(group, corners) for group, corners, _ in panels], smooth_angle(scene), piece_radius)
+    surfaces = find_surfaces(
+        [(group, corners) for group, corners, _ in panels], smooth_angle(scene), piece_radius
+    )
     is_bent = surfaces is not None and surfaces.is_bent
     seams = None
     if surfaces:
-        seams = [of.to_panel_frame(turn, centre) for of, (_, centre, turn) in zip(surfaces.seams, made, strict=True)]
+        seams = [
+            of.to_panel_frame(turn, centre)
+            for of, (_, centre, turn) in zip(surfaces.seams, made, strict=True)
+        ]
     walls = Walls(
         centre=as_array(np.array([c for _, c, _ in made], float).reshape(-1, 3).T),
-        rotation=as_array(np.array([r for _, _, r in made], float).reshape(-1, 3, 3).transpose(1, 2, 0)),
+        rotation=as_array(
+            np.array([r for _, _, r in made], float).reshape(-1, 3, 3).transpose(1, 2, 0)
+        ),
         half_extent=as_array(np.array(extent, float).reshape(-1, 3).T),
         plates=_build_plates([shape for shape, _, _ in made], None if is_bent else seams),
         group=as_array(number),
@@ -234,7 +308,9 @@ def smooth_angle(scene: Scene) -> float:
 
 
 def describe_surfaces(scene: Scene) -> list[str]:
-    """One line for each wall group whose panels meet at angles of smooth surfaces: how many surfaces they make."""
+    """One line for each wall group whose panels meet at angles of smooth surfaces: how many
+    surfaces they make.
+    """
     panels = [(group, corners) for group, corners, _ in lay_out_walls(scene)[0]]
     lines = []
     for name in dict.fromkeys(group for group, _ in panels):
@@ -268,16 +344,25 @@ def _build_plates(panels: Sequence[Shape], seams: Sequence[PanelSeams] | None) -
     )
 
 
-def _build_panel(corners: np.ndarray, thickness: float, name: str) -> tuple[Shape, np.ndarray, np.ndarray]:
-    """A panel as a shape about its own centre with the surface's normal along z, its centre and its rotation."""
-    return _build_cached_panel(tuple(map(tuple, np.asarray(corners, float).tolist())), thickness, name)
+def _build_panel(
+    corners: np.ndarray, thickness: float, name: str
+) -> tuple[Shape, np.ndarray, np.ndarray]:
+    """A panel as a shape about its own centre with the surface's normal along z, its centre and its
+    rotation.
+    """
+    return _build_cached_panel(
+        tuple(map(tuple, np.asarray(corners, float).tolist())), thickness, name
+    )
 
 
 @lru_cache(maxsize=4096)
-def _build_cached_panel(rows: tuple[tuple[float, ...], ...], thickness: float, name: str) -> tuple[Shape, np.ndarray, np.ndarray]:
+def _build_cached_panel(
+    rows: tuple[tuple[float, ...], ...], thickness: float, name: str
+) -> tuple[Shape, np.ndarray, np.ndarray]:
     """``_build_panel``, once for all runs of an ensemble; the arrays are not to be written to."""
     corners = np.array(rows)
-    wall_meshes.build_plate(corners, thickness, name)  # raises what is wrong with the corners as they were given
+    wall_meshes.build_plate(corners, thickness, name)  # raises what is wrong with the corners as
+    # they were given
     plate = wall_meshes.build_plate(wall_meshes.drop_collinear_corners(corners), thickness, name)
     x = corners[1] - corners[0]
     z = np.cross(corners - corners[0], np.roll(corners, -1, axis=0) - corners[0]).sum(0)
@@ -286,5 +371,6 @@ def _build_cached_panel(rows: tuple[tuple[float, ...], ...], thickness: float, n
     turn = np.stack([x, np.cross(z, x), z], axis=1)  # panel frame -> scene
     local = plate.vertices @ turn
     shape = shapes.make_polytope(name, local, plate.faces)
-    centre = turn @ (local.mean(0) - shape.vertices.mean(0))  # of mass: where polytope() puts the origin
+    centre = turn @ (local.mean(0) - shape.vertices.mean(0))  # of mass: where polytope() puts the
+    # origin
     return dataclasses.replace(shape, principal=np.array([1.0, 0, 0, 0])), centre, turn

@@ -1,8 +1,9 @@
 """Candidate pairs of bodies by all pairs, sorted cells, or the neighbour list of jax-md.
 
-Each source takes (system, members, stacked, reach, room): body numbers [M] int32, ``bodies.stack``, the gap (m) within
-which pairs count and a number of pairs to keep, and answers with the pairs (a, b), a < b, two int32 arrays that hold EMPTY
-where there is no pair, and the capacity needed to find them all.
+Each source takes (system, members, stacked, reach, room): body numbers [M] int32, ``bodies.stack``,
+the gap (m) within which pairs count and a number of pairs to keep, and answers with the pairs (a,
+b), a < b, two int32 arrays that hold EMPTY where there is no pair, and the capacity needed to find
+them all.
 """
 
 from types import ModuleType
@@ -19,7 +20,8 @@ from dem_jax.math import vector
 from dem_jax.math.compaction import EMPTY, WORD_BITS, find_set_bits, find_set_entries, pack_mask
 from dem_jax.types import Array, OverflowReport, Partition, System, as_array
 
-ALL_PAIRS_LIMIT = 700  # "auto" tests all pairs of up to this number of pieces, as fast as any list; cells for more
+ALL_PAIRS_LIMIT = 700  # "auto" tests all pairs of up to this number of pieces, as fast as any list;
+# cells for more
 TABLE_MIN_PARTS = 128  # from this number of parts on "all-pairs" uses a table
 CUTOFF_MARGIN = 1e-4  # of the cutoff of jax-md's list, by which it exceeds the sum of its terms
 
@@ -33,32 +35,50 @@ class BroadPhaseReport(NamedTuple):
     dropped: Array  # int32: pairs for which there was no room
 
 
-CandidatePairs = tuple[Array, Array, BroadPhaseReport]  # the pairs (a, b), and the capacities needed to find them all
+CandidatePairs = tuple[Array, Array, BroadPhaseReport]  # the pairs (a, b), and the capacities
+# needed to find them all
 
 
 def empty_search_report(dtype: DTypeLike) -> BroadPhaseReport:
     """That of a search that needs nothing, in numpy."""
     zero = as_array(np.zeros((), np.int32))
-    return BroadPhaseReport(zero, as_array(np.zeros((2,), np.int32)), as_array(np.zeros((), dtype)), zero)
+    return BroadPhaseReport(
+        zero, as_array(np.zeros((2,), np.int32)), as_array(np.zeros((), dtype)), zero
+    )
 
 
 def merge_report(guard: OverflowReport, need: BroadPhaseReport) -> OverflowReport:
     """The guard with the largest needs so far."""
-    return guard.replace(**{name: jnp.maximum(getattr(guard, name), getattr(need, name)) for name in ("row", "partition", "reach")})
+    return guard.replace(
+        **{
+            name: jnp.maximum(getattr(guard, name), getattr(need, name))
+            for name in ("row", "partition", "reach")
+        }
+    )
 
 
-def find_candidates(system: System, source: str, stacked: Array, reach: Array, room: int) -> CandidatePairs:
-    """Pairs of a source of contacts (a name of neighbours.SOURCES), at most ``room`` where they are many, and Need."""
+def find_candidates(
+    system: System, source: str, stacked: Array, reach: Array, room: int
+) -> CandidatePairs:
+    """Pairs of a source of contacts (a name of neighbours.SOURCES), at most ``room`` where they are
+    many, and Need.
+    """
     parts = system.parts
     if source.startswith("wall"):
         second = parts.polytopes if source == "wall-hull" else parts.spheres
         first = jnp.arange(system.walls.group.shape[0], dtype=jnp.int32) + parts.count
         return *_combine_all(first, second), empty_search_report(reach.dtype)
     if source == "hull-sphere":
-        first, second = (batch_reduction.split_runs(system, x) for x in (parts.polytopes, parts.spheres))
+        first, second = (
+            batch_reduction.split_runs(system, x) for x in (parts.polytopes, parts.spheres)
+        )
         return *_combine_all(first, second), empty_search_report(reach.dtype)
     members = parts.polytopes if source == "hull-hull" else parts.spheres
-    find = {"all-pairs": find_all_pairs, "cells": find_pairs_in_cells, "jax-md": find_pairs_with_jax_md}
+    find = {
+        "all-pairs": find_all_pairs,
+        "cells": find_pairs_in_cells,
+        "jax-md": find_pairs_with_jax_md,
+    }
     search = find[choose_search(system.neighbours, members.shape[0] // system.runs)]
     return search(system, members, stacked, jnp.max(reach), room)
 
@@ -73,7 +93,9 @@ def choose_search(neighbours: str, members: int) -> str:
 
 
 def pair_count(kind: str, polytopes: int, spheres: int, panels: int) -> int:
-    """How many pairs of a kind there are at all, from the numbers of polytopes and spheres among the parts and of panels."""
+    """How many pairs of a kind there are at all, from the numbers of polytopes and spheres among
+    the parts and of panels.
+    """
     return {
         "hulls": polytopes * (polytopes - 1) // 2 + panels * polytopes,
         "mixed": polytopes * spheres,
@@ -83,13 +105,19 @@ def pair_count(kind: str, polytopes: int, spheres: int, panels: int) -> int:
 
 
 def _combine_all(first: Array, second: Array) -> tuple[Array, Array]:
-    """Each of the first with each of the second; where both have a run axis behind, of the same run."""
+    """Each of the first with each of the second; where both have a run axis behind, of the same
+    run.
+    """
     a, b = (x.reshape(-1) for x in jnp.broadcast_arrays(first[:, None], second[None]))
     return a, b
 
 
-def find_all_pairs(system: System, members: Array, stacked: Array, reach: Array, room: int) -> CandidatePairs:
-    """Every pair there is, of pieces of one run, and Need: nothing; of many, those of ``find_pairs_in_table``."""
+def find_all_pairs(
+    system: System, members: Array, stacked: Array, reach: Array, room: int
+) -> CandidatePairs:
+    """Every pair there is, of pieces of one run, and Need: nothing; of many, those of
+    ``find_pairs_in_table``.
+    """
     if system.runs == 1 and members.shape[0] >= TABLE_MIN_PARTS:
         return find_pairs_in_table(system, members, stacked, reach, room)
     each = batch_reduction.split_runs(system, members)
@@ -97,33 +125,46 @@ def find_all_pairs(system: System, members: Array, stacked: Array, reach: Array,
     return each[i].reshape(-1), each[j].reshape(-1), empty_search_report(reach.dtype)
 
 
-def find_pairs_in_table(system: System, members: Array, stacked: Array, reach: Array, room: int) -> CandidatePairs:
-    """Pairs of different pieces whose bounding spheres are within reach, out of a table of each with each, and Need: nothing.
+def find_pairs_in_table(
+    system: System, members: Array, stacked: Array, reach: Array, room: int
+) -> CandidatePairs:
+    """Pairs of different pieces whose bounding spheres are within reach, out of a table of each
+    with each, and Need: nothing.
 
-    In the order of ``find_all_pairs``. The table is twice as large as a list of pairs, but a processor goes along its rows, where
-    a list has it look up two places for each pair: a quarter of the time.
+    In the order of ``find_all_pairs``. The table is twice as large as a list of pairs, but a
+    processor goes along its rows, where a list has it look up two places for each pair: a quarter
+    of the time.
     """
     number, columns = members.shape[0], members.shape[0] + -members.shape[0] % WORD_BITS
     ball = jnp.concatenate([stacked[:3, members], system.parts.bounding_radius[members][None]])
     other = jnp.pad(ball, ((0, 0), (0, columns - number)))[:, None]
     ball, rank = ball[..., None], jnp.arange(columns, dtype=jnp.int32)
     away, near = tuple(other[:3] - ball[:3]), other[3] + ball[3] + reach
-    is_near = (vector.dot(away, away) < near * near) & (rank[None] > rank[:number, None]) & (rank < number)[None]
+    is_near = (
+        (vector.dot(away, away) < near * near)
+        & (rank[None] > rank[:number, None])
+        & (rank < number)[None]
+    )
     if system.parts.owner is not None:
         owner = system.parts.owner[members]
         is_near = is_near & (jnp.pad(owner, (0, columns - number))[None] != owner[:, None])
-    found, where = find_set_bits(pack_mask(is_near.reshape(number, -1, WORD_BITS)).reshape(-1), room)
+    found, where = find_set_bits(
+        pack_mask(is_near.reshape(number, -1, WORD_BITS)).reshape(-1), room
+    )
     a, b = (jnp.where(where >= 0, members[k], EMPTY) for k in (where // columns, where % columns))
     return a, b, empty_search_report(reach.dtype)._replace(dropped=jnp.maximum(found - room, 0))
 
 
-def find_pairs_in_cells(system: System, members: Array, stacked: Array, reach: Array, room: int) -> CandidatePairs:
-    """Pairs of pieces in the same or in neighbouring cells whose bounding spheres are within reach, each once, and Need:
-    the most pieces in a row of three cells.
+def find_pairs_in_cells(
+    system: System, members: Array, stacked: Array, reach: Array, room: int
+) -> CandidatePairs:
+    """Pairs of pieces in the same or in neighbouring cells whose bounding spheres are within reach,
+    each once, and Need: the most pieces in a row of three cells.
 
-    Pieces are sorted by cell, z fastest, so that three cells one above the other are one range of the sorted list:
-    the rest of a piece's own cell and the one above, and four rows beside it, hold its partners of higher rank. Pairs
-    come out piece by piece, as from ``find_all_pairs``, so that consecutive slots find their bodies in the cache.
+    Pieces are sorted by cell, z fastest, so that three cells one above the other are one range of
+    the sorted list: the rest of a piece's own cell and the one above, and four rows beside it, hold
+    its partners of higher rank. Pairs come out piece by piece, as from ``find_all_pairs``, so that
+    consecutive slots find their bodies in the cache.
     """
     size = 2 * jnp.max(system.parts.bounding_radius[members]) + reach
     place = stacked[:3, members] - system.domain_low[:, None]
@@ -132,14 +173,16 @@ def find_pairs_in_cells(system: System, members: Array, stacked: Array, reach: A
     key = (cell[0] * count[1] + cell[1]) * count[2] + cell[2]
     order, number = jnp.argsort(key), members.shape[0]
     ranked = key[order]
-    own = jnp.zeros_like(key).at[order].set(jnp.arange(number, dtype=key.dtype))  # where in the sorted list
+    own = jnp.zeros_like(key).at[order].set(jnp.arange(number, dtype=key.dtype))  # where in the
+    # sorted list
     rows = [(0, 1), (1, -1), (1, 0), (1, 1)]
     beside = jnp.stack([key + (dx * count[1] + dy) * count[2] for dx, dy in rows], axis=1)
     start = jnp.searchsorted(ranked, beside - 1).astype(jnp.int32)
     start = jnp.concatenate([own[:, None] + 1, start], axis=1)  # [members, 5]
     last = jnp.concatenate([key[:, None], beside], axis=1)
     end = jnp.searchsorted(ranked, last + 1, side="right").astype(jnp.int32)
-    partner = start[..., None] + jnp.arange(system.row_capacity, dtype=jnp.int32)[None, None]  # [members, 5, row]
+    # [members, 5, row]
+    partner = start[..., None] + jnp.arange(system.row_capacity, dtype=jnp.int32)[None, None]
     ball = jnp.concatenate([stacked[:3, members], system.parts.bounding_radius[members][None]])
     here, there = ball[..., None, None], ball[:, order][:, jnp.minimum(partner, number - 1)]
     away, near = tuple(there[:3] - here[:3]), here[3] + there[3] + reach
@@ -148,15 +191,21 @@ def find_pairs_in_cells(system: System, members: Array, stacked: Array, reach: A
     i, row, rank = jnp.unravel_index(jnp.maximum(where, 0), partner.shape)
     i, j = members[i], members[order[start[i, row] + rank]]
     a, b = (jnp.where(where >= 0, x, EMPTY) for x in (jnp.minimum(i, j), jnp.maximum(i, j)))
-    need = empty_search_report(reach.dtype)._replace(row=jnp.max(end - start), dropped=jnp.maximum(found - room, 0))
+    need = empty_search_report(reach.dtype)._replace(
+        row=jnp.max(end - start), dropped=jnp.maximum(found - room, 0)
+    )
     return a, b, need
 
 
-def find_pairs_with_jax_md(system: System, members: Array, stacked: Array, reach: Array, room: int) -> CandidatePairs:
-    """Pairs of pieces whose bounding spheres of the largest size are within ``Partition.reach``, and Need: room and reach.
+def find_pairs_with_jax_md(
+    system: System, members: Array, stacked: Array, reach: Array, room: int
+) -> CandidatePairs:
+    """Pairs of pieces whose bounding spheres of the largest size are within ``Partition.reach``,
+    and Need: room and reach.
 
-    By ``import_jax_md.partition.neighbor_list`` in free space. Its cutoff is static while ours is not: what goes beyond it is
-    missed, and is noted as a need. jax-md tells that a list overflowed, not by how much: then twice its room is needed.
+    By ``import_jax_md.partition.neighbor_list`` in free space. Its cutoff is static while ours is
+    not: what goes beyond it is missed, and is noted as a need. jax-md tells that a list overflowed,
+    not by how much: then twice its room is needed.
     """
     listing = system.partition
     assert listing is not None
@@ -165,7 +214,8 @@ def find_pairs_with_jax_md(system: System, members: Array, stacked: Array, reach
     place = (stacked[:3, members] - system.domain_low[:, None]).T
     number = members.shape[0]
     box = np.array(listing.sides) * size
-    room = min(listing.pairs, 27 * listing.cell * number - 1)  # the last place of its scratch takes what is no pair
+    room = min(listing.pairs, 27 * listing.cell * number - 1)  # the last place of its scratch takes
+    # what is no pair
     with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
         partition, space = import_jax_md()
         form = partition.NeighborListFormat.OrderedSparse
@@ -188,20 +238,30 @@ def find_pairs_with_jax_md(system: System, members: Array, stacked: Array, reach
     listed = jnp.where(overflow, 2 * room, jnp.sum(there, dtype=jnp.int32)).astype(jnp.int32)
     a, b = (jnp.where(there, members[jnp.minimum(row, number - 1)], EMPTY) for row in found.idx)
     wanted = 2 * jnp.max(system.parts.bounding_radius[members]) + reach - listing.diameter
-    return a, b, empty_search_report(reach.dtype)._replace(partition=jnp.stack([listed, filling]), reach=wanted)
+    return (
+        a,
+        b,
+        empty_search_report(reach.dtype)._replace(
+            partition=jnp.stack([listed, filling]), reach=wanted
+        ),
+    )
 
 
 def import_jax_md() -> tuple[ModuleType, ModuleType]:
     """jax-md's ``partition`` and ``space``.
 
-    Imported only where a scene asks for its list, as that takes seconds and hundreds of MB. It computes as it is
-    imported, which a trace under way must not see, and promotes dtypes.
+    Imported only where a scene asks for its list, as that takes seconds and hundreds of MB. It
+    computes as it is imported, which a trace under way must not see, and promotes dtypes.
 
     Raises:
         SceneError: jax-md is not installed.
     """
     try:
-        with jax.ensure_compile_time_eval(), jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
+        with (
+            jax.ensure_compile_time_eval(),
+            jax.numpy_dtype_promotion("standard"),
+            jax.numpy_rank_promotion("allow"),
+        ):
             from jax_md import partition, space
     except ImportError as error:
         raise SceneError(
@@ -211,15 +271,21 @@ def import_jax_md() -> tuple[ModuleType, ModuleType]:
     return partition, space
 
 
-def initial_partition(members: int, diameter: float, volume: float, extent: np.ndarray) -> Partition:
+def initial_partition(
+    members: int, diameter: float, volume: float, extent: np.ndarray
+) -> Partition:
     """Room for jax-md's list to begin with, for densely packed pieces.
 
-    diameter: (m) of the largest bounding sphere; volume: (m3) of the smallest piece; extent: [3] (m) of the domain.
+    diameter: (m) of the largest bounding sphere; volume: (m3) of the smallest piece; extent: [3]
+    (m) of the domain.
     """
     reach = 0.1 * diameter
     cutoff = diameter + reach
     dense = 0.65 * cutoff**3 / volume  # pieces in a cell
-    most = max(3, 2 * int(np.ceil(members ** (1 / 3))))  # cells along a side: beyond, they would mostly be empty
+    most = max(3, 2 * int(np.ceil(members ** (1 / 3))))  # cells along a side: beyond, they would
+    # mostly be empty
     nx, ny, nz = (int(np.clip(np.ceil(x / cutoff), 3, most)) for x in extent)
     pairs = min(members * (members - 1) // 2, int(np.ceil(2 / 3 * np.pi * dense * members)))
-    return Partition(float(diameter), float(reach), (nx, ny, nz), max(1, pairs), int(np.ceil(dense)) + 1)
+    return Partition(
+        float(diameter), float(reach), (nx, ny, nz), max(1, pairs), int(np.ceil(dense)) + 1
+    )

@@ -1,10 +1,12 @@
-"""Which pairs may touch before the next rebuild, and contact history carried across a rebuild by partner.
+"""Which pairs may touch before the next rebuild, and contact history carried across a rebuild by
+partner.
 
-A rebuild looks at those of ``pairs`` in stages, each on what the one before left: bounding spheres (of a panel and a
-piece: box and sphere), then the full separating-axis test. What is left are pairs nearer than the way that the speeds
-of the fastest take two bodies until the next rebuild (``Scratch.expected_displacement``) and a skin for what changes speeds; ``excess_displacement``
-measures whether two bodies may have approached each other by more. More candidates than slots is not an error here but data:
-the host grows the capacity and runs the chunk again.
+A rebuild looks at those of ``pairs`` in stages, each on what the one before left: bounding spheres
+(of a panel and a piece: box and sphere), then the full separating-axis test. What is left are pairs
+nearer than the way that the speeds of the fastest take two bodies until the next rebuild
+(``Scratch.expected_displacement``) and a skin for what changes speeds; ``excess_displacement``
+measures whether two bodies may have approached each other by more. More candidates than slots is
+not an error here but data: the host grows the capacity and runs the chunk again.
 """
 
 from collections.abc import Sequence
@@ -41,8 +43,9 @@ from dem_jax.walls import kinematics
 
 T = TypeVar("T")
 
-# Kinds of contact by what computes their geometry, each with slots of its own, and the sources of their pairs.
-# In the order of the alphabet, as JAX sorts the keys of a dict: ``incidence`` counts on one order everywhere.
+# Kinds of contact by what computes their geometry, each with slots of its own, and the sources of
+# their pairs. In the order of the alphabet, as JAX sorts the keys of a dict: ``incidence`` counts
+# on one order everywhere.
 PAIR_SOURCES = {
     "hulls": ("hull-hull", "wall-hull"),
     "mixed": ("hull-sphere",),
@@ -66,7 +69,8 @@ class FoundContacts(NamedTuple):
     slots: PairConstants
     filled: Array  # int32: slots that are
     needed: Array  # [2] int32, see Guard
-    feature_cache: tuple[ActiveFeatures, SupportFaces] | None  # of polytopes that keep their near features
+    feature_cache: tuple[ActiveFeatures, SupportFaces] | None  # of polytopes that keep their near
+    # features
 
 
 class Incidence(NamedTuple):
@@ -78,10 +82,16 @@ class Incidence(NamedTuple):
     max_wall_contacts: Array  # int32
 
 
-def rebuild_neighbour_list(system: System, state: State, panels: kinematics.WallState | None = None) -> State:
-    """Find the candidate pairs anew and carry the history of those that remain. panels: where they are now, if known."""
+def rebuild_neighbour_list(
+    system: System, state: State, panels: kinematics.WallState | None = None
+) -> State:
+    """Find the candidate pairs anew and carry the history of those that remain. panels: where they
+    are now, if known.
+    """
     if panels is None:
-        panels = kinematics.apply_compliance(system, state, kinematics.wall_state_at_rebuild(system, state.step))
+        panels = kinematics.apply_compliance(
+            system, state, kinematics.wall_state_at_rebuild(system, state.step)
+        )
     stacked = packed_bodies.pack_bodies(system, state, jnp.zeros_like(state.velocity), panels)
     lead = _max_rebuild_interval(system) * _max_approach_speed(system, state, panels)
     by = SearchInput(stacked, system.skin + system.reach + lead, state.guard.start_overlap < 0)
@@ -110,48 +120,87 @@ def rebuild_neighbour_list(system: System, state: State, panels: kinematics.Wall
         displacement=jnp.zeros_like(lead),
         displacement_rate=jnp.zeros_like(lead),
         expected_displacement=lead,
-        shared_contacts={kind: contact_reduction.find_shared_contacts(system, found[kind].slots) for kind in shared},
+        shared_contacts={
+            kind: contact_reduction.find_shared_contacts(system, found[kind].slots)
+            for kind in shared
+        },
         shares={kind: jnp.ones_like(found[kind].table.memory.overlap) for kind in shared},
-        active_features={kind: one.feature_cache[0] for kind, one in found.items() if one.feature_cache},
-        support_faces={kind: one.feature_cache[1] for kind, one in found.items() if one.feature_cache},
+        active_features={
+            kind: one.feature_cache[0] for kind, one in found.items() if one.feature_cache
+        },
+        support_faces={
+            kind: one.feature_cache[1] for kind, one in found.items() if one.feature_cache
+        },
         is_first=by.is_first,
-        remaining_margin=jnp.where(found["hulls"].slots.live, -1, jnp.inf).astype(system.dt.dtype) if "hulls" in found else None,
+        remaining_margin=jnp.where(found["hulls"].slots.live, -1, jnp.inf).astype(system.dt.dtype)
+        if "hulls" in found
+        else None,
         refreshed_at=jnp.full_like(state.step, -1),
         pending_bodies=stacked if has_feature_cache(system) else None,
         pending_step=state.step,
     )
-    return state.replace(contacts=tables, incidence=incidence.load_columns, guard=guard, scratch=scratch)
+    return state.replace(
+        contacts=tables, incidence=incidence.load_columns, guard=guard, scratch=scratch
+    )
 
 
 def _find_contacts(
-    system: System, state: State, guard: OverflowReport, by: SearchInput, kind: str, rooms: Sequence[int], column: int
+    system: System,
+    state: State,
+    guard: OverflowReport,
+    by: SearchInput,
+    kind: str,
+    rooms: Sequence[int],
+    column: int,
 ) -> tuple[OverflowReport, FoundContacts]:
-    """The contacts of a kind; rooms: for candidates and for slots; column: of ``Scratch.loads``, where the kind began."""
+    """The contacts of a kind; rooms: for candidates and for slots; column: of ``Scratch.loads``,
+    where the kind began.
+    """
     candidates, room = rooms
     close, one, other = [], [], []
     missed: Array | int = 0
     for source in PAIR_SOURCES[kind]:
-        first, second, need = candidate_search.find_candidates(system, source, by.stacked, by.reach, candidates)
+        first, second, need = candidate_search.find_candidates(
+            system, source, by.stacked, by.reach, candidates
+        )
         guard, missed = candidate_search.merge_report(guard, need), missed + need.dropped
         close.append(is_within_bounds(system, by.stacked, source, first, second, by.reach))
         one.append(first)
         other.append(second)
-    number, a, b = compact_pairs(jnp.concatenate(close), jnp.concatenate(one), jnp.concatenate(other), candidates)
+    number, a, b = compact_pairs(
+        jnp.concatenate(close), jnp.concatenate(one), jnp.concatenate(other), candidates
+    )
     overlap, relative = _candidate_overlaps(system, kind, a, b, number, by.stacked)
-    keeps = kind == "hulls" and has_feature_cache(system)  # then what overlaps is known after the first look
+    keeps = kind == "hulls" and has_feature_cache(system)  # then what overlaps is known after the
+    # first look
     guard = guard if keeps else _record_initial_overlap(guard, by.is_first, relative, a, b)
-    touching, a, b = compact_overlapping_first(overlap, batch_reduction.take_run_values(system, by.reach, jnp.maximum(b, 0)), a, b, room)
-    needed = jnp.maximum(guard.needed[kind], _largest_run_needs(system, number + missed, touching, b))
+    touching, a, b = compact_overlapping_first(
+        overlap, batch_reduction.take_run_values(system, by.reach, jnp.maximum(b, 0)), a, b, room
+    )
+    needed = jnp.maximum(
+        guard.needed[kind], _largest_run_needs(system, number + missed, touching, b)
+    )
     slots, filled = compute_pair_constants(system, kind, a, b), jnp.minimum(touching, room)
     slot, known = match_contacts(system, state, kind, a, b, column)
-    table = ContactTable(a, b, carry_history(state.contacts[kind].memory, init_contact_history(system, kind, slots), slot, known))
+    table = ContactTable(
+        a,
+        b,
+        carry_history(
+            state.contacts[kind].memory, init_contact_history(system, kind, slots), slot, known
+        ),
+    )
     near = None
     if keeps:
         near = empty_feature_cache(system, room)
         if state.scratch:
-            old, size = (state.scratch.active_features[kind], state.scratch.support_faces[kind]), tiling.tile_size(system, kind, room) or room
+            old, size = (
+                (state.scratch.active_features[kind], state.scratch.support_faces[kind]),
+                tiling.tile_size(system, kind, room) or room,
+            )
 
-            def carry_tile(k: Array, near: tuple[ActiveFeatures, SupportFaces]) -> tuple[ActiveFeatures, SupportFaces]:
+            def carry_tile(
+                k: Array, near: tuple[ActiveFeatures, SupportFaces]
+            ) -> tuple[ActiveFeatures, SupportFaces]:
                 none, *of = tiling.slice_tile((near, slot, known), k, size)
                 return tiling.update_tile(near, carry_history(old, none, *of), k, size)
 
@@ -160,14 +209,20 @@ def _find_contacts(
 
 
 def _largest_run_needs(system: System, near: Array, touching: Array, b: Array) -> Array:
-    """The candidates and slots that one run wants, [2]; near, touching: those of all runs; b: [slots], pieces in slots."""
+    """The candidates and slots that one run wants, [2]; near, touching: those of all runs; b:
+    [slots], pieces in slots.
+    """
     each = batch_reduction.sum_contacts_per_run(system, (b >= 0).astype(jnp.int32), b)
     mean = (jnp.stack([near, touching]) + system.runs - 1) // system.runs
     return mean.at[1].max(jnp.max(each))
 
 
-def is_within_bounds(system: System, stacked: Array, source: str, a: Array, b: Array, gap: Array) -> Array:
-    """Whether the bounds of two bodies are nearer than a gap (m), [pairs] bool: spheres, of a panel the box around it."""
+def is_within_bounds(
+    system: System, stacked: Array, source: str, a: Array, b: Array, gap: Array
+) -> Array:
+    """Whether the bounds of two bodies are nearer than a gap (m), [pairs] bool: spheres, of a panel
+    the box around it.
+    """
     live = a >= 0
     a, b = jnp.maximum(a, 0), jnp.maximum(b, 0)
     parts = system.parts
@@ -175,7 +230,10 @@ def is_within_bounds(system: System, stacked: Array, source: str, a: Array, b: A
     reach = radius[b] + batch_reduction.take_run_values(system, gap, b)
     if source.startswith("wall"):
         panel = a - radius.shape[0]
-        first, second = packed_bodies.gather_bodies_at_once(stacked, a), packed_bodies.gather_bodies_at_once(stacked, b)
+        first, second = (
+            packed_bodies.gather_bodies_at_once(stacked, a),
+            packed_bodies.gather_bodies_at_once(stacked, b),
+        )
         assert first.rotation is not None
         local = vector.rotate_back(first.rotation, packed_bodies.centre_offset(first, second))
         half = tuple(c[panel] for c in system.walls.half_extent)
@@ -183,22 +241,33 @@ def is_within_bounds(system: System, stacked: Array, source: str, a: Array, b: A
         away = x, y, z
     else:
         reach = reach + radius[a]
-        away = vector.sub(vector.unstack_vector(stacked[:3, b]), vector.unstack_vector(stacked[:3, a]))
+        away = vector.sub(
+            vector.unstack_vector(stacked[:3, b]), vector.unstack_vector(stacked[:3, a])
+        )
         if parts.owner is not None:
             live = live & (parts.owner[a] != parts.owner[b])
     return live & (vector.dot(away, away) < reach * reach)
 
 
-def _candidate_overlaps(system: System, kind: str, a: Array, b: Array, number: Array, stacked: Array) -> Array:
-    """Overlap of each pair by the full test, [pairs] (m), and relative to its width; of an empty one, minus infinity.
+def _candidate_overlaps(
+    system: System, kind: str, a: Array, b: Array, number: Array, stacked: Array
+) -> Array:
+    """Overlap of each pair by the full test, [pairs] (m), and relative to its width; of an empty
+    one, minus infinity.
 
-    number: how many pairs there are, the first ones; of the rest, as many as fill a block are looked at too.
+    number: how many pairs there are, the first ones; of the rest, as many as fill a block are
+    looked at too.
     """
 
     def overlap_pairs(a: Array, b: Array) -> Array:
         slots = compute_pair_constants(system, kind, a, b)
-        body_a, body_b = packed_bodies.gather_bodies_at_once(stacked, slots.a), packed_bodies.gather_bodies_at_once(stacked, slots.b)
-        depth = candidate_overlap(system, kind, slots, body_a, body_b, packed_bodies.centre_offset(body_a, body_b))
+        body_a, body_b = (
+            packed_bodies.gather_bodies_at_once(stacked, slots.a),
+            packed_bodies.gather_bodies_at_once(stacked, slots.b),
+        )
+        depth = candidate_overlap(
+            system, kind, slots, body_a, body_b, packed_bodies.centre_offset(body_a, body_b)
+        )
         return jnp.where(slots.live, jnp.stack([depth, depth / slots.width]), -jnp.inf)
 
     size = tiling.tile_size(system, kind, a.shape[0])
@@ -206,13 +275,19 @@ def _candidate_overlaps(system: System, kind: str, a: Array, b: Array, number: A
         return overlap_pairs(a, b)
 
     def test_tile(k: Array, found: Array) -> Array:
-        return jax.lax.dynamic_update_slice_in_dim(found, overlap_pairs(*tiling.slice_tile((a, b), k, size)), k * size, 1)
+        return jax.lax.dynamic_update_slice_in_dim(
+            found, overlap_pairs(*tiling.slice_tile((a, b), k, size)), k * size, 1
+        )
 
     none = jnp.full((2, a.shape[0]), -jnp.inf, stacked.dtype)
-    return jax.lax.fori_loop(0, (jnp.minimum(number, a.shape[0]) + size - 1) // size, test_tile, none)
+    return jax.lax.fori_loop(
+        0, (jnp.minimum(number, a.shape[0]) + size - 1) // size, test_tile, none
+    )
 
 
-def _record_initial_overlap(guard: OverflowReport, first_time: Array, relative: Array, a: Array, b: Array) -> OverflowReport:
+def _record_initial_overlap(
+    guard: OverflowReport, first_time: Array, relative: Array, a: Array, b: Array
+) -> OverflowReport:
     """Note the deepest pair of all, if this is the first rebuild."""
     worst = jnp.argmax(relative)
     more = first_time & (relative[worst] > guard.start_overlap)
@@ -222,11 +297,14 @@ def _record_initial_overlap(guard: OverflowReport, first_time: Array, relative: 
     )
 
 
-def match_contacts(system: System, state: State, kind: str, a: Array, b: Array, column: int) -> tuple[Array, Array]:
-    """The slot in the last table of each pair (a, b) of a kind, [P] int32, and whether it had one, [P] bool.
+def match_contacts(
+    system: System, state: State, kind: str, a: Array, b: Array, column: int
+) -> tuple[Array, Array]:
+    """The slot in the last table of each pair (a, b) of a kind, [P] int32, and whether it had one,
+    [P] bool.
 
-    column: where the loads on b of this kind begin in ``State.incidence``. A pair that was known stands among the few contacts
-    of its b, so that no sorting and no search is needed.
+    column: where the loads on b of this kind begin in ``State.incidence``. A pair that was known
+    stands among the few contacts of its b, so that no sorting and no search is needed.
     """
     old, incidence = state.contacts[kind], state.incidence
     room, columns = old.a.shape[0], sum(2 * table.a.shape[0] for table in state.contacts.values())
@@ -247,8 +325,12 @@ def match_contacts(system: System, state: State, kind: str, a: Array, b: Array, 
 
 
 def carry_history(old: T, none: T, slot: Array, known: Array) -> T:
-    """Of a tree of rows [.., P] of former slots what the pairs had, and ``none`` of those that had none."""
-    pick = lambda rows, new: jnp.where(known.reshape((1,) * (new.ndim - 1) + (-1,)), rows[..., slot], new)  # noqa: E731
+    """Of a tree of rows [.., P] of former slots what the pairs had, and ``none`` of those that had
+    none.
+    """
+    pick = lambda rows, new: jnp.where(
+        known.reshape((1,) * (new.ndim - 1) + (-1,)), rows[..., slot], new
+    )
     return jax.tree.map(pick, old, none)
 
 
@@ -259,7 +341,7 @@ def empty_feature_cache(system: System, room: int) -> tuple[ActiveFeatures, Supp
     features = table.features
     row, length = jnp.zeros((room,), jnp.int32), jnp.zeros((room,), system.dt.dtype)
     rel = collision_primitives.RelativePose(((length,) * 3,) * 3, (length,) * 3)
-    both = lambda: (  # noqa: E731
+    both = lambda: (
         feature_search.find_active_features(features, (row, row), (length, length), rel, None),
         feature_search.find_support_faces(features, (row, row), (length,) * 3, rel),
     )
@@ -270,8 +352,17 @@ def empty_feature_cache(system: System, room: int) -> tuple[ActiveFeatures, Supp
 def init_contact_history(system: System, kind: str, slots: PairConstants) -> ContactHistory:
     """The memory of contacts that begin, in slots."""
     zero = jnp.zeros(slots.a.shape, system.dt.dtype)
-    arm, tied = None if slots.patch is None else zero, zero if kind == "hulls" and system.may_tie else None
-    return ContactHistory(zero, jnp.zeros((3, *zero.shape), zero.dtype), system.law.init_history(slots.pair, zero), arm, tied)
+    arm, tied = (
+        None if slots.patch is None else zero,
+        zero if kind == "hulls" and system.may_tie else None,
+    )
+    return ContactHistory(
+        zero,
+        jnp.zeros((3, *zero.shape), zero.dtype),
+        system.law.init_history(slots.pair, zero),
+        arm,
+        tied,
+    )
 
 
 def init_contact_tables(system: System) -> dict[str, ContactTable]:
@@ -283,30 +374,47 @@ def init_contact_table(system: System, kind: str, room: int) -> ContactTable:
     """A table without contacts, in numpy."""
     none = as_array(np.full((room,), EMPTY, np.int32))
     leaves, structure = jax.tree.flatten(system)
-    memory = _history_shape(structure, tuple((np.shape(x), np.dtype(x.dtype)) for x in leaves), kind, room)
+    memory = _history_shape(
+        structure, tuple((np.shape(x), np.dtype(x.dtype)) for x in leaves), kind, room
+    )
     return ContactTable(none, none, jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), memory))
 
 
 @lru_cache(maxsize=64)
-def _history_shape(structure: Any, forms: tuple[tuple[tuple[int, ...], np.dtype], ...], kind: str, room: int) -> ContactHistory:
-    """Of what form the memory of so many slots is, in a system of such arrays: the same for all runs of an ensemble."""
+def _history_shape(
+    structure: Any, forms: tuple[tuple[tuple[int, ...], np.dtype], ...], kind: str, room: int
+) -> ContactHistory:
+    """Of what form the memory of so many slots is, in a system of such arrays: the same for all
+    runs of an ensemble.
+    """
     system = jax.tree.unflatten(structure, [jax.ShapeDtypeStruct(*form) for form in forms])
     slot = jax.ShapeDtypeStruct((room,), np.int32)
-    return jax.eval_shape(lambda system, a: init_contact_history(system, kind, compute_pair_constants(system, kind, a, a)), system, slot)
+    return jax.eval_shape(
+        lambda system, a: init_contact_history(
+            system, kind, compute_pair_constants(system, kind, a, a)
+        ),
+        system,
+        slot,
+    )
 
 
 def find_incidence(system: System, tables: dict[str, ContactTable]) -> Incidence:
     """Where the loads of each piece stand in the columns that forces adds up, those of walls first.
 
-    The columns are, for each kind, the P loads on b, then the P loads on a; one more, which ends each list, holds zeros.
+    The columns are, for each kind, the P loads on b, then the P loads on a; one more, which ends
+    each list, holds zeros.
     """
     pieces, number = system.pieces.mass.shape[0], system.parts.count
     room = jnp.arange(system.touching, dtype=jnp.int32)[:, None]
     if not tables:
         none, zero = jnp.zeros((system.touching, pieces), jnp.int32), jnp.zeros((), jnp.int32)
         return Incidence(none, zero, jnp.stack([none, none]), zero)
-    part = jnp.concatenate([of for t in tables.values() for of in (t.b, jnp.where(t.a < number, t.a, EMPTY))])
-    panel = jnp.concatenate([of for t in tables.values() for of in (t.a - number, jnp.full_like(t.a, EMPTY))])
+    part = jnp.concatenate(
+        [of for t in tables.values() for of in (t.b, jnp.where(t.a < number, t.a, EMPTY))]
+    )
+    panel = jnp.concatenate(
+        [of for t in tables.values() for of in (t.a - number, jnp.full_like(t.a, EMPTY))]
+    )
     columns = part.shape[0]
     owner = 2 * system.parts.owning_piece(jnp.maximum(part, 0)) + (panel < 0).astype(jnp.int32)
     order, first = group_by_owner(jnp.where(part >= 0, owner, 2 * pieces), 2 * pieces)
@@ -324,35 +432,64 @@ def find_incidence(system: System, tables: dict[str, ContactTable]) -> Incidence
     )
 
 
-def accumulate_displacement(system: System, state: State, omega: Array, panels: kinematics.WallState) -> State:
-    """Accumulate the maximum possible approach of any two bodies since the last rebuild (Verlet-skin bookkeeping).
+def accumulate_displacement(
+    system: System, state: State, omega: Array, panels: kinematics.WallState
+) -> State:
+    """Accumulate the maximum possible approach of any two bodies since the last rebuild
+    (Verlet-skin bookkeeping).
 
     omega: [3, N] (rad/s) of the step; panels: after it.
     """
     of_walls = _max_panel_speeds(system, panels) if system.walls.has_motion else None
-    rate = system.dt * _sum_two_fastest(system, _max_point_speeds(system, state, vector.unstack_vector(omega)), of_walls)
-    return state.replace(scratch=state.scratch.replace(displacement=state.scratch.displacement + rate, displacement_rate=rate))
+    rate = system.dt * _sum_two_fastest(
+        system, _max_point_speeds(system, state, vector.unstack_vector(omega)), of_walls
+    )
+    return state.replace(
+        scratch=state.scratch.replace(
+            displacement=state.scratch.displacement + rate, displacement_rate=rate
+        )
+    )
 
 
-def accumulate_free_flight(system: System, before: State, after: State, steps: Array, panels: kinematics.WallState) -> State:
+def accumulate_free_flight(
+    system: System, before: State, after: State, steps: Array, panels: kinematics.WallState
+) -> State:
     """As ``accumulate_displacement``, of so many steps of free fall at once; panels: after them."""
-    rate = system.dt * jnp.maximum(_max_approach_speed(system, before, panels), _max_approach_speed(system, after, panels))
+    rate = system.dt * jnp.maximum(
+        _max_approach_speed(system, before, panels), _max_approach_speed(system, after, panels)
+    )
     way = before.scratch.displacement + steps.astype(rate.dtype) * rate
     return after.replace(scratch=after.scratch.replace(displacement=way, displacement_rate=rate))
 
 
 def excess_displacement(system: System, state: State, steps: Array | int = 0) -> Array:
-    """How much nearer two bodies may have come since the last rebuild than was expected then, or after so many more steps as
-    the last, [] (m)."""
+    """How much nearer two bodies may have come since the last rebuild than was expected then, or
+    after so many more steps as the last, [] (m).
+    """
     scratch = state.scratch
-    return jnp.max(scratch.displacement + jnp.asarray(steps).astype(system.dt.dtype) * scratch.displacement_rate - scratch.expected_displacement)
+    return jnp.max(
+        scratch.displacement
+        + jnp.asarray(steps).astype(system.dt.dtype) * scratch.displacement_rate
+        - scratch.expected_displacement
+    )
 
 
 def _max_approach_speed(system: System, state: State, panels: kinematics.WallState) -> Array:
     """The most by which any two bodies approach each other now (m/s)."""
-    momentum, inertia = vector.unstack_vector(state.angular_momentum), vector.unstack_vector(system.pieces.inertia)
-    omega = quaternions.angular_velocity(tuple(state.orientation), momentum, inertia) if system.has_hulls else momentum
-    return _sum_two_fastest(system, _max_point_speeds(system, state, omega), _max_panel_speeds(system, panels) if system.walls.has_motion else None)
+    momentum, inertia = (
+        vector.unstack_vector(state.angular_momentum),
+        vector.unstack_vector(system.pieces.inertia),
+    )
+    omega = (
+        quaternions.angular_velocity(tuple(state.orientation), momentum, inertia)
+        if system.has_hulls
+        else momentum
+    )
+    return _sum_two_fastest(
+        system,
+        _max_point_speeds(system, state, omega),
+        _max_panel_speeds(system, panels) if system.walls.has_motion else None,
+    )
 
 
 def _max_point_speeds(system: System, state: State, omega: Vector) -> Array:
@@ -363,7 +500,9 @@ def _max_point_speeds(system: System, state: State, omega: Vector) -> Array:
 
 def _max_panel_speeds(system: System, panels: kinematics.WallState) -> Array:
     """Of the fastest point of each panel, at most, [W] (m/s)."""
-    return vector.norm(panels.velocity) + vector.norm(panels.spin) * vector.norm(tuple(system.walls.half_extent))
+    return vector.norm(panels.velocity) + vector.norm(panels.spin) * vector.norm(
+        tuple(system.walls.half_extent)
+    )
 
 
 def _sum_two_fastest(system: System, pieces: Array, walls: Array | None) -> Array:
@@ -383,4 +522,6 @@ def empty_overflow_report(system: System, dtype: DTypeLike) -> OverflowReport:
     zero = as_array(np.zeros((), np.int32))
     none = candidate_search.empty_search_report(dtype)
     nothing, nobody = as_array(np.zeros((), dtype)), as_array(np.zeros((2,), np.int32))
-    return OverflowReport(needed, zero, none.row, none.partition, none.reach, nothing, nothing - 1, nobody)
+    return OverflowReport(
+        needed, zero, none.row, none.partition, none.reach, nothing, nothing - 1, nobody
+    )

@@ -1,7 +1,8 @@
-"""Recovery on the host when a chunk exceeds a capacity or its skin: grow it, and return to the last valid state.
+"""Recovery on the host when a chunk exceeds a capacity or its skin: grow it, and return to the last
+valid state.
 
-Capacities are static, so growing one recompiles; the skin is an array. All arrays may have a leading run axis
-(ensembles): the largest need of all runs counts.
+Capacities are static, so growing one recompiles; the skin is an array. All arrays may have a
+leading run axis (ensembles): the largest need of all runs counts.
 """
 
 from collections.abc import Iterator
@@ -25,13 +26,19 @@ def reset_report(state: State) -> State:
     """The state at the start of a chunk, with needs and travel reset."""
     guard = state.guard
     zeros = jax.tree.map(
-        np.zeros_like, {name: getattr(guard, name) for name in ("needed", "touching", "row", "partition", "reach", "travel")}
+        np.zeros_like,
+        {
+            name: getattr(guard, name)
+            for name in ("needed", "touching", "row", "partition", "reach", "travel")
+        },
     )
     return state.replace(guard=guard.replace(**zeros))
 
 
 class CapacityCheck(NamedTuple):
-    """A limited capacity: the required and the available number, and the message if it is insufficient."""
+    """A limited capacity: the required and the available number, and the message if it is
+    insufficient.
+    """
 
     needed: Any
     available: Any
@@ -44,58 +51,96 @@ def _list_capacity_checks(system: System, guard: OverflowReport) -> Iterator[Cap
         yield CapacityCheck(near, candidates, f"{{0}} candidate pairs of {kind} for {{1}}")
         yield CapacityCheck(touching, slots, f"{{0}} pairs of {kind} for {{1}} slots")
     yield CapacityCheck(guard.touching.max(), system.touching, "{0} contacts of a piece for {1}")
-    yield CapacityCheck(guard.row.max(), system.row_capacity, "{0} pieces in a row of cells for {1}")
+    yield CapacityCheck(
+        guard.row.max(), system.row_capacity, "{0} pieces in a row of cells for {1}"
+    )
     if system.partition:
         listed, filling = _max_over_runs(guard.partition)
-        yield CapacityCheck(listed, system.partition.pairs, "more than {1} pairs in the list of jax-md")
-        yield CapacityCheck(filling, system.partition.cell, "{0} pieces in a cell of jax-md for {1}")
-        yield CapacityCheck(guard.reach.max(), system.partition.reach, "pairs within {0:.3g} m for a list of jax-md within {1:.3g} m")
+        yield CapacityCheck(
+            listed, system.partition.pairs, "more than {1} pairs in the list of jax-md"
+        )
+        yield CapacityCheck(
+            filling, system.partition.cell, "{0} pieces in a cell of jax-md for {1}"
+        )
+        yield CapacityCheck(
+            guard.reach.max(),
+            system.partition.reach,
+            "pairs within {0:.3g} m for a list of jax-md within {1:.3g} m",
+        )
     words = "bodies approached by {0:.3g} m more than expected between rebuilds, with a skin of {1:.3g} m"
     yield CapacityCheck(guard.travel.max(), system.skin, words)
 
 
 def describe_overflow(system: System, guard: OverflowReport) -> list[str]:
-    """Message that names the capacities that a chunk exceeded; empty if its result is valid. guard: numpy."""
-    rooms = (CapacityCheck(np.asarray(room.needed)[()], np.asarray(room.available)[()], room.message) for room in _list_capacity_checks(system, guard))
-    return [room.message.format(room.needed, room.available) for room in rooms if room.needed > room.available]
+    """Message that names the capacities that a chunk exceeded; empty if its result is valid. guard:
+    numpy.
+    """
+    rooms = (
+        CapacityCheck(np.asarray(room.needed)[()], np.asarray(room.available)[()], room.message)
+        for room in _list_capacity_checks(system, guard)
+    )
+    return [
+        room.message.format(room.needed, room.available)
+        for room in rooms
+        if room.needed > room.available
+    ]
 
 
 def is_within_capacity(system: System, guard: OverflowReport) -> Array:
     """Whether nothing was outgrown, bool."""
-    return jnp.all(jnp.stack([jnp.asarray(room.needed <= room.available) for room in _list_capacity_checks(system, guard)]))
+    return jnp.all(
+        jnp.stack(
+            [
+                jnp.asarray(room.needed <= room.available)
+                for room in _list_capacity_checks(system, guard)
+            ]
+        )
+    )
 
 
 def with_all_pairs(system: System) -> System:
-    """The system with every pair a candidate for good, however fast bodies get nearer, where there is room for all pairs."""
+    """The system with every pair a candidate for good, however fast bodies get nearer, where there
+    is room for all pairs.
+    """
     panels = system.walls.group.shape[0]
     count = system.parts.polytopes.shape[0], system.parts.spheres.shape[0], panels
     for kind, candidates, slots in system.capacity:
-        if min(candidates, slots) < candidate_search.pair_count(kind, *count) or system.touching < max_contacts_per_piece(system.parts, panels):
+        if min(candidates, slots) < candidate_search.pair_count(
+            kind, *count
+        ) or system.touching < max_contacts_per_piece(system.parts, panels):
             return system
     return system.replace(skin=jnp.full_like(system.skin, UNLIMITED_SKIN))
 
 
 def runs_within_capacity(system: System, guard: OverflowReport) -> np.ndarray:
     """Which runs of an ensemble outgrew nothing, so that their results stand, [runs] bool."""
-    of_run = lambda k: jax.tree.map(lambda x: x[k], guard)  # noqa: E731
+    of_run = lambda k: jax.tree.map(lambda x: x[k], guard)
     return np.array([not describe_overflow(system, of_run(k)) for k in range(len(guard.travel))])
 
 
 def grow_capacity(system: System, state: State, guard: OverflowReport) -> tuple[System, State]:
-    """The system with the capacities that a chunk needed, and the initial state of the chunk fitted to it."""
+    """The system with the capacities that a chunk needed, and the initial state of the chunk fitted
+    to it.
+    """
     rows = []
     parts, panels = system.parts.count, system.walls.group.shape[0]
     polytopes, spheres = system.parts.polytopes.shape[0], system.parts.spheres.shape[0]
     for kind, candidates, slots in system.capacity:
         near, touching = map(int, _max_over_runs(guard.needed[kind]))
         every = candidate_search.pair_count(kind, polytopes, spheres, panels)
-        if near > candidates:  # of those that found no place, as many may touch as of those that did
+        if near > candidates:  # of those that found no place, as many may touch as of those that
+            # did
             touching = -(-touching * near // candidates)
-        rows.append((kind, _grow_to_fit(candidates, near, every), _grow_to_fit(slots, touching, every)))
+        rows.append(
+            (kind, _grow_to_fit(candidates, near, every), _grow_to_fit(slots, touching, every))
+        )
     most = int(np.max(guard.touching))
     touching = system.touching
     if most > touching:
-        touching = min(max_contacts_per_piece(system.parts, panels), max(most + 2, int(np.ceil(HEAD_ROOM * most))))
+        touching = min(
+            max_contacts_per_piece(system.parts, panels),
+            max(most + 2, int(np.ceil(HEAD_ROOM * most))),
+        )
     row = _grow_to_fit(system.row_capacity, int(np.max(guard.row)), parts)
     travel = np.max(guard.travel)
     if travel > system.skin:
@@ -113,7 +158,9 @@ def max_contacts_per_piece(parts: Parts, panels: int) -> int:
     return int(np.max(own * (parts.count - own + panels)))
 
 
-def _grow_partition(partition: Partition | None, guard: OverflowReport, parts: int) -> Partition | None:
+def _grow_partition(
+    partition: Partition | None, guard: OverflowReport, parts: int
+) -> Partition | None:
     """The required capacity of jax-md's list, if there is one."""
     if partition is None:
         return None
@@ -122,11 +169,17 @@ def _grow_partition(partition: Partition | None, guard: OverflowReport, parts: i
     if np.max(guard.reach) > reach:
         reach = min(HEAD_ROOM * float(np.max(guard.reach)), LARGEST_RAISE * reach)
     room = _grow_to_fit(partition.pairs, listed, parts * (parts - 1) // 2)
-    return partition._replace(pairs=room, cell=_grow_to_fit(partition.cell, filling, parts), reach=reach)
+    return partition._replace(
+        pairs=room, cell=_grow_to_fit(partition.cell, filling, parts), reach=reach
+    )
 
 
 def with_capacity(
-    system: System, state: State, capacity: tuple[tuple[str, int, int], ...], touching: int, row_capacity: int
+    system: System,
+    state: State,
+    capacity: tuple[tuple[str, int, int], ...],
+    touching: int,
+    row_capacity: int,
 ) -> tuple[System, State]:
     """System and state with capacities at least as large as these, none smaller than before."""
     both = zip(capacity, system.capacity, strict=True)
@@ -143,7 +196,9 @@ def with_empty_scratch(system: System, state: State) -> State:
     batched = jax.vmap if state.step.ndim else lambda function: function
     find = batched(lambda tables: neighbour_list.find_incidence(system, tables).load_columns)
     state = state.replace(scratch=None, incidence=jax.jit(find)(state.contacts))
-    form = jax.eval_shape(batched(partial(neighbour_list.rebuild_neighbour_list, system)), state).scratch
+    form = jax.eval_shape(
+        batched(partial(neighbour_list.rebuild_neighbour_list, system)), state
+    ).scratch
     return state.replace(scratch=jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), form))
 
 
@@ -162,13 +217,19 @@ def _grow_to_fit(have: int, needed: int, every: int) -> int:
 def _widen_table(table: ContactTable, slots: int) -> ContactTable:
     """The table with empty slots behind its own."""
     more = slots - table.a.shape[-1]
-    pad = lambda x, value: jnp.asarray(np.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, more)], constant_values=value))  # noqa: E731
-    return ContactTable(pad(table.a, EMPTY), pad(table.b, EMPTY), jax.tree.map(lambda x: pad(x, 0), table.memory))
+    pad = lambda x, value: jnp.asarray(
+        np.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, more)], constant_values=value)
+    )
+    return ContactTable(
+        pad(table.a, EMPTY), pad(table.b, EMPTY), jax.tree.map(lambda x: pad(x, 0), table.memory)
+    )
 
 
 def round_capacity(slots: int) -> int:
-    """A capacity at least as large, from few distinct ones: 1 (of one piece on a plate: no loops, and half of the time), 8,
-    multiples of 16, above 64 of 32, further up of ever larger powers of two."""
+    """A capacity at least as large, from few distinct ones: 1 (of one piece on a plate: no loops,
+    and half of the time), 8, multiples of 16, above 64 of 32, further up of ever larger powers of
+    two.
+    """
     if slots <= 1:
         return 1
     unit = 8 if slots <= 8 else 16 if slots <= 64 else 32

@@ -1,4 +1,6 @@
-"""What stays the same in a slot between two rebuilds: shapes of its two bodies, and what the contact law makes of them."""
+"""What stays the same in a slot between two rebuilds: shapes of its two bodies, and what the
+contact law makes of them.
+"""
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +21,9 @@ def compute_pair_constants(system: System, kind: str, a: Array, b: Array) -> Pai
     return of(system, kind, live, a, b)
 
 
-def _polytope_constants(system: System, kind: str, live: Array, a: Array, b: Array) -> PairConstants:
+def _polytope_constants(
+    system: System, kind: str, live: Array, a: Array, b: Array
+) -> PairConstants:
     pieces, parts, table = system.pieces, system.parts, system.hulls
     assert table is not None
     number = parts.count
@@ -31,20 +35,30 @@ def _polytope_constants(system: System, kind: str, live: Array, a: Array, b: Arr
         live=live,
         a=a,
         b=b,
-        hull_a=hull_lookup.gather_hulls(table, system.shape[a], kind == "mixed") if kind == "mixed" or by_tables else None,
+        hull_a=hull_lookup.gather_hulls(table, system.shape[a], kind == "mixed")
+        if kind == "mixed" or by_tables
+        else None,
         hull_b=_gather_piece_hulls(system, table, b) if kind == "hulls" and by_tables else None,
         radius_a=parts.radius[own],
         radius_b=parts.radius[b],
-        width=jnp.where(wall, pieces.width[piece_b], jnp.minimum(pieces.width[piece_a], pieces.width[piece_b])),
+        width=jnp.where(
+            wall, pieces.width[piece_b], jnp.minimum(pieces.width[piece_a], pieces.width[piece_b])
+        ),
         surface_a=_surface_labels(system, kind, wall, own, panel, live),
         surface_b=None if parts.surface is None else parts.surface[b],
         patch=patch,
-        pair=system.law.pair_parameters(_combine_materials(system, wall, piece_a, panel, piece_b)._replace(patch=patch)),
+        pair=system.law.pair_parameters(
+            _combine_materials(system, wall, piece_a, panel, piece_b)._replace(patch=patch)
+        ),
     )
 
 
-def _surface_labels(system: System, kind: str, wall: Array, part: Array, panel: Array, live: Array) -> Array | None:
-    """Slots.surface_a: planes of walls are numbered before surfaces of pieces, of which there are fewer than panels."""
+def _surface_labels(
+    system: System, kind: str, wall: Array, part: Array, panel: Array, live: Array
+) -> Array | None:
+    """Slots.surface_a: planes of walls are numbered before surfaces of pieces, of which there are
+    fewer than panels.
+    """
     plane, surface = system.walls.plane if kind == "hulls" else None, system.parts.surface
     if surface is None:
         return None if plane is None else jnp.where(wall & live, plane[panel], EMPTY)
@@ -53,7 +67,9 @@ def _surface_labels(system: System, kind: str, wall: Array, part: Array, panel: 
     return jnp.where(wall, EMPTY if plane is None else plane[panel], own)
 
 
-def _combine_materials(system: System, wall: Array, own: Array, panel: Array, b: Array) -> MaterialPair:
+def _combine_materials(
+    system: System, wall: Array, own: Array, panel: Array, b: Array
+) -> MaterialPair:
     """The couples of pieces b and, as ``wall`` says, panels or pieces ``own``."""
     pieces, walls = system.pieces, system.walls
     material, curvature = pieces.material[own], pieces.curvature[own]
@@ -63,17 +79,23 @@ def _combine_materials(system: System, wall: Array, own: Array, panel: Array, b:
     mass = jnp.where(wall, pieces.mass[b], combine_in_series(pieces.mass[own], pieces.mass[b]))
     curvature = jnp.where(wall, 0, curvature)
     materials = material, pieces.material[b]
-    return make_material_pair(system.materials, materials, (size, pieces.size[b]), (curvature, pieces.curvature[b]), mass)
+    return make_material_pair(
+        system.materials, materials, (size, pieces.size[b]), (curvature, pieces.curvature[b]), mass
+    )
 
 
 def _sphere_constants(system: System, _: str, live: Array, a: Array, b: Array) -> PairConstants:
-    """Slots of pairs of spheres. Where all are alike one value of each constant broadcasts, which saves reading it."""
+    """Slots of pairs of spheres. Where all are alike one value of each constant broadcasts, which
+    saves reading it.
+    """
     pieces, parts = system.pieces, system.parts
     one = (parts.spheres[:1],) * 2 if "spheres" in system.alike else (a, b)
     first, second = (parts.owning_piece(part) for part in one)
-    of = lambda rows: (rows[first], rows[second])  # noqa: E731
+    of = lambda rows: (rows[first], rows[second])
     mass = combine_in_series(*of(pieces.mass))
-    pair = make_material_pair(system.materials, of(pieces.material), of(pieces.size), of(pieces.curvature), mass)
+    pair = make_material_pair(
+        system.materials, of(pieces.material), of(pieces.size), of(pieces.curvature), mass
+    )
     return PairConstants(
         live=live,
         a=a,
@@ -91,7 +113,13 @@ def _plate_constants(system: System, _: str, live: Array, a: Array, b: Array) ->
     panel, piece = jnp.maximum(a - parts.count, 0), parts.owning_piece(b)
     materials, size = (walls.material[panel], pieces.material[piece]), pieces.size[piece]
     curvature = pieces.curvature[piece]
-    pair = make_material_pair(system.materials, materials, (size, size), (jnp.zeros_like(curvature), curvature), pieces.mass[piece])
+    pair = make_material_pair(
+        system.materials,
+        materials,
+        (size, size),
+        (jnp.zeros_like(curvature), curvature),
+        pieces.mass[piece],
+    )
     plane = walls.plane
     return PairConstants(
         live=live,
@@ -108,7 +136,9 @@ def _plate_constants(system: System, _: str, live: Array, a: Array, b: Array) ->
 
 
 def _gather_piece_hulls(system: System, table: Hulls, b: Array) -> Hulls:
-    """Hulls of pieces: one row that broadcasts where all polytopes are alike, which saves gathering it."""
+    """Hulls of pieces: one row that broadcasts where all polytopes are alike, which saves gathering
+    it.
+    """
     if "hulls" in system.alike:
         return hull_lookup.gather_hulls(table, jnp.zeros((1,), jnp.int32), False)
     return hull_lookup.gather_hulls(table, system.shape[b], False)

@@ -15,7 +15,9 @@ def add_command(commands: Commands) -> None:
         metavar="FOLDER",
         help="holds all scenes and results (default: here)",
     )
-    made.add_argument("--port", type=nonnegative_int, default=0, help="of 127.0.0.1 (default: a free one)")
+    made.add_argument(
+        "--port", type=nonnegative_int, default=0, help="of 127.0.0.1 (default: a free one)"
+    )
     made.add_argument("--no-browser", action="store_true", help="print the address only")
 
 

@@ -11,7 +11,9 @@ Commands = Any  # the type that add_subparsers returns is private to argparse
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser that reports errors in one line; its help ends with ``more``, which is computed on request."""
+    """A parser that reports errors in one line; its help ends with ``more``, which is computed on
+    request.
+    """
 
     more: Callable[[], str] | None = None
 
@@ -29,7 +31,9 @@ def join_lines(message: object) -> str:
     return " ".join(str(message).split())
 
 
-def create_command(commands: Commands, name: str, action: Callable[[Args], None], text: str) -> Parser:
+def create_command(
+    commands: Commands, name: str, action: Callable[[Args], None], text: str
+) -> Parser:
     """A command that calls ``action``."""
     made = commands.add_parser(name, help=text, description=text)
     made.set_defaults(action=action)
@@ -65,4 +69,6 @@ def parse_instants(text: str) -> int | str | list[float]:
     try:
         return int(text) if text.isdecimal() else [float(t) for t in text.split(",")]
     except ValueError as error:
-        raise argparse.ArgumentTypeError(f"{text!r}: allowed: a number of instants, times (s) with commas, or auto") from error
+        raise argparse.ArgumentTypeError(
+            f"{text!r}: allowed: a number of instants, times (s) with commas, or auto"
+        ) from error

@@ -11,7 +11,12 @@ if TYPE_CHECKING:
 
 def add_command(commands: Commands) -> None:
     """Add the command to the parser."""
-    made = create_command(commands, "buckets", show_buckets, "List the buckets that a scene can name, or print the keys of one.")
+    made = create_command(
+        commands,
+        "buckets",
+        show_buckets,
+        "List the buckets that a scene can name, or print the keys of one.",
+    )
     made.add_argument("name", nargs="?", metavar="BUCKET", help="print its keys")
 
 
@@ -31,15 +36,25 @@ def show_buckets(args: Args) -> None:
         return
     known = library.list_buckets()
     wide = max(map(len, known))
-    print(f"{'bucket':{wide}}  {'litres':>6}  {'mouth (mm)':>10}  {'drop (m)':>8}  {'opens (s)':>9}  {'full (%)':>8}  what it is")
+    print(
+        f"{'bucket':{wide}}  {'litres':>6}  {'mouth (mm)':>10}  {'drop (m)':>8}  {'opens (s)':>9}  {'full (%)':>8}  what it is"
+    )
     for name, text in known.items():
         scene = with_name(name)
         weigh, feed = scene.weigh_bucket, scene.feed_bucket
         assert weigh and feed  # as the stock scene has them
         mouth = " x ".join(f"{1e3 * edge:g}" for edge in weigh.mouth)
-        litres, time, full = 1e3 * bucket_volume(weigh), feed.opening_time, 100 * _weigh_bucket_fill(scene).fill_level
-        print(f"{name:{wide}}  {litres:6.2g}  {mouth:>10}  {scene.drop.height:8g}  {time:9g}  {full:8.0f}  {text}")
-    print("litres of the weigh bucket to its brim, and its mouth; full: of 50 g of marshmallows, the portion of weigh-bucket.")
+        litres, time, full = (
+            1e3 * bucket_volume(weigh),
+            feed.opening_time,
+            100 * _weigh_bucket_fill(scene).fill_level,
+        )
+        print(
+            f"{name:{wide}}  {litres:6.2g}  {mouth:>10}  {scene.drop.height:8g}  {time:9g}  {full:8.0f}  {text}"
+        )
+    print(
+        "litres of the weigh bucket to its brim, and its mouth; full: of 50 g of marshmallows, the portion of weigh-bucket."
+    )
     print("Sizes are assumed. --set bucket=NAME takes one")
 
 

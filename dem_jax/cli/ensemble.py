@@ -6,9 +6,13 @@ from dem_jax.cli.arguments import Args, Commands, create_command, positive_int
 
 def add_command(commands: Commands) -> None:
     """Add the command to the parser."""
-    made = create_command(commands, "ensemble", run_ensemble, "Simulate a scene with many seeds at once.")
+    made = create_command(
+        commands, "ensemble", run_ensemble, "Simulate a scene with many seeds at once."
+    )
     simulation_options.add_arguments(made)
-    made.add_argument("--runs", type=positive_int, default=64, metavar="K", help="number of runs (default: 64)")
+    made.add_argument(
+        "--runs", type=positive_int, default=64, metavar="K", help="number of runs (default: 64)"
+    )
     made.add_argument(
         "--vary", action="append", default=[], metavar="KEY=VALUES", dest="varied",
         help="values of a key that the runs take in turn: portion.count=5:13 (whole numbers from 5 to 13), "
@@ -27,6 +31,13 @@ def run_ensemble(args: Args) -> None:
 
     parameters, progress = parse_varied_keys(args.varied, args.runs), not args.quiet
     done = interface.ensemble(
-        scene, args.runs, args.seed, out, args.overwrite, progress, parameters=parameters, uncertain=args.uncertain
+        scene,
+        args.runs,
+        args.seed,
+        out,
+        args.overwrite,
+        progress,
+        parameters=parameters,
+        uncertain=args.uncertain,
     )
     simulation_options.finish_run(done, out, args)

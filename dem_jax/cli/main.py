@@ -36,9 +36,11 @@ RUN_FAILED, INTERRUPTED = 1, 130
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a command; the exit code: 0, 1 for a run that went wrong, 2 for bad input (one line on stderr).
+    """Run a command; the exit code: 0, 1 for a run that went wrong, 2 for bad input (one line on
+    stderr).
 
-    argv: None: of this process, which then is the command's own: a signal ends it within a second (``process``).
+    argv: None: of this process, which then is the command's own: a signal ends it within a second
+    (``process``).
     """
     process.open_closed_streams()
     if argv is None:
@@ -64,16 +66,25 @@ def _run_command(argv: Sequence[str] | None) -> int:
     except (SceneError, RecordError, PlatformError) as error:
         return _report_failure(BAD_INPUT, error)
     except SimulationError as error:
-        where = f"; earlier results are in {error.path}" if error.path else "; nothing was recorded before"
+        where = (
+            f"; earlier results are in {error.path}"
+            if error.path
+            else "; nothing was recorded before"
+        )
         return _report_failure(RUN_FAILED, f"{error}{where}")
     except BrokenPipeError:  # of `| head`
         _mute_output()
         return 0
     except OSError as error:
         _mute_output()
-        return _report_failure(BAD_INPUT, f"{error.filename or _locate_error()}: {error.strerror or error}")
+        return _report_failure(
+            BAD_INPUT, f"{error.filename or _locate_error()}: {error.strerror or error}"
+        )
     except MemoryError as error:
-        return _report_failure(RUN_FAILED, f"there is not enough memory ({error or 'none was left'}); allowed: fewer runs, pieces or samples")
+        return _report_failure(
+            RUN_FAILED,
+            f"there is not enough memory ({error or 'none was left'}); allowed: fewer runs, pieces or samples",
+        )
     except (RuntimeError, AssertionError):
         if (platform := _find_missing_platform()) is None:
             raise
@@ -90,7 +101,9 @@ def _locate_error() -> str:
 
 
 def _find_missing_platform() -> PlatformError | None:
-    """That JAX was asked for a platform that it does not have, which what it is used for first trips over."""
+    """That JAX was asked for a platform that it does not have, which what it is used for first
+    trips over.
+    """
     if "jax" in sys.modules:
         from dem_jax import xla_flags
 
@@ -103,7 +116,10 @@ def _find_missing_platform() -> PlatformError | None:
 
 def build_parser() -> Parser:
     """The command line."""
-    top = Parser(prog="dem_jax", description="Product impact force of a combination scale (discrete element method).")
+    top = Parser(
+        prog="dem_jax",
+        description="Product impact force of a combination scale (discrete element method).",
+    )
     commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for command in COMMANDS:
         command.add_command(commands)

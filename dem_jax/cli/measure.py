@@ -14,30 +14,69 @@ TEXT = "Estimate a number of a product from your own measurements, with an inter
 def add_command(commands: Commands) -> None:
     """Add the command to the parser."""
     made = create_command(commands, "measure", measure_number, TEXT)
-    kinds = made.add_subparsers(dest="kind", required=True, metavar="restitution|friction|modulus", parser_class=Parser)
-    restitution = kinds.add_parser("restitution", help="from the heights of rebounds", description="From the heights of rebounds.")
-    restitution.add_argument("file", metavar="heights.csv", help="columns drop and rebound, in one unit of length")
-    friction = kinds.add_parser("friction", help="from angles of sliding", description="From the angles at which pieces slide.")
-    friction.add_argument("angles", nargs="+", type=float, metavar="ANGLE", help="degrees, one for each piece")
-    friction.add_argument("--on-pieces", action="store_true", help="the plate was covered with pieces: friction_piece")
+    kinds = made.add_subparsers(
+        dest="kind", required=True, metavar="restitution|friction|modulus", parser_class=Parser
+    )
+    restitution = kinds.add_parser(
+        "restitution",
+        help="from the heights of rebounds",
+        description="From the heights of rebounds.",
+    )
+    restitution.add_argument(
+        "file", metavar="heights.csv", help="columns drop and rebound, in one unit of length"
+    )
+    friction = kinds.add_parser(
+        "friction",
+        help="from angles of sliding",
+        description="From the angles at which pieces slide.",
+    )
+    friction.add_argument(
+        "angles", nargs="+", type=float, metavar="ANGLE", help="degrees, one for each piece"
+    )
+    friction.add_argument(
+        "--on-pieces", action="store_true", help="the plate was covered with pieces: friction_piece"
+    )
     modulus = kinds.add_parser(
-        "modulus", help="from pressing pieces between plates", description="From pressing between two plates."
+        "modulus",
+        help="from pressing pieces between plates",
+        description="From pressing between two plates.",
     )
     modulus.add_argument(
-        "file", metavar="force-way.csv", help="columns force_N, force_g or force_kg; way_m, way_mm or way_um; and piece if several"
+        "file",
+        metavar="force-way.csv",
+        help="columns force_N, force_g or force_kg; way_m, way_mm or way_um; and piece if several",
     )
-    modulus.add_argument("--size", type=float, metavar="M", help="diameter of a sphere of the piece's volume; or --product")
-    modulus.add_argument("--product", metavar="NAME", help="product of that size, and whose contact law is in use")
-    modulus.add_argument("--law", metavar="LAW", help="contact law, unless it is the product's (default: walton-braun)")
+    modulus.add_argument(
+        "--size",
+        type=float,
+        metavar="M",
+        help="diameter of a sphere of the piece's volume; or --product",
+    )
+    modulus.add_argument(
+        "--product", metavar="NAME", help="product of that size, and whose contact law is in use"
+    )
+    modulus.add_argument(
+        "--law",
+        metavar="LAW",
+        help="contact law, unless it is the product's (default: walton-braun)",
+    )
     for kind in (restitution, friction, modulus):
-        kind.add_argument("--into", metavar="FILE.toml", help="product file in which the number is replaced, or that is written")
+        kind.add_argument(
+            "--into",
+            metavar="FILE.toml",
+            help="product file in which the number is replaced, or that is written",
+        )
 
 
 def measure_number(args: Args) -> None:
     """Print a measured number and its lines for a product's file."""
     from dem_jax.scene.toml_text import dump_toml
 
-    found, source = {"restitution": _estimate_restitution, "friction": _estimate_friction, "modulus": _estimate_modulus}[args.kind](args)
+    found, source = {
+        "restitution": _estimate_restitution,
+        "friction": _estimate_friction,
+        "modulus": _estimate_modulus,
+    }[args.kind](args)
     print(f"# {found.describe()}")
     print(dump_toml(found.to_tree(source)), end="")
     if args.into:
@@ -60,16 +99,25 @@ def _estimate_friction(args: Args) -> "tuple[MeasuredNumber, str]":
     from dem_jax.scene import measurement
 
     key = "friction_piece" if args.on_pieces else "friction_wall"
-    return measurement.estimate_friction(args.angles, key), "angles " + " ".join(f"{angle:g}" for angle in args.angles)
+    return measurement.estimate_friction(args.angles, key), "angles " + " ".join(
+        f"{angle:g}" for angle in args.angles
+    )
 
 
 def _estimate_modulus(args: Args) -> "tuple[MeasuredNumber, str]":
     from dem_jax.scene import measurement
 
-    columns = measurement.read_columns(args.file, (*measurement.FORCE_UNITS, *measurement.WAY_UNITS, "piece"))
-    force, way = (measurement.read_quantity(columns, units, args.file) for units in (measurement.FORCE_UNITS, measurement.WAY_UNITS))
+    columns = measurement.read_columns(
+        args.file, (*measurement.FORCE_UNITS, *measurement.WAY_UNITS, "piece")
+    )
+    force, way = (
+        measurement.read_quantity(columns, units, args.file)
+        for units in (measurement.FORCE_UNITS, measurement.WAY_UNITS)
+    )
     names = columns.get("piece", ["1"] * len(force))
-    rows = {name: [k for k, own in enumerate(names) if own == name] for name in dict.fromkeys(names)}
+    rows = {
+        name: [k for k, own in enumerate(names) if own == name] for name in dict.fromkeys(names)
+    }
     pieces = [(force[own], way[own]) for own in rows.values()]
     return measurement.estimate_modulus(pieces, *_size_and_law(args)), args.file
 
@@ -91,11 +139,18 @@ def _size_and_law(args: Args) -> tuple[float, str, float, float]:
 
     scene = load_scene("weigh-bucket", {"product": args.product, **ONE_PIECE})
     law = args.law or scene.contact.law
-    return find_piece_size(scene, law), law, scene.contact.densification, scene.material.poisson_ratio
+    return (
+        find_piece_size(scene, law),
+        law,
+        scene.contact.densification,
+        scene.material.poisson_ratio,
+    )
 
 
 def _write_into(path: Path, own: dict) -> None:
-    """Replace a number and its evidence in a product's file, or write a new file. Raises SceneError."""
+    """Replace a number and its evidence in a product's file, or write a new file. Raises
+    SceneError.
+    """
     import tomllib
 
     from dem_jax.errors import SceneError
@@ -106,7 +161,8 @@ def _write_into(path: Path, own: dict) -> None:
 
     tree = {}
     if path.exists():
-        read_library_file(path, "--into", FILE_SECTIONS[PRODUCTS])  # which says what is wrong with it
+        read_library_file(path, "--into", FILE_SECTIONS[PRODUCTS])  # which says what is wrong with
+        # it
         tree = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     kept = {section: dict(tree.get(section, {})) for section in ("material", "evidence")}
     for key in own["evidence"]:

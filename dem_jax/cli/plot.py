@@ -13,7 +13,9 @@ def add_command(commands: Commands) -> None:
         "Draw product impact force and settled mass over time, for several files with their differences; or draw a study.",
     )
     result_files.add_files(made)
-    made.add_argument("--out", metavar="FILE", help=".png, .pdf or .svg (default: the first file's name .png)")
+    made.add_argument(
+        "--out", metavar="FILE", help=".png, .pdf or .svg (default: the first file's name .png)"
+    )
     made.add_argument("--group", help="wall group (default: wb_flaps, or the first)")
     made.add_argument("--block", help="block of the settled mass (default: wb, or the first)")
     made.add_argument("--start", type=float, metavar="S", help="s, where the time axis begins")
@@ -22,7 +24,9 @@ def add_command(commands: Commands) -> None:
 
 def plot_files(args: Args) -> None:
     """Draw the figure of files; of several, say by how much they differ."""
-    out = result_files.output_path(args.out or result_files.default_output_path(args.files, ".png"), args.files)
+    out = result_files.output_path(
+        args.out or result_files.default_output_path(args.files, ".png"), args.files
+    )
     if result_files.is_study(args.files):
         from dem_jax.study import results_file
         from dem_jax.study.study_figure import plot_study

@@ -6,9 +6,14 @@ from dem_jax.cli.arguments import Args, Commands, create_command
 def add_command(commands: Commands) -> None:
     """Add the command to the parser."""
     made = create_command(
-        commands, "posterior", print_posterior, "Posterior of the parameters of one study or of several, given their reference values."
+        commands,
+        "posterior",
+        print_posterior,
+        "Posterior of the parameters of one study or of several, given their reference values.",
     )
-    made.add_argument("files", nargs="+", metavar="FILE", help="files of studies of the same points")
+    made.add_argument(
+        "files", nargs="+", metavar="FILE", help="files of studies of the same points"
+    )
 
 
 def print_posterior(args: Args) -> None:

@@ -5,8 +5,18 @@ from dem_jax.cli.arguments import Args, Commands, create_command
 
 def add_command(commands: Commands) -> None:
     """Add the command to the parser."""
-    made = create_command(commands, "products", show_products, "List the products that a scene can name, or print one: numbers, sources, keys.")
-    made.add_argument("name", nargs="?", metavar="PRODUCT", help="NAME, NAME:STATE or FILE.toml: print its numbers and keys")
+    made = create_command(
+        commands,
+        "products",
+        show_products,
+        "List the products that a scene can name, or print one: numbers, sources, keys.",
+    )
+    made.add_argument(
+        "name",
+        nargs="?",
+        metavar="PRODUCT",
+        help="NAME, NAME:STATE or FILE.toml: print its numbers and keys",
+    )
 
 
 def show_products(args: Args) -> None:
@@ -46,7 +56,10 @@ def _print_list() -> None:
     for name, text in known.items():
         scene = load_scene("weigh-bucket", {"product": name, **library.ONE_PIECE})
         weight = 1e3 * compute_masses(build_piece_set(scene), build_material_table(scene))[0]
-        m, rows = scene.material, evidence.read_evidence(library.load_product(name, "products"), name)
+        m, rows = (
+            scene.material,
+            evidence.read_evidence(library.load_product(name, "products"), name),
+        )
         shown = {"youngs_modulus": f"{m.youngs_modulus:7.1g}"} | {
             key: f"{getattr(m, key):4.2g}" for key in ("restitution", "friction_wall")
         }

@@ -8,7 +8,12 @@ from dem_jax.cli.arguments import Args, Commands, create_command, parse_instants
 
 def add_command(commands: Commands) -> None:
     """Add the command to the parser."""
-    made = create_command(commands, "render", render_run, "Draw the scene with its pieces: animation, picture or film strip.")
+    made = create_command(
+        commands,
+        "render",
+        render_run,
+        "Draw the scene with its pieces: animation, picture or film strip.",
+    )
     result_files.add_arguments(made)
     kind = made.add_mutually_exclusive_group()
     kind.add_argument("--gif", action="store_true", help="an animation (default)")
@@ -20,10 +25,27 @@ def add_command(commands: Commands) -> None:
         metavar="auto|N|T,T,...",
         help="a film strip: auto: start, approach, first contact, peak force and rest; or N instants; or these times (s)",
     )
-    made.add_argument("--out", metavar="FILE", help="default: the file's name .gif (.mp4 is an animation too), or -scene.png")
-    made.add_argument("--colour", choices=["speed", "piece"], default="speed", help="of the pieces (default: speed)")
-    made.add_argument("--azimuth", type=float, default=25.0, metavar="DEG", help="of the eye about z (default: 25)")
-    made.add_argument("--elevation", type=float, default=14.0, metavar="DEG", help="of the eye (default: 14)")
+    made.add_argument(
+        "--out",
+        metavar="FILE",
+        help="default: the file's name .gif (.mp4 is an animation too), or -scene.png",
+    )
+    made.add_argument(
+        "--colour",
+        choices=["speed", "piece"],
+        default="speed",
+        help="of the pieces (default: speed)",
+    )
+    made.add_argument(
+        "--azimuth",
+        type=float,
+        default=25.0,
+        metavar="DEG",
+        help="of the eye about z (default: 25)",
+    )
+    made.add_argument(
+        "--elevation", type=float, default=14.0, metavar="DEG", help="of the eye (default: 14)"
+    )
 
 
 def render_run(args: Args) -> None:
@@ -35,11 +57,24 @@ def render_run(args: Args) -> None:
     run, bodies = result_files.load_run_bodies(args)
     still = args.png or args.at is not None or args.strip is not None
     path = Path(args.file)
-    out = args.out or (path.with_name(f"{path.stem}-scene.png") if still else path.with_suffix(".gif"))
+    out = args.out or (
+        path.with_name(f"{path.stem}-scene.png") if still else path.with_suffix(".gif")
+    )
     result_files.output_path(out, [args.file])
     camera = Camera(args.azimuth, args.elevation)
     strip, labels = args.strip, []
     if strip == "auto":
         story = find_impact_instants(run)
         strip, labels = [instant.time for instant in story], [instant.label for instant in story]
-    print(draw(run.pieces, *bodies, out, at=args.at, strip=strip, camera=camera, colour=args.colour, labels=labels))
+    print(
+        draw(
+            run.pieces,
+            *bodies,
+            out,
+            at=args.at,
+            strip=strip,
+            camera=camera,
+            colour=args.colour,
+            labels=labels,
+        )
+    )

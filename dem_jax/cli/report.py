@@ -9,14 +9,23 @@ def add_command(commands: Commands) -> None:
     text = "Write one page to send: numbers, the drop in 3-D, the force, the scene; or the table and the figure of a study."
     made = create_command(commands, "report", report_files, text)
     result_files.add_files(made)
-    made.add_argument("--out", metavar="FILE", help=".html, or .pdf (default: the first file's name -report.html)")
+    made.add_argument(
+        "--out", metavar="FILE", help=".html, or .pdf (default: the first file's name -report.html)"
+    )
     made.add_argument("--group", help="wall group (default: wb_flaps, or the first)")
-    made.add_argument("--fit", metavar="FILE", help="fit.json of `calibrate fit`: shows the fitted Product Model on the page")
+    made.add_argument(
+        "--fit",
+        metavar="FILE",
+        help="fit.json of `calibrate fit`: shows the fitted Product Model on the page",
+    )
 
 
 def report_files(args: Args) -> None:
     """Write the page on files."""
-    out = result_files.output_path(args.out or result_files.default_output_path(args.files, "-report.html"), [*args.files, *filter(None, [args.fit])])
+    out = result_files.output_path(
+        args.out or result_files.default_output_path(args.files, "-report.html"),
+        [*args.files, *filter(None, [args.fit])],
+    )
     if result_files.is_study(args.files):
         from dem_jax.study.study_page import write_study_page
 

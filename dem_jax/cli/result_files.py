@@ -1,4 +1,6 @@
-"""What commands share that read files: one run of a file and its bodies, or the runs of several files."""
+"""What commands share that read files: one run of a file and its bodies, or the runs of several
+files.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,7 +16,13 @@ if TYPE_CHECKING:
 def add_arguments(command: Parser) -> None:
     """The arguments of a command that draws a run."""
     command.add_argument("file", metavar="FILE", help="HDF5 file of a run or an ensemble")
-    command.add_argument("--run", type=nonnegative_int, default=0, metavar="K", help="which run of an ensemble (default: 0)")
+    command.add_argument(
+        "--run",
+        type=nonnegative_int,
+        default=0,
+        metavar="K",
+        help="which run of an ensemble (default: 0)",
+    )
 
 
 def load_run_bodies(args: Args) -> tuple["Run", tuple[Any, Any, Any]]:
@@ -39,7 +47,12 @@ def load_single_run(args: Args) -> "Run":
 
 def add_files(command: Parser) -> None:
     """The argument of a command that reads one file or several."""
-    command.add_argument("files", nargs="+", metavar="FILE", help="HDF5 file of a run or an ensemble; several are compared")
+    command.add_argument(
+        "files",
+        nargs="+",
+        metavar="FILE",
+        help="HDF5 file of a run or an ensemble; several are compared",
+    )
 
 
 def load_runs(files: Sequence[str]) -> tuple[list[str], list["Run"]]:
@@ -73,8 +86,9 @@ def default_output_path(files: Sequence[str], suffix: str) -> Path:
 
 
 def output_path(out: str | Path, files: Sequence[str], folder: bool = False) -> Path:
-    """The file, or folder, that a command writes, before it computes anything. Raises RecordError where it cannot be written
-    or is one of the files that the command reads."""
+    """The file, or folder, that a command writes, before it computes anything. Raises RecordError
+    where it cannot be written or is one of the files that the command reads.
+    """
     from dem_jax.io.run_files import check_writable
 
     for file in files:
@@ -85,9 +99,16 @@ def output_path(out: str | Path, files: Sequence[str], folder: bool = False) -> 
     return Path(out)
 
 
-def check_parts(names: Sequence[str], runs: Sequence["Run"], group: str | None, block: str | None = None) -> None:
+def check_parts(
+    names: Sequence[str], runs: Sequence["Run"], group: str | None, block: str | None = None
+) -> None:
     """Raise RecordError, naming the flag, for a wall group or a block that a run does not have."""
     for name, run in zip(names, runs, strict=True):
-        for flag, asked, has in (("--group", group, run.force), ("--block", block, run.settled_mass)):
+        for flag, asked, has in (
+            ("--group", group, run.force),
+            ("--block", block, run.settled_mass),
+        ):
             if asked is not None and asked not in has:
-                raise RecordError(f"{flag} {asked}: {name} has no such {flag[2:]}; allowed: {', '.join(has) or 'none'}")
+                raise RecordError(
+                    f"{flag} {asked}: {name} has no such {flag[2:]}; allowed: {', '.join(has) or 'none'}"
+                )

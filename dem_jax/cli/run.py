@@ -9,7 +9,9 @@ from dem_jax.errors import SceneError
 
 def add_command(commands: Commands) -> None:
     """Add the command to the parser."""
-    made = create_command(commands, "run", run_scene, "Simulate a scene: an HDF5 file, a figure and a summary.")
+    made = create_command(
+        commands, "run", run_scene, "Simulate a scene: an HDF5 file, a figure and a summary."
+    )
     made.more = lambda: f"quantities in the file, sampled every run.sample:\n{quantity_table()}"
     simulation_options.add_arguments(made, scene_optional=True)
     made.add_argument("--resume", metavar="FILE", help="continue the run in a file")
@@ -20,7 +22,9 @@ def run_scene(args: Args) -> None:
     if (args.scene is None) == (args.resume is None):
         raise SceneError("run: allowed: either a SCENE or --resume FILE")
     if args.resume and (args.settings or args.out or args.seed or args.record_rate is not None):
-        raise SceneError("run --resume: allowed beside it: --duration, --no-plot, --quiet; the rest is in the file")
+        raise SceneError(
+            "run --resume: allowed beside it: --duration, --no-plot, --quiet; the rest is in the file"
+        )
     simulation_options.use_cache()
     progress = not args.quiet
     if args.resume:

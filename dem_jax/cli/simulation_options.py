@@ -1,4 +1,6 @@
-"""What run and ensemble share: the scene and its changes, where the file goes, and what is said at the end."""
+"""What run and ensemble share: the scene and its changes, where the file goes, and what is said at
+the end.
+"""
 
 import os
 import re
@@ -22,26 +24,42 @@ HDF5 = (".h5", ".hdf5", ".hdf")  # endings of a file of results
 def add_arguments(command: Parser, scene_optional: bool = False) -> None:
     """The arguments of a command that simulates a scene."""
     command.add_argument(
-        "scene", nargs="?" if scene_optional else None, metavar="SCENE", help="a stock scene's name, or a .toml file"
+        "scene",
+        nargs="?" if scene_optional else None,
+        metavar="SCENE",
+        help="a stock scene's name, or a .toml file",
     )
     command.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE", dest="settings",
         help='change the scene, such as --set material.restitution=0.3 (see "dem_jax scenes NAME" for all keys)',
     )  # fmt: skip
-    command.add_argument("--seed", type=nonnegative_int, default=0, help="of the arrangement of a portion (default: 0)")
-    command.add_argument("--duration", type=float, metavar="S", help="s from the release; as --set run.duration=S")
+    command.add_argument(
+        "--seed",
+        type=nonnegative_int,
+        default=0,
+        help="of the arrangement of a portion (default: 0)",
+    )
+    command.add_argument(
+        "--duration", type=float, metavar="S", help="s from the release; as --set run.duration=S"
+    )
     command.add_argument(
         "--record-rate", type=float, metavar="HZ",
         help="samples per second instead of run.sample, without poses: at 1000, as of a scale, files are a twentieth in size",
     )  # fmt: skip
-    command.add_argument("--out", metavar="FILE", help="HDF5 file to write (default: the scene's name .h5)")
+    command.add_argument(
+        "--out", metavar="FILE", help="HDF5 file to write (default: the scene's name .h5)"
+    )
     command.add_argument("--overwrite", action="store_true", help="replace an existing file")
-    command.add_argument("--no-plot", action="store_true", help="do not draw the figure beside the file")
+    command.add_argument(
+        "--no-plot", action="store_true", help="do not draw the figure beside the file"
+    )
     command.add_argument("--quiet", action="store_true", help="no progress bar")
 
 
 def load_scene_and_target(args: Args, suffix: str) -> tuple["Scene", Path]:
-    """The scene with its changes, and the file to write; suffix: of the file's name. Raises SceneError and RecordError."""
+    """The scene with its changes, and the file to write; suffix: of the file's name. Raises
+    SceneError and RecordError.
+    """
     from dem_jax.io.run_files import check_destination
     from dem_jax.scene import load_scene, parse_setting
 
@@ -50,13 +68,17 @@ def load_scene_and_target(args: Args, suffix: str) -> tuple["Scene", Path]:
         changes["run.duration"] = args.duration
     if args.record_rate is not None:
         if not 0 < args.record_rate < 1e9:
-            raise SceneError(f"--record-rate {args.record_rate:g}: allowed: a number above 0 and below 1e9 (1/s)")
+            raise SceneError(
+                f"--record-rate {args.record_rate:g}: allowed: a number above 0 and below 1e9 (1/s)"
+            )
         changes = {"run.sample": 1 / args.record_rate, "run.frames": 0.0} | changes
     check_ending(args.out)
     scene = load_scene(args.scene, changes)
     out = Path(args.out or f"{scene.name}{suffix}.h5")
     if os.path.isfile(out) and not args.overwrite:
-        raise RecordError(f"{out} exists; allowed: another name by --out, or --overwrite to replace it")
+        raise RecordError(
+            f"{out} exists; allowed: another name by --out, or --overwrite to replace it"
+        )
     check_destination(out, args.overwrite)
     if not args.no_plot:
         check_beside(out, ".png")
@@ -67,11 +89,15 @@ def check_ending(out: str | None) -> None:
     """Raise RecordError for a file of results whose name is of something else."""
     if out and Path(out).suffix.lower() not in HDF5:
         instead = "python -m dem_jax export makes .csv and .xlsx of them"
-        raise RecordError(f"--out {out}: results are HDF5; allowed: a name that ends in {', '.join(HDF5)}; {instead}")
+        raise RecordError(
+            f"--out {out}: results are HDF5; allowed: a name that ends in {', '.join(HDF5)}; {instead}"
+        )
 
 
 def check_beside(out: Path, *endings: str) -> None:
-    """Raise RecordError unless what is written beside a file of results, under its name, can be written."""
+    """Raise RecordError unless what is written beside a file of results, under its name, can be
+    written.
+    """
     from dem_jax.io.run_files import check_writable
 
     for ending in endings:
@@ -107,7 +133,9 @@ def use_cache() -> None:
 
     if jax.config.jax_compilation_cache_dir:  # type: ignore[attr-defined]
         return
-    folder = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")) / "dem_jax" / "jax"
+    folder = (
+        Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")) / "dem_jax" / "jax"
+    )
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError:  # such as of a user without a home
@@ -120,15 +148,19 @@ def use_cache() -> None:
     warnings.showwarning = partial(_show_warning, warnings.showwarning, folder)
 
 
-def _show_warning(show: Callable[..., None], folder: Path, message: Warning | str, *more: Any, **named: Any) -> None:
+def _show_warning(
+    show: Callable[..., None], folder: Path, message: Warning | str, *more: Any, **named: Any
+) -> None:
     """Show a warning, but for those of JAX on the folder of compiled programs.
 
-    A program that was cut short, by a kill or a full disk, is removed: JAX would compile it and warn each time,
-    and never replace it.
+    A program that was cut short, by a kill or a full disk, is removed: JAX would compile it and
+    warn each time, and never replace it.
     """
     if "persistent compilation cache" not in str(message):
         show(message, *more, **named)
-    elif found := re.match(r"Error reading persistent compilation cache entry for '([\w<>.]+)'", str(message)):
+    elif found := re.match(
+        r"Error reading persistent compilation cache entry for '([\w<>.]+)'", str(message)
+    ):
         for entry in folder.glob(f"{found[1]}-*"):
             with suppress(OSError):
                 entry.unlink()

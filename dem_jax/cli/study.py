@@ -15,14 +15,27 @@ ALL_STUDIES = "all"  # the stock studies
 
 def add_command(commands: Commands) -> None:
     """Add the command to the parser."""
-    made = create_command(commands, "study", run_studies, "Conduct studies: drops at many points of parameters, with a table and a figure.")
+    made = create_command(
+        commands,
+        "study",
+        run_studies,
+        "Conduct studies: drops at many points of parameters, with a table and a figure.",
+    )
     words = "a stock study's name, or a .toml file; several one after the other; all: every stock study; without: a list"
     made.add_argument("study", nargs="*", metavar="STUDY", help=words)
-    made.add_argument("--scene", metavar="SCENE", help="a stock scene or a .toml file in the place of the study's")
+    made.add_argument(
+        "--scene", metavar="SCENE", help="a stock scene or a .toml file in the place of the study's"
+    )
     made.add_argument("--quick", action="store_true", help="few drops, as the study's [quick] says")
-    made.add_argument("--out", metavar="FILE", help="HDF5 file; an existing one is continued (default: the study's name .h5)")
+    made.add_argument(
+        "--out",
+        metavar="FILE",
+        help="HDF5 file; an existing one is continued (default: the study's name .h5)",
+    )
     made.add_argument("--overwrite", action="store_true", help="start again")
-    made.add_argument("--no-plot", action="store_true", help="do not draw the figure beside the file")
+    made.add_argument(
+        "--no-plot", action="store_true", help="do not draw the figure beside the file"
+    )
     made.add_argument("--quiet", action="store_true", help="no progress bar")
 
 
@@ -34,14 +47,20 @@ def run_studies(args: Args) -> None:
         for name, title in stock_studies().items():
             print(f"{name:<16} {title}")
         return
-    names = [name for asked in args.study for name in (stock_studies() if asked == ALL_STUDIES else [asked])]
+    names = [
+        name
+        for asked in args.study
+        for name in (stock_studies() if asked == ALL_STUDIES else [asked])
+    ]
     if args.out is not None and len(names) > 1:
         raise SceneError(f"--out {args.out}: {len(names)} studies; allowed: of one by itself")
     simulation_options.check_ending(args.out)
     tables = [load_study(name, args.quick) for name in names]
     named = [table.name for table in tables]
     if twice := [name for name in named if named.count(name) > 1]:
-        raise SceneError(f"study {' '.join(args.study)}: {twice[0]!r} twice, in one file; allowed: each name once")
+        raise SceneError(
+            f"study {' '.join(args.study)}: {twice[0]!r} twice, in one file; allowed: each name once"
+        )
     if args.scene is not None:
         tables = [table.with_scene(args.scene) for table in tables]
     simulation_options.use_cache()

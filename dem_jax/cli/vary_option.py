@@ -15,7 +15,8 @@ ALLOWED = "allowed: KEY=FROM:TO of whole numbers, KEY=FROM:TO:STEP, or KEY=VALUE
 
 
 def parse_varied_keys(texts: Sequence[str], runs: int) -> dict[str, list[Any]]:
-    """The value of each key for each of a number of runs: all combinations, the first key slowest, again from the first.
+    """The value of each key for each of a number of runs: all combinations, the first key slowest,
+    again from the first.
 
     Raises SceneError.
     """
@@ -39,21 +40,32 @@ def _parse_varied_key(text: str) -> tuple[str, list[Any]]:
     parsed = parse_setting(f"{key}=[{item}]")[1]
     if isinstance(parsed, list) and parsed:
         return key.strip(), parsed
-    return key.strip(), [parse_setting(f"{key}={part.strip()}")[1] for part in item.split(",")]  # names without quotes
+    # names without quotes
+    return key.strip(), [parse_setting(f"{key}={part.strip()}")[1] for part in item.split(",")]
 
 
 def _expand_range(text: str, bounds: Sequence[str]) -> list[Any]:
-    """Numbers from low to high, both among them; whole ones where low and step are. bounds: low, high, and the step if given."""
+    """Numbers from low to high, both among them; whole ones where low and step are. bounds: low,
+    high, and the step if given.
+    """
     try:
         low, high, *steps = (float(bound) for bound in bounds)
     except ValueError:
         raise SceneError(f"--vary {text}: {ALLOWED}") from None
     is_whole = all(number.is_integer() for number in (low, *steps))
     if not steps and not (is_whole and high.is_integer()):
-        raise SceneError(f"--vary {text}: a range of numbers that are not whole needs a step; {ALLOWED}")
+        raise SceneError(
+            f"--vary {text}: a range of numbers that are not whole needs a step; {ALLOWED}"
+        )
     step = steps[0] if len(steps) == 1 else 1.0
     count = (high - low) / step + 1 + ROUNDING if step > 0 else 0.0
     if len(steps) > 1 or not 1 <= count <= MOST_VALUES:
-        raise SceneError(f"--vary {text}: {ALLOWED}, from a lower to a higher number by a step above 0")
+        raise SceneError(
+            f"--vary {text}: {ALLOWED}, from a lower to a higher number by a step above 0"
+        )
     numbers = low + step * np.arange(int(count))
-    return [int(number) for number in numbers] if is_whole else [float(f"{number:.12g}") for number in numbers]
+    return (
+        [int(number) for number in numbers]
+        if is_whole
+        else [float(f"{number:.12g}") for number in numbers]
+    )

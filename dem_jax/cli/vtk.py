@@ -20,8 +20,12 @@ def export_frames(args: Args) -> None:
 
     run, (shapes, walls, wall_pose) = result_files.load_run_bodies(args)
     if run.pieces is None:
-        raise RecordError(f"{args.file}: the run has no frames; set run.frames to the time between them (s)")
+        raise RecordError(
+            f"{args.file}: the run has no frames; set run.frames to the time between them (s)"
+        )
     path = Path(args.file)
-    folder = result_files.output_path(args.out or path.with_name(f"{path.stem}-vtk"), [args.file], folder=True)
+    folder = result_files.output_path(
+        args.out or path.with_name(f"{path.stem}-vtk"), [args.file], folder=True
+    )
     for made in export_vtk(run.pieces, shapes, folder, walls, wall_pose):
         print(made)

@@ -19,7 +19,12 @@ RATE = 1000.0  # 1/s, as fast digital load cells have
 
 def add_command(commands: Commands) -> None:
     """Add the command to the parser."""
-    made = create_command(commands, "weigh", weigh_files, "Readings of a scale and their settling time, of runs or Product Model traces.")
+    made = create_command(
+        commands,
+        "weigh",
+        weigh_files,
+        "Readings of a scale and their settling time, of runs or Product Model traces.",
+    )
     made.more = _filter_help
     result_files.add_files(made)
     made.add_argument(
@@ -27,7 +32,11 @@ def add_command(commands: Commands) -> None:
         help=f"one, or several by giving it again (default: {', '.join(FILTERS)}); see below",
     )  # fmt: skip
     made.add_argument(
-        "--tolerance", type=float, nargs="+", metavar="G", help="g of the truth within which a reading counts (default: 0.1 0.5 1)"
+        "--tolerance",
+        type=float,
+        nargs="+",
+        metavar="G",
+        help="g of the truth within which a reading counts (default: 0.1 0.5 1)",
     )
     made.add_argument(
         "--tune", type=float, metavar="G",
@@ -38,8 +47,14 @@ def add_command(commands: Commands) -> None:
         "--weigher", action="append", dest="weighers", metavar="FILE", default=[],
         help="an estimator of calibrate weigher (weigher.json), beside the filters given; again for several",
     )  # fmt: skip
-    made.add_argument("--pool", action="store_true", help="count the drops of all files as one set (--tune always does)")
-    made.add_argument("--rate", type=float, default=RATE, help=f"readings per second (default: {RATE:g})")
+    made.add_argument(
+        "--pool",
+        action="store_true",
+        help="count the drops of all files as one set (--tune always does)",
+    )
+    made.add_argument(
+        "--rate", type=float, default=RATE, help=f"readings per second (default: {RATE:g})"
+    )
     made.add_argument(
         "--noise", metavar="N",
         help="noise of the signal: none, typical, or a TOML file with keys of [weigh_bucket.load_cell.noise], those not in it "
@@ -51,17 +66,34 @@ def add_command(commands: Commands) -> None:
         help="load cell to put under a bucket that has none: typical, a file of calibrate cell, or a TOML file with keys of "
         "[weigh_bucket.load_cell]",
     )  # fmt: skip
-    made.add_argument("--group", help="weigh the force on this wall group (default: the load cell, or all of the weigh bucket)")
-    made.add_argument("--block", help="block whose settled mass at the end is the truth (default: wb, or the first)")
-    made.add_argument("--truth", type=float, metavar="G", help="g that the scale should show, instead of a settled mass")
-    made.add_argument("--out", metavar="FILE", help=".png, .pdf or .svg (default: the first file's name -weigh.png)")
+    made.add_argument(
+        "--group",
+        help="weigh the force on this wall group (default: the load cell, or all of the weigh bucket)",
+    )
+    made.add_argument(
+        "--block",
+        help="block whose settled mass at the end is the truth (default: wb, or the first)",
+    )
+    made.add_argument(
+        "--truth",
+        type=float,
+        metavar="G",
+        help="g that the scale should show, instead of a settled mass",
+    )
+    made.add_argument(
+        "--out",
+        metavar="FILE",
+        help=".png, .pdf or .svg (default: the first file's name -weigh.png)",
+    )
 
 
 def weigh_files(args: Args) -> None:
     """Print the times to weigh and draw the readings, or tune filters."""
     from dem_jax.visualization.scale_readings import convert_trace
 
-    out = result_files.output_path(args.out or result_files.default_output_path(args.files, "-weigh.png"), args.files)
+    out = result_files.output_path(
+        args.out or result_files.default_output_path(args.files, "-weigh.png"), args.files
+    )
     tolerances = _read_tolerances(args)
     traces = _read_traces(args)
     drops = []
@@ -84,13 +116,23 @@ def _read_tolerances(args: Args) -> Sequence[float]:
         raise RecordError("--tolerance: allowed: without --tune, which has a tolerance of its own")
     if args.tune is not None and args.weighers:
         raise RecordError("--weigher: allowed: without --tune, which compares filters")
-    flag, grams = ("--tune", [args.tune]) if args.tune is not None else ("--tolerance", args.tolerance or ())
+    flag, grams = (
+        ("--tune", [args.tune]) if args.tune is not None else ("--tolerance", args.tolerance or ())
+    )
     if not all(0 < each < 1e6 for each in grams):
-        raise RecordError(f"{flag} {' '.join(f'{each:g}' for each in grams)}: allowed: numbers above 0 (g)")
+        raise RecordError(
+            f"{flag} {' '.join(f'{each:g}' for each in grams)}: allowed: numbers above 0 (g)"
+        )
     return [1e-3 * each for each in grams] or TOLERANCES
 
 
-def _show_readings(args: Args, tolerances: Sequence[float], traces: Sequence["WeightTrace"], drops: Sequence["Drops"], out: Path) -> None:
+def _show_readings(
+    args: Args,
+    tolerances: Sequence[float],
+    traces: Sequence["WeightTrace"],
+    drops: Sequence["Drops"],
+    out: Path,
+) -> None:
     """The table and the figure of the readings."""
     from dem_jax.visualization.scale_readings import (
         estimate_drops,
@@ -101,7 +143,9 @@ def _show_readings(args: Args, tolerances: Sequence[float], traces: Sequence["We
     )
 
     rows, said = [], []
-    for name, file, trace, some in zip(result_files.short_names(args.files), args.files, traces, drops, strict=True):
+    for name, file, trace, some in zip(
+        result_files.short_names(args.files), args.files, traces, drops, strict=True
+    ):
         try:
             for text in args.filters or (() if args.weighers else FILTERS):
                 rows.append(filter_drops(f"{name}: {trace.source}", trace, some, args.rate, text))
@@ -118,7 +162,13 @@ def _show_readings(args: Args, tolerances: Sequence[float], traces: Sequence["We
     print(plot_readings(rows, tolerances, out))
 
 
-def _tune_filters(args: Args, tolerance: float, traces: Sequence["WeightTrace"], drops: Sequence["Drops"], out: Path) -> None:
+def _tune_filters(
+    args: Args,
+    tolerance: float,
+    traces: Sequence["WeightTrace"],
+    drops: Sequence["Drops"],
+    out: Path,
+) -> None:
     """The table and the figure of the best filter of each family."""
     from dem_jax.visualization.tuned_filters import plot_tuned_filters, tabulate_tuned_filters
     from dem_jax.weighing.tuning import judge_filter, tune_filters
@@ -126,7 +176,13 @@ def _tune_filters(args: Args, tolerance: float, traces: Sequence["WeightTrace"],
     cells = [trace.cell for trace in traces if trace.cell]
     try:
         given = [judge_filter(text, drops, args.rate, tolerance) for text in args.filters or ()]
-        rows = tune_filters(drops, args.rate, tolerance, cells, lambda family: print(f"search: {family}", file=sys.stderr))
+        rows = tune_filters(
+            drops,
+            args.rate,
+            tolerance,
+            cells,
+            lambda family: print(f"search: {family}", file=sys.stderr),
+        )
     except ValueError as error:
         raise RecordError(f"--tune {args.tune:g}: {error}") from error
     for line in tabulate_tuned_filters([*rows, *given]):
@@ -135,7 +191,9 @@ def _tune_filters(args: Args, tolerance: float, traces: Sequence["WeightTrace"],
 
 
 def _read_traces(args: Args) -> list["WeightTrace"]:
-    """The traces of the files, on the load cell and with the noise that the arguments ask for. Raises RecordError, SceneError."""
+    """The traces of the files, on the load cell and with the noise that the arguments ask for.
+    Raises RecordError, SceneError.
+    """
     from dem_jax.visualization.scale_readings import apply_cell, read_settled_trace
     from dem_jax.weighing.cell import build_cell, read_cell_file
     from dem_jax.weighing.signal_noise import read_noise
@@ -147,9 +205,13 @@ def _read_traces(args: Args) -> list["WeightTrace"]:
     for name, file in zip(result_files.short_names(args.files), args.files, strict=True):
         trace, why = read_settled_trace(file, args.group, args.block, truth)
         if why:
-            print(f"note: {name}: {why}: what the scale should show is not known there; --truth G gives it")
+            print(
+                f"note: {name}: {why}: what the scale should show is not known there; --truth G gives it"
+            )
         if cell and trace.cell:
-            raise RecordError(f"--cell {args.cell}: {file} has the signal of its own load cell; allowed: files without one")
+            raise RecordError(
+                f"--cell {args.cell}: {file} has the signal of its own load cell; allowed: files without one"
+            )
         trace = apply_cell(trace, build_cell(cell)) if cell else trace
         traces.append(trace if args.noise is None else trace._replace(noise=noise))
     return traces

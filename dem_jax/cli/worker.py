@@ -1,7 +1,8 @@
-"""python -m dem_jax.cli.worker: one command of the app, in a process that has imported everything before it is asked for.
+"""python -m dem_jax.cli.worker: one command of the app, in a process that has imported everything
+before it is asked for.
 
-The first line of standard input is JSON: {"program": "dem_jax", "argv": ["run", "weigh-bucket"]}. It does
-what ``python -m PROGRAM ARGV`` does, with the same output and exit code.
+The first line of standard input is JSON: {"program": "dem_jax", "argv": ["run", "weigh-bucket"]}.
+It does what ``python -m PROGRAM ARGV`` does, with the same output and exit code.
 """
 
 import json

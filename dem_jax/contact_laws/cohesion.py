@@ -1,20 +1,24 @@
-"""Cohesion, which any contact law takes on: bodies that have touched hold on to each other with up to a constant force.
+"""Cohesion, which any contact law takes on: bodies that have touched hold on to each other with up
+to a constant force.
 
-Beside the law acts a tension A: a spring on the way w by which the contact point recedes, that slips at the pull-off force
+Beside the law acts a tension A: a spring on the way w by which the contact point recedes, that
+slips at the pull-off force
 
     dA = k_a dw,    0 <= A <= P(s),    F_n = F_law(s) - A
 
-and, once the gap -s is larger than d = P_0 / k_a, in which the tension has always come up to the pull-off force P_0, a limit
-that falls linearly until the bodies let go at the gap d + range:
+and, once the gap -s is larger than d = P_0 / k_a, in which the tension has always come up to the
+pull-off force P_0, a limit that falls linearly until the bodies let go at the gap d + range:
 
     P(s) = P_0 for s >= -d,    P_0 (1 - (-s - d) / range) beyond, 0 from -s = d + range on.
 
-So loading is that of the law alone, and after contact the unloading goes on below zero, down to -P_0 whatever the load was
-before: the linear adhesive branches of Luding (Granular Matter 10 (2008) 235-246) and of the EEPA law (Morrissey, thesis,
-Edinburgh, 2013) with the constant pull-off force of Derjaguin, Muller and Toporov (J. Colloid Interface Sci. 53 (1975)). To
-part two bodies that just touch takes the work P_0 (d + range) / 2; pressed together elastically by s before, P_0 s more.
-A spring that only slips gives back no more than it took, however bodies turn: A^2 / 2 k_a. Friction is the law's own, at
-most mu F_law = mu (F_n + A), of the repulsive part alone, which is never negative.
+So loading is that of the law alone, and after contact the unloading goes on below zero, down to
+-P_0 whatever the load was before: the linear adhesive branches of Luding (Granular Matter 10 (2008)
+235-246) and of the EEPA law (Morrissey, thesis, Edinburgh, 2013) with the constant pull-off force
+of Derjaguin, Muller and Toporov (J. Colloid Interface Sci. 53 (1975)). To part two bodies that just
+touch takes the work P_0 (d + range) / 2; pressed together elastically by s before, P_0 s more. A
+spring that only slips gives back no more than it took, however bodies turn: A^2 / 2 k_a. Friction
+is the law's own, at most mu F_law = mu (F_n + A), of the repulsive part alone, which is never
+negative.
 """
 
 from typing import Any, NamedTuple
@@ -59,29 +63,42 @@ class Cohesive:
     range: Array  # (m), beyond d
 
     def pair_parameters(self, couple: MaterialPair) -> CohesivePair:
-        """Those of the law, P_0 and k_a. Raises SceneError where no pair of the scene has a pull-off force."""
+        """Those of the law, P_0 and k_a. Raises SceneError where no pair of the scene has a
+        pull-off force.
+        """
         if couple.pull_off is None:
-            raise SceneError("material.pull_off = 0: with a cohesive law; allowed: more than 0, there or in a [[pair]]")
-        return CohesivePair(self.law.pair_parameters(couple), couple.pull_off, self.stiffness * couple.stiffness)
+            raise SceneError(
+                "material.pull_off = 0: with a cohesive law; allowed: more than 0, there or in a [[pair]]"
+            )
+        return CohesivePair(
+            self.law.pair_parameters(couple), couple.pull_off, self.stiffness * couple.stiffness
+        )
 
     def init_history(self, pair: CohesivePair, like: Array) -> CohesiveHistory:
         """No tension, no bond."""
         zero = jnp.zeros_like(like)
         return CohesiveHistory(self.law.init_history(pair.law, like), zero, zero)
 
-    def force(self, pair: CohesivePair, history: CohesiveHistory, contact: ContactKinematics) -> Response:
+    def force(
+        self, pair: CohesivePair, history: CohesiveHistory, contact: ContactKinematics
+    ) -> Response:
         """The law's answer less the tension."""
         c = contact
         answer = self.law.force(pair.law, history.law, self._limit_slip_to_touch(pair, contact))
         holds = (c.overlap > 0) | ((history.bond > 0) & (c.overlap > -self.interaction_range(pair)))
-        tension = jnp.clip(history.tension - pair.stiffness * c.approach, 0, self._pull_off_limit(pair, c.overlap))
+        tension = jnp.clip(
+            history.tension - pair.stiffness * c.approach, 0, self._pull_off_limit(pair, c.overlap)
+        )
         tension = vector.fusion_barrier(jnp.where(holds, tension, 0))
         after = CohesiveHistory(answer.history, tension, holds.astype(tension.dtype))
         return answer._replace(normal_force=answer.normal_force - tension, history=after)
 
     def energy(self, pair: CohesivePair, history: CohesiveHistory, overlap: Array) -> Array:
         """Elastic energy of the law and of the tension spring (J)."""
-        return self.law.energy(pair.law, history.law, jnp.maximum(overlap, 0)) + 0.5 * history.tension**2 / pair.stiffness
+        return (
+            self.law.energy(pair.law, history.law, jnp.maximum(overlap, 0))
+            + 0.5 * history.tension**2 / pair.stiffness
+        )
 
     def interaction_range(self, pair: CohesivePair) -> Array:
         """d + range (m), 0 without a pull-off force."""
@@ -90,7 +107,9 @@ class Cohesive:
     def critical_steps(self, pair: CohesivePair, mass: Real) -> dict[str, Real]:
         """Those of the law, and by the tension's spring (s)."""
         step = quarter_period(mass, np.asarray(pair.stiffness)) / TENSION_STEPS
-        return self.law.critical_steps(pair.law, mass) | {f"{TENSION_STEPS} steps per quarter period of cohesion": step}
+        return self.law.critical_steps(pair.law, mass) | {
+            f"{TENSION_STEPS} steps per quarter period of cohesion": step
+        }
 
     def stable_step(self, pair: CohesivePair, mass: Real) -> Real:
         """Linear stability limit (s) of the two springs side by side."""
@@ -108,12 +127,20 @@ class Cohesive:
     def _pull_off_limit(self, pair: CohesivePair, overlap: Array) -> Array:
         """P(s) (N)."""
         tiny = jnp.finfo(overlap.dtype).tiny ** 0.5
-        return pair.pull_off * jnp.clip((overlap + self.interaction_range(pair)) / jnp.maximum(self.range, tiny), 0, 1)
+        return pair.pull_off * jnp.clip(
+            (overlap + self.interaction_range(pair)) / jnp.maximum(self.range, tiny), 0, 1
+        )
 
-    def _limit_slip_to_touch(self, pair: CohesivePair, contact: ContactKinematics) -> ContactKinematics:
-        """The contact as a law without reach would be told of it: of the step in which bodies come to touch, the slip of the
-        last part only, overlap over approach, where it had that of all within reach."""
+    def _limit_slip_to_touch(
+        self, pair: CohesivePair, contact: ContactKinematics
+    ) -> ContactKinematics:
+        """The contact as a law without reach would be told of it: of the step in which bodies come
+        to touch, the slip of the last part only, overlap over approach, where it had that of all
+        within reach.
+        """
         c = contact
         begins = (c.overlap > 0) & (c.approach > c.overlap)
-        counted = jnp.where(begins, jnp.minimum(c.approach, c.overlap + self.interaction_range(pair)), 1)
+        counted = jnp.where(
+            begins, jnp.minimum(c.approach, c.overlap + self.interaction_range(pair)), 1
+        )
         return c._replace(slip=vector.scale(jnp.where(begins, c.overlap / counted, 1), c.slip))

@@ -1,16 +1,18 @@
-"""A dashpot beside an elastic spring that is never adhesive: shared by the linear law and that of Hertz, and that beside the
-unloading line of Walton and Braun.
+"""A dashpot beside an elastic spring that is never adhesive: shared by the linear law and that of
+Hertz, and that beside the unloading line of Walton and Braun.
 
-Linear: m s'' + c s' + K s = 0 with damping ratio zeta = c / (2 sqrt(m K)). The contact ends where the force vanishes, not
-where the overlap does (Schwager and Poeschel, Granular Matter 9 (2007) 465-469): after arccos(2 zeta^2 - 1) / omega, which is
-2 arccos(zeta) / omega, with
+Linear: m s'' + c s' + K s = 0 with damping ratio zeta = c / (2 sqrt(m K)). The contact ends where
+the force vanishes, not where the overlap does (Schwager and Poeschel, Granular Matter 9 (2007)
+465-469): after arccos(2 zeta^2 - 1) / omega, which is 2 arccos(zeta) / omega, with
 
-    restitution = exp(-2 zeta r),    r = arccos(zeta) / sqrt(1 - zeta^2) = arcosh(zeta) / sqrt(zeta^2 - 1).
+    restitution = exp(-2 zeta r),    r = arccos(zeta) / sqrt(1 - zeta^2) = arcosh(zeta) /
+    sqrt(zeta^2 - 1).
 
-Hertz with damping eta s^(1/4) s' (Tsuji, Tanaka and Ishida, Powder Technology 71 (1992) 239-250): in y = s^(5/4) the speed v
-obeys v dv/dy = -(4 k / 5 m) y - (4 eta / 5 m) v, that of the linear oscillator (Antypov and Elliott, EPL 94 (2011) 50004), and
-the force k s^(3/2) + eta s^(1/4) v vanishes where k y + eta v does. So the same restitution holds at any speed, with
-omega^2 = 4 k / 5 m and eta = sqrt(5 m k) zeta.
+Hertz with damping eta s^(1/4) s' (Tsuji, Tanaka and Ishida, Powder Technology 71 (1992) 239-250):
+in y = s^(5/4) the speed v obeys v dv/dy = -(4 k / 5 m) y - (4 eta / 5 m) v, that of the linear
+oscillator (Antypov and Elliott, EPL 94 (2011) 50004), and the force k s^(3/2) + eta s^(1/4) v
+vanishes where k y + eta v does. So the same restitution holds at any speed, with omega^2 = 4 k / 5
+m and eta = sqrt(5 m k) zeta.
 """
 
 from collections.abc import Callable
@@ -25,18 +27,22 @@ from dem_jax.contact_laws.springs import Real
 Array = jax.Array
 
 LOADING_STEPS = 15  # per quarter period, as of the loading branch of Walton and Braun
-STOP_STEPS = 6  # in the time m / c, in which the dashpot alone stops the mass: corners of a polytope stop six times sooner
+STOP_STEPS = 6  # in the time m / c, in which the dashpot alone stops the mass: corners of a
+# polytope stop six times sooner
 
 
 class SpringHistory(NamedTuple):
     """Of contacts of an elastic spring, at the last step."""
 
     overlap: Array  # [P] (m): ``elastic_overlap``
-    spring: Array | None  # [3, P] (N): tangential force on b, world axes, of patches [4, P], see ``friction``; None without
+    spring: Array | None  # [3, P] (N): tangential force on b, world axes, of patches [4, P], see
+    # ``friction``; None without
 
 
 def damping_ratio(restitution: Array) -> Array:
-    """zeta of a restitution, 0 < e <= 1, by Newton's method: 2 zeta r is concave, so that it converges from below."""
+    """zeta of a restitution, 0 < e <= 1, by Newton's method: 2 zeta r is concave, so that it
+    converges from below.
+    """
     wanted = -jnp.log(restitution)
 
     def newton_step(_: Array, ratio: Array) -> Array:
@@ -47,7 +53,9 @@ def damping_ratio(restitution: Array) -> Array:
 
 
 def _negative_log_restitution(ratio: Array) -> Array:
-    """2 zeta r: minus the logarithm of the restitution. r (1 + zeta) = 2 atan(sqrt w) / sqrt w with w = (1 - zeta) / (1 + zeta)."""
+    """2 zeta r: minus the logarithm of the restitution. r (1 + zeta) = 2 atan(sqrt w) / sqrt w with
+    w = (1 - zeta) / (1 + zeta).
+    """
     w = (1 - ratio) / (1 + ratio)
     small = jnp.abs(w) < 1e-2
     root = jnp.sqrt(jnp.where(small, 1, jnp.abs(w)))
@@ -60,18 +68,22 @@ def _negative_log_restitution(ratio: Array) -> Array:
 def elastic_overlap(before: Array, approach: Array, overlap: Array) -> Array:
     """The overlap (m) that was made by the way of the contact point, at most the geometric one.
 
-    Where bodies do not turn both are the same. Where they do, the geometric one is that of the deepest corner while the
-    force acts at the contact point: a spring on the way that this went gives back no more than it took.
+    Where bodies do not turn both are the same. Where they do, the geometric one is that of the
+    deepest corner while the force acts at the contact point: a spring on the way that this went
+    gives back no more than it took.
     """
     return jnp.clip(before + approach, 0, jnp.maximum(overlap, 0))
 
 
-def overlap_power(before: Array, now: Array, approach: Array, exponent: float, root: Callable[[Array], Array]) -> Array:
+def overlap_power(
+    before: Array, now: Array, approach: Array, exponent: float, root: Callable[[Array], Array]
+) -> Array:
     """now^exponent (``root`` of it) for the dashpot's coefficient, and 0 where separated.
 
-    In the step of first touch, of which only the part now / approach counts, what makes the sum over steps the integral
-    to second order: of t^a on a grid that begins within a step (Navot, J. Math. Phys. 40 (1961) 271-276). The impulse is
-    right so, while the reading in that step is 1/2 to 3/2 of a force that begins at once (a = 0).
+    In the step of first touch, of which only the part now / approach counts, what makes the sum
+    over steps the integral to second order: of t^a on a grid that begins within a step (Navot, J.
+    Math. Phys. 40 (1961) 271-276). The impulse is right so, while the reading in that step is 1/2
+    to 3/2 of a force that begins at once (a = 0).
     """
     first = (before <= 0) & (now > 0)
     way = jnp.where(first, approach, 1)
@@ -80,17 +92,23 @@ def overlap_power(before: Array, now: Array, approach: Array, exponent: float, r
     return jnp.where(first, begun, jnp.where(now > 0, root(jnp.where(now > 0, now, 1)), 0))
 
 
-def damped_force(elastic: Array, coefficient: Array, approach: Array, mass: Array, dt: Array) -> Array:
-    """Elastic force with dashpot (N), never adhesive. coefficient: c (N s/m); approach: (m) in this step.
+def damped_force(
+    elastic: Array, coefficient: Array, approach: Array, mass: Array, dt: Array
+) -> Array:
+    """Elastic force with dashpot (N), never adhesive. coefficient: c (N s/m); approach: (m) in this
+    step.
 
-    Speeds are known in the middle of the step; the speed at its end follows from the force over half a step.
+    Speeds are known in the middle of the step; the speed at its end follows from the force over
+    half a step.
     """
     total = (elastic + coefficient * approach / dt) / (1 + 0.5 * coefficient * dt / mass)
     return jnp.where(elastic > 0, jnp.maximum(total, 0), 0)
 
 
 def critical_steps(mass: Real, quarter: Real, coefficient: Real) -> dict[str, Real]:
-    """Critical steps (s) by a quarter period or loading time (s) and by the dashpot (N s/m) on a mass (kg)."""
+    """Critical steps (s) by a quarter period or loading time (s) and by the dashpot (N s/m) on a
+    mass (kg).
+    """
     damping = np.maximum(np.asarray(coefficient, float), 1e-9 * mass / np.max(quarter))
     return {
         f"{LOADING_STEPS} steps per loading quarter period": quarter / LOADING_STEPS,
@@ -99,8 +117,10 @@ def critical_steps(mass: Real, quarter: Real, coefficient: Real) -> dict[str, Re
 
 
 def stable_step(mass: Real, stiffness: Real, coefficient: Real, pair_mass: Real) -> Real:
-    """Stability limit (s) of a spring (N/m) and a dashpot (N s/m) as ``damped_force`` has it, on an effective mass (kg) that may
-    be less than that of the pair: 2 / omega without damping, or where both are the same."""
+    """Stability limit (s) of a spring (N/m) and a dashpot (N s/m) as ``damped_force`` has it, on an
+    effective mass (kg) that may be less than that of the pair: 2 / omega without damping, or where
+    both are the same.
+    """
     square = stiffness / mass
     rate = 2 * np.asarray(coefficient) * (1 / mass - 1 / pair_mass)
     return 8 / (rate + np.sqrt(rate * rate + 16 * square))
@@ -116,10 +136,11 @@ def unloading_damping(
     ratio: Array,
     dt: Array,
 ) -> Array:
-    """Viscous part (N) added on the unloading branch only, where eqs 1-4 have none and a resting piece rings for ever.
+    """Viscous part (N) added on the unloading branch only, where eqs 1-4 have none and a resting
+    piece rings for ever.
 
-    A dashpot of the given damping ratio of the oscillator (effective mass, K_nu), never making the sum adhesive; force:
-    F_n now. Not part of the paper's model; off by default.
+    A dashpot of the given damping ratio of the oscillator (effective mass, K_nu), never making the
+    sum adhesive; force: F_n now. Not part of the paper's model; off by default.
     """
     loading = load_stiffness * jnp.maximum(overlap, 0)
     dashpot = 2 * ratio * jnp.sqrt(mass * unload_stiffness) * approach / dt

@@ -1,19 +1,24 @@
 """A spring that stiffens as a foam does when its cells close, with a dashpot of exact restitution.
 
-    F = K s / (1 - x),    x = s / D,    U = K D^2 (-x - ln(1 - x)),    D = densification min(L_a, L_b)
+    F = K s / (1 - x),    x = s / D,    U = K D^2 (-x - ln(1 - x)),    D = densification min(L_a,
+    L_b)
 
-with K of eqs 5, 7 and 8: at small overlaps the linear spring of modulus E, and an overlap that stays below D, where the foam is
-solid. Beyond ``LINEAR_LIMIT`` of D the force goes on along its tangent, so that its stiffness is bounded.
+with K of eqs 5, 7 and 8: at small overlaps the linear spring of modulus E, and an overlap that
+stays below D, where the foam is solid. Beyond ``LINEAR_LIMIT`` of D the force goes on along its
+tangent, so that its stiffness is bounded.
 
-Dashpot: c = 2 zeta F sqrt(m / 2U) (N s/m). In q = sqrt(2U / m) the speed v obeys v dv/dq = -q - 2 zeta v, the linear oscillator of
-frequency 1, and the force vanishes where q + 2 zeta v does: the restitution is that of the ratio zeta (``dashpot``), at any speed,
-for any elastic force. The laws ``linear_dashpot`` and ``hertz_mindlin`` are its cases of F ~ s and s^(3/2).
+Dashpot: c = 2 zeta F sqrt(m / 2U) (N s/m). In q = sqrt(2U / m) the speed v obeys v dv/dq = -q - 2
+zeta v, the linear oscillator of frequency 1, and the force vanishes where q + 2 zeta v does: the
+restitution is that of the ratio zeta (``dashpot``), at any speed, for any elastic force. The laws
+``linear_dashpot`` and ``hertz_mindlin`` are its cases of F ~ s and s^(3/2).
 
-An impact at speed v has its largest overlap where U = m q^2 / 2 with q = v exp(-zeta phi / sqrt(1 - zeta^2)), phi = arccos(zeta):
+An impact at speed v has its largest overlap where U = m q^2 / 2 with q = v exp(-zeta phi / sqrt(1 -
+zeta^2)), phi = arccos(zeta):
 
     x = 1 + W_0(-exp(-1 - e)),    e = m q^2 / (2 K D^2)
 
-with Lambert's function W_0. The stiffness grows with the speed: the time step resolves impacts up to ``impact_speed``.
+with Lambert's function W_0. The stiffness grows with the speed: the time step resolves impacts up
+to ``impact_speed``.
 """
 
 from typing import NamedTuple
@@ -60,22 +65,43 @@ class Densifying:
         depth = self.densification * jnp.minimum(*couple.size)
         ratio = dashpot.damping_ratio(couple.restitution)
         shape = jnp.broadcast_shapes(jnp.shape(stiffness), jnp.shape(depth))
-        return DensifyingPair(stiffness, jnp.broadcast_to(depth, shape), ratio, couple.mass, couple.friction, couple.patch)
+        return DensifyingPair(
+            stiffness,
+            jnp.broadcast_to(depth, shape),
+            ratio,
+            couple.mass,
+            couple.friction,
+            couple.patch,
+        )
 
     def init_history(self, pair: DensifyingPair, like: Array) -> SpringHistory:
         """No overlap."""
-        return SpringHistory(jnp.zeros_like(like), friction.init_spring(pair.friction, pair.patch, like))
+        return SpringHistory(
+            jnp.zeros_like(like), friction.init_spring(pair.friction, pair.patch, like)
+        )
 
-    def force(self, pair: DensifyingPair, history: SpringHistory, contact: ContactKinematics) -> Response:
+    def force(
+        self, pair: DensifyingPair, history: SpringHistory, contact: ContactKinematics
+    ) -> Response:
         """Spring, dashpot and friction."""
         c = contact
         s = vector.fusion_barrier(dashpot.elastic_overlap(history.overlap, c.approach, c.overlap))
         force, _, rate = relative_spring(s / pair.depth)
         elastic = pair.stiffness * pair.depth * force
         damping = 2 * pair.ratio * jnp.sqrt(pair.mass * pair.stiffness) * rate
-        damping = damping * dashpot.overlap_power(history.overlap, s, c.approach, 0.0, jnp.ones_like)
-        push = vector.fusion_barrier(dashpot.damped_force(elastic, damping, c.approach, pair.mass, c.dt))
-        return friction.respond_with_friction(push, SpringHistory(s, history.spring), c, self.tangential * pair.stiffness, pair.friction)
+        damping = damping * dashpot.overlap_power(
+            history.overlap, s, c.approach, 0.0, jnp.ones_like
+        )
+        push = vector.fusion_barrier(
+            dashpot.damped_force(elastic, damping, c.approach, pair.mass, c.dt)
+        )
+        return friction.respond_with_friction(
+            push,
+            SpringHistory(s, history.spring),
+            c,
+            self.tangential * pair.stiffness,
+            pair.friction,
+        )
 
     def energy(self, pair: DensifyingPair, history: SpringHistory, overlap: Array) -> Array:
         """Of both springs (J)."""
@@ -89,16 +115,23 @@ class Densifying:
     def critical_steps(self, pair: DensifyingPair, mass: Real) -> dict[str, Real]:
         """By the loading time and the dashpot of an elastic impact at the speed given (s)."""
         deepest = self._largest_relative_overlap(pair, mass)
-        return dashpot.critical_steps(mass, loading_time(pair, mass, self.impact_speed), _damping_coefficient(pair, deepest))
+        return dashpot.critical_steps(
+            mass, loading_time(pair, mass, self.impact_speed), _damping_coefficient(pair, deepest)
+        )
 
     def stable_step(self, pair: DensifyingPair, mass: Real) -> Real:
         """Linear stability limit (s) at the largest overlap of a central impact at the speed given."""
         deepest = self._largest_relative_overlap(pair, np.asarray(pair.mass))
-        return dashpot.stable_step(mass, _tangent_stiffness(pair, deepest), _damping_coefficient(pair, deepest), pair.mass)
+        return dashpot.stable_step(
+            mass, _tangent_stiffness(pair, deepest), _damping_coefficient(pair, deepest), pair.mass
+        )
 
     def loading_step(self, pair: DensifyingPair, mass: Real) -> Real:
         """2 / omega (s) there, of the elastic force."""
-        return 2 * np.sqrt(mass / _tangent_stiffness(pair, self._largest_relative_overlap(pair, np.asarray(pair.mass))))
+        return 2 * np.sqrt(
+            mass
+            / _tangent_stiffness(pair, self._largest_relative_overlap(pair, np.asarray(pair.mass)))
+        )
 
     def tangential_stiffness(self, pair: DensifyingPair) -> Real | None:
         """K_t (N/m)."""
@@ -106,20 +139,30 @@ class Densifying:
 
     def _largest_relative_overlap(self, pair: DensifyingPair, mass: Real) -> Real:
         """Largest relative overlap x of an elastic impact at the speed given."""
-        return largest_overlap(0.5 * mass * np.asarray(self.impact_speed) ** 2 / (pair.stiffness * np.asarray(pair.depth) ** 2))
+        return largest_overlap(
+            0.5
+            * mass
+            * np.asarray(self.impact_speed) ** 2
+            / (pair.stiffness * np.asarray(pair.depth) ** 2)
+        )
 
 
 def relative_spring(x: Array) -> tuple[Array, Array, Array]:
-    """Force over K D, energy over K D^2, and force over sqrt(2 K U), at relative overlaps x = s / D, arrays alike.
+    """Force over K D, energy over K D^2, and force over sqrt(2 K U), at relative overlaps x = s /
+    D, arrays alike.
 
-    The last is 1 at x = 0. Below 0.05 by the series of the logarithm, whose rounding would be lost otherwise.
+    The last is 1 at x = 0. Below 0.05 by the series of the logarithm, whose rounding would be lost
+    otherwise.
     """
     inside = jnp.clip(x, 0, LINEAR_LIMIT)
     more = jnp.maximum(x - LINEAR_LIMIT, 0)
     gap = 1 - inside
     force = inside / gap + more / gap**2
     small = inside < 0.05
-    terms = 1 + inside * (2 / 3 + inside * (2 / 4 + inside * (2 / 5 + inside * (2 / 6 + inside * (2 / 7 + inside * 2 / 8)))))
+    terms = 1 + inside * (
+        2 / 3
+        + inside * (2 / 4 + inside * (2 / 5 + inside * (2 / 6 + inside * (2 / 7 + inside * 2 / 8))))
+    )
     safe = jnp.where(small, 0.5, inside)
     core = jnp.where(small, 0.5 * inside * inside * terms, -safe - jnp.log1p(-safe))
     energy = core + more * (inside / gap + 0.5 * more / gap**2)
@@ -136,20 +179,27 @@ def largest_overlap(energy: Real) -> Real:
     inside = np.real(1 + lambertw(-np.exp(-1 - energy)))
     inside = np.where(energy < 1e-10, np.sqrt(2 * energy), inside)
     edge, gap = -LINEAR_LIMIT - np.log(1 - LINEAR_LIMIT), 1 - LINEAR_LIMIT
-    more = np.maximum(energy - edge, 0)  # U = edge + d LINEAR / gap + d^2 / (2 gap^2) at x = LINEAR + d
+    more = np.maximum(energy - edge, 0)  # U = edge + d LINEAR / gap + d^2 / (2 gap^2) at x = LINEAR
+    # + d
     beyond = LINEAR_LIMIT + gap * (np.sqrt(LINEAR_LIMIT**2 + 2 * more) - LINEAR_LIMIT)
     return np.where(energy > edge, beyond, inside)
 
 
 def loading_time(pair: DensifyingPair, mass: Real, speed: Real) -> Real:
-    """From first touch to the largest overlap (s) of an elastic impact: int_0^(pi/2) m v sin(phi) / F dphi, where the energy at phi
-    is that of the impact times sin^2(phi). In numpy, double precision."""
+    """From first touch to the largest overlap (s) of an elastic impact: int_0^(pi/2) m v sin(phi) /
+    F dphi, where the energy at phi is that of the impact times sin^2(phi). In numpy, double
+    precision.
+    """
     nodes, weights = np.polynomial.legendre.leggauss(NODES)
     phase = 0.25 * np.pi * (nodes + 1)
     stiffness, depth = np.asarray(pair.stiffness, float), np.asarray(pair.depth, float)
     energy = 0.5 * np.asarray(mass) * np.asarray(speed) ** 2 / (stiffness * depth**2)
     x = largest_overlap(energy[..., None] * np.sin(phase) ** 2)
-    force = np.where(x < LINEAR_LIMIT, x / (1 - np.minimum(x, LINEAR_LIMIT)), LINEAR_LIMIT / (1 - LINEAR_LIMIT) + (x - LINEAR_LIMIT) / (1 - LINEAR_LIMIT) ** 2)
+    force = np.where(
+        x < LINEAR_LIMIT,
+        x / (1 - np.minimum(x, LINEAR_LIMIT)),
+        LINEAR_LIMIT / (1 - LINEAR_LIMIT) + (x - LINEAR_LIMIT) / (1 - LINEAR_LIMIT) ** 2,
+    )
     integral = 0.25 * np.pi * (weights * np.sin(phase) / force).sum(axis=-1)
     return integral * np.asarray(mass) * np.asarray(speed) / (stiffness * depth)
 
@@ -162,4 +212,9 @@ def _tangent_stiffness(pair: DensifyingPair, x: Real) -> Real:
 def _damping_coefficient(pair: DensifyingPair, x: Real) -> Real:
     """c (N s/m) at relative overlaps."""
     rate = np.asarray(relative_spring(jnp.asarray(x))[2], float)
-    return 2 * np.asarray(pair.ratio) * np.sqrt(np.asarray(pair.mass) * np.asarray(pair.stiffness)) * rate
+    return (
+        2
+        * np.asarray(pair.ratio)
+        * np.sqrt(np.asarray(pair.mass) * np.asarray(pair.stiffness))
+        * rate
+    )

@@ -1,19 +1,24 @@
-"""Spheres that yield: Thornton's elastic-plastic contact, whose restitution falls with the speed of the impact.
+"""Spheres that yield: Thornton's elastic-plastic contact, whose restitution falls with the speed of
+the impact.
 
-    F = 4/3 E* R^(1/2) s^(3/2) up to s_y = R (pi p / 2 E*)^2,    beyond it F = F_y + pi p R (s - s_y),    F_y = 2/3 pi p R s_y
+    F = 4/3 E* R^(1/2) s^(3/2) up to s_y = R (pi p / 2 E*)^2,    beyond it F = F_y + pi p R (s -
+    s_y),    F_y = 2/3 pi p R s_y
 
-with the contact pressure p at which the softer body yields, and 1/E*, 1/R as of ``hertz_mindlin`` (Thornton, J. Appl. Mech. 64
-(1997) 383-386). Unloading, and loading again up to the deepest overlap s_m, is Hertz's law of the flattened contact:
+with the contact pressure p at which the softer body yields, and 1/E*, 1/R as of ``hertz_mindlin``
+(Thornton, J. Appl. Mech. 64 (1997) 383-386). Unloading, and loading again up to the deepest overlap
+s_m, is Hertz's law of the flattened contact:
 
-    F = F_m (x / d)^(3/2),    x = s - s_m + d,    d = 3 F_m / (4 E* a),    a^2 = (2 F_m + F_y) / (2 pi p)  (R s_m up to s_y).
+    F = F_m (x / d)^(3/2),    x = s - s_m + d,    d = 3 F_m / (4 E* a),    a^2 = (2 F_m + F_y) / (2
+    pi p)  (R s_m up to s_y).
 
-There, where nothing yields, a dashpot c = zeta (5 m F_m / d)^(1/2) (x / d)^(1/4) takes the factor ``material.restitution`` of the
-speed (``dashpot``, half of an impact): pieces come to rest. An impact at speed v therefore has the restitution
+There, where nothing yields, a dashpot c = zeta (5 m F_m / d)^(1/2) (x / d)^(1/4) takes the factor
+``material.restitution`` of the speed (``dashpot``, half of an impact): pieces come to rest. An
+impact at speed v therefore has the restitution
 
     e = restitution * e_p(v),    e_p^2 = 3 F_m^2 / (10 E* a) / (m v^2 / 2),
 
-which is 1 up to the speed of yield v_y, m v_y^2 / 2 = 2/5 F_y s_y, and falls with v^(-1/4) far above it. The dent is forgotten
-where bodies part.
+which is 1 up to the speed of yield v_y, m v_y^2 / 2 = 2/5 F_y s_y, and falls with v^(-1/4) far
+above it. The dent is forgotten where bodies part.
 """
 
 from typing import NamedTuple
@@ -30,7 +35,8 @@ from dem_jax.types import PatchMarker, pytree
 
 Array = jax.Array
 
-LOAD_STEPS, UNLOAD_STEPS = 15, 15  # per quarter period of the stiffest part of loading and of unloading
+LOAD_STEPS, UNLOAD_STEPS = 15, 15  # per quarter period of the stiffest part of loading and of
+# unloading
 
 
 class ElasticPlasticPair(NamedTuple):
@@ -50,7 +56,8 @@ class ElasticPlasticHistory(NamedTuple):
 
     overlap: Array  # [P] (m): dashpot.elastic_overlap
     deepest: Array  # [P] (m): s_m, the largest overlap since first touch
-    spring: Array | None  # [3, P] (N): tangential force on b, world axes, of patches [4, P], see ``friction``; None without
+    spring: Array | None  # [3, P] (N): tangential force on b, world axes, of patches [4, P], see
+    # ``friction``; None without
 
 
 class FlattenedContact(NamedTuple):
@@ -75,16 +82,29 @@ class ElasticPlastic:
         modulus = 1 / ((1 - nu_a * nu_a) / e_a + (1 - nu_b * nu_b) / e_b)
         radius = 1 / (couple.curvature[0] + couple.curvature[1])
         shape = jnp.broadcast_shapes(jnp.shape(modulus), jnp.shape(radius))
-        ratio = dashpot.damping_ratio(couple.restitution**2)  # half of such an impact has the restitution
+        ratio = dashpot.damping_ratio(couple.restitution**2)  # half of such an impact has the
+        # restitution
         pressure = jnp.broadcast_to(jnp.asarray(self.pressure), shape)
-        return ElasticPlasticPair(modulus, jnp.broadcast_to(radius, shape), pressure, ratio, couple.mass, couple.friction, couple.patch)
+        return ElasticPlasticPair(
+            modulus,
+            jnp.broadcast_to(radius, shape),
+            pressure,
+            ratio,
+            couple.mass,
+            couple.friction,
+            couple.patch,
+        )
 
     def init_history(self, pair: ElasticPlasticPair, like: Array) -> ElasticPlasticHistory:
         """No overlap."""
         zero = jnp.zeros_like(like)
-        return ElasticPlasticHistory(zero, zero, friction.init_spring(pair.friction, pair.patch, like))
+        return ElasticPlasticHistory(
+            zero, zero, friction.init_spring(pair.friction, pair.patch, like)
+        )
 
-    def force(self, pair: ElasticPlasticPair, history: ElasticPlasticHistory, contact: ContactKinematics) -> Response:
+    def force(
+        self, pair: ElasticPlasticPair, history: ElasticPlasticHistory, contact: ContactKinematics
+    ) -> Response:
         """Spring, dashpot below the deepest overlap, and friction."""
         c = contact
         s = vector.fusion_barrier(dashpot.elastic_overlap(history.overlap, c.approach, c.overlap))
@@ -92,31 +112,49 @@ class ElasticPlastic:
         dent = flatten_contact(pair, deepest)
         place = _relative_elastic_overlap(dent, s - deepest)
         root = vector.safe_sqrt(place)
-        damping = pair.ratio * vector.safe_sqrt(5 * pair.mass * dent.force / _nonzero_length(dent.depth)) * vector.safe_sqrt(root)
+        damping = (
+            pair.ratio
+            * vector.safe_sqrt(5 * pair.mass * dent.force / _nonzero_length(dent.depth))
+            * vector.safe_sqrt(root)
+        )
         damping = jnp.where(s < deepest, damping, 0)
-        push = vector.fusion_barrier(dashpot.damped_force(dent.force * place * root, damping, c.approach, pair.mass, c.dt))
+        push = vector.fusion_barrier(
+            dashpot.damped_force(dent.force * place * root, damping, c.approach, pair.mass, c.dt)
+        )
         stiffness = self.tangential * yield_stiffness(pair)
-        return friction.respond_with_friction(push, ElasticPlasticHistory(s, deepest, history.spring), c, stiffness, pair.friction)
+        return friction.respond_with_friction(
+            push, ElasticPlasticHistory(s, deepest, history.spring), c, stiffness, pair.friction
+        )
 
-    def energy(self, pair: ElasticPlasticPair, history: ElasticPlasticHistory, overlap: Array) -> Array:
+    def energy(
+        self, pair: ElasticPlasticPair, history: ElasticPlasticHistory, overlap: Array
+    ) -> Array:
         """2/5 F_m d (x / d)^(5/2), and of the tangential spring (J)."""
         dent = flatten_contact(pair, history.deepest)
         place = _relative_elastic_overlap(dent, history.overlap - history.deepest)
         energy = 0.4 * dent.force * dent.depth * place * place * vector.safe_sqrt(place)
-        return friction.add_spring_energy(energy, history.spring, self.tangential * yield_stiffness(pair))
+        return friction.add_spring_energy(
+            energy, history.spring, self.tangential * yield_stiffness(pair)
+        )
 
     def interaction_range(self, pair: ElasticPlasticPair) -> None:
         """None: no force across a gap."""
         return None
 
     def critical_steps(self, pair: ElasticPlasticPair, mass: Real) -> dict[str, Real]:
-        """By the stiffest parts of loading and unloading, and by the dashpot, at the speed given (s)."""
+        """By the stiffest parts of loading and unloading, and by the dashpot, at the speed given
+        (s).
+        """
         load, unload, damping = self._impact_stiffness(pair, mass)
         rate = np.maximum(damping, 1e-9 * np.sqrt(mass * unload))
         return {
-            f"{LOAD_STEPS} steps per loading quarter period": quarter_period(mass, load) / LOAD_STEPS,
-            f"{UNLOAD_STEPS} steps per unloading quarter period": quarter_period(mass, unload) / UNLOAD_STEPS,
-            f"{dashpot.STOP_STEPS} steps per time in which the dashpot stops": mass / rate / dashpot.STOP_STEPS,
+            f"{LOAD_STEPS} steps per loading quarter period": quarter_period(mass, load)
+            / LOAD_STEPS,
+            f"{UNLOAD_STEPS} steps per unloading quarter period": quarter_period(mass, unload)
+            / UNLOAD_STEPS,
+            f"{dashpot.STOP_STEPS} steps per time in which the dashpot stops": mass
+            / rate
+            / dashpot.STOP_STEPS,
         }
 
     def stable_step(self, pair: ElasticPlasticPair, mass: Real) -> Real:
@@ -130,15 +168,23 @@ class ElasticPlastic:
 
     def tangential_stiffness(self, pair: ElasticPlasticPair) -> Real | None:
         """K_t (N/m)."""
-        return frictional_stiffness(pair.friction, np.asarray(self.tangential) * np.asarray(yield_stiffness(pair)))
+        return frictional_stiffness(
+            pair.friction, np.asarray(self.tangential) * np.asarray(yield_stiffness(pair))
+        )
 
     def _impact_stiffness(self, pair: ElasticPlasticPair, mass: Real) -> tuple[Real, Real, Real]:
-        """Stiffness (N/m) of loading and of unloading at the largest overlap of an impact at the speed given, and c (N s/m)."""
+        """Stiffness (N/m) of loading and of unloading at the largest overlap of an impact at the
+        speed given, and c (N s/m).
+        """
         deepest = largest_overlap(pair, mass, self.impact_speed)
         dent = [np.asarray(x, float) for x in flatten_contact(pair, jnp.asarray(deepest))]
         unload = 2 * np.asarray(pair.modulus, float) * dent[2]
         load = np.minimum(np.asarray(yield_stiffness(pair), float), unload)
-        return load, unload, np.asarray(pair.ratio, float) * np.sqrt(5 * np.asarray(pair.mass) * dent[0] / dent[1])
+        return (
+            load,
+            unload,
+            np.asarray(pair.ratio, float) * np.sqrt(5 * np.asarray(pair.mass) * dent[0] / dent[1]),
+        )
 
 
 def yield_overlap(pair: ElasticPlasticPair) -> Array:
@@ -178,11 +224,17 @@ def _nonzero_length(length: Array) -> Array:
 
 
 def largest_overlap(pair: ElasticPlasticPair, mass: Real, speed: Real) -> Real:
-    """s_m (m) of a central impact of an effective mass (kg) at a speed (m/s). In numpy, double precision."""
-    modulus, radius, pressure = (np.asarray(x, float) for x in (pair.modulus, pair.radius, pair.pressure))
+    """s_m (m) of a central impact of an effective mass (kg) at a speed (m/s). In numpy, double
+    precision.
+    """
+    modulus, radius, pressure = (
+        np.asarray(x, float) for x in (pair.modulus, pair.radius, pair.pressure)
+    )
     energy = 0.5 * np.asarray(mass, float) * np.asarray(speed, float) ** 2
     edge, slope = radius * (0.5 * np.pi * pressure / modulus) ** 2, np.pi * pressure * radius
     force = 2 / 3 * slope * edge
     elastic = (energy / (8 / 15 * modulus * np.sqrt(radius))) ** 0.4
     more = np.maximum(energy - 0.4 * force * edge, 0)
-    return np.where(elastic < edge, elastic, edge + (np.sqrt(force**2 + 2 * slope * more) - force) / slope)
+    return np.where(
+        elastic < edge, elastic, edge + (np.sqrt(force**2 + 2 * slope * more) - force) / slope
+    )

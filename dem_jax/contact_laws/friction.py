@@ -1,14 +1,17 @@
-"""Tangential spring with the Coulomb limit, which the laws of normal force share; knows no geometry.
+"""Tangential spring with the Coulomb limit, which the laws of normal force share; knows no
+geometry.
 
-Where bodies touch over a patch it also holds them against turning about the normal: with the arm r of the patch
-(``narrow_phase.patch_moments``) and the turn d phi of one on the other, a spring of the same stiffness acts on the way r d phi,
+Where bodies touch over a patch it also holds them against turning about the normal: with the arm r
+of the patch (``narrow_phase.patch_moments``) and the turn d phi of one on the other, a spring of
+the same stiffness acts on the way r d phi,
 
     df = -K_t r d phi,    M = r f,    sqrt(|F_t|^2 + f^2) <= mu F_n.
 
-The torque alone is at most mu F_n r, and force and torque share one limit, the ellipsoid of Howe and Cutkosky (Int. J. Robotics
-Research 15 (1996) 531-549; Goyal, Ruina and Papadopoulos, Wear 143 (1991) 307-330): a body that slides hardly resists a slow
-turn, and the more it spins the less it resists sliding. Its normal is the direction of slip, so that friction takes what it
-can. What is stored is f^2 / 2 K_t whatever the arm does meanwhile, so that a patch that changes makes no energy.
+The torque alone is at most mu F_n r, and force and torque share one limit, the ellipsoid of Howe
+and Cutkosky (Int. J. Robotics Research 15 (1996) 531-549; Goyal, Ruina and Papadopoulos, Wear 143
+(1991) 307-330): a body that slides hardly resists a slow turn, and the more it spins the less it
+resists sliding. Its normal is the direction of slip, so that friction takes what it can. What is
+stored is f^2 / 2 K_t whatever the arm does meanwhile, so that a patch that changes makes no energy.
 """
 
 from typing import Any
@@ -22,37 +25,55 @@ from dem_jax.math import vector
 from dem_jax.math.vector import Array, Vector
 from dem_jax.types import PatchMarker
 
-Shear = tuple[Array, ...]  # [P] (N): tangential force on b, x, y, z, and of a patch f, counter-clockwise about the normal
+Shear = tuple[Array, ...]  # [P] (N): tangential force on b, x, y, z, and of a patch f,
+# counter-clockwise about the normal
 
 
 def init_spring(friction: Array | None, patch: PatchMarker | None, like: Array) -> Array | None:
     """The spring of contacts that begin, [3, P], of patches [4, P]; None without friction."""
-    return None if friction is None else jnp.stack([jnp.zeros_like(like)] * (3 if patch is None else 4))
+    return (
+        None
+        if friction is None
+        else jnp.stack([jnp.zeros_like(like)] * (3 if patch is None else 4))
+    )
 
 
-def respond_with_friction(push: Array, history: Any, contact: ContactKinematics, stiffness: Array, friction: Array | None) -> Response:
-    """The response of a law: its normal force, friction, and its history with the spring of this step.
+def respond_with_friction(
+    push: Array, history: Any, contact: ContactKinematics, stiffness: Array, friction: Array | None
+) -> Response:
+    """The response of a law: its normal force, friction, and its history with the spring of this
+    step.
 
     Args:
         push: normal force, [P] (N).
-        history: of the law in this step, but for ``spring``, which is that of the last one, None without friction.
-        contact: motion in this step.
-        stiffness: K_t (N/m).
-        friction: mu.
+        history: of the law in this step, but for ``spring``, which is that of the last one, None
+        without friction. contact: motion in this step. stiffness: K_t (N/m). friction: mu.
     """
     if history.spring is None or friction is None:
         return Response(push, None, history)
     shear = update_shear(history.spring, contact, push, stiffness, friction)
-    return add_shear(Response(push, None, history._replace(spring=jnp.stack(shear))), shear, contact)
+    return add_shear(
+        Response(push, None, history._replace(spring=jnp.stack(shear))), shear, contact
+    )
 
 
-def update_shear(spring: Array, contact: ContactKinematics, normal_force: Array, stiffness: Array, friction: Array) -> Shear:
+def update_shear(
+    spring: Array,
+    contact: ContactKinematics,
+    normal_force: Array,
+    stiffness: Array,
+    friction: Array,
+) -> Shear:
     """``tangential_force`` of a contact, and f of a patch, from those of the last step."""
     c, along = contact, vector.unstack_vector(spring)
     if c.torsion is None:
-        return vector.fusion_barrier(*tangential_force(along, c.normal, c.slip, normal_force, stiffness, friction))
+        return vector.fusion_barrier(
+            *tangential_force(along, c.normal, c.slip, normal_force, stiffness, friction)
+        )
     slip = (*c.slip, c.torsion.slip)
-    return vector.fusion_barrier(*patch_force((*along, spring[3]), c.normal, slip, normal_force, stiffness, friction))
+    return vector.fusion_barrier(
+        *patch_force((*along, spring[3]), c.normal, slip, normal_force, stiffness, friction)
+    )
 
 
 def add_shear(answer: Response, shear: Shear | None, contact: ContactKinematics) -> Response:
@@ -63,7 +84,9 @@ def add_shear(answer: Response, shear: Shear | None, contact: ContactKinematics)
     if contact.torsion is None:
         return answer
     torque = vector.scale(contact.torsion.arm * shear[3], contact.normal)
-    return answer._replace(torque=torque if answer.torque is None else vector.add(answer.torque, torque))
+    return answer._replace(
+        torque=torque if answer.torque is None else vector.add(answer.torque, torque)
+    )
 
 
 def shear_magnitude(shear: Shear) -> Array:
@@ -82,20 +105,28 @@ def spring_energy(spring: Array, stiffness: Array) -> Array:
 
 
 def add_spring_energy(normal: Array, spring: Array | None, stiffness: Array) -> Array:
-    """Energy of a normal force and of the tangential spring beside it, if there is one, [P] (J). stiffness: K_t (N/m)."""
+    """Energy of a normal force and of the tangential spring beside it, if there is one, [P] (J).
+    stiffness: K_t (N/m).
+    """
     return normal if spring is None else normal + spring_energy(spring, stiffness)
 
 
 def tangential_force(
-    spring: Vector, normal: Vector, slip: Vector, normal_force: Array, stiffness: Array, friction: Array
+    spring: Vector,
+    normal: Vector,
+    slip: Vector,
+    normal_force: Array,
+    stiffness: Array,
+    friction: Array,
 ) -> Vector:
     """Linear spring with Coulomb limit: the tangential force on body b now (N), three arrays.
 
-    spring: the force of the last step (N); normal: unit; slip: tangential displacement of b relative to a in
-    this step (m); stiffness: K_t (N/m); friction: mu. The old force is turned with the normal, keeping its
-    size. Where the sum exceeds mu F_n it slides: the size is mu F_n, and the direction, which lags behind that of a
-    slip that turns, is the mean-normal one of Rice and Tracey. (Cutting the sum back along itself has it relax
-    to the slip's direction with an error of first order in the step.)
+    spring: the force of the last step (N); normal: unit; slip: tangential displacement of b
+    relative to a in this step (m); stiffness: K_t (N/m); friction: mu. The old force is turned with
+    the normal, keeping its size. Where the sum exceeds mu F_n it slides: the size is mu F_n, and
+    the direction, which lags behind that of a slip that turns, is the mean-normal one of Rice and
+    Tracey. (Cutting the sum back along itself has it relax to the slip's direction with an error of
+    first order in the step.)
     """
     before = vector.norm(spring)
     turned = vector.add_scaled(spring, -vector.dot(spring, normal), normal)
@@ -109,18 +140,32 @@ def tangential_force(
     return vector.where(slides, vector.scale(limit, toward), trial)
 
 
-def patch_force(spring: Shear, normal: Vector, slip: Shear, normal_force: Array, stiffness: Array, friction: Array) -> Shear:
+def patch_force(
+    spring: Shear,
+    normal: Vector,
+    slip: Shear,
+    normal_force: Array,
+    stiffness: Array,
+    friction: Array,
+) -> Shear:
     """As ``tangential_force``, with the fourth component f of a patch, which does not turn."""
     *along, about = spring
     before = along[0], along[1], along[2]
     turned = vector.add_scaled(before, -vector.dot(before, normal), normal)
-    old = (*vector.fusion_barrier(*vector.scale(_safe_ratio(vector.norm(before), vector.norm(turned)), turned)), about)
+    old = (
+        *vector.fusion_barrier(
+            *vector.scale(_safe_ratio(vector.norm(before), vector.norm(turned)), turned)
+        ),
+        about,
+    )
     whole = shear_magnitude(spring)
     added = scale_shear(-stiffness, slip)
     trial = tuple(c + d for c, d in zip(added, old, strict=True))
     limit = friction * normal_force
     slides = shear_magnitude(trial) > limit
-    kept = _safe_ratio(jnp.maximum(0.5 * (whole + limit - _safe_ratio(_dot_shear(added, old), whole)), 0), whole)
+    kept = _safe_ratio(
+        jnp.maximum(0.5 * (whole + limit - _safe_ratio(_dot_shear(added, old), whole)), 0), whole
+    )
     toward = tuple(c + kept * d for c, d in zip(added, old, strict=True))
     toward = scale_shear(_safe_ratio(limit, shear_magnitude(toward)), toward)
     return tuple(jnp.where(slides, c, d) for c, d in zip(toward, trial, strict=True))
@@ -141,7 +186,8 @@ def _tangential_part(shear: Shear) -> Vector:
 
 
 def frictional_stiffness(friction: Real | None, stiffness: Real) -> Real | None:
-    """Stiffness (N/m) of the tangential springs that can bear a force, else 0; None where no pair of the scene has friction.
+    """Stiffness (N/m) of the tangential springs that can bear a force, else 0; None where no pair
+    of the scene has friction.
 
     Host side, numpy."""
     return None if friction is None else np.where(np.asarray(friction) > 0, stiffness, 0)

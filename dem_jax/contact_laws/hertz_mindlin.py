@@ -1,17 +1,19 @@
-"""Hertz's normal force with damping, Mindlin's tangential stiffness without slip, and the Coulomb limit.
+"""Hertz's normal force with damping, Mindlin's tangential stiffness without slip, and the Coulomb
+limit.
 
     F_n = max(k s^(3/2) + eta s^(1/4) s', 0),    k = 4/3 E* sqrt(R*),    eta = sqrt(5 m k) zeta
     1/E* = (1 - nu_a^2)/E_a + (1 - nu_b^2)/E_b,    1/R* = 1/R_a + 1/R_b
 
-with m the effective mass and zeta from the restitution, which then is exact at any speed (``dashpot``). Without damping an
-impact at speed v has the largest overlap (5 m v^2 / 4 k)^(2/5) and lasts 2.943275 times that over v (Johnson, Contact
-Mechanics, 1985, chapter 11.4).
+with m the effective mass and zeta from the restitution, which then is exact at any speed
+(``dashpot``). Without damping an impact at speed v has the largest overlap (5 m v^2 / 4 k)^(2/5)
+and lasts 2.943275 times that over v (Johnson, Contact Mechanics, 1985, chapter 11.4).
 
     K_t = 8 G* sqrt(R* s),    1/G* = (2 - nu_a)/G_a + (2 - nu_b)/G_b,    G = E / 2 (1 + nu)
 
-(Mindlin, J. Appl. Mech. 16 (1949) 259-268), an incremental spring, at most mu F_n. Where K_t falls the tangential way is kept
-and the force falls with it: were the force kept, energy would come from nothing (Elata and Berryman, Mech. Mater. 24 (1996)).
-The stiffness of a contact grows with its speed: the time step resolves impacts up to ``impact_speed``.
+(Mindlin, J. Appl. Mech. 16 (1949) 259-268), an incremental spring, at most mu F_n. Where K_t falls
+the tangential way is kept and the force falls with it: were the force kept, energy would come from
+nothing (Elata and Berryman, Mech. Mater. 24 (1996)). The stiffness of a contact grows with its
+speed: the time step resolves impacts up to ``impact_speed``.
 """
 
 from typing import NamedTuple
@@ -57,31 +59,45 @@ class HertzMindlin:
         root = 1 / sum(couple.curvature) ** 0.5
         stiffness = 4 / 3 * normal * root
         damping = dashpot.damping_ratio(couple.restitution) * (5 * couple.mass * stiffness) ** 0.5
-        return HertzMindlinPair(stiffness, damping, 8 * shear * root, couple.mass, couple.friction, couple.patch)
+        return HertzMindlinPair(
+            stiffness, damping, 8 * shear * root, couple.mass, couple.friction, couple.patch
+        )
 
     def init_history(self, pair: HertzMindlinPair, like: Array) -> SpringHistory:
         """No overlap."""
-        return SpringHistory(jnp.zeros_like(like), friction.init_spring(pair.friction, pair.patch, like))
+        return SpringHistory(
+            jnp.zeros_like(like), friction.init_spring(pair.friction, pair.patch, like)
+        )
 
-    def force(self, pair: HertzMindlinPair, history: SpringHistory, contact: ContactKinematics) -> Response:
+    def force(
+        self, pair: HertzMindlinPair, history: SpringHistory, contact: ContactKinematics
+    ) -> Response:
         """Hertz, damping and friction."""
         c, before = contact, history.overlap
         s = vector.fusion_barrier(dashpot.elastic_overlap(before, c.approach, c.overlap))
         root = vector.safe_sqrt(s)
-        damping = pair.damping * dashpot.overlap_power(before, s, c.approach, 0.25, lambda x: jnp.sqrt(jnp.sqrt(x)))
-        push = vector.fusion_barrier(dashpot.damped_force(pair.stiffness * s * root, damping, c.approach, pair.mass, c.dt))
+        damping = pair.damping * dashpot.overlap_power(
+            before, s, c.approach, 0.25, lambda x: jnp.sqrt(jnp.sqrt(x))
+        )
+        push = vector.fusion_barrier(
+            dashpot.damped_force(pair.stiffness * s * root, damping, c.approach, pair.mass, c.dt)
+        )
         was = vector.safe_sqrt(before)
         falls = jnp.where(root < was, root / jnp.where(was > 0, was, 1), 1)
         stiffness = pair.tangential * jnp.where(root < was, root, 0.5 * (was + root))
         spring = None if history.spring is None else falls[None] * history.spring
-        return friction.respond_with_friction(push, SpringHistory(s, spring), c, stiffness, pair.friction)
+        return friction.respond_with_friction(
+            push, SpringHistory(s, spring), c, stiffness, pair.friction
+        )
 
     def energy(self, pair: HertzMindlinPair, history: SpringHistory, overlap: Array) -> Array:
         """2/5 k s^(5/2), and of the tangential spring (J)."""
         s = history.overlap
         root = vector.safe_sqrt(s)
         energy = 0.4 * pair.stiffness * s * s * root
-        return friction.add_spring_energy(energy, history.spring, pair.tangential * jnp.where(s > 0, root, 1))
+        return friction.add_spring_energy(
+            energy, history.spring, pair.tangential * jnp.where(s > 0, root, 1)
+        )
 
     def interaction_range(self, pair: HertzMindlinPair) -> None:
         """None: no force across a gap."""
@@ -96,15 +112,21 @@ class HertzMindlin:
     def stable_step(self, pair: HertzMindlinPair, mass: Real) -> Real:
         """Linear stability limit (s) at the largest overlap of a central impact at the speed given."""
         s = self._largest_overlap(pair, pair.mass)
-        return dashpot.stable_step(mass, 1.5 * pair.stiffness * s**0.5, np.asarray(pair.damping) * s**0.25, pair.mass)
+        return dashpot.stable_step(
+            mass, 1.5 * pair.stiffness * s**0.5, np.asarray(pair.damping) * s**0.25, pair.mass
+        )
 
     def loading_step(self, pair: HertzMindlinPair, mass: Real) -> Real:
         """2 / omega (s) there, of the elastic force."""
-        return 2 * np.sqrt(mass / (1.5 * pair.stiffness * self._largest_overlap(pair, pair.mass) ** 0.5))
+        return 2 * np.sqrt(
+            mass / (1.5 * pair.stiffness * self._largest_overlap(pair, pair.mass) ** 0.5)
+        )
 
     def tangential_stiffness(self, pair: HertzMindlinPair) -> Real | None:
         """K_t (N/m) there."""
-        return frictional_stiffness(pair.friction, pair.tangential * self._largest_overlap(pair, pair.mass) ** 0.5)
+        return frictional_stiffness(
+            pair.friction, pair.tangential * self._largest_overlap(pair, pair.mass) ** 0.5
+        )
 
     def _largest_overlap(self, pair: HertzMindlinPair, mass: Real) -> Real:
         """Largest overlap (m) of an elastic impact."""

@@ -1,12 +1,13 @@
-"""Kinks of a contact's force over time (first touch, reversal, separation), and the impulse that the time step misses there.
+"""Kinks of a contact's force over time (first touch, reversal, separation), and the impulse that
+the time step misses there.
 
-Kick, drift, kick adds up impulses by the trapezoidal rule. Where the slope of a force jumps by J (N/s), a part theta of a step
-from a step, that leaves out
+Kick, drift, kick adds up impulses by the trapezoidal rule. Where the slope of a force jumps by J
+(N/s), a part theta of a step from a step, that leaves out
 
     J dt^2 B_2(theta) / 2,    B_2(theta) = theta^2 - theta + 1/6,
 
-by the formula of Euler and Maclaurin, and an impact is of second order only; with it, the rebound is of fourth. It is negative
-around theta = 1/2; its mean is nothing.
+by the formula of Euler and Maclaurin, and an impact is of second order only; with it, the rebound
+is of fourth. It is negative around theta = 1/2; its mean is nothing.
 """
 
 from typing import NamedTuple
@@ -34,12 +35,16 @@ class KinkCorrection(NamedTuple):
 
     def normal_correction(self) -> Array:
         """(N), to add to F_n; the sum is positive."""
-        return jnp.where(self.touches | self.separates, self.change * bernoulli_kernel(self.part), 0)
+        return jnp.where(
+            self.touches | self.separates, self.change * bernoulli_kernel(self.part), 0
+        )
 
     def tangential_correction(self, force: Array, spring: Array, friction: Array) -> Array:
-        """To add to the tangential force, relative to it; force: F_n; spring: size of the tangential spring (N); friction: mu.
+        """To add to the tangential force, relative to it; force: F_n; spring: size of the
+        tangential spring (N); friction: mu.
 
-        It goes with F_n, but where it holds until the end: then it begins to slide, with a corner too, before it ends.
+        It goes with F_n, but where it holds until the end: then it begins to slide, with a corner
+        too, before it ends.
         """
         limit = friction * force
         holds = self.separates & (spring < STICK_LIMIT * limit)
@@ -57,11 +62,18 @@ class BranchSlopes(NamedTuple):
     separation: Array  # of the line on which bodies part, over that of loading
 
 
-def find_kink_correction(lines: BranchSlopes, before: tuple[Array, Array], now: tuple[Array, Array], overlap: Array, resolved: Array | float) -> KinkCorrection:
+def find_kink_correction(
+    lines: BranchSlopes,
+    before: tuple[Array, Array],
+    now: tuple[Array, Array],
+    overlap: Array,
+    resolved: Array | float,
+) -> KinkCorrection:
     """The corner where a contact begins or ends.
 
-    before, now: force (N) and way of approach (m) of the last step and of this, [P]; overlap: [P] (m), now; resolved: as in
-    ``Contact``. The step to come is foreseen from these two: what they differ by goes with the force.
+    before, now: force (N) and way of approach (m) of the last step and of this, [P]; overlap: [P]
+    (m), now; resolved: as in ``Contact``. The step to come is foreseen from these two: what they
+    differ by goes with the force.
     """
     (force_before, way), (force, approach) = before, now
     touches = (force_before <= 0) & (overlap > 0) & (overlap < 2 * approach)
@@ -75,17 +87,21 @@ def find_kink_correction(lines: BranchSlopes, before: tuple[Array, Array], now: 
 
 
 class Reversal(NamedTuple):
-    """Where loading has ended: how much larger the overlap was there than before this step, [P] (m), else 0."""
+    """Where loading has ended: how much larger the overlap was there than before this step, [P]
+    (m), else 0.
+    """
 
     overlap_excess: Array
     off_mean: Array  # less its mean over when it may have been
 
 
 def find_reversal(before: Array, now: Array, resolved: Array | float) -> Reversal:
-    """Of contacts by their ways of approach (m) in the last step, not positive where they did not load, and in this.
+    """Of contacts by their ways of approach (m) in the last step, not positive where they did not
+    load, and in this.
 
-    The overlap is a parabola from the middle of the last step to that of this one, with the ways as its slopes there; its top
-    lies above what there was before this step by their change times t^2 / 2, t being the time between the two, in steps.
+    The overlap is a parabola from the middle of the last step to that of this one, with the ways as
+    its slopes there; its top lies above what there was before this step by their change times t^2 /
+    2, t being the time between the two, in steps.
     """
     turns = (before > 0) & (now <= 0)
     change = jnp.where(turns, before - now, 1)

@@ -1,10 +1,13 @@
-"""Linear spring and dashpot, with the Coulomb-limited tangential spring (Cundall and Strack, Geotechnique 29 (1979) 47-65).
+"""Linear spring and dashpot, with the Coulomb-limited tangential spring (Cundall and Strack,
+Geotechnique 29 (1979) 47-65).
 
-    F_n = max(K s + c s', 0),    K = K_a K_b / (K_a + K_b) with K_i = E_i L_i (eqs 5, 7 and 8),    c = 2 zeta sqrt(m K)
+    F_n = max(K s + c s', 0),    K = K_a K_b / (K_a + K_b) with K_i = E_i L_i (eqs 5, 7 and 8),    c
+    = 2 zeta sqrt(m K)
 
-with m the effective mass of the two bodies and zeta from the restitution, which is exact (``dashpot``). An impact at speed v
-has its largest overlap (v / omega) exp(-zeta phi / sqrt(1 - zeta^2)) at time phi / (omega sqrt(1 - zeta^2)), phi = arccos(zeta),
-omega = sqrt(K / m). Tangential: a spring K_t, at most mu F_n (``friction``).
+with m the effective mass of the two bodies and zeta from the restitution, which is exact
+(``dashpot``). An impact at speed v has its largest overlap (v / omega) exp(-zeta phi / sqrt(1 -
+zeta^2)) at time phi / (omega sqrt(1 - zeta^2)), phi = arccos(zeta), omega = sqrt(K / m).
+Tangential: a spring K_t, at most mu F_n (``friction``).
 """
 
 from typing import NamedTuple
@@ -47,15 +50,29 @@ class LinearDashpot:
 
     def init_history(self, pair: LinearDashpotPair, like: Array) -> SpringHistory:
         """No overlap."""
-        return SpringHistory(jnp.zeros_like(like), friction.init_spring(pair.friction, pair.patch, like))
+        return SpringHistory(
+            jnp.zeros_like(like), friction.init_spring(pair.friction, pair.patch, like)
+        )
 
-    def force(self, pair: LinearDashpotPair, history: SpringHistory, contact: ContactKinematics) -> Response:
+    def force(
+        self, pair: LinearDashpotPair, history: SpringHistory, contact: ContactKinematics
+    ) -> Response:
         """Spring, dashpot and friction."""
         c = contact
         s = vector.fusion_barrier(dashpot.elastic_overlap(history.overlap, c.approach, c.overlap))
-        damping = pair.damping * dashpot.overlap_power(history.overlap, s, c.approach, 0.0, jnp.ones_like)
-        push = vector.fusion_barrier(dashpot.damped_force(pair.stiffness * s, damping, c.approach, pair.mass, c.dt))
-        return friction.respond_with_friction(push, SpringHistory(s, history.spring), c, self.tangential * pair.stiffness, pair.friction)
+        damping = pair.damping * dashpot.overlap_power(
+            history.overlap, s, c.approach, 0.0, jnp.ones_like
+        )
+        push = vector.fusion_barrier(
+            dashpot.damped_force(pair.stiffness * s, damping, c.approach, pair.mass, c.dt)
+        )
+        return friction.respond_with_friction(
+            push,
+            SpringHistory(s, history.spring),
+            c,
+            self.tangential * pair.stiffness,
+            pair.friction,
+        )
 
     def energy(self, pair: LinearDashpotPair, history: SpringHistory, overlap: Array) -> Array:
         """Of both springs (J)."""

@@ -1,4 +1,6 @@
-"""Pairs of materials: the input of a contact law for two bodies, in numpy (time step) and in JAX (slots)."""
+"""Pairs of materials: the input of a contact law for two bodies, in numpy (time step) and in JAX
+(slots).
+"""
 
 from typing import overload
 
@@ -8,12 +10,15 @@ from dem_jax.types import Array, Materials
 BodyValues = tuple[Array, Array]  # of bodies a and b
 
 
-def make_material_pair(materials: Materials, material: BodyValues, size: BodyValues, curvature: BodyValues, mass: Array) -> MaterialPair:
+def make_material_pair(
+    materials: Materials, material: BodyValues, size: BodyValues, curvature: BodyValues, mass: Array
+) -> MaterialPair:
     """The couple of bodies a and b.
 
-    material: pair of rows of the table [P] int; size: pair of L [P] (m); curvature: pair [P] (1/m); mass: effective [P] (kg).
+    material: pair of rows of the table [P] int; size: pair of L [P] (m); curvature: pair [P] (1/m);
+    mass: effective [P] (kg).
     """
-    of = lambda table: (table[material[0]], table[material[1]])  # noqa: E731
+    of = lambda table: (table[material[0]], table[material[1]])
     return MaterialPair(
         youngs_modulus=of(materials.youngs_modulus),
         poisson_ratio=of(materials.poisson_ratio),
@@ -34,7 +39,9 @@ def look_up_pair(table: None, a: Array, b: Array) -> None: ...
 @overload
 def look_up_pair(table: Array | None, a: Array, b: Array) -> Array | None: ...
 def look_up_pair(table: Array | None, a: Array, b: Array) -> Array | None:
-    """The value of pairs of rows, [P]; [1] where all pairs have the same (``Materials``); None where there is none."""
+    """The value of pairs of rows, [P]; [1] where all pairs have the same (``Materials``); None
+    where there is none.
+    """
     if table is None:
         return None
     return table[0] if table.shape == (1, 1) else table[a, b]

@@ -10,10 +10,14 @@ Same = TypeVar("Same", float, np.ndarray, jax.Array)
 
 
 def combine_in_series(k1: Same, k2: Same) -> Same:
-    """Stiffness of two springs in series (N/m), eq. 5; likewise the effective mass of two bodies (kg)."""
+    """Stiffness of two springs in series (N/m), eq. 5; likewise the effective mass of two bodies
+    (kg).
+    """
     return k1 * k2 / (k1 + k2)
 
 
 def quarter_period(mass: Real, spring: Real) -> Real:
-    """Quarter period (s) of a mass (kg) on a spring (N/m): the time from first touch to largest overlap. Host side."""
+    """Quarter period (s) of a mass (kg) on a spring (N/m): the time from first touch to largest
+    overlap. Host side.
+    """
     return 0.5 * np.pi * np.sqrt(mass / spring)

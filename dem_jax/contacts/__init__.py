@@ -1,1 +1,3 @@
-"""From two bodies to a force: materials, geometry, contact law, sums over contacts; walls in motion."""
+"""From two bodies to a force: materials, geometry, contact law, sums over contacts; walls in
+motion.
+"""

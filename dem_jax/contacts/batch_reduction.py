@@ -1,8 +1,9 @@
-"""Sums and extremes over the pieces or contacts of each run: R runs, mostly one, are one system (``System.runs``).
+"""Sums and extremes over the pieces or contacts of each run: R runs, mostly one, are one system
+(``System.runs``).
 
-Of R runs of n pieces, piece k of run r is number R k + r (and parts of pieces likewise), so that the same piece of all runs is
-one vector for the processor and no run is computed otherwise than another. What there is of each run has the run last as
-well: [.., R].
+Of R runs of n pieces, piece k of run r is number R k + r (and parts of pieces likewise), so that
+the same piece of all runs is one vector for the processor and no run is computed otherwise than
+another. What there is of each run has the run last as well: [.., R].
 """
 
 from collections.abc import Callable
@@ -37,7 +38,9 @@ def any_per_run(system: System, of_pieces: Array) -> Array:
 
 
 def first_index_per_run(system: System, of_pieces: Array) -> Array:
-    """Number within its run of the first piece for which it holds, int32, -1 if there is none, as ``sum_per_run``."""
+    """Number within its run of the first piece for which it holds, int32, -1 if there is none, as
+    ``sum_per_run``.
+    """
     first = jnp.argmax(split_runs(system, of_pieces), axis=-2)
     return jnp.where(any_per_run(system, of_pieces), first, -1).astype(jnp.int32)
 
@@ -48,20 +51,28 @@ def split_runs(system: System, of_pieces: Array) -> Array:
 
 
 def sum_contacts_per_run(system: System, of_contacts: Array, piece: Array) -> Array:
-    """Sum over the contacts [P] of each run, [R], which are with these pieces [P]; of several runs one contact after the other,
-    so that the sum of a run does not depend on its company."""
+    """Sum over the contacts [P] of each run, [R], which are with these pieces [P]; of several runs
+    one contact after the other, so that the sum of a run does not depend on its company.
+    """
     if system.runs == 1:
         return jnp.sum(of_contacts, dtype=of_contacts.dtype)[None]
     return jnp.zeros((system.runs,), of_contacts.dtype).at[piece % system.runs].add(of_contacts)
 
 
 def count_contacts_per_run(system: System, kind: Array, piece: Array, kinds: int) -> Array:
-    """How many of the contacts [P] of each run that are with these pieces are of each kind, [kinds, R] int32; kind: [P], -1: of
-    none."""
+    """How many of the contacts [P] of each run that are with these pieces are of each kind, [kinds,
+    R] int32; kind: [P], -1: of none.
+    """
     if system.runs == 1:
-        return jnp.sum(kind[None] == jnp.arange(kinds, dtype=kind.dtype)[:, None], axis=1, dtype=jnp.int32)[:, None]
+        return jnp.sum(
+            kind[None] == jnp.arange(kinds, dtype=kind.dtype)[:, None], axis=1, dtype=jnp.int32
+        )[:, None]
     of_any = (kind >= 0).astype(jnp.int32)
-    return jnp.zeros((kinds, system.runs), jnp.int32).at[jnp.maximum(kind, 0), piece % system.runs].add(of_any)
+    return (
+        jnp.zeros((kinds, system.runs), jnp.int32)
+        .at[jnp.maximum(kind, 0), piece % system.runs]
+        .add(of_any)
+    )
 
 
 def max_contact_per_run(system: System, of_contacts: Array, piece: Array) -> Array:
@@ -76,24 +87,40 @@ def take_run_values(system: System, of_runs: Array, piece: Array) -> Array:
     return of_runs if system.runs == 1 else of_runs[..., piece % system.runs]
 
 
-def branch_per_run(system: System, which: Array, one: Callable, other: Callable, state: State) -> State:
-    """A state after ``one``, of those runs [R] for which ``which`` holds, and after ``other``, which changes but the step, the
-    motion, its way and the loads of walls, of the rest; each is computed only if some run needs it."""
+def branch_per_run(
+    system: System, which: Array, one: Callable, other: Callable, state: State
+) -> State:
+    """A state after ``one``, of those runs [R] for which ``which`` holds, and after ``other``,
+    which changes but the step, the motion, its way and the loads of walls, of the rest; each is
+    computed only if some run needs it.
+    """
     if system.runs == 1:
         return jax.lax.cond(which[0], one, other, state)
-    still = lambda s: s  # noqa: E731
+    still = lambda s: s
     first = jax.lax.cond(jnp.any(which), one, still, state)
     second = jax.lax.cond(jnp.all(which), still, other, state)
-    pick = lambda a, b: jnp.where(jnp.broadcast_to(jnp.tile(which, a.shape[-1] // system.runs), a.shape), a, b)  # noqa: E731
-    motion, walls = (jax.tree.map(pick, getattr(first, name), getattr(second, name)) for name in ("motion", "walls"))
-    way, rate = (jnp.where(which, getattr(first.scratch, name), getattr(second.scratch, name)) for name in ("displacement", "displacement_rate"))
+    pick = lambda a, b: jnp.where(
+        jnp.broadcast_to(jnp.tile(which, a.shape[-1] // system.runs), a.shape), a, b
+    )
+    motion, walls = (
+        jax.tree.map(pick, getattr(first, name), getattr(second, name))
+        for name in ("motion", "walls")
+    )
+    way, rate = (
+        jnp.where(which, getattr(first.scratch, name), getattr(second.scratch, name))
+        for name in ("displacement", "displacement_rate")
+    )
     scratch = first.scratch.replace(displacement=way, displacement_rate=rate)
-    return first.replace(step=jnp.maximum(first.step, second.step), motion=motion, walls=walls, scratch=scratch)
+    return first.replace(
+        step=jnp.maximum(first.step, second.step), motion=motion, walls=walls, scratch=scratch
+    )
 
 
 def reduce_sequentially(join: "BinaryUfunc", rows: Array) -> Array:
-    """[.., K, R] joined over the last axis but one, in order: [.., R]. Of several runs row by row, each of which is a vector for
-    the processor: XLA would go through the rows of one run after the other, number by number, and work out each number there."""
+    """[.., K, R] joined over the last axis but one, in order: [.., R]. Of several runs row by row,
+    each of which is a vector for the processor: XLA would go through the rows of one run after the
+    other, number by number, and work out each number there.
+    """
     *more, count, runs = rows.shape
     if runs == 1:
         return join.reduce(rows, axis=-2)
@@ -102,8 +129,9 @@ def reduce_sequentially(join: "BinaryUfunc", rows: Array) -> Array:
 
 
 def _reduce_in_lanes(join: "BinaryUfunc", rows: Array) -> Array:
-    """As ``reduce_sequentially``, of many in lanes: one after the other each addition would wait for that before. The order is that of the
-    pieces alone, however many runs there are."""
+    """As ``reduce_sequentially``, of many in lanes: one after the other each addition would wait
+    for that before. The order is that of the pieces alone, however many runs there are.
+    """
     *more, count, runs = rows.shape
     whole = count // LANES
     if whole < 2:
@@ -111,8 +139,12 @@ def _reduce_in_lanes(join: "BinaryUfunc", rows: Array) -> Array:
     if runs == 1:
         lanes = join.reduce(rows[..., : whole * LANES, :].reshape(*more, whole, LANES, 1), axis=-3)
     else:
-        lanes = reduce_sequentially(join, rows[..., : whole * LANES, :].reshape(*more, whole, LANES * runs)).reshape(*more, LANES, runs)
-    return reduce_sequentially(join, jnp.concatenate([lanes, rows[..., whole * LANES :, :]], axis=-2))
+        lanes = reduce_sequentially(
+            join, rows[..., : whole * LANES, :].reshape(*more, whole, LANES * runs)
+        ).reshape(*more, LANES, runs)
+    return reduce_sequentially(
+        join, jnp.concatenate([lanes, rows[..., whole * LANES :, :]], axis=-2)
+    )
 
 
 def _is_piece_in_run(system: System, piece: Array) -> Array:

@@ -1,4 +1,6 @@
-"""The contact law's answer to contacts whose geometry is known: how they move, what they push, what they remember."""
+"""The contact law's answer to contacts whose geometry is known: how they move, what they push, what
+they remember.
+"""
 
 from typing import NamedTuple
 
@@ -11,12 +13,17 @@ from dem_jax.contacts.ledger import gravity_direction
 from dem_jax.math import vector
 from dem_jax.math.vector import Vector
 from dem_jax.narrow_phase import patch_moments
-from dem_jax.narrow_phase.contact_frame import WorldContacts, add_interaction_range, offset_between_pieces
+from dem_jax.narrow_phase.contact_frame import (
+    WorldContacts,
+    add_interaction_range,
+    offset_between_pieces,
+)
 from dem_jax.narrow_phase.packed_bodies import BodyState
 from dem_jax.types import Array, ContactHistory, PairConstants, State, System
 
 MIDDLE_FRACTION = 0.45  # of a piece's width
-ARM_STEPS = 8  # in which the arm of friction about the normal is found once: half of the loading of a quick impact
+ARM_STEPS = 8  # in which the arm of friction about the normal is found once: half of the loading of
+# a quick impact
 
 
 class ContactLoads(NamedTuple):
@@ -26,7 +33,8 @@ class ContactLoads(NamedTuple):
     load_a: Array  # [7, P] (N, N m, N): as in Scratch.loads
     load_b: Array
     overlap: Array  # [R] (-): the largest of each run, relative to the width of the piece
-    touch: Array | None  # [2, P] (m/s, N): impact speed where one begins, else 0, and push; None: nobody asked
+    touch: Array | None  # [2, P] (m/s, N): impact speed where one begins, else 0, and push; None:
+    # nobody asked
 
 
 def effective_overlap(system: System, slots: PairConstants, overlap: Array) -> Array:
@@ -34,12 +42,18 @@ def effective_overlap(system: System, slots: PairConstants, overlap: Array) -> A
     return add_interaction_range(overlap, system.law.interaction_range(slots.pair))
 
 
-def empty_contact_loads(system: System, memory: ContactHistory, slots: PairConstants) -> ContactLoads:
+def empty_contact_loads(
+    system: System, memory: ContactHistory, slots: PairConstants
+) -> ContactLoads:
     """What ``evaluate_contact_forces`` says where nothing touches, nor did before."""
     zero = jnp.zeros((7, slots.a.shape[0]), memory.overlap.dtype)
     tied = None if memory.tied is None else zero[0]
-    after = memory.replace(overlap=zero[0], law=system.law.init_history(slots.pair, zero[0]), tied=tied)
-    return ContactLoads(after, zero, zero, jnp.zeros((system.runs,), zero.dtype), empty_touch_records(system, zero))
+    after = memory.replace(
+        overlap=zero[0], law=system.law.init_history(slots.pair, zero[0]), tied=tied
+    )
+    return ContactLoads(
+        after, zero, zero, jnp.zeros((system.runs,), zero.dtype), empty_touch_records(system, zero)
+    )
 
 
 def empty_touch_records(system: System, slots: Array) -> Array | None:
@@ -59,24 +73,41 @@ def evaluate_contact_forces(
     is_due: Array,
     share: Array | None = None,
 ) -> ContactLoads:
-    """The contact law's answer. offset: between the centres of the bodies, [P] x 3 (m); turn: as in Contact; is_due: [] bool,
-    whether arms of friction are found anew; share: [P], the part that each slot has of a contact that several have together."""
+    """The contact law's answer. offset: between the centres of the bodies, [P] x 3 (m); turn: as in
+    Contact; is_due: [] bool, whether arms of friction are found anew; share: [P], the part that
+    each slot has of a contact that several have together.
+    """
     offset = offset_between_pieces(a, b, offset)
-    if met.weight is not None:  # what parts has no contact point by its geometry: the last one stays until it has parted
+    if met.weight is not None:  # what parts has no contact point by its geometry: the last one
+        # stays until it has parted
         stays = (met.weight <= 0) & (memory.overlap > 0)
         at_b = vector.where(stays, vector.unstack_vector(memory.point), met.at_b)
         met = met._replace(at_b=at_b, at_a=vector.add(at_b, offset))
     motion, approach = _contact_displacement(system, a, b, offset, memory, met)
     depth = effective_overlap(system, slots, met.overlap)
     deeper, doubt = _deepest_approach(system, a, b, offset, memory, met, approach)
-    inside = overlap_tracking.track_overlap(memory.overlap, deeper, doubt, depth, met.at_a, met.at_b)
+    inside = overlap_tracking.track_overlap(
+        memory.overlap, deeper, doubt, depth, met.at_a, met.at_b
+    )
     overlap = met.overlap + (inside - depth)
     part = _touching_fraction(memory, approach, inside)
-    slip = vector.fusion_barrier(*vector.scale(part, vector.add_scaled(motion, approach, met.normal)))
+    slip = vector.fusion_barrier(
+        *vector.scale(part, vector.add_scaled(motion, approach, met.normal))
+    )
     arm = _update_friction_arm(system, memory, met, inside, is_due)
-    torsion = None if arm is None or turn is None else _torsional_slip(memory, arm, met.normal, turn, part)
-    roll = None if system.materials.rolling is None else vector.scale(system.dt, vector.sub(b.spin, a.spin))
-    contact = ContactKinematics(overlap, approach, slip, met.normal, system.dt, turn, roll, torsion, system.resolved)
+    torsion = (
+        None
+        if arm is None or turn is None
+        else _torsional_slip(memory, arm, met.normal, turn, part)
+    )
+    roll = (
+        None
+        if system.materials.rolling is None
+        else vector.scale(system.dt, vector.sub(b.spin, a.spin))
+    )
+    contact = ContactKinematics(
+        overlap, approach, slip, met.normal, system.dt, turn, roll, torsion, system.resolved
+    )
     said = system.law.force(slots.pair, memory.law, contact)
     force = vector.scale(said.normal_force, met.normal)
     if said.tangential_force is not None:
@@ -84,22 +115,36 @@ def evaluate_contact_forces(
     if share is not None:
         force = vector.scale(share, force)
     after = ContactHistory(jnp.maximum(inside, 0), jnp.stack(met.at_b), said.history, arm, met.tied)
-    deepest = batch_reduction.max_contact_per_run(system, _largest_possible_overlap(slots, memory.overlap, overlap, approach) / slots.width, slots.b)
+    deepest = batch_reduction.max_contact_per_run(
+        system,
+        _largest_possible_overlap(slots, memory.overlap, overlap, approach) / slots.width,
+        slots.b,
+    )
     reaction = vector.scale(-1, force)
     on_a, on_b = vector.cross(met.at_a, reaction), vector.cross(met.at_b, force)
     if said.torque is not None:
         twist = said.torque if share is None else vector.scale(share, said.torque)
         on_a, on_b = vector.sub(on_a, twist), vector.add(on_b, twist)
     rise = _reversal_increment(system, said, met.normal, share)
-    load_a, load_b = jnp.stack([*reaction, *on_a, jnp.zeros_like(rise)]), jnp.stack([*force, *on_b, rise])
+    load_a, load_b = (
+        jnp.stack([*reaction, *on_a, jnp.zeros_like(rise)]),
+        jnp.stack([*force, *on_b, rise]),
+    )
     touch = None
     if system.statistics is not None:
         begins = (memory.overlap <= 0) & (inside > 0)
-        touch = jnp.stack([jnp.where(begins, approach / system.dt, 0), said.normal_force if share is None else share * said.normal_force])
+        touch = jnp.stack(
+            [
+                jnp.where(begins, approach / system.dt, 0),
+                said.normal_force if share is None else share * said.normal_force,
+            ]
+        )
     return ContactLoads(after, load_a, load_b, deepest, touch)
 
 
-def _reversal_increment(system: System, said: Response, normal: Vector, share: Array | None) -> Array:
+def _reversal_increment(
+    system: System, said: Response, normal: Vector, share: Array | None
+) -> Array:
     """Of the force on b along gravity, [P] (N)."""
     if said.reversal_increment is None:
         return jnp.zeros_like(said.normal_force)
@@ -107,28 +152,54 @@ def _reversal_increment(system: System, said: Response, normal: Vector, share: A
     return rise if share is None else share * rise
 
 
-def _contact_displacement(system: System, a: BodyState, b: BodyState, offset: Vector, memory: ContactHistory, met: WorldContacts) -> tuple[Vector, Array]:
-    """Motion in this step of b relative to a at the contact point, [P] x 3 (m), and of it that towards a, [P] (m).
+def _contact_displacement(
+    system: System,
+    a: BodyState,
+    b: BodyState,
+    offset: Vector,
+    memory: ContactHistory,
+    met: WorldContacts,
+) -> tuple[Vector, Array]:
+    """Motion in this step of b relative to a at the contact point, [P] x 3 (m), and of it that
+    towards a, [P] (m).
 
-    Of second order in the time step: the arms, like the velocities, are those at the middle of the step.
+    Of second order in the time step: the arms, like the velocities, are those at the middle of the
+    step.
     """
     first = memory.overlap <= 0
     way = vector.scale(system.dt, vector.sub(b.velocity, a.velocity))  # of the centres
-    arm_b = vector.where(first, met.at_b, vector.scale(0.5, vector.add(vector.unstack_vector(memory.point), met.at_b)))
+    arm_b = vector.where(
+        first,
+        met.at_b,
+        vector.scale(0.5, vector.add(vector.unstack_vector(memory.point), met.at_b)),
+    )
     arm_a = vector.add(arm_b, vector.where(first, offset, vector.add_scaled(offset, -0.5, way)))
     motion = vector.fusion_barrier(*_relative_displacement(system, a, b, way, arm_a, arm_b))
     return motion, vector.fusion_barrier(-vector.dot(motion, met.normal))
 
 
-def _relative_displacement(system: System, a: BodyState, b: BodyState, way: Vector, arm_a: Vector, arm_b: Vector) -> Vector:
-    """Way of a point of b relative to one of a, [P] x 3 (m); way: of their centres; the arms as at the middle of the step."""
-    return vector.add_scaled(way, system.dt, vector.sub(vector.cross(b.spin, arm_b), vector.cross(a.spin, arm_a)))
+def _relative_displacement(
+    system: System, a: BodyState, b: BodyState, way: Vector, arm_a: Vector, arm_b: Vector
+) -> Vector:
+    """Way of a point of b relative to one of a, [P] x 3 (m); way: of their centres; the arms as at
+    the middle of the step.
+    """
+    return vector.add_scaled(
+        way, system.dt, vector.sub(vector.cross(b.spin, arm_b), vector.cross(a.spin, arm_a))
+    )
 
 
 def _deepest_approach(
-    system: System, a: BodyState, b: BodyState, offset: Vector, memory: ContactHistory, met: WorldContacts, approach: Array
+    system: System,
+    a: BodyState,
+    b: BodyState,
+    offset: Vector,
+    memory: ContactHistory,
+    met: WorldContacts,
+    approach: Array,
 ) -> tuple[Array, Array]:
-    """How much deeper the deepest point has come in this step, and by how much that may be more or less, [P] (m).
+    """How much deeper the deepest point has come in this step, and by how much that may be more or
+    less, [P] (m).
 
     Where that point is no corner it is not quite known, and may have been another.
     """
@@ -142,19 +213,31 @@ def _deepest_approach(
     arm_a = vector.add(arm_b, vector.add_scaled(offset, -0.5, way))
     corner = -vector.dot(_relative_displacement(system, a, b, way, arm_a, arm_b), met.normal)
     doubt = doubt + spread * (jnp.abs(spin[0]) + jnp.abs(spin[1]) + jnp.abs(spin[2]))
-    deeper, doubt = vector.fusion_barrier(jnp.where(spread > 0, approach, corner), jnp.where(spread > 0, doubt, 0))
+    deeper, doubt = vector.fusion_barrier(
+        jnp.where(spread > 0, approach, corner), jnp.where(spread > 0, doubt, 0)
+    )
     return deeper, doubt
 
 
-def _largest_possible_overlap(slots: PairConstants, before: Array, overlap: Array, approach: Array) -> Array:
-    """The overlap (m), [P], of contacts that go on deeper than MIDDLE with what the step may have added to it: in the middle of
-    a thin wall the normal turns round, and a piece beyond it would seem to leave."""
+def _largest_possible_overlap(
+    slots: PairConstants, before: Array, overlap: Array, approach: Array
+) -> Array:
+    """The overlap (m), [P], of contacts that go on deeper than MIDDLE with what the step may have
+    added to it: in the middle of a thin wall the normal turns round, and a piece beyond it would
+    seem to leave.
+    """
     deeper = before + jnp.abs(approach)
-    return jnp.where((before > 0) & (deeper > MIDDLE_FRACTION * slots.width), jnp.maximum(overlap, deeper), overlap)
+    return jnp.where(
+        (before > 0) & (deeper > MIDDLE_FRACTION * slots.width),
+        jnp.maximum(overlap, deeper),
+        overlap,
+    )
 
 
 def _touching_fraction(memory: ContactHistory, approach: Array, within: Array) -> Array:
-    """The part of a step's motion along the surface that counts, [P]: in the step of first touch overlap over approach, else 1."""
+    """The part of a step's motion along the surface that counts, [P]: in the step of first touch
+    overlap over approach, else 1.
+    """
     touching = (memory.overlap <= 0) & (within > 0)
     return jnp.where(touching, within / jnp.where(touching, jnp.maximum(approach, within), 1), 1)
 
@@ -164,10 +247,15 @@ def needs_arm_update(state: State) -> Array:
     return state.step % ARM_STEPS == 0
 
 
-def _update_friction_arm(system: System, memory: ContactHistory, met: WorldContacts, within: Array, is_due: Array) -> Array | None:
-    """Arm of friction about the normal (m), [P], of contacts that begin and every few steps; else that of before.
+def _update_friction_arm(
+    system: System, memory: ContactHistory, met: WorldContacts, within: Array, is_due: Array
+) -> Array | None:
+    """Arm of friction about the normal (m), [P], of contacts that begin and every few steps; else
+    that of before.
 
-    Stored energy does not depend on it (``contact.law.friction``), so that none comes from an arm that is a few steps old."""
+    Stored energy does not depend on it (``contact.law.friction``), so that none comes from an arm
+    that is a few steps old.
+    """
     before, moments = memory.arm, met.moments
     if before is None or moments is None:
         return None
@@ -175,13 +263,17 @@ def _update_friction_arm(system: System, memory: ContactHistory, met: WorldConta
     anew = begins | is_due
     if met.weight is not None:
         anew = anew & (begins | (met.weight > 0))
-    fresh = lambda: patch_moments.friction_arm(moments())  # noqa: E731
+    fresh = lambda: patch_moments.friction_arm(moments())
     found = jax.lax.cond(jnp.any(anew), fresh, lambda: before) if system.slot_block else fresh()
     return vector.fusion_barrier(jnp.where(anew, found, before))
 
 
-def _torsional_slip(memory: ContactHistory, arm: Array, normal: Vector, turn: Vector, part: Array) -> Torsion:
-    """Turning about the normal in this step, at the arm in the middle of it. part: of the step that counts, [P]."""
+def _torsional_slip(
+    memory: ContactHistory, arm: Array, normal: Vector, turn: Vector, part: Array
+) -> Torsion:
+    """Turning about the normal in this step, at the arm in the middle of it. part: of the step that
+    counts, [P].
+    """
     assert memory.arm is not None
     middle = jnp.where(memory.overlap <= 0, arm, 0.5 * (memory.arm + arm))
     return Torsion(arm, vector.fusion_barrier(part * middle * vector.dot(turn, normal)))

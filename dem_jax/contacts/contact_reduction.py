@@ -1,10 +1,12 @@
-"""One surface of several bodies, panels of a plane or parts of a piece: one contact with it, shared among them.
+"""One surface of several bodies, panels of a plane or parts of a piece: one contact with it, shared
+among them.
 
-Each panel's contact sees the whole depth below the plane (``collide`` bars the axes that point across a seam), and that of
-each part the depth of the body that goes on beyond it (``Hulls.extended``), so that all go through the same history and act
-at the same point; each takes the part of the force that it has of the overlap, and together they are the contact with one
-large panel, with one body. Of parts those contacts are one that have one normal: with two sides of a body there are two. A
-scene without has none of this.
+Each panel's contact sees the whole depth below the plane (``collide`` bars the axes that point
+across a seam), and that of each part the depth of the body that goes on beyond it
+(``Hulls.extended``), so that all go through the same history and act at the same point; each takes
+the part of the force that it has of the overlap, and together they are the contact with one large
+panel, with one body. Of parts those contacts are one that have one normal: with two sides of a body
+there are two. A scene without has none of this.
 """
 
 from collections.abc import Callable
@@ -23,7 +25,8 @@ from dem_jax.narrow_phase.contact_frame import WorldContacts
 from dem_jax.narrow_phase.patch_moments import SecondMoments
 from dem_jax.types import Array, ContactHistory, PairConstants, SharedContacts, System, as_array
 
-PARALLEL_COSINE = 0.98  # cosine between normals, from which on contacts with parts of one body are one
+PARALLEL_COSINE = 0.98  # cosine between normals, from which on contacts with parts of one body are
+# one
 
 T = TypeVar("T")
 DeepestSoFar = tuple[Array, Array]  # an overlap (m), and the slot that has it
@@ -39,7 +42,8 @@ class SharedTile(NamedTuple):
     first: Array  # [B] int32
     number: Array  # [B] int32
     most: Array | int
-    alike: Callable[[Array], Array] | None  # whether slots [B] have the normals of those of the block, [B] bool; None: all do
+    alike: Callable[[Array], Array] | None  # whether slots [B] have the normals of those of the
+    # block, [B] bool; None: all do
 
 
 def has_shared_surfaces(system: System) -> bool:
@@ -60,11 +64,17 @@ def find_shared_contacts(system: System, slots: PairConstants) -> SharedContacts
     by_b = group_by_owner(b, 2 * parts)[0]
     order = by_b[group_by_owner(jnp.where(shared, a, 2 * surfaces)[by_b], 2 * surfaces)[0]]
     place = jnp.arange(order.shape[0], dtype=jnp.int32)
-    another = jnp.any(jnp.stack([rows[order] != rows[jnp.roll(order, 1)] for rows in (a, b)]), axis=0) | (place == 0)
+    another = jnp.any(
+        jnp.stack([rows[order] != rows[jnp.roll(order, 1)] for rows in (a, b)]), axis=0
+    ) | (place == 0)
     group = jnp.cumsum(another, dtype=jnp.int32) - 1
-    begins = jnp.searchsorted(group, jnp.arange(order.shape[0] + 1, dtype=jnp.int32)).astype(jnp.int32)
+    begins = jnp.searchsorted(group, jnp.arange(order.shape[0] + 1, dtype=jnp.int32)).astype(
+        jnp.int32
+    )
     of = jnp.stack([begins[group], begins[group + 1] - begins[group]])
-    first, number = jnp.zeros_like(of).at[:, order].set(of, unique_indices=True, mode="promise_in_bounds")
+    first, number = (
+        jnp.zeros_like(of).at[:, order].set(of, unique_indices=True, mode="promise_in_bounds")
+    )
     number = jnp.where(shared, number, 0)
     return SharedContacts(order, first, number, jnp.max(number))
 
@@ -77,24 +87,44 @@ def is_on_shared_surface(slots: PairConstants) -> Array:
     return (slots.surface_a >= 0) | (slots.surface_b >= 0)
 
 
-def slice_shared_contacts(slots: PairConstants, of: SharedContacts, normal: Vector, k: Array | int, size: int) -> SharedTile:
-    """The siblings of slots k size to (k + 1) size; where pieces have parts, those with one normal. normal: of all slots."""
+def slice_shared_contacts(
+    slots: PairConstants, of: SharedContacts, normal: Vector, k: Array | int, size: int
+) -> SharedTile:
+    """The siblings of slots k size to (k + 1) size; where pieces have parts, those with one normal.
+    normal: of all slots.
+    """
     first = k * size
-    cut = lambda x: jax.lax.dynamic_slice_in_dim(x, first, size, -1)  # noqa: E731
+    cut = lambda x: jax.lax.dynamic_slice_in_dim(x, first, size, -1)
     number, itself = cut(of.number), first + jnp.arange(size, dtype=jnp.int32)
     own = vector.map_components(cut, normal)
-    alike = None if slots.surface_b is None else lambda slot: vector.dot(vector.take_entries(normal, slot), own) > PARALLEL_COSINE
-    return SharedTile(itself, of.order, cut(of.first), number, of.most if isinstance(of.most, int) else jnp.max(number), alike)
+    alike = (
+        None
+        if slots.surface_b is None
+        else lambda slot: vector.dot(vector.take_entries(normal, slot), own) > PARALLEL_COSINE
+    )
+    return SharedTile(
+        itself,
+        of.order,
+        cut(of.first),
+        number,
+        of.most if isinstance(of.most, int) else jnp.max(number),
+        alike,
+    )
 
 
 def drop_unowned(slots: PairConstants, met: WorldContacts) -> WorldContacts:
     """Contacts, without those of shared surfaces that others have."""
     assert met.weight is not None
-    return met._replace(overlap=jnp.where((met.weight > 0) | ~is_on_shared_surface(slots), met.overlap, -1))
+    return met._replace(
+        overlap=jnp.where((met.weight > 0) | ~is_on_shared_surface(slots), met.overlap, -1)
+    )
 
 
-def find_load_shares(slots: PairConstants, met: WorldContacts, own: WorldContacts, of: SharedTile) -> Array:
-    """The part of the contact with the surface that each slot of a block has, [B]; 1 for all that are not on such a panel.
+def find_load_shares(
+    slots: PairConstants, met: WorldContacts, own: WorldContacts, of: SharedTile
+) -> Array:
+    """The part of the contact with the surface that each slot of a block has, [B]; 1 for all that
+    are not on such a panel.
 
     slots, own: of the block; met: of all slots; of both the weights of those that touch.
     """
@@ -109,32 +139,65 @@ def total_weight(met: WorldContacts, of: SharedTile) -> Array:
     """The weight of each slot of a block with its siblings, [B]. met: of all slots."""
     weight = met.weight
     assert weight is not None
-    add = lambda total, slot, there: total + jnp.where(there, weight[slot], 0)  # noqa: E731
+    add = lambda total, slot, there: total + jnp.where(there, weight[slot], 0)
     return fold_shared_contacts(of, add, jnp.zeros(of.number.shape, weight.dtype))
 
 
 def merge_contacts(
-    slots: PairConstants, met: WorldContacts, share: Array, before: ContactHistory, own: WorldContacts, offset: Vector, of: SharedTile
+    slots: PairConstants,
+    met: WorldContacts,
+    share: Array,
+    before: ContactHistory,
+    own: WorldContacts,
+    offset: Vector,
+    of: SharedTile,
 ) -> tuple[WorldContacts, ContactHistory, Array]:
-    """Contacts of a block as one with their siblings, at their common point, of parts of pieces along the normal of the
-    deepest; the memory of what was deepest before, so that a contact goes on as a piece comes onto a panel; and their shares.
+    """Contacts of a block as one with their siblings, at their common point, of parts of pieces
+    along the normal of the deepest; the memory of what was deepest before, so that a contact goes
+    on as a piece comes onto a panel; and their shares.
 
-    met, share, before: of all slots; own, offset (m, between the centres of pieces): of the block."""
+    met, share, before: of all slots; own, offset (m, between the centres of pieces): of the block.
+    """
     parts = vector.fusion_barrier(*vector.scale(share, met.at_b))
-    spread = () if met.spread is None else (patch_moments.scale_moments(share, patch_moments.add_moments(met.spread, patch_moments.outer_product(met.at_b, met.at_b))),)
+    spread = (
+        ()
+        if met.spread is None
+        else (
+            patch_moments.scale_moments(
+                share,
+                patch_moments.add_moments(
+                    met.spread, patch_moments.outer_product(met.at_b, met.at_b)
+                ),
+            ),
+        )
+    )
     overlaps = (before.overlap,) if slots.surface_b is None else (before.overlap, met.overlap)
-    nothing = (jnp.full(of.number.shape, -jnp.inf, share.dtype), of.itself)  # how deep the deepest so far is, and which it is
+    nothing = (jnp.full(of.number.shape, -jnp.inf, share.dtype), of.itself)  # how deep the deepest
+    # so far is, and which it is
 
-    def add_contact(so_far: tuple[Sums, list[DeepestSoFar]], slot: Array, there: Array) -> tuple[Sums, list[DeepestSoFar]]:
+    def add_contact(
+        so_far: tuple[Sums, list[DeepestSoFar]], slot: Array, there: Array
+    ) -> tuple[Sums, list[DeepestSoFar]]:
         total, deepest = so_far
-        total = jax.tree.map(lambda sum_, c: sum_ + jnp.where(there, c[slot], 0), total, (parts, spread))
-        return total, [update_deepest(best, overlap[slot], slot, there) for best, overlap in zip(deepest, overlaps, strict=True)]
+        total = jax.tree.map(
+            lambda sum_, c: sum_ + jnp.where(there, c[slot], 0), total, (parts, spread)
+        )
+        return total, [
+            update_deepest(best, overlap[slot], slot, there)
+            for best, overlap in zip(deepest, overlaps, strict=True)
+        ]
 
     zero = jax.tree.map(lambda _: jnp.zeros_like(own.overlap), (parts, spread))
-    (total, spread), deepest = fold_shared_contacts(of, add_contact, (zero, [nothing for _ in overlaps]))
+    (total, spread), deepest = fold_shared_contacts(
+        of, add_contact, (zero, [nothing for _ in overlaps])
+    )
     memory = jax.tree.map(lambda rows: rows[..., deepest[0][1]], before)
     at_b = vector.where(of.number > 0, total, own.at_b)
-    moments = None if own.spread is None else partial(shared_patch_moments, of.number > 0, spread[0], at_b, own.spread)
+    moments = (
+        None
+        if own.spread is None
+        else partial(shared_patch_moments, of.number > 0, spread[0], at_b, own.spread)
+    )
     one = own._replace(at_b=at_b, at_a=vector.add(at_b, offset), moments=moments, spread=None)
     part = share[of.itself]
     if slots.surface_b is None:
@@ -146,13 +209,22 @@ def merge_contacts(
     return one._replace(overlap=overlap, normal=normal, deepest=deepest_point), memory, part
 
 
-def shared_patch_moments(is_shared: Array, spread: SecondMoments, centroid: Vector, own: SecondMoments) -> SecondMoments:
-    """Second moments (m2), [B], of the whole patch about its centroid; spread: about the centre of b, where it is shared."""
-    about = patch_moments.add_moments(spread, patch_moments.scale_moments(as_array(-1), patch_moments.outer_product(centroid, centroid)))
+def shared_patch_moments(
+    is_shared: Array, spread: SecondMoments, centroid: Vector, own: SecondMoments
+) -> SecondMoments:
+    """Second moments (m2), [B], of the whole patch about its centroid; spread: about the centre of
+    b, where it is shared.
+    """
+    about = patch_moments.add_moments(
+        spread,
+        patch_moments.scale_moments(as_array(-1), patch_moments.outer_product(centroid, centroid)),
+    )
     return SecondMoments(*(jnp.where(is_shared, c, d) for c, d in zip(about, own, strict=True)))
 
 
-def select_deepest_points(there: Array, pick: Array, of_all: DeepestPoint | None, own: DeepestPoint | None) -> DeepestPoint | None:
+def select_deepest_points(
+    there: Array, pick: Array, of_all: DeepestPoint | None, own: DeepestPoint | None
+) -> DeepestPoint | None:
     """The deepest points of picked slots where they are there, else their own."""
     return jax.tree.map(lambda rows, row: jnp.where(there, rows[pick], row), of_all, own)
 

@@ -1,4 +1,6 @@
-"""Contact forces of one configuration: for each kind of contact, geometry, then the contact law, then sums over bodies."""
+"""Contact forces of one configuration: for each kind of contact, geometry, then the contact law,
+then sums over bodies.
+"""
 
 from collections.abc import Callable
 from functools import partial
@@ -7,7 +9,12 @@ from typing import Any, NamedTuple, TypeVar
 import jax
 import jax.numpy as jnp
 
-from dem_jax.contacts import batch_reduction, collision_statistics, contact_reduction, smooth_surfaces
+from dem_jax.contacts import (
+    batch_reduction,
+    collision_statistics,
+    contact_reduction,
+    smooth_surfaces,
+)
 from dem_jax.contacts.contact_force import (
     ContactLoads,
     effective_overlap,
@@ -18,7 +25,13 @@ from dem_jax.contacts.contact_force import (
 )
 from dem_jax.contacts.ledger import accumulate_ledger
 from dem_jax.contacts.smooth_surfaces import fillet_gap
-from dem_jax.contacts.tiling import slice_constants_tile, slice_tile, tile_size, update_tile, write_in_place
+from dem_jax.contacts.tiling import (
+    slice_constants_tile,
+    slice_tile,
+    tile_size,
+    update_tile,
+    write_in_place,
+)
 from dem_jax.math import vector
 from dem_jax.math.gather import take_columns
 from dem_jax.math.vector import Vector
@@ -68,10 +81,14 @@ class ContactTile(NamedTuple):
     offset: Vector  # [P] x 3 (m): between their centres
 
 
-def compute_contact_forces(system: System, state: State, omega: Array, panels: kinematics.WallState, stacked: Array) -> State:
-    """Evaluate every contact once and commit its memory; fills force and torque of pieces and walls, and the ledger.
+def compute_contact_forces(
+    system: System, state: State, omega: Array, panels: kinematics.WallState, stacked: Array
+) -> State:
+    """Evaluate every contact once and commit its memory; fills force and torque of pieces and
+    walls, and the ledger.
 
-    state: positions now, velocities of the interval that led here; omega: [3, N] (rad/s) likewise; stacked: bodies.stack of all.
+    state: positions now, velocities of the interval that led here; omega: [3, N] (rad/s) likewise;
+    stacked: bodies.stack of all.
     """
     loads, overlap = state.scratch.loads, jnp.zeros((system.runs,), stacked.dtype)
     tables: dict[str, ContactTable] = {}
@@ -80,44 +97,92 @@ def compute_contact_forces(system: System, state: State, omega: Array, panels: k
     shares: dict[str, Array] = {}
     column = 0
     for kind, table in state.contacts.items():
-        memory, seen, loads, deepest, touches[kind], share = _evaluate_kind(system, state, kind, stacked, loads, column)
+        memory, seen, loads, deepest, touches[kind], share = _evaluate_kind(
+            system, state, kind, stacked, loads, column
+        )
         tables[kind], overlap = table.replace(memory=memory), jnp.maximum(overlap, deepest)
         facing |= {} if seen is None else {kind: seen}
         shares |= {} if share is None else {kind: share}
         column += 2 * table.a.shape[0]
-    state = state.replace(contacts=tables, scratch=state.scratch.replace(loads=loads, support_faces=facing, shares=shares))
-    on_pieces, (on_walls, rise) = _sum_piece_loads(system, state), _sum_wall_loads(system, state, panels)
+    state = state.replace(
+        contacts=tables,
+        scratch=state.scratch.replace(loads=loads, support_faces=facing, shares=shares),
+    )
+    on_pieces, (on_walls, rise) = (
+        _sum_piece_loads(system, state),
+        _sum_wall_loads(system, state, panels),
+    )
     ledger = accumulate_ledger(system, state, omega, panels, on_pieces, on_walls, rise, overlap)
     counted = collision_statistics.accumulate_collisions(system, state, omega, panels, touches)
-    return state.replace_motion(force=on_pieces[:3], torque=on_pieces[3:]).replace(walls=on_walls, ledger=ledger, collisions=counted)
+    return state.replace_motion(force=on_pieces[:3], torque=on_pieces[3:]).replace(
+        walls=on_walls, ledger=ledger, collisions=counted
+    )
 
 
-def _evaluate_kind(system: System, state: State, kind: str, stacked: Array, loads: Array, column: int) -> KindResult:
-    """The memory of a kind after this step, which faces look at each other, the loads with those of its contacts from ``column``
-    on, the largest overlap, the touches as of Contacts, and the shares as of Scratch. Block by block of slots, as far as slots
-    are filled: what is free costs nothing."""
+def _evaluate_kind(
+    system: System, state: State, kind: str, stacked: Array, loads: Array, column: int
+) -> KindResult:
+    """The memory of a kind after this step, which faces look at each other, the loads with those of
+    its contacts from ``column`` on, the largest overlap, the touches as of Contacts, and the shares
+    as of Scratch. Block by block of slots, as far as slots are filled: what is free costs nothing.
+    """
     table, slots = state.contacts[kind], state.scratch.slots[kind]
     near, facing = state.scratch.active_features.get(kind), state.scratch.support_faces.get(kind)
     room = table.a.shape[0]
     size = tile_size(system, kind, room)
     none, is_due = jnp.zeros((system.runs,), stacked.dtype), needs_arm_update(state)
-    start = table.memory, facing, loads, none, empty_touch_records(system, table.memory.overlap), state.scratch.shares.get(kind)
+    start = (
+        table.memory,
+        facing,
+        loads,
+        none,
+        empty_touch_records(system, table.memory.overlap),
+        state.scratch.shares.get(kind),
+    )
     if kind in state.scratch.shared_contacts:
         return _evaluate_shared_surfaces(system, state, kind, stacked, start, column, size)
     if not size:
-        part, facing = _resolve_contacts(system, kind, _load_tile(stacked, slots, table.memory), _take_cached_geometry(near, facing), is_due)
-        return part.memory, facing, _store_loads(loads, part, column, room), part.overlap, part.touch, None
+        part, facing = _resolve_contacts(
+            system,
+            kind,
+            _load_tile(stacked, slots, table.memory),
+            _take_cached_geometry(near, facing),
+            is_due,
+        )
+        return (
+            part.memory,
+            facing,
+            _store_loads(loads, part, column, room),
+            part.overlap,
+            part.touch,
+            None,
+        )
 
     def evaluate_tile(k: Array, carry: KindResult) -> KindResult:
         memory, facing, loads, overlap, touch, _ = carry
         rows = slice_constants_tile(system, kind, slots, k, size)
         known = _take_cached_geometry(near, facing, lambda tree: slice_tile(tree, k, size))
-        part, seen = _resolve_contacts(system, kind, _load_tile(stacked, rows, write_in_place(kind, slice_tile(memory, k, size))), known, is_due)
+        part, seen = _resolve_contacts(
+            system,
+            kind,
+            _load_tile(stacked, rows, write_in_place(kind, slice_tile(memory, k, size))),
+            known,
+            is_due,
+        )
         memory = update_tile(memory, write_in_place(kind, part.memory), k, size)
         facing, touch = update_tile((facing, touch), (seen, part.touch), k, size)
-        return memory, facing, _store_loads(loads, part, column + k * size, room), jnp.maximum(overlap, part.overlap), touch, None
+        return (
+            memory,
+            facing,
+            _store_loads(loads, part, column + k * size, room),
+            jnp.maximum(overlap, part.overlap),
+            touch,
+            None,
+        )
 
-    return jax.lax.fori_loop(0, (state.scratch.filled[kind] + size - 1) // size, evaluate_tile, start)
+    return jax.lax.fori_loop(
+        0, (state.scratch.filled[kind] + size - 1) // size, evaluate_tile, start
+    )
 
 
 class _SharedSurfaces(NamedTuple):
@@ -146,20 +211,41 @@ class _SharedSurfaces(NamedTuple):
 
     def load_tile(self, k: Array | int) -> ContactTile:
         """Both sides of a block."""
-        return _load_tile(self.stacked, slice_tile(self.slots, k, self.size), slice_tile(self.before, k, self.size))
+        return _load_tile(
+            self.stacked,
+            slice_tile(self.slots, k, self.size),
+            slice_tile(self.before, k, self.size),
+        )
 
-    def take_shared_contacts(self, touch: WorldContacts, k: Array | int) -> contact_reduction.SharedTile:
+    def take_shared_contacts(
+        self, touch: WorldContacts, k: Array | int
+    ) -> contact_reduction.SharedTile:
         """Siblings of a block; touch: of all slots."""
-        return contact_reduction.slice_shared_contacts(self.slots, self.shared_contacts, touch.normal, k, self.size)
+        return contact_reduction.slice_shared_contacts(
+            self.slots, self.shared_contacts, touch.normal, k, self.size
+        )
 
     def are_touching(self, rows: PairConstants, overlap: Array) -> Array:
         """Whether slots touch, or the fillet between facets, [P] bool."""
-        return effective_overlap(self.system, rows, overlap) + fillet_gap(self.system, self.kind, rows) > 0
+        return (
+            effective_overlap(self.system, rows, overlap) + fillet_gap(self.system, self.kind, rows)
+            > 0
+        )
 
 
-def _evaluate_shared_surfaces(system: System, state: State, kind: str, stacked: Array, start: KindResult, column: int, size: int) -> KindResult:
-    """As ``_evaluate_kind``, of contacts of which several may be one, see ``seams``: first where each touches, then what
-    part each has, then the contact law. start: what there is before the step; size: of a block, 0: all at once."""
+def _evaluate_shared_surfaces(
+    system: System,
+    state: State,
+    kind: str,
+    stacked: Array,
+    start: KindResult,
+    column: int,
+    size: int,
+) -> KindResult:
+    """As ``_evaluate_kind``, of contacts of which several may be one, see ``seams``: first where
+    each touches, then what part each has, then the contact law. start: what there is before the
+    step; size: of a block, 0: all at once.
+    """
     scratch = state.scratch
     siblings = scratch.shared_contacts[kind]
     if not system.slot_block:
@@ -181,18 +267,28 @@ def _evaluate_shared_surfaces(system: System, state: State, kind: str, stacked: 
     assert touch.weight is not None
     is_touching = shared.are_touching(slots, touch.overlap)
     parts = _find_shares(shared, touch, jnp.where(is_touching, touch.weight, 0))
-    return _evaluate_merged_contacts(shared, touch, is_touching, parts, (start[0], facing, *start[2:]), column)
+    return _evaluate_merged_contacts(
+        shared, touch, is_touching, parts, (start[0], facing, *start[2:]), column
+    )
 
 
-def _find_touching(shared: _SharedSurfaces, facing: SupportFaces | None) -> tuple[WorldContacts, SupportFaces | None]:
+def _find_touching(
+    shared: _SharedSurfaces, facing: SupportFaces | None
+) -> tuple[WorldContacts, SupportFaces | None]:
     """Where each slot touches, by itself, and the faces of polytopes that look at each other."""
     lacks_patches = _may_lack_patch(shared.system, shared.kind)
     nothing = empty_world_contacts(shared.system, shared.kind, shared.slots, shared.stacked.dtype)
 
-    def touch_tile(k: Array | int, carry: tuple[WorldContacts, SupportFaces | None]) -> tuple[WorldContacts, SupportFaces | None]:
-        known = _take_cached_geometry(shared.active_features, carry[1], lambda tree: slice_tile(tree, k, shared.size))
+    def touch_tile(
+        k: Array | int, carry: tuple[WorldContacts, SupportFaces | None]
+    ) -> tuple[WorldContacts, SupportFaces | None]:
+        known = _take_cached_geometry(
+            shared.active_features, carry[1], lambda tree: slice_tile(tree, k, shared.size)
+        )
         memory, rows, a, b, offset = shared.load_tile(k)
-        depth, rest, seen = compute_contact_geometry(shared.system, shared.kind, rows, a, b, offset, known)
+        depth, rest, seen = compute_contact_geometry(
+            shared.system, shared.kind, rows, a, b, offset, known
+        )
         there = shared.are_touching(rows, depth) & rows.live | (memory.overlap > 0)
         none = slice_tile(nothing, k, shared.size)
 
@@ -202,17 +298,23 @@ def _find_touching(shared: _SharedSurfaces, facing: SupportFaces | None) -> tupl
             if part.moments is None:
                 return part
             fresh = partial(rotate_moments_to_world, a, part.moments)
-            spread = shared.cond_any(shared.is_due | there & (memory.overlap <= 0), fresh, lambda: none.spread)
+            spread = shared.cond_any(
+                shared.is_due | there & (memory.overlap <= 0), fresh, lambda: none.spread
+            )
             return part._replace(moments=None, spread=spread)
 
-        return update_tile(carry, (shared.cond_any(there, compute_touch, lambda: none), seen), k, shared.size)
+        return update_tile(
+            carry, (shared.cond_any(there, compute_touch, lambda: none), seen), k, shared.size
+        )
 
     touch, facing = shared.loop_over_tiles(touch_tile, (nothing, facing))
     return _locate_missing_patches(shared, touch) if lacks_patches else touch, facing
 
 
 def _locate_missing_patches(shared: _SharedSurfaces, touch: WorldContacts) -> WorldContacts:
-    """Contacts with weights and points, those of contacts that have none, nor has any sibling, by their edges."""
+    """Contacts with weights and points, those of contacts that have none, nor has any sibling, by
+    their edges.
+    """
     system, size = shared.system, shared.size
 
     def locate_tile(k: Array | int, found: WeightedPoint) -> WeightedPoint:
@@ -226,32 +328,58 @@ def _locate_missing_patches(shared: _SharedSurfaces, touch: WorldContacts) -> Wo
             return is_lone & ((of.number == 0) | (contact_reduction.total_weight(touch, of) <= 0))
 
         is_lone = shared.cond_any(is_lone, find_lone_contacts, lambda: is_lone)
-        is_lone = shared.cond_any(is_lone, lambda: is_lone & may_overlap(system, rows, a, b, offset), lambda: is_lone)
+        is_lone = shared.cond_any(
+            is_lone, lambda: is_lone & may_overlap(system, rows, a, b, offset), lambda: is_lone
+        )
         place = here.weight, here.at_a, here.at_b
-        place = shared.cond_any(is_lone, lambda: locate_by_edges(system, rows, a, b, offset, here, is_lone), lambda: place)
+        place = shared.cond_any(
+            is_lone,
+            lambda: locate_by_edges(system, rows, a, b, offset, here, is_lone),
+            lambda: place,
+        )
         return update_tile(found, place, k, size)
 
     assert touch.weight is not None
     weight, at_a, at_b = shared.loop_over_tiles(locate_tile, (touch.weight, touch.at_a, touch.at_b))
-    return contact_reduction.drop_unowned(shared.slots, touch._replace(weight=weight, at_a=at_a, at_b=at_b))
+    return contact_reduction.drop_unowned(
+        shared.slots, touch._replace(weight=weight, at_a=at_a, at_b=at_b)
+    )
 
 
 def _find_shares(shared: _SharedSurfaces, touch: WorldContacts, weight: Array) -> Array:
-    """What ``find_load_shares`` of the module that merges contacts says of each slot, [P]. weight: [P], of those that touch."""
+    """What ``find_load_shares`` of the module that merges contacts says of each slot, [P]. weight:
+    [P], of those that touch.
+    """
     is_bent = shared.system.walls.is_bent
     merging = smooth_surfaces if is_bent else contact_reduction
 
     def weigh_tile(k: Array | int, parts: Array) -> Array:
         own, before = slice_tile((weight, parts), k, shared.size)
-        here, rows = slice_tile(touch, k, shared.size)._replace(weight=own), slice_tile(shared.slots, k, shared.size)
+        here, rows = (
+            slice_tile(touch, k, shared.size)._replace(weight=own),
+            slice_tile(shared.slots, k, shared.size),
+        )
         of = partial(shared.take_shared_contacts, touch, k)
-        found = shared.cond_any(own > 0, lambda: merging.find_load_shares(rows, touch._replace(weight=weight), here, of()), lambda: before)
+        found = shared.cond_any(
+            own > 0,
+            lambda: merging.find_load_shares(rows, touch._replace(weight=weight), here, of()),
+            lambda: before,
+        )
         return update_tile(parts, found, k, shared.size)
 
-    return shared.loop_over_tiles(weigh_tile, weight if is_bent else (shared.shared_contacts.number == 0).astype(weight.dtype))
+    return shared.loop_over_tiles(
+        weigh_tile, weight if is_bent else (shared.shared_contacts.number == 0).astype(weight.dtype)
+    )
 
 
-def _evaluate_merged_contacts(shared: _SharedSurfaces, touch: WorldContacts, is_touching: Array, parts: Array, start: KindResult, column: int) -> KindResult:
+def _evaluate_merged_contacts(
+    shared: _SharedSurfaces,
+    touch: WorldContacts,
+    is_touching: Array,
+    parts: Array,
+    start: KindResult,
+    column: int,
+) -> KindResult:
     """The contact law's answer to contacts that are one, each slot with its part."""
     system, kind, size = shared.system, shared.kind, shared.size
     is_bent = system.walls.is_bent
@@ -263,12 +391,43 @@ def _evaluate_merged_contacts(shared: _SharedSurfaces, touch: WorldContacts, is_
 
         def merge_tile() -> tuple[ContactLoads, Array]:
             of = shared.take_shared_contacts(touch, k)
-            merge = partial(smooth_surfaces.merge_contacts, reach=system.law.interaction_range(rows.pair)) if is_bent else contact_reduction.merge_contacts
-            one, memory, share = merge(rows, touch, parts, shared.before, slice_tile(touch, k, size), offset_between_pieces(a, b, offset), of)
-            return evaluate_contact_forces(system, memory, rows, a, b, offset, one, _relative_rotation(system, kind, a, b), shared.is_due, share), share
+            merge = (
+                partial(
+                    smooth_surfaces.merge_contacts, reach=system.law.interaction_range(rows.pair)
+                )
+                if is_bent
+                else contact_reduction.merge_contacts
+            )
+            one, memory, share = merge(
+                rows,
+                touch,
+                parts,
+                shared.before,
+                slice_tile(touch, k, size),
+                offset_between_pieces(a, b, offset),
+                of,
+            )
+            return evaluate_contact_forces(
+                system,
+                memory,
+                rows,
+                a,
+                b,
+                offset,
+                one,
+                _relative_rotation(system, kind, a, b),
+                shared.is_due,
+                share,
+            ), share
 
-        part, share = shared.cond_any(there, merge_tile, lambda: (empty_contact_loads(system, own, rows), slice_tile(parts, k, size)))
-        memory, began, shares = update_tile((memory, began, shares), (part.memory, part.touch, share), k, size)
+        part, share = shared.cond_any(
+            there,
+            merge_tile,
+            lambda: (empty_contact_loads(system, own, rows), slice_tile(parts, k, size)),
+        )
+        memory, began, shares = update_tile(
+            (memory, began, shares), (part.memory, part.touch, share), k, size
+        )
         loads = _store_loads(loads, part, column + k * size, shared.slots.b.shape[0])
         return memory, facing, loads, jnp.maximum(overlap, part.overlap), began, shares
 
@@ -276,17 +435,26 @@ def _evaluate_merged_contacts(shared: _SharedSurfaces, touch: WorldContacts, is_
 
 
 def _load_tile(stacked: Array, slots: PairConstants, memory: ContactHistory) -> ContactTile:
-    a, b = packed_bodies.gather_bodies(stacked, slots.a), packed_bodies.gather_bodies(stacked, slots.b)
+    a, b = (
+        packed_bodies.gather_bodies(stacked, slots.a),
+        packed_bodies.gather_bodies(stacked, slots.b),
+    )
     return ContactTile(memory, slots, a, b, packed_bodies.centre_offset(a, b))
 
 
 def _store_loads(loads: Array, part: ContactLoads, first: Array | int, room: int) -> Array:
-    """The loads with those of some contacts, of a kind with so many slots, from column ``first`` on."""
+    """The loads with those of some contacts, of a kind with so many slots, from column ``first``
+    on.
+    """
     loads = jax.lax.dynamic_update_slice_in_dim(loads, part.load_b, first, 1)
     return jax.lax.dynamic_update_slice_in_dim(loads, part.load_a, room + first, 1)
 
 
-def _take_cached_geometry(near: ActiveFeatures | None, facing: SupportFaces | None, of: Callable[[Any], Any] = lambda tree: tree) -> CachedGeometry:
+def _take_cached_geometry(
+    near: ActiveFeatures | None,
+    facing: SupportFaces | None,
+    of: Callable[[Any], Any] = lambda tree: tree,
+) -> CachedGeometry:
     """What is known of a block of slots. of: takes those of the block from a tree of all."""
     if near is None:
         return NO_CACHE
@@ -299,7 +467,9 @@ def _relative_rotation(system: System, kind: str, a: BodyState, b: BodyState) ->
     return vector.scale(system.dt, vector.sub(b.spin, a.spin)) if kind == "hulls" else None
 
 
-def _resolve_contacts(system: System, kind: str, side: ContactTile, known: CachedGeometry, is_due: Array) -> tuple[ContactLoads, SupportFaces | None]:
+def _resolve_contacts(
+    system: System, kind: str, side: ContactTile, known: CachedGeometry, is_due: Array
+) -> tuple[ContactLoads, SupportFaces | None]:
     """Geometry and contact law of the contacts of one kind."""
     memory, slots, a, b, offset = side
     depth, rest, facing = compute_contact_geometry(system, kind, slots, a, b, offset, known)
@@ -309,19 +479,25 @@ def _resolve_contacts(system: System, kind: str, side: ContactTile, known: Cache
         part = to_mass_centres(slots, a, b, offset, rest(memory))
         if _may_lack_patch(system, kind):
             is_lone, place = _lacks_patch(system, slots, part), (part.weight, part.at_a, part.at_b)
-            found = lambda: locate_by_edges(system, slots, a, b, offset, part, is_lone)  # noqa: E731
+            found = lambda: locate_by_edges(system, slots, a, b, offset, part, is_lone)
             weight, at_a, at_b = jax.lax.cond(jnp.any(is_lone), found, lambda: place)
             part = part._replace(weight=weight, at_a=at_a, at_b=at_b)
         return evaluate_contact_forces(system, memory, slots, a, b, offset, part, turn, is_due)
 
     if kind != "hulls" or not system.slot_block:
         return evaluate_loads(), facing
-    is_touching = jnp.any((effective_overlap(system, slots, depth) > 0) & slots.live | (memory.overlap > 0))
-    return jax.lax.cond(is_touching, evaluate_loads, lambda: empty_contact_loads(system, memory, slots)), facing
+    is_touching = jnp.any(
+        (effective_overlap(system, slots, depth) > 0) & slots.live | (memory.overlap > 0)
+    )
+    return jax.lax.cond(
+        is_touching, evaluate_loads, lambda: empty_contact_loads(system, memory, slots)
+    ), facing
 
 
 def _may_lack_patch(system: System, kind: str) -> bool:
-    """Whether contacts of a kind can have no contact patch by the faces that look at each other: of general polytopes."""
+    """Whether contacts of a kind can have no contact patch by the faces that look at each other: of
+    general polytopes.
+    """
     return kind == "hulls" and system.hulls is not None and system.hulls.features is not None
 
 
@@ -332,8 +508,14 @@ def _lacks_patch(system: System, slots: PairConstants, part: WorldContacts) -> A
 
 
 def elastic_energy(system: System, state: State, kind: str) -> Array:
-    """What each contact of a kind would give back, [P] (J): of one that several share, each its part."""
-    slots, memory, share = state.scratch.slots[kind], state.contacts[kind].memory, state.scratch.shares.get(kind)
+    """What each contact of a kind would give back, [P] (J): of one that several share, each its
+    part.
+    """
+    slots, memory, share = (
+        state.scratch.slots[kind],
+        state.contacts[kind].memory,
+        state.scratch.shares.get(kind),
+    )
     reach = system.law.interaction_range(slots.pair)
     overlap = memory.overlap if reach is None else memory.overlap - reach
     energy = system.law.energy(slots.pair, memory.law, overlap)
@@ -341,18 +523,22 @@ def elastic_energy(system: System, state: State, kind: str) -> Array:
 
 
 def _sum_piece_loads(system: System, state: State) -> Array:
-    """Force and torque on each piece, [6, N] (N, N m): the sum over its contacts, found by ``incidence``.
+    """Force and torque on each piece, [6, N] (N, N m): the sum over its contacts, found by
+    ``incidence``.
 
     Gathers and sums: the same bits every time, on a GPU too, where adding up in place is not.
     """
     loads = state.scratch.loads
-    rows = lambda k: take_columns(loads, state.incidence[k])[:6]  # noqa: E731
+    rows = lambda k: take_columns(loads, state.incidence[k])[:6]
     return _sum_over_contacts(system, rows, state.scratch.max_contacts)
 
 
-def _sum_wall_loads(system: System, state: State, panels: kinematics.WallState) -> tuple[WallLoads, Array]:
-    """Loads on each wall group, and the rise of the force, [G, R] (N): what its walls do to a piece, added up piece by piece, is
-    the reaction."""
+def _sum_wall_loads(
+    system: System, state: State, panels: kinematics.WallState
+) -> tuple[WallLoads, Array]:
+    """Loads on each wall group, and the rise of the force, [G, R] (N): what its walls do to a
+    piece, added up piece by piece, is the reaction.
+    """
     number = jnp.arange(len(system.walls.groups), dtype=jnp.int32)[:, None]
     scratch = state.scratch
 
@@ -360,20 +546,29 @@ def _sum_wall_loads(system: System, state: State, panels: kinematics.WallState) 
         column, group = scratch.wall_contacts[0, k], scratch.wall_contacts[1, k]
         return jnp.where(group[None] == number, -take_columns(scratch.loads, column)[:, None], 0)
 
-    load = _sum_over_contacts(system, wall_rows, scratch.max_wall_contacts)  # [7, G, N], the torque about each piece's centre
+    load = _sum_over_contacts(system, wall_rows, scratch.max_wall_contacts)  # [7, G, N], the torque
+    # about each piece's centre
     place = vector.map_components(lambda c: c[None], vector.unstack_vector(state.position))
-    about_origin = vector.add(vector.cross(place, vector.unstack_vector(load[:3])), vector.unstack_vector(load[3:6]))
+    about_origin = vector.add(
+        vector.cross(place, vector.unstack_vector(load[:3])), vector.unstack_vector(load[3:6])
+    )
     force = vector.fusion_barrier(batch_reduction.sum_per_run(system, load[:3]))
     pivot = vector.map_components(lambda c: c[..., None], panels.pivot)
-    turning = vector.map_components(lambda c: batch_reduction.sum_per_run(system, c), about_origin)  # each by itself: rows put together are added up slowly
-    torque = vector.fusion_barrier(*vector.sub(turning, vector.cross(pivot, vector.unstack_vector(force))))
+    # each by itself: rows put together are added up slowly
+    turning = vector.map_components(lambda c: batch_reduction.sum_per_run(system, c), about_origin)
+    torque = vector.fusion_barrier(
+        *vector.sub(turning, vector.cross(pivot, vector.unstack_vector(force)))
+    )
     return WallLoads(force, jnp.stack(torque)), batch_reduction.sum_per_run(system, load[6])
 
 
 def _sum_over_contacts(system: System, rows: Callable[[Array], Array], count: Array) -> Array:
-    """The sum of ``rows(k)`` over the first ``count`` contacts of each piece; over all, which is the same and can be
-    differentiated, where slots are not computed by blocks."""
+    """The sum of ``rows(k)`` over the first ``count`` contacts of each piece; over all, which is
+    the same and can be differentiated, where slots are not computed by blocks.
+    """
     if not system.slot_block:
         return jnp.sum(jax.vmap(rows)(jnp.arange(system.touching, dtype=jnp.int32)), axis=0)
     form = jax.eval_shape(rows, count)
-    return jax.lax.fori_loop(0, count, lambda k, total: total + rows(k), jnp.zeros(form.shape, form.dtype))
+    return jax.lax.fori_loop(
+        0, count, lambda k, total: total + rows(k), jnp.zeros(form.shape, form.dtype)
+    )

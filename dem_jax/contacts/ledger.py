@@ -1,4 +1,6 @@
-"""Accumulated quantities: impulse on walls, peak force, largest overlap, work of contacts and of walls."""
+"""Accumulated quantities: impulse on walls, peak force, largest overlap, work of contacts and of
+walls.
+"""
 
 import jax.numpy as jnp
 import numpy as np
@@ -23,10 +25,11 @@ def accumulate_ledger(
     rise: Array,
     overlap: Array,
 ) -> Ledger:
-    """The ledger after a step that led from the loads of a state to those on pieces [6, N] and walls now.
+    """The ledger after a step that led from the loads of a state to those on pieces [6, N] and
+    walls now.
 
-    omega: [3, N] (rad/s) in the step; rise: [G, R] (N), by how much the forces on walls along gravity were larger within the step
-    than before it; overlap: [R] largest now, relative to width.
+    omega: [3, N] (rad/s) in the step; rise: [G, R] (N), by how much the forces on walls along
+    gravity were larger within the step than before it; overlap: [R] largest now, relative to width.
     """
     ledger, before = state.ledger, state.motion
     if system.ledger:
@@ -35,11 +38,15 @@ def accumulate_ledger(
         took = 0.5 * system.dt * batch_reduction.sum_per_run(system, power)
         by_walls = jnp.zeros_like(took)
         if system.walls.has_motion:
-            of_runs = lambda of: vector.map_components(lambda c: c[..., None], of)  # noqa: E731
+            of_runs = lambda of: vector.map_components(lambda c: c[..., None], of)
             motion = of_runs(panels.pivot_velocity), of_runs(panels.group_spin)
-            power = _twice_power((state.walls.force, state.walls.torque), (on_walls.force, on_walls.torque), motion)
+            power = _twice_power(
+                (state.walls.force, state.walls.torque), (on_walls.force, on_walls.torque), motion
+            )
             by_walls = -0.5 * system.dt * batch_reduction.reduce_sequentially(jnp.add, power)
-        ledger = ledger.replace(taken=ledger.taken + (by_walls - took), wall_work=ledger.wall_work + by_walls)
+        ledger = ledger.replace(
+            taken=ledger.taken + (by_walls - took), wall_work=ledger.wall_work + by_walls
+        )
     impulse = ledger.impulse + 0.5 * system.dt * (state.walls.force + on_walls.force)
     peak = jnp.maximum(ledger.peak, _peak_force(system, state.walls.force, on_walls.force, rise))
     return ledger.replace(impulse=impulse, peak=peak, overlap=jnp.maximum(ledger.overlap, overlap))
@@ -54,36 +61,54 @@ def gravity_direction(system: System) -> Vector:
 
 
 def _peak_force(system: System, before: Array, now: Array, rise: Array) -> Array:
-    """Of forces on wall groups before and after the step, [3, G, R] (N), the largest along gravity on what is reported,
-    [reports, R] (N): that now, or where contacts turned between the two that before it and by how much more they had there."""
-    along = lambda force: sum_reported_groups(system, vector.dot(gravity_direction(system), vector.unstack_vector(force)))  # noqa: E731
+    """Of forces on wall groups before and after the step, [3, G, R] (N), the largest along gravity
+    on what is reported, [reports, R] (N): that now, or where contacts turned between the two that
+    before it and by how much more they had there.
+    """
+    along = lambda force: sum_reported_groups(
+        system, vector.dot(gravity_direction(system), vector.unstack_vector(force))
+    )
     more = sum_reported_groups(system, rise)
     return jnp.maximum(along(now), jnp.where(more > 0, along(before) + more, 0))
 
 
 def sum_reported_groups(system: System, of_groups: Array) -> Array:
     """Values of wall groups, [.., G, R], summed for each of Walls.reports, [.., reports, R]."""
-    of = lambda group: of_groups[..., group, :]  # noqa: E731
+    of = lambda group: of_groups[..., group, :]
     rows = [sum(map(of, groups[1:])) + of(groups[0]) for _, groups in system.walls.reports]
     return jnp.stack(rows, axis=-2) if rows else of_groups[..., :0, :]
 
 
-def _twice_power(before: ForceAndTorque, now: ForceAndTorque, motion: tuple[Vector, Vector]) -> Array:
-    """Power of forces and torques, [3, ..] (N, N m), before and after a step at a velocity and a spin, [..] (W).
+def _twice_power(
+    before: ForceAndTorque, now: ForceAndTorque, motion: tuple[Vector, Vector]
+) -> Array:
+    """Power of forces and torques, [3, ..] (N, N m), before and after a step at a velocity and a
+    spin, [..] (W).
 
-    Half of it times the step is their work: trapezoidal, each load at its own point of attack, closed to second order.
+    Half of it times the step is their work: trapezoidal, each load at its own point of attack,
+    closed to second order.
     """
     each = zip(before, now, motion, strict=True)
-    force, torque = (vector.dot(vector.unstack_vector(first + second), of) for first, second, of in each)
+    force, torque = (
+        vector.dot(vector.unstack_vector(first + second), of) for first, second, of in each
+    )
     return force + torque
 
 
 def reset_interval(ledger: Ledger) -> Ledger:
     """The ledger at the beginning of a sample interval."""
-    return ledger.replace(**{name: jnp.zeros_like(getattr(ledger, name)) for name in ("impulse", "peak", "overlap")})
+    return ledger.replace(
+        **{name: jnp.zeros_like(getattr(ledger, name)) for name in ("impulse", "peak", "overlap")}
+    )
 
 
 def empty_ledger(system: System, dtype: DTypeLike) -> Ledger:
     """A ledger of zeros, in numpy."""
-    zeros = lambda *form: as_array(np.zeros((*form, system.runs), dtype))  # noqa: E731
-    return Ledger(zeros(3, len(system.walls.groups)), zeros(len(system.walls.reports)), zeros(), zeros(), zeros())
+    zeros = lambda *form: as_array(np.zeros((*form, system.runs), dtype))
+    return Ledger(
+        zeros(3, len(system.walls.groups)),
+        zeros(len(system.walls.reports)),
+        zeros(),
+        zeros(),
+        zeros(),
+    )

@@ -1,30 +1,37 @@
 """One contact with a smooth surface of facets, whatever the number of facets that a piece touches.
 
-Facets of one surface that a piece touches at nearly the same angle (``normal_similarity``) share one contact: one overlap s,
-one normal n, one point, one history, and one stiffness. Facet i has the part w_i / sum_j w_j of it. Of all of these, s, n and
-the point are continuous functions of where the piece is.
+Facets of one surface that a piece touches at nearly the same angle (``normal_similarity``) share
+one contact: one overlap s, one normal n, one point, one history, and one stiffness. Facet i has the
+part w_i / sum_j w_j of it. Of all of these, s, n and the point are continuous functions of where
+the piece is.
 
-A sphere touches a facet at its closest point, at a distance h_i of the centre, along the unit vector n_i. Where a ridge is
-closest, the facets on both sides have the same n_i and h_i. In a valley both facets are closest over a wedge of width h tan(bend)
-only. There, and only there, both have a weight:
+A sphere touches a facet at its closest point, at a distance h_i of the centre, along the unit
+vector n_i. Where a ridge is closest, the facets on both sides have the same n_i and h_i. In a
+valley both facets are closest over a wedge of width h tan(bend) only. There, and only there, both
+have a weight:
 
     w_i = min_j clip(1 - (h_i - h_j) / (h_i |n_i - n_j|^2 / 2), 0, 1),
 
-which is 1 for the closest facet and reaches 0 just where the foot of the centre leaves facet i. With it the overlap is
+which is 1 for the closest facet and reaches 0 just where the foot of the centre leaves facet i.
+With it the overlap is
 
     s = sum_i w_i s_i / sum_i w_i + h (1 - |n|^2) / 2,    n = sum_i w_i n_i / sum_i w_i,
 
-whose gradient is n: the force has a potential, which is that of a fillet of radius 2 h in the valley.
+whose gradient is n: the force has a potential, which is that of a fillet of radius 2 h in the
+valley.
 
-A polytope touches a facet with a patch, see ``collide.contact_patch``, whose depth-weighted measure is w_i. Beyond convex seams
-a facet's solid ends at its neighbours (``assembly.panel_surfaces``), so that all facets find one overlap and one normal; in a valley each
-finds those of its own plane. With p = POWER,
+A polytope touches a facet with a patch, see ``collide.contact_patch``, whose depth-weighted measure
+is w_i. Beyond convex seams a facet's solid ends at its neighbours (``assembly.panel_surfaces``), so
+that all facets find one overlap and one normal; in a valley each finds those of its own plane. With
+p = POWER,
 
-    s = (sum_i w_i s_i^p / sum_i w_i)^(1/p),    n and point weighted by g_i = w_i s_i^(p - 1) / sum_j w_j s_j^(p - 1),
+    s = (sum_i w_i s_i^p / sum_i w_i)^(1/p),    n and point weighted by g_i = w_i s_i^(p - 1) /
+    sum_j w_j s_j^(p - 1),
 
-so that s is close to the largest overlap, and g_i its derivative by s_i but for a factor: the work of the force is the change of
-the stored energy, up to 1/p of what changes of the weights w_i contribute. With the largest overlap and g_i = w_i it would not be:
-a box that rocks on two facets would lose energy.
+so that s is close to the largest overlap, and g_i its derivative by s_i but for a factor: the work
+of the force is the change of the stored energy, up to 1/p of what changes of the weights w_i
+contribute. With the largest overlap and g_i = w_i it would not be: a box that rocks on two facets
+would lose energy.
 """
 
 from functools import partial
@@ -49,11 +56,14 @@ from dem_jax.narrow_phase.contact_frame import WorldContacts, add_interaction_ra
 from dem_jax.narrow_phase.patch_moments import SecondMoments
 from dem_jax.types import Array, ContactHistory, PairConstants, Parts, System, Walls
 
-ONE_CONTACT_COSINE = 0.82  # cosine of the angle (35 degrees) between normals up to which contacts with a surface are one
-TWO_CONTACTS_COSINE = 0.57  # cosine of the angle (55 degrees) from which on they are two; between, they are one in part
+ONE_CONTACT_COSINE = 0.82  # cosine of the angle (35 degrees) between normals up to which contacts
+# with a surface are one
+TWO_CONTACTS_COSINE = 0.57  # cosine of the angle (55 degrees) from which on they are two; between,
+# they are one in part
 
 
-FILLET_RATIO = 0.04  # of its radius: a sphere may touch the fillet of a valley while it is so far from both facets (bend <= 32 degrees)
+FILLET_RATIO = 0.04  # of its radius: a sphere may touch the fillet of a valley while it is so far
+# from both facets (bend <= 32 degrees)
 
 
 MEAN_POWER = 32  # of the mean of overlaps of a polytope, see above
@@ -64,23 +74,27 @@ class _Sums(NamedTuple):
 
     patch: Array  # [B]: of the weights of ``find_load_shares``
     weight: Array  # [B]: of those of normals and points: derivatives of the common overlap
-    overlap: Array  # [B] (m of spheres, relative to the largest overlap to the power of POWER of polytopes)
+    overlap: Array  # [B] (m of spheres, relative to the largest overlap to the power of POWER of
+    # polytopes)
     normal: Vector  # [B] x 3
     point: Vector  # [B] x 3 (m), from the centre of b
-    spread: SecondMoments | None  # [B] (m2), of the patches about the centre of b; None: nobody needs them
+    spread: SecondMoments | None  # [B] (m2), of the patches about the centre of b; None: nobody
+    # needs them
 
 
 def normal_similarity(a: Vector, b: Vector) -> Array:
     """How much two contacts with unit normals [P] x 3 are one, [P]: from 1 to 0."""
-    return jnp.clip((vector.dot(a, b) - TWO_CONTACTS_COSINE) / (ONE_CONTACT_COSINE - TWO_CONTACTS_COSINE), 0, 1)
+    return jnp.clip(
+        (vector.dot(a, b) - TWO_CONTACTS_COSINE) / (ONE_CONTACT_COSINE - TWO_CONTACTS_COSINE), 0, 1
+    )
 
 
 def fillet_gap(system: System, kind: str, slots: PairConstants) -> Array | int:
     """How far a piece may be from a facet that has part in its contact, [P] (m).
 
     Args:
-        system, kind: what decides whether there are fillets: of contacts of spheres with walls that have bent surfaces.
-        slots: of the kind.
+        system, kind: what decides whether there are fillets: of contacts of spheres with walls that
+        have bent surfaces. slots: of the kind.
     """
     return FILLET_RATIO * slots.radius_b if kind == "plates" and system.walls.is_bent else 0
 
@@ -91,7 +105,9 @@ def largest_fillet(walls: Walls, parts: Parts) -> float:
     return float(FILLET_RATIO * radii.max()) if walls.is_bent and len(radii) else 0.0
 
 
-def find_load_shares(slots: PairConstants, met: WorldContacts, own: WorldContacts, of: SharedTile) -> Array:
+def find_load_shares(
+    slots: PairConstants, met: WorldContacts, own: WorldContacts, of: SharedTile
+) -> Array:
     """The weight of each contact of a block in what it shares with its siblings, [B].
 
     Args:
@@ -116,7 +132,14 @@ def find_load_shares(slots: PairConstants, met: WorldContacts, own: WorldContact
 
 
 def merge_contacts(
-    slots: PairConstants, met: WorldContacts, weight: Array, before: ContactHistory, own: WorldContacts, offset: Vector, of: SharedTile, reach: Array | None
+    slots: PairConstants,
+    met: WorldContacts,
+    weight: Array,
+    before: ContactHistory,
+    own: WorldContacts,
+    offset: Vector,
+    of: SharedTile,
+    reach: Array | None,
 ) -> tuple[WorldContacts, ContactHistory, Array]:
     """The contacts of a block, each as one with its siblings.
 
@@ -128,8 +151,8 @@ def merge_contacts(
         reach: (m) of the law, None: it has none.
 
     Returns:
-        The contacts; the memory of those that were deepest before, so that a contact continues on the next facet; and the part
-        of the common contact that each has, [B].
+        The contacts; the memory of those that were deepest before, so that a contact continues on
+        the next facet; and the part of the common contact that each has, [B].
     """
     own_weight = weight[of.itself]
     is_shared = (of.number > 0) & (own_weight > 0)
@@ -142,7 +165,9 @@ def merge_contacts(
     point = vector.where(is_shared, vector.scale(scale, sums.point), own.at_b)
     if own.deepest is None:
         share, overlap = own_weight * scale, scale * sums.overlap
-        overlap = overlap + 0.5 * (slots.radius_b - overlap) * jnp.maximum(1 - vector.dot(mean, mean), 0)
+        overlap = overlap + 0.5 * (slots.radius_b - overlap) * jnp.maximum(
+            1 - vector.dot(mean, mean), 0
+        )
     else:
         share = own_weight * scale * _relative_overlap(most, own.overlap, reach) ** (MEAN_POWER - 1)
         mean_power = jnp.where(is_shared, sums.overlap / jnp.where(is_shared, sums.patch, 1), 1)
@@ -151,30 +176,71 @@ def merge_contacts(
     deepest = select_deepest_points(is_shared, pick, met.deepest, own.deepest)
     moments = None
     if own.spread is not None and sums.spread is not None:
-        moments = partial(shared_patch_moments, is_shared, patch_moments.scale_moments(scale, sums.spread), point, own.spread)
-    one = WorldContacts(overlap, normal, vector.add(point, offset), point, own_weight, deepest, moments, tied=own.tied)
+        moments = partial(
+            shared_patch_moments,
+            is_shared,
+            patch_moments.scale_moments(scale, sums.spread),
+            point,
+            own.spread,
+        )
+    one = WorldContacts(
+        overlap,
+        normal,
+        vector.add(point, offset),
+        point,
+        own_weight,
+        deepest,
+        moments,
+        tied=own.tied,
+    )
     memory = jax.tree.map(lambda rows: rows[..., former], before)
     return one, memory, jnp.where(is_shared, share, 1)
 
 
-def _deepest_shared_contacts(met: WorldContacts, weight: Array, before: ContactHistory, own: WorldContacts, of: SharedTile, reach: Array | None) -> tuple[DeepestSoFar, DeepestSoFar]:
-    """Of the siblings of each slot of a block the deepest (from where the law begins to act), and the deepest before the step."""
+def _deepest_shared_contacts(
+    met: WorldContacts,
+    weight: Array,
+    before: ContactHistory,
+    own: WorldContacts,
+    of: SharedTile,
+    reach: Array | None,
+) -> tuple[DeepestSoFar, DeepestSoFar]:
+    """Of the siblings of each slot of a block the deepest (from where the law begins to act), and
+    the deepest before the step.
+    """
     nothing = jnp.full_like(own.overlap, -jnp.inf), of.itself
 
-    def update_both(so_far: tuple[DeepestSoFar, DeepestSoFar], slot: Array, there: Array) -> tuple[DeepestSoFar, DeepestSoFar]:
+    def update_both(
+        so_far: tuple[DeepestSoFar, DeepestSoFar], slot: Array, there: Array
+    ) -> tuple[DeepestSoFar, DeepestSoFar]:
         nearness = normal_similarity(vector.take_entries(met.normal, slot), own.normal)
         touches = there & (nearness * weight[slot] > 0)
-        most = update_deepest(so_far[0], nearness * add_interaction_range(met.overlap[slot], reach), slot, touches)
+        most = update_deepest(
+            so_far[0], nearness * add_interaction_range(met.overlap[slot], reach), slot, touches
+        )
         return most, update_deepest(so_far[1], nearness * before.overlap[slot], slot, there)
 
     return fold_shared_contacts(of, update_both, (nothing, nothing))
 
 
-def _weighted_sums(met: WorldContacts, weight: Array, own: WorldContacts, of: SharedTile, reach: Array | None, most: Array) -> _Sums:
+def _weighted_sums(
+    met: WorldContacts,
+    weight: Array,
+    own: WorldContacts,
+    of: SharedTile,
+    reach: Array | None,
+    most: Array,
+) -> _Sums:
     """Sums over the siblings of each slot of a block. most: [B] (m), the largest overlap of them."""
-    spread = None if met.spread is None else patch_moments.add_moments(met.spread, patch_moments.outer_product(met.at_b, met.at_b))
+    spread = (
+        None
+        if met.spread is None
+        else patch_moments.add_moments(met.spread, patch_moments.outer_product(met.at_b, met.at_b))
+    )
     zero = jnp.zeros_like(own.overlap)
-    start = _Sums(zero, zero, zero, (zero,) * 3, (zero,) * 3, spread and SecondMoments(*(zero,) * 6))
+    start = _Sums(
+        zero, zero, zero, (zero,) * 3, (zero,) * 3, spread and SecondMoments(*(zero,) * 6)
+    )
 
     def add_contact(sums: _Sums, slot: Array, there: Array) -> _Sums:
         normal = vector.take_entries(met.normal, slot)

@@ -1,4 +1,6 @@
-"""Contacts computed one block of slots at a time: free slots cost nothing, and a block stays in the cache."""
+"""Contacts computed one block of slots at a time: free slots cost nothing, and a block stays in the
+cache.
+"""
 
 import math
 from typing import TypeVar
@@ -19,8 +21,9 @@ FEW_SLOTS, MANY_SLOTS = 64, 1024  # below which polytopes, and spheres, are quic
 def tile_size(system: System, kind: str, room: int) -> int:
     """How many of ``room`` slots of a kind are computed at a time; 0: all at once.
 
-    An eighth of the room or less, so that a last block that is hardly filled costs little, but enough for vectors. With
-    spheres a slot is so cheap that cutting out the blocks pays only where there are many.
+    An eighth of the room or less, so that a last block that is hardly filled costs little, but
+    enough for vectors. With spheres a slot is so cheap that cutting out the blocks pays only where
+    there are many.
     """
     if not system.slot_block:
         return 0
@@ -34,33 +37,39 @@ def tile_size(system: System, kind: str, room: int) -> int:
 
 def slice_tile(tree: T, k: Array | int, size: int) -> T:
     """Slots k size to (k + 1) size of arrays [.., P]; those that broadcast over slots as they are."""
-    cut = lambda x: x if x.shape[-1] == 1 else jax.lax.dynamic_slice_in_dim(x, k * size, size, -1)  # noqa: E731
+    cut = lambda x: x if x.shape[-1] == 1 else jax.lax.dynamic_slice_in_dim(x, k * size, size, -1)
     return jax.tree.map(cut, tree)
 
 
 def update_tile(tree: T, part: T, k: Array | int, size: int) -> T:
     """The arrays [.., P] with a block of them, ``slice_tile``, replaced."""
-    insert = lambda whole, rows: jax.lax.dynamic_update_slice_in_dim(whole, rows, k * size, -1)  # noqa: E731
+    insert = lambda whole, rows: jax.lax.dynamic_update_slice_in_dim(whole, rows, k * size, -1)
     return jax.tree.map(insert, tree, part)
 
 
-def slice_constants_tile(system: System, kind: str, slots: PairConstants, k: Array | int, size: int) -> PairConstants:
-    """``slice_tile`` slots. Where polytopes are alike and no wall is among the slots, nor among those of the first block,
-    the hulls are those of the first block, which the cache holds already."""
+def slice_constants_tile(
+    system: System, kind: str, slots: PairConstants, k: Array | int, size: int
+) -> PairConstants:
+    """``slice_tile`` slots. Where polytopes are alike and no wall is among the slots, nor among
+    those of the first block, the hulls are those of the first block, which the cache holds already.
+    """
     if kind != "hulls" or kind not in system.alike or slots.hull_a is None:
         return slice_tile(slots, k, size)
     rows = slice_tile(slots.replace(hull_a=None), k, size)
     parts = system.parts.count
     alike = jnp.all(slots.a[:size] < parts) & jnp.all(rows.a < parts)
     first = jax.tree.map(lambda x: x if x.shape[-1] == 1 else x[..., :size], slots.hull_a)
-    return rows.replace(hull_a=jax.lax.cond(alike, lambda: first, lambda: slice_tile(slots.hull_a, k, size)))
+    return rows.replace(
+        hull_a=jax.lax.cond(alike, lambda: first, lambda: slice_tile(slots.hull_a, k, size))
+    )
 
 
 def write_in_place(kind: str, memory: ContactHistory) -> ContactHistory:
-    """The same rows of a memory, computed by one kernel, before or after all that a block does with it.
+    """The same rows of a memory, computed by one kernel, before or after all that a block does with
+    it.
 
-    XLA then sees that nobody needs the old values any more, and writes over them; else it copies the whole memory in each
-    step. Of polytopes the branches of ``forces`` show it that already.
+    XLA then sees that nobody needs the old values any more, and writes over them; else it copies
+    the whole memory in each step. Of polytopes the branches of ``forces`` show it that already.
     """
     if kind == "hulls":
         return memory
@@ -68,4 +77,6 @@ def write_in_place(kind: str, memory: ContactHistory) -> ContactHistory:
     rows = [leaf.reshape(-1, leaf.shape[-1]) for leaf in leaves]
     together = vector.fusion_barrier(jnp.concatenate(rows))
     parts = jnp.split(together, np.cumsum([len(part) for part in rows])[:-1])
-    return jax.tree.unflatten(structure, [part.reshape(leaf.shape) for part, leaf in zip(parts, leaves, strict=True)])
+    return jax.tree.unflatten(
+        structure, [part.reshape(leaf.shape) for part, leaf in zip(parts, leaves, strict=True)]
+    )

@@ -1,4 +1,6 @@
-"""What is read of the collisions with walls: sums for each group, and all there is of them at the end."""
+"""What is read of the collisions with walls: sums for each group, and all there is of them at the
+end.
+"""
 
 from typing import Any
 
@@ -13,32 +15,48 @@ from dem_jax.types import Array, State, System
 def collision_totals(system: System, state: State) -> Array:
     """Number, normal impulse (N s) and work taken (J) on what Walls.reports names, [3, reports, R]."""
     assert state.collisions is not None
-    panels = state.collisions.cells.reshape(3, system.walls.group.shape[0], -1, system.runs).sum(axis=2)
+    panels = state.collisions.cells.reshape(3, system.walls.group.shape[0], -1, system.runs).sum(
+        axis=2
+    )
     groups = jnp.arange(len(system.walls.groups), dtype=system.walls.group.dtype)
     is_of = (system.walls.group[None] == groups[:, None])[None, :, :, None]
     return sum_reported_groups(system, jnp.sum(jnp.where(is_of, panels[:, None], 0), axis=2))
 
 
 def dissipated_energy(system: System, state: State) -> Array:
-    """Energy (J) that contacts with what Walls.reports names have dissipated, [reports, R]: what they took but what they would
-    still give back."""
+    """Energy (J) that contacts with what Walls.reports names have dissipated, [reports, R]: what
+    they took but what they would still give back.
+    """
     number, parts = system.walls.group, system.parts.count
     elastic = jnp.zeros((len(system.walls.groups), system.runs), state.position.dtype)
     for kind, slots in state.scratch.slots.items():
         energy = forces.elastic_energy(system, state, kind)
-        of_group = jnp.where(slots.live & (slots.a >= parts), number[jnp.maximum(slots.a - parts, 0)], -1)
-        rows = [batch_reduction.sum_contacts_per_run(system, jnp.where(of_group == g, energy, 0), slots.b) for g in range(len(elastic))]
+        of_group = jnp.where(
+            slots.live & (slots.a >= parts), number[jnp.maximum(slots.a - parts, 0)], -1
+        )
+        rows = [
+            batch_reduction.sum_contacts_per_run(
+                system, jnp.where(of_group == g, energy, 0), slots.b
+            )
+            for g in range(len(elastic))
+        ]
         elastic = elastic + jnp.stack(rows)
     return collision_totals(system, state)[2] - sum_reported_groups(system, elastic)
 
 
 def summarize_collisions(system: System, state: State) -> dict[str, Any]:
-    """All that is known of collisions, as plain numbers for a file: of each run of an ensemble, of places those where there is
-    anything. Energy is work taken; of contacts that have ended it is what they dissipated."""
+    """All that is known of collisions, as plain numbers for a file: of each run of an ensemble, of
+    places those where there is anything. Energy is work taken; of contacts that have ended it is
+    what they dissipated.
+    """
     now, rule = state.collisions, system.statistics
     assert now is not None and rule is not None
-    cells, speeds, moments = (np.asarray(x, np.float64)[..., 0] for x in (now.cells, now.speeds, now.moments))
-    runs = zip(cells, speeds, moments, strict=True) if cells.ndim == 3 else [(cells, speeds, moments)]
+    cells, speeds, moments = (
+        np.asarray(x, np.float64)[..., 0] for x in (now.cells, now.speeds, now.moments)
+    )
+    runs = (
+        zip(cells, speeds, moments, strict=True) if cells.ndim == 3 else [(cells, speeds, moments)]
+    )
     return {
         "groups": list(system.walls.groups),
         "cells": rule.cells,

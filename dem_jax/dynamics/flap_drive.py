@@ -2,12 +2,14 @@
 
     I f'' = T - clip(k f + c f', -T_max, T_max)
 
-f is the angle of a flap beyond its motion, about the axis of its hinge, T the torque of the pieces on it. Left alone it follows
-its motion exactly: the torque that accelerates it does not count towards the limit. Where it would be beyond shut, or beyond
-open, it meets a stop and rests there. A flap that has come to rest on its motion is locked, as by a linkage at its dead centre:
-pieces that land on shut flaps do not open them.
+f is the angle of a flap beyond its motion, about the axis of its hinge, T the torque of the pieces
+on it. Left alone it follows its motion exactly: the torque that accelerates it does not count
+towards the limit. Where it would be beyond shut, or beyond open, it meets a stop and rests there. A
+flap that has come to rest on its motion is locked, as by a linkage at its dead centre: pieces that
+land on shut flaps do not open them.
 
-A step is velocity Verlet, as that of pieces, the damper by the trapezoidal rule as that of a load cell.
+A step is velocity Verlet, as that of pieces, the damper by the trapezoidal rule as that of a load
+cell.
 """
 
 import jax
@@ -37,7 +39,9 @@ def free_response(system: System, state: State, steps: Array) -> FlapDriveMotion
     none = jnp.zeros_like(state.drive.lag)
 
     def advance_free(k: Array, now: FlapDriveMotion | None) -> FlapDriveMotion | None:
-        return _kick_flaps(system, _drift_flaps(system, _kick_flaps(system, now, none), state.step + k + 1), none)
+        return _kick_flaps(
+            system, _drift_flaps(system, _kick_flaps(system, now, none), state.step + k + 1), none
+        )
 
     return jax.lax.fori_loop(0, steps, advance_free, state.drive)
 
@@ -47,11 +51,15 @@ def _piece_torque(drive: FlapDrives, state: State) -> Array:
     return jnp.sum(drive.axis[:, :, None] * state.walls.torque, axis=0)
 
 
-def _kick_flaps(system: System, now: FlapDriveMotion | None, torque: Array) -> FlapDriveMotion | None:
+def _kick_flaps(
+    system: System, now: FlapDriveMotion | None, torque: Array
+) -> FlapDriveMotion | None:
     drive, half = system.walls.drive, 0.5 * system.dt
     if drive is None or now is None:
         return None
-    inertia, stiffness, damping, most = (x[:, None] for x in (drive.inertia, drive.stiffness, drive.damping, drive.torque))
+    inertia, stiffness, damping, most = (
+        x[:, None] for x in (drive.inertia, drive.stiffness, drive.damping, drive.torque)
+    )
     delay = 0.5 * half * damping / inertia
     free = ((1 - delay) * now.rate + half / inertia * (torque - stiffness * now.lag)) / (1 + delay)
     held = jnp.clip(stiffness * now.lag + 0.5 * damping * (now.rate + free), -most, most)
@@ -59,7 +67,9 @@ def _kick_flaps(system: System, now: FlapDriveMotion | None, torque: Array) -> F
     return now.replace(rate=jnp.where(drive.is_driven[:, None], rate, 0))
 
 
-def _drift_flaps(system: System, now: FlapDriveMotion | None, step: Array) -> FlapDriveMotion | None:
+def _drift_flaps(
+    system: System, now: FlapDriveMotion | None, step: Array
+) -> FlapDriveMotion | None:
     """After a step at constant velocity, between the stops; step: at its end."""
     drive = system.walls.drive
     if drive is None or now is None:

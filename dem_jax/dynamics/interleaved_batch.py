@@ -1,9 +1,12 @@
-"""Runs of an ensemble side by side as one system whose runs do not see each other: on a CPU, where pieces are few.
+"""Runs of an ensemble side by side as one system whose runs do not see each other: on a CPU, where
+pieces are few.
 
-A single step of nine pieces computes all of its 32 slots, however few are filled, in hundreds of loops over 32 numbers.
-Side by side only the blocks that all runs together fill are computed. Against a thread for each run that takes 0.5 times as
-long for a whole stock drop of nine pieces; for the first 0.15 s of a drop 0.26 times, of 30 pieces 0.57, of 61 0.63, of 318 1.2.
-Each run has the pairs, slots and samples of a single run, up to round-off, and the same bits at any position in any batch.
+A single step of nine pieces computes all of its 32 slots, however few are filled, in hundreds of
+loops over 32 numbers. Side by side only the blocks that all runs together fill are computed.
+Against a thread for each run that takes 0.5 times as long for a whole stock drop of nine pieces;
+for the first 0.15 s of a drop 0.26 times, of 30 pieces 0.57, of 61 0.63, of 318 1.2. Each run has
+the pairs, slots and samples of a single run, up to round-off, and the same bits at any position in
+any batch.
 """
 
 import jax
@@ -16,16 +19,23 @@ from dem_jax.math.compaction import EMPTY, group_by_owner
 from dem_jax.types import Array, ContactTable, OverflowReport, State, System
 
 MOST_PIECES = 64  # of a run, for which it pays
-RUNS_AT_ONCE = 16  # runs: more gain little and leave cores without work; always as many, as each number is a program of its own
+RUNS_AT_ONCE = 16  # runs: more gain little and leave cores without work; always as many, as each
+# number is a program of its own
 SLOT_BLOCK = 32  # slots computed at a time: of nine pieces 64 take 1.2 times as long, 16 1.1 times
 
+
 def is_batch_worthwhile(system: System, runs: int) -> bool:
-    """True if a number of runs of a system is faster as a batch: with few pieces, all pairs of which are tested, no seams,
-    no load cell, no drive of limited torque, no statistics of collisions and no pieces that come and go."""
+    """True if a number of runs of a system is faster as a batch: with few pieces, all pairs of
+    which are tested, no seams, no load cell, no drive of limited torque, no statistics of
+    collisions and no pieces that come and go.
+    """
     kinds = (system.parts.polytopes.shape[0], system.parts.spheres.shape[0])
-    is_listed = any(candidate_search.choose_search(system.neighbours, count) != "all-pairs" for count in kinds)
+    is_listed = any(
+        candidate_search.choose_search(system.neighbours, count) != "all-pairs" for count in kinds
+    )
     is_small = sum(kinds) <= MOST_PIECES and runs >= RUNS_AT_ONCE
-    is_plain = not contact_reduction.has_shared_surfaces(system) and system.walls.load_cell is None  # a cell sets the walls of each run apart
+    # a cell sets the walls of each run apart
+    is_plain = not contact_reduction.has_shared_surfaces(system) and system.walls.load_cell is None
     is_plain = is_plain and system.walls.drive is None and system.statistics is None
     is_plain = is_plain and not system.exchanges and system.present is None
     return is_small and bool(system.slot_block) and is_plain and not is_listed
@@ -43,25 +53,33 @@ def run_chunk(
     """``stepping.run_chunk`` of states with a leading run axis, which all that it returns has too."""
     runs = states.step.shape[0]
     one = make_batch_system(system, runs)
-    state, recorded, poses = stepping.run_batched_chunk(one, interleave_states(one, states), count, frame_every, samples, frames, phase)
+    state, recorded, poses = stepping.run_batched_chunk(
+        one, interleave_states(one, states), count, frame_every, samples, frames, phase
+    )
     poses = poses.reshape(frames, 13, states.position.shape[-1], runs)
-    return split_states(system, states, state), *jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), (recorded, poses))
+    return split_states(system, states, state), *jax.tree.map(
+        lambda x: jnp.moveaxis(x, -1, 0), (recorded, poses)
+    )
 
 
 def make_batch_system(system: System, runs: int) -> System:
     """The system of a batch of runs."""
     parts, panels = system.parts.count, system.walls.group.shape[0]
-    each = lambda x: jnp.repeat(x, runs, axis=-1)  # noqa: E731
-    numbers = lambda x: (runs * x[:, None] + jnp.arange(runs, dtype=x.dtype)[None]).reshape(-1)  # noqa: E731
+    each = lambda x: jnp.repeat(x, runs, axis=-1)
+    numbers = lambda x: (runs * x[:, None] + jnp.arange(runs, dtype=x.dtype)[None]).reshape(-1)
     rows = {name: numbers(getattr(system.parts, name)) for name in ("polytopes", "spheres")}
     for name in ("owner", "surface"):
         of_one = getattr(system.parts, name)
-        rows[name] = None if of_one is None else jnp.where(each(of_one) >= 0, numbers(of_one), EMPTY)
+        rows[name] = (
+            None if of_one is None else jnp.where(each(of_one) >= 0, numbers(of_one), EMPTY)
+        )
     return system.replace(
         pieces=jax.tree.map(each, system.pieces),
         parts=jax.tree.map(each, system.parts).replace(**rows),
         shape=jnp.concatenate([each(system.shape[:parts]), system.shape[parts : parts + panels]]),
-        capacity=tuple((kind, runs * candidates, runs * slots) for kind, candidates, slots in system.capacity),
+        capacity=tuple(
+            (kind, runs * candidates, runs * slots) for kind, candidates, slots in system.capacity
+        ),
         slot_block=SLOT_BLOCK,
         runs=runs,
     )
@@ -70,11 +88,13 @@ def make_batch_system(system: System, runs: int) -> System:
 def interleave_states(one: System, states: State) -> State:
     """The state of a batch of runs, ``make_batch_system``; arrays that a rebuild fills are empty."""
     parts = one.parts.count // one.runs
-    beside = lambda x: jnp.moveaxis(x, 0, -1).reshape(*x.shape[1:-1], -1)  # noqa: E731
+    beside = lambda x: jnp.moveaxis(x, 0, -1).reshape(*x.shape[1:-1], -1)
     run = jnp.arange(one.runs, dtype=jnp.int32)[:, None]
-    number = lambda x: jnp.where(x < parts, one.runs * x + run, x + (one.runs - 1) * parts)  # noqa: E731
-    numbered = lambda x: jnp.where(x >= 0, number(x), EMPTY)  # noqa: E731
-    tables = {kind: t.replace(a=numbered(t.a), b=numbered(t.b)) for kind, t in states.contacts.items()}
+    number = lambda x: jnp.where(x < parts, one.runs * x + run, x + (one.runs - 1) * parts)
+    numbered = lambda x: jnp.where(x >= 0, number(x), EMPTY)
+    tables = {
+        kind: t.replace(a=numbered(t.a), b=numbered(t.b)) for kind, t in states.contacts.items()
+    }
     state = State(
         step=states.step[0],
         motion=jax.tree.map(beside, states.motion),
@@ -93,10 +113,15 @@ def interleave_states(one: System, states: State) -> State:
 
 
 def split_states(system: System, states: State, state: State) -> State:
-    """The states of the runs of a batch, like ``states`` of the same runs before, with their arrays that a rebuild fills."""
+    """The states of the runs of a batch, like ``states`` of the same runs before, with their arrays
+    that a rebuild fills.
+    """
     runs, parts = states.step.shape[0], system.parts.count
-    apart = lambda x: jnp.moveaxis(x.reshape(*x.shape[:-1], -1, runs), -1, 0)  # noqa: E731
-    tables = {kind: _split_table(table, runs, parts, states.contacts[kind].a.shape[-1]) for kind, table in state.contacts.items()}
+    apart = lambda x: jnp.moveaxis(x.reshape(*x.shape[:-1], -1, runs), -1, 0)
+    tables = {
+        kind: _split_table(table, runs, parts, states.contacts[kind].a.shape[-1])
+        for kind, table in state.contacts.items()
+    }
     return State(
         step=jnp.broadcast_to(state.step, (runs,)),
         motion=jax.tree.map(apart, state.motion),
@@ -106,7 +131,9 @@ def split_states(system: System, states: State, state: State) -> State:
         collisions=None,
         exchange=None,
         contacts=tables,
-        incidence=jax.vmap(lambda tables: neighbour_list.find_incidence(system, tables).load_columns)(tables),
+        incidence=jax.vmap(
+            lambda tables: neighbour_list.find_incidence(system, tables).load_columns
+        )(tables),
         ledger=jax.tree.map(apart, state.ledger),
         guard=_split_reports(states.guard, state.guard, parts),
         scratch=states.scratch,
@@ -114,18 +141,26 @@ def split_states(system: System, states: State, state: State) -> State:
 
 
 def _split_table(table: ContactTable, runs: int, parts: int, slots: int) -> ContactTable:
-    """The contacts of each run, in order, [runs, .., slots]; contacts beyond the capacity are dropped and noted in the guard."""
+    """The contacts of each run, in order, [runs, .., slots]; contacts beyond the capacity are
+    dropped and noted in the guard.
+    """
     order, first = group_by_owner(jnp.where(table.b >= 0, table.b % runs, runs), runs)
     rank = jnp.arange(slots, dtype=jnp.int32)[None]
     there = rank < (first[1:] - first[:-1])[:, None]
     where = order[jnp.minimum(first[:-1, None] + rank, order.shape[0] - 1)]  # [runs, slots]
-    a, b = (jnp.where(there, _number_in_run(x[where], runs, parts), EMPTY) for x in (table.a, table.b))
-    of_run = lambda x: jnp.moveaxis(jnp.where(jnp.broadcast_to(there, x[..., where].shape), x[..., where], 0), -2, 0)  # noqa: E731
+    a, b = (
+        jnp.where(there, _number_in_run(x[where], runs, parts), EMPTY) for x in (table.a, table.b)
+    )
+    of_run = lambda x: jnp.moveaxis(
+        jnp.where(jnp.broadcast_to(there, x[..., where].shape), x[..., where], 0), -2, 0
+    )
     return ContactTable(a, b, jax.tree.map(of_run, table.memory))
 
 
 def _split_reports(before: OverflowReport, after: OverflowReport, parts: int) -> OverflowReport:
-    """The guards of the runs: the batch's notes hold for each run, except the initial overlap, which belongs to one."""
+    """The guards of the runs: the batch's notes hold for each run, except the initial overlap,
+    which belongs to one.
+    """
     runs = before.travel.shape[0]
     each = jax.tree.map(lambda x: jnp.broadcast_to(x, (runs, *x.shape)), after)
     is_its = jnp.arange(runs, dtype=jnp.int32) == after.start_pair[1] % runs
@@ -133,7 +168,9 @@ def _split_reports(before: OverflowReport, after: OverflowReport, parts: int) ->
     known = before.start_overlap >= 0
     return each.replace(
         start_overlap=jnp.where(known, before.start_overlap, overlap),
-        start_pair=jnp.where(known[:, None], before.start_pair, _number_in_run(after.start_pair, runs, parts)[None]),
+        start_pair=jnp.where(
+            known[:, None], before.start_pair, _number_in_run(after.start_pair, runs, parts)[None]
+        ),
     )
 
 

@@ -2,9 +2,10 @@
 
     m x'' + c x' + k x = F
 
-x is the deflection, downwards from where the cell is without pieces (its tare), F the force of the pieces on the groups that it
-carries. A step is velocity Verlet, as that of pieces; the damper is in the kick, by the trapezoidal rule, so that a kick of half a
-step is the same forwards and backwards in time and a step of second order. Stable while dt sqrt(k / m) < 2, whatever the damper.
+x is the deflection, downwards from where the cell is without pieces (its tare), F the force of the
+pieces on the groups that it carries. A step is velocity Verlet, as that of pieces; the damper is in
+the kick, by the trapezoidal rule, so that a kick of half a step is the same forwards and backwards
+in time and a step of second order. Stable while dt sqrt(k / m) < 2, whatever the damper.
 
 The inertia forces of flaps that swing on the bucket are neglected: those of opposite flaps cancel.
 """
@@ -15,12 +16,17 @@ import jax.numpy as jnp
 from dem_jax.types import Array, LoadCellMotion, State, System
 
 STANDARD_GRAVITY = 9.81  # m/s2: converts a force to kg in a scene without gravity
-READINGS = {"deflection": "m", "velocity": "m/s", "signal": "N", "weight": "kg"}  # the rows of ``cell_readings``
+READINGS = {"deflection": "m", "velocity": "m/s", "signal": "N", "weight": "kg"}  # the rows of
+# ``cell_readings``
 
 
 def kick(system: System, state: State) -> LoadCellMotion | None:
     """Half a step of acceleration, to dt / 2 later."""
-    return None if system.walls.load_cell is None else _kick_cell(system, state.cell, cell_load(system, state))
+    return (
+        None
+        if system.walls.load_cell is None
+        else _kick_cell(system, state.cell, cell_load(system, state))
+    )
 
 
 def drift(system: System, state: State) -> LoadCellMotion | None:
@@ -33,7 +39,9 @@ def free_response(system: System, state: State, steps: Array) -> LoadCellMotion 
     if state.cell is None:
         return None
     none = jnp.zeros_like(state.cell.deflection)
-    one = lambda _, cell: _kick_cell(system, _drift_cell(system, _kick_cell(system, cell, none)), none)  # noqa: E731
+    one = lambda _, cell: _kick_cell(
+        system, _drift_cell(system, _kick_cell(system, cell, none)), none
+    )
     return jax.lax.fori_loop(0, steps, one, state.cell)
 
 
@@ -45,7 +53,9 @@ def cell_load(system: System, state: State) -> Array:
 
 
 def cell_readings(system: System, state: State) -> Array:
-    """The values of READINGS, [4, R]: the signal is the force of spring and damper, k x + c x', the weight that over gravity."""
+    """The values of READINGS, [4, R]: the signal is the force of spring and damper, k x + c x', the
+    weight that over gravity.
+    """
     cell, now = system.walls.load_cell, state.cell
     assert cell is not None and now is not None
     signal = cell.stiffness * now.deflection + cell.damping * now.velocity
@@ -64,4 +74,6 @@ def _kick_cell(system: System, now: LoadCellMotion | None, force: Array) -> Load
 
 
 def _drift_cell(system: System, now: LoadCellMotion | None) -> LoadCellMotion | None:
-    return None if now is None else now.replace(deflection=now.deflection + system.dt * now.velocity)
+    return (
+        None if now is None else now.replace(deflection=now.deflection + system.dt * now.velocity)
+    )

@@ -7,12 +7,15 @@ from dem_jax.dynamics.presence import find_present
 from dem_jax.math import quaternions, vector
 from dem_jax.types import SETTLED_SPEED, Array, Sample, State, System
 
-ENERGIES = ("kinetic", "potential", "elastic", "dissipated", "wall_work", "total")  # the rows of ``energy_terms``
+# the rows of ``energy_terms``
+ENERGIES = ("kinetic", "potential", "elastic", "dissipated", "wall_work", "total")
 
 
 def take_sample(system: System, state: State) -> Sample:
     """A sample of the interval that ends now: the quantities of the system."""
-    return Sample({quantity.name: quantity.evaluate(system, state) for quantity in system.quantities})
+    return Sample(
+        {quantity.name: quantity.evaluate(system, state) for quantity in system.quantities}
+    )
 
 
 def sample_interval(system: System) -> Array:
@@ -30,21 +33,26 @@ def settled_mass(system: System, state: State) -> Array:
 
 
 def max_relative_displacement(system: System, state: State) -> Array:
-    """How far the fastest piece in the domain moves in a step, relative to the smallest width of all, [R]."""
+    """How far the fastest piece in the domain moves in a step, relative to the smallest width of
+    all, [R].
+    """
     return max_speed(system, state) * system.dt / jnp.min(system.pieces.width)
 
 
 def max_speed(system: System, state: State) -> Array:
     """Speed of the fastest piece (m/s), [R], of those in the domain where the others stop no run."""
     speed = vector.norm(tuple(state.velocity))
-    return batch_reduction.max_per_run(system, speed if system.escape_stops else jnp.where(is_in_domain(system, state), speed, 0))
+    return batch_reduction.max_per_run(
+        system, speed if system.escape_stops else jnp.where(is_in_domain(system, state), speed, 0)
+    )
 
 
 def energy_terms(system: System, state: State) -> Array:
     """kinetic, potential, elastic, dissipated, wall_work, total, [6, R] (J); total stays constant.
 
-    Elastic is what contacts give back along their unloading branch, F^2 / 2 K_nu, and the tangential springs;
-    total = kinetic + potential + elastic + dissipated - wall_work, less what pieces that came in had more than those taken out.
+    Elastic is what contacts give back along their unloading branch, F^2 / 2 K_nu, and the
+    tangential springs; total = kinetic + potential + elastic + dissipated - wall_work, less what
+    pieces that came in had more than those taken out.
     """
     kinetic = kinetic_energy(system, state)
     height = -jnp.sum(system.gravity[:, None] * state.position, axis=0)
@@ -65,9 +73,16 @@ def present_mass(system: System, state: State) -> Array:
 
 
 def piece_mass(system: System, state: State) -> Array:
-    """Mass of the pieces in the scene, and of those that came in and were taken out since the first step, [3, R] (kg)."""
+    """Mass of the pieces in the scene, and of those that came in and were taken out since the first
+    step, [3, R] (kg).
+    """
     assert state.exchange is not None
-    return jnp.concatenate([batch_reduction.sum_per_run(system, present_mass(system, state))[None], state.exchange.mass])
+    return jnp.concatenate(
+        [
+            batch_reduction.sum_per_run(system, present_mass(system, state))[None],
+            state.exchange.mass,
+        ]
+    )
 
 
 def piece_count(system: System, state: State) -> Array:
@@ -84,7 +99,10 @@ def kinetic_energy(system: System, state: State) -> Array:
     if system.has_rotation:
         turn = quaternions.rotation_matrix(tuple(state.orientation))
         p = vector.rotate_back(turn, tuple(state.angular_momentum))
-        twice = twice + sum(batch_reduction.sum_per_run(system, c * c / i) for c, i in zip(p, system.pieces.inertia, strict=True))
+        twice = twice + sum(
+            batch_reduction.sum_per_run(system, c * c / i)
+            for c, i in zip(p, system.pieces.inertia, strict=True)
+        )
     return 0.5 * twice
 
 
@@ -92,13 +110,19 @@ def elastic_energy(system: System, state: State) -> Array:
     """Energy that contacts would give back (J)."""
     total = jnp.zeros((system.runs,), state.position.dtype)
     for kind, slots in state.scratch.slots.items():
-        total = total + batch_reduction.sum_contacts_per_run(system, forces.elastic_energy(system, state, kind), slots.b)
+        total = total + batch_reduction.sum_contacts_per_run(
+            system, forces.elastic_energy(system, state, kind), slots.b
+        )
     return total
 
 
 def first_invalid_body(system: System, state: State) -> Array:
-    """The first piece whose state is not finite, or whose centre has left the domain where that counts; -1: none."""
-    motion = jnp.concatenate([state.position, state.velocity, state.angular_momentum, state.orientation])
+    """The first piece whose state is not finite, or whose centre has left the domain where that
+    counts; -1: none.
+    """
+    motion = jnp.concatenate(
+        [state.position, state.velocity, state.angular_momentum, state.orientation]
+    )
     bad = ~jnp.all(jnp.isfinite(motion), axis=0)
     if system.escape_stops:
         bad = bad | ~is_in_domain(system, state)
@@ -106,7 +130,9 @@ def first_invalid_body(system: System, state: State) -> Array:
 
 
 def is_in_domain(system: System, state: State) -> Array:
-    """Whether the centre of each piece is inside the domain, [N] bool; so are those that are not in the scene."""
+    """Whether the centre of each piece is inside the domain, [N] bool; so are those that are not in
+    the scene.
+    """
     x = state.position
     inside = jnp.all((x >= system.domain_low[:, None]) & (x <= system.domain_high[:, None]), axis=0)
     present = find_present(system, state)
@@ -114,12 +140,16 @@ def is_in_domain(system: System, state: State) -> Array:
 
 
 def record_frame(system: System, state: State) -> Array:
-    """Position, orientation, velocity and angular velocity of every piece, [13, N]; no position of those that are outside."""
+    """Position, orientation, velocity and angular velocity of every piece, [13, N]; no position of
+    those that are outside.
+    """
     omega = jnp.zeros_like(state.velocity)
     if system.has_rotation:
         moments = vector.unstack_vector(system.pieces.inertia)
         omega = jnp.stack(
-            quaternions.angular_velocity(tuple(state.orientation), tuple(state.angular_momentum), moments)
+            quaternions.angular_velocity(
+                tuple(state.orientation), tuple(state.angular_momentum), moments
+            )
         )
     position, present = state.position, find_present(system, state)
     if present is not None:

@@ -1,4 +1,6 @@
-"""All that is sampled: one entry each. It is then in every sample, file and run, and in ``python -m dem_jax run --help``."""
+"""All that is sampled: one entry each. It is then in every sample, file and run, and in ``python -m
+dem_jax run --help``.
+"""
 
 import jax.numpy as jnp
 import numpy as np
@@ -10,7 +12,9 @@ from dem_jax.types import Array, State, System, Walls
 
 
 def _energy_rows(system: System) -> Rows:
-    """Dissipation and the work of walls, and with them the total, are known only where they are added up."""
+    """Dissipation and the work of walls, and with them the total, are known only where they are
+    added up.
+    """
     known = observables.ENERGIES if system.ledger else observables.ENERGIES[:3]
     return tuple(zip(known, range(len(known)), strict=True))
 
@@ -34,7 +38,11 @@ PARTNER = Axis(
 READING = Axis(
     "reading",
     size=lambda _: len(load_cell_oscillator.READINGS),
-    rows=lambda system: tuple((name, k) for k, name in enumerate(load_cell_oscillator.READINGS) if system.walls.load_cell is not None),
+    rows=lambda system: tuple(
+        (name, k)
+        for k, name in enumerate(load_cell_oscillator.READINGS)
+        if system.walls.load_cell is not None
+    ),
     symbol="READING",
 )
 
@@ -48,7 +56,9 @@ DRIVEN_GROUP = Axis(
 
 
 def _driven_group_rows(walls: Walls) -> Rows:
-    which = [] if walls.drive is None else np.flatnonzero(np.asarray(walls.drive.is_driven)).tolist()
+    which = (
+        [] if walls.drive is None else np.flatnonzero(np.asarray(walls.drive.is_driven)).tolist()
+    )
     return tuple((walls.groups[k], k) for k in which)
 
 
@@ -65,13 +75,18 @@ COLLISIONS = ("collisions", "collision_impulse", "collision_energy")
 
 
 def _count_contacts(system: System, state: State) -> Array:
-    """Number of contacts with the panels of each wall group, and last of those between pieces, [G + 1, R] int32."""
+    """Number of contacts with the panels of each wall group, and last of those between pieces, [G +
+    1, R] int32.
+    """
     parts, groups = system.parts.count, len(system.walls.groups)
-    partner_of = jnp.pad(system.walls.group, (0, 1), constant_values=groups)  # of panels, and last of pieces
+    partner_of = jnp.pad(system.walls.group, (0, 1), constant_values=groups)  # of panels, and last
+    # of pieces
     found = jnp.zeros((groups + 1, system.runs), jnp.int32)
     for table in state.contacts.values():
         partner = partner_of[jnp.where(table.a >= parts, table.a - parts, -1)]
-        found += batch_reduction.count_contacts_per_run(system, jnp.where(table.memory.overlap > 0, partner, -1), table.b, groups + 1)
+        found += batch_reduction.count_contacts_per_run(
+            system, jnp.where(table.memory.overlap > 0, partner, -1), table.b, groups + 1
+        )
     return found
 
 
@@ -183,9 +198,19 @@ QUANTITIES = validate_quantities(
 
 
 def select_quantities(walls: Walls, statistics: bool, exchanges: bool) -> tuple[Quantity, ...]:
-    """The quantities of a system with these walls: without a load cell or a drive nothing of one is sampled, nor of collisions
-    without statistics, nor of pieces that come and go without an inlet or outlet."""
+    """The quantities of a system with these walls: without a load cell or a drive nothing of one is
+    sampled, nor of collisions without statistics, nor of pieces that come and go without an inlet
+    or outlet.
+    """
     absent = set() if statistics else set(COLLISIONS)
-    absences = ((READING, walls.load_cell is None), (DRIVEN_GROUP, walls.drive is None), (PLACE, not exchanges))
+    absences = (
+        (READING, walls.load_cell is None),
+        (DRIVEN_GROUP, walls.drive is None),
+        (PLACE, not exchanges),
+    )
     without = [axis for axis, is_absent in absences if is_absent]
-    return tuple(q for q in QUANTITIES if q.name not in absent and not any(axis in q.axes for axis in without))
+    return tuple(
+        q
+        for q in QUANTITIES
+        if q.name not in absent and not any(axis in q.axes for axis in without)
+    )

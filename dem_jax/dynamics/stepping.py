@@ -51,7 +51,9 @@ def drop_run_axis(sample: Sample) -> Sample:
 
 
 def advance_step(system: System, state: State, panels: kinematics.WallState | None = None) -> State:
-    """One time step: kick, drift, walls, contacts, kick. panels: boundary.after_step of it, if that is known already."""
+    """One time step: kick, drift, walls, contacts, kick. panels: boundary.after_step of it, if that
+    is known already.
+    """
     state, omega, panels = _advance_kinematics(system, state, panels)
     stacked = packed_bodies.pack_bodies(system, state, omega, panels)
     if has_feature_cache(system):
@@ -59,9 +61,12 @@ def advance_step(system: System, state: State, panels: kinematics.WallState | No
     return _apply_contacts(system, state, omega, panels, stacked)
 
 
-def _advance_kinematics(system: System, state: State, panels: kinematics.WallState | None) -> tuple[State, Array, kinematics.WallState]:
-    """The first half of ``advance_step``: the state with the pieces where they are after the step, their angular velocity in it,
-    and the walls."""
+def _advance_kinematics(
+    system: System, state: State, panels: kinematics.WallState | None
+) -> tuple[State, Array, kinematics.WallState]:
+    """The first half of ``advance_step``: the state with the pieces where they are after the step,
+    their angular velocity in it, and the walls.
+    """
     state = integrator.kick(system, state)
     state, omega = integrator.drift(system, state)
     if panels is None:
@@ -69,41 +74,70 @@ def _advance_kinematics(system: System, state: State, panels: kinematics.WallSta
     return state, omega, kinematics.apply_compliance(system, state, panels)
 
 
-def _apply_contacts(system: System, state: State, omega: Array, panels: kinematics.WallState, stacked: Array) -> State:
-    """The second half of ``advance_step``, of what ``_advance_kinematics`` returns; stacked: bodies.stack of it."""
+def _apply_contacts(
+    system: System, state: State, omega: Array, panels: kinematics.WallState, stacked: Array
+) -> State:
+    """The second half of ``advance_step``, of what ``_advance_kinematics`` returns; stacked:
+    bodies.stack of it.
+    """
     state = neighbour_list.accumulate_displacement(system, state, omega, panels)
     state = forces.compute_contact_forces(system, state, omega, panels, stacked)
     return integrator.kick(system, state)
 
 
-def run_compiled_chunk(system: System, state: State, count: IntLike, frame_every: IntLike, samples: int, frames: int) -> ChunkOutput:
+def run_compiled_chunk(
+    system: System, state: State, count: IntLike, frame_every: IntLike, samples: int, frames: int
+) -> ChunkOutput:
     """``run_chunk``, compiled: the form for long runs."""
-    return _compile_chunk(jax.default_backend())(system, state, count, frame_every, samples=samples, frames=frames)
+    return _compile_chunk(jax.default_backend())(
+        system, state, count, frame_every, samples=samples, frames=frames
+    )
 
 
 @cache
 def _compile_chunk(backend: str) -> Callable[..., ChunkOutput]:
-    made: Callable[..., ChunkOutput] = xla_flags.jit_for_backend(run_chunk, backend, static_argnames=("samples", "frames"))
+    made: Callable[..., ChunkOutput] = xla_flags.jit_for_backend(
+        run_chunk, backend, static_argnames=("samples", "frames")
+    )
     return made
 
 
-def run_chunk(system: System, state: State, count: IntLike, frame_every: IntLike, samples: int, frames: int, phase: IntLike = 0) -> ChunkOutput:
+def run_chunk(
+    system: System,
+    state: State,
+    count: IntLike,
+    frame_every: IntLike,
+    samples: int,
+    frames: int,
+    phase: IntLike = 0,
+) -> ChunkOutput:
     """``run_batched_chunk`` of a single run, its samples without a run axis."""
-    state, recorded, poses = run_batched_chunk(system, state, count, frame_every, samples, frames, phase)
+    state, recorded, poses = run_batched_chunk(
+        system, state, count, frame_every, samples, frames, phase
+    )
     return state, drop_run_axis(recorded), poses
 
 
 def run_batched_chunk(
-    system: System, state: State, count: IntLike, frame_every: IntLike, samples: int, frames: int, phase: IntLike = 0
+    system: System,
+    state: State,
+    count: IntLike,
+    frame_every: IntLike,
+    samples: int,
+    frames: int,
+    phase: IntLike = 0,
 ) -> ChunkOutput:
-    """Run ``count`` samples (at most ``samples``) and keep them, and a frame after each ``frame_every`` samples.
+    """Run ``count`` samples (at most ``samples``) and keep them, and a frame after each
+    ``frame_every`` samples.
 
-    phase: samples since the last frame, below ``frame_every``. Everything but the two capacities may change without
-    compiling again. Returns the state, the samples [samples, .., R] and the frames [frames, 13, N] (position, orientation,
-    velocity, angular velocity), of which the first (count + phase) // frame_every are filled.
+    phase: samples since the last frame, below ``frame_every``. Everything but the two capacities
+    may change without compiling again. Returns the state, the samples [samples, .., R] and the
+    frames [frames, 13, N] (position, orientation, velocity, angular velocity), of which the first
+    (count + phase) // frame_every are filled.
     """
     recorded = jax.tree.map(
-        lambda x: jnp.zeros((samples, *x.shape), x.dtype), jax.eval_shape(partial(observables.take_sample, system), state)
+        lambda x: jnp.zeros((samples, *x.shape), x.dtype),
+        jax.eval_shape(partial(observables.take_sample, system), state),
     )
     poses = jnp.zeros((frames, 13, state.position.shape[1]), state.position.dtype)
 
@@ -111,15 +145,29 @@ def run_batched_chunk(
         state, walls = _rebuild_neighbours(system, going.state)
         parts: IntLike = 1
         if system.sample_parts == 1:
-            parts = jnp.minimum(jnp.maximum(system.block_steps // system.substeps, 1), count - going.at.sample)
-        going = _run_parts(system, walls, going._replace(state=state), _count_parts(system, going.at) + parts, record_sample)
+            parts = jnp.minimum(
+                jnp.maximum(system.block_steps // system.substeps, 1), count - going.at.sample
+            )
+        going = _run_parts(
+            system,
+            walls,
+            going._replace(state=state),
+            _count_parts(system, going.at) + parts,
+            record_sample,
+        )
         return going._replace(state=_record_travel(system, going.state))
 
     def record_sample(going: LoopCarry) -> LoopCarry:
         state, recorded, poses, at = going
-        recorded = jax.tree.map(lambda rows, row: rows.at[at.sample].set(row), recorded, observables.take_sample(system, state))
+        recorded = jax.tree.map(
+            lambda rows, row: rows.at[at.sample].set(row),
+            recorded,
+            observables.take_sample(system, state),
+        )
         if frames:
-            poses = poses.at[jnp.minimum((at.sample + phase) // frame_every, frames - 1)].set(observables.record_frame(system, state))
+            poses = poses.at[jnp.minimum((at.sample + phase) // frame_every, frames - 1)].set(
+                observables.record_frame(system, state)
+            )
         return LoopCarry(state, recorded, poses, at)
 
     going = LoopCarry(state, recorded, poses, ChunkProgress(*[jnp.zeros((), jnp.int32)] * 3))
@@ -127,17 +175,23 @@ def run_batched_chunk(
     return going.state, going.recorded, going.poses
 
 
-def rollout(system: System, state: State, samples: int, substeps: int, checkpoint: bool = False) -> tuple[State, Sample]:
-    """Run a given number of samples of ``substeps`` steps, differentiable in reverse mode with respect to every array.
+def rollout(
+    system: System, state: State, samples: int, substeps: int, checkpoint: bool = False
+) -> tuple[State, Sample]:
+    """Run a given number of samples of ``substeps`` steps, differentiable in reverse mode with
+    respect to every array.
 
-    Of a single run. Reverse mode keeps the state after each step, and computes the step anew: to keep what a step computes
-    takes ten times the memory, and of a box three times as long to compile. checkpoint: it keeps the state at each rebuild only,
-    and computes the steps between anew as well. Returns the last state and the samples, each field with a leading axis
-    [samples]. Use ``run_compiled_chunk`` for long runs.
+    Of a single run. Reverse mode keeps the state after each step, and computes the step anew: to
+    keep what a step computes takes ten times the memory, and of a box three times as long to
+    compile. checkpoint: it keeps the state at each rebuild only, and computes the steps between
+    anew as well. Returns the last state and the samples, each field with a leading axis [samples].
+    Use ``run_compiled_chunk`` for long runs.
     """
     parts = system.sample_parts
     block = max(1, system.block_steps // substeps) if parts == 1 else 1
-    system = system.replace(substeps=jnp.full_like(system.substeps, substeps), block_steps=block * substeps)
+    system = system.replace(
+        substeps=jnp.full_like(system.substeps, substeps), block_steps=block * substeps
+    )
     step = jax.checkpoint(partial(_advance_one_step, system))
 
     def run_steps(state: State, first: Array) -> tuple[State, Sample]:
@@ -146,22 +200,32 @@ def rollout(system: System, state: State, samples: int, substeps: int, checkpoin
 
         def run_interval(state: State, number: Array) -> tuple[State, Sample]:
             state = _start_interval(state, number % parts == 0)
-            state = jax.lax.scan(lambda s, _: (step(s, walls), None), state, None, length=substeps)[0]
+            state = jax.lax.scan(lambda s, _: (step(s, walls), None), state, None, length=substeps)[
+                0
+            ]
             return state, observables.take_sample(system, state)
 
-        state, recorded = jax.lax.scan(run_interval, state, first + jnp.arange(block, dtype=jnp.int32))
+        state, recorded = jax.lax.scan(
+            run_interval, state, first + jnp.arange(block, dtype=jnp.int32)
+        )
         return _record_travel(system, state), recorded
 
     between_rebuilds = jax.checkpoint(run_steps) if checkpoint else run_steps
     blocks = -(-samples * parts // block)
     firsts = block * jnp.arange(blocks, dtype=jnp.int32)
-    state, recorded = jax.lax.scan(lambda state, first: between_rebuilds(_rebuild_neighbours(system, state)[0], first), state, firsts)
-    rows = lambda x: x.reshape(blocks * block, *x.shape[2:])[parts - 1 :: parts][:samples]  # noqa: E731
+    state, recorded = jax.lax.scan(
+        lambda state, first: between_rebuilds(_rebuild_neighbours(system, state)[0], first),
+        state,
+        firsts,
+    )
+    rows = lambda x: x.reshape(blocks * block, *x.shape[2:])[parts - 1 :: parts][:samples]
     return state, drop_run_axis(jax.tree.map(rows, recorded))
 
 
 def _rebuild_neighbours(system: System, state: State) -> tuple[State, kinematics.WallSchedule]:
-    """Find the candidate pairs anew, and where the walls will be after each step until the next rebuild."""
+    """Find the candidate pairs anew, and where the walls will be after each step until the next
+    rebuild.
+    """
     walls = kinematics.precompute_wall_states(system, state.step, system.block_steps)
     walls = walls._replace(now=kinematics.apply_compliance(system, state, walls.now))
     return neighbour_list.rebuild_neighbour_list(system, state, walls.now), walls
@@ -170,7 +234,9 @@ def _rebuild_neighbours(system: System, state: State) -> tuple[State, kinematics
 def _start_interval(state: State, is_new: Array) -> State:
     """The state at the beginning of a sample interval, if one begins."""
     new = ledger.reset_interval(state.ledger)
-    return state.replace(ledger=jax.tree.map(lambda a, b: jnp.where(is_new, a, b), new, state.ledger))
+    return state.replace(
+        ledger=jax.tree.map(lambda a, b: jnp.where(is_new, a, b), new, state.ledger)
+    )
 
 
 def _count_parts(system: System, at: ChunkProgress) -> Array:
@@ -178,27 +244,49 @@ def _count_parts(system: System, at: ChunkProgress) -> Array:
 
 
 def _run_parts(
-    system: System, walls: kinematics.WallSchedule, going: LoopCarry, end: Array, record: Callable[[LoopCarry], LoopCarry]
+    system: System,
+    walls: kinematics.WallSchedule,
+    going: LoopCarry,
+    end: Array,
+    record: Callable[[LoopCarry], LoopCarry],
 ) -> LoopCarry:
-    """Go on until so many parts of samples are whole, or a rebuild is due; record: what is done with a sample that is."""
-    goes_on = lambda going: (_count_parts(system, going.at) < end) & ~_needs_rebuild(system, going.state)  # noqa: E731
-    part = lambda going: _run_part(system, walls, going, record)  # noqa: E731
+    """Go on until so many parts of samples are whole, or a rebuild is due; record: what is done
+    with a sample that is.
+    """
+    goes_on = lambda going: (
+        (_count_parts(system, going.at) < end) & ~_needs_rebuild(system, going.state)
+    )
+    part = lambda going: _run_part(system, walls, going, record)
     if not has_feature_cache(system):
         return jax.lax.while_loop(goes_on, part, going)
 
-    # A look is compiled as a function of its own, between loops and not inside: in one function with the steps it would take
-    # twice as long to compile. (XLA makes no function of the outer loop, as it sorts.)
+    # A look is compiled as a function of its own, between loops and not inside: in one function
+    # with the steps it would take twice as long to compile. (XLA makes no function of the outer
+    # loop, as it sorts.)
     def run_until_refresh(going: LoopCarry) -> LoopCarry:
         scratch = going.state.scratch
         assert scratch.pending_bodies is not None
-        going = going._replace(state=feature_cache.refresh_features(system, going.state, scratch.pending_bodies, scratch.pending_step))
-        return jax.lax.while_loop(lambda going: goes_on(going) & ~feature_cache.needs_refresh(going.state), part, going)
+        going = going._replace(
+            state=feature_cache.refresh_features(
+                system, going.state, scratch.pending_bodies, scratch.pending_step
+            )
+        )
+        return jax.lax.while_loop(
+            lambda going: goes_on(going) & ~feature_cache.needs_refresh(going.state), part, going
+        )
 
     return jax.lax.while_loop(goes_on, run_until_refresh, going)
 
 
-def _run_part(system: System, walls: kinematics.WallSchedule, going: LoopCarry, record: Callable[[LoopCarry], LoopCarry]) -> LoopCarry:
-    """A part of a sample interval; of polytopes whose near features are kept only until a look is due."""
+def _run_part(
+    system: System,
+    walls: kinematics.WallSchedule,
+    going: LoopCarry,
+    record: Callable[[LoopCarry], LoopCarry],
+) -> LoopCarry:
+    """A part of a sample interval; of polytopes whose near features are kept only until a look is
+    due.
+    """
     at, substeps = going.at, system.substeps
     state = _start_interval(going.state, (at.part == 0) & (at.step == 0))
     state, steps = _advance_steps(system, substeps, state, walls, at.step)
@@ -206,30 +294,58 @@ def _run_part(system: System, walls: kinematics.WallSchedule, going: LoopCarry, 
     parts = at.part + is_whole.astype(jnp.int32)
     ends = parts == system.sample_parts
     going = going._replace(state=state)
-    going = cond_inplace(ends, record, going) if has_feature_cache(system) or system.sample_parts > 1 else record(going)
-    at = ChunkProgress(at.sample + ends.astype(jnp.int32), jnp.where(ends, 0, parts), jnp.where(is_whole, 0, steps))
+    going = (
+        cond_inplace(ends, record, going)
+        if has_feature_cache(system) or system.sample_parts > 1
+        else record(going)
+    )
+    at = ChunkProgress(
+        at.sample + ends.astype(jnp.int32), jnp.where(ends, 0, parts), jnp.where(is_whole, 0, steps)
+    )
     return going._replace(at=at)
 
 
-def _advance_steps(system: System, substeps: Array, state: State, walls: kinematics.WallSchedule, done: Array) -> tuple[State, Array]:
-    """From step ``done`` to step ``substeps`` of a part; without looking at contacts, and in one jump, where nothing is near
-    anything. Returns the step that was reached: an earlier one where a look is due."""
-    near = batch_reduction.any_per_run(system, state.incidence[0] < state.scratch.loads.shape[1] - 1)  # [R]: whether a run has any contact
+def _advance_steps(
+    system: System, substeps: Array, state: State, walls: kinematics.WallSchedule, done: Array
+) -> tuple[State, Array]:
+    """From step ``done`` to step ``substeps`` of a part; without looking at contacts, and in one
+    jump, where nothing is near anything. Returns the step that was reached: an earlier one where a
+    look is due.
+    """
+    # [R]: whether a run has any contact
+    near = batch_reduction.any_per_run(
+        system, state.incidence[0] < state.scratch.loads.shape[1] - 1
+    )
     if has_feature_cache(system):
-        until = lambda s: _advance_until_refresh(system, substeps, s, walls, done)  # noqa: E731
+        until = lambda s: _advance_until_refresh(system, substeps, s, walls, done)
         if system.runs > 1:
             return until(state)
-        return jax.lax.cond(near[0], until, lambda s: (_advance_ballistically(system, s, walls, substeps - done), substeps), state)
-    step = lambda s: jax.lax.fori_loop(0, substeps, lambda _, s: _advance_one_step(system, s, walls), s)  # noqa: E731
+        return jax.lax.cond(
+            near[0],
+            until,
+            lambda s: (_advance_ballistically(system, s, walls, substeps - done), substeps),
+            state,
+        )
+    step = lambda s: jax.lax.fori_loop(
+        0, substeps, lambda _, s: _advance_one_step(system, s, walls), s
+    )
     if not system.slot_block:  # as where reverse mode is to go through it
         return step(state), substeps
-    return batch_reduction.branch_per_run(system, near, step, lambda s: _advance_ballistically(system, s, walls, substeps), state), substeps
+    return batch_reduction.branch_per_run(
+        system, near, step, lambda s: _advance_ballistically(system, s, walls, substeps), state
+    ), substeps
 
 
-def _advance_ballistically(system: System, state: State, walls: kinematics.WallSchedule, steps: Array) -> State:
+def _advance_ballistically(
+    system: System, state: State, walls: kinematics.WallSchedule, steps: Array
+) -> State:
     """So many steps at once, of pieces that nothing is near."""
     after = integrator.ballistic_step(system, state, steps)
-    panels = kinematics.apply_compliance(system, after, kinematics.look_up_wall_state(system, walls, after.step - state.scratch.rebuild_step))
+    panels = kinematics.apply_compliance(
+        system,
+        after,
+        kinematics.look_up_wall_state(system, walls, after.step - state.scratch.rebuild_step),
+    )
     return neighbour_list.accumulate_free_flight(system, state, after, steps, panels)
 
 
@@ -237,37 +353,61 @@ def _advance_one_step(system: System, state: State, walls: kinematics.WallSchedu
     return advance_step(system, state, _next_wall_state(system, state, walls))
 
 
-def _advance_until_refresh(system: System, substeps: Array, state: State, walls: kinematics.WallSchedule, done: Array) -> tuple[State, Array]:
+def _advance_until_refresh(
+    system: System, substeps: Array, state: State, walls: kinematics.WallSchedule, done: Array
+) -> tuple[State, Array]:
     """Steps until ``substeps`` are done, or until a look is due."""
 
     def advance_if_valid(carry: tuple[State, Array]) -> tuple[State, Array]:
         before, done = carry
-        moved, omega, panels = _advance_kinematics(system, before, _next_wall_state(system, before, walls))
-        # What the first half of a step changes: where a look is due it is taken back, and done again after it.
-        touched = [f.name for f in dataclasses.fields(before) if getattr(moved, f.name) is not getattr(before, f.name)]
+        moved, omega, panels = _advance_kinematics(
+            system, before, _next_wall_state(system, before, walls)
+        )
+        # What the first half of a step changes: where a look is due it is taken back, and done
+        # again after it.
+        touched = [
+            f.name
+            for f in dataclasses.fields(before)
+            if getattr(moved, f.name) is not getattr(before, f.name)
+        ]
         stacked = packed_bodies.pack_bodies(system, moved, omega, panels)
         moved = feature_cache.advance_margin(system, moved, stacked)
         is_known = ~feature_cache.needs_refresh(moved)
-        after = cond_inplace(is_known, lambda s: _apply_contacts(system, s, omega, panels, stacked), moved)
-        if_known = lambda a, b: jnp.where(is_known, a, b)  # noqa: E731
-        same = {name: jax.tree.map(if_known, getattr(after, name), getattr(before, name)) for name in touched}
+        after = cond_inplace(
+            is_known, lambda s: _apply_contacts(system, s, omega, panels, stacked), moved
+        )
+        if_known = lambda a, b: jnp.where(is_known, a, b)
+        same = {
+            name: jax.tree.map(if_known, getattr(after, name), getattr(before, name))
+            for name in touched
+        }
         return after.replace(**same), done + is_known.astype(jnp.int32)
 
-    return jax.lax.while_loop(lambda c: (c[1] < substeps) & ~feature_cache.needs_refresh(c[0]), advance_if_valid, (state, done))
+    return jax.lax.while_loop(
+        lambda c: (c[1] < substeps) & ~feature_cache.needs_refresh(c[0]),
+        advance_if_valid,
+        (state, done),
+    )
 
 
-def _next_wall_state(system: System, state: State, walls: kinematics.WallSchedule) -> kinematics.WallState:
+def _next_wall_state(
+    system: System, state: State, walls: kinematics.WallSchedule
+) -> kinematics.WallState:
     """Where the panels are after the step ahead."""
     return kinematics.look_up_wall_state(system, walls, state.step - state.scratch.rebuild_step + 1)
 
 
 def _needs_rebuild(system: System, state: State) -> Array:
-    """Whether bodies, thrown by a collision, may come nearer than was expected before the next sample ends, [] bool: a rebuild
-    is due. Not of runs side by side: they share rebuilds, and none is to depend on its company; they have those of the block,
-    and more room where that is not enough."""
+    """Whether bodies, thrown by a collision, may come nearer than was expected before the next
+    sample ends, [] bool: a rebuild is due. Not of runs side by side: they share rebuilds, and none
+    is to depend on its company; they have those of the block, and more room where that is not
+    enough.
+    """
     if system.runs > 1 or not system.slot_block:
         return jnp.zeros((), bool)
-    return (state.step > state.scratch.rebuild_step) & (neighbour_list.excess_displacement(system, state, system.substeps) > system.skin)
+    return (state.step > state.scratch.rebuild_step) & (
+        neighbour_list.excess_displacement(system, state, system.substeps) > system.skin
+    )
 
 
 def _record_travel(system: System, state: State) -> State:

@@ -1,4 +1,6 @@
-"""Files that are written: whole or not at all, under a name of their own until they are, and by one process at a time."""
+"""Files that are written: whole or not at all, under a name of their own until they are, and by one
+process at a time.
+"""
 
 import errno
 import os
@@ -19,11 +21,15 @@ FileName = str | os.PathLike[str]
 Fingerprint = tuple[int, int, int, int]  # device, inode, size (bytes), time of the last change (ns)
 LEAST_ROOM = 2**16  # bytes: with less, work whose results go into a file need not begin
 OPEN_ELSEWHERE = "it is open in another program, which may write to it; close it there first"
-WRITTEN_ELSEWHERE = "another process writes it; allowed: another name, or to wait until that has ended"
+WRITTEN_ELSEWHERE = (
+    "another process writes it; allowed: another name, or to wait until that has ended"
+)
 
 
 def resolve_destination(path: FileName) -> Path:
-    """The file itself, from the root: links are followed, and another working folder does not change it."""
+    """The file itself, from the root: links are followed, and another working folder does not
+    change it.
+    """
     return Path(os.path.realpath(path))
 
 
@@ -40,7 +46,8 @@ def _stat_fingerprint(found: os.stat_result) -> Fingerprint:
 
 
 def write_atomically(path: FileName, content: bytes | memoryview) -> Path:
-    """Write a file anew. Whoever reads it meets the one before or all of this one, also if the process is killed meanwhile.
+    """Write a file anew. Whoever reads it meets the one before or all of this one, also if the
+    process is killed meanwhile.
 
     Returns the path as it was given. Raises RecordError where it cannot be written.
     """
@@ -52,7 +59,9 @@ def write_atomically(path: FileName, content: bytes | memoryview) -> Path:
 
 
 def replace_file(path: Path, content: bytes | memoryview) -> Fingerprint:
-    """Put content in the place of a file; returns the new file's fingerprint. Raises OSError, and leaves the file as it was."""
+    """Put content in the place of a file; returns the new file's fingerprint. Raises OSError, and
+    leaves the file as it was.
+    """
     before = os.stat(path) if path.exists() else None
     if before is not None and not stat.S_ISREG(before.st_mode):
         raise OSError(errno.EINVAL, "it is not a regular file")
@@ -79,19 +88,26 @@ def replace_file(path: Path, content: bytes | memoryview) -> Fingerprint:
 
 
 def _open_partial(folder: Path) -> tuple[IO[bytes], str | None]:
-    """A new file and its name; None: it has none yet, so that nothing of it stays behind if the process is killed."""
+    """A new file and its name; None: it has none yet, so that nothing of it stays behind if the
+    process is killed.
+    """
     if hasattr(os, "O_TMPFILE") and os.path.isdir("/proc/self/fd"):
         with suppress(OSError):  # not of every file system
             return os.fdopen(os.open(folder, os.O_TMPFILE | os.O_WRONLY, 0o666), "wb"), None
     part = _partial_name(folder)
-    return os.fdopen(os.open(part, os.O_CREAT | os.O_EXCL | os.O_WRONLY | getattr(os, "O_BINARY", 0), 0o666), "wb"), part
+    return os.fdopen(
+        os.open(part, os.O_CREAT | os.O_EXCL | os.O_WRONLY | getattr(os, "O_BINARY", 0), 0o666),
+        "wb",
+    ), part
 
 
 def _link_partial(file: int, folder: Path) -> str:
     part = _partial_name(folder)
     base = os.open(folder, os.O_RDONLY)
     try:
-        os.link(f"/proc/self/fd/{file}", part, src_dir_fd=base, dst_dir_fd=base, follow_symlinks=True)
+        os.link(
+            f"/proc/self/fd/{file}", part, src_dir_fd=base, dst_dir_fd=base, follow_symlinks=True
+        )
     finally:
         os.close(base)
     return part
@@ -106,16 +122,24 @@ def check_destination(path: FileName, overwrite: bool = False) -> None:
     """Raise RecordError if a file cannot be written, or exists and is not to be overwritten."""
     place = resolve_destination(path)
     if not place.parent.is_dir():
-        raise RecordError(f"{path} cannot be written: there is no folder {str(Path(path).parent)!r}")
+        raise RecordError(
+            f"{path} cannot be written: there is no folder {str(Path(path).parent)!r}"
+        )
     with suppress(OSError):  # such as of a name that is too long, which is said below
         if place.exists() and not (overwrite and place.is_file()):
-            allowed = "another name, or overwrite=True to replace it" if place.is_file() else "another name, or a file"
+            allowed = (
+                "another name, or overwrite=True to replace it"
+                if place.is_file()
+                else "another name, or a file"
+            )
             raise RecordError(f"{path} exists; allowed: {allowed}")
     check_writable(path)
 
 
 def check_writable(path: FileName) -> None:
-    """Raise RecordError if a file cannot be written: for want of permission or room, or by its name. Leaves nothing behind."""
+    """Raise RecordError if a file cannot be written: for want of permission or room, or by its
+    name. Leaves nothing behind.
+    """
     place = resolve_destination(path)
     try:
         if os.path.islink(place):
@@ -165,23 +189,27 @@ def describe_os_error(error: OSError) -> str:
 
 @contextmanager
 def lock_file(path: FileName) -> Iterator[None]:
-    """Be the only process, of this user and machine, that writes a file. Raises RecordError where another one does.
+    """Be the only process, of this user and machine, that writes a file. Raises RecordError where
+    another one does.
 
-    The lock is kept in the user's cache folder, not beside the file, and ends with the process, however that ends.
+    The lock is kept in the user's cache folder, not beside the file, and ends with the process,
+    however that ends.
     """
     held: tuple[str, int] | None = None
     try:
         held = _acquire_lock(resolve_destination(path))
     except BlockingIOError as error:
         raise RecordError(f"{path} cannot be written: {WRITTEN_ELSEWHERE}") from error
-    except OSError:  # no folder for locks, or a file system without: ``read_fingerprint`` still tells what another process did
+    except OSError:  # no folder for locks, or a file system without: ``read_fingerprint`` still
+        # tells what another process did
         pass
     try:
         yield
     finally:
         if held is not None:
             with suppress(OSError):
-                os.unlink(held[0])  # while it is held: whoever takes it next looks whether it is still there
+                os.unlink(held[0])  # while it is held: whoever takes it next looks whether it is
+                # still there
             os.close(held[1])
 
 

@@ -70,8 +70,14 @@ def time_axis(name: str, header: RunHeader) -> int:
 
 def find_unit(name: str, header: RunHeader) -> str:
     """Unit of a dataset. Raises ValueError for one that is unknown."""
-    units = {"time": "s"} | {stored.name: stored.unit for stored in header.stored_quantities} | POSE_UNITS
-    of_rows = {path: unit for stored in header.stored_quantities for path, unit in stored.units.items()}
+    units = (
+        {"time": "s"}
+        | {stored.name: stored.unit for stored in header.stored_quantities}
+        | POSE_UNITS
+    )
+    of_rows = {
+        path: unit for stored in header.stored_quantities for path, unit in stored.units.items()
+    }
     if name in of_rows:
         return of_rows[name]
     for key in (name, name.partition("/")[0]):
@@ -86,10 +92,17 @@ def extend_dataset(file: "h5py.File", name: str, array: np.ndarray, header: RunH
     if name not in file:
         dtype = np.float64 if name in TIME_DATASETS else array.dtype
         shape = tuple(0 if i == axis else n for i, n in enumerate(array.shape))
-        rows = max(1, min(CHUNK_ROWS, 8192 // int(np.prod(array.shape[axis + 1 :], dtype=int) or 1)))
-        chunks = tuple(min(n, 16) if i < axis else rows if i == axis else max(n, 1) for i, n in enumerate(array.shape))
+        rows = max(
+            1, min(CHUNK_ROWS, 8192 // int(np.prod(array.shape[axis + 1 :], dtype=int) or 1))
+        )
+        chunks = tuple(
+            min(n, 16) if i < axis else rows if i == axis else max(n, 1)
+            for i, n in enumerate(array.shape)
+        )
         limits = tuple(None if i == axis else n for i, n in enumerate(array.shape))
-        made = file.create_dataset(name, shape, dtype, chunks=chunks, maxshape=limits, fletcher32=True)
+        made = file.create_dataset(
+            name, shape, dtype, chunks=chunks, maxshape=limits, fletcher32=True
+        )
         made.attrs["units"] = find_unit(name, header)
     dataset = file[name]
     start = dataset.shape[axis]
@@ -98,7 +111,9 @@ def extend_dataset(file: "h5py.File", name: str, array: np.ndarray, header: RunH
 
 
 def replace_restart(file: "h5py.File", arrays: dict[str, np.ndarray]) -> None:
-    """Make the restart state just these arrays; those of the same form are overwritten, so that the file does not grow."""
+    """Make the restart state just these arrays; those of the same form are overwritten, so that the
+    file does not grow.
+    """
     old = dict(iterate_datasets(file["restart"])) if "restart" in file else {}
     for name in old.keys() - arrays.keys():
         del file[f"restart/{name}"]
@@ -108,29 +123,40 @@ def replace_restart(file: "h5py.File", arrays: dict[str, np.ndarray]) -> None:
             continue
         if name in old:
             del file[f"restart/{name}"]
-        checked: dict[str, Any] = {"fletcher32": True} if array.size and array.ndim else {}  # HDF5 can check no others
+        # HDF5 can check no others
+        checked: dict[str, Any] = {"fletcher32": True} if array.size and array.ndim else {}
         file.create_dataset(f"restart/{name}", data=array, **checked).attrs["units"] = RESTART_UNIT
 
 
 def write_checksum(file: "h5py.File") -> None:
     """Note the checksum of what going on with the run depends on."""
-    file["restart"].attrs[CHECKSUM_ATTRIBUTE] = compute_checksum(file, {name: item[()] for name, item in iterate_datasets(file["restart"])})
+    file["restart"].attrs[CHECKSUM_ATTRIBUTE] = compute_checksum(
+        file, {name: item[()] for name, item in iterate_datasets(file["restart"])}
+    )
 
 
 def compute_checksum(file: "h5py.File", restart: dict[str, np.ndarray]) -> int:
-    """CRC-32 of a restart state, path -> array, and of the attributes of the file that decide how it goes on."""
+    """CRC-32 of a restart state, path -> array, and of the attributes of the file that decide how
+    it goes on.
+    """
     found = 0
     for name in PROTECTED_ATTRIBUTES:
         value = file.attrs.get(name)
-        found = zlib.crc32(repr(value.tolist() if isinstance(value, np.ndarray | np.generic) else value).encode(), found)
+        found = zlib.crc32(
+            repr(value.tolist() if isinstance(value, np.ndarray | np.generic) else value).encode(),
+            found,
+        )
     for name, array in sorted(restart.items()):
         found = zlib.crc32(f"{name} {array.dtype.str} {array.shape}".encode(), found)
         found = zlib.crc32(array.tobytes(), found)
     return found
 
 
-def iterate_datasets(group: "h5py.Group", prefix: str = "", above: frozenset[int] = frozenset()) -> "Iterator[tuple[str, h5py.Dataset]]":
-    """(path, dataset) of all datasets under a group, in it and nowhere else. Raises RecordError for a group within itself.
+def iterate_datasets(
+    group: "h5py.Group", prefix: str = "", above: frozenset[int] = frozenset()
+) -> "Iterator[tuple[str, h5py.Dataset]]":
+    """(path, dataset) of all datasets under a group, in it and nowhere else. Raises RecordError for
+    a group within itself.
 
     above: of which groups it is a part.
     """
@@ -145,7 +171,9 @@ def iterate_datasets(group: "h5py.Group", prefix: str = "", above: frozenset[int
             yield prefix + name, item
         elif isinstance(item, h5py.Group):
             if hash(item.id) in above or len(above) > DEEPEST_GROUP:
-                raise RecordError(f"{group.file.filename} is damaged: its group {prefix + name!r} is within itself")
+                raise RecordError(
+                    f"{group.file.filename} is damaged: its group {prefix + name!r} is within itself"
+                )
             yield from iterate_datasets(item, f"{prefix}{name}/", above)
 
 
@@ -153,7 +181,11 @@ def flatten_tree(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
     """path -> array of nested dicts."""
     out: dict[str, Any] = {}
     for name, item in tree.items():
-        out |= flatten_tree(item, f"{prefix}{name}/") if isinstance(item, dict) else {prefix + name: item}
+        out |= (
+            flatten_tree(item, f"{prefix}{name}/")
+            if isinstance(item, dict)
+            else {prefix + name: item}
+        )
     return out
 
 

@@ -1,4 +1,6 @@
-"""Metadata of a run, as attributes of the file's root: scene, seed, time step, and the stored quantities."""
+"""Metadata of a run, as attributes of the file's root: scene, seed, time step, and the stored
+quantities.
+"""
 
 import json
 from dataclasses import asdict, dataclass, field, fields
@@ -20,8 +22,8 @@ MOST_ATTRIBUTE_BYTES = 2**26  # bytes of an attribute: the seeds of eight millio
 class StoredQuantity(NamedTuple):
     """Metadata of a quantity in a file.
 
-    name, unit (or those of its datasets, with ", " between), axes (names) and help: as of dynamics.quantity.Quantity. labels:
-    names of its datasets NAME/LABEL; None: it is one dataset.
+    name, unit (or those of its datasets, with ", " between), axes (names) and help: as of
+    dynamics.quantity.Quantity. labels: names of its datasets NAME/LABEL; None: it is one dataset.
     """
 
     name: str
@@ -33,24 +35,35 @@ class StoredQuantity(NamedTuple):
     @property
     def paths(self) -> list[str]:
         """Of its datasets."""
-        return [self.name] if self.labels is None else [f"{self.name}/{label}" for label in self.labels]
+        return (
+            [self.name]
+            if self.labels is None
+            else [f"{self.name}/{label}" for label in self.labels]
+        )
 
     @property
     def units(self) -> dict[str, str]:
         """Path -> unit of its datasets."""
         each = self.unit.split(", ")
-        return dict(zip(self.paths, each if len(each) == len(self.paths) else [self.unit] * len(self.paths), strict=True))
+        return dict(
+            zip(
+                self.paths,
+                each if len(each) == len(self.paths) else [self.unit] * len(self.paths),
+                strict=True,
+            )
+        )
 
 
 @dataclass(frozen=True)
 class RunHeader:
     """Metadata of the run in a file.
 
-    scene: TOML text. seed: one, or one per run of an ensemble. dt: (s) time step. precision: "f32" or "f64".
-    version: of dem_jax. sample: (s) sample interval. gravity: [3] (m/s2). groups, blocks: names of the wall groups and
-    of the blocks in which settled mass is measured. piece_count: pieces in a run. run_count: runs of an ensemble, None
-    for a single run. info: further facts that JSON can hold (what limits dt, why the run stopped, ...).
-    quantities: all that the file holds; None: it does not say, see ``held``.
+    scene: TOML text. seed: one, or one per run of an ensemble. dt: (s) time step. precision: "f32"
+    or "f64". version: of dem_jax. sample: (s) sample interval. gravity: [3] (m/s2). groups, blocks:
+    names of the wall groups and of the blocks in which settled mass is measured. piece_count:
+    pieces in a run. run_count: runs of an ensemble, None for a single run. info: further facts that
+    JSON can hold (what limits dt, why the run stopped, ...). quantities: all that the file holds;
+    None: it does not say, see ``held``.
     """
 
     scene: str
@@ -69,10 +82,14 @@ class RunHeader:
 
     @property
     def stored_quantities(self) -> tuple[StoredQuantity, ...]:
-        """The quantities; where the header does not say, those of dem_jax, with the groups and blocks that it names."""
+        """The quantities; where the header does not say, those of dem_jax, with the groups and
+        blocks that it names.
+        """
         if self.quantities is not None:
             return self.quantities
-        from dem_jax.dynamics.standard_quantities import QUANTITIES  # which needs JAX, as most files do not
+        from dem_jax.dynamics.standard_quantities import (
+            QUANTITIES,  # which needs JAX, as most files do not
+        )
 
         known = {"group": self.groups, "block": self.blocks}
         found = []
@@ -86,7 +103,12 @@ class RunHeader:
     def required_paths(self) -> list[str]:
         """Paths of the series that the file must hold."""
         says = self.quantities is not None
-        return [path for stored in self.stored_quantities if says or stored.labels is not None for path in stored.paths]
+        return [
+            path
+            for stored in self.stored_quantities
+            if says or stored.labels is not None
+            for path in stored.paths
+        ]
 
 
 def write_header(file: "h5py.File", header: RunHeader) -> None:
@@ -105,7 +127,9 @@ def write_header(file: "h5py.File", header: RunHeader) -> None:
 
 
 def read_header(file: "h5py.File", path: Any) -> RunHeader:
-    """The header of a file. Raises RecordError, naming path, for an attribute that is missing or cannot be."""
+    """The header of a file. Raises RecordError, naming path, for an attribute that is missing or
+    cannot be.
+    """
     values = {}
     for f in fields(RunHeader):
         if f.name in file.attrs:
@@ -113,7 +137,11 @@ def read_header(file: "h5py.File", path: Any) -> RunHeader:
         elif f.name not in OPTIONAL_ATTRIBUTES:
             raise RecordError(f"{path} is no run of dem_jax: it lacks the attribute {f.name!r}")
     values["info"] = _parse_json(values.get("info", "{}"), "info", path)
-    quantities = _parse_json(values.pop("quantities"), "quantities", path) if "quantities" in values else None
+    quantities = (
+        _parse_json(values.pop("quantities"), "quantities", path)
+        if "quantities" in values
+        else None
+    )
     for name, value in values.items():
         schema.check_attribute(value, schema.HEADER_RULES[name], name, path)
     for name in values["info"].keys() & schema.INFO_RULES.keys():
@@ -123,7 +151,9 @@ def read_header(file: "h5py.File", path: Any) -> RunHeader:
             values[name] = tuple(values[name])
     seeds, runs = values["seed"], values.get("run_count")
     if isinstance(seeds, tuple) and len(seeds) != runs:
-        raise RecordError(f"{path} is damaged: it has {len(seeds)} seeds for {runs or 'a single'} run{'s' if runs else ''}")
+        raise RecordError(
+            f"{path} is damaged: it has {len(seeds)} seeds for {runs or 'a single'} run{'s' if runs else ''}"
+        )
     stored = None if quantities is None else _parse_quantities(quantities, path)
     return RunHeader(**values, quantities=stored)
 
@@ -133,8 +163,13 @@ def _read_attribute(file: "h5py.File", name: str, path: Any) -> Any:
     import h5py
 
     said = h5py.h5a.open(file.id, name.encode())
-    if said.get_space().get_simple_extent_npoints() * said.get_type().get_size() > MOST_ATTRIBUTE_BYTES:
-        raise RecordError(f"{path} is damaged: its attribute {name} claims more than {MOST_ATTRIBUTE_BYTES} bytes")
+    if (
+        said.get_space().get_simple_extent_npoints() * said.get_type().get_size()
+        > MOST_ATTRIBUTE_BYTES
+    ):
+        raise RecordError(
+            f"{path} is damaged: its attribute {name} claims more than {MOST_ATTRIBUTE_BYTES} bytes"
+        )
     value = file.attrs[name]
     return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
 
@@ -152,7 +187,9 @@ def _parse_quantities(rows: Any, path: Any) -> tuple[StoredQuantity, ...]:
     each = [_parse_quantity(row) for row in rows] if isinstance(rows, list) else [None]
     found = tuple(row for row in each if row is not None)
     if len(found) < len(each) or len({row.name for row in found}) < len(found):
-        raise RecordError(f"{path} is damaged: its attribute quantities; allowed: name, unit, axes, help and labels of each")
+        raise RecordError(
+            f"{path} is damaged: its attribute quantities; allowed: name, unit, axes, help and labels of each"
+        )
     return found
 
 
@@ -166,4 +203,10 @@ def _parse_quantity(row: Any) -> StoredQuantity | None:
     labels = row["labels"]
     if not row["name"].isidentifier() or not (labels is None or texts(labels)):
         return None
-    return StoredQuantity(row["name"], row["unit"], tuple(row["axes"]), row["help"], None if labels is None else tuple(labels))
+    return StoredQuantity(
+        row["name"],
+        row["unit"],
+        tuple(row["axes"]),
+        row["help"],
+        None if labels is None else tuple(labels),
+    )

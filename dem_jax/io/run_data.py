@@ -18,8 +18,8 @@ STANDARD_GRAVITY = 9.81  # m/s2, as the paper; converts a force to kg in a scene
 class Frames:
     """Stored poses; an ensemble has a leading run axis on all but time.
 
-    time: [F] (s). position: [F, N, 3] (m) centres of mass. orientation: [F, N, 4] quaternions w x y z, body to world.
-    velocity: [F, N, 3] (m/s). angular_velocity: [F, N, 3] (rad/s), world frame.
+    time: [F] (s). position: [F, N, 3] (m) centres of mass. orientation: [F, N, 4] quaternions w x y
+    z, body to world. velocity: [F, N, 3] (m/s). angular_velocity: [F, N, 3] (rad/s), world frame.
     """
 
     time: np.ndarray
@@ -33,13 +33,14 @@ class Frames:
 class Run:
     """A run, or an ensemble of K runs, whose series except time have a leading axis of length K.
 
-    time: [T] (s) since the release of the portion. series: by the names of the quantities (dynamics.standard_quantities and
-    those of the user); each is an attribute too: ``run.force`` is group -> [T, 3] (N), ``run.momentum`` is [T, 3]
-    (kg m/s). Series that a run does not have are {}, or None for a quantity that is one array.
-    pieces: stored poses or None. restart: path -> array, the state for a resume.
-    settled: time (s) at which the run ended because all pieces were at rest (``run.until_settled``), else None.
-    parameters: keys of the scene that differ between the runs of an ensemble -> [K, ..] values; {}: none.
-    header: scene, seed, time step and other metadata; its fields are attributes of the run too.
+    time: [T] (s) since the release of the portion. series: by the names of the quantities
+    (dynamics.standard_quantities and those of the user); each is an attribute too: ``run.force`` is
+    group -> [T, 3] (N), ``run.momentum`` is [T, 3] (kg m/s). Series that a run does not have are
+    {}, or None for a quantity that is one array. pieces: stored poses or None. restart: path ->
+    array, the state for a resume. settled: time (s) at which the run ended because all pieces were
+    at rest (``run.until_settled``), else None. parameters: keys of the scene that differ between
+    the runs of an ensemble -> [K, ..] values; {}: none. header: scene, seed, time step and other
+    metadata; its fields are attributes of the run too.
     """
 
     header: RunHeader
@@ -56,7 +57,11 @@ class Run:
     sample = property(lambda self: self.header.sample)
     run_count = property(lambda self: self.header.run_count)
     info = property(lambda self: self.header.info)
-    parameters = property(lambda self: {key: np.array(values) for key, values in self.info.get("parameters", {}).items()})
+    parameters = property(
+        lambda self: {
+            key: np.array(values) for key, values in self.info.get("parameters", {}).items()
+        }
+    )
     settled = property(lambda self: self.info.get("settled"))
 
     @property
@@ -77,13 +82,16 @@ class Run:
         return None if known[name].labels is None else {}
 
     def save(self, path: FileName, overwrite: bool = False) -> None:
-        """Write the run to an HDF5 file. Raises RecordError if it exists, unless overwrite, or cannot be written."""
+        """Write the run to an HDF5 file. Raises RecordError if it exists, unless overwrite, or
+        cannot be written.
+        """
         with lock_file(path), Writer.create(path, self.header, overwrite) as writer:
             frames = None if self.pieces is None else vars(self.pieces)
             writer.append(collect_series(self), frames, self.restart)
 
     def pif_kg(self, group: str, mean: bool = True) -> np.ndarray:
-        """Product impact force over g, eq. 24, on a wall group: the force along gravity over its magnitude.
+        """Product impact force over g, eq. 24, on a wall group: the force along gravity over its
+        magnitude.
 
         Without gravity, the downward force over 9.81 m/s2.
 
@@ -111,7 +119,12 @@ class Run:
             RecordError: the run does not have the group.
         """
         peaks = self.series.get("peak_force")
-        return None if peaks is None else _find_group_force(peaks, group).astype(np.float64) / np.linalg.norm(self._reference_gravity())
+        return (
+            None
+            if peaks is None
+            else _find_group_force(peaks, group).astype(np.float64)
+            / np.linalg.norm(self._reference_gravity())
+        )
 
     def _reference_gravity(self) -> np.ndarray:
         """Of the scene, or where it has none what forces are compared with, [3] (m/s2)."""
@@ -123,17 +136,29 @@ class Run:
         if self.run_count is None:
             raise RecordError(f"run {k!r} was asked for, but this is a single run")
         if not 0 <= k < self.run_count:
-            raise RecordError(f"run {k!r} is not in this ensemble; it has 0 to {self.run_count - 1}")
+            raise RecordError(
+                f"run {k!r} is not in this ensemble; it has 0 to {self.run_count - 1}"
+            )
         pieces = self.pieces
         if pieces is not None:
             own = slice(None, int(self.piece_counts[k]))
-            pieces = Frames(pieces.time, **{n: a[k][..., own, :] for n, a in vars(pieces).items() if n != "time"})
+            pieces = Frames(
+                pieces.time,
+                **{n: a[k][..., own, :] for n, a in vars(pieces).items() if n != "time"},
+            )
         seed = self.seed[k] if np.ndim(self.seed) else self.seed
         series = nest_paths({name: array[k] for name, array in flatten_tree(self.series).items()})
-        return Run(replace(self.header, seed=seed, run_count=None, **self._member_header(k)), self.time, series, pieces)
+        return Run(
+            replace(self.header, seed=seed, run_count=None, **self._member_header(k)),
+            self.time,
+            series,
+            pieces,
+        )
 
     def _member_header(self, k: int) -> dict[str, Any]:
-        """What the header of a run says otherwise than that of the ensemble, where their parameters differ."""
+        """What the header of a run says otherwise than that of the ensemble, where their parameters
+        differ.
+        """
         values, info = self.info.get("parameters"), dict(self.info)
         if np.ndim(next(iter(info.get("piece_masses", ())), 0.0)):
             info["piece_masses"] = info["piece_masses"][k]
@@ -143,16 +168,29 @@ class Run:
             return {"info": info}
         from dem_jax.scene import parse_scene
 
-        info = {name: said for name, said in info.items() if name not in ("parameters", "steps", "piece_counts")}
-        scene = parse_scene(self.scene, "the ensemble's scene").replace({key: each[k] for key, each in values.items()})
+        info = {
+            name: said
+            for name, said in info.items()
+            if name not in ("parameters", "steps", "piece_counts")
+        }
+        scene = parse_scene(self.scene, "the ensemble's scene").replace(
+            {key: each[k] for key, each in values.items()}
+        )
         count = int(self.piece_counts[k])
-        return {"scene": scene.to_toml(), "info": info, "dt": self.info["steps"][k], "piece_count": count}
+        return {
+            "scene": scene.to_toml(),
+            "info": info,
+            "dt": self.info["steps"][k],
+            "piece_count": count,
+        }
 
 
 def _find_group_force(forces: dict[str, np.ndarray], group: str) -> np.ndarray:
     """The force on a wall group. Raises RecordError if there is none."""
     if group not in forces:
-        raise RecordError(f"group = {group!r} is not in this run; it has: {', '.join(forces) or 'none'}")
+        raise RecordError(
+            f"group = {group!r} is not in this run; it has: {', '.join(forces) or 'none'}"
+        )
     return forces[group]
 
 
@@ -161,10 +199,20 @@ def collect_series(run: Run) -> dict[str, np.ndarray]:
     return {"time": run.time} | flatten_tree(run.series)
 
 
-def assemble_run(header: RunHeader, parts: dict[str, list[np.ndarray]], restart: dict[str, np.ndarray] | None = None) -> Any:
+def assemble_run(
+    header: RunHeader,
+    parts: dict[str, list[np.ndarray]],
+    restart: dict[str, np.ndarray] | None = None,
+) -> Any:
     """The run of path -> [array, ...], in pieces along the time axis; None if there are no samples."""
-    series = {name: np.concatenate(arrays, axis=time_axis(name, header)) for name, arrays in parts.items()}
+    series = {
+        name: np.concatenate(arrays, axis=time_axis(name, header)) for name, arrays in parts.items()
+    }
     if "time" not in series:
         return None
-    pieces = Frames(**{f.name: series.pop(f"pieces/{f.name}") for f in fields(Frames)}) if "pieces/time" in series else None
+    pieces = (
+        Frames(**{f.name: series.pop(f"pieces/{f.name}") for f in fields(Frames)})
+        if "pieces/time" in series
+        else None
+    )
     return Run(header, series.pop("time"), nest_paths(series), pieces, restart or {})

@@ -1,4 +1,6 @@
-"""Validation of a file before it is used: attributes of the root, and the sizes that its datasets claim."""
+"""Validation of a file before it is used: attributes of the root, and the sizes that its datasets
+claim.
+"""
 
 import math
 from collections.abc import Callable
@@ -53,7 +55,9 @@ def make_list_check(holds: Callable[[Any], bool]) -> Callable[[Any], bool]:
 
 def is_mass_list(value: Any) -> bool:
     """Whether it is a list of masses, or of such lists."""
-    return make_list_check(is_positive)(value) or make_list_check(make_list_check(is_positive))(value)
+    return make_list_check(is_positive)(value) or make_list_check(make_list_check(is_positive))(
+        value
+    )
 
 
 def is_list_table(value: Any) -> bool:
@@ -70,12 +74,17 @@ def is_count_table(value: Any) -> bool:
 
 HEADER_RULES = {
     "scene": AttributeRule(is_text, "TOML text"),
-    "seed": AttributeRule(lambda v: is_seed(v) or (make_list_check(is_seed)(v) and len(v) > 0), "whole numbers of at least 0"),
+    "seed": AttributeRule(
+        lambda v: is_seed(v) or (make_list_check(is_seed)(v) and len(v) > 0),
+        "whole numbers of at least 0",
+    ),
     "dt": AttributeRule(is_positive, "a number > 0"),
     "precision": AttributeRule(lambda v: v in ("f32", "f64"), '"f32" or "f64"'),
     "version": AttributeRule(is_text, "a text"),
     "sample": AttributeRule(is_positive, "a number > 0"),
-    "gravity": AttributeRule(lambda v: make_list_check(is_number)(v) and len(v) == 3, "three finite numbers"),
+    "gravity": AttributeRule(
+        lambda v: make_list_check(is_number)(v) and len(v) == 3, "three finite numbers"
+    ),
     "groups": AttributeRule(make_list_check(is_text), "names"),
     "blocks": AttributeRule(make_list_check(is_text), "names"),
     "piece_count": AttributeRule(is_count, "a whole number of at least 1"),
@@ -84,7 +93,8 @@ HEADER_RULES = {
 }
 INFO_RULES = {
     **dict.fromkeys(
-        ("elapsed", "compile_time", "critical_step", "stable_step", "settled", "settling"), AttributeRule(is_number, "a number")
+        ("elapsed", "compile_time", "critical_step", "stable_step", "settled", "settling"),
+        AttributeRule(is_number, "a number"),
     ),
     **dict.fromkeys(("step", "limit", "law", "stopped"), AttributeRule(is_text, "a text")),
     **dict.fromkeys(("notes", "reruns"), AttributeRule(make_list_check(is_text), "texts")),
@@ -102,11 +112,15 @@ def check_attribute(value: Any, rule: AttributeRule, name: str, path: Any) -> No
     if not rule.holds(value):
         shown = repr(value)
         shown = shown if len(shown) <= 60 else f"{shown[:57]}..."
-        raise RecordError(f"{path} is damaged: its attribute {name} = {shown}; allowed: {rule.words}")
+        raise RecordError(
+            f"{path} is damaged: its attribute {name} = {shown}; allowed: {rule.words}"
+        )
 
 
 def read_array(dataset: "h5py.Dataset", path: Any) -> np.ndarray:
-    """The numbers of a dataset. Raises RecordError, naming path, for one that holds others or claims more than there is."""
+    """The numbers of a dataset. Raises RecordError, naming path, for one that holds others or
+    claims more than there is.
+    """
     name = dataset.name.lstrip("/")
     if dataset.shape is None or dataset.dtype.kind not in "biuf":
         raise RecordError(f"{path} is damaged: {name!r} holds no numbers ({dataset.dtype})")
@@ -115,5 +129,7 @@ def read_array(dataset: "h5py.Dataset", path: Any) -> np.ndarray:
     checked = int(dataset.fletcher32) + int(dataset.shuffle)
     ratio = MOST_COMPRESSION if dataset.id.get_create_plist().get_nfilters() > checked else 1
     if dataset.size * dataset.dtype.itemsize > ratio * dataset.id.get_storage_size():
-        raise RecordError(f"{path} is damaged: {name!r} of form {dataset.shape} claims more than the file holds")
+        raise RecordError(
+            f"{path} is damaged: {name!r} of form {dataset.shape} claims more than the file holds"
+        )
     return dataset[()]

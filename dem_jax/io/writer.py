@@ -1,11 +1,13 @@
 """Runs and ensembles as HDF5 files: written as a run goes, readable at every moment.
 
-A flush never changes the file in place: it appends to a copy in memory and puts that in the place of the original
-(``output.replace_file``). So a process that is killed at any instant leaves the file of its last flush, in which the series and the
-restart state belong to the same time, and any reader may open the file while the run goes on. HDF5 itself never meets a
-full disk, which it would not survive. The price is a copy per flush; flushes are spaced such that it stays below 5 % of
-the time. (Compression would not pay: a growing chunk is written anew.) A file that is not as the flush before left it
-(inode, size, time of the last change) is not appended to: another process has written it.
+A flush never changes the file in place: it appends to a copy in memory and puts that in the place
+of the original (``output.replace_file``). So a process that is killed at any instant leaves the
+file of its last flush, in which the series and the restart state belong to the same time, and any
+reader may open the file while the run goes on. HDF5 itself never meets a full disk, which it would
+not survive. The price is a copy per flush; flushes are spaced such that it stays below 5 % of the
+time. (Compression would not pay: a growing chunk is written anew.) A file that is not as the flush
+before left it (inode, size, time of the last change) is not appended to: another process has
+written it.
 """
 
 import io
@@ -44,9 +46,11 @@ from dem_jax.io.header import RunHeader, read_header, write_header
 if TYPE_CHECKING:
     import h5py
 
-PENDING_LIMIT = 256 * 2**20  # bytes of samples kept in memory before a flush is due whatever it costs
+PENDING_LIMIT = 256 * 2**20  # bytes of samples kept in memory before a flush is due whatever it
+# costs
 COPY_BYTES = 2**24  # bytes at a time
-FORMAT_BOUNDS = ("v108", "v108")  # of HDF5: before 1.8 no attribute has room for the seeds of more than 8000 runs
+FORMAT_BOUNDS = ("v108", "v108")  # of HDF5: before 1.8 no attribute has room for the seeds of more
+# than 8000 runs
 
 
 class _PendingRows(NamedTuple):
@@ -58,14 +62,21 @@ class _PendingRows(NamedTuple):
 
 
 class Writer:
-    """Appends a run's samples to its file. Made by `create` or `resume`; a `with` block flushes and closes it.
+    """Appends a run's samples to its file. Made by `create` or `resume`; a `with` block flushes and
+    closes it.
 
-    What `append` gets is kept in memory until a flush: when `interval` (s) and 20 times its cost have passed since the
-    last one, at `flush()`, and at the end. With interval = 0 each append is flushed.
+    What `append` gets is kept in memory until a flush: when `interval` (s) and 20 times its cost
+    have passed since the last one, at `flush()`, and at the end. With interval = 0 each append is
+    flushed.
     """
 
     def __init__(
-        self, path: FileName, header: RunHeader, exists: bool, interval: float, known: Fingerprint | None = None
+        self,
+        path: FileName,
+        header: RunHeader,
+        exists: bool,
+        interval: float,
+        known: Fingerprint | None = None,
     ) -> None:
         self._path, self._place = path, resolve_destination(path)
         self._header, self._exists, self._interval = header, exists, interval
@@ -75,8 +86,11 @@ class Writer:
         self._last, self._cost = time.monotonic(), 0.0
 
     @classmethod
-    def create(cls, path: FileName, header: RunHeader, overwrite: bool = False, interval: float = 1.0) -> Self:
-        """Start a file. One that exists is kept until the first flush, and only replaced if overwrite.
+    def create(
+        cls, path: FileName, header: RunHeader, overwrite: bool = False, interval: float = 1.0
+    ) -> Self:
+        """Start a file. One that exists is kept until the first flush, and only replaced if
+        overwrite.
 
         Raises RecordError if it exists and overwrite is not set, or if it cannot be written.
         """
@@ -88,12 +102,17 @@ class Writer:
 
     @classmethod
     def resume(
-        cls, path: FileName, interval: float = 1.0, scene: str | None = None, known: Fingerprint | None = None
+        cls,
+        path: FileName,
+        interval: float = 1.0,
+        scene: str | None = None,
+        known: Fingerprint | None = None,
     ) -> Self:
-        """Go on with a file, from the state of `load_restart(path)`; scene: TOML text, to replace the file's.
+        """Go on with a file, from the state of `load_restart(path)`; scene: TOML text, to replace
+        the file's.
 
-        known: the file's fingerprint when that state was read, None: it is read now. Raises RecordError as `load_run`, and
-        for a file that is not the same since.
+        known: the file's fingerprint when that state was read, None: it is read now. Raises
+        RecordError as `load_run`, and for a file that is not the same since.
         """
         known = known or read_fingerprint(path)
         with open_for_reading(path) as file:
@@ -112,12 +131,14 @@ class Writer:
         restart: dict[str, Any] | None = None,
         info: dict[str, Any] | None = None,
     ) -> None:
-        """Add samples, poses and the state they lead to; all of one call reach the file together or not at all.
+        """Add samples, poses and the state they lead to; all of one call reach the file together or
+        not at all.
 
-        samples: name -> array, or group -> {name -> array}, such as {"time": [t], "force": {"plate": [t, 3]}}; of an
-        ensemble [K, t, ...], but time [t]. frames: the fields of Frames -> arrays. restart: path -> array, replaces the
-        one before. info: added to the header's. Raises ValueError for names that differ from the first append's, or
-        lengths that differ from time's, and RecordError for a file that cannot be written or is gone.
+        samples: name -> array, or group -> {name -> array}, such as {"time": [t], "force":
+        {"plate": [t, 3]}}; of an ensemble [K, t, ...], but time [t]. frames: the fields of Frames
+        -> arrays. restart: path -> array, replaces the one before. info: added to the header's.
+        Raises ValueError for names that differ from the first append's, or lengths that differ from
+        time's, and RecordError for a file that cannot be written or is gone.
         """
         self._check_unchanged()
         series = {name: np.asarray(a) for name, a in flatten_tree(samples).items()}
@@ -135,12 +156,15 @@ class Writer:
         self.append({}, restart=arrays)
 
     def flush(self) -> None:
-        """Bring all that was appended into the file. Raises RecordError if that fails; the file is then as before."""
+        """Bring all that was appended into the file. Raises RecordError if that fails; the file is
+        then as before.
+        """
         with process.defer_signals():  # and by one thread at a time
             if not self._pending:
                 return
             start = time.monotonic()
-            appended = list(self._pending)  # where an interrupt flushes, the main thread may append meanwhile
+            appended = list(self._pending)  # where an interrupt flushes, the main thread may append
+            # meanwhile
             self._commit_rows(appended)
             for each in appended:
                 self._header = replace(self._header, info=self._header.info | each.info)
@@ -161,23 +185,37 @@ class Writer:
     def _is_due(self) -> bool:
         waited = time.monotonic() - self._last
         pending = sum(a.nbytes for appended in self._pending for a in appended.series.values())
-        return self._interval == 0 or waited >= max(self._interval, 20.0 * self._cost) or pending > PENDING_LIMIT
+        return (
+            self._interval == 0
+            or waited >= max(self._interval, 20.0 * self._cost)
+            or pending > PENDING_LIMIT
+        )
 
     def _check_rows(self, arrays: dict[str, np.ndarray], clock: str) -> None:
         if not arrays:
             return
-        known = {n for n in self._names or () if n.startswith("pieces/") == (clock == "pieces/time")}
+        known = {
+            n for n in self._names or () if n.startswith("pieces/") == (clock == "pieces/time")
+        }
         for name in arrays:
             find_unit(name, self._header)
         if known and known != set(arrays):
-            raise ValueError(f"series {sorted(known ^ set(arrays))} must be in every append or in none")
+            raise ValueError(
+                f"series {sorted(known ^ set(arrays))} must be in every append or in none"
+            )
         if clock not in arrays:
             raise ValueError(f"series {sorted(arrays)} need {clock}")
         count = len(arrays[clock])
         for name, array in arrays.items():
             axis = time_axis(name, self._header)
-            if array.ndim <= axis or array.shape[axis] != count or (axis and len(array) != self._header.run_count):
-                raise ValueError(f"{name} of form {array.shape} does not fit {count} times of {clock}")
+            if (
+                array.ndim <= axis
+                or array.shape[axis] != count
+                or (axis and len(array) != self._header.run_count)
+            ):
+                raise ValueError(
+                    f"{name} of form {array.shape} does not fit {count} times of {clock}"
+                )
 
     def _check_unchanged(self) -> None:
         """Raise RecordError unless the file is as it was last seen or written."""
@@ -186,15 +224,23 @@ class Writer:
             return
         if found is None:
             raise RecordError(f"{self._path} was deleted or moved while its run went on")
-        raise RecordError(f"{self._path} was written by another process meanwhile; this one stops and leaves the file to that")
+        raise RecordError(
+            f"{self._path} was written by another process meanwhile; this one stops and leaves the file to that"
+        )
 
     def _commit_rows(self, appended: list[_PendingRows]) -> None:
         try:
             self._check_unchanged()
             self._known = replace_file(self._place, self._build_image(appended).getbuffer())
         except OSError as error:
-            kept = "; it is as of the flush before, from which its run can go on (--resume)" if self._exists else ""
-            raise RecordError(f"{self._path} cannot be written: {describe_os_error(error)}{kept}") from error
+            kept = (
+                "; it is as of the flush before, from which its run can go on (--resume)"
+                if self._exists
+                else ""
+            )
+            raise RecordError(
+                f"{self._path} cannot be written: {describe_os_error(error)}{kept}"
+            ) from error
         self._exists = True
 
     def _build_image(self, appended: list[_PendingRows]) -> io.BytesIO:
@@ -222,7 +268,9 @@ class Writer:
             for name, array in each.series.items():
                 pending.setdefault(name, []).append(array)
         for name, arrays in pending.items():
-            extend_dataset(file, name, np.concatenate(arrays, axis=time_axis(name, self._header)), self._header)
+            extend_dataset(
+                file, name, np.concatenate(arrays, axis=time_axis(name, self._header)), self._header
+            )
         if restart := next((each.restart for each in reversed(appended) if each.restart), None):
             replace_restart(file, restart)
         if "restart" in file:

@@ -1,8 +1,10 @@
-"""Two operations of JAX that return their argument, to the last bit, and tell XLA to compute something only once.
+"""Two operations of JAX that return their argument, to the last bit, and tell XLA to compute
+something only once.
 
-XLA fuses a cheap producer into every consumer, and on the CPU an optimisation barrier does not stop it; what ends in a division it
-takes for too expensive to repeat. In reverse mode that matters most: the derivative by each component of a vector begins with that
-of all that was computed from it, and a step of one box was written out two to three times over.
+XLA fuses a cheap producer into every consumer, and on the CPU an optimisation barrier does not stop
+it; what ends in a division it takes for too expensive to repeat. In reverse mode that matters most:
+the derivative by each component of a vector begins with that of all that was computed from it, and
+a step of one box was written out two to three times over.
 """
 
 from collections.abc import Callable
@@ -16,7 +18,9 @@ Array = jax.Array
 
 
 def _divide_by_one(x: Array) -> Array:
-    """x / 1, where it takes the compiler of machine code, who leaves the division out, to see that it is 1."""
+    """x / 1, where it takes the compiler of machine code, who leaves the division out, to see that
+    it is 1.
+    """
     if jnp.issubdtype(x.dtype, jnp.integer):
         return jax.lax.div(x, jnp.maximum(jnp.minimum(x, 1), 1))
     bits = jax.lax.bitcast_convert_type(x, {4: jnp.int32, 8: jnp.int64}[x.dtype.itemsize])
@@ -33,8 +37,8 @@ def _make_identity(name: str, program: Callable[[Array], Array]) -> Primitive:
     return identity
 
 
-# The value is computed once although several kernels use it, and so are its derivatives; or only these: what is not differentiated
-# is as if the operation were not there.
+# The value is computed once although several kernels use it, and so are its derivatives; or only
+# these: what is not differentiated is as if the operation were not there.
 FUSION_BARRIER = _make_identity("kept", _divide_by_one)
 DERIVATIVE_BARRIER = _make_identity("kept_in_derivatives", lambda x: x)
 

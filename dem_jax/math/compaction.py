@@ -1,4 +1,6 @@
-"""Those entries of long arrays that count, in few slots, and places grouped by their owner: on a CPU the time goes here."""
+"""Those entries of long arrays that count, in few slots, and places grouped by their owner: on a
+CPU the time goes here.
+"""
 
 import math
 
@@ -12,13 +14,19 @@ WORD_BITS = 32  # entries of a mask in one number
 
 
 def compact_pairs(mask: Array, a: Array, b: Array, slots: int) -> tuple[Array, Array, Array]:
-    """The pairs where mask holds, in order, in a number of slots: how many there are, a, b (EMPTY where none)."""
+    """The pairs where mask holds, in order, in a number of slots: how many there are, a, b (EMPTY
+    where none).
+    """
     count, where = find_set_entries(mask, slots)
     return count, *_take_pairs(where, a, b)
 
 
-def compact_overlapping_first(overlap: Array, reach: Array | float, a: Array, b: Array, slots: int) -> tuple[Array, Array, Array]:
-    """As ``compact_pairs``, the pairs nearer than ``reach``, those that overlap first: blocks of slots behind them end early."""
+def compact_overlapping_first(
+    overlap: Array, reach: Array | float, a: Array, b: Array, slots: int
+) -> tuple[Array, Array, Array]:
+    """As ``compact_pairs``, the pairs nearer than ``reach``, those that overlap first: blocks of
+    slots behind them end early.
+    """
     apart, far = find_set_entries((overlap <= 0) & (overlap > -reach), slots)
     touching, where = find_set_entries(overlap > 0, slots)
     behind = jnp.maximum(jnp.arange(slots, dtype=jnp.int32) - touching, 0)
@@ -31,25 +39,37 @@ def _take_pairs(where: Array, a: Array, b: Array) -> tuple[Array, Array]:
 
 
 def find_set_entries(mask: Array, slots: int) -> tuple[Array, Array]:
-    """How many entries of a mask hold, and the places [slots] of the first of them, in order, EMPTY where there are no more."""
-    return find_set_bits(pack_mask(jnp.pad(mask, (0, -mask.shape[0] % WORD_BITS)).reshape(-1, WORD_BITS)), slots)
+    """How many entries of a mask hold, and the places [slots] of the first of them, in order, EMPTY
+    where there are no more.
+    """
+    return find_set_bits(
+        pack_mask(jnp.pad(mask, (0, -mask.shape[0] % WORD_BITS)).reshape(-1, WORD_BITS)), slots
+    )
 
 
 def pack_mask(mask: Array) -> Array:
     """A mask [.., WORD] as words of uint32, [..], the first entry in the lowest bit."""
     bit = jnp.arange(WORD_BITS, dtype=jnp.uint32)
-    return jnp.sum(mask.astype(jnp.uint32) << bit.reshape((1,) * (mask.ndim - 1) + (-1,)), axis=-1, dtype=jnp.uint32)
+    return jnp.sum(
+        mask.astype(jnp.uint32) << bit.reshape((1,) * (mask.ndim - 1) + (-1,)),
+        axis=-1,
+        dtype=jnp.uint32,
+    )
 
 
 def find_set_bits(words: Array, slots: int) -> tuple[Array, Array]:
     """``find_set_entries`` of the mask that was ``pack_mask`` into words.
 
-    Adding up is a matter of few words, not of all pairs. Each word counts up by one where the slots of those before it end, so
-    that a sum over slots says of which word each slot is.
+    Adding up is a matter of few words, not of all pairs. Each word counts up by one where the slots
+    of those before it end, so that a sum over slots says of which word each slot is.
     """
     count = jax.lax.population_count(words).astype(jnp.int32)
     until = jnp.cumsum(count)
-    ends = jnp.zeros((slots + 1,), jnp.int32).at[jnp.minimum(until, slots)].add(1, mode="promise_in_bounds")
+    ends = (
+        jnp.zeros((slots + 1,), jnp.int32)
+        .at[jnp.minimum(until, slots)]
+        .add(1, mode="promise_in_bounds")
+    )
     word = jnp.minimum(jnp.cumsum(ends)[:slots], words.shape[0] - 1)
     wanted = jnp.arange(slots, dtype=jnp.int32)
     left, rank, place = words[word], wanted - (until - count)[word], WORD_BITS * word
@@ -63,11 +83,11 @@ def find_set_bits(words: Array, slots: int) -> tuple[Array, Array]:
 
 
 def group_by_owner(owner: Array, groups: int) -> tuple[Array, Array]:
-    """The places of an array [P] of owners (0 to ``groups``) in the order of their owner, [P], and where each group
-    begins, [groups + 1].
+    """The places of an array [P] of owners (0 to ``groups``) in the order of their owner, [P], and
+    where each group begins, [groups + 1].
 
-    Owner and place in one number, which a CPU sorts five times as fast as two; where that is too large, by the last
-    digit of the owner first and then, in that order, by the rest.
+    Owner and place in one number, which a CPU sorts five times as fast as two; where that is too
+    large, by the last digit of the owner first and then, in that order, by the rest.
     """
     places = owner.shape[0]
     number, place = jnp.arange(groups + 1, dtype=jnp.int32), jnp.arange(places, dtype=jnp.int32)

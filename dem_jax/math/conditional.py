@@ -12,5 +12,9 @@ T = TypeVar("T")
 
 
 def cond_inplace(which: Array, function: Callable[[T], T], x: T) -> T:
-    """The function of a tree x if ``which``, [] bool, else x: a loop of one round, as a branch would copy what it leaves alone."""
-    return jax.lax.while_loop(lambda c: c[0], lambda c: (jnp.zeros((), bool), function(c[1])), (which, x))[1]
+    """The function of a tree x if ``which``, [] bool, else x: a loop of one round, as a branch
+    would copy what it leaves alone.
+    """
+    return jax.lax.while_loop(
+        lambda c: c[0], lambda c: (jnp.zeros((), bool), function(c[1])), (which, x)
+    )[1]

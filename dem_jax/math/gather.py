@@ -9,6 +9,7 @@ Array = jax.Array
 def take_columns(table: Array, number: Array) -> Array:
     """Columns [.., number.shape] of a table [.., C]; number: 0 to C - 1, or -1 for any.
 
-    As numbers without a sign: JAX counts negative ones from the end, and to find none takes as long as to take a column.
+    As numbers without a sign: JAX counts negative ones from the end, and to find none takes as long
+    as to take a column.
     """
     return table.at[..., number.astype(jnp.uint32)].get(mode="promise_in_bounds")

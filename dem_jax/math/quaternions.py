@@ -12,7 +12,8 @@ from dem_jax.math.vector import Matrix, Vector
 Array = jax.Array
 Quaternion = tuple[Array, Array, Array, Array]
 
-UNIT_CORRECTION = 1 / 32  # fraction of a quaternion's deviation from unit length that each step corrects
+UNIT_CORRECTION = 1 / 32  # fraction of a quaternion's deviation from unit length that each step
+# corrects
 
 
 def hamilton_product(p: Quaternion, q: Quaternion) -> Quaternion:
@@ -55,18 +56,25 @@ def axis_angle_matrix(axis: Vector, angle: Array) -> Matrix:
 
 
 def _half_angle(u_squared: Array) -> tuple[Array, Array]:
-    """Cosine, and sine over u, of half the angle a, where u is tan(a/4): with any u they make a unit quaternion."""
+    """Cosine, and sine over u, of half the angle a, where u is tan(a/4): with any u they make a
+    unit quaternion.
+    """
     inverse = 1.0 / (1.0 + u_squared)
     return (1.0 - u_squared) * inverse, 2.0 * inverse
 
 
 def _tangent_ratio(x_squared: Array) -> Array:
-    """tan(x) / x by two terms of its series: angles of 4x are a = 0.001 rad to 5e-16 of a, 0.03 rad to 4e-10 (a^4 / 1920)."""
+    """tan(x) / x by two terms of its series: angles of 4x are a = 0.001 rad to 5e-16 of a, 0.03 rad
+    to 4e-10 (a^4 / 1920).
+    """
     return 1.0 + x_squared / 3.0
 
 
-def _rotate_about_axis(q: Quaternion, p: Vector, axis: int, angle: Array) -> tuple[Quaternion, Vector]:
-    """Turn the body about its own coordinate axis: q <- q e^(angle/2), body-frame momentum p turned back.
+def _rotate_about_axis(
+    q: Quaternion, p: Vector, axis: int, angle: Array
+) -> tuple[Quaternion, Vector]:
+    """Turn the body about its own coordinate axis: q <- q e^(angle/2), body-frame momentum p turned
+    back.
 
     Without sine and cosine, which took a tenth of a step: by tan(angle/4), see ``_tangent_ratio``.
     """
@@ -77,22 +85,32 @@ def _rotate_about_axis(q: Quaternion, p: Vector, axis: int, angle: Array) -> tup
     i, j, k = ((axis + n) % 3 for n in range(3))
     w, a, b, d = q[0], q[1 + i], q[1 + j], q[1 + k]
     turned, back = list(q), list(p)
-    turned[0], turned[1 + i], turned[1 + j], turned[1 + k] = w * c - a * s, a * c + w * s, b * c + d * s, d * c - b * s
+    turned[0], turned[1 + i], turned[1 + j], turned[1 + k] = (
+        w * c - a * s,
+        a * c + w * s,
+        b * c + d * s,
+        d * c - b * s,
+    )
     cos, sin = c * c - s * s, 2 * c * s
     back[j], back[k] = cos * p[j] + sin * p[k], cos * p[k] - sin * p[j]
     return (turned[0], turned[1], turned[2], turned[3]), (back[0], back[1], back[2])
 
 
-def free_rotation(q: Quaternion, momentum: Vector, inertia: Vector, dt: Array | float) -> tuple[Quaternion, Vector]:
-    """The turn of free rigid bodies in dt, to second order, conserving angular momentum to rounding.
+def free_rotation(
+    q: Quaternion, momentum: Vector, inertia: Vector, dt: Array | float
+) -> tuple[Quaternion, Vector]:
+    """The turn of free rigid bodies in dt, to second order, conserving angular momentum to
+    rounding.
 
     The splitting into rotations about the principal axes x, y, z, y, x of Dullweber, Leimkuhler and
-    McLachlan (J. Chem. Phys. 107, 5840, 1997): each turns by an angle as exact as ``_tangent_ratio`` is, the
-    product is symmetric and symplectic, so that the energy error stays bounded. The momentum in space is not touched at all.
+    McLachlan (J. Chem. Phys. 107, 5840, 1997): each turns by an angle as exact as
+    ``_tangent_ratio`` is, the product is symmetric and symplectic, so that the energy error stays
+    bounded. The momentum in space is not touched at all.
 
     q: unit quaternion, momentum: world-frame angular momentum (kg m2/s), inertia: three principal
-    moments (kg m2), dt (s). Returns by how much the quaternion changes, to the last place of the change (``dynamics.integrator``
-    adds it up), and the angular velocity of the interval (rad/s, world frame; the mean of its ends).
+    moments (kg m2), dt (s). Returns by how much the quaternion changes, to the last place of the
+    change (``dynamics.integrator`` adds it up), and the angular velocity of the interval (rad/s,
+    world frame; the mean of its ends).
     """
     before = rotation_matrix(q)
     p = vector.fusion_barrier(*vector.rotate_back(before, momentum))
@@ -101,13 +119,19 @@ def free_rotation(q: Quaternion, momentum: Vector, inertia: Vector, dt: Array | 
     turn: Quaternion = (none + 1, none, none, none)
     for axis, part in ((0, 0.5), (1, 0.5), (2, 1.0), (1, 0.5), (0, 0.5)):
         turn, p = _rotate_about_axis(turn, p, axis, part * dt * p[axis] / inertia[axis])
-    w, x, y, z = vector.fusion_barrier(*hamilton_product(q, _subtract_identity(vector.fusion_barrier(turn[1], turn[2], turn[3]))))
+    w, x, y, z = vector.fusion_barrier(
+        *hamilton_product(q, _subtract_identity(vector.fusion_barrier(turn[1], turn[2], turn[3])))
+    )
     end = angular_velocity((q[0] + w, q[1] + x, q[2] + y, q[3] + z), momentum, inertia)
     return (w, x, y, z), vector.scale(0.5, vector.add(start, end))
 
 
-def isotropic_free_rotation(q: Quaternion, momentum: Vector, inertia: Vector, dt: Array | float) -> tuple[Quaternion, Vector]:
-    """``free_rotation`` of bodies whose three moments are equal, about a fixed axis: its angle is exact as ``_tangent_ratio`` is."""
+def isotropic_free_rotation(
+    q: Quaternion, momentum: Vector, inertia: Vector, dt: Array | float
+) -> tuple[Quaternion, Vector]:
+    """``free_rotation`` of bodies whose three moments are equal, about a fixed axis: its angle is
+    exact as ``_tangent_ratio`` is.
+    """
     omega = vector.scale(1 / inertia[0], momentum)
     x = vector.scale(0.25 * dt, omega)
     u = vector.scale(_tangent_ratio(vector.dot(x, x)), x)
@@ -116,13 +140,17 @@ def isotropic_free_rotation(q: Quaternion, momentum: Vector, inertia: Vector, dt
 
 
 def _subtract_identity(axis: Vector) -> Quaternion:
-    """A unit quaternion of less than half a turn, by its vector part, minus 1: w - 1 without the cancellation."""
+    """A unit quaternion of less than half a turn, by its vector part, minus 1: w - 1 without the
+    cancellation.
+    """
     sine = vector.dot(axis, axis)
     return (-sine / (1 + jnp.sqrt(jnp.maximum(1 - sine, 0))), *axis)
 
 
 def unit_length_correction(q: Quaternion) -> Quaternion:
-    """Correction that brings a quaternion closer to unit length: below rounding in each step, complete within a hundred."""
+    """Correction that brings a quaternion closer to unit length: below rounding in each step,
+    complete within a hundred.
+    """
     w, x, y, z = q
     part = (0.5 * UNIT_CORRECTION) * (1 - (w * w + x * x + y * y + z * z))
     return (part * w, part * x, part * y, part * z)

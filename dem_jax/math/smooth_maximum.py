@@ -5,7 +5,8 @@ import jax.numpy as jnp
 
 
 def smooth_peak(values: jax.Array, width: float | jax.Array) -> jax.Array:
-    """Differentiable maximum (log-sum-exp) over the first axis: width log(sum(exp(values / width))).
+    """Differentiable maximum (log-sum-exp) over the first axis: width log(sum(exp(values /
+    width))).
 
     Args:
         values: [T, ..], such as a force (N).

@@ -1,9 +1,9 @@
 """Vectors as three arrays, rotation matrices as three rows of three arrays.
 
-On a CPU the way arrays are written decides a factor of 100 in speed: with the components unrolled in
-Python and the pair index last and contiguous, XLA makes one vectorised loop of an expression; a
-component axis of length 3 that is summed over does not vectorise. A vector here is therefore a tuple
-``(x, y, z)`` of arrays of one shape (or shapes of one rank that broadcast), in any unit.
+On a CPU the way arrays are written decides a factor of 100 in speed: with the components unrolled
+in Python and the pair index last and contiguous, XLA makes one vectorised loop of an expression; a
+component axis of length 3 that is summed over does not vectorise. A vector here is therefore a
+tuple ``(x, y, z)`` of arrays of one shape (or shapes of one rank that broadcast), in any unit.
 """
 
 from collections.abc import Callable
@@ -51,13 +51,19 @@ def add_scaled(a: Vector, s: Array | float, b: Vector) -> Vector:
 
 def where(condition: Array, a: Vector, b: Vector) -> Vector:
     """a where the condition holds, b elsewhere."""
-    return (jnp.where(condition, a[0], b[0]), jnp.where(condition, a[1], b[1]), jnp.where(condition, a[2], b[2]))
+    return (
+        jnp.where(condition, a[0], b[0]),
+        jnp.where(condition, a[1], b[1]),
+        jnp.where(condition, a[2], b[2]),
+    )
 
 
 def safe_sqrt(x: Array) -> Array:
     """Square root with derivative 0 (instead of infinity) at and below 0."""
     positive = x > 0
-    return jnp.where(positive, jnp.sqrt(jnp.where(positive, x, jnp.ones_like(x))), jnp.zeros_like(x))
+    return jnp.where(
+        positive, jnp.sqrt(jnp.where(positive, x, jnp.ones_like(x))), jnp.zeros_like(x)
+    )
 
 
 def norm(a: Vector) -> Array:
@@ -127,6 +133,8 @@ def fusion_barrier(x: Array, y: Array, z: Array, /) -> Vector: ...
 @overload
 def fusion_barrier(*arrays: Array) -> tuple[Array, ...]: ...
 def fusion_barrier(*arrays: Array) -> Any:
-    """The same arrays, to the last bit, each computed once although several kernels use it, see ``identity``."""
+    """The same arrays, to the last bit, each computed once although several kernels use it, see
+    ``identity``.
+    """
     found = tuple(FUSION_BARRIER.bind(x) for x in arrays)
     return found if len(found) > 1 else found[0]

@@ -1,6 +1,8 @@
-"""Contact of convex polytopes from their near features: depth, normal, and the faces that look at each other.
+"""Contact of convex polytopes from their near features: depth, normal, and the faces that look at
+each other.
 
-See ``find_active_features``: near features say what all of them would, as long as the bodies have not moved further than ``ActiveFeatures.validity_radius``.
+See ``find_active_features``: near features say what all of them would, as long as the bodies have
+not moved further than ``ActiveFeatures.validity_radius``.
 """
 
 from collections.abc import Sequence
@@ -29,7 +31,11 @@ from dem_jax.narrow_phase.collision_primitives import (
     take_entry,
 )
 from dem_jax.narrow_phase.edge_pairs import evaluate_edge_pairs
-from dem_jax.narrow_phase.feature_search import find_active_features, find_support_faces, outward_normals
+from dem_jax.narrow_phase.feature_search import (
+    find_active_features,
+    find_support_faces,
+    outward_normals,
+)
 from dem_jax.narrow_phase.patch_moments import SecondMoments
 from dem_jax.narrow_phase.tied_axes import CandidateAxes
 from dem_jax.types import ActiveFeatures, Array, Hulls, SupportFaces, as_array
@@ -37,7 +43,8 @@ from dem_jax.types import ActiveFeatures, Array, Hulls, SupportFaces, as_array
 OPPOSITE_TOLERANCE = 1e-6  # one minus the cosine between faces that are opposite to each other
 TableRows = tuple[Array, Array]  # of a and of b [P] int32, in the table of hulls
 PLANES_AT_ONCE = 8  # planes that clip in one go where all do
-PAIRS_AT_ONCE = 32  # pairs that are looked at together: those whose look is due, and those where it will be soon
+PAIRS_AT_ONCE = 32  # pairs that are looked at together: those whose look is due, and those where it
+# will be soon
 
 
 class SeparatingAxis(NamedTuple):
@@ -45,7 +52,8 @@ class SeparatingAxis(NamedTuple):
 
     depth: Array  # [P] (m): the smallest overlap
     normal: Vector  # [P] x 3, unit, from a to b
-    along: Array  # [P] (m): the overlap along it, larger than the depth by up to FACE_PREFERENCE where it is a face's
+    along: Array  # [P] (m): the overlap along it, larger than the depth by up to FACE_PREFERENCE
+    # where it is a face's
     top: Array  # [P] (m): of a along it
 
 
@@ -54,40 +62,71 @@ def find_separating_axis(near: ActiveFeatures, rel: RelativePose) -> SeparatingA
     turn, d = vector.expand_matrix_dims(rel.rotation, 0), expand_dims(rel.offset, 0)
     into_a = vector.add(vector.rotate(turn, unstack_vector(near.corners[:, :, 0])), d)
     into_b = vector.rotate_back(turn, vector.sub(unstack_vector(near.corners[:, :, 1]), d))
-    lowest = jnp.min(dot(expand_dims(unstack_vector(near.faces), 1), expand_dims(_stack_sides(into_a, into_b), 0)), axis=1)
-    least, (x, y, z, level) = _take_min_row(fusion_barrier(near.faces[3] - lowest), tuple(near.faces))  # [2, P]
+    lowest = jnp.min(
+        dot(
+            expand_dims(unstack_vector(near.faces), 1), expand_dims(_stack_sides(into_a, into_b), 0)
+        ),
+        axis=1,
+    )
+    # [2, P]
+    least, (x, y, z, level) = _take_min_row(
+        fusion_barrier(near.faces[3] - lowest), tuple(near.faces)
+    )
     use_a = least[0] <= least[1]
     face = fusion_barrier(jnp.minimum(least[0], least[1]))
-    normal_a, normal_b = (x[0], y[0], z[0]), vector.scale(-1, vector.rotate(rel.rotation, (x[1], y[1], z[1])))
+    normal_a, normal_b = (
+        (x[0], y[0], z[0]),
+        vector.scale(-1, vector.rotate(rel.rotation, (x[1], y[1], z[1]))),
+    )
     level = jnp.where(use_a, level[0], least[1] + dot(normal_b, rel.offset) - level[1])
     pair = evaluate_edge_pairs(*near.edges, rel)
-    edge, (number,) = _take_min_row(fusion_barrier(pair.overlap), (jnp.arange(pair.overlap.shape[0], dtype=least.dtype)[:, None],))
+    edge, (number,) = _take_min_row(
+        fusion_barrier(pair.overlap),
+        (jnp.arange(pair.overlap.shape[0], dtype=least.dtype)[:, None],),
+    )
     edge, number = fusion_barrier(edge, number)
-    x, y, z, scale, *middle = (take_entry(rows, number) for rows in (*pair.axis, pair.scale, *near.edges[0][:3]))
+    x, y, z, scale, *middle = (
+        take_entry(rows, number) for rows in (*pair.axis, pair.scale, *near.edges[0][:3])
+    )
     normal = vector.scale(scale, (x, y, z))
     use_edge = edge < face - FACE_PREFERENCE * jnp.abs(face)
     chosen = vector.where(use_edge, normal, vector.where(use_a, normal_a, normal_b))
     top = jnp.where(use_edge, dot(normal, (middle[0], middle[1], middle[2])), level)
-    return SeparatingAxis(jnp.minimum(face, edge), fusion_barrier(*chosen), jnp.where(use_edge, edge, face), top)
+    return SeparatingAxis(
+        jnp.minimum(face, edge), fusion_barrier(*chosen), jnp.where(use_edge, edge, face), top
+    )
 
 
 def list_face_axes(near: ActiveFeatures, rel: RelativePose, width: Array) -> CandidateAxes:
     """The axes of near faces. width: [P] (m), of the narrower body."""
     turn, d = vector.expand_matrix_dims(rel.rotation, 0), expand_dims(rel.offset, 0)
-    normal_a, normal_b = unstack_vector(near.faces[:3, :, 0]), vector.rotate(turn, unstack_vector(near.faces[:3, :, 1]))
-    x, y, z = (jnp.concatenate([of_a, -of_b]) for of_a, of_b in zip(normal_a, normal_b, strict=True))
+    normal_a, normal_b = (
+        unstack_vector(near.faces[:3, :, 0]),
+        vector.rotate(turn, unstack_vector(near.faces[:3, :, 1])),
+    )
+    x, y, z = (
+        jnp.concatenate([of_a, -of_b]) for of_a, of_b in zip(normal_a, normal_b, strict=True)
+    )
     corners_b = vector.add(vector.rotate(turn, unstack_vector(near.corners[:, :, 0])), d)
 
-    axes, of_a, of_b = jnp.stack([x, y, z]), near.corners[:, None, :, 1], jnp.stack(fusion_barrier(*corners_b))[:, None]
+    axes, of_a, of_b = (
+        jnp.stack([x, y, z]),
+        near.corners[:, None, :, 1],
+        jnp.stack(fusion_barrier(*corners_b))[:, None],
+    )
 
     def overlap_along(axes: Array) -> Array:
         rows = axes[:, :, None]
-        return jnp.max(jnp.sum(rows * of_a, axis=0), axis=1) - jnp.min(jnp.sum(rows * of_b, axis=0), axis=1)
+        return jnp.max(jnp.sum(rows * of_a, axis=0), axis=1) - jnp.min(
+            jnp.sum(rows * of_b, axis=0), axis=1
+        )
 
     sizes = width + vector.norm(rel.offset)
     slack = 8 * float(jnp.finfo(width.dtype).eps) * sizes
     is_whole = jnp.concatenate([near.faces[3, :, 0], near.faces[3, :, 1]]) < jnp.inf
-    return CandidateAxes(jnp.where(is_whole, overlap_along(axes), jnp.inf), axes, slack, overlap_along)
+    return CandidateAxes(
+        jnp.where(is_whole, overlap_along(axes), jnp.inf), axes, slack, overlap_along
+    )
 
 
 def extent_along_normal(near: ActiveFeatures, normal: Vector) -> Array:
@@ -96,7 +135,9 @@ def extent_along_normal(near: ActiveFeatures, normal: Vector) -> Array:
 
 
 def _take_min_row(keys: Array, rows: Sequence[Array]) -> tuple[Array, tuple[Array, ...]]:
-    """The smallest of the keys [K, P], and of each of the rows [K, P] what belongs to the first that has it, [P]."""
+    """The smallest of the keys [K, P], and of each of the rows [K, P] what belongs to the first
+    that has it, [P].
+    """
     least = keys[0]
     found = tuple(row[0] for row in rows)
     for k in range(1, keys.shape[0]):
@@ -106,20 +147,32 @@ def _take_min_row(keys: Array, rows: Sequence[Array]) -> tuple[Array, tuple[Arra
     return least, found
 
 
-def remaining_margin(hulls: Hulls, near: ActiveFeatures, rows: TableRows, live: Array, rel: RelativePose) -> Array:
-    """The way (m) that each of pairs [P] may still move before its near features may be others; below 0: a look is due.
+def remaining_margin(
+    hulls: Hulls, near: ActiveFeatures, rows: TableRows, live: Array, rel: RelativePose
+) -> Array:
+    """The way (m) that each of pairs [P] may still move before its near features may be others;
+    below 0: a look is due.
 
     rows: [P] int32 each, of the table; live: [P] bool, whether there is a pair.
     """
     known = (near.rows[0] == rows[0]) & (near.rows[1] == rows[1]) & (near.validity_radius >= 0)
-    way = jnp.where(known, relative_displacement_bound(near, hulls.bounding_radius[rows[1]], rel), jnp.inf)
+    way = jnp.where(
+        known, relative_displacement_bound(near, hulls.bounding_radius[rows[1]], rel), jnp.inf
+    )
     return jnp.where(live, jnp.where(known, near.validity_radius - way, -jnp.inf), jnp.inf)
 
 
 def refresh_stale_pairs(
-    hulls: Hulls, near: ActiveFeatures, left: Array, rows: TableRows, live: Array, rel: RelativePose, reach: Array | None
+    hulls: Hulls,
+    near: ActiveFeatures,
+    left: Array,
+    rows: TableRows,
+    live: Array,
+    rel: RelativePose,
+    reach: Array | None,
 ) -> tuple[ActiveFeatures, Array]:
-    """Near features of pairs [P] that hold for their place now, and the way ``remaining_margin`` to them.
+    """Near features of pairs [P] that hold for their place now, and the way ``remaining_margin`` to
+    them.
 
     reach: (m), of the law, None: it has none.
     """
@@ -130,37 +183,60 @@ def refresh_stale_pairs(
 
     def refresh_batch(carry: tuple[ActiveFeatures, Array]) -> tuple[ActiveFeatures, Array]:
         near, left = carry
-        urgency = jnp.where(left < 0, jnp.inf, -left).astype(jnp.float32)  # what XLA finds the largest of without a sort
+        urgency = jnp.where(left < 0, jnp.inf, -left).astype(jnp.float32)  # what XLA finds the
+        # largest of without a sort
         at = jax.lax.top_k(urgency, count)[1]
-        some = lambda x: x if x.shape[-1] == 1 else x[..., at]  # noqa: E731
+        some = lambda x: x if x.shape[-1] == 1 else x[..., at]
         fresh = find_active_features(features, *jax.tree.map(some, (rows, radius, rel, reach)))
-        near = jax.tree.map(lambda x, new: x.at[..., at].set(new, mode="promise_in_bounds"), near, fresh)
-        return near, left.at[at].set(jnp.where(live[at], jnp.maximum(fresh.validity_radius, 0), jnp.inf))
+        near = jax.tree.map(
+            lambda x, new: x.at[..., at].set(new, mode="promise_in_bounds"), near, fresh
+        )
+        return near, left.at[at].set(
+            jnp.where(live[at], jnp.maximum(fresh.validity_radius, 0), jnp.inf)
+        )
 
     return jax.lax.while_loop(lambda carry: jnp.any(carry[1] < 0), refresh_batch, (near, left))
 
 
 def relative_displacement_bound(near: ActiveFeatures, radius: Array, rel: RelativePose) -> Array:
-    """The most that a point of b has moved in a's frame since the look, [P] (m). radius: [P] (m), of b."""
+    """The most that a point of b has moved in a's frame since the look, [P] (m). radius: [P] (m),
+    of b.
+    """
     way = vector.norm(vector.sub(rel.offset, unstack_vector(near.offset)))
     entries = zip([c for row in rel.rotation for c in row], near.rotation, strict=True)
     turned = sum((jnp.square(c - was) for c, was in entries), as_array(0))
     return way + radius * vector.safe_sqrt(0.5 * turned)
 
 
-def update_support_faces(hulls: Hulls, before: SupportFaces, rows: tuple[Array, Array], normal: Vector, touching: Array, rel: RelativePose) -> SupportFaces:
-    """Update the support faces of touching pairs [P]; recompute all of them if any cached candidate may be stale."""
+def update_support_faces(
+    hulls: Hulls,
+    before: SupportFaces,
+    rows: tuple[Array, Array],
+    normal: Vector,
+    touching: Array,
+    rel: RelativePose,
+) -> SupportFaces:
+    """Update the support faces of touching pairs [P]; recompute all of them if any cached candidate
+    may be stale.
+    """
     features = hulls.features
     assert features is not None
-    away = jnp.max(vector.norm(vector.sub(outward_normals(normal, rel), unstack_vector(before.direction))), axis=0)
+    away = jnp.max(
+        vector.norm(vector.sub(outward_normals(normal, rel), unstack_vector(before.direction))),
+        axis=0,
+    )
     known = (before.rows[0] == rows[0]) & (before.rows[1] == rows[1])
     unsure = touching & ~(known & (away <= before.validity_radius))
-    return cond_inplace(jnp.any(unsure), lambda _: find_support_faces(features, rows, normal, rel), before)
+    return cond_inplace(
+        jnp.any(unsure), lambda _: find_support_faces(features, rows, normal, rel), before
+    )
 
 
 def select_support_faces(of: SupportFaces, normal: Vector, rel: RelativePose) -> Array:
     """The face of a and the face of b that look most along the normal and against it, [2, P] int32."""
-    return _take_min_row(-dot(unstack_vector(of.normals), expand_dims(outward_normals(normal, rel), 0)), (of.faces,))[1][0]
+    return _take_min_row(
+        -dot(unstack_vector(of.normals), expand_dims(outward_normals(normal, rel), 0)), (of.faces,)
+    )[1][0]
 
 
 class ClipPlanes(NamedTuple):
@@ -177,54 +253,89 @@ def all_clip_planes(hulls: Hulls, rows: TableRows) -> ClipPlanes:
 
 
 def polytope_contact_patch(
-    hulls: Hulls, rows: TableRows, faces: Array, planes: ClipPlanes, rel: RelativePose, found: SeparatingAxis
+    hulls: Hulls,
+    rows: TableRows,
+    faces: Array,
+    planes: ClipPlanes,
+    rel: RelativePose,
+    found: SeparatingAxis,
 ) -> tuple[Vector, Array, DeepestPoint, Moments]:
-    """Centroid of the overlap weighted by depth, [P] x 3 (m), in a's frame, its weight [P] (m2), where it is deepest, and its
-    second moments about the centroid over the weight, [P] (m2); of pairs [P].
+    """Centroid of the overlap weighted by depth, [P] x 3 (m), in a's frame, its weight [P] (m2),
+    where it is deepest, and its second moments about the centroid over the weight, [P] (m2); of
+    pairs [P].
 
-    rows: of both, [P] int32; faces: of both, [2, P] int32; planes: that clip; found: depth along the normal.
+    rows: of both, [P] int32; faces: of both, [2, P] int32; planes: that clip; found: depth along
+    the normal.
 
-    The edges of the face of each body that looks most along the normal are clipped by the other body; over what
-    remains inside, the depth along the normal below the other's face is linear, and its line integral is closed
-    (``collide.contact_patch`` says why below the face). Both bodies in one, [.., 2, P]: what is clipped twice would be
-    compiled twice.
+    The edges of the face of each body that looks most along the normal are clipped by the other
+    body; over what remains inside, the depth along the normal below the other's face is linear, and
+    its line integral is closed (``collide.contact_patch`` says why below the face). Both bodies in
+    one, [.., 2, P]: what is clipped twice would be compiled twice.
     """
     assert hulls.face_loops is not None and hulls.features is not None
     turn, d = vector.expand_matrix_dims(rel.rotation, 0), expand_dims(rel.offset, 0)
     column = fusion_barrier(faces * hulls.row.shape[0] + jnp.stack(rows))
     own_a, own_b = (loop_vectors(hulls.face_loops, at) for at in column)
-    from_b, around_b = vector.sub(own_a, d), vector.rotate(turn, own_b)  # about b's origin, in a's frame
-    seen = _stack_sides(vector.rotate_back(turn, from_b), vector.add(around_b, d))  # where the other has its planes
+    from_b, around_b = vector.sub(own_a, d), vector.rotate(turn, own_b)  # about b's origin, in a's
+    # frame
+    # where the other has its planes
+    seen = _stack_sides(vector.rotate_back(turn, from_b), vector.add(around_b, d))
     corners = _stack_sides(from_b, around_b)
-    plane = hulls.features.part_planes[:, faces[::-1], jnp.stack(rows[::-1])]  # of the other's face, in its frame
+    plane = hulls.features.part_planes[:, faces[::-1], jnp.stack(rows[::-1])]  # of the other's
+    # face, in its frame
     front, n = unstack_vector(plane), found.normal
     out_of_b = vector.scale(-1, vector.rotate_back(rel.rotation, n))
-    steep = jnp.stack([face_steepness(vector.take_entries(front, 0), out_of_b), face_steepness(vector.take_entries(front, 1), n)])
+    steep = jnp.stack(
+        [
+            face_steepness(vector.take_entries(front, 0), out_of_b),
+            face_steepness(vector.take_entries(front, 1), n),
+        ]
+    )
     depth = fusion_barrier((plane[3][None] - dot(expand_dims(front, 0), seen)) / steep[None])
-    parts, second = integrate_clipped_edges(*_clip_edges(hulls, rows, seen, planes, front), corners, depth)
+    parts, second = integrate_clipped_edges(
+        *_clip_edges(hulls, rows, seen, planes, front), corners, depth
+    )
     is_open = as_array(1)
-    if hulls.open_edges is not None:  # an edge in the middle of a wall, or of a body of parts, is no edge of the overlap
+    if hulls.open_edges is not None:  # an edge in the middle of a wall, or of a body of parts, is
+        # no edge of the overlap
         is_open = take_columns(hulls.open_edges, column)
-    weight, x, y, z = (jnp.sum(part if hulls.open_edges is None else is_open * part, axis=(0, 1)) for part in parts)
+    weight, x, y, z = (
+        jnp.sum(part if hulls.open_edges is None else is_open * part, axis=(0, 1)) for part in parts
+    )
     scale = 1 / jnp.where(weight > 0, weight, 1)
     centroid, radius = vector.scale(scale, (x, y, z)), hulls.bounding_radius[rows[1]]
     middle = found.top - 0.5 * found.along
-    point = vector.where(weight > 0, vector.add(centroid, rel.offset), vector.scale(middle, found.normal))
+    point = vector.where(
+        weight > 0, vector.add(centroid, rel.offset), vector.scale(middle, found.normal)
+    )
     point = clamp_contact_point(point, radius, rel, middle, found.normal)
 
     def second_moments() -> SecondMoments:
         of_edges = SecondMoments(*(jnp.sum(is_open * entry, axis=(0, 1)) for entry in second()))
-        about = patch_moments.add_moments(patch_moments.scale_moments(scale, of_edges), patch_moments.scale_moments(as_array(-1), patch_moments.outer_product(centroid, centroid)))
+        about = patch_moments.add_moments(
+            patch_moments.scale_moments(scale, of_edges),
+            patch_moments.scale_moments(
+                as_array(-1), patch_moments.outer_product(centroid, centroid)
+            ),
+        )
         return patch_moments.discard_oversized(about, radius)
 
-    return point, weight, _deepest_corner(corners, depth, steep, rel.offset, deepest_from_patch(point, weight, found.along)), second_moments
+    return (
+        point,
+        weight,
+        _deepest_corner(
+            corners, depth, steep, rel.offset, deepest_from_patch(point, weight, found.along)
+        ),
+        second_moments,
+    )
 
 
 def edges_inside(hulls: Hulls, rows: TableRows, rel: RelativePose) -> tuple[Array, Vector]:
-    """Length [P] (m) of the edges of outer faces of both bodies that are inside the other one, and its centroid [P] x 3 (m)
-    about b's origin, in a's frame.
+    """Length [P] (m) of the edges of outer faces of both bodies that are inside the other one, and
+    its centroid [P] x 3 (m) about b's origin, in a's frame.
 
-    Bodies that overlap have such edges, also where the faces that look most along the normal (``polytope_contact_patch``) have none.
+    Bodies that overlap have such edges, also where the faces that look most along the normal
+    (``polytope_contact_patch``) have none.
     """
     loops = hulls.face_loops
     assert loops is not None and hulls.features is not None
@@ -240,37 +351,55 @@ def edges_inside(hulls: Hulls, rows: TableRows, rel: RelativePose) -> tuple[Arra
         from_b, around_b = vector.sub(own_a, d), vector.rotate(turn, own_b)
         seen = _stack_sides(vector.rotate_back(turn, from_b), vector.add(around_b, d))
         corners = _stack_sides(from_b, around_b)
-        corner, edge = vector.take_entries(corners, slice(-1)), vector.map_components(lambda c: c[1:] - c[:-1], corners)
+        corner, edge = (
+            vector.take_entries(corners, slice(-1)),
+            vector.map_components(lambda c: c[1:] - c[:-1], corners),
+        )
 
         def cut_interval(k: Array | int, inside: tuple[Array, Array]) -> tuple[Array, Array]:
-            some = jax.lax.dynamic_slice_in_dim(planes, k * together, together, 1)  # the last begin earlier: no matter
+            # the last begin earlier: no matter
+            some = jax.lax.dynamic_slice_in_dim(planes, k * together, together, 1)
             start, end = edge_crossings(seen, unstack_vector(some), some[3])
             return jnp.maximum(inside[0], start), jnp.minimum(inside[1], end)
 
         none = jnp.zeros_like(edge[0])
-        start, end = jax.lax.fori_loop(0, -(-planes.shape[1] // together), cut_interval, (none, none + 1))
+        start, end = jax.lax.fori_loop(
+            0, -(-planes.shape[1] // together), cut_interval, (none, none + 1)
+        )
         counted = face < counts
         if hulls.interior_faces is not None:
             counted = counted & (hulls.interior_faces[face, both] <= 0)
         inside = jnp.where(counted, jnp.maximum(end - start, 0) * vector.norm(edge), 0)
-        x, y, z = (jnp.sum(inside * (c + 0.5 * (start + end) * e), axis=(0, 1)) for c, e in zip(corner, edge, strict=True))
+        x, y, z = (
+            jnp.sum(inside * (c + 0.5 * (start + end) * e), axis=(0, 1))
+            for c, e in zip(corner, edge, strict=True)
+        )
         return length + jnp.sum(inside, axis=(0, 1)), fusion_barrier(*vector.add(first, (x, y, z)))
 
     zero = jnp.zeros(rows[0].shape, rel.offset[0].dtype)
-    length, first = jax.lax.fori_loop(0, hulls.features.part_planes.shape[1], add_face, (zero, (zero, zero, zero)))
+    length, first = jax.lax.fori_loop(
+        0, hulls.features.part_planes.shape[1], add_face, (zero, (zero, zero, zero))
+    )
     return length, vector.scale(1 / jnp.where(length > 0, length, 1), first)
 
 
-def _deepest_corner(corners: Vector, depth: Array, steep: Array, offset: Vector, between: DeepestPoint) -> DeepestPoint:
-    """The corner that is deepest below a face across the normal of the contact, if there is one; between: else.
+def _deepest_corner(
+    corners: Vector, depth: Array, steep: Array, offset: Vector, between: DeepestPoint
+) -> DeepestPoint:
+    """The corner that is deepest below a face across the normal of the contact, if there is one;
+    between: else.
 
-    corners: [k, 2, P] x 3 (m), of the faces that look at each other, about b's origin; depth: [k, 2, P] (m), below the other;
-    steep: [2, P]; offset: [P] x 3 (m), of b's origin.
+    corners: [k, 2, P] x 3 (m), of the faces that look at each other, about b's origin; depth: [k,
+    2, P] (m), below the other; steep: [2, P]; offset: [P] x 3 (m), of b's origin.
     """
     _, corner = _take_min_row(-depth, corners)
     of_b = steep[1] >= steep[0]  # the face across the normal is a's, so that the corner is b's
     x, y, z = (jnp.where(of_b, c[1], c[0]) for c in corner)
-    return select_deepest(jnp.maximum(steep[0], steep[1]) < 1 - OPPOSITE_TOLERANCE, vector.add((x, y, z), offset), between)
+    return select_deepest(
+        jnp.maximum(steep[0], steep[1]) < 1 - OPPOSITE_TOLERANCE,
+        vector.add((x, y, z), offset),
+        between,
+    )
 
 
 def _stack_sides(a: Vector, b: Vector) -> Vector:
@@ -279,7 +408,9 @@ def _stack_sides(a: Vector, b: Vector) -> Vector:
     return fusion_barrier(x, y, z)
 
 
-def _clip_edges(hulls: Hulls, rows: TableRows, points: Vector, planes: ClipPlanes, front: Vector) -> tuple[Array, Array]:
+def _clip_edges(
+    hulls: Hulls, rows: TableRows, points: Vector, planes: ClipPlanes, front: Vector
+) -> tuple[Array, Array]:
     """``collide.crossings`` of edges between points [k + 1, 2, P] x 3 with planes."""
     assert hulls.features is not None
     every, others = hulls.features.part_planes, jnp.stack(rows[::-1])
@@ -289,15 +420,21 @@ def _clip_edges(hulls: Hulls, rows: TableRows, points: Vector, planes: ClipPlane
         return inside
 
     def clip_further(k: Array | int, inside: tuple[Array, Array]) -> tuple[Array, Array]:
-        some = jax.lax.dynamic_slice_in_dim(every, k * PLANES_AT_ONCE, PLANES_AT_ONCE, 1)[..., others]  # the last begin earlier: no matter
+        # the last begin earlier: no matter
+        some = jax.lax.dynamic_slice_in_dim(every, k * PLANES_AT_ONCE, PLANES_AT_ONCE, 1)[
+            ..., others
+        ]
         start, end = edge_crossings(points, *_clip_half_spaces(some, front))
         return jnp.maximum(inside[0], start), jnp.minimum(inside[1], end)
 
-    return jax.lax.fori_loop(0, jnp.where(planes.is_wide, -(-count // PLANES_AT_ONCE), 0), clip_further, inside)
+    return jax.lax.fori_loop(
+        0, jnp.where(planes.is_wide, -(-count // PLANES_AT_ONCE), 0), clip_further, inside
+    )
 
 
 def _clip_half_spaces(planes: Array, front: Vector) -> tuple[Vector, Array]:
-    """Normals and offsets of the planes [4, K, 2, P] that clip: not the one opposite to the face in front, through which nothing
-    is pushed, so that a thin plate has a thick one's contact."""
+    """Normals and offsets of the planes [4, K, 2, P] that clip: not the one opposite to the face in
+    front, through which nothing is pushed, so that a thin plate has a thick one's contact.
+    """
     back = dot(unstack_vector(planes), expand_dims(front, 0)) < -1 + OPPOSITE_TOLERANCE
     return unstack_vector(planes), jnp.where(back, jnp.inf, planes[3])

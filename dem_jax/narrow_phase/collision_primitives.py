@@ -1,12 +1,14 @@
 """Overlap depth, contact normal and contact point of two bodies.
 
 Every function takes many pairs at once, pair index last, and answers in the frame of body a: the
-normal points from a to b, the point is relative to the origin of a. ``RelativePose`` says where b is.
+normal points from a to b, the point is relative to the origin of a. ``RelativePose`` says where b
+is.
 
 Depth and normal of two convex polytopes are the smallest overlap over the separating axes: the face
-normals of both and the cross products of their edge directions. That is exact for overlapping polytopes;
-for separated ones a depth of -g says that they are at least g apart. The contact point is the centroid of the overlap
-weighted by depth, from the edges of the two facing faces, so that it moves continuously as a piece tips.
+normals of both and the cross products of their edge directions. That is exact for overlapping
+polytopes; for separated ones a depth of -g says that they are at least g apart. The contact point
+is the centroid of the overlap weighted by depth, from the edges of the two facing faces, so that it
+moves continuously as a piece tips.
 """
 
 import operator
@@ -24,27 +26,36 @@ from dem_jax.narrow_phase.patch_moments import SecondMoments
 from dem_jax.narrow_phase.tied_axes import CandidateAxes
 from dem_jax.types import Array, Hulls, Plates
 
-# Normals: a face's normal is taken instead of an edge-edge axis whose overlap is smaller by less than this part
-# of the depth, because an edge-edge axis nearly parallel to a face's flickers. The depth stays the exact minimum.
+# Normals: a face's normal is taken instead of an edge-edge axis whose overlap is smaller by less
+# than this part of the depth, because an edge-edge axis nearly parallel to a face's flickers. The
+# depth stays the exact minimum.
 FACE_PREFERENCE = 0.02
-ROUNDING_FACTOR = 2.0  # of the last place of a bounding radius: overlaps no deeper may have no weight
+ROUNDING_FACTOR = 2.0  # of the last place of a bounding radius: overlaps no deeper may have no
+# weight
 MAX_RADIUS_FACTOR = 1.1  # of the square of a bounding radius: beyond, a contact point is an error
-MIN_FACE_COSINE = 0.1  # least cosine of the angle of a face to the contact normal along which depth below it is measured
+MIN_FACE_COSINE = 0.1  # least cosine of the angle of a face to the contact normal along which depth
+# below it is measured
 
-# Beyond a seam the wall goes on, so that nothing is pushed across it: the overlap along an axis that points so is raised
-# by this many bounding radii of the piece times the sine of the angle at which it does.
+# Beyond a seam the wall goes on, so that nothing is pushed across it: the overlap along an axis
+# that points so is raised by this many bounding radii of the piece times the sine of the angle at
+# which it does.
 SEAM_SLOPE = 10.0
-PART_EDGE_TOLERANCE = 1e-5  # of a part's bounding radius: a sphere that touches the body no further beside a part touches the part
-SEAM_SINE_TOLERANCE = 1e-5  # a sphere's normal that points across a seam by no more is taken to stand on both panels
-FLAT_TOLERANCE = 8.0  # roundings: an edge that lies across the normal by less has no end that is deeper than the other
+PART_EDGE_TOLERANCE = 1e-5  # of a part's bounding radius: a sphere that touches the body no further
+# beside a part touches the part
+SEAM_SINE_TOLERANCE = 1e-5  # a sphere's normal that points across a seam by no more is taken to
+# stand on both panels
+FLAT_TOLERANCE = 8.0  # roundings: an edge that lies across the normal by less has no end that is
+# deeper than the other
 PARALLEL_TOLERANCE = 8.0  # roundings: edges whose directions differ by less have no common normal
 UNROLL_LIMIT = 64  # rows that are gone through one after the other: the program grows with them
 ROWS_AT_ONCE = 8  # rows of which an extreme is found in one go
 
 Separation = tuple[Array, Vector, Array]  # what ``separating_axes`` says
-FaceAndEdgeAxes = tuple[Vector, Vector, Vector, Vector]  # normals of a's and of b's faces, directions of a's and of b's edges, in a's frame
+FaceAndEdgeAxes = tuple[Vector, Vector, Vector, Vector]  # normals of a's and of b's faces,
+# directions of a's and of b's edges, in a's frame
 SupportFace = tuple[Array, Array, Vector]  # see _facing
-Integrals = tuple[Array, Array, Array, Array]  # of depth (m2), and of depth times position, x, y, z (m3)
+Integrals = tuple[Array, Array, Array, Array]  # of depth (m2), and of depth times position, x, y, z
+# (m3)
 Moments = Callable[[], SecondMoments]  # [P]: of a patch, found when they are asked for
 
 
@@ -68,34 +79,50 @@ class ContactGeometry(NamedTuple):
     depth: Array  # [P] (m), negative: separated by at least that much
     normal: Vector  # [P] x 3, unit, from a to b
     point: Vector  # [P] x 3 (m)
-    weight: Array | None = None  # [P]: how much of the overlap is this body's, where panels continue each other
+    weight: Array | None = None  # [P]: how much of the overlap is this body's, where panels
+    # continue each other
     deepest: DeepestPoint | None = None  # of polytopes; None: the contact point
     moments: Moments | None = None  # (m2) of the patch of polytopes about the point
     tied: Array | None = None  # [P]: as in ``types.Memory``
 
 
-def hull_hull(a: Hulls, b: Hulls, rel: RelativePose, axes: Separation | None = None) -> ContactGeometry:
-    """Contact of convex polytopes (their tables gathered to [.., P] or of one common shape, [.., 1]).
+def hull_hull(
+    a: Hulls, b: Hulls, rel: RelativePose, axes: Separation | None = None
+) -> ContactGeometry:
+    """Contact of convex polytopes (their tables gathered to [.., P] or of one common shape, [..,
+    1]).
 
     axes: what ``separating_axes`` says of them, if that is known already.
     """
     depth, normal, along = axes or separating_axes(a, b, rel)
     point, weight, moments = contact_patch(a, b, rel, along, normal)
-    return ContactGeometry(depth, normal, point, weight, _deepest_vertex(a, b, rel, normal, deepest_from_patch(point, weight, along)), moments)
+    return ContactGeometry(
+        depth,
+        normal,
+        point,
+        weight,
+        _deepest_vertex(a, b, rel, normal, deepest_from_patch(point, weight, along)),
+        moments,
+    )
 
 
 def deepest_from_patch(point: Vector, weight: Array, depth: Array) -> DeepestPoint:
-    """The deepest point where it is no corner: the contact point, [P] x 3 (m), is the middle of the overlap, which is as wide as
-    half of its outline, which the weight (m2) is, over the depth (m)."""
+    """The deepest point where it is no corner: the contact point, [P] x 3 (m), is the middle of the
+    overlap, which is as wide as half of its outline, which the weight (m2) is, over the depth (m).
+    """
     return DeepestPoint(point, jnp.where(depth > 0, weight / jnp.where(depth > 0, depth, 1), 0))
 
 
 def select_deepest(flat: Array, corner: Vector, between: DeepestPoint) -> DeepestPoint:
     """The deepest point: a corner, [P] x 3 (m), but where there is none alone, [P] bool."""
-    return DeepestPoint(vector.where(flat, between.point, corner), jnp.where(flat, between.uncertainty, 0))
+    return DeepestPoint(
+        vector.where(flat, between.point, corner), jnp.where(flat, between.uncertainty, 0)
+    )
 
 
-def _deepest_vertex(a: Hulls, b: Hulls, rel: RelativePose, normal: Vector, between: DeepestPoint) -> DeepestPoint:
+def _deepest_vertex(
+    a: Hulls, b: Hulls, rel: RelativePose, normal: Vector, between: DeepestPoint
+) -> DeepestPoint:
     """Of zonotopes the corner that touches alone, if there is one; between: else."""
     of_a, flat_a = _support_vertex(a, normal)
     of_b, flat_b = _support_vertex(b, vector.scale(-1, vector.rotate_back(rel.rotation, normal)))
@@ -104,22 +131,31 @@ def _deepest_vertex(a: Hulls, b: Hulls, rel: RelativePose, normal: Vector, betwe
 
 
 def _support_vertex(of: Hulls, normal: Vector) -> tuple[Vector, Array]:
-    """The corner of a zonotope that lies furthest along a normal, [P] x 3 (m), in its frame, and whether others lie as far.
+    """The corner of a zonotope that lies furthest along a normal, [P] x 3 (m), in its frame, and
+    whether others lie as far.
 
-    Edge by edge: where a kernel has several sums over rows, XLA writes all that comes before anew for each.
+    Edge by edge: where a kernel has several sums over rows, XLA writes all that comes before anew
+    for each.
     """
     assert of.half_lengths is not None
     edges = [vector.take_entries(of.directions, k) for k in range(of.directions[0].shape[0])]
     along = [dot(normal, edge) for edge in edges]
-    half = [jnp.where(height > 0, length, -length) for height, length in zip(along, of.half_lengths, strict=True)]
-    x, y, z = (_sum_terms(length * edge[k] for length, edge in zip(half, edges, strict=True)) for k in range(3))
+    half = [
+        jnp.where(height > 0, length, -length)
+        for height, length in zip(along, of.half_lengths, strict=True)
+    ]
+    x, y, z = (
+        _sum_terms(length * edge[k] for length, edge in zip(half, edges, strict=True))
+        for k in range(3)
+    )
     flat = FLAT_TOLERANCE * float(jnp.finfo(normal[0].dtype).eps)
     return (x, y, z), reduce(jnp.minimum, map(jnp.abs, along)) < flat
 
 
 def separating_axes(a: Hulls, b: Hulls, rel: RelativePose) -> Separation:
-    """Smallest overlap over all separating axes, [P] (m); the axis, unit, from a to b; the overlap along it, which is
-    larger by up to FACE_PREFERENCE where a face's axis was preferred."""
+    """Smallest overlap over all separating axes, [P] (m); the axis, unit, from a to b; the overlap
+    along it, which is larger by up to FACE_PREFERENCE where a face's axis was preferred.
+    """
     overlaps: Sequence[Array]
     overlaps, axes = _zonotope_overlaps(a, b, rel)
     if a.seams is not None:
@@ -134,25 +170,33 @@ def _rounding_bound(a: Hulls, b: Hulls, rel: RelativePose) -> Array:
     return 4 * eps * (a.bounding_radius + b.bounding_radius + reach)
 
 
-def _zonotope_overlaps(a: Hulls, b: Hulls, rel: RelativePose) -> tuple[tuple[Array, ...], FaceAndEdgeAxes]:
-    """Overlaps of centrally symmetric polytopes: half-widths are sums of |n . g| over a few generators.
+def _zonotope_overlaps(
+    a: Hulls, b: Hulls, rel: RelativePose
+) -> tuple[tuple[Array, ...], FaceAndEdgeAxes]:
+    """Overlaps of centrally symmetric polytopes: half-widths are sums of |n . g| over a few
+    generators.
 
-    The half-width of a along an edge-edge axis e_i x f_j is sum_k |(e_i x f_j) . g_k| = sum_k |f_j . (g_k x e_i)|,
-    and every g_k x e_i is parallel to a face normal n_m of a: sum_m C[i, m] |f_j . n_m|, so that the same
-    products serve the face axes of b and the widths of all edge-edge axes.
+    The half-width of a along an edge-edge axis e_i x f_j is sum_k |(e_i x f_j) . g_k| = sum_k |f_j
+    . (g_k x e_i)|, and every g_k x e_i is parallel to a face normal n_m of a: sum_m C[i, m] |f_j .
+    n_m|, so that the same products serve the face axes of b and the widths of all edge-edge axes.
     """
     assert a.half_lengths is not None and a.cross_widths is not None  # of zonotopes
     assert b.half_lengths is not None and b.cross_widths is not None
     half = a.normals[0].shape[0] // 2
     na, nb = (vector.take_entries(h.normals, slice(h.normals[0].shape[0] // 2)) for h in (a, b))
     turn = vector.expand_matrix_dims(rel.rotation, 0)
-    nb, eb = fusion_barrier(*vector.rotate(turn, nb)), fusion_barrier(*vector.rotate(turn, b.directions))
+    nb, eb = (
+        fusion_barrier(*vector.rotate(turn, nb)),
+        fusion_barrier(*vector.rotate(turn, b.directions)),
+    )
     ea, d = a.directions, expand_dims(rel.offset, 0)
     na_eb = jnp.abs(dot(expand_dims(na, 1), expand_dims(eb, 0)))  # [m, j, P]
     ea_nb = jnp.abs(dot(expand_dims(ea, 1), expand_dims(nb, 0)))  # [i, m, P]
     na_eb, ea_nb = fusion_barrier(na_eb, ea_nb)
     faces_a = (
-        a.offsets[:half] + _sum_terms(b.half_lengths[j : j + 1] * na_eb[:, j] for j in range(eb[0].shape[0])) - jnp.abs(dot(na, d))
+        a.offsets[:half]
+        + _sum_terms(b.half_lengths[j : j + 1] * na_eb[:, j] for j in range(eb[0].shape[0]))
+        - jnp.abs(dot(na, d))
     )
     faces_b = (
         b.offsets[: nb[0].shape[0]]
@@ -162,7 +206,9 @@ def _zonotope_overlaps(a: Hulls, b: Hulls, rel: RelativePose) -> tuple[tuple[Arr
     axis = vector.cross(expand_dims(ea, 1), expand_dims(eb, 0))  # [i, j, P]
     sin2 = dot(axis, axis)
     width_a = _sum_terms(a.cross_widths[:, m][:, None] * na_eb[m][None] for m in range(half))
-    width_b = _sum_terms(b.cross_widths[:, m][None] * ea_nb[:, m][:, None] for m in range(nb[0].shape[0]))
+    width_b = _sum_terms(
+        b.cross_widths[:, m][None] * ea_nb[:, m][:, None] for m in range(nb[0].shape[0])
+    )
     gap = jnp.abs(dot(axis, expand_dims(d, 0)))
     slack = _rounding_bound(a, b, rel)[None, None]
     edges = (width_a + width_b - gap + slack) / _safe_root(sin2)
@@ -170,10 +216,12 @@ def _zonotope_overlaps(a: Hulls, b: Hulls, rel: RelativePose) -> tuple[tuple[Arr
 
 
 def list_zonotope_axes(a: Hulls, b: Hulls, rel: RelativePose) -> CandidateAxes:
-    """All separating axes of zonotopes. Each overlap is a sum over all edges; in few kernels, as it is seldom asked for."""
+    """All separating axes of zonotopes. Each overlap is a sum over all edges; in few kernels, as it
+    is seldom asked for.
+    """
     assert a.half_lengths is not None and b.half_lengths is not None
     pairs, offset = rel.offset[0].shape, jnp.stack(rel.offset)[:, None]
-    whole = lambda rows: jnp.broadcast_to(rows, (*rows.shape[:-1], *pairs))  # noqa: E731
+    whole = lambda rows: jnp.broadcast_to(rows, (*rows.shape[:-1], *pairs))
     na, nb, ea, eb = (whole(jnp.stack(of)) for of in _all_axes(a, b, rel))
     turned = [[jnp.roll(e, -k, axis=0) for k in (1, 2)] for e in (ea[:, :, None], eb[:, None])]
     crossed = (turned[0][0] * turned[1][1] - turned[0][1] * turned[1][0]).reshape(3, -1, *pairs)
@@ -182,19 +230,34 @@ def list_zonotope_axes(a: Hulls, b: Hulls, rel: RelativePose) -> CandidateAxes:
     edges = crossed / jnp.where(none, 1, sine)
     axes = jnp.concatenate([na, nb, edges], axis=1)
     axes = fusion_barrier(jnp.where(jnp.sum(axes * offset, axis=0)[None] < 0, -axes, axes))
-    every, half = jnp.concatenate([ea, eb], axis=1), jnp.concatenate([whole(a.half_lengths), whole(b.half_lengths)])
+    every, half = (
+        jnp.concatenate([ea, eb], axis=1),
+        jnp.concatenate([whole(a.half_lengths), whole(b.half_lengths)]),
+    )
     every = fusion_barrier(every)
 
     def overlap_along(axes: Array) -> Array:
-        widths = jnp.sum(half[None] * jnp.abs(jnp.sum(axes[:, :, None] * every[:, None], axis=0)), axis=1)
+        widths = jnp.sum(
+            half[None] * jnp.abs(jnp.sum(axes[:, :, None] * every[:, None], axis=0)), axis=1
+        )
         return widths - jnp.sum(axes * offset, axis=0)
 
     overlaps = overlap_along(axes)
     if a.seams is not None:
-        across = [jnp.sum(axes * jnp.stack(vector.take_entries(a.seams, k))[:, None], axis=0) for k in range(a.seams[0].shape[0])]
-        overlaps = overlaps + SEAM_SLOPE * b.bounding_radius[None] * reduce(jnp.maximum, across, jnp.zeros_like(overlaps))
+        across = [
+            jnp.sum(axes * jnp.stack(vector.take_entries(a.seams, k))[:, None], axis=0)
+            for k in range(a.seams[0].shape[0])
+        ]
+        overlaps = overlaps + SEAM_SLOPE * b.bounding_radius[None] * reduce(
+            jnp.maximum, across, jnp.zeros_like(overlaps)
+        )
     none = jnp.concatenate([jnp.zeros((overlaps.shape[0] - none.shape[1], *pairs), bool), none[0]])
-    return CandidateAxes(fusion_barrier(jnp.where(none, jnp.inf, overlaps)), axes, _rounding_bound(a, b, rel), overlap_along)
+    return CandidateAxes(
+        fusion_barrier(jnp.where(none, jnp.inf, overlaps)),
+        axes,
+        _rounding_bound(a, b, rel),
+        overlap_along,
+    )
 
 
 def _all_axes(a: Hulls, b: Hulls, rel: RelativePose) -> FaceAndEdgeAxes:
@@ -225,8 +288,12 @@ def _select_axis(overlaps: Sequence[Array], axes: FaceAndEdgeAxes, rel: Relative
     return jnp.minimum(face, least[2]), fusion_barrier(*normal), jnp.where(use_edge, least[2], face)
 
 
-def _penalize_seams(overlaps: Sequence[Array], axes: FaceAndEdgeAxes, a: Hulls, b: Hulls, rel: RelativePose) -> list[Array]:
-    """The overlaps, raised along axes that point from panel a across a seam, in proportion so that they never jump."""
+def _penalize_seams(
+    overlaps: Sequence[Array], axes: FaceAndEdgeAxes, a: Hulls, b: Hulls, rel: RelativePose
+) -> list[Array]:
+    """The overlaps, raised along axes that point from panel a across a seam, in proportion so that
+    they never jump.
+    """
     assert a.seams is not None
     na, nb, ea, eb = axes
     edges = vector.cross(expand_dims(ea, 1), expand_dims(eb, 0))
@@ -237,13 +304,17 @@ def _penalize_seams(overlaps: Sequence[Array], axes: FaceAndEdgeAxes, a: Hulls, 
         sign = jnp.where(dot(axis, expand_dims(rel.offset, side)) < 0, -1, 1).astype(overlap.dtype)
         across = jnp.zeros_like(overlap)
         for k in range(a.seams[0].shape[0]):
-            across = jnp.maximum(across, sign * dot(axis, expand_dims(vector.take_entries(a.seams, k), side)))
+            across = jnp.maximum(
+                across, sign * dot(axis, expand_dims(vector.take_entries(a.seams, k), side))
+            )
         out.append(overlap + SEAM_SLOPE * jnp.expand_dims(b.bounding_radius, side) * across)
     return out
 
 
 def _min_row(rows: Array) -> tuple[Array, Array]:
-    """The smallest of the rows [K, ...], and the first row that has it, int32. Of a few one after the other, which vectorises."""
+    """The smallest of the rows [K, ...], and the first row that has it, int32. Of a few one after
+    the other, which vectorises.
+    """
     if rows.shape[0] > UNROLL_LIMIT:
         least = jnp.min(rows, axis=0)
         return least, _first_true_row(rows == least[None])
@@ -255,37 +326,52 @@ def _min_row(rows: Array) -> tuple[Array, Array]:
 
 
 def _first_true_row(mask: Array) -> Array:
-    """Index of the first row in which the mask holds, [...] int32; a minimum, which unlike argmin vectorises."""
+    """Index of the first row in which the mask holds, [...] int32; a minimum, which unlike argmin
+    vectorises.
+    """
     rows = mask.shape[0]
     number = jnp.arange(rows, dtype=jnp.int32).reshape(-1, *(1,) * (mask.ndim - 1))
     return jnp.min(jnp.where(mask, number, rows - 1), axis=0)
 
 
 def _orient_towards_b(normal: Vector, rel: RelativePose) -> Vector:
-    return vector.scale(jnp.where(dot(normal, rel.offset) < 0, -1, 1).astype(normal[0].dtype), normal)
+    return vector.scale(
+        jnp.where(dot(normal, rel.offset) < 0, -1, 1).astype(normal[0].dtype), normal
+    )
 
 
-def contact_patch(a: Hulls, b: Hulls, rel: RelativePose, depth: Array, normal: Vector) -> tuple[Vector, Array, Moments]:
-    """Centroid of the overlap weighted by depth, [P] x 3 (m), in a's frame, its weight [P] (m2), and its second moments about
-    the centroid over the weight, [P] (m2).
+def contact_patch(
+    a: Hulls, b: Hulls, rel: RelativePose, depth: Array, normal: Vector
+) -> tuple[Vector, Array, Moments]:
+    """Centroid of the overlap weighted by depth, [P] x 3 (m), in a's frame, its weight [P] (m2),
+    and its second moments about the centroid over the weight, [P] (m2).
 
     depth: [P] (m), the overlap along the normal.
 
-    The edges of the face of each body that looks most along the normal are clipped by the other body; over what
-    remains inside, the depth along the normal below the other's face is linear, and its line integral is closed. It ends at
-    nothing where an edge leaves through that face: where two faces are not quite parallel, an edge along their common line
-    would else have its whole depth on one side and none on the other, and a piece that rests there would rock for ever.
+    The edges of the face of each body that looks most along the normal are clipped by the other
+    body; over what remains inside, the depth along the normal below the other's face is linear, and
+    its line integral is closed. It ends at nothing where an edge leaves through that face: where
+    two faces are not quite parallel, an edge along their common line would else have its whole
+    depth on one side and none on the other, and a piece that rests there would rock for ever.
     """
     on_b = vector.scale(-1, vector.rotate_back(rel.rotation, normal))
     rel = regularize_touching(rel, depth, normal, b.bounding_radius)
-    top, faces = _clip_support_faces(a, b, rel, normal, _find_support_face(a, normal), _find_support_face(b, on_b))
+    top, faces = _clip_support_faces(
+        a, b, rel, normal, _find_support_face(a, normal), _find_support_face(b, on_b)
+    )
     weight = faces[0].weight + faces[1].weight
-    first = vector.add(*(vector.add(vector.scale(face.weight, face.centre), face.first) for face in faces))
+    first = vector.add(
+        *(vector.add(vector.scale(face.weight, face.centre), face.first) for face in faces)
+    )
     scale = 1 / jnp.where(weight > 0, weight, 1)
     centroid = vector.scale(scale, first)
     point = vector.where(weight > 0, centroid, vector.scale(top - 0.5 * depth, normal))
     moments = partial(_moments_about_centroid, faces, scale, centroid, b.bounding_radius)
-    return clamp_contact_point(point, b.bounding_radius, rel, top - 0.5 * depth, normal), weight, moments
+    return (
+        clamp_contact_point(point, b.bounding_radius, rel, top - 0.5 * depth, normal),
+        weight,
+        moments,
+    )
 
 
 class _ClippedFace(NamedTuple):
@@ -297,16 +383,28 @@ class _ClippedFace(NamedTuple):
     second: Moments  # (m4): of depth times the products of two coordinates of it
 
 
-def _moments_about_centroid(faces: Sequence[_ClippedFace], scale: Array, centroid: Vector, radius: Array) -> SecondMoments:
-    """Second moments about a centroid (m2). scale: one over the weight of both faces; radius: (m), that bounds b."""
+def _moments_about_centroid(
+    faces: Sequence[_ClippedFace], scale: Array, centroid: Vector, radius: Array
+) -> SecondMoments:
+    """Second moments about a centroid (m2). scale: one over the weight of both faces; radius: (m),
+    that bounds b.
+    """
     offsets = [vector.sub(face.centre, centroid) for face in faces]
-    about = [patch_moments.shift_origin(f.second(), f.weight, f.first, offset) for f, offset in zip(faces, offsets, strict=True)]
-    return patch_moments.discard_oversized(patch_moments.scale_moments(scale, patch_moments.add_moments(*about)), radius)
+    about = [
+        patch_moments.shift_origin(f.second(), f.weight, f.first, offset)
+        for f, offset in zip(faces, offsets, strict=True)
+    ]
+    return patch_moments.discard_oversized(
+        patch_moments.scale_moments(scale, patch_moments.add_moments(*about)), radius
+    )
 
 
-def regularize_touching(rel: RelativePose, depth: Array, normal: Vector, radius: Array) -> RelativePose:
-    """Bodies that overlap by no more than rounding pressed together by as much: of what it leaves of their overlap, or makes of
-    it where there is none, no contact point could be told, and the first push of a corner would turn nothing.
+def regularize_touching(
+    rel: RelativePose, depth: Array, normal: Vector, radius: Array
+) -> RelativePose:
+    """Bodies that overlap by no more than rounding pressed together by as much: of what it leaves
+    of their overlap, or makes of it where there is none, no contact point could be told, and the
+    first push of a corner would turn nothing.
 
     depth: [P] (m), along the normal; radius: [P] or [1] (m), that bounds b.
     """
@@ -315,11 +413,15 @@ def regularize_touching(rel: RelativePose, depth: Array, normal: Vector, radius:
     return rel._replace(offset=vector.fusion_barrier(*vector.add_scaled(rel.offset, way, normal)))
 
 
-def clamp_contact_point(point: Vector, radius: Array, rel: RelativePose, surface: Array, normal: Vector) -> Vector:
-    """The point, or below b's centre on the surface between the two where it is further from that centre than any of b.
+def clamp_contact_point(
+    point: Vector, radius: Array, rel: RelativePose, surface: Array, normal: Vector
+) -> Vector:
+    """The point, or below b's centre on the surface between the two where it is further from that
+    centre than any of b.
 
-    Of an overlap that is no deeper than rounding the weight may be nothing, or next to nothing while the integrals that it divides
-    are not. radius: [P] or [1] (m), that bounds b; surface: [P] (m), its height along the normal above a's centre.
+    Of an overlap that is no deeper than rounding the weight may be nothing, or next to nothing
+    while the integrals that it divides are not. radius: [P] or [1] (m), that bounds b; surface: [P]
+    (m), its height along the normal above a's centre.
     """
     away = vector.sub(point, rel.offset)
     below = vector.add_scaled(rel.offset, surface - dot(normal, rel.offset), normal)
@@ -327,10 +429,16 @@ def clamp_contact_point(point: Vector, radius: Array, rel: RelativePose, surface
 
 
 def _clip_support_faces(
-    a: Hulls, b: Hulls, rel: RelativePose, normal: Vector, facing_a: SupportFace, facing_b: SupportFace
+    a: Hulls,
+    b: Hulls,
+    rel: RelativePose,
+    normal: Vector,
+    facing_a: SupportFace,
+    facing_b: SupportFace,
 ) -> tuple[Array, tuple[_ClippedFace, _ClippedFace]]:
-    """Of the facing faces (``_find_support_face``): a's extent along the normal [P] (m), and of both what remains inside the other body.
-    Half of the edges say all, which halves the work."""
+    """Of the facing faces (``_find_support_face``): a's extent along the normal [P] (m), and of
+    both what remains inside the other body. Half of the edges say all, which halves the work.
+    """
     assert a.face_loops is not None and b.face_loops is not None
     turn = vector.expand_matrix_dims(rel.rotation, 0)
     (face_a, side_a, up_a), (face_b, side_b, up_b) = facing_a, facing_b
@@ -340,10 +448,17 @@ def _clip_support_faces(
     edges_b = fusion_barrier(*vector.rotate(turn, edges_b))
     half = a.normals[0].shape[0] // 2, b.normals[0].shape[0] // 2
     slabs_a = vector.take_entries(a.normals, slice(half[0])), a.offsets[: half[0]]
-    slabs_b = fusion_barrier(*vector.rotate(turn, vector.take_entries(b.normals, slice(half[1])))), b.offsets[: half[1]]
-    top = fusion_barrier(dot(normal, centre_a) + 0.5 * jnp.sum(jnp.abs(dot(expand_dims(normal, 0), edges_a)), axis=0))
+    slabs_b = (
+        fusion_barrier(*vector.rotate(turn, vector.take_entries(b.normals, slice(half[1])))),
+        b.offsets[: half[1]],
+    )
+    top = fusion_barrier(
+        dot(normal, centre_a) + 0.5 * jnp.sum(jnp.abs(dot(expand_dims(normal, 0), edges_a)), axis=0)
+    )
     below_a = fusion_barrier(*_depth_gradient(up_a, normal))
-    below_b = fusion_barrier(*_depth_gradient(vector.rotate(rel.rotation, up_b), vector.scale(-1, normal)))
+    below_b = fusion_barrier(
+        *_depth_gradient(vector.rotate(rel.rotation, up_b), vector.scale(-1, normal))
+    )
     way = vector.sub(centre_a, centre_b)
     deep_a, rise_a = fusion_barrier(dot(below_b, way), dot(expand_dims(below_b, 0), edges_a))
     deep_b, rise_b = fusion_barrier(-dot(below_a, way), dot(expand_dims(below_a, 0), edges_b))
@@ -351,15 +466,20 @@ def _clip_support_faces(
     open_a = fusion_barrier(*_extend_back_slabs(slabs_a[1], side_a, b.bounding_radius))
     open_b = fusion_barrier(*_extend_back_slabs(slabs_b[1], side_b, a.bounding_radius))
     from_b = vector.sub(centre_a, rel.offset)
-    (weight, *first), second = _clip_zonogon(from_b, edges_a, slabs_b[0], open_b, deep_a, rise_a, is_open)
+    (weight, *first), second = _clip_zonogon(
+        from_b, edges_a, slabs_b[0], open_b, deep_a, rise_a, is_open
+    )
     of_a = _ClippedFace(centre_a, weight, (first[0], first[1], first[2]), second)
-    (weight, *first), second = _clip_zonogon(centre_b, edges_b, slabs_a[0], open_a, deep_b, rise_b, None)
+    (weight, *first), second = _clip_zonogon(
+        centre_b, edges_b, slabs_a[0], open_a, deep_b, rise_b, None
+    )
     return top, (of_a, _ClippedFace(centre_b, weight, (first[0], first[1], first[2]), second))
 
 
 def _extend_back_slabs(offsets: Array, side: Array, other: Array) -> tuple[Array, Array]:
-    """Middle and half of the width of slabs [m, P] (m), of which the one whose face looks at the other body has its other face
-    further behind by that body's diameter: nothing is pushed through it, and a thin plate has a thick one's contact.
+    """Middle and half of the width of slabs [m, P] (m), of which the one whose face looks at the
+    other body has its other face further behind by that body's diameter: nothing is pushed through
+    it, and a thin plate has a thick one's contact.
 
     side: of ``_find_support_face``; other: bounding radius of the other body (m).
     """
@@ -376,20 +496,26 @@ def face_steepness(up: Vector, normal: Vector) -> Array:
 
 
 def _depth_gradient(up: Vector, normal: Vector) -> Vector:
-    """What a way from a face is multiplied by for the depth along a normal below it, [..] x 3; as in ``face_steepness``."""
+    """What a way from a face is multiplied by for the depth along a normal below it, [..] x 3; as
+    in ``face_steepness``.
+    """
     return vector.scale(-1 / face_steepness(up, normal), up)
 
 
 def _find_support_face(hull: Hulls, normal: Vector) -> SupportFace:
-    """The face of a zonotope whose outward normal lies most along a direction given in the hull's frame: its column [P], for each
-    slab on which side of it that face is, [m, P]: 1 or -1, else 0, and that normal."""
+    """The face of a zonotope whose outward normal lies most along a direction given in the hull's
+    frame: its column [P], for each slab on which side of it that face is, [m, P]: 1 or -1, else 0,
+    and that normal.
+    """
     assert hull.face_loops is not None
     along = dot(hull.normals, expand_dims(normal, 0))
     most = along == jnp.max(along, axis=0)[None]
     half = most.shape[0] // 2
     side = most[:half].astype(along.dtype) - most[half:].astype(along.dtype)
     face = _first_true_row(most)
-    column = fusion_barrier(face * (hull.face_loops.shape[1] // hull.normals[0].shape[0]) + hull.row)
+    column = fusion_barrier(
+        face * (hull.face_loops.shape[1] // hull.normals[0].shape[0]) + hull.row
+    )
     return column, side, _take_vector(hull.normals, face)
 
 
@@ -400,7 +526,9 @@ def loop_vectors(loops: Array, column: Array) -> Vector:
 
 
 def _centre_and_edges(loops: Array, column: Array) -> tuple[Vector, Vector]:
-    """Centre [P] x 3 and half of the edges [K, P] x 3 (m) of the faces of zonotopes in columns [P] of Hulls.loops."""
+    """Centre [P] x 3 and half of the edges [K, P] x 3 (m) of the faces of zonotopes in columns [P]
+    of Hulls.loops.
+    """
     found = loop_vectors(loops, column)
     return vector.take_entries(found, 0), vector.take_entries(found, slice(1, None))
 
@@ -414,31 +542,40 @@ def _clip_zonogon(
     rise: Array,
     is_open: Array | None,
 ) -> tuple[Integrals, Moments]:
-    """Line integrals of depth, and of depth times position about the centre, over the part of a face's edges that is
-    inside a zonotope: four arrays [P] (m2, m3); second moments likewise.
+    """Line integrals of depth, and of depth times position about the centre, over the part of a
+    face's edges that is inside a zonotope: four arrays [P] (m2, m3); second moments likewise.
 
-    centre: [P] x 3 (m), of the face relative to the zonotope's; edges: [K, P] x 3 (m), the first half of them in
-    order, the others being opposite; normals: [m, P] x 3; slabs: middles and halves [m, P] (m), the zonotope being where all
-    |normal . x - middle| < half; depth: [P] (m) at the centre; rise: [K, P] (m) of depth along the edges; is_open: [2 K, P],
-    1 for each edge that counts, or None.
+    centre: [P] x 3 (m), of the face relative to the zonotope's; edges: [K, P] x 3 (m), the first
+    half of them in order, the others being opposite; normals: [m, P] x 3; slabs: middles and halves
+    [m, P] (m), the zonotope being where all
+    |normal . x - middle| < half; depth: [P] (m) at the centre; rise: [K, P] (m) of depth along the
+    edges; is_open: [2 K, P], 1 for each edge that counts, or None.
     """
     count = rise.shape[0]
-    corner = fusion_barrier(*vector.map_components(_edge_starts, edges))  # [K, P]: of each edge, about the centre
+    corner = fusion_barrier(*vector.map_components(_edge_starts, edges))  # [K, P]: of each edge,
+    # about the centre
     middle, half = slabs
     across = expand_dims(normals, 1)
     du = dot(across, expand_dims(edges, 0))  # [m, K, P]
-    tiny = jnp.finfo(du.dtype).tiny ** 0.25  # so small that its square, in derivatives, does not overflow
+    tiny = jnp.finfo(du.dtype).tiny ** 0.25  # so small that its square, in derivatives, does not
+    # overflow
     du = jnp.where(jnp.abs(du) < tiny, tiny, du)
-    # A slab is entered and left where normal . x is at the ends of it, whichever comes first along the edge.
+    # A slab is entered and left where normal . x is at the ends of it, whichever comes first along
+    # the edge.
     inverse = 1 / du
-    at_centre, half = fusion_barrier(dot(normals, expand_dims(centre, 0)) - middle)[:, None] * inverse, half[:, None] * jnp.abs(inverse)
+    at_centre, half = (
+        fusion_barrier(dot(normals, expand_dims(centre, 0)) - middle)[:, None] * inverse,
+        half[:, None] * jnp.abs(inverse),
+    )
     at_corner = fusion_barrier(dot(across, expand_dims(corner, 0)) * inverse)
     length, to_begin = fusion_barrier(vector.norm(edges), _edge_starts(rise))
     sums, clips = [], []
     # Of the edge that begins at a corner, and of the opposite one:
     for k, sign, before in ((0, 1, at_corner + at_centre), (1, -1, at_corner - at_centre)):
         start, end = -jnp.min(before + half, axis=0), -jnp.max(before - half, axis=0)
-        weight, along, start, end = _depth_integrals(start, end, length, depth[None] + sign * to_begin, sign * rise)
+        weight, along, start, end = _depth_integrals(
+            start, end, length, depth[None] + sign * to_begin, sign * rise
+        )
         part = None if is_open is None else is_open[k * count : (k + 1) * count]
         clips.append((start, end, weight, along, sign, part))
         if part is not None:  # an edge in the middle of a wall is no edge of the overlap
@@ -446,72 +583,115 @@ def _clip_zonogon(
         sums.append((weight, sign * weight, sign * along))
     both = [p + q for p, q in zip(*sums, strict=True)]
     total = jnp.sum(both[0], axis=0)
-    x, y, z = (jnp.sum(both[1] * c + both[2] * e, axis=0) for c, e in zip(corner, edges, strict=True))
+    x, y, z = (
+        jnp.sum(both[1] * c + both[2] * e, axis=0) for c, e in zip(corner, edges, strict=True)
+    )
 
     def second_moments() -> SecondMoments:  # of which opposite edges have the same
         integrals = []
         for start, end, weight, along, sign, part in clips:
-            square = _second_depth_integral(start, end, length, depth[None] + sign * to_begin, sign * rise, along)
+            square = _second_depth_integral(
+                start, end, length, depth[None] + sign * to_begin, sign * rise, along
+            )
             integrals.append([x if part is None else part * x for x in (weight, along, square)])
         weight, along, square = (p + q for p, q in zip(*integrals, strict=True))
-        return SecondMoments(*(_sum_terms(entry) for entry in patch_moments.edge_moments(corner, edges, (weight, along, square))))
+        return SecondMoments(
+            *(
+                _sum_terms(entry)
+                for entry in patch_moments.edge_moments(corner, edges, (weight, along, square))
+            )
+        )
 
     return (total, x, y, z), second_moments
 
 
 def _edge_starts(steps: Array) -> Array:
-    """Where each of the first half of the steps [K, P] around a centrally symmetric loop begins, about its centre."""
+    """Where each of the first half of the steps [K, P] around a centrally symmetric loop begins,
+    about its centre.
+    """
     number = jnp.arange(steps.shape[0])[:, None]
-    return _sum_terms(jnp.where(number > j, 0.5, -0.5).astype(steps.dtype) * steps[j : j + 1] for j in range(steps.shape[0]))
+    return _sum_terms(
+        jnp.where(number > j, 0.5, -0.5).astype(steps.dtype) * steps[j : j + 1]
+        for j in range(steps.shape[0])
+    )
 
 
 def edge_crossings(points: Vector, normals: Vector, offsets: Array) -> tuple[Array, Array]:
-    """Where each edge of a face, from 0 to 1, enters a polytope, and where it leaves it, [k, ..] each.
+    """Where each edge of a face, from 0 to 1, enters a polytope, and where it leaves it, [k, ..]
+    each.
 
-    points: [k + 1, ..] x 3, the corners relative to the polytope's origin; normals: [m, ..] x 3 and offsets: [m, ..] of its
-    faces.
+    points: [k + 1, ..] x 3, the corners relative to the polytope's origin; normals: [m, ..] x 3 and
+    offsets: [m, ..] of its faces.
     """
-    u = fusion_barrier(dot(expand_dims(normals, 1), expand_dims(points, 0)) / offsets[:, None])  # [m, k + 1, ..]
+    # [m, k + 1, ..]
+    u = fusion_barrier(dot(expand_dims(normals, 1), expand_dims(points, 0)) / offsets[:, None])
     du = u[:, 1:] - u[:, :-1]
-    tiny = jnp.finfo(u.dtype).tiny ** 0.25  # so small that its square, in derivatives, does not overflow
+    tiny = jnp.finfo(u.dtype).tiny ** 0.25  # so small that its square, in derivatives, does not
+    # overflow
     du = jnp.where(jnp.abs(du) < tiny, tiny, du)
-    crossing = (1 - u[:, :-1]) / du  # a half-space u < 1 is left where u grows, entered where it falls
-    return _reduce_rows(jnp.max, jnp.where(du < 0, crossing, -jnp.inf)), _reduce_rows(jnp.min, jnp.where(du < 0, jnp.inf, crossing))
+    crossing = (1 - u[:, :-1]) / du  # a half-space u < 1 is left where u grows, entered where it
+    # falls
+    return _reduce_rows(jnp.max, jnp.where(du < 0, crossing, -jnp.inf)), _reduce_rows(
+        jnp.min, jnp.where(du < 0, jnp.inf, crossing)
+    )
 
 
-def integrate_clipped_edges(start: Array, end: Array, corners: Vector, depth: Array) -> tuple[Integrals, Moments]:
-    """For each edge of a face, the line integral of depth over its part inside a polytope, and of depth times position:
-    four arrays [k, ..] (m2, m3); second moments likewise.
+def integrate_clipped_edges(
+    start: Array, end: Array, corners: Vector, depth: Array
+) -> tuple[Integrals, Moments]:
+    """For each edge of a face, the line integral of depth over its part inside a polytope, and of
+    depth times position: four arrays [k, ..] (m2, m3); second moments likewise.
 
-    start, end: [k, ..], ``edge_crossings``; corners: [k + 1, ..] x 3 (m); depth: [k + 1, ..] (m), at them.
+    start, end: [k, ..], ``edge_crossings``; corners: [k + 1, ..] x 3 (m); depth: [k + 1, ..] (m),
+    at them.
     """
-    corner, edge = vector.take_entries(corners, slice(-1)), vector.map_components(lambda c: c[1:] - c[:-1], corners)
+    corner, edge = (
+        vector.take_entries(corners, slice(-1)),
+        vector.map_components(lambda c: c[1:] - c[:-1], corners),
+    )
     length, rise = vector.norm(edge), depth[1:] - depth[:-1]
     weight, along, start, end = _depth_integrals(start, end, length, depth[:-1], rise)
     x, y, z = (weight * c + along * e for c, e in zip(corner, edge, strict=True))
     square = partial(_second_depth_integral, start, end, length, depth[:-1], rise, along)
-    return (weight, x, y, z), lambda: patch_moments.edge_moments(corner, edge, (weight, along, square()))
+    return (weight, x, y, z), lambda: patch_moments.edge_moments(
+        corner, edge, (weight, along, square())
+    )
 
 
 def _reduce_rows(of: Callable[..., Array], rows: Array) -> Array:
-    """The largest or smallest of the rows [K, ..]: of a few at a time, which the compiler unrolls and so vectorises, unless
-    that makes the program long."""
+    """The largest or smallest of the rows [K, ..]: of a few at a time, which the compiler unrolls
+    and so vectorises, unless that makes the program long.
+    """
     if rows.shape[0] > UNROLL_LIMIT:
         return of(rows, axis=0)
-    return of(jnp.stack([of(rows[k : k + ROWS_AT_ONCE], axis=0) for k in range(0, rows.shape[0], ROWS_AT_ONCE)]), axis=0)
+    return of(
+        jnp.stack(
+            [of(rows[k : k + ROWS_AT_ONCE], axis=0) for k in range(0, rows.shape[0], ROWS_AT_ONCE)]
+        ),
+        axis=0,
+    )
 
 
-def _depth_integrals(start: Array, end: Array, length: Array, depth: Array, rise: Array) -> tuple[Array, Array, Array, Array]:
-    """Integrals of depth, and of depth times t, over the part of edges (t from 0 to 1) from start to end, [k, P] (m2); start and
-    end of that part."""
+def _depth_integrals(
+    start: Array, end: Array, length: Array, depth: Array, rise: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Integrals of depth, and of depth times t, over the part of edges (t from 0 to 1) from start
+    to end, [k, P] (m2); start and end of that part.
+    """
     start, end = fusion_barrier(jnp.clip(start, 0, 1), jnp.clip(end, 0, 1))
     part = jnp.maximum(end - start, 0)
     middle = 0.5 * (start + end)
     weight = part * length * jnp.maximum(depth + rise * middle, 0)
-    return *fusion_barrier(weight, weight * middle + part * part * part * rise * length / 12), start, end
+    return (
+        *fusion_barrier(weight, weight * middle + part * part * part * rise * length / 12),
+        start,
+        end,
+    )
 
 
-def _second_depth_integral(start: Array, end: Array, length: Array, depth: Array, rise: Array, along: Array) -> Array:
+def _second_depth_integral(
+    start: Array, end: Array, length: Array, depth: Array, rise: Array, along: Array
+) -> Array:
     """Integral of depth times t^2, likewise. along: that of depth times t."""
     part = jnp.maximum(end - start, 0)
     middle = 0.5 * (start + end)
@@ -528,7 +708,9 @@ def sphere_sphere(radius_a: Array, radius_b: Array, offset: Vector) -> ContactGe
 
 
 def hull_sphere(a: Hulls, radius: Array, centre: Vector) -> ContactGeometry:
-    """A convex polytope a and a sphere b whose centre (in a's frame, [P] x 3) may lie in it or outside."""
+    """A convex polytope a and a sphere b whose centre (in a's frame, [P] x 3) may lie in it or
+    outside.
+    """
     part, a = a, a if a.extended is None else a.extended
     height = fusion_barrier(dot(a.normals, expand_dims(centre, 0)) - a.offsets)  # [F, P]
     inside, face_normal = jnp.max(height, axis=0), _take_vector(a.normals, _min_row(-height)[1])
@@ -540,11 +722,17 @@ def hull_sphere(a: Hulls, radius: Array, centre: Vector) -> ContactGeometry:
     # Beside a part that another continues, the other has the contact.
     foot = vector.add_scaled(centre, found.depth - radius, found.normal)
     above = jnp.max(dot(part.normals, expand_dims(foot, 0)) - part.offsets, axis=0)
-    return found._replace(weight=jnp.where(above < PART_EDGE_TOLERANCE * part.bounding_radius, 1, 0).astype(radius.dtype))
+    return found._replace(
+        weight=jnp.where(above < PART_EDGE_TOLERANCE * part.bounding_radius, 1, 0).astype(
+            radius.dtype
+        )
+    )
 
 
 def plate_sphere(a: Plates, radius: Array, centre: Vector) -> ContactGeometry:
-    """As ``hull_sphere``, of a panel a: a prism, of which the closest point is found in height and in the plane apart."""
+    """As ``hull_sphere``, of a panel a: a prism, of which the closest point is found in height and
+    in the plane apart.
+    """
     x, y, z = centre
     to_x, to_y = x[None] - a.corners[0], y[None] - a.corners[1]  # [k, P]
     along_x, along_y = a.directions
@@ -555,21 +743,37 @@ def plate_sphere(a: Plates, radius: Array, centre: Vector) -> ContactGeometry:
     least, edge = _min_row(-beyond)
     is_beside, above = least < 0, jnp.abs(z) - a.half_thickness
     up = jnp.where(z < 0, -1, 1).astype(z.dtype)
-    aside_x, aside_y = (jnp.where(is_beside, take_entry(rows, nearest), 0) for rows in (from_x, from_y))
+    aside_x, aside_y = (
+        jnp.where(is_beside, take_entry(rows, nearest), 0) for rows in (from_x, from_y)
+    )
     away = fusion_barrier(aside_x, aside_y, up * jnp.maximum(above, 0))
     is_side = -least > above  # of a centre in the plate, which face it is nearest to
-    inner = jnp.where(is_side, take_entry(along_y, edge), 0), jnp.where(is_side, -take_entry(along_x, edge), 0), jnp.where(is_side, 0, up)
+    inner = (
+        jnp.where(is_side, take_entry(along_y, edge), 0),
+        jnp.where(is_side, -take_entry(along_x, edge), 0),
+        jnp.where(is_side, 0, up),
+    )
     found = _sphere_contact(away, jnp.maximum(above, -least), inner, radius, centre)
     if a.seams is None:
         return found
     # Beside a panel that another continues, the other has the contact.
-    across = [dot(found.normal, vector.take_entries(a.seams, k)) for k in range(a.seams[0].shape[0])]
-    return found._replace(weight=jnp.where(jnp.max(jnp.stack(across), axis=0) > SEAM_SINE_TOLERANCE, 0, 1).astype(radius.dtype))
+    across = [
+        dot(found.normal, vector.take_entries(a.seams, k)) for k in range(a.seams[0].shape[0])
+    ]
+    return found._replace(
+        weight=jnp.where(jnp.max(jnp.stack(across), axis=0) > SEAM_SINE_TOLERANCE, 0, 1).astype(
+            radius.dtype
+        )
+    )
 
 
-def _sphere_contact(away: Vector, height: Array, face_normal: Vector, radius: Array, centre: Vector) -> ContactGeometry:
-    """A body and a sphere. away: (m) from the closest point of the body's surface to the sphere's centre; height, face_normal:
-    of that centre above the face that it is highest above (m, < 0: in the body), and that face's normal."""
+def _sphere_contact(
+    away: Vector, height: Array, face_normal: Vector, radius: Array, centre: Vector
+) -> ContactGeometry:
+    """A body and a sphere. away: (m) from the closest point of the body's surface to the sphere's
+    centre; height, face_normal: of that centre above the face that it is highest above (m, < 0: in
+    the body), and that face's normal.
+    """
     distance = vector.norm(away)
     outside = (height > 0) & (distance > 0)
     tiny = jnp.finfo(distance.dtype).tiny
@@ -579,7 +783,9 @@ def _sphere_contact(away: Vector, height: Array, face_normal: Vector, radius: Ar
 
 
 def _closest_on_faces(hull: Hulls, height: Array, centre: Vector) -> tuple[Vector, Array]:
-    """Closest point of each face polygon to a point: [F, P] x 3 (m), and its squared distance [F, P] (m2)."""
+    """Closest point of each face polygon to a point: [F, P] x 3 (m), and its squared distance [F,
+    P] (m2).
+    """
     corners = hull.corners  # [k, F, P]
     assert corners is not None
     edge = vector.map_components(lambda c: jnp.roll(c, -1, axis=0) - c, corners)
@@ -592,7 +798,9 @@ def _closest_on_faces(hull: Hulls, height: Array, centre: Vector) -> tuple[Vecto
     normals = vector.map_components(lambda c: jnp.broadcast_to(c, height.shape), hull.normals)
     within = jnp.all(dot(vector.cross(expand_dims(normals, 0), edge), to_centre) >= 0, axis=0)
     on_face = vector.add_scaled(centre, -height, normals)
-    return fusion_barrier(*vector.where(within, on_face, on_edge)), fusion_barrier(jnp.where(within, height * height, squared))
+    return fusion_barrier(*vector.where(within, on_face, on_edge)), fusion_barrier(
+        jnp.where(within, height * height, squared)
+    )
 
 
 def _safe_root(x: Array) -> Array:
@@ -606,10 +814,14 @@ def _sum_terms(terms: Iterable[Array]) -> Array:
 
 
 def _take_vector(v: Vector, index: Array) -> Vector:
-    """Entry index of each list v, [K, ...] x 3: of a few a row of selections, which unlike a gather vectorises."""
+    """Entry index of each list v, [K, ...] x 3: of a few a row of selections, which unlike a gather
+    vectorises.
+    """
     if v[0].shape[0] > UNROLL_LIMIT:
         rows = vector.map_components(lambda c: jnp.broadcast_to(c, (c.shape[0], *index.shape)), v)
-        return vector.map_components(lambda c: jnp.take_along_axis(c, index[None], axis=0, mode="promise_in_bounds")[0], rows)
+        return vector.map_components(
+            lambda c: jnp.take_along_axis(c, index[None], axis=0, mode="promise_in_bounds")[0], rows
+        )
     return vector.map_components(lambda c: take_entry(c, index), v)
 
 

@@ -28,7 +28,13 @@ class WorldContacts(NamedTuple):
     tied: Array | None = None  # as of ``types.Memory``
 
 
-def to_mass_centres(slots: PairConstants, a: BodyState, b: BodyState, offset: Vector, shape: collision_primitives.ContactGeometry) -> WorldContacts:
+def to_mass_centres(
+    slots: PairConstants,
+    a: BodyState,
+    b: BodyState,
+    offset: Vector,
+    shape: collision_primitives.ContactGeometry,
+) -> WorldContacts:
     """Contacts of a shape in world axes, about the centre of a."""
     overlap = jnp.where(slots.live, shape.depth, -1)
     moments = None if slots.patch is None else shape.moments
@@ -38,9 +44,15 @@ def to_mass_centres(slots: PairConstants, a: BodyState, b: BodyState, offset: Ve
         return part if b.part_offset is None else vector.add(part, b.part_offset)
 
     at_b = relative_to_b(shape.point)
-    at_a = shape.point if a.part_offset is None else vector.add(at_b, offset_between_pieces(a, b, offset))
+    at_a = (
+        shape.point
+        if a.part_offset is None
+        else vector.add(at_b, offset_between_pieces(a, b, offset))
+    )
     deepest = shape.deepest and shape.deepest._replace(point=relative_to_b(shape.deepest.point))
-    return WorldContacts(overlap, shape.normal, at_a, at_b, shape.weight, deepest, moments, tied=shape.tied)
+    return WorldContacts(
+        overlap, shape.normal, at_a, at_b, shape.weight, deepest, moments, tied=shape.tied
+    )
 
 
 def rotate_moments_to_world(a: BodyState, moments: Moments) -> SecondMoments:
@@ -51,7 +63,11 @@ def rotate_moments_to_world(a: BodyState, moments: Moments) -> SecondMoments:
 
 def offset_between_pieces(a: BodyState, b: BodyState, offset: Vector) -> Vector:
     """The offset between the centres of pieces, [P] x 3 (m); offset: between those of their parts."""
-    return offset if a.part_offset is None or b.part_offset is None else vector.add(offset, vector.sub(a.part_offset, b.part_offset))
+    return (
+        offset
+        if a.part_offset is None or b.part_offset is None
+        else vector.add(offset, vector.sub(a.part_offset, b.part_offset))
+    )
 
 
 def add_interaction_range(overlap: Array, reach: Array | None) -> Array:
@@ -59,9 +75,17 @@ def add_interaction_range(overlap: Array, reach: Array | None) -> Array:
     return overlap if reach is None else overlap + reach
 
 
-def empty_world_contacts(system: System, kind: str, slots: PairConstants, dtype: DTypeLike) -> WorldContacts:
+def empty_world_contacts(
+    system: System, kind: str, slots: PairConstants, dtype: DTypeLike
+) -> WorldContacts:
     """Slots of a kind, of surfaces that others continue, in which nothing touches."""
     zero = jnp.zeros(slots.b.shape, dtype)
-    deepest, tied = (DeepestPoint((zero,) * 3, zero), zero if system.may_tie else None) if kind == "hulls" else (None, None)
+    deepest, tied = (
+        (DeepestPoint((zero,) * 3, zero), zero if system.may_tie else None)
+        if kind == "hulls"
+        else (None, None)
+    )
     spread = None if slots.patch is None else SecondMoments(*(zero,) * 6)
-    return WorldContacts(zero - 1, (zero,) * 3, (zero,) * 3, (zero,) * 3, zero, deepest, spread=spread, tied=tied)
+    return WorldContacts(
+        zero - 1, (zero,) * 3, (zero,) * 3, (zero,) * 3, zero, deepest, spread=spread, tied=tied
+    )

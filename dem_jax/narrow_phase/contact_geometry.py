@@ -1,4 +1,6 @@
-"""Kinds of contact by what computes their geometry: spheres, polytopes, a polytope and a sphere, a panel and a sphere."""
+"""Kinds of contact by what computes their geometry: spheres, polytopes, a polytope and a sphere, a
+panel and a sphere.
+"""
 
 from collections.abc import Callable
 from functools import partial
@@ -10,58 +12,96 @@ from dem_jax.math import vector
 from dem_jax.math.vector import Vector
 from dem_jax.narrow_phase import cached_features, collision_primitives, feature_search, hull_lookup
 from dem_jax.narrow_phase.cached_features import TableRows
-from dem_jax.narrow_phase.contact_frame import WorldContacts, add_interaction_range, offset_between_pieces
+from dem_jax.narrow_phase.contact_frame import (
+    WorldContacts,
+    add_interaction_range,
+    offset_between_pieces,
+)
 from dem_jax.narrow_phase.packed_bodies import BodyState
 from dem_jax.narrow_phase.tied_axes import resolve_ties
-from dem_jax.types import ActiveFeatures, Array, ContactHistory, Hulls, PairConstants, SupportFaces, System
+from dem_jax.types import (
+    ActiveFeatures,
+    Array,
+    ContactHistory,
+    Hulls,
+    PairConstants,
+    SupportFaces,
+    System,
+)
 
 
 class CachedGeometry(NamedTuple):
-    """What is known of a block of pairs of polytopes with features; of all other pairs, and where all features are looked at in
-    every step, nothing."""
+    """What is known of a block of pairs of polytopes with features; of all other pairs, and where
+    all features are looked at in every step, nothing.
+    """
 
     active_features: ActiveFeatures | None = None
     support_faces: SupportFaces | None = None
-    clip_planes: Callable[[], Array] | None = None  # Near.clipping: nobody needs them where nothing touches
+    clip_planes: Callable[[], Array] | None = None  # Near.clipping: nobody needs them where nothing
+    # touches
 
 
-WeightedPoint = tuple[Array, Vector, Vector]  # weight [P] (m2) and point [P] x 3 (m) about the centres of both pieces, see ``WorldContacts``
+WeightedPoint = tuple[Array, Vector, Vector]  # weight [P] (m2) and point [P] x 3 (m) about the
+# centres of both pieces, see ``WorldContacts``
 
 NO_CACHE = CachedGeometry()
 EDGE_WEIGHT = 1e-6  # of depth times length: of contacts whose weight is told by edges
 
 
 def compute_contact_geometry(
-    system: System, kind: str, slots: PairConstants, a: BodyState, b: BodyState, offset: Vector, known: CachedGeometry = NO_CACHE
-) -> tuple[Array, Callable[[ContactHistory], collision_primitives.ContactGeometry], SupportFaces | None]:
-    """Depth of each slot, [P] (m), and a function of their memory that says the rest, which nobody needs where nothing touches: a
-    ``collision_primitives.ContactGeometry`` with normal (a to b) and point (relative to the centre of a) in world axes. The point of polytopes
-    is where they would touch if b were nearer by the reach of the law: between separated ones there is a force too.
+    system: System,
+    kind: str,
+    slots: PairConstants,
+    a: BodyState,
+    b: BodyState,
+    offset: Vector,
+    known: CachedGeometry = NO_CACHE,
+) -> tuple[
+    Array, Callable[[ContactHistory], collision_primitives.ContactGeometry], SupportFaces | None
+]:
+    """Depth of each slot, [P] (m), and a function of their memory that says the rest, which nobody
+    needs where nothing touches: a ``collision_primitives.ContactGeometry`` with normal (a to b) and
+    point (relative to the centre of a) in world axes. The point of polytopes is where they would
+    touch if b were nearer by the reach of the law: between separated ones there is a force too.
 
-    Third, the faces of polytopes that look at each other, as far as they are kept for the next step."""
+    Third, the faces of polytopes that look at each other, as far as they are kept for the next
+    step.
+    """
     if kind == "spheres":
         found = collision_primitives.sphere_sphere(slots.radius_a, slots.radius_b, offset)
         return found.depth, lambda _: found, None
     if kind == "mixed":
         assert a.rotation is not None and slots.hull_a is not None
-        found = collision_primitives.hull_sphere(slots.hull_a, slots.radius_b, vector.rotate_back(a.rotation, offset))
+        found = collision_primitives.hull_sphere(
+            slots.hull_a, slots.radius_b, vector.rotate_back(a.rotation, offset)
+        )
         return found.depth, lambda _: _rotate_to_world(found, a), None
     if kind == "plates":
         assert a.rotation is not None and slots.plate_a is not None
-        found = collision_primitives.plate_sphere(slots.plate_a, slots.radius_b, vector.rotate_back(a.rotation, offset))
+        found = collision_primitives.plate_sphere(
+            slots.plate_a, slots.radius_b, vector.rotate_back(a.rotation, offset)
+        )
         if system.walls.is_bent:
             found = found._replace(weight=jnp.ones_like(found.depth))
         return found.depth, lambda _: _rotate_to_world(found, a), None
-    rel, reach, table = relative_pose(a, b, offset), system.law.interaction_range(slots.pair), system.hulls
+    rel, reach, table = (
+        relative_pose(a, b, offset),
+        system.law.interaction_range(slots.pair),
+        system.hulls,
+    )
     assert table is not None
     if table.features is None:
         assert slots.hull_a is not None and slots.hull_b is not None
-        hull_a, hull_b = (hull_lookup.attach_face_loops(rows, table) for rows in (slots.hull_a, slots.hull_b))
+        hull_a, hull_b = (
+            hull_lookup.attach_face_loops(rows, table) for rows in (slots.hull_a, slots.hull_b)
+        )
         depth, normal, along = collision_primitives.separating_axes(hull_a, hull_b, rel)
 
         def zonotope_geometry(memory: ContactHistory) -> collision_primitives.ContactGeometry:
             if not system.may_tie:
-                return _rotate_to_world(_zonotope_geometry(hull_a, hull_b, rel, (depth, normal, along), reach), a)
+                return _rotate_to_world(
+                    _zonotope_geometry(hull_a, hull_b, rel, (depth, normal, along), reach), a
+                )
             axes = partial(collision_primitives.list_zonotope_axes, hull_a, hull_b, rel)
             tied, separation = resolve_ties(system, slots, memory, (depth, normal, along), axes)
             found = _zonotope_geometry(hull_a, hull_b, rel, separation, reach)
@@ -69,23 +109,41 @@ def compute_contact_geometry(
 
         return depth, zonotope_geometry, None
     rows = hull_rows(system, slots)
-    separation, features, faces, planes, facing = _find_polytope_axes(table, slots, rows, rel, reach, known)
+    separation, features, faces, planes, facing = _find_polytope_axes(
+        table, slots, rows, rel, reach, known
+    )
 
     def polytope_geometry(memory: ContactHistory) -> collision_primitives.ContactGeometry:
         if not system.may_tie:
-            return _rotate_to_world(_polytope_geometry(table, rows, faces, planes(), rel, separation, reach), a)
+            return _rotate_to_world(
+                _polytope_geometry(table, rows, faces, planes(), rel, separation, reach), a
+            )
         axes = partial(cached_features.list_face_axes, features, rel, slots.width)
         tied, (depth, normal, along) = resolve_ties(system, slots, memory, separation[:3], axes)
-        top = separation.top  # of a's face, along its normal: where axes tie it is that of the corner on it
-        one = cached_features.SeparatingAxis(depth, normal, along, jnp.where(tied > 0, cached_features.extent_along_normal(features, normal), top))
-        return _rotate_to_world(_place_at_corner(_polytope_geometry(table, rows, faces, planes(), rel, one, reach), tied), a)
+        top = separation.top  # of a's face, along its normal: where axes tie it is that of the
+        # corner on it
+        one = cached_features.SeparatingAxis(
+            depth,
+            normal,
+            along,
+            jnp.where(tied > 0, cached_features.extent_along_normal(features, normal), top),
+        )
+        return _rotate_to_world(
+            _place_at_corner(
+                _polytope_geometry(table, rows, faces, planes(), rel, one, reach), tied
+            ),
+            a,
+        )
 
     return separation.depth, polytope_geometry, facing
 
 
-def _place_at_corner(found: collision_primitives.ContactGeometry, tied: Array) -> collision_primitives.ContactGeometry:
-    """The contact with tied axes at the corner that touches alone, if one does: which faces look at each other is as undecided
-    as the axes are, and so is the centroid of what they clip."""
+def _place_at_corner(
+    found: collision_primitives.ContactGeometry, tied: Array
+) -> collision_primitives.ContactGeometry:
+    """The contact with tied axes at the corner that touches alone, if one does: which faces look at
+    each other is as undecided as the axes are, and so is the centroid of what they clip.
+    """
     assert found.deepest is not None
     alone = (tied > 0) & (found.deepest.uncertainty <= 0)
     return found._replace(point=vector.where(alone, found.deepest.point, found.point), tied=tied)
@@ -94,7 +152,10 @@ def _place_at_corner(found: collision_primitives.ContactGeometry, tied: Array) -
 def relative_pose(a: BodyState, b: BodyState, offset: Vector) -> collision_primitives.RelativePose:
     """Body b as seen from body a; offset: between their centres, in world axes."""
     assert a.rotation is not None and b.rotation is not None  # not where all are spheres
-    return collision_primitives.RelativePose(vector.matmul(vector.transpose(a.rotation), b.rotation), vector.rotate_back(a.rotation, offset))
+    return collision_primitives.RelativePose(
+        vector.matmul(vector.transpose(a.rotation), b.rotation),
+        vector.rotate_back(a.rotation, offset),
+    )
 
 
 def hull_rows(system: System, slots: PairConstants) -> TableRows:
@@ -102,18 +163,36 @@ def hull_rows(system: System, slots: PairConstants) -> TableRows:
     return system.shape[slots.a], system.shape[slots.b]
 
 
-def polytope_contact(table: Hulls, rows: TableRows, rel: collision_primitives.RelativePose) -> collision_primitives.ContactGeometry:
-    """Contact of the polytopes of rows (a, b) [P] of a table with features, from all of them, in a's frame."""
+def polytope_contact(
+    table: Hulls, rows: TableRows, rel: collision_primitives.RelativePose
+) -> collision_primitives.ContactGeometry:
+    """Contact of the polytopes of rows (a, b) [P] of a table with features, from all of them, in
+    a's frame.
+    """
     axes, _, faces = _search_all_features(table, rows, rel, None)
-    return _polytope_geometry(table, rows, faces, cached_features.all_clip_planes(table, rows), rel, axes, None)
+    return _polytope_geometry(
+        table, rows, faces, cached_features.all_clip_planes(table, rows), rel, axes, None
+    )
 
 
-def _search_all_features(table: Hulls, rows: TableRows, rel: collision_primitives.RelativePose, reach: Array | None) -> tuple[cached_features.SeparatingAxis, ActiveFeatures, Array]:
+def _search_all_features(
+    table: Hulls, rows: TableRows, rel: collision_primitives.RelativePose, reach: Array | None
+) -> tuple[cached_features.SeparatingAxis, ActiveFeatures, Array]:
     """Axes, near features and facing faces of polytopes, from all of their features."""
     assert table.features is not None
-    features = feature_search.find_active_features(table.features, rows, _bounding_radii(table, rows), rel, reach)
+    features = feature_search.find_active_features(
+        table.features, rows, _bounding_radii(table, rows), rel, reach
+    )
     axes = cached_features.find_separating_axis(features, rel)
-    return axes, features, cached_features.select_support_faces(feature_search.find_support_faces(table.features, rows, axes.normal, rel), axes.normal, rel)
+    return (
+        axes,
+        features,
+        cached_features.select_support_faces(
+            feature_search.find_support_faces(table.features, rows, axes.normal, rel),
+            axes.normal,
+            rel,
+        ),
+    )
 
 
 def _bounding_radii(table: Hulls, rows: TableRows) -> tuple[Array, Array]:
@@ -121,36 +200,80 @@ def _bounding_radii(table: Hulls, rows: TableRows) -> tuple[Array, Array]:
 
 
 def _find_polytope_axes(
-    table: Hulls, slots: PairConstants, rows: TableRows, rel: collision_primitives.RelativePose, reach: Array | None, known: CachedGeometry
-) -> tuple[cached_features.SeparatingAxis, ActiveFeatures, Array, Callable[[], cached_features.ClipPlanes], SupportFaces | None]:
-    """Axes, near features, facing faces and clipping planes of polytopes, and Facing for the next step."""
+    table: Hulls,
+    slots: PairConstants,
+    rows: TableRows,
+    rel: collision_primitives.RelativePose,
+    reach: Array | None,
+    known: CachedGeometry,
+) -> tuple[
+    cached_features.SeparatingAxis,
+    ActiveFeatures,
+    Array,
+    Callable[[], cached_features.ClipPlanes],
+    SupportFaces | None,
+]:
+    """Axes, near features, facing faces and clipping planes of polytopes, and Facing for the next
+    step.
+    """
     if known.active_features is None:
         axes, features, faces = _search_all_features(table, rows, rel, reach)
         return axes, features, faces, lambda: cached_features.all_clip_planes(table, rows), None
     assert known.support_faces is not None and known.clip_planes is not None
-    axes, clipping = cached_features.find_separating_axis(known.active_features, rel), known.clip_planes
+    axes, clipping = (
+        cached_features.find_separating_axis(known.active_features, rel),
+        known.clip_planes,
+    )
     touching = slots.live & (add_interaction_range(axes.depth, reach) > 0)
-    facing = cached_features.update_support_faces(table, known.support_faces, rows, axes.normal, touching, rel)
+    facing = cached_features.update_support_faces(
+        table, known.support_faces, rows, axes.normal, touching, rel
+    )
     is_wide = jnp.any(known.active_features.needs_all_planes & touching)
-    planes = lambda: cached_features.ClipPlanes(clipping(), is_wide)  # noqa: E731
-    return axes, known.active_features, cached_features.select_support_faces(facing, axes.normal, rel), planes, facing
+    planes = lambda: cached_features.ClipPlanes(clipping(), is_wide)
+    return (
+        axes,
+        known.active_features,
+        cached_features.select_support_faces(facing, axes.normal, rel),
+        planes,
+        facing,
+    )
 
 
 def _polytope_geometry(
-    table: Hulls, rows: TableRows, faces: Array, planes: cached_features.ClipPlanes, rel: collision_primitives.RelativePose, axes: cached_features.SeparatingAxis, reach: Array | None
+    table: Hulls,
+    rows: TableRows,
+    faces: Array,
+    planes: cached_features.ClipPlanes,
+    rel: collision_primitives.RelativePose,
+    axes: cached_features.SeparatingAxis,
+    reach: Array | None,
 ) -> collision_primitives.ContactGeometry:
     """Contact of polytopes whose axes are known; reach: [P] or [1] (m), None of a law without."""
     if reach is None:
-        return collision_primitives.ContactGeometry(axes.depth, axes.normal, *cached_features.polytope_contact_patch(table, rows, faces, planes, rel, axes))
+        return collision_primitives.ContactGeometry(
+            axes.depth,
+            axes.normal,
+            *cached_features.polytope_contact_patch(table, rows, faces, planes, rel, axes),
+        )
     nearer = rel._replace(offset=vector.add_scaled(rel.offset, -reach, axes.normal))
-    found = cached_features.polytope_contact_patch(table, rows, faces, planes, nearer, axes._replace(along=axes.along + reach))
-    return collision_primitives.ContactGeometry(axes.depth, axes.normal, vector.add_scaled(found[0], 0.5 * reach, axes.normal), *found[1:])
+    found = cached_features.polytope_contact_patch(
+        table, rows, faces, planes, nearer, axes._replace(along=axes.along + reach)
+    )
+    return collision_primitives.ContactGeometry(
+        axes.depth, axes.normal, vector.add_scaled(found[0], 0.5 * reach, axes.normal), *found[1:]
+    )
 
 
 def _zonotope_geometry(
-    hull_a: Hulls, hull_b: Hulls, rel: collision_primitives.RelativePose, axes: collision_primitives.Separation, reach: Array | None
+    hull_a: Hulls,
+    hull_b: Hulls,
+    rel: collision_primitives.RelativePose,
+    axes: collision_primitives.Separation,
+    reach: Array | None,
 ) -> collision_primitives.ContactGeometry:
-    """Contact of two zonotopes, their separating axes known; reach: [P] or [1] (m), None of a law without."""
+    """Contact of two zonotopes, their separating axes known; reach: [P] or [1] (m), None of a law
+    without.
+    """
     if reach is None:
         return collision_primitives.hull_hull(hull_a, hull_b, rel, axes)
     depth, normal, along = axes
@@ -159,39 +282,66 @@ def _zonotope_geometry(
     return found._replace(point=vector.add_scaled(found.point, 0.5 * reach, normal))
 
 
-def locate_by_edges(system: System, slots: PairConstants, a: BodyState, b: BodyState, offset: Vector, found: WorldContacts, is_lone: Array) -> WeightedPoint:
-    """Weights and points of contacts of polytopes, by all of their edges where the faces that look at each other tell none.
+def locate_by_edges(
+    system: System,
+    slots: PairConstants,
+    a: BodyState,
+    b: BodyState,
+    offset: Vector,
+    found: WorldContacts,
+    is_lone: Array,
+) -> WeightedPoint:
+    """Weights and points of contacts of polytopes, by all of their edges where the faces that look
+    at each other tell none.
 
-    That is where the vertex or edge that touches belongs to neither of these faces, as at the ridge of a hip roof.
+    That is where the vertex or edge that touches belongs to neither of these faces, as at the ridge
+    of a hip roof.
 
-    is_lone: [P] bool, of which contacts that is so; of parts that do not overlap themselves the weight stays 0. It is next to
-    none beside that of a patch, so that it decides only where there is no patch.
+    is_lone: [P] bool, of which contacts that is so; of parts that do not overlap themselves the
+    weight stays 0. It is next to none beside that of a patch, so that it decides only where there
+    is no patch.
     """
     table, reach = system.hulls, system.law.interaction_range(slots.pair)
     assert table is not None and a.rotation is not None and found.weight is not None
     nearer = offset if reach is None else vector.add_scaled(offset, -reach, found.normal)
-    length, centroid = cached_features.edges_inside(table, hull_rows(system, slots), relative_pose(a, b, nearer))
+    length, centroid = cached_features.edges_inside(
+        table, hull_rows(system, slots), relative_pose(a, b, nearer)
+    )
     at_b = vector.rotate(a.rotation, centroid)
     at_b = at_b if b.part_offset is None else vector.add(at_b, b.part_offset)
     is_lone = is_lone & (length > 0)
     return (
-        jnp.where(is_lone, EDGE_WEIGHT * add_interaction_range(found.overlap, reach) * length, found.weight),
+        jnp.where(
+            is_lone,
+            EDGE_WEIGHT * add_interaction_range(found.overlap, reach) * length,
+            found.weight,
+        ),
         vector.where(is_lone, vector.add(at_b, offset_between_pieces(a, b, offset)), found.at_a),
         vector.where(is_lone, at_b, found.at_b),
     )
 
 
-def may_overlap(system: System, slots: PairConstants, a: BodyState, b: BodyState, offset: Vector) -> Array:
-    """Whether parts of polytopes themselves, without what continues them, may be within the reach of the law, [P] bool."""
+def may_overlap(
+    system: System, slots: PairConstants, a: BodyState, b: BodyState, offset: Vector
+) -> Array:
+    """Whether parts of polytopes themselves, without what continues them, may be within the reach
+    of the law, [P] bool.
+    """
     table, reach = system.hulls, system.law.interaction_range(slots.pair)
     assert table is not None and table.features is not None
-    most = feature_search.overlap_upper_bound(table.features, hull_rows(system, slots), relative_pose(a, b, offset), True)
+    most = feature_search.overlap_upper_bound(
+        table.features, hull_rows(system, slots), relative_pose(a, b, offset), True
+    )
     return most > (0 if reach is None else -reach)
 
 
-def candidate_overlap(system: System, kind: str, slots: PairConstants, a: BodyState, b: BodyState, offset: Vector) -> Array:
-    """Depth of each slot, or more, [P] (m), as far as it decides which pairs are near; of polytopes that are parts of more the
-    smaller of that of the whole and their own: beyond a part others touch."""
+def candidate_overlap(
+    system: System, kind: str, slots: PairConstants, a: BodyState, b: BodyState, offset: Vector
+) -> Array:
+    """Depth of each slot, or more, [P] (m), as far as it decides which pairs are near; of polytopes
+    that are parts of more the smaller of that of the whole and their own: beyond a part others
+    touch.
+    """
     table = system.hulls
     if kind != "hulls" or table is None or table.features is None:
         return compute_contact_geometry(system, kind, slots, a, b, offset)[0]
@@ -200,19 +350,35 @@ def candidate_overlap(system: System, kind: str, slots: PairConstants, a: BodySt
     if has_feature_cache(system):
         depth = feature_search.overlap_upper_bound(table.features, rows, rel)
     else:
-        depth = cached_features.find_separating_axis(feature_search.find_active_features(table.features, rows, _bounding_radii(table, rows), rel, None), rel).depth
+        depth = cached_features.find_separating_axis(
+            feature_search.find_active_features(
+                table.features, rows, _bounding_radii(table, rows), rel, None
+            ),
+            rel,
+        ).depth
     if table.features.all_clip or table.features.is_bent:
-        return jnp.minimum(depth, feature_search.overlap_upper_bound(table.features, rows, rel, True))
+        return jnp.minimum(
+            depth, feature_search.overlap_upper_bound(table.features, rows, rel, True)
+        )
     return depth
 
 
 def has_feature_cache(system: System) -> bool:
-    """Whether near features of polytopes are kept from step to step; else all are looked at in each."""
+    """Whether near features of polytopes are kept from step to step; else all are looked at in
+    each.
+    """
     they_meet = any(kind == "hulls" for kind, _, _ in system.capacity)
-    return they_meet and system.hulls is not None and system.hulls.features is not None and bool(system.slot_block)
+    return (
+        they_meet
+        and system.hulls is not None
+        and system.hulls.features is not None
+        and bool(system.slot_block)
+    )
 
 
-def _rotate_to_world(found: collision_primitives.ContactGeometry, a: BodyState) -> collision_primitives.ContactGeometry:
+def _rotate_to_world(
+    found: collision_primitives.ContactGeometry, a: BodyState
+) -> collision_primitives.ContactGeometry:
     """The same in world axes."""
     assert a.rotation is not None
     turned = partial(vector.rotate, a.rotation)

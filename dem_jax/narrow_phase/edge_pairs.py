@@ -1,4 +1,6 @@
-"""Edges of one convex polytope with edges of another: where they make a face of the Minkowski difference."""
+"""Edges of one convex polytope with edges of another: where they make a face of the Minkowski
+difference.
+"""
 
 from typing import NamedTuple
 
@@ -15,17 +17,20 @@ PARALLEL_TOLERANCE = 8  # roundings: edges whose arcs cross by less do not cross
 class EdgePairs(NamedTuple):
     """Edges of a with edges of b, [.., P], in a's frame."""
 
-    overlap: Array  # (m) along the normal of both; infinite where they make no face of the Minkowski difference
+    overlap: Array  # (m) along the normal of both; infinite where they make no face of the
+    # Minkowski difference
     axis: Vector  # x 3: square to both ...
     scale: Array  # ... of which so many are the unit normal from a to b
     distance: Array  # (m): of their nearest points
-    gauss_map_gap: Array  # by how much their arcs on the Gauss map miss each other, as the sine of an angle; 0 where they cross
+    gauss_map_gap: Array  # by how much their arcs on the Gauss map miss each other, as the sine of
+    # an angle; 0 where they cross
 
 
 def evaluate_edge_pairs(a: Array, b: Array, rel: RelativePose) -> EdgePairs:
     """Edges a, b [13, .., P] in their own frames (``Features.edges``); axes before P broadcast.
 
-    The axis of two edges is that of a face where it stands square to both and all four neighbouring faces fall off from it.
+    The axis of two edges is that of a face where it stands square to both and all four neighbouring
+    faces fall off from it.
     """
     middle_a, along_a, half_a, *inward_a = unpack_edge(a)
     middle_b, along_b, half_b, *inward_b = unpack_edge(b)
@@ -36,19 +41,34 @@ def evaluate_edge_pairs(a: Array, b: Array, rel: RelativePose) -> EdgePairs:
     axis = fusion_barrier(*vector.cross(along_a, along_b))
     seen = vector.rotate_back(turn, axis)
     sides = [dot(axis, inward) for inward in inward_a] + [-dot(seen, inward) for inward in inward_b]
-    least = fusion_barrier(jnp.minimum(jnp.minimum(sides[0], sides[1]), jnp.minimum(sides[2], sides[3])))
-    most = fusion_barrier(jnp.maximum(jnp.maximum(sides[0], sides[1]), jnp.maximum(sides[2], sides[3])))
+    least = fusion_barrier(
+        jnp.minimum(jnp.minimum(sides[0], sides[1]), jnp.minimum(sides[2], sides[3]))
+    )
+    most = fusion_barrier(
+        jnp.maximum(jnp.maximum(sides[0], sides[1]), jnp.maximum(sides[2], sides[3]))
+    )
     eps = float(jnp.finfo(half_a.dtype).eps)
     crosses = jnp.maximum(least, -most) > PARALLEL_TOLERANCE * eps  # all on one side
-    across = _shortest_connection(middle_a, along_a, half_a, middle_b, along_b, half_b, dot(axis, axis), eps)
-    scale = fusion_barrier(jnp.where(most < 0, 1, -1) / jnp.sqrt(jnp.where(crosses, dot(axis, axis), 1)))
+    across = _shortest_connection(
+        middle_a, along_a, half_a, middle_b, along_b, half_b, dot(axis, axis), eps
+    )
+    scale = fusion_barrier(
+        jnp.where(most < 0, 1, -1) / jnp.sqrt(jnp.where(crosses, dot(axis, axis), 1))
+    )
     overlap = jnp.where(crosses, -dot(vector.scale(scale, axis), across), jnp.inf)
     shortfall = jnp.maximum(0, jnp.minimum(-least, most))
     return EdgePairs(overlap, axis, scale, vector.norm(across), shortfall)
 
 
 def _shortest_connection(
-    middle_a: Vector, along_a: Vector, half_a: Array, middle_b: Vector, along_b: Vector, half_b: Array, sine2: Array, eps: float
+    middle_a: Vector,
+    along_a: Vector,
+    half_a: Array,
+    middle_b: Vector,
+    along_b: Vector,
+    half_b: Array,
+    sine2: Array,
+    eps: float,
 ) -> Vector:
     """The shortest way from edge a to edge b, x 3 (m)."""
     apart = vector.sub(middle_b, middle_a)
@@ -61,5 +81,5 @@ def _shortest_connection(
 
 def unpack_edge(rows: Array) -> tuple[Vector, Vector, Array, Vector, Vector]:
     """Middle, direction, half length, and the directions into both faces."""
-    three = lambda i: unstack_vector(rows[i : i + 3])  # noqa: E731
+    three = lambda i: unstack_vector(rows[i : i + 3])
     return three(0), three(3), rows[6], three(7), three(10)

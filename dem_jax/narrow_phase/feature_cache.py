@@ -1,4 +1,6 @@
-"""When a look at pairs of polytopes is due: how far each pair may move before it is asked, and how far it has moved."""
+"""When a look at pairs of polytopes is due: how far each pair may move before it is asked, and how
+far it has moved.
+"""
 
 import jax.numpy as jnp
 
@@ -7,7 +9,15 @@ from dem_jax.math.gather import take_columns
 from dem_jax.narrow_phase import cached_features, packed_bodies
 from dem_jax.narrow_phase.collision_primitives import RelativePose
 from dem_jax.narrow_phase.contact_geometry import hull_rows, relative_pose
-from dem_jax.types import ActiveFeatures, Array, OverflowReport, PairConstants, Scratch, State, System
+from dem_jax.types import (
+    ActiveFeatures,
+    Array,
+    OverflowReport,
+    PairConstants,
+    Scratch,
+    State,
+    System,
+)
 
 KIND = "hulls"
 SPEED_MARGIN = 1.01  # of a way
@@ -25,51 +35,77 @@ def advance_margin(system: System, state: State, stacked: Array) -> State:
     way = jnp.where(state.step == scratch.refreshed_at, 0, SPEED_MARGIN * system.dt)
     assert scratch.remaining_margin is not None
     spare = scratch.remaining_margin - way * _relative_speed_bounds(system, scratch, stacked)
-    return state.replace(scratch=scratch.replace(remaining_margin=spare, pending_bodies=stacked, pending_step=state.step))
+    return state.replace(
+        scratch=scratch.replace(
+            remaining_margin=spare, pending_bodies=stacked, pending_step=state.step
+        )
+    )
 
 
 def refresh_features(system: System, state: State, stacked: Array, step: Array) -> State:
-    """The state with near features that hold for all pairs of polytopes where they are after a step, [] int32. stacked:
-    bodies.stack then."""
+    """The state with near features that hold for all pairs of polytopes where they are after a
+    step, [] int32. stacked: bodies.stack then.
+    """
     assert system.hulls is not None
     scratch, slots = state.scratch, state.scratch.slots[KIND]
     rel, left = relative_poses_and_margins(system, state, stacked)
     rows, reach = hull_rows(system, slots), system.law.interaction_range(slots.pair)
-    known, left = cached_features.refresh_stale_pairs(system.hulls, scratch.active_features[KIND], left, rows, slots.live, rel, reach)
+    known, left = cached_features.refresh_stale_pairs(
+        system.hulls, scratch.active_features[KIND], left, rows, slots.live, rel, reach
+    )
     guard = _record_initial_overlap(state.guard, scratch.is_first, known, slots)
     no = jnp.zeros_like(scratch.is_first)
-    scratch = scratch.replace(active_features={KIND: known}, remaining_margin=left, is_first=no, refreshed_at=step)
+    scratch = scratch.replace(
+        active_features={KIND: known}, remaining_margin=left, is_first=no, refreshed_at=step
+    )
     return state.replace(guard=guard, scratch=scratch)
 
 
-def relative_poses_and_margins(system: System, state: State, stacked: Array) -> tuple[RelativePose, Array]:
-    """How all pairs of polytopes [P] are to each other, and the way (m) that each may still move; below 0: a look at it is due.
-    stacked: bodies.stack."""
+def relative_poses_and_margins(
+    system: System, state: State, stacked: Array
+) -> tuple[RelativePose, Array]:
+    """How all pairs of polytopes [P] are to each other, and the way (m) that each may still move;
+    below 0: a look at it is due. stacked: bodies.stack.
+    """
     assert system.hulls is not None
     slots = state.scratch.slots[KIND]
-    a, b = packed_bodies.gather_bodies_at_once(stacked, slots.a), packed_bodies.gather_bodies_at_once(stacked, slots.b)
+    a, b = (
+        packed_bodies.gather_bodies_at_once(stacked, slots.a),
+        packed_bodies.gather_bodies_at_once(stacked, slots.b),
+    )
     rel = relative_pose(a, b, packed_bodies.centre_offset(a, b))
-    return rel, cached_features.remaining_margin(system.hulls, state.scratch.active_features[KIND], hull_rows(system, slots), slots.live, rel)
+    return rel, cached_features.remaining_margin(
+        system.hulls, state.scratch.active_features[KIND], hull_rows(system, slots), slots.live, rel
+    )
 
 
 def _relative_speed_bounds(system: System, scratch: Scratch, stacked: Array) -> Array:
     """The most by which the points of b move in the frame of a, of each pair [P] (m/s).
 
-    That of their centres to each other, and what the turning of each adds: of b to its own points, of a to all that is as
-    far from it as those of b, a piece, are: no pair was or gets further apart until the next rebuild.
+    That of their centres to each other, and what the turning of each adds: of b to its own points,
+    of a to all that is as far from it as those of b, a piece, are: no pair was or gets further
+    apart until the next rebuild.
     """
-    own = jnp.concatenate([system.parts.bounding_radius, vector.norm(tuple(system.walls.half_extent))])
+    own = jnp.concatenate(
+        [system.parts.bounding_radius, vector.norm(tuple(system.walls.half_extent))]
+    )
     body, slots = packed_bodies.unpack_bodies(stacked), scratch.slots[KIND]
     own = own if body.part_offset is None else own + vector.norm(body.part_offset)
     spin = vector.norm(body.spin)
     apart = system.reach + 2 * jnp.max(system.skin + scratch.expected_displacement)
-    of_a = vector.fusion_barrier(jnp.stack([*body.velocity, spin * (own + 2 * jnp.max(system.parts.bounding_radius) + apart)]))
+    of_a = vector.fusion_barrier(
+        jnp.stack(
+            [*body.velocity, spin * (own + 2 * jnp.max(system.parts.bounding_radius) + apart)]
+        )
+    )
     of_b = vector.fusion_barrier(jnp.stack([*body.velocity, spin * own]))
     a, b = (take_columns(x, of) for x, of in ((of_a, slots.a), (of_b, slots.b)))
     return vector.norm(tuple(b[:3] - a[:3])) + a[3] + b[3]
 
 
-def _record_initial_overlap(guard: OverflowReport, is_first: Array, known: ActiveFeatures, slots: PairConstants) -> OverflowReport:
+def _record_initial_overlap(
+    guard: OverflowReport, is_first: Array, known: ActiveFeatures, slots: PairConstants
+) -> OverflowReport:
     """The guard with the deepest pair of all, if this is the first time."""
     relative_depth = jnp.where(slots.live, known.depth / slots.width, -jnp.inf)
     worst = jnp.argmax(relative_depth)

@@ -1,10 +1,11 @@
-"""Full feature search of pairs of convex polytopes: their deciding features, and how long these stay valid.
+"""Full feature search of pairs of convex polytopes: their deciding features, and how long these
+stay valid.
 
 Depth and normal of two polytopes are those of the nearest face of their Minkowski difference: a
 face of one body with a vertex of the other, or two edges that cross on the Gauss map. Of hundreds
 of features only those near the contact matter while the bodies move little relative to each other.
-The search finds them together with a validity radius (``ActiveFeatures.validity_radius``): within this relative
-displacement, ``near.axes`` gives the same result as all features.
+The search finds them together with a validity radius (``ActiveFeatures.validity_radius``): within
+this relative displacement, ``near.axes`` gives the same result as all features.
 
 - The overlap along a face normal changes by no more than the displacement, and so does the depth. A
   face is excluded if its overlap exceeds the depth by more than twice the displacement.
@@ -35,8 +36,10 @@ from dem_jax.narrow_phase.edge_pairs import evaluate_edge_pairs, unpack_edge
 from dem_jax.narrow_phase.row_selection import first_true, k_smallest, mask_padding, take_rows
 from dem_jax.types import ActiveFeatures, Array, PolytopeFeatures, SupportFaces
 
-GILBERT_STEPS = 4  # towards the nearest points: more leave out no more pairs (measured on packed hulls)
-FACE_SLOTS, CORNER_SLOTS, EDGE_SLOTS, EDGE_PAIR_SLOTS, SUPPORT_FACE_SLOTS = 4, 8, 16, 12, 4  # room for features, at least
+GILBERT_STEPS = 4  # towards the nearest points: more leave out no more pairs (measured on packed
+# hulls)
+# room for features, at least
+FACE_SLOTS, CORNER_SLOTS, EDGE_SLOTS, EDGE_PAIR_SLOTS, SUPPORT_FACE_SLOTS = 4, 8, 16, 12, 4
 INSIDE_TOLERANCE = 1e-6  # of a body's size: points above its faces by less are inside
 WIDE_CLIP_FRACTION = 0.01  # of the radius of b: where less way than this is free, all planes clip
 
@@ -60,7 +63,9 @@ class _SupportData(NamedTuple):
 
 
 class _SelectedFeatures(NamedTuple):
-    """Features of each side that count, and how near to counting the first of the others is, [.., 2 P]."""
+    """Features of each side that count, and how near to counting the first of the others is, [.., 2
+    P].
+    """
 
     faces: Array  # [4, Kf]: planes
     corners: Array  # [Kv] int32: of the other
@@ -80,7 +85,13 @@ class _SelectedEdges(NamedTuple):
     gauss_map_gap: Array
 
 
-def find_active_features(features: PolytopeFeatures, rows: tuple[Array, Array], radius: tuple[Array, Array], rel: RelativePose, reach: Array | None) -> ActiveFeatures:
+def find_active_features(
+    features: PolytopeFeatures,
+    rows: tuple[Array, Array],
+    radius: tuple[Array, Array],
+    rel: RelativePose,
+    reach: Array | None,
+) -> ActiveFeatures:
     """Near features of pairs, of rows ([P], [P]) of a table.
 
     radius: [P] each (m), of the bounding spheres; reach: (m), of the law; None: it has none.
@@ -91,8 +102,12 @@ def find_active_features(features: PolytopeFeatures, rows: tuple[Array, Array], 
     chosen = _select_faces_and_corners(f, sides, met, jnp.minimum(of_a, of_b))
     edges = _select_edges(f, sides, rows, rel, _extent_corners(f, sides, met, chosen))
     depth = jnp.minimum(jnp.minimum(of_a, of_b), jnp.min(edges.overlap, axis=0))
-    swing = 1 + (vector.norm(rel.offset) + radius[0]) / radius[1]  # of a's points about b's centre, where b turns
-    apart = jnp.minimum(jnp.min(edges.distance, axis=0), jnp.minimum(*_split_sides(_face_corner_distance(f, sides, met))))
+    swing = 1 + (vector.norm(rel.offset) + radius[0]) / radius[1]  # of a's points about b's centre,
+    # where b turns
+    apart = jnp.minimum(
+        jnp.min(edges.distance, axis=0),
+        jnp.minimum(*_split_sides(_face_corner_distance(f, sides, met))),
+    )
     gap = jnp.where(depth > 0, depth, apart)  # of separated ones how far apart they are at most
     pairs_of_edges, margin = _select_edge_pairs(edges, depth, gap, radius[1], swing)
     margin = jnp.minimum(margin, _face_validity_radius(chosen, edges, depth, radius, swing))
@@ -102,12 +117,19 @@ def find_active_features(features: PolytopeFeatures, rows: tuple[Array, Array], 
     free = free - far
     wide = free < WIDE_CLIP_FRACTION * radius[1]
     margin = jnp.minimum(margin, jnp.where(wide, jnp.inf, free))
-    if reach is not None:  # of what is near but apart, or parts, only where a kept axis tells the distance
-        along_one = _separation_validity_radius(f, sides, met, chosen, jnp.where(depth > 0, 0, apart), swing)
+    if reach is not None:  # of what is near but apart, or parts, only where a kept axis tells the
+        # distance
+        along_one = _separation_validity_radius(
+            f, sides, met, chosen, jnp.where(depth > 0, 0, apart), swing
+        )
         margin = jnp.minimum(margin, jnp.maximum(along_one, depth))
-    margin = jnp.maximum(margin, jnp.maximum(-of_a - far, (-of_b - far) / swing))  # so far a face's axis parts them
+    margin = jnp.maximum(margin, jnp.maximum(-of_a - far, (-of_b - far) / swing))  # so far a face's
+    # axis parts them
     count, other = edges.of_b.shape[0], _swap_sides(sides.row)
-    edges_a, edges_b = take_rows(edges.of_a, pairs_of_edges // count), take_rows(edges.of_b, pairs_of_edges % count)
+    edges_a, edges_b = (
+        take_rows(edges.of_a, pairs_of_edges // count),
+        take_rows(edges.of_b, pairs_of_edges % count),
+    )
     return ActiveFeatures(
         rows=(row_a, row_b),
         faces=_stack_sides(chosen.faces),
@@ -127,96 +149,183 @@ def _compute_support_data(f: PolytopeFeatures, sides: _Sides) -> _SupportData:
     seen = _transform_other_corners(sides, corners)
     planes = f.planes[..., sides.row]
     lowest = _min_heights(planes, seen)
-    return _SupportData(corners, seen, planes, lowest, fusion_barrier(mask_padding(f.counts[0], sides.row, planes[3] - lowest)))
+    return _SupportData(
+        corners,
+        seen,
+        planes,
+        lowest,
+        fusion_barrier(mask_padding(f.counts[0], sides.row, planes[3] - lowest)),
+    )
 
 
-def _select_faces_and_corners(f: PolytopeFeatures, sides: _Sides, met: _SupportData, least: Array) -> _SelectedFeatures:
-    """The faces of least overlap, and the other's corners that are lowest along them. least: (m), of all faces of both, [P]."""
+def _select_faces_and_corners(
+    f: PolytopeFeatures, sides: _Sides, met: _SupportData, least: Array
+) -> _SelectedFeatures:
+    """The faces of least overlap, and the other's corners that are lowest along them. least: (m),
+    of all faces of both, [P].
+    """
     faces, beyond = k_smallest(met.overlap, FACE_SLOTS)
     listed = f.planes[:, faces, sides.row[None]]
-    heights = fusion_barrier(dot(expand_dims(unstack_vector(listed), 1), expand_dims(met.other_corners, 0)))  # [Kf, V, 2 P]
+    # [Kf, V, 2 P]
+    heights = fusion_barrier(
+        dot(expand_dims(unstack_vector(listed), 1), expand_dims(met.other_corners, 0))
+    )
     excess = heights - jnp.min(heights, axis=1, keepdims=True)
-    nearly = take_rows(met.overlap, faces) - jnp.concatenate([least] * 2)[None]  # no face whose corners matter so soon
+    nearly = take_rows(met.overlap, faces) - jnp.concatenate([least] * 2)[None]  # no face whose
+    # corners matter so soon
     excess = jnp.min(jnp.maximum(excess, nearly[:, None]), axis=0)
     excess = mask_padding(f.counts[1], _swap_sides(sides.row), excess)
     corners, above = k_smallest(excess, max(CORNER_SLOTS, f.face_vertices.shape[0]))
-    listed = listed.at[3].set(jnp.where((nearly > 0) & (nearly >= above[None]), jnp.inf, listed[3]))  # not all its corners
+    # not all its corners
+    listed = listed.at[3].set(jnp.where((nearly > 0) & (nearly >= above[None]), jnp.inf, listed[3]))
     return _SelectedFeatures(listed, corners, beyond, above)
 
 
-def _extent_corners(f: PolytopeFeatures, sides: _Sides, met: _SupportData, chosen: _SelectedFeatures) -> Vector:
-    """Corners of the other body that tell how far it reaches: those nearest to the contact, and some all around it, for the edges
-    whose arcs look elsewhere, [K, 2 P] x 3 (m) in the own frame."""
+def _extent_corners(
+    f: PolytopeFeatures, sides: _Sides, met: _SupportData, chosen: _SelectedFeatures
+) -> Vector:
+    """Corners of the other body that tell how far it reaches: those nearest to the contact, and
+    some all around it, for the edges whose arcs look elsewhere, [K, 2 P] x 3 (m) in the own frame.
+    """
     around = _transform_other_corners(sides, unstack_vector(f.extreme_vertices[..., sides.row]))
-    x, y, z = (jnp.concatenate([take_rows(c, chosen.corners), d]) for c, d in zip(met.other_corners, around, strict=True))
+    x, y, z = (
+        jnp.concatenate([take_rows(c, chosen.corners), d])
+        for c, d in zip(met.other_corners, around, strict=True)
+    )
     return fusion_barrier(x, y, z)
 
 
-def _select_edges(f: PolytopeFeatures, sides: _Sides, rows: tuple[Array, Array], rel: RelativePose, telling: Vector) -> _SelectedEdges:
-    """The edges of least overlap along their arcs, each of a with each of b. telling: corners [K, 2 P] x 3 of the other."""
+def _select_edges(
+    f: PolytopeFeatures,
+    sides: _Sides,
+    rows: tuple[Array, Array],
+    rel: RelativePose,
+    telling: Vector,
+) -> _SelectedEdges:
+    """The edges of least overlap along their arcs, each of a with each of b. telling: corners [K, 2
+    P] x 3 of the other.
+    """
     bound = mask_padding(f.counts[2], sides.row, _edge_overlap_bound(f, sides, telling))
     edges, behind = k_smallest(bound, max(EDGE_SLOTS, f.face_vertices.shape[0] + 4))
     of_a, of_b = _split_sides(edges)
-    pair = evaluate_edge_pairs(f.edges[:, of_a, rows[0][None]][:, :, None], f.edges[:, of_b, rows[1][None]][:, None], rel)
-    flat = lambda x: fusion_barrier(x.reshape(-1, rows[0].shape[0]))  # noqa: E731
-    return _SelectedEdges(of_a, of_b, take_rows(bound, edges), behind, flat(pair.overlap), flat(pair.distance), flat(pair.gauss_map_gap))
+    pair = evaluate_edge_pairs(
+        f.edges[:, of_a, rows[0][None]][:, :, None], f.edges[:, of_b, rows[1][None]][:, None], rel
+    )
+    flat = lambda x: fusion_barrier(x.reshape(-1, rows[0].shape[0]))
+    return _SelectedEdges(
+        of_a,
+        of_b,
+        take_rows(bound, edges),
+        behind,
+        flat(pair.overlap),
+        flat(pair.distance),
+        flat(pair.gauss_map_gap),
+    )
 
 
-def _select_edge_pairs(edges: _SelectedEdges, depth: Array, gap: Array, radius_b: Array, swing: Array) -> tuple[Array, Array]:
-    """The couples of edges that count first, [Kc, P] int32, and the way (m) beyond which another may, [P]."""
+def _select_edge_pairs(
+    edges: _SelectedEdges, depth: Array, gap: Array, radius_b: Array, swing: Array
+) -> tuple[Array, Array]:
+    """The couples of edges that count first, [Kc, P] int32, and the way (m) beyond which another
+    may, [P].
+    """
     low_a, low_b = _split_sides(edges.bound)
-    low = jnp.maximum(_displacement_to_depth(low_a, depth, 1)[:, None], _displacement_to_depth(low_b, depth, swing[None])[None]).reshape(edges.distance.shape)
-    due = jnp.maximum(jnp.maximum(0.5 * (edges.distance - gap[None]), 0.5 * radius_b[None] * edges.gauss_map_gap), low)
+    low = jnp.maximum(
+        _displacement_to_depth(low_a, depth, 1)[:, None],
+        _displacement_to_depth(low_b, depth, swing[None])[None],
+    ).reshape(edges.distance.shape)
+    due = jnp.maximum(
+        jnp.maximum(0.5 * (edges.distance - gap[None]), 0.5 * radius_b[None] * edges.gauss_map_gap),
+        low,
+    )
     crossing = edges.overlap
-    first_least = first_true(crossing <= jnp.min(crossing, axis=0)[None])[None]  # one: of an end on a wall all of the rim are least
-    is_least = (jnp.arange(crossing.shape[0], dtype=jnp.int32)[:, None] == first_least) & (crossing < jnp.inf)
+    first_least = first_true(crossing <= jnp.min(crossing, axis=0)[None])[None]  # one: of an end on
+    # a wall all of the rim are least
+    is_least = (jnp.arange(crossing.shape[0], dtype=jnp.int32)[:, None] == first_least) & (
+        crossing < jnp.inf
+    )
     return k_smallest(jnp.where(is_least, -1, due), EDGE_PAIR_SLOTS)
 
 
-def _face_validity_radius(chosen: _SelectedFeatures, edges: _SelectedEdges, depth: Array, radius: tuple[Array, Array], swing: Array) -> Array:
+def _face_validity_radius(
+    chosen: _SelectedFeatures,
+    edges: _SelectedEdges,
+    depth: Array,
+    radius: tuple[Array, Array],
+    swing: Array,
+) -> Array:
     """The way (m) beyond which a face, an edge or a corner that was left out may count, [P]."""
     left_a, left_b = _split_sides(jnp.minimum(chosen.beyond, edges.behind)[None])
-    margin = jnp.minimum(_displacement_to_depth(left_a, depth, 1), _displacement_to_depth(left_b, depth, swing[None]))[0]
+    margin = jnp.minimum(
+        _displacement_to_depth(left_a, depth, 1), _displacement_to_depth(left_b, depth, swing[None])
+    )[0]
     below_a, below_b = _split_sides(chosen.above)
     return jnp.minimum(margin, 0.5 * jnp.minimum(below_a, below_b * radius[1] / radius[0]))
 
 
 def _displacement_to_depth(overlap: Array, depth: Array, rate: Array | int) -> Array:
-    """The way (m) until an overlap may become the depth, [K, P]; rate: by which it changes, over that of the depth."""
+    """The way (m) until an overlap may become the depth, [K, P]; rate: by which it changes, over
+    that of the depth.
+    """
     return jnp.minimum(overlap, (overlap - depth[None]) / (1 + rate))
 
 
-def _separation_validity_radius(f: PolytopeFeatures, sides: _Sides, met: _SupportData, chosen: _SelectedFeatures, apart: Array, swing: Array) -> Array:
-    """The way (m) for which bodies that are apart are so along a kept axis by their distance, which no other exceeds, [P]; below 0:
-    they need not be now. apart: (m), their distance at most.
+def _separation_validity_radius(
+    f: PolytopeFeatures,
+    sides: _Sides,
+    met: _SupportData,
+    chosen: _SelectedFeatures,
+    apart: Array,
+    swing: Array,
+) -> Array:
+    """The way (m) for which bodies that are apart are so along a kept axis by their distance, which
+    no other exceeds, [P]; below 0: they need not be now. apart: (m), their distance at most.
 
-    Nearest are then two edges, or a corner and the face below it: any corner is further than apart, or above its nearest face.
+    Nearest are then two edges, or a corner and the face below it: any corner is further than apart,
+    or above its nearest face.
     """
     least = jnp.min(met.overlap, axis=0)
     face = first_true(met.overlap == least[None])[None]
     corner = vector.map_components(lambda c: take_rows(c, chosen.corners), met.other_corners)
-    over = fusion_barrier(dot(expand_dims(unstack_vector(met.planes), 1), expand_dims(corner, 0)) - met.planes[3][:, None])  # [F, Kv, 2 P]
+    # [F, Kv, 2 P]
+    over = fusion_barrier(
+        dot(expand_dims(unstack_vector(met.planes), 1), expand_dims(corner, 0))
+        - met.planes[3][:, None]
+    )
     nx, ny, nz, offset = (take_rows(row, face) for row in met.planes)
     height = fusion_barrier(dot((nx, ny, nz), corner) - offset)
-    inside = dot(unstack_vector(met.planes), (nx, ny, nz))[:, None] * height[None] - over  # of the foot of each corner, below each plane
+    # of the foot of each corner, below each plane
+    inside = dot(unstack_vector(met.planes), (nx, ny, nz))[:, None] * height[None] - over
     number = jnp.arange(over.shape[0], dtype=jnp.int32)[:, None]
     others = (number < f.counts[0, sides.row][None]) & (number != face)
     inside = jnp.min(jnp.where(others[:, None], inside, jnp.inf), axis=0)
     nearly = least - jnp.concatenate([jnp.minimum(*_split_sides(least[None]))[0]] * 2)
-    is_kept = (nearly <= 0) | (nearly < chosen.above)  # that face, and so the corners that are lowest along it
+    is_kept = (nearly <= 0) | (nearly < chosen.above)  # that face, and so the corners that are
+    # lowest along it
     inside, above = jnp.where(is_kept[None], inside, -jnp.inf), jnp.where(is_kept, chosen.above, 0)
     rate, apart = jnp.concatenate([jnp.ones_like(swing), swing]), jnp.concatenate([apart] * 2)
-    ways = jnp.min(jnp.maximum(inside / rate[None], 0.5 * (jnp.max(over, axis=0) - apart[None])), axis=0)
+    ways = jnp.min(
+        jnp.maximum(inside / rate[None], 0.5 * (jnp.max(over, axis=0) - apart[None])), axis=0
+    )
     return jnp.minimum(*_split_sides(jnp.minimum(ways, 0.5 * (above - least - apart))[None]))[0]
 
 
-def _clip_planes_along_normal(f: PolytopeFeatures, sides: _Sides, met: _SupportData, rel: RelativePose) -> tuple[Array, Array]:
-    """``_select_clip_planes`` along the normal of the face of least overlap; the way that is free for both."""
+def _clip_planes_along_normal(
+    f: PolytopeFeatures, sides: _Sides, met: _SupportData, rel: RelativePose
+) -> tuple[Array, Array]:
+    """``_select_clip_planes`` along the normal of the face of least overlap; the way that is free
+    for both.
+    """
     least = jnp.min(met.overlap, axis=0)
     of_a, of_b = _split_sides(least)
-    nearest = vector.map_components(lambda c: take_rows(c, first_true(met.overlap == least[None])[None])[0], unstack_vector(met.planes))
+    nearest = vector.map_components(
+        lambda c: take_rows(c, first_true(met.overlap == least[None])[None])[0],
+        unstack_vector(met.planes),
+    )
     (ax, bx), (ay, by), (az, bz) = (_split_sides(c) for c in nearest)
-    normal = vector.where(of_a <= of_b, (ax, ay, az), vector.scale(-1, vector.rotate(rel.rotation, (bx, by, bz))))
+    normal = vector.where(
+        of_a <= of_b, (ax, ay, az), vector.scale(-1, vector.rotate(rel.rotation, (bx, by, bz)))
+    )
     along = _flatten_sides(outward_normals(normal, rel))
     height = fusion_barrier(dot(expand_dims(along, 0), met.corners))
     base = jnp.min(dot(expand_dims(along, 0), met.other_corners), axis=0)  # where the other begins
@@ -245,8 +354,12 @@ def _swap_sides(x: Array) -> Array:
     return jnp.concatenate(_split_sides(x)[::-1], axis=-1)
 
 
-def find_support_faces(features: PolytopeFeatures, rows: tuple[Array, Array], normal: Vector, rel: RelativePose) -> SupportFaces:
-    """Own faces of pairs, of rows ([P], [P]) of a table, that look most along a normal, [P] x 3, from a to b in a's frame."""
+def find_support_faces(
+    features: PolytopeFeatures, rows: tuple[Array, Array], normal: Vector, rel: RelativePose
+) -> SupportFaces:
+    """Own faces of pairs, of rows ([P], [P]) of a table, that look most along a normal, [P] x 3,
+    from a to b in a's frame.
+    """
     f, row = features, jnp.concatenate(rows)
     along = _flatten_sides(outward_normals(normal, rel))
     planes = f.part_planes[..., row]
@@ -257,21 +370,30 @@ def find_support_faces(features: PolytopeFeatures, rows: tuple[Array, Array], no
     faces, others = k_smallest(keys, SUPPORT_FACE_SLOTS)
     normals = jnp.stack([take_rows(c, faces) for c in unstack_vector(planes)])
     margin = jnp.minimum(*_split_sides(0.5 * (others - jnp.min(keys, axis=0))))
-    return SupportFaces(rows, _stack_sides(normals), _stack_sides(faces), _stack_sides(jnp.stack(along)), margin)
+    return SupportFaces(
+        rows, _stack_sides(normals), _stack_sides(faces), _stack_sides(jnp.stack(along)), margin
+    )
 
 
 def outward_normals(normal: Vector, rel: RelativePose) -> Vector:
-    """A normal from a to b, [P] x 3 in a's frame, as it leaves a, and against it as it leaves b in its own frame, [2, P] x 3."""
+    """A normal from a to b, [P] x 3 in a's frame, as it leaves a, and against it as it leaves b in
+    its own frame, [2, P] x 3.
+    """
     back = vector.scale(-1, vector.rotate_back(rel.rotation, normal))
     x, y, z = (jnp.stack(both) for both in zip(normal, back, strict=True))
     return x, y, z
 
 
-def overlap_upper_bound(features: PolytopeFeatures, rows: tuple[Array, Array], rel: RelativePose, of_parts: bool = False) -> Array:
-    """No less than the smallest overlap along any axis, [P] (m), for little: the smallest along the axes of both bodies' frames
-    and along those of a few steps towards the nearest points (Gilbert 1966). of_parts: of what of them has the faces that touch."""
+def overlap_upper_bound(
+    features: PolytopeFeatures, rows: tuple[Array, Array], rel: RelativePose, of_parts: bool = False
+) -> Array:
+    """No less than the smallest overlap along any axis, [P] (m), for little: the smallest along the
+    axes of both bodies' frames and along those of a few steps towards the nearest points (Gilbert
+    1966). of_parts: of what of them has the faces that touch.
+    """
     corners = features.part_corners if of_parts else features.corners
-    own_a, own_b = (fusion_barrier(*unstack_vector(corners[..., row])) for row in rows)  # [V, P] x 3
+    # [V, P] x 3
+    own_a, own_b = (fusion_barrier(*unstack_vector(corners[..., row])) for row in rows)
     turn, d = vector.expand_matrix_dims(rel.rotation, 0), expand_dims(rel.offset, 0)
     of_b = fusion_barrier(*vector.add(vector.rotate(turn, own_b), d))
     of_a = fusion_barrier(*vector.rotate_back(turn, vector.sub(own_a, d)))
@@ -282,7 +404,10 @@ def overlap_upper_bound(features: PolytopeFeatures, rows: tuple[Array, Array], r
         high, low = dot(expand_dims(way, 0), own_a), dot(expand_dims(way, 0), of_b)
         most, least = jnp.max(high, axis=0), jnp.min(low, axis=0)
         length = jnp.maximum(vector.norm(way), jnp.finfo(most.dtype).tiny ** 0.5)
-        tip = vector.sub(_take_first_point(of_b, low == least[None]), _take_first_point(own_a, high == most[None]))
+        tip = vector.sub(
+            _take_first_point(of_b, low == least[None]),
+            _take_first_point(own_a, high == most[None]),
+        )
         back = vector.sub(way, tip)
         part = dot(way, back) / jnp.maximum(dot(back, back), jnp.finfo(most.dtype).tiny)
         way = fusion_barrier(*vector.add_scaled(way, -jnp.clip(part, 0, 1), back))
@@ -293,7 +418,10 @@ def overlap_upper_bound(features: PolytopeFeatures, rows: tuple[Array, Array], r
 
 def _min_axis_overlap(a: Vector, b: Vector) -> Array:
     """The smallest overlap of points [V, P] x 3 along the axes, [P] (m)."""
-    each = [jnp.minimum(jnp.max(x, 0) - jnp.min(y, 0), jnp.max(y, 0) - jnp.min(x, 0)) for x, y in zip(a, b, strict=True)]
+    each = [
+        jnp.minimum(jnp.max(x, 0) - jnp.min(y, 0), jnp.max(y, 0) - jnp.min(x, 0))
+        for x, y in zip(a, b, strict=True)
+    ]
     return jnp.minimum(jnp.minimum(each[0], each[1]), each[2])
 
 
@@ -320,38 +448,68 @@ def _make_sides(rows: tuple[Array, Array], rel: RelativePose) -> _Sides:
 def _transform_other_corners(sides: _Sides, corners: Vector) -> Vector:
     """Corners [V, 2 P] x 3 of the other body in the own frame."""
     other = vector.map_components(_swap_sides, corners)
-    return fusion_barrier(*vector.add(vector.rotate(vector.expand_matrix_dims(sides.turn, 0), other), expand_dims(sides.shift, 0)))
+    return fusion_barrier(
+        *vector.add(
+            vector.rotate(vector.expand_matrix_dims(sides.turn, 0), other),
+            expand_dims(sides.shift, 0),
+        )
+    )
 
 
 def _min_heights(planes: Array, seen: Vector) -> Array:
     """The lowest along the normals of planes [4, F, P] of points [V, P] x 3, [F, P] (m)."""
-    return fusion_barrier(jnp.min(dot(expand_dims(unstack_vector(planes), 1), expand_dims(seen, 0)), axis=1))
+    return fusion_barrier(
+        jnp.min(dot(expand_dims(unstack_vector(planes), 1), expand_dims(seen, 0)), axis=1)
+    )
 
 
 def _edge_overlap_bound(f: PolytopeFeatures, sides: _Sides, seen: Vector) -> Array:
-    """A lower bound of the overlap along any normal of each edge's arc on the Gauss map, [E, 2 P] (m)."""
+    """A lower bound of the overlap along any normal of each edge's arc on the Gauss map, [E, 2 P]
+    (m).
+    """
     middle, along, _, one, other = unpack_edge(f.edges[..., sides.row])
     faces = vector.cross(along, one), vector.cross(along, other)
-    normals = [vector.scale(-jnp.sign(dot(n, m)), n) for n, m in zip(faces, (other, one), strict=True)]
-    both = [fusion_barrier(dot(n, middle))[:, None] - dot(expand_dims(fusion_barrier(*n), 1), expand_dims(seen, 0)) for n in normals]
+    normals = [
+        vector.scale(-jnp.sign(dot(n, m)), n) for n, m in zip(faces, (other, one), strict=True)
+    ]
+    both = [
+        fusion_barrier(dot(n, middle))[:, None]
+        - dot(expand_dims(fusion_barrier(*n), 1), expand_dims(seen, 0))
+        for n in normals
+    ]
     return fusion_barrier(jnp.max(jnp.minimum(*both), axis=1))
 
 
 def _face_corner_distance(f: PolytopeFeatures, sides: _Sides, met: _SupportData) -> Array:
-    """Distance of the other body's nearest vertex from the face of least overlap, [2 P] (m); infinite if it is beside it."""
+    """Distance of the other body's nearest vertex from the face of least overlap, [2 P] (m);
+    infinite if it is beside it.
+    """
     planes = met.planes
     face = first_true(met.overlap == jnp.min(met.overlap, axis=0)[None])[None]
     normal = vector.map_components(lambda c: take_rows(c, face), unstack_vector(planes))
     height = dot(normal, met.other_corners)
     corner = first_true(height == take_rows(met.lowest, face))[None]
     over = take_rows(met.overlap, face)
-    foot = vector.add_scaled(vector.map_components(lambda c: take_rows(c, corner), met.other_corners), over, normal)
-    above = jnp.max(mask_padding(f.counts[0], sides.row, dot(unstack_vector(planes), foot) - planes[3], -jnp.inf), axis=0)
-    return jnp.where(above < INSIDE_TOLERANCE * jnp.max(planes[3], axis=0), jnp.abs(over[0]), jnp.inf)
+    foot = vector.add_scaled(
+        vector.map_components(lambda c: take_rows(c, corner), met.other_corners), over, normal
+    )
+    above = jnp.max(
+        mask_padding(
+            f.counts[0], sides.row, dot(unstack_vector(planes), foot) - planes[3], -jnp.inf
+        ),
+        axis=0,
+    )
+    return jnp.where(
+        above < INSIDE_TOLERANCE * jnp.max(planes[3], axis=0), jnp.abs(over[0]), jnp.inf
+    )
 
 
-def _select_clip_planes(f: PolytopeFeatures, sides: _Sides, height: Array, base: Array) -> tuple[Array, Array]:
-    """Planes of each side's own faces that can cut the other body, [Kc, 2 P], and the way free of the others, [2 P] (m)."""
+def _select_clip_planes(
+    f: PolytopeFeatures, sides: _Sides, height: Array, base: Array
+) -> tuple[Array, Array]:
+    """Planes of each side's own faces that can cut the other body, [Kc, 2 P], and the way free of
+    the others, [2 P] (m).
+    """
     faces = f.part_planes.shape[1]
     room = max(f.face_vertices.shape[0] + 2, 8 + int(2 * faces**0.5))
     if f.all_clip or faces <= room:

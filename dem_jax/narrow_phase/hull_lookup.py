@@ -6,14 +6,23 @@ from dem_jax.types import Array, Hulls
 
 
 def gather_hulls(hulls: Hulls, index: Array, corners: bool) -> Hulls:
-    """The rows of the table that belong to pairs, [.., P]; corners, of which there are many, only where asked for, and
-    vertices where they are needed, not of zonotopes; loops and open_edges stay in the table, see ``attach_face_loops``."""
+    """The rows of the table that belong to pairs, [.., P]; corners, of which there are many, only
+    where asked for, and vertices where they are needed, not of zonotopes; loops and open_edges stay
+    in the table, see ``attach_face_loops``.
+    """
     vertices = None if hulls.is_zonotope else hulls.vertices
     extended = hulls.extended
     if extended is not None and not corners:
         extended = extended.replace(corners=None)
     own = hulls.corners if corners and extended is None else None
-    rows = hulls.replace(face_loops=None, open_edges=None, vertices=vertices, corners=own, extended=extended, features=None)
+    rows = hulls.replace(
+        face_loops=None,
+        open_edges=None,
+        vertices=vertices,
+        corners=own,
+        extended=extended,
+        features=None,
+    )
     return jax.tree.map(lambda array: array[..., index], rows)
 
 

@@ -1,4 +1,5 @@
-"""Parts of pieces and panels of walls as one list of bodies, parts first, so that a contact need not know which it has.
+"""Parts of pieces and panels of walls as one list of bodies, parts first, so that a contact need
+not know which it has.
 
 Everything a contact needs of a body is a column of one array, gathered once per side.
 """
@@ -23,20 +24,29 @@ class BodyState(NamedTuple):
     spin: Vector  # [P] x 3 (rad/s)
     residual: Vector | None  # [P] x 3 (m): low-order part of the centre; None in double precision
     rotation: Matrix | None  # rows of [P]: body frame to world; None where all are spheres
-    part_offset: Vector | None  # [P] x 3 (m): from the centre of the piece to that of its part; None where each piece is its only part
+    part_offset: Vector | None  # [P] x 3 (m): from the centre of the piece to that of its part;
+    # None where each piece is its only part
 
 
 def pack_bodies(system: System, state: State, omega: Array, panels: kinematics.WallState) -> Array:
-    """All bodies, [rows, M + W]: of ``BodyState``, one below the other, what any contact of the system needs. omega: [3, N]
-    (rad/s)."""
+    """All bodies, [rows, M + W]: of ``BodyState``, one below the other, what any contact of the
+    system needs. omega: [3, N] (rad/s).
+    """
     pieces, walls = [state.position, state.velocity, omega], [panels.rows[:9]]
     if _has_residual(state.position):
         rest = jnp.zeros_like(panels.rows[:3]) if panels.residual is None else panels.residual
         pieces, walls = [*pieces, state.motion.position_rest], [*walls, rest]
     if system.parts.owner is not None:
-        return jnp.concatenate([_pack_parts(system, state, jnp.concatenate(pieces)), _append_arms(panels, walls)], axis=1)
+        return jnp.concatenate(
+            [_pack_parts(system, state, jnp.concatenate(pieces)), _append_arms(panels, walls)],
+            axis=1,
+        )
     if any(kind != "spheres" for kind, *_ in system.capacity):
-        rows = _matrix_rows(state.orientation) if system.has_hulls else jnp.zeros((9, omega.shape[1]), omega.dtype)
+        rows = (
+            _matrix_rows(state.orientation)
+            if system.has_hulls
+            else jnp.zeros((9, omega.shape[1]), omega.dtype)
+        )
         pieces, walls = [*pieces, rows], [*walls, panels.rows[9:]]
     return jnp.concatenate([jnp.concatenate(pieces), jnp.concatenate(walls)], axis=1)
 
@@ -69,7 +79,9 @@ def _matrix_rows(orientation: Array) -> Array:
 
 
 def gather_bodies(stacked: Array, index: Array) -> BodyState:
-    """Gather the bodies of slots by index [P], row by row: half the time on a CPU, and unused rows cost nothing."""
+    """Gather the bodies of slots by index [P], row by row: half the time on a CPU, and unused rows
+    cost nothing.
+    """
     return _make_body_state(stacked, [take_columns(row, index) for row in stacked])
 
 
@@ -84,14 +96,20 @@ def gather_bodies_at_once(stacked: Array, index: Array) -> BodyState:
 
 
 def _make_body_state(stacked: Array, c: Sequence[Array] | Array) -> BodyState:
-    three = lambda i: (c[i], c[i + 1], c[i + 2])  # noqa: E731
+    three = lambda i: (c[i], c[i + 1], c[i + 2])
     frame = 12 if _has_residual(stacked) else 9
     rest = three(9) if _has_residual(stacked) else None
     turn = (three(frame), three(frame + 3), three(frame + 6)) if len(c) > frame else None
-    return BodyState(three(0), three(3), three(6), rest, turn, three(frame + 9) if len(c) > frame + 9 else None)
+    return BodyState(
+        three(0), three(3), three(6), rest, turn, three(frame + 9) if len(c) > frame + 9 else None
+    )
 
 
 def centre_offset(a: BodyState, b: BodyState) -> Vector:
     """Centre of b minus centre of a, [P] x 3 (m), including the rounding residuals of both."""
     offset = vector.sub(b.centre, a.centre)
-    return offset if a.residual is None or b.residual is None else vector.add(offset, vector.sub(b.residual, a.residual))
+    return (
+        offset
+        if a.residual is None or b.residual is None
+        else vector.add(offset, vector.sub(b.residual, a.residual))
+    )

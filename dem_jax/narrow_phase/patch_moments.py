@@ -1,17 +1,19 @@
-"""The contact patch as far as friction about its normal needs it: how far from its centroid friction acts, on the average.
+"""The contact patch as far as friction about its normal needs it: how far from its centroid
+friction acts, on the average.
 
-With a pressure that is the same all over the patch, that is the mean distance of its points from the centroid: 0.3826 a of a
-square of side a, 2/3 R of a disc, L / 4 of a line. It is found from the second moments T of the outline about the centroid,
-weighted by depth, which come from the same line integrals as the centroid itself (``collide``): with
+With a pressure that is the same all over the patch, that is the mean distance of its points from
+the centroid: 0.3826 a of a square of side a, 2/3 R of a disc, L / 4 of a line. It is found from the
+second moments T of the outline about the centroid, weighted by depth, which come from the same line
+integrals as the centroid itself (``collide``): with
 
     s = tr T,    D = the product of the two moments in the plane of the patch,
 
     arm = (sqrt(3) / 2 s - 0.403 sqrt(D)) / sqrt(s).
 
-Of a line that is exact; of rectangles of any sides (0.3 to 1.1 %), regular polygons (2.1 % of a triangle, 0.3 % from four
-corners on) and discs (0.3 %) it is the mean distance to 2.2 %, of patches that are long and pointed more (an ellipse of 4 : 1
-5 %, an isosceles triangle four times as long as high 24 %). Of a point, which is where a corner or two crossing edges touch,
-it is nothing.
+Of a line that is exact; of rectangles of any sides (0.3 to 1.1 %), regular polygons (2.1 % of a
+triangle, 0.3 % from four corners on) and discs (0.3 %) it is the mean distance to 2.2 %, of patches
+that are long and pointed more (an ellipse of 4 : 1 5 %, an isosceles triangle four times as long as
+high 24 %). Of a point, which is where a corner or two crossing edges touch, it is nothing.
 """
 
 from typing import NamedTuple
@@ -23,7 +25,8 @@ from dem_jax.math.vector import Matrix, Vector
 from dem_jax.types import Array
 
 LINE_FACTOR = 3**0.5 / 2  # mean distance over root mean square of a line
-ROUND_FACTOR = 0.403  # by which a patch as wide as long has less: between a square (0.4068) and a disc (0.3987)
+ROUND_FACTOR = 0.403  # by which a patch as wide as long has less: between a square (0.4068) and a
+# disc (0.3987)
 
 
 class SecondMoments(NamedTuple):
@@ -39,7 +42,9 @@ class SecondMoments(NamedTuple):
 
 def outer_product(a: Vector, b: Vector) -> SecondMoments:
     """a b^T, of which the sum with others is symmetric."""
-    return SecondMoments(a[0] * b[0], a[1] * b[1], a[2] * b[2], a[1] * b[2], a[2] * b[0], a[0] * b[1])
+    return SecondMoments(
+        a[0] * b[0], a[1] * b[1], a[2] * b[2], a[1] * b[2], a[2] * b[0], a[0] * b[1]
+    )
 
 
 def symmetric_product(a: Vector, b: Vector) -> SecondMoments:
@@ -58,7 +63,9 @@ def scale_moments(factor: Array, of: SecondMoments) -> SecondMoments:
     return SecondMoments(*(factor * entry for entry in of))
 
 
-def edge_moments(corner: Vector, edge: Vector, integrals: tuple[Array, Array, Array]) -> SecondMoments:
+def edge_moments(
+    corner: Vector, edge: Vector, integrals: tuple[Array, Array, Array]
+) -> SecondMoments:
     """Second moments of edges [k, ..] that begin at corners.
 
     Args:
@@ -73,8 +80,12 @@ def edge_moments(corner: Vector, edge: Vector, integrals: tuple[Array, Array, Ar
 
 
 def shift_origin(of: SecondMoments, weight: Array, first: Vector, offset: Vector) -> SecondMoments:
-    """Second moments about another point. first: moments about the old point; offset: of the old point from the new one (m)."""
-    return add_moments(of, symmetric_product(vector.add_scaled(first, 0.5 * weight, offset), offset))
+    """Second moments about another point. first: moments about the old point; offset: of the old
+    point from the new one (m).
+    """
+    return add_moments(
+        of, symmetric_product(vector.add_scaled(first, 0.5 * weight, offset), offset)
+    )
 
 
 def rotate_moments(turn: Matrix, of: SecondMoments) -> SecondMoments:
@@ -86,20 +97,32 @@ def rotate_moments(turn: Matrix, of: SecondMoments) -> SecondMoments:
 
 
 def discard_oversized(of: SecondMoments, radius: Array) -> SecondMoments:
-    """The moments (m2), none where they are of what is wider than a body: of an overlap within rounding they may be anything.
+    """The moments (m2), none where they are of what is wider than a body: of an overlap within
+    rounding they may be anything.
 
     radius: [P] or [1] (m), of a sphere around the body."""
     return scale_moments((of.xx + of.yy + of.zz <= radius * radius).astype(of.xx.dtype), of)
 
 
 def friction_arm(of: SecondMoments) -> Array:
-    """Arm of friction about the normal (m), [P], of patches with second moments (m2) about their centroid, for a weight of 1.
+    """Arm of friction about the normal (m), [P], of patches with second moments (m2) about their
+    centroid, for a weight of 1.
 
-    0 of a point. The second invariant is the product of the moments in the plane, as a patch has none across it.
+    0 of a point. The second invariant is the product of the moments in the plane, as a patch has
+    none across it.
     """
     trace = of.xx + of.yy + of.zz
-    minors = of.xx * of.yy - of.xy * of.xy + of.yy * of.zz - of.yz * of.yz + of.zz * of.xx - of.zx * of.zx
+    minors = (
+        of.xx * of.yy
+        - of.xy * of.xy
+        + of.yy * of.zz
+        - of.yz * of.yz
+        + of.zz * of.xx
+        - of.zx * of.zx
+    )
     there = trace > 0
     root = vector.safe_sqrt(jnp.where(there, trace, 0))
-    arm = (LINE_FACTOR * trace - ROUND_FACTOR * vector.safe_sqrt(minors)) / jnp.where(there, root, 1)
+    arm = (LINE_FACTOR * trace - ROUND_FACTOR * vector.safe_sqrt(minors)) / jnp.where(
+        there, root, 1
+    )
     return jnp.where(there, arm, 0)

@@ -1,4 +1,6 @@
-"""The few of many features of each pair that are nearest to counting: rows of tables [K, P], a column for each pair."""
+"""The few of many features of each pair that are nearest to counting: rows of tables [K, P], a
+column for each pair.
+"""
 
 import jax
 import jax.numpy as jnp
@@ -7,8 +9,9 @@ from dem_jax.types import Array
 
 
 def k_smallest(keys: Array, room: int) -> tuple[Array, Array]:
-    """Rows of the ``room`` smallest of the keys [K, P] in ascending order of rows, [room, P] int32, and the smallest of the
-    others, [P]; of equal keys the first."""
+    """Rows of the ``room`` smallest of the keys [K, P] in ascending order of rows, [room, P] int32,
+    and the smallest of the others, [P]; of equal keys the first.
+    """
     count = keys.shape[0]
     if count <= room:
         rows = jnp.arange(count, dtype=jnp.int32)[:, None]
@@ -30,7 +33,9 @@ def k_smallest(keys: Array, room: int) -> tuple[Array, Array]:
 
 
 def _sort_ascending(rows: Array) -> Array:
-    """Distinct numbers [K, P] in ascending order along the first axis. (XLA makes no one function of a loop that sorts.)"""
+    """Distinct numbers [K, P] in ascending order along the first axis. (XLA makes no one function
+    of a loop that sorts.)
+    """
     rank = jnp.sum(rows[:, None] > rows[None], axis=1, dtype=jnp.int32)
     place = jnp.arange(rows.shape[0], dtype=jnp.int32)[:, None, None]
     return jnp.sum(jnp.where(rank[None] == place, rows[None], 0), axis=1, dtype=jnp.int32)

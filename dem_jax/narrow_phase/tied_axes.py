@@ -1,13 +1,15 @@
-"""The normal of contacts in which several separating axes overlap equally: of an edge or a corner that meets another head on.
+"""The normal of contacts in which several separating axes overlap equally: of an edge or a corner
+that meets another head on.
 
-The smallest overlap says nothing of a direction then: rounding picks one of the tied axes anew in each step, pieces leave
-sideways, and friction along a normal that goes to and fro takes most of the energy. Where axes tie to rounding as a contact
-begins, its normal is the sum of all that are nearly least for as long as it lasts,
+The smallest overlap says nothing of a direction then: rounding picks one of the tied axes anew in
+each step, pieces leave sideways, and friction along a normal that goes to and fro takes most of the
+energy. Where axes tie to rounding as a contact begins, its normal is the sum of all that are nearly
+least for as long as it lasts,
 
     n ~ sum w_i n_i,    w_i = max(0, 1 - (d_i - d - slack) / (BAND d))^2,
 
-and its depth the overlap along it: both change continuously as the contact goes over to one of the axes. A contact of a face
-never is one, as all axes that tie there are its normal.
+and its depth the overlap along it: both change continuously as the contact goes over to one of the
+axes. A contact of a face never is one, as all axes that tie there are its normal.
 """
 
 from collections.abc import Callable
@@ -21,9 +23,12 @@ from dem_jax.math.vector import Vector
 from dem_jax.types import Array, ContactHistory, PairConstants, System
 
 BLEND_BAND = 2.0  # of the depth, by which an axis may overlap more and still count
-APART_TOLERANCE = 1e-4  # one minus the length of the mean of the tied normals: less, and they are one
+APART_TOLERANCE = 1e-4  # one minus the length of the mean of the tied normals: less, and they are
+# one
 
 Separation = tuple[Array, Vector, Array]
+
+
 class CandidateAxes(NamedTuple):
     """Separating axes of pairs."""
 
@@ -34,11 +39,15 @@ class CandidateAxes(NamedTuple):
 
 
 def blend_tied_normals(of: CandidateAxes, depth: Array) -> tuple[Array, Vector, Array]:
-    """Whether axes tie, [P] bool; the unit normal, [P] x 3, and the depth along it (m), [P], if they do. depth: of any axis."""
+    """Whether axes tie, [P] bool; the unit normal, [P] x 3, and the depth along it (m), [P], if
+    they do. depth: of any axis.
+    """
     least = jnp.min(of.overlaps, axis=0)
     beyond = jnp.maximum(of.overlaps - (least + of.slack)[None], 0)
     tied = (beyond <= 0).astype(least.dtype)
-    weight = jnp.square(jnp.maximum(0, 1 - beyond / jnp.where(least > 0, BLEND_BAND * least, 1)[None]))
+    weight = jnp.square(
+        jnp.maximum(0, 1 - beyond / jnp.where(least > 0, BLEND_BAND * least, 1)[None])
+    )
     mean, whole = jnp.sum(tied[None] * of.axes, axis=1), jnp.sum(weight[None] * of.axes, axis=1)
     apart = vector.norm(vector.unstack_vector(mean)) < (1 - APART_TOLERANCE) * jnp.sum(tied, axis=0)
     normal = vector.fusion_barrier(*vector.normalize(vector.unstack_vector(whole)))
@@ -46,9 +55,14 @@ def blend_tied_normals(of: CandidateAxes, depth: Array) -> tuple[Array, Vector, 
 
 
 def resolve_ties(
-    system: System, slots: PairConstants, memory: ContactHistory, found: Separation, axes: Callable[[], CandidateAxes]
+    system: System,
+    slots: PairConstants,
+    memory: ContactHistory,
+    found: Separation,
+    axes: Callable[[], CandidateAxes],
 ) -> tuple[Array, Separation]:
-    """Which contacts are of tied axes, [P]: 1, else 0, and what separates the bodies, as it was found but for those.
+    """Which contacts are of tied axes, [P]: 1, else 0, and what separates the bodies, as it was
+    found but for those.
 
     found: ``collide.Separation``: depth (m), [P], normal, [P] x 3, and depth along it (m).
     """
@@ -61,7 +75,11 @@ def resolve_ties(
     def blend_ties() -> tuple[Array, Separation]:
         is_tie, of_tied, deep = blend_tied_normals(axes(), depth)
         tied = jnp.where(begins, is_tie, lasts)
-        one = jnp.where(tied, deep, depth), vector.where(tied, of_tied, normal), jnp.where(tied, deep, along)
+        one = (
+            jnp.where(tied, deep, depth),
+            vector.where(tied, of_tied, normal),
+            jnp.where(tied, deep, along),
+        )
         return tied.astype(depth.dtype), one
 
     if not system.slot_block:

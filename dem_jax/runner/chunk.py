@@ -11,7 +11,8 @@ import numpy as np
 from dem_jax.runner.parameter_sweep import ParameterSweep
 from dem_jax.types import Sample, State, System
 
-CHUNK_SAMPLES = 1024  # capacity of a chunk: one for all scenes, so that they share compiled programs
+CHUNK_SAMPLES = 1024  # capacity of a chunk: one for all scenes, so that they share compiled
+# programs
 CHUNK_FRAMES = 64  # as well, of scenes with frames
 
 
@@ -57,7 +58,8 @@ class Chunk(NamedTuple):
     clock: Clock
     compiling: Callable[[], None]  # called before a program is compiled
     known: KnownResults | None  # of an ensemble
-    sweep: ParameterSweep | None = None  # of an ensemble whose runs differ in more than their seed; the system is then that of the first
+    sweep: ParameterSweep | None = None  # of an ensemble whose runs differ in more than their seed;
+    # the system is then that of the first
 
 
 Executor = Callable[[Chunk], ComputedChunk]  # how chunks are computed, see execute

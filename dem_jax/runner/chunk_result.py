@@ -33,7 +33,8 @@ class ChunkResult:
     reruns: tuple[str, ...]  # repeated chunks, and the reasons
     failed: tuple[int, int] | None  # as of failure.find
     slow: bool = True  # all since the rule of run.until_settled was last looked at
-    settled: bool = False  # all pieces were at rest, so the time up to the release, or up to the end, is skipped
+    settled: bool = False  # all pieces were at rest, so the time up to the release, or up to the
+    # end, is skipped
 
     @property
     def end(self) -> int:
@@ -41,8 +42,11 @@ class ChunkResult:
         return self.first + self.count
 
 
-def compute_chunk(job: Job, system: System, state: State, first: int, count: int, shown: Progress) -> ChunkResult:
-    """One chunk, run again from its first state until nothing is outgrown. Raises SceneError if the start overlaps.
+def compute_chunk(
+    job: Job, system: System, state: State, first: int, count: int, shown: Progress
+) -> ChunkResult:
+    """One chunk, run again from its first state until nothing is outgrown. Raises SceneError if the
+    start overlaps.
 
     For an ensemble in threads only the runs that exceeded a capacity are repeated.
     """
@@ -56,11 +60,15 @@ def compute_chunk(job: Job, system: System, state: State, first: int, count: int
         failed = failure.detect_failure(done.samples, count)
         if not reasons or (failed and reruns):
             break
-        reruns.append(f"from t = {first * job.scene.run.sample:.6g} s: {'; '.join(reasons)}: run again with more room")
+        reruns.append(
+            f"from t = {first * job.scene.run.sample:.6g} s: {'; '.join(reasons)}: run again with more room"
+        )
         LOG.debug("%s: %s", job.scene.name, reruns[-1])
         if job.runs is not None:
             with_room = overflow_recovery.grow_capacity(system, done.state, seen)[1]
-            known = KnownResults(overflow_recovery.runs_within_capacity(system, seen), done._replace(state=with_room))
+            known = KnownResults(
+                overflow_recovery.runs_within_capacity(system, seen), done._replace(state=with_room)
+            )
         system, start = overflow_recovery.grow_capacity(system, start, seen)
     else:
         raise failure.make_capacity_error(job, first, reasons)
@@ -68,15 +76,21 @@ def compute_chunk(job: Job, system: System, state: State, first: int, count: int
 
 
 def apply_stop_criterion(job: Job, span: ChunkResult, slow: bool) -> ChunkResult:
-    """The span with the decision of ``run.until_settled`` about its end; slow: whether all pieces were slow before it.
+    """The span with the decision of ``run.until_settled`` about its end; slow: whether all pieces
+    were slow before it.
 
-    A portion at rest is released at once: no wall moves before the release, so nothing but the step's number differs.
+    A portion at rest is released at once: no wall moves before the release, so nothing but the
+    step's number differs.
     """
     rule = job.stop_rule
     if not rule:
         return span
     slow = (slow or rule.is_window_start(span.first)) and rule.is_slow(span.samples, span.count)
-    is_over = rule.start <= span.first < span.end < 0 or span.first >= 0 and span.end >= rule.walls_at_rest
+    is_over = (
+        rule.start <= span.first < span.end < 0
+        or span.first >= 0
+        and span.end >= rule.walls_at_rest
+    )
     at_rest = slow and is_over and rule.next_check(span.first) == span.end
     released = at_rest and span.first < 0
     state = span.state.replace(step=jnp.zeros_like(span.state.step)) if released else span.state

@@ -1,4 +1,5 @@
-"""Strategies for a chunk: a single run; an ensemble in threads, in batches, on several devices, on several hosts.
+"""Strategies for a chunk: a single run; an ensemble in threads, in batches, on several devices, on
+several hosts.
 
 Each is a function of a Chunk. Which one, is chosen once for a job.
 """
@@ -15,29 +16,62 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from dem_jax.dynamics import interleaved_batch, stepping
 from dem_jax.runner import multihost, programs
-from dem_jax.runner.chunk import Chunk, ChunkTiming, ComputedChunk, Executor, KnownResults, take_runs
+from dem_jax.runner.chunk import (
+    Chunk,
+    ChunkTiming,
+    ComputedChunk,
+    Executor,
+    KnownResults,
+    take_runs,
+)
 from dem_jax.runner.job import Job
 from dem_jax.runner.progress import Progress
 from dem_jax.types import State, System
 
 
 def choose_executor(system: System, runs: int | None, is_one: bool = True) -> Executor:
-    """The way to compute chunks of a system; runs: of an ensemble; is_one: whether it is the system of all of them."""
+    """The way to compute chunks of a system; runs: of an ensemble; is_one: whether it is the system
+    of all of them.
+    """
     if runs is None:
         return run_single
     is_joined = is_one and interleaved_batch.is_batch_worthwhile(system, runs)
-    here = run_on_devices if jax.default_backend() != "cpu" else run_interleaved if is_joined else run_threaded
+    here = (
+        run_on_devices
+        if jax.default_backend() != "cpu"
+        else run_interleaved
+        if is_joined
+        else run_threaded
+    )
     return partial(run_on_hosts, here, runs) if multihost.is_distributed() else here
 
 
 def execute_chunk(
-    job: Job, system: System, state: State, first: int, count: int, shown: Progress | None = None, known: KnownResults | None = None
+    job: Job,
+    system: System,
+    state: State,
+    first: int,
+    count: int,
+    shown: Progress | None = None,
+    known: KnownResults | None = None,
 ) -> ComputedChunk:
     """Compute ``count`` samples from sample ``first`` on. known: of an ensemble, see Known."""
     every = job.samples_per_frame or 1
     times = ChunkTiming(np.int32(count), np.int32(every), np.int32(first % every))
     compiling = shown.show_compiling if shown else lambda: None
-    return job.executor(Chunk(system, state, times, job.frame_capacity, job.is_double, job.clock, compiling, known, job.sweep))
+    return job.executor(
+        Chunk(
+            system,
+            state,
+            times,
+            job.frame_capacity,
+            job.is_double,
+            job.clock,
+            compiling,
+            known,
+            job.sweep,
+        )
+    )
 
 
 def run_single(chunk: Chunk) -> ComputedChunk:
@@ -48,25 +82,34 @@ def run_single(chunk: Chunk) -> ComputedChunk:
 def run_threaded(chunk: Chunk) -> ComputedChunk:
     """The runs of an ensemble on all cores of a CPU, each as a single run.
 
-    By ``jax.vmap`` they would take about as long as alone (measured in turns, at best: 10.2 us a step of nine pieces alone,
+    By ``jax.vmap`` they would take about as long as alone (measured in turns, at best: 10.2 us a
+    step of nine pieces alone,
     9.1 a member of 64; of 8 members 14, of one 25).
     """
     return _run_on_cores(chunk, range(len(chunk.state.step)), np.stack, stepping.run_chunk)
 
 
 def run_interleaved(chunk: Chunk) -> ComputedChunk:
-    """The runs of an ensemble on all cores of a CPU at once, sixteen as one system; the last run fills up the last group."""
+    """The runs of an ensemble on all cores of a CPU at once, sixteen as one system; the last run
+    fills up the last group.
+    """
     last = len(chunk.state.step) - 1
-    groups = [np.minimum(k + np.arange(interleaved_batch.RUNS_AT_ONCE), last) for k in range(0, last + 1, interleaved_batch.RUNS_AT_ONCE)]
+    groups = [
+        np.minimum(k + np.arange(interleaved_batch.RUNS_AT_ONCE), last)
+        for k in range(0, last + 1, interleaved_batch.RUNS_AT_ONCE)
+    ]
     return _run_on_cores(chunk, groups, np.concatenate, interleaved_batch.run_chunk)
 
 
 def run_on_devices(chunk: Chunk) -> ComputedChunk:
-    """The runs of an ensemble side by side, shared out among devices; all of them, whatever is known of some: fewer would be
-    another program."""
+    """The runs of an ensemble side by side, shared out among devices; all of them, whatever is
+    known of some: fewer would be another program.
+    """
     mesh = _build_device_mesh(len(chunk.state.step))
     system = chunk.system if chunk.sweep is None else chunk.sweep.stack_system(chunk.system)
-    chunk = chunk._replace(system=system, state=jax.device_put(chunk.state, NamedSharding(mesh, PartitionSpec("runs"))))
+    chunk = chunk._replace(
+        system=system, state=jax.device_put(chunk.state, NamedSharding(mesh, PartitionSpec("runs")))
+    )
     return call_program(programs.get_executable(chunk, stepping.run_chunk, mesh), chunk)
 
 
@@ -74,7 +117,9 @@ def run_on_hosts(here: Executor, runs: int, chunk: Chunk) -> ComputedChunk:
     """The runs of an ensemble shared out among processes; here: how each computes its own."""
     mine = multihost.local_slice(runs)
     state, known = take_runs(jax.device_get((chunk.state, chunk.known)), mine)
-    own = chunk._replace(state=state, known=known, sweep=chunk.sweep and chunk.sweep.select_runs(mine))
+    own = chunk._replace(
+        state=state, known=known, sweep=chunk.sweep and chunk.sweep.select_runs(mine)
+    )
     parts = multihost.all_gather(lambda: jax.device_get(here(own)) if len(state.step) else None)
     return jax.tree.map(lambda *x: np.concatenate(x), *(part for part in parts if part is not None))
 
@@ -86,15 +131,25 @@ def call_program(program: Callable[..., Any], chunk: Chunk) -> ComputedChunk:
 
 
 def _run_on_cores(
-    chunk: Chunk, groups: Sequence[Any], together: Callable[..., np.ndarray], run_chunk: programs.RunChunk
+    chunk: Chunk,
+    groups: Sequence[Any],
+    together: Callable[..., np.ndarray],
+    run_chunk: programs.RunChunk,
 ) -> ComputedChunk:
     """groups: the run or runs of each thread. together: makes one array of theirs."""
     kept = jax.device_get(_drop_scratch(chunk.state))
-    scratch = jax.device_put(take_runs(jax.device_get(chunk.state.scratch), groups[0]))  # a rebuild refills it: any run's will do
-    system = lambda k: chunk.system if chunk.sweep is None else chunk.sweep.system_for_run(chunk.system, k)  # noqa: E731
-    own = lambda k: chunk._replace(system=system(k), state=take_runs(kept, k).replace(scratch=scratch))  # noqa: E731
+    # a rebuild refills it: any run's will do
+    scratch = jax.device_put(take_runs(jax.device_get(chunk.state.scratch), groups[0]))
+    system = lambda k: (
+        chunk.system if chunk.sweep is None else chunk.sweep.system_for_run(chunk.system, k)
+    )
+    own = lambda k: chunk._replace(
+        system=system(k), state=take_runs(kept, k).replace(scratch=scratch)
+    )
     program = programs.get_executable(own(groups[0]), run_chunk)
-    known = chunk.known and jax.device_get(chunk.known._replace(results=_drop_output_scratch(chunk.known.results)))
+    known = chunk.known and jax.device_get(
+        chunk.known._replace(results=_drop_output_scratch(chunk.known.results))
+    )
 
     def run_group(k: Any) -> ComputedChunk:
         if known and np.all(known.is_complete[k]):

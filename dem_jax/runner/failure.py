@@ -1,4 +1,6 @@
-"""What makes a run stop: where it shows in the samples, and a line with piece, time and likely cause."""
+"""What makes a run stop: where it shows in the samples, and a line with piece, time and likely
+cause.
+"""
 
 from typing import TYPE_CHECKING
 
@@ -11,7 +13,11 @@ from dem_jax.errors import SceneError, SimulationError
 from dem_jax.runner.chunk import take_runs
 from dem_jax.runner.job import Job
 from dem_jax.scene import bucket_geometry
-from dem_jax.scene.material_properties import build_material_table, find_modulus_range, find_piece_rows
+from dem_jax.scene.material_properties import (
+    build_material_table,
+    find_modulus_range,
+    find_piece_rows,
+)
 from dem_jax.scene.messages import shorten_value
 from dem_jax.scene.scene import Scene
 from dem_jax.scene.unusual_numbers import most_unusual_key
@@ -21,14 +27,17 @@ from dem_jax.walls import kinematics
 if TYPE_CHECKING:
     from dem_jax.runner.chunk_result import ChunkResult
 
-DEEPEST_OVERLAP = 0.5  # of the narrower piece's width: beyond, a contact may push out on the wrong side
+DEEPEST_OVERLAP = 0.5  # of the narrower piece's width: beyond, a contact may push out on the wrong
+# side
 THROWN_FACTOR = 2.0  # times the speed of a wall, that a piece may have which it threw
 INSTANTS = 64  # at which the speed of walls is looked at
 START_OVERLAP = 1e-3  # of the narrower piece's width, that pieces may overlap by at the start
 
 
 def check_start_overlap(job: Job, guard: OverflowReport) -> None:
-    """Raise SceneError if bodies overlap at the first rebuild by more than is allowed. guard: numpy."""
+    """Raise SceneError if bodies overlap at the first rebuild by more than is allowed. guard:
+    numpy.
+    """
     overlap = np.atleast_1d(guard.start_overlap)
     member = int(np.argmax(overlap))
     if not overlap[member] > START_OVERLAP:
@@ -42,8 +51,12 @@ def check_start_overlap(job: Job, guard: OverflowReport) -> None:
 
 
 def detect_failure(samples: Sample, count: int) -> tuple[int, int] | None:
-    """(member, sample) of the first sample that a run cannot go on from, or None. samples: numpy [.., T]."""
-    culprit, overlap, stride = (np.atleast_2d(x)[:, :count] for x in (samples.culprit, samples.overlap, samples.stride))
+    """(member, sample) of the first sample that a run cannot go on from, or None. samples: numpy
+    [.., T].
+    """
+    culprit, overlap, stride = (
+        np.atleast_2d(x)[:, :count] for x in (samples.culprit, samples.overlap, samples.stride)
+    )
     bad = (culprit >= 0) | ~(overlap <= DEEPEST_OVERLAP) | (stride > DEEPEST_OVERLAP)
     for name in _list_real_quantities(samples):
         values = np.asarray(samples.values[name])
@@ -56,8 +69,12 @@ def detect_failure(samples: Sample, count: int) -> tuple[int, int] | None:
     return int(np.argmax(bad[:, k])), k
 
 
-def describe_failure(job: Job, span: "ChunkResult", state: State, member: int, k: int) -> SimulationError:
-    """The error of a run whose sample k of a span failed; state: of that time, numpy, of an ensemble stacked."""
+def describe_failure(
+    job: Job, span: "ChunkResult", state: State, member: int, k: int
+) -> SimulationError:
+    """The error of a run whose sample k of a span failed; state: of that time, numpy, of an
+    ensemble stacked.
+    """
     samples = span.samples
     system = span.system
     if job.runs is not None:
@@ -83,7 +100,10 @@ def note_escapes(job: Job, state: State) -> list[str]:
     position = np.asarray(state.position)
     position = position.reshape(-1, *position.shape[-2:])  # [runs, 3, N]
     systems = [job.built_for_run(run).system for run in range(len(position))]
-    low, high = (np.stack([getattr(s, name) for s in systems])[:, :, None] for name in ("domain_low", "domain_high"))
+    low, high = (
+        np.stack([getattr(s, name) for s in systems])[:, :, None]
+        for name in ("domain_low", "domain_high")
+    )
     outside = ((position < low) | (position > high)).any(axis=1)
     present = find_present_per_run(systems, state)
     out = np.argwhere(outside if present is None else outside & present)
@@ -93,13 +113,23 @@ def note_escapes(job: Job, state: State) -> list[str]:
 def make_capacity_error(job: Job, first: int, reasons: list[str]) -> SimulationError:
     """The error of a chunk for which no room is enough."""
     at = first * job.scene.run.sample
-    return _make_error(job, f"from t = {at:.6g} s: {'; '.join(reasons)}; lower run.rebuild_steps or run.step", None, at, 0)
+    return _make_error(
+        job,
+        f"from t = {at:.6g} s: {'; '.join(reasons)}; lower run.rebuild_steps or run.step",
+        None,
+        at,
+        0,
+    )
 
 
 def body_name(system: System, body: int) -> str:
     """A body by its number: parts of pieces first, then panels."""
     group = _find_wall_group(system, body)
-    return f"piece {int(system.parts.owning_piece(body))}" if group is None else f"wall group {group!r}"
+    return (
+        f"piece {int(system.parts.owning_piece(body))}"
+        if group is None
+        else f"wall group {group!r}"
+    )
 
 
 def _find_wall_group(system: System, body: int) -> str | None:
@@ -110,7 +140,9 @@ def _find_wall_group(system: System, body: int) -> str | None:
 
 def _make_error(job: Job, line: str, piece: int | None, at: float, member: int) -> SimulationError:
     """An error whose line begins with the scene and, of an ensemble, the run."""
-    return SimulationError(f"{_name_run(job, member)}: {line}", piece, at, None if job.runs is None else member)
+    return SimulationError(
+        f"{_name_run(job, member)}: {line}", piece, at, None if job.runs is None else member
+    )
 
 
 def _name_run(job: Job, member: int) -> str:
@@ -123,18 +155,26 @@ def _name_run(job: Job, member: int) -> str:
 
 def _list_real_quantities(samples: Sample) -> list[str]:
     """The quantities that are real numbers, those of a user among them."""
-    return [name for name, values in samples.values.items() if np.asarray(values).dtype.kind in "fc"]
+    return [
+        name for name, values in samples.values.items() if np.asarray(values).dtype.kind in "fc"
+    ]
 
 
 def _is_sum_finite(values: np.ndarray) -> bool:
-    """Whether the sum of all is finite: then each is. Takes a seventh of looking at each, which counts for 1024 runs."""
+    """Whether the sum of all is finite: then each is. Takes a seventh of looking at each, which
+    counts for 1024 runs.
+    """
     with np.errstate(over="ignore", invalid="ignore"):
         return bool(np.isfinite(values.sum()))
 
 
 def _describe_nonfinite(job: Job, samples: Sample, k: int, at: float, member: int) -> str:
     """What to say of a sample whose pieces all move as they should."""
-    names = [name for name in _list_real_quantities(samples) if not np.isfinite(np.asarray(samples.values[name])[k]).all()]
+    names = [
+        name
+        for name in _list_real_quantities(samples)
+        if not np.isfinite(np.asarray(samples.values[name])[k]).all()
+    ]
     ours = {q.name for q in QUANTITIES}
     if not ours.intersection(names):
         return (
@@ -149,13 +189,17 @@ def _describe_nonfinite(job: Job, samples: Sample, k: int, at: float, member: in
 
 def _diagnose_invalid_piece(job: Job, system: System, state: State, piece: int, member: int) -> str:
     position = np.asarray(state.position)[:, piece]
-    rest = [np.asarray(x)[:, piece] for x in (state.velocity, state.angular_momentum, state.orientation)]
+    rest = [
+        np.asarray(x)[:, piece] for x in (state.velocity, state.angular_momentum, state.orientation)
+    ]
     if not all(np.isfinite(x).all() for x in (position, *rest)):
         return f"its motion is not finite; likely cause: {_advise_step(job, member)}"
     low, high = np.asarray(system.domain_low), np.asarray(system.domain_high)
     below, above = position < low, position > high
     axis = int(np.argmax(below | above))
-    side, limit, key = ("below", low, "domain_low") if below[axis] else ("above", high, "domain_high")
+    side, limit, key = (
+        ("below", low, "domain_low") if below[axis] else ("above", high, "domain_high")
+    )
     speed = float(np.linalg.norm(rest[0]))
     cause = _diagnose_throw(system, state, piece, speed)
     cause = cause or f"no wall holds it there, or a contact threw it ({_advise_step(job, member)})"
@@ -167,7 +211,9 @@ def _diagnose_invalid_piece(job: Job, system: System, state: State, piece: int, 
 
 
 def _diagnose_throw(system: System, state: State, piece: int, speed: float) -> str | None:
-    """What to say of a piece that sticks to walls that move, and is no faster (m/s) than these and its fall explain; else None."""
+    """What to say of a piece that sticks to walls that move, and is no faster (m/s) than these and
+    its fall explain; else None.
+    """
     walls, materials = system.walls, system.materials
     if materials.pull_off is None or not walls.motions:
         return None
@@ -191,28 +237,46 @@ def _diagnose_throw(system: System, state: State, piece: int, speed: float) -> s
 
 
 def _measure_panel_speeds(system: System, end: float) -> tuple[np.ndarray, float]:
-    """Largest speed (m/s) of any point of each panel until a time (s), at INSTANTS of it, and the top (m) of all at rest."""
+    """Largest speed (m/s) of any point of each panel until a time (s), at INSTANTS of it, and the
+    top (m) of all at rest.
+    """
     walls = system.walls
     reach = np.linalg.norm(np.asarray(walls.half_extent), axis=0)
     fastest = np.zeros(walls.group.shape[0])
     for time in np.linspace(0.0, end, INSTANTS).astype(system.dt.dtype):
         now = kinematics.compute_wall_state(walls, time, time)
-        velocity, spin = (np.linalg.norm(np.stack(rows), axis=0) for rows in (now.velocity, now.spin))
+        velocity, spin = (
+            np.linalg.norm(np.stack(rows), axis=0) for rows in (now.velocity, now.spin)
+        )
         fastest = np.maximum(fastest, velocity + spin * reach)
     return fastest, float((np.asarray(walls.centre)[2] + reach).max())
 
 
 def _blame_overfull_bucket(job: Job, member: int) -> str:
-    """The likely cause that begins a list of them, where a bucket cannot hold the portion; else nothing."""
-    full = [fill for fill in bucket_fill.list_bucket_fills(job.scene_for_run(member), job.built_for_run(member).piece_set) if fill.is_overfull]
-    return "".join(f"the {fill.name} is overfull, by {100 * (fill.fill_level - 1):.0f} %; or " for fill in full)
+    """The likely cause that begins a list of them, where a bucket cannot hold the portion; else
+    nothing.
+    """
+    full = [
+        fill
+        for fill in bucket_fill.list_bucket_fills(
+            job.scene_for_run(member), job.built_for_run(member).piece_set
+        )
+        if fill.is_overfull
+    ]
+    return "".join(
+        f"the {fill.name} is overfull, by {100 * (fill.fill_level - 1):.0f} %; or " for fill in full
+    )
 
 
-def _diagnose_overlap(job: Job, system: System, state: State, overlap: float, member: int) -> tuple[int, str]:
+def _diagnose_overlap(
+    job: Job, system: System, state: State, overlap: float, member: int
+) -> tuple[int, str]:
     """The piece in the deepest contact, and what to say of it."""
     worst, a, b = -1.0, 0, 0
     of_parts = np.asarray(system.parts.owning_piece(np.arange(system.parts.count)))
-    width = np.append(np.asarray(system.pieces.width)[of_parts], np.full(system.walls.group.shape[0], np.inf))
+    width = np.append(
+        np.asarray(system.pieces.width)[of_parts], np.full(system.walls.group.shape[0], np.inf)
+    )
     for table in state.contacts.values():
         relative = np.asarray(table.memory.overlap) / np.minimum(width[table.a], width[table.b])
         k = int(np.argmax(relative))
@@ -227,19 +291,33 @@ def _diagnose_overlap(job: Job, system: System, state: State, overlap: float, me
 
 
 def _describe_softness(job: Job, member: int, piece: int) -> str:
-    """The modulus that a piece has in the simulation, the range of its product's, and what stiffens it."""
+    """The modulus that a piece has in the simulation, the range of its product's, and what stiffens
+    it.
+    """
     scene = job.scene_for_run(member)
     table, name = build_material_table(scene), job.built_for_run(member).piece_set.materials[piece]
-    modulus = float(table.youngs_modulus[find_piece_rows(table, [name])[0]]) * scene.material.softening
+    modulus = (
+        float(table.youngs_modulus[find_piece_rows(table, [name])[0]]) * scene.material.softening
+    )
     bounds = find_modulus_range(scene, name)
     known = "" if bounds is None else f", of a product of {bounds[0]:g} to {bounds[1]:g} Pa"
-    raised = "raise material.softening" if scene.material.softening < 1 else "raise material.youngs_modulus"
-    foam = "" if scene.contact.law == "densifying" else ', or take contact.law = "densifying", which stiffens as a foam does'
+    raised = (
+        "raise material.softening"
+        if scene.material.softening < 1
+        else "raise material.youngs_modulus"
+    )
+    foam = (
+        ""
+        if scene.contact.law == "densifying"
+        else ', or take contact.law = "densifying", which stiffens as a foam does'
+    )
     return f"E · NSF = {modulus:g} Pa{known}; {raised}{foam}"
 
 
 def _suggest_drives(scene: Scene, group: str | None) -> str:
-    """What lets flaps give way whose motion is given: that of a wall group, or, None, all of the scene."""
+    """What lets flaps give way whose motion is given: that of a wall group, or, None, all of the
+    scene.
+    """
     flaps = [
         (bucket_geometry.list_wall_groups(bucket, short_name), f"[{key}.drive]")
         for key, short_name in bucket_geometry.GROUP_PREFIXES.items()

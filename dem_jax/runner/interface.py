@@ -45,7 +45,8 @@ def simulate(
         progress: show a progress bar on stderr, or a function that is called instead with the phase
             (text) and the share that is done.
         quantities: quantities to sample in addition to those of dem_jax.
-        law: a contact law (``dem_jax.contact_laws``) instead of the scene's; ``info["law"]`` in the file
+        law: a contact law (``dem_jax.contact_laws``) instead of the scene's; ``info["law"]`` in the
+        file
             contains the name of its type.
 
     Returns:
@@ -54,8 +55,8 @@ def simulate(
     Raises:
         SceneError: the scene cannot be used.
         RecordError: the file cannot be written.
-        SimulationError: the run had to stop; earlier results are saved, or in its attribute ``run``.
-        ValueError: a quantity does not fit its axes.
+        SimulationError: the run had to stop; earlier results are saved, or in its attribute
+        ``run``. ValueError: a quantity does not fit its axes.
     """
     return run_job(prepare_job(scene, (seed,), None, quantities, law), out, overwrite, progress)
 
@@ -72,18 +73,20 @@ def ensemble(
     parameters: Mapping[str, Any] | None = None,
     uncertain: bool = False,
 ) -> run_files.Run:
-    """Simulate a scene with many seeds or parameter values; every series has a leading run axis [K].
+    """Simulate a scene with many seeds or parameter values; every series has a leading run axis
+    [K].
 
-    All runs share one compiled program. On a CPU each run has a thread of its own and the bits of a single run;
-    at least sixteen runs of few pieces with equal parameters are batched in groups of 16 (``joined``), in half of
-    the time or less. On other devices runs advance together (``jax.vmap``), distributed over as many devices as
-    divide their number. Batched runs equal single runs up to round-off, which contacts amplify. A scene whose
-    pieces are listed one by one does not depend on the seed. If one run fails, all stop. With
-    ``run.until_settled`` all runs share one release time and one end time.
+    All runs share one compiled program. On a CPU each run has a thread of its own and the bits of a
+    single run; at least sixteen runs of few pieces with equal parameters are batched in groups of
+    16 (``joined``), in half of the time or less. On other devices runs advance together
+    (``jax.vmap``), distributed over as many devices as divide their number. Batched runs equal
+    single runs up to round-off, which contacts amplify. A scene whose pieces are listed one by one
+    does not depend on the seed. If one run fails, all stop. With ``run.until_settled`` all runs
+    share one release time and one end time.
 
-    If ``jax.distributed`` was initialised, all processes must call this function with the same arguments. Each
-    computes its share of the runs, the first writes the file, and all return the whole ensemble or raise the same
-    exception.
+    If ``jax.distributed`` was initialised, all processes must call this function with the same
+    arguments. Each computes its share of the runs, the first writes the file, and all return the
+    whole ensemble or raise the same exception.
 
     Args:
         scene: a Scene, or a name or path that ``load_scene`` accepts.
@@ -95,12 +98,14 @@ def ensemble(
             (text) and the share that is done.
         quantities: quantities to sample in addition to those of dem_jax.
         law: a contact law instead of the scene's.
-        parameters: keys of the scene, such as ``"material.restitution"``, each with one value per run, or with a
-            distribution of ``scipy.stats`` (sampled with the first seed). All keys are permitted that leave the
-            compiled program unchanged. ``run.parameters`` contains the values.
-        uncertain: give each run its own values of the scene's uncertain numbers (``[[uncertain]]``, which
-            products bring with them), drawn from their ranges with the first seed. Keys in ``parameters`` are
-            not drawn, and the number of pieces is that of the scene.
+        parameters: keys of the scene, such as ``"material.restitution"``, each with one value per
+        run, or with a
+            distribution of ``scipy.stats`` (sampled with the first seed). All keys are permitted
+            that leave the compiled program unchanged. ``run.parameters`` contains the values.
+        uncertain: give each run its own values of the scene's uncertain numbers (``[[uncertain]]``,
+        which
+            products bring with them), drawn from their ranges with the first seed. Keys in
+            ``parameters`` are not drawn, and the number of pieces is that of the scene.
 
     Returns:
         The ensemble; each run is that of its own scene, ``scene.replace({key: value, ...})``.
@@ -114,15 +119,30 @@ def ensemble(
     given = [validate_seed(one) for one in (np.asarray(seed).ravel() if listed else [seed])]
     first = given[0] if given else 0
     values = draw_parameters(parameters or {}, np.size(seed) if listed else runs, first)
-    count = len(next(iter(values.values()))) if values else np.size(seed) if listed else 64 if runs is None else int(runs)
+    count = (
+        len(next(iter(values.values())))
+        if values
+        else np.size(seed)
+        if listed
+        else 64
+        if runs is None
+        else int(runs)
+    )
     if not count or (listed and runs not in (None, count)):
-        raise SceneError(f"seed: {np.size(seed)} of them; allowed: one, or one for each of {runs or 'at least one'} run(s)")
+        raise SceneError(
+            f"seed: {np.size(seed)} of them; allowed: one, or one for each of {runs or 'at least one'} run(s)"
+        )
     seeds = tuple(given) if listed else tuple(range(first, first + count))
     if uncertain:
         scene = scene if isinstance(scene, Scene) else load_scene(scene)
         scene, values = draw_uncertain_numbers(scene, count, first, values)
     with multihost.propagate_errors():
-        return run_job(prepare_job(scene, seeds, count, quantities, law, values or None), out, overwrite, progress)
+        return run_job(
+            prepare_job(scene, seeds, count, quantities, law, values or None),
+            out,
+            overwrite,
+            progress,
+        )
 
 
 def resume(
@@ -132,10 +152,11 @@ def resume(
     quantities: Iterable[Quantity] = (),
     law: ContactLaw | None = None,
 ) -> run_files.Run:
-    """Continue the run in a file to its end, or to another duration, with the bits of an uninterrupted run.
+    """Continue the run in a file to its end, or to another duration, with the bits of an
+    uninterrupted run.
 
-    A run that ended because all pieces were at rest is complete. A run that was stopped before its first flush
-    starts again.
+    A run that ended because all pieces were at rest is complete. A run that was stopped before its
+    first flush starts again.
 
     Args:
         path: HDF5 file of a run or an ensemble.
@@ -160,7 +181,9 @@ def resume(
         scene = scene.replace({"run.duration": duration})
     with multihost.propagate_errors(header.run_count is not None):
         seeds = header.seed if isinstance(header.seed, tuple) else (header.seed,)
-        job = prepare_job(scene, seeds, header.run_count, quantities, law, header.info.get("parameters"))
+        job = prepare_job(
+            scene, seeds, header.run_count, quantities, law, header.info.get("parameters")
+        )
         if samples > job.samples:
             held = f"allowed: at least {samples * scene.run.sample:g} s, which {path} holds"
             raise SceneError(f"duration = {scene.run.duration:g}: {held}")
@@ -175,28 +198,52 @@ def resume(
         return _run_into_file(job, path, writer, progress, resumes=bool(arrays))
 
 
-def run_job(job: Job, out: FileName | None = None, overwrite: bool = False, progress: bool | ProgressCallback = False) -> run_files.Run:
-    """Run a job from its beginning, into a file or into memory. Arguments and errors as ``simulate``."""
+def run_job(
+    job: Job,
+    out: FileName | None = None,
+    overwrite: bool = False,
+    progress: bool | ProgressCallback = False,
+) -> run_files.Run:
+    """Run a job from its beginning, into a file or into memory. Arguments and errors as
+    ``simulate``.
+    """
     with multihost.propagate_errors(job.is_shared):
         if out is None:
             memory = sinks.MemorySink(recording.build_header(job))
             loop.run_loop(job, memory, progress)
             return memory.build_run()
-        multihost.call_on_primary(partial(run_files.check_destination, out, overwrite), job.is_shared)
-        writer = partial(run_files.Writer.create, os.path.abspath(out), recording.build_header(job), overwrite)
+        multihost.call_on_primary(
+            partial(run_files.check_destination, out, overwrite), job.is_shared
+        )
+        writer = partial(
+            run_files.Writer.create, os.path.abspath(out), recording.build_header(job), overwrite
+        )
         return _run_into_file(job, out, writer, progress)
 
 
 def _check_law(path: FileName, name: str | None, law: ContactLaw | None) -> None:
-    """Raises RecordError unless a law of one's own is given to a run that was made with one of that name."""
+    """Raises RecordError unless a law of one's own is given to a run that was made with one of that
+    name.
+    """
     given = None if law is None else type(law).__name__
     if given != name:
-        allowed = f"a {name}, with the parameters that it had" if name else "none, the scene says which"
+        allowed = (
+            f"a {name}, with the parameters that it had" if name else "none, the scene says which"
+        )
         raise RecordError(f"{path}: law = {given or 'not given'}: allowed: {allowed}")
 
 
-def _continue_job(job: Job, path: FileName, header: run_files.RunHeader, arrays: dict[str, Any], samples: int, frames: int) -> Job:
-    """The job at the state of a file's restart arrays; samples, frames: how many the file holds. Raises RecordError."""
+def _continue_job(
+    job: Job,
+    path: FileName,
+    header: run_files.RunHeader,
+    arrays: dict[str, Any],
+    samples: int,
+    frames: int,
+) -> Job:
+    """The job at the state of a file's restart arrays; samples, frames: how many the file holds.
+    Raises RecordError.
+    """
     with jax.enable_x64(job.is_double):
         try:
             system, state = restart_state.match_quantities(job.system, header), job.state
@@ -208,11 +255,28 @@ def _continue_job(job: Job, path: FileName, header: run_files.RunHeader, arrays:
             raise RecordError(f"{path}: {error}") from error
         notes, reruns = (tuple(header.info.get(name, ())) for name in ("notes", "reruns"))
         slow = bool(np.all(arrays.get("slow", True)))
-    return replace(job, system=system, state=state, samples_kept=samples, frames_kept=frames, notes=notes, reruns=reruns, slow=slow)
+    return replace(
+        job,
+        system=system,
+        state=state,
+        samples_kept=samples,
+        frames_kept=frames,
+        notes=notes,
+        reruns=reruns,
+        slow=slow,
+    )
 
 
-def _run_into_file(job: Job, path: FileName, make: sinks.WriterFactory, progress: bool | ProgressCallback, resumes: bool = False) -> run_files.Run:
-    """Run into a file; make: makes what writes it, once there is something to write; resumes: it is read before."""
+def _run_into_file(
+    job: Job,
+    path: FileName,
+    make: sinks.WriterFactory,
+    progress: bool | ProgressCallback,
+    resumes: bool = False,
+) -> run_files.Run:
+    """Run into a file; make: makes what writes it, once there is something to write; resumes: it is
+    read before.
+    """
     place = os.path.abspath(path)
     with sinks.FileSink(path, make if job.is_writer else None) as file:
         if resumes:

@@ -11,13 +11,17 @@ from dem_jax.runner.parameter_sweep import ParameterSweep
 from dem_jax.scene import Scene
 from dem_jax.types import State, System
 
-CHUNK_TIME = 8.0  # s that a chunk should take on one core, by this estimate of a step and, in it, of each body (s):
-STEP_TIME, BODY_TIME = 5e-6, 0.3e-6  # pieces in flight take less, packed ones up to five times as long
+CHUNK_TIME = 8.0  # s that a chunk should take on one core, by this estimate of a step and, in it,
+# of each body (s):
+STEP_TIME, BODY_TIME = 5e-6, 0.3e-6  # pieces in flight take less, packed ones up to five times as
+# long
 
 
 @dataclass(frozen=True)
 class Job:
-    """A run that is set up; of an ensemble, state has a leading run axis. Counts are in samples from the release."""
+    """A run that is set up; of an ensemble, state has a leading run axis. Counts are in samples
+    from the release.
+    """
 
     scene: Scene
     seeds: tuple[int, ...]
@@ -27,7 +31,8 @@ class Job:
     state: State
     executor: Executor  # how its chunks are computed
     stop_rule: stop_criterion.StopCriterion | None = None  # of run.until_settled
-    sweep: ParameterSweep | None = None  # parameters that differ between the runs of an ensemble, besides their seed
+    sweep: ParameterSweep | None = None  # parameters that differ between the runs of an ensemble,
+    # besides their seed
     own_law: bool = False  # whether the contact law was given instead of the scene's
     samples_kept: int = 0  # already in the file
     frames_kept: int = 0
@@ -43,7 +48,9 @@ class Job:
 
     @property
     def is_writer(self) -> bool:
-        """Whether this process has the file and shows progress: of several that share an ensemble the first."""
+        """Whether this process has the file and shows progress: of several that share an ensemble
+        the first.
+        """
         return not self.is_shared or multihost.is_primary()
 
     @property
@@ -74,7 +81,9 @@ class Job:
     @property
     def steps_per_run(self) -> np.ndarray:
         """Time steps of a sample interval, of each run of an ensemble, or [] of a single one."""
-        built = [self.built] if self.runs is None else [self.built_for_run(k) for k in range(self.runs)]
+        built = (
+            [self.built] if self.runs is None else [self.built_for_run(k) for k in range(self.runs)]
+        )
         return np.array([b.step.substeps for b in built]).reshape(np.shape(self.state.step))
 
     def sample_index(self, state: State) -> int:
@@ -94,14 +103,23 @@ class Job:
         """Samples between exchanges of pieces, a multiple of those between rebuilds."""
         assert self.built.exchange_plan is not None  # as who asks makes sure
         block = samples_per_block(self.system)
-        return max(1, round(self.built.exchange_plan.interval / (block * self.scene.run.sample))) * block
+        return (
+            max(1, round(self.built.exchange_plan.interval / (block * self.scene.run.sample)))
+            * block
+        )
 
     @property
     def samples_per_chunk(self) -> int:
-        """Samples per chunk, a multiple of the samples between rebuilds: a rebuild at its start is due anyway."""
+        """Samples per chunk, a multiple of the samples between rebuilds: a rebuild at its start is
+        due anyway.
+        """
         block = samples_per_block(self.system)
         wanted = CHUNK_TIME / self._time_per_sample
-        room = min(CHUNK_SAMPLES, (CHUNK_FRAMES - 1) * self.samples_per_frame + 1) if self.samples_per_frame else CHUNK_SAMPLES
+        room = (
+            min(CHUNK_SAMPLES, (CHUNK_FRAMES - 1) * self.samples_per_frame + 1)
+            if self.samples_per_frame
+            else CHUNK_SAMPLES
+        )
         return max(1, int(min(wanted, room)) // block) * block
 
     @property

@@ -36,8 +36,8 @@ def prepare_job(
     law: ContactLaw | None = None,
     parameters: dict[str, list[Any]] | None = None,
 ) -> Job:
-    """Set up a run (runs: None) or an ensemble, one seed for each run. quantities: to sample beside those of dem_jax;
-    law: instead of the scene's; parameters: key -> a value for each run.
+    """Set up a run (runs: None) or an ensemble, one seed for each run. quantities: to sample beside
+    those of dem_jax; law: instead of the scene's; parameters: key -> a value for each run.
 
     Raises SceneError, and ValueError for two quantities of one name.
     """
@@ -48,44 +48,93 @@ def prepare_job(
     check_varied_keys(written, parameters or (), written.name)
     scene = assembly.inline_files(written)
     aside = bucket_fill.check_buckets_meet(written, scene)
-    with jax.enable_x64(scene.run.precision == "f64"), np.errstate(all="ignore"):  # build looks at what comes out
+    with jax.enable_x64(scene.run.precision == "f64"), np.errstate(all="ignore"):  # build looks at
+        # what comes out
         scenes = parameter_sweep.build_run_scenes(scene, parameters, len(seeds))
         distinct = {id(s): s for s in scenes}
         reuse = assembly.AssemblyCache()
         room = find_ensemble_capacity(list(distinct.values()), reuse) if len(distinct) > 1 else None
         each = {key: assemble_scene(s, seeds[0], law, reuse, room) for key, s in distinct.items()}
         built = [each[id(s)] for s in scenes]
-        different, system = parameter_sweep.build_sweep(scene, built, parameters) if parameters else (None, built[0].system)
+        different, system = (
+            parameter_sweep.build_sweep(scene, built, parameters)
+            if parameters
+            else (None, built[0].system)
+        )
         sampled = validate_quantities((*system.quantities, *quantities))
-        system, state = system.replace(slot_block=choose_slot_block(), quantities=sampled), built[0].state
+        system, state = (
+            system.replace(slot_block=choose_slot_block(), quantities=sampled),
+            built[0].state,
+        )
         if runs is not None:
-            states = [assembly.build_seeded_state(*row) for row in zip(scenes, built, seeds, strict=True)]
+            states = [
+                assembly.build_seeded_state(*row) for row in zip(scenes, built, seeds, strict=True)
+            ]
             state = jax.tree.map(lambda *x: jnp.asarray(_stack_runs(x)), *states)
         if has_feature_cache(system):
             state = overflow_recovery.with_empty_scratch(system, state)
     block, settling = samples_per_block(system), built[0].settling_steps // built[0].step.substeps
-    rule = stop_criterion.merge_criteria([stop_criterion.build_criterion(s, each[key].system, settling, block) for key, s in distinct.items()])
-    way, notes = executors.choose_executor(system, runs, different is None), (*aside, *_list_notes(scene, distinct, each))
-    return Job(scene, tuple(seeds), runs, built[0], system, state, way, rule, different, law is not None, notes=notes)
+    rule = stop_criterion.merge_criteria(
+        [
+            stop_criterion.build_criterion(s, each[key].system, settling, block)
+            for key, s in distinct.items()
+        ]
+    )
+    way, notes = (
+        executors.choose_executor(system, runs, different is None),
+        (*aside, *_list_notes(scene, distinct, each)),
+    )
+    return Job(
+        scene,
+        tuple(seeds),
+        runs,
+        built[0],
+        system,
+        state,
+        way,
+        rule,
+        different,
+        law is not None,
+        notes=notes,
+    )
 
 
 def validate_seed(seed: Any) -> int:
-    """The seed as a plain number. Raises SceneError unless it is a whole number that a file can hold."""
+    """The seed as a plain number. Raises SceneError unless it is a whole number that a file can
+    hold.
+    """
     is_whole = isinstance(seed, int | np.integer) and not isinstance(seed, bool)
     if not is_whole or not 0 <= seed <= MOST_SEED:
-        raise SceneError(f"seed = {shorten_value(seed)}: allowed: a whole number from 0 to {MOST_SEED}")
+        raise SceneError(
+            f"seed = {shorten_value(seed)}: allowed: a whole number from 0 to {MOST_SEED}"
+        )
     return int(seed)
 
 
-def _list_notes(scene: Scene, scenes: dict[int, Scene], each: dict[int, assembly.AssembledSystem]) -> tuple[str, ...]:
-    """What a person should know before a run begins; of several that differ, of that for which it is worst."""
+def _list_notes(
+    scene: Scene, scenes: dict[int, Scene], each: dict[int, assembly.AssembledSystem]
+) -> tuple[str, ...]:
+    """What a person should know before a run begins; of several that differ, of that for which it
+    is worst.
+    """
     built = list(each.values())
-    overfull = max((bucket_fill.note_overfull_buckets(s, each[key].piece_set) for key, s in scenes.items()), key=len)
+    overfull = max(
+        (bucket_fill.note_overfull_buckets(s, each[key].piece_set) for key, s in scenes.items()),
+        key=len,
+    )
     longest = max(built, key=lambda b: b.step.dt / b.step.stable)
     shortest = min(b.shortest_contact_time for b in built)
-    precision = next((said for b in built if (said := precision_check.note_low_precision(scene, b))), None)
+    precision = next(
+        (said for b in built if (said := precision_check.note_low_precision(scene, b))), None
+    )
     times = sampling_check.note_rounded_times(scene.run, built[0].samples, built[0].frame_every)
-    notes = (longest.step.warning, sampling_check.note_coarse_sampling(scene.run.sample, shortest), precision, *times, *overfull)
+    notes = (
+        longest.step.warning,
+        sampling_check.note_coarse_sampling(scene.run.sample, shortest),
+        precision,
+        *times,
+        *overfull,
+    )
     return tuple(note for note in notes if note)
 
 
@@ -98,7 +147,11 @@ def _stack_runs(arrays: Sequence[Any]) -> np.ndarray:
 
 
 def assemble_scene(
-    scene: Scene, seed: int, law: ContactLaw | None, reuse: assembly.AssemblyCache | None = None, room: EnsembleCapacity | None = None
+    scene: Scene,
+    seed: int,
+    law: ContactLaw | None,
+    reuse: assembly.AssemblyCache | None = None,
+    room: EnsembleCapacity | None = None,
 ) -> assembly.AssembledSystem:
     """As ``assembly.assemble_system``; numbers that no check foresaw are one line as well."""
     try:

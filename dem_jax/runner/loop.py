@@ -1,7 +1,9 @@
-"""The loop over the chunks of a job: a scene becomes a run, and nothing that goes wrong passes unseen.
+"""The loop over the chunks of a job: a scene becomes a run, and nothing that goes wrong passes
+unseen.
 
-After each chunk the guard is read: a chunk that exceeded a capacity or the skin is repeated with more; a start with
-overlaps, a piece that is not finite or left the domain and a contact that is too deep stop the run.
+After each chunk the guard is read: a chunk that exceeded a capacity or the skin is repeated with
+more; a start with overlaps, a piece that is not finite or left the domain and a contact that is too
+deep stop the run.
 """
 
 import time
@@ -40,20 +42,30 @@ def _run_chunks(job: Job, target: Sink, shown: Progress) -> None:
         notes += _list_new_notes(job, span, notes, shown)
         reruns += [rerun for rerun in span.reruns if rerun not in reruns]
         rows = select_new_rows(job, span, span.count)
-        _append_rows(job, target, *rows, restart=choose_restart_state(job, span), info=collect_info(job, span, notes, reruns))
+        _append_rows(
+            job,
+            target,
+            *rows,
+            restart=choose_restart_state(job, span),
+            info=collect_info(job, span, notes, reruns),
+        )
         shown.show_chunk(span)
     clock = {"compile_time": job.clock.compile, "elapsed": time.perf_counter() - job.clock.start}
     _append_rows(job, target, {}, info=clock)
 
 
 def iterate_chunks(job: Job, shown: Progress) -> Iterator[ChunkResult]:
-    """The chunks of a job, from its state to its last sample. Where they end depends on the scene alone."""
+    """The chunks of a job, from its state to its last sample. Where they end depends on the scene
+    alone.
+    """
     system, state, slow = job.system, job.state, job.slow
     at = job.sample_index(state)
     while at < job.samples:
         end = min(job.chunk_end(at), job.samples)
         state = piece_exchange.exchange_pieces(job, state, at)
-        span = apply_stop_criterion(job, compute_chunk(job, system, state, at, end - at, shown), slow)
+        span = apply_stop_criterion(
+            job, compute_chunk(job, system, state, at, end - at, shown), slow
+        )
         yield span
         system, state, slow = span.system, span.state, span.slow
         at = end if not span.settled else 0 if end < 0 else job.samples
@@ -66,7 +78,10 @@ def _list_new_notes(job: Job, span: ChunkResult, notes: list[str], shown: Progre
         if not any(known.startswith(note) for known in (*notes, *news)):
             news.append(f"{note} before t = {span.end * job.scene.run.sample:.4g} s")
             shown.show_note(news[-1])
-    for note in (*undamped_rest.note_undamped_rest(job, span), *piece_exchange.note_missing_inflow(job, span.state, span.first)):
+    for note in (
+        *undamped_rest.note_undamped_rest(job, span),
+        *piece_exchange.note_missing_inflow(job, span.state, span.first),
+    ):
         if note not in notes:
             news.append(note)
             shown.show_note(note)
@@ -85,10 +100,14 @@ def _append_rows(job: Job, target: Sink, *rows: Any, **more: Any) -> None:
 def _check_same_job(job: Job) -> None:
     """Raise SceneError if processes that share an ensemble were given different ones."""
     if job.is_shared:
-        first, *others = multihost.all_gather(lambda: (job.scene.to_toml(), job.seeds, job.samples_kept))
+        first, *others = multihost.all_gather(
+            lambda: (job.scene.to_toml(), job.seeds, job.samples_kept)
+        )
         strange = [k for k, other in enumerate(others, 1) if other != first]
         if strange:
-            raise SceneError(f"process {strange[0]} has another scene, seed or number of runs than process 0; allowed: the same")
+            raise SceneError(
+                f"process {strange[0]} has another scene, seed or number of runs than process 0; allowed: the same"
+            )
 
 
 def _stop_run(job: Job, target: Sink, span: ChunkResult, failed: tuple[int, int]) -> NoReturn:

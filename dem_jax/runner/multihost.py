@@ -1,4 +1,5 @@
-"""Several processes that compute one ensemble (``jax.distributed``) and share their results and exceptions.
+"""Several processes that compute one ensemble (``jax.distributed``) and share their results and
+exceptions.
 
 All decide alike because all know the same, so none waits for a word that another does not send.
 """
@@ -34,7 +35,8 @@ def local_slice(count: int) -> slice:
 
 
 def all_gather(function: Callable[[], T]) -> list[T]:
-    """The values of ``function()`` in all processes, in their order. If it raises in any of them, all raise that.
+    """The values of ``function()`` in all processes, in their order. If it raises in any of them,
+    all raise that.
 
     Values are pickled: arrays of numpy, not of JAX.
     """

@@ -1,4 +1,6 @@
-"""An ensemble whose runs differ in more than their seed: keys of the scene with a value for each run."""
+"""An ensemble whose runs differ in more than their seed: keys of the scene with a value for each
+run.
+"""
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
@@ -15,9 +17,12 @@ from dem_jax.scene import Scene
 from dem_jax.scene.messages import shorten_value
 from dem_jax.types import System
 
-Values = Mapping[str, Any]  # dotted key of a scene -> a value for each run, or a distribution of scipy.stats
-FIXED_SECTIONS, VARIABLE_RUN_KEY = ("run", "name", "base"), "run.step"  # what holds for the whole ensemble, but for this
-FILE_KEYS = ("stl", "flap_stl", "table", "unit", "rotate_deg", "move")  # keys of a file and of how it is read
+Values = Mapping[str, Any]  # dotted key of a scene -> a value for each run, or a distribution of
+# scipy.stats
+FIXED_SECTIONS, VARIABLE_RUN_KEY = ("run", "name", "base"), "run.step"  # what holds for the whole
+# ensemble, but for this
+FILE_KEYS = ("stl", "flap_stl", "table", "unit", "rotate_deg", "move")  # keys of a file and of how
+# it is read
 
 
 @dataclass(frozen=True)
@@ -25,8 +30,10 @@ class ParameterSweep:
     """What is different in each of K runs."""
 
     parameters: dict[str, list[Any]]  # dotted key -> [K] values, plain
-    built: tuple[assembly.AssembledSystem, ...]  # [K], the same for runs that differ in their seed alone
-    leaves: dict[int, np.ndarray]  # number of a leaf of System -> [K, ..], of those that are not the same in all runs
+    built: tuple[assembly.AssembledSystem, ...]  # [K], the same for runs that differ in their seed
+    # alone
+    leaves: dict[int, np.ndarray]  # number of a leaf of System -> [K, ..], of those that are not
+    # the same in all runs
 
     def scene_for_run(self, scene: Scene, run: int) -> Scene:
         """The scene of a run, from that of the ensemble."""
@@ -39,26 +46,39 @@ class ParameterSweep:
     def system_for_run(self, system: System, run: int) -> System:
         """That of a run, from that of the first."""
         leaves, structure = jax.tree.flatten(system)
-        return jax.tree.unflatten(structure, [self.leaves[k][run] if k in self.leaves else x for k, x in enumerate(leaves)])
+        return jax.tree.unflatten(
+            structure,
+            [self.leaves[k][run] if k in self.leaves else x for k, x in enumerate(leaves)],
+        )
 
     def stack_system(self, system: System) -> System:
         """Those of all runs as one tree, what differs with a leading run axis."""
         leaves, structure = jax.tree.flatten(system)
-        return jax.tree.unflatten(structure, [jnp.asarray(self.leaves.get(k, x)) for k, x in enumerate(leaves)])
+        return jax.tree.unflatten(
+            structure, [jnp.asarray(self.leaves.get(k, x)) for k, x in enumerate(leaves)]
+        )
 
     def mark_leaves(self, system: System, differs: Any, same: Any) -> Any:
         """A tree like the system's that says of each leaf whether it differs."""
         leaves, structure = jax.tree.flatten(system)
-        return jax.tree.unflatten(structure, [differs if k in self.leaves else same for k, _ in enumerate(leaves)])
+        return jax.tree.unflatten(
+            structure, [differs if k in self.leaves else same for k, _ in enumerate(leaves)]
+        )
 
     def select_runs(self, runs: slice) -> "ParameterSweep":
         """Of some of the runs."""
         parameters = {key: values[runs] for key, values in self.parameters.items()}
-        return replace(self, parameters=parameters, built=self.built[runs], leaves={k: x[runs] for k, x in self.leaves.items()})
+        return replace(
+            self,
+            parameters=parameters,
+            built=self.built[runs],
+            leaves={k: x[runs] for k, x in self.leaves.items()},
+        )
 
 
 def draw_parameters(values: Values, runs: int | None, seed: int) -> dict[str, list[Any]]:
-    """A value of each key for each run. runs: None, as many as the values that are listed; seed: of distributions.
+    """A value of each key for each run. runs: None, as many as the values that are listed; seed: of
+    distributions.
 
     Raises SceneError.
     """
@@ -66,17 +86,27 @@ def draw_parameters(values: Values, runs: int | None, seed: int) -> dict[str, li
     runs = runs if runs is not None else next(iter(counts.values()), 64)
     for key, count in counts.items():
         if count != runs:
-            raise SceneError(f"parameters: {key} has {count} values; allowed: {runs}, one for each run")
+            raise SceneError(
+                f"parameters: {key} has {count} values; allowed: {runs}, one for each run"
+            )
     random = np.random.default_rng(seed)
-    return {key: _to_plain_lists(v.rvs(size=runs, random_state=random) if hasattr(v, "rvs") else v) for key, v in values.items()}
+    return {
+        key: _to_plain_lists(v.rvs(size=runs, random_state=random) if hasattr(v, "rvs") else v)
+        for key, v in values.items()
+    }
 
 
 def _to_plain_lists(values: Any) -> list[Any]:
     """Values as plain numbers, texts and lists, as a file keeps them."""
-    return [value.tolist() if isinstance(value, np.ndarray | np.generic | jax.Array) else value for value in values]
+    return [
+        value.tolist() if isinstance(value, np.ndarray | np.generic | jax.Array) else value
+        for value in values
+    ]
 
 
-def build_run_scenes(scene: Scene, parameters: dict[str, list[Any]] | None, runs: int) -> list[Scene]:
+def build_run_scenes(
+    scene: Scene, parameters: dict[str, list[Any]] | None, runs: int
+) -> list[Scene]:
     """The scene of each run, one object for those whose parameters are alike. Raises SceneError."""
     if not parameters:
         return [scene] * runs
@@ -90,8 +120,11 @@ def build_run_scenes(scene: Scene, parameters: dict[str, list[Any]] | None, runs
     return [found[name] for name in names]
 
 
-def build_sweep(scene: Scene, built: Sequence[assembly.AssembledSystem], parameters: dict[str, list[Any]]) -> tuple[ParameterSweep, System]:
-    """What differs between built runs, and the system that all but that is of: of the first, with the widest skin.
+def build_sweep(
+    scene: Scene, built: Sequence[assembly.AssembledSystem], parameters: dict[str, list[Any]]
+) -> tuple[ParameterSweep, System]:
+    """What differs between built runs, and the system that all but that is of: of the first, with
+    the widest skin.
 
     Raises SceneError if they cannot be computed by one program.
     """
@@ -103,7 +136,11 @@ def build_sweep(scene: Scene, built: Sequence[assembly.AssembledSystem], paramet
     skin = np.max([b.system.skin for b in built])
     system = first.system.replace(skin=jnp.asarray(skin))
     is_skin = [leaf is system.skin for leaf in jax.tree.leaves(system)]
-    leaves = {k: np.stack(column) for k, column in enumerate(columns) if not is_skin[k] and _has_differences(column)}
+    leaves = {
+        k: np.stack(column)
+        for k, column in enumerate(columns)
+        if not is_skin[k] and _has_differences(column)
+    }
     return ParameterSweep(parameters, tuple(built), leaves), system
 
 
@@ -111,9 +148,13 @@ def _check_keys(keys: Iterable[str]) -> None:
     """Raise SceneError for a key that must be the same in all runs."""
     for key in keys:
         if key.partition(".")[0] in FIXED_SECTIONS and key != VARIABLE_RUN_KEY:
-            raise SceneError(f"parameters: {key}: allowed: {VARIABLE_RUN_KEY}, and keys that are not of {', '.join(FIXED_SECTIONS)}")
+            raise SceneError(
+                f"parameters: {key}: allowed: {VARIABLE_RUN_KEY}, and keys that are not of {', '.join(FIXED_SECTIONS)}"
+            )
         if is_file_key(key):
-            raise SceneError(f"parameters: {key}: allowed: keys that name no file; its contents are read once for all runs")
+            raise SceneError(
+                f"parameters: {key}: allowed: keys that name no file; its contents are read once for all runs"
+            )
 
 
 def is_file_key(key: str) -> bool:
@@ -126,11 +167,18 @@ def _has_differences(column: Sequence[Any]) -> bool:
 
 
 def _make_program_error(
-    scene: Scene, parameters: dict[str, list[Any]], run: int, first: assembly.AssembledSystem, other: assembly.AssembledSystem
+    scene: Scene,
+    parameters: dict[str, list[Any]],
+    run: int,
+    first: assembly.AssembledSystem,
+    other: assembly.AssembledSystem,
 ) -> SceneError:
     """What to say of a run that needs another program than the first."""
     said = ", ".join(f"{key} = {shorten_value(values[run])}" for key, values in parameters.items())
-    why = ", ".join(_list_differing_fields(first.system, other.system)) or "the number or the shape of pieces and walls, or how often they come in"
+    why = (
+        ", ".join(_list_differing_fields(first.system, other.system))
+        or "the number or the shape of pieces and walls, or how often they come in"
+    )
     return SceneError(
         f"{scene.name}: run {run} ({said}) needs another program than run 0, by {why}; allowed: runs of one program, "
         f"others as an ensemble of their own"
@@ -150,6 +198,10 @@ def _list_differing_fields(one: System, other: System) -> list[str]:
     found = []
     for field in fields(one):
         a, b = getattr(one, field.name), getattr(other, field.name)
-        same = a == b if field.metadata.get("static") else str(jax.tree.structure(a)) == str(jax.tree.structure(b))
+        same = (
+            a == b
+            if field.metadata.get("static")
+            else str(jax.tree.structure(a)) == str(jax.tree.structure(b))
+        )
         found += [] if same else [field.name]
     return found

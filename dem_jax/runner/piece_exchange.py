@@ -1,6 +1,8 @@
-"""Pieces that come into a scene and leave it, between two chunks: decided on the host, from the scene, the seed and the time alone.
+"""Pieces that come into a scene and leave it, between two chunks: decided on the host, from the
+scene, the seed and the time alone.
 
-A removed piece waits outside, at rest and without weight, and is inserted again later, without recompilation.
+A removed piece waits outside, at rest and without weight, and is inserted again later, without
+recompilation.
 """
 
 from dataclasses import replace
@@ -18,11 +20,14 @@ from dem_jax.scene.placement import draw_orientations
 from dem_jax.types import PieceExchange, PieceMotion, State, System, as_array
 
 MOST_TRIES = 200  # places that are tried for a piece
-GAP_FACTOR = 1.001  # times the sum of two bounding radii: nearest that a new piece begins to another
+GAP_FACTOR = 1.001  # times the sum of two bounding radii: nearest that a new piece begins to
+# another
 
 
 def exchange_pieces(job: Job, state: State, at: int) -> State:
-    """The state at a sample with those pieces taken out that are below the outlet, and those brought in that are due."""
+    """The state at a sample with those pieces taken out that are below the outlet, and those
+    brought in that are due.
+    """
     if not job.system.exchanges or at < 0 or at % job.samples_between_exchanges:
         return state
     host = jax.device_get(state)
@@ -31,9 +36,15 @@ def exchange_pieces(job: Job, state: State, at: int) -> State:
     if job.runs is None:
         new = _exchange_run(job, host, at, 0)
     else:
-        each = [_exchange_run(job, take_runs(host.replace(scratch=None), k), at, k) for k in range(job.runs)]
+        each = [
+            _exchange_run(job, take_runs(host.replace(scratch=None), k), at, k)
+            for k in range(job.runs)
+        ]
         new = jax.tree.map(lambda *x: np.stack(x), *each)
-    return state.replace(motion=jax.tree.map(jnp.asarray, new.motion), exchange=jax.tree.map(jnp.asarray, new.exchange))
+    return state.replace(
+        motion=jax.tree.map(jnp.asarray, new.motion),
+        exchange=jax.tree.map(jnp.asarray, new.exchange),
+    )
 
 
 def note_missing_inflow(job: Job, state: State, at: int) -> list[str]:
@@ -41,10 +52,20 @@ def note_missing_inflow(job: Job, state: State, at: int) -> list[str]:
     inlet = job.scene.inlet
     if inlet is None or at < 0:
         return []
-    mass, there = np.atleast_1d(np.asarray(get_exchange(state).mass)[..., 0, 0]), np.atleast_2d(np.asarray(get_exchange(state).there))
-    late = mass < _due_mass(inlet, at * job.scene.run.sample) - 2 * float(np.max(job.system.pieces.mass))
-    why = lambda k: "no piece waits (inlet.waiting)" if there[k].all() else "there is no room in its box"  # noqa: E731
-    return [f"{job.scene.name}: the inlet brings less than inlet.mass_rate: {why(k)}" for k in np.flatnonzero(late)[:1]]
+    mass, there = (
+        np.atleast_1d(np.asarray(get_exchange(state).mass)[..., 0, 0]),
+        np.atleast_2d(np.asarray(get_exchange(state).there)),
+    )
+    late = mass < _due_mass(inlet, at * job.scene.run.sample) - 2 * float(
+        np.max(job.system.pieces.mass)
+    )
+    why = lambda k: (
+        "no piece waits (inlet.waiting)" if there[k].all() else "there is no room in its box"
+    )
+    return [
+        f"{job.scene.name}: the inlet brings less than inlet.mass_rate: {why(k)}"
+        for k in np.flatnonzero(late)[:1]
+    ]
 
 
 def get_exchange(state: State) -> PieceExchange:
@@ -73,11 +94,24 @@ def _remove_pieces(system: System, plan: ExchangePlan, state: State) -> State:
     if not len(gone):
         return state
     lost = -_piece_energy(system, state, gone)
-    moved = _move_pieces(state.motion, gone, plan.waiting_places[gone], np.tile([1.0, 0.0, 0.0, 0.0], (len(gone), 1)), np.zeros(3))
+    moved = _move_pieces(
+        state.motion,
+        gone,
+        plan.waiting_places[gone],
+        np.tile([1.0, 0.0, 0.0, 0.0], (len(gone), 1)),
+        np.zeros(3),
+    )
     return _count_exchange(system, state.replace(motion=moved), gone, 1, lost)
 
 
-def _insert_pieces(system: System, plan: ExchangePlan, scene: Scene, state: State, time: float, random: np.random.Generator) -> State:
+def _insert_pieces(
+    system: System,
+    plan: ExchangePlan,
+    scene: Scene,
+    state: State,
+    time: float,
+    random: np.random.Generator,
+) -> State:
     """With as many of the pieces that wait, drawn at random, as are due and find a place."""
     inlet, mass = scene.inlet, np.asarray(system.pieces.mass)
     assert inlet is not None and plan.inlet_box is not None
@@ -96,16 +130,29 @@ def _insert_pieces(system: System, plan: ExchangePlan, scene: Scene, state: Stat
         return state
     new = np.array(chosen)
     turns = draw_orientations(len(new), random)
-    state = state.replace(motion=_move_pieces(state.motion, new, np.array(places), turns, np.array(inlet.velocity)))
+    state = state.replace(
+        motion=_move_pieces(state.motion, new, np.array(places), turns, np.array(inlet.velocity))
+    )
     return _count_exchange(system, state, new, 0, _piece_energy(system, state, new))
 
 
 def _find_free_place(
-    system: System, plan: ExchangePlan, state: State, piece: int, chosen: list[int], places: list[np.ndarray], random: np.random.Generator
+    system: System,
+    plan: ExchangePlan,
+    state: State,
+    piece: int,
+    chosen: list[int],
+    places: list[np.ndarray],
+    random: np.random.Generator,
 ) -> np.ndarray | None:
-    """A point [3] (m) of the inlet's box where a piece, however turned, touches none that are there or chosen; None: not found."""
+    """A point [3] (m) of the inlet's box where a piece, however turned, touches none that are there
+    or chosen; None: not found.
+    """
     assert plan.inlet_box is not None
-    radius, there = np.asarray(system.pieces.bounding_radius), np.flatnonzero(get_exchange(state).there)
+    radius, there = (
+        np.asarray(system.pieces.bounding_radius),
+        np.flatnonzero(get_exchange(state).there),
+    )
     others = np.concatenate([state.position[:, there].T, np.array(places).reshape(-1, 3)])
     far = GAP_FACTOR * (radius[piece] + radius[np.append(there, np.array(chosen, int))])
     low, high = plan.inlet_box[0] + radius[piece], plan.inlet_box[1] - radius[piece]
@@ -121,9 +168,21 @@ def _due_mass(inlet: Inlet, time: float) -> float:
     return inlet.mass_rate * max(0.0, end - inlet.start)
 
 
-def _move_pieces(motion: PieceMotion, which: np.ndarray, position: np.ndarray, turn: np.ndarray, velocity: np.ndarray) -> PieceMotion:
-    """The motion with some pieces elsewhere, without spin or load; position [n, 3], turn [n, 4], velocity [3] or [n, 3]."""
-    values = {"position": position.T, "orientation": turn.T, "velocity": np.broadcast_to(velocity, position.shape).T}
+def _move_pieces(
+    motion: PieceMotion,
+    which: np.ndarray,
+    position: np.ndarray,
+    turn: np.ndarray,
+    velocity: np.ndarray,
+) -> PieceMotion:
+    """The motion with some pieces elsewhere, without spin or load; position [n, 3], turn [n, 4],
+    velocity [3] or [n, 3].
+    """
+    values = {
+        "position": position.T,
+        "orientation": turn.T,
+        "velocity": np.broadcast_to(velocity, position.shape).T,
+    }
     for name in ("position", "orientation"):
         values[f"{name}_rest"] = values[name] - values[name].astype(motion.position.dtype)
 
@@ -132,25 +191,42 @@ def _move_pieces(motion: PieceMotion, which: np.ndarray, position: np.ndarray, t
         array[:, which] = values.get(name, 0.0)
         return array
 
-    return motion.replace(**{name: replace_columns(name, array) for name, array in vars(motion).items()})
+    return motion.replace(
+        **{name: replace_columns(name, array) for name, array in vars(motion).items()}
+    )
 
 
-def _count_exchange(system: System, state: State, which: np.ndarray, way: int, energy: float) -> State:
-    """The state with some pieces counted as inserted (way 0) or removed (1); energy: (J) that they add."""
+def _count_exchange(
+    system: System, state: State, which: np.ndarray, way: int, energy: float
+) -> State:
+    """The state with some pieces counted as inserted (way 0) or removed (1); energy: (J) that they
+    add.
+    """
     old, mass = get_exchange(state), np.asarray(system.pieces.mass, float)
     there, count, total = np.array(old.there), np.array(old.count), np.array(old.mass)
     there[which] = way == 0
     count[way] += len(which)
     total[way] += mass[which].sum()
     sum_of = np.asarray(old.energy + energy, total.dtype)
-    return state.replace(exchange=PieceExchange(as_array(there), as_array(count), as_array(total), as_array(sum_of), old.last))
+    return state.replace(
+        exchange=PieceExchange(
+            as_array(there), as_array(count), as_array(total), as_array(sum_of), old.last
+        )
+    )
 
 
 def _piece_energy(system: System, state: State, which: np.ndarray) -> float:
     """Kinetic and potential energy (J) of some pieces."""
-    mass, inertia = (np.asarray(x, float)[..., which] for x in (system.pieces.mass, system.pieces.inertia))
+    mass, inertia = (
+        np.asarray(x, float)[..., which] for x in (system.pieces.mass, system.pieces.inertia)
+    )
     now = state.motion
-    x, v, q, p = (np.asarray(a, float)[:, which] for a in (now.position, now.velocity, now.orientation, now.angular_momentum))
+    x, v, q, p = (
+        np.asarray(a, float)[:, which]
+        for a in (now.position, now.velocity, now.orientation, now.angular_momentum)
+    )
     own = np.einsum("nij,in->jn", quaternion_to_matrix(q.T), p)  # in the principal frame
     height = -np.asarray(system.gravity, float) @ x
-    return float(np.sum(mass * (0.5 * np.sum(v * v, axis=0) + height)) + 0.5 * np.sum(own * own / inertia))
+    return float(
+        np.sum(mass * (0.5 * np.sum(v * v, axis=0) + height)) + 0.5 * np.sum(own * own / inertia)
+    )

@@ -14,7 +14,8 @@ from dem_jax import xla_flags
 from dem_jax.runner.chunk import CHUNK_SAMPLES, Chunk
 from dem_jax.types import State, System
 
-EXECUTABLES: dict[Any, Callable[..., Any]] = {}  # by the form of their arguments, the one used last at the end
+EXECUTABLES: dict[Any, Callable[..., Any]] = {}  # by the form of their arguments, the one used last
+# at the end
 MOST_EXECUTABLES = 8  # programs, each of which takes 75 to 100 MB
 LOCK = threading.Lock()  # of KEPT
 
@@ -22,12 +23,21 @@ FAST_COMPILE_SLOTS = 256  # see ``needs_fast_compile``
 RunChunk = Callable[..., Any]  # such as stepping.run_chunk
 
 
-def get_executable(chunk: Chunk, run_chunk: RunChunk, mesh: Mesh | None = None) -> Callable[..., Any]:
-    """The compiled program of a chunk: of (system, state, count, every, phase), as ``run_chunk``; mesh: of devices, among
-    which the runs of an ensemble are shared out."""
+def get_executable(
+    chunk: Chunk, run_chunk: RunChunk, mesh: Mesh | None = None
+) -> Callable[..., Any]:
+    """The compiled program of a chunk: of (system, state, count, every, phase), as ``run_chunk``;
+    mesh: of devices, among which the runs of an ensemble are shared out.
+    """
     arguments = chunk.system, chunk.state, *chunk.times
     leaves, structure = jax.tree.flatten(arguments)
-    key = structure, tuple((np.shape(x), str(x.dtype)) for x in leaves), run_chunk, mesh, chunk.frames
+    key = (
+        structure,
+        tuple((np.shape(x), str(x.dtype)) for x in leaves),
+        run_chunk,
+        mesh,
+        chunk.frames,
+    )
     found = EXECUTABLES.get(key)
     if found is None:
         chunk.compiling()
@@ -35,7 +45,11 @@ def get_executable(chunk: Chunk, run_chunk: RunChunk, mesh: Mesh | None = None) 
         one = partial(_call_run_chunk, run_chunk, chunk.frames)
         function = one if mesh is None else _shard_function(one, mesh, chunk)
         with xla_flags.pause_garbage_collection():
-            jitted = xla_flags.jit_for_backend(function, jax.default_backend(), light=mesh is None and needs_fast_compile(chunk.system))
+            jitted = xla_flags.jit_for_backend(
+                function,
+                jax.default_backend(),
+                light=mesh is None and needs_fast_compile(chunk.system),
+            )
             found = jitted.lower(*arguments).compile()
         chunk.clock.compile += time.perf_counter() - start
     _store_executable(key, found)
@@ -43,7 +57,9 @@ def get_executable(chunk: Chunk, run_chunk: RunChunk, mesh: Mesh | None = None) 
 
 
 def _store_executable(key: Any, program: Callable[..., Any]) -> None:
-    """Keep a program that is used now, and forget the one whose last use is longest ago if there are more than MOST_KEPT."""
+    """Keep a program that is used now, and forget the one whose last use is longest ago if there
+    are more than MOST_KEPT.
+    """
     with LOCK:
         EXECUTABLES.pop(key, None)
         EXECUTABLES[key] = program
@@ -52,23 +68,36 @@ def _store_executable(key: Any, program: Callable[..., Any]) -> None:
 
 
 def needs_fast_compile(system: System) -> bool:
-    """Whether to compile lightly, which takes 0.7 of the time and steps nearly as fast: of one run with few slots.
+    """Whether to compile lightly, which takes 0.7 of the time and steps nearly as fast: of one run
+    with few slots.
 
-    Measured steps, light over full: 9 marshmallows 0.97, 32 0.90, 64 (224 slots) 1.04, 128 (416) 1.08, 16 runs of seven 1.09;
-    almonds, general hulls: 7 0.92, 47 (224) 1.08; 60 coffee beans (288) 1.21.
+    Measured steps, light over full: 9 marshmallows 0.97, 32 0.90, 64 (224 slots) 1.04, 128 (416)
+    1.08, 16 runs of seven 1.09; almonds, general hulls: 7 0.92, 47 (224) 1.08; 60 coffee beans
+    (288) 1.21.
     """
     return system.runs == 1 and sum(slots for _, _, slots in system.capacity) <= FAST_COMPILE_SLOTS
 
 
-def _call_run_chunk(run_chunk: RunChunk, frames: int, system: System, state: State, count: Any, every: Any, phase: Any) -> Any:
+def _call_run_chunk(
+    run_chunk: RunChunk,
+    frames: int,
+    system: System,
+    state: State,
+    count: Any,
+    every: Any,
+    phase: Any,
+) -> Any:
     return run_chunk(system, state, count, every, CHUNK_SAMPLES, frames, phase)
 
 
 def _shard_function(function: RunChunk, mesh: Mesh, chunk: Chunk) -> RunChunk:
-    """The function of runs side by side, as many on each device; of a chunk whose system has the runs stacked where they
-    differ."""
+    """The function of runs side by side, as many on each device; of a chunk whose system has the
+    runs stacked where they differ.
+    """
     same, each = PartitionSpec(), PartitionSpec("runs")
-    of_system = lambda each, same: chunk.sweep.mark_leaves(chunk.system, each, same) if chunk.sweep else same  # noqa: E731
+    of_system = lambda each, same: (
+        chunk.sweep.mark_leaves(chunk.system, each, same) if chunk.sweep else same
+    )
     function = jax.vmap(function, in_axes=(of_system(0, None), 0, None, None, None))
     sides = of_system(each, same), each, same, same, same
     return jax.shard_map(function, mesh=mesh, in_specs=sides, out_specs=each, check_vma=False)

@@ -15,11 +15,14 @@ if TYPE_CHECKING:
 SCREEN_INTERVAL, LOG_INTERVAL = 0.5, 5.0  # (s) between two looks of the bar: on a screen, in a log
 
 
-ProgressCallback = Callable[[str, float], object]  # is told of progress: what is being done, and the share that is done
+ProgressCallback = Callable[[str, float], object]  # is told of progress: what is being done, and
+# the share that is done
 
 
 class Progress:
-    """A bar with simulated time, speed and an estimate of what is left; silent unless asked for. A context manager."""
+    """A bar with simulated time, speed and an estimate of what is left; silent unless asked for. A
+    context manager.
+    """
 
     def __init__(self, job: Job, shown: bool | ProgressCallback) -> None:
         """shown: whether there is a bar, or what is told instead."""
@@ -37,10 +40,20 @@ class Progress:
             from tqdm import tqdm
 
             total, ms = job.samples - self._from, 1e3 * job.scene.run.sample
-            below = None if sys.stderr.isatty() else 0  # a study's bar; in a log, which has one line, no bar stands below another
-            self._bar = tqdm(total=total, unit_scale=ms, file=self._stream, bar_format=FORMAT, dynamic_ncols=True, position=below)
+            below = None if sys.stderr.isatty() else 0  # a study's bar; in a log, which has one
+            # line, no bar stands below another
+            self._bar = tqdm(
+                total=total,
+                unit_scale=ms,
+                file=self._stream,
+                bar_format=FORMAT,
+                dynamic_ncols=True,
+                position=below,
+            )
             self._bar.set_description_str(self._name_phase(self._from))
-            self._clock = threading.Thread(target=_refresh_bar, args=(self._bar, self._ended), daemon=True)
+            self._clock = threading.Thread(
+                target=_refresh_bar, args=(self._bar, self._ended), daemon=True
+            )
             self._clock.start()
 
     def __enter__(self) -> Self:
@@ -94,4 +107,6 @@ def _refresh_bar(bar: Any, ended: threading.Event) -> None:
         bar.refresh()
 
 
-FORMAT = "{desc}: {percentage:3.0f}% |{bar}| {n:.0f}/{total:.0f} ms [{elapsed} < {remaining}{postfix}]"
+FORMAT = (
+    "{desc}: {percentage:3.0f}% |{bar}| {n:.0f}/{total:.0f} ms [{elapsed} < {remaining}{postfix}]"
+)

@@ -1,4 +1,6 @@
-"""Data of a job for its file, and the additions of a span: series, poses, metadata, and the state for a resume."""
+"""Data of a job for its file, and the additions of a span: series, poses, metadata, and the state
+for a resume.
+"""
 
 from typing import Any
 
@@ -27,7 +29,9 @@ def build_header(job: Job) -> run_files.RunHeader:
         own |= {"parameters": job.sweep.parameters, "steps": [b.step.dt for b in job.sweep.built]}
     own["piece_masses"] = list_piece_masses(job)
     if job.system.present is not None:
-        own["piece_counts"] = [len(job.built_for_run(k).piece_set.shapes) for k in range(job.runs or 1)]
+        own["piece_counts"] = [
+            len(job.built_for_run(k).piece_set.shapes) for k in range(job.runs or 1)
+        ]
     return run_files.RunHeader(
         scene=scene.to_toml(),
         seed=job.seeds[0] if job.runs is None else job.seeds,
@@ -40,23 +44,41 @@ def build_header(job: Job) -> run_files.RunHeader:
         blocks=job.system.blocks,
         piece_count=job.state.position.shape[-1],
         run_count=job.runs,
-        info={"step": str(step), "critical_step": step.critical, "stable_step": step.stable, "limit": step.limit} | own,
+        info={
+            "step": str(step),
+            "critical_step": step.critical,
+            "stable_step": step.stable,
+            "limit": step.limit,
+        }
+        | own,
         quantities=series.declare_quantities(job.system),
     )
 
 
 def list_piece_masses(job: Job) -> list[Any]:
-    """(kg) of each piece, of one if all are alike; of runs whose pieces differ a list of such lists."""
+    """(kg) of each piece, of one if all are alike; of runs whose pieces differ a list of such
+    lists.
+    """
     runs = 1 if job.sweep is None else len(job.sweep.built)
-    built = {id(job.built_for_run(k)): (job.scene_for_run(k), job.built_for_run(k).piece_set) for k in range(runs)}
-    found = {key: compute_masses(goods, build_material_table(scene)).tolist() for key, (scene, goods) in built.items()}
+    built = {
+        id(job.built_for_run(k)): (job.scene_for_run(k), job.built_for_run(k).piece_set)
+        for k in range(runs)
+    }
+    found = {
+        key: compute_masses(goods, build_material_table(scene)).tolist()
+        for key, (scene, goods) in built.items()
+    }
     found = {key: row[:1] if min(row) == max(row) else row for key, row in found.items()}
     rows = [found[id(job.built_for_run(k))] for k in range(runs)]
     return rows[0] if all(row == rows[0] for row in rows) else rows
 
 
-def select_new_rows(job: Job, span: ChunkResult, count: int) -> tuple[dict[str, Any], dict[str, Any] | None]:
-    """Series and poses of the first samples of a span that are not in the file yet, as Writer.append takes them."""
+def select_new_rows(
+    job: Job, span: ChunkResult, count: int
+) -> tuple[dict[str, Any], dict[str, Any] | None]:
+    """Series and poses of the first samples of a span that are not in the file yet, as
+    Writer.append takes them.
+    """
     if span.first < 0:
         return {}, None
     run_axis: tuple[Any, ...] = () if job.runs is None else (slice(None),)
@@ -67,8 +89,12 @@ def select_new_rows(job: Job, span: ChunkResult, count: int) -> tuple[dict[str, 
     return samples if len(number) else {}, _select_new_frames(job, span, count, run_axis)
 
 
-def _select_new_frames(job: Job, span: ChunkResult, count: int, run_axis: tuple[Any, ...]) -> dict[str, Any] | None:
-    """Poses of the frames that a span ended and that are not in the file yet; that of the release is number 0."""
+def _select_new_frames(
+    job: Job, span: ChunkResult, count: int, run_axis: tuple[Any, ...]
+) -> dict[str, Any] | None:
+    """Poses of the frames that a span ended and that are not in the file yet; that of the release
+    is number 0.
+    """
     if not job.samples_per_frame:
         return None
     before = span.first // job.samples_per_frame
@@ -76,11 +102,18 @@ def _select_new_frames(job: Job, span: ChunkResult, count: int, run_axis: tuple[
     poses = span.poses[(*run_axis, slice(0, len(number)))]
     if span.first == 0:
         release = _release_pose(job, span)
-        number, poses = np.append(0, number), np.concatenate([np.expand_dims(release, -3), poses], axis=-3)
+        number, poses = (
+            np.append(0, number),
+            np.concatenate([np.expand_dims(release, -3), poses], axis=-3),
+        )
     new = number >= job.frames_kept
     poses = poses[(*run_axis, new)]
     time_of = number[new] * (job.samples_per_frame * job.scene.run.sample)
-    frames = job.built.frames if job.sweep is None else np.stack([built.frames for built in job.sweep.built])
+    frames = (
+        job.built.frames
+        if job.sweep is None
+        else np.stack([built.frames for built in job.sweep.built])
+    )
     return series.frames_from_poses(poses, frames, time_of) if new.any() else None
 
 
@@ -89,14 +122,25 @@ def _release_pose(job: Job, span: ChunkResult) -> np.ndarray:
     if job.sweep is None:
         return series.stack_pose(span.system, span.start)
     state = span.start.replace(scratch=None)
-    return np.stack([series.stack_pose(built.system, take_runs(state, k)) for k, built in enumerate(job.sweep.built)])
+    return np.stack(
+        [
+            series.stack_pose(built.system, take_runs(state, k))
+            for k, built in enumerate(job.sweep.built)
+        ]
+    )
 
 
-def collect_info(job: Job, span: ChunkResult, notes: list[str], reruns: list[str]) -> dict[str, Any]:
-    """Additions of a span to the file's info: ``notes`` for the user, and ``reruns``, which were handled;
-    ``settled`` (s), the end of a run that ended early; ``settling`` (s), how long a portion settled if that was cut short;
-    ``collisions``, see collided.told; ``moving``, see count_moving."""
-    facts: dict[str, Any] = {name: said for name, said in (("notes", notes), ("reruns", reruns)) if said}
+def collect_info(
+    job: Job, span: ChunkResult, notes: list[str], reruns: list[str]
+) -> dict[str, Any]:
+    """Additions of a span to the file's info: ``notes`` for the user, and ``reruns``, which were
+    handled; ``settled`` (s), the end of a run that ended early; ``settling`` (s), how long a
+    portion settled if that was cut short; ``collisions``, see collided.told; ``moving``, see
+    count_moving.
+    """
+    facts: dict[str, Any] = {
+        name: said for name, said in (("notes", notes), ("reruns", reruns)) if said
+    }
     if span.settled and span.first >= 0:
         facts["settled"] = span.end * job.scene.run.sample
     elif span.settled and job.stop_rule is not None:
@@ -109,15 +153,19 @@ def collect_info(job: Job, span: ChunkResult, notes: list[str], reruns: list[str
 
 
 def count_moving(job: Job, span: ChunkResult) -> dict[str, Any]:
-    """Of each block the number of pieces that are not at rest at the end of a span, other than those inside another block; of an
-    ensemble a list of one for each run."""
+    """Of each block the number of pieces that are not at rest at the end of a span, other than
+    those inside another block; of an ensemble a list of one for each run.
+    """
     state = span.state
     systems = [span.system] if job.sweep is None else [built.system for built in job.sweep.built]
     present = find_present_per_run(systems, state)
     moves = np.linalg.norm(np.asarray(state.velocity, np.float64), axis=-2) >= SETTLED_SPEED
     moves = moves if present is None else moves & present.reshape(moves.shape)
     position = np.asarray(state.position)
-    low, high = (np.array([getattr(s, name) for s in systems]) for name in ("block_low", "block_high"))  # [R, 3, B]
+    # [R, 3, B]
+    low, high = (
+        np.array([getattr(s, name) for s in systems]) for name in ("block_low", "block_high")
+    )
     rows = position.reshape(-1, *position.shape[-2:])[..., None]
     inside = ((rows >= low[:, :, None]) & (rows <= high[:, :, None])).all(axis=1)  # [K, N, B]
     counts = {}
@@ -131,8 +179,8 @@ def count_moving(job: Job, span: ChunkResult) -> dict[str, Any]:
 def choose_restart_state(job: Job, span: ChunkResult) -> dict[str, np.ndarray] | None:
     """The state to go on from after a span, or None for that of the span before.
 
-    Only at the end of a whole chunk, or at its beginning if it is the first: there every run of the scene, however
-    long, begins a chunk, which is why going on gives the same bits.
+    Only at the end of a whole chunk, or at its beginning if it is the first: there every run of the
+    scene, however long, begins a chunk, which is why going on gives the same bits.
     """
     if span.end == job.chunk_end(span.first):
         state, slow = span.state, span.slow
@@ -140,4 +188,6 @@ def choose_restart_state(job: Job, span: ChunkResult) -> dict[str, np.ndarray] |
         state, slow = span.start, job.slow
     else:
         return None
-    return restart_state.pack_state(span.system, state) | ({"slow": np.array(slow)} if job.stop_rule else {})
+    return restart_state.pack_state(span.system, state) | (
+        {"slow": np.array(slow)} if job.stop_rule else {}
+    )

@@ -30,24 +30,44 @@ def pack_state(system: System, state: State) -> dict[str, np.ndarray]:
     for name in ("touching", "row_capacity"):
         out[name] = np.array(getattr(system, name), np.int32)
     if system.partition:
-        out["partition"] = np.array([system.partition.pairs, system.partition.cell, system.partition.reach])
+        out["partition"] = np.array(
+            [system.partition.pairs, system.partition.cell, system.partition.reach]
+        )
     return out | {"skin": np.asarray(system.skin)}
 
 
-def unpack_state(system: System, state: State, arrays: dict[str, np.ndarray]) -> tuple[System, State]:
-    """System and state that ``pack_state`` was given; system, state: those that the scene begins with.
+def unpack_state(
+    system: System, state: State, arrays: dict[str, np.ndarray]
+) -> tuple[System, State]:
+    """System and state that ``pack_state`` was given; system, state: those that the scene begins
+    with.
 
-    Raises RecordError for arrays that are missing or of another form: the file is damaged or of another version.
+    Raises RecordError for arrays that are missing or of another form: the file is damaged or of
+    another version.
     """
     rows = []
     parts, panels = system.parts.count, system.walls.group.shape[0]
     polytopes, spheres = system.parts.polytopes.shape[0], system.parts.spheres.shape[0]
     for kind, *begun in system.capacity:
-        every = overflow_recovery.round_capacity(candidate_search.pair_count(kind, polytopes, spheres, panels))
-        candidates, slots = _read_counts(arrays, f"capacity/{kind}", (2,), max(every, *begun, LEAST_CAPACITY))
+        every = overflow_recovery.round_capacity(
+            candidate_search.pair_count(kind, polytopes, spheres, panels)
+        )
+        candidates, slots = _read_counts(
+            arrays, f"capacity/{kind}", (2,), max(every, *begun, LEAST_CAPACITY)
+        )
         rows.append((kind, candidates, slots))
-    touching = _read_counts(arrays, "touching", (), max(system.touching, overflow_recovery.max_contacts_per_piece(system.parts, panels)))
-    row = _read_counts(arrays, "row_capacity", (), max(system.row_capacity, overflow_recovery.round_capacity(parts), LEAST_CAPACITY))
+    touching = _read_counts(
+        arrays,
+        "touching",
+        (),
+        max(system.touching, overflow_recovery.max_contacts_per_piece(system.parts, panels)),
+    )
+    row = _read_counts(
+        arrays,
+        "row_capacity",
+        (),
+        max(system.row_capacity, overflow_recovery.round_capacity(parts), LEAST_CAPACITY),
+    )
     system, state = overflow_recovery.with_capacity(system, state, tuple(rows), *touching, *row)
     system = system.replace(skin=jnp.asarray(_read_skin(system, arrays)))
     if system.partition:
@@ -55,18 +75,28 @@ def unpack_state(system: System, state: State, arrays: dict[str, np.ndarray]) ->
     named, structure = _list_leaves(state)
     leaves = []
     for path, leaf in named:
-        array = np.zeros_like(leaf) if path in OPTIONAL_PATHS and path not in arrays else _find_array(arrays, path)
+        array = (
+            np.zeros_like(leaf)
+            if path in OPTIONAL_PATHS and path not in arrays
+            else _find_array(arrays, path)
+        )
         if (array.shape, array.dtype) != (leaf.shape, leaf.dtype):
             found, needed = (f"{x.dtype}{list(x.shape)}" for x in (array, leaf))
             raise RecordError(f"restart/{path} is {found}, but the scene needs {needed}")
         leaves.append(jnp.asarray(array))
     kept = jax.tree.unflatten(structure, leaves)
-    return system, kept.replace(scratch=state.scratch, ledger=kept.ledger.replace(peak=state.ledger.peak))
+    return system, kept.replace(
+        scratch=state.scratch, ledger=kept.ledger.replace(peak=state.ledger.peak)
+    )
 
 
-def check_restart_step(state: State, first: State, steps_per_sample: np.ndarray, samples: int) -> None:
-    """Raise RecordError unless the state is of the end of a sample interval that a file of so many samples may end with; first:
-    the state that the scene begins with; steps_per_sample: of each run, or of all."""
+def check_restart_step(
+    state: State, first: State, steps_per_sample: np.ndarray, samples: int
+) -> None:
+    """Raise RecordError unless the state is of the end of a sample interval that a file of so many
+    samples may end with; first: the state that the scene begins with; steps_per_sample: of each
+    run, or of all.
+    """
     step, each = np.asarray(state.step), np.ravel(steps_per_sample)[0]
     at, rest = np.divmod(step, steps_per_sample)
     least = int(np.max(np.asarray(first.step) // steps_per_sample))
@@ -75,11 +105,20 @@ def check_restart_step(state: State, first: State, steps_per_sample: np.ndarray,
         raise RecordError(f"restart/step = {np.ravel(step)[0]}: allowed: {told}")
 
 
-def _read_counts(arrays: dict[str, np.ndarray], path: str, form: tuple[int, ...], most: int) -> list[int]:
+def _read_counts(
+    arrays: dict[str, np.ndarray], path: str, form: tuple[int, ...], most: int
+) -> list[int]:
     """Whole numbers. Raises RecordError for missing values, another shape, or an impossible size."""
     array = _find_array(arrays, path)
-    if array.shape != form or array.dtype.kind not in "iu" or np.any(array < 0) or np.any(array > most):
-        raise RecordError(f"restart/{path} = {array.tolist()}: allowed: {form or 'a'} whole numbers from 0 to {most}")
+    if (
+        array.shape != form
+        or array.dtype.kind not in "iu"
+        or np.any(array < 0)
+        or np.any(array > most)
+    ):
+        raise RecordError(
+            f"restart/{path} = {array.tolist()}: allowed: {form or 'a'} whole numbers from 0 to {most}"
+        )
     return [int(n) for n in np.ravel(array)]
 
 
@@ -87,7 +126,9 @@ def _read_skin(system: System, arrays: dict[str, np.ndarray]) -> np.ndarray:
     """The skin (m). Raises RecordError for one that no run can have come to."""
     skin, most = _find_array(arrays, "skin"), max(_largest_reach(system), float(system.skin))
     if skin.shape != () or skin.dtype != system.skin.dtype or not 0 < skin <= most:
-        raise RecordError(f"restart/skin = {np.ravel(skin)[:1].tolist()} ({skin.dtype}): allowed: a number > 0 and <= {most:.4g} m")
+        raise RecordError(
+            f"restart/skin = {np.ravel(skin)[:1].tolist()} ({skin.dtype}): allowed: a number > 0 and <= {most:.4g} m"
+        )
     return skin
 
 
@@ -95,32 +136,53 @@ def _read_partition(system: System, arrays: dict[str, np.ndarray]) -> Any:
     """The room of jax-md's list. Raises RecordError."""
     array, own, parts = _find_array(arrays, "partition"), system.partition, system.parts.count
     assert own is not None  # as who asks makes sure
-    rooms = (own.pairs, overflow_recovery.round_capacity(parts**2)), (own.cell, overflow_recovery.round_capacity(parts)), (own.reach, _largest_reach(system))
+    rooms = (
+        (own.pairs, overflow_recovery.round_capacity(parts**2)),
+        (own.cell, overflow_recovery.round_capacity(parts)),
+        (own.reach, _largest_reach(system)),
+    )
     most = [max(pair) for pair in rooms]
     if array.shape != (3,) or array.dtype.kind != "f" or not np.all((array > 0) & (array <= most)):
-        raise RecordError(f"restart/partition = {array.tolist()}: allowed: three numbers > 0 and <= {most}")
+        raise RecordError(
+            f"restart/partition = {array.tolist()}: allowed: three numbers > 0 and <= {most}"
+        )
     return own._replace(pairs=int(array[0]), cell=int(array[1]), reach=float(array[2]))
 
 
 def _largest_reach(system: System) -> float:
-    """The most (m) that pairs are looked for within: of bodies further apart, one is outside the domain."""
-    return overflow_recovery.HEAD_ROOM * float(np.linalg.norm(np.asarray(system.domain_high) - np.asarray(system.domain_low)))
+    """The most (m) that pairs are looked for within: of bodies further apart, one is outside the
+    domain.
+    """
+    return overflow_recovery.HEAD_ROOM * float(
+        np.linalg.norm(np.asarray(system.domain_high) - np.asarray(system.domain_low))
+    )
 
 
 def match_quantities(system: System, header: RunHeader) -> System:
-    """The system that samples what a file holds; of the quantities of dem_jax, those that it does not hold are not kept.
+    """The system that samples what a file holds; of the quantities of dem_jax, those that it does
+    not hold are not kept.
 
-    Raises RecordError for quantities of a user's that the file does not hold, or that it does and the system does not, and
-    for one of another unit or of other axes.
+    Raises RecordError for quantities of a user's that the file does not hold, or that it does and
+    the system does not, and for one of another unit or of other axes.
     """
     held = {stored.name: stored for stored in header.stored_quantities}
     sampled = {quantity.name for quantity in system.quantities}
-    for lost in sorted(name for name, stored in held.items() if name not in sampled and stored.paths):
-        raise RecordError(f"it holds the quantity {lost!r}, which dem_jax does not know; allowed: with it among quantities")
-    system = system.replace(quantities=tuple(_match_quantity(quantity, held.get(quantity.name)) for quantity in system.quantities))
+    for lost in sorted(
+        name for name, stored in held.items() if name not in sampled and stored.paths
+    ):
+        raise RecordError(
+            f"it holds the quantity {lost!r}, which dem_jax does not know; allowed: with it among quantities"
+        )
+    system = system.replace(
+        quantities=tuple(
+            _match_quantity(quantity, held.get(quantity.name)) for quantity in system.quantities
+        )
+    )
     for own in series.declare_quantities(system):
         if header.quantities is not None and own.labels != held[own.name].labels:
-            found, needed = (", ".join(labels or ("none",)) for labels in (held[own.name].labels, own.labels))
+            found, needed = (
+                ", ".join(labels or ("none",)) for labels in (held[own.name].labels, own.labels)
+            )
             raise RecordError(f"it holds {own.name!r} of {found}, but the scene has {needed}")
     return system
 
@@ -129,7 +191,9 @@ def _match_quantity(quantity: Quantity, stored: StoredQuantity | None) -> Quanti
     """The quantity, kept only if a file holds it. Raises RecordError if it does not fit the file."""
     if stored is None:
         if quantity.kept and quantity not in QUANTITIES:
-            raise RecordError(f"it does not hold the quantity {quantity.name!r}; allowed: those that the run was begun with")
+            raise RecordError(
+                f"it does not hold the quantity {quantity.name!r}; allowed: those that the run was begun with"
+            )
         return replace(quantity, kept=False)
     forms = (stored.unit, stored.axes), (quantity.unit, quantity.axis_names)
     found, own = (f"in {unit!r} along {', '.join(axes) or 'no axis'}" for unit, axes in forms)
@@ -139,10 +203,14 @@ def _match_quantity(quantity: Quantity, stored: StoredQuantity | None) -> Quanti
 
 
 def _list_leaves(state: State) -> tuple[list[tuple[str, Any]], Any]:
-    """[(path, array)] of the stored leaves, and their structure, without those that each sample resets and older files lack."""
+    """[(path, array)] of the stored leaves, and their structure, without those that each sample
+    resets and older files lack.
+    """
     kept = state.replace(scratch=None, ledger=state.ledger.replace(peak=None))
     paths, structure = jax.tree_util.tree_flatten_with_path(kept)
-    return [(jax.tree_util.keystr(path, simple=True, separator="/"), leaf) for path, leaf in paths], structure
+    return [
+        (jax.tree_util.keystr(path, simple=True, separator="/"), leaf) for path, leaf in paths
+    ], structure
 
 
 def _find_array(arrays: dict[str, np.ndarray], path: str) -> np.ndarray:

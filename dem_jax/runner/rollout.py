@@ -27,14 +27,16 @@ MOST_STATE_BYTES = 2**30  # bytes
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Rollout:
-    """Sampled series as a pytree of JAX arrays; nan throughout if the run exceeded the capacities of its scene.
+    """Sampled series as a pytree of JAX arrays; nan throughout if the run exceeded the capacities
+    of its scene.
 
-    Capacities are exceeded if more pairs are close to each other than expected, or if bodies move too far between
-    two rebuilds (``run.rebuild_steps``). Neither is possible with a capacity for all pairs, such as for one piece
-    on a few walls.
+    Capacities are exceeded if more pairs are close to each other than expected, or if bodies move
+    too far between two rebuilds (``run.rebuild_steps``). Neither is possible with a capacity for
+    all pairs, such as for one piece on a few walls.
 
-    time: [T] (s) since the release of the portion. series: by the names of the quantities, as for ``Run``; each is
-    an attribute too: ``force`` is group -> [T, 3] (N), ``momentum`` is [T, 3] (kg m/s).
+    time: [T] (s) since the release of the portion. series: by the names of the quantities, as for
+    ``Run``; each is an attribute too: ``force`` is group -> [T, 3] (N), ``momentum`` is [T, 3] (kg
+    m/s).
     """
 
     time: Array
@@ -55,32 +57,38 @@ def rollout(
     quantities: Iterable[Quantity] = (),
     checkpoint: bool | None = None,
 ) -> Rollout:
-    """Simulate a scene with some of its numbers replaced; the result is differentiable with respect to them.
+    """Simulate a scene with some of its numbers replaced; the result is differentiable with respect
+    to them.
 
-    The program, sizes, shapes and the time step are those of the scene: give it the stiffest material and the
-    lowest restitution of the values to come. The ``run.duration / run.sample`` samples from the release on are
-    returned; errors that would stop ``simulate`` do not stop it. Forces have kinks at the beginning of contacts and
-    at the end of the loading line, where derivatives are one-sided; for many pieces, whose motion is chaotic,
-    derivatives grow without bound in time. ``jax.jit`` compiles once. Forward mode (``jax.jacfwd``) compiles in 0.6
-    of the time of reverse mode and is cheaper for up to about five numbers. Double precision needs
-    ``jax_enable_x64``; calling ``dem_jax.xla_flags.set_loop_flags()`` before any computation makes steps twice as fast.
+    The program, sizes, shapes and the time step are those of the scene: give it the stiffest
+    material and the lowest restitution of the values to come. The ``run.duration / run.sample``
+    samples from the release on are returned; errors that would stop ``simulate`` do not stop it.
+    Forces have kinks at the beginning of contacts and at the end of the loading line, where
+    derivatives are one-sided; for many pieces, whose motion is chaotic, derivatives grow without
+    bound in time. ``jax.jit`` compiles once. Forward mode (``jax.jacfwd``) compiles in 0.6 of the
+    time of reverse mode and is cheaper for up to about five numbers. Double precision needs
+    ``jax_enable_x64``; calling ``dem_jax.xla_flags.set_loop_flags()`` before any computation makes
+    steps twice as fast.
 
     Args:
         scene: a Scene, or a name or path that ``load_scene`` accepts.
-        parameters: dotted keys of the scene, as for ``Scene.replace``, each with a number or an array, also a
-            traced one: materials, pairs, motions of walls, load cell, gravity, drop height, and position,
-            orientation and velocities of listed pieces.
+        parameters: dotted keys of the scene, as for ``Scene.replace``, each with a number or an
+        array, also a
+            traced one: materials, pairs, motions of walls, load cell, gravity, drop height, and
+            position, orientation and velocities of listed pieces.
         seed: seed of the initial arrangement of a portion.
         quantities: quantities to sample in addition to those of dem_jax.
-        checkpoint: reverse mode keeps the state only at every rebuild (``run.rebuild_steps``) and recomputes the
-            steps between, which takes 1.2 to 1.5 times as long to compile and up to 1.4 times to run. By default
-            only if the states of all steps would take more than 1 GiB.
+        checkpoint: reverse mode keeps the state only at every rebuild (``run.rebuild_steps``) and
+        recomputes the
+            steps between, which takes 1.2 to 1.5 times as long to compile and up to 1.4 times to
+            run. By default only if the states of all steps would take more than 1 GiB.
 
     Returns:
         The sampled series as JAX arrays.
 
     Raises:
-        SceneError: the scene or a parameter cannot be used; the message lists the permitted keys. Numbers have
+        SceneError: the scene or a parameter cannot be used; the message lists the permitted keys.
+        Numbers have
             the limits that they have in a scene; traced values have none.
     """
     scene = assembly.inline_files(scene if isinstance(scene, Scene) else load_scene(scene))
@@ -95,21 +103,38 @@ def rollout(
     before = built.settling_steps // substeps
     samples = before + built.samples
     if checkpoint is None:
-        checkpoint = samples * substeps * sum(x.nbytes for x in jax.tree.leaves(built.state)) > MOST_STATE_BYTES
+        checkpoint = (
+            samples * substeps * sum(x.nbytes for x in jax.tree.leaves(built.state))
+            > MOST_STATE_BYTES
+        )
     state, recorded = stepping.rollout(system, state, samples, substeps // parts, checkpoint)
     good = overflow_recovery.is_within_capacity(system, state.guard)
-    kept = lambda x: jnp.where(good, x[before:], jnp.nan) if jnp.issubdtype(x.dtype, jnp.floating) else x[before:]  # noqa: E731
-    series = {q.name: q.to_datasets(system, kept(recorded.values[q.name])) for q in system.quantities if q.kept}
-    series = {name: found for name, found in series.items() if not (isinstance(found, dict) and not found)}
+    kept = lambda x: (
+        jnp.where(good, x[before:], jnp.nan)
+        if jnp.issubdtype(x.dtype, jnp.floating)
+        else x[before:]
+    )
+    series = {
+        q.name: q.to_datasets(system, kept(recorded.values[q.name]))
+        for q in system.quantities
+        if q.kept
+    }
+    series = {
+        name: found for name, found in series.items() if not (isinstance(found, dict) and not found)
+    }
     time = jnp.arange(1, built.samples + 1, dtype=system.dt.dtype) * scene.run.sample
     return Rollout(time, series)
 
 
 def build_for_tracing(scene: Scene, seed: int) -> assembly.AssembledSystem:
-    """What is built of a self-contained scene, on the host also where JAX traces. Raises SceneError."""
+    """What is built of a self-contained scene, on the host also where JAX traces. Raises
+    SceneError.
+    """
     seed = validate_seed(seed)
     if scene.run.precision == "f64" and not jax.config.jax_enable_x64:  # type: ignore[attr-defined]
-        raise SceneError('run.precision = "f64": allowed: "f32", or jax.config.update("jax_enable_x64", True) first')
+        raise SceneError(
+            'run.precision = "f64": allowed: "f32", or jax.config.update("jax_enable_x64", True) first'
+        )
     if not xla_flags.is_xla_in_use():
         xla_flags.set_loop_flags()
     with jax.ensure_compile_time_eval(), np.errstate(all="ignore"):
@@ -117,11 +142,16 @@ def build_for_tracing(scene: Scene, seed: int) -> assembly.AssembledSystem:
 
 
 def check_numbers(scene: Scene, built: assembly.AssembledSystem, values: Parameters) -> None:
-    """Raise SceneError for values that a scene would not take, or with which the time step of this one is not stable.
+    """Raise SceneError for values that a scene would not take, or with which the time step of this
+    one is not stable.
 
     Values that stand for any number while JAX traces pass: the scene's own are in their place.
     """
-    given = {key: value for key, value in values.items() if key not in POSES and not isinstance(value, jax.core.Tracer)}
+    given = {
+        key: value
+        for key, value in values.items()
+        if key not in POSES and not isinstance(value, jax.core.Tracer)
+    }
     numbers = {key: np.asarray(value, float).tolist() for key, value in given.items()}
     if not numbers:
         return

@@ -19,7 +19,11 @@ class Sink(Protocol):
     """What the loop appends to."""
 
     def append(
-        self, samples: Arrays, frames: Arrays | None = None, restart: Arrays | None = None, info: Arrays | None = None
+        self,
+        samples: Arrays,
+        frames: Arrays | None = None,
+        restart: Arrays | None = None,
+        info: Arrays | None = None,
     ) -> None:
         """As record.Writer.append."""
 
@@ -39,7 +43,11 @@ class MemorySink:
         self._restart: Arrays = {}
 
     def append(
-        self, samples: Arrays, frames: Arrays | None = None, restart: Arrays | None = None, info: Arrays | None = None
+        self,
+        samples: Arrays,
+        frames: Arrays | None = None,
+        restart: Arrays | None = None,
+        info: Arrays | None = None,
     ) -> None:
         """As record.Writer.append."""
         poses = {f"pieces/{name}": array for name, array in (frames or {}).items()}
@@ -58,8 +66,9 @@ class MemorySink:
 
 
 class FileSink:
-    """A file that is begun once there is something to append. A context manager: it keeps other processes from writing the
-    file, flushes and closes it, also if the process is interrupted."""
+    """A file that is begun once there is something to append. A context manager: it keeps other
+    processes from writing the file, flushes and closes it, also if the process is interrupted.
+    """
 
     def __init__(self, path: run_files.FileName, writer: WriterFactory | None) -> None:
         """writer: None in a process that another writes for."""
@@ -68,7 +77,11 @@ class FileSink:
         self._held = ExitStack()
 
     def append(
-        self, samples: Arrays, frames: Arrays | None = None, restart: Arrays | None = None, info: Arrays | None = None
+        self,
+        samples: Arrays,
+        frames: Arrays | None = None,
+        restart: Arrays | None = None,
+        info: Arrays | None = None,
     ) -> None:
         """As record.Writer.append."""
         self.open_writer()
@@ -97,10 +110,12 @@ class FileSink:
 
     def __exit__(self, *error: Any) -> None:
         try:
-            if self._writer is not None and not isinstance(error[1], RecordError):  # which writing has raised just now
+            # which writing has raised just now
+            if self._writer is not None and not isinstance(error[1], RecordError):
                 self._writer.flush()
         finally:
-            self._held.__exit__(*error)  # which is told of an interrupt, so that the last line says where the results are
+            self._held.__exit__(*error)  # which is told of an interrupt, so that the last line says
+            # where the results are
 
     def _save_interrupted(self) -> str | None:
         """Of a process that is interrupted: what is saved, in words."""

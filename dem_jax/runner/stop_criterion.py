@@ -1,4 +1,6 @@
-"""When all is at rest, so that a run may end early (``run.until_settled``): decided on the host, between chunks."""
+"""When all is at rest, so that a run may end early (``run.until_settled``): decided on the host,
+between chunks.
+"""
 
 import math
 from dataclasses import dataclass, replace
@@ -16,8 +18,8 @@ from dem_jax.walls import motion
 class StopCriterion:
     """When a run may end; times in samples from the release.
 
-    Looked at after each ``window``, counted from the start of settling and from the release: so it depends on the
-    scene alone, not on how a run is cut into chunks.
+    Looked at after each ``window``, counted from the start of settling and from the release: so it
+    depends on the scene alone, not on how a run is cut into chunks.
     """
 
     speed: float  # m/s: all pieces have been slower throughout the last window
@@ -35,7 +37,9 @@ class StopCriterion:
         return self.next_check(at) == at + self.window
 
     def is_slow(self, samples: Sample, count: int) -> bool:
-        """Whether all pieces of all runs are slow in the first ``count`` samples; samples: numpy [.., T]."""
+        """Whether all pieces of all runs are slow in the first ``count`` samples; samples: numpy
+        [.., T].
+        """
         return bool(np.all(samples.fastest[..., :count] < self.speed))
 
 
@@ -48,21 +52,33 @@ def merge_criteria(rules: list[StopCriterion | None]) -> StopCriterion | None:
     return replace(max(all_of, key=lambda rule: rule.window), start=begin, walls_at_rest=still)
 
 
-def build_criterion(scene: Scene, system: System, settling: int, samples_per_block: int) -> StopCriterion | None:
-    """The rule of a scene, None if its runs go on to the end. settling: samples before the release. Raises SceneError."""
+def build_criterion(
+    scene: Scene, system: System, settling: int, samples_per_block: int
+) -> StopCriterion | None:
+    """The rule of a scene, None if its runs go on to the end. settling: samples before the release.
+    Raises SceneError.
+    """
     if not scene.run.until_settled:
         return None
     for name in ("weigh_bucket", "feed_bucket", "feeder"):
         section = getattr(apply_cycle(scene), name)
         if section is not None and section.period:
-            goes_on = "[cycle] goes on" if scene.cycle else f"{name}.period = {section.period:g}; allowed: 0 (once)"
+            goes_on = (
+                "[cycle] goes on"
+                if scene.cycle
+                else f"{name}.period = {section.period:g}; allowed: 0 (once)"
+            )
             raise SceneError(f"run.until_settled = true: the walls never rest: {goes_on}")
     if scene.inlet:
-        raise SceneError("run.until_settled = true: pieces come in by [inlet] all along; allowed: a scene without, or false")
+        raise SceneError(
+            "run.until_settled = true: pieces come in by [inlet] all along; allowed: a scene without, or false"
+        )
     for n, section in enumerate(scene.motion):
         why = motion.describe_endless_motion(section, scene.run.duration)
         if why:
-            raise SceneError(f"run.until_settled = true: group {section.group!r} never rests: motion.{n}.{why}")
+            raise SceneError(
+                f"run.until_settled = true: group {section.group!r} never rests: motion.{n}.{why}"
+            )
     speed, gravity = scene.run.settled_speed, math.hypot(*scene.run.gravity)
     if 0 < scene.run.settled_time * gravity <= 2 * speed:
         raise SceneError(

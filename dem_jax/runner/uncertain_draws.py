@@ -1,4 +1,6 @@
-"""Ensembles whose runs have different numbers of the product, drawn from the ranges within which they are known."""
+"""Ensembles whose runs have different numbers of the product, drawn from the ranges within which
+they are known.
+"""
 
 from typing import Any
 
@@ -7,7 +9,9 @@ from dem_jax.scene import Scene
 from dem_jax.scene.ranges import draw_values, select_uncertain_rows
 
 
-def draw_uncertain_numbers(scene: Scene, runs: int, seed: int, given: dict[str, Any]) -> tuple[Scene, dict[str, list[Any]]]:
+def draw_uncertain_numbers(
+    scene: Scene, runs: int, seed: int, given: dict[str, Any]
+) -> tuple[Scene, dict[str, list[Any]]]:
     """The scene with a fixed number of pieces, and values of its uncertain numbers for each run.
 
     Args:
@@ -24,7 +28,9 @@ def draw_uncertain_numbers(scene: Scene, runs: int, seed: int, given: dict[str, 
 
 
 def fix_piece_counts(scene: Scene) -> dict[str, Any]:
-    """Changes of a scene that keep the number of pieces of each product, whatever their densities. Raises SceneError."""
+    """Changes of a scene that keep the number of pieces of each product, whatever their densities.
+    Raises SceneError.
+    """
     portion = scene.portion
     if portion is None:
         return {}

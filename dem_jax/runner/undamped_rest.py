@@ -1,4 +1,6 @@
-"""Note of a run in which pieces are at rest on contacts without damping: these ring, and let pieces creep."""
+"""Note of a run in which pieces are at rest on contacts without damping: these ring, and let pieces
+creep.
+"""
 
 import math
 
@@ -15,11 +17,14 @@ UNDAMPED_NOTE = (
 
 
 def note_undamped_rest(job: Job, span: ChunkResult) -> list[str]:
-    """NOTE, if no piece of some run was faster than run.settled_speed in the last 2 s of a span, or in all of a shorter one,
-    that ends 2 s or more after the release. It depends on the scene and the span alone, so that a resumed run has the same note."""
+    """NOTE, if no piece of some run was faster than run.settled_speed in the last 2 s of a span, or
+    in all of a shorter one, that ends 2 s or more after the release. It depends on the scene and
+    the span alone, so that a resumed run has the same note.
+    """
     run = job.scene.run
     looked = min(span.count, round(LONG_REST / run.sample))
-    can_rest = looked * run.sample * math.hypot(*run.gravity) > 2 * run.settled_speed  # longer than the top of a bounce is slow
+    # longer than the top of a bounce is slow
+    can_rest = looked * run.sample * math.hypot(*run.gravity) > 2 * run.settled_speed
     if not _is_undamped(job) or not can_rest or span.end * run.sample < LONG_REST:
         return []
     fastest = np.asarray(span.samples.fastest)[..., span.count - looked : span.count]

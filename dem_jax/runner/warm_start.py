@@ -1,4 +1,6 @@
-"""Portions that settled otherwise than they fall: one and the same heap, released into other materials."""
+"""Portions that settled otherwise than they fall: one and the same heap, released into other
+materials.
+"""
 
 from dataclasses import replace
 
@@ -12,17 +14,27 @@ from dem_jax.runner.progress import Progress
 
 
 def start_from_heap(job: Job, settling: Job) -> Job:
-    """The job, begun at its release with the heaps of another: their pieces, and the contacts that they have.
+    """The job, begun at its release with the heaps of another: their pieces, and the contacts that
+    they have.
 
-    Both are of the same pieces, walls and seeds. Raises SceneError and SimulationError if the other cannot settle.
+    Both are of the same pieces, walls and seeds. Raises SceneError and SimulationError if the other
+    cannot settle.
     """
     with jax.enable_x64(job.is_double), Progress(settling, False) as shown:
         for span in loop.iterate_chunks(settling, shown):
             if span.failed:
-                raise failure.describe_failure(settling, span, jax.device_get(span.state), *span.failed)
+                raise failure.describe_failure(
+                    settling, span, jax.device_get(span.state), *span.failed
+                )
             if span.end >= 0:
                 break
-        rooms = span.system.capacity, max(span.system.touching, job.system.touching), span.system.row_capacity
+        rooms = (
+            span.system.capacity,
+            max(span.system.touching, job.system.touching),
+            span.system.row_capacity,
+        )
         system, state = overflow_recovery.with_capacity(job.system, job.state, *rooms)
         skin = jnp.maximum(system.skin, span.system.skin)
-        return replace(job, system=system.replace(skin=skin), state=span.state.replace(scratch=state.scratch))
+        return replace(
+            job, system=system.replace(skin=skin), state=span.state.replace(scratch=state.scratch)
+        )

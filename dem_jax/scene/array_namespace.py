@@ -1,4 +1,5 @@
-"""Formulas that hold for the numbers of a scene, in numpy, and for values in their place that JAX differentiates.
+"""Formulas that hold for the numbers of a scene, in numpy, and for values in their place that JAX
+differentiates.
 
 Numbers give the results of numpy; JAX is imported and used only for values of JAX.
 """
@@ -9,7 +10,9 @@ import numpy as np
 
 
 def is_traced(value: Any) -> bool:
-    """Whether a value, or any in nested tuples and lists of them, is JAX's: it may stand for any number."""
+    """Whether a value, or any in nested tuples and lists of them, is JAX's: it may stand for any
+    number.
+    """
     if isinstance(value, tuple | list):
         return any(map(is_traced, value))
     return not isinstance(value, float | int | str | np.ndarray | np.generic | None)

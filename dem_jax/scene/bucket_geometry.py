@@ -1,4 +1,6 @@
-"""Panels, motions and evaluation block of a bucket with two flaps, and of a linear feeder, from their few named sizes."""
+"""Panels, motions and evaluation block of a bucket with two flaps, and of a linear feeder, from
+their few named sizes.
+"""
 
 from dataclasses import dataclass
 
@@ -8,7 +10,8 @@ from dem_jax.scene.array_namespace import is_zero
 from dem_jax.scene.sections.bucket import Bucket, Feeder
 from dem_jax.scene.sections.wall import Block, Motion
 
-GROUP_PREFIXES = {"weigh_bucket": "wb", "feed_bucket": "fb"}  # a scene's section -> what the names of its wall groups begin with
+GROUP_PREFIXES = {"weigh_bucket": "wb", "feed_bucket": "fb"}  # a scene's section -> what the names
+# of its wall groups begin with
 RIM_FRACTION = 0.1  # of the width of the widest panel that looks up: narrower ones are no floor
 FEEDER_GROUP = "lf"  # wall group of the feeder
 
@@ -17,7 +20,9 @@ Panel = tuple[str, np.ndarray, float]  # group, corners [k, 3] (m), thickness (m
 
 @dataclass(frozen=True)
 class BucketParts:
-    """What a bucket adds to a scene; the lower edge of its closed flaps is at height ``bottom`` on the z axis."""
+    """What a bucket adds to a scene; the lower edge of its closed flaps is at height ``bottom`` on
+    the z axis.
+    """
 
     panels: list[Panel]
     motions: list[Motion]  # one for each flap that opens
@@ -46,13 +51,16 @@ def list_wall_groups(bucket: Bucket, name: str) -> list[str]:
 
 
 def build_bucket_parts(bucket: Bucket, name: str, bottom: float) -> BucketParts:
-    """The bucket's parts, those of an STL read already; groups ``name_walls`` and ``name_flaps``, block ``name``."""
+    """The bucket's parts, those of an STL read already; groups ``name_walls`` and ``name_flaps``,
+    block ``name``.
+    """
     if bucket.panels is not None:
         return _build_panel_parts(bucket, name, bottom)
     x, y = 0.5 * bucket.mouth[0], 0.5 * bucket.mouth[1]
     hinge = bottom + flap_depth(bucket)
     top, skirt = hinge + bucket.wall_height, hinge - bucket.lap
-    # Without the lap a piece whose corner reaches a little past the free edge of a panel would be pushed along it.
+    # Without the lap a piece whose corner reaches a little past the free edge of a panel would be
+    # pushed along it.
     slope = np.radians(bucket.flap_angle_deg)
     walls = f"{name}_walls"
     sides = [  # seen from inside, counter-clockwise; the end walls reach down beside the flaps
@@ -73,32 +81,58 @@ def build_bucket_parts(bucket: Bucket, name: str, bottom: float) -> BucketParts:
         if not is_zero(bucket.opening_angle_deg):
             motions.append(_make_hinge_motion(bucket, group, (0.0, *edge), sign))
     margin = 0.01
-    block = Block(name=name, low=(-x - margin, -y - margin, bottom - margin), high=(x + margin, y + margin, top))
-    return BucketParts(panels, motions, joint, block, np.array([-x, -y, hinge]), np.array([x, y, top]))
+    block = Block(
+        name=name,
+        low=(-x - margin, -y - margin, bottom - margin),
+        high=(x + margin, y + margin, top),
+    )
+    return BucketParts(
+        panels, motions, joint, block, np.array([-x, -y, hinge]), np.array([x, y, top])
+    )
 
 
 def _build_panel_parts(bucket: Bucket, name: str, bottom: float) -> BucketParts:
     """The parts of a bucket whose panels are given, with its lowest point at ``bottom``."""
     assert bucket.panels is not None
     given = [bucket.panels, *(bucket.flap_panels or ())]
-    corners = [[np.array(panel, float) + [0.0, 0.0, bottom] for panel in panels] for panels in given]
+    corners = [
+        [np.array(panel, float) + [0.0, 0.0, bottom] for panel in panels] for panels in given
+    ]
     names = list_wall_groups(bucket, name)
-    panels = [(group, panel, bucket.thickness) for group, rows in zip(names, corners, strict=True) for panel in rows]
-    pivots = [_find_hinge_edge(np.concatenate(rows), sign) for rows, sign in zip(corners[1:], (-1, 1), strict=False)]
+    panels = [
+        (group, panel, bucket.thickness)
+        for group, rows in zip(names, corners, strict=True)
+        for panel in rows
+    ]
+    pivots = [
+        _find_hinge_edge(np.concatenate(rows), sign)
+        for rows, sign in zip(corners[1:], (-1, 1), strict=False)
+    ]
     motions = []
     if not is_zero(bucket.opening_angle_deg):
-        motions = [_make_hinge_motion(bucket, group, *each) for group, each in zip(names[1:], zip(pivots, (-1, 1), strict=True), strict=True)]
+        motions = [
+            _make_hinge_motion(bucket, group, *each)
+            for group, each in zip(names[1:], zip(pivots, (-1, 1), strict=True), strict=True)
+        ]
     joint = {group: f"{name}_flaps" for group in names[1:]}
     points = np.concatenate([panel for _, panel, _ in panels])
     low, high = points.min(axis=0) - 0.01, points.max(axis=0) + [0.01, 0.01, 0.0]
     block = Block(name=name, low=tuple(low.tolist()), high=tuple(high.tolist()))
-    floor = max([pivot[2] for pivot in pivots] or [panel[:, 2].max() for panel in select_floor_panels(corners[0])], default=bottom)
+    floor = max(
+        [pivot[2] for pivot in pivots]
+        or [panel[:, 2].max() for panel in select_floor_panels(corners[0])],
+        default=bottom,
+    )
     free_low, free_high = _find_free_width(corners[0], floor)
-    return BucketParts(panels, motions, joint, block, np.array([*free_low, floor]), np.array([*free_high, high[2]]))
+    return BucketParts(
+        panels, motions, joint, block, np.array([*free_low, floor]), np.array([*free_high, high[2]])
+    )
 
 
 def _find_hinge_edge(points: np.ndarray, sign: int) -> tuple[float, float, float]:
-    """A point [3] (m) of the edge along x at which a flap hangs: the highest, of those the outermost."""
+    """A point [3] (m) of the edge along x at which a flap hangs: the highest, of those the
+    outermost.
+    """
     top = points[points[:, 2] > points[:, 2].max() - 1e-3 * np.ptp(points, axis=0).max()]
     return 0.0, float(sign * (sign * top[:, 1]).max()), float(top[:, 2].max())
 
@@ -126,15 +160,26 @@ def is_floor(panel: np.ndarray) -> bool:
 
 
 def select_floor_panels(panels: list[np.ndarray]) -> list[np.ndarray]:
-    """Those of some panels [k, 3] (m) that look up, without strips that are narrow beside the widest, as the rim of a sheet is."""
+    """Those of some panels [k, 3] (m) that look up, without strips that are narrow beside the
+    widest, as the rim of a sheet is.
+    """
     floors = [panel for panel in panels if is_floor(panel)]
     widths = [_panel_width(panel) for panel in floors]
-    return [panel for panel, width in zip(floors, widths, strict=True) if width > RIM_FRACTION * max(widths)]
+    return [
+        panel
+        for panel, width in zip(floors, widths, strict=True)
+        if width > RIM_FRACTION * max(widths)
+    ]
 
 
 def _panel_width(panel: np.ndarray) -> float:
     """Of corners [k, 3], about (m): area over length."""
-    area = np.linalg.norm(np.cross(panel - panel[0], np.roll(panel, -1, axis=0) - panel[0]).sum(axis=0)) / 2.0
+    area = (
+        np.linalg.norm(
+            np.cross(panel - panel[0], np.roll(panel, -1, axis=0) - panel[0]).sum(axis=0)
+        )
+        / 2.0
+    )
     return float(area / np.linalg.norm(np.ptp(panel, axis=0)))
 
 
@@ -150,8 +195,12 @@ def _orient_upwards(corners: np.ndarray) -> np.ndarray:
     return corners if normal[2] > 0 else corners[::-1]
 
 
-def _make_hinge_motion(bucket: Bucket, group: str, pivot: tuple[float, float, float], sign: int) -> Motion:
-    """Flaps swing down and outwards: the flap hinged at +y turns about +x, the other about -x. Its numbers are checked already."""
+def _make_hinge_motion(
+    bucket: Bucket, group: str, pivot: tuple[float, float, float], sign: int
+) -> Motion:
+    """Flaps swing down and outwards: the flap hinged at +y turns about +x, the other about -x. Its
+    numbers are checked already.
+    """
     return Motion.model_construct(
         group=group,
         pivot=pivot,
@@ -178,9 +227,12 @@ class FeederParts:
 
 
 def build_feeder_parts(feeder: Feeder, bucket: BucketParts) -> FeederParts:
-    """The feeder's parts, that of an STL read already, group ``lf``: a pan that comes from the negative x side, its lower end over
-    the feed bucket."""
-    edge = np.array([bucket.interior_low[0] + feeder.overhang, 0.0, bucket.interior_high[2] + feeder.clearance])
+    """The feeder's parts, that of an STL read already, group ``lf``: a pan that comes from the
+    negative x side, its lower end over the feed bucket.
+    """
+    edge = np.array(
+        [bucket.interior_low[0] + feeder.overhang, 0.0, bucket.interior_high[2] + feeder.clearance]
+    )
     pan = _build_pan if feeder.panels is None else _build_panel_pan
     corners, low, high = pan(feeder, edge)
     throw = np.radians(feeder.tilt_deg - feeder.stroke_angle_deg)
@@ -201,12 +253,17 @@ def build_feeder_parts(feeder: Feeder, bucket: BucketParts) -> FeederParts:
 
 
 def _build_pan(feeder: Feeder, edge: np.ndarray) -> tuple[list[np.ndarray], np.ndarray, np.ndarray]:
-    """Corners of the panels of a pan whose edge [3] (m) is given, and the box above it, low and high [3] (m)."""
+    """Corners of the panels of a pan whose edge [3] (m) is given, and the box above it, low and
+    high [3] (m).
+    """
     tilt, y = np.radians(feeder.tilt_deg), 0.5 * feeder.width
-    along, up = np.array([np.cos(tilt), 0.0, -np.sin(tilt)]), np.array([np.sin(tilt), 0.0, np.cos(tilt)])
+    along, up = (
+        np.array([np.cos(tilt), 0.0, -np.sin(tilt)]),
+        np.array([np.sin(tilt), 0.0, np.cos(tilt)]),
+    )
     back = edge - feeder.length * along
     tops = [point + feeder.wall_height * up for point in (back, edge)]
-    at = lambda point, side: point + [0.0, side * y, 0.0]  # noqa: E731
+    at = lambda point, side: point + [0.0, side * y, 0.0]
     corners = [  # seen from inside, counter-clockwise
         [at(back, -1), at(edge, -1), at(edge, 1), at(back, 1)],
         [at(edge, -1), at(back, -1), at(tops[0], -1), at(tops[1], -1)],
@@ -216,11 +273,19 @@ def _build_pan(feeder: Feeder, edge: np.ndarray) -> tuple[list[np.ndarray], np.n
     return [np.array(row) for row in corners], at(back, -1), np.array([edge[0], y, tops[0][2]])
 
 
-def _build_panel_pan(feeder: Feeder, edge: np.ndarray) -> tuple[list[np.ndarray], np.ndarray, np.ndarray]:
+def _build_panel_pan(
+    feeder: Feeder, edge: np.ndarray
+) -> tuple[list[np.ndarray], np.ndarray, np.ndarray]:
     """As ``_build_pan``, of one whose panels are given; above the panels that look up."""
     assert feeder.panels is not None
     corners = [np.array(panel, float) + edge for panel in feeder.panels]
     points = np.concatenate(corners)
-    level = max((row[:, 2].max() for row in select_floor_panels(corners)), default=points[:, 2].min())
+    level = max(
+        (row[:, 2].max() for row in select_floor_panels(corners)), default=points[:, 2].min()
+    )
     (_, low), (_, high) = _find_free_width(corners, level)
-    return corners, np.array([points[:, 0].min(), low, level]), np.array([edge[0], high, points[:, 2].max()])
+    return (
+        corners,
+        np.array([points[:, 0].min(), low, level]),
+        np.array([edge[0], high, points[:, 2].max()]),
+    )

@@ -13,8 +13,12 @@ def apply_cycle(scene: Scene) -> Scene:
     zero = cycle.fb.opens[0]  # of the cycle's own time at the release
     assert scene.weigh_bucket is not None and scene.feed_bucket is not None  # as a Scene makes sure
     changes: dict[str, Section] = {
-        "weigh_bucket": scene.weigh_bucket.model_copy(update=_flap_times(cycle.wb, zero, cycle.period)),
-        "feed_bucket": scene.feed_bucket.model_copy(update=_flap_times(cycle.fb, zero, cycle.period)),
+        "weigh_bucket": scene.weigh_bucket.model_copy(
+            update=_flap_times(cycle.wb, zero, cycle.period)
+        ),
+        "feed_bucket": scene.feed_bucket.model_copy(
+            update=_flap_times(cycle.fb, zero, cycle.period)
+        ),
     }
     if scene.feeder is not None and cycle.lf is not None:
         begin, end = cycle.lf

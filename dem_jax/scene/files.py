@@ -33,15 +33,17 @@ def load_scene(source: str | Path, changes: dict[str, Any] | None = None) -> Sce
 
 
 def parse_scene(text: str, source: str | Path = "scene") -> Scene:
-    """A scene from TOML text that is complete in itself, as a file of results keeps it, or has a stock scene as its base. Raises
-    SceneError."""
+    """A scene from TOML text that is complete in itself, as a file of results keeps it, or has a
+    stock scene as its base. Raises SceneError.
+    """
     tree = _load_toml(text, source)
     tree = tree if "base" in tree else drop_inactive_keys(tree)
     return validate_scene(_merge_base(tree, Path("."), source, ()), str(source))
 
 
 def load_section(path: str | Path, model: type[OneSection], place: str) -> OneSection:
-    """A section alone from a TOML file, whose keys stand at the top or in the table in which a scene has them.
+    """A section alone from a TOML file, whose keys stand at the top or in the table in which a
+    scene has them.
 
     Args:
         path: of the file.
@@ -54,7 +56,9 @@ def load_section(path: str | Path, model: type[OneSection], place: str) -> OneSe
     try:
         tree = _load_toml(Path(path).read_text(encoding="utf-8-sig"), path)
     except (OSError, UnicodeDecodeError) as error:
-        raise SceneError(f"{path} cannot be read ({type(error).__name__}); allowed: a TOML file with keys of [{place}]") from error
+        raise SceneError(
+            f"{path} cannot be read ({type(error).__name__}); allowed: a TOML file with keys of [{place}]"
+        ) from error
     for name in place.split(".") if place.split(".")[0] in tree else ():
         tree = tree.get(name, {}) if isinstance(tree, dict) else {}
     try:
@@ -79,13 +83,19 @@ def _read_scene(source: str | Path, seen: tuple[Path, ...]) -> tuple[Tree, Path]
         path = stock
     if not path.is_file():
         names = ", ".join(stock_scenes())
-        raise SceneError(f"scene {str(source)!r}: no such file, nor one of the stock scenes ({names})")
+        raise SceneError(
+            f"scene {str(source)!r}: no such file, nor one of the stock scenes ({names})"
+        )
     if path.resolve() in seen:
-        raise SceneError(f"scene {path}: base: it is based on itself; allowed: a chain without a circle")
+        raise SceneError(
+            f"scene {path}: base: it is based on itself; allowed: a chain without a circle"
+        )
     try:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
-        raise SceneError(f"scene {path}: cannot be read ({type(error).__name__}); allowed: a TOML text file") from error
+        raise SceneError(
+            f"scene {path}: cannot be read ({type(error).__name__}); allowed: a TOML text file"
+        ) from error
     own = _load_toml(text, path)
     name = own.get("name", path.stem)
     tree = _merge_base(own, path.parent, path, (*seen, path.resolve()))
@@ -98,10 +108,13 @@ def _read_scene(source: str | Path, seen: tuple[Path, ...]) -> tuple[Tree, Path]
 def _load_toml(text: str, source: str | Path) -> Tree:
     try:
         tree = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # of a number of thousands of digits, and of brackets, as well
+    except (ValueError, RecursionError) as error:  # of a number of thousands of digits, and of
+        # brackets, as well
         raise SceneError(f"scene {source}: not valid TOML: {error}") from error
     if is_too_deep(tree):
-        raise SceneError(f"scene {source}: tables and lists are nested too deep; allowed: {DEEPEST} in each other")
+        raise SceneError(
+            f"scene {source}: tables and lists are nested too deep; allowed: {DEEPEST} in each other"
+        )
     return tree
 
 
@@ -111,7 +124,9 @@ def _merge_base(tree: Tree, folder: Path, source: str | Path, seen: tuple[Path, 
     if base is None:
         return overlay_scene(apply_library_keys({}, tree, source), tree)
     if not isinstance(base, str):
-        raise SceneError(f"scene {source}: base = {base!r}: allowed: a stock scene's name or a path")
+        raise SceneError(
+            f"scene {source}: base = {base!r}: allowed: a stock scene's name or a path"
+        )
     beside = folder / base
     below, _ = _read_scene(beside if beside.is_file() else base, seen)
     return overlay_scene(apply_library_keys(below, tree, source), tree)

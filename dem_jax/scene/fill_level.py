@@ -1,8 +1,10 @@
-"""How much a bucket holds: to where water would rise in it, its volume and its mouth, from panels as seen from above.
+"""How much a bucket holds: to where water would rise in it, its volume and its mouth, from panels
+as seen from above.
 
-The height of the surface is taken on a grid of points from above; walls between the points are as high as their highest point.
-Water that is poured in anywhere rises to the lowest pass on the way out: the least over all ways to the outside of the highest
-point of a way, which is that of the way along a minimum spanning tree of the grid. What lies beneath an overhang is not seen.
+The height of the surface is taken on a grid of points from above; walls between the points are as
+high as their highest point. Water that is poured in anywhere rises to the lowest pass on the way
+out: the least over all ways to the outside of the highest point of a way, which is that of the way
+along a minimum spanning tree of the grid. What lies beneath an overhang is not seen.
 """
 
 from collections.abc import Sequence
@@ -13,15 +15,16 @@ import numpy as np
 
 GRID_CELLS = 200  # of the grid along the longer side of a bucket
 SLIT_WIDTH = 0.004  # m: slits no wider than this, as between two flaps, hold pieces
-PACKING_FRACTION = 0.6  # volume of pieces over that of a heap of them: an assumption, loose heaps of most shapes have 0.55 to 0.65
+PACKING_FRACTION = 0.6  # volume of pieces over that of a heap of them: an assumption, loose heaps
+# of most shapes have 0.55 to 0.65
 
 
 class BucketCapacity(NamedTuple):
     """What a bucket holds to its brim, as it stands.
 
-    volume: (m3). bottom, brim: heights (m) of its deepest point and of the water's surface. low, high: [2] (m) corners of the box
-    around the mouth, the surface of the water, in x and y. middle: [2] (m) its centroid, or where this is as near as
-    the grid tells the middle of the bucket.
+    volume: (m3). bottom, brim: heights (m) of its deepest point and of the water's surface. low,
+    high: [2] (m) corners of the box around the mouth, the surface of the water, in x and y. middle:
+    [2] (m) its centroid, or where this is as near as the grid tells the middle of the bucket.
     surface: HeightMap of its inside; is_wet: [nx, ny] bool, cells below the water.
     """
 
@@ -38,8 +41,8 @@ class BucketCapacity(NamedTuple):
 class HeightMap(NamedTuple):
     """Heights (m) on a grid of cells seen from above, -inf where there is nothing.
 
-    origin: [2] (m) low corner of the first cell. cell: (m) its side. floor: [nx, ny] at the middle of each cell. ridge: [nx, ny]
-    the highest point within the cell.
+    origin: [2] (m) low corner of the first cell. cell: (m) its side. floor: [nx, ny] at the middle
+    of each cell. ridge: [nx, ny] the highest point within the cell.
     """
 
     origin: np.ndarray
@@ -50,12 +53,15 @@ class HeightMap(NamedTuple):
 
 def find_capacity(panels: Sequence[np.ndarray]) -> BucketCapacity | None:
     """What the largest basin of some panels [k, 3] (m) holds; None: they hold nothing."""
-    return _find_cached_capacity(tuple(np.ascontiguousarray(panel, np.float64).tobytes() for panel in panels))
+    return _find_cached_capacity(
+        tuple(np.ascontiguousarray(panel, np.float64).tobytes() for panel in panels)
+    )
 
 
 def find_mouth_middle(panels: Sequence[np.ndarray]) -> np.ndarray:
-    """The middle [2] (m) of the mouth of a bucket of panels [k, 3] (m), in x and y; of one that holds nothing that of the box
-    around it."""
+    """The middle [2] (m) of the mouth of a bucket of panels [k, 3] (m), in x and y; of one that
+    holds nothing that of the box around it.
+    """
     capacity = find_capacity(panels)
     return _box_middle(panels) if capacity is None else capacity.middle
 
@@ -83,7 +89,8 @@ def _find_cached_capacity(panels: tuple[bytes, ...]) -> BucketCapacity | None:
     largest = 1 + int(np.argmax(ndimage.sum_labels(depth, basins, np.arange(1, count + 1))))
     is_wet = basins == largest
     brim = float(level[is_wet].max())
-    is_wet |= ndimage.binary_dilation(is_wet) & (surface.floor < brim) & np.isfinite(surface.floor)  # cells that walls cross
+    # cells that walls cross
+    is_wet |= ndimage.binary_dilation(is_wet) & (surface.floor < brim) & np.isfinite(surface.floor)
     columns = np.argwhere(is_wet)
     points = surface.origin + surface.cell * (columns + 0.5)
     middle = points.mean(axis=0)
@@ -125,7 +132,9 @@ def _raise_floor(floor: np.ndarray, grid: HeightMap, panel: np.ndarray) -> None:
     normal = np.cross(panel - panel[0], np.roll(panel, -1, axis=0) - panel[0]).sum(axis=0)
     if (last < first).any() or abs(normal[2]) <= 1e-9 * np.linalg.norm(normal):
         return
-    x, y = np.meshgrid(*(np.arange(a, b + 1) for a, b in zip(first, last, strict=True)), indexing="ij")
+    x, y = np.meshgrid(
+        *(np.arange(a, b + 1) for a, b in zip(first, last, strict=True)), indexing="ij"
+    )
     edges = np.roll(flat, -1, axis=0) - flat
     side = [ex * (y - py) - ey * (x - px) for (px, py), (ex, ey) in zip(flat, edges, strict=True)]
     inside = (np.sign(normal[2]) * np.array(side) >= -1e-9).all(axis=0)
@@ -136,7 +145,9 @@ def _raise_floor(floor: np.ndarray, grid: HeightMap, panel: np.ndarray) -> None:
 
 
 def _raise_ridge(ridge: np.ndarray, grid: HeightMap, panel: np.ndarray) -> None:
-    """Raise the highest points of cells to those of the edges of a panel; a wall is as high as its upper edge."""
+    """Raise the highest points of cells to those of the edges of a panel; a wall is as high as its
+    upper edge.
+    """
     ends = np.roll(panel, -1, axis=0)
     for start, end in zip(panel, ends, strict=True):
         steps = 2 + int(2 * np.linalg.norm(end[:2] - start[:2]) / grid.cell)
@@ -147,16 +158,24 @@ def _raise_ridge(ridge: np.ndarray, grid: HeightMap, panel: np.ndarray) -> None:
 
 
 def _close_slits(surface: HeightMap) -> np.ndarray:
-    """The height [nx, ny] (m) of the highest point in each cell, slits filled; below all of it where there is nothing."""
+    """The height [nx, ny] (m) of the highest point in each cell, slits filled; below all of it
+    where there is nothing.
+    """
     from scipy import ndimage
 
     slit = 2 * int(np.ceil(0.5 * SLIT_WIDTH / surface.cell)) + 1  # cells
-    height = np.where(np.isfinite(surface.ridge), surface.ridge, np.min(surface.ridge[np.isfinite(surface.ridge)]) - 1.0)
+    height = np.where(
+        np.isfinite(surface.ridge),
+        surface.ridge,
+        np.min(surface.ridge[np.isfinite(surface.ridge)]) - 1.0,
+    )
     return np.maximum(height, ndimage.grey_closing(height, size=(slit, slit)))
 
 
 def _find_water_level(height: np.ndarray) -> np.ndarray:
-    """The height [nx, ny] (m) to which water rises in each cell of ``_close_slits``, that of the ground where it runs off."""
+    """The height [nx, ny] (m) to which water rises in each cell of ``_close_slits``, that of the
+    ground where it runs off.
+    """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
 

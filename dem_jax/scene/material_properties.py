@@ -16,11 +16,12 @@ from dem_jax.scene.wall_surfaces import SURFACES
 
 @dataclass(frozen=True)
 class MaterialTable:
-    """The M materials that pieces and walls of a scene are of, in float64: first those of pieces, then those of walls.
+    """The M materials that pieces and walls of a scene are of, in float64: first those of pieces,
+    then those of walls.
 
-    A name stands twice if pieces and walls are of it, as what it does not set differs (see sections.material). Where any
-    name no material, "default" comes first of all, and "wall" first of the walls'. What stands between two walls means
-    nothing: they never touch.
+    A name stands twice if pieces and walls are of it, as what it does not set differs (see
+    sections.material). Where any name no material, "default" comes first of all, and "wall" first
+    of the walls'. What stands between two walls means nothing: they never touch.
     """
 
     names: tuple[str, ...]
@@ -32,7 +33,8 @@ class MaterialTable:
     friction: np.ndarray  # [M, M]: mu
     pull_off: np.ndarray  # [M, M] (N): largest adhesive force of a contact
     rolling: np.ndarray  # [M, M]: mu_r
-    uniform: frozenset[str]  # names of those of them that are one number for all pairs that can touch
+    uniform: frozenset[str]  # names of those of them that are one number for all pairs that can
+    # touch
 
 
 @dataclass(frozen=True)
@@ -53,35 +55,58 @@ class _MaterialRow:
 
 
 def build_material_table(scene: Scene) -> MaterialTable:
-    """The materials in use, and the pairs by the rules of sections.material.Pair. Raises SceneError."""
+    """The materials in use, and the pairs by the rules of sections.material.Pair. Raises
+    SceneError.
+    """
     of_pieces, of_walls = _list_piece_materials(scene), list(map_group_materials(scene).values())
     rows = [_fill_material(scene.material, name, False) for name in _sort_names(of_pieces)]
     rows += [_fill_material(scene.material, name, True) for name in _sort_names(of_walls)]
-    each = lambda key: as_float_array([getattr(row, key) for row in rows])  # noqa: E731
+    each = lambda key: as_float_array([getattr(row, key) for row in rows])
     tabulate_pairs = {name: _pairs(scene, rows, key, rule) for name, (key, rule) in _RULES.items()}
-    touching = [(i, j) for i, a in enumerate(rows) for j, b in enumerate(rows) if not (a.is_wall and b.is_wall)]
+    touching = [
+        (i, j)
+        for i, a in enumerate(rows)
+        for j, b in enumerate(rows)
+        if not (a.is_wall and b.is_wall)
+    ]
     return MaterialTable(
         names=tuple(row.name for row in rows),
         is_wall=np.array([row.is_wall for row in rows]),
         density=each("density"),
         youngs_modulus=each("youngs_modulus"),
         poisson_ratio=each("poisson_ratio"),
-        uniform=frozenset(name for name, values in tabulate_pairs.items() if _are_one([values[i][j] for i, j in touching])),
+        uniform=frozenset(
+            name
+            for name, values in tabulate_pairs.items()
+            if _are_one([values[i][j] for i, j in touching])
+        ),
         **{name: as_float_array(values) for name, values in tabulate_pairs.items()},
     )
 
 
-def _pairs(scene: Scene, rows: Sequence[_MaterialRow], key: str, rule: Callable[[_MaterialRow, _MaterialRow], float]) -> list[list[float]]:
+def _pairs(
+    scene: Scene,
+    rows: Sequence[_MaterialRow],
+    key: str,
+    rule: Callable[[_MaterialRow, _MaterialRow], float],
+) -> list[list[float]]:
     """A property of each pair of materials: as listed, else by its rule."""
     listed = {frozenset(pair.of): getattr(pair, key) for pair in scene.pair}
     said = [[listed.get(frozenset((a.name, b.name))) for b in rows] for a in rows]
-    return [[rule(a, b) if s is None else s for b, s in zip(rows, line, strict=True)] for a, line in zip(rows, said, strict=True)]
+    return [
+        [rule(a, b) if s is None else s for b, s in zip(rows, line, strict=True)]
+        for a, line in zip(rows, said, strict=True)
+    ]
 
 
 def _are_one(values: Sequence[Any]) -> bool:
-    """Whether values are the same number: of those that may stand for any, whether they are one object."""
+    """Whether values are the same number: of those that may stand for any, whether they are one
+    object.
+    """
     first = values[0]
-    return all(value is first or not is_traced((value, first)) and value == first for value in values)
+    return all(
+        value is first or not is_traced((value, first)) and value == first for value in values
+    )
 
 
 def find_piece_rows(table: MaterialTable, names: Sequence[str | None]) -> np.ndarray:
@@ -91,19 +116,26 @@ def find_piece_rows(table: MaterialTable, names: Sequence[str | None]) -> np.nda
 
 
 def find_group_rows(table: MaterialTable, scene: Scene, groups: Sequence[str]) -> np.ndarray:
-    """Rows [G] int of the table, of wall groups (types.Walls.groups); those of panels are these at Walls.group."""
+    """Rows [G] int of the table, of wall groups (types.Walls.groups); those of panels are these at
+    Walls.group.
+    """
     row = {name: k for k, name in enumerate(table.names) if table.is_wall[k]}
     of_group = map_group_materials(scene)
     return np.array([row[of_group[group] or WALL_NAME] for group in groups], int)
 
 
 def map_group_materials(scene: Scene) -> dict[str, str | None]:
-    """Wall group -> name of its material, None: [material]. Raises SceneError where a group has two."""
+    """Wall group -> name of its material, None: [material]. Raises SceneError where a group has
+    two.
+    """
     owners = [(f"wall.{n}", wall.group, wall.material) for n, wall in enumerate(scene.wall)]
     for key, short in bucket_geometry.GROUP_PREFIXES.items():
         bucket = getattr(scene, key)
         if bucket:
-            owners += [(key, group, bucket.material) for group in bucket_geometry.list_wall_groups(bucket, short)]
+            owners += [
+                (key, group, bucket.material)
+                for group in bucket_geometry.list_wall_groups(bucket, short)
+            ]
     if scene.feeder:
         owners.append(("feeder", bucket_geometry.FEEDER_GROUP, scene.feeder.material))
     found: dict[str, str | None] = {}
@@ -117,7 +149,9 @@ def map_group_materials(scene: Scene) -> dict[str, str | None]:
 
 
 def find_modulus_range(scene: Scene, name: str | None) -> tuple[float, float] | None:
-    """Within which (Pa) the modulus of a material of pieces is known, as the scene says it; name: None of [material] itself."""
+    """Within which (Pa) the modulus of a material of pieces is known, as the scene says it; name:
+    None of [material] itself.
+    """
     own = scene.material.named_materials.get(name or "")
     if own is not None and (own.youngs_modulus_range is not None or own.youngs_modulus is not None):
         return own.youngs_modulus_range
@@ -159,8 +193,12 @@ def _fill_material(base: Material, name: str | None, is_wall: bool) -> _Material
     )
 
 
-def _make_pair_rule(between_pieces: str, on_wall: str, by_surface: str | None = None) -> Callable[[_MaterialRow, _MaterialRow], float]:
-    """Properties of two materials that are not listed as a pair; by_surface: the factor of a wall's surface on them."""
+def _make_pair_rule(
+    between_pieces: str, on_wall: str, by_surface: str | None = None
+) -> Callable[[_MaterialRow, _MaterialRow], float]:
+    """Properties of two materials that are not listed as a pair; by_surface: the factor of a wall's
+    surface on them.
+    """
 
     def combine_materials(a: _MaterialRow, b: _MaterialRow) -> float:
         if a.is_wall != b.is_wall:

@@ -1,7 +1,8 @@
-"""Restitution, friction and modulus of a product from one's own measurements, each with an interval.
+"""Restitution, friction and modulus of a product from one's own measurements, each with an
+interval.
 
-The interval contains the mean of all pieces with a probability of 90 % (Student's t). With a single piece between plates
-it is the interval of the fit to its points.
+The interval contains the mean of all pieces with a probability of 90 % (Student's t). With a single
+piece between plates it is the interval of the fit to its points.
 """
 
 import csv
@@ -18,9 +19,11 @@ from dem_jax.scene.sections.contact import HERTZIAN_LAWS
 CONFIDENCE_LEVEL = 0.9  # so that the ends are 5 and 95 %
 FEWEST = 3  # measurements
 NARROWEST = 1e-3  # half of an interval, relative: no reading is more accurate
-FORCE_UNITS = {"force_N": 1.0, "force_g": 9.80665e-3, "force_kg": 9.80665}  # columns, and newtons of one unit
+FORCE_UNITS = {"force_N": 1.0, "force_g": 9.80665e-3, "force_kg": 9.80665}  # columns, and newtons
+# of one unit
 WAY_UNITS = {"way_m": 1.0, "way_mm": 1e-3, "way_um": 1e-6}
-MODULUS_LAWS = ("walton-braun", "linear-dashpot", "densifying", *HERTZIAN_LAWS)  # laws that a modulus is measured by
+MODULUS_LAWS = ("walton-braun", "linear-dashpot", "densifying", *HERTZIAN_LAWS)  # laws that a
+# modulus is measured by
 
 
 @dataclass(frozen=True)
@@ -37,15 +40,28 @@ class MeasuredNumber:
 
     def describe(self) -> str:
         """The result in words."""
-        words = f"{self.key} = {self.value:.3g}, with 90 % between {self.low:.3g} and {self.high:.3g}"
+        words = (
+            f"{self.key} = {self.value:.3g}, with 90 % between {self.low:.3g} and {self.high:.3g}"
+        )
         return f"{words} ({self.count} {self.kind}, relative standard deviation {self.spread:.2g})"
 
     def to_tree(self, source: str) -> dict:
-        """The sections of a product's file with this number and its evidence; source: the file or the readings behind it."""
+        """The sections of a product's file with this number and its evidence; source: the file or
+        the readings behind it.
+        """
         says = f"{self.count} {self.kind}, relative standard deviation {self.spread:.2g}"
         low, high = _round_digits(self.low, 4), _round_digits(self.high, 4)
-        row = {"range": [low, high], "grade": "A", "source": "own measurement", "address": source, "says": says}
-        return {"material": {self.key: min(max(_round_digits(self.value, 3), low), high)}, "evidence": {self.key: row}}
+        row = {
+            "range": [low, high],
+            "grade": "A",
+            "source": "own measurement",
+            "address": source,
+            "says": says,
+        }
+        return {
+            "material": {self.key: min(max(_round_digits(self.value, 3), low), high)},
+            "evidence": {self.key: row},
+        }
 
 
 def estimate_restitution(drops: ArrayLike, rebounds: ArrayLike) -> MeasuredNumber:
@@ -63,14 +79,19 @@ def estimate_restitution(drops: ArrayLike, rebounds: ArrayLike) -> MeasuredNumbe
     """
     drop, rebound = np.asarray(drops, float), np.asarray(rebounds, float)
     if len(drop) != len(rebound) or not (np.isfinite(drop).all() and np.isfinite(rebound).all()):
-        raise SceneError(f"{len(drop)} drops, {len(rebound)} rebounds: allowed: as many of both, finite numbers")
+        raise SceneError(
+            f"{len(drop)} drops, {len(rebound)} rebounds: allowed: as many of both, finite numbers"
+        )
     for k in np.flatnonzero((rebound <= 0) | (rebound > drop)):
-        raise SceneError(f"row {k + 1}: rebound = {rebound[k]:g} of drop = {drop[k]:g}: allowed: above 0, at most the drop")
+        raise SceneError(
+            f"row {k + 1}: rebound = {rebound[k]:g} of drop = {drop[k]:g}: allowed: above 0, at most the drop"
+        )
     return _mean_with_interval("restitution", np.sqrt(rebound / drop), "rebounds", 1.0)
 
 
 def estimate_friction(angles_deg: ArrayLike, key: str = "friction_wall") -> MeasuredNumber:
-    """The coefficient of friction from the angles (degrees) at which pieces begin to slide down a tilted plate.
+    """The coefficient of friction from the angles (degrees) at which pieces begin to slide down a
+    tilted plate.
 
     Args:
         angles_deg: one for each piece.
@@ -95,14 +116,16 @@ def estimate_modulus(
     densification: float = 0.2,
     poisson: float = 0.3,
 ) -> MeasuredNumber:
-    """Young's modulus of pieces that are pressed between two hard plates, which are two contacts in series.
+    """Young's modulus of pieces that are pressed between two hard plates, which are two contacts in
+    series.
 
-    With s half of the approach of the plates and L the size: F = E L s (``walton-braun``, ``linear-dashpot``),
-    F = E L s / (1 - s / D) with D = densification L (``densifying``), F = 4/3 E / (1 - nu^2) sqrt(L / 2) s^(3/2)
-    (``hertz-mindlin``, and ``elastic-plastic`` below yielding).
+    With s half of the approach of the plates and L the size: F = E L s (``walton-braun``,
+    ``linear-dashpot``), F = E L s / (1 - s / D) with D = densification L (``densifying``), F = 4/3
+    E / (1 - nu^2) sqrt(L / 2) s^(3/2) (``hertz-mindlin``, and ``elastic-plastic`` below yielding).
 
     Args:
-        pieces: forces (N) and positions of the upper plate, downward (m), of each piece, at least three
+        pieces: forces (N) and positions of the upper plate, downward (m), of each piece, at least
+        three
             points each. The position of first touch is fitted.
         size: L (m), the diameter of a sphere of the same volume.
         law: name of the contact law.
@@ -116,7 +139,10 @@ def estimate_modulus(
         SceneError: too few points, or points through which no such curve rises.
     """
     shape = _make_force_curve(law, size, densification, poisson)
-    fits = [_fit_modulus(shape, np.asarray(force, float), np.asarray(way, float), k + 1) for k, (force, way) in enumerate(pieces)]
+    fits = [
+        _fit_modulus(shape, np.asarray(force, float), np.asarray(way, float), k + 1)
+        for k, (force, way) in enumerate(pieces)
+    ]
     logs = np.log([modulus for modulus, _ in fits])
     if len(fits) == 1:
         deviation, kind = fits[0][1], "piece between plates"
@@ -124,33 +150,45 @@ def estimate_modulus(
     else:
         deviation, kind = float(logs.std(ddof=1)), "pieces between plates"
         half = _student_factor(len(logs) - 1) * deviation / np.sqrt(len(logs))
-    low, value, high = (float(np.exp(logs.mean() + sign * max(half, NARROWEST))) for sign in (-1, 0, 1))
+    low, value, high = (
+        float(np.exp(logs.mean() + sign * max(half, NARROWEST))) for sign in (-1, 0, 1)
+    )
     return MeasuredNumber("youngs_modulus", value, low, high, len(logs), deviation, kind)
 
 
-def _make_force_curve(law: str, size: float, densification: float, poisson: float) -> Callable[[np.ndarray], np.ndarray]:
+def _make_force_curve(
+    law: str, size: float, densification: float, poisson: float
+) -> Callable[[np.ndarray], np.ndarray]:
     """Force over modulus (m2) at ways of the plates (m). Raises SceneError."""
     if not (np.isfinite(size) and size > 0):
         raise SceneError(f"size = {size:g}: allowed: a length (m) above 0")
     if law not in MODULUS_LAWS:
         raise SceneError(f"law = {law!r}: allowed: {', '.join(MODULUS_LAWS)}")
     if law in HERTZIAN_LAWS:
-        return lambda way: 4 / 3 / (1 - poisson**2) * np.sqrt(0.5 * size) * (0.5 * np.maximum(way, 0)) ** 1.5
+        return lambda way: (
+            4 / 3 / (1 - poisson**2) * np.sqrt(0.5 * size) * (0.5 * np.maximum(way, 0)) ** 1.5
+        )
     if law == "densifying":
         depth = densification * size
         return lambda way: 0.5 * size * np.maximum(way, 0) / np.maximum(1 - 0.5 * way / depth, 1e-3)
     return lambda way: 0.5 * size * np.maximum(way, 0)
 
 
-def _fit_modulus(shape: Callable[[np.ndarray], np.ndarray], force: np.ndarray, way: np.ndarray, piece: int) -> tuple[float, float]:
+def _fit_modulus(
+    shape: Callable[[np.ndarray], np.ndarray], force: np.ndarray, way: np.ndarray, piece: int
+) -> tuple[float, float]:
     """The modulus (Pa) of a piece, and the standard deviation of its logarithm. Raises SceneError."""
     from scipy.optimize import least_squares
 
     if len(force) < FEWEST or len(force) != len(way):
-        raise SceneError(f"piece {piece}: {len(force)} forces at {len(way)} ways: allowed: at least {FEWEST} of both, as many")
+        raise SceneError(
+            f"piece {piece}: {len(force)} forces at {len(way)} ways: allowed: at least {FEWEST} of both, as many"
+        )
     slope = np.polyfit(way, force, 1)[0] if np.ptp(way) > 0 else 0.0
     if not np.isfinite(slope) or slope <= 0:
-        raise SceneError(f"piece {piece}: the force does not rise with the way; allowed: ways that count downward, of loading only")
+        raise SceneError(
+            f"piece {piece}: the force does not rise with the way; allowed: ways that count downward, of loading only"
+        )
     begin, span = way.min(), np.ptp(way)
     first = np.log(max(force.max(), 1e-300) / max(float(shape(np.array(span))), 1e-300))
 
@@ -165,11 +203,15 @@ def _fit_modulus(shape: Callable[[np.ndarray], np.ndarray], force: np.ndarray, w
 
 
 def _mean_with_interval(key: str, values: np.ndarray, kind: str, most: float) -> MeasuredNumber:
-    """The mean of measurements with its interval, which ends between a tenth of the mean and a bound. Raises SceneError."""
+    """The mean of measurements with its interval, which ends between a tenth of the mean and a
+    bound. Raises SceneError.
+    """
     if len(values) < FEWEST:
         raise SceneError(f"{len(values)} {kind}: allowed: at least {FEWEST}, better ten")
     mean, deviation = float(values.mean()), float(values.std(ddof=1))
-    half = max(_student_factor(len(values) - 1) * deviation / np.sqrt(len(values)), NARROWEST * mean)
+    half = max(
+        _student_factor(len(values) - 1) * deviation / np.sqrt(len(values)), NARROWEST * mean
+    )
     ends = max(mean - half, 0.1 * mean), min(mean + half, most)
     return MeasuredNumber(key, mean, *ends, len(values), deviation / mean, kind)
 
@@ -189,8 +231,8 @@ def read_columns(path: str | Path, names: Sequence[str]) -> dict[str, list[str]]
     """The columns of a CSV file with these names, as text.
 
     Args:
-        path: of the file; its first row has the names, cells are separated by commas, semicolons or tabs.
-        names: of which the file may have each.
+        path: of the file; its first row has the names, cells are separated by commas, semicolons or
+        tabs. names: of which the file may have each.
 
     Returns:
         Name -> cells, of those that the file has.
@@ -201,7 +243,9 @@ def read_columns(path: str | Path, names: Sequence[str]) -> dict[str, list[str]]
     try:
         text = Path(path).read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
-        raise SceneError(f"{path}: cannot be read ({type(error).__name__}); allowed: a CSV file") from error
+        raise SceneError(
+            f"{path}: cannot be read ({type(error).__name__}); allowed: a CSV file"
+        ) from error
     lines = [line for line in text.splitlines() if line.strip()]
     split = next((sign for sign in ";\t" if lines and sign in lines[0]), ",")
     rows = [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=split)]
@@ -210,7 +254,9 @@ def read_columns(path: str | Path, names: Sequence[str]) -> dict[str, list[str]]
             raise SceneError(f"{path}: column {name!r}: allowed: {', '.join(names)}")
     for n, row in enumerate(rows):
         if len(row) != len(rows[0]):
-            raise SceneError(f"{path}: row {n}: {len(row)} cells; allowed: {len(rows[0])}, as in the first row")
+            raise SceneError(
+                f"{path}: row {n}: {len(row)} cells; allowed: {len(rows[0])}, as in the first row"
+            )
     return {name: [row[k] for row in rows[1:]] for k, name in enumerate(rows[0])}
 
 
@@ -229,5 +275,7 @@ def read_quantity(columns: dict[str, list[str]], units: dict[str, float], path: 
     """The one column of those with these units, in SI. Raises SceneError."""
     given = [name for name in units if name in columns]
     if len(given) != 1:
-        raise SceneError(f"{path}: {', '.join(given) or 'no column'} of {', '.join(units)}: allowed: exactly one")
+        raise SceneError(
+            f"{path}: {', '.join(given) or 'no column'} of {', '.join(units)}: allowed: exactly one"
+        )
     return units[given[0]] * parse_numbers(columns[given[0]], given[0])

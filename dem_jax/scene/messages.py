@@ -1,4 +1,6 @@
-"""Text about a scene: a description of every key, the values that a field accepts, and errors in one line."""
+"""Text about a scene: a description of every key, the values that a field accepts, and errors in
+one line.
+"""
 
 import difflib
 import json
@@ -15,7 +17,9 @@ Model = type[BaseModel]
 
 
 def describe_scene(scene: BaseModel) -> str:
-    """The scene as TOML text with every key, its description and its default; ``parse`` reads it back."""
+    """The scene as TOML text with every key, its description and its default; ``parse`` reads it
+    back.
+    """
     lines = []
     for key, field in type(scene).model_fields.items():
         item = getattr(scene, key)
@@ -31,11 +35,15 @@ def describe_scene(scene: BaseModel) -> str:
 
 
 def _describe_rows(head: str, section: Model, rows: tuple) -> list[str]:
-    """A table, or the tables of a list; the first with all comments; commented out if the scene has none."""
+    """A table, or the tables of a list; the first with all comments; commented out if the scene has
+    none.
+    """
     plain = {key: field for key, field in section.model_fields.items() if not is_table_list(field)}
     lines = ["", f"# {(section.__doc__ or '').splitlines()[0]}"]
     if not rows:
-        lines += [f"# {head}"] + [f"# {_describe_key(k, f, None).removeprefix('# ')}" for k, f in plain.items()]
+        lines += [f"# {head}"] + [
+            f"# {_describe_key(k, f, None).removeprefix('# ')}" for k, f in plain.items()
+        ]
         return lines + _describe_nested(head, section, None)
     for n, row in enumerate(rows):
         lines += ([""] if n else []) + [head]
@@ -49,8 +57,12 @@ def _describe_rows(head: str, section: Model, rows: tuple) -> list[str]:
     return lines
 
 
-def _describe_nested(head: str, section: Model, row: BaseModel | None, only_set: bool = False) -> list[str]:
-    """The lists of tables, and the tables by name, in a table; only_set: without those that it does not have."""
+def _describe_nested(
+    head: str, section: Model, row: BaseModel | None, only_set: bool = False
+) -> list[str]:
+    """The lists of tables, and the tables by name, in a table; only_set: without those that it does
+    not have.
+    """
     path, lines = head.strip("[]"), []
     for key, field in section.model_fields.items():
         items = getattr(row, key) if row is not None and is_table_list(field) else ()
@@ -86,7 +98,9 @@ def _dump_section(item: Any) -> Any:
 
 
 def format_error(error: ValidationError, tree: Any, root: Model) -> str:
-    """The first error in a tree that should be of the model ``root``: key, value, and the values allowed."""
+    """The first error in a tree that should be of the model ``root``: key, value, and the values
+    allowed.
+    """
     first = error.errors()[0]
     if first["type"] == "value_error":
         return f"{'.'.join(map(str, first['loc']))}: {first['ctx']['error']}".removeprefix(": ")
@@ -110,13 +124,15 @@ def _list_known_keys(key: str, section: Model) -> str:
 
 
 def suggest_choices(word: str, known: list[str], more: str = "") -> str:
-    """"did you mean ...? allowed: ..." for a word that is none of the known."""
+    """ "did you mean ...? allowed: ..." for a word that is none of the known."""
     near = difflib.get_close_matches(word, known, 1, 0.75)
     return (f"did you mean {near[0]!r}? " if near else "") + f"allowed: {', '.join(known)}{more}"
 
 
 def _resolve_location(root: Model, loc: tuple) -> tuple[list[str], Model, FieldInfo | None]:
-    """Resolve a pydantic location: the keys down to a field, the section that contains the last key, and its field or None."""
+    """Resolve a pydantic location: the keys down to a field, the section that contains the last
+    key, and its field or None.
+    """
     place: list[str] = []
     section, field, inside = root, None, root
     for n, key in enumerate(loc):
@@ -124,7 +140,13 @@ def _resolve_location(root: Model, loc: tuple) -> tuple[list[str], Model, FieldI
         if isinstance(key, int):
             continue
         section, field = inside, inside.model_fields.get(key)
-        below = _field_section(field) if field is not None else find_named_section(section) if n + 1 < len(loc) else None
+        below = (
+            _field_section(field)
+            if field is not None
+            else find_named_section(section)
+            if n + 1 < len(loc)
+            else None
+        )
         if below is None:
             return place, section, field
         inside = below
@@ -139,7 +161,9 @@ def _value_at(tree: Any, place: list[str]) -> Any:
 
 def describe_allowed(field: FieldInfo) -> str:
     """The values that a field accepts, in words."""
-    return _describe_type(Annotated[(field.annotation, *field.metadata)] if field.metadata else field.annotation)
+    return _describe_type(
+        Annotated[(field.annotation, *field.metadata)] if field.metadata else field.annotation
+    )
 
 
 def _describe_type(annotation: Any) -> str:
@@ -152,7 +176,9 @@ def _describe_type(annotation: Any) -> str:
     if origin is Literal:
         return " or ".join(json.dumps(a) for a in args)
     if origin in (Union, UnionType):
-        return " or ".join(_describe_type(a) for a in args if a is not type(None)) + " and".join(limits)
+        return " or ".join(_describe_type(a) for a in args if a is not type(None)) + " and".join(
+            limits
+        )
     if origin is tuple:
         several = args[-1] is Ellipsis
         of_each = _describe_type(args[0])

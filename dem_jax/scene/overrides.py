@@ -1,4 +1,6 @@
-"""Keys of a scene that cannot act beside another key, or without one: which they are, and what overrides them."""
+"""Keys of a scene that cannot act beside another key, or without one: which they are, and what
+overrides them.
+"""
 
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any, NamedTuple
@@ -11,7 +13,8 @@ from dem_jax.scene.toml_text import format_value
 Tree = dict[str, Any]
 BUCKETS = ("weigh_bucket", "feed_bucket")
 SIZE_KEYS = ("mouth", "wall_height", "flap_angle_deg", "lap")  # of a bucket
-FLAP_TIME_KEYS = ("opening_start", "opening_time", "open_dwell", "closing_time", "period")  # of its flaps
+# of its flaps
+FLAP_TIME_KEYS = ("opening_start", "opening_time", "open_dwell", "closing_time", "period")
 PAN_KEYS = ("length", "width", "wall_height")
 VIBRATION_KEYS = ("start", "duration", "period")
 
@@ -19,7 +22,8 @@ VIBRATION_KEYS = ("start", "duration", "period")
 class Override(NamedTuple):
     """Keys that cannot act where another one has some value.
 
-    by, keys: dotted, of a scene. holds: whether a value of ``by`` overrides. why: in words, to follow "cannot act".
+    by, keys: dotted, of a scene. holds: whether a value of ``by`` overrides. why: in words, to
+    follow "cannot act".
     """
 
     overriding_key: str
@@ -38,7 +42,10 @@ def _prefix_keys(section: str, names: Iterable[str]) -> tuple[str, ...]:
 
 def _size_overrides(section: str, sizes: tuple[str, ...]) -> list[Override]:
     """What overrides the sizes of a bucket or a feeder."""
-    return [Override(f"{section}.{by}", sizes, bool, f"beside {section}.{by}, which has its own sizes") for by in ("stl", "panels")]
+    return [
+        Override(f"{section}.{by}", sizes, bool, f"beside {section}.{by}, which has its own sizes")
+        for by in ("stl", "panels")
+    ]
 
 
 def _bucket_overrides(section: str) -> list[Override]:
@@ -46,7 +53,12 @@ def _bucket_overrides(section: str) -> list[Override]:
     sizes, times = _prefix_keys(section, SIZE_KEYS), _prefix_keys(section, FLAP_TIME_KEYS)
     return [
         *_size_overrides(section, sizes),
-        Override(f"{section}.opening_angle_deg", times, lambda a: a == 0, f"beside {section}.opening_angle_deg = 0: it stays shut"),
+        Override(
+            f"{section}.opening_angle_deg",
+            times,
+            lambda a: a == 0,
+            f"beside {section}.opening_angle_deg = 0: it stays shut",
+        ),
         Override("cycle", times, bool, "beside [cycle], which says when buckets open"),
         Override(section, ("drop.height",), _is_absent, f"without [{section}]"),
     ]
@@ -55,7 +67,12 @@ def _bucket_overrides(section: str) -> list[Override]:
 OVERRIDES = (
     *(row for section in BUCKETS for row in _bucket_overrides(section)),
     *_size_overrides("feeder", _prefix_keys("feeder", PAN_KEYS)),
-    Override("cycle.lf", _prefix_keys("feeder", VIBRATION_KEYS), bool, "beside cycle.lf, which says when the feeder vibrates"),
+    Override(
+        "cycle.lf",
+        _prefix_keys("feeder", VIBRATION_KEYS),
+        bool,
+        "beside cycle.lf, which says when the feeder vibrates",
+    ),
     Override("piece", ("portion",), bool, "beside [[piece]]: these are all pieces"),
     Override("portion.count", ("portion.target_weight",), bool, "beside portion.count"),
     Override(
@@ -64,14 +81,32 @@ OVERRIDES = (
         lambda name: name == "scattered",
         'beside portion.arrangement = "scattered"',
     ),
-    Override("portion.product", ("portion.share_by",), lambda rows: rows == (), "without [[portion.product]]"),
-    Override("run.until_settled", ("run.settled_time",), lambda ends: ends is False, "without run.until_settled = true"),
+    Override(
+        "portion.product",
+        ("portion.share_by",),
+        lambda rows: rows == (),
+        "without [[portion.product]]",
+    ),
+    Override(
+        "run.until_settled",
+        ("run.settled_time",),
+        lambda ends: ends is False,
+        "without run.until_settled = true",
+    ),
 )
-# Of two keys that say the same thing in two ways, that of the scene on top holds: the one below is dropped.
+# Of two keys that say the same thing in two ways, that of the scene on top holds: the one below is
+# dropped.
 ALTERNATIVES = (
     Override("portion.target_weight", ("portion.count",), bool, "beside portion.target_weight"),
-    Override("portion.size_spread", ("portion.piece_weight_spread",), bool, "beside portion.size_spread"),
-    Override("portion.piece_weight_spread", ("portion.size_spread",), bool, "beside portion.piece_weight_spread"),
+    Override(
+        "portion.size_spread", ("portion.piece_weight_spread",), bool, "beside portion.size_spread"
+    ),
+    Override(
+        "portion.piece_weight_spread",
+        ("portion.size_spread",),
+        bool,
+        "beside portion.piece_weight_spread",
+    ),
 )
 
 
@@ -86,7 +121,9 @@ def drop_overridden_keys(below: Tree, above: Tree) -> Tree:
 
 
 def drop_inactive_keys(tree: Tree) -> Tree:
-    """The tree of a whole scene, such as an earlier version stored, without the keys that cannot act."""
+    """The tree of a whole scene, such as an earlier version stored, without the keys that cannot
+    act.
+    """
     for row in OVERRIDES:
         item, said = _find_value(tree, row.overriding_key)
         if said and row.holds(item):
@@ -96,22 +133,34 @@ def drop_inactive_keys(tree: Tree) -> Tree:
 
 
 def find_inactive_keys(scene: BaseModel, keys: Iterable[str] | None = None) -> Iterator[str]:
-    """What is wrong, in words, of each key that cannot act; keys: of these, else of all that are not at their defaults."""
+    """What is wrong, in words, of each key that cannot act; keys: of these, else of all that are
+    not at their defaults.
+    """
     given = None if keys is None else set(keys)
-    replaced = {key for row in ALTERNATIVES if given and row.overriding_key in given for key in row.keys} - (given or set())
+    replaced = {
+        key for row in ALTERNATIVES if given and row.overriding_key in given for key in row.keys
+    } - (given or set())
     for row in OVERRIDES:
-        if row.overriding_key in replaced or not row.holds(_find_value(scene, row.overriding_key)[0]):
+        if row.overriding_key in replaced or not row.holds(
+            _find_value(scene, row.overriding_key)[0]
+        ):
             continue
         for key in row.keys:
             item, said = _find_value(scene, key)
-            is_set = item != _default_value(scene, key) if said and given is None else any(_is_within(own, key) for own in given or ())
+            is_set = (
+                item != _default_value(scene, key)
+                if said and given is None
+                else any(_is_within(own, key) for own in given or ())
+            )
             if item is not None and is_set:
                 shown = "" if isinstance(item, BaseModel) else f" = {format_value(item)}"
                 yield f"{key}{shown}: cannot act {row.why}; allowed: to leave it out"
 
 
 def check_varied_keys(scene: BaseModel, keys: Iterable[str], source: str) -> None:
-    """Raise SceneError for a key that is to vary and cannot act in a scene; source: begins the message."""
+    """Raise SceneError for a key that is to vary and cannot act in a scene; source: begins the
+    message.
+    """
     for wrong in find_inactive_keys(scene, keys):
         raise SceneError(f"{source}: {wrong}")
 
@@ -134,7 +183,9 @@ def _is_within(key: str, section: str) -> bool:
 
 
 def nest_keys(changes: Tree) -> Tree:
-    """The tree of dotted keys; of several in one table all, of one within a value of another the last."""
+    """The tree of dotted keys; of several in one table all, of one within a value of another the
+    last.
+    """
     tree: Tree = {}
     for key, item in changes.items():
         table, *below = key.split(".")

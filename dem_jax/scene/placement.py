@@ -14,13 +14,20 @@ def count_pieces(target_weight: float, piece_mass: float) -> int:
 
 
 def scatter_pieces(
-    number: int, bounding_radius: float, spacing: float, low: ArrayLike, high: ArrayLike, random: np.random.Generator
+    number: int,
+    bounding_radius: float,
+    spacing: float,
+    low: ArrayLike,
+    high: ArrayLike,
+    random: np.random.Generator,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Positions [number, 3] (m) and orientations [number, 4] of pieces on a jittered grid, layer upon layer.
+    """Positions [number, 3] (m) and orientations [number, 4] of pieces on a jittered grid, layer
+    upon layer.
 
-    The grid's cells hold the bounding sphere of a piece in any orientation, so that no two can overlap; which cells of
-    a layer are filled, the place within a cell and the orientation are random. The box is filled from below and left
-    upwards if it is too small. Raises SceneError if it is too narrow for one piece.
+    The grid's cells hold the bounding sphere of a piece in any orientation, so that no two can
+    overlap; which cells of a layer are filled, the place within a cell and the orientation are
+    random. The box is filled from below and left upwards if it is too small. Raises SceneError if
+    it is too narrow for one piece.
     """
     low, high = np.asarray(low, float), np.asarray(high, float)
     cell = 2 * bounding_radius * spacing
@@ -38,7 +45,9 @@ def scatter_pieces(
             f"portion: region of {wide[0]:g} x {wide[1]:g} m has room for {layer:.3g} pieces of bounding diameter "
             f"{2 * bounding_radius:g} m in a layer; allowed: at most {MOST_PLACES:.0e}"
         )
-    cells = np.concatenate([layer * k + random.permutation(layer) for k in range(-(-number // layer))])[:number]
+    cells = np.concatenate(
+        [layer * k + random.permutation(layer) for k in range(-(-number // layer))]
+    )[:number]
     index = np.stack([cells % fit[0], cells // fit[0] % fit[1], cells // layer], axis=1)
     room = np.append(pitch, cell) - 2 * bounding_radius
     jitter = random.uniform(-0.5, 0.5, (number, 3)) * room

@@ -1,4 +1,6 @@
-"""Numbers that are known within a range only (``[[uncertain]]``): drawn values and their probabilities."""
+"""Numbers that are known within a range only (``[[uncertain]]``): drawn values and their
+probabilities.
+"""
 
 from collections.abc import Sequence
 
@@ -21,15 +23,25 @@ def evaluate_quantile(row: UncertainNumber, probability: ArrayLike) -> Array:
 def evaluate_cdf(row: UncertainNumber, value: ArrayLike) -> Array:
     """The probabilities of values of an uncertain number: the inverse of ``evaluate_quantile``."""
     (low, high), x = row.range, np.asarray(value, float)
-    return np.log(x / low) / np.log(high / low) if row.distribution == "log-uniform" else (x - low) / (high - low)
+    return (
+        np.log(x / low) / np.log(high / low)
+        if row.distribution == "log-uniform"
+        else (x - low) / (high - low)
+    )
 
 
 def select_uncertain_rows(scene: Scene, without: Sequence[str] = ()) -> list[UncertainNumber]:
-    """The uncertain numbers of a scene, but those of some keys. Raises SceneError where there are none."""
+    """The uncertain numbers of a scene, but those of some keys. Raises SceneError where there are
+    none.
+    """
     rows = [row for row in scene.uncertain if row.key not in without]
     if not rows:
-        allowed = "a product with ranges (dem-jax products NAME), or [[uncertain]] with key and range"
-        raise SceneError(f"{scene.name}: uncertain = []: no number of the scene has a range; allowed: {allowed}")
+        allowed = (
+            "a product with ranges (dem-jax products NAME), or [[uncertain]] with key and range"
+        )
+        raise SceneError(
+            f"{scene.name}: uncertain = []: no number of the scene has a range; allowed: {allowed}"
+        )
     return rows
 
 
@@ -47,4 +59,7 @@ def draw_values(rows: Sequence[UncertainNumber], runs: int, seed: int) -> dict[s
     from scipy.stats import qmc
 
     drawn = qmc.LatinHypercube(len(rows), rng=np.random.default_rng(seed)).random(runs)
-    return {row.key: evaluate_quantile(row, column).tolist() for row, column in zip(rows, drawn.T, strict=True)}
+    return {
+        row.key: evaluate_quantile(row, column).tolist()
+        for row, column in zip(rows, drawn.T, strict=True)
+    }

@@ -1,5 +1,6 @@
-"""A whole scene: plain, frozen data of which each section says what it takes. SI units unless a key's name says otherwise
-(``_deg``: degrees). See ``dem_jax/scenes/*.toml`` for the stock scenes."""
+"""A whole scene: plain, frozen data of which each section says what it takes. SI units unless a
+key's name says otherwise (``_deg``: degrees). See ``dem_jax/scenes/*.toml`` for the stock scenes.
+"""
 
 from typing import Annotated, Any
 
@@ -8,7 +9,12 @@ from pydantic import BeforeValidator, Field, ValidationError, model_validator
 from dem_jax.errors import SceneError
 from dem_jax.scene.library import apply_library_keys
 from dem_jax.scene.messages import format_error, suggest_choices
-from dem_jax.scene.overrides import check_varied_keys, drop_overridden_keys, find_inactive_keys, nest_keys
+from dem_jax.scene.overrides import (
+    check_varied_keys,
+    drop_overridden_keys,
+    find_inactive_keys,
+    nest_keys,
+)
 from dem_jax.scene.sections.base import Section, as_tuple
 from dem_jax.scene.sections.bucket import Bucket, Drop, Feeder, WeighBucket
 from dem_jax.scene.sections.contact import Contact, find_stray_key
@@ -21,13 +27,23 @@ from dem_jax.scene.sections.statistics_settings import Statistics
 from dem_jax.scene.sections.uncertain_number import UncertainNumber
 from dem_jax.scene.sections.wall import Block, Motion, Wall
 from dem_jax.scene.toml_text import dump_toml, format_value
-from dem_jax.scene.tree_merging import drop_density, drop_replaced_ranges, find_new_materials, overlay_scene, set_key
+from dem_jax.scene.tree_merging import (
+    drop_density,
+    drop_replaced_ranges,
+    find_new_materials,
+    overlay_scene,
+    set_key,
+)
 
 
 class Scene(Section):
     """A whole scene. ``load_scene`` reads one; ``replace`` makes a changed one."""
 
-    name: str = Field("scene", pattern=r"^[^/\\\x00-\x1f\x7f-\x9f]+$", description="of the files that a run writes")
+    name: str = Field(
+        "scene",
+        pattern=r"^[^/\\\x00-\x1f\x7f-\x9f]+$",
+        description="of the files that a run writes",
+    )
     material: Material = Material()
     run: RunSettings = RunSettings()
     portion: Portion | None = None
@@ -57,24 +73,34 @@ class Scene(Section):
     @model_validator(mode="after")
     def _feeder_feeds_a_bucket(self) -> "Scene":
         if self.feeder and (self.feed_bucket is None or self.piece):
-            raise ValueError("[feeder] needs a [feed_bucket] below it and a [portion], and no [[piece]]")
+            raise ValueError(
+                "[feeder] needs a [feed_bucket] below it and a [portion], and no [[piece]]"
+            )
         return self
 
     @model_validator(mode="after")
     def _cycle_has_what_it_moves(self) -> "Scene":
-        if self.cycle and not (self.weigh_bucket and self.feed_bucket and (self.feeder or self.cycle.lf is None)):
-            raise ValueError("[cycle] needs a [weigh_bucket] and a [feed_bucket], and with lf a [feeder]")
+        if self.cycle and not (
+            self.weigh_bucket and self.feed_bucket and (self.feeder or self.cycle.lf is None)
+        ):
+            raise ValueError(
+                "[cycle] needs a [weigh_bucket] and a [feed_bucket], and with lf a [feeder]"
+            )
         return self
 
     @model_validator(mode="after")
     def _inlet_has_a_place(self) -> "Scene":
         if self.inlet and (self.piece or (self.inlet.low is None and self.feed_bucket is None)):
-            raise ValueError("[inlet] needs a [portion], and a [feed_bucket] or inlet.low and inlet.high")
+            raise ValueError(
+                "[inlet] needs a [portion], and a [feed_bucket] or inlet.low and inlet.high"
+            )
         return self
 
     @model_validator(mode="after")
     def _samples_within_its_other_times(self) -> "Scene":
-        """A time that is counted in samples and is shorter than one would silently become a whole one."""
+        """A time that is counted in samples and is shorter than one would silently become a whole
+        one.
+        """
         sample, portion = self.run.sample, self.portion
         rows = {"inlet": self.inlet, "outlet": self.outlet}
         times = {f"{name}.every": row.every for name, row in rows.items() if row is not None}
@@ -82,7 +108,9 @@ class Scene(Section):
             times["portion.settling_time"] = portion.settling_time
         for key, time in times.items():
             if sample > time * (1 + ROUNDING):
-                raise ValueError(f"run.sample = {sample:g}: longer than {key} = {time:g}; allowed: at most that")
+                raise ValueError(
+                    f"run.sample = {sample:g}: longer than {key} = {time:g}; allowed: at most that"
+                )
         return self
 
     @model_validator(mode="after")
@@ -102,7 +130,11 @@ class Scene(Section):
         known = list(self.material.named_materials)
         for key, name in list_named_materials(self):
             if name not in known:
-                allowed = suggest_choices(name, known) if known else "allowed: a name of a [material.NAME], of which there is none"
+                allowed = (
+                    suggest_choices(name, known)
+                    if known
+                    else "allowed: a name of a [material.NAME], of which there is none"
+                )
                 raise ValueError(f"{key} = {format_value(name)}: no such material; {allowed}")
         return self
 
@@ -114,7 +146,9 @@ class Scene(Section):
             if own is not None and own.density is not None:
                 said, name = own.density, f"material.{row.material}.density"
             if row.piece_weight is not None and said != Material().density:
-                raise ValueError(f"{key}.piece_weight = {row.piece_weight:g}: beside {name} = {said:g}; allowed: one of the two")
+                raise ValueError(
+                    f"{key}.piece_weight = {row.piece_weight:g}: beside {name} = {said:g}; allowed: one of the two"
+                )
         return self
 
     @model_validator(mode="after")
@@ -123,9 +157,13 @@ class Scene(Section):
         for n, pair in enumerate(self.pair):
             for name in pair.of:
                 if name not in known:
-                    raise ValueError(f"pair.{n}.of = {format_value(pair.of)}: no such material; {suggest_choices(name, known)}")
+                    raise ValueError(
+                        f"pair.{n}.of = {format_value(pair.of)}: no such material; {suggest_choices(name, known)}"
+                    )
             if frozenset(pair.of) in seen:
-                raise ValueError(f"pair.{n}.of = {format_value(pair.of)}: is listed already; allowed: each pair once")
+                raise ValueError(
+                    f"pair.{n}.of = {format_value(pair.of)}: is listed already; allowed: each pair once"
+                )
             seen.add(frozenset(pair.of))
         return self
 
@@ -133,12 +171,16 @@ class Scene(Section):
     def _doubts_numbers_that_it_has(self) -> "Scene":
         for n, row in enumerate(self.uncertain):
             if find_number(self, row.key) is None:
-                raise ValueError(f"uncertain.{n}.key = {format_value(row.key)}: allowed: the dotted key of a number that this scene sets")
+                raise ValueError(
+                    f"uncertain.{n}.key = {format_value(row.key)}: allowed: the dotted key of a number that this scene sets"
+                )
         return self
 
     def replace(self, changes: dict[str, Any] | None = None, **sections: Any) -> "Scene":
         """A scene with some values changed: ``scene.replace(material={"restitution": 0.3})`` or
-        ``scene.replace({"material.restitution": 0.3})``. Lists are replaced whole. Raises SceneError."""
+        ``scene.replace({"material.restitution": 0.3})``. Lists are replaced whole. Raises
+        SceneError.
+        """
         return validate_scene(self.model_dump(exclude_unset=False), "scene", changes, sections)
 
     def to_toml(self) -> str:
@@ -153,18 +195,28 @@ def find_number(scene: Scene, key: str) -> float | None:
         if isinstance(found, tuple) and part.isdecimal():
             found = found[int(part)] if int(part) < len(found) else None
         elif isinstance(found, Section):
-            found = getattr(found, part) if part in {*type(found).model_fields, *(found.model_extra or {})} else None
+            found = (
+                getattr(found, part)
+                if part in {*type(found).model_fields, *(found.model_extra or {})}
+                else None
+            )
         else:
             return None
     return found if isinstance(found, float | int) and not isinstance(found, bool) else None
 
 
 def list_piece_sections(scene: Scene) -> dict[str, Piece | Portion | Product]:
-    """Key -> the section of pieces that are alike: a piece, a product, or the portion of one product."""
+    """Key -> the section of pieces that are alike: a piece, a product, or the portion of one
+    product.
+    """
     if scene.piece or scene.portion is None:
         return {f"piece.{n}": row for n, row in enumerate(scene.piece)}
     products = scene.portion.product
-    return {f"portion.product.{n}": row for n, row in enumerate(products)} if products else {"portion": scene.portion}
+    return (
+        {f"portion.product.{n}": row for n, row in enumerate(products)}
+        if products
+        else {"portion": scene.portion}
+    )
 
 
 def list_named_materials(scene: Scene) -> list[tuple[str, str]]:
@@ -179,18 +231,28 @@ def list_named_materials(scene: Scene) -> list[tuple[str, str]]:
         "feed_bucket": scene.feed_bucket,
         "feeder": scene.feeder,
     }
-    return [(f"{key}.material", row.material) for key, row in places.items() if row and row.material is not None]
+    return [
+        (f"{key}.material", row.material)
+        for key, row in places.items()
+        if row and row.material is not None
+    ]
 
 
 def validate_scene(
-    tree: dict[str, Any], source: str, changes: dict[str, Any] | None = None, sections: dict[str, Any] | None = None
+    tree: dict[str, Any],
+    source: str,
+    changes: dict[str, Any] | None = None,
+    sections: dict[str, Any] | None = None,
 ) -> Scene:
-    """The scene of a tree of plain values with changes by dotted keys (``product``, ``bucket`` first), then by sections. Raises
-    SceneError, whose words begin with ``source``."""
+    """The scene of a tree of plain values with changes by dotted keys (``product``, ``bucket``
+    first), then by sections. Raises SceneError, whose words begin with ``source``.
+    """
     changes = dict(changes or {})
     tree = apply_library_keys(tree, changes, source)
     new = find_new_materials(tree, changes)
-    tree = drop_density(tree) if any(key.endswith(".piece_weight") for key in changes) else dict(tree)
+    tree = (
+        drop_density(tree) if any(key.endswith(".piece_weight") for key in changes) else dict(tree)
+    )
     above = nest_keys(changes)
     tree = drop_replaced_ranges(drop_overridden_keys(tree, above), above)
     for key, item in changes.items():
@@ -206,10 +268,18 @@ def validate_scene(
 
 
 def _check_new_materials(scene: Scene, new: dict[str, str], source: str) -> None:
-    """A key like material.NAME.restitution whose NAME nothing in the scene has is a slip of the pen. Raises SceneError."""
-    used = {name for _, name in list_named_materials(scene)} | {name for pair in scene.pair for name in pair.of}
+    """A key like material.NAME.restitution whose NAME nothing in the scene has is a slip of the
+    pen. Raises SceneError.
+    """
+    used = {name for _, name in list_named_materials(scene)} | {
+        name for pair in scene.pair for name in pair.of
+    }
     for name, key in new.items():
         if name not in used:
             known = [other for other in scene.material.named_materials if other not in new]
-            allowed = suggest_choices(name, known) if known else "allowed: a name that a piece or wall has"
+            allowed = (
+                suggest_choices(name, known)
+                if known
+                else "allowed: a name that a piece or wall has"
+            )
             raise SceneError(f"{source}: {key}: nothing is of a material {name!r}; {allowed}")

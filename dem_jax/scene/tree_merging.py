@@ -1,4 +1,6 @@
-"""Changes of a scene as trees of plain values, before they are checked: one over another, and single keys."""
+"""Changes of a scene as trees of plain values, before they are checked: one over another, and
+single keys.
+"""
 
 import tomllib
 from collections.abc import Iterable
@@ -16,15 +18,22 @@ DEEPEST = 12  # tables and lists in each other: a scene's need seven
 
 
 def overlay_scene(below: Tree, above: Tree) -> Tree:
-    """One scene over another. Products of a portion replace the one product that the portion below is of, the weight of a piece
-    the density below; what cannot act beside a key on top is dropped."""
+    """One scene over another. Products of a portion replace the one product that the portion below
+    is of, the weight of a piece the density below; what cannot act beside a key on top is dropped.
+    """
     below = drop_overridden_keys(below, above)
     portion = above.get("portion")
     below = drop_replaced_ranges(below, above)
     if _has_piece_weight(above):
         below = drop_density(below)
-    if isinstance(portion, dict) and portion.get("product") and isinstance(below.get("portion"), dict):
-        below = below | {"portion": {k: v for k, v in below["portion"].items() if k not in PRODUCT_KEYS}}
+    if (
+        isinstance(portion, dict)
+        and portion.get("product")
+        and isinstance(below.get("portion"), dict)
+    ):
+        below = below | {
+            "portion": {k: v for k, v in below["portion"].items() if k not in PRODUCT_KEYS}
+        }
     return merge_tables(below, above)
 
 
@@ -39,15 +48,27 @@ def _has_piece_weight(tree: Tree) -> bool:
 def drop_density(tree: Tree) -> Tree:
     """The tree without the density of [material]."""
     material = tree.get("material")
-    return tree | ({"material": {k: v for k, v in material.items() if k != "density"}} if isinstance(material, dict) else {})
+    return tree | (
+        {"material": {k: v for k, v in material.items() if k != "density"}}
+        if isinstance(material, dict)
+        else {}
+    )
 
 
 def drop_replaced_ranges(below: Tree, above: Tree) -> Tree:
-    """The tree below without the ranges of those numbers that the tree above replaces: they were about other values."""
+    """The tree below without the ranges of those numbers that the tree above replaces: they were
+    about other values.
+    """
     below, rows = _drop_modulus_ranges(below, above), below.get("uncertain")
     if not isinstance(rows, list | tuple) or not rows:
         return below
-    return below | {"uncertain": tuple(row for row in rows if not (isinstance(row, dict) and _is_key_set(above, row.get("key"))))}
+    return below | {
+        "uncertain": tuple(
+            row
+            for row in rows
+            if not (isinstance(row, dict) and _is_key_set(above, row.get("key")))
+        )
+    }
 
 
 def _drop_modulus_ranges(below: Tree, above: Tree) -> Tree:
@@ -60,7 +81,9 @@ def _drop_modulus_ranges(below: Tree, above: Tree) -> Tree:
     for name, row in over.items():
         own = material.get(name)
         if isinstance(row, dict) and isinstance(own, dict) and "youngs_modulus" in row:
-            material = material | {name: {key: item for key, item in own.items() if key != "youngs_modulus_range"}}
+            material = material | {
+                name: {key: item for key, item in own.items() if key != "youngs_modulus_range"}
+            }
     return below | {"material": material}
 
 
@@ -87,21 +110,31 @@ def merge_tables(below: Tree, above: Tree) -> Tree:
 
 
 def set_key(tree: Tree, keys: list[str], item: Any) -> None:
-    """Set ``keys`` ("piece", "0", "radius") of the tree; what is changed is copied first. Raises SceneError."""
+    """Set ``keys`` ("piece", "0", "radius") of the tree; what is changed is copied first. Raises
+    SceneError.
+    """
     for i, key in enumerate(keys[:-1]):
         below = tree.get(key) if isinstance(tree, dict) else None
         index = keys[i + 1]
         if isinstance(below, (list, tuple)) or (below is None and index.isdecimal()):
             below = below or ()
             if not index.isdecimal() or int(index) >= len(below) or i + 2 == len(keys):
-                rows = f"{key}.0.KEY to {key}.{len(below) - 1}.KEY" if below else f"none, this scene has no {key}"
-                raise SceneError(f"{'.'.join(keys)} = {shorten_value(item)}: {key} is a list; allowed: {rows}")
+                rows = (
+                    f"{key}.0.KEY to {key}.{len(below) - 1}.KEY"
+                    if below
+                    else f"none, this scene has no {key}"
+                )
+                raise SceneError(
+                    f"{'.'.join(keys)} = {shorten_value(item)}: {key} is a list; allowed: {rows}"
+                )
             tree[key] = copies = [dict(row) for row in below]
             return set_key(copies[int(index)], keys[i + 2 :], item)
         if below is None:
             below = {}
         if not isinstance(below, dict):
-            raise SceneError(f"{'.'.join(keys)} = {shorten_value(item)}: unknown key; {key} is a value, not a table")
+            raise SceneError(
+                f"{'.'.join(keys)} = {shorten_value(item)}: unknown key; {key} is a value, not a table"
+            )
         tree[key] = below = dict(below)
         tree = below
     tree[keys[-1]] = item
@@ -110,13 +143,23 @@ def set_key(tree: Tree, keys: list[str], item: Any) -> None:
 def find_new_materials(tree: Tree, keys: Iterable[str]) -> dict[str, str]:
     """Names of materials that the tree does not have and dotted keys begin: name -> key."""
     material = tree.get("material")
-    known = {name for name, item in material.items() if isinstance(item, dict)} if isinstance(material, dict) else set()
+    known = (
+        {name for name, item in material.items() if isinstance(item, dict)}
+        if isinstance(material, dict)
+        else set()
+    )
     parts = {key: key.split(".") for key in keys}
-    return {p[1]: key for key, p in parts.items() if p[0] == "material" and len(p) == 3 and p[1] not in known}
+    return {
+        p[1]: key
+        for key, p in parts.items()
+        if p[0] == "material" and len(p) == 3 and p[1] not in known
+    }
 
 
 def parse_setting(text: str) -> tuple[str, Any]:
-    """``section.key=value`` of a command line -> (key, value): the value as TOML, else as text. Raises SceneError."""
+    """``section.key=value`` of a command line -> (key, value): the value as TOML, else as text.
+    Raises SceneError.
+    """
     key, equals, item = text.partition("=")
     if not equals or not key.strip():
         raise SceneError(f"--set {text!r}: allowed: section.key=value")
@@ -125,7 +168,9 @@ def parse_setting(text: str) -> tuple[str, Any]:
     except (ValueError, RecursionError):
         found = item.strip()
     if key.count(".") >= DEEPEST or is_too_deep(found):
-        raise SceneError(f"--set {shorten_value(text)}: nested too deep; allowed: {DEEPEST} tables and lists in each other")
+        raise SceneError(
+            f"--set {shorten_value(text)}: nested too deep; allowed: {DEEPEST} tables and lists in each other"
+        )
     return key.strip(), found
 
 

@@ -1,14 +1,28 @@
-"""Shapes of pieces and walls: exact mass properties, faces, edges, convex parts; STL in. Host side, float64, SI."""
+"""Shapes of pieces and walls: exact mass properties, faces, edges, convex parts; STL in. Host side,
+float64, SI.
+"""
 
 from dem_jax.shapes.checks import require_length
 from dem_jax.shapes.compound import PlacedShape, make_compound, require_mass_properties, tube
-from dem_jax.shapes.decomposition import JOINT_TOLERANCE, Decomposition, decompose_mesh, make_decomposed_shape
+from dem_jax.shapes.decomposition import (
+    JOINT_TOLERANCE,
+    Decomposition,
+    decompose_mesh,
+    make_decomposed_shape,
+)
 from dem_jax.shapes.extended_parts import Continuation, find_continuations
 from dem_jax.shapes.hull import convex_hull, hull_and_centre
 from dem_jax.shapes.hull_simplification import MOST_CORNERS, Simplification, simplify_hull
 from dem_jax.shapes.mass import MassProperties, integrate_polyhedron
 from dem_jax.shapes.mesh_body import MeshBody, read_body
-from dem_jax.shapes.nearly_convex import HULL_TOLERANCE, MeshHull, has_other_mass, read_hull, read_hull_shape, replace_mass
+from dem_jax.shapes.nearly_convex import (
+    HULL_TOLERANCE,
+    MeshHull,
+    has_other_mass,
+    read_hull,
+    read_hull_shape,
+    replace_mass,
+)
 from dem_jax.shapes.polytope import list_edges, loop_normal, make_polytope
 from dem_jax.shapes.primitives import chamfered_cuboid, cuboid, cylinder, prism, sphere
 from dem_jax.shapes.shape import (

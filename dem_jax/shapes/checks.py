@@ -9,18 +9,26 @@ from dem_jax.errors import SceneError
 
 
 def require_positive(key: str, value: Any, allowed: str) -> float:
-    """The value as a float. Raises SceneError with the key and the values allowed unless it is a finite number > 0."""
-    number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+    """The value as a float. Raises SceneError with the key and the values allowed unless it is a
+    finite number > 0.
+    """
+    number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(
+        value, bool
+    )
     if not number or not isfinite(value) or value <= 0.0:
         raise SceneError(f"{key} = {value!r} must be {allowed}")
     return float(value)
 
 
 def require_length(key: str, value: Any) -> float:
-    """The value as a float; raises SceneError naming the key unless it is a number > 0 and finite, with a volume to it."""
+    """The value as a float; raises SceneError naming the key unless it is a number > 0 and finite,
+    with a volume to it.
+    """
     length = require_positive(key, value, "a positive length (m)")
     if length**3 == 0.0:
-        raise SceneError(f"{key} = {length!r} must be a positive length (m) whose cube is more than 0")
+        raise SceneError(
+            f"{key} = {length!r} must be a positive length (m) whose cube is more than 0"
+        )
     return length
 
 
@@ -40,7 +48,9 @@ def require_sides(sides: Any) -> int:
 
 
 def require_vector(key: str, value: Any, length: int = 3) -> np.ndarray:
-    """The value as an array [length]. Raises SceneError naming the key unless it has this number of finite numbers."""
+    """The value as an array [length]. Raises SceneError naming the key unless it has this number of
+    finite numbers.
+    """
     try:
         array = np.asarray(value, np.float64)
     except (TypeError, ValueError) as error:
@@ -51,13 +61,19 @@ def require_vector(key: str, value: Any, length: int = 3) -> np.ndarray:
 
 
 def require_points(points: Any) -> np.ndarray:
-    """The points as an array [P, 3] (m). Raises SceneError unless they are at least four finite [x, y, z]."""
+    """The points as an array [P, 3] (m). Raises SceneError unless they are at least four finite [x,
+    y, z].
+    """
     try:
         array = np.asarray(points, np.float64)
     except (TypeError, ValueError) as error:
         raise SceneError("points must be a list of [x, y, z] (m)") from error
     if array.ndim != 2 or array.shape[1] != 3 or len(array) < 4:
-        raise SceneError(f"points of form {list(array.shape)} must be a list of at least 4 [x, y, z] (m)")
+        raise SceneError(
+            f"points of form {list(array.shape)} must be a list of at least 4 [x, y, z] (m)"
+        )
     if not np.isfinite(array).all():
-        raise SceneError(f"points[{int(np.argmin(np.isfinite(array).all(axis=1)))}] must be finite (m)")
+        raise SceneError(
+            f"points[{int(np.argmin(np.isfinite(array).all(axis=1)))}] must be finite (m)"
+        )
     return array

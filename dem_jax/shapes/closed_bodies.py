@@ -1,7 +1,8 @@
-"""Closed bodies among the facets of walls: which facets bound them, bodies that meet united, and how thick they are.
+"""Closed bodies among the facets of walls: which facets bound them, bodies that meet united, and
+how thick they are.
 
-A wall of facets has a plate behind each panel. Where the facets are the skin of sheet metal, the other side of the sheet is a
-wall as well, and its plates must not reach through the sheet.
+A wall of facets has a plate behind each panel. Where the facets are the skin of sheet metal, the
+other side of the sheet is a wall as well, and its plates must not reach through the sheet.
 """
 
 from pathlib import Path
@@ -17,7 +18,8 @@ if TYPE_CHECKING:
 
 NEGLIGIBLE = 1e-9  # of the volume of the box around a surface: one that holds less holds nothing
 RAY_START = 1e-6  # of the size: where a ray begins below the facet that it is cast from
-SHEET_THICKNESS = 0.03  # of the size: a closed surface that looks inwards and holds less, as 2 volume / area, is a sheet inside out
+SHEET_THICKNESS = 0.03  # of the size: a closed surface that looks inwards and holds less, as 2
+# volume / area, is a sheet inside out
 MOST_FACETS = 1000  # from which rays are cast, four each; of more, those evenly spaced in the file
 RAY_INSET = 0.2  # of the way from a corner of a facet to its middle, at which a ray is cast as well
 
@@ -26,8 +28,9 @@ class ClosedBodies(NamedTuple):
     """The closed bodies of a mesh.
 
     mesh: all facets, those of bodies that meet replaced by the surface of their union.
-    is_closed: [F] bool, facets that bound a body. number: of bodies in the file. turned: how many of these were inside out.
-    vessels: closed surfaces whose facets look inwards, as pieces in them see them.
+    is_closed: [F] bool, facets that bound a body. number: of bodies in the file. turned: how many
+    of these were inside out. vessels: closed surfaces whose facets look inwards, as pieces in them
+    see them.
     """
 
     mesh: "trimesh.Trimesh"
@@ -40,9 +43,17 @@ class ClosedBodies(NamedTuple):
         """What there is beside open surfaces, in words; empty: nothing."""
         several = "closed bodies, united where they meet" if self.number > 1 else "closed body"
         said = [f"{self.number} {several}"] if self.number else []
-        said += [f"{self.flipped_count} of them turned inside out"] if self.flipped_count and self.number > 1 else []
+        said += (
+            [f"{self.flipped_count} of them turned inside out"]
+            if self.flipped_count and self.number > 1
+            else []
+        )
         said += ["turned inside out"] if self.flipped_count and self.number == 1 else []
-        said += [f"{self.vessels} closed surface{'s' if self.vessels > 1 else ''} seen from inside"] if self.vessels else []
+        said += (
+            [f"{self.vessels} closed surface{'s' if self.vessels > 1 else ''} seen from inside"]
+            if self.vessels
+            else []
+        )
         return ", ".join(said)
 
 
@@ -69,28 +80,43 @@ def find_bodies(mesh: "trimesh.Trimesh", source: str | Path) -> ClosedBodies:
 
 
 def measure_thickness(bodies: ClosedBodies, source: str | Path) -> float:
-    """The least thickness (m) of closed bodies along the normals of their facets; inf without bodies.
+    """The least thickness (m) of closed bodies along the normals of their facets; inf without
+    bodies.
 
-    From the middle of each facet and from a point near each of its corners a ray is cast into the body; where it first leaves
-    the body ends what is behind the facet. source: the file, for messages.
+    From the middle of each facet and from a point near each of its corners a ray is cast into the
+    body; where it first leaves the body ends what is behind the facet. source: the file, for
+    messages.
     """
     if not bodies.is_closed.any():
         return np.inf
     mesh, faces = bodies.mesh, np.asarray(bodies.mesh.faces)[bodies.is_closed]
     corners = np.asarray(mesh.vertices)[faces]
     middle = corners.mean(axis=1, keepdims=True)
-    points = np.concatenate([middle, (1 - RAY_INSET) * corners + RAY_INSET * middle], axis=1)  # [F, 4, 3]
+    # [F, 4, 3]
+    points = np.concatenate([middle, (1 - RAY_INSET) * corners + RAY_INSET * middle], axis=1)
     inward = -np.asarray(mesh.face_normals)[bodies.is_closed]
     some = np.unique(np.linspace(0, len(faces) - 1, min(len(faces), MOST_FACETS)).astype(int))
     body, start, end = _make_manifold(mesh, faces, source), RAY_START * mesh.scale, 2 * mesh.scale
-    found = [_exit_distance(body, point, way, start, end) for row, way in zip(points[some], inward[some], strict=True) for point in row]
+    found = [
+        _exit_distance(body, point, way, start, end)
+        for row, way in zip(points[some], inward[some], strict=True)
+        for point in row
+    ]
     return float(min(found))
 
 
-def _exit_distance(body: "Manifold", point: np.ndarray, way: np.ndarray, start: float, end: float) -> float:
-    """How far (m) a body reaches from a point along a unit direction; looked at from ``start`` to ``end`` (m)."""
+def _exit_distance(
+    body: "Manifold", point: np.ndarray, way: np.ndarray, start: float, end: float
+) -> float:
+    """How far (m) a body reaches from a point along a unit direction; looked at from ``start`` to
+    ``end`` (m).
+    """
     hits = body.ray_cast((point + start * way).tolist(), (point + end * way).tolist())
-    out = [float((np.asarray(hit.position) - point) @ way) for hit in hits if np.dot(hit.normal, way) > 0.0]
+    out = [
+        float((np.asarray(hit.position) - point) @ way)
+        for hit in hits
+        if np.dot(hit.normal, way) > 0.0
+    ]
     return min((length for length in out if length > 2 * start), default=np.inf)
 
 
@@ -106,19 +132,25 @@ def _number_edges(faces: np.ndarray) -> np.ndarray:
 
 
 def _label_surfaces(faces: np.ndarray) -> np.ndarray:
-    """[F] number of the surface that each facet is of; facets that share an edge, however many, are of one."""
+    """[F] number of the surface that each facet is of; facets that share an edge, however many, are
+    of one.
+    """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
     edge = _number_edges(faces) + len(faces)
     rows = np.repeat(np.arange(len(faces)), 3)
     size = int(edge.max()) + 1
-    labels = connected_components(coo_array((np.ones(len(rows)), (rows, edge.ravel())), shape=(size, size)), directed=False)[1]
+    labels = connected_components(
+        coo_array((np.ones(len(rows)), (rows, edge.ravel())), shape=(size, size)), directed=False
+    )[1]
     return np.unique(labels[: len(faces)], return_inverse=True)[1]
 
 
 def _is_balanced(faces: np.ndarray) -> bool:
-    """Whether each edge is passed as often one way as the other: the facets are a closed surface with an inside."""
+    """Whether each edge is passed as often one way as the other: the facets are a closed surface
+    with an inside.
+    """
     sides = _directed_edges(faces)
     way = np.where(sides[:, :, 0] < sides[:, :, 1], 1, -1)
     return not np.bincount(_number_edges(faces).ravel(), way.ravel()).any()
@@ -130,10 +162,15 @@ def _has_single_shell(faces: np.ndarray) -> bool:
 
 
 def _volume_sign(mesh: "trimesh.Trimesh", faces: np.ndarray) -> int:
-    """1 for a closed surface that looks outwards, -1 for one that looks inwards, 0 for an open one and one that holds nothing."""
+    """1 for a closed surface that looks outwards, -1 for one that looks inwards, 0 for an open one
+    and one that holds nothing.
+    """
     if not _is_balanced(faces):
         return 0
-    volume, box = _signed_volume(mesh, faces), np.ptp(np.asarray(mesh.vertices)[faces].reshape(-1, 3), axis=0)
+    volume, box = (
+        _signed_volume(mesh, faces),
+        np.ptp(np.asarray(mesh.vertices)[faces].reshape(-1, 3), axis=0),
+    )
     return 0 if abs(volume) <= NEGLIGIBLE * float(np.prod(box)) else int(np.sign(volume))
 
 
@@ -154,7 +191,9 @@ def _make_single_body(mesh: "trimesh.Trimesh", closed: np.ndarray, sign: int) ->
     if sign > 0:
         return ClosedBodies(mesh, closed, 1)
     faces = np.asarray(mesh.faces)
-    if not _is_sheet(_signed_volume(mesh, faces[closed]), float(mesh.area_faces[closed].sum()), mesh.scale):
+    if not _is_sheet(
+        _signed_volume(mesh, faces[closed]), float(mesh.area_faces[closed].sum()), mesh.scale
+    ):
         return ClosedBodies(mesh, np.zeros_like(closed), vessels=1)
     turned = mesh.copy()
     turned.faces = np.where(closed[:, None], faces[:, ::-1], faces)
@@ -162,14 +201,20 @@ def _make_single_body(mesh: "trimesh.Trimesh", closed: np.ndarray, sign: int) ->
 
 
 def _unite_bodies(mesh: "trimesh.Trimesh", closed: np.ndarray, source: str | Path) -> ClosedBodies:
-    """The bodies of several closed surfaces: those that meet united, cavities cut out of the bodies that they are in."""
+    """The bodies of several closed surfaces: those that meet united, cavities cut out of the bodies
+    that they are in.
+    """
     import trimesh
     from manifold3d import Manifold, OpType
 
     faces = np.asarray(mesh.faces)
-    shells = [shell for shell in _make_manifold(mesh, faces[closed], source).decompose() if shell.volume()]
+    shells = [
+        shell for shell in _make_manifold(mesh, faces[closed], source).decompose() if shell.volume()
+    ]
     outward = [shell for shell in shells if shell.volume() > 0.0]
-    sheets, inward = _separate_sheets([_flip_shell(shell) for shell in shells if shell.volume() < 0.0], outward, mesh.scale)
+    sheets, inward = _separate_sheets(
+        [_flip_shell(shell) for shell in shells if shell.volume() < 0.0], outward, mesh.scale
+    )
     solid = Manifold.batch_boolean([*outward, *sheets], OpType.Add)
     is_cavity = [_is_within(shell, solid) for shell in inward]
     cavities = [shell for shell, is_within in zip(inward, is_cavity, strict=True) if is_within]
@@ -179,7 +224,12 @@ def _unite_bodies(mesh: "trimesh.Trimesh", closed: np.ndarray, source: str | Pat
     surfaces = [rest, *(_to_arrays(each, turned=True) for each in vessels), _to_arrays(solid)]
     first = np.cumsum([0, *(len(points) for points, _ in surfaces)])
     rows = [facets + start for (_, facets), start in zip(surfaces, first, strict=False)]
-    made = trimesh.Trimesh(np.concatenate([points for points, _ in surfaces]), np.concatenate(rows), process=False, validate=False)
+    made = trimesh.Trimesh(
+        np.concatenate([points for points, _ in surfaces]),
+        np.concatenate(rows),
+        process=False,
+        validate=False,
+    )
     is_closed = np.arange(len(made.faces)) >= len(made.faces) - len(rows[-1])
     return ClosedBodies(made, is_closed, len(outward) + len(sheets), len(sheets), len(vessels))
 
@@ -187,11 +237,16 @@ def _unite_bodies(mesh: "trimesh.Trimesh", closed: np.ndarray, source: str | Pat
 def _separate_sheets(
     turned: list["Manifold"], outward: list["Manifold"], size: float
 ) -> tuple[list["Manifold"], list["Manifold"]]:
-    """Closed surfaces that looked inwards, apart: sheets inside out, which are thin and in no body, and all others."""
+    """Closed surfaces that looked inwards, apart: sheets inside out, which are thin and in no body,
+    and all others.
+    """
     from manifold3d import Manifold, OpType
 
     around = Manifold.batch_boolean(outward, OpType.Add)
-    is_sheet = [_is_sheet(shell.volume(), shell.surface_area(), size) and not _is_within(shell, around) for shell in turned]
+    is_sheet = [
+        _is_sheet(shell.volume(), shell.surface_area(), size) and not _is_within(shell, around)
+        for shell in turned
+    ]
     split = list(zip(turned, is_sheet, strict=True))
     return [shell for shell, thin in split if thin], [shell for shell, thin in split if not thin]
 
@@ -218,7 +273,9 @@ def _flip_shell(shell: "Manifold") -> "Manifold":
     from manifold3d import Manifold, Mesh64
 
     points, faces = _to_arrays(shell, turned=True)
-    return Manifold(Mesh64(np.array(points, np.float64, order="C"), np.array(faces, np.uint64, order="C")))
+    return Manifold(
+        Mesh64(np.array(points, np.float64, order="C"), np.array(faces, np.uint64, order="C"))
+    )
 
 
 def _to_arrays(shell: "Manifold", turned: bool = False) -> tuple[np.ndarray, np.ndarray]:

@@ -1,4 +1,6 @@
-"""CoACD in a process of its own, which can be ended: ``python coacd_process.py MESH.npz PARTS.npz``. Imports nothing of dem_jax."""
+"""CoACD in a process of its own, which can be ended: ``python coacd_process.py MESH.npz
+PARTS.npz``. Imports nothing of dem_jax.
+"""
 
 import json
 import sys
@@ -14,7 +16,9 @@ def main(source: str, target: str) -> None:
         settings = json.loads(str(given["settings"]))
     coacd.set_log_level("error")
     parts = coacd.run_coacd(mesh, **settings)
-    corners = {f"part_{k}": np.asarray(vertices, np.float64) for k, (vertices, _) in enumerate(parts)}
+    corners = {
+        f"part_{k}": np.asarray(vertices, np.float64) for k, (vertices, _) in enumerate(parts)
+    }
     np.savez(target, **corners)  # type: ignore[arg-type]  # numpy's own names are not among the keys
 
 

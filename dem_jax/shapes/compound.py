@@ -19,7 +19,9 @@ from dem_jax.shapes.union_mass import find_overlaps, integrate_union
 
 
 class PlacedShape(NamedTuple):
-    """A convex shape at a place: position [3] (m) of its centre of mass, orientation: quaternion w x y z of its axes."""
+    """A convex shape at a place: position [3] (m) of its centre of mass, orientation: quaternion w
+    x y z of its axes.
+    """
 
     shape: Shape
     position: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0)
@@ -27,50 +29,82 @@ class PlacedShape(NamedTuple):
 
 
 def make_compound(
-    placed: Sequence[PlacedShape], mass: MassProperties | None = None, tolerance: float = TOLERANCE, name: str = "compound"
+    placed: Sequence[PlacedShape],
+    mass: MassProperties | None = None,
+    tolerance: float = TOLERANCE,
+    name: str = "compound",
 ) -> Shape:
-    """The body that is the union of convex shapes; its body frame has the axes in which they are placed.
+    """The body that is the union of convex shapes; its body frame has the axes in which they are
+    placed.
 
-    mass: volume (m3), centre (m) in those axes, inertia over mass (m2); None: those of the union, exact, which may touch and
-    overlap. tolerance: fraction of the size within which faces count as touching and flush; 50 times that, in radians, is
-    what still counts as flat. Raises SceneError for fewer than two parts, a part that has parts, a bad position or
-    orientation, a part that touches no other, and for overlaps whose mass is not known exactly (see ``integrate_union``),
+    mass: volume (m3), centre (m) in those axes, inertia over mass (m2); None: those of the union,
+    exact, which may touch and overlap. tolerance: fraction of the size within which faces count as
+    touching and flush; 50 times that, in radians, is what still counts as flat. Raises SceneError
+    for fewer than two parts, a part that has parts, a bad position or orientation, a part that
+    touches no other, and for overlaps whose mass is not known exactly (see ``integrate_union``),
     the last two only if mass is None.
     """
     if len(placed) < 2:
         raise SceneError(f"part: {len(placed)} given; a body of parts needs at least two")
     parts = [_place_part(n, *row) for n, row in enumerate(placed)]
     low = np.min([_extreme_coordinates(part, -1.0) for part in parts], axis=0)
-    size = float(np.linalg.norm(np.max([_extreme_coordinates(part, 1.0) for part in parts], axis=0) - low))
+    size = float(
+        np.linalg.norm(np.max([_extreme_coordinates(part, 1.0) for part in parts], axis=0) - low)
+    )
     depths = find_overlaps(parts, tolerance * size)
     if mass is None:
         _check_connected(len(parts), depths)
         mass = integrate_union(parts, depths, size)
     parts = [replace(part, centre=part.centre - mass.centre) for part in parts]
     hidden = find_interior_faces(parts, set(depths), tolerance * size)
-    covered = tuple(replace(part, interior_faces=inner) for part, inner in zip(parts, hidden, strict=True))
-    return _build_body(name, covered, mass, label_joined_parts(covered, set(depths), tolerance * size, max(FLAT_BEND, 50.0 * tolerance)))
+    covered = tuple(
+        replace(part, interior_faces=inner) for part, inner in zip(parts, hidden, strict=True)
+    )
+    return _build_body(
+        name,
+        covered,
+        mass,
+        label_joined_parts(
+            covered, set(depths), tolerance * size, max(FLAT_BEND, 50.0 * tolerance)
+        ),
+    )
 
 
 def tube(outer_radius: float, inner_radius: float, height: float, sides: int = 12) -> Shape:
-    """Tube about z (hollow pasta) of radii and height (m), as so many flat staves of the same cross-section area in all:
-    the mass is exact. Corners and faces are off as those of ``cylinder``.
+    """Tube about z (hollow pasta) of radii and height (m), as so many flat staves of the same
+    cross-section area in all: the mass is exact. Corners and faces are off as those of
+    ``cylinder``.
 
-    Raises SceneError for fewer than 3 sides, lengths that are not > 0 and an inner radius that is not the smaller.
+    Raises SceneError for fewer than 3 sides, lengths that are not > 0 and an inner radius that is
+    not the smaller.
     """
     sides = require_sides(sides)
-    outer, inner = require_length("outer_radius", outer_radius), require_length("inner_radius", inner_radius)
+    outer, inner = (
+        require_length("outer_radius", outer_radius),
+        require_length("inner_radius", inner_radius),
+    )
     if inner >= outer:
-        raise SceneError(f"inner_radius = {inner_radius!r} m must be less than outer_radius = {outer_radius!r} m")
+        raise SceneError(
+            f"inner_radius = {inner_radius!r} m must be less than outer_radius = {outer_radius!r} m"
+        )
     half, corner = 0.5 * require_length("height", height), circumradius_ratio(sides)
-    rings = [np.c_[regular_polygon(sides, corner * r), np.full(sides, z)] for r in (outer, inner) for z in (half, -half)]
-    staves = [np.concatenate([np.roll(ring, -k, axis=0)[:2] for ring in rings]) for k in range(sides)]
+    rings = [
+        np.c_[regular_polygon(sides, corner * r), np.full(sides, z)]
+        for r in (outer, inner)
+        for z in (half, -half)
+    ]
+    staves = [
+        np.concatenate([np.roll(ring, -k, axis=0)[:2] for ring in rings]) for k in range(sides)
+    ]
     return make_compound([PlacedShape(*hull_and_centre(stave)) for stave in staves], name="tube")
 
 
-def require_mass_properties(volume: float, centre: Sequence[float], gyration: Sequence[float]) -> MassProperties:
-    """Mass properties that a person gives: volume (m3), centre [3] (m), gyration: inertia over mass about the centre, as
-    xx, yy, zz, xy, xz, yz (m2). Raises SceneError for values that no body has."""
+def require_mass_properties(
+    volume: float, centre: Sequence[float], gyration: Sequence[float]
+) -> MassProperties:
+    """Mass properties that a person gives: volume (m3), centre [3] (m), gyration: inertia over mass
+    about the centre, as xx, yy, zz, xy, xz, yz (m2). Raises SceneError for values that no body has.
+    """
     require_positive("mass_properties.volume", volume, "a positive volume (m3)")
     middle = require_vector("mass_properties.centre", centre)
     xx, yy, zz, xy, xz, yz = require_vector("mass_properties.gyration", gyration, 6)
@@ -84,16 +118,25 @@ def require_mass_properties(volume: float, centre: Sequence[float], gyration: Se
     return MassProperties(float(volume), middle, tensor)
 
 
-def _place_part(n: int, shape: Shape, position: Sequence[float] | np.ndarray, orientation: Sequence[float] | np.ndarray) -> ConvexPart:
+def _place_part(
+    n: int,
+    shape: Shape,
+    position: Sequence[float] | np.ndarray,
+    orientation: Sequence[float] | np.ndarray,
+) -> ConvexPart:
     """The shape with its axes turned into those of the whole, at its place there."""
     if shape.parts:
         raise SceneError(f"part.{n}: {shape.name} is made of parts; allowed: a convex shape")
     centre = require_vector(f"part.{n}.position", position)
     turn = require_vector(f"part.{n}.orientation", orientation, 4)
     if np.linalg.norm(turn) < 1e-6:
-        raise SceneError(f"part.{n}.orientation = {tuple(orientation)!r} must be a quaternion that is not zero")
+        raise SceneError(
+            f"part.{n}.orientation = {tuple(orientation)!r} must be a quaternion that is not zero"
+        )
     if shape.radius == 0.0 and np.abs(turn[1:]).max() > 0.0:
-        shape = make_polytope(shape.name, shape.vertices @ quaternion_to_matrix(turn).T, shape.faces)
+        shape = make_polytope(
+            shape.name, shape.vertices @ quaternion_to_matrix(turn).T, shape.faces
+        )
     return ConvexPart(shape, centre, ())
 
 
@@ -114,10 +157,14 @@ def _check_connected(count: int, depths: dict[tuple[int, int], float]) -> None:
         front += new
     if len(reached) < count:
         alone = min(set(range(count)) - reached)
-        raise SceneError(f"part.{alone} does not touch part.0, nor a part that does; the parts of a body must touch or overlap")
+        raise SceneError(
+            f"part.{alone} does not touch part.0, nor a part that does; the parts of a body must touch or overlap"
+        )
 
 
-def _build_body(name: str, parts: tuple[ConvexPart, ...], mass: MassProperties, labels: np.ndarray) -> Shape:
+def _build_body(
+    name: str, parts: tuple[ConvexPart, ...], mass: MassProperties, labels: np.ndarray
+) -> Shape:
     """The shape of parts about their common centre of mass."""
     gyration, principal = principal_frame(mass.gyration)
     starts = np.cumsum([0, *[len(part.shape.vertices) for part in parts]])

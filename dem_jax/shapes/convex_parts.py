@@ -1,4 +1,6 @@
-"""Convex parts of a closed surface, by CoACD in a process of its own: within a time, with progress on stderr."""
+"""Convex parts of a closed surface, by CoACD in a process of its own: within a time, with progress
+on stderr.
+"""
 
 import json
 import subprocess
@@ -18,9 +20,11 @@ if TYPE_CHECKING:
     import trimesh
 
 LONGEST_TIME = 120.0  # s that a decomposition may take
-CORNERS, FEWEST, MOST = 256, 16, 32  # of all parts together and of a part: compiling and every step take the longer, the more
+CORNERS, FEWEST, MOST = 256, 16, 32  # of all parts together and of a part: compiling and every step
+# take the longer, the more
 FACETS_PER_PART = 40  # of the surface that is cut; one of more is thinned out first
-COACD_OPTIONS = {  # a search of a third of its default length cuts as well (measured on knots and kidneys) and takes seconds
+COACD_OPTIONS = {  # a search of a third of its default length cuts as well (measured on knots and
+    # kidneys) and takes seconds
     "preprocess_mode": "off",
     "mcts_iterations": 60,
     "mcts_nodes": 10,
@@ -35,14 +39,15 @@ def cut_into_convex_parts(
 ) -> tuple[np.ndarray, ...]:
     """Corners [P, 3] of each convex part in the units of the mesh, the same each time.
 
-    A surface of many facets is thinned out first (quadric decimation), and parts of many corners are simplified.
+    A surface of many facets is thinned out first (quadric decimation), and parts of many corners
+    are simplified.
 
     Args:
         mesh: closed, facets seen from outside.
         concavity: CoACD's threshold, as fraction of the size.
         most: number of parts.
-        corners: of a part, at most; None: CORNERS of all parts together, but FEWEST to MOST of each.
-        name: of the file, for messages.
+        corners: of a part, at most; None: CORNERS of all parts together, but FEWEST to MOST of
+        each. name: of the file, for messages.
 
     Raises:
         SceneError: where CoACD is not installed, fails, or takes longer than CEILING.
@@ -57,12 +62,16 @@ def cut_into_convex_parts(
     with tempfile.TemporaryDirectory() as folder:
         source, target = Path(folder) / "mesh.npz", Path(folder) / "parts.npz"
         vertices = (np.asarray(thin.vertices) - middle) / size
-        np.savez(source, vertices=vertices, faces=np.asarray(thin.faces), settings=json.dumps(settings))
+        np.savez(
+            source, vertices=vertices, faces=np.asarray(thin.faces), settings=json.dumps(settings)
+        )
         _run_coacd(source, target, name)
         with np.load(target) as found:
             parts = [middle + size * found[f"part_{k}"] for k in range(len(found.files))]
     corners = corners or min(MOST, max(FEWEST, CORNERS // len(parts)))
-    return tuple(part if len(part) <= corners else simplify_hull(part, corners).points for part in parts)
+    return tuple(
+        part if len(part) <= corners else simplify_hull(part, corners).points for part in parts
+    )
 
 
 def _is_installed(module: str) -> bool:
@@ -78,9 +87,19 @@ def _decimate_mesh(mesh: "trimesh.Trimesh", most: int) -> "trimesh.Trimesh":
 
 
 def _run_coacd(source: Path, target: Path, name: str) -> None:
-    """Let CoACD cut the source into the target. Raises SceneError if it fails, or takes longer than CEILING."""
-    command = [sys.executable, "-P", str(Path(__file__).with_name("coacd_process.py")), str(source), str(target)]
-    with subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as process:
+    """Let CoACD cut the source into the target. Raises SceneError if it fails, or takes longer than
+    CEILING.
+    """
+    command = [
+        sys.executable,
+        "-P",
+        str(Path(__file__).with_name("coacd_process.py")),
+        str(source),
+        str(target),
+    ]
+    with subprocess.Popen(
+        command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
+    ) as process:
         try:
             ended = _wait_for_process(process, name)
         finally:
@@ -94,7 +113,9 @@ def _run_coacd(source: Path, target: Path, name: str) -> None:
         )
     if process.returncode or not target.is_file():
         last = (said.splitlines() or [f"exit code {process.returncode}"])[-1]
-        raise SceneError(f"stl = {name!r} cannot be cut into convex parts: CoACD fails ({last}); allowed: another mesh")
+        raise SceneError(
+            f"stl = {name!r} cannot be cut into convex parts: CoACD fails ({last}); allowed: another mesh"
+        )
 
 
 def _wait_for_process(process: "subprocess.Popen[bytes]", name: str) -> bool:

@@ -1,4 +1,6 @@
-"""A closed mesh that is not convex, cut into convex parts by CoACD (an optional extra), and what that loses."""
+"""A closed mesh that is not convex, cut into convex parts by CoACD (an optional extra), and what
+that loses.
+"""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +23,8 @@ from dem_jax.shapes.union_mass import find_overlaps, integrate_union
 if TYPE_CHECKING:
     import trimesh
 
-JOINT_TOLERANCE = 1e-3  # fraction of the size within which parts count as touching: they are cut from a mesh that was made anew
+JOINT_TOLERANCE = 1e-3  # fraction of the size within which parts count as touching: they are cut
+# from a mesh that was made anew
 CONCAVITY_LIMIT = 0.05  # at which a part is cut further, as fraction of the size
 MOST_PARTS = 16  # unless a scene says otherwise
 MOST_LOST = 0.5  # fraction of the volume and of the size, beyond which parts are another body
@@ -32,12 +35,11 @@ SURFACE_SAMPLES = 4000  # points on each surface, between which their distance i
 class Decomposition:
     """Convex parts of a mesh, its own mass properties, and what the parts lose of it.
 
-    points: for each part the corners [P, 3] (m) of its hull, in the axes and about the origin of the file.
-    mass: of the mesh itself, exact: the parts are only what touches.
-    volume_excess: volume of the union of the parts over the mesh's, less one.
-    surface_distance: (m) the largest found between the two surfaces, either way, at points spread over both.
-    size: (m) largest extent of the mesh.
-    notes: what was mended and united in the file, in words.
+    points: for each part the corners [P, 3] (m) of its hull, in the axes and about the origin of
+    the file. mass: of the mesh itself, exact: the parts are only what touches. volume_excess:
+    volume of the union of the parts over the mesh's, less one. surface_distance: (m) the largest
+    found between the two surfaces, either way, at points spread over both. size: (m) largest extent
+    of the mesh. notes: what was mended and united in the file, in words.
     """
 
     points: tuple[np.ndarray, ...]
@@ -63,14 +65,20 @@ def make_decomposed_shape(
     loss: float = MOST_LOST,
     max_corners: int | None = None,
 ) -> tuple[Shape, Decomposition]:
-    """Shape of a closed STL that is not convex, and what it lost; arguments and errors as ``decompose_mesh``.
+    """Shape of a closed STL that is not convex, and what it lost; arguments and errors as
+    ``decompose_mesh``.
 
-    Volume, centre of mass and inertia are those of the STL itself; what touches other bodies are the convex parts.
+    Volume, centre of mass and inertia are those of the STL itself; what touches other bodies are
+    the convex parts.
     """
     found = decompose_mesh(path, unit, concavity, max_parts, loss, max_corners)
     if len(found.points) == 1:
         shape, centre = hull_and_centre(found.points[0])
-        return (replace_mass(shape, centre, found.mass) if has_other_mass(shape, centre, found.mass) else shape), found
+        return (
+            replace_mass(shape, centre, found.mass)
+            if has_other_mass(shape, centre, found.mass)
+            else shape
+        ), found
     parts = [PlacedShape(*hull_and_centre(points)) for points in found.points]
     return make_compound(parts, found.mass, JOINT_TOLERANCE, "decomposed"), found
 
@@ -83,32 +91,43 @@ def decompose_mesh(
     loss: float = MOST_LOST,
     max_corners: int | None = None,
 ) -> Decomposition:
-    """Convex parts of a closed STL, by CoACD (Wei, Liu, Ling and Su, ACM Trans. Graph. 41, 2022), the same each time.
+    """Convex parts of a closed STL, by CoACD (Wei, Liu, Ling and Su, ACM Trans. Graph. 41, 2022),
+    the same each time.
 
     They are kept in the cache folder (see ``parts_cache``), so that the same mesh is cut only once.
 
     Args:
         path: of the STL.
         unit: metres per unit of the file.
-        concavity: at which a part is cut further, as fraction of the size (CoACD's threshold, 0.01 to 1).
-        max_parts: at most this many parts, joined where it costs least. Compiling takes in proportion to them.
-        loss: the largest fraction by which the parts' volume may differ from the mesh's, and the largest distance between
+        concavity: at which a part is cut further, as fraction of the size (CoACD's threshold, 0.01
+        to 1). max_parts: at most this many parts, joined where it costs least. Compiling takes in
+        proportion to them. loss: the largest fraction by which the parts' volume may differ from
+        the mesh's, and the largest distance between
             the surfaces over the size.
-        max_corners: of a part; one of more is simplified. None: 256 in all parts together, but 16 to 32 in each.
+        max_corners: of a part; one of more is simplified. None: 256 in all parts together, but 16
+        to 32 in each.
 
     Raises:
-        SceneError: for a file that is missing, unreadable or open, values out of range, a loss above what is allowed,
+        SceneError: for a file that is missing, unreadable or open, values out of range, a loss
+        above what is allowed,
             more than two minutes of cutting, and where CoACD is not installed.
     """
     concavity = require_positive("concavity", concavity, "a number from 0.01 to 1")
     if not 0.01 <= concavity <= 1.0:
         raise SceneError(f"concavity = {concavity!r} must be a number from 0.01 to 1")
-    loss, unit = require_positive("loss", loss, "a positive fraction of the volume and of the size"), require_length("unit", unit)
+    loss, unit = (
+        require_positive("loss", loss, "a positive fraction of the volume and of the size"),
+        require_length("unit", unit),
+    )
     body = read_body(path)
     points, excess, distance = _load_or_cut(body, concavity, max_parts, max_corners, str(path))
-    mass = MassProperties(unit**3 * body.mass.volume, unit * body.mass.centre, unit**2 * body.mass.gyration)
+    mass = MassProperties(
+        unit**3 * body.mass.volume, unit * body.mass.centre, unit**2 * body.mass.gyration
+    )
     size = unit * float(body.outer.extents.max())
-    found = Decomposition(tuple(unit * each for each in points), mass, excess, unit * distance, size, body.notes)
+    found = Decomposition(
+        tuple(unit * each for each in points), mass, excess, unit * distance, size, body.notes
+    )
     if max(abs(excess), found.surface_distance / size) > loss:
         raise SceneError(
             f"stl = {str(path)!r} is lost in part by its convex parts: {found}; loss = {loss:g} is allowed: "
@@ -120,7 +139,9 @@ def decompose_mesh(
 def _load_or_cut(
     body: MeshBody, concavity: float, parts: int, corners: int | None, name: str
 ) -> tuple[tuple[np.ndarray, ...], float, float]:
-    """Corners of the parts, Decomposition.volume_excess and .surface_distance: from the cache folder, else made."""
+    """Corners of the parts, Decomposition.volume_excess and .surface_distance: from the cache
+    folder, else made.
+    """
     settings = {"concavity": concavity, "max_parts": parts, "max_corners": corners}
     key = parts_cache.make_cache_key(body.outer.vertices, body.outer.faces, settings)
     kept = parts_cache.load_arrays(key)
@@ -150,7 +171,10 @@ def _measure_losses(mesh: "trimesh.Trimesh", points: tuple[np.ndarray, ...]) -> 
     vertices, faces = surface_mesh(shape)
     triangles = [(loop[0], loop[k], loop[k + 1]) for loop in faces for k in range(1, len(loop) - 1)]
     union = trimesh.Trimesh(vertices + centre, triangles, process=False)
-    on_mesh, on_union = (trimesh.sample.sample_surface_even(each, SURFACE_SAMPLES, seed=0)[0] for each in (mesh, union))
+    on_mesh, on_union = (
+        trimesh.sample.sample_surface_even(each, SURFACE_SAMPLES, seed=0)[0]
+        for each in (mesh, union)
+    )
     on_union = on_union[~_is_buried(on_union - centre, shape)]
     forth = trimesh.proximity.closest_point(union, np.concatenate([mesh.vertices, on_mesh]))[1]
     back = trimesh.proximity.closest_point(mesh, on_union)[1]

@@ -6,8 +6,8 @@ import numpy as np
 def find_edge_directions(vectors: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
     """Unit directions [D, 3] of edges [E, 3] (m) and the index [E] of each edge's.
 
-    Edges whose shorter one leaves the other's direction by less than tolerance (m) are parallel: the longest edge left, whose
-    direction is the most exact, takes its own with it.
+    Edges whose shorter one leaves the other's direction by less than tolerance (m) are parallel:
+    the longest edge left, whose direction is the most exact, takes its own with it.
     """
     lengths = np.linalg.norm(vectors, axis=1)
     units = vectors / lengths[:, None]
@@ -29,8 +29,10 @@ def find_edge_directions(vectors: np.ndarray, tolerance: float) -> tuple[np.ndar
 
 
 def _group_directions(units: np.ndarray, angles: np.ndarray) -> np.ndarray:
-    """Labels [E] such that directions [E, 3], either way, that part by less than the larger of their angles [E] (rad) have
-    the same one: those in cells that touch, and those near a direction whose angle is wider than a cell."""
+    """Labels [E] such that directions [E, 3], either way, that part by less than the larger of
+    their angles [E] (rad) have the same one: those in cells that touch, and those near a direction
+    whose angle is wider than a cell.
+    """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
@@ -43,7 +45,13 @@ def _group_directions(units: np.ndarray, angles: np.ndarray) -> np.ndarray:
     around = cKDTree(both).query_ball_point(units[wide], 2.0 * np.minimum(angles[wide], 1.0))
     of_wide = np.repeat(wide, [len(found) for found in around])
     rows = np.concatenate([np.tile(np.arange(count), 2), count + touching[:, 0], of_wide])
-    columns = np.concatenate([count + cell.ravel(), count + touching[:, 1], np.concatenate([*around, []]).astype(int) % count])
+    columns = np.concatenate(
+        [
+            count + cell.ravel(),
+            count + touching[:, 1],
+            np.concatenate([*around, []]).astype(int) % count,
+        ]
+    )
     nodes = count + len(used)
     graph = coo_array((np.ones(len(rows)), (rows, columns)), shape=(nodes, nodes))
     return connected_components(graph, directed=False)[1][:count]

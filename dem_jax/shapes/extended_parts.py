@@ -1,7 +1,8 @@
-"""Parts that others of the same body continue: how much further the body goes, and which edges of a part are its own.
+"""Parts that others of the same body continue: how much further the body goes, and which edges of a
+part are its own.
 
-Against such a part depth and normal of a contact are found with a convex polytope that holds the part and more of the body:
-nothing is pushed out across a joint. Host side, float64, SI.
+Against such a part depth and normal of a contact are found with a convex polytope that holds the
+part and more of the body: nothing is pushed out across a joint. Host side, float64, SI.
 """
 
 from collections.abc import Sequence
@@ -13,9 +14,12 @@ from dem_jax.shapes.hull import hull_and_centre
 from dem_jax.shapes.shape import ConvexPart, Shape, list_parts
 from dem_jax.shapes.union_mass import face_planes
 
-NEAR_TOLERANCE = 1e-4  # of a part's bounding radius: planes that cut off no more of a part do not cut it
-BESIDE_DISTANCE = 0.02  # of the same: how far beyond an edge is looked for what continues a face ...
-BELOW_SLOPE = 0.02  # ... and, as a part of that, how far below it: what bends by more is no continuation (rad)
+NEAR_TOLERANCE = 1e-4  # of a part's bounding radius: planes that cut off no more of a part do not
+# cut it
+BESIDE_DISTANCE = 0.02  # of the same: how far beyond an edge is looked for what continues a face
+# ...
+BELOW_SLOPE = 0.02  # ... and, as a part of that, how far below it: what bends by more is no
+# continuation (rad)
 OUTSIDE_DISTANCE = 0.05  # of the same: what is further outside of the body does not continue a part
 EDGE_POINTS = 32  # along an edge, at which is looked
 
@@ -24,9 +28,9 @@ EDGE_POINTS = 32  # along an edge, at which is looked
 class Continuation:
     """What others make of a part.
 
-    inner: for each face whether others cover all of it. open: for each face, for each of its edges, which part of it ends
-    the surface of the body there, or bends it; the rest lies in the middle of a plane. extended: the part and more of the
-    body, a polytope about the part's own centre.
+    inner: for each face whether others cover all of it. open: for each face, for each of its edges,
+    which part of it ends the surface of the body there, or bends it; the rest lies in the middle of
+    a plane. extended: the part and more of the body, a polytope about the part's own centre.
     """
 
     interior_faces: tuple[bool, ...]
@@ -42,16 +46,27 @@ def find_continuations(shape: Shape) -> list[Continuation | None]:
         own = shape.joint_labels == shape.joint_labels[k]
         others = [parts[i] for i in np.flatnonzero(own) if i != k and parts[i].shape.radius == 0.0]
         alone = part.shape.radius > 0.0 or not others
-        out.append(None if alone else Continuation(part.interior_faces, _measure_open_edges(part, others), _extend_part(part, others)))
+        out.append(
+            None
+            if alone
+            else Continuation(
+                part.interior_faces, _measure_open_edges(part, others), _extend_part(part, others)
+            )
+        )
     return out
 
 
 def _extend_part(part: ConvexPart, others: list[ConvexPart]) -> Shape:
-    """All of the body, if that is convex; else the part with its inner faces moved outwards by what it measures there, as far
-    as the outer faces of the body let it; the part alone where that leaves the body, as in a strand that twists."""
+    """All of the body, if that is convex; else the part with its inner faces moved outwards by what
+    it measures there, as far as the outer faces of the body let it; the part alone where that
+    leaves the body, as in a strand that twists.
+    """
     near = NEAR_TOLERANCE * part.shape.bounding_radius
     every = np.concatenate([other.shape.vertices + other.centre for other in (part, *others)])
-    normals, offsets = (np.concatenate(rows) for rows in zip(*(_outer_planes(p) for p in (part, *others)), strict=True))
+    normals, offsets = (
+        np.concatenate(rows)
+        for rows in zip(*(_outer_planes(p) for p in (part, *others)), strict=True)
+    )
     if (every @ normals.T <= offsets + near).all():
         return _hull_about_origin(every - part.centre)
     offsets = offsets - normals @ part.centre
@@ -61,14 +76,22 @@ def _extend_part(part: ConvexPart, others: list[ConvexPart]) -> Shape:
     inner = np.array(part.interior_faces, bool)
     across, levels = part.shape.normals[inner], part.shape.offsets[inner]
     thickness = levels - (part.shape.vertices @ across.T).min(axis=0)
-    made = _hull_about_origin(_polytope_vertices(np.concatenate([normals, across]), np.concatenate([offsets, levels + thickness])))
+    made = _hull_about_origin(
+        _polytope_vertices(
+            np.concatenate([normals, across]), np.concatenate([offsets, levels + thickness])
+        )
+    )
     away = _height_above(made.vertices + part.centre, (part, *others)).max()
     return part.shape if away > OUTSIDE_DISTANCE * part.shape.bounding_radius else made
 
 
 def _height_above(points: np.ndarray, parts: Sequence[ConvexPart]) -> np.ndarray:
-    """How far [P] (m) points [P, 3] are above the highest face of the part that they are least above; inside, negative."""
-    heights = [(points @ normals.T - offsets).max(axis=1) for normals, offsets in map(face_planes, parts)]
+    """How far [P] (m) points [P, 3] are above the highest face of the part that they are least
+    above; inside, negative.
+    """
+    heights = [
+        (points @ normals.T - offsets).max(axis=1) for normals, offsets in map(face_planes, parts)
+    ]
     return np.min(heights, axis=0)
 
 
@@ -77,14 +100,17 @@ def extend_panel(panel: Shape, across: np.ndarray, reach: float, planes: np.ndar
 
     Args:
         panel: about its own centre.
-        across: [m, 3] unit normals of its sides at seams: the panel continues by a reach (m) beyond them.
-        planes: [k, 4] outward normals and offsets (m) of neighbours beyond convex seams, which end it.
+        across: [m, 3] unit normals of its sides at seams: the panel continues by a reach (m) beyond
+        them. planes: [k, 4] outward normals and offsets (m) of neighbours beyond convex seams,
+        which end it.
     """
     if not len(across):
         return panel
     beyond = (panel.normals @ np.asarray(across).T > 1 - 1e-9).any(axis=1)
     offsets = panel.offsets + reach * beyond
-    corners = _polytope_vertices(np.concatenate([panel.normals, planes[:, :3]]), np.concatenate([offsets, planes[:, 3]]))
+    corners = _polytope_vertices(
+        np.concatenate([panel.normals, planes[:, :3]]), np.concatenate([offsets, planes[:, 3]])
+    )
     return replace(_hull_about_origin(corners), principal=panel.principal)
 
 
@@ -106,10 +132,14 @@ def _polytope_vertices(normals: np.ndarray, offsets: np.ndarray) -> np.ndarray:
 def _hull_about_origin(points: np.ndarray) -> Shape:
     """Hull of points, about their own origin."""
     made, centre = hull_and_centre(points)
-    return replace(made, vertices=made.vertices + centre, offsets=made.offsets + made.normals @ centre)
+    return replace(
+        made, vertices=made.vertices + centre, offsets=made.offsets + made.normals @ centre
+    )
 
 
-def _measure_open_edges(part: ConvexPart, others: list[ConvexPart]) -> tuple[tuple[float, ...], ...]:
+def _measure_open_edges(
+    part: ConvexPart, others: list[ConvexPart]
+) -> tuple[tuple[float, ...], ...]:
     """Continued.open."""
     away = BESIDE_DISTANCE * part.shape.bounding_radius
     along = ((np.arange(EDGE_POINTS) + 0.5) / EDGE_POINTS)[None, :, None]
@@ -119,7 +149,9 @@ def _measure_open_edges(part: ConvexPart, others: list[ConvexPart]) -> tuple[tup
         sides = np.roll(corners, -1, axis=0) - corners
         across = np.cross(sides, normal) / np.linalg.norm(sides, axis=1, keepdims=True)
         beside = corners[:, None] + along * sides[:, None] + away * across[:, None]
-        goes_on = _is_inside_any(beside - BELOW_SLOPE * away * normal, others) & ~_is_inside_any(beside + BELOW_SLOPE * away * normal, others)
+        goes_on = _is_inside_any(beside - BELOW_SLOPE * away * normal, others) & ~_is_inside_any(
+            beside + BELOW_SLOPE * away * normal, others
+        )
         out.append(tuple((1.0 - goes_on.mean(axis=1)).tolist()))
     return tuple(out)
 

@@ -15,11 +15,13 @@ MOST_OFF_PLANE = 10.0  # of TOLERANCE
 
 
 def convex_hull(points: Any) -> Shape:
-    """Convex hull of points [P, 3] (m) in the user's frame; the body frame has its axes, moved to the centre of mass.
+    """Convex hull of points [P, 3] (m) in the user's frame; the body frame has its axes, moved to
+    the centre of mass.
 
-    Facets that lie within TOLERANCE of one plane are one face; among points that are scattered about a plane by about as much
-    faces may be off theirs by MOST_OFF_PLANE times that. Raises SceneError for fewer than 4 points, a wrong form,
-    values that are not finite, and points that all lie in one plane.
+    Facets that lie within TOLERANCE of one plane are one face; among points that are scattered
+    about a plane by about as much faces may be off theirs by MOST_OFF_PLANE times that. Raises
+    SceneError for fewer than 4 points, a wrong form, values that are not finite, and points that
+    all lie in one plane.
     """
     return make_polytope("hull", *find_hull_faces(points))
 
@@ -31,7 +33,9 @@ def hull_and_centre(points: Any) -> tuple[Shape, np.ndarray]:
 
 
 def find_hull_faces(points: Any) -> tuple[np.ndarray, tuple[Loop, ...]]:
-    """Vertices [V, 3] (m) and faces of the convex hull of points [P, 3] (m). Raises SceneError as ``convex_hull``."""
+    """Vertices [V, 3] (m) and faces of the convex hull of points [P, 3] (m). Raises SceneError as
+    ``convex_hull``.
+    """
     points = require_points(points)
     size = float(np.linalg.norm(np.ptp(points, axis=0)))
     points = _weld_points(points, TOLERANCE * size)
@@ -41,8 +45,10 @@ def find_hull_faces(points: Any) -> tuple[np.ndarray, tuple[Loop, ...]]:
 
 
 def _merge_hull_faces(points: np.ndarray, size: float) -> tuple[Loop, ...]:
-    """Faces of the hull of points. Where points are scattered by about TOLERANCE about a plane, which of its facets are one
-    face is not certain: the first choice is taken that makes convex faces which close."""
+    """Faces of the hull of points. Where points are scattered by about TOLERANCE about a plane,
+    which of its facets are one face is not certain: the first choice is taken that makes convex
+    faces which close.
+    """
     tolerance = TOLERANCE * size
     facets = _triangulate_hull(points, size)
     faces = first = grow_faces(points, facets, tolerance)
@@ -65,20 +71,28 @@ def _weld_points(points: np.ndarray, tolerance: float) -> np.ndarray:
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
 
-    near = cKDTree(points).sparse_distance_matrix(cKDTree(points), tolerance, output_type="coo_matrix")
+    near = cKDTree(points).sparse_distance_matrix(
+        cKDTree(points), tolerance, output_type="coo_matrix"
+    )
     cluster = connected_components(near, directed=False)[1]
     return points[np.unique(cluster, return_index=True)[1]]
 
 
 def _triangulate_hull(points: np.ndarray, size: float, options: str = "Qt") -> Facets:
-    """Hull of points as triangles; options: of Qhull, for points about their mean in units of the size (m)."""
+    """Hull of points as triangles; options: of Qhull, for points about their mean in units of the
+    size (m).
+    """
     from scipy.spatial import ConvexHull, QhullError
 
     try:
-        found = ConvexHull((points - points.mean(axis=0)) / max(size, 1e-300), qhull_options=options)
+        found = ConvexHull(
+            (points - points.mean(axis=0)) / max(size, 1e-300), qhull_options=options
+        )
         if found.volume <= TOLERANCE * found.area:  # of a body of size one
             raise QhullError("flat")
     except (QhullError, ValueError) as error:
-        raise SceneError(f"points: {len(points)} distinct points must span a solid; these lie in a plane or line") from error
+        raise SceneError(
+            f"points: {len(points)} distinct points must span a solid; these lie in a plane or line"
+        ) from error
     first, plane = np.unique(found.equations, axis=0, return_index=True, return_inverse=True)[1:]
     return Facets(found.simplices, found.neighbors, found.equations[:, :3], first[plane.ravel()])

@@ -12,7 +12,9 @@ Loop = tuple[int, ...]
 
 
 class Moments(NamedTuple):
-    """Integrals over a body: volume (m3), first moments [3] (m4) and second moments [3, 3] (m5) of x about an origin."""
+    """Integrals over a body: volume (m3), first moments [3] (m4) and second moments [3, 3] (m5) of
+    x about an origin.
+    """
 
     volume: float
     first: np.ndarray
@@ -21,7 +23,9 @@ class Moments(NamedTuple):
     def plus(self, other: "Moments", sign: float = 1.0) -> "Moments":
         """The moments of both together, about the same origin; sign -1.0 takes the other away."""
         return Moments(
-            self.volume + sign * other.volume, self.first + sign * other.first, self.second + sign * other.second
+            self.volume + sign * other.volume,
+            self.first + sign * other.first,
+            self.second + sign * other.second,
         )
 
 
@@ -40,7 +44,9 @@ ZERO_MOMENTS = Moments(0.0, np.zeros(3), np.zeros((3, 3)))
 
 
 def build_moments(volume: float, centre: np.ndarray, spread: np.ndarray) -> Moments:
-    """Moments about the origin of a body of a volume (m3), its centre [3] (m) and <x x^T> about that [3, 3] (m2)."""
+    """Moments about the origin of a body of a volume (m3), its centre [3] (m) and <x x^T> about
+    that [3, 3] (m2).
+    """
     return Moments(volume, volume * centre, volume * (spread + np.outer(centre, centre)))
 
 
@@ -51,19 +57,26 @@ def mass_from_moments(moments: Moments) -> MassProperties:
     return MassProperties(float(moments.volume), centre, np.trace(spread) * np.eye(3) - spread)
 
 
-def integrate_polyhedron(vertices: np.ndarray, faces: Sequence[Loop] | np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-    """Volume (m3), centre of mass [3] (m) and <x x^T> about it [3, 3] (m2) of a closed polyhedron of uniform density.
+def integrate_polyhedron(
+    vertices: np.ndarray, faces: Sequence[Loop] | np.ndarray
+) -> tuple[float, np.ndarray, np.ndarray]:
+    """Volume (m3), centre of mass [3] (m) and <x x^T> about it [3, 3] (m2) of a closed polyhedron
+    of uniform density.
 
-    vertices [V, 3] (m); faces: planar vertex loops, counter-clockwise seen from outside. Signed tetrahedra are summed.
+    vertices [V, 3] (m); faces: planar vertex loops, counter-clockwise seen from outside. Signed
+    tetrahedra are summed.
     """
-    start = vertices.mean(axis=0)  # near the solid, so that nothing cancels for a body far from the origin
+    start = vertices.mean(axis=0)  # near the solid, so that nothing cancels for a body far from the
+    # origin
     fans = np.concatenate([_triangulate_fan(loop) for loop in faces])
     corners = vertices[fans] - start  # [T, 3 corners, 3]
     sixfold = np.linalg.det(corners)
     volume = sixfold.sum() / 6.0
     total = corners.sum(axis=1)
     centre = (sixfold[:, None] * total).sum(axis=0) / (24.0 * volume)
-    second = np.einsum("t,tki,tkj->ij", sixfold, corners, corners) + np.einsum("t,ti,tj->ij", sixfold, total, total)
+    second = np.einsum("t,tki,tkj->ij", sixfold, corners, corners) + np.einsum(
+        "t,ti,tj->ij", sixfold, total, total
+    )
     return volume, start + centre, second / (120.0 * volume) - np.outer(centre, centre)
 
 
@@ -72,8 +85,9 @@ def _triangulate_fan(loop: Loop) -> np.ndarray:
 
 
 def principal_frame(inertia: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Principal moments [3] of an inertia [3, 3] and the quaternion from the principal to its frame, the one nearest to
-    identity."""
+    """Principal moments [3] of an inertia [3, 3] and the quaternion from the principal to its
+    frame, the one nearest to identity.
+    """
     off_diagonal = inertia - np.diag(np.diag(inertia))
     if np.abs(off_diagonal).max() <= 1e-12 * np.trace(inertia):
         return np.diag(inertia).copy(), np.array([1.0, 0.0, 0.0, 0.0])

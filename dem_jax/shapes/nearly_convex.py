@@ -1,4 +1,6 @@
-"""The convex hull of a body that is convex, or nearly so, with the mass properties of the body itself."""
+"""The convex hull of a body that is convex, or nearly so, with the mass properties of the body
+itself.
+"""
 
 import math
 from dataclasses import replace
@@ -13,7 +15,8 @@ from dem_jax.shapes.mass import MassProperties, principal_frame
 from dem_jax.shapes.mesh_body import read_body
 from dem_jax.shapes.shape import Shape
 
-HULL_TOLERANCE = 0.02  # fraction by which a hull's volume may exceed the body's, unless a scene says otherwise
+HULL_TOLERANCE = 0.02  # fraction by which a hull's volume may exceed the body's, unless a scene
+# says otherwise
 MOST_TOLERANCE = 1.0  # that a scene may set
 EXACT_TOLERANCE = 1e-5  # the same, below which it is the rounding of a file in single precision
 
@@ -21,8 +24,9 @@ EXACT_TOLERANCE = 1e-5  # the same, below which it is the rounding of a file in 
 class MeshHull(NamedTuple):
     """The convex hull of a body in a file.
 
-    shape: with the mass properties of the hull. centre: [3] (m) of mass of the hull, in the frame of the file.
-    mass: of the body, where they are not those of its hull; else None. notes: what was mended and left out, in words.
+    shape: with the mass properties of the hull. centre: [3] (m) of mass of the hull, in the frame
+    of the file. mass: of the body, where they are not those of its hull; else None. notes: what was
+    mended and left out, in words.
     """
 
     shape: Shape
@@ -31,19 +35,24 @@ class MeshHull(NamedTuple):
     notes: tuple[str, ...]
 
 
-def read_hull_shape(path: str | Path, unit: float = 1.0, tolerance: float = HULL_TOLERANCE) -> Shape:
+def read_hull_shape(
+    path: str | Path, unit: float = 1.0, tolerance: float = HULL_TOLERANCE
+) -> Shape:
     """The convex hull of an STL, with the mass properties of the body in it.
 
     Args:
         path: of the STL.
         unit: metres per unit of the file (1e-3 for mm).
-        tolerance: largest fraction by which the hull's volume may exceed that inside the outer surface.
+        tolerance: largest fraction by which the hull's volume may exceed that inside the outer
+        surface.
 
     Raises:
         SceneError: as ``read_body``, and for a body that is not convex within the tolerance.
     """
     found = read_hull(path, unit, tolerance)
-    return found.shape if found.mass is None else replace_mass(found.shape, found.centre, found.mass)
+    return (
+        found.shape if found.mass is None else replace_mass(found.shape, found.centre, found.mass)
+    )
 
 
 def read_hull(path: str | Path, unit: float = 1.0, tolerance: float = HULL_TOLERANCE) -> MeshHull:
@@ -63,14 +72,23 @@ def read_hull(path: str | Path, unit: float = 1.0, tolerance: float = HULL_TOLER
         )
     notes = body.notes
     if excess > EXACT_TOLERANCE:
-        notes += (f"its convex hull, with {100 * excess:.2g} % more volume, touches others; mass and inertia are the mesh's",)
-    return MeshHull(shape, centre, body.mass if has_other_mass(shape, centre, body.mass) else None, notes)
+        notes += (
+            f"its convex hull, with {100 * excess:.2g} % more volume, touches others; mass and inertia are the mesh's",
+        )
+    return MeshHull(
+        shape, centre, body.mass if has_other_mass(shape, centre, body.mass) else None, notes
+    )
 
 
 def has_other_mass(shape: Shape, centre: np.ndarray, mass: MassProperties) -> bool:
-    """Whether a shape, whose centre of mass [3] (m) is there, has other mass properties by more than rounding."""
+    """Whether a shape, whose centre of mass [3] (m) is there, has other mass properties by more
+    than rounding.
+    """
     shift = float(np.abs(centre - mass.centre).max())
-    return abs(shape.volume / mass.volume - 1.0) > EXACT_TOLERANCE or shift > EXACT_TOLERANCE * shape.bounding_radius
+    return (
+        abs(shape.volume / mass.volume - 1.0) > EXACT_TOLERANCE
+        or shift > EXACT_TOLERANCE * shape.bounding_radius
+    )
 
 
 def replace_mass(shape: Shape, centre: np.ndarray, mass: MassProperties) -> Shape:
@@ -87,7 +105,9 @@ def replace_mass(shape: Shape, centre: np.ndarray, mass: MassProperties) -> Shap
     shift = centre - mass.centre
     offsets = shape.offsets + shape.normals @ shift
     if not (offsets > 0.0).all():
-        raise SceneError(f"mass_properties.centre = {tuple(mass.centre.tolist())} is not inside; allowed: a point in the hull")
+        raise SceneError(
+            f"mass_properties.centre = {tuple(mass.centre.tolist())} is not inside; allowed: a point in the hull"
+        )
     gyration, principal = principal_frame(mass.gyration)
     vertices = shape.vertices + shift
     return replace(

@@ -1,4 +1,6 @@
-"""How the convex parts of a body join: faces that other parts cover, and parts that continue each other."""
+"""How the convex parts of a body join: faces that other parts cover, and parts that continue each
+other.
+"""
 
 from collections.abc import Sequence
 
@@ -11,10 +13,14 @@ FLAT_BEND = 1e-3  # (rad) normals that differ by no more are the same, as in mes
 SAME_WAY_COSINE = np.cos(0.1)  # faces that look the same way
 
 
-def find_interior_faces(parts: Sequence[ConvexPart], pairs: set[tuple[int, int]], near: float) -> list[tuple[bool, ...]]:
-    """For each part, for each of its faces, whether other parts cover all of it, to within near (m).
+def find_interior_faces(
+    parts: Sequence[ConvexPart], pairs: set[tuple[int, int]], near: float
+) -> list[tuple[bool, ...]]:
+    """For each part, for each of its faces, whether other parts cover all of it, to within near
+    (m).
 
-    pairs: those parts i < j that touch or overlap. A face is covered where there is matter of others outside it.
+    pairs: those parts i < j that touch or overlap. A face is covered where there is matter of
+    others outside it.
     """
     beside = _list_neighbours(len(parts), pairs)
     out = []
@@ -23,21 +29,32 @@ def find_interior_faces(parts: Sequence[ConvexPart], pairs: set[tuple[int, int]]
         vertices = part.shape.vertices + part.centre
         loops = [vertices[list(loop)] for loop in part.shape.faces]
         normals = part.shape.normals
-        out.append(tuple(_is_covered(loop, normal, others, near) for loop, normal in zip(loops, normals, strict=True)))
+        out.append(
+            tuple(
+                _is_covered(loop, normal, others, near)
+                for loop, normal in zip(loops, normals, strict=True)
+            )
+        )
     return out
 
 
-def label_joined_parts(parts: Sequence[ConvexPart], pairs: set[tuple[int, int]], near: float, flat: float = FLAT_BEND) -> np.ndarray:
+def label_joined_parts(
+    parts: Sequence[ConvexPart], pairs: set[tuple[int, int]], near: float, flat: float = FLAT_BEND
+) -> np.ndarray:
     """Labels [n] of parts: those of one label continue each other without a notch.
 
-    Two parts are joined where their surfaces meet in a line along which the surface of the whole is flat or convex; or if
-    one is inside the other; and so is all that is joined to them. near: (m) lines within each other; flat: (rad) beyond
-    half a turn that still counts as flat.
+    Two parts are joined where their surfaces meet in a line along which the surface of the whole is
+    flat or convex; or if one is inside the other; and so is all that is joined to them. near: (m)
+    lines within each other; flat: (rad) beyond half a turn that still counts as flat.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    joined = [(i, j) for i, j in sorted(pairs) if _are_joined(parts, i, j, _list_neighbours(len(parts), pairs), near, flat)]
+    joined = [
+        (i, j)
+        for i, j in sorted(pairs)
+        if _are_joined(parts, i, j, _list_neighbours(len(parts), pairs), near, flat)
+    ]
     rows, columns = np.reshape(joined, (-1, 2)).T.astype(int)
     graph = coo_array((np.ones(len(joined)), (rows, columns)), shape=(len(parts), len(parts)))
     return connected_components(graph, directed=False)[1].astype(int)
@@ -51,7 +68,9 @@ def clip_polygon(loop: np.ndarray, normal: np.ndarray, offset: float) -> np.ndar
     kept = []
     for k in range(len(loop)):
         if (above[k - 1] > 0.0) != (above[k] > 0.0):
-            kept.append(loop[k - 1] + (loop[k] - loop[k - 1]) * above[k - 1] / (above[k - 1] - above[k]))
+            kept.append(
+                loop[k - 1] + (loop[k] - loop[k - 1]) * above[k - 1] / (above[k - 1] - above[k])
+            )
         if above[k] <= 0.0:
             kept.append(loop[k])
     return np.reshape(kept, (-1, 3))
@@ -59,15 +78,21 @@ def clip_polygon(loop: np.ndarray, normal: np.ndarray, offset: float) -> np.ndar
 
 def _list_neighbours(count: int, pairs: set[tuple[int, int]]) -> list[list[int]]:
     """For each part those that touch or overlap it."""
-    return [sorted({j for i, j in pairs if i == k} | {i for i, j in pairs if j == k}) for k in range(count)]
+    return [
+        sorted({j for i, j in pairs if i == k} | {i for i, j in pairs if j == k})
+        for k in range(count)
+    ]
 
 
 # --- faces that are covered ---
 
 
-def _is_covered(loop: np.ndarray, normal: np.ndarray, others: list[tuple[np.ndarray, np.ndarray]], near: float) -> bool:
-    """Whether others (normals, offsets) hold all points of a face with matter outside it: below their faces that look the
-    same way, not flush with them."""
+def _is_covered(
+    loop: np.ndarray, normal: np.ndarray, others: list[tuple[np.ndarray, np.ndarray]], near: float
+) -> bool:
+    """Whether others (normals, offsets) hold all points of a face with matter outside it: below
+    their faces that look the same way, not flush with them.
+    """
     left = [loop]
     perimeter = np.linalg.norm(np.roll(loop, -1, axis=0) - loop, axis=1).sum()
     for normals, offsets in others:
@@ -80,7 +105,9 @@ def _is_covered(loop: np.ndarray, normal: np.ndarray, others: list[tuple[np.ndar
     return False
 
 
-def _subtract_polytope(polygon: np.ndarray, normals: np.ndarray, offsets: np.ndarray) -> list[np.ndarray]:
+def _subtract_polytope(
+    polygon: np.ndarray, normals: np.ndarray, offsets: np.ndarray
+) -> list[np.ndarray]:
     """Convex pieces of a convex polygon [k, 3] that are outside a polytope."""
     pieces = []
     cuts = (polygon @ normals.T > offsets).any(axis=0)
@@ -102,7 +129,9 @@ def _polygon_area(polygon: np.ndarray) -> float:
 # --- parts that continue each other ---
 
 
-def _are_joined(parts: Sequence[ConvexPart], i: int, j: int, beside: list[list[int]], near: float, flat: float) -> bool:
+def _are_joined(
+    parts: Sequence[ConvexPart], i: int, j: int, beside: list[list[int]], near: float, flat: float
+) -> bool:
     a, b = parts[i], parts[j]
     if a.shape.radius > 0.0 and b.shape.radius > 0.0:
         apart = float(np.linalg.norm(a.centre - b.centre))
@@ -112,8 +141,16 @@ def _are_joined(parts: Sequence[ConvexPart], i: int, j: int, beside: list[list[i
     lines = _find_meeting_lines(a, b, near)
     if not lines:
         return _is_inside(a, b, near) or _is_inside(b, a, near)
-    local = [face_planes(parts[k]) for k in sorted({i, j, *beside[i], *beside[j]}) if parts[k].shape.radius == 0.0]
-    return any(_is_without_notch(point, along, local, near, flat) for line in lines for point, along in _find_segment_middles(*line, local, near))
+    local = [
+        face_planes(parts[k])
+        for k in sorted({i, j, *beside[i], *beside[j]})
+        if parts[k].shape.radius == 0.0
+    ]
+    return any(
+        _is_without_notch(point, along, local, near, flat)
+        for line in lines
+        for point, along in _find_segment_middles(*line, local, near)
+    )
 
 
 def _is_inside(a: ConvexPart, b: ConvexPart, near: float) -> bool:
@@ -121,17 +158,33 @@ def _is_inside(a: ConvexPart, b: ConvexPart, near: float) -> bool:
     return bool(((a.shape.vertices + a.centre) @ normals.T <= offsets + near).all())
 
 
-def _find_meeting_lines(a: ConvexPart, b: ConvexPart, near: float) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Segments (start [3], end [3]) (m) where the surfaces of two polytopes meet at an angle, longer than 20 near."""
-    (normals, offsets), (others, levels) = _select_near_faces(a, b, near), _select_near_faces(b, a, near)
-    every, limits = (np.concatenate(rows) for rows in zip(face_planes(a), face_planes(b), strict=True))
+def _find_meeting_lines(
+    a: ConvexPart, b: ConvexPart, near: float
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Segments (start [3], end [3]) (m) where the surfaces of two polytopes meet at an angle,
+    longer than 20 near.
+    """
+    (normals, offsets), (others, levels) = (
+        _select_near_faces(a, b, near),
+        _select_near_faces(b, a, near),
+    )
+    every, limits = (
+        np.concatenate(rows) for rows in zip(face_planes(a), face_planes(b), strict=True)
+    )
     lines = []
     for n, o in zip(normals, offsets, strict=True):
         along = np.cross(n, others)
         sine = np.linalg.norm(along, axis=1)
         keep = sine > FLAT_BEND
-        along, m, p, cosine = along[keep] / sine[keep, None], others[keep], levels[keep], (others @ n)[keep]
-        points = ((o - p * cosine)[:, None] * n + (p - o * cosine)[:, None] * m) / sine[keep, None] ** 2
+        along, m, p, cosine = (
+            along[keep] / sine[keep, None],
+            others[keep],
+            levels[keep],
+            (others @ n)[keep],
+        )
+        points = ((o - p * cosine)[:, None] * n + (p - o * cosine)[:, None] * m) / sine[
+            keep, None
+        ] ** 2
         slope = along @ every.T  # [lines, faces]
         room = limits + near - points @ every.T
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -140,7 +193,10 @@ def _find_meeting_lines(a: ConvexPart, b: ConvexPart, near: float) -> list[tuple
         high = np.where(~level & (slope > 0.0), crossing, np.inf).min(axis=1)
         low = np.where(~level & (slope < 0.0), crossing, -np.inf).max(axis=1)
         found = ~(level & (room < 0.0)).any(axis=1) & (high - low > 20.0 * near)
-        lines += [(points[k] + low[k] * along[k], points[k] + high[k] * along[k]) for k in np.flatnonzero(found)]
+        lines += [
+            (points[k] + low[k] * along[k], points[k] + high[k] * along[k])
+            for k in np.flatnonzero(found)
+        ]
     return lines
 
 
@@ -156,7 +212,9 @@ def _select_near_faces(a: ConvexPart, b: ConvexPart, near: float) -> tuple[np.nd
 def _find_segment_middles(
     start: np.ndarray, end: np.ndarray, local: list[tuple[np.ndarray, np.ndarray]], near: float
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Points between which nothing changes along a line: the middles between its crossings with faces; and its direction."""
+    """Points between which nothing changes along a line: the middles between its crossings with
+    faces; and its direction.
+    """
     length = float(np.linalg.norm(end - start))
     along = (end - start) / length
     cuts = [np.array([0.0, length])]
@@ -171,7 +229,11 @@ def _find_segment_middles(
 
 
 def _is_without_notch(
-    point: np.ndarray, along: np.ndarray, local: list[tuple[np.ndarray, np.ndarray]], near: float, flat: float
+    point: np.ndarray,
+    along: np.ndarray,
+    local: list[tuple[np.ndarray, np.ndarray]],
+    near: float,
+    flat: float,
 ) -> bool:
     """Whether the whole fills at most half a turn about a line through a point, in one piece.
 
@@ -185,7 +247,8 @@ def _is_without_notch(
         above = normals @ point - offsets
         if above.max() > 2.0 * near:
             continue
-        across = normals[above > -2.0 * near] @ np.stack([first, second], axis=1)  # [active faces, 2]
+        across = normals[above > -2.0 * near] @ np.stack([first, second], axis=1)  # [active faces,
+        # 2]
         length = np.linalg.norm(across, axis=1)
         across = across[length > FLAT_BEND] / length[length > FLAT_BEND, None]
         if len(across) == 0:

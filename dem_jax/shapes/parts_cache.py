@@ -20,7 +20,9 @@ def find_cache_folder() -> Path:
 
 
 def make_cache_key(vertices: np.ndarray, faces: np.ndarray, settings: dict[str, Any]) -> str:
-    """Name under which the parts of a mesh are kept: of its numbers, the settings and the versions of what cuts it."""
+    """Name under which the parts of a mesh are kept: of its numbers, the settings and the versions
+    of what cuts it.
+    """
     versions = [FORMAT, *(_package_version(name) for name in ("coacd", "fast-simplification"))]
     found = hashlib.sha256(json.dumps([versions, settings], sort_keys=True).encode())
     found.update(np.ascontiguousarray(vertices, np.float64).tobytes())
@@ -33,7 +35,8 @@ def load_arrays(key: str) -> dict[str, np.ndarray] | None:
     try:
         with np.load(find_cache_folder() / f"{key}.npz") as kept:
             return dict(kept)
-    except Exception:  # a file that is cut short or was written by something else trips numpy in many ways
+    except Exception:  # a file that is cut short or was written by something else trips numpy in
+        # many ways
         return None
 
 

@@ -1,4 +1,6 @@
-"""A convex polytope from its vertices and faces: mass properties, planes, edges, and the generators of a zonotope."""
+"""A convex polytope from its vertices and faces: mass properties, planes, edges, and the generators
+of a zonotope.
+"""
 
 from collections.abc import Sequence
 
@@ -14,14 +16,18 @@ MOST_AT_ONCE = 10_000_000  # products of points and normals held in memory
 
 
 def make_polytope(name: str, vertices: np.ndarray, faces: Sequence[Loop]) -> Shape:
-    """Shape of a convex polytope from its vertices [V, 3] (m) and planar faces, counter-clockwise seen from outside; the
-    frame is moved to the centre of mass. Raises SceneError if the faces do not close."""
+    """Shape of a convex polytope from its vertices [V, 3] (m) and planar faces, counter-clockwise
+    seen from outside; the frame is moved to the centre of mass. Raises SceneError if the faces do
+    not close.
+    """
     volume, centre, second = integrate_polyhedron(vertices, faces)
     vertices = vertices - centre
     normals = loop_normals(vertices, faces)
     radius = float(np.linalg.norm(vertices, axis=1).max())
     edges = list_edges(faces)
-    units, of_edge = find_edge_directions(vertices[edges[:, 1]] - vertices[edges[:, 0]], TOLERANCE * radius)
+    units, of_edge = find_edge_directions(
+        vertices[edges[:, 1]] - vertices[edges[:, 0]], TOLERANCE * radius
+    )
     gyration, principal = principal_frame(np.trace(second) * np.eye(3) - second)
     return Shape(
         name=name,
@@ -41,14 +47,18 @@ def make_polytope(name: str, vertices: np.ndarray, faces: Sequence[Loop]) -> Sha
 
 
 def loop_normal(loop: np.ndarray) -> np.ndarray:
-    """Unit normal [3] of a planar loop [k, 3] by the right-hand rule (Newell's sum about the first corner)."""
+    """Unit normal [3] of a planar loop [k, 3] by the right-hand rule (Newell's sum about the first
+    corner).
+    """
     arms = loop - loop[0]
     area = np.cross(arms, np.roll(arms, -1, axis=0)).sum(axis=0)
     return area / np.linalg.norm(area)
 
 
 def loop_normals(vertices: np.ndarray, faces: Sequence[Loop]) -> np.ndarray:
-    """Unit normals [F, 3] of planar loops of vertices [V, 3], each as ``loop_normal`` gives it to the last bit."""
+    """Unit normals [F, 3] of planar loops of vertices [V, 3], each as ``loop_normal`` gives it to
+    the last bit.
+    """
     areas = np.empty((len(faces), 3))
     counts = np.array([len(loop) for loop in faces])
     for count in np.unique(counts):
@@ -62,14 +72,20 @@ def loop_normals(vertices: np.ndarray, faces: Sequence[Loop]) -> np.ndarray:
 def support_distances(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
     """How far [F] (m) points [P, 3] (m) reach along each normal [F, 3]."""
     some = max(1, MOST_AT_ONCE // len(points))
-    return np.concatenate([(points @ normals[k : k + some].T).max(axis=0) for k in range(0, len(normals), some)])
+    return np.concatenate(
+        [(points @ normals[k : k + some].T).max(axis=0) for k in range(0, len(normals), some)]
+    )
 
 
 def list_edges(faces: Sequence[Loop]) -> np.ndarray:
-    """Vertex indices [E, 2] of the edges of a polyhedron, each once. Raises SceneError if its faces do not close."""
+    """Vertex indices [E, 2] of the edges of a polyhedron, each once. Raises SceneError if its faces
+    do not close.
+    """
     sides = find_closed_sides(faces)
     if sides is None:
-        raise SceneError("points are degenerate: the faces of their hull do not close; points must be 1e-6 of its size apart")
+        raise SceneError(
+            "points are degenerate: the faces of their hull do not close; points must be 1e-6 of its size apart"
+        )
     return np.array(sorted(side for side in sides if side[0] < side[1]))
 
 
@@ -82,7 +98,10 @@ def _zonotope_generators(
     tolerance: float,
 ) -> np.ndarray | None:
     """Half-edges [D, 3] of a zonotope, else None."""
-    if not (_is_symmetric(vertices, tolerance) and all(_is_symmetric(vertices[list(loop)], tolerance) for loop in faces)):
+    if not (
+        _is_symmetric(vertices, tolerance)
+        and all(_is_symmetric(vertices[list(loop)], tolerance) for loop in faces)
+    ):
         return None
     lengths = np.linalg.norm(vertices[edges[:, 1]] - vertices[edges[:, 0]], axis=1)
     mean = np.bincount(of_edge, lengths) / np.bincount(of_edge)

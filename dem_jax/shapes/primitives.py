@@ -32,14 +32,19 @@ def sphere(radius: float) -> Shape:
 
 
 def cuboid(size: Sequence[float]) -> Shape:
-    """Cuboid with edges size = [x, y, z] (m) along the body axes. Raises SceneError unless all are > 0."""
+    """Cuboid with edges size = [x, y, z] (m) along the body axes. Raises SceneError unless all are
+    > 0.
+    """
     x, y, z = require_three_lengths(size)
     outline = 0.5 * np.array([(x, y), (-x, y), (-x, -y), (x, -y)])
     return extrude_outline("cuboid", outline, z)
 
 
-def chamfered_cuboid(size: Sequence[float] = (0.055, 0.023, 0.016), chamfer: float = 0.005) -> Shape:
-    """Cuboid of edges size = [x, y, z] (m) with its four edges along z cut off by chamfer (m) on x and on y.
+def chamfered_cuboid(
+    size: Sequence[float] = (0.055, 0.023, 0.016), chamfer: float = 0.005
+) -> Shape:
+    """Cuboid of edges size = [x, y, z] (m) with its four edges along z cut off by chamfer (m) on x
+    and on y.
 
     The defaults are the marshmallow: 19440 mm3, 16 vertices, 10 faces, 24 edges.
     Raises SceneError unless all sizes are > 0 and 0 < chamfer < half the smaller of x and y.
@@ -53,24 +58,30 @@ def chamfered_cuboid(size: Sequence[float] = (0.055, 0.023, 0.016), chamfer: flo
     a, b = 0.5 * x, 0.5 * y
     quarter = np.array([(a, b - c), (a - c, b)])
     mirrored = quarter[::-1] * (-1, 1)
-    return extrude_outline("chamfered-cuboid", np.concatenate([quarter, mirrored, -quarter, -mirrored]), z)
+    return extrude_outline(
+        "chamfered-cuboid", np.concatenate([quarter, mirrored, -quarter, -mirrored]), z
+    )
 
 
 def prism(sides: int, radius: float, height: float) -> Shape:
-    """Regular prism about z: number of sides (3 or more), circumscribed radius (m), height (m); a corner is on x.
+    """Regular prism about z: number of sides (3 or more), circumscribed radius (m), height (m); a
+    corner is on x.
 
     Raises SceneError for fewer than 3 sides and for lengths that are not > 0.
     """
     return extrude_outline(
-        "prism", regular_polygon(require_sides(sides), require_length("radius", radius)), require_length("height", height)
+        "prism",
+        regular_polygon(require_sides(sides), require_length("radius", radius)),
+        require_length("height", height),
     )
 
 
 def cylinder(radius: float, height: float, sides: int = 24) -> Shape:
-    """Cylinder about z of radius and height (m), as a regular prism of equal cross-section area: the mass is exact.
+    """Cylinder about z of radius and height (m), as a regular prism of equal cross-section area:
+    the mass is exact.
 
-    Its corners stand outside the cylinder by 0.6 % of the radius at 24 sides, its faces inside by 0.3 %.
-    Raises SceneError for fewer than 3 sides and for lengths that are not > 0.
+    Its corners stand outside the cylinder by 0.6 % of the radius at 24 sides, its faces inside by
+    0.3 %. Raises SceneError for fewer than 3 sides and for lengths that are not > 0.
     """
     sides, radius = require_sides(sides), require_length("radius", radius)
     outline = regular_polygon(sides, radius * circumradius_ratio(sides))
@@ -83,11 +94,17 @@ def circumradius_ratio(sides: int) -> float:
 
 
 def extrude_outline(name: str, outline: np.ndarray, height: float) -> Shape:
-    """Right prism over a convex outline [k, 2] (m), counter-clockwise about +z, from -height/2 to height/2 (m)."""
+    """Right prism over a convex outline [k, 2] (m), counter-clockwise about +z, from -height/2 to
+    height/2 (m).
+    """
     k = len(outline)
-    vertices = np.concatenate([np.c_[outline, np.full(k, z)] for z in (0.5 * height, -0.5 * height)])
+    vertices = np.concatenate(
+        [np.c_[outline, np.full(k, z)] for z in (0.5 * height, -0.5 * height)]
+    )
     walls = tuple((i, k + i, k + (i + 1) % k, (i + 1) % k) for i in range(k))
-    return make_polytope(name, vertices, (tuple(range(k)), tuple(range(2 * k - 1, k - 1, -1)), *walls))
+    return make_polytope(
+        name, vertices, (tuple(range(k)), tuple(range(2 * k - 1, k - 1, -1)), *walls)
+    )
 
 
 def regular_polygon(sides: int, radius: float) -> np.ndarray:

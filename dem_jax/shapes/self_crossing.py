@@ -15,7 +15,8 @@ MOST_SHARE = 1e-3  # of the volume: crossings that hold less are the noise of a 
 
 
 def check_single_cover(body: "Manifold", middle: np.ndarray, size: float, path: str | Path) -> None:
-    """Raise SceneError for a surface that holds more than MOST_SHARE of its volume twice or inside out.
+    """Raise SceneError for a surface that holds more than MOST_SHARE of its volume twice or inside
+    out.
 
     Args:
         body: one closed surface, in units of ``size``, about ``middle``.
@@ -38,7 +39,8 @@ def check_single_cover(body: "Manifold", middle: np.ndarray, size: float, path: 
 
 
 def _measure_cover(body: "Manifold", sign: float) -> tuple[float, float, np.ndarray]:
-    """Length of rays in a body, length of those parts of it where the winding number is not 0 or 1, and their centre [3].
+    """Length of rays in a body, length of those parts of it where the winding number is not 0 or 1,
+    and their centre [3].
 
     sign: of the volume; the winding number of a body that is inside out is 0 or -1.
     """

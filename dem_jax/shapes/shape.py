@@ -1,4 +1,6 @@
-"""The shape of a piece, convex or of convex parts: types, scaling, extents and size L. Host side, float64, SI."""
+"""The shape of a piece, convex or of convex parts: types, scaling, extents and size L. Host side,
+float64, SI.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -10,33 +12,39 @@ from dem_jax.errors import SceneError
 from dem_jax.math.pose import quaternion_to_matrix
 from dem_jax.shapes.checks import require_positive
 
-# Lengths closer than this fraction of the size are the same: an STL stores single precision (6e-8 of its coordinates).
+# Lengths closer than this fraction of the size are the same: an STL stores single precision (6e-8
+# of its coordinates).
 TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """A piece's geometry about its centre of mass, in the body frame that the user sees. Mass is density times volume.
+    """A piece's geometry about its centre of mass, in the body frame that the user sees. Mass is
+    density times volume.
 
-    name: "sphere", "cuboid", "chamfered-cuboid", "prism", "cylinder" or "hull"; of several parts "compound", "tube" or
+    name: "sphere", "cuboid", "chamfered-cuboid", "prism", "cylinder" or "hull"; of several parts
+    "compound", "tube" or
         "decomposed".
     radius: (m) of a sphere; 0.0 for all others.
     vertices: [V, 3] (m); [0, 3] for a sphere; those of all parts.
-    faces: vertex indices of each planar face, counter-clockwise seen from outside; of several parts those that are not
+    faces: vertex indices of each planar face, counter-clockwise seen from outside; of several parts
+    those that are not
         inside the body.
-    normals: [F, 3] outward unit normals; offsets: [F] (m): n . x <= offset inside (of the part that has the face).
-    edges: [E, 2] vertex indices, each edge once; those of all parts.
-    volume: (m3), overlaps counted once.
-    gyration: [3] (m2) principal moments of inertia over mass, in the principal frame.
-    principal: [4] quaternion w x y z that takes principal-frame vectors to body-frame vectors; (1, 0, 0, 0) where the
+    normals: [F, 3] outward unit normals; offsets: [F] (m): n . x <= offset inside (of the part that
+    has the face). edges: [E, 2] vertex indices, each edge once; those of all parts. volume: (m3),
+    overlaps counted once. gyration: [3] (m2) principal moments of inertia over mass, in the
+    principal frame. principal: [4] quaternion w x y z that takes principal-frame vectors to
+    body-frame vectors; (1, 0, 0, 0) where the
         body axes are principal already.
     bounding_radius: (m) of the smallest sphere about the centre of mass.
-    edge_directions: [D, 3] unit directions of the edges, parallel ones once; of several parts [0, 3]: see theirs.
-    generators: [G, 3] (m) half-edges, in the order of `edge_directions`, of a zonotope (a centrally symmetric polytope
-        whose faces are centrally symmetric too): it is the set of all sums of t_i g_i with |t_i| <= 1, and its
-        half-width along n is the sum of |n . g_i|. None for all other shapes.
-    parts: convex parts that the body is the union of; () for a convex shape: ``list_parts`` gives the parts of any.
-    fused: [number of parts] labels 0, 1, ...: parts of one label continue each other without a notch, see ``joints``.
+    edge_directions: [D, 3] unit directions of the edges, parallel ones once; of several parts [0,
+    3]: see theirs. generators: [G, 3] (m) half-edges, in the order of `edge_directions`, of a
+    zonotope (a centrally symmetric polytope
+        whose faces are centrally symmetric too): it is the set of all sums of t_i g_i with |t_i| <=
+        1, and its half-width along n is the sum of |n . g_i|. None for all other shapes.
+    parts: convex parts that the body is the union of; () for a convex shape: ``list_parts`` gives
+    the parts of any. fused: [number of parts] labels 0, 1, ...: parts of one label continue each
+    other without a notch, see ``joints``.
     """
 
     name: str
@@ -60,9 +68,10 @@ class Shape:
 class ConvexPart:
     """A convex part of a body.
 
-    shape: polytope or sphere about its own centre of mass, its axes parallel to the body frame of the whole.
-    centre: [3] (m) of the part, in the body frame of the whole, about the whole's centre of mass.
-    inner: for each face of the part True if other parts cover it completely, so that nothing can touch it.
+    shape: polytope or sphere about its own centre of mass, its axes parallel to the body frame of
+    the whole. centre: [3] (m) of the part, in the body frame of the whole, about the whole's centre
+    of mass. inner: for each face of the part True if other parts cover it completely, so that
+    nothing can touch it.
     """
 
     shape: Shape
@@ -76,7 +85,9 @@ def list_parts(shape: Shape) -> tuple[ConvexPart, ...]:
 
 
 def scale_shape(shape: Shape, factor: float) -> Shape:
-    """The same shape with all lengths times factor (SF): volume goes with SF^3. Raises SceneError unless factor > 0."""
+    """The same shape with all lengths times factor (SF): volume goes with SF^3. Raises SceneError
+    unless factor > 0.
+    """
     f = require_positive("scale_factor", factor, "a positive number")
     return replace(
         shape,
@@ -87,7 +98,10 @@ def scale_shape(shape: Shape, factor: float) -> Shape:
         gyration=f**2 * shape.gyration,
         bounding_radius=f * shape.bounding_radius,
         generators=None if shape.generators is None else f * shape.generators,
-        parts=tuple(replace(part, shape=scale_shape(part.shape, f), centre=f * part.centre) for part in shape.parts),
+        parts=tuple(
+            replace(part, shape=scale_shape(part.shape, f), centre=f * part.centre)
+            for part in shape.parts
+        ),
     )
 
 
@@ -99,7 +113,10 @@ def principal_extents(shape: Shape) -> np.ndarray:
     points = [shape.vertices @ turn]
     for part in shape.parts:
         if part.shape.radius > 0.0:
-            points += [part.centre[None] @ turn + part.shape.radius, part.centre[None] @ turn - part.shape.radius]
+            points += [
+                part.centre[None] @ turn + part.shape.radius,
+                part.centre[None] @ turn - part.shape.radius,
+            ]
     return np.sort(np.ptp(np.concatenate(points), axis=0))[::-1]
 
 
@@ -116,31 +133,44 @@ SIZE_LENGTHS: dict[str, Callable[[Shape], float]] = {
 def size_length(shape: Shape, convention: str = "equivalent-diameter") -> float:
     """Size L (m) of a piece in the stiffness, eqs 7-8, by a named choice of SIZE_LENGTHS.
 
-    "equivalent-diameter" is that of the sphere of equal volume; "length", "width" (the sieve size) and "thickness" are
-    the extents along the principal axes. Raises SceneError for any other name.
+    "equivalent-diameter" is that of the sphere of equal volume; "length", "width" (the sieve size)
+    and "thickness" are the extents along the principal axes. Raises SceneError for any other name.
     """
     if convention not in SIZE_LENGTHS:
-        raise SceneError(f"stiffness_size = {convention!r} is unknown; allowed: {', '.join(SIZE_LENGTHS)}")
+        raise SceneError(
+            f"stiffness_size = {convention!r} is unknown; allowed: {', '.join(SIZE_LENGTHS)}"
+        )
     return SIZE_LENGTHS[convention](shape)
 
 
-def surface_mesh(shape: Shape, subdivisions: int = 2) -> tuple[np.ndarray, tuple[tuple[int, ...], ...]]:
-    """Vertices [V, 3] (m) and faces of what is drawn: the polytope itself, or a sphere as an icosahedron subdivided; of
-    several parts what shows of each, one after the other."""
+def surface_mesh(
+    shape: Shape, subdivisions: int = 2
+) -> tuple[np.ndarray, tuple[tuple[int, ...], ...]]:
+    """Vertices [V, 3] (m) and faces of what is drawn: the polytope itself, or a sphere as an
+    icosahedron subdivided; of several parts what shows of each, one after the other.
+    """
     if not shape.parts:
         return convex_surface_mesh(shape, subdivisions)
     vertices, faces, start = [], [], 0
     for part in shape.parts:
         points, loops = convex_surface_mesh(part.shape, subdivisions)
-        shown = loops if part.shape.radius > 0.0 else [f for f, hidden in zip(loops, part.interior_faces, strict=True) if not hidden]
+        shown = (
+            loops
+            if part.shape.radius > 0.0
+            else [f for f, hidden in zip(loops, part.interior_faces, strict=True) if not hidden]
+        )
         faces += [tuple(start + v for v in loop) for loop in shown]
         vertices.append(points + part.centre)
         start += len(points)
     return np.concatenate(vertices), tuple(faces)
 
 
-def convex_surface_mesh(shape: Shape, subdivisions: int = 2) -> tuple[np.ndarray, tuple[tuple[int, ...], ...]]:
-    """Vertices [V, 3] (m) and faces of a convex shape; a sphere is an icosahedron subdivided so often."""
+def convex_surface_mesh(
+    shape: Shape, subdivisions: int = 2
+) -> tuple[np.ndarray, tuple[tuple[int, ...], ...]]:
+    """Vertices [V, 3] (m) and faces of a convex shape; a sphere is an icosahedron subdivided so
+    often.
+    """
     if shape.radius == 0.0:
         return shape.vertices, shape.faces
     import trimesh

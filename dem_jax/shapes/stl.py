@@ -18,10 +18,12 @@ SLIVER_AREA = 1e-4  # area over squared longest edge, of facets that may be left
 
 
 def load_stl(path: str | Path, unit: float = 1.0) -> "trimesh.Trimesh":
-    """The triangle mesh (trimesh.Trimesh) of an STL, in metres, vertices merged and facets of zero area dropped.
+    """The triangle mesh (trimesh.Trimesh) of an STL, in metres, vertices merged and facets of zero
+    area dropped.
 
-    unit: metres per unit of the file. Raises SceneError for a file that is missing, unreadable or without area, and for
-    corners that are not finite or so far off that facets are lost in rounding.
+    unit: metres per unit of the file. Raises SceneError for a file that is missing, unreadable or
+    without area, and for corners that are not finite or so far off that facets are lost in
+    rounding.
     """
     unit = require_length("unit", unit)
     mesh = read_stl(path)
@@ -32,7 +34,8 @@ def load_stl(path: str | Path, unit: float = 1.0) -> "trimesh.Trimesh":
 
 
 def read_stl(path: str | Path) -> "trimesh.Trimesh":
-    """The triangle mesh (trimesh.Trimesh) of an STL as it is in the file, three corners of its own for each facet.
+    """The triangle mesh (trimesh.Trimesh) of an STL as it is in the file, three corners of its own
+    for each facet.
 
     Raises SceneError for a file that is missing or unreadable and for corners that are not finite.
     """
@@ -41,20 +44,29 @@ def read_stl(path: str | Path) -> "trimesh.Trimesh":
     if not Path(path).is_file():
         raise SceneError(f"stl = {str(path)!r}: there is no such file")
     try:
-        with np.errstate(all="ignore"), _silence_trimesh():  # of corners that are not finite, which are refused below
+        with np.errstate(all="ignore"), _silence_trimesh():  # of corners that are not finite, which
+            # are refused below
             mesh = trimesh.load_mesh(str(path), file_type="stl", process=False)
     except Exception as error:  # trimesh's readers raise whatever the bytes made them trip over
-        raise SceneError(f"stl = {str(path)!r} cannot be read as an STL file ({_first_line(error)})") from error
+        raise SceneError(
+            f"stl = {str(path)!r} cannot be read as an STL file ({_first_line(error)})"
+        ) from error
     if len(mesh.faces) == 0:
-        raise SceneError(f"stl = {str(path)!r} holds no triangles with finite coordinates: empty, cut short or no STL")
+        raise SceneError(
+            f"stl = {str(path)!r} holds no triangles with finite coordinates: empty, cut short or no STL"
+        )
     bad = ~np.isfinite(mesh.triangles).all(axis=(1, 2))
     if bad.any():
-        raise SceneError(f"stl = {str(path)!r}: {bad.sum()} of its {len(bad)} facets have corners that are not finite")
+        raise SceneError(
+            f"stl = {str(path)!r}: {bad.sum()} of its {len(bad)} facets have corners that are not finite"
+        )
     return mesh
 
 
 def find_flat_facets(mesh: "trimesh.Trimesh", path: str | Path) -> np.ndarray:
-    """[F] bool: facets without area. Raises SceneError if all are, or if one has none but for the size of the mesh."""
+    """[F] bool: facets without area. Raises SceneError if all are, or if one has none but for the
+    size of the mesh.
+    """
     flat = mesh.area_faces <= 1e-14 * mesh.scale**2
     if flat.all():
         raise SceneError(f"stl = {str(path)!r} is degenerate: all its triangles have no area")

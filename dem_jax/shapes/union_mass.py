@@ -7,7 +7,13 @@ import numpy as np
 from dem_jax.errors import SceneError
 from dem_jax.math.pose import quaternion_to_matrix
 from dem_jax.shapes.ball_union_mass import integrate_ball_union
-from dem_jax.shapes.mass import ZERO_MOMENTS, MassProperties, Moments, build_moments, mass_from_moments
+from dem_jax.shapes.mass import (
+    ZERO_MOMENTS,
+    MassProperties,
+    Moments,
+    build_moments,
+    mass_from_moments,
+)
 from dem_jax.shapes.shape import TOLERANCE, ConvexPart
 
 MOST_TERMS = 5000  # of the sum over overlaps: a second or two per thousand
@@ -19,9 +25,11 @@ def face_planes(part: ConvexPart) -> tuple[np.ndarray, np.ndarray]:
 
 
 def find_overlaps(parts: Sequence[ConvexPart], near: float) -> dict[tuple[int, int], float]:
-    """How deep (m) two parts i < j overlap, for those no further apart than near (m); negative where they are apart.
+    """How deep (m) two parts i < j overlap, for those no further apart than near (m); negative
+    where they are apart.
 
-    For two polytopes it is twice the radius of the largest ball in both, which is the depth of a thin overlap.
+    For two polytopes it is twice the radius of the largest ball in both, which is the depth of a
+    thin overlap.
     """
     found = {}
     for j in range(len(parts)):
@@ -33,12 +41,16 @@ def find_overlaps(parts: Sequence[ConvexPart], near: float) -> dict[tuple[int, i
     return found
 
 
-def integrate_union(parts: Sequence[ConvexPart], depths: dict[tuple[int, int], float], size: float) -> MassProperties:
-    """Volume (m3), centre [3] (m) and inertia over mass of the union; depths: as ``find_overlaps`` gives them; size: (m).
+def integrate_union(
+    parts: Sequence[ConvexPart], depths: dict[tuple[int, int], float], size: float
+) -> MassProperties:
+    """Volume (m3), centre [3] (m) and inertia over mass of the union; depths: as ``find_overlaps``
+    gives them; size: (m).
 
-    Overlaps of less than TOLERANCE of the size count as touching. Overlaps of polytopes are subtracted by inclusion
-    and exclusion, balls by the part of their surface that is outside. Raises SceneError for a ball that overlaps a
-    polytope, and for polytopes of which too many overlap in too many ways.
+    Overlaps of less than TOLERANCE of the size count as touching. Overlaps of polytopes are
+    subtracted by inclusion and exclusion, balls by the part of their surface that is outside.
+    Raises SceneError for a ball that overlaps a polytope, and for polytopes of which too many
+    overlap in too many ways.
     """
     deep = {pair for pair, depth in depths.items() if depth > TOLERANCE * size}
     for i, j in deep:
@@ -50,11 +62,18 @@ def integrate_union(parts: Sequence[ConvexPart], depths: dict[tuple[int, int], f
             )
     solids = [i for i, part in enumerate(parts) if part.shape.radius == 0.0]
     balls = [i for i, part in enumerate(parts) if part.shape.radius > 0.0]
-    start = np.mean([part.centre for part in parts], axis=0)  # near the body, so that nothing cancels
-    total = _integrate_polytopes([parts[i] for i in solids], {(solids.index(i), solids.index(j)) for i, j in deep if i in solids}, start)
+    start = np.mean([part.centre for part in parts], axis=0)  # near the body, so that nothing
+    # cancels
+    total = _integrate_polytopes(
+        [parts[i] for i in solids],
+        {(solids.index(i), solids.index(j)) for i, j in deep if i in solids},
+        start,
+    )
     if any(i in balls for i, _ in deep):
         centres = np.array([parts[i].centre - start for i in balls])
-        total = total.plus(integrate_ball_union(centres, np.array([parts[i].shape.radius for i in balls])))
+        total = total.plus(
+            integrate_ball_union(centres, np.array([parts[i].shape.radius for i in balls]))
+        )
     else:
         for i in balls:
             total = total.plus(_own_moments(parts[i], start))
@@ -70,7 +89,9 @@ def distance_to_polytope(part: ConvexPart, point: np.ndarray) -> float:
         return float(above.max())
     vertices = part.shape.vertices + part.centre
     start, end = vertices[part.shape.edges[:, 0]], vertices[part.shape.edges[:, 1]]
-    along = np.clip(((point - start) * (end - start)).sum(1) / ((end - start) ** 2).sum(1), 0.0, 1.0)
+    along = np.clip(
+        ((point - start) * (end - start)).sum(1) / ((end - start) ** 2).sum(1), 0.0, 1.0
+    )
     nearest = float(np.linalg.norm(start + along[:, None] * (end - start) - point, axis=1).min())
     for f in np.flatnonzero(above > 0.0):
         corners = vertices[list(part.shape.faces[f])]
@@ -103,30 +124,48 @@ def _face_gap(a: ConvexPart, b: ConvexPart) -> float:
 
 
 def _inner_ball(parts: Sequence[ConvexPart]) -> tuple[np.ndarray, float]:
-    """Centre [3] (m) and radius (m) of the largest ball inside all polytopes; the radius is negative if they are apart:
-    the least by which all their faces have to move outwards until they meet."""
+    """Centre [3] (m) and radius (m) of the largest ball inside all polytopes; the radius is
+    negative if they are apart: the least by which all their faces have to move outwards until they
+    meet.
+    """
     from scipy.optimize import linprog
 
-    normals, offsets = (np.concatenate(rows) for rows in zip(*(face_planes(part) for part in parts), strict=True))
+    normals, offsets = (
+        np.concatenate(rows) for rows in zip(*(face_planes(part) for part in parts), strict=True)
+    )
     start, unit = parts[0].centre, parts[0].shape.bounding_radius
     bounds = (offsets - normals @ start) / unit
-    found = linprog([0, 0, 0, -1], np.c_[normals, np.ones(len(normals))], bounds, bounds=(None, None), method="highs")
+    found = linprog(
+        [0, 0, 0, -1],
+        np.c_[normals, np.ones(len(normals))],
+        bounds,
+        bounds=(None, None),
+        method="highs",
+    )
     return start + unit * found.x[:3], float(unit * found.x[3])
 
 
 def _own_moments(part: ConvexPart, start: np.ndarray) -> Moments:
     turn = quaternion_to_matrix(part.shape.principal)
-    spread = 0.5 * part.shape.gyration.sum() * np.eye(3) - turn @ np.diag(part.shape.gyration) @ turn.T
+    spread = (
+        0.5 * part.shape.gyration.sum() * np.eye(3) - turn @ np.diag(part.shape.gyration) @ turn.T
+    )
     return build_moments(part.shape.volume, part.centre - start, spread)
 
 
-def _integrate_polytopes(parts: Sequence[ConvexPart], deep: set[tuple[int, int]], start: np.ndarray) -> Moments:
-    """Moments about start [3] (m) of a union of polytopes, of which those pairs overlap: inclusion and exclusion."""
+def _integrate_polytopes(
+    parts: Sequence[ConvexPart], deep: set[tuple[int, int]], start: np.ndarray
+) -> Moments:
+    """Moments about start [3] (m) of a union of polytopes, of which those pairs overlap: inclusion
+    and exclusion.
+    """
     total = ZERO_MOMENTS
     for part in parts:
         total = total.plus(_own_moments(part, start))
     partners = [{j for i, j in deep if i == k} for k in range(len(parts))]
-    waiting: list[tuple[tuple[int, ...], set[int]]] = [((i,), partners[i]) for i in range(len(parts))]
+    waiting: list[tuple[tuple[int, ...], set[int]]] = [
+        ((i,), partners[i]) for i in range(len(parts))
+    ]
     terms = 0
     while waiting:
         chosen, more = waiting.pop()
@@ -137,24 +176,37 @@ def _integrate_polytopes(parts: Sequence[ConvexPart], deep: set[tuple[int, int]]
                 continue
             terms += 1
             if terms > MOST_TERMS:
-                raise SceneError(f"part: more than {MOST_TERMS} overlaps of {len(parts)} parts; allowed: parts that touch")
+                raise SceneError(
+                    f"part: more than {MOST_TERMS} overlaps of {len(parts)} parts; allowed: parts that touch"
+                )
             shared = _integrate_intersection(together, centre, radius, start)
             total = total.plus(shared, -1.0 if len(together) % 2 == 0 else 1.0)
             waiting.append(((*chosen, k), more & partners[k]))
     return total
 
 
-def _integrate_intersection(parts: Sequence[ConvexPart], centre: np.ndarray, radius: float, start: np.ndarray) -> Moments:
+def _integrate_intersection(
+    parts: Sequence[ConvexPart], centre: np.ndarray, radius: float, start: np.ndarray
+) -> Moments:
     """Moments about start of the intersection of all polytopes, from a ball inside it."""
     from scipy.spatial import ConvexHull, HalfspaceIntersection
 
-    normals, offsets = (np.concatenate(rows) for rows in zip(*(face_planes(part) for part in parts), strict=True))
-    corners = HalfspaceIntersection(np.c_[normals, (normals @ centre - offsets) / radius], np.zeros(3)).intersections
+    normals, offsets = (
+        np.concatenate(rows) for rows in zip(*(face_planes(part) for part in parts), strict=True)
+    )
+    corners = HalfspaceIntersection(
+        np.c_[normals, (normals @ centre - offsets) / radius], np.zeros(3)
+    ).intersections
     corners = corners[np.isfinite(corners).all(axis=1)]
-    corners = radius * corners[ConvexHull(corners).simplices]  # [T, 3 corners, 3] about the ball's centre, which is inside
+    corners = radius * corners[ConvexHull(corners).simplices]  # [T, 3 corners, 3] about the ball's
+    # centre, which is inside
     sixfold = np.abs(np.linalg.det(corners))
     sums = corners.sum(axis=1)
     volume = float(sixfold.sum() / 6.0)
     middle = sixfold @ sums / (24.0 * volume)
-    second = np.einsum("t,tki,tkj->ij", sixfold, corners, corners) + np.einsum("t,ti,tj->ij", sixfold, sums, sums)
-    return build_moments(volume, centre - start + middle, second / (120.0 * volume) - np.outer(middle, middle))
+    second = np.einsum("t,tki,tkj->ij", sixfold, corners, corners) + np.einsum(
+        "t,ti,tj->ij", sixfold, sums, sums
+    )
+    return build_moments(
+        volume, centre - start + middle, second / (120.0 * volume) - np.outer(middle, middle)
+    )

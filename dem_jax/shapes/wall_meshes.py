@@ -1,4 +1,6 @@
-"""Walls from STL files: coplanar facets as convex panels, and the plate of some thickness behind a panel. Host side."""
+"""Walls from STL files: coplanar facets as convex panels, and the plate of some thickness behind a
+panel. Host side.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,7 +21,8 @@ if TYPE_CHECKING:
 
 Loop = Sequence[int]  # indices of points
 LOST_AREA = 0.01  # of the area of coplanar facets, that panels may lack
-THINNEST_RATIO = 1e-9  # thickness over size of a panel, and the other way round: beyond, its plate is one in no precision
+THINNEST_RATIO = 1e-9  # thickness over size of a panel, and the other way round: beyond, its plate
+# is one in no precision
 SLIVER_AREA = 1e-4  # area over squared extent, of facets that may be left out
 COPLANAR_ANGLE = 1e-3  # (rad) bend up to which two panels are in one plane
 
@@ -30,7 +33,8 @@ class Plate(NamedTuple):
     vertices: [2k, 3] (m) the panel's corners, then the same behind it.
     faces: vertex loops, counter-clockwise seen from outside: the surface, the back, the k sides.
     normals: [k + 2, 3] outward unit normals; offsets: [k + 2] (m): n . x <= offset inside.
-    edges: [3k, 2] vertex indices: edge i of the surface runs from corner i to the next; then the back's; then across.
+    edges: [3k, 2] vertex indices: edge i of the surface runs from corner i to the next; then the
+    back's; then across.
     """
 
     vertices: np.ndarray
@@ -41,18 +45,22 @@ class Plate(NamedTuple):
 
 
 def build_plate(polygon: Any, thickness: float, name: str = "panel") -> Plate:
-    """Plate behind a convex planar polygon [k, 3] (m), whose normal by the right-hand rule points to the pieces.
+    """Plate behind a convex planar polygon [k, 3] (m), whose normal by the right-hand rule points
+    to the pieces.
 
     thickness: (m), to the other side. name: what an error calls the panel.
-    Raises SceneError for fewer than 3 corners, corners that coincide or are off their common plane by more than
-    TOLERANCE of the panel's size, a reflex corner, an outline that crosses itself and a thickness that is not > 0.
+    Raises SceneError for fewer than 3 corners, corners that coincide or are off their common plane
+    by more than TOLERANCE of the panel's size, a reflex corner, an outline that crosses itself and
+    a thickness that is not > 0.
     """
     corners = _require_polygon(polygon, name)
     thickness = require_length(f"{name}.thickness", thickness)
     size = float(np.linalg.norm(np.ptp(corners, axis=0)))
     low, high = THINNEST_RATIO * size, size / THINNEST_RATIO
     if not low < thickness < high:
-        raise SceneError(f"{name}.thickness = {thickness:g}: allowed for a panel of {size:.3g} m: {low:.2g} to {high:.2g} m")
+        raise SceneError(
+            f"{name}.thickness = {thickness:g}: allowed for a panel of {size:.3g} m: {low:.2g} to {high:.2g} m"
+        )
     k, normal = len(corners), loop_normal(corners)
     vertices = np.concatenate([corners, corners - thickness * normal])
     ring = [(i, (i + 1) % k) for i in range(k)]
@@ -66,14 +74,17 @@ def build_plate(polygon: Any, thickness: float, name: str = "panel") -> Plate:
 def drop_collinear_corners(polygon: np.ndarray) -> np.ndarray:
     """The polygon [k, 3] without the corners that lie on the line between their neighbours."""
     size = float(np.linalg.norm(np.ptp(polygon, axis=0)))
-    return polygon[_drop_collinear(polygon, list(range(len(polygon))), loop_normal(polygon), TOLERANCE * size)]
+    return polygon[
+        _drop_collinear(polygon, list(range(len(polygon))), loop_normal(polygon), TOLERANCE * size)
+    ]
 
 
 class WallMesh(NamedTuple):
     """What was read of an STL for walls.
 
-    panels: convex, each [k, 3] (m). facets: how many made them. doubled: how many more were left out, as they were given
-    twice. thinnest: (m) the least that is behind a facet of a closed body; inf: there is none. bodies: the closed bodies, in words.
+    panels: convex, each [k, 3] (m). facets: how many made them. doubled: how many more were left
+    out, as they were given twice. thinnest: (m) the least that is behind a facet of a closed body;
+    inf: there is none. bodies: the closed bodies, in words.
     """
 
     panels: list[np.ndarray]
@@ -86,10 +97,23 @@ class WallMesh(NamedTuple):
         points = np.concatenate(self.panels)
         area = sum(_polygon_area(panel) for panel in self.panels)
         nm = 1e-9  # of which less is rounding
-        sides = zip("xyz", *(np.round(bound / nm) * nm + 0.0 for bound in (points.min(axis=0), points.max(axis=0))), strict=True)
+        sides = zip(
+            "xyz",
+            *(
+                np.round(bound / nm) * nm + 0.0
+                for bound in (points.min(axis=0), points.max(axis=0))
+            ),
+            strict=True,
+        )
         bounds = ", ".join(f"{axis} from {low:.6g} to {high:.6g} m" for axis, low, high in sides)
-        twice = f" ({self.duplicate_count} more were doubled, and left out)" if self.duplicate_count else ""
-        bodies = f", {self.bodies}, {1e3 * self.thinnest:.3g} mm at the thinnest" if self.bodies else ""
+        twice = (
+            f" ({self.duplicate_count} more were doubled, and left out)"
+            if self.duplicate_count
+            else ""
+        )
+        bodies = (
+            f", {self.bodies}, {1e3 * self.thinnest:.3g} mm at the thinnest" if self.bodies else ""
+        )
         return f"{self.facets} facets{twice}, {len(self.panels)} panels, {area:.6g} m2, {bounds}{bodies}"
 
 
@@ -99,12 +123,14 @@ def read_wall_panels(path: str | Path, unit: float = 1.0, angle: float = 0.01) -
 
 
 def read_wall_mesh(path: str | Path, unit: float = 1.0, angle: float = 0.01) -> WallMesh:
-    """Convex panels, each [k, 3] (m), of the facets of an STL, counter-clockwise about the facets' own normals.
+    """Convex panels, each [k, 3] (m), of the facets of an STL, counter-clockwise about the facets'
+    own normals.
 
-    unit: metres per unit of the file. angle: (degrees) adjacent facets whose normals differ by no more from that of the
-    largest among them are merged, and laid into their mean plane. What is not convex, or has a hole, is cut into convex
-    parts. The mesh need not be closed; closed bodies that meet are united. Raises SceneError for a file that is missing,
-    unreadable, empty or without area, or with corners that are not finite or far off, and for facets that face both ways.
+    unit: metres per unit of the file. angle: (degrees) adjacent facets whose normals differ by no
+    more from that of the largest among them are merged, and laid into their mean plane. What is not
+    convex, or has a hole, is cut into convex parts. The mesh need not be closed; closed bodies that
+    meet are united. Raises SceneError for a file that is missing, unreadable, empty or without
+    area, or with corners that are not finite or far off, and for facets that face both ways.
     """
     mesh = load_stl(path, unit)
     doubled = _drop_doubled(mesh)
@@ -132,7 +158,8 @@ def _drop_doubled(mesh: "trimesh.Trimesh") -> int:
     """Leave out facets that are there already, and say how many."""
     faces = np.asarray(mesh.faces)
     first = faces.argmin(axis=1)
-    turned = np.take_along_axis(faces, (first[:, None] + np.arange(3)) % 3, axis=1)  # the same corners first in all
+    # the same corners first in all
+    turned = np.take_along_axis(faces, (first[:, None] + np.arange(3)) % 3, axis=1)
     _, kept = np.unique(turned, axis=0, return_index=True)
     kept.sort()
     doubled = len(faces) - len(kept)
@@ -152,8 +179,12 @@ def _check_one_sided(mesh: "trimesh.Trimesh", path: str | Path) -> None:
         )
 
 
-def _check_complete(mesh: "trimesh.Trimesh", group: np.ndarray, panels: list[np.ndarray], path: str | Path) -> None:
-    """Raise SceneError if panels lack more of their coplanar facets than slivers, which are thinner than rounding."""
+def _check_complete(
+    mesh: "trimesh.Trimesh", group: np.ndarray, panels: list[np.ndarray], path: str | Path
+) -> None:
+    """Raise SceneError if panels lack more of their coplanar facets than slivers, which are thinner
+    than rounding.
+    """
     facets = float(mesh.area_faces[group].sum())
     lost = facets - sum(_polygon_area(panel) for panel in panels)
     extent = float(np.linalg.norm(np.ptp(mesh.triangles[group].reshape(-1, 3), axis=0)))
@@ -172,23 +203,30 @@ def _polygon_area(polygon: np.ndarray) -> float:
 
 
 def find_seams(panels: Sequence[np.ndarray], tolerance: float | None = None) -> list[list[bool]]:
-    """For each panel [k, 3] a list of k booleans: whether the edge from corner i to the next borders a coplanar panel.
+    """For each panel [k, 3] a list of k booleans: whether the edge from corner i to the next
+    borders a coplanar panel.
 
-    Such an edge is no edge of the wall: a piece that slides across must not catch on it. Coplanar panels have the same
-    normal (to 1e-3); edges that overlap only in part count. tolerance: (m) by default 1e-4 of the largest panel's size.
+    Such an edge is no edge of the wall: a piece that slides across must not catch on it. Coplanar
+    panels have the same normal (to 1e-3); edges that overlap only in part count. tolerance: (m) by
+    default 1e-4 of the largest panel's size.
     """
-    return [[bool(beyond) for beyond in row] for row in find_neighbours(panels, COPLANAR_ANGLE, tolerance)]
+    return [
+        [bool(beyond) for beyond in row]
+        for row in find_neighbours(panels, COPLANAR_ANGLE, tolerance)
+    ]
 
 
 def find_neighbours(
     panels: Sequence[np.ndarray], largest_bend: float, tolerance: float | None = None
 ) -> list[list[list[int]]]:
-    """For each panel, for each of its edges, the numbers of the panels that continue it beyond that edge.
+    """For each panel, for each of its edges, the numbers of the panels that continue it beyond that
+    edge.
 
     Args:
         panels: of one wall group, each [k, 3] (m), counter-clockwise about its normal.
-        largest_bend: (rad) largest angle between the normals of two panels that continue each other.
-        tolerance: (m) distance within which two edges are one; by default 1e-4 of the largest panel's size.
+        largest_bend: (rad) largest angle between the normals of two panels that continue each
+        other. tolerance: (m) distance within which two edges are one; by default 1e-4 of the
+        largest panel's size.
 
     Returns:
         Lists [panels][k] of panel numbers. Edges that overlap only in part count.
@@ -203,7 +241,12 @@ def find_neighbours(
         is_near &= normals @ normals[i] > np.cos(largest_bend)
         others = [(j, _edge_ends(panels[j])) for j in np.flatnonzero(is_near).tolist() if j != i]
         sides = zip(*_edge_ends(panel), strict=True)
-        found.append([[j for j, other in others if _is_shared_edge(*side, *other, tolerance)] for side in sides])
+        found.append(
+            [
+                [j for j, other in others if _is_shared_edge(*side, *other, tolerance)]
+                for side in sides
+            ]
+        )
     return found
 
 
@@ -212,11 +255,17 @@ def _edge_ends(panel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.asarray(panel, np.float64), np.roll(np.asarray(panel, np.float64), -1, axis=0)
 
 
-def _is_shared_edge(start: np.ndarray, end: np.ndarray, starts: np.ndarray, ends: np.ndarray, tolerance: float) -> bool:
-    """Whether one of some edges [k, 3] runs along the edge start-end, the other way, for more than tolerance (m)."""
+def _is_shared_edge(
+    start: np.ndarray, end: np.ndarray, starts: np.ndarray, ends: np.ndarray, tolerance: float
+) -> bool:
+    """Whether one of some edges [k, 3] runs along the edge start-end, the other way, for more than
+    tolerance (m).
+    """
     length = np.linalg.norm(end - start)
     along = (end - start) / length
-    distance = [np.linalg.norm(np.cross(points - start, along), axis=1) for points in (starts, ends)]
+    distance = [
+        np.linalg.norm(np.cross(points - start, along), axis=1) for points in (starts, ends)
+    ]
     head, tail = (ends - start) @ along, (starts - start) @ along
     shared = np.minimum(tail, length) - np.maximum(head, 0.0)
     return bool(((np.maximum(*distance) <= tolerance) & (shared > tolerance)).any())
@@ -226,9 +275,11 @@ def _is_shared_edge(start: np.ndarray, end: np.ndarray, starts: np.ndarray, ends
 
 
 def _group_coplanar(mesh: "trimesh.Trimesh", cosine: float, tolerance: float) -> list[np.ndarray]:
-    """Groups of facets (index arrays), each grown from its largest over shared edges to those in the same plane.
+    """Groups of facets (index arrays), each grown from its largest over shared edges to those in
+    the same plane.
 
-    A facet is in the plane if its normal is, or (slivers, whose normal says little) if all its corners are.
+    A facet is in the plane if its normal is, or (slivers, whose normal says little) if all its
+    corners are.
     """
     neighbours: list[list[int]] = [[] for _ in mesh.faces]
     for a, b in mesh.face_adjacency.tolist():
@@ -240,7 +291,9 @@ def _group_coplanar(mesh: "trimesh.Trimesh", cosine: float, tolerance: float) ->
         if not free[seed]:
             continue
         along = mesh.face_normals @ mesh.face_normals[seed]
-        off_plane = np.abs((mesh.triangles - mesh.triangles[seed, 0]) @ mesh.face_normals[seed]).max(axis=1)
+        off_plane = np.abs(
+            (mesh.triangles - mesh.triangles[seed, 0]) @ mesh.face_normals[seed]
+        ).max(axis=1)
         joins = free & ((along >= cosine) | ((along > 0.0) & (off_plane <= tolerance)))
         group, front = {int(seed)}, [int(seed)]
         while front:
@@ -253,8 +306,12 @@ def _group_coplanar(mesh: "trimesh.Trimesh", cosine: float, tolerance: float) ->
     return groups
 
 
-def _split_convex(points: np.ndarray, triangles: list[Loop], normal: np.ndarray, tolerance: float) -> list[Loop]:
-    """Convex loops (lists of indices of points) that together cover coplanar triangles, without collinear corners."""
+def _split_convex(
+    points: np.ndarray, triangles: list[Loop], normal: np.ndarray, tolerance: float
+) -> list[Loop]:
+    """Convex loops (lists of indices of points) that together cover coplanar triangles, without
+    collinear corners.
+    """
     outline = _trace_outline(triangles)
     if outline is not None and _is_convex(points[outline], normal, tolerance):
         found: list[Loop] = [outline]
@@ -264,8 +321,12 @@ def _split_convex(points: np.ndarray, triangles: list[Loop], normal: np.ndarray,
     return [loop for loop in loops if len(loop) >= 3]
 
 
-def _merge_convex_loops(points: np.ndarray, loops: list[Loop], normal: np.ndarray, tolerance: float) -> list[Loop]:
-    """Loops joined in pairs over shared edges, the longest edge first, as long as the pair is convex."""
+def _merge_convex_loops(
+    points: np.ndarray, loops: list[Loop], normal: np.ndarray, tolerance: float
+) -> list[Loop]:
+    """Loops joined in pairs over shared edges, the longest edge first, as long as the pair is
+    convex.
+    """
     merged = dict(enumerate(loops))
     owner = {side: i for i, loop in merged.items() for side in _directed_edges(loop)}
     shared = [side for side in owner if side[0] < side[1] and side[::-1] in owner]
@@ -292,7 +353,9 @@ def _directed_edges(loop: Loop) -> list[tuple[int, int]]:
 
 
 def _trace_outline(loops: Sequence[Loop]) -> list[int] | None:
-    """The one loop (a list) around some loops that share edges; None if there are several, or if it touches itself."""
+    """The one loop (a list) around some loops that share edges; None if there are several, or if it
+    touches itself.
+    """
     sides = [side for loop in loops for side in _directed_edges(loop)]
     inside = set(sides)
     rim = [side for side in sides if side[::-1] not in inside]
@@ -307,7 +370,10 @@ def _trace_outline(loops: Sequence[Loop]) -> list[int] | None:
 
 
 def _is_convex(corners: np.ndarray, normal: np.ndarray, tolerance: float) -> bool:
-    return bool((corner_bulge(corners, normal) >= -tolerance).all()) and _winding_number(corners, normal) == 1
+    return (
+        bool((corner_bulge(corners, normal) >= -tolerance).all())
+        and _winding_number(corners, normal) == 1
+    )
 
 
 def _winding_number(corners: np.ndarray, normal: np.ndarray) -> int:
@@ -318,8 +384,12 @@ def _winding_number(corners: np.ndarray, normal: np.ndarray) -> int:
     return round(float(turn.sum() / (2.0 * np.pi)))
 
 
-def _drop_collinear(points: np.ndarray, loop: list[int], normal: np.ndarray, tolerance: float) -> list[int]:
-    """The loop without corners that stand out by no more than tolerance (m), the flattest dropped first."""
+def _drop_collinear(
+    points: np.ndarray, loop: list[int], normal: np.ndarray, tolerance: float
+) -> list[int]:
+    """The loop without corners that stand out by no more than tolerance (m), the flattest dropped
+    first.
+    """
     while len(loop) >= 3:
         out = np.abs(corner_bulge(points[loop], normal))
         flattest = int(np.argmin(out))
@@ -338,14 +408,20 @@ def _require_polygon(polygon: Any, name: str) -> np.ndarray:
     except (TypeError, ValueError) as error:
         raise SceneError(f"{name} must be a list of corners [x, y, z] (m)") from error
     if corners.ndim != 2 or corners.shape[1] != 3 or len(corners) < 3:
-        raise SceneError(f"{name} of form {list(corners.shape)} must be a list of at least 3 corners [x, y, z] (m)")
+        raise SceneError(
+            f"{name} of form {list(corners.shape)} must be a list of at least 3 corners [x, y, z] (m)"
+        )
     if not np.isfinite(corners).all():
-        raise SceneError(f"{name} corner {int(np.argmin(np.isfinite(corners).all(axis=1)))} must be finite (m)")
+        raise SceneError(
+            f"{name} corner {int(np.argmin(np.isfinite(corners).all(axis=1)))} must be finite (m)"
+        )
     size = float(np.linalg.norm(np.ptp(corners, axis=0)))
     sides = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
     if sides.min() <= TOLERANCE * size:
         i = int(np.argmin(sides))
-        raise SceneError(f"{name} corners {i} and {(i + 1) % len(corners)} coincide at {corners[i].tolist()} m")
+        raise SceneError(
+            f"{name} corners {i} and {(i + 1) % len(corners)} coincide at {corners[i].tolist()} m"
+        )
     _check_polygon_form(corners, size, name)
     return corners
 
@@ -353,15 +429,21 @@ def _require_polygon(polygon: Any, name: str) -> np.ndarray:
 def _check_polygon_form(corners: np.ndarray, size: float, name: str) -> None:
     area = _polygon_area(corners)
     if area <= TOLERANCE * size**2:
-        raise SceneError(f"{name} has no area ({area:.3g} m2): its corners must not lie on one line or cancel out")
+        raise SceneError(
+            f"{name} has no area ({area:.3g} m2): its corners must not lie on one line or cancel out"
+        )
     normal = loop_normal(corners)
     off_plane = np.abs((corners - corners.mean(axis=0)) @ normal)
     if off_plane.max() > TOLERANCE * size:
         far, allowed = int(np.argmax(off_plane)), TOLERANCE * size
-        raise SceneError(f"{name} corner {far} is {off_plane[far]:.3g} m off its plane; at most {allowed:.1g} m is allowed")
+        raise SceneError(
+            f"{name} corner {far} is {off_plane[far]:.3g} m off its plane; at most {allowed:.1g} m is allowed"
+        )
     out = corner_bulge(corners, normal)
     if out.min() < -TOLERANCE * size:
         reflex = int(np.argmin(out))
-        raise SceneError(f"{name} must be convex; its corner {reflex} at {corners[reflex].tolist()} m is reflex")
+        raise SceneError(
+            f"{name} must be convex; its corner {reflex} at {corners[reflex].tolist()} m is reflex"
+        )
     if _winding_number(corners, normal) != 1:
         raise SceneError(f"{name} must be convex; its outline crosses itself")

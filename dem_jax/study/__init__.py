@@ -1,1 +1,3 @@
-"""Studies: a scene with parameters that vary, seeds at each point, outputs with their bands, one table and one figure."""
+"""Studies: a scene with parameters that vary, seeds at each point, outputs with their bands, one
+table and one figure.
+"""

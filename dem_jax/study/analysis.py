@@ -1,4 +1,6 @@
-"""What a study says: a table of its points with bands, what others found beside it, and what depends on what."""
+"""What a study says: a table of its points with bands, what others found beside it, and what
+depends on what.
+"""
 
 import csv
 import io
@@ -23,7 +25,8 @@ from dem_jax.visualization.metrics import Metric
 from dem_jax.visualization.variance_decomposition import split_variance
 
 MOST_DEGREE = 6  # of polynomials
-FEWEST_POINTS, MANY_POINTS = 8, 128  # drawn points from which on ranks are correlated, and shares of the variance computed
+FEWEST_POINTS, MANY_POINTS = 8, 128  # drawn points from which on ranks are correlated, and shares
+# of the variance computed
 
 
 def parameter_label(study: Study, key: str) -> str:
@@ -34,7 +37,9 @@ def parameter_label(study: Study, key: str) -> str:
 def output_metric(results: StudyResults, name: str, members: np.ndarray) -> Metric:
     """An output of some drops, [M] bool; of those that are done."""
     output = OUTPUTS[name]
-    return Metric(name, output.unit, results.outputs[name][members & (results.state == DONE)], output.digits)
+    return Metric(
+        name, output.unit, results.outputs[name][members & (results.state == DONE)], output.digits
+    )
 
 
 def select_point(results: StudyResults, point: int) -> np.ndarray:
@@ -45,7 +50,9 @@ def select_point(results: StudyResults, point: int) -> np.ndarray:
 def tabulate_points(results: StudyResults) -> tuple[list[str], list[list[str]]]:
     """Head and rows: a row for each point, of each output the median and the band from 5 to 95 %."""
     study = results.study
-    heads = [f"{name} ({OUTPUTS[name].unit})" if OUTPUTS[name].unit else name for name in study.outputs]
+    heads = [
+        f"{name} ({OUTPUTS[name].unit})" if OUTPUTS[name].unit else name for name in study.outputs
+    ]
     rows = []
     for k, point in enumerate(list_points(study)):
         which = select_point(results, k)
@@ -59,7 +66,9 @@ def write_csv(results: StudyResults, path: Path) -> Path:
     """All drops, a row each: parameters, seed, outputs (empty: none). Raises RecordError."""
     study = results.study
     points = list_points(study)
-    heads = [f"{name} ({OUTPUTS[name].unit})" if OUTPUTS[name].unit else name for name in study.outputs]
+    heads = [
+        f"{name} ({OUTPUTS[name].unit})" if OUTPUTS[name].unit else name for name in study.outputs
+    ]
     text = io.StringIO(newline="")
     rows = csv.writer(text)
     rows.writerow([*study.parameter, "seed", *heads])
@@ -76,7 +85,9 @@ def format_parameter(item: Any) -> str:
 
 
 def format_median(number: Metric) -> str:
-    """The median, the band where there are several values, and how many of the drops have one where not all do."""
+    """The median, the band where there are several values, and how many of the drops have one where
+    not all do.
+    """
     known = number.values[np.isfinite(number.values)]
     if not len(known):
         return "-"
@@ -103,7 +114,11 @@ def compare_references(results: StudyResults) -> list[ReferenceComparison]:
         for k, point in enumerate(list_points(results.study)):
             if all(_is_same_value(point[key], wanted) for key, wanted in row.at.items()):
                 which |= select_point(results, k)
-        ours = _trace_rmse(results, row.output, which) if row.output in RMSE_OUTPUTS else output_metric(results, row.output, which)
+        ours = (
+            _trace_rmse(results, row.output, which)
+            if row.output in RMSE_OUTPUTS
+            else output_metric(results, row.output, which)
+        )
         found.append(ReferenceComparison(row, ours, _judge_reference(row, ours)))
     return found
 
@@ -114,18 +129,31 @@ def _trace_rmse(results: StudyResults, name: str, which: np.ndarray) -> Metric:
         return Metric(name, "g", np.zeros(0))
     if name == "rmse_model":
         return Metric(name, "g", trace_comparison.rmse_to_model(results))
-    return Metric(name, "g", trace_comparison.rmse_to_point(results, which, _select_compared_point(results)))
+    return Metric(
+        name, "g", trace_comparison.rmse_to_point(results, which, _select_compared_point(results))
+    )
 
 
 def _select_compared_point(results: StudyResults) -> np.ndarray:
     """The drops of the point that others are compared with, [M] bool."""
     points, wanted = list_points(results.study), results.study.compare
-    k = next((k for k, point in enumerate(points) if all(_is_same_value(point[key], v) for key, v in wanted.items())), -1)
+    k = next(
+        (
+            k
+            for k, point in enumerate(points)
+            if all(_is_same_value(point[key], v) for key, v in wanted.items())
+        ),
+        -1,
+    )
     return select_point(results, k)
 
 
 def _is_same_value(a: Any, b: Any) -> bool:
-    return bool(np.isclose(a, b, rtol=1e-9, atol=0)) if isinstance(a, int | float) and isinstance(b, int | float) else a == b
+    return (
+        bool(np.isclose(a, b, rtol=1e-9, atol=0))
+        if isinstance(a, int | float) and isinstance(b, int | float)
+        else a == b
+    )
 
 
 def _judge_reference(row: ReferenceValue, ours: Metric) -> str:
@@ -138,8 +166,10 @@ def _judge_reference(row: ReferenceValue, ours: Metric) -> str:
 
 
 class Influence(NamedTuple):
-    """How much an output depends on a parameter: its share of the variance by itself (first order), or with few points the
-    correlation of ranks; low, high: 90 % interval of a share, 95 % of a correlation."""
+    """How much an output depends on a parameter: its share of the variance by itself (first order),
+    or with few points the correlation of ranks; low, high: 90 % interval of a share, 95 % of a
+    correlation.
+    """
 
     output: str
     parameter: str
@@ -150,9 +180,11 @@ class Influence(NamedTuple):
 
 
 def find_influences(results: StudyResults) -> list[Influence]:
-    """Of a study whose points are drawn, of ranges, over the means of points; none of a grid, or of few points.
+    """Of a study whose points are drawn, of ranges, over the means of points; none of a grid, or of
+    few points.
 
-    Shares are those of polynomials of up to sixth degree (``visualization.variance_decomposition``).
+    Shares are those of polynomials of up to sixth degree
+    (``visualization.variance_decomposition``).
     """
     study = results.study
     keys = [key for key, parameter in study.parameter.items() if parameter.values is None]
@@ -165,16 +197,24 @@ def find_influences(results: StudyResults) -> list[Influence]:
         known = np.isfinite(y)
         if known.sum() < FEWEST_POINTS or np.ptp(y[known]) <= 1e-3 * np.abs(y[known]).max():
             continue
-        shares = _variance_shares(study, keys, inputs[known], y[known]) if known.sum() >= MANY_POINTS else None
+        shares = (
+            _variance_shares(study, keys, inputs[known], y[known])
+            if known.sum() >= MANY_POINTS
+            else None
+        )
         for k, key in enumerate(keys):
             row = _rank_correlation(inputs[known, k], y[known]) if shares is None else shares[k]
             found.append(Influence(name, key, shares is not None, *row))
     return found
 
 
-def _variance_shares(study: Study, keys: list[str], inputs: np.ndarray, y: np.ndarray) -> list[tuple[float, float, float]]:
+def _variance_shares(
+    study: Study, keys: list[str], inputs: np.ndarray, y: np.ndarray
+) -> list[tuple[float, float, float]]:
     """First-order shares of each parameter with their 90 % intervals."""
-    drawn = np.array([range_probabilities(study.parameter[key], inputs[:, k]) for k, key in enumerate(keys)]).T
+    drawn = np.array(
+        [range_probabilities(study.parameter[key], inputs[:, k]) for k, key in enumerate(keys)]
+    ).T
     split = split_variance(drawn, keys, Metric("", "", y), range(MOST_DEGREE, 0, -1))
     assert split is not None  # as there are MANY values, which differ
     parts = {part.name: part for part in split.parts}
@@ -193,18 +233,25 @@ def _point_means(results: StudyResults, name: str) -> np.ndarray:
     """Mean of an output over the drops of each point that are done, [points]; nan where none is."""
     values = results.group_by_point(np.where(results.state == DONE, results.outputs[name], np.nan))
     known = np.isfinite(values)
-    return np.where(known.any(axis=1), np.where(known, values, 0).sum(axis=1) / np.maximum(known.sum(axis=1), 1), np.nan)
+    return np.where(
+        known.any(axis=1),
+        np.where(known, values, 0).sum(axis=1) / np.maximum(known.sum(axis=1), 1),
+        np.nan,
+    )
 
 
 def fit_power_laws(results: StudyResults) -> Iterator[tuple[str, str, float, float]]:
-    """(output, parameter, p, half of its 95 % interval) of outputs that go with a power p of the only parameter, if its range is
-    one of logarithms: least squares of logarithms over all drops."""
+    """(output, parameter, p, half of its 95 % interval) of outputs that go with a power p of the
+    only parameter, if its range is one of logarithms: least squares of logarithms over all drops.
+    """
     study = results.study
     if [parameter.log for parameter in study.parameter.values()] != [True]:
         return
     (key,) = study.parameter
     points = list_points(study)
-    x = np.repeat([p[key] if isinstance(p[key], int | float) else np.nan for p in points], study.seeds).astype(float)
+    x = np.repeat(
+        [p[key] if isinstance(p[key], int | float) else np.nan for p in points], study.seeds
+    ).astype(float)
     for name in study.outputs:
         y = np.where(results.state == DONE, results.outputs[name], np.nan)
         known = np.isfinite(y) & (y > 0) & (x > 0)
@@ -227,20 +274,30 @@ def list_findings(results: StudyResults) -> list[str]:
     study = results.study
     _, rows = tabulate_points(results)
     lost, left = int((results.state == LOST).sum()), int((results.state == OPEN).sum())
-    lines = [f"{len(results.state)} drops, {study.seeds} at each of {len(rows)} points, {results.elapsed:.0f} s"]
+    lines = [
+        f"{len(results.state)} drops, {study.seeds} at each of {len(rows)} points, {results.elapsed:.0f} s"
+    ]
     if any("(" in cell for row in rows for cell in row):
         lines += ["medians, in brackets 5 to 95 %"]
-    lines += [f"{name} goes with {key} to the power {p:.3f} ± {half:.3f}" for name, key, p, half in fit_power_laws(results)]
+    lines += [
+        f"{name} goes with {key} to the power {p:.3f} ± {half:.3f}"
+        for name, key, p, half in fit_power_laws(results)
+    ]
     found = find_influences(results)
     for name in study.outputs:
         lines += _describe_influences(study, [i for i in found if i.output == name])
     lines += [*describe_study_uncertainty(results), *_describe_distances(results)]
     for row, ours, verdict in compare_references(results):
         at = "".join(f", {key} = {format_parameter(v)}" for key, v in row.at.items())
-        lines.append(f"{row.source}{at}: {row.output} {row.low:g} to {row.high:g} {ours.unit}; ours {format_median(ours)}: {verdict}")
+        lines.append(
+            f"{row.source}{at}: {row.output} {row.low:g} to {row.high:g} {ours.unit}; ours {format_median(ours)}: {verdict}"
+        )
     lines += [*describe_unsettled_drops(results), *_describe_stiffness(results)]
     if lost:
-        lines.append(f"{lost} of the drops went wrong: " + "; ".join(dict.fromkeys(results.failure_reasons.values())))
+        lines.append(
+            f"{lost} of the drops went wrong: "
+            + "; ".join(dict.fromkeys(results.failure_reasons.values()))
+        )
     return lines + ([f"{left} drops are still to be done"] if left else [])
 
 
@@ -254,7 +311,9 @@ def describe_unsettled_drops(results: StudyResults) -> list[str]:
         return []
     names = ", ".join(name for name, count in lacking.items() if count)
     why = "pieces still moved when their run ended (run.duration), or nothing had landed"
-    return [f"{most} of {int(done.sum())} drops have no {names}: {why}; medians and bands are of the others"]
+    return [
+        f"{most} of {int(done.sum())} drops have no {names}: {why}; medians and bands are of the others"
+    ]
 
 
 def _describe_stiffness(results: StudyResults) -> list[str]:
@@ -271,12 +330,19 @@ def _describe_influences(study: Study, rows: list[Influence]) -> list[str]:
     """A line on what an output depends on, if that is known."""
     if not rows:
         return []
-    said = [f"{parameter_label(study, i.parameter)} {i.value:.2f} ({i.low:.2f} to {i.high:.2f})" for i in rows]
-    return [f"{rows[0].output}, {'share of its variance' if rows[0].is_share else 'correlation of ranks'}: {', '.join(said)}"]
+    said = [
+        f"{parameter_label(study, i.parameter)} {i.value:.2f} ({i.low:.2f} to {i.high:.2f})"
+        for i in rows
+    ]
+    return [
+        f"{rows[0].output}, {'share of its variance' if rows[0].is_share else 'correlation of ranks'}: {', '.join(said)}"
+    ]
 
 
 def _describe_distances(results: StudyResults) -> list[str]:
-    """How far traces are from each other: of two drops that differ in their seed alone, and from the Product Model."""
+    """How far traces are from each other: of two drops that differ in their seed alone, and from
+    the Product Model.
+    """
     if not results.force:
         return []
     found = []
@@ -284,11 +350,21 @@ def _describe_distances(results: StudyResults) -> list[str]:
         rows = trace_comparison.align_traces(results, select_point(results, k))
         at = "".join(f", {key} = {format_parameter(v)}" for key, v in point.items())
         if len(rows) > 1:
-            found.append(f"two independent drops{at}: RMSE {format_median(Metric('rmse', 'g', trace_comparison.trace_distances(rows)))} g")
-        if results.study.compare and k != int(np.argmax(_select_compared_point(results))) // results.study.seeds:
-            number, wanted = _trace_rmse(results, "rmse", select_point(results, k)), results.study.compare.items()
+            found.append(
+                f"two independent drops{at}: RMSE {format_median(Metric('rmse', 'g', trace_comparison.trace_distances(rows)))} g"
+            )
+        if (
+            results.study.compare
+            and k != int(np.argmax(_select_compared_point(results))) // results.study.seeds
+        ):
+            number, wanted = (
+                _trace_rmse(results, "rmse", select_point(results, k)),
+                results.study.compare.items(),
+            )
             beside = ", ".join(f"{key} = {format_parameter(v)}" for key, v in wanted)
             found.append(f"beside {beside}{at}: RMSE {format_median(number)} g")
     if results.study.model is not None:
-        found.append(f"a drop and the Product Model: RMSE {format_median(_trace_rmse(results, 'rmse_model', results.state == DONE))} g")
+        found.append(
+            f"a drop and the Product Model: RMSE {format_median(_trace_rmse(results, 'rmse_model', results.state == DONE))} g"
+        )
     return found

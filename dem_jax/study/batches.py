@@ -1,4 +1,6 @@
-"""The work of a study: which drops are computed together, in an order that depends on the study alone, batch by batch."""
+"""The work of a study: which drops are computed together, in an order that depends on the study
+alone, batch by batch.
+"""
 
 import json
 from collections.abc import Iterator, Sequence
@@ -25,12 +27,15 @@ from dem_jax.study.config import Study
 from dem_jax.study.design import Point, list_points
 
 BATCH_SIZE = 32  # drops: what a study that was stopped has to do again, at most
-LONG_BATCH_TIME = 180.0  # s that a batch takes by estimate: one that takes longer is kept in a file while it goes, and none of it done again
+LONG_BATCH_TIME = 180.0  # s that a batch takes by estimate: one that takes longer is kept in a file
+# while it goes, and none of it done again
 
 
 @dataclass(frozen=True)
 class Batch:
-    """Drops that one program computes: their numbers among all, points and seeds; scene: what they have in common."""
+    """Drops that one program computes: their numbers among all, points and seeds; scene: what they
+    have in common.
+    """
 
     members: tuple[int, ...]
     points: tuple[Point, ...]
@@ -47,16 +52,22 @@ class FailedDrops:
 
 
 def list_batches(study: Study) -> Iterator[Batch | FailedDrops]:
-    """All drops of a study: member number = point number * seeds + seed number. Raises SceneError for a scene that cannot be."""
+    """All drops of a study: member number = point number * seeds + seed number. Raises SceneError
+    for a scene that cannot be.
+    """
     points, base = list_points(study), study.base_scene()
     differ = any(parameter_sweep.is_file_key(key) for key in study.parameter)
     base = base if differ else inline_files(base)
-    read = inline_files if differ else (lambda scene: scene)  # of points that have the same files they are read once
+    read = inline_files if differ else (lambda scene: scene)  # of points that have the same files
+    # they are read once
     forms, reuse = dict[int, Any](), AssemblyCache()
     for n, point in enumerate(points):
         try:
             scene = read(base.replace(point))
-            forms[n] = _program_key(scene, study, reuse), [point[key] for key in point if parameter_sweep.is_file_key(key)]
+            forms[n] = (
+                _program_key(scene, study, reuse),
+                [point[key] for key in point if parameter_sweep.is_file_key(key)],
+            )
         except SceneError as error:
             if len(points) == 1:
                 raise
@@ -66,24 +77,32 @@ def list_batches(study: Study) -> Iterator[Batch | FailedDrops]:
         numbers = list(group)
         first = points[numbers[0]]
         common = read(base.replace({key: first[key] for key in first if _is_common(key)}))
-        for members in _cut_members([n * study.seeds + k for n in numbers for k in range(study.seeds)], study.seeds):
+        for members in _cut_members(
+            [n * study.seeds + k for n in numbers for k in range(study.seeds)], study.seeds
+        ):
             rows = tuple(points[m // study.seeds] for m in members)
             yield Batch(tuple(members), rows, tuple(map(study.member_seed, members)), common)
 
 
 def _cut_members(members: list[int], seeds: int) -> list[list[int]]:
-    """Members in batches; points of many seeds each by themselves, where their drops are computed side by side."""
+    """Members in batches; points of many seeds each by themselves, where their drops are computed
+    side by side.
+    """
     size = min(seeds, 4 * BATCH_SIZE) if seeds >= RUNS_AT_ONCE else BATCH_SIZE
     return [members[k : k + size] for k in range(0, len(members), size)]
 
 
 def _program_key(scene: Scene, study: Study, reuse: AssemblyCache) -> Any:
     """What drops must have alike to be of one batch."""
-    return parameter_sweep.program_signature(assemble_system(scene, study.seed, reuse=reuse)), scene.run.model_dump_json(exclude={"step"})
+    return parameter_sweep.program_signature(
+        assemble_system(scene, study.seed, reuse=reuse)
+    ), scene.run.model_dump_json(exclude={"step"})
 
 
 def _is_common(key: str) -> bool:
-    return (key.startswith("run.") and key != parameter_sweep.VARIABLE_RUN_KEY) or parameter_sweep.is_file_key(key)
+    return (
+        key.startswith("run.") and key != parameter_sweep.VARIABLE_RUN_KEY
+    ) or parameter_sweep.is_file_key(key)
 
 
 def run_batch(
@@ -91,7 +110,8 @@ def run_batch(
 ) -> tuple[Run | None, tuple[int, ...], list[FailedDrops]]:
     """Compute a batch: the ensemble, the members that it is of, and those that failed, each alone.
 
-    kept: file of a batch that takes long, which is gone on with if it is there; of its ``progress`` there is a bar.
+    kept: file of a batch that takes long, which is gone on with if it is there; of its ``progress``
+    there is a bar.
     """
     members, failed = list(batch.members), list[FailedDrops]()
     while members:
@@ -120,7 +140,9 @@ def portion_masses(batch: Batch) -> list[np.ndarray]:
     names = [json.dumps(point) for point in batch.points]
     for name, point in zip(names, batch.points, strict=True):
         if name not in found:
-            scene = batch.scene.replace({key: value for key, value in point.items() if not _is_common(key)})
+            scene = batch.scene.replace(
+                {key: value for key, value in point.items() if not _is_common(key)}
+            )
             found[name] = compute_masses(build_piece_set(scene), build_material_table(scene))
     return [found[name] for name in names]
 
@@ -134,13 +156,21 @@ def _find_setup_error(batch: Batch, k: int, study: Study) -> str | None:
     return None
 
 
-def _run_ensemble(batch: Batch, where: Sequence[int], study: Study, kept: Path | None, progress: bool) -> Run:
+def _run_ensemble(
+    batch: Batch, where: Sequence[int], study: Study, kept: Path | None, progress: bool
+) -> Run:
     job = _prepare_job(batch, where, study)
     if study.heap:  # kept in no file: that would begin anew from its scene, without the heap
-        return run_job(warm_start.start_from_heap(job, _prepare_job(batch, where, study, study.heap)))
+        return run_job(
+            warm_start.start_from_heap(job, _prepare_job(batch, where, study, study.heap))
+        )
     if kept is None or job.remaining_time < LONG_BATCH_TIME:
         return run_job(job)
-    return resume(kept, progress=progress) if _is_from_job(kept, job) else run_job(job, kept, True, progress)
+    return (
+        resume(kept, progress=progress)
+        if _is_from_job(kept, job)
+        else run_job(job, kept, True, progress)
+    )
 
 
 def _is_from_job(path: Path, job: Job) -> bool:
@@ -150,15 +180,24 @@ def _is_from_job(path: Path, job: Job) -> bool:
     except RecordError:
         return False
     own = build_header(job)
-    facts = [(h.scene, h.seed, h.dt, h.version, json.dumps(h.info.get("parameters"))) for h in (header, own)]
+    facts = [
+        (h.scene, h.seed, h.dt, h.version, json.dumps(h.info.get("parameters")))
+        for h in (header, own)
+    ]
     return facts[0] == facts[1]
 
 
-def _prepare_job(batch: Batch, where: Sequence[int], study: Study, heap: dict[str, Any] | None = None) -> Job:
+def _prepare_job(
+    batch: Batch, where: Sequence[int], study: Study, heap: dict[str, Any] | None = None
+) -> Job:
     rows, seeds = [batch.points[k] for k in where], [batch.seeds[k] for k in where]
     keys = [key for key in rows[0] if not _is_common(key) and key not in (heap or {})]
     parameters = {key: [row[key] for row in rows] for key in keys}
-    same = {key: values[0] for key, values in parameters.items() if all(value == values[0] for value in values)}
+    same = {
+        key: values[0]
+        for key, values in parameters.items()
+        if all(value == values[0] for value in values)
+    }
     scene = batch.scene.replace(same | (heap or {}))
     rest = {key: values for key, values in parameters.items() if key not in same}
     return prepare_job(scene, seeds, len(seeds), (), None, rest or None)

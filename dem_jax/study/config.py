@@ -15,7 +15,8 @@ from dem_jax.scene.overrides import check_varied_keys
 from dem_jax.scene.sections.base import Positive, Section, as_tuple
 from dem_jax.study.outputs import OUTPUTS
 
-RMSE_OUTPUTS = ("rmse", "rmse_model")  # g, of traces: with those of another point, with the Product Model's
+RMSE_OUTPUTS = ("rmse", "rmse_model")  # g, of traces: with those of another point, with the Product
+# Model's
 STOCK_FOLDER = Path(__file__).parent.parent / "studies"
 Names = Annotated[tuple[str, ...], BeforeValidator(as_tuple)]
 Numbers = Annotated[tuple[Any, ...], BeforeValidator(as_tuple)]
@@ -27,8 +28,12 @@ class StudyParameter(Section):
     values: Numbers | None = Field(None, description="all that it takes")
     low: float | None = Field(None, description="of a range")
     high: float | None = None
-    log: bool = Field(False, description="whether a range is divided, or drawn from, by its logarithm")
-    label: str | None = Field(None, description="name and unit in tables and figures; unset: the key")
+    log: bool = Field(
+        False, description="whether a range is divided, or drawn from, by its logarithm"
+    )
+    label: str | None = Field(
+        None, description="name and unit in tables and figures; unset: the key"
+    )
 
     @model_validator(mode="after")
     def _says_one_thing(self) -> "StudyParameter":
@@ -37,8 +42,14 @@ class StudyParameter(Section):
             raise ValueError("values, low, high: allowed: values, or both low and high")
         if self.values is not None and not self.values:
             raise ValueError("values = []: allowed: at least one")
-        if self.low is not None and self.high is not None and not (self.low < self.high and (self.low > 0 or not self.log)):
-            raise ValueError(f"low = {self.low:g}, high = {self.high:g}: allowed: low < high, of log both > 0")
+        if (
+            self.low is not None
+            and self.high is not None
+            and not (self.low < self.high and (self.low > 0 or not self.log))
+        ):
+            raise ValueError(
+                f"low = {self.low:g}, high = {self.high:g}: allowed: low < high, of log both > 0"
+            )
         return self
 
 
@@ -49,11 +60,15 @@ class ReferenceValue(Section):
     low: float
     high: float
     source: str = Field(description="where it says so")
-    at: dict[str, Any] = Field({}, description="key -> value of the points that it is of; none: all")
+    at: dict[str, Any] = Field(
+        {}, description="key -> value of the points that it is of; none: all"
+    )
 
 
 class ProductModelSection(Section):
-    """The Product Model beside the drops (product_model): its heights are measured above the closed flaps."""
+    """The Product Model beside the drops (product_model): its heights are measured above the closed
+    flaps.
+    """
 
     impact_time: Positive = Field(500e-6, description="s, that an impact lasts; the paper's")
     gamma_low: Positive = Field(description="m, least spread of the heights")
@@ -68,20 +83,36 @@ class Study(Section):
     title: str
     scene: str = Field(description="a stock scene's name, or a .toml file")
     set: dict[str, Any] = Field({}, description="keys of the scene that are changed for all points")
-    design: Literal["grid", "latin-hypercube", "sobol"] = Field("grid", description="how points are chosen")
-    points: int = Field(5, ge=1, le=100_000, description="of a range in a grid, or of the whole of another design")
+    design: Literal["grid", "latin-hypercube", "sobol"] = Field(
+        "grid", description="how points are chosen"
+    )
+    points: int = Field(
+        5, ge=1, le=100_000, description="of a range in a grid, or of the whole of another design"
+    )
     design_seed: int = Field(0, ge=0, description="of a design that is drawn")
     seeds: int = Field(8, ge=1, le=100_000, description="drops at each point")
-    seed: int = Field(0, ge=0, description="the first of them; each point has the same, with uncertain = true its own")
+    seed: int = Field(
+        0,
+        ge=0,
+        description="the first of them; each point has the same, with uncertain = true its own",
+    )
     parameter: dict[str, StudyParameter] = {}
-    uncertain: bool = Field(False, description="the uncertain numbers of the scene are the parameters, of a Sobol design")
+    uncertain: bool = Field(
+        False,
+        description="the uncertain numbers of the scene are the parameters, of a Sobol design",
+    )
     outputs: Names = ("peak", "peak_1ms", "peak_10ms", "first_at_rest", "time_to_rest", "settled")
     traces: bool = Field(False, description="keep the force over time of each drop, and draw it")
-    span: Positive | None = Field(None, description="s of traces that are drawn, from the first force; unset: all")
-    compare: dict[str, Any] = Field(
-        {}, description="key -> value of the point with whose traces those of the others are compared, seed by seed: rmse"
+    span: Positive | None = Field(
+        None, description="s of traces that are drawn, from the first force; unset: all"
     )
-    heap: dict[str, Any] = Field({}, description="keys of the scene with which portions settle, whatever their point says")
+    compare: dict[str, Any] = Field(
+        {},
+        description="key -> value of the point with whose traces those of the others are compared, seed by seed: rmse",
+    )
+    heap: dict[str, Any] = Field(
+        {}, description="keys of the scene with which portions settle, whatever their point says"
+    )
     model: ProductModelSection | None = None
     reference: Annotated[tuple[ReferenceValue, ...], BeforeValidator(as_tuple)] = ()
     quick: dict[str, Any] = Field({}, description="what is otherwise with --quick")
@@ -91,13 +122,19 @@ class Study(Section):
     def _knows_its_names(self) -> "Study":
         for name in self.outputs:
             if name not in OUTPUTS:
-                raise ValueError(f"outputs: {name!r}: no such output; allowed: {', '.join(OUTPUTS)}")
+                raise ValueError(
+                    f"outputs: {name!r}: no such output; allowed: {', '.join(OUTPUTS)}"
+                )
         for row in self.reference:
             if row.output not in (*self.outputs, *RMSE_OUTPUTS):
-                raise ValueError(f"reference.output = {row.output!r}: allowed: one of outputs, {', '.join(RMSE_OUTPUTS)}")
+                raise ValueError(
+                    f"reference.output = {row.output!r}: allowed: one of outputs, {', '.join(RMSE_OUTPUTS)}"
+                )
         for key in (*self.compare, *(key for row in self.reference for key in row.at)):
             if key not in self.parameter:
-                raise ValueError(f"{key!r} in compare or reference.at: allowed: a parameter of the study")
+                raise ValueError(
+                    f"{key!r} in compare or reference.at: allowed: a parameter of the study"
+                )
         if self.uncertain and any(row.values is not None for row in self.parameter.values()):
             raise ValueError("uncertain = true: allowed without parameters")
         if (self.model is not None or self.compare) and not self.traces:
@@ -105,7 +142,8 @@ class Study(Section):
         return self
 
     def base_scene(self) -> Scene:
-        """The scene, with what is set for all points; with as many pieces at all of them, if numbers of it are uncertain.
+        """The scene, with what is set for all points; with as many pieces at all of them, if
+        numbers of it are uncertain.
 
         Raises SceneError.
         """
@@ -116,12 +154,18 @@ class Study(Section):
         return scene.replace(fix_piece_counts(scene)) if self.uncertain else scene
 
     def member_seed(self, member: int) -> int:
-        """The seed of a drop: points have the same seeds, but where the shares of chance and of numbers are wanted."""
+        """The seed of a drop: points have the same seeds, but where the shares of chance and of
+        numbers are wanted.
+        """
         return self.seed + (member if self.uncertain else member % self.seeds)
 
     def with_scene(self, scene: str) -> "Study":
-        """The same study of another scene: a stock scene or a .toml file, from where the process is."""
-        return self.model_copy(update={"scene": scene, "name": f"{self.name}-{Path(scene).stem}", "folder": "."})
+        """The same study of another scene: a stock scene or a .toml file, from where the process
+        is.
+        """
+        return self.model_copy(
+            update={"scene": scene, "name": f"{self.name}-{Path(scene).stem}", "folder": "."}
+        )
 
     def to_toml(self) -> str:
         """As TOML; ``load_study`` of it is the same study."""
@@ -130,16 +174,23 @@ class Study(Section):
 
 def stock_studies() -> dict[str, str]:
     """Names of the studies that come with dem_jax and their titles."""
-    return {path.stem: tomllib.loads(path.read_text(encoding="utf-8"))["title"] for path in sorted(STOCK_FOLDER.glob("*.toml"))}
+    return {
+        path.stem: tomllib.loads(path.read_text(encoding="utf-8"))["title"]
+        for path in sorted(STOCK_FOLDER.glob("*.toml"))
+    }
 
 
 def load_study(source: str | Path, quick: bool = False) -> Study:
-    """A stock study by name, or a TOML file by path; quick: with what its [quick] says. Raises SceneError."""
+    """A stock study by name, or a TOML file by path; quick: with what its [quick] says. Raises
+    SceneError.
+    """
     stock, path = STOCK_FOLDER / f"{source}.toml", Path(source)
     if stock.is_file() and path.suffix != ".toml":
         path = stock
     if not path.is_file():
-        raise SceneError(f"study {str(source)!r}: no such file, nor one of the stock studies ({', '.join(stock_studies())})")
+        raise SceneError(
+            f"study {str(source)!r}: no such file, nor one of the stock studies ({', '.join(stock_studies())})"
+        )
     try:
         tree = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except (ValueError, OSError, RecursionError) as error:
@@ -163,5 +214,9 @@ def _merge_tables(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any
     """Tables key by key, all else replaced; a parameter is replaced whole."""
     out = dict(below)
     for key, item in above.items():
-        out[key] = below.get(key, {}) | item if isinstance(item, dict) and isinstance(below.get(key, {}), dict) else item
+        out[key] = (
+            below.get(key, {}) | item
+            if isinstance(item, dict) and isinstance(below.get(key, {}), dict)
+            else item
+        )
     return out

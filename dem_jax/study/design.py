@@ -19,7 +19,10 @@ def list_points(study: Study) -> list[Point]:
         columns = [_grid_levels(parameter, study.points) for parameter in study.parameter.values()]
         return [dict(zip(study.parameter, row, strict=True)) for row in product(*columns)]
     return [
-        {key: _value_at(parameter, u) for (key, parameter), u in zip(study.parameter.items(), row, strict=True)}
+        {
+            key: _value_at(parameter, u)
+            for (key, parameter), u in zip(study.parameter.items(), row, strict=True)
+        }
         for row in _sample_unit_cube(study)
     ]
 
@@ -28,7 +31,9 @@ def _sample_unit_cube(study: Study) -> np.ndarray:
     """Points in the unit cube [points, parameters]."""
     count, random = len(study.parameter), np.random.default_rng(study.design_seed)
     if study.design == "sobol":
-        rows = qmc.Sobol(count, rng=random).random_base2(max(0, int(np.ceil(np.log2(study.points)))))
+        rows = qmc.Sobol(count, rng=random).random_base2(
+            max(0, int(np.ceil(np.log2(study.points))))
+        )
         return rows[: study.points]
     return qmc.LatinHypercube(count, rng=random).random(study.points)
 
@@ -36,7 +41,11 @@ def _sample_unit_cube(study: Study) -> np.ndarray:
 def _grid_levels(parameter: StudyParameter, points: int) -> list[Any]:
     if parameter.values is not None:
         return list(parameter.values)
-    return [_value_at(parameter, u) for u in np.linspace(0, 1, points)] if points > 1 else [_value_at(parameter, 0.5)]
+    return (
+        [_value_at(parameter, u) for u in np.linspace(0, 1, points)]
+        if points > 1
+        else [_value_at(parameter, 0.5)]
+    )
 
 
 def _value_at(parameter: StudyParameter, u: float) -> Any:

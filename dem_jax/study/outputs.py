@@ -1,4 +1,6 @@
-"""What a drop comes down to in a study: numbers, each with its unit, of all runs of an ensemble at once."""
+"""What a drop comes down to in a study: numbers, each with its unit, of all runs of an ensemble at
+once.
+"""
 
 from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
@@ -13,8 +15,10 @@ from dem_jax.visualization.scale_readings import find_time_to_weigh
 from dem_jax.visualization.time_to_rest import RestState, find_rest
 
 WINDOW = 1e-3  # s, over which forces are averaged where it says so
-BURST, PROMINENCE = 5e-3, 0.2  # s, over which forces are averaged to tell bursts apart; of the highest, that others rise by
-PEAK_END_SHARE, IMPACT_END_FACTOR = 0.1, 2.0  # of its top, down to which a peak lasts; of the settled weight, above which an impact goes on
+BURST, PROMINENCE = 5e-3, 0.2  # s, over which forces are averaged to tell bursts apart; of the
+# highest, that others rise by
+PEAK_END_SHARE, IMPACT_END_FACTOR = 0.1, 2.0  # of its top, down to which a peak lasts; of the
+# settled weight, above which an impact goes on
 
 
 class OutputTraces(NamedTuple):
@@ -29,21 +33,29 @@ class OutputTraces(NamedTuple):
 
     @property
     def final_mass(self) -> np.ndarray:
-        """[K] (kg) the settled mass once all is at rest; nan where a run ended before, and where nothing settled."""
+        """[K] (kg) the settled mass once all is at rest; nan where a run ended before, and where
+        nothing settled.
+        """
         known = self.settled[:, -1] > 0
-        return np.where(known if self.rest is None else known & self.rest.is_complete, self.settled[:, -1], np.nan)
+        return np.where(
+            known if self.rest is None else known & self.rest.is_complete,
+            self.settled[:, -1],
+            np.nan,
+        )
 
 
 class StudyOutput(NamedTuple):
     """A number of each run, nan where there is none: of what its drops do, or of what is to drop.
 
-    digits: how many are shown. needs_rest: whether a run that ended before all was at rest has none.
+    digits: how many are shown. needs_rest: whether a run that ended before all was at rest has
+    none.
     """
 
     unit: str
     words: str
     evaluate: Callable[[OutputTraces], np.ndarray] | None = None  # [K]
-    evaluate_portion: Callable[[np.ndarray], float] | None = None  # of the masses of its pieces, [n] (kg)
+    evaluate_portion: Callable[[np.ndarray], float] | None = None  # of the masses of its pieces,
+    # [n] (kg)
     digits: int = 4
     needs_rest: bool = False
 
@@ -53,9 +65,20 @@ def extract_traces(run: Run) -> OutputTraces:
     group, block = find_main_group(run), find_main_block(run)
     runs, samples = run.run_count or 1, len(run.time)
     force = run.pif_kg(group).reshape(runs, samples) if group else np.zeros((runs, samples))
-    settled = run.settled_mass[block].reshape(runs, samples).astype(float) if block else np.zeros((runs, samples))
+    settled = (
+        run.settled_mass[block].reshape(runs, samples).astype(float)
+        if block
+        else np.zeros((runs, samples))
+    )
     rest = find_rest(run, group, block) if block else None
-    return OutputTraces(run, run.time, force, _running_mean(force, max(1, round(WINDOW / run.sample))), settled, rest)
+    return OutputTraces(
+        run,
+        run.time,
+        force,
+        _running_mean(force, max(1, round(WINDOW / run.sample))),
+        settled,
+        rest,
+    )
 
 
 def _running_mean(force: np.ndarray, samples: int) -> np.ndarray:
@@ -66,13 +89,19 @@ def _running_mean(force: np.ndarray, samples: int) -> np.ndarray:
 
 def _peak_instant(t: OutputTraces) -> np.ndarray:
     group = find_main_group(t.run)
-    return t.run.pif_kg(group, mean=False).reshape(t.force.shape).max(axis=1) if group else np.full(len(t.force), np.nan)
+    return (
+        t.run.pif_kg(group, mean=False).reshape(t.force.shape).max(axis=1)
+        if group
+        else np.full(len(t.force), np.nan)
+    )
 
 
 def _peak_every_step(t: OutputTraces) -> np.ndarray:
     group = find_main_group(t.run)
     peaks = t.run.peak_kg(group) if group else None
-    return np.full(len(t.force), np.nan) if peaks is None else peaks.reshape(t.force.shape).max(axis=1)
+    return (
+        np.full(len(t.force), np.nan) if peaks is None else peaks.reshape(t.force.shape).max(axis=1)
+    )
 
 
 def _peak_long_mean(t: OutputTraces) -> np.ndarray:
@@ -92,7 +121,9 @@ def _first_force(t: OutputTraces) -> np.ndarray:
 
 
 def _after_first_force(t: OutputTraces, when: np.ndarray) -> np.ndarray:
-    """Times (ms) of samples from the first force on; nan where ``when`` is not there (-1) or nothing has landed."""
+    """Times (ms) of samples from the first force on; nan where ``when`` is not there (-1) or
+    nothing has landed.
+    """
     first = _first_force(t)
     known = (when >= 0) & (first < len(t.time))
     ms = 1e3 * (t.time[np.clip(when, 0, None)] - t.time[np.minimum(first, len(t.time) - 1)])
@@ -100,7 +131,9 @@ def _after_first_force(t: OutputTraces, when: np.ndarray) -> np.ndarray:
 
 
 def _first_at_rest(t: OutputTraces) -> np.ndarray:
-    """From there on some piece is always at rest: what is slow for an instant, at the top of a bounce, does not count."""
+    """From there on some piece is always at rest: what is slow for an instant, at the top of a
+    bounce, does not count.
+    """
     none = t.settled <= 0
     after = none.shape[1] - none[:, ::-1].argmax(axis=1)
     return _after_first_force(t, np.where(none.any(axis=1) & (after < none.shape[1]), after, -1))
@@ -128,12 +161,15 @@ def _peak_duration(t: OutputTraces) -> np.ndarray:
         top = int(row.argmax())
         low = np.flatnonzero(row <= PEAK_END_SHARE * row[top])
         before, after = low[low < top], low[low > top]
-        found.append(1e3 * (t.time[after[0]] - t.time[before[-1]]) if len(before) and len(after) else np.nan)
+        found.append(
+            1e3 * (t.time[after[0]] - t.time[before[-1]]) if len(before) and len(after) else np.nan
+        )
     return np.array(found)
 
 
 def _second_peak(t: OutputTraces) -> tuple[np.ndarray, np.ndarray]:
-    """The next highest burst of those after the highest (kg) and by how much it is later (ms), [K]; nan where there is but one.
+    """The next highest burst of those after the highest (kg) and by how much it is later (ms), [K];
+    nan where there is but one.
 
     Of means over BURST; a burst rises by PROMINENCE of the highest above what lies between.
     """
@@ -150,27 +186,57 @@ def _second_peak(t: OutputTraces) -> tuple[np.ndarray, np.ndarray]:
 def _time_to_weigh(t: OutputTraces) -> np.ndarray:
     until = find_time_to_weigh(t.run, np.array(True) if t.rest is None else t.rest.is_complete)
     first = _first_force(t)
-    return np.where(first < len(t.time), 1e3 * (until - t.time[np.minimum(first, len(t.time) - 1)]), np.nan)
+    return np.where(
+        first < len(t.time), 1e3 * (until - t.time[np.minimum(first, len(t.time) - 1)]), np.nan
+    )
 
 
 OUTPUTS = {
-    "peak": StudyOutput("kg", "peak of the force, means over a sample", lambda t: t.force.max(axis=1), digits=3),
+    "peak": StudyOutput(
+        "kg", "peak of the force, means over a sample", lambda t: t.force.max(axis=1), digits=3
+    ),
     "peak_instant": StudyOutput("kg", "peak of the force at samples", _peak_instant, digits=3),
-    "peak_every_step": StudyOutput("kg", "peak of the force of every time step", _peak_every_step, digits=3),
-    "peak_1ms": StudyOutput("kg", "peak of the force, means over 1 ms", lambda t: t.smooth.max(axis=1), digits=3),
-    "peak_10ms": StudyOutput("kg", "peak of the force, means over 10 ms", _peak_long_mean, digits=3),
-    "peak_over_static": StudyOutput("", "peak over the settled weight", _peak_over_static, digits=3, needs_rest=True),
-    "time_of_peak": StudyOutput("ms", "time of the peak since the release", lambda t: 1e3 * t.time[t.force.argmax(axis=1)]),
-    "peak_duration": StudyOutput("ms", "how long the highest peak (means over 1 ms) is above a tenth of its top", _peak_duration),
+    "peak_every_step": StudyOutput(
+        "kg", "peak of the force of every time step", _peak_every_step, digits=3
+    ),
+    "peak_1ms": StudyOutput(
+        "kg", "peak of the force, means over 1 ms", lambda t: t.smooth.max(axis=1), digits=3
+    ),
+    "peak_10ms": StudyOutput(
+        "kg", "peak of the force, means over 10 ms", _peak_long_mean, digits=3
+    ),
+    "peak_over_static": StudyOutput(
+        "", "peak over the settled weight", _peak_over_static, digits=3, needs_rest=True
+    ),
+    "time_of_peak": StudyOutput(
+        "ms", "time of the peak since the release", lambda t: 1e3 * t.time[t.force.argmax(axis=1)]
+    ),
+    "peak_duration": StudyOutput(
+        "ms",
+        "how long the highest peak (means over 1 ms) is above a tenth of its top",
+        _peak_duration,
+    ),
     "second_peak": StudyOutput(
-        "kg", "the next highest burst, if it comes later; means over 5 ms", lambda t: _second_peak(t)[0], digits=3
+        "kg",
+        "the next highest burst, if it comes later; means over 5 ms",
+        lambda t: _second_peak(t)[0],
+        digits=3,
     ),
-    "second_peak_after": StudyOutput("ms", "from the highest burst to the next highest", lambda t: _second_peak(t)[1]),
+    "second_peak_after": StudyOutput(
+        "ms", "from the highest burst to the next highest", lambda t: _second_peak(t)[1]
+    ),
     "impact_time": StudyOutput(
-        "ms", "from the first force until means over 1 ms stay below twice the settled weight", _impact_time, needs_rest=True
+        "ms",
+        "from the first force until means over 1 ms stay below twice the settled weight",
+        _impact_time,
+        needs_rest=True,
     ),
-    "first_at_rest": StudyOutput("ms", "from the first force until some piece is at rest for good", _first_at_rest),
-    "time_to_rest": StudyOutput("ms", "from the first force until all is at rest", _time_to_rest, needs_rest=True),
+    "first_at_rest": StudyOutput(
+        "ms", "from the first force until some piece is at rest for good", _first_at_rest
+    ),
+    "time_to_rest": StudyOutput(
+        "ms", "from the first force until all is at rest", _time_to_rest, needs_rest=True
+    ),
     "time_to_weigh": StudyOutput(
         "ms",
         "from the first force until readings (1 kHz, mean over 0.1 s) stay within 1 g of the settled weight",
@@ -178,11 +244,21 @@ OUTPUTS = {
         needs_rest=True,
     ),
     "settled": StudyOutput("g", "settled mass at the end", lambda t: 1e3 * t.settled[:, -1]),
-    "not_at_rest": StudyOutput("", "number of pieces that are not at rest at the end", _moving_pieces),
+    "not_at_rest": StudyOutput(
+        "", "number of pieces that are not at rest at the end", _moving_pieces
+    ),
     "pieces": StudyOutput("", "number of pieces", evaluate_portion=len),
-    "piece_weight": StudyOutput("g", "mean weight of a piece", evaluate_portion=lambda masses: 1e3 * float(masses.mean())),
-    "portion_weight": StudyOutput("g", "weight of all pieces", evaluate_portion=lambda masses: 1e3 * float(masses.sum())),
-    "step": StudyOutput("us", "time step", lambda t: 1e6 * np.broadcast_to(t.run.info.get("steps", t.run.dt), len(t.force))),
+    "piece_weight": StudyOutput(
+        "g", "mean weight of a piece", evaluate_portion=lambda masses: 1e3 * float(masses.mean())
+    ),
+    "portion_weight": StudyOutput(
+        "g", "weight of all pieces", evaluate_portion=lambda masses: 1e3 * float(masses.sum())
+    ),
+    "step": StudyOutput(
+        "us",
+        "time step",
+        lambda t: 1e6 * np.broadcast_to(t.run.info.get("steps", t.run.dt), len(t.force)),
+    ),
 }
 
 
@@ -201,4 +277,8 @@ def evaluate_outputs(run: Run, names: Iterable[str]) -> dict[str, np.ndarray]:
 def evaluate_portions(masses: Sequence[np.ndarray], names: Iterable[str]) -> dict[str, np.ndarray]:
     """name -> [K] of the masses (kg) of the pieces of each run, of the other outputs."""
     found = {name: OUTPUTS[name].evaluate_portion for name in names}
-    return {name: np.array([float(of(row)) for row in masses]) for name, of in found.items() if of is not None}
+    return {
+        name: np.array([float(of(row)) for row in masses])
+        for name, of in found.items()
+        if of is not None
+    }

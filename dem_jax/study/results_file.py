@@ -1,4 +1,6 @@
-"""The file of a study: what is done so far, so that it is gone on with and nothing is computed twice."""
+"""The file of a study: what is done so far, so that it is gone on with and nothing is computed
+twice.
+"""
 
 import io
 import json
@@ -34,7 +36,11 @@ class StudyResults:
     def create_empty(cls, study: Study) -> "StudyResults":
         """Nothing is done."""
         count = len(list_points(study)) * study.seeds
-        return cls(study, np.zeros(count, np.int8), {name: np.full(count, np.nan) for name in study.outputs})
+        return cls(
+            study,
+            np.zeros(count, np.int8),
+            {name: np.full(count, np.nan) for name in study.outputs},
+        )
 
     def group_by_point(self, values: np.ndarray) -> np.ndarray:
         """[M] as [points, seeds]."""
@@ -86,7 +92,9 @@ def load_results(path: str | Path) -> StudyResults:
         try:
             return _read_results(file)
         except (KeyError, ValueError, TypeError, AttributeError) as error:
-            raise RecordError(f"{path} is no file of a study, or damaged: {' '.join(str(error).split())}") from error
+            raise RecordError(
+                f"{path} is no file of a study, or damaged: {' '.join(str(error).split())}"
+            ) from error
 
 
 def _read_results(file: Any) -> StudyResults:
@@ -104,5 +112,5 @@ def _read_results(file: Any) -> StudyResults:
 
 def is_same_study(a: Study, b: Study) -> bool:
     """Whether two studies are of the same drops and outputs."""
-    plain: Any = lambda study: study.model_dump(exclude={"folder", "quick", "title", "reference"})  # noqa: E731
+    plain: Any = lambda study: study.model_dump(exclude={"folder", "quick", "title", "reference"})
     return bool(plain(a) == plain(b))

@@ -1,9 +1,10 @@
 """Posterior of unknown parameters: drops at sampled points, weighted by published reference values.
 
-A published number is one drop, or a range of few. At each point its likelihood is that of a normal distribution with the mean and
-spread of our drops there, widened by the range that was read off (a synthetic likelihood: Wood, Nature 466 (2010) 1102-1104);
-numbers are taken as independent, and studies of the same points multiply. The points themselves are drawn evenly: their weights are
-those of a flat prior over the ranges.
+A published number is one drop, or a range of few. At each point its likelihood is that of a normal
+distribution with the mean and spread of our drops there, widened by the range that was read off (a
+synthetic likelihood: Wood, Nature 466 (2010) 1102-1104); numbers are taken as independent, and
+studies of the same points multiply. The points themselves are drawn evenly: their weights are those
+of a flat prior over the ranges.
 """
 
 from collections.abc import Sequence
@@ -12,7 +13,13 @@ from typing import NamedTuple
 import numpy as np
 
 from dem_jax.errors import SceneError
-from dem_jax.study.analysis import format_median, format_parameter, output_metric, parameter_label, select_point
+from dem_jax.study.analysis import (
+    format_median,
+    format_parameter,
+    output_metric,
+    parameter_label,
+    select_point,
+)
 from dem_jax.study.config import RMSE_OUTPUTS, ReferenceValue, Study
 from dem_jax.study.design import list_points
 from dem_jax.study.results_file import DONE, StudyResults
@@ -30,7 +37,9 @@ class ParameterMarginal(NamedTuple):
 
 
 class ReferenceFit(NamedTuple):
-    """A published number: how many spreads our mean is from it, at the best point and at the nearest of all."""
+    """A published number: how many spreads our mean is from it, at the best point and at the
+    nearest of all.
+    """
 
     study: str
     reference: ReferenceValue
@@ -39,16 +48,27 @@ class ReferenceFit(NamedTuple):
 
 
 def compute_weights(studies: Sequence[StudyResults]) -> np.ndarray:
-    """Weight of each point, [points], their sum 1. Raises SceneError for studies of other points, or without references."""
+    """Weight of each point, [points], their sum 1. Raises SceneError for studies of other points,
+    or without references.
+    """
     first = studies[0].study
     for results in studies[1:]:
         if list_points(results.study) != list_points(first):
-            raise SceneError(f"{results.study.name}: other points than {first.name}; allowed: studies with the same parameters")
+            raise SceneError(
+                f"{results.study.name}: other points than {first.name}; allowed: studies with the same parameters"
+            )
     if not any(_usable_references(results.study) for results in studies):
-        raise SceneError(f"{first.name}: no reference to weigh points by; allowed: studies with [[reference]]")
-    log = sum((_log_likelihood(r, row) for r in studies for row in _usable_references(r.study)), np.zeros(len(list_points(first))))
+        raise SceneError(
+            f"{first.name}: no reference to weigh points by; allowed: studies with [[reference]]"
+        )
+    log = sum(
+        (_log_likelihood(r, row) for r in studies for row in _usable_references(r.study)),
+        np.zeros(len(list_points(first))),
+    )
     if not np.isfinite(log).any():
-        raise SceneError(f"{first.name}: no point has all numbers that it is compared by; allowed: more drops")
+        raise SceneError(
+            f"{first.name}: no point has all numbers that it is compared by; allowed: more drops"
+        )
     weights = np.exp(log - np.max(log[np.isfinite(log)]))
     return np.asarray(weights / weights.sum())
 
@@ -58,7 +78,9 @@ def effective_sample_size(weights: np.ndarray) -> float:
     return float(1 / np.sum(weights**2))
 
 
-def compute_marginals(studies: Sequence[StudyResults], weights: np.ndarray) -> list[ParameterMarginal]:
+def compute_marginals(
+    studies: Sequence[StudyResults], weights: np.ndarray
+) -> list[ParameterMarginal]:
     """Each parameter that has a range."""
     study, points = studies[0].study, list_points(studies[0].study)
     found = []
@@ -66,7 +88,11 @@ def compute_marginals(studies: Sequence[StudyResults], weights: np.ndarray) -> l
         if parameter.values is None:
             x = np.array([point[key] for point in points], float)
             even = np.full(len(x), 1 / len(x))
-            found.append(ParameterMarginal(key, _weighted_quantiles(x, weights), _weighted_quantiles(x, even)))
+            found.append(
+                ParameterMarginal(
+                    key, _weighted_quantiles(x, weights), _weighted_quantiles(x, even)
+                )
+            )
     return found
 
 
@@ -76,7 +102,9 @@ def find_reference_fits(studies: Sequence[StudyResults], weights: np.ndarray) ->
     for results in studies:
         for row in _usable_references(results.study):
             away = np.abs(_standardized_differences(results, row))
-            found.append(ReferenceFit(results.study.name, row, float(away[best]), float(np.nanmin(away))))
+            found.append(
+                ReferenceFit(results.study.name, row, float(away[best]), float(np.nanmin(away)))
+            )
     return found
 
 
@@ -85,16 +113,35 @@ def describe_posterior(studies: Sequence[StudyResults]) -> list[str]:
     weights = compute_weights(studies)
     study, points = studies[0].study, list_points(studies[0].study)
     best = int(np.argmax(weights))
-    lines = [f"{len(points)} points, as many as {effective_sample_size(weights):.1f} of equal weight"]
+    lines = [
+        f"{len(points)} points, as many as {effective_sample_size(weights):.1f} of equal weight"
+    ]
     for one in compute_marginals(studies, weights):
         (low, middle, high), (least, _, most) = one.posterior, one.prior
-        lines.append(f"{parameter_label(study, one.key)}: {middle:.3g} ({low:.3g} to {high:.3g}); drawn from {least:.3g} to {most:.3g}")
-    lines.append("best point: " + ", ".join(f"{key} = {format_parameter(v)}" for key, v in points[best].items()))
-    for fit, results in zip(find_reference_fits(studies, weights), (r for r in studies for _ in _usable_references(r.study)), strict=True):
-        ours = format_median(output_metric(results, fit.reference.output, select_point(results, best)))
-        word = "contradicts all points" if fit.nearest > CONTRADICTION_DISTANCE else f"{fit.at_best:.1f} spreads off"
+        lines.append(
+            f"{parameter_label(study, one.key)}: {middle:.3g} ({low:.3g} to {high:.3g}); drawn from {least:.3g} to {most:.3g}"
+        )
+    lines.append(
+        "best point: "
+        + ", ".join(f"{key} = {format_parameter(v)}" for key, v in points[best].items())
+    )
+    for fit, results in zip(
+        find_reference_fits(studies, weights),
+        (r for r in studies for _ in _usable_references(r.study)),
+        strict=True,
+    ):
+        ours = format_median(
+            output_metric(results, fit.reference.output, select_point(results, best))
+        )
+        word = (
+            "contradicts all points"
+            if fit.nearest > CONTRADICTION_DISTANCE
+            else f"{fit.at_best:.1f} spreads off"
+        )
         row = fit.reference
-        lines.append(f"{fit.study}, {row.source}: {row.output} {row.low:g} to {row.high:g}; there {ours}: {word}")
+        lines.append(
+            f"{fit.study}, {row.source}: {row.output} {row.low:g} to {row.high:g}; there {ours}: {word}"
+        )
     return lines
 
 
@@ -104,8 +151,9 @@ def _usable_references(study: Study) -> list[ReferenceValue]:
 
 
 def _output_moments(results: StudyResults, name: str) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and standard deviation of an output over the drops of each point, [points]; nan without drops. With fewer than three
-    drops the deviation is the mean one of all points."""
+    """Mean and standard deviation of an output over the drops of each point, [points]; nan without
+    drops. With fewer than three drops the deviation is the mean one of all points.
+    """
     rows = results.group_by_point(np.where(results.state == DONE, results.outputs[name], np.nan))
     known = np.isfinite(rows)
     count = known.sum(axis=1)
@@ -124,7 +172,9 @@ def _standardized_differences(results: StudyResults, row: ReferenceValue) -> np.
 
 def _log_likelihood(results: StudyResults, row: ReferenceValue) -> np.ndarray:
     _, deviation = _output_moments(results, row.output)
-    found = -0.5 * _standardized_differences(results, row) ** 2 - np.log(np.hypot(deviation, 0.5 * (row.high - row.low)))
+    found = -0.5 * _standardized_differences(results, row) ** 2 - np.log(
+        np.hypot(deviation, 0.5 * (row.high - row.low))
+    )
     return np.where(np.isfinite(found), found, -np.inf)
 
 

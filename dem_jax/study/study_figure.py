@@ -1,4 +1,6 @@
-"""The figure of a study: traces where they are kept, outputs over the parameters, the Product Model beside."""
+"""The figure of a study: traces where they are kept, outputs over the parameters, the Product Model
+beside.
+"""
 
 from collections.abc import Callable
 from functools import partial
@@ -41,21 +43,31 @@ def draw_study_figure(results: StudyResults) -> "Figure":
 
     study = results.study
     names = [name for name in study.outputs if _is_varying(results, name)]
-    panels: list[Callable[[Axes], None]] = [partial(_draw_traces, results=results)] if results.force else []
+    panels: list[Callable[[Axes], None]] = (
+        [partial(_draw_traces, results=results)] if results.force else []
+    )
     columns = 1 if study.design == "grid" else len(study.parameter)
     if columns > 1:  # a row for each output, a column for each parameter
         panels += [_hide_axes] * ((columns - 1) * len(panels))
     if study.design == "grid":
         panels += [partial(_draw_over_parameter, results=results, name=name) for name in names]
     else:
-        panels += [partial(_draw_scatter, results=results, name=name, key=key) for name in names for key in study.parameter]
-    wide, each = (min(3, max(1, len(panels))), (4.4, 3.4)) if columns == 1 else (max(1, columns), (3.0, 2.4))
+        panels += [
+            partial(_draw_scatter, results=results, name=name, key=key)
+            for name in names
+            for key in study.parameter
+        ]
+    wide, each = (
+        (min(3, max(1, len(panels))), (4.4, 3.4)) if columns == 1 else (max(1, columns), (3.0, 2.4))
+    )
     high = max(1, -(-len(panels) // wide))
     figure = Figure(figsize=(each[0] * wide, each[1] * high), layout="constrained")
     places = np.ravel(figure.subplots(high, wide, squeeze=False))
     for axes, draw in zip(places, [*panels, *[_hide_axes] * len(places)], strict=False):
         draw(axes)
-    figure.suptitle("\n".join([study.title, *describe_unsettled_drops(results)]), fontsize=11, wrap=True)
+    figure.suptitle(
+        "\n".join([study.title, *describe_unsettled_drops(results)]), fontsize=11, wrap=True
+    )
     return figure
 
 
@@ -75,20 +87,32 @@ def _hide_axes(axes: "Axes") -> None:
 def _draw_traces(axes: "Axes", results: StudyResults) -> None:
     """Medians and bands of the force over the time since the first force, of each point, or of few."""
     study, points = results.study, list_points(results.study)
-    for k in np.unique(np.linspace(0, len(points) - 1, min(len(points), MOST_TRACES)).round().astype(int)):
+    for k in np.unique(
+        np.linspace(0, len(points) - 1, min(len(points), MOST_TRACES)).round().astype(int)
+    ):
         rows = trace_comparison.align_traces(results, select_point(results, k))
         if not len(rows):
             continue
         t = 1e3 * results.time[: rows.shape[1]]  # type: ignore[index]  # there are traces
-        label = ", ".join(f"{parameter_label(study, key)} = {format_parameter(v)}" for key, v in points[k].items()) or "DEM"
+        label = (
+            ", ".join(
+                f"{parameter_label(study, key)} = {format_parameter(v)}"
+                for key, v in points[k].items()
+            )
+            or "DEM"
+        )
         (line,) = axes.plot(t, np.median(rows, axis=0), lw=1, label=label)
         if len(rows) > 1:
-            axes.fill_between(t, *np.quantile(rows, [LOW, HIGH], axis=0), color=line.get_color(), alpha=0.2, lw=0)
+            axes.fill_between(
+                t, *np.quantile(rows, [LOW, HIGH], axis=0), color=line.get_color(), alpha=0.2, lw=0
+            )
     if study.model is not None:
         rows = trace_comparison.simulate_model_traces(results)
         t = 1e3 * results.time[: rows.shape[1]]  # type: ignore[index]
         axes.plot(t, np.median(rows, axis=0), color="black", lw=1, label="Product Model")
-        axes.fill_between(t, *np.quantile(rows, [LOW, HIGH], axis=0), color="black", alpha=0.15, lw=0)
+        axes.fill_between(
+            t, *np.quantile(rows, [LOW, HIGH], axis=0), color="black", alpha=0.15, lw=0
+        )
     axes.set(xlabel="time since the first force (ms)", ylabel="PIF (kg)")
     axes.legend(fontsize=7)
 
@@ -102,22 +126,35 @@ def _draw_over_parameter(axes: "Axes", results: StudyResults, name: str) -> None
         lines.setdefault(tuple(str(point[key]) for key in others), []).append(k)
     is_number = all(isinstance(point[first], int | float) for point in points)
     ticks = list(dict.fromkeys(str(point[first]) for point in points))
-    place = lambda point: point[first] if is_number else ticks.index(str(point[first]))  # noqa: E731
+    place = lambda point: point[first] if is_number else ticks.index(str(point[first]))
     for rest, numbers in lines.items():
         found = [output_metric(results, name, select_point(results, k)) for k in numbers]
         x = np.array([place(points[k]) for k in numbers], float)
         middle, band = np.array([n.median for n in found]), np.array([n.band for n in found])
         known = np.isfinite(middle)
-        label = ", ".join(f"{parameter_label(study, key)} = {v}" for key, v in zip(others, rest, strict=True))
+        label = ", ".join(
+            f"{parameter_label(study, key)} = {v}" for key, v in zip(others, rest, strict=True)
+        )
         errors = np.abs(band[known].T - middle[known])
-        axes.errorbar(x[known], middle[known], errors, marker="o", ms=4, lw=1, capsize=2, label=label or None)
-    for row in (row.reference for row in compare_references(results) if row.reference.output == name):
+        axes.errorbar(
+            x[known], middle[known], errors, marker="o", ms=4, lw=1, capsize=2, label=label or None
+        )
+    for row in (
+        row.reference for row in compare_references(results) if row.reference.output == name
+    ):
         at = row.at.get(first)
         where = {"xmin": 0, "xmax": 1} if at is None else {}
         if at is None:
             axes.axhspan(row.low, row.high, color=REFERENCE, alpha=0.25, lw=0, **where)
         else:
-            axes.plot([place({first: at})] * 2, [row.low, row.high], color=REFERENCE, lw=6, alpha=0.5, solid_capstyle="butt")
+            axes.plot(
+                [place({first: at})] * 2,
+                [row.low, row.high],
+                color=REFERENCE,
+                lw=6,
+                alpha=0.5,
+                solid_capstyle="butt",
+            )
     if is_number and study.parameter[first].log:
         known = results.outputs[name][results.state == DONE]
         axes.set(xscale="log", yscale="log" if np.any(known > 0) else "linear")
@@ -129,12 +166,20 @@ def _draw_over_parameter(axes: "Axes", results: StudyResults, name: str) -> None
 
 
 def _draw_scatter(axes: "Axes", results: StudyResults, name: str, key: str) -> None:
-    """An output of all drops over a parameter that is drawn, and the medians of the points; what others found as bands."""
+    """An output of all drops over a parameter that is drawn, and the medians of the points; what
+    others found as bands.
+    """
     study, points = results.study, list_points(results.study)
     x = np.array([point[key] for point in points])
     rows = results.group_by_point(np.where(results.state == DONE, results.outputs[name], np.nan))
     axes.plot(np.repeat(x, study.seeds), rows.ravel(), ".", ms=2, alpha=0.4, color="#88a8d0")
-    axes.plot(x, [output_metric(results, name, select_point(results, k)).median for k in range(len(points))], "o", ms=3, color="#1f4e9c")
+    axes.plot(
+        x,
+        [output_metric(results, name, select_point(results, k)).median for k in range(len(points))],
+        "o",
+        ms=3,
+        color="#1f4e9c",
+    )
     for row in study.reference:
         if row.output == name and not row.at:
             axes.axhspan(row.low, row.high, color=REFERENCE, alpha=0.3, lw=0)

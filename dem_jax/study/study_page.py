@@ -25,13 +25,23 @@ def write_study_page(source: str | Path, path: str | Path) -> Path:
     title, words, splits = found.study.title, analysis.list_findings(found), split_outputs(found)
     shares = draw_variance_shares(splits) if splits else None
     if path.suffix.lower() == ".pdf":
-        sheet = [pdf_report.ReportSheet(title, words, shares or draw_study_figure(found)), pdf_report.ReportSheet("The points", [[head, *rows]], None)]
-        return pdf_report.write_pdf(path, [*sheet, pdf_report.ReportSheet("The study", found.study.to_toml().splitlines(), None)])
-    cells = "".join(f"<tr>{''.join(f'<td class=value>{escape(cell)}</td>' for cell in row)}</tr>" for row in rows)
+        sheet = [
+            pdf_report.ReportSheet(title, words, shares or draw_study_figure(found)),
+            pdf_report.ReportSheet("The points", [[head, *rows]], None),
+        ]
+        return pdf_report.write_pdf(
+            path,
+            [*sheet, pdf_report.ReportSheet("The study", found.study.to_toml().splitlines(), None)],
+        )
+    cells = "".join(
+        f"<tr>{''.join(f'<td class=value>{escape(cell)}</td>' for cell in row)}</tr>"
+        for row in rows
+    )
     heads = "".join(f"<th>{escape(cell)}</th>" for cell in head)
     fields = {
         "words": "".join(f"<li>{escape(line)}</li>" for line in words),
-        "picture": _picture_html("shares of the variance", shares) + _picture_html("outputs over parameters", draw_study_figure(found)),
+        "picture": _picture_html("shares of the variance", shares)
+        + _picture_html("outputs over parameters", draw_study_figure(found)),
         "table": f"<table><tr>{heads}</tr>{cells}</table>",
         "study": escape(found.study.to_toml()),
     }

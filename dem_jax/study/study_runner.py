@@ -19,14 +19,19 @@ SAVE_SPACING = 20.0  # times that writing takes, between two
 
 
 def run_study(
-    source: Study | str | Path, out: str | Path | None = None, overwrite: bool = False, progress: bool = False, quick: bool = False
+    source: Study | str | Path,
+    out: str | Path | None = None,
+    overwrite: bool = False,
+    progress: bool = False,
+    quick: bool = False,
 ) -> StudyResults:
     """Conduct a study and return its results.
 
-    source: a Study, or what ``load_study`` takes. out: HDF5 file, which is kept up to date; one that holds a part of the same
-    study is gone on with, and ends with the same bits; any other is an error unless overwrite. Beside it lies, while it is
-    computed, what is done of drops that take minutes, ``OUT.batch``. quick: as its [quick] says.
-    Raises SceneError for what cannot be a study and RecordError for a file. Drops that go wrong are lost, and said to be.
+    source: a Study, or what ``load_study`` takes. out: HDF5 file, which is kept up to date; one
+    that holds a part of the same study is gone on with, and ends with the same bits; any other is
+    an error unless overwrite. Beside it lies, while it is computed, what is done of drops that take
+    minutes, ``OUT.batch``. quick: as its [quick] says. Raises SceneError for what cannot be a study
+    and RecordError for a file. Drops that go wrong are lost, and said to be.
     """
     xla_flags.set_loop_flags(unrolled=True)
     table = fill_parameters(source if isinstance(source, Study) else load_study(source, quick))
@@ -34,7 +39,10 @@ def run_study(
         results = _open_results(table, out, overwrite)
         if not (results.state == OPEN).any():
             return results
-        with _ProgressBar(results, progress) as bar, process.save_on_interrupt(lambda: _save_study(results, out)):
+        with (
+            _ProgressBar(results, progress) as bar,
+            process.save_on_interrupt(lambda: _save_study(results, out)),
+        ):
             try:
                 _compute_open_batches(results, out, bar, progress)
             finally:  # also where something goes wrong
@@ -51,7 +59,9 @@ def _save_study(results: StudyResults, out: str | Path | None) -> str | None:
     return f"what is done of the study is in {out}; the same command goes on with it"
 
 
-def _compute_open_batches(results: StudyResults, out: str | Path | None, bar: "_ProgressBar", progress: bool) -> None:
+def _compute_open_batches(
+    results: StudyResults, out: str | Path | None, bar: "_ProgressBar", progress: bool
+) -> None:
     """All that is left to do, kept in the file now and then."""
     last, cost = time.perf_counter(), 0.0
     kept = None if out is None else _batch_file(out)
@@ -81,41 +91,65 @@ def _open_results(table: Study, out: str | Path | None, overwrite: bool) -> Stud
         check_writable(out)
         kept = results_file.load_results(out)
         if not results_file.is_same_study(kept.study, table):
-            raise RecordError(f"{out} holds another study ({kept.study.name}); allowed: another name, or overwrite to replace it")
+            raise RecordError(
+                f"{out} holds another study ({kept.study.name}); allowed: another name, or overwrite to replace it"
+            )
         return kept
     check_destination(out, overwrite)
     return StudyResults.create_empty(table)
 
 
 def _batch_file(out: str | Path) -> Path:
-    """Where a batch is kept while it is computed, if it takes long. Raises RecordError if something else is there."""
+    """Where a batch is kept while it is computed, if it takes long. Raises RecordError if something
+    else is there.
+    """
     path = Path(f"{out}.batch")
     if path.exists():
         try:
             load_restart(path)
         except RecordError as error:
-            raise RecordError(f"{path} is in the way, where the study keeps drops that take long: {error}") from error
+            raise RecordError(
+                f"{path} is in the way, where the study keeps drops that take long: {error}"
+            ) from error
     return path
 
 
-def _compute_batch(results: StudyResults, batch: batches.Batch | batches.FailedDrops, kept: Path | None, progress: bool) -> None:
-    """Compute a batch, and enter what came of it; kept: where it is kept while it goes, if it takes long."""
+def _compute_batch(
+    results: StudyResults,
+    batch: batches.Batch | batches.FailedDrops,
+    kept: Path | None,
+    progress: bool,
+) -> None:
+    """Compute a batch, and enter what came of it; kept: where it is kept while it goes, if it takes
+    long.
+    """
     if isinstance(batch, batches.FailedDrops):
         _record_lost(results, [batch])
         return
     names = results.study.outputs
-    outputs = {name: (batch.members, values) for name, values in evaluate_portions(batches.portion_masses(batch), names).items()}
+    outputs = {
+        name: (batch.members, values)
+        for name, values in evaluate_portions(batches.portion_masses(batch), names).items()
+    }
     run, members, failed = (
-        batches.run_batch(batch, results.study, kept, progress) if select_drop_outputs(names) else (None, batch.members, [])
+        batches.run_batch(batch, results.study, kept, progress)
+        if select_drop_outputs(names)
+        else (None, batch.members, [])
     )
     if run is not None:
-        outputs |= {name: (members, values) for name, values in evaluate_outputs(run, names).items()}
+        outputs |= {
+            name: (members, values) for name, values in evaluate_outputs(run, names).items()
+        }
     traces = batches.extract_forces(run) if run is not None and results.study.traces else None
     with process.defer_signals():  # the file says of all of it that it is done, or of nothing
         for name, (of, values) in outputs.items():
             results.outputs[name][list(of)] = values
         if run is not None and traces is not None:
-            results.time = run.time if results.time is None or len(run.time) > len(results.time) else results.time
+            results.time = (
+                run.time
+                if results.time is None or len(run.time) > len(results.time)
+                else results.time
+            )
             results.force |= dict(zip(members, traces, strict=True))
         results.state[list(members)] = DONE
         _record_lost(results, failed)
@@ -137,7 +171,12 @@ class _ProgressBar:
             from tqdm import tqdm
 
             done = int((results.state != OPEN).sum())
-            words = {"unit": "drop", "desc": results.study.name, "dynamic_ncols": True, "file": process.SilentStream(sys.stderr)}
+            words = {
+                "unit": "drop",
+                "desc": results.study.name,
+                "dynamic_ncols": True,
+                "file": process.SilentStream(sys.stderr),
+            }
             self._bar = tqdm(total=len(results.state), initial=done, **words)
 
     def update(self) -> None:

@@ -1,9 +1,12 @@
-"""Problems of contact and motion with exact solutions, shared by tests and benchmarks: a file for each family.
+"""Problems of contact and motion with exact solutions, shared by tests and benchmarks: a file for
+each family.
 
-Closed forms are frozen dataclasses of plain numbers (SI) whose properties are the solution (``normal``, ``oblique``, ``eccentric``,
-``rotation``, ``cell``), and where there is none an adaptive solver of high order takes its place (``solved``). ``traces`` runs a
-system step by step and reads the quantities of the solution. A ``Problem`` is a scene, its solution and the quantities compared
-(``catalogue.problems`` lists all); ``solve_problem`` runs it as a user would and says how far off it is.
+Closed forms are frozen dataclasses of plain numbers (SI) whose properties are the solution
+(``normal``, ``oblique``, ``eccentric``, ``rotation``, ``cell``), and where there is none an
+adaptive solver of high order takes its place (``solved``). ``traces`` runs a system step by step
+and reads the quantities of the solution. A ``Problem`` is a scene, its solution and the quantities
+compared (``catalogue.problems`` lists all); ``solve_problem`` runs it as a user would and says how
+far off it is.
 """
 
 from dem_jax.validation.cell_impact import CellImpact

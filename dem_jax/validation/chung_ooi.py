@@ -1,8 +1,10 @@
-"""The eight impacts of spheres of Chung and Ooi, Granular Matter 13 (2011) 643-656, as normalised curves, with each contact law.
+"""The eight impacts of spheres of Chung and Ooi, Granular Matter 13 (2011) 643-656, as normalised
+curves, with each contact law.
 
-Tests 1 to 3 are central impacts, 4 to 6 a sphere that meets a wall obliquely or spinning, 7 and 8 two spheres that do. Sizes,
-speeds and materials are those of the tests (the second sphere of test 8 is three times as large); laws that are linear are
-softened, so that overlaps are about as large as those of Hertz's. ``solved`` gives the exact solution.
+Tests 1 to 3 are central impacts, 4 to 6 a sphere that meets a wall obliquely or spinning, 7 and 8
+two spheres that do. Sizes, speeds and materials are those of the tests (the second sphere of test 8
+is three times as large); laws that are linear are softened, so that overlaps are about as large as
+those of Hertz's. ``solved`` gives the exact solution.
 """
 
 from collections.abc import Iterable
@@ -34,9 +36,11 @@ class SphereMaterial:
     density: float  # kg/m3
 
 
-ALUMINA, IRON = SphereMaterial(380e9, 0.23, 4000.0), SphereMaterial(100e9, 0.25, 7000.0)  # aluminium oxide, cast iron
+# aluminium oxide, cast iron
+ALUMINA, IRON = SphereMaterial(380e9, 0.23, 4000.0), SphereMaterial(100e9, 0.25, 7000.0)
 GLASS, LIMESTONE = SphereMaterial(48e9, 0.20, 2800.0), SphereMaterial(20e9, 0.25, 2500.0)
-ALUMINIUM, MAGNESIUM = SphereMaterial(70e9, 0.30, 2699.0), SphereMaterial(40e9, 0.35, 1800.0)  # alloys
+# alloys
+ALUMINIUM, MAGNESIUM = SphereMaterial(70e9, 0.30, 2699.0), SphereMaterial(40e9, 0.35, 1800.0)
 STEEL = SphereMaterial(208e9, 0.30, 7850.0)
 
 
@@ -50,8 +54,10 @@ class SphereImpact:
     restitution: float
     friction: float
     along: float = 0.0  # m/s, of the (first) sphere, along x
-    surface: float = 0.0  # m/s: R omega of the (first) sphere, positive where it adds to the speed of its contact point
-    other: tuple[float, float, float] | None = None  # radius, along and surface of the second sphere, above the first
+    surface: float = 0.0  # m/s: R omega of the (first) sphere, positive where it adds to the speed
+    # of its contact point
+    other: tuple[float, float, float] | None = None  # radius, along and surface of the second
+    # sphere, above the first
 
     @property
     def balls(self) -> tuple[Ball, ...]:
@@ -65,7 +71,8 @@ class SphereImpact:
         mass = 1 / sum(1 / b.mass for b in balls)
         modulus, nu = self.solid.youngs_modulus, self.solid.poisson_ratio
         both = 2 if self.other else 1
-        zeta = -np.log(e) / np.sqrt(np.pi**2 + np.log(e) ** 2)  # of a dashpot that may pull: a beginning
+        zeta = -np.log(e) / np.sqrt(np.pi**2 + np.log(e) ** 2)  # of a dashpot that may pull: a
+        # beginning
         zeta = _damping_ratio(e, zeta)
         if name == "hertz-mindlin":
             root = 1 / np.sqrt(sum(1 / b.radius for b in balls))
@@ -80,19 +87,23 @@ class SphereImpact:
 
     def exact_result(self, law: str) -> ImpactResult:
         """The exact solution."""
-        return reference_solver.solve_impact(self.contact_law(law), self.balls, self.speed, self.friction)
+        return reference_solver.solve_impact(
+            self.contact_law(law), self.balls, self.speed, self.friction
+        )
 
 
 SOFT = 0.01  # NSF of laws that are linear
 
 
 def _damping_ratio(restitution: float, guess: float) -> float:
-    """zeta of a dashpot that never pulls (Schwager and Poeschel 2007): e = exp(-2 zeta arccos(zeta) / sqrt(1 - zeta^2))."""
+    """zeta of a dashpot that never pulls (Schwager and Poeschel 2007): e = exp(-2 zeta arccos(zeta)
+    / sqrt(1 - zeta^2)).
+    """
     from scipy.optimize import brentq
 
     if restitution == 1:
         return 0.0
-    loss = lambda z: 2 * z * np.arccos(z) / np.sqrt(1 - z * z) + np.log(restitution)  # noqa: E731
+    loss = lambda z: 2 * z * np.arccos(z) / np.sqrt(1 - z * z) + np.log(restitution)
     return float(brentq(loss, 0.5 * guess, 1 - 1e-12, xtol=1e-15))
 
 
@@ -111,17 +122,26 @@ def _list_tests() -> dict[int, tuple[str, list[SphereImpact], tuple[str, ...]]]:
     kharaz = replace(hard, restitution=0.98)
     angles = np.radians([2.0, 5.0, 10.0, 20.0, 30.0, 45.0, 60.0, 75.0])
     fine = SphereImpact(STEEL, 1e-5, 5.0, 1.0, 0.3)
-    ratios = np.array([0.2, 0.7, 1.5, 2.5, 4.0, 6.0, 9.0])  # of the tangential speed to mu times the normal one
+    ratios = np.array([0.2, 0.7, 1.5, 2.5, 4.0, 6.0, 9.0])  # of the tangential speed to mu times
+    # the normal one
     spun = SphereImpact(ALUMINIUM, 0.1, 0.2, 0.5, 0.4)
     pair = replace(spun, other=(0.1, 0.0, 0.0))
     uneven = replace(spun, other=(0.3, 0.0, 0.0))
     spins = ratios * spun.friction * spun.speed
     return {
         1: ("two spheres, elastic", [two, replace(two, solid=LIMESTONE)], central),
-        2: ("sphere on a wall, elastic", [plate, replace(plate, solid=MAGNESIUM)], (*central, "peak force")),
+        2: (
+            "sphere on a wall, elastic",
+            [plate, replace(plate, solid=MAGNESIUM)],
+            (*central, "peak force"),
+        ),
         3: (
             "restitution after against restitution given",
-            [replace(hard, solid=s, restitution=e) for s in (ALUMINA, IRON) for e in (0.2, 0.4, 0.6, 0.8, 1.0)],
+            [
+                replace(hard, solid=s, restitution=e)
+                for s in (ALUMINA, IRON)
+                for e in (0.2, 0.4, 0.6, 0.8, 1.0)
+            ],
             (*central, "peak force"),
         ),
         4: (
@@ -129,7 +149,11 @@ def _list_tests() -> dict[int, tuple[str, list[SphereImpact], tuple[str, ...]]]:
             [replace(kharaz, speed=3.9 * np.cos(a), along=3.9 * np.sin(a)) for a in angles],
             oblique,
         ),
-        5: ("one normal speed, tangential ones vary", [replace(fine, along=r * 1.5) for r in ratios], oblique),
+        5: (
+            "one normal speed, tangential ones vary",
+            [replace(fine, along=r * 1.5) for r in ratios],
+            oblique,
+        ),
         6: ("one normal speed, spins vary", [replace(spun, surface=w) for w in spins], oblique),
         7: (
             "two spheres that spin alike",
@@ -144,16 +168,27 @@ def _list_tests() -> dict[int, tuple[str, list[SphereImpact], tuple[str, ...]]]:
     }
 
 
-def _build_problem(law: str, title: str, impacts: list[SphereImpact], compared: tuple[str, ...]) -> Problem:
+def _build_problem(
+    law: str, title: str, impacts: list[SphereImpact], compared: tuple[str, ...]
+) -> Problem:
     number = next(n for n, row in _list_tests().items() if row[0] == title)
     exact = [i.exact_result(law) for i in impacts]
     duration = 2 * max(a.duration for a in exact)
     touch = TOUCH_SHARE * duration
     scenes = [_impact_scene(law, i, duration, touch) for i in impacts]
-    parameters = {key: [_scene_value(s, key) for s in scenes] for key in _varied_keys(impacts[0], law)}
-    # a dashpot's force is largest within the first steps of a contact: its top is not resolved, what it does to the motion is
+    parameters = {
+        key: [_scene_value(s, key) for s in scenes] for key in _varied_keys(impacts[0], law)
+    }
+    # a dashpot's force is largest within the first steps of a contact: its top is not resolved,
+    # what it does to the motion is
     damped = number == 3 and law != "walton-braun"
-    bounds = {"restitution": 0.01, "peak force": 0.1 if damped else 0.01, "overlap": 0.01, "along": 0.01, "spin": 0.01}
+    bounds = {
+        "restitution": 0.01,
+        "peak force": 0.1 if damped else 0.01,
+        "overlap": 0.01,
+        "along": 0.01,
+        "spin": 0.01,
+    }
     return Problem(
         name=f"Chung and Ooi, test {number}: {title}; {law}",
         source=SOURCE,
@@ -167,11 +202,22 @@ def _build_problem(law: str, title: str, impacts: list[SphereImpact], compared: 
 
 def _varied_keys(impact: SphereImpact, law: str) -> list[str]:
     """Keys of the scene in which the impacts of a test may differ."""
-    of_material = ["youngs_modulus", "poisson_ratio", "density", "restitution", "friction_wall", "friction_piece"]
+    of_material = [
+        "youngs_modulus",
+        "poisson_ratio",
+        "density",
+        "restitution",
+        "friction_wall",
+        "friction_piece",
+    ]
     of_piece = ["radius", "position", "velocity", "angular_velocity"]
     pieces = range(2 if impact.other else 1)
     own = ["contact.impact_speed"] if law == "hertz-mindlin" else []
-    return [f"material.{k}" for k in of_material] + [f"piece.{n}.{k}" for n in pieces for k in of_piece] + own
+    return (
+        [f"material.{k}" for k in of_material]
+        + [f"piece.{n}.{k}" for n in pieces for k in of_piece]
+        + own
+    )
 
 
 def _scene_value(scene: Scene, key: str) -> Any:
@@ -192,7 +238,13 @@ def _impact_scene(law: str, i: SphereImpact, duration: float, touch: float) -> S
         "wall_youngs_modulus": RIGID,
         "softening": 1.0 if law == "hertz-mindlin" else SOFT,
     }
-    run = {"gravity": (0.0, 0.0, 0.0), "duration": duration, "sample": duration / 200, "frames": duration, "energy": False}
+    run = {
+        "gravity": (0.0, 0.0, 0.0),
+        "duration": duration,
+        "sample": duration / 200,
+        "frames": duration,
+        "energy": False,
+    }
     contact = {"law": law} | ({"impact_speed": i.speed} if law == "hertz-mindlin" else {})
     gap = i.speed * touch
     if not i.other:  # the speed of the contact point is along + surface: the spin is about -y
@@ -206,41 +258,67 @@ def _impact_scene(law: str, i: SphereImpact, duration: float, touch: float) -> S
         return plate_scene(row, run=run, **material).replace(contact=contact)
     radius, along, surface = i.other
     first, second = i.balls
-    part = second.mass / (first.mass + second.mass)  # of the approach, so that the centre of mass rests
+    part = second.mass / (first.mass + second.mass)  # of the approach, so that the centre of mass
+    # rests
     rows = [
-        {"radius": i.radius, "velocity": (i.along, 0.0, part * i.speed), "angular_velocity": (0.0, i.surface / i.radius, 0.0)},
+        {
+            "radius": i.radius,
+            "velocity": (i.along, 0.0, part * i.speed),
+            "angular_velocity": (0.0, i.surface / i.radius, 0.0),
+        },
         # slip adds up where the second moves the other way
-        {"radius": radius, "velocity": (-along, 0.0, (part - 1) * i.speed), "angular_velocity": (0.0, surface / radius, 0.0)},
+        {
+            "radius": radius,
+            "velocity": (-along, 0.0, (part - 1) * i.speed),
+            "angular_velocity": (0.0, surface / radius, 0.0),
+        },
     ]
     places = [(0.0, 0.0, -i.radius - part * gap), (0.0, 0.0, radius + (1 - part) * gap)]
-    pieces = [{"shape": "sphere", "position": place} | row for place, row in zip(places, rows, strict=True)]
+    pieces = [
+        {"shape": "sphere", "position": place} | row
+        for place, row in zip(places, rows, strict=True)
+    ]
     return create_scene(piece=pieces, material=material, contact=contact, run=run)
 
 
-def _read_impacts(impacts: list[SphereImpact], compared: tuple[str, ...], run: Run) -> ComparedValues:
+def _read_impacts(
+    impacts: list[SphereImpact], compared: tuple[str, ...], run: Run
+) -> ComparedValues:
     """From the last frame, and the peaks of every step."""
     frames = run.pieces
     assert frames is not None
-    velocity, spin = (np.asarray(x[:, -1], float) for x in (frames.velocity, frames.angular_velocity))  # [K, N, 3]
+    # [K, N, 3]
+    velocity, spin = (
+        np.asarray(x[:, -1], float) for x in (frames.velocity, frames.angular_velocity)
+    )
     after = []
     for k, i in enumerate(impacts):
         senses = (1, -1) if i.other else (1,)
         turns = (1, 1) if i.other else (-1,)
         along = tuple(s * v[0] for s, v in zip(senses, velocity[k], strict=True))
-        surface = tuple(t * w[1] * b.radius for t, w, b in zip(turns, spin[k], i.balls, strict=True))
+        surface = tuple(
+            t * w[1] * b.radius for t, w, b in zip(turns, spin[k], i.balls, strict=True)
+        )
         apart = velocity[k, 1, 2] - velocity[k, 0, 2] if i.other else velocity[k, 0, 2]
         peak = np.nan if i.other else float(run.peak_force["plate"][k].max())
-        deepest = float(run.overlap[k].max()) * 2 * min(b.radius for b in i.balls)  # it is relative to the narrower's width
+        # it is relative to the narrower's width
+        deepest = float(run.overlap[k].max()) * 2 * min(b.radius for b in i.balls)
         after.append(ImpactResult(apart, along, surface, 0.0, peak, deepest))
     return _compare_impacts(impacts, after, compared)
 
 
-def _compare_impacts(impacts: list[SphereImpact], after: list[ImpactResult], compared: tuple[str, ...]) -> ComparedValues:
-    """Restitution, peak force (N), largest overlap (m), effect of friction over mu (1 + e) v_n: along, and of the surface over
-    5/2 of it, by which a sphere that slides throughout has both 1."""
+def _compare_impacts(
+    impacts: list[SphereImpact], after: list[ImpactResult], compared: tuple[str, ...]
+) -> ComparedValues:
+    """Restitution, peak force (N), largest overlap (m), effect of friction over mu (1 + e) v_n:
+    along, and of the surface over 5/2 of it, by which a sphere that slides throughout has both 1.
+    """
     unit = np.array([i.friction * (1 + i.restitution) * i.speed for i in impacts])[:, None]
     before = [np.array([[b.along, b.surface] for b in i.balls]) for i in impacts]
-    changed = np.array([b - np.array([a.along, a.surface]).T for b, a in zip(before, after, strict=True)])  # [K, N, 2]
+    # [K, N, 2]
+    changed = np.array(
+        [b - np.array([a.along, a.surface]).T for b, a in zip(before, after, strict=True)]
+    )
     found = {
         "restitution": np.array([a.speed / i.speed for a, i in zip(after, impacts, strict=True)]),
         "peak force": np.array([a.peak_force for a in after]),

@@ -1,4 +1,6 @@
-"""Single pieces in closed form, as problems: a fall on the plate, a corner that lands, a spin, a load cell."""
+"""Single pieces in closed form, as problems: a fall on the plate, a corner that lands, a spin, a
+load cell.
+"""
 
 from functools import partial
 from typing import Any
@@ -19,11 +21,14 @@ from dem_jax.validation.trajectory import plate_scene, wall_stiffness
 GRAVITY, SPEED = 9.81, 2.2147  # m/s2; m/s: a fall of 0.25 m
 RADIUS = 0.5 * (6 * 19440e-9 / np.pi) ** (1 / 3)  # m: a sphere of the marshmallow's volume
 SPIN = (0.5, 30.0, 0.5)  # rad/s, body axes
-TILT = tuple(float(x) for x in np.array([0.9, 0.3, 0.25, 0.1]) / np.linalg.norm([0.9, 0.3, 0.25, 0.1]))
+TILT = tuple(
+    float(x) for x in np.array([0.9, 0.3, 0.25, 0.1]) / np.linalg.norm([0.9, 0.3, 0.25, 0.1])
+)
 RESTITUTIONS = [0.1, 0.3, 0.5, 0.7, 1.0]
 TURNS, ROUGH = 10.0, 0.6  # rad/s; mu
 SQUARE, DISC = 0.02, 0.01  # m: side, radius
-SQUARE_ARM = (np.sqrt(2) + np.arcsinh(1)) / 6 * SQUARE  # mean distance of its points from its centre (m), 0.3826 of the side
+SQUARE_ARM = (np.sqrt(2) + np.arcsinh(1)) / 6 * SQUARE  # mean distance of its points from its
+# centre (m), 0.3826 of the side
 
 
 def _build_double(scene: Scene) -> assembly.AssembledSystem:
@@ -32,10 +37,21 @@ def _build_double(scene: Scene) -> assembly.AssembledSystem:
 
 
 def landing_problem() -> Problem:
-    """A sphere of the paper's material falls on the plate, at several restitutions: eqs 1 to 4 with gravity."""
+    """A sphere of the paper's material falls on the plate, at several restitutions: eqs 1 to 4 with
+    gravity.
+    """
     gap = 1e-4 * SPEED
-    piece = {"shape": "sphere", "radius": RADIUS, "position": (0.0, 0.0, RADIUS + gap), "velocity": (0.0, 0.0, -SPEED)}
-    scene = plate_scene(piece, (0.0, 0.0, -GRAVITY), run={"duration": 6.5e-3, "sample": 3.25e-5, "frames": 6.5e-3, "energy": False})
+    piece = {
+        "shape": "sphere",
+        "radius": RADIUS,
+        "position": (0.0, 0.0, RADIUS + gap),
+        "velocity": (0.0, 0.0, -SPEED),
+    }
+    scene = plate_scene(
+        piece,
+        (0.0, 0.0, -GRAVITY),
+        run={"duration": 6.5e-3, "sample": 3.25e-5, "frames": 6.5e-3, "energy": False},
+    )
     made = _build_double(scene).system
     mass, stiffness = float(made.pieces.mass[0]), float(wall_stiffness(made)[0])
     touch = float(np.sqrt(SPEED**2 + 2 * GRAVITY * gap))
@@ -66,9 +82,18 @@ def _read_rebound(run: Run) -> ComparedValues:
 
 def corner_problem() -> Problem:
     """A tilted marshmallow, stiff, meets the plate with one corner."""
-    piece: dict[str, Any] = {"shape": "chamfered-cuboid", "orientation": TILT, "velocity": (0.1, 0.0, -1.0)}
+    piece: dict[str, Any] = {
+        "shape": "chamfered-cuboid",
+        "orientation": TILT,
+        "velocity": (0.1, 0.0, -1.0),
+    }
     run = {"duration": 4e-4, "sample": 4e-6, "frames": 4e-4, "energy": False}
-    material: dict[str, Any] = {"softening": 1.0, "restitution": 0.5, "separation": 0.0, "friction_wall": 0.0}
+    material: dict[str, Any] = {
+        "softening": 1.0,
+        "restitution": 0.5,
+        "separation": 0.0,
+        "friction_wall": 0.0,
+    }
     scene = plate_scene(piece, run=run, **material)
     built = _build_double(scene)
     turn = quaternion_to_matrix(np.array(TILT))
@@ -96,8 +121,14 @@ def corner_problem() -> Problem:
 
 def _read_motion(run: Run) -> ComparedValues:
     assert run.pieces is not None
-    velocity, spin = (np.asarray(x[-1, 0], float) for x in (run.pieces.velocity, run.pieces.angular_velocity))
-    return {"velocity": velocity, "spin": spin, "peak force": np.asarray(run.peak_force["plate"], float).max()[None]}
+    velocity, spin = (
+        np.asarray(x[-1, 0], float) for x in (run.pieces.velocity, run.pieces.angular_velocity)
+    )
+    return {
+        "velocity": velocity,
+        "spin": spin,
+        "peak force": np.asarray(run.peak_force["plate"], float).max()[None],
+    }
 
 
 def spinning_problem() -> Problem:
@@ -107,8 +138,15 @@ def spinning_problem() -> Problem:
     moments = np.asarray(_build_double(plate_scene(piece)).system.pieces.inertia[:, 0])
     case = FreeRotation((float(moments[0]), float(moments[1]), float(moments[2])), SPIN)
     step = case.period / frames / 40
-    run = {"duration": 40 * frames * step, "frames": 40 * step, "sample": 40 * step, "step": step / 4, "energy": False}
-    scene = plate_scene(piece, run=run, softening=1e-5)  # nothing touches: the step is that of the spin
+    run = {
+        "duration": 40 * frames * step,
+        "frames": 40 * step,
+        "sample": 40 * step,
+        "step": step / 4,
+        "energy": False,
+    }
+    scene = plate_scene(piece, run=run, softening=1e-5)  # nothing touches: the step is that of the
+    # spin
     return Problem(
         name="a marshmallow that spins about its middle axis",
         source="Jacobi's elliptic functions (Landau and Lifshitz, section 37)",
@@ -123,7 +161,9 @@ def _read_spins(run: Run) -> ComparedValues:
     """In body axes, over a period."""
     assert run.pieces is not None
     turn = quaternion_to_matrix(np.asarray(run.pieces.orientation[:, 0], float))
-    return {"spin": np.einsum("tij,ti->tj", turn, np.asarray(run.pieces.angular_velocity[:, 0], float))}
+    return {
+        "spin": np.einsum("tij,ti->tj", turn, np.asarray(run.pieces.angular_velocity[:, 0], float))
+    }
 
 
 def _exact_spins(case: FreeRotation) -> ComparedValues:
@@ -132,7 +172,9 @@ def _exact_spins(case: FreeRotation) -> ComparedValues:
 
 
 def turning_problem(law: str = "walton-braun") -> Problem:
-    """A flat square box and a flat disc that spin on the plate about the vertical, until friction has stopped them."""
+    """A flat square box and a flat disc that spin on the plate about the vertical, until friction
+    has stopped them.
+    """
     heights, sunk = (0.01, 0.004), 1e-8
     shapes: list[dict[str, Any]] = [
         {"shape": "cuboid", "size": (SQUARE, SQUARE, heights[0])},
@@ -161,16 +203,28 @@ def turning_problem(law: str = "walton-braun") -> Problem:
 
 def _angular_decelerations() -> dict[str, float]:
     """Angular deceleration (rad/s2)."""
-    return {"box": ROUGH * GRAVITY * SQUARE_ARM / (SQUARE**2 / 6), "disc": ROUGH * GRAVITY * (2 / 3 * DISC) / (DISC**2 / 2)}
+    return {
+        "box": ROUGH * GRAVITY * SQUARE_ARM / (SQUARE**2 / 6),
+        "disc": ROUGH * GRAVITY * (2 / 3 * DISC) / (DISC**2 / 2),
+    }
 
 
 def _read_turns(run: Run) -> ComparedValues:
     """Spin about the vertical while it lasts."""
     assert run.pieces is not None
-    spin, time = np.asarray(run.pieces.angular_velocity[:, :, 2], float), np.asarray(run.pieces.time, float)
-    return {name: spin[time < 0.95 * TURNS / rate, k] for k, (name, rate) in enumerate(_angular_decelerations().items())}
+    spin, time = (
+        np.asarray(run.pieces.angular_velocity[:, :, 2], float),
+        np.asarray(run.pieces.time, float),
+    )
+    return {
+        name: spin[time < 0.95 * TURNS / rate, k]
+        for k, (name, rate) in enumerate(_angular_decelerations().items())
+    }
 
 
 def _exact_turns() -> ComparedValues:
     time = np.arange(41) * 5e-4
-    return {name: TURNS - rate * time[time < 0.95 * TURNS / rate] for name, rate in _angular_decelerations().items()}
+    return {
+        name: TURNS - rate * time[time < 0.95 * TURNS / rate]
+        for name, rate in _angular_decelerations().items()
+    }

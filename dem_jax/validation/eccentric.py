@@ -7,7 +7,9 @@ import numpy as np
 
 @dataclass(frozen=True)
 class EccentricImpact:
-    """A rigid body hits a frictionless plane with one point, no gravity, in the limit of a stiff contact, lambda = 0."""
+    """A rigid body hits a frictionless plane with one point, no gravity, in the limit of a stiff
+    contact, lambda = 0.
+    """
 
     mass: float  # kg
     inertia: np.ndarray  # [3, 3] (kg m2): about the centre, world axes at the impact
@@ -26,7 +28,9 @@ class EccentricImpact:
     @property
     def effective_mass(self) -> float:
         """(kg)."""
-        return 1 / float(1 / self.mass + self.moment_arm @ np.linalg.solve(self.inertia, self.moment_arm))
+        return 1 / float(
+            1 / self.mass + self.moment_arm @ np.linalg.solve(self.inertia, self.moment_arm)
+        )
 
     @property
     def speed(self) -> float:

@@ -8,10 +8,12 @@ from jax.typing import ArrayLike
 
 @dataclass(frozen=True)
 class FreeRotation:
-    """Torque-free rotation of a body of three different moments: Landau and Lifshitz, Mechanics, section 37.
+    """Torque-free rotation of a body of three different moments: Landau and Lifshitz, Mechanics,
+    section 37.
 
-    moments: rising (kg m2); spin: (rad/s) in the same axes. For L2 > 2 E I_2 the body turns about the axis of the
-    largest moment (as the formulas have it), else about that of the smallest (axes 1 and 3 exchanged).
+    moments: rising (kg m2); spin: (rad/s) in the same axes. For L2 > 2 E I_2 the body turns about
+    the axis of the largest moment (as the formulas have it), else about that of the smallest (axes
+    1 and 3 exchanged).
     """
 
     moments: tuple[float, float, float]
@@ -62,7 +64,9 @@ class FreeRotation:
 
     @property
     def flip_times(self) -> tuple[float, float]:
-        """The first two times (s) at which the spin about the middle axis is zero; they recur after half a period."""
+        """The first two times (s) at which the spin about the middle axis is zero; they recur after
+        half a period.
+        """
         rate, _, _ = self._elliptic_parameters()
         start = self._initial_argument() / rate
         half = 0.5 * self.period

@@ -1,4 +1,6 @@
-"""Central impacts on a fixed wall, in closed form: a frozen dataclass of plain numbers (SI) whose properties are the solution."""
+"""Central impacts on a fixed wall, in closed form: a frozen dataclass of plain numbers (SI) whose
+properties are the solution.
+"""
 
 from dataclasses import dataclass
 from typing import TypeVar
@@ -10,9 +12,11 @@ TimeValues = TypeVar("TimeValues", float, np.ndarray)
 
 @dataclass(frozen=True)
 class NormalImpact:
-    """A mass on the Walton-Braun spring of eqs 1-4: central impact on a fixed wall, with or without gravity.
+    """A mass on the Walton-Braun spring of eqs 1-4: central impact on a fixed wall, with or without
+    gravity.
 
-    Overlap s obeys m s'' = m g - F; each branch of F is linear in s, so that each part of the motion is a harmonic one.
+    Overlap s obeys m s'' = m g - F; each branch of F is linear in s, so that each part of the
+    motion is a harmonic one.
     """
 
     mass: float  # kg
@@ -45,7 +49,9 @@ class NormalImpact:
     @property
     def loading_time(self) -> float:
         """From first touch to the largest overlap (s)."""
-        return (np.pi / 2 + np.arctan(self.gravity / (self.frequency * self.speed))) / self.frequency
+        return (
+            np.pi / 2 + np.arctan(self.gravity / (self.frequency * self.speed))
+        ) / self.frequency
 
     @property
     def residual_overlap(self) -> float:
@@ -74,7 +80,10 @@ class NormalImpact:
     @property
     def rebound_speed(self) -> float:
         """At separation (m/s); nan where the piece does not separate."""
-        work = self.separation * (self.frequency * self.switch_overlap) ** 2 - 2 * self.gravity * self.switch_overlap
+        work = (
+            self.separation * (self.frequency * self.switch_overlap) ** 2
+            - 2 * self.gravity * self.switch_overlap
+        )
         square = self.switch_speed**2 + work
         return np.sqrt(square) if square > 0 else np.nan
 
@@ -85,9 +94,11 @@ class NormalImpact:
 
 @dataclass(frozen=True)
 class DashpotImpact:
-    """A mass on a linear spring and dashpot whose force is never adhesive: central impact on a fixed wall, no gravity.
+    """A mass on a linear spring and dashpot whose force is never adhesive: central impact on a
+    fixed wall, no gravity.
 
-    m s'' + 2 zeta omega m s' + m omega^2 s = 0, to where the force vanishes (contact.law.dashpot); zeta < 1.
+    m s'' + 2 zeta omega m s' + m omega^2 s = 0, to where the force vanishes (contact.law.dashpot);
+    zeta < 1.
     """
 
     mass: float  # kg
@@ -132,7 +143,9 @@ class DashpotImpact:
 
     @property
     def peak_force(self) -> float:
-        """(N): where its derivative vanishes; from zeta = 1/2 on that of the dashpot at first touch."""
+        """(N): where its derivative vanishes; from zeta = 1/2 on that of the dashpot at first
+        touch.
+        """
         z, root = self.ratio, self._phase_and_root[1]
         phase = np.arctan2(root * (1 - 4 * z * z), z * (3 - 4 * z * z)) if z < 0.5 else 0.0
         return self.force(phase / root / self.frequency)
@@ -140,7 +153,9 @@ class DashpotImpact:
 
 @dataclass(frozen=True)
 class HertzImpact:
-    """A mass on the elastic spring k s^(3/2): central impact on a fixed wall, no gravity (Johnson 1985, chapter 11.4)."""
+    """A mass on the elastic spring k s^(3/2): central impact on a fixed wall, no gravity (Johnson
+    1985, chapter 11.4).
+    """
 
     mass: float  # kg: effective
     stiffness: float  # N/m^1.5: k = 4/3 E* sqrt(R*)
@@ -166,7 +181,9 @@ class HertzImpact:
 
 @dataclass(frozen=True)
 class ElasticPlasticImpact:
-    """A sphere that yields at a contact pressure: central impact on a fixed wall, no gravity (Thornton 1997)."""
+    """A sphere that yields at a contact pressure: central impact on a fixed wall, no gravity
+    (Thornton 1997).
+    """
 
     mass: float  # kg: effective
     modulus: float  # Pa: E*
@@ -200,5 +217,7 @@ class ElasticPlasticImpact:
         edge, slope = self.yield_overlap, np.pi * self.pressure * self.radius
         energy, start = 0.5 * self.mass * self.speed**2, 2 / 3 * slope * edge
         if energy <= 0.4 * start * edge:
-            return HertzImpact(self.mass, 4 / 3 * self.modulus * np.sqrt(self.radius), self.speed).peak_force
+            return HertzImpact(
+                self.mass, 4 / 3 * self.modulus * np.sqrt(self.radius), self.speed
+            ).peak_force
         return np.sqrt(start**2 + 2 * slope * (energy - 0.4 * start * edge))

@@ -17,9 +17,11 @@ ComparedValues = Mapping[str, np.ndarray]  # name of a compared quantity -> valu
 
 @dataclass(frozen=True)
 class Problem:
-    """A scene, or several that one program computes, its exact solution, and the quantities compared.
+    """A scene, or several that one program computes, its exact solution, and the quantities
+    compared.
 
-    An error is the largest difference of measured and exact values, over ``scale`` (by default the largest exact value).
+    An error is the largest difference of measured and exact values, over ``scale`` (by default the
+    largest exact value).
     """
 
     name: str
@@ -27,9 +29,12 @@ class Problem:
     scene: Scene
     measure: Callable[[Run], ComparedValues]
     exact: Callable[[], ComparedValues]  # host side, SI
-    bounds: Mapping[str, float]  # name of a compared quantity -> largest error at the automatic step, in either precision
-    parameters: Mapping[str, list[Any]] = field(default_factory=dict)  # keys of the scene -> values in runs side by side
-    seeds: int | None = None  # of an ensemble of seeds; None: one run, or as many as the parameters have values
+    bounds: Mapping[str, float]  # name of a compared quantity -> largest error at the automatic
+    # step, in either precision
+    parameters: Mapping[str, list[Any]] = field(default_factory=dict)  # keys of the scene -> values
+    # in runs side by side
+    seeds: int | None = None  # of an ensemble of seeds; None: one run, or as many as the parameters
+    # have values
     scale: Mapping[str, float] = field(default_factory=dict)
 
     def compute_errors(self, found: ComparedValues) -> dict[str, float]:
@@ -55,7 +60,9 @@ class Solution:
     @property
     def failing_quantities(self) -> list[str]:
         """Quantities with an error above their bound, or that are not finite."""
-        return [name for name, error in self.errors.items() if not error <= self.problem.bounds[name]]
+        return [
+            name for name, error in self.errors.items() if not error <= self.problem.bounds[name]
+        ]
 
 
 def create_scene(**sections: Any) -> Scene:
@@ -72,7 +79,10 @@ def solve_problem(problem: Problem, precision: str = "f64", finer: int = 1) -> S
     parameters = dict(problem.parameters)
     if finer > 1 and parameters:
         count = len(next(iter(parameters.values())))
-        each = [scene.replace({key: values[k] for key, values in parameters.items()}) for k in range(count)]
+        each = [
+            scene.replace({key: values[k] for key, values in parameters.items()})
+            for k in range(count)
+        ]
         parameters["run.step"] = [_automatic_step(s) / finer for s in each]
     elif finer > 1:
         scene = scene.replace({"run.step": _automatic_step(scene) / finer})

@@ -25,14 +25,22 @@ def sphere_mass() -> float:
 
 
 def cradle_problem() -> Problem:
-    """Newton's cradle without gravity, elastic: one sphere or two come along and as many leave; and a row that touches, in
-    which no sphere is alone when it transfers its momentum."""
+    """Newton's cradle without gravity, elastic: one sphere or two come along and as many leave; and
+    a row that touches, in which no sphere is alone when it transfers its momentum.
+    """
     overlap = SPEED * np.sqrt(0.5 * sphere_mass() / contact_stiffness())
     quarter = 0.5 * np.pi * np.sqrt(0.5 * sphere_mass() / contact_stiffness())
     gaps, x, speeds = _initial_states(overlap)
-    keys: dict[str, list[Any]] = {f"piece.{k}.position": [[float(row[k]), 0.0, 0.0] for row in x] for k in range(COUNT)}
-    keys |= {f"piece.{k}.velocity": [[float(row[k]), 0.0, 0.0] for row in speeds] for k in range(COUNT)}
-    pieces = [{"shape": "sphere", "radius": RADIUS, "position": keys[f"piece.{k}.position"][0]} for k in range(COUNT)]
+    keys: dict[str, list[Any]] = {
+        f"piece.{k}.position": [[float(row[k]), 0.0, 0.0] for row in x] for k in range(COUNT)
+    }
+    keys |= {
+        f"piece.{k}.velocity": [[float(row[k]), 0.0, 0.0] for row in speeds] for k in range(COUNT)
+    }
+    pieces = [
+        {"shape": "sphere", "radius": RADIUS, "position": keys[f"piece.{k}.position"][0]}
+        for k in range(COUNT)
+    ]
     duration = 30 * quarter
     scene = create_scene(
         piece=pieces,
@@ -44,7 +52,13 @@ def cradle_problem() -> Problem:
             "friction_piece": 0.0,
             "friction_wall": 0.0,
         },
-        run={"duration": duration, "sample": duration / 50, "frames": duration, "gravity": (0.0, 0.0, 0.0), "energy": False},
+        run={
+            "duration": duration,
+            "sample": duration / 50,
+            "frames": duration,
+            "gravity": (0.0, 0.0, 0.0),
+            "energy": False,
+        },
     )
     return Problem(
         name="Newton's cradle",
@@ -52,7 +66,11 @@ def cradle_problem() -> Problem:
         scene=scene,
         parameters=keys,
         measure=_read_speeds,
-        exact=lambda: {"speeds": np.array([_exact_speeds(*row, duration) for row in zip(gaps, x, speeds, FIRST, strict=True)])},
+        exact=lambda: {
+            "speeds": np.array(
+                [_exact_speeds(*row, duration) for row in zip(gaps, x, speeds, FIRST, strict=True)]
+            )
+        },
         bounds={"speeds": 0.01},
     )
 
@@ -69,7 +87,9 @@ def _initial_states(overlap: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     return gaps, x, speeds
 
 
-def _exact_speeds(gap: float, x: np.ndarray, speeds: np.ndarray, first: int, duration: float) -> np.ndarray:
+def _exact_speeds(
+    gap: float, x: np.ndarray, speeds: np.ndarray, first: int, duration: float
+) -> np.ndarray:
     """Exact speeds (m/s), [COUNT]."""
     if gap:
         return SPEED * (np.arange(COUNT) >= COUNT - first)
@@ -77,10 +97,20 @@ def _exact_speeds(gap: float, x: np.ndarray, speeds: np.ndarray, first: int, dur
 
     def state_rates(_: float, y: np.ndarray) -> np.ndarray:
         push = contact_stiffness() * np.maximum(2 * RADIUS - np.diff(y[:COUNT]), 0)
-        return np.concatenate([y[COUNT:], np.diff(np.concatenate([[0.0], -push, [0.0]])) / sphere_mass()])
+        return np.concatenate(
+            [y[COUNT:], np.diff(np.concatenate([[0.0], -push, [0.0]])) / sphere_mass()]
+        )
 
     # the force has kinks where spheres part: the longest step keeps them small
-    done = solve_ivp(state_rates, (0, duration), np.concatenate([x, speeds]), "DOP853", rtol=1e-11, atol=1e-14, max_step=duration / 2000)
+    done = solve_ivp(
+        state_rates,
+        (0, duration),
+        np.concatenate([x, speeds]),
+        "DOP853",
+        rtol=1e-11,
+        atol=1e-14,
+        max_step=duration / 2000,
+    )
     return done.y[COUNT:, -1]
 
 

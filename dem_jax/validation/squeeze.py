@@ -12,32 +12,51 @@ from dem_jax.validation.problem import ComparedValues, Problem, create_scene
 RADIUS, DENSITY, GRAVITY = 0.01, 300.0, 9.81  # m, kg/m3, m/s2
 WIDTH = 0.05  # m, of walls
 MODULUS, SOFT = 1e8, 0.01  # Pa, NSF
-STIFFNESS = SOFT / (1 / MODULUS + 1 / 1e11) * 2 * RADIUS  # N/m: K_nl of the sphere on a wall, eqs 5 to 8
+STIFFNESS = SOFT / (1 / MODULUS + 1 / 1e11) * 2 * RADIUS  # N/m: K_nl of the sphere on a wall, eqs 5
+# to 8
 DEPTH, EPSILON, SEPARATION = 5e-4, 0.3, 0.001  # m, restitution, lambda, of the jaws
 TIMES = (0.0, 0.02, 0.04)  # s: open, closed, open again
 SWING = 3.0  # degrees, of the flaps, which are hinged where they meet the floor
 
 
-def _panel_corners(points: tuple[tuple[float, float], tuple[float, float]]) -> list[tuple[float, float, float]]:
+def _panel_corners(
+    points: tuple[tuple[float, float], tuple[float, float]],
+) -> list[tuple[float, float, float]]:
     """Corners of a wall along y from one end (x, z) to the other; the sphere is on its left."""
     (x0, z0), (x1, z1) = points
     return [(x0, -WIDTH, z0), (x1, -WIDTH, z1), (x1, WIDTH, z1), (x0, WIDTH, z0)]
 
 
-def _squeeze_scene(walls: dict[str, Any], motions: list[dict[str, Any]], position: tuple[float, float, float], **more: Any) -> Scene:
+def _squeeze_scene(
+    walls: dict[str, Any],
+    motions: list[dict[str, Any]],
+    position: tuple[float, float, float],
+    **more: Any,
+) -> Scene:
     return create_scene(
         piece=[{"shape": "sphere", "radius": RADIUS, "position": position}],
-        wall=[{"group": name, "corners": _panel_corners(ends), "thickness": 0.02} for name, ends in walls.items()],
+        wall=[
+            {"group": name, "corners": _panel_corners(ends), "thickness": 0.02}
+            for name, ends in walls.items()
+        ],
         motion=motions,
         **more,
     )
 
 
 def jaws_problem() -> Problem:
-    """Two jaws press a sphere together and let it go: eqs 1 to 4 on the way in, out and off, and what they dissipate."""
-    walls = {"left": ((-RADIUS, WIDTH), (-RADIUS, -WIDTH)), "right": ((RADIUS, -WIDTH), (RADIUS, WIDTH))}
+    """Two jaws press a sphere together and let it go: eqs 1 to 4 on the way in, out and off, and
+    what they dissipate.
+    """
+    walls = {
+        "left": ((-RADIUS, WIDTH), (-RADIUS, -WIDTH)),
+        "right": ((RADIUS, -WIDTH), (RADIUS, WIDTH)),
+    }
     ways = {"left": DEPTH, "right": -DEPTH}
-    motions = [{"group": name, "times": TIMES, "ways": [(0, 0, 0), (way, 0, 0), (0, 0, 0)]} for name, way in ways.items()]
+    motions = [
+        {"group": name, "times": TIMES, "ways": [(0, 0, 0), (way, 0, 0), (0, 0, 0)]}
+        for name, way in ways.items()
+    ]
     scene = _squeeze_scene(
         walls,
         motions,
@@ -77,7 +96,9 @@ def _jaw_force(time: np.ndarray) -> np.ndarray:
 
 
 def _read_pressing(run: Run) -> ComparedValues:
-    work, lost = (float(np.asarray(run.energy[name], float)[-1]) for name in ("wall_work", "dissipated"))
+    work, lost = (
+        float(np.asarray(run.energy[name], float)[-1]) for name in ("wall_work", "dissipated")
+    )
     force = np.asarray(run.force["right"], float)[:, 0]
     return {"force": force, "work": np.array(work), "dissipated": np.array(lost)}
 
@@ -94,8 +115,9 @@ def _exact_pressing() -> ComparedValues:
 
 
 def flaps_problem() -> Problem:
-    """Two hinged flaps close on a sphere that lies on a floor and press it down: the forces once all rests, each contact still on
-    the branch on which it loads."""
+    """Two hinged flaps close on a sphere that lies on a floor and press it down: the forces once
+    all rests, each contact still on the branch on which it loads.
+    """
     walls = {
         "left": ((-RADIUS, WIDTH), (-RADIUS, 0.0)),
         "right": ((RADIUS, 0.0), (RADIUS, WIDTH)),
@@ -139,18 +161,29 @@ def flaps_problem() -> Problem:
 
 
 def _read_flaps(run: Run) -> ComparedValues:
-    forces = np.array([np.asarray(run.mean_force[name], float)[-50:].mean(axis=0) for name in ("left", "right", "floor")])
+    forces = np.array(
+        [
+            np.asarray(run.mean_force[name], float)[-50:].mean(axis=0)
+            for name in ("left", "right", "floor")
+        ]
+    )
     e = {name: np.asarray(x, float) for name, x in run.energy.items()}
     held = e["kinetic"] + e["potential"] + e["elastic"] + e["dissipated"] - e["wall_work"]
-    return {"forces": forces[:, [0, 2]], "energy from nothing": (held - held[0]) / np.abs(e["wall_work"]).max()}
+    return {
+        "forces": forces[:, [0, 2]],
+        "energy from nothing": (held - held[0]) / np.abs(e["wall_work"]).max(),
+    }
 
 
 def _exact_flaps(weight: float) -> ComparedValues:
-    """With t the angle, z the height of the centre: s = R - R cos t + z sin t at a flap, R - z at the floor; and
-    K (R - z) = W + 2 K s sin t, as each flap pushes down by sin t."""
+    """With t the angle, z the height of the centre: s = R - R cos t + z sin t at a flap, R - z at
+    the floor; and K (R - z) = W + 2 K s sin t, as each flap pushes down by sin t.
+    """
     t = np.radians(SWING)
     sin, cos = np.sin(t), np.cos(t)
     z = (RADIUS - weight / STIFFNESS - 2 * sin * RADIUS * (1 - cos)) / (1 + 2 * sin**2)
     push = STIFFNESS * (RADIUS - RADIUS * cos + z * sin)
-    forces = np.array([[-push * cos, push * sin], [push * cos, push * sin], [0.0, -STIFFNESS * (RADIUS - z)]])
+    forces = np.array(
+        [[-push * cos, push * sin], [push * cos, push * sin], [0.0, -STIFFNESS * (RADIUS - z)]]
+    )
     return {"forces": forces, "energy from nothing": np.zeros(1)}

@@ -1,4 +1,6 @@
-"""A system with other numbers, and its motion step by step, for comparison with closed forms of single contacts."""
+"""A system with other numbers, and its motion step by step, for comparison with closed forms of
+single contacts.
+"""
 
 from collections.abc import Callable
 from typing import Any, TypeVar
@@ -30,7 +32,9 @@ def plate_scene(
 
 
 def with_permanent_pairs(system: System) -> System:
-    """The system with every pair a candidate for good, so that one rebuild is enough however far pieces go."""
+    """The system with every pair a candidate for good, so that one rebuild is enough however far
+    pieces go.
+    """
     return system.replace(skin=jnp.full_like(system.skin, 10.0))
 
 
@@ -52,34 +56,48 @@ def _with_pair_property(system: System, name: str, value: ArrayLike) -> System:
 def wall_stiffness(system: System) -> Array:
     """K_nl (N/m) of each piece against the first wall, [N], eqs 5, 7 and 8."""
     modulus, pieces = system.materials.youngs_modulus, system.pieces
-    return combine_in_series(modulus[pieces.material] * pieces.size, modulus[system.walls.material[0]] * pieces.size)
+    return combine_in_series(
+        modulus[pieces.material] * pieces.size, modulus[system.walls.material[0]] * pieces.size
+    )
 
 
 def with_finer_steps(system: System, times: int) -> System:
-    """The system with several steps in place of one; rebuilds after as many steps as before, so that it is the same program,
-    unless a sample is longer than that."""
+    """The system with several steps in place of one; rebuilds after as many steps as before, so
+    that it is the same program, unless a sample is longer than that.
+    """
     substeps = system.substeps * times
-    return system.replace(dt=system.dt / times, substeps=substeps, block_steps=max(system.block_steps, int(substeps)))
+    return system.replace(
+        dt=system.dt / times, substeps=substeps, block_steps=max(system.block_steps, int(substeps))
+    )
 
 
 def trace_motion(
-    system: System, state: State, steps: int, read: Callable[[System, State], ReadValues], every: int = 1
+    system: System,
+    state: State,
+    steps: int,
+    read: Callable[[System, State], ReadValues],
+    every: int = 1,
 ) -> tuple[State, ReadValues]:
-    """Run and read ``read(system, state)`` after each ``every`` steps; returns the last state and the values read.
+    """Run and read ``read(system, state)`` after each ``every`` steps; returns the last state and
+    the values read.
 
     Candidates are found once, at the start: see ``with_permanent_pairs``.
     """
     state = neighbour_list.rebuild_neighbour_list(system, state)
 
     def advance_block(state: State, _: None) -> tuple[State, ReadValues]:
-        state, _ = jax.lax.scan(lambda s, _: (stepping.advance_step(system, s), None), state, None, length=every)
+        state, _ = jax.lax.scan(
+            lambda s, _: (stepping.advance_step(system, s), None), state, None, length=every
+        )
         return state, read(system, state)
 
     return jax.lax.scan(advance_block, state, None, length=steps)
 
 
 def read_motion(system: System, state: State) -> dict[str, Array]:
-    """The quantities of the closed forms: normal force and overlap summed over contacts, and the motion of piece 0."""
+    """The quantities of the closed forms: normal force and overlap summed over contacts, and the
+    motion of piece 0.
+    """
     tables = state.contacts.values()
     return {
         "force": sum(jnp.sum(t.memory.law.force) for t in tables),

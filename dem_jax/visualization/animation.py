@@ -16,12 +16,18 @@ from dem_jax.io.atomic_files import check_writable, write_atomically
 
 
 def write_animation(pictures: Iterable[np.ndarray], path: Path, fps: float) -> Path:
-    """Write pictures [height, width, 3] uint8, all of one size, at fps per second, as .gif or .mp4. Returns the path.
+    """Write pictures [height, width, 3] uint8, all of one size, at fps per second, as .gif or .mp4.
+    Returns the path.
 
     Raises RecordError for a file that cannot be written, and for .mp4 without imageio-ffmpeg.
     """
     check_writable(path)
-    return write_atomically(path, _encode_mp4(pictures, path, fps) if path.suffix.lower() == ".mp4" else _encode_gif(pictures, fps))
+    return write_atomically(
+        path,
+        _encode_mp4(pictures, path, fps)
+        if path.suffix.lower() == ".mp4"
+        else _encode_gif(pictures, fps),
+    )
 
 
 def _encode_gif(pictures: Iterable[np.ndarray], fps: float) -> memoryview:
@@ -30,16 +36,22 @@ def _encode_gif(pictures: Iterable[np.ndarray], fps: float) -> memoryview:
 
     first, *rest = (Image.fromarray(p).quantize(256, dither=Image.Dither.NONE) for p in pictures)
     image = io.BytesIO()
-    first.save(image, "GIF", save_all=True, append_images=rest, duration=max(20, round(1000 / fps)), loop=0)
+    first.save(
+        image, "GIF", save_all=True, append_images=rest, duration=max(20, round(1000 / fps)), loop=0
+    )
     return image.getbuffer()
 
 
 def _encode_mp4(pictures: Iterable[np.ndarray], path: Path, fps: float) -> bytes:
-    """H.264, of the name ``path``, which takes even sizes only: the last row and column may be left out."""
+    """H.264, of the name ``path``, which takes even sizes only: the last row and column may be left
+    out.
+    """
     try:
         from imageio_ffmpeg import get_ffmpeg_exe
     except ImportError as error:
-        words = "needs imageio-ffmpeg: pip install 'product-impact[video]'; allowed without it: .gif"
+        words = (
+            "needs imageio-ffmpeg: pip install 'product-impact[video]'; allowed without it: .gif"
+        )
         raise RecordError(f"{path} {words}") from error
     even = (p[: p.shape[0] // 2 * 2, : p.shape[1] // 2 * 2] for p in pictures)
     with tempfile.TemporaryDirectory() as folder:  # it does not write to memory
@@ -55,9 +67,21 @@ def _run_ffmpeg(ffmpeg_program: str, pictures: Iterator[np.ndarray], path: Path,
     first = next(pictures)
     size = f"{first.shape[1]}x{first.shape[0]}"
     taken = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size, "-r", f"{fps:g}", "-i", "-"]
-    made = ["-c:v", "libx264", "-crf", "20", "-pix_fmt", "yuv420p", "-movflags", "+faststart", str(path)]
+    made = [
+        "-c:v",
+        "libx264",
+        "-crf",
+        "20",
+        "-pix_fmt",
+        "yuv420p",
+        "-movflags",
+        "+faststart",
+        str(path),
+    ]
     # Not by imageio_ffmpeg.write_frames, which forks a process in which JAX has threads.
-    with subprocess.Popen([ffmpeg_program, "-y", "-v", "error", *taken, *made], stdin=PIPE, stderr=PIPE) as ffmpeg:
+    with subprocess.Popen(
+        [ffmpeg_program, "-y", "-v", "error", *taken, *made], stdin=PIPE, stderr=PIPE
+    ) as ffmpeg:
         assert ffmpeg.stdin is not None and ffmpeg.stderr is not None
         with suppress(BrokenPipeError):  # it has ended: its complaint is read below
             for picture in chain([first], pictures):

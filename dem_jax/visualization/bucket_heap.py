@@ -1,4 +1,6 @@
-"""The heap that lies in a weigh bucket at the end of a run: its height, how full the bucket is, and what is not in it."""
+"""The heap that lies in a weigh bucket at the end of a run: its height, how full the bucket is, and
+what is not in it.
+"""
 
 from typing import NamedTuple
 
@@ -16,9 +18,9 @@ from dem_jax.shapes import Shape, surface_mesh
 class Heap(NamedTuple):
     """A heap in a bucket.
 
-    height: (m) of its highest point above the bucket's deepest. to_brim: (m) of the brim. level: volume below the heap as seen from
-    above over that of the bucket. over: pieces in it whose highest point is above the brim. beside: pieces below the brim that are
-    outside of the mouth.
+    height: (m) of its highest point above the bucket's deepest. to_brim: (m) of the brim. level:
+    volume below the heap as seen from above over that of the bucket. over: pieces in it whose
+    highest point is above the brim. beside: pieces below the brim that are outside of the mouth.
     """
 
     height: float
@@ -30,41 +32,75 @@ class Heap(NamedTuple):
     def __str__(self) -> str:
         size = f"heap {1e3 * self.height:.3g} mm high at the end, of {1e3 * self.brim_height:.3g} mm to the brim"
         said = f"{size}, {100 * self.level:.0f} % full"
-        said += f"; overfull: {_format_count(self.count_above_brim)} above the brim" if self.count_above_brim else ""
-        return said + (f"; {_format_count(self.count_beside)} beside the bucket" if self.count_beside else "")
+        said += (
+            f"; overfull: {_format_count(self.count_above_brim)} above the brim"
+            if self.count_above_brim
+            else ""
+        )
+        return said + (
+            f"; {_format_count(self.count_beside)} beside the bucket" if self.count_beside else ""
+        )
 
 
 def describe_heap(run: Run) -> str | None:
-    """The heap in the weigh bucket of a run, or of the first of an ensemble, in words; None: see ``find_heap``."""
+    """The heap in the weigh bucket of a run, or of the first of an ensemble, in words; None: see
+    ``find_heap``.
+    """
     first = run if run.run_count is None else run.member(0)
     heap = find_heap(first)
-    return None if heap is None else f"weigh bucket{'' if run.run_count is None else ', first run'}: {heap}"
+    return (
+        None
+        if heap is None
+        else f"weigh bucket{'' if run.run_count is None else ', first run'}: {heap}"
+    )
 
 
 def find_heap(run: Run) -> Heap | None:
-    """The heap in the weigh bucket at the last stored poses of a single run; None of a scene without a weigh bucket, of one that
-    opens, of a run without poses, and of a bucket that holds nothing."""
+    """The heap in the weigh bucket at the last stored poses of a single run; None of a scene
+    without a weigh bucket, of one that opens, of a run without poses, and of a bucket that holds
+    nothing.
+    """
     scene = parse_scene(run.scene, "the file's scene")
     bucket = scene.weigh_bucket
-    if bucket is None or bucket.opening_angle_deg or scene.cycle or run.pieces is None or not len(run.pieces.time):
+    if (
+        bucket is None
+        or bucket.opening_angle_deg
+        or scene.cycle
+        or run.pieces is None
+        or not len(run.pieces.time)
+    ):
         return None
     capacity = bucket_capacity(scene, "weigh_bucket")
     if capacity is None:
         return None
-    return _measure_heap(scene, capacity, np.asarray(run.pieces.position[-1], float), np.asarray(run.pieces.orientation[-1], float))
+    return _measure_heap(
+        scene,
+        capacity,
+        np.asarray(run.pieces.position[-1], float),
+        np.asarray(run.pieces.orientation[-1], float),
+    )
 
 
-def _measure_heap(scene: Scene, capacity: BucketCapacity, position: np.ndarray, orientation: np.ndarray) -> Heap:
+def _measure_heap(
+    scene: Scene, capacity: BucketCapacity, position: np.ndarray, orientation: np.ndarray
+) -> Heap:
     """The heap of pieces at positions [N, 3] (m) with orientations [N, 4], in a bucket."""
     feed = scene_bucket_parts(scene, "feed_bucket")
     top = np.inf if feed is None else feed.block.low[2]  # above it they are in the feed bucket
-    cells = np.floor((position[:, :2] - capacity.surface.origin) / capacity.surface.cell).astype(int)
+    cells = np.floor((position[:, :2] - capacity.surface.origin) / capacity.surface.cell).astype(
+        int
+    )
     there = ((cells >= 0) & (cells < capacity.is_wet.shape)).all(axis=1)
     is_in = there.copy()
     is_in[there] = capacity.is_wet[tuple(cells[there].T)]
     is_in &= (position[:, 2] > capacity.bottom) & (position[:, 2] < top)
-    made = [shape for shape, taken in zip(build_piece_set(scene).shapes, is_in, strict=True) if taken]
-    faces = [_transform_faces(*row) for row in zip(made, position[is_in], orientation[is_in], strict=True)]
+    made = [
+        shape for shape, taken in zip(build_piece_set(scene).shapes, is_in, strict=True) if taken
+    ]
+    faces = [
+        _transform_faces(*row)
+        for row in zip(made, position[is_in], orientation[is_in], strict=True)
+    ]
     tops = np.array([max(face[:, 2].max() for face in piece) for piece in faces])
     beside = int((~is_in & (position[:, 2] < capacity.brim)).sum())
     if not faces:
@@ -74,10 +110,14 @@ def _measure_heap(scene: Scene, capacity: BucketCapacity, position: np.ndarray, 
     depth = np.where(capacity.is_wet, np.maximum(heights - ground, 0.0), 0.0)
     level = float(depth.sum()) * capacity.surface.cell**2 / capacity.volume
     over = int((tops > capacity.brim).sum())
-    return Heap(float(tops.max() - capacity.bottom), capacity.brim - capacity.bottom, level, over, beside)
+    return Heap(
+        float(tops.max() - capacity.bottom), capacity.brim - capacity.bottom, level, over, beside
+    )
 
 
-def _transform_faces(shape: Shape, position: np.ndarray, orientation: np.ndarray) -> list[np.ndarray]:
+def _transform_faces(
+    shape: Shape, position: np.ndarray, orientation: np.ndarray
+) -> list[np.ndarray]:
     """The faces of a piece, each [k, 3] (m)."""
     points, faces = surface_mesh(shape)
     placed = points @ quaternion_to_matrix(orientation).T + position

@@ -1,4 +1,6 @@
-"""What a load cell reads at the end of a run while it still swings: the mean over whole periods, and the amplitude."""
+"""What a load cell reads at the end of a run while it still swings: the mean over whole periods,
+and the amplitude.
+"""
 
 from typing import NamedTuple
 
@@ -16,9 +18,10 @@ LEAST_SHARE, LEAST = 1e-3, 1e-5  # of the reading, and kg: below, a cell is said
 class CellOscillation(NamedTuple):
     """The reading of a load cell at the end, of each of K runs.
 
-    last: [K] (kg) at the last sample. mean: [K] (kg) over whole periods, nan where a period is longer than the run.
-    amplitude: [K] (kg) half of the difference between the highest and the lowest reading in them. period: [K] (s), of the bucket
-    with what has settled in it. periods: [K] in the mean.
+    last: [K] (kg) at the last sample. mean: [K] (kg) over whole periods, nan where a period is
+    longer than the run. amplitude: [K] (kg) half of the difference between the highest and the
+    lowest reading in them. period: [K] (s), of the bucket with what has settled in it. periods: [K]
+    in the mean.
     """
 
     last: np.ndarray
@@ -53,8 +56,9 @@ def find_cell_oscillation(run: Run) -> CellOscillation | None:
 
 
 def end_window_samples(run: Run) -> int | None:
-    """Samples of the whole periods of the load cell that cover the last tenth of a run; None: there is no load cell, or a period
-    is longer than the run."""
+    """Samples of the whole periods of the load cell that cover the last tenth of a run; None: there
+    is no load cell, or a period is longer than the run.
+    """
     period, count = _find_period(run), len(run.time)
     if period is None:
         return None
@@ -63,7 +67,9 @@ def end_window_samples(run: Run) -> int | None:
 
 
 def _find_period(run: Run) -> np.ndarray | None:
-    """[K] (s) of the bucket on its load cell with what has settled in it, in damped swings; None: no load cell."""
+    """[K] (s) of the bucket on its load cell with what has settled in it, in damped swings; None:
+    no load cell.
+    """
     if "weight" not in getattr(run, "load_cell", {}):
         return None
     runs, block = run.run_count or 1, find_main_block(run)
@@ -74,14 +80,17 @@ def _find_period(run: Run) -> np.ndarray | None:
         section = find_load_cell(parse_scene(of_run.scene, "the file's scene"))
         assert section is not None  # as the run has its readings
         damped = np.sqrt(max(1 - section.damping_ratio**2, 1e-2))
-        found.append(2 * np.pi * np.sqrt((section.mass + mass) / section.spring_stiffness()) / damped)
+        found.append(
+            2 * np.pi * np.sqrt((section.mass + mass) / section.spring_stiffness()) / damped
+        )
     return np.array(found)
 
 
 def _mean_over_periods(
     weight: np.ndarray, settled: np.ndarray, sample: float, period: float
 ) -> tuple[float, float, int]:
-    """Mean (kg) of readings [T] over the last whole periods (s), half of their range (kg), and how many periods that is.
+    """Mean (kg) of readings [T] over the last whole periods (s), half of their range (kg), and how
+    many periods that is.
 
     Those since the settled mass [T] (kg) has its final value, but at least one.
     """

@@ -1,4 +1,6 @@
-"""Runs and ensembles beside each other: by how much their numbers differ, and whether that is beyond chance."""
+"""Runs and ensembles beside each other: by how much their numbers differ, and whether that is
+beyond chance.
+"""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -14,8 +16,8 @@ BOOTSTRAP_SAMPLES = 1000  # times that an ensemble is drawn anew from itself
 class MetricDifference(NamedTuple):
     """By how much a number of one run is above that of another.
 
-    by: difference of the medians, in unit. low, high: its 5 to 95 % interval; nan of two single runs. relative: by over
-    the size of the other's median; nan if that is 0.
+    by: difference of the medians, in unit. low, high: its 5 to 95 % interval; nan of two single
+    runs. relative: by over the size of the other's median; nan if that is 0.
     """
 
     name: str
@@ -39,22 +41,41 @@ class MetricDifference(NamedTuple):
         return bool(self.low > 0.0 or self.high < 0.0)
 
 
-def find_differences(this: Run, other: Run, group: str | None = None, block: str | None = None) -> list[MetricDifference]:
+def find_differences(
+    this: Run, other: Run, group: str | None = None, block: str | None = None
+) -> list[MetricDifference]:
     """Differences of the numbers that both have. Raises RecordError as ``compute_metrics``."""
     others = {number.name: number for number in compute_metrics(other, group, block)}
-    return [_compare_metrics(n, others[n.name]) for n in compute_metrics(this, group, block) if n.name in others]
+    return [
+        _compare_metrics(n, others[n.name])
+        for n in compute_metrics(this, group, block)
+        if n.name in others
+    ]
 
 
 def _compare_metrics(this: Metric, other: Metric) -> MetricDifference:
     by = this.median - other.median
     low, high = _difference_interval(*(n.values[np.isfinite(n.values)] for n in (this, other)))
     digits = max(this.digits, other.digits)
-    return MetricDifference(this.name, this.unit, this.median, other.median, by, low, high, digits, this.missing, other.missing)
+    return MetricDifference(
+        this.name,
+        this.unit,
+        this.median,
+        other.median,
+        by,
+        low,
+        high,
+        digits,
+        this.missing,
+        other.missing,
+    )
 
 
 def _difference_interval(this: np.ndarray, other: np.ndarray) -> tuple[float, float]:
-    """Of two ensembles: that of the difference of medians, by bootstrap (Efron 1979). Of a single run and an ensemble: by
-    how much the run is above the ensemble's own band, from which it tells a run that is not one of them."""
+    """Of two ensembles: that of the difference of medians, by bootstrap (Efron 1979). Of a single
+    run and an ensemble: by how much the run is above the ensemble's own band, from which it tells a
+    run that is not one of them.
+    """
     if min(len(this), len(other)) == 0 or max(len(this), len(other)) == 1:
         return np.nan, np.nan
     if len(this) == 1:
@@ -64,12 +85,17 @@ def _difference_interval(this: np.ndarray, other: np.ndarray) -> tuple[float, fl
         low, high = np.quantile(this, [LOW, HIGH])
         return float(low - other[0]), float(high - other[0])
     rng = np.random.default_rng(0)
-    drawn = [np.median(rng.choice(this, len(this))) - np.median(rng.choice(other, len(other))) for _ in range(BOOTSTRAP_SAMPLES)]
+    drawn = [
+        np.median(rng.choice(this, len(this))) - np.median(rng.choice(other, len(other)))
+        for _ in range(BOOTSTRAP_SAMPLES)
+    ]
     low, high = np.quantile(drawn, [LOW, HIGH])
     return float(low), float(high)
 
 
-def describe_differences(names: Sequence[str], runs: Sequence[Run], group: str | None = None, block: str | None = None) -> list[str]:
+def describe_differences(
+    names: Sequence[str], runs: Sequence[Run], group: str | None = None, block: str | None = None
+) -> list[str]:
     """Lines that say by how much each run differs from the first; none for a single run.
 
     names: what the runs are called. Raises RecordError as ``compute_metrics``.
@@ -77,14 +103,19 @@ def describe_differences(names: Sequence[str], runs: Sequence[Run], group: str |
     lines = []
     for name, run in zip(names[1:], runs[1:], strict=True):
         found = find_differences(run, runs[0], group, block)
-        lines += [f"{difference.name}: {_describe_difference(difference, name, names[0])}" for difference in found]
+        lines += [
+            f"{difference.name}: {_describe_difference(difference, name, names[0])}"
+            for difference in found
+        ]
         if found:
             lines.append(_summarize_differences(found, name, names[0], runs[0], run))
     return lines
 
 
 def _describe_difference(d: MetricDifference, name: str, first: str) -> str:
-    lacks = "; ".join(f"{n}: {why}" for n, why in ((name, d.this_missing), (first, d.other_missing)) if why)
+    lacks = "; ".join(
+        f"{n}: {why}" for n, why in ((name, d.this_missing), (first, d.other_missing)) if why
+    )
     lacks = f" ({lacks})" if lacks else ""
     if not np.isfinite(d.median_difference):
         have = [n for n, value in ((name, d.this), (first, d.other)) if np.isfinite(value)]
@@ -98,7 +129,9 @@ def _describe_difference(d: MetricDifference, name: str, first: str) -> str:
     return f"{values}: {d.median_difference:+.{d.digits}g}{unit}{share}{interval}{lacks}"
 
 
-def _summarize_differences(found: Sequence[MetricDifference], name: str, first: str, *runs: Run) -> str:
+def _summarize_differences(
+    found: Sequence[MetricDifference], name: str, first: str, *runs: Run
+) -> str:
     """In which numbers two differ beyond chance."""
     if all(run.run_count is None for run in runs):
         return f"{name} against {first}: one run each, so how much of this is chance is not known; ensembles tell"

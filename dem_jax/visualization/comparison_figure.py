@@ -15,7 +15,8 @@ if TYPE_CHECKING:  # loaded where something is drawn: it takes a second
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-COLOURS = ("#1f4e9c", "#c8561b", "#2e8b57", "#8b3a9c", "#b8860b", "#4a4a4a")  # of runs, again from the first after six
+COLOURS = ("#1f4e9c", "#c8561b", "#2e8b57", "#8b3a9c", "#b8860b", "#4a4a4a")  # of runs, again from
+# the first after six
 INK = "#333333"
 
 
@@ -28,7 +29,8 @@ def plot_runs(
     start: float | None = None,
     end: float | None = None,
 ) -> Path:
-    """Save the figure of several runs, or of one, as PNG, PDF or SVG; see `figure_of_runs`. Returns the path.
+    """Save the figure of several runs, or of one, as PNG, PDF or SVG; see `figure_of_runs`. Returns
+    the path.
 
     Raises RecordError as plot.plot_run.
     """
@@ -36,7 +38,9 @@ def plot_runs(
         return run_figure.plot_run(runs[0], path, group, block, start, end)
     path = Path(path)
     run_figure.check_format(path, run_figure.PICTURE_FORMATS)
-    return run_figure.save_figure(draw_comparison_figure(names, runs, group, block, start, end), path, dpi=200)
+    return run_figure.save_figure(
+        draw_comparison_figure(names, runs, group, block, start, end), path, dpi=200
+    )
 
 
 def draw_comparison_figure(
@@ -48,8 +52,10 @@ def draw_comparison_figure(
     end: float | None = None,
     narrow: bool = False,
 ) -> "Figure":
-    """Figure with the PIF of several runs (means over their samples, in kg; of an ensemble the median and the band from 5
-    to 95 %) and, dashed, their settled mass (g). names: what they are called; the rest as plot.figure_of_run."""
+    """Figure with the PIF of several runs (means over their samples, in kg; of an ensemble the
+    median and the band from 5 to 95 %) and, dashed, their settled mass (g). names: what they are
+    called; the rest as plot.figure_of_run.
+    """
     groups = [group or find_main_group(run) or "none" for run in runs]
     means = [run.pif_kg(each) for run, each in zip(runs, groups, strict=True)]
     spans = choose_panels(runs, means, start, end)
@@ -59,24 +65,48 @@ def draw_comparison_figure(
             if run.run_count is None:
                 axes.plot(1e3 * run.time, mean, color=COLOURS[k % len(COLOURS)], lw=1.0, label=name)
             else:
-                run_figure.draw_ensemble(axes, 1e3 * run.time, mean, COLOURS[k % len(COLOURS)], name, f"{name}, 5 to 95 %")
+                run_figure.draw_ensemble(
+                    axes,
+                    1e3 * run.time,
+                    mean,
+                    COLOURS[k % len(COLOURS)],
+                    name,
+                    f"{name}, 5 to 95 %",
+                )
         _limit_axes(axes, runs, means, span)
     rights = [_draw_masses(axes, runs, block) for axes in rows]
     run_figure.label_outer_axes(rows, rights, INK, INK, narrow)
     words = f"product impact force on {', '.join(dict.fromkeys(groups))}"
-    figure.suptitle(f"{words}{';' if not narrow else chr(10)} dashed: settled mass", fontsize=11 if not narrow else 9)
+    figure.suptitle(
+        f"{words}{';' if not narrow else chr(10)} dashed: settled mass",
+        fontsize=11 if not narrow else 9,
+    )
     run_figure.add_legend(figure, narrow)
     return figure
 
 
-def _limit_axes(axes: "Axes", runs: Sequence[Run], means: Sequence[np.ndarray], span: TimeSpan) -> None:
-    shown = [m[..., (r.time >= span[0]) & (r.time <= span[1])] for r, m in zip(runs, means, strict=True)]
-    drawn = [s if r.run_count is None else np.quantile(s, [0.05, 0.95], axis=0) for r, s in zip(runs, shown, strict=True)]
-    run_figure.limit_force_axis(axes, span, min(float(d.min(initial=0.0)) for d in drawn), max(float(d.max(initial=0.0)) for d in drawn))
+def _limit_axes(
+    axes: "Axes", runs: Sequence[Run], means: Sequence[np.ndarray], span: TimeSpan
+) -> None:
+    shown = [
+        m[..., (r.time >= span[0]) & (r.time <= span[1])] for r, m in zip(runs, means, strict=True)
+    ]
+    drawn = [
+        s if r.run_count is None else np.quantile(s, [0.05, 0.95], axis=0)
+        for r, s in zip(runs, shown, strict=True)
+    ]
+    run_figure.limit_force_axis(
+        axes,
+        span,
+        min(float(d.min(initial=0.0)) for d in drawn),
+        max(float(d.max(initial=0.0)) for d in drawn),
+    )
 
 
 def _draw_masses(axes: "Axes", runs: Sequence[Run], block: str | None) -> "Axes | None":
-    """The settled masses on axes of their own at the right, of ensembles the median; None: no run has a block."""
+    """The settled masses on axes of their own at the right, of ensembles the median; None: no run
+    has a block.
+    """
     right, largest = None, 0.0
     for k, run in enumerate(runs):
         name = block or find_main_block(run)
@@ -85,7 +115,9 @@ def _draw_masses(axes: "Axes", runs: Sequence[Run], block: str | None) -> "Axes 
         right = right or axes.twinx()
         grams = run_figure.settled_grams(run, name)
         grams = grams if run.run_count is None else np.median(grams, axis=0)
-        right.plot(1e3 * run.time, grams, color=COLOURS[k % len(COLOURS)], lw=1.0, ls="--", alpha=0.8)
+        right.plot(
+            1e3 * run.time, grams, color=COLOURS[k % len(COLOURS)], lw=1.0, ls="--", alpha=0.8
+        )
         largest = max(largest, float(grams.max()))
     if right is not None:
         run_figure.limit_mass_axis(right, largest)

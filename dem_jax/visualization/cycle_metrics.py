@@ -16,7 +16,9 @@ FILLED_BLOCKS = {"fb": "in FB", "lf": "on LF"}  # block -> words
 
 
 class CycleWindow(NamedTuple):
-    """A cycle from when WB is shut to when it begins to open again, s from the release; before: the end of the one before."""
+    """A cycle from when WB is shut to when it begins to open again, s from the release; before: the
+    end of the one before.
+    """
 
     number: int
     begin: float
@@ -25,7 +27,9 @@ class CycleWindow(NamedTuple):
 
 
 def find_cycle_windows(scene: Scene, duration: float) -> list[CycleWindow]:
-    """The cycles of a scene that a run of a duration (s) goes through to their end; none of a scene without."""
+    """The cycles of a scene that a run of a duration (s) goes through to their end; none of a scene
+    without.
+    """
     cycle, found = scene.cycle, list[CycleWindow]()
     if cycle is None:
         return found
@@ -33,7 +37,9 @@ def find_cycle_windows(scene: Scene, duration: float) -> list[CycleWindow]:
     begin, end = cycle.wb.closes[1] - zero, cycle.wb.opens[0] - zero + cycle.period
     while len(found) * cycle.period + end <= duration * (1 + 1e-9):
         passed = len(found) * cycle.period
-        found.append(CycleWindow(len(found) + 1, passed + begin, passed + end, passed + end - cycle.period))
+        found.append(
+            CycleWindow(len(found) + 1, passed + begin, passed + end, passed + end - cycle.period)
+        )
     return found
 
 
@@ -41,28 +47,45 @@ def cut_cycle_window(run: Run, window: CycleWindow) -> Run:
     """The samples and poses of a run or an ensemble within a window, without a state to go on from."""
     first, last = np.searchsorted(run.time, (window.begin, window.end), side="right")
     lead = (slice(None),) * (run.run_count is not None)
-    series = nest_paths({name: array[(*lead, slice(first, last))] for name, array in flatten_tree(run.series).items()})
+    series = nest_paths(
+        {
+            name: array[(*lead, slice(first, last))]
+            for name, array in flatten_tree(run.series).items()
+        }
+    )
     poses = run.pieces
     if poses is not None:
         within = (poses.time >= window.begin) & (poses.time <= window.end)
-        arrays = {name: array[(*lead, within)] for name, array in vars(poses).items() if name != "time"}
+        arrays = {
+            name: array[(*lead, within)] for name, array in vars(poses).items() if name != "time"
+        }
         poses = replace(poses, time=poses.time[within], **arrays) if within.any() else None
-    info = {name: said for name, said in run.info.items() if name != "moving"}  # which is of the end
+    info = {name: said for name, said in run.info.items() if name != "moving"}  # which is of the
+    # end
     header = replace(run.header, info=info)
-    return replace(run, header=header, time=run.time[first:last], series=series, pieces=poses, restart={})
+    return replace(
+        run, header=header, time=run.time[first:last], series=series, pieces=poses, restart={}
+    )
 
 
 def compute_cycle_metrics(run: Run, window: CycleWindow) -> list[Metric]:
-    """Dosed mass (g), peak of the force (kg) and time to rest (ms) in a cycle, of each run of an ensemble; what FB and LF hold at
-    its end (g); pieces that came in and were taken out since the cycle before."""
+    """Dosed mass (g), peak of the force (kg) and time to rest (ms) in a cycle, of each run of an
+    ensemble; what FB and LF hold at its end (g); pieces that came in and were taken out since the
+    cycle before.
+    """
     part = cut_cycle_window(run, window)
     block, group = find_main_block(run), find_main_group(run)
-    at_end = {name: 1e3 * np.atleast_2d(mass)[:, -1].astype(float) for name, mass in part.settled_mass.items()}
+    at_end = {
+        name: 1e3 * np.atleast_2d(mass)[:, -1].astype(float)
+        for name, mass in part.settled_mass.items()
+    }
     found = []
     if block:
         found.append(Metric("dosed", "g", at_end[block]))
     if group:
-        found.append(Metric("peak force", "kg", np.atleast_2d(part.pif_kg(group)).max(axis=1), PEAK_DIGITS))
+        found.append(
+            Metric("peak force", "kg", np.atleast_2d(part.pif_kg(group)).max(axis=1), PEAK_DIGITS)
+        )
     if group and block:
         rest = find_rest(part, group, block)
         missing = rest.describe_bound() if run.run_count is None else rest.describe()
@@ -80,13 +103,20 @@ def _piece_flow(run: Run, window: CycleWindow) -> list[Metric]:
     first, last = np.searchsorted(run.time, (window.previous_end, window.end), side="right") - 1
     ways = (("came in", "brought_in"), ("taken out", "taken_out"))
     counts = {words: np.atleast_2d(run.piece_count[name]) for words, name in ways}
-    return [Metric(words, "", (n[:, last] - (n[:, first] if first >= 0 else 0)).astype(float)) for words, n in counts.items()]
+    return [
+        Metric(words, "", (n[:, last] - (n[:, first] if first >= 0 else 0)).astype(float))
+        for words, n in counts.items()
+    ]
 
 
 def describe_cycles(run: Run) -> list[str]:
     """A line on each cycle that a run went through to its end."""
     windows = find_cycle_windows(parse_scene(run.scene, "the file's scene"), float(run.time[-1]))
     return [
-        f"cycle {window.number}: " + ", ".join(f"{number.name} {format_metric(number)}" for number in compute_cycle_metrics(run, window))
+        f"cycle {window.number}: "
+        + ", ".join(
+            f"{number.name} {format_metric(number)}"
+            for number in compute_cycle_metrics(run, window)
+        )
         for window in windows
     ]

@@ -18,7 +18,9 @@ SHOWN_PARAMETERS = {  # parameter -> name, unit, factor
 
 @dataclass(frozen=True)
 class FitResults:
-    """Parameters of a Product Model: name -> (value, low, high), SI, 90 % intervals; statements of the fit; its figure."""
+    """Parameters of a Product Model: name -> (value, low, high), SI, 90 % intervals; statements of
+    the fit; its figure.
+    """
 
     parameters: dict[str, tuple[float, float, float]]
     statements: list[str]
@@ -39,13 +41,24 @@ def read_fit(path: str | Path) -> FitResults:
     path = Path(path)
     try:
         tree = json.loads(path.read_text(encoding="utf-8"))
-        rows = {name: tuple(float(tree["parameters"][name][key]) for key in ("value", "low", "high")) for name in SHOWN_PARAMETERS}
+        rows = {
+            name: tuple(float(tree["parameters"][name][key]) for key in ("value", "low", "high"))
+            for name in SHOWN_PARAMETERS
+        }
         statements = [str(line) for line in tree.get("statements", [])]
     except OSError as error:
         raise RecordError(f"--fit {path}: cannot be read: {error.strerror or error}") from error
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise RecordError(f"--fit {path}: not a file of `calibrate fit` ({type(error).__name__}: {error})") from error
+        raise RecordError(
+            f"--fit {path}: not a file of `calibrate fit` ({type(error).__name__}: {error})"
+        ) from error
     if not np.isfinite(list(rows.values())).all():
-        raise RecordError(f"--fit {path}: contains a value that is not a number; allowed: a file of `calibrate fit`")
+        raise RecordError(
+            f"--fit {path}: contains a value that is not a number; allowed: a file of `calibrate fit`"
+        )
     picture = path.with_suffix(".png")
-    return FitResults({k: (v, low, high) for k, (v, low, high) in rows.items()}, statements, picture if picture.is_file() else None)
+    return FitResults(
+        {k: (v, low, high) for k, (v, low, high) in rows.items()},
+        statements,
+        picture if picture.is_file() else None,
+    )

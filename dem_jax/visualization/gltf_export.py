@@ -1,4 +1,6 @@
-"""A run as a 3-D model that moves, glTF 2.0: a node for each piece and each group of walls, their stored poses as animation."""
+"""A run as a 3-D model that moves, glTF 2.0: a node for each piece and each group of walls, their
+stored poses as animation.
+"""
 
 import base64
 from pathlib import Path
@@ -25,14 +27,16 @@ Z_UP = [-(0.5**0.5), 0.0, 0.0, 0.5**0.5]  # quaternion x y z w: glTF has y up
 def write_gltf(run: Run, path: str | Path) -> Path:
     """Write a single run as .glb, metres and seconds, y up. Returns the path.
 
-    Raises RecordError for another format, a run without frames and a file that cannot be written, SceneError for a scene that
-    cannot be read.
+    Raises RecordError for another format, a run without frames and a file that cannot be written,
+    SceneError for a scene that cannot be read.
     """
     path = Path(path)
     check_format(path, (".glb",))
     found = collect_motion(run)
     if found is None:
-        raise RecordError(f"{path} cannot be written: the run has no frames; set run.frames to the time between them (s)")
+        raise RecordError(
+            f"{path} cannot be written: the run has no frames; set run.frames to the time between them (s)"
+        )
     return write_atomically(path, encode_glb(found))
 
 
@@ -46,10 +50,16 @@ def encode_glb(found: BodyMotion) -> bytes:
         if f"shape {of}" in scene.geometry:
             scene.graph.update(frame_to=f"piece {k}", geometry=f"shape {of}")
         else:
-            scene.add_geometry(_triangle_mesh(found.shapes[of][0], PIECE), node_name=f"piece {k}", geom_name=f"shape {of}")
+            scene.add_geometry(
+                _triangle_mesh(found.shapes[of][0], PIECE),
+                node_name=f"piece {k}",
+                geom_name=f"shape {of}",
+            )
     for group, (triangles, _) in found.walls.items():
         scene.add_geometry(_triangle_mesh(triangles, WALL), node_name=group, geom_name=group)
-    return bytes(export_glb(scene, tree_postprocessor=lambda tree: _add_animation(tree, found.time, poses)))
+    return bytes(
+        export_glb(scene, tree_postprocessor=lambda tree: _add_animation(tree, found.time, poses))
+    )
 
 
 def _triangle_mesh(triangles: np.ndarray, colour: tuple[float, ...]) -> Any:
@@ -60,18 +70,31 @@ def _triangle_mesh(triangles: np.ndarray, colour: tuple[float, ...]) -> Any:
     corners = np.asarray(triangles, np.float64).reshape(-1, 3)
     mesh = trimesh.Trimesh(corners, np.arange(len(corners)).reshape(-1, 3), process=False)
     mode = "BLEND" if colour[3] < 1.0 else "OPAQUE"
-    material = PBRMaterial(baseColorFactor=colour, metallicFactor=0.0, roughnessFactor=0.8, alphaMode=mode, doubleSided=True)
+    material = PBRMaterial(
+        baseColorFactor=colour,
+        metallicFactor=0.0,
+        roughnessFactor=0.8,
+        alphaMode=mode,
+        doubleSided=True,
+    )
     mesh.visual = trimesh.visual.TextureVisuals(material=material)
     return mesh
 
 
 def _node_poses(found: BodyMotion) -> dict[str, np.ndarray]:
-    """Name of each node -> [F or 1, 8]: position (m), quaternion x y z w, size: 1, or 0 of a piece that is not there."""
+    """Name of each node -> [F or 1, 8]: position (m), quaternion x y z w, size: 1, or 0 of a piece
+    that is not there.
+    """
     pieces = np.concatenate([found.position, np.roll(found.orientation, -1, axis=-1)], axis=-1)
-    walls = np.concatenate([found.wall_pose[..., :3], np.roll(found.wall_pose[..., 3:], -1, axis=-1)], axis=-1)
+    walls = np.concatenate(
+        [found.wall_pose[..., :3], np.roll(found.wall_pose[..., 3:], -1, axis=-1)], axis=-1
+    )
     named = {f"piece {k}": pieces[:, k] for k in range(pieces.shape[1])}
     named |= {group: walls[:, k] for k, group in enumerate(found.walls)}
-    return {name: _fill_missing_poses(pose[:1] if (pose == pose[:1]).all() else pose) for name, pose in named.items()}
+    return {
+        name: _fill_missing_poses(pose[:1] if (pose == pose[:1]).all() else pose)
+        for name, pose in named.items()
+    }
 
 
 def _fill_missing_poses(pose: np.ndarray) -> np.ndarray:
@@ -87,7 +110,9 @@ def _continuous_rotations(pose: np.ndarray) -> np.ndarray:
     """Of a quaternion and its negative, which are one rotation, the one nearer to that before."""
     turn = pose[:, ORIENTATIONS]
     flips = np.cumprod(np.sign(np.r_[1.0, (turn[1:] * turn[:-1]).sum(axis=1)]) + 0.0)
-    return np.concatenate([pose[:, POSITIONS], turn * np.where(flips == 0.0, 1.0, flips)[:, None]], axis=1)
+    return np.concatenate(
+        [pose[:, POSITIONS], turn * np.where(flips == 0.0, 1.0, flips)[:, None]], axis=1
+    )
 
 
 def _add_animation(tree: dict[str, Any], time: np.ndarray, poses: dict[str, np.ndarray]) -> None:
@@ -96,10 +121,19 @@ def _add_animation(tree: dict[str, Any], time: np.ndarray, poses: dict[str, np.n
 
     def add_accessor(values: np.ndarray, kind: str) -> int:
         values = np.ascontiguousarray(values, "<f4")
-        tree["bufferViews"].append({"buffer": number, "byteOffset": len(data), "byteLength": values.nbytes})
+        tree["bufferViews"].append(
+            {"buffer": number, "byteOffset": len(data), "byteLength": values.nbytes}
+        )
         data.extend(values.tobytes())
-        bounds = {"min": [float(values.min())], "max": [float(values.max())]} if kind == "SCALAR" else {}
-        row = {"bufferView": len(tree["bufferViews"]) - 1, "componentType": FLOAT, "count": len(values), "type": kind}
+        bounds = (
+            {"min": [float(values.min())], "max": [float(values.max())]} if kind == "SCALAR" else {}
+        )
+        row = {
+            "bufferView": len(tree["bufferViews"]) - 1,
+            "componentType": FLOAT,
+            "count": len(values),
+            "type": kind,
+        }
         tree["accessors"].append(row | bounds)
         return len(tree["accessors"]) - 1
 
@@ -114,10 +148,18 @@ def _add_animation(tree: dict[str, Any], time: np.ndarray, poses: dict[str, np.n
         for what, columns, kind, between in CHANNELS if not pose[:, SIZES].all() else CHANNELS[:2]:
             node[what] = pose[0, columns].tolist()
             if len(pose) > 1:
-                samplers.append({"input": times, "output": add_accessor(pose[:, columns], kind), "interpolation": between})
+                samplers.append(
+                    {
+                        "input": times,
+                        "output": add_accessor(pose[:, columns], kind),
+                        "interpolation": between,
+                    }
+                )
                 channels.append({"sampler": len(samplers) - 1, "target": {"node": k, "path": what}})
     coded = base64.b64encode(data).decode()
-    tree["buffers"].append({"byteLength": len(data), "uri": f"data:application/octet-stream;base64,{coded}"})
+    tree["buffers"].append(
+        {"byteLength": len(data), "uri": f"data:application/octet-stream;base64,{coded}"}
+    )
     scene = tree["scenes"][tree["scene"]]
     tree["nodes"].append({"name": "drop", "rotation": Z_UP, "children": scene["nodes"]})
     scene["nodes"] = [len(tree["nodes"]) - 1]

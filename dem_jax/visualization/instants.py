@@ -1,4 +1,6 @@
-"""The instants of a run that tell the story of an impact: start, approach, first contact, peak force, rest."""
+"""The instants of a run that tell the story of an impact: start, approach, first contact, peak
+force, rest.
+"""
 
 from typing import NamedTuple
 
@@ -7,7 +9,8 @@ import numpy as np
 from dem_jax.io.run_data import Frames, Run
 from dem_jax.visualization.summary import find_main_group
 
-PAUSE = 0.1  # s; after a longer pause without load a new impact begins; shorter ones are rebounds, or gaps within a portion
+PAUSE = 0.1  # s; after a longer pause without load a new impact begins; shorter ones are rebounds,
+# or gaps within a portion
 APPROACH = 0.05  # s before the first contact, at most
 SLOW = 0.1  # m/s; slower pieces are at rest, as those of the settled mass
 QUIET = 0.02  # s for which pieces must be slow to count as at rest, as run.settled_time
@@ -22,16 +25,18 @@ class Instant(NamedTuple):
 
 
 def find_impact_instants(run: Run, group: str | None = None) -> list[Instant]:
-    """Instants of the largest impact, in order, of a single run with stored frames; each frame stands once.
+    """Instants of the largest impact, in order, of a single run with stored frames; each frame
+    stands once.
 
     Args:
         run: a single run.
-        group: wall group whose force decides; by default the weigh bucket's flaps, or the group with the largest peak.
+        group: wall group whose force decides; by default the weigh bucket's flaps, or the group
+        with the largest peak.
 
     Returns:
-        Start of the run, approach, first contact of the impact, peak force, and rest (or the end of the run); without
-        approach and first contact if the wall is loaded from the start. If no wall is hit, evenly spaced times without
-        labels.
+        Start of the run, approach, first contact of the impact, peak force, and rest (or the end of
+        the run); without approach and first contact if the wall is loaded from the start. If no
+        wall is hit, evenly spaced times without labels.
     """
     frames = run.pieces
     if frames is None or not len(frames.time):
@@ -52,14 +57,18 @@ def find_impact_instants(run: Run, group: str | None = None) -> list[Instant]:
 
 
 def _find_loaded_group(run: Run) -> str | None:
-    """The weigh bucket's flaps if the run has them, or the wall group with the largest peak; None without walls."""
+    """The weigh bucket's flaps if the run has them, or the wall group with the largest peak; None
+    without walls.
+    """
     if find_main_group(run) in (None, "wb_flaps"):
         return find_main_group(run)
     return max(run.force, key=lambda group: run.pif_kg(group).max())
 
 
 def _find_impact_start(loaded: np.ndarray, sample: float, peak: int) -> tuple[int, float]:
-    """Sample in which the impact with this peak begins, and for how long (s) the wall was unloaded before."""
+    """Sample in which the impact with this peak begins, and for how long (s) the wall was unloaded
+    before.
+    """
     touched = np.flatnonzero(loaded[: peak + 1])
     pauses = np.diff(touched, prepend=-1) - 1  # samples without load before each loaded one
     begins = np.flatnonzero(pauses * sample > PAUSE)
@@ -80,7 +89,9 @@ def _find_rest_instant(frames: Frames, peak: float) -> Instant:
 
 
 def _merge_instants(instants: list[Instant], times: np.ndarray) -> list[Instant]:
-    """One instant for each stored frame, at its time, with the labels of all that are nearest to it."""
+    """One instant for each stored frame, at its time, with the labels of all that are nearest to
+    it.
+    """
     labels: dict[int, list[str]] = {}
     for instant in instants:
         labels.setdefault(int(np.argmin(np.abs(times - instant.time))), []).append(instant.label)

@@ -5,21 +5,39 @@ from collections.abc import Sequence
 import numpy as np
 
 from dem_jax.assembly.bucket_fill import list_bucket_fills
-from dem_jax.assembly.piece_arrays import PieceSet, build_piece_set, compute_densities, compute_masses
+from dem_jax.assembly.piece_arrays import (
+    PieceSet,
+    build_piece_set,
+    compute_densities,
+    compute_masses,
+)
 from dem_jax.io.run_data import Run
 from dem_jax.scene import Scene, parse_scene
-from dem_jax.scene.material_properties import MaterialTable, build_material_table, find_modulus_range, find_piece_rows
+from dem_jax.scene.material_properties import (
+    MaterialTable,
+    build_material_table,
+    find_modulus_range,
+    find_piece_rows,
+)
 from dem_jax.shapes import principal_extents
 from dem_jax.visualization.bucket_heap import describe_heap
 
 Facts = list[tuple[str, str]]  # what, and what there is to say of it
-# Power of the stiffness in the peak of one impact; of a densifying spring while its overlap is small, of an
-# elastic-plastic contact before it yields (then 0).
-STIFFNESS_EXPONENTS = {"walton-braun": 0.5, "linear-dashpot": 0.5, "hertz-mindlin": 0.4, "densifying": 0.5, "elastic-plastic": 0.4}
+# Power of the stiffness in the peak of one impact; of a densifying spring while its overlap is
+# small, of an elastic-plastic contact before it yields (then 0).
+STIFFNESS_EXPONENTS = {
+    "walton-braun": 0.5,
+    "linear-dashpot": 0.5,
+    "hertz-mindlin": 0.4,
+    "densifying": 0.5,
+    "elastic-plastic": 0.4,
+}
 
 
 def find_main_group(run: Run) -> str | None:
-    """The wall group whose force is the PIF: the weigh bucket's flaps, or the first; None: no walls."""
+    """The wall group whose force is the PIF: the weigh bucket's flaps, or the first; None: no
+    walls.
+    """
     return "wb_flaps" if "wb_flaps" in run.force else next(iter(run.force), None)
 
 
@@ -29,12 +47,18 @@ def find_main_block(run: Run) -> str | None:
 
 
 def collect_facts(run: Run) -> dict[str, Facts]:
-    """"Product", "Scene" and "Computation" of a run, from the scene in its file. Raises SceneError."""
+    """ "Product", "Scene" and "Computation" of a run, from the scene in its file. Raises
+    SceneError.
+    """
     scene = parse_scene(run.scene, "the file's scene")
     product = _product_facts(scene)
     if "piece_counts" in run.info:
         product.append(("in the runs", describe_piece_count(run)))
-    return {"Product": product, "Scene": _scene_facts(scene, run), "Computation": _computation_facts(scene, run)}
+    return {
+        "Product": product,
+        "Scene": _scene_facts(scene, run),
+        "Computation": _computation_facts(scene, run),
+    }
 
 
 def describe_stiffness(run: Run) -> str:
@@ -43,23 +67,38 @@ def describe_stiffness(run: Run) -> str:
     nsf, power = scene.material.softening, STIFFNESS_EXPONENTS[scene.contact.law]
     words = f"E of the pieces is {_describe_moduli(build_material_table(scene))}, and NSF = {nsf:g} multiplies all moduli"
     grows = f"the peak of a single impact grows with the power {power:g} of E · NSF"
-    real = "" if nsf == 1.0 else f", so without softening (NSF = 1) it would be {nsf**-power:.3g} times as high"
+    real = (
+        ""
+        if nsf == 1.0
+        else f", so without softening (NSF = 1) it would be {nsf**-power:.3g} times as high"
+    )
     return f"{words}: {grows}{real}; that of a portion changes less, as harder impacts are shorter and coincide less."
 
 
 def summarize_stiffness(run: Run) -> str:
-    """E and NSF, which a peak is worth nothing without, and the power of them by which that of one impact grows."""
+    """E and NSF, which a peak is worth nothing without, and the power of them by which that of one
+    impact grows.
+    """
     scene = parse_scene(run.scene, "the file's scene")
-    words = f"E = {_describe_moduli(build_material_table(scene))}, NSF = {scene.material.softening:g}"
+    words = (
+        f"E = {_describe_moduli(build_material_table(scene))}, NSF = {scene.material.softening:g}"
+    )
     if "law" in run.info:  # one of a user's own
         return words
-    power = {0.5: "sqrt(E NSF)"}.get(STIFFNESS_EXPONENTS[scene.contact.law], f"(E NSF)^{STIFFNESS_EXPONENTS[scene.contact.law]:g}")
+    power = {0.5: "sqrt(E NSF)"}.get(
+        STIFFNESS_EXPONENTS[scene.contact.law],
+        f"(E NSF)^{STIFFNESS_EXPONENTS[scene.contact.law]:g}",
+    )
     return f"{words}: of one impact they scale with {power}"
 
 
 def describe_peak_factors(scene: Scene) -> str:
-    """What the peaks of a scene rest on: E, NSF, and by how much one impact would be harder with the product's own modulus."""
-    words = f"E = {_describe_moduli(build_material_table(scene))}, NSF = {scene.material.softening:g}"
+    """What the peaks of a scene rest on: E, NSF, and by how much one impact would be harder with
+    the product's own modulus.
+    """
+    words = (
+        f"E = {_describe_moduli(build_material_table(scene))}, NSF = {scene.material.softening:g}"
+    )
     factors = find_peak_factors(scene)
     if factors is None:
         return f"{words}, {_describe_assumed_modulus(scene)}"
@@ -71,38 +110,56 @@ def _describe_assumed_modulus(scene: Scene) -> str:
     """What to say where the range of a modulus is not known."""
     more = 2 ** STIFFNESS_EXPONENTS[scene.contact.law]
     key = "material.youngs_modulus_range is not given"
-    return f"an assumed modulus ({key}): with twice the modulus one impact is {more:.3g} times as high"
+    return (
+        f"an assumed modulus ({key}): with twice the modulus one impact is {more:.3g} times as high"
+    )
 
 
 def _describe_modulus_ranges(scene: Scene) -> str:
     """The ranges of the moduli of the pieces, where all are known."""
     table = build_material_table(scene)
     bounds = [find_modulus_range(scene, table.names[k]) for k in np.flatnonzero(~table.is_wall)]
-    return ", ".join(dict.fromkeys(f"{_format_si(b[0], 'Pa')} to {_format_si(b[1], 'Pa')}" for b in bounds if b is not None))
+    return ", ".join(
+        dict.fromkeys(
+            f"{_format_si(b[0], 'Pa')} to {_format_si(b[1], 'Pa')}" for b in bounds if b is not None
+        )
+    )
 
 
 def find_peak_factors(scene: Scene) -> tuple[float, float] | None:
-    """By how much the peak of one impact is higher with the least and with the greatest modulus that the product may have.
+    """By how much the peak of one impact is higher with the least and with the greatest modulus
+    that the product may have.
 
-    Without softening, which makes the simulated modulus another one than the product's: (E / (E NSF))^p, E in series with that of
-    the walls and p as of ``STIFFNESS_EXPONENTS``. None: the range of a material is not known (material.youngs_modulus_range).
+    Without softening, which makes the simulated modulus another one than the product's: (E / (E
+    NSF))^p, E in series with that of the walls and p as of ``STIFFNESS_EXPONENTS``. None: the range
+    of a material is not known (material.youngs_modulus_range).
     """
-    table, nsf, power = build_material_table(scene), scene.material.softening, STIFFNESS_EXPONENTS[scene.contact.law]
+    table, nsf, power = (
+        build_material_table(scene),
+        scene.material.softening,
+        STIFFNESS_EXPONENTS[scene.contact.law],
+    )
     walls = table.youngs_modulus[table.is_wall]
     walls = walls if len(walls) else np.array([np.inf])
-    in_series = lambda e: 1 / (1 / e + 1 / walls)  # noqa: E731
+    in_series = lambda e: 1 / (1 / e + 1 / walls)
     found = []
     for k in np.flatnonzero(~table.is_wall):
         bounds = find_modulus_range(scene, table.names[k])
         if bounds is None:
             return None
-        found += [(in_series(e) / (nsf * in_series(table.youngs_modulus[k]))) ** power for e in bounds]
+        found += [
+            (in_series(e) / (nsf * in_series(table.youngs_modulus[k]))) ** power for e in bounds
+        ]
     return float(np.min(found)), float(np.max(found))
 
 
 def find_peak_band(run: Run) -> tuple[float, float] | None:
-    """``find_peak_factors`` of the scene of a run; None as well for a contact law of the user's own."""
-    return None if "law" in run.info else find_peak_factors(parse_scene(run.scene, "the file's scene"))
+    """``find_peak_factors`` of the scene of a run; None as well for a contact law of the user's
+    own.
+    """
+    return (
+        None if "law" in run.info else find_peak_factors(parse_scene(run.scene, "the file's scene"))
+    )
 
 
 def describe_peak_band(run: Run, peaks: Sequence[float] | np.ndarray) -> str:
@@ -120,12 +177,16 @@ def describe_peak_band(run: Run, peaks: Sequence[float] | np.ndarray) -> str:
 
 def _describe_moduli(table: MaterialTable) -> str:
     """Young's moduli of the pieces."""
-    return ", ".join(_format_si(e, "Pa") for e in dict.fromkeys(table.youngs_modulus[~table.is_wall].tolist()))
+    return ", ".join(
+        _format_si(e, "Pa") for e in dict.fromkeys(table.youngs_modulus[~table.is_wall].tolist())
+    )
 
 
 def total_weight(run: Run) -> float:
     """Mass (kg) of all pieces of a run. Raises SceneError."""
-    return float(compute_masses(*_pieces_and_materials(parse_scene(run.scene, "the file's scene"))).sum())
+    return float(
+        compute_masses(*_pieces_and_materials(parse_scene(run.scene, "the file's scene"))).sum()
+    )
 
 
 def describe_piece_count(run: Run) -> str:
@@ -136,7 +197,9 @@ def describe_piece_count(run: Run) -> str:
 
 
 def describe_portion(scene: Scene) -> str | None:
-    """What a portion weighs beside what was asked for, in words; None: it is not made by weight. Raises SceneError."""
+    """What a portion weighs beside what was asked for, in words; None: it is not made by weight.
+    Raises SceneError.
+    """
     if scene.piece or scene.portion is None or scene.portion.count is not None:
         return None
     goods, table = _pieces_and_materials(scene)
@@ -147,24 +210,42 @@ def describe_portion(scene: Scene) -> str | None:
 
 
 def describe_stickiness(scene: Scene) -> list[str]:
-    """How firmly pieces of each material stick, as pull-off over the mean weight of a piece, in words. Raises SceneError."""
+    """How firmly pieces of each material stick, as pull-off over the mean weight of a piece, in
+    words. Raises SceneError.
+    """
     goods, table = _pieces_and_materials(scene)
-    rows, weight = find_piece_rows(table, goods.materials), compute_masses(goods, table) * float(np.linalg.norm(scene.run.gravity))
+    rows, weight = (
+        find_piece_rows(table, goods.materials),
+        compute_masses(goods, table) * float(np.linalg.norm(scene.run.gravity)),
+    )
     said = []
     for k in sorted(set(rows.tolist())):
         walls = table.pull_off[k, table.is_wall]
-        each = {"on pieces": table.pull_off[k, k], "on walls": float(walls.max()) if len(walls) else 0.0}
+        each = {
+            "on pieces": table.pull_off[k, k],
+            "on walls": float(walls.max()) if len(walls) else 0.0,
+        }
         own = float(weight[rows == k].mean())
-        words = [f"{pull / own:.3g} times the weight of a piece {where}" for where, pull in each.items() if pull > 0 and own > 0]
+        words = [
+            f"{pull / own:.3g} times the weight of a piece {where}"
+            for where, pull in each.items()
+            if pull > 0 and own > 0
+        ]
         if words:
             said.append(f"stickiness of {table.names[k]}: pull-off is {', '.join(words)}")
     return said
 
 
 def describe_fills(scene: Scene) -> list[str]:
-    """How full the portion makes each bucket, in words; scene: its STL files read. Raises SceneError."""
+    """How full the portion makes each bucket, in words; scene: its STL files read. Raises
+    SceneError.
+    """
     buckets = scene.feed_bucket or scene.weigh_bucket
-    return [str(fill) for fill in list_bucket_fills(scene, build_piece_set(scene))] if buckets and scene.portion else []
+    return (
+        [str(fill) for fill in list_bucket_fills(scene, build_piece_set(scene))]
+        if buckets and scene.portion
+        else []
+    )
 
 
 def _pieces_and_materials(scene: Scene) -> tuple[PieceSet, MaterialTable]:
@@ -179,22 +260,45 @@ def _product_facts(scene: Scene) -> Facts:
     facts: Facts = []
     for kind in dict.fromkeys(kinds):
         of = np.array([k == kind for k in kinds])
-        edges = " × ".join(_format_range(axis) for axis in size[of].T) if kind[0] != "sphere" else f"⌀ {_format_range(size[of][:, 0])}"
-        words = f"{edges} mm, {_format_range(1e3 * mass[of])} g each" + (f", of {kind[1]}" if kind[1] else "")
+        edges = (
+            " × ".join(_format_range(axis) for axis in size[of].T)
+            if kind[0] != "sphere"
+            else f"⌀ {_format_range(size[of][:, 0])}"
+        )
+        words = f"{edges} mm, {_format_range(1e3 * mass[of])} g each" + (
+            f", of {kind[1]}" if kind[1] else ""
+        )
         facts.append((f"{of.sum()} × {kind[0]}", words))
     asked = scene.portion and scene.portion.count is None and scene.feeder is None
     wish = f"; {1e3 * scene.portion.target_weight:g} g asked for" if asked and scene.portion else ""
-    facts.append(("together", f"{len(mass)} piece{'s' if len(mass) != 1 else ''}, {1e3 * mass.sum():.4g} g{wish}"))
-    rows, density = find_piece_rows(table, goods.materials), compute_densities(table, goods.materials, goods.densities)
-    return facts + [_material_fact(table, k, density[rows == k]) for k in range(len(table.names)) if (rows == k).any()]
+    facts.append(
+        (
+            "together",
+            f"{len(mass)} piece{'s' if len(mass) != 1 else ''}, {1e3 * mass.sum():.4g} g{wish}",
+        )
+    )
+    rows, density = (
+        find_piece_rows(table, goods.materials),
+        compute_densities(table, goods.materials, goods.densities),
+    )
+    return facts + [
+        _material_fact(table, k, density[rows == k])
+        for k in range(len(table.names))
+        if (rows == k).any()
+    ]
 
 
 def _material_fact(table: MaterialTable, k: int, densities: np.ndarray) -> tuple[str, str]:
-    """A material of pieces with these densities (kg/m3); of several walls the range of what holds on them."""
+    """A material of pieces with these densities (kg/m3); of several walls the range of what holds
+    on them.
+    """
     walls = np.flatnonzero(table.is_wall)
     words = f"{_format_range(densities)} kg/m³, E = {_format_si(table.youngs_modulus[k], 'Pa')}, ε = {table.restitution[k, k]:g}"
     on_walls = f", {_format_range(table.friction[k, walls])} on walls" if len(walls) else ""
-    return (f"material {table.names[k]}", f"{words}, μ = {table.friction[k, k]:g} between pieces{on_walls}")
+    return (
+        f"material {table.names[k]}",
+        f"{words}, μ = {table.friction[k, k]:g} between pieces{on_walls}",
+    )
 
 
 def _scene_facts(scene: Scene, run: Run) -> Facts:
@@ -209,9 +313,13 @@ def _scene_facts(scene: Scene, run: Run) -> Facts:
         elif bucket:
             mouth = " × ".join(f"{1e3 * edge:g}" for edge in bucket.mouth)
             flaps = f"flaps {bucket.flap_angle_deg:g}° steep"
-            facts.append((name, f"mouth {mouth} mm, walls {1e3 * bucket.wall_height:g} mm high, {flaps}"))
+            facts.append(
+                (name, f"mouth {mouth} mm, walls {1e3 * bucket.wall_height:g} mm high, {flaps}")
+            )
     if scene.feed_bucket and scene.weigh_bucket:
-        facts.append(("drop", f"{1e3 * scene.drop.height:g} mm between the lower edges of their flaps"))
+        facts.append(
+            ("drop", f"{1e3 * scene.drop.height:g} mm between the lower edges of their flaps")
+        )
     facts += [("fill level", said) for said in describe_fills(scene)[-1:]]
     heap = describe_heap(run)
     facts += [] if heap is None else [("heap", heap)]

@@ -18,7 +18,8 @@ MEAN_WINDOW = 10e-3  # s: mean of the force that stands beside the peak
 
 
 class Metric(NamedTuple):
-    """A quantity of a run: its name, its unit and its values [K], one of each run of an ensemble; nan: there is none.
+    """A quantity of a run: its name, its unit and its values [K], one of each run of an ensemble;
+    nan: there is none.
 
     digits: how many are shown. missing: why there is none, in words.
     """
@@ -39,7 +40,11 @@ class Metric(NamedTuple):
     def band(self) -> tuple[float, float]:
         """The 5 % and the 95 % quantile of the values that there are."""
         known = self.values[np.isfinite(self.values)]
-        return (float(np.quantile(known, LOW)), float(np.quantile(known, HIGH))) if len(known) else (np.nan, np.nan)
+        return (
+            (float(np.quantile(known, LOW)), float(np.quantile(known, HIGH)))
+            if len(known)
+            else (np.nan, np.nan)
+        )
 
 
 def list_members(run: Run) -> list[Run]:
@@ -48,11 +53,12 @@ def list_members(run: Run) -> list[Run]:
 
 
 def compute_metrics(run: Run, group: str | None = None, block: str | None = None) -> list[Metric]:
-    """Peaks of the product impact force (kg), when (ms), time to rest (ms), mean force at the end (g), settled mass (g).
+    """Peaks of the product impact force (kg), when (ms), time to rest (ms), mean force at the end
+    (g), settled mass (g).
 
-    group, block: by default those of the weigh bucket, or the first. What a run has no group or no block for is left out.
-    The force at the end is the mean over the last tenth of the samples, with a load cell over whole periods of it. Raises
-    RecordError for a group that is not there.
+    group, block: by default those of the weigh bucket, or the first. What a run has no group or no
+    block for is left out. The force at the end is the mean over the last tenth of the samples, with
+    a load cell over whole periods of it. Raises RecordError for a group that is not there.
     """
     group, block = group or find_main_group(run), block or find_main_block(run)
     found = _force_metrics(run, group) if group else []
@@ -76,7 +82,9 @@ def compute_metrics(run: Run, group: str | None = None, block: str | None = None
 
 
 def _force_metrics(run: Run, group: str) -> list[Metric]:
-    """Peaks of the force (kg), the ends of their band where the modulus is known within one, and when they are (ms)."""
+    """Peaks of the force (kg), the ends of their band where the modulus is known within one, and
+    when they are (ms).
+    """
     mean = run.pif_kg(group)
     mean = mean.reshape(-1, mean.shape[-1])
     instants = run.pif_kg(group, mean=False).reshape(len(mean), -1)
@@ -84,7 +92,10 @@ def _force_metrics(run: Run, group: str) -> list[Metric]:
     found = [Metric("peak force", "kg", peaks, PEAK_DIGITS)]
     if (factors := find_peak_band(run)) is not None:
         names = ("peak force, low end of its band", "peak force, high end of its band")
-        found += [Metric(name, "kg", factor * peaks, PEAK_DIGITS) for name, factor in zip(names, factors, strict=True)]
+        found += [
+            Metric(name, "kg", factor * peaks, PEAK_DIGITS)
+            for name, factor in zip(names, factors, strict=True)
+        ]
     found.append(Metric("peak force, instantaneous", "kg", instants.max(axis=1), PEAK_DIGITS))
     if (over := peak_running_mean(run, group, MEAN_WINDOW)) is not None:
         found.append(Metric("peak force, mean over 10 ms", "kg", over, PEAK_DIGITS))
@@ -96,7 +107,11 @@ def format_metric(number: Metric) -> str:
     """Value and unit; of an ensemble the median, the band, and how many runs have none."""
     missing = int((~np.isfinite(number.values)).sum())
     if len(number.values) == 1:
-        return f"{number.median:.{number.digits}g} {number.unit}".rstrip() if not missing else number.missing or "none"
+        return (
+            f"{number.median:.{number.digits}g} {number.unit}".rstrip()
+            if not missing
+            else number.missing or "none"
+        )
     why = f": {number.missing}" if number.missing else ""
     if missing == len(number.values):
         return f"none{why}"
@@ -105,8 +120,12 @@ def format_metric(number: Metric) -> str:
     return f"{number.median:.{d}g} {number.unit} (median; 5 to 95 %: {low:.{d}g} to {high:.{d}g} {number.unit}{without})"
 
 
-def peaks_per_window(run: Run, group: str, windows: Sequence[float] = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)) -> list[tuple[float, Metric]]:
-    """(averaging time (s), peak force (kg)) of the force averaged over longer and longer times, the first being one sample."""
+def peaks_per_window(
+    run: Run, group: str, windows: Sequence[float] = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
+) -> list[tuple[float, Metric]]:
+    """(averaging time (s), peak force (kg)) of the force averaged over longer and longer times, the
+    first being one sample.
+    """
     samples = run.pif_kg(group).shape[-1]
     lengths = dict.fromkeys([1] + [round(window / run.sample) for window in windows])
     found = []
@@ -118,7 +137,9 @@ def peaks_per_window(run: Run, group: str, windows: Sequence[float] = (1e-4, 3e-
 
 
 def peak_running_mean(run: Run, group: str, window: float) -> np.ndarray | None:
-    """[K] (kg) the largest mean of the force over a time (s); None: the run or a sample is not that long."""
+    """[K] (kg) the largest mean of the force over a time (s); None: the run or a sample is not that
+    long.
+    """
     mean = run.pif_kg(group)
     mean = mean.reshape(-1, mean.shape[-1])
     n = round(window / run.sample)

@@ -44,7 +44,9 @@ def draw_impact_strip(run: Run) -> "Figure | None":
 
 
 def write_pdf(path: Path, sheets: Sequence[ReportSheet]) -> Path:
-    """Write the sheets, one below the other on as many pages as they need. Returns the path. Raises RecordError."""
+    """Write the sheets, one below the other on as many pages as they need. Returns the path. Raises
+    RecordError.
+    """
     from matplotlib.backends.backend_pdf import PdfPages
 
     image = io.BytesIO()
@@ -76,14 +78,24 @@ def _lay_out_pages(sheets: Sequence[ReportSheet]) -> Iterator["Figure"]:
             if y < MARGIN:
                 yield page
                 page, y = Figure(figsize=A4), 1.0 - MARGIN
-            page.text(MARGIN, y, line, fontsize=7.5, family="monospace", va="top", weight="bold" if is_head else "normal")
+            page.text(
+                MARGIN,
+                y,
+                line,
+                fontsize=7.5,
+                family="monospace",
+                va="top",
+                weight="bold" if is_head else "normal",
+            )
             y -= LINE if line else 0.5 * LINE
         y -= LINE
     yield page
 
 
 def _picture_size(picture: np.ndarray) -> tuple[float, float]:
-    """Width and height of a picture, of the sheet: as wide as the text, unless it would be higher than a page."""
+    """Width and height of a picture, of the sheet: as wide as the text, unless it would be higher
+    than a page.
+    """
     aspect = A4[0] / A4[1] * picture.shape[0] / picture.shape[1]
     wide = min(1 - 2 * MARGIN, (1 - 2 * MARGIN - 4 * LINE) / aspect)
     return wide, wide * aspect
@@ -103,7 +115,9 @@ def _wrap_text(words: str | TextTable) -> list[tuple[str, bool]]:
         cells = [textwrap.wrap(cell, wide - 2) or [""] for cell in row[1:]]
         for k in range(max(map(len, cells), default=1)):
             name = row[0] if k == 0 else ""
-            line = name.ljust(first) + "".join((cell[k] if k < len(cell) else "").ljust(wide) for cell in cells)
+            line = name.ljust(first) + "".join(
+                (cell[k] if k < len(cell) else "").ljust(wide) for cell in cells
+            )
             found.append((line.rstrip(), row is words[0]))
     return found
 

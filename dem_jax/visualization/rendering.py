@@ -1,7 +1,9 @@
-"""Pictures of a scene with its pieces: one instant, a film strip of several, or an animation. Host side, matplotlib.
+"""Pictures of a scene with its pieces: one instant, a film strip of several, or an animation. Host
+side, matplotlib.
 
-A piece is drawn part by part, so that all bodies are convex: the faces of one never hide each other once those that look
-away are left out, and the order in which two are drawn follows from the side of a plane between them on which the eye is.
+A piece is drawn part by part, so that all bodies are convex: the faces of one never hide each other
+once those that look away are left out, and the order in which two are drawn follows from the side
+of a plane between them on which the eye is.
 """
 
 import heapq
@@ -31,7 +33,8 @@ WallMeshes = Mapping[str, Sequence[scene_geometry.BodyMesh]]  # by group
 Colour = tuple[float, float, float, float]  # r, g, b, a
 
 PICTURES, ANIMATIONS = (".png", ".pdf", ".svg"), (".gif", ".mp4")
-PALETTE = ("#f3c6cf", "#fbe9c6", "#cfe3f1", "#d8ecd0", "#e6d7f0", "#f8d5b5")  # of pieces told apart by number
+PALETTE = ("#f3c6cf", "#fbe9c6", "#cfe3f1", "#d8ecd0", "#e6d7f0", "#f8d5b5")  # of pieces told apart
+# by number
 WALL_COLOUR, INK = (0.62, 0.69, 0.76), (0.25, 0.22, 0.2)
 FULL_HEIGHT = 6.0  # inches, of one picture
 
@@ -40,8 +43,8 @@ FULL_HEIGHT = 6.0  # inches, of one picture
 class Camera:
     """Where the scene is seen from.
 
-    azimuth: (degrees) of the eye about z, from x. elevation: (degrees) of the eye above the horizontal.
-    distance: of the eye from the middle of the scene, in radii of the scene.
+    azimuth: (degrees) of the eye about z, from x. elevation: (degrees) of the eye above the
+    horizontal. distance: of the eye from the middle of the scene, in radii of the scene.
     """
 
     azimuth: float = 25.0
@@ -50,7 +53,9 @@ class Camera:
 
 
 class ConvexBody(NamedTuple):
-    """A convex body: vertices [V, 3] (m), faces, outward normals [F, 3], offsets [F] (m), with or without outlines."""
+    """A convex body: vertices [V, 3] (m), faces, outward normals [F, 3], offsets [F] (m), with or
+    without outlines.
+    """
 
     vertices: np.ndarray
     faces: tuple[tuple[int, ...], ...]
@@ -60,7 +65,9 @@ class ConvexBody(NamedTuple):
 
 
 class CameraView(NamedTuple):
-    """A camera set up: the box [2, 3] (m) that is shown, the eye [3] (m), and right, up and forward in rows [3, 3]."""
+    """A camera set up: the box [2, 3] (m) that is shown, the eye [3] (m), and right, up and forward
+    in rows [3, 3].
+    """
 
     box: np.ndarray
     eye: np.ndarray
@@ -83,26 +90,33 @@ def render_frames(
 ) -> Path:
     """Write a picture or an animation of stored poses; the path's suffix selects the kind.
 
-    frames: record.Frames of a single run. shapes: a Shape for each of the N pieces. walls: group -> list of (vertices
-    [V, 3] (m), faces) in the group's rest frame, the first face being the surface that the pieces touch; wall_pose:
-    t -> group -> (rotation [3, 3], origin [3] (m)). path: .gif and .mp4 are the animation, the first looping, of at most
-    200 frames at fps per second; .png, .pdf, .svg the instant `at` (s; by default the last), or a film strip of the
-    instants `strip`: their times (s), or their number, evenly spaced.
-    Each instant shows the stored frame nearest to it. colour: "speed" or "piece". title: stands before the time.
-    labels: words that stand before the time of each instant of a strip.
-    Returns the path. Raises RecordError for another format, no frames, an instant before or after them, a file that
-    cannot be written, and for .mp4 without imageio-ffmpeg.
+    frames: record.Frames of a single run. shapes: a Shape for each of the N pieces. walls: group ->
+    list of (vertices [V, 3] (m), faces) in the group's rest frame, the first face being the surface
+    that the pieces touch; wall_pose: t -> group -> (rotation [3, 3], origin [3] (m)). path: .gif
+    and .mp4 are the animation, the first looping, of at most 200 frames at fps per second; .png,
+    .pdf, .svg the instant `at` (s; by default the last), or a film strip of the instants `strip`:
+    their times (s), or their number, evenly spaced. Each instant shows the stored frame nearest to
+    it. colour: "speed" or "piece". title: stands before the time. labels: words that stand before
+    the time of each instant of a strip. Returns the path. Raises RecordError for another format, no
+    frames, an instant before or after them, a file that cannot be written, and for .mp4 without
+    imageio-ffmpeg.
     """
     path = Path(path)
     check_format(path, PICTURES + ANIMATIONS)
     if frames is None or not np.isfinite(frames.position).all(axis=-1).any():
-        raise RecordError(f"{path} cannot be drawn: the run has no frames; set run.frames to the time between them (s)")
+        raise RecordError(
+            f"{path} cannot be drawn: the run has no frames; set run.frames to the time between them (s)"
+        )
     if frames.position.ndim != 3:
         raise RecordError(f"{path} cannot be drawn: frames of an ensemble; choose one of its runs")
     scene = build_render_scene(frames, shapes, walls, wall_pose, camera or Camera(), colour)
     if path.suffix.lower() in ANIMATIONS:
         return animation.write_animation(_render_images(scene, title), path, fps)
-    return save_figure(draw_frames(scene, _find_frame_indices(frames.time, at, strip), title, labels), path, dpi=150)
+    return save_figure(
+        draw_frames(scene, _find_frame_indices(frames.time, at, strip), title, labels),
+        path,
+        dpi=150,
+    )
 
 
 class RenderScene(NamedTuple):
@@ -118,7 +132,12 @@ class RenderScene(NamedTuple):
 
 
 def build_render_scene(
-    frames: Frames, shapes: Sequence[Shape], walls: WallMeshes, wall_pose: WallPose, camera: Camera, colour: str = "speed"
+    frames: Frames,
+    shapes: Sequence[Shape],
+    walls: WallMeshes,
+    wall_pose: WallPose,
+    camera: Camera,
+    colour: str = "speed",
 ) -> RenderScene:
     """The scene that `figure_of` draws; arguments as `render`."""
     if colour not in ("speed", "piece"):
@@ -132,11 +151,23 @@ def build_render_scene(
     speed = np.linalg.norm(frames.velocity, axis=-1)
     fastest = float(np.max(speed, where=np.isfinite(speed), initial=0.0))
     view = _set_up_view(_visible_box(frames, radii, plates, wall_pose), camera)
-    return RenderScene(frames, [known[id(shape)] for shape in shapes], plates, wall_pose, view, colour, fastest or 1.0)
+    return RenderScene(
+        frames,
+        [known[id(shape)] for shape in shapes],
+        plates,
+        wall_pose,
+        view,
+        colour,
+        fastest or 1.0,
+    )
 
 
-def draw_frames(scene: RenderScene, indices: Sequence[int], title: str = "", labels: Sequence[str] = ()) -> "Figure":
-    """Figure with the stored frames of these indices side by side; above each the title, its label and its time."""
+def draw_frames(
+    scene: RenderScene, indices: Sequence[int], title: str = "", labels: Sequence[str] = ()
+) -> "Figure":
+    """Figure with the stored frames of these indices side by side; above each the title, its label
+    and its time.
+    """
     figure, axes = _empty_figure(scene, len(indices))
     for i, ax, label in zip(indices, axes, labels or [""] * len(indices), strict=True):
         ax.add_collection(_collect_polygons(scene, i))
@@ -144,17 +175,24 @@ def draw_frames(scene: RenderScene, indices: Sequence[int], title: str = "", lab
     return figure
 
 
-def _find_frame_indices(times: np.ndarray, at: float | None, strip: int | Sequence[float] | None) -> list[int]:
-    """Indices of the frames nearest to the instants asked for. Raises RecordError for one before or after them."""
+def _find_frame_indices(
+    times: np.ndarray, at: float | None, strip: int | Sequence[float] | None
+) -> list[int]:
+    """Indices of the frames nearest to the instants asked for. Raises RecordError for one before or
+    after them.
+    """
     wanted: ArrayLike
     if strip is None:
         wanted = [times[-1] if at is None else at]
     else:
         wanted = np.linspace(times[0], times[-1], strip) if isinstance(strip, int) else strip
-    slack = np.diff(times).max(initial=1e-3)  # a run ends less than one frame interval after its last frame
+    slack = np.diff(times).max(initial=1e-3)  # a run ends less than one frame interval after its
+    # last frame
     for t in np.asarray(wanted, float):
         if not times[0] - slack <= t <= times[-1] + slack:
-            raise RecordError(f"no frame was stored at {t:g} s; allowed: {times[0]:.6g} to {times[-1]:.6g} s")
+            raise RecordError(
+                f"no frame was stored at {t:g} s; allowed: {times[0]:.6g} to {times[-1]:.6g} s"
+            )
     return [int(np.argmin(np.abs(times - t))) for t in np.asarray(wanted)]
 
 
@@ -184,7 +222,9 @@ def _render_images(scene: RenderScene, title: str) -> Iterator[np.ndarray]:
 
 
 def _empty_figure(scene: RenderScene, count: int) -> "tuple[Figure, Sequence[Axes]]":
-    """Figure with `count` axes that frame the view, a bar of length and, if colours are speeds, their scale."""
+    """Figure with `count` axes that frame the view, a bar of length and, if colours are speeds,
+    their scale.
+    """
     from matplotlib.figure import Figure
 
     low, high = _image_bounds(scene)
@@ -202,14 +242,26 @@ def _empty_figure(scene: RenderScene, count: int) -> "tuple[Figure, Sequence[Axe
 
 
 def _image_bounds(scene: RenderScene) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest point [2], [2] of the image of the pieces at all times and walls at a few, with a margin."""
+    """Lowest and highest point [2], [2] of the image of the pieces at all times and walls at a few,
+    with a margin.
+    """
     finite, view = np.isfinite(scene.frames.position).all(axis=-1), scene.view
     centres = scene.frames.position[finite]
-    radii = np.array([max(np.linalg.norm(part.vertices, axis=1).max() for part in piece) for piece in scene.pieces])
+    radii = np.array(
+        [
+            max(np.linalg.norm(part.vertices, axis=1).max() for part in piece)
+            for piece in scene.pieces
+        ]
+    )
     radii = np.broadcast_to(radii, finite.shape)[finite]
-    flat, size = _project_points(view, centres), (radii / ((centres - view.eye) @ view.axes[2]))[:, None]
+    flat, size = (
+        _project_points(view, centres),
+        (radii / ((centres - view.eye) @ view.axes[2]))[:, None],
+    )
     low, high = [(flat - size).min(axis=0)], [(flat + size).max(axis=0)]
-    for i in np.unique(np.linspace(0, len(scene.frames.time) - 1, 5).astype(int)) if scene.plates else ():
+    for i in (
+        np.unique(np.linspace(0, len(scene.frames.time) - 1, 5).astype(int)) if scene.plates else ()
+    ):
         points = np.concatenate([path.vertices for path in _collect_polygons(scene, i).get_paths()])
         low.append(points.min(axis=0))
         high.append(points.max(axis=0))
@@ -223,8 +275,18 @@ def _draw_length_bar(ax: "Axes", view: CameraView, low: np.ndarray, high: np.nda
     per_metre = 1.0 / float((middle - view.eye) @ view.axes[2])
     length = _round_length(0.25 * (high[0] - low[0]) / per_metre)
     left, y = low[0] + 0.03 * (high[0] - low[0]), low[1] + 0.015 * (high[1] - low[1])
-    ax.plot([left, left + length * per_metre], [y, y], color=INK, lw=2, solid_capstyle="butt", zorder=5)
-    ax.text(left, y + 0.01 * (high[1] - low[1]), f"{1e3 * length:g} mm", color=INK, fontsize=8, va="bottom", zorder=5)
+    ax.plot(
+        [left, left + length * per_metre], [y, y], color=INK, lw=2, solid_capstyle="butt", zorder=5
+    )
+    ax.text(
+        left,
+        y + 0.01 * (high[1] - low[1]),
+        f"{1e3 * length:g} mm",
+        color=INK,
+        fontsize=8,
+        va="bottom",
+        zorder=5,
+    )
 
 
 def _round_length(length: float) -> float:
@@ -245,13 +307,17 @@ def _speed_colours() -> "LinearSegmentedColormap":
     """Cream at rest, over orange, to dark red."""
     from matplotlib.colors import LinearSegmentedColormap
 
-    return LinearSegmentedColormap.from_list("speed", ["#fdf3e1", "#fdd49e", "#f4935a", "#d7452f", "#8e1220"])
+    return LinearSegmentedColormap.from_list(
+        "speed", ["#fdf3e1", "#fdd49e", "#f4935a", "#d7452f", "#8e1220"]
+    )
 
 
 # --- the scene as polygons on the screen ---
 
 
-def _convex_body(vertices: ArrayLike, faces: tuple[tuple[int, ...], ...], outlined: bool = True) -> ConvexBody:
+def _convex_body(
+    vertices: ArrayLike, faces: tuple[tuple[int, ...], ...], outlined: bool = True
+) -> ConvexBody:
     vertices = np.asarray(vertices, np.float64)
     normals = np.stack([loop_normal(vertices[list(loop)]) for loop in faces])
     return ConvexBody(vertices, faces, normals, (vertices @ normals.T).max(axis=0), outlined)
@@ -266,16 +332,23 @@ def _part_body(part: ConvexPart) -> ConvexBody:
 def _transform_body(solid: ConvexBody, rotation: np.ndarray, origin: np.ndarray) -> ConvexBody:
     normals = solid.normals @ np.asarray(rotation).T
     vertices = solid.vertices @ np.asarray(rotation).T + origin
-    return solid._replace(vertices=vertices, normals=normals, offsets=solid.offsets + normals @ origin)
+    return solid._replace(
+        vertices=vertices, normals=normals, offsets=solid.offsets + normals @ origin
+    )
 
 
 def _visible_box(
     frames: Frames, radii: np.ndarray, plates: Sequence[tuple[str, ConvexBody]], wall_pose: WallPose
 ) -> np.ndarray:
-    """Box [2, 3] (m) around all positions of pieces and walls; walls that are far larger are cut off."""
+    """Box [2, 3] (m) around all positions of pieces and walls; walls that are far larger are cut
+    off.
+    """
     finite = np.isfinite(frames.position).all(axis=-1)
     radius = np.broadcast_to(radii, finite.shape)[finite][:, None]
-    low, high = (frames.position[finite] - radius).min(axis=0), (frames.position[finite] + radius).max(axis=0)
+    low, high = (
+        (frames.position[finite] - radius).min(axis=0),
+        (frames.position[finite] + radius).max(axis=0),
+    )
     if not plates:
         return np.stack([low, high])
     reach = 0.25 * np.linalg.norm(high - low)
@@ -292,7 +365,13 @@ def _visible_box(
 
 def _set_up_view(box: np.ndarray, camera: Camera) -> CameraView:
     azimuth, elevation = np.radians(camera.azimuth), np.radians(camera.elevation)
-    forward = -np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
+    forward = -np.array(
+        [
+            np.cos(elevation) * np.cos(azimuth),
+            np.cos(elevation) * np.sin(azimuth),
+            np.sin(elevation),
+        ]
+    )
     right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
     eye = box.mean(axis=0) - camera.distance * 0.5 * np.linalg.norm(box[1] - box[0]) * forward
     return CameraView(box, eye, np.stack([right, np.cross(right, forward), forward]))
@@ -320,21 +399,34 @@ def _collect_polygons(scene: RenderScene, i: int) -> "PolyCollection":
             fills.append(fill)
             inks.append(fill if not bodies[b].outlined else (*INK, 0.35 if is_wall else 0.7))
     width = 0.5 if len(scene.pieces) < 100 else 0.25
-    return PolyCollection(polygons, facecolors=fills, edgecolors=inks, linewidths=width, joinstyle="round")
+    return PolyCollection(
+        polygons, facecolors=fills, edgecolors=inks, linewidths=width, joinstyle="round"
+    )
 
 
 def _frame_bodies(scene: RenderScene, i: int) -> tuple[list[ConvexBody], list[Colour], int]:
-    """Parts of pieces whose pose at frame i is finite, then panels; the colour (r, g, b, a) of each; the number of parts."""
+    """Parts of pieces whose pose at frame i is finite, then panels; the colour (r, g, b, a) of
+    each; the number of parts.
+    """
     frames = scene.frames
-    here = np.flatnonzero(np.isfinite(np.c_[frames.position[i], frames.orientation[i]]).all(axis=-1))
+    here = np.flatnonzero(
+        np.isfinite(np.c_[frames.position[i], frames.orientation[i]]).all(axis=-1)
+    )
     turns = quaternion_to_matrix(frames.orientation[i][here])
     of_piece = zip(here, turns, strict=True)
-    parts = [_transform_body(part, turn, frames.position[i, n]) for n, turn in of_piece for part in scene.pieces[n]]
+    parts = [
+        _transform_body(part, turn, frames.position[i, n])
+        for n, turn in of_piece
+        for part in scene.pieces[n]
+    ]
     colours = _piece_colours(scene, i)
     poses = scene.wall_pose(float(frames.time[i])) if scene.plates else {}
     plates = [_transform_body(plate, *poses[group]) for group, plate in scene.plates]
-    seen = [plate.normals[0] @ scene.view.eye > plate.offsets[0] for plate in plates]  # else before the pieces
-    paints = [colours[n] for n in here for _ in scene.pieces[n]] + [(*WALL_COLOUR, 0.25 if s else 0.08) for s in seen]
+    # else before the pieces
+    seen = [plate.normals[0] @ scene.view.eye > plate.offsets[0] for plate in plates]
+    paints = [colours[n] for n in here for _ in scene.pieces[n]] + [
+        (*WALL_COLOUR, 0.25 if s else 0.08) for s in seen
+    ]
     return parts + plates, paints, len(parts)
 
 
@@ -347,8 +439,12 @@ def _piece_colours(scene: RenderScene, i: int) -> list[Colour]:
     return [tuple(c) for c in _speed_colours()(speed / scene.fastest)]
 
 
-def _visible_faces(view: CameraView, body: ConvexBody, paint: Colour) -> Iterator[tuple[np.ndarray, Colour]]:
-    """(loop [k, 3], colour) of faces that look to the eye, shaded by their angle to a light up on the eye's left."""
+def _visible_faces(
+    view: CameraView, body: ConvexBody, paint: Colour
+) -> Iterator[tuple[np.ndarray, Colour]]:
+    """(loop [k, 3], colour) of faces that look to the eye, shaded by their angle to a light up on
+    the eye's left.
+    """
     light = np.array([-0.45, 0.75, -0.5]) @ view.axes
     shade = 0.74 + 0.26 * np.clip(body.normals @ (light / np.linalg.norm(light)), 0.0, 1.0)
     for f in np.flatnonzero(body.normals @ view.eye > body.offsets):
@@ -377,9 +473,13 @@ def _clip_loop(loop: np.ndarray, box: np.ndarray) -> np.ndarray:
 
 
 def painter_order(bodies: Sequence[ConvexBody], view: CameraView) -> list[int]:
-    """Indices of disjoint convex bodies, each after those that it hides; a cycle starts with its farthest body."""
+    """Indices of disjoint convex bodies, each after those that it hides; a cycle starts with its
+    farthest body.
+    """
     centres = np.stack([body.vertices.mean(axis=0) for body in bodies])
-    radii = np.array([np.linalg.norm(b.vertices - c, axis=1).max() for b, c in zip(bodies, centres, strict=True)])
+    radii = np.array(
+        [np.linalg.norm(b.vertices - c, axis=1).max() for b, c in zip(bodies, centres, strict=True)]
+    )
     flat = [_project_points(view, body.vertices) for body in bodies]
     low, high = np.stack([f.min(axis=0) for f in flat]), np.stack([f.max(axis=0) for f in flat])
     meet = ((low[:, None] < high[None]) & (low[None] < high[:, None])).all(axis=-1)
@@ -393,21 +493,32 @@ def painter_order(bodies: Sequence[ConvexBody], view: CameraView) -> list[int]:
 
 
 def _is_hiding(
-    bodies: Sequence[ConvexBody], centres: np.ndarray, radii: np.ndarray, b: int, a: int, eye: np.ndarray
+    bodies: Sequence[ConvexBody],
+    centres: np.ndarray,
+    radii: np.ndarray,
+    b: int,
+    a: int,
+    eye: np.ndarray,
 ) -> bool:
     """Whether b can hide a: the eye is on b's side of the plane that parts them best."""
     between = centres[b] - centres[a]
     distance = np.linalg.norm(between)
     if distance > radii[a] + radii[b]:
-        middle = centres[a] + between * (radii[a] + 0.5 * (distance - radii[a] - radii[b])) / distance
+        middle = (
+            centres[a] + between * (radii[a] + 0.5 * (distance - radii[a] - radii[b])) / distance
+        )
         return (eye - middle) @ between > 0.0
     normal_a, level_a, gap_a = _find_best_plane(bodies[a], bodies[b], between)
     normal_b, level_b, gap_b = _find_best_plane(bodies[b], bodies[a], -between)
     return normal_a @ eye > level_a if gap_a >= gap_b else normal_b @ eye <= level_b
 
 
-def _find_best_plane(body: ConvexBody, other: ConvexBody, between: np.ndarray) -> tuple[np.ndarray, float, float]:
-    """Face plane of a body (for a ball: the plane between the centres) with the widest gap to another body."""
+def _find_best_plane(
+    body: ConvexBody, other: ConvexBody, between: np.ndarray
+) -> tuple[np.ndarray, float, float]:
+    """Face plane of a body (for a ball: the plane between the centres) with the widest gap to
+    another body.
+    """
     if not body.outlined:
         normal = between / np.linalg.norm(between)
         level = (body.vertices @ normal).max()
@@ -417,7 +528,9 @@ def _find_best_plane(body: ConvexBody, other: ConvexBody, between: np.ndarray) -
     return body.normals[best], body.offsets[best], gaps[best]
 
 
-def _topological_order(after: Sequence[Sequence[int]], waits: np.ndarray, distance: np.ndarray) -> list[int]:
+def _topological_order(
+    after: Sequence[Sequence[int]], waits: np.ndarray, distance: np.ndarray
+) -> list[int]:
     """Topological order, the farthest of those that are free first; a cycle is cut at its farthest."""
     waits = waits.copy()
     done = np.zeros(len(after), bool)

@@ -1,4 +1,5 @@
-"""One page on a run or on several, to send: numbers, the drop in 3-D, the force, collisions, a fitted model, and what was computed.
+"""One page on a run or on several, to send: numbers, the drop in 3-D, the force, collisions, a
+fitted model, and what was computed.
 
 The page holds all that it shows and loads nothing. ``paper`` prints the same facts.
 """
@@ -28,7 +29,11 @@ from dem_jax.visualization.metadata import (
 from dem_jax.visualization.metrics import compute_metrics, format_metric, peaks_per_window
 from dem_jax.visualization.run_figure import check_format, draw_run_figure
 from dem_jax.visualization.time_to_rest import find_rest
-from dem_jax.visualization.variance_decomposition import describe_splits, draw_variance_shares, split_ensemble
+from dem_jax.visualization.variance_decomposition import (
+    describe_splits,
+    draw_variance_shares,
+    split_ensemble,
+)
 from dem_jax.visualization.wall_impacts import draw_wall_impacts, tabulate_impacts
 from dem_jax.visualization.web_viewer import POLICY, build_view_data, load_three_js, write_controls
 
@@ -52,13 +57,18 @@ class NamedRun(NamedTuple):
 
 
 def write_report(
-    names: Sequence[str], runs: Sequence[Run], path: str | Path, group: str | None = None, fit: FitResults | None = None
+    names: Sequence[str],
+    runs: Sequence[Run],
+    path: str | Path,
+    group: str | None = None,
+    fit: FitResults | None = None,
 ) -> Path:
-    """Write the page on runs and ensembles of these names, or as PDF the same without what moves. Returns the path.
+    """Write the page on runs and ensembles of these names, or as PDF the same without what moves.
+    Returns the path.
 
-    group: wall group of the force; by default wb_flaps, or the first. fit: a Product Model fitted to them. Raises RecordError
-    for another format than .html and .pdf, a group that a run does not have and a file that cannot be written, and SceneError for
-    a scene that cannot be read.
+    group: wall group of the force; by default wb_flaps, or the first. fit: a Product Model fitted
+    to them. Raises RecordError for another format than .html and .pdf, a group that a run does not
+    have and a file that cannot be written, and SceneError for a scene that cannot be read.
     """
     path = Path(path)
     check_format(path, (".html", ".pdf"))
@@ -68,40 +78,97 @@ def write_report(
     return webpage.write_html(path, compose_page(named, group, fit))
 
 
-def compose_sheets(named: Sequence[NamedRun], group: str | None = None, fit: FitResults | None = None) -> list[pdf_report.ReportSheet]:
+def compose_sheets(
+    named: Sequence[NamedRun], group: str | None = None, fit: FitResults | None = None
+) -> list[pdf_report.ReportSheet]:
     """What is printed; arguments and errors as ``write_report``."""
     tables = _metric_tables(named, group)
     with_force = [each for each in named if each.run.force]
-    sheets = [pdf_report.ReportSheet(_report_title(named), [_lead_sentence(named), *tables[:1], *_difference_lines(named, group)], None)]
+    sheets = [
+        pdf_report.ReportSheet(
+            _report_title(named),
+            [_lead_sentence(named), *tables[:1], *_difference_lines(named, group)],
+            None,
+        )
+    ]
     if with_force:
-        sheets.append(pdf_report.ReportSheet("The force", [*_stiffness_lines(named), PEAKS_CAPTION, *tables[1:]], _draw_force_figure(named, with_force, group)))
+        sheets.append(
+            pdf_report.ReportSheet(
+                "The force",
+                [*_stiffness_lines(named), PEAKS_CAPTION, *tables[1:]],
+                _draw_force_figure(named, with_force, group),
+            )
+        )
     shown = [_choose_median_run(each.run, group) for each in named]
-    strips = [(each.name, pdf_report.draw_impact_strip(run)) for each, run in zip(named, shown, strict=True)]
-    sheets += [pdf_report.ReportSheet(f"The drop: {name}", [], strip) for name, strip in strips if strip is not None]
-    sheets += [pdf_report.ReportSheet(f"Collisions: {name}", list(lines), figure) for name, lines, figure in _collision_parts(named, group)]
-    sheets += [pdf_report.ReportSheet(f"{UNCERTAINTY_TITLE}: {name}", list(lines), figure) for name, lines, figure in _uncertainty_parts(named, group)]
+    strips = [
+        (each.name, pdf_report.draw_impact_strip(run))
+        for each, run in zip(named, shown, strict=True)
+    ]
+    sheets += [
+        pdf_report.ReportSheet(f"The drop: {name}", [], strip)
+        for name, strip in strips
+        if strip is not None
+    ]
+    sheets += [
+        pdf_report.ReportSheet(f"Collisions: {name}", list(lines), figure)
+        for name, lines, figure in _collision_parts(named, group)
+    ]
+    sheets += [
+        pdf_report.ReportSheet(f"{UNCERTAINTY_TITLE}: {name}", list(lines), figure)
+        for name, lines, figure in _uncertainty_parts(named, group)
+    ]
     if fit is not None:
-        sheets.append(pdf_report.ReportSheet("The Product Model, fitted", [fit.parameter_rows(), *fit.statements], fit.picture))
+        sheets.append(
+            pdf_report.ReportSheet(
+                "The Product Model, fitted", [fit.parameter_rows(), *fit.statements], fit.picture
+            )
+        )
     facts = [collect_facts(each.run) for each in named]
-    return [*sheets, *(pdf_report.ReportSheet(name, [_tabulate_columns(named, [dict(of[name]) for of in facts])], None) for name in facts[0])]
+    return [
+        *sheets,
+        *(
+            pdf_report.ReportSheet(
+                name, [_tabulate_columns(named, [dict(of[name]) for of in facts])], None
+            )
+            for name in facts[0]
+        ),
+    ]
 
 
-def compose_page(named: Sequence[NamedRun], group: str | None = None, fit: FitResults | None = None) -> str:
+def compose_page(
+    named: Sequence[NamedRun], group: str | None = None, fit: FitResults | None = None
+) -> str:
     """The page as HTML text; arguments and errors as ``write_report``."""
-    views = [(each.name, build_view_data(_choose_median_run(each.run, group), len(named))) for each in named]
+    views = [
+        (each.name, build_view_data(_choose_median_run(each.run, group), len(named)))
+        for each in named
+    ]
     drawn = [{"name": name, "view": view} for name, view in views if view]
     fields = {
         "lead": escape(_lead_sentence(named)),
         "numbers": _metrics_html(named, group),
         "differences": _list_html("Differences", _difference_lines(named, group)),
-        "view": _view_html(drawn, [name for name, view in views if not view], any(e.run.run_count is not None for e in named)),
-        "figure": _figure_html(named, group) if any(each.run.force for each in named) else _note_html("The runs have no walls."),
+        "view": _view_html(
+            drawn,
+            [name for name, view in views if not view],
+            any(e.run.run_count is not None for e in named),
+        ),
+        "figure": _figure_html(named, group)
+        if any(each.run.force for each in named)
+        else _note_html("The runs have no walls."),
         "depends": _stiffness_html(named, group),
-        "unknown": _sections_html(UNCERTAINTY_TITLE, SHARES_CAPTION, named, _uncertainty_parts(named, group)),
-        "collisions": _sections_html("Collisions", SPEEDS_CAPTION, named, _collision_parts(named, group)),
+        "unknown": _sections_html(
+            UNCERTAINTY_TITLE, SHARES_CAPTION, named, _uncertainty_parts(named, group)
+        ),
+        "collisions": _sections_html(
+            "Collisions", SPEEDS_CAPTION, named, _collision_parts(named, group)
+        ),
         "model": "" if fit is None else _model_html(fit),
         "facts": _facts_html(named),
-        "footer": escape(f"Made by dem_jax {named[0].run.version}." + (" 3-D view: three.js, MIT licence." if drawn else "")),
+        "footer": escape(
+            f"Made by dem_jax {named[0].run.version}."
+            + (" 3-D view: three.js, MIT licence." if drawn else "")
+        ),
         "views": json.dumps(drawn).replace("<", "\\u003c"),
         "three": load_three_js() if drawn else "",
         "script": webpage.read_page_part("report.js"),
@@ -133,7 +200,13 @@ def _lead_sentence(named: Sequence[NamedRun]) -> str:
 def _describe_product(run: Run) -> str:
     product = collect_facts(run)["Product"]
     kinds = [f"{what} ({words})" for what, words in product if " × " in what]
-    return ", ".join([*kinds[:MOST_KINDS], *(["..."] if len(kinds) > MOST_KINDS else []), dict(product)["together"]])
+    return ", ".join(
+        [
+            *kinds[:MOST_KINDS],
+            *(["..."] if len(kinds) > MOST_KINDS else []),
+            dict(product)["together"],
+        ]
+    )
 
 
 def _note_html(text: str) -> str:
@@ -143,14 +216,24 @@ def _note_html(text: str) -> str:
 def _list_html(title: str, lines: Sequence[str]) -> str:
     if not lines:
         return ""
-    return (f"<h2>{title}</h2>\n" if title else "") + "<ul>" + "".join(f"<li>{escape(line)}</li>" for line in lines) + "</ul>"
+    return (
+        (f"<h2>{title}</h2>\n" if title else "")
+        + "<ul>"
+        + "".join(f"<li>{escape(line)}</li>" for line in lines)
+        + "</ul>"
+    )
 
 
 def _table_html(head: Sequence[str], rows: Sequence[Sequence[str]], caption: str = "") -> str:
     """Cells are HTML; the first of each row heads it."""
     top = f"<tr>{''.join(f'<th>{cell}</th>' for cell in head)}</tr>" if any(head) else ""
-    lines = [f"<tr><th>{row[0]}</th>{''.join(f'<td class=value>{cell}</td>' for cell in row[1:])}</tr>" for row in rows]
-    return f"<table>{f'<caption>{caption}</caption>' if caption else ''}{top}{''.join(lines)}</table>"
+    lines = [
+        f"<tr><th>{row[0]}</th>{''.join(f'<td class=value>{cell}</td>' for cell in row[1:])}</tr>"
+        for row in rows
+    ]
+    return (
+        f"<table>{f'<caption>{caption}</caption>' if caption else ''}{top}{''.join(lines)}</table>"
+    )
 
 
 def _head_cells(named: Sequence[NamedRun]) -> list[str]:
@@ -158,16 +241,24 @@ def _head_cells(named: Sequence[NamedRun]) -> list[str]:
     if len(named) == 1:
         return [""]
     key = '<span class="key" style="background:{}"></span>{}'
-    return [key.format(COLOURS[k % len(COLOURS)], escape(each.name)) for k, each in enumerate(named)]
+    return [
+        key.format(COLOURS[k % len(COLOURS)], escape(each.name)) for k, each in enumerate(named)
+    ]
 
 
-def _columns_html(named: Sequence[NamedRun], columns: Sequence[Mapping[str, str]], caption: str = "") -> str:
+def _columns_html(
+    named: Sequence[NamedRun], columns: Sequence[Mapping[str, str]], caption: str = ""
+) -> str:
     """A table of a row for each key and a column for each run."""
     _, *rows = _tabulate_columns(named, columns)
-    return _table_html(["", *_head_cells(named)], [[escape(cell) for cell in row] for row in rows], caption)
+    return _table_html(
+        ["", *_head_cells(named)], [[escape(cell) for cell in row] for row in rows], caption
+    )
 
 
-def _tabulate_columns(named: Sequence[NamedRun], columns: Sequence[Mapping[str, str]]) -> pdf_report.TextTable:
+def _tabulate_columns(
+    named: Sequence[NamedRun], columns: Sequence[Mapping[str, str]]
+) -> pdf_report.TextTable:
     """Rows of plain text: what heads the columns, then a row for each key."""
     keys = dict.fromkeys(key for column in columns for key in column)
     heads = ["", *(each.name if len(named) > 1 else "" for each in named)]
@@ -175,10 +266,15 @@ def _tabulate_columns(named: Sequence[NamedRun], columns: Sequence[Mapping[str, 
 
 
 def _metric_columns(named: Sequence[NamedRun], group: str | None) -> list[dict[str, str]]:
-    columns = [{number.name: format_metric(number) for number in compute_metrics(each.run, group)} for each in named]
+    columns = [
+        {number.name: format_metric(number) for number in compute_metrics(each.run, group)}
+        for each in named
+    ]
     for column, each in zip(columns, named, strict=True):
         if (of := group or find_main_group(each.run)) is not None:
-            column["what the peak rests on"] = describe_peak_band(each.run, each.run.pif_kg(of).max(axis=-1))
+            column["what the peak rests on"] = describe_peak_band(
+                each.run, each.run.pif_kg(of).max(axis=-1)
+            )
         column["weight of the pieces"] = dict(collect_facts(each.run)["Product"])["together"]
     return columns
 
@@ -186,18 +282,27 @@ def _metric_columns(named: Sequence[NamedRun], group: str | None) -> list[dict[s
 def _peak_columns(named: Sequence[NamedRun], group: str | None) -> list[dict[str, str]]:
     """The peak by the time that the force is averaged over."""
     groups = [group or find_main_group(each.run) for each in named]
-    peaks = [peaks_per_window(each.run, of) if of else [] for each, of in zip(named, groups, strict=True)]
-    return [{f"{1e3 * window:.3g} ms": format_metric(peak) for window, peak in rows} for rows in peaks]
+    peaks = [
+        peaks_per_window(each.run, of) if of else [] for each, of in zip(named, groups, strict=True)
+    ]
+    return [
+        {f"{1e3 * window:.3g} ms": format_metric(peak) for window, peak in rows} for rows in peaks
+    ]
 
 
 def _metric_tables(named: Sequence[NamedRun], group: str | None) -> list[pdf_report.TextTable]:
-    return [_tabulate_columns(named, columns) for columns in (_metric_columns(named, group), _peak_columns(named, group))]
+    return [
+        _tabulate_columns(named, columns)
+        for columns in (_metric_columns(named, group), _peak_columns(named, group))
+    ]
 
 
 def _metrics_html(named: Sequence[NamedRun], group: str | None) -> str:
     words = "Peaks are maxima of means over the sample time. Time to rest: from the first force until the settled mass is final."
     unsettled = filter(None, map(_describe_unsettled, named))
-    return _columns_html(named, _metric_columns(named, group)) + _note_html(" ".join([words, *unsettled]))
+    return _columns_html(named, _metric_columns(named, group)) + _note_html(
+        " ".join([words, *unsettled])
+    )
 
 
 def _describe_unsettled(each: NamedRun) -> str | None:
@@ -205,9 +310,16 @@ def _describe_unsettled(each: NamedRun) -> str | None:
     block = find_main_block(each.run)
     if block is None:
         return None
-    settled, weight = 1e3 * float(np.median(each.run.settled_mass[block][..., -1])), 1e3 * total_weight(each.run)
+    settled, weight = (
+        1e3 * float(np.median(each.run.settled_mass[block][..., -1])),
+        1e3 * total_weight(each.run),
+    )
     why = find_rest(each.run, None, block).describe()
-    said = [f"When {each.name} ended, {settled:.4g} g of {weight:.4g} g had settled."] if settled <= 0.99 * weight else []
+    said = (
+        [f"When {each.name} ended, {settled:.4g} g of {weight:.4g} g had settled."]
+        if settled <= 0.99 * weight
+        else []
+    )
     return " ".join([*said, *([f"{each.name}: {why}."] if why else [])]) or None
 
 
@@ -222,16 +334,27 @@ def _view_html(drawn: Sequence[dict[str, Any]], without: Sequence[str], ensemble
     return f"{controls}{_note_html(f'Drag to turn, scroll to come nearer.{which}')}{missing}"
 
 
-def _draw_force_figure(named: Sequence[NamedRun], with_force: Sequence[NamedRun], group: str | None, narrow: bool = False) -> "Figure":
+def _draw_force_figure(
+    named: Sequence[NamedRun],
+    with_force: Sequence[NamedRun],
+    group: str | None,
+    narrow: bool = False,
+) -> "Figure":
     if len(named) == 1:
         return draw_run_figure(named[0].run, group, title="", narrow=narrow)
-    return draw_comparison_figure([each.name for each in with_force], [each.run for each in with_force], group, narrow=narrow)
+    return draw_comparison_figure(
+        [each.name for each in with_force], [each.run for each in with_force], group, narrow=narrow
+    )
 
 
 def _figure_html(named: Sequence[NamedRun], group: str | None) -> str:
-    """The figure for a wide screen, and one with its panels below each other for a narrow one; the style shows one of them."""
+    """The figure for a wide screen, and one with its panels below each other for a narrow one; the
+    style shows one of them.
+    """
     with_force = [each for each in named if each.run.force]
-    return _add_cursors(_draw_force_figure(named, with_force, group), "wide") + _add_cursors(_draw_force_figure(named, with_force, group, True), "narrow")
+    return _add_cursors(_draw_force_figure(named, with_force, group), "wide") + _add_cursors(
+        _draw_force_figure(named, with_force, group, True), "narrow"
+    )
 
 
 def _add_cursors(figure: "Figure", kind: str) -> str:
@@ -261,7 +384,9 @@ def _stiffness_lines(named: Sequence[NamedRun]) -> list[str]:
     words: dict[str, list[str]] = {}
     for each in named:
         words.setdefault(describe_stiffness(each.run), []).append(each.name)
-    return [("" if len(words) == 1 else f"{', '.join(names)}: ") + text for text, names in words.items()]
+    return [
+        ("" if len(words) == 1 else f"{', '.join(names)}: ") + text for text, names in words.items()
+    ]
 
 
 def _collision_parts(named: Sequence[NamedRun], group: str | None) -> Iterator[ReportPart]:
@@ -272,27 +397,39 @@ def _collision_parts(named: Sequence[NamedRun], group: str | None) -> Iterator[R
 
 
 def _uncertainty_parts(named: Sequence[NamedRun], group: str | None) -> Iterator[ReportPart]:
-    """Of each ensemble with drawn numbers its name, their shares of the scatter in words, and the picture."""
+    """Of each ensemble with drawn numbers its name, their shares of the scatter in words, and the
+    picture.
+    """
     for each in named:
         if splits := split_ensemble(each.run, group):
             yield each.name, describe_splits(splits), draw_variance_shares(splits)
 
 
-def _sections_html(title: str, picture: str, named: Sequence[NamedRun], parts: Iterator[ReportPart]) -> str:
-    """A section for each part, with its name if there are several runs; picture: what it shows, in words."""
+def _sections_html(
+    title: str, picture: str, named: Sequence[NamedRun], parts: Iterator[ReportPart]
+) -> str:
+    """A section for each part, with its name if there are several runs; picture: what it shows, in
+    words.
+    """
     found = []
     for name, lines, figure in parts:
         head = f"<h2>{title}{escape(f': {name}' if len(named) > 1 else '')}</h2>"
-        found.append(f"{head}\n{webpage.image_html(picture, webpage.encode_png(figure))}{_list_html('', lines)}")
+        found.append(
+            f"{head}\n{webpage.image_html(picture, webpage.encode_png(figure))}{_list_html('', lines)}"
+        )
     return "".join(found)
 
 
 def _model_html(fit: FitResults) -> str:
-    """The parameters of a fitted Product Model with their intervals, what the fit says, and its picture."""
+    """The parameters of a fitted Product Model with their intervals, what the fit says, and its
+    picture.
+    """
     head, *rows = fit.parameter_rows()
     picture = ""
     if fit.picture is not None:
-        picture = webpage.image_html("traces and the fitted model", base64.b64encode(fit.picture.read_bytes()).decode())
+        picture = webpage.image_html(
+            "traces and the fitted model", base64.b64encode(fit.picture.read_bytes()).decode()
+        )
     cells = _table_html(head, [[escape(cell) for cell in row] for row in rows])
     return f"<h2>The Product Model, fitted</h2>\n{cells}{_list_html('', fit.statements)}{picture}"
 

@@ -1,4 +1,6 @@
-"""The figure of a run or an ensemble: product impact force and settled mass over time, as Figs 11-14 of the paper."""
+"""The figure of a run or an ensemble: product impact force and settled mass over time, as Figs
+11-14 of the paper.
+"""
 
 import io
 import tomllib
@@ -34,10 +36,11 @@ def plot_run(
     end: float | None = None,
     title: str | None = None,
 ) -> Path:
-    """Save the figure of a run or an ensemble as PNG, PDF or SVG; see `figure_of_run`. Returns the path.
+    """Save the figure of a run or an ensemble as PNG, PDF or SVG; see `figure_of_run`. Returns the
+    path.
 
-    Raises RecordError for a group or block that the run does not have, another file format and a file that cannot be
-    written.
+    Raises RecordError for a group or block that the run does not have, another file format and a
+    file that cannot be written.
     """
     path = Path(path)
     check_format(path, PICTURE_FORMATS)
@@ -53,13 +56,15 @@ def draw_run_figure(
     title: str | None = None,
     narrow: bool = False,
 ) -> "Figure":
-    """Figure (matplotlib.figure.Figure) with PIF in kg (left) and settled mass in g (right) over ms.
+    """Figure (matplotlib.figure.Figure) with PIF in kg (left) and settled mass in g (right) over
+    ms.
 
-    A run is drawn by the means over its sample intervals, on the instantaneous values in a lighter tone; an ensemble by
-    its median, the band from 5 to 95 % and some members, all of interval means. group: by default wb_flaps or the
-    first; block: wb or the first. start, end: (s) of what is shown; by default the impact and beside it the whole, or the
-    whole alone where it is little longer. narrow: panels one below the other, for the screen of a phone. Raises RecordError
-    for a group or block that the run does not have.
+    A run is drawn by the means over its sample intervals, on the instantaneous values in a lighter
+    tone; an ensemble by its median, the band from 5 to 95 % and some members, all of interval
+    means. group: by default wb_flaps or the first; block: wb or the first. start, end: (s) of what
+    is shown; by default the impact and beside it the whole, or the whole alone where it is little
+    longer. narrow: panels one below the other, for the screen of a phone. Raises RecordError for a
+    group or block that the run does not have.
     """
     group = group or find_main_group(run) or "none"
     mean = run.pif_kg(group)
@@ -72,7 +77,15 @@ def draw_run_figure(
             draw_ensemble(axes, 1e3 * run.time, mean, FORCE_COLOUR, f"PIF on {group}", "5 to 95 %")
             for k, member in enumerate(mean[:DRAWN_MEMBERS]):
                 label = None if k else "single runs"
-                axes.plot(1e3 * run.time, member, color=FORCE_COLOUR, lw=0.4, alpha=0.5, zorder=1, label=label)
+                axes.plot(
+                    1e3 * run.time,
+                    member,
+                    color=FORCE_COLOUR,
+                    lw=0.4,
+                    alpha=0.5,
+                    zorder=1,
+                    label=label,
+                )
         _limit_axes(axes, run, mean, span)
     rights = [_draw_mass(axes, run, block) for axes in rows]
     label_outer_axes(rows, rights, FORCE_COLOUR, MASS_COLOUR, narrow)
@@ -85,7 +98,9 @@ def draw_run_figure(
 
 
 def create_panels(spans: Sequence[TimeSpan], narrow: bool = False) -> "tuple[Figure, list[Axes]]":
-    """An empty figure with axes for each span, side by side or, if narrow, below each other; titled if there are two."""
+    """An empty figure with axes for each span, side by side or, if narrow, below each other; titled
+    if there are two.
+    """
     from matplotlib.figure import Figure
 
     size = (4.4, 3.4 * len(spans) + 0.8) if narrow else (7.2 if len(spans) == 1 else 10.8, 4.2)
@@ -99,7 +114,14 @@ def create_panels(spans: Sequence[TimeSpan], narrow: bool = False) -> "tuple[Fig
     return figure, rows
 
 
-def draw_ensemble(axes: "Axes", ms: np.ndarray, values: np.ndarray, colour: str, label: str, band: str | None = None) -> None:
+def draw_ensemble(
+    axes: "Axes",
+    ms: np.ndarray,
+    values: np.ndarray,
+    colour: str,
+    label: str,
+    band: str | None = None,
+) -> None:
     """Median over the runs [K, T] and the band from 5 to 95 %."""
     low, middle, high = np.quantile(values, [LOW, 0.5, HIGH], axis=0)
     axes.plot(ms, middle, color=colour, lw=1.3, label=f"{label}, median")
@@ -107,9 +129,15 @@ def draw_ensemble(axes: "Axes", ms: np.ndarray, values: np.ndarray, colour: str,
 
 
 def label_outer_axes(
-    rows: "Sequence[Axes]", rights: "Sequence[Axes | None]", force: str, mass: str, narrow: bool = False
+    rows: "Sequence[Axes]",
+    rights: "Sequence[Axes | None]",
+    force: str,
+    mass: str,
+    narrow: bool = False,
 ) -> None:
-    """Label force at the left of the first panel and mass at the right of the last, in these colours; if narrow, of each."""
+    """Label force at the left of the first panel and mass at the right of the last, in these
+    colours; if narrow, of each.
+    """
     for axes in rows if narrow else rows[:1]:
         axes.set_ylabel("product impact force / g (kg)", color=force)
     for axes in rows:
@@ -128,7 +156,14 @@ def add_legend(figure: "Figure", narrow: bool = False) -> None:
         for line, label in zip(*axes.get_legend_handles_labels(), strict=True):
             known.setdefault(label, line)
     columns = 1 if narrow else 4
-    figure.legend(list(known.values()), list(known), loc="outside lower center", ncols=columns, frameon=False, fontsize=8)
+    figure.legend(
+        list(known.values()),
+        list(known),
+        loc="outside lower center",
+        ncols=columns,
+        frameon=False,
+        fontsize=8,
+    )
 
 
 # --- one run or ensemble ---
@@ -137,13 +172,22 @@ def add_legend(figure: "Figure", narrow: bool = False) -> None:
 def _draw_run(axes: "Axes", run: Run, group: str, mean: np.ndarray, span: TimeSpan) -> None:
     ms = 1e3 * run.time
     instants = run.pif_kg(group, mean=False)
-    axes.plot(ms, instants, color=FORCE_COLOUR, lw=0.6, alpha=0.35, label=f"PIF on {group}, instantaneous")
+    axes.plot(
+        ms, instants, color=FORCE_COLOUR, lw=0.6, alpha=0.35, label=f"PIF on {group}, instantaneous"
+    )
     axes.plot(ms, mean, color=FORCE_COLOUR, lw=1.1, label=f"mean over {1e6 * run.sample:.3g} µs")
     peak = int(np.argmax(mean))
     if mean[peak] > 0.0 and span[0] <= run.time[peak] <= span[1]:
         axes.plot(ms[peak], mean[peak], "o", ms=4, mfc="none", color=FORCE_COLOUR)
         words = f"{mean[peak]:.3g} kg at {ms[peak]:.1f} ms"
-        axes.annotate(words, (ms[peak], mean[peak]), (6, 5), textcoords="offset points", fontsize=8, color=FORCE_COLOUR)
+        axes.annotate(
+            words,
+            (ms[peak], mean[peak]),
+            (6, 5),
+            textcoords="offset points",
+            fontsize=8,
+            color=FORCE_COLOUR,
+        )
 
 
 def _draw_mass(axes: "Axes", run: Run, block: str | None) -> "Axes | None":
@@ -154,7 +198,9 @@ def _draw_mass(axes: "Axes", run: Run, block: str | None) -> "Axes | None":
     grams = settled_grams(run, block)
     right = axes.twinx()
     if run.run_count is None:
-        right.plot(1e3 * run.time, grams, color=MASS_COLOUR, lw=1.3, label=f"settled mass in {block}")
+        right.plot(
+            1e3 * run.time, grams, color=MASS_COLOUR, lw=1.3, label=f"settled mass in {block}"
+        )
     else:
         draw_ensemble(right, 1e3 * run.time, grams, MASS_COLOUR, f"settled mass in {block}")
     limit_mass_axis(right, float(grams.max()))
@@ -164,7 +210,9 @@ def _draw_mass(axes: "Axes", run: Run, block: str | None) -> "Axes | None":
 def settled_grams(run: Run, block: str) -> np.ndarray:
     """Settled mass (g), [.., T]. Raises RecordError for a block that the run does not have."""
     if block not in run.settled_mass:
-        raise RecordError(f"block = {block!r} is not in this run; it has: {', '.join(run.settled_mass) or 'none'}")
+        raise RecordError(
+            f"block = {block!r} is not in this run; it has: {', '.join(run.settled_mass) or 'none'}"
+        )
     return 1e3 * np.asarray(run.settled_mass[block], np.float64)
 
 

@@ -1,4 +1,6 @@
-"""What a scale makes of runs: a table of times to weigh, and the figure of its readings and their errors."""
+"""What a scale makes of runs: a table of times to weigh, and the figure of its readings and their
+errors.
+"""
 
 from collections.abc import Sequence
 from functools import partial
@@ -32,17 +34,23 @@ if TYPE_CHECKING:  # loaded where something is drawn: it takes a second
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-RATE, AVERAGE, TOLERANCE = 1000.0, "average:0.1", 1e-3  # 1/s, filter (s), kg: of a scale, where no other is given
+RATE, AVERAGE, TOLERANCE = 1000.0, "average:0.1", 1e-3  # 1/s, filter (s), kg: of a scale, where no
+# other is given
 QUANTILE_LABELS = tuple(f"{100 * q:g} %" for q in QUANTILES)
-TIME_HEADINGS = (*(f"{share} (ms)" for share in QUANTILE_LABELS), *(f"{share} since impact" for share in QUANTILE_LABELS), "never")
+TIME_HEADINGS = (
+    *(f"{share} (ms)" for share in QUANTILE_LABELS),
+    *(f"{share} since impact" for share in QUANTILE_LABELS),
+    "never",
+)
 HEADINGS = ("trace", "filter", "delay (ms)", "within (g)", *TIME_HEADINGS)
 LEAST_ERROR = 1e-2  # g: below, errors are drawn as this
 HEAD_ROOM = 2.0  # times the truth: how far up readings are shown
 
 
 class ScaleReadings(NamedTuple):
-    """Readings of a trace. time: [m] (s); weight: [K, m] (kg), of K runs; truth: [K] (kg); delay: (s), of the filter; impact: [K]
-    (s), first impact."""
+    """Readings of a trace. time: [m] (s); weight: [K, m] (kg), of K runs; truth: [K] (kg); delay:
+    (s), of the filter; impact: [K] (s), first impact.
+    """
 
     name: str
     filter: str
@@ -58,7 +66,8 @@ class ScaleReadings(NamedTuple):
 
 
 def find_time_to_weigh(run: Run, is_known: np.ndarray) -> np.ndarray:
-    """Times [K] (s) since the release from which the readings of a scale stay within 1 g of the settled mass.
+    """Times [K] (s) since the release from which the readings of a scale stay within 1 g of the
+    settled mass.
 
     Args:
         run: a run or an ensemble with a block.
@@ -69,14 +78,18 @@ def find_time_to_weigh(run: Run, is_known: np.ndarray) -> np.ndarray:
     """
     of, trace = chain.build_chain(run.sample, RATE, AVERAGE), extract_trace(run)
     time, readings = chain.weigh_trace(of, trace.time, np.atleast_2d(trace.weight))
-    return time_to_weigh(time, readings, np.where(is_known, np.ravel(trace.truth), np.nan), TOLERANCE, HOLD)
+    return time_to_weigh(
+        time, readings, np.where(is_known, np.ravel(trace.truth), np.nan), TOLERANCE, HOLD
+    )
 
 
-def read_settled_trace(path: str | Path, group: str | None, block: str | None, truth: float | None) -> tuple[WeightTrace, str]:
+def read_settled_trace(
+    path: str | Path, group: str | None, block: str | None, truth: float | None
+) -> tuple[WeightTrace, str]:
     """The trace in a file, and what was not at rest at its end, in words (empty: nothing).
 
-    What a scale should show is not known of runs that ended before all was at rest: their truth is nan, unless it is given.
-    Arguments and errors as ``load_trace``.
+    What a scale should show is not known of runs that ended before all was at rest: their truth is
+    nan, unless it is given. Arguments and errors as ``load_trace``.
     """
     found, run = load_trace(path, group, block, truth)
     if truth is not None or run is None:
@@ -88,23 +101,39 @@ def read_settled_trace(path: str | Path, group: str | None, block: str | None, t
     return found._replace(truth=known.reshape(np.shape(found.truth))), rest.describe()
 
 
-def compute_readings(name: str, trace: WeightTrace, rate: float | None, text: str, seed: Seed = 0) -> ScaleReadings:
-    """The readings of a trace at a rate (1/s) through a filter, as filters.ALLOWED; seed: of the trace's noise.
+def compute_readings(
+    name: str, trace: WeightTrace, rate: float | None, text: str, seed: Seed = 0
+) -> ScaleReadings:
+    """The readings of a trace at a rate (1/s) through a filter, as filters.ALLOWED; seed: of the
+    trace's noise.
 
     Raises ValueError.
     """
     return filter_drops(name, trace, convert_trace(trace, rate, seed), rate, text)
 
 
-def filter_drops(name: str, trace: WeightTrace, drops: Drops, rate: float | None, text: str) -> ScaleReadings:
-    """The readings of a trace that has been converted at a rate (1/s), see ``convert_trace``. Raises ValueError."""
+def filter_drops(
+    name: str, trace: WeightTrace, drops: Drops, rate: float | None, text: str
+) -> ScaleReadings:
+    """The readings of a trace that has been converted at a rate (1/s), see ``convert_trace``.
+    Raises ValueError.
+    """
     of = chain.build_chain(trace.sample, rate, text)
     weight = filters.filter_signal(of.filter, drops.signal)
-    return ScaleReadings(name, text, of.filter.delay * of.samples * trace.sample, drops.time, weight, drops.truth, drops.impact)
+    return ScaleReadings(
+        name,
+        text,
+        of.filter.delay * of.samples * trace.sample,
+        drops.time,
+        weight,
+        drops.truth,
+        drops.impact,
+    )
 
 
 def estimate_drops(name: str, drops: Drops, rate: float, path: str) -> tuple[ScaleReadings, str]:
-    """The readings of drops by an estimator in a file of ``calibrate weigher``, and a line about its error bar and its doubts.
+    """The readings of drops by an estimator in a file of ``calibrate weigher``, and a line about
+    its error bar and its doubts.
 
     Raises ValueError.
     """
@@ -121,19 +150,24 @@ def estimate_drops(name: str, drops: Drops, rate: float, path: str) -> tuple[Sca
     inside = 100 * float(np.mean(off < 1.96 * found.sd[found.believed])) if off.size else np.nan
     flagged = int((found.doubts > 0).any(axis=-1).sum())
     words = f"{name}: {Path(path).name}: doubted in {flagged} of {len(found.grams)}; its 95 % interval holds {inside:.1f} %"
-    row = ScaleReadings(name, Path(path).name, 0.0, drops.time, 1e-3 * found.grams, drops.truth, drops.impact)
+    row = ScaleReadings(
+        name, Path(path).name, 0.0, drops.time, 1e-3 * found.grams, drops.truth, drops.impact
+    )
     return row, words
 
 
 def convert_trace(trace: WeightTrace, rate: float | None, seed: Seed = 0) -> Drops:
-    """The drops of a trace as the converter shows them, before any filter: means at a rate (1/s), with the trace's noise and less
-    its tare. Raises ValueError."""
+    """The drops of a trace as the converter shows them, before any filter: means at a rate (1/s),
+    with the trace's noise and less its tare. Raises ValueError.
+    """
     truth = np.atleast_1d(trace.truth)
     impact = np.atleast_1d(trace.first_impact) + draw_release_delays(trace.noise, seed, len(truth))
     return Drops(*_convert_signal(trace, rate, seed), truth, impact)
 
 
-def _convert_signal(trace: WeightTrace, rate: float | None, seed: Seed) -> tuple[np.ndarray, np.ndarray]:
+def _convert_signal(
+    trace: WeightTrace, rate: float | None, seed: Seed
+) -> tuple[np.ndarray, np.ndarray]:
     """Time [m] (s) and signal [K, m] (kg) of the converter."""
     plain, weight = chain.build_chain(trace.sample, rate, "none"), np.atleast_2d(trace.weight)
     late = partial(delay_releases, sample=trace.sample, noise=trace.noise, seed=seed)
@@ -144,7 +178,9 @@ def _convert_signal(trace: WeightTrace, rate: float | None, seed: Seed) -> tuple
     if np.ndim(load):
         load = chain.weigh_trace(plain, trace.time, late(np.broadcast_to(load, weight.shape)))[1]
     every = plain.samples * trace.sample
-    noisy = add_noise(signal, 1 / every, trace.noise, trace.cell, seed, time[0] - every, load, trace.gravity)
+    noisy = add_noise(
+        signal, 1 / every, trace.noise, trace.cell, seed, time[0] - every, load, trace.gravity
+    )
     return time, noisy - trace.noise.tare
 
 
@@ -155,35 +191,53 @@ def apply_cell(trace: WeightTrace, cell: Cell) -> WeightTrace:
 
 
 def tabulate_readings(rows: Sequence[ScaleReadings], tolerances: Sequence[float]) -> list[str]:
-    """Lines of a table: for each of the readings and each tolerance (kg) quantiles of the times to weigh (ms), since the release
-    and since the first impact, and how many drops never are."""
+    """Lines of a table: for each of the readings and each tolerance (kg) quantiles of the times to
+    weigh (ms), since the release and since the first impact, and how many drops never are.
+    """
     return _tabulate_sets([(row.name, [row]) for row in rows], tolerances)
 
 
-def tabulate_pooled_readings(rows: Sequence[ScaleReadings], tolerances: Sequence[float]) -> list[str]:
-    """Lines of a table as ``tabulate_readings``, with the drops of all traces behind a filter as one set."""
-    same = [[row for row in rows if row.filter == text] for text in dict.fromkeys(row.filter for row in rows)]
+def tabulate_pooled_readings(
+    rows: Sequence[ScaleReadings], tolerances: Sequence[float]
+) -> list[str]:
+    """Lines of a table as ``tabulate_readings``, with the drops of all traces behind a filter as
+    one set.
+    """
+    same = [
+        [row for row in rows if row.filter == text]
+        for text in dict.fromkeys(row.filter for row in rows)
+    ]
     return _tabulate_sets([(f"{len(pooled)} files", pooled) for pooled in same], tolerances)
 
 
-def _tabulate_sets(sets: Sequence[tuple[str, Sequence[ScaleReadings]]], tolerances: Sequence[float]) -> list[str]:
-    """Lines under HEADINGS: for each name and its readings behind one filter, and each tolerance (kg)."""
+def _tabulate_sets(
+    sets: Sequence[tuple[str, Sequence[ScaleReadings]]], tolerances: Sequence[float]
+) -> list[str]:
+    """Lines under HEADINGS: for each name and its readings behind one filter, and each tolerance
+    (kg).
+    """
     lines = [HEADINGS]
     for name, rows in sets:
         delay = "-" if np.isnan(rows[0].delay) else f"{1e3 * rows[0].delay:.3g}"
         for tolerance in tolerances:
             times = pool_weighing_times([row.find_times_to_weigh(tolerance) for row in rows])
-            lines.append((name, rows[0].filter, delay, f"{1e3 * tolerance:g}", *format_times(times)))
+            lines.append(
+                (name, rows[0].filter, delay, f"{1e3 * tolerance:g}", *format_times(times))
+            )
     return align_columns(lines)
 
 
 def format_times(times: WeighingTimes) -> tuple[str, ...]:
     """Cells under OF_TIMES."""
     found = [1e3 * find_quantile(since, q) for since in times for q in QUANTILES]
-    return *(f"{value:.4g}" if np.isfinite(value) else "-" for value in found), f"{times.never_count} of {len(times.release)}"
+    return *(
+        f"{value:.4g}" if np.isfinite(value) else "-" for value in found
+    ), f"{times.never_count} of {len(times.release)}"
 
 
-def plot_readings(rows: Sequence[ScaleReadings], tolerances: Sequence[float], path: str | Path) -> Path:
+def plot_readings(
+    rows: Sequence[ScaleReadings], tolerances: Sequence[float], path: str | Path
+) -> Path:
     """Save ``draw_readings_figure`` as PNG, PDF or SVG. Returns the path. Raises RecordError."""
     path = Path(path)
     run_figure.check_format(path, run_figure.PICTURE_FORMATS)
@@ -191,8 +245,10 @@ def plot_readings(rows: Sequence[ScaleReadings], tolerances: Sequence[float], pa
 
 
 def draw_readings_figure(rows: Sequence[ScaleReadings], tolerances: Sequence[float]) -> "Figure":
-    """Figure (matplotlib.figure.Figure): the readings (g) over ms, and the largest error (g) from then on, with dots for the
-    times to weigh at their tolerances (kg). Of several runs the median, the band from 5 to 95 % and the time of half of them."""
+    """Figure (matplotlib.figure.Figure): the readings (g) over ms, and the largest error (g) from
+    then on, with dots for the times to weigh at their tolerances (kg). Of several runs the median,
+    the band from 5 to 95 % and the time of half of them.
+    """
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(10.8, 4.2), layout="constrained")
@@ -206,7 +262,9 @@ def draw_readings_figure(rows: Sequence[ScaleReadings], tolerances: Sequence[flo
             continue
         errors = 1e3 * np.abs(row.weight - row.truth[:, None])[is_known]
         from_then_on = np.maximum.accumulate(errors[:, ::-1], axis=1)[:, ::-1]
-        _draw_values(right, row, np.maximum(from_then_on, LEAST_ERROR), COLOURS[k % len(COLOURS)], label)
+        _draw_values(
+            right, row, np.maximum(from_then_on, LEAST_ERROR), COLOURS[k % len(COLOURS)], label
+        )
         for tolerance in tolerances:
             half = 1e3 * find_quantile(row.find_times_to_weigh(tolerance).release, 0.5)
             right.plot(half, 1e3 * tolerance, "o", ms=5, color=COLOURS[k % len(COLOURS)], zorder=3)
@@ -225,12 +283,16 @@ def draw_readings_figure(rows: Sequence[ScaleReadings], tolerances: Sequence[flo
         axes.set_xlabel("time since release (ms)")
         axes.set_xlim(0.0, 1e3 * max(row.time[-1] for row in rows))
         axes.grid(alpha=0.25, lw=0.5)
-    figure.suptitle(f"reading of the scale: {', '.join(dict.fromkeys(row.name for row in rows))}", fontsize=11)
+    figure.suptitle(
+        f"reading of the scale: {', '.join(dict.fromkeys(row.name for row in rows))}", fontsize=11
+    )
     run_figure.add_legend(figure)
     return figure
 
 
-def _draw_values(axes: "Axes", row: ScaleReadings, values: np.ndarray, colour: str, label: str) -> None:
+def _draw_values(
+    axes: "Axes", row: ScaleReadings, values: np.ndarray, colour: str, label: str
+) -> None:
     if len(values) > 1:
         run_figure.draw_ensemble(axes, 1e3 * row.time, values, colour, label, f"{label}, 5 to 95 %")
     else:

@@ -1,4 +1,6 @@
-"""Shapes, walls and wall poses of a stored run, from the scene in its file, for pictures and exports."""
+"""Shapes, walls and wall poses of a stored run, from the scene in its file, for pictures and
+exports.
+"""
 
 from collections.abc import Callable
 from functools import cache
@@ -21,15 +23,18 @@ WallPose = Callable[[float], GroupPoses]  # of a time (s)
 def load_bodies(run: Run) -> tuple[list[Shape], dict[str, list[BodyMesh]], WallPose]:
     """The arguments of render.render and vtk.export_vtk for a single run: shapes, walls, wall_pose.
 
-    shapes: a Shape per piece. walls: group -> [(vertices [V, 3] (m), faces)] in the scene's rest pose, the first face
-    being the touched surface. wall_pose: t (s) -> group -> (rotation [3, 3], origin [3] (m)). Raises SceneError.
+    shapes: a Shape per piece. walls: group -> [(vertices [V, 3] (m), faces)] in the scene's rest
+    pose, the first face being the touched surface. wall_pose: t (s) -> group -> (rotation [3, 3],
+    origin [3] (m)). Raises SceneError.
     """
     scene = parse_scene(run.scene, "the file's scene")
     return assembly.piece_arrays.make_piece_shapes(scene), *walls_of_scene(scene)
 
 
 def walls_of_scene(scene: Scene) -> tuple[dict[str, list[BodyMesh]], WallPose]:
-    """Walls and wall_pose of a scene whose STL files are read, as in ``load_bodies``. Raises SceneError."""
+    """Walls and wall_pose of a scene whose STL files are read, as in ``load_bodies``. Raises
+    SceneError.
+    """
     panels, motions, joint, *_ = assembly.wall_panels.lay_out_walls(scene)
     with jax.enable_x64(True):
         walls = assembly.wall_panels.build_walls(scene, panels, motions, joint, np.float64)[0]

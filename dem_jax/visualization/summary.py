@@ -28,7 +28,9 @@ MISSED_SHARE = 0.01  # of a peak: by how much samples may miss it before it is s
 
 
 def summarize_run(run: Run) -> list[str]:
-    """Lines on a run or an ensemble: step, compile time, peak PIF, duration of the impact, settled mass."""
+    """Lines on a run or an ensemble: step, compile time, peak PIF, duration of the impact, settled
+    mass.
+    """
     info = run.info
     lines = [info["step"]] if "step" in info else []
     pieces = describe_piece_count(run)
@@ -37,15 +39,23 @@ def summarize_run(run: Run) -> list[str]:
     scene = parse_scene(run.scene, "the file's scene")
     ended = "" if run.settled is None else ", then all was settled"
     lines += [f"{key}: {format_values(values)}" for key, values in run.parameters.items()]
-    lines.append(f"{pieces}, {run.time[-1]:.6g} s in samples of {run.sample:.3g} s, {run.precision}{ended}")
+    lines.append(
+        f"{pieces}, {run.time[-1]:.6g} s in samples of {run.sample:.3g} s, {run.precision}{ended}"
+    )
     if "piece_counts" in info:  # each run has a portion of its own
         lines += describe_stickiness(scene)
     else:
-        lines += [*filter(None, [describe_portion(scene)]), *describe_stickiness(scene), *describe_fills(scene)]
+        lines += [
+            *filter(None, [describe_portion(scene)]),
+            *describe_stickiness(scene),
+            *describe_fills(scene),
+        ]
     if "settling" in info:
         lines.append(f"released after {info['settling']:.6g} s of settling, when all was settled")
     if "elapsed" in info:
-        lines.append(f"{info['elapsed']:.1f} s elapsed, of which {info['compile_time']:.1f} s compiling")
+        lines.append(
+            f"{info['elapsed']:.1f} s elapsed, of which {info['compile_time']:.1f} s compiling"
+        )
     lines += [f"note: {note}" for note in (*info.get("notes", ()), *_list_shape_notes(run))]
     group = find_main_group(run)
     block = find_main_block(run)
@@ -57,7 +67,9 @@ def summarize_run(run: Run) -> list[str]:
         rest = find_rest(run, group, block)
         mass = 1e3 * np.atleast_2d(run.settled_mass[block])[:, -1]
         unsettled = f"; {rest.describe()}" if rest.describe() else ""
-        lines.append(f"settled mass in {block} at the end: {_format_band(mass, '{:.4g}')} g{unsettled}")
+        lines.append(
+            f"settled mass in {block} at the end: {_format_band(mass, '{:.4g}')} g{unsettled}"
+        )
     lines += filter(None, [describe_heap(run)])
     if group and block:
         lines.append(_describe_durations(rest, block))
@@ -65,8 +77,13 @@ def summarize_run(run: Run) -> list[str]:
 
 
 def _describe_load_cell(run: Run, swing: CellOscillation) -> str:
-    """What the load cell reads at the end and at most, whether it still swings, and whether that is more than it is made for."""
-    most, cell = np.abs(np.atleast_2d(run.load_cell["weight"])).max(axis=1), find_load_cell(parse_scene(run.scene, "the file's scene"))
+    """What the load cell reads at the end and at most, whether it still swings, and whether that is
+    more than it is made for.
+    """
+    most, cell = (
+        np.abs(np.atleast_2d(run.load_cell["weight"])).max(axis=1),
+        find_load_cell(parse_scene(run.scene, "the file's scene")),
+    )
     rated = "" if cell is None else f" of the rated {cell.rated_load:g} kg"
     beyond = ": beyond the rated load" if cell is not None and most.max() > cell.rated_load else ""
     return f"load cell: {_describe_reading(swing)}, at most {_format_band(most, '{:.3g}')} kg{rated}{beyond}"
@@ -95,7 +112,9 @@ def _list_shape_notes(run: Run) -> list[str]:
 
 
 def list_piece_notes(scene: Scene) -> list[str]:
-    """What is read of the STLs of a scene's pieces: what was mended, united, cut or simplified. Raises SceneError."""
+    """What is read of the STLs of a scene's pieces: what was mended, united, cut or simplified.
+    Raises SceneError.
+    """
     whole = inline_pieces(scene)
     rows: dict[str, PieceShape] = {f"piece.{n}": row for n, row in enumerate(whole.piece)}
     if whole.portion and whole.portion.product:
@@ -107,10 +126,20 @@ def list_piece_notes(scene: Scene) -> list[str]:
 
 
 def list_wall_notes(scene: Scene) -> list[str]:
-    """What is read of the STLs of walls, buckets and feeder, and the smooth surfaces of their facets. Raises SceneError."""
-    read = {f"wall.{n}": inline_wall_panels(wall, scene.folder)[0].note for n, wall in enumerate(scene.wall) if wall.stl is not None}
+    """What is read of the STLs of walls, buckets and feeder, and the smooth surfaces of their
+    facets. Raises SceneError.
+    """
+    read = {
+        f"wall.{n}": inline_wall_panels(wall, scene.folder)[0].note
+        for n, wall in enumerate(scene.wall)
+        if wall.stl is not None
+    }
     whole = inline_buckets(scene)
-    read |= {name: getattr(whole, name).note for name in ("weigh_bucket", "feed_bucket", "feeder") if getattr(scene, name)}
+    read |= {
+        name: getattr(whole, name).note
+        for name in ("weigh_bucket", "feed_bucket", "feeder")
+        if getattr(scene, name)
+    }
     return [*(f"{key}: {note}" for key, note in read.items() if note), *describe_surfaces(scene)]
 
 
@@ -128,14 +157,22 @@ def _describe_peaks(run: Run, group: str) -> list[str]:
         words += f" in samples, {_format_band(tops, '{:.3g}')} kg in every step"
     over = peak_running_mean(run, group, MEAN_WINDOW)
     words += "" if over is None else f"; over 10 ms {_format_band(over, '{:.3g}')} kg"
-    lines = [f"peak PIF on {group}: {_format_band(peaks, '{:.3g}')} kg at t = {_format_band(times, '{:.4g}')} ms ({words})"]
-    return [*lines, f"peaks are those of {summarize_stiffness(run)}", describe_peak_band(run, peaks)]
+    lines = [
+        f"peak PIF on {group}: {_format_band(peaks, '{:.3g}')} kg at t = {_format_band(times, '{:.4g}')} ms ({words})"
+    ]
+    return [
+        *lines,
+        f"peaks are those of {summarize_stiffness(run)}",
+        describe_peak_band(run, peaks),
+    ]
 
 
 def impact_duration(run: Run, group: str, block: str) -> float:
-    """Time (s) from the first force on a group until the settled mass in a block is at its final value for good.
+    """Time (s) from the first force on a group until the settled mass in a block is at its final
+    value for good.
 
-    nan if nothing has landed or settled, or if the run ended before all was at rest. run: a single run.
+    nan if nothing has landed or settled, or if the run ended before all was at rest. run: a single
+    run.
     """
     return float(find_rest(run, group, block).duration[0])
 

@@ -28,19 +28,25 @@ class ExportTable(NamedTuple):
     rows: list[tuple[TableCell, ...]]
 
 
-def export_tables(run: Run, path: str | Path, group: str | None = None, block: str | None = None) -> list[Path]:
+def export_tables(
+    run: Run, path: str | Path, group: str | None = None, block: str | None = None
+) -> list[Path]:
     """Write the series of a run or an ensemble, its numbers and its scene. Returns the paths.
 
-    path: .xlsx with a sheet of each, or .csv of the series, with the others beside it as NAME-numbers.csv and
-    NAME-scene.csv. group, block: by default those of the weigh bucket, or the first. Raises RecordError for another
-    format, a group or block that the run does not have, more than a sheet holds and a file that cannot be written.
+    path: .xlsx with a sheet of each, or .csv of the series, with the others beside it as
+    NAME-numbers.csv and NAME-scene.csv. group, block: by default those of the weigh bucket, or the
+    first. Raises RecordError for another format, a group or block that the run does not have, more
+    than a sheet holds and a file that cannot be written.
     """
     path = Path(path)
     check_format(path, FORMATS)
     tables = [series_table(run, group, block), numbers_table(run, group, block), scene_table(run)]
     if path.suffix.lower() == ".xlsx":
         return [_write_xlsx(tables, path)]
-    places = [path, *(path.with_name(f"{path.stem}-{table.name}{path.suffix}") for table in tables[1:])]
+    places = [
+        path,
+        *(path.with_name(f"{path.stem}-{table.name}{path.suffix}") for table in tables[1:]),
+    ]
     for place in places:
         check_writable(place)
     with lock_file(path):  # the files of one export belong together
@@ -48,38 +54,72 @@ def export_tables(run: Run, path: str | Path, group: str | None = None, block: s
 
 
 def series_table(run: Run, group: str | None = None, block: str | None = None) -> ExportTable:
-    """Time (s), PIF (kg) and settled mass (g) at each sample; of an ensemble median, 5 % and 95 %, then PIF and settled
-    mass of each run."""
+    """Time (s), PIF (kg) and settled mass (g) at each sample; of an ensemble median, 5 % and 95 %,
+    then PIF and settled mass of each run.
+    """
     group, block = group or find_main_group(run), block or find_main_block(run)
     force = {f"PIF on {group}": ("kg", run.pif_kg(group))} if group else {}
     mass = {f"settled mass in {block}": ("g", settled_grams(run, block))} if block else {}
     columns = {"time (s)": np.asarray(run.time, np.float64)}
     if run.run_count is None:
-        instants = {f"PIF on {group}, instantaneous": ("kg", run.pif_kg(group, mean=False))} if group else {}
-        columns |= {f"{name} ({unit})": values for name, (unit, values) in (force | instants | mass).items()}
+        instants = (
+            {f"PIF on {group}, instantaneous": ("kg", run.pif_kg(group, mean=False))}
+            if group
+            else {}
+        )
+        columns |= {
+            f"{name} ({unit})": values for name, (unit, values) in (force | instants | mass).items()
+        }
     else:
         for name, (unit, values) in (force | mass).items():
             bands = np.quantile(values, [0.5, LOW, HIGH], axis=0)
-            columns |= {f"{name}, {of} ({unit})": band for of, band in zip(("median", "5 %", "95 %"), bands, strict=True)}
+            columns |= {
+                f"{name}, {of} ({unit})": band
+                for of, band in zip(("median", "5 %", "95 %"), bands, strict=True)
+            }
         for name, (unit, values) in (force | mass).items():
             columns |= {f"{name}, run {k} ({unit})": row for k, row in enumerate(values)}
-    return ExportTable("series", list(columns), list(zip(*(values.tolist() for values in columns.values()), strict=True)))
+    return ExportTable(
+        "series",
+        list(columns),
+        list(zip(*(values.tolist() for values in columns.values()), strict=True)),
+    )
 
 
 def numbers_table(run: Run, group: str | None = None, block: str | None = None) -> ExportTable:
-    """What the run comes down to, a row each: unit and value, of an ensemble median, 5 %, 95 % and each run's."""
+    """What the run comes down to, a row each: unit and value, of an ensemble median, 5 %, 95 % and
+    each run's.
+    """
     rows: list[tuple[TableCell, ...]] = []
     for number in compute_metrics(run, group, block):
-        values = [number.median, *number.band, *number.values] if run.run_count is not None else [number.median]
+        values = (
+            [number.median, *number.band, *number.values]
+            if run.run_count is not None
+            else [number.median]
+        )
         cells: list[TableCell] = [float(v) if np.isfinite(v) else None for v in values]
-        rows.append((number.name, number.unit, *(cells if run.run_count is not None else [cells[0] or number.missing or cells[0]])))
+        rows.append(
+            (
+                number.name,
+                number.unit,
+                *(cells if run.run_count is not None else [cells[0] or number.missing or cells[0]]),
+            )
+        )
     each = [f"run {k}" for k in range(run.run_count or 0)]
-    return ExportTable("numbers", ["number", "unit", *(["median", "5 %", "95 %", *each] if each else ["value"])], rows)
+    return ExportTable(
+        "numbers",
+        ["number", "unit", *(["median", "5 %", "95 %", *each] if each else ["value"])],
+        rows,
+    )
 
 
 def scene_table(run: Run) -> ExportTable:
     """Product, scene and computation in words and units."""
-    rows = [(section, what, words) for section, facts in collect_facts(run).items() for what, words in facts]
+    rows = [
+        (section, what, words)
+        for section, facts in collect_facts(run).items()
+        for what, words in facts
+    ]
     return ExportTable("scene", ["section", "what", "value"], list(rows))
 
 
@@ -93,18 +133,23 @@ def _write_csv(table: ExportTable, path: Path) -> Path:
     writer = csv.writer(text)
     writer.writerow(table.head)
     writer.writerows(map(_format_cells, table.rows))
-    return write_atomically(path, text.getvalue().encode("utf-8-sig"))  # the mark tells a spreadsheet the encoding
+    return write_atomically(path, text.getvalue().encode("utf-8-sig"))  # the mark tells a
+    # spreadsheet the encoding
 
 
 def _write_xlsx(tables: list[ExportTable], path: Path) -> Path:
     try:
         from openpyxl import Workbook
     except ImportError as error:
-        raise RecordError(f"{path} needs openpyxl: pip install 'product-impact[xlsx]'; allowed without it: .csv") from error
+        raise RecordError(
+            f"{path} needs openpyxl: pip install 'product-impact[xlsx]'; allowed without it: .csv"
+        ) from error
     for table in tables:
         if len(table.rows) >= MOST_ROWS or len(table.head) > MOST_COLUMNS:
             size = f"{len(table.rows)} rows and {len(table.head)} columns"
-            raise RecordError(f"{path} cannot hold {size}: a sheet has {MOST_ROWS} and {MOST_COLUMNS}; allowed: .csv")
+            raise RecordError(
+                f"{path} cannot hold {size}: a sheet has {MOST_ROWS} and {MOST_COLUMNS}; allowed: .csv"
+            )
     book = Workbook(write_only=True)
     for table in tables:
         sheet = book.create_sheet(table.name)

@@ -24,11 +24,10 @@ class RestState(NamedTuple):
 
     duration: [K] (s) from the first force until the settled mass has its final value for good; nan
         where nothing landed or settled, and where something still moved when the run ended.
-    moving: [K] number of pieces that were not at rest at the end: fast, or slow for less than the window.
-    slowed: [K] number of those that were slow at the end.
-    window: (s) for which a piece must be slow to be at rest.
-    observed: [K] (s) from the first force to the end of the run; nan where nothing landed.
-    pieces: number of pieces of a run.
+    moving: [K] number of pieces that were not at rest at the end: fast, or slow for less than the
+    window. slowed: [K] number of those that were slow at the end. window: (s) for which a piece
+    must be slow to be at rest. observed: [K] (s) from the first force to the end of the run; nan
+    where nothing landed. pieces: number of pieces of a run.
     """
 
     duration: np.ndarray
@@ -57,9 +56,15 @@ class RestState(NamedTuple):
         return f"{said} ({self.slow_count[0]} slower than {SETTLED_SPEED:g} m/s there, but for less than {1e3 * self.window:.0f} ms)"
 
     def describe_bound(self) -> str:
-        """Of a single run, what stands for the time to rest where it is not known: at least how long (ms), and why."""
+        """Of a single run, what stands for the time to rest where it is not known: at least how
+        long (ms), and why.
+        """
         why = self.describe()
-        return f"> {1e3 * self.observed_time[0]:.4g} ms: {why}" if why and np.isfinite(self.observed_time[0]) else why
+        return (
+            f"> {1e3 * self.observed_time[0]:.4g} ms: {why}"
+            if why and np.isfinite(self.observed_time[0])
+            else why
+        )
 
 
 def find_rest(run: Run, group: str | None, block: str) -> RestState:
@@ -116,7 +121,9 @@ def _count_slow(run: Run, settled: np.ndarray, window: float) -> np.ndarray:
 
 
 def _piece_masses(run: Run) -> Callable[[int], np.ndarray | None]:
-    """Run k -> masses (kg) of its pieces, each scene read once; None where the scene of the file is of another version."""
+    """Run k -> masses (kg) of its pieces, each scene read once; None where the scene of the file is
+    of another version.
+    """
 
     @cache
     def read_masses(text: str) -> np.ndarray | None:
@@ -163,7 +170,9 @@ def _count_fast(run: Run, block: str, settled: np.ndarray) -> np.ndarray:
 
 
 def _find_final_motion(run: Run) -> tuple[np.ndarray, np.ndarray] | None:
-    """Positions [.., N, 3] (m) and speeds [.., N] (m/s) at the end, of pieces outside the scene nan; None: not stored."""
+    """Positions [.., N, 3] (m) and speeds [.., N] (m/s) at the end, of pieces outside the scene
+    nan; None: not stored.
+    """
     frames = run.pieces
     if frames is None or len(frames.time) < 2:
         return None
@@ -176,7 +185,9 @@ def _find_final_motion(run: Run) -> tuple[np.ndarray, np.ndarray] | None:
 
 
 def _count_missing(run: Run, scene: Scene, settled: np.ndarray) -> np.ndarray:
-    """[K] fewest pieces that the mass that has not settled can be of; 0 where not all pieces are to settle in one block."""
+    """[K] fewest pieces that the mass that has not settled can be of; 0 where not all pieces are to
+    settle in one block.
+    """
     if scene.feeder or scene.inlet or scene.outlet or scene.cycle:
         return np.zeros(len(settled), int)
     found, masses_of_run = [], _piece_masses(run)

@@ -22,8 +22,10 @@ def whole_span(run: Run, mean: np.ndarray) -> TimeSpan:
 
 
 def impact_span(run: Run, mean: np.ndarray) -> TimeSpan:
-    """From just before the first force until it stays below 10 % of its peak, or below twice the final weight; at
-    least 60 ms, and no longer than the run. mean: [.., T] (kg), of an ensemble the largest of 95 % of its runs count."""
+    """From just before the first force until it stays below 10 % of its peak, or below twice the
+    final weight; at least 60 ms, and no longer than the run. mean: [.., T] (kg), of an ensemble the
+    largest of 95 % of its runs count.
+    """
     rows = np.abs(mean).reshape(-1, len(run.time))
     felt = np.flatnonzero(rows.max(axis=0) > 0.0)
     if not len(felt):
@@ -36,9 +38,13 @@ def impact_span(run: Run, mean: np.ndarray) -> TimeSpan:
     return float(max(run.time[0], first - MARGIN * (last - first))), float(min(last, run.time[-1]))
 
 
-def choose_panels(runs: Sequence[Run], means: Sequence[np.ndarray], start: float | None, end: float | None) -> list[TimeSpan]:
-    """What is shown side by side: the impact and the whole; the whole alone where the impact is half of it or more, and one
-    span where a start or an end (s) is given. means: [.., T] (kg) of each run."""
+def choose_panels(
+    runs: Sequence[Run], means: Sequence[np.ndarray], start: float | None, end: float | None
+) -> list[TimeSpan]:
+    """What is shown side by side: the impact and the whole; the whole alone where the impact is
+    half of it or more, and one span where a start or an end (s) is given. means: [.., T] (kg) of
+    each run.
+    """
     whole = _enclose_spans([whole_span(run, mean) for run, mean in zip(runs, means, strict=True)])
     if start is not None or end is not None:
         return [(whole[0] if start is None else start, whole[1] if end is None else end)]

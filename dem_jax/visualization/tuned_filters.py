@@ -1,4 +1,6 @@
-"""Tuned filters of a scale: their table, and the figure of the share of drops that are weighed over time."""
+"""Tuned filters of a scale: their table, and the figure of the share of drops that are weighed over
+time.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,8 +22,15 @@ LINES = ("-", "--", ":")  # of families, each in all colours
 
 
 def tabulate_tuned_filters(rows: Sequence[TunedFilter]) -> list[str]:
-    """Lines of a table: family, filter, and quantiles of the times to weigh (ms) of the drops that judge."""
-    return align_columns([("family", "filter", *TIME_HEADINGS), *((row.family, row.filter, *format_times(row.times)) for row in rows)])
+    """Lines of a table: family, filter, and quantiles of the times to weigh (ms) of the drops that
+    judge.
+    """
+    return align_columns(
+        [
+            ("family", "filter", *TIME_HEADINGS),
+            *((row.family, row.filter, *format_times(row.times)) for row in rows),
+        ]
+    )
 
 
 def plot_tuned_filters(rows: Sequence[TunedFilter], tolerance: float, path: str | Path) -> Path:
@@ -32,8 +41,9 @@ def plot_tuned_filters(rows: Sequence[TunedFilter], tolerance: float, path: str 
 
 
 def draw_tuned_filters(rows: Sequence[TunedFilter], tolerance: float) -> "Figure":
-    """Figure (matplotlib.figure.Figure): the share (%) of the drops that judge whose reading is and stays within a tolerance (kg),
-    over the time since the first impact (ms)."""
+    """Figure (matplotlib.figure.Figure): the share (%) of the drops that judge whose reading is and
+    stays within a tolerance (kg), over the time since the first impact (ms).
+    """
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(8.0, 5.0), layout="constrained")
@@ -42,7 +52,14 @@ def draw_tuned_filters(rows: Sequence[TunedFilter], tolerance: float) -> "Figure
         times = np.sort(row.times.impact[np.isfinite(row.times.impact)])
         share = 100 * np.arange(len(times) + 1) / len(row.times.impact)
         line = LINES[k // len(COLOURS) % len(LINES)]
-        axes.step(np.append(0.0, 1e3 * times), share, where="post", color=COLOURS[k % len(COLOURS)], ls=line, label=row.family)
+        axes.step(
+            np.append(0.0, 1e3 * times),
+            share,
+            where="post",
+            color=COLOURS[k % len(COLOURS)],
+            ls=line,
+            label=row.family,
+        )
     for quantile in QUANTILES:
         axes.axhline(100 * quantile, color="0.6", lw=0.6, ls=":")
     axes.set_xlabel("time since the first impact (ms)")

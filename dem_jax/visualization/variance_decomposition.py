@@ -1,16 +1,21 @@
-"""How much of the scatter of an ensemble is the chance of the fall, and how much the unknown numbers of its product.
+"""How much of the scatter of an ensemble is the chance of the fall, and how much the unknown
+numbers of its product.
 
-The scatter of an answer is the variance of the normal scores y of its ranks, so that a single piece that rolls on does not
-decide it (rank regression: Iman and Conover, Technometrics 21 (1979) 499-509).
+The scatter of an answer is the variance of the normal scores y of its ranks, so that a single piece
+that rolls on does not decide it (rank regression: Iman and Conover, Technometrics 21 (1979)
+499-509).
 
-Each run has its own numbers x_i (``ensemble --uncertain``), at probabilities p_i of their ranges. Least squares give
+Each run has its own numbers x_i (``ensemble --uncertain``), at probabilities p_i of their ranges.
+Least squares give
 
-    y = a + sum_i sum_j b_ij P_j(2 p_i - 1) + chance,    P_1(t) = sqrt(3) t,  P_2(t) = sqrt(5) (3 t^2 - 1) / 2,
+    y = a + sum_i sum_j b_ij P_j(2 p_i - 1) + chance,    P_1(t) = sqrt(3) t,  P_2(t) = sqrt(5) (3
+    t^2 - 1) / 2,
 
-with Legendre polynomials of variance 1, so that number i contributes sum_j b_ij^2 to the variance of y; divided by the
-variance, this is its first-order Sobol index (Sudret, Reliab. Eng. Syst. Saf. 93 (2008) 964-979). The variance of the
-coefficients is subtracted from their squares, which makes them unbiased. Intervals are those of the noncentral F
-distribution. Effects of several numbers together, and of higher order, count as chance.
+with Legendre polynomials of variance 1, so that number i contributes sum_j b_ij^2 to the variance
+of y; divided by the variance, this is its first-order Sobol index (Sudret, Reliab. Eng. Syst. Saf.
+93 (2008) 964-979). The variance of the coefficients is subtracted from their squares, which makes
+them unbiased. Intervals are those of the noncentral F distribution. Effects of several numbers
+together, and of higher order, count as chance.
 """
 
 from collections.abc import Sequence
@@ -63,15 +68,23 @@ class VarianceSplit(NamedTuple):
 def find_varied_numbers(run: Run) -> dict[str, UncertainNumber]:
     """The uncertain numbers that differ between the runs of an ensemble, by their keys."""
     rows = {row.key: row for row in parse_scene(run.scene, "the file's scene").uncertain}
-    return {key: row for key, row in rows.items() if np.ptp(np.asarray(run.parameters.get(key, [0.0]), float)) > 0}
+    return {
+        key: row
+        for key, row in rows.items()
+        if np.ptp(np.asarray(run.parameters.get(key, [0.0]), float)) > 0
+    }
 
 
 def split_ensemble(run: Run, group: str | None = None) -> list[VarianceSplit]:
-    """The scatter of peak, time to rest and time to weigh of an ensemble with drawn numbers; [] of other runs."""
+    """The scatter of peak, time to rest and time to weigh of an ensemble with drawn numbers; [] of
+    other runs.
+    """
     return _split_by_numbers(find_varied_numbers(run), run, group)
 
 
-def _split_by_numbers(rows: dict[str, UncertainNumber], run: Run, group: str | None) -> list[VarianceSplit]:
+def _split_by_numbers(
+    rows: dict[str, UncertainNumber], run: Run, group: str | None
+) -> list[VarianceSplit]:
     """The scatter of the answers of an ensemble by numbers that were drawn; [] without any."""
     if not rows:
         return []
@@ -81,13 +94,21 @@ def _split_by_numbers(rows: dict[str, UncertainNumber], run: Run, group: str | N
 
 
 def list_answers(run: Run, group: str | None = None) -> list[Metric]:
-    """Peak force (kg), time to rest (ms) and time to weigh (ms) of an ensemble, as far as there are any."""
+    """Peak force (kg), time to rest (ms) and time to weigh (ms) of an ensemble, as far as there are
+    any.
+    """
     group, block = group or find_main_group(run), find_main_block(run)
     found = [number for number in compute_metrics(run, group) if number.name in ANSWERS]
     if group and block:
         rest = find_rest(run, group, block)
         first_force = run.time[-1] - rest.observed_time
-        found.append(Metric("time to weigh", "ms", 1e3 * (find_time_to_weigh(run, rest.is_complete) - first_force)))
+        found.append(
+            Metric(
+                "time to weigh",
+                "ms",
+                1e3 * (find_time_to_weigh(run, rest.is_complete) - first_force),
+            )
+        )
     return found
 
 
@@ -113,13 +134,13 @@ def split_variance(
     """The variance of an answer by numbers.
 
     Args:
-        drawn: [K, d] probabilities of the numbers of each run, from 0 to 1, independent of each other.
-        names: [d] of the numbers.
-        answer: [K] values; those that are nan are left out.
+        drawn: [K, d] probabilities of the numbers of each run, from 0 to 1, independent of each
+        other. names: [d] of the numbers. answer: [K] values; those that are nan are left out.
         degrees: of the polynomials, the first for which there are enough values.
 
     Returns:
-        The split; None with fewer than three runs for each number, or an answer that is the same in all runs.
+        The split; None with fewer than three runs for each number, or an answer that is the same in
+        all runs.
     """
     from scipy.special import eval_legendre
 
@@ -130,7 +151,10 @@ def split_variance(
         return None
     terms = np.hstack([np.sqrt(2 * n + 1) * eval_legendre(n, t) for n in range(1, degree + 1)])
     design = np.hstack([np.ones((len(y), 1)), terms])
-    coefficients, scatter = np.linalg.lstsq(design, y, rcond=None)[0], np.linalg.inv(design.T @ design)
+    coefficients, scatter = (
+        np.linalg.lstsq(design, y, rcond=None)[0],
+        np.linalg.inv(design.T @ design),
+    )
     free = len(y) - design.shape[1]
     noise = float(((y - design @ coefficients) ** 2).sum()) / free
     own = [[1 + i + n * len(names) for n in range(degree)] for i in range(len(names))]
@@ -142,7 +166,9 @@ def split_variance(
     numbers = _bounded_share("numbers of the product", explained / variance, *ends)
     parts = []
     for name, columns, part in zip(names, own, gained, strict=True):
-        strengths = _estimate_noncentrality(coefficients[columns], scatter[np.ix_(columns, columns)], noise, free)
+        strengths = _estimate_noncentrality(
+            coefficients[columns], scatter[np.ix_(columns, columns)], noise, free
+        )
         low, high = (bound / (every[0] + len(y)) for bound in strengths[1:])
         parts.append(_bounded_share(name, max(part, 0.0) / variance, low, high))
     return VarianceSplit(answer, numbers, sorted(parts, key=lambda share: -share.value))
@@ -153,50 +179,82 @@ def _bounded_share(name: str, value: float, low: float, high: float) -> Variance
     return VarianceShare(name, value, min(low, value), min(max(high, value), 1.0))
 
 
-def _estimate_noncentrality(coefficients: np.ndarray, scatter: np.ndarray, noise: float, free: int) -> tuple[float, float, float]:
-    """The noncentrality of the F distribution of some coefficients: its estimate, and its 90 % interval."""
+def _estimate_noncentrality(
+    coefficients: np.ndarray, scatter: np.ndarray, noise: float, free: int
+) -> tuple[float, float, float]:
+    """The noncentrality of the F distribution of some coefficients: its estimate, and its 90 %
+    interval.
+    """
     from scipy.special import ncfdtr, ncfdtrinc
 
     count = len(coefficients)
-    ratio = float(coefficients @ np.linalg.solve(scatter, coefficients)) / (count * noise) if noise > 0 else np.inf
+    ratio = (
+        float(coefficients @ np.linalg.solve(scatter, coefficients)) / (count * noise)
+        if noise > 0
+        else np.inf
+    )
     if ratio > NO_CHANCE:
         return (count * NO_CHANCE,) * 3
-    bounds = [float(ncfdtrinc(count, free, p, ratio)) if ncfdtr(count, free, 0.0, ratio) > p else 0.0 for p in (HIGH, LOW)]
+    bounds = [
+        float(ncfdtrinc(count, free, p, ratio)) if ncfdtr(count, free, 0.0, ratio) > p else 0.0
+        for p in (HIGH, LOW)
+    ]
     return max(count * ratio * (free - 2) / free - count, 0.0), bounds[0], bounds[1]
 
 
 def choose_first_number(splits: Sequence[VarianceSplit]) -> VarianceShare | None:
-    """The number with the largest mean share over the answers, of those that differ from nothing in one of them; None: there is
-    none."""
+    """The number with the largest mean share over the answers, of those that differ from nothing in
+    one of them; None: there is none.
+    """
     known = {share.name for split in splits for share in split.parts if share.is_known}
     means = [
-        VarianceShare(name, *np.mean([share[1:] for split in splits for share in split.parts if share.name == name], axis=0))
+        VarianceShare(
+            name,
+            *np.mean(
+                [share[1:] for split in splits for share in split.parts if share.name == name],
+                axis=0,
+            ),
+        )
         for name in known
     ]
     return max(means, key=lambda share: share.value, default=None)
 
 
 def describe_uncertainty(run: Run, group: str | None = None) -> list[str]:
-    """Shares of chance and of unknown numbers of an ensemble in words; [] of runs without drawn numbers."""
+    """Shares of chance and of unknown numbers of an ensemble in words; [] of runs without drawn
+    numbers.
+    """
     if not (rows := find_varied_numbers(run)):
         return []
     if splits := _split_by_numbers(rows, run, group):
         return describe_splits(splits)
     least = FEWEST_PER_TERM * (len(rows) + 1)
-    return [f"{len(rows)} unknown numbers: their shares of the scatter need at least {least} runs that come to rest"]
+    return [
+        f"{len(rows)} unknown numbers: their shares of the scatter need at least {least} runs that come to rest"
+    ]
 
 
 def describe_splits(splits: Sequence[VarianceSplit]) -> list[str]:
     """Shares of chance and of unknown numbers for each answer, and the number to measure first."""
     lines, first = [_describe_split(split) for split in splits], choose_first_number(splits)
     if first is None:
-        return [*lines, "measure first: no number differs from the chance of the fall with so few runs (--runs)"]
-    return [*lines, f"measure first: {short_name(first.name)} ({_format_percent(first)} of the scatter, mean of {len(splits)} answers)"]
+        return [
+            *lines,
+            "measure first: no number differs from the chance of the fall with so few runs (--runs)",
+        ]
+    return [
+        *lines,
+        f"measure first: {short_name(first.name)} ({_format_percent(first)} of the scatter, mean of {len(splits)} answers)",
+    ]
 
 
 def _describe_split(split: VarianceSplit) -> str:
     numbers = split.numbers
-    parts = ", ".join(f"{short_name(share.name)} {_format_percent(share)}" for share in split.parts if share.is_known)
+    parts = ", ".join(
+        f"{short_name(share.name)} {_format_percent(share)}"
+        for share in split.parts
+        if share.is_known
+    )
     by = f"{describe_share(numbers)} of its scatter is due to unknown numbers{f' ({parts})' if parts else ''}"
     return f"{split.answer.name} {format_metric(split.answer)}: {by}, {100 * (1 - numbers.value):.0f} % to the {CHANCE}"
 
@@ -216,7 +274,9 @@ def _format_percent(share: VarianceShare) -> str:
 
 
 def draw_variance_shares(splits: Sequence[VarianceSplit]) -> "Figure":
-    """Bars of the scatter of each answer: the share of each number of the product, and of the chance of the fall."""
+    """Bars of the scatter of each answer: the share of each number of the product, and of the
+    chance of the fall.
+    """
     import matplotlib
     from matplotlib.figure import Figure
 
@@ -229,18 +289,37 @@ def draw_variance_shares(splits: Sequence[VarianceSplit]) -> "Figure":
         left = 0.0
         total = sum(share.value for share in split.parts) or 1.0
         scale = split.numbers.value / total  # parts below nothing were raised to it
-        bars = [(share.name, scale * share.value) for share in split.parts] + [(CHANCE, 1 - split.numbers.value)]
+        bars = [(share.name, scale * share.value) for share in split.parts] + [
+            (CHANCE, 1 - split.numbers.value)
+        ]
         for name, width in bars:
-            axes.barh(row, 100 * width, left=100 * left, color=colours[name], height=0.6, label=name)
+            axes.barh(
+                row, 100 * width, left=100 * left, color=colours[name], height=0.6, label=name
+            )
             if width > 0.06:
-                axes.text(100 * (left + width / 2), row, f"{100 * width:.0f} %", ha="center", va="center", fontsize=8)
+                axes.text(
+                    100 * (left + width / 2),
+                    row,
+                    f"{100 * width:.0f} %",
+                    ha="center",
+                    va="center",
+                    fontsize=8,
+                )
             left += width
-    axes.set_yticks(range(len(splits)), [_answer_label(split.answer) for split in splits], fontsize=9)
+    axes.set_yticks(
+        range(len(splits)), [_answer_label(split.answer) for split in splits], fontsize=9
+    )
     axes.invert_yaxis()
     axes.set(xlim=(0, 100), xlabel="share of the scatter (%)")
     handles = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
     shown = [name for name in [*names, CHANCE] if name in handles]
-    figure.legend([handles[n] for n in shown], [short_name(n) for n in shown], loc="outside lower center", ncols=4, fontsize=8)
+    figure.legend(
+        [handles[n] for n in shown],
+        [short_name(n) for n in shown],
+        loc="outside lower center",
+        ncols=4,
+        fontsize=8,
+    )
     return figure
 
 

@@ -21,7 +21,11 @@ if TYPE_CHECKING:  # loaded where something is drawn: it takes a second
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-MAPPED_QUANTITIES = {"energy": ("energy dissipated", "mJ", 1e3), "impulse": ("normal impulse", "mN s", 1e3), "number": ("collisions", "1", 1.0)}
+MAPPED_QUANTITIES = {
+    "energy": ("energy dissipated", "mJ", 1e3),
+    "impulse": ("normal impulse", "mN s", 1e3),
+    "number": ("collisions", "1", 1.0),
+}
 MOST_PANELS = 4  # of which maps are drawn: those with most
 CM2 = 1e4  # in a m2
 
@@ -29,9 +33,9 @@ CM2 = 1e4  # in a m2
 class ImpactMap(NamedTuple):
     """What happened on a panel, by places in the box around it, mean of the runs.
 
-    group: that it moves with. number, impulse (N s), energy (J): [cells, cells], the second axis along the panel's own x.
-    half: [2] (m), of the box. axes: [2, 3], its own x and y in the scene's rest pose. corners: [k, 2] (m), of the panel in its
-    own frame.
+    group: that it moves with. number, impulse (N s), energy (J): [cells, cells], the second axis
+    along the panel's own x. half: [2] (m), of the box. axes: [2, 3], its own x and y in the scene's
+    rest pose. corners: [k, 2] (m), of the panel in its own frame.
     """
 
     group: str
@@ -44,21 +48,29 @@ class ImpactMap(NamedTuple):
 
 
 def load_statistics(run: Run) -> dict[str, Any]:
-    """What the file says of collisions, as dynamics.collision_summary.told. Raises RecordError for a run without."""
+    """What the file says of collisions, as dynamics.collision_summary.told. Raises RecordError for
+    a run without.
+    """
     found = run.info.get("collisions")
     if found is None:
-        raise RecordError("the run has no statistics of collisions; allowed: one of a scene with [statistics]")
+        raise RecordError(
+            "the run has no statistics of collisions; allowed: one of a scene with [statistics]"
+        )
     return found
 
 
 def count_impact_speeds(run: Run) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Edges (m/s) of the classes of impact speeds, [classes + 1], and reported group -> collisions in each, [K, classes] of K
-    runs; the last class has all that were faster too. Raises RecordError."""
+    """Edges (m/s) of the classes of impact speeds, [classes + 1], and reported group -> collisions
+    in each, [K, classes] of K runs; the last class has all that were faster too. Raises
+    RecordError.
+    """
     told = load_statistics(run)
     with _convert_errors():
         each = np.array([one["speeds"] for one in told["runs"]], float)  # [K, G, classes]
         members = _group_members(run, told["groups"])
-        return np.linspace(0.0, told["fastest"], each.shape[2] + 1), {n: each[:, rows].sum(axis=1) for n, rows in members.items()}
+        return np.linspace(0.0, told["fastest"], each.shape[2] + 1), {
+            n: each[:, rows].sum(axis=1) for n, rows in members.items()
+        }
 
 
 def map_impacts(run: Run, group: str) -> list[ImpactMap]:
@@ -69,27 +81,48 @@ def map_impacts(run: Run, group: str) -> list[ImpactMap]:
         scene = parse_scene(run.scene, "the file's scene")
         panels, motions, joint, *_ = assembly.wall_panels.lay_out_walls(scene)
         walls = assembly.wall_panels.build_walls(scene, panels, motions, joint, np.float64)[0]
-        half, turn, centre, number = (np.asarray(x) for x in (walls.half_extent, walls.rotation, walls.centre, walls.group))
+        half, turn, centre, number = (
+            np.asarray(x) for x in (walls.half_extent, walls.rotation, walls.centre, walls.group)
+        )
     with _convert_errors():
         cells, rows = told["cells"], _group_members(run, told["groups"])[group]
         sums = np.zeros((3, len(number), cells, cells))
         for one in told["runs"]:
             for k, name in enumerate(("number", "impulse", "energy")):
-                np.add.at(sums[k].reshape(-1), np.array(one["place"], int), np.array(one[name]) / len(told["runs"]))
+                np.add.at(
+                    sums[k].reshape(-1),
+                    np.array(one["place"], int),
+                    np.array(one[name]) / len(told["runs"]),
+                )
     found = []
     for panel in np.flatnonzero(np.isin(number, rows)):
         corners = (panels[panel][1] - centre[:, panel]) @ turn[:, :, panel]
         name = told["groups"][number[panel]]
         number_of, impulse, energy = sums[:, panel]
-        found.append(ImpactMap(name, number_of, impulse, energy, half[:2, panel], turn[:, :2, panel].T, corners[:, :2]))
+        found.append(
+            ImpactMap(
+                name,
+                number_of,
+                impulse,
+                energy,
+                half[:2, panel],
+                turn[:, :2, panel].T,
+                corners[:, :2],
+            )
+        )
     return found
 
 
 def tabulate_impacts(run: Run) -> list[str]:
-    """Lines on each wall group: collisions, mean and largest impact speed, impulse, energy. Raises RecordError."""
+    """Lines on each wall group: collisions, mean and largest impact speed, impulse, energy. Raises
+    RecordError.
+    """
     told, lines = load_statistics(run), []
     with _convert_errors():
-        total, largest = (np.array([one[name] for one in told["runs"]]) for name in ("sum", "largest"))  # [K, G]
+        # [K, G]
+        total, largest = (
+            np.array([one[name] for one in told["runs"]]) for name in ("sum", "largest")
+        )
         for name, rows in _group_members(run, told["groups"]).items():
             count, impulse, energy = (
                 np.atleast_2d(getattr(run, series)[name])[:, -1].astype(np.float64)
@@ -98,7 +131,9 @@ def tabulate_impacts(run: Run) -> list[str]:
             if not count.any():
                 lines.append(f"{name}: no collisions")
                 continue
-            mean = np.divide(total[:, rows].sum(axis=1), count, where=count > 0, out=np.full(len(count), np.nan))
+            mean = np.divide(
+                total[:, rows].sum(axis=1), count, where=count > 0, out=np.full(len(count), np.nan)
+            )
             numbers = (
                 Metric("number", "collisions", count),
                 Metric("mean speed", "m/s", mean),
@@ -110,7 +145,9 @@ def tabulate_impacts(run: Run) -> list[str]:
     return lines
 
 
-def plot_wall_impacts(run: Run, path: str | Path, group: str | None = None, of: str = "energy") -> Path:
+def plot_wall_impacts(
+    run: Run, path: str | Path, group: str | None = None, of: str = "energy"
+) -> Path:
     """Save ``draw_wall_impacts`` as PNG, PDF or SVG. Returns the path. Raises RecordError."""
     path = Path(path)
     run_figure.check_format(path, run_figure.PICTURE_FORMATS)
@@ -118,8 +155,10 @@ def plot_wall_impacts(run: Run, path: str | Path, group: str | None = None, of: 
 
 
 def draw_wall_impacts(run: Run, group: str | None = None, of: str = "energy") -> "Figure":
-    """Figure (matplotlib.figure.Figure): impact speeds on each wall group, and maps over the panels of one (by default the weigh
-    bucket's flaps, or the first). of: what the maps show, as OF. Of an ensemble the mean of its runs. Raises RecordError."""
+    """Figure (matplotlib.figure.Figure): impact speeds on each wall group, and maps over the panels
+    of one (by default the weigh bucket's flaps, or the first). of: what the maps show, as OF. Of an
+    ensemble the mean of its runs. Raises RecordError.
+    """
     from matplotlib.figure import Figure
 
     group = group or find_main_group(run) or "none"
@@ -127,7 +166,9 @@ def draw_wall_impacts(run: Run, group: str | None = None, of: str = "energy") ->
     most = sorted(maps, key=lambda each: -float(np.abs(getattr(each, of)).sum()))[:MOST_PANELS]
     shown = [each for each in maps if any(each is one for one in most)]
     figure = Figure(figsize=(4.6 + 3.2 * len(shown), 4.0), layout="constrained")
-    first, *others = figure.subplots(1, 1 + len(shown), squeeze=False, width_ratios=[1.3] + [1.0] * len(shown))[0]
+    first, *others = figure.subplots(
+        1, 1 + len(shown), squeeze=False, width_ratios=[1.3] + [1.0] * len(shown)
+    )[0]
     _draw_speeds(first, run)
     words, unit, scale = MAPPED_QUANTITIES[of]
     dense = [scale * getattr(each, of) / _place_area(each) for each in shown]
@@ -135,7 +176,12 @@ def draw_wall_impacts(run: Run, group: str | None = None, of: str = "energy") ->
     for axes, each, values in zip(others, shown, dense, strict=True):
         image = _draw_map(axes, each, values, top)
     if shown:
-        figure.colorbar(image, ax=others, label=f"{words} ({unit}/cm²)" if unit != "1" else f"{words} (1/cm²)", shrink=0.8)
+        figure.colorbar(
+            image,
+            ax=others,
+            label=f"{words} ({unit}/cm²)" if unit != "1" else f"{words} (1/cm²)",
+            shrink=0.8,
+        )
     figure.suptitle(f"{run_figure.run_title(run)}: collisions, and where on {group}", fontsize=11)
     return figure
 
@@ -144,7 +190,16 @@ def _draw_speeds(axes: "Axes", run: Run) -> None:
     edges, groups = count_impact_speeds(run)
     for k, (name, counts) in enumerate((name, c) for name, c in groups.items() if c.any()):
         axes.stairs(counts.mean(axis=0), edges, color=COLOURS[k % len(COLOURS)], lw=1.2, label=name)
-    axes.set_xlim(0.0, edges[1 + max((int(np.flatnonzero(c.any(axis=0)).max(initial=0)) for c in groups.values()), default=0)])
+    axes.set_xlim(
+        0.0,
+        edges[
+            1
+            + max(
+                (int(np.flatnonzero(c.any(axis=0)).max(initial=0)) for c in groups.values()),
+                default=0,
+            )
+        ],
+    )
     axes.set_xlabel("impact speed (m/s)")
     axes.set_ylabel("collisions" + ("" if run.run_count is None else ", mean of the runs"))
     axes.set_ylim(0.0, None)
@@ -162,7 +217,9 @@ def _draw_map(axes: "Axes", of: ImpactMap, values: np.ndarray, top: float) -> An
         names.append("xyz"[main])
     x, y = 1e3 * of.half_extent
     turned = values[:: int(flips[1]), :: int(flips[0])]
-    image = axes.imshow(turned, origin="lower", extent=(-x, x, -y, y), cmap="magma_r", vmin=0.0, vmax=top or 1.0)
+    image = axes.imshow(
+        turned, origin="lower", extent=(-x, x, -y, y), cmap="magma_r", vmin=0.0, vmax=top or 1.0
+    )
     outline = 1e3 * np.vstack([of.corners, of.corners[:1]]) * flips
     axes.plot(*outline.T, color="#333333", lw=0.8)
     axes.set_title(of.group, fontsize=9)
@@ -188,7 +245,9 @@ def _group_members(run: Run, groups: Sequence[str]) -> dict[str, list[int]]:
 
 def _check_group(run: Run, group: str) -> None:
     if group not in run.force:
-        raise RecordError(f"group = {group!r} is not in this run; it has: {', '.join(run.force) or 'none'}")
+        raise RecordError(
+            f"group = {group!r} is not in this run; it has: {', '.join(run.force) or 'none'}"
+        )
 
 
 @contextmanager

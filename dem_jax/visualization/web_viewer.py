@@ -1,4 +1,6 @@
-"""Data of the 3-D view of a report: shapes, walls and stored poses as plain data, and the library that draws them."""
+"""Data of the 3-D view of a report: shapes, walls and stored poses as plain data, and the library
+that draws them.
+"""
 
 import base64
 import json
@@ -23,11 +25,13 @@ from dem_jax.visualization.scene_geometry import BodyMesh, WallPose, load_bodies
 MOST_BYTES = 5 * 2**20  # of the poses in a page, all views together
 MOST_PLATES = 1000  # of walls that are drawn with their thickness and edges
 SLOWER = (1, 2, 5, 10, 20, 50, 100, 200)  # than in truth: what the player offers
-POLICY = "script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:"  # of a page that loads nothing
+# of a page that loads nothing
+POLICY = "script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:"
 
 
 def load_three_js() -> str:
-    """three.js (MIT licence; THREE with TrackballControls), which trimesh ships within its own viewer.
+    """three.js (MIT licence; THREE with TrackballControls), which trimesh ships within its own
+    viewer.
 
     Raises RecordError for a trimesh whose viewer is another.
     """
@@ -38,17 +42,21 @@ def load_three_js() -> str:
     found = re.search(r"<script>(.*?)var camera,\s*controls,\s*scene,\s*renderer", page, re.DOTALL)
     if found is None or "TrackballControls" not in found[1]:
         allowed = "allowed: one with the viewer of trimesh 4.5 to 5.2"
-        raise RecordError(f"trimesh {trimesh.__version__} has no three.js that a report can use; {allowed}")
+        raise RecordError(
+            f"trimesh {trimesh.__version__} has no three.js that a report can use; {allowed}"
+        )
     return found[1]
 
 
 @dataclass(frozen=True)
 class BodyMotion:
-    """The moving bodies of a single run, at F stored instants: N pieces of a few shapes, G groups of walls.
+    """The moving bodies of a single run, at F stored instants: N pieces of a few shapes, G groups
+    of walls.
 
-    time: [F] (s). shapes: triangles [.., 3, 3] (m) of each, in its body frame, and whether it is round. shape: [N], that of each
-    piece. position: [F, N, 3] (m). orientation: [F, N, 4]. walls: group -> triangles (m) in the rest frame, and whether they
-    are plates with edges. wall_pose: [F or 1, G, 7], position (m) and quaternion. box: [2, 3] (m), shown. fastest: (m/s).
+    time: [F] (s). shapes: triangles [.., 3, 3] (m) of each, in its body frame, and whether it is
+    round. shape: [N], that of each piece. position: [F, N, 3] (m). orientation: [F, N, 4]. walls:
+    group -> triangles (m) in the rest frame, and whether they are plates with edges. wall_pose: [F
+    or 1, G, 7], position (m) and quaternion. box: [2, 3] (m), shown. fastest: (m/s).
     """
 
     time: np.ndarray
@@ -63,8 +71,9 @@ class BodyMotion:
 
 
 def collect_motion(run: Run, most_bytes: float = np.inf) -> BodyMotion | None:
-    """What moves; None: the run has no frames. most_bytes: of positions and orientations in base64, so that instants are left
-    out where there are more. Raises SceneError."""
+    """What moves; None: the run has no frames. most_bytes: of positions and orientations in base64,
+    so that instants are left out where there are more. Raises SceneError.
+    """
     frames = run.pieces
     if frames is None or not np.isfinite(frames.position).any():
         return None
@@ -77,7 +86,9 @@ def collect_motion(run: Run, most_bytes: float = np.inf) -> BodyMotion | None:
     whole = sum(map(len, walls.values())) <= MOST_PLATES
     return BodyMotion(
         time=frames.time[kept],
-        shapes=[(_triangulate_faces(*surface_mesh(shape)), shape.radius > 0.0) for shape in distinct],
+        shapes=[
+            (_triangulate_faces(*surface_mesh(shape)), shape.radius > 0.0) for shape in distinct
+        ],
         shape=[place[id(shape)] for shape in shapes],
         position=frames.position[kept],
         orientation=frames.orientation[kept],
@@ -89,7 +100,8 @@ def collect_motion(run: Run, most_bytes: float = np.inf) -> BodyMotion | None:
 
 
 def build_view_data(run: Run, views: int = 1) -> dict[str, Any] | None:
-    """The data of a single run's view, for JSON; None: the run has no frames. views: how many share the page.
+    """The data of a single run's view, for JSON; None: the run has no frames. views: how many share
+    the page.
 
     As ``BodyMotion``, arrays as base64 of float32. Raises SceneError.
     """
@@ -98,11 +110,17 @@ def build_view_data(run: Run, views: int = 1) -> dict[str, Any] | None:
         return None
     return {
         "time": found.time.tolist(),
-        "shapes": [{"triangles": _encode_base64(triangles), "smooth": smooth} for triangles, smooth in found.shapes],
+        "shapes": [
+            {"triangles": _encode_base64(triangles), "smooth": smooth}
+            for triangles, smooth in found.shapes
+        ],
         "shape": found.shape,
         "position": _encode_base64(found.position),
         "orientation": _encode_base64(found.orientation),
-        "walls": [{"triangles": _encode_base64(triangles), "edges": edges} for triangles, edges in found.walls.values()],
+        "walls": [
+            {"triangles": _encode_base64(triangles), "edges": edges}
+            for triangles, edges in found.walls.values()
+        ],
         "wall_pose": _encode_base64(found.wall_pose),
         "box": found.box.tolist(),
         "fastest": found.fastest,
@@ -131,7 +149,10 @@ def view_walls(scene: Scene, times: np.ndarray, level: np.ndarray | None = None)
         "shape": list(range(len(surfaces))),
         "position": _encode_base64(np.zeros((len(times), 3 * len(surfaces)))),
         "orientation": _encode_base64(still if surfaces else np.zeros((len(times), 0))),
-        "walls": [{"triangles": _encode_base64(_plate_triangles(plates, whole)), "edges": whole} for plates in walls.values()],
+        "walls": [
+            {"triangles": _encode_base64(_plate_triangles(plates, whole)), "edges": whole}
+            for plates in walls.values()
+        ],
         "wall_pose": _encode_base64(_sample_wall_poses(list(walls), wall_pose, times)),
         "box": [points.min(axis=0).tolist(), points.max(axis=0).tolist()],
         "fastest": 0.0,
@@ -141,7 +162,10 @@ def view_walls(scene: Scene, times: np.ndarray, level: np.ndarray | None = None)
 def write_controls(names: Sequence[str]) -> str:
     """The canvas of the player and its controls as HTML. names: of the views that can be chosen."""
     runs = "".join(f'<option value="{k}">{escape(name)}</option>' for k, name in enumerate(names))
-    paces = "".join(f'<option value="{n}">{"real time" if n == 1 else f"{n} times slower"}</option>' for n in SLOWER)
+    paces = "".join(
+        f'<option value="{n}">{"real time" if n == 1 else f"{n} times slower"}</option>'
+        for n in SLOWER
+    )
     return f"""<div class="view"><canvas id="drop"></canvas><div class="controls">
 <button id="play">Play</button><input type="range" id="time" min="0" value="0" step="1" aria-label="instant">
 <output id="shown"></output><select id="pace" aria-label="pace">{paces}</select>
@@ -170,14 +194,18 @@ def write_player(title: str, view: dict[str, Any], more: str = "") -> str:
 def _sample_wall_poses(groups: Sequence[str], wall_pose: WallPose, times: np.ndarray) -> np.ndarray:
     """Origin and quaternion of each group at each time, [F, G, 7]; [1, G, 7] if nothing moves."""
     each = [[wall_pose(float(t))[group] for group in groups] for t in times]
-    poses = np.array([[np.r_[origin, matrix_to_quaternion(turn)] for turn, origin in row] for row in each])
+    poses = np.array(
+        [[np.r_[origin, matrix_to_quaternion(turn)] for turn, origin in row] for row in each]
+    )
     poses = poses.reshape(len(times), len(groups), 7)
     return poses[:1] if (poses == poses[:1]).all() else poses
 
 
 def _plate_triangles(plates: Sequence[BodyMesh], whole: bool) -> np.ndarray:
     """Triangles of the panels of a group, as plates or as the surfaces that are touched."""
-    return np.concatenate([_triangulate_faces(points, loops if whole else loops[:1]) for points, loops in plates])
+    return np.concatenate(
+        [_triangulate_faces(points, loops if whole else loops[:1]) for points, loops in plates]
+    )
 
 
 def _triangulate_faces(vertices: np.ndarray, faces: Sequence[Sequence[int]]) -> np.ndarray:

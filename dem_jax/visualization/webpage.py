@@ -1,4 +1,6 @@
-"""Pages that hold all that they show and load nothing: what is around their body, and pictures in them."""
+"""Pages that hold all that they show and load nothing: what is around their body, and pictures in
+them.
+"""
 
 import base64
 import io
@@ -22,9 +24,13 @@ def read_page_part(name: str) -> str:
 
 
 def fill_page(title: str, policy: str, body: str, **fields: str) -> str:
-    """The page as HTML text. policy: what it may have in it; body: a file of ``show/page``, filled in with the fields."""
+    """The page as HTML text. policy: what it may have in it; body: a file of ``show/page``, filled
+    in with the fields.
+    """
     filled = Template(read_page_part(body)).substitute(fields, title=escape(title))
-    return Template(read_page_part("page.html")).substitute(title=escape(title), policy=policy, style=read_page_part("report.css"), body=filled)
+    return Template(read_page_part("page.html")).substitute(
+        title=escape(title), policy=policy, style=read_page_part("report.css"), body=filled
+    )
 
 
 def write_html(path: Path, text: str) -> Path:

@@ -1,4 +1,6 @@
-"""Panels of walls in motion: their poses and velocities at a time, at the steps ahead, and on a load cell."""
+"""Panels of walls in motion: their poses and velocities at a time, at the steps ahead, and on a
+load cell.
+"""
 
 from typing import NamedTuple
 
@@ -64,27 +66,62 @@ def compute_wall_state(walls: Walls, t: Array, t_velocity: Array) -> WallState:
     x, y, z = (vector.unstack_vector(row) for row in walls.rotation)
     frame = (x, y, z)
     if not walls.motions:
-        rest, still = (vector.unstack_vector(jnp.zeros_like(a)) for a in (walls.centre, walls.pivot))
-        return _pack_wall_state(centre, frame, rest, rest, vector.unstack_vector(walls.pivot), still, still)
+        rest, still = (
+            vector.unstack_vector(jnp.zeros_like(a)) for a in (walls.centre, walls.pivot)
+        )
+        return _pack_wall_state(
+            centre, frame, rest, rest, vector.unstack_vector(walls.pivot), still, still
+        )
     moved = motion.compose_group_poses(walls, t, t_velocity)
-    of_group = jnp.stack([*(c for row in moved.turn for c in row), *walls.pivot, *moved.pivot, *moved.velocity, *moved.spin])
+    of_group = jnp.stack(
+        [
+            *(c for row in moved.turn for c in row),
+            *walls.pivot,
+            *moved.pivot,
+            *moved.velocity,
+            *moved.spin,
+        ]
+    )
     c = of_group[:, walls.group]  # one gather, group to panel
-    turn = (vector.unstack_vector(c[:3]), vector.unstack_vector(c[3:6]), vector.unstack_vector(c[6:9]))
+    turn = (
+        vector.unstack_vector(c[:3]),
+        vector.unstack_vector(c[3:6]),
+        vector.unstack_vector(c[6:9]),
+    )
     hinge, pivot_w, velocity, spin = (vector.unstack_vector(c[k : k + 3]) for k in (9, 12, 15, 18))
-    return _pack_wall_state(*_rotate_about_hinges(centre, frame, turn, hinge, pivot_w, velocity, spin), spin, *moved[1:])
+    return _pack_wall_state(
+        *_rotate_about_hinges(centre, frame, turn, hinge, pivot_w, velocity, spin), spin, *moved[1:]
+    )
 
 
 def _rotate_about_hinges(
-    centre: Vector, frame: Matrix, turn: Matrix, hinge: Vector, pivot: Vector, velocity: Vector, spin: Vector
+    centre: Vector,
+    frame: Matrix,
+    turn: Matrix,
+    hinge: Vector,
+    pivot: Vector,
+    velocity: Vector,
+    spin: Vector,
 ) -> tuple[Vector, Matrix, Vector]:
-    """Centres and frames of panels once they are turned about their hinges, which are then at their pivots, and the velocities of
-    the centres; velocity: of the pivots."""
+    """Centres and frames of panels once they are turned about their hinges, which are then at their
+    pivots, and the velocities of the centres; velocity: of the pivots.
+    """
     arm = vector.rotate(turn, vector.sub(centre, hinge))
-    return vector.add(pivot, arm), vector.matmul(turn, frame), vector.add(velocity, vector.cross(spin, arm))
+    return (
+        vector.add(pivot, arm),
+        vector.matmul(turn, frame),
+        vector.add(velocity, vector.cross(spin, arm)),
+    )
 
 
 def _pack_wall_state(
-    centre: Vector, frame: Matrix, velocity: Vector, spin: Vector, pivot: Vector, pivot_velocity: Vector, group_spin: Vector
+    centre: Vector,
+    frame: Matrix,
+    velocity: Vector,
+    spin: Vector,
+    pivot: Vector,
+    pivot_velocity: Vector,
+    group_spin: Vector,
 ) -> WallState:
     rows = [*centre, *velocity, *spin, *(c for row in frame for c in row)]
     return WallState(jnp.stack(rows), jnp.stack([*pivot, *pivot_velocity, *group_spin]))
@@ -103,7 +140,9 @@ def wall_state_at_rebuild(system: System, step: Array) -> WallState:
 
 
 class WallSchedule(NamedTuple):
-    """Where the panels are at a rebuild and until the next, as far as that is known ahead: ``look_up_wall_state`` of a load cell at rest."""
+    """Where the panels are at a rebuild and until the next, as far as that is known ahead:
+    ``look_up_wall_state`` of a load cell at rest.
+    """
 
     now: WallState
     after: WallState  # so many steps: arrays with a leading axis [count + 1], unless all walls rest
@@ -120,7 +159,9 @@ def precompute_wall_states(system: System, step: Array, count: int) -> WallSched
     past = jnp.arange(count + 1, dtype=jnp.int32)
     time = system.dt * (step + past).astype(system.dt.dtype)
     of_velocity = jnp.where(past > 0, time - 0.5 * system.dt, time)
-    after = jax.vmap(lambda t, t_velocity: compute_wall_state(system.walls, t, t_velocity))(time, of_velocity)
+    after = jax.vmap(lambda t, t_velocity: compute_wall_state(system.walls, t, t_velocity))(
+        time, of_velocity
+    )
     return WallSchedule(jax.tree.map(lambda rows: rows[0], after), after)
 
 
@@ -132,8 +173,10 @@ def look_up_wall_state(system: System, of: WallSchedule, steps: Array) -> WallSt
 
 
 def apply_compliance(system: System, state: State, panels: WallState) -> WallState:
-    """The panels where pieces have brought them to: flaps to where their drives let them be turned, what a load cell carries to
-    where it is let down to, at its speed. panels: as the scene's motions say, of a cell at rest."""
+    """The panels where pieces have brought them to: flaps to where their drives let them be turned,
+    what a load cell carries to where it is let down to, at its speed. panels: as the scene's
+    motions say, of a cell at rest.
+    """
     return _apply_load_cell(system, state.cell, _apply_flap_drive(system, state.drive, panels))
 
 
@@ -147,10 +190,16 @@ def _apply_flap_drive(system: System, now: FlapDriveMotion | None, panels: WallS
     added = vector.scale(rate, axis)
     turns = [c for row in quaternions.axis_angle_matrix(axis, lag) for c in row]
     c = jnp.stack([*turns, *panels.pivot, *panels.pivot_velocity, *added])[:, system.walls.group]
-    turn = (vector.unstack_vector(c[:3]), vector.unstack_vector(c[3:6]), vector.unstack_vector(c[6:9]))
+    turn = (
+        vector.unstack_vector(c[:3]),
+        vector.unstack_vector(c[3:6]),
+        vector.unstack_vector(c[6:9]),
+    )
     pivot, pivot_velocity, more = (vector.unstack_vector(c[k : k + 3]) for k in (9, 12, 15))
     spin, group_spin = vector.add(panels.spin, more), vector.add(panels.group_spin, added)
-    placed = _rotate_about_hinges(panels.centre, panels.rotation, turn, pivot, pivot, pivot_velocity, spin)
+    placed = _rotate_about_hinges(
+        panels.centre, panels.rotation, turn, pivot, pivot, pivot_velocity, spin
+    )
     turned = _pack_wall_state(*placed, spin, panels.pivot, panels.pivot_velocity, group_spin)
     is_driven = drive.is_driven[system.walls.group]
     return WallState(jnp.where(is_driven, turned.rows, panels.rows), turned.groups, panels.residual)
@@ -161,12 +210,14 @@ def _apply_load_cell(system: System, cell: LoadCellMotion | None, panels: WallSt
     carrier = system.walls.load_cell
     if carrier is None or cell is None:
         return panels
-    way, rate = (-each[0] for each in (cell.deflection, cell.velocity))  # of a system that is a single run
+    way, rate = (-each[0] for each in (cell.deflection, cell.velocity))  # of a system that is a
+    # single run
     height, shift = panels.rows[2], way * carrier.panels
     moved = height + shift
     none = jnp.zeros_like(height)
     return WallState(
         rows=panels.rows.at[2].set(moved).at[5].add(rate * carrier.panels),
         groups=panels.groups.at[2].add(way * carrier.groups).at[5].add(rate * carrier.groups),
-        residual=jnp.stack([none, none, shift - (moved - height)]),  # micrometres, against the 1e-8 m of single precision at 0.1 m
+        residual=jnp.stack([none, none, shift - (moved - height)]),  # micrometres, against the 1e-8
+        # m of single precision at 0.1 m
     )

@@ -1,6 +1,8 @@
-"""Filters that change while a portion is weighed: a low pass whose bandwidth falls, and a mean over a window that grows.
+"""Filters that change while a portion is weighed: a low pass whose bandwidth falls, and a mean over
+a window that grows.
 
-Each reading is computed from the one before, so that it does not matter where blocks of a stream end.
+Each reading is computed from the one before, so that it does not matter where blocks of a stream
+end.
 """
 
 from dataclasses import dataclass
@@ -8,14 +10,17 @@ from typing import Any
 
 import numpy as np
 
-THRESHOLD = 0.02  # kg that a reading exceeds at the first impact; the bucket that still rings after its flaps closed does not
+THRESHOLD = 0.02  # kg that a reading exceeds at the first impact; the bucket that still rings after
+# its flaps closed does not
 
 
 @dataclass(frozen=True)
 class FallingBandwidth:
-    """A low pass of first order whose bandwidth falls from the beginning of the signal, which is the trigger, on:
+    """A low pass of first order whose bandwidth falls from the beginning of the signal, which is
+    the trigger, on:
 
-        y_n = y_(n-1) + (1 - exp(-2 pi f_n / rate)) (x_n - y_(n-1)),    f_n = last + (first - last) exp(-t_n / time)
+        y_n = y_(n-1) + (1 - exp(-2 pi f_n / rate)) (x_n - y_(n-1)),    f_n = last + (first - last)
+        exp(-t_n / time)
 
     first, last: (Hz). time: (s). rate: readings per second.
     """
@@ -49,7 +54,8 @@ class FallingBandwidth:
 
 @dataclass(frozen=True)
 class GrowingWindow:
-    """The mean of all readings from a number of readings after the first impact on; before that the readings as they are.
+    """The mean of all readings from a number of readings after the first impact on; before that the
+    readings as they are.
 
     wait: readings. threshold: (kg) at which a reading is that of the first impact.
     """

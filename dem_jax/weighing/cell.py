@@ -1,9 +1,11 @@
-"""The load cell of a scale behind a force that is known: a mass on a spring and a damper on a base that may shake.
+"""The load cell of a scale behind a force that is known: a mass on a spring and a damper on a base
+that may shake.
 
     (m + p) (x'' + a) + c x' + k x = F,    reading = (k x + c x') / g
 
-m is the mass of the empty bucket, p the product that lies in it, a the acceleration of the base, F the force of the product. The
-scheme is that of ``dem_jax.dynamics.load_cell_oscillator``: velocity Verlet with the damper in the kick, exact in momentum and of second order.
+m is the mass of the empty bucket, p the product that lies in it, a the acceleration of the base, F
+the force of the product. The scheme is that of ``dem_jax.dynamics.load_cell_oscillator``: velocity
+Verlet with the damper in the kick, exact in momentum and of second order.
 """
 
 import json
@@ -48,7 +50,8 @@ class Cell(NamedTuple):
 
 
 def read_cell_file(path: str) -> LoadCell:
-    """The section of a load cell: "typical", a file of calibrate cell (.json), or a TOML file of its keys.
+    """The section of a load cell: "typical", a file of calibrate cell (.json), or a TOML file of
+    its keys.
 
     Raises SceneError, and RecordError for a file that is not one of calibrate cell.
     """
@@ -80,7 +83,11 @@ def build_cell(section: LoadCell) -> Cell:
 
 
 def simulate_cell(
-    weight: np.ndarray, rate: float, cell: Cell, load: np.ndarray | float = 0.0, gravity: float = STANDARD_GRAVITY
+    weight: np.ndarray,
+    rate: float,
+    cell: Cell,
+    load: np.ndarray | float = 0.0,
+    gravity: float = STANDARD_GRAVITY,
 ) -> np.ndarray:
     """The signal of a cell at rest at first, under a force on a held bucket.
 
@@ -105,8 +112,11 @@ def simulate_cell(
     return (interval_means(signal, parts) / gravity).reshape(values.shape)
 
 
-def integrate_cell(cell: Cell, push: np.ndarray, load: np.ndarray | float, step: float) -> np.ndarray:
-    """Force of spring and damper (N) at the edges of n steps, [K, n + 1], of a cell at rest at first.
+def integrate_cell(
+    cell: Cell, push: np.ndarray, load: np.ndarray | float, step: float
+) -> np.ndarray:
+    """Force of spring and damper (N) at the edges of n steps, [K, n + 1], of a cell at rest at
+    first.
 
     Args:
         cell: the load cell.
@@ -114,8 +124,12 @@ def integrate_cell(cell: Cell, push: np.ndarray, load: np.ndarray | float, step:
         load: [K, n + 1] or a number (kg), product that moves with the bucket.
         step: (s).
     """
-    column = lambda x: np.broadcast_to(np.reshape(np.asarray(x, np.float64), (-1, 1)), (len(push), 1)).T  # noqa: E731
-    mass = (column(cell.mass) + (np.asarray(load).T if np.ndim(load) else load)) + np.zeros(push.T.shape)
+    column = lambda x: (
+        np.broadcast_to(np.reshape(np.asarray(x, np.float64), (-1, 1)), (len(push), 1)).T
+    )
+    mass = (column(cell.mass) + (np.asarray(load).T if np.ndim(load) else load)) + np.zeros(
+        push.T.shape
+    )
     spring, damper = column(cell.stiffness)[0], column(cell.damping)[0]
     lag = 0.25 * step * damper / mass
     keep, gain = (1 - lag) / (1 + lag), 0.5 * step / mass / (1 + lag)
@@ -133,18 +147,24 @@ def integrate_cell(cell: Cell, push: np.ndarray, load: np.ndarray | float, step:
 
 
 def count_substeps(cell: Cell | None, rate: float, highest: float = 0.0) -> int:
-    """Steps for each interval of 1 / rate, for a cell and a highest frequency (Hz) of what shakes it."""
+    """Steps for each interval of 1 / rate, for a cell and a highest frequency (Hz) of what shakes
+    it.
+    """
     own = 0.0 if cell is None else STEPS_PER_PERIOD * float(np.max(cell.frequency))
     return max(1, int(np.ceil(max(own, 40.0 * highest) / rate)))
 
 
 def interval_means(edges: np.ndarray, parts: int) -> np.ndarray:
-    """Means over intervals of ``parts`` steps, [.., n], of values at the edges of the steps, [.., n parts + 1]."""
+    """Means over intervals of ``parts`` steps, [.., n], of values at the edges of the steps, [.., n
+    parts + 1].
+    """
     middle = 0.5 * (edges[..., 1:] + edges[..., :-1])
     return middle.reshape(*middle.shape[:-1], -1, parts).mean(axis=-1)
 
 
-def _load_at_edges(load: np.ndarray | float, shape: tuple[int, ...], parts: int) -> np.ndarray | float:
+def _load_at_edges(
+    load: np.ndarray | float, shape: tuple[int, ...], parts: int
+) -> np.ndarray | float:
     """Product at the edges of the steps, [K, n parts + 1], or the number that it is."""
     if np.ndim(load) == 0:
         return float(load)

@@ -1,7 +1,8 @@
-"""The signal chain of a scale: means over the intervals of its own rate, as a converter makes them, then a filter.
+"""The signal chain of a scale: means over the intervals of its own rate, as a converter makes them,
+then a filter.
 
-Streaming: ``start_chain`` makes a state, ``feed`` takes a block of samples and answers with the readings that it completes. However
-a trace is cut into blocks, the readings have the same bits.
+Streaming: ``start_chain`` makes a state, ``feed`` takes a block of samples and answers with the
+readings that it completes. However a trace is cut into blocks, the readings have the same bits.
 """
 
 from typing import NamedTuple
@@ -11,11 +12,14 @@ import numpy as np
 from dem_jax.weighing import filters
 from dem_jax.weighing.filters import Filter
 
-DIGITS = 6  # to which the end of a reading is rounded, in samples: 1 kHz of 30 us samples then ends with every hundredth
+DIGITS = 6  # to which the end of a reading is rounded, in samples: 1 kHz of 30 us samples then ends
+# with every hundredth
 
 
 class SignalChain(NamedTuple):
-    """samples: of the trace in a reading, at least 1, not always a whole number. filter: made for the rate of the readings."""
+    """samples: of the trace in a reading, at least 1, not always a whole number. filter: made for
+    the rate of the readings.
+    """
 
     samples: float
     filter: Filter
@@ -31,14 +35,17 @@ class ChainState(NamedTuple):
 
 
 def build_chain(sample: float, rate: float | None, text: str) -> SignalChain:
-    """The chain of traces of a sample time (s) with a rate (1/s), None: that of the samples, and a filter as in filters.ALLOWED.
+    """The chain of traces of a sample time (s) with a rate (1/s), None: that of the samples, and a
+    filter as in filters.ALLOWED.
 
     Raises ValueError.
     """
     most = 1 / sample
     rate = most if rate is None else rate
     if not 0 < rate <= most * (1 + 1e-9):
-        raise ValueError(f"rate = {rate:g}: allowed: above 0 and at most {most:g} per second, that of the samples")
+        raise ValueError(
+            f"rate = {rate:g}: allowed: above 0 and at most {most:g} per second, that of the samples"
+        )
     return SignalChain(max(1.0, most / rate), filters.parse_filter(text, rate))
 
 
@@ -61,11 +68,17 @@ def feed(of: SignalChain, state: ChainState, block: np.ndarray) -> tuple[ChainSt
     total = _add_samples(total, block[..., first:])
     found = np.concatenate(readings, axis=-1) if readings else block[..., :0]
     found, memory = filters.apply_filter(of.filter, state.memory, found)
-    return ChainState(state.sample_count + block.shape[-1], state.reading_count + len(readings), total, memory), found
+    return ChainState(
+        state.sample_count + block.shape[-1], state.reading_count + len(readings), total, memory
+    ), found
 
 
-def weigh_trace(of: SignalChain, time: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(time [m] (s), readings [.., m]) of a trace in one go; time: [T] (s), ends of its sample intervals; weight: [.., T]."""
+def weigh_trace(
+    of: SignalChain, time: np.ndarray, weight: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(time [m] (s), readings [.., m]) of a trace in one go; time: [T] (s), ends of its sample
+    intervals; weight: [.., T].
+    """
     readings = feed(of, start_chain(of, weight.shape[:-1]), weight)[1]
     sample = (time[-1] - time[0]) / max(1, len(time) - 1)
     ends = _reading_ends(of, 0, len(time))[1:]
@@ -73,7 +86,9 @@ def weigh_trace(of: SignalChain, time: np.ndarray, weight: np.ndarray) -> tuple[
 
 
 def _reading_ends(of: SignalChain, given: int, seen: int) -> np.ndarray:
-    """Where readings end, in samples from the beginning: that of the last one given, and of those that are complete by now."""
+    """Where readings end, in samples from the beginning: that of the last one given, and of those
+    that are complete by now.
+    """
     number = np.arange(given, max(given, int(seen / of.samples) + 1) + 1)
     ends = np.round(number * of.samples, DIGITS)
     return ends[(number == given) | (ends <= seen)]

@@ -7,16 +7,22 @@ import numpy as np
 
 QUANTILES = (0.5, 0.9, 0.99)
 TOLERANCES = (1e-4, 5e-4, 1e-3)  # kg
-HOLD = 0.05  # s that a reading must have stayed, for it not to be a swing that happens to cross the truth as the trace ends
+HOLD = 0.05  # s that a reading must have stayed, for it not to be a swing that happens to cross the
+# truth as the trace ends
 
 
 def time_to_weigh(
-    time: np.ndarray, readings: np.ndarray, truth: np.ndarray | float, tolerance: float, hold: float = 0.0
+    time: np.ndarray,
+    readings: np.ndarray,
+    truth: np.ndarray | float,
+    tolerance: float,
+    hold: float = 0.0,
 ) -> np.ndarray:
-    """The first time (s) from which on a reading stays within a tolerance of the truth, to the end of the trace, [..].
+    """The first time (s) from which on a reading stays within a tolerance of the truth, to the end
+    of the trace, [..].
 
-    time: [m] (s); readings: [.., m] and truth: [..], in the unit of the tolerance. nan: never, the last reading is off, or one less
-    than ``hold`` (s) before it, or the truth is not known (nan).
+    time: [m] (s); readings: [.., m] and truth: [..], in the unit of the tolerance. nan: never, the
+    last reading is off, or one less than ``hold`` (s) before it, or the truth is not known (nan).
     """
     off = ~(np.abs(readings - np.asarray(truth)[..., None]) <= tolerance)
     last = np.where(off.any(axis=-1), off.shape[-1] - 1 - np.argmax(off[..., ::-1], axis=-1), -1)
@@ -40,7 +46,9 @@ class WeighingTimes(NamedTuple):
 def find_weighing_times(
     time: np.ndarray, readings: np.ndarray, truth: np.ndarray, impact: np.ndarray, tolerance: float
 ) -> WeighingTimes:
-    """The times to weigh of drops, with ``HOLD``; impact: [K] (s), first impact; the rest as for ``time_to_weigh``."""
+    """The times to weigh of drops, with ``HOLD``; impact: [K] (s), first impact; the rest as for
+    ``time_to_weigh``.
+    """
     release = time_to_weigh(time, readings, truth, tolerance, HOLD)
     return WeighingTimes(release, release - impact)
 
@@ -51,7 +59,9 @@ def pool_weighing_times(parts: Sequence[WeighingTimes]) -> WeighingTimes:
 
 
 def find_quantile(times: np.ndarray, quantile: float) -> float:
-    """The smallest time by which a share of all drops is weighed; nan if fewer ever are (nan: never)."""
+    """The smallest time by which a share of all drops is weighed; nan if fewer ever are (nan:
+    never).
+    """
     ordered = np.sort(np.where(np.isnan(times), np.inf, times))
     found = ordered[int(np.ceil(quantile * len(ordered) - 1e-9)) - 1]
     return float(found) if np.isfinite(found) else float("nan")

@@ -1,9 +1,9 @@
 """The noise of a scale's signal, as a pure function of arrays, a rate and a seed.
 
-Vibration acts on the base of the cell and the closing flaps on the bucket, so that both reach the reading through the cell's own
-dynamics; electronics, tare and drift are added to the reading. A late release delays the trace before the converter samples it
-(``delay_releases``). The noise of run k of an ensemble depends on the seed and on k alone, and that of each source on no other
-source.
+Vibration acts on the base of the cell and the closing flaps on the bucket, so that both reach the
+reading through the cell's own dynamics; electronics, tare and drift are added to the reading. A
+late release delays the trace before the converter samples it (``delay_releases``). The noise of run
+k of an ensemble depends on the seed and on k alone, and that of each source on no other source.
 """
 
 from collections.abc import Sequence
@@ -20,7 +20,8 @@ TYPICAL = Noise()
 REFERENCE_RATE = 1000.0  # 1/s, of Noise.white
 RIGID_MASS = LoadCell().mass  # kg, of the bucket on a cell that does not give
 SOURCES = ("white", "floor", "band", "neighbours", "motors", "closing", "tare", "drift", "release")
-LEAD = 7.0  # time constants that the cell and the frame have shaken before the signal begins: e^-7 of their start is left
+LEAD = 7.0  # time constants that the cell and the frame have shaken before the signal begins: e^-7
+# of their start is left
 LONGEST_LEAD = 3.0  # s
 RUNS_AT_ONCE = 64  # runs, so that memory does not grow with their number
 
@@ -28,7 +29,9 @@ Seed = int | Sequence[int]
 
 
 def read_noise(choice: str) -> Noise | None:
-    """The noise that a choice names: "none", "typical", or a TOML file of its keys. Raises SceneError."""
+    """The noise that a choice names: "none", "typical", or a TOML file of its keys. Raises
+    SceneError.
+    """
     if choice == "none":
         return None
     return TYPICAL if choice == "typical" else load_section(choice, Noise, f"{SECTION}.noise")
@@ -70,19 +73,26 @@ def add_noise(
         product = float(load) if loads is None else loads[some]
         cells = cell and Cell(*(x if np.ndim(x) == 0 else np.ravel(x)[some] for x in cell))
         draw = _NoiseGenerators(seed, range(len(rows))[some])
-        found[some] = _add_noise_to_rows(rows[some], rate, noise, cells, draw, start, product, gravity)
+        found[some] = _add_noise_to_rows(
+            rows[some], rate, noise, cells, draw, start, product, gravity
+        )
     return found.reshape(values.shape)
 
 
 def draw_release_delays(noise: Noise | None, seed: Seed, count: int) -> np.ndarray:
-    """[count] (s) by which ``delay_releases`` has the release of each run come after the trigger; negative: before it."""
+    """[count] (s) by which ``delay_releases`` has the release of each run come after the trigger;
+    negative: before it.
+    """
     if noise is None or not noise.release_jitter:
         return np.zeros(count)
     return noise.release_jitter * _NoiseGenerators(seed, range(count)).draw_normal("release")[:, 0]
 
 
-def delay_releases(weight: np.ndarray, sample: float, noise: Noise | None, seed: Seed = 0) -> np.ndarray:
-    """Traces whose releases come late by the jitter of the noise, as a converter samples them afterwards.
+def delay_releases(
+    weight: np.ndarray, sample: float, noise: Noise | None, seed: Seed = 0
+) -> np.ndarray:
+    """Traces whose releases come late by the jitter of the noise, as a converter samples them
+    afterwards.
 
     Args:
         weight: [K, T], means over sample intervals.
@@ -92,7 +102,9 @@ def delay_releases(weight: np.ndarray, sample: float, noise: Noise | None, seed:
     """
     if noise is None or not noise.release_jitter:
         return weight
-    return delay_signal(np.asarray(weight, np.float64), draw_release_delays(noise, seed, len(weight)) / sample)
+    return delay_signal(
+        np.asarray(weight, np.float64), draw_release_delays(noise, seed, len(weight)) / sample
+    )
 
 
 class _NoiseGenerators:
@@ -125,7 +137,9 @@ def _add_noise_to_rows(
     count = rows.shape[-1]
     found = rows + vibration_force(count, rate, noise, cell, draw, start, load) / gravity
     if noise.white:
-        found = found + noise.white * np.sqrt(rate / REFERENCE_RATE) * draw.draw_normal("white", count)
+        found = found + noise.white * np.sqrt(rate / REFERENCE_RATE) * draw.draw_normal(
+            "white", count
+        )
     tare = noise.tare + (noise.tare_spread * draw.draw_normal("tare") if noise.tare_spread else 0.0)
     time = start + np.arange(1, count + 1) / rate
     drift = noise.drift * draw.draw_normal("drift") * time if noise.drift else 0.0
@@ -134,11 +148,13 @@ def _add_noise_to_rows(
 
 
 def delay_signal(rows: np.ndarray, samples: np.ndarray) -> np.ndarray:
-    """Means over the same intervals of signals [K, n] that come a number of samples [K] later (negative: earlier).
+    """Means over the same intervals of signals [K, n] that come a number of samples [K] later
+    (negative: earlier).
 
-    The integral of a signal is a cubic between the ends of its intervals, with the mean of both neighbours as its slope there, so
-    that a delay changes no integral, and a signal that is a parabola in time is delayed exactly. Before the first interval a signal
-    is as in the first, after the last as in the last.
+    The integral of a signal is a cubic between the ends of its intervals, with the mean of both
+    neighbours as its slope there, so that a delay changes no integral, and a signal that is a
+    parabola in time is delayed exactly. Before the first interval a signal is as in the first,
+    after the last as in the last.
     """
     count, delays = rows.shape[-1], np.ravel(samples)
     room = int(np.ceil(np.abs(delays).max())) + 2
@@ -160,12 +176,22 @@ def vibration_force(
     start: float = 0.0,
     load: np.ndarray | float = 0.0,
 ) -> np.ndarray | float:
-    """Means over the intervals of the force (N) that a cell shows because its base shakes and the flaps close, [K, n]."""
-    shakes = noise.floor_acceleration or noise.band_acceleration or noise.motor_acceleration * noise.motor_starts
+    """Means over the intervals of the force (N) that a cell shows because its base shakes and the
+    flaps close, [K, n].
+    """
+    shakes = (
+        noise.floor_acceleration
+        or noise.band_acceleration
+        or noise.motor_acceleration * noise.motor_starts
+    )
     shakes = shakes or noise.neighbour_acceleration * noise.neighbour_kicks
     if not shakes and not noise.closing_impulse:
         return 0.0
-    parts = count_substeps(cell, rate, max(noise.floor_frequency, noise.band[1], noise.frame_frequency, noise.motor_frequency))
+    parts = count_substeps(
+        cell,
+        rate,
+        max(noise.floor_frequency, noise.band[1], noise.frame_frequency, noise.motor_frequency),
+    )
     step = 1 / (rate * parts)
     lead = int(np.ceil(max(_lead_time(noise, cell), start - noise.closing_time) * rate))
     time = start - lead / rate + step * np.arange((lead + count) * parts + 1)
@@ -183,13 +209,21 @@ def base_acceleration(time: np.ndarray, noise: Noise, draw: _NoiseGenerators) ->
     """Acceleration (m/s2) of the base of the cell at equidistant times [n] (s), [K, n]."""
     total = np.zeros((len(draw.runs), len(time)))
     if noise.floor_acceleration:
-        total += noise.floor_acceleration * _sine_vibration(time, noise.floor_frequency, draw.list_generators("floor"))
+        total += noise.floor_acceleration * _sine_vibration(
+            time, noise.floor_frequency, draw.list_generators("floor")
+        )
     if noise.band_acceleration:
-        total += noise.band_acceleration * _band_vibration(time, noise.band, draw.list_generators("band"))
+        total += noise.band_acceleration * _band_vibration(
+            time, noise.band, draw.list_generators("band")
+        )
     if noise.neighbour_acceleration and noise.neighbour_kicks:
-        total += noise.neighbour_acceleration * _kick_vibration(time, noise, draw.list_generators("neighbours"))
+        total += noise.neighbour_acceleration * _kick_vibration(
+            time, noise, draw.list_generators("neighbours")
+        )
     if noise.motor_acceleration and noise.motor_starts:
-        total += noise.motor_acceleration * _motor_vibration(time, noise, draw.list_generators("motors"))
+        total += noise.motor_acceleration * _motor_vibration(
+            time, noise, draw.list_generators("motors")
+        )
     return total
 
 
@@ -211,13 +245,17 @@ def _closing_force(time: np.ndarray, noise: Noise, draw: _NoiseGenerators) -> np
     return force
 
 
-def _sine_vibration(time: np.ndarray, frequency: float, each: list[np.random.Generator]) -> np.ndarray:
+def _sine_vibration(
+    time: np.ndarray, frequency: float, each: list[np.random.Generator]
+) -> np.ndarray:
     """Sines of amplitude 1 and random phase."""
     phase = np.array([random.uniform(0, 2 * np.pi) for random in each])
     return np.sin(2 * np.pi * frequency * time + phase[:, None])
 
 
-def _band_vibration(time: np.ndarray, band: tuple[float, float], each: list[np.random.Generator]) -> np.ndarray:
+def _band_vibration(
+    time: np.ndarray, band: tuple[float, float], each: list[np.random.Generator]
+) -> np.ndarray:
     """Random signals of rms 1 whose density is equal over a band (Hz) and 0 outside."""
     count = len(time)
     frequency = np.fft.rfftfreq(count, time[1] - time[0])
@@ -242,7 +280,9 @@ def _kick_vibration(time: np.ndarray, noise: Noise, each: list[np.random.Generat
     swing = 2 * np.pi * noise.frame_frequency * step
     shrink = np.exp(-noise.frame_damping_ratio * swing)
     turn = swing * np.sqrt(1 - noise.frame_damping_ratio**2)
-    return signal.lfilter([0.0, shrink * np.sin(turn)], [1.0, -2 * shrink * np.cos(turn), shrink**2], kicks, axis=-1)
+    return signal.lfilter(
+        [0.0, shrink * np.sin(turn)], [1.0, -2 * shrink * np.cos(turn), shrink**2], kicks, axis=-1
+    )
 
 
 def _motor_vibration(time: np.ndarray, noise: Noise, each: list[np.random.Generator]) -> np.ndarray:
@@ -250,7 +290,11 @@ def _motor_vibration(time: np.ndarray, noise: Noise, each: list[np.random.Genera
     runs = np.zeros((len(each), len(time)), bool)
     for row, random in zip(runs, each, strict=True):
         span = time[-1] - time[0] + noise.motor_duration
-        begins = time[0] - noise.motor_duration + span * random.uniform(size=random.poisson(noise.motor_starts * span))
+        begins = (
+            time[0]
+            - noise.motor_duration
+            + span * random.uniform(size=random.poisson(noise.motor_starts * span))
+        )
         for begin in begins:
             row |= (time >= begin) & (time < begin + noise.motor_duration)
     return runs * _sine_vibration(time, noise.motor_frequency, each)

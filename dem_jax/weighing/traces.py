@@ -1,4 +1,6 @@
-"""What a scale feels, of a run or an ensemble, of files of these or of the Product Model: weight over time, and the truth."""
+"""What a scale feels, of a run or an ensemble, of files of these or of the Product Model: weight
+over time, and the truth.
+"""
 
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -22,9 +24,10 @@ CELL_KEYS = "weigh_bucket.load_cell."  # of a scene
 class WeightTrace(NamedTuple):
     """What a scale feels; ensembles have a leading axis of runs.
 
-    time: [T] (s) ends of the sample intervals. weight: [.., T] (kg), the force over g. truth: [..] (kg), mass that lies there in
-    the end. source: what the weight is of. product: [.., T] or a number (kg), mass that lies there over time. cell: the load
-    cell that the weight has gone through; None: none. noise: of the scene; None: none. gravity: (m/s2). impact: [..] (s) first
+    time: [T] (s) ends of the sample intervals. weight: [.., T] (kg), the force over g. truth: [..]
+    (kg), mass that lies there in the end. source: what the weight is of. product: [.., T] or a
+    number (kg), mass that lies there over time. cell: the load cell that the weight has gone
+    through; None: none. noise: of the scene; None: none. gravity: (m/s2). impact: [..] (s) first
     force of the product, nan: there is none; None: where the weight begins.
     """
 
@@ -55,16 +58,21 @@ def find_first_force(time: np.ndarray, force: np.ndarray) -> np.ndarray:
     return np.where(acts.any(axis=-1), time[np.argmax(acts, axis=-1)], np.nan)
 
 
-def extract_trace(run: Run, group: str | None = None, block: str | None = None, truth: float | None = None) -> WeightTrace:
-    """The signal of the run's load cell; without one, or with a group, the mean force on that or on all of the weigh bucket.
+def extract_trace(
+    run: Run, group: str | None = None, block: str | None = None, truth: float | None = None
+) -> WeightTrace:
+    """The signal of the run's load cell; without one, or with a group, the mean force on that or on
+    all of the weigh bucket.
 
-    block: whose settled mass at the end is the truth, by default the weigh bucket's or the first; truth (kg): instead of that.
-    Raises RecordError for a group or block that is not there.
+    block: whose settled mass at the end is the truth, by default the weigh bucket's or the first;
+    truth (kg): instead of that. Raises RecordError for a group or block that is not there.
     """
     series = getattr(run, "load_cell", {})
     section, cell = _find_load_cell(run)
     gravity = float(np.linalg.norm(run.header.gravity)) or STANDARD_GRAVITY
-    groups = [group] if group else [name for name in BUCKET if name in run.force] or list(run.force)[:1]
+    groups = (
+        [group] if group else [name for name in BUCKET if name in run.force] or list(run.force)[:1]
+    )
     force = np.sum([run.pif_kg(name) for name in groups], axis=0) if groups else None
     if group is None and "weight" in series:
         weight, source = _mean_signal(run, cell, gravity), "load cell"
@@ -72,21 +80,30 @@ def extract_trace(run: Run, group: str | None = None, block: str | None = None, 
         raise RecordError("there is no force to weigh: the run has no walls")
     else:
         weight, source, cell = force, f"force on {' and '.join(groups)}", None
-    known, product = _find_truth(run.settled_mass, block, truth, weight.shape[:-1]), _product_mass(run.settled_mass, block)
+    known, product = (
+        _find_truth(run.settled_mass, block, truth, weight.shape[:-1]),
+        _product_mass(run.settled_mass, block),
+    )
     noise = section.noise if section else None
     time = np.asarray(run.time)
     impact = None if force is None else find_first_force(time, force)
-    return _check_length(WeightTrace(time, weight, known, source, product, cell, noise, gravity, impact))
+    return _check_length(
+        WeightTrace(time, weight, known, source, product, cell, noise, gravity, impact)
+    )
 
 
 def _mean_signal(run: Run, cell: Cell | None, gravity: float) -> np.ndarray:
-    """[.., T] (kg) means of the cell's signal over the sample intervals, by the balance of momentum, k x + c x' = F - m x''; the
-    signal at their ends for a file without the force on the bucket."""
+    """[.., T] (kg) means of the cell's signal over the sample intervals, by the balance of
+    momentum, k x + c x' = F - m x''; the signal at their ends for a file without the force on the
+    bucket.
+    """
     signal = np.asarray(run.load_cell["weight"], np.float64)
     groups = [name for name in BUCKET if name in run.mean_force]
     if cell is None or not groups or "velocity" not in run.load_cell:
         return signal
-    force = -np.sum([np.asarray(run.mean_force[name], np.float64)[..., 2] for name in groups], axis=0)
+    force = -np.sum(
+        [np.asarray(run.mean_force[name], np.float64)[..., 2] for name in groups], axis=0
+    )
     velocity = np.asarray(run.load_cell["velocity"], np.float64)
     momentum = np.reshape(cell.mass, (-1,) + (1,) * (velocity.ndim > 1)) * velocity
     means = (force[..., 1:] - np.diff(momentum, axis=-1) / run.sample) / gravity
@@ -94,23 +111,32 @@ def _mean_signal(run: Run, cell: Cell | None, gravity: float) -> np.ndarray:
 
 
 def _find_load_cell(run: Run) -> tuple[LoadCell | None, Cell | None]:
-    """The section of the load cell in a run's scene, and the cell, whose values are [K] where the runs differ in it."""
+    """The section of the load cell in a run's scene, and the cell, whose values are [K] where the
+    runs differ in it.
+    """
     bucket = parse_scene(run.scene, "the file's scene").weigh_bucket
     section = bucket.load_cell if bucket else None
     if section is None:
         return None, None
-    given = {key.removeprefix(CELL_KEYS): values for key, values in run.info.get("parameters", {}).items()}
+    given = {
+        key.removeprefix(CELL_KEYS): values
+        for key, values in run.info.get("parameters", {}).items()
+    }
     changes = {key: values for key, values in given.items() if key in LoadCell.model_fields}
     if not changes:
         return section, build_cell(section)
-    rows = [section.model_copy(update=dict(zip(changes, row, strict=True))) for row in zip(*changes.values(), strict=True)]
+    rows = [
+        section.model_copy(update=dict(zip(changes, row, strict=True)))
+        for row in zip(*changes.values(), strict=True)
+    ]
     return section, Cell(*np.array([build_cell(row) for row in rows]).T)
 
 
 def load_trace(
     path: FileName, group: str | None = None, block: str | None = None, truth: float | None = None
 ) -> tuple[WeightTrace, Run | None]:
-    """The trace of a run, an ensemble or portions of the Product Model in a file, and the run or ensemble (None: there is none).
+    """The trace of a run, an ensemble or portions of the Product Model in a file, and the run or
+    ensemble (None: there is none).
 
     Raises RecordError, as ``extract_trace``.
     """
@@ -128,19 +154,27 @@ def _read_model_trace(file: "h5py.File", path: FileName, truth: float | None) ->
     """The trace of a file of product_model.save."""
     if missing := [name for name in ("time", "pif", f"settled_mass/{BLOCK}") if name not in file]:
         raise RecordError(f"{path} is damaged: it lacks {', '.join(missing)}")
-    time, weight, product = (np.asarray(file[name][()], np.float64) for name in ("time", "pif", f"settled_mass/{BLOCK}"))
+    time, weight, product = (
+        np.asarray(file[name][()], np.float64) for name in ("time", "pif", f"settled_mass/{BLOCK}")
+    )
     known = _find_truth({BLOCK: product}, None, truth, weight.shape[:-1])
     return _check_length(WeightTrace(time, weight, known, "Product Model", product))
 
 
-def _find_truth(masses: dict[str, np.ndarray], block: str | None, truth: float | None, lead: tuple[int, ...]) -> np.ndarray:
+def _find_truth(
+    masses: dict[str, np.ndarray], block: str | None, truth: float | None, lead: tuple[int, ...]
+) -> np.ndarray:
     """[..] (kg)"""
     if truth is not None:
         return np.full(lead, truth)
     name = _choose_block(masses, block)
     if name not in masses:
-        allowed = f"one of {', '.join(masses)}" if masses else "the mass itself, as there is no block"
-        raise RecordError(f"block = {block!r}: what the scale should show is not known; allowed: {allowed}")
+        allowed = (
+            f"one of {', '.join(masses)}" if masses else "the mass itself, as there is no block"
+        )
+        raise RecordError(
+            f"block = {block!r}: what the scale should show is not known; allowed: {allowed}"
+        )
     return np.asarray(masses[name], np.float64)[..., -1]
 
 

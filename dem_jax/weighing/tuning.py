@@ -1,4 +1,5 @@
-"""The best filter of each family of the trade for a set of drops: found on one half of them, judged by the other.
+"""The best filter of each family of the trade for a set of drops: found on one half of them, judged
+by the other.
 
 A drop counts by its time to weigh. The search minimises the 90 % quantile of it, since the first
 impact, over the drops of even number, then the median: a grid over the parameters of a family, then
@@ -15,7 +16,12 @@ from scipy import signal
 
 from dem_jax.weighing import filters
 from dem_jax.weighing.cell import Cell
-from dem_jax.weighing.settling import WeighingTimes, find_quantile, find_weighing_times, pool_weighing_times
+from dem_jax.weighing.settling import (
+    WeighingTimes,
+    find_quantile,
+    find_weighing_times,
+    pool_weighing_times,
+)
 
 GOAL_QUANTILE = 0.9  # the quantile that the search minimises
 REFINEMENT_LEVELS = 3  # finer grids about the best
@@ -31,8 +37,8 @@ DAMPING_RATIO = 0.02  # of a cell that is not known
 class Drops(NamedTuple):
     """Signals of K drops as a converter gives them.
 
-    time: [m] (s) ends of the intervals, since the release. signal: [K, m] (kg). truth: [K] (kg), nan:
-    not known. impact: [K] (s) first impact.
+    time: [m] (s) ends of the intervals, since the release. signal: [K, m] (kg). truth: [K] (kg),
+    nan: not known. impact: [K] (s) first impact.
     """
 
     time: np.ndarray
@@ -46,7 +52,9 @@ class Drops(NamedTuple):
 
 
 class SearchAxis(NamedTuple):
-    """A parameter of a family: values from low to high in equal ratios; for whole numbers the nearest."""
+    """A parameter of a family: values from low to high in equal ratios; for whole numbers the
+    nearest.
+    """
 
     low: float
     high: float
@@ -58,7 +66,9 @@ class SearchAxis(NamedTuple):
         return self._round_values(np.geomspace(self.low, self.high, self.points))
 
     def refine_grid(self, at: float, level: int) -> np.ndarray:
-        """Five values about one, within the limits; each level has a third of the spacing of the one before."""
+        """Five values about one, within the limits; each level has a third of the spacing of the
+        one before.
+        """
         ratio = (self.high / self.low) ** (REFINEMENT**-level / max(self.points - 1, 1))
         return self._round_values(np.clip(at * ratio ** np.arange(-2.0, 3.0), self.low, self.high))
 
@@ -76,8 +86,9 @@ class FilterFamily:
 
 
 class TunedFilter(NamedTuple):
-    """The best filter of a family. filter: its text. times: of the drops that judge. searched: of those
-    that it was found with."""
+    """The best filter of a family. filter: its text. times: of the drops that judge. searched: of
+    those that it was found with.
+    """
 
     family: str
     filter: str
@@ -109,7 +120,9 @@ def tune_filters(
         ValueError: too few drops, or a rate that is too low.
     """
     if not rate >= LEAST_RATE:
-        raise ValueError(f"rate = {rate:g}: allowed: at least {LEAST_RATE:g} per second, to tune filters")
+        raise ValueError(
+            f"rate = {rate:g}: allowed: at least {LEAST_RATE:g} per second, to tune filters"
+        )
     search, judge = split_drops(drops)
     portion = float(np.median(np.concatenate([each.truth for each in search])))
     duration = min(each.time[-1] for each in search)
@@ -129,18 +142,23 @@ def tune_filters(
 def judge_filter(text: str, drops: Sequence[Drops], rate: float, tolerance: float) -> TunedFilter:
     """A given filter, judged by the same drops as those that are tuned. Raises ValueError."""
     search, judge = split_drops(drops)
-    return TunedFilter("given", text, *(weigh_drops(text, some, rate, tolerance) for some in (judge, search)))
+    return TunedFilter(
+        "given", text, *(weigh_drops(text, some, rate, tolerance) for some in (judge, search))
+    )
 
 
 def split_drops(drops: Sequence[Drops]) -> tuple[list[Drops], list[Drops]]:
-    """Drops of even number over all parts, by which filters are searched, and those of odd number, which judge.
+    """Drops of even number over all parts, by which filters are searched, and those of odd number,
+    which judge.
 
     Raises ValueError for too few drops whose truth is known.
     """
     known = [each.take_drops(np.isfinite(each.truth) & np.isfinite(each.impact)) for each in drops]
     number = sum(len(each.truth) for each in known)
     if number < LEAST_DROPS:
-        raise ValueError(f"{number} drops whose truth is known: allowed: at least {LEAST_DROPS}, as half of them judge")
+        raise ValueError(
+            f"{number} drops whose truth is known: allowed: at least {LEAST_DROPS}, as half of them judge"
+        )
     halves: tuple[list[Drops], list[Drops]] = [], []
     first = 0
     for each in known:
@@ -151,19 +169,32 @@ def split_drops(drops: Sequence[Drops]) -> tuple[list[Drops], list[Drops]]:
 
 
 def weigh_drops(text: str, drops: Sequence[Drops], rate: float, tolerance: float) -> WeighingTimes:
-    """Times to weigh within a tolerance (kg) through a filter, of the drops of all parts. Raises ValueError."""
+    """Times to weigh within a tolerance (kg) through a filter, of the drops of all parts. Raises
+    ValueError.
+    """
     of = filters.parse_filter(text, rate)
-    return _find_pooled_times(drops, [filters.filter_signal(of, each.signal) for each in drops], tolerance)
+    return _find_pooled_times(
+        drops, [filters.filter_signal(of, each.signal) for each in drops], tolerance
+    )
 
 
 def list_families(
-    rate: float, duration: float, portion: float, frequency: float | None = None, damping_ratio: float = DAMPING_RATIO
+    rate: float,
+    duration: float,
+    portion: float,
+    frequency: float | None = None,
+    damping_ratio: float = DAMPING_RATIO,
 ) -> list[FilterFamily]:
-    """The families for signals of a rate (1/s), a duration (s) and a typical weight (kg), of a load cell of a frequency (Hz)
-    and a damping ratio; frequency None: not known."""
+    """The families for signals of a rate (1/s), a duration (s) and a typical weight (kg), of a load
+    cell of a frequency (Hz) and a damping ratio; frequency None: not known.
+    """
     longest, highest = max(3.0, rate * duration / 2), rate / 3  # readings; Hz
     pass_band = SearchAxis(0.5, min(60.0, highest), 24)
-    cell = SearchAxis(*UNKNOWN_CELL, 12) if frequency is None else SearchAxis(SOFTER * frequency, STIFFER * frequency, 7)
+    cell = (
+        SearchAxis(*UNKNOWN_CELL, 12)
+        if frequency is None
+        else SearchAxis(SOFTER * frequency, STIFFER * frequency, 7)
+    )
     cell = cell._replace(low=min(cell.low, highest / 2), high=min(cell.high, highest))
     width = SearchAxis(min(2.0, highest / 4), min(40.0, highest), 5)
     impulses, threshold = SearchAxis(2, 4, 3, True), SearchAxis(0.1 * portion, 0.5 * portion, 3)
@@ -183,14 +214,36 @@ def list_families(
     return [
         FilterFamily("average", (window_axis(160),), average_text),
         FilterFamily("two averages", (window_axis(20), window_axis(20)), average_text),
-        FilterFamily("three averages", (window_axis(9), window_axis(9), window_axis(9)), average_text),
-        FilterFamily("Bessel", (SearchAxis(1, 8, 8, True), pass_band), lambda order, f: f"bessel:{order:.0f}:{f:.4g}"),
-        FilterFamily("FIR", (SearchAxis(10, max(20.0, longest), 14, True), pass_band), lambda taps, f: f"fir:{taps:.0f}:{f:.4g}"),
-        FilterFamily("notch and average", (cell, width, window_axis(10)), lambda f, w, n: f"notch:{f:.4g}:{w:.4g}+{average_text(n)}"),
-        FilterFamily("shaper and average", (cell, impulses, window_axis(14)), lambda f, n, m: f"{shaper_text(f, n)}+{average_text(m)}"),
+        FilterFamily(
+            "three averages", (window_axis(9), window_axis(9), window_axis(9)), average_text
+        ),
+        FilterFamily(
+            "Bessel",
+            (SearchAxis(1, 8, 8, True), pass_band),
+            lambda order, f: f"bessel:{order:.0f}:{f:.4g}",
+        ),
+        FilterFamily(
+            "FIR",
+            (SearchAxis(10, max(20.0, longest), 14, True), pass_band),
+            lambda taps, f: f"fir:{taps:.0f}:{f:.4g}",
+        ),
+        FilterFamily(
+            "notch and average",
+            (cell, width, window_axis(10)),
+            lambda f, w, n: f"notch:{f:.4g}:{w:.4g}+{average_text(n)}",
+        ),
+        FilterFamily(
+            "shaper and average",
+            (cell, impulses, window_axis(14)),
+            lambda f, n, m: f"{shaper_text(f, n)}+{average_text(m)}",
+        ),
         FilterFamily(
             "variable low pass",
-            (SearchAxis(5.0, min(100.0, highest), 7), SearchAxis(0.2, 5.0, 7), SearchAxis(0.02, max(duration, 0.04), 7)),
+            (
+                SearchAxis(5.0, min(100.0, highest), 7),
+                SearchAxis(0.2, 5.0, 7),
+                SearchAxis(0.02, max(duration, 0.04), 7),
+            ),
             lambda first, last, time: f"variable:{first:.4g}:{last:.4g}:{time:.4g}",
         ),
         FilterFamily("growing window", (window_axis(24, 1), threshold), growing_text),
@@ -202,7 +255,9 @@ def list_families(
     ]
 
 
-def _search_family(family: FilterFamily, drops: Sequence[Drops], rate: float, tolerance: float) -> str:
+def _search_family(
+    family: FilterFamily, drops: Sequence[Drops], rate: float, tolerance: float
+) -> str:
     """The text of the family's best filter."""
     known = dict[str, tuple[tuple[float, float], tuple[float, ...]]]()  # score and values of each
     grids = [[axis.grid_values() for axis in family.axes]]
@@ -213,12 +268,17 @@ def _search_family(family: FilterFamily, drops: Sequence[Drops], rate: float, to
                 times = _find_pooled_times(drops, _filter_roughly(text, drops, rate), tolerance)
                 known[text] = _score_times(times), values
         best = sorted(known.values())[:BRANCHES]
-        grids = [[axis.refine_grid(at, level) for axis, at in zip(family.axes, values, strict=True)] for _, values in best]
+        grids = [
+            [axis.refine_grid(at, level) for axis, at in zip(family.axes, values, strict=True)]
+            for _, values in best
+        ]
     return min(known, key=known.__getitem__)
 
 
 def _filter_roughly(text: str, drops: Sequence[Drops], rate: float) -> list[np.ndarray]:
-    """Readings of each part through a filter, up to rounding: long windows by fast Fourier transforms."""
+    """Readings of each part through a filter, up to rounding: long windows by fast Fourier
+    transforms.
+    """
     readings = [each.signal for each in drops]
     for section in filters.parse_filter(text, rate).sections:
         readings = [_filter_by_section(section, values) for values in readings]
@@ -231,15 +291,27 @@ def _filter_by_section(section: filters.Section, values: np.ndarray) -> np.ndarr
     return filters.filter_signal(filters.Filter("", (section,)), values)
 
 
-def _find_pooled_times(drops: Sequence[Drops], readings: Sequence[np.ndarray], tolerance: float) -> WeighingTimes:
+def _find_pooled_times(
+    drops: Sequence[Drops], readings: Sequence[np.ndarray], tolerance: float
+) -> WeighingTimes:
     """Times to weigh of the drops of all parts, from their readings."""
     parts = zip(drops, readings, strict=True)
-    return pool_weighing_times([find_weighing_times(each.time, values, each.truth, each.impact, tolerance) for each, values in parts])
+    return pool_weighing_times(
+        [
+            find_weighing_times(each.time, values, each.truth, each.impact, tolerance)
+            for each, values in parts
+        ]
+    )
 
 
 def _score_times(times: WeighingTimes) -> tuple[float, float]:
-    """The numbers that the search minimises: the 90 % quantile since the first impact, or where fewer are weighed a large number
-    that grows with the share of those that never are; then the median."""
+    """The numbers that the search minimises: the 90 % quantile since the first impact, or where
+    fewer are weighed a large number that grows with the share of those that never are; then the
+    median.
+    """
     goal, median = (find_quantile(times.impact, q) for q in (GOAL_QUANTILE, 0.5))
     never = times.never_count / len(times.impact)
-    return (goal if np.isfinite(goal) else 1e6 * (1 + never), median if np.isfinite(median) else 1e6)
+    return (
+        goal if np.isfinite(goal) else 1e6 * (1 + never),
+        median if np.isfinite(median) else 1e6,
+    )

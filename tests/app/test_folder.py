@@ -1,4 +1,6 @@
-"""The folder of the app: no path leads out of it, no file is overwritten, no upload is of another kind."""
+"""The folder of the app: no path leads out of it, no file is overwritten, no upload is of another
+kind.
+"""
 
 import os
 import struct

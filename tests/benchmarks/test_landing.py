@@ -29,7 +29,10 @@ def test_the_spheres_of_a_drop_lie_apart_and_inside():
     case = landing.drop(4, 0.5, 0.3, 0.3)
     between = np.linalg.norm(case.position[:, None] - case.position[None], axis=-1) + np.eye(64)
     assert between.min() > 2 * landing.RADIUS
-    assert np.abs(case.position[:, :2]).max() < case.half_width - landing.RADIUS and case.position[:, 2].max() < case.height
+    assert (
+        np.abs(case.position[:, :2]).max() < case.half_width - landing.RADIUS
+        and case.position[:, 2].max() < case.height
+    )
 
 
 def test_without_liggghts_it_says_so(monkeypatch, capsys):

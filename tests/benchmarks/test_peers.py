@@ -15,13 +15,16 @@ from dem_jax.math.pose import quaternion_to_matrix
 
 ECHO = "from benchmarks.peers.child import serve; serve(lambda steps: sum(range(20000 * steps)))"
 
-TOLD = "print(open(input().split()[1]).read());" + ECHO  # reads the script that it is to include, and answers at length
+TOLD = "print(open(input().split()[1]).read());" + ECHO  # reads the script that it is to include,
+# and answers at length
 
 
 @pytest.fixture
 def box():
     shape, width = "chamfered-cuboid", packing.width_of("chamfered-cuboid", 8)
-    return packing.Packing(shape, width, *packing.lattice(shape, 8, width, np.random.default_rng(0)))
+    return packing.Packing(
+        shape, width, *packing.lattice(shape, 8, width, np.random.default_rng(0))
+    )
 
 
 def test_the_piece_is_the_marshmallow():
@@ -30,11 +33,16 @@ def test_the_piece_is_the_marshmallow():
     assert ConvexHull(corners).volume == pytest.approx(19440e-9, rel=1e-12)
     assert packing.MASS == pytest.approx(packing.DENSITY * 19440e-9, rel=1e-12)
     assert 4 / 3 * np.pi * packing.RADIUS**3 == pytest.approx(19440e-9, rel=1e-12)
-    assert 2 * np.linalg.norm(corners, axis=1).max() == pytest.approx(packing.BOUNDING["chamfered-cuboid"], abs=5e-6)
+    assert 2 * np.linalg.norm(corners, axis=1).max() == pytest.approx(
+        packing.BOUNDING["chamfered-cuboid"], abs=5e-6
+    )
 
 
 def test_loose_pieces_are_in_the_box_and_apart(box):
-    turned = np.einsum("nij,vj->nvi", quaternion_to_matrix(box.orientation), packing.vertices()) + box.position[:, None]
+    turned = (
+        np.einsum("nij,vj->nvi", quaternion_to_matrix(box.orientation), packing.vertices())
+        + box.position[:, None]
+    )
     assert np.abs(turned[..., :2]).max() < 0.5 * box.width
     assert turned[..., 2].min() > 0
     np.testing.assert_allclose(np.linalg.norm(box.orientation, axis=1), 1, rtol=1e-12)
@@ -78,7 +86,8 @@ def test_a_child_runs_when_told_and_says_why_it_stopped(monkeypatch, tmp_path):
         child.run(1)
         wall, busy = child.run(200)
         assert 0 < busy <= 1.1 * wall  # one thread; the two clocks are not read at the same instant
-    with Child([sys.executable, "-c", TOLD], "x\n" * 100_000, tmp_path) as child:  # longer than a pipe holds
+    with Child([sys.executable, "-c", TOLD], "x\n" * 100_000, tmp_path) as child:  # longer than a
+        # pipe holds
         child.run(1)
     with Child([sys.executable, "-c", "raise RuntimeError('no walls')"]) as child:
         with pytest.raises(Stopped, match="RuntimeError: no walls"):
@@ -110,7 +119,9 @@ def test_slow_programs_run_with_many_pieces_only_if_asked(monkeypatch):
     for program in (peers.liggghts, peers.lammps, peers.yade):
         monkeypatch.setattr(program, "version", lambda: "1")
     monkeypatch.setattr(peers.mujoco, "version", lambda python: "1")
-    largest = lambda patient: {(p.name, p.shape): max(p.sizes) for p in peers.peers(sys.executable, patient)[0]}  # noqa: E731
+    largest = lambda patient: {
+        (p.name, p.shape): max(p.sizes) for p in peers.peers(sys.executable, patient)[0]
+    }
     usual, patient = largest(False), largest(True)
     slow = {(name, peers.PIECE) for name in ("YADE", "LAMMPS bodies", "MuJoCo")}
     assert {row for row in usual if usual[row] < patient[row]} == slow
@@ -123,7 +134,10 @@ def test_many_loose_pieces_are_in_the_box_and_apart(shape, count):
     width = packing.width_of(shape, count)
     position, _ = packing.lattice(shape, count, width, np.random.default_rng(0))
     if shape == "sphere":
-        assert np.abs(position[:, :2]).max() + packing.RADIUS < 0.5 * width and position[:, 2].min() > packing.RADIUS
+        assert (
+            np.abs(position[:, :2]).max() + packing.RADIUS < 0.5 * width
+            and position[:, 2].min() > packing.RADIUS
+        )
         near = cKDTree(position).query(position, k=2)[0][:, 1]
         assert near.min() > 2 * packing.RADIUS
     else:  # turning about any axis, a piece stays in its column

@@ -15,7 +15,9 @@ def rows(power):
 
 
 def test_exponent_of_a_power_law():
-    assert scaling.exponent(rows(1.25), lambda row: row["times"][0]) == pytest.approx(1.25, rel=1e-12)
+    assert scaling.exponent(rows(1.25), lambda row: row["times"][0]) == pytest.approx(
+        1.25, rel=1e-12
+    )
 
 
 def test_growth_in_words_and_in_the_table():
@@ -42,7 +44,9 @@ def test_whole_drops_in_the_table():
 
 
 def test_a_first_ensemble_in_the_table():
-    cells = scaling.first_cells({"runs": 1000, "times": [70.0], "compile": 20.0, "each": 0.5, "dt": 5e-6})
+    cells = scaling.first_cells(
+        {"runs": 1000, "times": [70.0], "compile": 20.0, "each": 0.5, "dt": 5e-6}
+    )
     assert cells == (1000, "70.0", "20.0", "0.50", "0.5") and len(cells) == len(scaling.FIRST_HEAD)
 
 
@@ -59,6 +63,8 @@ def test_rows_of_a_gpu_keep_the_times_of_their_first_compiling(monkeypatch):
 
     monkeypatch.setattr(scaling, "measured", measured)
     rows = scaling.rows_of_gpu([10], quick=True)
-    assert [row["times"] for row in rows["size"]] == [[1.0]] * 2 and [row["compile"] for row in rows["size"]] == [20.0] * 2
+    assert [row["times"] for row in rows["size"]] == [[1.0]] * 2 and [
+        row["compile"] for row in rows["size"]
+    ] == [20.0] * 2
     assert rows["members"] == [{"failed": "members 64"}, {"times": [1.0], "compile": 20.0}]
     assert len(calls) == 2 * len(set(calls)) == 8

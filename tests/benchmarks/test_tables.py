@@ -1,4 +1,6 @@
-"""What the benchmarks make of their measurements: tables, fronts, statistics, and that one that fails does not stop the rest."""
+"""What the benchmarks make of their measurements: tables, fronts, statistics, and that one that
+fails does not stop the rest.
+"""
 
 import subprocess
 
@@ -36,7 +38,8 @@ def test_errors_are_relative():
 
 
 def test_difference_of_drops_has_the_standard_error_of_two_means():
-    # Means 1.1 and 1.0, variances 0.02 and 0, two seeds each: sqrt(0.02 / 2) = 0.1. One drop that never settled is left out.
+    # Means 1.1 and 1.0, variances 0.02 and 0, two seeds each: sqrt(0.02 / 2) = 0.1. One drop that
+    # never settled is left out.
     same = np.array([1.0, 1.0])
     one = accuracy.Drops(np.array([1.0, 1.2]), same, np.array([1.0, 1.2, np.nan]), 1.0)
     off, error = one.against(accuracy.Drops(same, same, same, 1.0))

@@ -9,6 +9,8 @@ TRUTH = {"dt_impact": 500e-6, "gamma_low": 0.02, "gamma_high": 0.06, "h_mean": 0
 
 
 def traces(count=16, pieces=16, seed=100, **changes):
-    params = parameters(pieces=pieces, m_piece=0.05 / pieces, sample=6e-5, duration=0.42, **(TRUTH | changes))
+    params = parameters(
+        pieces=pieces, m_piece=0.05 / pieces, sample=6e-5, duration=0.42, **(TRUTH | changes)
+    )
     made = ensemble(params, seed, count)
     return [target(made.time, np.asarray(force), 0.05 / pieces, pieces) for force in made.force]

@@ -18,7 +18,9 @@ def arrays(theta):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_derivatives_equal_central_differences(name):
-    """At a relative step of 1e-7: the distances are sums of |x - y|, with no kink within the step here."""
+    """At a relative step of 1e-7: the distances are sums of |x - y|, with no kink within the step
+    here.
+    """
     data = traces()
     measured, draws = measure_summaries(data), draw_random_numbers(data, 64, 0)
     block = (
@@ -29,7 +31,9 @@ def test_derivatives_equal_central_differences(name):
     run = jax.jit(lambda value: block(arrays(TRUTH) | {name: value}))
     value = jnp.asarray(1.01 * TRUTH[name])
     slope, h = float(jax.grad(run)(value)), 1e-7 * float(value)
-    assert slope == pytest.approx((float(run(value + h)) - float(run(value - h))) / (2 * h), rel=1e-4)
+    assert slope == pytest.approx(
+        (float(run(value + h)) - float(run(value - h))) / (2 * h), rel=1e-4
+    )
     assert slope != 0.0
 
 
@@ -48,7 +52,9 @@ def test_gradients_are_finite_in_every_corner(corner, count, pieces):
     measured, draws = measure_summaries(data), draw_random_numbers(data, 16, 0)
 
     def loss(theta):
-        return jnp.sum(moment_distances(theta, draws, measured)) + increment_distance(theta, draws, measured, 8)
+        return jnp.sum(moment_distances(theta, draws, measured)) + increment_distance(
+            theta, draws, measured, 8
+        )
 
     slopes = jax.jit(jax.grad(loss))(arrays(TRUTH | CORNERS[corner]))
     assert all(np.isfinite(float(slope)) for slope in slopes.values())
@@ -56,7 +62,7 @@ def test_gradients_are_finite_in_every_corner(corner, count, pieces):
 
 @pytest.mark.parametrize(("least", "found"), [(0.3, 0.3), (-1.7, -1.7), (5.0, 2.0), (-5.0, -2.0)])
 def test_halving_finds_the_least_value_or_the_end_of_the_interval(least, found):
-    slope = lambda x: jnp.tanh(x - least)  # noqa: E731
+    slope = lambda x: jnp.tanh(x - least)
     assert float(bisect_slope(slope, jnp.asarray(0.0), 2.0)) == pytest.approx(found, abs=FINEST)
 
 
@@ -69,13 +75,17 @@ def test_coordinates_go_there_and_back(free):
 
 @pytest.mark.long
 def test_one_joint_distance_leaves_gamma_high_where_it_started():
-    """The blocks find gamma_high from wherever they start; the joint distance of all summaries stays near its start."""
+    """The blocks find gamma_high from wherever they start; the joint distance of all summaries
+    stays near its start.
+    """
     data = traces(64, 64)
     measured, draws = measure_summaries(data), draw_random_numbers(data, 256, 1)
     ends = {"blocks": [], "joint": []}
     for factor in (0.7, 1.6):
         start = arrays(TRUTH | {"gamma_high": 0.06 * factor})
-        solved = solve_starts({name: value[None] for name, value in start.items()}, draws, measured, NAMES, 64)
+        solved = solve_starts(
+            {name: value[None] for name, value in start.items()}, draws, measured, NAMES, 64
+        )
         ends["blocks"].append(float(solved.theta["gamma_high"][0]))
         ends["joint"].append(float(solve_joint(start, draws, measured, NAMES, 64)["gamma_high"]))
     apart = {name: abs(high - low) / 0.06 for name, (low, high) in ends.items()}

@@ -1,4 +1,6 @@
-"""The Product Model from signals of a scale: the load cell's response, the fit, and what is refused."""
+"""The Product Model from signals of a scale: the load cell's response, the fit, and what is
+refused.
+"""
 
 import json
 import re
@@ -33,7 +35,9 @@ def local_numbers(falls, release=0.0, tare=0.0, level=0.0, rate=0.0, weight=None
 
 def readings_of(local, is_mean=1.0, edges=EDGES, shared=SHARED):
     count = len(local) - 5
-    return np.asarray(respond(shared, np.asarray(local), np.full(count, 1 / count), edges, np.asarray(is_mean)))
+    return np.asarray(
+        respond(shared, np.asarray(local), np.full(count, 1 / count), edges, np.asarray(is_mean))
+    )
 
 
 def portions(count, seed=0, noise=1e-4):
@@ -46,7 +50,11 @@ def portions(count, seed=0, noise=1e-4):
         each = 0.2 + sigma * random.standard_normal(pieces)
         release = 2e-3 * random.standard_normal()
         values = readings_of(local_numbers(np.sqrt(2 * each / GRAVITY), release, tare=0.0127))
-        signals.append(ScaleSignal(f"portion {number}", values + noise * random.standard_normal(len(values)), 1e-3))
+        signals.append(
+            ScaleSignal(
+                f"portion {number}", values + noise * random.standard_normal(len(values)), 1e-3
+            )
+        )
         heights.append(each)
     return signals, heights
 
@@ -58,13 +66,17 @@ def fitted():
 
 
 def test_the_response_is_that_of_the_equation_of_motion():
-    """dem_jax integrates a cell whose mass grows in steps of 10 us: second order; the force in a step is its mean."""
+    """dem_jax integrates a cell whose mass grows in steps of 10 us: second order; the force in a
+    step is its mean.
+    """
     falls = np.array([0.19, 0.2, 0.2007])
     rate = 1e5
     fine = np.arange(-0.15 * rate, 0.3 * rate + 1) / rate
     impulse, load = np.zeros(len(fine)), np.zeros(len(fine) - 1)
     for fall in falls:
-        impulse += M_PIECE * (fall / PULSE * np.clip(fine - fall, 0, PULSE) + np.clip(fine - fall - PULSE, 0, None))
+        impulse += M_PIECE * (
+            fall / PULSE * np.clip(fine - fall, 0, PULSE) + np.clip(fine - fall - PULSE, 0, None)
+        )
         load += M_PIECE * (fine[1:] > fall + PULSE)
     stiffness = (2 * np.pi * FREQUENCY) ** 2 * CELL_MASS
     cell = Cell(CELL_MASS, stiffness, 2 * DAMPING * np.sqrt(stiffness * CELL_MASS))
@@ -81,14 +93,17 @@ def test_readings_are_values_or_means_of_the_same_signal():
     fine = np.linspace(EDGES[0], EDGES[-1], 20 * (len(EDGES) - 1) + 1)
     values = np.append(np.nan, readings_of(local, 0.0, fine))
     np.testing.assert_allclose(readings_of(local, 0.0), values[20::20], rtol=0, atol=1e-12)
-    trapezoids = interval_means(np.nan_to_num(values, nan=0.03 - 2 * DAMPING / np.exp(SHARED[0])), 20)
+    trapezoids = interval_means(
+        np.nan_to_num(values, nan=0.03 - 2 * DAMPING / np.exp(SHARED[0])), 20
+    )
     assert (
         np.abs(readings_of(local, 1.0) - trapezoids).max() < 1e-3
     )  # of 1 kg: trapezoids of 50 us, 45 Hz, and kinks of the force
 
 
 def test_momentum_is_conserved():
-    """The integral of the reading is the weight times the time since the release once the ringing is over.
+    """The integral of the reading is the weight times the time since the release once the ringing
+    is over.
 
     Less the weight during the pulse, which eq. 13 leaves out. On a bucket of infinite mass exactly;
     else pieces join a bucket that moves, which takes their share of its momentum.
@@ -101,13 +116,16 @@ def test_momentum_is_conserved():
 
 
 def test_moments_of_impact_follow_from_momentum():
-    """N(t) = impulse / (m (t - release)): within a sample, also of pieces that land in the same sample."""
+    """N(t) = impulse / (m (t - release)): within a sample, also of pieces that land in the same
+    sample.
+    """
     falls = np.array([0.18, 0.1803, 0.19, 0.2, 0.2003, 0.23])
     local = local_numbers(falls, release=0.004)
     cell = CellGuess.of(FREQUENCY, DAMPING, CELL_MASS)
     time = EDGES[1:] - 0.18
     release, middles = guess_portion(time, readings_of(local), 6, local[4], cell)
-    assert release + 0.18 == pytest.approx(0.004, abs=2e-3)  # 1 % of the fall: pieces join a moving bucket
+    assert release + 0.18 == pytest.approx(0.004, abs=2e-3)  # 1 % of the fall: pieces join a moving
+    # bucket
     np.testing.assert_allclose(middles + 0.18 + 0.0005, local[5:], rtol=0, atol=2e-3)
 
 
@@ -118,7 +136,8 @@ def test_the_tare_is_read_after_the_kick_of_the_closing_flaps():
     values = 0.0127 + 0.03 * np.where(time > -0.15, rings, 0.0)[None]
     first, tare = find_quiet(time, values, cell)
     assert time[first] >= -0.15
-    assert tare == pytest.approx([0.0127], abs=2e-5)  # the damped frequency differs by DAMPING^2 / 2
+    assert tare == pytest.approx([0.0127], abs=2e-5)  # the damped frequency differs by DAMPING^2 /
+    # 2
 
 
 def test_the_parameters_are_found(fitted):
@@ -132,8 +151,11 @@ def test_the_parameters_are_found(fitted):
     assert row["value"] == pytest.approx(PULSE, rel=0.01)
     assert 0 < row["high"] - row["low"] < 0.02 * PULSE
     found = np.concatenate([row["heights"] for row in result.portions])
-    assert np.abs(found - np.concatenate([np.sort(each) for each in heights])).max() < 1e-3  # m: 0.5 ms at 2 m/s
-    assert result.parameters["h_mean"]["value"] == pytest.approx(np.concatenate(heights).mean(), abs=1e-3)
+    # m: 0.5 ms at 2 m/s
+    assert np.abs(found - np.concatenate([np.sort(each) for each in heights])).max() < 1e-3
+    assert result.parameters["h_mean"]["value"] == pytest.approx(
+        np.concatenate(heights).mean(), abs=1e-3
+    )
     assert result.residual["landing"] == pytest.approx(1e-4, rel=0.1)
     assert not result.absurd and not result.warnings
     assert [row["tare"] for row in result.portions] == pytest.approx([0.0127] * 8, abs=1e-4)
@@ -142,7 +164,9 @@ def test_the_parameters_are_found(fitted):
 def test_a_cell_that_is_wrong_at_first_is_corrected(fitted):
     signals, _ = portions(8)
     result, _ = fit_signals(signals, M_PIECE, cell=CellGuess.of(43.5, 0.05, 2.0))
-    assert result.cell["natural_frequency"] == pytest.approx(fitted[0].cell["natural_frequency"], rel=1e-5)
+    assert result.cell["natural_frequency"] == pytest.approx(
+        fitted[0].cell["natural_frequency"], rel=1e-5
+    )
 
 
 def test_pieces_of_different_weight_are_found():
@@ -154,14 +178,18 @@ def test_pieces_of_different_weight_are_found():
         falls.append(np.sqrt(2 * (0.2 + 0.012 * random.standard_normal(len(mass))) / GRAVITY))
         local = local_numbers(falls[-1], 2e-3 * random.standard_normal(), weight=mass.sum())
         values = np.asarray(respond(SHARED, local, mass / mass.sum(), EDGES, np.ones(())))
-        signals.append(ScaleSignal(str(number), values + 1e-4 * random.standard_normal(len(values)), 1e-3))
+        signals.append(
+            ScaleSignal(str(number), values + 1e-4 * random.standard_normal(len(values)), 1e-3)
+        )
         masses.append(mass)
     result, _ = fit_signals(signals, M_PIECE, pieces=[len(mass) for mass in masses])
-    assert result.info["mass_spread"] == pytest.approx(0.1, rel=0.25)  # two standard deviations of 32 pieces
+    assert result.info["mass_spread"] == pytest.approx(0.1, rel=0.25)  # two standard deviations of
+    # 32 pieces
     assert result.residual["landing"] == pytest.approx(1e-4, rel=0.1)
     exact = 0.5 * GRAVITY * np.concatenate(falls) ** 2
     found = np.concatenate([row["heights"] for row in result.portions])
-    assert found.mean() == pytest.approx(exact.mean(), abs=1e-3)  # m, of 0.2: the tare, 0.01 g, over 0.3 s
+    assert found.mean() == pytest.approx(exact.mean(), abs=1e-3)  # m, of 0.2: the tare, 0.01 g,
+    # over 0.3 s
     assert not result.warnings
 
 
@@ -179,7 +207,9 @@ def test_heights_are_fitted_with_their_errors():
 
 
 def test_intervals_of_heights_of_a_normal_portion_are_the_textbook_ones():
-    """Without a half-normal part the interval of the mean is value -+ 1.645 sd / sqrt(n), within 1/n."""
+    """Without a half-normal part the interval of the mean is value -+ 1.645 sd / sqrt(n), within
+    1/n.
+    """
     random = np.random.default_rng(2)
     values = 0.25 + 0.01 * random.standard_normal((30, 20))
     found = fit_heights([Heights(row, np.zeros((20, 20))) for row in values])["h_mean"]
@@ -197,7 +227,10 @@ def table(path, signals):
 def test_the_command_writes_a_fit_that_the_product_model_reads(tmp_path, capsys):
     signals, heights = portions(8)
     table("scale.csv", signals)
-    lines = ["portion,weight_g", *(f"{k},{1e3 * M_PIECE * len(each):g}" for k, each in enumerate(heights))]
+    lines = [
+        "portion,weight_g",
+        *(f"{k},{1e3 * M_PIECE * len(each):g}" for k, each in enumerate(heights)),
+    ]
     (tmp_path / "weights.csv").write_text("\n".join(lines), encoding="utf-8")
     arguments = ["signals", "scale.csv", "--m-piece", str(M_PIECE), "--weights", "weights.csv"]
     assert command_line.main(arguments) == 0
@@ -205,7 +238,11 @@ def test_the_command_writes_a_fit_that_the_product_model_reads(tmp_path, capsys)
     fit = read_fit("fit.json")
     assert fit.value["dt_impact"] == pytest.approx(PULSE, rel=0.01)
     assert (tmp_path / "fit.png").stat().st_size > 10_000
-    assert json.loads((tmp_path / "fit.json").read_text(encoding="utf-8"))["info"]["pieces"] == [3, 4, 5]
+    assert json.loads((tmp_path / "fit.json").read_text(encoding="utf-8"))["info"]["pieces"] == [
+        3,
+        4,
+        5,
+    ]
     assert command_line.main(arguments) == 2
     assert "exists" in capsys.readouterr().err
 
@@ -213,7 +250,8 @@ def test_the_command_writes_a_fit_that_the_product_model_reads(tmp_path, capsys)
 def test_pieces_are_counted_or_refused():
     assert count_pieces(np.array([0.109, 0.125]), 0.018, ["a", "b"]).tolist() == [6, 7]
     with pytest.raises(
-        BadInput, match="b shows 117 g in the end, 6.50 pieces of 18 g: that must be near a whole number"
+        BadInput,
+        match="b shows 117 g in the end, 6.50 pieces of 18 g: that must be near a whole number",
     ):
         count_pieces(np.array([0.108, 0.117]), 0.018, ["a", "b"])
     with pytest.raises(BadInput, match="0.11 pieces"):
@@ -228,22 +266,38 @@ def test_pieces_are_counted_or_refused():
             lambda s: [ScaleSignal(x.name, 1e3 * x.values, x.interval) for x in s],
             r"shows 5.4\d\de.04 g in the end, and 3 pieces of 18 g weigh 54 g",
         ),
-        (lambda s: [ScaleSignal(x.name, -x.values, x.interval) for x in s], "weight must count as positive"),
-        (lambda s: [ScaleSignal(x.name, x.values[335:], x.interval) for x in s], "before the first impact"),
-        (lambda s: [ScaleSignal(x.name, x.values[:390], x.interval) for x in s], "ends 38 ms after the first impact"),
-        (lambda s: [*s[:4], ScaleSignal("odd", s[4].values, 2e-3)], "odd: 0.002 s between readings"),
+        (
+            lambda s: [ScaleSignal(x.name, -x.values, x.interval) for x in s],
+            "weight must count as positive",
+        ),
+        (
+            lambda s: [ScaleSignal(x.name, x.values[335:], x.interval) for x in s],
+            "before the first impact",
+        ),
+        (
+            lambda s: [ScaleSignal(x.name, x.values[:390], x.interval) for x in s],
+            "ends 38 ms after the first impact",
+        ),
+        (
+            lambda s: [*s[:4], ScaleSignal("odd", s[4].values, 2e-3)],
+            "odd: 0.002 s between readings",
+        ),
     ],
     ids=["few", "grams", "sign", "no tare", "short", "rates"],
 )
 def test_bad_signals_are_refused(change, message):
     signals, _ = portions(5)
     with pytest.raises(BadInput, match=message):
-        fit_signals(change(signals), M_PIECE, pieces=[3, 4, 5, 3, 4][: 3 if message[0] == "3" else 5])
+        fit_signals(
+            change(signals), M_PIECE, pieces=[3, 4, 5, 3, 4][: 3 if message[0] == "3" else 5]
+        )
 
 
 def test_signals_without_an_end_are_refused():
     signals, _ = portions(5)
-    emptied = [ScaleSignal(s.name, np.append(s.values, np.full(100, 0.0127)), 1e-3) for s in signals]
+    emptied = [
+        ScaleSignal(s.name, np.append(s.values, np.full(100, 0.0127)), 1e-3) for s in signals
+    ]
     with pytest.raises(BadInput, match="in the last part of the signal"):
         cut_signals(emptied, M_PIECE)
 
@@ -252,7 +306,11 @@ def test_signals_without_an_end_are_refused():
     ("name", "value", "message"),
     [
         ("h_mean", 5.6, "h_mean = 5.6 m; allowed are 20 mm to 2 m"),
-        ("dt_impact", 0.25, "dt_impact = 250 ms: longer than the fall of 20. ms from h_mean = [12].. mm"),
+        (
+            "dt_impact",
+            0.25,
+            "dt_impact = 250 ms: longer than the fall of 20. ms from h_mean = [12].. mm",
+        ),
         ("h_mean", float("nan"), "the fit diverged"),
     ],
 )
@@ -287,7 +345,11 @@ def test_signals_that_no_pulses_make_are_not_written(capsys):
     time = EDGES[1:]
     rise = np.clip((time - 0.2) / 0.03, 0, 1)
     signals = [
-        ScaleSignal(str(k), (3 + k % 3) * M_PIECE * rise + 1e-4 * np.random.default_rng(k).standard_normal(600), 1e-3)
+        ScaleSignal(
+            str(k),
+            (3 + k % 3) * M_PIECE * rise + 1e-4 * np.random.default_rng(k).standard_normal(600),
+            1e-3,
+        )
         for k in range(8)
     ]
     table("steps.csv", signals)
@@ -302,4 +364,5 @@ def test_readings_without_a_unit_are_grams():
     rows = np.column_stack([1e-3 * np.arange(600), 1e3 * signals[0].values])
     np.savetxt("plain.csv", rows, "%.5f", ",", header="time,signal", comments="", encoding="utf-8")
     found, _ = read_scale_signals(["plain.csv"])
-    np.testing.assert_allclose(found[0].values, signals[0].values, rtol=0, atol=1e-8)  # five decimals of a gram
+    # five decimals of a gram
+    np.testing.assert_allclose(found[0].values, signals[0].values, rtol=0, atol=1e-8)

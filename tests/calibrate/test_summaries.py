@@ -25,7 +25,9 @@ M_PIECE = 5.832e-3
 
 
 def moments(time, force, pieces, sample=3e-5):
-    return trace_moments(time, np.asarray(force), sample, pieces * M_PIECE * 9.81, pieces, 9.81, 1e-4)
+    return trace_moments(
+        time, np.asarray(force), sample, pieces * M_PIECE * 9.81, pieces, 9.81, 1e-4
+    )
 
 
 @pytest.fixture(scope="module")
@@ -43,48 +45,58 @@ def test_momentum_tells_mean_and_spread_of_the_drop_heights(trace):
 
 @pytest.mark.parametrize("pieces", [1, 9, 40, 318])
 def test_pulses_and_their_sampled_trace_have_the_same_moments(pieces):
-    """The trace is cut within the last pulse (500 us in 226 ms), in its middle at the earliest; what is left lands then.
-    Of 318 pieces six are taken to land with the seventh from the end, give or take one: 0.4 % of the spread each, and
-    with ten millimetres between the last ones 1e-4 of the height.
+    """The trace is cut within the last pulse (500 us in 226 ms), in its middle at the earliest;
+    what is left lands then. Of 318 pieces six are taken to land with the seventh from the end, give
+    or take one: 0.4 % of the spread each, and with ten millimetres between the last ones 1e-4 of
+    the height.
     """
     made = simulate(parameters(pieces=pieces, sample=3e-5, duration=0.42), 3)
     last = np.sort(np.asarray(made.pulses.start))[-1 - still_falling(pieces)]
     start = jnp.minimum(made.pulses.start, last)
-    pulses = replace(made.pulses, start=start, force=made.pulses.weight * start / made.pulses.duration)
+    pulses = replace(
+        made.pulses, start=start, force=made.pulses.weight * start / made.pulses.duration
+    )
     closed = pulse_moments(*pulses.edges(), pieces * M_PIECE * 9.81, made.grid.end, 9.81, 1e-4)
     sampled = moments(made.time, made.force, pieces)
-    assert sampled[0] == pytest.approx(float(closed[0]), rel=5e-4 if pieces == 1 else 2e-4)  # a fifth of pulse over fall
+    # a fifth of pulse over fall
+    assert sampled[0] == pytest.approx(float(closed[0]), rel=5e-4 if pieces == 1 else 2e-4)
     assert sampled[1] == pytest.approx(float(closed[1]), rel=4e-3, abs=1e-3 if pieces == 1 else 0.0)
 
 
 def test_what_comes_after_the_first_impacts_counts_for_nothing(trace):
-    """Neither where the trace ends, nor rebounds: pieces that jump again and bring their momentum a second time."""
+    """Neither where the trace ends, nor rebounds: pieces that jump again and bring their momentum a
+    second time.
+    """
     after = first_rest(trace.time, np.asarray(trace.force), 3e-5, 40 * M_PIECE * 9.81, 40)
     assert trace.time[after - 1] == pytest.approx(float(jnp.max(trace.pulses.start)), abs=6e-5)
     expected = moments(trace.time, trace.force, 40)
     assert moments(trace.time[: after + 10], trace.force[: after + 10], 40) == expected
     rebound = np.asarray(trace.force) * np.where(np.arange(len(trace.time)) > after, 0.3, 1.0)
     assert moments(trace.time, rebound, 40) == expected
-    assert moments(trace.time[: after - 200], trace.force[: after - 200], 40)[1] < expected[1]  # not over: the rest lands then
+    # not over: the rest lands then
+    assert moments(trace.time[: after - 200], trace.force[: after - 200], 40)[1] < expected[1]
 
 
 def test_momentum_tells_the_release_wherever_the_file_puts_its_zero(trace):
     weight = 40 * M_PIECE * 9.81
     for shift in (0.0, -0.15, 0.3):
         release = momentum_release(trace.time + shift, np.asarray(trace.force), 3e-5, weight)
-        assert release == pytest.approx(shift + 1e-5, abs=1e-9)  # later than the release by the length of a pulse
+        assert release == pytest.approx(shift + 1e-5, abs=1e-9)  # later than the release by the
+        # length of a pulse
 
 
 def test_increments_equal_shifted_differences():
-    """Those of the simulated traces, from their changes alone, and those of the measured ones, by definition. The
-    trace is at rest for the longest lag before and after, as both take for granted.
+    """Those of the simulated traces, from their changes alone, and those of the measured ones, by
+    definition. The trace is at rest for the longest lag before and after, as both take for granted.
     """
     inner = np.random.default_rng(0).uniform(size=1000)
     force = np.concatenate([np.zeros(32), inner, np.full(32, inner[-1])])
     smooth = (force[:-3] + force[1:-2] + force[2:-1] + force[3:]) / 4
     expected = [np.log(((smooth[lag:] - smooth[:-lag]) ** 2).sum()) for lag in LAGS]
     np.testing.assert_allclose(trace_log_increments(force, LAGS), expected, rtol=1e-12)
-    np.testing.assert_allclose(log_increments(jnp.diff(jnp.asarray(force), prepend=0.0), LAGS), expected, rtol=1e-12)
+    np.testing.assert_allclose(
+        log_increments(jnp.diff(jnp.asarray(force), prepend=0.0), LAGS), expected, rtol=1e-12
+    )
 
 
 def test_whitened_increments_are_uncorrelated_and_few_traces_are_not_taken_at_their_word():
@@ -103,7 +115,9 @@ def test_energy_distance_by_its_definition():
     x, y = random.standard_normal(7), random.standard_normal(11)
     pairs = [abs(a - b) for i, a in enumerate(y) for j, b in enumerate(y) if i != j]
     expected = 2 * np.abs(x[:, None] - y[None, :]).mean() - np.mean(pairs)
-    assert float(energy_distance(jnp.asarray(x), jnp.asarray(y))) == pytest.approx(expected, rel=1e-12)
+    assert float(energy_distance(jnp.asarray(x), jnp.asarray(y))) == pytest.approx(
+        expected, rel=1e-12
+    )
     assert np.isfinite(jax.grad(energy_distance, argnums=1)(jnp.asarray(x), jnp.zeros(1))).all()
 
 
@@ -121,11 +135,15 @@ def test_summaries_do_not_hang_on_the_sample_time_or_the_zero_of_time():
     made = {s: ensemble(parameters(pieces=20, sample=s, duration=0.42), 0, 3) for s in (3e-5, 6e-5)}
     rows = {}
     for s, trace in made.items():
-        rows[s] = measure_summaries([target(trace.time, np.asarray(trace.force[k]), 5.832e-3, 20) for k in range(3)])
-    # the first impacts end at a sample; what of one and a half pieces of twenty is left then lands up to 60 us later
+        rows[s] = measure_summaries(
+            [target(trace.time, np.asarray(trace.force[k]), 5.832e-3, 20) for k in range(3)]
+        )
+    # the first impacts end at a sample; what of one and a half pieces of twenty is left then lands
+    # up to 60 us later
     np.testing.assert_allclose(rows[3e-5].height, rows[6e-5].height, rtol=4e-5)
     np.testing.assert_allclose(rows[3e-5].spread, rows[6e-5].spread, rtol=1e-3)
-    np.testing.assert_allclose(rows[3e-5].increments, rows[6e-5].increments, atol=0.03)  # where in a bin a pulse begins
+    # where in a bin a pulse begins
+    np.testing.assert_allclose(rows[3e-5].increments, rows[6e-5].increments, atol=0.03)
     late = made[3e-5]
     shifted = [target(late.time - 0.1, np.asarray(late.force[k]), 5.832e-3, 20) for k in range(3)]
     unshifted = [target(late.time, np.asarray(late.force[k]), 5.832e-3, 20) for k in range(3)]

@@ -150,7 +150,9 @@ def test_bad_input_is_one_line(learnt, tmp_path, monkeypatch, capsys, arguments,
 
 
 def test_portions_of_a_file_are_read_as_the_converter_gives_them(tmp_path):
-    """Portions of the Product Model on a cell with typical noise: readings at 1 kHz, weights of the file."""
+    """Portions of the Product Model on a cell with typical noise: readings at 1 kHz, weights of the
+    file.
+    """
     import h5py
 
     from calibrate.csv_table import TableOptions

@@ -7,7 +7,8 @@ from dem_jax.contact_laws import ContactKinematics
 
 
 def trace_impacts(law, pair, mass, speed, dt, steps, phase=0.5):
-    """Overlap (m), force (N), speed (m/s) and energy (J), [steps, P], of impacts by kick, drift, kick.
+    """Overlap (m), force (N), speed (m/s) and energy (J), [steps, P], of impacts by kick, drift,
+    kick.
 
     Args:
         law: contact law without friction.

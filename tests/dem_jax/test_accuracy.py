@@ -1,4 +1,6 @@
-"""``run.accuracy``: an impact errs by less than the scene accepts, with a step that is no finer than that needs."""
+"""``run.accuracy``: an impact errs by less than the scene accepts, with a step that is no finer
+than that needs.
+"""
 
 from functools import cache
 
@@ -20,14 +22,22 @@ COMPUTED = ["sphere", pytest.param("marshmallow", marks=pytest.mark.long)]
 def step_of(kind, asked, restitution=0.1, precision="f64", **settings):
     """The choice of the time step of an impact with ``run.accuracy``."""
     settings = {"accuracy": asked, "precision": precision, "sample": 1e-3} | settings
-    return assembly.assemble_system(validation.plate_scene(KINDS[kind], run=settings, restitution=restitution)).step
+    return assembly.assemble_system(
+        validation.plate_scene(KINDS[kind], run=settings, restitution=restitution)
+    ).step
 
 
 @cache
 def reference(name, restitution):
-    """Impacts that are to be repeated, and their fine result: six phases, or six orientations that strike once."""
+    """Impacts that are to be repeated, and their fine result: six phases, or six orientations that
+    strike once.
+    """
     kind = KINDS[name]
-    window = None if name == "sphere" else 2e-4 + accuracy.quarter_period(kind["shape"], 0.01) * (1 + restitution)
+    window = (
+        None
+        if name == "sphere"
+        else 2e-4 + accuracy.quarter_period(kind["shape"], 0.01) * (1 + restitution)
+    )
     begin = accuracy.starts(kind, 6 if name == "sphere" else 16, apart=3e-3)
     fine = accuracy.exact(kind, begin, restitution, window=window)
     if name != "sphere":
@@ -39,7 +49,10 @@ def reference(name, restitution):
 
 @pytest.mark.parametrize("name", COMPUTED)
 @pytest.mark.parametrize("restitution", [0.1, 0.5])
-@pytest.mark.parametrize("asked", [{"restitution": 0.1}, {"restitution": 0.01}, {"peak_force": 2e-3}, {"peak_force": 1e-4}])
+@pytest.mark.parametrize(
+    "asked",
+    [{"restitution": 0.1}, {"restitution": 0.01}, {"peak_force": 2e-3}, {"peak_force": 1e-4}],
+)
 def test_impacts_err_by_less_than_is_accepted(name, restitution, asked):
     """With steps as large as they may be."""
     begin, fine, window = reference(name, restitution)
@@ -52,13 +65,20 @@ def test_impacts_err_by_less_than_is_accepted(name, restitution, asked):
 
 
 @pytest.mark.parametrize(
-    ("name", "asked", "part"), [("sphere", 1e-4, 0.6), pytest.param("marshmallow", 5e-3, 0.3, marks=pytest.mark.long)]
+    ("name", "asked", "part"),
+    [("sphere", 1e-4, 0.6), pytest.param("marshmallow", 5e-3, 0.3, marks=pytest.mark.long)],
 )
 def test_the_bound_is_not_far_above_the_error(name, asked, part):
-    """With a part of the steps for an accuracy the sphere errs by more than that; so does one of six marshmallows."""
+    """With a part of the steps for an accuracy the sphere errs by more than that; so does one of
+    six marshmallows.
+    """
     begin, fine, window = reference(name, 0.1)
     kind = KINDS[name]
-    number = part * accuracy.quarter_period(kind["shape"], 0.01) / step_of(name, {"restitution": asked}).critical
+    number = (
+        part
+        * accuracy.quarter_period(kind["shape"], 0.01)
+        / step_of(name, {"restitution": asked}).critical
+    )
     found = accuracy.impacts(kind, begin, number, "f64", 0.1, window=window)
     assert found.errors(fine)[1].max() > asked
 
@@ -79,7 +99,11 @@ def test_laxer_accuracy_takes_larger_steps_within_stability(name):
 def test_the_bounds_and_the_steps_are_each_others_inverse():
     for bound in (walton_braun_accuracy.SPHERE, walton_braun_accuracy.POLYTOPE):
         for restitution in (0.05, 0.1, 0.7):
-            for asked in ({"restitution": 1e-5}, {"peak_force": 3e-5}, {"restitution": 1e-5, "peak_force": 1e-3}):
+            for asked in (
+                {"restitution": 1e-5},
+                {"peak_force": 3e-5},
+                {"restitution": 1e-5, "peak_force": 1e-3},
+            ):
                 for corrected in (False, True):
                     number, key = bound.required_steps(asked, restitution, corrected)
                     reached = bound.error_bounds(number, restitution, corrected)
@@ -91,40 +115,71 @@ def test_the_bounds_and_the_steps_are_each_others_inverse():
 
 def test_the_limit_is_named():
     words = str(step_of("sphere", {"restitution": 0.01, "peak_force": 0.1}))
-    assert "from run.accuracy.restitution = 0.01: " in words and "steps per loading quarter period, sphere of" in words
-    assert "the coarsest step whose error is known (run.accuracy): " in str(step_of("sphere", {"peak_force": 0.2}))
-    found = simulate(load_scene("plate-drop", {"run.accuracy.restitution": 0.005, "run.duration": 1e-3}))
+    assert (
+        "from run.accuracy.restitution = 0.01: " in words
+        and "steps per loading quarter period, sphere of" in words
+    )
+    assert "the coarsest step whose error is known (run.accuracy): " in str(
+        step_of("sphere", {"peak_force": 0.2})
+    )
+    found = simulate(
+        load_scene("plate-drop", {"run.accuracy.restitution": 0.005, "run.duration": 1e-3})
+    )
     assert "run.accuracy.restitution = 0.005" in summary.summarize_run(found)[0]
 
 
 def test_every_accuracy_is_the_same_program():
     """As the step is a number of the system, and steps per sample are too."""
     programs = {
-        jax.tree.structure(prepare_job(load_scene("plate-drop", {"run.accuracy.restitution": r}), (0,), None).system)
+        jax.tree.structure(
+            prepare_job(
+                load_scene("plate-drop", {"run.accuracy.restitution": r}), (0,), None
+            ).system
+        )
         for r in (0.2, 0.03, 5e-3)
     }
     assert len(programs) == 1
 
 
 def test_a_scene_says_it_in_a_table_of_its_own_and_reads_it_back(tmp_path):
-    (tmp_path / "mine.toml").write_text('base = "plate-drop"\n[run.accuracy]\nrestitution = 0.02\npeak_force = 0.001\n')
+    (tmp_path / "mine.toml").write_text(
+        'base = "plate-drop"\n[run.accuracy]\nrestitution = 0.02\npeak_force = 0.001\n'
+    )
     mine = load_scene(tmp_path / "mine.toml")
     assert (mine.run.accuracy.restitution, mine.run.accuracy.peak_force) == (0.02, 0.001)
     assert scene.parse_scene(mine.to_toml()) == mine
     assert scene.parse_scene(scene.describe_scene(mine)).run == mine.run
-    assert load_scene("plate-drop", {"run.accuracy": {"peak_force": 0.01}}).run.accuracy.restitution is None
+    assert (
+        load_scene("plate-drop", {"run.accuracy": {"peak_force": 0.01}}).run.accuracy.restitution
+        is None
+    )
 
 
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"run.accuracy.restitution": 0.3}, r"run\.accuracy\.restitution = 0\.3: allowed: a number > 0 and <= 0\.2"),
-        ({"run.accuracy.peak_force": 0.0}, r"run\.accuracy\.peak_force = 0\.0: allowed: a number > 0 and <= 0\.2"),
-        ({"run.accuracy.peak": 0.1}, r"run\.accuracy\.peak = 0\.1: unknown key; allowed: restitution, peak_force"),
+        (
+            {"run.accuracy.restitution": 0.3},
+            r"run\.accuracy\.restitution = 0\.3: allowed: a number > 0 and <= 0\.2",
+        ),
+        (
+            {"run.accuracy.peak_force": 0.0},
+            r"run\.accuracy\.peak_force = 0\.0: allowed: a number > 0 and <= 0\.2",
+        ),
+        (
+            {"run.accuracy.peak": 0.1},
+            r"run\.accuracy\.peak = 0\.1: unknown key; allowed: restitution, peak_force",
+        ),
         ({"run.accuracy": {}}, r"run\.accuracy: missing: restitution, peak_force; at least one"),
         ({"run.accuracy": 0.01}, r"run\.accuracy = 0\.01: allowed: a table"),
-        ({"run.accuracy.restitution": 0.1, "run.step": 4e-6}, r"run: step = 4e-06: beside accuracy.*allowed: \"auto\""),
-        ({"run.accuracy.restitution": 1e-3}, r"run\.accuracy\.restitution = 0\.001: allowed in single precision: at least"),
+        (
+            {"run.accuracy.restitution": 0.1, "run.step": 4e-6},
+            r"run: step = 4e-06: beside accuracy.*allowed: \"auto\"",
+        ),
+        (
+            {"run.accuracy.restitution": 1e-3},
+            r"run\.accuracy\.restitution = 0\.001: allowed in single precision: at least",
+        ),
         (
             {"run.accuracy.restitution": 1e-5, "run.precision": "f64"},
             r"run\.accuracy\.restitution = 1e-05: allowed: at least 0\.0001 for [^;]*$",

@@ -1,4 +1,6 @@
-"""Bad input: exit code 2 and one line on stderr that names key, value and what is allowed; nothing is written."""
+"""Bad input: exit code 2 and one line on stderr that names key, value and what is allowed; nothing
+is written.
+"""
 
 import re
 import subprocess
@@ -68,7 +70,8 @@ SET = [  # --set of plate-drop -> what the line must hold
     ("run.duration", r"--set 'run\.duration': allowed: section\.key=value"),
 ]  # fmt: skip
 
-EXTREME = [  # numbers that are finite but that nobody means; --set of plate-drop -> what the line must hold
+EXTREME = [  # numbers that are finite but that nobody means; --set of plate-drop -> what the line
+# must hold
     ("material.density=1e-31", r"density = 1e-31: allowed: numbers whose size is 1e-30 to 1e\+30, and 0 where that may be"),
     ("material.softening=1e300", r"softening = 1e\+300: allowed: numbers whose size is"),
     ("run.gravity=[0, 0, -1e31]", r"gravity = -1e\+31: allowed: numbers whose size is"),
@@ -224,16 +227,31 @@ def test_pieces_that_overlap_at_the_start_are_both_named(tmp_path, capsys):
 
 
 def test_as_a_process(tmp_path):
-    command = [sys.executable, "-m", "dem_jax", "run", "plate-drop", "--set", "material.restitution=2"]
-    done = subprocess.run(command, capture_output=True, text=True, env={"PYTHONPATH": ":".join(sys.path)})
+    command = [
+        sys.executable,
+        "-m",
+        "dem_jax",
+        "run",
+        "plate-drop",
+        "--set",
+        "material.restitution=2",
+    ]
+    done = subprocess.run(
+        command, capture_output=True, text=True, env={"PYTHONPATH": ":".join(sys.path)}
+    )
     assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr == "dem_jax: plate-drop: material.restitution = 2: allowed: a number > 0 and <= 1\n"
+    assert (
+        done.stderr
+        == "dem_jax: plate-drop: material.restitution = 2: allowed: a number > 0 and <= 1\n"
+    )
 
 
 def test_a_run_whose_numbers_overflow_stops(whole):
     """Energies of a contact that is next to nothing stiff are infinite; nothing else would show it."""
     scene = parse_scene(dem_jax.load_run(whole).scene)
-    expected = r"at t = 3e-05 s: energy not finite; likely cause: .* usual is material\.softening = 1e-30"
+    expected = (
+        r"at t = 3e-05 s: energy not finite; likely cause: .* usual is material\.softening = 1e-30"
+    )
     with pytest.raises(dem_jax.SimulationError, match=expected) as caught:
         dem_jax.simulate(scene.replace({"material.softening": 1e-30, "run.duration": 9e-5}))
     assert "\n" not in str(caught.value)
@@ -244,19 +262,27 @@ def test_a_force_that_is_not_finite_is_found(runs):
     force = np.zeros((*runs, 5, 1, 3))
     force[..., 3:, 0, 2] = np.nan
     one = np.zeros((*runs, 5))
-    sample = Sample({"force": force, "own": one, "culprit": one.astype(int) - 1, "overlap": one, "stride": one})
+    sample = Sample(
+        {"force": force, "own": one, "culprit": one.astype(int) - 1, "overlap": one, "stride": one}
+    )
     assert failure.detect_failure(sample, 5) == (0, 3)
     assert failure.detect_failure(sample, 3) is None, "samples beyond count are none"
-    assert failure.detect_failure(sample.replace(own=one + np.nan), 3) == (0, 0), "a user's quantity is no exception"
+    assert failure.detect_failure(sample.replace(own=one + np.nan), 3) == (0, 0), (
+        "a user's quantity is no exception"
+    )
 
 
 def test_frames_that_are_rarer_than_the_run_is_long(whole):
     scene = parse_scene(dem_jax.load_run(whole).scene)
-    assert dem_jax.simulate(scene.replace({"run.frames": 1e5, "run.duration": 9e-5})).pieces.time.tolist() == [0.0]
+    assert dem_jax.simulate(
+        scene.replace({"run.frames": 1e5, "run.duration": 9e-5})
+    ).pieces.time.tolist() == [0.0]
 
 
 def test_many_corners_are_checked_quickly():
-    """A hull of ten thousand points, each looked at once: a few milliseconds of the processor, of which a hundred are allowed."""
+    """A hull of ten thousand points, each looked at once: a few milliseconds of the processor, of
+    which a hundred are allowed.
+    """
     points = np.random.default_rng(0).random((10_000, 3)).tolist()
     times = []
     for _ in range(5):

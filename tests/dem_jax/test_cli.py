@@ -30,7 +30,11 @@ frames = 2e-3
 @pytest.fixture(autouse=True)
 def no_lasting_cache_settings():
     """The command line sets where compiled programs are kept; the tests' own choice is put back."""
-    kept = {name: getattr(jax.config, name) for name in dir(jax.config) if "cache" in name and name.startswith("jax_")}
+    kept = {
+        name: getattr(jax.config, name)
+        for name in dir(jax.config)
+        if "cache" in name and name.startswith("jax_")
+    }
     yield
     for name, value in kept.items():
         jax.config.update(name, value)
@@ -52,7 +56,21 @@ def process(*arguments, **environment):
 
 
 def test_run_writes_file_and_figure_and_says_what_happened(scene, tmp_path, capsys):
-    assert main(["run", scene, "--set", "material.restitution=0.3", "--set", "run.duration=0.06", "--seed", "4"]) == 0
+    assert (
+        main(
+            [
+                "run",
+                scene,
+                "--set",
+                "material.restitution=0.3",
+                "--set",
+                "run.duration=0.06",
+                "--seed",
+                "4",
+            ]
+        )
+        == 0
+    )
     out, err = capsys.readouterr()
     for words in (
         "dt/dt_crit =", "quarter period, sphere of 4189 mm3 against a wall", "1 piece, 0.06 s", "s compiling",
@@ -69,7 +87,8 @@ def test_run_writes_file_and_figure_and_says_what_happened(scene, tmp_path, caps
 def test_peak_and_duration_in_the_summary_are_those_of_the_run(scene, capsys):
     from dem_jax.visualization.summary import impact_duration
 
-    soft = ["--set", "material.restitution=0.3", "--set", "run.duration=0.06"]  # slower than 0.1 m/s after the impact
+    soft = ["--set", "material.restitution=0.3", "--set", "run.duration=0.06"]  # slower than 0.1
+    # m/s after the impact
     assert main(["run", scene, *soft, "--quiet", "--no-plot", "--out", "x.h5"]) == 0
     out, err = capsys.readouterr()
     assert err == ""
@@ -103,7 +122,10 @@ def test_pictures_and_exports_of_a_file(scene, tmp_path, capsys):
         (["export", "ball.h5"], "ball.csv"),
         (["render", "ball.h5"], "ball.gif"),
         (["render", "ball.h5", "--at", "0.01"], "ball-scene.png"),
-        (["render", "ball.h5", "--strip", "3", "--out", "strip.png", "--colour", "piece"], "strip.png"),
+        (
+            ["render", "ball.h5", "--strip", "3", "--out", "strip.png", "--colour", "piece"],
+            "strip.png",
+        ),
         (["vtk", "ball.h5"], "ball-vtk/pieces.pvd"),
     ):
         assert main(command) == 0, capsys.readouterr().err
@@ -112,7 +134,10 @@ def test_pictures_and_exports_of_a_file(scene, tmp_path, capsys):
 
 
 def test_an_ensemble_is_run_and_drawn(scene, capsys):
-    assert main(["ensemble", scene, "--runs", "2", "--seed", "5", "--duration", "0.025", "--quiet"]) == 0
+    assert (
+        main(["ensemble", scene, "--runs", "2", "--seed", "5", "--duration", "0.025", "--quiet"])
+        == 0
+    )
     out = capsys.readouterr().out
     assert "2 runs of 1 piece" in out and "wrote ball-ensemble.h5, ball-ensemble.png" in out
     runs = dem_jax.load_run("ball-ensemble.h5")
@@ -127,9 +152,13 @@ def test_a_run_that_goes_wrong_exits_with_1_and_says_where_its_file_is(scene, ca
     out, err = capsys.readouterr()
     assert len(err.splitlines()) == 1 and out == ""
     assert (
-        "ball: piece 0 at t =" in err and "below z = 0.011 m" in err and "earlier results are in ball.h5" in err
+        "ball: piece 0 at t =" in err
+        and "below z = 0.011 m" in err
+        and "earlier results are in ball.h5" in err
     )
-    assert dem_jax.load_run("ball.h5").time[-1] == pytest.approx(np.sqrt(2 * 0.001 / 9.81), abs=6e-5)
+    assert dem_jax.load_run("ball.h5").time[-1] == pytest.approx(
+        np.sqrt(2 * 0.001 / 9.81), abs=6e-5
+    )
 
 
 def test_stock_scenes_are_listed_and_printed_with_every_key(capsys):
@@ -140,7 +169,11 @@ def test_stock_scenes_are_listed_and_printed_with_every_key(capsys):
         assert main(["scenes", name]) == 0
         text = capsys.readouterr().out
         assert parse_scene(text) == load_scene(name), "what is printed is the scene"
-        for words in ("# kg/m3, pieces; a number > 0", "settling_time = 0.5", "# m/s2; a list of 3, each a number"):
+        for words in (
+            "# kg/m3, pieces; a number > 0",
+            "settling_time = 0.5",
+            "# m/s2; a list of 3, each a number",
+        ):
             assert words in text
 
 
@@ -149,7 +182,10 @@ def test_values_that_differ_from_the_default_are_told():
     assert "duration = 0.7" in text and "default: 0.2" in text
 
 
-@pytest.mark.parametrize("command", [[], ["run"], ["ensemble"], ["scenes"], ["plot"], ["report"], ["export"], ["render"], ["vtk"]])
+@pytest.mark.parametrize(
+    "command",
+    [[], ["run"], ["ensemble"], ["scenes"], ["plot"], ["report"], ["export"], ["render"], ["vtk"]],
+)
 def test_every_command_has_help(command, capsys):
     with pytest.raises(SystemExit) as stop:
         main([*command, "--help"])
@@ -164,9 +200,7 @@ def test_as_a_process_it_keeps_compiled_programs_in_the_users_cache(scene, tmp_p
 
 
 def test_nothing_heavy_is_imported_before_it_is_used():
-    program = (
-        "import sys, dem_jax, dem_jax.__main__ as m; m.main(['scenes']); print(sorted(sys.modules), file=sys.stderr)"
-    )
+    program = "import sys, dem_jax, dem_jax.__main__ as m; m.main(['scenes']); print(sorted(sys.modules), file=sys.stderr)"
     loaded = eval(process("-c", program).stderr)
     assert {"jax", "numpy", "scipy", "h5py", "matplotlib", "trimesh", "tqdm"}.isdisjoint(loaded)
     program = "import sys, dem_jax; dem_jax.simulate; print(sorted(sys.modules))"

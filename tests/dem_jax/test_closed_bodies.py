@@ -1,4 +1,6 @@
-"""Closed bodies of sheet metal as walls: found, united, and no thicker behind a facet than the sheet."""
+"""Closed bodies of sheet metal as walls: found, united, and no thicker behind a facet than the
+sheet.
+"""
 
 import numpy as np
 import pytest
@@ -69,8 +71,10 @@ def test_closed_bodies_are_found_and_measured(make, said, thickness, tmp_path):
     mesh = read_wall_mesh(tmp_path / "a.stl")
     assert mesh.bodies == said
     if thickness is not None:
-        assert mesh.thinnest == pytest.approx(thickness, rel=1e-4)  # single precision of the file, over the sheet
-    else:  # between the planes of facets: that of the radii times at least the cosine of half a facet's width
+        assert mesh.thinnest == pytest.approx(thickness, rel=1e-4)  # single precision of the file,
+        # over the sheet
+    else:  # between the planes of facets: that of the radii times at least the cosine of half a
+        # facet's width
         assert 0.97 * 2e-3 < mesh.thinnest < 2.0001e-3
 
 
@@ -81,7 +85,9 @@ def test_bodies_that_touch_have_the_panels_of_one(tmp_path):
     areas = []
     for name in ("plates.stl", "tray.stl"):
         panels = read_wall_mesh(tmp_path / name).panels
-        normals = np.array([np.cross(p - p[0], np.roll(p, -1, 0) - p[0]).sum(0) / 2 for p in panels])
+        normals = np.array(
+            [np.cross(p - p[0], np.roll(p, -1, 0) - p[0]).sum(0) / 2 for p in panels]
+        )
         areas.append([np.linalg.norm(normals, axis=1).sum(), len(panels)])
     assert areas[0][0] == pytest.approx(areas[1][0], rel=1e-6) and areas[0][1] == areas[1][1]
     cubes().export(tmp_path / "cubes.stl")
@@ -104,9 +110,13 @@ def test_no_panel_is_thicker_than_the_sheet_and_it_is_said(tmp_path):
 
 
 def test_a_bucket_with_flaps_is_as_thin_as_its_thinnest_body_and_keeps_it_in_its_file(tmp_path):
-    """Flaps of 1 mm, walls of 1.5 mm: all panels, also those that swing, have a tenth of 1 mm behind them."""
+    """Flaps of 1 mm, walls of 1.5 mm: all panels, also those that swing, have a tenth of 1 mm
+    behind them.
+    """
     walls = [box(size) for size in [(SHEET, 0.12, 0.1)] * 2 + [(0.14, SHEET, 0.1)] * 2]
-    for wall, place in zip(walls, [(0.07, 0, 0.1), (-0.07, 0, 0.1), (0, 0.06, 0.1), (0, -0.06, 0.1)], strict=True):
+    for wall, place in zip(
+        walls, [(0.07, 0, 0.1), (-0.07, 0, 0.1), (0, 0.06, 0.1), (0, -0.06, 0.1)], strict=True
+    ):
         wall.apply_translation(place)
     trimesh.util.concatenate(walls).export(tmp_path / "walls.stl")
     for side, name in ((-1, "left"), (1, "right")):
@@ -116,7 +126,9 @@ def test_a_bucket_with_flaps_is_as_thin_as_its_thinnest_body_and_keeps_it_in_its
         flap.export(tmp_path / f"{name}.stl")
     keys = {"stl": "walls.stl", "flap_stl": ("left.stl", "right.stl"), "opening_angle_deg": 60.0}
     scene = load_scene("quick-release").replace({"feed_bucket": keys, "folder": str(tmp_path)})
-    of_feed = [thickness for group, _, thickness in lay_out_walls(scene)[0] if group.startswith("fb")]
+    of_feed = [
+        thickness for group, _, thickness in lay_out_walls(scene)[0] if group.startswith("fb")
+    ]
     assert len(of_feed) > 20 and of_feed == pytest.approx([1e-4] * len(of_feed), rel=1e-3)
     alone = parse_scene(dem_jax.assembly.inline_files(scene).to_toml())
     assert alone.feed_bucket.thickness == of_feed[0]
@@ -125,9 +137,14 @@ def test_a_bucket_with_flaps_is_as_thin_as_its_thinnest_body_and_keeps_it_in_its
 
 
 def test_no_plate_reaches_into_the_inside(tmp_path):
-    """Corners of the backs of all panels are in the sheet: at most a rounding of the file inside of the tray."""
+    """Corners of the backs of all panels are in the sheet: at most a rounding of the file inside of
+    the tray.
+    """
     tray().export(tmp_path / "tray.stl")
-    low, high = np.array([-INSIDE[0] / 2, -INSIDE[1] / 2, SHEET]), np.array([INSIDE[0] / 2, INSIDE[1] / 2, 1.0])
+    low, high = (
+        np.array([-INSIDE[0] / 2, -INSIDE[1] / 2, SHEET]),
+        np.array([INSIDE[0] / 2, INSIDE[1] / 2, 1.0]),
+    )
     for _, corners, thickness in list_wall_panels(Wall(group="tray", stl="tray.stl"), tmp_path):
         normal = np.cross(corners[1] - corners[0], corners[2] - corners[1])
         back = corners - thickness * normal / np.linalg.norm(normal)
@@ -144,13 +161,25 @@ PIECES = [
 @pytest.mark.long
 @pytest.mark.parametrize("piece", PIECES)
 def test_a_piece_in_a_tray_of_sheet_does_what_it_does_on_a_panel(piece, tmp_path):
-    """Lands with the same peak, and rests on the inner surface. The file has single precision: 1e-7 of the force, 4e-9 m."""
+    """Lands with the same peak, and rests on the inner surface. The file has single precision: 1e-7
+    of the force, 4e-9 m.
+    """
     tray().export(tmp_path / "tray.stl")
     flat = [(-0.3, -0.3, SHEET), (0.3, -0.3, SHEET), (0.3, 0.3, SHEET), (-0.3, 0.3, SHEET)]
-    walls = {"stl": {"stl": str(tmp_path / "tray.stl")}, "corners": {"corners": flat, "thickness": 0.05}}
+    walls = {
+        "stl": {"stl": str(tmp_path / "tray.stl")},
+        "corners": {"corners": flat, "thickness": 0.05},
+    }
     run = {"precision": "f64", "duration": 0.5, "energy": False}
-    still = load_scene("plate-drop").replace(block=[], material={"rest_damping": 0.2}, run=run, piece=[piece])
-    sheet, panel = (dem_jax.simulate(still.replace(wall=[{"group": "plate", **wall}])) for wall in walls.values())
+    still = load_scene("plate-drop").replace(
+        block=[], material={"rest_damping": 0.2}, run=run, piece=[piece]
+    )
+    sheet, panel = (
+        dem_jax.simulate(still.replace(wall=[{"group": "plate", **wall}]))
+        for wall in walls.values()
+    )
     assert sheet.pif_kg("plate").max() == pytest.approx(panel.pif_kg("plate").max(), rel=1e-5)
     np.testing.assert_allclose(sheet.pieces.position[-1], panel.pieces.position[-1], atol=1e-6)
-    np.testing.assert_allclose(sheet.pif_kg("plate")[-1000:].mean(), panel.pif_kg("plate")[-1000:].mean(), rtol=1e-3)
+    np.testing.assert_allclose(
+        sheet.pif_kg("plate")[-1000:].mean(), panel.pif_kg("plate")[-1000:].mean(), rtol=1e-3
+    )

@@ -1,4 +1,6 @@
-"""Cohesion on each law: pull-off force, work of separation, what hangs and what sticks, and friction that never reverses."""
+"""Cohesion on each law: pull-off force, work of separation, what hangs and what sticks, and
+friction that never reverses.
+"""
 
 from functools import cache
 
@@ -29,7 +31,9 @@ PIECES = {
 def built(law, shape="sphere", ratio=1.0, reach=RANGE):
     material = {"restitution": 0.5, "pull_off": PULL_OFF}
     scene = validation.plate_scene(PIECES[shape][0], **material)
-    return assembly.assemble_system(scene.replace(contact={"law": law, "cohesion": {"range": reach, "stiffness": ratio}}))
+    return assembly.assemble_system(
+        scene.replace(contact={"law": law, "cohesion": {"range": reach, "stiffness": ratio}})
+    )
 
 
 def coming_up(made):
@@ -39,26 +43,40 @@ def coming_up(made):
 
 @jax.jit
 def pulled(system, state, height, speed):
-    """Forces (N) and heights (m) of a very heavy piece that is pushed into the plate for 500 steps and then pulled off."""
-    heavy = system.replace(pieces=system.pieces.replace(mass=system.pieces.mass * 1e9), dt=jnp.full_like(system.dt, 2e-6))
+    """Forces (N) and heights (m) of a very heavy piece that is pushed into the plate for 500 steps
+    and then pulled off.
+    """
+    heavy = system.replace(
+        pieces=system.pieces.replace(mass=system.pieces.mass * 1e9),
+        dt=jnp.full_like(system.dt, 2e-6),
+    )
     heavy = validation.with_permanent_pairs(heavy)
-    read = lambda _, s: (-s.walls.force[2, 0, 0], s.position[2, 0])  # noqa: E731
+    read = lambda _, s: (-s.walls.force[2, 0, 0], s.position[2, 0])
     zero = jnp.zeros_like(height)
     state = state.replace_motion(position=jnp.stack([zero, zero, height])[:, None])
-    state, into = validation.trace_motion(heavy, state.replace_motion(velocity=jnp.stack([zero, zero, -speed])[:, None]), 500, read)
-    _, out = validation.trace_motion(heavy, state.replace_motion(velocity=jnp.stack([zero, zero, speed])[:, None]), 2500, read)
+    state, into = validation.trace_motion(
+        heavy, state.replace_motion(velocity=jnp.stack([zero, zero, -speed])[:, None]), 500, read
+    )
+    _, out = validation.trace_motion(
+        heavy, state.replace_motion(velocity=jnp.stack([zero, zero, speed])[:, None]), 2500, read
+    )
     return into, out
 
 
 PULLED = [(law, "sphere") for law in LAWS if law != "linear-dashpot"]
-PULLED += [pytest.param(*case, marks=pytest.mark.long) for case in (("linear-dashpot", "sphere"), ("walton-braun", "marshmallow"))]
+PULLED += [
+    pytest.param(*case, marks=pytest.mark.long)
+    for case in (("linear-dashpot", "sphere"), ("walton-braun", "marshmallow"))
+]
 
 
 @pytest.mark.parametrize(("law", "shape"), PULLED)
 def test_the_pull_off_force_and_the_way_back(law, shape):
     made = built(law, shape)
     half, d = PIECES[shape][1], coming_up(made)
-    (f, z), (force, place) = (tuple(np.asarray(x) for x in part) for part in pulled(made.system, made.state, half, 0.05))
+    (f, z), (force, place) = (
+        tuple(np.asarray(x) for x in part) for part in pulled(made.system, made.state, half, 0.05)
+    )
     assert (f >= 0).all()  # loading is that of the law alone
     assert force.min() == pytest.approx(-PULL_OFF, rel=1e-9)
     gap = place - half
@@ -70,7 +88,9 @@ def test_the_pull_off_force_and_the_way_back(law, shape):
 
 
 def test_the_work_of_separation():
-    """Just touching: P (d + range) / 2. After pressing, P s more of an elastic law, whatever the speed."""
+    """Just touching: P (d + range) / 2. After pressing, P s more of an elastic law, whatever the
+    speed.
+    """
     made = built("linear-dashpot")
     d, half = coming_up(made), PIECES["sphere"][1]
     for speed, pressed in ((0.05, None), (0.05, 1e-9)):
@@ -79,23 +99,46 @@ def test_the_work_of_separation():
         depth = float(half - place[0])
         work = np.trapezoid(-np.minimum(np.asarray(force), 0), np.asarray(place))
         wanted = PULL_OFF * (0.5 * (d + RANGE) + (max(depth, 0) if pressed is None else 0))
-        assert work == pytest.approx(wanted, rel=2e-3)  # where the law's own force is more than the tension, some 1e-3
+        assert work == pytest.approx(wanted, rel=2e-3)  # where the law's own force is more than the
+        # tension, some 1e-3
 
 
 @cache
 def pair_of_spheres(law):
-    pieces = [{"shape": "sphere", "radius": 0.0167, "position": (0.0, 0.0, s * 0.01671)} for s in (-1, 1)]
+    pieces = [
+        {"shape": "sphere", "radius": 0.0167, "position": (0.0, 0.0, s * 0.01671)} for s in (-1, 1)
+    ]
     run = {"precision": "f64", "gravity": (0.0, 0.0, 0.0), "frames": 0.0}
-    material = {"restitution": 1.0, "pull_off": PULL_OFF, "friction_wall": 0.0, "friction_piece": 0.0}
-    return assembly.assemble_system(Scene(piece=pieces, run=run, material=material, contact={"law": law, "cohesion": {"range": RANGE}}))
+    material = {
+        "restitution": 1.0,
+        "pull_off": PULL_OFF,
+        "friction_wall": 0.0,
+        "friction_piece": 0.0,
+    }
+    return assembly.assemble_system(
+        Scene(
+            piece=pieces,
+            run=run,
+            material=material,
+            contact={"law": law, "cohesion": {"range": RANGE}},
+        )
+    )
 
 
 @jax.jit
 def collided(system, state, speeds):
     def one(speed):
         velocity = jnp.zeros((3, 2)).at[2].set(jnp.stack([0.5 * speed, -0.5 * speed]))
-        read = lambda _, s: (s.position[2, 1] - s.position[2, 0], s.velocity[2, 1] - s.velocity[2, 0])  # noqa: E731
-        return validation.trace_motion(validation.with_permanent_pairs(system), state.replace_motion(velocity=velocity), 6000, read)[1]
+        read = lambda _, s: (
+            s.position[2, 1] - s.position[2, 0],
+            s.velocity[2, 1] - s.velocity[2, 0],
+        )
+        return validation.trace_motion(
+            validation.with_permanent_pairs(system),
+            state.replace_motion(velocity=velocity),
+            6000,
+            read,
+        )[1]
 
     return jax.vmap(one)(speeds)
 
@@ -110,10 +153,16 @@ def test_two_pieces_stick_or_part_with_what_is_left():
     left = 0.5 * mass * speeds**2 - PULL_OFF * (pressed + 0.5 * (d + RANGE))
     assert (left[:2] < 0).all() and (left[2:] > 0).all()
     dt = np.pi / 2 * np.sqrt(mass / stiffness) / 80
-    apart, speed = (np.asarray(x) for x in collided(made.system.replace(dt=jnp.asarray(dt)), made.state, jnp.asarray(speeds)))
+    apart, speed = (
+        np.asarray(x)
+        for x in collided(made.system.replace(dt=jnp.asarray(dt)), made.state, jnp.asarray(speeds))
+    )
     assert (apart[:2, -1] - 0.0334 < d + RANGE).all() and (apart[2:, -1] - 0.0334 > d + RANGE).all()
-    np.testing.assert_allclose(0.5 * mass * speed[2:, -1] ** 2, left[2:], rtol=2e-3, atol=2e-3 * left[2])
-    assert np.abs(speed[:2, -2000:]).max() < 0.6 * 0.15  # they ring on, with what the tension did not take
+    np.testing.assert_allclose(
+        0.5 * mass * speed[2:, -1] ** 2, left[2:], rtol=2e-3, atol=2e-3 * left[2]
+    )
+    assert np.abs(speed[:2, -2000:]).max() < 0.6 * 0.15  # they ring on, with what the tension did
+    # not take
 
 
 HANGING = [("walton-braun", "sphere"), ("linear-dashpot", "marshmallow")]
@@ -127,13 +176,17 @@ def test_a_piece_hangs_below_a_ceiling_if_it_weighs_less_than_the_pull_off_force
     system, mass = validation.with_permanent_pairs(made.system), float(made.system.pieces.mass[0])
     dt, steps = 2e-5, 6000
     system = system.replace(dt=jnp.asarray(dt))
-    start = made.state.replace_motion(position=jnp.asarray([0.0, 0.0, PIECES[shape][1] - 1e-8])[:, None])
+    start = made.state.replace_motion(
+        position=jnp.asarray([0.0, 0.0, PIECES[shape][1] - 1e-8])[:, None]
+    )
 
     @jax.jit
     @jax.vmap
     def fall(weight):
         def one(state, part):
-            gravity = jnp.stack([0 * weight, 0 * weight, weight / mass * jnp.minimum(1.2 * part, 1)])
+            gravity = jnp.stack(
+                [0 * weight, 0 * weight, weight / mass * jnp.minimum(1.2 * part, 1)]
+            )
             return stepping.advance_step(system.replace(gravity=gravity), state), None
 
         state = neighbour_list.rebuild_neighbour_list(system, start)
@@ -144,7 +197,9 @@ def test_a_piece_hangs_below_a_ceiling_if_it_weighs_less_than_the_pull_off_force
     assert (gap[2:] > 10 * RANGE).all(), gap
 
 
-@pytest.mark.parametrize("law", [WaltonBraun(0.001, 1.0, None), LinearDashpot(1.0), HertzMindlin(5.0)], ids=LAWS)
+@pytest.mark.parametrize(
+    "law", [WaltonBraun(0.001, 1.0, None), LinearDashpot(1.0), HertzMindlin(5.0)], ids=LAWS
+)
 def test_friction_never_reverses_and_never_exceeds_its_limit(law):
     """The limit is mu times the repulsive part F_n + A, also where the sum pulls."""
     random, n, mu = np.random.default_rng(1), 400, 0.5
@@ -167,7 +222,11 @@ def test_friction_never_reverses_and_never_exceeds_its_limit(law):
         before, overlap = overlap, overlap + random.normal(-1e-6, 3e-6, n)
         slip = random.normal(0, 1e-5, (2, n))
         contact = ContactKinematics(
-            jnp.asarray(overlap), jnp.asarray(overlap - before), (*jnp.asarray(slip), 0 * one), (0 * one, 0 * one, one), 1e-5 * one
+            jnp.asarray(overlap),
+            jnp.asarray(overlap - before),
+            (*jnp.asarray(slip), 0 * one),
+            (0 * one, 0 * one, one),
+            1e-5 * one,
         )
         fresh = sticky.init_history(pair, one)._replace(tension=history.tension, bond=history.bond)
         answer = sticky.force(pair, history, contact)
@@ -175,7 +234,8 @@ def test_friction_never_reverses_and_never_exceeds_its_limit(law):
         assert (repulsive >= 0).all()
         size = np.sqrt(sum(np.asarray(c) ** 2 for c in answer.tangential_force))
         assert (size <= mu * repulsive * (1 + 1e-9) + 1e-12).all()
-        direct = sticky.force(pair, fresh, contact).tangential_force  # of a spring that begins: against the slip
+        direct = sticky.force(pair, fresh, contact).tangential_force  # of a spring that begins:
+        # against the slip
         assert (direct[0] * slip[0] + direct[1] * slip[1] <= 1e-18).all()
         away = np.asarray(couple.pull_off) == 0
         assert (np.asarray(answer.history.tension)[away] == 0).all()

@@ -71,7 +71,10 @@ def test_flags_of_the_person_are_left_alone(monkeypatch):
     monkeypatch.setattr(xla_flags, "is_xla_in_use", lambda: False)
     xla_flags.set_loop_flags()
     xla_flags.set_loop_flags(unrolled=True)  # the first call decides
-    assert os.environ["XLA_FLAGS"] == f"--xla_cpu_enable_fast_math=false {xla_flags.LOOP_FLAGS},{xla_flags.NO_PARTIAL_UNROLLING}"
+    assert (
+        os.environ["XLA_FLAGS"]
+        == f"--xla_cpu_enable_fast_math=false {xla_flags.LOOP_FLAGS},{xla_flags.NO_PARTIAL_UNROLLING}"
+    )
 
 
 def test_of_an_ensemble_loops_are_unrolled():
@@ -84,17 +87,25 @@ def test_of_an_ensemble_loops_are_unrolled():
     settings["PYTHONPATH"] = os.pathsep.join(sys.path)
     said = {}
     for which in ("ensemble", "run"):
-        done = subprocess.run([sys.executable, "-c", program, which], env=settings, capture_output=True, text=True)
+        done = subprocess.run(
+            [sys.executable, "-c", program, which], env=settings, capture_output=True, text=True
+        )
         assert not done.returncode and "Warning" not in done.stderr, done.stderr
         said[which] = done.stdout.strip()
-    assert said == {"ensemble": xla_flags.LOOP_FLAGS, "run": f"{xla_flags.LOOP_FLAGS},{xla_flags.NO_PARTIAL_UNROLLING}"}
+    assert said == {
+        "ensemble": xla_flags.LOOP_FLAGS,
+        "run": f"{xla_flags.LOOP_FLAGS},{xla_flags.NO_PARTIAL_UNROLLING}",
+    }
 
 
 def test_a_warning_says_that_it_is_too_late_to_make_one_function_of_each_loop(monkeypatch):
     jnp.ones(()).block_until_ready()
     xla_flags.set_loop_flags()  # said in time, by conftest.py
     monkeypatch.setenv("XLA_FLAGS", "")
-    with pytest.warns(RuntimeWarning, match=r"two to three times as long.* call dem_jax.xla_flags.set_loop_flags\(\) before"):
+    with pytest.warns(
+        RuntimeWarning,
+        match=r"two to three times as long.* call dem_jax.xla_flags.set_loop_flags\(\) before",
+    ):
         xla_flags.set_loop_flags()
 
 
@@ -104,37 +115,56 @@ def test_whether_jax_is_in_use_is_known_and_changes_nothing():
         "print(xla_flags.is_xla_in_use(), xla_flags.is_xla_in_use(), len(jax.devices()), xla_flags.is_xla_in_use())"
     )
     settings = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "JAX_NUM_CPU_DEVICES": "3"}
-    done = subprocess.run([sys.executable, "-c", program], env=settings, capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", program], env=settings, capture_output=True, text=True
+    )
     assert done.stdout.split() == ["False", "False", "3", "True"], done.stderr
     devices = jax.config.jax_num_cpu_devices
     jnp.ones(()).block_until_ready()
     assert xla_flags.is_xla_in_use() and jax.config.jax_num_cpu_devices == devices
 
 
-GONE = {"xla_cpu_use_fusion_emitters"} if jax.__version_info__ >= (0, 11) else set()  # options that a version has no more
+# options that a version has no more
+GONE = {"xla_cpu_use_fusion_emitters"} if jax.__version_info__ >= (0, 11) else set()
 
 
 def test_every_option_is_known_to_the_compiler():
     """To those of all versions that are supported: one that a new version lacks shows here."""
-    rest = {name: value for name, value in xla_flags.BACKEND_OPTIONS["cpu"].items() if name not in GONE}
+    rest = {
+        name: value for name, value in xla_flags.BACKEND_OPTIONS["cpu"].items() if name not in GONE
+    }
     assert xla_flags.supported_options("cpu") == rest
-    assert xla_flags.supported_options("cpu", light=True) == rest | xla_flags.FAST_COMPILE_OPTIONS["cpu"]
+    assert (
+        xla_flags.supported_options("cpu", light=True)
+        == rest | xla_flags.FAST_COMPILE_OPTIONS["cpu"]
+    )
     compiled = xla_flags.jit_for_backend(lambda x: x + 1, "cpu")
     assert float(compiled(jnp.ones(()))) == 2.0
 
 
-@pytest.mark.skipif(jax.__version_info__[:2] != (0, 10), reason="counted with jax 0.10; other versions fuse otherwise")
+@pytest.mark.skipif(
+    jax.__version_info__[:2] != (0, 10),
+    reason="counted with jax 0.10; other versions fuse otherwise",
+)
 def test_what_is_left_to_compile_does_not_grow_unseen(tmp_path):
-    """The stock drop is 60 000 instructions of LLVM's. Where a kernel has several sums over rows, XLA writes all that comes before
-    anew for each: with one such kernel it was 90 000, and took 2.5 times as long to compile."""
+    """The stock drop is 60 000 instructions of LLVM's. Where a kernel has several sums over rows,
+    XLA writes all that comes before anew for each: with one such kernel it was 90 000, and took 2.5
+    times as long to compile.
+    """
     program = (
         "from dem_jax import load_scene, simulate\n"
         "short = {'run.duration': 6e-4, 'portion.settling_time': 6e-4}\n"
         "simulate(load_scene('weigh-bucket', short))"
     )
     flags = f"--xla_dump_to={tmp_path} --xla_dump_hlo_module_re=.*_chunk.*"
-    settings = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "JAX_ENABLE_COMPILATION_CACHE": "0", "XLA_FLAGS": flags}
-    done = subprocess.run([sys.executable, "-c", program], env=settings, capture_output=True, text=True)
+    settings = os.environ | {
+        "PYTHONPATH": os.pathsep.join(sys.path),
+        "JAX_ENABLE_COMPILATION_CACHE": "0",
+        "XLA_FLAGS": flags,
+    }
+    done = subprocess.run(
+        [sys.executable, "-c", program], env=settings, capture_output=True, text=True
+    )
     assert not done.returncode, done.stderr
     written = [file.read_text() for file in tmp_path.glob("*ir-no-opt.ll")]
     assert 40_000 < sum(len(re.findall(r"^  ", text, re.MULTILINE)) for text in written) < 75_000
@@ -172,8 +202,12 @@ def test_lightly_compiled_steps_have_the_same_bits(monkeypatch):
 
 def test_options_that_the_compiler_does_not_have_are_not_asked_for(monkeypatch):
     wanted = xla_flags.BACKEND_OPTIONS["cpu"]
-    monkeypatch.setitem(xla_flags.BACKEND_OPTIONS, "cpu", wanted | {"xla_cpu_of_another_version": True})
-    assert xla_flags.supported_options("cpu") == {name: value for name, value in wanted.items() if name not in GONE}
+    monkeypatch.setitem(
+        xla_flags.BACKEND_OPTIONS, "cpu", wanted | {"xla_cpu_of_another_version": True}
+    )
+    assert xla_flags.supported_options("cpu") == {
+        name: value for name, value in wanted.items() if name not in GONE
+    }
     compiled = xla_flags.jit_for_backend(lambda x: x + 2, "cpu")
     assert float(compiled(jnp.ones(()))) == 3.0
     assert xla_flags.supported_options("another") == {}
@@ -183,11 +217,18 @@ def test_options_that_the_compiler_does_not_have_are_not_asked_for(monkeypatch):
 def test_what_is_kept_is_the_same_to_the_last_bit(dtype):
     info = np.finfo(dtype)
     hard = [0.0, -0.0, 1 / 3, -1.0, np.inf, -np.inf, info.max, -info.tiny, np.nan]
-    x = np.concatenate([np.array(hard, dtype), np.random.default_rng(0).normal(size=100).astype(dtype)])
+    x = np.concatenate(
+        [np.array(hard, dtype), np.random.default_rng(0).normal(size=100).astype(dtype)]
+    )
     unsigned = {np.float32: np.uint32, np.float64: np.uint64}[dtype]
     for kept in (vector.fusion_barrier, jax.jit(vector.fusion_barrier)):
-        np.testing.assert_array_equal(np.asarray(kept(jnp.asarray(x))).view(unsigned), x.view(unsigned))
-    for gradient in (jax.grad(lambda x: 3 * vector.fusion_barrier(x)), jax.jacfwd(lambda x: 3 * vector.fusion_barrier(x))):
+        np.testing.assert_array_equal(
+            np.asarray(kept(jnp.asarray(x))).view(unsigned), x.view(unsigned)
+        )
+    for gradient in (
+        jax.grad(lambda x: 3 * vector.fusion_barrier(x)),
+        jax.jacfwd(lambda x: 3 * vector.fusion_barrier(x)),
+    ):
         assert float(gradient(jnp.asarray(0.7, dtype))) == 3
 
 
@@ -206,32 +247,49 @@ def test_what_is_kept_is_computed_once_by_the_compiled_program():
 
     def kernels(kept):
         ones = jnp.ones(64)
-        text = xla_flags.jit_for_backend(lambda a, b: three(kept, a, b), "cpu").lower(ones, ones).compile().as_text()
+        text = (
+            xla_flags.jit_for_backend(lambda a, b: three(kept, a, b), "cpu")
+            .lower(ones, ones)
+            .compile()
+            .as_text()
+        )
         return text.count("kind=kLoop")
 
     assert kernels(vector.fusion_barrier) == kernels(lambda x: x) + 1
 
 
 def test_loads_of_contacts_are_not_padded_by_the_compiled_program():
-    # Padding reads on, masked, past the end of what is padded: several times the time of a step if those pages are unused.
+    # Padding reads on, masked, past the end of what is padded: several times the time of a step if
+    # those pages are unused.
     scene = load_scene("quick-release").replace(BASE)
     built = assembly.assemble_system(scene, 0)
     rows = 2 * sum(slots for *_, slots in built.system.capacity) + 1
-    text = xla_flags.jit_for_backend(stepping.step, "cpu").lower(built.system, built.state).compile().as_text()
+    text = (
+        xla_flags.jit_for_backend(stepping.step, "cpu")
+        .lower(built.system, built.state)
+        .compile()
+        .as_text()
+    )
     assert f"f32[7,{rows}]" in text
     assert not re.search(rf"f32\[7,{rows}\]\S* pad\(", text)
 
 
-@pytest.mark.parametrize("shape", [{}, {"portion.shape": "sphere", "portion.radius": 0.01}], ids=["polytopes", "spheres"])
+@pytest.mark.parametrize(
+    "shape", [{}, {"portion.shape": "sphere", "portion.radius": 0.01}], ids=["polytopes", "spheres"]
+)
 def test_a_step_writes_over_history_and_loads(shape):
     """Else 28 MB would be copied in each step of 50 000 spheres."""
     built = assembly.assemble_system(load_scene("quick-release").replace(BASE | shape), 0)
     rooms = {kind: 1024 + 64 * k for k, (kind, *_) in enumerate(built.system.capacity)}
     capacity = tuple((kind, near, rooms[kind]) for kind, near, _ in built.system.capacity)
-    system, state = overflow_recovery.with_capacity(built.system, built.state, capacity, built.system.touching, 1)
+    system, state = overflow_recovery.with_capacity(
+        built.system, built.state, capacity, built.system.touching, 1
+    )
     system = system.replace(slot_block=choose_slot_block())
     assert all(tiling.tile_size(system, kind, room) for kind, room in rooms.items())
-    steps = lambda system, state: jax.lax.fori_loop(0, 9, lambda _, state: stepping.advance_step(system, state), state)  # noqa: E731
+    steps = lambda system, state: jax.lax.fori_loop(
+        0, 9, lambda _, state: stepping.advance_step(system, state), state
+    )
     text = xla_flags.jit_for_backend(steps, "cpu").lower(system, state).compile().as_text()
     loop, entry = text.split("\nENTRY ")
     sizes = "|".join(map(str, [*rooms.values(), 2 * sum(rooms.values()) + 1]))

@@ -18,15 +18,24 @@ PART = 200  # steps of an impact at a time, whatever the time step: one program 
 
 
 def built(scene, skin=None):
-    """The scene's system and first state; skin (m): larger than its own, so that a chunk never has to be run again, and
-    with room for all pairs."""
+    """The scene's system and first state; skin (m): larger than its own, so that a chunk never has
+    to be run again, and with room for all pairs.
+    """
     made = assembly.assemble_system(scene, 0)
     if not skin:
         return made
     system = made.system.replace(skin=made.system.skin * 0 + skin)
-    counts = system.parts.polytopes.shape[0], system.parts.spheres.shape[0], system.walls.group.shape[0]
-    room = tuple((kind, *[candidate_search.pair_count(kind, *counts)] * 2) for kind, *_ in system.capacity)
-    system, state = overflow_recovery.with_capacity(system, made.state, room, system.touching, system.row_capacity)
+    counts = (
+        system.parts.polytopes.shape[0],
+        system.parts.spheres.shape[0],
+        system.walls.group.shape[0],
+    )
+    room = tuple(
+        (kind, *[candidate_search.pair_count(kind, *counts)] * 2) for kind, *_ in system.capacity
+    )
+    system, state = overflow_recovery.with_capacity(
+        system, made.state, room, system.touching, system.row_capacity
+    )
     return replace(made, system=system, state=state)
 
 
@@ -35,7 +44,9 @@ def run(made, samples, finer=1, state=None):
     system = validation.with_finer_steps(made.system, finer)
     count, every = np.int32(samples), np.int32(1)
     start = made.state if state is None else state
-    state, recorded, _ = stepping.run_compiled_chunk(system, start, count, every, samples=SAMPLES, frames=0)
+    state, recorded, _ = stepping.run_compiled_chunk(
+        system, start, count, every, samples=SAMPLES, frames=0
+    )
     assert not overflow_recovery.describe_overflow(system, jax.device_get(state.guard))
     return state, jax.tree.map(lambda x: np.asarray(x)[:samples], recorded)
 
@@ -43,9 +54,14 @@ def run(made, samples, finer=1, state=None):
 def momenta(made, state):
     """Momentum and angular momentum about the origin, [3] each, and the sizes of what was added up."""
     mass = np.asarray(made.system.pieces.mass, float)
-    x, v, spin = (np.asarray(a, float).T for a in (state.position, state.velocity, state.angular_momentum))
+    x, v, spin = (
+        np.asarray(a, float).T for a in (state.position, state.velocity, state.angular_momentum)
+    )
     linear, orbital = mass[:, None] * v, np.cross(x, mass[:, None] * v)
-    sizes = np.linalg.norm(linear, axis=1).sum(), np.linalg.norm(orbital, axis=1).sum() + np.linalg.norm(spin, axis=1).sum()
+    sizes = (
+        np.linalg.norm(linear, axis=1).sum(),
+        np.linalg.norm(orbital, axis=1).sum() + np.linalg.norm(spin, axis=1).sum(),
+    )
     return linear.sum(0), (orbital + spin).sum(0), sizes
 
 
@@ -60,9 +76,19 @@ def cluster(shapes):
     corners = 0.032 * np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     pieces = []
     for shape, x in zip(shapes, corners, strict=True):
-        pose = {"position": (x + random.normal(size=3) * 5e-4).tolist(), "orientation": quaternion(random)}
+        pose = {
+            "position": (x + random.normal(size=3) * 5e-4).tolist(),
+            "orientation": quaternion(random),
+        }
         motion = random.normal(size=(2, 3)) * [[0.2], [10]] + [-15 * x, 0 * x]
-        pieces.append({**shape, **pose, "velocity": motion[0].tolist(), "angular_velocity": motion[1].tolist()})
+        pieces.append(
+            {
+                **shape,
+                **pose,
+                "velocity": motion[0].tolist(),
+                "angular_velocity": motion[1].tolist(),
+            }
+        )
     settings = {"precision": "f64", "gravity": (0.0, 0.0, 0.0), "sample": 1e-4, "frames": 0.0}
     return Scene(piece=pieces, run=settings)
 
@@ -95,12 +121,16 @@ def test_an_isolated_cluster_keeps_its_momentum_and_angular_momentum(shapes):
 
 
 def assert_balanced(made, recorded, gravity, tolerance):
-    """Over every sample interval, gravity less the mean forces on the walls is the change of momentum."""
+    """Over every sample interval, gravity less the mean forces on the walls is the change of
+    momentum.
+    """
     mass = np.asarray(made.system.pieces.mass, float)
     interval = float(made.system.dt) * int(made.system.substeps) * made.system.sample_parts
     before = (mass * np.asarray(made.state.velocity, float)).sum(1)
     momentum = np.concatenate([before[None], recorded.momentum.astype(float)])
-    impulse = (mass.sum() * np.asarray(gravity) - recorded.mean_force.astype(float).sum(-1)) * interval
+    impulse = (
+        mass.sum() * np.asarray(gravity) - recorded.mean_force.astype(float).sum(-1)
+    ) * interval
     size = np.abs(momentum).max()
     assert np.abs(recorded.mean_force).max() > 10 * mass.sum() * 9.81  # there was an impact
     assert np.abs(np.diff(momentum, axis=0) - impulse).max() < tolerance * size
@@ -121,7 +151,11 @@ def tumbling(precision):
 def bucket(precision):
     """Three marshmallows fall into a closed weigh bucket, whose flaps then open under them."""
     pieces = [
-        {"position": (0.02 * k, 0.01 * k, 0.19 + 0.06 * k), "orientation": (1.0, 0.3 * k, 0.2, 0.1), "velocity": (0.0, 0.0, -2.5)}
+        {
+            "position": (0.02 * k, 0.01 * k, 0.19 + 0.06 * k),
+            "orientation": (1.0, 0.3 * k, 0.2, 0.1),
+            "velocity": (0.0, 0.0, -2.5),
+        }
         for k in (-1, 0, 1)
     ]
     flaps = {"opening_start": 0.045, "opening_time": 0.03}
@@ -135,7 +169,9 @@ BALANCED = [(bucket, "f32"), *(pytest.param(*case, marks=pytest.mark.long) for c
 
 @pytest.mark.parametrize("scene, precision", BALANCED)
 def test_forces_on_the_walls_and_gravity_account_for_all_momentum(scene, precision):
-    """Tolerance: the kicks of the some 20 steps of an interval, each rounded to the precision of the velocity."""
+    """Tolerance: the kicks of the some 20 steps of an interval, each rounded to the precision of
+    the velocity.
+    """
     with jax.enable_x64(precision == "f64"):
         made = built(scene(precision), skin=0.01)
         _, recorded = run(made, {tumbling: 400, bucket: 800}[scene])
@@ -151,7 +187,8 @@ def test_the_ledger_closes_with_walls_that_move():
         assert np.abs(work).max() > 1e-4  # J: the flaps take from and give to the pieces
         off.append(np.abs(total - total[0]).max() / np.ptp(recorded.energy[:, 0]))
     assert max(off) < 2e-3
-    assert off[2] < off[0] / 8  # second order would be 16: runs part where pieces collide, and peaks differ
+    assert off[2] < off[0] / 8  # second order would be 16: runs part where pieces collide, and
+    # peaks differ
 
 
 # --- energy ---
@@ -170,14 +207,20 @@ def test_the_ledger_of_a_tumbling_impact_with_friction_closes_at_second_order():
     assert off[1] / off[2] == pytest.approx(4, rel=0.1)
 
 
-@pytest.mark.parametrize(("restitution", "friction"), [(0.1, 0.3), (0.1, 0.0), (0.7, 0.3), (1.0, 0.0)])
+@pytest.mark.parametrize(
+    ("restitution", "friction"), [(0.1, 0.3), (0.1, 0.0), (0.7, 0.3), (1.0, 0.0)]
+)
 def test_energy_never_grows_in_an_impact_that_tips_and_turns(restitution, friction):
-    """At the paper's softening the pulse is so long that a piece rolls from corner to corner while it lasts.
+    """At the paper's softening the pulse is so long that a piece rolls from corner to corner while
+    it lasts.
 
-    What may come from nothing is the work on the separation line, lambda = 0.1 % of the work of loading, as the overlap
-    grows by turning, and what the time step leaves, which falls with its square.
+    What may come from nothing is the work on the separation line, lambda = 0.1 % of the work of
+    loading, as the overlap grows by turning, and what the time step leaves, which falls with its
+    square.
     """
-    made = assembly.assemble_system(validation.plate_scene({}, restitution=restitution, friction_wall=friction), 0)
+    made = assembly.assemble_system(
+        validation.plate_scene({}, restitution=restitution, friction_wall=friction), 0
+    )
     turns = Rotation.random(24, random_state=4)
     frame = Rotation.from_quat(made.frames[0], scalar_first=True)  # principal to body
     height = [1e-5 - turn.apply(made.shapes[0].vertices)[:, 2].min() for turn in turns]
@@ -191,7 +234,9 @@ def test_energy_never_grows_in_an_impact_that_tips_and_turns(restitution, fricti
             parts.append(np.asarray(energy))
         energy = np.concatenate(parts, axis=1)
         mechanical = energy[..., :3].sum(-1)
-        rise.append((mechanical - np.minimum.accumulate(mechanical, axis=1)).max() / mechanical[0, 0])
+        rise.append(
+            (mechanical - np.minimum.accumulate(mechanical, axis=1)).max() / mechanical[0, 0]
+        )
     print(f"restitution {restitution}, friction {friction}: rise {rise}")
     assert rise[1] < 2e-3
     if restitution == 1:
@@ -199,7 +244,9 @@ def test_energy_never_grows_in_an_impact_that_tips_and_turns(restitution, fricti
 
 
 def impacts(state, heights, orientations):
-    """States [K] of the piece that falls at 2 m/s from these heights [K] in these orientations [K, 4]."""
+    """States [K] of the piece that falls at 2 m/s from these heights [K] in these orientations [K,
+    4].
+    """
 
     def one(height, orientation):
         zero = jnp.zeros_like(height)
@@ -215,15 +262,24 @@ def impacts(state, heights, orientations):
 @jax.jit
 def impact_energies(system, states):
     """The states [K] after a part of the run, and their energies [K, PART, 6] on the way."""
-    energies = lambda system, state: observables.energy_terms(system, state)[:, 0]  # noqa: E731
+    energies = lambda system, state: observables.energy_terms(system, state)[:, 0]
     return jax.vmap(lambda state: validation.trace_motion(system, state, PART, energies))(states)
 
 
 def box(restitution):
-    """Eight marshmallows in random poses, in two columns of four layers, above the floor of a box of 120 x 120 mm."""
+    """Eight marshmallows in random poses, in two columns of four layers, above the floor of a box
+    of 120 x 120 mm.
+    """
     random = np.random.default_rng(3)
-    corners = np.array([(x, y, z) for z in (0, 1) for x in (-1, 1) for y in (-1, 1)]) * (0.03, 0.03, 0.062) + (0, 0, 0.04)
-    pieces = [{"position": (x + random.normal(size=3) * 5e-4).tolist(), "orientation": quaternion(random)} for x in corners]
+    corners = np.array([(x, y, z) for z in (0, 1) for x in (-1, 1) for y in (-1, 1)]) * (
+        0.03,
+        0.03,
+        0.062,
+    ) + (0, 0, 0.04)
+    pieces = [
+        {"position": (x + random.normal(size=3) * 5e-4).tolist(), "orientation": quaternion(random)}
+        for x in corners
+    ]
     a, low, high = 0.06, -0.02, 0.2
     sides = [
         [(a, -a, low), (-a, -a, low), (-a, -a, high), (a, -a, high)],
@@ -232,12 +288,16 @@ def box(restitution):
         [(a, a, low), (a, -a, low), (a, -a, high), (a, a, high)],
     ]
     floor = [(-a, -a, 0.0), (a, -a, 0.0), (a, a, 0.0), (-a, a, 0.0)]
-    walls = [{"group": "floor", "corners": floor}] + [{"group": "sides", "corners": side} for side in sides]
+    walls = [{"group": "floor", "corners": floor}] + [
+        {"group": "sides", "corners": side} for side in sides
+    ]
     settings = {"precision": "f64", "sample": 5e-4, "frames": 0.0}
     return Scene(piece=pieces, wall=walls, material={"restitution": restitution}, run=settings)
 
 
-@pytest.mark.parametrize("restitution, samples", [(0.1, 400), pytest.param(0.7, 2000, marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    "restitution, samples", [(0.1, 400), pytest.param(0.7, 2000, marks=pytest.mark.long)]
+)
 def test_pieces_in_a_box_lose_energy_and_come_to_rest(restitution, samples):
     made = built(box(restitution), skin=0.015)
     state, recorded = run(made, min(samples, 1000))
@@ -246,10 +306,14 @@ def test_pieces_in_a_box_lose_energy_and_come_to_rest(restitution, samples):
         state, recorded = run(made, samples - 1000, state=state)
         energy = np.concatenate([energy, recorded.energy])
     mechanical = energy[:, :3].sum(1)
-    rise = (mechanical - np.minimum.accumulate(mechanical)).max()  # the largest above any earlier value
+    rise = (mechanical - np.minimum.accumulate(mechanical)).max()  # the largest above any earlier
+    # value
     off = np.abs(energy[:, 5] - energy[0, 5]).max()
-    print(f"restitution {restitution}: rise {rise:.2g} J of {mechanical[0]:.3g} J, ledger {off:.2g} J")
-    # The steps that epsilon = 0.7 allows are 7 times longer, and what is not closed grows with their square.
+    print(
+        f"restitution {restitution}: rise {rise:.2g} J of {mechanical[0]:.3g} J, ledger {off:.2g} J"
+    )
+    # The steps that epsilon = 0.7 allows are 7 times longer, and what is not closed grows with
+    # their square.
     assert rise < (1e-9 if restitution < 0.5 else 3e-4) * mechanical[0]
     assert off < 1e-3 * mechanical[0]
     assert energy[-1, 0] < 0.05 * mechanical[0]
@@ -257,7 +321,8 @@ def test_pieces_in_a_box_lose_energy_and_come_to_rest(restitution, samples):
         return  # its small steps make waiting for rest too long for a test
     mass, time = float(made.system.pieces.mass.sum()), 400 * 5e-4
     floor = -recorded.mean_force[-400:].sum(-1)[:, 2].mean() / (9.81 * mass) - 1
-    ringing = np.sqrt(2 * energy[-401:, 0].max() / mass)  # m/s: momentum may differ by as much at both ends
+    ringing = np.sqrt(2 * energy[-401:, 0].max() / mass)  # m/s: momentum may differ by as much at
+    # both ends
     print(f"at rest {energy[-1, 0]:.2g} J, force on walls / weight - 1 = {floor:.2g}")
     assert energy[-1, 0] < 1e-6  # J
     assert abs(floor) < 2 * ringing / (9.81 * time) < 5e-3

@@ -12,8 +12,15 @@ from dem_jax import deprecation
 
 @pytest.mark.parametrize(
     ("module", "former", "name"),
-    [(module, *names) for module, (_, table) in deprecation.MOVED.items() for names in table.items()]
-    + [("dem_jax.contact.law", "Response", "Response"), ("dem_jax.contact.law", "ContactLaw", "ContactLaw")],
+    [
+        (module, *names)
+        for module, (_, table) in deprecation.MOVED.items()
+        for names in table.items()
+    ]
+    + [
+        ("dem_jax.contact.law", "Response", "Response"),
+        ("dem_jax.contact.law", "ContactLaw", "ContactLaw"),
+    ],
 )
 def test_a_name_of_a_module_that_moved_is_the_one_of_now(module, former, name):
     now = import_module(deprecation.MOVED[module][0])
@@ -22,7 +29,9 @@ def test_a_name_of_a_module_that_moved_is_the_one_of_now(module, former, name):
 
 def test_an_import_of_a_former_module_says_where_it_is_now():
     code = "from dem_jax.contact.law import Response, dashpot; print(Response.__module__, dashpot.damped.__name__)"
-    done = subprocess.run([sys.executable, "-W", "always", "-c", code], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-W", "always", "-c", code], capture_output=True, text=True, check=True
+    )
     assert done.stdout.split() == ["dem_jax.contact_laws", "damped_force"]
     assert "dem_jax.contact.law is now dem_jax.contact_laws" in done.stderr
     assert import_module("dem_jax").__name__ == "dem_jax"

@@ -1,4 +1,6 @@
-"""A marshmallow hits a frictionless plate with one corner: the closed forms of a rigid, eccentric impact."""
+"""A marshmallow hits a frictionless plate with one corner: the closed forms of a rigid, eccentric
+impact.
+"""
 
 from functools import cache
 
@@ -15,15 +17,19 @@ from dem_jax.validation import EccentricImpact
 
 SPEED, SPIN = 2.0, 30.0  # m/s, rad/s
 COUNT = 24  # orientations
-# The closed forms hold for a contact so stiff that the body does not turn in it; its turn goes with 1 / sqrt(K).
+# The closed forms hold for a contact so stiff that the body does not turn in it; its turn goes with
+# 1 / sqrt(K).
 SOFTENING = (1.0, 100.0)
-STEPS = 100  # per loading quarter period of a central impact; an eccentric one is quicker, by sqrt(m_eff / m) > 0.5
+STEPS = 100  # per loading quarter period of a central impact; an eccentric one is quicker, by
+# sqrt(m_eff / m) > 0.5
 RESTITUTION = 0.5
 
 
 @cache
 def built(softening):
-    return assembly.assemble_system(validation.plate_scene({}, softening=softening, restitution=RESTITUTION, separation=0.0))
+    return assembly.assemble_system(
+        validation.plate_scene({}, softening=softening, restitution=RESTITUTION, separation=0.0)
+    )
 
 
 def read(system, state):
@@ -36,11 +42,15 @@ def read(system, state):
 @jax.jit
 def run(system, state, dt, friction, height, velocity, orientation, spin):
     """1200 steps of impacts side by side."""
-    system = validation.with_friction(validation.with_permanent_pairs(system).replace(dt=dt), friction)
+    system = validation.with_friction(
+        validation.with_permanent_pairs(system).replace(dt=dt), friction
+    )
 
     def one(height, velocity, orientation, spin):
         inertia = tuple(system.pieces.inertia)
-        momentum = quaternions.angular_momentum(tuple(orientation[:, None]), tuple(spin[:, None]), inertia)
+        momentum = quaternions.angular_momentum(
+            tuple(orientation[:, None]), tuple(spin[:, None]), inertia
+        )
         zero = jnp.zeros_like(height)
         start = state.replace_motion(
             position=jnp.stack([zero, zero, height])[:, None],
@@ -48,16 +58,23 @@ def run(system, state, dt, friction, height, velocity, orientation, spin):
             orientation=orientation[:, None],
             angular_momentum=jnp.stack(momentum),
         )
-        return validation.trace_motion(system, start, 1200, lambda *x: read(*x) | {"energy": observables.energy_terms(*x)[:, 0]})[1]
+        return validation.trace_motion(
+            system,
+            start,
+            1200,
+            lambda *x: read(*x) | {"energy": observables.energy_terms(*x)[:, 0]},
+        )[1]
 
     return jax.vmap(one)(height, velocity, orientation, spin)
 
 
 @cache
 def orientations():
-    """COUNT random orientations, spins and velocities whose second corner is out of reach of the impact.
+    """COUNT random orientations, spins and velocities whose second corner is out of reach of the
+    impact.
 
-    In the pulse of softening 1 (0.1 ms at the most) the body turns by up to 100 rad/s and goes down by 0.1 mm: 1 mm.
+    In the pulse of softening 1 (0.1 ms at the most) the body turns by up to 100 rad/s and goes down
+    by 0.1 mm: 1 mm.
     """
     random = np.random.default_rng(7)
     vertices = np.asarray(built(1.0).shapes[0].vertices)
@@ -85,10 +102,19 @@ def impacts(softening, friction=0.0, steps=STEPS):
     for turn, arm, velocity, spin in orientations():
         r = turn.as_matrix()
         case = EccentricImpact(
-            mass, r @ body @ r.T, arm, np.array([0.0, 0.0, 1.0]), velocity, spin, stiffness, RESTITUTION
+            mass,
+            r @ body @ r.T,
+            arm,
+            np.array([0.0, 0.0, 1.0]),
+            velocity,
+            spin,
+            stiffness,
+            RESTITUTION,
         )
         cases.append(case)
-        rows.append((-arm[2] + 0.5 * dt * case.speed, velocity, turn.as_quat(scalar_first=True), spin))
+        rows.append(
+            (-arm[2] + 0.5 * dt * case.speed, velocity, turn.as_quat(scalar_first=True), spin)
+        )
     columns = [jnp.asarray(np.array(c)) for c in zip(*rows, strict=True)]
     found = run(made.system, made.state, jnp.asarray(dt), jnp.asarray(friction), *columns)
     return cases, dt, jax.tree.map(np.asarray, found)
@@ -100,16 +126,19 @@ def relative_errors(softening):
     out = []
     for i, case in enumerate(cases):
         force = found["force"][i]
-        end = int(np.argmax((force[1:] == 0) & (force[:-1] > 0))) + 1  # first step without force after the pulse
+        end = int(np.argmax((force[1:] == 0) & (force[:-1] > 0))) + 1  # first step without force
+        # after the pulse
         assert force[end] == 0
         last, before = force[end - 1], force[end - 2]
-        # Touched half a step before the first force; the force ends where its last two values run out to zero.
+        # Touched half a step before the first force; the force ends where its last two values run
+        # out to zero.
         first = int(np.argmax(force > 0))
         duration = (end - 1 - first + 0.5 + last / (before - last)) * dt
         change = case.velocity_after - case.velocity, case.spin_after - case.spin
         out.append(
             (
-                np.linalg.norm(found["velocity"][i, end] - case.velocity_after) / np.linalg.norm(change[0]),
+                np.linalg.norm(found["velocity"][i, end] - case.velocity_after)
+                / np.linalg.norm(change[0]),
                 np.linalg.norm(found["spin"][i, end] - case.spin_after) / np.linalg.norm(change[1]),
                 abs(force[: end + 1].max() / case.peak_force - 1),
                 abs(duration / case.duration - 1),
@@ -119,7 +148,8 @@ def relative_errors(softening):
 
 
 def test_effective_mass_of_the_marshmallow():
-    # Mean and median of m_eff / m over orientations: 0.521 and 0.477, of independent random draws (5000: 0.3 %).
+    # Mean and median of m_eff / m over orientations: 0.521 and 0.477, of independent random draws
+    # (5000: 0.3 %).
     pieces = built(1.0).system.pieces
     vertices = np.asarray(built(1.0).shapes[0].vertices)
     body, mass = np.asarray(pieces.inertia[:, 0]), float(pieces.mass[0])
@@ -133,8 +163,9 @@ def test_effective_mass_of_the_marshmallow():
 
 
 def test_impact_equals_the_closed_forms():
-    # At 100 x the paper's modulus the pulse is 10 us and the body, at up to 200 rad/s, turns by up to 2 mrad in it, of
-    # which the closed forms know nothing; the method itself is off by 1 / (epsilon N)^2 x 0.25 = 1e-4.
+    # At 100 x the paper's modulus the pulse is 10 us and the body, at up to 200 rad/s, turns by up
+    # to 2 mrad in it, of which the closed forms know nothing; the method itself is off by 1 /
+    # (epsilon N)^2 x 0.25 = 1e-4.
     assert len(orientations()) >= 20
     errors = relative_errors(100.0)
     assert (errors.max(0) < (2e-3, 3e-3, 1e-3, 1e-3)).all(), errors.max(0)
@@ -161,7 +192,8 @@ def test_energy_is_closed_at_second_order(friction):
         off = np.abs(energy[:, :, 5] - energy[:, :1, 5]) / start
         over.append(off[:, -1].max())
         within.append(off.max())
-    # In the pulse: of the oscillation on K_nu, (omega_2 dt)^2 / 8 = (pi/2 / (epsilon N))^2 / 8 = 1.2e-4 of the energy.
+    # In the pulse: of the oscillation on K_nu, (omega_2 dt)^2 / 8 = (pi/2 / (epsilon N))^2 / 8 =
+    # 1.2e-4 of the energy.
     assert within[0] < 1.2e-4
     assert abs(within[0] / within[1] / 4 - 1) < 0.1
     # After it: only what the turn of the body in a step leaves.
@@ -170,21 +202,32 @@ def test_energy_is_closed_at_second_order(friction):
 
 
 def test_impact_of_a_turning_piece_with_friction_converges():
-    # Sticking and sliding in all directions while the arm turns, at the paper's softening: what each halving of the step
-    # changes falls, at first order in the end: the arm of friction about the normal is renewed in every eighth step only. Root
-    # mean square over the orientations, as kinks fall at other phases of each step.
+    # Sticking and sliding in all directions while the arm turns, at the paper's softening: what
+    # each halving of the step changes falls, at first order in the end: the arm of friction about
+    # the normal is renewed in every eighth step only. Root mean square over the orientations, as
+    # kinks fall at other phases of each step.
     made = built(0.01)
     pieces = made.system.pieces
-    total = 1.2 * np.pi * np.sqrt(float(pieces.mass[0] / validation.wall_stiffness(made.system)[0]))  # 2.4 quarter periods
+    # 2.4 quarter periods
+    total = 1.2 * np.pi * np.sqrt(float(pieces.mass[0] / validation.wall_stiffness(made.system)[0]))
     rows = []
     for turn, arm, velocity, spin in orientations():
-        rows.append((-arm[2] + 0.1 * total * SPEED, velocity, turn.as_quat(scalar_first=True), 4 * spin))
+        rows.append(
+            (-arm[2] + 0.1 * total * SPEED, velocity, turn.as_quat(scalar_first=True), 4 * spin)
+        )
     columns = [jnp.asarray(np.array(c)) for c in zip(*rows, strict=True)]
     last = []
     for steps in (300, 600, 1200):
         found = run(made.system, made.state, jnp.asarray(total / steps), jnp.asarray(0.3), *columns)
-        last.append([np.asarray(found["velocity"])[:, steps - 1], 0.02 * np.asarray(found["spin"])[:, steps - 1]])
-    change = [np.sqrt(np.mean(np.square(np.subtract(a, b)))) for a, b in zip(last, last[1:], strict=False)]
+        last.append(
+            [
+                np.asarray(found["velocity"])[:, steps - 1],
+                0.02 * np.asarray(found["spin"])[:, steps - 1],
+            ]
+        )
+    change = [
+        np.sqrt(np.mean(np.square(np.subtract(a, b)))) for a, b in zip(last, last[1:], strict=False)
+    ]
     print(change)
     assert change[0] / change[1] > 1.5, change
     assert change[1] < 1e-4 * SPEED

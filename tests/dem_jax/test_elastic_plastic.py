@@ -46,15 +46,23 @@ def impacts(restitution, speed, dt):
 
 @pytest.fixture(scope="module")
 def found():
-    """Impacts of all speeds and restitutions, 300 steps in the time that the overlap needs at the speed of the impact."""
+    """Impacts of all speeds and restitutions, 300 steps in the time that the overlap needs at the
+    speed of the impact.
+    """
     with jax.enable_x64(True):
         e, v = (a.ravel() for a in np.meshgrid(RESTITUTION, SPEEDS, indexing="ij"))
         dt = largest_overlap(law_and_pair(e)[1], MASS, v) / v / 300
-        return e, v, [np.asarray(x) for x in impacts(jnp.asarray(e), jnp.asarray(v), jnp.asarray(dt))]
+        return (
+            e,
+            v,
+            [np.asarray(x) for x in impacts(jnp.asarray(e), jnp.asarray(v), jnp.asarray(dt))],
+        )
 
 
 def exact(speeds, name):
-    return np.array([getattr(ElasticPlasticImpact(MASS, MODULUS, RADIUS, PRESSURE, v), name) for v in speeds])
+    return np.array(
+        [getattr(ElasticPlasticImpact(MASS, MODULUS, RADIUS, PRESSURE, v), name) for v in speeds]
+    )
 
 
 def test_the_restitution_is_thorntons_times_that_of_the_material(found):
@@ -69,7 +77,9 @@ def test_peak_force_and_overlap_are_those_of_the_energy(found):
     e, v, (overlap, push, _, _) = found
     pair = jax.tree.map(lambda x: float(x[0]), law_and_pair(np.array([1.0]))[1])
     assert push.max(axis=0) == pytest.approx(exact(v, "peak_force"), rel=1e-3)
-    assert overlap.max(axis=0) == pytest.approx(np.array([largest_overlap(pair, MASS, one) for one in v]), rel=1e-3)
+    assert overlap.max(axis=0) == pytest.approx(
+        np.array([largest_overlap(pair, MASS, one) for one in v]), rel=1e-3
+    )
 
 
 def test_far_above_yield_the_restitution_falls_with_the_fourth_root_of_the_speed():
@@ -81,7 +91,9 @@ def test_far_above_yield_the_restitution_falls_with_the_fourth_root_of_the_speed
 
 
 def test_energy_is_kept_but_for_yielding_and_the_dashpot(found):
-    """Below yield all of it; above, the loss at the peak is that of Thornton's restitution, and the rest comes back."""
+    """Below yield all of it; above, the loss at the peak is that of Thornton's restitution, and the
+    rest comes back.
+    """
     e, v, (_, push, velocity, energy) = found
     for k in np.flatnonzero(e == 1.0):
         whole = (0.5 * MASS * velocity[:, k] ** 2 + energy[:, k]) / (0.5 * MASS * v[k] ** 2)
@@ -95,11 +107,17 @@ def forces(deepest):
     """First loading, the dent, and the stored energy at deepest overlaps."""
     law, pair = law_and_pair(jnp.ones_like(deepest))
     history = ElasticPlasticHistory(deepest, deepest, None)
-    return loading_force(pair, deepest), flatten_contact(pair, deepest), law.energy(pair, history, deepest)
+    return (
+        loading_force(pair, deepest),
+        flatten_contact(pair, deepest),
+        law.energy(pair, history, deepest),
+    )
 
 
 def test_the_force_has_no_jump_where_it_yields_and_where_it_turns():
-    """Value and slope at yield; at the deepest overlap the force of the flattened Hertzian contact, and its integral."""
+    """Value and slope at yield; at the deepest overlap the force of the flattened Hertzian contact,
+    and its integral.
+    """
     edge, step = CASE.yield_overlap, 1e-6
     with jax.enable_x64(True):
         at = edge * jnp.array([1 - 2 * step, 1 - step, 1 + step, 1 + 2 * step, 0.5, 20.0])
@@ -107,14 +125,23 @@ def test_the_force_has_no_jump_where_it_yields_and_where_it_turns():
     slope = np.pi * PRESSURE * RADIUS
     assert np.diff(force[:4]) / np.diff(np.asarray(at)[:4]) == pytest.approx([slope] * 3, rel=1e-5)
     assert force == pytest.approx(4 / 3 * MODULUS * dent.radius * dent.depth, rel=1e-9)
-    exact = [quad(lambda x, f=f, d=d: f * (x / d) ** 1.5, 0, d)[0] for f, d in zip(force, dent.depth, strict=True)]
+    exact = [
+        quad(lambda x, f=f, d=d: f * (x / d) ** 1.5, 0, d)[0]
+        for f, d in zip(force, dent.depth, strict=True)
+    ]
     assert energy == pytest.approx(np.array(exact), rel=1e-7)
 
 
 def test_the_step_of_a_scene_resolves_unloading():
     """Of a tablet of the scene's keys; other laws have no yield pressure."""
-    own = {"contact.law": "elastic-plastic", "contact.yield_pressure": 2e6, "contact.impact_speed": 3.0}
+    own = {
+        "contact.law": "elastic-plastic",
+        "contact.yield_pressure": 2e6,
+        "contact.impact_speed": 3.0,
+    }
     made = assembly.assemble_system(load_scene("plate-drop", own))
     assert made.step.dt <= made.step.stable and np.isfinite(made.step.dt)
-    with pytest.raises(SceneError, match='contact.yield_pressure = 100000: law "walton-braun" has no such key'):
+    with pytest.raises(
+        SceneError, match='contact.yield_pressure = 100000: law "walton-braun" has no such key'
+    ):
         load_scene("plate-drop", {"contact.yield_pressure": 1e5})

@@ -1,4 +1,6 @@
-"""How a process ends: by signals, without readers, with others at its files; and files that it must not touch."""
+"""How a process ends: by signals, without readers, with others at its files; and files that it must
+not touch.
+"""
 
 import fcntl
 import gc
@@ -29,7 +31,8 @@ from dem_jax.study import results_file as study_file
 from dem_jax.visualization.run_figure import save_figure
 from tests.dem_jax.test_record import header, samples
 
-# --- signals: of a command that computes, in Python or, as XLA does while it compiles, outside of it ---
+# --- signals: of a command that computes, in Python or, as XLA does while it compiles, outside of
+# it ---
 
 COMMAND = """
 import hashlib, signal, sys, time
@@ -72,7 +75,9 @@ def begun(where, handler="default_int_handler"):
     """The command as a process; handler: of SIGINT, that it is started with."""
     command = [sys.executable, "-c", COMMAND.replace("{handler}", handler), "scenes", where]
     search = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
-    return subprocess.Popen(command, env=search, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    return subprocess.Popen(
+        command, env=search, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
 
 
 def interrupted(where, number):
@@ -95,11 +100,14 @@ def interrupted(where, number):
         ("while_writing", signal.SIGHUP, 129, "hung up", {"saved", "whole"}),
     ],
 )
-def test_a_signal_ends_a_command_within_a_second_and_saves_what_was_computed(where, number, code, word, leaves):
+def test_a_signal_ends_a_command_within_a_second_and_saves_what_was_computed(
+    where, number, code, word, leaves
+):
     ended, err, took = interrupted(where, number)
     assert (ended, err) == (code, f"dem_jax: {word}; what was computed before is in drop.h5\n")
     assert {path.name for path in Path().iterdir()} == leaves
-    assert took < 5.0  # process.GRACE is 0.25 s; the rest is for a machine that is loaded. Uninterrupted it takes a minute
+    assert took < 5.0  # process.GRACE is 0.25 s; the rest is for a machine that is loaded.
+    # Uninterrupted it takes a minute
 
 
 def test_a_signal_that_was_ignored_from_the_start_stays_so():
@@ -113,7 +121,10 @@ def test_a_signal_that_was_ignored_from_the_start_stays_so():
 
 
 def test_ctrl_c_while_xla_compiles_ends_the_command():
-    settings = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "JAX_ENABLE_COMPILATION_CACHE": "0"}
+    settings = os.environ | {
+        "PYTHONPATH": os.pathsep.join(sys.path),
+        "JAX_ENABLE_COMPILATION_CACHE": "0",
+    }
     command = [sys.executable, "-c", TOLD, "run", "plate-drop", "--out", "drop.h5"]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     with subprocess.Popen(command, env=settings, **pipes) as started:
@@ -153,13 +164,20 @@ def test_what_is_pending_is_saved_once_when_a_run_is_interrupted(tmp_path, monke
         pass
 
 
-def test_what_is_appended_while_another_thread_flushes_is_in_the_next_flush_as_a_whole(run_file, monkeypatch):
-    """An interrupt flushes in a thread of its own: a restart state must not be ahead of the samples."""
+def test_what_is_appended_while_another_thread_flushes_is_in_the_next_flush_as_a_whole(
+    run_file, monkeypatch
+):
+    """An interrupt flushes in a thread of its own: a restart state must not be ahead of the
+    samples.
+    """
     from dem_jax.io import writer as module
 
     writer = Writer.resume(run_file, interval=3600)
     writer.append(samples(10, 5), restart={"step": np.int64(15)})
-    extend, late = module.extend_dataset, [lambda: writer.append(samples(15, 5), restart={"step": np.int64(20)})]
+    extend, late = (
+        module.extend_dataset,
+        [lambda: writer.append(samples(15, 5), restart={"step": np.int64(20)})],
+    )
 
     def extended(*given):
         while late:
@@ -193,7 +211,11 @@ def test_the_thread_of_the_bar_has_nothing_of_the_run_and_ends_with_it(capsys):
     before, job = set(threading.enumerate()), bare_job()
     gone = weakref.ref(job)
     with Progress(job, True) as shown:
-        (clock,) = [thread for thread in threading.enumerate() if thread not in before and thread.name.startswith("Thread")]
+        (clock,) = [
+            thread
+            for thread in threading.enumerate()
+            if thread not in before and thread.name.startswith("Thread")
+        ]
         shown._job = None
         del job
         gc.collect()
@@ -227,7 +249,8 @@ def test_a_function_is_told_of_progress_instead_of_a_bar(capsys):
     with Progress(bare_job(), lambda phase, share: told.append((phase, share))) as shown:
         shown.show_compiling()
         shown.show_chunk(SimpleNamespace(count=4, end=4, settled=False))
-        shown.show_chunk(SimpleNamespace(count=1, end=5, settled=True))  # at rest: what is left need not be computed
+        shown.show_chunk(SimpleNamespace(count=1, end=5, settled=True))  # at rest: what is left
+        # need not be computed
     assert told == [("compiling", 0.0), ("running", 0.4), ("running", 1.0)]
     assert capsys.readouterr().err == ""
 
@@ -247,9 +270,12 @@ def test_a_platform_that_jax_does_not_have_is_one_line(error, monkeypatch, capsy
         raise error
 
     monkeypatch.setattr(jax, "devices", without)
-    with pytest.raises(PlatformError, match="^JAX_PLATFORMS = .*: JAX finds no such device; allowed: cpu"):
+    with pytest.raises(
+        PlatformError, match="^JAX_PLATFORMS = .*: JAX finds no such device; allowed: cpu"
+    ):
         prepare_job("plate-drop", (0,), None)
-    monkeypatch.setattr("dem_jax.cli.scenes.show_scenes", without)  # as of a command that does not ask first
+    monkeypatch.setattr("dem_jax.cli.scenes.show_scenes", without)  # as of a command that does not
+    # ask first
     assert main(["scenes"]) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1
 
@@ -268,7 +294,9 @@ def run_file(tmp_path):
 def test_of_two_processes_that_go_on_with_a_file_one_stops(run_file):
     one, other = (Writer.resume(run_file, interval=0) for _ in range(2))
     one.append(samples(10, 5))
-    with pytest.raises(RecordError, match=r"run\.h5 was written by another process meanwhile; this one stops"):
+    with pytest.raises(
+        RecordError, match=r"run\.h5 was written by another process meanwhile; this one stops"
+    ):
         other.append(samples(10, 5))
     one.append(samples(15, 5))
     np.testing.assert_array_equal(load_run(run_file).time, samples(0, 20)["time"])
@@ -290,10 +318,18 @@ def test_a_file_is_written_by_one_process_at_a_time(run_file, monkeypatch, capsy
     before = run_file.read_bytes()
     with atomic_files.lock_file("run.h5"):
         for name in (run_file, "../" + run_file.parent.name + "/run.h5", "link.h5"):
-            with pytest.raises(RecordError, match="cannot be written: another process writes it"), atomic_files.lock_file(name):
+            with (
+                pytest.raises(RecordError, match="cannot be written: another process writes it"),
+                atomic_files.lock_file(name),
+            ):
                 pass
-        monkeypatch.setattr("dem_jax.runner.loop.run_loop", lambda *_: pytest.fail("it began to compute"))
-        assert main(["run", "plate-drop", "--out", "run.h5", "--overwrite", "--quiet", "--no-plot"]) == 2
+        monkeypatch.setattr(
+            "dem_jax.runner.loop.run_loop", lambda *_: pytest.fail("it began to compute")
+        )
+        assert (
+            main(["run", "plate-drop", "--out", "run.h5", "--overwrite", "--quiet", "--no-plot"])
+            == 2
+        )
         assert capsys.readouterr().err.count("another process writes it") == 1
         with atomic_files.lock_file("other.h5"):  # is another file
             pass
@@ -315,7 +351,11 @@ def test_nobody_elses_file_is_touched_on_the_way(run_file, unnamed, monkeypatch)
         writer.append(samples(10, 5))
     assert mine.read_text() == "mine" and pipe.is_fifo()
     assert run_file.stat().st_mode & 0o777 == 0o640
-    assert sorted(path.name for path in Path().iterdir()) == [".run.h5.part", "run.h5", "run.h5.part"]
+    assert sorted(path.name for path in Path().iterdir()) == [
+        ".run.h5.part",
+        "run.h5",
+        "run.h5.part",
+    ]
 
 
 def test_what_is_no_file_is_not_replaced(run_file, capsys):
@@ -348,9 +388,15 @@ def test_a_file_that_is_open_in_another_program_is_told_from_a_damaged_one(run_f
     with open(run_file, "rb") as other:
         fcntl.flock(other, fcntl.LOCK_EX)  # as HDF5 does for who writes
         for read in (load_run, study_file.load_results):
-            with pytest.raises(RecordError, match=r"run\.h5 cannot be read: it is open in another program"):
+            with pytest.raises(
+                RecordError, match=r"run\.h5 cannot be read: it is open in another program"
+            ):
                 read(run_file)
-        for argv in (["plot", "run.h5"], ["run", "--resume", "run.h5"], ["run", "plate-drop", "--out", "run.h5", "--overwrite"]):
+        for argv in (
+            ["plot", "run.h5"],
+            ["run", "--resume", "run.h5"],
+            ["run", "plate-drop", "--out", "run.h5", "--overwrite"],
+        ):
             assert main(argv) == 2
             out, err = capsys.readouterr()
             assert "it is open in another program" in err and len(err.splitlines()) == 1
@@ -372,12 +418,16 @@ def test_a_figure_that_cannot_be_finished_leaves_the_one_before(monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(atomic_files.os, "replace", full)
-    with pytest.raises(RecordError, match=r"figure\.png cannot be written: No space left on device"):
+    with pytest.raises(
+        RecordError, match=r"figure\.png cannot be written: No space left on device"
+    ):
         save_figure(Figure(figsize=(1, 1)), Path("figure.png"))
     assert Path("figure.png").read_bytes() == before and len(list(Path().iterdir())) == 1
 
 
-@pytest.mark.parametrize("command", ["export", "plot", "report", "gltf", "render", "collisions", "weigh"])
+@pytest.mark.parametrize(
+    "command", ["export", "plot", "report", "gltf", "render", "collisions", "weigh"]
+)
 def test_the_file_that_is_read_is_not_written_over(run_file, command, capsys):
     ending = {"export": ".csv", "report": ".html", "gltf": ".glb"}.get(command, ".png")
     name = f"results{ending}"
@@ -391,12 +441,17 @@ def test_the_file_that_is_read_is_not_written_over(run_file, command, capsys):
 
 
 def test_a_study_is_not_written_into_its_table_nor_a_persons_file(capsys, monkeypatch):
-    monkeypatch.setattr("dem_jax.study.batches.run_batch", lambda *_: pytest.fail("it began to compute"))
+    monkeypatch.setattr(
+        "dem_jax.study.batches.run_batch", lambda *_: pytest.fail("it began to compute")
+    )
     assert main(["study", "restitution", "--out", "restitution.csv"]) == 2
     assert "results are HDF5; allowed: a name that ends in .h5" in capsys.readouterr().err
     Path("mine.h5.batch").write_text("mine")
     assert main(["study", "restitution", "--quick", "--quiet", "--out", "mine.h5"]) == 2
-    assert "mine.h5.batch is in the way, where the study keeps drops that take long" in capsys.readouterr().err
+    assert (
+        "mine.h5.batch is in the way, where the study keeps drops that take long"
+        in capsys.readouterr().err
+    )
     assert Path("mine.h5.batch").read_text() == "mine"
 
 
@@ -412,7 +467,10 @@ def test_a_working_folder_that_is_gone_is_named(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir("gone")
     (tmp_path / "gone").rmdir()
     assert main(["run", "plate-drop", "--quiet"]) == 2
-    assert capsys.readouterr().err == "dem_jax: the working folder was removed: No such file or directory\n"
+    assert (
+        capsys.readouterr().err
+        == "dem_jax: the working folder was removed: No such file or directory\n"
+    )
 
 
 # --- compiled programs ---
@@ -424,7 +482,11 @@ def test_a_kept_program_that_was_cut_short_is_removed(tmp_path):
         (tmp_path / name).touch()
     shown = []
     said = "Error reading persistent compilation cache entry for 'jit__chunk': error: incomplete or truncated stream"
-    for message in (said, "Error writing persistent compilation cache entry for 'x'", "another warning"):
+    for message in (
+        said,
+        "Error writing persistent compilation cache entry for 'x'",
+        "another warning",
+    ):
         simulation_options._show_warning(shown.append, tmp_path, message)
     assert shown == ["another warning"]
     assert [path.name for path in tmp_path.iterdir()] == ["jit_stage-1-cache"]
@@ -439,7 +501,7 @@ def test_a_process_keeps_the_programs_that_it_used_last(monkeypatch):
 
 
 def test_a_program_that_is_not_kept_is_freed():
-    function = lambda x: x + 3  # noqa: E731
+    function = lambda x: x + 3
     gone = weakref.ref(function)
     compiled = xla_flags.jit_for_backend(function, "cpu").lower(1.0).compile()
     assert float(compiled(1.0)) == 4.0

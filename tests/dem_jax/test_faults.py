@@ -1,4 +1,6 @@
-"""What goes wrong with files: a full disk, no permission, a file that is deleted, one that has but a beginning, one that lies."""
+"""What goes wrong with files: a full disk, no permission, a file that is deleted, one that has but
+a beginning, one that lies.
+"""
 
 import os
 import resource
@@ -19,14 +21,22 @@ from dem_jax.io import atomic_files, writer
 from dem_jax.io.run_files import load_run
 from dem_jax.runner import interface
 
-SCENE = ["plate-drop", "--set", 'piece=[{shape="sphere", radius=0.01, position=[0, 0, 0.0105]}]', "--set", "run.frames=0"]
+SCENE = [
+    "plate-drop",
+    "--set",
+    'piece=[{shape="sphere", radius=0.01, position=[0, 0, 0.0105]}]',
+    "--set",
+    "run.frames=0",
+]
 SHORT = [*SCENE, "--set", "run.duration=0.03", "--quiet", "--no-plot"]
 REPOSITORY = Path(__file__).resolve().parents[2]
 
 
 @contextmanager
 def room_for(size):
-    """No file may grow beyond so many bytes: what writing a larger one raises is what a full disk does."""
+    """No file may grow beyond so many bytes: what writing a larger one raises is what a full disk
+    does.
+    """
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
     try:
@@ -84,17 +94,25 @@ except RecordError as error:
 
 def test_a_full_disk_is_one_line_and_leaves_what_was_written():
     done = subprocess.run([sys.executable, "-c", FULL], capture_output=True, text=True, timeout=120)
-    assert done.returncode == 0 and done.stderr == "", "and HDF5 does not fall over it at the end either"
+    assert done.returncode == 0 and done.stderr == "", (
+        "and HDF5 does not fall over it at the end either"
+    )
     expected = "run.h5 cannot be written: File too large; it is as of the flush before, from which its run can go on (--resume)"
     assert done.stdout == expected + "\n"
     run = load_run("run.h5")
-    assert len(run.time) > 500 and len(run.time) % 100 == 0 and run.restart["step"] == len(run.time) // 100 - 1
+    assert (
+        len(run.time) > 500
+        and len(run.time) % 100 == 0
+        and run.restart["step"] == len(run.time) // 100 - 1
+    )
     assert [path.name for path in Path().iterdir()] == ["run.h5"]
 
 
 def test_a_run_goes_on_from_a_full_disk(whole, capsys):
     with room_for(90_000):  # its beginning, not its samples
-        assert "run.h5 cannot be written: File too large" in refused(["run", *SHORT, "--out", "run.h5"], capsys)
+        assert "run.h5 cannot be written: File too large" in refused(
+            ["run", *SHORT, "--out", "run.h5"], capsys
+        )
     assert [path.name for path in Path().iterdir()] == ["run.h5"]
     assert main(["run", "--resume", "run.h5", "--quiet", "--no-plot"]) == 0
     assert_same(load_run("run.h5"), load_run(whole))
@@ -111,18 +129,29 @@ def test_what_cannot_be_written_is_found_before_computing(copy, capsys, monkeypa
     long = f"{'x' * 253}.h5"
     beside = f"{'x' * 252}.h5"  # whose figure's name is too long
     Path("loop.h5").symlink_to("loop.h5")
-    reasons = {long: "File name too long", "/proc/run.h5": "No such file", "loop.h5": "Too many levels of symbolic links"}
+    reasons = {
+        long: "File name too long",
+        "/proc/run.h5": "No such file",
+        "loop.h5": "Too many levels of symbolic links",
+    }
     for out, reason in reasons.items():
         line = refused(["run", *SHORT, "--out", out], capsys)
         assert f"{out} cannot be written: {reason}" in line
-    assert ".png cannot be written: File name too long" in refused(["run", *SHORT[:-1], "--out", beside], capsys)
+    assert ".png cannot be written: File name too long" in refused(
+        ["run", *SHORT[:-1], "--out", beside], capsys
+    )
     goes_on = ["run", "--resume", str(copy), "--duration", "0.04", "--quiet"]
     with room_for(1000):
-        assert "cannot be written: File too large" in refused(["run", *SHORT, "--out", "new.h5"], capsys)
+        assert "cannot be written: File too large" in refused(
+            ["run", *SHORT, "--out", "new.h5"], capsys
+        )
         assert "cannot be written: File too large" in refused(goes_on, capsys)
-    monkeypatch.setattr(atomic_files.os, "access", lambda *_: False)  # as root, who may run the tests, all can be written
+    monkeypatch.setattr(atomic_files.os, "access", lambda *_: False)  # as root, who may run the
+    # tests, all can be written
     assert "run.h5 cannot be written: Permission denied" in refused(goes_on, capsys)
-    assert "run.h5 cannot be written: Permission denied" in refused(["run", *SHORT, "--out", str(copy), "--overwrite"], capsys)
+    assert "run.h5 cannot be written: Permission denied" in refused(
+        ["run", *SHORT, "--out", str(copy), "--overwrite"], capsys
+    )
     assert sorted(path.name for path in Path().iterdir()) == ["loop.h5", "run.h5"]
 
 
@@ -146,7 +175,9 @@ def test_a_summary_is_printed_although_the_figure_cannot_be_written(capsys, monk
     assert main(["run", *SHORT[:-1], "--out", "run.h5"]) == 2
     out, err = capsys.readouterr()
     assert "wrote run.h5\n" in out
-    assert err.endswith("No space left on device; the run is whole: python -m dem_jax plot run.h5 draws it\n")
+    assert err.endswith(
+        "No space left on device; the run is whole: python -m dem_jax plot run.h5 draws it\n"
+    )
 
 
 def test_an_output_that_is_full_is_one_line(capsys, monkeypatch):
@@ -186,7 +217,9 @@ def test_a_run_killed_before_its_first_flush_begins_anew(whole, copy):
 
 def test_a_file_with_but_a_beginning_is_overwritten_if_asked(copy, capsys):
     beginning_of(copy)
-    assert "run.h5 exists; allowed: another name by --out, or --overwrite" in refused(["run", *SHORT, "--out", str(copy)], capsys)
+    assert "run.h5 exists; allowed: another name by --out, or --overwrite" in refused(
+        ["run", *SHORT, "--out", str(copy)], capsys
+    )
     assert main(["run", *SHORT, "--out", str(copy), "--overwrite"]) == 0
 
 
@@ -265,18 +298,31 @@ def test_a_file_of_before_is_read_and_gone_on_with(whole, copy):
     """Files had no checksums, neither of their data nor of the state to go on from."""
     with h5py.File(whole) as file, h5py.File(copy, "w") as old:
         old.attrs.update(file.attrs)
-        file.visititems(lambda name, item: old.__setitem__(name, item[()]) if isinstance(item, h5py.Dataset) else None)
+        file.visititems(
+            lambda name, item: (
+                old.__setitem__(name, item[()]) if isinstance(item, h5py.Dataset) else None
+            )
+        )
         count = len(file["time"])
-        for name in (name for name in file if isinstance(file[name], h5py.Dataset) and name in ("time", "overlap", "momentum")):
+        for name in (
+            name
+            for name in file
+            if isinstance(file[name], h5py.Dataset) and name in ("time", "overlap", "momentum")
+        ):
             del old[name]
-            old.create_dataset(name, data=file[name][()], maxshape=(None, *file[name].shape[1:]), chunks=True)
+            old.create_dataset(
+                name, data=file[name][()], maxshape=(None, *file[name].shape[1:]), chunks=True
+            )
     assert_same(load_run(copy), load_run(whole))
     assert dem_jax.resume(copy).time.shape == (count,)
 
 
 def test_a_bit_that_flips_is_found(whole, copy):
     with h5py.File(whole) as file:
-        offsets = [file[name].id.get_chunk_info(0).byte_offset for name in ("force/plate", "restart/motion/position")]
+        offsets = [
+            file[name].id.get_chunk_info(0).byte_offset
+            for name in ("force/plate", "restart/motion/position")
+        ]
         assert file["restart/motion/position"].fletcher32 and file["force/plate"].fletcher32
     content = bytearray(whole.read_bytes())
     for offset, read in zip(offsets, (load_run, dem_jax.resume), strict=True):
@@ -307,7 +353,11 @@ def test_what_silently_is_nonsense_is_seen(monkeypatch, tmp_path):
     """Of a table whose times do not rise, of a reader that trips, and of numbers that nobody saved."""
     case = mutated.Case("csv of a motion", 3, str(tmp_path))
     many = SceneError("a\nb")
-    for wrong, expected in (("times that do not rise", "nonsense"), (KeyError("x"), "traceback"), (many, "many lines")):
+    for wrong, expected in (
+        ("times that do not rise", "nonsense"),
+        (KeyError("x"), "traceback"),
+        (many, "many lines"),
+    ):
 
         def read(*_, wrong=wrong):
             if isinstance(wrong, Exception):
@@ -317,5 +367,7 @@ def test_what_silently_is_nonsense_is_seen(monkeypatch, tmp_path):
         monkeypatch.setitem(mutated.READERS, "csv of a motion", read)
         assert mutated.outcome(case)[0] == expected
     one = {"force": np.zeros(3)}
-    assert mutated._unlike({"force": np.array([0.0, 0.0, 1e-9])}, one) == "force is not what was saved"
+    assert (
+        mutated._unlike({"force": np.array([0.0, 0.0, 1e-9])}, one) == "force is not what was saved"
+    )
     assert mutated._unlike(one, one) is None

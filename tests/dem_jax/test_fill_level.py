@@ -1,4 +1,6 @@
-"""What a bucket holds, how full a portion makes it before and after a run, whether the weigh bucket is under the feed bucket."""
+"""What a bucket holds, how full a portion makes it before and after a run, whether the weigh bucket
+is under the feed bucket.
+"""
 
 from types import SimpleNamespace
 
@@ -19,7 +21,8 @@ from dem_jax.scene.library import list_buckets as named_buckets
 from dem_jax.shapes.wall_meshes import read_wall_mesh
 from dem_jax.visualization.bucket_heap import find_heap
 
-GRID = 5e-3  # of a volume: half a cell of 1/200 of the width on each side, of walls that stand askew to the grid
+GRID = 5e-3  # of a volume: half a cell of 1/200 of the width on each side, of walls that stand
+# askew to the grid
 MARSHMALLOW = 19440e-9  # m3
 
 
@@ -37,13 +40,22 @@ def read(mesh, tmp_path):
     return read_wall_mesh(tmp_path / "bucket.stl").panels
 
 
-@pytest.mark.parametrize("sizes", [{}, {"mouth": (0.17, 0.15), "flap_angle_deg": 45.0}, {"lap": 0.0, "wall_height": 0.02}])
+@pytest.mark.parametrize(
+    "sizes",
+    [{}, {"mouth": (0.17, 0.15), "flap_angle_deg": 45.0}, {"lap": 0.0, "wall_height": 0.02}],
+)
 def test_the_grid_finds_what_a_bucket_of_sizes_holds(sizes):
     bucket = Bucket(**sizes)
-    found = find_capacity([corners for _, corners, _ in bucket_geometry.build_bucket_parts(bucket, "wb", 0.1).panels])
+    found = find_capacity(
+        [corners for _, corners, _ in bucket_geometry.build_bucket_parts(bucket, "wb", 0.1).panels]
+    )
     assert found.volume == pytest.approx(bucket_geometry.bucket_volume(bucket), rel=GRID)
-    assert found.brim == pytest.approx(0.1 + bucket_geometry.flap_depth(bucket) + bucket.wall_height, abs=1e-9)
-    assert found.bottom == pytest.approx(0.1, abs=0.5 * found.surface.cell * np.tan(np.radians(bucket.flap_angle_deg)) + 1e-9)
+    assert found.brim == pytest.approx(
+        0.1 + bucket_geometry.flap_depth(bucket) + bucket.wall_height, abs=1e-9
+    )
+    assert found.bottom == pytest.approx(
+        0.1, abs=0.5 * found.surface.cell * np.tan(np.radians(bucket.flap_angle_deg)) + 1e-9
+    )
     np.testing.assert_allclose(found.middle, 0.0, atol=1e-9)
 
 
@@ -73,7 +85,8 @@ CAPACITIES = [
     (tray, np.prod(BASE) * 0.1285),
     (cup, ROUND * 0.1185),
     (lambda: halved(0.06), np.prod(BASE) * 0.1285 - 1e-3 * 0.117 * 0.0595),
-    (lambda: halved(0.2), 0.088 * 0.117 * 0.1285),  # the wall is higher than the brim: the larger half
+    (lambda: halved(0.2), 0.088 * 0.117 * 0.1285),  # the wall is higher than the brim: the larger
+    # half
     (pipe, None),
 ]
 
@@ -88,9 +101,15 @@ def test_closed_bodies_hold_what_water_would_fill(make, volume, tmp_path):
 
 
 def test_a_slit_between_flaps_holds_pieces_and_a_wide_gap_does_not():
-    panels = [corners for _, corners, _ in bucket_geometry.build_bucket_parts(Bucket(lap=0.0), "wb", 0.0).panels]
+    panels = [
+        corners
+        for _, corners, _ in bucket_geometry.build_bucket_parts(Bucket(lap=0.0), "wb", 0.0).panels
+    ]
     for gap, holds in ((0.003, True), (0.02, False)):
-        apart = [corners + [0, 0.5 * gap * np.sign(corners[:, 1].mean().round(9)), 0] for corners in panels]
+        apart = [
+            corners + [0, 0.5 * gap * np.sign(corners[:, 1].mean().round(9)), 0]
+            for corners in panels
+        ]
         assert (find_capacity(apart) is not None) == holds
 
 
@@ -98,27 +117,43 @@ def test_fill_level_of_the_stock_portion():
     scene = load_scene("weigh-bucket")
     feed, weigh = bucket_fill.list_bucket_fills(scene, build_piece_set(scene))
     heap = 9 * MARSHMALLOW / PACKING_FRACTION
-    assert weigh.fill_level == pytest.approx(heap / (0.14 * 0.12 * (0.13 + 0.03)), rel=1e-9)  # flaps at 45 degrees: half of 0.06 m
-    assert feed.fill_level == pytest.approx(heap / (0.12 * 0.10 * (0.13 + 0.025 * np.tan(np.radians(49)))), rel=1e-9)
-    assert str(weigh) == "weigh bucket: 11 % full (a heap of 0.292 litres, at 60 % pieces; to the brim 2.69 litres)"
+    # flaps at 45 degrees: half of 0.06 m
+    assert weigh.fill_level == pytest.approx(heap / (0.14 * 0.12 * (0.13 + 0.03)), rel=1e-9)
+    assert feed.fill_level == pytest.approx(
+        heap / (0.12 * 0.10 * (0.13 + 0.025 * np.tan(np.radians(49)))), rel=1e-9
+    )
+    assert (
+        str(weigh)
+        == "weigh bucket: 11 % full (a heap of 0.292 litres, at 60 % pieces; to the brim 2.69 litres)"
+    )
     assert bucket_fill.note_overfull_buckets(scene, build_piece_set(scene)) == []
 
 
 def test_an_overfull_bucket_is_said_before_a_run():
-    scene = load_scene("weigh-bucket", {"portion.count": 120, "weigh_bucket.wall_height": 0.01, "feed_bucket.wall_height": 0.5})
+    scene = load_scene(
+        "weigh-bucket",
+        {"portion.count": 120, "weigh_bucket.wall_height": 0.01, "feed_bucket.wall_height": 0.5},
+    )
     level = 120 * MARSHMALLOW / PACKING_FRACTION / (0.14 * 0.12 * (0.01 + 0.03))
     (said,) = bucket_fill.note_overfull_buckets(scene, build_piece_set(scene))
-    assert said.startswith(f"weigh bucket: {100 * level:.0f} % full") and "overfull; pieces fall beside it" in said
+    assert (
+        said.startswith(f"weigh bucket: {100 * level:.0f} % full")
+        and "overfull; pieces fall beside it" in said
+    )
 
 
 def own(tmp_path, keys, at=(0.0, 0.0), **changes):
     tray(at=at).export(tmp_path / "tray.stl")
-    return load_scene("weigh-bucket").replace({"folder": str(tmp_path)}, weigh_bucket={"stl": "tray.stl", **keys}, **changes)
+    return load_scene("weigh-bucket").replace(
+        {"folder": str(tmp_path)}, weigh_bucket={"stl": "tray.stl", **keys}, **changes
+    )
 
 
 def test_a_bucket_that_is_elsewhere_is_refused_with_the_move_that_centres_it(tmp_path):
     scene = own(tmp_path, {"move": (0.0, 0.01, 0.02)}, at=(0.3, -0.2))
-    with pytest.raises(SceneError, match="100 % of the feed bucket's mouth .* or weigh_bucket.centre = true") as error:
+    with pytest.raises(
+        SceneError, match="100 % of the feed bucket's mouth .* or weigh_bucket.centre = true"
+    ) as error:
         bucket_fill.check_buckets_meet(scene, inline_buckets(scene))
     move = eval(str(error.value).split("weigh_bucket.move = ")[1].split(", which")[0])
     np.testing.assert_allclose(move, [-0.3, 0.2, 0.02], atol=1e-4)  # digits that are said
@@ -131,19 +166,28 @@ def test_a_bucket_that_is_aside_in_part_is_noted(aside, said, tmp_path):
     """By 30 mm: the feed bucket's mouth of 120 mm reaches over the inside of 137 mm by 21.5 mm."""
     scene = own(tmp_path, {}, at=(aside, 0.0))
     notes = bucket_fill.check_buckets_meet(scene, inline_buckets(scene))
-    assert len(notes) == said and all(note.startswith("20 % of the feed") for note in notes)  # of 41 points: 21.5 / 120 = 18 %
+    # of 41 points: 21.5 / 120 = 18 %
+    assert len(notes) == said and all(note.startswith("20 % of the feed") for note in notes)
 
 
 def test_centre_puts_the_middle_of_the_mouth_at_the_origin_and_move_moves_it_on(tmp_path):
     for move in ((0.0, 0.0, 0.0), (0.02, -0.01, 0.03)):
-        scene = own(tmp_path, {"centre": True, "move": move, "rotate_deg": (0.0, 0.0, 30.0)}, at=(0.3, -0.2))
-        points = np.concatenate([corners for group, corners, _ in lay_out_walls(scene)[0] if group.startswith("wb")])
-        np.testing.assert_allclose(0.5 * (points.min(axis=0) + points.max(axis=0))[:2], move[:2], atol=1e-7)
+        scene = own(
+            tmp_path, {"centre": True, "move": move, "rotate_deg": (0.0, 0.0, 30.0)}, at=(0.3, -0.2)
+        )
+        points = np.concatenate(
+            [corners for group, corners, _ in lay_out_walls(scene)[0] if group.startswith("wb")]
+        )
+        np.testing.assert_allclose(
+            0.5 * (points.min(axis=0) + points.max(axis=0))[:2], move[:2], atol=1e-7
+        )
         assert points[:, 2].min() == pytest.approx(move[2], abs=1e-9)
 
 
 def test_the_heap_at_the_end_is_measured_from_poses(tmp_path):
-    """Cubes on the floor of a tray: one on another, one beside the bucket, one that stands over the brim."""
+    """Cubes on the floor of a tray: one on another, one beside the bucket, one that stands over the
+    brim.
+    """
     edge, floor = 0.04, 1.5e-3
     scene = own(tmp_path, {}, portion={"shape": "cuboid", "size": (edge,) * 3, "count": 4})
     scene = inline_buckets(scene).replace({"folder": "."})
@@ -151,23 +195,41 @@ def test_the_heap_at_the_end_is_measured_from_poses(tmp_path):
     at = [[0.03, 0.02, z], [-0.03, 0.0, z], [-0.03, 0.0, z + edge], [0.2, 0.0, z]]
     heaps = []
     for last in (at, [*at[:3], [0.03, -0.03, 0.13]]):
-        poses = SimpleNamespace(time=np.zeros(1), position=np.array([last]), orientation=np.tile([1.0, 0, 0, 0], (1, 4, 1)))
-        heaps.append(find_heap(SimpleNamespace(scene=scene.to_toml(), pieces=poses, run_count=None)))
-    assert heaps[0].height == pytest.approx(2 * edge, abs=1e-7) and heaps[0].brim_height == pytest.approx(0.1285, abs=1e-7)
-    assert heaps[0].level == pytest.approx(3 * edge**3 / (0.137 * 0.117 * 0.1285), rel=0.05)  # cells of 0.7 mm at edges of 40 mm
-    assert (heaps[0].count_above_brim, heaps[0].count_beside) == (0, 1) and (heaps[1].count_above_brim, heaps[1].count_beside) == (1, 0)
-    assert "overfull: 1 piece above the brim" in str(heaps[1]) and "1 piece beside the bucket" in str(heaps[0])
+        poses = SimpleNamespace(
+            time=np.zeros(1),
+            position=np.array([last]),
+            orientation=np.tile([1.0, 0, 0, 0], (1, 4, 1)),
+        )
+        heaps.append(
+            find_heap(SimpleNamespace(scene=scene.to_toml(), pieces=poses, run_count=None))
+        )
+    assert heaps[0].height == pytest.approx(2 * edge, abs=1e-7) and heaps[
+        0
+    ].brim_height == pytest.approx(0.1285, abs=1e-7)
+    # cells of 0.7 mm at edges of 40 mm
+    assert heaps[0].level == pytest.approx(3 * edge**3 / (0.137 * 0.117 * 0.1285), rel=0.05)
+    assert (heaps[0].count_above_brim, heaps[0].count_beside) == (0, 1) and (
+        heaps[1].count_above_brim,
+        heaps[1].count_beside,
+    ) == (1, 0)
+    assert "overfull: 1 piece above the brim" in str(
+        heaps[1]
+    ) and "1 piece beside the bucket" in str(heaps[0])
 
 
 @pytest.mark.parametrize("name", named_buckets())
 def test_a_bucket_is_named_by_what_it_holds(name):
-    litres = 1e3 * bucket_geometry.bucket_volume(load_scene("weigh-bucket", {"bucket": name}).weigh_bucket)
+    litres = 1e3 * bucket_geometry.bucket_volume(
+        load_scene("weigh-bucket", {"bucket": name}).weigh_bucket
+    )
     assert name.split("-")[0] == f"{litres:.2g}"
 
 
 @pytest.mark.parametrize(("former", "name"), FORMER_NAMES.items())
 def test_former_names_are_read(former, name):
-    assert load_scene("weigh-bucket", {"bucket": former}) == load_scene("weigh-bucket", {"bucket": name})
+    assert load_scene("weigh-bucket", {"bucket": former}) == load_scene(
+        "weigh-bucket", {"bucket": name}
+    )
     assert find_bucket_file(former) == find_bucket_file(name)
 
 

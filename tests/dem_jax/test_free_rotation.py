@@ -32,14 +32,20 @@ def read(system, state):
     omega = quaternions.angular_velocity(q, p, inertia)
     body = quaternions.vector.rotate_back(quaternions.rotation_matrix(q), omega)
     energy = 0.5 * sum(w * l for w, l in zip(omega, p, strict=True))
-    return {"spin": jnp.stack(body)[:, 0], "energy": energy[0], "momentum": state.angular_momentum[:, 0]}
+    return {
+        "spin": jnp.stack(body)[:, 0],
+        "energy": energy[0],
+        "momentum": state.angular_momentum[:, 0],
+    }
 
 
 @cache
 def runs():
     """For each step size: time [T] and what was read [T, ...]."""
     system, state = validation.with_permanent_pairs(made().system), made().state
-    many = jax.jit(jax.vmap(lambda dt: validation.trace_motion(system.replace(dt=dt), state, COUNT, read)[1]))
+    many = jax.jit(
+        jax.vmap(lambda dt: validation.trace_motion(system.replace(dt=dt), state, COUNT, read)[1])
+    )
     found = jax.tree.map(np.asarray, many(jnp.asarray(STEPS)))
     time = np.array(STEPS)[:, None] * np.arange(1, COUNT + 1)
     return [(time[k], {name: x[k] for name, x in found.items()}) for k in range(len(STEPS))]
@@ -60,11 +66,14 @@ def test_closed_form_equals_the_equations_of_motion():
     moments = (1.0, 2.0, 3.0)
     time = np.linspace(0, 20, 41)
     for spin in ((0.3, 1.0, 0.9), (-0.8, -0.7, 0.2), (1.0, 0.4, -0.3), (0.2, -1.0, -1.1)):
+
         def rate(_, w):
             i = np.array(moments)
             return np.cross(i * w, w) / i
 
-        ode = solve_ivp(rate, (0, 20), spin, t_eval=time, rtol=1e-12, atol=1e-13, method="DOP853").y.T
+        ode = solve_ivp(
+            rate, (0, 20), spin, t_eval=time, rtol=1e-12, atol=1e-13, method="DOP853"
+        ).y.T
         np.testing.assert_allclose(FreeRotation(moments, spin).spin_at(time), ode, atol=1e-9)
 
 
@@ -79,7 +88,8 @@ def test_flip_times_converge_at_second_order():
     exact = np.array(problem().flip_times)
     errors = np.array([flips(time, found["spin"])[:2] - exact for time, found in runs()])
     ratio = errors[:-1] / errors[1:]
-    assert (np.abs(ratio / 4 - 1) < 0.02).all(), ratio  # 2^2, and what the fourth order leaves at 0.03 rad a step
+    assert (np.abs(ratio / 4 - 1) < 0.02).all(), ratio  # 2^2, and what the fourth order leaves at
+    # 0.03 rad a step
     assert (np.abs(errors[-1]) < 1e-4 * exact).all(), errors
 
 
@@ -100,11 +110,13 @@ def test_angular_momentum_is_kept_to_rounding_and_energy_is_bounded():
     for time, found in runs():
         assert (found["momentum"] == found["momentum"][0]).all()  # in space: not touched at all
         body = found["spin"] * case.moments  # in the body: turned, so its length is kept
-        assert np.abs(np.linalg.norm(body, axis=1) / size - 1).max() < 1e-13  # the quaternion stays a unit one
+        assert np.abs(np.linalg.norm(body, axis=1) / size - 1).max() < 1e-13  # the quaternion stays
+        # a unit one
         error = found["energy"] / (0.5 * case.twice_energy) - 1
         half = len(time) // 2
         off.append(np.abs(error).max())
-        # Bounded: the second half of the run, more than two periods at the coarsest step, is no worse than the first.
+        # Bounded: the second half of the run, more than two periods at the coarsest step, is no
+        # worse than the first.
         if time[half] > case.period:
             assert np.abs(error[half:]).max() < 1.05 * np.abs(error[:half]).max()
     ratio = np.divide(off[:-1], off[1:])
@@ -125,11 +137,20 @@ def test_rotation_returns_when_time_is_reversed():
 
 
 def turned_sphere(angle):
-    """Orientation of a sphere after one step that turns it by an angle (rad), and where it should be: [4] each."""
+    """Orientation of a sphere after one step that turns it by an angle (rad), and where it should
+    be: [4] each.
+    """
     axis, dt = np.array([3.0, -4.0, 12.0]) / 13, 0.05
-    upright, momentum = (jnp.asarray(c)[None] for c in (1.0, 0.0, 0.0, 0.0)), jnp.asarray(2e-6 * angle / dt * axis)[:, None]
-    change, _ = quaternions.isotropic_free_rotation(tuple(upright), tuple(momentum), (2e-6,) * 3, dt)
-    return np.array([1.0, 0.0, 0.0, 0.0]) + np.stack(change)[:, 0], np.array([np.cos(0.5 * angle), *(np.sin(0.5 * angle) * axis)])
+    upright, momentum = (
+        (jnp.asarray(c)[None] for c in (1.0, 0.0, 0.0, 0.0)),
+        jnp.asarray(2e-6 * angle / dt * axis)[:, None],
+    )
+    change, _ = quaternions.isotropic_free_rotation(
+        tuple(upright), tuple(momentum), (2e-6,) * 3, dt
+    )
+    return np.array([1.0, 0.0, 0.0, 0.0]) + np.stack(change)[:, 0], np.array(
+        [np.cos(0.5 * angle), *(np.sin(0.5 * angle) * axis)]
+    )
 
 
 def test_sphere_turns_about_a_fixed_axis_exactly():
@@ -151,14 +172,16 @@ def turned_by_jax_md(mass, moments, spin, dt, count):
     from jax_md import rigid_body, simulate, space
 
     q = rigid_body.Quaternion(jnp.asarray([[1.0, 0.0, 0.0, 0.0]]))
-    still = lambda body, **_: 0.0 * jnp.sum(body.center) + 0.0 * jnp.sum(body.orientation.vec)  # noqa: E731
+    still = lambda body, **_: 0.0 * jnp.sum(body.center) + 0.0 * jnp.sum(body.orientation.vec)
     heavy = rigid_body.RigidBody(jnp.asarray([[mass]]), jnp.asarray([moments]))
     init, step = simulate.nve(still, space.free()[1], dt)
     state = init(jax.random.PRNGKey(0), rigid_body.RigidBody(jnp.zeros((1, 3)), q), 0.0, mass=heavy)
     turning = rigid_body.angular_momentum_to_conjugate_momentum(q, jnp.asarray([moments * spin]))
     state = state.set(momentum=rigid_body.RigidBody(jnp.zeros((1, 3)), turning))
     last = jax.jit(lambda s: jax.lax.fori_loop(0, count, lambda _, x: step(x), s))(state)
-    momentum = rigid_body.conjugate_momentum_to_angular_momentum(last.position.orientation, last.momentum.orientation)
+    momentum = rigid_body.conjugate_momentum_to_angular_momentum(
+        last.position.orientation, last.momentum.orientation
+    )
     return np.asarray(momentum)[0] / moments
 
 
@@ -166,7 +189,8 @@ def test_rigid_body_of_jax_md_turns_the_same_way():
     """An oracle that nobody here wrote."""
     dt, count, size = 2.5e-4, 4000, np.linalg.norm(SPIN)
     mass, moments = float(made().system.pieces.mass[0]), np.array(problem().moments)
-    with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):  # as jax-md needs it, to be imported too
+    # as jax-md needs it, to be imported too
+    with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
         theirs = turned_by_jax_md(mass, moments, np.array(SPIN), dt, count)
     time, found = runs()[STEPS.index(dt)]
     assert time[count - 1] == pytest.approx(dt * count)

@@ -26,7 +26,9 @@ def values(tree, accessor):
     data = base64.b64decode(tree["buffers"][view["buffer"]]["uri"].partition(",")[2])
     wide = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}[row["type"]]
     assert row["count"] * wide * 4 == view["byteLength"]
-    return np.frombuffer(data, "<f4", row["count"] * wide, view["byteOffset"]).reshape(row["count"], wide)
+    return np.frombuffer(data, "<f4", row["count"] * wide, view["byteOffset"]).reshape(
+        row["count"], wide
+    )
 
 
 def test_each_piece_is_a_node_that_goes_through_its_stored_poses(tmp_path):
@@ -39,11 +41,18 @@ def test_each_piece_is_a_node_that_goes_through_its_stored_poses(tmp_path):
         np.testing.assert_allclose(values(tree, sampler["input"])[:, 0], run.pieces.time, rtol=1e-6)
         name = tree["nodes"][channel["target"]["node"]]["name"], channel["target"]["path"]
         found[name] = values(tree, sampler["output"])
-    assert found.keys() == {(f"piece {k}", path) for k in (0, 1) for path in ("translation", "rotation")}, "the plate is still"
+    assert found.keys() == {
+        (f"piece {k}", path) for k in (0, 1) for path in ("translation", "rotation")
+    }, "the plate is still"
     for k in (0, 1):
-        np.testing.assert_allclose(found[f"piece {k}", "translation"], run.pieces.position[:, k], atol=1e-7)
-        turned = (found[f"piece {k}", "rotation"] * np.roll(run.pieces.orientation[:, k], -1, axis=1)).sum(axis=1)
-        np.testing.assert_allclose(np.abs(turned), 1.0, atol=1e-6)  # a quaternion and its negative are one rotation
+        np.testing.assert_allclose(
+            found[f"piece {k}", "translation"], run.pieces.position[:, k], atol=1e-7
+        )
+        turned = (
+            found[f"piece {k}", "rotation"] * np.roll(run.pieces.orientation[:, k], -1, axis=1)
+        ).sum(axis=1)
+        np.testing.assert_allclose(np.abs(turned), 1.0, atol=1e-6)  # a quaternion and its negative
+        # are one rotation
     steps = (found["piece 0", "rotation"][1:] * found["piece 0", "rotation"][:-1]).sum(axis=1)
     assert (steps > 0).all(), "never the long way round"
 
@@ -53,7 +62,10 @@ def test_a_piece_that_waits_outside_has_no_size_until_it_comes_in(tmp_path):
     run.pieces.position[:2, 1] = np.nan
     tree = tree_of(write_gltf(run, tmp_path / "drop.glb"))
     (animation,) = tree["animations"]
-    ends = {(tree["nodes"][c["target"]["node"]]["name"], c["target"]["path"]): c["sampler"] for c in animation["channels"]}
+    ends = {
+        (tree["nodes"][c["target"]["node"]]["name"], c["target"]["path"]): c["sampler"]
+        for c in animation["channels"]
+    }
     assert ("piece 0", "scale") not in ends
     sampler = animation["samplers"][ends["piece 1", "scale"]]
     size = values(tree, sampler["output"])
@@ -70,14 +82,19 @@ def test_a_viewer_sees_the_first_instant_with_y_up(tmp_path):
     scene = trimesh.load(write_gltf(stored(), tmp_path / "drop.glb"))
     turn, name = scene.graph["piece 1"]
     ball = scene.geometry[name].copy().apply_transform(turn)
-    np.testing.assert_allclose(ball.bounds, [[0.04, 0.09, -0.01], [0.06, 0.11, 0.01]], atol=3e-4)  # of a ball of facets
+    # of a ball of facets
+    np.testing.assert_allclose(ball.bounds, [[0.04, 0.09, -0.01], [0.06, 0.11, 0.01]], atol=3e-4)
     turn, name = scene.graph["plate"]
-    assert scene.geometry[name].copy().apply_transform(turn).bounds[1, 1] == pytest.approx(0.0, abs=1e-9)
+    assert scene.geometry[name].copy().apply_transform(turn).bounds[1, 1] == pytest.approx(
+        0.0, abs=1e-9
+    )
 
 
 def test_pieces_of_one_shape_share_it(tmp_path):
     ball = {"shape": "sphere", "radius": 0.01}
-    balls = SCENE.replace(piece=[ball | {"position": [0.0, 0.0, 0.1]}, ball | {"position": [0.05, 0.0, 0.1]}])
+    balls = SCENE.replace(
+        piece=[ball | {"position": [0.0, 0.0, 0.1]}, ball | {"position": [0.05, 0.0, 0.1]}]
+    )
     tree = tree_of(write_gltf(stored(scene=balls), tmp_path / "a.glb"))
     pieces = [node["mesh"] for node in tree["nodes"] if node["name"].startswith("piece")]
     assert len(pieces) == 2 and len(set(pieces)) == 1 and len(tree["meshes"]) == 2

@@ -1,4 +1,6 @@
-"""The same on a GPU as on a CPU. Only with one: ``JAX_PLATFORMS=cuda,cpu python -m pytest tests/dem_jax/test_gpu.py``."""
+"""The same on a GPU as on a CPU. Only with one: ``JAX_PLATFORMS=cuda,cpu python -m pytest
+tests/dem_jax/test_gpu.py``.
+"""
 
 import json
 import os
@@ -38,7 +40,10 @@ print(json.dumps(derivatives()))
 def on_a_cpu(script, *arguments):
     """What a script prints in a process that has no GPU."""
     home = str(Path(__file__).parents[2])
-    environment = os.environ | {"JAX_PLATFORMS": "cpu", "PYTHONPATH": os.pathsep.join([home, *sys.path])}
+    environment = os.environ | {
+        "JAX_PLATFORMS": "cpu",
+        "PYTHONPATH": os.pathsep.join([home, *sys.path]),
+    }
     words = [sys.executable, "-c", script, *map(str, arguments)]
     done = subprocess.run(words, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
@@ -56,7 +61,11 @@ def of_cpu(tmp_path_factory):
 def assert_same_drop(of_gpu, of_cpu):
     """Traces agree to rounding, and are of something."""
     np.testing.assert_array_equal(of_gpu.time, of_cpu.time)
-    for series in (lambda run: run.force["fb_flaps"], lambda run: run.force["wb_flaps"], lambda run: run.momentum):
+    for series in (
+        lambda run: run.force["fb_flaps"],
+        lambda run: run.force["wb_flaps"],
+        lambda run: run.momentum,
+    ):
         expected = series(of_cpu)
         scale = np.abs(expected).max()
         assert scale > 0
@@ -64,7 +73,9 @@ def assert_same_drop(of_gpu, of_cpu):
 
 
 def test_a_drop(of_cpu):
-    assert_same_drop(dem_jax.simulate(dem_jax.load_scene("quick-release", DROP), seed=SEEDS[0]), of_cpu[0])
+    assert_same_drop(
+        dem_jax.simulate(dem_jax.load_scene("quick-release", DROP), seed=SEEDS[0]), of_cpu[0]
+    )
 
 
 def test_drops_side_by_side(of_cpu):
@@ -82,7 +93,7 @@ def derivatives():
     """Of a smooth peak by three numbers of the scene."""
     from tests.dem_jax.test_rollout import PARAMETERS, ball
 
-    peak = lambda p: dem_jax.smooth_peak(-dem_jax.rollout(ball(), p).force["plate"][:, 2], 0.3)  # noqa: E731
+    peak = lambda p: dem_jax.smooth_peak(-dem_jax.rollout(ball(), p).force["plate"][:, 2], 0.3)
     by = jax.jit(jax.grad(peak))(PARAMETERS)
     return {name: np.asarray(value).tolist() for name, value in by.items()}
 

@@ -109,8 +109,13 @@ def two(tmp_path_factory):
     with socket.socket() as free:
         free.bind(("localhost", 0))
         port = free.getsockname()[1]
-    search = os.pathsep.join([str(Path(dem_jax.__file__).parents[1]), os.environ.get("PYTHONPATH", "")])
-    setting, pipes = os.environ | {"PYTHONPATH": search}, {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+    search = os.pathsep.join(
+        [str(Path(dem_jax.__file__).parents[1]), os.environ.get("PYTHONPATH", "")]
+    )
+    setting, pipes = (
+        os.environ | {"PYTHONPATH": search},
+        {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True},
+    )
     command = [sys.executable, "-c", SCRIPT, str(port)]
     started = [subprocess.Popen([*command, k], env=setting, cwd=folder, **pipes) for k in "01"]
     try:
@@ -124,7 +129,11 @@ def two(tmp_path_factory):
 
 
 def assert_same(a, b):
-    for x, y in ((run_files.collect_series(a), run_files.collect_series(b)), (vars(a.pieces), vars(b.pieces)), (a.restart, b.restart)):
+    for x, y in (
+        (run_files.collect_series(a), run_files.collect_series(b)),
+        (vars(a.pieces), vars(b.pieces)),
+        (a.restart, b.restart),
+    ):
         assert x.keys() == y.keys()
         for name, array in x.items():
             np.testing.assert_array_equal(y[name], array, err_msg=name)
@@ -155,8 +164,12 @@ def test_what_goes_wrong_in_one_process_stops_both(two):
     (*_, wrong, after, _), (*_, other, _, _) = two[0]
     assert wrong == other
     assert wrong["exists"][0] == "RecordError" and "there.h5 exists" in wrong["exists"][1]
-    assert wrong["differs"][1].startswith("process 1 has another scene, seed or number of runs than process 0")
-    assert wrong["unknown"][0] == "SceneError" and wrong["unknown"][1].startswith("run.step = 1: allowed: at most")
+    assert wrong["differs"][1].startswith(
+        "process 1 has another scene, seed or number of runs than process 0"
+    )
+    assert wrong["unknown"][0] == "SceneError" and wrong["unknown"][1].startswith(
+        "run.step = 1: allowed: at most"
+    )
     assert wrong["computing"] == ("ZeroDivisionError", "division by zero")
     assert wrong["writing"] == ("RecordError", "no room")
     assert wrong["between"] == ("OSError", "no memory")
@@ -166,5 +179,8 @@ def test_what_goes_wrong_in_one_process_stops_both(two):
 def test_the_run_that_fails_is_named_in_both(two):
     ((*_, thrown), (*_, other)), folder = two
     assert thrown == other and thrown[0] == "SimulationError"
-    assert "scattered, run 1 (seed 4): piece 1 at t = " in thrown[1] and "left the domain above x" in thrown[1]
+    assert (
+        "scattered, run 1 (seed 4): piece 1 at t = " in thrown[1]
+        and "left the domain above x" in thrown[1]
+    )
     assert "left the domain" in dem_jax.load_run(folder / "thrown.h5").info["stopped"]

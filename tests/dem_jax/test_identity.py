@@ -1,4 +1,6 @@
-"""Operations that return their argument: to the last bit, with the derivatives of the identity, in every transformation."""
+"""Operations that return their argument: to the last bit, with the derivatives of the identity, in
+every transformation.
+"""
 
 import jax
 import jax.numpy as jnp
@@ -18,17 +20,25 @@ def test_the_value_is_the_same_to_the_last_bit(identity, dtype):
         for found in (identity.bind(x), jax.jit(identity.bind)(x), jax.vmap(identity.bind)(x)):
             assert found.dtype == x.dtype
             if dtype != "int32":
-                x, found = (np.where(np.abs(y) < np.finfo(dtype).tiny, 0 * y, y) for y in (x, found))  # XLA flushes these
+                # XLA flushes these
+                x, found = (
+                    np.where(np.abs(y) < np.finfo(dtype).tiny, 0 * y, y) for y in (x, found)
+                )
             np.testing.assert_array_equal(found, x)
             assert dtype == "int32" or np.array_equal(np.signbit(found), np.signbit(x))
 
 
 @pytest.mark.parametrize("identity", [FUSION_BARRIER, DERIVATIVE_BARRIER])
 def test_derivatives_are_those_of_the_identity(identity):
-    f = lambda x: jnp.sum(jnp.sin(identity.bind(x)) * identity.bind(x * x))  # noqa: E731
-    g = lambda x: jnp.sum(jnp.sin(x) * (x * x))  # noqa: E731
+    f = lambda x: jnp.sum(jnp.sin(identity.bind(x)) * identity.bind(x * x))
+    g = lambda x: jnp.sum(jnp.sin(x) * (x * x))
     x, along = jnp.array([0.3, -1.2, 2.0]), jnp.array([1.0, 0.5, -2.0])
-    for transform in (jax.grad, jax.jacfwd, jax.hessian, lambda f: lambda x: jax.jvp(f, (x,), (along,))[1]):
+    for transform in (
+        jax.grad,
+        jax.jacfwd,
+        jax.hessian,
+        lambda f: lambda x: jax.jvp(f, (x,), (along,))[1],
+    ):
         np.testing.assert_allclose(jax.jit(transform(f))(x), jax.jit(transform(g))(x), rtol=1e-12)
     rows = jnp.stack([x, 2 * x])
     np.testing.assert_allclose(jax.vmap(jax.grad(f))(rows), jax.vmap(jax.grad(g))(rows), rtol=1e-12)

@@ -30,7 +30,9 @@ def scene(turn=SAME, shift=(0.0, 0.0, 0.0), order=range(4)):
     for position, orientation, velocity, spin in (PIECES[k] for k in order):
         body = Rotation.from_quat(orientation, scalar_first=True).as_matrix()
         # a marshmallow is its own mirror image, so that a reflected one is a turned one
-        turned = Rotation.from_matrix(turn @ body @ (np.eye(3) if hand > 0 else MIRROR)).as_quat(scalar_first=True)
+        turned = Rotation.from_matrix(turn @ body @ (np.eye(3) if hand > 0 else MIRROR)).as_quat(
+            scalar_first=True
+        )
         rows.append(
             {
                 "position": (turn @ np.array(position) + shift).tolist(),
@@ -43,7 +45,12 @@ def scene(turn=SAME, shift=(0.0, 0.0, 0.0), order=range(4)):
     for group, corners in (("floor", FLOOR), ("side", SIDE)):
         moved = corners @ turn.T + shift
         walls.append({"group": group, "corners": (moved if hand > 0 else moved[::-1]).tolist()})
-    settings = {"precision": "f64", "sample": 1e-4, "frames": 0.0, "gravity": (turn @ GRAVITY).tolist()}
+    settings = {
+        "precision": "f64",
+        "sample": 1e-4,
+        "frames": 0.0,
+        "gravity": (turn @ GRAVITY).tolist(),
+    }
     return Scene(piece=rows, wall=walls, run=settings)
 
 
@@ -53,10 +60,14 @@ def run(of):
     system = made.system.replace(skin=made.system.skin * 0 + 0.01)
     state, samples, touches = made.state, [], 0
     for _ in range(SAMPLES // 10):
-        state, recorded, _ = stepping.run_compiled_chunk(system, state, np.int32(10), np.int32(1), samples=1024, frames=0)
+        state, recorded, _ = stepping.run_compiled_chunk(
+            system, state, np.int32(10), np.int32(1), samples=1024, frames=0
+        )
         samples.append(jax.tree.map(lambda x: np.asarray(x)[:10], recorded))
         table = jax.device_get(state.contacts["hulls"])
-        touches += int(((table.a >= 0) & (table.a < len(PIECES)) & (table.memory.law.force > 0)).sum())
+        touches += int(
+            ((table.a >= 0) & (table.a < len(PIECES)) & (table.memory.law.force > 0)).sum()
+        )
     assert not overflow_recovery.describe_overflow(system, jax.device_get(state.guard))
     return jax.device_get(state), jax.tree.map(lambda *x: np.concatenate(x), *samples), touches
 
@@ -70,7 +81,8 @@ def plain():
     return state, recorded, touches
 
 
-# Contacts multiply rounding (1e-16 of 0.1 m) by K_nu and the collisions by some powers of ten: 1e-9 within 25 ms.
+# Contacts multiply rounding (1e-16 of 0.1 m) by K_nu and the collisions by some powers of ten: 1e-9
+# within 25 ms.
 TOLERANCE = 1e-8
 
 

@@ -1,4 +1,6 @@
-"""Sample intervals of many steps: cut into parts, with the same trace and without compiling for long."""
+"""Sample intervals of many steps: cut into parts, with the same trace and without compiling for
+long.
+"""
 
 import numpy as np
 
@@ -19,10 +21,14 @@ def test_a_long_sample_interval_has_the_mean_of_the_short_ones():
     many = 61 * 40 * dt
     long = short.replace({"run.sample": many, "run.step": dt})
     parted = assembly.assemble_system(long, 0)
-    assert parted.system.sample_parts > 40 and parted.system.block_steps >= int(parted.system.substeps)
-    assert int(parted.system.substeps) * parted.system.sample_parts == parted.step.substeps >= 61 * 40
+    assert parted.system.sample_parts > 40 and parted.system.block_steps >= int(
+        parted.system.substeps
+    )
+    assert (
+        int(parted.system.substeps) * parted.system.sample_parts == parted.step.substeps >= 61 * 40
+    )
     coarse, fine = dem_jax.simulate(long), dem_jax.simulate(short)
-    impulse = lambda run, interval: -run.mean_force["plate"][:, 2].sum() * interval  # noqa: E731
+    impulse = lambda run, interval: -run.mean_force["plate"][:, 2].sum() * interval
     assert impulse(fine, 1e-4) > 1e-3
     end = coarse.time[-1]
     until = fine.time <= end + 1e-9

@@ -1,4 +1,6 @@
-"""Materials by name: what they inherit, the rules of pairs, which piece and which wall is of which, mistakes."""
+"""Materials by name: what they inherit, the rules of pairs, which piece and which wall is of which,
+mistakes.
+"""
 
 import numpy as np
 import pytest
@@ -135,32 +137,54 @@ def test_which_piece_and_which_wall_is_of_which(scene):
     table = material_properties.build_material_table(scene)
     goods = assembly.piece_arrays.build_piece_set(scene)
     assert material_properties.find_piece_rows(table, goods.materials).tolist() == [1, 0, 2, 1]
-    assert material_properties.find_group_rows(table, scene, ("plate", "side", "chute")).tolist() == [3, 4, 5]
+    assert material_properties.find_group_rows(
+        table, scene, ("plate", "side", "chute")
+    ).tolist() == [3, 4, 5]
     named = {"material.steel.restitution": 0.5, "material.felt.density": 1.0}
-    station = load_scene("weighing-station", named | {"weigh_bucket.material": "steel", "feeder.material": "felt"})
+    station = load_scene(
+        "weighing-station", named | {"weigh_bucket.material": "steel", "feeder.material": "felt"}
+    )
     walls = assembly.assemble_system(station).system.walls
     table = material_properties.build_material_table(station)
     assert table.names == ("default", "wall", "steel", "felt")
-    of_group = dict(zip(walls.groups, material_properties.find_group_rows(table, station, walls.groups).tolist(), strict=True))
+    of_group = dict(
+        zip(
+            walls.groups,
+            material_properties.find_group_rows(table, station, walls.groups).tolist(),
+            strict=True,
+        )
+    )
     assert of_group == {group: {"wb": 2, "fb": 1, "lf": 3}[group[:2]] for group in walls.groups}
 
 
 def test_mass_inertia_and_stiffness_follow_the_material_of_each_piece(scene):
-    """One shape of three materials: a piece keeps the numbers of its material, and the step is that of the stiffest."""
+    """One shape of three materials: a piece keeps the numbers of its material, and the step is that
+    of the stiffest.
+    """
     built = assembly.assemble_system(scene.replace(run={"precision": "f64"}))
     pieces = built.system.pieces
-    np.testing.assert_allclose(pieces.mass, 19440e-9 * np.array([1300.0, 400.0, 400.0, 1300.0]), rtol=1e-12)
-    np.testing.assert_allclose(pieces.inertia[0] / pieces.mass, float(pieces.inertia[0, 0] / pieces.mass[0]), rtol=1e-12)
+    np.testing.assert_allclose(
+        pieces.mass, 19440e-9 * np.array([1300.0, 400.0, 400.0, 1300.0]), rtol=1e-12
+    )
+    np.testing.assert_allclose(
+        pieces.inertia[0] / pieces.mass, float(pieces.inertia[0, 0] / pieces.mass[0]), rtol=1e-12
+    )
     stiffness = built.system.materials.youngs_modulus[pieces.material] * pieces.size
     np.testing.assert_allclose(stiffness / stiffness[1], [0.2, 1.0, 1.0, 0.2], rtol=1e-12)
     assert built.system.alike == ("hulls",)
     order = scene.piece[::-1]
-    assert assembly.assemble_system(scene.replace(piece=order)).step.critical == pytest.approx(built.step.critical, rel=1e-12)
-    assert built.step.critical == pytest.approx(critical_step(scene, np.asarray(pieces.mass), float(pieces.size[0])), rel=1e-12)
+    assert assembly.assemble_system(scene.replace(piece=order)).step.critical == pytest.approx(
+        built.step.critical, rel=1e-12
+    )
+    assert built.step.critical == pytest.approx(
+        critical_step(scene, np.asarray(pieces.mass), float(pieces.size[0])), rel=1e-12
+    )
 
 
 def critical_step(scene, mass, size):
-    """The smallest over all pairs of pieces, and of pieces and walls, of 15 steps per loading and 10 per unloading quarter."""
+    """The smallest over all pairs of pieces, and of pieces and walls, of 15 steps per loading and
+    10 per unloading quarter.
+    """
     table = material_properties.build_material_table(scene)
     row = material_properties.find_piece_rows(table, [piece.material for piece in scene.piece])
     modulus = scene.material.softening * table.youngs_modulus * size
@@ -174,13 +198,23 @@ def critical_step(scene, mass, size):
 
 
 def test_materials_are_changed_by_key_and_by_section(scene):
-    assert scene.replace({"material.gummy.restitution": 0.4}).material.named_materials["gummy"].restitution == 0.4
+    assert (
+        scene.replace({"material.gummy.restitution": 0.4})
+        .material.named_materials["gummy"]
+        .restitution
+        == 0.4
+    )
     changed = scene.replace(material={"gummy": {"restitution": 0.4}})
-    assert changed.material.named_materials["gummy"].restitution == 0.4 and changed.material.named_materials["gummy"].density == 1300.0
+    assert (
+        changed.material.named_materials["gummy"].restitution == 0.4
+        and changed.material.named_materials["gummy"].density == 1300.0
+    )
     assert changed == parse_scene(SCENE.replace("restitution = 0.6", "restitution = 0.4"))
     assert parse_scene(changed.to_toml()) == changed == parse_scene(describe_scene(changed))
     made = load_scene("plate-drop", {"material.felt.density": 90.0, "piece.0.material": "felt"})
-    assert assembly.assemble_system(made).system.pieces.mass[0] == pytest.approx(90 * 19440e-9, rel=1e-6)
+    assert assembly.assemble_system(made).system.pieces.mass[0] == pytest.approx(
+        90 * 19440e-9, rel=1e-6
+    )
 
 
 MISTAKES = [  # changes of the scene -> what the line must hold
@@ -213,11 +247,17 @@ def test_a_mistake_is_one_clear_line(scene, changes, expected):
 
 
 def test_a_scene_without_named_materials_says_so():
-    with pytest.raises(SceneError, match=r'piece\.0\.material = "nut": no such material; allowed: .* of which there is none'):
+    with pytest.raises(
+        SceneError,
+        match=r'piece\.0\.material = "nut": no such material; allowed: .* of which there is none',
+    ):
         load_scene("plate-drop", {"piece.0.material": "nut"})
 
 
 def test_a_wall_group_is_of_one_material(scene):
     rows = [wall.model_copy(update={"group": "all"}) for wall in scene.wall]
-    with pytest.raises(SceneError, match=r"wall\.1\.material = steel: wall group 'all' has none; allowed: one material"):
+    with pytest.raises(
+        SceneError,
+        match=r"wall\.1\.material = steel: wall group 'all' has none; allowed: one material",
+    ):
         assembly.assemble_system(scene.replace(wall=rows))

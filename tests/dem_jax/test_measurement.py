@@ -1,4 +1,6 @@
-"""Numbers of a product from one's own measurements: exact for exact data, intervals that contain the truth, lines for a file."""
+"""Numbers of a product from one's own measurements: exact for exact data, intervals that contain
+the truth, lines for a file.
+"""
 
 import jax
 import jax.numpy as jnp
@@ -20,7 +22,9 @@ SIZE, MODULUS = 0.0128, 2e7  # m, Pa
 
 
 def test_restitution_and_friction_are_those_of_exact_measurements():
-    """sqrt(rebound / drop) in any unit, tan(angle); where all agree the interval is 0.1 % to both sides."""
+    """sqrt(rebound / drop) in any unit, tan(angle); where all agree the interval is 0.1 % to both
+    sides.
+    """
     same = estimate_restitution([250, 250, 100], [62.5, 62.5, 25])
     assert (same.value, same.low, same.high) == pytest.approx((0.5, 0.4995, 0.5005), rel=1e-9)
     slid = estimate_friction([45.0, 45.0, 45.0])
@@ -28,10 +32,14 @@ def test_restitution_and_friction_are_those_of_exact_measurements():
 
 
 def test_the_interval_is_that_of_student():
-    """Of 0.4, 0.5 and 0.6: mean 0.5, standard error 0.1 / sqrt(3), t of 2 degrees of freedom at 95 % = 2.919986."""
+    """Of 0.4, 0.5 and 0.6: mean 0.5, standard error 0.1 / sqrt(3), t of 2 degrees of freedom at 95
+    % = 2.919986.
+    """
     found = estimate_restitution([1, 1, 1], [0.16, 0.25, 0.36])
     half = 2.919986 * 0.1 / np.sqrt(3)
-    assert (found.low, found.high, found.spread) == pytest.approx((0.5 - half, 0.5 + half, 0.2), rel=1e-6)
+    assert (found.low, found.high, found.spread) == pytest.approx(
+        (0.5 - half, 0.5 + half, 0.2), rel=1e-6
+    )
 
 
 def test_nine_of_ten_intervals_contain_the_truth():
@@ -53,17 +61,34 @@ LAWS = {
 
 
 def force_of_contact(law, overlap):
-    """Force (N) of a contact law on an elastic sphere that a rigid plate presses in by an overlap (m)."""
+    """Force (N) of a contact law on an elastic sphere that a rigid plate presses in by an overlap
+    (m).
+    """
     one = jnp.ones_like(overlap)
-    moduli, sizes, curvatures = (1e17 * one, MODULUS * one), (SIZE * one, SIZE * one), (0 * one, 2 / SIZE * one)
-    pair = law.pair_parameters(MaterialPair(moduli, (0.3 * one, 0.3 * one), sizes, curvatures, one, one, None, None))
-    still, history = (0 * one, 0 * one, 0 * one), law.init_history(pair, one)._replace(overlap=overlap)
-    return np.asarray(law.force(pair, history, ContactKinematics(overlap, 0 * one, still, still, 1e-6)).normal_force)
+    moduli, sizes, curvatures = (
+        (1e17 * one, MODULUS * one),
+        (SIZE * one, SIZE * one),
+        (0 * one, 2 / SIZE * one),
+    )
+    pair = law.pair_parameters(
+        MaterialPair(moduli, (0.3 * one, 0.3 * one), sizes, curvatures, one, one, None, None)
+    )
+    still, history = (
+        (0 * one, 0 * one, 0 * one),
+        law.init_history(pair, one)._replace(overlap=overlap),
+    )
+    return np.asarray(
+        law.force(
+            pair, history, ContactKinematics(overlap, 0 * one, still, still, 1e-6)
+        ).normal_force
+    )
 
 
 @pytest.mark.parametrize("law", LAWS)
 def test_the_modulus_is_that_of_the_law_in_use(law):
-    """Two contacts in series, each with half of the way; the scale of the way begins 0.3 mm before the piece is touched."""
+    """Two contacts in series, each with half of the way; the scale of the way begins 0.3 mm before
+    the piece is touched.
+    """
     way = np.linspace(0.0002, 0.001, 9)
     with jax.enable_x64(True):
         force = force_of_contact(LAWS[law], jnp.asarray(0.5 * way))
@@ -89,9 +114,18 @@ def test_the_modulus_of_several_pieces_is_their_geometric_mean():
             "row 3: rebound = 1.2 of drop = 1: allowed: above 0, at most the drop",
         ),
         (lambda: estimate_restitution([1, 1], [0.2, 0.3]), "2 rebounds: allowed: at least 3"),
-        (lambda: estimate_friction([20, 21, 95]), "angle = 95: allowed: degrees, above 0 and below 80"),
-        (lambda: estimate_modulus([([3, 2, 1], [1, 2, 3])], 0.01, "walton-braun"), "piece 1: the force does not rise with the way"),
-        (lambda: estimate_modulus([([1, 2], [1, 2])], 0.01, "walton-braun"), "piece 1: 2 forces at 2 ways: allowed: at least 3"),
+        (
+            lambda: estimate_friction([20, 21, 95]),
+            "angle = 95: allowed: degrees, above 0 and below 80",
+        ),
+        (
+            lambda: estimate_modulus([([3, 2, 1], [1, 2, 3])], 0.01, "walton-braun"),
+            "piece 1: the force does not rise with the way",
+        ),
+        (
+            lambda: estimate_modulus([([1, 2], [1, 2])], 0.01, "walton-braun"),
+            "piece 1: 2 forces at 2 ways: allowed: at least 3",
+        ),
         (lambda: estimate_modulus([], 0.01, "hooke"), "law = 'hooke': allowed: walton-braun"),
         (lambda: estimate_modulus([], -1.0, "walton-braun"), "size = -1: allowed: a length"),
     ],
@@ -109,30 +143,56 @@ def test_the_commands_write_into_a_product_file(tmp_path, monkeypatch, capsys):
     assert main(["measure", "restitution", "heights.csv", "--into", "mine.toml"]) == 0
     assert main(["measure", "friction", "18", "17", "19.5", "--into", "mine.toml"]) == 0
     way = np.linspace(0.2, 1.0, 5)  # mm
-    lines = [f"{1e3 * k * force / 9.80665:.6f},{w:.6f},{k}" for k in (1, 2) for w, force in zip(way, 128 * way, strict=True)]
+    lines = [
+        f"{1e3 * k * force / 9.80665:.6f},{w:.6f},{k}"
+        for k in (1, 2)
+        for w, force in zip(way, 128 * way, strict=True)
+    ]
     (tmp_path / "press.csv").write_text("\n".join(["force_g,way_mm,piece", *lines]))
-    assert main(["measure", "modulus", "press.csv", "--product", "hazelnut", "--into", "mine.toml"]) == 0
+    assert (
+        main(["measure", "modulus", "press.csv", "--product", "hazelnut", "--into", "mine.toml"])
+        == 0
+    )
     printed = capsys.readouterr().out
     assert 'source = "own measurement"' in printed and "[evidence.youngs_modulus]" in printed
     scene = load_scene("weigh-bucket", {"product": "mine.toml"})
-    assert scene.material.restitution == 0.4 and scene.material.friction_wall == pytest.approx(0.328, abs=1e-3)
-    assert scene.material.youngs_modulus == pytest.approx(2e7 * np.sqrt(2), rel=1e-3), "128 N/mm of way is E L / 2 of 12.8 mm"
+    assert scene.material.restitution == 0.4 and scene.material.friction_wall == pytest.approx(
+        0.328, abs=1e-3
+    )
+    assert scene.material.youngs_modulus == pytest.approx(2e7 * np.sqrt(2), rel=1e-3), (
+        "128 N/mm of way is E L / 2 of 12.8 mm"
+    )
     rows = read_evidence(load_product("mine.toml", "test"), "mine.toml")
     assert rows["restitution"].grade == "A" and rows["restitution"].address == "heights.csv"
     assert rows["density"].source.startswith("Milani"), "the rest is as it was"
     ranges = {row.key: row.range for row in scene.uncertain}
-    assert ranges["material.restitution"] == rows["restitution"].range and ranges["material.restitution"][0] < 0.4
+    assert (
+        ranges["material.restitution"] == rows["restitution"].range
+        and ranges["material.restitution"][0] < 0.4
+    )
     assert scene.material.youngs_modulus_range == rows["youngs_modulus"].range
 
 
 @pytest.mark.parametrize(
     ("text", "arguments", "message"),
     [
-        ("drop,rise\n1,0.2\n", ["restitution"], "heights.csv: column 'rise': allowed: drop, rebound"),
+        (
+            "drop,rise\n1,0.2\n",
+            ["restitution"],
+            "heights.csv: column 'rise': allowed: drop, rebound",
+        ),
         ("drop,rebound\n1,a\n1,0.2\n", ["restitution"], "row 1: rebound = 'a': allowed: a number"),
         ("drop,rebound\n1\n", ["restitution"], "heights.csv: row 1: 1 cells; allowed: 2"),
-        ("force_N\n1\n", ["modulus", "--size", "0.01"], "no column of way_m, way_mm, way_um: allowed: exactly one"),
-        ("force_N,way_m\n1,1\n", ["modulus"], "--size, --product: exactly one of the two must be given"),
+        (
+            "force_N\n1\n",
+            ["modulus", "--size", "0.01"],
+            "no column of way_m, way_mm, way_um: allowed: exactly one",
+        ),
+        (
+            "force_N,way_m\n1,1\n",
+            ["modulus"],
+            "--size, --product: exactly one of the two must be given",
+        ),
     ],
 )
 def test_bad_files_are_one_line(tmp_path, monkeypatch, capsys, text, arguments, message):

@@ -1,4 +1,6 @@
-"""Walls: STL facets to convex panels, seams between coplanar panels, plates behind panels, bad input."""
+"""Walls: STL facets to convex panels, seams between coplanar panels, plates behind panels, bad
+input.
+"""
 
 import numpy as np
 import pytest
@@ -12,7 +14,9 @@ SINGLE = 1e-6  # relative; an STL stores single precision
 
 
 def extruded(outline, triangles, height):
-    """Vertices and facets of a prism over a triangulated outline (a list of loops of points, the outer one first)."""
+    """Vertices and facets of a prism over a triangulated outline (a list of loops of points, the
+    outer one first).
+    """
     points = np.concatenate(outline).astype(float)
     n = len(points)
     vertices = np.concatenate([np.c_[points, np.full(n, height)], np.c_[points, np.zeros(n)]])
@@ -26,7 +30,9 @@ def extruded(outline, triangles, height):
 
 
 L_SHAPE = extruded(
-    [[(0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2)]], [(0, 1, 2), (0, 2, 3), (0, 3, 5), (3, 4, 5)], 1.0
+    [[(0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2)]],
+    [(0, 1, 2), (0, 2, 3), (0, 3, 5), (3, 4, 5)],
+    1.0,
 )
 # a square with a square hole: the outer loop counter-clockwise, the inner one clockwise
 FRAME = extruded(
@@ -60,7 +66,9 @@ def facet_area_by_normal(vertices, facets):
 
 
 def assert_panels_cover(panels, vertices, facets):
-    """Each panel is a sound convex polygon (plate checks it), and per normal their areas sum to the mesh's."""
+    """Each panel is a sound convex polygon (plate checks it), and per normal their areas sum to the
+    mesh's.
+    """
     total = {}
     for panel in panels:
         wall_meshes.build_plate(panel, 0.01)
@@ -84,7 +92,9 @@ def test_the_facets_of_a_plane_are_one_panel_however_finely_they_are_cut(tmp_pat
     x, y = np.meshgrid(np.linspace(0, 0.3, 7), np.linspace(0, 0.09, 5), indexing="ij")
     tilt = np.radians(4.0)
     points = np.c_[x.ravel(), y.ravel() * np.cos(tilt), y.ravel() * np.sin(tilt)]
-    quads = [(5 * i + j, 5 * i + 5 + j, 5 * i + 6 + j, 5 * i + 1 + j) for i in range(6) for j in range(4)]
+    quads = [
+        (5 * i + j, 5 * i + 5 + j, 5 * i + 6 + j, 5 * i + 1 + j) for i in range(6) for j in range(4)
+    ]
     facets = [f for a, b, c, d in quads for f in ((a, b, c), (a, c, d))]
     (panel,) = panels_of(tmp_path, points, facets)
     assert len(panel) == 4
@@ -122,23 +132,38 @@ def test_a_facet_with_a_hole_is_cut_around_it(tmp_path):
         inside = np.cross(np.roll(panel, -1, axis=0) - panel, offset)[:, 2] > 0
         assert not inside.all()  # the hole's centre is in no panel
     marks = [
-        mark for panel, marks in zip(panels, wall_meshes.find_seams(panels), strict=True) for mark in marks if panel[0, 2] == 0.5
+        mark
+        for panel, marks in zip(panels, wall_meshes.find_seams(panels), strict=True)
+        for mark in marks
+        if panel[0, 2] == 0.5
     ]
     assert sum(marks) >= 8  # four cuts, each seen from both sides
 
 
 def test_seams_are_edges_shared_with_a_coplanar_neighbour_in_part_or_in_whole():
     left = np.array([(0, 0, 0), (1, 0, 0), (1, 2, 0), (0, 2, 0)], float)
-    right = np.array([(1, 0.5, 0), (2, 0.5, 0), (2, 1, 0), (1, 1, 0)], float)  # borders half a unit of left's edge 1
+    right = np.array([(1, 0.5, 0), (2, 0.5, 0), (2, 1, 0), (1, 1, 0)], float)  # borders half a unit
+    # of left's edge 1
     none = [False] * 4
-    assert wall_meshes.find_seams([left, right]) == [[False, True, False, False], [False, False, False, True]]
+    assert wall_meshes.find_seams([left, right]) == [
+        [False, True, False, False],
+        [False, False, False, True],
+    ]
     assert wall_meshes.find_seams([left]) == [none]
     apart = right + (0.01, 0, 0)
     touching = right + (0, 1.5, 0)  # shares one point only
     behind = right[::-1]  # looks the other way
     raised = right + (0, 0, 0.01)
-    folded = right @ np.array([(np.cos(0.1), 0, np.sin(0.1)), (0, 1, 0), (-np.sin(0.1), 0, np.cos(0.1))])
-    for other in (apart, touching, behind, raised, folded + left[1] - (np.cos(0.1), 0, np.sin(0.1))):
+    folded = right @ np.array(
+        [(np.cos(0.1), 0, np.sin(0.1)), (0, 1, 0), (-np.sin(0.1), 0, np.cos(0.1))]
+    )
+    for other in (
+        apart,
+        touching,
+        behind,
+        raised,
+        folded + left[1] - (np.cos(0.1), 0, np.sin(0.1)),
+    ):
         assert wall_meshes.find_seams([left, other]) == [none, none]
 
 
@@ -150,7 +175,8 @@ def test_a_plate_is_the_prism_behind_its_polygon():
     np.testing.assert_allclose(made.vertices[5:], polygon - (0, 0, 0.1), rtol=1e-15)
     np.testing.assert_allclose(made.normals[:2], [(0, 0, 1), (0, 0, -1)], atol=1e-15)
     np.testing.assert_allclose(made.offsets[:2], [1, -0.9], rtol=1e-15)
-    volume, centre, _ = shapes.integrate_polyhedron(made.vertices, made.faces)  # positive: faces are seen from outside
+    volume, centre, _ = shapes.integrate_polyhedron(made.vertices, made.faces)  # positive: faces
+    # are seen from outside
     assert volume == pytest.approx(0.1 * 3.0, rel=1e-12)
     assert (made.normals @ centre < made.offsets).all()
     assert {frozenset(e) for e in made.edges.tolist()} == {
@@ -170,10 +196,22 @@ STAR = [(np.cos(a), np.sin(a), 0) for a in 4 * np.pi / 5 * np.arange(5)]
         (SQUARE[:2], 0.01, r"floor of form \[2, 3\] must be a list of at least 3 corners"),
         ([(0, 0), (1, 0), (1, 1)], 0.01, r"floor of form \[3, 2\]"),
         ([*SQUARE[:2], (1, np.inf, 0)], 0.01, r"floor corner 2 must be finite"),
-        ([*SQUARE, (0, 1, 1e-9)], 0.01, r"floor corners 3 and 4 coincide at \[0\.0, 1\.0, 0\.0\] m"),
+        (
+            [*SQUARE, (0, 1, 1e-9)],
+            0.01,
+            r"floor corners 3 and 4 coincide at \[0\.0, 1\.0, 0\.0\] m",
+        ),
         ([(0, 0, 0), (1, 0, 0), (2, 0, 0)], 0.01, r"floor has no area"),
-        ([*SQUARE[:3], (0, 1, 0.01)], 0.01, r"floor corner \d is 0\.0025 m off its plane; at most 1e-06 m"),
-        ([*SQUARE[:3], (0.9, 0.2, 0)], 0.01, r"floor must be convex; its corner 3 at \[0\.9, 0\.2, 0\.0\] m is reflex"),
+        (
+            [*SQUARE[:3], (0, 1, 0.01)],
+            0.01,
+            r"floor corner \d is 0\.0025 m off its plane; at most 1e-06 m",
+        ),
+        (
+            [*SQUARE[:3], (0.9, 0.2, 0)],
+            0.01,
+            r"floor must be convex; its corner 3 at \[0\.9, 0\.2, 0\.0\] m is reflex",
+        ),
         (STAR, 0.01, r"floor must be convex; its outline crosses itself"),
         ("square", 0.01, r"floor must be a list of corners"),
     ],
@@ -196,7 +234,9 @@ def test_a_bad_stl_is_refused(tmp_path):
         wall_meshes.read_wall_panels(tmp_path / "empty.stl")
     line = trimesh.Trimesh([(0, 0, 0), (1, 0, 0), (2, 0, 0)], [(0, 1, 2)], process=False)
     line.export(tmp_path / "line.stl")
-    with pytest.raises(SceneError, match=r"line\.stl' is degenerate: all its triangles have no area"):
+    with pytest.raises(
+        SceneError, match=r"line\.stl' is degenerate: all its triangles have no area"
+    ):
         wall_meshes.read_wall_panels(tmp_path / "line.stl")
 
 
@@ -232,9 +272,18 @@ def one_facet(to):
 NOT_WALLS = [
     (one_facet((np.nan, 0, 0)), r"wall\.stl': 1 of its 12 facets have corners that are not finite"),
     (one_facet((0, np.inf, 0)), r"wall\.stl': 1 of its 12 facets have corners that are not finite"),
-    (moved((1e6, 0, 0)), r"wall\.stl': 7 of its 12 facets are too small beside the whole, .* \[1000000\.0, .* far off"),
-    (moved((1e5, 0, 0)), r"wall\.stl': facets of 0\.005 m2 about .* make panels of 0 m2, .*100000\.0, .* far off"),
-    (lambda c: np.concatenate([c, c[:2, ::-1]]), r"wall\.stl': 2 of its facets face both ways, such as that about \["),
+    (
+        moved((1e6, 0, 0)),
+        r"wall\.stl': 7 of its 12 facets are too small beside the whole, .* \[1000000\.0, .* far off",
+    ),
+    (
+        moved((1e5, 0, 0)),
+        r"wall\.stl': facets of 0\.005 m2 about .* make panels of 0 m2, .*100000\.0, .* far off",
+    ),
+    (
+        lambda c: np.concatenate([c, c[:2, ::-1]]),
+        r"wall\.stl': 2 of its facets face both ways, such as that about \[",
+    ),
 ]
 
 
@@ -254,11 +303,16 @@ def test_doubled_facets_are_read_once_and_it_is_said_what_was_read(tmp_path, cap
     twice = box_with(lambda corners: np.concatenate([corners, np.roll(corners, 1, axis=1)]))
     panels = panels_of(tmp_path, twice.reshape(-1, 3), np.arange(72).reshape(-1, 3))
     assert len(panels) == 6
-    (tmp_path / "scene.toml").write_text('base = "plate-drop"\n[[wall]]\ngroup = "box"\nstl = "wall.stl"\n')
+    (tmp_path / "scene.toml").write_text(
+        'base = "plate-drop"\n[[wall]]\ngroup = "box"\nstl = "wall.stl"\n'
+    )
     said = "wall.stl: 12 facets (12 more were doubled, and left out), 6 panels, 0.06 m2, "
     assert main(["scenes", "scene.toml"]) == 0
     assert f"\n# wall.0: {said}x from -0.05 to 0.05 m, y from" in capsys.readouterr().out
-    changes = {"run.duration": 1e-4, "piece": [{"shape": "sphere", "radius": 0.01, "position": [0, 0, 0.2]}]}
+    changes = {
+        "run.duration": 1e-4,
+        "piece": [{"shape": "sphere", "radius": 0.01, "position": [0, 0, 0.2]}],
+    }
     lines = summarize_run(simulate(load_scene("scene.toml", changes)))
     assert [line for line in lines if line.startswith(f"note: {said}")]
 
@@ -268,11 +322,21 @@ def test_an_stl_that_is_in_millimetres_is_asked_about(tmp_path, unit, fits):
     import trimesh
 
     trimesh.creation.box((20.0, 15.0, 10.0)).export(tmp_path / "bean.stl")
-    piece = parse_scene(f'[[piece]]\nshape = "hull"\nposition = [0, 0, 1]\nstl = "bean.stl"\n{unit}').piece[0]
-    wall = parse_scene(f'[[piece]]\nposition = [0, 0, 1]\n[[wall]]\ngroup = "w"\nstl = "bean.stl"\n{unit}').wall[0]
-    for made, row in ((assembly.piece_arrays.make_shape, piece), (assembly.wall_panels.inline_wall_panels, wall)):
+    piece = parse_scene(
+        f'[[piece]]\nshape = "hull"\nposition = [0, 0, 1]\nstl = "bean.stl"\n{unit}'
+    ).piece[0]
+    wall = parse_scene(
+        f'[[piece]]\nposition = [0, 0, 1]\n[[wall]]\ngroup = "w"\nstl = "bean.stl"\n{unit}'
+    ).wall[0]
+    for made, row in (
+        (assembly.piece_arrays.make_shape, piece),
+        (assembly.wall_panels.inline_wall_panels, wall),
+    ):
         if fits:
             made(row, tmp_path)
             continue
-        with pytest.raises(SceneError, match=r"stl = 'bean\.stl' is 20 x 15 x 10 m large; allowed: unit = 1e-3 if it is in mm"):
+        with pytest.raises(
+            SceneError,
+            match=r"stl = 'bean\.stl' is 20 x 15 x 10 m large; allowed: unit = 1e-3 if it is in mm",
+        ):
             made(row, tmp_path)

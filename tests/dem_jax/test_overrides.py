@@ -1,4 +1,6 @@
-"""Keys that cannot act are refused by name, wherever they come from, and dropped where a scene on top says something else."""
+"""Keys that cannot act are refused by name, wherever they come from, and dropped where a scene on
+top says something else.
+"""
 
 import pytest
 
@@ -12,26 +14,83 @@ STL = {"weigh_bucket.stl": "a.stl"}
 BOTH = {"portion.count": 5, "portion.target_weight": 0.1}
 SCATTERED = {"portion.arrangement": "scattered", "portion.settling_time": 0.5}
 REFUSED = [
-    ("weigh-bucket", STL | {"weigh_bucket.flap_angle_deg": 60.0}, "flap_angle_deg = 60.0: cannot act beside weigh_bucket.stl"),
-    ("weigh-bucket", STL | {"weigh_bucket.mouth": [0.14, 0.12]}, r"weigh_bucket.mouth = \[0.14, 0.12\]: cannot act"),  # its default
-    ("weigh-bucket", STL | {"weigh_bucket.lap": 0.0}, "weigh_bucket.lap = 0.0: cannot act beside weigh_bucket.stl"),
-    ("weigh-bucket", {"weigh_bucket.opening_time": 0.1}, "beside weigh_bucket.opening_angle_deg = 0: it stays shut"),
-    ("weigh-bucket", {"weigh_bucket.move": [0.1, 0.0, 0.0]}, "weigh_bucket: move = .* cannot act without stl"),
-    ("weigh-bucket", {"feed_bucket.centre": True}, "feed_bucket: centre = true: cannot act without stl"),
+    (
+        "weigh-bucket",
+        STL | {"weigh_bucket.flap_angle_deg": 60.0},
+        "flap_angle_deg = 60.0: cannot act beside weigh_bucket.stl",
+    ),
+    # its default
+    (
+        "weigh-bucket",
+        STL | {"weigh_bucket.mouth": [0.14, 0.12]},
+        r"weigh_bucket.mouth = \[0.14, 0.12\]: cannot act",
+    ),
+    (
+        "weigh-bucket",
+        STL | {"weigh_bucket.lap": 0.0},
+        "weigh_bucket.lap = 0.0: cannot act beside weigh_bucket.stl",
+    ),
+    (
+        "weigh-bucket",
+        {"weigh_bucket.opening_time": 0.1},
+        "beside weigh_bucket.opening_angle_deg = 0: it stays shut",
+    ),
+    (
+        "weigh-bucket",
+        {"weigh_bucket.move": [0.1, 0.0, 0.0]},
+        "weigh_bucket: move = .* cannot act without stl",
+    ),
+    (
+        "weigh-bucket",
+        {"feed_bucket.centre": True},
+        "feed_bucket: centre = true: cannot act without stl",
+    ),
     ("weighing-station", {"feeder.unit": 1e-3}, "feeder: unit = 0.001: cannot act without stl"),
-    ("weighing-station", {"feeder.stl": "a.stl", "feeder.length": 0.3}, "feeder.length = 0.3: cannot act beside feeder.stl"),
-    ("weighing-cycles", {"feed_bucket.opening_time": 0.1}, r"feed_bucket.opening_time = 0.1: cannot act beside \[cycle\]"),
+    (
+        "weighing-station",
+        {"feeder.stl": "a.stl", "feeder.length": 0.3},
+        "feeder.length = 0.3: cannot act beside feeder.stl",
+    ),
+    (
+        "weighing-cycles",
+        {"feed_bucket.opening_time": 0.1},
+        r"feed_bucket.opening_time = 0.1: cannot act beside \[cycle\]",
+    ),
     ("weighing-cycles", {"feeder.start": 0.1}, "feeder.start = 0.1: cannot act beside cycle.lf"),
     ("weigh-bucket", BOTH, "portion.target_weight = 0.1: cannot act beside portion.count"),
     ("weigh-bucket", SCATTERED, "portion.settling_time = 0.5: cannot act"),
-    ("weigh-bucket", {"portion.share_by": "count"}, r"portion.share_by = \"count\": cannot act without \[\[portion.product\]\]"),
-    ("weigh-bucket", {"portion.unit": 1e-3}, "portion: unit = 0.001: cannot act without an stl or points"),
+    (
+        "weigh-bucket",
+        {"portion.share_by": "count"},
+        r"portion.share_by = \"count\": cannot act without \[\[portion.product\]\]",
+    ),
+    (
+        "weigh-bucket",
+        {"portion.unit": 1e-3},
+        "portion: unit = 0.001: cannot act without an stl or points",
+    ),
     ("plate-drop", {"portion.count": 3}, r"portion: cannot act beside \[\[piece\]\]"),
     ("plate-drop", {"drop.height": 0.5}, r"drop.height = 0.5: cannot act without \[weigh_bucket\]"),
-    ("plate-drop", {"run.settled_time": 0.02}, "run.settled_time = 0.02: cannot act without run.until_settled = true"),
-    ("plate-drop", {"wall.0.rotate_deg": [0.0, 10.0, 0.0]}, "wall.0: rotate_deg = .* cannot act beside corners"),
-    ("plate-drop", {"motion": [{"group": "plate", "opening": 0.1}]}, "motion.0: opening = 0.1: cannot act without swing_deg"),
-    ("plate-drop", {"motion": [{"group": "plate", "frequency": 10.0}]}, "motion.0: frequency = 10.0: cannot act without a stroke"),
+    (
+        "plate-drop",
+        {"run.settled_time": 0.02},
+        "run.settled_time = 0.02: cannot act without run.until_settled = true",
+    ),
+    (
+        "plate-drop",
+        {"wall.0.rotate_deg": [0.0, 10.0, 0.0]},
+        "wall.0: rotate_deg = .* cannot act beside corners",
+    ),
+    (
+        "plate-drop",
+        {"motion": [{"group": "plate", "opening": 0.1}]},
+        "motion.0: opening = 0.1: cannot act without swing_deg",
+    ),
+    (
+        "plate-drop",
+        {"motion": [{"group": "plate", "frequency": 10.0}]},
+        "motion.0: frequency = 10.0: cannot act without a stroke",
+    ),
 ]
 
 
@@ -44,23 +103,36 @@ def test_a_key_that_cannot_act_is_refused(name, changes, said):
 
 def test_what_a_study_or_an_ensemble_varies_must_act(tmp_path):
     (tmp_path / "own.toml").write_text('base = "weigh-bucket"\n[weigh_bucket]\nstl = "a.stl"\n')
-    with pytest.raises(SceneError, match="study bucket-own: own: weigh_bucket.flap_angle_deg = 55.0: cannot act"):
+    with pytest.raises(
+        SceneError, match="study bucket-own: own: weigh_bucket.flap_angle_deg = 55.0: cannot act"
+    ):
         load_study("bucket").with_scene(str(tmp_path / "own.toml")).base_scene()
     assert load_study("scale-factor").base_scene()
     scene = load_scene("weigh-bucket", STL)
-    with pytest.raises(SceneError, match="weigh_bucket.flap_angle_deg = 55.0: cannot act beside weigh_bucket.stl"):
+    with pytest.raises(
+        SceneError, match="weigh_bucket.flap_angle_deg = 55.0: cannot act beside weigh_bucket.stl"
+    ):
         scene.replace({"weigh_bucket.flap_angle_deg": 55.0})  # as for each point and each run
 
 
 def test_a_file_says_so_too(tmp_path):
-    (tmp_path / "own.toml").write_text('base = "weigh-bucket"\n[weigh_bucket]\nstl = "a.stl"\nmouth = [0.1, 0.1]\n')
-    with pytest.raises(SceneError, match="weigh_bucket.mouth = .* cannot act beside weigh_bucket.stl"):
+    (tmp_path / "own.toml").write_text(
+        'base = "weigh-bucket"\n[weigh_bucket]\nstl = "a.stl"\nmouth = [0.1, 0.1]\n'
+    )
+    with pytest.raises(
+        SceneError, match="weigh_bucket.mouth = .* cannot act beside weigh_bucket.stl"
+    ):
         load_scene(tmp_path / "own.toml")
 
 
 KEPT = [
     ("weigh-bucket", STL, "weigh_bucket.flap_angle_deg", 55.0),  # that of the base, 45, is dropped
-    ("weighing-station", {"weigh_bucket.opening_angle_deg": 0.0}, "weigh_bucket.opening_start", 0.0),
+    (
+        "weighing-station",
+        {"weigh_bucket.opening_angle_deg": 0.0},
+        "weigh_bucket.opening_start",
+        0.0,
+    ),
     ("weigh-bucket", {"portion.count": 5}, "portion.count", 5),
     ("weigh-bucket", {"piece": [{"position": [0.0, 0.0, 1.0]}]}, "portion", None),
     ("quick-release", {"weigh_bucket": None}, "drop.height", 0.25),
@@ -76,10 +148,14 @@ def test_what_a_scene_on_top_overrides_below_is_dropped(name, changes, key, item
 
 
 def test_the_later_of_weight_and_count_holds():
-    scene = load_scene("weigh-bucket", {"portion.count": 20}).replace({"portion.target_weight": 0.1})
+    scene = load_scene("weigh-bucket", {"portion.count": 20}).replace(
+        {"portion.target_weight": 0.1}
+    )
     assert (scene.portion.count, scene.portion.target_weight) == (None, 0.1)
     assert scene.replace({"portion.count": 3}).portion.target_weight == 0.05
-    check_varied_keys(load_scene("weigh-bucket", {"portion.count": 20}), ["portion.target_weight"], "a study")
+    check_varied_keys(
+        load_scene("weigh-bucket", {"portion.count": 20}), ["portion.target_weight"], "a study"
+    )
 
 
 @pytest.mark.parametrize("name", stock_scenes())

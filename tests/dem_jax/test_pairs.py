@@ -1,4 +1,6 @@
-"""Whole runs by each way of searching for pairs, and what happens when the list of jax-md outgrows its room."""
+"""Whole runs by each way of searching for pairs, and what happens when the list of jax-md outgrows
+its room.
+"""
 
 import sys
 from dataclasses import replace
@@ -17,7 +19,10 @@ from dem_jax.runner.interface import run_job
 from dem_jax.runner.job_setup import prepare_job
 from dem_jax.scene import Scene
 
-FLOOR = {"group": "floor", "corners": [(-0.2, -0.2, 0.0), (0.2, -0.2, 0.0), (0.2, 0.2, 0.0), (-0.2, 0.2, 0.0)]}
+FLOOR = {
+    "group": "floor",
+    "corners": [(-0.2, -0.2, 0.0), (0.2, -0.2, 0.0), (0.2, 0.2, 0.0), (-0.2, 0.2, 0.0)],
+}
 SETTINGS = {"precision": "f64", "duration": 4e-3, "sample": 1e-4, "frames": 0.0}
 
 
@@ -27,7 +32,10 @@ def heap(neighbours):
     place = 0.0212 * cells + (0.0, 0.0, 0.0105) + np.random.default_rng(0).uniform(0, 4e-4, (36, 3))
     towards = -8.0 * place * (1, 1, 0) - (0.0, 0.0, 0.5)
     rows = zip(place.tolist(), towards.tolist(), strict=True)
-    pieces = [{"shape": "sphere", "radius": 0.01, "position": tuple(p), "velocity": tuple(v)} for p, v in rows]
+    pieces = [
+        {"shape": "sphere", "radius": 0.01, "position": tuple(p), "velocity": tuple(v)}
+        for p, v in rows
+    ]
     return Scene(piece=pieces, wall=[FLOOR], run=SETTINGS | {"neighbours": neighbours})
 
 
@@ -38,12 +46,16 @@ def runs():
 
 @pytest.mark.parametrize("choice", ["cells", "jax-md"])
 def test_a_run_does_not_depend_on_how_pairs_are_found(runs, choice):
-    """To rounding, which collisions enlarge: the loads of a piece are added up in the order of the list."""
+    """To rounding, which collisions enlarge: the loads of a piece are added up in the order of the
+    list.
+    """
     one, other = runs["all-pairs"], runs[choice]
     scale = np.abs(one.force["floor"]).max()
     assert (one.energy["dissipated"][10] < 0.8 * one.energy["dissipated"][-1]) and scale > 10
     np.testing.assert_allclose(other.force["floor"], one.force["floor"], rtol=0, atol=1e-9 * scale)
-    np.testing.assert_allclose(other.momentum, one.momentum, rtol=0, atol=1e-9 * np.abs(one.momentum).max())
+    np.testing.assert_allclose(
+        other.momentum, one.momentum, rtol=0, atol=1e-9 * np.abs(one.momentum).max()
+    )
 
 
 @pytest.mark.long
@@ -54,16 +66,25 @@ def test_a_list_without_room_grows_and_the_run_is_the_same(runs):
     grown = run_job(job, None, False, False)
     notes = " ".join(grown.header.info["reruns"])
     assert "more than 60 pairs in the list of jax-md" in notes
-    assert "pieces in a cell of jax-md for 1" in notes and "for a list of jax-md within 0.0004 m" in notes
+    assert (
+        "pieces in a cell of jax-md for 1" in notes
+        and "for a list of jax-md within 0.0004 m" in notes
+    )
     ample = runs["jax-md"]
     scale = np.abs(ample.force["floor"]).max()
-    np.testing.assert_allclose(grown.force["floor"], ample.force["floor"], rtol=0, atol=1e-9 * scale)
+    np.testing.assert_allclose(
+        grown.force["floor"], ample.force["floor"], rtol=0, atol=1e-9 * scale
+    )
 
 
 def test_a_restart_keeps_the_room_of_the_list():
     job = prepare_job(heap("jax-md"), (0,), None)
-    larger = job.system.replace(partition=job.system.partition._replace(pairs=777, cell=41, reach=0.0123))
-    system, _ = restart_state.unpack_state(job.system, job.state, restart_state.pack_state(larger, job.state))
+    larger = job.system.replace(
+        partition=job.system.partition._replace(pairs=777, cell=41, reach=0.0123)
+    )
+    system, _ = restart_state.unpack_state(
+        job.system, job.state, restart_state.pack_state(larger, job.state)
+    )
     assert system.partition == larger.partition
 
 
@@ -71,7 +92,7 @@ def test_a_restart_keeps_the_room_of_the_list():
 def test_the_list_of_jax_md_can_be_made_for_many_members_at_once():
     job = prepare_job(heap("jax-md"), (0,), None)
     shifts = jnp.asarray([0.0, 0.002, 0.004], job.state.position.dtype)
-    pressed = lambda shift: job.state.replace_motion(position=job.state.position * (1 - 15 * shift))  # noqa: E731
+    pressed = lambda shift: job.state.replace_motion(position=job.state.position * (1 - 15 * shift))
     rebuild = partial(neighbour_list.rebuild_neighbour_list, job.system)
     together = jax.jit(jax.vmap(rebuild))(jax.vmap(pressed)(shifts))
     counts = []
@@ -86,11 +107,17 @@ def test_the_list_of_jax_md_can_be_made_for_many_members_at_once():
 
 
 def test_an_unknown_way_of_searching_is_an_error():
-    with pytest.raises(SceneError, match='run.neighbours = "octree": allowed: "auto" or "all-pairs" or "cells" or "jax-md"'):
+    with pytest.raises(
+        SceneError,
+        match='run.neighbours = "octree": allowed: "auto" or "all-pairs" or "cells" or "jax-md"',
+    ):
         dem_jax.load_scene("plate-drop", {"run.neighbours": "octree"})
 
 
 def test_the_list_of_jax_md_without_jax_md_is_an_error(monkeypatch):
     monkeypatch.setitem(sys.modules, "jax_md", None)  # as if it were not installed
-    with pytest.raises(SceneError, match=r"""run.neighbours = "jax-md": needs jax-md: pip install 'product-impact\[jax-md\]'"""):
+    with pytest.raises(
+        SceneError,
+        match=r"""run.neighbours = "jax-md": needs jax-md: pip install 'product-impact\[jax-md\]'""",
+    ):
         dem_jax.simulate(heap("jax-md"))

@@ -1,4 +1,6 @@
-"""Friction about the normal of a contact: the arm of a contact patch, the torque that it gives, and the limit that both share."""
+"""Friction about the normal of a contact: the arm of a contact patch, the torque that it gives, and
+the limit that both share.
+"""
 
 from functools import partial
 
@@ -23,12 +25,16 @@ def moments_of(corners):
     length = np.linalg.norm(edge, axis=1)
     centroid = (length[:, None] * (begin + edge / 2)).sum(0) / length.sum()
     begin = begin - centroid
-    found = patch_moments.edge_moments(tuple(begin.T), tuple(edge.T), (length, length / 2, length / 3))
+    found = patch_moments.edge_moments(
+        tuple(begin.T), tuple(edge.T), (length, length / 2, length / 3)
+    )
     return patch_moments.SecondMoments(*(entry.sum() / length.sum() for entry in found))
 
 
 def mean_distance(corners):
-    """Of the points of a convex polygon from its centroid: fans of triangles about it, each edge by a rule of 64 points."""
+    """Of the points of a convex polygon from its centroid: fans of triangles about it, each edge by
+    a rule of 64 points.
+    """
     begin, end = corners, np.roll(corners, -1, axis=0)
     double = begin[:, 0] * end[:, 1] - begin[:, 1] * end[:, 0]
     centroid = ((begin + end) * double[:, None]).sum(0) / (3 * double.sum())
@@ -36,7 +42,9 @@ def mean_distance(corners):
     double = begin[:, 0] * end[:, 1] - begin[:, 1] * end[:, 0]
     t, w = np.polynomial.legendre.leggauss(64)
     points = begin[:, None] + (end - begin)[:, None] * (t[:, None] + 1) / 2
-    return float((double * (np.linalg.norm(points, axis=-1) @ (w / 2))).sum() / 3 / (double.sum() / 2))
+    return float(
+        (double * (np.linalg.norm(points, axis=-1) @ (w / 2))).sum() / 3 / (double.sum() / 2)
+    )
 
 
 def rectangle(a, b):
@@ -62,21 +70,32 @@ def test_arm_is_the_mean_distance_from_the_centroid(corners, within):
 
 
 def test_arm_in_closed_form():
-    assert mean_distance(rectangle(1.0, 1.0)) == pytest.approx((np.sqrt(2) + np.arcsinh(1)) / 6, rel=1e-12)  # 0.3826
+    # 0.3826
+    assert mean_distance(rectangle(1.0, 1.0)) == pytest.approx(
+        (np.sqrt(2) + np.arcsinh(1)) / 6, rel=1e-12
+    )
     assert mean_distance(polygon(1000)) == pytest.approx(2 / 3, rel=1e-5)
     line = patch_moments.SecondMoments(*(jnp.asarray(x) for x in (1 / 12, 0.0, 0.0, 0.0, 0.0, 0.0)))
     assert float(patch_moments.friction_arm(line)) == pytest.approx(0.25, rel=1e-12)
-    assert float(patch_moments.friction_arm(patch_moments.scale_moments(jnp.asarray(0.0), line))) == 0
+    assert (
+        float(patch_moments.friction_arm(patch_moments.scale_moments(jnp.asarray(0.0), line))) == 0
+    )
 
 
 def test_moments_turn_and_shift_as_those_of_points():
     random = np.random.default_rng(3)
     points, weight, offset = random.normal(size=(3, 20)), random.random(20), random.normal(size=3)
     turn = Rotation.random(random_state=4).as_matrix()
-    of = lambda x: patch_moments.SecondMoments(*(np.sum(weight * c) for c in patch_moments.outer_product(tuple(x), tuple(x))))  # noqa: E731
+    of = lambda x: patch_moments.SecondMoments(
+        *(np.sum(weight * c) for c in patch_moments.outer_product(tuple(x), tuple(x)))
+    )
     rows = tuple(tuple(jnp.asarray(c) for c in row) for row in turn)
-    np.testing.assert_allclose(patch_moments.rotate_moments(rows, of(points)), of(turn @ points), rtol=1e-12, atol=1e-12)
-    shifted = patch_moments.shift_origin(of(points), weight.sum(), tuple((weight * points).sum(1)), tuple(offset))
+    np.testing.assert_allclose(
+        patch_moments.rotate_moments(rows, of(points)), of(turn @ points), rtol=1e-12, atol=1e-12
+    )
+    shifted = patch_moments.shift_origin(
+        of(points), weight.sum(), tuple((weight * points).sum(1)), tuple(offset)
+    )
     np.testing.assert_allclose(shifted, of(points + offset[:, None]), rtol=1e-12, atol=1e-12)
 
 
@@ -94,15 +113,24 @@ def arms(kind, table, turn, offset):
     """Depth along the normal (m) and arm of friction (m) of cubes, [P], on a large plate."""
     rel = collision_primitives.RelativePose(turn, offset)
     if kind == "any":
-        found = contact_geometry.polytope_contact(table, tuple(jnp.full(offset[0].shape, k, jnp.int32) for k in (1, 0)), rel)
+        found = contact_geometry.polytope_contact(
+            table, tuple(jnp.full(offset[0].shape, k, jnp.int32) for k in (1, 0)), rel
+        )
     else:
-        plate, cube = (hull_lookup.attach_face_loops(hull_lookup.gather_hulls(table, np.array([k]), False), table) for k in (1, 0))
+        plate, cube = (
+            hull_lookup.attach_face_loops(
+                hull_lookup.gather_hulls(table, np.array([k]), False), table
+            )
+            for k in (1, 0)
+        )
         found = collision_primitives.hull_hull(plate, cube, rel)
     return found.depth, patch_moments.friction_arm(found.moments())
 
 
 def tipped(kind, axes, angles):
-    """Arms of a cube that is tipped by angles about axes [P, 3], its lowest point SUNK below the top of the plate."""
+    """Arms of a cube that is tipped by angles about axes [P, 3], its lowest point SUNK below the
+    top of the plate.
+    """
     table = jax.tree.map(jnp.asarray, tables.build_hull_table(CUBES[kind], np.float64))
     table = table.replace(row=table.row.astype(np.int32))
     turn = Rotation.from_rotvec(axes * angles[:, None]).as_matrix()
@@ -118,11 +146,13 @@ def test_arm_of_a_face_an_edge_and_a_corner_and_between(kind):
     leaves = SUNK / SIDE  # the slope at which the far edge leaves the plate
     slopes = np.concatenate([np.linspace(0, 4 * leaves, 400), np.geomspace(4 * leaves, 0.7, 100)])
     angles = np.concatenate([np.arctan(slopes), np.geomspace(1e-6, 0.6, 500)])
-    axes = np.repeat([(0.0, 1.0, 0.0), (np.sqrt(0.5), -np.sqrt(0.5), 0.0)], 500, axis=0)  # onto an edge, onto a corner
+    # onto an edge, onto a corner
+    axes = np.repeat([(0.0, 1.0, 0.0), (np.sqrt(0.5), -np.sqrt(0.5), 0.0)], 500, axis=0)
     edge, corner = np.split(tipped(kind, axes, angles), 2)
     assert abs(edge[0] / (0.3826 * SIDE) - 1) < 0.004
     assert abs(edge[-1] / (SIDE / 4) - 1) < 0.002  # a line: the patch is as wide as SUNK
-    assert np.abs(np.diff(edge[:400])).max() < 5e-3 * SIDE  # in steps of 1 % of what it takes from face to edge
+    assert np.abs(np.diff(edge[:400])).max() < 5e-3 * SIDE  # in steps of 1 % of what it takes from
+    # face to edge
     assert abs(corner[0] / edge[0] - 1) < 1e-3 and corner[-1] < 2 * SUNK
     assert np.abs(np.diff(corner)).max() < 0.02 * SIDE
 
@@ -131,8 +161,9 @@ def test_arm_of_a_face_an_edge_and_a_corner_and_between(kind):
 
 
 def test_what_a_patch_gives_back_it_took():
-    """Random slips along the surface and about the normal, random normal forces: no more work comes back than was put in, and
-    what is lost is lost by sliding."""
+    """Random slips along the surface and about the normal, random normal forces: no more work comes
+    back than was put in, and what is lost is lost by sliding.
+    """
     random, paths = np.random.default_rng(5), 500
     normal, step = tuple(jnp.full(paths, c) for c in (0.0, 0.0, 1.0)), jax.jit(friction.patch_force)
     spring, stored, taken = tuple(jnp.zeros(paths) for _ in range(4)), 0.0, 0.0
@@ -144,7 +175,10 @@ def test_what_a_patch_gives_back_it_took():
         work = -sum(0.5 * (p + q) * s for p, q, s in zip(spring, after, slip, strict=True))
         now, size = friction.spring_energy(jnp.stack(after), 1.0), friction.shear_magnitude(after)
         assert (size <= 0.5 * force * (1 + 1e-12)).all()
-        lost, sticks = np.asarray(work - (now - stored)), np.asarray(size < 0.5 * force * (1 - 1e-9))
+        lost, sticks = (
+            np.asarray(work - (now - stored)),
+            np.asarray(size < 0.5 * force * (1 - 1e-9)),
+        )
         np.testing.assert_allclose(lost[sticks], 0, atol=1e-14)
         assert (lost > -1e-14).all()
         spring, stored, taken = after, now, taken + work
@@ -164,11 +198,15 @@ def test_sliding_and_spinning_share_the_limit_of_an_ellipsoid():
 
 def test_without_turning_a_patch_has_the_force_of_a_point():
     random = np.random.default_rng(6)
-    normal, spring, slip = (tuple(jnp.asarray(x) for x in random.normal(size=(3, 50))) for _ in range(3))
+    normal, spring, slip = (
+        tuple(jnp.asarray(x) for x in random.normal(size=(3, 50))) for _ in range(3)
+    )
     size = np.linalg.norm(normal, axis=0)
     normal = tuple(c / size for c in normal)
     point = friction.tangential_force(spring, normal, slip, jnp.ones(50), 1.0, 2.0)
-    found = friction.patch_force((*spring, jnp.zeros(50)), normal, (*slip, jnp.zeros(50)), jnp.ones(50), 1.0, 2.0)
+    found = friction.patch_force(
+        (*spring, jnp.zeros(50)), normal, (*slip, jnp.zeros(50)), jnp.ones(50), 1.0, 2.0
+    )
     np.testing.assert_allclose(np.array(found[:3]), np.array(point), atol=1e-14)
     assert (np.asarray(found[3]) == 0).all()
 
@@ -180,8 +218,11 @@ def test_a_box_and_a_disc_that_spin_on_a_plate_come_to_a_stand():
     solution = validation.solve_problem(classics.turning_problem(), "f64")
     assert not solution.failing_quantities, solution.errors
     run = solution.run
-    # After they stand they swing on the spring of friction, with what it holds: mu F_n r at most over its stiffness.
-    late = np.asarray(run.pieces.angular_velocity[:, :, 2])[np.asarray(run.pieces.time) > 1.1 * 0.0148]
+    # After they stand they swing on the spring of friction, with what it holds: mu F_n r at most
+    # over its stiffness.
+    late = np.asarray(run.pieces.angular_velocity[:, :, 2])[
+        np.asarray(run.pieces.time) > 1.1 * 0.0148
+    ]
     assert np.abs(late).max() < 0.01 * classics.TURNS
     total = np.asarray(run.energy["total"])
     assert np.abs(total / total[0] - 1).max() < 1e-3
@@ -197,6 +238,10 @@ def test_other_laws_stop_a_spin_too(law):
 def test_spheres_and_scenes_without_friction_have_no_patch():
     sphere = {"shape": "sphere", "radius": 0.01}
     for piece, friction_wall in ((sphere, 0.5), ({"shape": "cuboid", "size": (0.02,) * 3}, 0.0)):
-        made = validation.plate_scene(piece, friction_wall=friction_wall, friction_piece=0.0, run={"duration": 1e-3})
+        made = validation.plate_scene(
+            piece, friction_wall=friction_wall, friction_piece=0.0, run={"duration": 1e-3}
+        )
         for table in assembly.assemble_system(made).state.contacts.values():
-            assert table.memory.arm is None and (table.memory.law.spring is None or table.memory.law.spring.shape[0] == 3)
+            assert table.memory.arm is None and (
+                table.memory.law.spring is None or table.memory.law.spring.shape[0] == 3
+            )

@@ -1,4 +1,6 @@
-"""General convex polytopes: exact for all of them, near features say what all features say, thin walls are walls."""
+"""General convex polytopes: exact for all of them, near features say what all features say, thin
+walls are walls.
+"""
 
 from functools import partial
 from types import SimpleNamespace
@@ -50,28 +52,51 @@ HULLS = [exact.bodies()[k] for k in (6, 10)] + [shapes.cuboid((0.09, 0.09, 0.02)
 @partial(jax.jit, compiler_options=supported_options("cpu"))
 def from_all(table, rows, rel):
     """Near features, and contact from all of them."""
-    found = feature_search.find_active_features(table.features, rows, tuple(table.bounding_radius[row] for row in rows), rel, None)
+    found = feature_search.find_active_features(
+        table.features, rows, tuple(table.bounding_radius[row] for row in rows), rel, None
+    )
     axes = cached_features.find_separating_axis(found, rel)
     facing = feature_search.find_support_faces(table.features, rows, axes.normal, rel)
     faces = cached_features.select_support_faces(facing, axes.normal, rel)
-    return found, facing, axes, faces, cached_features.polytope_contact_patch(table, rows, faces, cached_features.all_clip_planes(table, rows), rel, axes)[:2]
+    return (
+        found,
+        facing,
+        axes,
+        faces,
+        cached_features.polytope_contact_patch(
+            table, rows, faces, cached_features.all_clip_planes(table, rows), rel, axes
+        )[:2],
+    )
 
 
 @partial(jax.jit, compiler_options=supported_options("cpu"))
 def from_near(table, rows, kept, facing, rel):
-    """The same from what is known from before, how far the bodies have moved, and whether the facing faces are certain."""
+    """The same from what is known from before, how far the bodies have moved, and whether the
+    facing faces are certain.
+    """
     axes = cached_features.find_separating_axis(kept, rel)
     touching = jnp.ones_like(axes.depth, bool)
     facing = cached_features.update_support_faces(table, facing, rows, axes.normal, touching, rel)
     faces = cached_features.select_support_faces(facing, axes.normal, rel)
     centre, in_full = (
-        cached_features.polytope_contact_patch(table, rows, faces, cached_features.ClipPlanes(kept.clip_planes, is_wide), rel, axes)[0] for is_wide in (False, True)
+        cached_features.polytope_contact_patch(
+            table, rows, faces, cached_features.ClipPlanes(kept.clip_planes, is_wide), rel, axes
+        )[0]
+        for is_wide in (False, True)
     )
-    return axes, faces, centre, in_full, cached_features.relative_displacement_bound(kept, table.bounding_radius[rows[1]], rel)
+    return (
+        axes,
+        faces,
+        centre,
+        in_full,
+        cached_features.relative_displacement_bound(kept, table.bounding_radius[rows[1]], rel),
+    )
 
 
 def relative(turn, offset):
-    return collision_primitives.RelativePose(tuple(tuple(row) for row in turn.as_matrix().transpose(1, 2, 0)), tuple(offset.T))
+    return collision_primitives.RelativePose(
+        tuple(tuple(row) for row in turn.as_matrix().transpose(1, 2, 0)), tuple(offset.T)
+    )
 
 
 def test_near_features_say_what_all_say_until_bodies_have_moved_by_the_margin():
@@ -106,14 +131,20 @@ def moved_within(margin, random, pairs):
     """Where bodies are that move and turn by up to their margin."""
     way = np.maximum(margin, 0) * random.uniform(0, 1, BATCH)
     share = random.uniform(0, 1, BATCH)
-    along, about = (x / np.linalg.norm(x, axis=1, keepdims=True) for x in random.normal(size=(2, BATCH, 3)))
+    along, about = (
+        x / np.linalg.norm(x, axis=1, keepdims=True) for x in random.normal(size=(2, BATCH, 3))
+    )
     offset = pairs.offset + along * (way * share)[:, None]
     radius = np.array([HULLS[k].bounding_radius for k in pairs.b])
-    return relative(pairs.turn * Rotation.from_rotvec(about * (way * (1 - share) / radius)[:, None]), offset)
+    return relative(
+        pairs.turn * Rotation.from_rotvec(about * (way * (1 - share) / radius)[:, None]), offset
+    )
 
 
 def test_near_features_say_what_all_say_of_bodies_apart_within_the_reach_of_a_law():
-    """And mostly not in this place only: cohesive pieces in a heap would be looked at in every step."""
+    """And mostly not in this place only: cohesive pieces in a heap would be looked at in every
+    step.
+    """
     reach = 3e-4
     table = jax.tree.map(jnp.asarray, tables_of.build_hull_table(HULLS, np.float64))
     table = table.replace(row=table.row.astype(np.int32))
@@ -122,7 +153,13 @@ def test_near_features_say_what_all_say_of_bodies_apart_within_the_reach_of_a_la
 
     @jax.jit
     def found(rows, rel):
-        kept = feature_search.find_active_features(table.features, rows, tuple(table.bounding_radius[row] for row in rows), rel, jnp.full((BATCH,), reach))
+        kept = feature_search.find_active_features(
+            table.features,
+            rows,
+            tuple(table.bounding_radius[row] for row in rows),
+            rel,
+            jnp.full((BATCH,), reach),
+        )
         return kept, cached_features.find_separating_axis(kept, rel)
 
     for trial in range(16):
@@ -131,8 +168,11 @@ def test_near_features_say_what_all_say_of_bodies_apart_within_the_reach_of_a_la
         for _ in range(3):  # to a gap along the normal, which turns on the way
             axes = found(rows, relative(pairs.turn, pairs.offset))[1]
             gap = random.uniform(0.1, 0.9, BATCH) * reach
-            pairs = pairs._replace(offset=pairs.offset + (np.stack(axes.normal) * (np.asarray(axes.depth) + gap)).T)
-        for k in range(0, BATCH, 4):  # a corner opposite to a corner: no axis of the bodies has their distance
+            pairs = pairs._replace(
+                offset=pairs.offset + (np.stack(axes.normal) * (np.asarray(axes.depth) + gap)).T
+            )
+        for k in range(0, BATCH, 4):  # a corner opposite to a corner: no axis of the bodies has
+            # their distance
             along = random.normal(size=3)
             ours, theirs = corners[pairs.a[k]], pairs.turn[k].apply(corners[pairs.b[k]])
             tip = ours[np.argmax(ours @ along)] - theirs[np.argmin(theirs @ along)]
@@ -143,7 +183,16 @@ def test_near_features_say_what_all_say_of_bodies_apart_within_the_reach_of_a_la
         rel = moved_within(margin, random, pairs)
         true = found(rows, rel)[1]
         axes = cached_features.find_separating_axis(kept, rel)
-        sure = np.asarray(apart & (cached_features.relative_displacement_bound(kept, table.bounding_radius[rows[1]], rel) <= margin) & (true.depth > -reach))
+        sure = np.asarray(
+            apart
+            & (
+                cached_features.relative_displacement_bound(
+                    kept, table.bounding_radius[rows[1]], rel
+                )
+                <= margin
+            )
+            & (true.depth > -reach)
+        )
         compared += sure.sum()
         np.testing.assert_allclose(axes.depth[sure], true.depth[sure], atol=1e-15, rtol=0)
         there = sure & (np.abs(np.asarray(true.depth)) > 1e-9)
@@ -167,16 +216,27 @@ def test_an_end_that_stands_on_a_wall_is_not_looked_at_in_every_step():
     table = jax.tree.map(jnp.asarray, tables_of.build_hull_table(bodies, np.float32))
     rows = tuple(np.full(BATCH, k, np.int32) for k in (0, 1))
     random = np.random.default_rng(0)
-    tilts = 10.0 ** random.uniform(-8, -5, BATCH) * (np.arange(BATCH) > 8)  # the first stand exactly upright
+    tilts = 10.0 ** random.uniform(-8, -5, BATCH) * (np.arange(BATCH) > 8)  # the first stand
+    # exactly upright
     axes = np.c_[random.normal(size=(BATCH, 2)), np.zeros(BATCH)]
     lying = exact.in_principal_frame(bodies[1])
-    up = np.eye(3)[np.argmin(np.abs(np.ptp(lying, axis=0) - 0.05))]  # the axis in the principal frame
+    up = np.eye(3)[np.argmin(np.abs(np.ptp(lying, axis=0) - 0.05))]  # the axis in the principal
+    # frame
     upright = Rotation.align_vectors([[0.0, 0.0, 1.0]], [up])[0]
-    turn = Rotation.from_rotvec(tilts[:, None] * axes / np.linalg.norm(axes, axis=1, keepdims=True)) * upright
-    offset = np.c_[random.uniform(-0.05, 0.05, (BATCH, 2)), np.full(BATCH, 0.035 - 4e-6)].astype(np.float32)
+    turn = (
+        Rotation.from_rotvec(tilts[:, None] * axes / np.linalg.norm(axes, axis=1, keepdims=True))
+        * upright
+    )
+    offset = np.c_[random.uniform(-0.05, 0.05, (BATCH, 2)), np.full(BATCH, 0.035 - 4e-6)].astype(
+        np.float32
+    )
     rel = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), relative(turn, offset))
     radius = tuple(table.bounding_radius[row] for row in rows)
-    found = jax.jit(lambda rows, rel: feature_search.find_active_features(table.features, rows, radius, rel, None))(rows, rel)
+    found = jax.jit(
+        lambda rows, rel: feature_search.find_active_features(
+            table.features, rows, radius, rel, None
+        )
+    )(rows, rel)
     assert np.allclose(found.depth, 4e-6, atol=2e-7)
     assert np.all(np.asarray(found.validity_radius) > 1e-5)
 
@@ -184,7 +244,11 @@ def test_an_end_that_stands_on_a_wall_is_not_looked_at_in_every_step():
 def closed_box(**run):
     """Eight pieces of four shapes that fly about in a closed box, without gravity, with friction."""
     half, random = 0.045, np.random.default_rng(3)
-    walls = [{"group": "box", "corners": inside(axis, side, half), "thickness": 0.02} for axis in range(3) for side in (-1, 1)]
+    walls = [
+        {"group": "box", "corners": inside(axis, side, half), "thickness": 0.02}
+        for axis in range(3)
+        for side in (-1, 1)
+    ]
     pieces = []
     for k in range(8):
         at = (np.array([k & 1, k >> 1 & 1, k >> 2]) - 0.5) * 0.04
@@ -204,7 +268,9 @@ def closed_box(**run):
 
 def inside(axis, side, half):
     """Corners of a side of a cube about the origin, counter-clockwise seen from inside."""
-    corners = np.insert(np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)]) * (half + 0.01), axis, side * half, axis=1)
+    corners = np.insert(
+        np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)]) * (half + 0.01), axis, side * half, axis=1
+    )
     turns = np.cross(corners[1] - corners[0], corners[2] - corners[1])[axis]
     return tuple(map(tuple, (corners if turns * side < 0 else corners[::-1]).tolist()))
 
@@ -214,8 +280,11 @@ def test_energy_of_mixed_hulls_in_a_closed_box_never_grows_and_the_ledger_closes
     run = simulate(closed_box(duration=0.25))
     mechanical = run.energy["kinetic"] + run.energy["potential"] + run.energy["elastic"]
     off = np.abs(run.energy["total"] - run.energy["total"][0]).max()
-    rise = (mechanical - np.minimum.accumulate(mechanical)).max()  # the largest above any earlier value
-    print(f"rise {rise:.2g} J, ledger {off:.2g} J of {mechanical[0]:.3g} J; left {mechanical[-1] / mechanical[0]:.2f}")
+    rise = (mechanical - np.minimum.accumulate(mechanical)).max()  # the largest above any earlier
+    # value
+    print(
+        f"rise {rise:.2g} J, ledger {off:.2g} J of {mechanical[0]:.3g} J; left {mechanical[-1] / mechanical[0]:.2f}"
+    )
     assert mechanical[-1] < 0.6 * mechanical[0]  # they have met
     assert rise < 1e-3 * mechanical[0]
     assert off < 1e-3 * mechanical[0]
@@ -232,9 +301,14 @@ def test_a_run_with_kept_features_is_the_one_that_looks_at_all_in_every_step(mon
 
 
 def test_no_pair_moves_faster_than_what_a_look_waits_for():
-    """Pieces that fly and spin fast, also with parts that are off their centre, near a wall that turns."""
+    """Pieces that fly and spin fast, also with parts that are off their centre, near a wall that
+    turns.
+    """
     part = {"shape": "cuboid", "size": (0.012, 0.012, 0.012)}
-    double = {"shape": "compound", "part": [part | {"position": (x, 0.0, 0.0)} for x in (-0.006, 0.006)]}
+    double = {
+        "shape": "compound",
+        "part": [part | {"position": (x, 0.0, 0.0)} for x in (-0.006, 0.006)],
+    }
     kinds, share = [*MIXTURE[:3], double], np.array([1.0, -0.2, 0.0, 0.5, -1.0, 0.1, 0.7, -0.6])
     pieces = [
         kinds[k % 4]
@@ -246,33 +320,60 @@ def test_no_pair_moves_faster_than_what_a_look_waits_for():
         for k in range(8)
     ]
     corners = [(-0.05, -0.05, 0.0), (0.15, -0.05, 0.0), (0.15, 0.1, 0.0), (-0.05, 0.1, 0.0)]
-    flap = {"group": "flap", "pivot": (-0.05, 0.0, 0.0), "axis": (0.0, 1.0, 0.0), "swing_deg": 60.0, "start": 0.0, "opening": 0.02}
+    flap = {
+        "group": "flap",
+        "pivot": (-0.05, 0.0, 0.0),
+        "axis": (0.0, 1.0, 0.0),
+        "swing_deg": 60.0,
+        "start": 0.0,
+        "opening": 0.02,
+    }
     wall, run = {"group": "flap", "corners": corners}, {"precision": "f64", "frames": 0.0}
     made = assembly.assemble_system(Scene(piece=pieces, wall=[wall], motion=[flap], run=run), 0)
     roomy = (("hulls", *[candidate_search.pair_count("hulls", 16, 0, 1)] * 2),)
-    system, state = overflow_recovery.with_capacity(made.system, made.state, roomy, 16, made.system.row_capacity)
-    state = state.replace(step=jnp.asarray(round(0.01 / float(system.dt)), jnp.int32))  # in the middle of the swing
+    system, state = overflow_recovery.with_capacity(
+        made.system, made.state, roomy, 16, made.system.row_capacity
+    )
+    # in the middle of the swing
+    state = state.replace(step=jnp.asarray(round(0.01 / float(system.dt)), jnp.int32))
 
     @jax.jit
     def moved(state):
         """The state after the way of a step, and how far each pair moved, and was to move at most."""
         state = neighbour_list.rebuild_neighbour_list(system, state)
         slots, there = state.scratch.slots["hulls"], []
-        after, omega, panels = stepping._advance_kinematics(system, state.replace(step=state.step + 1), None)
-        for each, walls in ((state, kinematics.wall_state_after_step(system, state.step)), (after, panels)):
+        after, omega, panels = stepping._advance_kinematics(
+            system, state.replace(step=state.step + 1), None
+        )
+        for each, walls in (
+            (state, kinematics.wall_state_after_step(system, state.step)),
+            (after, panels),
+        ):
             stacked = packed_bodies.pack_bodies(system, each, omega, walls)
             a, b = (packed_bodies.gather_bodies(stacked, of) for of in (slots.a, slots.b))
             there.append(contact_geometry.relative_pose(a, b, packed_bodies.centre_offset(a, b)))
-        was = SimpleNamespace(offset=jnp.stack(there[0].offset), rotation=[c for row in there[0].rotation for c in row])
-        way = cached_features.relative_displacement_bound(was, system.hulls.bounding_radius[system.shape[slots.b]], there[1])
-        return after, way, system.dt * feature_cache._relative_speed_bounds(system, state.scratch, stacked), slots.live
+        was = SimpleNamespace(
+            offset=jnp.stack(there[0].offset),
+            rotation=[c for row in there[0].rotation for c in row],
+        )
+        way = cached_features.relative_displacement_bound(
+            was, system.hulls.bounding_radius[system.shape[slots.b]], there[1]
+        )
+        return (
+            after,
+            way,
+            system.dt * feature_cache._relative_speed_bounds(system, state.scratch, stacked),
+            slots.live,
+        )
 
     ratios = []
     for _ in range(50):
         state, way, most, live = jax.device_get(moved(state))
         ratios.append((way / most)[live])
     ratios = np.concatenate(ratios)
-    print(f"{ratios.size} pairs moved by {ratios.min():.2g} to {ratios.max():.4f} of what a look waits for")
+    print(
+        f"{ratios.size} pairs moved by {ratios.min():.2g} to {ratios.max():.4f} of what a look waits for"
+    )
     assert ratios.size > 500 and 0.5 < ratios.max() < feature_cache.SPEED_MARGIN
 
 
@@ -281,11 +382,15 @@ def test_no_pair_moves_faster_than_what_a_look_waits_for():
 
 @pytest.mark.parametrize("general", [False, True], ids=["zonotopes", "general"])
 @pytest.mark.parametrize("dtype, rounding", [(np.float32, 1e-6), (np.float64, 1e-15)])
-def test_a_panel_of_a_tenth_of_a_millimetre_has_the_contact_of_one_of_ten(general, dtype, rounding, monkeypatch):
+def test_a_panel_of_a_tenth_of_a_millimetre_has_the_contact_of_one_of_ten(
+    general, dtype, rounding, monkeypatch
+):
     """A marshmallow in any orientation, up to half of its width deep."""
     if general:
         monkeypatch.setattr(tables_of, "MOST_DIRECTIONS", 0)
-    table = tables_of.build_hull_table([shapes.cuboid((0.3, 0.3, t)) for t in (1e-4, 1e-2)] + [MARSHMALLOW], dtype)
+    table = tables_of.build_hull_table(
+        [shapes.cuboid((0.3, 0.3, t)) for t in (1e-4, 1e-2)] + [MARSHMALLOW], dtype
+    )
     table = table.replace(row=table.row.astype(np.int32))
     random, count = np.random.default_rng(0), 96
     turn = Rotation.from_quat(random.normal(size=(count, 4)))
@@ -303,14 +408,20 @@ def test_a_panel_of_a_tenth_of_a_millimetre_has_the_contact_of_one_of_ten(genera
     np.testing.assert_allclose(thin.depth, thick.depth, atol=rounding, rtol=0)
     np.testing.assert_allclose(thin.normal, thick.normal, atol=0)
     np.testing.assert_allclose(thin.point[:2], thick.point[:2], atol=30 * rounding, rtol=0)
-    np.testing.assert_allclose(thin.point[2] - 0.5e-4, thick.point[2] - 0.5e-2, atol=30 * rounding, rtol=0)
+    np.testing.assert_allclose(
+        thin.point[2] - 0.5e-4, thick.point[2] - 0.5e-2, atol=30 * rounding, rtol=0
+    )
 
 
 @partial(jax.jit, compiler_options=supported_options("cpu"))
 def contact(table, rows, rel):
     if table.features is not None:
-        return contact_geometry.polytope_contact(table, rows, rel)._replace(moments=None)  # a function
-    rows_of_both = (hull_lookup.attach_face_loops(hull_lookup.gather_hulls(table, row, False), table) for row in rows)
+        # a function
+        return contact_geometry.polytope_contact(table, rows, rel)._replace(moments=None)
+    rows_of_both = (
+        hull_lookup.attach_face_loops(hull_lookup.gather_hulls(table, row, False), table)
+        for row in rows
+    )
     return collision_primitives.hull_hull(*rows_of_both, rel)._replace(moments=None)
 
 
@@ -322,10 +433,24 @@ def test_a_piece_bounces_off_a_sheet_as_off_a_slab(piece):
     """Tilted, at 2.2 m/s: of 0.5 mm and of 10 mm. Nothing differs but rounding."""
     floor, out = ((-0.2, -0.2, 0), (0.2, -0.2, 0), (0.2, 0.2, 0), (-0.2, 0.2, 0)), []
     for thickness in (5e-4, 1e-2):
-        start = {"position": (0.0, 0.0, 0.045), "orientation": (0.9, 0.3, 0.2, 0.1), "velocity": (0.0, 0.0, -2.2)}
+        start = {
+            "position": (0.0, 0.0, 0.045),
+            "orientation": (0.9, 0.3, 0.2, 0.1),
+            "velocity": (0.0, 0.0, -2.2),
+        }
         wall = {"group": "sheet", "corners": floor, "thickness": thickness}
         run = {"precision": "f64", "duration": 0.03, "frames": 0.01}
-        out.append(simulate(Scene(name="sheet", piece=[piece | start], wall=[wall], material={"softening": 0.003}, run=run)))
+        out.append(
+            simulate(
+                Scene(
+                    name="sheet",
+                    piece=[piece | start],
+                    wall=[wall],
+                    material={"softening": 0.003},
+                    run=run,
+                )
+            )
+        )
     sheet, slab = out
     assert sheet.overlap.max() * 0.016 > 5e-4  # deeper than the sheet is thick
     np.testing.assert_allclose(sheet.force["sheet"], slab.force["sheet"], atol=1e-8)
@@ -337,24 +462,30 @@ def test_a_sphere_on_a_hull_of_hundreds_of_faces():
     table = tables_of.build_hull_table([shape], np.float64)
     corners, random = exact.in_principal_frame(shape), np.random.default_rng(4)
     centre, radius = random.normal(size=(60, 3)) * 0.012, np.full(60, 0.004)
-    found = sphere_on(table.replace(face_loops=None, open_edges=None, features=None), radius, tuple(centre.T))
+    found = sphere_on(
+        table.replace(face_loops=None, open_edges=None, features=None), radius, tuple(centre.T)
+    )
     true = [exact.reference(point[None] - corners) for point in centre]
     inside = np.array([depth > 0 for depth, _ in true])
     assert len(shape.normals) > collision_primitives.UNROLL_LIMIT and 5 < inside.sum() < 55
     np.testing.assert_allclose(found.depth, [0.004 + depth for depth, _ in true], atol=1e-15)
-    np.testing.assert_allclose(np.stack(found.normal, axis=1), [normal for _, normal in true], atol=1e-10)
+    np.testing.assert_allclose(
+        np.stack(found.normal, axis=1), [normal for _, normal in true], atol=1e-10
+    )
 
 
 sphere_on = jax.jit(collision_primitives.hull_sphere, compiler_options=supported_options("cpu"))
 
 
 def test_contact_whose_edges_are_on_neither_of_the_facing_faces_is_where_they_cross():
-    """Two hip roofs, ridge across ridge: the faces that look most along the normal are hips, far from where the ridges cross.
+    """Two hip roofs, ridge across ridge: the faces that look most along the normal are hips, far
+    from where the ridges cross.
 
-    The hips lean by 30 degrees, the slopes by 60: with a depth of d, of each ridge, an edge of two faces, a length of 2 d tan 30
-    is inside the other roof, and of no other edge anything.
+    The hips lean by 30 degrees, the slopes by 60: with a depth of d, of each ridge, an edge of two
+    faces, a length of 2 d tan 30 is inside the other roof, and of no other edge anything.
     """
-    depth, end, high = 1e-4, 5e-3, 1e-2  # m: of one ridge below the other; half of a ridge; height of a roof
+    depth, end, high = 1e-4, 5e-3, 1e-2  # m: of one ridge below the other; half of a ridge; height
+    # of a roof
     x, y = 2e-3, -1e-3  # m: where b has its middle
     base = [(end + high * 3**0.5) * u for u in (-1, 1)], [high / 3**0.5 * u for u in (-1, 1)]
     corners = [(-end, 0, 0), (end, 0, 0), *((u, v, -high) for u in base[0] for v in base[1])]
@@ -365,7 +496,10 @@ def test_contact_whose_edges_are_on_neither_of_the_facing_faces_is_where_they_cr
     place = np.array([x, y, -depth])
     offset = principal.T @ (place + turned @ centre - centre)
     rotation = principal.T @ turned @ principal
-    rel = collision_primitives.RelativePose(tuple(tuple(jnp.asarray([c]) for c in row) for row in rotation), tuple(jnp.asarray([c]) for c in offset))
+    rel = collision_primitives.RelativePose(
+        tuple(tuple(jnp.asarray([c]) for c in row) for row in rotation),
+        tuple(jnp.asarray([c]) for c in offset),
+    )
     rows = (jnp.zeros(1, jnp.int32),) * 2
 
     @partial(jax.jit, compiler_options=supported_options("cpu"))
@@ -382,12 +516,23 @@ def test_contact_whose_edges_are_on_neither_of_the_facing_faces_is_where_they_cr
 
 @pytest.mark.long
 def test_long_hulls_that_land_on_an_edge_bounce():
-    """Of an impact at e = 1 with friction nothing gains energy, and nothing sinks in: 64 orientations, of which about ten begin on
-    an edge that is on no face that looks at the plate."""
+    """Of an impact at e = 1 with friction nothing gains energy, and nothing sinks in: 64
+    orientations, of which about ten begin on an edge that is on no face that looks at the plate.
+    """
     random = np.random.default_rng(1).normal(size=(24, 3))
     points = random / np.linalg.norm(random, axis=1, keepdims=True) * (0.03, 0.004, 0.003)
-    settings = {"gravity": (0.0, 0.0, 0.0), "precision": "f64", "frames": 0.0, "sample": 1e-4, "duration": 0.02}
-    row = {"shape": "hull", "points": tuple(map(tuple, points.tolist())), "position": (0.0, 0.0, 0.2)}
+    settings = {
+        "gravity": (0.0, 0.0, 0.0),
+        "precision": "f64",
+        "frames": 0.0,
+        "sample": 1e-4,
+        "duration": 0.02,
+    }
+    row = {
+        "shape": "hull",
+        "points": tuple(map(tuple, points.tolist())),
+        "position": (0.0, 0.0, 0.2),
+    }
     scene = validation.plate_scene(row, run=settings, restitution=1.0, friction_wall=10.0)
     (shape,) = assembly.assemble_system(scene).shapes
     turns = Rotation.random(64, random_state=5)

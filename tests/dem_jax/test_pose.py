@@ -5,7 +5,10 @@ from scipy.spatial.transform import Rotation
 
 from dem_jax.math.pose import matrix_to_quaternion, quaternion_to_matrix
 
-TURNS = Rotation.concatenate([Rotation.random(50, random_state=1), Rotation.from_rotvec(np.pi * np.eye(3))])  # half turns too
+# half turns too
+TURNS = Rotation.concatenate(
+    [Rotation.random(50, random_state=1), Rotation.from_rotvec(np.pi * np.eye(3))]
+)
 
 
 def test_matrices_are_those_of_scipy_whatever_the_length():

@@ -1,4 +1,6 @@
-"""Quantities: one declaration is sampled, written, read, restarted and listed; what it lacks is an error at once."""
+"""Quantities: one declaration is sampled, written, read, restarted and listed; what it lacks is an
+error at once.
+"""
 
 import json
 from dataclasses import fields, replace
@@ -26,7 +28,8 @@ from dem_jax.types import Sample
 SIZE = 0.1  # m, half of the floor
 FLOOR = [(-SIZE, -SIZE, 0.0), (SIZE, -SIZE, 0.0), (SIZE, SIZE, 0.0), (-SIZE, SIZE, 0.0)]
 SIDE = [(SIZE, -SIZE, 0.0), (SIZE, -SIZE, 0.1), (SIZE, SIZE, 0.1), (SIZE, SIZE, 0.0)]
-SAMPLE, EVERY, SHORT, LONG = 3e-5, 10, 40, 90  # s; in samples: between frames, a run, and the run that it is part of
+SAMPLE, EVERY, SHORT, LONG = 3e-5, 10, 40, 90  # s; in samples: between frames, a run, and the run
+# that it is part of
 JOINED = interleaved_batch.RUNS_AT_ONCE + 1
 JOINED_LONG = pytest.param(JOINED, marks=pytest.mark.long)
 SIDES = Axis("side", lambda _: 2, lambda _: (("left", 0), ("right", 1)), "SIDE")
@@ -38,14 +41,31 @@ KEPT = [quantity for quantity in QUANTITIES if quantity.kept and quantity.name n
 def scene(precision="f64", samples=SHORT, **run):
     """Two balls on a floor that shakes, one of them rolling towards a wall."""
     pieces = [
-        {"position": (0.088, 0.0, 0.0123), "velocity": (1.0, 0.1, -0.8), "shape": "sphere", "radius": 0.012},
-        {"position": (-0.05, 0.01, 0.0121), "velocity": (0.2, 0.0, -0.3), "shape": "sphere", "radius": 0.012},
+        {
+            "position": (0.088, 0.0, 0.0123),
+            "velocity": (1.0, 0.1, -0.8),
+            "shape": "sphere",
+            "radius": 0.012,
+        },
+        {
+            "position": (-0.05, 0.01, 0.0121),
+            "velocity": (0.2, 0.0, -0.3),
+            "shape": "sphere",
+            "radius": 0.012,
+        },
     ]
-    settings = {"precision": precision, "sample": SAMPLE, "duration": samples * SAMPLE, "frames": EVERY * SAMPLE}
+    settings = {
+        "precision": precision,
+        "sample": SAMPLE,
+        "duration": samples * SAMPLE,
+        "frames": EVERY * SAMPLE,
+    }
     return Scene(
         piece=pieces,
         wall=[{"group": "floor", "corners": FLOOR}, {"group": "side", "corners": SIDE}],
-        motion=[{"group": "floor", "stroke": (5e-4, 0.0, 2e-4), "frequency": 60.0, "shake_ramp": 1e-3}],
+        motion=[
+            {"group": "floor", "stroke": (5e-4, 0.0, 2e-4), "frequency": 60.0, "shake_ramp": 1e-3}
+        ],
         block=[{"name": "box", "low": (-SIZE, -SIZE, 0.0), "high": (SIZE, SIZE, 0.1)}],
         run=settings | run,
     )
@@ -61,7 +81,9 @@ def _top(system, state):
 
 def _shares(system, state):
     across = batch_reduction.split_runs(system, state.position[0] * system.pieces.mass)
-    return jnp.stack([-jnp.sum(jnp.minimum(across, 0), axis=0), jnp.sum(jnp.maximum(across, 0), axis=0)])
+    return jnp.stack(
+        [-jnp.sum(jnp.minimum(across, 0), axis=0), jnp.sum(jnp.maximum(across, 0), axis=0)]
+    )
 
 
 OWN = (
@@ -81,16 +103,31 @@ def computed(precision, runs, out=None, samples=SHORT, quantities=OWN):
 # --- what follows from a declaration ---
 
 
-@pytest.mark.parametrize(("runs", "precision"), [pytest.param(None, "f32", marks=pytest.mark.long), (2, "f64"), (JOINED, "f32")])
+@pytest.mark.parametrize(
+    ("runs", "precision"),
+    [pytest.param(None, "f32", marks=pytest.mark.long), (2, "f64"), (JOINED, "f32")],
+)
 def test_every_quantity_is_in_the_file_with_its_unit_and_comes_back(tmp_path, precision, runs):
     run = computed(precision, runs, tmp_path / "run.h5")
     lead = () if runs is None else (runs,)
-    names = {"force": ("floor", "side"), "mean_force": ("floor", "side"), "torque": ("floor",), "settled_mass": ("box",)}
-    names |= {"energy": ("kinetic", "potential", "elastic", "dissipated", "wall_work", "total"), "moment": ("left", "right")}
+    names = {
+        "force": ("floor", "side"),
+        "mean_force": ("floor", "side"),
+        "torque": ("floor",),
+        "settled_mass": ("box",),
+    }
+    names |= {
+        "energy": ("kinetic", "potential", "elastic", "dissipated", "wall_work", "total"),
+        "moment": ("left", "right"),
+    }
     dtype, sizes = {"f32": np.float32, "f64": np.float64}[precision], {"xyz": 3, "piece": 2}
     with h5py.File(tmp_path / "run.h5") as file:
         for quantity, stored in zip((*KEPT, *OWN), run.header.quantities, strict=True):
-            assert (stored.name, stored.unit, stored.help) == (quantity.name, quantity.unit, quantity.help)
+            assert (stored.name, stored.unit, stored.help) == (
+                quantity.name,
+                quantity.unit,
+                quantity.help,
+            )
             assert stored.labels == names.get(stored.name, stored.labels)
             along = tuple(sizes[axis] for axis in stored.axes if axis in sizes)
             for path in stored.paths:
@@ -112,19 +149,31 @@ def test_every_quantity_is_in_the_file_with_its_unit_and_comes_back(tmp_path, pr
     if runs is not None:
         member = run.member(1)
         for path, array in collect_series(member).items():
-            np.testing.assert_array_equal(array, written[path] if path == "time" else written[path][1], err_msg=path)
+            np.testing.assert_array_equal(
+                array, written[path] if path == "time" else written[path][1], err_msg=path
+            )
 
 
 @pytest.mark.parametrize("runs", [None, 2, JOINED_LONG])
 def test_values_are_those_of_the_pieces_at_that_time(runs):
     run = computed("f64", runs)
     at = np.round(run.pieces.time[1:] / SAMPLE).astype(int) - 1
-    np.testing.assert_array_equal(run.velocity.take(at, axis=-3), run.pieces.velocity[..., 1:, :, :])
+    np.testing.assert_array_equal(
+        run.velocity.take(at, axis=-3), run.pieces.velocity[..., 1:, :, :]
+    )
     position = run.pieces.position[..., 1:, :, :]
     np.testing.assert_array_equal(run.top.take(at, axis=-1), position[..., 2].max(axis=-1))
     mass = 300 * 4 / 3 * np.pi * 0.012**3
-    np.testing.assert_allclose(run.moment["right"].take(at, axis=-1), mass * np.maximum(position[..., 0], 0).sum(-1), rtol=1e-13)
-    np.testing.assert_allclose(run.moment["left"].take(at, axis=-1), -mass * np.minimum(position[..., 0], 0).sum(-1), rtol=1e-13)
+    np.testing.assert_allclose(
+        run.moment["right"].take(at, axis=-1),
+        mass * np.maximum(position[..., 0], 0).sum(-1),
+        rtol=1e-13,
+    )
+    np.testing.assert_allclose(
+        run.moment["left"].take(at, axis=-1),
+        -mass * np.minimum(position[..., 0], 0).sum(-1),
+        rtol=1e-13,
+    )
     assert run.moment["left"].min() > 0.04 * mass and np.ptp(run.moment["right"]) > 0
 
 
@@ -141,22 +190,36 @@ def test_a_resumed_run_goes_on_with_all_quantities(tmp_path, runs):
     computed("f64", runs, path)
     resumed = dem_jax.resume(path, duration=LONG * SAMPLE, quantities=OWN)
     whole = computed("f64", runs, samples=LONG)
-    assert len(resumed.time) == LONG and collect_series(resumed).keys() == collect_series(whole).keys()
+    assert (
+        len(resumed.time) == LONG and collect_series(resumed).keys() == collect_series(whole).keys()
+    )
     for name, array in collect_series(whole).items():
         np.testing.assert_array_equal(collect_series(resumed)[name], array, err_msg=name)
 
 
 def test_a_program_is_compiled_for_its_quantities():
     """The same name and axes, another function: not the program of the first."""
-    twice = Quantity("top", "m", (), lambda *x: 2 * _top(*x), "twice the height of the highest centre")
+    twice = Quantity(
+        "top", "m", (), lambda *x: 2 * _top(*x), "twice the height of the highest centre"
+    )
     first, second = computed("f64", None), computed("f64", None, quantities=(OWN[0], twice, OWN[2]))
     np.testing.assert_array_equal(second.top, 2 * first.top)
 
 
 def test_what_the_scene_does_not_have_is_left_out():
-    labels = lambda made: {stored.name: stored.labels for stored in series.declare_quantities(assembly.assemble_system(made).system)}  # noqa: E731
+    labels = lambda made: {
+        stored.name: stored.labels
+        for stored in series.declare_quantities(assembly.assemble_system(made).system)
+    }
     known, still = labels(scene()), labels(scene(energy=False).replace(motion=[], block=[]))
-    assert known["energy"] == ("kinetic", "potential", "elastic", "dissipated", "wall_work", "total")
+    assert known["energy"] == (
+        "kinetic",
+        "potential",
+        "elastic",
+        "dissipated",
+        "wall_work",
+        "total",
+    )
     assert still["energy"] == ("kinetic", "potential", "elastic")
     assert known["torque"] == ("floor",) and still["torque"] == () and still["settled_mass"] == ()
     assert known["overlap"] is None
@@ -167,16 +230,26 @@ def test_reports_of_several_groups_are_added_up():
     system = assembly.assemble_system(dem_jax.load_scene("weigh-bucket")).system
     members = dict(system.walls.reports)["wb_flaps"]
     assert len(members) == 2
-    values = np.random.default_rng(0).normal(size=(4, 7, 3, len(system.walls.groups))).astype(np.float32)  # 4 runs, 7 samples
+    # 4 runs, 7 samples
+    values = (
+        np.random.default_rng(0).normal(size=(4, 7, 3, len(system.walls.groups))).astype(np.float32)
+    )
     found = force.to_datasets(system, values)
     assert set(found) == {name for name, _ in system.walls.reports}
-    np.testing.assert_array_equal(found["wb_flaps"], values[..., members[0]] + values[..., members[1]])
+    np.testing.assert_array_equal(
+        found["wb_flaps"], values[..., members[0]] + values[..., members[1]]
+    )
     assert found["wb_flaps"].dtype == np.float32
 
 
 def test_what_only_the_driver_reads_is_sampled_but_not_kept():
-    system, state = assembly.assemble_system(scene()).system, assembly.assemble_system(scene()).state
-    shapes = jax.eval_shape(lambda state: Sample({q.name: q.evaluate(system, state) for q in system.quantities}), state)
+    system, state = (
+        assembly.assemble_system(scene()).system,
+        assembly.assemble_system(scene()).state,
+    )
+    shapes = jax.eval_shape(
+        lambda state: Sample({q.name: q.evaluate(system, state) for q in system.quantities}), state
+    )
     internal = {"step", "fastest", "stride", "culprit"}
     assert {q.name for q in QUANTITIES if not q.kept} == internal
     for name in internal:
@@ -227,7 +300,9 @@ def test_a_file_with_fewer_quantities_goes_on_with_those(tmp_path):
         del file["momentum"]
     resumed = dem_jax.resume(path, duration=LONG * SAMPLE)
     assert len(resumed.overlap) == LONG
-    with pytest.raises(AttributeError, match="the run has no 'momentum'; it has: force, mean_force"):
+    with pytest.raises(
+        AttributeError, match="the run has no 'momentum'; it has: force, mean_force"
+    ):
         _ = resumed.momentum
 
 
@@ -248,9 +323,18 @@ def test_a_run_is_gone_on_with_by_the_quantities_that_it_was_begun_with(tmp_path
     before = path.read_bytes()
     grams = replace(OWN[1], unit="mm")
     for given, line in (
-        ((), "run.h5: it holds the quantity 'top', which dem_jax does not know; allowed: with it among quantities"),
-        ((grams,), "run.h5: it holds the quantity 'top' in 'm' along no axis, not in 'mm' along no axis"),
-        (OWN, "run.h5: it does not hold the quantity 'velocity'; allowed: those that the run was begun with"),
+        (
+            (),
+            "run.h5: it holds the quantity 'top', which dem_jax does not know; allowed: with it among quantities",
+        ),
+        (
+            (grams,),
+            "run.h5: it holds the quantity 'top' in 'm' along no axis, not in 'mm' along no axis",
+        ),
+        (
+            OWN,
+            "run.h5: it does not hold the quantity 'velocity'; allowed: those that the run was begun with",
+        ),
     ):
         with pytest.raises(RecordError, match=line):
             dem_jax.resume(path, duration=LONG * SAMPLE, quantities=given)
@@ -265,19 +349,34 @@ GOOD = {"name": "top", "unit": "m", "axes": (), "of": _top, "help": "height of t
 @pytest.mark.parametrize(
     "wrong, line",
     [
-        ({"name": "two words"}, "quantity 'two words': name: allowed: a name as of Python's variables"),
+        (
+            {"name": "two words"},
+            "quantity 'two words': name: allowed: a name as of Python's variables",
+        ),
         ({"name": "_hidden"}, "name: allowed"),
         ({"name": ""}, "name: allowed"),
-        ({"name": "pieces"}, "quantity 'pieces': name: a run calls something else so; allowed: any but"),
+        (
+            {"name": "pieces"},
+            "quantity 'pieces': name: a run calls something else so; allowed: any but",
+        ),
         ({"name": "scene"}, "a run calls something else so"),
-        ({"unit": ""}, r"quantity 'top': unit = '': allowed: one line of text \(\"1\": a ratio or a number\)"),
+        (
+            {"unit": ""},
+            r"quantity 'top': unit = '': allowed: one line of text \(\"1\": a ratio or a number\)",
+        ),
         ({"unit": None}, "quantity 'top': unit = None: allowed: one line of text"),
         ({"help": " "}, "quantity 'top': help = ' ': allowed: one line of text"),
         ({"help": "one\ntwo"}, "allowed: one line of text"),
         ({"of": None}, "quantity 'top': of = None: allowed: a function of system and state"),
-        ({"axes": ("walls",)}, "axis 'walls' is unknown; allowed: block, group, moving group, piece, xyz, or an Axis"),
+        (
+            {"axes": ("walls",)},
+            "axis 'walls' is unknown; allowed: block, group, moving group, piece, xyz, or an Axis",
+        ),
         ({"axes": "xyz"}, "quantity 'top': axis 'x' is unknown"),
-        ({"axes": ("xyz", "group")}, "quantity 'top': axes = xyz, group: allowed: rows that have names on the first only"),
+        (
+            {"axes": ("xyz", "group")},
+            "quantity 'top': axes = xyz, group: allowed: rows that have names on the first only",
+        ),
         ({"axes": ("group", SIDES)}, "allowed: rows that have names on the first only"),
     ],
 )
@@ -294,14 +393,18 @@ def test_no_part_may_be_left_out(lost):
 
 
 def test_names_differ():
-    with pytest.raises(ValueError, match="quantity 'force': there are two of this name; allowed: one"):
+    with pytest.raises(
+        ValueError, match="quantity 'force': there are two of this name; allowed: one"
+    ):
         validate_quantities((*QUANTITIES, replace(QUANTITIES[1], name="force")))
     with pytest.raises(ValueError, match="quantity 'energy': there are two of this name"):
         dem_jax.simulate(scene(), quantities=[Quantity(**GOOD | {"name": "energy"})])
     with pytest.raises(ValueError, match="quantities: 'top': allowed: dem_jax.Quantity"):
         dem_jax.simulate(scene(), quantities=["top"])
     double = Axis("side", lambda _: 2, lambda _: (("left", 0), ("left", 1)))
-    with pytest.raises(ValueError, match="quantity 'top': rows left, left: allowed: names that differ, without /"):
+    with pytest.raises(
+        ValueError, match="quantity 'top': rows left, left: allowed: names that differ, without /"
+    ):
         dem_jax.simulate(scene(), quantities=[Quantity(**GOOD | {"axes": (double,)})])
 
 
@@ -314,15 +417,31 @@ def test_what_a_run_calls_something_else_is_reserved():
 @pytest.mark.parametrize(
     "axes, of, line",
     [
-        (("xyz",), _top, r"quantity 'own': its function gave the form \(1,\); allowed: 3 \(xyz\), 1 \(run\)"),
-        (("group", "xyz"), lambda system, state: state.walls.force[0], r"form \(2, 1\); allowed: 3 \(xyz\), 2 \(group\), 1"),
-        ((), lambda system, state: jnp.max(state.position[2]), r"gave the form \(\); allowed: 1 \(run\); contacts.batch_reduction has sums"),
+        (
+            ("xyz",),
+            _top,
+            r"quantity 'own': its function gave the form \(1,\); allowed: 3 \(xyz\), 1 \(run\)",
+        ),
+        (
+            ("group", "xyz"),
+            lambda system, state: state.walls.force[0],
+            r"form \(2, 1\); allowed: 3 \(xyz\), 2 \(group\), 1",
+        ),
+        (
+            (),
+            lambda system, state: jnp.max(state.position[2]),
+            r"gave the form \(\); allowed: 1 \(run\); contacts.batch_reduction has sums",
+        ),
     ],
 )
-def test_a_function_that_does_not_fit_its_axes_is_refused_before_anything_runs(tmp_path, axes, of, line):
+def test_a_function_that_does_not_fit_its_axes_is_refused_before_anything_runs(
+    tmp_path, axes, of, line
+):
     own = Quantity("own", "m", axes, of, "does not fit")
     for runs in (None, JOINED):
-        with pytest.raises(ValueError, match=line if runs is None else "quantity 'own': its function gave the form"):
+        with pytest.raises(
+            ValueError, match=line if runs is None else "quantity 'own': its function gave the form"
+        ):
             computed("f64", runs, tmp_path / "run.h5", quantities=(own,))
         assert not any(tmp_path.iterdir())
 
@@ -338,9 +457,13 @@ def test_a_quantity_of_ones_own_that_is_not_finite_stops_a_run():
     fine = {"culprit": np.full((1, 4), -1), "count": np.zeros((1, 4), np.int32)}
     fine |= {name: np.zeros((1, 4)) for name in ("overlap", "stride")}
     samples = Sample(fine | {"own": np.array([[1.0, 2.0, np.nan, np.nan]])})
-    assert failure.detect_failure(samples, 4) == (0, 2) and failure.detect_failure(samples, 2) is None
+    assert (
+        failure.detect_failure(samples, 4) == (0, 2) and failure.detect_failure(samples, 2) is None
+    )
     line = failure._describe_nonfinite(None, jax.tree.map(lambda x: x[0], samples), 2, 0.1, 0)
-    assert line.startswith("at t = 0.1 s: the quantity 'own' is not finite, while all else is; likely cause: its own function")
+    assert line.startswith(
+        "at t = 0.1 s: the quantity 'own' is not finite, while all else is; likely cause: its own function"
+    )
 
 
 # --- one by one ---
@@ -348,11 +471,18 @@ def test_a_quantity_of_ones_own_that_is_not_finite_stops_a_run():
 
 @pytest.mark.parametrize("runs", [None, JOINED_LONG])
 def test_contacts_are_those_that_the_poses_show(runs):
-    """Spheres: a contact is a distance below that of touch. The floor rests here; two balls meet on it, one hits a wall."""
+    """Spheres: a contact is a distance below that of touch. The floor rests here; two balls meet on
+    it, one hits a wall.
+    """
     radius = 0.012
     pieces = [
         {"position": (x, 0.0, z), "velocity": (v, 0.0, -0.1), "shape": "sphere", "radius": radius}
-        for x, z, v in ((0.086, 0.0122, 0.5), (0.0, 0.0121, 0.4), (0.0252, 0.0123, -0.4), (-0.05, 0.05, 0.0))
+        for x, z, v in (
+            (0.086, 0.0122, 0.5),
+            (0.0, 0.0121, 0.4),
+            (0.0252, 0.0123, -0.4),
+            (-0.05, 0.05, 0.0),
+        )
     ]
     made = scene(samples=300, frames=SAMPLE).replace(motion=[], piece=pieces)
     run = dem_jax.simulate(made) if runs is None else dem_jax.ensemble(made, runs=runs)
@@ -368,13 +498,17 @@ def test_contacts_are_those_that_the_poses_show(runs):
     for name, count in wanted.items():
         np.testing.assert_array_equal(run.contacts[name], count, err_msg=name)
     most = {name: count.max() for name, count in wanted.items()}
-    assert most == {"floor": 3, "side": 1, "between_pieces": 1} and all(count.min() == 0 for count in wanted.values())
+    assert most == {"floor": 3, "side": 1, "between_pieces": 1} and all(
+        count.min() == 0 for count in wanted.values()
+    )
 
 
 def test_parts_of_pieces_are_no_walls_among_the_contacts():
     two = [{"shape": "sphere", "radius": 0.01, "position": (x, 0.0, 0.0)} for x in (-0.008, 0.008)]
     piece = {"shape": "compound", "part": two}
-    built = assembly.assemble_system(scene().replace(piece=[piece | {"position": (0.0, 0.0, z)} for z in (0.02, 0.05)]))
+    built = assembly.assemble_system(
+        scene().replace(piece=[piece | {"position": (0.0, 0.0, z)} for z in (0.02, 0.05)])
+    )
     system, state = built.system, built.state
     assert system.parts.count == 4
 
@@ -383,6 +517,11 @@ def test_parts_of_pieces_are_no_walls_among_the_contacts():
         memory = table.memory.replace(overlap=table.memory.overlap.at[0].set(1e-4))
         return table.replace(a=table.a.at[0].set(a), b=table.b.at[0].set(b), memory=memory)
 
-    tables = {"spheres": touching("spheres", 2, 0), "plates": touching("plates", 4 + 1, 3)}  # the second panel
-    (found,) = (q.evaluate(system, state.replace(contacts=state.contacts | tables)) for q in QUANTITIES if q.name == "contacts")
+    # the second panel
+    tables = {"spheres": touching("spheres", 2, 0), "plates": touching("plates", 4 + 1, 3)}
+    (found,) = (
+        q.evaluate(system, state.replace(contacts=state.contacts | tables))
+        for q in QUANTITIES
+        if q.name == "contacts"
+    )
     assert found[:, 0].tolist() == [0, 1, 1]  # floor, side, between pieces

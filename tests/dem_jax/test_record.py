@@ -22,7 +22,9 @@ LABELS = {  # of the made-up runs' quantities
     "overlap": None,
 }
 KNOWN = RunHeader("", 0, 1.0, "", "", 1.0, (), (), (), 1).stored_quantities
-STORED = tuple(stored._replace(labels=LABELS[stored.name]) for stored in KNOWN if stored.name in LABELS)
+STORED = tuple(
+    stored._replace(labels=LABELS[stored.name]) for stored in KNOWN if stored.name in LABELS
+)
 REPOSITORY = Path(__file__).resolve().parents[2]
 
 
@@ -45,7 +47,9 @@ def header(**changes):
 
 
 def samples(start, count, runs=None, seed=0):
-    """Samples start ... start + count of a made-up run; every value tells its place, so that a mix-up shows."""
+    """Samples start ... start + count of a made-up run; every value tells its place, so that a
+    mix-up shows.
+    """
     rng = np.random.default_rng((seed, start))
     lead = () if runs is None else (runs,)
     index = np.broadcast_to(np.arange(start, start + count, dtype=float), (*lead, count))
@@ -101,7 +105,9 @@ def test_a_file_has_the_documented_layout_with_units(tmp_path):
     with h5py.File(tmp_path / "run.h5") as file:
         shapes = {}
         file.visititems(
-            lambda name, item: shapes.update({name: item.shape}) if isinstance(item, h5py.Dataset) else None
+            lambda name, item: (
+                shapes.update({name: item.shape}) if isinstance(item, h5py.Dataset) else None
+            )
         )
         assert all(isinstance(file[name].attrs["units"], str) for name in shapes)
         units = {
@@ -111,10 +117,17 @@ def test_a_file_has_the_documented_layout_with_units(tmp_path):
             "settled_mass/wb": "kg",
             "energy/kinetic": "J",
         }
-        units |= {"torque/wb_flaps": "N m", "pieces/position": "m", "pieces/angular_velocity": "rad/s", "overlap": "1"}
+        units |= {
+            "torque/wb_flaps": "N m",
+            "pieces/position": "m",
+            "pieces/angular_velocity": "rad/s",
+            "overlap": "1",
+        }
         assert {name: file[name].attrs["units"] for name in units} == units
         assert (
-            shapes["time"] == (1551,) and shapes["force/wb_flaps"] == (1551, 3) and shapes["settled_mass/wb"] == (1551,)
+            shapes["time"] == (1551,)
+            and shapes["force/wb_flaps"] == (1551, 3)
+            and shapes["settled_mass/wb"] == (1551,)
         )
         assert shapes["pieces/time"] == (6,) and shapes["pieces/orientation"] == (6, 3, 4)
         np.testing.assert_array_equal(file["force/wb_flaps"], joined(parts, "force", "wb_flaps"))
@@ -160,7 +173,9 @@ def test_a_member_of_an_ensemble_is_a_single_run(tmp_path):
     ensemble = load_run(tmp_path / "runs.h5")
     member = replace(ensemble, header=replace(ensemble.header, seed=(3, 1, 4, 1))).member(2)
     assert member.seed == 4 and member.run_count is None
-    np.testing.assert_array_equal(member.force["wb_flaps"], joined(parts, "force", "wb_flaps", axis=1)[2])
+    np.testing.assert_array_equal(
+        member.force["wb_flaps"], joined(parts, "force", "wb_flaps", axis=1)[2]
+    )
     np.testing.assert_array_equal(member.time, ensemble.time)
     np.testing.assert_array_equal(member.pieces.velocity, ensemble.pieces.velocity[2])
     with pytest.raises(RecordError, match="run 4 is not in this ensemble; it has 0 to 3"):
@@ -178,7 +193,9 @@ def test_saving_and_loading_are_inverse(tmp_path):
         assert again.header == run.header
         np.testing.assert_array_equal(again.mean_force["wb_walls"], run.mean_force["wb_walls"])
         np.testing.assert_array_equal(again.pieces.orientation, run.pieces.orientation)
-        assert {k: v.tolist() for k, v in again.restart.items()} == {k: v.tolist() for k, v in run.restart.items()}
+        assert {k: v.tolist() for k, v in again.restart.items()} == {
+            k: v.tolist() for k, v in run.restart.items()
+        }
     bare = Run(header(groups=(), blocks=(), quantities=()), time=np.arange(3.0), series={})
     bare.save(tmp_path / "bare.h5")
     assert load_run(tmp_path / "bare.h5").pieces is None
@@ -186,10 +203,18 @@ def test_saving_and_loading_are_inverse(tmp_path):
 
 def test_product_impact_force_is_the_force_along_gravity_over_g():
     force = np.array([(0.0, 0, 0), (3, 4, -9.81), (0, 0, -44.145)])
-    run = Run(header(), np.arange(3.0), {"force": {"wb_flaps": force}, "mean_force": {"wb_flaps": force / 2}})
+    run = Run(
+        header(),
+        np.arange(3.0),
+        {"force": {"wb_flaps": force}, "mean_force": {"wb_flaps": force / 2}},
+    )
     np.testing.assert_allclose(run.pif_kg("wb_flaps", mean=False), [0, 1, 4.5], rtol=1e-15)
     np.testing.assert_allclose(run.pif_kg("wb_flaps"), [0, 0.5, 2.25], rtol=1e-15)
-    ensemble = replace(run, series={"mean_force": {"wb_flaps": np.stack([force, 2 * force])}}, header=header(run_count=2))
+    ensemble = replace(
+        run,
+        series={"mean_force": {"wb_flaps": np.stack([force, 2 * force])}},
+        header=header(run_count=2),
+    )
     np.testing.assert_allclose(ensemble.pif_kg("wb_flaps"), [[0, 1, 4.5], [0, 2, 9]], rtol=1e-15)
     floating = replace(run, header=header(gravity=(0.0, 0.0, 0.0)))
     np.testing.assert_allclose(floating.pif_kg("wb_flaps", mean=False), [0, 1, 4.5], rtol=1e-15)
@@ -217,8 +242,12 @@ for i in range(10):
 
 
 def run_killed(then, interval=0):
-    script = KILLED.format(repository=str(REPOSITORY), tests=str(Path(__file__).parent), then=then, interval=interval)
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=120)
+    script = KILLED.format(
+        repository=str(REPOSITORY), tests=str(Path(__file__).parent), then=then, interval=interval
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, timeout=120
+    )
     assert done.returncode == -signal.SIGKILL, done.stderr
 
 
@@ -227,7 +256,8 @@ def run_killed(then, interval=0):
     [
         "die()",
         "writer._interval = 9; writer.append(samples(1000, 5)); die()",  # not flushed yet
-        "output.os.link = die; writer.append(samples(1000, 5))",  # the copy is complete, without a name
+        "output.os.link = die; writer.append(samples(1000, 5))",  # the copy is complete, without a
+        # name
         "output.os.replace = die; writer.append(samples(1000, 5))",  # not yet in place
         "record.replace_restart = die; writer.append(samples(1000, 5), restart={'step': record.np.int64(10)})",
         "output.os.fdopen = lambda file, _: (os.write(file, b'HDF'), die()); writer.append(samples(1000, 5))",
@@ -237,7 +267,9 @@ def test_a_killed_process_leaves_the_file_of_its_last_flush(then):
     run_killed(then)
     run = load_run("run.h5")
     assert len(run.time) == 1000 and run.restart["step"] == 9 and len(run.pieces.time) == 10
-    np.testing.assert_array_equal(run.force["wb_flaps"][500:600], samples(500, 100)["force"]["wb_flaps"])
+    np.testing.assert_array_equal(
+        run.force["wb_flaps"][500:600], samples(500, 100)["force"]["wb_flaps"]
+    )
 
 
 def test_a_run_that_was_killed_goes_on_where_its_file_ends():
@@ -245,13 +277,19 @@ def test_a_run_that_was_killed_goes_on_where_its_file_ends():
     with Writer.resume("run.h5") as writer:
         writer.append(samples(1000, 7), frames(10, 1), {"step": np.int64(10)}, info={"resumed": 1})
     run = load_run("run.h5")
-    np.testing.assert_array_equal(run.time, np.concatenate([samples(0, 1000)["time"], samples(1000, 7)["time"]]))
-    np.testing.assert_array_equal(run.force["wb_walls"][1000:], samples(1000, 7)["force"]["wb_walls"])
+    np.testing.assert_array_equal(
+        run.time, np.concatenate([samples(0, 1000)["time"], samples(1000, 7)["time"]])
+    )
+    np.testing.assert_array_equal(
+        run.force["wb_walls"][1000:], samples(1000, 7)["force"]["wb_walls"]
+    )
     assert run.restart["step"] == 10 and run.info == {"limited by": "unloading", "resumed": 1}
 
 
 def test_a_process_killed_at_any_moment_leaves_a_consistent_file():
-    """A process that does nothing but flush is killed after odd waits: the restart state belongs to the last sample."""
+    """A process that does nothing but flush is killed after odd waits: the restart state belongs to
+    the last sample.
+    """
     endless = f"""
 import sys
 sys.path[:0] = [{str(REPOSITORY)!r}, {str(Path(__file__).parent)!r}]
@@ -286,7 +324,9 @@ def test_the_file_can_be_read_while_it_is_written(tmp_path):
 def test_flushes_are_spaced_and_the_last_one_comes_with_the_end(tmp_path):
     with Writer.create(tmp_path / "run.h5", header(), interval=3600) as writer:
         writer.append(samples(0, 10))
-        with pytest.raises(RecordError, match="holds no samples: its run stopped before the first flush"):
+        with pytest.raises(
+            RecordError, match="holds no samples: its run stopped before the first flush"
+        ):
             load_run(tmp_path / "run.h5")
         writer.flush()
         writer.append(samples(10, 5))
@@ -303,7 +343,8 @@ def test_rewriting_the_restart_state_does_not_grow_the_file(tmp_path):
         for i in range(20):
             writer.write_restart({"state": np.full(100000, float(i)), "old": np.full(3, float(i))})
         assert (tmp_path / "run.h5").stat().st_size == size
-        writer.write_restart({"state": np.zeros(200000, np.int32), "new": np.zeros(5)})  # a capacity grew
+        # a capacity grew
+        writer.write_restart({"state": np.zeros(200000, np.int32), "new": np.zeros(5)})
     restart = load_run(tmp_path / "run.h5").restart
     assert set(restart) == {"state", "new"} and restart["state"].shape == (200000,)
 
@@ -311,12 +352,16 @@ def test_rewriting_the_restart_state_does_not_grow_the_file(tmp_path):
 # --- what is refused ---
 
 
-def test_nothing_is_overwritten_unasked_and_the_old_file_stays_until_there_is_something_new(tmp_path):
+def test_nothing_is_overwritten_unasked_and_the_old_file_stays_until_there_is_something_new(
+    tmp_path,
+):
     path = tmp_path / "run.h5"
     written(path)
     before = path.read_bytes()
     run = load_run(path)
-    with pytest.raises(RecordError, match=r"run\.h5 exists; allowed: another name, or overwrite=True"):
+    with pytest.raises(
+        RecordError, match=r"run\.h5 exists; allowed: another name, or overwrite=True"
+    ):
         run.save(path)
     with pytest.raises(RecordError, match=r"run\.h5 exists"):
         Writer.create(path, header())
@@ -337,7 +382,9 @@ def test_a_write_that_fails_leaves_the_old_file_and_can_be_tried_again(tmp_path,
 
     with monkeypatch.context() as patch:
         patch.setattr("dem_jax.io.writer.extend_dataset", full)
-        with pytest.raises(RecordError, match=r"run\.h5 cannot be written: No space left on device"):
+        with pytest.raises(
+            RecordError, match=r"run\.h5 cannot be written: No space left on device"
+        ):
             writer.append(samples(10, 10))
     assert path.read_bytes() == before and [p.name for p in tmp_path.iterdir()] == ["run.h5"]
     writer.close()
@@ -345,7 +392,9 @@ def test_a_write_that_fails_leaves_the_old_file_and_can_be_tried_again(tmp_path,
 
 
 def test_a_folder_that_is_not_there_is_named(tmp_path):
-    with pytest.raises(RecordError, match=r"run\.h5 cannot be written: there is no folder '.*nowhere'"):
+    with pytest.raises(
+        RecordError, match=r"run\.h5 cannot be written: there is no folder '.*nowhere'"
+    ):
         Writer.create(tmp_path / "nowhere" / "run.h5", header())
 
 
@@ -356,7 +405,9 @@ def test_a_file_cut_short_is_one_clear_line(tmp_path, kept):
     content = path.read_bytes()
     length = int(kept * len(content)) if 0 < kept < 1 else kept
     path.write_bytes(content[:length])
-    with pytest.raises(RecordError, match=r"run\.h5 is (not an HDF5 file|damaged or cut short)") as caught:
+    with pytest.raises(
+        RecordError, match=r"run\.h5 is (not an HDF5 file|damaged or cut short)"
+    ) as caught:
         load_run(path)
     assert "\n" not in str(caught.value)
     with pytest.raises(RecordError):
@@ -371,7 +422,9 @@ def test_other_files_are_refused_by_what_they_lack(tmp_path):
         load_run(tmp_path / "text.h5")
     with h5py.File(tmp_path / "other.h5", "w") as file:
         file["time"] = np.arange(3.0)
-    with pytest.raises(RecordError, match=r"other\.h5 is no run of dem_jax: it lacks the attribute 'scene'"):
+    with pytest.raises(
+        RecordError, match=r"other\.h5 is no run of dem_jax: it lacks the attribute 'scene'"
+    ):
         load_run(tmp_path / "other.h5")
     for lost in ("mean_force/wb_flaps", "settled_mass/wb", "pieces/velocity", "force"):
         written(tmp_path / "run.h5")
@@ -383,7 +436,9 @@ def test_other_files_are_refused_by_what_they_lack(tmp_path):
     written(tmp_path / "run.h5")
     with h5py.File(tmp_path / "run.h5", "r+") as file:
         file["energy/kinetic"].resize(7, axis=0)
-    with pytest.raises(RecordError, match=r"damaged: 'energy/kinetic' of form \(7,\) does not fit 1551, of times"):
+    with pytest.raises(
+        RecordError, match=r"damaged: 'energy/kinetic' of form \(7,\) does not fit 1551, of times"
+    ):
         load_run(tmp_path / "run.h5")
 
 
@@ -394,10 +449,19 @@ def test_samples_that_do_not_fit_are_refused_before_anything_is_written(tmp_path
     del fewer["overlap"]
     for wrong, message in (
         (fewer, r"series \['overlap'\] must be in every append"),
-        ({**samples(10, 10, 2), "overlap": np.zeros((2, 9))}, r"overlap of form \(2, 9\) does not fit 10 times"),
-        ({**samples(10, 10, 2), "overlap": np.zeros((3, 10))}, r"overlap of form \(3, 10\) does not fit"),
+        (
+            {**samples(10, 10, 2), "overlap": np.zeros((2, 9))},
+            r"overlap of form \(2, 9\) does not fit 10 times",
+        ),
+        (
+            {**samples(10, 10, 2), "overlap": np.zeros((3, 10))},
+            r"overlap of form \(3, 10\) does not fit",
+        ),
         ({**samples(10, 10, 2), "overlap": np.zeros(10)}, r"overlap of form \(10,\) does not fit"),
-        ({**samples(10, 10, 2), "heat": np.zeros((2, 10))}, r"series 'heat' is unknown; allowed: time, force"),
+        (
+            {**samples(10, 10, 2), "heat": np.zeros((2, 10))},
+            r"series 'heat' is unknown; allowed: time, force",
+        ),
     ):
         with pytest.raises(ValueError, match=message):
             writer.append(wrong)

@@ -1,4 +1,6 @@
-"""The tables of keys on the reference page: every key of every section once, with unit, default and allowed values."""
+"""The tables of keys on the reference page: every key of every section once, with unit, default and
+allowed values.
+"""
 
 import re
 
@@ -36,7 +38,8 @@ def tables():
 
 def test_every_key_stands_in_a_table(tables):
     shown = {key for table in tables.values() for key in table}
-    headed = {key for key in Scene.model_fields if find_section(Scene, key)}  # these are headings, not rows
+    headed = {key for key in Scene.model_fields if find_section(Scene, key)}  # these are headings,
+    # not rows
     keys = {key for model in sections() if model is not Scene for key in model.model_fields}
     assert shown == keys | (Scene.model_fields.keys() - headed - reference.HIDDEN_KEYS)
     assert all(f"`[{key}]`" in tables or f"`[[{key}]]`" in tables for key in headed)

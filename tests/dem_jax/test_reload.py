@@ -11,14 +11,24 @@ K, EPSILON, LAMBDA = 2.0, 0.5, 0.001
 
 
 def law(force, overlap, new_overlap):
-    """F_n where the bodies do not turn: the approach is the change of the overlap (0 where apart), eq. 4."""
-    return walton_braun.clamp_to_branches(force + K / EPSILON**2 * (max(new_overlap, 0.0) - overlap), new_overlap, K, LAMBDA)
+    """F_n where the bodies do not turn: the approach is the change of the overlap (0 where apart),
+    eq. 4.
+    """
+    return walton_braun.clamp_to_branches(
+        force + K / EPSILON**2 * (max(new_overlap, 0.0) - overlap), new_overlap, K, LAMBDA
+    )
 
 
 @pytest.mark.parametrize(
     ("force", "overlap", "new_overlap", "expected", "case"),
     [
-        (0.0, 0.0, 0.1, 0.2, "first touch: s_prev = 0, so that K_nu s exceeds K_nl s and eq. 2 holds"),
+        (
+            0.0,
+            0.0,
+            0.1,
+            0.2,
+            "first touch: s_prev = 0, so that K_nu s exceeds K_nl s and eq. 2 holds",
+        ),
         (0.2, 0.1, 0.3, 0.6, "further loading: eq. 2"),
         (0.6, 0.3, 0.25, 0.2, "unloading: eq. 3, 0.6 - 8 x 0.05"),
         (0.6, 0.3, 0.225, 0.001 * 2 * 0.225, "unloading to below the floor: lambda K_nl s"),
@@ -57,7 +67,9 @@ def work(force, overlap):
 def legs(*ends, steps=20000):
     """A path of overlaps 0 -> ends[0] -> ends[1] ..."""
     starts = (0.0, *ends[:-1])
-    return np.concatenate([np.linspace(a, b, steps + 1)[1:] for a, b in zip(starts, ends, strict=True)])
+    return np.concatenate(
+        [np.linspace(a, b, steps + 1)[1:] for a, b in zip(starts, ends, strict=True)]
+    )
 
 
 @pytest.mark.parametrize(
@@ -73,18 +85,20 @@ def legs(*ends, steps=20000):
     ],
 )
 def test_work_of_load_unload_reload(epsilon, turn, expected):
-    # The residual overlap is not remembered: reloading from below it climbs along K_nu at once. With that memory the
-    # work would be 1/2 in every row. The table has 5 digits.
+    # The residual overlap is not remembered: reloading from below it climbs along K_nu at once.
+    # With that memory the work would be 1/2 in every row. The table has 5 digits.
     overlap = legs(1.0, turn, 1.0)
     total = work(path(overlap, epsilon), overlap)
     meeting = turn / (1 - epsilon**2)  # where the climb along K_nu meets the loading line again
-    assert abs(total - 0.5 * (1 + (1 - epsilon**2) * (1 - meeting**2))) < 2e-6  # kinks within steps: 1 / epsilon^2 / steps^2 each
+    assert abs(total - 0.5 * (1 + (1 - epsilon**2) * (1 - meeting**2))) < 2e-6  # kinks within
+    # steps: 1 / epsilon^2 / steps^2 each
     assert abs(total - expected) < 8e-6
 
 
 @pytest.mark.parametrize("epsilon", [0.1, 0.3, 0.7])
 def test_reloading_above_the_floor_is_elastic(epsilon):
-    # Cycles that stay off both the loading line and the floor take no work: the law has no damping there.
+    # Cycles that stay off both the loading line and the floor take no work: the law has no damping
+    # there.
     residual = 1 - epsilon**2
     near, far = residual + 0.2 * epsilon**2, residual + 0.8 * epsilon**2
     once, more = legs(1.0, near, steps=2000), legs(1.0, near, far, near, far, near, steps=2000)
@@ -94,10 +108,12 @@ def test_reloading_above_the_floor_is_elastic(epsilon):
 
 @pytest.mark.parametrize("epsilon", [0.1, 0.3, 0.7])
 def test_work_kept_by_a_full_cycle_is_one_less_epsilon_squared(epsilon):
-    # Load to 1 and separate: 1/2 goes in, epsilon^2 / 2 comes out (lambda = 0). Kinks within steps, as above.
+    # Load to 1 and separate: 1/2 goes in, epsilon^2 / 2 comes out (lambda = 0). Kinks within steps,
+    # as above.
     overlap = legs(1.0, 0.0)
     assert abs(work(path(overlap, epsilon), overlap) - 0.5 * (1 - epsilon**2)) < 2e-6
-    # With lambda the floor gives back lambda s*^2 / 2 more, less the triangle that the unloading line keeps below it.
+    # With lambda the floor gives back lambda s*^2 / 2 more, less the triangle that the unloading
+    # line keeps below it.
     switch = (1 - epsilon**2) / (1 - LAMBDA * epsilon**2)
     back = 0.5 * LAMBDA * switch**2 + 0.5 * (1 + LAMBDA * switch) * (1 - switch)
     assert abs(work(path(overlap, epsilon, LAMBDA), overlap) - (0.5 - back)) < 2e-6
@@ -105,7 +121,8 @@ def test_work_kept_by_a_full_cycle_is_one_less_epsilon_squared(epsilon):
 
 def test_restitution_of_one_is_an_elastic_spring():
     overlap = legs(1.0, 0.2, 0.7, 0.0, steps=500)
-    np.testing.assert_allclose(path(overlap, 1.0, LAMBDA), overlap, atol=1e-13)  # rounding of 2000 increments
+    np.testing.assert_allclose(path(overlap, 1.0, LAMBDA), overlap, atol=1e-13)  # rounding of 2000
+    # increments
 
 
 def test_force_stays_between_floor_and_loading_line():

@@ -9,7 +9,12 @@ SLOW, STIFF = "impacts of up to", {"softening": 1.0}
 
 
 def said(velocity=1.0, place=0.02, precision="f32", gravity=(0.0, 0.0, 0.0), **material):
-    piece = {"shape": "sphere", "radius": 0.0167, "position": (0.0, 0.0, place), "velocity": (0.0, 0.0, -velocity)}
+    piece = {
+        "shape": "sphere",
+        "radius": 0.0167,
+        "position": (0.0, 0.0, place),
+        "velocity": (0.0, 0.0, -velocity),
+    }
     scene = validation.plate_scene(piece, gravity, precision, **material)
     return precision_check.note_low_precision(scene, assembly.assemble_system(scene))
 
@@ -30,4 +35,8 @@ def said(velocity=1.0, place=0.02, precision="f32", gravity=(0.0, 0.0, 0.0), **m
 )
 def test_what_single_precision_does_not_resolve_is_said(expected, case):
     note = said(**case)
-    assert note is None if expected is None else expected in note and note.endswith("run.precision = f64 does")
+    assert (
+        note is None
+        if expected is None
+        else expected in note and note.endswith("run.precision = f64 does")
+    )

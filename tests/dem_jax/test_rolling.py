@@ -1,4 +1,6 @@
-"""Rolling friction: a sphere that rolls, rests and spins on a plane, beside the exact solutions; nothing where there is none."""
+"""Rolling friction: a sphere that rolls, rests and spins on a plane, beside the exact solutions;
+nothing where there is none.
+"""
 
 from functools import cache, partial
 
@@ -21,7 +23,8 @@ SPIN = dem_jax.Quantity(
     help="angular momentum about the centre",
     of=lambda system, state: batch_reduction.sum_per_run(system, state.angular_momentum),
 )
-# On the flat: rolling, spinning about the vertical. On slopes that fall off along x, by their tangent over mu_r: from rest.
+# On the flat: rolling, spinning about the vertical. On slopes that fall off along x, by their
+# tangent over mu_r: from rest.
 CASES = {"rolls": 0.0, "spins": 0.0, "stays": 0.9, "starts": 1.2, "free": 1.2}
 
 
@@ -31,7 +34,13 @@ def ball(**changes):
         validation.plate_scene,
         gravity=(0.0, 0.0, -G),
         run={"duration": 0.18, "sample": 1e-3},
-        **{"restitution": 0.5, "rest_damping": 0.3, "rolling_friction": ROLLING, "friction_wall": 0.5} | changes,
+        **{
+            "restitution": 0.5,
+            "rest_damping": 0.3,
+            "rolling_friction": ROLLING,
+            "friction_wall": 0.5,
+        }
+        | changes,
     )
     system = assembly.assemble_system(made({"shape": "sphere", "radius": RADIUS})).system
     sunk = float(system.pieces.mass[0] * G / validation.wall_stiffness(system)[0])
@@ -40,7 +49,9 @@ def ball(**changes):
 
 @cache
 def runs():
-    """name of a case -> time [T] (s), velocity [T, 3] (m/s), angular velocity [T, 3] (rad/s) and energies of its run."""
+    """name of a case -> time [T] (s), velocity [T, 3] (m/s), angular velocity [T, 3] (rad/s) and
+    energies of its run.
+    """
     scene = ball()
     pieces = assembly.assemble_system(scene).system.pieces
     angle = np.arctan(ROLLING * np.array(list(CASES.values())))
@@ -49,13 +60,32 @@ def runs():
     velocity[0, 0], spin[0, 1], spin[1, 2] = SPEED, SPEED / RADIUS, 30.0
     rolling = np.full(len(CASES), ROLLING)
     rolling[-1] = 0.0
-    keys = ("run.gravity", "piece.0.velocity", "piece.0.angular_velocity", "material.rolling_friction")
-    run = jax.jit(jax.vmap(lambda *values: dem_jax.rollout(scene, dict(zip(keys, values, strict=True)), quantities=[SPIN])))
+    keys = (
+        "run.gravity",
+        "piece.0.velocity",
+        "piece.0.angular_velocity",
+        "material.rolling_friction",
+    )
+    run = jax.jit(
+        jax.vmap(
+            lambda *values: dem_jax.rollout(
+                scene, dict(zip(keys, values, strict=True)), quantities=[SPIN]
+            )
+        )
+    )
     found = jax.tree.map(np.asarray, run(*map(jnp.asarray, (gravity, velocity, spin, rolling))))
     each = {}
     for k, name in enumerate(CASES):
-        momentum, turning = found.momentum[k] / float(pieces.mass[0]), found.spin[k] / float(pieces.inertia[0, 0])
-        each[name] = found.time[k], momentum, turning, {kind: values[k] for kind, values in found.energy.items()}
+        momentum, turning = (
+            found.momentum[k] / float(pieces.mass[0]),
+            found.spin[k] / float(pieces.inertia[0, 0]),
+        )
+        each[name] = (
+            found.time[k],
+            momentum,
+            turning,
+            {kind: values[k] for kind, values in found.energy.items()},
+        )
     return each
 
 
@@ -64,8 +94,11 @@ def test_a_rolling_sphere_is_slowed_down_and_then_rests():
     slowing = 5 / 7 * ROLLING * G
     stop = SPEED / slowing
     rolls = (time > 0.03) & (time < 0.9 * stop)
-    # The spring takes a part of a millisecond to be up; the arm of friction is R less half of the overlap, 1e-4 of it.
-    np.testing.assert_allclose(np.polyfit(time[rolls], velocity[rolls, 0], 1)[0], -slowing, rtol=2e-3)
+    # The spring takes a part of a millisecond to be up; the arm of friction is R less half of the
+    # overlap, 1e-4 of it.
+    np.testing.assert_allclose(
+        np.polyfit(time[rolls], velocity[rolls, 0], 1)[0], -slowing, rtol=2e-3
+    )
     np.testing.assert_allclose(spin[rolls, 1] * RADIUS, velocity[rolls, 0], rtol=2e-3)
     rests = time > stop + 0.06
     assert rests.sum() > 20 and np.abs(velocity[rests]).max() < 1e-3 * SPEED
@@ -75,12 +108,17 @@ def test_a_rolling_sphere_is_slowed_down_and_then_rests():
 def test_on_a_slope_a_sphere_stays_or_rolls():
     """Below tan = mu_r it stays, above it rolls with 5/7 g (sin - mu_r cos)."""
     time, velocity, *_ = runs()["stays"]
-    assert np.abs(velocity[time > 0.15]).max() < 1e-5 and np.abs(np.trapezoid(velocity[:, 0], time)) < 2e-5
+    assert (
+        np.abs(velocity[time > 0.15]).max() < 1e-5
+        and np.abs(np.trapezoid(velocity[:, 0], time)) < 2e-5
+    )
     for name, held in (("starts", ROLLING), ("free", 0.0)):
         time, velocity, *_ = runs()[name]
         angle, late = np.arctan(ROLLING * CASES[name]), time > 0.06
         wanted = 5 / 7 * G * (np.sin(angle) - held * np.cos(angle))
-        np.testing.assert_allclose(np.polyfit(time[late], velocity[late, 0], 1)[0], wanted, rtol=1e-2)
+        np.testing.assert_allclose(
+            np.polyfit(time[late], velocity[late, 0], 1)[0], wanted, rtol=1e-2
+        )
 
 
 def test_there_is_no_torque_about_the_normal():
@@ -90,7 +128,9 @@ def test_there_is_no_torque_about_the_normal():
 
 
 def test_nothing_of_it_is_there_without_it():
-    rough, smooth = (assembly.assemble_system(ball(rolling_friction=value)) for value in (ROLLING, 0.0))
+    rough, smooth = (
+        assembly.assemble_system(ball(rolling_friction=value)) for value in (ROLLING, 0.0)
+    )
     assert isinstance(rough.system.law, Rolling) and not isinstance(smooth.system.law, Rolling)
     assert smooth.system.materials.rolling is None
     histories = [made.state.contacts["plates"].memory.law for made in (rough, smooth)]
@@ -104,5 +144,7 @@ def test_materials_and_pairs_have_their_own():
     assert float(assembly.assemble_system(scene).system.materials.rolling[0, 1]) == 0.3
     with pytest.raises(SceneError, match="rolling_friction = -1.0: allowed: a number >= 0"):
         ball(rolling_friction=-1.0)
-    stiff = [assembly.assemble_system(ball(rolling_friction=value)).step.stable for value in (0.05, 1.0)]
+    stiff = [
+        assembly.assemble_system(ball(rolling_friction=value)).step.stable for value in (0.05, 1.0)
+    ]
     assert stiff[1] < 0.8 * stiff[0]

@@ -1,4 +1,6 @@
-"""The driver: what a run holds, guards that give the same result with any room, failures, restart to the bit."""
+"""The driver: what a run holds, guards that give the same result with any room, failures, restart
+to the bit.
+"""
 
 import os
 import re
@@ -28,10 +30,21 @@ G = 9.81
 def balls(heights=(0.012,), **changes):
     """Spheres of 20 mm one above another, a little aside, above the plate; double precision."""
     pieces = [
-        {"shape": "sphere", "radius": 0.01, "position": [0.001 * n, 0.0, z], "velocity": [0.0, 0.02 * n, 0.0]}
+        {
+            "shape": "sphere",
+            "radius": 0.01,
+            "position": [0.001 * n, 0.0, z],
+            "velocity": [0.0, 0.02 * n, 0.0],
+        }
         for n, z in enumerate(heights)
     ]
-    base = {"piece": pieces, "run.precision": "f64", "run.duration": 0.03, "name": "balls", "run.sample": 2e-5}
+    base = {
+        "piece": pieces,
+        "run.precision": "f64",
+        "run.duration": 0.03,
+        "name": "balls",
+        "run.sample": 2e-5,
+    }
     return dem_jax.load_scene("plate-drop", base | changes)
 
 
@@ -51,7 +64,9 @@ def series(result):
     """Every array of a run, by path."""
     from dem_jax.io.run_files import collect_series
 
-    poses = {} if result.pieces is None else {f"pieces/{k}": v for k, v in vars(result.pieces).items()}
+    poses = (
+        {} if result.pieces is None else {f"pieces/{k}": v for k, v in vars(result.pieces).items()}
+    )
     return collect_series(result) | poses
 
 
@@ -82,16 +97,31 @@ def test_samples_are_at_the_ends_of_their_intervals_and_frames_begin_at_the_rele
     np.testing.assert_array_equal(result.time, (np.arange(1500) + 1) * 2e-5)
     np.testing.assert_array_equal(result.pieces.time, np.arange(215) * (7 * 2e-5))
     assert result.force["plate"].shape == result.mean_force["plate"].shape == (1500, 3)
-    assert result.pieces.position.shape == (215, 1, 3) and result.pieces.orientation.shape == (215, 1, 4)
-    assert set(result.energy) == {"kinetic", "potential", "elastic", "dissipated", "wall_work", "total"}
+    assert result.pieces.position.shape == (215, 1, 3) and result.pieces.orientation.shape == (
+        215,
+        1,
+        4,
+    )
+    assert set(result.energy) == {
+        "kinetic",
+        "potential",
+        "elastic",
+        "dissipated",
+        "wall_work",
+        "total",
+    }
     assert result.torque == {} and set(result.settled_mass) == {"plate"}
 
 
 def test_frames_that_do_not_fit_into_chunks_hold_the_motion_of_their_times():
-    """Free fall is exact to rounding: 1e-12 m in 0.02 s. Chunks of about 100 samples, frames every 7."""
+    """Free fall is exact to rounding: 1e-12 m in 0.02 s. Chunks of about 100 samples, frames every
+    7.
+    """
     result = dem_jax.simulate(balls([0.05], **{"run.frames": 7 * 2e-5, "run.duration": 0.02}))
     t = result.pieces.time
-    np.testing.assert_allclose(result.pieces.position[:, 0, 2], 0.05 - 0.5 * G * t**2, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        result.pieces.position[:, 0, 2], 0.05 - 0.5 * G * t**2, rtol=0, atol=1e-12
+    )
     np.testing.assert_allclose(result.pieces.velocity[:, 0, 2], -G * t, rtol=0, atol=1e-11)
 
 
@@ -111,7 +141,9 @@ def test_orientations_are_those_of_the_body_frame_in_which_the_shape_was_given()
     expected = np.stack([_product(q, start) for q in turn])
     aligned = found * np.sign((found * expected).sum(-1, keepdims=True))
     np.testing.assert_allclose(aligned, expected, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(result.pieces.angular_velocity[:, 0], np.tile(30 * axis, (len(half), 1)), atol=1e-8)
+    np.testing.assert_allclose(
+        result.pieces.angular_velocity[:, 0], np.tile(30 * axis, (len(half), 1)), atol=1e-8
+    )
 
 
 def _product(p, q):
@@ -140,9 +172,12 @@ def test_forces_of_both_flaps_are_reported_as_one_and_torques_for_each():
     assert total[2] < 0, "they lie on the flaps, which open slowly at first"
     start = (
         result.momentum[0]
-        + (sum(f[0] for f in result.mean_force.values()) + [0, 0, weight / result.time[-1]]) * result.sample
+        + (sum(f[0] for f in result.mean_force.values()) + [0, 0, weight / result.time[-1]])
+        * result.sample
     )
-    np.testing.assert_allclose(result.momentum[-1], start - total - [0, 0, weight], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        result.momentum[-1], start - total - [0, 0, weight], rtol=0, atol=1e-12
+    )
     assert result.pieces.time[0] == 0 and result.time[0] == pytest.approx(3e-5)
 
 
@@ -156,20 +191,28 @@ def test_precision_is_the_scenes_whatever_the_global_flag_is(x64):
             assert found.precision == precision
             assert_same(expected[precision], found)
     f32, f64 = (expected[p].pif_kg("plate").max() for p in ("f32", "f64"))
-    assert f32 == pytest.approx(f64, rel=1e-3) and f32 != f64  # g dt / 2 is added to 0.2 m/s in steps of 1.5e-8 m/s
+    assert f32 == pytest.approx(f64, rel=1e-3) and f32 != f64  # g dt / 2 is added to 0.2 m/s in
+    # steps of 1.5e-8 m/s
 
 
 def test_same_scene_and_seed_give_the_same_bits_and_another_seed_does_not():
     first = dem_jax.simulate(settling(), seed=3)
     assert_same(first, dem_jax.simulate(settling(), seed=3))
-    assert np.abs(first.pieces.position - dem_jax.simulate(settling(), seed=4).pieces.position).max() > 1e-3
+    assert (
+        np.abs(first.pieces.position - dem_jax.simulate(settling(), seed=4).pieces.position).max()
+        > 1e-3
+    )
 
 
 def test_other_numbers_need_no_other_program():
     dem_jax.simulate(balls())
     before = len(programs.EXECUTABLES)
-    dem_jax.simulate(balls([0.02], **{"run.duration": 0.01, "run.frames": 1e-4, "run.gravity": [0, 0, -1.62]}))
-    dem_jax.simulate(balls(**{"material.density": 310.0, "material.friction_wall": 0.1, "run.step": 3.4e-6}))
+    dem_jax.simulate(
+        balls([0.02], **{"run.duration": 0.01, "run.frames": 1e-4, "run.gravity": [0, 0, -1.62]})
+    )
+    dem_jax.simulate(
+        balls(**{"material.density": 310.0, "material.friction_wall": 0.1, "run.step": 3.4e-6})
+    )
     assert len(programs.EXECUTABLES) == before
 
 
@@ -195,11 +238,15 @@ def test_nothing_is_overwritten_unasked(tmp_path):
 
 
 def test_stl_files_are_taken_into_the_run(tmp_path):
-    """The file of a run is enough to go on and to draw it: the scene in it has corners, not names of files."""
+    """The file of a run is enough to go on and to draw it: the scene in it has corners, not names
+    of files.
+    """
     import trimesh
 
     trimesh.creation.box((0.03, 0.03, 0.02)).export(tmp_path / "piece.stl")
-    plate = trimesh.Trimesh([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], [[0, 1, 2], [0, 2, 3]])
+    plate = trimesh.Trimesh(
+        [[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], [[0, 1, 2], [0, 2, 3]]
+    )
     plate.export(tmp_path / "plate.stl")
     (tmp_path / "mine.toml").write_text(
         '[[piece]]\nshape = "hull"\nstl = "piece.stl"\nposition = [0, 0, 0.011]\n[run]\nduration = 1e-3\n'
@@ -208,7 +255,9 @@ def test_stl_files_are_taken_into_the_run(tmp_path):
     result = dem_jax.simulate(tmp_path / "mine.toml")
     (tmp_path / "piece.stl").unlink()
     stored = scene.parse_scene(result.scene)
-    assert stored.name == "mine" and stored.piece[0].stl is None and len(stored.piece[0].points) == 8
+    assert (
+        stored.name == "mine" and stored.piece[0].stl is None and len(stored.piece[0].points) == 8
+    )
     assert [wall.group for wall in stored.wall] == ["floor"] and len(stored.wall[0].corners) == 4
     assert_same(result, dem_jax.simulate(stored))
 
@@ -221,7 +270,9 @@ def crowd(**changes):
 
 
 def test_a_run_that_outgrows_its_capacities_equals_one_with_ample_room(monkeypatch):
-    """Slots only change the order of sums over walls: 1e-12 of the largest value leaves room for rounding."""
+    """Slots only change the order of sums over walls: 1e-12 of the largest value leaves room for
+    rounding.
+    """
     ample = dem_jax.simulate(crowd())
     assert "reruns" not in ample.info
     tight = (("plates", 1, 1), ("spheres", 1, 1))
@@ -229,7 +280,9 @@ def test_a_run_that_outgrows_its_capacities_equals_one_with_ample_room(monkeypat
     grown = dem_jax.simulate(crowd())
     assert any("candidate pairs of spheres for 1" in note for note in grown.info["reruns"])
     assert any("run again with more room" in note for note in grown.info["reruns"])
-    assert not any("room" in line for line in summarize_run(grown)), "what was handled is nothing to worry a person with"
+    assert not any("room" in line for line in summarize_run(grown)), (
+        "what was handled is nothing to worry a person with"
+    )
     assert_same(ample, grown, exactly=False, tolerance=1e-12)
 
 
@@ -253,8 +306,11 @@ def test_pieces_that_outrun_the_skin_are_run_again_with_a_larger_one():
     with jax.enable_x64(True):
         job = replace(job, system=job.system.replace(skin=job.system.skin * 1e-5))
     grown = run_job(job, None, False, False)
-    assert any("than expected between rebuilds, with a skin of" in note for note in grown.info["reruns"])
-    assert_same(ample, grown, exactly=False, tolerance=1e-9)  # not bits: how long a fall is a jump depends on the skin
+    assert any(
+        "than expected between rebuilds, with a skin of" in note for note in grown.info["reruns"]
+    )
+    assert_same(ample, grown, exactly=False, tolerance=1e-9)  # not bits: how long a fall is a jump
+    # depends on the skin
 
 
 # --- what stops a run ---
@@ -262,20 +318,33 @@ def test_pieces_that_outrun_the_skin_are_run_again_with_a_larger_one():
 
 def test_overlapping_pieces_are_named_and_nothing_is_written(tmp_path):
     out = tmp_path / "run.h5"
-    with pytest.raises(SceneError, match=r"piece 1 and piece 0 overlap at the start by 5 % .* allowed: at most 0\.1 %"):
+    with pytest.raises(
+        SceneError,
+        match=r"piece 1 and piece 0 overlap at the start by 5 % .* allowed: at most 0\.1 %",
+    ):
         dem_jax.simulate(balls([0.012, 0.0309735]), out=out)  # centres 19 mm apart: 1 mm of 20 mm
-    with pytest.raises(SceneError, match=r"piece 0 and wall group 'plate' overlap at the start by 25 %"):
+    with pytest.raises(
+        SceneError, match=r"piece 0 and wall group 'plate' overlap at the start by 25 %"
+    ):
         dem_jax.simulate(balls([0.005]), out=out)
     assert not out.exists()
     dem_jax.simulate(balls([0.01 - 1e-5], **{"run.duration": 1e-4}))  # 0.05 %: allowed
 
 
-def test_a_piece_that_leaves_the_domain_is_named_with_its_time_and_what_was_before_is_saved(tmp_path):
-    """It is thrown sideways at 4 m/s and leaves at x = 0.05 m, after 12.5 ms: at the sample that follows."""
+def test_a_piece_that_leaves_the_domain_is_named_with_its_time_and_what_was_before_is_saved(
+    tmp_path,
+):
+    """It is thrown sideways at 4 m/s and leaves at x = 0.05 m, after 12.5 ms: at the sample that
+    follows.
+    """
     out = tmp_path / "run.h5"
     scene = balls(
         [0.012, 0.2],
-        **{"piece.1.velocity": [4.0, 0.0, 0.0], "piece.1.position": [0, 0, 0.2], "run.domain_high": [0.05, 1, 1]},
+        **{
+            "piece.1.velocity": [4.0, 0.0, 0.0],
+            "piece.1.position": [0, 0, 0.2],
+            "run.domain_high": [0.05, 1, 1],
+        },
     )
     with pytest.raises(SimulationError) as caught:
         dem_jax.simulate(scene, out=out)
@@ -283,7 +352,8 @@ def test_a_piece_that_leaves_the_domain_is_named_with_its_time_and_what_was_befo
     assert (error.piece, error.path) == (1, out)
     assert error.time == pytest.approx(0.0125, abs=2.1e-5)
     assert re.search(
-        r"balls: piece 1 at t = 0\.0125.* left the domain above x = 0\.05 m at 4 m/s; likely cause", str(error)
+        r"balls: piece 1 at t = 0\.0125.* left the domain above x = 0\.05 m at 4 m/s; likely cause",
+        str(error),
     )
     saved = dem_jax.load_run(out)
     whole = dem_jax.simulate(scene.replace(run={"domain_high": (1.0, 1.0, 1.0)}))
@@ -297,18 +367,35 @@ def test_a_piece_that_leaves_the_domain_is_named_with_its_time_and_what_was_befo
 
 @pytest.mark.parametrize("runs", [None, 2])
 def test_a_piece_that_leaves_the_domain_is_noted_where_that_is_asked_for(tmp_path, runs):
-    """The others do not notice, and the run ends when those that are left are at rest. One note, also where it goes on."""
-    sideways = {"piece.1.velocity": [4.0, 0.0, 0.0], "piece.1.position": [0, 0, 0.2], "run.domain_high": [0.05, 1, 1]}
-    settled = {"run.until_settled": True, "run.settled_time": 0.01, "run.settled_speed": 0.03, "run.duration": 0.2}
+    """The others do not notice, and the run ends when those that are left are at rest. One note,
+    also where it goes on.
+    """
+    sideways = {
+        "piece.1.velocity": [4.0, 0.0, 0.0],
+        "piece.1.position": [0, 0, 0.2],
+        "run.domain_high": [0.05, 1, 1],
+    }
+    settled = {
+        "run.until_settled": True,
+        "run.settled_time": 0.01,
+        "run.settled_speed": 0.03,
+        "run.duration": 0.2,
+    }
     scene = balls([0.012, 0.2], **sideways, **settled, **{"run.escape": "note"})
     out = tmp_path / "run.h5"
-    result = dem_jax.simulate(scene, out=out) if runs is None else dem_jax.ensemble(scene, runs, out=out)
+    result = (
+        dem_jax.simulate(scene, out=out) if runs is None else dem_jax.ensemble(scene, runs, out=out)
+    )
     named = ["balls"] if runs is None else ["balls, run 0 (seed 0)", "balls, run 1 (seed 1)"]
     notes = [note for note in result.info["notes"] if "left the domain" in note]
-    assert [note.split(" before t = ")[0] for note in notes] == [f"{name}: piece 1 left the domain" for name in named]
+    assert [note.split(" before t = ")[0] for note in notes] == [
+        f"{name}: piece 1 left the domain" for name in named
+    ]
     assert all(0.0125 < float(note.split(" before t = ")[1].rstrip(" s")) < 0.1 for note in notes)
     assert result.info["settled"] == pytest.approx(result.time[-1]) and result.time[-1] < 0.15
-    within = dem_jax.simulate(scene.replace(run={"domain_high": (2.0, 1.0, 1.0), "until_settled": False}))
+    within = dem_jax.simulate(
+        scene.replace(run={"domain_high": (2.0, 1.0, 1.0), "until_settled": False})
+    )
     mine = result if runs is None else result.member(1)
     np.testing.assert_array_equal(mine.force["plate"], within.force["plate"][: len(result.time)])
     longer = dem_jax.resume(out, 0.3)
@@ -318,19 +405,25 @@ def test_a_piece_that_leaves_the_domain_is_noted_where_that_is_asked_for(tmp_pat
 def test_motion_that_is_not_finite_stops_the_run():
     job = prepare_job(balls([0.012, 0.1]), (0,), None)
     with jax.enable_x64(True):
-        job = replace(job, state=job.state.replace_motion(velocity=job.state.velocity.at[2, 1].set(np.nan)))
+        job = replace(
+            job, state=job.state.replace_motion(velocity=job.state.velocity.at[2, 1].set(np.nan))
+        )
     with pytest.raises(
-        SimulationError, match=r"piece 1 at t = 2e-05 s: its motion is not finite; .* lower run\.step; or restitution"
+        SimulationError,
+        match=r"piece 1 at t = 2e-05 s: its motion is not finite; .* lower run\.step; or restitution",
     ):
         run_job(job, None, False, False)
 
 
 def test_a_contact_deeper_than_half_the_piece_stops_the_run(tmp_path):
-    """A ball far too soft for its speed: m v^2 = K s^2 reaches half its diameter at v = s sqrt(K / m)."""
+    """A ball far too soft for its speed: m v^2 = K s^2 reaches half its diameter at v = s sqrt(K /
+    m).
+    """
     out = tmp_path / "run.h5"
     scene = balls(**{"material.softening": 1e-6, "piece.0.velocity": [0, 0, -3.0]})
     with pytest.raises(
-        SimulationError, match=r"piece 0 at .* contact with wall group 'plate' is 50\.. % .* material\.softening.*densifying"
+        SimulationError,
+        match=r"piece 0 at .* contact with wall group 'plate' is 50\.. % .* material\.softening.*densifying",
     ):
         dem_jax.simulate(scene, out=out)
     saved = dem_jax.load_run(out)
@@ -369,7 +462,9 @@ def uninterrupted(tmp_path_factory):
 
 
 @pytest.mark.parametrize("flushes", [2, 12])
-def test_a_killed_run_goes_on_and_ends_with_the_bits_of_one_that_was_not(tmp_path, uninterrupted, flushes):
+def test_a_killed_run_goes_on_and_ends_with_the_bits_of_one_that_was_not(
+    tmp_path, uninterrupted, flushes
+):
     """Killed while settling, and after the release."""
     (tmp_path / "scene.toml").write_text(settling().to_toml())
     out = tmp_path / "run.h5"
@@ -378,14 +473,18 @@ def test_a_killed_run_goes_on_and_ends_with_the_bits_of_one_that_was_not(tmp_pat
         "PYTHONPATH": os.pathsep.join(sys.path),
     }
     command = [sys.executable, "-c", KILLED, str(tmp_path / "scene.toml"), str(out), str(flushes)]
-    assert subprocess.run(command, env=environment, capture_output=True).returncode == -signal.SIGKILL
+    assert (
+        subprocess.run(command, env=environment, capture_output=True).returncode == -signal.SIGKILL
+    )
     with h5py.File(out) as file:
         held = len(file["time"]) if "time" in file else 0
     assert (held == 0) == (flushes == 2) and held < 667
     dem_jax.resume(out)
     with h5py.File(uninterrupted) as whole, h5py.File(out) as file:
         names = []
-        whole.visititems(lambda name, item: names.append(name) if isinstance(item, h5py.Dataset) else None)
+        whole.visititems(
+            lambda name, item: names.append(name) if isinstance(item, h5py.Dataset) else None
+        )
         assert len(names) > 60
         for name in names:
             np.testing.assert_array_equal(file[name][()], whole[name][()], err_msg=name)
@@ -406,7 +505,9 @@ def test_a_run_that_has_ended_goes_on_to_a_longer_duration(tmp_path, uninterrupt
 
 
 def test_grown_capacities_are_kept_over_a_restart(tmp_path, monkeypatch):
-    monkeypatch.setattr(assembly.system, "estimate_capacities", lambda *_: (("plates", 1, 1), ("spheres", 1, 1)))
+    monkeypatch.setattr(
+        assembly.system, "estimate_capacities", lambda *_: (("plates", 1, 1), ("spheres", 1, 1))
+    )
     dem_jax.simulate(crowd(), out=tmp_path / "whole.h5")
     dem_jax.simulate(crowd(**{"run.duration": 0.012}), out=tmp_path / "run.h5")
     resumed = dem_jax.resume(tmp_path / "run.h5", duration=0.02)
@@ -440,7 +541,9 @@ def test_a_restart_state_that_does_not_fit_is_refused(tmp_path, uninterrupted):
     out.write_bytes(uninterrupted.read_bytes())
     with h5py.File(out, "r+") as file:
         del file["restart/skin"]
-    with pytest.raises(RecordError, match=r"run\.h5 is damaged: .* the state to go on from is not what was written"):
+    with pytest.raises(
+        RecordError, match=r"run\.h5 is damaged: .* the state to go on from is not what was written"
+    ):
         dem_jax.resume(out, duration=1.0)
     with h5py.File(out, "r+") as file:
         del file["restart"].attrs["checksum"]  # files written before have none

@@ -1,4 +1,6 @@
-"""Shapes: mass properties against closed forms, combinatorics, zonotopes, hulls of points and STL files, errors."""
+"""Shapes: mass properties against closed forms, combinatorics, zonotopes, hulls of points and STL
+files, errors.
+"""
 
 import numpy as np
 import pytest
@@ -8,7 +10,8 @@ from dem_jax.errors import SceneError
 from dem_jax.math.pose import matrix_to_quaternion, quaternion_to_matrix
 
 ROUNDING = 1e-12  # relative; sums of some tens of double-precision terms
-SINGLE = 2e-6  # relative; an STL keeps coordinates to 6e-8, volume and inertia multiply 3 to 5 of them
+SINGLE = 2e-6  # relative; an STL keeps coordinates to 6e-8, volume and inertia multiply 3 to 5 of
+# them
 
 
 def rotation(seed):
@@ -30,7 +33,9 @@ def inertia_in_body_frame(shape):
 
 
 def assert_sound(shape):
-    """What holds for every polytope: convex planar faces, two on each edge, Euler's formula, centre at the origin."""
+    """What holds for every polytope: convex planar faces, two on each edge, Euler's formula, centre
+    at the origin.
+    """
     size = shape.bounding_radius
     assert len(shape.vertices) - len(shape.edges) + len(shape.faces) == 2
     for loop, normal, offset in zip(shape.faces, shape.normals, shape.offsets, strict=True):
@@ -54,12 +59,20 @@ def test_the_marshmallow_has_the_mass_inertia_and_form_of_the_paper():
     assert marshmallow.volume == pytest.approx(19440e-9, rel=ROUNDING)
     assert mass == pytest.approx(5.832e-3, rel=ROUNDING)
     # the inertia is known to seven digits
-    np.testing.assert_allclose(mass * marshmallow.gyration, (3.6855e-7, 1.494566e-6, 1.614284e-6), rtol=3e-7)
-    assert (len(marshmallow.vertices), len(marshmallow.faces), len(marshmallow.edges)) == (16, 10, 24)
+    np.testing.assert_allclose(
+        mass * marshmallow.gyration, (3.6855e-7, 1.494566e-6, 1.614284e-6), rtol=3e-7
+    )
+    assert (len(marshmallow.vertices), len(marshmallow.faces), len(marshmallow.edges)) == (
+        16,
+        10,
+        24,
+    )
     assert len(marshmallow.generators) == 5
     np.testing.assert_array_equal(marshmallow.principal, (1, 0, 0, 0))
     assert 2 * marshmallow.bounding_radius == pytest.approx(58.74e-3, abs=5e-6)  # given to 0.01 mm
-    np.testing.assert_allclose(np.ptp(marshmallow.vertices, axis=0), (0.055, 0.023, 0.016), rtol=ROUNDING)
+    np.testing.assert_allclose(
+        np.ptp(marshmallow.vertices, axis=0), (0.055, 0.023, 0.016), rtol=ROUNDING
+    )
     assert_sound(marshmallow)
 
 
@@ -69,7 +82,12 @@ def test_a_cuboid_has_its_closed_form_inertia():
     assert box.volume == pytest.approx(x * y * z, rel=ROUNDING)
     exact = np.array([y * y + z * z, x * x + z * z, x * x + y * y]) / 12
     np.testing.assert_allclose(box.gyration, exact, rtol=ROUNDING)
-    assert (len(box.vertices), len(box.faces), len(box.edges), len(box.edge_directions)) == (8, 6, 12, 3)
+    assert (len(box.vertices), len(box.faces), len(box.edges), len(box.edge_directions)) == (
+        8,
+        6,
+        12,
+        3,
+    )
     assert_sound(box)
 
 
@@ -79,10 +97,17 @@ def test_a_regular_prism_has_its_closed_form_inertia(sides):
     solid = shapes.prism(sides, radius, height)
     angle = 2 * np.pi / sides
     area = 0.5 * sides * radius**2 * np.sin(angle)
-    polar = radius**2 / 6 * (2 + np.cos(angle))  # second polar moment of a regular polygon over its area
+    polar = radius**2 / 6 * (2 + np.cos(angle))  # second polar moment of a regular polygon over its
+    # area
     assert solid.volume == pytest.approx(area * height, rel=ROUNDING)
-    np.testing.assert_allclose(solid.gyration, [polar / 2 + height**2 / 12] * 2 + [polar], rtol=ROUNDING)
-    assert (len(solid.vertices), len(solid.faces), len(solid.edges)) == (2 * sides, sides + 2, 3 * sides)
+    np.testing.assert_allclose(
+        solid.gyration, [polar / 2 + height**2 / 12] * 2 + [polar], rtol=ROUNDING
+    )
+    assert (len(solid.vertices), len(solid.faces), len(solid.edges)) == (
+        2 * sides,
+        sides + 2,
+        3 * sides,
+    )
     assert_sound(solid)
 
 
@@ -90,9 +115,15 @@ def test_a_regular_tetrahedron_has_its_closed_form_inertia():
     corners = np.array([(1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)]) * 0.01
     edge = 0.02 * np.sqrt(2)
     solid = shapes.convex_hull(corners @ rotation(1).T + (0.3, -0.2, 0.1))
-    assert solid.volume == pytest.approx(edge**3 / (6 * np.sqrt(2)), rel=1e-11)  # 0.4 m off the origin: a digit lost
+    assert solid.volume == pytest.approx(edge**3 / (6 * np.sqrt(2)), rel=1e-11)  # 0.4 m off the
+    # origin: a digit lost
     np.testing.assert_allclose(solid.gyration, edge**2 / 20, rtol=1e-10)
-    assert (len(solid.vertices), len(solid.faces), len(solid.edges), solid.generators) == (4, 4, 6, None)
+    assert (len(solid.vertices), len(solid.faces), len(solid.edges), solid.generators) == (
+        4,
+        4,
+        6,
+        None,
+    )
     assert_sound(solid)
 
 
@@ -102,7 +133,8 @@ def test_a_cylinder_has_the_exact_volume_and_nearly_the_exact_inertia():
         solid = shapes.cylinder(radius, height, sides)
         exact = np.array([radius**2 / 4 + height**2 / 12] * 2 + [radius**2 / 2])
         assert solid.volume == pytest.approx(np.pi * radius**2 * height, rel=ROUNDING)
-        # polar moment over the circle's of equal area: (a / sin a)(2 + cos a) / 3 = 1 + a^4/180 + O(a^6)
+        # polar moment over the circle's of equal area: (a / sin a)(2 + cos a) / 3 = 1 + a^4/180 +
+        # O(a^6)
         a = 2 * np.pi / sides
         assert solid.gyration[2] / exact[2] - 1 == pytest.approx(a**4 / 180, rel=0.15)
         assert np.abs(solid.gyration / exact - 1).max() < a**4 / 170
@@ -116,7 +148,11 @@ def test_a_sphere_has_its_closed_form_inertia():
     ball = shapes.sphere(0.01)
     assert ball.volume == pytest.approx(4 / 3 * np.pi * 1e-6, rel=ROUNDING)
     np.testing.assert_allclose(ball.gyration, 0.4e-4, rtol=ROUNDING)
-    assert ball.bounding_radius == 0.01 and ball.vertices.shape == (0, 3) and ball.edges.shape == (0, 2)
+    assert (
+        ball.bounding_radius == 0.01
+        and ball.vertices.shape == (0, 3)
+        and ball.edges.shape == (0, 2)
+    )
 
 
 ZONOTOPES = [
@@ -131,13 +167,16 @@ ZONOTOPES = [
 def test_a_zonotope_is_the_sum_of_its_generators(shape):
     directions = np.random.default_rng(0).normal(size=(500, 3))
     support = (directions @ shape.vertices.T).max(axis=1)
-    np.testing.assert_allclose(np.abs(directions @ shape.generators.T).sum(axis=1), support, rtol=ROUNDING)
+    np.testing.assert_allclose(
+        np.abs(directions @ shape.generators.T).sum(axis=1), support, rtol=ROUNDING
+    )
     unit = shape.generators / np.linalg.norm(shape.generators, axis=1, keepdims=True)
     np.testing.assert_allclose(unit, shape.edge_directions, atol=ROUNDING)
 
 
 def test_only_zonotopes_have_generators():
-    octahedron = shapes.convex_hull(np.concatenate([np.eye(3), -np.eye(3)]))  # its faces are triangles
+    octahedron = shapes.convex_hull(np.concatenate([np.eye(3), -np.eye(3)]))  # its faces are
+    # triangles
     assert octahedron.generators is None and len(octahedron.edge_directions) == 6
     assert shapes.prism(5, 1.0, 1.0).generators is None
     assert shapes.sphere(1.0).generators is None
@@ -149,13 +188,23 @@ def test_a_hull_finds_the_marshmallow_in_a_cloud_of_its_points_wherever_it_lies(
     weights = np.random.default_rng(4).dirichlet(np.ones(16), size=200)
     middles = np.concatenate([[exact.vertices[list(loop)].mean(axis=0)] for loop in exact.faces])
     halves = exact.vertices[exact.edges].mean(axis=1)
-    cloud = np.concatenate([exact.vertices, exact.vertices[:5], weights @ exact.vertices, middles, halves])
+    cloud = np.concatenate(
+        [exact.vertices, exact.vertices[:5], weights @ exact.vertices, middles, halves]
+    )
     found = shapes.convex_hull(cloud @ turn.T + move)
-    assert (len(found.vertices), len(found.faces), len(found.edges), len(found.edge_directions)) == (16, 10, 24, 5)
-    assert found.volume == pytest.approx(exact.volume, rel=1e-11)  # points half a metre off lose one digit
+    assert (
+        len(found.vertices),
+        len(found.faces),
+        len(found.edges),
+        len(found.edge_directions),
+    ) == (16, 10, 24, 5)
+    assert found.volume == pytest.approx(exact.volume, rel=1e-11)  # points half a metre off lose
+    # one digit
     assert found.generators is not None
     turned = turn @ np.diag(exact.gyration) @ turn.T
-    np.testing.assert_allclose(inertia_in_body_frame(found), turned, rtol=0, atol=1e-10 * exact.gyration.max())
+    np.testing.assert_allclose(
+        inertia_in_body_frame(found), turned, rtol=0, atol=1e-10 * exact.gyration.max()
+    )
     np.testing.assert_allclose(np.sort(found.gyration), np.sort(exact.gyration), rtol=1e-10)
     assert_sound(found)
 
@@ -170,7 +219,8 @@ def test_the_inertia_of_a_hull_does_not_depend_on_how_it_is_turned():
         assert other.volume == pytest.approx(first.volume, rel=ROUNDING)
         difference = inertia_in_body_frame(other) - turn @ inertia_in_body_frame(first) @ turn.T
         assert np.abs(difference).max() < ROUNDING * first.gyration.max()
-    assert first.principal[0] > 0.7  # the nearest of the 24 frames is taken: less than a quarter turn
+    assert first.principal[0] > 0.7  # the nearest of the 24 frames is taken: less than a quarter
+    # turn
 
 
 def test_a_body_whose_axes_are_principal_has_no_rotation():
@@ -182,11 +232,15 @@ def test_a_body_whose_axes_are_principal_has_no_rotation():
 def test_quaternions_and_matrices_are_inverse_to_each_other_up_to_half_turns():
     for seed in range(20):
         matrix = rotation(seed)
-        np.testing.assert_allclose(quaternion_to_matrix(matrix_to_quaternion(matrix)), matrix, atol=1e-14)
+        np.testing.assert_allclose(
+            quaternion_to_matrix(matrix_to_quaternion(matrix)), matrix, atol=1e-14
+        )
         assert np.linalg.det(matrix) == pytest.approx(1, rel=1e-14)
     for axis in np.eye(3):
         half_turn = 2 * np.outer(axis, axis) - np.eye(3)
-        np.testing.assert_allclose(quaternion_to_matrix(matrix_to_quaternion(half_turn)), half_turn, atol=1e-14)
+        np.testing.assert_allclose(
+            quaternion_to_matrix(matrix_to_quaternion(half_turn)), half_turn, atol=1e-14
+        )
     quarter = quaternion_to_matrix([np.sqrt(0.5), 0, 0, np.sqrt(0.5)])
     np.testing.assert_allclose(quarter @ [1, 0, 0], [0, 1, 0], atol=1e-15)
 
@@ -196,13 +250,22 @@ def test_an_stl_in_millimetres_gives_the_same_shape(tmp_path):
     turn = rotation(6)
     path = write_stl(tmp_path / "piece.stl", exact.vertices @ turn.T + 0.1, exact.faces, unit=1e-3)
     found = shapes.read_hull_shape(path, unit=1e-3)
-    assert (len(found.vertices), len(found.faces), len(found.edges), len(found.generators)) == (16, 10, 24, 5)
+    assert (len(found.vertices), len(found.faces), len(found.edges), len(found.generators)) == (
+        16,
+        10,
+        24,
+        5,
+    )
     assert found.volume == pytest.approx(exact.volume, rel=SINGLE)
     turned = turn @ np.diag(exact.gyration) @ turn.T
-    np.testing.assert_allclose(inertia_in_body_frame(found), turned, rtol=0, atol=SINGLE * exact.gyration.max())
+    np.testing.assert_allclose(
+        inertia_in_body_frame(found), turned, rtol=0, atol=SINGLE * exact.gyration.max()
+    )
     directions = np.random.default_rng(0).normal(size=(200, 3))
     np.testing.assert_allclose(
-        np.abs(directions @ found.generators.T).sum(axis=1), (directions @ found.vertices.T).max(axis=1), rtol=SINGLE
+        np.abs(directions @ found.generators.T).sum(axis=1),
+        (directions @ found.vertices.T).max(axis=1),
+        rtol=SINGLE,
     )
     assert_sound(found)
 
@@ -223,7 +286,9 @@ def test_scaling_goes_with_the_powers_of_length():
     direct = shapes.chamfered_cuboid((0.0165, 0.0069, 0.0048), 0.0015)
     assert small.volume == pytest.approx(0.027 * whole.volume, rel=ROUNDING)
     for field in ("vertices", "normals", "offsets", "gyration", "generators", "edge_directions"):
-        np.testing.assert_allclose(getattr(small, field), getattr(direct, field), rtol=1e-11, atol=1e-15)
+        np.testing.assert_allclose(
+            getattr(small, field), getattr(direct, field), rtol=1e-11, atol=1e-15
+        )
     assert small.bounding_radius == pytest.approx(direct.bounding_radius, rel=ROUNDING)
     ball = shapes.scale_shape(shapes.sphere(0.01), 2.0)
     assert ball.radius == 0.02 and ball.generators is None
@@ -233,7 +298,8 @@ def test_scaling_goes_with_the_powers_of_length():
 def test_named_sizes():
     marshmallow = shapes.chamfered_cuboid()
     sizes = {name: 1e3 * shapes.size_length(marshmallow, name) for name in shapes.SIZE_LENGTHS}
-    assert sizes.pop("equivalent-diameter") == pytest.approx(33.36, abs=0.005)  # given to 0.01 mm, as the next
+    assert sizes.pop("equivalent-diameter") == pytest.approx(33.36, abs=0.005)  # given to 0.01 mm,
+    # as the next
     assert sizes.pop("cube-root-volume") == pytest.approx(26.89, abs=0.005)
     assert sizes == pytest.approx({"length": 55, "width": 23, "thickness": 16}, rel=ROUNDING)
     assert shapes.size_length(shapes.sphere(0.01)) == pytest.approx(0.02, rel=ROUNDING)
@@ -262,10 +328,14 @@ def test_an_stl_that_is_no_convex_solid_is_refused_with_the_reason(tmp_path):
     closed = write_stl(tmp_path / "closed.stl", box.vertices, box.faces)
     assert shapes.read_hull_shape(closed).volume == pytest.approx(1, rel=SINGLE)
     opened = write_stl(tmp_path / "open.stl", box.vertices, box.faces[1:])
-    with pytest.raises(SceneError, match=r"open\.stl' is an open mesh: 4 edges .* at facets 3, 5, 7, 9 .*watertight"):
+    with pytest.raises(
+        SceneError,
+        match=r"open\.stl' is an open mesh: 4 edges .* at facets 3, 5, 7, 9 .*watertight",
+    ):
         shapes.read_hull_shape(opened)
     bent = write_stl(tmp_path / "bent.stl", *l_shape())
-    with pytest.raises(SceneError, match=r"not convex: its hull has 17 % more volume; at most 2 %"):  # 3.5 for 3
+    # 3.5 for 3
+    with pytest.raises(SceneError, match=r"not convex: its hull has 17 % more volume; at most 2 %"):
         shapes.read_hull_shape(bent)
     with pytest.raises(SceneError, match=r"no\.stl': there is no such file"):
         shapes.read_hull_shape(tmp_path / "no.stl")
@@ -287,21 +357,36 @@ def test_an_stl_that_is_no_convex_solid_is_refused_with_the_reason(tmp_path):
         (lambda: shapes.sphere(True), r"radius = True"),
         (lambda: shapes.cuboid((0.1, 0.0, 0.1)), r"size\[1\] = 0\.0"),
         (lambda: shapes.cuboid((0.1, 0.1)), r"size = \(0\.1, 0\.1\) must be three"),
-        (lambda: shapes.chamfered_cuboid(chamfer=0.0115), r"chamfer = 0\.0115 m must be less than half .* 0\.0115 m"),
+        (
+            lambda: shapes.chamfered_cuboid(chamfer=0.0115),
+            r"chamfer = 0\.0115 m must be less than half .* 0\.0115 m",
+        ),
         (lambda: shapes.chamfered_cuboid(chamfer=0.0), r"chamfer = 0\.0"),
         (lambda: shapes.prism(2, 1.0, 1.0), r"sides = 2 must be a whole number of at least 3"),
         (lambda: shapes.prism(6.0, 1.0, 1.0), r"sides = 6\.0"),
         (lambda: shapes.prism(6, 1.0, -1.0), r"height = -1\.0"),
         (lambda: shapes.cylinder(float("inf"), 1.0), r"radius = inf"),
-        (lambda: shapes.scale_shape(shapes.sphere(1.0), 0), r"scale_factor = 0 must be a positive number"),
+        (
+            lambda: shapes.scale_shape(shapes.sphere(1.0), 0),
+            r"scale_factor = 0 must be a positive number",
+        ),
         (
             lambda: shapes.size_length(shapes.sphere(1.0), "girth"),
             r"stiffness_size = 'girth' is unknown; allowed: equivalent-dia",
         ),
-        (lambda: shapes.convex_hull([(0, 0, 0), (1, 0, 0), (0, 1, 0)]), r"\[3, 3\] must be a list of at least 4"),
-        (lambda: shapes.convex_hull([(0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1, 1e-9)]), r"must span a solid"),
+        (
+            lambda: shapes.convex_hull([(0, 0, 0), (1, 0, 0), (0, 1, 0)]),
+            r"\[3, 3\] must be a list of at least 4",
+        ),
+        (
+            lambda: shapes.convex_hull([(0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1, 1e-9)]),
+            r"must span a solid",
+        ),
         (lambda: shapes.convex_hull(np.zeros((5, 3))), r"must span a solid"),
-        (lambda: shapes.convex_hull([(0, 0, 0), (1, 0, 0), (0, 1, np.nan), (1, 1, 1)]), r"points\[2\] must be finite"),
+        (
+            lambda: shapes.convex_hull([(0, 0, 0), (1, 0, 0), (0, 1, np.nan), (1, 1, 1)]),
+            r"points\[2\] must be finite",
+        ),
         (lambda: shapes.convex_hull([(0, 0), (1, 2)]), r"points of form \[2, 2\]"),
     ],
 )
@@ -312,10 +397,14 @@ def test_bad_sizes_are_refused_by_key_and_value(make, message):
 
 
 def test_a_hull_of_two_thousand_facets_has_the_combinatorics_of_a_triangulated_sphere():
-    """Points evenly on a sphere (a golden spiral): every facet is a triangle, so that F = 2 V - 4 and E = 3 V - 6."""
+    """Points evenly on a sphere (a golden spiral): every facet is a triangle, so that F = 2 V - 4
+    and E = 3 V - 6.
+    """
     z, turn = 1 - (2 * np.arange(1002) + 1) / 1002, np.pi * (3 - np.sqrt(5)) * np.arange(1002)
     ring = np.sqrt(1 - z * z)
-    found = shapes.convex_hull(0.01 * np.stack([ring * np.cos(turn), ring * np.sin(turn), z], axis=1))
+    found = shapes.convex_hull(
+        0.01 * np.stack([ring * np.cos(turn), ring * np.sin(turn), z], axis=1)
+    )
     assert (len(found.vertices), len(found.faces), len(found.edges)) == (1002, 2000, 3000)
     assert found.generators is None
     assert_sound(found)

@@ -1,4 +1,6 @@
-"""Hulls of many corners: they load in time, and are replaced by hulls of few that are nearly the same body, and said to be."""
+"""Hulls of many corners: they load in time, and are replaced by hulls of few that are nearly the
+same body, and said to be.
+"""
 
 import numpy as np
 import pytest
@@ -39,10 +41,14 @@ def test_a_simplified_hull_has_the_volume_the_centre_and_nearly_the_inertia_of_t
     assert len(found.points) == len(few.vertices) == 128 and found.before == 700
     assert few.volume == pytest.approx(whole[0].volume, rel=1e-12)
     np.testing.assert_allclose(centre, whole[1], atol=1e-12)
-    moments = [np.linalg.eigvalsh(s.gyration if s.gyration.ndim == 2 else np.diag(s.gyration)) for s in (few, whole[0])]
+    moments = [
+        np.linalg.eigvalsh(s.gyration if s.gyration.ndim == 2 else np.diag(s.gyration))
+        for s in (few, whole[0])
+    ]
     assert np.abs(moments[0] / moments[1] - 1).max() == pytest.approx(found.inertia, rel=1e-6)
     assert found.inertia < 0.02
-    # no point of one is further from the other than is said, by their supports in many directions, and one nearly is
+    # no point of one is further from the other than is said, by their supports in many directions,
+    # and one nearly is
     directions = np.random.default_rng(1).normal(size=(20000, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     apart = np.abs((points @ directions.T).max(0) - (found.points @ directions.T).max(0)).max()
@@ -57,7 +63,9 @@ def test_more_corners_are_nearer_to_the_whole():
 
 def test_a_flat_base_stays_flat():
     around = np.linspace(0, 2 * np.pi, 300, endpoint=False)
-    cone = np.vstack([np.c_[0.01 * np.cos(around), 0.01 * np.sin(around), 0 * around], [[0, 0, 0.03]]])
+    cone = np.vstack(
+        [np.c_[0.01 * np.cos(around), 0.01 * np.sin(around), 0 * around], [[0, 0, 0.03]]]
+    )
     found = shapes.convex_hull(shapes.simplify_hull(cone, 64).points)
     assert sorted(len(face) for face in found.faces)[-1] == 63
 
@@ -72,7 +80,10 @@ def test_a_scene_says_what_simplifying_changed_and_may_ask_for_all_corners(stl):
     all_of_them = few.replace(portion={"max_corners": 300})
     assert len(inline_files(all_of_them).portion.points) == 265
     assert inline_files(all_of_them).portion.note is None
-    made = [assembly.piece_arrays.build_piece_set(scene).shapes[0] for scene in (few, contained, all_of_them)]
+    made = [
+        assembly.piece_arrays.build_piece_set(scene).shapes[0]
+        for scene in (few, contained, all_of_them)
+    ]
     assert [len(shape.vertices) for shape in made] == [128, 128, 265]
     assert made[0].volume == pytest.approx(made[2].volume, rel=1e-6)
 
@@ -87,9 +98,13 @@ def test_parts_of_a_compound_are_simplified_too_and_named(stl):
 
 def test_max_corners_is_a_key_of_hulls_alone_and_not_too_small():
     with pytest.raises(SceneError, match="portion.max_corners = 20: not a key of shape 'cuboid'"):
-        assembly.assemble_system(Scene(portion={"shape": "cuboid", "size": (0.01, 0.01, 0.01), "max_corners": 20}))
+        assembly.assemble_system(
+            Scene(portion={"shape": "cuboid", "size": (0.01, 0.01, 0.01), "max_corners": 20})
+        )
     with pytest.raises(SceneError, match="portion.max_corners = 5: "):
-        load_scene("weigh-bucket").replace(portion={"shape": "hull", "points": ellipsoid(20).tolist(), "max_corners": 5})
+        load_scene("weigh-bucket").replace(
+            portion={"shape": "hull", "points": ellipsoid(20).tolist(), "max_corners": 5}
+        )
 
 
 @pytest.mark.parametrize("noise", [0.0, 1e-9, 5e-9])

@@ -1,7 +1,7 @@
 """What a scene does not need is left out: the same trace with it and without, to rounding.
 
-All at once, and each by itself (which takes a program each: long). Elsewhere: ways of searching for pairs (test_pairs), blocks
-of slots and the jump of free fall (test_blocks).
+All at once, and each by itself (which takes a program each: long). Elsewhere: ways of searching for
+pairs (test_pairs), blocks of slots and the jump of free fall (test_blocks).
 """
 
 from functools import cache
@@ -26,10 +26,26 @@ FLOOR = [(-SIZE, -SIZE, 0.0), (SIZE, -SIZE, 0.0), (SIZE, SIZE, 0.0), (-SIZE, SIZ
 SIDE = [(SIZE, -SIZE, 0.0), (SIZE, -SIZE, 0.1), (SIZE, SIZE, 0.1), (SIZE, SIZE, 0.0)]
 BEHIND = [(-SIZE, -SIZE, 0.0), (-SIZE, SIZE, 0.0), (-SIZE, SIZE, 0.1), (-SIZE, -SIZE, 0.1)]
 THROWN = (  # onto the floor, against the walls, and one onto another, each at a time of its own
-    {"position": (0.03, 0.0, 0.0102), "velocity": (0.5, 0.1, -0.8), "orientation": (1.0, 0.01, 0.02, 0.1)},
-    {"position": (0.07, 0.055, 0.03), "velocity": (1.5, 0.0, 0.0), "orientation": (1.0, 0.1, 0.2, 0.0)},
-    {"position": (-0.067, 0.03, 0.03), "velocity": (-2.0, 0.0, -0.1), "angular_velocity": (5.0, 20.0, 0.0)},
-    {"position": (0.03, 0.005, 0.032), "velocity": (0.3, 0.0, -2.0), "orientation": (1.0, 0.02, -0.02, 0.3)},
+    {
+        "position": (0.03, 0.0, 0.0102),
+        "velocity": (0.5, 0.1, -0.8),
+        "orientation": (1.0, 0.01, 0.02, 0.1),
+    },
+    {
+        "position": (0.07, 0.055, 0.03),
+        "velocity": (1.5, 0.0, 0.0),
+        "orientation": (1.0, 0.1, 0.2, 0.0),
+    },
+    {
+        "position": (-0.067, 0.03, 0.03),
+        "velocity": (-2.0, 0.0, -0.1),
+        "angular_velocity": (5.0, 20.0, 0.0),
+    },
+    {
+        "position": (0.03, 0.005, 0.032),
+        "velocity": (0.3, 0.0, -2.0),
+        "orientation": (1.0, 0.02, -0.02, 0.3),
+    },
 )
 BALLS = tuple(
     {"shape": "sphere", "radius": 0.012, "position": place, "velocity": way}
@@ -46,14 +62,20 @@ def scene(pieces=THROWN, panels=(), **sections):
     """Pieces in a box of three walls in groups of their own, and more panels."""
     walls = [*zip(("floor", "side", "behind"), (FLOOR, SIDE, BEHIND), strict=True), *panels]
     settings = {"precision": "f64", "sample": 3e-5, "frames": 0.0} | sections.pop("run", {})
-    return Scene(piece=pieces, wall=[{"group": g, "corners": c} for g, c in walls], run=settings, **sections)
+    return Scene(
+        piece=pieces, wall=[{"group": g, "corners": c} for g, c in walls], run=settings, **sections
+    )
 
 
 def traced(made, frames=0, **choices):
     """Samples of a scene that was built, with some of the system's fields replaced."""
     system = made.system.replace(**choices)
-    state = overflow_recovery.with_empty_scratch(system, made.state.replace(contacts=neighbour_list.init_contact_tables(system)))
-    state, rows, _ = stepping.run_compiled_chunk(system, state, np.int32(SAMPLES), np.int32(50), samples=SAMPLES, frames=frames)
+    state = overflow_recovery.with_empty_scratch(
+        system, made.state.replace(contacts=neighbour_list.init_contact_tables(system))
+    )
+    state, rows, _ = stepping.run_compiled_chunk(
+        system, state, np.int32(SAMPLES), np.int32(50), samples=SAMPLES, frames=frames
+    )
     assert not overflow_recovery.describe_overflow(system, jax.device_get(state.guard))
     return jax.device_get(rows)
 
@@ -79,13 +101,21 @@ def assert_all_struck(rows):
         assert struck.any() and not struck[0]
 
 
-def assert_same(rows, others, fields=("force", "mean_force", "torque", "momentum", "energy", "overlap", "fastest")):
-    """Fields that have one value for each wall group may have more groups in ``rows`` than in ``others``."""
+def assert_same(
+    rows,
+    others,
+    fields=("force", "mean_force", "torque", "momentum", "energy", "overlap", "fastest"),
+):
+    """Fields that have one value for each wall group may have more groups in ``rows`` than in
+    ``others``.
+    """
     for name in fields:
         one, other = getattr(rows, name), getattr(others, name)
         if one.ndim == 3:
             one = one[..., : other.shape[-1]]
-        np.testing.assert_allclose(one, other, rtol=0, atol=ROUNDING * np.abs(other).max(), err_msg=name)
+        np.testing.assert_allclose(
+            one, other, rtol=0, atol=ROUNDING * np.abs(other).max(), err_msg=name
+        )
 
 
 def moving_by_nothing(made):
@@ -112,10 +142,14 @@ def in_each_step(system):
 
 
 def with_seams(pieces=THROWN, **sections):
-    """The scene with two panels more, in one plane below the floor, which bring in the computation of seams."""
+    """The scene with two panels more, in one plane below the floor, which bring in the computation
+    of seams.
+    """
     x, z = 0.5 * SIZE, -0.3
     far = [[(a, -x, z), (a + x, -x, z), (a + x, x, z), (a, x, z)] for a in (-x, 0.0)]
-    return assembly.assemble_system(scene(pieces, panels=[("far", corners) for corners in far], **sections), 0)
+    return assembly.assemble_system(
+        scene(pieces, panels=[("far", corners) for corners in far], **sections), 0
+    )
 
 
 def smooth(made):
@@ -125,14 +159,28 @@ def smooth(made):
 
 @pytest.mark.parametrize("balls", [False, True])
 def test_all_at_once(balls):
-    """As the driver runs a scene without friction on a CPU, and with all computed of which none is needed there."""
+    """As the driver runs a scene without friction on a CPU, and with all computed of which none is
+    needed there.
+    """
     made = built(friction=False, balls=balls)
     system = made.system
-    assert system.materials.friction is None and system.law.damping is None and system.alike and not system.walls.has_motion
+    assert (
+        system.materials.friction is None
+        and system.law.damping is None
+        and system.alike
+        and not system.walls.has_motion
+    )
     assert system.has_rotation != balls and system.block_steps > 1
     least = traced(made, ledger=False, slot_block=SLOT_BLOCK)
-    full = with_seams(BALLS if balls else THROWN, material={"friction_piece": 0.0, "friction_wall": 0.0})
-    whole = {"materials": smooth(full), "law": damped_by_nothing(full), "walls": moving_by_nothing(full), "alike": ()}
+    full = with_seams(
+        BALLS if balls else THROWN, material={"friction_piece": 0.0, "friction_wall": 0.0}
+    )
+    whole = {
+        "materials": smooth(full),
+        "law": damped_by_nothing(full),
+        "walls": moving_by_nothing(full),
+        "alike": (),
+    }
     rows = traced(full, frames=4, has_rotation=True, **whole, **in_each_step(full.system))
     assert_all_struck(least)
     assert_same(rows, least, ("force", "mean_force", "torque", "momentum", "overlap", "fastest"))
@@ -151,7 +199,9 @@ def test_rotation_left_out_of_spheres_without_friction(friction):
     made = built(friction=False, balls=True)
     assert not made.system.has_rotation
     materials = smooth(made) if friction else made.system.materials
-    assert_same(traced(made, has_rotation=True, materials=materials), as_built(friction=False, balls=True))
+    assert_same(
+        traced(made, has_rotation=True, materials=materials), as_built(friction=False, balls=True)
+    )
 
 
 @pytest.mark.long
@@ -162,7 +212,11 @@ def test_damping_left_out_where_its_ratio_is_zero():
 @pytest.mark.long
 def test_the_ledger_changes_nothing_but_itself():
     assert built().system.ledger
-    assert_same(traced(built(), ledger=False), as_built(), ("force", "mean_force", "torque", "momentum", "overlap", "fastest"))
+    assert_same(
+        traced(built(), ledger=False),
+        as_built(),
+        ("force", "mean_force", "torque", "momentum", "overlap", "fastest"),
+    )
 
 
 @pytest.mark.long
@@ -194,7 +248,9 @@ def test_seams_that_nothing_touches():
 
 @pytest.mark.long
 def test_candidates_of_a_window_as_those_of_every_step():
-    """A rebuild before each step finds what one before each ninth sample did: contacts begin within the windows."""
+    """A rebuild before each step finds what one before each ninth sample did: contacts begin within
+    the windows.
+    """
     system = built().system
     assert system.block_steps == 48
     each = in_each_step(system)
@@ -208,4 +264,7 @@ def test_candidates_of_a_window_as_those_of_every_step():
 @pytest.mark.parametrize("balls", [False, True])
 def test_blocks_of_slots_and_jumps(balls):
     """As the driver runs it on a CPU."""
-    assert_same(traced(built(friction=not balls, balls=balls), slot_block=SLOT_BLOCK), as_built(not balls, balls))
+    assert_same(
+        traced(built(friction=not balls, balls=balls), slot_block=SLOT_BLOCK),
+        as_built(not balls, balls),
+    )

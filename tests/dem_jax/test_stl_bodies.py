@@ -1,4 +1,6 @@
-"""Bodies of STL files as people have them: mended, united, nearly convex, with the mass of the mesh, or refused by facet."""
+"""Bodies of STL files as people have them: mended, united, nearly convex, with the mass of the
+mesh, or refused by facet.
+"""
 
 import re
 
@@ -11,7 +13,8 @@ from dem_jax.errors import SceneError
 from dem_jax.math.pose import quaternion_to_matrix
 from dem_jax.scene import load_scene, parse_scene
 
-SINGLE = 2e-6  # relative; an STL keeps coordinates to 6e-8, volume and inertia multiply 3 to 5 of them
+SINGLE = 2e-6  # relative; an STL keeps coordinates to 6e-8, volume and inertia multiply 3 to 5 of
+# them
 
 
 def box(size=(10, 20, 30), at=(0, 0, 0)):
@@ -32,7 +35,9 @@ def turned(corners, *facets):
 
 def write(path, *bodies):
     corners = np.concatenate(bodies)
-    trimesh.Trimesh(corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3), process=False).export(path)
+    trimesh.Trimesh(
+        corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3), process=False
+    ).export(path)
     return path
 
 
@@ -57,13 +62,21 @@ MENDED = [
     (np.concatenate([box(), box()[3:4]]), 6000, "mended: 1 duplicated facet left out"),
     (np.concatenate([box(), box()]), 6000, "mended: 12 duplicated facets left out"),
     (np.concatenate([box(), box()[:, ::-1]]), 6000, "mended: 12 duplicated facets left out"),
-    (np.concatenate([ball(), ball()[100:140, ::-1]]), BALL, "mended: 40 duplicated facets left out"),
+    (
+        np.concatenate([ball(), ball()[100:140, ::-1]]),
+        BALL,
+        "mended: 40 duplicated facets left out",
+    ),
     (turned(box(), 0), 6000, "mended: 1 facet turned round"),
     (turned(ball(), 3, 70, 400), BALL, "mended: 3 facets turned round"),
     (box()[:, ::-1], 6000, "facets that looked inwards turned round"),
     (ball()[1:], BALL, r"mended: 1 hole of 3 edges closed \(0\.073 % of the surface\)"),
     (box()[1:], 6000, r"mended: 1 hole of 3 edges closed \(14 % of the surface\)"),
-    (np.delete(box(), [1, 10], axis=0), 6000, r"mended: 2 holes of 3 edges closed \(20 % of the surface\)"),
+    (
+        np.delete(box(), [1, 10], axis=0),
+        6000,
+        r"mended: 2 holes of 3 edges closed \(20 % of the surface\)",
+    ),
     (np.concatenate([box(), [box()[0, [0, 0, 1]]]]), 6000, "mended: 1 facet without area left out"),
     (split_edge(), 6000, r"mended: 1 hole of 3 edges closed \(0 % of the surface\)"),
     (box() + SHAKEN, 6000, r"mended: cracks up to 3\.7e-05 \(units of the file\) welded"),
@@ -73,7 +86,8 @@ MENDED = [
 @pytest.mark.parametrize(("facets", "volume", "said"), MENDED)
 def test_a_mesh_with_small_faults_is_mended_and_it_is_said_how(facets, volume, said, tmp_path):
     found = shapes.read_body(write(tmp_path / "body.stl", facets))
-    shaken = 1e-5 if facets.shape == SHAKEN.shape else 0.0  # of a box that is shaken by a millionth of its size
+    shaken = 1e-5 if facets.shape == SHAKEN.shape else 0.0  # of a box that is shaken by a millionth
+    # of its size
     assert found.mass.volume == pytest.approx(volume, rel=SINGLE + shaken)
     assert found.outer.is_volume
     assert len(found.notes) == (said is not None)
@@ -102,12 +116,20 @@ def test_what_cannot_be_mended_or_is_no_one_body_is_refused_in_one_line(facets, 
 
 BIG, SMALL = box((30, 30, 30)), box((10, 10, 10))
 UNITED = [
-    ([box((20, 10, 10), (10, 5, 5)), box((10, 20, 10), (5, 10, 5))], 3000, ["2 bodies united, which share 33 % of the volume"]),
+    (
+        [box((20, 10, 10), (10, 5, 5)), box((10, 20, 10), (5, 10, 5))],
+        3000,
+        ["2 bodies united, which share 33 % of the volume"],
+    ),
     ([SMALL, SMALL + (10, 0, 0)], 2000, ["2 bodies united, which share 0 % of the volume"]),
     ([SMALL, SMALL + (10, 3, 2)], 2000, ["2 bodies united, which share 0 % of the volume"]),
     ([BIG, SMALL], 27000, ["2 bodies united, which share 3.7 % of the volume"]),
     ([BIG, SMALL[:, ::-1]], 26000, ["3.7 % of the volume are cavities"]),
-    ([BIG[:, ::-1], SMALL], 26000, ["facets that looked inwards turned round", "3.7 % of the volume are cavities"]),
+    (
+        [BIG[:, ::-1], SMALL],
+        26000,
+        ["facets that looked inwards turned round", "3.7 % of the volume are cavities"],
+    ),
     ([BIG, SMALL[:, ::-1], SMALL], 27000, ["mended: 24 duplicated facets left out"]),
 ]
 
@@ -127,22 +149,27 @@ def closed_tube(curve, radius, sides=16):
     up = np.cross(along, across)
     across, up = (each / np.linalg.norm(each, axis=1, keepdims=True) for each in (across, up))
     turn = 2 * np.pi * np.arange(sides)[:, None] / sides
-    points = curve[:, None] + radius * (np.cos(turn) * across[:, None] + np.sin(turn) * up[:, None])  # [N, sides, 3]
+    # [N, sides, 3]
+    points = curve[:, None] + radius * (np.cos(turn) * across[:, None] + np.sin(turn) * up[:, None])
     a, b = points, np.roll(points, -1, axis=0)
     c, d = np.roll(b, -1, axis=1), np.roll(a, -1, axis=1)
-    return np.concatenate([np.stack(each, axis=2).reshape(-1, 3, 3) for each in ((a, c, b), (a, d, c))]).reshape(
-        2 * count * sides, 3, 3
-    )
+    return np.concatenate(
+        [np.stack(each, axis=2).reshape(-1, 3, 3) for each in ((a, c, b), (a, d, c))]
+    ).reshape(2 * count * sides, 3, 3)
 
 
 def looped(lift):
-    """A tube of radius 2 along a figure of eight, whose strands are 2 * lift apart where they cross."""
+    """A tube of radius 2 along a figure of eight, whose strands are 2 * lift apart where they
+    cross.
+    """
     turn = 2 * np.pi * np.arange(60) / 60
     return closed_tube(np.c_[20 * np.sin(turn), 10 * np.sin(2 * turn), lift * np.cos(turn)], 2.0)
 
 
 def test_a_surface_that_crosses_itself_is_refused_by_its_place(tmp_path):
-    """Two cylinders of radius 2 that cross at an angle share 16/3 * 2^3 / sin(angle); here 90 degrees: 42.7 of 1487, 2.9 %."""
+    """Two cylinders of radius 2 that cross at an angle share 16/3 * 2^3 / sin(angle); here 90
+    degrees: 42.7 of 1487, 2.9 %.
+    """
     message = r"crosses itself: its surface holds 2\.[789] % of the volume twice or inside out, about \[-?0\.0\d*, -?0\.0\d*, "
     for facets in (looped(0.0), looped(0.0)[:, ::-1]):
         with pytest.raises(SceneError, match=message):
@@ -165,16 +192,25 @@ def test_a_scan_with_noise_is_told_the_key_and_the_value_that_take_it(tmp_path):
     noise = 1 + 0.01 * np.random.default_rng(0).standard_normal((len(rough.vertices), 1))
     facets = (rough.vertices * noise * (10, 7, 5))[rough.faces]
     path = write(tmp_path / "body.stl", facets)
-    with pytest.raises(SceneError, match=r"hull has 2\.\d % more volume; .* hull_tolerance = 0\.0\d+ takes its hull") as caught:
+    with pytest.raises(
+        SceneError,
+        match=r"hull has 2\.\d % more volume; .* hull_tolerance = 0\.0\d+ takes its hull",
+    ) as caught:
         shapes.read_hull_shape(path)
     value = float(re.search(r"hull_tolerance = ([\d.]+) takes", str(caught.value)).group(1))
-    assert shapes.read_hull_shape(path, tolerance=value).volume == pytest.approx(shapes.read_body(path).mass.volume, rel=SINGLE)
+    assert shapes.read_hull_shape(path, tolerance=value).volume == pytest.approx(
+        shapes.read_body(path).mass.volume, rel=SINGLE
+    )
 
 
 def test_no_tolerance_is_named_that_a_scene_cannot_set(tmp_path):
-    """Three bars of 20 x 2 x 2 through each other: 20^3 less the corners of the hull, for 3 * 80 - 2 * 8."""
+    """Three bars of 20 x 2 x 2 through each other: 20^3 less the corners of the hull, for 3 * 80 -
+    2 * 8.
+    """
     bars = [box(np.roll((20, 2, 2), k)) for k in range(3)]
-    with pytest.raises(SceneError, match=r'\(hull_tolerance\); shape = "decomposed" cuts it into convex parts$'):
+    with pytest.raises(
+        SceneError, match=r'\(hull_tolerance\); shape = "decomposed" cuts it into convex parts$'
+    ):
         shapes.read_hull_shape(write(tmp_path / "body.stl", *bars))
 
 
@@ -187,27 +223,41 @@ def test_a_hollow_cube_is_a_hull_with_the_inertia_of_what_is_there(tmp_path):
 
 
 def test_overlapping_boxes_are_no_hull(tmp_path):
-    path = write(tmp_path / "body.stl", *UNITED[0][0])  # an L: its hull has 3500 for 3000, the sum of both is 4000
-    with pytest.raises(SceneError, match=r"not convex: its hull has 17 % more volume; at most 2 % .*hull_tolerance"):
+    path = write(tmp_path / "body.stl", *UNITED[0][0])  # an L: its hull has 3500 for 3000, the sum
+    # of both is 4000
+    with pytest.raises(
+        SceneError, match=r"not convex: its hull has 17 % more volume; at most 2 % .*hull_tolerance"
+    ):
         shapes.read_hull_shape(path)
 
 
 def dimpled():
-    """A cube of edge 20 with a pyramid of base 20 x 20 and depth 1.5 cut out of its top: 2.56 % from convex at 7800 for 8000."""
+    """A cube of edge 20 with a pyramid of base 20 x 20 and depth 1.5 cut out of its top: 2.56 %
+    from convex at 7800 for 8000.
+    """
     corners = box((20, 20, 20))
     top = np.flatnonzero((corners[:, :, 2] > 9).all(axis=1))
     loop = np.array([(-10, -10, 10), (10, -10, 10), (10, 10, 10), (-10, 10, 10)], float)
     apex = np.array([0, 0, 8.5])
-    return np.concatenate([np.delete(corners, top, axis=0), [(loop[k], loop[(k + 1) % 4], apex) for k in range(4)]])
+    return np.concatenate(
+        [np.delete(corners, top, axis=0), [(loop[k], loop[(k + 1) % 4], apex) for k in range(4)]]
+    )
 
 
 def test_a_nearly_convex_mesh_is_a_hull_with_the_mass_properties_of_the_mesh(tmp_path):
-    """A cube less a pyramid: volume 8000 - 200, centre of mass by moments, inertia about z (a^5/6 - h b^4/30) / volume."""
+    """A cube less a pyramid: volume 8000 - 200, centre of mass by moments, inertia about z (a^5/6 -
+    h b^4/30) / volume.
+    """
     path = write(tmp_path / "dimple.stl", dimpled())
-    with pytest.raises(SceneError, match=r"its hull has 2\.6 % more volume; at most 2 % is allowed \(hull_tolerance\)"):
+    with pytest.raises(
+        SceneError,
+        match=r"its hull has 2\.6 % more volume; at most 2 % is allowed \(hull_tolerance\)",
+    ):
         shapes.read_hull_shape(path)
     found = shapes.read_hull(path, tolerance=0.03)
-    assert found.notes == ("its convex hull, with 2.6 % more volume, touches others; mass and inertia are the mesh's",)
+    assert found.notes == (
+        "its convex hull, with 2.6 % more volume, touches others; mass and inertia are the mesh's",
+    )
     shape = shapes.read_hull_shape(path, tolerance=0.03)
     centre = -200 * (10 - 1.5 / 4) / 7800  # z of the mesh; of the cube 0
     assert shape.volume == pytest.approx(7800, rel=SINGLE)
@@ -220,7 +270,9 @@ def test_a_nearly_convex_mesh_is_a_hull_with_the_mass_properties_of_the_mesh(tmp
 def test_a_nearly_convex_piece_keeps_the_mass_asked_also_in_its_own_file(tmp_path):
     write(tmp_path / "dimple.stl", dimpled())
     rows = '[[piece]]\nshape = "hull"\nstl = "dimple.stl"\nunit = 1e-3\nhull_tolerance = 0.03\nposition = [0, 0, 0.1]\n'
-    scene = load_scene("plate-drop").replace(piece=[parse_scene(rows).piece[0].model_dump()], folder=str(tmp_path))
+    scene = load_scene("plate-drop").replace(
+        piece=[parse_scene(rows).piece[0].model_dump()], folder=str(tmp_path)
+    )
     asked = scene.replace(piece=[scene.piece[0].model_dump() | {"piece_weight": 0.012}])
     for given, mass in ((scene, 300 * 7.8e-6), (asked, 0.012)):
         kept = parse_scene(assembly.inline_files(given).to_toml())
@@ -237,10 +289,18 @@ def test_keys_of_a_hull_that_cannot_act_are_refused(tmp_path):
     mass = {"volume": 1.0, "centre": (0, 0, 0), "gyration": (1, 1, 1, 0, 0, 0)}
     for keys, message in (
         ({"points": points, "hull_tolerance": 0.01}, "hull_tolerance: no effect beside points"),
-        ({"stl": "box.stl", "unit": 1.0, "mass_properties": mass}, "mass_properties: no effect beside stl"),
-        ({"points": points, "mass_properties": mass | {"centre": (99, 0, 0)}}, r"mass_properties\.centre = .* is not inside"),
+        (
+            {"stl": "box.stl", "unit": 1.0, "mass_properties": mass},
+            "mass_properties: no effect beside stl",
+        ),
+        (
+            {"points": points, "mass_properties": mass | {"centre": (99, 0, 0)}},
+            r"mass_properties\.centre = .* is not inside",
+        ),
     ):
-        scene = load_scene("plate-drop").replace(piece=[{"shape": "hull", "position": (0, 0, 99), **keys}])
+        scene = load_scene("plate-drop").replace(
+            piece=[{"shape": "hull", "position": (0, 0, 99), **keys}]
+        )
         with pytest.raises(SceneError, match=message):
             assembly.piece_arrays.make_shape(scene.piece[0], tmp_path)
 

@@ -1,4 +1,6 @@
-"""Studies: every drop is the run of its own scene, nothing is computed twice, and what is said follows from the drops."""
+"""Studies: every drop is the run of its own scene, nothing is computed twice, and what is said
+follows from the drops.
+"""
 
 from html import escape
 from pathlib import Path
@@ -48,7 +50,9 @@ def done(tmp_path_factory):
 def test_a_grid_takes_each_value_with_each(done):
     found, _ = done
     assert list_points(found.study) == [
-        {"material.softening": a, "material.restitution": b} for a in (0.01, 0.1) for b in (0.3, 0.6)
+        {"material.softening": a, "material.restitution": b}
+        for a in (0.01, 0.1)
+        for b in (0.3, 0.6)
     ]
     assert found.state.tolist() == [results_file.DONE] * 8
 
@@ -59,7 +63,9 @@ def test_every_drop_is_the_run_of_its_own_scene(done):
         scene = found.study.base().replace(list_points(found.study)[member // 2])
         alone = dem_jax.simulate(scene, seed=member % 2)
         for name in select_drop_outputs(found.study.outputs):
-            np.testing.assert_array_equal(found.outputs[name][member], evaluate_outputs(alone, (name,))[name][0], err_msg=name)
+            np.testing.assert_array_equal(
+                found.outputs[name][member], evaluate_outputs(alone, (name,))[name][0], err_msg=name
+            )
         np.testing.assert_array_equal(found.force[member], alone.pif_kg("plate").astype(np.float32))
     assert np.ptp(found.outputs["peak"]) > 0.05
 
@@ -70,28 +76,39 @@ def test_a_file_that_varies_is_read_for_each_point():
         trimesh.Trimesh(square + [0.0, 0.0, height], [[0, 1, 2], [0, 2, 3]]).export(name)
     changes = BALL["set"] | {"wall": [{"group": "plate", "stl": "near.stl"}]}
     files = {"wall.0.stl": {"values": ["near.stl", "far.stl"]}}
-    found = study_runner.run_study(ball(set=changes, parameter=files, seeds=1, points=1, outputs=["peak", "time_of_peak"]))
+    found = study_runner.run_study(
+        ball(set=changes, parameter=files, seeds=1, points=1, outputs=["peak", "time_of_peak"])
+    )
     assert found.state.tolist() == [results_file.DONE] * 2
     near, far = found.outputs["time_of_peak"]
     assert far > near + 1e-3
-    for member, scene in enumerate(found.study.base_scene().replace(point) for point in list_points(found.study)):
-        np.testing.assert_array_equal(found.force[member], dem_jax.simulate(scene).pif_kg("plate").astype(np.float32))
+    for member, scene in enumerate(
+        found.study.base_scene().replace(point) for point in list_points(found.study)
+    ):
+        np.testing.assert_array_equal(
+            found.force[member], dem_jax.simulate(scene).pif_kg("plate").astype(np.float32)
+        )
 
 
 def test_a_second_burst_is_told_from_ripples():
     time, sigma = 1e-4 * np.arange(1, 1001), 5e-3
-    bursts = lambda *rows: sum(h * np.exp(-0.5 * ((time - t) / sigma) ** 2) for h, t in rows)  # noqa: E731
-    force = np.array([bursts((4.0, 0.03), (2.0, 0.06)), bursts((4.0, 0.03), (0.6, 0.06)), bursts((3.0, 0.04))])
+    bursts = lambda *rows: sum(h * np.exp(-0.5 * ((time - t) / sigma) ** 2) for h, t in rows)
+    force = np.array(
+        [bursts((4.0, 0.03), (2.0, 0.06)), bursts((4.0, 0.03), (0.6, 0.06)), bursts((3.0, 0.04))]
+    )
     force = force * (1 + 0.05 * np.sin(2 * np.pi * time / 2.5e-3))
     made = OutputTraces(SimpleNamespace(sample=1e-4), time, force, force, np.zeros_like(force))
     height, later = (OUTPUTS[name].evaluate(made) for name in ("second_peak", "second_peak_after"))
-    flat = np.sqrt(2 * np.pi) * sigma / 5e-3 * erf(0.5 * 5e-3 / (np.sqrt(2) * sigma))  # of a mean over 5 ms at the top of a burst
+    # of a mean over 5 ms at the top of a burst
+    flat = np.sqrt(2 * np.pi) * sigma / 5e-3 * erf(0.5 * 5e-3 / (np.sqrt(2) * sigma))
     assert height[0] == pytest.approx(2 * flat, rel=0.02)
     assert later[0] == pytest.approx(30, abs=0.5)
     assert np.isnan([*height[1:], *later[1:]]).all()
 
 
-def test_a_study_that_was_stopped_does_only_what_is_left_and_ends_with_the_same_bits(done, tmp_path, monkeypatch):
+def test_a_study_that_was_stopped_does_only_what_is_left_and_ends_with_the_same_bits(
+    done, tmp_path, monkeypatch
+):
     whole, _ = done
     monkeypatch.setattr(batches, "BATCH_SIZE", 2)
     real, computed = batches.run_batch, []
@@ -106,7 +123,11 @@ def test_a_study_that_was_stopped_does_only_what_is_left_and_ends_with_the_same_
     with pytest.raises(KeyboardInterrupt):
         study_runner.run_study(ball(), "half.h5")
     assert (results_file.load_results("half.h5").state == results_file.DONE).sum() == 4
-    monkeypatch.setattr(batches, "run_batch", lambda batch, *more: computed.append(batch.members) or real(batch, *more))
+    monkeypatch.setattr(
+        batches,
+        "run_batch",
+        lambda batch, *more: computed.append(batch.members) or real(batch, *more),
+    )
     found = study_runner.run_study(ball(), "half.h5")
     assert sorted(m for members in computed for m in members) == list(range(8))
     for name, values in whole.outputs.items():
@@ -132,7 +153,9 @@ def test_a_batch_that_takes_long_is_gone_on_with_where_it_was(done, monkeypatch,
     begun_with = results_file.load_results("long.h5")
     assert not (begun_with.state == results_file.DONE).any() and begun_with.elapsed > 0
     assert dem_jax.load_run("long.h5.batch").force["plate"].shape[0] == 8
-    monkeypatch.setattr(loop, "compute_chunk", lambda *arguments: begun.append(arguments[3]) or real(*arguments))
+    monkeypatch.setattr(
+        loop, "compute_chunk", lambda *arguments: begun.append(arguments[3]) or real(*arguments)
+    )
     found = study_runner.run_study(ball(), "long.h5", progress=True)
     said = capsys.readouterr().err
     assert "running: 100%" in said and "\x1b" not in said, "a log has no lines to go up to"
@@ -155,14 +178,17 @@ def test_a_file_of_another_batch_is_not_gone_on_with(done, monkeypatch):
 def test_another_study_in_the_file_is_not_touched(done):
     _, path = done
     before = path.read_bytes()
-    with pytest.raises(RecordError, match="holds another study .ball.; allowed: another name, or overwrite"):
+    with pytest.raises(
+        RecordError, match="holds another study .ball.; allowed: another name, or overwrite"
+    ):
         study_runner.run_study(ball(seeds=3), path)
     assert path.read_bytes() == before
 
 
 def test_drops_that_go_wrong_are_lost_and_said_and_the_others_stand(done):
     whole, _ = done
-    thrown = {"portion.region_high": {"values": [[0.05, 0.05, 0.06], [-0.04, 0.05, 0.06]]}}  # the second box is too narrow
+    # the second box is too narrow
+    thrown = {"portion.region_high": {"values": [[0.05, 0.05, 0.06], [-0.04, 0.05, 0.06]]}}
     found = study_runner.run_study(ball(parameter=thrown, seeds=1))
     assert found.state.tolist() == [results_file.DONE, results_file.LOST]
     (why,) = found.failure_reasons.values()
@@ -173,82 +199,163 @@ def test_drops_that_go_wrong_are_lost_and_said_and_the_others_stand(done):
 def test_a_drop_that_fails_leaves_the_rest_of_its_batch():
     """A run of the three is thrown out of the domain."""
     listed = {"piece": [{"shape": "sphere", "radius": 0.01, "position": [0.0, 0.0, 0.05]}]}
-    rows = {"piece.0.velocity": {"values": [[0.0, 0.0, -1.0], [0.0, 0.0, 3000.0], [0.0, 0.0, -2.0]]}}
-    base = {key: value for key, value in BALL["set"].items() if key != "portion"} | listed | {"portion": None}
-    table = {key: value for key, value in BALL.items()} | {"set": base, "parameter": rows, "seeds": 1, "traces": False}
+    rows = {
+        "piece.0.velocity": {"values": [[0.0, 0.0, -1.0], [0.0, 0.0, 3000.0], [0.0, 0.0, -2.0]]}
+    }
+    base = (
+        {key: value for key, value in BALL["set"].items() if key != "portion"}
+        | listed
+        | {"portion": None}
+    )
+    table = {key: value for key, value in BALL.items()} | {
+        "set": base,
+        "parameter": rows,
+        "seeds": 1,
+        "traces": False,
+    }
     found = study_runner.run_study(validate_study(table, "x.toml"))
-    assert found.state.tolist() == [results_file.DONE, results_file.LOST, results_file.DONE] and "left the domain" in found.failure_reasons[1]
+    assert (
+        found.state.tolist() == [results_file.DONE, results_file.LOST, results_file.DONE]
+        and "left the domain" in found.failure_reasons[1]
+    )
     assert found.outputs["peak"][0] < found.outputs["peak"][2]
 
 
 def test_the_power_law_of_a_linear_spring_is_found():
-    """A sphere on a linear spring: peak over the square root of its stiffness (VALIDATION, section 2)."""
+    """A sphere on a linear spring: peak over the square root of its stiffness (VALIDATION, section
+    2).
+    """
     one = {"material.softening": {"low": 0.01, "high": 1.0, "log": True}}
-    thrown = {"shape": "sphere", "radius": 0.01, "position": [0.0, 0.0, 0.02], "velocity": [0.0, 0.0, -1.0]}
+    thrown = {
+        "shape": "sphere",
+        "radius": 0.01,
+        "position": [0.0, 0.0, 0.02],
+        "velocity": [0.0, 0.0, -1.0],
+    }
     short = {"run.gravity": [0.0, 0.0, 0.0], "run.sample": 1e-5, "run.duration": 0.03}
     changes = BALL["set"] | {"portion": None, "piece": [thrown]} | short
-    found = study_runner.run_study(ball(parameter=one, points=5, seeds=1, set=changes, outputs=["peak_every_step", "step"], traces=False))
+    found = study_runner.run_study(
+        ball(
+            parameter=one,
+            points=5,
+            seeds=1,
+            set=changes,
+            outputs=["peak_every_step", "step"],
+            traces=False,
+        )
+    )
     powers = {name: (p, half) for name, _, p, half in analysis.fit_power_laws(found)}
     assert powers["peak_every_step"][0] == pytest.approx(0.5, abs=1e-3)
     assert powers["step"][0] == pytest.approx(-0.5, abs=0.06)
 
 
 def test_designs_that_are_drawn_fill_their_ranges():
-    ranges = {"material.softening": {"low": 0.01, "high": 1.0, "log": True}, "material.restitution": {"low": 0.1, "high": 0.9}}
+    ranges = {
+        "material.softening": {"low": 0.01, "high": 1.0, "log": True},
+        "material.restitution": {"low": 0.1, "high": 0.9},
+    }
     for design in ("latin-hypercube", "sobol"):
         points = list_points(ball(parameter=ranges, design=design, points=16))
         softening, restitution = (np.array([p[key] for p in points]) for key in ranges)
-        assert len(points) == 16 and points == list_points(ball(parameter=ranges, design=design, points=16))
+        assert len(points) == 16 and points == list_points(
+            ball(parameter=ranges, design=design, points=16)
+        )
         for u in (np.log10(softening) / 2 + 1, (restitution - 0.1) / 0.8):
             assert np.histogram(u, 4, (0, 1))[0].tolist() == [4, 4, 4, 4]
 
 
 def test_influences_are_those_of_a_known_function():
     """y = 3 a + b: a has nine tenths of the variance."""
-    ranges = {"drop.height": {"low": 0.0, "high": 1.0}, "material.restitution": {"low": 0.0, "high": 1.0}}
-    study = ball(parameter=ranges, design="sobol", points=256, seeds=1, outputs=["peak"], traces=False)
+    ranges = {
+        "drop.height": {"low": 0.0, "high": 1.0},
+        "material.restitution": {"low": 0.0, "high": 1.0},
+    }
+    study = ball(
+        parameter=ranges, design="sobol", points=256, seeds=1, outputs=["peak"], traces=False
+    )
     found = results_file.StudyResults.create_empty(study)
     a, b = (np.array([p[key] for p in list_points(study)]) for key in ranges)
     found.outputs["peak"][:], found.state[:] = 3 * a + b, results_file.DONE
     shares = {i.parameter: i.value for i in analysis.find_influences(found) if i.is_share}
-    assert shares == pytest.approx({"drop.height": 0.9, "material.restitution": 0.1}, abs=1e-3)  # of 256 points of the ranges
+    # of 256 points of the ranges
+    assert shares == pytest.approx({"drop.height": 0.9, "material.restitution": 0.1}, abs=1e-3)
 
 
 def test_few_points_have_correlations_of_ranks():
     """y rises with a, and b is nothing to it."""
-    ranges = {"drop.height": {"low": 0.0, "high": 1.0}, "material.restitution": {"low": 0.0, "high": 1.0}}
-    found = results_file.StudyResults.create_empty(ball(parameter=ranges, design="sobol", points=32, seeds=1, outputs=["peak"], traces=False))
-    found.outputs["peak"][:], found.state[:] = [np.exp(p["drop.height"]) for p in list_points(found.study)], results_file.DONE
+    ranges = {
+        "drop.height": {"low": 0.0, "high": 1.0},
+        "material.restitution": {"low": 0.0, "high": 1.0},
+    }
+    found = results_file.StudyResults.create_empty(
+        ball(parameter=ranges, design="sobol", points=32, seeds=1, outputs=["peak"], traces=False)
+    )
+    found.outputs["peak"][:], found.state[:] = (
+        [np.exp(p["drop.height"]) for p in list_points(found.study)],
+        results_file.DONE,
+    )
     a, b = analysis.find_influences(found)
     assert a.value == pytest.approx(1.0) and a.low > 0.99 and not a.is_share
     assert b.low < 0 < b.high
-    assert "peak, correlation of ranks: drop.height 1.00 (1.00 to 1.00), material.restitution" in "\n".join(analysis.describe_results(found))
+    assert (
+        "peak, correlation of ranks: drop.height 1.00 (1.00 to 1.00), material.restitution"
+        in "\n".join(analysis.describe_results(found))
+    )
 
 
 def test_a_reference_is_within_or_a_contradiction(done):
     found, _ = done
-    rows = [{"output": name, "low": low, "high": low, "source": "theirs"} for name, low in (("pieces", 1.0), ("peak", 90.0))]
+    rows = [
+        {"output": name, "low": low, "high": low, "source": "theirs"}
+        for name, low in (("pieces", 1.0), ("peak", 90.0))
+    ]
     study = ball(reference=rows)
-    verdicts = [row.verdict for row in analysis.compare_references(results_file.StudyResults(study, found.state, found.outputs))]
+    verdicts = [
+        row.verdict
+        for row in analysis.compare_references(
+            results_file.StudyResults(study, found.state, found.outputs)
+        )
+    ]
     assert verdicts == ["our median is within theirs", "contradiction"]
 
 
 def test_numbers_of_pieces_are_those_of_table_2_and_need_no_drop(monkeypatch):
     monkeypatch.setattr(batches, "run_batch", None)  # nothing falls
     table = load_study("piece-count").model_dump(exclude_none=True)
-    sizes = {"portion.scale_factor": {"values": [0.3, 0.7, 1.0]}}  # not all: each is built, to see what goes together
-    reference = [row for row in table["reference"] if row["at"]["portion.scale_factor"] in (0.3, 0.7, 1.0)]
-    found = study_runner.run_study(validate_study(table | {"parameter": sizes, "reference": reference}, "piece-count"))
+    sizes = {"portion.scale_factor": {"values": [0.3, 0.7, 1.0]}}  # not all: each is built, to see
+    # what goes together
+    reference = [
+        row for row in table["reference"] if row["at"]["portion.scale_factor"] in (0.3, 0.7, 1.0)
+    ]
+    found = study_runner.run_study(
+        validate_study(table | {"parameter": sizes, "reference": reference}, "piece-count")
+    )
     np.testing.assert_array_equal(found.outputs["pieces"], [37, 3, 1])  # 1 / SF^3, rounded (eq. 16)
-    np.testing.assert_allclose(found.outputs["piece_weight"], 5.832 * np.array([0.3, 0.7, 1.0]) ** 3, rtol=1e-12)  # eq. 23
-    np.testing.assert_allclose(found.outputs["portion_weight"], found.outputs["pieces"] * found.outputs["piece_weight"], rtol=1e-12)
+    # eq. 23
+    np.testing.assert_allclose(
+        found.outputs["piece_weight"], 5.832 * np.array([0.3, 0.7, 1.0]) ** 3, rtol=1e-12
+    )
+    np.testing.assert_allclose(
+        found.outputs["portion_weight"],
+        found.outputs["pieces"] * found.outputs["piece_weight"],
+        rtol=1e-12,
+    )
 
 
 def test_a_heap_is_the_same_whatever_it_is_released_into():
     """Balls that settle at restitution 0.1 and start from there with all others."""
-    base = BALL["set"] | {"portion.arrangement": "settled", "portion.settling_time": 0.1, "portion.region_high": [0.05, 0.05, 0.03]}
+    base = BALL["set"] | {
+        "portion.arrangement": "settled",
+        "portion.settling_time": 0.1,
+        "portion.region_high": [0.05, 0.05, 0.03],
+    }
     base |= {"run.frames": 1e-3, "run.duration": 0.01}
-    table = ball(set=base, heap={"material.restitution": 0.1}, parameter={"material.restitution": {"values": [0.1, 0.7]}}, seeds=1)
+    table = ball(
+        set=base,
+        heap={"material.restitution": 0.1},
+        parameter={"material.restitution": {"values": [0.1, 0.7]}},
+        seeds=1,
+    )
     (batch,) = batches.list_batches(table)
     run, members, failed = batches.run_batch(batch, table)
     assert members == (0, 1) and not failed
@@ -260,10 +367,23 @@ def test_a_heap_is_the_same_whatever_it_is_released_into():
 
 def known(name, of, reference, noise=0.1, **changes):
     """A study of 256 points in the unit square whose output ``of`` (a, b) is known but for noise."""
-    ranges = {"drop.height": {"low": 0.0, "high": 1.0}, "material.restitution": {"low": 0.0, "high": 1.0}}
-    rows = [{"output": "peak", "low": reference - 0.02, "high": reference + 0.02, "source": "theirs"}]
+    ranges = {
+        "drop.height": {"low": 0.0, "high": 1.0},
+        "material.restitution": {"low": 0.0, "high": 1.0},
+    }
+    rows = [
+        {"output": "peak", "low": reference - 0.02, "high": reference + 0.02, "source": "theirs"}
+    ]
     study = ball(
-        name=name, parameter=ranges, design="sobol", points=256, seeds=8, outputs=["peak"], traces=False, reference=rows, **changes
+        name=name,
+        parameter=ranges,
+        design="sobol",
+        points=256,
+        seeds=8,
+        outputs=["peak"],
+        traces=False,
+        reference=rows,
+        **changes,
     )
     found = results_file.StudyResults.create_empty(study)
     a, b = (np.repeat([p[key] for p in list_points(study)], 8) for key in ranges)
@@ -273,7 +393,9 @@ def known(name, of, reference, noise=0.1, **changes):
 
 
 def test_what_is_likely_of_parameters_is_where_the_number_comes_from():
-    """y = a + 0.1 noise is 0.3: a normal of 0.3 and 0.1, to the width of the reference, and nothing of b."""
+    """y = a + 0.1 noise is 0.3: a normal of 0.3 and 0.1, to the width of the reference, and nothing
+    of b.
+    """
     found = known("one", lambda a, b: a, 0.3)
     a, b = reweighting.compute_marginals([found], reweighting.compute_weights([found]))
     wide = np.hypot(0.1, 0.02) * 1.645
@@ -292,7 +414,9 @@ def test_studies_of_the_same_points_say_more_together():
 
 
 def effective_of_each(studies):
-    return min(reweighting.effective_sample_size(reweighting.compute_weights([one])) for one in studies)
+    return min(
+        reweighting.effective_sample_size(reweighting.compute_weights([one])) for one in studies
+    )
 
 
 def test_a_number_that_no_point_gives_is_a_contradiction():
@@ -319,7 +443,9 @@ def test_stock_studies_are_sound(name, quick):
 
 
 def test_every_output_has_a_unit_and_words():
-    assert all(output.words and output.unit in ("", "kg", "g", "ms", "us") for output in OUTPUTS.values())
+    assert all(
+        output.words and output.unit in ("", "kg", "g", "ms", "us") for output in OUTPUTS.values()
+    )
 
 
 @pytest.mark.parametrize(
@@ -329,7 +455,10 @@ def test_every_output_has_a_unit_and_words():
         ({"seedz": 3}, "seedz = 3: unknown key; did you mean 'seed"),
         ({"parameter": {"drop.height": {"low": 1.0}}}, "allowed: values, or both low and high"),
         ({"parameter": {"drop.height": {"low": 2.0, "high": 1.0}}}, "allowed: low < high"),
-        ({"compare": {"drop.height": 1.0}}, "'drop.height' in compare or reference.at: allowed: a parameter"),
+        (
+            {"compare": {"drop.height": 1.0}},
+            "'drop.height' in compare or reference.at: allowed: a parameter",
+        ),
         ({"design": "random"}, 'design = "random": allowed'),
     ],
 )
@@ -345,7 +474,10 @@ def test_a_study_is_made_of_another_scene(capsys):
     with open("flat.toml", "w") as mine:
         mine.write('base = "quick-release"\n[portion]\npiece_weight = 0.01\n')
     main(["study", "piece-count", "--scene", "flat.toml", "--no-plot", "--quiet"])
-    assert results_file.load_results("piece-count-flat.h5").study.base_scene().portion.piece_weight == 0.01
+    assert (
+        results_file.load_results("piece-count-flat.h5").study.base_scene().portion.piece_weight
+        == 0.01
+    )
     assert main(["study", "piece-count", "--scene", "nowhere", "--quiet"]) == 2
     assert "scene 'nowhere': no such file, nor one of the stock scenes" in capsys.readouterr().err
 
@@ -359,16 +491,33 @@ def test_the_command_lists_studies_and_says_what_it_does_not_know(capsys):
 
 def test_studies_are_conducted_one_after_the_other(capsys):
     for name in "abc":
-        Path(f"{name}.toml").write_text(f'title = "Of {name}"\nscene = "weigh-bucket"\nseeds = 1\noutputs = ["pieces"]\n')
+        Path(f"{name}.toml").write_text(
+            f'title = "Of {name}"\nscene = "weigh-bucket"\nseeds = 1\noutputs = ["pieces"]\n'
+        )
     assert main(["study", "a.toml", "b.toml", "--no-plot", "--quiet"]) == 0
     said = capsys.readouterr().out
-    assert said.index("Of a") < said.index("wrote a.h5, a.csv") < said.index("Of b") < said.index("wrote b.h5, b.csv")
-    assert said.splitlines()[-1] == f"2 studies, {sum(results_file.load_results(f'{name}.h5').elapsed for name in 'ab'):.0f} s"
-    assert main(["study", "c.toml", "nowhere", "--quiet"]) == 2 and not Path("c.h5").exists()  # seen before the first is begun
+    assert (
+        said.index("Of a")
+        < said.index("wrote a.h5, a.csv")
+        < said.index("Of b")
+        < said.index("wrote b.h5, b.csv")
+    )
+    assert (
+        said.splitlines()[-1]
+        == f"2 studies, {sum(results_file.load_results(f'{name}.h5').elapsed for name in 'ab'):.0f} s"
+    )
+    # seen before the first is begun
+    assert main(["study", "c.toml", "nowhere", "--quiet"]) == 2 and not Path("c.h5").exists()
     assert main(["study", "c.toml", "./c.toml", "--quiet"]) == 2 and not Path("c.h5").exists()
-    assert "study c.toml ./c.toml: 'c' twice, in one file; allowed: each name once" in capsys.readouterr().err
+    assert (
+        "study c.toml ./c.toml: 'c' twice, in one file; allowed: each name once"
+        in capsys.readouterr().err
+    )
     assert main(["study", "all", "--out", "x.h5"]) == 2
-    assert f"--out x.h5: {len(stock_studies())} studies; allowed: of one by itself" in capsys.readouterr().err
+    assert (
+        f"--out x.h5: {len(stock_studies())} studies; allowed: of one by itself"
+        in capsys.readouterr().err
+    )
 
 
 def test_the_table_and_the_figure_are_made(done, tmp_path):
@@ -376,9 +525,13 @@ def test_the_table_and_the_figure_are_made(done, tmp_path):
 
     found, _ = done
     said = "\n".join(analysis.describe_results(found))
-    assert "A ball on a plate" in said and "two independent drops, material.softening = 0.01" in said
+    assert (
+        "A ball on a plate" in said and "two independent drops, material.softening = 0.01" in said
+    )
     rows = analysis.write_csv(found, tmp_path / "ball.csv").read_text().splitlines()
-    assert len(rows) == 9 and rows[0].startswith("material.softening,material.restitution,seed,peak (kg)")
+    assert len(rows) == 9 and rows[0].startswith(
+        "material.softening,material.restitution,seed,peak (kg)"
+    )
     assert float(rows[6].split(",")[3]) == pytest.approx(found.outputs["peak"][5], rel=1e-8)
     assert plot_study(found, tmp_path / "ball.png").stat().st_size > 10_000
 
@@ -386,7 +539,9 @@ def test_the_table_and_the_figure_are_made(done, tmp_path):
 def test_a_study_is_plotted_and_reported_from_its_file(done, capsys, monkeypatch):
     found, path = done
     monkeypatch.chdir(path.parent)
-    monkeypatch.setattr("dem_jax.study.study_figure.plot_study", lambda results, out: (results.study.name, str(out)))
+    monkeypatch.setattr(
+        "dem_jax.study.study_figure.plot_study", lambda results, out: (results.study.name, str(out))
+    )
     assert main(["report", path.name]) == 0 and main(["plot", path.name, "--out", "again.png"]) == 0
     assert capsys.readouterr().out.splitlines() == ["ball-report.html", "('ball', 'again.png')"]
     page = (path.parent / "ball-report.html").read_text()

@@ -32,18 +32,23 @@ def exact_quarter(softening=1.0):
 def test_stiffness_of_the_marshmallow():
     system = assembly.assemble_system(validation.plate_scene({})).system
     pieces = system.pieces
-    np.testing.assert_allclose(validation.wall_stiffness(system), 33327.17, rtol=2e-7)  # printed digits
+    # printed digits
+    np.testing.assert_allclose(validation.wall_stiffness(system), 33327.17, rtol=2e-7)
     np.testing.assert_allclose(pieces.mass, MASS, rtol=1e-12)
 
 
 def test_softening_by_a_hundred_makes_steps_ten_times_longer():
-    # Both moduli are softened, so that K_nl goes with the softening factor and the step with its root.
-    np.testing.assert_allclose(step_of(softening=0.01).critical / step_of(softening=1.0).critical, 10, rtol=1e-12)
+    # Both moduli are softened, so that K_nl goes with the softening factor and the step with its
+    # root.
+    np.testing.assert_allclose(
+        step_of(softening=0.01).critical / step_of(softening=1.0).critical, 10, rtol=1e-12
+    )
 
 
 @pytest.mark.parametrize("epsilon", [0.1, 0.3, 0.5, 0.9])
 def test_critical_step_is_the_smaller_of_loading_and_unloading(epsilon):
-    # 15 steps per loading and 10 per unloading quarter period, which is epsilon times as long: equal at 2/3.
+    # 15 steps per loading and 10 per unloading quarter period, which is epsilon times as long:
+    # equal at 2/3.
     step = step_of(restitution=epsilon, softening=0.01)
     load, unload = exact_quarter(0.01) / 15, epsilon * exact_quarter(0.01) / 10
     np.testing.assert_allclose(step.critical, min(load, unload), rtol=1e-9)
@@ -63,24 +68,43 @@ def test_limit_is_the_quickest_of_all_contacts_that_can_be():
     """Of forty kinds, one of them twice, against a search through all pairs."""
     random = np.random.default_rng(0)
     rows = [{"shape": "sphere", "radius": r} for r in random.uniform(0.01, 0.03, 20)]
-    rows += [{"shape": "cuboid", "size": tuple(size)} for size in random.uniform(0.01, 0.05, (20, 3)).tolist()]
+    rows += [
+        {"shape": "cuboid", "size": tuple(size)}
+        for size in random.uniform(0.01, 0.05, (20, 3)).tolist()
+    ]
     rows += rows[-1:]
     pieces = [{**row, "position": (0.1 * k, 0.0, 0.0)} for k, row in enumerate(rows)]
     floor = {"group": "floor", "corners": [(-1, -1, -1), (1, -1, -1), (1, 1, -1), (-1, 1, -1)]}
     scene = Scene(piece=pieces, wall=[floor], material={"restitution": 0.5})
     goods = assembly.piece_arrays.build_piece_set(scene)
     made, arrays = goods.shapes, assembly.piece_arrays.build_piece_arrays(scene, goods)
-    m, k, e = arrays.mass, 0.01 * 1e8 * arrays.size, np.array([assembly.time_step._normal_mass_ratio(shape) for shape in made])
+    m, k, e = (
+        arrays.mass,
+        0.01 * 1e8 * arrays.size,
+        np.array([assembly.time_step._normal_mass_ratio(shape) for shape in made]),
+    )
     wall = 0.01 * 1e11 * arrays.size
     slow = [m / (k * wall / (k + wall)), m * e / (k * wall / (k + wall))]
     i, j = np.triu_indices(len(made), 1)
     pair = m[i] * m[j] / (m[i] + m[j]) * (k[i] + k[j]) / (k[i] * k[j])
-    slow = [np.concatenate(both).min() for both in zip(slow, (pair, pair * np.minimum(e[i], e[j])), strict=True)]
-    law, materials = assembly.contact_law.build_contact_law(scene), assembly.contact_law.build_materials(scene)
-    step = assembly.choose_step(scene, law, assembly.time_step.list_possible_contacts(law, materials, made, arrays))
-    np.testing.assert_allclose(step.critical, np.pi / 2 * np.sqrt(slow[0]) * min(1 / 15, 0.5 / 10), rtol=1e-12)
+    slow = [
+        np.concatenate(both).min()
+        for both in zip(slow, (pair, pair * np.minimum(e[i], e[j])), strict=True)
+    ]
+    law, materials = (
+        assembly.contact_law.build_contact_law(scene),
+        assembly.contact_law.build_materials(scene),
+    )
+    step = assembly.choose_step(
+        scene, law, assembly.time_step.list_possible_contacts(law, materials, made, arrays)
+    )
+    np.testing.assert_allclose(
+        step.critical, np.pi / 2 * np.sqrt(slow[0]) * min(1 / 15, 0.5 / 10), rtol=1e-12
+    )
     both_sides = np.sqrt(2)  # of a body that is pressed from there
-    np.testing.assert_allclose(step.linear_limit, 2 * 0.5 * np.sqrt(slow[1]) / both_sides, rtol=1e-12)
+    np.testing.assert_allclose(
+        step.linear_limit, 2 * 0.5 * np.sqrt(slow[1]) / both_sides, rtol=1e-12
+    )
 
 
 def test_limit_is_the_smallest_piece():
@@ -88,14 +112,15 @@ def test_limit_is_the_smallest_piece():
     large = {"shape": "chamfered-cuboid", "position": (0.0, 0.0, 0.2)}
     scene = validation.plate_scene(large).replace(piece=[large, small])
     both, alone = assembly.assemble_system(scene).step, step_of(piece=small)
-    # Against the wall: its own mass on nearly its own stiffness. Against the marshmallow: series stiffness, but nearly
-    # the same mass. The wall is the stiffer one.
+    # Against the wall: its own mass on nearly its own stiffness. Against the marshmallow: series
+    # stiffness, but nearly the same mass. The wall is the stiffer one.
     np.testing.assert_allclose(both.critical, alone.critical, rtol=1e-12)
     assert "sphere" in both.limit
 
 
 def test_pair_and_wall_limit_alike():
-    # Two like pieces: half the mass on half the stiffness, so the wall's K_nl, 0.1 % below E_p L, is what differs.
+    # Two like pieces: half the mass on half the stiffness, so the wall's K_nl, 0.1 % below E_p L,
+    # is what differs.
     two = [{"position": (0.0, 0.0, 0.1)}, {"position": (0.0, 0.0, 0.2)}]
     pair = assembly.assemble_system(validation.plate_scene({}).replace(piece=two)).step.critical
     np.testing.assert_allclose(pair, step_of().critical, rtol=6e-4)
@@ -105,13 +130,20 @@ def test_pair_and_wall_limit_alike():
 def test_a_step_that_is_not_stable_is_refused_unless_it_is_allowed_by_name():
     limits = step_of()
     stable, linear = limits.stable, limits.linear_limit
-    with pytest.raises(SceneError, match=r"run\.step = .*at most .* gains more than 1 % of its energy; with run\.allow"):
+    with pytest.raises(
+        SceneError,
+        match=r"run\.step = .*at most .* gains more than 1 % of its energy; with run\.allow",
+    ):
         step_of(run={"step": 1.01 * stable})
     allowed = {"sample": 1e-3, "allow_unstable_step": True}
     assert stable < step_of(run={"step": 1.1 * stable} | allowed).dt <= 1.1 * stable
-    with pytest.raises(SceneError, match=r"run\.step = .*allowed: at most .* s, the linear stability limit"):
+    with pytest.raises(
+        SceneError, match=r"run\.step = .*allowed: at most .* s, the linear stability limit"
+    ):
         step_of(run={"step": 1.01 * linear} | allowed)
-    steps = [step_of(run={**allowed, "step": q * linear, "sample": q * linear}) for q in (0.1, 0.5, 0.51)]
+    steps = [
+        step_of(run={**allowed, "step": q * linear, "sample": q * linear}) for q in (0.1, 0.5, 0.51)
+    ]
     assert [step.resolved for step in steps] == [1, 1, 0]
 
 
@@ -120,16 +152,27 @@ BALL = {"shape": "sphere", "radius": 0.01}
 
 def ball(run=None, walls=(), **changes):
     """A sphere over the plate, epsilon = 1, friction 0.3, without gravity."""
-    settings = {"gravity": (0.0, 0.0, 0.0), "precision": "f64", "frames": 0.0, "sample": 1e-3, "duration": 0.01, **(run or {})}
+    settings = {
+        "gravity": (0.0, 0.0, 0.0),
+        "precision": "f64",
+        "frames": 0.0,
+        "sample": 1e-3,
+        "duration": 0.01,
+        **(run or {}),
+    }
     scene = validation.plate_scene(BALL | changes, run=settings, restitution=1.0, friction_wall=0.3)
-    return scene.replace(wall=[*(wall.model_dump(exclude_none=True) for wall in scene.wall), *walls])
+    return scene.replace(
+        wall=[*(wall.model_dump(exclude_none=True) for wall in scene.wall), *walls]
+    )
 
 
 def test_limit_of_a_sphere_is_that_of_its_tangential_spring():
     # K_t = K_nl moves 2/7 of the mass; without friction the normal spring moves all of it.
     scene = ball()
     changes = ({}, {"material.friction_wall": 0.0}, {"material.tangential_stiffness": 0.05})
-    rough, smooth, loose = (assembly.assemble_system(scene.replace(change)).step for change in changes)
+    rough, smooth, loose = (
+        assembly.assemble_system(scene.replace(change)).step for change in changes
+    )
     np.testing.assert_allclose(rough.linear_limit / smooth.linear_limit, np.sqrt(2 / 7), rtol=1e-9)
     np.testing.assert_allclose(loose.linear_limit, smooth.linear_limit, rtol=1e-9)
     np.testing.assert_allclose(loose.stable, smooth.stable, rtol=1e-9)
@@ -139,14 +182,22 @@ def test_limit_of_a_sphere_is_that_of_its_tangential_spring():
 
 def test_an_impact_that_loses_more_than_a_step_adds_may_take_larger_steps():
     steps = [step_of(piece=BALL, restitution=e, friction_wall=0.0) for e in (0.91, 0.9)]
-    np.testing.assert_allclose([step.stable / step.linear_limit for step in steps], [0.25, 0.4], rtol=1e-9)
+    np.testing.assert_allclose(
+        [step.stable / step.linear_limit for step in steps], [0.25, 0.4], rtol=1e-9
+    )
 
 
 @pytest.mark.parametrize(("friction", "allowed", "fails"), [(0.0, 0.01, 2.0), (10.0, 0.01, 3.0)])
-def test_no_impact_gains_more_than_a_hundredth_of_its_energy_at_a_stable_step(friction, allowed, fails):
-    """A sphere that lands at 1 m/s and up to 3 m/s sideways, epsilon = 1, at 48 phases of the step; ``fails``: at so many times
-    the stable step it does gain more, so that the limit is not far below."""
-    scene = ball({"rebuild_steps": 4096, "allow_unstable_step": True, "duration": 0.012, "sample": 4e-3})
+def test_no_impact_gains_more_than_a_hundredth_of_its_energy_at_a_stable_step(
+    friction, allowed, fails
+):
+    """A sphere that lands at 1 m/s and up to 3 m/s sideways, epsilon = 1, at 48 phases of the step;
+    ``fails``: at so many times the stable step it does gain more, so that the limit is not far
+    below.
+    """
+    scene = ball(
+        {"rebuild_steps": 4096, "allow_unstable_step": True, "duration": 0.012, "sample": 4e-3}
+    )
     scene = scene.replace({"material.friction_wall": friction})
     stable = assembly.assemble_system(scene).step.stable
     gains = [worst_gain(scene, part * stable, 48) for part in (1.0, fails)]
@@ -154,12 +205,24 @@ def test_no_impact_gains_more_than_a_hundredth_of_its_energy_at_a_stable_step(fr
 
 
 def worst_gain(scene, step, phases):
-    """The largest relative gain of energy over phases of the step (s), of spheres that have left the plate again."""
+    """The largest relative gain of energy over phases of the step (s), of spheres that have left
+    the plate again.
+    """
     sideways = (0.0, 0.1, 0.25, 0.5, 1.0, 3.0)
     place = [[0.0, 0.0, 0.01 + (0.2 + k / phases) * step] for k in range(phases)]
     speed = [[sideways[k % len(sideways)], 0.0, -1.0] for k in range(phases)]
-    run = ensemble(scene, phases, parameters={"piece.0.position": place, "piece.0.velocity": speed, "run.step": [step] * phases})
-    assert (run.force["plate"][:, -1] == 0).all() and (np.abs(run.mean_force["plate"]).max(axis=(1, 2)) > 0).all()
+    run = ensemble(
+        scene,
+        phases,
+        parameters={
+            "piece.0.position": place,
+            "piece.0.velocity": speed,
+            "run.step": [step] * phases,
+        },
+    )
+    assert (run.force["plate"][:, -1] == 0).all() and (
+        np.abs(run.mean_force["plate"]).max(axis=(1, 2)) > 0
+    ).all()
     start = 0.5 * (4 / 3 * np.pi * 0.01**3 * 300) * np.square(speed).sum(axis=1)
     return float((run.energy["kinetic"][:, -1] / start - 1).max())
 
@@ -169,33 +232,47 @@ def test_a_step_beyond_the_stable_one_is_warned_of_with_the_error_to_expect():
     settings = {"step": 0.8 * limits.linear_limit, "duration": 1e-3, "allow_unstable_step": True}
     run = simulate(ball(settings, position=(0.0, 0.0, 0.1)))
     note, *_ = run.info["notes"]
-    assert note.startswith("run.step: dt = ") and "times the stable step: an impact may gain up to about" in note
+    assert (
+        note.startswith("run.step: dt = ")
+        and "times the stable step: an impact may gain up to about" in note
+    )
     assert assembly.assemble_system(ball({"step": 0.9 * limits.stable})).step.warning is None
 
 
 def test_limit_holds_for_a_body_between_two_walls():
-    """A sphere pressed from both sides rings on both springs: the square of its frequency is twice that of one."""
+    """A sphere pressed from both sides rings on both springs: the square of its frequency is twice
+    that of one.
+    """
     gap, v = 1e-5, 0.01
     lid = [(x, y, 0.02 - 2 * gap) for x, y in ((-0.5, -0.5), (-0.5, 0.5), (0.5, 0.5), (0.5, -0.5))]
     walls = [{"group": "lid", "corners": lid}]
     place = {"position": (0.0, 0.0, 0.01 - gap), "velocity": (0.0, 0.0, v)}
     linear = assembly.assemble_system(ball(walls=walls)).step.linear_limit
-    np.testing.assert_allclose(linear, assembly.assemble_system(ball()).step.linear_limit / np.sqrt(2), rtol=1e-9)
+    np.testing.assert_allclose(
+        linear, assembly.assemble_system(ball()).step.linear_limit / np.sqrt(2), rtol=1e-9
+    )
     smooth = {"material.friction_wall": 0.0, "run.allow_unstable_step": True}
     limit = assembly.assemble_system(ball(walls=walls).replace(smooth)).step.linear_limit
-    for part in (0.3, 0.5, 0.9, 0.98):  # up to half of it the corners of the force are corrected: that feeds nothing
+    for part in (0.3, 0.5, 0.9, 0.98):  # up to half of it the corners of the force are corrected:
+        # that feeds nothing
         dt = part * limit
-        run = simulate(ball({"step": dt, "sample": dt, "duration": 400 * limit}, walls, **place).replace(smooth))
+        run = simulate(
+            ball({"step": dt, "sample": dt, "duration": 400 * limit}, walls, **place).replace(
+                smooth
+            )
+        )
         energy = run.energy["kinetic"] + run.energy["elastic"]
-        # of an oscillator in velocity Verlet, q of the limit, kinetic and elastic energy together swing by 1 / (1 - q^2)
+        # of an oscillator in velocity Verlet, q of the limit, kinetic and elastic energy together
+        # swing by 1 / (1 - q^2)
         assert energy.max() < energy.min() / (1 - part**2) * 1.3
     with pytest.raises(SceneError, match="linear stability limit"):
         assembly.assemble_system(ball({"step": 1.01 * limit}, walls, **place).replace(smooth))
 
 
 def test_stability_limit_is_that_of_the_unloading_branch():
-    # The oscillator (m_eff, K_nu) is stable in velocity Verlet below 2 / omega. The smallest m_eff of the marshmallow's
-    # corners over all directions, by a random search from above; the bound takes all directions at all corners.
+    # The oscillator (m_eff, K_nu) is stable in velocity Verlet below 2 / omega. The smallest m_eff
+    # of the marshmallow's corners over all directions, by a random search from above; the bound
+    # takes all directions at all corners.
     shape = shapes.chamfered_cuboid()
     up = np.random.default_rng(0).normal(size=(20000, 3))
     up /= np.linalg.norm(up, axis=1, keepdims=True)
@@ -208,7 +285,10 @@ def test_stability_limit_is_that_of_the_unloading_branch():
 
 def test_oscillation_on_the_unloading_branch_blows_up_above_the_limit_only():
     def swing(ratio):
-        law, pair = walton_braun.WaltonBraun(0.0, 1.0, None), walton_braun.WaltonBraunPair(1.0, 1.0, None, None)
+        law, pair = (
+            walton_braun.WaltonBraun(0.0, 1.0, None),
+            walton_braun.WaltonBraunPair(1.0, 1.0, None, None),
+        )
         dt = ratio * law.stable_step(pair, 1.0)  # m = K = epsilon = 1
         s, v, largest = 1.0, 0.0, 1.0
         for _ in range(400):
@@ -224,8 +304,13 @@ def test_oscillation_on_the_unloading_branch_blows_up_above_the_limit_only():
 
 @partial(jax.jit, static_argnames="steps")
 def scalar_impacts(dt, phase, epsilon, steps):
-    """Rebound over impact speed, and peak force over v sqrt(m K), of velocity Verlet with the law; m = K = v = 1."""
-    law, pair = walton_braun.WaltonBraun(0.001, 1.0, None), walton_braun.WaltonBraunPair(1.0, epsilon, None, None)
+    """Rebound over impact speed, and peak force over v sqrt(m K), of velocity Verlet with the law;
+    m = K = v = 1.
+    """
+    law, pair = (
+        walton_braun.WaltonBraun(0.001, 1.0, None),
+        walton_braun.WaltonBraunPair(1.0, epsilon, None, None),
+    )
     _, force, velocity, _ = trace_impacts(law, pair, 1.0, jnp.ones_like(dt), dt, steps, phase)
     return -velocity[-1], force.max(axis=0)
 
@@ -235,7 +320,9 @@ def worst_errors(epsilon, number):
     phase = (np.arange(200) + 0.5) / 200
     dt = np.full_like(phase, np.pi / 2 / number)
     with jax.enable_x64(True):
-        rebound, peak = scalar_impacts(*map(jnp.asarray, (dt, phase, np.full_like(phase, epsilon))), steps=2000)
+        rebound, peak = scalar_impacts(
+            *map(jnp.asarray, (dt, phase, np.full_like(phase, epsilon))), steps=2000
+        )
     exact = NormalImpact(1.0, 1.0, epsilon, 1.0).rebound_speed
     return np.abs(np.asarray(rebound) / exact - 1).max(), np.abs(np.asarray(peak) - 1).max()
 
@@ -260,8 +347,9 @@ def worst_errors(epsilon, number):
     ],
 )
 def test_errors_of_a_resolution(epsilon, number, restitution, peak):
-    # The scheme's own numbers, from an independent computation in plain Python that knows the branches by name. Without the
-    # corrections of corners restitution errs by 0.28 % with 100 steps at 0.1, and so with the square of the step.
+    # The scheme's own numbers, from an independent computation in plain Python that knows the
+    # branches by name. Without the corrections of corners restitution errs by 0.28 % with 100 steps
+    # at 0.1, and so with the square of the step.
     found = worst_errors(epsilon, number)
     assert 0.9 * restitution < found[0] < 1.1 * restitution
     assert 0.95 * peak < found[1] < 1.05 * peak
@@ -274,7 +362,8 @@ def test_restitution_is_of_fourth_order():
 
 
 def test_default_resolution_keeps_restitution_within_a_hundredth_of_a_per_cent():
-    # The default is 10 steps per unloading quarter period (15 per loading one, where that is finer).
+    # The default is 10 steps per unloading quarter period (15 per loading one, where that is
+    # finer).
     for epsilon in (0.1, 0.3, 0.5, 0.7):
         number = max(walton_braun.LOAD_STEPS, walton_braun.UNLOAD_STEPS / epsilon)
         assert worst_errors(epsilon, number)[0] < 1e-4

@@ -1,4 +1,6 @@
-"""Nothing passes through a wall unseen: a piece stays in front of it, or the run stops and says why."""
+"""Nothing passes through a wall unseen: a piece stays in front of it, or the run stops and says
+why.
+"""
 
 import numpy as np
 import pytest
@@ -17,11 +19,27 @@ STOPS = r"% of the piece's width deep|it may pass what is in its way"
 
 def scene(shape, thickness, height, speed, **motion):
     """A piece that flies down to a sheet at z = 0, with room below."""
-    sheet = {"group": "flap", "corners": [(-0.1, -0.1, 0), (0.1, -0.1, 0), (0.1, 0.1, 0), (-0.1, 0.1, 0)], "thickness": thickness}
+    sheet = {
+        "group": "flap",
+        "corners": [(-0.1, -0.1, 0), (0.1, -0.1, 0), (0.1, 0.1, 0), (-0.1, 0.1, 0)],
+        "thickness": thickness,
+    }
     piece = SHAPES[shape] | {"position": (0.01, 0.02, height), "velocity": (0.0, 0.0, -speed)}
     duration = round(0.02 + 0.1 / max(speed, 5.0), 4)
-    run = {"duration": duration, "frames": 1e-3, "energy": False, "domain_low": (-1e3,) * 3, "domain_high": (1e3,) * 3}
-    swing = {"group": "flap", "pivot": (0.0, -0.1, 0.0), "start": -0.1, "opening": 0.1, "dwell": 0.0} | motion
+    run = {
+        "duration": duration,
+        "frames": 1e-3,
+        "energy": False,
+        "domain_low": (-1e3,) * 3,
+        "domain_high": (1e3,) * 3,
+    }
+    swing = {
+        "group": "flap",
+        "pivot": (0.0, -0.1, 0.0),
+        "start": -0.1,
+        "opening": 0.1,
+        "dwell": 0.0,
+    } | motion
     return Scene(piece=[piece], wall=[sheet], motion=[swing], run=run)
 
 
@@ -51,7 +69,11 @@ def test_no_piece_passes_a_flap_that_swings_up_to_it(closing):
         assert pytest.RaisesExc(SimulationError, match=STOPS).matches(error)
     else:
         last = np.asarray(run.pieces.position)[-1, 0]
-        angle = np.radians(-40.0) * (1 - min(1, run.time[-1] / closing)) if closing > run.time[-1] else 0.0
+        angle = (
+            np.radians(-40.0) * (1 - min(1, run.time[-1] / closing))
+            if closing > run.time[-1]
+            else 0.0
+        )
         normal = np.array([0.0, -np.sin(angle), np.cos(angle)])
         assert (last - [0.0, -0.1, 0.0]) @ normal > 0
 

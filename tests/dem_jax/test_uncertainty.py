@@ -1,4 +1,6 @@
-"""Chance and unknown numbers: shares of functions that are known, numbers of pieces that stay, studies of ranges."""
+"""Chance and unknown numbers: shares of functions that are known, numbers of pieces that stay,
+studies of ranges.
+"""
 
 import numpy as np
 import pytest
@@ -26,7 +28,9 @@ from dem_jax.visualization.variance_decomposition import (
     split_variance,
 )
 
-MODULUS = UncertainNumber(key="material.youngs_modulus", range=(1e6, 1e8), distribution="log-uniform")
+MODULUS = UncertainNumber(
+    key="material.youngs_modulus", range=(1e6, 1e8), distribution="log-uniform"
+)
 FRICTION = UncertainNumber(key="material.friction_wall", range=(0.2, 0.4))
 
 
@@ -42,7 +46,9 @@ def test_values_are_drawn_evenly_from_their_ranges():
 
 
 def splits_of_a_known_function(count):
-    """y = 2 P1(a) + (3 P2(a) + P1(b)) / sqrt(10) + 2 chance, of five numbers: variances 4.9, 0.1 and 4."""
+    """y = 2 P1(a) + (3 P2(a) + P1(b)) / sqrt(10) + 2 chance, of five numbers: variances 4.9, 0.1
+    and 4.
+    """
     random = np.random.default_rng(0)
     for _ in range(count):
         u = qmc.LatinHypercube(5, rng=random).random(64)
@@ -53,20 +59,31 @@ def splits_of_a_known_function(count):
 
 
 def test_shares_are_those_of_a_known_function_and_intervals_contain_them():
-    """200 ensembles of 64: means within three standard errors, but for shares near zero, which cannot be negative; of 90 %
-    intervals at least 85 % (three standard deviations of the count below)."""
+    """200 ensembles of 64: means within three standard errors, but for shares near zero, which
+    cannot be negative; of 90 % intervals at least 85 % (three standard deviations of the count
+    below).
+    """
     found = list(splits_of_a_known_function(200))
-    shares = {name: np.array([next(p for p in s.parts if p.name == name)[1:] for s in found]) for name in "abc"}
+    shares = {
+        name: np.array([next(p for p in s.parts if p.name == name)[1:] for s in found])
+        for name in "abc"
+    }
     total = np.array([s.numbers[1:] for s in found])
     for exact, rows in ((5.0 / 9.0, total), (4.9 / 9.0, shares["a"])):
-        assert rows[:, 0].mean() == pytest.approx(exact, abs=3 * rows[:, 0].std() / np.sqrt(200) + 0.01)
+        assert rows[:, 0].mean() == pytest.approx(
+            exact, abs=3 * rows[:, 0].std() / np.sqrt(200) + 0.01
+        )
         assert ((rows[:, 1] <= exact) & (exact <= rows[:, 2])).mean() > 0.85
-    assert shares["c"][:, 0].mean() < 0.03 and (shares["c"][:, 1] > 0).mean() < 0.12, "5 % by chance"
+    assert shares["c"][:, 0].mean() < 0.03 and (shares["c"][:, 1] > 0).mean() < 0.12, (
+        "5 % by chance"
+    )
     assert choose_first_number(found[:1]).name == "a"
 
 
 def test_a_sum_without_chance_is_split_exactly():
-    """Shares of 0.8 and 0.2 of y = 2 P1(a) + P1(b) on a grid on which both have that variance, up to its width."""
+    """Shares of 0.8 and 0.2 of y = 2 P1(a) + P1(b) on a grid on which both have that variance, up
+    to its width.
+    """
     grid = (np.arange(40) + 0.5) / 40
     u = np.stack(np.meshgrid(grid, grid), axis=-1).reshape(-1, 2)
     split = split_variance(u, ["a", "b"], Metric("y", "", 4.0 * u[:, 0] + 2.0 * u[:, 1]))
@@ -81,10 +98,14 @@ def test_a_single_outlier_does_not_decide_the_shares():
     y = u[:, 0] + 0.1 * random.normal(size=64)
     far = np.where(np.arange(64) == y.argmax(), 1e3, y)
     one, other = (split_scatter(u, ["a", "b"], Metric("y", "ms", values)) for values in (y, far))
-    assert one.numbers == other.numbers and one.numbers.low > 0.7 and other.answer.values.max() == 1e3
+    assert (
+        one.numbers == other.numbers and one.numbers.low > 0.7 and other.answer.values.max() == 1e3
+    )
     assert split_variance(u, ["a", "b"], Metric("y", "", far)).numbers.low < 0.2
     scores = normal_scores(np.array([3.0, np.nan, 1.0, 2.0]))
-    assert scores == pytest.approx(np.array([0.967422, np.nan, -0.967422, 0.0]), abs=1e-6, nan_ok=True)
+    assert scores == pytest.approx(
+        np.array([0.967422, np.nan, -0.967422, 0.0]), abs=1e-6, nan_ok=True
+    )
 
 
 def test_too_few_runs_or_equal_answers_have_no_split():
@@ -100,7 +121,11 @@ def test_too_few_runs_or_equal_answers_have_no_split():
 def test_the_picture_and_the_words_have_every_share():
     splits = list(splits_of_a_known_function(2))
     first, *_, last = describe_splits(splits)
-    assert first.startswith("y ") and "of its scatter is due to unknown numbers (a " in first and "chance of the fall" in first
+    assert (
+        first.startswith("y ")
+        and "of its scatter is due to unknown numbers (a " in first
+        and "chance of the fall" in first
+    )
     assert last.startswith("measure first: a (")
     bars = draw_variance_shares(splits).axes[0].patches
     widths = np.array([bar.get_width() for bar in bars]).reshape(2, 6)
@@ -108,16 +133,24 @@ def test_the_picture_and_the_words_have_every_share():
 
 
 def test_the_share_within_is_that_of_the_analysis_of_variance():
-    """Rows (1, 3) and (5, 7) and (9, 11): mean squares 2 within and 32 between, F = 16, (16 - 1) / (16 + 1) between."""
-    assert within_point_share(np.array([[1.0, 3.0], [5.0, 7.0], [9.0, 11.0]]))[0] == pytest.approx(2 / 17)
+    """Rows (1, 3) and (5, 7) and (9, 11): mean squares 2 within and 32 between, F = 16, (16 - 1) /
+    (16 + 1) between.
+    """
+    assert within_point_share(np.array([[1.0, 3.0], [5.0, 7.0], [9.0, 11.0]]))[0] == pytest.approx(
+        2 / 17
+    )
     random = np.random.default_rng(2)
-    rows = [within_point_share(random.normal(size=(32, 1)) + random.normal(size=(32, 2))) for _ in range(300)]
+    rows = [
+        within_point_share(random.normal(size=(32, 1)) + random.normal(size=(32, 2)))
+        for _ in range(300)
+    ]
     estimate, low, high = np.array(rows).T
     assert estimate.mean() == pytest.approx(0.5, abs=0.02)
-    assert ((low <= 0.5) & (high >= 0.5)).mean() == pytest.approx(0.9, abs=0.052)  # three standard deviations of the count
+    assert ((low <= 0.5) & (high >= 0.5)).mean() == pytest.approx(0.9, abs=0.052)  # three standard
+    # deviations of the count
 
 
-MIXED = '''base = "weigh-bucket"
+MIXED = """base = "weigh-bucket"
 [portion]
 target_weight = 0.03
 [[portion.product]]
@@ -125,11 +158,16 @@ product = "hazelnut"
 share = 2
 [[portion.product]]
 product = "gummy-bear"
-'''
+"""
 
 
 @pytest.mark.parametrize(
-    "scene", [load_scene("weigh-bucket", {"product": "hazelnut", "portion.target_weight": 0.02}), parse_scene(MIXED)], ids=["one", "two"]
+    "scene",
+    [
+        load_scene("weigh-bucket", {"product": "hazelnut", "portion.target_weight": 0.02}),
+        parse_scene(MIXED),
+    ],
+    ids=["one", "two"],
 )
 def test_the_number_of_pieces_does_not_depend_on_a_drawn_density(scene):
     held, drawn = draw_uncertain_numbers(scene, 4, 0, {"drop.height": [0.2, 0.3, 0.2, 0.3]})
@@ -138,13 +176,18 @@ def test_the_number_of_pieces_does_not_depend_on_a_drawn_density(scene):
     own = build_piece_set(scene)
     for value in (0.5 * drawn[key][0], 2.0 * drawn[key][0]):
         assert build_piece_set(held.replace({key: value})).materials == own.materials
-    assert len(build_piece_set(scene.replace({key: 2.0 * drawn[key][0]})).materials) < len(own.materials)
+    assert len(build_piece_set(scene.replace({key: 2.0 * drawn[key][0]})).materials) < len(
+        own.materials
+    )
     assert fix_piece_counts(load_scene("plate-drop")) == {}
 
 
 def test_a_scene_without_ranges_is_refused_in_one_line(capsys):
     assert main(["ensemble", "weigh-bucket", "--uncertain", "--out", "none.h5"]) == 2
-    assert "uncertain = []: no number of the scene has a range; allowed: a product with ranges" in capsys.readouterr().err
+    assert (
+        "uncertain = []: no number of the scene has a range; allowed: a product with ranges"
+        in capsys.readouterr().err
+    )
 
 
 CHEESE = {
@@ -156,17 +199,26 @@ CHEESE = {
 def test_a_study_of_ranges_takes_them_from_the_scene():
     study = fill_parameters(validate_study(CHEESE, "cheese.toml"))
     assert study.design == "sobol" and study.parameter["material.youngs_modulus"].log
-    assert (study.parameter["material.restitution"].low, study.parameter["material.restitution"].high) == (0.1, 0.35)
+    assert (
+        study.parameter["material.restitution"].low,
+        study.parameter["material.restitution"].high,
+    ) == (0.1, 0.35)
     assert study.base_scene().portion.count == 5 and fill_parameters(study) is study
-    assert [study.member_seed(k) for k in (0, 1, 63)] == [0, 1, 63], "drops of different points share no seed"
+    assert [study.member_seed(k) for k in (0, 1, 63)] == [0, 1, 63], (
+        "drops of different points share no seed"
+    )
     with pytest.raises(SceneError, match="uncertain = true: allowed without parameters"):
-        validate_study(CHEESE | {"parameter": {"drop.height": {"values": [0.2, 0.3]}}}, "cheese.toml")
+        validate_study(
+            CHEESE | {"parameter": {"drop.height": {"values": [0.2, 0.3]}}}, "cheese.toml"
+        )
     with pytest.raises(SceneError, match=r"uncertain = \[\]: no number of the scene has a range"):
         fill_parameters(validate_study(CHEESE | {"set": {}}, "cheese.toml"))
 
 
 def test_a_study_of_ranges_says_what_is_chance_and_what_is_not_known():
-    """Of outputs that are made up: the peak is the logarithm of the modulus, the time to rest is chance."""
+    """Of outputs that are made up: the peak is the logarithm of the modulus, the time to rest is
+    chance.
+    """
     study = fill_parameters(validate_study(CHEESE, "cheese.toml"))
     found = StudyResults.create_empty(study)
     moduli = np.repeat([point["material.youngs_modulus"] for point in list_points(study)], 2)
@@ -174,8 +226,14 @@ def test_a_study_of_ranges_says_what_is_chance_and_what_is_not_known():
     found.outputs["time_to_rest"][:] = np.random.default_rng(5).normal(300, 50, 64)
     found.state[:] = DONE
     by_output = {split.answer.name: split for split in split_outputs(found)}
-    assert by_output["peak"].parts[0].name == "material.youngs_modulus" and by_output["peak"].numbers.value > 0.9
+    assert (
+        by_output["peak"].parts[0].name == "material.youngs_modulus"
+        and by_output["peak"].numbers.value > 0.9
+    )
     assert by_output["time_to_rest"].numbers.low == 0.0
     lines = analysis.list_findings(found)
     assert any(line.startswith("measure first: youngs_modulus (") for line in lines)
-    assert any(line.startswith("peak: drops with equal numbers have 0 % (0 to 0 %) of the scatter") for line in lines)
+    assert any(
+        line.startswith("peak: drops with equal numbers have 0 % (0 to 0 %) of the scatter")
+        for line in lines
+    )

@@ -1,4 +1,6 @@
-"""Runs that end once all is settled: what they hold is the beginning of the whole run, wherever they were cut or stopped."""
+"""Runs that end once all is settled: what they hold is the beginning of the whole run, wherever
+they were cut or stopped.
+"""
 
 import h5py
 import numpy as np
@@ -40,7 +42,9 @@ def series(result):
 
 
 def assert_begins(whole, part):
-    """The arrays of a run, or of runs side by side, are the beginning of those of another, to the bit."""
+    """The arrays of a run, or of runs side by side, are the beginning of those of another, to the
+    bit.
+    """
     found, expected = series(part), series(whole)
     assert found.keys() == expected.keys()
     for name, array in found.items():
@@ -58,9 +62,14 @@ def test_a_run_that_ends_early_is_the_beginning_of_the_whole_one():
     assert_begins(whole_of(ball()), found)
     end = found.settled
     assert end == found.time[-1] == pytest.approx(len(found.time) * 2e-5)
-    assert np.remainder(end / WINDOW + 0.5, 1) == pytest.approx(0.5), "after a whole number of windows"
+    assert np.remainder(end / WINDOW + 0.5, 1) == pytest.approx(0.5), (
+        "after a whole number of windows"
+    )
     assert 0.020 < end < 0.03, "the impact takes about 5 ms"
-    assert any(line.endswith(f"{end:.6g} s in samples of 2e-05 s, f64, then all was settled") for line in summary.summarize_run(found))
+    assert any(
+        line.endswith(f"{end:.6g} s in samples of 2e-05 s, f64, then all was settled")
+        for line in summary.summarize_run(found)
+    )
     speed, time = np.abs(found.pieces.velocity[:, 0, 2]), found.pieces.time
     assert speed[time > end - WINDOW].max() < SPEED
     before = (time > end - 2 * WINDOW) & (time <= end - WINDOW)
@@ -70,7 +79,9 @@ def test_a_run_that_ends_early_is_the_beginning_of_the_whole_one():
 def test_a_run_that_does_not_come_to_rest_goes_on_to_its_end():
     found = dem_jax.simulate(ball(**{"run.duration": 0.02}))
     assert found.settled is None and found.time[-1] == pytest.approx(0.02)
-    assert not any("settled at" in line or "all was settled" in line for line in summary.summarize_run(found))
+    assert not any(
+        "settled at" in line or "all was settled" in line for line in summary.summarize_run(found)
+    )
 
 
 def test_where_chunks_end_changes_nothing(monkeypatch):
@@ -84,7 +95,14 @@ def test_where_chunks_end_changes_nothing(monkeypatch):
 def test_it_ends_after_the_last_motion():
     corners = [[-0.4, -0.4, 0.3], [-0.3, -0.4, 0.3], [-0.3, -0.3, 0.3], [-0.4, -0.3, 0.3]]
     flap = {"group": "flap", "corners": corners}
-    swing = {"group": "flap", "swing_deg": 30.0, "start": 0.035, "opening": 0.002, "dwell": 0.0, "closing": 0.002}
+    swing = {
+        "group": "flap",
+        "swing_deg": 30.0,
+        "start": 0.035,
+        "opening": 0.002,
+        "dwell": 0.0,
+        "closing": 0.002,
+    }
     shake = {"group": "flap", "stroke": [0.0, 0.0, 1e-3], "shake_start": 0.0, "shake_end": 0.0391}
     base = ball().model_dump()["wall"]
     for motion, still in ((swing, 0.039), (shake, 0.0391)):
@@ -94,22 +112,25 @@ def test_it_ends_after_the_last_motion():
 
 NEVER = [
     ({"swing_deg": 10.0, "period": 0.5}, r"motion\.0\.period = 0\.5; allowed: 0"),
-    ({"stroke": [0, 0, 1e-4]}, r"motion\.0\.shake_end = 1000; allowed: below run\.duration = 0\.06"),
+    (
+        {"stroke": [0, 0, 1e-4]},
+        r"motion\.0\.shake_end = 1000; allowed: below run\.duration = 0\.06",
+    ),
 ]
 
 
 @pytest.mark.parametrize(("motion", "message"), NEVER)
 def test_motion_without_an_end_is_refused(motion, message):
     scene = ball(motion=[{"group": "plate"} | motion])
-    with pytest.raises(SceneError, match=r"run\.until_settled = true: group 'plate' never rests: " + message):
+    with pytest.raises(
+        SceneError, match=r"run\.until_settled = true: group 'plate' never rests: " + message
+    ):
         prepare_job(scene, (0,), None)
     prepare_job(scene.replace(run={"until_settled": False}), (0,), None)
 
 
 def test_a_time_too_short_to_tell_rest_from_the_top_of_a_bounce_is_refused():
-    message = (
-        r"run\.settled_time = 0\.00096: .* allowed: above 0\.002039 s, in which gravity turns run\.settled_speed = 0\.01 round"
-    )
+    message = r"run\.settled_time = 0\.00096: .* allowed: above 0\.002039 s, in which gravity turns run\.settled_speed = 0\.01 round"
     with pytest.raises(SceneError, match=message):
         dem_jax.simulate(ball(**{"run.settled_speed": 0.01}))
 
@@ -123,7 +144,10 @@ def settled(tmp_path_factory):
 def test_a_portion_at_rest_is_released_at_once(settled):
     found, _ = settled
     assert 0.1 < found.info["settling"] < 0.5, "of 0.6 s"
-    assert any(f"released after {found.info['settling']:.6g} s of settling" in line for line in summary.summarize_run(found))
+    assert any(
+        f"released after {found.info['settling']:.6g} s of settling" in line
+        for line in summary.summarize_run(found)
+    )
     assert np.linalg.norm(found.pieces.velocity[0]) < 0.01 and found.pieces.time[0] == 0
     mass = 300 * 4 / 3 * np.pi * 0.01**3
     last = found.time > found.settled - 0.02
@@ -132,7 +156,9 @@ def test_a_portion_at_rest_is_released_at_once(settled):
     assert 0.25 < found.settled < 0.6, "the feed flaps are closed again at 0.27 s"
     whole = whole_of(portion())
     assert whole.settled_mass["wb"][-1] == pytest.approx(mass, rel=1e-12)
-    np.testing.assert_allclose(found.pieces.position[0], whole.pieces.position[0], rtol=0, atol=1e-4)
+    np.testing.assert_allclose(
+        found.pieces.position[0], whole.pieces.position[0], rtol=0, atol=1e-4
+    )
 
 
 def test_settling_is_not_cut_where_a_wall_moves_before_the_release():
@@ -183,7 +209,11 @@ def test_a_run_that_ended_settled_is_complete(settled):
 def test_an_ensemble_ends_once_all_its_runs_are_settled():
     base = ball().model_dump()["piece"][0] | {"position": (0.0, 0.0, 0.0)}
     region = {"region_low": [-0.02, -0.02, 0.0], "region_high": [0.02, 0.02, 0.03]}
-    one = {k: base[k] for k in ("shape", "radius")} | {"count": 1, "arrangement": "scattered"} | region
+    one = (
+        {k: base[k] for k in ("shape", "radius")}
+        | {"count": 1, "arrangement": "scattered"}
+        | region
+    )
     scene = ball(piece=[], portion=one)
     together = dem_jax.ensemble(scene, runs=3, seed=2)
     alone = [dem_jax.simulate(scene, seed=k) for k in (2, 3, 4)]

@@ -1,4 +1,6 @@
-"""Keys that vary between the runs of an ensemble, as a command line names them, and samples at a scale's rate."""
+"""Keys that vary between the runs of an ensemble, as a command line names them, and samples at a
+scale's rate.
+"""
 
 import pytest
 
@@ -16,7 +18,10 @@ from dem_jax.scene import load_scene
         (["drop.height=0.2:0.3:0.05"], {"drop.height": [0.2, 0.25, 0.3, 0.2, 0.25]}),
         (["a=1,0.5", "b=1:3"], {"a": [1, 1, 1, 0.5, 0.5], "b": [1, 2, 3, 1, 2]}),
         (["product=almond,peanut"], {"product": ["almond", "peanut"] * 2 + ["almond"]}),
-        (["portion.region_low=[0, 0, 1],[0, 0, 2]"], {"portion.region_low": [[0, 0, 1], [0, 0, 2]] * 2 + [[0, 0, 1]]}),
+        (
+            ["portion.region_low=[0, 0, 1],[0, 0, 2]"],
+            {"portion.region_low": [[0, 0, 1], [0, 0, 2]] * 2 + [[0, 0, 1]]},
+        ),
         (['run.step="auto"'], {"run.step": ["auto"] * 5}),
         ([], {}),
     ],
@@ -60,12 +65,28 @@ def test_the_command_passes_values_seeds_and_the_rate_on(monkeypatch, tmp_path, 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(interface, "ensemble", ensemble)
     monkeypatch.setattr(simulation_options, "finish_run", lambda *_: None)
-    command = ["ensemble", "weigh-bucket", "--runs", "3", "--vary", "portion.count=5:6", "--record-rate", "500"]
+    command = [
+        "ensemble",
+        "weigh-bucket",
+        "--runs",
+        "3",
+        "--vary",
+        "portion.count=5:6",
+        "--record-rate",
+        "500",
+    ]
     assert main(command) == 0
-    assert asked["parameters"] == {"portion.count": [5, 6, 5]} and asked["runs"] == 3 and asked["uncertain"] is False
+    assert (
+        asked["parameters"] == {"portion.count": [5, 6, 5]}
+        and asked["runs"] == 3
+        and asked["uncertain"] is False
+    )
     assert asked["scene"] == load_scene("weigh-bucket", {"run.sample": 2e-3, "run.frames": 0.0})
     assert main([*command, "--set", "run.frames=0.01"]) == 0 and asked["scene"].run.frames == 0.01
-    for wrong, words in ((["--record-rate", "0"], "--record-rate 0"), (["--vary", "a=x:2"], "--vary a=x:2")):
+    for wrong, words in (
+        (["--record-rate", "0"], "--record-rate 0"),
+        (["--vary", "a=x:2"], "--vary a=x:2"),
+    ):
         assert main([*command[:2], *wrong]) == 2
         assert words in capsys.readouterr().err
     assert main(["run", "--resume", "nothing.h5", "--record-rate", "500"]) == 2

@@ -1,4 +1,6 @@
-"""VTK export: the files say what the poses say, read back by an XML parser (and checked once with VTK's own reader)."""
+"""VTK export: the files say what the poses say, read back by an XML parser (and checked once with
+VTK's own reader).
+"""
 
 import base64
 import xml.etree.ElementTree as ET
@@ -33,7 +35,10 @@ def one_flap():
     walls = {"floor": [(square.vertices, square.faces)], "flap": [(square.vertices, square.faces)]}
 
     def pose(t):
-        return {"floor": (np.eye(3), np.zeros(3)), "flap": (quaternion_to_matrix(QUARTER), np.array([0, 0, 10 * t]))}
+        return {
+            "floor": (np.eye(3), np.zeros(3)),
+            "flap": (quaternion_to_matrix(QUARTER), np.array([0, 0, 10 * t])),
+        }
 
     return walls, pose
 
@@ -63,9 +68,13 @@ def test_frames_hold_the_pieces_where_they_are(tmp_path):
     marshmallow = kinds[0].vertices
     turned = np.c_[-marshmallow[:, 1], marshmallow[:, 0], marshmallow[:, 2]] + (0, 0, 0.1)
     np.testing.assert_allclose(last["Points"][:16], turned, atol=1e-15)
-    np.testing.assert_allclose(np.linalg.norm(last["Points"][16:] - (0.1, 0, 0.05), axis=1), 0.01, rtol=1e-12)
+    np.testing.assert_allclose(
+        np.linalg.norm(last["Points"][16:] - (0.1, 0, 0.05), axis=1), 0.01, rtol=1e-12
+    )
     np.testing.assert_array_equal(last["connectivity"][: last["offsets"][0]], kinds[0].faces[0])
-    assert last["connectivity"].max() == len(last["Points"]) - 1 and last["offsets"][-1] == len(last["connectivity"])
+    assert last["connectivity"].max() == len(last["Points"]) - 1 and last["offsets"][-1] == len(
+        last["connectivity"]
+    )
     facets = len(shapes.surface_mesh(kinds[1])[1])
     np.testing.assert_array_equal(last["piece"], [0] * 10 + [1] * facets)
     np.testing.assert_allclose(last["speed"], [5.0] * 10 + [1.0] * facets, rtol=1e-15)
@@ -78,7 +87,8 @@ def test_a_piece_of_parts_is_drawn_without_what_is_inside(tmp_path):
     frames = Frames(np.zeros(1), still + (0, 0, 0.1), np.array([[QUARTER]]), still, still)
     (collection,) = export_vtk(frames, [pasta], tmp_path)
     found = arrays(tmp_path / "frames" / "pieces_00000.vtp")
-    np.testing.assert_array_equal(found["offsets"], np.arange(4, 4 * 32 + 1, 4))  # of eight staves four faces each show
+    np.testing.assert_array_equal(found["offsets"], np.arange(4, 4 * 32 + 1, 4))  # of eight staves
+    # four faces each show
     loops = [tuple(loop) for loop in found["connectivity"].reshape(-1, 4)]
     volume, centre, _ = shapes.integrate_polyhedron(found["Points"], loops)
     assert volume == pytest.approx(pasta.volume, rel=1e-11)
@@ -93,7 +103,9 @@ def test_walls_follow_their_motion(tmp_path):
     last = arrays(tmp_path / files[1])
     rest = walls["flap"][0][0]
     np.testing.assert_allclose(last["Points"][:8], rest, atol=1e-15)
-    np.testing.assert_allclose(last["Points"][8:], np.c_[-rest[:, 1], rest[:, 0], rest[:, 2] + 0.1], atol=1e-15)
+    np.testing.assert_allclose(
+        last["Points"][8:], np.c_[-rest[:, 1], rest[:, 0], rest[:, 2] + 0.1], atol=1e-15
+    )
     np.testing.assert_array_equal(last["group"], [0] * 6 + [1] * 6)
 
 

@@ -1,4 +1,6 @@
-"""The main job: 50 g of marshmallows from the feed bucket into the weigh bucket, in double precision."""
+"""The main job: 50 g of marshmallows from the feed bucket into the weigh bucket, in double
+precision.
+"""
 
 import numpy as np
 import pytest
@@ -33,16 +35,22 @@ def test_settled_mass_ends_as_the_portion(run):
 
 
 def test_floor_force_at_the_end_is_the_weight(run):
-    """That of the weigh bucket alone; but for what slows down a piece that still moves, which some seeds and roundings have."""
+    """That of the weigh bucket alone; but for what slows down a piece that still moves, which some
+    seeds and roundings have.
+    """
     end = np.flatnonzero(run.time > run.time[-1] - 0.2)
     total = sum(run.mean_force[g][end, 2].mean() for g in ("wb_flaps", "wb_walls"))
-    slowed = (run.momentum[-1, 2] - run.momentum[end[0] - 1, 2]) / (run.time[-1] - run.time[end[0] - 1])
+    slowed = (run.momentum[-1, 2] - run.momentum[end[0] - 1, 2]) / (
+        run.time[-1] - run.time[end[0] - 1]
+    )
     assert -total == pytest.approx(9 * PIECE * 9.81 + slowed, rel=1e-9)
     assert abs(slowed) < 0.01 * 9 * PIECE * 9.81
 
 
 def test_momentum_balance_closes_to_rounding(run):
-    """Interval-mean wall forces and gravity integrate to the change of momentum from sample to sample."""
+    """Interval-mean wall forces and gravity integrate to the change of momentum from sample to
+    sample.
+    """
     force = -sum(run.mean_force.values()) + np.array([0, 0, -9.81]) * 9 * PIECE
     change = np.diff(run.momentum, axis=0)
     interval = run.time[1] - run.time[0]
@@ -51,16 +59,21 @@ def test_momentum_balance_closes_to_rounding(run):
 
 
 def test_energy_ledger_closes(run):
-    """Total energy moves by less than 1 % of what the impact dissipates; it is second order in the time step."""
+    """Total energy moves by less than 1 % of what the impact dissipates; it is second order in the
+    time step.
+    """
     total = run.energy["total"]
     spent = run.energy["dissipated"][-1] - run.energy["dissipated"][0]
     assert np.ptp(total) < 0.01 * spent
 
 
 def test_peak_force_and_its_time(run):
-    """A free fall from the closed flaps' edge, and more for pieces above it; force within the stiff limit."""
+    """A free fall from the closed flaps' edge, and more for pieces above it; force within the stiff
+    limit.
+    """
     pif, height = run.pif_kg("wb_flaps"), HEIGHT[parse_scene(run.scene).name]
     peak = int(np.argmax(pif))
     assert -0.016 < run.time[peak] - np.sqrt(2 * height / 9.81) < 0.034
-    one = np.sqrt(2 * 9.81 * height * PIECE * 33327.17) / 9.81  # kg: peak of one piece that lands flat (VALIDATION, sec. 2)
+    one = np.sqrt(2 * 9.81 * height * PIECE * 33327.17) / 9.81  # kg: peak of one piece that lands
+    # flat (VALIDATION, sec. 2)
     assert one / 3 < pif[peak] < 9 * one

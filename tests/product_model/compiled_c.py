@@ -58,7 +58,9 @@ def values_of(params):
     room = ctypes.c_int32 * IMPACTS
     impacts = room(*own.impacts[:IMPACTS])
     added = [float(value) for value in own.values().values()]
-    return ExtendedValues(*numbers, LandingValues(*added, SHAPES.index(own.shape), len(own.impacts), impacts))
+    return ExtendedValues(
+        *numbers, LandingValues(*added, SHAPES.index(own.shape), len(own.impacts), impacts)
+    )
 
 
 def compile_c(folder, *arguments):
@@ -67,7 +69,9 @@ def compile_c(folder, *arguments):
 
 
 class Library:
-    """The functions of product_model.h in one precision. impacts: room for them, 0 for the paper's model."""
+    """The functions of product_model.h in one precision. impacts: room for them, 0 for the paper's
+    model.
+    """
 
     def __init__(self, folder, precision, impacts=0):
         for name in ("product_model.c", "product_model.h"):

@@ -22,7 +22,8 @@ def force_of_piece(t, height, mass, dt_impact):
 
 
 def force(times, heights, mass, dt_impact):
-    return np.array([sum(force_of_piece(t, h, mass, dt_impact) for h in heights) for t in times])  # eq. 15
+    # eq. 15
+    return np.array([sum(force_of_piece(t, h, mass, dt_impact) for h in heights) for t in times])
 
 
 def mean_force(edges, heights, mass, dt_impact):

@@ -59,7 +59,9 @@ def test_fine_samples_of_many_pieces_keep_the_bits_of_the_times(libraries, preci
 
 
 def test_any_step_keeps_the_momentum(libraries):
-    """Mean forces times their steps: m g t_i + m g (T - t_i - dt) for each piece, whatever the steps are."""
+    """Mean forces times their steps: m g t_i + m g (T - t_i - dt) for each piece, whatever the
+    steps are.
+    """
     params, library = short(), libraries["f64"]
     pulses = simulate(params, 3).pulses
     steps = np.random.default_rng(0).uniform(1e-5, 4e-3, 500)
@@ -189,7 +191,9 @@ def test_the_command_writes_files_that_compile_and_give_the_trace_of_simulate(ca
 
 def test_files_of_a_fit_have_its_parameters():
     rows = {"dt_impact": 4e-4, "gamma_low": 0.03, "gamma_high": 0.05, "h_mean": 0.2}
-    tree = {name: {"value": value, "low": 0.9 * value, "high": value} for name, value in rows.items()}
+    tree = {
+        name: {"value": value, "low": 0.9 * value, "high": value} for name, value in rows.items()
+    }
     with open("fit.json", "w") as file:
         json.dump({"parameters": tree, "info": {"pieces": [7], "m_piece": [4e-3]}}, file)
     assert main("c --fit fit.json --seed 3 --form rectangular --out own".split()) == 0
@@ -213,7 +217,8 @@ def test_files_have_the_precision_and_the_room_that_are_needed():
     last = subprocess.run(["single/example"], capture_output=True, text=True).stdout.splitlines()[
         -1
     ]
-    # each piece's weight is the difference of two forces a hundred times as large, and rounded with them
+    # each piece's weight is the difference of two forces a hundred times as large, and rounded with
+    # them
     assert float(last.split(",")[1]) == pytest.approx(1000 * 4e-3 * 9.81, rel=1e-5)
 
 

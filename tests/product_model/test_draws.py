@@ -27,4 +27,6 @@ def test_keys_of_the_older_kind_and_keys_side_by_side():
     for key, found in zip(keys, many, strict=True):
         np.testing.assert_array_equal(found, jax.random.uniform(key, (9,), jnp.float32))
     old = jax.random.PRNGKey(3)
-    np.testing.assert_array_equal(draws.uniform(old, 9, jnp.float32, 0.0, 1.0), jax.random.uniform(old, (9,), jnp.float32))
+    np.testing.assert_array_equal(
+        draws.uniform(old, 9, jnp.float32, 0.0, 1.0), jax.random.uniform(old, (9,), jnp.float32)
+    )

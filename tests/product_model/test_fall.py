@@ -1,5 +1,5 @@
-"""Eqs 18-22: the distributions, by statistical tests. Each states its false-alarm rate; keys are fixed, so a pass
-stays a pass.
+"""Eqs 18-22: the distributions, by statistical tests. Each states its false-alarm rate; keys are
+fixed, so a pass stays a pass.
 """
 
 import jax
@@ -38,8 +38,8 @@ def test_the_others_are_half_normal(portions):
 
 
 def test_heights_and_arrival_times(portions):
-    """Standardised heights are normal; impact times follow from them by eq. 14, checked through their own
-    distribution.
+    """Standardised heights are normal; impact times follow from them by eq. 14, checked through
+    their own distribution.
     """
     sigma = np.asarray(portions.sigma_height)[:, None]
     eta = (np.asarray(portions.height) - 0.25) / sigma
@@ -57,10 +57,12 @@ def test_spread_and_heights_are_independent(portions):
 
 
 def test_negative_heights_are_drawn_again_and_counted():
-    """With sigma = h_mean a normal height is negative with probability Phi(-1); what remains is the normal cut
-    off at zero.
+    """With sigma = h_mean a normal height is negative with probability Phi(-1); what remains is the
+    normal cut off at zero.
     """
-    trace = ensemble(parameters(h_mean=0.05, gamma_low=0.05, gamma_high=0.05, pieces=50, sample=1e-3), 4, 400)
+    trace = ensemble(
+        parameters(h_mean=0.05, gamma_low=0.05, gamma_high=0.05, pieces=50, sample=1e-3), 4, 400
+    )
     height, again = np.asarray(trace.height), np.asarray(trace.again)
     assert (height > 0).all() and np.isfinite(np.asarray(trace.force)).all()
     assert stats.binomtest(int(again.sum()), again.size, stats.norm.cdf(-1.0)).pvalue > ALARM
@@ -71,6 +73,8 @@ def test_negative_heights_are_drawn_again_and_counted():
 
 
 def test_no_spread_means_equal_heights():
-    height, again = fall.drop_heights(0.25, jnp.asarray(0.0), jax.random.uniform(jax.random.key(0), (9,), minval=-1.0))
+    height, again = fall.drop_heights(
+        0.25, jnp.asarray(0.0), jax.random.uniform(jax.random.key(0), (9,), minval=-1.0)
+    )
     np.testing.assert_array_equal(height, 0.25)
     assert not again.any()

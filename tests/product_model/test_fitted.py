@@ -1,4 +1,6 @@
-"""Portions of a fit: its parameters, draws from its intervals, and the stream, from Python and the command line."""
+"""Portions of a fit: its parameters, draws from its intervals, and the stream, from Python and the
+command line.
+"""
 
 import json
 
@@ -19,7 +21,10 @@ SHORT = ["--sample", "1e-3", "--duration", "0.3"]
 
 
 def fit_file(**changes):
-    rows = {name: dict(zip(("value", "low", "high"), row, strict=True)) for name, row in (ROWS | changes).items()}
+    rows = {
+        name: dict(zip(("value", "low", "high"), row, strict=True))
+        for name, row in (ROWS | changes).items()
+    }
     with open("fit.json", "w") as file:
         json.dump({"parameters": rows, "info": {"pieces": [7], "m_piece": [4e-3]}}, file)
     return "fit.json"
@@ -29,27 +34,63 @@ def test_a_portion_of_a_fit_has_its_parameters(capsys):
     arguments = ["simulate", "--fit", fit_file(), *SHORT]
     assert main([*arguments, "--out", "a.h5"]) == 0
     assert "1 portion(s) of 7 pieces of 4 g" in capsys.readouterr().out
-    params = parameters(pieces=7, m_piece=4e-3, sample=1e-3, duration=0.3, **{name: row[0] for name, row in ROWS.items()})
+    params = parameters(
+        pieces=7,
+        m_piece=4e-3,
+        sample=1e-3,
+        duration=0.3,
+        **{name: row[0] for name, row in ROWS.items()},
+    )
     expected = simulate(params, jax.random.split(jax.random.key(0), 1)[0])
-    np.testing.assert_allclose(-load("a.h5")["mean_force/wb_flaps"][:, 2], expected.force, atol=1e-12)
-    assert main([*arguments, "--h-mean", "0.3", "--pieces", "4", "--out", "b.h5"]) == 0  # what is given wins
-    assert load("b.h5")["pieces/drop_height"].shape == (4,) and 'h_mean = 0.3' in load("b.h5")["attrs"]["scene"]
+    np.testing.assert_allclose(
+        -load("a.h5")["mean_force/wb_flaps"][:, 2], expected.force, atol=1e-12
+    )
+    # what is given wins
+    assert main([*arguments, "--h-mean", "0.3", "--pieces", "4", "--out", "b.h5"]) == 0
+    assert (
+        load("b.h5")["pieces/drop_height"].shape == (4,)
+        and "h_mean = 0.3" in load("b.h5")["attrs"]["scene"]
+    )
 
 
 def test_draws_fill_the_intervals():
     found = drawn(read_fit(fit_file()), 20000, seed=1)
     for name, (value, low, high) in ROWS.items():
         if name != "gamma_high":  # which is raised to gamma_low where it is below
-            np.testing.assert_allclose(np.quantile(found[name], [0.05, 0.5, 0.95]), [low, value, high], rtol=0.02)
+            np.testing.assert_allclose(
+                np.quantile(found[name], [0.05, 0.5, 0.95]), [low, value, high], rtol=0.02
+            )
     assert (found["gamma_high"] >= found["gamma_low"]).all()
-    still = drawn(read_fit(fit_file(gamma_low=(0.0, 0.0, 0.01), dt_impact=(4e-4, 4e-4, 4e-4))), 1000)
+    still = drawn(
+        read_fit(fit_file(gamma_low=(0.0, 0.0, 0.01), dt_impact=(4e-4, 4e-4, 4e-4))), 1000
+    )
     assert (still["gamma_low"] >= 0).all() and (still["dt_impact"] == 4e-4).all()
 
 
 def test_each_portion_has_parameters_of_its_own(capsys):
-    assert main(["simulate", "--fit", fit_file(), "--draw", "--runs", "3", "--sample", "1e-3", "--seed", "5", "--out", "a.h5"]) == 0
+    assert (
+        main(
+            [
+                "simulate",
+                "--fit",
+                fit_file(),
+                "--draw",
+                "--runs",
+                "3",
+                "--sample",
+                "1e-3",
+                "--seed",
+                "5",
+                "--out",
+                "a.h5",
+            ]
+        )
+        == 0
+    )
     data, expected = load("a.h5"), drawn(read_fit("fit.json"), 3, 5)
-    params = parameters(pieces=7, m_piece=4e-3, sample=1e-3, **{name: row[0] for name, row in ROWS.items()})
+    params = parameters(
+        pieces=7, m_piece=4e-3, sample=1e-3, **{name: row[0] for name, row in ROWS.items()}
+    )
     made = ensemble(params, 5, 3, expected)
     np.testing.assert_allclose(-data["mean_force/wb_flaps"][..., 2], made.force, atol=1e-12)
     for name, values in expected.items():
@@ -75,10 +116,16 @@ def test_the_stream_prints_the_trace(capsys):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["simulate", "--fit", "nothing.json"], "fit = nothing.json: cannot be read (No such file or directory)"),
+        (
+            ["simulate", "--fit", "nothing.json"],
+            "fit = nothing.json: cannot be read (No such file or directory)",
+        ),
         (["simulate", "--fit", "other.json"], "fit = other.json: not a file of `calibrate fit`"),
         (["simulate", "--draw"], "draw: needs the intervals of a fit; give --fit FILE"),
-        (["simulate", "--out", "other.json/x.h5"], "out = other.json/x.h5: the folder does not exist"),
+        (
+            ["simulate", "--out", "other.json/x.h5"],
+            "out = other.json/x.h5: the folder does not exist",
+        ),
         (["stream", "--h-mean", "-1"], "h_mean = -1.0: must be greater than 0 (m)"),
     ],
 )

@@ -23,10 +23,20 @@ def unit(tmp_path_factory):
 
 
 def run(unit, step=SAMPLE, stop=DURATION, release=None, **start):
-    signal = None if release is None else np.array([(0.0, False), (release, True)], [("time", float), ("release", bool)])
+    signal = (
+        None
+        if release is None
+        else np.array([(0.0, False), (release, True)], [("time", float), ("release", bool)])
+    )
     names = ["force", "pif_kg"]
     return fmpy.simulate_fmu(
-        str(unit), step_size=step, output_interval=step, stop_time=stop, start_values=start, input=signal, output=names
+        str(unit),
+        step_size=step,
+        output_interval=step,
+        stop_time=stop,
+        start_values=start,
+        input=signal,
+        output=names,
     )
 
 
@@ -40,7 +50,9 @@ def test_a_unit_makes_the_trace_of_its_inputs_and_of_those_that_a_tool_sets(unit
     np.testing.assert_allclose(made["force"][1:], expected(5), atol=1e-12)
     np.testing.assert_allclose(made["pif_kg"], made["force"] / 9.81, rtol=1e-12)
     other = run(unit, h_mean=0.3, seed=8, dt_impact=2e-3)
-    np.testing.assert_allclose(other["force"][1:], expected(8, h_mean=0.3, dt_impact=2e-3), atol=1e-12)
+    np.testing.assert_allclose(
+        other["force"][1:], expected(8, h_mean=0.3, dt_impact=2e-3), atol=1e-12
+    )
 
 
 def test_a_rising_edge_lets_the_next_portion_fall(unit):
@@ -60,7 +72,9 @@ def test_a_step_that_is_no_multiple_of_the_sample_time_is_an_error(unit):
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="our library is one for Linux")
-@pytest.mark.parametrize("name", ["größe", "日本", "a#b", "100%", "a b", "a%20b", "ü 100% a#b+c&d=e?"])
+@pytest.mark.parametrize(
+    "name", ["größe", "日本", "a#b", "100%", "a b", "a%20b", "ü 100% a#b+c&d=e?"]
+)
 def test_a_unit_runs_in_a_folder_of_any_name(unit, name, tmp_path):
     """Tools give the folder as a URI, in which such letters are encoded."""
     fmpy.extract(str(unit), str(tmp_path / name))
@@ -82,19 +96,31 @@ def test_the_library_lets_python_go_before_the_process_ends(unit, monkeypatch):
 
 def test_a_unit_of_a_fit(capsys):
     rows = {"dt_impact": 4e-4, "gamma_low": 0.03, "gamma_high": 0.05, "h_mean": 0.2}
-    tree = {name: {"value": value, "low": 0.9 * value, "high": 1.1 * value} for name, value in rows.items()}
+    tree = {
+        name: {"value": value, "low": 0.9 * value, "high": 1.1 * value}
+        for name, value in rows.items()
+    }
     with open("fit.json", "w") as file:
         json.dump({"parameters": tree, "info": {"pieces": [7], "m_piece": [4e-3]}}, file)
     assert main(["fmu", "--fit", "fit.json", "--sample", "1e-3", "fit.fmu"]) == 0
     assert capsys.readouterr().out == "fit.fmu\n"
     variables = {v.name: v for v in fmpy.read_model_description("fit.fmu").modelVariables}
-    assert {name: float(variables[name].start) for name in rows} == rows and variables["pieces"].start == "7"
-    assert main(["fmu", "fit.fmu"]) == 2 and "exists; give another name, or --overwrite" in capsys.readouterr().err
+    assert {name: float(variables[name].start) for name in rows} == rows and variables[
+        "pieces"
+    ].start == "7"
+    assert (
+        main(["fmu", "fit.fmu"]) == 2
+        and "exists; give another name, or --overwrite" in capsys.readouterr().err
+    )
 
 
 @pytest.mark.parametrize(
     ("name", "form", "said"),
-    [("a.zip", "interval-mean", "must end in .fmu"), ("no/a.fmu", "interval-mean", "folder"), ("a.fmu", "smooth", "form = smooth")],
+    [
+        ("a.zip", "interval-mean", "must end in .fmu"),
+        ("no/a.fmu", "interval-mean", "folder"),
+        ("a.fmu", "smooth", "form = smooth"),
+    ],
 )
 def test_what_cannot_be_is_one_line(name, form, said):
     with pytest.raises(BadInput, match=said):

@@ -1,4 +1,6 @@
-"""A functional mock-up unit that is compiled from C makes the portions of `simulate`, in both versions of the standard."""
+"""A functional mock-up unit that is compiled from C makes the portions of `simulate`, in both
+versions of the standard.
+"""
 
 import shutil
 from pathlib import Path

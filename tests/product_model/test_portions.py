@@ -13,7 +13,9 @@ def portions():
 
 def test_runs_differ_and_repeat(portions):
     assert len(np.unique(np.asarray(portions.height))) == 200 * 20
-    np.testing.assert_array_equal(portions.force, ensemble(parameters(pieces=20, sample=2e-4), 0, 200).force)
+    np.testing.assert_array_equal(
+        portions.force, ensemble(parameters(pieces=20, sample=2e-4), 0, 200).force
+    )
 
 
 def test_bands_are_quantiles_of_the_pif(portions):

@@ -1,4 +1,6 @@
-"""Files and the command line: layouts that others read, one clear line on bad input, nothing overwritten unasked."""
+"""Files and the command line: layouts that others read, one clear line on bad input, nothing
+overwritten unasked.
+"""
 
 import tomllib
 from pathlib import Path
@@ -20,9 +22,13 @@ def test_hdf5_has_the_layout_of_the_discrete_element_runs(capsys):
     assert "4 portion(s) of 9 pieces" in capsys.readouterr().out
     with h5py.File("t.h5") as file:
         assert file["time"].shape == (300,) and file["force/wb_flaps"].shape == (4, 300, 3)
-        assert file["mean_force/wb_flaps"].shape == (4, 300, 3) and file["settled_mass/wb"].shape == (4, 300)
+        assert file["mean_force/wb_flaps"].shape == (4, 300, 3) and file[
+            "settled_mass/wb"
+        ].shape == (4, 300)
         datasets = []
-        file.visititems(lambda name, item: datasets.append(item) if isinstance(item, h5py.Dataset) else None)
+        file.visititems(
+            lambda name, item: datasets.append(item) if isinstance(item, h5py.Dataset) else None
+        )
         assert all("units" in item.attrs for item in datasets)
         np.testing.assert_allclose(file["mean_force/wb_flaps"][:, -1, 2], -9 * 5.832e-3 * 9.81)
         scene = tomllib.loads(file.attrs["scene"])
@@ -35,8 +41,12 @@ def test_one_run_has_no_run_axis_and_equals_the_python_call():
 
     assert main([*SHORT, "--seed", "3"]) == 0
     data = load("trace.h5")
-    expected = simulate(parameters(sample=1e-3, duration=0.3), jax.random.split(jax.random.key(3), 1)[0])
-    np.testing.assert_allclose(-data["mean_force/wb_flaps"][:, 2], expected.force, rtol=1e-12, atol=1e-12)
+    expected = simulate(
+        parameters(sample=1e-3, duration=0.3), jax.random.split(jax.random.key(3), 1)[0]
+    )
+    np.testing.assert_allclose(
+        -data["mean_force/wb_flaps"][:, 2], expected.force, rtol=1e-12, atol=1e-12
+    )
 
 
 def test_csv_and_mat_hold_the_same_numbers():
@@ -46,7 +56,8 @@ def test_csv_and_mat_hold_the_same_numbers():
     with open("t.csv") as file:
         assert file.readline().strip() == "time_s,force_n_0001,pif_g_0001,force_n_0002,pif_g_0002"
     table = np.loadtxt("t.csv", delimiter=",", skiprows=1)
-    np.testing.assert_allclose(table[:, [1, 3]].T, force, rtol=1e-8, atol=1e-8)  # nine digits are written
+    np.testing.assert_allclose(table[:, [1, 3]].T, force, rtol=1e-8, atol=1e-8)  # nine digits are
+    # written
     mat = loadmat("t.mat")
     np.testing.assert_array_equal(mat["force_n"], force)
     assert mat["inputs"]["h_mean"][0, 0].item() == 0.25
@@ -55,7 +66,11 @@ def test_csv_and_mat_hold_the_same_numbers():
 def test_a_mat_file_has_the_documented_arrays():
     for runs, shape in (("1", (300, 1)), ("2", (2, 300))):
         assert main([*SHORT, "--runs", runs, "--out", f"{runs}.mat"]) == 0
-        mat = {name: value for name, value in loadmat(f"{runs}.mat").items() if not name.startswith("__")}
+        mat = {
+            name: value
+            for name, value in loadmat(f"{runs}.mat").items()
+            if not name.startswith("__")
+        }
         assert mat.keys() == {"time_s", "force_n", "pif_g", "settled_mass_kg", "inputs"}
         assert mat["time_s"].shape == (300, 1)
         assert {mat[name].shape for name in ("force_n", "pif_g", "settled_mass_kg")} == {shape}
@@ -68,7 +83,10 @@ def test_portions_in_blocks_make_the_same_file(monkeypatch, capsys):
     monkeypatch.setattr("product_model.__main__.BLOCK_BYTES", 2**28)
     assert main([*SHORT, "--runs", "4", "--out", "whole.h5"]) == 0
     assert in_blocks.replace("blocks.h5, blocks.png", "whole.h5") == capsys.readouterr().out
-    assert "the figure is that of the first 2 portions" in said and Path("blocks.png").stat().st_size > 0
+    assert (
+        "the figure is that of the first 2 portions" in said
+        and Path("blocks.png").stat().st_size > 0
+    )
     blocks, whole = load("blocks.h5"), load("whole.h5")
     assert blocks.keys() == whole.keys() and blocks.pop("attrs") == whole.pop("attrs")
     for name, values in whole.items():
@@ -79,14 +97,21 @@ def test_portions_in_blocks_make_the_same_file(monkeypatch, capsys):
 def test_what_does_not_fit_is_refused_before_it_is_computed(monkeypatch, capsys):
     monkeypatch.setattr("product_model.memory.available_memory", lambda: 100_000_000)
     assert main(["simulate", "--runs", "10000", "--out", "t.mat"]) == 2
-    error = capsys.readouterr().err  # 12 numbers for each of 10886 samples and 20 for each of 9 pieces, 8 bytes each
+    error = capsys.readouterr().err  # 12 numbers for each of 10886 samples and 20 for each of 9
+    # pieces, 8 bytes each
     assert "runs = 10000: needs 10.5 GB of memory, and 0.1 GB are available; write to .h5" in error
-    with pytest.raises(BadInput, match="runs = 10000: needs 3.5 GB of memory, and 0.1 GB are available; use ensemble_blocks"):
+    with pytest.raises(
+        BadInput,
+        match="runs = 10000: needs 3.5 GB of memory, and 0.1 GB are available; use ensemble_blocks",
+    ):
         ensemble(parameters(), 0, 10000)
     monkeypatch.setattr("shutil.disk_usage", lambda path: SimpleNamespace(free=50_000))
     monkeypatch.setattr("product_model.__main__.BLOCK_BYTES", 70_000)
     assert main([*SHORT, "--runs", "8", "--out", "t.h5"]) == 2
-    assert "out = t.h5: needs 0.0 GB, and 0.0 GB are free; give a larger --sample" in capsys.readouterr().err
+    assert (
+        "out = t.h5: needs 0.0 GB, and 0.0 GB are free; give a larger --sample"
+        in capsys.readouterr().err
+    )
     assert not list(Path().iterdir())
 
 
@@ -111,7 +136,10 @@ BAD = {
     "negative mass": (["--m-piece", "-1"], "m_piece = -1.0: must be greater than 0 (kg)"),
     "not a number": (["--dt-impact", "nan"], "dt_impact"),
     "infinite": (["--m-target", "inf"], "m_target = inf: must be finite"),
-    "limits in the wrong order": (["--gamma-high", "0.01"], "gamma_high = 0.01 m: must be at least gamma_low = 0.02 m"),
+    "limits in the wrong order": (
+        ["--gamma-high", "0.01"],
+        "gamma_high = 0.01 m: must be at least gamma_low = 0.02 m",
+    ),
     "no pieces": (["--pieces", "0"], "pieces = 0: must be greater than or equal to 1"),
     "no runs": (["--runs", "0"], "runs = 0: must be at least 1"),
     "suffix": (["--out", "t.txt"], "out = t.txt: must end in one of .h5, .hdf5, .csv, .mat"),
@@ -156,7 +184,10 @@ def test_nothing_is_overwritten_unasked(capsys):
     assert main(SHORT) == 0
     before = load("trace.h5")["pif"]
     assert main([*SHORT, "--seed", "1"]) == 2
-    assert "out = trace.h5: exists; give another name, or --overwrite to replace it" in capsys.readouterr().err
+    assert (
+        "out = trace.h5: exists; give another name, or --overwrite to replace it"
+        in capsys.readouterr().err
+    )
     np.testing.assert_array_equal(load("trace.h5")["pif"], before)
     assert main([*SHORT, "--seed", "1", "--force"]) == 0
     assert not np.array_equal(load("trace.h5")["pif"], before)
@@ -167,5 +198,14 @@ def test_table_names_every_default_and_its_source(capsys):
     assert main(["table"]) == 0
     rows = [line for line in capsys.readouterr().out.splitlines() if line.startswith("| ")]
     names = {row.split(" | ")[0].strip("| ") for row in rows}
-    assert {"m_target", "m_piece", "dt_impact", "sample", "h_mean", "gamma_low", "gamma_high", "force"} <= names
+    assert {
+        "m_target",
+        "m_piece",
+        "dt_impact",
+        "sample",
+        "h_mean",
+        "gamma_low",
+        "gamma_high",
+        "force",
+    } <= names
     assert all(row.rstrip(" |").rsplit(" | ", 1)[-1].strip() for row in rows)

@@ -1,4 +1,6 @@
-"""How the programs end: one line on stderr and an exit code, whatever happens to their output, and at once on Ctrl-C."""
+"""How the programs end: one line on stderr and an exit code, whatever happens to their output, and
+at once on Ctrl-C.
+"""
 
 import io
 import os
@@ -29,7 +31,11 @@ class Full(io.StringIO):
 @pytest.mark.parametrize(
     ("error", "code", "said"),
     [
-        (OSError(28, "No space left on device"), 2, "p: standard output: No space left on device\n"),
+        (
+            OSError(28, "No space left on device"),
+            2,
+            "p: standard output: No space left on device\n",
+        ),
         (BrokenPipeError(32, "Broken pipe"), 0, ""),
     ],
 )
@@ -71,7 +77,10 @@ def test_an_interrupt_in_a_session_is_one_line(capsys):
 @pytest.mark.parametrize("seed", [-1, 2**31])
 def test_a_seed_out_of_range_is_one_line(seed, capsys):
     assert main(["simulate", "--seed", str(seed)]) == 2
-    assert capsys.readouterr().err == f"product_model: seed = {seed}: must be a whole number from 0 to 2147483647\n"
+    assert (
+        capsys.readouterr().err
+        == f"product_model: seed = {seed}: must be a whole number from 0 to 2147483647\n"
+    )
 
 
 def test_a_missing_device_is_one_line(monkeypatch, capsys):
@@ -84,7 +93,9 @@ def test_a_missing_device_is_one_line(monkeypatch, capsys):
     monkeypatch.setattr(jax, "devices", fail)
     monkeypatch.setenv("JAX_PLATFORMS", "cuda")
     assert run_program("p", fail, ()) == 2
-    assert "p: JAX_PLATFORMS = cuda: JAX finds no such device; allowed: cpu" in capsys.readouterr().err
+    assert (
+        "p: JAX_PLATFORMS = cuda: JAX finds no such device; allowed: cpu" in capsys.readouterr().err
+    )
     monkeypatch.undo()
     with pytest.raises(AssertionError):  # any other is a fault
         run_program("p", fail, ())
@@ -100,7 +111,10 @@ def test_a_file_appears_when_it_is_complete_and_a_link_is_followed(tmp_path):
     with temporary_file(tmp_path / "link.txt") as part:
         part.write_text("new")
     assert (tmp_path / "link.txt").is_symlink() and (tmp_path / "real.txt").read_text() == "new"
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["link.txt", "real.txt"] and not program._unfinished
+    assert (
+        sorted(p.name for p in tmp_path.iterdir()) == ["link.txt", "real.txt"]
+        and not program._unfinished
+    )
 
 
 ASLEEP = """
@@ -117,10 +131,15 @@ hashlib.pbkdf2_hmac('sha256', b'', b'', 10**8)
 
 
 @pytest.mark.skipif(os.name != "posix", reason="of signals of POSIX")
-@pytest.mark.parametrize(("number", "words", "code"), [(signal.SIGINT, "interrupted", 130), (signal.SIGTERM, "terminated", 143)])
+@pytest.mark.parametrize(
+    ("number", "words", "code"),
+    [(signal.SIGINT, "interrupted", 130), (signal.SIGTERM, "terminated", 143)],
+)
 def test_a_signal_ends_a_program_at_once_while_it_computes(number, words, code):
     """In a call that does not return to Python for a minute, as into XLA."""
-    process = subprocess.Popen([sys.executable, "-c", ASLEEP], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        [sys.executable, "-c", ASLEEP], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
     deadline = time.monotonic() + 60
     while not Path("ready").exists() and time.monotonic() < deadline:
         time.sleep(0.02)
@@ -137,7 +156,10 @@ def test_a_signal_ends_a_program_at_once_while_it_computes(number, words, code):
 def test_ctrl_c_while_a_program_begins_is_one_line(name):
     """While it imports JAX."""
     process = subprocess.Popen(
-        [sys.executable, "-v", "-m", name, "--help"], stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True
+        [sys.executable, "-v", "-m", name, "--help"],
+        stderr=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        text=True,
     )
     for line in process.stderr:  # -v tells of each import
         if "import 'numpy" in line:

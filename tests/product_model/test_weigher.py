@@ -13,14 +13,7 @@ from product_model import BadInput, load_weigher, save_weigher
 from product_model import weigher as estimator
 from product_model.__main__ import main
 from product_model.decision import first_decision, t_quantile
-from product_model.weigher import (
-    ESTIMATE,
-    FALLBACK,
-    SHAPES,
-    SIGNAL,
-    TOTAL,
-    scale_variance,
-)
+from product_model.weigher import ESTIMATE, FALLBACK, SHAPES, SIGNAL, TOTAL, scale_variance
 
 
 @pytest.mark.parametrize(("mass", "error"), [(1e9, 1e-4), (MASS, 0.02)])
@@ -89,8 +82,9 @@ def test_a_shape_conserves_momentum_and_is_told_from_the_weight():
 @pytest.mark.parametrize(("amplitude", "doubts"), [(5.0, 0), (8.0, SIGNAL)])
 def test_amplitudes_beyond_their_prior_are_doubted(amplitude, doubts):
     """The innovations fit, as the shape explains the signal: the check is (4 + a^2) / 5, because
-    nothing of the prior variance 1 is left; its logarithm exceeds 2 from a = 5.7 on. The variance of
-    the weight is larger by it, as of a t distribution of four degrees of freedom."""
+    nothing of the prior variance 1 is left; its logarithm exceeds 2 from a = 5.7 on. The variance
+    of the weight is larger by it, as of a t distribution of four degrees of freedom.
+    """
     momentum = 0.2 * np.exp(-np.arange(ROWS + 1) * H / 0.02)
     shape = 0.05 * np.sin(np.arange(ROWS + 1) * H / 0.03) * np.exp(-np.arange(ROWS + 1) * H / 0.02)
     weigher = make_weigher(
@@ -168,7 +162,8 @@ def test_two_portions_and_a_late_piece_are_told_and_the_filter_reads():
     for reading in (both, late):
         assert (reading.status[:, -1] == FALLBACK).all()
         assert not reading.believed[:, -1].any()
-        # this filter passes each sample as it is; the tare is the mean of 80 samples with noise of 0.1 g
+        # this filter passes each sample as it is; the tare is the mean of 80 samples with noise of
+        # 0.1 g
     np.testing.assert_allclose(both.grams[:, -1], (signals + later)[:, -1] - TARE, atol=0.1)
 
 
@@ -290,8 +285,9 @@ def test_quantiles_of_t_with_four_degrees_of_freedom():
 
 
 def test_a_portion_unlike_those_learnt_has_a_wider_error_bar():
-    """Twice the usual mean innovation and three times the usual amplitudes: six times the variance; a
-    portion that is more regular than usual has the usual one."""
+    """Twice the usual mean innovation and three times the usual amplitudes: six times the variance;
+    a portion that is more regular than usual has the usual one.
+    """
     check, usual = np.array([9.0, 2.0, 1.5]), np.log([1.0, 1.0, 0.5])
     assert scale_variance(np, check, usual) == pytest.approx(6.0, rel=1e-12)
     assert scale_variance(np, np.array([9.0, 0.2, 0.1]), usual) == 1.0

@@ -18,7 +18,9 @@ MOST_COMPARED = 6
 
 
 class Question(NamedTuple):
-    """A key that "what if" asks about. least, most: the widest range (SI). span: share of the value up and down at first."""
+    """A key that "what if" asks about. least, most: the widest range (SI). span: share of the value
+    up and down at first.
+    """
 
     key: str
     least: float

@@ -23,7 +23,9 @@ FILTERS = {
 
 
 class Download(NamedTuple):
-    """A file that a command makes of results. ending: of its name. needs_fit: whether it is made of a fitted model."""
+    """A file that a command makes of results. ending: of its name. needs_fit: whether it is made of
+    a fitted model.
+    """
 
     label: str
     text: str

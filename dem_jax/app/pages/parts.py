@@ -1,4 +1,6 @@
-"""Parts that the pages share: headings, fields with unit and limits, commands to copy, the state of a job, charts."""
+"""Parts that the pages share: headings, fields with unit and limits, commands to copy, the state of
+a job, charts.
+"""
 
 import asyncio
 from collections.abc import Awaitable, Callable, Sequence
@@ -147,7 +149,8 @@ class Fields:
 def show_job(
     session: Session, page: str, finished: Callable[[Job], Awaitable[None]]
 ) -> Callable[[Job], None]:
-    """A place for the job of a page: its progress, the time left, a button that cancels it, and why it failed.
+    """A place for the job of a page: its progress, the time left, a button that cancels it, and why
+    it failed.
 
     Args:
         session: of the tab; its job of this page is taken up if it still runs.
@@ -212,7 +215,9 @@ def _keep(task: asyncio.Task[Any]) -> None:
 def show_chart(
     curves: Sequence[tuple[str, Curve | None, Curve | None]], height: str = "26rem"
 ) -> ui.echart:
-    """The force and the settled mass over time, one below the other, with a cursor; (name, force, settled) of each run."""
+    """The force and the settled mass over time, one below the other, with a cursor; (name, force,
+    settled) of each run.
+    """
     series: list[dict[str, Any]] = []
     for k, (name, force, settled) in enumerate(curves):
         colour = COLOURS[k % len(COLOURS)]

@@ -1,4 +1,6 @@
-"""What every section of a scene shares: no unknown keys, no wrong types, only finite numbers of a size that can be."""
+"""What every section of a scene shares: no unknown keys, no wrong types, only finite numbers of a
+size that can be.
+"""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -16,7 +18,8 @@ def as_tuple(value: Any) -> Any:
 
 @dataclass(frozen=True)
 class ParameterMark:
-    """Marks a key whose value enters arrays only, so that it can be a parameter of a compiled program.
+    """Marks a key whose value enters arrays only, so that it can be a parameter of a compiled
+    program.
 
     is_switch: with 0 in the scene the program has nothing of it, and it is no parameter.
     is_inherited: unset, other keys stand for it, and it may be given nevertheless.
@@ -40,13 +43,20 @@ Points = Annotated[tuple[Vector, ...], BeforeValidator(as_tuple)]
 Numbers = Annotated[tuple[float, ...], BeforeValidator(as_tuple)]
 PLACING_KEYS = ("unit", "rotate_deg", "move")  # keys of how an STL is placed
 StlUnit = Annotated[Positive, Field(description="m per unit of an STL: 1e-3 of millimetres")]
-StlTurn = Annotated[Vector, Field(description="degrees, rotation of an STL about x, then y, then z of the scene")]
+StlTurn = Annotated[
+    Vector, Field(description="degrees, rotation of an STL about x, then y, then z of the scene")
+]
 StlMove = Annotated[Vector, Field(description="m, displacement of an STL after its rotation")]
-MaterialName = Annotated[str | None, Field(description="name of a [material.NAME]; unset: [material] itself")]
+MaterialName = Annotated[
+    str | None, Field(description="name of a [material.NAME]; unset: [material] itself")
+]
 
 
-LARGEST_NUMBER = 1e30  # of any number: what it is multiplied with must not take it beyond single precision, 3e38
-ALLOWED_NUMBERS = f"numbers whose size is {1 / LARGEST_NUMBER:g} to {LARGEST_NUMBER:g}, and 0 where that may be"
+LARGEST_NUMBER = 1e30  # of any number: what it is multiplied with must not take it beyond single
+# precision, 3e38
+ALLOWED_NUMBERS = (
+    f"numbers whose size is {1 / LARGEST_NUMBER:g} to {LARGEST_NUMBER:g}, and 0 where that may be"
+)
 
 
 class Section(BaseModel):
@@ -62,13 +72,19 @@ class Section(BaseModel):
                 raise ValueError(f"{key} = {item:.3g}: allowed: {ALLOWED_NUMBERS}")
             for number in _iterate_numbers(item):
                 if abs(number) > LARGEST_NUMBER:
-                    shown = f"{number:.3g}" if isinstance(number, float) or number < 10**15 else "a large whole number"
+                    shown = (
+                        f"{number:.3g}"
+                        if isinstance(number, float) or number < 10**15
+                        else "a large whole number"
+                    )
                     raise ValueError(f"{key} = {shown}: allowed: {ALLOWED_NUMBERS}")
         return self
 
 
 def check_needed(section: BaseModel, keys: Iterable[str], is_needed: bool, why: str) -> None:
-    """Raise ValueError for the first of some keys that is not at its default, unless they are needed; why: they are not."""
+    """Raise ValueError for the first of some keys that is not at its default, unless they are
+    needed; why: they are not.
+    """
     for key in () if is_needed else keys:
         item = getattr(section, key)
         if item != type(section).model_fields[key].default:

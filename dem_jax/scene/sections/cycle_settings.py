@@ -24,22 +24,27 @@ class FlapTimes(Section):
 
 
 class Cycle(Section):
-    """Table 1 of the paper: WB opens and closes, FB does so once WB is open, LF vibrates once FB is shut; and again each period.
+    """Table 1 of the paper: WB opens and closes, FB does so once WB is open, LF vibrates once FB is
+    shut; and again each period.
 
-    Takes the place of the times of the buckets' and the feeder's own sections. The first cycle begins so that FB begins to open at
-    time zero, the release.
+    Takes the place of the times of the buckets' and the feeder's own sections. The first cycle
+    begins so that FB begins to open at time zero, the release.
     """
 
     period: Positive = Field(description="s from one cycle to the next")
     wb: FlapTimes = Field(description="weigh bucket")
     fb: FlapTimes = Field(description="feed bucket: opens when the flaps of WB are open, or later")
-    lf: TimeSpan | None = Field(None, description="s: from when to when the linear feeder vibrates; unset: never")
+    lf: TimeSpan | None = Field(
+        None, description="s: from when to when the linear feeder vibrates; unset: never"
+    )
 
     @model_validator(mode="after")
     def _is_that_of_table_1(self) -> "Cycle":
         wb, fb, lf = self.wb, self.fb, self.lf
         if fb.opens[0] < wb.opens[1]:
-            raise ValueError(f"fb.opens = {list(fb.opens)}: FB opens before WB is open; allowed: from {wb.opens[1]:g} s on")
+            raise ValueError(
+                f"fb.opens = {list(fb.opens)}: FB opens before WB is open; allowed: from {wb.opens[1]:g} s on"
+            )
         for name, each in (("wb", wb), ("fb", fb)):
             if each.closes[1] > each.opens[0] + self.period:
                 late = f"{name}.closes = {list(each.closes)}: {name.upper()} is not shut when it opens again"

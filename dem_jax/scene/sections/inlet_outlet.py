@@ -6,17 +6,27 @@ from dem_jax.scene.sections.base import Positive, Section, Vector
 
 
 class Inlet(Section):
-    """New pieces, like the portion's, that fall from a box at a mass rate, each where it touches no other.
+    """New pieces, like the portion's, that fall from a box at a mass rate, each where it touches no
+    other.
 
-    They wait outside the scene until then; with an ``[outlet]`` removed pieces wait again. They need no recompilation.
+    They wait outside the scene until then; with an ``[outlet]`` removed pieces wait again. They
+    need no recompilation.
     """
 
     mass_rate: Positive = Field(description="kg/s")
-    waiting: int | None = Field(None, ge=1, le=1_000_000, description="pieces outside initially; unset: as many as in the portion")
+    waiting: int | None = Field(
+        None,
+        ge=1,
+        le=1_000_000,
+        description="pieces outside initially; unset: as many as in the portion",
+    )
     start: float = Field(0.0, ge=0, description="s after the release")
     end: Positive | None = Field(None, description="s; unset: until the end of the run")
     every: Positive = Field(0.05, description="s between insertions")
-    low: Vector | None = Field(None, description="m; box of the insertion; unset: above the rear of the feeder, or the feed bucket")
+    low: Vector | None = Field(
+        None,
+        description="m; box of the insertion; unset: above the rear of the feeder, or the feed bucket",
+    )
     high: Vector | None = Field(None, description="m")
     velocity: Vector = Field((0.0, 0.0, 0.0), description="m/s, initial velocity")
 
@@ -25,8 +35,14 @@ class Inlet(Section):
         if self.end is not None and self.end <= self.start:
             raise ValueError(f"end = {self.end:g}: allowed: after start = {self.start:g}")
         if (self.low is None) != (self.high is None):
-            raise ValueError(f"{'low' if self.low is None else 'high'}: missing; allowed: both corners, or none")
-        if self.low is not None and self.high is not None and any(a > b for a, b in zip(self.low, self.high, strict=True)):
+            raise ValueError(
+                f"{'low' if self.low is None else 'high'}: missing; allowed: both corners, or none"
+            )
+        if (
+            self.low is not None
+            and self.high is not None
+            and any(a > b for a, b in zip(self.low, self.high, strict=True))
+        ):
             raise ValueError(f"low = {list(self.low)}: allowed: not above high = {list(self.high)}")
         return self
 
@@ -34,5 +50,8 @@ class Inlet(Section):
 class Outlet(Section):
     """A height below which pieces are taken out of the scene, and counted."""
 
-    below: float | None = Field(None, description="m, height of their centres; unset: a piece's size below all walls at rest")
+    below: float | None = Field(
+        None,
+        description="m, height of their centres; unset: a piece's size below all walls at rest",
+    )
     every: Positive = Field(0.05, description="s between removals")

@@ -11,7 +11,9 @@ ROUNDING = 1e-9  # relative: times that differ by less are the same
 
 
 class Accuracy(Section):
-    """The errors of a single impact that are accepted, relative: the time step follows from them (dem_jax.assembly.time_step)."""
+    """The errors of a single impact that are accepted, relative: the time step follows from them
+    (dem_jax.assembly.time_step).
+    """
 
     restitution: Error | None = Field(None, description="of the speed of rebound")
     peak_force: Error | None = None
@@ -19,7 +21,9 @@ class Accuracy(Section):
     @model_validator(mode="after")
     def _says_something(self) -> "Accuracy":
         if self.restitution is None and self.peak_force is None:
-            raise ValueError("missing: restitution, peak_force; at least one must be given: a number > 0 and <= 0.2")
+            raise ValueError(
+                "missing: restitution, peak_force; at least one must be given: a number > 0 and <= 0.2"
+            )
         return self
 
 
@@ -27,29 +31,42 @@ class RunSettings(Section):
     """How a scene is run and what is kept."""
 
     duration: Positive = Field(0.2, description="s, from the release of the portion")
-    until_settled: bool = Field(False, description="end settling and run as soon as all pieces are at rest")
-    settled_speed: Positive = Field(0.01, description="m/s, all pieces are at rest if they have been slower for settled_time")
-    settled_time: Positive = Field(0.02, description="s, after the last motion of a wall; see settled_speed")
+    until_settled: bool = Field(
+        False, description="end settling and run as soon as all pieces are at rest"
+    )
+    settled_speed: Positive = Field(
+        0.01, description="m/s, all pieces are at rest if they have been slower for settled_time"
+    )
+    settled_time: Positive = Field(
+        0.02, description="s, after the last motion of a wall; see settled_speed"
+    )
     sample: Positive = Field(30e-6, description="s between samples")
     step: Literal["auto"] | Positive = Field("auto", description='s, or "auto"')
     allow_unstable_step: bool = Field(
-        False, description="let a step be longer than the stable one, so that impacts gain more than 1 % of their energy"
+        False,
+        description="let a step be longer than the stable one, so that impacts gain more than 1 % of their energy",
     )
     accuracy: Accuracy | None = Field(
-        None, description="instead of step: { restitution = 0.01, peak_force = 0.001 }, relative errors, both or one"
+        None,
+        description="instead of step: { restitution = 0.01, peak_force = 0.001 }, relative errors, both or one",
     )
     precision: Literal["f32", "f64"] = "f32"
     gravity: Parameter[Vector] = Field((0.0, 0.0, -9.81), description="m/s2")
     frames: NotNegative = Field(1e-3, description="s between stored poses; 0: none")
-    energy: bool = Field(True, description="keep the energy ledger: dissipated energy and work of walls")
+    energy: bool = Field(
+        True, description="keep the energy ledger: dissipated energy and work of walls"
+    )
     domain_low: Vector | None = Field(
         None, description="m; a piece below this has left the scene; unset: from the walls"
     )
     domain_high: Vector | None = Field(None, description="m")
     escape: Literal["stop", "note"] = Field(
-        "stop", description='a piece that leaves the domain stops the run, or is noted in the file and flies on: "note"'
+        "stop",
+        description='a piece that leaves the domain stops the run, or is noted in the file and flies on: "note"',
     )
-    rebuild_steps: int = Field(48, ge=1, le=65536, description="most steps for which candidate pairs are kept")
+    rebuild_steps: int = Field(
+        48, ge=1, le=65536, description="most steps for which candidate pairs are kept"
+    )
     neighbours: Literal["auto", "all-pairs", "cells", "jax-md"] = Field(
         "auto", description="broad phase; auto: all pairs for few pieces, cells for many"
     )
@@ -57,7 +74,9 @@ class RunSettings(Section):
     @model_validator(mode="after")
     def _has_one_step(self) -> "RunSettings":
         if self.accuracy is not None and self.step != "auto":
-            raise ValueError(f'step = {self.step:g}: beside accuracy, from which the step follows; allowed: "auto"')
+            raise ValueError(
+                f'step = {self.step:g}: beside accuracy, from which the step follows; allowed: "auto"'
+            )
         return self
 
     @model_validator(mode="after")

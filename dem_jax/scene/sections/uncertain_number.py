@@ -21,12 +21,18 @@ Distribution = Literal["uniform", "log-uniform"]
 class UncertainNumber(Section):
     """A number that is known within a range only: ``ensemble --uncertain`` draws it for each run."""
 
-    key: str = Field(description="dotted key of a number of this scene, such as material.restitution")
+    key: str = Field(
+        description="dotted key of a number of this scene, such as material.restitution"
+    )
     range: Range = Field(description="low, high: between which it is drawn")
-    distribution: Distribution = Field("uniform", description="log-uniform for numbers known to a factor, such as moduli")
+    distribution: Distribution = Field(
+        "uniform", description="log-uniform for numbers known to a factor, such as moduli"
+    )
 
     @model_validator(mode="after")
     def _has_a_logarithm(self) -> "UncertainNumber":
         if self.distribution == "log-uniform" and self.range[0] <= 0:
-            raise ValueError(f'range = {list(self.range)}: allowed with distribution = "log-uniform": numbers above 0')
+            raise ValueError(
+                f'range = {list(self.range)}: allowed with distribution = "log-uniform": numbers above 0'
+            )
         return self

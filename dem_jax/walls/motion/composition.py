@@ -1,4 +1,6 @@
-"""All motions of walls together: which kinds there are, where they put each group, how fast, and when all is at rest."""
+"""All motions of walls together: which kinds there are, where they put each group, how fast, and
+when all is at rest.
+"""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -32,7 +34,9 @@ class GroupPose(NamedTuple):
 
 
 class _PartialPose(NamedTuple):
-    """A Frame as the kinds from within make it, one after the other; turn: None as long as none is turned."""
+    """A Frame as the kinds from within make it, one after the other; turn: None as long as none is
+    turned.
+    """
 
     turn: Matrix | None
     pivot: Vector
@@ -50,7 +54,9 @@ class _GroupRotation(NamedTuple):
 
 
 class _GroupMovement(NamedTuple):
-    """Rotation and displacement of G groups by one kind of motion; None: it has no rotation, or no displacement."""
+    """Rotation and displacement of G groups by one kind of motion; None: it has no rotation, or no
+    displacement.
+    """
 
     turn: _GroupRotation | None
     shift: tuple[Vector, Vector] | None  # the way, and its rate
@@ -76,7 +82,10 @@ def _evaluate_motion(motion: MotionKind, t: Array, t_velocity: Array) -> _GroupM
     turn = None
     if angle is not None and motion.axis is not None:
         angle, angle_rate = vector.fusion_barrier(angle, angle_rate)
-        axis, pivot = vector.unstack_vector(motion.axis), None if motion.pivot is None else vector.unstack_vector(motion.pivot)
+        axis, pivot = (
+            vector.unstack_vector(motion.axis),
+            None if motion.pivot is None else vector.unstack_vector(motion.pivot),
+        )
         turn = _GroupRotation(axis, pivot, angle, vector.scale(angle_rate, axis))
     return _GroupMovement(turn, None if shift is None else (shift, shift_rate))
 
@@ -88,7 +97,9 @@ def _apply_movement(frame: _PartialPose, move: _GroupMovement) -> _PartialPose:
     if move.shift is None:
         return frame
     way, rate = move.shift
-    return frame._replace(pivot=vector.add(frame.pivot, way), velocity=vector.add(frame.velocity, rate))
+    return frame._replace(
+        pivot=vector.add(frame.pivot, way), velocity=vector.add(frame.velocity, rate)
+    )
 
 
 def _apply_rotation(frame: _PartialPose, move: _GroupRotation) -> _PartialPose:
@@ -105,10 +116,14 @@ def _apply_rotation(frame: _PartialPose, move: _GroupRotation) -> _PartialPose:
     )
 
 
-def build_motions(sections: Sequence[Motion], groups: tuple[str, ...]) -> tuple[tuple[MotionKind, ...], np.ndarray]:
-    """The kinds of motion that sections ask for, and the pivot [3, G] (m) of each group, that of its innermost motion.
+def build_motions(
+    sections: Sequence[Motion], groups: tuple[str, ...]
+) -> tuple[tuple[MotionKind, ...], np.ndarray]:
+    """The kinds of motion that sections ask for, and the pivot [3, G] (m) of each group, that of
+    its innermost motion.
 
-    A group may have several sections, of different kinds. Tables are ``written_out``. Raises SceneError.
+    A group may have several sections, of different kinds. Tables are ``written_out``. Raises
+    SceneError.
     """
     pivot, motions = np.zeros((3, len(groups))), []
     for section in sorted(sections, key=_innermost_kind_index, reverse=True):
@@ -119,7 +134,9 @@ def build_motions(sections: Sequence[Motion], groups: tuple[str, ...]) -> tuple[
         for section in filter(kind.is_requested, sections):
             if kind.is_requested(rows[section.group]):
                 name = kind.__name__.lower()
-                raise SceneError(f"motion.group = {section.group!r}: has two motions of kind {name}; allowed: one of each kind")
+                raise SceneError(
+                    f"motion.group = {section.group!r}: has two motions of kind {name}; allowed: one of each kind"
+                )
             rows[section.group] = section
         if any(map(kind.is_requested, rows.values())):
             motions.append(kind.from_sections(list(rows.values())))
@@ -128,7 +145,9 @@ def build_motions(sections: Sequence[Motion], groups: tuple[str, ...]) -> tuple[
 
 def _innermost_kind_index(section: Motion) -> int:
     """The place in KINDS of a section's innermost motion."""
-    return next((k for k, kind in enumerate(MOTION_KINDS) if kind.is_requested(section)), len(MOTION_KINDS))
+    return next(
+        (k for k, kind in enumerate(MOTION_KINDS) if kind.is_requested(section)), len(MOTION_KINDS)
+    )
 
 
 def find_moving_groups(walls: Walls) -> np.ndarray:
@@ -138,11 +157,30 @@ def find_moving_groups(walls: Walls) -> np.ndarray:
 
 
 def motion_interval(walls: Walls) -> tuple[float, float]:
-    """Times (s) at which the first wall begins to move and the last one has come to rest, inf if never; 0, 0 if none moves."""
-    begins, ends = ([motion.active_interval()[k][motion.moving_groups()] for motion in walls.motions] for k in (0, 1))
-    return np.concatenate([[], *begins]).min(initial=0.0), np.concatenate([[], *ends]).max(initial=0.0)
+    """Times (s) at which the first wall begins to move and the last one has come to rest, inf if
+    never; 0, 0 if none moves.
+    """
+    begins, ends = (
+        [motion.active_interval()[k][motion.moving_groups()] for motion in walls.motions]
+        for k in (0, 1)
+    )
+    return np.concatenate([[], *begins]).min(initial=0.0), np.concatenate([[], *ends]).max(
+        initial=0.0
+    )
 
 
 def describe_endless_motion(section: Motion, duration: float) -> str | None:
-    """The key that keeps a section's wall moving in a run of a given duration (s), and its values allowed; or None."""
-    return next(filter(None, (kind.find_endless_key(section, duration) for kind in MOTION_KINDS if kind.is_requested(section))), None)
+    """The key that keeps a section's wall moving in a run of a given duration (s), and its values
+    allowed; or None.
+    """
+    return next(
+        filter(
+            None,
+            (
+                kind.find_endless_key(section, duration)
+                for kind in MOTION_KINDS
+                if kind.is_requested(section)
+            ),
+        ),
+        None,
+    )

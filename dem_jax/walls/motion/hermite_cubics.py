@@ -1,4 +1,6 @@
-"""The cubics of a table: piecewise cubic Hermite interpolation of Fritsch and Carlson, at rest at both ends."""
+"""The cubics of a table: piecewise cubic Hermite interpolation of Fritsch and Carlson, at rest at
+both ends.
+"""
 
 from collections.abc import Sequence
 from typing import Any
@@ -12,9 +14,11 @@ from dem_jax.scene.array_namespace import is_traced
 
 
 def fit_hermite_cubics(times: Sequence[float], values: Any) -> Any:
-    """The cubic of each row in the time since it, [4, R], highest power first; of the last, the value that it keeps.
+    """The cubic of each row in the time since it, [4, R], highest power first; of the last, the
+    value that it keeps.
 
-    times: [R] (s), values: [R]. For values that JAX differentiates the result is the same up to round-off.
+    times: [R] (s), values: [R]. For values that JAX differentiates the result is the same up to
+    round-off.
     """
     if is_traced(values):
         return _fit_differentiable_cubics(np.asarray(times), values)
@@ -25,7 +29,9 @@ def fit_hermite_cubics(times: Sequence[float], values: Any) -> Any:
 
 
 def _fit_differentiable_cubics(times: np.ndarray, values: jax.Array) -> jax.Array:
-    """Slopes at inner rows are weighted harmonic means of those on both sides, 0 at an extremum (their product is continuous)."""
+    """Slopes at inner rows are weighted harmonic means of those on both sides, 0 at an extremum
+    (their product is continuous).
+    """
     h = jnp.asarray(np.diff(times), values.dtype)
     m = jnp.diff(values) / h
     before, after, left, right = m[:-1], m[1:], 2 * h[1:] + h[:-1], h[1:] + 2 * h[:-1]
@@ -34,5 +40,7 @@ def _fit_differentiable_cubics(times: np.ndarray, values: jax.Array) -> jax.Arra
     inner = jnp.where(alike, (left + right) * before * after / weighted, 0)
     d = jnp.pad(inner, 1)
     start, end = d[:-1], d[1:]
-    rows = jnp.stack([(start + end - 2 * m) / h**2, (3 * m - 2 * start - end) / h, start, values[:-1]])
+    rows = jnp.stack(
+        [(start + end - 2 * m) / h**2, (3 * m - 2 * start - end) / h, start, values[:-1]]
+    )
     return jnp.concatenate([rows, jnp.zeros((4, 1), values.dtype).at[3, 0].set(values[-1])], axis=1)

@@ -34,8 +34,15 @@ class Hinge:
     @classmethod
     def from_sections(cls, sections: list[Motion]) -> "Hinge":
         """Hinges from one section per group, in numpy. Raises SceneError."""
-        times = {key: as_array(stack_section_values(sections, key)) for key in ("start", "opening", "dwell", "closing", "period")}
-        return cls(as_array(stack_unit_axes(sections)), as_array(stack_section_values(sections, "swing_deg") * (np.pi / 180)), **times)
+        times = {
+            key: as_array(stack_section_values(sections, key))
+            for key in ("start", "opening", "dwell", "closing", "period")
+        }
+        return cls(
+            as_array(stack_unit_axes(sections)),
+            as_array(stack_section_values(sections, "swing_deg") * (np.pi / 180)),
+            **times,
+        )
 
     def moving_groups(self) -> np.ndarray:
         """Which groups swing, [G] bool, in numpy."""
@@ -46,7 +53,9 @@ class Hinge:
         since = t - self.start
         cyclic = (self.period > 0) & (since > 0)
         since = jnp.where(cyclic, jnp.mod(since, jnp.where(self.period > 0, self.period, 1)), since)
-        return smooth_step(since / self.opening) - smooth_step((since - self.opening - self.dwell) / self.closing)
+        return smooth_step(since / self.opening) - smooth_step(
+            (since - self.opening - self.dwell) / self.closing
+        )
 
     def pose_at(self, t: jax.Array) -> tuple[jax.Array, None]:
         """Angle (rad), [G], and no shift."""
@@ -55,7 +64,8 @@ class Hinge:
     def active_interval(self) -> tuple[np.ndarray, np.ndarray]:
         """Times (s) at which they begin to open and are shut, inf if they open again, [G] each."""
         start, opening, dwell, closing, period = (
-            np.asarray(x, float) for x in (self.start, self.opening, self.dwell, self.closing, self.period)
+            np.asarray(x, float)
+            for x in (self.start, self.opening, self.dwell, self.closing, self.period)
         )
         return start, np.where(period > 0, np.inf, start + opening + dwell + closing)
 

@@ -1,8 +1,10 @@
-"""Turning and shifting by a table of times, angles and ways: cubics between its rows, at rest before and after it.
+"""Turning and shifting by a table of times, angles and ways: cubics between its rows, at rest
+before and after it.
 
-Between rows the piecewise cubic Hermite interpolation of Fritsch and Carlson (SIAM J. Numer. Anal. 17, 238, 1980): velocity
-has no jump, and angle and ways never go beyond those of the rows on both sides. Slopes are zero at the first and the last row.
-For a smooth monotonic motion the error is of third order in the interval of the rows, next to an extremum of second order.
+Between rows the piecewise cubic Hermite interpolation of Fritsch and Carlson (SIAM J. Numer. Anal.
+17, 238, 1980): velocity has no jump, and angle and ways never go beyond those of the rows on both
+sides. Slopes are zero at the first and the last row. For a smooth monotonic motion the error is of
+third order in the interval of the rows, next to an extremum of second order.
 """
 
 import csv
@@ -45,16 +47,37 @@ class Table:
 
     @classmethod
     def from_sections(cls, sections: list[Motion]) -> "Table":
-        """Tables from one section per group, with its table ``load_table_rows`` if it has one, in numpy. Raises SceneError."""
+        """Tables from one section per group, with its table ``load_table_rows`` if it has one, in
+        numpy. Raises SceneError.
+        """
         most = max(len(row.times or (0.0,)) for row in sections)
         times = np.full((most, len(sections)), np.inf)
         for group, row in enumerate(sections):
             times[: len(row.times or (0.0,)), group] = row.times or (0.0,)
-        turns, shifts = (any(getattr(row, key) is not None for row in sections) for key in ("angles_deg", "ways"))
-        axis, pivot = (as_array(stack_unit_axes(sections)), as_array(stack_section_values(sections, "pivot"))) if turns else (None, None)
-        angles = as_float_array([_pad_cubics(row, _angles_in_radians(row), most) for row in sections]).T
-        ways = as_float_array([[_pad_cubics(row, way, most) for way in _displacement_columns(row)] for row in sections]).transpose(1, 3, 2, 0)
-        return cls(axis, pivot, as_array(times), as_array(angles) if turns else None, as_array(ways) if shifts else None)
+        turns, shifts = (
+            any(getattr(row, key) is not None for row in sections) for key in ("angles_deg", "ways")
+        )
+        axis, pivot = (
+            (as_array(stack_unit_axes(sections)), as_array(stack_section_values(sections, "pivot")))
+            if turns
+            else (None, None)
+        )
+        angles = as_float_array(
+            [_pad_cubics(row, _angles_in_radians(row), most) for row in sections]
+        ).T
+        ways = as_float_array(
+            [
+                [_pad_cubics(row, way, most) for way in _displacement_columns(row)]
+                for row in sections
+            ]
+        ).transpose(1, 3, 2, 0)
+        return cls(
+            axis,
+            pivot,
+            as_array(times),
+            as_array(angles) if turns else None,
+            as_array(ways) if shifts else None,
+        )
 
     def moving_groups(self) -> np.ndarray:
         """Which groups have a table, [G] bool, in numpy."""
@@ -62,7 +85,9 @@ class Table:
 
     def pose_at(self, t: jax.Array) -> tuple[jax.Array | None, Vector | None]:
         """Angle (rad), [G], and shift (m), 3 x [G], each None if no table has it."""
-        after = jax.vmap(lambda times: jnp.searchsorted(times, t, side="right"), in_axes=-1)(self.times)
+        after = jax.vmap(lambda times: jnp.searchsorted(times, t, side="right"), in_axes=-1)(
+            self.times
+        )
         row = jnp.maximum(after - 1, 0)[None]  # [1, G]
         since = jnp.where(after > 0, t - jnp.take_along_axis(self.times, row, axis=0)[0], 0)
 
@@ -88,7 +113,9 @@ class Table:
 
 def _angles_in_radians(section: Motion) -> Any:
     """The angles of a section's table, [R] (rad), if it has any."""
-    return None if section.angles_deg is None else as_float_array(section.angles_deg) * (np.pi / 180)
+    return (
+        None if section.angles_deg is None else as_float_array(section.angles_deg) * (np.pi / 180)
+    )
 
 
 def _displacement_columns(section: Motion) -> Any:
@@ -97,26 +124,42 @@ def _displacement_columns(section: Motion) -> Any:
 
 
 def _pad_cubics(section: Motion, values: Any, most: int) -> list[Any]:
-    """The cubic [4] of each row of a section's table, and as many of zeros as it takes; values: None if it has none."""
-    found = [] if values is None or section.times is None else list(fit_hermite_cubics(section.times, values).T)
+    """The cubic [4] of each row of a section's table, and as many of zeros as it takes; values:
+    None if it has none.
+    """
+    found = (
+        []
+        if values is None or section.times is None
+        else list(fit_hermite_cubics(section.times, values).T)
+    )
     return found + [np.zeros(4)] * (most - len(found))
 
 
 def load_table_rows(section: Motion, folder: str | Path) -> Motion:
-    """The section with the rows of its CSV in the file's place, checked; others as they are. Raises SceneError."""
-    given = [key for key in ("table", "times", "angles_deg", "ways") if getattr(section, key) is not None]
+    """The section with the rows of its CSV in the file's place, checked; others as they are. Raises
+    SceneError.
+    """
+    given = [
+        key for key in ("table", "times", "angles_deg", "ways") if getattr(section, key) is not None
+    ]
     if not given:
         return section
     if section.table is not None:
         if len(given) > 1:
-            raise SceneError(f"motion.table = {section.table!r}: beside {given[1]}; allowed: one of the two")
+            raise SceneError(
+                f"motion.table = {section.table!r}: beside {given[1]}; allowed: one of the two"
+            )
         return _read_table_file(section, Path(folder) / section.table)
     if section.times is None or len(given) == 1:
-        raise SceneError(f"motion.{given[0]}: without {'angles_deg or ways' if section.times else 'times'}; {_ALLOWED_COLUMNS}")
+        raise SceneError(
+            f"motion.{given[0]}: without {'angles_deg or ways' if section.times else 'times'}; {_ALLOWED_COLUMNS}"
+        )
     rows = {key: len(getattr(section, key)) for key in given}
     if len(set(rows.values())) > 1:
         counts = ", ".join(f"{count} {key}" for key, count in rows.items())
-        raise SceneError(f"motion.times (group {section.group!r}): {counts}; allowed: as many of each")
+        raise SceneError(
+            f"motion.times (group {section.group!r}): {counts}; allowed: as many of each"
+        )
     _check_times(section.times, "motion.times", lambda n: f"times.{n}")
     return section
 
@@ -129,7 +172,9 @@ def _check_times(times: Sequence[float], key: str, name: Callable[[int], str]) -
     if len(times) < 2:
         raise SceneError(f"{key}: {len(times)} rows; allowed: at least 2")
     for n in np.flatnonzero(np.diff(times) <= 0)[:1] + 1:
-        raise SceneError(f"{key}: {name(n)} = {times[n]:g} after {times[n - 1]:g}; allowed: times that increase")
+        raise SceneError(
+            f"{key}: {name(n)} = {times[n]:g} after {times[n - 1]:g}; allowed: times that increase"
+        )
 
 
 def _read_table_file(section: Motion, path: Path) -> Motion:
@@ -142,7 +187,9 @@ def _read_table_file(section: Motion, path: Path) -> Motion:
     if set("xyz") & set(columns):
         still = (0.0,) * len(lines)
         ways = tuple(zip(*(columns.get(axis, still) for axis in "xyz"), strict=True))
-    return section.model_copy(update={"table": None, "times": columns["time"], "angles_deg": angles, "ways": ways})
+    return section.model_copy(
+        update={"table": None, "times": columns["time"], "angles_deg": angles, "ways": ways}
+    )
 
 
 def _read_columns(path: Path, key: str) -> tuple[dict[str, tuple[float, ...]], list[int]]:
@@ -154,12 +201,18 @@ def _read_columns(path: Path, key: str) -> tuple[dict[str, tuple[float, ...]], l
             head = [name.strip() for name in next(reader, [])]
             rows = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise SceneError(f"{key}: cannot be read ({type(error).__name__}); allowed: a CSV file with a header") from error
+        raise SceneError(
+            f"{key}: cannot be read ({type(error).__name__}); allowed: a CSV file with a header"
+        ) from error
     for n, name in enumerate(head):
         if name not in COLUMNS or name in head[:n]:
-            raise SceneError(f"{key}: {'a second' if name in COLUMNS else 'unknown'} column {name!r}; allowed: {allowed}")
+            raise SceneError(
+                f"{key}: {'a second' if name in COLUMNS else 'unknown'} column {name!r}; allowed: {allowed}"
+            )
     if "time" not in head or len(head) < 2:
-        raise SceneError(f"{key}: columns {', '.join(head) or 'missing'}; allowed: time, and at least one of {allowed[10:]}")
+        raise SceneError(
+            f"{key}: columns {', '.join(head) or 'missing'}; allowed: time, and at least one of {allowed[10:]}"
+        )
     values = [_parse_row(row, head, f"{key}: line {line}") for line, row in rows]
     columns = zip(*values, strict=True) if values else [()] * len(head)
     return dict(zip(head, columns, strict=True)), [line for line, _ in rows]

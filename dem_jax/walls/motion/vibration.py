@@ -47,8 +47,15 @@ class Vibration:
         """Displacement at a time (s) in units of the amplitude, [G]."""
         ramp, since = self.shake_ramp, t - self.shake_start
         cyclic = (self.shake_period > 0) & (since > 0)
-        t = jnp.where(cyclic, self.shake_start + jnp.mod(since, jnp.where(self.shake_period > 0, self.shake_period, 1)), t)
-        envelope = smooth_step((t - self.shake_start) / ramp) * smooth_step((self.shake_end - t) / ramp)
+        t = jnp.where(
+            cyclic,
+            self.shake_start
+            + jnp.mod(since, jnp.where(self.shake_period > 0, self.shake_period, 1)),
+            t,
+        )
+        envelope = smooth_step((t - self.shake_start) / ramp) * smooth_step(
+            (self.shake_end - t) / ramp
+        )
         return envelope * jnp.sin(2 * jnp.pi * self.frequency * (t - self.shake_start))
 
     def pose_at(self, t: jax.Array) -> tuple[None, Vector]:
@@ -58,7 +65,9 @@ class Vibration:
     def active_interval(self) -> tuple[np.ndarray, np.ndarray]:
         """Times (s) at which they begin and end, inf if they begin again, [G] each."""
         again = np.asarray(self.shake_period, float) > 0
-        return np.asarray(self.shake_start, float), np.where(again, np.inf, np.asarray(self.shake_end, float))
+        return np.asarray(self.shake_start, float), np.where(
+            again, np.inf, np.asarray(self.shake_end, float)
+        )
 
     @staticmethod
     def find_endless_key(section: Motion, duration: float) -> str | None:
