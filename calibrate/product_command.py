@@ -21,12 +21,12 @@ def add_product_command(commands: Any) -> None:
     parser.add_argument(
         "product",
         metavar="NAME|PRODUCT.toml",
-        help="a product by name (dem-jax products lists them), or a TOML file of a product or of a whole scene",
+        help="a product by name (dem-jax list products lists them), or a TOML file of a product or of a whole scene",
     )
     parser.add_argument(
         "--bucket",
         metavar="B",
-        help="buckets by name (dem-jax buckets lists them) or in a TOML file; an STL file of the weigh bucket",
+        help="buckets by name (dem-jax list buckets lists them) or in a TOML file; an STL file of the weigh bucket",
     )
     parser.add_argument(
         "--target",
@@ -49,7 +49,7 @@ def add_product_command(commands: Any) -> None:
         default=[],
         metavar="KEY=VALUE",
         dest="settings",
-        help="change the scene, such as --set material.restitution=0.3 (dem-jax scenes NAME lists all keys)",
+        help="change the scene, such as --set material.restitution=0.3 (dem-jax check NAME lists all keys)",
     )
     parser.add_argument(
         "--model", default="paper", metavar="NAME", help="model that is fitted (default paper)"

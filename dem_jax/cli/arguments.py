@@ -32,10 +32,15 @@ def join_lines(message: object) -> str:
 
 
 def create_command(
-    commands: Commands, name: str, action: Callable[[Args], None], text: str
+    commands: Commands, name: str, action: Callable[[Args], None], text: str, now: str | None = None
 ) -> Parser:
-    """A command that calls ``action``."""
-    made = commands.add_parser(name, help=text, description=text)
+    """A command that calls ``action``. now: the command that has replaced it; it still works, but
+    the list of commands leaves it out.
+    """
+    if now is None:
+        made = commands.add_parser(name, help=text, description=text)
+    else:
+        made = commands.add_parser(name, description=f"{text} Now: dem-jax {now}.")
     made.set_defaults(action=action)
     return made
 

@@ -16,6 +16,7 @@ def add_command(commands: Commands) -> None:
         "buckets",
         show_buckets,
         "List the buckets that a scene can name, or print the keys of one.",
+        now="list buckets",
     )
     made.add_argument("name", nargs="?", metavar="BUCKET", help="print its keys")
 

@@ -9,7 +9,9 @@ def add_command(commands: Commands) -> None:
     text = (
         "How often, how fast and where pieces hit the walls, of a run of a scene with [statistics]."
     )
-    made = create_command(commands, "collisions", report_collisions, text)
+    made = create_command(
+        commands, "collisions", report_collisions, text, now="plot --wall-impacts"
+    )
     made.add_argument("file", metavar="FILE", help="HDF5 file of a run or an ensemble")
     made.add_argument(
         "--of",

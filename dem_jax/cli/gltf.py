@@ -13,6 +13,7 @@ def add_command(commands: Commands) -> None:
         "gltf",
         export_gltf,
         "Write the drop as a 3-D model that moves (glTF), for viewers, Blender and slides.",
+        now="export --to glb",
     )
     result_files.add_arguments(made)
     made.add_argument("--out", metavar="FILE", help=".glb (default: the file's name .glb)")

@@ -9,10 +9,12 @@ from dem_jax import process
 from dem_jax.cli import (
     app,
     buckets,
+    check,
     collisions,
     ensemble,
     export,
     gltf,
+    listing,
     measure,
     plot,
     posterior,
@@ -28,10 +30,8 @@ from dem_jax.cli import (
 from dem_jax.cli.arguments import BAD_INPUT, Parser, join_lines
 from dem_jax.errors import PlatformError, RecordError, SceneError, SimulationError
 
-COMMANDS = (
-    *(run, ensemble, study, posterior, scenes, products, buckets, measure),
-    *(plot, report, export, render, gltf, vtk, weigh, collisions, app),
-)
+COMMANDS = (run, ensemble, study, listing, check, measure, plot, report, export, weigh, app)
+FORMER_COMMANDS = (scenes, products, buckets, render, gltf, vtk, collisions, posterior)
 RUN_FAILED, INTERRUPTED = 1, 130
 
 
@@ -121,7 +121,7 @@ def build_parser() -> Parser:
         description="Product impact force of a combination scale (discrete element method).",
     )
     commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for command in COMMANDS:
+    for command in (*COMMANDS, *FORMER_COMMANDS):
         command.add_command(commands)
     return top
 

@@ -1,7 +1,8 @@
 """python -m dem_jax plot"""
 
-from dem_jax.cli import result_files
+from dem_jax.cli import collisions, result_files
 from dem_jax.cli.arguments import Args, Commands, create_command
+from dem_jax.errors import RecordError
 
 
 def add_command(commands: Commands) -> None:
@@ -20,10 +21,25 @@ def add_command(commands: Commands) -> None:
     made.add_argument("--block", help="block of the settled mass (default: wb, or the first)")
     made.add_argument("--start", type=float, metavar="S", help="s, where the time axis begins")
     made.add_argument("--end", type=float, metavar="S", help="s, where it ends")
+    made.add_argument(
+        "--wall-impacts",
+        choices=["energy", "impulse", "number"],
+        nargs="?",
+        const="energy",
+        help="instead: how often, how fast and where pieces hit the walls, of a scene with"
+        " [statistics]; mapped: the energy that they lose (default), impulse or number",
+    )
 
 
 def plot_files(args: Args) -> None:
     """Draw the figure of files; of several, say by how much they differ."""
+    if args.wall_impacts:
+        if len(args.files) > 1:
+            raise RecordError(f"--wall-impacts: {len(args.files)} files; allowed: a single one")
+        collisions.report_collisions(
+            Args(file=args.files[0], of=args.wall_impacts, group=args.group, out=args.out)
+        )
+        return
     out = result_files.output_path(
         args.out or result_files.default_output_path(args.files, ".png"), args.files
     )

@@ -10,6 +10,7 @@ def add_command(commands: Commands) -> None:
         "posterior",
         print_posterior,
         "Posterior of the parameters of one study or of several, given their reference values.",
+        now="study reweight",
     )
     made.add_argument(
         "files", nargs="+", metavar="FILE", help="files of studies of the same points"

@@ -10,6 +10,7 @@ def add_command(commands: Commands) -> None:
         "products",
         show_products,
         "List the products that a scene can name, or print one: numbers, sources, keys.",
+        now="list products",
     )
     made.add_argument(
         "name",

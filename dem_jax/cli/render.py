@@ -1,9 +1,10 @@
 """python -m dem_jax render"""
 
 from pathlib import Path
+from typing import Any
 
 from dem_jax.cli import result_files
-from dem_jax.cli.arguments import Args, Commands, create_command, parse_instants
+from dem_jax.cli.arguments import Args, Commands, Parser, create_command, parse_instants
 
 
 def add_command(commands: Commands) -> None:
@@ -13,11 +14,23 @@ def add_command(commands: Commands) -> None:
         "render",
         render_run,
         "Draw the scene with its pieces: animation, picture or film strip.",
+        now="export --to gif, mp4 or png",
     )
     result_files.add_arguments(made)
     kind = made.add_mutually_exclusive_group()
     kind.add_argument("--gif", action="store_true", help="an animation (default)")
     kind.add_argument("--png", action="store_true", help="a picture of the end")
+    add_instants(kind)
+    made.add_argument(
+        "--out",
+        metavar="FILE",
+        help="default: the file's name .gif (.mp4 is an animation too), or -scene.png",
+    )
+    add_view(made)
+
+
+def add_instants(kind: Any) -> None:
+    """The arguments of what a picture shows; kind: a mutually exclusive group."""
     kind.add_argument("--at", type=float, metavar="S", help="a picture of the time S (s)")
     kind.add_argument(
         "--strip",
@@ -25,11 +38,10 @@ def add_command(commands: Commands) -> None:
         metavar="auto|N|T,T,...",
         help="a film strip: auto: start, approach, first contact, peak force and rest; or N instants; or these times (s)",
     )
-    made.add_argument(
-        "--out",
-        metavar="FILE",
-        help="default: the file's name .gif (.mp4 is an animation too), or -scene.png",
-    )
+
+
+def add_view(made: Parser) -> None:
+    """The arguments of how the pieces are drawn."""
     made.add_argument(
         "--colour",
         choices=["speed", "piece"],

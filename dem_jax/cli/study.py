@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dem_jax.cli import simulation_options
+from dem_jax.cli import posterior, simulation_options
 from dem_jax.cli.arguments import Args, Commands, create_command
 from dem_jax.errors import SceneError
 
@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from dem_jax.study.config import Study
 
 ALL_STUDIES = "all"  # the stock studies
+REWEIGHT = "reweight"  # the parameters of studies that are done
 
 
 def add_command(commands: Commands) -> None:
@@ -21,7 +22,11 @@ def add_command(commands: Commands) -> None:
         run_studies,
         "Conduct studies: drops at many points of parameters, with a table and a figure.",
     )
-    words = "a stock study's name, or a .toml file; several one after the other; all: every stock study; without: a list"
+    words = (
+        "a stock study's name, or a .toml file; several one after the other; all: every stock study;"
+        " reweight FILES: the posterior of their parameters, given their reference values;"
+        " without: a list"
+    )
     made.add_argument("study", nargs="*", metavar="STUDY", help=words)
     made.add_argument(
         "--scene", metavar="SCENE", help="a stock scene or a .toml file in the place of the study's"
@@ -39,6 +44,12 @@ def add_command(commands: Commands) -> None:
     made.add_argument("--quiet", action="store_true", help="no progress bar")
 
 
+def _study_files(files: list[str]) -> list[str]:
+    if not files:
+        raise SceneError("study reweight: no file; allowed: files of studies of the same points")
+    return files
+
+
 def run_studies(args: Args) -> None:
     """Conduct studies one after the other: of each print the table, draw the figure."""
     from dem_jax.study.config import load_study, stock_studies
@@ -46,6 +57,9 @@ def run_studies(args: Args) -> None:
     if not args.study:
         for name, title in stock_studies().items():
             print(f"{name:<16} {title}")
+        return
+    if args.study[0] == REWEIGHT:
+        posterior.print_posterior(Args(files=_study_files(args.study[1:])))
         return
     names = [
         name

@@ -9,7 +9,13 @@ from dem_jax.errors import RecordError
 
 def add_command(commands: Commands) -> None:
     """Add the command to the parser."""
-    made = create_command(commands, "vtk", export_frames, "Export the stored poses for ParaView.")
+    made = create_command(
+        commands,
+        "vtk",
+        export_frames,
+        "Export the stored poses for ParaView.",
+        now="export --to vtk",
+    )
     result_files.add_arguments(made)
     made.add_argument("--out", metavar="FOLDER", help="default: the file's name -vtk")
 
