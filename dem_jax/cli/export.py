@@ -54,7 +54,7 @@ def _format_of(args: Args) -> str:
     ending = Path(args.out).suffix.removeprefix(".")
     if ending not in FORMATS or ending == "vtk":
         allowed = ", ".join(f".{form}" for form in FORMATS if form != "vtk")
-        raise RecordError(f"--out {args.out}: allowed: a name that ends in {allowed}; or --to vtk")
+        raise RecordError(f"--out {args.out} must end in one of: {allowed}; or --to vtk")
     return ending
 
 

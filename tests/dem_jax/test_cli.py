@@ -212,8 +212,8 @@ ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 
 
-def test_the_version_is_that_of_the_project():
-    assert PROJECT["version"] == dem_jax.__version__
+def test_the_version_stands_once_in_the_code():
+    assert "version" not in PROJECT and PROJECT["dynamic"] == ["version"]
     assert f"\nversion: {dem_jax.__version__}\n" in (ROOT / "CITATION.cff").read_text()
     assert f"\n## {dem_jax.__version__}\n" in (ROOT / "CHANGELOG.md").read_text()
 

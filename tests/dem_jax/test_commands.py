@@ -91,7 +91,7 @@ def test_paraview_files_are_the_same_by_either_command(file, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("words", "part"),
     [
-        (["--out", "x.doc"], "--out x.doc: allowed: a name that ends in .csv, .xlsx"),
+        (["--out", "x.doc"], "--out x.doc must end in one of: .csv, .xlsx"),
         (["--out", "x.csv", "--to", "gif"], "allowed with --to gif: a name that ends in .gif"),
         (["--to", "csv", "--at", "0.1"], "csv has no instants"),
         (["--to", "csv", "--run", "1"], "--run 1: tables have all runs"),
