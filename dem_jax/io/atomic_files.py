@@ -34,7 +34,7 @@ def resolve_destination(path: FileName) -> Path:
 
 
 def read_fingerprint(path: FileName) -> Fingerprint | None:
-    """What tells one state of a file from another; None: there is no such file."""
+    """Data that differ between two states of a file; None: there is no such file."""
     try:
         return _stat_fingerprint(os.stat(path))
     except FileNotFoundError:

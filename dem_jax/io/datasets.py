@@ -64,7 +64,7 @@ def check_readable(path: FileName) -> None:
 
 
 def time_axis(name: str, header: RunHeader) -> int:
-    """The axis of a dataset that time runs along: of an ensemble the second, but of the times."""
+    """The time axis of a dataset: the second for ensembles, except of the times themselves."""
     return 0 if header.run_count is None or name in TIME_DATASETS else 1
 
 
@@ -129,7 +129,7 @@ def replace_restart(file: "h5py.File", arrays: dict[str, np.ndarray]) -> None:
 
 
 def write_checksum(file: "h5py.File") -> None:
-    """Note the checksum of what going on with the run depends on."""
+    """Write the checksum of the datasets that a resumed run depends on."""
     file["restart"].attrs[CHECKSUM_ATTRIBUTE] = compute_checksum(
         file, {name: item[()] for name, item in iterate_datasets(file["restart"])}
     )
@@ -155,10 +155,10 @@ def compute_checksum(file: "h5py.File", restart: dict[str, np.ndarray]) -> int:
 def iterate_datasets(
     group: "h5py.Group", prefix: str = "", above: frozenset[int] = frozenset()
 ) -> "Iterator[tuple[str, h5py.Dataset]]":
-    """(path, dataset) of all datasets under a group, in it and nowhere else. Raises RecordError for
-    a group within itself.
+    """(path, dataset) of all datasets under a group, without links to other places. Raises
+    RecordError for a group within itself.
 
-    above: of which groups it is a part.
+    above: the groups that this group is a part of.
     """
     import h5py
 

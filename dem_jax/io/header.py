@@ -22,7 +22,7 @@ MOST_ATTRIBUTE_BYTES = 2**26  # bytes of an attribute: the seeds of eight millio
 class StoredQuantity(NamedTuple):
     """Metadata of a quantity in a file.
 
-    name, unit (or those of its datasets, with ", " between), axes (names) and help: as of
+    name, unit (or those of its datasets, with ", " between), axes (names) and help: see
     dynamics.quantity.Quantity. labels: names of its datasets NAME/LABEL; None: it is one dataset.
     """
 
@@ -34,7 +34,7 @@ class StoredQuantity(NamedTuple):
 
     @property
     def paths(self) -> list[str]:
-        """Of its datasets."""
+        """Paths of its datasets."""
         return (
             [self.name]
             if self.labels is None
@@ -62,7 +62,7 @@ class RunHeader:
     or "f64". version: of dem_jax. sample: (s) sample interval. gravity: [3] (m/s2). groups, blocks:
     names of the wall groups and of the blocks in which settled mass is measured. piece_count:
     pieces in a run. run_count: runs of an ensemble, None for a single run. info: further facts that
-    JSON can hold (what limits dt, why the run stopped, ...). quantities: all that the file holds;
+    JSON can hold (the limit of dt, why the run stopped, ...). quantities: all that the file holds;
     None: it does not say, see ``held``.
     """
 

@@ -127,7 +127,8 @@ class Run:
         )
 
     def _reference_gravity(self) -> np.ndarray:
-        """Of the scene, or where it has none what forces are compared with, [3] (m/s2)."""
+        """Gravity of the scene, [3] (m/s2); without any, standard gravity, by which forces are
+        expressed as weights."""
         gravity = np.asarray(self.header.gravity, np.float64)
         return gravity if gravity.any() else np.array([0.0, 0.0, -STANDARD_GRAVITY])
 
@@ -156,9 +157,7 @@ class Run:
         )
 
     def _member_header(self, k: int) -> dict[str, Any]:
-        """What the header of a run says otherwise than that of the ensemble, where their parameters
-        differ.
-        """
+        """The header fields of one run that differ from those of the ensemble."""
         values, info = self.info.get("parameters"), dict(self.info)
         if np.ndim(next(iter(info.get("piece_masses", ())), 0.0)):
             info["piece_masses"] = info["piece_masses"][k]

@@ -1,4 +1,4 @@
-"""Runs and ensembles as HDF5 files: what the other rooms use of this one."""
+"""Runs and ensembles as HDF5 files: the interface of this package."""
 
 from dem_jax.io.atomic_files import (
     FileName,

@@ -54,7 +54,7 @@ FORMAT_BOUNDS = ("v108", "v108")  # of HDF5: before 1.8 no attribute has room fo
 
 
 class _PendingRows(NamedTuple):
-    """What one call of ``append`` was given: it is pending as a whole, or not at all."""
+    """Data of one call of ``append``, which are pending as a whole or not at all."""
 
     series: dict[str, np.ndarray]  # and poses
     restart: dict[str, np.ndarray]
@@ -65,8 +65,8 @@ class Writer:
     """Appends a run's samples to its file. Made by `create` or `resume`; a `with` block flushes and
     closes it.
 
-    What `append` gets is kept in memory until a flush: when `interval` (s) and 20 times its cost
-    have passed since the last one, at `flush()`, and at the end. With interval = 0 each append is
+    Appended data stay in memory until a flush: when `interval` (s) and 20 times its cost have
+    passed since the last one, at `flush()`, and at the end. With interval = 0 each append is
     flushed.
     """
 
@@ -108,11 +108,11 @@ class Writer:
         scene: str | None = None,
         known: Fingerprint | None = None,
     ) -> Self:
-        """Go on with a file, from the state of `load_restart(path)`; scene: TOML text, to replace
-        the file's.
+        """Continue a file from the state of `load_restart(path)`.
 
-        known: the file's fingerprint when that state was read, None: it is read now. Raises
-        RecordError as `load_run`, and for a file that is not the same since.
+        scene: TOML text that replaces the file's. known: the file's fingerprint when that state was
+        read; None: it is read now. Raises RecordError as `load_run`, and for a file that has
+        changed since.
         """
         known = known or read_fingerprint(path)
         with open_for_reading(path) as file:
@@ -135,7 +135,7 @@ class Writer:
         not at all.
 
         samples: name -> array, or group -> {name -> array}, such as {"time": [t], "force":
-        {"plate": [t, 3]}}; of an ensemble [K, t, ...], but time [t]. frames: the fields of Frames
+        {"plate": [t, 3]}}; for an ensemble [K, t, ...], but time [t]. frames: the fields of Frames
         -> arrays. restart: path -> array, replaces the one before. info: added to the header's.
         Raises ValueError for names that differ from the first append's, or lengths that differ from
         time's, and RecordError for a file that cannot be written or is gone.
@@ -244,7 +244,7 @@ class Writer:
         self._exists = True
 
     def _build_image(self, appended: list[_PendingRows]) -> io.BytesIO:
-        """The file with what was appended, in memory."""
+        """The file with the appended data, in memory."""
         import h5py
 
         image = io.BytesIO()

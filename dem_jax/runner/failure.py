@@ -1,5 +1,5 @@
-"""What makes a run stop: where it shows in the samples, and a line with piece, time and likely
-cause.
+"""Detection and diagnosis of failed runs: the first bad sample, and a line with piece, time and
+likely cause.
 """
 
 from typing import TYPE_CHECKING
@@ -72,8 +72,9 @@ def detect_failure(samples: Sample, count: int) -> tuple[int, int] | None:
 def describe_failure(
     job: Job, span: "ChunkResult", state: State, member: int, k: int
 ) -> SimulationError:
-    """The error of a run whose sample k of a span failed; state: of that time, numpy, of an
-    ensemble stacked.
+    """The error of a run whose sample k of a span failed.
+
+    state: numpy arrays at that time, stacked for an ensemble.
     """
     samples = span.samples
     system = span.system
@@ -94,7 +95,7 @@ def describe_failure(
 
 
 def note_escapes(job: Job, state: State) -> list[str]:
-    """What to note of the pieces that are outside the domain, where that stops no run."""
+    """Notes on the pieces that are outside the domain; none where leaving the domain stops a run."""
     if job.system.escape_stops:
         return []
     position = np.asarray(state.position)
@@ -169,7 +170,7 @@ def _is_sum_finite(values: np.ndarray) -> bool:
 
 
 def _describe_nonfinite(job: Job, samples: Sample, k: int, at: float, member: int) -> str:
-    """What to say of a sample whose pieces all move as they should."""
+    """Diagnose a sample that is not finite although all pieces move as they should."""
     names = [
         name
         for name in _list_real_quantities(samples)
@@ -211,8 +212,9 @@ def _diagnose_invalid_piece(job: Job, system: System, state: State, piece: int, 
 
 
 def _diagnose_throw(system: System, state: State, piece: int, speed: float) -> str | None:
-    """What to say of a piece that sticks to walls that move, and is no faster (m/s) than these and
-    its fall explain; else None.
+    """Diagnose a piece that sticks to moving walls.
+
+    None if it is faster (m/s) than these walls and its fall explain.
     """
     walls, materials = system.walls, system.materials
     if materials.pull_off is None or not walls.motions:
@@ -271,7 +273,7 @@ def _blame_overfull_bucket(job: Job, member: int) -> str:
 def _diagnose_overlap(
     job: Job, system: System, state: State, overlap: float, member: int
 ) -> tuple[int, str]:
-    """The piece in the deepest contact, and what to say of it."""
+    """The piece in the deepest contact, and the diagnosis of that contact."""
     worst, a, b = -1.0, 0, 0
     of_parts = np.asarray(system.parts.owning_piece(np.arange(system.parts.count)))
     width = np.append(
@@ -291,8 +293,8 @@ def _diagnose_overlap(
 
 
 def _describe_softness(job: Job, member: int, piece: int) -> str:
-    """The modulus that a piece has in the simulation, the range of its product's, and what stiffens
-    it.
+    """Describe the modulus of a piece in the simulation, the range of its product's, and the keys
+    that raise it.
     """
     scene = job.scene_for_run(member)
     table, name = build_material_table(scene), job.built_for_run(member).piece_set.materials[piece]
@@ -315,8 +317,9 @@ def _describe_softness(job: Job, member: int, piece: int) -> str:
 
 
 def _suggest_drives(scene: Scene, group: str | None) -> str:
-    """What lets flaps give way whose motion is given: that of a wall group, or, None, all of the
-    scene.
+    """Advice on the keys that give flaps of prescribed motion a limited torque.
+
+    group: name of a wall group; None: all groups of the scene.
     """
     flaps = [
         (bucket_geometry.list_wall_groups(bucket, short_name), f"[{key}.drive]")
@@ -330,7 +333,7 @@ def _suggest_drives(scene: Scene, group: str | None) -> str:
 
 
 def _diagnose_speed(system: System, state: State) -> tuple[int, str]:
-    """The fastest piece, and what to say of it."""
+    """The fastest piece, and the diagnosis of its speed."""
     speed = np.linalg.norm(np.asarray(state.velocity), axis=0)
     piece, width = int(np.argmax(speed)), float(np.min(system.pieces.width))
     return piece, (

@@ -1,4 +1,4 @@
-"""The interface of Python: simulate a scene, an ensemble of it, or go on with a file."""
+"""The Python interface: simulate a scene or an ensemble of it, or resume a file."""
 
 import os
 from collections.abc import Iterable, Mapping, Sequence
@@ -274,8 +274,8 @@ def _run_into_file(
     progress: bool | ProgressCallback,
     resumes: bool = False,
 ) -> run_files.Run:
-    """Run into a file; make: makes what writes it, once there is something to write; resumes: it is
-    read before.
+    """Run into a file. make: creates the writer once there is something to write; resumes: the file
+    is read before.
     """
     place = os.path.abspath(path)
     with sinks.FileSink(path, make if job.is_writer else None) as file:

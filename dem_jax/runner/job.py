@@ -19,7 +19,7 @@ STEP_TIME, BODY_TIME = 5e-6, 0.3e-6  # pieces in flight take less, packed ones u
 
 @dataclass(frozen=True)
 class Job:
-    """A run that is set up; of an ensemble, state has a leading run axis. Counts are in samples
+    """A run that is set up; for an ensemble, state has a leading run axis. Counts are in samples
     from the release.
     """
 
@@ -48,8 +48,8 @@ class Job:
 
     @property
     def is_writer(self) -> bool:
-        """Whether this process has the file and shows progress: of several that share an ensemble
-        the first.
+        """Whether this process writes the file and shows progress: the first of those that share an
+        ensemble.
         """
         return not self.is_shared or multihost.is_primary()
 

@@ -114,8 +114,8 @@ def validate_seed(seed: Any) -> int:
 def _list_notes(
     scene: Scene, scenes: dict[int, Scene], each: dict[int, assembly.AssembledSystem]
 ) -> tuple[str, ...]:
-    """What a person should know before a run begins; of several that differ, of that for which it
-    is worst.
+    """Notes for the user before a run begins; if the runs differ, each note is that of the worst
+    run.
     """
     built = list(each.values())
     overfull = max(

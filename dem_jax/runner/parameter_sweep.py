@@ -27,7 +27,7 @@ FILE_KEYS = ("stl", "flap_stl", "table", "unit", "rotate_deg", "move")  # keys o
 
 @dataclass(frozen=True)
 class ParameterSweep:
-    """What is different in each of K runs."""
+    """Parameters and systems of K runs that differ."""
 
     parameters: dict[str, list[Any]]  # dotted key -> [K] values, plain
     built: tuple[assembly.AssembledSystem, ...]  # [K], the same for runs that differ in their seed
@@ -44,7 +44,7 @@ class ParameterSweep:
         return {key: values[run] for key, values in self.parameters.items()}
 
     def system_for_run(self, system: System, run: int) -> System:
-        """That of a run, from that of the first."""
+        """The system of a run, from that of the first."""
         leaves, structure = jax.tree.flatten(system)
         return jax.tree.unflatten(
             structure,
@@ -52,7 +52,7 @@ class ParameterSweep:
         )
 
     def stack_system(self, system: System) -> System:
-        """Those of all runs as one tree, what differs with a leading run axis."""
+        """The systems of all runs as one tree, with a leading run axis on the leaves that differ."""
         leaves, structure = jax.tree.flatten(system)
         return jax.tree.unflatten(
             structure, [jnp.asarray(self.leaves.get(k, x)) for k, x in enumerate(leaves)]
@@ -66,7 +66,7 @@ class ParameterSweep:
         )
 
     def select_runs(self, runs: slice) -> "ParameterSweep":
-        """Of some of the runs."""
+        """The sweep of some of the runs."""
         parameters = {key: values[runs] for key, values in self.parameters.items()}
         return replace(
             self,
@@ -77,10 +77,15 @@ class ParameterSweep:
 
 
 def draw_parameters(values: Values, runs: int | None, seed: int) -> dict[str, list[Any]]:
-    """A value of each key for each run. runs: None, as many as the values that are listed; seed: of
-    distributions.
+    """Draw a value of each key for each run.
 
-    Raises SceneError.
+    Args:
+        values: key -> list of values, or a distribution with ``rvs``.
+        runs: number of runs; None: as many as values are listed.
+        seed: of the distributions.
+
+    Raises:
+        SceneError: the number of values is not that of the runs.
     """
     counts = {key: len(value) for key, value in values.items() if not hasattr(value, "rvs")}
     runs = runs if runs is not None else next(iter(counts.values()), 64)
@@ -123,8 +128,8 @@ def build_run_scenes(
 def build_sweep(
     scene: Scene, built: Sequence[assembly.AssembledSystem], parameters: dict[str, list[Any]]
 ) -> tuple[ParameterSweep, System]:
-    """What differs between built runs, and the system that all but that is of: of the first, with
-    the widest skin.
+    """The sweep of assembled runs and the system that they share: that of the first run, with the
+    widest skin.
 
     Raises SceneError if they cannot be computed by one program.
     """
@@ -173,7 +178,7 @@ def _make_program_error(
     first: assembly.AssembledSystem,
     other: assembly.AssembledSystem,
 ) -> SceneError:
-    """What to say of a run that needs another program than the first."""
+    """The error of a run that needs another program than the first."""
     said = ", ".join(f"{key} = {shorten_value(values[run])}" for key, values in parameters.items())
     why = (
         ", ".join(_list_differing_fields(first.system, other.system))
@@ -186,7 +191,7 @@ def _make_program_error(
 
 
 def program_signature(built: assembly.AssembledSystem) -> Any:
-    """What two runs must have alike to be computed by one program, and in one ensemble."""
+    """Key that is equal for runs that one program can compute and one ensemble can hold."""
     leaves, structure = jax.tree.flatten((built.system, built.state))
     shapes = tuple((x.shape, x.dtype) for x in leaves)
     every = built.exchange_plan and built.exchange_plan.interval

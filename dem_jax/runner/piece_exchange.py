@@ -75,7 +75,7 @@ def get_exchange(state: State) -> PieceExchange:
 
 
 def _exchange_run(job: Job, state: State, at: int, run: int) -> State:
-    """state: of a single run, in numpy."""
+    """Remove and insert the pieces of one run at a sample. state: of a single run, in numpy."""
     built, scene = job.built_for_run(run), job.scene_for_run(run)
     plan, system = built.exchange_plan, built.system
     assert plan is not None  # as its system exchanges

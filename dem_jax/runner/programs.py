@@ -26,8 +26,10 @@ RunChunk = Callable[..., Any]  # such as stepping.run_chunk
 def get_executable(
     chunk: Chunk, run_chunk: RunChunk, mesh: Mesh | None = None
 ) -> Callable[..., Any]:
-    """The compiled program of a chunk: of (system, state, count, every, phase), as ``run_chunk``;
-    mesh: of devices, among which the runs of an ensemble are shared out.
+    """The compiled program of a chunk, a function of (system, state, count, every, phase) as
+    ``run_chunk``.
+
+    mesh: devices among which the runs of an ensemble are shared out.
     """
     arguments = chunk.system, chunk.state, *chunk.times
     leaves, structure = jax.tree.flatten(arguments)
@@ -68,12 +70,11 @@ def _store_executable(key: Any, program: Callable[..., Any]) -> None:
 
 
 def needs_fast_compile(system: System) -> bool:
-    """Whether to compile lightly, which takes 0.7 of the time and steps nearly as fast: of one run
-    with few slots.
+    """Whether to compile with few optimisations: for one run with few contact slots.
 
-    Measured steps, light over full: 9 marshmallows 0.97, 32 0.90, 64 (224 slots) 1.04, 128 (416)
-    1.08, 16 runs of seven 1.09; almonds, general hulls: 7 0.92, 47 (224) 1.08; 60 coffee beans
-    (288) 1.21.
+    That takes 0.7 of the time, and the steps are nearly as fast. Measured time of a step, light
+    over full: 9 marshmallows 0.97, 32 0.90, 64 (224 slots) 1.04, 128 (416) 1.08, 16 runs of seven
+    1.09; almonds, general hulls: 7 0.92, 47 (224) 1.08; 60 coffee beans (288) 1.21.
     """
     return system.runs == 1 and sum(slots for _, _, slots in system.capacity) <= FAST_COMPILE_SLOTS
 
@@ -91,8 +92,9 @@ def _call_run_chunk(
 
 
 def _shard_function(function: RunChunk, mesh: Mesh, chunk: Chunk) -> RunChunk:
-    """The function of runs side by side, as many on each device; of a chunk whose system has the
-    runs stacked where they differ.
+    """The function mapped over runs, with as many runs on each device.
+
+    chunk: its system has the runs stacked where they differ.
     """
     same, each = PartitionSpec(), PartitionSpec("runs")
     of_system = lambda each, same: (

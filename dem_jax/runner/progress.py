@@ -1,4 +1,4 @@
-"""What a run says while it goes. On stderr, so that stdout stays the summary."""
+"""Progress of a run, on stderr, so that stdout holds only the summary."""
 
 import sys
 import threading
@@ -20,12 +20,12 @@ ProgressCallback = Callable[[str, float], object]  # is told of progress: what i
 
 
 class Progress:
-    """A bar with simulated time, speed and an estimate of what is left; silent unless asked for. A
+    """A progress bar with simulated time, speed and remaining time, shown only on request. A
     context manager.
     """
 
     def __init__(self, job: Job, shown: bool | ProgressCallback) -> None:
-        """shown: whether there is a bar, or what is told instead."""
+        """shown: whether there is a bar, or a function that is called instead."""
         self._job = job
         self._tell: ProgressCallback | None = shown if callable(shown) else None
         shown = bool(shown) and self._tell is None

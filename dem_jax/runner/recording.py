@@ -56,8 +56,8 @@ def build_header(job: Job) -> run_files.RunHeader:
 
 
 def list_piece_masses(job: Job) -> list[Any]:
-    """(kg) of each piece, of one if all are alike; of runs whose pieces differ a list of such
-    lists.
+    """Mass (kg) of each piece, or of one if all are alike; a list of such lists if the runs' pieces
+    differ.
     """
     runs = 1 if job.sweep is None else len(job.sweep.built)
     built = {
@@ -153,8 +153,10 @@ def collect_info(
 
 
 def count_moving(job: Job, span: ChunkResult) -> dict[str, Any]:
-    """Of each block the number of pieces that are not at rest at the end of a span, other than
-    those inside another block; of an ensemble a list of one for each run.
+    """Number of pieces in each block that are not at rest at the end of a span, without those
+    inside another block.
+
+    For an ensemble, a list with the number of each run.
     """
     state = span.state
     systems = [span.system] if job.sweep is None else [built.system for built in job.sweep.built]

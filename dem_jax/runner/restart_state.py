@@ -93,9 +93,16 @@ def unpack_state(
 def check_restart_step(
     state: State, first: State, steps_per_sample: np.ndarray, samples: int
 ) -> None:
-    """Raise RecordError unless the state is of the end of a sample interval that a file of so many
-    samples may end with; first: the state that the scene begins with; steps_per_sample: of each
-    run, or of all.
+    """Check that a state is at the end of a sample interval of the file.
+
+    Args:
+        state: the state to continue from.
+        first: the state that the scene begins with.
+        steps_per_sample: of each run, or of all.
+        samples: number of samples in the file.
+
+    Raises:
+        RecordError: the state is between samples, before the first or after the last.
     """
     step, each = np.asarray(state.step), np.ravel(steps_per_sample)[0]
     at, rest = np.divmod(step, steps_per_sample)
@@ -150,8 +157,8 @@ def _read_partition(system: System, arrays: dict[str, np.ndarray]) -> Any:
 
 
 def _largest_reach(system: System) -> float:
-    """The most (m) that pairs are looked for within: of bodies further apart, one is outside the
-    domain.
+    """The largest distance (m) within which pairs are searched: of two bodies further apart, one is
+    outside the domain.
     """
     return overflow_recovery.HEAD_ROOM * float(
         np.linalg.norm(np.asarray(system.domain_high) - np.asarray(system.domain_low))
@@ -159,11 +166,11 @@ def _largest_reach(system: System) -> float:
 
 
 def match_quantities(system: System, header: RunHeader) -> System:
-    """The system that samples what a file holds; of the quantities of dem_jax, those that it does
-    not hold are not kept.
+    """The system that samples the quantities of a file; dem_jax's own quantities that the file
+    lacks are dropped.
 
-    Raises RecordError for quantities of a user's that the file does not hold, or that it does and
-    the system does not, and for one of another unit or of other axes.
+    Raises RecordError if a quantity of the user is missing in the file or in the system, and if
+    units or axes differ.
     """
     held = {stored.name: stored for stored in header.stored_quantities}
     sampled = {quantity.name for quantity in system.quantities}

@@ -127,9 +127,7 @@ def rollout(
 
 
 def build_for_tracing(scene: Scene, seed: int) -> assembly.AssembledSystem:
-    """What is built of a self-contained scene, on the host also where JAX traces. Raises
-    SceneError.
-    """
+    """Assemble a self-contained scene on the host, also where JAX traces. Raises SceneError."""
     seed = validate_seed(seed)
     if scene.run.precision == "f64" and not jax.config.jax_enable_x64:  # type: ignore[attr-defined]
         raise SceneError(

@@ -16,7 +16,7 @@ Arrays = dict[str, Any]  # name -> array, or group -> {name -> array}
 
 
 class Sink(Protocol):
-    """What the loop appends to."""
+    """Destination of the samples that the loop computes."""
 
     def append(
         self,
@@ -28,14 +28,14 @@ class Sink(Protocol):
         """As record.Writer.append."""
 
     def report_failure(self, error: SimulationError) -> None:
-        """Say in the error where to find what was appended."""
+        """Add to the error where the samples appended so far are."""
 
 
 WriterFactory = Callable[[], run_files.Writer]
 
 
 class MemorySink:
-    """Keeps what a record.Writer would write."""
+    """Keeps in memory the samples that ``io.writer.Writer`` would write."""
 
     def __init__(self, header: run_files.RunHeader) -> None:
         self._header = header
@@ -61,7 +61,7 @@ class MemorySink:
         return run_files.assemble_run(self._header, self._parts, self._restart)
 
     def report_failure(self, error: SimulationError) -> None:
-        """Leave what was appended as the error's ``run``."""
+        """Attach the samples appended so far to the error as its ``run``."""
         error.run = self.build_run()
 
 
@@ -118,7 +118,7 @@ class FileSink:
             # where the results are
 
     def _save_interrupted(self) -> str | None:
-        """Of a process that is interrupted: what is saved, in words."""
+        """Save the samples of an interrupted process; returns where they are, in words."""
         if self._writer is None:
             return None
         self._writer.flush()

@@ -18,7 +18,7 @@ def draw_uncertain_numbers(
         scene: with ``[[uncertain]]``.
         runs: number of runs.
         seed: of the draws.
-        given: values of keys for each run, which are not drawn.
+        given: key -> values for each run, which are not drawn.
 
     Raises:
         SceneError: the scene has no uncertain number beside those given.

@@ -27,10 +27,10 @@ RAY_INSET = 0.2  # of the way from a corner of a facet to its middle, at which a
 class ClosedBodies(NamedTuple):
     """The closed bodies of a mesh.
 
-    mesh: all facets, those of bodies that meet replaced by the surface of their union.
-    is_closed: [F] bool, facets that bound a body. number: of bodies in the file. turned: how many
-    of these were inside out. vessels: closed surfaces whose facets look inwards, as pieces in them
-    see them.
+    mesh: all facets, those of bodies that meet replaced by the surface of their union. is_closed:
+    [F] bool, facets that bound a body. number: of bodies in the file. flipped_count: how many of
+    these were inside out. vessels: closed surfaces whose facets look inwards, as pieces in them see
+    them.
     """
 
     mesh: "trimesh.Trimesh"
@@ -40,7 +40,8 @@ class ClosedBodies(NamedTuple):
     vessels: int = 0
 
     def __str__(self) -> str:
-        """What there is beside open surfaces, in words; empty: nothing."""
+        """Describe the closed bodies and the closed surfaces seen from inside; empty: there are
+        only open surfaces."""
         several = "closed bodies, united where they meet" if self.number > 1 else "closed body"
         said = [f"{self.number} {several}"] if self.number else []
         said += (
@@ -84,8 +85,8 @@ def measure_thickness(bodies: ClosedBodies, source: str | Path) -> float:
     bodies.
 
     From the middle of each facet and from a point near each of its corners a ray is cast into the
-    body; where it first leaves the body ends what is behind the facet. source: the file, for
-    messages.
+    body; the thickness behind the facet ends where the ray first leaves the body. source: the file,
+    for messages.
     """
     if not bodies.is_closed.any():
         return np.inf
@@ -187,7 +188,7 @@ def _is_sheet(volume: float, area: float, size: float) -> bool:
 
 
 def _make_single_body(mesh: "trimesh.Trimesh", closed: np.ndarray, sign: int) -> ClosedBodies:
-    """The one body of a mesh; sign: of its volume."""
+    """The single closed body of a mesh, turned if it is inside out. sign: of its volume."""
     if sign > 0:
         return ClosedBodies(mesh, closed, 1)
     faces = np.asarray(mesh.faces)

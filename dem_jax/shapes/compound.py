@@ -39,10 +39,10 @@ def make_compound(
 
     mass: volume (m3), centre (m) in those axes, inertia over mass (m2); None: those of the union,
     exact, which may touch and overlap. tolerance: fraction of the size within which faces count as
-    touching and flush; 50 times that, in radians, is what still counts as flat. Raises SceneError
-    for fewer than two parts, a part that has parts, a bad position or orientation, a part that
-    touches no other, and for overlaps whose mass is not known exactly (see ``integrate_union``),
-    the last two only if mass is None.
+    touching and flush; 50 times that, in radians, is the largest bend that counts as flat. Raises
+    SceneError for fewer than two parts, a part that has parts, a bad position or orientation, a
+    part that touches no other, and for overlaps whose mass is not known exactly (see
+    ``integrate_union``), the last two only if mass is None.
     """
     if len(placed) < 2:
         raise SceneError(f"part: {len(placed)} given; a body of parts needs at least two")
@@ -71,12 +71,11 @@ def make_compound(
 
 
 def tube(outer_radius: float, inner_radius: float, height: float, sides: int = 12) -> Shape:
-    """Tube about z (hollow pasta) of radii and height (m), as so many flat staves of the same
-    cross-section area in all: the mass is exact. Corners and faces are off as those of
-    ``cylinder``.
+    """Tube about z (hollow pasta), radii and height in m, made of ``sides`` flat staves.
 
-    Raises SceneError for fewer than 3 sides, lengths that are not > 0 and an inner radius that is
-    not the smaller.
+    The cross-section area is exact, and so is the mass. Corners and faces deviate as those of
+    ``cylinder``. Raises SceneError for fewer than 3 sides, lengths that are not > 0 and an inner
+    radius that is not the smaller.
     """
     sides = require_sides(sides)
     outer, inner = (

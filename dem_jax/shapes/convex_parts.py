@@ -45,9 +45,10 @@ def cut_into_convex_parts(
     Args:
         mesh: closed, facets seen from outside.
         concavity: CoACD's threshold, as fraction of the size.
-        most: number of parts.
-        corners: of a part, at most; None: CORNERS of all parts together, but FEWEST to MOST of
-        each. name: of the file, for messages.
+        most: largest number of parts.
+        corners: largest number of corners of a part; None: CORNERS of all parts together, but
+        FEWEST to MOST in each.
+        name: of the file, for messages.
 
     Raises:
         SceneError: where CoACD is not installed, fails, or takes longer than CEILING.
@@ -79,7 +80,7 @@ def _is_installed(module: str) -> bool:
 
 
 def _decimate_mesh(mesh: "trimesh.Trimesh", most: int) -> "trimesh.Trimesh":
-    """The mesh with at most so many facets, if it stays closed."""
+    """The mesh with at most ``most`` facets, if it stays closed; else the mesh itself."""
     if len(mesh.faces) <= most:
         return mesh
     thin = mesh.simplify_quadric_decimation(face_count=most)

@@ -1,6 +1,4 @@
-"""A closed mesh that is not convex, cut into convex parts by CoACD (an optional extra), and what
-that loses.
-"""
+"""Convex decomposition of closed meshes by CoACD (an optional extra), and its geometric error."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,13 +31,13 @@ SURFACE_SAMPLES = 4000  # points on each surface, between which their distance i
 
 @dataclass(frozen=True)
 class Decomposition:
-    """Convex parts of a mesh, its own mass properties, and what the parts lose of it.
+    """Convex parts of a mesh, the mesh's own mass properties, and the error of the parts.
 
     points: for each part the corners [P, 3] (m) of its hull, in the axes and about the origin of
-    the file. mass: of the mesh itself, exact: the parts are only what touches. volume_excess:
+    the file. mass: of the mesh itself, exact; the parts serve only for contacts. volume_excess:
     volume of the union of the parts over the mesh's, less one. surface_distance: (m) the largest
     found between the two surfaces, either way, at points spread over both. size: (m) largest extent
-    of the mesh. notes: what was mended and united in the file, in words.
+    of the mesh. notes: repairs and unions of the file, in words.
     """
 
     points: tuple[np.ndarray, ...]
@@ -65,11 +63,11 @@ def make_decomposed_shape(
     loss: float = MOST_LOST,
     max_corners: int | None = None,
 ) -> tuple[Shape, Decomposition]:
-    """Shape of a closed STL that is not convex, and what it lost; arguments and errors as
+    """Shape of a closed STL that is not convex, and its decomposition; arguments and errors as
     ``decompose_mesh``.
 
-    Volume, centre of mass and inertia are those of the STL itself; what touches other bodies are
-    the convex parts.
+    Volume, centre of mass and inertia are those of the STL itself; contacts are those of the convex
+    parts.
     """
     found = decompose_mesh(path, unit, concavity, max_parts, loss, max_corners)
     if len(found.points) == 1:
@@ -100,17 +98,17 @@ def decompose_mesh(
         path: of the STL.
         unit: metres per unit of the file.
         concavity: at which a part is cut further, as fraction of the size (CoACD's threshold, 0.01
-        to 1). max_parts: at most this many parts, joined where it costs least. Compiling takes in
-        proportion to them. loss: the largest fraction by which the parts' volume may differ from
-        the mesh's, and the largest distance between
-            the surfaces over the size.
-        max_corners: of a part; one of more is simplified. None: 256 in all parts together, but 16
-        to 32 in each.
+        to 1).
+        max_parts: largest number of parts; where there are more, those are joined that cost least.
+        Compile time is proportional to the number of parts.
+        loss: the largest fraction by which the parts' volume may differ from the mesh's, and the
+        largest distance between the surfaces over the size.
+        max_corners: largest number of corners of a part; one of more is simplified. None: 256 in
+        all parts together, but 16 to 32 in each.
 
     Raises:
-        SceneError: for a file that is missing, unreadable or open, values out of range, a loss
-        above what is allowed,
-            more than two minutes of cutting, and where CoACD is not installed.
+        SceneError: for a file that is missing, unreadable or open, values out of range, a larger
+        loss than allowed, more than two minutes of cutting, and where CoACD is not installed.
     """
     concavity = require_positive("concavity", concavity, "a number from 0.01 to 1")
     if not 0.01 <= concavity <= 1.0:

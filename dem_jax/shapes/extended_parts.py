@@ -26,11 +26,12 @@ EDGE_POINTS = 32  # along an edge, at which is looked
 
 @dataclass(frozen=True, eq=False)
 class Continuation:
-    """What others make of a part.
+    """A convex part together with the parts of the same body that continue it.
 
-    inner: for each face whether others cover all of it. open: for each face, for each of its edges,
-    which part of it ends the surface of the body there, or bends it; the rest lies in the middle of
-    a plane. extended: the part and more of the body, a polytope about the part's own centre.
+    interior_faces: for each face whether other parts cover all of it. open_edges: for each face,
+    for each of its edges, the share of the edge at which the surface of the body ends or bends; the
+    rest lies in the middle of a plane. extended: the part and more of the body, a polytope about
+    the part's own centre.
     """
 
     interior_faces: tuple[bool, ...]
@@ -39,7 +40,7 @@ class Continuation:
 
 
 def find_continuations(shape: Shape) -> list[Continuation | None]:
-    """Of each part of a body; None of one that no other continues, and of balls."""
+    """The continuation of each part of a body; None for balls and parts that no other continues."""
     parts = list_parts(shape)
     out: list[Continuation | None] = []
     for k, part in enumerate(parts):
@@ -57,9 +58,11 @@ def find_continuations(shape: Shape) -> list[Continuation | None]:
 
 
 def _extend_part(part: ConvexPart, others: list[ConvexPart]) -> Shape:
-    """All of the body, if that is convex; else the part with its inner faces moved outwards by what
-    it measures there, as far as the outer faces of the body let it; the part alone where that
-    leaves the body, as in a strand that twists.
+    """Extend a part into the other parts of its body.
+
+    The result is the whole body if that is convex. Otherwise each inner face is moved outwards by
+    the part's thickness normal to it, as far as the outer faces of the body allow. It is the part
+    alone if the extension leaves the body, as in a strand that twists.
     """
     near = NEAR_TOLERANCE * part.shape.bounding_radius
     every = np.concatenate([other.shape.vertices + other.centre for other in (part, *others)])

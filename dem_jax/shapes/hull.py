@@ -79,8 +79,8 @@ def _weld_points(points: np.ndarray, tolerance: float) -> np.ndarray:
 
 
 def _triangulate_hull(points: np.ndarray, size: float, options: str = "Qt") -> Facets:
-    """Hull of points as triangles; options: of Qhull, for points about their mean in units of the
-    size (m).
+    """Hull of points as triangles. options: for Qhull, which gets the points about their mean, in
+    units of the size (m).
     """
     from scipy.spatial import ConvexHull, QhullError
 

@@ -28,7 +28,7 @@ class MeshBody(NamedTuple):
 
     outer: its outer surface (m), facets seen from outside, without the cavities, which nothing can
     touch. mass: volume (m3), centre [3] (m) and inertia over mass (m2), cavities left out. notes:
-    what was mended and united, in words.
+    repairs and unions, in words.
     """
 
     outer: "trimesh.Trimesh"
@@ -91,8 +91,8 @@ def _count_surfaces(mesh: "trimesh.Trimesh") -> int:
 def _unite_surfaces(
     mesh: "trimesh.Trimesh", path: str | Path
 ) -> tuple["trimesh.Trimesh", "trimesh.Trimesh", list[str]]:
-    """Outer surface and whole surface of the union of what the surfaces hold, and how it was made,
-    in words.
+    """Unite the volumes that the surfaces enclose: outer surface and whole surface of the union,
+    and notes in words.
     """
     middle, size = _bounding_frame(mesh)
     at_hand = _make_valid_manifold(

@@ -1,5 +1,5 @@
-"""A closed mesh from the facets of a file: what is broken in small ways is mended and reported, the
-rest is refused.
+"""A closed mesh from the facets of a file: small defects are mended and reported, others are
+refused.
 """
 
 from collections.abc import Sequence
@@ -22,8 +22,7 @@ MOST_LISTED = 5  # facets that a message lists by number
 
 
 def repair_mesh(mesh: "trimesh.Trimesh", source: str | Path) -> tuple["trimesh.Trimesh", list[str]]:
-    """The mesh with every edge between facets that agree on the outside, and what was mended, in
-    words.
+    """The mesh with every edge between facets that agree on the outside, and the repairs in words.
 
     Corners are welded, facets without area and duplicates left out, small holes closed, and facets
     that look the wrong way turned (trimesh.repair). A surface may meet another along an edge.
@@ -89,7 +88,7 @@ def _is_oriented(faces: np.ndarray) -> bool:
 
 def _clean_facets(mesh: "trimesh.Trimesh", crack: float) -> tuple["trimesh.Trimesh", list[str]]:
     """The mesh with corners welded within a crack (units of the file), without flat and duplicated
-    facets; what was done.
+    facets, and the repairs in words.
     """
     import trimesh
 
@@ -137,11 +136,11 @@ def _weld_vertices(
 
 
 def _drop_duplicates(faces: np.ndarray, among: np.ndarray) -> np.ndarray:
-    """Indices of facets, of those among [F] bool, without duplicates.
+    """Indices of facets without duplicates. among: [F] bool, the facets to consider.
 
-    Of facets that look the same way the first is kept. Two that look in opposite ways are a
-    duplicate that is turned, of which one is kept, where their neighbours leave room for one; else
-    they are the common face of two bodies, and neither is.
+    If facets have the same corners and orientation, the first is kept. Two of opposite orientation
+    are a turned duplicate, of which one is kept, if their neighbours leave room for one; otherwise
+    they are the common face of two bodies, and both are dropped.
     """
     rows = np.flatnonzero(among)
     start = faces[rows].argmin(axis=1)
@@ -183,8 +182,8 @@ def _are_faults(faces: np.ndarray, single: np.ndarray, pairs: np.ndarray) -> np.
 
 
 def _close_holes(mesh: "trimesh.Trimesh") -> tuple["trimesh.Trimesh", list[str]]:
-    """The mesh with holes closed that are at most TINY_HOLE of the surface or a missing facet, and
-    what was done.
+    """Close holes that are at most TINY_HOLE of the surface, or one missing facet; the mesh and the
+    repairs in words.
     """
     import trimesh
 

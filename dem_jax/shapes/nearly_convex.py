@@ -25,8 +25,8 @@ class MeshHull(NamedTuple):
     """The convex hull of a body in a file.
 
     shape: with the mass properties of the hull. centre: [3] (m) of mass of the hull, in the frame
-    of the file. mass: of the body, where they are not those of its hull; else None. notes: what was
-    mended and left out, in words.
+    of the file. mass: of the body, where they are not those of its hull; else None. notes: repairs
+    and omissions, in words.
     """
 
     shape: Shape
@@ -56,7 +56,8 @@ def read_hull_shape(
 
 
 def read_hull(path: str | Path, unit: float = 1.0, tolerance: float = HULL_TOLERANCE) -> MeshHull:
-    """As ``read_hull_shape``, and what its mass properties are and what was changed."""
+    """The convex hull of an STL with its mass properties and notes; arguments and errors as
+    ``read_hull_shape``."""
     body = read_body(path, unit)
     try:
         shape, centre = hull_and_centre(body.outer.vertices)

@@ -20,8 +20,8 @@ def find_cache_folder() -> Path:
 
 
 def make_cache_key(vertices: np.ndarray, faces: np.ndarray, settings: dict[str, Any]) -> str:
-    """Name under which the parts of a mesh are kept: of its numbers, the settings and the versions
-    of what cuts it.
+    """Cache key of the parts of a mesh: a hash of its numbers, the settings and the versions of the
+    cutting packages.
     """
     versions = [FORMAT, *(_package_version(name) for name in ("coacd", "fast-simplification"))]
     found = hashlib.sha256(json.dumps([versions, settings], sort_keys=True).encode())
@@ -31,7 +31,7 @@ def make_cache_key(vertices: np.ndarray, faces: np.ndarray, settings: dict[str, 
 
 
 def load_arrays(key: str) -> dict[str, np.ndarray] | None:
-    """What is kept under a key; None: nothing, or nothing that can be read."""
+    """The arrays cached under a key; None: there are none, or they cannot be read."""
     try:
         with np.load(find_cache_folder() / f"{key}.npz") as kept:
             return dict(kept)

@@ -39,8 +39,8 @@ def check_single_cover(body: "Manifold", middle: np.ndarray, size: float, path: 
 
 
 def _measure_cover(body: "Manifold", sign: float) -> tuple[float, float, np.ndarray]:
-    """Length of rays in a body, length of those parts of it where the winding number is not 0 or 1,
-    and their centre [3].
+    """Length of rays in a body, the length on which the winding number is not 0 or 1, and the
+    centre [3] of that.
 
     sign: of the volume; the winding number of a body that is inside out is 0 or -1.
     """

@@ -22,29 +22,30 @@ class Shape:
     """A piece's geometry about its centre of mass, in the body frame that the user sees. Mass is
     density times volume.
 
-    name: "sphere", "cuboid", "chamfered-cuboid", "prism", "cylinder" or "hull"; of several parts
-    "compound", "tube" or
-        "decomposed".
+    name: "sphere", "cuboid", "chamfered-cuboid", "prism", "cylinder" or "hull"; with several parts
+    "compound", "tube" or "decomposed".
     radius: (m) of a sphere; 0.0 for all others.
     vertices: [V, 3] (m); [0, 3] for a sphere; those of all parts.
-    faces: vertex indices of each planar face, counter-clockwise seen from outside; of several parts
-    those that are not
-        inside the body.
-    normals: [F, 3] outward unit normals; offsets: [F] (m): n . x <= offset inside (of the part that
-    has the face). edges: [E, 2] vertex indices, each edge once; those of all parts. volume: (m3),
-    overlaps counted once. gyration: [3] (m2) principal moments of inertia over mass, in the
-    principal frame. principal: [4] quaternion w x y z that takes principal-frame vectors to
-    body-frame vectors; (1, 0, 0, 0) where the
-        body axes are principal already.
+    faces: vertex indices of each planar face, counter-clockwise seen from outside; with several
+    parts those that are not inside the body.
+    normals: [F, 3] outward unit normals.
+    offsets: [F] (m): n . x <= offset inside (of the part that has the face).
+    edges: [E, 2] vertex indices, each edge once; those of all parts.
+    volume: (m3), overlaps counted once.
+    gyration: [3] (m2) principal moments of inertia over mass, in the principal frame.
+    principal: [4] quaternion w x y z that takes principal-frame vectors to body-frame vectors; (1,
+    0, 0, 0) where the body axes are principal already.
     bounding_radius: (m) of the smallest sphere about the centre of mass.
-    edge_directions: [D, 3] unit directions of the edges, parallel ones once; of several parts [0,
-    3]: see theirs. generators: [G, 3] (m) half-edges, in the order of `edge_directions`, of a
-    zonotope (a centrally symmetric polytope
-        whose faces are centrally symmetric too): it is the set of all sums of t_i g_i with |t_i| <=
-        1, and its half-width along n is the sum of |n . g_i|. None for all other shapes.
-    parts: convex parts that the body is the union of; () for a convex shape: ``list_parts`` gives
-    the parts of any. fused: [number of parts] labels 0, 1, ...: parts of one label continue each
-    other without a notch, see ``joints``.
+    edge_directions: [D, 3] unit directions of the edges, parallel ones once; [0, 3] with several
+    parts, each of which has its own.
+    generators: [G, 3] (m) half-edges, in the order of `edge_directions`, of a zonotope (a centrally
+    symmetric polytope whose faces are centrally symmetric too): it is the set of all sums of t_i
+    g_i with |t_i| <= 1, and its half-width along n is the sum of |n . g_i|. None for all other
+    shapes.
+    parts: convex parts whose union is the body; () for a convex shape. ``list_parts`` gives the
+    parts of any shape.
+    joint_labels: [number of parts] labels 0, 1, ...: parts of one label continue each other without
+    a notch, see ``part_adjacency``.
     """
 
     name: str
@@ -146,8 +147,10 @@ def size_length(shape: Shape, convention: str = "equivalent-diameter") -> float:
 def surface_mesh(
     shape: Shape, subdivisions: int = 2
 ) -> tuple[np.ndarray, tuple[tuple[int, ...], ...]]:
-    """Vertices [V, 3] (m) and faces of what is drawn: the polytope itself, or a sphere as an
-    icosahedron subdivided; of several parts what shows of each, one after the other.
+    """Vertices [V, 3] (m) and faces of the surface for drawing.
+
+    A polytope is drawn as it is, a sphere as a subdivided icosahedron, and a body of parts by the
+    visible faces of each part, one part after the other.
     """
     if not shape.parts:
         return convex_surface_mesh(shape, subdivisions)

@@ -84,7 +84,7 @@ def find_flat_facets(mesh: "trimesh.Trimesh", path: str | Path) -> np.ndarray:
 
 @contextmanager
 def _silence_trimesh() -> Iterator[None]:
-    """Without what trimesh logs, with traceback, of errors that it raises as well."""
+    """Suppress trimesh's log of errors that it raises as well."""
     logger = logging.getLogger("trimesh")
     before = logger.level
     logger.setLevel(logging.CRITICAL + 1)

@@ -48,7 +48,7 @@ def build_plate(polygon: Any, thickness: float, name: str = "panel") -> Plate:
     """Plate behind a convex planar polygon [k, 3] (m), whose normal by the right-hand rule points
     to the pieces.
 
-    thickness: (m), to the other side. name: what an error calls the panel.
+    thickness: (m), to the other side. name: of the panel, for messages.
     Raises SceneError for fewer than 3 corners, corners that coincide or are off their common plane
     by more than TOLERANCE of the panel's size, a reflex corner, an outline that crosses itself and
     a thickness that is not > 0.
@@ -80,11 +80,11 @@ def drop_collinear_corners(polygon: np.ndarray) -> np.ndarray:
 
 
 class WallMesh(NamedTuple):
-    """What was read of an STL for walls.
+    """Panels of an STL for walls.
 
-    panels: convex, each [k, 3] (m). facets: how many made them. doubled: how many more were left
-    out, as they were given twice. thinnest: (m) the least that is behind a facet of a closed body;
-    inf: there is none. bodies: the closed bodies, in words.
+    panels: convex, each [k, 3] (m). facets: how many made them. duplicate_count: how many more were
+    left out because they were given twice. thinnest: (m) least thickness behind a facet of a closed
+    body; inf: there is none. bodies: the closed bodies, in words.
     """
 
     panels: list[np.ndarray]
@@ -127,10 +127,11 @@ def read_wall_mesh(path: str | Path, unit: float = 1.0, angle: float = 0.01) -> 
     own normals.
 
     unit: metres per unit of the file. angle: (degrees) adjacent facets whose normals differ by no
-    more from that of the largest among them are merged, and laid into their mean plane. What is not
-    convex, or has a hole, is cut into convex parts. The mesh need not be closed; closed bodies that
-    meet are united. Raises SceneError for a file that is missing, unreadable, empty or without
-    area, or with corners that are not finite or far off, and for facets that face both ways.
+    more from that of the largest among them are merged, and laid into their mean plane. Panels that
+    are not convex, or have a hole, are cut into convex parts. The mesh need not be closed; closed
+    bodies that meet are united. Raises SceneError for a file that is missing, unreadable, empty or
+    without area, or with corners that are not finite or far off, and for facets that face both
+    ways.
     """
     mesh = load_stl(path, unit)
     doubled = _drop_doubled(mesh)
@@ -225,8 +226,9 @@ def find_neighbours(
     Args:
         panels: of one wall group, each [k, 3] (m), counter-clockwise about its normal.
         largest_bend: (rad) largest angle between the normals of two panels that continue each
-        other. tolerance: (m) distance within which two edges are one; by default 1e-4 of the
-        largest panel's size.
+        other.
+        tolerance: (m) distance within which two edges are one; by default 1e-4 of the largest
+        panel's size.
 
     Returns:
         Lists [panels][k] of panel numbers. Edges that overlap only in part count.
