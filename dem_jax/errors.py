@@ -22,9 +22,9 @@ class SimulationError(RuntimeError):
     """A run had to stop: a piece that is not finite or left the domain, or a contact that is too
     deep.
 
-    piece: its number. time: (s) since the release. member: of an ensemble, else None. path: file
-    with the results before, or None. run: the same results as record.Run if no file was requested,
-    or None.
+    piece: its number. time: (s) since the release. member: number of the run in an ensemble, else
+    None. path: file with the results before, or None. run: the same results as ``io.run_data.Run``
+    if no file was requested, or None.
     """
 
     def __init__(

@@ -21,7 +21,7 @@ def add_command(commands: Commands) -> None:
 
 
 def show_list(args: Args) -> None:
-    """Print what there is of a kind, or the names of all kinds."""
+    """Print all names of a kind, or the names of all kinds."""
     if args.kind is not None:
         KINDS[args.kind](args)
         return

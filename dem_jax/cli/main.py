@@ -1,4 +1,4 @@
-"""All commands together, and what the exit code is."""
+"""The entry point of all commands, and its exit code."""
 
 import os
 import sys
@@ -36,11 +36,11 @@ RUN_FAILED, INTERRUPTED = 1, 130
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a command; the exit code: 0, 1 for a run that went wrong, 2 for bad input (one line on
+    """Run a command and return its exit code: 0, 1 for a failed run, 2 for bad input (one line on
     stderr).
 
-    argv: None: of this process, which then is the command's own: a signal ends it within a second
-    (``process``).
+    argv: None: the arguments of this process, which then belongs to the command: a signal ends it
+    within a second (``process``).
     """
     process.open_closed_streams()
     if argv is None:
@@ -101,8 +101,9 @@ def _locate_error() -> str:
 
 
 def _find_missing_platform() -> PlatformError | None:
-    """That JAX was asked for a platform that it does not have, which what it is used for first
-    trips over.
+    """The error that JAX was asked for a platform that it does not have; None: it has it.
+
+    Without this check the first use of JAX would fail on it.
     """
     if "jax" in sys.modules:
         from dem_jax import xla_flags
@@ -127,7 +128,7 @@ def build_parser() -> Parser:
 
 
 def _mute_output() -> None:
-    """What was printed and not written yet goes nowhere: Python would try again at its end."""
+    """Discard printed text that is not written yet; Python would try again at its end."""
     with suppress(OSError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 

@@ -32,7 +32,7 @@ def add_command(commands: Commands) -> None:
 
 
 def plot_files(args: Args) -> None:
-    """Draw the figure of files; of several, say by how much they differ."""
+    """Draw the figure of files; for several, print their differences."""
     if args.wall_impacts:
         if len(args.files) > 1:
             raise RecordError(f"--wall-impacts: {len(args.files)} files; allowed: a single one")

@@ -45,7 +45,7 @@ def _print_product(name: str) -> None:
 
 
 def _print_list() -> None:
-    """Print what the products weigh and are made of."""
+    """Print the weights and the materials of the products."""
     from dem_jax.assembly.piece_arrays import build_piece_set, compute_masses
     from dem_jax.scene import evidence, library, load_scene
     from dem_jax.scene.material_properties import build_material_table

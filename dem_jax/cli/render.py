@@ -30,7 +30,7 @@ def add_command(commands: Commands) -> None:
 
 
 def add_instants(kind: Any) -> None:
-    """The arguments of what a picture shows; kind: a mutually exclusive group."""
+    """Add the arguments that choose the instants of a picture. kind: a mutually exclusive group."""
     kind.add_argument("--at", type=float, metavar="S", help="a picture of the time S (s)")
     kind.add_argument(
         "--strip",

@@ -1,4 +1,4 @@
-"""What commands share that read files: one run of a file and its bodies, or the runs of several
+"""Access to result files for the commands: one run of a file and its bodies, or the runs of several
 files.
 """
 
@@ -26,7 +26,7 @@ def add_arguments(command: Parser) -> None:
 
 
 def load_run_bodies(args: Args) -> tuple["Run", tuple[Any, Any, Any]]:
-    """A run of a file, and what drawing.bodies_of finds of its scene. Raises RecordError."""
+    """A run of a file, and its bodies from ``scene_geometry.load_bodies``. Raises RecordError."""
     from dem_jax.visualization.scene_geometry import load_bodies
 
     found = load_single_run(args)
@@ -56,7 +56,7 @@ def add_files(command: Parser) -> None:
 
 
 def load_runs(files: Sequence[str]) -> tuple[list[str], list["Run"]]:
-    """What files are called, and their runs. Raises RecordError."""
+    """Short names of files, and their runs. Raises RecordError."""
     from dem_jax.io.run_files import load_run
 
     return short_names(files), [load_run(path) for path in files]
@@ -73,14 +73,15 @@ def is_study(files: Sequence[str]) -> bool:
 
 
 def short_names(files: Sequence[str]) -> list[str]:
-    """What files are called: without folders and endings where that tells them apart."""
+    """Short names of files, without folders and endings where these names differ."""
     paths = [Path(file) for file in files]
     stems = [path.stem for path in paths]
     return stems if len(set(stems)) == len(stems) else [str(path.with_suffix("")) for path in paths]
 
 
 def default_output_path(files: Sequence[str], suffix: str) -> Path:
-    """The first file's name with another ending, beside it; of several files it says so."""
+    """The first file's name with another ending, beside it; for several files with "-compared" in
+    it."""
     first = Path(files[0])
     return first.with_name(f"{first.stem}{'-compared' if len(files) > 1 else ''}{suffix}")
 

@@ -18,7 +18,7 @@ def add_command(commands: Commands) -> None:
 
 
 def run_scene(args: Args) -> None:
-    """Simulate a scene, or go on with a file."""
+    """Simulate a scene, or resume a file."""
     if (args.scene is None) == (args.resume is None):
         raise SceneError("run: allowed: either a SCENE or --resume FILE")
     if args.resume and (args.settings or args.out or args.seed or args.record_rate is not None):

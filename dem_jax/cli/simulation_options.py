@@ -1,5 +1,5 @@
-"""What run and ensemble share: the scene and its changes, where the file goes, and what is said at
-the end.
+"""Options that run and ensemble share: the scene and its changes, the file to write, and the lines
+at the end.
 """
 
 import os
@@ -57,7 +57,7 @@ def add_arguments(command: Parser, scene_optional: bool = False) -> None:
 
 
 def load_scene_and_target(args: Args, suffix: str) -> tuple["Scene", Path]:
-    """The scene with its changes, and the file to write; suffix: of the file's name. Raises
+    """The scene with its changes, and the file to write. suffix: of the file's name. Raises
     SceneError and RecordError.
     """
     from dem_jax.io.run_files import check_destination
@@ -95,8 +95,8 @@ def check_ending(out: str | None) -> None:
 
 
 def check_beside(out: Path, *endings: str) -> None:
-    """Raise RecordError unless what is written beside a file of results, under its name, can be
-    written.
+    """Raise RecordError unless files with these endings can be written beside a file of results,
+    under its name.
     """
     from dem_jax.io.run_files import check_writable
 

@@ -51,7 +51,7 @@ def _study_files(files: list[str]) -> list[str]:
 
 
 def run_studies(args: Args) -> None:
-    """Conduct studies one after the other: of each print the table, draw the figure."""
+    """Conduct studies one after the other; for each, print the table and draw the figure."""
     from dem_jax.study.config import load_study, stock_studies
 
     if not args.study:
@@ -88,7 +88,7 @@ def run_studies(args: Args) -> None:
 
 
 def _run_one_study(table: "Study", args: Args) -> float:
-    """One study; returns how long it took (s), with what was done before it was gone on with."""
+    """Conduct one study; returns its time (s), including that before it was resumed."""
     from dem_jax.study import analysis, study_runner
 
     out = Path(args.out or f"{table.name}{'-quick' if args.quick else ''}.h5")

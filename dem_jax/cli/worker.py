@@ -2,7 +2,7 @@
 before it is asked for.
 
 The first line of standard input is JSON: {"program": "dem_jax", "argv": ["run", "weigh-bucket"]}.
-It does what ``python -m PROGRAM ARGV`` does, with the same output and exit code.
+The worker acts as ``python -m PROGRAM ARGV``, with the same output and exit code.
 """
 
 import json
@@ -24,7 +24,7 @@ def main() -> int:
 
 
 def _import_ahead() -> None:
-    """Import what a simulation needs, so that it begins at once."""
+    """Import the modules that a simulation needs, so that it begins at once."""
     import jax  # noqa: F401
 
     import dem_jax.runner.interface

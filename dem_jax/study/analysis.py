@@ -1,5 +1,5 @@
-"""What a study says: a table of its points with bands, what others found beside it, and what
-depends on what.
+"""Results of a study in words and tables: its points with bands, reference values, and influences
+of parameters.
 """
 
 import csv
@@ -35,7 +35,7 @@ def parameter_label(study: Study, key: str) -> str:
 
 
 def output_metric(results: StudyResults, name: str, members: np.ndarray) -> Metric:
-    """An output of some drops, [M] bool; of those that are done."""
+    """An output of the finished ones among selected drops. members: [M] bool."""
     output = OUTPUTS[name]
     return Metric(
         name, output.unit, results.outputs[name][members & (results.state == DONE)], output.digits
@@ -99,7 +99,7 @@ def format_median(number: Metric) -> str:
 
 
 class ReferenceComparison(NamedTuple):
-    """What somebody else found, and ours."""
+    """A reference value of another author, and the study's own value."""
 
     reference: ReferenceValue
     ours: Metric
@@ -124,7 +124,7 @@ def compare_references(results: StudyResults) -> list[ReferenceComparison]:
 
 
 def _trace_rmse(results: StudyResults, name: str, which: np.ndarray) -> Metric:
-    """Of traces, see RMSE."""
+    """Root mean square differences of traces, see RMSE_OUTPUTS."""
     if not results.force or not which.any():
         return Metric(name, "g", np.zeros(0))
     if name == "rmse_model":
@@ -180,8 +180,8 @@ class Influence(NamedTuple):
 
 
 def find_influences(results: StudyResults) -> list[Influence]:
-    """Of a study whose points are drawn, of ranges, over the means of points; none of a grid, or of
-    few points.
+    """Influences of drawn parameters with ranges on the means of points; none for a grid or few
+    points.
 
     Shares are those of polynomials of up to sixth degree
     (``visualization.variance_decomposition``).
@@ -270,7 +270,7 @@ def describe_results(results: StudyResults) -> list[str]:
 
 
 def list_findings(results: StudyResults) -> list[str]:
-    """What there is to say beside the table of points; first of all how many drops there are."""
+    """Lines beside the table of points, the first of which gives the number of drops."""
     study = results.study
     _, rows = tabulate_points(results)
     lost, left = int((results.state == LOST).sum()), int((results.state == OPEN).sum())
@@ -302,7 +302,8 @@ def list_findings(results: StudyResults) -> list[str]:
 
 
 def describe_unsettled_drops(results: StudyResults) -> list[str]:
-    """What drops that ended before all was at rest lack, and how many these are."""
+    """The outputs that are missing for drops that ended before all was at rest, and the number of
+    these drops."""
     done = results.state == DONE
     outputs = [name for name in results.study.outputs if OUTPUTS[name].needs_rest]
     lacking = {name: int((done & np.isnan(results.outputs[name])).sum()) for name in outputs}
@@ -317,7 +318,8 @@ def describe_unsettled_drops(results: StudyResults) -> list[str]:
 
 
 def _describe_stiffness(results: StudyResults) -> list[str]:
-    """What the peaks of a study rest on; nothing where its scene is not there any more."""
+    """The moduli and the softening behind the peaks of a study; nothing if its scene no longer
+    exists."""
     if not any(OUTPUTS[name].unit == "kg" for name in results.study.outputs):
         return []
     try:
@@ -327,7 +329,7 @@ def _describe_stiffness(results: StudyResults) -> list[str]:
 
 
 def _describe_influences(study: Study, rows: list[Influence]) -> list[str]:
-    """A line on what an output depends on, if that is known."""
+    """A line on the influences of parameters on an output, if they are known."""
     if not rows:
         return []
     said = [
@@ -340,8 +342,8 @@ def _describe_influences(study: Study, rows: list[Influence]) -> list[str]:
 
 
 def _describe_distances(results: StudyResults) -> list[str]:
-    """How far traces are from each other: of two drops that differ in their seed alone, and from
-    the Product Model.
+    """Distances between traces: of two drops that differ only in their seed, and from the Product
+    Model.
     """
     if not results.force:
         return []

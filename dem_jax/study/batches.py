@@ -33,8 +33,8 @@ LONG_BATCH_TIME = 180.0  # s that a batch takes by estimate: one that takes long
 
 @dataclass(frozen=True)
 class Batch:
-    """Drops that one program computes: their numbers among all, points and seeds; scene: what they
-    have in common.
+    """Drops that one program computes: their numbers among all, points and seeds; scene: the common
+    scene.
     """
 
     members: tuple[int, ...]
@@ -93,7 +93,7 @@ def _cut_members(members: list[int], seeds: int) -> list[list[int]]:
 
 
 def _program_key(scene: Scene, study: Study, reuse: AssemblyCache) -> Any:
-    """What drops must have alike to be of one batch."""
+    """Key that is equal for all drops of a batch."""
     return parameter_sweep.program_signature(
         assemble_system(scene, study.seed, reuse=reuse)
     ), scene.run.model_dump_json(exclude={"step"})
@@ -108,10 +108,10 @@ def _is_common(key: str) -> bool:
 def run_batch(
     batch: Batch, study: Study, kept: Path | None = None, progress: bool = False
 ) -> tuple[Run | None, tuple[int, ...], list[FailedDrops]]:
-    """Compute a batch: the ensemble, the members that it is of, and those that failed, each alone.
+    """Compute a batch: its ensemble, the members in it, and the failed drops, each alone.
 
-    kept: file of a batch that takes long, which is gone on with if it is there; of its ``progress``
-    there is a bar.
+    kept: file of a batch that takes long, which is resumed if it exists. progress: whether to show
+    a bar for such a batch.
     """
     members, failed = list(batch.members), list[FailedDrops]()
     while members:

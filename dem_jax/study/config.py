@@ -54,7 +54,7 @@ class StudyParameter(Section):
 
 
 class ReferenceValue(Section):
-    """What somebody else found, to be set beside ours."""
+    """A reference value of another author, for comparison with the study's own."""
 
     output: str
     low: float
@@ -142,8 +142,8 @@ class Study(Section):
         return self
 
     def base_scene(self) -> Scene:
-        """The scene, with what is set for all points; with as many pieces at all of them, if
-        numbers of it are uncertain.
+        """The scene with the changes that hold at all points; the number of pieces is fixed if
+        numbers are uncertain.
 
         Raises SceneError.
         """
@@ -181,8 +181,8 @@ def stock_studies() -> dict[str, str]:
 
 
 def load_study(source: str | Path, quick: bool = False) -> Study:
-    """A stock study by name, or a TOML file by path; quick: with what its [quick] says. Raises
-    SceneError.
+    """A stock study by name, or a TOML file by path. quick: apply the changes of its [quick].
+    Raises SceneError.
     """
     stock, path = STOCK_FOLDER / f"{source}.toml", Path(source)
     if stock.is_file() and path.suffix != ".toml":

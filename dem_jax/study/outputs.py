@@ -1,6 +1,4 @@
-"""What a drop comes down to in a study: numbers, each with its unit, of all runs of an ensemble at
-once.
-"""
+"""Outputs of the drops of a study: numbers with their units, for all runs of an ensemble at once."""
 
 from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
@@ -22,7 +20,7 @@ PEAK_END_SHARE, IMPACT_END_FACTOR = 0.1, 2.0  # of its top, down to which a peak
 
 
 class OutputTraces(NamedTuple):
-    """What outputs are made of; K runs of T samples."""
+    """Traces from which outputs are evaluated; K runs of T samples."""
 
     run: Run
     time: np.ndarray  # [T] (s)
@@ -45,7 +43,8 @@ class OutputTraces(NamedTuple):
 
 
 class StudyOutput(NamedTuple):
-    """A number of each run, nan where there is none: of what its drops do, or of what is to drop.
+    """An output, one number per run: of the drop, or of the portion before it; nan where there is
+    none.
 
     digits: how many are shown. needs_rest: whether a run that ended before all was at rest has
     none.
@@ -82,7 +81,7 @@ def extract_traces(run: Run) -> OutputTraces:
 
 
 def _running_mean(force: np.ndarray, samples: int) -> np.ndarray:
-    """Means [K, T] over the last so many samples; zeros before the first."""
+    """Means [K, T] over the last ``samples`` samples; zeros before the first."""
     sums = np.cumsum(np.pad(force, [(0, 0), (samples, 0)]), axis=1)
     return (sums[:, samples:] - sums[:, :-samples]) / samples
 
@@ -131,7 +130,7 @@ def _after_first_force(t: OutputTraces, when: np.ndarray) -> np.ndarray:
 
 
 def _first_at_rest(t: OutputTraces) -> np.ndarray:
-    """From there on some piece is always at rest: what is slow for an instant, at the top of a
+    """Time from which some piece is always at rest; slowness for an instant, at the top of a
     bounce, does not count.
     """
     none = t.settled <= 0
@@ -155,7 +154,7 @@ def _impact_time(t: OutputTraces) -> np.ndarray:
 
 
 def _peak_duration(t: OutputTraces) -> np.ndarray:
-    """Of the highest peak, as long as it stays above a tenth of its top."""
+    """Duration (ms) for which the force stays above a tenth of its highest peak, around that peak."""
     found = []
     for row in t.smooth:
         top = int(row.argmax())
@@ -168,10 +167,10 @@ def _peak_duration(t: OutputTraces) -> np.ndarray:
 
 
 def _second_peak(t: OutputTraces) -> tuple[np.ndarray, np.ndarray]:
-    """The next highest burst of those after the highest (kg) and by how much it is later (ms), [K];
-    nan where there is but one.
+    """The highest burst after the highest of all (kg), and its delay (ms), [K]; nan where there is
+    only one.
 
-    Of means over BURST; a burst rises by PROMINENCE of the highest above what lies between.
+    Bursts are those of means over BURST, with a prominence of at least PROMINENCE of the highest.
     """
     height, later = np.full((2, len(t.force)), np.nan)
     for k, row in enumerate(_running_mean(t.force, max(1, round(BURST / t.run.sample)))):

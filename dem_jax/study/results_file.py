@@ -1,4 +1,4 @@
-"""The file of a study: what is done so far, so that it is gone on with and nothing is computed
+"""The file of a study: results so far, so that the study can be resumed and nothing is computed
 twice.
 """
 
@@ -22,7 +22,7 @@ OPEN, DONE, LOST = 0, 1, 2  # of a drop
 
 @dataclass
 class StudyResults:
-    """What a study found so far; M drops, member number = point number * seeds + seed number."""
+    """Results of a study so far; M drops, member number = point number * seeds + seed number."""
 
     study: Study
     state: np.ndarray  # [M] int8: OPEN, DONE or LOST
@@ -78,7 +78,7 @@ def _write_results(file: Any, results: StudyResults) -> None:
 
 
 def is_study(path: str | Path) -> bool:
-    """Whether a file says that it is of a study; False of what cannot be read as an HDF5 file, too."""
+    """Whether a file is that of a study; False also for a file that cannot be read as HDF5."""
     try:
         with open_for_reading(path) as file:
             return "study" in file.attrs
@@ -87,7 +87,7 @@ def is_study(path: str | Path) -> bool:
 
 
 def load_results(path: str | Path) -> StudyResults:
-    """What a file holds. Raises RecordError."""
+    """Load the results of a study from its file. Raises RecordError."""
     with open_for_reading(path) as file:
         try:
             return _read_results(file)

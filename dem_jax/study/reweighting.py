@@ -146,7 +146,7 @@ def describe_posterior(studies: Sequence[StudyResults]) -> list[str]:
 
 
 def _usable_references(study: Study) -> list[ReferenceValue]:
-    """Those that points are weighed by: of all points, and of an output."""
+    """The references that weigh points: those of an output other than RMSE that hold at all points."""
     return [row for row in study.reference if not row.at and row.output not in RMSE_OUTPUTS]
 
 

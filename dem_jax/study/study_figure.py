@@ -166,8 +166,8 @@ def _draw_over_parameter(axes: "Axes", results: StudyResults, name: str) -> None
 
 
 def _draw_scatter(axes: "Axes", results: StudyResults, name: str, key: str) -> None:
-    """An output of all drops over a parameter that is drawn, and the medians of the points; what
-    others found as bands.
+    """Draw an output of all drops over a drawn parameter, with the medians of the points, and
+    reference values as bands.
     """
     study, points = results.study, list_points(results.study)
     x = np.array([point[key] for point in points])

@@ -27,11 +27,20 @@ def run_study(
 ) -> StudyResults:
     """Conduct a study and return its results.
 
-    source: a Study, or what ``load_study`` takes. out: HDF5 file, which is kept up to date; one
-    that holds a part of the same study is gone on with, and ends with the same bits; any other is
-    an error unless overwrite. Beside it lies, while it is computed, what is done of drops that take
-    minutes, ``OUT.batch``. quick: as its [quick] says. Raises SceneError for what cannot be a study
-    and RecordError for a file. Drops that go wrong are lost, and said to be.
+    Args:
+        source: a Study, the name of a stock study, or the path of a TOML file.
+        out: HDF5 file, which is kept up to date. A file with a part of the same study is resumed
+        and ends with the same bits; any other is an error unless overwrite. Drops that take minutes
+        are kept beside it in ``OUT.batch`` while they are computed.
+        overwrite: replace a file that holds something else.
+        progress: whether to show a bar.
+        quick: apply the changes of the study's [quick].
+
+    Raises:
+        SceneError: the study is not valid.
+        RecordError: the file cannot be read or written.
+
+    Drops that fail are reported as lost.
     """
     xla_flags.set_loop_flags(unrolled=True)
     table = fill_parameters(source if isinstance(source, Study) else load_study(source, quick))
@@ -51,7 +60,7 @@ def run_study(
 
 
 def _save_study(results: StudyResults, out: str | Path | None) -> str | None:
-    """Save what is done; returns where it is, in words."""
+    """Save the results so far; returns their place, in words."""
     if out is None:
         return None
     with process.defer_signals():
@@ -120,8 +129,8 @@ def _compute_batch(
     kept: Path | None,
     progress: bool,
 ) -> None:
-    """Compute a batch, and enter what came of it; kept: where it is kept while it goes, if it takes
-    long.
+    """Compute a batch and enter its results. kept: file of the batch while it is computed, if that
+    takes long.
     """
     if isinstance(batch, batches.FailedDrops):
         _record_lost(results, [batch])

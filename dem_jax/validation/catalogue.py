@@ -39,5 +39,5 @@ FAMILIES: dict[str, Callable[[], Iterable[Problem]]] = {
 
 
 def list_problems(families: Iterable[str] = FAMILIES) -> list[Problem]:
-    """Of these families."""
+    """The problems of these families."""
     return [problem for family in families for problem in FAMILIES[family]()]

@@ -1,5 +1,4 @@
-"""Impacts that others have measured, as problems: what a contact law with the stated parameters
-makes of them.
+"""Measured impacts of other authors as problems for contact laws with the stated parameters.
 
 The exact values are the measured ones and the bounds their scatter, except where a closed form is
 named.

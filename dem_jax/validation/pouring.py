@@ -16,10 +16,10 @@ DENSEST, LOOSEST = 0.64, 0.40  # random close packing; what walls a few spheres 
 def pouring_problem(
     side: int, seeds: int = 4, duration: float = 0.8, softening: float = 0.01
 ) -> Problem:
-    """side ** 3 spheres that fall into a box side diameters wide, walls without friction, floor
-    rough; several seeds.
+    """side ** 3 spheres that fall into a box side diameters wide, with frictionless walls and a
+    rough floor; several seeds.
 
-    The floor bears the weight, and how much of the space they fill is between what is loose beside
+    The floor bears the weight, and the packing fraction lies between that of loose packing beside
     walls and random close packing.
     """
     count, half = side**3, side * RADIUS

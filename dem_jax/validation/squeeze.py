@@ -45,8 +45,8 @@ def _squeeze_scene(
 
 
 def jaws_problem() -> Problem:
-    """Two jaws press a sphere together and let it go: eqs 1 to 4 on the way in, out and off, and
-    what they dissipate.
+    """Two jaws press a sphere together and release it: eqs 1 to 4 during loading, unloading and
+    separation, and the dissipated energy.
     """
     walls = {
         "left": ((-RADIUS, WIDTH), (-RADIUS, -WIDTH)),

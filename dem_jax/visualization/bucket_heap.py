@@ -1,5 +1,5 @@
-"""The heap that lies in a weigh bucket at the end of a run: its height, how full the bucket is, and
-what is not in it.
+"""The heap in a weigh bucket at the end of a run: its height, the filling of the bucket, and the
+pieces outside.
 """
 
 from typing import NamedTuple

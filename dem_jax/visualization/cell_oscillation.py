@@ -1,5 +1,5 @@
-"""What a load cell reads at the end of a run while it still swings: the mean over whole periods,
-and the amplitude.
+"""The reading of a load cell that still oscillates at the end of a run: mean over whole periods,
+and amplitude.
 """
 
 from typing import NamedTuple
@@ -20,8 +20,8 @@ class CellOscillation(NamedTuple):
 
     last: [K] (kg) at the last sample. mean: [K] (kg) over whole periods, nan where a period is
     longer than the run. amplitude: [K] (kg) half of the difference between the highest and the
-    lowest reading in them. period: [K] (s), of the bucket with what has settled in it. periods: [K]
-    in the mean.
+    lowest reading in them. period: [K] (s), damped, of the bucket with the settled mass in it.
+    periods: [K] number of periods in the mean.
     """
 
     last: np.ndarray
@@ -67,8 +67,8 @@ def end_window_samples(run: Run) -> int | None:
 
 
 def _find_period(run: Run) -> np.ndarray | None:
-    """[K] (s) of the bucket on its load cell with what has settled in it, in damped swings; None:
-    no load cell.
+    """[K] (s) damped period of the bucket on its load cell with the settled mass in it; None: no
+    load cell.
     """
     if "weight" not in getattr(run, "load_cell", {}):
         return None

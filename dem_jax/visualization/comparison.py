@@ -72,9 +72,11 @@ def _compare_metrics(this: Metric, other: Metric) -> MetricDifference:
 
 
 def _difference_interval(this: np.ndarray, other: np.ndarray) -> tuple[float, float]:
-    """Of two ensembles: that of the difference of medians, by bootstrap (Efron 1979). Of a single
-    run and an ensemble: by how much the run is above the ensemble's own band, from which it tells a
-    run that is not one of them.
+    """Interval of the difference of medians.
+
+    For two ensembles by bootstrap (Efron 1979). For a single run and an ensemble it is the
+    difference of the run from the ends of the ensemble's own band, which shows whether the run can
+    be one of the ensemble. nan for two single runs.
     """
     if min(len(this), len(other)) == 0 or max(len(this), len(other)) == 1:
         return np.nan, np.nan
@@ -98,7 +100,7 @@ def describe_differences(
 ) -> list[str]:
     """Lines that say by how much each run differs from the first; none for a single run.
 
-    names: what the runs are called. Raises RecordError as ``compute_metrics``.
+    names: of the runs. Raises RecordError as ``compute_metrics``.
     """
     lines = []
     for name, run in zip(names[1:], runs[1:], strict=True):

@@ -52,9 +52,11 @@ def draw_comparison_figure(
     end: float | None = None,
     narrow: bool = False,
 ) -> "Figure":
-    """Figure with the PIF of several runs (means over their samples, in kg; of an ensemble the
-    median and the band from 5 to 95 %) and, dashed, their settled mass (g). names: what they are
-    called; the rest as plot.figure_of_run.
+    """Figure with the PIF of several runs (kg, means over samples) and, dashed, their settled mass
+    (g).
+
+    Ensembles are drawn by their median and the band from 5 to 95 %. names: of the runs; other
+    arguments as ``run_figure.draw_run_figure``.
     """
     groups = [group or find_main_group(run) or "none" for run in runs]
     means = [run.pif_kg(each) for run, each in zip(runs, groups, strict=True)]

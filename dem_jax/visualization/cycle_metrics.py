@@ -1,4 +1,4 @@
-"""What each cycle of a weighing station comes down to."""
+"""Metrics of each cycle of a weighing station."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -69,9 +69,9 @@ def cut_cycle_window(run: Run, window: CycleWindow) -> Run:
 
 
 def compute_cycle_metrics(run: Run, window: CycleWindow) -> list[Metric]:
-    """Dosed mass (g), peak of the force (kg) and time to rest (ms) in a cycle, of each run of an
-    ensemble; what FB and LF hold at its end (g); pieces that came in and were taken out since the
-    cycle before.
+    """Metrics of a cycle, for each run of an ensemble: dosed mass (g), peak force (kg), time to
+    rest (ms), mass in FB and LF at its end (g), and pieces inserted and removed since the cycle
+    before.
     """
     part = cut_cycle_window(run, window)
     block, group = find_main_block(run), find_main_group(run)

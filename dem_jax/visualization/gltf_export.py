@@ -107,7 +107,8 @@ def _fill_missing_poses(pose: np.ndarray) -> np.ndarray:
 
 
 def _continuous_rotations(pose: np.ndarray) -> np.ndarray:
-    """Of a quaternion and its negative, which are one rotation, the one nearer to that before."""
+    """Poses with the sign of each quaternion chosen so that it is nearer to the one before; both
+    signs are one rotation."""
     turn = pose[:, ORIENTATIONS]
     flips = np.cumprod(np.sign(np.r_[1.0, (turn[1:] * turn[:-1]).sum(axis=1)]) + 0.0)
     return np.concatenate(

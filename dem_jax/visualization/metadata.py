@@ -93,8 +93,8 @@ def summarize_stiffness(run: Run) -> str:
 
 
 def describe_peak_factors(scene: Scene) -> str:
-    """What the peaks of a scene rest on: E, NSF, and by how much one impact would be harder with
-    the product's own modulus.
+    """E and NSF behind the peaks of a scene, and the factor by which one impact would be harder
+    with the product's own modulus.
     """
     words = (
         f"E = {_describe_moduli(build_material_table(scene))}, NSF = {scene.material.softening:g}"
@@ -107,7 +107,7 @@ def describe_peak_factors(scene: Scene) -> str:
 
 
 def _describe_assumed_modulus(scene: Scene) -> str:
-    """What to say where the range of a modulus is not known."""
+    """Words for a scene whose range of the modulus is not known."""
     more = 2 ** STIFFNESS_EXPONENTS[scene.contact.law]
     key = "material.youngs_modulus_range is not given"
     return (
@@ -127,12 +127,12 @@ def _describe_modulus_ranges(scene: Scene) -> str:
 
 
 def find_peak_factors(scene: Scene) -> tuple[float, float] | None:
-    """By how much the peak of one impact is higher with the least and with the greatest modulus
-    that the product may have.
+    """Factors on the peak of one impact with the least and with the greatest modulus that the
+    product may have.
 
-    Without softening, which makes the simulated modulus another one than the product's: (E / (E
-    NSF))^p, E in series with that of the walls and p as of ``STIFFNESS_EXPONENTS``. None: the range
-    of a material is not known (material.youngs_modulus_range).
+    Both are without softening, which makes the simulated modulus E NSF: (E_product / (E NSF))^p,
+    with moduli in series with those of the walls and p from ``STIFFNESS_EXPONENTS``. None: the
+    range of a material is not known (material.youngs_modulus_range).
     """
     table, nsf, power = (
         build_material_table(scene),
@@ -163,7 +163,8 @@ def find_peak_band(run: Run) -> tuple[float, float] | None:
 
 
 def describe_peak_band(run: Run, peaks: Sequence[float] | np.ndarray) -> str:
-    """The band of the peaks (kg) of a run or an ensemble by what is known of the modulus, in words."""
+    """The band of the peaks (kg) of a run or an ensemble for the known range of the modulus, in
+    words."""
     scene, factors = parse_scene(run.scene, "the file's scene"), find_peak_band(run)
     if "law" in run.info:
         return "the peak rests on the stiffness of the contact law that was given"
@@ -197,7 +198,7 @@ def describe_piece_count(run: Run) -> str:
 
 
 def describe_portion(scene: Scene) -> str | None:
-    """What a portion weighs beside what was asked for, in words; None: it is not made by weight.
+    """The mass of a portion beside its target weight, in words; None: it is not made by weight.
     Raises SceneError.
     """
     if scene.piece or scene.portion is None or scene.portion.count is not None:
@@ -289,8 +290,8 @@ def _product_facts(scene: Scene) -> Facts:
 
 
 def _material_fact(table: MaterialTable, k: int, densities: np.ndarray) -> tuple[str, str]:
-    """A material of pieces with these densities (kg/m3); of several walls the range of what holds
-    on them.
+    """Name and properties of a material of pieces with these densities (kg/m3); ranges where walls
+    differ.
     """
     walls = np.flatnonzero(table.is_wall)
     words = f"{_format_range(densities)} kg/m³, E = {_format_si(table.youngs_modulus[k], 'Pa')}, ε = {table.restitution[k, k]:g}"

@@ -1,4 +1,4 @@
-"""What a run comes down to: a few numbers with their units, one value for each run of an ensemble."""
+"""Scalar metrics of a run with their units, one value for each run of an ensemble."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -32,7 +32,7 @@ class Metric(NamedTuple):
 
     @property
     def median(self) -> float:
-        """Of the values that there are; nan: there is none."""
+        """Median of the known values; nan: there is none."""
         known = self.values[np.isfinite(self.values)]
         return float(np.median(known)) if len(known) else np.nan
 
@@ -56,9 +56,10 @@ def compute_metrics(run: Run, group: str | None = None, block: str | None = None
     """Peaks of the product impact force (kg), when (ms), time to rest (ms), mean force at the end
     (g), settled mass (g).
 
-    group, block: by default those of the weigh bucket, or the first. What a run has no group or no
-    block for is left out. The force at the end is the mean over the last tenth of the samples, with
-    a load cell over whole periods of it. Raises RecordError for a group that is not there.
+    group, block: by default those of the weigh bucket, or the first. Metrics for which a run has no
+    group or no block are left out. The force at the end is the mean over the last tenth of the
+    samples, with a load cell over whole periods of it. Raises RecordError for a group that is not
+    there.
     """
     group, block = group or find_main_group(run), block or find_main_block(run)
     found = _force_metrics(run, group) if group else []
@@ -104,7 +105,7 @@ def _force_metrics(run: Run, group: str) -> list[Metric]:
 
 
 def format_metric(number: Metric) -> str:
-    """Value and unit; of an ensemble the median, the band, and how many runs have none."""
+    """Value and unit; for an ensemble the median, the band, and the number of runs without a value."""
     missing = int((~np.isfinite(number.values)).sum())
     if len(number.values) == 1:
         return (

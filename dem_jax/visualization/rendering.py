@@ -41,7 +41,7 @@ FULL_HEIGHT = 6.0  # inches, of one picture
 
 @dataclass(frozen=True)
 class Camera:
-    """Where the scene is seen from.
+    """Viewpoint of a picture.
 
     azimuth: (degrees) of the eye about z, from x. elevation: (degrees) of the eye above the
     horizontal. distance: of the eye from the middle of the scene, in radii of the scene.

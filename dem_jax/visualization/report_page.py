@@ -1,7 +1,7 @@
-"""One page on a run or on several, to send: numbers, the drop in 3-D, the force, collisions, a
-fitted model, and what was computed.
+"""One page on a run or several, to send: numbers, the drop in 3-D, the force, collisions, a fitted
+model, and the inputs.
 
-The page holds all that it shows and loads nothing. ``paper`` prints the same facts.
+The page is self-contained and loads nothing. ``pdf_report`` prints the same facts.
 """
 
 import base64
@@ -50,7 +50,7 @@ ReportPart = tuple[str, list[str], "Figure"]  # name of a run, lines and picture
 
 
 class NamedRun(NamedTuple):
-    """A run or an ensemble, and what it is called."""
+    """A run or an ensemble, and its name."""
 
     name: str
     run: Run
@@ -63,7 +63,7 @@ def write_report(
     group: str | None = None,
     fit: FitResults | None = None,
 ) -> Path:
-    """Write the page on runs and ensembles of these names, or as PDF the same without what moves.
+    """Write the page on runs and ensembles of these names, or a PDF without the moving view.
     Returns the path.
 
     group: wall group of the force; by default wb_flaps, or the first. fit: a Product Model fitted
@@ -81,7 +81,7 @@ def write_report(
 def compose_sheets(
     named: Sequence[NamedRun], group: str | None = None, fit: FitResults | None = None
 ) -> list[pdf_report.ReportSheet]:
-    """What is printed; arguments and errors as ``write_report``."""
+    """The sheets of the printed report; arguments and errors as ``write_report``."""
     tables = _metric_tables(named, group)
     with_force = [each for each in named if each.run.force]
     sheets = [
@@ -185,7 +185,7 @@ def _difference_lines(named: Sequence[NamedRun], group: str | None) -> list[str]
 
 
 def _choose_median_run(run: Run, group: str | None) -> Run:
-    """Of an ensemble the run whose peak is the median."""
+    """The run of an ensemble whose peak is the median."""
     if run.run_count is None:
         return run
     group = group or find_main_group(run)
@@ -237,7 +237,7 @@ def _table_html(head: Sequence[str], rows: Sequence[Sequence[str]], caption: str
 
 
 def _head_cells(named: Sequence[NamedRun]) -> list[str]:
-    """Names of runs with their colours in the figure; of a single run nothing."""
+    """Names of runs with their colours in the figure; empty for a single run."""
     if len(named) == 1:
         return [""]
     key = '<span class="key" style="background:{}"></span>{}'
@@ -259,7 +259,7 @@ def _columns_html(
 def _tabulate_columns(
     named: Sequence[NamedRun], columns: Sequence[Mapping[str, str]]
 ) -> pdf_report.TextTable:
-    """Rows of plain text: what heads the columns, then a row for each key."""
+    """Rows of plain text: the heads of the columns, then a row for each key."""
     keys = dict.fromkeys(key for column in columns for key in column)
     heads = ["", *(each.name if len(named) > 1 else "" for each in named)]
     return [heads, *([key, *(column.get(key, "") for column in columns)] for key in keys)]
@@ -306,7 +306,7 @@ def _metrics_html(named: Sequence[NamedRun], group: str | None) -> str:
 
 
 def _describe_unsettled(each: NamedRun) -> str | None:
-    """What to say of a run that ended before all was settled."""
+    """Note on a run that ended before all was settled; None: all was settled."""
     block = find_main_block(each.run)
     if block is None:
         return None
@@ -324,7 +324,7 @@ def _describe_unsettled(each: NamedRun) -> str | None:
 
 
 def _view_html(drawn: Sequence[dict[str, Any]], without: Sequence[str], ensembles: bool) -> str:
-    """The player; of runs without frames what is missing."""
+    """The player as HTML, with a note on the runs without frames."""
     words = f"No poses were stored of {', '.join(without)}: set run.frames to the time between them (s) to see the drop."
     missing = _note_html(words) if without else ""
     if not drawn:
@@ -390,16 +390,14 @@ def _stiffness_lines(named: Sequence[NamedRun]) -> list[str]:
 
 
 def _collision_parts(named: Sequence[NamedRun], group: str | None) -> Iterator[ReportPart]:
-    """Of each run with statistics of collisions its name, what there is to say, and the figure."""
+    """Name, lines and figure for each run with statistics of collisions."""
     for each in named:
         if "collisions" in each.run.info:
             yield each.name, tabulate_impacts(each.run), draw_wall_impacts(each.run, group)
 
 
 def _uncertainty_parts(named: Sequence[NamedRun], group: str | None) -> Iterator[ReportPart]:
-    """Of each ensemble with drawn numbers its name, their shares of the scatter in words, and the
-    picture.
-    """
+    """Name, shares of the scatter in words, and figure for each ensemble with drawn numbers."""
     for each in named:
         if splits := split_ensemble(each.run, group):
             yield each.name, describe_splits(splits), draw_variance_shares(splits)
@@ -408,8 +406,8 @@ def _uncertainty_parts(named: Sequence[NamedRun], group: str | None) -> Iterator
 def _sections_html(
     title: str, picture: str, named: Sequence[NamedRun], parts: Iterator[ReportPart]
 ) -> str:
-    """A section for each part, with its name if there are several runs; picture: what it shows, in
-    words.
+    """A section for each part, with its name if there are several runs. picture: description of the
+    figure.
     """
     found = []
     for name, lines, figure in parts:
@@ -421,8 +419,8 @@ def _sections_html(
 
 
 def _model_html(fit: FitResults) -> str:
-    """The parameters of a fitted Product Model with their intervals, what the fit says, and its
-    picture.
+    """The parameters of a fitted Product Model with their intervals, the statements of the fit, and
+    its figure.
     """
     head, *rows = fit.parameter_rows()
     picture = ""

@@ -60,9 +60,9 @@ def draw_run_figure(
     ms.
 
     A run is drawn by the means over its sample intervals, on the instantaneous values in a lighter
-    tone; an ensemble by its median, the band from 5 to 95 % and some members, all of interval
-    means. group: by default wb_flaps or the first; block: wb or the first. start, end: (s) of what
-    is shown; by default the impact and beside it the whole, or the whole alone where it is little
+    tone; an ensemble by the interval means: their median, the band from 5 to 95 % and some members.
+    group: by default wb_flaps or the first; block: wb or the first. start, end: (s) of the window;
+    by default the impact and beside it the whole run, or only the whole run where it is little
     longer. narrow: panels one below the other, for the screen of a phone. Raises RecordError for a
     group or block that the run does not have.
     """
@@ -228,7 +228,7 @@ def _limit_axes(axes: "Axes", run: Run, mean: np.ndarray, span: TimeSpan) -> Non
 
 
 def limit_force_axis(axes: "Axes", span: TimeSpan, least: float, most: float) -> None:
-    """Limits of the axes: the span of time (s), and what there is of force (kg) in it."""
+    """Limit the axes to a span of time (s) and to the range of the force (kg) in it."""
     axes.set_xlim(1e3 * span[0], 1e3 * span[1])
     axes.set_ylim(min(0.0, 1.05 * least), 1.15 * max(most, 1e-9))
     axes.grid(alpha=0.25, lw=0.5)
@@ -236,7 +236,7 @@ def limit_force_axis(axes: "Axes", span: TimeSpan, least: float, most: float) ->
 
 
 def _title_with_rest(run: Run, block: str | None) -> str:
-    """The title, and below it what was not at rest at the end."""
+    """The title, and below it the pieces that were not at rest at the end."""
     block = block or find_main_block(run)
     why = find_rest(run, None, block).describe() if block else ""
     return f"{run_title(run)}\n{why}" if why else run_title(run)

@@ -1,4 +1,4 @@
-"""What a scale makes of runs: a table of times to weigh, and the figure of its readings and their
+"""Readings of a scale on runs: a table of times to weigh, and the figure of the readings and their
 errors.
 """
 
@@ -86,10 +86,10 @@ def find_time_to_weigh(run: Run, is_known: np.ndarray) -> np.ndarray:
 def read_settled_trace(
     path: str | Path, group: str | None, block: str | None, truth: float | None
 ) -> tuple[WeightTrace, str]:
-    """The trace in a file, and what was not at rest at its end, in words (empty: nothing).
+    """The trace in a file, and a description of the motion left at its end (empty: none).
 
-    What a scale should show is not known of runs that ended before all was at rest: their truth is
-    nan, unless it is given. Arguments and errors as ``load_trace``.
+    The true mass is nan for runs that ended before all was at rest, unless it is given. Arguments
+    and errors as ``load_trace``.
     """
     found, run = load_trace(path, group, block, truth)
     if truth is not None or run is None:
@@ -104,10 +104,9 @@ def read_settled_trace(
 def compute_readings(
     name: str, trace: WeightTrace, rate: float | None, text: str, seed: Seed = 0
 ) -> ScaleReadings:
-    """The readings of a trace at a rate (1/s) through a filter, as filters.ALLOWED; seed: of the
-    trace's noise.
+    """The readings of a trace at a rate (1/s) through a filter.
 
-    Raises ValueError.
+    text: the filter, see filters.ALLOWED. seed: of the trace's noise. Raises ValueError.
     """
     return filter_drops(name, trace, convert_trace(trace, rate, seed), rate, text)
 
@@ -245,9 +244,10 @@ def plot_readings(
 
 
 def draw_readings_figure(rows: Sequence[ScaleReadings], tolerances: Sequence[float]) -> "Figure":
-    """Figure (matplotlib.figure.Figure): the readings (g) over ms, and the largest error (g) from
-    then on, with dots for the times to weigh at their tolerances (kg). Of several runs the median,
-    the band from 5 to 95 % and the time of half of them.
+    """Figure (matplotlib.figure.Figure): the readings (g) over ms, and the largest later error (g),
+    with dots for the times to weigh at their tolerances (kg).
+
+    Several runs are drawn by the median, the band from 5 to 95 % and the time of half of them.
     """
     from matplotlib.figure import Figure
 

@@ -1,4 +1,4 @@
-"""What a run says when it has ended."""
+"""Summary of a run that has ended."""
 
 import numpy as np
 
@@ -77,8 +77,8 @@ def summarize_run(run: Run) -> list[str]:
 
 
 def _describe_load_cell(run: Run, swing: CellOscillation) -> str:
-    """What the load cell reads at the end and at most, whether it still swings, and whether that is
-    more than it is made for.
+    """The reading of the load cell at the end and its maximum, with notes on oscillation and on an
+    exceeded rated load.
     """
     most, cell = (
         np.abs(np.atleast_2d(run.load_cell["weight"])).max(axis=1),
@@ -104,7 +104,7 @@ def _describe_reading(swing: CellOscillation) -> str:
 
 
 def _list_shape_notes(run: Run) -> list[str]:
-    """What the scene says of the shapes of its pieces and of its walls, each thing once."""
+    """The scene's notes on the shapes of its pieces and walls, each once."""
     scene = parse_scene(run.scene, "the file's scene")
     pieces = scene.portion.product_rows if scene.portion else scene.piece
     parts = [part for part in (scene.weigh_bucket, scene.feed_bucket, scene.feeder) if part]
@@ -112,7 +112,7 @@ def _list_shape_notes(run: Run) -> list[str]:
 
 
 def list_piece_notes(scene: Scene) -> list[str]:
-    """What is read of the STLs of a scene's pieces: what was mended, united, cut or simplified.
+    """Notes on the STLs of a scene's pieces: repairs, unions, decomposition and simplification.
     Raises SceneError.
     """
     whole = inline_pieces(scene)
@@ -126,8 +126,8 @@ def list_piece_notes(scene: Scene) -> list[str]:
 
 
 def list_wall_notes(scene: Scene) -> list[str]:
-    """What is read of the STLs of walls, buckets and feeder, and the smooth surfaces of their
-    facets. Raises SceneError.
+    """Notes on the STLs of walls, buckets and feeder, and on the smooth surfaces of their facets.
+    Raises SceneError.
     """
     read = {
         f"wall.{n}": inline_wall_panels(wall, scene.folder)[0].note
@@ -144,7 +144,7 @@ def list_wall_notes(scene: Scene) -> list[str]:
 
 
 def _describe_peaks(run: Run, group: str) -> list[str]:
-    """The peak of the force, when it is, its mean over 10 ms and what it rests on."""
+    """Lines on the peak of the force: its time, its mean over 10 ms, and the moduli behind it."""
     traces = np.atleast_2d(run.pif_kg(group))
     times, peaks = 1e3 * run.time[np.argmax(traces, axis=1)], traces.max(axis=1)
     if not peaks.any():

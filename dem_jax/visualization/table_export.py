@@ -1,4 +1,4 @@
-"""What is plotted of a run as tables, for a spreadsheet: CSV or XLSX."""
+"""The plotted quantities of a run as tables, for a spreadsheet: CSV or XLSX."""
 
 import csv
 import io
@@ -21,7 +21,7 @@ TableCell = str | float | None  # None: empty
 
 
 class ExportTable(NamedTuple):
-    """A name, what heads the columns, and the rows."""
+    """A table: its name, the heads of its columns, and its rows."""
 
     name: str
     head: list[str]
@@ -54,7 +54,7 @@ def export_tables(
 
 
 def series_table(run: Run, group: str | None = None, block: str | None = None) -> ExportTable:
-    """Time (s), PIF (kg) and settled mass (g) at each sample; of an ensemble median, 5 % and 95 %,
+    """Time (s), PIF (kg) and settled mass (g) at each sample; for an ensemble median, 5 % and 95 %,
     then PIF and settled mass of each run.
     """
     group, block = group or find_main_group(run), block or find_main_block(run)
@@ -87,8 +87,8 @@ def series_table(run: Run, group: str | None = None, block: str | None = None) -
 
 
 def numbers_table(run: Run, group: str | None = None, block: str | None = None) -> ExportTable:
-    """What the run comes down to, a row each: unit and value, of an ensemble median, 5 %, 95 % and
-    each run's.
+    """The metrics of a run, a row each: unit and value; for an ensemble median, 5 %, 95 % and the
+    value of each run.
     """
     rows: list[tuple[TableCell, ...]] = []
     for number in compute_metrics(run, group, block):

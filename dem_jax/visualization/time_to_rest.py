@@ -43,7 +43,7 @@ class RestState(NamedTuple):
         return self.moving_count == 0
 
     def describe(self) -> str:
-        """What was not at rest at the end, in words; empty: nothing."""
+        """Describe the pieces or runs that were not at rest at the end; empty: there are none."""
         if self.is_complete.all():
             return ""
         if len(self.moving_count) > 1:
@@ -56,8 +56,8 @@ class RestState(NamedTuple):
         return f"{said} ({self.slow_count[0]} slower than {SETTLED_SPEED:g} m/s there, but for less than {1e3 * self.window:.0f} ms)"
 
     def describe_bound(self) -> str:
-        """Of a single run, what stands for the time to rest where it is not known: at least how
-        long (ms), and why.
+        """Describe the time to rest of a single run where it is not known: a lower bound (ms), and
+        the reason.
         """
         why = self.describe()
         return (

@@ -41,9 +41,10 @@ def impact_span(run: Run, mean: np.ndarray) -> TimeSpan:
 def choose_panels(
     runs: Sequence[Run], means: Sequence[np.ndarray], start: float | None, end: float | None
 ) -> list[TimeSpan]:
-    """What is shown side by side: the impact and the whole; the whole alone where the impact is
-    half of it or more, and one span where a start or an end (s) is given. means: [.., T] (kg) of
-    each run.
+    """Spans (s) of the panels side by side: the impact and the whole run.
+
+    It is only the whole run if the impact is half of it or more, and one span if a start or an end
+    (s) is given. means: [.., T] (kg) of each run.
     """
     whole = _enclose_spans([whole_span(run, mean) for run, mean in zip(runs, means, strict=True)])
     if start is not None or end is not None:

@@ -131,12 +131,14 @@ def split_scatter(drawn: np.ndarray, names: Sequence[str], answer: Metric) -> Va
 def split_variance(
     drawn: np.ndarray, names: Sequence[str], answer: Metric, degrees: Sequence[int] = DEGREES
 ) -> VarianceSplit | None:
-    """The variance of an answer by numbers.
+    """Split the variance of an answer into the shares of the drawn numbers.
 
     Args:
         drawn: [K, d] probabilities of the numbers of each run, from 0 to 1, independent of each
-        other. names: [d] of the numbers. answer: [K] values; those that are nan are left out.
-        degrees: of the polynomials, the first for which there are enough values.
+        other.
+        names: [d] of the numbers.
+        answer: [K] values; those that are nan are left out.
+        degrees: of the polynomials; the first is taken for which there are enough values.
 
     Returns:
         The split; None with fewer than three runs for each number, or an answer that is the same in

@@ -31,11 +31,11 @@ CM2 = 1e4  # in a m2
 
 
 class ImpactMap(NamedTuple):
-    """What happened on a panel, by places in the box around it, mean of the runs.
+    """Impacts on a panel by places in the box around it, mean of the runs.
 
-    group: that it moves with. number, impulse (N s), energy (J): [cells, cells], the second axis
-    along the panel's own x. half: [2] (m), of the box. axes: [2, 3], its own x and y in the scene's
-    rest pose. corners: [k, 2] (m), of the panel in its own frame.
+    group: wall group of the panel. number, impulse (N s), energy (J): [cells, cells], the second
+    axis along the panel's own x. half_extent: [2] (m), of the box. axes: [2, 3], its own x and y in
+    the scene's rest pose. corners: [k, 2] (m), of the panel in its own frame.
     """
 
     group: str
@@ -48,8 +48,9 @@ class ImpactMap(NamedTuple):
 
 
 def load_statistics(run: Run) -> dict[str, Any]:
-    """What the file says of collisions, as dynamics.collision_summary.told. Raises RecordError for
-    a run without.
+    """The statistics of collisions in a file, see dynamics.collision_summary.summarize_collisions.
+
+    Raises RecordError for a run without.
     """
     found = run.info.get("collisions")
     if found is None:
@@ -156,8 +157,10 @@ def plot_wall_impacts(
 
 def draw_wall_impacts(run: Run, group: str | None = None, of: str = "energy") -> "Figure":
     """Figure (matplotlib.figure.Figure): impact speeds on each wall group, and maps over the panels
-    of one (by default the weigh bucket's flaps, or the first). of: what the maps show, as OF. Of an
-    ensemble the mean of its runs. Raises RecordError.
+    of one group (by default the weigh bucket's flaps, or the first).
+
+    of: quantity of the maps, a key of MAPPED_QUANTITIES. Ensembles are shown by the mean of their
+    runs. Raises RecordError.
     """
     from matplotlib.figure import Figure
 
@@ -209,7 +212,7 @@ def _draw_speeds(axes: "Axes", run: Run) -> None:
 
 
 def _draw_map(axes: "Axes", of: ImpactMap, values: np.ndarray, top: float) -> Any:
-    """A panel seen so that its axes point along the scene's; returns what the colour bar is of."""
+    """Draw a panel with its axes along the scene's; returns the image for the colour bar."""
     flips, names = [], []
     for direction in of.axes:
         main = int(np.abs(direction).argmax())
@@ -229,7 +232,7 @@ def _draw_map(axes: "Axes", of: ImpactMap, values: np.ndarray, top: float) -> An
 
 
 def _place_area(of: ImpactMap) -> float:
-    """Of a place (cm2)."""
+    """Area of a place (cm2)."""
     return float(CM2 * 4 * of.half_extent.prod() / of.number.size)
 
 
@@ -252,7 +255,7 @@ def _check_group(run: Run, group: str) -> None:
 
 @contextmanager
 def _convert_errors() -> Iterator[None]:
-    """What is not as it must be among the file's numbers is one clear line."""
+    """Turn an error in the file's numbers into one clear line, as RecordError."""
     try:
         yield
     except (KeyError, TypeError, ValueError, IndexError) as error:

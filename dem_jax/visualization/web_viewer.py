@@ -71,8 +71,10 @@ class BodyMotion:
 
 
 def collect_motion(run: Run, most_bytes: float = np.inf) -> BodyMotion | None:
-    """What moves; None: the run has no frames. most_bytes: of positions and orientations in base64,
-    so that instants are left out where there are more. Raises SceneError.
+    """The moving bodies of a run; None: the run has no frames.
+
+    most_bytes: limit for positions and orientations in base64; instants are left out where there
+    would be more. Raises SceneError.
     """
     frames = run.pieces
     if frames is None or not np.isfinite(frames.position).any():
@@ -160,7 +162,7 @@ def view_walls(scene: Scene, times: np.ndarray, level: np.ndarray | None = None)
 
 
 def write_controls(names: Sequence[str]) -> str:
-    """The canvas of the player and its controls as HTML. names: of the views that can be chosen."""
+    """The canvas of the player and its controls as HTML. names: of the views to choose from."""
     runs = "".join(f'<option value="{k}">{escape(name)}</option>' for k, name in enumerate(names))
     paces = "".join(
         f'<option value="{n}">{"real time" if n == 1 else f"{n} times slower"}</option>'
@@ -174,12 +176,12 @@ def write_controls(names: Sequence[str]) -> str:
 
 
 def write_player(title: str, view: dict[str, Any], more: str = "") -> str:
-    """A page of the player alone, which holds all that it shows, as HTML text.
+    """A self-contained page of the player alone, as HTML text.
 
     Args:
         title: of the page.
         view: of ``build_view_data`` or ``view_walls``.
-        more: script that runs behind the player's.
+        more: script that runs after the player's.
     """
     fields = {
         "view": write_controls([title]),

@@ -1,6 +1,4 @@
-"""Pages that hold all that they show and load nothing: what is around their body, and pictures in
-them.
-"""
+"""Self-contained pages that load nothing: the frame around their body, and pictures in them."""
 
 import base64
 import io
@@ -19,13 +17,15 @@ DPI = 140
 
 
 def read_page_part(name: str) -> str:
-    """The text of a file of ``show/page``."""
+    """The text of a file of ``visualization/page``."""
     return (files("dem_jax.visualization") / "page" / name).read_text(encoding="utf-8")
 
 
 def fill_page(title: str, policy: str, body: str, **fields: str) -> str:
-    """The page as HTML text. policy: what it may have in it; body: a file of ``show/page``, filled
-    in with the fields.
+    """The page as HTML text.
+
+    policy: content security policy of the page. body: a file of ``visualization/page``, filled in
+    with the fields.
     """
     filled = Template(read_page_part(body)).substitute(fields, title=escape(title))
     return Template(read_page_part("page.html")).substitute(

@@ -45,7 +45,7 @@ class Cell(NamedTuple):
 
     @property
     def damping_ratio(self) -> np.ndarray:
-        """Of the critical damping of the mass without product."""
+        """Damping ratio: the damping over the critical damping of the mass without product."""
         return self.decay / (2 * np.pi * self.frequency)
 
 
@@ -147,8 +147,9 @@ def integrate_cell(
 
 
 def count_substeps(cell: Cell | None, rate: float, highest: float = 0.0) -> int:
-    """Steps for each interval of 1 / rate, for a cell and a highest frequency (Hz) of what shakes
-    it.
+    """Number of integration steps in an interval of 1 / rate.
+
+    cell: load cell, or None; highest: (Hz) highest frequency of its excitation.
     """
     own = 0.0 if cell is None else STEPS_PER_PERIOD * float(np.max(cell.frequency))
     return max(1, int(np.ceil(max(own, 40.0 * highest) / rate)))

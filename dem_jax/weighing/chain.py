@@ -17,8 +17,10 @@ DIGITS = 6  # to which the end of a reading is rounded, in samples: 1 kHz of 30 
 
 
 class SignalChain(NamedTuple):
-    """samples: of the trace in a reading, at least 1, not always a whole number. filter: made for
-    the rate of the readings.
+    """Readings and filter of a scale.
+
+    samples: number of samples of the trace in a reading, at least 1, not always a whole number.
+    filter: made for the rate of the readings.
     """
 
     samples: float

@@ -182,11 +182,11 @@ def input_shaper(
 ) -> Filter:
     """The input shaper that leaves nothing of an oscillation: impulses half a damped period apart,
     in the ratios of a binomial with the decay of the oscillation over that time (2: zero vibration;
-    3: of its derivative by the frequency as well).
+    3: zero derivative with respect to the frequency as well).
 
     An impulse between two readings n and n + 1 is shared between them so that the oscillation at
     readings, p^k with p = exp(s / rate), is still cancelled exactly: 1 + a p^-n + b p^-(n + 1) = 0,
-    of which a and b are the real solution.
+    where a and b are the real solution.
 
     Args:
         frequency: (Hz) of the oscillation without damping.
@@ -290,14 +290,14 @@ def build_filter(sections: list[tuple[np.ndarray, np.ndarray]], name: str = "own
 
 
 def start_filter(of: Filter, lead: tuple[int, ...] = ()) -> FilterMemory:
-    """What a filter keeps of an empty scale, for signals with these leading axes."""
+    """Memory of a filter on an empty scale, for signals with these leading axes."""
     return tuple(section.initial_memory(lead) for section in of.sections)
 
 
 def apply_filter(
     of: Filter, memory: FilterMemory, values: np.ndarray
 ) -> tuple[np.ndarray, FilterMemory]:
-    """Readings [.., n] after the filter, [.., n], and what it keeps for those that follow."""
+    """Readings [.., n] after the filter, [.., n], and the filter's memory for the next readings."""
     if not values.shape[-1]:  # of which scipy makes no memory
         return values, memory
     after: list[Any] = []
@@ -325,7 +325,7 @@ def _normalize_section(b: np.ndarray, a: np.ndarray | Coefficients = (1.0,)) -> 
 
 
 def _polynomial_delay(coefficients: Coefficients) -> float:
-    """That of a polynomial at rest, in readings: sum of k c_k over sum of c_k."""
+    """Delay of a polynomial at zero frequency, in readings: sum of k c_k over sum of c_k."""
     return float(np.arange(len(coefficients)) @ np.array(coefficients) / np.sum(coefficients))
 
 

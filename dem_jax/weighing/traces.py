@@ -1,5 +1,5 @@
-"""What a scale feels, of a run or an ensemble, of files of these or of the Product Model: weight
-over time, and the truth.
+"""Weight on a scale over time, and the true mass: of runs, ensembles, files of these, or the
+Product Model.
 """
 
 from typing import TYPE_CHECKING, NamedTuple
@@ -22,11 +22,11 @@ CELL_KEYS = "weigh_bucket.load_cell."  # of a scene
 
 
 class WeightTrace(NamedTuple):
-    """What a scale feels; ensembles have a leading axis of runs.
+    """Weight on a scale over time; ensembles have a leading axis of runs.
 
     time: [T] (s) ends of the sample intervals. weight: [.., T] (kg), the force over g. truth: [..]
-    (kg), mass that lies there in the end. source: what the weight is of. product: [.., T] or a
-    number (kg), mass that lies there over time. cell: the load cell that the weight has gone
+    (kg), mass that lies there in the end. source: origin of the weight, in words. product: [.., T]
+    or a number (kg), mass that lies there over time. cell: the load cell that the weight has gone
     through; None: none. noise: of the scene; None: none. gravity: (m/s2). impact: [..] (s) first
     force of the product, nan: there is none; None: where the weight begins.
     """

@@ -86,8 +86,10 @@ class FilterFamily:
 
 
 class TunedFilter(NamedTuple):
-    """The best filter of a family. filter: its text. times: of the drops that judge. searched: of
-    those that it was found with.
+    """The best filter of a family.
+
+    filter: its text. times: of the drops that judge it. search_times: of the drops that it was
+    found with.
     """
 
     family: str
@@ -111,7 +113,7 @@ def tune_filters(
         rate: readings per second, the same for all.
         tolerance: (kg).
         cells: load cells behind which the drops were weighed; none: not known.
-        progress: is told the name of each family before it is searched.
+        progress: called with the name of each family before it is searched.
 
     Returns:
         A row for each family, the soonest 90 % quantile since the first impact first.
