@@ -5,9 +5,31 @@ runs=64)``, ``run.save(path)``, ``load_run(path)``, ``resume(path)``. Nothing is
 is used.
 """
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from dem_jax.deprecation import install_former_modules
+
+if TYPE_CHECKING:  # for type checkers and editors; at run time each is imported at its first use
+    from dem_jax.assembly.topology import Topology as Topology
+    from dem_jax.assembly.topology import assemble as assemble
+    from dem_jax.dynamics.quantity import Quantity as Quantity
+    from dem_jax.errors import RecordError as RecordError
+    from dem_jax.errors import SceneError as SceneError
+    from dem_jax.errors import SimulationError as SimulationError
+    from dem_jax.io.run_files import Run as Run
+    from dem_jax.io.run_files import load_run as load_run
+    from dem_jax.math.smooth_maximum import smooth_peak as smooth_peak
+    from dem_jax.runner.functional import has_overflowed as has_overflowed
+    from dem_jax.runner.functional import model as model
+    from dem_jax.runner.functional import step as step
+    from dem_jax.runner.interface import ensemble as ensemble
+    from dem_jax.runner.interface import resume as resume
+    from dem_jax.runner.interface import simulate as simulate
+    from dem_jax.runner.rollout import Rollout as Rollout
+    from dem_jax.runner.rollout import rollout as rollout
+    from dem_jax.scene import Scene as Scene
+    from dem_jax.scene import load_scene as load_scene
+    from dem_jax.scene import stock_scenes as stock_scenes
 
 __version__ = "0.1.0"
 
@@ -20,6 +42,11 @@ _HOME = {
     "ensemble": "runner.interface",
     "rollout": "runner.rollout",
     "Rollout": "runner.rollout",
+    "model": "runner.functional",
+    "assemble": "assembly.topology",
+    "step": "runner.functional",
+    "has_overflowed": "runner.functional",
+    "Topology": "assembly.topology",
     "smooth_peak": "math.smooth_maximum",
     "Quantity": "dynamics.quantity",
     "Run": "io.run_files",
@@ -33,13 +60,14 @@ install_former_modules()
 
 __all__ = [*_HOME, "__version__"]
 
+if not TYPE_CHECKING:  # for which any other name is an error
 
-def __getattr__(name: str) -> Any:
-    if name not in _HOME:
-        raise AttributeError(f"module 'dem_jax' has no attribute {name!r}")
-    from importlib import import_module
+    def __getattr__(name: str) -> Any:
+        if name not in _HOME:
+            raise AttributeError(f"module 'dem_jax' has no attribute {name!r}")
+        from importlib import import_module
 
-    return getattr(import_module(f"dem_jax.{_HOME[name]}"), name)
+        return getattr(import_module(f"dem_jax.{_HOME[name]}"), name)
 
 
 def __dir__() -> list[str]:

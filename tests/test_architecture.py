@@ -4,9 +4,13 @@ names all of them.
 
 import ast
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
+
+import dem_jax
 
 ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "dem_jax"
@@ -58,7 +62,7 @@ MAY_IMPORT = {  # package -> packages below it
         "__version__",
     },
     "__main__": {"cli"},
-    "__init__": {"deprecation"},
+    "__init__": {"assembly", "deprecation", "dynamics", "errors", "io", "math", "runner", "scene"},
     "scenes": set(),
     "studies": set(),
     "products": set(),
@@ -190,3 +194,51 @@ def test_text_files_are_utf8_whatever_the_language_of_the_machine(package):
             if of_text and not any(keyword.arg == "encoding" for keyword in node.keywords):
                 found.append(f"{path.relative_to(ROOT)}:{node.lineno}")
     assert not found
+
+
+def test_type_checkers_know_every_public_name():
+    """The imports for type checkers are those that happen at run time when a name is used first."""
+    tree = ast.parse((PACKAGE / "__init__.py").read_text(encoding="utf-8"))
+    block = next(
+        node
+        for node in tree.body
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+    )
+    known = {
+        alias.asname: node.module
+        for node in block.body
+        for alias in node.names
+        if alias.asname == alias.name
+    }
+    assert known == {name: f"dem_jax.{module}" for name, module in dem_jax._HOME.items()}
+    assert sorted(dem_jax.__all__) == sorted([*known, "__version__"]) and all(
+        hasattr(dem_jax, name) for name in known
+    )
+
+
+def test_mypy_refuses_what_the_interface_has_not(tmp_path):
+    """With the options of the project, and with what mypy knows of it if it ran before."""
+    own = (ROOT / "pyproject.toml").read_text(encoding="utf-8").partition("[tool.mypy]")
+    config = tmp_path / "pyproject.toml"
+    config.write_text("".join(own[1:]).replace("packages =", "# packages ="), encoding="utf-8")
+    program = (
+        "import dem_jax\ndem_jax.simulate(nonsense=3)\ndem_jax.nonsense\ndem_jax.load_scene(3)"
+    )
+    command = [sys.executable, "-m", "mypy", f"--config-file={config}", "-c", program]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    errors = re.findall(r":(\d): error: .*\[(.*)\]", done.stdout)
+    assert errors == [("2", "call-arg"), ("3", "attr-defined"), ("4", "arg-type")], (
+        done.stdout + done.stderr
+    )
+
+
+def test_the_reference_lists_every_public_name(capsys):
+    """The page makes its list of the names of the package."""
+    page = (ROOT / "docs" / "reference" / "dem_jax.md").read_text(encoding="utf-8")
+    exec(re.search(r"```python exec=.*?\n(.*?)```", page, re.DOTALL)[1])
+    listed = [
+        line.removeprefix("::: ").rpartition(".")[2]
+        for line in capsys.readouterr().out.split("\n")
+        if line
+    ]
+    assert sorted(listed) == sorted(set(dem_jax.__all__) - {"__version__"})

@@ -2,7 +2,7 @@
 function of both.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any
@@ -29,7 +29,7 @@ from dem_jax.assembly.parameters import (
 from dem_jax.assembly.system import AssembledSystem
 from dem_jax.assembly.wall_panels import lay_out_walls
 from dem_jax.broad_phase import neighbour_list, overflow_recovery
-from dem_jax.dynamics import quantity
+from dem_jax.dynamics.quantity import Quantity, validate_quantities, with_fixed_rows
 from dem_jax.errors import SceneError
 from dem_jax.scene import Scene
 from dem_jax.scene.array_namespace import as_float_array
@@ -102,9 +102,19 @@ class Topology:
         return hash(self._identity)
 
 
-def split_scene(scene: Scene, built: AssembledSystem) -> tuple[Topology, dict[str, np.ndarray]]:
-    """Topology and parameters of a self-contained scene that was built. Raises SceneError for
-    pieces that come and go.
+def split_scene(
+    scene: Scene, built: AssembledSystem, quantities: Iterable[Quantity] = ()
+) -> tuple[Topology, dict[str, np.ndarray]]:
+    """Topology and parameters of a self-contained scene that was built.
+
+    Args:
+        scene: with the contents of all its files.
+        built: of the scene.
+        quantities: to sample beside those of the system.
+
+    Raises:
+        SceneError: pieces come and go.
+        ValueError: there are two quantities of one name.
     """
     if built.exchange_plan is not None:
         raise SceneError(
@@ -116,6 +126,7 @@ def split_scene(scene: Scene, built: AssembledSystem) -> tuple[Topology, dict[st
             key: np.asarray(getattr(built.start, field), float) for key, field in POSES.items()
         }
     unset = dict.fromkeys(find_unset_parameters(scene), np.zeros(()))
+    built = replace(built, system=_prepare_system(built, quantities))
     topology = _outline(scene, built, values, unset)
     fill = partial(_fill_arrays, topology)
     used = _find_used(fill, values)
@@ -192,7 +203,7 @@ def _outline(
         scene=scene,
         layout=built.layout,
         start=built.start,
-        system=_prepare_system(built),
+        system=built.system.replace(**dict.fromkeys(FIELDS)),
         state=built.state.replace(motion=None, scratch=None),
         frames=built.frames,
         materials=materials.replace(**dict.fromkeys(absent)),
@@ -204,17 +215,16 @@ def _outline(
     )
 
 
-def _prepare_system(built: AssembledSystem) -> System:
-    """The system without FIELDS, for steps of a compiled loop: rebuilds after whole sample
-    intervals, and quantities whose rows have fixed names.
+def _prepare_system(built: AssembledSystem, quantities: Iterable[Quantity]) -> System:
+    """The system for a compiled loop of steps: rebuilds after whole sample intervals, quantities
+    with fixed names of rows.
     """
-    system, part = (
-        overflow_recovery.with_all_pairs(built.system),
-        built.step.substeps // built.step.parts,
-    )
+    system = overflow_recovery.with_all_pairs(built.system)
+    part = built.step.substeps // built.step.parts
     block = max(1, system.block_steps // part) if built.step.parts == 1 else 1
-    fixed = tuple(quantity.with_fixed_rows(one, system) for one in system.quantities)
-    return system.replace(block_steps=block * part, quantities=fixed, **dict.fromkeys(FIELDS))
+    sampled = validate_quantities((*system.quantities, *quantities))
+    fixed = tuple(with_fixed_rows(quantity, system) for quantity in sampled)
+    return system.replace(block_steps=block * part, quantities=fixed)
 
 
 def _fill_arrays(topology: Topology, parameters: Parameters) -> tuple[System, State]:

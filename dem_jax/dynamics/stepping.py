@@ -40,8 +40,17 @@ class LoopCarry(NamedTuple):
 
 
 def step(system: System, state: State) -> tuple[State, Sample]:
-    """One time step of a single run, and what can be read after it."""
-    state = advance_step(system, state)
+    """One time step of a single run, with a rebuild of the candidate pairs before it when one is
+    due, and a sample after it.
+
+    Whether one is due follows from the number of the step alone.
+    """
+    interval = system.substeps * system.sample_parts
+    state = _start_interval(state, state.step % interval == 0)
+    is_due = state.step - state.scratch.rebuild_step >= system.block_steps
+    rebuild = partial(neighbour_list.rebuild_neighbour_list, system)
+    state = jax.lax.cond(is_due, rebuild, lambda state: state, state)
+    state = _record_travel(system, advance_step(system, state))
     return state, drop_run_axis(observables.take_sample(system, state))
 
 

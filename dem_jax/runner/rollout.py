@@ -14,9 +14,10 @@ from dem_jax.assembly.parameters import Parameters
 from dem_jax.assembly.topology import POSES, assemble, check_parameters, split_scene
 from dem_jax.broad_phase import overflow_recovery
 from dem_jax.dynamics import stepping
-from dem_jax.dynamics.quantity import Quantity, validate_quantities, with_fixed_rows
+from dem_jax.dynamics.quantity import Quantity
 from dem_jax.errors import SceneError
-from dem_jax.runner.job_setup import assemble_scene, validate_seed
+from dem_jax.runner.functional import build_for_tracing
+from dem_jax.runner.job_setup import assemble_scene
 from dem_jax.scene import Scene, load_scene
 from dem_jax.scene.messages import shorten_value
 from dem_jax.types import Array
@@ -93,12 +94,10 @@ def rollout(
     """
     scene = assembly.inline_files(scene if isinstance(scene, Scene) else load_scene(scene))
     built = build_for_tracing(scene, seed)
-    topology, own = split_scene(scene, built)
+    topology, own = split_scene(scene, built, quantities)
     check_parameters(topology, parameters)
     check_numbers(scene, built, parameters)
     system, state = assemble(topology, own | dict(parameters))
-    sampled = validate_quantities((*built.system.quantities, *quantities))
-    system = system.replace(quantities=tuple(with_fixed_rows(one, built.system) for one in sampled))
     parts, substeps = built.step.parts, built.step.substeps
     before = built.settling_steps // substeps
     samples = before + built.samples
@@ -124,19 +123,6 @@ def rollout(
     }
     time = jnp.arange(1, built.samples + 1, dtype=system.dt.dtype) * scene.run.sample
     return Rollout(time, series)
-
-
-def build_for_tracing(scene: Scene, seed: int) -> assembly.AssembledSystem:
-    """Assemble a self-contained scene on the host, also where JAX traces. Raises SceneError."""
-    seed = validate_seed(seed)
-    if scene.run.precision == "f64" and not jax.config.jax_enable_x64:  # type: ignore[attr-defined]
-        raise SceneError(
-            'run.precision = "f64": allowed: "f32", or jax.config.update("jax_enable_x64", True) first'
-        )
-    if not xla_flags.is_xla_in_use():
-        xla_flags.set_loop_flags()
-    with jax.ensure_compile_time_eval(), np.errstate(all="ignore"):
-        return assemble_scene(scene, seed, None)
 
 
 def check_numbers(scene: Scene, built: assembly.AssembledSystem, values: Parameters) -> None:

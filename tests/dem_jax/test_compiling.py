@@ -265,7 +265,7 @@ def test_loads_of_contacts_are_not_padded_by_the_compiled_program():
     built = assembly.assemble_system(scene, 0)
     rows = 2 * sum(slots for *_, slots in built.system.capacity) + 1
     text = (
-        xla_flags.jit_for_backend(stepping.step, "cpu")
+        xla_flags.jit_for_backend(stepping.advance_step, "cpu")
         .lower(built.system, built.state)
         .compile()
         .as_text()
