@@ -1,10 +1,11 @@
-"""How a process ends: by itself, by a signal within a second, and with streams that nobody reads.
+"""End of a process: normally, within a second of a signal, and with output streams that nobody
+reads.
 
-XLA compiles for up to minutes without returning to Python, where a signal is only noted.
-``install_signal_handlers`` therefore starts a thread that is woken by the signal itself. The main
-thread has GRACE to unwind; then the thread saves what the run has computed so far
-(``save_on_interrupt``) and ends the process by ``os._exit``: to unwind Python while XLA compiles
-ends in a segmentation fault.
+XLA compiles for up to minutes without returning to Python, which handles a signal only then.
+``install_signal_handlers`` therefore starts a thread that the signal itself wakes. The main thread
+has UNWIND_TIMEOUT to unwind; then the thread saves the results so far (``save_on_interrupt``) and
+ends the process by ``os._exit``, because unwinding Python while XLA compiles ends in a segmentation
+fault.
 """
 
 import os
@@ -19,16 +20,16 @@ from typing import Any, NoReturn
 UNWIND_TIMEOUT = 0.25  # s, for the main thread to unwind
 SAVE_TIMEOUT = 5.0  # s at most, to save what was computed
 EXIT_TIMEOUT = 0.2  # s at most, to print a line, and to leave a cluster of processes
-SIGNALS = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "hung up"}  # and what they
-# do to a process
+SIGNALS = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "hung up"}  # and the word
+# for their effect
 
-Save = Callable[[], str | None]  # saves what is computed and says where it is, None: nothing was
-# there to save
+Save = Callable[[], str | None]  # saves the results so far and returns a text with their location,
+# or None without results
 
 
 class SilentStream:
-    """A stream that falls silent once nobody reads it or it cannot be written, as a progress bar
-    may and a run must not stop.
+    """A stream that ignores write errors once nobody reads it or it cannot be written; a progress
+    bar may lose its reader, but the run must not stop.
     """
 
     def __init__(self, stream: Any) -> None:
@@ -43,7 +44,9 @@ class SilentStream:
         return len(text)
 
     def write_last(self, text: str) -> None:
-        """Write what nothing is to follow: the thread of a bar may be about to draw it once more."""
+        """Write the last text; later writes, such as from the thread of a progress bar, are
+        ignored.
+        """
         self._has_ended = True
         with suppress(OSError, ValueError, AttributeError):
             self._stream.write(text)
@@ -58,7 +61,7 @@ class SilentStream:
 
 
 class _SignalState:
-    """What a signal has to know."""
+    """State shared between signal handlers and the main thread."""
 
     def __init__(self) -> None:
         self.begun = False
@@ -69,7 +72,7 @@ class _SignalState:
         self.lock = threading.RLock()
         self.ending = threading.Lock()
         self.savers: dict[object, Save] = {}
-        self.said: list[str] = []  # of savers that were called
+        self.said: list[str] = []  # texts of savers that were called
         self.woken: Any = None  # the end of a socket that the signal writes to
 
 
@@ -77,21 +80,21 @@ _STATE = _SignalState()
 
 
 def open_closed_streams() -> None:
-    """Standard streams that the process was started without (``>&-``) are as of /dev/null."""
+    """Replace standard streams that the process was started without (``>&-``) by /dev/null."""
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))
 
 
 def install_signal_handlers() -> None:
-    """Make this process end within a second of a signal, and go on without a reader of stderr. Does
-    nothing the second time.
+    """Make this process end within a second of a signal and continue if stderr has no reader. Does
+    nothing on a second call.
     """
     if _STATE.begun or threading.current_thread() is not threading.main_thread():
         return
     _STATE.begun = True
     if hasattr(sys.stdout, "reconfigure"):
-        sys.stdout.reconfigure(errors="backslashreplace")  # a file's name may be any bytes
+        sys.stdout.reconfigure(errors="backslashreplace")  # file names may contain any bytes
     sys.stderr = SilentStream(sys.stderr)
     import socket
 
@@ -109,14 +112,16 @@ def install_signal_handlers() -> None:
 
 
 def end_signal_handling() -> None:
-    """The work is done: from now on a signal ends the process at once."""
+    """Restore the default handling at the end of the work: a signal then ends the process at
+    once.
+    """
     if _STATE.begun:
         _restore_signals(signal.SIG_DFL)  # not Python's own handler, which raises while Python ends
 
 
 @contextmanager
 def allow_interrupt() -> Iterator[None]:
-    """Where KeyboardInterrupt is caught around this, a signal raises it in here; elsewhere it ends
+    """Context in which a signal raises KeyboardInterrupt, which the caller handles; outside it ends
     the process.
     """
     _STATE.unwinds = True
@@ -128,7 +133,7 @@ def allow_interrupt() -> Iterator[None]:
 
 @contextmanager
 def save_on_interrupt(save: Save) -> Iterator[None]:
-    """If the process is interrupted in here, save what was computed."""
+    """Context in which KeyboardInterrupt saves the results so far before it propagates."""
     key = object()
     _STATE.savers[key] = save
     try:
@@ -142,7 +147,7 @@ def save_on_interrupt(save: Save) -> Iterator[None]:
 
 @contextmanager
 def defer_signals() -> Iterator[None]:
-    """Only one thread is in here at a time, and a signal waits until it has left."""
+    """Context for one thread at a time, in which signals are deferred until its end."""
     with _STATE.lock:
         _STATE.writing += 1
         try:
@@ -159,7 +164,7 @@ def defer_signals() -> Iterator[None]:
 
 
 def end_process() -> NoReturn:
-    """Save what was computed, say where it is in one line, and end the process with 128 + the
+    """Save the results so far, print their location in one line, and end the process with 128 + the
     signal's number.
     """
     if not _STATE.ending.acquire(blocking=False):  # another thread is about to
@@ -172,15 +177,15 @@ def end_process() -> NoReturn:
 
 
 def save_partial_results() -> str | None:
-    """Save what was computed, in a process that another program ends; returns where it is, in
-    words, None: nothing was there.
+    """Save the results so far, in a process that another program ends; returns their location in
+    words, or None without results.
     """
     _save_all()
     return _STATE.said[0] if _STATE.said else None
 
 
 def describe_interrupt() -> str:
-    """What an interrupt did, in one line."""
+    """A description of the interrupt and of the saved results, in one line."""
     word = next(
         (w for name, w in SIGNALS.items() if getattr(signal, name, None) == _STATE.received),
         "interrupted",
@@ -205,7 +210,7 @@ def _handle_interrupt() -> None:
 
 
 def _wait_for_signal(read: Any) -> None:
-    """The thread that a signal wakes."""
+    """Body of the thread that a signal wakes."""
     number = read.recv(1)[0]
     threading.Event().wait(UNWIND_TIMEOUT)
     _STATE.received = _STATE.received or number
@@ -220,11 +225,11 @@ def _save_all() -> None:
 def _save_one(save: Save) -> None:
     try:
         said = save()
-    except Exception as error:  # such as of a full disk
+    except Exception as error:  # such as a full disk
         said = " ".join(str(error).split())
     if said:
-        _STATE.said.insert(0, said)  # what was begun first, such as a study, is saved last and
-        # speaks for the others
+        _STATE.said.insert(0, said)  # the outermost task, such as a study, is saved last and its
+        # text stands for the others
 
 
 def _print_ending() -> None:
@@ -238,22 +243,22 @@ def _print_ending() -> None:
 
 
 def _leave_cluster() -> None:
-    """Tell the other processes of ``jax.distributed``, as JAX does at a usual end."""
+    """Notify the other processes of ``jax.distributed``, as JAX does at a normal end."""
     jax = sys.modules.get("jax")
     if jax is not None and jax.distributed.is_initialized():
         jax.distributed.shutdown()
 
 
 def _end_children() -> None:
-    """End processes that were started by ``multiprocessing``."""
+    """End processes that ``multiprocessing`` started."""
     if "multiprocessing" in sys.modules:
         for child in sys.modules["multiprocessing"].active_children():
             child.terminate()
 
 
 def _call_with_timeout(seconds: float, function: Callable[[], None]) -> None:
-    """Call a function, but do not wait for it for longer, nor for what it raises, as of a module
-    that is half imported.
+    """Call a function for at most a number of seconds, ignoring its exceptions, such as those of a
+    half-imported module.
     """
 
     def call_quietly() -> None:
@@ -266,7 +271,7 @@ def _call_with_timeout(seconds: float, function: Callable[[], None]) -> None:
 
 
 def _reset_after_fork() -> None:
-    """A process that was forked from this one ends as any other."""
+    """Restore the default handling in a forked process."""
     if _STATE.begun:
         _restore_signals(signal.default_int_handler)
         _STATE.begun = False

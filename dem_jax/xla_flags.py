@@ -8,14 +8,14 @@ operations.
   pieces take about half as long (measured, jax 0.10), with the same results. Options that a
   compiler version lacks (from jax 0.11 on, the older fusion pass) are not requested.
 - **Unrolling.** LLVM unrolls a loop completely or not at all: partial unrolling makes a step no
-  faster and compiles longer. Without it, 47 almonds compile in 0.87 of the processor time, 7
-  almonds, 47 hazelnuts and 64 marshmallows in 0.90 to 0.97, 9 marshmallows in 1.00 to 1.06; steps
-  are as fast and have the same bits. Batches of sixteen runs (``dynamics.interleaved_batch``) are
-  the exception: with partial unrolling their steps take 0.89 times as long, and compile as fast. A
-  process that begins with an ensemble therefore leaves it to LLVM. The limit of complete unrolling
-  is 125 instructions instead of 150: seven penne compile in 0.78 of the time, 47 almonds and nine
-  marshmallows in 0.95, and steps of 9, 64 and 343 marshmallows take 1.02, 0.97 and 0.99 times as
-  long.
+  faster and compiles longer. Without partial unrolling, 47 almonds compile in 0.87 of the processor
+  time, 7 almonds, 47 hazelnuts and 64 marshmallows in 0.90 to 0.97, 9 marshmallows in 1.00 to 1.06;
+  steps are as fast and have the same bits. Batches of sixteen runs (``dynamics.interleaved_batch``)
+  are the exception: with partial unrolling their steps take 0.89 times as long, and compile as
+  fast. A process that begins with an ensemble therefore leaves partial unrolling to LLVM. The limit
+  of complete unrolling is 125 instructions instead of 150: seven penne compile in 0.78 of the time,
+  47 almonds and nine marshmallows in 0.95, and steps of 9, 64 and 343 marshmallows take 1.02, 0.97
+  and 0.99 times as long.
 - **Scalar evolution.** `-forget-scev-loop-unroll=true` invalidates LLVM's scalar-evolution cache
   after unrolling; recomputing it is cheaper than updating it. Seven penne compile in 0.86 of the
   processor time, 47 almonds in 0.89, nine marshmallows in 0.94, to the same program.
@@ -52,7 +52,7 @@ BACKEND_OPTIONS: dict[str, dict[str, Any]] = {
         "xla_gpu_graph_min_graph_size": 1,
     },
 }
-# beside them, see ``jit_for_backend``
+# additional options, see ``jit_for_backend``
 FAST_COMPILE_OPTIONS: dict[str, dict[str, Any]] = {"cpu": {"xla_backend_optimization_level": 2}}
 # for LLVM
 NO_PARTIAL_UNROLLING = "-unroll-allow-partial=false,-unroll-runtime=false,-unroll-threshold=125"
@@ -60,11 +60,10 @@ LOOP_FLAGS = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshol
 
 
 def set_loop_flags(unrolled: bool = False) -> None:
-    """Have XLA make one function of each loop, in all that this process compiles; too late, with a
-    warning, once XLA is in use.
+    """Make XLA compile each loop of this process as one function; warns if XLA is already in use.
 
-    unrolled: as is best for ensembles, with loops written out in part; the first call decides.
-    Leaves XLA_FLAGS alone if it says something of ``xla_backend_extra_options`` already.
+    unrolled: allow partial unrolling, as is best for ensembles; the first call decides. Leaves
+    XLA_FLAGS unchanged if it already contains ``xla_backend_extra_options``.
     """
     flags = os.environ.get("XLA_FLAGS", "")
     if "xla_backend_extra_options" in flags:
@@ -77,16 +76,15 @@ def set_loop_flags(unrolled: bool = False) -> None:
             "steps of few pieces will take two to three times as long: JAX computed something before the first simulation; "
             "call dem_jax.xla_flags.set_loop_flags() before that",
             RuntimeWarning,
-            stacklevel=4,  # who called simulate or ensemble
+            stacklevel=4,  # the caller of simulate or ensemble
         )
 
 
 def check_platform() -> None:
-    """Raise PlatformError unless JAX finds devices of the kind that it was asked for."""
+    """Raise PlatformError unless JAX finds devices of the requested kind."""
     try:
         jax.devices()
-    except (RuntimeError, AssertionError) as error:  # the latter of "cuda" where no plugin for it
-        # is installed
+    except (RuntimeError, AssertionError) as error:  # AssertionError for "cuda" without its plugin
         asked = jax.config.jax_platforms  # type: ignore[attr-defined]
         raise PlatformError(
             f"JAX_PLATFORMS = {asked}: JAX finds no such device; allowed: cpu, or to leave it unset"
@@ -94,7 +92,7 @@ def check_platform() -> None:
 
 
 def is_xla_in_use() -> bool:
-    """Whether JAX has begun to use XLA. It does not say so; but from then on it refuses another
+    """Whether JAX has begun to use XLA. JAX does not report this, but it then rejects a changed
     number of CPU devices.
     """
     devices = jax.config.jax_num_cpu_devices  # type: ignore[attr-defined]
@@ -108,9 +106,9 @@ def is_xla_in_use() -> bool:
 
 @contextmanager
 def pause_garbage_collection() -> Iterator[None]:
-    """Without Python's search for circles of garbage: tracing makes a million objects that live on,
-    and to look them through again and again takes 0.7 s of the 10 s from a scene to its program on
-    a slow machine.
+    """Context without Python's cyclic garbage collection: tracing creates a million long-lived
+    objects, and scanning them repeatedly takes 0.7 s of the 10 s from a scene to its program on a
+    slow machine.
     """
     was = gc.isenabled()
     gc.disable()
@@ -124,18 +122,17 @@ def pause_garbage_collection() -> Iterator[None]:
 def jit_for_backend(
     function: Callable[..., Any], backend: str, light: bool = False, **options: Any
 ) -> Any:
-    """``jax.jit`` with those options that suit a backend and that its compiler has.
+    """``jax.jit`` with the options of a backend that its compiler supports.
 
-    What it compiles is kept for as long as what is returned.
-    light: with LLVM's second level of optimisation in place of its third, which compiles a quarter
-    faster.
+    The compiled program lives as long as the returned function. light: use LLVM's second
+    optimisation level instead of its third, which compiles a quarter faster.
     """
     return jax.jit(function, compiler_options=supported_options(backend, light), **options)
 
 
 def supported_options(backend: str, light: bool = False) -> dict[str, Any]:
-    """Those of the OPTIONS of a backend, JAX's default one, that its compiler has; light: of LIGHT
-    too.
+    """The BACKEND_OPTIONS of a backend that its compiler supports, with FAST_COMPILE_OPTIONS if
+    ``light``. The default is JAX's default backend.
     """
     wanted = BACKEND_OPTIONS.get(backend, {}) | (
         FAST_COMPILE_OPTIONS.get(backend, {}) if light else {}
@@ -149,7 +146,7 @@ def supported_options(backend: str, light: bool = False) -> dict[str, Any]:
 
 @cache
 def _are_supported(backend: str, options: tuple[tuple[str, Any], ...]) -> bool:
-    """Whether a program of nothing compiles with these options (10 ms)."""
+    """Whether an empty program compiles with these options (10 ms)."""
     try:
         jax.jit(lambda: 0, compiler_options=dict(options)).lower().compile()
     except jax.errors.JaxRuntimeError:

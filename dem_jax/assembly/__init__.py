@@ -1,4 +1,4 @@
-"""From a scene to a system and its first state."""
+"""Assembly of a scene into a system and its first state."""
 
 from dem_jax.assembly.assembly_cache import AssemblyCache
 from dem_jax.assembly.initial_conditions import InitialConditions, build_initial_state

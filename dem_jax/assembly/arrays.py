@@ -1,5 +1,7 @@
-"""Arrays of a system that follow from the parameters of its scene, in numpy or of values that JAX
-traces: of a single run, of each run of an ensemble and under differentiation alike.
+"""Arrays of a system that follow from the parameters of its scene.
+
+The parameters are numpy values or values that JAX traces, so that the same functions serve single
+runs, the runs of an ensemble and differentiation.
 """
 
 from collections.abc import Sequence
@@ -23,8 +25,8 @@ from dem_jax.types import Materials, Pieces, Walls
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Pieces before they are anywhere and walls at rest: the parameters of a scene do not change
-    them.
+    """Pieces before placement and walls at rest, which do not depend on the parameters of the
+    scene.
     """
 
     goods: PieceSet
@@ -36,8 +38,9 @@ class Layout:
 
 @dataclass(frozen=True)
 class ParameterArrays:
-    """Fields of a System that follow from parameters, in double precision except for the walls, and
-    where the pieces start.
+    """Fields of a System that follow from parameters, and the initial conditions of the pieces.
+
+    All arrays are in double precision except those of the walls.
     """
 
     pieces: Pieces
@@ -50,7 +53,9 @@ class ParameterArrays:
     start: InitialConditions
 
     def system_fields(self, reuse: AssemblyCache | None = None) -> dict[str, Any]:
-        """The fields of a System, in the precision of the walls. reuse: arrays of scenes before."""
+        """The fields of a System, in the precision of the walls. reuse: arrays of earlier
+        scenes.
+        """
         reuse, dtype = reuse or AssemblyCache(), self.walls.centre.dtype
         names = ("pieces", "materials", "law", "gravity", "block_low", "block_high")
         return {
@@ -67,16 +72,18 @@ def find_arrays(
     form: Materials | None = None,
     reuse: AssemblyCache | None = None,
 ) -> ParameterArrays:
-    """The arrays of a scene whose parameters may be traced.
+    """Compute the arrays of a scene, whose parameters may be traced.
 
     Args:
-        scene: that of the layout, but for its parameters.
+        scene: the scene of the layout; only its parameters may differ.
         layout: pieces and walls.
-        motions: sections of all motions of walls, see ``walls_of``; hinges at the drop height of
-        the layout. start: poses and velocities of the pieces, at the drop height of the layout
-        unless they are listed one by one. table: materials of the scene, if they are known already.
-        form: as of ``build_materials``. reuse: arrays of scenes before; None where numbers are
-        traced.
+        motions: sections of all wall motions, see ``lay_out_walls``; hinges at the drop height of
+            the layout.
+        start: poses and velocities of the pieces, at the drop height of the layout unless they are
+            listed one by one.
+        table: materials of the scene, if already known.
+        form: see ``build_materials``.
+        reuse: arrays of earlier scenes; None where numbers are traced.
 
     Raises:
         SceneError: the scene cannot be used.
@@ -115,7 +122,7 @@ def find_arrays(
 def _raise_feed(
     scene: Scene, layout: Layout, arrays: ParameterArrays, lift: Any
 ) -> ParameterArrays:
-    """The arrays with feed bucket, feeder and the pieces in them raised by a height (m)."""
+    """Raise the feed bucket, the feeder and the pieces in them by a height (m)."""
     walls, start = arrays.walls, arrays.start
     if scene.feed_bucket is None:
         return arrays
@@ -135,7 +142,7 @@ def _raise_feed(
         lift, [block.name in ("fb", bucket_geometry.FEEDER_GROUP) for block in layout.blocks]
     )
     if not scene.piece:
-        # Those of a portion in a region of its own stay there.
+        # Pieces of a portion with its own region stay there.
         own = (
             0
             if scene.portion is None or scene.portion.region_low is None
@@ -151,7 +158,7 @@ def _raise_feed(
 
 
 def _upwards(height: Any, which: list[bool]) -> Any:
-    """A height (m) along z for those for which it holds, [3, n]."""
+    """A displacement [3, n] (m): the height along z where the flag is set, else zero."""
     return as_float_array(
         [[0.0] * len(which), [0.0] * len(which), [height if one else 0.0 for one in which]]
     )

@@ -1,6 +1,4 @@
-"""What building a scene shares with building the one before: steps whose inputs are the same are
-not done again.
-"""
+"""Cache of assembly steps: a step with the same inputs as in the previous scene is not repeated."""
 
 from collections.abc import Callable
 from typing import Any, TypeVar
@@ -9,8 +7,8 @@ T = TypeVar("T")
 
 
 class AssemblyCache:
-    """Values of the last call of each step, for scenes that differ in little, such as the runs of
-    an ensemble.
+    """The last result of each step, for scenes that differ little, such as the runs of an
+    ensemble.
     """
 
     def __init__(self) -> None:
@@ -23,13 +21,13 @@ class AssemblyCache:
         values: tuple[Any, ...] = (),
         objects: tuple[Any, ...] = (),
     ) -> T:
-        """What ``make`` returns, or what it returned before where its inputs were the same.
+        """Return the cached result of a step if its inputs are unchanged, else call ``make``.
 
         Args:
             step: name of the step.
-            make: does it.
+            make: computes the result.
             values: inputs that are compared by value, such as sections of a scene.
-            objects: inputs that are the same only where they are one object, such as arrays.
+            objects: inputs that are compared by identity, such as arrays.
         """
         known = self._kept.get(step)
         if known is not None and known[0] == values and _are_same(known[1], objects):

@@ -1,5 +1,5 @@
-"""What is known of the buckets of a scene before anything is computed: how full its portion makes
-them, and whether the weigh bucket is under the feed bucket.
+"""Checks of the buckets of a scene before a run: the fill level, and the alignment of the weigh
+bucket with the feed bucket.
 """
 
 from collections.abc import Sequence
@@ -13,13 +13,13 @@ from dem_jax.scene import Bucket, Scene, bucket_geometry
 from dem_jax.scene.bucket_geometry import BucketParts
 from dem_jax.scene.fill_level import PACKING_FRACTION, BucketCapacity, find_capacity
 
-NOTED_SHARE, REFUSED_SHARE = 0.02, 0.25  # of the feed bucket's mouth, beyond what a centred weigh
-# bucket leaves aside: said; refused
+NOTED_SHARE, REFUSED_SHARE = 0.02, 0.25  # of the feed bucket's mouth, in excess of the part that a
+# centred weigh bucket leaves uncovered: noted; refused
 
 
 class BucketFill(NamedTuple):
-    """How full a portion makes a bucket. name: in words. capacity: (m3) to the brim. heap: (m3) of
-    the portion, as it lies.
+    """Fill level of a bucket. name: in words. capacity: (m3) to the brim. heap: (m3) bulk volume of
+    the portion.
     """
 
     name: str
@@ -43,7 +43,7 @@ class BucketFill(NamedTuple):
 
 
 def scene_bucket_parts(scene: Scene, section: str) -> BucketParts | None:
-    """The panels of a bucket of a scene, those of STL files read already; None: there is no such
+    """The panels of a bucket of a scene whose STL files are already read; None if there is no such
     bucket.
     """
     bucket = getattr(scene, section)
@@ -58,7 +58,7 @@ def scene_bucket_parts(scene: Scene, section: str) -> BucketParts | None:
 
 
 def bucket_capacity(scene: Scene, section: str) -> BucketCapacity | None:
-    """What a bucket of a scene holds, as ``scene_bucket_parts`` has it; None: there is none, or it
+    """Capacity of a bucket of a scene, from ``scene_bucket_parts``; None without a bucket or if it
     holds nothing.
     """
     parts, bucket = scene_bucket_parts(scene, section), getattr(scene, section)
@@ -71,8 +71,8 @@ def bucket_capacity(scene: Scene, section: str) -> BucketCapacity | None:
 
 
 def list_bucket_fills(scene: Scene, goods: PieceSet) -> list[BucketFill]:
-    """How full the portion makes the feed bucket, if it is in it at first, and the weigh bucket;
-    scene: its STL files read.
+    """Fill levels of the feed bucket, if the portion starts in it, and of the weigh bucket. scene:
+    with its STL files read.
     """
     if scene.portion is None or not goods.numbers:
         return []
@@ -88,7 +88,7 @@ def list_bucket_fills(scene: Scene, goods: PieceSet) -> list[BucketFill]:
 
 
 def note_overfull_buckets(scene: Scene, goods: PieceSet) -> list[str]:
-    """What to say of buckets that the portion is too much for."""
+    """Notes on buckets that are too small for the portion."""
     return [
         f"{fill}; pieces fall beside it, or are pressed"
         for fill in list_bucket_fills(scene, goods)
@@ -97,15 +97,16 @@ def note_overfull_buckets(scene: Scene, goods: PieceSet) -> list[str]:
 
 
 def check_buckets_meet(scene: Scene, read: Scene) -> list[str]:
-    """What to say of a weigh bucket that is only in part under the feed bucket.
+    """Note a weigh bucket that is only partly below the feed bucket.
 
     Args:
         scene: as written, which says how STL buckets are moved.
-        read: the same with its STL files read.
+        read: the same scene with its STL files read.
 
     Raises:
-        SceneError: if it is not under it at all, or by less than three quarters, and no [[wall]]
-        could lead pieces there.
+        SceneError: if more than a quarter of the feed bucket's mouth is uncovered that a centred
+            weigh
+            bucket would cover, and no [[wall]] could guide pieces there.
     """
     if not (
         scene.weigh_bucket
@@ -128,7 +129,7 @@ def check_buckets_meet(scene: Scene, read: Scene) -> list[str]:
 
 
 def _bucket_volume(scene: Scene, section: str, bucket: Bucket) -> float | None:
-    """(m3) that a bucket holds; of sizes exact."""
+    """Volume (m3) of a bucket; exact for a bucket that is given by its dimensions."""
     if not bucket.panels:
         return bucket_geometry.bucket_volume(bucket)
     found = bucket_capacity(scene, section)
@@ -140,7 +141,7 @@ def _is_from_stl(bucket: Bucket) -> bool:
 
 
 def _covered_share(capacity: BucketCapacity, feed: BucketParts, way: np.ndarray) -> float:
-    """The share of the feed bucket's mouth that is over that of a weigh bucket moved by a way [2]
+    """Share of the feed bucket's mouth that lies above the mouth of a weigh bucket displaced by [2]
     (m).
     """
     points = np.stack(
@@ -154,8 +155,8 @@ def _covered_share(capacity: BucketCapacity, feed: BucketParts, way: np.ndarray)
 def _describe_offset(
     scene: Scene, capacity: BucketCapacity, feed: BucketParts, way: np.ndarray, missed: float
 ) -> str:
-    """What is wrong with where the buckets are, and what puts them right; way: [2] (m) of the weigh
-    bucket.
+    """Description of a misalignment of the buckets and of its remedy; way: [2] (m), displacement
+    that centres the weigh bucket.
     """
     of_weigh, of_feed = (
         _format_extent(capacity.low, capacity.high),

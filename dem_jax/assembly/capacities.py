@@ -1,5 +1,5 @@
-"""How many pairs and contacts there is room for to begin with; outgrown, it is enlarged
-(broad_phase.overflow_recovery).
+"""Initial capacities for pairs and contacts; ``broad_phase.overflow_recovery`` grows them on
+overflow.
 """
 
 import math
@@ -15,13 +15,17 @@ from dem_jax.types import Partition, Parts
 def estimate_capacities(
     polytopes: int, spheres: int, panels: int, is_general: bool = False, of_parts: bool = False
 ) -> tuple[tuple[str, int, int], ...]:
-    """Kinds of contact that the scene can have, with candidates and slots to begin with (grown when
-    they overflow).
+    """Kinds of contact that the scene can have, with initial numbers of candidates and slots.
 
-    polytopes, spheres: numbers of such parts of pieces. What a settled heap was seen to need;
-    is_general: of polytopes of any form, which have more neighbours than boxes; of_parts: of pieces
-    of several, which lie close together and may be thin: most when they land. (Of few pieces all
-    slots are computed in each step, of many only those that are filled.)
+    The numbers are those observed in settled heaps. Few pieces: all slots are computed in each
+    step; many pieces: only the filled ones.
+
+    Args:
+        polytopes, spheres: numbers of polytopes and spheres among the parts of the pieces.
+        panels: number of wall panels.
+        is_general: whether polytopes have any form; these have more neighbours than boxes.
+        of_parts: whether pieces have several parts, which lie close together and may be thin; they
+            need most slots when they land.
     """
     p, s = polytopes, spheres
     walls = 4 * s ** (2 / 3) + 8 if panels else 0
@@ -47,7 +51,7 @@ def estimate_capacities(
 
 
 def estimate_contacts_per_piece(parts: Parts, panels: int, is_general: bool) -> int:
-    """Contacts that a piece has room for to begin with."""
+    """Initial capacity for the contacts of one piece."""
     usual = 20 if is_general else 12
     if parts.owner is not None:
         usual = 24 * int(np.max(np.bincount(np.asarray(parts.owner))))
@@ -55,8 +59,8 @@ def estimate_contacts_per_piece(parts: Parts, panels: int, is_general: bool) -> 
 
 
 def estimate_row_capacity(made: Sequence[Shape], choice: str) -> int:
-    """Pieces that three cells of their bounding diameter hold when densely packed, to begin with; 0
-    without cells.
+    """Number of densely packed pieces in three cells of their bounding diameter, the initial
+    capacity; 0 without cells.
     """
     if candidate_search.choose_search(choice, len(made)) != "cells":
         return 0
@@ -67,7 +71,7 @@ def estimate_row_capacity(made: Sequence[Shape], choice: str) -> int:
 def estimate_partition(
     made: Sequence[Shape], choice: str, domain: tuple[np.ndarray, np.ndarray]
 ) -> Partition | None:
-    """Room for the list of jax-md to begin with, where the scene chooses it."""
+    """Initial capacity of jax-md's neighbour list, if the scene selects it."""
     if candidate_search.choose_search(choice, len(made)) != "jax-md":
         return None
     candidate_search.import_jax_md()  # before anything is traced

@@ -1,4 +1,6 @@
-"""The contact law of a scene, and the materials that it acts between. In numpy, double precision."""
+"""The contact law of a scene and the materials that it acts between, in numpy and double
+precision.
+"""
 
 from collections.abc import Callable
 from typing import Any
@@ -18,9 +20,9 @@ from dem_jax.types import Array, Materials, as_array
 
 
 def build_contact_law(scene: Scene, materials: Materials | None = None) -> ContactLaw:
-    """The law that a scene asks for, cohesive where any pair of its materials has a pull-off force,
-    and with rolling friction where any has that. materials: of the scene, if they are known
-    already.
+    """The contact law of a scene, extended by cohesion if a pair of materials has a pull-off force
+    and by rolling friction if a pair has rolling friction. materials: of the scene, if already
+    known.
     """
     law, materials = LAWS[scene.contact.law](scene), materials or build_materials(scene)
     if materials.pull_off is not None:
@@ -64,17 +66,16 @@ LAWS: dict[str, Callable[[Scene], ContactLaw]] = {
 def build_materials(
     scene: Scene, table: MaterialTable | None = None, form: Materials | None = None
 ) -> Materials:
-    """The materials as arrays.
+    """The materials of a scene as arrays.
 
     Args:
         scene: its values may be traced.
-        table: of the scene, if it is known already.
-        form: which properties of pairs there are, and whether as one number; by default those that
-        are not 0, and as one
-            number where all pairs have the same.
+        table: materials of the scene, if already known.
+        form: selects the pair properties to include and whether each is stored as one number; by
+            default those that are not 0, and one number where all pairs have the same value.
 
     Raises:
-        SceneError: a material that nothing defines.
+        SceneError: a material is not defined.
     """
     table = table or build_material_table(scene)
     pairs: dict[str, Any] = {
@@ -90,8 +91,8 @@ def build_materials(
 
 
 def _pairs(table: MaterialTable, name: str, form: Materials | None) -> Array | None:
-    """A property of pairs; [1, 1] of one number for all. Two walls never touch: their entries do
-    not count.
+    """A property of pairs of materials; [1, 1] if all pairs have the same value. Entries of two
+    walls are ignored, as walls never touch.
     """
     values = getattr(table, name)
     if form is None:

@@ -1,4 +1,4 @@
-"""Arrays of the run's precision."""
+"""Conversion of arrays to the precision of the run."""
 
 from typing import TypeVar
 
@@ -13,7 +13,7 @@ Tree = TypeVar("Tree")
 
 
 def cast_tree(tree: Tree, dtype: DTypeLike) -> Tree:
-    """Float leaves to the dtype, int leaves to int32."""
+    """Convert float leaves to the dtype and int leaves to int32."""
 
     def cast_leaf(x: ArrayLike) -> jax.Array:
         if isinstance(x, jax.core.Tracer):
@@ -27,12 +27,12 @@ def cast_tree(tree: Tree, dtype: DTypeLike) -> Tree:
 
 
 def cast_array(x: ArrayLike, dtype: DTypeLike) -> jax.Array:
-    """Numbers as an array, converted as in ``cast_tree``."""
+    """Numbers as an array, converted as by ``cast_tree``."""
     return jnp.asarray(np.asarray(x, dtype))
 
 
 def reuse_array(reuse: AssemblyCache, name: str, numbers: ArrayLike, dtype: DTypeLike) -> jax.Array:
-    """Numbers as an array, that of a scene before where they are the same."""
+    """Numbers as an array; the array of an earlier scene if the numbers are equal."""
     found = np.asarray(numbers, dtype)
     return reuse.get(
         name, lambda: cast_array(found, dtype), (found.tobytes(), found.shape, found.dtype)
@@ -40,7 +40,9 @@ def reuse_array(reuse: AssemblyCache, name: str, numbers: ArrayLike, dtype: DTyp
 
 
 def reuse_tree(reuse: AssemblyCache, name: str, tree: Tree, dtype: DTypeLike) -> Tree:
-    """As ``cast_tree``, with the arrays of a scene before for leaves whose numbers are the same."""
+    """Convert as ``cast_tree``, reusing the arrays of an earlier scene for leaves with equal
+    numbers.
+    """
     leaves, structure = jax.tree.flatten(tree)
     if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
         return cast_tree(tree, dtype)

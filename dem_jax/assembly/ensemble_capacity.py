@@ -1,5 +1,5 @@
-"""Runs with different numbers of pieces in one program: all have as many as the one with most, the
-rest of them outside.
+"""Runs with different numbers of pieces in one program: each is padded to the largest number with
+pieces outside the scene.
 """
 
 from collections.abc import Sequence
@@ -24,8 +24,8 @@ from dem_jax.types import Pieces
 
 
 class EnsembleCapacity(NamedTuple):
-    """What each run of an ensemble has room for. pieces: their number. polytopes: different convex
-    ones among their parts.
+    """Capacity of each run of an ensemble. pieces: number of pieces. polytopes: number of distinct
+    convex polytopes among their parts.
     """
 
     pieces: int
@@ -35,8 +35,8 @@ class EnsembleCapacity(NamedTuple):
 def find_ensemble_capacity(
     scenes: Sequence[Scene], reuse: AssemblyCache
 ) -> EnsembleCapacity | None:
-    """The room that the run with most pieces needs; None: all have as many, or pieces come and go.
-    Raises SceneError.
+    """The capacity that the run with most pieces needs; None if all runs have equal numbers, or if
+    pieces come and go. Raises SceneError.
     """
     if any(scene.inlet or scene.outlet for scene in scenes):
         return None
@@ -55,8 +55,8 @@ def pad_pieces(
     room: EnsembleCapacity,
     reuse: AssemblyCache,
 ) -> tuple[list[Shape], Pieces, InitialConditions]:
-    """Shapes, arrays and start of the pieces and of those that fill up the room, which rest in a
-    lot [n, 3] (m) outside.
+    """Shapes, arrays and initial conditions of the pieces and of the padding, which rests at lot
+    [n, 3] (m) outside.
     """
     padded = reuse.get("padded", lambda: _pad_piece_set(goods, room), (room,), (goods,))
     made = reuse.get("padded shapes", lambda: list(padded.shapes), (), padded.shapes)
@@ -64,7 +64,7 @@ def pad_pieces(
 
 
 def _pad_piece_set(goods: PieceSet, room: EnsembleCapacity) -> PieceSet:
-    """The pieces and copies of the last one, as many as there is room for."""
+    """The pieces, padded to the capacity by copies of the last one."""
     more = room.pieces - len(goods.shapes)
     return replace(
         goods,
@@ -75,7 +75,7 @@ def _pad_piece_set(goods: PieceSet, room: EnsembleCapacity) -> PieceSet:
 
 
 def pad_initial_conditions(start: InitialConditions, lot: np.ndarray) -> InitialConditions:
-    """The start with further pieces at rest in a lot [n, 3] (m) outside."""
+    """The initial conditions, padded by pieces at rest at lot [n, 3] (m) outside."""
     none = np.zeros_like(lot)
     turn = np.tile([1.0, 0.0, 0.0, 0.0], (len(lot), 1))
     more = InitialConditions(lot, turn, none, none)
@@ -90,9 +90,7 @@ def pad_initial_conditions(start: InitialConditions, lot: np.ndarray) -> Initial
 def pad_polytopes(
     solids: list[list[PiecePart]], room: EnsembleCapacity, made: Sequence[Shape]
 ) -> list[PiecePart]:
-    """Copies of a polytope, by which those of the pieces are as many different ones as there is
-    room for.
-    """
+    """Copies of a polytope that pad the number of distinct ones to the capacity."""
     some = [solid for row in solids for solid in row if solid.shape.radius == 0][:1]
     return [
         replace(solid) for solid in some for _ in range(room.polytopes - _count_polytopes(made))
@@ -100,7 +98,7 @@ def pad_polytopes(
 
 
 def _count_polytopes(shapes: Sequence[Shape]) -> int:
-    """Number of different polytopes among the parts of pieces."""
+    """Number of distinct polytopes among the parts of pieces."""
     return sum(
         part.shape.radius == 0
         for shape in find_distinct_shapes(shapes)[0]

@@ -1,4 +1,4 @@
-"""Where and when pieces come into a scene and leave it, and where they wait meanwhile."""
+"""Times and places at which pieces enter and leave a scene, and their waiting places."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,8 +14,8 @@ from dem_jax.shapes import Shape
 from dem_jax.types import PieceExchange, System, as_array
 
 WAITING_DISTANCE = 1.0  # m, from all walls to where pieces wait
-FALL_MARGIN = 1.5  # times as far as a piece can fly between outlet and being taken out, the domain
-# goes on
+FALL_MARGIN = 1.5  # the domain extends beyond the outlet by this multiple of the distance that a
+# piece can fly before it is removed
 
 Box = tuple[ArrayLike, ArrayLike]  # lowest and highest corner [3] (m)
 Corners = tuple[np.ndarray, np.ndarray]  # likewise
@@ -23,7 +23,7 @@ Corners = tuple[np.ndarray, np.ndarray]  # likewise
 
 @dataclass(frozen=True)
 class ExchangePlan:
-    """The inlet and the outlet of a scene; of one that it lacks, None."""
+    """The inlet and the outlet of a scene; fields of a missing one are None."""
 
     interval: float  # s between two exchanges
     inlet_box: Corners | None  # in which new pieces begin, whole
@@ -38,8 +38,8 @@ def list_start_boxes(
     numbers: Sequence[int],
     made: Sequence[Shape],
 ) -> list[Box]:
-    """The boxes in which the pieces of a portion begin, and last of those that wait outside if the
-    scene has an inlet.
+    """The boxes in which the pieces of a portion start; with an inlet, the last box holds the
+    waiting pieces.
     """
     portion = scene.portion
     if (
@@ -59,8 +59,8 @@ def list_start_boxes(
 def plan_exchange(
     scene: Scene, panels: Sequence[Panel], regions: Sequence[Box], made: Sequence[Shape]
 ) -> ExchangePlan | None:
-    """regions: without that of the pieces that wait. Raises SceneError for an inlet that is too
-    small for a piece.
+    """The exchange plan of a scene; None without inlet and outlet. regions: without that of waiting
+    pieces. Raises SceneError for an inlet that is too small for a piece.
     """
     inlet, outlet = scene.inlet, scene.outlet
     if inlet is None and outlet is None:
@@ -81,8 +81,8 @@ def plan_exchange(
 def find_waiting_places(
     panels: Sequence[Panel], regions: Sequence[Box], radius: float, count: int
 ) -> np.ndarray:
-    """[count, 3] (m): places outside of the scene, far from all walls and from each other, for
-    pieces of a bounding radius (m).
+    """Places [count, 3] (m) outside the scene, far from all walls and from each other, for pieces
+    of a bounding radius (m).
     """
     away = _highest_corner(panels, regions) + [WAITING_DISTANCE, -WAITING_DISTANCE, 0.0]
     return away + 4 * radius * np.arange(count)[:, None] * [1.0, 0.0, 0.0]
@@ -113,8 +113,8 @@ def _find_inlet_box(scene: Scene, regions: Sequence[Box], radius: float) -> Corn
 def extend_domain(
     plan: ExchangePlan, low: np.ndarray, high: np.ndarray, gravity: Sequence[float]
 ) -> Corners:
-    """The domain, grown to hold the inlet, and as far beside and below the outlet as a piece flies
-    before it is taken out.
+    """The domain, extended by the inlet and, beside and below the outlet, by the distance that a
+    piece flies before it is removed.
     """
     if plan.inlet_box is not None:
         low, high = np.minimum(low, plan.inlet_box[0]), np.maximum(high, plan.inlet_box[1])
@@ -130,7 +130,7 @@ def extend_domain(
 
 
 def init_exchange(system: System, waiting: int, step: int, dtype: DTypeLike) -> PieceExchange:
-    """All but the last ones, which wait, are there."""
+    """Initial exchange state: all pieces are in the scene except the last ``waiting`` ones."""
     count, runs = system.pieces.mass.shape[0], system.runs
     return PieceExchange(
         there=as_array(np.arange(count) < count - waiting),
@@ -146,6 +146,6 @@ def _highest_corner(panels: Sequence[Panel], regions: Sequence[Box]) -> np.ndarr
 
 
 def _collect_corners(panels: Sequence[Panel], regions: Sequence[Box]) -> np.ndarray:
-    """[n, 3] (m): of all walls and boxes."""
+    """Corners [n, 3] (m) of all walls and boxes."""
     rows = [*[corners for _, corners, _ in panels], *[np.array(box, float) for box in regions]]
     return np.concatenate(rows or [np.zeros((1, 3))])

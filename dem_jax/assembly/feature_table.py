@@ -1,8 +1,8 @@
-"""Faces, corners and edges of convex polytopes as tables on which general narrow-phase search
-works, padded to few sizes.
+"""Tables of faces, corners and edges of convex polytopes for the general narrow phase, padded to a
+few sizes.
 
-A shape with fewer of them than its table has repeats its first; ``PolytopeFeatures.counts`` says
-how many are its own.
+A shape with fewer entries than its table repeats its first one; ``PolytopeFeatures.counts`` gives
+the number of its own entries.
 """
 
 from collections.abc import Sequence
@@ -50,10 +50,14 @@ def build_feature_table(
     all_clip: bool = False,
     is_bent: bool = False,
 ) -> PolytopeFeatures:
-    """Features of polytopes [S] by which depth and normal are found.
+    """Features of S polytopes, from which depth and normal are found.
 
-    parts: what of them has the faces that touch, None: all of it; inner: for each of its faces
-    whether other parts cover it; all_clip, is_bent: as in Features.
+    Args:
+        shapes: the polytopes.
+        dtype: of the arrays.
+        parts: the parts whose faces can touch; None if these are the shapes themselves.
+        inner: for each face of a part, whether other parts cover it.
+        all_clip, is_bent: as in ``PolytopeFeatures``.
     """
     rows = [_ShapeFeatures(shape) for shape in shapes]
     own = rows if parts is None else [_ShapeFeatures(shape) for shape in parts]
@@ -86,8 +90,9 @@ def build_feature_table(
 
 
 class _ShapeFeatures:
-    """A shape's faces [F, 4], corners [V, 3], edges [E, 13] and the corners of each face, in the
-    principal frame."""
+    """Faces [F, 4], corners [V, 3], edges [E, 13] and face loops of a shape, in its principal
+    frame.
+    """
 
     def __init__(self, shape: Shape) -> None:
         turn = quaternion_to_matrix(shape.principal)
@@ -98,8 +103,8 @@ class _ShapeFeatures:
         self.edges = self._describe_edges(normals, shape.edges)
 
     def _describe_edges(self, normals: np.ndarray, ends: np.ndarray) -> np.ndarray:
-        """Middle, unit direction, half length, and the directions into the two faces, in them and
-        square to the edge.
+        """Midpoint, unit direction, half length, and for both adjacent faces the in-face direction
+        perpendicular to the edge, [E, 13].
         """
         number = {tuple(edge): k for k, edge in enumerate(ends.tolist())}
         faces: list[list[int]] = [[] for _ in number]
@@ -112,7 +117,7 @@ class _ShapeFeatures:
         half = 0.5 * np.linalg.norm(end - start, axis=1, keepdims=True)
         along = 0.5 * (end - start) / half
         inward = np.cross(both, along[:, None])
-        # away from where the other face looks
+        # opposite to the normal of the other face
         inward *= np.sign(np.einsum("ekc,ekc->ek", inward, -both[:, ::-1]))[..., None]
         return np.concatenate([0.5 * (start + end), along, half, inward.reshape(-1, 6)], axis=1)
 
@@ -126,7 +131,7 @@ def _count_features(rows: list[_ShapeFeatures], own: list[_ShapeFeatures]) -> Ar
 
 
 def _stack_interior(covered: Sequence[Sequence[bool]], faces: int, dtype: DTypeLike) -> Array:
-    """Features.inner."""
+    """``PolytopeFeatures.interior_faces`` of S shapes."""
     return as_array(
         np.stack([_pad_rows(np.asarray(x, float), faces) for x in covered], axis=-1).astype(dtype)
     )
@@ -143,7 +148,9 @@ def _stack_corners(rows: list[_ShapeFeatures], dtype: DTypeLike) -> Array:
 
 
 def _next_table_size(count: int) -> int:
-    """The next of a few sizes, so that shapes of about as many corners share what is compiled."""
+    """The next of a few table sizes, so that shapes with similar numbers of features share a
+    compiled program.
+    """
     return next((size for size in TABLE_SIZES if size >= count), count)
 
 
@@ -156,5 +163,5 @@ def _fill_loop(ring: tuple[int, ...], sides: int) -> tuple[int, ...]:
 
 
 def _stack_rows(rows: list[np.ndarray], dtype: DTypeLike) -> Array:
-    """S arrays [K, c] -> [c, K, S]."""
+    """Stack S arrays [K, c] into one [c, K, S]."""
     return as_array(np.stack(rows, axis=-1).transpose(1, 0, 2).astype(dtype))

@@ -1,4 +1,6 @@
-"""What a scene comes to must be finite, and small enough to count, in the precision of the run."""
+"""Checks that the arrays of a scene are finite in the precision of the run, and that its counts are
+not too large.
+"""
 
 from typing import Any
 
@@ -37,7 +39,7 @@ POSITIVE_PARTS = (
 
 
 def check_steps(scene: Scene, settling: int, samples: int, substeps: int, dt: float) -> None:
-    """Raise SceneError for a run of more steps than can be counted. settling: steps before the
+    """Raise SceneError for a run with more steps than an int32 counts. settling: steps before the
     release.
     """
     steps = settling + samples * substeps
@@ -49,7 +51,7 @@ def check_steps(scene: Scene, settling: int, samples: int, substeps: int, dt: fl
 
 
 def check_pieces(scene: Scene, count: float) -> None:
-    """Raise SceneError for more pieces than any computer has room for."""
+    """Raise SceneError for a number of pieces beyond ``MOST_PIECES``."""
     if not count <= MOST_PIECES:
         raise SceneError(
             f"{scene.name}: {count:.4g} pieces; allowed: at most {MOST_PIECES:.0e}; "
@@ -58,8 +60,8 @@ def check_pieces(scene: Scene, count: float) -> None:
 
 
 def check_finite(scene: Scene, system: System, state: State, reuse: AssemblyCache) -> None:
-    """Raise SceneError if anything that a run begins with is not a number of its precision. reuse:
-    arrays of scenes before are not looked at again.
+    """Raise SceneError if an initial array is not finite in the precision of the run. reuse: arrays
+    of earlier scenes are not checked again.
     """
     known = reuse.get("finite", dict[int, Any])  # id -> the leaf, which is kept alive
     for tree, must in ((system, FINITE_PARTS), (state.replace(scratch=None), None)):

@@ -16,7 +16,7 @@ from dem_jax.walls.motion.section_arrays import unit_axis
 
 
 def build_flap_drives(motions: Sequence[Motion], groups: Sequence[str]) -> FlapDrives | None:
-    """The drives of the G groups, in numpy, or None without drives. Raises SceneError for a drive
+    """The drives of the G groups, in numpy; None without drives. Raises SceneError for a drive
     without a swing.
     """
     rows = {row.group: row for row in motions if row.drive is not None}
@@ -59,11 +59,11 @@ def bound_drive_frequency(
     contacts: Sequence[PossibleContact],
     pieces: int,
 ) -> float:
-    """By how much (1/s2) drives raise the largest squared frequency of pieces on walls whose motion
-    is given, at most; 0: none.
+    """Bound (1/s2) on the amount by which drives raise the largest squared frequency, compared with
+    prescribed wall motion; 0 without drives.
 
-    As a load cell does: (k + n K r2) / I at most, K being the stiffest contact of n pieces, r the
-    arm of the furthest corner.
+    As for a load cell the bound is (k + n K r2) / I, with K the stiffness of the stiffest contact,
+    n the number of pieces and r the lever arm of the furthest corner.
     """
     most = 0.0
     for row, drive in ((row, row.drive) for row in motions if row.drive is not None):

@@ -15,11 +15,12 @@ from dem_jax.shapes import Continuation, Shape
 from dem_jax.shapes.extended_parts import extend_panel
 from dem_jax.types import Array, Hulls, PolytopeFeatures, as_array
 
-SEAM_REACH = 10.0  # bounding radii of the largest piece by which a panel goes on beyond a seam, as
-# far as contacts are concerned
+SEAM_REACH = 10.0  # bounding radii of the largest piece by which a panel extends beyond a seam for
+# its contacts
 
 
-MOST_DIRECTIONS = 8  # of edges of a zonotope: with more, near features are quicker than all of them
+MOST_DIRECTIONS = 8  # edge directions of a zonotope: beyond this number, active features are faster
+# than testing all axes
 
 SeamRows = Sequence[PanelSeams]  # as ``build_hull_table`` takes them
 PartContinuations = Sequence[Continuation | None]
@@ -42,14 +43,19 @@ def build_hull_table(
     seams: SeamRows | None = None,
     continued: PartContinuations | None = None,
 ) -> Hulls:
-    """Stack polytopes [S] into one table, padded by repetition, which adds nothing to any minimum,
+    """Stack S polytopes into one table, padded by repetition, which does not change any minimum,
     maximum or sum.
 
-    Vertices are taken in the principal frame. The table is one of zonotopes if all its shapes are,
-    of few edge directions; else it has ``features``. seams: None, or for each shape those edges of
-    its face along z that are seams; with seams that bend the table is none of zonotopes. continued:
-    None, or for each shape shapes.Continued where it is a part that others continue, else None;
-    such a table is none of zonotopes.
+    The vertices are in the principal frame. The table is one of zonotopes if all shapes are
+    zonotopes with few edge directions, no seam is bent and no part is continued by others;
+    otherwise it has ``features``.
+
+    Args:
+        shapes: the polytopes.
+        dtype: of the arrays.
+        seams: for each shape the edges of its face along z that are seams; or None.
+        continued: for each shape its ``Continuation`` if other parts continue it, else None; or
+            None.
     """
     rows = [_describe_hull(shape) for shape in shapes]
     if continued:
@@ -77,7 +83,7 @@ def build_hull_table(
     widths = lengths = None
     if zonotopes:
         half = faces // 2
-        # all have them
+        # all shapes are zonotopes here
         own = [row["half_lengths"] for row in rows if row["half_lengths"] is not None]
         lengths = _stack_last([_pad_zeros(of, edges) for of in own], dtype)
         widths = _stack_last(
@@ -129,7 +135,9 @@ def _describe_hull(shape: Shape) -> _HullRow:
 
 
 def _pair_opposite_faces(row: _HullRow) -> _HullRow:
-    """Order the faces of a centrally symmetric polytope so that face f + F/2 is opposite to face f."""
+    """Order the faces of a centrally symmetric polytope so that face f + F/2 is opposite to
+    face f.
+    """
     normals = row["normals"]
     first = [f for f in range(len(normals)) if _is_positive_side(normals[f])]
     second = [int(np.argmin(normals @ normals[f])) for f in first]
@@ -143,7 +151,9 @@ def _pair_opposite_faces(row: _HullRow) -> _HullRow:
 
 
 def _is_positive_side(n: np.ndarray) -> bool:
-    """Whether the first component that is not zero is positive: true of one of n and -n."""
+    """Whether the first non-zero component of n is positive, which holds for exactly one of n and
+    -n.
+    """
     return n[np.argmax(np.abs(n) > 1e-9)] > 0
 
 
@@ -171,13 +181,13 @@ def _cross_widths(
 
 
 def _stack_columns(vectors: list[np.ndarray], dtype: DTypeLike) -> Array:
-    """S arrays [k, F, 3] -> [3 k, F S]."""
+    """Stack S arrays [k, F, 3] into one [3 k, F S]."""
     stacked = np.stack(vectors, axis=-1).transpose(2, 0, 1, 3)  # [3, k, F, S]
     return as_array(stacked.reshape(3 * stacked.shape[1], -1).astype(dtype))
 
 
 def _close_loops(loop: np.ndarray) -> np.ndarray:
-    """The corners [k, F, 3] of faces, and again the first."""
+    """The corners [k, F, 3] of faces, followed by the first one again."""
     return np.concatenate([loop, loop[:1]])
 
 
@@ -192,7 +202,7 @@ def _halve_loop(loop: np.ndarray) -> np.ndarray:
 
 
 def stack_seams(seams: SeamRows, dtype: DTypeLike) -> Vector:
-    """Hulls.seams."""
+    """``Hulls.seams`` of S shapes."""
     count = max(len(of.across) for of in seams)
     filled = [np.concatenate([of.across, np.zeros((count - len(of.across), 3))]) for of in seams]
     return _stack_components(filled, dtype)
@@ -201,7 +211,7 @@ def stack_seams(seams: SeamRows, dtype: DTypeLike) -> Vector:
 def _build_extended_hulls(
     shapes: Sequence[Shape], dtype: DTypeLike, continued: PartContinuations
 ) -> Hulls:
-    """Hulls.extended of shapes, for contacts with spheres."""
+    """``Hulls.extended`` of shapes, for contacts with spheres."""
     plain = [
         dataclasses.replace(shape, generators=None) for shape in _extend_shapes(shapes, continued)
     ]
@@ -209,7 +219,9 @@ def _build_extended_hulls(
 
 
 def _extend_shapes(shapes: Sequence[Shape], continued: PartContinuations) -> list[Shape]:
-    """Of each shape as much of its body as decides depth and normal."""
+    """For each shape the extended part that determines depth and normal; the shape itself if no
+    part continues it.
+    """
     return [
         shape if part is None else part.extended
         for shape, part in zip(shapes, continued, strict=True)
@@ -222,7 +234,7 @@ def _build_features(
     seams: SeamRows | None,
     continued: PartContinuations | None,
 ) -> PolytopeFeatures:
-    """Hulls.features of shapes."""
+    """``Hulls.features`` of shapes."""
     if not seams and not continued:
         return feature_table.build_feature_table(shapes, dtype)
     are_parts, continued = bool(continued), continued or [None] * len(shapes)
@@ -249,7 +261,7 @@ def _build_features(
 
 
 def _interior_flags(continued: Continuation | None, faces: int) -> np.ndarray:
-    """Hulls.inner of a shape."""
+    """``Hulls.interior_faces`` of a shape."""
     return (
         np.zeros(faces)
         if continued is None
@@ -264,7 +276,9 @@ def _stack_open_edges(
     continued: PartContinuations | None,
     dtype: DTypeLike,
 ) -> Array | None:
-    """Hulls.open_edges of S shapes with face normals [F, 3], face loops [k, F, 3] and seams [m, 3]."""
+    """``Hulls.open_edges`` of S shapes with face normals [F, 3], face loops [k, F, 3] and seams [m,
+    3].
+    """
     if not seams and not continued:
         return None
     out = []
@@ -291,13 +305,13 @@ def _stack_open_edges(
 
 
 def pad_rows(rows: np.ndarray, count: int) -> np.ndarray:
-    """So many rows, the last repeated."""
+    """Pad rows to a count by repeating the last one."""
     return np.concatenate([rows, np.repeat(rows[-1:], count - len(rows), axis=0)])
 
 
 def _pad_halves(loop: np.ndarray, count: int) -> np.ndarray:
-    """The corners [k, 3] of a centrally symmetric face, each half of the loop ended by repeating
-    where it leads.
+    """Pad the corners [k, 3] of a centrally symmetric face by repeating the end point of each half
+    of the loop.
     """
     half, more = len(loop) // 2, (count - len(loop)) // 2
     first, second = (np.repeat(loop[k : k + 1], more, axis=0) for k in (half, 0))
@@ -313,6 +327,6 @@ def _stack_last(rows: list[np.ndarray], dtype: DTypeLike) -> Array:
 
 
 def _stack_components(rows: list[np.ndarray], dtype: DTypeLike) -> Vector:
-    """S arrays [..., 3] -> tuple of three arrays [..., S]."""
+    """Stack S arrays [..., 3] into a tuple of three arrays [..., S]."""
     stacked = _stack_last(rows, dtype)
     return stacked[..., 0, :], stacked[..., 1, :], stacked[..., 2, :]

@@ -1,4 +1,4 @@
-"""Where the pieces begin, and the first state."""
+"""Initial conditions of the pieces, and the first state."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -33,7 +33,7 @@ Box = tuple[ArrayLike, ArrayLike]  # lowest and highest corner [3] (m)
 
 @dataclass(frozen=True)
 class InitialConditions:
-    """Poses and velocities of the pieces at the start, in the user's body frames."""
+    """Initial poses and velocities of the pieces, in the user's body frames."""
 
     position: np.ndarray  # [N, 3] (m)
     orientation: np.ndarray  # [N, 4]
@@ -48,8 +48,8 @@ def place_pieces(
     regions: Sequence[Box],
     random: np.random.Generator,
 ) -> InitialConditions:
-    """Where the pieces begin: as listed, or scattered in the regions, so many in each
-    (Goods.numbers). Pieces that differ are mixed at random. Raises SceneError.
+    """Initial conditions of the pieces: as listed, or scattered in the regions, ``numbers[k]`` in
+    region k (``PieceSet.numbers``). Pieces that differ are shuffled. Raises SceneError.
     """
     if scene.piece:
         return read_listed_pieces(scene.piece)
@@ -72,7 +72,7 @@ def place_pieces(
         placement.scatter_pieces(number, radius, portion.spacing, *box, random)
         for number, box in groups
     ]
-    # they come by product, in order of size
+    # they are ordered by product and size
     if portion.product or portion.size_spread > 0 or portion.piece_weight_spread > 0:
         placed = [(position[random.permutation(len(position))], turn) for position, turn in placed]
     position, orientation = (np.concatenate(rows) for rows in zip(*placed, strict=True))
@@ -81,7 +81,7 @@ def place_pieces(
 
 
 def read_listed_pieces(rows: Sequence[Piece]) -> InitialConditions:
-    """Where pieces begin that are listed one by one. Raises SceneError."""
+    """Initial conditions of pieces that are listed one by one. Raises SceneError."""
     q = as_float_array([p.orientation for p in rows])
     size = sqrt((q * q).sum(axis=1, keepdims=True))
     if not is_traced(q) and (size < 1e-6).any():
@@ -97,7 +97,7 @@ def read_listed_pieces(rows: Sequence[Piece]) -> InitialConditions:
 
 
 def count_settling_samples(scene: Scene) -> int:
-    """Sample intervals before time zero."""
+    """Number of sample intervals before time zero."""
     if scene.piece or scene.portion is None or scene.portion.arrangement == "scattered":
         return 0
     return max(1, round(scene.portion.settling_time / scene.run.sample))
@@ -106,8 +106,8 @@ def count_settling_samples(scene: Scene) -> int:
 def build_initial_motion(
     system: System, start: InitialConditions, frames: np.ndarray
 ) -> PieceMotion:
-    """Poses and velocities in the user's body frames as those of principal frames, in numpy;
-    frames: Built.frames.
+    """Convert poses and velocities from the user's body frames to principal frames, in numpy;
+    frames: ``AssembledSystem.frames``.
     """
     dtype = system.dt.dtype
     position = start.position.T
@@ -138,13 +138,13 @@ def build_initial_motion(
 def build_initial_state(
     system: System, start: InitialConditions, frames: np.ndarray, step: int, waiting: int = 0
 ) -> State:
-    """The state at a step, without any contact; start, frames: as of ``build_initial_motion``;
-    waiting: last pieces, outside.
+    """The state at a step, without contacts. start, frames: see ``build_initial_motion``; waiting:
+    number of last pieces that are outside the scene.
     """
     dtype, n = system.dt.dtype, len(start.position)
     groups, runs = len(system.walls.groups), system.runs
     columns = 2 * sum(room for *_, room in system.capacity)  # of loads
-    empty: Any = None  # until it is known what a rebuild fills
+    empty: Any = None  # until the shapes of the arrays of a rebuild are known
     cell = None
     if system.walls.load_cell is not None:
         cell = LoadCellMotion(

@@ -18,8 +18,8 @@ def find_load_cell(scene: Scene) -> LoadCell | None:
 
 
 def build_load_cell_model(scene: Scene, groups: Sequence[str], group: np.ndarray) -> Cell | None:
-    """The load cell, in numpy; None: the scene has none. groups: names of the G wall groups; group:
-    [W], that of each panel.
+    """The load cell, in numpy; None without one. groups: names of the G wall groups; group: [W],
+    the group of each panel.
     """
     section = find_load_cell(scene)
     if section is None or scene.weigh_bucket is None:
@@ -38,13 +38,13 @@ def build_load_cell_model(scene: Scene, groups: Sequence[str], group: np.ndarray
 def bound_load_cell_frequency(
     scene: Scene, law: ContactLaw, contacts: Sequence[PossibleContact], pieces: int
 ) -> float:
-    """By how much (1/s2) a load cell raises the largest squared frequency of pieces on held walls,
-    at most; 0: there is none.
+    """Bound (1/s2) on the amount by which a load cell raises the largest squared frequency of
+    pieces on fixed walls; 0 without one.
 
-    Of the matrix of stiffness over mass, the bucket's own row is all that is new: at most (k + n K)
-    / M, K being the stiffest contact and n the number of pieces that may lie on it at once; by
-    Weyl's inequality the largest eigenvalue is no more than that and the one of the pieces added
-    up.
+    The cell adds one row to the matrix of stiffness over mass, that of the bucket: at most (k + n
+    K) / M, with K the stiffness of the stiffest contact and n the number of pieces that may lie on
+    the bucket at once. By Weyl's inequality the largest eigenvalue does not exceed the sum of this
+    bound and the largest eigenvalue of the pieces.
     """
     section = find_load_cell(scene)
     if section is None:

@@ -1,7 +1,8 @@
-"""Which panels of the walls are one surface, and what each of them has to know of the others.
+"""Surfaces that are made of several wall panels, and the data of adjacent panels that each panel
+needs.
 
 Panels of one wall group that share an edge and meet there at no more than the smooth angle are
-facets of one smooth surface: a contact with several of them is one contact
+facets of one smooth surface: contacts with several of them are merged into one
 (``contacts.contact_reduction`` for planes, ``contacts.smooth_surfaces`` where they meet at an
 angle). A sharper edge is a true edge, and so is the rim. Host side, float64, SI.
 """
@@ -31,7 +32,7 @@ Group = tuple[str, np.ndarray]  # name of the wall group, corners of a panel [k,
 
 
 class PanelSeams(NamedTuple):
-    """Where other panels continue a panel, in its own frame, about its own centre."""
+    """Seams at which other panels continue a panel, in its own frame, about its own centre."""
 
     across: np.ndarray  # [m, 3] outward unit directions, in its plane, across each seam
     openness: np.ndarray  # [m] how much of the seam is an edge of the surface: 0 of flat and
@@ -44,8 +45,8 @@ class PanelSeams(NamedTuple):
         """These seams in the frame of the panel.
 
         Args:
-            turn: [3, 3] from the panel's frame to that of the scene.
-            origin: [3] (m) of the panel's frame, in the scene.
+            turn: [3, 3], panel frame to scene.
+            origin: [3] (m), origin of the panel frame in the scene.
         """
         normals, offsets = self.planes[:, :3], self.planes[:, 3]
         planes = np.c_[normals @ turn, offsets - normals @ origin]
@@ -56,7 +57,7 @@ NO_SEAMS = PanelSeams(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 4)), False)
 
 
 class PanelSurfaces(NamedTuple):
-    """The surfaces that panels make."""
+    """The surfaces that panels form."""
 
     seams: list[PanelSeams]  # of each panel, in the frame of the scene
     number: np.ndarray  # [W] int: the same for panels of one surface, -1 for a panel that is one by
@@ -100,7 +101,7 @@ def find_surfaces(
 
 
 def count_surfaces(found: PanelSurfaces | None, panels: int) -> int:
-    """How many surfaces so many panels make."""
+    """Number of surfaces that a number of panels form."""
     if found is None:
         return panels
     alone = int((found.number < 0).sum())
@@ -116,7 +117,7 @@ def _group_coplanar_panels(
     members: Sequence[np.ndarray],
     beyond: list[list[list[int]]],
 ) -> PanelSurfaces:
-    """Surfaces of panels that continue each other in a plane only."""
+    """Surfaces of panels that continue each other only in a plane."""
     seams, number = [NO_SEAMS for _ in panels], np.full(len(panels), -1)
     known: list[int] = []  # the first panel of each plane
     for i in (int(i) for group in members for i in group if any(beyond[i])):
@@ -130,8 +131,8 @@ def _group_coplanar_panels(
 
 
 def _are_coplanar(panels: Sequence[Group], normals: np.ndarray, first: int, second: int) -> bool:
-    """Whether two panels are of one group and one plane, to COPLANAR and that of the second one's
-    size.
+    """Whether two panels belong to one group and lie in one plane, to within COPLANAR times the
+    size of the second one.
     """
     (group, points), (name, corners) = panels[first], panels[second]
     if group != name or normals[first] @ normals[second] <= np.cos(wall_meshes.COPLANAR_ANGLE):
@@ -170,14 +171,14 @@ def _group_smooth_panels(
 def _edge_bend(
     corners: Sequence[np.ndarray], normals: np.ndarray, i: int, others: Sequence[int]
 ) -> float:
-    """The largest angle (rad) by which the surface falls away from panel i at an edge; negative: by
-    which it rises.
+    """Largest angle (rad) by which the surface falls away from panel i at an edge; negative where
+    it rises.
     """
     return max((_bend_angle(corners, normals, i, j) for j in others), key=abs)
 
 
 def _bend_angle(corners: Sequence[np.ndarray], normals: np.ndarray, i: int, j: int) -> float:
-    """The angle (rad) by which panel j falls away from panel i; negative: by which it rises."""
+    """Angle (rad) by which panel j falls away from panel i; negative where it rises."""
     height = (corners[j] - corners[i][0]) @ normals[i]
     sine = float(np.linalg.norm(np.cross(normals[i], normals[j])))
     return float(np.arcsin(min(sine, 1.0))) * (1.0 if -height.min() > height.max() else -1.0)
@@ -190,8 +191,8 @@ def _find_planes_beyond(
     i: int,
     reach: float,
 ) -> np.ndarray:
-    """Planes [k, 4] of the panels that are reached from panel i over convex seams, within a reach
-    (m): they end the solid.
+    """Planes [k, 4] of the panels that are reached from panel i over convex seams within a reach
+    (m); they bound its solid.
     """
     low, high = corners[i].min(axis=0) - reach, corners[i].max(axis=0) + reach
     found: list[tuple[int, float]] = []  # panel, offset
@@ -220,14 +221,14 @@ def _thin_planes(
     inside: np.ndarray,
     reach: float,
 ) -> np.ndarray:
-    """Planes [k, 4] of the panels found, nearest first, no two of them nearly parallel.
+    """Planes [k, 4] of the panels found, nearest first, without nearly parallel pairs.
 
     Args:
-        normals: [W, 3] of all panels.
+        normals: [W, 3], of all panels.
         found: number and offset (m) of panels, nearest first.
-        own: [3] normal of the panel whose solid they end.
+        own: [3], normal of the panel whose solid they bound.
         inside: [3] (m), a point of that solid.
-        reach: (m) from there, within which it has to end where the surface does.
+        reach: distance (m) from that point within which the solid must end where the surface does.
     """
     finest, exact = FINEST, 3
     while True:
@@ -260,11 +261,11 @@ def _stack_planes(normals: np.ndarray, panels: Sequence[tuple[int, float]]) -> n
 def _move_planes_inwards(
     planes: np.ndarray, is_fixed: np.ndarray, left_out: np.ndarray, inside: np.ndarray, reach: float
 ) -> np.ndarray:
-    """Planes [k, 4], those that are not fixed moved so far in that their solid ends where the
-    planes left out end it.
+    """Planes [k, 4]; those that are not fixed are moved inwards until the solid ends where the
+    omitted planes bound it.
 
-    A solid that is too large would overlap with a piece that touches none of the surface; one that
-    is too small far from its panel has next to no part in a contact there.
+    A solid that is too large would overlap with a piece that does not touch the surface; one that
+    is too small far from its panel has a negligible effect on contacts there.
     """
     from scipy.spatial import HalfspaceIntersection, QhullError
 
@@ -289,7 +290,7 @@ def _move_planes_inwards(
 def _label_surfaces(
     panels: Sequence[Group], normals: np.ndarray, beyond: list[list[list[int]]]
 ) -> np.ndarray:
-    """The number of the surface of each panel, [W]; -1 where it is one by itself."""
+    """Surface number of each panel, [W]; -1 for a panel without seams."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -306,8 +307,8 @@ def _label_surfaces(
 def _merge_coplanar_labels(
     panels: Sequence[Group], normals: np.ndarray, labels: np.ndarray, has_seam: np.ndarray
 ) -> np.ndarray:
-    """The labels, the same for surfaces of one group with panels in one plane: a piece that lies on
-    both has one contact.
+    """Merge the labels of surfaces of one group that have panels in one plane, so that a piece
+    lying on both has one contact.
     """
     labels = labels.copy()
     known = np.flatnonzero(has_seam).tolist()
@@ -319,6 +320,6 @@ def _merge_coplanar_labels(
 
 
 def _compact_labels(labels: np.ndarray) -> np.ndarray:
-    """Labels counted from 0 in the order of their first panels, -1 as it is."""
+    """Labels renumbered from 0 in the order of their first panels; -1 stays."""
     order = {label: k for k, label in enumerate(dict.fromkeys(labels[labels >= 0].tolist()))}
     return np.array([order.get(label, -1) for label in labels.tolist()])

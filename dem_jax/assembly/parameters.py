@@ -1,4 +1,4 @@
-"""The parameters of a scene: keys whose values enter arrays only, as its sections mark them."""
+"""The parameters of a scene: keys, marked in its sections, whose values enter only arrays."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -16,8 +16,8 @@ Parameters = Mapping[str, Any]
 
 
 def find_parameters(scene: Scene) -> dict[str, np.ndarray]:
-    """Key -> value of all keys that are marked and set, in double precision; without switches that
-    are off.
+    """Values of all keys that are marked and set, by key, in double precision; switches that are
+    off are omitted.
     """
     found = {
         key: value
@@ -28,18 +28,18 @@ def find_parameters(scene: Scene) -> dict[str, np.ndarray]:
 
 
 def find_unset_parameters(scene: Scene) -> list[str]:
-    """Keys of single numbers that are inherited: other keys stand for them."""
+    """Keys of single numbers that are inherited from other keys."""
     return [key for key, value, _ in _marked_keys(scene) if value is None]
 
 
 def is_left_out(scene: Scene, key: str) -> bool:
-    """Whether a key is one that is marked, unset or 0 in the scene."""
+    """Whether a key is marked but unset or 0 in the scene."""
     return any(key == other and not np.any(value) for other, value, _ in _marked_keys(scene))
 
 
 def insert_values(scene: Scene, values: Parameters) -> Scene:
-    """The scene with values at some keys, which nothing checks: they may stand for any number, or
-    be None.
+    """The scene with new values at some keys. The values are not checked: they may be traced or
+    None.
     """
     changed: Any = scene
     for key, value in values.items():
@@ -48,7 +48,7 @@ def insert_values(scene: Scene, values: Parameters) -> Scene:
 
 
 def _marked_keys(scene: Scene) -> Iterator[tuple[str, Any, ParameterMark]]:
-    """Key, value and mark of all fields of a scene that have one; of unset ones those that are
+    """Key, value and mark of all marked fields of a scene; unset fields only if they are
     inherited.
     """
     for path, section in _sections("", scene):
@@ -60,7 +60,7 @@ def _marked_keys(scene: Scene) -> Iterator[tuple[str, Any, ParameterMark]]:
 
 
 def _sections(path: str, section: Section) -> Iterator[tuple[str, Section]]:
-    """Path and section of all sections in one, itself first."""
+    """Path and section of a section and of all sections within it."""
     yield path, section
     below = {name: getattr(section, name) for name in type(section).model_fields} | (
         section.model_extra or {}
@@ -79,7 +79,7 @@ def _is_off(value: Any, mark: ParameterMark) -> bool:
 
 
 def _as_in_scene(value: Any) -> Any:
-    """A value as a scene has it: an array as nested tuples of numbers."""
+    """A value in the form of a scene: an array becomes nested tuples of numbers."""
     if value is None:
         return None
     if not isinstance(value, jax.core.Tracer):

@@ -23,7 +23,7 @@ class PiecePart:
 
 
 def list_piece_parts(made: Sequence[Shape]) -> list[list[PiecePart]]:
-    """The parts of each piece; the same objects where pieces are alike."""
+    """The parts of each piece; identical pieces share the same objects."""
     known: dict[int, list[PiecePart]] = {}
     for shape in made:
         if id(shape) not in known:
@@ -75,8 +75,8 @@ def build_part_arrays(solids: list[list[PiecePart]]) -> Parts:
 def build_body_hulls(
     solids: list[list[PiecePart]], plates: list[Shape], seams: list[PanelSeams] | None
 ) -> tuple[Hulls | None, np.ndarray]:
-    """The table of hulls of parts and panels (None where all parts are spheres), and the row of
-    each of them.
+    """The hull table of parts and panels (None if all parts are spheres), and the table row of each
+    body.
 
     seams: of each panel, as ``hull_table.build_hull_table`` takes them.
     """

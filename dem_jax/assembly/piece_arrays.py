@@ -44,7 +44,7 @@ SIZES = frozenset().union(*SHAPE_KEYS.values()) - {"unit"}  # keys that belong t
 
 
 def make_shape(row: PieceShape, folder: str | Path = ".") -> shapes.Shape:
-    """The shape that a scene names, scaled; STL files are looked for in a folder. Raises
+    """The shape that a scene names, scaled; STL paths are relative to the folder. Raises
     SceneError.
     """
     given = _collect_sizes(row)
@@ -71,8 +71,8 @@ def make_shape(row: PieceShape, folder: str | Path = ".") -> shapes.Shape:
 
 
 def _collect_sizes(row: ConvexShape) -> dict[str, Any]:
-    """The sizes of a shape that are set. Raises SceneError for those of other shapes, and for one
-    that it needs.
+    """The sizes of a shape that are set. Raises SceneError for a size of another shape and for a
+    missing one.
     """
     given = {
         k: getattr(row, k)
@@ -100,7 +100,7 @@ def _collect_sizes(row: ConvexShape) -> dict[str, Any]:
 
 
 def _make_convex_shape(row: ConvexShape, folder: str | Path) -> tuple[shapes.Shape, np.ndarray]:
-    """A convex shape, scaled, and its centre of mass [3] (m) in the frame of its points or its STL,
+    """A convex shape, scaled, and its centre of mass [3] (m) in the frame of its points or STL,
     else zero. Raises SceneError.
     """
     given = _collect_sizes(row)
@@ -113,7 +113,9 @@ def _make_convex_shape(row: ConvexShape, folder: str | Path) -> tuple[shapes.Sha
 
 
 def _make_hull(row: ConvexShape, folder: str | Path) -> shapes.MeshHull:
-    """The hull of a row before scaling, of few corners, with what reading and simplifying changed."""
+    """The hull of a row before scaling, simplified to few corners, with notes on changes by reading
+    and simplifying.
+    """
     if row.stl is not None:
         found = shapes.read_hull(
             Path(folder) / row.stl, row.unit, row.hull_tolerance or shapes.HULL_TOLERANCE
@@ -132,7 +134,7 @@ def _make_hull(row: ConvexShape, folder: str | Path) -> shapes.MeshHull:
 
 
 def _given_mass_properties(given: BodyMass | None) -> shapes.MassProperties | None:
-    """Mass properties that a row gives."""
+    """The mass properties that a row specifies, if any."""
     return (
         None
         if given is None
@@ -155,7 +157,7 @@ def _compound_from_row(row: PieceShape, folder: str | Path) -> shapes.Shape:
 
 
 def _decomposition_options(row: PieceShape) -> dict[str, Any]:
-    """How an STL is decomposed: what the row says of it."""
+    """Options of a row for the decomposition of its STL."""
     return {
         k: getattr(row, k)
         for k in ("concavity", "max_parts", "loss", "max_corners")
@@ -165,19 +167,19 @@ def _decomposition_options(row: PieceShape) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class PieceSet:
-    """The N pieces of a scene before they are anywhere."""
+    """The N pieces of a scene before placement."""
 
     shapes: tuple[shapes.Shape, ...]  # of each piece, scaled; one object where pieces are alike
-    materials: tuple[str | None, ...]  # name of the material of each, None: [material] itself
-    numbers: tuple[int, ...]  # pieces of the portion, with a feeder on it, with an inlet those that
-    # wait; () of pieces listed
+    materials: tuple[str | None, ...]  # name of the material of each; None: the section [material]
+    numbers: tuple[int, ...]  # pieces in the portion, on the feeder if there is one, and waiting if
+    # there is an inlet; () for listed pieces
     densities: tuple[float | None, ...]  # of each (kg/m3), where its weight is given; None: that of
     # its material
 
 
 def build_piece_set(scene: Scene, reuse: AssemblyCache | None = None) -> PieceSet:
-    """The pieces of a scene: as listed, or of a portion product by product, then those on the
-    feeder. reuse: of scenes before. Raises SceneError.
+    """The pieces of a scene: as listed, or those of a portion product by product, then those on the
+    feeder. reuse: results of earlier scenes. Raises SceneError.
     """
     reuse = reuse or AssemblyCache()
     if scene.piece:
@@ -202,8 +204,8 @@ def build_piece_set(scene: Scene, reuse: AssemblyCache | None = None) -> PieceSe
 
 
 def reuse_piece_set(scene: Scene, table: MaterialTable, reuse: AssemblyCache) -> PieceSet:
-    """As ``build_piece_set``, those of the scene before where all that they are made from is the
-    same. Raises SceneError.
+    """As ``build_piece_set``, but the pieces of the previous scene if their inputs are unchanged.
+    Raises SceneError.
     """
     made_from = (
         scene.piece,
@@ -217,8 +219,8 @@ def reuse_piece_set(scene: Scene, table: MaterialTable, reuse: AssemblyCache) ->
 
 
 def material_inputs(scene: Scene, table: MaterialTable) -> tuple[Any, ...]:
-    """What goods and their arrays are made from besides their sections: densities, names, whether
-    of walls, and the size L.
+    """Inputs of a piece set and its arrays besides their sections: densities, names, wall flags and
+    the definition of the size L.
     """
     return (
         tuple(table.density.tolist()),
@@ -229,19 +231,21 @@ def material_inputs(scene: Scene, table: MaterialTable) -> tuple[Any, ...]:
 
 
 def make_portion_shapes(scene: Scene, reuse: AssemblyCache | None = None) -> list[shapes.Shape]:
-    """The shape of each product of the portion, at its size as given. Raises SceneError."""
+    """The shape of each product of the portion, at its nominal size. Raises SceneError."""
     assert scene.portion is not None
     key = "portion.product.{}" if scene.portion.product else "portion"
     return _make_row_shapes(scene.portion.product_rows, key, scene.folder, reuse or AssemblyCache())
 
 
 def _density_from_weight(row: PieceShape, shape: shapes.Shape) -> float | None:
-    """(kg/m3) of pieces whose weight is given; shape: of one of them at its size as given."""
+    """Density (kg/m3) of pieces whose weight is given, else None; shape: of one of them at its
+    nominal size.
+    """
     return None if row.piece_weight is None else row.piece_weight / shape.volume
 
 
 def _size_or_weight_spread(row: Product | Portion) -> tuple[float, bool]:
-    """How much the pieces of a row differ (relative standard deviation), and whether in weight."""
+    """Relative standard deviation of the pieces of a row, and whether it refers to the weight."""
     by_weight = row.piece_weight_spread > 0
     return (row.piece_weight_spread if by_weight else row.size_spread), by_weight
 
@@ -249,7 +253,7 @@ def _size_or_weight_spread(row: Product | Portion) -> tuple[float, bool]:
 def compute_densities(
     table: MaterialTable, materials: Sequence[str | None], own: Sequence[float | None]
 ) -> np.ndarray:
-    """[N] (kg/m3) of pieces of materials by name, or their own."""
+    """Densities [N] (kg/m3) of pieces: their own, or that of their material by name."""
     found = table.density[find_piece_rows(table, materials)]
     if all(one is None for one in own):
         return found
@@ -259,14 +263,14 @@ def compute_densities(
 
 
 def compute_masses(goods: PieceSet, table: MaterialTable) -> np.ndarray:
-    """[N] (kg)."""
+    """Masses [N] (kg) of the pieces."""
     distinct, index = find_distinct_shapes(goods.shapes)
     volume = np.array([shape.volume for shape in distinct])[index]
     return compute_densities(table, goods.materials, goods.densities) * volume
 
 
 def make_piece_shapes(scene: Scene) -> list[shapes.Shape]:
-    """The shape of each piece; one object where pieces are alike. Raises SceneError."""
+    """The shape of each piece; identical pieces share one object. Raises SceneError."""
     return list(build_piece_set(scene).shapes)
 
 
@@ -286,8 +290,8 @@ def _make_row_shapes(
 def count_portion_pieces(
     scene: Scene, of: Portion, made: Sequence[shapes.Shape]
 ) -> list[tuple[int, ...]]:
-    """Pieces of each product (shapes ``made``): of the portion, on the feeder if there is one, and
-    of those that wait for an inlet if there is one (by default as many).
+    """Numbers of pieces of each product (shapes ``made``): in the portion, on the feeder if there
+    is one, and waiting for the inlet if there is one (by default as many as in the portion).
     """
     table = build_material_table(scene)
     own = [
@@ -330,7 +334,7 @@ def count_portion_pieces(
 
 
 def call_with_key(key: str, function: Callable, *arguments: Any) -> Any:
-    """The function's value; an error names the key of the section that it is about."""
+    """Return the function's value; a SceneError is prefixed with the key of the section."""
     try:
         return function(*arguments)
     except SceneError as error:
@@ -338,15 +342,15 @@ def call_with_key(key: str, function: Callable, *arguments: Any) -> Any:
 
 
 def find_distinct_shapes(made: Sequence[shapes.Shape]) -> tuple[list[shapes.Shape], list[int]]:
-    """Each shape once, and the place in that list of each piece's."""
+    """The distinct shapes, and for each piece the index of its shape in that list."""
     distinct = list({id(m): m for m in made}.values())
     place = {id(m): k for k, m in enumerate(distinct)}
     return distinct, [place[id(m)] for m in made]
 
 
 def inline_shape_points(row: PieceShape, folder: str | Path) -> PieceShape:
-    """The row with the corners of the STL that it names, whole or cut into parts; others as they
-    are. Raises SceneError.
+    """The row with its STL replaced by the corners read from it, whole or decomposed into parts;
+    other rows unchanged. Raises SceneError.
     """
     given = _collect_sizes(row)
     if row.shape == "decomposed":
@@ -382,7 +386,7 @@ def inline_shape_points(row: PieceShape, folder: str | Path) -> PieceShape:
 
 
 def _mass_section(mass: shapes.MassProperties | None, origin: np.ndarray) -> BodyMass | None:
-    """The section of a scene that gives these mass properties, in axes that begin at an origin [3]
+    """The section of a scene that specifies mass properties, in axes with their origin at [3]
     (m).
     """
     if mass is None:
@@ -395,7 +399,7 @@ def _mass_section(mass: shapes.MassProperties | None, origin: np.ndarray) -> Bod
 
 
 def _append_note(row: PieceShape, said: Sequence[str]) -> dict[str, str]:
-    """What is said of a row's shape, added to its note."""
+    """The note of a row, extended by remarks on its shape."""
     return {"note": "; ".join([*([row.note] if row.note else []), *said])} if said else {}
 
 
@@ -418,8 +422,8 @@ def _inline_part_points(part: Part, folder: str | Path) -> tuple[Part, str | Non
 
 
 def _decomposed_row(row: PieceShape, found: shapes.Decomposition) -> PieceShape:
-    """The row of a decomposed STL as a compound of hulls with the mass of the STL; a single part is
-    a hull.
+    """The row of a decomposed STL as a compound of hulls with the mass of the STL; a single part
+    becomes a hull.
     """
     whole: dict[str, Any] = dict.fromkeys(
         ("stl", "concavity", "max_parts", "loss", "max_corners")
@@ -431,8 +435,7 @@ def _decomposed_row(row: PieceShape, found: shapes.Decomposition) -> PieceShape:
         differs = shapes.has_other_mass(*shapes.hull_and_centre(found.points[0]), found.mass)
         own = {"shape": "hull", "points": points[0], "mass_properties": mass if differs else None}
         return inline_shape_points(row.model_copy(update=whole | own), ".")
-    whole_parts = max(16, *map(len, points))  # simplified, they would not be flush where they were
-    # cut
+    whole_parts = max(16, *map(len, points))  # simplified parts would not be flush at the cuts
     parts = tuple(Part(shape="hull", points=each, max_corners=whole_parts) for each in points)
     return row.model_copy(
         update=whole
@@ -446,8 +449,8 @@ def _decomposed_row(row: PieceShape, found: shapes.Decomposition) -> PieceShape:
 
 
 def build_piece_arrays(scene: Scene, goods: PieceSet, table: MaterialTable | None = None) -> Pieces:
-    """Arrays of the pieces, in numpy or of traced values. table: materials of the scene, if known.
-    Raises SceneError.
+    """Arrays of the pieces, in numpy or of traced values. table: materials of the scene, if already
+    known. Raises SceneError.
     """
     table = table or build_material_table(scene)
     row = find_piece_rows(table, goods.materials)
@@ -466,16 +469,16 @@ def build_piece_arrays(scene: Scene, goods: PieceSet, table: MaterialTable | Non
 
 
 def find_piece_size(scene: Scene, law: str) -> float:
-    """The size L (m) of the first piece, from which a contact law takes its stiffness. Raises
+    """The size L (m) of the first piece, which enters the stiffness of a contact law. Raises
     SceneError.
     """
-    # as of ``Pieces``
+    # as in ``Pieces``
     convention = "equivalent-diameter" if law in HERTZIAN_LAWS else scene.material.stiffness_size
     return shapes.size_length(build_piece_set(scene).shapes[0], convention)
 
 
 def _smallest_width(shape: shapes.Shape) -> float:
-    """Smallest width (m): least extent along the normal of a face; of several parts that of the
+    """Smallest width (m): the least extent along a face normal; for several parts that of the
     narrowest.
     """
     if shape.radius > 0:
@@ -487,7 +490,7 @@ def _smallest_width(shape: shapes.Shape) -> float:
 
 
 def find_alike_kinds(goods: PieceSet) -> tuple[str, ...]:
-    """System.alike."""
+    """``System.alike`` of the pieces."""
     if any(shape.parts for shape in goods.shapes):
         return ()
     both = list(zip(goods.shapes, goods.materials, strict=True))

@@ -1,5 +1,6 @@
-"""How many pieces of each product a portion has, and of which sizes. All from the scene alone: the
-seed decides places.
+"""Numbers and sizes of the pieces of each product of a portion.
+
+They follow from the scene alone; the seed only determines the places.
 """
 
 from dataclasses import dataclass
@@ -8,20 +9,21 @@ from itertools import product
 import numpy as np
 from scipy.special import ndtri
 
-MOST_SIZES = 16  # of a product, so that the table of shapes stays small
-NARROWEST = 1e-9  # relative standard deviation: with less all are alike
+MOST_SIZES = 16  # distinct sizes of a product, to keep the table of shapes small
+NARROWEST = 1e-9  # relative standard deviation below which all sizes are equal
 WIDEST = 3.0  # standard deviations of the logarithm of the size
 
 
 @dataclass(frozen=True)
 class ProductMix:
-    """The K products of a portion, in the terms that decide how many pieces there are of each."""
+    """The K products of a portion with the data that determine their numbers of pieces."""
 
     mass: np.ndarray  # [K] (kg): of a piece of the nominal size
     share: np.ndarray  # [K]: relative
     spread: np.ndarray  # [K]: relative standard deviation of the linear size, or of the weight
-    share_by: str  # "weight" or "count": what the shares are of
-    is_by_weight: tuple[bool, ...] = ()  # [K] whether the spread is that of the weight; (): of none
+    share_by: str  # "weight" or "count": the quantity that is shared
+    is_by_weight: tuple[bool, ...] = ()  # [K] whether the spread is that of the weight; (): for no
+    # product
 
     def product_sizes(self, k: int, number: int) -> np.ndarray:
         """Linear sizes [number] of the pieces of product k, see ``distribute_sizes``."""
@@ -34,8 +36,7 @@ def distribute_sizes(number: int, spread: float, of_weight: bool = False) -> np.
     """Linear sizes [number] of the pieces of a product relative to the nominal one, in ascending
     order.
 
-    Where the spread is that of the weight, the weights have a mean of exactly that of the nominal
-    piece.
+    If the spread is that of the weight, the mean weight is exactly that of the nominal piece.
     """
     values = _lognormal_quantiles(number, spread)
     return np.cbrt(values) if of_weight else values
@@ -44,10 +45,11 @@ def distribute_sizes(number: int, spread: float, of_weight: bool = False) -> np.
 def _lognormal_quantiles(number: int, spread: float) -> np.ndarray:
     """Values [number] about 1 in ascending order.
 
-    Quantiles of a lognormal distribution at (i + 1/2) / number, clipped at three standard
-    deviations; of more than 16 pieces put into 16 classes of equal width in the logarithm, each
-    with the mean of its pieces. Then shifted and stretched so that the mean is exactly 1 and the
-    standard deviation exactly ``spread``. One piece has value 1.
+    They are the quantiles of a lognormal distribution at (i + 1/2) / number, clipped at three
+    standard deviations; more than 16 pieces are grouped into 16 classes of equal width in the
+    logarithm, each with the mean of its pieces. The values are then shifted and stretched so that
+    the mean is exactly 1 and the standard deviation exactly ``spread``. A single piece has the
+    value 1.
     """
     if spread < NARROWEST or number < 2:
         return np.ones(number)
@@ -61,12 +63,11 @@ def _lognormal_quantiles(number: int, spread: float) -> np.ndarray:
 
 
 def apportion_weight(mix: ProductMix, target: float) -> tuple[int, ...]:
-    """Pieces [K] of each product for a weight (kg): eq. 16 for each with its part, and its mean
-    mass where sizes spread.
+    """Numbers of pieces [K] of each product for a target weight (kg): eq. 16 for the share of each,
+    with its mean mass if sizes vary.
 
-    Each number is rounded up or down, all so that the total weight is nearest to the target; of
-    ways that are equally near, so that the numbers are nearest to the exact ones. At least one
-    piece.
+    Each number is rounded up or down such that the total weight is nearest to the target; ties are
+    resolved in favour of the numbers nearest to the exact ones. There is at least one piece.
     """
     exact = _exact_counts(mix, target)
     below = np.floor(exact).astype(int)
@@ -77,13 +78,13 @@ def apportion_weight(mix: ProductMix, target: float) -> tuple[int, ...]:
         [[_product_weight(mix, k, n) for n in (low, low + 1)] for k, low in enumerate(below)]
     )
     total = weight[np.arange(len(exact)), ways - below].sum(1)
-    off = np.round(np.abs(total - target) / target, 12)  # equal but for rounding is equal
+    off = np.round(np.abs(total - target) / target, 12)  # equal up to rounding counts as equal
     best = np.lexsort((((ways - exact) ** 2).sum(1), off))[0]
     return tuple(int(n) for n in ways[best])
 
 
 def apportion_count(mix: ProductMix, count: int) -> tuple[int, ...]:
-    """Pieces [K] of each product for a number of all pieces, by largest remainder."""
+    """Numbers of pieces [K] of each product for a total number, by largest remainder."""
     each = (
         mix.share
         if mix.share_by == "count"
@@ -93,8 +94,8 @@ def apportion_count(mix: ProductMix, count: int) -> tuple[int, ...]:
 
 
 def apportion_by_remainder(parts: np.ndarray, count: int) -> tuple[int, ...]:
-    """Whole numbers [K] in proportion to the parts that add up to a count: the largest remainders
-    are rounded up.
+    """Whole numbers [K] in proportion to the parts with a given sum: the largest remainders are
+    rounded up.
     """
     exact = count * np.asarray(parts, float) / np.sum(parts)
     number = np.floor(np.round(exact, 9)).astype(int)
@@ -104,7 +105,9 @@ def apportion_by_remainder(parts: np.ndarray, count: int) -> tuple[int, ...]:
 
 
 def _exact_counts(mix: ProductMix, target: float) -> np.ndarray:
-    """Pieces [K] as real numbers; the mean mass of a product and its number decide each other."""
+    """Unrounded numbers of pieces [K]; the mean mass of a product and its number depend on each
+    other.
+    """
     exact = np.full(len(mix.mass), 1000.0)
     for _ in range(4 if mix.spread.any() else 1):
         mean = mix.mass * _mean_cubes(mix, exact)
@@ -118,12 +121,12 @@ def _exact_counts(mix: ProductMix, target: float) -> np.ndarray:
 
 
 def _mean_cubes(mix: ProductMix, numbers: np.ndarray) -> np.ndarray:
-    """Mean of the cube of the relative size [K], of so many pieces of each product."""
+    """Mean cube of the relative size [K], for the given numbers of pieces of each product."""
     return np.array(
         [np.mean(mix.product_sizes(k, max(1, round(n))) ** 3) for k, n in enumerate(numbers)]
     )
 
 
 def _product_weight(mix: ProductMix, k: int, number: int) -> float:
-    """(kg) of so many pieces of product k."""
+    """Weight (kg) of a number of pieces of product k."""
     return float(mix.mass[k] * np.sum(mix.product_sizes(k, number) ** 3))

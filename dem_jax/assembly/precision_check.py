@@ -1,14 +1,14 @@
-"""What single precision does not resolve, said before a run begins: impacts that are slow and
-stiff, places far from the origin.
+"""Warnings, before a run in single precision, of slow stiff impacts and of places far from the
+origin.
 
-Of an overlap s single precision knows about 1e-8 of the piece's size L, and an impact presses
-bodies in by about v / omega. Measured, NSF = 1, against double precision: of 240 landings of tilted
-marshmallows (120 orientations, at the origin and 0.5 m away) the peak force is off by at most 0.05
-% and the motion by 0.05 % of the impact speed from 2e-5 to 0.002 m/s, with half of the automatic
-step or less (0.13 % in one other); with the whole of it by 0.29 % and 0.26 %, which the moment of
-first touch within a step makes in double precision too. At 5e-6 m/s a fifth is not seen at all. Far
-from the origin the peak force of a softened impact is off by 3e-6 at 1 m, 0.015 % at 100 m, 0.3 %
-at 10 km.
+Single precision resolves an overlap s to about 1e-8 of the piece's size L, and an impact has an
+overlap of about v / omega. Measured at NSF = 1 against double precision for 240 landings of tilted
+marshmallows (120 orientations, at the origin and 0.5 m away), with half of the automatic step or
+less: between 2e-5 and 0.002 m/s the peak force is off by at most 0.05 % and the motion by 0.05 % of
+the impact speed (0.13 % in one other landing). With the whole automatic step the errors are 0.29 %
+and 0.26 %, caused by the moment of first touch within a step, as in double precision. At 5e-6 m/s a
+fifth of the impacts is not seen at all. Far from the origin the peak force of a softened impact is
+off by 3e-6 at 1 m, 0.015 % at 100 m and 0.3 % at 10 km.
 """
 
 import numpy as np
@@ -23,7 +23,7 @@ FAR_DISTANCE = 1.0  # m from the origin
 
 
 def note_low_precision(scene: Scene, built: AssembledSystem) -> str | None:
-    """What to say of a scene in single precision; None: nothing."""
+    """A note on the resolution of a scene in single precision, or None."""
     if scene.run.precision != "f32":
         return None
     present = find_present(built.system, built.state)
@@ -55,8 +55,8 @@ def note_low_precision(scene: Scene, built: AssembledSystem) -> str | None:
 def _fastest_impact(
     scene: Scene, built: AssembledSystem, position: np.ndarray, velocity: np.ndarray
 ) -> float:
-    """Speed (m/s) that a piece can have at an impact: its own and that of a fall to the lowest
-    wall; inf where walls move.
+    """Largest possible impact speed (m/s) of a piece: its own speed plus that of a fall to the
+    lowest wall; inf if walls move.
     """
     walls, gravity = built.system.walls, np.asarray(scene.run.gravity, float)
     if walls.has_motion:

@@ -1,5 +1,5 @@
-"""Whether samples are close enough to show the peak of a contact, and times that are not whole
-numbers of them.
+"""Checks that samples resolve the peak of a contact, and notes on times that are not multiples of
+them.
 """
 
 from collections.abc import Sequence
@@ -10,16 +10,16 @@ from dem_jax.assembly.time_step import PossibleContact
 from dem_jax.contact_laws import ContactLaw
 from dem_jax.scene.sections.run_settings import RunSettings
 
-ROUNDED = 0.01  # of run.duration: a difference that is not mentioned
-ROUNDED_FRAMES = 0.1  # of run.frames: likewise (the default, 1 ms, is 33 samples of 30 us)
-FEWEST_SAMPLES = 3  # samples in a contact: of half a sine the largest of three evenly spaced is
-# within 1 - sin(pi / 3) = 13 % of its top
+ROUNDED = 0.01  # of run.duration: a smaller difference is not mentioned
+ROUNDED_FRAMES = 0.1  # the same for run.frames (the default, 1 ms, is 33 samples of 30 us)
+FEWEST_SAMPLES = 3  # samples in a contact: the largest of three evenly spaced values of a half sine
+# is within 1 - sin(pi / 3) = 13 % of its peak
 
 
 def shortest_contact_time(law: ContactLaw, contacts: Sequence[PossibleContact]) -> float:
-    """How long (s) the shortest of the contacts that a scene can have lasts: a quarter period on
-    the branch that loads and one on the branch that unloads, of the effective mass of an impact off
-    the centre of mass. About: the law's stiffest is taken.
+    """Approximate duration (s) of the shortest contact that a scene can have: a quarter period on
+    the loading branch and one on the unloading branch, for the effective mass of an off-centre
+    impact and the largest stiffness of the law.
     """
     loading = getattr(law, "loading_step", law.stable_step)
     masses = ((c, c.mass * c.normal_mass_ratio) for c in contacts)
@@ -31,7 +31,7 @@ def shortest_contact_time(law: ContactLaw, contacts: Sequence[PossibleContact]) 
 
 
 def note_coarse_sampling(sample: float, shortest: float) -> str | None:
-    """What to say of samples (s) that the shortest contact (s) can slip between; None: nothing."""
+    """A note if the shortest contact (s) can fall between samples (s), else None."""
     if shortest >= FEWEST_SAMPLES * sample:
         return None
     return (
@@ -41,8 +41,8 @@ def note_coarse_sampling(sample: float, shortest: float) -> str | None:
 
 
 def note_rounded_times(run: RunSettings, samples: int, frame_every: int) -> list[str]:
-    """Notes on times of a scene that are rounded to whole samples, or that act otherwise than they
-    read.
+    """Notes on times of a scene that are rounded to whole samples or otherwise act differently than
+    written.
 
     Args:
         run: the section of the scene.

@@ -1,4 +1,4 @@
-"""Collision statistics that a scene requests."""
+"""Setup of the collision statistics that a scene requests."""
 
 from numpy.typing import DTypeLike
 
@@ -11,8 +11,8 @@ MOST_PLACES = 4_000_000  # on all panels together
 
 
 def build_collision_bins(scene: Scene, panels: int, dtype: DTypeLike) -> CollisionBins | None:
-    """The speed bins and map cells of the panels, or None if the scene requests no statistics.
-    Raises SceneError.
+    """The speed bins and map cells of the panels; None if the scene requests no statistics. Raises
+    SceneError.
     """
     asked = scene.statistics
     if asked is None:

@@ -1,5 +1,5 @@
-"""The unit of an STL, which the file does not say: a size that only millimetres explain is asked
-about.
+"""Check of the unit of an STL, which the file does not state: sizes that are plausible only in
+millimetres are rejected.
 """
 
 from collections.abc import Sequence
@@ -15,8 +15,8 @@ LARGEST_PIECE, LARGEST_WALL = 1.0, 10.0  # m; a bean in mm taken for m is larger
 def check_stl_unit(
     row: ConvexShape | Wall | Bucket | Feeder, stl: str | None, points: Sequence[np.ndarray]
 ) -> None:
-    """Raise SceneError for a piece, a wall, a bucket or a feeder whose STL is too large to be in
-    metres, unless it says its unit.
+    """Raise SceneError for a piece, wall, bucket or feeder whose STL is too large to be in metres
+    and whose unit is not given.
 
     points: [.., 3] (m) each, corners of the parts or panels of the STL.
     """

@@ -1,5 +1,5 @@
-"""From a scene to a system and its first state: shapes to tables, materials to stiffness, walls to
-panels, slots.
+"""Assembly of a scene into a system and its first state: shape tables, stiffnesses, wall panels and
+contact slots.
 """
 
 from collections.abc import Sequence
@@ -88,7 +88,7 @@ SKIN_FRACTION = 0.03  # of the width of the narrowest piece: see broad_phase.nei
 
 @dataclass(frozen=True)
 class AssembledSystem:
-    """A system with its first state, and what a host needs beside them."""
+    """A system with its first state and the additional data that the host needs."""
 
     system: System
     state: State
@@ -99,16 +99,15 @@ class AssembledSystem:
     settling_steps: int  # steps before time zero
     samples: int  # to be run
     frame_every: int  # samples between stored frames; 0: none
-    regions: list[Box]  # in which pieces are scattered: of the feed bucket, of the feeder, and
-    # where those of an inlet wait
-    numbers: tuple[int, ...]  # pieces in each of these boxes; () of pieces listed one by one
-    piece_set: PieceSet  # the pieces before they are anywhere, without those that only fill up the
-    # room of an ensemble
-    exchange_plan: ExchangePlan | None  # how pieces come in and leave
-    waiting_places: np.ndarray | None  # [n, 3] (m): where pieces are outside that fill up the room
-    # of an ensemble; None: it needs none
+    regions: list[Box]  # boxes in which pieces are scattered: in the feed bucket, on the feeder,
+    # and the waiting box of an inlet
+    numbers: tuple[int, ...]  # pieces in each of these boxes; () for pieces listed one by one
+    piece_set: PieceSet  # the pieces before placement, without the padding of an ensemble
+    exchange_plan: ExchangePlan | None  # of pieces that enter and leave
+    waiting_places: np.ndarray | None  # [n, 3] (m): places outside the scene of the padding of an
+    # ensemble; None without padding
     layout: Layout
-    start: InitialConditions  # of the pieces that are not of the lot
+    start: InitialConditions  # of the pieces without padding
 
 
 def assemble_system(
@@ -118,9 +117,17 @@ def assemble_system(
     reuse: AssemblyCache | None = None,
     room: EnsembleCapacity | None = None,
 ) -> AssembledSystem:
-    """Everything that a run of the scene needs. law: instead of the scene's; reuse: of scenes that
-    were built before; room: of an ensemble whose runs have different numbers of pieces. Raises
-    SceneError.
+    """Assemble the system and first state of a scene.
+
+    Args:
+        scene: the scene.
+        seed: of the random placement.
+        law: used instead of the scene's contact law.
+        reuse: cache of earlier scenes.
+        room: capacity of an ensemble whose runs have different numbers of pieces.
+
+    Raises:
+        SceneError: the scene cannot be used.
     """
     reuse = reuse or AssemblyCache()
     dtype = float_dtype(scene.run.precision)
@@ -133,7 +140,7 @@ def assemble_system(
         scene.folder,
     )
     goods = reuse_piece_set(scene, table, reuse)
-    own = reuse.get("made", lambda: list(goods.shapes), (), goods.shapes)  # not anew where only
+    own = reuse.get("made", lambda: list(goods.shapes), (), goods.shapes)  # reused where only
     # weights differ
     laid = reuse.get("walls", lambda: lay_out_walls(scene), of_walls)
     panels, motions, joint, blocks, regions = laid
@@ -250,7 +257,9 @@ def _choose_step(
     panels: Sequence[Panel],
     pieces: int,
 ) -> TimeStep:
-    """The time step for a number of pieces, and all else that swings. Raises SceneError."""
+    """The time step for a number of pieces, including the load cell and the drives. Raises
+    SceneError.
+    """
     if not contacts:
         raise SceneError(
             f"{scene.name}: a single piece and no wall: nothing can touch; allowed: another piece, or a [[wall]]"
@@ -263,7 +272,7 @@ def _choose_step(
 
 
 def _find_run_lengths(scene: Scene, step: TimeStep) -> tuple[int, int, int]:
-    """Steps before time zero, samples to be run, and samples between stored frames (0: none).
+    """Steps before time zero, number of samples, and samples between stored frames (0: none).
     Raises SceneError.
     """
     settling = count_settling_samples(scene) * step.substeps
@@ -284,8 +293,8 @@ def _build_hulls(
     dtype: DTypeLike,
     room: EnsembleCapacity | None = None,
 ) -> tuple[Parts, list[Shape], Hulls | None, Array]:
-    """Arrays of the parts of the pieces, their shapes, the table of hulls of parts and panels
-    (None: all are spheres), and the row of each in it.
+    """Arrays of the parts of the pieces, their shapes, the hull table of parts and panels (None if
+    all parts are spheres), and the table row of each body.
     """
     solids = list_piece_parts(made)
     more = pad_polytopes(solids, room, made) if room else []
@@ -309,10 +318,10 @@ def _reuse_initial_state(
     waiting: int,
     reuse: AssemblyCache,
 ) -> State:
-    """The first state; where one of a system of the same form was made, that with this one's own
+    """The first state; if a system of the same form was assembled before, its state with the new
     step and motion.
     """
-    if system.exchanges:  # which count from the first step
+    if system.exchanges:  # exchanges are counted from the first step
         return build_initial_state(system, start, frames, step, waiting)
     leaves, structure = jax.tree.flatten(system)
     form = structure, [leaf.shape for leaf in leaves], system.dt.dtype
@@ -325,7 +334,7 @@ def _reuse_initial_state(
 
 
 def inline_files(scene: Scene) -> Scene:
-    """The scene with the contents of the STL and CSV files that it names in their place. Raises
+    """The scene with the STL and CSV files that it names replaced by their contents. Raises
     SceneError.
     """
     whole = inline_buckets(inline_pieces(scene))
@@ -339,7 +348,7 @@ def inline_files(scene: Scene) -> Scene:
 
 
 def inline_pieces(scene: Scene) -> Scene:
-    """The scene with the contents of the STL files of its pieces in their place. Raises SceneError."""
+    """The scene with the STL files of its pieces replaced by their contents. Raises SceneError."""
     rows = [
         call_with_key(f"piece.{n}", inline_shape_points, row, scene.folder)
         for n, row in enumerate(scene.piece)
@@ -363,7 +372,9 @@ def _find_domain(
     made: Sequence[Shape],
     plan: ExchangePlan | None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """position: [n, 3] (m), of the pieces that are there at first."""
+    """Lowest and highest corner [3] (m) of the domain. position: [n, 3] (m), of the pieces that are
+    present at first.
+    """
     points = np.concatenate([position, *[corners for _, corners, _ in panels]])
     margin = 0.1 + 2 * max(m.bounding_radius for m in made)
     low, high = points.min(0) - margin, points.max(0) + margin
@@ -386,7 +397,7 @@ def _find_domain(
 
 
 def build_seeded_state(scene: Scene, built: AssembledSystem, seed: int) -> State:
-    """The first state of the same scene with another seed, for the system that was built. Raises
+    """The first state of the same scene with another seed, for an assembled system. Raises
     SceneError.
     """
     start = place_pieces(
@@ -401,5 +412,5 @@ def build_seeded_state(scene: Scene, built: AssembledSystem, seed: int) -> State
 
 
 def replace_initial_motion(built: AssembledSystem, start: InitialConditions) -> State:
-    """The first state with other poses and velocities, those in numpy."""
+    """The first state with other poses and velocities, which are in numpy."""
     return built.state.replace(motion=build_initial_motion(built.system, start, built.frames))

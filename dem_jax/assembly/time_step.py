@@ -1,26 +1,25 @@
-"""The time step: as asked for, or from the smallest critical step over all contacts that can be.
+"""The time step: as requested, or from the smallest critical step of all contacts that can occur.
 
-What no step may exceed is 2 / sqrt(lambda), lambda being the largest eigenvalue of stiffness over
-mass at a contact: of normal and tangential springs, whose contact point lies off the centre of
-mass, so that they move less than the whole mass (a sphere's tangential spring 2/7 of it). Contacts
-of one body add up: on both sides of it lambda is twice that of one, as in a row of pieces of which
-every other one moves against its neighbours. (In a pile the number is that of contacts; Otsubo,
-O'Sullivan and Shire, Computers and Geotechnics 86 (2017) 60-73.)
+No step may exceed 2 / sqrt(lambda), with lambda the largest eigenvalue of stiffness over mass at a
+contact. Normal and tangential springs act at a contact point off the centre of mass, which moves
+less than the whole mass (2/7 of it for a sphere's tangential spring). Contacts of one body add up:
+with contacts on both sides lambda is twice that of one contact, as in a row of pieces of which
+every other one moves against its neighbours. (In a pile the factor is the number of contacts;
+Otsubo, O'Sullivan and Shire, Computers and Geotechnics 86 (2017) 60-73.)
 
-A step is called stable if no impact gains more than 1 % of its energy (``LARGEST_GAIN``). That is a
-share of the limits of a single contact, of its normal and of its tangential spring, each by itself
-(``STEP_SHARES``), and never beyond the linear limit above. A step beyond is refused unless the
-scene allows it (run.allow_unstable_step), and then notes what an impact may gain: about (dt /
-dt_l)^2, dt_l being 2 / omega of the branch on which it loads, and more next to the linear limit, q
-of it: over sqrt(1 - q^2).
+A step is stable if no impact gains more than 1 % of its energy (``LARGEST_GAIN``). The stable step
+is a share of the limits of a single contact, for its normal and its tangential spring separately
+(``STEP_SHARES``), and never beyond the linear limit above. A longer step is refused unless the
+scene allows it (run.allow_unstable_step); a warning then states the possible gain of an impact:
+about (dt / dt_l)^2, with dt_l = 2 / omega of the loading branch, and near the linear limit, at a
+share q of it, this over sqrt(1 - q^2).
 
-Measured at epsilon = 1, where nothing hides a gain, over the moment of first touch within a step,
-direction and orientation; q is of the limit of a single contact.
+Measured at epsilon = 1, where no loss hides a gain, over the moment of first touch within a step,
+direction and orientation; q is relative to the limit of a single contact.
 
 - Walton and Braun, central impact without friction: at most 0.24, 0.58, 1.1, 2.7 and 4.2 % at q =
-  0.2, 0.25, 0.28, 0.35 and
-  0.4; Hertz 0.41, 0.80 and 1.7 % at 0.2, 0.25 and 0.3; a linear spring, without corrections of
-  corners, 0.24, 0.87 and 2.3 % at 0.05, 0.1 and 0.15.
+  0.2, 0.25, 0.28, 0.35 and 0.4; Hertz 0.41, 0.80 and 1.7 % at 0.2, 0.25 and 0.3; a linear spring,
+  without kink corrections, 0.24, 0.87 and 2.3 % at 0.05, 0.1 and 0.15.
 - A sphere that sticks (mu = 10), q of the tangential limit: 0.14, 0.47, 1.6 and 3.0 % at 0.1, 0.15,
   0.2 and 0.25.
 - A marshmallow that sticks: 0 and 1.0 % at 0.1 and 0.15; a plate of 30 x 20 x 5 mm 0.04, 0.3 and
@@ -60,20 +59,20 @@ from dem_jax.scene.unusual_numbers import most_unusual_key
 from dem_jax.shapes import Shape, list_parts
 from dem_jax.types import Materials, Pieces, as_array
 
-LARGEST_GAIN = 0.01  # of the energy of an impact: what no impact gains at a stable step
-NEARLY_ELASTIC = 0.9  # restitution up to which an impact loses more than a step can add
+LARGEST_GAIN = 0.01  # largest relative gain of energy of an impact at a stable step
+NEARLY_ELASTIC = 0.9  # restitution up to which an impact loses more energy than a step can add
 AUTOMATIC_SHARE = 0.3  # of the linear limit: no automatic step is longer
-RESOLVED_SHARE = 0.5  # of it: up to here laws may correct what the step leaves out; beyond, that
-# would feed what rings
+RESOLVED_SHARE = 0.5  # of the linear limit, up to which laws apply their kink corrections; beyond,
+# these would excite oscillations
 
 
 class StepShares(NamedTuple):
     """Shares of the linear limits of a single contact up to which no impact gains more than
-    ``LARGEST_GAIN``.
+    ``LARGEST_GAIN`` of its energy.
     """
 
-    normal: float  # of restitution above NEARLY_ELASTIC
-    damped: float  # of restitution up to it, of the normal spring
+    normal: float  # of the normal spring, for a restitution above NEARLY_ELASTIC
+    damped: float  # of the normal spring, for a restitution up to NEARLY_ELASTIC
     tangential: float
 
 
@@ -81,26 +80,24 @@ STEP_SHARES: dict[type, StepShares] = {
     WaltonBraun: StepShares(0.25, 0.4, 0.14),
     HertzMindlin: StepShares(0.25, 0.4, 0.14),
 }
-DEFAULT_STEP_SHARES = StepShares(0.1, 0.4, 0.14)  # of a linear spring, and of laws of the user's
-# own
+DEFAULT_STEP_SHARES = StepShares(0.1, 0.4, 0.14)  # for a linear spring and for user-defined laws
 
 
 @dataclass(frozen=True)
 class TimeStep:
-    """The time step and what limits it."""
+    """The time step and the limits from which it was chosen."""
 
     dt: float  # s
     substeps: int  # steps per sample
-    parts: int  # of equally many steps that a sample is cut into, none of more steps than a rebuild
-    # is good for
-    critical: float  # s: the smallest critical step, by the law's critical steps or by the accuracy
-    # asked for
-    stable: float  # s: up to here no impact gains more than GAIN of its energy
-    linear_limit: float  # s: beyond, contacts swing without bound; no step may exceed it
-    limit: str  # what sets the critical step, in words
-    resolved: float  # 1, or 0 above RESOLVED of the linear limit
-    error: float  # of the energy in an impact, relative, at most; about
-    warning: str | None  # of a step that the scene allows although it is not stable
+    parts: int  # parts of equally many steps per sample, each within the largest number of steps
+    # between rebuilds
+    critical: float  # s: the smallest critical step, from the law or from the requested accuracy
+    stable: float  # s: up to here no impact gains more than LARGEST_GAIN of its energy
+    linear_limit: float  # s: beyond, contacts are unstable; no step may exceed it
+    limit: str  # description of the limit that sets the critical step
+    resolved: float  # 1, or 0 above RESOLVED_SHARE of the linear limit
+    error: float  # approximate bound of the relative energy error of an impact
+    warning: str | None  # for an unstable step that the scene allows
 
     def __str__(self) -> str:
         return (
@@ -111,20 +108,20 @@ class TimeStep:
 
 @dataclass(frozen=True)
 class PossibleContact:
-    """A kind of contact that a scene can have, or kinds side by side, then with arrays [P] in the
-    place of numbers.
+    """A kind of contact that can occur in a scene, or P kinds at once, with arrays [P] instead of
+    numbers.
     """
 
     mass: Any  # (kg): effective mass of a central contact
     normal_mass_ratio: Any  # smallest ratio of the effective mass of an off-centre contact to it
-    tangential_mass_ratio: Any  # as well of a tangential one
+    tangential_mass_ratio: Any  # the same ratio for a tangential contact
     restitution: Any
     pair: Any  # the law's constants, each [1]
     description: str
 
 
 def largest_stiffness(law: ContactLaw, contacts: Sequence[PossibleContact]) -> float:
-    """The stiffness (N/m) of the stiffest contact."""
+    """Stiffness (N/m) of the stiffest contact."""
     return max(
         float(np.max(4 * c.mass / np.asarray(law.stable_step(c.pair, c.mass)) ** 2))
         for c in contacts
@@ -138,11 +135,18 @@ def choose_step(
     together: int = 2,
     added: float = 0.0,
 ) -> TimeStep:
-    """The time step: as asked for, or from the smallest critical step over all contacts that can
-    be. Raises SceneError.
+    """Choose the time step: as requested, or the smallest critical step of all contacts that can
+    occur.
 
-    together: how many contacts can act on a body from opposite sides. added: to the largest
-    eigenvalue (1/s2), by what else swings.
+    Args:
+        scene: the scene.
+        law: its contact law.
+        contacts: all kinds of contact that can occur.
+        together: number of contacts that can act on a body from opposite sides.
+        added: contribution (1/s2) of load cell and drives to the largest eigenvalue.
+
+    Raises:
+        SceneError: no step is possible, or the requested step is not allowed.
     """
     sample = scene.run.sample
     linear = min(float(np.min(_linear_limit(law, c))) for c in contacts) / np.sqrt(together)
@@ -180,8 +184,8 @@ def choose_step(
 
 
 def _check_step(scene: Scene, wanted: float, stable: float, linear: float) -> None:
-    """Raise SceneError for a step (s) beyond the linear limit (s), or beyond the stable one where
-    the scene does not allow it.
+    """Raise SceneError for a step (s) beyond the linear limit (s), or beyond the stable step (s)
+    unless the scene allows it.
     """
     if wanted > linear * (1 + 1e-9):
         raise SceneError(
@@ -195,7 +199,7 @@ def _check_step(scene: Scene, wanted: float, stable: float, linear: float) -> No
 
 
 def _describe_instability(dt: float, stable: float, error: float, critical: float) -> str:
-    """What a person should know of a step (s) beyond the stable one (s). error: of energy;
+    """Warning about a step (s) beyond the stable one (s). error: possible relative gain of energy;
     critical: (s).
     """
     return (
@@ -206,8 +210,8 @@ def _describe_instability(dt: float, stable: float, error: float, critical: floa
 
 
 def _stable_step(law: ContactLaw, c: PossibleContact) -> np.ndarray:
-    """The longest step (s), like the law's constants, with which an impact at a contact gains no
-    more than GAIN of its energy.
+    """Longest step (s), of the shape of the law's constants, at which an impact gains no more than
+    ``LARGEST_GAIN`` of its energy.
     """
     shares = STEP_SHARES.get(type(_unwrap_law(law)), DEFAULT_STEP_SHARES)
     share = np.where(np.asarray(c.restitution) > NEARLY_ELASTIC, shares.normal, shares.damped)
@@ -216,15 +220,15 @@ def _stable_step(law: ContactLaw, c: PossibleContact) -> np.ndarray:
 
 
 def _unwrap_law(law: ContactLaw) -> ContactLaw:
-    """The law that cohesion and rolling friction were added to."""
+    """The law without added cohesion and rolling friction."""
     while isinstance(law, Cohesive | Rolling):
         law = law.law
     return law
 
 
 def _linear_limits(law: ContactLaw, c: PossibleContact) -> tuple[np.ndarray, np.ndarray]:
-    """The linear stability limits (s) of one contact, like the law's constants: of its normal and
-    of its tangential spring (inf without one).
+    """Linear stability limits (s) of the normal and the tangential spring of one contact, of the
+    shape of the law's constants (inf without a tangential spring).
     """
     normal = np.asarray(law.stable_step(c.pair, c.mass * c.normal_mass_ratio))
     tangential = getattr(law, "tangential_stiffness", lambda _: None)(c.pair)
@@ -236,7 +240,7 @@ def _linear_limits(law: ContactLaw, c: PossibleContact) -> tuple[np.ndarray, np.
 
 
 def _linear_limit(law: ContactLaw, c: PossibleContact) -> np.ndarray:
-    """The smaller of the two."""
+    """The smaller of the two linear stability limits (s)."""
     return np.minimum(*_linear_limits(law, c))
 
 
@@ -247,7 +251,7 @@ def largest_interaction_range(law: ContactLaw, contacts: list[PossibleContact]) 
 
 
 def _default_step(law: ContactLaw, contacts: list[PossibleContact]) -> tuple[float, str]:
-    """The critical step (s) of the default resolution, and what sets it."""
+    """The critical step (s) at the default resolution, and a description of the limit."""
     steps = [
         (float(np.min(s)), f"{what}, {c.description}")
         for c in contacts
@@ -259,8 +263,8 @@ def _default_step(law: ContactLaw, contacts: list[PossibleContact]) -> tuple[flo
 def _accurate_step(
     scene: Scene, law: ContactLaw, contacts: list[PossibleContact], stable: float
 ) -> tuple[float, str]:
-    """The largest step (s) that keeps the accuracy that the scene asks for, and what sets it.
-    stable: the limit (s). Raises SceneError.
+    """The largest step (s) with the accuracy that the scene requests, and a description of the
+    limit. stable: linear limit (s). Raises SceneError.
     """
     if not isinstance(law, WaltonBraun):
         raise SceneError(
@@ -308,7 +312,9 @@ def _accurate_step(
 
 
 def block_steps(scene: Scene) -> int:
-    """Most steps between rebuilds: few distinct numbers, as they are part of what is compiled."""
+    """Largest number of steps between rebuilds, rounded to few distinct numbers, as it is part of
+    the compiled program.
+    """
     return overflow_recovery.round_to_multiple(8, scene.run.rebuild_steps)
 
 
@@ -319,9 +325,9 @@ def list_possible_contacts(
     pieces: Pieces,
     reuse: AssemblyCache | None = None,
 ) -> list[PossibleContact]:
-    """Each kind of piece against each material of walls, and against the kinds that move quickest
-    on its contact, about the centre of mass and off it: of as many kinds as pieces, all pairs would
-    be too many to list.
+    """Contacts of each kind of piece with each wall material, and with the other kinds that limit
+    the step most, for central and off-centre contacts. All pairs would be too many if each piece is
+    a kind of its own.
     """
     of_material = (np.asarray(pieces.material).tobytes(),)
     kinds = (reuse or AssemblyCache()).get(
@@ -381,8 +387,9 @@ def list_possible_contacts(
 def _list_piece_kinds(
     made: Sequence[Shape], pieces: Pieces
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Of each kind of piece, by shape and material, the first piece, how many there are, and its
-    least effective masses of an off-centre and of a tangential contact, relative to its mass.
+    """For each kind of piece, by shape and material: its first piece, the number of pieces, and the
+    smallest effective masses of an off-centre and of a tangential contact, relative to the mass of
+    a piece.
     """
     _, index = find_distinct_shapes(made)
     _, first, number = np.unique(
@@ -398,14 +405,14 @@ def _list_piece_kinds(
 
 
 def _single_value(values: ArrayLike) -> float:
-    """The value of a single couple."""
+    """The value of a single material pair."""
     return float(np.ravel(values)[0])
 
 
 def _build_material_pair(
     materials: Materials, pieces: Pieces, b: ArrayLike, a: ArrayLike | None, wall: np.integer | None
 ) -> MaterialPair:
-    """The couple of pieces b and a, or of b and a wall of a material."""
+    """Material pair of pieces b and a, or of b and a wall of a given material."""
     b = np.atleast_1d(b)
     own = b if a is None else np.atleast_1d(a)
     material = pieces.material[own] if wall is None else as_array(np.full(len(b), wall))
@@ -426,8 +433,8 @@ def _describe_contact(shape: Shape, other: str) -> str:
 
 
 def _normal_mass_ratio(shape: Shape) -> float:
-    """Smallest effective mass of a frictionless contact at a vertex or on a ball, relative to the
-    whole mass, in any direction.
+    """Smallest effective mass of a frictionless contact at a vertex or on a ball, in any direction,
+    relative to the whole mass.
     """
     if shape.radius > 0:
         return 1.0
@@ -444,11 +451,11 @@ def _normal_mass_ratio(shape: Shape) -> float:
 
 
 def _tangential_mass_ratio(shape: Shape) -> float:
-    """Smallest effective mass of a tangential contact, relative to the whole mass: at a vertex, or
-    on a ball.
+    """Smallest effective mass of a tangential contact at a vertex or on a ball, relative to the
+    whole mass.
     """
     if shape.radius == 0 and all(part.shape.radius == 0 for part in list_parts(shape)):
-        return _normal_mass_ratio(shape)  # which takes all directions
+        return _normal_mass_ratio(shape)  # this covers all directions
     balls = [
         (part.centre, part.shape.radius) for part in list_parts(shape) if part.shape.radius > 0
     ]

@@ -1,5 +1,5 @@
-"""A scene as two parts, its topology and its parameters, and the system with its first state as a
-function of both.
+"""Separation of a scene into topology and parameters, and assembly of the system and first state as
+a function of both.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -36,33 +36,31 @@ from dem_jax.scene.array_namespace import as_float_array
 from dem_jax.scene.messages import suggest_choices
 from dem_jax.types import Materials, State, System
 
-POSES = {"portion.position": "position", "portion.orientation": "orientation"}  # parameters of
-# pieces that a scene makes
-# of a System, of parameters
+POSES = {"portion.position": "position", "portion.orientation": "orientation"}  # initial poses of a
+# portion as parameters fields of a System that depend on parameters
 FIELDS = ("pieces", "materials", "law", "walls", "gravity", "block_low", "block_high")
 
 
 @dataclass(frozen=True, eq=False)
 class Topology:
-    """All of a scene that is no number of a compiled program's input: shapes, counts, groups,
-    kinds, capacities, time step.
+    """Everything in a scene except the numerical inputs of a compiled program: shapes, counts,
+    groups, kinds, capacities, time step.
 
-    Two topologies are equal, and have the same hash, if their programs are the same: it can be a
-    static argument of ``jax.jit``.
+    Two topologies are equal, and have the same hash, if they share a compiled program; a topology
+    can be a static argument of ``jax.jit``.
     """
 
     scene: Scene  # without the values of its parameters
     layout: Layout
-    start: InitialConditions  # of pieces that are no parameters
+    start: InitialConditions  # of pieces whose poses are not parameters
     system: System  # without FIELDS
     state: State  # without motion; scratch has the forms of its arrays
     frames: np.ndarray  # [N, 4]: principal frame to body frame, of each piece
     materials: Materials  # forms of the arrays
-    shapes: Mapping[str, tuple[int, ...]]  # of the values of all parameters
-    unset: frozenset[str]  # parameters that may be given, in whose place others stand if they are
-    # not
+    shapes: Mapping[str, tuple[int, ...]]  # shapes of the values of all parameters
+    unset: frozenset[str]  # optional parameters, which default to other parameters
     settling_steps: int  # time steps before time zero
-    steps_per_sample: int  # of a sample interval of the scene
+    steps_per_sample: int  # time steps per sample interval of the scene
     samples: int  # sample intervals from time zero to the end of the scene's run
 
     @property
@@ -105,16 +103,16 @@ class Topology:
 def split_scene(
     scene: Scene, built: AssembledSystem, quantities: Iterable[Quantity] = ()
 ) -> tuple[Topology, dict[str, np.ndarray]]:
-    """Topology and parameters of a self-contained scene that was built.
+    """Topology and parameters of a self-contained, assembled scene.
 
     Args:
         scene: with the contents of all its files.
-        built: of the scene.
-        quantities: to sample beside those of the system.
+        built: the assembled scene.
+        quantities: sampled in addition to those of the system.
 
     Raises:
-        SceneError: pieces come and go.
-        ValueError: there are two quantities of one name.
+        SceneError: pieces enter or leave.
+        ValueError: two quantities have the same name.
     """
     if built.exchange_plan is not None:
         raise SceneError(
@@ -142,8 +140,8 @@ def split_scene(
 
 
 def assemble(topology: Topology, parameters: Parameters) -> tuple[System, State]:
-    """System and first state of a topology with values of its parameters. Pure: values may be
-    traced.
+    """Assemble the system and first state of a topology from values of its parameters. Pure; the
+    values may be traced.
 
     Args:
         topology: of a scene.
@@ -153,7 +151,7 @@ def assemble(topology: Topology, parameters: Parameters) -> tuple[System, State]
         The system, which a run does not change, and the state at the first time step.
 
     Raises:
-        SceneError: a parameter is missing, unknown, or of another form.
+        SceneError: a parameter is missing, unknown, or has another shape.
     """
     check_parameters(topology, parameters)
     for key in topology.shapes.keys() - topology.unset - parameters.keys():
@@ -168,7 +166,7 @@ def assemble(topology: Topology, parameters: Parameters) -> tuple[System, State]
 
 
 def check_parameters(topology: Topology, parameters: Parameters) -> None:
-    """Raise SceneError for keys that are no parameters, and for values of another form."""
+    """Raise SceneError for unknown keys and for values of another shape."""
     for key, value in parameters.items():
         if key not in topology.shapes:
             raise _not_a_parameter(topology, key)
@@ -189,7 +187,7 @@ def _not_a_parameter(topology: Topology, key: str) -> SceneError:
 def _outline(
     scene: Scene, built: AssembledSystem, values: Parameters, unset: Parameters
 ) -> Topology:
-    """The topology of a scene with its values, before it is known which of them are parameters."""
+    """The topology of a scene and its values, before its parameters are determined."""
     of_scene = {key: value for key, value in {**values, **unset}.items() if key not in POSES}
     materials = jax.eval_shape(
         lambda values: build_materials(insert_values(scene, values)), of_scene
@@ -216,8 +214,8 @@ def _outline(
 
 
 def _prepare_system(built: AssembledSystem, quantities: Iterable[Quantity]) -> System:
-    """The system for a compiled loop of steps: rebuilds after whole sample intervals, quantities
-    with fixed names of rows.
+    """The system for a compiled loop of steps: rebuilds occur only after whole sample intervals,
+    and rows of quantities have fixed names.
     """
     system = overflow_recovery.with_all_pairs(built.system)
     part = built.step.substeps // built.step.parts
@@ -228,7 +226,7 @@ def _prepare_system(built: AssembledSystem, quantities: Iterable[Quantity]) -> S
 
 
 def _fill_arrays(topology: Topology, parameters: Parameters) -> tuple[System, State]:
-    """System and first state, whose scratch is that of the topology."""
+    """System and first state, with the scratch arrays of the topology."""
     scene = insert_values(
         topology.scene, {key: value for key, value in parameters.items() if key not in POSES}
     )
@@ -256,7 +254,7 @@ def _fill_arrays(topology: Topology, parameters: Parameters) -> tuple[System, St
 
 
 def _find_used(function: Callable[[Parameters], Any], values: Parameters) -> list[str]:
-    """Keys of the values that the results of a function depend on."""
+    """Keys of the values on which the results of a function depend."""
     jaxpr = jax.make_jaxpr(function)(dict(values)).jaxpr
     needed = {variable for variable in jaxpr.outvars if isinstance(variable, Var)}
     for equation in reversed(jaxpr.eqns):

@@ -1,4 +1,4 @@
-"""Panels of the walls, the groups that they move in, and the seams between them."""
+"""Panels of the walls, their motion groups, and the seams between them."""
 
 import dataclasses
 from collections.abc import Callable, Sequence
@@ -28,11 +28,11 @@ from dem_jax.shapes import Shape, wall_meshes
 from dem_jax.types import Plates, Walls, as_array
 from dem_jax.walls import motion
 
-AS_READ = {"unit": 1.0, "rotate_deg": (0.0, 0.0, 0.0), "move": (0.0, 0.0, 0.0)}  # of what is in
-# metres where it is
+AS_READ = {"unit": 1.0, "rotate_deg": (0.0, 0.0, 0.0), "move": (0.0, 0.0, 0.0)}  # settings of
+# panels that are in metres and in place
 
-# Thickness of the panels of a closed body over the least that is behind its facets: a piece that
-# presses on one side of a sheet by nine tenths of it does not feel the panels of the other side.
+# Thickness of the panels of a closed body over the smallest thickness behind its facets. Even a
+# piece that penetrates a sheet by nine tenths does not touch the panels of the other side.
 SHARE_OF_SHEET = 0.1
 
 
@@ -40,7 +40,7 @@ def lay_out_walls(
     scene: Scene,
 ) -> tuple[list[Panel], list[Motion], dict[str, str], list[Block], list[Box]]:
     """Panels (group, corners, thickness), sections of motions, reported names, blocks, and the
-    boxes (low, high) in which pieces start: of the feed bucket, of the feeder.
+    boxes (low, high) in the feed bucket and on the feeder in which pieces start.
     """
     scene = inline_buckets(apply_cycle(scene))
     panels: list[Panel] = []
@@ -80,7 +80,7 @@ def lay_out_walls(
 
 
 def list_wall_panels(wall: Wall, folder: str | Path) -> list[Panel]:
-    """The panels of a section of walls; STL files are looked for in a folder. Raises SceneError."""
+    """The panels of a wall section; STL paths are relative to the folder. Raises SceneError."""
     if (wall.corners is None) == (wall.stl is None):
         raise SceneError(f"wall {wall.group!r}: corners, stl: exactly one of the two must be given")
     if wall.stl is None:
@@ -91,7 +91,7 @@ def list_wall_panels(wall: Wall, folder: str | Path) -> list[Panel]:
 
 
 def _read_panels(row: Wall | Bucket | Feeder, stl: str, folder: str | Path) -> wall_meshes.WallMesh:
-    """The panels of an STL where they are placed. Raises SceneError."""
+    """The panels of an STL, placed in the scene. Raises SceneError."""
     found = wall_meshes.read_wall_mesh(Path(folder) / stl, row.unit)
     check_stl_unit(row, stl, found.panels)
     turn = Rotation.from_euler("xyz", row.rotate_deg, degrees=True).as_matrix()
@@ -106,8 +106,8 @@ def _read_panels(row: Wall | Bucket | Feeder, stl: str, folder: str | Path) -> w
 def _limit_thickness(
     row: Wall | Bucket | Feeder, read: Sequence[wall_meshes.WallMesh]
 ) -> tuple[float, list[str]]:
-    """Thickness (m) of the panels read for a row: no more than is behind the facets of closed
-    bodies; and what there is to say.
+    """Thickness (m) of the panels of a row, limited to ``SHARE_OF_SHEET`` of the space behind the
+    facets of closed bodies; and notes on a reduction.
     """
     most = SHARE_OF_SHEET * min(mesh.thinnest for mesh in read)
     if row.thickness <= most:
@@ -118,8 +118,8 @@ def _limit_thickness(
 
 
 def inline_buckets(scene: Scene) -> Scene:
-    """The scene with the panels of its buckets' and its feeder's STL files in their place, and what
-    was read in words. Raises SceneError.
+    """The scene with the STL files of its buckets and its feeder replaced by their panels, and with
+    notes on them. Raises SceneError.
     """
     readers: dict[str, Callable[..., Any]] = {
         "weigh_bucket": _inline_bucket,
@@ -136,8 +136,8 @@ def inline_buckets(scene: Scene) -> Scene:
 
 
 def _inline_bucket(bucket: Bucket, folder: str | Path) -> Bucket:
-    """The bucket with its lowest point, closed, at z = 0, and with ``centre`` the middle of its
-    mouth at x = y = 0, but for what it is moved by.
+    """The bucket with its lowest point, when closed, at z = 0 and, with ``centre``, the middle of
+    its mouth at x = y = 0, both before ``move``.
     """
     assert bucket.stl is not None
     files = (bucket.stl, *(bucket.flap_stl or ()))
@@ -168,9 +168,7 @@ def _inline_bucket(bucket: Bucket, folder: str | Path) -> Bucket:
 
 
 def _inline_feeder(feeder: Feeder, folder: str | Path) -> Feeder:
-    """The feeder with the end of its floor, where x is greatest, at x = z = 0 but for what it is
-    moved by.
-    """
+    """The feeder with the end of its floor (largest x) at x = z = 0, before ``move``."""
     assert feeder.stl is not None
     mesh = _read_panels(feeder, feeder.stl, folder)
     floor = np.concatenate(bucket_geometry.select_floor_panels(mesh.panels) or mesh.panels)
@@ -190,13 +188,13 @@ def _inline_feeder(feeder: Feeder, folder: str | Path) -> Feeder:
 
 
 def _to_corner_tuples(mesh: wall_meshes.WallMesh) -> tuple[tuple[tuple[float, ...], ...], ...]:
-    """The corners of each panel as a scene has them."""
+    """The corners of each panel in the form of a scene."""
     return tuple(tuple(map(tuple, panel.tolist())) for panel in mesh.panels)
 
 
 def inline_wall_panels(wall: Wall, folder: str | Path) -> list[Wall]:
-    """The wall with the panels of its STL, one each, and in the first what was read; others as they
-    are. Raises SceneError.
+    """One wall for each panel of the STL of a wall, the first with notes on the file; a wall
+    without an STL unchanged. Raises SceneError.
     """
     if wall.stl is None or wall.corners is not None:
         return [wall]
@@ -220,8 +218,8 @@ def build_walls(
     dtype: DTypeLike,
     piece_radius: float = 0.0,
 ) -> tuple[Walls, list[Shape], list[PanelSeams] | None]:
-    """The walls, the shapes of their panels and the seams of each; piece_radius: (m) as of
-    ``find_surfaces``, 0 where nobody asks for contacts. Raises SceneError.
+    """The walls, the shapes of their panels and the seams of each; piece_radius: (m) see
+    ``find_surfaces``, 0 if contacts are not needed. Raises SceneError.
     """
     walls, plates, seams = build_panel_arrays(scene, panels, joint, dtype, piece_radius)
     return (
@@ -232,8 +230,8 @@ def build_walls(
 
 
 def build_motion_arrays(scene: Scene, motions: Sequence[Motion], walls: Walls) -> dict[str, Any]:
-    """Fields of Walls that say how the groups move: pivots, motions, load cell and drives, in numpy
-    or of traced values.
+    """Fields of Walls for the motion of the groups (pivots, motions, load cell and drives), in
+    numpy or of traced values.
 
     Args:
         scene: its numbers may be traced.
@@ -241,7 +239,7 @@ def build_motion_arrays(scene: Scene, motions: Sequence[Motion], walls: Walls) -
         walls: the panels and their groups.
 
     Raises:
-        SceneError: motions that do not go together.
+        SceneError: motions that cannot be combined.
     """
     moved, pivot = motion.build_motions(motions, walls.groups)
     return {
@@ -259,7 +257,7 @@ def build_panel_arrays(
     dtype: DTypeLike,
     piece_radius: float = 0.0,
 ) -> tuple[Walls, list[Shape], list[PanelSeams] | None]:
-    """As ``build_walls``, of walls at rest. Raises SceneError."""
+    """As ``build_walls``, for walls at rest. Raises SceneError."""
     groups = list(dict.fromkeys(group for group, _, _ in panels))
     made = [
         _build_panel(corners, thickness, f"corners of wall group {group!r}")
@@ -308,8 +306,8 @@ def smooth_angle(scene: Scene) -> float:
 
 
 def describe_surfaces(scene: Scene) -> list[str]:
-    """One line for each wall group whose panels meet at angles of smooth surfaces: how many
-    surfaces they make.
+    """A line for each wall group whose panels form smooth surfaces with bends, with the number of
+    surfaces.
     """
     panels = [(group, corners) for group, corners, _ in lay_out_walls(scene)[0]]
     lines = []
@@ -326,7 +324,7 @@ def describe_surfaces(scene: Scene) -> list[str]:
 
 
 def _build_plates(panels: Sequence[Shape], seams: Sequence[PanelSeams] | None) -> Plates:
-    """The outlines of panels, ``_build_panel``."""
+    """The outlines of panels from ``_build_panel``."""
     outlines = [shape.vertices[list(shape.faces[0]), :2] for shape in panels]
     most = max(map(len, outlines), default=3)
     rows = []
@@ -347,7 +345,7 @@ def _build_plates(panels: Sequence[Shape], seams: Sequence[PanelSeams] | None) -
 def _build_panel(
     corners: np.ndarray, thickness: float, name: str
 ) -> tuple[Shape, np.ndarray, np.ndarray]:
-    """A panel as a shape about its own centre with the surface's normal along z, its centre and its
+    """A panel as a shape about its own centre with the surface normal along z, its centre and its
     rotation.
     """
     return _build_cached_panel(
@@ -359,10 +357,9 @@ def _build_panel(
 def _build_cached_panel(
     rows: tuple[tuple[float, ...], ...], thickness: float, name: str
 ) -> tuple[Shape, np.ndarray, np.ndarray]:
-    """``_build_panel``, once for all runs of an ensemble; the arrays are not to be written to."""
+    """``_build_panel``, cached for all runs of an ensemble; the arrays must not be modified."""
     corners = np.array(rows)
-    wall_meshes.build_plate(corners, thickness, name)  # raises what is wrong with the corners as
-    # they were given
+    wall_meshes.build_plate(corners, thickness, name)  # raises errors about the corners as given
     plate = wall_meshes.build_plate(wall_meshes.drop_collinear_corners(corners), thickness, name)
     x = corners[1] - corners[0]
     z = np.cross(corners - corners[0], np.roll(corners, -1, axis=0) - corners[0]).sum(0)
@@ -371,6 +368,6 @@ def _build_cached_panel(
     turn = np.stack([x, np.cross(z, x), z], axis=1)  # panel frame -> scene
     local = plate.vertices @ turn
     shape = shapes.make_polytope(name, local, plate.faces)
-    centre = turn @ (local.mean(0) - shape.vertices.mean(0))  # of mass: where polytope() puts the
-    # origin
+    centre = turn @ (local.mean(0) - shape.vertices.mean(0))  # centre of mass, the origin that
+    # make_polytope() chooses
     return dataclasses.replace(shape, principal=np.array([1.0, 0, 0, 0])), centre, turn

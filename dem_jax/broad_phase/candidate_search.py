@@ -1,9 +1,9 @@
-"""Candidate pairs of bodies by all pairs, sorted cells, or the neighbour list of jax-md.
+"""Candidate pairs of bodies from all pairs, sorted cells, or the neighbour list of jax-md.
 
-Each source takes (system, members, stacked, reach, room): body numbers [M] int32, ``bodies.stack``,
-the gap (m) within which pairs count and a number of pairs to keep, and answers with the pairs (a,
-b), a < b, two int32 arrays that hold EMPTY where there is no pair, and the capacity needed to find
-them all.
+Each source takes (system, members, stacked, reach, room): body numbers [M] int32, the packed bodies
+(``packed_bodies.pack_bodies``), the gap (m) within which pairs are candidates and the capacity. It
+returns the pairs (a, b), a < b, two int32 arrays with EMPTY in free places, and the capacities that
+are needed to find all pairs.
 """
 
 from types import ModuleType
@@ -23,16 +23,16 @@ from dem_jax.types import Array, OverflowReport, Partition, System, as_array
 ALL_PAIRS_LIMIT = 700  # "auto" tests all pairs of up to this number of pieces, as fast as any list;
 # cells for more
 TABLE_MIN_PARTS = 128  # from this number of parts on "all-pairs" uses a table
-CUTOFF_MARGIN = 1e-4  # of the cutoff of jax-md's list, by which it exceeds the sum of its terms
+CUTOFF_MARGIN = 1e-4  # relative excess of the cutoff of jax-md's list over the sum of its terms
 
 
 class BroadPhaseReport(NamedTuple):
-    """Capacities that a search needs; row, partition and reach as in ``types.Guard``."""
+    """Capacities that a search needs; row, partition and reach as in ``types.OverflowReport``."""
 
     row: Array
     partition: Array
     reach: Array
-    dropped: Array  # int32: pairs for which there was no room
+    dropped: Array  # int32: number of pairs that exceeded the capacity
 
 
 CandidatePairs = tuple[Array, Array, BroadPhaseReport]  # the pairs (a, b), and the capacities
@@ -40,7 +40,7 @@ CandidatePairs = tuple[Array, Array, BroadPhaseReport]  # the pairs (a, b), and 
 
 
 def empty_search_report(dtype: DTypeLike) -> BroadPhaseReport:
-    """That of a search that needs nothing, in numpy."""
+    """The report of a search that needs nothing, in numpy."""
     zero = as_array(np.zeros((), np.int32))
     return BroadPhaseReport(
         zero, as_array(np.zeros((2,), np.int32)), as_array(np.zeros((), dtype)), zero
@@ -48,7 +48,7 @@ def empty_search_report(dtype: DTypeLike) -> BroadPhaseReport:
 
 
 def merge_report(guard: OverflowReport, need: BroadPhaseReport) -> OverflowReport:
-    """The guard with the largest needs so far."""
+    """The overflow report with the largest needs so far."""
     return guard.replace(
         **{
             name: jnp.maximum(getattr(guard, name), getattr(need, name))
@@ -60,8 +60,8 @@ def merge_report(guard: OverflowReport, need: BroadPhaseReport) -> OverflowRepor
 def find_candidates(
     system: System, source: str, stacked: Array, reach: Array, room: int
 ) -> CandidatePairs:
-    """Pairs of a source of contacts (a name of neighbours.SOURCES), at most ``room`` where they are
-    many, and Need.
+    """Pairs of a source of contacts (a name in ``neighbour_list.PAIR_SOURCES``), at most ``room``
+    if there are many, and the report.
     """
     parts = system.parts
     if source.startswith("wall"):
@@ -84,7 +84,7 @@ def find_candidates(
 
 
 def choose_search(neighbours: str, members: int) -> str:
-    """The search method for a number of pieces, as the scene selects it."""
+    """The search method for a number of pieces, from the setting of the scene."""
     if members < 2:
         return "all-pairs"
     if neighbours == "auto":
@@ -93,8 +93,8 @@ def choose_search(neighbours: str, members: int) -> str:
 
 
 def pair_count(kind: str, polytopes: int, spheres: int, panels: int) -> int:
-    """How many pairs of a kind there are at all, from the numbers of polytopes and spheres among
-    the parts and of panels.
+    """Number of all pairs of a kind, from the numbers of polytopes and spheres among the parts and
+    of panels.
     """
     return {
         "hulls": polytopes * (polytopes - 1) // 2 + panels * polytopes,
@@ -105,8 +105,8 @@ def pair_count(kind: str, polytopes: int, spheres: int, panels: int) -> int:
 
 
 def _combine_all(first: Array, second: Array) -> tuple[Array, Array]:
-    """Each of the first with each of the second; where both have a run axis behind, of the same
-    run.
+    """All combinations of the first with the second; with a trailing run axis only those of the
+    same run.
     """
     a, b = (x.reshape(-1) for x in jnp.broadcast_arrays(first[:, None], second[None]))
     return a, b
@@ -115,7 +115,7 @@ def _combine_all(first: Array, second: Array) -> tuple[Array, Array]:
 def find_all_pairs(
     system: System, members: Array, stacked: Array, reach: Array, room: int
 ) -> CandidatePairs:
-    """Every pair there is, of pieces of one run, and Need: nothing; of many, those of
+    """Every pair of pieces of one run, and an empty report; for many pieces those of
     ``find_pairs_in_table``.
     """
     if system.runs == 1 and members.shape[0] >= TABLE_MIN_PARTS:
@@ -128,12 +128,12 @@ def find_all_pairs(
 def find_pairs_in_table(
     system: System, members: Array, stacked: Array, reach: Array, room: int
 ) -> CandidatePairs:
-    """Pairs of different pieces whose bounding spheres are within reach, out of a table of each
-    with each, and Need: nothing.
+    """Pairs of different pieces whose bounding spheres are within reach, from a table of all pairs,
+    and the report.
 
-    In the order of ``find_all_pairs``. The table is twice as large as a list of pairs, but a
-    processor goes along its rows, where a list has it look up two places for each pair: a quarter
-    of the time.
+    The order is that of ``find_all_pairs``. The table is twice as large as a list of pairs, but a
+    processor traverses its rows, while a list needs two look-ups for each pair: the table takes a
+    quarter of the time.
     """
     number, columns = members.shape[0], members.shape[0] + -members.shape[0] % WORD_BITS
     ball = jnp.concatenate([stacked[:3, members], system.parts.bounding_radius[members][None]])
@@ -158,12 +158,12 @@ def find_pairs_in_table(
 def find_pairs_in_cells(
     system: System, members: Array, stacked: Array, reach: Array, room: int
 ) -> CandidatePairs:
-    """Pairs of pieces in the same or in neighbouring cells whose bounding spheres are within reach,
-    each once, and Need: the most pieces in a row of three cells.
+    """Pairs of pieces in the same or neighbouring cells whose bounding spheres are within reach,
+    each once, and the report with the largest number of pieces in a row of three cells.
 
-    Pieces are sorted by cell, z fastest, so that three cells one above the other are one range of
-    the sorted list: the rest of a piece's own cell and the one above, and four rows beside it, hold
-    its partners of higher rank. Pairs come out piece by piece, as from ``find_all_pairs``, so that
+    Pieces are sorted by cell, z fastest, so that three vertically adjacent cells are one range of
+    the sorted list. The partners of higher rank are in the rest of a piece's own cell, the cell
+    above, and four adjacent rows. Pairs are ordered by piece, as in ``find_all_pairs``, so that
     consecutive slots find their bodies in the cache.
     """
     size = 2 * jnp.max(system.parts.bounding_radius[members]) + reach
@@ -173,7 +173,7 @@ def find_pairs_in_cells(
     key = (cell[0] * count[1] + cell[1]) * count[2] + cell[2]
     order, number = jnp.argsort(key), members.shape[0]
     ranked = key[order]
-    own = jnp.zeros_like(key).at[order].set(jnp.arange(number, dtype=key.dtype))  # where in the
+    own = jnp.zeros_like(key).at[order].set(jnp.arange(number, dtype=key.dtype))  # position in the
     # sorted list
     rows = [(0, 1), (1, -1), (1, 0), (1, 1)]
     beside = jnp.stack([key + (dx * count[1] + dy) * count[2] for dx, dy in rows], axis=1)
@@ -201,11 +201,12 @@ def find_pairs_with_jax_md(
     system: System, members: Array, stacked: Array, reach: Array, room: int
 ) -> CandidatePairs:
     """Pairs of pieces whose bounding spheres of the largest size are within ``Partition.reach``,
-    and Need: room and reach.
+    and the report with the needed capacity and reach.
 
-    By ``import_jax_md.partition.neighbor_list`` in free space. Its cutoff is static while ours is
-    not: what goes beyond it is missed, and is noted as a need. jax-md tells that a list overflowed,
-    not by how much: then twice its room is needed.
+    Uses ``partition.neighbor_list`` of jax-md (``import_jax_md``) in free space. Its cutoff is
+    static while the reach is not: pairs beyond the cutoff are missed, and the report notes the
+    needed reach. jax-md reports that a list overflowed but not by how much; twice its capacity is
+    then requested.
     """
     listing = system.partition
     assert listing is not None
@@ -214,8 +215,8 @@ def find_pairs_with_jax_md(
     place = (stacked[:3, members] - system.domain_low[:, None]).T
     number = members.shape[0]
     box = np.array(listing.sides) * size
-    room = min(listing.pairs, 27 * listing.cell * number - 1)  # the last place of its scratch takes
-    # what is no pair
+    room = min(listing.pairs, 27 * listing.cell * number - 1)  # the last place of its scratch array
+    # collects entries that are not pairs
     with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
         partition, space = import_jax_md()
         form = partition.NeighborListFormat.OrderedSparse
@@ -248,10 +249,10 @@ def find_pairs_with_jax_md(
 
 
 def import_jax_md() -> tuple[ModuleType, ModuleType]:
-    """jax-md's ``partition`` and ``space``.
+    """Import jax-md's ``partition`` and ``space``.
 
-    Imported only where a scene asks for its list, as that takes seconds and hundreds of MB. It
-    computes as it is imported, which a trace under way must not see, and promotes dtypes.
+    It is imported only if a scene selects its list, as the import takes seconds and hundreds of MB.
+    jax-md computes during import, which must not become part of a trace, and promotes dtypes.
 
     Raises:
         SceneError: jax-md is not installed.
@@ -274,7 +275,7 @@ def import_jax_md() -> tuple[ModuleType, ModuleType]:
 def initial_partition(
     members: int, diameter: float, volume: float, extent: np.ndarray
 ) -> Partition:
-    """Room for jax-md's list to begin with, for densely packed pieces.
+    """Initial capacity of jax-md's list, for densely packed pieces.
 
     diameter: (m) of the largest bounding sphere; volume: (m3) of the smallest piece; extent: [3]
     (m) of the domain.

@@ -1,12 +1,12 @@
-"""Which pairs may touch before the next rebuild, and contact history carried across a rebuild by
-partner.
+"""Rebuild of the neighbour list: pairs that may touch before the next rebuild, with contact history
+carried across it by partner.
 
-A rebuild looks at those of ``pairs`` in stages, each on what the one before left: bounding spheres
-(of a panel and a piece: box and sphere), then the full separating-axis test. What is left are pairs
-nearer than the way that the speeds of the fastest take two bodies until the next rebuild
-(``Scratch.expected_displacement``) and a skin for what changes speeds; ``excess_displacement``
+A rebuild tests the pairs of ``PAIR_SOURCES`` in stages: first bounding spheres (box and sphere for
+a panel and a piece), then the full separating-axis test. The remaining pairs are nearer than a skin
+plus the displacement of the two fastest bodies until the next rebuild
+(``Scratch.expected_displacement``); the skin allows for changes of speed. ``excess_displacement``
 measures whether two bodies may have approached each other by more. More candidates than slots is
-not an error here but data: the host grows the capacity and runs the chunk again.
+not an error here but data: the host grows the capacity and repeats the chunk.
 """
 
 from collections.abc import Sequence
@@ -43,9 +43,9 @@ from dem_jax.walls import kinematics
 
 T = TypeVar("T")
 
-# Kinds of contact by what computes their geometry, each with slots of its own, and the sources of
-# their pairs. In the order of the alphabet, as JAX sorts the keys of a dict: ``incidence`` counts
-# on one order everywhere.
+# Kinds of contact by the computation of their geometry, each with its own slots, and the sources of
+# their pairs. In alphabetical order, as JAX sorts the keys of a dict: ``incidence`` relies on one
+# order everywhere.
 PAIR_SOURCES = {
     "hulls": ("hull-hull", "wall-hull"),
     "mixed": ("hull-sphere",),
@@ -55,26 +55,26 @@ PAIR_SOURCES = {
 
 
 class SearchInput(NamedTuple):
-    """What a rebuild goes by."""
+    """Input of a search for candidate pairs."""
 
-    stacked: Array  # [rows, M + W], bodies.stack
+    stacked: Array  # [rows, M + W], of ``packed_bodies.pack_bodies``
     reach: Array  # [R] (m): how far apart candidates may be
-    is_first: Array  # bool: nothing was found before
+    is_first: Array  # bool: whether this is the first rebuild
 
 
 class FoundContacts(NamedTuple):
-    """What a rebuild found of a kind of contact."""
+    """Contacts of one kind after a rebuild."""
 
     table: ContactTable
     slots: PairConstants
-    filled: Array  # int32: slots that are
-    needed: Array  # [2] int32, see Guard
-    feature_cache: tuple[ActiveFeatures, SupportFaces] | None  # of polytopes that keep their near
+    filled: Array  # int32: number of filled slots
+    needed: Array  # [2] int32, see ``OverflowReport``
+    feature_cache: tuple[ActiveFeatures, SupportFaces] | None  # for polytopes with cached active
     # features
 
 
 class Incidence(NamedTuple):
-    """Which contacts each piece has."""
+    """The contacts of each piece."""
 
     load_columns: Array  # [touching, N] int32: of State
     max_contacts: Array  # int32: of any piece
@@ -85,8 +85,8 @@ class Incidence(NamedTuple):
 def rebuild_neighbour_list(
     system: System, state: State, panels: kinematics.WallState | None = None
 ) -> State:
-    """Find the candidate pairs anew and carry the history of those that remain. panels: where they
-    are now, if known.
+    """Find the candidate pairs and carry over the history of those that remain. panels: current
+    wall state, if known.
     """
     if panels is None:
         panels = kinematics.apply_compliance(
@@ -153,8 +153,8 @@ def _find_contacts(
     rooms: Sequence[int],
     column: int,
 ) -> tuple[OverflowReport, FoundContacts]:
-    """The contacts of a kind; rooms: for candidates and for slots; column: of ``Scratch.loads``,
-    where the kind began.
+    """The contacts of a kind. rooms: capacities for candidates and slots; column: first column of
+    the kind in ``Scratch.loads``.
     """
     candidates, room = rooms
     close, one, other = [], [], []
@@ -171,8 +171,8 @@ def _find_contacts(
         jnp.concatenate(close), jnp.concatenate(one), jnp.concatenate(other), candidates
     )
     overlap, relative = _candidate_overlaps(system, kind, a, b, number, by.stacked)
-    keeps = kind == "hulls" and has_feature_cache(system)  # then what overlaps is known after the
-    # first look
+    keeps = kind == "hulls" and has_feature_cache(system)  # the initial overlap is then recorded by
+    # the first feature search
     guard = guard if keeps else _record_initial_overlap(guard, by.is_first, relative, a, b)
     touching, a, b = compact_overlapping_first(
         overlap, batch_reduction.take_run_values(system, by.reach, jnp.maximum(b, 0)), a, b, room
@@ -209,8 +209,8 @@ def _find_contacts(
 
 
 def _largest_run_needs(system: System, near: Array, touching: Array, b: Array) -> Array:
-    """The candidates and slots that one run wants, [2]; near, touching: those of all runs; b:
-    [slots], pieces in slots.
+    """Numbers of candidates and slots that any single run needs, [2]. near, touching: totals of all
+    runs; b: [slots], pieces in slots.
     """
     each = batch_reduction.sum_contacts_per_run(system, (b >= 0).astype(jnp.int32), b)
     mean = (jnp.stack([near, touching]) + system.runs - 1) // system.runs
@@ -220,8 +220,8 @@ def _largest_run_needs(system: System, near: Array, touching: Array, b: Array) -
 def is_within_bounds(
     system: System, stacked: Array, source: str, a: Array, b: Array, gap: Array
 ) -> Array:
-    """Whether the bounds of two bodies are nearer than a gap (m), [pairs] bool: spheres, of a panel
-    the box around it.
+    """Whether the bounds of two bodies are nearer than a gap (m), [pairs] bool. The bound is a
+    sphere, for a panel a box.
     """
     live = a >= 0
     a, b = jnp.maximum(a, 0), jnp.maximum(b, 0)
@@ -252,11 +252,11 @@ def is_within_bounds(
 def _candidate_overlaps(
     system: System, kind: str, a: Array, b: Array, number: Array, stacked: Array
 ) -> Array:
-    """Overlap of each pair by the full test, [pairs] (m), and relative to its width; of an empty
-    one, minus infinity.
+    """Overlap (m) of each pair from the full test, and the overlap relative to the width, [2,
+    pairs]; minus infinity for empty pairs.
 
-    number: how many pairs there are, the first ones; of the rest, as many as fill a block are
-    looked at too.
+    number: the number of pairs, which come first; with tiling only tiles that contain pairs are
+    tested.
     """
 
     def overlap_pairs(a: Array, b: Array) -> Array:
@@ -288,7 +288,7 @@ def _candidate_overlaps(
 def _record_initial_overlap(
     guard: OverflowReport, first_time: Array, relative: Array, a: Array, b: Array
 ) -> OverflowReport:
-    """Note the deepest pair of all, if this is the first rebuild."""
+    """Record the deepest pair at the first rebuild."""
     worst = jnp.argmax(relative)
     more = first_time & (relative[worst] > guard.start_overlap)
     return guard.replace(
@@ -300,11 +300,11 @@ def _record_initial_overlap(
 def match_contacts(
     system: System, state: State, kind: str, a: Array, b: Array, column: int
 ) -> tuple[Array, Array]:
-    """The slot in the last table of each pair (a, b) of a kind, [P] int32, and whether it had one,
+    """Slot of each pair (a, b) of a kind in the previous table, [P] int32, and whether it had one,
     [P] bool.
 
-    column: where the loads on b of this kind begin in ``State.incidence``. A pair that was known
-    stands among the few contacts of its b, so that no sorting and no search is needed.
+    column: first column of the loads on b of this kind in ``State.incidence``. A known pair is
+    among the few contacts of its b, so that neither sorting nor a search is needed.
     """
     old, incidence = state.contacts[kind], state.incidence
     room, columns = old.a.shape[0], sum(2 * table.a.shape[0] for table in state.contacts.values())
@@ -325,8 +325,8 @@ def match_contacts(
 
 
 def carry_history(old: T, none: T, slot: Array, known: Array) -> T:
-    """Of a tree of rows [.., P] of former slots what the pairs had, and ``none`` of those that had
-    none.
+    """Rows [.., P] of a tree for the new slots: those of the former slot of known pairs, and
+    ``none`` for new pairs.
     """
     pick = lambda rows, new: jnp.where(
         known.reshape((1,) * (new.ndim - 1) + (-1,)), rows[..., slot], new
@@ -335,7 +335,7 @@ def carry_history(old: T, none: T, slot: Array, known: Array) -> T:
 
 
 def empty_feature_cache(system: System, room: int) -> tuple[ActiveFeatures, SupportFaces]:
-    """Near features and facing faces of which nothing is known."""
+    """Active features and support faces that are marked as unknown."""
     table = system.hulls
     assert table is not None and table.features is not None
     features = table.features
@@ -350,7 +350,7 @@ def empty_feature_cache(system: System, room: int) -> tuple[ActiveFeatures, Supp
 
 
 def init_contact_history(system: System, kind: str, slots: PairConstants) -> ContactHistory:
-    """The memory of contacts that begin, in slots."""
+    """Initial history of contacts, in slots."""
     zero = jnp.zeros(slots.a.shape, system.dt.dtype)
     arm, tied = (
         None if slots.patch is None else zero,
@@ -384,8 +384,8 @@ def init_contact_table(system: System, kind: str, room: int) -> ContactTable:
 def _history_shape(
     structure: Any, forms: tuple[tuple[tuple[int, ...], np.dtype], ...], kind: str, room: int
 ) -> ContactHistory:
-    """Of what form the memory of so many slots is, in a system of such arrays: the same for all
-    runs of an ensemble.
+    """Shapes of the contact history for a number of slots, in a system with arrays of these shapes;
+    cached for all runs of an ensemble.
     """
     system = jax.tree.unflatten(structure, [jax.ShapeDtypeStruct(*form) for form in forms])
     slot = jax.ShapeDtypeStruct((room,), np.int32)
@@ -399,7 +399,7 @@ def _history_shape(
 
 
 def find_incidence(system: System, tables: dict[str, ContactTable]) -> Incidence:
-    """Where the loads of each piece stand in the columns that forces adds up, those of walls first.
+    """Columns of the loads of each piece, as summed by ``contacts.forces``, those of walls first.
 
     The columns are, for each kind, the P loads on b, then the P loads on a; one more, which ends
     each list, holds zeros.
@@ -454,7 +454,9 @@ def accumulate_displacement(
 def accumulate_free_flight(
     system: System, before: State, after: State, steps: Array, panels: kinematics.WallState
 ) -> State:
-    """As ``accumulate_displacement``, of so many steps of free fall at once; panels: after them."""
+    """As ``accumulate_displacement``, for several steps of free fall at once; panels: after
+    them.
+    """
     rate = system.dt * jnp.maximum(
         _max_approach_speed(system, before, panels), _max_approach_speed(system, after, panels)
     )
@@ -463,8 +465,8 @@ def accumulate_free_flight(
 
 
 def excess_displacement(system: System, state: State, steps: Array | int = 0) -> Array:
-    """How much nearer two bodies may have come since the last rebuild than was expected then, or
-    after so many more steps as the last, [] (m).
+    """Largest approach of two bodies since the last rebuild beyond the expected one, [] (m); steps:
+    additional steps at the rate of the last step.
     """
     scratch = state.scratch
     return jnp.max(
@@ -475,7 +477,7 @@ def excess_displacement(system: System, state: State, steps: Array | int = 0) ->
 
 
 def _max_approach_speed(system: System, state: State, panels: kinematics.WallState) -> Array:
-    """The most by which any two bodies approach each other now (m/s)."""
+    """Largest speed (m/s) at which any two bodies can approach each other now."""
     momentum, inertia = (
         vector.unstack_vector(state.angular_momentum),
         vector.unstack_vector(system.pieces.inertia),
@@ -493,20 +495,22 @@ def _max_approach_speed(system: System, state: State, panels: kinematics.WallSta
 
 
 def _max_point_speeds(system: System, state: State, omega: Vector) -> Array:
-    """Of the fastest point of each piece, at most, [N] (m/s); omega: [N] x 3 (rad/s)."""
+    """Upper bound of the speed of all points of each piece, [N] (m/s); omega: [N] x 3 (rad/s)."""
     speed = vector.norm(tuple(state.velocity))
     return speed + vector.norm(omega) * system.pieces.bounding_radius if system.has_hulls else speed
 
 
 def _max_panel_speeds(system: System, panels: kinematics.WallState) -> Array:
-    """Of the fastest point of each panel, at most, [W] (m/s)."""
+    """Upper bound of the speed of all points of each panel, [W] (m/s)."""
     return vector.norm(panels.velocity) + vector.norm(panels.spin) * vector.norm(
         tuple(system.walls.half_extent)
     )
 
 
 def _sum_two_fastest(system: System, pieces: Array, walls: Array | None) -> Array:
-    """The largest of two pieces, or of a piece and a wall, added up; walls: None where they rest."""
+    """Largest sum of the speeds of two pieces, or of a piece and a wall; walls: None if they
+    rest.
+    """
     piece = batch_reduction.max_per_run(system, pieces)
     return 2 * piece if walls is None else piece + jnp.maximum(piece, jnp.max(walls))
 
@@ -517,7 +521,7 @@ def _max_rebuild_interval(system: System) -> Array:
 
 
 def empty_overflow_report(system: System, dtype: DTypeLike) -> OverflowReport:
-    """A guard that has seen nothing, in numpy."""
+    """An overflow report without entries, in numpy."""
     needed = {kind: as_array(np.zeros((2,), np.int32)) for kind, _, _ in system.capacity}
     zero = as_array(np.zeros((), np.int32))
     none = candidate_search.empty_search_report(dtype)

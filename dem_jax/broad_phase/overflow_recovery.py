@@ -1,5 +1,5 @@
-"""Recovery on the host when a chunk exceeds a capacity or its skin: grow it, and return to the last
-valid state.
+"""Recovery on the host when a chunk exceeds a capacity or its skin: the capacity grows, and the run
+returns to the last valid state.
 
 Capacities are static, so growing one recompiles; the skin is an array. All arrays may have a
 leading run axis (ensembles): the largest need of all runs counts.
@@ -19,7 +19,7 @@ from dem_jax.types import Array, ContactTable, OverflowReport, Partition, Parts,
 
 HEAD_ROOM = 1.25  # times the required capacity, so that the next chunk does not exceed it again
 UNLIMITED_SKIN = 1e3  # m
-LARGEST_RAISE = 4.0  # of the skin at once: a state that went wrong may report any travel
+LARGEST_RAISE = 4.0  # largest growth factor of the skin: an invalid state may report any travel
 
 
 def reset_report(state: State) -> State:
@@ -72,8 +72,8 @@ def _list_capacity_checks(system: System, guard: OverflowReport) -> Iterator[Cap
 
 
 def describe_overflow(system: System, guard: OverflowReport) -> list[str]:
-    """Message that names the capacities that a chunk exceeded; empty if its result is valid. guard:
-    numpy.
+    """Messages that name the capacities that a chunk exceeded; empty if its result is valid. guard:
+    in numpy.
     """
     rooms = (
         CapacityCheck(np.asarray(room.needed)[()], np.asarray(room.available)[()], room.message)
@@ -87,7 +87,7 @@ def describe_overflow(system: System, guard: OverflowReport) -> list[str]:
 
 
 def is_within_capacity(system: System, guard: OverflowReport) -> Array:
-    """Whether nothing was outgrown, bool."""
+    """Whether no capacity was exceeded, bool."""
     return jnp.all(
         jnp.stack(
             [
@@ -99,8 +99,8 @@ def is_within_capacity(system: System, guard: OverflowReport) -> Array:
 
 
 def with_all_pairs(system: System) -> System:
-    """The system with every pair a candidate for good, however fast bodies get nearer, where there
-    is room for all pairs.
+    """The system with every pair as a permanent candidate, whatever the speeds, if the capacities
+    hold all pairs.
     """
     panels = system.walls.group.shape[0]
     count = system.parts.polytopes.shape[0], system.parts.spheres.shape[0], panels
@@ -113,14 +113,16 @@ def with_all_pairs(system: System) -> System:
 
 
 def runs_within_capacity(system: System, guard: OverflowReport) -> np.ndarray:
-    """Which runs of an ensemble outgrew nothing, so that their results stand, [runs] bool."""
+    """Runs of an ensemble that exceeded no capacity, so that their results are valid, [runs]
+    bool.
+    """
     of_run = lambda k: jax.tree.map(lambda x: x[k], guard)
     return np.array([not describe_overflow(system, of_run(k)) for k in range(len(guard.travel))])
 
 
 def grow_capacity(system: System, state: State, guard: OverflowReport) -> tuple[System, State]:
-    """The system with the capacities that a chunk needed, and the initial state of the chunk fitted
-    to it.
+    """The system with the capacities that a chunk needed, and the initial state of the chunk
+    adapted to it.
     """
     rows = []
     parts, panels = system.parts.count, system.walls.group.shape[0]
@@ -128,8 +130,8 @@ def grow_capacity(system: System, state: State, guard: OverflowReport) -> tuple[
     for kind, candidates, slots in system.capacity:
         near, touching = map(int, _max_over_runs(guard.needed[kind]))
         every = candidate_search.pair_count(kind, polytopes, spheres, panels)
-        if near > candidates:  # of those that found no place, as many may touch as of those that
-            # did
+        if near > candidates:  # assume the same share of touching pairs among those beyond the
+            # capacity
             touching = -(-touching * near // candidates)
         rows.append(
             (kind, _grow_to_fit(candidates, near, every), _grow_to_fit(slots, touching, every))
@@ -151,7 +153,7 @@ def grow_capacity(system: System, state: State, guard: OverflowReport) -> tuple[
 
 
 def max_contacts_per_piece(parts: Parts, panels: int) -> int:
-    """The most contacts that a piece can have: each of its parts with all that are not its own."""
+    """Upper bound of the number of contacts of a piece: each of its parts with all other bodies."""
     if parts.owner is None:
         return parts.count - 1 + panels
     own = np.bincount(np.asarray(parts.owner))
@@ -161,7 +163,7 @@ def max_contacts_per_piece(parts: Parts, panels: int) -> int:
 def _grow_partition(
     partition: Partition | None, guard: OverflowReport, parts: int
 ) -> Partition | None:
-    """The required capacity of jax-md's list, if there is one."""
+    """The required capacity of jax-md's list, if it is used."""
     if partition is None:
         return None
     listed, filling = map(int, _max_over_runs(guard.partition))
@@ -181,7 +183,7 @@ def with_capacity(
     touching: int,
     row_capacity: int,
 ) -> tuple[System, State]:
-    """System and state with capacities at least as large as these, none smaller than before."""
+    """System and state with at least these capacities; no capacity shrinks."""
     both = zip(capacity, system.capacity, strict=True)
     capacity = tuple((kind, max(near, n), max(slots, s)) for (kind, near, slots), (_, n, s) in both)
     larger = system.replace(capacity=capacity, touching=touching, row_capacity=row_capacity)
@@ -192,7 +194,9 @@ def with_capacity(
 
 
 def with_empty_scratch(system: System, state: State) -> State:
-    """The state with the incidence of its tables, and with empty scratch arrays of the right shape."""
+    """The state with the incidence of its tables, and with empty scratch arrays of the right
+    shape.
+    """
     batched = jax.vmap if state.step.ndim else lambda function: function
     find = batched(lambda tables: neighbour_list.find_incidence(system, tables).load_columns)
     state = state.replace(scratch=None, incidence=jax.jit(find)(state.contacts))
@@ -203,7 +207,7 @@ def with_empty_scratch(system: System, state: State) -> State:
 
 
 def _max_over_runs(needed: Array) -> tuple[Array, Array]:
-    """The most that any run needed of two things, such as candidates and slots."""
+    """The largest needs of any run, for a pair of capacities such as candidates and slots."""
     near, touching = needed.reshape(-1, 2).max(axis=0)
     return near, touching
 
@@ -215,7 +219,7 @@ def _grow_to_fit(have: int, needed: int, every: int) -> int:
 
 
 def _widen_table(table: ContactTable, slots: int) -> ContactTable:
-    """The table with empty slots behind its own."""
+    """The table, extended by empty slots."""
     more = slots - table.a.shape[-1]
     pad = lambda x, value: jnp.asarray(
         np.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, more)], constant_values=value)
@@ -226,9 +230,9 @@ def _widen_table(table: ContactTable, slots: int) -> ContactTable:
 
 
 def round_capacity(slots: int) -> int:
-    """A capacity at least as large, from few distinct ones: 1 (of one piece on a plate: no loops,
-    and half of the time), 8, multiples of 16, above 64 of 32, further up of ever larger powers of
-    two.
+    """A capacity at least as large, from few distinct values: 1 (a single piece on a plate, without
+    loops, in half of the time), 8, multiples of 16, above 64 of 32, and beyond of increasing powers
+    of two.
     """
     if slots <= 1:
         return 1

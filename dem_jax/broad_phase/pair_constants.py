@@ -1,5 +1,5 @@
-"""What stays the same in a slot between two rebuilds: shapes of its two bodies, and what the
-contact law makes of them.
+"""Quantities of a contact slot that are constant between two rebuilds: shapes of its two bodies and
+constants of the contact law.
 """
 
 import jax
@@ -14,7 +14,7 @@ from dem_jax.types import Array, Hulls, PairConstants, PatchMarker, System
 
 
 def compute_pair_constants(system: System, kind: str, a: Array, b: Array) -> PairConstants:
-    """Slots of the pairs (a, b) [P] of a kind; a is EMPTY where there is none."""
+    """Constants of the pairs (a, b) [P] of a kind; a is EMPTY in free slots."""
     live = a >= 0
     a, b = jnp.maximum(a, 0), jnp.maximum(b, 0)
     of = {"spheres": _sphere_constants, "plates": _plate_constants}.get(kind, _polytope_constants)
@@ -29,7 +29,7 @@ def _polytope_constants(
     number = parts.count
     wall, own, panel = a >= number, jnp.minimum(a, number - 1), jnp.maximum(a - number, 0)
     piece_a, piece_b = parts.owning_piece(own), parts.owning_piece(b)
-    by_tables = table.features is None  # else a contact of polytopes looks up what it needs
+    by_tables = table.features is None  # else contacts of polytopes look up their features
     patch = PatchMarker() if kind == "hulls" and system.materials.friction is not None else None
     return PairConstants(
         live=live,
@@ -56,8 +56,8 @@ def _polytope_constants(
 def _surface_labels(
     system: System, kind: str, wall: Array, part: Array, panel: Array, live: Array
 ) -> Array | None:
-    """Slots.surface_a: planes of walls are numbered before surfaces of pieces, of which there are
-    fewer than panels.
+    """``PairConstants.surface_a``: planes of walls are numbered before surfaces of pieces; there
+    are fewer planes than panels.
     """
     plane, surface = system.walls.plane if kind == "hulls" else None, system.parts.surface
     if surface is None:
@@ -70,7 +70,7 @@ def _surface_labels(
 def _combine_materials(
     system: System, wall: Array, own: Array, panel: Array, b: Array
 ) -> MaterialPair:
-    """The couples of pieces b and, as ``wall`` says, panels or pieces ``own``."""
+    """Material pairs of pieces b with panels where ``wall`` holds, else with pieces ``own``."""
     pieces, walls = system.pieces, system.walls
     material, curvature = pieces.material[own], pieces.curvature[own]
     if walls.material.shape[0]:
@@ -85,8 +85,8 @@ def _combine_materials(
 
 
 def _sphere_constants(system: System, _: str, live: Array, a: Array, b: Array) -> PairConstants:
-    """Slots of pairs of spheres. Where all are alike one value of each constant broadcasts, which
-    saves reading it.
+    """Constants of pairs of spheres. If all spheres are alike, one value of each constant
+    broadcasts, which saves memory access.
     """
     pieces, parts = system.pieces, system.parts
     one = (parts.spheres[:1],) * 2 if "spheres" in system.alike else (a, b)
@@ -108,7 +108,7 @@ def _sphere_constants(system: System, _: str, live: Array, a: Array, b: Array) -
 
 
 def _plate_constants(system: System, _: str, live: Array, a: Array, b: Array) -> PairConstants:
-    """Slots of panels a and spheres b."""
+    """Constants of pairs of panels a and spheres b."""
     pieces, parts, walls = system.pieces, system.parts, system.walls
     panel, piece = jnp.maximum(a - parts.count, 0), parts.owning_piece(b)
     materials, size = (walls.material[panel], pieces.material[piece]), pieces.size[piece]
@@ -136,8 +136,8 @@ def _plate_constants(system: System, _: str, live: Array, a: Array, b: Array) ->
 
 
 def _gather_piece_hulls(system: System, table: Hulls, b: Array) -> Hulls:
-    """Hulls of pieces: one row that broadcasts where all polytopes are alike, which saves gathering
-    it.
+    """Hulls of pieces; if all polytopes are alike, one row that broadcasts, which saves the
+    gather.
     """
     if "hulls" in system.alike:
         return hull_lookup.gather_hulls(table, jnp.zeros((1,), jnp.int32), False)

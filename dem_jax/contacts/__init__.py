@@ -1,3 +1,3 @@
-"""From two bodies to a force: materials, geometry, contact law, sums over contacts; walls in
-motion.
+"""Contact pipeline: geometry, materials and contact law of each contact, sums over contacts, and
+wall statistics.
 """

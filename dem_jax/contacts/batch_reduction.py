@@ -1,9 +1,9 @@
-"""Sums and extremes over the pieces or contacts of each run: R runs, mostly one, are one system
+"""Sums and extremes over the pieces or contacts of each run; R runs, mostly one, form one system
 (``System.runs``).
 
-Of R runs of n pieces, piece k of run r is number R k + r (and parts of pieces likewise), so that
-the same piece of all runs is one vector for the processor and no run is computed otherwise than
-another. What there is of each run has the run last as well: [.., R].
+With R runs of n pieces, piece k of run r has the number R k + r (parts of pieces accordingly), so
+that the same piece of all runs is one vector for the processor and all runs are computed in the
+same way. Arrays per run have the run as last axis: [.., R].
 """
 
 from collections.abc import Callable
@@ -28,17 +28,17 @@ def sum_per_run(system: System, of_pieces: Array) -> Array:
 
 
 def max_per_run(system: System, of_pieces: Array) -> Array:
-    """The largest of the pieces of each run, as ``sum_per_run``."""
+    """Maximum over the pieces of each run, as ``sum_per_run``."""
     return _reduce_in_lanes(jnp.maximum, split_runs(system, of_pieces))
 
 
 def any_per_run(system: System, of_pieces: Array) -> Array:
-    """Whether it holds for any of the pieces of each run, as ``sum_per_run``."""
+    """Whether any piece of each run has the flag, as ``sum_per_run``."""
     return jnp.any(split_runs(system, of_pieces), axis=-2)
 
 
 def first_index_per_run(system: System, of_pieces: Array) -> Array:
-    """Number within its run of the first piece for which it holds, int32, -1 if there is none, as
+    """Number within its run of the first piece with the flag, int32, -1 if there is none, as
     ``sum_per_run``.
     """
     first = jnp.argmax(split_runs(system, of_pieces), axis=-2)
@@ -46,13 +46,14 @@ def first_index_per_run(system: System, of_pieces: Array) -> Array:
 
 
 def split_runs(system: System, of_pieces: Array) -> Array:
-    """[.., N] as [.., n, R]."""
+    """Reshape [.., N] to [.., n, R]."""
     return of_pieces.reshape(*of_pieces.shape[:-1], of_pieces.shape[-1] // system.runs, system.runs)
 
 
 def sum_contacts_per_run(system: System, of_contacts: Array, piece: Array) -> Array:
-    """Sum over the contacts [P] of each run, [R], which are with these pieces [P]; of several runs
-    one contact after the other, so that the sum of a run does not depend on its company.
+    """Sum over the contacts [P] of each run, [R]; piece: [P], a piece of each contact. With several
+    runs the contacts are added one by one, so that the sum of a run does not depend on the other
+    runs.
     """
     if system.runs == 1:
         return jnp.sum(of_contacts, dtype=of_contacts.dtype)[None]
@@ -60,8 +61,8 @@ def sum_contacts_per_run(system: System, of_contacts: Array, piece: Array) -> Ar
 
 
 def count_contacts_per_run(system: System, kind: Array, piece: Array, kinds: int) -> Array:
-    """How many of the contacts [P] of each run that are with these pieces are of each kind, [kinds,
-    R] int32; kind: [P], -1: of none.
+    """Numbers of the contacts [P] of each kind and run, [kinds, R] int32; kind: [P], -1 for none;
+    piece: [P], a piece of each contact.
     """
     if system.runs == 1:
         return jnp.sum(
@@ -76,23 +77,25 @@ def count_contacts_per_run(system: System, kind: Array, piece: Array, kinds: int
 
 
 def max_contact_per_run(system: System, of_contacts: Array, piece: Array) -> Array:
-    """The largest of the contacts [P] of each run that are with these pieces, none below 0, [R]."""
+    """Maximum over the contacts [P] of each run, at least 0, [R]; piece: [P], a piece of each
+    contact.
+    """
     if system.runs == 1:
         return _reduce_in_lanes(jnp.maximum, jnp.maximum(of_contacts, 0)[:, None])
     return jnp.max(jnp.where(_is_piece_in_run(system, piece), of_contacts, 0), axis=1)
 
 
 def take_run_values(system: System, of_runs: Array, piece: Array) -> Array:
-    """The value [..] of the run that each piece [P] belongs to, [.., P]; of a single run [.., 1]."""
+    """The value [..] of the run of each piece [P], [.., P]; [.., 1] for a single run."""
     return of_runs if system.runs == 1 else of_runs[..., piece % system.runs]
 
 
 def branch_per_run(
     system: System, which: Array, one: Callable, other: Callable, state: State
 ) -> State:
-    """A state after ``one``, of those runs [R] for which ``which`` holds, and after ``other``,
-    which changes but the step, the motion, its way and the loads of walls, of the rest; each is
-    computed only if some run needs it.
+    """The state after ``one`` for the runs [R] where ``which`` holds, and after ``other`` for the
+    rest. ``other`` may change only the step, the motion, its displacement bookkeeping and the wall
+    loads. Each branch is computed only if a run needs it.
     """
     if system.runs == 1:
         return jax.lax.cond(which[0], one, other, state)
@@ -117,9 +120,9 @@ def branch_per_run(
 
 
 def reduce_sequentially(join: "BinaryUfunc", rows: Array) -> Array:
-    """[.., K, R] joined over the last axis but one, in order: [.., R]. Of several runs row by row,
-    each of which is a vector for the processor: XLA would go through the rows of one run after the
-    other, number by number, and work out each number there.
+    """Reduce [.., K, R] over its last axis but one, in order, to [.., R]. Several runs are reduced
+    row by row, each row being a vector for the processor; XLA would process the runs one after the
+    other, number by number, and recompute each number there.
     """
     *more, count, runs = rows.shape
     if runs == 1:
@@ -129,8 +132,8 @@ def reduce_sequentially(join: "BinaryUfunc", rows: Array) -> Array:
 
 
 def _reduce_in_lanes(join: "BinaryUfunc", rows: Array) -> Array:
-    """As ``reduce_sequentially``, of many in lanes: one after the other each addition would wait
-    for that before. The order is that of the pieces alone, however many runs there are.
+    """As ``reduce_sequentially``, for many rows in lanes, since otherwise each addition waits for
+    the previous one. The order is that of the pieces, independent of the number of runs.
     """
     *more, count, runs = rows.shape
     whole = count // LANES
@@ -148,5 +151,5 @@ def _reduce_in_lanes(join: "BinaryUfunc", rows: Array) -> Array:
 
 
 def _is_piece_in_run(system: System, piece: Array) -> Array:
-    """Whether each piece [P] is of each run, [R, P]."""
+    """Whether each piece [P] belongs to each run, [R, P]."""
     return piece[None] % system.runs == jnp.arange(system.runs, dtype=piece.dtype)[:, None]

@@ -1,15 +1,15 @@
-"""Collisions of pieces with walls, added up as they happen: how many, how fast, the impulse and the
-work, and where.
+"""Collisions of pieces with walls, accumulated as they happen: number, speed, impulse, work and
+place.
 
-A collision begins where a piece (each part of one, on each panel) comes to feel a wall that it did
-not feel in the step before; on panels that continue each other in a plane it goes on. Work that
-contacts took is the ledger's, wall group by wall group:
+A collision begins when a piece (each part of it, on each panel) touches a wall that it did not
+touch in the previous step; it continues on panels that extend each other in a plane. The work taken
+by contacts is computed as in the ledger, for each wall group:
 
     dW = -1/2 dt sum (F + F') . (v - V) + (T + T') . omega - (P + P') . Omega
 
 with forces and torques before and after the step (T about the piece's centre, P about the group's
-pivot), v and omega of the piece, V and Omega of the group. It belongs to the place where the piece
-pushes hardest, or last did.
+pivot), v and omega of the piece, V and Omega of the group. It is assigned to the place where the
+piece pushes hardest, or last did.
 """
 
 import jax.numpy as jnp
@@ -20,7 +20,7 @@ from dem_jax.math import vector
 from dem_jax.types import Array, CollisionTotals, State, System, as_array
 from dem_jax.walls import kinematics
 
-WITH_WALLS = ("hulls", "plates")  # kinds of contact that a wall can be in
+WITH_WALLS = ("hulls", "plates")  # kinds of contact that include walls
 
 
 def init_collisions(system: System, dtype: DTypeLike) -> CollisionTotals | None:
@@ -46,10 +46,10 @@ def accumulate_collisions(
     panels: kinematics.WallState,
     touches: dict[str, Array | None],
 ) -> CollisionTotals | None:
-    """The collisions with those of this step; state: after it, but for its second kick.
+    """The collision totals including this step. state: after the step, except for the second kick.
 
-    omega: [3, N] (rad/s) in the step; touches: of each kind of contact forces.Contacts.touch. Of a
-    system that is a single run.
+    omega: [3, N] (rad/s) in the step; touches: ``ContactLoads.touch`` of each kind of contact. For
+    a system of a single run.
     """
     rule, now = system.statistics, state.collisions
     if rule is None or now is None:
@@ -86,8 +86,8 @@ def accumulate_collisions(
 def _touches_by_column(
     system: System, state: State, panels: kinematics.WallState, touches: dict[str, Array | None]
 ) -> tuple[Array, Array]:
-    """Of each column of Scratch.loads the place on the panels, [columns] int32, and what touches
-    say, [2, columns].
+    """Place on the panels of each column of ``Scratch.loads``, [columns] int32, and its touch
+    records, [2, columns].
     """
     places, rows = list[Array](), list[Array]()
     for kind, table in state.contacts.items():
@@ -95,14 +95,14 @@ def _touches_by_column(
         assert touch is not None
         place = _find_places(system, state, kind, panels) if kind in WITH_WALLS else none
         places, rows = [*places, place, none], [*rows, touch, jnp.zeros_like(touch)]
-    last = jnp.zeros((2, 1), state.position.dtype)  # of no contact
+    last = jnp.zeros((2, 1), state.position.dtype)  # without a contact
     return jnp.concatenate([*places, jnp.zeros((1,), jnp.int32)]), jnp.concatenate(
         [*rows, last], axis=1
     )
 
 
 def _find_places(system: System, state: State, kind: str, panels: kinematics.WallState) -> Array:
-    """Where on its panel the contact point of each slot is, [P] int32; a number of no meaning
+    """Map cell of the contact point of each slot on its panel, [P] int32; meaningless for contacts
     between pieces.
     """
     assert system.statistics is not None
@@ -127,7 +127,7 @@ def _find_places(system: System, state: State, kind: str, panels: kinematics.Wal
 def _wall_piece_loads(
     state: State, panels: kinematics.WallState, columns: Array, is_of: Array
 ) -> Array:
-    """Collisions.load now."""
+    """``CollisionTotals.load`` of this step."""
     each = state.scratch.loads[:6, columns]  # [6, touching, N]
     load = jnp.sum(jnp.where(is_of[None], each[:, :, None], 0), axis=1)
     force, torque = vector.unstack_vector(load[:3]), vector.unstack_vector(load[3:])
@@ -141,8 +141,8 @@ def _wall_piece_loads(
 def _contact_work(
     system: System, state: State, omega: Array, panels: kinematics.WallState, twice: Array
 ) -> Array:
-    """Work that contacts took of the motion in this step, [G, N] (J); twice: loads before and after
-    it, added up.
+    """Work that contacts take from the motion in this step, [G, N] (J); twice: sum of the loads
+    before and after it.
     """
     velocity, spin = (
         vector.map_components(lambda c: c[:, None], each)

@@ -1,5 +1,5 @@
-"""The contact law's answer to contacts whose geometry is known: how they move, what they push, what
-they remember.
+"""Evaluation of the contact law for contacts of known geometry: relative motion, forces, torques
+and history.
 """
 
 from typing import NamedTuple
@@ -22,30 +22,30 @@ from dem_jax.narrow_phase.packed_bodies import BodyState
 from dem_jax.types import Array, ContactHistory, PairConstants, State, System
 
 MIDDLE_FRACTION = 0.45  # of a piece's width
-ARM_STEPS = 8  # in which the arm of friction about the normal is found once: half of the loading of
-# a quick impact
+ARM_STEPS = 8  # steps between updates of the friction arm: half of the loading phase of a short
+# impact
 
 
 class ContactLoads(NamedTuple):
-    """What contacts of one kind do in one step."""
+    """Loads and history of the contacts of one kind in one step."""
 
     memory: ContactHistory
     load_a: Array  # [7, P] (N, N m, N): as in Scratch.loads
     load_b: Array
     overlap: Array  # [R] (-): the largest of each run, relative to the width of the piece
-    touch: Array | None  # [2, P] (m/s, N): impact speed where one begins, else 0, and push; None:
-    # nobody asked
+    touch: Array | None  # [2, P] (m/s, N): impact speed where a contact begins, else 0, and normal
+    # force; None without statistics
 
 
 def effective_overlap(system: System, slots: PairConstants, overlap: Array) -> Array:
-    """Overlap (m), [P], more by the reach of the law: a contact is what is positive."""
+    """Overlap (m), [P], increased by the interaction range of the law; positive for a contact."""
     return add_interaction_range(overlap, system.law.interaction_range(slots.pair))
 
 
 def empty_contact_loads(
     system: System, memory: ContactHistory, slots: PairConstants
 ) -> ContactLoads:
-    """What ``evaluate_contact_forces`` says where nothing touches, nor did before."""
+    """The result of ``evaluate_contact_forces`` for slots without a contact now or before."""
     zero = jnp.zeros((7, slots.a.shape[0]), memory.overlap.dtype)
     tied = None if memory.tied is None else zero[0]
     after = memory.replace(
@@ -57,7 +57,7 @@ def empty_contact_loads(
 
 
 def empty_touch_records(system: System, slots: Array) -> Array | None:
-    """``ContactLoads.touch`` of slots [.., P] that are free."""
+    """``ContactLoads.touch`` of free slots [.., P]."""
     return None if system.statistics is None else jnp.zeros((2, slots.shape[-1]), slots.dtype)
 
 
@@ -73,13 +73,15 @@ def evaluate_contact_forces(
     is_due: Array,
     share: Array | None = None,
 ) -> ContactLoads:
-    """The contact law's answer. offset: between the centres of the bodies, [P] x 3 (m); turn: as in
-    Contact; is_due: [] bool, whether arms of friction are found anew; share: [P], the part that
-    each slot has of a contact that several have together.
+    """Evaluate the contact law.
+
+    offset: between the centres of the bodies, [P] x 3 (m); met: contact geometry in world axes;
+    turn: ``ContactKinematics.relative_rotation``; is_due: [] bool, whether friction arms are
+    recomputed; share: [P], the part of a shared contact that each slot has.
     """
     offset = offset_between_pieces(a, b, offset)
-    if met.weight is not None:  # what parts has no contact point by its geometry: the last one
-        # stays until it has parted
+    if met.weight is not None:  # separating bodies have no geometric contact point: the last one is
+        # kept until separation
         stays = (met.weight <= 0) & (memory.overlap > 0)
         at_b = vector.where(stays, vector.unstack_vector(memory.point), met.at_b)
         met = met._replace(at_b=at_b, at_a=vector.add(at_b, offset))
@@ -145,7 +147,7 @@ def evaluate_contact_forces(
 def _reversal_increment(
     system: System, said: Response, normal: Vector, share: Array | None
 ) -> Array:
-    """Of the force on b along gravity, [P] (N)."""
+    """Increment of the force on b along gravity at the reversal of loading, [P] (N)."""
     if said.reversal_increment is None:
         return jnp.zeros_like(said.normal_force)
     rise = said.reversal_increment * vector.dot(normal, gravity_direction(system))
@@ -160,11 +162,11 @@ def _contact_displacement(
     memory: ContactHistory,
     met: WorldContacts,
 ) -> tuple[Vector, Array]:
-    """Motion in this step of b relative to a at the contact point, [P] x 3 (m), and of it that
-    towards a, [P] (m).
+    """Displacement of b relative to a at the contact point in this step, [P] x 3 (m), and its
+    component towards a, [P] (m).
 
-    Of second order in the time step: the arms, like the velocities, are those at the middle of the
-    step.
+    Second order in the time step: the lever arms, like the velocities, are those at the middle of
+    the step.
     """
     first = memory.overlap <= 0
     way = vector.scale(system.dt, vector.sub(b.velocity, a.velocity))  # of the centres
@@ -181,8 +183,8 @@ def _contact_displacement(
 def _relative_displacement(
     system: System, a: BodyState, b: BodyState, way: Vector, arm_a: Vector, arm_b: Vector
 ) -> Vector:
-    """Way of a point of b relative to one of a, [P] x 3 (m); way: of their centres; the arms as at
-    the middle of the step.
+    """Displacement of a point of b relative to one of a, [P] x 3 (m); way: displacement of their
+    centres; the lever arms are those at the middle of the step.
     """
     return vector.add_scaled(
         way, system.dt, vector.sub(vector.cross(b.spin, arm_b), vector.cross(a.spin, arm_a))
@@ -198,10 +200,10 @@ def _deepest_approach(
     met: WorldContacts,
     approach: Array,
 ) -> tuple[Array, Array]:
-    """How much deeper the deepest point has come in this step, and by how much that may be more or
-    less, [P] (m).
+    """Approach of the deepest point in this step, and its uncertainty, [P] (m).
 
-    Where that point is no corner it is not quite known, and may have been another.
+    If that point is not a vertex it is not known exactly, and it may have been another point
+    before.
     """
     spin = vector.scale(system.dt, vector.sub(b.spin, a.spin))
     moved = vector.cross(spin, vector.sub(met.at_b, vector.unstack_vector(memory.point)))
@@ -222,9 +224,9 @@ def _deepest_approach(
 def _largest_possible_overlap(
     slots: PairConstants, before: Array, overlap: Array, approach: Array
 ) -> Array:
-    """The overlap (m), [P], of contacts that go on deeper than MIDDLE with what the step may have
-    added to it: in the middle of a thin wall the normal turns round, and a piece beyond it would
-    seem to leave.
+    """The overlap (m), [P], of persistent contacts deeper than ``MIDDLE_FRACTION``, increased by
+    the largest possible change in the step: in the middle of a thin wall the normal reverses, and a
+    piece beyond it would seem to separate.
     """
     deeper = before + jnp.abs(approach)
     return jnp.where(
@@ -235,26 +237,26 @@ def _largest_possible_overlap(
 
 
 def _touching_fraction(memory: ContactHistory, approach: Array, within: Array) -> Array:
-    """The part of a step's motion along the surface that counts, [P]: in the step of first touch
-    overlap over approach, else 1.
+    """Fraction of the step's tangential displacement that counts, [P]: overlap over approach in the
+    step of first touch, else 1.
     """
     touching = (memory.overlap <= 0) & (within > 0)
     return jnp.where(touching, within / jnp.where(touching, jnp.maximum(approach, within), 1), 1)
 
 
 def needs_arm_update(state: State) -> Array:
-    """Whether the arms of friction about the normal are found anew in this step, [] bool."""
+    """Whether the arms of friction about the normal are recomputed in this step, [] bool."""
     return state.step % ARM_STEPS == 0
 
 
 def _update_friction_arm(
     system: System, memory: ContactHistory, met: WorldContacts, within: Array, is_due: Array
 ) -> Array | None:
-    """Arm of friction about the normal (m), [P], of contacts that begin and every few steps; else
-    that of before.
+    """Arm of friction about the normal (m), [P], recomputed for new contacts and every few steps,
+    else the previous one.
 
-    Stored energy does not depend on it (``contact.law.friction``), so that none comes from an arm
-    that is a few steps old.
+    Stored energy does not depend on the arm (``contact_laws.friction``), so that an arm that is a
+    few steps old adds no energy.
     """
     before, moments = memory.arm, met.moments
     if before is None or moments is None:
@@ -271,8 +273,8 @@ def _update_friction_arm(
 def _torsional_slip(
     memory: ContactHistory, arm: Array, normal: Vector, turn: Vector, part: Array
 ) -> Torsion:
-    """Turning about the normal in this step, at the arm in the middle of it. part: of the step that
-    counts, [P].
+    """Rotation about the normal in this step, times the arm in the middle of it. part: fraction of
+    the step that counts, [P].
     """
     assert memory.arm is not None
     middle = jnp.where(memory.overlap <= 0, arm, 0.5 * (memory.arm + arm))

@@ -1,12 +1,12 @@
-"""One surface of several bodies, panels of a plane or parts of a piece: one contact with it, shared
-among them.
+"""Merging of contacts on a surface shared by several bodies, panels of a plane or parts of a piece,
+into one contact.
 
-Each panel's contact sees the whole depth below the plane (``collide`` bars the axes that point
-across a seam), and that of each part the depth of the body that goes on beyond it
-(``Hulls.extended``), so that all go through the same history and act at the same point; each takes
-the part of the force that it has of the overlap, and together they are the contact with one large
-panel, with one body. Of parts those contacts are one that have one normal: with two sides of a body
-there are two. A scene without has none of this.
+Each panel's contact has the full depth below the plane (``collision_primitives`` penalizes axes
+that point across a seam), and that of each part the depth of the body including its continuation
+(``Hulls.extended``), so that all follow the same history and act at the same point. Each takes its
+share of the force in proportion to its overlap; together they equal the contact with one large
+panel or one body. Contacts of parts are merged if they have a common normal; a contact with two
+sides of a body remains two contacts. Scenes without shared surfaces skip all of this.
 """
 
 from collections.abc import Callable
@@ -25,8 +25,8 @@ from dem_jax.narrow_phase.contact_frame import WorldContacts
 from dem_jax.narrow_phase.patch_moments import SecondMoments
 from dem_jax.types import Array, ContactHistory, PairConstants, SharedContacts, System, as_array
 
-PARALLEL_COSINE = 0.98  # cosine between normals, from which on contacts with parts of one body are
-# one
+PARALLEL_COSINE = 0.98  # cosine between normals above which contacts with parts of one body are
+# merged
 
 T = TypeVar("T")
 DeepestSoFar = tuple[Array, Array]  # an overlap (m), and the slot that has it
@@ -35,24 +35,24 @@ Sums = tuple[Vector, Spread]
 
 
 class SharedTile(NamedTuple):
-    """The siblings of a block of slots B, as of Siblings."""
+    """The contacts merged with a tile of slots B, see ``SharedContacts``."""
 
     itself: Array  # [B] int32: the slots
-    order: Array  # [P] int32, of all
+    order: Array  # [P] int32, of all slots
     first: Array  # [B] int32
     number: Array  # [B] int32
     most: Array | int
-    alike: Callable[[Array], Array] | None  # whether slots [B] have the normals of those of the
-    # block, [B] bool; None: all do
+    alike: Callable[[Array], Array] | None  # whether slots [B] have the normals of the tile's
+    # slots, [B] bool; None: all do
 
 
 def has_shared_surfaces(system: System) -> bool:
-    """Whether slots look at each other: panels or parts continue each other."""
+    """Whether contacts can be merged: panels or parts that continue each other exist."""
     return system.walls.plane is not None or system.parts.surface is not None
 
 
 def find_shared_contacts(system: System, slots: PairConstants) -> SharedContacts:
-    """Siblings of each slot."""
+    """The contacts to be merged with each slot."""
     assert slots.surface_a is not None
     shared = slots.live & is_on_shared_surface(slots)
     panels, parts = system.walls.group.shape[0], system.parts.count
@@ -90,8 +90,8 @@ def is_on_shared_surface(slots: PairConstants) -> Array:
 def slice_shared_contacts(
     slots: PairConstants, of: SharedContacts, normal: Vector, k: Array | int, size: int
 ) -> SharedTile:
-    """The siblings of slots k size to (k + 1) size; where pieces have parts, those with one normal.
-    normal: of all slots.
+    """The merged contacts of slots k size to (k + 1) size; if pieces have parts, only those with a
+    common normal. normal: of all slots.
     """
     first = k * size
     cut = lambda x: jax.lax.dynamic_slice_in_dim(x, first, size, -1)
@@ -113,7 +113,7 @@ def slice_shared_contacts(
 
 
 def drop_unowned(slots: PairConstants, met: WorldContacts) -> WorldContacts:
-    """Contacts, without those of shared surfaces that others have."""
+    """The contacts without those on shared surfaces that belong to another slot."""
     assert met.weight is not None
     return met._replace(
         overlap=jnp.where((met.weight > 0) | ~is_on_shared_surface(slots), met.overlap, -1)
@@ -123,10 +123,10 @@ def drop_unowned(slots: PairConstants, met: WorldContacts) -> WorldContacts:
 def find_load_shares(
     slots: PairConstants, met: WorldContacts, own: WorldContacts, of: SharedTile
 ) -> Array:
-    """The part of the contact with the surface that each slot of a block has, [B]; 1 for all that
-    are not on such a panel.
+    """Share of each slot of a tile in the contact with the surface, [B]; 1 for slots without a
+    shared surface.
 
-    slots, own: of the block; met: of all slots; of both the weights of those that touch.
+    slots, own: of the tile; met: of all slots; both with the weights of the touching contacts.
     """
     del slots
     assert own.weight is not None
@@ -136,7 +136,9 @@ def find_load_shares(
 
 
 def total_weight(met: WorldContacts, of: SharedTile) -> Array:
-    """The weight of each slot of a block with its siblings, [B]. met: of all slots."""
+    """Total weight of each slot of a tile and the contacts merged with it, [B]. met: of all
+    slots.
+    """
     weight = met.weight
     assert weight is not None
     add = lambda total, slot, there: total + jnp.where(there, weight[slot], 0)
@@ -152,11 +154,13 @@ def merge_contacts(
     offset: Vector,
     of: SharedTile,
 ) -> tuple[WorldContacts, ContactHistory, Array]:
-    """Contacts of a block as one with their siblings, at their common point, of parts of pieces
-    along the normal of the deepest; the memory of what was deepest before, so that a contact goes
-    on as a piece comes onto a panel; and their shares.
+    """Merge each contact of a tile with the other contacts on the same shared surface.
 
-    met, share, before: of all slots; own, offset (m, between the centres of pieces): of the block.
+    The merged contact has the area-weighted contact point and, for compound parts, the normal of
+    the deepest member. It inherits the history of the member that was deepest in the previous step,
+    so that history survives when a body slides onto the next panel. Also returns the shares.
+
+    met, share, before: of all slots; own, offset (m, between the centres of pieces): of the tile.
     """
     parts = vector.fusion_barrier(*vector.scale(share, met.at_b))
     spread = (
@@ -172,8 +176,8 @@ def merge_contacts(
         )
     )
     overlaps = (before.overlap,) if slots.surface_b is None else (before.overlap, met.overlap)
-    nothing = (jnp.full(of.number.shape, -jnp.inf, share.dtype), of.itself)  # how deep the deepest
-    # so far is, and which it is
+    nothing = (jnp.full(of.number.shape, -jnp.inf, share.dtype), of.itself)  # overlap of the
+    # deepest contact so far, and its slot
 
     def add_contact(
         so_far: tuple[Sums, list[DeepestSoFar]], slot: Array, there: Array
@@ -212,8 +216,8 @@ def merge_contacts(
 def shared_patch_moments(
     is_shared: Array, spread: SecondMoments, centroid: Vector, own: SecondMoments
 ) -> SecondMoments:
-    """Second moments (m2), [B], of the whole patch about its centroid; spread: about the centre of
-    b, where it is shared.
+    """Second moments (m2), [B], of a whole shared patch about its centroid; spread: about the
+    centre of b; own: for slots that are not shared.
     """
     about = patch_moments.add_moments(
         spread,
@@ -225,19 +229,19 @@ def shared_patch_moments(
 def select_deepest_points(
     there: Array, pick: Array, of_all: DeepestPoint | None, own: DeepestPoint | None
 ) -> DeepestPoint | None:
-    """The deepest points of picked slots where they are there, else their own."""
+    """Deepest points of the picked slots where the mask holds, else their own."""
     return jax.tree.map(lambda rows, row: jnp.where(there, rows[pick], row), of_all, own)
 
 
 def update_deepest(best: DeepestSoFar, overlap: Array, slot: Array, there: Array) -> DeepestSoFar:
-    """The best so far or this slot, the first of equals."""
+    """The deeper of the best so far and this slot; the earlier one if equal."""
     most, pick = best
     more = there & (overlap > most)
     return jnp.where(more, overlap, most), jnp.where(more, slot, pick)
 
 
 def fold_shared_contacts(of: SharedTile, more: Callable[[T, Array, Array], T], start: T) -> T:
-    """``more(so far, slot, there)`` of the first sibling of each slot, the second and so on."""
+    """Fold ``more(so far, slot, there)`` over the first, second, .. merged contact of each slot."""
 
     def visit_contact(k: Array, so_far: T) -> T:
         slot = of.order[jnp.minimum(of.first + k, of.order.shape[0] - 1)]

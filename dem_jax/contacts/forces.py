@@ -1,5 +1,5 @@
-"""Contact forces of one configuration: for each kind of contact, geometry, then the contact law,
-then sums over bodies.
+"""Contact forces of one configuration: geometry and contact law for each kind of contact, then sums
+over bodies.
 """
 
 from collections.abc import Callable
@@ -67,12 +67,12 @@ from dem_jax.types import (
 from dem_jax.walls import kinematics
 
 T = TypeVar("T")
-# What ``_evaluate_kind`` says, and carries by blocks:
+# Result of ``_evaluate_kind``, and carry of its loop over tiles:
 KindResult = tuple[ContactHistory, SupportFaces | None, Array, Array, Array | None, Array | None]
 
 
 class ContactTile(NamedTuple):
-    """A block of slots and their two bodies."""
+    """A tile of slots and their two bodies."""
 
     memory: ContactHistory
     slots: PairConstants
@@ -84,11 +84,11 @@ class ContactTile(NamedTuple):
 def compute_contact_forces(
     system: System, state: State, omega: Array, panels: kinematics.WallState, stacked: Array
 ) -> State:
-    """Evaluate every contact once and commit its memory; fills force and torque of pieces and
+    """Evaluate every contact once and store its history; fills forces and torques of pieces and
     walls, and the ledger.
 
-    state: positions now, velocities of the interval that led here; omega: [3, N] (rad/s) likewise;
-    stacked: bodies.stack of all.
+    state: current positions, velocities of the preceding interval; omega: [3, N] (rad/s) of that
+    interval; stacked: all bodies, ``packed_bodies.pack_bodies``.
     """
     loads, overlap = state.scratch.loads, jnp.zeros((system.runs,), stacked.dtype)
     tables: dict[str, ContactTable] = {}
@@ -122,9 +122,12 @@ def compute_contact_forces(
 def _evaluate_kind(
     system: System, state: State, kind: str, stacked: Array, loads: Array, column: int
 ) -> KindResult:
-    """The memory of a kind after this step, which faces look at each other, the loads with those of
-    its contacts from ``column`` on, the largest overlap, the touches as of Contacts, and the shares
-    as of Scratch. Block by block of slots, as far as slots are filled: what is free costs nothing.
+    """Evaluate the contacts of one kind, tile by tile as far as slots are filled, so that free
+    slots cost nothing.
+
+    Returns the contact history after this step, the support faces, the loads with those of its
+    contacts from ``column`` on, the largest overlap, the touch records (``ContactLoads.touch``),
+    and the shares (``Scratch.shares``).
     """
     table, slots = state.contacts[kind], state.scratch.slots[kind]
     near, facing = state.scratch.active_features.get(kind), state.scratch.support_faces.get(kind)
@@ -186,7 +189,7 @@ def _evaluate_kind(
 
 
 class _SharedSurfaces(NamedTuple):
-    """Contacts of one kind of which several may be one, and the blocks in which they are computed."""
+    """Contacts of one kind that may be merged, and the tiles in which they are computed."""
 
     system: System
     kind: str
@@ -200,17 +203,17 @@ class _SharedSurfaces(NamedTuple):
     is_due: Array  # as in ``evaluate_contact_forces``
 
     def loop_over_tiles(self, block: Callable[[Array | int, T], T], carry: T) -> T:
-        """The carry after all blocks of slots."""
+        """The carry after all tiles of slots."""
         if self.size == self.slots.b.shape[0]:
             return block(0, carry)
         return jax.lax.fori_loop(0, (self.filled + self.size - 1) // self.size, block, carry)
 
     def cond_any(self, which: Array, then: Callable[[], T], other: Callable[[], T]) -> T:
-        """One of the two; always the first where slots are not computed by blocks."""
+        """Branch on whether any flag is set; always the first branch if slots are not tiled."""
         return jax.lax.cond(jnp.any(which), then, other) if self.system.slot_block else then()
 
     def load_tile(self, k: Array | int) -> ContactTile:
-        """Both sides of a block."""
+        """Slots of a tile with both bodies."""
         return _load_tile(
             self.stacked,
             slice_tile(self.slots, k, self.size),
@@ -220,13 +223,13 @@ class _SharedSurfaces(NamedTuple):
     def take_shared_contacts(
         self, touch: WorldContacts, k: Array | int
     ) -> contact_reduction.SharedTile:
-        """Siblings of a block; touch: of all slots."""
+        """Merged contacts of a tile; touch: of all slots."""
         return contact_reduction.slice_shared_contacts(
             self.slots, self.shared_contacts, touch.normal, k, self.size
         )
 
     def are_touching(self, rows: PairConstants, overlap: Array) -> Array:
-        """Whether slots touch, or the fillet between facets, [P] bool."""
+        """Whether slots touch a surface, or the fillet between facets, [P] bool."""
         return (
             effective_overlap(self.system, rows, overlap) + fillet_gap(self.system, self.kind, rows)
             > 0
@@ -242,9 +245,9 @@ def _evaluate_shared_surfaces(
     column: int,
     size: int,
 ) -> KindResult:
-    """As ``_evaluate_kind``, of contacts of which several may be one, see ``seams``: first where
-    each touches, then what part each has, then the contact law. start: what there is before the
-    step; size: of a block, 0: all at once.
+    """As ``_evaluate_kind``, for contacts that may be merged (``contact_reduction``): touching
+    contacts, then shares, then the contact law. start: values before the step; size: of a tile, 0:
+    all at once.
     """
     scratch = state.scratch
     siblings = scratch.shared_contacts[kind]
@@ -275,7 +278,7 @@ def _evaluate_shared_surfaces(
 def _find_touching(
     shared: _SharedSurfaces, facing: SupportFaces | None
 ) -> tuple[WorldContacts, SupportFaces | None]:
-    """Where each slot touches, by itself, and the faces of polytopes that look at each other."""
+    """Contact geometry of each slot on its own, and the support faces of polytopes."""
     lacks_patches = _may_lack_patch(shared.system, shared.kind)
     nothing = empty_world_contacts(shared.system, shared.kind, shared.slots, shared.stacked.dtype)
 
@@ -312,8 +315,8 @@ def _find_touching(
 
 
 def _locate_missing_patches(shared: _SharedSurfaces, touch: WorldContacts) -> WorldContacts:
-    """Contacts with weights and points, those of contacts that have none, nor has any sibling, by
-    their edges.
+    """The contacts with weights and points; contacts without a patch, in the slot and all contacts
+    merged with it, are located by their edges.
     """
     system, size = shared.system, shared.size
 
@@ -347,8 +350,8 @@ def _locate_missing_patches(shared: _SharedSurfaces, touch: WorldContacts) -> Wo
 
 
 def _find_shares(shared: _SharedSurfaces, touch: WorldContacts, weight: Array) -> Array:
-    """What ``find_load_shares`` of the module that merges contacts says of each slot, [P]. weight:
-    [P], of those that touch.
+    """Share of each slot, [P], from ``find_load_shares`` of the module that merges the contacts.
+    weight: [P], of touching contacts.
     """
     is_bent = shared.system.walls.is_bent
     merging = smooth_surfaces if is_bent else contact_reduction
@@ -380,7 +383,7 @@ def _evaluate_merged_contacts(
     start: KindResult,
     column: int,
 ) -> KindResult:
-    """The contact law's answer to contacts that are one, each slot with its part."""
+    """Evaluate the contact law for merged contacts, each slot with its share."""
     system, kind, size = shared.system, shared.kind, shared.size
     is_bent = system.walls.is_bent
 
@@ -443,9 +446,7 @@ def _load_tile(stacked: Array, slots: PairConstants, memory: ContactHistory) -> 
 
 
 def _store_loads(loads: Array, part: ContactLoads, first: Array | int, room: int) -> Array:
-    """The loads with those of some contacts, of a kind with so many slots, from column ``first``
-    on.
-    """
+    """Store the loads of some contacts, of a kind with ``room`` slots, from column ``first`` on."""
     loads = jax.lax.dynamic_update_slice_in_dim(loads, part.load_b, first, 1)
     return jax.lax.dynamic_update_slice_in_dim(loads, part.load_a, room + first, 1)
 
@@ -455,7 +456,7 @@ def _take_cached_geometry(
     facing: SupportFaces | None,
     of: Callable[[Any], Any] = lambda tree: tree,
 ) -> CachedGeometry:
-    """What is known of a block of slots. of: takes those of the block from a tree of all."""
+    """Cached geometry of a tile of slots. of: takes the tile from a tree of all slots."""
     if near is None:
         return NO_CACHE
     clipping, near = near.clip_planes, near.replace(clip_planes=None)
@@ -463,14 +464,14 @@ def _take_cached_geometry(
 
 
 def _relative_rotation(system: System, kind: str, a: BodyState, b: BodyState) -> Vector | None:
-    """As in Contact."""
+    """``ContactKinematics.relative_rotation`` of a kind."""
     return vector.scale(system.dt, vector.sub(b.spin, a.spin)) if kind == "hulls" else None
 
 
 def _resolve_contacts(
     system: System, kind: str, side: ContactTile, known: CachedGeometry, is_due: Array
 ) -> tuple[ContactLoads, SupportFaces | None]:
-    """Geometry and contact law of the contacts of one kind."""
+    """Evaluate geometry and contact law of the contacts of one kind."""
     memory, slots, a, b, offset = side
     depth, rest, facing = compute_contact_geometry(system, kind, slots, a, b, offset, known)
     turn = _relative_rotation(system, kind, a, b)
@@ -495,21 +496,21 @@ def _resolve_contacts(
 
 
 def _may_lack_patch(system: System, kind: str) -> bool:
-    """Whether contacts of a kind can have no contact patch by the faces that look at each other: of
+    """Whether contacts of a kind can lack a contact patch between their support faces: those of
     general polytopes.
     """
     return kind == "hulls" and system.hulls is not None and system.hulls.features is not None
 
 
 def _lacks_patch(system: System, slots: PairConstants, part: WorldContacts) -> Array:
-    """Which contacts overlap without a patch, [P] bool."""
+    """Contacts that overlap without a patch, [P] bool."""
     assert part.weight is not None
     return (effective_overlap(system, slots, part.overlap) > 0) & (part.weight <= 0) & slots.live
 
 
 def elastic_energy(system: System, state: State, kind: str) -> Array:
-    """What each contact of a kind would give back, [P] (J): of one that several share, each its
-    part.
+    """Recoverable energy of each contact of a kind, [P] (J); for shared contacts the share of each
+    slot.
     """
     slots, memory, share = (
         state.scratch.slots[kind],
@@ -526,7 +527,7 @@ def _sum_piece_loads(system: System, state: State) -> Array:
     """Force and torque on each piece, [6, N] (N, N m): the sum over its contacts, found by
     ``incidence``.
 
-    Gathers and sums: the same bits every time, on a GPU too, where adding up in place is not.
+    Gathers and sums are bitwise reproducible, even on a GPU, where scatter additions are not.
     """
     loads = state.scratch.loads
     rows = lambda k: take_columns(loads, state.incidence[k])[:6]
@@ -536,8 +537,8 @@ def _sum_piece_loads(system: System, state: State) -> Array:
 def _sum_wall_loads(
     system: System, state: State, panels: kinematics.WallState
 ) -> tuple[WallLoads, Array]:
-    """Loads on each wall group, and the rise of the force, [G, R] (N): what its walls do to a
-    piece, added up piece by piece, is the reaction.
+    """Loads on each wall group, and the rise of the force, [G, R] (N): the reaction to the sum of
+    the loads on the pieces.
     """
     number = jnp.arange(len(system.walls.groups), dtype=jnp.int32)[:, None]
     scratch = state.scratch
@@ -554,7 +555,7 @@ def _sum_wall_loads(
     )
     force = vector.fusion_barrier(batch_reduction.sum_per_run(system, load[:3]))
     pivot = vector.map_components(lambda c: c[..., None], panels.pivot)
-    # each by itself: rows put together are added up slowly
+    # component by component: the sum of stacked rows is slow
     turning = vector.map_components(lambda c: batch_reduction.sum_per_run(system, c), about_origin)
     torque = vector.fusion_barrier(
         *vector.sub(turning, vector.cross(pivot, vector.unstack_vector(force)))
@@ -563,8 +564,8 @@ def _sum_wall_loads(
 
 
 def _sum_over_contacts(system: System, rows: Callable[[Array], Array], count: Array) -> Array:
-    """The sum of ``rows(k)`` over the first ``count`` contacts of each piece; over all, which is
-    the same and can be differentiated, where slots are not computed by blocks.
+    """Sum of ``rows(k)`` over the first ``count`` contacts of each piece. If slots are not tiled,
+    over all contacts, which gives the same result and is differentiable.
     """
     if not system.slot_block:
         return jnp.sum(jax.vmap(rows)(jnp.arange(system.touching, dtype=jnp.int32)), axis=0)

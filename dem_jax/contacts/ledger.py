@@ -1,4 +1,4 @@
-"""Accumulated quantities: impulse on walls, peak force, largest overlap, work of contacts and of
+"""Accumulated quantities: impulse on walls, peak force, largest overlap, and work of contacts and
 walls.
 """
 
@@ -25,8 +25,8 @@ def accumulate_ledger(
     rise: Array,
     overlap: Array,
 ) -> Ledger:
-    """The ledger after a step that led from the loads of a state to those on pieces [6, N] and
-    walls now.
+    """The ledger after a step from the loads of a state to the current loads on pieces [6, N] and
+    walls.
 
     omega: [3, N] (rad/s) in the step; rise: [G, R] (N), by how much the forces on walls along
     gravity were larger within the step than before it; overlap: [R] largest now, relative to width.
@@ -53,7 +53,7 @@ def accumulate_ledger(
 
 
 def gravity_direction(system: System) -> Vector:
-    """Unit vector along gravity; without gravity against z."""
+    """Unit vector along gravity; along -z without gravity."""
     square = jnp.sum(system.gravity**2)
     along = system.gravity / jnp.sqrt(jnp.where(square > 0, square, 1))
     x, y, z = along - jnp.where(square > 0, 0, jnp.asarray([0, 0, 1], along.dtype))
@@ -61,9 +61,9 @@ def gravity_direction(system: System) -> Vector:
 
 
 def _peak_force(system: System, before: Array, now: Array, rise: Array) -> Array:
-    """Of forces on wall groups before and after the step, [3, G, R] (N), the largest along gravity
-    on what is reported, [reports, R] (N): that now, or where contacts turned between the two that
-    before it and by how much more they had there.
+    """Largest force along gravity in the step, [reports, R] (N): the current one or, if loading
+    reversed within the step, the previous one plus its rise. before, now: forces on wall groups
+    before and after the step, [3, G, R] (N).
     """
     along = lambda force: sum_reported_groups(
         system, vector.dot(gravity_direction(system), vector.unstack_vector(force))
@@ -73,7 +73,9 @@ def _peak_force(system: System, before: Array, now: Array, rise: Array) -> Array
 
 
 def sum_reported_groups(system: System, of_groups: Array) -> Array:
-    """Values of wall groups, [.., G, R], summed for each of Walls.reports, [.., reports, R]."""
+    """Values of wall groups, [.., G, R], summed for each entry of ``Walls.reports``, [.., reports,
+    R].
+    """
     of = lambda group: of_groups[..., group, :]
     rows = [sum(map(of, groups[1:])) + of(groups[0]) for _, groups in system.walls.reports]
     return jnp.stack(rows, axis=-2) if rows else of_groups[..., :0, :]
@@ -82,11 +84,11 @@ def sum_reported_groups(system: System, of_groups: Array) -> Array:
 def _twice_power(
     before: ForceAndTorque, now: ForceAndTorque, motion: tuple[Vector, Vector]
 ) -> Array:
-    """Power of forces and torques, [3, ..] (N, N m), before and after a step at a velocity and a
-    spin, [..] (W).
+    """Sum of the powers of forces and torques, [3, ..] (N, N m), before and after a step at a given
+    velocity and spin, [..] (W).
 
-    Half of it times the step is their work: trapezoidal, each load at its own point of attack,
-    closed to second order.
+    Half of it times the step is their work by the trapezoidal rule, each load at its own point of
+    attack; the energy balance is of second order.
     """
     each = zip(before, now, motion, strict=True)
     force, torque = (

@@ -1,20 +1,20 @@
-"""The overlap in single precision: within the rounding error of the geometry it is integrated from
-the displacement.
+"""The overlap in single precision: integrated from the displacement, within the rounding error of
+the geometry.
 
-The depth of two bodies is a small difference of lengths: with a few 1e-9 m of rounding, anew in
-each step, where a stiff slow impact (NSF = 1, 1e-3 m/s) has a largest overlap of 4e-8 m. By how
-much bodies approach in a step is known far better, from velocities. So the overlap goes on by that,
-held within the slack
+The depth of two bodies is a small difference of lengths, with rounding errors of a few 1e-9 m that
+differ from step to step, while a stiff slow impact (NSF = 1, 1e-3 m/s) has a largest overlap of
+4e-8 m. The approach of the bodies in a step is known far more accurately, from velocities. The
+overlap is therefore integrated from the approach, and kept within the slack
 
     |s - depth| <= 2 eps (|x_a| + |y_a| + |z_a| + |x_b| + |y_b| + |z_b|)
 
-of the depth, with the arms from both centres to the contact point: what is not rounding the
-geometry decides. Of first touch no more than the approach can be overlap. In double precision the
-depth is taken as it is.
+of the depth, with the lever arms from both centres to the contact point: beyond rounding the
+geometry decides. At first touch the overlap does not exceed the approach. In double precision the
+depth is used directly.
 
-That is the approach of the deepest point, not of the contact point, the middle of the overlap.
-Where it is a corner it is known; where edges cross, and of faces that lie on each other, it is
-somewhere in the overlap, and may go over to another corner. Within this doubt the overlap is the
+The approach is that of the deepest point, not of the contact point, which is the middle of the
+overlap. The deepest point is known if it is a vertex; for crossing edges and faces in contact it is
+somewhere in the overlap, and may move to another vertex. Within this uncertainty the overlap is the
 depth.
 """
 
@@ -31,11 +31,11 @@ ROUNDING_FACTOR = 2.0  # units in the last place of the sum of all arms: twice t
 def track_overlap(
     before: Array, approach: Array, doubt: Array, depth: Array, at_a: Vector, at_b: Vector
 ) -> Array:
-    """Overlap now, [P] (m); not positive: separated.
+    """Current overlap, [P] (m); separated where not positive.
 
-    before: [P] (m), that of the last step, 0 where separated; approach: [P] (m) of the deepest
-    point in this step; doubt: [P] (m), by how much it may be more or less; depth: [P] (m) by
-    geometry; at_a, at_b: [P] x 3 (m), the contact point about both centres.
+    before: [P] (m), at the last step, 0 where separated; approach: [P] (m) of the deepest point in
+    this step; doubt: [P] (m), uncertainty of the approach; depth: [P] (m), from the geometry; at_a,
+    at_b: [P] x 3 (m), the contact point about both centres.
     """
     if depth.dtype == jnp.float64:
         return depth

@@ -1,14 +1,14 @@
-"""One contact with a smooth surface of facets, whatever the number of facets that a piece touches.
+"""Merging of the contacts with a smooth surface of facets into one, whatever the number of facets
+that a piece touches.
 
 Facets of one surface that a piece touches at nearly the same angle (``normal_similarity``) share
 one contact: one overlap s, one normal n, one point, one history, and one stiffness. Facet i has the
-part w_i / sum_j w_j of it. Of all of these, s, n and the point are continuous functions of where
-the piece is.
+share w_i / sum_j w_j of it. s, n and the point are continuous functions of the pose of the piece.
 
 A sphere touches a facet at its closest point, at a distance h_i of the centre, along the unit
 vector n_i. Where a ridge is closest, the facets on both sides have the same n_i and h_i. In a
-valley both facets are closest over a wedge of width h tan(bend) only. There, and only there, both
-have a weight:
+valley both facets are closest only over a wedge of width h tan(bend). Only there both have a
+weight:
 
     w_i = min_j clip(1 - (h_i - h_j) / (h_i |n_i - n_j|^2 / 2), 0, 1),
 
@@ -17,20 +17,20 @@ With it the overlap is
 
     s = sum_i w_i s_i / sum_i w_i + h (1 - |n|^2) / 2,    n = sum_i w_i n_i / sum_i w_i,
 
-whose gradient is n: the force has a potential, which is that of a fillet of radius 2 h in the
+with the gradient n: the force has a potential, which is that of a fillet of radius 2 h in the
 valley.
 
-A polytope touches a facet with a patch, see ``collide.contact_patch``, whose depth-weighted measure
-is w_i. Beyond convex seams a facet's solid ends at its neighbours (``assembly.panel_surfaces``), so
-that all facets find one overlap and one normal; in a valley each finds those of its own plane. With
-p = POWER,
+A polytope touches a facet with a patch, see ``collision_primitives.contact_patch``, whose
+depth-weighted measure is w_i. Beyond convex seams a facet's solid ends at its neighbours
+(``assembly.panel_surfaces``), so that all facets find one overlap and one normal; in a valley each
+finds those of its own plane. With p = MEAN_POWER,
 
     s = (sum_i w_i s_i^p / sum_i w_i)^(1/p),    n and point weighted by g_i = w_i s_i^(p - 1) /
     sum_j w_j s_j^(p - 1),
 
-so that s is close to the largest overlap, and g_i its derivative by s_i but for a factor: the work
-of the force is the change of the stored energy, up to 1/p of what changes of the weights w_i
-contribute. With the largest overlap and g_i = w_i it would not be: a box that rocks on two facets
+so that s is close to the largest overlap, and g_i is proportional to its derivative by s_i. The
+work of the force equals the change of the stored energy, up to 1/p of the contribution of changing
+weights w_i. With the largest overlap and g_i = w_i it would not: a box that rocks on two facets
 would lose energy.
 """
 
@@ -57,12 +57,12 @@ from dem_jax.narrow_phase.patch_moments import SecondMoments
 from dem_jax.types import Array, ContactHistory, PairConstants, Parts, System, Walls
 
 ONE_CONTACT_COSINE = 0.82  # cosine of the angle (35 degrees) between normals up to which contacts
-# with a surface are one
-TWO_CONTACTS_COSINE = 0.57  # cosine of the angle (55 degrees) from which on they are two; between,
-# they are one in part
+# with a surface are merged completely
+TWO_CONTACTS_COSINE = 0.57  # cosine of the angle (55 degrees) from which on they stay separate;
+# between, they are partly merged
 
 
-FILLET_RATIO = 0.04  # of its radius: a sphere may touch the fillet of a valley while it is so far
+FILLET_RATIO = 0.04  # of its radius: a sphere may touch the fillet of a valley at this distance
 # from both facets (bend <= 32 degrees)
 
 
@@ -70,7 +70,7 @@ MEAN_POWER = 32  # of the mean of overlaps of a polytope, see above
 
 
 class _Sums(NamedTuple):
-    """Sums over the siblings of each slot of a block, with their weights."""
+    """Weighted sums over the contacts merged with each slot of a tile."""
 
     patch: Array  # [B]: of the weights of ``find_load_shares``
     weight: Array  # [B]: of those of normals and points: derivatives of the common overlap
@@ -78,23 +78,23 @@ class _Sums(NamedTuple):
     # polytopes)
     normal: Vector  # [B] x 3
     point: Vector  # [B] x 3 (m), from the centre of b
-    spread: SecondMoments | None  # [B] (m2), of the patches about the centre of b; None: nobody
-    # needs them
+    spread: SecondMoments | None  # [B] (m2), of the patches about the centre of b; None if not
+    # needed
 
 
 def normal_similarity(a: Vector, b: Vector) -> Array:
-    """How much two contacts with unit normals [P] x 3 are one, [P]: from 1 to 0."""
+    """Degree to which two contacts with unit normals [P] x 3 are merged, [P]: from 1 to 0."""
     return jnp.clip(
         (vector.dot(a, b) - TWO_CONTACTS_COSINE) / (ONE_CONTACT_COSINE - TWO_CONTACTS_COSINE), 0, 1
     )
 
 
 def fillet_gap(system: System, kind: str, slots: PairConstants) -> Array | int:
-    """How far a piece may be from a facet that has part in its contact, [P] (m).
+    """Largest distance of a piece from a facet that has a share in its contact, [P] (m).
 
     Args:
-        system, kind: what decides whether there are fillets: of contacts of spheres with walls that
-        have bent surfaces. slots: of the kind.
+        system, kind: only contacts of spheres with walls that have bent surfaces have fillets.
+        slots: of the kind.
     """
     return FILLET_RATIO * slots.radius_b if kind == "plates" and system.walls.is_bent else 0
 
@@ -108,13 +108,13 @@ def largest_fillet(walls: Walls, parts: Parts) -> float:
 def find_load_shares(
     slots: PairConstants, met: WorldContacts, own: WorldContacts, of: SharedTile
 ) -> Array:
-    """The weight of each contact of a block in what it shares with its siblings, [B].
+    """Weight of each contact of a tile within its merged contact, [B].
 
     Args:
-        slots: of the block.
+        slots: of the tile.
         met: contacts of all slots.
-        own: contacts of the block.
-        of: siblings of the block.
+        own: contacts of the tile.
+        of: contacts merged with those of the tile.
     """
     assert own.weight is not None
     if own.deepest is not None:
@@ -141,18 +141,20 @@ def merge_contacts(
     of: SharedTile,
     reach: Array | None,
 ) -> tuple[WorldContacts, ContactHistory, Array]:
-    """The contacts of a block, each as one with its siblings.
+    """Merge each contact of a tile with the other contacts on the same smooth surface.
 
     Args:
-        slots: of the block.
-        met, weight, before: of all slots: contacts, their weights, their memory before the step.
-        own: contacts of the block, offset: [B] x 3 (m) between the centres of their pieces.
-        of: siblings of the block.
-        reach: (m) of the law, None: it has none.
+        slots: of the tile.
+        met, weight, before: of all slots: contacts, their weights, their history before the step.
+        own: contacts of the tile.
+        offset: [B] x 3 (m), between the centres of their pieces.
+        of: contacts merged with those of the tile.
+        reach: (m), interaction range of the law; None without one.
 
     Returns:
-        The contacts; the memory of those that were deepest before, so that a contact continues on
-        the next facet; and the part of the common contact that each has, [B].
+        The contacts; the history of the contact that was deepest before, so that a contact
+        continues
+            on the next facet; and the share of each slot in the merged contact, [B].
     """
     own_weight = weight[of.itself]
     is_shared = (of.number > 0) & (own_weight > 0)
@@ -205,8 +207,8 @@ def _deepest_shared_contacts(
     of: SharedTile,
     reach: Array | None,
 ) -> tuple[DeepestSoFar, DeepestSoFar]:
-    """Of the siblings of each slot of a block the deepest (from where the law begins to act), and
-    the deepest before the step.
+    """The deepest contact merged with each slot of a tile (measured from the onset of the law), and
+    the deepest one before the step.
     """
     nothing = jnp.full_like(own.overlap, -jnp.inf), of.itself
 
@@ -231,7 +233,9 @@ def _weighted_sums(
     reach: Array | None,
     most: Array,
 ) -> _Sums:
-    """Sums over the siblings of each slot of a block. most: [B] (m), the largest overlap of them."""
+    """Weighted sums over the contacts merged with each slot of a tile. most: [B] (m), their largest
+    overlap.
+    """
     spread = (
         None
         if met.spread is None

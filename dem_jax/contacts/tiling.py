@@ -1,6 +1,4 @@
-"""Contacts computed one block of slots at a time: free slots cost nothing, and a block stays in the
-cache.
-"""
+"""Tiled evaluation of contacts: free slots cost nothing, and a tile of slots stays in the cache."""
 
 import math
 from typing import TypeVar
@@ -15,15 +13,15 @@ from dem_jax.types import Array, ContactHistory, PairConstants, System
 T = TypeVar("T")
 
 MIN_TILE_SIZE = 32  # slots: in blocks of 16 a step of 64 pieces takes a quarter longer
-FEW_SLOTS, MANY_SLOTS = 64, 1024  # below which polytopes, and spheres, are quicker all at once
+FEW_SLOTS, MANY_SLOTS = 64, 1024  # number of slots below which polytopes, and spheres, are faster
+# untiled
 
 
 def tile_size(system: System, kind: str, room: int) -> int:
-    """How many of ``room`` slots of a kind are computed at a time; 0: all at once.
+    """Number of slots of a kind, out of ``room``, that are computed at a time; 0: all at once.
 
-    An eighth of the room or less, so that a last block that is hardly filled costs little, but
-    enough for vectors. With spheres a slot is so cheap that cutting out the blocks pays only where
-    there are many.
+    A tile has an eighth of the slots or less, so that a nearly empty last tile costs little, but
+    enough for vectors. For spheres a slot is so cheap that tiling pays only with many slots.
     """
     if not system.slot_block:
         return 0
@@ -36,13 +34,15 @@ def tile_size(system: System, kind: str, room: int) -> int:
 
 
 def slice_tile(tree: T, k: Array | int, size: int) -> T:
-    """Slots k size to (k + 1) size of arrays [.., P]; those that broadcast over slots as they are."""
+    """Slots k size to (k + 1) size of arrays [.., P]; arrays that broadcast over slots are
+    unchanged.
+    """
     cut = lambda x: x if x.shape[-1] == 1 else jax.lax.dynamic_slice_in_dim(x, k * size, size, -1)
     return jax.tree.map(cut, tree)
 
 
 def update_tile(tree: T, part: T, k: Array | int, size: int) -> T:
-    """The arrays [.., P] with a block of them, ``slice_tile``, replaced."""
+    """The arrays [.., P] with one tile (see ``slice_tile``) replaced."""
     insert = lambda whole, rows: jax.lax.dynamic_update_slice_in_dim(whole, rows, k * size, -1)
     return jax.tree.map(insert, tree, part)
 
@@ -50,8 +50,8 @@ def update_tile(tree: T, part: T, k: Array | int, size: int) -> T:
 def slice_constants_tile(
     system: System, kind: str, slots: PairConstants, k: Array | int, size: int
 ) -> PairConstants:
-    """``slice_tile`` slots. Where polytopes are alike and no wall is among the slots, nor among
-    those of the first block, the hulls are those of the first block, which the cache holds already.
+    """``slice_tile`` of the slots. If polytopes are alike and neither this tile nor the first
+    contains a wall, the hulls are those of the first tile, which are already in the cache.
     """
     if kind != "hulls" or kind not in system.alike or slots.hull_a is None:
         return slice_tile(slots, k, size)
@@ -65,11 +65,11 @@ def slice_constants_tile(
 
 
 def write_in_place(kind: str, memory: ContactHistory) -> ContactHistory:
-    """The same rows of a memory, computed by one kernel, before or after all that a block does with
-    it.
+    """The same history rows, computed by one kernel, before or after all operations of a tile on
+    them.
 
-    XLA then sees that nobody needs the old values any more, and writes over them; else it copies
-    the whole memory in each step. Of polytopes the branches of ``forces`` show it that already.
+    XLA then sees that the old values are no longer needed and overwrites them; otherwise it copies
+    the whole history in each step. For polytopes the branches in ``forces`` already achieve this.
     """
     if kind == "hulls":
         return memory

@@ -1,1 +1,1 @@
-"""Vectors, rotations and the ordering of long arrays: mathematics that knows nothing of pieces."""
+"""Vectors, rotations and ordering of long arrays: mathematics without reference to pieces."""

@@ -1,10 +1,10 @@
-"""Two operations of JAX that return their argument, to the last bit, and tell XLA to compute
-something only once.
+"""Two JAX operations that return their argument unchanged, to the last bit, and make XLA compute it
+only once.
 
-XLA fuses a cheap producer into every consumer, and on the CPU an optimisation barrier does not stop
-it; what ends in a division it takes for too expensive to repeat. In reverse mode that matters most:
-the derivative by each component of a vector begins with that of all that was computed from it, and
-a step of one box was written out two to three times over.
+XLA fuses a cheap producer into every consumer, and on the CPU an optimisation barrier does not
+prevent this; a producer that ends in a division counts as too expensive to repeat. This matters
+most in reverse mode: the derivative by each component of a vector begins with the derivatives of
+all dependent values, and a step of one box was written out two to three times.
 """
 
 from collections.abc import Callable
@@ -18,8 +18,8 @@ Array = jax.Array
 
 
 def _divide_by_one(x: Array) -> Array:
-    """x / 1, where it takes the compiler of machine code, who leaves the division out, to see that
-    it is 1.
+    """x / 1, with a divisor of which only the machine-code compiler detects that it is 1, and which
+    therefore removes the division.
     """
     if jnp.issubdtype(x.dtype, jnp.integer):
         return jax.lax.div(x, jnp.maximum(jnp.minimum(x, 1), 1))
@@ -28,7 +28,7 @@ def _divide_by_one(x: Array) -> Array:
 
 
 def _make_identity(name: str, program: Callable[[Array], Array]) -> Primitive:
-    """An operation without derivatives yet. program: its lowering to XLA."""
+    """An identity operation, still without derivatives. program: its lowering to XLA."""
     identity = Primitive(name)
     identity.def_impl(lambda x: x)
     identity.def_abstract_eval(lambda x: x)
@@ -37,8 +37,8 @@ def _make_identity(name: str, program: Callable[[Array], Array]) -> Primitive:
     return identity
 
 
-# The value is computed once although several kernels use it, and so are its derivatives; or only
-# these: what is not differentiated is as if the operation were not there.
+# FUSION_BARRIER: the value is computed once although several kernels use it, and so are its
+# derivatives. DERIVATIVE_BARRIER: only the derivatives; without differentiation it has no effect.
 FUSION_BARRIER = _make_identity("kept", _divide_by_one)
 DERIVATIVE_BARRIER = _make_identity("kept_in_derivatives", lambda x: x)
 

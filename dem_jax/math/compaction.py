@@ -1,5 +1,5 @@
-"""Those entries of long arrays that count, in few slots, and places grouped by their owner: on a
-CPU the time goes here.
+"""Compaction of long arrays to the entries that count, and grouping by owner, which dominate the
+time on a CPU.
 """
 
 import math
@@ -14,8 +14,8 @@ WORD_BITS = 32  # entries of a mask in one number
 
 
 def compact_pairs(mask: Array, a: Array, b: Array, slots: int) -> tuple[Array, Array, Array]:
-    """The pairs where mask holds, in order, in a number of slots: how many there are, a, b (EMPTY
-    where none).
+    """The number of pairs where the mask holds, and these pairs a, b in order in a number of slots
+    (EMPTY in free slots).
     """
     count, where = find_set_entries(mask, slots)
     return count, *_take_pairs(where, a, b)
@@ -24,8 +24,8 @@ def compact_pairs(mask: Array, a: Array, b: Array, slots: int) -> tuple[Array, A
 def compact_overlapping_first(
     overlap: Array, reach: Array | float, a: Array, b: Array, slots: int
 ) -> tuple[Array, Array, Array]:
-    """As ``compact_pairs``, the pairs nearer than ``reach``, those that overlap first: blocks of
-    slots behind them end early.
+    """As ``compact_pairs``, for the pairs nearer than ``reach``; overlapping pairs come first, so
+    that tiles of the slots behind them finish early.
     """
     apart, far = find_set_entries((overlap <= 0) & (overlap > -reach), slots)
     touching, where = find_set_entries(overlap > 0, slots)
@@ -34,13 +34,13 @@ def compact_overlapping_first(
 
 
 def _take_pairs(where: Array, a: Array, b: Array) -> tuple[Array, Array]:
-    """The pairs at places [slots], EMPTY where that is negative."""
+    """The pairs at places [slots]; EMPTY where the place is negative."""
     return jnp.where(where >= 0, a[where], EMPTY), jnp.where(where >= 0, b[where], EMPTY)
 
 
 def find_set_entries(mask: Array, slots: int) -> tuple[Array, Array]:
-    """How many entries of a mask hold, and the places [slots] of the first of them, in order, EMPTY
-    where there are no more.
+    """The number of set entries of a mask, and the places [slots] of the first of them in order
+    (EMPTY beyond the last).
     """
     return find_set_bits(
         pack_mask(jnp.pad(mask, (0, -mask.shape[0] % WORD_BITS)).reshape(-1, WORD_BITS)), slots
@@ -58,10 +58,10 @@ def pack_mask(mask: Array) -> Array:
 
 
 def find_set_bits(words: Array, slots: int) -> tuple[Array, Array]:
-    """``find_set_entries`` of the mask that was ``pack_mask`` into words.
+    """``find_set_entries`` for a mask that was packed into words by ``pack_mask``.
 
-    Adding up is a matter of few words, not of all pairs. Each word counts up by one where the slots
-    of those before it end, so that a sum over slots says of which word each slot is.
+    Sums run over a few words instead of all pairs. Each word adds one at the slot where the slots
+    of the preceding words end, so that a cumulative sum over slots gives the word of each slot.
     """
     count = jax.lax.population_count(words).astype(jnp.int32)
     until = jnp.cumsum(count)
@@ -73,7 +73,7 @@ def find_set_bits(words: Array, slots: int) -> tuple[Array, Array]:
     word = jnp.minimum(jnp.cumsum(ends)[:slots], words.shape[0] - 1)
     wanted = jnp.arange(slots, dtype=jnp.int32)
     left, rank, place = words[word], wanted - (until - count)[word], WORD_BITS * word
-    for half in (16, 8, 4, 2, 1):  # which bit of the word is the one of that rank
+    for half in (16, 8, 4, 2, 1):  # find the bit of that rank in the word
         low = left & jnp.uint32((1 << half) - 1)
         below = jax.lax.population_count(low).astype(jnp.int32)
         above = rank >= below
@@ -83,11 +83,11 @@ def find_set_bits(words: Array, slots: int) -> tuple[Array, Array]:
 
 
 def group_by_owner(owner: Array, groups: int) -> tuple[Array, Array]:
-    """The places of an array [P] of owners (0 to ``groups``) in the order of their owner, [P], and
-    where each group begins, [groups + 1].
+    """The places of an array [P] of owners (0 to ``groups``) sorted by owner, [P], and the
+    beginning of each group, [groups + 1].
 
-    Owner and place in one number, which a CPU sorts five times as fast as two; where that is too
-    large, by the last digit of the owner first and then, in that order, by the rest.
+    Owner and place are packed into one number, which a CPU sorts five times as fast as two. If that
+    number is too large, the sort uses the last digit of the owner first and then the rest.
     """
     places = owner.shape[0]
     number, place = jnp.arange(groups + 1, dtype=jnp.int32), jnp.arange(places, dtype=jnp.int32)

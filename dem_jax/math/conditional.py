@@ -12,8 +12,8 @@ T = TypeVar("T")
 
 
 def cond_inplace(which: Array, function: Callable[[T], T], x: T) -> T:
-    """The function of a tree x if ``which``, [] bool, else x: a loop of one round, as a branch
-    would copy what it leaves alone.
+    """Apply the function to a tree x if ``which``, [] bool, holds, else return x. It is a loop of
+    one iteration, as a branch would copy unchanged arrays.
     """
     return jax.lax.while_loop(
         lambda c: c[0], lambda c: (jnp.zeros((), bool), function(c[1])), (which, x)

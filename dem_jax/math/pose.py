@@ -6,11 +6,10 @@ from scipy.spatial.transform import Rotation
 
 
 def quaternion_to_matrix(quaternion: ArrayLike) -> np.ndarray:
-    """Rotation matrices [..., 3, 3] of quaternions [..., 4] (w x y z); lengths other than one are
-    divided out.
+    """Rotation matrices [..., 3, 3] of quaternions [..., 4] (w x y z), which are normalized.
 
-    Of what is no number, as of a piece that waits or a run that failed, nor are they; of none none.
-    (scipy refuses the first, and before 1.17 the second.)
+    Quaternions of nan, such as those of waiting pieces or failed runs, give matrices of nan; an
+    empty array gives an empty array. (scipy rejects the former, and before 1.17 the latter.)
     """
     q = np.asarray(quaternion, np.float64)
     w, x, y, z = np.moveaxis(q / np.linalg.norm(q, axis=-1, keepdims=True), -1, 0)

@@ -29,7 +29,7 @@ def hamilton_product(p: Quaternion, q: Quaternion) -> Quaternion:
 
 
 def conjugate(q: Quaternion) -> Quaternion:
-    """The inverse rotation."""
+    """The conjugate quaternion, which is the inverse rotation."""
     return (q[0], -q[1], -q[2], -q[3])
 
 
@@ -56,16 +56,16 @@ def axis_angle_matrix(axis: Vector, angle: Array) -> Matrix:
 
 
 def _half_angle(u_squared: Array) -> tuple[Array, Array]:
-    """Cosine, and sine over u, of half the angle a, where u is tan(a/4): with any u they make a
-    unit quaternion.
+    """Cosine of a/2 and its sine divided by u, with u = tan(a/4); for any u they form a unit
+    quaternion.
     """
     inverse = 1.0 / (1.0 + u_squared)
     return (1.0 - u_squared) * inverse, 2.0 * inverse
 
 
 def _tangent_ratio(x_squared: Array) -> Array:
-    """tan(x) / x by two terms of its series: angles of 4x are a = 0.001 rad to 5e-16 of a, 0.03 rad
-    to 4e-10 (a^4 / 1920).
+    """tan(x) / x by two terms of its series: an angle of a = 4x = 0.001 rad is accurate to 5e-16 of
+    a, one of 0.03 rad to 4e-10 (a^4 / 1920).
     """
     return 1.0 + x_squared / 3.0
 
@@ -73,10 +73,11 @@ def _tangent_ratio(x_squared: Array) -> Array:
 def _rotate_about_axis(
     q: Quaternion, p: Vector, axis: int, angle: Array
 ) -> tuple[Quaternion, Vector]:
-    """Turn the body about its own coordinate axis: q <- q e^(angle/2), body-frame momentum p turned
-    back.
+    """Rotate the body about its own coordinate axis: q <- q e^(angle/2); the body-frame momentum p
+    is rotated back.
 
-    Without sine and cosine, which took a tenth of a step: by tan(angle/4), see ``_tangent_ratio``.
+    It uses tan(angle/4), see ``_tangent_ratio``, as sine and cosine took a tenth of the time of a
+    step.
     """
     x = 0.25 * angle
     u = x * _tangent_ratio(x * x)
@@ -99,18 +100,17 @@ def _rotate_about_axis(
 def free_rotation(
     q: Quaternion, momentum: Vector, inertia: Vector, dt: Array | float
 ) -> tuple[Quaternion, Vector]:
-    """The turn of free rigid bodies in dt, to second order, conserving angular momentum to
-    rounding.
+    """Rotation of free rigid bodies in dt, of second order; conserves angular momentum to rounding.
 
-    The splitting into rotations about the principal axes x, y, z, y, x of Dullweber, Leimkuhler and
-    McLachlan (J. Chem. Phys. 107, 5840, 1997): each turns by an angle as exact as
-    ``_tangent_ratio`` is, the product is symmetric and symplectic, so that the energy error stays
-    bounded. The momentum in space is not touched at all.
+    The splitting of Dullweber, Leimkuhler and McLachlan (J. Chem. Phys. 107, 5840, 1997) into
+    rotations about the principal axes x, y, z, y, x: each angle is as accurate as
+    ``_tangent_ratio``. The product is symmetric and symplectic, so that the energy error stays
+    bounded. The momentum in the world frame is unchanged.
 
     q: unit quaternion, momentum: world-frame angular momentum (kg m2/s), inertia: three principal
-    moments (kg m2), dt (s). Returns by how much the quaternion changes, to the last place of the
-    change (``dynamics.integrator`` adds it up), and the angular velocity of the interval (rad/s,
-    world frame; the mean of its ends).
+    moments (kg m2), dt (s). Returns the change of the quaternion, accurate to the last place of the
+    change (``dynamics.integrator`` accumulates it), and the angular velocity of the interval
+    (rad/s, world frame; the mean of its ends).
     """
     before = rotation_matrix(q)
     p = vector.fusion_barrier(*vector.rotate_back(before, momentum))
@@ -129,8 +129,8 @@ def free_rotation(
 def isotropic_free_rotation(
     q: Quaternion, momentum: Vector, inertia: Vector, dt: Array | float
 ) -> tuple[Quaternion, Vector]:
-    """``free_rotation`` of bodies whose three moments are equal, about a fixed axis: its angle is
-    exact as ``_tangent_ratio`` is.
+    """``free_rotation`` for bodies with three equal moments, about a fixed axis; the angle is as
+    accurate as ``_tangent_ratio``.
     """
     omega = vector.scale(1 / inertia[0], momentum)
     x = vector.scale(0.25 * dt, omega)
@@ -140,16 +140,16 @@ def isotropic_free_rotation(
 
 
 def _subtract_identity(axis: Vector) -> Quaternion:
-    """A unit quaternion of less than half a turn, by its vector part, minus 1: w - 1 without the
-    cancellation.
+    """A unit quaternion of less than half a turn, given by its vector part, minus 1; w - 1 is
+    computed without cancellation.
     """
     sine = vector.dot(axis, axis)
     return (-sine / (1 + jnp.sqrt(jnp.maximum(1 - sine, 0))), *axis)
 
 
 def unit_length_correction(q: Quaternion) -> Quaternion:
-    """Correction that brings a quaternion closer to unit length: below rounding in each step,
-    complete within a hundred.
+    """Correction of a quaternion towards unit length: below rounding in each step, complete within
+    a hundred steps.
     """
     w, x, y, z = q
     part = (0.5 * UNIT_CORRECTION) * (1 - (w * w + x * x + y * y + z * z))

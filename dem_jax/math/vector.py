@@ -1,9 +1,9 @@
 """Vectors as three arrays, rotation matrices as three rows of three arrays.
 
-On a CPU the way arrays are written decides a factor of 100 in speed: with the components unrolled
-in Python and the pair index last and contiguous, XLA makes one vectorised loop of an expression; a
-component axis of length 3 that is summed over does not vectorise. A vector here is therefore a
-tuple ``(x, y, z)`` of arrays of one shape (or shapes of one rank that broadcast), in any unit.
+On a CPU the layout of arrays changes the speed by a factor of 100: with the components unrolled in
+Python and the pair index last and contiguous, XLA makes one vectorised loop of an expression; a sum
+over a component axis of length 3 does not vectorise. A vector here is therefore a tuple ``(x, y,
+z)`` of arrays of one shape (or shapes of one rank that broadcast), in any unit.
 """
 
 from collections.abc import Callable
@@ -78,12 +78,12 @@ def normalize(a: Vector) -> Vector:
 
 
 def map_components(function: Callable[[Array], Array], a: Vector) -> Vector:
-    """A function of each component."""
+    """Apply a function to each component."""
     return (function(a[0]), function(a[1]), function(a[2]))
 
 
 def take_entries(a: Vector, index: Any) -> Vector:
-    """Entries of each component; index: as an array takes it."""
+    """Entries of each component; index: any array index."""
     return (a[0][index], a[1][index], a[2][index])
 
 
@@ -120,7 +120,7 @@ def expand_matrix_dims(r: Matrix, axis: int | tuple[int, ...]) -> Matrix:
 
 
 def unstack_vector(array: Array) -> Vector:
-    """[3, ...] -> the tuple of its components."""
+    """The tuple of the components of an array [3, ...]."""
     return (array[0], array[1], array[2])
 
 
@@ -134,7 +134,7 @@ def fusion_barrier(x: Array, y: Array, z: Array, /) -> Vector: ...
 def fusion_barrier(*arrays: Array) -> tuple[Array, ...]: ...
 def fusion_barrier(*arrays: Array) -> Any:
     """The same arrays, to the last bit, each computed once although several kernels use it, see
-    ``identity``.
+    ``barrier_primitives``.
     """
     found = tuple(FUSION_BARRIER.bind(x) for x in arrays)
     return found if len(found) > 1 else found[0]

@@ -1,5 +1,5 @@
-"""Panels of walls in motion: their poses and velocities at a time, at the steps ahead, and on a
-load cell.
+"""Kinematics of wall panels: poses and velocities at a time, at the coming steps, and on a load
+cell.
 """
 
 from typing import NamedTuple
@@ -37,7 +37,7 @@ class WallState(NamedTuple):
 
     @property
     def rotation(self) -> Matrix:
-        """Panel to world."""
+        """Rotations of the panels, panel frame to world."""
         return _take_vector(self.rows, 9), _take_vector(self.rows, 12), _take_vector(self.rows, 15)
 
     @property
@@ -103,8 +103,10 @@ def _rotate_about_hinges(
     velocity: Vector,
     spin: Vector,
 ) -> tuple[Vector, Matrix, Vector]:
-    """Centres and frames of panels once they are turned about their hinges, which are then at their
-    pivots, and the velocities of the centres; velocity: of the pivots.
+    """Rotate panels about their hinges and move the hinges to the pivots.
+
+    Returns the centres and frames of the panels and the velocities of the centres; velocity: of the
+    pivots.
     """
     arm = vector.rotate(turn, vector.sub(centre, hinge))
     return (
@@ -128,30 +130,32 @@ def _pack_wall_state(
 
 
 def wall_state_after_step(system: System, step: Array) -> WallState:
-    """The panels at the end of a step, with the velocities of its middle."""
+    """The panels at the end of a step, with the velocities at its middle."""
     time = system.dt * step.astype(system.dt.dtype)
     return compute_wall_state(system.walls, time, time - 0.5 * system.dt)
 
 
 def wall_state_at_rebuild(system: System, step: Array) -> WallState:
-    """The panels at the end of a step, with their velocities then."""
+    """The panels at the end of a step, with the velocities at the same time."""
     time = system.dt * step.astype(system.dt.dtype)
     return compute_wall_state(system.walls, time, time)
 
 
 class WallSchedule(NamedTuple):
-    """Where the panels are at a rebuild and until the next, as far as that is known ahead:
-    ``look_up_wall_state`` of a load cell at rest.
+    """Wall states at a rebuild and at all steps until the next one, as far as they are prescribed:
+    with the load cell and the flap drives at rest (``look_up_wall_state``).
     """
 
     now: WallState
-    after: WallState  # so many steps: arrays with a leading axis [count + 1], unless all walls rest
+    after: WallState  # after each number of steps: arrays with a leading axis [count + 1], unless
+    # all walls rest
 
 
 def precompute_wall_states(system: System, step: Array, count: int) -> WallSchedule:
     """The panels at a step and after each of the ``count`` steps that follow.
 
-    All at once: where the flaps are would take a step of few pieces a third of its time.
+    They are computed at once: flap poses would take a third of the time of each step with few
+    pieces.
     """
     if not system.walls.motions:
         now = wall_state_at_rebuild(system, step)
@@ -173,15 +177,15 @@ def look_up_wall_state(system: System, of: WallSchedule, steps: Array) -> WallSt
 
 
 def apply_compliance(system: System, state: State, panels: WallState) -> WallState:
-    """The panels where pieces have brought them to: flaps to where their drives let them be turned,
-    what a load cell carries to where it is let down to, at its speed. panels: as the scene's
-    motions say, of a cell at rest.
+    """The panels, displaced by the pieces: flaps with a drive by their lag, and the panels on a
+    load cell by its deflection and at its velocity. panels: at the prescribed motion, with the load
+    cell at rest.
     """
     return _apply_load_cell(system, state.cell, _apply_flap_drive(system, state.drive, panels))
 
 
 def _apply_flap_drive(system: System, now: FlapDriveMotion | None, panels: WallState) -> WallState:
-    """The panels of flaps turned further than their motion, see ``step.drive``."""
+    """The panels, with flaps rotated by the lag of their drive, see ``dynamics.flap_drive``."""
     drive = system.walls.drive
     if drive is None or now is None:
         return panels
@@ -206,7 +210,7 @@ def _apply_flap_drive(system: System, now: FlapDriveMotion | None, panels: WallS
 
 
 def _apply_load_cell(system: System, cell: LoadCellMotion | None, panels: WallState) -> WallState:
-    """The panels with those that a load cell carries where it has let them down to, at its speed."""
+    """The panels, with those on the load cell displaced by its deflection, at its velocity."""
     carrier = system.walls.load_cell
     if carrier is None or cell is None:
         return panels

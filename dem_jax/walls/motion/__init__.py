@@ -1,20 +1,20 @@
-"""How walls move: one file for each kind of motion, and compose, which lists the kinds and puts
-them together.
+"""Kinds of wall motion, one file for each, and their composition.
 
-A kind is a frozen pytree of all G groups, with the names of the scene's keys, so that a program
-does not grow with their number; a group that does not move so moves by nothing. It has
+A kind is a frozen pytree for all G groups, with the names of the scene's keys, so that the size of
+a program does not depend on the number of groups; groups without this motion have a zero one. It
+has
 
-- ``asked(section)``: whether a section of the scene asks for it;
-- ``of(sections)``: itself, of a section for each group, in numpy;
-- ``axis``, ``pivot``: [3, G], of what turns; None of what does not, and pivot also where it is the
+- ``is_requested(section)``: whether a section of the scene requests it;
+- ``from_sections(sections)``: the kind from one section per group, in numpy;
+- ``axis``, ``pivot``: [3, G], of a rotation; None without one; pivot is also None if it is the
   group's own;
-- ``at(t)``: the angle about the axis (rad), [G], and the shift (m), 3 x [G], at a time (s); None
-  for what it does not do;
-- ``find_moving_groups()``: which groups it moves, [G] bool, in numpy;
-- ``motion_interval()``: times (s) at which those begin to move and are at rest again, inf if never,
-  [G] each, in numpy;
-- ``describe_endless_motion(section, duration)``: the key of the section by which it does not come
-  to rest in a run, and what is allowed, or None.
+- ``pose_at(t)``: the angle about the axis (rad), [G], and the displacement (m), 3 x [G], at a time
+  (s); None for a missing one;
+- ``moving_groups()``: flags of the groups that it moves, [G] bool, in numpy;
+- ``active_interval()``: times (s) at which groups begin to move and are at rest again, inf if
+  never, [G] each, in numpy;
+- ``find_endless_key(section, duration)``: the key of the section that keeps it moving beyond a run,
+  with its allowed values, or None.
 """
 
 from dem_jax.walls.motion.composition import (

@@ -1,5 +1,5 @@
-"""All motions of walls together: which kinds there are, where they put each group, how fast, and
-when all is at rest.
+"""Composition of all wall motions: the kinds of motion, the resulting poses and velocities of the
+groups, and the times of motion.
 """
 
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ MOTION_KINDS: tuple[type[MotionKind], ...] = (Hinge, Table, Vibration)
 
 
 class GroupPose(NamedTuple):
-    """Poses of G groups: the point x of the scene is now at turn (x - Walls.pivot) + pivot."""
+    """Poses of G groups: a point x of the scene moves to turn (x - Walls.pivot) + pivot."""
 
     turn: Matrix  # rows of three, each 3 x [G]
     pivot: Vector  # 3 x [G] (m)
@@ -34,8 +34,8 @@ class GroupPose(NamedTuple):
 
 
 class _PartialPose(NamedTuple):
-    """A Frame as the kinds from within make it, one after the other; turn: None as long as none is
-    turned.
+    """A GroupPose during composition, from the innermost kind outwards; turn: None until a kind
+    rotates.
     """
 
     turn: Matrix | None
@@ -45,7 +45,7 @@ class _PartialPose(NamedTuple):
 
 
 class _GroupRotation(NamedTuple):
-    """How one kind of motion turns G groups: by nothing those that it leaves alone."""
+    """Rotation of G groups by one kind of motion; the angle is zero for groups without it."""
 
     axis: Vector
     pivot: Vector | None
@@ -59,11 +59,11 @@ class _GroupMovement(NamedTuple):
     """
 
     turn: _GroupRotation | None
-    shift: tuple[Vector, Vector] | None  # the way, and its rate
+    shift: tuple[Vector, Vector] | None  # displacement (m) and velocity (m/s)
 
 
 def compose_group_poses(walls: Walls, t: jax.Array, t_velocity: jax.Array) -> GroupPose:
-    """Where the groups are at time t, and their velocities at time t_velocity (s)."""
+    """Poses of the groups at time t, and their velocities at time t_velocity (s)."""
     pivot = vector.unstack_vector(walls.pivot)
     zero = jnp.zeros_like(pivot[0])
     still = (zero, zero, zero)
@@ -76,7 +76,9 @@ def compose_group_poses(walls: Walls, t: jax.Array, t_velocity: jax.Array) -> Gr
 
 
 def _evaluate_motion(motion: MotionKind, t: Array, t_velocity: Array) -> _GroupMovement:
-    """Velocities of every kind are the derivatives of its pose."""
+    """Rotation and displacement by a kind of motion; the velocities are the derivatives of the
+    pose.
+    """
     angle, shift = motion.pose_at(t)
     angle_rate, shift_rate = jax.jvp(motion.pose_at, (t_velocity,), (jnp.ones_like(t_velocity),))[1]
     turn = None
@@ -91,7 +93,7 @@ def _evaluate_motion(motion: MotionKind, t: Array, t_velocity: Array) -> _GroupM
 
 
 def _apply_movement(frame: _PartialPose, move: _GroupMovement) -> _PartialPose:
-    """The frame inside the moved one."""
+    """The pose after a further movement from outside."""
     if move.turn is not None:
         frame = _apply_rotation(frame, move.turn)
     if move.shift is None:
@@ -104,7 +106,8 @@ def _apply_movement(frame: _PartialPose, move: _GroupMovement) -> _PartialPose:
 
 def _apply_rotation(frame: _PartialPose, move: _GroupRotation) -> _PartialPose:
     turn, spin = quaternions.axis_angle_matrix(move.axis, move.angle), move.spin
-    if frame.turn is None:  # the innermost: about the group's own pivot, see motions_of
+    if frame.turn is None:  # the innermost motion rotates about the group's own pivot, see
+        # build_motions
         return frame._replace(turn=turn, spin=spin)
     assert move.pivot is not None  # all but the innermost have one
     arm = vector.rotate(turn, vector.sub(frame.pivot, move.pivot))
@@ -119,11 +122,11 @@ def _apply_rotation(frame: _PartialPose, move: _GroupRotation) -> _PartialPose:
 def build_motions(
     sections: Sequence[Motion], groups: tuple[str, ...]
 ) -> tuple[tuple[MotionKind, ...], np.ndarray]:
-    """The kinds of motion that sections ask for, and the pivot [3, G] (m) of each group, that of
+    """The kinds of motion that sections request, and the pivot [3, G] (m) of each group, that of
     its innermost motion.
 
-    A group may have several sections, of different kinds. Tables are ``written_out``. Raises
-    SceneError.
+    A group may have several sections of different kinds. Tables must be loaded
+    (``load_table_rows``). Raises SceneError.
     """
     pivot, motions = np.zeros((3, len(groups))), []
     for section in sorted(sections, key=_innermost_kind_index, reverse=True):
@@ -144,7 +147,7 @@ def build_motions(
 
 
 def _innermost_kind_index(section: Motion) -> int:
-    """The place in KINDS of a section's innermost motion."""
+    """Index in MOTION_KINDS of a section's innermost motion."""
     return next(
         (k for k, kind in enumerate(MOTION_KINDS) if kind.is_requested(section)), len(MOTION_KINDS)
     )
@@ -157,7 +160,7 @@ def find_moving_groups(walls: Walls) -> np.ndarray:
 
 
 def motion_interval(walls: Walls) -> tuple[float, float]:
-    """Times (s) at which the first wall begins to move and the last one has come to rest, inf if
+    """Times (s) at which the first wall begins to move and the last one comes to rest, inf if
     never; 0, 0 if none moves.
     """
     begins, ends = (
@@ -170,8 +173,8 @@ def motion_interval(walls: Walls) -> tuple[float, float]:
 
 
 def describe_endless_motion(section: Motion, duration: float) -> str | None:
-    """The key that keeps a section's wall moving in a run of a given duration (s), and its values
-    allowed; or None.
+    """The key that keeps a section's wall moving in a run of a given duration (s), with its allowed
+    values; None if it comes to rest.
     """
     return next(
         filter(

@@ -14,8 +14,8 @@ from dem_jax.scene.array_namespace import is_traced
 
 
 def fit_hermite_cubics(times: Sequence[float], values: Any) -> Any:
-    """The cubic of each row in the time since it, [4, R], highest power first; of the last, the
-    value that it keeps.
+    """Cubics of each row in the time since it, [4, R], highest power first; for the last row its
+    constant value.
 
     times: [R] (s), values: [R]. For values that JAX differentiates the result is the same up to
     round-off.
@@ -29,8 +29,10 @@ def fit_hermite_cubics(times: Sequence[float], values: Any) -> Any:
 
 
 def _fit_differentiable_cubics(times: np.ndarray, values: jax.Array) -> jax.Array:
-    """Slopes at inner rows are weighted harmonic means of those on both sides, 0 at an extremum
-    (their product is continuous).
+    """Cubics for values that JAX differentiates.
+
+    Slopes at inner rows are weighted harmonic means of the slopes on both sides, and 0 at an
+    extremum; they are continuous functions of the values.
     """
     h = jnp.asarray(np.diff(times), values.dtype)
     m = jnp.diff(values) / h

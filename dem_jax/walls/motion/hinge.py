@@ -1,4 +1,4 @@
-"""A flap that swings open about its hinge, dwells there and closes, once or again and again."""
+"""A flap that swings open about its hinge, stays open and closes, once or repeatedly."""
 
 from typing import ClassVar
 
@@ -15,7 +15,9 @@ from dem_jax.walls.motion.section_arrays import stack_section_values, stack_unit
 
 @pytree
 class Hinge:
-    """Hinges of G groups, each about the pivot of its group; one that is no flap swings by nothing."""
+    """Hinges of G groups, each about the pivot of its group; the swing is zero for groups that are
+    no flaps.
+    """
 
     axis: Array  # [3, G]: unit direction
     swing: Array  # [G] (rad): angle of the open flap
@@ -49,7 +51,7 @@ class Hinge:
         return np.asarray(self.swing) != 0
 
     def opening_fraction(self, t: jax.Array) -> jax.Array:
-        """How far the flaps are open at a time (s), 0 to 1, [G]."""
+        """Opening of the flaps at a time (s), 0 to 1, [G]."""
         since = t - self.start
         cyclic = (self.period > 0) & (since > 0)
         since = jnp.where(cyclic, jnp.mod(since, jnp.where(self.period > 0, self.period, 1)), since)
@@ -62,7 +64,9 @@ class Hinge:
         return self.swing * self.opening_fraction(t), None
 
     def active_interval(self) -> tuple[np.ndarray, np.ndarray]:
-        """Times (s) at which they begin to open and are shut, inf if they open again, [G] each."""
+        """Times (s) at which the flaps begin to open and are shut again, inf if they open
+        repeatedly, [G] each.
+        """
         start, opening, dwell, closing, period = (
             np.asarray(x, float)
             for x in (self.start, self.opening, self.dwell, self.closing, self.period)
@@ -71,5 +75,7 @@ class Hinge:
 
     @staticmethod
     def find_endless_key(section: Motion, duration: float) -> str | None:
-        """Why the section's flap never rests."""
+        """The key that makes the section's flap open repeatedly, with its allowed value; None if it
+        opens once.
+        """
         return f"period = {section.period:g}; allowed: 0 (once)" if section.period else None

@@ -1,10 +1,11 @@
-"""Turning and shifting by a table of times, angles and ways: cubics between its rows, at rest
-before and after it.
+"""Rotation and displacement by a table of times, angles and displacements: cubics between its rows,
+at rest before and after it.
 
-Between rows the piecewise cubic Hermite interpolation of Fritsch and Carlson (SIAM J. Numer. Anal.
-17, 238, 1980): velocity has no jump, and angle and ways never go beyond those of the rows on both
-sides. Slopes are zero at the first and the last row. For a smooth monotonic motion the error is of
-third order in the interval of the rows, next to an extremum of second order.
+The interpolation between rows is the piecewise cubic Hermite interpolation of Fritsch and Carlson
+(SIAM J. Numer. Anal. 17, 238, 1980): velocity has no jump, and angles and displacements stay
+between those of the adjacent rows. Slopes are zero at the first and the last row. For a smooth
+monotonic motion the error is of third order in the interval of the rows, next to an extremum of
+second order.
 """
 
 import csv
@@ -29,7 +30,7 @@ COLUMNS = ("time", "angle_deg", "x", "y", "z")
 
 @pytree
 class Table:
-    """Tables of at most R rows that G groups follow; that of a group at rest holds zeros.
+    """Tables of at most R rows that G groups follow; zeros for a group without one.
 
     A row's cubic, highest power first, holds from its time to the next.
     """
@@ -47,8 +48,8 @@ class Table:
 
     @classmethod
     def from_sections(cls, sections: list[Motion]) -> "Table":
-        """Tables from one section per group, with its table ``load_table_rows`` if it has one, in
-        numpy. Raises SceneError.
+        """Tables from one section per group, whose rows are loaded (``load_table_rows``), in numpy.
+        Raises SceneError.
         """
         most = max(len(row.times or (0.0,)) for row in sections)
         times = np.full((most, len(sections)), np.inf)
@@ -84,7 +85,7 @@ class Table:
         return np.isfinite(np.asarray(self.times)[1])
 
     def pose_at(self, t: jax.Array) -> tuple[jax.Array | None, Vector | None]:
-        """Angle (rad), [G], and shift (m), 3 x [G], each None if no table has it."""
+        """Angle (rad), [G], and displacement (m), 3 x [G]; None if no table has one."""
         after = jax.vmap(lambda times: jnp.searchsorted(times, t, side="right"), in_axes=-1)(
             self.times
         )
@@ -108,7 +109,7 @@ class Table:
 
     @staticmethod
     def find_endless_key(section: Motion, duration: float) -> None:
-        """A table has an end."""
+        """None: a table always ends."""
 
 
 def _angles_in_radians(section: Motion) -> Any:
@@ -119,13 +120,13 @@ def _angles_in_radians(section: Motion) -> Any:
 
 
 def _displacement_columns(section: Motion) -> Any:
-    """Those along x, y and z, each [R] (m) or None."""
+    """Displacements of a section's table along x, y and z, each [R] (m) or None."""
     return (None,) * 3 if section.ways is None else as_float_array(section.ways).T
 
 
 def _pad_cubics(section: Motion, values: Any, most: int) -> list[Any]:
-    """The cubic [4] of each row of a section's table, and as many of zeros as it takes; values:
-    None if it has none.
+    """The cubic [4] of each row of a section's table, padded with zeros; values: None if it has
+    none.
     """
     found = (
         []
@@ -136,7 +137,7 @@ def _pad_cubics(section: Motion, values: Any, most: int) -> list[Any]:
 
 
 def load_table_rows(section: Motion, folder: str | Path) -> Motion:
-    """The section with the rows of its CSV in the file's place, checked; others as they are. Raises
+    """The section with its CSV file replaced by the checked rows; other sections unchanged. Raises
     SceneError.
     """
     given = [
@@ -168,7 +169,9 @@ _ALLOWED_COLUMNS = "allowed: times with angles_deg, ways or both"
 
 
 def _check_times(times: Sequence[float], key: str, name: Callable[[int], str]) -> None:
-    """name: of a row's number."""
+    """Raise SceneError unless there are at least two times that increase. name: description of a
+    row by its number.
+    """
     if len(times) < 2:
         raise SceneError(f"{key}: {len(times)} rows; allowed: at least 2")
     for n in np.flatnonzero(np.diff(times) <= 0)[:1] + 1:
@@ -193,7 +196,7 @@ def _read_table_file(section: Motion, path: Path) -> Motion:
 
 
 def _read_columns(path: Path, key: str) -> tuple[dict[str, tuple[float, ...]], list[int]]:
-    """Columns of a CSV file by name, and the number of each row's line."""
+    """Columns of a CSV file by name, and the line number of each row."""
     allowed = "time (s), angle_deg, x, y, z (m), separated by commas"
     try:
         with open(path, newline="", encoding="utf-8-sig") as file:
@@ -219,7 +222,7 @@ def _read_columns(path: Path, key: str) -> tuple[dict[str, tuple[float, ...]], l
 
 
 def _parse_row(row: Sequence[str], head: Sequence[str], place: str) -> tuple[float, ...]:
-    """The numbers of a line."""
+    """The numbers of a line of a CSV file."""
     if len(row) != len(head):
         raise SceneError(f"{place}: {len(row)} cells; allowed: {len(head)}, one for each column")
     for name, cell in zip(head, row, strict=True):

@@ -1,4 +1,4 @@
-"""From sections of a scene to the arrays of a kind of motion."""
+"""Conversion of sections of a scene to the arrays of a kind of motion."""
 
 import numpy as np
 

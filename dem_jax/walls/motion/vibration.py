@@ -1,4 +1,4 @@
-"""A sine along a straight line that starts and ends gently, once or again and again."""
+"""A sinusoidal vibration along a straight line that starts and ends gently, once or repeatedly."""
 
 from typing import ClassVar
 
@@ -17,7 +17,7 @@ from dem_jax.walls.motion.section_arrays import stack_section_values
 
 @pytree
 class Vibration:
-    """Vibrations of G groups; one that does not vibrate has no stroke."""
+    """Vibrations of G groups; the stroke is zero for groups that do not vibrate."""
 
     stroke: Array  # [3, G] (m): amplitude
     frequency: Array  # [G] (Hz)
@@ -59,11 +59,11 @@ class Vibration:
         return envelope * jnp.sin(2 * jnp.pi * self.frequency * (t - self.shake_start))
 
     def pose_at(self, t: jax.Array) -> tuple[None, Vector]:
-        """No angle, and the shift (m), 3 x [G]."""
+        """No angle, and the displacement (m), 3 x [G]."""
         return None, vector.scale(self.relative_displacement(t), vector.unstack_vector(self.stroke))
 
     def active_interval(self) -> tuple[np.ndarray, np.ndarray]:
-        """Times (s) at which they begin and end, inf if they begin again, [G] each."""
+        """Times (s) at which vibrations begin and end, inf if they repeat, [G] each."""
         again = np.asarray(self.shake_period, float) > 0
         return np.asarray(self.shake_start, float), np.where(
             again, np.inf, np.asarray(self.shake_end, float)
@@ -71,7 +71,9 @@ class Vibration:
 
     @staticmethod
     def find_endless_key(section: Motion, duration: float) -> str | None:
-        """The reason why the section's vibration does not end in a run of a given duration (s)."""
+        """The key that keeps the section's wall vibrating beyond a run of a given duration (s),
+        with its allowed values; None if it ends.
+        """
         if section.shake_period:
             return f"shake_period = {section.shake_period:g}; allowed: 0 (once)"
         if section.shake_end < duration:
