@@ -335,23 +335,24 @@ def name_run_command(design: Design, stem: str) -> list[str]:
     return ["dem-jax", "ensemble", f"{stem}.toml", "--runs", str(design.runs), *files]
 
 
-def write_product(stl: str, unit: float, weight: float, is_convex: bool, material: Tree) -> str:
+def write_product(stl: str, unit: float, weight: float, is_convex: bool, like: Tree) -> str:
     """The TOML text of a product of one's own.
 
     Args:
         stl: name of the file beside it.
         unit: m per unit of the file.
-        weight: (kg) of a piece.
+        weight: (kg) of a piece, in the place of a density.
         is_convex: whether its hull stands for it, else it is cut into convex parts.
-        material: [material] of the product that it is like.
+        like: tree of the product whose material and contact law it has.
     """
-    portion = {
-        "shape": "hull" if is_convex else "decomposed",
-        "stl": stl,
-        "unit": unit,
-        "piece_weight": weight,
-    }
-    return dump_toml({"portion": portion, "material": material})
+    shape = "hull" if is_convex else "decomposed"
+    portion = {"shape": shape, "stl": stl, "unit": unit, "piece_weight": weight}
+    material = {key: item for key, item in like.get("material", {}).items() if key != "density"}
+    modulus = like.get("evidence", {}).get("youngs_modulus", {})
+    if "range" in modulus:
+        material["youngs_modulus_range"] = modulus["range"]
+    contact = {"contact": like["contact"]} if "contact" in like else {}
+    return dump_toml({"portion": portion, "material": material, **contact})
 
 
 def write_bucket(

@@ -22,6 +22,7 @@ class ProductCard(NamedTuple):
 
     name: of the library, or of a file. text: what it is. weight: (g) of a piece. picture: SVG.
     rows: (number, value, range, grade and source) as text. states: names of its further states.
+    notes: what was mended, cut or simplified in its STL.
     """
 
     name: str
@@ -30,6 +31,7 @@ class ProductCard(NamedTuple):
     picture: str
     rows: list[tuple[str, str, str, str]]
     states: list[str]
+    notes: list[str]
 
 
 class BucketCard(NamedTuple):
@@ -135,6 +137,7 @@ def _describe_product(source: str, name: str, text: str) -> ProductCard:
     from dem_jax.scene import evidence, library, load_scene
     from dem_jax.scene.material_properties import build_material_table
     from dem_jax.shapes import surface_mesh
+    from dem_jax.visualization.summary import list_piece_notes
 
     scene = load_scene("weigh-bucket", {"product": source, **library.ONE_PIECE})
     goods = build_piece_set(scene)
@@ -145,7 +148,8 @@ def _describe_product(source: str, name: str, text: str) -> ProductCard:
         _split_row(row, evidence.find_number_unit(key), key)
         for key, row in _list_evidence(tree, source)
     ]
-    return ProductCard(name, text, weight, picture, rows, library.list_product_states(source))
+    states = library.list_product_states(source)
+    return ProductCard(name, text, weight, picture, rows, states, list_piece_notes(scene))
 
 
 def _list_evidence(tree: dict[str, Any], source: str) -> Iterator[tuple[str, tuple[Any, Any]]]:

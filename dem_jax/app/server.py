@@ -76,6 +76,7 @@ def serve(folder: Folder, port: int, opens_browser: bool) -> None:
         tailwind=False,
         binding_refresh_interval=None,
         reconnect_timeout=30.0,
+        timeout_graceful_shutdown=1,  # s, for tabs that are open
     )
 
 

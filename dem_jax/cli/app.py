@@ -1,5 +1,6 @@
 """python -m dem_jax app"""
 
+from dem_jax import process
 from dem_jax.cli.arguments import Args, Commands, create_command, nonnegative_int
 from dem_jax.errors import RecordError
 
@@ -34,4 +35,5 @@ def app(args: Args) -> None:
         raise RecordError(
             "app: NiceGUI is missing; allowed: pip install 'product-impact[app]'"
         ) from error
+    process.end_signal_handling()  # the server has signals of its own, and ends the processes that it started
     serve(folder, args.port, not args.no_browser)

@@ -25,6 +25,10 @@ from dem_jax.app.drawing import PIXELS_PER_MM, draw_piece
 from dem_jax.errors import SceneError
 from dem_jax.study.config import Study
 
+LIKE = {
+    "material": {"density": 1010.0, "restitution": 0.25},
+    "evidence": {"youngs_modulus": {"range": [1e6, 1e9]}},
+}
 MIXED = Design(products=(("hazelnut", 2.0), ("almond", 1.0)), bucket="5.4-litre")
 
 
@@ -92,12 +96,13 @@ def test_an_own_part_becomes_a_product_of_its_weight(tmp_path):
     found = facts.describe_stl(str(tmp_path / "part.stl"))
     assert found.unit == 1e-3 and found.is_hull and sorted(found.size) == [12.0, 30.0, 40.0]
     assert found.volume == pytest.approx(14400.0, rel=1e-12) and found.notes == [facts.NO_LETTERS]
-    text = write_product("part.stl", found.unit, 0.018, found.is_hull, {"restitution": 0.25})
+    text = write_product("part.stl", found.unit, 0.018, found.is_hull, LIKE)
     (tmp_path / "part.toml").write_text(text)
     card = facts.describe_own_product(str(tmp_path / "part.toml"), "products/part.toml")
     assert card.weight == pytest.approx(18.0, rel=1e-12)
     scene = Design().with_product("part.toml").read_scene(tmp_path)
     assert scene.material.restitution == 0.25
+    assert scene.material.youngs_modulus_range == (1e6, 1e9)
 
 
 def test_an_own_bucket_lies_under_the_feed_bucket(tmp_path):

@@ -45,12 +45,14 @@ async def show_bucket(session: Session) -> None:
                 facts.describe_scene, text, str(session.folder.root)
             )
         except RecordError as error:
+            if notes.is_deleted:
+                return
             notes.clear()
             with notes:
                 parts.show_error(str(error))
             return
-        if text != session.design.to_toml():
-            return  # a later change has its own view
+        if view.is_deleted or text != session.design.to_toml():
+            return  # a later change has a view of its own
         view.clear()
         notes.clear()
         with view:

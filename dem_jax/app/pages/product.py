@@ -116,6 +116,7 @@ async def _show_choice(session: Session, refresh: Callable[[], Awaitable[None]])
     parts.show_heading(card.text.partition(": ")[0])
     ui.html(card.picture, sanitize=False).classes("picture large")
     ui.label(f"{card.weight:.4g} g a piece. {card.text.partition(': ')[2]}").classes("lead")
+    parts.show_lines(card.notes)
     if card.states:
         _show_states(session, card, refresh)
     with ui.expansion("Where the numbers come from").classes("more"):
@@ -232,9 +233,7 @@ def _show_stl(
     with ui.element("div").classes("panel"):
         parts.show_heading(f"Read: {stem}")
         size = ui.label()
-        excess = f"its hull has {100 * found.excess:.2g} % more volume"
-        convex = "so the hull stands for it" if found.is_hull else "so it is cut into convex parts"
-        parts.show_lines([*found.notes, f"{excess}, {convex}"])
+        parts.show_lines([*found.notes, describe_excess(found)])
         unit = (
             ui.select(UNITS, value=found.unit, label="Unit of the file")
             .props("outlined dense")
@@ -269,25 +268,32 @@ def _show_stl(
                 weight.error = "Allowed: above 0 g"
                 return
             weight.error = None
-            material = load_product(like.value, "products").get("material", {})
+            tree = load_product(like.value, "products")
             text = write_product(
-                f"{stem}.stl", unit.value, 1e-3 * weight.value, found.is_hull, material
+                f"{stem}.stl", unit.value, 1e-3 * weight.value, found.is_hull, tree
             )
             product = f"{PRODUCTS}/{stem}.toml"
-            busy = ui.spinner(size="sm")
+            button.props("loading")
             try:
                 session.folder.replace_text(product, text)
                 await session.workspace.describe_product(product)
             except RecordError as error:
                 session.folder.find_path(product).unlink(missing_ok=True)
                 wrong.set_text(str(error))
+                button.props(remove="loading")
             else:
                 session.design = session.design.with_product(product)
                 await refresh()
-            finally:
-                busy.delete()
 
-        ui.button("Use this part", on_click=use).props("no-caps unelevated")
+        button = ui.button("Use this part", on_click=use).props("no-caps unelevated")
+
+
+def describe_excess(found: StlFacts) -> str:
+    """By how much the hull of a body is larger than the body, and what follows."""
+    if found.excess < 1e-6:
+        return "it is convex"
+    use = "so the hull stands for it" if found.is_hull else "so it is cut into convex parts"
+    return f"its hull has {100 * found.excess:.2g} % more volume, {use}"
 
 
 def _library_names() -> list[str]:
