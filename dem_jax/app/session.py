@@ -1,15 +1,18 @@
 """What the server shares, and what each tab of a browser has for itself."""
 
 import secrets
+import tomllib
 from collections import OrderedDict
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 from dem_jax.app import facts
-from dem_jax.app.design import Design, name_run_command
+from dem_jax.app.design import Design, name_run_command, read_design
 from dem_jax.app.facts import BucketCard, ProductCard
 from dem_jax.app.folder import Folder
 from dem_jax.app.helper import Helper
 from dem_jax.app.jobs import Job, JobRunner
+from dem_jax.errors import RecordError
 
 MOST_PAGES = 16  # previews that are kept
 
@@ -100,6 +103,23 @@ class Session:
         while (candidate := stem if number == 1 else f"{stem}-{number}") in taken:
             number += 1
         return name_run_command(self.design, candidate)
+
+    def reopen_scene(self, result: str) -> None:
+        """Take up the choices of the scene of a result of this folder.
+
+        Raises:
+            RecordError: there is no such scene, or it names files elsewhere.
+            SceneError: it has keys that the pages do not show.
+        """
+        path = self.folder.find_path(f"{Path(result).stem}.toml")
+        try:
+            tree = tomllib.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise RecordError(
+                f"{path.name} cannot be read; allowed: a scene of this folder"
+            ) from error
+        self.folder.check_references(tree)
+        self.design = replace(read_design(tree), runs=self.design.runs, seed=self.design.seed)
 
     def enter_drop(self) -> tuple[Job, str]:
         """Write the scene under a free name and enter its command; returns the job and the name of

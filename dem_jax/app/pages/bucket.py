@@ -121,18 +121,18 @@ def _show_timeline(scene: Scene, fields: parts.Fields) -> None:
     """When the feed flaps begin to open and when they are open, to be dragged."""
     start = 1e3 * (read_number(scene, "feed_bucket.opening_start") or 0.0)
     end = start + 1e3 * (read_number(scene, "feed_bucket.opening_time") or 0.0)
-    ui.label("Flaps: from closed to open (ms after the release)").classes("field-title")
-    line = ui.range(min=0, max=max(LONGEST, end), step=1, value={"min": start, "max": end})
-    line.props('label-always color=primary aria-label="Flaps begin to open, are open"').classes(
-        "timeline"
-    )
+    ui.label("The feed flaps, to be dragged (ms after the release)").classes("field-title")
+    most = max(LONGEST, end)
+    begins = parts.show_slider("Flaps begin to open", 0, most, 1, start)
+    ends = parts.show_slider("Flaps are open", 0, most, 1, end)
 
     def drag() -> None:
-        low, high = line.value["min"], line.value["max"]
+        low, high = sorted((float(begins.value), float(ends.value)))
         fields.set_value("feed_bucket.opening_start", low)
-        fields.set_value("feed_bucket.opening_time", max(high - low, 1))
+        fields.set_value("feed_bucket.opening_time", max(high - low, 1.0))
 
-    line.on("change", drag)
+    for slider in (begins, ends):
+        slider.on("change", drag)
 
 
 def _show_upload(session: Session, refresh: Action) -> None:
@@ -152,7 +152,7 @@ def _show_upload(session: Session, refresh: Action) -> None:
             except RecordError as error:
                 parts.show_error(str(error))
 
-    parts.show_upload("Drop an STL file of the bucket here, or choose it", LARGEST_STL, receive)
+    parts.show_upload("Drop an STL file of the bucket here", LARGEST_STL, receive)
     form.move(target_index=-1)
 
 

@@ -121,9 +121,8 @@ async def _show_question(session: Session) -> None:
             label="What changes",
         )
         key.props("outlined dense").classes("field")
-        ui.label("From, to").classes("field-title")
-        span = ui.range(min=0, max=1, step=0.01, value={"min": 0, "max": 1})
-        span.props('label-always aria-label="Range of values"').classes("timeline")
+        least = parts.show_slider("From", 0, 1, 0.01, 0)
+        most = parts.show_slider("To", 0, 1, 0.01, 1)
         with ui.element("div").classes("line"):
             points = ui.select(
                 {2: "2 values", 3: "3 values", 5: "5 values"}, value=3, label="Values"
@@ -142,16 +141,19 @@ async def _show_question(session: Session) -> None:
             now = read_number(scene, key.value) or 0.0
             low = max(question.least, (1 - question.span) * now) / text.factor
             high = min(question.most, (1 + question.span) * now) / text.factor
-            span._props.update(
-                {"min": question.least / text.factor, "max": question.most / text.factor}
-            )
-            span._props["step"] = 0.01 if text.unit == "" else 1
-            span.value = {"min": round(low, 2), "max": round(high, 2)}
-            span.update()
+            limits = {"min": question.least / text.factor, "max": question.most / text.factor}
+            for slider, value in ((least, low), (most, high)):
+                slider.props["step"] = 0.01 if text.unit == "" else 1
+                slider.props["min"], slider.props["max"] = limits["min"], limits["max"]
+                slider.value = round(value, 2)
+                slider.update()
 
         def make_study(stem: str) -> str:
             text = FIELDS[key.value]
-            shown = np.linspace(span.value["min"], span.value["max"], points.value)
+            low, high = sorted((least.value, most.value))
+            shown = np.linspace(
+                low, high if high > low else low + least.props["step"], points.value
+            )
             values = [float(f"{each * text.factor:.6g}") for each in shown]
             return write_study(
                 f"{stem}.toml", f"What if: {text.label.lower()}", key.value, values, drops.value

@@ -2,6 +2,7 @@
 
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
+from pathlib import Path
 
 from nicegui import ui
 
@@ -10,7 +11,7 @@ from dem_jax.app.design import RUN_COUNTS
 from dem_jax.app.jobs import Job
 from dem_jax.app.pages import parts
 from dem_jax.app.session import Session
-from dem_jax.errors import RecordError
+from dem_jax.errors import RecordError, SceneError
 
 WORDS = {1: "One drop", 16: "16 drops", 64: "64 drops"}
 
@@ -133,7 +134,22 @@ async def _show_result(session: Session, refresh: Callable[[], Awaitable[None]])
     )
     parts.show_heading("What they depend on")
     parts.show_lines(found.notes)
-    ui.button("Next: compare", on_click=lambda: ui.navigate.to("/compare")).props("no-caps outline")
+    with ui.element("div").classes("line"):
+        compare = ui.button("Next: compare", on_click=lambda: ui.navigate.to("/compare"))
+        compare.props("no-caps unelevated")
+        if session.folder.find_path(f"{Path(session.shown).stem}.toml").is_file():
+            again = ui.button("Take up this scene", on_click=lambda: _reopen(session))
+            again.props("no-caps outline")
+
+
+def _reopen(session: Session) -> None:
+    """Take up the scene of the shown result, and go to its bucket and release."""
+    try:
+        session.reopen_scene(session.shown)
+    except (RecordError, SceneError) as error:
+        ui.notify(str(error), type="negative")
+    else:
+        ui.navigate.to("/bucket")
 
 
 def _show_members(

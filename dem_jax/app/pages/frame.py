@@ -39,7 +39,7 @@ def show_frame(session: Session) -> None:
     routes: dict[str, Callable[..., Any]] = {
         path: partial(_show_page, session, path) for path in PAGES
     }
-    with ui.element("main").classes("content").props("id=main"):
+    with ui.element("div").classes("content"):
         ui.sub_pages(routes)
 
 

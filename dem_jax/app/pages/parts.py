@@ -87,6 +87,15 @@ def _escape(text: str) -> str:
     )
 
 
+def show_slider(label: str, low: float, high: float, step: float, value: float) -> ui.slider:
+    """A slider with its label before it and its value above its thumb."""
+    with ui.element("div").classes("slider"):
+        ui.label(label).classes("small")
+        slider = ui.slider(min=low, max=high, step=step, value=value)
+        slider.props("label-always").props["aria-label"] = label
+    return slider
+
+
 class Fields:
     """Number fields of the design of a session.
 
@@ -225,7 +234,8 @@ def show_chart(
             if curve is not None:
                 series.append(_make_series(name, curve, axis, colour))
     names = [name for name, _, _ in curves]
-    chart = ui.echart(_make_options(series, names)).classes("chart").style(f"height:{height}")
+    options = _make_options(series, names, find_span([settled for _, _, settled in curves]))
+    chart = ui.echart(options).classes("chart").style(f"height:{height}")
     chart.props(
         f'role=img aria-label="Force and settled mass over time: {_escape(", ".join(names))}"'
     )
@@ -253,10 +263,29 @@ def _make_series(name: str, curve: Curve, axis: int, colour: str) -> dict[str, A
     }
 
 
-def _make_options(series: list[dict[str, Any]], names: Sequence[str]) -> dict[str, Any]:
+def find_span(curves: Sequence[Curve | None]) -> tuple[float, float] | None:
+    """The span (ms) in which settled masses change, with something around it; None: they do not."""
+    changes = [
+        time
+        for curve in curves
+        if curve is not None
+        for time, before, after in zip(curve.time[1:], curve.value, curve.value[1:], strict=False)
+        if before != after
+    ]
+    if not changes:
+        return None
+    low, high = min(changes), max(changes)
+    around = max(0.15 * (high - low), 10.0)
+    return 10.0 * (max(low - around, 0.0) // 10.0), 10.0 * ((high + around) // 10.0 + 1.0)
+
+
+def _make_options(
+    series: list[dict[str, Any]], names: Sequence[str], span: tuple[float, float] | None
+) -> dict[str, Any]:
     words = {"color": "#334155", "fontSize": 12}
     time = {"type": "value", "axisLabel": words, "nameTextStyle": words}
     value = {"type": "value", "axisLabel": words, "nameTextStyle": {**words, "align": "left"}}
+    shown = {} if span is None else {"startValue": span[0], "endValue": span[1]}
     return {
         "animation": False,
         "textStyle": {"fontFamily": "system-ui, sans-serif"},
@@ -282,8 +311,8 @@ def _make_options(series: list[dict[str, Any]], names: Sequence[str]) -> dict[st
             {**value, "gridIndex": 1, "name": "settled (g)", "splitNumber": 2},
         ],
         "dataZoom": [
-            {"type": "inside", "xAxisIndex": [0, 1], "zoomOnMouseWheel": "ctrl"},
-            {"type": "slider", "xAxisIndex": [0, 1], "height": 16, "bottom": 6},
+            {"type": "inside", "xAxisIndex": [0, 1], "zoomOnMouseWheel": "ctrl", **shown},
+            {"type": "slider", "xAxisIndex": [0, 1], "height": 16, "bottom": 6, **shown},
         ],
         "series": series,
     }
@@ -295,12 +324,19 @@ def list_results(session: Session) -> list[str]:
 
 
 def show_upload(text: str, largest: int, receive: Callable[[Any], Awaitable[None]]) -> None:
-    """A place for one STL file: dropped there, or chosen by its button. largest: bytes."""
-    box = ui.upload(
-        label=text, on_upload=receive, max_file_size=largest, max_files=1, auto_upload=True
+    """A place for one STL file: dropped there, or chosen by its button.
+
+    Args:
+        text: what to drop.
+        largest: bytes.
+        receive: takes the upload.
+    """
+    box = ui.upload(on_upload=receive, max_file_size=largest, auto_upload=True)
+    box.props("accept=.stl flat bordered").classes("upload")
+    button = '<q-btn unelevated no-caps icon="upload_file" label="Choose a file" @click="props.pickFiles" />'
+    words = f'<span class="upload-text">{_escape(text)}</span>'
+    box.add_slot(
+        "header", f'<div class="upload-head">{button}{words}<q-uploader-add-trigger /></div>'
     )
-    box.props(f'accept=.stl flat bordered aria-label="{text}"').classes("upload")
-    box.on(
-        "rejected",
-        lambda: ui.notify(f"Allowed: an STL file of up to {largest // 2**20} MB", type="negative"),
-    )
+    rejection = f"Allowed: an STL file of up to {largest // 2**20} MB"
+    box.on("rejected", lambda: ui.notify(rejection, type="negative"))

@@ -23,7 +23,7 @@ async def show_product(session: Session) -> None:
     parts.show_title(
         "Product", "Choose what falls: a product of the library, a part of your own, or a mixture."
     )
-    with ui.element("div").classes("columns"):
+    with ui.element("div").classes("columns product"):
         with ui.element("section").classes("wide"):
             cards = ui.element("div")
         side = ui.element("section").classes("side").props('aria-label="Chosen product"')
@@ -221,7 +221,7 @@ def _show_upload(session: Session, refresh: Callable[[], Awaitable[None]]) -> No
             except RecordError as error:
                 parts.show_error(str(error))
 
-    parts.show_upload("Drop an STL file of one piece here, or choose it", LARGEST_STL, receive)
+    parts.show_upload("Drop an STL file of one piece here", LARGEST_STL, receive)
     form.move(target_index=-1)
 
 

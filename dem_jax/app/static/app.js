@@ -47,3 +47,8 @@ function moveCursor(time) {
 window.addEventListener("message", (event) => {
   if (event.origin === location.origin && event.data && typeof event.data.dropShown === "number") moveCursor(event.data.dropShown);
 });
+
+// The input of an upload has a button beside it; its own name is for readers of the screen.
+new MutationObserver(() => {
+  for (const input of document.querySelectorAll("input.q-uploader__input:not([aria-label])")) input.setAttribute("aria-label", "STL file");
+}).observe(document, { childList: true, subtree: true });
